@@ -14,7 +14,7 @@ declare! {
 }
 
 /// The policy `patrol`.
-pub const PATROL: PolicyEntry = PolicyEntry::of::<PatrolSettings>();
+pub const PATROL: PolicyEntry = PolicyEntry::for_settings::<PatrolSettings>();
 
 impl PolicyFactory for PatrolSettings {
     fn build(&self, _: &Knowledge) -> Box<dyn Policy> {

@@ -129,7 +129,7 @@ impl Station {
     }
 
     /// The decision context for an external policy in TTI `k`; `None` if a policy of this program decides.
-    pub fn question(&self, k: Tti, stage: DecisionStage) -> Option<DecisionContext<'_>> {
+    pub fn pending_decision(&self, k: Tti, stage: DecisionStage) -> Option<DecisionContext<'_>> {
         let seen = self.view.at(k);
         let seen = match stage {
             // Nothing has been gathered in a TTI that has not begun; `information` is still the value of the last one.
@@ -139,7 +139,7 @@ impl Station {
             },
             DecisionStage::Wake => seen,
         };
-        self.external().map(|external| external.question(stage, seen))
+        self.external().map(|external| external.context(stage, seen))
     }
 
     /// Closes TTI `tti`.
@@ -171,7 +171,7 @@ impl Station {
     }
 
     /// A copy that continues from here, under an external policy; `None` under any other, since those cannot be copied.
-    pub fn branch(&self) -> Option<Self> {
+    pub fn fork(&self) -> Option<Self> {
         let external = self.external()?;
         Some(Self {
             view: self.view.clone(),

@@ -57,11 +57,11 @@ pub struct WakeOrder {
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum CycleStep {
     /// Carry out this wake-up, then call [`Cycle::complete_wake_up`].
-    WakeUp(WakeOrder),
+    SendWakeUp(WakeOrder),
     /// Answer [`Cycle::wake_question`] of this TTI by [`Cycle::wake`].
-    Asks(Tti),
+    AskExternal(Tti),
     /// The TTI is closed; the next may be granted.
-    Closed,
+    TtiClosed,
 }
 
 /// The world, the base station and the score of a run.
@@ -77,7 +77,7 @@ pub struct Cycle {
     /// The TTI of each device's last wake-up, in the order of ids; [`Tti::NEVER`] before the first.
     last_woken: Vec<Tti>,
     /// Changes of the world in the last grant; kept to reuse its memory.
-    turns: Vec<WorldChange>,
+    changes: Vec<WorldChange>,
 }
 
 impl Cycle {
@@ -104,7 +104,7 @@ impl Cycle {
             is_open: false,
             wake_up_count: 0,
             last_woken: vec![Tti::NEVER; prepared.deployment.devices.len()],
-            turns: Vec::new(),
+            changes: Vec::new(),
         }
     }
 
@@ -156,7 +156,7 @@ impl Cycle {
     /// The context of an external policy's plan for the next TTI, even if no plan is due and at the end of the run.
     /// `None` while a TTI is open or if a policy of this program decides.
     pub fn next_decision_context(&self) -> Option<DecisionContext<'_>> {
-        (!self.is_open).then(|| self.station.question(self.next, DecisionStage::Plan))?
+        (!self.is_open).then(|| self.station.pending_decision(self.next, DecisionStage::Plan))?
     }
 
     /// Takes the plan that [`Self::needs_plan`] asks for.
@@ -164,13 +164,13 @@ impl Cycle {
     /// # Panics
     /// If no decision is due.
     pub(crate) fn decide(&mut self, decision: PlanDecision) {
-        assert!(self.needs_plan(), "no plan was asked for");
+        assert!(self.needs_plan(), "no plan was requested");
         self.station.set_plan(decision);
     }
 
     /// The wake-ups that an external policy has to decide in TTI `tti`, after [`CycleStep::Asks`].
     pub(crate) fn wake_question(&self, tti: Tti) -> DecisionContext<'_> {
-        let question = self.station.question(tti, DecisionStage::Wake);
+        let question = self.station.pending_decision(tti, DecisionStage::Wake);
         question.expect("an external policy has asked")
     }
 
@@ -184,12 +184,12 @@ impl Cycle {
     /// A copy that continues from here, under an external policy; `None` under any other.
     pub(crate) fn fork(&self) -> Option<Self> {
         Some(Self {
-            station: self.station.branch()?,
+            station: self.station.fork()?,
             scenario: self.scenario.clone(),
             world: self.world.clone(),
             last_woken: self.last_woken.clone(),
             score: self.score.clone(),
-            turns: self.turns.clone(),
+            changes: self.changes.clone(),
             ..*self
         })
     }
@@ -236,7 +236,7 @@ impl Cycle {
         // Sent before the world advances: a device that misses the plan senses by the one it has.
         let missed = self.world.plan_sent(k, &update.plan);
         self.score.plan_missed(k, u64::from(self.scenario.run.devices), missed);
-        observer.notify(&Notification::Plan {
+        observer.notify(&Notification::PlanSent {
             update: &update,
             is_new,
         });
@@ -248,8 +248,8 @@ impl Cycle {
     fn span(&mut self, horizon: Tti, observer: &mut impl Observer) -> Grant {
         // One plan must hold for the whole span: the world finds the first device that can react under that plan.
         let grant = self.play(self.next, horizon.min(self.station.next_announcement(self.next)));
-        observer.notify(&Notification::Granted(&grant));
-        for turn in self.turns.drain(..) {
+        observer.notify(&Notification::TtisGranted(&grant));
+        for turn in self.changes.drain(..) {
             match turn {
                 WorldChange::Started(event) => {
                     self.score.event_started(event);
@@ -265,7 +265,7 @@ impl Cycle {
 
     fn play(&mut self, first: Tti, horizon: Tti) -> Grant {
         let Self {
-            world, station, turns, ..
+            world, station, changes: turns, ..
         } = self;
         let (plan, genie) = station.commands();
         let stimulated = world.advance(first, horizon, plan, genie, turns);
@@ -292,7 +292,7 @@ impl Cycle {
         let arrived = self.carry(tti, reports, observer);
         for failure in failures.iter() {
             self.score.failed(failure);
-            observer.notify(&Notification::Failed { tti, failure });
+            observer.notify(&Notification::ReportFailed { tti, failure });
         }
         self.station.gathered(tti, &reports[..arrived]);
         // `next_step` numbers the wake-ups of a TTI from 0; queued removals refer to these numbers.
@@ -310,10 +310,10 @@ impl Cycle {
             let report = reports[at];
             if air.loses_report(report.device) {
                 self.score.lost(&report);
-                observer.notify(&Notification::Lost(&report));
+                observer.notify(&Notification::ReportLost(&report));
             } else {
                 self.score.reported(&report);
-                observer.notify(&Notification::Reported(&report));
+                observer.notify(&Notification::ReportReceived(&report));
                 reports[arrived] = report;
                 arrived += 1;
             }
@@ -324,7 +324,7 @@ impl Cycle {
     /// Removes devices in the last granted TTI. The station receives no notice, only silence.
     pub(crate) fn remove_devices(&mut self, outage: &DeviceRemoval, observer: &mut impl Observer) {
         self.score.devices_removed(outage);
-        observer.notify(&Notification::Gone(outage));
+        observer.notify(&Notification::DevicesRemoved(outage));
     }
 
     /// Whether `device` is removed.
@@ -345,10 +345,10 @@ impl Cycle {
         // `is_far` needs an open event. There is one, since the world closes it only after the last wake-up.
         self.score
             .wake_up_completed(tti, device, outcome, self.world.is_far(device));
-        observer.notify(&Notification::Woken { tti, device, outcome });
+        observer.notify(&Notification::WakeUpCompleted { tti, device, outcome });
         let report = match outcome {
             WakeOutcome::Reported(report) => Some(report),
-            WakeOutcome::Failed(_) | WakeOutcome::Unheard | WakeOutcome::Lost(_) | WakeOutcome::Late { .. } => None,
+            WakeOutcome::Failed(_) | WakeOutcome::Missed | WakeOutcome::Lost(_) | WakeOutcome::Late { .. } => None,
         };
         self.station.woken(tti, device, report);
         self.next_step(tti, observer)
@@ -404,8 +404,8 @@ impl Cycle {
             let message = WakeUp { tti: sent };
             let is_late = self.scenario.radio.is_late(sent, self.world.until());
             self.score.wake_up(tti, codec::encoded_len(&message));
-            observer.notify(&Notification::WakeUp { tti, device, sent });
-            return CycleStep::WakeUp(WakeOrder {
+            observer.notify(&Notification::WakeUpSent { tti, device, sent });
+            return CycleStep::SendWakeUp(WakeOrder {
                 tti,
                 number,
                 device,
@@ -415,12 +415,12 @@ impl Cycle {
         }
         // Queued wake-ups come first: the policy process decides again only when it has seen all their outcomes.
         if self.station.needs_wake_ups(tti) {
-            return CycleStep::Asks(tti);
+            return CycleStep::AskExternal(tti);
         }
         if observer.wants_beliefs() {
             let places = self.station.belief();
             if !places.is_empty() {
-                observer.notify(&Notification::Believed { tti, places: &places });
+                observer.notify(&Notification::BeliefUpdated { tti, places: &places });
             }
         }
         // The score takes Î before the station resets it for the next TTI.
@@ -429,9 +429,9 @@ impl Cycle {
             observer.notify(&Notification::EventEnded(&record));
         }
         self.station.closed(tti);
-        observer.notify(&Notification::Closed(tti));
+        observer.notify(&Notification::TtiClosed(tti));
         (self.is_open, self.next) = (false, tti + 1);
-        CycleStep::Closed
+        CycleStep::TtiClosed
     }
 }
 
@@ -490,7 +490,7 @@ impl PreparedRun {
     pub fn knowledge(&self) -> Knowledge {
         Knowledge {
             streams: self.streams.clone(),
-            ..Knowledge::of(&self.scenario, &self.deployment, Arc::clone(&self.grids))
+            ..Knowledge::from_scenario(&self.scenario, &self.deployment, Arc::clone(&self.grids))
         }
     }
 

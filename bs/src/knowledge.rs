@@ -117,7 +117,7 @@ pub struct Knowledge {
 impl Knowledge {
     /// Returns the base station's knowledge of `scenario` with the devices of `deployment`. `grids` may be shared with
     /// other runs.
-    pub fn of<P>(scenario: &Scenario<P>, deployment: &Deployment, grids: Arc<BoundsCache>) -> Self {
+    pub fn from_scenario<P>(scenario: &Scenario<P>, deployment: &Deployment, grids: Arc<BoundsCache>) -> Self {
         let devices = deployment.devices.iter().zip(&deployment.classes);
         Self {
             area: scenario.area,

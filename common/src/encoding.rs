@@ -96,7 +96,7 @@ impl<'de> Visitor<'de> for RowsVisitor {
     fn visit_bytes<E: de::Error>(self, bytes: &[u8]) -> Result<FloatRows, E> {
         let (numbers, rest) = bytes.as_chunks::<4>();
         if !rest.is_empty() {
-            return Err(E::custom("numbers of four bytes each were expected"));
+            return Err(E::custom("expected numbers of four bytes each"));
         }
         let values: Vec<f32> = numbers.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
         let width = values.len().max(1);

@@ -49,6 +49,6 @@ pub(crate) fn assert_table(page: &str, name: &str, table: &str) {
     if held != table {
         let text = [before, &above, table, &below, after].concat();
         std::fs::write(&path, text).expect("writable");
-        panic!("{page} was not current; it is now: commit it");
+        panic!("{page} was out of date and has been rewritten; commit it");
     }
 }

@@ -31,7 +31,7 @@ pub struct RunName(String);
 
 /// A text that is not a valid run name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("run name {0:?}: must be 1 to 64 letters, digits, '-' or '_', the first of them no '-'")]
+#[error("run name {0:?}: must be 1 to 64 letters, digits, '-' or '_', and must not begin with '-'")]
 pub struct RunNameError(String);
 
 impl FromStr for RunName {

@@ -160,10 +160,7 @@ pub struct Geometric {
 impl Geometric {
     /// Creates the distribution for a trial with success probability `p`, `0 ..= 1`. With `p = 0` it never succeeds.
     pub fn new(p: f64) -> Self {
-        assert!(
-            (0.0..=1.0).contains(&p),
-            "a probability lies within 0 and 1, not at {p}"
-        );
+        assert!((0.0..=1.0).contains(&p), "the probability {p} is not within 0 and 1");
         Self {
             inverse_log_failure: 1.0 / libm::log1p(-p),
         }

@@ -72,9 +72,9 @@ pub struct DeviceTotals {
     /// Device-TTIs with δ = 1 in which the battery could not pay E_idle.
     pub failed_ttis: u64,
     /// Device-TTIs with δ = 0 in which the battery could not pay E_WuR: the device was unpowered.
-    pub dark_ttis: u64,
+    pub unpowered_ttis: u64,
     /// Device-TTIs with δ = 0 in which the device had a false wake-up.
-    pub false_wakes: u64,
+    pub false_wake_ups: u64,
 }
 
 impl DeviceTotals {
@@ -100,8 +100,8 @@ impl Add for DeviceTotals {
             low_ttis: self.low_ttis + other.low_ttis,
             sensing_ttis: self.sensing_ttis + other.sensing_ttis,
             failed_ttis: self.failed_ttis + other.failed_ttis,
-            dark_ttis: self.dark_ttis + other.dark_ttis,
-            false_wakes: self.false_wakes + other.false_wakes,
+            unpowered_ttis: self.unpowered_ttis + other.unpowered_ttis,
+            false_wake_ups: self.false_wake_ups + other.false_wake_ups,
         }
     }
 }
@@ -133,8 +133,8 @@ impl Sub for DeviceTotals {
             low_ttis: self.low_ttis - before.low_ttis,
             sensing_ttis: self.sensing_ttis - before.sensing_ttis,
             failed_ttis: self.failed_ttis - before.failed_ttis,
-            dark_ttis: self.dark_ttis - before.dark_ttis,
-            false_wakes: self.false_wakes - before.false_wakes,
+            unpowered_ttis: self.unpowered_ttis - before.unpowered_ttis,
+            false_wake_ups: self.false_wake_ups - before.false_wake_ups,
         }
     }
 }
@@ -168,11 +168,11 @@ impl Ledger {
                 && part.low_ttis <= whole.low_ttis
                 && part.sensing_ttis <= whole.sensing_ttis
                 && part.failed_ttis <= part.sensing_ttis.min(whole.failed_ttis)
-                && part.dark_ttis <= whole.dark_ttis
-                && part.false_wakes <= whole.false_wakes
+                && part.unpowered_ttis <= whole.unpowered_ttis
+                && part.false_wake_ups <= whole.false_wake_ups
         };
         // In 128 bits, because the counts of an invalid ledger can overflow.
-        let outages = u128::from(measured.failed_ttis) + u128::from(measured.dark_ttis);
+        let outages = u128::from(measured.failed_ttis) + u128::from(measured.unpowered_ttis);
         whole.closes()
             && measured.closes()
             // For the whole, this only checks that no more TTIs failed than had δ = 1.
@@ -283,7 +283,7 @@ pub struct Spread {
 
 impl Spread {
     /// Computes the spread over devices with these sums.
-    pub fn of<'a>(devices: impl IntoIterator<Item = &'a DeviceTotals>) -> Self {
+    pub fn sum<'a>(devices: impl IntoIterator<Item = &'a DeviceTotals>) -> Self {
         devices.into_iter().fold(Self::default(), |so_far, device| {
             let spent = u128::from(device.spent.total().micro());
             Self {
@@ -302,16 +302,16 @@ pub struct MissedEvents {
     /// Devices reported the event, and all reports were lost.
     pub lost: u64,
     /// Devices detected the event, and none of them could pay for a report.
-    pub unpaid: u64,
+    pub no_energy: u64,
     /// Devices are within `d_max`, but none detected the event before its end. They slept, could not pay for sensing,
     /// or, with probabilistic detection, did not detect it.
-    pub unseen: u64,
+    pub not_sensing: u64,
 }
 
 impl MissedEvents {
     /// Returns the number of missed events.
     pub const fn events(&self) -> u64 {
-        self.out_of_reach + self.lost + self.unpaid + self.unseen
+        self.out_of_reach + self.lost + self.no_energy + self.not_sensing
     }
 }
 
@@ -323,7 +323,7 @@ pub struct RadioLosses {
     /// Number of wake-ups sent.
     pub wake_ups: u64,
     /// Number of wake-ups that the device did not receive: its radio missed them, it was unpowered or not asleep.
-    pub unheard: u64,
+    pub missed_wake_ups: u64,
     /// Number of wake-ups that took effect too late: the device woke after the end of the event.
     pub late: u64,
     /// Number of plans sent, counted for each device.
@@ -357,9 +357,9 @@ pub struct Totals {
     pub spread: Spread,
     /// TTIs from the first report of an event to its last, summed over the reported events: the cost of wake-ups in
     /// sequence.
-    pub refining_ttis: u64,
+    pub wake_up_span_ttis: u64,
     /// Device-TTIs of removed devices.
-    pub gone_ttis: u64,
+    pub removed_ttis: u64,
 }
 
 #[cfg(test)]
@@ -382,8 +382,8 @@ mod tests {
             low_ttis: 3,
             sensing_ttis: 12,
             failed_ttis: 2,
-            dark_ttis: 4,
-            false_wakes: 2,
+            unpowered_ttis: 4,
+            false_wake_ups: 2,
         };
         let at_warm_up = DeviceTotals {
             initial: micro(100),
@@ -414,7 +414,7 @@ mod tests {
             |ledger| ledger.measured.low_ttis = 4,
             |ledger| ledger.measured.failed_ttis = 12,
             |ledger| ledger.longest_outage = 7,
-            |ledger| ledger.measured.false_wakes = 3,
+            |ledger| ledger.measured.false_wake_ups = 3,
             |ledger| ledger.whole.harvested = Energy::from_micro(u64::MAX),
         ];
         for (number, spoil) in breaks.into_iter().enumerate() {
@@ -434,7 +434,7 @@ mod tests {
             low_ttis,
             ..DeviceTotals::default()
         };
-        let spread = Spread::of(&[device(3, 1), device(4, 9), device(0, 2)]);
+        let spread = Spread::sum(&[device(3, 1), device(4, 9), device(0, 2)]);
         assert_eq!((spread.spent_squares, spread.worst_low_ttis), (25, 9));
     }
 }

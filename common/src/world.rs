@@ -15,10 +15,10 @@ use crate::sensing::Sensing;
 /// A receiver of every event at its start, which no real base station can be: the genie.
 pub trait Oracle {
     /// Receives an event that has started. Returns whether a device must be woken for it in this TTI.
-    fn told(&mut self, stimulus: &Stimulus) -> bool;
+    fn reveal_event(&mut self, stimulus: &Stimulus) -> bool;
 
     /// Returns whether a device must be woken again, after no report of the event has arrived up to this TTI.
-    fn is_told_again(&mut self) -> bool {
+    fn needs_another_wake_up(&mut self) -> bool {
         false
     }
 }
@@ -37,7 +37,7 @@ pub enum WorldChange {
 struct Current {
     event: ActiveEvent,
     /// Whether the oracle wakes any device in the event's first TTI.
-    is_told: bool,
+    is_revealed: bool,
 }
 
 /// The world of one run.
@@ -118,20 +118,20 @@ impl World {
         horizon: Tti,
         plan: &Plan,
         mut oracle: Option<&mut (impl Oracle + ?Sized)>,
-        turns: &mut Vec<WorldChange>,
+        changes: &mut Vec<WorldChange>,
     ) -> Option<Tti> {
         self.detectors.clear();
         loop {
-            let Some(Current { event, is_told }) = self.current else {
+            let Some(Current { event, is_revealed: is_told }) = self.current else {
                 k = self.process.next_start();
                 if k >= horizon {
                     return None;
                 }
-                turns.push(WorldChange::Started(self.start(oracle.as_deref_mut())));
+                changes.push(WorldChange::Started(self.start(oracle.as_deref_mut())));
                 continue;
             };
             // Lazy: in the event's first TTI the answer that `start` received holds.
-            let mut is_told_again = || oracle.as_deref_mut().is_some_and(Oracle::is_told_again);
+            let mut is_told_again = || oracle.as_deref_mut().is_some_and(Oracle::needs_another_wake_up);
             if is_told && (k == event.start || is_told_again()) {
                 return Some(k);
             }
@@ -145,7 +145,7 @@ impl World {
                 return None;
             }
             self.end(event.last);
-            turns.push(WorldChange::Missed(event.last));
+            changes.push(WorldChange::Missed(event.last));
             k = event.last + 1;
         }
     }
@@ -170,7 +170,7 @@ impl World {
     /// # Panics
     /// If no event is active.
     pub fn is_far(&self, device: DeviceId) -> bool {
-        let epicentre = self.stimulus().expect("an event is under way").epicentre;
+        let epicentre = self.stimulus().expect("an event is active").epicentre;
         self.positions[device.index()].distance(epicentre) > self.sensing.d_max
     }
 
@@ -220,7 +220,7 @@ impl World {
         audience.clear();
         let is_told = if let Some(oracle) = oracle {
             // The audience stays empty: under a policy with an oracle no device senses.
-            oracle.told(&event.stimulus)
+            oracle.reveal_event(&event.stimulus)
         } else {
             buckets.within(epicentre, sensing.d_max, |j, d| {
                 let device = DeviceId(j as u32);
@@ -230,7 +230,7 @@ impl World {
             });
             false
         };
-        self.current = Some(Current { event, is_told });
+        self.current = Some(Current { event, is_revealed: is_told });
         event
     }
 

@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """Prints the tables of docs/dt.md from the sweeps of judge-dt.sh: `python judge_dt.py FOLDER`. Needs only Python.
 
-Each `dt` run is compared, on its seed, with the line through another policy's points (energy, P1), without points that
-a cheaper one beats. Differences have 95 % intervals over seeds.
+Each `dt` run is compared, on its seed, with the line through the points (energy, P1) of another policy, without points
+that a cheaper one beats. Differences have 95 % intervals over seeds.
 """
 
 import csv
@@ -36,12 +36,12 @@ def mean(runs, metric):
     return fmean(column(runs, metric))
 
 
-def said(values, digits=4):
+def with_interval(values, digits=4):
     return f"{fmean(values):.{digits}f} ± {interval(values):.{digits}f}"
 
 
 def line_at(points, energy):
-    """Returns P1 at `energy` on the line through `points` that no cheaper one beats; None outside of their energies."""
+    """Returns P1 at `energy` on the line through `points`, without beaten ones; None outside their energies."""
     front = []
     for cost, found in sorted(points):
         if not front or found > front[-1][1]:
@@ -52,8 +52,8 @@ def line_at(points, energy):
     return None
 
 
-def beside(ours, theirs):
-    """Formats the last cells of a row: P1 difference at equal energy, and the number of runs outside of the line."""
+def difference_cells(ours, theirs):
+    """Formats the last cells of a row: P1 difference at equal energy, and the number of runs outside the line."""
     points = defaultdict(list)
     for run in theirs:
         points[run["seed"]].append((float(run["energy_per_device_tti"]), float(run["info_p1"])))
@@ -64,7 +64,7 @@ def beside(ours, theirs):
             differences.append(float(run["info_p1"]) - line)
             lines.append(line)
     if len(differences) < 2:
-        return f"| outside of its energies in {len(ours) - len(differences)} of {len(ours)} runs | |"
+        return f"| outside the energies of the line in {len(ours) - len(differences)} of {len(ours)} runs | |"
     share, width = 100 * fmean(differences) / fmean(lines), 100 * interval(differences) / fmean(lines)
     left = len(ours) - len(differences)
     note = f", {left} runs outside" if left else ""
@@ -90,7 +90,8 @@ def heading(title, *names):
 
 
 def claims(layout):
-    heading(f"Claims, N = 250, {layout}", "policy", "P1", "of genie's", "energy", "missed, %", "wrong an event", "runs")
+    names = ["policy", "P1", "share of genie", "energy", "missed, %", "wrong per event", "runs"]
+    heading(f"Claims, N = 250, {layout}", *names)
     all_runs = by(rows(f"claims-{layout}-dt"), "policy")
     all_runs.update(by(rows(f"claims-{layout}-knn"), "policy", "bs.ranking"))
     learning = [run for run in rows(f"learning-{layout}-windows") if run["n"] == "250"]
@@ -99,55 +100,59 @@ def claims(layout):
     for name, runs in all_runs.items():
         share = [float(run["info_p1"]) / best[run["seed"]] for run in runs]
         print(
-            f"| {' '.join(name)} | {said(column(runs, 'info_p1'))} | {said(share)} "
-            f"| {said(column(runs, 'energy_per_device_tti'))} | {mean(runs, 'misdetection_pct'):.4f} "
+            f"| {' '.join(name)} | {with_interval(column(runs, 'info_p1'))} | {with_interval(share)} "
+            f"| {with_interval(column(runs, 'energy_per_device_tti'))} | {mean(runs, 'misdetection_pct'):.4f} "
             f"| {mean(runs, 'wrong_activations_per_event'):.3f} | {len(runs)} |"
         )
 
 
 def learned(layout):
-    heading(f"Beside q-learning's line, {layout}", "ranking", "N", "price", "P1", "energy", "line there", "difference")
+    names = ["ranking", "N", "price", "P1", "energy", "P1 on the line", "difference"]
+    heading(f"Compared with the line of q-learning, {layout}", *names)
     lines = rows(f"learning-{layout}-windows") + rows(f"learning-{layout}-ages")
     for (ranking, n), theirs in by(lines, "bs.ranking", "n").items():
         ours = [run for run in rows(f"families-{layout}-uniform-dt") if run["n"] == n]
         for (price,), runs in by(ours, PRICE).items():
-            print(f"| {ranking} | {n} | {price} | {point(runs)} {beside(runs, theirs)}")
+            print(f"| {ranking} | {n} | {price} | {point(runs)} {difference_cells(runs, theirs)}")
 
 
 def families(layout):
-    heading(f"Beside age-index, {layout}", "events", "N", "price", "P1", "energy", "age-index there", "difference")
+    names = ["events", "N", "price", "P1", "energy", "P1 of age-index", "difference"]
+    heading(f"Compared with age-index, {layout}", *names)
     for events in ["uniform", "bursts", "aftershocks", "hot-spots"]:
         theirs = by(rows(f"families-{layout}-{events}-age"), "n")
         for (n, price), runs in by(rows(f"families-{layout}-{events}-dt"), "n", PRICE).items():
-            print(f"| {events} | {n} | {price} | {point(runs)} {beside(runs, theirs[(n,)])}")
+            print(f"| {events} | {n} | {price} | {point(runs)} {difference_cells(runs, theirs[(n,)])}")
 
 
 def targets(n):
-    heading(f"Target return, N = {n}", "target", "P1", "energy", "fixed prices there", "difference")
+    heading(f"Target return, N = {n}", "target", "P1", "energy", "P1 of fixed prices", "difference")
     prices = rows(f"target-{n}-price")
     for (target,), runs in by(rows(f"target-{n}-dt"), "policy.dt.target").items():
-        print(f"| {target} | {point(runs)} {beside(runs, prices)}")
+        print(f"| {target} | {point(runs)} {difference_cells(runs, prices)}")
 
 
 def unseen():
-    heading("Never seen, price 0.35", "events", "layout", "N", "P1", "energy", "age-index there", "difference")
+    names = ["events", "layout", "N", "P1", "energy", "P1 of age-index", "difference"]
+    heading("Settings unseen in training, price 0.35", *names)
     for events in ["uniform", "bursts"]:
         for layout in ["uniform", "poisson-disk", "hex"]:
             theirs = by(rows(f"unseen-{layout}-{events}-age"), "n")
             for (n,), runs in by(rows(f"unseen-{layout}-{events}-dt"), "n").items():
-                print(f"| {events} | {layout} | {n} | {point(runs)} {beside(runs, theirs[(n,)])}")
+                print(f"| {events} | {layout} | {n} | {point(runs)} {difference_cells(runs, theirs[(n,)])}")
 
 
 def ablations():
     models = sorted({path.name.rsplit("-", 2)[0] for path in FOLDER.glob("ablation-*-dt")})
     if not models:
         return
-    heading("Models of one's own, price 1", "model", "events", "N", "P1", "energy", "age-index there", "difference")
+    heading("Custom models, price 1", "model", "events", "N", "P1", "energy", "P1 of age-index", "difference")
     for model in models:
         for events in ["uniform", "bursts", "aftershocks"]:
             theirs = by(rows(f"ablation-age-{events}"), "n")
             for (n,), runs in by(rows(f"{model}-{events}-dt"), "n").items():
-                print(f"| {model.removeprefix('ablation-')} | {events} | {n} | {point(runs)} {beside(runs, theirs[(n,)])}")
+                difference = difference_cells(runs, theirs[(n,)])
+                print(f"| {model.removeprefix('ablation-')} | {events} | {n} | {point(runs)} {difference}")
 
 
 for layout in ["jittered", "uniform"]:

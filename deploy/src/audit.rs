@@ -42,17 +42,17 @@ pub(crate) enum AuditOutcome {
     /// No audit was requested.
     Off,
     /// The whole run equals its replay.
-    Whole,
+    Complete,
     /// The TTIs before this one equal the replay; the rest would have cost too much.
-    Before(Tti),
+    Partial(Tti),
 }
 
 impl std::fmt::Display for AuditOutcome {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Off => f.write_str("off"),
-            Self::Whole => f.write_str("whole"),
-            Self::Before(tti) => write!(f, "before TTI {tti}"),
+            Self::Complete => f.write_str("complete"),
+            Self::Partial(tti) => write!(f, "partial: TTI {tti}"),
         }
     }
 }
@@ -100,7 +100,7 @@ impl ReplaySource for SharedReplay {
         Ok(self.lock().ledgers(k, first, count))
     }
 
-    fn lose(&self, outage: &DeviceRemoval) -> Result<(), String> {
+    fn record_removal(&self, outage: &DeviceRemoval) -> Result<(), String> {
         let input = ExternalInput::Outage(*outage);
         // Logged before it takes effect: a killed run must find it in the log.
         self.log(&input)?;
@@ -232,17 +232,17 @@ impl Auditor {
         }
         let mut shadow = self.shadow.lock();
         if self.flow.is_given_up.load(Ordering::Relaxed) {
-            return Ok(AuditOutcome::Before(shadow.compared()));
+            return Ok(AuditOutcome::Partial(shadow.compared()));
         }
         shadow.compare_outcome(outcome)?;
-        Ok(AuditOutcome::Whole)
+        Ok(AuditOutcome::Complete)
     }
 }
 
 /// The host that owns the diverging device, as the end of a sentence; empty if unknown.
 pub(crate) fn device_owner(progress: &RunProgress, difference: &Divergence) -> String {
     let host = difference.device.and_then(|device| progress.owner_of(device));
-    host.map_or_else(String::new, |host| format!(". {host} carries that device"))
+    host.map_or_else(String::new, |host| format!("; the device runs on {host}"))
 }
 
 /// The thread that advances the replay.
@@ -265,7 +265,7 @@ impl Follower {
             }
             if let Err(difference) = self.compare(k, &frames) {
                 let why = format!(
-                    "the run is not what it should be. {difference}{}",
+                    "audit failed: the run diverged from its replay at {difference}{}",
                     device_owner(&self.progress, &difference)
                 );
                 // Only the first cause counts. It is set before `stop`, at which the run looks for it.
@@ -338,7 +338,7 @@ pub(crate) struct AuditObserver {
 }
 
 impl AuditObserver {
-    fn tell(&mut self, k: Tti) {
+    fn advance(&mut self, k: Tti) {
         let Some(sender) = &self.sender else { return };
         let frames = std::mem::take(&mut self.frames);
         // A batch without frames is sent only once in STEP TTIs, which keeps the replay close enough.
@@ -362,7 +362,7 @@ impl Drop for AuditObserver {
         if let Some(k) = self.closed.take() {
             // The frames of the last grant are compared too.
             self.told = Tti::ZERO;
-            self.tell(k);
+            self.advance(k);
         }
     }
 }
@@ -370,25 +370,27 @@ impl Drop for AuditObserver {
 impl Observer for AuditObserver {
     fn batteries_revealed(&mut self, tti: Tti, batteries: &[Energy]) {
         if let Some(k) = self.closed.take() {
-            self.tell(k);
+            self.advance(k);
         }
         if self.sender.is_some() {
-            self.frames.push(DigestFrames::told(tti, batteries));
+            self.frames.push(DigestFrames::batteries_frame(tti, batteries));
         }
     }
 
-    fn notify(&mut self, happening: &Notification<'_>) {
+    fn notify(&mut self, notification: &Notification<'_>) {
         // A grant is sent when the next one begins: until then a lost host can make the run repeat it.
-        if matches!(happening, Notification::Plan { .. } | Notification::Granted(_))
-            && let Some(k) = self.closed.take()
+        if matches!(
+            notification,
+            Notification::PlanSent { .. } | Notification::TtisGranted(_)
+        ) && let Some(k) = self.closed.take()
         {
-            self.tell(k);
+            self.advance(k);
         }
         if self.sender.is_some() {
             let frames = &mut self.frames;
-            self.noting.of(happening, |frame| frames.push(frame));
+            self.noting.encode(notification, |frame| frames.push(frame));
         }
-        if let Notification::Closed(last) = happening {
+        if let Notification::TtiClosed(last) = notification {
             self.closed = Some(*last + 1);
         }
     }

@@ -64,7 +64,7 @@ impl Children {
         }
         tracing::warn!(
             processes = self.running.len(),
-            "device processes did not leave by themselves"
+            "device processes did not exit in time and were killed"
         );
     }
 }
@@ -121,9 +121,9 @@ impl DeviceProcesses<'_> {
 /// # Errors
 /// If it cannot be started.
 pub(crate) fn spawn(arguments: &[String], key: Option<Secret>, threads: Threads) -> anyhow::Result<Child> {
-    let program = std::env::current_exe().context("cannot find the reveille program itself")?;
+    let program = std::env::current_exe().context("cannot find the path of the reveille program")?;
     let mut command = Command::new(program);
-    if threads == Threads::One && !are_threads_said() {
+    if threads == Threads::One && !has_thread_setting() {
         command.env(THREADS, ONE_THREAD);
     }
     if let Some(key) = key {
@@ -141,7 +141,7 @@ pub(crate) fn spawn(arguments: &[String], key: Option<Secret>, threads: Threads)
 /// Restarts this process with one zenoh thread, unless the environment sets zenoh's threads. zenoh reads only the
 /// environment, which a process cannot change for itself. Returns if no restart is needed or the restart fails.
 pub(crate) fn with_one_thread() {
-    if are_threads_said() {
+    if has_thread_setting() {
         return;
     }
     let mut arguments = std::env::args_os();
@@ -150,11 +150,11 @@ pub(crate) fn with_one_thread() {
     let mut command = Command::new(&program);
     command.arg0(name.unwrap_or_else(|| program.into_os_string()));
     let error = command.args(arguments).env(THREADS, ONE_THREAD).exec();
-    tracing::debug!(%error, "zenoh has the threads that it has by default");
+    tracing::debug!(%error, "cannot restart with one zenoh thread; zenoh uses its default number");
 }
 
 /// Whether the environment sets zenoh's threads. zenoh cannot read an empty setting.
-fn are_threads_said() -> bool {
+fn has_thread_setting() -> bool {
     std::env::var_os(THREADS).is_some_and(|set| !set.is_empty())
 }
 
@@ -180,7 +180,7 @@ pub(crate) fn exit_with_parent(parent: i32, signal: Signal) -> anyhow::Result<()
     rustix::process::set_parent_process_death_signal(Some(signal)).context("cannot tie this process to its parent")?;
     // Compared after the request: the kernel sends nothing for a parent that ended before it.
     let is_ours = rustix::process::getppid().map(Pid::as_raw_pid) == Some(parent);
-    anyhow::ensure!(is_ours, "the process that started this one has ended");
+    anyhow::ensure!(is_ours, "the parent process has ended");
     Ok(())
 }
 

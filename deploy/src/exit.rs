@@ -48,9 +48,9 @@ impl ExitReason {
     const fn about(self) -> &'static str {
         match self {
             Self::Done => "done",
-            Self::Failed => "failed; standard error says why",
-            Self::Usage => "the command line is wrong, or this build lacks the feature",
-            Self::Interrupted => "interrupted by Ctrl-C, SIGTERM or a closed terminal; what is finished is kept",
+            Self::Failed => "failed; the cause is on standard error",
+            Self::Usage => "invalid command line, or this build lacks the required feature",
+            Self::Interrupted => "interrupted by Ctrl-C, SIGTERM or a closed terminal; finished results are kept",
         }
     }
 

@@ -19,7 +19,7 @@ pub(crate) fn for_station(processes: u32) -> anyhow::Result<()> {
     }
     let carried = allowed.saturating_sub(STATION);
     let fewer = if carried > 0 {
-        format!(", or take fewer device processes, {carried} at the most")
+        format!(", or use at most {carried} device processes")
     } else {
         String::new()
     };
@@ -40,8 +40,8 @@ pub(crate) fn for_any_station(devices: u32) -> anyhow::Result<()> {
     let carried = raise() - STATION;
     if carried < u64::from(devices) {
         tracing::warn!(
-            "this process may have {} files open, so device processes can join up to a number of {carried}; \
-             `ulimit -n` raises the limit",
+            "this process may have {} files open, so at most {carried} device processes can join; raise the limit with \
+             `ulimit -n`",
             raise()
         );
     }

@@ -25,9 +25,9 @@ pub(crate) struct FolderLock {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum FolderStatus {
     /// No mark: the run has ended, or there is none.
-    Ended,
+    Finished,
     /// A run is writing there; its process id, if readable.
-    Alive(Option<u32>),
+    Running(Option<u32>),
     /// The run was killed.
     Killed,
 }
@@ -107,11 +107,11 @@ const PID: &str = "pid ";
 /// The status of the run in `folder`.
 pub(crate) fn status(folder: &Path) -> FolderStatus {
     let Ok(mark) = File::open(folder.join(RUNNING)) else {
-        return FolderStatus::Ended;
+        return FolderStatus::Finished;
     };
     // A shared lock, so that two readers do not take each other for a run.
     match mark.try_lock_shared() {
-        Err(TryLockError::WouldBlock) => FolderStatus::Alive(pid(&mark)),
+        Err(TryLockError::WouldBlock) => FolderStatus::Running(pid(&mark)),
         Ok(()) | Err(TryLockError::Error(_)) => FolderStatus::Killed,
     }
 }
@@ -120,8 +120,8 @@ pub(crate) fn status(folder: &Path) -> FolderStatus {
 fn refusal(folder: &Path, pid: Option<u32>) -> String {
     let by = pid.map_or_else(String::new, |pid| format!(" (pid {pid})"));
     format!(
-        "--out {}: a run is going on in this folder{by}; choose another, or wait until it has ended: --force never \
-         replaces a run that goes on",
+        "--out {}: a run is running in this folder{by}; choose another folder, or wait until the run has finished \
+         (--force never replaces a running run)",
         folder.display()
     )
 }
@@ -169,38 +169,38 @@ mod tests {
     #[test]
     fn a_folder_is_claimed_once_at_a_time() {
         let place = LockTestFolder::new("once");
-        assert_eq!(status(&place.0), FolderStatus::Ended);
+        assert_eq!(status(&place.0), FolderStatus::Finished);
         let mut claim = FolderLock::acquire(&place.0).expect("free");
         assert!(!claim.was_killed());
         claim.mark_running().expect("writable");
         let own = std::process::id();
-        assert_eq!(status(&place.0), FolderStatus::Alive(Some(own)));
+        assert_eq!(status(&place.0), FolderStatus::Running(Some(own)));
         let why = FolderLock::acquire(&place.0).err().expect("claimed").to_string();
         assert!(
             why.contains(&format!("(pid {own})")) && why.contains("--force"),
             "{why}"
         );
         claim.release().expect("removable");
-        assert_eq!(status(&place.0), FolderStatus::Ended);
+        assert_eq!(status(&place.0), FolderStatus::Finished);
         FolderLock::acquire(&place.0).expect("free again").abandon();
         assert_eq!(fs::read_dir(&place.0).expect("there").count(), 0);
     }
 
     #[test]
-    fn the_mark_of_a_killed_run_is_no_claim() {
+    fn the_mark_of_a_killed_run_is_not_a_lock() {
         let place = LockTestFolder::new("killed");
         let mut claim = FolderLock::acquire(&place.0).expect("free");
         claim.mark_running().expect("writable");
         drop(claim);
         assert_eq!(status(&place.0), FolderStatus::Killed);
-        let next = FolderLock::acquire(&place.0).expect("nobody is alive");
+        let next = FolderLock::acquire(&place.0).expect("the run was killed");
         assert!(next.was_killed());
         next.abandon();
-        assert_eq!(status(&place.0), FolderStatus::Killed, "it is left as it was found");
+        assert_eq!(status(&place.0), FolderStatus::Killed, "the mark stays");
     }
 
     #[test]
-    fn a_claim_on_a_file_that_is_gone_is_none() {
+    fn a_lock_on_a_removed_file_does_not_count() {
         let place = LockTestFolder::new("gone");
         let claim = FolderLock::acquire(&place.0).expect("free");
         let late = File::open(place.0.join(RUNNING)).expect("there");

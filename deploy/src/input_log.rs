@@ -18,8 +18,8 @@ use crate::runtime::now;
 /// The file name of the log in a run folder.
 pub(crate) const INPUTS: &str = "inputs.log";
 /// The error for a log with inputs that do not occur in the run.
-pub(crate) const MISFIT: &str =
-    "the log of inputs names an outage or a decision that does not come in this run: was it changed?";
+pub(crate) const MISFIT: &str = "inputs.log names a removal or a decision that does not occur in this run; use the log \
+    of a run with this scenario";
 /// Time between two syncs of decisions to the disk.
 const SYNC: Duration = Duration::from_secs(1);
 
@@ -169,7 +169,7 @@ pub(crate) fn read_named(path: &Path, scenario: &Scenario) -> anyhow::Result<Ext
     let inputs = read(path, scenario)?;
     anyhow::ensure!(
         inputs != ExternalInputs::default(),
-        "{}: nothing is in it",
+        "{}: the input log is empty; use the inputs.log of a run folder",
         path.display()
     );
     Ok(inputs)

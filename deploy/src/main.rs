@@ -2,7 +2,7 @@
 
 #![deny(
     clippy::print_stderr,
-    reason = "`eprintln!` panics where nobody reads standard error any more; `note!` does not"
+    reason = "`eprintln!` panics when standard error is closed; `note!` does not"
 )]
 
 mod audit;
@@ -22,6 +22,7 @@ mod paths;
 mod policy_process;
 mod policy_source;
 mod recording;
+mod results_table;
 mod resume_mark;
 mod run_folder;
 mod run_registry;
@@ -93,6 +94,9 @@ fn tune(args: &cli::TuneArgs) -> anyhow::Result<ExitCode> {
 #[cfg(not(feature = "tune"))]
 #[expect(clippy::unnecessary_wraps, reason = "as with the feature")]
 fn tune(_: &cli::TuneArgs) -> anyhow::Result<ExitCode> {
-    note!("reveille: this build has no optimiser; build one with `cargo run --release --features tune -- tune …`");
+    note!(
+        "reveille: this build cannot tune, which needs the cargo feature tune; use `cargo run --release --features \
+        tune -- tune …`"
+    );
     Ok(exit::ExitReason::Usage.into())
 }

@@ -51,12 +51,12 @@ pub(crate) async fn serve(address: &str, metrics: Arc<PrometheusMetrics>, proces
     let served = MetricsState { metrics, process, at };
     let router = Router::new()
         .route("/", get(|| async { Redirect::temporary("/metrics") }))
-        .route("/metrics", get(tell))
+        .route("/metrics", get(serve_metrics))
         .layer(middleware::from_fn_with_state(served.clone(), guard))
         .with_state(served);
     tokio::spawn(async move {
         if let Err(error) = axum::serve(listener, router).await {
-            tracing::warn!(%error, "metrics are not served any more");
+            tracing::warn!(%error, "the metrics server has stopped");
         }
     });
     Ok(())
@@ -70,7 +70,7 @@ async fn guard(State(served): State<MetricsState>, request: Request, next: Next)
     } else {
         (
             StatusCode::MISDIRECTED_REQUEST,
-            "this is served under its address alone\n",
+            "the request names another host; use the printed address\n",
         )
             .into_response()
     }
@@ -93,7 +93,7 @@ pub(crate) fn is_allowed_host(host: Option<&str>, at: SocketAddr) -> bool {
     matches!(name, "localhost" | "127.0.0.1" | "[::1]") || name == at.ip().to_string()
 }
 
-async fn tell(State(served): State<MetricsState>, request: Request) -> impl IntoResponse {
+async fn serve_metrics(State(served): State<MetricsState>, request: Request) -> impl IntoResponse {
     let accept = request
         .headers()
         .get(header::ACCEPT)

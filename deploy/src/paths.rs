@@ -25,12 +25,16 @@ pub(crate) fn is_same(a: &Path, b: &Path) -> bool {
 /// Returns an error, before any work is done, if a file for `what` cannot be written at `path`.
 pub(crate) fn check_place(path: &Path, what: &str) -> anyhow::Result<()> {
     if path.is_dir() {
-        bail!("{}: is a folder; --out names the file for {what}", path.display());
+        bail!("{}: is a folder; name a file for {what}", path.display());
     }
     // A file name alone has the empty parent, which is the working directory.
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
-        bail!("{}: the folder {} is not there", path.display(), folder.display());
+        bail!(
+            "{}: the folder {} does not exist; create it, or name another file",
+            path.display(),
+            folder.display()
+        );
     }
     Ok(())
 }

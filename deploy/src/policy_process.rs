@@ -64,7 +64,7 @@ impl PolicyProcess {
         key: Option<Secret>,
         progress: &Arc<RunProgress>,
     ) -> anyhow::Result<Self> {
-        let program = std::env::current_exe().context("cannot find the reveille program itself")?;
+        let program = std::env::current_exe().context("cannot find the path of the reveille program")?;
         let mut guard = Command::new(program);
         guard
             .args([GUARD, "--parent", &std::process::id().to_string(), "--", command])
@@ -174,7 +174,7 @@ pub(crate) async fn guard(command: &str, parent: i32) -> anyhow::Result<ExitCode
     // The guard kills its own group, which must not be the group of a user's shell.
     ensure!(
         getpgrp() == getpid(),
-        "this is for `reveille up` and `reveille bs` to start"
+        "this internal command must be started by `reveille up` or `reveille bs`"
     );
     child_process::exit_with_parent(parent, Signal::TERM)?;
     // Orphans become children of this process, so that it notices when all have ended.

@@ -46,13 +46,12 @@ pub(crate) fn policy_source<'a>(
     let is_tuned = decision_timeout.is_some() || *on_undecided != OnUndecidedArg::End;
     ensure!(
         is_asked || (policy_command.is_none() && !is_tuned),
-        "--policy-command, --decision-timeout and --on-undecided are for a run whose policy asks another program: add \
-         --policy external"
+        "--policy-command, --decision-timeout and --on-undecided need a policy process; add --policy external"
     );
     let ExternalInputs { outages, decisions } = given.unwrap_or_default();
     ensure!(
         outages.is_empty(),
-        "the log names devices that were lost, which does not happen again on the bus; replay it with `reveille run`"
+        "the input log removes devices, which cannot be repeated on the bus; replay it with `reveille run`"
     );
     Ok(PolicySource {
         recorded: decisions,
@@ -79,7 +78,7 @@ impl PolicySource<'_> {
         }
         if self.patience.is_some() && !is_quiet {
             let (port, endpoint) = (bus.keys().policy(), run_registry::reachable_endpoint(bus.endpoint()));
-            note!("asking for decisions at {port} of {endpoint}");
+            note!("sending decision requests to {port} of {endpoint}");
         }
         Ok(None)
     }

@@ -27,7 +27,13 @@ impl RunRecording {
             Some(path) => {
                 // The recorder creates a new file and refuses an existing one.
                 if args.force && path.is_file() {
-                    fs::remove_file(path).with_context(|| format!("--record: cannot replace {}", path.display()))?;
+                    fs::remove_file(path).with_context(|| {
+                        format!(
+                            "--record {}: cannot replace this \
+                        file",
+                            path.display()
+                        )
+                    })?;
                 }
                 let bundle = bundle(scenario)?;
                 let recorder = Recorder::start(path, run, &bundle);
@@ -43,7 +49,7 @@ impl RunRecording {
     }
 
     /// The handle that takes frames, if they are recorded.
-    pub(crate) fn tape(&self) -> Option<RecorderHandle> {
+    pub(crate) fn recorder(&self) -> Option<RecorderHandle> {
         self.recorder.as_ref().map(|(recorder, _)| recorder.handle())
     }
 

@@ -1,4 +1,4 @@
-//! The resume mark of a run: `mark.json`, rewritten regularly during the run.
+//! The resume mark of a run: `resume.json`, rewritten regularly during the run.
 
 use std::fs::{self, File};
 use std::io::Write as _;
@@ -15,7 +15,7 @@ use reveille_lab::resume_mark::{ResumeMark, ResumeMarkError, ResumeTracker};
 use crate::runtime::now;
 
 /// The file name of the mark in a run folder.
-pub(crate) const MARK: &str = "mark.json";
+pub(crate) const MARK: &str = "resume.json";
 /// Time between two marks.
 const EVERY: Duration = Duration::from_secs(1);
 
@@ -31,7 +31,7 @@ pub(crate) fn read(folder: &Path, scenario: &Scenario) -> anyhow::Result<Option<
     match ResumeMark::parse(&text, scenario) {
         Ok(mark) => Ok(Some(mark)),
         Err(torn @ ResumeMarkError::Torn(_)) => {
-            tracing::warn!("{}: {torn}, so the run is taken up at its beginning", path.display());
+            tracing::warn!("{}: {torn}; resuming from TTI 0", path.display());
             Ok(None)
         }
         Err(error) => bail!("{}: {error}", path.display()),
@@ -66,8 +66,8 @@ impl ResumeMarkWriter {
         self.way.finish_replay();
         if self.way.has_diverged() {
             bail!(
-                "{}: a replay does not come by what the run had come to there; was the folder changed, or the run \
-                 meddled with?",
+                "{}: the replay diverged from the run before the resume mark; resume from an unchanged copy of the \
+                 folder, or start the run again",
                 self.path.display()
             );
         }
@@ -100,8 +100,8 @@ impl ResumeMarkWriter {
 }
 
 impl Observer for ResumeMarkWriter {
-    fn notify(&mut self, happening: &Notification<'_>) {
-        let is_closed = self.way.see(happening);
+    fn notify(&mut self, notification: &Notification<'_>) {
+        let is_closed = self.way.notify(notification);
         // A mark names a closed TTI. During a replay the old mark stays until the run has passed it.
         if !is_closed || self.way.is_underway() || self.way.has_diverged() || now() < self.due {
             return;
@@ -110,7 +110,7 @@ impl Observer for ResumeMarkWriter {
         let failed = self.write().err();
         // Reported at the second failure only: on a full disk the tables have ended the run by then.
         if let Some(error) = failed.as_ref().filter(|_| self.has_failed) {
-            tracing::warn!(%error, "cannot mark how far the run has come");
+            tracing::warn!(%error, "cannot write the resume mark");
         }
         self.has_failed = failed.is_some();
     }

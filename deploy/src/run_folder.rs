@@ -3,14 +3,14 @@
 //! | file | content |
 //! |---|---|
 //! | `scenario.toml` | the resolved scenario |
-//! | `inputs/` | copies of the scenario files: layout, traces, learned tables |
+//! | `scenario-files/` | copies of the scenario files: layout, traces, learned tables |
 //! | `events.csv` | a row per event |
 //! | `windows.csv` | a row per window of TTIs |
 //! | `devices.csv` | a row per device |
 //! | `learned.json` | the tables of a policy that learned in the run |
 //! | `summary.json` | metrics, digest, timing, versions |
 //! | `inputs.log` | external inputs: outages under `--on-loss continue`, decisions of `external` |
-//! | `mark.json` | the resume mark for `--resume`; removed once the run is complete |
+//! | `resume.json` | the resume mark for `--resume`; removed once the run is complete |
 //! | `RUNNING` | exists and is locked during the run; left behind by a killed run |
 //! | `FAILED` | the reason why a run ended without a summary |
 
@@ -48,7 +48,7 @@ const EVENT: usize = 0;
 const WINDOW: usize = 1;
 /// Part files that a run killed during a write may have left.
 const PARTS: [&str; 5] = [
-    "mark.json.part",
+    "resume.json.part",
     "scenario.toml.part",
     "summary.json.part",
     "learned.json.part",
@@ -104,7 +104,7 @@ impl RunFolder {
         // Under the lock, so that no other run can complete it meanwhile.
         if is_complete(path) {
             claim.abandon();
-            bail!("--resume {}: the run in this folder is complete", path.display());
+            bail!("--resume {}: the run in this folder has finished", path.display());
         }
         claim.mark_running().with_context(cannot)?;
         remove(path, [SUMMARY, LEARNED, FAILED, DEVICES].into_iter().chain(PARTS))?;
@@ -193,13 +193,13 @@ impl RunFolder {
 
 impl Drop for RunFolder {
     fn drop(&mut self) {
-        self.mark("the run ended without its summary; its error is on the standard error of the command\n");
+        self.mark("the run failed without a summary; its error is on the standard error of the command\n");
     }
 }
 
 impl Observer for RunFolder {
-    fn notify(&mut self, happening: &Notification<'_>) {
-        if let Notification::EventEnded(event) = happening {
+    fn notify(&mut self, notification: &Notification<'_>) {
+        if let Notification::EventEnded(event) = notification {
             self.tables.add(EVENT, run_tables::event(event));
         }
     }
@@ -287,16 +287,19 @@ fn check_free(path: &Path, force: bool, was_killed: bool) -> anyhow::Result<()> 
         return Ok(());
     }
     let hint = match (is_run, was_killed) {
-        (false, _) => "the folder is not empty; and it is not a run: choose another",
-        (true, false) => "the folder is not empty; choose another, or add --force to replace it",
-        (true, true) => "the folder holds a run that was killed; choose another, or add --force to replace it",
+        (false, _) => "the folder is not empty and holds no run; choose another folder",
+        (true, false) => "the folder is not empty; choose another folder, or add --force to replace it",
+        (true, true) => {
+            "the folder holds a killed run; choose another folder, resume it with --resume, or add --force \
+            to replace it"
+        }
     };
     bail!("--out {}: {hint}", path.display())
 }
 
 /// Creates a new folder under `runs/`. It is created here, so that two runs never share one.
 fn free_name(scenario: &Scenario) -> anyhow::Result<PathBuf> {
-    fs::create_dir_all("runs").context("cannot create the folder runs here; name another with --out")?;
+    fs::create_dir_all("runs").context("cannot create the folder runs here; name another folder with --out")?;
     let stem = format!(
         "{}-n{}-s{}",
         scenario.policy.name(),
@@ -316,5 +319,5 @@ fn free_name(scenario: &Scenario) -> anyhow::Result<PathBuf> {
             Err(error) => return Err(error).with_context(|| format!("cannot create {}", path.display())),
         }
     }
-    bail!("no free name under runs/")
+    bail!("no free name under runs/; name a folder with --out")
 }

@@ -84,17 +84,15 @@ fn check(folder: &Path) -> anyhow::Result<()> {
     // Not `metadata`, which follows a link into a folder of another user.
     let found = folder.symlink_metadata().with_context(|| named.to_string())?;
     if !found.is_dir() {
-        bail!("{named} is to be a folder, and is a link or a file");
+        bail!("{named} must be a folder, but is a link or a file; remove it");
     }
     if found.uid() != own {
         let other = found.uid();
-        bail!(
-            "{named} belongs to another user ({other}, you are {own}), who could lead you to a run that is not yours"
-        );
+        bail!("{named} belongs to another user ({other}, you are {own}), whose entries cannot be trusted");
     }
     let mode = found.permissions().mode() & 0o777;
     if mode & 0o077 != 0 {
-        bail!("{named} is open to other users (mode {mode:o}): make it yours alone with `chmod 700 {named}`");
+        bail!("{named} is open to other users (mode {mode:o}); restrict it with `chmod 700 {named}`");
     }
     Ok(())
 }
@@ -130,8 +128,8 @@ pub(crate) fn find(target: &TargetArgs) -> anyhow::Result<RunAddress> {
             key: key.or_else(|| entry.key()),
         }),
         [] => match &target.run {
-            Some(run) => bail!("no run {run} on this machine. For a run elsewhere give --connect too"),
-            None => bail!("no run on this machine. Start one with `reveille up`, or give --connect and --run"),
+            Some(run) => bail!("no run {run} on this machine; for a run on another machine give --connect as well"),
+            None => bail!("no run on this machine; start one with `reveille up`, or give --connect and --run"),
         },
         many => {
             let names: Vec<String> = many.iter().map(|e| format!("{} at {}", e.run, e.endpoint)).collect();
@@ -166,7 +164,7 @@ fn entries() -> anyhow::Result<Vec<RegistryEntry>> {
         return Ok(Vec::new());
     }
     check(&folder).map_err(|why| {
-        anyhow!("{why:#}; or give --run and --connect, or let XDG_RUNTIME_DIR name a folder of your own")
+        anyhow!("{why:#}; or give --run and --connect, or set XDG_RUNTIME_DIR to a folder that only you can write to")
     })?;
     let files = fs::read_dir(&folder).with_context(|| folder.display().to_string())?;
     let mut found = Vec::new();

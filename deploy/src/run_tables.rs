@@ -42,7 +42,7 @@ pub(crate) const DEVICES: [&str; 20] = [
     "sensing_ttis",
     "failed_ttis",
     "low_ttis",
-    "dark_ttis",
+    "unpowered_ttis",
     "longest_outage_ttis",
     "start_battery",
     "final_battery",
@@ -116,7 +116,7 @@ pub(crate) fn device(scenario: &Scenario, record: &DeviceRecord) -> [String; DEV
         sums.sensing_ttis.to_string(),
         sums.failed_ttis.to_string(),
         sums.low_ttis.to_string(),
-        sums.dark_ttis.to_string(),
+        sums.unpowered_ttis.to_string(),
         record.ledger.longest_outage.to_string(),
         units(sums.initial),
         units(sums.battery),
@@ -141,7 +141,7 @@ pub(crate) fn window(devices: u32, record: &WindowRecord) -> impl Iterator<Item 
         ..Totals::default()
     };
     // Without α: no metric of a window needs it.
-    let metrics = Metrics::of(f64::NAN, &totals);
+    let metrics = Metrics::from_totals(f64::NAN, &totals);
     let times = [record.first, record.end].map(|tti| tti.to_string());
     let means = WINDOW_METRICS.map(|name| metrics.value(name).unwrap_or(f64::NAN).to_string());
     let events = [

@@ -16,7 +16,7 @@ use crate::recording::{RunRecording, is_growing};
 /// The watchers that the command line requests.
 pub(crate) struct RunWatchers {
     recording: RunRecording,
-    tape: Option<RecorderHandle>,
+    recorder: Option<RecorderHandle>,
     metrics: Option<Arc<PrometheusMetrics>>,
 }
 
@@ -29,14 +29,14 @@ pub(crate) fn check(args: &OutputArgs) -> anyhow::Result<()> {
         let may_replace = args.force && path.is_file();
         if path.exists() && !may_replace {
             bail!(
-                "--record {}: is there already; choose another, or move it away",
+                "--record {}: file exists; choose another name, or move the file away",
                 path.display()
             );
         }
         if may_replace && is_growing(path) {
             bail!(
-                "--record {}: a run is recording in this file; choose another, or wait until it has ended: --force \
-                 never replaces what is being written",
+                "--record {}: a run is recording to this file; choose another name, or wait until the run has finished \
+                 (--force never replaces a growing recording)",
                 path.display()
             );
         }
@@ -61,7 +61,7 @@ impl RunWatchers {
         process: impl Fn() -> ProcessStats + Send + Sync + 'static,
     ) -> anyhow::Result<Self> {
         let recording = RunRecording::start(args, run, scenario)?;
-        let tape = recording.tape();
+        let tape = recording.recorder();
         let metrics = match &args.metrics {
             Some(address) => {
                 let metrics = PrometheusMetrics::new(run, scenario);
@@ -77,14 +77,14 @@ impl RunWatchers {
         };
         Ok(Self {
             recording,
-            tape,
+            recorder: tape,
             metrics,
         })
     }
 
     /// The sink for every frame, if a watcher needs one.
     pub(crate) fn sink(&self) -> Option<Box<FrameSink>> {
-        let (tape, metrics) = (self.tape.clone(), self.metrics.clone());
+        let (tape, metrics) = (self.recorder.clone(), self.metrics.clone());
         (tape.is_some() || metrics.is_some()).then(|| -> Box<FrameSink> {
             Box::new(move |frame| {
                 // Counted first, since the tape can wait for the disk.
@@ -105,7 +105,7 @@ impl RunWatchers {
 
     /// Returns a check whether the recording has failed.
     pub(crate) fn is_broken(&self) -> impl Fn() -> bool + use<> {
-        let tape = self.tape.clone();
+        let tape = self.recorder.clone();
         move || tape.as_ref().is_some_and(|tape| tape.failure().is_some())
     }
 

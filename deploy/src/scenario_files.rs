@@ -9,7 +9,7 @@ use reveille_bs::scenario::{Scenario, load};
 use reveille_view::recording::Bundle;
 
 /// The subfolder of the copies in a run folder.
-pub(crate) const FOLDER: &str = "inputs";
+pub(crate) const FOLDER: &str = "scenario-files";
 
 /// In-memory copies of the scenario files: writing the run folder may overwrite an original.
 pub(crate) struct ScenarioFiles(Vec<ScenarioFile>);
@@ -65,7 +65,7 @@ impl ScenarioFiles {
         let names: Vec<String> = self.0.iter().map(|input| input.path.display().to_string()).collect();
         anyhow::ensure!(
             copy.hash_hex() == scenario.hash_hex(),
-            "a file of the scenario was changed while it was read; start the run again ({})",
+            "a scenario file was changed while it was read ({}); start the run again",
             names.join(", ")
         );
         Ok(())

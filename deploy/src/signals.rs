@@ -125,7 +125,7 @@ pub(crate) fn aside<T: Send + 'static>(
             Ok(done) => return Ok(Some(done)),
             Err(RecvTimeoutError::Timeout) if is_over() => return Ok(None),
             Err(RecvTimeoutError::Timeout) => {}
-            Err(RecvTimeoutError::Disconnected) => anyhow::bail!("the run could not be set up"),
+            Err(RecvTimeoutError::Disconnected) => anyhow::bail!("the preparation of the run has failed"),
         }
     }
 }
@@ -134,7 +134,7 @@ pub(crate) fn aside<T: Send + 'static>(
 fn answer(manner: Manner, signal: i32, is_first: bool) {
     match manner {
         Manner::Keeps if is_first => {
-            tracing::warn!("ending as soon as what there is can be kept; once more to end at once");
+            tracing::warn!("interrupted; saving the results so far (repeat the signal to end immediately)");
         }
         // A terminal that closes sends SIGHUP more than once: from the kernel, and from its shell.
         Manner::Keeps | Manner::Leaves if !is_first && signal != SIGHUP => ExitReason::Interrupted.now(),

@@ -38,7 +38,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_more_are_on_their_way_than_the_machine_can_take() {
+    fn no_more_starts_than_the_machine_can_take() {
         let muster = StartLimiter::for_cores(2);
         assert_eq!(muster.allowed_starts(1000, 0, 0), 32);
         assert_eq!(muster.allowed_starts(968, 32, 0), 0);
@@ -48,12 +48,12 @@ mod tests {
         assert_eq!(
             muster.allowed_starts(7, 30, 33),
             7,
-            "some have ended that still count as there"
+            "ended processes can still be counted"
         );
     }
 
     #[test]
-    fn all_come_to_their_turn_however_slowly_they_arrive() {
+    fn all_processes_start_even_if_slow() {
         let muster = StartLimiter::for_cores(1);
         let (mut waiting, mut living, mut there, mut most) = (1000, 0, 0, 0);
         while there < 1000 {

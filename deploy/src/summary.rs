@@ -5,12 +5,13 @@ use std::collections::BTreeMap;
 use reveille_bs::cycle::Outcome;
 use reveille_bs::scenario::Scenario;
 use reveille_common::ids::Tti;
+use reveille_common::radio::RadioSettings;
 use reveille_common::score::{ClassRecord, DIGEST_VERSION, Digest, EventActivity, Metrics};
 use reveille_common::totals::Totals;
 use serde::Serialize;
 
 /// The version of the format of `summary.json`; raised when a field changes its meaning.
-const SUMMARY_VERSION: u32 = 2;
+const SUMMARY_VERSION: u32 = 3;
 
 /// `summary.json`.
 #[derive(Debug, Serialize)]
@@ -44,13 +45,16 @@ pub(crate) struct Summary<'a> {
     /// The results of each device class, if there are several.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub classes: Vec<ClassSummary<'a>>,
-    /// The audited part of a run over the bus: `whole`, `before TTI …`, or `off`.
+    /// The audited part of a run over the bus: `complete`, `partial: TTI …` (the TTIs before it), or `off`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub audit: Option<String>,
     /// Durations; the only part that differs between two runs of a scenario.
     pub timing: Timing,
     /// Versions of the program and the formats.
     pub versions: Versions,
+    /// The radio of the scenario, which decides the rows of the results table.
+    #[serde(skip)]
+    pub radio: RadioSettings,
 }
 
 /// The devices of one class.
@@ -74,7 +78,7 @@ impl<'a> ClassSummary<'a> {
             return Vec::new();
         }
         let class = |(class, name): (u16, &'a str)| {
-            let record = ClassRecord::of(class, &outcome.devices, outcome.totals.ttis);
+            let record = ClassRecord::new(class, &outcome.devices, outcome.totals.ttis);
             let rows = record.metrics.rows();
             let own = Metrics::ALL
                 .iter()
@@ -110,9 +114,9 @@ pub(crate) struct Timing {
     /// The largest delay, milliseconds.
     pub max_late_ms: f64,
     /// Dropped payloads on the bus that were not valid messages.
-    pub malformed: u64,
+    pub malformed_messages: u64,
     /// Dropped messages on the bus that were unexpected or implausible.
-    pub strays: u64,
+    pub unexpected_messages: u64,
     /// Decisions of a policy process, under `external`.
     pub decisions: u64,
     /// Its answers that were invalid or came after the valid one.
@@ -172,6 +176,7 @@ impl<'a> Summary<'a> {
                 summary: SUMMARY_VERSION,
                 digest: DIGEST_VERSION,
             },
+            radio: scenario.radio,
         }
     }
 

@@ -87,7 +87,7 @@ impl Supervisor {
         let keeper = SupervisorThread {
             state: Arc::clone(&state),
             progress: Arc::clone(progress),
-            muster: StartLimiter::new(),
+            start_limiter: StartLimiter::new(),
             leave: scaled_timeout(LEAVE, commands.len() as u32),
             key,
             threads,
@@ -106,7 +106,9 @@ impl Supervisor {
                 end(places);
             }
         })?;
-        begun.recv().context("the thread that starts processes has ended")??;
+        begun
+            .recv()
+            .context("the thread that starts device processes has failed")??;
         Ok(Self {
             state,
             thread: Some(thread),
@@ -142,7 +144,7 @@ impl Drop for Supervisor {
 struct SupervisorThread {
     state: Arc<State>,
     progress: Arc<RunProgress>,
-    muster: StartLimiter,
+    start_limiter: StartLimiter,
     key: Option<Secret>,
     threads: Threads,
     on_loss: OnLoss,
@@ -155,7 +157,7 @@ impl SupervisorThread {
     fn turns(&self, waiting: usize, places: &[ProcessSlot]) -> usize {
         let living = places.iter().filter(|place| place.child.is_some()).count();
         let there = self.progress.hosts.load(Ordering::Relaxed) as usize;
-        self.muster.allowed_starts(waiting, living, there)
+        self.start_limiter.allowed_starts(waiting, living, there)
     }
 
     /// Starts as many of the `waiting` processes as the limiter allows.
@@ -224,7 +226,10 @@ impl SupervisorThread {
             std::thread::sleep(Duration::from_millis(10));
         }
         if !self.state.is_left.load(Ordering::Relaxed) {
-            tracing::warn!(processes = places.len(), "device processes did not leave by themselves");
+            tracing::warn!(
+                processes = places.len(),
+                "device processes did not exit in time and were killed"
+            );
         }
         end(places);
     }
@@ -265,7 +270,7 @@ impl SupervisorThread {
         let is_short = place.started.elapsed() < LONG;
         place.short_lives = if is_short { place.short_lives + 1 } else { 0 };
         if place.short_lives >= SHORT_LIVES {
-            return self.give_up(format!("{why}, as {} before it did in its place", SHORT_LIVES - 1));
+            return self.give_up(format!("{why}, as did {} processes before it", SHORT_LIVES - 1));
         }
         let pause = if place.short_lives == 0 {
             Duration::ZERO
@@ -274,7 +279,7 @@ impl SupervisorThread {
             PAUSE * 2_u32.pow(place.short_lives - 1)
         };
         note!(
-            "{why}; another one is started{}",
+            "{why}; starting another process{}",
             if pause > PAUSE { " in a while" } else { "" }
         );
         place.due = Some(now() + pause);

@@ -224,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn bytes_that_met_a_full_disk_are_written_once() {
+    fn bytes_of_a_failed_write_are_written_once() {
         let mut whole = LineBuffered::new(FullOnce::default());
         let rows = b"1,2,3\n".repeat(HELD);
         whole.write_all(&rows).expect("held");

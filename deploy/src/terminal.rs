@@ -42,7 +42,7 @@ pub(crate) fn is_gone(error: &io::Error, output: BorrowedFd<'_>) -> bool {
 struct Terminal(Mutex<String>);
 
 impl Terminal {
-    #[expect(clippy::unnecessary_wraps, reason = "that is what a terminal answers")]
+    #[expect(clippy::unnecessary_wraps, reason = "the trait requires a result")]
     fn add(&self, text: &str) -> io::Result<()> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).push_str(text);
         Ok(())

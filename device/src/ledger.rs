@@ -20,8 +20,8 @@ type Paid = Result<(), Energy>;
 pub struct LedgerBuilder {
     sensing_ttis: u64,
     failed_ttis: u64,
-    dark_ttis: u64,
-    false_wakes: u64,
+    unpowered_ttis: u64,
+    false_wake_ups: u64,
     /// The false wake-ups that the battery could not pay.
     failed_false_wakes: u64,
     transmissions: u64,
@@ -48,8 +48,8 @@ impl LedgerBuilder {
         Self {
             sensing_ttis: 0,
             failed_ttis: 0,
-            dark_ttis: 0,
-            false_wakes: 0,
+            unpowered_ttis: 0,
+            false_wake_ups: 0,
             failed_false_wakes: 0,
             transmissions: 0,
             drained,
@@ -89,7 +89,7 @@ impl LedgerBuilder {
                     self.drained.sleep += drained;
                 }
                 self.failed_ttis += u64::from(on);
-                self.dark_ttis += u64::from(!on);
+                self.unpowered_ttis += u64::from(!on);
                 self.lengthen_outage(1);
             }
         }
@@ -99,7 +99,7 @@ impl LedgerBuilder {
     pub fn record_outage(&mut self, on: u64, off: u64) {
         self.sensing_ttis += on;
         self.failed_ttis += on;
-        self.dark_ttis += off;
+        self.unpowered_ttis += off;
         self.lengthen_outage(on + off);
     }
 
@@ -114,8 +114,8 @@ impl LedgerBuilder {
     }
 
     /// Records a false wake-up in a TTI with δ = 0. Its cost is a cost of listening and counts for S4.
-    pub fn false_wake(&mut self, paid: Paid) {
-        self.false_wakes += 1;
+    pub fn false_wake_up(&mut self, paid: Paid) {
+        self.false_wake_ups += 1;
         if let Err(drained) = paid {
             self.failed_false_wakes += 1;
             self.drained.sleep += drained;
@@ -145,8 +145,8 @@ impl LedgerBuilder {
             harvested: battery.harvested(),
             spent: EnergyByState {
                 sensing: prices.e_idle.times(self.sensing_ttis - self.failed_ttis) + self.drained.sensing,
-                sleep: prices.e_wur.times(asleep - self.dark_ttis)
-                    + prices.e_idle.times(self.false_wakes - self.failed_false_wakes)
+                sleep: prices.e_wur.times(asleep - self.unpowered_ttis)
+                    + prices.e_idle.times(self.false_wake_ups - self.failed_false_wakes)
                     + self.drained.sleep,
                 report: prices.e_tx.times(self.transmissions) + self.drained.report,
             },
@@ -156,8 +156,8 @@ impl LedgerBuilder {
             low_ttis: self.low_ttis,
             sensing_ttis: self.sensing_ttis,
             failed_ttis: self.failed_ttis,
-            dark_ttis: self.dark_ttis,
-            false_wakes: self.false_wakes,
+            unpowered_ttis: self.unpowered_ttis,
+            false_wake_ups: self.false_wake_ups,
         }
     }
 

@@ -1,5 +1,5 @@
-//! How long the decision transformer takes for a TTI: its own inference by each width of instructions and for many N,
-//! beside the same weights run through the training framework over the last Z TTIs, on one thread.
+//! Time that the decision transformer takes for a TTI: its own inference by each width of instructions and for many N,
+//! compared with the same weights in the training framework over the last Z TTIs, on one thread.
 //!
 //! `RAYON_NUM_THREADS=1 cargo bench -p reveille-lab --features train-dt --bench dt`
 

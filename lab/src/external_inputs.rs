@@ -17,7 +17,7 @@ const VERSION: u32 = 2;
 #[derive(Debug, thiserror::Error)]
 pub enum InputLogError {
     /// A line is malformed.
-    #[error("line {line} is none of a log of inputs, at column {column}: {what}")]
+    #[error("line {line}, column {column}: invalid input log entry: {what}; use the inputs.log of a run folder")]
     Line {
         /// The line number, from 1.
         line: usize,
@@ -27,19 +27,19 @@ pub enum InputLogError {
         what: String,
     },
     /// The log has another format version.
-    #[error("another version of reveille wrote it; use that one")]
+    #[error("was written by another version of reveille; use that version")]
     Version,
     /// The log belongs to another run.
-    #[error("is of a run of another scenario or seed than this one")]
+    #[error("belongs to a run of another scenario or seed")]
     Scenario,
     /// The log does not begin with the line that names its run.
-    #[error("line {0} comes before the line that names the run")]
+    #[error("line {0}: the line that names the run must come first")]
     Headless(usize),
     /// A removal is impossible in this run.
-    #[error("line {0} is an outage that cannot have come then")]
+    #[error("line {0}: this run cannot have removed these devices at this point")]
     Outage(usize),
     /// A decision is impossible in this run.
-    #[error("line {0} is a decision that nobody can have made then")]
+    #[error("line {0}: this run cannot have had this decision at this point")]
     Decision(usize),
 }
 
@@ -156,8 +156,12 @@ impl From<&RecordedDecision> for InputLogLine {
 
 /// Returns the first line of the log of a run of `scenario`.
 pub fn first_line(scenario: &Scenario) -> String {
+    first_line_of(VERSION, scenario)
+}
+
+fn first_line_of(version: u32, scenario: &Scenario) -> String {
     let first = InputLogLine::Inputs {
-        version: VERSION,
+        version,
         scenario_hash: scenario.hash_hex(),
     };
     first.line()
@@ -178,11 +182,20 @@ pub fn complete_lines(text: &str) -> &str {
 
 /// Parses the complete lines of a log of a run of `scenario`.
 ///
+/// A kill can leave an incomplete last line, which is ignored. Without a complete line, the text must be the start of a
+/// first line.
+///
 /// # Errors
 /// If the text is not an input log, belongs to another scenario, or contains an impossible input.
 pub fn parse(text: &str, scenario: &Scenario) -> Result<ExternalInputs, InputLogError> {
     let mut parser = Parser::default();
-    parser.read(text, scenario)?;
+    let length = parser.read(text, scenario)?;
+    let rest = &text[length..];
+    let is_start = (1..=VERSION).any(|version| first_line_of(version, scenario).starts_with(rest));
+    if length == 0 && !is_start {
+        parser.lines = 1;
+        parser.take(rest, scenario)?;
+    }
     Ok(parser.inputs)
 }
 
@@ -414,14 +427,35 @@ mod tests {
         let of = |text: &str| parse(text, &scenario).expect_err("no log of this run");
         assert_eq!(
             of("{\"wake\":{\"tti\":true}}\n").to_string(),
-            "line 1 is none of a log of inputs, at column 19: invalid type: boolean `true`, expected u64"
+            "line 1, column 19: invalid input log entry: invalid type: boolean `true`, expected u64; use the \
+             inputs.log of a run folder"
         );
         assert!(matches!(
             of(&line(&ExternalInput::Outage(outage(0, 1, 1)))),
             InputLogError::Headless(1)
         ));
+        // Without a newline only the start of a first line is a log that a kill has cut short.
+        for text in ["garbage", "\0\u{1}", "{\"inputs\":{\"version\":2}}", " "] {
+            let refused = of(text);
+            assert!(
+                matches!(refused, InputLogError::Line { line: 1, .. }),
+                "{text:?}: {refused}"
+            );
+        }
+        let removal = line(&ExternalInput::Outage(outage(0, 1, 1)));
+        assert!(matches!(of(removal.trim_end()), InputLogError::Headless(1)));
+        for version in 1..=VERSION {
+            let first = first_line_of(version, &scenario);
+            for length in [0, 1, 9, first.len() - 1, first.len()] {
+                let inputs = parse(&first[..length], &scenario).expect("a log that was cut short");
+                assert_eq!(inputs, ExternalInputs::default(), "{length} bytes");
+            }
+        }
+        let torn = first_line(&scenario) + &removal + "garbage";
+        assert_eq!(parse(&torn, &scenario).expect("a log").outages, [outage(0, 1, 1)]);
         let other = |version| format!("{{\"inputs\":{{\"version\":{version},\"scenario_hash\":\"00\"}}}}\n");
         assert!(matches!(of(&other(VERSION)), InputLogError::Scenario));
+        assert!(matches!(of(other(VERSION).trim_end()), InputLogError::Scenario));
         assert!(matches!(of(&other(VERSION + 1)), InputLogError::Version));
     }
 }

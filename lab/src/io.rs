@@ -77,7 +77,7 @@ pub(crate) fn read_short(path: &Path, longest: u64) -> io::Result<String> {
     // Checked before the file is opened: opening a pipe would block until another process writes to it.
     let found = fs::metadata(path)?;
     if !found.is_file() || found.len() > longest {
-        return Err(io::Error::other("it is no file, or too long for an experiment"));
+        return Err(io::Error::other("it is not a file, or too long for an experiment"));
     }
     read_text(path)
 }

@@ -46,9 +46,9 @@ pub struct MetricEstimate {
 
 impl MetricEstimate {
     /// Estimates `metric` from `rows`. Returns `None` if no row has a value.
-    pub fn of(rows: &[&ResultRow], metric: &str) -> Option<Self> {
+    pub fn from_rows(rows: &[&ResultRow], metric: &str) -> Option<Self> {
         let defined = || rows.iter().filter_map(|row| Some((row, row.metric(metric)?)));
-        let estimate = Estimate::of(defined().map(|(_, value)| value))?;
+        let estimate = Estimate::from_values(defined().map(|(_, value)| value))?;
         let count = COUNTS.iter().find(|(name, _)| *name == metric);
         let counted = count.map(|(_, each)| CaseCounts {
             cases: defined()
@@ -147,7 +147,7 @@ fn upper(estimate: Estimate, counted: Option<CaseCounts>, exact: Option<f64>) ->
 impl CellRuns<'_> {
     /// Estimates a metric from the runs of the cell. Returns `None` without such a metric or run.
     pub fn reading(&self, metric: &str) -> Option<MetricEstimate> {
-        MetricEstimate::of(&self.rows, metric)
+        MetricEstimate::from_rows(&self.rows, metric)
     }
 }
 
@@ -172,7 +172,7 @@ mod tests {
         };
         let rows: Vec<ResultRow> = values.iter().map(row).collect();
         let rows: Vec<&ResultRow> = rows.iter().collect();
-        MetricEstimate::of(&rows, metric).expect("values")
+        MetricEstimate::from_rows(&rows, metric).expect("values")
     }
 
     #[test]

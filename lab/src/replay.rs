@@ -23,33 +23,33 @@ pub struct DigestFrames(Frames);
 impl DigestFrames {
     /// Encodes the `batteries` that a policy receives before it decides TTI `tti`. A digest covers the decisions but
     /// not the batteries. This frame exposes a host that reports wrong ones, and names the device.
-    pub fn told(tti: Tti, batteries: &[Energy]) -> Frame {
+    pub fn batteries_frame(tti: Tti, batteries: &[Energy]) -> Frame {
         let view = |battery: &Energy| DeviceView {
             // Only batteries are compared; the state is a placeholder.
             state: DeviceState::Sleep { powered: true },
             battery: *battery,
         };
         let views = batteries.iter().map(view).collect();
-        Frame::of(tti, (), &DeviceStates { views })
+        Frame::new(tti, (), &DeviceStates { views })
     }
 
-    /// Passes the frames of `happening` to `take`, if a digest covers it.
-    pub fn of(&mut self, happening: &Notification<'_>, take: impl FnMut(Frame)) {
-        match happening {
+    /// Passes the frames of `notification` to `take`, if a digest covers it.
+    pub fn encode(&mut self, notification: &Notification<'_>, take: impl FnMut(Frame)) {
+        match notification {
             // Grants and observers change no outcome, so no digest covers them.
-            Notification::Granted(_)
-            | Notification::Closed(_)
-            | Notification::Believed { .. }
-            | Notification::States(_) => {}
-            Notification::Plan { .. }
+            Notification::TtisGranted(_)
+            | Notification::TtiClosed(_)
+            | Notification::BeliefUpdated { .. }
+            | Notification::DeviceStates(_) => {}
+            Notification::PlanSent { .. }
             | Notification::EventStarted(_)
-            | Notification::Reported(_)
-            | Notification::Lost(_)
-            | Notification::Gone(_)
-            | Notification::Failed { .. }
-            | Notification::WakeUp { .. }
-            | Notification::Woken { .. }
-            | Notification::EventEnded(_) => self.0.encode(happening, take),
+            | Notification::ReportReceived(_)
+            | Notification::ReportLost(_)
+            | Notification::DevicesRemoved(_)
+            | Notification::ReportFailed { .. }
+            | Notification::WakeUpSent { .. }
+            | Notification::WakeUpCompleted { .. }
+            | Notification::EventEnded(_) => self.0.encode(notification, take),
         }
     }
 }
@@ -105,14 +105,14 @@ impl UncomparedFrames {
 }
 
 impl Observer for UncomparedFrames {
-    fn notify(&mut self, happening: &Notification<'_>) {
+    fn notify(&mut self, notification: &Notification<'_>) {
         let mut noting = self.noting;
-        noting.of(happening, |frame| self.take(frame));
+        noting.encode(notification, |frame| self.take(frame));
         self.noting = noting;
     }
 
     fn batteries_revealed(&mut self, tti: Tti, batteries: &[Energy]) {
-        self.take(DigestFrames::told(tti, batteries));
+        self.take(DigestFrames::batteries_frame(tti, batteries));
     }
 }
 
@@ -159,7 +159,7 @@ impl Replay {
         self.run.advance(k, &mut self.ahead);
         assert!(
             self.run.missing_decision().is_none(),
-            "a decision is told before the run goes on from it"
+            "a decision is added before the run continues from it"
         );
     }
 
@@ -258,7 +258,7 @@ fn difference(had: Option<&Frame>, has: Option<&Frame>) -> Divergence {
         // The runs diverge at the earlier of the two frames, which the other run lacks.
         tti: ttis.min().unwrap_or_default(),
         device: had.and_then(Frame::device).or_else(|| has.and_then(Frame::device)),
-        what: format!("the run had {}, a replay has {}", say(had), say(has)),
+        what: format!("the run had {}, the replay has {}", say(had), say(has)),
     }
 }
 
@@ -273,7 +273,7 @@ fn lie(had: &Frame, has: &Frame) -> Option<Divergence> {
     Some(Divergence {
         tti: has.tti,
         device: Some(device),
-        what: format!("device {device} was said to hold {said:.2} units before it, and held {held:.2}"),
+        what: format!("the run has {said:.2} units in the battery of device {device}, and the replay {held:.2}"),
     })
 }
 
@@ -289,7 +289,7 @@ fn same_outcome(live: &Outcome, replayed: &Outcome) -> Result<(), Divergence> {
         return Err(Divergence {
             tti,
             device: Some(device.device),
-            what: format!("the ledger of device {} is not that of a replay", device.device),
+            what: format!("the ledger of device {} differs from the replay", device.device),
         });
     }
     if live.digest == replayed.digest {
@@ -298,6 +298,6 @@ fn same_outcome(live: &Outcome, replayed: &Outcome) -> Result<(), Divergence> {
     Err(Divergence {
         tti,
         device: None,
-        what: format!("the digest is {}, that of a replay {}", live.digest, replayed.digest),
+        what: format!("the digest is {}, and the replay has {}", live.digest, replayed.digest),
     })
 }

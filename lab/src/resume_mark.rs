@@ -36,19 +36,19 @@ pub struct ResumeMark {
 #[derive(Debug, thiserror::Error)]
 pub enum ResumeMarkError {
     /// The mark is truncated: the run may have been killed while writing it.
-    #[error("is no whole mark")]
+    #[error("is truncated")]
     Torn(#[from] serde_json::Error),
     /// The mark has another format version or another digest version.
-    #[error("another version of reveille made that run; run that one")]
+    #[error("was written by another version of reveille; use that version")]
     Version,
     /// The mark belongs to another run.
-    #[error("is the mark of another scenario than the one beside it")]
+    #[error("belongs to another scenario than the one in this folder")]
     Scenario,
     /// The mark names a TTI after the end of the run.
     #[error("names TTI {0}, after the end of the run")]
     Tti(u64),
     /// The mark has windows without TTIs.
-    #[error("has rows of no TTIs")]
+    #[error("has windows without TTIs")]
     Window,
 }
 
@@ -111,12 +111,12 @@ impl ResumeTracker {
     }
 
     /// Processes a notification and returns whether it closes a TTI.
-    pub fn see(&mut self, happening: &Notification<'_>) -> bool {
+    pub fn notify(&mut self, notification: &Notification<'_>) -> bool {
         // The closure borrows all of `self`, so `noting` is copied and put back.
         let mut noting = self.noting;
-        noting.of(happening, |frame| self.take(&frame));
+        noting.encode(notification, |frame| self.take(&frame));
         self.noting = noting;
-        let Notification::Closed(last) = happening else {
+        let Notification::TtiClosed(last) = notification else {
             return false;
         };
         self.next = *last + 1;
@@ -147,7 +147,7 @@ impl ResumeTracker {
     }
 
     /// Checks the expected mark once every further frame belongs to TTI `k` or later.
-    fn pass(&mut self, k: Tti) {
+    fn advance(&mut self, k: Tti) {
         if let Some(mark) = self.expected.take_if(|mark| Tti(mark.tti) <= k) {
             self.is_lost = mark.fingerprint != fingerprint(&self.so_far);
         }
@@ -156,12 +156,12 @@ impl ResumeTracker {
     /// Finishes the replay at the TTI where the run resumes.
     pub fn finish_replay(&mut self) {
         // Quiet TTIs have no frames, so the mark can lie after the last frame.
-        self.pass(self.next);
+        self.advance(self.next);
     }
 
     fn take(&mut self, frame: &Frame) {
         // A mark covers the frames before its TTI, so it is compared before this frame is added.
-        self.pass(frame.tti);
+        self.advance(frame.tti);
         self.so_far.update(codec::encode(frame));
     }
 }
@@ -186,8 +186,8 @@ mod tests {
     struct Following(ResumeTracker);
 
     impl Observer for Following {
-        fn notify(&mut self, happening: &Notification<'_>) {
-            self.0.see(happening);
+        fn notify(&mut self, notification: &Notification<'_>) {
+            self.0.notify(notification);
         }
 
         fn window_closed(&mut self, _: &WindowRecord) -> bool {

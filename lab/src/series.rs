@@ -54,7 +54,7 @@ pub struct SeriesNames {
 
 impl SeriesNames {
     /// Creates the names for the rows of `table`.
-    pub fn of(table: &Table) -> Self {
+    pub fn from_table(table: &Table) -> Self {
         let at = column(&table.schema);
         let mut rankings = at
             .iter()
@@ -148,7 +148,7 @@ mod tests {
             ("dt", "posterior", 5),
             ("age-index", "posterior", 6),
         ]);
-        let names = SeriesNames::of(&several);
+        let names = SeriesNames::from_table(&several);
         let told: Vec<String> = several.rows.iter().map(|row| names.name(row)).collect();
         assert_eq!(told, ["knn", "knn+posterior", "random", "genie", "dt", "age-index"]);
         assert_eq!(names.name_column(), Some(1));
@@ -157,13 +157,13 @@ mod tests {
         let one = table(&[("knn", "posterior", 2), ("random", "posterior", 3)]);
         assert_eq!(
             (
-                SeriesNames::of(&one).name(&one.rows[0]).as_str(),
-                SeriesNames::of(&one).name_column()
+                SeriesNames::from_table(&one).name(&one.rows[0]).as_str(),
+                SeriesNames::from_table(&one).name_column()
             ),
             ("knn", None)
         );
         let none = fixtures::table();
-        assert_eq!(SeriesNames::of(&none).name(&none.rows[0]), "knn");
+        assert_eq!(SeriesNames::from_table(&none).name(&none.rows[0]), "knn");
     }
 
     #[test]
@@ -176,7 +176,7 @@ mod tests {
             ("dt", "posterior", 3),
         ]);
         let all = cells(&several);
-        let names = SeriesNames::of(&several);
+        let names = SeriesNames::from_table(&several);
         let kept: Vec<String> = names
             .distinct(&all)
             .iter()

@@ -24,7 +24,7 @@ pub struct Estimate {
 
 impl Estimate {
     /// Estimates the mean of `values` and ignores NaN. Returns `None` if no value remains.
-    pub fn of(values: impl IntoIterator<Item = f64>) -> Option<Self> {
+    pub fn from_values(values: impl IntoIterator<Item = f64>) -> Option<Self> {
         let mut moments = Moments::default();
         values.into_iter().for_each(|value| moments.add(value));
         moments.estimate()
@@ -32,7 +32,7 @@ impl Estimate {
 
     /// Estimates the mean of `values` and ignores NaN. All fields are NaN if no value remains.
     pub fn over(values: impl IntoIterator<Item = f64>) -> Self {
-        Self::of(values).unwrap_or(Self {
+        Self::from_values(values).unwrap_or(Self {
             mean: f64::NAN,
             deviation: f64::NAN,
             half_width: f64::NAN,
@@ -128,7 +128,7 @@ pub struct CellRuns<'t> {
 impl CellRuns<'_> {
     /// Estimates a metric over the runs in which it is defined. Returns `None` without such a metric or run.
     pub fn estimate(&self, metric: &str) -> Option<Estimate> {
-        Estimate::of(self.rows.iter().filter_map(|row| row.metric(metric)))
+        Estimate::from_values(self.rows.iter().filter_map(|row| row.metric(metric)))
     }
 
     fn holds(&self, row: &ResultRow) -> bool {
@@ -190,7 +190,7 @@ mod tests {
     #[test]
     fn an_estimate_is_that_of_the_schoolbook() {
         // Mean 5, squared differences 9+1+1+1+0+0+4+16 = 32, so the variance is 32/7; t(7) = 2.3646.
-        let e = Estimate::of([2.0, 4.0, 4.0, 4.0, 5.0, 5.0, 7.0, 9.0]).expect("values");
+        let e = Estimate::from_values([2.0, 4.0, 4.0, 4.0, 5.0, 5.0, 7.0, 9.0]).expect("values");
         let deviation = (32.0f64 / 7.0).sqrt();
         assert!((e.mean - 5.0).abs() < 1e-12 && (e.deviation - deviation).abs() < 1e-12);
         assert!((e.half_width - 2.364_624_25 * deviation / 8f64.sqrt()).abs() < 1e-7);
@@ -200,13 +200,13 @@ mod tests {
 
     #[test]
     fn undefined_values_are_left_out() {
-        assert_eq!(Estimate::of([f64::NAN, f64::NAN]), None);
-        let one = Estimate::of([3.0, f64::NAN]).expect("one value");
+        assert_eq!(Estimate::from_values([f64::NAN, f64::NAN]), None);
+        let one = Estimate::from_values([3.0, f64::NAN]).expect("one value");
         assert_eq!((one.mean, one.runs), (3.0, 1));
         assert!(one.half_width.is_nan() && one.relative().is_infinite());
-        let same = Estimate::of([2.0, 2.0, 2.0]).expect("values");
+        let same = Estimate::from_values([2.0, 2.0, 2.0]).expect("values");
         assert!(same.relative() == 0.0, "three times the same is known well");
-        let nothing = Estimate::of([0.0, 0.0, 0.0]).expect("values");
+        let nothing = Estimate::from_values([0.0, 0.0, 0.0]).expect("values");
         assert!(nothing.relative().is_infinite(), "three times nothing is not");
     }
 

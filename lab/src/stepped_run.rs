@@ -27,7 +27,7 @@ impl<O: Observer> SteppedRun<O> {
     pub fn new(scenario: &Scenario, observer: O) -> Self {
         assert!(
             is_external(&scenario.policy),
-            "{} decides itself",
+            "the policy {} makes its own decisions",
             scenario.policy.name()
         );
         let prepared = PreparedRun::without_pilots(scenario);
@@ -118,7 +118,7 @@ impl<O: Observer> SteppedRun<O> {
 impl<O: Observer + Clone> SteppedRun<O> {
     /// Returns a copy that waits for the same decision and continues independently.
     #[must_use]
-    pub fn branch(&self) -> Self {
+    pub fn fork(&self) -> Self {
         Self {
             run: self.run.fork().expect("an external policy decides"),
             halt: self.halt,

@@ -1,9 +1,9 @@
-"""Decisions per second over the policy port, beside the same in an environment and beside a policy of the program.
+"""Measures decisions per second over the policy port, in an environment, and of a built-in policy.
 
     python python/benches/port.py target/release/reveille [--devices 20 250] [--ttis 2000] [--rounds 3]
 
-A third of the devices sense in turn and nobody is woken, in all three; so the digests of the first two are the same.
-Each round does all, one after the other; medians are printed.
+In all three, a third of the devices sense in turn and no device is woken, so the first two have the same digest.
+Each round measures all three in order; the benchmark prints medians.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from reveille.policy_client import PortError
 
 
 def policy(observation: dict[str, Any]) -> np.ndarray:
-    """Tells a third of the devices to sense, in turn, and wakes none."""
+    """Lets a third of the devices sense, in turn, and wakes no device."""
     n = len(observation["action_mask"])
     if observation["stage"] == 1:
         return np.zeros(n, np.int8)

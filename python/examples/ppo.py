@@ -83,7 +83,7 @@ def price(text: str) -> float:
 
 def options_of(arguments: Sequence[str]) -> Options:
     """Parses the command line."""
-    parser = argparse.ArgumentParser(description="Trains PPO as a base station, and judges it beside other policies.")
+    parser = argparse.ArgumentParser(description="Trains PPO as a base station, and compares it with other policies.")
     default = Options()
     parser.add_argument(
         "--devices", type=count(2, 1000), default=default.devices, help="number of devices N [%(default)s]"
@@ -104,7 +104,7 @@ def options_of(arguments: Sequence[str]) -> Options:
     parser.add_argument("--load", type=Path, metavar="FILE", help="a trained network: nothing is trained")
     parser.add_argument("--save", type=Path, metavar="FILE", help="where to write the network")
     parser.add_argument(
-        "--serve", action="store_true", help="do not judge, decide for a run: that of `reveille up -p external`"
+        "--serve", action="store_true", help="decide for a run of `reveille up -p external` instead of judging"
     )
     options = Options(**vars(parser.parse_args(arguments)))
     # Checked before ten minutes of training, not after.
@@ -286,7 +286,7 @@ class Training(VecEnv):
         setattr(self, attr_name, value)
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        raise NotImplementedError(f"{method_name}: these environments have no methods of their own")
+        raise NotImplementedError(f"{method_name}: these environments have no such method")
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
         return [False] * self.num_envs

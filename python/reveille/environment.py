@@ -47,7 +47,7 @@ def make_batch(
     :raises ValueError: the scenario is refused, or a render mode is given.
     """
     if render_mode is not None:
-        raise ValueError(f"render_mode {render_mode!r}: nothing is drawn, it must be None")
+        raise ValueError(f"render_mode {render_mode!r}: must be None, as environments draw nothing")
     return _native.Batch(scenario, overrides(set, **fields), list(range(num_envs)), threads, *weights)
 
 
@@ -157,7 +157,7 @@ class ReveilleEnv(gym.Env[Observation, NDArray[np.int8]]):
         super().reset(seed=seed)
         extra = set(options or {}) - {"set"}
         if extra:
-            raise ValueError(f"options: {sorted(extra)} not known; there is `set`")
+            raise ValueError(f"options: unknown keys {sorted(extra)}; use `set`")
         drawn = int(self.np_random.integers(SEEDS)) if seed is None else seed
         changes = overrides((options or {}).get("set"))
         self._batch.reset([0], [drawn], changes)

@@ -72,7 +72,7 @@ class Figure:
         if self.csv is not None:
             forms[".csv"] = lambda: (self.csv or "").encode()
         if path.suffix not in forms:
-            raise ValueError(f"{path}: the ending must be one of {', '.join(forms)}")
+            raise ValueError(f"{path}: the name must end in one of {', '.join(forms)}")
         path.write_bytes(forms[path.suffix]())
         return path
 
@@ -119,7 +119,7 @@ def figure(
     """
     drawn, several = _drawn(tables, x, y, by, where, log)
     if several is not None:
-        raise ValueError(f"{several}; `where` chooses, and reveille.figures gives all")
+        raise ValueError(f"{several}; use `where` to choose one, or reveille.figures for all")
     return drawn[0]
 
 
@@ -133,7 +133,7 @@ def _drawn(
 ) -> tuple[list[Figure], str | None]:
     axes = list(log)
     if unknown := [axis for axis in axes if axis not in ("x", "y")]:
-        raise ValueError(f"log: {unknown} not known; the axes are `x` and `y`")
+        raise ValueError(f"log: unknown axes {unknown}; the axes are `x` and `y`")
     if isinstance(tables, (str, os.PathLike)) or hasattr(tables, "schema"):
         tables = [tables]
     only = [(field, value if isinstance(value, str) else toml(value)) for field, value in (where or {}).items()]

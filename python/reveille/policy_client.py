@@ -90,7 +90,7 @@ def _runs() -> list[Target]:
     found = folder.lstat()
     # Entries of the folder are trusted, so only this user may have access.
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
-        raise PortError(f"{folder} is not this user's alone; give connect= and run=, or set XDG_RUNTIME_DIR")
+        raise PortError(f"{folder}: other users have access; use chmod 700, or give connect= and run=")
     targets = []
     for path in sorted(folder.glob("*.json")):
         try:
@@ -114,7 +114,7 @@ def find(connect: str | None = None, run: str | None = None, key_file: str | os.
     """
     key = Path(key_file).read_text().strip() if key_file is not None else None
     if key is not None and not re.fullmatch("[0-9a-fA-F]{32}", key):
-        raise PortError(f"{key_file}: a run's key is 32 hexadecimal digits")
+        raise PortError(f"{key_file}: not a key of a run; it must be 32 hexadecimal digits")
     given = os.environ
     if connect is None and run is None and "REVEILLE_CONNECT" in given and "REVEILLE_RUN" in given:
         return Target(given["REVEILLE_CONNECT"], given["REVEILLE_RUN"], key or given.get("REVEILLE_KEY", ""))
@@ -130,7 +130,7 @@ def find(connect: str | None = None, run: str | None = None, key_file: str | os.
         return Target(runs[0].connect, runs[0].run, key or runs[0].key)
     if not runs:
         raise PortError(
-            "no such run on this machine: start one with `reveille up --policy external`, or give connect= and run="
+            "no such run on this machine; start one with `reveille up --policy external`, or give connect= and run="
         )
     names = ", ".join(target.run for target in runs)
     raise PortError(f"there are {len(runs)} runs on this machine; choose one with run=: {names}")
@@ -165,7 +165,7 @@ class PolicyClient:
         :param form: ``"cbor"``, or ``"json"``, which is longer but readable.
         """
         if form not in ("cbor", "json"):
-            raise ValueError(f"form {form!r}: cbor or json is allowed")
+            raise ValueError(f"form {form!r}: must be cbor or json")
         self.policy = policy
         self.name = name or getattr(policy, "__name__", type(policy).__name__)
         self.whole = whole
@@ -207,7 +207,7 @@ class PolicyClient:
             "scouting/gossip/enabled": "false",
         }
         if not re.fullmatch(r"tcp/.+:[0-9]{1,5}", target.connect):
-            raise PortError(f"endpoint {target.connect!r}: it must look like tcp/HOST:PORT, as tcp/127.0.0.1:7447")
+            raise PortError(f"endpoint {target.connect!r}: must be tcp/HOST:PORT, such as tcp/127.0.0.1:7447")
         for key, value in settings.items():
             config.insert_json5(key, value)
         try:
@@ -236,7 +236,7 @@ class PolicyClient:
                     seen, limit = time.monotonic(), GONE
                 elif time.monotonic() - seen > limit:
                     if self.hello is None:
-                        raise PortError(f"there is no run {target.run} at {target.connect}")
+                        raise PortError(f"no run {target.run} at {target.connect}; check run=")
                     break
                 try:
                     query = questions.get(timeout=0.2)
@@ -287,7 +287,7 @@ class PolicyClient:
         except ProtocolError:
             raise
         except (KeyError, TypeError, ValueError) as error:
-            raise ProtocolError(f"the question cannot be read: {type(error).__name__}: {error}") from error
+            raise ProtocolError(f"invalid decision request: {type(error).__name__}: {error}") from error
         head = tuple(echo.values())
         if self._last is not None and self._last[0] == head and asked.refused is None:
             return self._last[1]
@@ -303,11 +303,11 @@ class PolicyClient:
     def _welcome(self, hello: dict[str, Any], key: str) -> dict[str, Any]:
         if hello["min"] > PROTOCOL or hello["max"] < OLDEST:
             raise ProtocolError(
-                f"this package speaks protocol {OLDEST} to {PROTOCOL}, the base station {hello['min']} to {hello['max']}"
+                f"this package has protocol {OLDEST} to {PROTOCOL}, the base station {hello['min']} to {hello['max']}"
             )
         refused = hello.get("refused")
         if refused and refused["id"] == self._id:
-            raise PortError(f"the base station does not let this process decide: {refused['why']}")
+            raise PortError(f"the base station refused this policy process: {refused['why']}")
         self.hello = hello
         return {
             "protocol": min(PROTOCOL, hello["max"]),
@@ -344,7 +344,7 @@ def _said(decision: Decision, form: str, devices: int) -> dict[str, Any]:
     if isinstance(decision, Mapping):
         unknown = set(decision) - {"action", "sense", "cycles", "wake", "next"}
         if unknown:
-            raise ValueError(f"a decision has no {sorted(unknown)}: there are action, sense, cycles, wake and next")
+            raise ValueError(f"decision: unknown keys {sorted(unknown)}; use action, sense, cycles, wake and next")
         said = {name: np.asarray(value).tolist() for name, value in decision.items() if name != "action"}
         return said | (_bits(decision["action"], form, devices) if "action" in decision else {})
     return _bits(decision, form, devices)
@@ -353,9 +353,9 @@ def _said(decision: Decision, form: str, devices: int) -> dict[str, Any]:
 def _bits(action: Any, form: str, devices: int) -> dict[str, Any]:
     bits = np.asarray(action).reshape(-1)
     if bits.dtype.kind not in "biuf" or not np.isin(bits, (0, 1)).all():
-        raise ValueError(f"a decision is zeros and ones, one for each device, not {action!r}")
+        raise ValueError(f"decision {action!r}: must be zeros and ones, one for each device")
     if len(bits) != devices:
-        raise ValueError(f"{len(bits)} numbers for {devices} devices")
+        raise ValueError(f"decision: {len(bits)} numbers for {devices} devices; give one for each device")
     bits = bits.astype(np.uint8)
     return {"action": bits.tobytes() if form == "cbor" else bits.tolist()}
 
@@ -377,9 +377,9 @@ def _decode(payload: bytes, form: str) -> dict[str, Any]:
     try:
         message = loads(payload)
     except Exception as error:
-        raise ProtocolError(f"what came is not in {form}: {error}") from error
+        raise ProtocolError(f"the request is not valid {form}: {error}") from error
     if not isinstance(message, dict):
-        raise ProtocolError("a question is a map")
+        raise ProtocolError("invalid decision request: not a map")
     return message
 
 

@@ -37,7 +37,7 @@ def toml(value: Setting) -> str:
         return json.dumps(value, ensure_ascii=False)
     if isinstance(value, Sequence):
         return "[" + ", ".join(toml(part) for part in value) + "]"
-    raise TypeError(f"{value!r} is no value of a field: a number, a string, a truth value or a list of them")
+    raise TypeError(f"{value!r}: not a field value; use a number, a string, a truth value or a list of them")
 
 
 def overrides(
@@ -58,7 +58,7 @@ def overrides(
         "seed": seed,
     }
     if not isinstance(changes, (Mapping, type(None))):
-        raise TypeError(f"set: {changes!r} is no mapping from paths of fields to values")
+        raise TypeError(f"set: {changes!r} must be a mapping from field paths to values")
     given = dict(changes or {})
     given.update({path: value for path, value in named.items() if value is not None})
     return [f"{path}={toml(value)}" for path, value in given.items()]

@@ -119,8 +119,8 @@ class Trajectories:
         pairs = {key.decode(): value.decode() for key, value in (self._file.metadata.metadata or {}).items()}
         if pairs.get(f"{_PREFIX}steps") != SCHEMA:
             found = pairs.get(f"{_PREFIX}steps")
-            what = "no trajectories of an environment" if found is None else f"columns of version {found}, not {SCHEMA}"
-            raise ValueError(f"{self.path}: {what}; reveille.record_trajectories writes them")
+            what = "not a trajectory file" if found is None else f"columns of version {found}, not {SCHEMA}"
+            raise ValueError(f"{self.path}: {what}; use a file that reveille.record_trajectories wrote")
 
         def told(key: str) -> Any:
             return json.loads(pairs[_PREFIX + key])
@@ -192,8 +192,8 @@ class Trajectories:
         """
         if env._batch.scenario != self.scenario:
             raise ValueError(
-                f"scenario {self.settings['scenario']!r} is not what it was when {self.path} was recorded; "
-                "Trajectories.scenario is its text: write that into a file and make the environment from it"
+                f"scenario {self.settings['scenario']!r} has changed since {self.path} was recorded; "
+                "write the text of Trajectories.scenario into a file and create the environment from it"
             )
         return env
 
@@ -377,7 +377,7 @@ def record_trajectories(
 def _plain(value: Any) -> Any:
     if hasattr(value, "tolist"):  # a NumPy value
         return value.tolist()
-    raise TypeError(f"{value!r} is no value of a field")
+    raise TypeError(f"{value!r}: not a field value")
 
 
 def _episode(
@@ -406,7 +406,7 @@ def _episode(
         step, total = step + 1, total + reward
     writer.see(episode, step, info["tti"], observation)
     if digest not in (None, info["digest"]):
-        raise RuntimeError(f"seed {seed}: the actions of {policy} have given another digest than its run")
+        raise RuntimeError(f"seed {seed}: the actions of {policy} and its run have different digests; this is a bug")
     metrics = {key: value if np.isfinite(value) else None for key, value in info["metrics"].items()}
     groups = (begun, writer.end_episode() - begun)
     return EpisodeInfo(episode, seed, step, total, info["digest"], policy_digest, metrics, groups)
@@ -458,5 +458,5 @@ def to_minari(
         known = {f"metrics/{key}": value for key, value in info.metrics.items() if value is not None}
         dataset.storage.update_episode_metadata([{"digest": info.digest, **known}], [info.episode])
     if dataset is None:
-        raise ValueError(f"{trajectories.path}: no episodes")
+        raise ValueError(f"{trajectories.path}: holds no episodes")
     return dataset

@@ -110,14 +110,14 @@ class ReveilleVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
         if "set" in options:
             self._changes = overrides(options.pop("set"))
         if options:
-            raise ValueError(f"options: {sorted(options)} not known; there are `set` and `reset_mask`")
+            raise ValueError(f"options: unknown keys {sorted(options)}; use `set` and `reset_mask`")
         which = np.arange(self.num_envs) if mask is None else np.flatnonzero(mask)
         if seed is None or isinstance(seed, (int, np.integer)):
             seeds = [None if seed is None else int(seed) + at for at in range(self.num_envs)]
         else:
             seeds = list(seed)
         if len(seeds) != self.num_envs:
-            raise ValueError(f"{len(seeds)} seeds for {self.num_envs} environments")
+            raise ValueError(f"seed: {len(seeds)} seeds for {self.num_envs} environments; give one for each")
         self._begin([int(at) for at in which], [seeds[at] for at in which])
         return self._observation(), {}
 

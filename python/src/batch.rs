@@ -2,7 +2,7 @@
 
 #![expect(
     clippy::needless_pass_by_value,
-    reason = "what Python hands over is converted for the call"
+    reason = "arguments from Python are converted for the call"
 )]
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -15,10 +15,10 @@ use reveille_bs::policy::external::{DEVICE, GLOBAL};
 use reveille_bs::scenario::Scenario;
 use reveille_lab::gym::{self, BatchBuffers, Environment, PARTS, RewardWeights};
 
-use crate::runs::told;
+use crate::runs::outcome_dict;
 use crate::scenarios::read_external;
 
-/// Environments of equally many devices. Its arrays are written anew by each step.
+/// A batch of environments with the same number of devices. Each step overwrites its arrays.
 #[pyclass(name = "Batch", module = "reveille._native", frozen)]
 pub struct PyEnvBatch {
     inner: Mutex<gym::EnvBatch>,
@@ -28,7 +28,7 @@ pub struct PyEnvBatch {
     arrays: Arrays,
 }
 
-/// See [`BatchBuffers`].
+/// The NumPy arrays behind [`BatchBuffers`].
 struct Arrays {
     devices: Py<PyArray3<f32>>,
     global: Py<PyArray2<f32>>,
@@ -54,7 +54,7 @@ impl Arrays {
         }
     }
 
-    /// Does `work` with the memory of the arrays, while other Python threads may run.
+    /// Runs `work` on the memory of the arrays, while other Python threads may run.
     fn written(&self, py: Python<'_>, work: impl FnOnce(BatchBuffers<'_>) + Send) -> PyResult<()> {
         // `try_readwrite` raises an exception, instead of a panic, while another thread writes into these arrays.
         let mut devices = self.devices.bind(py).try_readwrite()?;
@@ -82,7 +82,7 @@ impl Arrays {
     }
 }
 
-/// An environment as it stood.
+/// A copy of an environment.
 #[pyclass(module = "reveille._native", frozen)]
 pub(crate) struct Snapshot {
     environment: Mutex<Environment>,
@@ -97,7 +97,9 @@ impl PyEnvBatch {
         if at < all {
             return Ok(());
         }
-        Err(PyIndexError::new_err(format!("no environment {at}: there are {all}")))
+        Err(PyIndexError::new_err(format!(
+            "environment {at} does not exist; the batch has {all}, numbered from 0"
+        )))
     }
 
     fn show(&self, py: Python<'_>) -> PyResult<()> {
@@ -107,7 +109,7 @@ impl PyEnvBatch {
 
 #[pymethods]
 impl PyEnvBatch {
-    /// Environments of the scenario `source` with `set` on top, one for each of `seeds`.
+    /// Creates an environment of the scenario `source`, overridden by `set`, for each of `seeds`.
     #[new]
     #[pyo3(signature = (source, set, seeds, threads, mu1, mu2))]
     fn new(
@@ -120,7 +122,9 @@ impl PyEnvBatch {
         mu2: f64,
     ) -> PyResult<Self> {
         if seeds.is_empty() || threads == 0 {
-            return Err(PyValueError::new_err("at least one environment and one thread"));
+            return Err(PyValueError::new_err(
+                "a batch needs at least one environment and one thread",
+            ));
         }
         let scenario = read_external(&source, &set)?;
         let weights = RewardWeights { mu1, mu2 };
@@ -138,7 +142,7 @@ impl PyEnvBatch {
         Ok(batch)
     }
 
-    /// Begins the environments `which` again, with these seeds and with `set` on top of what was set before.
+    /// Restarts the environments `which` with these seeds. `set` overrides fields in addition to the earlier overrides.
     fn reset(&self, py: Python<'_>, which: Vec<usize>, seeds: Vec<u64>, set: Vec<String>) -> PyResult<()> {
         let set: Vec<String> = self.set.iter().cloned().chain(set).collect();
         let scenario = read_external(&self.source, &set)?;
@@ -147,7 +151,7 @@ impl PyEnvBatch {
             (inner.len(), inner.devices())
         };
         if scenario.run.devices as usize != devices {
-            let was = format!("the environment was made for {devices} devices, and spaces cannot change");
+            let was = format!("the environment has {devices} devices, and its spaces cannot change");
             return Err(PyValueError::new_err(format!(
                 "devices = {}: {was}",
                 scenario.run.devices
@@ -155,7 +159,7 @@ impl PyEnvBatch {
         }
         let mut scenarios = vec![None; all];
         for (at, seed) in which.into_iter().zip(seeds) {
-            // Checked before any environment begins again, so that an error changes none.
+            // Checked before any environment restarts, so that an error changes none.
             Self::check(at, all)?;
             scenarios[at] = Some(scenario.with_seed(seed));
         }
@@ -163,7 +167,7 @@ impl PyEnvBatch {
         self.show(py)
     }
 
-    /// A step of each environment that does not rest.
+    /// Applies a decision in each environment that does not rest.
     fn step(
         &self,
         py: Python<'_>,
@@ -187,46 +191,46 @@ impl PyEnvBatch {
         self.arrays.written(py, |views| self.lock().step(actions, rests, views))
     }
 
-    /// What the run of environment `at` has come to so far.
+    /// Returns the outcome so far of the run in environment `at`.
     fn outcome<'py>(&self, py: Python<'py>, at: usize) -> PyResult<Bound<'py, PyDict>> {
         let outcome = {
             let inner = self.lock();
             Self::check(at, inner.len())?;
             inner.environments()[at].outcome()
         };
-        told(py, &outcome)
+        outcome_dict(py, &outcome)
     }
 
-    /// Environment `at` as it stands.
+    /// Copies environment `at`.
     fn snapshot(&self, at: usize) -> PyResult<Snapshot> {
         let inner = self.lock();
         Self::check(at, inner.len())?;
         Ok(Snapshot {
-            environment: Mutex::new(inner.environments()[at].branch()),
+            environment: Mutex::new(inner.environments()[at].fork()),
         })
     }
 
-    /// Puts environment `at` where a snapshot was taken.
+    /// Restores environment `at` from a snapshot.
     fn restore(&self, py: Python<'_>, at: usize, snapshot: &Snapshot) -> PyResult<()> {
         let environment = snapshot
             .environment
             .lock()
             .unwrap_or_else(PoisonError::into_inner)
             // A copy, so that a snapshot can be restored any number of times.
-            .branch();
+            .fork();
         {
             let mut inner = self.lock();
             Self::check(at, inner.len())?;
             // The arrays have the shape of the first scenario.
             if environment.ground().scenario().run.devices as usize != inner.devices() {
-                return Err(PyValueError::new_err("the snapshot is of another number of devices"));
+                return Err(PyValueError::new_err("the snapshot has another number of devices"));
             }
             inner.put(at, environment);
         }
         self.show(py)
     }
 
-    /// Whether both have the same scenario and weights.
+    /// Whether both batches have the same scenario and weights.
     fn is_like(&self, other: &Self) -> bool {
         let sources = (&self.source, &self.set) == (&other.source, &other.set);
         sources && self.weights == other.weights
@@ -244,7 +248,7 @@ impl PyEnvBatch {
         self.lock().devices()
     }
 
-    /// TTIs of a run K.
+    /// Length K of a run, TTIs.
     #[getter]
     fn length(&self) -> u64 {
         self.lock().environments()[0].ground().scenario().run.ttis

@@ -1,8 +1,8 @@
-//! Pictures of sweeps and runs.
+//! Figures of sweeps and runs.
 
 #![expect(
     clippy::needless_pass_by_value,
-    reason = "what Python hands over is converted for the call"
+    reason = "arguments from Python are converted for the call"
 )]
 
 use std::path::PathBuf;
@@ -23,7 +23,7 @@ use reveille_study::figures::{png, svg};
 
 use crate::scenarios::{read, refused};
 
-/// A picture.
+/// A figure.
 #[pyclass(name = "Picture", module = "reveille._native", frozen)]
 pub struct PyFigure {
     scene: Scene,
@@ -47,44 +47,44 @@ impl PyFigure {
 
 #[pymethods]
 impl PyFigure {
-    /// What it is called, as the name of a file without its ending.
+    /// The file name of the figure, without an extension.
     #[getter]
     fn name(&self) -> &str {
         &self.name
     }
 
-    /// The fields that set it apart from others, with their values.
+    /// The fields that distinguish the figure from others of the same sweep, with their values.
     #[getter]
     fn facet(&self) -> Vec<(String, String)> {
         self.facet.clone()
     }
 
-    /// What is drawn, as CSV, where it is a chart.
+    /// The data of a chart, as CSV; `None` for other figures.
     #[getter]
     fn csv(&self) -> Option<&str> {
         self.csv.as_deref()
     }
 
-    /// Lines that are not drawn, as no run of theirs has a value of the metric.
+    /// Lines that are not drawn, because none of their runs has a value of the metric.
     #[getter]
     fn undefined(&self) -> Vec<String> {
         self.undefined.clone()
     }
 
-    /// The picture as SVG.
+    /// Returns the figure as SVG.
     fn svg(&self, py: Python<'_>) -> String {
         py.detach(|| svg::svg(&self.scene, &self.name))
     }
 
-    /// The picture as PNG.
+    /// Returns the figure as PNG.
     fn png<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
         let bytes = py.detach(|| png::png(&self.scene));
         PyBytes::new(py, &bytes)
     }
 }
 
-/// A metric against a field, from tables each with its name and path: a picture for each combination of the values of
-/// the other fields, and that there are several, in words.
+/// Draws a metric against a field from tables with names and paths: one figure for each combination of values of the
+/// other fields. Also returns a note if there are several figures.
 #[pyfunction]
 #[pyo3(signature = (tables, x, y, by, only, log))]
 pub(crate) fn sweep_pictures(
@@ -130,18 +130,18 @@ pub(crate) fn sweep_pictures(
     })
 }
 
-/// The scenario of a run that can be drawn.
+/// Reads a scenario whose run can be drawn.
 fn drawable(source: &str, set: &[String]) -> PyResult<Scenario> {
     let scenario = read(source, set)?;
     if registry::named(scenario.policy.name()).is_none() {
         return Err(refused(
-            "policy external: decisions come from an environment, not from a run",
+            "policy external: an environment makes its decisions; choose a built-in policy",
         ));
     }
     Ok(scenario)
 }
 
-/// The deployment of a scenario as one of its events ends.
+/// Draws the deployment of a scenario at the end of one of its events.
 #[pyfunction]
 #[pyo3(signature = (source, set, event))]
 pub(crate) fn deployment_picture(
@@ -152,13 +152,13 @@ pub(crate) fn deployment_picture(
 ) -> PyResult<PyFigure> {
     let scenario = drawable(source, &set)?;
     py.detach(|| {
-        let moment = EventScene::of(&scenario, event).map_err(refused)?;
+        let moment = EventScene::from_scenario(&scenario, event).map_err(refused)?;
         let name = deployment::name(&scenario, &moment);
         Ok(PyFigure::new(deployment::scene(&scenario, &moment), name))
     })
 }
 
-/// Batteries and states of some devices over some TTIs of a run.
+/// Draws batteries and states of some devices over some TTIs of a run.
 #[pyfunction]
 #[pyo3(signature = (source, set, devices, first, length))]
 pub(crate) fn timeline_picture(
@@ -172,7 +172,7 @@ pub(crate) fn timeline_picture(
     let scenario = drawable(source, &set)?;
     py.detach(|| {
         let first = first.unwrap_or(scenario.warm_up_end().0);
-        let shown = Timeline::of(&scenario, &devices, first, length).map_err(refused)?;
+        let shown = Timeline::from_scenario(&scenario, &devices, first, length).map_err(refused)?;
         let name = timeline::name(&scenario, &shown);
         Ok(PyFigure::new(timeline::scene(&scenario, &shown), name))
     })

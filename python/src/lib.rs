@@ -1,7 +1,7 @@
 //! The module `reveille._native`: environments, runs and sweeps of `reveille-lab` for Python, and figures of
 //! `reveille-study`.
 //!
-//! What is documented for users, with shapes and units, is the package around it, in `python/reveille/`.
+//! The package around it, in `python/reveille/`, is documented for users, with shapes and units.
 
 mod batch;
 mod figures;

@@ -1,8 +1,8 @@
-//! Runs and sweeps of the policies of the program.
+//! Runs and sweeps of the built-in policies.
 
 #![expect(
     clippy::needless_pass_by_value,
-    reason = "what Python hands over is converted for the call"
+    reason = "arguments from Python are converted for the call"
 )]
 
 use std::path::{Path, PathBuf};
@@ -26,11 +26,11 @@ use reveille_lab::table::Format;
 
 use crate::scenarios::{read, read_external, refused};
 
-/// Time between two looks for Ctrl-C.
+/// Time between two checks for Ctrl-C.
 const LOOK: Duration = Duration::from_millis(100);
 
-/// `outcome` as a dictionary.
-pub(crate) fn told<'py>(py: Python<'py>, outcome: &Outcome) -> PyResult<Bound<'py, PyDict>> {
+/// Converts `outcome` to a dictionary.
+pub(crate) fn outcome_dict<'py>(py: Python<'py>, outcome: &Outcome) -> PyResult<Bound<'py, PyDict>> {
     let metrics = PyDict::new(py);
     for (name, value, _) in outcome.metrics.rows() {
         metrics.set_item(name, value)?;
@@ -48,13 +48,13 @@ pub(crate) fn told<'py>(py: Python<'py>, outcome: &Outcome) -> PyResult<Bound<'p
     Ok(told)
 }
 
-/// The names of the policies that decide by themselves.
+/// Returns the names of the built-in policies.
 #[pyfunction]
 pub(crate) fn policies() -> Vec<&'static str> {
     registry::names().collect()
 }
 
-/// Name and meaning of the features of devices, and of those of all.
+/// Returns name and meaning of the features of a device and of the global features.
 #[pyfunction]
 pub(crate) fn features() -> [Vec<(&'static str, &'static str)>; 2] {
     let pairs = |features: &[reveille_bs::policy::external::Feature]| {
@@ -63,36 +63,36 @@ pub(crate) fn features() -> [Vec<(&'static str, &'static str)>; 2] {
     [pairs(&DEVICE), pairs(&GLOBAL)]
 }
 
-/// The run of a scenario.
+/// Runs a scenario and returns its outcome.
 #[pyfunction]
 pub(crate) fn run<'py>(py: Python<'py>, source: &str, set: Vec<String>) -> PyResult<Bound<'py, PyDict>> {
     let scenario = read(source, &set)?;
     if registry::named(scenario.policy.name()).is_none() {
         return Err(refused(
-            "policy external: decisions come from an environment, not from a run",
+            "policy external: an environment makes its decisions; choose a built-in policy",
         ));
     }
     let outcome = py.detach(|| Run::new(&prepare(&scenario), RunOptions::default()).finish(&mut ()));
-    told(py, &outcome)
+    outcome_dict(py, &outcome)
 }
 
-/// The run of a scenario, with the actions of an environment that does the same.
+/// Runs a scenario and returns its outcome, with the actions that repeat the run in an environment.
 #[pyfunction]
 pub(crate) fn watched<'py>(py: Python<'py>, source: &str, set: Vec<String>) -> PyResult<Bound<'py, PyDict>> {
     let (scenario, outside) = (read(source, &set)?, read_external(source, &set)?);
     if registry::named(scenario.policy.name()).is_none() {
         return Err(refused(
-            "policy external: decisions come from an environment, not from a run",
+            "policy external: an environment makes its decisions; choose a built-in policy",
         ));
     }
     let actions = py.detach(|| record(&scenario, &outside));
-    let actions = actions.ok_or_else(|| refused("genie: it wakes devices before anything is heard"))?;
-    let all = told(py, &actions.own)?;
+    let actions = actions.ok_or_else(|| refused("policy genie: it wakes devices before any report is received"))?;
+    let all = outcome_dict(py, &actions.own)?;
     let n = scenario.run.devices as usize;
     let rows = PyArray1::from_vec(py, actions.rows).reshape([actions.stages.len(), n])?;
     all.set_item("actions", rows)?;
     all.set_item("stages", PyArray1::from_vec(py, actions.stages))?;
-    all.set_item("stepped", told(py, &actions.stepped)?)?;
+    all.set_item("stepped", outcome_dict(py, &actions.stepped)?)?;
     Ok(all)
 }
 
@@ -109,7 +109,7 @@ impl SweepProgress for Progress<'_> {
     }
 }
 
-/// Makes the runs of the experiment `text`, which is TOML, in `folder`. Gives the path of its table.
+/// Runs the experiment in the TOML `text` in `folder`. Returns the path of its table.
 #[pyfunction]
 pub(crate) fn sweep(py: Python<'_>, text: &str, folder: PathBuf, threads: usize) -> PyResult<PathBuf> {
     let draft = ExperimentBuilder::parse(text, "the experiment", Path::new("")).map_err(refused)?;

@@ -1,4 +1,4 @@
-//! Scenarios as Python names them.
+//! Reading of scenarios for Python.
 
 use std::fmt::Display;
 
@@ -9,12 +9,12 @@ use reveille_bs::scenario::Scenario;
 use reveille_common::io::Disk;
 use reveille_common::scenario::{Override, load};
 
-/// An error of the caller's, in the words of the program.
+/// Converts an error of Reveille to a `ValueError` with the same message.
 pub(crate) fn refused(error: impl Display) -> PyErr {
     PyValueError::new_err(error.to_string())
 }
 
-/// The scenario `source` with `set` on top, each `path=value` with a TOML value.
+/// Reads the scenario `source` with the overrides `set`, each `path=value` with a TOML value.
 pub(crate) fn read(source: &str, set: &[String]) -> Result<Scenario, PyErr> {
     let overrides = set.iter().map(|set| Override::parse(set));
     let overrides: Vec<Override> = overrides.collect::<Result<_, _>>().map_err(refused)?;
@@ -22,7 +22,7 @@ pub(crate) fn read(source: &str, set: &[String]) -> Result<Scenario, PyErr> {
     Ok(loaded.scenario)
 }
 
-/// As [`read`], with decisions from outside.
+/// Reads a scenario like [`read`], with the policy `external`.
 pub(crate) fn read_external(source: &str, set: &[String]) -> Result<Scenario, PyErr> {
     let set: Vec<String> = set.iter().cloned().chain(["policy.name=external".to_owned()]).collect();
     read(source, &set)

@@ -36,8 +36,8 @@ def test_a_sweep_is_drawn(table, tmp_path):
     mean = sum(row["info_p1"] for row in rows) / len(rows)
     drawn = next(line.split(",") for line in lines if line.startswith("knn,20,"))
     assert float(drawn[3]) == pytest.approx(mean) and drawn[5] == "2"
-    words = " ".join(texts(figure))
-    assert "info_p1 against devices" in words and "2 runs a point" in words and "harvest.lambda = 0.1" in words
+    caption = " ".join(texts(figure))
+    assert "info_p1 against devices" in caption and "2 runs per point" in caption and "harvest.lambda = 0.1" in caption
     assert figure.save(tmp_path) == tmp_path / "sweep-info_p1-devices.svg"
     for ending in ("svg", "png", "csv"):
         assert figure.save(tmp_path / f"a.{ending}").stat().st_size > 100
@@ -56,11 +56,11 @@ def test_a_file_and_a_folder_of_a_sweep_are_drawn_as_its_table(table, tmp_path):
     assert len(reveille.figures([own, table], **asked)) == 3
 
 
-def test_what_the_runs_differ_in_beside_is_a_picture_each(table):
+def test_each_value_of_another_varying_field_gives_a_figure(table):
     drawn = reveille.figures(table, x="devices", y="info_p1", log="x")
     assert [figure.facet for figure in drawn] == [{"harvest.lambda": "0.1"}, {"harvest.lambda": "0.3"}]
     assert drawn[1].name == "sweep-info_p1-devices-harvest.lambda-0.3"
-    with pytest.raises(ValueError, match=r"the runs differ in harvest\.lambda as well: 2 pictures.*`where`"):
+    with pytest.raises(ValueError, match=r"the runs also differ in harvest\.lambda: 2 figures.*`where`"):
         reveille.figure(table, x="devices", y="info_p1")
     by = reveille.figure(table, x="harvest.lambda", y="info_p1", by="devices", where={"policy": "knn"})
     assert by.name == "sweep-info_p1-harvest.lambda-by-devices"
@@ -69,16 +69,16 @@ def test_what_the_runs_differ_in_beside_is_a_picture_each(table):
 @pytest.mark.parametrize(
     ("asked", "says"),
     [
-        ({"y": "info_p9"}, "metric `info_p9`: there is none of that name; there are "),
-        ({"x": "device"}, "field `device`: the runs have none of that name; they have preset, policy, devices"),
-        ({"by": "nothing"}, "field `nothing`: the runs have none of that name"),
-        ({"x": "policy", "by": "devices"}, "is no number, so that it has no place on an axis"),
-        ({"by": "devices"}, "a line would be a point"),
-        ({"where": {"devices": 11}}, "devices = 11: no run has that; the values are 10, 20, 30"),
+        ({"y": "info_p9"}, "metric `info_p9`: unknown metric; use "),
+        ({"x": "device"}, "field `device`: unknown field; the runs have preset, policy, devices"),
+        ({"by": "nothing"}, "field `nothing`: unknown field"),
+        ({"x": "policy", "by": "devices"}, "is not a number; draw a line for each value"),
+        ({"by": "devices"}, "each line would be a single point"),
+        ({"where": {"devices": 11}}, "devices = 11: no run has this value; use 10, 20, 30"),
         ({"log": "z"}, "the axes are `x` and `y`"),
     ],
 )
-def test_errors_are_those_of_the_command_line(table, asked, says):
+def test_errors_equal_those_of_the_command_line(table, asked, says):
     with pytest.raises(ValueError) as refused:
         reveille.figure(table, **{"x": "devices", "y": "info_p1", **asked})
     assert says in str(refused.value)

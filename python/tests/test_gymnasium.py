@@ -30,7 +30,7 @@ def play(env, seed, actions=None, steps=10**9):
 
 @pytest.mark.parametrize("knowledge", ["oracle", "reported"])
 @pytest.mark.filterwarnings("error")
-def test_it_is_an_environment_by_gymnasiums_own_check(knowledge):
+def test_gymnasiums_checker_accepts_it(knowledge):
     check_env(gym.make("Reveille-v0", battery_knowledge=knowledge, **SMALL).unwrapped)
 
 
@@ -61,7 +61,7 @@ def test_a_seed_is_a_run_and_an_unseeded_reset_another():
 
 @pytest.mark.parametrize("policy", ["age-index", "dt", "q-learning"])
 @pytest.mark.parametrize("knowledge", ["oracle", "reported"])
-def test_a_policys_actions_give_its_digest(policy, knowledge):
+def test_the_actions_of_a_policy_give_its_digest(policy, knowledge):
     settings = {"devices": 30, "ttis": 500, "battery_knowledge": knowledge}
     own = reveille.run(policy=policy, seed=7, actions=True, **settings)
     env = ReveilleEnv(**settings)
@@ -84,7 +84,7 @@ def test_one_other_action_gives_another_digest():
     assert info.get("digest") != own["digest"]
 
 
-def test_snapshots_are_come_back_to():
+def test_snapshots_are_restored():
     env = ReveilleEnv(**SMALL)
     play(env, 4, steps=30)
     snapshot = env.snapshot()
@@ -167,7 +167,7 @@ def test_options_set_fields_of_an_episode():
         (lambda: reveille.run(set={"ttis": "long"}), "ttis"),
     ],
 )
-def test_what_is_wrong_is_said(make, says):
+def test_errors_name_the_cause(make, says):
     with pytest.raises(ValueError, match=says):
         make()
 

@@ -11,7 +11,7 @@ SMALL = {"devices": 8, "ttis": 50}
 
 
 @pytest.mark.filterwarnings("error")
-def test_it_is_an_environment_by_pettingzoos_own_check():
+def test_pettingzoos_checker_accepts_it():
     parallel_api_test(reveille.parallel_env(**SMALL), num_cycles=200)
 
 

@@ -157,7 +157,7 @@ def test_a_command_decides_and_a_bug_in_it_is_shown(machine):
 
 
 @needs_program
-def test_a_client_that_is_stopped_is_waited_for(machine):
+def test_a_stopped_client_is_waited_for(machine):
     """SIGSTOP for longer than a link may be unresponsive, then SIGCONT."""
     script = machine / "policy.py"
     script.write_text(
@@ -189,7 +189,7 @@ def test_a_client_that_is_stopped_is_waited_for(machine):
     assert summary["ttis_done"] == 100 and summary["digest"] == replay(machine)["digest"]
 
 
-def test_what_is_no_question_is_refused_in_words():
+def test_an_invalid_request_is_refused_with_an_error():
     client = PolicyClient(lambda observation: observation["action_mask"])
     for payload, form in [(b"", "json"), (b"[]", "json"), (b"\xff", "cbor"), (b'{"stage": "plan"}', "json")]:
         with pytest.raises(ProtocolError):
@@ -218,14 +218,14 @@ def test_the_same_question_is_not_decided_twice():
     assert json.loads(ask())["sense"] == [1] and json.loads(ask())["sense"] == [1]
     with pytest.warns(UserWarning, match="no device 1"):
         assert json.loads(ask(refused="no device 1"))["sense"] == [2]
-    assert ask(to="somebody else") is None
+    assert ask(to="another client") is None
     assert len(calls) == 2 and calls[0]["device"].shape == (2, 2) and calls[0]["device"].dtype == np.float32
     with pytest.raises(ValueError, match="senses"):
         ask(seq=1)
 
 
 @pytest.mark.parametrize("decision", [None, [1], [0, 0.1], [float("nan"), 0], [0, 2], "01", [0, 1, 0]])
-def test_what_is_no_decision_is_an_error_of_the_policy(decision):
+def test_an_invalid_decision_is_an_error_of_the_policy(decision):
     client = PolicyClient(lambda _: decision)
     hello = {"protocol": 1, "min": 1, "max": 1, "seq": 0, "tti": 0, "stage": "hello"}
     known = json.loads(client.answer(json.dumps(hello).encode(), "json", ""))["id"]
@@ -260,7 +260,7 @@ def test_one_client_decides_for_one_run_after_another(machine):
 
 
 @needs_program
-def test_who_cannot_decide_is_told(machine):
+def test_a_policy_that_cannot_decide_gets_an_error(machine):
     up = Up(machine, "-n", "10", "-k", "5", "--run", "keyed")
     client = PolicyClient(lambda observation: np.zeros(len(observation["action_mask"])))
     wrong = machine / "wrong.key"
@@ -278,7 +278,7 @@ def test_who_cannot_decide_is_told(machine):
 
 
 @needs_program
-def test_what_comes_after_the_last_decision_is_done(machine):
+def test_the_run_completes_after_the_last_decision(machine):
     script = machine / "policy.py"
     script.write_text(
         textwrap.dedent(
@@ -314,5 +314,5 @@ def test_a_run_is_looked_for_where_it_can_be(machine, monkeypatch):
     told = find()
     assert (told.connect, told.run, told.key) == ("tcp/127.0.0.1:7", "told", "k") and "'k'" not in repr(told)
     registry.chmod(0o755)
-    with pytest.raises(PortError, match="alone"):
+    with pytest.raises(PortError, match="other users"):
         find(run="b")

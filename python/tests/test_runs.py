@@ -7,7 +7,7 @@ import reveille
 from reveille.environment import ReveilleEnv
 
 
-def test_a_run_is_told():
+def test_a_run_notifies_its_client():
     told = reveille.run("quick", policy="knn", devices=20, ttis=300, seed=2)
     assert told["complete"] and told["ttis_done"] == 300 and len(told["digest"]) == 64
     assert told["metrics"]["events"] > 0 and "i_min" in str(told["policy_facts"])
@@ -35,7 +35,7 @@ def test_a_sweep_is_a_table():
         reveille.sweep("quick", policies=["kn"])
 
 
-def test_the_features_are_named_and_told():
+def test_the_features_have_names_and_descriptions():
     for features in (reveille.DEVICE_FEATURES, reveille.GLOBAL_FEATURES):
         assert len({feature.name for feature in features}) == len(features)
         assert all(feature.about for feature in features)

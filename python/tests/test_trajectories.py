@@ -113,7 +113,7 @@ def test_no_more_than_a_row_group_is_held(tmp_path, monkeypatch):
         np.testing.assert_array_equal(a.observations["device"], b.observations["device"])
 
 
-def test_what_fails_leaves_what_was_there(tmp_path):
+def test_failed_writes_keep_existing_files(tmp_path):
     path = tmp_path / "t.parquet"
     told = reveille.record_trajectories(path, Drawn(), **SMALL)
 
@@ -137,7 +137,7 @@ def test_what_fails_leaves_what_was_there(tmp_path):
         ({"policy": lambda _: np.zeros(13)}, r"\(1, 14\)|14"),
     ],
 )
-def test_what_is_wrong_is_said(change, says, tmp_path):
+def test_errors_name_the_cause(change, says, tmp_path):
     with pytest.raises(ValueError, match=says):
         reveille.record_trajectories(tmp_path / "t.parquet", **{"policy": "random", **SMALL, **change})
     assert not list(tmp_path.iterdir())
@@ -146,7 +146,7 @@ def test_what_is_wrong_is_said(change, says, tmp_path):
 def test_a_file_of_something_else_is_refused(tmp_path):
     path = tmp_path / "other.parquet"
     parquet.write_table(pa.table({"a": [1]}), path)
-    with pytest.raises(ValueError, match="no trajectories"):
+    with pytest.raises(ValueError, match="not a trajectory file"):
         reveille.Trajectories(path)
 
 
@@ -156,7 +156,7 @@ def test_minari_gives_the_episodes_in_the_spaces_of_the_environment(tmp_path, mo
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
     told = reveille.record_trajectories(tmp_path / "t.parquet", "age-index", seeds=3, **SMALL)
     made = reveille.to_minari(
-        told, "reveille/age-index-v0", author="Nobody", author_email="nobody@example.org", code_permalink="none"
+        told, "reveille/age-index-v0", author="Author", author_email="author@example.org", code_permalink="none"
     )
     assert made.total_episodes == 3
     dataset = minari.load_dataset("reveille/age-index-v0")
@@ -190,5 +190,5 @@ def test_a_scenario_file_that_has_changed_is_noticed(tmp_path):
     )
     assert recorded.environment().action_space.n == 8
     scenario.write_text('preset = "quick"\n[harvest]\nlambda = 0.1\n')
-    with pytest.raises(ValueError, match="not what it was"):
+    with pytest.raises(ValueError, match="has changed since"):
         recorded.environment()

@@ -15,7 +15,7 @@ SMALL = {"devices": 12, "ttis": 40}
 
 @pytest.mark.parametrize("threads", [1, 3])
 @pytest.mark.parametrize("copy", [True, False])
-def test_it_does_what_its_environments_do_alone(threads, copy):
+def test_it_equals_its_single_environments(threads, copy):
     k = 5
     vec = reveille.make_vec("paper", k, threads=threads, copy=copy, **SMALL)
     alone = [ReveilleEnv(**SMALL) for _ in range(k)]
@@ -65,7 +65,7 @@ def test_it_is_made_by_name():
     assert rewards.shape == (3,)
 
 
-def test_without_autoreset_the_ended_rest_until_they_are_reset():
+def test_without_autoreset_ended_environments_rest():
     vec = ReveilleVectorEnv(num_envs=2, autoreset="disabled", **SMALL)
     vec.reset(seed=1)
     asleep = np.zeros((2, 12), dtype=np.int8)
@@ -107,6 +107,6 @@ def test_other_threads_run_while_it_steps():
         (lambda: ReveilleVectorEnv(num_envs=2, **SMALL).step(np.zeros(24)), r"\(2, 12\)"),
     ],
 )
-def test_what_is_wrong_is_said(make, says):
+def test_errors_name_the_cause(make, says):
     with pytest.raises(ValueError, match=says):
         make()

@@ -1,17 +1,18 @@
-"""How many devices it takes to look at the whole area at once: the least cover of deployments by discs of d_max.
+"""Computes the least number of devices that cover the whole area at the same time, with discs of radius d_max.
 
     pip install scipy==1.17.1
     python study/data/cover.py reveille > study/data/cover.csv
 
-The area within d_max of some device is to be covered by the discs of as few devices as possible. The discs cut the area
-into faces, each seen by one set of devices; a set of devices covers the area if it holds one of each such set. Faces are
-found by looking around every corner of the arrangement: crossings of two circles, of a circle with the border, and the
-corners of the area. Sets that hold another set say nothing new and are left out. What remains is a set cover, solved by
-HiGHS (scipy.optimize.milp) to optimality, or until the time is up: then the proven lower bound is what counts.
+The discs of as few devices as possible must cover the area within d_max of any device. The discs cut the area into
+faces, each covered by one set of devices. A selection of devices covers the area if it contains a device of each such
+set. The faces are found by sampling around every corner of the arrangement: crossings of two circles, crossings of a
+circle with the border, and the corners of the area. Sets that contain another set are redundant and left out. HiGHS
+(scipy.optimize.milp) solves the remaining set cover to optimality, or until the time limit; then the proven lower bound
+counts.
 
 `reach` is the share of the area within d_max of some device, from a grid of 800 x 800 points.
 
-The program gives the positions: those of `reveille run` with the same seed.
+The positions are the positions of `reveille run` with the same seed.
 """
 
 import csv
@@ -30,12 +31,12 @@ LAYOUTS = ["jittered-grid", "uniform"]
 SIZES = [10, 20, 40, 50, 60, 80, 100, 130, 160, 200, 250]
 SEEDS = range(1, 5)
 SECONDS = 60.0
-# How far beside a corner of the arrangement its faces are looked at, m.
-BESIDE = 1e-7
+# Distance of the sampled points from a corner of the arrangement, m.
+OFFSET = 1e-7
 
 
 def positions(program, layout, devices, seed):
-    """The positions of a deployment, m, an array of N rows."""
+    """Returns the positions of a deployment, m, an array of N rows."""
     with tempfile.TemporaryDirectory() as folder:
         command = [program, "run", "--set", f"layout.kind={layout}", "--devices", str(devices), "--seed", str(seed)]
         command += ["--policy", "random", "--ttis", "2", "--out", folder, "--quiet"]
@@ -45,7 +46,7 @@ def positions(program, layout, devices, seed):
 
 
 def corners(at):
-    """Points next to every corner of the arrangement of discs and area, m: one in each face that has a corner."""
+    """Returns points next to every corner of the arrangement of discs and area, m: one in each face with a corner."""
     found = [np.array([[x, y] for x in (0.0, SIDE) for y in (0.0, SIDE)])]
     for i in range(len(at)):
         apart = at[i + 1 :] - at[i]
@@ -64,14 +65,14 @@ def corners(at):
                     point[axis], point[1 - axis] = border, at[i, 1 - axis] + sign * math.sqrt(rest)
                     found.append(point[None, :])
     found = np.concatenate(found)
-    turns = [BESIDE * np.array([math.cos(a), math.sin(a)]) for a in np.arange(24) * (2 * math.pi / 24) + 0.1]
-    # A disc without any corner is a face of its own around its device.
+    turns = [OFFSET * np.array([math.cos(a), math.sin(a)]) for a in np.arange(24) * (2 * math.pi / 24) + 0.1]
+    # A disc without any corner is a separate face around its device.
     points = np.concatenate([found + turn for turn in turns] + [at])
     return points[((points > 0) & (points < SIDE)).all(axis=1)]
 
 
 def sets(at):
-    """The sets of devices that see a face and hold no other such set, as rows of a boolean matrix."""
+    """Returns the sets of devices that cover a face and contain no other such set, as rows of a boolean matrix."""
     points = corners(at)
     rows = set()
     for part in np.array_split(points, max(1, len(points) // 20000)):
@@ -90,7 +91,7 @@ def sets(at):
 
 
 def cover(at):
-    """The proven lower bound on the least cover, and the size of the best that was found."""
+    """Returns the proven lower bound on the least cover, and the size of the best cover found."""
     needed = csr_array(sets(at).astype(float))
     solved = milp(
         np.ones(len(at)),
@@ -106,7 +107,7 @@ def cover(at):
 
 
 def share(at):
-    """The share of the area within d_max of some device."""
+    """Returns the share of the area within d_max of any device."""
     axis = (np.arange(800) + 0.5) * SIDE / 800
     x, y = np.meshgrid(axis, axis)
     seen = np.zeros_like(x, dtype=bool)

@@ -1,5 +1,5 @@
-//! What is made of runs: the paper's analysis beside what the machines do, figures, and a report that holds results
-//! against the paper's claims.
+//! Evaluation of runs: the paper's analysis compared with the emulation, figures, and a report that compares results
+//! with the paper's claims.
 
 pub mod analysis;
 pub mod claims;

@@ -34,7 +34,7 @@ DEVICES = 250
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("reveille", type=Path)
-    parser.add_argument("--minutes", type=float, help="watch a run for so long, and look at the memory of the page")
+    parser.add_argument("--minutes", type=float, help="watch a run and measure the memory of the page")
     parser.add_argument("--devices", type=int, default=DEVICES)
     parser.add_argument("--pictures", type=Path, help="keep screenshots in this folder")
     args = parser.parse_args()
@@ -116,7 +116,7 @@ def started(here, name, *command):
         yield wait(lambda: next((word.strip(";") for word in said.read_text().split() if word.startswith("http://")), None), 60)
     finally:
         if process.poll() is not None:
-            print(f"ended by itself: {' '.join(map(str, command))}\n{said.read_text()}", file=sys.stderr)
+            print(f"process ended early: {' '.join(map(str, command))}\n{said.read_text()}", file=sys.stderr)
         process.kill()
         process.wait()
 
@@ -158,7 +158,7 @@ def compared(reveille, here):
     assert told.returncode == 1, told
     first = next(line for line in told.stdout.splitlines() if line.startswith("first difference"))
     command = "dashboard --from 1.mcap --compare 2.mcap --listen 127.0.0.1:0".split()
-    with started(here, "beside", reveille, *command) as url, browsed(here, url) as page:
+    with started(here, "comparison", reveille, *command) as url, browsed(here, url) as page:
         page.first = first.split()[2:6]
         yield page
 
@@ -242,7 +242,7 @@ def look(page, pictures):
     page.until("document.querySelectorAll('#ticker li').length > 0")
     page.value("document.getElementById('pause').click()")
     page.until("document.getElementById('said').textContent.startsWith('paused')")
-    page.until("document.getElementById('pause').textContent === 'go on'")
+    page.until("document.getElementById('pause').textContent === 'Resume'")
     time.sleep(0.5)
     stood = page.value("reveille.now.next")
     time.sleep(1)
@@ -311,7 +311,7 @@ def wait(look, patience=20):
         except (OSError, StopIteration) as one:
             error = one
         time.sleep(0.1)
-    raise AssertionError(f"waited in vain: {error}")
+    raise AssertionError(f"no result after {patience} s: {error}")
 
 
 if __name__ == "__main__":

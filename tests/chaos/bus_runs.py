@@ -9,15 +9,15 @@ import time
 import subprocesses
 from subprocesses import GONE, Failure
 
-# Seconds allowed for resuming a run on a busy machine (`TAKEN_UP`) and for ending one by a signal (`TOLD`).
-TAKEN_UP = 40
-TOLD = 15
+# Seconds allowed for resuming a run on a busy machine, and for ending one by a signal.
+RESUMED_WITHIN = 40
+ENDED_WITHIN = 15
 # Seconds until a new run writes its first mark, with a margin for a busy machine.
 MARKED = 1.5
 # Seconds without a new TTI after which a run counts as hung.
 STALLED = 60
 # Message of `up` about a device process that ends repeatedly.
-HOPELESS = "before it did in its place"
+REPEATED_FAILURE = "processes before it"
 
 
 def free_port(host="127.0.0.1"):
@@ -27,7 +27,7 @@ def free_port(host="127.0.0.1"):
         return listener.getsockname()[1]
 
 
-class Asking:
+class ClockPoller:
     """Polls the clock of a run without blocking, since a frozen base station gives no answer."""
 
     def __init__(self, game):
@@ -103,45 +103,45 @@ class Game:
         """Whether TTIs are being played, so that a fault hits the run."""
         # A new run has no mark yet.
         fresh = self.begun is not None and time.monotonic() - self.begun < MARKED
-        return not self.is_over() and ((self.out / "mark.json").exists() or fresh)
+        return not self.is_over() and ((self.out / "resume.json").exists() or fresh)
 
     def wait_until_running(self, what):
         """Waits for the first TTI and returns the status line of the clock."""
-        asking = Asking(self)
+        poller = ClockPoller(self)
 
         def look():
-            return "ended" if self.station.poll() is not None else asking.look()
+            return "ended" if self.station.poll() is not None else poller.look()
 
         try:
-            said = self.ground.wait(what, look, within=TAKEN_UP)
+            said = self.ground.wait(what, look, within=RESUMED_WITHIN)
         finally:
-            asking.end()
+            poller.end()
         if said == "ended" and self.station.poll() != 0:
             code = self.station.poll()
-            raise Failure(f"waited for {what}, and it ended with {code}: {self.station.err()[-2000:]}")
+            raise Failure(f"the run ended with {code} before {what}: {self.station.err()[-2000:]}")
         self.begun = time.monotonic()
         return said
 
     def mark(self):
         """Returns the TTI of the last mark, 0 without one."""
         try:
-            return int(re.search(r'"tti":\s*(\d+)', (self.out / "mark.json").read_text())[1])
+            return int(re.search(r'"tti":\s*(\d+)', (self.out / "resume.json").read_text())[1])
         except (OSError, TypeError):
             return 0
 
-    def go_on(self, why):
+    def resume_and_wait(self, why):
         """Resumes the run and returns the seconds until its clock runs again."""
         began = time.monotonic()
         self.resume()
-        self.wait_until_running(f"the run to be taken up after {why}")
+        self.wait_until_running(f"the run to resume after {why}")
         seconds = time.monotonic() - began
         self.resumes.append(seconds)
         return seconds
 
-    def told(self, number, why):
+    def request_end(self, number, why):
         """Sends a signal that requests the end. Returns false if the run completed before it."""
         subprocesses.send(self.station.pid, number)
-        code = self.ground.wait(f"the end that {why} asks for", lambda: self.station.poll() is not None, within=TOLD)
+        code = self.ground.wait(f"the end after {why}", lambda: self.station.poll() is not None, within=ENDED_WITHIN)
         code = self.station.poll()
         summary = subprocesses.read_summary(self.out)
         if code == 0 and summary and summary["status"] == "complete":
@@ -154,18 +154,18 @@ class Game:
     def finish(self):
         """Waits for the end and returns the summary."""
         self.ground.wait("the end of the run", self.has_ended)
-        if self.station.poll() == 1 and HOPELESS in self.station.err():
+        if self.station.poll() == 1 and REPEATED_FAILURE in self.station.err():
             # Repeated kills of the same device process end a run, which can then be resumed.
-            self.go_on("six kills in one place")
+            self.resume_and_wait("six kills of one device process")
             self.ground.wait("the end of the run", self.has_ended)
         code, summary = self.station.poll(), subprocesses.read_summary(self.out)
         if code != 0 or summary is None or summary["status"] != "complete":
             raise Failure(f"the run ended with {code}: {self.station.err()[-3000:]}")
         self.leave()
-        self.assert_nobody_left()
-        for left in ("RUNNING", "FAILED", "mark.json"):
+        self.assert_no_process_left()
+        for left in ("RUNNING", "FAILED", "resume.json"):
             if (self.out / left).exists():
-                raise Failure(f"{left} is left in the folder of a complete run")
+                raise Failure(f"the folder of a finished run still holds {left}")
         return summary
 
     def has_ended(self):
@@ -178,12 +178,12 @@ class Game:
     def leave(self):
         """Ends the remaining device processes after the run."""
 
-    def assert_nobody_left(self):
+    def assert_no_process_left(self):
         """Fails if a process of an ended run remains."""
         until = time.monotonic() + GONE
         while left := subprocesses.named(self.name):
             if time.monotonic() > until:
-                raise Failure(f"processes {left} are left {GONE:.0f} s after the end")
+                raise Failure(f"processes {left} remain {GONE:.0f} s after the end")
             time.sleep(subprocesses.LOOK)
 
     def losses(self):
@@ -218,14 +218,14 @@ class Up(Game):
     def kill_station(self):
         """Kills the base station with SIGKILL; its device processes must end with it."""
         self.station.kill()
-        self.assert_nobody_left()
+        self.assert_no_process_left()
 
     def kill_everything(self):
         """Kills all processes together with SIGKILL."""
         for pid in [self.station.pid, *self.hosts()]:
             subprocesses.send(pid, signal.SIGKILL)
         self.station.kill()
-        self.assert_nobody_left()
+        self.assert_no_process_left()
 
     def __str__(self):
         return f"up -P {self.processes}"

@@ -68,7 +68,7 @@ class Outcome:
         if self.losses:
             words.append(f"{len(self.losses)} taken over in {max(self.losses):.2f} s")
         if self.resumes:
-            words.append(f"{len(self.resumes)} taken up in {max(self.resumes):.2f} s")
+            words.append(f"{len(self.resumes)} resumed in {max(self.resumes):.2f} s")
         words.append(f"FAILED: {self.failure}" if self.failure else "digest equal")
         return f"{self.plan}\n    {', '.join(words)}"
 
@@ -158,8 +158,8 @@ def through(plan, game, outcome, expected):
     outcome.longest = summary["timing"]["longest_loss_s"]
     for process in ground.processes:
         if "OBEYED" in process.out():
-            raise Failure(f"a stranger was obeyed: {process.out()}")
+            raise Failure(f"the run obeyed an untrusted client: {process.out()}")
     if summary["digest"] != expected:
         raise Failure(f"the digest is {summary['digest']} instead of {expected}")
-    if summary["audit"] not in ("whole", "off") and not summary["audit"].startswith("before TTI"):
-        raise Failure(f"the audit says {summary['audit']}")
+    if summary["audit"] not in ("complete", "off") and not summary["audit"].startswith("partial: TTI"):
+        raise Failure(f"the audit result is {summary['audit']}")

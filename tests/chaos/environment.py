@@ -20,7 +20,7 @@ SHORT = ["-n", "20", "-k", "400", "--json"]
 # Seconds within which a command must refuse to start.
 SOON = 5
 # User and group id of an unprivileged user.
-NOBODY = 65534
+UNPRIVILEGED = 65534
 
 # Moves the wall clock back an hour, forward a day, and back to 2001 during the life of a process.
 JUMPS = r"""
@@ -96,13 +96,13 @@ def ends_equal(game, expected):
 def full_disk(ground, expected):
     disk = sandbox.small_disk(ground, "disk", 512)
     if disk is None:
-        raise Cannot("a small disk takes root")
+        raise Cannot("a small disk needs root")
     game = played(ground, "disk/out")
     game.begin()
     ground.rest(1.2)
     began = time.monotonic()
     if not faults.strike_disk({}, game, random):
-        raise Failure("the run was over before the disk was full")
+        raise Failure("the run ended before the disk was full")
     took = time.monotonic() - began
     ends_equal(game, expected)
     ballast = sandbox.fill(disk)
@@ -110,14 +110,14 @@ def full_disk(ground, expected):
     ballast.unlink()
     end = ground.call(["up", *SHORT, "--out", disk / "other"])
     if end.returncode != 0:
-        raise Failure(f"the refused run is in the way of another: {end.stderr}")
-    return f"ended and was taken up in {took:.2f} s; refused before the run in {before:.2f} s"
+        raise Failure(f"the refused run blocks another run: {end.stderr}")
+    return f"ended and resumed in {took:.2f} s; refused before the run in {before:.2f} s"
 
 
 def read_only(ground, expected):
     disk = sandbox.small_disk(ground, "disk", 4096)
     if disk is None:
-        raise Cannot("a small disk takes root")
+        raise Cannot("a small disk needs root")
     sandbox.must("mount", "-o", "remount,ro", str(disk))
     took = []
     for command in ("run", "up", "bs --run=chaos-ro --listen tcp/127.0.0.1:0"):
@@ -132,20 +132,20 @@ def read_only(ground, expected):
     sandbox.must("mount", "-o", "remount,ro", str(disk))
     took.append(refused(ground, ["up", "--resume", game.out], ["Read-only file system", "disk/out"]))
     sandbox.must("mount", "-o", "remount,rw", str(disk))
-    game.go_on("a folder that could not be written to")
+    game.resume_and_wait("a read-only folder")
     ends_equal(game, expected)
-    return f"refused in {max(took):.2f} s, taken up when it could be written to"
+    return f"refused in {max(took):.2f} s, resumed when the folder was writable"
 
 
 def no_rights(ground, _):
     if os.geteuid() != 0 or not shutil.which("setpriv"):
-        raise Cannot("another user takes root and setpriv")
+        raise Cannot("another user needs root and setpriv")
     ground.folder.chmod(0o755)
     mine = ground.folder / "mine"
     mine.mkdir(mode=0o755)
-    prefix = ["setpriv", f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups"]
+    prefix = ["setpriv", f"--reuid={UNPRIVILEGED}", f"--regid={UNPRIVILEGED}", "--clear-groups"]
     if not sandbox.can(*prefix, str(ground.reveille), "--version"):
-        raise Cannot("another user cannot run the program where it is")
+        raise Cannot("another user cannot run the program in its folder")
     args = ["up", *SHORT, "--out", mine / "out"]
     took = refused(ground, args, ["Permission denied", "mine/out"], prefix)
     return f"refused in {took:.2f} s"
@@ -155,7 +155,7 @@ def clock(ground, expected):
     source, library = ground.folder / "jumps.c", ground.folder / "jumps.so"
     source.write_text(JUMPS)
     if not sandbox.can("cc", "-shared", "-fPIC", "-o", str(library), str(source), "-ldl"):
-        raise Cannot("a clock that jumps takes a C compiler")
+        raise Cannot("a jumping clock needs a C compiler")
     ground.env["LD_PRELOAD"] = str(library)
     shown = ground.start([], command=["python3", "-c", "import time; time.sleep(6); print(time.localtime().tm_year)"])
     ground.wait("the date", lambda: shown.poll() is not None)
@@ -167,13 +167,13 @@ def clock(ground, expected):
     subprocesses.send(game.hosts()[0], signal.SIGKILL)
     ground.rest(0.5)
     game.kill_station()
-    took = game.go_on("SIGKILL under a clock that jumps")
+    took = game.resume_and_wait("SIGKILL with a jumping clock")
     ends_equal(game, expected)
     timing = subprocesses.read_summary(game.out)["timing"]
     if not 0 < timing["run_s"] < 120:
-        raise Failure(f"the run took {timing['run_s']} s by its own account")
+        raise Failure(f"the summary states a run time of {timing['run_s']} s")
     ground.env.pop("LD_PRELOAD")
-    return f"an hour back, a day forth and to 2001: taken over, and taken up in {took:.2f} s"
+    return f"clock an hour back, a day forward and in 2001: taken over, and resumed in {took:.2f} s"
 
 
 def few_files(ground, _):
@@ -188,51 +188,51 @@ def few_files(ground, _):
         refused(ground, ["device", "--run=x", "--connect", "tcp/127.0.0.1:9"], ["24 files"], limited(24)),
     ]
     if (ground.folder / "out").exists():
-        raise Failure("a folder is left of a run that was refused")
+        raise Failure("a refused run left a folder")
     return f"64 and 24 refused in {max(took):.2f} s"
 
 
 def no_ports(ground, expected):
     if not sandbox.has_networks():
-        raise Cannot("a network of its own takes root and iproute2")
+        raise Cannot("a network namespace needs root and iproute2")
     # Four ports in all: the base station takes one, and each device process takes one.
     space = sandbox.Namespace(ground, [("ipv4.ip_local_port_range", "40000 40003")])
     args = ["up", *PLAYED.args(), "-P", "10", "--out", ground.folder / "out"]
     took = refused(ground, args, ["port"], space.prefix(), soon=12, lines=0)
     said = ground.processes[-1].err()
     if not any("no free port" in line for line in said.splitlines()):
-        raise Failure(f"the reason is not said: {said}")
+        raise Failure(f"the error does not name the cause: {said}")
     if not (ground.folder / "out/FAILED").exists():
-        raise Failure("no FAILED is left")
+        raise Failure("the file FAILED is missing")
     space.inside("sh", "-c", "echo '40000 41000' > /proc/sys/net/ipv4/ip_local_port_range")
     again = ground.start(["up", "--resume", ground.folder / "out", "-P", "10", "--json"], prefix=space.prefix())
-    ground.wait("the run that had no ports", lambda: again.poll() is not None, within=60)
+    ground.wait("the run without ports", lambda: again.poll() is not None, within=60)
     summary = subprocesses.read_summary(ground.folder / "out")
     if again.poll() != 0 or not summary or summary["digest"] != expected:
-        raise Failure(f"taken up it ended with {again.poll()}: {again.err()}")
-    return f"refused in {took:.2f} s, taken up with ports"
+        raise Failure(f"the resumed run ended with {again.poll()}: {again.err()}")
+    return f"refused in {took:.2f} s, resumed with ports"
 
 
 def foreign_registry(ground, expected):
     if os.geteuid() != 0:
-        raise Cannot("a folder of another user takes root")
+        raise Cannot("a folder of another user needs root")
     registry = ground.folder / "reveille"
     registry.mkdir(mode=0o700)
     (registry / "trap.json").write_text('{"run":"trap","endpoint":"tcp/127.0.0.1:9","pid":1,"key":null}')
     for path in (registry, registry / "trap.json"):
-        os.chown(path, NOBODY, NOBODY)
+        os.chown(path, UNPRIVILEGED, UNPRIVILEGED)
     took = refused(ground, ["clock", "status"], ["belongs to another user"])
     out = ground.folder / "out"
     up = ground.start(["up", *PLAYED.args(), "--out", out, "--json"])
     ground.wait("the end of the run", lambda: up.poll() is not None, within=60)
     summary = subprocesses.read_summary(out)
     if up.poll() != 0 or not summary or summary["digest"] != expected:
-        raise Failure(f"it ended with {up.poll()}: {up.err()}")
+        raise Failure(f"the run ended with {up.poll()}: {up.err()}")
     if "belongs to another user" not in up.err():
-        raise Failure(f"nothing is said of the folder: {up.err()}")
+        raise Failure(f"the run does not report the folder: {up.err()}")
     if [path.name for path in registry.iterdir()] != ["trap.json"]:
-        raise Failure("the run has written into the folder of another user")
-    return f"clock refused in {took:.2f} s, the run goes on with a word"
+        raise Failure("the run wrote into the folder of another user")
+    return f"clock refused in {took:.2f} s, the run continued with a warning"
 
 
 PARTS = {
@@ -256,10 +256,10 @@ def check(args):
         try:
             said = PARTS[name](ground, subprocesses.oracle(args.reveille, PLAYED, folder))
         except Cannot as why:
-            said = f"left out: {why}"
+            said = f"skipped: {why}"
         except Failure as failure:
             failed, is_well = True, False
-            said = f"FAILED: {failure}\n    its files: {folder}"
+            said = f"FAILED: {failure}\n    files: {folder}"
         finally:
             ground.close()
             if not failed:

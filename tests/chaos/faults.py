@@ -7,7 +7,7 @@ from pathlib import Path
 
 import sandbox
 import subprocesses
-from bus_runs import TOLD
+from bus_runs import ENDED_WITHIN
 from subprocesses import Failure
 
 SIGNALS = {"SIGTERM": signal.SIGTERM, "SIGHUP": signal.SIGHUP, "Ctrl-C": signal.SIGINT}
@@ -41,15 +41,15 @@ def draw(random, kind):
         case "joining":
             how["killed"] = "+".join(random.choice(["host", "station"]) for _ in range(random.randint(1, 4)))
         case "freeze":
-            how["whom"] = random.choice(["host", "station"])
+            how["process"] = random.choice(["host", "station"])
             # 35 s is more than the 30 s after which an unresponsive host counts as lost.
             how["for"] = 35.0 if random.random() < 0.03 else round(random.uniform(1, 8), 1)
-            how["then"] = random.choice(["", "beside"])
+            how["then"] = random.choice(["", "overlapping"])
         case "signal" | "held":
             how["by"] = random.choice(sorted(SIGNALS))
         case "partition":
             how["for"] = 15.0 if random.random() < 0.1 else round(random.uniform(0.3, 6), 1)
-            how["then"] = random.choice(["", "beside"])
+            how["then"] = random.choice(["", "overlapping"])
         case "strangers":
             how["doing"] = "+".join(random.sample(ATTACKS, random.randint(1, len(ATTACKS))))
     return Fault(kind, round(random.uniform(0.2, 1.6), 2), how)
@@ -79,14 +79,14 @@ def strike_station(_, game, random):
     """Kills the base station with SIGKILL."""
     hit = game.is_running()
     game.kill_station()
-    return take_up(game, "SIGKILL of the base station") and hit
+    return resume_if_ended(game, "SIGKILL of the base station") and hit
 
 
 def strike_everything(_, game, random):
     """Kills all processes with SIGKILL."""
     hit = game.is_running()
     game.kill_everything()
-    return take_up(game, "SIGKILL of everything") and hit
+    return resume_if_ended(game, "SIGKILL of everything") and hit
 
 
 def strike_joining(how, game, random):
@@ -96,19 +96,19 @@ def strike_joining(how, game, random):
     if is_complete(game):
         return False
     game.resume()
-    for whom in how["killed"].split("+"):
+    for process in how["killed"].split("+"):
         game.ground.rest(random.uniform(0, 0.5))
         hosts = game.hosts()
-        if whom == "host" and hosts:
+        if process == "host" and hosts:
             subprocesses.send(random.choice(hosts), signal.SIGKILL)
             hit += 1
-        elif whom == "station":
+        elif process == "station":
             game.kill_station()
             if is_complete(game):
                 return hit
             game.resume()
             hit += 1
-    game.wait_until_running("a run to be taken up while more was killed")
+    game.wait_until_running("the run to resume while processes are killed")
     return hit
 
 
@@ -118,18 +118,18 @@ def is_complete(game):
     return summary is not None and summary["status"] == "complete"
 
 
-def take_up(game, why):
+def resume_if_ended(game, why):
     """Resumes an ended run. Returns false if the run was complete."""
     if is_complete(game):
         return False
-    game.go_on(why)
+    game.resume_and_wait(why)
     return True
 
 
 def strike_freeze(how, game, random):
     """Freezes a process with SIGSTOP and continues it later with SIGCONT."""
     hosts = game.hosts()
-    pid = game.station.pid if how["whom"] == "station" or not hosts else random.choice(hosts)
+    pid = game.station.pid if how["process"] == "station" or not hosts else random.choice(hosts)
     hit = game.is_running()
     subprocesses.send(pid, signal.SIGSTOP)
     last(how, game, lambda: subprocesses.send(pid, signal.SIGCONT))
@@ -137,7 +137,7 @@ def strike_freeze(how, game, random):
 
 
 def last(how, game, end):
-    """Lets a fault last. The next fault follows its end, or overlaps it if `then` is "beside"."""
+    """Lets a fault last. The next fault follows its end, or overlaps it if `then` is set."""
     game.ground.later(how["for"], end)
     if not how["then"]:
         # The margin ensures that the fault is over.
@@ -147,9 +147,9 @@ def last(how, game, end):
 def strike_signal(how, game, random):
     """Sends a signal that requests the end of the run, then resumes the run."""
     hit = game.is_running()
-    if not game.told(SIGNALS[how["by"]], how["by"]):
+    if not game.request_end(SIGNALS[how["by"]], how["by"]):
         return False
-    return take_up(game, how["by"]) and hit
+    return resume_if_ended(game, how["by"]) and hit
 
 
 def strike_held(how, game, random):
@@ -164,13 +164,13 @@ def strike_held(how, game, random):
     def held():
         return station.err().count("the clock is held") > before or game.is_over()
 
-    game.ground.wait("the clock to be held for a frozen process", held, within=TOLD)
+    game.ground.wait("the clock to be held for a frozen process", held, within=ENDED_WITHIN)
     hit = not game.is_over()
     # The run ends in the middle of a TTI.
-    is_told = game.told(SIGNALS[how["by"]], how["by"])
+    is_told = game.request_end(SIGNALS[how["by"]], how["by"])
     # The process continues only now, since the clock must be held when the signal arrives.
     subprocesses.send(pid, signal.SIGCONT)
-    return is_told and take_up(game, how["by"]) and hit
+    return is_told and resume_if_ended(game, how["by"]) and hit
 
 
 def strike_launcher(_, game, random):
@@ -188,7 +188,7 @@ def strike_partition(how, game, random):
     """Cuts a link and restores it later."""
     hit = game.is_running()
     game.link.cut()
-    last(how, game, game.link.mend)
+    last(how, game, game.link.restore)
     return hit
 
 
@@ -204,9 +204,9 @@ def strike_strangers(how, game, random):
         return "there" in stranger.out() or stranger.poll() is not None
 
     # The run may end before the attacker has connected.
-    game.ground.wait("a stranger to come", lambda: there() or game.is_over(), within=30)
+    game.ground.wait("the untrusted client to connect", lambda: there() or game.is_over(), within=30)
     if stranger.poll() not in (None, 0) and not game.is_over():
-        raise Failure(f"a stranger could not come: {stranger.err()[-1000:]}")
+        raise Failure(f"the untrusted client could not connect: {stranger.err()[-1000:]}")
     return began and not game.is_over()
 
 
@@ -215,14 +215,14 @@ def strike_disk(_, game, random):
     hit = game.is_running()
     ballast = sandbox.fill(game.out.parent)
     try:
-        game.ground.wait("the end of a run on a full disk", lambda: game.station.poll() is not None, within=TOLD)
+        game.ground.wait("the end on a full disk", lambda: game.station.poll() is not None, within=ENDED_WITHIN)
     finally:
         ballast.unlink()
     code, said = game.station.poll(), game.station.err()
     if code == 0:
         return False
     if code != 1 or "No space left on device" not in said:
-        raise Failure(f"on a full disk it ended with {code}: {said[-2000:]}")
+        raise Failure(f"on a full disk the run ended with {code}: {said[-2000:]}")
     if not (game.out / "FAILED").exists():
-        raise Failure(f"on a full disk no FAILED is left: {sorted(path.name for path in game.out.iterdir())}")
-    return take_up(game, "a full disk") and hit
+        raise Failure(f"after a full disk FAILED is missing: {sorted(path.name for path in game.out.iterdir())}")
+    return resume_if_ended(game, "a full disk") and hit

@@ -93,13 +93,13 @@ class Windowed:
 def ended(game, code, why):
     """Checks that the run ends promptly with `code` and leaves no process; returns the seconds this took."""
     began = time.monotonic()
-    game.ground.wait(f"the end after {why}", lambda: game.station.poll() is not None, within=bus_runs.TOLD)
+    game.ground.wait(f"the end after {why}", lambda: game.station.poll() is not None, within=bus_runs.ENDED_WITHIN)
     took = time.monotonic() - began
     if took > GONE:
         raise Failure(f"after {why} it took {took:.1f} s to end")
     if code is not None and game.station.poll() != code:
         raise Failure(f"after {why} it ended with {game.station.poll()}: {game.station.err()[-1500:]}")
-    game.assert_nobody_left()
+    game.assert_no_process_left()
     return time.monotonic() - began
 
 
@@ -118,11 +118,11 @@ def by_terminal(game, end, why):
     end(game.station)
     took = ended(game, 130, why)
     if not hit:
-        raise Failure("the run was over before it was struck")
+        raise Failure("the run ended before the fault")
     if subprocesses.read_summary(game.out)["status"] != "interrupted":
-        raise Failure(f"after {why} the summary does not say interrupted")
+        raise Failure(f"after {why} the status of the summary is not interrupted")
     game.station.kill()
-    return f"ended in {took:.2f} s, taken up in {game.go_on(why):.2f} s"
+    return f"ended in {took:.2f} s, resumed in {game.resume_and_wait(why):.2f} s"
 
 
 def closed_terminal(game):
@@ -137,10 +137,10 @@ def by_signal(game, number, why):
     game.begin()
     game.ground.rest(1.5)
     if not game.is_running():
-        raise Failure("the run was over before it was struck")
+        raise Failure("the run ended before the fault")
     subprocesses.send(game.station.pid, number)
     took = ended(game, 130, why)
-    return f"ended in {took:.2f} s, taken up in {game.go_on(why):.2f} s"
+    return f"ended in {took:.2f} s, resumed in {game.resume_and_wait(why):.2f} s"
 
 
 def sigterm(game):
@@ -158,9 +158,9 @@ def killed(game):
     began = time.monotonic()
     subprocesses.send(game.station.pid, signal.SIGKILL)
     game.station.kill()
-    game.assert_nobody_left()
+    game.assert_no_process_left()
     took = time.monotonic() - began
-    return f"nobody left after {took:.2f} s, taken up in {game.go_on('SIGKILL'):.2f} s"
+    return f"no process left after {took:.2f} s, resumed in {game.resume_and_wait('SIGKILL'):.2f} s"
 
 
 def killed_shell(game):
@@ -172,15 +172,15 @@ def killed_shell(game):
     game.station.shell.wait()
     game.ground.rest(1)
     if game.is_over():
-        raise Failure("the run has not gone on")
-    return "the run went on"
+        raise Failure("the run did not continue")
+    return "the run continued"
 
 
-def frozen(game, whom):
+def frozen(game, process):
     """Freezes a process with SIGSTOP for half a minute; the run waits, then continues."""
     game.begin()
     game.ground.rest(1)
-    pid = game.station.pid if whom == "the base station" else game.hosts()[0]
+    pid = game.station.pid if process == "the base station" else game.hosts()[0]
     subprocesses.send(pid, signal.SIGSTOP)
     game.ground.rest(1)
     before = game.mark()
@@ -188,15 +188,15 @@ def frozen(game, whom):
     after = game.mark()
     # The open TTI may still have closed.
     if after - before > 1:
-        raise Failure(f"the clock went on without {whom}: TTI {before} to {after}")
+        raise Failure(f"the clock advanced without {process}: TTI {before} to {after}")
     subprocesses.send(pid, signal.SIGCONT)
     thawed = time.monotonic()
 
-    def goes_on():
+    def has_continued():
         return game.mark() > after or game.is_over()
 
-    game.ground.wait(f"the run to go on after {whom} was frozen", goes_on, within=40)
-    return f"held for {FROZEN} s, goes on {time.monotonic() - thawed:.2f} s after"
+    game.ground.wait(f"the run to continue after {process} was frozen", has_continued, within=40)
+    return f"frozen for {FROZEN} s, continued after {time.monotonic() - thawed:.2f} s"
 
 
 def frozen_station(game):
@@ -237,10 +237,10 @@ def check(args):
                 if summary["digest"] != expected:
                     raise Failure(f"the digest is {summary['digest']} instead of {expected}")
             except Failure as error:
-                failure, is_well = f"FAILED: {error}\n    its files: {folder}", False
+                failure, is_well = f"FAILED: {error}\n    files: {folder}", False
             finally:
                 ground.close()
                 if not failure:
                     shutil.rmtree(folder, ignore_errors=True)
-            print(f"{name}, {played.policy}: {failure or said + ', nobody left, digest equal'}", flush=True)
+            print(f"{name}, {played.policy}: {failure or said + ', no process left, digest equal'}", flush=True)
     return is_well

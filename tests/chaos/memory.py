@@ -74,7 +74,7 @@ def measure(args, policy, ttis):
             raise Failure(f"the digest is {summary['digest']} instead of {expected}")
     except Failure as failure:
         failed = True
-        print(f"{policy}: FAILED: {failure}\n    its files: {folder}", flush=True)
+        print(f"{policy}: FAILED: {failure}\n    files: {folder}", flush=True)
         return False
     finally:
         ground.close()
@@ -106,7 +106,7 @@ def measure(args, policy, ttis):
 
 
 def check(args):
-    """Runs of 10^6 TTIs, or of the number that `--runs` gives. Returns whether all passed."""
+    """Measures runs of 10^6 TTIs, or of `--runs` TTIs. Returns whether all passed."""
     chosen = args.only.split(",") if args.only else ["knn", "q-learning"]
     ttis = args.runs if args.runs is not None else TTIS
     return all([measure(args, policy, ttis) for policy in chosen])

@@ -31,7 +31,7 @@ def strike(game, chance):
         if chance.random() < 0.25 and game.is_running():
             game.kill_everything()
             game.processes = chance.randint(1, 6)
-            if not faults.take_up(game, "SIGKILL of everything"):
+            if not faults.resume_if_ended(game, "SIGKILL of everything"):
                 break
     return killed
 
@@ -51,10 +51,10 @@ def check_again(ground, played, out, summary):
         raise Failure(f"run --inputs ended with {done.returncode}: {done.stderr[-1500:]}")
     again = json.loads(done.stdout)
     if again["digest"] != summary["digest"]:
-        raise Failure(f"the digest is {summary['digest']}, of a run with its inputs {again['digest']}")
+        raise Failure(f"the digest is {summary['digest']}, but its inputs give {again['digest']}")
     for table in TABLES:
         if (out / table).read_bytes() != (ground.folder / "again" / table).read_bytes():
-            raise Failure(f"{table} is not that of a run with its inputs")
+            raise Failure(f"{table} differs from a run with the same inputs")
 
 
 def play(args, seed):
@@ -72,16 +72,16 @@ def play(args, seed):
         game.begin()
         killed = strike(game, chance)
         summary = game.finish()
-        if summary["audit"] != "whole":
-            raise Failure(f"the audit says {summary['audit']}")
-        if not 0 <= summary["metrics"]["gone_pct"] <= 100:
-            raise Failure(f"{summary['metrics']['gone_pct']} % are gone")
+        if summary["audit"] != "complete":
+            raise Failure(f"the audit result is {summary['audit']}")
+        if not 0 <= summary["metrics"]["removed_pct"] <= 100:
+            raise Failure(f"{summary['metrics']['removed_pct']} % of the devices are removed")
         check_again(ground, played, game.out, summary)
-        print(f"seed {seed}: {played}, {killed} killed, {len(game.resumes)} times taken up: equal", flush=True)
+        print(f"seed {seed}: {played}, {killed} killed, resumed {len(game.resumes)} times: equal", flush=True)
         return killed
     except Failure as failure:
         failed = True
-        print(f"seed {seed}: {played}: FAILED: {failure}\n    its files: {folder}", flush=True)
+        print(f"seed {seed}: {played}: FAILED: {failure}\n    files: {folder}", flush=True)
         return None
     finally:
         ground.close()

@@ -1,12 +1,13 @@
 #!/usr/bin/env python3
-"""Faults by chance against runs: each must end with the digest that the same run has in memory.
+"""Random fault injection: each run must end with the digest of the same run in memory.
 
     tests/chaos/run.py target/release/reveille --minutes 1
     tests/chaos/run.py target/release/reveille --runs 20 --only hosts,freeze
     tests/chaos/run.py target/release/reveille --bar kills
 
-Python's standard library is enough. Strangers on the bus take eclipse-zenoh, small disks and links that are cut take
-root; what cannot be had is said and left out. Each case is drawn from a seed of its own, so that it can be had again.
+Only Python's standard library is needed. Untrusted clients (`strangers`) need eclipse-zenoh; small disks and cut links
+need root. Kinds of faults that this machine cannot provide are named and skipped. Each case has its own seed, which
+repeats it.
 """
 
 import argparse
@@ -36,12 +37,12 @@ def parse():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("reveille", type=Path, metavar="BINARY")
     length = parser.add_mutually_exclusive_group()
-    length.add_argument("--minutes", type=float, help="begin cases for so long [default: 1]")
-    length.add_argument("--runs", type=int, help="so many cases")
-    parser.add_argument("--seed", type=int, help="of the first case; each has the next one [default: any]")
-    parser.add_argument("--only", help=f"kinds of faults, of {', '.join(faults.KINDS)}; or parts of a bar")
-    parser.add_argument("--bar", choices=sorted(suites.BARS), help="a fixed set of cases instead")
-    parser.add_argument("-j", "--jobs", type=int, default=1, help="cases at a time [default: 1]")
+    length.add_argument("--minutes", type=float, help="start new cases for this many minutes [default: 1]")
+    length.add_argument("--runs", type=int, help="number of cases")
+    parser.add_argument("--seed", type=int, help="seed of the first case; each next case adds 1 [default: random]")
+    parser.add_argument("--only", help=f"kinds of faults: {', '.join(faults.KINDS)}; with --bar, its parts")
+    parser.add_argument("--bar", choices=sorted(suites.BARS), help="run a fixed set of cases instead of random ones")
+    parser.add_argument("-j", "--jobs", type=int, default=1, help="number of parallel cases [default: 1]")
     return parser.parse_args()
 
 
@@ -49,17 +50,17 @@ def possible_kinds(only):
     """Returns the requested kinds of faults that this machine supports."""
     kinds = only.split(",") if only else list(faults.KINDS)
     if unknown := [kind for kind in kinds if kind not in faults.KINDS]:
-        sys.exit(f"--only {','.join(unknown)}: the kinds are {', '.join(faults.KINDS)}")
+        sys.exit(f"--only {','.join(unknown)}: unknown kind; use {', '.join(faults.KINDS)}")
     cannot = {}
     if importlib.util.find_spec("zenoh") is None:
-        cannot["strangers"] = "they take eclipse-zenoh (pip install eclipse-zenoh)"
+        cannot["strangers"] = "untrusted clients need eclipse-zenoh (pip install eclipse-zenoh)"
     if os.geteuid() != 0:
-        cannot["disk"] = "a small disk takes root"
+        cannot["disk"] = "a small disk needs root"
     if not sandbox.has_networks():
-        cannot["partition"] = "a link that can be cut takes root and iproute2"
+        cannot["partition"] = "cutting a link needs root and iproute2"
     for kind, why in cannot.items():
         if kind in kinds:
-            print(f"without {kind}: {why}")
+            print(f"skipping {kind}: {why}")
     return [kind for kind in kinds if kind not in cannot]
 
 
@@ -80,7 +81,7 @@ def plans(args):
     """Draws the requested cases in order."""
     kinds = possible_kinds(args.only)
     if not kinds:
-        sys.exit("nothing is left to do")
+        sys.exit("no kind of fault is left; choose others with --only")
     until = time.monotonic() + 60 * (args.minutes if args.minutes is not None else 1)
     for number in range(args.runs if args.runs is not None else 10**9):
         if args.runs is None and time.monotonic() >= until:
@@ -97,7 +98,7 @@ def play_all(args, plans):
             outcomes.append(outcome)
             print(outcome, flush=True)
             if outcome.failure:
-                print(f"    again: {replay(args, outcome.plan)}\n    its files: {outcome.folder}", flush=True)
+                print(f"    repeat: {replay(args, outcome.plan)}\n    files: {outcome.folder}", flush=True)
 
     if args.jobs == 1:
         for plan in plans:
@@ -142,11 +143,11 @@ def conclude(args, outcomes, took):
     well = [outcome for outcome in outcomes if not outcome.failure]
     print(f"devices taken over after kills: {spread([s for o in well if not o.is_held() for s in o.losses])}")
     print(f"longest_loss_s of those runs: {spread([o.longest for o in well if o.longest and not o.is_held()])}")
-    print(f"runs taken up: {spread([s for o in well if not o.is_held() for s in o.resumes])}")
+    print(f"runs resumed: {spread([s for o in well if not o.is_held() for s in o.resumes])}")
     held = [outcome for outcome in well if outcome.is_held()]
-    print("of runs that were frozen, cut off or attacked besides:")
+    print("runs that were also frozen, disconnected or attacked:")
     print(f"    longest losses: {spread([outcome.longest for outcome in held if outcome.longest])}")
-    print(f"    taken up: {spread([seconds for outcome in held for seconds in outcome.resumes])}")
+    print(f"    resumed: {spread([seconds for outcome in held for seconds in outcome.resumes])}")
     for outcome in failed:
         print(f"FAILED: seed {outcome.plan.seed}: {replay(args, outcome.plan)}")
     is_struck = any(outcome.hits for outcome in outcomes)
@@ -159,7 +160,7 @@ def main():
     args = parse()
     args.reveille = args.reveille.resolve()
     if not os.access(args.reveille, os.X_OK):
-        sys.exit(f"{args.reveille}: there is no program")
+        sys.exit(f"{args.reveille}: not an executable file; build it first")
     if args.seed is None:
         args.seed = random.SystemRandom().randint(1, 10**6) * 1000
     print(f"seed {args.seed}", flush=True)

@@ -91,7 +91,7 @@ class Link(Namespace):
         """Stops all traffic."""
         must("ip", "link", "set", self.cable, "down")
 
-    def mend(self):
+    def restore(self):
         """Restores all traffic."""
         must("ip", "link", "set", self.cable, "up")
 

@@ -289,7 +289,7 @@ def read_summary(folder):
 
 def losses(text):
     """Parses a base station's log: seconds until another process took over, for each lost host."""
-    return [float(seconds) for seconds in re.findall(r"carried again after ([\d.]+) s", text)]
+    return [float(seconds) for seconds in re.findall(r"run again after ([\d.]+) s", text)]
 
 
 def oracle(reveille, scenario, folder):

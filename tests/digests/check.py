@@ -39,11 +39,11 @@ EVENTS = {
 }
 FAULTS = {
     "wake-miss": "--set radio.wake_miss=0.3",
-    "false-wake": "--set radio.false_wake=0.05",
+    "false-wake": "--set radio.false_wake_up=0.05",
     "uplink-loss": "--set radio.uplink_loss=0.3",
     "plan-loss": "--set radio.plan_loss=0.3 --set bs.sync_interval=37",
     "latency": "--set radio.wake_latency=2",
-    "all-faults": "--set radio.wake_miss=0.2 --set radio.false_wake=0.02 --set radio.uplink_loss=0.2 "
+    "all-faults": "--set radio.wake_miss=0.2 --set radio.false_wake_up=0.02 --set radio.uplink_loss=0.2 "
     "--set radio.plan_loss=0.2 --set radio.wake_latency=1 --set radio.interference=bursts --set bs.sync_interval=37",
 }
 BATTERIES = {
@@ -161,7 +161,7 @@ def resumed(reveille, command):
             line, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
         )
         deadline = time.monotonic() + PATIENCE
-        while not (out / "mark.json").exists():
+        while not (out / "resume.json").exists():
             if first.poll() is not None or time.monotonic() > deadline:
                 raise Failed("the run wrote no resume mark")
             time.sleep(0.05)
@@ -189,12 +189,12 @@ def main():
     args = parser.parse_args()
     reveille = str(args.reveille.resolve())
     if not os.access(reveille, os.X_OK):
-        parser.error(f"{args.reveille}: not a program; build it with cargo build --release")
+        parser.error(f"{args.reveille}: not an executable file; build it with cargo build --release")
     if args.record and args.only:
         parser.error("--record writes all digests; leave out --only")
     chosen = [run for run in runs() if re.search(args.only, run[0])]
     if not chosen:
-        parser.error(f"--only {args.only}: no run has such a name")
+        parser.error(f"--only {args.only}: no run matches this pattern")
 
     def one(run):
         name, how, command = run
@@ -225,12 +225,12 @@ def main():
         before = expected.get(name)
         if before != now:
             wrong += 1
-            reason = f"recorded {' '.join(before)}, now {' '.join(now)}" if before else "has no recorded digest"
+            reason = f"recorded {' '.join(before)}, now {' '.join(now)}" if before else "no recorded digest"
             print(f"{name}: {reason}", file=sys.stderr)
     surplus = expected.keys() - {"run"} - {run[0] for run in runs()}
     if surplus:
         wrong += len(surplus)
-        print(f"{RECORDED}: digests of runs that are no longer made: {', '.join(sorted(surplus))}", file=sys.stderr)
+        print(f"{RECORDED}: unused digests of removed runs: {', '.join(sorted(surplus))}", file=sys.stderr)
     matching = sum(expected.get(name) == now for name, *now in found)
     print(f"{matching} of {len(found)} digests as recorded, in {time.monotonic() - started:.0f} s")
     sys.exit(1 if wrong else 0)

@@ -27,7 +27,7 @@ def main():
     args = parser.parse_args()
     for program in ("prometheus", "promtool"):
         if not shutil.which(program):
-            sys.exit(f"{program} is not here: not checked")
+            sys.exit(f"{program}: not installed; metrics not checked")
     with tempfile.TemporaryDirectory() as folder:
         check(args.reveille.resolve(), Path(folder))
 
@@ -44,7 +44,7 @@ def check(reveille, here):
         assert lint.returncode == 0 and not lint.stderr.strip(), lint.stderr
         assert get(url, Accept="application/openmetrics-text").endswith("# EOF\n")
         assert status(url, Host="evil.example") == 421
-        assert get(url.replace("/metrics", "/")).startswith("# HELP"), "the way to /metrics"
+        assert get(url.replace("/metrics", "/")).startswith("# HELP"), "the redirect to /metrics"
         assert status(url.replace("/metrics", "/other")) == 404
         port = free_port()
         (here / "prometheus.yml").write_text(
@@ -89,7 +89,7 @@ def check(reveille, here):
         assert 0 <= missing < 300, missing
         events = summary["totals"]["events"]["events"]
         assert events - missing <= value(last, "reveille_events_total") <= events
-        print(f"{len(text.splitlines())} lines of metrics, {scraped:.0f} of {TTIS} TTIs scraped: as the run says")
+        print(f"{len(text.splitlines())} lines of metrics, {scraped:.0f} of {TTIS} TTIs scraped, equal to the summary")
     finally:
         for process in (run, server):
             if process and process.poll() is None:
@@ -136,7 +136,7 @@ def wait(look, patience=30):
         except (urllib.error.URLError, ConnectionError):
             pass
         time.sleep(0.1)
-    raise AssertionError("waited in vain")
+    raise AssertionError(f"no result after {patience} s")
 
 
 if __name__ == "__main__":

@@ -47,7 +47,7 @@ fn the_battery_chain_agrees_with_the_machines() {
         );
     }
     let notes = found["notes"].to_string();
-    assert!(notes.contains("falls where more energy comes"), "{notes}");
+    assert!(notes.contains("falls with a larger harvest"), "{notes}");
 }
 
 #[test]
@@ -70,7 +70,7 @@ fn the_distribution_of_one_battery_goes_to_csv() {
 }
 
 #[test]
-fn transitions_say_which_forms_are_no_probabilities() {
+fn transitions_name_forms_that_are_not_probabilities() {
     let folder = Folder::new();
     let found = analyse(
         &folder,
@@ -175,7 +175,7 @@ fn a_sheet_replaces_a_file_and_goes_through_a_link() {
 }
 
 #[test]
-fn what_cannot_be_studied_is_refused() {
+fn invalid_studies_are_refused() {
     let folder = Folder::new();
     for (args, parts) in [
         ("harvest --lambda ,", &["--lambda", "the list is empty"][..]),
@@ -191,12 +191,9 @@ fn what_cannot_be_studied_is_refused() {
         ("battery --e-b 0", &["--e-b 0", "above 0"]),
         ("battery --activation 2", &["activation = 2"]),
         ("battery --bin 0", &["bin = 0", "at least a quantum"]),
-        (
-            "battery --set harvest.kind=mpp",
-            &["arrivals that do not depend on each other"],
-        ),
+        ("battery --set harvest.kind=mpp", &["needs independent arrivals"]),
         ("battery --set energy.e_wur=0.0712345", &["common quantum"]),
-        ("runtime --policies knn,nobody", &["nobody"]),
+        ("runtime --policies knn,unknown", &["unknown"]),
         (
             "transitions --ttis 100 --devices 5 --csv no/such/folder.csv",
             &["no/such/folder.csv"],

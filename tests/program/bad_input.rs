@@ -57,7 +57,7 @@ fn a_negative_energy_is_refused() {
 }
 
 #[test]
-fn negative_numbers_are_answered_with_what_is_allowed() {
+fn negative_numbers_name_the_allowed_range() {
     let folder = Folder::new();
     refused(
         &folder,
@@ -123,7 +123,7 @@ fn a_broken_row_of_a_trace_is_named() {
 }
 
 #[test]
-fn an_unknown_scenario_or_policy_is_answered_with_those_there_are() {
+fn an_unknown_scenario_or_policy_lists_the_available_ones() {
     refused(
         &Folder::new(),
         "-s papr",
@@ -139,7 +139,7 @@ fn an_unknown_scenario_or_policy_is_answered_with_those_there_are() {
 }
 
 #[test]
-fn nonsense_overrides_are_refused() {
+fn invalid_overrides_are_refused() {
     refused(
         &Folder::new(),
         "--set nonsense",
@@ -179,8 +179,10 @@ fn wrong_usage_is_code_2() {
         ("up --pace 0ms", "--pace"),
         ("up --pace -1ms", "a time from 1us"),
         ("up --run a/b", "--run"),
-        ("up --run=-x", "the first of them no '-'"),
+        ("up --run=-x", "must not begin with '-'"),
         ("up --window 0", "--window"),
+        ("up --processes many", "must be a whole number from 0 to 4294967295"),
+        ("up -P -1", "must be a whole number from 0 to 4294967295"),
         ("up --force", "--out"),
         ("device --connect tcp/127.0.0.1:1", "--run"),
         ("device --connect tcp/127.0.0.1:1 --run x --count 0", "--count"),
@@ -194,7 +196,7 @@ fn wrong_usage_is_code_2() {
 }
 
 #[test]
-fn a_port_in_use_is_said() {
+fn a_port_in_use_is_reported() {
     let folder = Folder::new();
     let taken = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let endpoint = format!("tcp/{}", taken.local_addr().expect("bound"));
@@ -206,7 +208,7 @@ fn a_port_in_use_is_said() {
 }
 
 #[test]
-fn an_endpoint_that_is_none_is_refused() {
+fn an_invalid_endpoint_is_refused() {
     let folder = Folder::new();
     for endpoint in [
         "127.0.0.1:7447",
@@ -229,17 +231,17 @@ fn an_endpoint_that_is_none_is_refused() {
 }
 
 #[test]
-fn an_endpoint_where_nobody_listens_is_said() {
+fn an_endpoint_without_a_listener_is_reported() {
     let (folder, endpoint) = (Folder::new(), free_endpoint());
     let end = folder.run(&format!("device --connect {endpoint} --run x --patience 2s"));
     assert_refused(&end, 1, &["no base station answers at", &endpoint, "within 2s"]);
 }
 
 #[test]
-fn a_wrong_run_name_is_answered_with_the_runs_there_are() {
+fn a_wrong_run_name_lists_the_runs() {
     let (folder, run, endpoint) = (Folder::new(), unique_run("right"), free_endpoint());
     let _bs = folder.waiting_bs(&run, &endpoint, "");
-    let hint = format!("Runs there: {run}");
+    let hint = format!("runs there: {run}");
     let end = folder.run(&format!("device --connect {endpoint} --run wrong --patience 2s"));
     assert_refused(&end, 1, &["run wrong", &endpoint, &hint]);
     let end = folder.run(&format!("inspect tail --connect {endpoint} --run wrong"));
@@ -251,7 +253,7 @@ fn a_wrong_run_name_is_answered_with_the_runs_there_are() {
 }
 
 #[test]
-fn inspecting_nothing_is_said() {
+fn inspecting_without_a_run_is_an_error() {
     let folder = Folder::new();
     for command in ["inspect tail", "clock status"] {
         assert_refused(&folder.run(command), 1, &["no run on this machine", "reveille up"]);
@@ -259,7 +261,7 @@ fn inspecting_nothing_is_said() {
 }
 
 #[test]
-fn two_runs_on_this_machine_must_be_told_apart() {
+fn two_runs_on_this_machine_need_a_name() {
     let (folder, runs) = (Folder::new(), [unique_run("one"), unique_run("two")]);
     let _bs = runs.each_ref().map(|run| folder.waiting_bs(run, &free_endpoint(), ""));
     for run in &runs {
@@ -293,7 +295,7 @@ fn one_device_too_many_is_refused_where_it_cannot_stand_by() {
 }
 
 #[test]
-fn a_folder_that_holds_something_is_left_alone() {
+fn a_folder_with_other_files_is_kept() {
     let folder = Folder::new();
     fs::create_dir(folder.join("mine")).expect("writable");
     folder.write("mine/thesis.tex", "precious");
@@ -315,7 +317,7 @@ fn a_folder_that_holds_something_is_left_alone() {
 }
 
 #[test]
-fn a_place_that_cannot_be_written_is_named() {
+fn a_folder_without_write_access_is_named() {
     let folder = Folder::new();
     folder.write("file", "");
     let end = folder.run("run -s quick --out file");
@@ -335,7 +337,7 @@ fn a_place_that_cannot_be_written_is_named() {
 }
 
 #[test]
-fn a_place_whose_parents_are_missing_is_made() {
+fn missing_parent_folders_are_created() {
     let folder = Folder::new();
     assert!(folder.run("run -s quick --out a/b/c").is_success());
     assert_eq!(Summary::read(&folder.join("a/b/c")).status(), "complete");
@@ -370,7 +372,7 @@ fn a_setting_without_effect_is_refused() {
 }
 
 #[test]
-fn the_clock_cannot_be_run_to_the_past_or_beyond_the_end() {
+fn run_to_refuses_the_past_and_beyond_the_end() {
     let (folder, run) = (Folder::new(), unique_run("past"));
     let _up = folder.start(&format!("up -P 1 -n 3 -k 100 --run {run} --paused --out out"));
     folder.wait_for_tti(&run, 0);
@@ -378,14 +380,45 @@ fn the_clock_cannot_be_run_to_the_past_or_beyond_the_end() {
     folder.wait_for_tti(&run, 20);
     for k in [19, 101] {
         let end = folder.run(&format!("clock --run {run} run-to {k}"));
-        assert_refused(&end, 1, &[&format!("TTI {k} cannot be run to"), "TTI 20", "TTI 100"]);
+        assert_refused(&end, 1, &[&format!("run-to {k}: must be from 20,"), "to 100,"]);
     }
-    assert_refused(&folder.run(&format!("clock --run {run} step 0")), 2, &["1.."]);
+    assert_refused(
+        &folder.run(&format!("clock --run {run} step 0")),
+        2,
+        &["a whole number from 1 to"],
+    );
     folder.clock(&run, "resume");
 }
 
 #[test]
-fn a_run_folder_of_any_name_does() {
+fn an_invalid_input_log_is_refused() {
+    let folder = Folder::new();
+    for (content, reason) in [
+        ("garbage", "line 1, column 1: invalid input log entry"),
+        ("garbage\n", "line 1, column 1: invalid input log entry"),
+        (
+            "{\"inputs\":{\"version\":2}}",
+            "line 1, column 23: invalid input log entry",
+        ),
+        // The start of a first line, as a kill can leave it.
+        ("{\"inputs\":{\"version\":2", "the input log is empty"),
+        (
+            "{\"inputs\":{\"version\":2,\"scenario_hash\":\"00\"}}",
+            "another scenario or seed",
+        ),
+        ("", "the input log is empty"),
+    ] {
+        folder.write("some.log", content);
+        for option in ["--inputs some.log", "--policy replay=some.log"] {
+            let end = folder.run(&format!("run -s quick {option} --out out"));
+            assert_refused(&end, 1, &["some.log", reason]);
+            assert_untouched(&folder, &["some.log"]);
+        }
+    }
+}
+
+#[test]
+fn a_run_folder_can_have_any_name() {
     let folder = Folder::new();
     for out in [".hidden", "./-x", "äpfel", "…"] {
         let end = folder.run(&format!("up -q -n 5 -k 50 -P 1 --out {out}"));
@@ -394,7 +427,7 @@ fn a_run_folder_of_any_name_does() {
 }
 
 #[test]
-fn a_run_that_cannot_be_noted_on_this_machine_goes_on() {
+fn an_unregistered_run_continues() {
     let folder = Folder::new();
     let mut up = folder.command("up -q -n 5 -k 50 -P 1 --out out");
     let end = Process::start(up.env("XDG_RUNTIME_DIR", "/proc/1/nope")).finish();
@@ -405,7 +438,7 @@ fn a_run_that_cannot_be_noted_on_this_machine_goes_on() {
 }
 
 #[test]
-fn an_error_that_nobody_reads_is_still_an_error() {
+fn an_unread_error_is_still_an_error() {
     let folder = Folder::new();
     // Printed by the command itself, and by the log, whose warning comes first.
     folder.write("spots.csv", "x,y\n1,1\n2,2\n");

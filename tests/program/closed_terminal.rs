@@ -16,7 +16,7 @@ const LONG: &str = "-n 30 -k 12000 --pace 5ms";
 const SOON: Duration = Duration::from_secs(20);
 
 /// Waits until no device process of `run` is left.
-fn assert_nobody_left(run: &str) {
+fn assert_no_process_left(run: &str) {
     wait_until("the device processes to end", PATIENCE, || {
         hosts_of(run).is_empty().then_some(())
     });
@@ -48,25 +48,25 @@ fn assert_interrupted(folder: &Folder, end: ExitStatus) {
 }
 
 #[test]
-fn a_closed_window_ends_up_with_what_there_is() {
+fn a_closed_terminal_ends_up_with_partial_results() {
     let (folder, run) = (Folder::new(), unique_run("window"));
     let mut up = Windowed::start(&folder.command(&format!("up -P 4 {LONG} --out out --run {run}")), true);
-    up.wait_for("TTI/s");
+    up.wait_for("TTIs/s");
     assert_eq!(hosts_of(&run).len(), 4);
     let end = closed(&mut up);
     assert_interrupted(&folder, end);
-    assert_nobody_left(&run);
+    assert_no_process_left(&run);
 }
 
 #[test]
-fn a_closed_window_ends_bs_and_device_with_what_there_is() {
+fn a_closed_terminal_ends_bs_and_device_with_partial_results() {
     let (folder, run, endpoint) = (Folder::new(), unique_run("windows"), free_endpoint());
     let bs = format!("bs {LONG} --out out --run {run} --listen {endpoint}");
     let mut bs = Windowed::start(&folder.command(&bs), true);
     bs.wait_for("waiting for 30 devices");
     let device = format!("device --connect {endpoint} --run {run} --count 30");
     let mut device = Windowed::start(&folder.command(&device), true);
-    bs.wait_for("TTI/s");
+    bs.wait_for("TTIs/s");
     let end = closed(&mut bs);
     assert_interrupted(&folder, end);
     assert!(device.finish_within(SOON).success(), "{}", device.shown());
@@ -89,17 +89,17 @@ fn wait_for_hang_up(pid: u32) {
 }
 
 #[test]
-fn a_closed_window_ends_a_run_in_memory_with_what_there_is() {
+fn a_closed_terminal_ends_a_run_in_memory_with_partial_results() {
     let folder = Folder::new();
     let run = "run -n 50 -k 1000000000 --window 10000 --out out";
     let mut run = Windowed::start(&folder.command(run), true);
-    run.wait_for("TTI/s");
+    run.wait_for("TTIs/s");
     let end = closed(&mut run);
     assert_interrupted(&folder, end);
 }
 
 #[test]
-fn a_closed_window_ends_a_sweep_and_a_recording() {
+fn a_closed_terminal_ends_a_sweep_and_a_recording() {
     let folder = Folder::new();
     let sweep = "sweep --devices 20 --ttis 5000 --seeds 900000 --out s";
     let mut sweep = Windowed::start(&folder.command(sweep), true);
@@ -114,23 +114,23 @@ fn a_closed_window_ends_a_sweep_and_a_recording() {
 }
 
 #[test]
-fn a_run_that_is_not_told_goes_on_without_its_terminal() {
+fn a_run_without_a_signal_continues_without_its_terminal() {
     let (folder, run) = (Folder::new(), unique_run("untold"));
     let expected = folder.summary("run -n 30 -k 900");
     // With messages, so that it writes to the terminal after the terminal has closed.
     let up = format!("-vv up -P 2 -n 30 -k 900 --pace 3ms --out out --run {run}");
     let mut up = Windowed::start(&folder.command(&up), false);
-    up.wait_for("TTI/s");
+    up.wait_for("TTIs/s");
     up.close();
     let end = up.finish_within(PATIENCE);
     assert!(end.success(), "{end}");
     let summary = Summary::read(&folder.join("out"));
     assert_eq!((summary.status(), summary.digest()), ("complete", expected.digest()));
-    assert_nobody_left(&run);
+    assert_no_process_left(&run);
 }
 
 #[test]
-fn a_run_whose_output_nobody_reads_goes_on() {
+fn a_run_with_unread_output_continues() {
     let (folder, run) = (Folder::new(), unique_run("unread"));
     let expected = folder.summary("run -n 30 -k 900");
     // Both pipes lead to a process that has ended.
@@ -166,7 +166,7 @@ fn nohup_is_respected() {
 }
 
 #[test]
-fn a_stopped_run_goes_on_as_if_nothing_had_been() {
+fn a_stopped_run_continues_unchanged() {
     let folder = Folder::new();
     let args = "-n 50 -k 400000 --window 1000";
     let expected = folder.summary(&format!("run {args}"));

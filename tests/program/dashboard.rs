@@ -144,7 +144,7 @@ fn a_run_is_followed_paused_and_stepped() {
 }
 
 #[test]
-fn the_books_of_a_device_close_and_filters_are_those_of_tail() {
+fn device_ledgers_close_and_filters_equal_those_of_tail() {
     let folder = Folder::new();
     let run = "run -p knn -n 60 -k 700 --set events.alpha=0.5 --set harvest.e_b=3 --record r.mcap --quiet --out o";
     assert!(folder.run(run).is_success());
@@ -192,7 +192,7 @@ fn the_books_of_a_device_close_and_filters_are_those_of_tail() {
 }
 
 #[test]
-fn a_run_that_dies_while_it_is_watched_is_shown_to_its_end() {
+fn a_run_killed_while_observed_is_shown_to_its_end() {
     let (folder, run) = (Folder::new(), unique_run("dies"));
     let up = folder.start(&format!(
         "up -p knn -n 10 -k 1000000 -P 1 --run {run} --quiet --out o --pace 5ms"
@@ -210,7 +210,7 @@ fn a_run_that_dies_while_it_is_watched_is_shown_to_its_end() {
     });
     up.signal(Signal::KILL);
     for (page, watching) in [(&page, &watching), (&other, &second)] {
-        watching.wait_for_stderr("it was interrupted or has failed; what was seen");
+        watching.wait_for_stderr("; its messages are shown until");
         wait_until("the end", PATIENCE, || {
             (page.get("/api/now")["over"] == true).then_some(())
         });
@@ -238,7 +238,7 @@ fn two_runs_are_compared_side_by_side() {
     let same = folder.run("inspect compare one.mcap bus.mcap");
     assert_eq!(
         (same.code(), &same.stdout[..]),
-        (Some(0), "the same happens in both\n"),
+        (Some(0), "no difference in the messages of both recordings\n"),
         "{same}"
     );
     let differ = folder.run("inspect compare one.mcap two.mcap");
@@ -246,7 +246,7 @@ fn two_runs_are_compared_side_by_side() {
     assert!(
         differ
             .stdout
-            .starts_with("scenario: seed is 1, and 2 in the other\nfirst difference: plan in TTI 0"),
+            .starts_with("scenario: seed is 1 in this recording, 2 in the other\nfirst difference: plan in TTI 0"),
         "{differ}"
     );
     let all = folder.bytes("one.mcap");
@@ -254,13 +254,13 @@ fn two_runs_are_compared_side_by_side() {
     assert_refused(
         &folder.run("inspect compare one.mcap torn.mcap"),
         1,
-        &["torn.mcap", "torn", "up to there"],
+        &["torn.mcap", "truncated", "up to this point"],
     );
     assert_refused(&folder.run("inspect compare one.mcap none.mcap"), 1, &["none.mcap"]);
     assert_refused(
         &folder.run("dashboard --from one.mcap --compare one/summary.json --listen 127.0.0.1:0"),
         1,
-        &["--compare one/summary.json", "no recording"],
+        &["--compare one/summary.json", "not a recording"],
     );
 
     let shown = folder.start("dashboard --from one.mcap --compare two.mcap --listen 127.0.0.1:0");
@@ -284,7 +284,7 @@ fn two_runs_are_compared_side_by_side() {
     );
 
     // A live run, next to its expected final state.
-    let name = unique_run("beside");
+    let name = unique_run("compared");
     let up = folder.start(&format!(
         "up -p age-index -n 25 -k 400 -P 2 --paused --run {name} --quiet --out live"
     ));
@@ -306,7 +306,7 @@ fn two_runs_are_compared_side_by_side() {
 }
 
 #[test]
-fn strangers_are_refused() {
+fn untrusted_clients_are_refused() {
     let folder = Folder::new();
     let run = unique_run("strange");
     let up = folder.start(&format!(
@@ -344,7 +344,7 @@ fn strangers_are_refused() {
 }
 
 #[test]
-fn a_browser_that_never_reads_holds_nobody_up() {
+fn a_browser_that_never_reads_delays_no_run() {
     let folder = Folder::new();
     let up = folder.start("up -p random -n 20 -k 20000 -P 1 --quiet --out o --dashboard 127.0.0.1:0");
     let page = Page::of(&up);
@@ -389,7 +389,7 @@ fn a_recording_is_shown_without_a_clock() {
     assert_refused(
         &folder.run("dashboard --from o --listen 127.0.0.1:0"),
         1,
-        &["o: is not a file"],
+        &["o: not a file"],
     );
     assert_refused(&folder.run("dashboard --from r.mcap --listen nowhere"), 1, &["nowhere"]);
 }

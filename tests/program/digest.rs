@@ -57,7 +57,7 @@ const FURTHER: [(&str, &str); 8] = [
 ];
 
 /// All radio failures together.
-const FAILING: &str = "--set radio.wake_miss=0.3 --set radio.false_wake=0.02 --set radio.uplink_loss=0.2 \
+const FAILING: &str = "--set radio.wake_miss=0.3 --set radio.false_wake_up=0.02 --set radio.uplink_loss=0.2 \
                        --set radio.plan_loss=0.2 --set radio.wake_latency=1 --set radio.interference=bursts \
                        --set bs.sync_interval=37";
 
@@ -98,25 +98,25 @@ fn all_ways_agree_on_half(remainder: usize) {
 }
 
 #[test]
-fn all_ways_agree_on_paper() {
+fn all_modes_agree_on_paper() {
     all_ways_agree_on_half(0);
 }
 
 // A separate test, so that two threads share the work.
 #[test]
-fn all_ways_agree_on_paper_too() {
+fn all_modes_agree_on_paper_with_learning() {
     all_ways_agree_on_half(1);
 }
 
 #[test]
-fn ways_agree_on_paper_literal() {
+fn modes_agree_on_paper_literal() {
     for policy in registry::names() {
         agreed("paper-literal", policy, &FEW_WAYS);
     }
 }
 
 #[test]
-fn ways_agree_on_the_other_ranking() {
+fn modes_agree_on_the_other_ranking() {
     for policy in POLICIES.iter().filter(|policy| policy.wakes) {
         agreed(
             "paper",
@@ -127,7 +127,7 @@ fn ways_agree_on_the_other_ranking() {
 }
 
 #[test]
-fn ways_agree_on_further_settings() {
+fn modes_agree_on_further_settings() {
     for (policy, settings) in FURTHER {
         assert!(registry::named(policy).is_some(), "FURTHER names {policy}");
         agreed("paper", &format!("{policy} {settings}"), &FEW_WAYS);
@@ -136,7 +136,7 @@ fn ways_agree_on_further_settings() {
 
 /// Checks classes assigned by number, place and share with solar harvest, and a trace of irradiance.
 #[test]
-fn ways_agree_on_classes_and_panels() {
+fn modes_agree_on_classes_and_panels() {
     let scenarios = concat!(env!("CARGO_MANIFEST_DIR"), "/../deploy/scenarios");
     let mut digests = Vec::new();
     for (name, policy) in [
@@ -151,7 +151,7 @@ fn ways_agree_on_classes_and_panels() {
 }
 
 #[test]
-fn ways_agree_on_a_radio_that_fails() {
+fn modes_agree_on_radio_faults() {
     for policy in registry::names() {
         let failing = agreed("paper", &format!("{policy} {FAILING}"), &FEW_WAYS);
         assert_ne!(failing, digest(&format!("run -p {policy} {SMALL}")), "{policy}");
@@ -192,7 +192,7 @@ fn by_hand(counts: [u32; 2]) -> String {
 }
 
 #[test]
-fn who_carries_which_devices_does_not_matter() {
+fn the_assignment_of_devices_does_not_matter() {
     let expected = digest(&format!("run {SMALL}"));
     assert_eq!(by_hand([7, 23]), expected, "7 and 23");
     assert_eq!(by_hand([23, 7]), expected, "23 and 7");
@@ -223,7 +223,7 @@ fn pausing_and_stepping_do_not_matter() {
 }
 
 #[test]
-fn a_spectator_does_not_matter() {
+fn an_observer_does_not_matter() {
     let expected = digest(&format!("run {SMALL}"));
     let (folder, run) = (Folder::new(), unique_run("watched"));
     let up = folder.start(&format!("up -P 4 {SMALL} --paused --no-lookahead --run {run} --json"));

@@ -1,14 +1,19 @@
-//! Checks that commands in the README and the documentation exist.
+//! Checks the README and the documentation: commands exist, links resolve, and the contents list every page.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use reveille_tests::process::Folder;
 
+/// Returns the folder of the repository.
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
 /// Returns README.md and the pages of docs/.
 fn pages() -> Vec<PathBuf> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let root = root();
     let docs = fs::read_dir(root.join("docs"))
         .expect("docs/")
         .map(|entry| entry.expect("an entry").path());
@@ -64,7 +69,7 @@ fn subcommands(folder: &Folder, args: &str) -> BTreeSet<String> {
 }
 
 #[test]
-fn runs_of_the_pages_do_not_meet_in_a_folder() {
+fn runs_of_the_pages_use_separate_folders() {
     let mut seen = BTreeSet::new();
     for page in pages() {
         let text = fs::read_to_string(&page).expect("a page");
@@ -111,4 +116,135 @@ fn every_subcommand_that_is_named_exists() {
         }
     }
     assert!(seen > 10, "only {seen} commands were found in the pages");
+}
+
+/// Returns every Markdown file of the repository.
+fn markdown_files() -> Vec<PathBuf> {
+    let is_skipped = |name: &str| ["target", ".git", "node_modules"].contains(&name) || name.starts_with(".venv");
+    let (mut folders, mut files) = (vec![root()], Vec::new());
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(&folder).expect("a folder") {
+            let entry = entry.expect("an entry");
+            let (path, name) = (entry.path(), entry.file_name().to_string_lossy().into_owned());
+            // A link to a folder is not followed.
+            if entry.file_type().expect("a type").is_dir() {
+                if !is_skipped(&name) {
+                    folders.push(path);
+                }
+            } else if path.extension().is_some_and(|ending| ending == "md") {
+                files.push(path);
+            }
+        }
+    }
+    files
+}
+
+/// Returns the lines of a page outside fenced blocks.
+fn prose(text: &str) -> impl Iterator<Item = &str> {
+    let mut is_code = false;
+    text.lines().filter(move |line| {
+        let is_fence = line.trim_start().starts_with("```");
+        is_code ^= is_fence;
+        !is_code && !is_fence
+    })
+}
+
+/// Returns the anchors of a page's headings, as GitHub and mdBook form them.
+fn anchors(text: &str) -> BTreeSet<String> {
+    let mut seen: BTreeMap<String, u32> = BTreeMap::new();
+    let headings = prose(text).filter_map(|line| {
+        line.trim_start_matches('#')
+            .strip_prefix(' ')
+            .filter(|_| line.starts_with('#'))
+    });
+    let anchor = |heading: &str| -> String {
+        let kept = heading
+            .trim()
+            .chars()
+            .filter(|&c| c.is_alphanumeric() || " -_".contains(c));
+        kept.collect::<String>().to_lowercase().replace(' ', "-")
+    };
+    headings
+        .map(|heading| {
+            let anchor = anchor(heading);
+            let number = seen.entry(anchor.clone()).or_default();
+            *number += 1;
+            match *number - 1 {
+                0 => anchor,
+                number => format!("{anchor}-{number}"),
+            }
+        })
+        .collect()
+}
+
+/// Returns the targets of the links and pictures of a page, without links to other sites.
+fn links(text: &str) -> Vec<String> {
+    let text = prose(text).collect::<Vec<_>>().join("\n");
+    let after = |start: &'static str, end: char| {
+        let found = text.split(start).skip(1).filter_map(move |rest| rest.split(end).next());
+        found.map(str::to_owned).collect::<Vec<_>>()
+    };
+    let is_elsewhere = |link: &str| {
+        ["http:", "https:", "mailto:"]
+            .iter()
+            .any(|scheme| link.starts_with(scheme))
+    };
+    let all = [after("](", ')'), after("src=\"", '"'), after("href=\"", '"')].concat();
+    all.into_iter().filter(|link| !is_elsewhere(link)).collect()
+}
+
+#[test]
+fn every_link_resolves() {
+    let (mut seen, mut broken) = (0, Vec::new());
+    for page in markdown_files() {
+        // The start of a generated page, which is checked as a whole.
+        if page.ends_with("bs/src/scenario/head.md") {
+            continue;
+        }
+        let text = fs::read_to_string(&page).expect("a page");
+        for link in links(&text) {
+            seen += 1;
+            let (file, anchor) = link.split_once('#').unwrap_or((&link, ""));
+            let target = if file.is_empty() {
+                page.clone()
+            } else {
+                page.parent().expect("a folder").join(file)
+            };
+            let is_found = target.exists()
+                && (anchor.is_empty() || fs::read_to_string(&target).is_ok_and(|text| anchors(&text).contains(anchor)));
+            if !is_found {
+                broken.push(format!("{}: {link}", page.display()));
+            }
+        }
+    }
+    assert!(broken.is_empty(), "links without a target:\n  {}", broken.join("\n  "));
+    assert!(seen > 200, "only {seen} links were found");
+}
+
+#[test]
+fn links_and_anchors_are_read_as_on_the_site() {
+    let page = "# `a` and B!\n```\n# code [no](no.md)\n```\n## Same\n## Same\n\
+        [x](y.md#z) <img src=\"p.svg\"> [w](https://e.org)";
+    let headings: Vec<String> = anchors(page).into_iter().collect();
+    assert_eq!(headings, ["a-and-b", "same", "same-1"]);
+    assert_eq!(links(page), ["y.md#z", "p.svg"]);
+}
+
+#[test]
+fn the_contents_list_every_page_under_its_kind() {
+    let contents = fs::read_to_string(root().join("docs/SUMMARY.md")).expect("the contents");
+    let kinds: Vec<&str> = contents.lines().filter_map(|line| line.strip_prefix("# ")).collect();
+    assert_eq!(
+        kinds,
+        ["Reveille", "Tutorial", "How-to guides", "Reference", "Explanation"]
+    );
+    let mut listed = links(&contents);
+    listed.sort();
+    let mut pages: Vec<String> = pages()
+        .iter()
+        .filter_map(|page| page.file_name()?.to_str().map(str::to_owned))
+        .filter(|name| !["README.md", "SUMMARY.md"].contains(&name.as_str()))
+        .collect();
+    pages.sort();
+    assert_eq!(listed, pages, "docs/SUMMARY.md lists each page once");
 }

@@ -9,7 +9,7 @@ const RECORD: &str =
     "train record -p age-index,knn -n 12 -k 400 --seeds 6 --set events.process=bursts --chunk 12 --every 40";
 
 #[test]
-fn a_recording_is_the_same_twice_and_refuses_what_is_none() {
+fn recordings_are_reproducible_and_invalid_ones_are_refused() {
     let folder = Folder::new();
     for out in ["a.parquet", "b.parquet"] {
         let end = folder.run(&format!("{RECORD} --out {out}"));
@@ -36,12 +36,12 @@ fn a_recording_is_the_same_twice_and_refuses_what_is_none() {
         (
             "train record -p genie -k 400 --out c.parquet".into(),
             1,
-            &["the genie decides"],
+            &["other than genie"],
         ),
         (
             "train record -p knn -k 10 --out c.parquet".into(),
             1,
-            &["must be longer"],
+            &["use runs longer than --chunk"],
         ),
         (format!("{RECORD} --out nowhere/c.parquet"), 1, &["nowhere"]),
     ] {
@@ -78,11 +78,11 @@ fn a_run_of_the_emulator_is_recorded_from_its_folder() {
     fs::remove_file(&summary).expect("removed");
     assert_refused(&folder.run(&format!("{record} --out c.parquet")), 1, &["summary.json"]);
     let end = folder.run("train record --from . --out c.parquet");
-    assert_refused(&end, 1, &["no run folder", "scenario.toml"]);
+    assert_refused(&end, 1, &["not a run folder", "scenario.toml"]);
 }
 
 #[test]
-fn files_that_are_no_model_are_refused() {
+fn invalid_models_are_refused() {
     let folder = Folder::new();
     let whole = include_bytes!("../../bs/src/policy/dt/shipped.safetensors");
     fs::write(folder.join("good.safetensors"), whole).expect("written");
@@ -104,7 +104,7 @@ fn files_that_are_no_model_are_refused() {
 
 #[cfg(not(feature = "train-dt"))]
 #[test]
-fn without_the_feature_it_says_how_to_build_it() {
+fn without_the_feature_the_error_names_the_build_command() {
     let folder = Folder::new();
     let end = folder.run("train dt some.parquet --out model.safetensors");
     assert_refused(&end, 2, &["cargo run --release --features train-dt -- train dt"]);
@@ -159,7 +159,7 @@ mod transformer {
     }
 
     #[test]
-    fn files_that_are_no_trajectories_are_refused() {
+    fn invalid_trajectories_are_refused() {
         let folder = recorded();
         let whole = folder.bytes("a.parquet");
         fs::write(folder.join("cut.parquet"), &whole[..whole.len() / 2]).expect("written");

@@ -44,7 +44,7 @@ fn pictures_of_a_deployment_and_a_timeline_are_the_same_twice() {
 }
 
 #[test]
-fn wishes_that_no_run_can_meet_are_refused() {
+fn invalid_figure_requests_are_refused() {
     let folder = Folder::new();
     let refused = |args: &str, parts: &[&str]| {
         assert_refused(&folder.run(&format!("figures {args} --out out")), 1, parts);
@@ -56,21 +56,15 @@ fn wishes_that_no_run_can_meet_are_refused() {
     );
     refused(
         "deployment -k 10 -n 2000",
-        &["2000 devices", "1000 at the most", "--devices"],
+        &["2000 devices", "at most 1000", "--devices"],
     );
-    refused(
-        "attention --tti 99 -k 100",
-        &["TTI 99", "the last that can be shown is 98"],
-    );
-    refused("attention -p knn", &["--policy knn", "dt alone"]);
+    refused("attention --tti 99 -k 100", &["TTI 99", "must be at most 98"]);
+    refused("attention -p knn", &["--policy knn", "for policy dt only"]);
     refused("attention --show 50", &["device 50", "numbered 0 to 49"]);
     refused("timeline -k 500 --show 50", &["device 50", "numbered 0 to 49"]);
     refused("timeline -k 500 --from 450 --length 100", &["450 to 549", "0 to 499"]);
     refused("timeline -k 500 --from 0 --length 5", &["10 to 2000"]);
-    refused(
-        "timeline -k 500 --show 0,1,2,3,4,5,6,7,8",
-        &["9 devices", "8 at the most"],
-    );
+    refused("timeline -k 500 --show 0,1,2,3,4,5,6,7,8", &["9 devices", "at most 8"]);
     refused("deployment -n 0", &["devices = 0"]);
     for (args, part) in [
         ("timeline --show -1", "a whole number from 0"),
@@ -85,9 +79,9 @@ fn wishes_that_no_run_can_meet_are_refused() {
 }
 
 #[test]
-fn tables_that_are_none_are_refused() {
+fn files_that_are_not_tables_are_refused() {
     let folder = Folder::new();
-    folder.write("junk.parquet", "PAR1 this is no table PAR1");
+    folder.write("junk.parquet", "PAR1 not a table PAR1");
     folder.write("junk.csv", "a,b\n1,2\n");
     for command in ["figures", "report"] {
         let refused = |args: &str, parts: &[&str]| {
@@ -150,7 +144,7 @@ fn learned_tables_become_pictures_the_same_twice() {
 }
 
 #[test]
-fn learned_tables_that_are_none_or_lack_an_n_are_refused() {
+fn invalid_or_incomplete_learned_tables_are_refused() {
     let folder = Folder::new();
     let end = folder.run("train q-learning --out mine.json -n 10,30 --episodes 1 --episode-ttis 100 --quiet");
     assert_eq!(end.code(), Some(0), "{end}");
@@ -252,7 +246,7 @@ fn settings_are_ranked_the_same_twice_and_every_one_is_judged() {
     for part in [
         "| paper |",
         "| paper-literal |",
-        "## What no setting meets",
+        "## Claims that no setting meets",
         "## Claim by claim",
     ] {
         assert!(pages[0].contains(part), "{part}");
@@ -278,7 +272,7 @@ fn settings_are_ranked_the_same_twice_and_every_one_is_judged() {
 }
 
 #[test]
-fn a_sweep_of_ones_own_is_drawn_against_its_field() {
+fn a_custom_sweep_is_drawn_against_its_field() {
     let folder = Folder::new();
     sweep(&folder, "mine", "--grid harvest.lambda=0.05,0.1");
     for out in ["a", "b"] {
@@ -286,7 +280,7 @@ fn a_sweep_of_ones_own_is_drawn_against_its_field() {
             "figures sweep mine --x harvest.lambda --y energy_per_device_tti --log x --out {out}"
         ));
         assert_eq!(end.code(), Some(0), "{end}");
-        assert!(end.stderr.contains("differ in devices as well: 2 pictures"), "{end}");
+        assert!(end.stderr.contains("also differ in devices: 2 figures"), "{end}");
     }
     let names = folder.list("a");
     assert_eq!(names.len(), 6, "{names:?}");
@@ -306,7 +300,7 @@ fn a_sweep_of_ones_own_is_drawn_against_its_field() {
 }
 
 #[test]
-fn a_picture_takes_the_place_of_the_one_before() {
+fn a_picture_replaces_an_earlier_one() {
     let folder = Folder::new();
     let draw = "figures timeline --devices 5 --ttis 300 --show 3 --length 50 --format svg --out out";
     assert_eq!(folder.run(draw).code(), Some(0));
@@ -320,7 +314,7 @@ fn a_picture_takes_the_place_of_the_one_before() {
 }
 
 #[test]
-fn tables_of_one_name_make_pictures_of_their_own() {
+fn tables_with_equal_names_give_separate_pictures() {
     let folder = Folder::new();
     folder.write("mine.toml", "preset = \"paper\"\nevents.alpha = 0.4\n");
     folder.write("other.toml", "preset = \"paper\"\nevents.alpha = 0.5\n");
@@ -334,12 +328,15 @@ fn tables_of_one_name_make_pictures_of_their_own() {
 }
 
 #[test]
-fn tables_without_runs_or_of_another_version_are_refused_and_a_lone_one_is_enough() {
+fn empty_and_foreign_tables_are_refused_and_one_table_is_enough() {
     let folder = Folder::new();
     sweep(&folder, "paper", "--format csv --set events.alpha=0.3");
     let end = folder.run("report paper/results.csv --out report");
     assert_eq!(end.code(), Some(0), "{end}");
-    assert!(end.stderr.contains("no table of preset paper-literal"), "{end}");
+    assert!(
+        end.stderr.contains("no table has runs of preset paper-literal"),
+        "{end}"
+    );
     let markdown = String::from_utf8(folder.bytes("report/report.md")).expect("text");
     assert!(
         markdown.contains("paper, events.alpha = 0.3, K = 300"),
@@ -402,7 +399,7 @@ fn the_pictures_of_the_pages_can_be_drawn_again() {
 }
 
 #[test]
-fn a_table_with_a_value_that_no_run_comes_to_is_refused() {
+fn a_table_with_an_impossible_value_is_refused() {
     let folder = Folder::new();
     sweep(&folder, "paper", "--format csv");
     let text = String::from_utf8(folder.bytes("paper/results.csv")).expect("text");

@@ -65,7 +65,7 @@ async fn testbed(folder: &Folder, run: &str, ttis: u32) -> (Process, [Process; 2
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
-async fn another_version_is_refused_in_words() {
+async fn another_version_is_refused_with_an_error() {
     let (folder, run, endpoint) = (Folder::new(), unique_run("version"), free_endpoint());
     let _bs = folder.waiting_bs(&run, &endpoint, "");
     let bus = peer(&endpoint, &run).await;
@@ -147,13 +147,13 @@ async fn garbage_on_every_key_changes_nothing() {
     assert!(!end.stderr.contains("panicked"), "{end}");
     let summary = Summary::read(&folder.join("out"));
     assert_eq!(summary.digest(), expected.digest());
-    assert!(summary.number("timing.malformed") > 0, "{summary:?}");
+    assert!(summary.number("timing.malformed_messages") > 0, "{summary:?}");
     let tail = tail.finish();
     assert!(tail.is_success() && !tail.stderr.contains("panicked"), "{tail}");
     for host in hosts {
         let host = host.finish();
         assert!(
-            host.is_success() && !host.stderr.contains("dropped a payload"),
+            host.is_success() && !host.stderr.contains("dropped a malformed payload"),
             "{host}"
         );
     }
@@ -182,8 +182,8 @@ fn forged_clock(tti: u64) -> [ClockMessage; 5] {
         grant(0, 0),
         grant(u64::MAX / 2, u64::MAX),
         grant(tti, 5),
-        ClockMessage::Finish(Tti(3)),
-        ClockMessage::Finish(Tti(u64::MAX)),
+        ClockMessage::CollectLedgers(Tti(3)),
+        ClockMessage::CollectLedgers(Tti(u64::MAX)),
     ]
 }
 
@@ -204,7 +204,7 @@ fn forgeries(keys: &Keys, pass: HostCredential, tti: u64) -> Vec<(String, Vec<u8
         information,
         battery: Energy::ZERO,
     };
-    let done = |host, reports, drained| HostAnswer::Done {
+    let done = |host, reports, drained| HostAnswer::GrantDone {
         host: HostId(host),
         tti: Tti(tti),
         reports,
@@ -216,7 +216,7 @@ fn forgeries(keys: &Keys, pass: HostCredential, tti: u64) -> Vec<(String, Vec<u8
         views: None,
     };
     let ledgers = vec![(DeviceId(0), Ledger::default())];
-    let last = HostAnswer::Final {
+    let last = HostAnswer::Ledgers {
         host: HostId(0),
         ledgers,
     };
@@ -279,13 +279,13 @@ async fn forged_messages_change_nothing() {
     assert!(!end.stderr.contains("panicked"), "{end}");
     let summary = Summary::read(&folder.join("out"));
     assert_eq!(summary.digest(), expected.digest());
-    assert!(summary.number("timing.strays") > 0, "{summary:?}");
+    assert!(summary.number("timing.unexpected_messages") > 0, "{summary:?}");
     assert!(hosts.into_iter().all(|host| host.finish().is_success()));
 }
 
 /// A client without the run's key can neither stop its clock nor run its devices.
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
-async fn without_the_key_nobody_commands_or_joins() {
+async fn without_the_key_clients_cannot_command_or_join() {
     let (folder, run, endpoint) = (Folder::new(), unique_run("keyless"), free_endpoint());
     let up = folder.start(&format!(
         "up -P 2 -n 30 -k 300 --pace 3ms --paused --run {run} --listen {endpoint} --out out"
@@ -296,7 +296,7 @@ async fn without_the_key_nobody_commands_or_joins() {
     assert!(status.paused);
     for key in [None, Some(Secret::new([0; 16]))] {
         let refused = ask(&bus.with_key(key), &ClockCommand::Resume).await;
-        let why = refused.expect_err("nobody may").to_string();
+        let why = refused.expect_err("no client may").to_string();
         assert!(why.contains("needs the run's key"), "{why}");
     }
     let request = JoinRequest {

@@ -50,7 +50,7 @@ fn shown(processes: u32) -> Vec<Value> {
     assert!(up.finish().is_success());
     let tail = tail.finish();
     assert!(tail.is_success(), "{tail}");
-    assert!(tail.stderr.contains(" 0 left out"), "{tail}");
+    assert!(tail.stderr.contains(" 0 dropped"), "{tail}");
     let since = |message: &Value| message["tti"].as_u64().is_some_and(|tti| (20..50).contains(&tti));
     assert!(step < 20, "the spectator saw nothing before TTI {step}");
     messages(&tail.stdout).into_iter().filter(since).collect()
@@ -76,7 +76,7 @@ fn devices_in_the_base_stations_process_are_shown_once() {
 }
 
 #[test]
-fn a_paused_run_is_greeted_and_its_lines_say_who() {
+fn a_paused_run_prints_its_position_and_owners() {
     let (folder, run) = (Folder::new(), unique_run("greet"));
     let up = paused(
         &folder,
@@ -97,7 +97,7 @@ fn a_paused_run_is_greeted_and_its_lines_say_who() {
 }
 
 #[test]
-fn filters_that_let_nothing_through_are_refused() {
+fn filters_without_matches_are_refused() {
     let (folder, run) = (Folder::new(), unique_run("filters"));
     let up = paused(&folder, &run, "-P 1 -n 5");
     let end = folder.run(&format!("inspect tail --run {run} --device 99"));
@@ -151,18 +151,18 @@ fn a_waiting_clock_command_returns_when_it_is_done() {
 }
 
 #[test]
-fn a_waiting_clock_command_says_that_the_run_ended_first() {
+fn a_waiting_clock_command_reports_an_early_end() {
     let (folder, run) = (Folder::new(), unique_run("cut"));
     let up = paused(&folder, &run, "-P 1 -n 5 --pace 200ms");
     let clock = folder.start(&format!("clock --run {run} run-to 59 --wait"));
     folder.wait_for_tti(&run, 2);
     up.signal(Signal::INT);
-    assert_refused(&clock.finish(), 1, &["the run ended before TTI 59", "of 60"]);
+    assert_refused(&clock.finish(), 1, &["failed before TTI 59", "of 60"]);
     assert_eq!(up.finish().code(), Some(130));
 }
 
 #[test]
-fn a_held_clock_says_whom_it_waits_for() {
+fn a_held_clock_names_the_missing_hosts() {
     let (folder, run, endpoint) = (Folder::new(), unique_run("held"), free_endpoint());
     let drive = "-n 50 -k 6000 --pace 5ms --on-loss wait --quiet --out out";
     let bs = folder.start(&format!("bs {drive} --run {run} --listen {endpoint}"));
@@ -178,13 +178,13 @@ fn a_held_clock_says_whom_it_waits_for() {
     assert!(said.starts_with("held at TTI "), "{said}");
     assert!(said.contains(": waiting for host 1 (devices 25 to 49)"), "{said}");
     let few = folder.start(&format!("-v device --connect {endpoint} --run {run} --count 24"));
-    few.wait_for_stderr("lost processes have left 25 devices");
+    few.wait_for_stderr("lost hosts left 25 devices");
     bs.signal(Signal::INT);
     assert_eq!(bs.finish().code(), Some(130));
 }
 
 #[test]
-fn the_devices_of_a_failed_run_say_why_and_fail() {
+fn the_devices_of_a_failed_run_report_the_cause() {
     let (folder, run, endpoint) = (Folder::new(), unique_run("failed"), free_endpoint());
     let bs = folder.start(&format!(
         "bs -n 5 -k 6000 --pace 5ms --on-loss end --quiet --out out --run {run} --listen {endpoint}"
@@ -206,7 +206,7 @@ fn the_devices_of_a_failed_run_say_why_and_fail() {
 }
 
 #[test]
-fn the_base_station_of_up_alone_says_why_its_run_failed() {
+fn only_the_base_station_of_up_reports_the_cause() {
     let (folder, run) = (Folder::new(), unique_run("alone"));
     let up = folder.start(&format!(
         "up -P 2 -n 5 -k 6000 --pace 5ms --on-loss end --quiet --out out --run {run}"
@@ -219,7 +219,7 @@ fn the_base_station_of_up_alone_says_why_its_run_failed() {
 }
 
 #[test]
-fn options_without_effect_are_refused_or_said() {
+fn options_without_effect_are_refused_or_reported() {
     let folder = Folder::new();
     let end = folder.run("run -n 5 -k 60 --set devices=7 --quiet");
     assert_refused(&end, 1, &["--devices and --set devices=7", "leave one"]);

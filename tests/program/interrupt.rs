@@ -12,7 +12,7 @@ const SEARCH: &str = "--devices 200 --set policy.adjusted.pilot_ttis=900000000";
 const SOON: Duration = Duration::from_secs(10);
 
 #[test]
-fn ctrl_c_ends_a_sweep_and_says_how_to_go_on() {
+fn ctrl_c_ends_a_sweep_and_names_how_to_resume() {
     let folder = Folder::new();
     // A run of hours is aborted midway.
     let endless = "sweep --devices 100 --ttis 1000000000 --seeds 2 --out s";
@@ -34,7 +34,7 @@ fn ctrl_c_ends_a_sweep_and_says_how_to_go_on() {
 }
 
 #[test]
-fn a_run_that_is_being_set_up_ends_at_once() {
+fn a_run_in_preparation_ends_immediately() {
     let folder = Folder::new();
     for (out, signal) in [("a", Signal::INT), ("b", Signal::TERM)] {
         let run = folder.start(&format!("run --policy adjusted {SEARCH} --out {out}"));
@@ -57,7 +57,7 @@ fn a_run_that_is_being_set_up_ends_at_once() {
 }
 
 #[test]
-fn a_base_station_that_is_being_set_up_ends_at_once_with_its_devices() {
+fn a_base_station_in_preparation_ends_immediately_with_its_devices() {
     let folder = Folder::new();
     for (command, hosts) in [
         ("up --processes 2", 2),
@@ -82,7 +82,7 @@ fn a_base_station_that_is_being_set_up_ends_at_once_with_its_devices() {
                 end.stderr.contains("reveille: interrupted before the first TTI"),
                 "{command}: {end}"
             );
-            assert_eq!(hosts_of(&run), [0_u32; 0], "{command}: device processes are left");
+            assert_eq!(hosts_of(&run), [0_u32; 0], "{command}: device processes remain");
             let files = folder.list(&run);
             assert!(!files.iter().any(|name| name == "RUNNING"), "{command}: {files:?}");
             let why = fs::read_to_string(folder.join(&format!("{run}/FAILED"))).expect("a mark");
@@ -92,7 +92,7 @@ fn a_base_station_that_is_being_set_up_ends_at_once_with_its_devices() {
 }
 
 #[test]
-fn a_sweep_whose_runs_are_being_set_up_ends_soon_and_keeps_the_others() {
+fn a_sweep_in_preparation_ends_soon_and_keeps_finished_runs() {
     let folder = Folder::new();
     let args = format!("sweep --policies genie,adjusted --ttis 200 --seeds 3 --threads 2 {SEARCH} --out s");
     let sweep = folder.start(&args);

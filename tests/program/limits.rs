@@ -51,7 +51,7 @@ fn too_few_files_are_refused_before_the_run() {
             &said(64),
             "50 device processes needs 98",
             "ulimit -n 98",
-            "fewer device processes, 16 at the most",
+            "at most 16 device processes",
         ],
     );
     refused(&folder, 24, "up -P 4", &[&said(24), "ulimit -n 52"]);
@@ -62,7 +62,7 @@ fn too_few_files_are_refused_before_the_run() {
 }
 
 #[test]
-fn what_is_said_to_be_enough_is() {
+fn the_suggested_file_limit_is_enough() {
     let folder = Folder::new();
     let expected = folder.summary("run -n 50 -k 200");
     // The hard limit is as needed and the soft limit is half of it: the run raises its soft limit.
@@ -83,7 +83,7 @@ fn what_is_said_to_be_enough_is() {
         24,
         &format!("bs -n 50 -k 200 --json --run {run} --listen {endpoint} --out hand"),
     );
-    bs.wait_for_stderr("device processes can join up to a number of 1;");
+    bs.wait_for_stderr("at most 1 device processes can join;");
     let device = format!("device --run {run} --count 50 --connect {endpoint}");
     let device = limited(&folder, 32, 16, &device).finish();
     assert!(device.is_success(), "{device}");
@@ -101,7 +101,7 @@ fn assert_clear(folder: &Folder, end: &Finished, parts: &[&str]) {
 }
 
 #[test]
-fn a_port_that_is_taken_is_named_before_the_run() {
+fn a_used_port_is_named_before_the_run() {
     let folder = Folder::new();
     let taken = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let endpoint = format!("tcp/{}", taken.local_addr().expect("bound"));
@@ -113,11 +113,11 @@ fn a_port_that_is_taken_is_named_before_the_run() {
 }
 
 #[test]
-fn ports_that_are_used_up_are_named_soon() {
+fn a_lack_of_ports_is_reported_soon() {
     let folder = Folder::new();
     // One port for the base station, and some for the first device processes.
     let Some(network) = FewPorts::make(&unique_run("ports"), 4) else {
-        skipped("a separate network cannot be made here (root is needed)");
+        skipped("cannot create a separate network here (root is needed)");
         return;
     };
     let mut up = network.command(reveille());
@@ -136,12 +136,12 @@ fn ports_that_are_used_up_are_named_soon() {
 }
 
 #[test]
-fn a_folder_that_cannot_be_written_to_is_named() {
+fn a_read_only_folder_is_named() {
     let folder = Folder::new();
     fs::create_dir(folder.join("disk")).expect("possible");
     let path = folder.join("disk");
     let Some(_disk) = Mount::read_only(&path) else {
-        skipped("a folder cannot be mounted read-only here (it takes root)");
+        skipped("cannot mount a folder read-only here (root is needed)");
         return;
     };
     for command in ["run", "up -P 1", "bs --run x --listen tcp/127.0.0.1:0"] {
@@ -151,7 +151,7 @@ fn a_folder_that_cannot_be_written_to_is_named() {
 }
 
 #[test]
-fn a_run_on_a_full_disk_ends_with_words_and_can_be_replaced() {
+fn a_run_on_a_full_disk_reports_it_and_can_be_replaced() {
     let folder = Folder::new();
     let path = folder.join("disk");
     let Some(_disk) = Mount::small(&path) else {
@@ -180,7 +180,7 @@ fn a_run_on_a_full_disk_ends_with_words_and_can_be_replaced() {
     // Without space for the first files, the run leaves nothing that blocks the next run.
     fs::remove_dir_all(folder.join("disk/out")).expect("removable");
     let full = fs::write(folder.join("disk/ballast"), vec![0; 300 * 1024]);
-    assert!(full.is_err(), "the disk is larger than it should be");
+    assert!(full.is_err(), "the disk has more space than requested");
     let end = folder.run("run -n 20 -k 400 --out disk/out");
     assert_clear(&folder, &end, &["disk/out", "No space left on device"]);
     fs::remove_file(folder.join("disk/ballast")).expect("removable");

@@ -29,3 +29,4 @@ mod sweep_seeds;
 mod takeover;
 mod train;
 mod tune;
+mod tutorial;

@@ -22,8 +22,8 @@ fn clean(scenario: &str, processes: u32) {
     for (field, value) in [
         ("hosts", u64::from(processes)),
         ("losses", 0),
-        ("strays", 0),
-        ("malformed", 0),
+        ("unexpected_messages", 0),
+        ("malformed_messages", 0),
     ] {
         assert_eq!(summary.number(&format!("timing.{field}")), value, "{field}: {end}");
     }
@@ -42,7 +42,7 @@ fn processes_with_many_devices_each() {
 
 /// Many devices report an event in the same TTI.
 #[test]
-fn many_reports_at_once_from_one_process() {
+fn many_simultaneous_reports_from_one_process() {
     clean(
         &format!("-n {HEAVY} -k 60 -p age-index --set bs.battery_knowledge=reported"),
         1,
@@ -75,7 +75,7 @@ fn threads_of_hosts(folder: &Folder, said: Option<&str>, args: &str) -> (Process
 }
 
 #[test]
-fn zenoh_has_one_thread_in_device_processes_unless_somebody_says_otherwise() {
+fn zenoh_has_one_thread_in_device_processes_by_default() {
     let folder = Folder::new();
     let (_up, threads) = threads_of_hosts(&folder, None, "");
     for said in threads {
@@ -98,7 +98,7 @@ fn a_device_process_by_hand_has_one_thread_for_zenoh_too() {
     let mut command = folder.command(&format!("device --run={run} --connect {endpoint}"));
     command.env_remove("ZENOH_RUNTIME");
     let device = Process::start(&mut command);
-    let said = wait_until("the process to begin anew", PATIENCE, || threads_said(device.pid()));
+    let said = wait_until("the process to restart", PATIENCE, || threads_said(device.pid()));
     assert!(said.contains("rx:(handover:app)"), "{said}");
     assert_eq!(hosts_of(&run), [device.pid()]);
 }

@@ -20,7 +20,7 @@ type Act = fn(&PolicyQuestion, Value);
 
 /// Strangers answer every query with more data than a client accepts.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_flood_of_answers_costs_time_and_no_result() {
+async fn a_flood_of_answers_changes_no_result() {
     let (transcript, digest) = own("age-index", &[]);
     let run = Decided::start("-P 2");
     let flood = run.bus().await;
@@ -60,14 +60,14 @@ async fn an_answer_that_comes_twice_counts_once() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn nonsense_is_told_of_and_ends_the_run_or_is_left_out() {
+async fn invalid_decisions_are_reported_and_end_the_run_or_are_dropped() {
     let nonsense: [(&str, Spoil); 6] = [
         ("no device 30", |answer| answer["sense"] = json!([30])),
         ("one of", |answer| answer["action"] = json!([0])),
         ("unknown field", |answer| answer["senses"] = json!([1])),
-        ("was asked (seq, tti, stage)", |answer| answer["seq"] = json!(7)),
-        ("was asked (seq, tti, stage)", |answer| answer["tti"] = json!(7)),
-        ("was asked (seq, tti, stage)", |answer| answer["stage"] = json!("wake")),
+        ("(seq, tti, stage)", |answer| answer["seq"] = json!(7)),
+        ("(seq, tti, stage)", |answer| answer["tti"] = json!(7)),
+        ("(seq, tti, stage)", |answer| answer["stage"] = json!("wake")),
     ];
     for (why, spoil) in nonsense {
         let run = Decided::start("-P 0");
@@ -85,21 +85,21 @@ async fn nonsense_is_told_of_and_ends_the_run_or_is_left_out() {
         let (_, end) = run.finish();
         assert_eq!(end.code(), Some(1), "{end}");
         assert!(
-            end.stderr.contains("3 answers decided nothing") && end.stderr.contains(why),
+            end.stderr.contains("3 invalid answers") && end.stderr.contains(why),
             "{end}"
         );
-        assert_eq!(told, 2, "it is told what was wrong");
+        assert_eq!(told, 2, "the policy receives the errors");
     }
     // The sender of these answers is unknown: a stranger could otherwise end the run with them.
     let strange: [(&str, Act); 3] = [
-        ("an answer was dropped", |question, _| {
+        ("dropped an answer", |question, _| {
             question.answer(b"{".to_vec(), Encoding::Json).expect("answered");
         }),
-        ("an answer was dropped", |question, mut answer| {
+        ("dropped an answer", |question, mut answer| {
             answer["id"] = json!("another");
             say(question, &answer);
         }),
-        ("does not answer: no time", |question, _| {
+        ("returned an error: no time", |question, _| {
             question.reply_error("no time").expect("answered");
         }),
     ];
@@ -117,7 +117,7 @@ async fn nonsense_is_told_of_and_ends_the_run_or_is_left_out() {
             end.code() == Some(1) && end.stderr.contains("no decision for TTI 0"),
             "{end}"
         );
-        assert_eq!(end.stderr.matches(why).count(), 1, "it is said once: {end}");
+        assert_eq!(end.stderr.matches(why).count(), 1, "the warning appears once: {end}");
     }
     let run = Decided::start("-P 2 --on-undecided hold");
     let rogue = Rogue::at(&run).await;
@@ -145,7 +145,7 @@ async fn nonsense_is_told_of_and_ends_the_run_or_is_left_out() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_late_answer_is_not_taken_for_another_question() {
+async fn a_late_answer_does_not_answer_another_request() {
     let run = Decided::start("-P 2 --decision-timeout 300ms --on-undecided hold");
     let rogue = Rogue::at(&run).await;
     let mut slept = 0;
@@ -170,7 +170,7 @@ async fn a_late_answer_is_not_taken_for_another_question() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn who_has_not_the_key_decides_nothing() {
+async fn a_policy_without_the_key_decides_nothing() {
     let (transcript, digest) = own("age-index", &[]);
     let run = Decided::start("-P 2 --pace 2ms");
     let bus = run.bus().await;
@@ -187,7 +187,7 @@ async fn who_has_not_the_key_decides_nothing() {
         }
     };
     let (refused, ()) = tokio::join!(greeting, said);
-    let refused = refused.expect_err("he is told").to_string();
+    let refused = refused.expect_err("the client gets an error").to_string();
     assert!(refused.contains("does not show the run's key"), "{refused}");
     // The forger stays, and answers requests that are for others.
     let id = std::sync::Mutex::new(String::new());

@@ -19,7 +19,7 @@ fn get(address: &str, path: &str, host: &str) -> String {
 }
 
 #[test]
-fn watched_runs_have_the_digest_of_others() {
+fn observed_runs_have_the_same_digest() {
     let folder = Folder::new();
     let plain = folder.run("run -p knn -n 30 -k 600 --quiet --out a");
     assert!(plain.is_success(), "{plain}");
@@ -31,7 +31,7 @@ fn watched_runs_have_the_digest_of_others() {
 }
 
 #[test]
-fn metrics_are_served_to_this_machine_alone() {
+fn metrics_are_served_only_to_this_machine() {
     let (folder, run) = (Folder::new(), unique_run("metrics"));
     let up = folder.start(&format!(
         "up -P 1 -n 10 -k 60 --paused --run {run} --quiet --out o --metrics 127.0.0.1:0"

@@ -24,7 +24,7 @@ fn gone(run: &str) {
 }
 
 #[test]
-fn a_run_that_goes_on_is_never_replaced() {
+fn a_running_run_is_never_replaced() {
     let (folder, run) = (Folder::new(), unique_run("writer"));
     let up = alive(&folder, &run, "");
     let scenario = folder.bytes("out/scenario.toml");
@@ -32,11 +32,15 @@ fn a_run_that_goes_on_is_never_replaced() {
     for command in ["run", "up -P 0", "bs --run other --listen tcp/127.0.0.1:0"] {
         for force in ["", "--force"] {
             let end = folder.run(&format!("{command} -n 7 -k 50 --out out {force}"));
-            assert_refused(&end, 1, &["--out out", "a run is going on", &pid, "--force never"]);
+            assert_refused(
+                &end,
+                1,
+                &["--out out", "a run is running in this folder", &pid, "--force never"],
+            );
         }
     }
     let end = folder.run("train record --from out --chunk 12 --every 40 --out c.parquet");
-    assert_refused(&end, 1, &["out", "still going on"]);
+    assert_refused(&end, 1, &["out", "still running"]);
     up.signal(Signal::INT);
     let end = up.finish();
     assert_eq!(end.code(), Some(130), "{end}");
@@ -47,7 +51,7 @@ fn a_run_that_goes_on_is_never_replaced() {
 }
 
 #[test]
-fn a_run_that_was_killed_is_told_from_one_that_goes_on() {
+fn killed_and_running_runs_are_distinguished() {
     let (folder, run) = (Folder::new(), unique_run("stale"));
     let expected = folder.summary("run -n 7 -k 50");
     let up = alive(&folder, &run, "");
@@ -78,7 +82,7 @@ fn a_run_that_was_killed_is_told_from_one_that_goes_on() {
 }
 
 #[test]
-fn of_runs_that_begin_at_once_one_has_the_folder() {
+fn of_simultaneous_runs_one_gets_the_folder() {
     let folder = Folder::new();
     for force in [false, true] {
         let args = |seed: u64| {
@@ -110,7 +114,7 @@ fn of_runs_that_begin_at_once_one_has_the_folder() {
 }
 
 #[test]
-fn a_folder_that_is_no_run_is_left_as_it_is() {
+fn a_folder_without_a_run_stays_unchanged() {
     let folder = Folder::new();
     fs::create_dir(folder.join("mine")).expect("possible");
     folder.write("mine/letter", "dear");
@@ -129,7 +133,7 @@ fn a_folder_that_is_no_run_is_left_as_it_is() {
 }
 
 #[test]
-fn a_recording_that_grows_is_never_replaced_and_said_to_grow() {
+fn a_growing_recording_is_never_replaced() {
     let (folder, run) = (Folder::new(), unique_run("tape"));
     let up = alive(&folder, &run, "--record r.mcap");
     let end = folder.run("run -n 7 -k 50 --out other --record r.mcap --force");
@@ -138,7 +142,7 @@ fn a_recording_that_grows_is_never_replaced_and_said_to_grow() {
     // The start of a recording may not be written yet.
     wait_until("the recording to be readable", PATIENCE, || {
         let end = folder.run("inspect tail --from r.mcap --count 1");
-        end.stderr.contains("r.mcap is still being written").then_some(())
+        end.stderr.contains("r.mcap: still being written").then_some(())
     });
     up.signal(Signal::INT);
     assert_eq!(up.finish().code(), Some(130));
@@ -152,7 +156,7 @@ fn a_recording_that_grows_is_never_replaced_and_said_to_grow() {
 }
 
 #[test]
-fn a_killed_run_has_its_rows_whole_and_up_to_the_last_second() {
+fn a_killed_run_keeps_complete_rows_up_to_the_last_second() {
     let (folder, run) = (Folder::new(), unique_run("rows"));
     let up = folder.start(&format!(
         "up -P 2 -n 30 -k 12000 --pace 5ms --window 10 --set events.alpha=0.2 --out out --run {run}"
@@ -168,7 +172,7 @@ fn a_killed_run_has_its_rows_whole_and_up_to_the_last_second() {
         assert!(text.lines().all(|line| line.split(',').count() == columns), "{text}");
         text.lines().count() - 1
     };
-    wait_until("the rows to be written while the run goes on", PATIENCE, || {
+    wait_until("the rows to be written during the run", PATIENCE, || {
         (rows("windows.csv") as u64 >= at / 10).then_some(())
     });
     let tti = folder.wait_for_tti(&run, 0);

@@ -69,7 +69,7 @@ async fn the_decisions_of_a_policy_give_its_digest() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn killed_processes_cost_time_and_no_result() {
+async fn killed_processes_change_no_result() {
     let (transcript, digest) = own("age-index", &[]);
     let run = Decided::start("-P 4 --pace 4ms --audit on");
     let key = run.key();
@@ -83,7 +83,7 @@ async fn killed_processes_cost_time_and_no_result() {
     let mut first = |asked: &DecisionRequest| answer(&transcript, asked);
     let first = client::decide(&bus, &own_name, &mut first);
     let gone = tokio::time::timeout(Duration::from_millis(700), first).await;
-    assert!(gone.is_err(), "the run is to be longer than that");
+    assert!(gone.is_err(), "the run must be longer");
     bus.close().await;
     let victim = hosts_of(&run.run)[1];
     let decider = run.decide(Encoding::Json, |asked| {
@@ -100,11 +100,11 @@ async fn killed_processes_cost_time_and_no_result() {
         (&*digest, "whole")
     );
     assert!(end.stderr.contains("the first has not answered"), "{end}");
-    assert!(end.stderr.contains("are carried again"), "{end}");
+    assert!(end.stderr.contains(" run again after "), "{end}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_killed_base_station_is_taken_up_and_asks_only_for_what_is_new() {
+async fn a_resumed_base_station_requests_only_new_decisions() {
     let (transcript, digest) = own("q-learning", &[]);
     let run = Decided::start("-P 2 --pace 8ms");
     let asked_before = {
@@ -116,7 +116,7 @@ async fn a_killed_base_station_is_taken_up_and_asks_only_for_what_is_new() {
             answer(&transcript, asked)
         });
         let asked = decider.await;
-        assert!(folder.join("out/mark.json").is_file(), "{name}: a mark");
+        assert!(folder.join("out/resume.json").is_file(), "{name}: a mark");
         asked
     };
     let (folder, _) = run.finish();
@@ -212,7 +212,7 @@ fn a_run_with_a_long_log_is_joined_late() {
 
 /// The base station is killed in a TTI with lost devices and undecided wake-ups.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_run_that_was_killed_within_a_ttis_wake_ups_goes_on_before_it() {
+async fn a_run_killed_during_wake_ups_resumes_before_them() {
     let (transcript, _) = own("age-index", &[]);
     let run = Decided::start("-P 3 --pace 4ms --on-loss continue");
     run.key();
@@ -233,7 +233,7 @@ async fn a_run_that_was_killed_within_a_ttis_wake_ups_goes_on_before_it() {
                 .0
                 .iter()
                 .rposition(|bit| *bit == 2)
-                .expect("somebody sleeps");
+                .expect("a device sleeps");
             return Decision::Wake(vec![DeviceId(own as u32)]);
         }
         if lost_in.is_some() {
@@ -268,11 +268,11 @@ async fn a_run_that_was_killed_within_a_ttis_wake_ups_goes_on_before_it() {
 }
 
 #[test]
-fn nobody_who_decides_is_named_and_waited_for_as_told() {
+fn a_missing_policy_process_is_named_and_waited_for() {
     let run = Decided::start("-P 1 --decision-timeout 1s");
     let (_, end) = run.finish();
     assert!(
-        end.code() == Some(1) && end.stderr.contains("nobody decides at reveille/"),
+        end.code() == Some(1) && end.stderr.contains("no policy process answers at reveille/"),
         "{end}"
     );
 
@@ -286,7 +286,7 @@ fn nobody_who_decides_is_named_and_waited_for_as_told() {
 
     let run = Decided::start("-P 1");
     run.process
-        .wait_for_stderr("no decision for 5 s: nobody decides at reveille/");
+        .wait_for_stderr("no decision for 5 s: no policy process answers at reveille/");
     run.process.signal(Signal::INT);
     let (folder, end) = run.finish();
     assert_eq!(end.code(), Some(130), "{end}");
@@ -299,7 +299,7 @@ fn nobody_who_decides_is_named_and_waited_for_as_told() {
 }
 
 #[test]
-fn a_command_that_decides_ends_with_the_run_and_the_run_with_it() {
+fn a_policy_command_and_its_run_end_together() {
     let folder = Folder::new();
     let script = folder.write(
         "policy.sh",
@@ -325,7 +325,7 @@ fn a_command_that_decides_ends_with_the_run_and_the_run_with_it() {
 
 /// Neither a policy command that ignores signals nor its children outlive a killed base station.
 #[test]
-fn a_command_that_decides_does_not_outlive_its_base_station() {
+fn a_policy_command_does_not_outlive_its_base_station() {
     let folder = Folder::new();
     let stubborn = "trap '' TERM INT HUP; sleep 1000 & echo $! > child; wait";
     for (name, signal) in [("killed", Signal::KILL), ("hurried", Signal::INT)] {
@@ -334,7 +334,7 @@ fn a_command_that_decides_does_not_outlive_its_base_station() {
         assert!(lives(own) && lives(child));
         run.signal(signal);
         if signal == Signal::INT {
-            run.wait_for_stderr("once more to end at once");
+            run.wait_for_stderr("repeat the signal to end immediately");
             run.signal(signal);
         }
         assert!(!run.finish().is_success());
@@ -346,7 +346,7 @@ fn a_command_that_decides_does_not_outlive_its_base_station() {
 
 /// Children of a policy command get time for cleanup, even if the command itself has ended.
 #[test]
-fn what_a_command_has_started_is_told_before_it_is_ended() {
+fn processes_of_a_policy_command_get_sigterm_before_sigkill() {
     let folder = Folder::new();
     let child = folder.write(
         "policy.sh",
@@ -382,7 +382,7 @@ fn pid_in(folder: &Folder, file: &str) -> u32 {
 }
 
 #[test]
-fn what_cannot_be_is_refused_before_there_is_a_folder() {
+fn invalid_policy_options_are_refused_before_a_folder_exists() {
     let folder = Folder::new();
     folder.write("empty.log", "");
     let refused = [
@@ -401,13 +401,13 @@ fn what_cannot_be_is_refused_before_there_is_a_folder() {
             "missing.log",
         ),
         ("sweep --policies external --seeds 1".to_owned(), "external"),
-        (
-            format!("figures timeline {SMALL} -p external"),
-            "external decides nothing itself",
-        ),
+        (format!("figures timeline {SMALL} -p external"), "policy external: only"),
         (format!("run {SMALL} --policy replay="), "name the inputs.log of a run"),
         (format!("run {SMALL} --policy replay=runtime"), "runtime/inputs.log"),
-        (format!("run {SMALL} --policy replay=empty.log"), "nothing is in it"),
+        (
+            format!("run {SMALL} --policy replay=empty.log"),
+            "the input log is empty",
+        ),
     ];
     for (command, why) in refused {
         let end = folder.run(&format!("{command} --out out"));

@@ -36,7 +36,7 @@ fn assert_lost(end: &Finished, since: Instant, within: Duration) {
 }
 
 /// Waits until no device process of `run` is left.
-fn assert_nobody_left(run: &str) {
+fn assert_no_process_left(run: &str) {
     wait_until("the device processes to end", PATIENCE, || {
         hosts_of(run).is_empty().then_some(())
     });
@@ -59,10 +59,10 @@ fn a_killed_device_process_of_up_is_noticed() {
     send_signal(hosts[2], Signal::KILL);
     let end = up.finish();
     assert_lost(&end, since, NOTICE);
-    assert_nobody_left(&run);
+    assert_no_process_left(&run);
     assert_eq!(
         folder.list("out"),
-        ["FAILED", "events.csv", "mark.json", "scenario.toml", "windows.csv"]
+        ["FAILED", "events.csv", "resume.json", "scenario.toml", "windows.csv"]
     );
     let why = std::fs::read_to_string(folder.join("out/FAILED")).expect("readable");
     for said in [&why, &end.stderr] {
@@ -97,12 +97,12 @@ fn a_killed_device_process_of_bs_is_noticed_and_named() {
     assert_lost(&end, since, NOTICE);
     assert!(end.stderr.contains("host 0 with devices 0 to 9 "), "{end}");
     let second = second.finish();
-    assert_eq!(second.code(), Some(1), "the others are told: {second}");
+    assert_eq!(second.code(), Some(1), "the other hosts fail too: {second}");
     assert!(second.stderr.contains("the run has failed: lost host 0"), "{second}");
 }
 
 #[test]
-fn a_frozen_device_process_is_noticed_after_the_lease() {
+fn a_frozen_device_process_is_lost_after_the_lease() {
     let (folder, run) = (Folder::new(), unique_run("freeze"));
     let (up, hosts) = up_mid_run(&folder, &run, &format!("{LONG} --on-loss end"));
     let since = now();
@@ -110,7 +110,7 @@ fn a_frozen_device_process_is_noticed_after_the_lease() {
     let end = up.finish();
     assert_lost(&end, since, Duration::from_secs(8));
     assert!(end.stderr.contains("froze"), "{end}");
-    assert_nobody_left(&run);
+    assert_no_process_left(&run);
 }
 
 /// Freezes a device process of a run for longer than the lease, then lets it continue.
@@ -135,12 +135,12 @@ fn thawed(scenario: &str) {
 }
 
 #[test]
-fn a_thawed_device_process_goes_on_as_if_nothing_had_been_knn() {
+fn a_thawed_device_process_continues_with_knn() {
     thawed("-n 30 -k 800 -p knn");
 }
 
 #[test]
-fn a_thawed_device_process_goes_on_as_if_nothing_had_been_random() {
+fn a_thawed_device_process_continues_with_random() {
     thawed("-n 30 -k 800 -p random");
 }
 
@@ -165,7 +165,7 @@ fn no_device_process_outlives_a_killed_up() {
     up.signal(Signal::KILL);
     let end = up.finish();
     assert_eq!(end.code(), None, "{end}");
-    assert_nobody_left(&run);
+    assert_no_process_left(&run);
     assert!(
         folder.list("out").contains(&"RUNNING".to_owned()),
         "the mark says that the run was killed"
@@ -193,7 +193,7 @@ fn interrupted(signal: Signal, by_hand: bool) {
         [
             "devices.csv",
             "events.csv",
-            "mark.json",
+            "resume.json",
             "scenario.toml",
             "summary.json",
             "windows.csv"
@@ -203,7 +203,7 @@ fn interrupted(signal: Signal, by_hand: bool) {
         let host = host.finish();
         assert!(host.is_success(), "{host}");
     }
-    assert_nobody_left(&run);
+    assert_no_process_left(&run);
     assert_eq!(
         folder.list("runtime/reveille"),
         [""; 0],
@@ -212,17 +212,17 @@ fn interrupted(signal: Signal, by_hand: bool) {
 }
 
 #[test]
-fn sigint_ends_up_with_what_there_is() {
+fn sigint_ends_up_with_partial_results() {
     interrupted(Signal::INT, false);
 }
 
 #[test]
-fn sigterm_ends_up_with_what_there_is() {
+fn sigterm_ends_up_with_partial_results() {
     interrupted(Signal::TERM, false);
 }
 
 #[test]
-fn sigint_ends_bs_with_what_there_is() {
+fn sigint_ends_bs_with_partial_results() {
     interrupted(Signal::INT, true);
 }
 

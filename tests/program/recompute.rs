@@ -22,11 +22,11 @@ fn runs() -> Vec<String> {
 }
 
 #[test]
-fn metrics_are_what_the_tables_say() {
+fn metrics_follow_from_the_tables() {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/recompute/recompute.py");
     let has_python = Command::new("python3").args(["-c", "import tomllib"]).status();
     if !has_python.is_ok_and(|status| status.success()) {
-        return missing("metrics are not recomputed: there is no python3 of version 3.11 or later here");
+        return missing("metrics are not recomputed: python3 3.11 or later is missing");
     }
     let folder = Folder::new();
     let runs = runs();

@@ -40,8 +40,8 @@ fn memory_and_bus_record_the_same_air_and_truth() {
     // Also with lost messages, which the recordings contain.
     are_the_same(
         "-p knn -n 20 -k 400 --set events.alpha=0.4 --record-states 60 --quiet --set radio.wake_miss=0.2 \
-         --set radio.uplink_loss=0.3 --set radio.false_wake=0.02 --set radio.plan_loss=0.3 --set radio.wake_latency=1 \
-         --set bs.sync_interval=50",
+         --set radio.uplink_loss=0.3 --set radio.false_wake_up=0.02 --set radio.plan_loss=0.3 \
+         --set radio.wake_latency=1 --set bs.sync_interval=50",
     );
 }
 
@@ -76,7 +76,7 @@ fn are_the_same(run: &str) {
 }
 
 #[test]
-fn filters_and_joined_wake_ups_show_what_they_say() {
+fn filters_and_joined_wake_ups_show_the_right_messages() {
     let folder = Folder::new();
     let end = folder
         .run("run -p knn -n 60 -k 600 --set events.alpha=0.5 --set harvest.e_b=3 --record r.mcap --quiet --out o");
@@ -102,9 +102,9 @@ fn filters_and_joined_wake_ups_show_what_they_say() {
     assert_eq!(joined.len(), wakes);
     assert!(joined.iter().all(|line| !line["message"]["outcome"].is_null()));
     // Exactly the unpowered devices do not receive wake-ups.
-    let unheard = |line: &&Value| line["kind"] == "woken" && line["message"]["outcome"] == "Unheard";
+    let missed = |line: &&Value| line["kind"] == "woken" && line["message"]["outcome"] == "Missed";
     let deaf = shown(&folder, "r.mcap --state deaf --kind wake");
-    assert_eq!(deaf.len(), all.iter().filter(unheard).count());
+    assert_eq!(deaf.len(), all.iter().filter(missed).count());
     // A device that is woken was asleep before, and its line shows the outcome.
     assert_eq!(shown(&folder, "r.mcap --join --state S4 --kind wake"), joined);
     // Every device is in one cluster.
@@ -122,7 +122,7 @@ fn filters_and_joined_wake_ups_show_what_they_say() {
 }
 
 #[test]
-fn statistics_are_those_of_the_messages_and_of_the_summary() {
+fn statistics_equal_messages_and_summary() {
     let folder = Folder::new();
     let end = folder.run("run -p age-index -n 40 -k 500 --set warm_up=0 --record r.mcap --json --out o");
     let summary: Value = serde_json::from_str(&end.stdout).unwrap_or_else(|_| panic!("{end}"));
@@ -154,7 +154,7 @@ fn a_killed_run_leaves_a_recording_up_to_the_tear() {
     let end = folder.run("inspect verify r.mcap");
     assert_eq!(end.code(), Some(1), "{end}");
     assert!(
-        end.stdout.contains("fit together") && end.stderr.contains("torn"),
+        end.stdout.contains("are consistent") && end.stderr.contains("truncated"),
         "{end}"
     );
     let end = folder.run("inspect tail --from r.mcap --kind event -c 5");
@@ -171,7 +171,7 @@ fn a_killed_run_leaves_a_recording_up_to_the_tear() {
 }
 
 #[test]
-fn what_is_no_recording_is_refused() {
+fn invalid_recordings_are_refused() {
     let folder = Folder::new();
     assert!(
         folder
@@ -179,7 +179,7 @@ fn what_is_no_recording_is_refused() {
             .is_success()
     );
     let again = folder.run("run -n 10 -k 200 --record r.mcap --quiet --out p");
-    assert_refused(&again, 1, &["--record r.mcap", "is there already"]);
+    assert_refused(&again, 1, &["--record r.mcap", "file exists"]);
     assert_refused(&folder.run("run -n 10 --record-states 5 --quiet"), 2, &["--record"]);
     assert_refused(
         &folder.run("run -n 10 --record nowhere/r.mcap --quiet --out q"),
@@ -197,7 +197,7 @@ fn what_is_no_recording_is_refused() {
         // The messages before the truncation are shown.
         let end = folder.run(&format!("inspect {command} cut.mcap"));
         assert!(
-            end.code() == Some(1) && end.stderr.contains("cut.mcap: is torn"),
+            end.code() == Some(1) && end.stderr.contains("cut.mcap: is truncated"),
             "{end}"
         );
     }
@@ -227,7 +227,7 @@ fn what_is_no_recording_is_refused() {
 }
 
 #[test]
-fn a_run_is_recorded_from_outside() {
+fn a_run_is_recorded_by_another_process() {
     let (folder, run) = (Folder::new(), unique_run("outside"));
     let up = folder.start(&format!("up -P 1 -n 20 -k 300 --paused --run {run} --quiet --out o"));
     folder.wait_for_tti(&run, 0);

@@ -10,7 +10,7 @@ use rustix::process::{Signal, getuid};
 /// Folder of the registry entries.
 const REGISTRY: &str = "runtime/reveille";
 /// User id of another user.
-const NOBODY: u32 = 65_534;
+const UNPRIVILEGED: u32 = 65_534;
 
 /// Returns the permissions of an entry in the folder.
 fn mode(folder: &Folder, name: &str) -> u32 {
@@ -19,7 +19,7 @@ fn mode(folder: &Folder, name: &str) -> u32 {
 }
 
 #[test]
-fn entries_are_for_their_owner_alone() {
+fn entries_are_private() {
     let (folder, run) = (Folder::new(), unique_run("own"));
     let mut command = std::process::Command::new("sh");
     let program = reveille_tests::process::reveille().display();
@@ -44,7 +44,7 @@ fn entries_are_for_their_owner_alone() {
 
 /// Checks that a run continues without the registry and warns, and that `clock` does not trust its contents and changes
 /// nothing.
-fn is_not_believed(folder: &Folder, why: &str) {
+fn assert_not_trusted(folder: &Folder, why: &str) {
     let (run, endpoint) = (unique_run("doubt"), free_endpoint());
     // An entry of a live process: this one.
     let entry = format!(
@@ -63,7 +63,7 @@ fn is_not_believed(folder: &Folder, why: &str) {
     let before = folder.list(REGISTRY);
     let up = folder.run(&format!("up -P 1 -n 5 -k 100 --quiet --run {run} --out {run}"));
     assert!(up.is_success(), "{up}");
-    for part in [REGISTRY, why, "will not find this run"] {
+    for part in [REGISTRY, why, "cannot find this run"] {
         assert!(up.stderr.contains(part), "no {part:?}: {up}");
     }
     assert_eq!(folder.list(REGISTRY), before);
@@ -73,12 +73,12 @@ fn is_not_believed(folder: &Folder, why: &str) {
 }
 
 #[test]
-fn a_folder_that_is_open_to_others_is_not_believed() {
+fn a_folder_open_to_others_is_not_trusted() {
     let folder = Folder::new();
     fs::create_dir(folder.join(REGISTRY)).expect("possible");
     for mode in [0o755, 0o770, 0o1777] {
         fs::set_permissions(folder.join(REGISTRY), Permissions::from_mode(mode)).expect("ours");
-        is_not_believed(&folder, "chmod 700");
+        assert_not_trusted(&folder, "chmod 700");
     }
     fs::set_permissions(folder.join(REGISTRY), Permissions::from_mode(0o700)).expect("ours");
     let end = folder.run("clock status");
@@ -91,18 +91,18 @@ fn a_link_in_its_place_is_not_followed() {
     fs::create_dir(folder.join("elsewhere")).expect("possible");
     fs::set_permissions(folder.join("elsewhere"), Permissions::from_mode(0o700)).expect("ours");
     symlink(folder.join("elsewhere"), folder.join(REGISTRY)).expect("possible");
-    is_not_believed(&folder, "a link or a file");
+    assert_not_trusted(&folder, "a link or a file");
     fs::remove_file(folder.join(REGISTRY)).expect("ours");
     symlink(folder.join("nowhere"), folder.join(REGISTRY)).expect("possible");
-    is_not_believed(&folder, "a link or a file");
+    assert_not_trusted(&folder, "a link or a file");
     assert!(!folder.join("nowhere").exists());
     fs::remove_file(folder.join(REGISTRY)).expect("ours");
     folder.write(REGISTRY, "");
-    is_not_believed(&folder, "a link or a file");
+    assert_not_trusted(&folder, "a link or a file");
 }
 
 #[test]
-fn the_folder_of_another_user_is_not_believed() {
+fn the_folder_of_another_user_is_not_trusted() {
     if !getuid().is_root() {
         skipped("to give a folder to another user takes root");
         return;
@@ -110,12 +110,12 @@ fn the_folder_of_another_user_is_not_believed() {
     let folder = Folder::new();
     fs::create_dir(folder.join(REGISTRY)).expect("possible");
     fs::set_permissions(folder.join(REGISTRY), Permissions::from_mode(0o700)).expect("ours");
-    chown(folder.join(REGISTRY), Some(NOBODY), Some(NOBODY)).expect("root may");
-    is_not_believed(&folder, "another user (65534, you are 0)");
+    chown(folder.join(REGISTRY), Some(UNPRIVILEGED), Some(UNPRIVILEGED)).expect("root may");
+    assert_not_trusted(&folder, "another user (65534, you are 0)");
 }
 
 #[test]
-fn a_folder_of_no_fixed_place_is_not_used() {
+fn a_relative_folder_is_not_used() {
     let (folder, run) = (Folder::new(), unique_run("relative"));
     let mut command = folder.command(&format!("up -P 0 -n 5 -k 100 --quiet --run {run} --out out"));
     command.env("XDG_RUNTIME_DIR", "runtime").env("TMPDIR", folder.path());

@@ -35,7 +35,7 @@ fn a_run_folder_that_was_moved_can_be_run_again() {
     let text = String::from_utf8(folder.bytes("first/scenario.toml")).expect("text");
     assert!(!text.contains(&folder.path().display().to_string()), "{text}");
     assert_eq!(
-        folder.list("first/inputs"),
+        folder.list("first/scenario-files"),
         ["energy-2.csv", "energy.csv", "points.csv", "table.json"]
     );
     for gone in ["a", "b"] {
@@ -51,11 +51,11 @@ fn a_run_folder_that_was_moved_can_be_run_again() {
     // In its own folder: the run replaces the files that it reads.
     let own = folder.summary("up -P 0 -s elsewhere/moved/scenario.toml --out elsewhere/moved --force");
     assert_eq!(own.digest(), first.digest());
-    assert_eq!(folder.list("elsewhere/moved/inputs").len(), 4);
+    assert_eq!(folder.list("elsewhere/moved/scenario-files").len(), 4);
     // A run without files replaces a run with files.
     let plain = folder.summary("run -n 5 -k 50 --out again --force");
     assert_ne!(plain.digest(), first.digest());
-    assert!(!folder.join("again/inputs").exists());
+    assert!(!folder.join("again/scenario-files").exists());
 }
 
 /// Uses a model of the decision transformer, and traces in the formats of sweep tables.
@@ -73,7 +73,10 @@ fn models_and_traces_of_other_forms_are_kept_as_well() {
          [harvest]\nkind = \"trace\"\ntrace.file = \"sun.parquet\"\ntrace.column = \"reports_per_event\"\n",
     );
     let first = folder.summary("up -P 2 -s my.toml --out first");
-    assert_eq!(folder.list("first/inputs"), ["model.safetensors", "sun.parquet"]);
+    assert_eq!(
+        folder.list("first/scenario-files"),
+        ["model.safetensors", "sun.parquet"]
+    );
     for gone in ["model.safetensors", "sun.parquet", "my.toml"] {
         fs::remove_file(folder.join(gone)).expect("a file");
     }

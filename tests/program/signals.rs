@@ -30,7 +30,7 @@ const LONG: &str = "-n 6 -k 1000000 --pace 4ms";
 /// Options of a search before a run that takes hours.
 const SEARCH: &str = "-p adjusted -n 200 --set policy.adjusted.pilot_ttis=900000000";
 /// Output after which a command has installed its handlers.
-const ANNOUNCED: [&str; 4] = ["waiting for ", "connected to run", "shown at", "dashboard at"];
+const ANNOUNCED: [&str; 3] = ["waiting for ", "connected to run", "dashboard at"];
 
 /// Expected exit of a command after a signal, once its handlers are installed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -147,7 +147,7 @@ fn assert_ends(folder: &Folder, case: &Case, number: usize, signal: Signal) -> S
         !registered.iter().any(|name| name.ends_with(&entry)),
         "{registered:?}: {what}"
     );
-    wait_until(&format!("the end of all that it has started: {what}"), PATIENCE, || {
+    wait_until(&format!("the end of all its processes: {what}"), PATIENCE, || {
         marked(&mark).is_empty().then_some(())
     });
     end.status.to_string()

@@ -68,14 +68,14 @@ fn threads_shards_and_both_together_give_the_same_bytes() {
     assert_refused(&lacking, 1, &["1 of 3 shards are missing: 2/3", "--partial"]);
     assert!(!folder.join("lacking.parquet").exists());
     let partial = folder.run("merge s1 s3 --partial --out partial.parquet");
-    assert!(partial.stdout.contains("of shards 1,3/3 alone"), "{partial}");
+    assert!(partial.stdout.contains("from shards 1,3/3 only"), "{partial}");
     for out in ["s2/results.parquet", "s1/../s2/results.parquet"] {
         let onto = folder.run(&format!("merge s1 s2 s3 --out {out}"));
         assert_refused(&onto, 1, &[out, "is one of the tables to merge"]);
     }
     folder.write("taken.csv", "precious");
     let taken = folder.run("merge s1 s2 s3 --out taken.csv");
-    assert_refused(&taken, 1, &["taken.csv: is there already", "--force"]);
+    assert_refused(&taken, 1, &["taken.csv: file exists", "--force"]);
     let scenario = folder.run("merge s1 s2 s3 --force --out my.toml");
     assert_refused(&scenario, 1, &["--out my.toml", ".parquet or .csv"]);
     assert!(!folder.join("my.toml").exists() && folder.bytes("taken.csv") == b"precious");
@@ -86,7 +86,7 @@ fn threads_shards_and_both_together_give_the_same_bytes() {
 }
 
 #[test]
-fn rows_are_those_of_single_runs() {
+fn rows_equal_single_runs() {
     let folder = Folder::new();
     let end = folder.run(&format!("sweep {GRID} --format csv --quiet --out s"));
     assert!(end.is_success(), "{end}");
@@ -128,12 +128,12 @@ fn rows_are_those_of_single_runs() {
 fn random(bound: u64) -> u64 {
     let mut bytes = [0; 8];
     let mut source = fs::File::open("/dev/urandom").expect("Linux has it");
-    source.read_exact(&mut bytes).expect("it has no end");
+    source.read_exact(&mut bytes).expect("endless");
     u64::from_ne_bytes(bytes) % bound
 }
 
 #[test]
-fn a_killed_sweep_goes_on_and_ends_the_same() {
+fn a_killed_sweep_resumes_to_the_same_table() {
     let folder = Folder::new();
     let grid = &GRID.replace("--ttis 600", "--ttis 60000");
     let expected = swept(&folder, grid, "undisturbed");
@@ -193,22 +193,19 @@ fn a_table_is_whole_or_not_there_when_its_writer_is_killed() {
         let is_hit = !table.exists();
         println!(
             "kill {kill}: {delay:?} into the writing, table {}",
-            if is_hit { "not there" } else { "there" }
+            if is_hit { "missing" } else { "written" }
         );
         hits += u32::from(is_hit);
         if is_hit {
-            assert!(swept(&folder, sweep, "s") == expected, "written again");
+            assert!(swept(&folder, sweep, "s") == expected, "the repeated sweep");
         }
-        assert!(
-            fs::read(&table).expect("there") == expected,
-            "a table that is not whole"
-        );
+        assert!(fs::read(&table).expect("there") == expected, "an incomplete table");
     }
     println!("{hits} of 10 kills fell into the writing");
 }
 
 #[test]
-fn torn_and_garbled_rows_are_made_again() {
+fn damaged_rows_are_repeated() {
     let folder = Folder::new();
     let expected = swept(&folder, GRID, "s");
     let journal = folder.join("s/runs.journal");
@@ -221,7 +218,7 @@ fn torn_and_garbled_rows_are_made_again() {
     let end = folder.run(&format!("sweep {GRID} --out s"));
     assert!(
         end.stderr
-            .contains("2 rows of s/runs.journal were torn or garbled and have been taken out"),
+            .contains("s/runs.journal: 2 rows were damaged and have been removed"),
         "{end}"
     );
     assert!(
@@ -231,7 +228,10 @@ fn torn_and_garbled_rows_are_made_again() {
     let table = fs::read(folder.join("s/results.parquet")).expect("a table");
     assert!(table == expected);
     let end = folder.run(&format!("sweep {GRID} --out s"));
-    assert!(end.is_success() && !end.stderr.contains("garbled"), "told once: {end}");
+    assert!(
+        end.is_success() && !end.stderr.contains("damaged"),
+        "the warning is not repeated: {end}"
+    );
 
     fs::create_dir_all(folder.join("notes")).expect("writable");
     folder.write("notes/runs.journal", "my precious notes");
@@ -255,7 +255,7 @@ fn two_sweeps_do_not_share_a_folder() {
     assert_refused(
         &folder.run(endless),
         1,
-        &["--out s", "another `reveille sweep` is at work"],
+        &["--out s", "another `reveille sweep` uses this folder"],
     );
     first.signal(Signal::KILL);
     first.finish();
@@ -281,7 +281,7 @@ fn a_table_of_another_version_is_not_merged() {
     .expect("written");
     let end = folder.run("merge s1 s2 --out m.csv");
     assert_refused(&end, 1, &["s2/results.csv", "version 2", "reads version 1"]);
-    fs::write(&side, text.replace("0.1.0", "0.0.9")).expect("written");
+    fs::write(&side, text.replace(env!("CARGO_PKG_VERSION"), "0.0.9")).expect("written");
     assert_refused(&folder.run("merge s1 s2 --out m.csv"), 1, &["reveille 0.0.9"]);
     fs::write(&side, text).expect("written");
     assert!(folder.run("merge s1 s2 --out m.csv").is_success());
@@ -303,7 +303,7 @@ fn a_table_of_another_version_is_not_merged() {
 }
 
 #[test]
-fn what_cannot_be_run_is_refused_before_the_first_run() {
+fn invalid_scenarios_are_refused_before_the_first_run() {
     let folder = Folder::new();
     folder.write("typo.toml", "devices = [10]\npolicees = [\"knn\"]\n");
     folder.write("empty.toml", "devices = []\n");
@@ -329,7 +329,7 @@ fn what_cannot_be_run_is_refused_before_the_first_run() {
         ("--policies knn,kmm", &["policy.name", "kmm"]),
         (
             "--until-ci 1% --ci-metrics events,colour",
-            &["colour", "no such metric", "info_per_event"],
+            &["colour", "unknown metric", "info_per_event"],
         ),
         ("--until-ci 200%", &["until_ci = 200%", "at most 100 %"]),
         ("--until-ci 1% --shard 1/2", &["shard = 1/2", "until_ci"]),
@@ -479,7 +479,7 @@ fn a_full_disk_loses_no_finished_run() {
     // Space for the journal, but not for the table: the runs are kept until there is space.
     fs::remove_file(path.join("s/results.parquet")).expect("there");
     let full = fs::write(&ballast, vec![0; 256 * 1024]);
-    assert!(full.is_err(), "the disk is larger than it should be");
+    assert!(full.is_err(), "the disk has more space than requested");
     let end = folder.run(&format!("sweep {GRID} --out disk/s --quiet"));
     assert_refused(
         &end,
@@ -487,7 +487,7 @@ fn a_full_disk_loses_no_finished_run() {
         &[
             "disk/s/results.parquet",
             "No space left on device",
-            &format!("the runs, {RUNS} so far, are kept in disk/s"),
+            &format!("the {RUNS} finished runs are kept in disk/s"),
             "give the same command again",
         ],
     );

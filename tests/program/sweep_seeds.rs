@@ -47,7 +47,7 @@ fn swept_by_default(folder: &Folder, args: &str) -> (u64, u64, String) {
 }
 
 #[test]
-fn a_quick_look_needs_no_name_and_can_be_gone_on_with() {
+fn an_unnamed_sweep_can_be_extended() {
     let folder = Folder::new();
     let args = "--devices 5 --ttis 50";
     let (_, _, long) = swept_by_default(&folder, &format!("{args} --seeds 5"));
@@ -63,13 +63,13 @@ fn a_quick_look_needs_no_name_and_can_be_gone_on_with() {
     let (_, found, place) = swept_by_default(&folder, &format!("{short}/experiment.toml --ttis 60"));
     assert!(
         found == 0 && place != short,
-        "another experiment has a folder of its own: {place}"
+        "another experiment gets a separate folder: {place}"
     );
     assert_eq!(folder.list("runs").len(), 3);
 }
 
 #[test]
-fn a_table_of_fewer_seeds_is_not_taken_for_that_of_more() {
+fn a_table_with_fewer_seeds_is_not_reused() {
     let folder = Folder::new();
     for index in 1..=2 {
         swept(
@@ -97,7 +97,7 @@ fn a_table_of_fewer_seeds_is_not_taken_for_that_of_more() {
         let end = folder.run(&format!("{command} whole --out c"));
         assert_refused(&end, 1, &["whole: its sweep is not finished"]);
         let end = folder.run(&format!("{command} runtime --out c"));
-        assert_refused(&end, 1, &["runtime: the folder holds no table of a sweep"]);
+        assert_refused(&end, 1, &["runtime: the folder has no table of a sweep"]);
     }
     assert!(!folder.join("c").exists());
     // State after a kill before the removal of the table.
@@ -109,7 +109,7 @@ fn a_table_of_fewer_seeds_is_not_taken_for_that_of_more() {
 }
 
 #[test]
-fn a_kill_between_the_journal_and_the_experiment_is_no_harm() {
+fn a_kill_between_the_journal_and_the_experiment_is_harmless() {
     let folder = Folder::new();
     let (expected, _) = swept(&folder, &format!("{GRID} --seeds 4"), "fresh");
     for changed in ["runs.journal", "experiment.toml"] {
@@ -154,7 +154,7 @@ fn a_full_disk_while_seeds_are_raised_leaves_the_folder_as_it_was() {
     };
     let before: Vec<Vec<u8>> = read().collect();
     let full = fs::write(&ballast, vec![0; 256 * 1024]);
-    assert!(full.is_err(), "the disk is larger than it should be");
+    assert!(full.is_err(), "the disk has more space than requested");
     let end = folder.run(&format!("sweep {GRID} --seeds 12 --out disk/s"));
     assert_refused(
         &end,
@@ -166,7 +166,7 @@ fn a_full_disk_while_seeds_are_raised_leaves_the_folder_as_it_was() {
             "free some space",
         ],
     );
-    assert_eq!(folder.list("disk/s"), names, "nothing is left behind");
+    assert_eq!(folder.list("disk/s"), names, "no new files");
     assert!(read().eq(before), "the folder has changed");
     fs::remove_file(ballast).expect("there");
     let (table, found) = swept(&folder, &format!("{GRID} --seeds 12"), "disk/s");
@@ -182,7 +182,7 @@ fn fewer_seeds_and_another_first_one_are_refused() {
     for (args, parts) in [
         (
             format!("{GRID} --seeds 3"),
-            &["--out s", "4 seeds a cell", "the 3 asked for", "--seeds 4 or more"][..],
+            &["--out s", "4 seeds a cell", "the requested 3", "--seeds 4 or more"][..],
         ),
         (
             format!("{} --seeds 6", GRID.replace("--first-seed 5", "--first-seed 4")),
@@ -222,7 +222,7 @@ fn a_cell_stops_when_it_is_narrow_enough() {
     let report: Value = serde_json::from_str(&end.stdout).expect("JSON");
     let cell = &report["cells"][0];
     assert_eq!(cell["metrics"]["misdetection_pct"]["mean"], 0.0, "{report}");
-    assert_eq!(cell["runs"], 12, "no miss at all does not tell how rare misses are");
+    assert_eq!(cell["runs"], 12, "without misses their rate is unknown");
     let wide = &report["not_narrow"][0];
     assert_eq!(
         (&wide["metric"], &wide["relative_half_width"]),
@@ -231,7 +231,7 @@ fn a_cell_stops_when_it_is_narrow_enough() {
 }
 
 #[test]
-fn a_cell_that_was_not_narrow_goes_on_with_more_seeds() {
+fn a_cell_that_was_not_narrow_continues_with_more_seeds() {
     let folder = Folder::new();
     // With 20 seeds the first check is at 20, with 200 at 30.
     let args = "--policies genie,knn --devices 20 --ttis 500 --until-ci 8% --ci-metrics info_per_event";
@@ -243,7 +243,7 @@ fn a_cell_that_was_not_narrow_goes_on_with_more_seeds() {
 }
 
 #[test]
-fn shards_with_more_seeds_are_those_of_a_fresh_sweep() {
+fn shards_with_more_seeds_equal_a_fresh_sweep() {
     let folder = Folder::new();
     let (expected, _) = swept(&folder, &format!("{GRID} --seeds 7"), "fresh");
     let mut all = 0;

@@ -30,11 +30,11 @@ fn killed_and_taken_over(scenario: &str, kills: usize) {
     }
     let end = up.finish();
     assert!(end.is_success(), "{end}");
-    assert!(end.stderr.contains("are carried again after"), "{end}");
+    assert!(end.stderr.contains("run again after"), "{end}");
     let summary = end.summary();
     assert_eq!(summary.digest(), expected.digest());
     assert_eq!(summary.number("timing.losses"), kills as u64, "{end}");
-    assert_eq!(summary.text("audit"), "whole");
+    assert_eq!(summary.text("audit"), "complete");
     assert!(hosts_of(&run).is_empty());
 }
 
@@ -64,7 +64,7 @@ fn a_process_with_room_takes_over() {
     roomy.wait_for_stderr("joined");
     folder.wait_for_tti(&run, 20);
     first.signal(Signal::KILL);
-    bs.wait_for_stderr("are carried again after");
+    bs.wait_for_stderr("run again after");
     let spare = device(5);
     spare.wait_for_stderr("standing by");
     let end = bs.finish();
@@ -78,7 +78,7 @@ fn a_process_with_room_takes_over() {
 
 /// Kills the base station midway, and resumes the run with the device processes that are still alive.
 #[test]
-fn a_killed_base_station_is_taken_up_by_hosts_that_live() {
+fn a_killed_base_station_resumes_with_its_living_hosts() {
     let (folder, run, endpoint) = (Folder::new(), unique_run("resume"), free_endpoint());
     let scenario = "-n 30 -k 1500 -p q-learning --learn";
     let expected = folder.summary(&format!("run {scenario}"));
@@ -91,7 +91,7 @@ fn a_killed_base_station_is_taken_up_by_hosts_that_live() {
         host
     });
     wait_until("a mark", PATIENCE, || {
-        folder.list("out").contains(&"mark.json".to_owned()).then_some(())
+        folder.list("out").contains(&"resume.json".to_owned()).then_some(())
     });
     let reached = folder.wait_for_tti(&run, 1);
     bs.signal(Signal::KILL);
@@ -109,7 +109,7 @@ fn a_killed_base_station_is_taken_up_by_hosts_that_live() {
     }
     let again = folder.run(&format!("bs --resume out {serve}"));
     assert!(
-        again.code() == Some(1) && again.stderr.contains("is complete"),
+        again.code() == Some(1) && again.stderr.contains("has finished"),
         "{again}"
     );
 }
@@ -121,7 +121,7 @@ fn taken_up(command: &str, signal: Signal) {
     let expected = folder.summary(&format!("run {scenario} --out whole"));
     let run = folder.start(&format!("{command} {scenario} --no-lookahead --out out"));
     wait_until("a mark", PATIENCE, || {
-        folder.list("out").contains(&"mark.json".to_owned()).then_some(())
+        folder.list("out").contains(&"resume.json".to_owned()).then_some(())
     });
     run.signal(signal);
     run.finish();
@@ -134,22 +134,22 @@ fn taken_up(command: &str, signal: Signal) {
         let read = |run: &str| std::fs::read(folder.join(run).join(table)).expect("readable");
         assert!(read("out") == read("whole"), "{table}");
     }
-    assert!(!folder.list("out").contains(&"mark.json".to_owned()));
+    assert!(!folder.list("out").contains(&"resume.json".to_owned()));
 }
 
 #[test]
-fn a_run_of_which_everything_was_killed_is_taken_up() {
+fn a_completely_killed_run_resumes() {
     taken_up("up -P 2", Signal::KILL);
 }
 
 #[test]
-fn an_interrupted_run_is_taken_up() {
+fn an_interrupted_run_resumes() {
     taken_up("up -P 2", Signal::TERM);
 }
 
 /// A run interrupted while the clock is held ends in the middle of a TTI. It is resumed from its state before that TTI.
 #[test]
-fn a_run_that_was_interrupted_while_it_was_held_is_taken_up() {
+fn a_run_interrupted_while_waiting_resumes() {
     let (folder, run, endpoint) = (Folder::new(), unique_run("held"), free_endpoint());
     // A plan in each TTI, so that the open TTI already has a message.
     let scenario = "-n 20 -k 800 -p random";
@@ -179,15 +179,15 @@ fn a_run_that_was_interrupted_while_it_was_held_is_taken_up() {
 }
 
 #[test]
-fn a_folder_that_was_changed_is_not_taken_up() {
+fn a_changed_folder_is_not_resumed() {
     let folder = Folder::new();
     let run = folder.start("up -P 2 -n 40 -k 60000 --no-lookahead --out out");
     wait_until("a mark", PATIENCE, || {
-        folder.list("out").contains(&"mark.json".to_owned()).then_some(())
+        folder.list("out").contains(&"resume.json".to_owned()).then_some(())
     });
     run.signal(Signal::KILL);
     run.finish();
-    let path = folder.join("out/mark.json");
+    let path = folder.join("out/resume.json");
     let text = std::fs::read_to_string(&path).expect("readable");
     let (before, fingerprint) = text.rsplit_once("\"fingerprint\":\"").expect("a fingerprint");
     let turned = if fingerprint.starts_with('0') { '1' } else { '0' };
@@ -198,10 +198,10 @@ fn a_folder_that_was_changed_is_not_taken_up() {
     .expect("writable");
     let end = folder.run("up -P 2 --resume out");
     assert_eq!(end.code(), Some(1), "{end}");
-    assert!(end.stderr.contains("a replay does not come by"), "{end}");
+    assert!(end.stderr.contains("the replay diverged"), "{end}");
     for (args, why) in [
-        ("--resume nothing", "there is no run in this folder"),
-        ("--resume out -n 5", "leave out the options"),
+        ("--resume nothing", "the folder holds no run"),
+        ("--resume out -n 5", "leave out all options"),
         ("--resume out --out other", "cannot be used with"),
     ] {
         let end = folder.run(&format!("up {args}"));

@@ -55,7 +55,7 @@ fn threads_and_kills_leave_the_same_bytes() {
         }
         killed += 1;
     }
-    assert!(killed >= 3, "{killed} kills are too few to tell");
+    assert!(killed >= 3, "only {killed} kills");
     if !folder.join("cut.json").exists() {
         let end = folder.run(
             &TRAINING
@@ -64,7 +64,7 @@ fn threads_and_kills_leave_the_same_bytes() {
         );
         assert!(end.is_success(), "{end}");
         assert!(
-            end.stderr.contains("episodes left, going on from cut.json.checkpoint"),
+            end.stderr.contains("episodes left, resuming from cut.json.checkpoint"),
             "{end}"
         );
     }
@@ -73,11 +73,11 @@ fn threads_and_kills_leave_the_same_bytes() {
 }
 
 #[test]
-fn a_file_that_is_there_is_left_alone() {
+fn an_existing_file_is_kept() {
     let folder = Folder::new();
     folder.write("mine.json", "mine");
     let args = "train q-learning --quiet --devices 5 --episodes 1 --episode-ttis 20 --out mine.json";
-    assert_refused(&folder.run(args), 1, &["mine.json", "is there already", "--force"]);
+    assert_refused(&folder.run(args), 1, &["mine.json", "file exists", "--force"]);
     assert_eq!(bytes(&folder, "mine.json"), b"mine");
     assert_eq!(folder.list("."), ["mine.json", "runtime"]);
     let end = folder.run(&format!("{args} --force"));
@@ -87,7 +87,7 @@ fn a_file_that_is_there_is_left_alone() {
 }
 
 #[test]
-fn ctrl_c_keeps_what_was_learned() {
+fn ctrl_c_keeps_the_training() {
     let folder = Folder::new();
     for signal in [Signal::INT, Signal::TERM] {
         let before = bytes(&folder, "t.json.checkpoint");
@@ -109,7 +109,7 @@ fn ctrl_c_keeps_what_was_learned() {
         assert_eq!(folder.list("."), ["runtime", "t.json.checkpoint"]);
     }
     let end = folder.run("run -n 20 -k 60 --policy q-learning --set policy.q-learning.table=t.json.checkpoint --out r");
-    assert_refused(&end, 1, &["t.json.checkpoint", "cut short"]);
+    assert_refused(&end, 1, &["t.json.checkpoint", "unfinished"]);
     // Before the end of the first episode there is nothing to save.
     let training = folder.start(&format!(
         "{} --out u.json",
@@ -117,11 +117,7 @@ fn ctrl_c_keeps_what_was_learned() {
     ));
     training.wait_for_handlers();
     training.signal(Signal::INT);
-    assert_refused(
-        &training.finish(),
-        130,
-        &["interrupted before there was anything to keep"],
-    );
+    assert_refused(&training.finish(), 130, &["interrupted before the first checkpoint"]);
     assert_eq!(folder.list("."), ["runtime", "t.json.checkpoint"]);
 }
 
@@ -236,7 +232,7 @@ fn tables_that_cannot_be_used_are_refused() {
                 let (before, _) = body.split_once("\"entries\":[").expect("entries");
                 format!("{before}\"entries\":[]}}")
             }),
-            &["damaged", "no entry", train],
+            &["damaged", "no entries", train],
         ),
     ];
     for (name, content, parts) in &cases {
@@ -283,7 +279,7 @@ fn a_table_for_other_densities_or_weights_is_refused() {
         let field = format!("policy.q-learning.{name}");
         assert_refused(&end, 1, &[&field, value, "reveille train q-learning"]);
         let more = if name == "window" {
-            ["which has those for policy.q-learning.window = 1;", "--windows 3"]
+            ["which has tables for policy.q-learning.window = 1;", "--windows 3"]
         } else {
             ["its table was learned", "policy.q-learning.learn = true"]
         };
@@ -306,7 +302,7 @@ fn a_table_for_other_densities_or_weights_is_refused() {
 }
 
 #[test]
-fn a_window_without_tables_is_answered_with_those_there_are() {
+fn a_missing_window_lists_the_available_ones() {
     let folder = Folder::new();
     let run = |set: &str| folder.run(&format!("run -n 20 -k 60 --policy q-learning {set} --out run --force"));
     for window in [1, 2, 4] {
@@ -344,11 +340,11 @@ fn a_window_without_tables_is_answered_with_those_there_are() {
     );
     let train = "train q-learning --quiet --episode-ttis 50 --episodes 1 -n 20";
     for (windows, set, known) in [
-        ("ages", "window=1", "those for policy.q-learning.ages = true;"),
+        ("ages", "window=1", "tables for policy.q-learning.ages = true;"),
         (
             "4,2",
             "ages=true",
-            "those for policy.q-learning.window = 2, policy.q-learning.window = 4;",
+            "tables for policy.q-learning.window = 2, policy.q-learning.window = 4;",
         ),
     ] {
         let end = folder.run(&format!("{train} --windows {windows} --out one.json --force"));
@@ -383,7 +379,7 @@ fn a_window_without_tables_is_answered_with_those_there_are() {
     // A warning if sensing is never worthwhile: with the literal settings a device alone gains less than by sleep.
     let end = folder.run("run -s paper-literal -n 20 -k 200 --policy q-learning");
     assert!(
-        end.is_success() && end.stderr.contains("no device is ever told to sense"),
+        end.is_success() && end.stderr.contains("no device ever senses"),
         "{end}"
     );
     for windows in ["0", "1001", "age"] {
@@ -393,7 +389,7 @@ fn a_window_without_tables_is_answered_with_those_there_are() {
 }
 
 #[test]
-fn unknown_rankings_and_knowledge_are_answered_with_those_there_are() {
+fn unknown_rankings_and_knowledge_list_the_available_ones() {
     let folder = Folder::new();
     for (field, known) in [
         ("bs.ranking", ["p42", "posterior"]),
@@ -414,7 +410,7 @@ fn unknown_rankings_and_knowledge_are_answered_with_those_there_are() {
 }
 
 #[test]
-fn nonsense_is_refused_before_anything_is_trained() {
+fn invalid_options_are_refused_before_training() {
     let folder = Folder::new();
     for (args, parts) in [
         ("--devices 0", &["devices = [0]", "from 1 to 1000000"][..]),
@@ -469,6 +465,6 @@ fn nonsense_is_refused_before_anything_is_trained() {
     assert_refused(
         &folder.run("train q-learning --quiet --devices 5 --out nowhere/t.json"),
         1,
-        &["nowhere/t.json: the folder nowhere is not there"],
+        &["nowhere/t.json: the folder nowhere does not exist"],
     );
 }

@@ -2,7 +2,7 @@
 
 #[cfg(not(feature = "tune"))]
 #[test]
-fn without_the_feature_it_says_how_to_build_it() {
+fn without_the_feature_the_error_names_the_build_command() {
     use reveille_tests::process::{Folder, assert_refused};
 
     let folder = Folder::new();
@@ -84,24 +84,24 @@ mod with_the_feature {
     }
 
     #[test]
-    fn wishes_that_cannot_be_met_are_refused() {
+    fn invalid_tuning_requests_are_refused() {
         let folder = Folder::new();
         folder.write("foreign.csv", "a,b\n1,2\n");
         for (args, code, part) in [
             ("--mu1 20,0.5", 1, "mu1 = 20,0.5"),
             ("--mu2 0,5", 1, "mu2 = 0,5"),
-            ("--mu2 1", 1, "--mu2 takes the least and the largest"),
+            ("--mu2 1", 1, "--mu2: must be the smallest and the largest"),
             ("--design 2", 1, "design = 2"),
             ("-n 0", 1, "devices"),
             ("-n many", 1, "devices"),
             ("--objective fame", 2, "balance"),
             ("--energy-weight=-1", 1, "energy-weight = -1"),
             ("--set policy.name=knn", 1, "only q-learning"),
-            ("--out foreign.csv", 1, "is no history of a tuning"),
-            ("--out tuning.svg", 1, "tuning.svg: is the name of a picture"),
-            ("--picture-only tuning.png", 1, "tuning.png: is the name of a picture"),
+            ("--out foreign.csv", 1, "is not a history of a tuning"),
+            ("--out tuning.svg", 1, "tuning.svg: the history is a CSV file"),
+            ("--picture-only tuning.png", 1, "tuning.png: the history is a CSV file"),
             ("--set ttis=300", 1, "from --episode-ttis"),
-            ("--picture-only foreign.csv", 1, "is no history of a tuning"),
+            ("--picture-only foreign.csv", 1, "is not a history of a tuning"),
             ("--picture-only nowhere.csv", 1, "nowhere.csv: cannot be read"),
         ] {
             let end = folder.run(&format!("tune {args}"));

@@ -2,7 +2,7 @@
 """Recomputes the metrics of run folders from events.csv, devices.csv and scenario.toml alone, and compares them with
 summary.json. Standard library only; Python 3.11 or later. Usage: recompute.py FOLDER...
 
-It shares no code with the program: what it takes from the page on results is the definitions. Energies are added as
+It shares no code with the program: it only follows the definitions on the page about results. Energies are added as
 whole micro-units, so that sums by state must agree exactly.
 """
 
@@ -21,7 +21,7 @@ TOLERANCE = 1e-9
 def micro(text: str) -> int:
     """Units as written in a table, in whole micro-units."""
     scaled = Decimal(text) * 1_000_000
-    assert scaled == int(scaled), f"{text} is no whole number of micro-units"
+    assert scaled == int(scaled), f"{text}: not a whole number of micro-units"
     return int(scaled)
 
 
@@ -62,7 +62,7 @@ def of_events(rows: list[dict[str, str]], alpha: float, ttis: int) -> dict[str, 
 
 def causes(rows: list[dict[str, str]], devices: list[dict[str, str]], d_max: float) -> dict[str, int]:
     """Why counted events were missed, where the radio loses nothing."""
-    found = {"out_of_reach": 0, "lost": 0, "unpaid": 0, "unseen": 0}
+    found = {"out_of_reach": 0, "lost": 0, "no_energy": 0, "not_sensing": 0}
     places = [(float(device["x_m"]), float(device["y_m"])) for device in devices]
     for row in rows:
         if row["counted"] != "1" or row["reports"] != "0":
@@ -70,7 +70,7 @@ def causes(rows: list[dict[str, str]], devices: list[dict[str, str]], d_max: flo
         at = float(row["x_m"]), float(row["y_m"])
         nearest = min(math.dist(at, place) for place in places)
         # A device that detects an event is within reach; one that cannot report it is a wrong activation.
-        cause = "out_of_reach" if nearest > d_max else "unpaid" if row["wrong_activations"] != "0" else "unseen"
+        cause = "out_of_reach" if nearest > d_max else "no_energy" if row["wrong_activations"] != "0" else "not_sensing"
         found[cause] += 1
     return found
 
@@ -83,7 +83,7 @@ def of_devices(rows: list[dict[str, str]], ttis: int) -> dict[str, float]:
         into = micro(row["start_battery"]) + micro(row["harvested_units"])
         out = sum(by_state) + micro(row["overflow_units"]) + micro(row["final_battery"])
         assert into == out, f"device {row['device']}: {into} micro-units came in, {out} went out or are left"
-        assert int(row["longest_outage_ttis"]) <= int(row["failed_ttis"]) + int(row["dark_ttis"]) <= ttis, row
+        assert int(row["longest_outage_ttis"]) <= int(row["failed_ttis"]) + int(row["unpowered_ttis"]) <= ttis, row
         spent.append(sum(by_state))
 
     def units(column: str) -> float:
@@ -102,7 +102,7 @@ def of_devices(rows: list[dict[str, str]], ttis: int) -> dict[str, float]:
         "low_energy_pct": 100 * count("low_ttis") / n / ttis,
         "worst_low_energy_pct": 100 * max(int(row["low_ttis"]) for row in rows) / ttis,
         "failed_actions_pct": ratio(100 * count("failed_ttis"), count("sensing_ttis")),
-        "dark_pct": 100 * count("dark_ttis") / n / ttis,
+        "unpowered_pct": 100 * count("unpowered_ttis") / n / ttis,
     }
 
 

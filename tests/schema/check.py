@@ -25,7 +25,7 @@ ROOT = HERE.parent.parent
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("schema", type=Path)
-    parser.add_argument("--reveille", help="the program, to check what it prints of each preset")
+    parser.add_argument("--reveille", help="the program; checks its output for each preset")
     args = parser.parse_args()
     schema = json.loads(args.schema.read_text(encoding="utf-8"))
     Draft202012Validator.check_schema(schema)

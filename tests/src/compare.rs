@@ -21,8 +21,8 @@ pub struct Collected {
 }
 
 impl Observer for Collected {
-    fn notify(&mut self, happening: &Notification<'_>) {
-        if let Notification::EventEnded(event) = happening {
+    fn notify(&mut self, notification: &Notification<'_>) {
+        if let Notification::EventEnded(event) = notification {
             self.events.push(**event);
         }
     }

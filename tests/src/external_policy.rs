@@ -112,7 +112,7 @@ impl Decided {
             form,
         };
         let decided = client::decide(&self.bus().await, &introduction, &mut decide).await;
-        decided.expect("the bus goes on")
+        decided.expect("the bus is open")
     }
 
     /// Waits for the end of the process.

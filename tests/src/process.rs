@@ -30,10 +30,10 @@ const LOOK: Duration = Duration::from_millis(10);
 /// If the program does not exist.
 pub fn reveille() -> &'static Path {
     static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
-    PROGRAM.get_or_init(|| std::env::var_os("REVEILLE").map_or_else(beside_the_test, PathBuf::from))
+    PROGRAM.get_or_init(|| std::env::var_os("REVEILLE").map_or_else(next_to_test, PathBuf::from))
 }
 
-fn beside_the_test() -> PathBuf {
+fn next_to_test() -> PathBuf {
     let test = std::env::current_exe().expect("a test has a path");
     let program = test
         .ancestors()
@@ -42,7 +42,7 @@ fn beside_the_test() -> PathBuf {
         .join("reveille");
     assert!(
         program.exists(),
-        "{} is not there: cargo test -p reveille-deploy builds it",
+        "{}: file missing; build it with cargo test -p reveille-deploy",
         program.display()
     );
     program
@@ -342,7 +342,7 @@ impl Process {
     pub fn finish_within(mut self, patience: Duration) -> Finished {
         let deadline = now() + patience;
         let status = loop {
-            match self.child.try_wait().expect("a child can be waited for") {
+            match self.child.try_wait().expect("the child can be polled") {
                 Some(status) => break status,
                 None if now() < deadline => std::thread::sleep(LOOK),
                 None => panic!(
@@ -464,7 +464,7 @@ impl Summary {
         value.as_str().unwrap_or_else(|| panic!("{path} is no text: {value}"))
     }
 
-    /// Whole number at a path such as `timing.malformed`.
+    /// Whole number at a path such as `timing.malformed_messages`.
     ///
     /// # Panics
     /// If the value is missing.
@@ -472,7 +472,7 @@ impl Summary {
         let value = path.split('.').fold(&self.0, |value, name| &value[name]);
         value
             .as_u64()
-            .unwrap_or_else(|| panic!("{path} is no whole number: {value}"))
+            .unwrap_or_else(|| panic!("{path} is not a whole number: {value}"))
     }
 
     /// Value of the metric `name`.

@@ -114,7 +114,7 @@ impl Windowed {
     pub fn finish_within(&mut self, patience: Duration) -> ExitStatus {
         let deadline = now() + patience;
         loop {
-            if let Some(status) = self.child.try_wait().expect("a child can be waited for") {
+            if let Some(status) = self.child.try_wait().expect("the child can be polled") {
                 return status;
             }
             assert!(now() < deadline, "not ended within {patience:?}: {}", self.shown());
@@ -134,7 +134,7 @@ impl Drop for Windowed {
 /// Collects terminal output until `is_closed` is set. The terminal closes when this function returns.
 fn read(master: OwnedFd, shown: &Mutex<Vec<u8>>, is_closed: &AtomicBool) {
     // A read that blocks would keep the terminal open after `close`.
-    rustix::fs::fcntl_setfl(&master, OFlags::NONBLOCK).expect("a flag of our own file");
+    rustix::fs::fcntl_setfl(&master, OFlags::NONBLOCK).expect("the flag can be set");
     let (mut master, mut part) = (File::from(master), [0; 4096]);
     while !is_closed.load(Ordering::Acquire) {
         match master.read(&mut part) {

@@ -24,23 +24,23 @@ pub struct Transcript {
 }
 
 impl Observer for Transcript {
-    fn notify(&mut self, happening: &Notification<'_>) {
-        match happening {
-            Notification::Plan { update, .. } => {
+    fn notify(&mut self, notification: &Notification<'_>) {
+        match notification {
+            Notification::PlanSent { update, .. } => {
                 self.plans.insert(update.from.0, update.plan.clone());
             }
-            Notification::WakeUp { tti, device, .. } => self.wake_ups.entry(tti.0).or_default().push(*device),
+            Notification::WakeUpSent { tti, device, .. } => self.wake_ups.entry(tti.0).or_default().push(*device),
             Notification::EventEnded(event) => self.events.push(**event),
-            Notification::Granted(_)
+            Notification::TtisGranted(_)
             | Notification::EventStarted(_)
-            | Notification::Reported(_)
-            | Notification::Lost(_)
-            | Notification::Gone(_)
-            | Notification::Failed { .. }
-            | Notification::Woken { .. }
-            | Notification::Believed { .. }
-            | Notification::Closed(_)
-            | Notification::States(_) => {}
+            | Notification::ReportReceived(_)
+            | Notification::ReportLost(_)
+            | Notification::DevicesRemoved(_)
+            | Notification::ReportFailed { .. }
+            | Notification::WakeUpCompleted { .. }
+            | Notification::BeliefUpdated { .. }
+            | Notification::TtiClosed(_)
+            | Notification::DeviceStates(_) => {}
         }
     }
 }

@@ -33,7 +33,7 @@ fn found(scenario: &Scenario) -> DutyCycleChoice {
 
 /// Offsets by number would put a column of a 16 × 16 grid in S1 and leave all else uncovered for a TTI.
 #[test]
-fn on_a_grid_nobody_is_blind_for_a_stripe_of_sensing_devices() {
+fn on_a_grid_a_stripe_of_sensing_devices_leaves_no_gap() {
     for layout in ["grid", "hex", "jittered-grid"] {
         let layout = format!("layout.kind={layout}");
         let outcome = run(&scenario(&[
@@ -49,7 +49,7 @@ fn on_a_grid_nobody_is_blind_for_a_stripe_of_sensing_devices() {
 }
 
 #[test]
-fn as_many_devices_sense_in_each_tti_as_the_duty_cycle_says() {
+fn the_duty_cycle_sets_the_number_of_sensing_devices() {
     for (devices, t_on, t_drx) in [(250, 1, 16), (100, 2, 8), (7, 1, 16)] {
         let set = [
             format!("devices={devices}"),
@@ -106,7 +106,7 @@ fn pilots_run_until_they_hold_events_to_judge_by() {
 }
 
 #[test]
-fn a_search_without_events_to_judge_by_says_so() {
+fn a_search_without_events_warns() {
     let rare = scenario(&[
         "devices=50",
         "ttis=400",

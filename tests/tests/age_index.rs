@@ -19,21 +19,21 @@ struct Heard {
 }
 
 impl Observer for Heard {
-    fn notify(&mut self, happening: &Notification<'_>) {
-        match happening {
-            Notification::Reported(_) => self.is_found = true,
-            Notification::WakeUp { device, .. } => self.woken.push(*device),
-            Notification::Plan { .. }
-            | Notification::Granted(_)
+    fn notify(&mut self, notification: &Notification<'_>) {
+        match notification {
+            Notification::ReportReceived(_) => self.is_found = true,
+            Notification::WakeUpSent { device, .. } => self.woken.push(*device),
+            Notification::PlanSent { .. }
+            | Notification::TtisGranted(_)
             | Notification::EventStarted(_)
             | Notification::EventEnded(_)
-            | Notification::Lost(_)
-            | Notification::Gone(_)
-            | Notification::Failed { .. }
-            | Notification::Woken { .. }
-            | Notification::Closed(_)
-            | Notification::Believed { .. }
-            | Notification::States(_) => {}
+            | Notification::ReportLost(_)
+            | Notification::DevicesRemoved(_)
+            | Notification::ReportFailed { .. }
+            | Notification::WakeUpCompleted { .. }
+            | Notification::TtiClosed(_)
+            | Notification::BeliefUpdated { .. }
+            | Notification::DeviceStates(_) => {}
         }
     }
 }
@@ -113,7 +113,7 @@ proptest! {
 
 /// Uses a denser deployment than random scenarios have, with swaps.
 #[test]
-fn plans_are_those_of_the_rule_where_devices_are_many() {
+fn plans_of_many_devices_follow_the_rule() {
     let mut compared = [0; 2];
     for (kind, price) in [("range", 0.1), ("range", 0.6), ("range", 2.0), ("probabilistic", 0.4)] {
         let text = format!(
@@ -128,7 +128,7 @@ fn plans_are_those_of_the_rule_where_devices_are_many() {
 
 /// The price ranges from sensing every coverable place in every TTI to sensing nowhere, which causes a warning.
 #[test]
-fn the_price_rules_how_much_is_looked_at() {
+fn the_price_sets_the_covered_area() {
     let under = |price: f64| {
         let text = format!(
             "devices = 60\nttis = 400\n[energy]\ne_max = 10000.0\ninitial = 10000.0\n[policy]\nname = \"age-index\"\n\
@@ -148,7 +148,7 @@ fn the_price_rules_how_much_is_looked_at() {
     assert!(under(0.35).warnings.is_empty());
     let told = under(300.0).warnings;
     assert!(
-        told.len() == 1 && told[0].contains("hardly a device is told to sense"),
+        told.len() == 1 && told[0].contains("almost no device senses"),
         "{told:?}"
     );
 }
@@ -173,7 +173,7 @@ fn a_device_that_is_too_low_is_left_alone() {
     let text = "devices = 5\n[energy]\ne_max = 11.0\ninitial = 11.0\n[policy]\nname = \"age-index\"\n";
     let told = scenarios::loaded(text).warnings;
     assert!(
-        told.len() == 1 && told[0].contains("none of them ever senses"),
+        told.len() == 1 && told[0].contains("its devices never sense"),
         "{told:?}"
     );
 }

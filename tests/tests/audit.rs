@@ -32,13 +32,13 @@ struct Notes {
 }
 
 impl Observer for Notes {
-    fn notify(&mut self, happening: &Notification<'_>) {
+    fn notify(&mut self, notification: &Notification<'_>) {
         let Self { noting, frames } = self;
-        noting.of(happening, |frame| frames.push(frame));
+        noting.encode(notification, |frame| frames.push(frame));
     }
 
     fn batteries_revealed(&mut self, tti: Tti, batteries: &[Energy]) {
-        self.frames.push(DigestFrames::told(tti, batteries));
+        self.frames.push(DigestFrames::batteries_frame(tti, batteries));
     }
 }
 
@@ -78,28 +78,31 @@ fn an_honest_run_is_whole() {
 }
 
 #[test]
-fn who_lies_about_its_battery_is_named() {
+fn a_host_with_a_false_battery_is_named() {
     let prepared = prepared("q-learning", "oracle");
     let mut frames = noted(&prepared);
     let at = frames
         .iter()
         .position(|frame| frame.kind == MessageKind::States && frame.tti == Tti(321));
-    let at = at.expect("batteries are told in each TTI");
+    let at = at.expect("each TTI has battery levels");
     let Ok(Message::States(mut states)) = frames[at].message() else {
         panic!("no batteries");
     };
     let honest = states.views[17].battery;
     states.views[17].battery = honest + Energy::from_micro(2_000_000);
     let held = honest.units();
-    frames[at] = Frame::of::<DeviceStates>(Tti(321), (), &states);
+    frames[at] = Frame::new::<DeviceStates>(Tti(321), (), &states);
     let found = audited(&prepared, &frames, 50).expect_err("a lie");
     assert_eq!((found.tti, found.device), (Tti(321), Some(DeviceId(17))));
-    let said = format!("said to hold {:.2} units before it, and held {held:.2}", held + 2.0);
+    let said = format!(
+        "{:.2} units in the battery of device 17, and the replay {held:.2}",
+        held + 2.0
+    );
     assert!(found.what.contains(&said), "{}", found.what);
 }
 
 #[test]
-fn who_lies_in_a_report_is_named() {
+fn a_host_with_a_false_report_is_named() {
     let prepared = prepared("knn", "reported");
     let mut frames = noted(&prepared);
     let at = frames
@@ -113,7 +116,7 @@ fn who_lies_in_a_report_is_named() {
         battery: Energy::from_micro(report.battery.micro() / 2),
         ..report
     };
-    frames[at] = Frame::of(report.tti, report.device, &lie);
+    frames[at] = Frame::new(report.tti, report.device, &lie);
     let found = audited(&prepared, &frames, 50).expect_err("a lie");
     assert_eq!((found.tti, found.device), (report.tti, Some(report.device)));
     // A missing report is a divergence as well.

@@ -132,7 +132,7 @@ fn bursts_of_two_phases_alike_are_no_bursts() {
 }
 
 #[test]
-fn what_cannot_happen_within_the_run_is_not_waited_for() {
+fn impossible_events_are_not_waited_for() {
     let scenario = scenario(
         "seed = 1\nttis = 500\n[events]\nprocess = \"bursts\"\n[events.bursts]\nbusy_alpha = 1e-300\n\
          quiet_alpha = 0.0\nbusy_ttis = 1.0\nquiet_ttis = 1.0\n",

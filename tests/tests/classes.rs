@@ -91,7 +91,7 @@ fn each_class_is_billed_by_its_own_costs() {
         assert_eq!(sums.harvested.micro() % e_b, 0, "device {j}");
         assert!(sums.battery.micro() <= e_max, "device {j}");
         overflow[class] += sums.overflow.micro();
-        if sums.failed_ttis + sums.dark_ttis > 0 {
+        if sums.failed_ttis + sums.unpowered_ttis > 0 {
             continue;
         }
         let asleep = scenario.run.ttis - sums.sensing_ttis;
@@ -142,7 +142,7 @@ fn devices_are_of_the_class_that_names_them_or_their_place_and_the_rest_by_share
 }
 
 #[test]
-fn errors_of_members_say_what_to_do() {
+fn errors_of_members_name_a_fix() {
     let class = |name: &str, fields: &str| format!("[[class]]\nname = \"{name}\"\n{fields}\n");
     let message = |text: &str| {
         let text = format!("devices = 10\n{text}");
@@ -155,30 +155,24 @@ fn errors_of_members_say_what_to_do() {
             class("a", "devices = [0, 10]"),
             "class.a.devices = 10: must be below 10, the number of devices",
         ),
-        (class("a", "devices = [1, 1]"), "class.a.devices = 1: is named already"),
+        (class("a", "devices = [1, 1]"), "class.a.devices = 1: is listed twice"),
         (
             class("a", "devices = [1]") + &class("b", "devices = [1]"),
-            "class.b.devices = 1: is named already",
+            "class.b.devices = 1: is listed twice",
         ),
-        (
-            class("a", "devices = [1]"),
-            "device 0 is of none of them; give one of them a share",
-        ),
+        (class("a", "devices = [1]"), "device 0 has no class; set class.share"),
         (
             class("a", "devices = [1]\nshare = 1"),
-            "is one of three ways to say which devices are of the class",
+            "selects its devices in several ways",
         ),
-        (
-            class("a", "west = 5\nshare = 1"),
-            "is one of three ways to say which devices are of the class",
-        ),
+        (class("a", "west = 5\nshare = 1"), "selects its devices in several ways"),
         (
             class("a", "west = 5\neast = 4"),
-            "class.a.west = 5: must be at most 4, its east end",
+            "class.a.west = 5: must be at most 4, the east edge of the zone",
         ),
         (
             class("a", "south = 21"),
-            "class.a.south = 21: must be at most 20, its north end",
+            "class.a.south = 21: must be at most 20, the north edge of the zone",
         ),
         (
             class("a", "devices = [1]") + &class("b", "share = 0.5"),
@@ -188,14 +182,14 @@ fn errors_of_members_say_what_to_do() {
         let found = message(&text);
         assert!(found.contains(expected), "{found}, not {expected}");
     }
-    let nobody = loaded(
+    let empty_class = loaded(
         "devices = 10\n[[class]]\nname = \"a\"\nnorth = 0\n[[class]]\nname = \"b\"\nshare = 1\n",
         &[],
     );
     assert!(
-        nobody
+        empty_class
             .warnings
             .iter()
-            .any(|warning| warning.starts_with("no device is of the class `a`"))
+            .any(|warning| warning.starts_with("no device has the class `a`"))
     );
 }

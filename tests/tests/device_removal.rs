@@ -97,7 +97,7 @@ fn outages(frames: &[Frame]) -> Vec<Vec<DeviceRemoval>> {
 }
 
 #[test]
-fn nobody_hears_of_who_is_gone() {
+fn removed_devices_send_nothing() {
     for policy in ["knn", "age-index"] {
         let prepared = prepared(policy);
         let (_, frames) = run(&prepared, &[], RunOptions::default());
@@ -111,7 +111,7 @@ fn nobody_hears_of_who_is_gone() {
                 for (tti, device, came) in wake_ups(&disturbed) {
                     let is_deaf = outage.has(device) && is_after(tti);
                     assert!(
-                        !is_deaf || came == WakeOutcome::Unheard,
+                        !is_deaf || came == WakeOutcome::Missed,
                         "{policy}, {outage:?}: {came:?}"
                     );
                 }
@@ -122,7 +122,7 @@ fn nobody_hears_of_who_is_gone() {
             };
             let share = outages.iter().map(gone).sum::<u64>() as f64 / (u64::from(DEVICES) * (TTIS - WARM_UP)) as f64;
             assert!(
-                (outcome.metrics.gone_pct - 100.0 * share).abs() < 1e-9,
+                (outcome.metrics.removed_pct - 100.0 * share).abs() < 1e-9,
                 "{policy}, {outages:?}"
             );
             let before = |frames: &[Frame]| -> Vec<Frame> {
@@ -136,7 +136,7 @@ fn nobody_hears_of_who_is_gone() {
 
 /// The wake-up before the removal counts, and the wake-up of the removed device does not.
 #[test]
-fn an_outage_comes_between_two_wake_ups() {
+fn a_removal_between_two_wake_ups() {
     let prepared = prepared("knn");
     let (_, frames) = run(&prepared, &[], RunOptions::default());
     let outage = outages(&frames)[1][0];
@@ -149,11 +149,11 @@ fn an_outage_comes_between_two_wake_ups() {
     let (before, after) = (of_tti(&frames), of_tti(&disturbed));
     let at = outage.wake_ups.expect("in the middle of wake-ups") as usize;
     assert!(at > 0 && before[..at] == after[..at]);
-    assert_eq!((after[at].1, after[at].2), (outage.first, WakeOutcome::Unheard));
+    assert_eq!((after[at].1, after[at].2), (outage.first, WakeOutcome::Missed));
 }
 
 #[test]
-fn the_books_of_who_is_gone_are_those_of_the_run_cut_short() {
+fn ledgers_of_removed_devices_end_at_the_removal() {
     let prepared = prepared("age-index");
     let (_, frames) = run(&prepared, &[], RunOptions::default());
     let spoke: Vec<Tti> = frames
@@ -206,7 +206,7 @@ fn the_run_is_the_same_however_it_is_granted_and_from_its_messages() {
 }
 
 #[test]
-fn a_shadow_that_is_told_late_goes_back() {
+fn a_replay_with_a_late_removal_goes_back() {
     let prepared = prepared("knn");
     let lost = outage(3, 9, 600, None);
     let (outcome, _) = run(&prepared, &[lost], RunOptions::default());

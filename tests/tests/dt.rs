@@ -20,7 +20,7 @@ fn scenario(policy: &str, set: &[&str]) -> Scenario {
 /// Protects: a model changes only learned decisions. A model that predicts exactly the value from age and α decides
 /// like `age-index`, bit by bit, if failed wake-ups are not charged.
 #[test]
-fn a_model_that_says_nothing_is_age_index() {
+fn an_untrained_model_equals_age_index() {
     let mut are_others_woken = false;
     for set in [
         &[][..],
@@ -30,10 +30,10 @@ fn a_model_that_says_nothing_is_age_index() {
         let plain = run(&scenario("age-index", set)).digest;
         let with = |more: &[&str]| run(&scenario("dt", &[set, more].concat())).digest;
         let untrained = "policy.dt.model=untrained";
-        assert_eq!(with(&[untrained, "policy.dt.in_vain=0"]), plain, "{set:?}");
-        are_others_woken |= with(&[untrained, "policy.dt.in_vain=1"]) != plain;
+        assert_eq!(with(&[untrained, "policy.dt.miss_cost=0"]), plain, "{set:?}");
+        are_others_woken |= with(&[untrained, "policy.dt.miss_cost=1"]) != plain;
         assert_ne!(
-            with(&["policy.dt.in_vain=0"]),
+            with(&["policy.dt.miss_cost=0"]),
             plain,
             "the model says something: {set:?}"
         );

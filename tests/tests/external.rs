@@ -75,7 +75,7 @@ fn replayed(scenario: &Scenario, first: &Transcript, options: RunOptions, at_a_t
 }
 
 #[test]
-fn what_a_policy_decides_gives_its_digest_when_it_comes_from_outside() {
+fn external_decisions_of_a_policy_give_its_digest() {
     let lossy = [
         "radio.uplink_loss=0.2",
         "radio.plan_loss=0.1",
@@ -124,7 +124,7 @@ fn what_a_policy_decides_gives_its_digest_when_it_comes_from_outside() {
 
 /// A plan that stays valid is requested once, and the run is the same.
 #[test]
-fn a_plan_that_holds_is_asked_for_no_more() {
+fn an_unlimited_plan_is_not_requested_again() {
     let scenario = external(&[]);
     let own = load("paper", &overrides("knn", &[])).expect("a scenario").scenario;
     let (first, digest) = Transcript::of(&own);
@@ -166,7 +166,7 @@ fn said(question: &DecisionContext<'_>) -> String {
     let numbers = (rows, row, mask);
     // The decision request in its bus form.
     let known = Hello::new("run".to_owned(), seen.known);
-    let asked = (DecisionRequest::new(question, 0, "somebody"), known);
+    let asked = (DecisionRequest::new(question, 0, "client"), known);
     let asked = String::from_utf8(Encoding::Json.encode(&asked)).expect("JSON");
     format!(
         "{asked} {at:?} {:?} {:?} {:?} {devices:?} {numbers:?}",
@@ -196,7 +196,7 @@ fn drawn(stepping: &mut SteppedRun<Transcript>, stream: &mut Stream) -> Vec<Stri
 }
 
 #[test]
-fn wake_ups_that_cannot_be_are_dropped_and_end_nothing_else() {
+fn impossible_wake_ups_are_dropped() {
     let scenario = external(&["ttis=400"]);
     let mut stepping = stepping(&scenario, own_world(&scenario), RunOptions::default());
     let mut rounds = 0;
@@ -312,7 +312,7 @@ fn a_run_stands_where_its_log_ends() {
 }
 
 #[test]
-fn a_branch_goes_on_by_itself() {
+fn a_branch_continues_independently() {
     let scenario = external(&["ttis=300", "bs.battery_knowledge=reported"]);
     for answers in [120, 121, 122, 123, 124] {
         let mut trunk = stepping(&scenario, own_world(&scenario), RunOptions::default());
@@ -328,7 +328,7 @@ fn a_branch_goes_on_by_itself() {
             }
         }
         let branches = [1, 1, 2].map(|seed| {
-            let mut branch = trunk.branch();
+            let mut branch = trunk.fork();
             let heard = drawn(&mut branch, &mut Stream::new(seed, Purpose::Training, 0));
             (heard, branch.finish().0.digest)
         });
@@ -355,7 +355,7 @@ fn script(scenario: &Scenario) -> Vec<ScriptedEvent> {
 }
 
 #[test]
-fn where_an_event_is_that_nobody_reports_changes_nothing_that_is_asked() {
+fn the_position_of_an_unreported_event_changes_no_request() {
     for knowledge in ["reported", "oracle"] {
         let scenario = external(&["ttis=600", &format!("bs.battery_knowledge={knowledge}")]);
         let prepared = PreparedRun::without_pilots(&scenario);
@@ -412,10 +412,10 @@ fn where_an_event_is_that_nobody_reports_changes_nothing_that_is_asked() {
 
 /// The external policy cannot be run by name only.
 #[test]
-fn nobody_lists_it() {
+fn the_external_policy_is_not_listed() {
     assert!(registry::names().all(|name| name != "external"));
     let error = load("paper", &overrides("external", &[]))
-        .expect_err("nobody would answer")
+        .expect_err("no policy process can answer")
         .to_string();
     assert!(error.contains("external") && error.contains("knn"), "{error}");
 }

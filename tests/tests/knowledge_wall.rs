@@ -30,21 +30,21 @@ struct Watch {
 }
 
 impl Observer for Watch {
-    fn notify(&mut self, happening: &Notification<'_>) {
-        match happening {
-            Notification::Plan { update, .. } => self.transcript.plans.push((update.from, update.plan.clone())),
-            Notification::WakeUp { tti, device, .. } => self.transcript.wake_ups.push((*tti, *device)),
-            Notification::Believed { tti, places } => self.transcript.beliefs.push((*tti, places.to_vec())),
+    fn notify(&mut self, notification: &Notification<'_>) {
+        match notification {
+            Notification::PlanSent { update, .. } => self.transcript.plans.push((update.from, update.plan.clone())),
+            Notification::WakeUpSent { tti, device, .. } => self.transcript.wake_ups.push((*tti, *device)),
+            Notification::BeliefUpdated { tti, places } => self.transcript.beliefs.push((*tti, places.to_vec())),
             Notification::EventEnded(event) => self.events.push(**event),
-            Notification::Granted(_)
+            Notification::TtisGranted(_)
             | Notification::EventStarted(_)
-            | Notification::Reported(_)
-            | Notification::Lost(_)
-            | Notification::Gone(_)
-            | Notification::Failed { .. }
-            | Notification::Woken { .. }
-            | Notification::Closed(_)
-            | Notification::States(_) => {}
+            | Notification::ReportReceived(_)
+            | Notification::ReportLost(_)
+            | Notification::DevicesRemoved(_)
+            | Notification::ReportFailed { .. }
+            | Notification::WakeUpCompleted { .. }
+            | Notification::TtiClosed(_)
+            | Notification::DeviceStates(_) => {}
         }
     }
 
@@ -158,7 +158,7 @@ fn settings(policy: &str) -> Vec<&'static [&'static str]> {
             &["sensing.kind=probabilistic", "sensing.eta=0.5"],
         ],
         "dt" => vec![
-            &["policy.dt.price=3", "policy.dt.in_vain=0.5"],
+            &["policy.dt.price=3", "policy.dt.miss_cost=0.5"],
             &["policy.dt.target=0.3", "bs.battery_knowledge=reported"],
             &["sensing.kind=probabilistic", "sensing.eta=0.5"],
         ],
@@ -198,7 +198,7 @@ fn the_event_process_does_not_pass_the_wall() {
 
 /// Ground truth has one interface, which only the genie uses.
 #[test]
-fn only_the_genie_has_the_door_for_ground_truth() {
+fn only_the_genie_can_access_ground_truth() {
     for policy in registry::POLICIES {
         let prepared = prepared(policy.name, settings(policy.name)[0]);
         let has_door = prepared.policy(&prepared.knowledge()).oracle().is_some();
@@ -230,7 +230,7 @@ fn first(prepared: &PreparedRun, script: &[ScriptedEvent]) -> Watch {
 }
 
 #[test]
-fn where_an_event_is_that_nobody_reports_changes_no_plan_and_no_wake_up() {
+fn the_position_of_an_unreported_event_changes_no_decision() {
     for prepared in policies() {
         let name = prepared.scenario.policy.name();
         let script = script(&prepared);
@@ -267,7 +267,7 @@ fn where_an_event_is_that_nobody_reports_changes_no_plan_and_no_wake_up() {
 }
 
 #[test]
-fn how_long_an_event_lasts_that_nobody_reports_changes_no_plan_and_no_wake_up() {
+fn the_duration_of_an_unreported_event_changes_no_decision() {
     for prepared in policies() {
         let name = prepared.scenario.policy.name();
         let script = script(&prepared);

@@ -28,7 +28,7 @@ proptest! {
     fn the_books_balance_in_every_tti(text in scenarios::any_policy()) {
         let scenario = scenarios::scenario(&text);
         // A false wake-up, and a wake-up that comes too late.
-        let for_nothing = [scenario.radio.false_wake > 0.0, scenario.radio.wake_latency > 0];
+        let for_nothing = [scenario.radio.false_wake_up > 0.0, scenario.radio.wake_latency > 0];
         let for_nothing = for_nothing.map(u64::from).iter().sum();
         each_tti(&scenario, |step| {
             for device in &step.devices {

@@ -30,24 +30,24 @@ impl Watch {
 }
 
 impl Observer for Watch {
-    fn notify(&mut self, happening: &Notification<'_>) {
-        match happening {
-            Notification::Plan { update, .. } => self.plan = update.plan.clone(),
+    fn notify(&mut self, notification: &Notification<'_>) {
+        match notification {
+            Notification::PlanSent { update, .. } => self.plan = update.plan.clone(),
             Notification::EventEnded(event) => self.events.push((event.start, event.tally.reports > 0)),
-            Notification::Closed(k) => {
+            Notification::TtiClosed(k) => {
                 let is_on = |j: &u32| self.plan.duty_cycle(DeviceId(*j)).is_on(*k);
                 self.sensing.push((0..self.devices).filter(is_on).count());
             }
-            Notification::Granted(_)
+            Notification::TtisGranted(_)
             | Notification::EventStarted(_)
-            | Notification::Reported(_)
-            | Notification::Lost(_)
-            | Notification::Gone(_)
-            | Notification::Failed { .. }
-            | Notification::WakeUp { .. }
-            | Notification::Woken { .. }
-            | Notification::Believed { .. }
-            | Notification::States(_) => {}
+            | Notification::ReportReceived(_)
+            | Notification::ReportLost(_)
+            | Notification::DevicesRemoved(_)
+            | Notification::ReportFailed { .. }
+            | Notification::WakeUpSent { .. }
+            | Notification::WakeUpCompleted { .. }
+            | Notification::BeliefUpdated { .. }
+            | Notification::DeviceStates(_) => {}
         }
     }
 }
@@ -88,7 +88,7 @@ fn watch(folder: &Folder, knowledge: &str, rows: impl Iterator<Item = u32>) -> W
 }
 
 #[test]
-fn devices_with_nothing_to_charge_from_are_asked_ever_less_often() {
+fn devices_without_harvest_are_woken_ever_less_often() {
     let folder = Folder::new();
     let ended = watch(&folder, "reported", std::iter::repeat_n(2, 200));
     let thousands: Vec<f64> = (0..12).map(|i| ended.sensing_in(1000 * i..1000 * (i + 1))).collect();
@@ -99,7 +99,7 @@ fn devices_with_nothing_to_charge_from_are_asked_ever_less_often() {
 }
 
 #[test]
-fn devices_that_charge_again_are_asked_again() {
+fn devices_that_charge_again_are_woken_again() {
     let folder = Folder::new();
     // A night of 600 TTIs, then day to the end.
     let rows = || (0..12_000).map(|k| if (200..800).contains(&k) { 0 } else { 2 });

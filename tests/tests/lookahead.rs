@@ -51,7 +51,7 @@ fn a_policy_that_decides_in_every_tti_decides_ahead() {
 
 /// A policy that receives true battery levels has to wait for them.
 #[test]
-fn true_batteries_are_not_foreseen() {
+fn true_batteries_are_not_predicted() {
     let prepared = prepared("q-learning", "oracle");
     let (ahead, outcome) = grants(&prepared, true);
     assert_eq!(ahead, TTIS);

@@ -27,9 +27,9 @@ struct Record {
 }
 
 impl Observer for Record {
-    fn notify(&mut self, happening: &Notification<'_>) {
-        self.closed += u64::from(matches!(happening, Notification::Closed(_)));
-        self.lines.push(format!("{happening:?}"));
+    fn notify(&mut self, notification: &Notification<'_>) {
+        self.closed += u64::from(matches!(notification, Notification::TtiClosed(_)));
+        self.lines.push(format!("{notification:?}"));
     }
 
     fn wants_states(&self) -> bool {
@@ -89,7 +89,7 @@ async fn over_the_bus(prepared: &PreparedRun, lookahead: bool, hosts: u32) -> Ve
         window: u64::MAX,
         join_patience: Some(PATIENCE),
         paused: false,
-        states_every: 0,
+        state_interval: 0,
         key: None,
         members_only: false,
     };
@@ -139,7 +139,7 @@ async fn memory_and_bus_show_the_same() {
         let memory = in_memory(&prepared, lookahead);
         let bus = over_the_bus(&prepared, lookahead, 3).await;
         for (line, (expected, found)) in memory.iter().zip(&bus).enumerate() {
-            assert_eq!(expected, found, "{name}: the {line}th happening");
+            assert_eq!(expected, found, "{name}: the {line}th notification");
         }
         assert_eq!(memory.len(), bus.len(), "{name}");
         let count = |kind: &str| memory.iter().filter(|line| line.starts_with(kind)).count();

@@ -134,7 +134,7 @@ fn shipped_tables_choose_as_the_second_implementation_does() {
             assert_eq!(chosen, reference.choose(&table, &levels), "window {window}, TTI {k}");
         }
     }
-    assert!(sensing_devices > 60, "{sensing_devices} are too few to tell");
+    assert!(sensing_devices > 60, "only {sensing_devices} sensing devices");
 }
 
 /// Uses ages, computed from the rule, the table and plain sums over places.

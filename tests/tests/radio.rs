@@ -35,40 +35,40 @@ struct Watch {
     /// TTIs and senders of reports: arrived, lost.
     reports: [Vec<(Tti, DeviceId)>; 2],
     /// TTIs and devices of wake-ups that were not received.
-    unheard: Vec<(Tti, DeviceId)>,
+    missed_wake_ups: Vec<(Tti, DeviceId)>,
     /// Events: whether each was reported, and the number of its lost reports.
     events: Vec<(bool, u64)>,
     lost: u64,
 }
 
 impl Observer for Watch {
-    fn notify(&mut self, happening: &Notification<'_>) {
-        match happening {
-            Notification::Plan { update, .. } => self.plans.push((update.from, update.plan.clone())),
-            Notification::Reported(report) => self.reports[0].push((report.tti, report.device)),
-            Notification::Lost(report) => {
+    fn notify(&mut self, notification: &Notification<'_>) {
+        match notification {
+            Notification::PlanSent { update, .. } => self.plans.push((update.from, update.plan.clone())),
+            Notification::ReportReceived(report) => self.reports[0].push((report.tti, report.device)),
+            Notification::ReportLost(report) => {
                 self.lost += 1;
                 self.reports[1].push((report.tti, report.device));
             }
-            Notification::WakeUp { tti, device, .. } => self.wake_ups.push((*tti, *device)),
-            Notification::Woken { tti, device, outcome } => match outcome {
+            Notification::WakeUpSent { tti, device, .. } => self.wake_ups.push((*tti, *device)),
+            Notification::WakeUpCompleted { tti, device, outcome } => match outcome {
                 WakeOutcome::Reported(_) => self.reports[0].push((*tti, *device)),
                 WakeOutcome::Lost(_) => {
                     self.lost += 1;
                     self.reports[1].push((*tti, *device));
                 }
-                WakeOutcome::Unheard => self.unheard.push((*tti, *device)),
+                WakeOutcome::Missed => self.missed_wake_ups.push((*tti, *device)),
                 WakeOutcome::Late { .. } => *self.seen.entry("late").or_default() += 1,
                 WakeOutcome::Failed(_) => *self.seen.entry("failed").or_default() += 1,
             },
             Notification::EventStarted(_) => self.lost = 0,
             Notification::EventEnded(record) => self.events.push((record.tally.reports > 0, self.lost)),
-            Notification::Failed { .. } => *self.seen.entry("failed").or_default() += 1,
-            Notification::Granted(_)
-            | Notification::Gone(_)
-            | Notification::Believed { .. }
-            | Notification::Closed(_)
-            | Notification::States(_) => {}
+            Notification::ReportFailed { .. } => *self.seen.entry("failed").or_default() += 1,
+            Notification::TtisGranted(_)
+            | Notification::DevicesRemoved(_)
+            | Notification::BeliefUpdated { .. }
+            | Notification::TtiClosed(_)
+            | Notification::DeviceStates(_) => {}
         }
     }
 }
@@ -118,7 +118,7 @@ fn reports_and_wake_ups_are_lost_as_they_are_drawn() {
         let mut air = Air::new(prepared.scenario.run.seed, &prepared.scenario.radio);
         for &(tti, device) in &seen.wake_ups {
             let is_missed = air.at(tti).misses_wake_up(device);
-            let is_unheard = seen.unheard.contains(&(tti, device));
+            let is_unheard = seen.missed_wake_ups.contains(&(tti, device));
             assert!(is_unheard || !is_missed, "{policy}: device {device} heard in TTI {tti}");
         }
     }
@@ -141,7 +141,7 @@ fn events_whose_reports_are_all_lost_stay_open_and_are_missed() {
     let [missed_pct, lost_pct] = [outcome.metrics.misdetection_pct, outcome.metrics.lost_reports_pct];
     assert!((missed_pct - 100.0).abs() < 1e-12 && (lost_pct - 100.0).abs() < 1e-12);
     assert_eq!(missed.events(), outcome.totals.events.events);
-    assert!(missed.lost > 20 * missed.unpaid.max(1), "{missed:?}");
+    assert!(missed.lost > 20 * missed.no_energy.max(1), "{missed:?}");
 }
 
 /// If the first report is lost, a later report ends the event.
@@ -193,7 +193,7 @@ fn devices_that_miss_plans_keep_the_old_one() {
 
 /// Knowledge wall: a lost message has the same effect as a message never sent, whatever its content.
 #[test]
-fn a_base_station_knows_nothing_of_what_was_lost() {
+fn a_base_station_does_not_learn_lost_reports() {
     for policy in registry::names().filter(|policy| *policy != "genie") {
         let name = format!("policy.name={policy}");
         let set = [
@@ -234,11 +234,11 @@ fn a_base_station_knows_nothing_of_what_was_lost() {
 fn every_failure_has_its_metric() {
     let names = [
         "lost_reports_pct",
-        "unheard_wake_ups_pct",
+        "missed_wake_ups_pct",
         "missed_plans_pct",
-        "false_wakes_pct",
+        "false_wake_ups_pct",
     ];
-    let fields = ["uplink_loss=0.2", "wake_miss=0.2", "plan_loss=0.2", "false_wake=0.2"];
+    let fields = ["uplink_loss=0.2", "wake_miss=0.2", "plan_loss=0.2", "false_wake_up=0.2"];
     // Batteries never run out, so a wake-up without an answer was missed by the radio.
     let always = [
         "ttis=4000",
@@ -275,38 +275,34 @@ struct Calls {
 }
 
 impl Observer for Calls {
-    fn notify(&mut self, happening: &Notification<'_>) {
-        match happening {
+    fn notify(&mut self, notification: &Notification<'_>) {
+        match notification {
             Notification::EventStarted(event) => self.start = event.start,
-            Notification::WakeUp { tti, sent, .. } => {
-                assert_eq!(
-                    sent.0,
-                    tti.0 + self.sent.len() as u64 * self.latency,
-                    "one after the other"
-                );
+            Notification::WakeUpSent { tti, sent, .. } => {
+                assert_eq!(sent.0, tti.0 + self.sent.len() as u64 * self.latency, "in sequence");
                 self.sent.push(*sent);
             }
-            Notification::Woken { outcome, .. } => {
+            Notification::WakeUpCompleted { outcome, .. } => {
                 let awake = self.sent[self.sent.len() - 1].0 + self.latency;
                 self.came.push((awake - self.start.0, **outcome));
             }
-            Notification::Closed(_) => self.sent.clear(),
-            Notification::Plan { .. }
-            | Notification::Granted(_)
-            | Notification::Reported(_)
-            | Notification::Lost(_)
-            | Notification::Failed { .. }
-            | Notification::Believed { .. }
-            | Notification::Gone(_)
+            Notification::TtiClosed(_) => self.sent.clear(),
+            Notification::PlanSent { .. }
+            | Notification::TtisGranted(_)
+            | Notification::ReportReceived(_)
+            | Notification::ReportLost(_)
+            | Notification::ReportFailed { .. }
+            | Notification::BeliefUpdated { .. }
+            | Notification::DevicesRemoved(_)
             | Notification::EventEnded(_)
-            | Notification::States(_) => {}
+            | Notification::DeviceStates(_) => {}
         }
     }
 }
 
 /// An event of 6 TTIs that was reported in its first TTI is found only by devices awake at most 5 TTIs later.
 #[test]
-fn who_wakes_when_the_event_is_over_finds_nothing() {
+fn a_device_that_wakes_after_the_event_detects_nothing() {
     for (policy, latency) in [
         ("q-learning", 1),
         ("q-learning", 2),
@@ -341,7 +337,7 @@ fn who_wakes_when_the_event_is_over_finds_nothing() {
                     in_time += 1;
                     assert!(*after <= 5, "{policy}: {after} TTIs, {came}");
                 }
-                WakeOutcome::Unheard => {}
+                WakeOutcome::Missed => {}
             }
         }
         assert!(
@@ -350,9 +346,9 @@ fn who_wakes_when_the_event_is_over_finds_nothing() {
         );
         assert_eq!(in_time == 0, latency > 5, "{policy}, {latency}: {in_time}");
         assert_eq!(
-            outcome.totals.energy.false_wakes > 0,
+            outcome.totals.energy.false_wake_ups > 0,
             late > 0,
-            "a wake-up for nothing is in the books"
+            "the ledger counts a false wake-up"
         );
         if policy == "genie" {
             let missed = outcome.metrics.misdetection_pct;
@@ -381,10 +377,10 @@ fn false_wakes_are_paid_for_in_s4() {
             .totals
             .energy
     };
-    let (plain, startled) = (total(&[]), total(&["radio.false_wake=0.1"]));
+    let (plain, startled) = (total(&[]), total(&["radio.false_wake_up=0.1"]));
     assert_eq!(startled.spent.sensing, plain.spent.sensing);
     let extra = startled.spent.sleep - plain.spent.sleep;
-    assert_eq!(extra.micro(), startled.false_wakes * 1_000_000, "E_idle is 1 unit");
-    let share = startled.false_wakes as f64 / (50.0 * 1800.0);
+    assert_eq!(extra.micro(), startled.false_wake_ups * 1_000_000, "E_idle is 1 unit");
+    let share = startled.false_wake_ups as f64 / (50.0 * 1800.0);
     assert!((share - 0.1).abs() < 0.005, "{share}");
 }

@@ -31,9 +31,9 @@ proptest! {
             let EventActivity { reports, wake_ups, heard, wrong_activations } = device.acts;
             [reports, wake_ups, heard, wrong_activations]
         });
-        prop_assert_eq!(acts.collect::<Vec<_>>(), expected.acts.clone(), "what devices did\n{}", text);
+        prop_assert_eq!(acts.collect::<Vec<_>>(), expected.acts.clone(), "acts of devices\n{}", text);
         prop_assert_eq!(outcome.totals.energy, expected.measured, "measured energy\n{}", text);
-        prop_assert_eq!(outcome.totals.losses, expected.losses, "what was lost\n{}", text);
+        prop_assert_eq!(outcome.totals.losses, expected.losses, "losses\n{}", text);
         prop_assert_eq!(outcome.totals.events, expected.totals, "event totals\n{}", text);
         prop_assert_eq!(outcome.totals.devices, u64::from(scenario.run.devices));
         prop_assert_eq!(outcome.totals.ttis, scenario.run.ttis - warm_up_end(&scenario));
@@ -61,7 +61,7 @@ fn any_scenario() -> impl Strategy<Value = String> {
 
 /// The random scenarios cover every kind of outcome often enough for the comparison.
 #[test]
-fn random_scenarios_come_to_everything() {
+fn random_scenarios_cover_every_case() {
     let mut runner = TestRunner::deterministic();
     let mut seen: BTreeMap<&str, u64> = BTreeMap::new();
     for _ in 0..300 {
@@ -84,13 +84,10 @@ fn random_scenarios_come_to_everything() {
         add("runs that overflow", u64::from(run.measured.overflow.micro() > 0));
         add("runs with low batteries", u64::from(run.measured.low_ttis > 0));
         add("runs with batteries to spare", u64::from(run.measured.low_ttis == 0));
-        add("unheard", run.unheard);
+        add("missed_wake_ups", run.missed_wake_ups);
         add("reports lost", run.losses.reports);
         add("plans missed", run.losses.missed_plans);
-        add(
-            "runs with wake-ups for nothing",
-            u64::from(run.measured.false_wakes > 0),
-        );
+        add("runs with false wake-ups", u64::from(run.measured.false_wake_ups > 0));
         add("radios that never fail", u64::from(scenario.radio.is_perfect()));
         add("bursts of interference", u64::from(scenario.radio.bursts.is_some()));
         add("wake-ups spared", run.spared);
@@ -154,7 +151,7 @@ fn same_metrics(scenario: &Scenario, run: &Run, totals: &Totals, metrics: &Metri
     let mut rows = information(&counted, &seen, run.start_probability * ttis);
     rows.extend(energy(run, n, ttis));
     rows.extend([
-        ("refining_ttis", run.refining_ttis as f64 / seen.len() as f64),
+        ("wake_up_span_ttis", run.wake_up_span_ttis as f64 / seen.len() as f64),
         ("ctl_bytes_per_tti", totals.control.bytes as f64 / ttis),
         ("ctl_msgs_per_tti", totals.control.messages as f64 / ttis),
         ("uplink_bytes_per_tti", totals.uplink.bytes as f64 / ttis),
@@ -175,7 +172,7 @@ fn lost(run: &Run, n: f64, ttis: f64) -> Vec<Row> {
     let RadioLosses {
         reports,
         wake_ups,
-        unheard,
+        missed_wake_ups,
         late,
         plans,
         missed_plans,
@@ -184,12 +181,12 @@ fn lost(run: &Run, n: f64, ttis: f64) -> Vec<Row> {
     let asleep = (n * ttis).round() as u64 - run.measured.sensing_ttis;
     vec![
         ("lost_reports_pct", pct(reports, reports + run.arrived)),
-        ("unheard_wake_ups_pct", pct(unheard, wake_ups)),
+        ("missed_wake_ups_pct", pct(missed_wake_ups, wake_ups)),
         ("late_wake_ups_pct", pct(late, wake_ups)),
         ("missed_plans_pct", pct(missed_plans, plans)),
-        ("false_wakes_pct", pct(run.measured.false_wakes, asleep)),
+        ("false_wake_ups_pct", pct(run.measured.false_wake_ups, asleep)),
         // A run in memory loses no process.
-        ("gone_pct", 0.0),
+        ("removed_pct", 0.0),
     ]
 }
 
@@ -274,6 +271,6 @@ fn energy(run: &Run, n: f64, ttis: f64) -> Vec<Row> {
             "failed_actions_pct",
             100.0 * sum(|device| device.failed_ttis as f64) / sum(|device| device.sensing_ttis as f64),
         ),
-        ("dark_pct", 100.0 * mean(|device| device.dark_ttis as f64)),
+        ("unpowered_pct", 100.0 * mean(|device| device.unpowered_ttis as f64)),
     ]
 }

@@ -20,24 +20,24 @@ struct Heard {
 }
 
 impl Observer for Heard {
-    fn notify(&mut self, happening: &Notification<'_>) {
-        match happening {
-            Notification::Plan { update, .. } => self.plans.push((update.from, update.plan.clone())),
-            Notification::WakeUp { tti, device, .. } => self.wake_ups.push((*tti, *device)),
-            Notification::Reported(report) => self.reports.push((report.tti, report.device, report.information)),
+    fn notify(&mut self, notification: &Notification<'_>) {
+        match notification {
+            Notification::PlanSent { update, .. } => self.plans.push((update.from, update.plan.clone())),
+            Notification::WakeUpSent { tti, device, .. } => self.wake_ups.push((*tti, *device)),
+            Notification::ReportReceived(report) => self.reports.push((report.tti, report.device, report.information)),
             Notification::EventEnded(event) => {
                 self.ended
                     .push(event.tally.information_pico as f64 / PICO_PER_INFORMATION);
             }
-            Notification::Granted(_)
+            Notification::TtisGranted(_)
             | Notification::EventStarted(_)
-            | Notification::Lost(_)
-            | Notification::Gone(_)
-            | Notification::Failed { .. }
-            | Notification::Woken { .. }
-            | Notification::Closed(_)
-            | Notification::Believed { .. }
-            | Notification::States(_) => {}
+            | Notification::ReportLost(_)
+            | Notification::DevicesRemoved(_)
+            | Notification::ReportFailed { .. }
+            | Notification::WakeUpCompleted { .. }
+            | Notification::TtiClosed(_)
+            | Notification::BeliefUpdated { .. }
+            | Notification::DeviceStates(_) => {}
         }
     }
 }

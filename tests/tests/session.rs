@@ -28,11 +28,11 @@ struct Seen {
 }
 
 impl Observer for Seen {
-    fn notify(&mut self, happening: &Notification<'_>) {
-        if let Notification::States(views) = happening {
+    fn notify(&mut self, notification: &Notification<'_>) {
+        if let Notification::DeviceStates(views) = notification {
             self.states.push(views.to_vec());
         }
-        if let Notification::Gone(outage) = happening {
+        if let Notification::DevicesRemoved(outage) = notification {
             self.outages.push(**outage);
         }
     }
@@ -240,8 +240,8 @@ fn a_host_lost_during_a_wake_up_is_the_queued_removal() {
 struct Orders(Vec<(Tti, DeviceId)>);
 
 impl Observer for Orders {
-    fn notify(&mut self, happening: &Notification<'_>) {
-        if let Notification::WakeUp { tti, device, .. } = happening {
+    fn notify(&mut self, notification: &Notification<'_>) {
+        if let Notification::WakeUpSent { tti, device, .. } = notification {
             self.0.push((*tti, *device));
         }
     }

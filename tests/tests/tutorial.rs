@@ -41,7 +41,7 @@ fn the_page_shows_the_code_that_is_tested() {
     let code = std::fs::read_to_string(docs.join("patrol.rs")).expect("the code");
     assert!(
         blocks.contains(&code.as_str()),
-        "writing-a-policy.md does not show docs/patrol.rs as it is"
+        "writing-a-policy.md does not show the current docs/patrol.rs"
     );
 }
 
@@ -111,7 +111,7 @@ declare! {
     }
 }
 
-const STUCK: PolicyEntry = PolicyEntry::of::<StuckSettings>();
+const STUCK: PolicyEntry = PolicyEntry::for_settings::<StuckSettings>();
 
 impl PolicyFactory for StuckSettings {
     fn build(&self, _: &Knowledge) -> Box<dyn Policy> {

@@ -62,7 +62,7 @@ mod tests {
         let (send, items) = sync_channel(4_096);
         let sender = std::thread::spawn(move || {
             for item in 0..20_000 {
-                send.send(item).expect("somebody receives");
+                send.send(item).expect("the receiver is alive");
             }
         });
         let mut batches = BatchReceiver::new(items);

@@ -18,7 +18,7 @@ use crate::recording::{RecordingError, RecordingReader};
 pub(crate) const COMPARED: [MessageKind; 8] = [
     MessageKind::Plan,
     MessageKind::Event,
-    MessageKind::Gone,
+    MessageKind::Removed,
     MessageKind::Report,
     MessageKind::Lost,
     MessageKind::Failed,
@@ -67,7 +67,7 @@ impl FirstDifference {
         };
         match (own, others) {
             (None, _) => "nothing".to_owned(),
-            (Some(own), Some(others)) if words(own) == words(others) => FrameLine::of(own).to_json(),
+            (Some(own), Some(others)) if words(own) == words(others) => FrameLine::new(own).to_json(),
             (Some(own), _) => words(own),
         }
     }
@@ -88,7 +88,7 @@ impl FirstDifference {
 }
 
 fn words(frame: &Frame) -> String {
-    let (whose, says) = (owner(frame.kind, frame.number), FrameLine::of(frame).text());
+    let (whose, says) = (owner(frame.kind, frame.number), FrameLine::new(frame).text());
     if whose.is_empty() {
         says
     } else {
@@ -354,7 +354,7 @@ mod tests {
         let this = frames(&[], true);
         for kind in COMPARED {
             let Some(at) = this.iter().rposition(|frame| frame.kind == kind) else {
-                let is_rare = matches!(kind, MessageKind::Lost | MessageKind::Failed | MessageKind::Gone);
+                let is_rare = matches!(kind, MessageKind::Lost | MessageKind::Failed | MessageKind::Removed);
                 assert!(is_rare, "{kind:?}");
                 continue;
             };

@@ -175,10 +175,10 @@ impl DeviceMirror {
     /// If the frame contradicts the frames before it. Later frames can still be applied, but may fail too.
     pub fn apply(&mut self, frame: &Frame, message: &Message) -> Result<(), Discrepancy> {
         let tti = frame.tti;
-        self.go_on(frame, message).map_err(|what| Discrepancy { tti, what })
+        self.apply_message(frame, message).map_err(|what| Discrepancy { tti, what })
     }
 
-    fn go_on(&mut self, frame: &Frame, message: &Message) -> Result<(), String> {
+    fn apply_message(&mut self, frame: &Frame, message: &Message) -> Result<(), String> {
         match message {
             Message::Plan(update) => self.command(update),
             Message::World(world) => self.play(*world),
@@ -188,10 +188,10 @@ impl DeviceMirror {
                 let own = |failure: &FailedTransmission| *failure == failed.failure;
                 let at = self.failures.iter().position(own);
                 let own = at.and_then(|at| self.failures.remove(at));
-                let none = || format!("device {} has not failed so", failed.failure.device);
+                let none = || format!("an unexpected failed report of device {}", failed.failure.device);
                 own.map(|_| ()).ok_or_else(none)
             }
-            Message::Gone(outage) => self.gone(outage),
+            Message::Removed(outage) => self.remove_devices(outage),
             Message::Wake(wake) => self.wake(frame.number, *wake),
             Message::Woken(woken) => match self.waking.take() {
                 Some((device, outcome)) if Some(device.0) == frame.number && outcome == woken.outcome => {
@@ -200,8 +200,8 @@ impl DeviceMirror {
                         .then_some(())
                         .ok_or_else(|| format!("the report of device {device} is missing"))
                 }
-                Some((device, outcome)) => Err(format!("the wake-up of device {device} came to: {outcome}")),
-                None => Err("what came of a wake-up that was not sent".to_owned()),
+                Some((device, outcome)) => Err(format!("the outcome for device {device} must be: {outcome}")),
+                None => Err("an outcome of a wake-up that was not sent".to_owned()),
             },
             Message::States(states) => {
                 let views = self.views();
@@ -240,7 +240,7 @@ impl DeviceMirror {
             Ok(())
         } else {
             Err(format!(
-                "TTIs {} to {} come where {next} was to come",
+                "TTIs {} to {} follow, but TTI {next} is next",
                 world.first, world.last
             ))
         }
@@ -250,7 +250,7 @@ impl DeviceMirror {
         self.end_tti()?;
         let next = self.next();
         if update.from != next {
-            return Err(format!("a plan from TTI {} on comes before TTI {next}", update.from));
+            return Err(format!("a plan from TTI {}, but TTI {next} is next", update.from));
         }
         let Self { air, machines, .. } = self;
         let (from, count) = (update.from, machines.len());
@@ -289,7 +289,7 @@ impl DeviceMirror {
     }
 
     /// Removes devices in the current TTI.
-    fn gone(&mut self, outage: &DeviceRemoval) -> Result<(), String> {
+    fn remove_devices(&mut self, outage: &DeviceRemoval) -> Result<(), String> {
         if self.now() != Some(outage.tti) || !outage.is_valid(self.machines.len() as u32) {
             return Err(format!("{outage} in TTI {}, which has not been reached", outage.tti));
         }
@@ -304,7 +304,7 @@ impl DeviceMirror {
             && outage.has(*device)
         {
             // The wake-up was open, and its host no longer answers.
-            *outcome = WakeOutcome::Unheard;
+            *outcome = WakeOutcome::Missed;
             undone.extend(self.unwoken.take());
         }
         for machine in undone.into_iter().filter(|machine| outage.has(machine.id())) {
@@ -324,7 +324,7 @@ impl DeviceMirror {
         let missing = missing.chain(self.failures.drain(..).map(|failure| failure.device));
         let missing = missing.min().or(self.waking.take().map(|(device, _)| device));
         missing.map_or(Ok(()), |device| {
-            Err(format!("nothing is told of what device {device} did before"))
+            Err(format!("a report or an outcome of device {device} is missing"))
         })
     }
 
@@ -356,10 +356,10 @@ impl DeviceMirror {
 
     fn wake(&mut self, number: Option<u32>, wake: WakeUp) -> Result<(), String> {
         let world = self.world.ok_or("a wake-up before the first TTI")?;
-        let stimulus = world.stimulus.ok_or("a wake-up where there is no event")?;
-        let device = number.map(DeviceId).ok_or("a wake-up for nobody")?;
+        let stimulus = world.stimulus.ok_or("a wake-up without an event")?;
+        let device = number.map(DeviceId).ok_or("a wake-up without a device")?;
         let machine = self.machines.get_mut(device.index());
-        let machine = machine.ok_or_else(|| format!("a wake-up for device {device}, which there is not"))?;
+        let machine = machine.ok_or_else(|| format!("a wake-up for device {device}, which does not exist"))?;
         let air = self.air.at(world.last);
         self.unwoken = Some(machine.clone());
         let stimulus = (!self.radio.is_late(wake.tti, world.until)).then_some(&stimulus);
@@ -367,7 +367,7 @@ impl DeviceMirror {
         self.has_reported = false;
         match self.waking.replace((device, outcome)) {
             None => Ok(()),
-            Some((before, _)) => Err(format!("what came of the wake-up of device {before} is not told")),
+            Some((before, _)) => Err(format!("the outcome of the wake-up of device {before} is missing")),
         }
     }
 }

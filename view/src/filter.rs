@@ -34,7 +34,7 @@ pub enum StateName {
     /// S4: asleep, with or without power for the wake-up radio.
     S4,
     /// S4 without power for the wake-up radio.
-    Deaf,
+    Unpowered,
 }
 
 impl StateName {
@@ -44,7 +44,7 @@ impl StateName {
         ("S2", Self::S2),
         ("S3", Self::S3),
         ("S4", Self::S4),
-        ("deaf", Self::Deaf),
+        ("deaf", Self::Unpowered),
     ];
 
     /// Whether this name covers `state`.
@@ -54,7 +54,7 @@ impl StateName {
             Self::S2 => state == DeviceState::Active,
             Self::S3 => state == DeviceState::Transmission,
             Self::S4 => matches!(state, DeviceState::Sleep { .. }),
-            Self::Deaf => state == DeviceState::Sleep { powered: false },
+            Self::Unpowered => state == DeviceState::Sleep { powered: false },
         }
     }
 }
@@ -99,7 +99,7 @@ impl Filter {
         let Some(plane) = self.plane else { return Ok(()) };
         match self.kinds.iter().find(|kind| kind.plane() != plane) {
             Some(kind) => Err(format!(
-                "--plane {} leaves nothing of --kind {}, which is on the plane {}",
+                "--plane {} excludes --kind {}, which is on the plane {}",
                 plane.name(),
                 kind.name(),
                 kind.plane().name()
@@ -130,10 +130,10 @@ mod tests {
             }),
         };
         vec![
-            Frame::of(Tti(4), DeviceId(1), &report(4, 1)),
-            Frame::of(Tti(5), DeviceId(2), &WakeUp { tti: Tti(5) }),
-            Frame::of(Tti(5), DeviceId(2), &failed),
-            Frame::of(Tti(9), DeviceId(2), &report(9, 2)),
+            Frame::new(Tti(4), DeviceId(1), &report(4, 1)),
+            Frame::new(Tti(5), DeviceId(2), &WakeUp { tti: Tti(5) }),
+            Frame::new(Tti(5), DeviceId(2), &failed),
+            Frame::new(Tti(9), DeviceId(2), &report(9, 2)),
         ]
     }
 
@@ -189,7 +189,7 @@ mod tests {
             ),
             (
                 Filter {
-                    states: vec![StateName::Deaf],
+                    states: vec![StateName::Unpowered],
                     ..all.clone()
                 },
                 vec![1, 2],

@@ -27,7 +27,7 @@ pub(crate) enum LineError {
     #[error("there is no kind of message {0:?} on the plane {1:?}")]
     Kind(String, String),
     /// A malformed payload is not in hexadecimal digits.
-    #[error("a malformed payload is not written in pairs of hexadecimal digits")]
+    #[error("the malformed payload does not consist of pairs of hexadecimal digits")]
     Hex,
 }
 
@@ -67,7 +67,7 @@ struct Malformed {
 
 impl<'a> FrameLine<'a> {
     /// Decodes `frame`.
-    pub fn of(frame: &'a Frame) -> Self {
+    pub fn new(frame: &'a Frame) -> Self {
         Self {
             message: frame.message(),
             frame,
@@ -185,18 +185,18 @@ mod tests {
         let answer = HostAnswer::NotWoken {
             device: DeviceId(4),
             tti,
-            outcome: WakeOutcome::Unheard,
+            outcome: WakeOutcome::Missed,
         };
         let broken = Frame {
             payload: vec![3, 255, 0, 16],
-            ..Frame::of(tti, DeviceId(9), &WakeUp { tti })
+            ..Frame::new(tti, DeviceId(9), &WakeUp { tti })
         };
         for frame in [
-            Frame::of(tti, DeviceId(3), &report),
-            Frame::of(tti, HostId(0), &answer),
+            Frame::new(tti, DeviceId(3), &report),
+            Frame::new(tti, HostId(0), &answer),
             broken,
         ] {
-            assert_eq!(from_json(&FrameLine::of(&frame).to_json()).expect("a frame"), frame);
+            assert_eq!(from_json(&FrameLine::new(&frame).to_json()).expect("a frame"), frame);
         }
     }
 

@@ -393,15 +393,15 @@ mod tests {
     }
 
     impl Observer for StateCollector {
-        fn notify(&mut self, happening: &Notification<'_>) {
-            if let Notification::Granted(_) = happening {
+        fn notify(&mut self, notification: &Notification<'_>) {
+            if let Notification::TtisGranted(_) = notification {
                 self.reports.push(0);
                 self.wakes.push(0);
-            } else if let Notification::Reported(_) = happening {
+            } else if let Notification::ReportReceived(_) = notification {
                 *self.reports.last_mut().expect("a TTI") += 1;
-            } else if let Notification::WakeUp { .. } = happening {
+            } else if let Notification::WakeUpSent { .. } = notification {
                 *self.wakes.last_mut().expect("a TTI") += 1;
-            } else if let Notification::States(views) = happening {
+            } else if let Notification::DeviceStates(views) = notification {
                 self.states.push(views.to_vec());
             }
         }

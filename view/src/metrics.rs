@@ -40,7 +40,7 @@ struct KindLabels {
 }
 
 impl KindLabels {
-    const fn of(kind: MessageKind) -> Self {
+    const fn new(kind: MessageKind) -> Self {
         Self {
             plane: kind.plane().name(),
             kind: kind.name(),
@@ -72,7 +72,7 @@ pub struct ProcessStats {
     /// Time that the run has spent waiting until its recording caught up, seconds.
     pub recorder_waited_s: f64,
     /// Frames dropped for observers on the bus that were too slow.
-    pub left_out: u64,
+    pub dropped: u64,
 }
 
 /// Metrics of a run.
@@ -118,7 +118,7 @@ impl Handles {
         let (messages, bytes) = (Family::default(), Family::default());
         // Every series exists from the start, so that Prometheus reads 0 before the first message of a kind.
         let by_kind = MessageKind::ALL.iter().map(|kind| {
-            let of = KindLabels::of(*kind);
+            let of = KindLabels::new(*kind);
             let counter = |family: &Family<KindLabels, Counter>| family.get_or_create(&of).clone();
             (counter(&messages), counter(&bytes))
         });
@@ -155,7 +155,7 @@ impl Handles {
         registry.register("events", "Counted events that have ended", own.events.clone());
         registry.register(
             "events_missed",
-            "Those of them that nobody reported",
+            "Counted events that ended without a report",
             own.missed.clone(),
         );
         registry.register(
@@ -176,34 +176,30 @@ impl Handles {
         );
         registry.register(
             "energy_spent_units",
-            "Energy that devices have spent, by what for, up to the last window",
+            "Energy spent by devices, by purpose, up to the last window",
             own.spent.clone(),
         );
         registry.register(
             "energy_harvested_units",
-            "Energy that has arrived at devices, up to the last window",
+            "Energy harvested by devices, up to the last window",
             own.harvested.clone(),
         );
         registry.register(
             "devices",
-            "Devices by state, when this was asked for last",
+            "Devices by state, as of the previous request",
             own.states.clone(),
         );
         registry.register(
             "devices_with_battery",
-            "Devices that hold at most so many units, when this was asked for last",
+            "Devices with at most this many units, as of the previous request",
             own.batteries.clone(),
         );
         registry.register(
             "battery_mean_units",
-            "Mean battery, when this was asked for last",
+            "Mean battery level, as of the previous request",
             own.mean_battery.clone(),
         );
-        registry.register(
-            "hosts_alive",
-            "Processes that carry devices and are not lost",
-            own.hosts.clone(),
-        );
+        registry.register("hosts_alive", "Hosts that are not lost", own.hosts.clone());
         registry.register(
             "late_ttis",
             "TTIs that began late under a real-time pace",
@@ -212,12 +208,12 @@ impl Handles {
         registry.register("late_max_seconds", "The largest delay of a TTI", own.max_late.clone());
         registry.register(
             "recorder_waited_seconds",
-            "How long the run has waited for its recording",
+            "Time that its recording has delayed the run",
             own.waited.clone(),
         );
         registry.register(
             "observer_messages_left_out",
-            "Messages that observers on the bus were not sent, because they could not keep up",
+            "Messages that were dropped because an observer on the bus was too slow",
             own.left_out.clone(),
         );
         registry.register(
@@ -244,7 +240,7 @@ impl PrometheusMetrics {
             version: env!("CARGO_PKG_VERSION").to_owned(),
         };
         about.get_or_create(&of).set(1);
-        registry.register("run_info", "The run, always 1", about);
+        registry.register("run_info", "Description of the run by labels, always 1", about);
         let length: Gauge = Gauge::default();
         length.set(scenario.run.ttis.cast_signed());
         registry.register("run_length_ttis", "Length of the run", length);
@@ -307,7 +303,7 @@ impl PrometheusMetrics {
         own.hosts.set(process.hosts.cast_signed());
         own.max_late.set(process.max_late_s);
         own.late.inc_by(process.late_ttis.saturating_sub(before.late_ttis));
-        own.left_out.inc_by(process.left_out.saturating_sub(before.left_out));
+        own.left_out.inc_by(process.dropped.saturating_sub(before.dropped));
         own.waited
             .inc_by((process.recorder_waited_s - before.recorder_waited_s).max(0.0));
         *before = process;
@@ -362,8 +358,8 @@ impl PrometheusMetrics {
 pub struct MetricsObserver(pub Arc<PrometheusMetrics>);
 
 impl Observer for MetricsObserver {
-    fn notify(&mut self, happening: &Notification<'_>) {
-        if let Notification::States(views) = happening {
+    fn notify(&mut self, notification: &Notification<'_>) {
+        if let Notification::DeviceStates(views) = notification {
             self.0.look(views);
         }
     }
@@ -390,8 +386,8 @@ fn plain(open: &str) -> String {
         let mut parts = line.splitn(4, ' ');
         match (parts.next(), parts.next(), parts.next(), parts.next()) {
             (Some("#"), Some("EOF" | "UNIT"), ..) => String::new(),
-            (Some("#"), Some(what), Some(name), Some(rest)) if counters.contains(&name) => {
-                format!("# {what} {name}_total {rest}\n")
+            (Some("#"), Some(keyword), Some(name), Some(rest)) if counters.contains(&name) => {
+                format!("# {keyword} {name}_total {rest}\n")
             }
             _ => format!("{line}\n"),
         }
@@ -423,7 +419,7 @@ mod tests {
             Some(format!("| `{name}` | {kind} | {help} |\n"))
         };
         let rows: String = text.lines().filter_map(row).collect();
-        format!("| name | type | what |\n|---|---|---|\n{rows}")
+        format!("| name | type | meaning |\n|---|---|---|\n{rows}")
     }
 
     #[test]
@@ -453,7 +449,7 @@ mod tests {
         let outcome = Run::new(&prepare(&scenario), options).finish(&mut observers);
         let process = ProcessStats {
             hosts: 3,
-            left_out: 7,
+            dropped: 7,
             ..ProcessStats::default()
         };
         let text = metrics.encode(process, false);

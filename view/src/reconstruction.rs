@@ -61,7 +61,7 @@ impl Reconstruction {
             Ok(message) => message,
             // A malformed message on the air was sent by a foreign client and is not part of the run.
             Err(_) if frame.kind.plane() == Plane::Air => return Ok(()),
-            Err(error) => return Err(refuse(format!("a {} that is none: {error}", frame.kind.name()))),
+            Err(error) => return Err(refuse(format!("malformed {}: {error}", frame.kind.name()))),
         };
         // First, since `count` asks the mirror about missed plans and the open wake-up.
         self.mirror.apply(frame, &message)?;
@@ -126,7 +126,7 @@ impl Reconstruction {
             }
             Message::Event(EventUpdate::Started(event)) => {
                 if self.stimulus.is_some() {
-                    return Err("an event starts while another is under way".to_owned());
+                    return Err("an event starts while another is active".to_owned());
                 }
                 self.stimulus = Some(event.stimulus);
                 self.score.event_started(event);
@@ -144,7 +144,7 @@ impl Reconstruction {
                 self.under_way()?;
                 self.score.lost(&lost.report);
             }
-            Message::Gone(outage) => self.score.devices_removed(&outage),
+            Message::Removed(outage) => self.score.devices_removed(&outage),
             Message::Failed(failed) => {
                 self.under_way()?;
                 self.score.failed(&failed.failure);
@@ -155,9 +155,9 @@ impl Reconstruction {
             }
             Message::Woken(woken) => {
                 let epicentre = self.under_way()?.epicentre;
-                let device = frame.number.map(DeviceId).ok_or("what came of a wake-up of nobody")?;
+                let device = frame.number.map(DeviceId).ok_or("an outcome without a device")?;
                 let setup = self.deployment.devices.get(device.index());
-                let place = setup.ok_or("what came of a wake-up of no device")?.position;
+                let place = setup.ok_or("an outcome of a device that does not exist")?.position;
                 let is_far = place.distance(epicentre) > self.scenario.sensing.d_max;
                 self.score.wake_up_completed(frame.tti, device, &woken.outcome, is_far);
             }
@@ -189,14 +189,14 @@ impl Reconstruction {
             Ok(())
         } else {
             Err(format!(
-                "event {} came to {:?} by its messages, not to {:?}",
+                "the messages of event {} give {:?}, and its record says {:?}",
                 told.event.0, own.tally, told.tally
             ))
         }
     }
 
     fn under_way(&self) -> Result<Stimulus, String> {
-        self.stimulus.ok_or_else(|| "no event is under way".to_owned())
+        self.stimulus.ok_or_else(|| "no event is active".to_owned())
     }
 
     /// Adds the information of a report of TTI `tti`.

@@ -133,12 +133,12 @@ mod tests {
                 information: 0.5,
                 battery: Energy::ZERO,
             };
-            Frame::of(Tti(tti), DeviceId(device), &report)
+            Frame::new(Tti(tti), DeviceId(device), &report)
         };
         let frames = [
-            Frame::of(Tti(3), (), &plan),
+            Frame::new(Tti(3), (), &plan),
             report(4, 1),
-            Frame::of(Tti(4), DeviceId(2), &WakeUp { tti: Tti(4) }),
+            Frame::new(Tti(4), DeviceId(2), &WakeUp { tti: Tti(4) }),
             report(4, 2),
             report(12, 1),
         ];

@@ -36,11 +36,11 @@ impl fmt::Display for WakeUpExchange {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PairStep {
     /// Not part of a wake-up.
-    Alone,
+    Unpaired,
     /// Part of a wake-up that is still incomplete.
     Held,
     /// Last part of this wake-up.
-    Complete(WakeUpExchange),
+    Paired(WakeUpExchange),
 }
 
 /// Pairs wake-ups with their outcomes.
@@ -69,16 +69,16 @@ impl WakeUpPairer {
                 let (device, bytes) = (*device, *sum);
                 self.waking = None;
                 match message {
-                    Ok(Message::Woken(woken)) => PairStep::Complete(WakeUpExchange {
+                    Ok(Message::Woken(woken)) => PairStep::Paired(WakeUpExchange {
                         tti: frame.tti,
                         device,
                         outcome: woken.outcome,
                         bytes,
                     }),
-                    Ok(_) | Err(_) => PairStep::Alone,
+                    Ok(_) | Err(_) => PairStep::Unpaired,
                 }
             }
-            _ => PairStep::Alone,
+            _ => PairStep::Unpaired,
         }
     }
 }
@@ -101,11 +101,11 @@ mod tests {
         };
         let outcome = WakeOutcome::Reported(report(device));
         let frames = [
-            Frame::of(tti, DeviceId(1), &report(DeviceId(1))),
-            Frame::of(tti, device, &WakeUp { tti }),
-            Frame::of(tti, device, &report(device)),
-            Frame::of(tti, device, &WakeUpResult { outcome }),
-            Frame::of(tti, device, &report(device)),
+            Frame::new(tti, DeviceId(1), &report(DeviceId(1))),
+            Frame::new(tti, device, &WakeUp { tti }),
+            Frame::new(tti, device, &report(device)),
+            Frame::new(tti, device, &WakeUpResult { outcome }),
+            Frame::new(tti, device, &report(device)),
         ];
         let mut join = WakeUpPairer::default();
         let steps = frames.each_ref().map(|frame| join.take(frame, &frame.message()));
@@ -119,11 +119,11 @@ mod tests {
         assert_eq!(
             steps,
             [
-                PairStep::Alone,
+                PairStep::Unpaired,
                 PairStep::Held,
                 PairStep::Held,
-                PairStep::Complete(joined),
-                PairStep::Alone
+                PairStep::Paired(joined),
+                PairStep::Unpaired
             ]
         );
         let text = joined.to_string();

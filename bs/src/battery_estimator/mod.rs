@@ -104,7 +104,7 @@ struct BatteryEstimate {
     /// Expected number of reports since the last one.
     silence: f64,
     /// Probability that the radio alone explains all missing answers since the last report.
-    luck: f64,
+    silence_likelihood: f64,
 }
 
 impl Class {
@@ -142,14 +142,14 @@ impl BatteryEstimate {
             doubt: HarvestDoubt::default(),
             rate: 0.0,
             silence: 0.0,
-            luck: 1.0,
+            silence_likelihood: 1.0,
         }
     }
 
     /// Returns whether `level` is sure to be E_Tx or more after the TTIs before `end`, whatever was commanded. This is
     /// usually the case, and it saves the exact computation.
     #[inline]
-    fn is_well(&self, level: Energy, end: Tti) -> bool {
+    fn is_usable(&self, level: Energy, end: Tti) -> bool {
         // An overflow proves nothing, so the caller then computes the level exactly.
         let fall = self
             .fall
@@ -159,7 +159,7 @@ impl BatteryEstimate {
 
     /// Returns `level` after the TTIs before `end`, with `device` of `class` under `plan`, and the number of TTIs in
     /// S1.
-    fn carried(&self, class: &Class, level: Energy, device: DeviceId, plan: &Plan, end: Tti) -> (Energy, u64) {
+    fn estimate_at(&self, class: &Class, level: Energy, device: DeviceId, plan: &Plan, end: Tti) -> (Energy, u64) {
         let cycle = plan.duty_cycle(device);
         let (mut level, mut all_on, mut from) = (level, 0, self.next);
         // Each span is cut off at E_max separately: surplus harvest of the day beyond a full battery is lost before
@@ -211,7 +211,7 @@ impl BatteryEstimate {
         if level > Energy::ZERO && level >= self.energy.e_tx {
             self.doubt.grow(k);
         }
-        (self.next, self.silence, self.luck) = (k + 1, 0.0, 1.0);
+        (self.next, self.silence, self.silence_likelihood) = (k + 1, 0.0, 1.0);
     }
 }
 
@@ -289,17 +289,17 @@ impl BatteryEstimator {
         } = self.devices[device.index()].energy;
         if !self.is_told {
             let (account, level) = (&self.devices[device.index()], self.of[device.index()]);
-            return account.is_well(level, k + 1) || self.carried(device, plan, k + 1).0 >= e_tx;
+            return account.is_usable(level, k + 1) || self.estimate_at(device, plan, k + 1).0 >= e_tx;
         }
         let is_on = plan.is_on(device, k);
         self.of[device.index()] >= e_tx + if is_on { e_idle } else { e_wur }
     }
 
     /// Returns the level of `device` after the TTIs before `end`, and the number of TTIs in S1.
-    fn carried(&self, device: DeviceId, plan: &Plan, end: Tti) -> (Energy, u64) {
+    fn estimate_at(&self, device: DeviceId, plan: &Plan, end: Tti) -> (Energy, u64) {
         let account = &self.devices[device.index()];
         let class = &self.classes[usize::from(account.class)];
-        account.carried(class, self.of[device.index()], device, plan, end)
+        account.estimate_at(class, self.of[device.index()], device, plan, end)
     }
 
     /// Advances all estimates through the TTIs before `end` under `plan`: adds the expected harvest and subtracts the
@@ -311,7 +311,7 @@ impl BatteryEstimator {
         }
         for ((level, account), j) in self.of.iter_mut().zip(&mut self.devices).zip(0..) {
             let class = &mut self.classes[usize::from(account.class)];
-            let (carried, on) = account.carried(class, *level, DeviceId(j), plan, end);
+            let (carried, on) = account.estimate_at(class, *level, DeviceId(j), plan, end);
             (*level, account.next) = (carried, end.max(account.next));
             // A device that does not sense, or has too little energy for a report, has a known reason for its silence.
             if on > 0 && account.rate > 0.0 && carried >= account.energy.e_tx {
@@ -379,14 +379,14 @@ impl BatteryEstimator {
             });
         }
         for device in empty {
-            self.unheard(device, k, plan, self.radio.no_report_probability());
+            self.observe_no_report(device, k, plan, self.radio.no_report_probability());
         }
     }
 
     /// Records the `level` that `device` reported in TTI `k`.
     pub fn observe_level(&mut self, device: DeviceId, k: Tti, level: Energy) {
         let account = &mut self.devices[device.index()];
-        (account.next, account.doubt, account.silence, account.luck) = (k + 1, HarvestDoubt::default(), 0.0, 1.0);
+        (account.next, account.doubt, account.silence, account.silence_likelihood) = (k + 1, HarvestDoubt::default(), 0.0, 1.0);
         // One report shows that the source of the class delivers, so it clears the doubt of the class as well.
         let class = &mut self.classes[usize::from(account.class)];
         (class.silence, class.doubt) = (0.0, HarvestDoubt::default());
@@ -396,19 +396,19 @@ impl BatteryEstimator {
     /// Records that `device` was woken in TTI `k` and did not report. Its battery counts as empty, unless the radio may
     /// have lost the wake-up signal or the report.
     pub fn observe_no_answer(&mut self, device: DeviceId, k: Tti, plan: &Plan) {
-        self.unheard(device, k, plan, self.radio.no_answer_probability());
+        self.observe_no_report(device, k, plan, self.radio.no_answer_probability());
     }
 
     /// Records that `device` sent no report in TTI `k` although it should have. The radio alone causes this with
     /// probability `lost`.
-    fn unheard(&mut self, device: DeviceId, k: Tti, plan: &Plan, lost: f64) {
+    fn observe_no_report(&mut self, device: DeviceId, k: Tti, plan: &Plan, lost: f64) {
         // Losses are taken as independent, so the probability that only the radio caused the silence is a product.
-        let luck = &mut self.devices[device.index()].luck;
+        let luck = &mut self.devices[device.index()].silence_likelihood;
         *luck *= lost;
         if *luck > UNLUCKY {
             return;
         }
-        let (carried, _) = self.carried(device, plan, k + 1);
+        let (carried, _) = self.estimate_at(device, plan, k + 1);
         self.devices[device.index()].found_empty(carried, k);
         self.of[device.index()] = Energy::ZERO;
     }

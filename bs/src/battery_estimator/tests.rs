@@ -12,7 +12,7 @@ fn known(set: &[&str]) -> Knowledge {
     let set = ["bs.battery_knowledge=reported"].iter().chain(set);
     let overrides: Vec<Override> = set.map(|set| Override::parse(set).expect("an override")).collect();
     let scenario = load("paper", &overrides).expect("a preset").scenario;
-    Knowledge::of(&scenario, &Deployment::new(&scenario), Arc::default())
+    Knowledge::from_scenario(&scenario, &Deployment::new(&scenario), Arc::default())
 }
 
 fn report(device: u32, information: f64, units: u64) -> Report {
@@ -243,13 +243,13 @@ fn a_device_can_report_if_what_is_carried_pays_for_it() {
         for k in 0..300 {
             for j in 0..50 {
                 let (device, level) = (DeviceId(j), levels.of[j as usize]);
-                let pays = levels.carried(device, &plan, Tti(k + 1)).0 >= known.devices[j as usize].energy.e_tx;
+                let pays = levels.estimate_at(device, &plan, Tti(k + 1)).0 >= known.devices[j as usize].energy.e_tx;
                 assert_eq!(
                     levels.can_report(device, Tti(k), &plan),
                     pays,
                     "{set:?}, TTI {k}, device {j}"
                 );
-                let is_well = levels.devices[j as usize].is_well(level, Tti(k + 1));
+                let is_well = levels.devices[j as usize].is_usable(level, Tti(k + 1));
                 sure += usize::from(is_well);
                 others[usize::from(pays)] += usize::from(!is_well);
                 match (k + u64::from(j)) % 37 {
@@ -273,7 +273,7 @@ fn silent_for(known: &Knowledge, device: u32) -> f64 {
     for k in 0..10_000 {
         levels.advance(Tti(k + 1), &plan);
         if levels.all()[device as usize] == Energy::ZERO {
-            assert!(levels.all()[2] > Energy::ZERO, "nobody asks a sleeper");
+            assert!(levels.all()[2] > Energy::ZERO, "a sleeping device is not asked");
             return (k + 1) as f64;
         }
     }

@@ -44,13 +44,13 @@ impl Candidates {
         })
     }
 
-    /// Sets the cost of a failed wake-up when devices are compared: `in_vain`, ≥ 0, in units of information. Scores
+    /// Sets the cost of a failed wake-up when devices are compared: `miss_cost`, ≥ 0, in units of information. Scores
     /// remain the expected gains. The ranking by `P_4,2` ignores it.
     #[must_use]
-    pub(crate) fn with_miss_cost(self, in_vain: f64) -> Self {
+    pub(crate) fn with_miss_cost(self, miss_cost: f64) -> Self {
         Self(match self.0 {
             Order::P42(ranking) => Order::P42(ranking),
-            Order::Posterior(belief) => Order::Posterior(belief.with_miss_cost(in_vain)),
+            Order::Posterior(belief) => Order::Posterior(belief.with_miss_cost(miss_cost)),
         })
     }
 

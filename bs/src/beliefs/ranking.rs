@@ -33,7 +33,7 @@ pub struct Ranking {
     /// Reporters of the event and their distances from it, metres.
     reporters: Vec<(DeviceId, f64)>,
     /// Number of the last event for which each device was returned.
-    given_out: Vec<u64>,
+    proposed: Vec<u64>,
     event: u64,
 }
 
@@ -46,7 +46,7 @@ impl Ranking {
             correlation,
             queue: BinaryHeap::new(),
             reporters: Vec::new(),
-            given_out: vec![0; points.len()],
+            proposed: vec![0; points.len()],
             event: 0,
         }
     }
@@ -69,7 +69,7 @@ impl Ranking {
 
     /// Excludes `device` for this event.
     pub(crate) fn exclude(&mut self, device: DeviceId) {
-        self.given_out[device.index()] = self.event;
+        self.proposed[device.index()] = self.event;
     }
 
     /// Returns the candidate with the largest `P_4,2`, and this probability to eight digits. Only devices in S4 that
@@ -82,8 +82,8 @@ impl Ranking {
                 QueueItem::Band { reporter } => self.open(reporter, number, &is_candidate),
                 QueueItem::Evaluated => {
                     let device = DeviceId(number);
-                    if self.given_out[device.index()] != self.event && is_candidate(device) {
-                        self.given_out[device.index()] = self.event;
+                    if self.proposed[device.index()] != self.event && is_candidate(device) {
+                        self.proposed[device.index()] = self.event;
                         return Some((device, bound.probability()));
                     }
                 }
@@ -125,7 +125,7 @@ impl Ranking {
     }
 
     fn evaluate(&mut self, reporter: u32, j: DeviceId, is_candidate: impl Fn(DeviceId) -> bool) {
-        if self.given_out[j.index()] == self.event || !is_candidate(j) {
+        if self.proposed[j.index()] == self.event || !is_candidate(j) {
             return;
         }
         let (device, d) = self.reporters[reporter as usize];
@@ -306,11 +306,11 @@ mod tests {
             let Some((next, probability)) = next else {
                 assert!(
                     found < floor + error,
-                    "{case}: nobody is given out, and one has exp({found})"
+                    "{case}: no candidate returned, and one has exp({found})"
                 );
                 return;
             };
-            assert!(free(next), "{case}: {next} is none of the candidates");
+            assert!(free(next), "{case}: {next} is not a candidate");
             let Some((log, reporter, gamma)) = of(next) else {
                 panic!("{case}: {next} is below p(d_max)");
             };

@@ -23,7 +23,7 @@ pub struct CoverageReward {
 impl CoverageReward {
     /// Computes the terms for the devices in S1, those with a true value in `on`, by device id. `union` covers all
     /// devices.
-    pub fn of(union: &mut Union, on: &[bool]) -> Self {
+    pub fn new(union: &mut Union, on: &[bool]) -> Self {
         let sensing = || on.iter().enumerate().filter(|(_, on)| **on).map(|(j, _)| j);
         Self {
             asleep: 1.0 - sensing().count() as f64 / on.len() as f64,

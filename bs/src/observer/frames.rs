@@ -23,11 +23,11 @@ pub struct Frames {
 }
 
 impl Frames {
-    /// Passes the frames of `happening` to `take`.
-    pub fn encode(&mut self, happening: &Notification<'_>, mut take: impl FnMut(Frame)) {
-        match *happening {
-            Notification::Plan { update, .. } => take(Frame::of(update.from, (), update)),
-            Notification::Granted(grant) => {
+    /// Passes the frames of `notification` to `take`.
+    pub fn encode(&mut self, notification: &Notification<'_>, mut take: impl FnMut(Frame)) {
+        match *notification {
+            Notification::PlanSent { update, .. } => take(Frame::new(update.from, (), update)),
+            Notification::TtisGranted(grant) => {
                 (self.first, self.last, self.next) = (grant.first, grant.last, grant.last + 1);
                 let world = WorldUpdate {
                     first: grant.first,
@@ -35,32 +35,32 @@ impl Frames {
                     stimulus: grant.stimulus,
                     until: grant.until,
                 };
-                take(Frame::of(grant.first, (), &world));
+                take(Frame::new(grant.first, (), &world));
             }
-            Notification::EventStarted(event) => take(Frame::of(event.start, (), &EventUpdate::Started(*event))),
-            Notification::Reported(report) => take(Frame::of(report.tti, report.device, report)),
-            Notification::Lost(report) => take(Frame::of(report.tti, report.device, &LostReport { report: *report })),
-            Notification::Failed { tti, failure } => {
-                take(Frame::of(tti, failure.device, &FailedReport { failure: *failure }));
+            Notification::EventStarted(event) => take(Frame::new(event.start, (), &EventUpdate::Started(*event))),
+            Notification::ReportReceived(report) => take(Frame::new(report.tti, report.device, report)),
+            Notification::ReportLost(report) => take(Frame::new(report.tti, report.device, &LostReport { report: *report })),
+            Notification::ReportFailed { tti, failure } => {
+                take(Frame::new(tti, failure.device, &FailedReport { failure: *failure }));
             }
-            Notification::WakeUp { tti, device, sent } => take(Frame::of(tti, device, &WakeUp { tti: sent })),
-            Notification::Woken { tti, device, outcome } => {
+            Notification::WakeUpSent { tti, device, sent } => take(Frame::new(tti, device, &WakeUp { tti: sent })),
+            Notification::WakeUpCompleted { tti, device, outcome } => {
                 // The report was on the air before its outcome was known, so its frame comes first.
                 if let WakeOutcome::Reported(report) = outcome {
-                    take(Frame::of::<Report>(tti, device, report));
+                    take(Frame::new::<Report>(tti, device, report));
                 }
-                take(Frame::of(tti, device, &WakeUpResult { outcome: *outcome }));
+                take(Frame::new(tti, device, &WakeUpResult { outcome: *outcome }));
             }
-            Notification::Believed { tti, places } => {
+            Notification::BeliefUpdated { tti, places } => {
                 let places = places.to_vec();
-                take(Frame::of(tti, (), &BeliefUpdate { places }));
+                take(Frame::new(tti, (), &BeliefUpdate { places }));
             }
-            Notification::EventEnded(record) => take(Frame::of(record.last, (), &EventUpdate::Ended(*record))),
-            Notification::Gone(outage) => take(Frame::of(outage.tti, (), outage)),
-            Notification::Closed(_) => {}
-            Notification::States(views) => {
+            Notification::EventEnded(record) => take(Frame::new(record.last, (), &EventUpdate::Ended(*record))),
+            Notification::DevicesRemoved(outage) => take(Frame::new(outage.tti, (), outage)),
+            Notification::TtiClosed(_) => {}
+            Notification::DeviceStates(views) => {
                 let states = DeviceStates { views: views.to_vec() };
-                take(Frame::of(self.last, (), &states));
+                take(Frame::new(self.last, (), &states));
             }
         }
     }
@@ -72,7 +72,7 @@ pub struct FrameObserver<F> {
     frames: Frames,
     take: F,
     /// Interval between device states, TTIs; 0 for never.
-    states_every: u64,
+    state_interval: u64,
     /// First TTI at which states are due again.
     states_due: Tti,
 }
@@ -84,27 +84,27 @@ impl<F: FnMut(Frame)> FrameObserver<F> {
         Self {
             frames: Frames::default(),
             take,
-            states_every,
+            state_interval: states_every,
             states_due: Tti::ZERO,
         }
     }
 }
 
 impl<F: FnMut(Frame)> Observer for FrameObserver<F> {
-    fn notify(&mut self, happening: &Notification<'_>) {
-        if matches!(happening, Notification::States(_)) {
-            let is_own = self.states_every > 0 && self.frames.first >= self.states_due;
+    fn notify(&mut self, notification: &Notification<'_>) {
+        if matches!(notification, Notification::DeviceStates(_)) {
+            let is_own = self.state_interval > 0 && self.frames.first >= self.states_due;
             if !is_own {
                 // Another observer has requested these states.
                 return;
             }
-            self.states_due = self.frames.last + self.states_every;
+            self.states_due = self.frames.last + self.state_interval;
         }
-        self.frames.encode(happening, &mut self.take);
+        self.frames.encode(notification, &mut self.take);
     }
 
     fn wants_states(&self) -> bool {
-        self.states_every > 0 && self.frames.next >= self.states_due
+        self.state_interval > 0 && self.frames.next >= self.states_due
     }
 
     fn wants_beliefs(&self) -> bool {

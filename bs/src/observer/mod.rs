@@ -20,29 +20,29 @@ use reveille_common::units::Energy;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Notification<'a> {
     /// The base station has sent its δ plan.
-    Plan {
+    PlanSent {
         /// The plan.
         update: &'a PlanUpdate,
         /// Whether it differs from the previous plan; if not, it is sent for synchronisation.
         is_new: bool,
     },
     /// The devices may advance through these TTIs. Notifications about these TTIs follow.
-    Granted(&'a Grant),
+    TtisGranted(&'a Grant),
     /// An event has started. Ground truth.
     EventStarted(&'a ActiveEvent),
     /// A device with δ = 1 has reported an event.
-    Reported(&'a Report),
+    ReportReceived(&'a Report),
     /// A report of a device with δ = 1 was lost on the radio channel. Ground truth.
-    Lost(&'a Report),
+    ReportLost(&'a Report),
     /// A device with δ = 1 has detected an event but could not transmit. Ground truth.
-    Failed {
+    ReportFailed {
         /// The TTI.
         tti: Tti,
         /// The device and the energy that it lost.
         failure: &'a FailedTransmission,
     },
     /// The base station has sent a wake-up signal.
-    WakeUp {
+    WakeUpSent {
         /// The TTI.
         tti: Tti,
         /// The woken device.
@@ -51,7 +51,7 @@ pub enum Notification<'a> {
         sent: Tti,
     },
     /// The outcome of the last wake-up is known.
-    Woken {
+    WakeUpCompleted {
         /// The TTI.
         tti: Tti,
         /// The woken device.
@@ -61,20 +61,20 @@ pub enum Notification<'a> {
     },
     /// The belief over the epicentre after all reports of a TTI. Sent only if the observer wants it and the policy has
     /// one.
-    Believed {
+    BeliefUpdated {
         /// The TTI.
         tti: Tti,
         /// Candidate epicentres with weights that sum to 1.
         places: &'a [WeightedPoint],
     },
     /// Devices were removed in a granted TTI. Ground truth.
-    Gone(&'a DeviceRemoval),
+    DevicesRemoved(&'a DeviceRemoval),
     /// An event has ended, reported or not. Ground truth.
     EventEnded(&'a EventRecord),
     /// All TTIs up to and including this one are closed.
-    Closed(Tti),
+    TtiClosed(Tti),
     /// The devices at the end of the last closed TTI, by device id, if the observer wants them. Ground truth.
-    States(&'a [DeviceView]),
+    DeviceStates(&'a [DeviceView]),
 }
 
 /// An observer of a run. The default methods ignore everything.
@@ -107,8 +107,8 @@ pub trait Observer {
 impl Observer for () {}
 
 impl<O: Observer> Observer for &mut O {
-    fn notify(&mut self, happening: &Notification<'_>) {
-        (**self).notify(happening);
+    fn notify(&mut self, notification: &Notification<'_>) {
+        (**self).notify(notification);
     }
 
     fn wants_states(&self) -> bool {
@@ -130,9 +130,9 @@ impl<O: Observer> Observer for &mut O {
 
 /// Ignores all notifications if it is `None`.
 impl<O: Observer> Observer for Option<O> {
-    fn notify(&mut self, happening: &Notification<'_>) {
+    fn notify(&mut self, notification: &Notification<'_>) {
         if let Some(observer) = self {
-            observer.notify(happening);
+            observer.notify(notification);
         }
     }
 
@@ -157,9 +157,9 @@ impl<O: Observer> Observer for Option<O> {
 
 /// Notifies both observers in order.
 impl<A: Observer, B: Observer> Observer for (A, B) {
-    fn notify(&mut self, happening: &Notification<'_>) {
-        self.0.notify(happening);
-        self.1.notify(happening);
+    fn notify(&mut self, notification: &Notification<'_>) {
+        self.0.notify(notification);
+        self.1.notify(notification);
     }
 
     fn wants_states(&self) -> bool {

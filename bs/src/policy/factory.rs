@@ -76,7 +76,7 @@ impl PolicyEntry {
     }
 
     /// Creates the entry of a policy that wakes devices, whose settings `S` have no further conditions and build it.
-    pub const fn of<S: Settings + PolicyFactory>() -> Self {
+    pub const fn for_settings<S: Settings + PolicyFactory>() -> Self {
         Self::new(S::SECTION, |reader, _| Ok(Arc::new(S::read(reader)?)))
     }
 

@@ -119,7 +119,7 @@ impl Policy for Genie {
 }
 
 impl Oracle for Genie {
-    fn told(&mut self, stimulus: &Stimulus) -> bool {
+    fn reveal_event(&mut self, stimulus: &Stimulus) -> bool {
         self.epicentre = stimulus.epicentre;
         self.chosen = if self.is_lossy {
             self.around(stimulus.epicentre)
@@ -130,7 +130,7 @@ impl Oracle for Genie {
     }
 
     /// Wakes the devices again if the radio is lossy, since a later answer can succeed.
-    fn is_told_again(&mut self) -> bool {
+    fn needs_another_wake_up(&mut self) -> bool {
         if self.is_lossy {
             self.chosen = self.around(self.epicentre);
         }

@@ -106,7 +106,7 @@ pub const KNN: PolicyEntry = PolicyEntry {
             clusters (Algorithm 1).",
     heeds_ranking: true,
     runtime: "O(N(N-1)/2)",
-    ..PolicyEntry::of::<KnnSettings>()
+    ..PolicyEntry::for_settings::<KnnSettings>()
 };
 
 impl PolicyFactory for KnnSettings {

@@ -94,7 +94,7 @@ impl RandomSettings {
         let settings = Self::read(reader)?;
         let shortest = settings.t_drx.iter().min().copied().unwrap_or(1);
         if settings.t_on.iter().any(|&t_on| t_on > shortest) {
-            let allowed = format!("none may be longer than the shortest of policy.random.t_drx, {shortest}");
+            let allowed = format!("must not exceed {shortest}, the shortest of policy.random.t_drx");
             return Err(reader.invalid_value("policy.random.t_on", format!("{:?}", settings.t_on), allowed));
         }
         Ok(settings)

@@ -58,7 +58,7 @@ struct HostEntry {
 }
 
 impl HostEntry {
-    const fn carries(&self) -> bool {
+    const fn is_active(&self) -> bool {
         self.is_ready && self.is_alive && !self.is_gone
     }
 }
@@ -147,8 +147,8 @@ impl Admission {
     }
 
     /// Whether the host runs its devices: it is ready, and its token exists.
-    pub fn carries(&self, host: HostId) -> bool {
-        self.hosts.get(host.index()).is_some_and(HostEntry::carries)
+    pub fn is_active(&self, host: HostId) -> bool {
+        self.hosts.get(host.index()).is_some_and(HostEntry::is_active)
     }
 
     /// The hosts that requested to join more than `patience` before `now` and are not ready yet.
@@ -196,7 +196,7 @@ impl Admission {
 
     /// Number of hosts that run their devices.
     pub fn active_hosts(&self) -> usize {
-        self.hosts.iter().filter(|entry| entry.carries()).count()
+        self.hosts.iter().filter(|entry| entry.is_active()).count()
     }
 
     /// Number of hosts with an assignment.
@@ -207,7 +207,7 @@ impl Admission {
     /// The assignments of all hosts, once every device has a host and every host runs its devices.
     pub fn all_ready(&self) -> Option<Vec<Assignment>> {
         let living = || self.hosts.iter().filter(|entry| !entry.is_gone);
-        (self.assigned_devices() == self.devices && living().all(HostEntry::carries))
+        (self.assigned_devices() == self.devices && living().all(HostEntry::is_active))
             .then(|| living().map(|entry| entry.places).collect())
     }
 }
@@ -263,8 +263,8 @@ mod tests {
             admission.join(newcomer(2, 5)).expect("free"),
         );
         assert!(!admission.ready(pass(a, 2)) && !admission.is_valid(pass(b, 1)));
-        let nobody = Assignment { host: HostId(9), ..a };
-        assert!(!admission.ready(pass(nobody, 1)));
+        let unknown = Assignment { host: HostId(9), ..a };
+        assert!(!admission.ready(pass(unknown, 1)));
         assert!(admission.is_valid(pass(a, 1)));
     }
 

@@ -30,7 +30,7 @@ pub struct DecisionTimeout {
     /// Time limit; `None` for no limit.
     pub limit: Option<Duration>,
     /// Action when the time is up.
-    pub then: OnUndecided,
+    pub on_timeout: OnUndecided,
 }
 
 /// Action when no valid decision arrives in time.
@@ -71,7 +71,7 @@ pub struct ServerConfig {
     /// Start with the clock paused.
     pub paused: bool,
     /// TTIs between two frames with the states of all devices; 0 for none.
-    pub states_every: u64,
+    pub state_interval: u64,
     /// The run's key, which operators must show; `None` if any client may control the clock.
     pub key: Option<Secret>,
     /// Whether hosts must show the key as well.
@@ -102,7 +102,7 @@ pub struct RunProgress {
     /// The largest delay of a TTI, nanoseconds.
     pub max_late: AtomicU64,
     /// The hosts' assignments and names.
-    pub carriers: Mutex<Vec<(Assignment, String)>>,
+    pub owners: Mutex<Vec<(Assignment, String)>>,
     /// Reason why the run cannot continue. Other parts of the program set it before `stop`.
     pub cause: OnceLock<String>,
     /// Request of other parts of the program to end the run at the next TTI.
@@ -119,10 +119,10 @@ impl RunProgress {
 
     /// Describes the owner of `device`.
     pub fn owner_of(&self, device: DeviceId) -> Option<String> {
-        let carriers = self.carriers.lock().unwrap_or_else(PoisonError::into_inner);
+        let carriers = self.owners.lock().unwrap_or_else(PoisonError::into_inner);
         let own = |places: &Assignment| (places.first..=places.last()).contains(&device);
         let (places, name) = carriers.iter().find(|(places, _)| own(places))?;
-        Some(format!("Host {}, {name},", places.host))
+        Some(format!("host {} ({name})", places.host))
     }
 }
 
@@ -144,7 +144,7 @@ pub struct ServerOutcome {
     /// Payloads that were dropped because they were not messages.
     pub malformed: u64,
     /// Messages that were dropped because they were unexpected or impossible.
-    pub strays: u64,
+    pub unexpected_messages: u64,
     /// Duration of each loss of a host.
     pub losses: Vec<Duration>,
     /// Decisions of policy processes.

@@ -11,7 +11,7 @@ pub enum BsError {
     Bus(#[from] BusError),
     /// Too few devices.
     #[error("only {joined} of {devices} devices joined within {seconds} s")]
-    TooFew {
+    TooFewJoined {
         /// Devices that joined.
         joined: u32,
         /// Devices of the scenario.
@@ -22,7 +22,7 @@ pub enum BsError {
     /// A host is lost.
     #[error(
         "lost host {host} with devices {first} to {last} at TTI {tti}: its process ended, froze for longer than the \
-            lease, or the link broke. With --on-loss wait another process could have taken its devices over"
+            lease, or the link broke; with --on-loss wait another process can take over its devices"
     )]
     HostLost {
         /// The host.
@@ -35,7 +35,7 @@ pub enum BsError {
         tti: Tti,
     },
     /// The run was interrupted and hosts did not answer.
-    #[error("interrupted at TTI {tti}, and hosts {hosts:?} did not answer any more")]
+    #[error("interrupted at TTI {tti}, and hosts {hosts:?} no longer answered")]
     NoAnswer {
         /// The TTI that was open.
         tti: Tti,
@@ -44,8 +44,8 @@ pub enum BsError {
     },
     /// No policy process has decided in time, under `OnUndecided::End`.
     #[error(
-        "no decision for TTI {tti}: {why}. --decision-timeout says how long is waited, and --on-undecided what then; \
-            --resume goes on with the run"
+        "no decision for TTI {tti}: {why}; --decision-timeout sets the time limit, --on-undecided the reaction, and \
+            --resume resumes the run"
     )]
     Undecided {
         /// The TTI.
@@ -54,17 +54,17 @@ pub enum BsError {
         why: String,
     },
     /// The run was interrupted during a decision request.
-    #[error("interrupted at TTI {0}, while a decision was waited for")]
-    InterruptedDeciding(Tti),
+    #[error("interrupted at TTI {0}, while waiting for a decision")]
+    InterruptedAwaitingDecision(Tti),
     /// The run cannot continue, for the given reason.
     #[error("{0}")]
-    CannotGoOn(String),
+    CannotContinue(String),
     /// The run was interrupted before it had any result.
     #[error("interrupted before all devices had joined")]
     Interrupted,
     /// The run was interrupted while the clock was held for a lost host.
     #[error("interrupted at TTI {tti}, while the clock was held for lost host {host} with devices {first} to {last}")]
-    InterruptedWaiting {
+    InterruptedAwaitingHost {
         /// The host.
         host: HostId,
         /// Its first device.
@@ -81,14 +81,14 @@ impl BsError {
     pub const fn is_interruption(&self) -> bool {
         match self {
             Self::Interrupted
-            | Self::InterruptedWaiting { .. }
-            | Self::InterruptedDeciding(_)
+            | Self::InterruptedAwaitingHost { .. }
+            | Self::InterruptedAwaitingDecision(_)
             | Self::NoAnswer { .. } => true,
             Self::Bus(_)
-            | Self::TooFew { .. }
+            | Self::TooFewJoined { .. }
             | Self::HostLost { .. }
             | Self::Undecided { .. }
-            | Self::CannotGoOn(_) => false,
+            | Self::CannotContinue(_) => false,
         }
     }
 }

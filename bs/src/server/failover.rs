@@ -37,7 +37,7 @@ pub trait ReplaySource: Send + Sync {
     ///
     /// # Errors
     /// Returns the reason if it cannot be stored.
-    fn lose(&self, outage: &DeviceRemoval) -> Result<(), String>;
+    fn record_removal(&self, outage: &DeviceRemoval) -> Result<(), String>;
 
     /// Stores a decision of a policy process, for later replays, before it returns.
     ///
@@ -67,8 +67,8 @@ pub struct LostHosts {
 
 impl LostHosts {
     /// Adds a lost host with this assignment. Returns false if it is known already.
-    pub fn lose(&mut self, places: Assignment, now: Instant) -> bool {
-        if self.of(places.host).is_some() {
+    pub fn add(&mut self, places: Assignment, now: Instant) -> bool {
+        if self.position(places.host).is_some() {
             return false;
         }
         self.open.push(PendingTakeover {
@@ -87,7 +87,7 @@ impl LostHosts {
     }
 
     /// The assignments of the lost hosts.
-    pub fn places(&self) -> impl Iterator<Item = Assignment> + '_ {
+    pub fn assignments(&self) -> impl Iterator<Item = Assignment> + '_ {
         self.open.iter().map(|vacancy| vacancy.places)
     }
 
@@ -106,7 +106,7 @@ impl LostHosts {
     pub fn set_checkpoint(&mut self, host: HostId, resumption: HostCheckpoint) {
         // A host can return and be lost again in a later TTI; a result for the earlier TTI is outdated.
         if let Some(at) = self
-            .of(host)
+            .position(host)
             .filter(|&at| self.open[at].asked == Some(resumption.at.next))
         {
             self.open[at].resumption = Some(Arc::new(resumption));
@@ -132,7 +132,7 @@ impl LostHosts {
 
     /// Reserves the devices of `lost` for `newcomer`.
     pub fn offer(&mut self, lost: HostId, newcomer: HostId) {
-        if let Some(at) = self.of(lost) {
+        if let Some(at) = self.position(lost) {
             self.open[at].offered = Some(newcomer);
         }
     }
@@ -151,7 +151,7 @@ impl LostHosts {
 
     /// Ends the loss of a host that has returned. Returns the new host that was to take over its devices, if any.
     pub fn restore(&mut self, host: HostId, now: Instant) -> Option<Option<HostId>> {
-        let at = self.of(host)?;
+        let at = self.position(host)?;
         Some(self.close(at, now).offered)
     }
 
@@ -174,7 +174,7 @@ impl LostHosts {
         vacancy
     }
 
-    fn of(&self, host: HostId) -> Option<usize> {
+    fn position(&self, host: HostId) -> Option<usize> {
         self.open.iter().position(|vacancy| vacancy.places.host == host)
     }
 }
@@ -208,8 +208,8 @@ mod tests {
     fn a_newcomer_gets_what_fits_once_it_is_known() {
         let mut losses = LostHosts::default();
         let now = Instant::now();
-        assert!(losses.lose(places(0, 0, 5), now) && losses.lose(places(1, 5, 9), now));
-        assert!(!losses.lose(places(0, 0, 5), now), "that was known");
+        assert!(losses.add(places(0, 0, 5), now) && losses.add(places(1, 5, 9), now));
+        assert!(!losses.add(places(0, 0, 5), now), "that was known");
         assert_eq!(losses.needing_replay(Tti(7)).len(), 2);
         assert!(losses.needing_replay(Tti(7)).is_empty() && losses.find_takeover(20).is_none());
         losses.set_checkpoint(HostId(0), resumption());
@@ -227,7 +227,7 @@ mod tests {
             losses.complete_takeover(HostId(3), now + second),
             Some((places(1, 5, 9), second))
         );
-        assert_eq!(losses.places().collect::<Vec<_>>(), [places(0, 0, 5)]);
+        assert_eq!(losses.assignments().collect::<Vec<_>>(), [places(0, 0, 5)]);
         assert_eq!(losses.recovery_times(), [second]);
     }
 
@@ -235,14 +235,14 @@ mod tests {
     fn a_host_that_is_back_keeps_its_devices() {
         let mut losses = LostHosts::default();
         let now = Instant::now();
-        losses.lose(places(0, 0, 5), now);
+        losses.add(places(0, 0, 5), now);
         losses.needing_replay(Tti(7));
         losses.set_checkpoint(HostId(0), resumption());
         losses.offer(HostId(0), HostId(1));
         assert_eq!(losses.restore(HostId(0), now), Some(Some(HostId(1))));
         assert_eq!(losses.restore(HostId(0), now), None);
         assert!(losses.is_empty() && losses.complete_takeover(HostId(1), now).is_none());
-        losses.lose(places(0, 0, 5), now);
+        losses.add(places(0, 0, 5), now);
         losses.needing_replay(Tti(9));
         losses.set_checkpoint(HostId(0), resumption());
         assert!(losses.find_takeover(9).is_none(), "that was for the first loss");

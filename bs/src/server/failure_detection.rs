@@ -16,7 +16,7 @@ impl RunLoop<'_> {
         let state = self.crew.shared.lock();
         for host in state.barrier.missing_hosts() {
             let (tti, name) = (self.session.next_tti(), state.admission.name(host));
-            tracing::warn!(%host, %tti, "waiting for the answer of {name} for {} s now", SILENT.as_secs());
+            tracing::warn!(%host, %tti, "{name} has not answered for {} s; still waiting", SILENT.as_secs());
         }
     }
 
@@ -25,7 +25,7 @@ impl RunLoop<'_> {
         let mut state = self.crew.shared.lock();
         for host in state.barrier.missing_hosts() {
             let name = state.admission.name(host);
-            tracing::warn!(%host, "{name} has not answered for {} s: it counts as lost", MUTE.as_secs());
+            tracing::warn!(%host, "{name} has not answered for {} s; it counts as lost", MUTE.as_secs());
             state.mark_lost(host);
         }
     }
@@ -33,9 +33,9 @@ impl RunLoop<'_> {
     /// Checks whether the run can continue after host losses, and starts the removals or replays that it needs.
     pub(super) fn check_hosts(&self, state: &mut ServerState) -> Result<(), BsError> {
         if let Some(why) = state.failure.take() {
-            return Err(BsError::CannotGoOn(why));
+            return Err(BsError::CannotContinue(why));
         }
-        let lost: Vec<_> = state.losses.places().collect();
+        let lost: Vec<_> = state.losses.assignments().collect();
         let Some(places) = lost.first() else { return Ok(()) };
         let (tti, host, first, last) = (self.session.next_tti(), places.host, places.first.0, places.last().0);
         match self.crew.settings.on_loss {
@@ -43,14 +43,14 @@ impl RunLoop<'_> {
             // No host can return the ledgers of the lost devices, so an interrupted run takes its outcome from the
             // replay.
             OnLoss::Wait if self.crew.progress.stop.load(Ordering::Relaxed) => {
-                return Err(BsError::InterruptedWaiting { host, first, last, tti });
+                return Err(BsError::InterruptedAwaitingHost { host, first, last, tti });
             }
             OnLoss::Wait => {}
             OnLoss::Continue => {
                 for places in lost {
                     let (host, first, last) = (places.host, places.first.0, places.last().0);
                     let name = state.admission.name(host);
-                    tracing::warn!(%host, first, last, %tti, "lost {name}; the run goes on without its devices");
+                    tracing::warn!(%host, first, last, %tti, "lost {name}; the run continues without its devices");
                     // This closes the loss, so the next check does not find it again.
                     state.remove_host(places);
                 }
@@ -62,7 +62,7 @@ impl RunLoop<'_> {
             if state.reported.insert(places.host) {
                 let (host, first, last) = (places.host, places.first.0, places.last().0);
                 let name = state.admission.name(host);
-                let held = "the clock is held until its devices are carried again";
+                let held = "the clock is held until a host runs its devices again";
                 tracing::warn!(%host, first, last, %tti, "lost {name}; {held}");
             }
         }

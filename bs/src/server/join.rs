@@ -45,7 +45,9 @@ impl JoinHandler {
             ));
         }
         if self.key.is_some() && shown != self.key {
-            return JoinReply::Refused("only processes that have the run's key may carry its devices".to_owned());
+            return JoinReply::Refused(
+                "the request does not show the run's key; use the key of the process that started the run".to_owned(),
+            );
         }
         let reply = self.place(request);
         // This wakes the loop, which takes the lock that `place` has released.
@@ -87,10 +89,10 @@ impl JoinHandler {
             return Ok(self.welcome(places, token, Some(resumption)));
         }
         let Some(places) = state.admission.join(newcomer) else {
-            let why = format!("all {devices} devices of the run are carried already");
+            let why = format!("all {devices} devices of the run have a host already");
             // With `wait` a spare process can still take over devices later, so it keeps asking.
             return Err(if state.on_loss == OnLoss::Wait {
-                JoinReply::Later(why)
+                JoinReply::Retry(why)
             } else {
                 JoinReply::Refused(why)
             });
@@ -123,12 +125,12 @@ impl JoinHandler {
 
 /// Builds the reply for a host that offers to run `count` devices while no devices are available for it.
 fn later(state: &ServerState, count: u32) -> JoinReply {
-    let lost: Vec<String> = state.losses.places().map(|places| places.count.to_string()).collect();
-    JoinReply::Later(if lost.is_empty() {
-        format!("all {} devices of the run are carried", state.admission.devices())
+    let lost: Vec<String> = state.losses.assignments().map(|places| places.count.to_string()).collect();
+    JoinReply::Retry(if lost.is_empty() {
+        format!("all {} devices of the run have a host", state.admission.devices())
     } else {
         format!(
-            "lost processes have left {} devices, each lot to be taken over whole; {count} are offered",
+            "lost hosts left {} devices, and each of these ranges needs one host; this process offers to run {count}",
             lost.join(" + ")
         )
     })
@@ -142,7 +144,7 @@ impl ServerState {
             self.losses.decline(host);
             self.admission.revoke(host);
         } else if let Some(places) = self.admission.assignment(host) {
-            self.losses.lose(places, now());
+            self.losses.add(places, now());
         }
     }
 
@@ -150,8 +152,8 @@ impl ServerState {
     pub(super) fn remove_host(&mut self, places: Assignment) {
         self.losses.drop_host(places.host);
         self.admission.revoke(places.host);
-        self.barrier.lose(places.host);
-        self.leaving.push(places);
+        self.barrier.remove_host(places.host);
+        self.removals.push(places);
     }
 
     /// Returns the hosts that have joined and were not ready in time.
@@ -163,7 +165,7 @@ impl ServerState {
     /// Completes the takeover of a lost host by `host`, if one is pending and `host` is ready and alive.
     pub(super) fn fill(&mut self, host: HostId) {
         // The token and the ready message arrive in either order, so both callers try and the second one succeeds.
-        if !self.admission.carries(host) {
+        if !self.admission.is_active(host) {
             return;
         }
         if let Some((lost, took)) = self.losses.complete_takeover(host, now())
@@ -173,10 +175,10 @@ impl ServerState {
             self.barrier.roster().replace(lost.host, places);
             self.reported.remove(&lost.host);
             // The new host resumes before the last grant, so the loop must resend that grant.
-            self.returned = true;
+            self.needs_retransmit = true;
             let (first, last, took) = (places.first.0, places.last().0, took.as_secs_f64());
             let lost = lost.host;
-            tracing::warn!(%host, first, last, "devices of lost host {lost} are carried again after {took:.2} s");
+            tracing::warn!(%host, first, last, "devices of lost host {lost} run again after {took:.2} s");
         }
     }
 }
@@ -210,7 +212,7 @@ pub(super) async fn wait_for_all(
             }
             // A process can die between joining and declaring its token; no token event would then free its devices.
             for host in state.overdue_hosts() {
-                tracing::warn!(%host, "a host joined and then said nothing more; its places are free again");
+                tracing::warn!(%host, "a host joined and never became ready; its devices are free again");
                 state.admission.leave(host);
             }
         }
@@ -222,7 +224,7 @@ pub(super) async fn wait_for_all(
             .is_some_and(|patience| begun.elapsed() >= patience)
         {
             let joined = shared.lock().admission.assigned_devices();
-            return Err(BsError::TooFew {
+            return Err(BsError::TooFewJoined {
                 joined,
                 devices: scenario.run.devices,
                 seconds: begun.elapsed().as_secs(),

@@ -33,7 +33,7 @@ impl RemovedHosts {
     }
 
     fn replay(&self) -> Result<&dyn ReplaySource, BsError> {
-        let none = || BsError::CannotGoOn("there is no replay that knows what lost devices did".to_owned());
+        let none = || BsError::CannotContinue("no replay is available for the ledgers of lost devices".to_owned());
         self.replay.as_deref().ok_or_else(none)
     }
 
@@ -46,7 +46,7 @@ impl RemovedHosts {
 
     /// Stores the removal of devices of a removed host.
     pub(super) fn begin(&self, outage: &DeviceRemoval) -> Result<(), BsError> {
-        self.replay()?.lose(outage).map_err(BsError::CannotGoOn)
+        self.replay()?.record_removal(outage).map_err(BsError::CannotContinue)
     }
 
     /// Returns the totals before TTI `k` over all devices of removed hosts.
@@ -81,6 +81,6 @@ impl RemovedHosts {
     pub(super) fn ledgers(&self, k: Tti, first: DeviceId, count: u32) -> Result<Vec<Ledger>, BsError> {
         let replay = self.replay()?;
         // A replay can take long; tokio moves the other tasks of this thread to another one.
-        tokio::task::block_in_place(|| replay.ledgers(k, first, count)).map_err(BsError::CannotGoOn)
+        tokio::task::block_in_place(|| replay.ledgers(k, first, count)).map_err(BsError::CannotContinue)
     }
 }

@@ -17,11 +17,11 @@ pub struct Roster {
     psi: f64,
     hosts: Vec<Assignment>,
     /// Whether the host at each position is removed, with its devices.
-    gone: Vec<bool>,
+    removed: Vec<bool>,
     /// The position in `hosts` of each host, by its number.
     positions: Vec<Option<usize>>,
     /// The position in `hosts` of each device's owner; empty before the run begins.
-    carriers: Vec<usize>,
+    owners: Vec<usize>,
 }
 
 impl Roster {
@@ -31,33 +31,33 @@ impl Roster {
             devices,
             psi,
             hosts: Vec::new(),
-            gone: Vec::new(),
+            removed: Vec::new(),
             positions: Vec::new(),
-            carriers: Vec::new(),
+            owners: Vec::new(),
         }
     }
 
     /// Sets the hosts with which the run begins.
     pub fn set_hosts(&mut self, hosts: Vec<Assignment>) {
         self.positions.clear();
-        self.carriers = vec![0; self.devices.len()];
+        self.owners = vec![0; self.devices.len()];
         for (position, places) in hosts.iter().enumerate() {
             self.set_position(places.host, Some(position));
-            self.carriers[places.first.index()..][..places.count as usize].fill(position);
+            self.owners[places.first.index()..][..places.count as usize].fill(position);
         }
-        self.gone = vec![false; hosts.len()];
+        self.removed = vec![false; hosts.len()];
         self.hosts = hosts;
     }
 
     /// Removes the host at `position` with its devices.
     pub fn remove_host(&mut self, position: usize) {
         self.set_position(self.hosts[position].host, None);
-        self.gone[position] = true;
+        self.removed[position] = true;
     }
 
     /// Whether the host at `position` is removed.
     pub fn is_removed(&self, position: usize) -> bool {
-        self.gone[position]
+        self.removed[position]
     }
 
     /// Assigns all devices of the host `lost` to `heir`.
@@ -79,13 +79,13 @@ impl Roster {
 
     /// The owner of `device`; `None` before the run begins and after its removal.
     pub fn owner_of(&self, device: DeviceId) -> Option<HostId> {
-        let position = *self.carriers.get(device.index())?;
-        (!self.gone[position]).then(|| self.hosts[position].host)
+        let position = *self.owners.get(device.index())?;
+        (!self.removed[position]).then(|| self.hosts[position].host)
     }
 
     /// Number of hosts that are not removed.
     pub fn active_hosts(&self) -> usize {
-        self.gone.iter().filter(|is_gone| !**is_gone).count()
+        self.removed.iter().filter(|is_gone| !**is_gone).count()
     }
 
     /// Number of devices N.
@@ -110,7 +110,7 @@ impl Roster {
     }
 
     /// The assignment of the host at `position`.
-    pub fn places(&self, position: usize) -> Assignment {
+    pub fn assignment(&self, position: usize) -> Assignment {
         self.hosts[position]
     }
 
@@ -140,7 +140,7 @@ impl Roster {
     /// Whether `outcome` is possible for a wake-up of `device` that led to no report.
     pub(crate) fn is_possible_outcome(&self, device: DeviceId, outcome: &WakeOutcome) -> bool {
         match outcome {
-            WakeOutcome::Unheard => true,
+            WakeOutcome::Missed => true,
             WakeOutcome::Failed(failure) => failure.device == device && self.can_fail(failure),
             WakeOutcome::Late { spent, powered } => self.setup(device).is_some_and(|setup| {
                 let e_idle = setup.energy.e_idle;

@@ -90,7 +90,7 @@ pub(super) async fn run(
             // Some devices have no host to answer for them; a replay knows their ledgers.
             Some(replay) => {
                 let point = this.session.resume_point();
-                replay.outcome(point.next).map_err(BsError::CannotGoOn)?
+                replay.outcome(point.next).map_err(BsError::CannotContinue)?
             }
             None => return Err(error),
         },
@@ -106,7 +106,7 @@ pub(super) async fn run(
         grants: this.grants,
         lateness: this.lateness,
         malformed: this.crew.bus.malformed(),
-        strays: state.barrier.unexpected_messages(),
+        unexpected_messages: state.barrier.unexpected_messages(),
         losses: state.losses.recovery_times().to_vec(),
         decisions: this.crew.port.counts(),
         unused_decisions,
@@ -125,7 +125,7 @@ impl RunLoop<'_> {
                 Action::RequestDecision(_) => self.decide(observer).await?,
                 Action::Grant(updates) => self.grant(updates)?,
                 Action::Remove(outage) => {
-                    return Err(BsError::CannotGoOn(format!(
+                    return Err(BsError::CannotContinue(format!(
                         "the input log removes device {} in TTI {}, which a run on the bus cannot repeat",
                         outage.first, outage.tti
                     )));
@@ -183,9 +183,9 @@ impl RunLoop<'_> {
                 (self.pace, self.due) = (pace, None);
             }
             self.crew.progress.paused.store(paused, Ordering::Relaxed);
-            let is_returned = std::mem::take(&mut self.crew.shared.lock().returned);
+            let is_returned = std::mem::take(&mut self.crew.shared.lock().needs_retransmit);
             if is_returned {
-                self.say_again()?;
+                self.retransmit()?;
             }
             if !paused && is_whole {
                 return Ok(true);
@@ -207,8 +207,8 @@ impl RunLoop<'_> {
             .expect("the session requests a decision");
         let tti = question.seen.now;
         if let Some(kept) = self.session.queue().next_decision() {
-            return Err(BsError::CannotGoOn(format!(
-                "a decision was kept for TTI {kept}, and TTI {tti} asks for another: is it a log of this run?"
+            return Err(BsError::CannotContinue(format!(
+                "inputs.log has a decision for TTI {kept}, but TTI {tti} needs one; use the inputs.log of this run"
             )));
         }
         let LoopContext {
@@ -220,7 +220,7 @@ impl RunLoop<'_> {
             // Between TTIs the loop sees the stop flag itself and ends the run in order; an open TTI lacks its
             // decision.
             return if self.session.is_open() {
-                Err(BsError::InterruptedDeciding(tti))
+                Err(BsError::InterruptedAwaitingDecision(tti))
             } else {
                 Ok(())
             };
@@ -230,7 +230,7 @@ impl RunLoop<'_> {
             let answer = answer.clone();
             replay
                 .decided(RecordedDecision { tti, answer })
-                .map_err(BsError::CannotGoOn)?;
+                .map_err(BsError::CannotContinue)?;
         }
         self.session.handle(Event::Decided(answer), observer);
         Ok(())
@@ -240,7 +240,7 @@ impl RunLoop<'_> {
     fn grant(&mut self, updates: Vec<PlanUpdate>) -> Result<(), BsError> {
         self.voice.clear();
         for update in updates {
-            tracing::debug!(from = %update.from, "the plan goes out");
+            tracing::debug!(from = %update.from, "the plan is sent");
             self.voice.send_plan(update)?;
         }
         let GrantMessage {
@@ -267,7 +267,7 @@ impl RunLoop<'_> {
 
     /// Waits for the answers to a grant.
     async fn gather(&mut self, observer: &mut impl Observer) -> Result<(), BsError> {
-        self.answered().await?;
+        self.wait_for_answers().await?;
         let GrantMessage {
             first, last, account, ..
         } = *self.session.tick();
@@ -301,7 +301,7 @@ impl RunLoop<'_> {
         if let Some(host) = host {
             self.voice.send_wake_up(host, device, order.message)?;
         }
-        self.answered().await?;
+        self.wait_for_answers().await?;
         self.remove_lost(tti, observer)?;
         let outcome = self.crew.shared.lock().barrier.take_outcome();
         tracing::debug!(%tti, %device, ?outcome, "woken");
@@ -310,7 +310,7 @@ impl RunLoop<'_> {
 
     /// Removes the devices of hosts that were lost for good in the open TTI.
     fn remove_lost(&mut self, tti: Tti, observer: &mut impl Observer) -> Result<(), BsError> {
-        let leaving = std::mem::take(&mut self.crew.shared.lock().leaving);
+        let leaving = std::mem::take(&mut self.crew.shared.lock().removals);
         for places in leaving {
             self.outages.add(places, tti);
             let devices = (places.first.0..=places.last().0).map(DeviceId);
@@ -344,7 +344,7 @@ impl RunLoop<'_> {
         let hosts = {
             let mut state = self.crew.shared.lock();
             let carrying = state.barrier.roster().active_hosts();
-            carrying.saturating_sub(state.losses.places().count())
+            carrying.saturating_sub(state.losses.assignments().count())
         };
         self.crew.progress.hosts.store(hosts as u64, Ordering::Relaxed);
         self.crew
@@ -389,7 +389,7 @@ impl RunLoop<'_> {
     }
 
     /// Waits until the barrier is complete, and resends the messages of the grant at intervals.
-    async fn answered(&mut self) -> Result<(), BsError> {
+    async fn wait_for_answers(&mut self) -> Result<(), BsError> {
         let (mut repeat_at, mut stop_at) = (None, None);
         // Time without an answer, counted only while this process ran: a stopped process receives nothing.
         let (mut looked, mut silent) = (None, Duration::ZERO);
@@ -401,7 +401,7 @@ impl RunLoop<'_> {
                     return Ok(());
                 }
                 self.check_hosts(&mut state)?;
-                (std::mem::take(&mut state.returned), state.losses.is_empty())
+                (std::mem::take(&mut state.needs_retransmit), state.losses.is_empty())
             };
             let now = now();
             // One check adds at most two intervals: a longer gap means that this process itself was stopped.
@@ -414,7 +414,7 @@ impl RunLoop<'_> {
             // A returned host may have missed the grant, so it does not wait for the next repetition.
             if returned || now >= *repeat_at.get_or_insert(now + REPEAT) {
                 repeat_at = Some(now + REPEAT);
-                self.say_again()?;
+                self.retransmit()?;
             }
             if silent >= SILENT && !is_named {
                 is_named = true;
@@ -432,7 +432,7 @@ impl RunLoop<'_> {
     }
 
     /// Resends the messages of the last grant to the current owners of the devices.
-    fn say_again(&mut self) -> Result<(), BusError> {
+    fn retransmit(&mut self) -> Result<(), BusError> {
         // Nothing is sent under the lock: a put waits while a link is congested, and callbacks of messages need the
         // lock.
         let mut state = self.crew.shared.lock();
@@ -447,13 +447,13 @@ impl RunLoop<'_> {
     async fn collect_ledgers(&mut self) -> Result<Vec<Ledger>, BsError> {
         // Before the message is sent, for the same reason as with a grant.
         self.crew.shared.lock().barrier.expect_ledgers();
-        self.voice.send_clock(ClockMessage::Finish(self.session.next_tti()))?;
-        self.answered().await?;
+        self.voice.send_clock(ClockMessage::CollectLedgers(self.session.next_tti()))?;
+        self.wait_for_answers().await?;
         let end = self.session.next_tti();
         let (mut ledgers, leaving, devices) = {
             let mut state = self.crew.shared.lock();
             let devices = state.barrier.roster().devices() as u32;
-            let leaving = std::mem::take(&mut state.leaving);
+            let leaving = std::mem::take(&mut state.removals);
             (state.barrier.take_ledgers(), leaving, devices)
         };
         ledgers.extend(self.outages.all_ledgers(end)?);

@@ -63,7 +63,7 @@ pub async fn serve(
         progress,
         devices: scenario.run.devices,
     };
-    let mut observers = (observer, (BusObserver::new(bus, settings.states_every), gauge));
+    let mut observers = (observer, (BusObserver::new(bus, settings.state_interval), gauge));
     let crew = LoopContext {
         bus,
         settings,
@@ -92,10 +92,10 @@ impl<'a> BusObserver<'a> {
 }
 
 impl Observer for BusObserver<'_> {
-    fn notify(&mut self, happening: &Notification<'_>) {
+    fn notify(&mut self, notification: &Notification<'_>) {
         // Frames are encoded copies, whose cost a run without observers should not pay.
         if self.bus.is_observed() {
-            self.framed.notify(happening);
+            self.framed.notify(notification);
         }
     }
 
@@ -126,7 +126,7 @@ impl Observer for BatteryGauge<'_> {
 /// # Errors
 /// If the bus fails.
 pub fn dismiss_hosts(bus: &Bus, failure: Option<String>) -> Result<(), BsError> {
-    let message = failure.map_or(ClockMessage::Dismiss, ClockMessage::Fail);
+    let message = failure.map_or(ClockMessage::Dismiss, ClockMessage::RunFailed);
     bus.publisher::<ClockMessage>()?.publish(&message)?;
     Ok(())
 }

@@ -25,15 +25,15 @@ pub(super) struct ServerState {
     /// The first TTI that is not granted yet.
     pub(super) next: Tti,
     /// Whether the loop is paused before `next`, with every earlier TTI closed.
-    pub(super) stands: bool,
+    pub(super) is_waiting: bool,
     /// Lost hosts and the takeovers of their devices.
     pub(super) losses: LostHosts,
     /// Assignments of lost hosts whose devices the run loop has yet to remove.
-    pub(super) leaving: Vec<Assignment>,
+    pub(super) removals: Vec<Assignment>,
     /// Lost hosts for which a warning was logged.
     pub(super) reported: BTreeSet<HostId>,
     /// Whether a host has returned or taken over, so that the last grant must be resent.
-    pub(super) returned: bool,
+    pub(super) needs_retransmit: bool,
     /// Whether the run has begun. From then on only devices of lost hosts are assigned.
     pub(super) is_running: bool,
     /// Reason why the run cannot continue, found outside the loop.
@@ -46,8 +46,8 @@ impl ServerState {
     /// Notes that all TTIs before `next` are closed. Returns whether the loop must pause there.
     pub(super) fn close_until(&mut self, next: Tti) -> bool {
         self.next = next;
-        self.stands = next >= self.clock.until();
-        self.stands
+        self.is_waiting = next >= self.clock.until();
+        self.is_waiting
     }
 
     /// Writes the assignments and names of all hosts to `progress`.
@@ -55,12 +55,12 @@ impl ServerState {
         let roster = self.barrier.roster();
         let all = (0..roster.hosts())
             .filter(|position| !roster.is_removed(*position))
-            .map(|position| roster.places(position))
+            .map(|position| roster.assignment(position))
             .collect::<Vec<_>>();
         let named = all
             .into_iter()
             .map(|places| (places, self.admission.name(places.host).to_owned()));
-        *progress.carriers.lock().unwrap_or_else(PoisonError::into_inner) = named.collect();
+        *progress.owners.lock().unwrap_or_else(PoisonError::into_inner) = named.collect();
     }
 
     /// The clock status for operators. After a pause command the clock runs until the open TTI is closed.
@@ -69,14 +69,14 @@ impl ServerState {
         ClockStatus {
             tti: self.next,
             ttis: end.0,
-            paused: self.stands && self.next >= self.clock.until(),
+            paused: self.is_waiting && self.next >= self.clock.until(),
             until: self.clock.until().min(end),
             pace: self.clock.pace(),
             begun: self.is_running,
             devices: self.admission.devices(),
             lost: self
                 .losses
-                .places()
+                .assignments()
                 .map(|places| LostHost {
                     host: places.host,
                     first: places.first,
@@ -90,7 +90,7 @@ impl ServerState {
 /// The server state, with a signal for the changes that the run loop waits for.
 pub(super) struct SharedState {
     state: Mutex<ServerState>,
-    bell: Notify,
+    changed: Notify,
 }
 
 impl SharedState {
@@ -105,18 +105,18 @@ impl SharedState {
             barrier: Barrier::new(Roster::new(deployment.devices.clone(), scenario.sensing.psi)),
             clock,
             next,
-            stands: true,
+            is_waiting: true,
             losses: LostHosts::default(),
-            leaving: Vec::new(),
+            removals: Vec::new(),
             reported: BTreeSet::new(),
-            returned: false,
+            needs_retransmit: false,
             is_running: false,
             failure: None,
             on_loss: settings.on_loss,
         };
         Arc::new(Self {
             state: Mutex::new(state),
-            bell: Notify::new(),
+            changed: Notify::new(),
         })
     }
 
@@ -127,11 +127,11 @@ impl SharedState {
     pub(super) fn notify(&self) {
         // `notify_one` keeps a permit, so a signal between a check of the loop and its wait is not lost. Only the loop
         // waits.
-        self.bell.notify_one();
+        self.changed.notify_one();
     }
 
     pub(super) async fn wait(&self) {
-        self.bell.notified().await;
+        self.changed.notified().await;
     }
 }
 

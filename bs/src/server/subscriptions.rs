@@ -63,7 +63,7 @@ pub(super) fn declare(
         this.notify();
         Ok(known)
     })?);
-    let door = JoinHandler {
+    let handler = JoinHandler {
         shared: Arc::clone(shared),
         scenario: scenario.clone(),
         deployment: deployment.clone(),
@@ -71,7 +71,7 @@ pub(super) fn declare(
         key: settings.key.filter(|_| settings.members_only),
         start,
     };
-    declared.push(bus.serve_with_secret(move |request: JoinRequest, shown| Ok(door.join(&request, shown)))?);
+    declared.push(bus.serve_with_secret(move |request: JoinRequest, shown| Ok(handler.join(&request, shown)))?);
     // Declared last, so that no process finds the base station alive before its queryables exist.
     declared.push(bus.declare_alive(keys.bs_alive())?);
     Ok(declared)
@@ -112,7 +112,7 @@ impl ServerState {
                 if let Some(newcomer) = self.losses.restore(host, now()) {
                     tracing::warn!(%host, "a lost host is back");
                     self.reported.remove(&host);
-                    self.returned = true;
+                    self.needs_retransmit = true;
                     // The returned host still has its devices, so the new host that was to take them over is revoked.
                     newcomer.and_then(|newcomer| self.admission.revoke(newcomer));
                 } else {
@@ -124,7 +124,7 @@ impl ServerState {
                 // Before the run no device has state, so its devices are immediately free for another process.
                 if let Some(places) = self.admission.leave(host) {
                     let devices = places.count;
-                    tracing::warn!(%host, devices, "a host left before the run began; its places are free again");
+                    tracing::warn!(%host, devices, "a host left before the run began; its devices are free again");
                 }
             }
         }

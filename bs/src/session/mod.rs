@@ -384,7 +384,7 @@ impl Session {
         };
         // A resumed run replays earlier removals, so some devices of a lost host may be removed already.
         let remaining = devices.into_iter().filter(|&device| !self.cycle.is_removed(device));
-        for outage in DeviceRemoval::of(remaining, tti, wake_ups) {
+        for outage in DeviceRemoval::by_class(remaining, tti, wake_ups) {
             keep(&outage)?;
             self.remove(outage, observer);
         }
@@ -476,11 +476,11 @@ impl Session {
     #[inline]
     fn follow(&mut self, step: CycleStep, observer: &mut impl Observer) {
         self.phase = match step {
-            CycleStep::WakeUp(order) => Phase::Waking(order),
-            CycleStep::Asks(tti) => Phase::Asking(tti),
-            CycleStep::Closed => {
+            CycleStep::SendWakeUp(order) => Phase::Waking(order),
+            CycleStep::AskExternal(tti) => Phase::Asking(tti),
+            CycleStep::TtiClosed => {
                 if self.wants_states {
-                    observer.notify(&Notification::States(&self.views));
+                    observer.notify(&Notification::DeviceStates(&self.views));
                 }
                 if let Some(LateTotals { k, events, energy }) = self.late_totals.take() {
                     let energy = energy.expect("the sums arrive with the answers to the grant");

@@ -13,12 +13,12 @@ pub enum BusError {
     Endpoint(String, &'static str),
     /// The BS cannot listen.
     #[error(
-        "cannot listen on {0}: {1}. Is the port in use? Choose another with --listen, or \
-         tcp/127.0.0.1:0 for any free one"
+        "cannot listen on {0}: {1}; if the port is in use, choose another with --listen, or tcp/127.0.0.1:0 for any \
+         free one"
     )]
     Listen(String, String),
     /// No BS answers.
-    #[error("no base station answers at {endpoint} within {patience:?}. Is it running, and is the address right?")]
+    #[error("no base station answers at {endpoint} within {patience:?}; check that it runs, and check the address")]
     Connect {
         /// The endpoint.
         endpoint: String,
@@ -27,10 +27,10 @@ pub enum BusError {
     },
     /// This machine cannot connect, whichever process listens.
     #[error("cannot connect to {0}: {1}")]
-    Hindered(String, String),
+    ConnectFailed(String, String),
     /// A base station answers, but does not serve this run.
-    #[error("nobody answers for run {run} at {endpoint}. {hint}")]
-    NoRun {
+    #[error("no base station of run {run} answers at {endpoint}; {hint}")]
+    RunNotFound {
         /// The endpoint.
         endpoint: String,
         /// The requested run.
@@ -40,7 +40,7 @@ pub enum BusError {
     },
     /// A reply that cannot be decoded.
     #[error("the reply cannot be read: {0}")]
-    Reply(#[from] CodecError),
+    InvalidReply(#[from] CodecError),
     /// The other side refused the query or could not decode it.
     #[error("the base station refused: {0}")]
     Refused(String),

@@ -94,11 +94,11 @@ impl Bus {
         // The names are only a hint. The error remains correct without them.
         let runs = self.list_runs(Duration::from_secs(1)).await.unwrap_or_default();
         let hint = if runs.is_empty() {
-            "No base station of any run lives there".to_owned()
+            "no run is served there".to_owned()
         } else {
-            format!("Runs there: {}", runs.join(", "))
+            format!("runs there: {}", runs.join(", "))
         };
-        BusError::NoRun {
+        BusError::RunNotFound {
             endpoint: self.endpoint.to_string(),
             run: self.keys.run().clone(),
             hint,

@@ -115,12 +115,12 @@ impl Bus {
     /// Passes every copy of the BS's traffic to `sink`, in the order of sending and receiving; the run waits for the
     /// sink. Returns false if a sink exists already or if this session is not the BS's.
     pub fn set_local_sink(&self, sink: Box<FrameSink>) -> bool {
-        self.tap.as_ref().is_some_and(|tap| tap.copy_to(sink))
+        self.tap.as_ref().is_some_and(|tap| tap.set_local_sink(sink))
     }
 
     /// The number of frames dropped because observers were too slow.
     pub fn dropped_frames(&self) -> u64 {
-        self.tap.as_ref().map_or(0, |tap| tap.left_out())
+        self.tap.as_ref().map_or(0, |tap| tap.dropped())
     }
 
     /// Waits until observers have received all frames so far, for at most `patience`.
@@ -260,7 +260,7 @@ impl Bus {
         let bus = self.clone();
         let take = move |key: &str, payload: &[u8]| {
             // Copied before decoding, so that observers also see malformed messages of the emulation plane.
-            bus.see(key, payload);
+            bus.copy_emulation(key, payload);
             if !bus.read(key, payload).is_some_and(|message| handle(key, message)) {
                 bus.see_malformed(key, payload);
             }
@@ -286,7 +286,7 @@ impl Bus {
         }
     }
 
-    fn see(&self, key: &str, payload: &[u8]) {
+    fn copy_emulation(&self, key: &str, payload: &[u8]) {
         // Checked first, so that an unobserved run does not parse keys.
         if let Some(tap) = self.tap.as_ref().filter(|tap| tap.is_observed())
             && let Some((kind, number)) = keys::classify(key)
@@ -316,7 +316,7 @@ impl Bus {
     fn count_malformed(&self, key: &str, error: &CodecError) {
         // Logged only once, because a broken peer could otherwise fill the log.
         if self.malformed.fetch_add(1, Ordering::Relaxed) == 0 {
-            tracing::warn!(key, %error, "dropped a payload that is no message; further ones are only counted");
+            tracing::warn!(key, %error, "dropped a malformed payload; further ones are only counted");
         }
     }
 }

@@ -49,7 +49,7 @@ fn read(reply: &Reply, most: usize) -> Option<PortReply> {
     match reply.result() {
         Ok(sample) if sample.payload().len() > most => {
             let length = sample.payload().len();
-            let why = format!("an answer of {length} bytes came, and {most} are the most that one can have");
+            let why = format!("an answer has {length} bytes, and the limit is {most}");
             Some(PortReply::Refusal(why))
         }
         Ok(sample) => Some(PortReply::Answer(

@@ -17,7 +17,7 @@ const ONE_TRY: Duration = Duration::from_secs(2);
 const BETWEEN_TRIES: Duration = Duration::from_millis(200);
 
 /// The error reply to a malformed request.
-const MALFORMED: &str = "the request is no message of its kind";
+const MALFORMED: &str = "the request cannot be decoded";
 
 /// Encodes the reply to an encoded request and the secret sent with it; `Err` holds the reason of a refusal.
 type QueryHandler = dyn Fn(&[u8], Option<Secret>) -> Result<Vec<u8>, String> + Send + Sync;
@@ -66,13 +66,13 @@ impl Bus {
             // An attachment that is not a valid secret counts as absent.
             let shown = query.attachment().and_then(|a| a.try_to_string().ok()?.parse().ok());
             let key = query.key_expr().as_str();
-            bus.see(key, &payload);
+            bus.copy_emulation(key, &payload);
             let reply = match answer(&payload, shown) {
                 Ok(reply) => query.reply(key, reply).wait(),
                 Err(why) => query.reply_err(codec::encode(&why)).wait(),
             };
             if let Err(error) = reply {
-                tracing::debug!(key, %error, "the asker has gone");
+                tracing::debug!(key, %error, "the client that sent the query has disconnected");
             }
         };
         Ok(DeclarationGuard::new(

@@ -111,7 +111,7 @@ impl Bus {
             opened = open(config) => opened?,
             // The standard library takes an IPv6 address without the brackets of an endpoint.
             why = hindrance(host.trim_matches(['[', ']']), port) => {
-                return Err(BusError::Hindered(endpoint.to_owned(), why));
+                return Err(BusError::ConnectFailed(endpoint.to_owned(), why));
             }
         };
         let session = opened.map_err(|error| {
@@ -131,7 +131,7 @@ impl Bus {
 /// If the operating system provides no randomness.
 pub fn draw_secret() -> Result<Secret, BusError> {
     let mut random = [0; 16];
-    getrandom::fill(&mut random).map_err(|e| BusError::Zenoh(format!("no randomness to be had: {e}")))?;
+    getrandom::fill(&mut random).map_err(no_randomness)?;
     Ok(Secret::new(random))
 }
 
@@ -140,7 +140,11 @@ pub fn draw_secret() -> Result<Secret, BusError> {
 /// # Errors
 /// If the operating system provides no randomness.
 pub fn draw_nonce() -> Result<u64, BusError> {
-    getrandom::u64().map_err(|e| BusError::Zenoh(format!("no randomness to be had: {e}")))
+    getrandom::u64().map_err(no_randomness)
+}
+
+fn no_randomness(error: getrandom::Error) -> BusError {
+    BusError::Zenoh(format!("the operating system provides no randomness: {error}"))
 }
 
 /// Returns the configuration of sessions of `mode`, on a machine shared by `hosts` processes.
@@ -170,15 +174,15 @@ async fn hindrance(host: &str, port: u16) -> String {
             return std::future::pending().await;
         };
         let hint = if error.kind() == ErrorKind::AddrNotAvailable {
-            "This machine has no free port left for it, or no address of that kind; ports of connections that were \
-             closed are free again after a minute, and net.ipv4.ip_local_port_range says how many there are"
+            "this machine has no free port, or no address of this kind; closed connections free their ports after a \
+             minute, and net.ipv4.ip_local_port_range sets the number of ports"
         } else if error.kind() == ErrorKind::PermissionDenied {
-            "Does a firewall of this machine forbid it?"
+            "check the firewall of this machine"
         } else {
             // For example a refused connection: the BS may not listen yet.
             continue;
         };
-        return format!("{error}. {hint}");
+        return format!("{error}; {hint}");
     }
 }
 
@@ -198,7 +202,11 @@ async fn open_listening(mut config: zenoh::Config, endpoint: &str) -> Result<(St
                     tracing::debug!(resolved, "another process took the port");
                 }
                 Err(taken) => return Err(taken),
-                Ok(_) => return Err(BusError::Listen(resolved, error.to_string())),
+                Ok(_) => {
+                    // zenoh ends its errors with a full stop.
+                    let cause = error.to_string();
+                    return Err(BusError::Listen(resolved, cause.trim_end_matches('.').to_owned()));
+                }
             },
         }
     }
@@ -230,7 +238,7 @@ fn address(endpoint: &str) -> Result<(&str, u16), BusError> {
     let refuse = |why| BusError::Endpoint(endpoint.to_owned(), why);
     let (protocol, address) = endpoint.split_once('/').ok_or_else(|| refuse("no protocol"))?;
     if protocol != "tcp" {
-        return Err(refuse("only the protocol tcp is spoken here"));
+        return Err(refuse("only the protocol tcp is supported"));
     }
     let (host, port) = address.rsplit_once(':').ok_or_else(|| refuse("no port"))?;
     if host.is_empty() || host.contains(['/', '?', '#', ',']) {

@@ -90,12 +90,12 @@ impl Tap {
     }
 
     /// Passes every later copy to `sink`. Returns false if a sink exists already.
-    pub(super) fn copy_to(&self, sink: Box<FrameSink>) -> bool {
+    pub(super) fn set_local_sink(&self, sink: Box<FrameSink>) -> bool {
         self.sink.set(sink).is_ok()
     }
 
     /// The number of frames dropped because observers on the bus were too slow.
-    pub(super) fn left_out(&self) -> u64 {
+    pub(super) fn dropped(&self) -> u64 {
         self.left_out.load(Ordering::Relaxed)
     }
 

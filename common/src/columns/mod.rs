@@ -50,7 +50,7 @@ fn is_parquet(path: &Path) -> bool {
 use parquet::{numbers as parquet_numbers, texts as parquet_texts};
 
 #[cfg(not(feature = "parquet"))]
-const WITHOUT_PARQUET: &str = "is a Parquet file, which only a build with the cargo feature `parquet` reads";
+const WITHOUT_PARQUET: &str = "is a Parquet file; use a build with the cargo feature `parquet`, or a CSV file";
 
 #[cfg(not(feature = "parquet"))]
 fn parquet_numbers(_: &[u8], _: &[String]) -> Result<ColumnData<f64>, String> {

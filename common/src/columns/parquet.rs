@@ -72,7 +72,7 @@ fn read<T>(
                 .get_column_iter()
                 .find(|(known, _)| *known == name)
                 .map(|(_, field)| field);
-            let value = field.map_or(Err("is not there"), &cell);
+            let value = field.map_or(Err("is missing"), &cell);
             column.push(value.map_err(|what| format!("row {}, column `{name}`: {what}", row + 1))?);
         }
     }

@@ -100,6 +100,12 @@ impl Declaration {
             .find_map(|section| section.field(name).map(|field| (section, field)))
     }
 
+    /// Returns the field below the header `path` in `scope` that had the name `former`.
+    pub(super) fn renamed(&self, scope: Scope, path: &str, former: &str) -> Option<&'static Field> {
+        let mut fields = self.at(scope, path).into_iter().flat_map(|section| section.fields);
+        fields.find(|field| field.former == Some(former))
+    }
+
     /// Returns the field at the full path `path` of the top level, with its section.
     pub fn field_at(&self, path: &str) -> Option<(&'static Section, &'static Field)> {
         let (section, name) = path.rsplit_once('.').unwrap_or(("", path));

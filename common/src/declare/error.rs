@@ -12,7 +12,7 @@ use super::origins::ValueOrigin;
 pub enum ScenarioError {
     /// The source is neither the name of a preset nor the path of a file.
     #[error("no scenario `{name}`: it is neither a file nor a preset{hint}; the presets are {presets}")]
-    NoSuchScenario {
+    NotFound {
         /// The requested name.
         name: String,
         /// "; did you mean …", or nothing.
@@ -81,8 +81,8 @@ pub enum ScenarioError {
         why: String,
     },
     /// Other settings leave the field without effect.
-    #[error("{field}: has an effect only with {holds}; leave it out, or set that; {place}")]
-    Idle {
+    #[error("{field}: has an effect only with {holds}; remove it, or set {holds}; {place}")]
+    UnusedField {
         /// The full path of the field.
         field: String,
         /// The setting under which the field has an effect.
@@ -92,7 +92,7 @@ pub enum ScenarioError {
     },
     /// A layout or trace file cannot be used.
     #[error("{field} = \"{}\": {reason}; {place}", file.display())]
-    Data {
+    InvalidFile {
         /// The field that names the file.
         field: String,
         /// The file.

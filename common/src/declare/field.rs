@@ -218,10 +218,12 @@ pub struct Field {
     pub only_with: Option<FieldCondition>,
     /// An alternative field of the same section for the same quantity. The later layer decides which one applies.
     pub instead_of: Option<&'static str>,
+    /// A former name, which is still accepted with a warning.
+    pub former: Option<&'static str>,
 }
 
 impl Field {
-    const fn of(form: FieldType, default: FieldDefault) -> Self {
+    const fn new(form: FieldType, default: FieldDefault) -> Self {
         Self {
             name: "",
             form,
@@ -231,6 +233,7 @@ impl Field {
             source: "",
             only_with: None,
             instead_of: None,
+            former: None,
         }
     }
 
@@ -282,6 +285,15 @@ impl Field {
         }
     }
 
+    /// Returns the field with a former name.
+    #[must_use]
+    pub const fn formerly(self, name: &'static str) -> Self {
+        Self {
+            former: Some(name),
+            ..self
+        }
+    }
+
     /// Returns the field with its name and help; [`crate::declare!`] calls this.
     #[must_use]
     pub const fn named(self, name: &'static str, help: &'static str) -> Self {
@@ -291,7 +303,7 @@ impl Field {
 
 /// Declares a whole number from `least` to `most`.
 pub const fn whole(least: u64, most: u64, default: u64) -> Field {
-    Field::of(
+    Field::new(
         FieldType::Whole { least, most },
         FieldDefault::Is(FieldValue::Whole(default)),
     )
@@ -299,12 +311,12 @@ pub const fn whole(least: u64, most: u64, default: u64) -> Field {
 
 /// Declares a number within `range`.
 pub const fn number(range: Range, default: f64) -> Field {
-    Field::of(FieldType::Number(range), FieldDefault::Is(FieldValue::Number(default)))
+    Field::new(FieldType::Number(range), FieldDefault::Is(FieldValue::Number(default)))
 }
 
 /// Declares an amount of energy, with `default` in units.
 pub const fn energy(default: f64) -> Field {
-    Field::of(
+    Field::new(
         FieldType::Energy { is_positive: false },
         FieldDefault::Is(FieldValue::Energy(crate::units::Energy::rounded(default))),
     )
@@ -320,12 +332,12 @@ pub(crate) const fn positive_energy(default: f64) -> Field {
 
 /// Declares a field that is true or false.
 pub const fn switch(default: bool) -> Field {
-    Field::of(FieldType::Switch, FieldDefault::Is(FieldValue::Switch(default)))
+    Field::new(FieldType::Switch, FieldDefault::Is(FieldValue::Switch(default)))
 }
 
 /// Declares a field that holds one of the words of `T`.
 pub const fn choice<T: ChoiceType>(default: &'static str) -> Field {
-    Field::of(
+    Field::new(
         FieldType::Choice(T::ALTERNATIVES),
         FieldDefault::Is(FieldValue::Text(default)),
     )
@@ -333,32 +345,32 @@ pub const fn choice<T: ChoiceType>(default: &'static str) -> Field {
 
 /// Declares a field that holds the name of a registered variant.
 pub const fn registered(default: &'static str) -> Field {
-    Field::of(FieldType::Registered, FieldDefault::Is(FieldValue::Text(default)))
+    Field::new(FieldType::Registered, FieldDefault::Is(FieldValue::Text(default)))
 }
 
 /// Declares a field that holds one of `words`.
 pub const fn word(words: &'static [Alternative], default: &'static str) -> Field {
-    Field::of(FieldType::Choice(words), FieldDefault::Is(FieldValue::Text(default)))
+    Field::new(FieldType::Choice(words), FieldDefault::Is(FieldValue::Text(default)))
 }
 
 /// Declares a field that holds one of `words`, or the path of a file.
 pub const fn source(words: &'static [Alternative], default: &'static str) -> Field {
-    Field::of(FieldType::Source(words), FieldDefault::Is(FieldValue::Text(default)))
+    Field::new(FieldType::Source(words), FieldDefault::Is(FieldValue::Text(default)))
 }
 
 /// Declares a field that holds any text.
 pub const fn text() -> Field {
-    Field::of(FieldType::Text, FieldDefault::None)
+    Field::new(FieldType::Text, FieldDefault::None)
 }
 
 /// Declares a field that holds the path of a file.
 pub const fn file() -> Field {
-    Field::of(FieldType::File, FieldDefault::None)
+    Field::new(FieldType::File, FieldDefault::None)
 }
 
 /// Declares a list of 1 to `longest` whole numbers from `least` to `most`.
 pub const fn wholes(least: u32, most: u32, longest: usize, default: &'static [u32]) -> Field {
-    Field::of(
+    Field::new(
         FieldType::Wholes { least, most, longest },
         FieldDefault::Is(FieldValue::Wholes(default)),
     )
@@ -366,7 +378,7 @@ pub const fn wholes(least: u32, most: u32, longest: usize, default: &'static [u3
 
 /// Declares a list of texts.
 pub const fn texts() -> Field {
-    Field::of(FieldType::Texts, FieldDefault::None)
+    Field::new(FieldType::Texts, FieldDefault::None)
 }
 
 /// The fields under one header of the file. Several sections may share a path, each with its own fields.

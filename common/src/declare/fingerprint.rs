@@ -14,7 +14,7 @@ pub struct ScenarioHasher {
     /// The prefix of the paths of the current item.
     item: String,
     /// The path of the field that is not hashed.
-    left_out: &'static str,
+    omitted: &'static str,
 }
 
 impl ScenarioHasher {
@@ -24,7 +24,7 @@ impl ScenarioHasher {
         let mut made = Self {
             sum: Sha256::new(),
             item: String::new(),
-            left_out,
+            omitted: left_out,
         };
         made.text(form);
         made
@@ -55,7 +55,7 @@ impl FieldSink for ScenarioHasher {
 
     fn field(&mut self, section: &'static Section, field: &'static Field, value: FieldValue<'_>) {
         let path = dotted(&self.item, &section.path_of(field.name));
-        if path == self.left_out {
+        if path == self.omitted {
             return;
         }
         self.text(&path);

@@ -101,7 +101,7 @@ fn syntax(origin: &Origin, offset: usize, reason: String) -> ScenarioError {
         ValueOrigin::File { name, line } => (name.to_string(), line),
         ValueOrigin::Preset(name) => (name.to_owned(), 1),
         ValueOrigin::Flag(flag) => (flag.to_string(), 1),
-        ValueOrigin::Nowhere => (String::new(), 1),
+        ValueOrigin::Unset => (String::new(), 1),
     };
     ScenarioError::Syntax { name, line, reason }
 }

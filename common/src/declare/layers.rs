@@ -17,6 +17,7 @@ pub struct Layers<'a> {
     declaration: &'a Declaration,
     table: DeTable<'a>,
     places: ValueOrigins,
+    warnings: Vec<String>,
 }
 
 /// The merged layers: every item of the list has the sections that it inherits.
@@ -26,6 +27,8 @@ pub struct Merged<'a> {
     pub table: DeTable<'a>,
     /// The origins of its values.
     pub places: ValueOrigins,
+    /// The warnings about former names of fields.
+    pub warnings: Vec<String>,
 }
 
 impl<'a> Layers<'a> {
@@ -35,6 +38,7 @@ impl<'a> Layers<'a> {
             declaration,
             table: DeTable::new(),
             places: ValueOrigins::new(),
+            warnings: Vec::new(),
         }
     }
 
@@ -42,7 +46,8 @@ impl<'a> Layers<'a> {
     ///
     /// # Errors
     /// If a field does not exist, or a value has the wrong type.
-    pub fn add(&mut self, layer: Layer<'a>) -> Result<(), ScenarioError> {
+    pub fn add(&mut self, mut layer: Layer<'a>) -> Result<(), ScenarioError> {
+        names::replace_former(&mut layer, self.declaration, &mut self.warnings);
         names::check(&layer, self.declaration)?;
         let list = self.declaration.list.name();
         let Layer {
@@ -82,6 +87,7 @@ impl<'a> Layers<'a> {
         Merged {
             table: self.table,
             places: self.places,
+            warnings: self.warnings,
         }
     }
 }

@@ -7,13 +7,13 @@
 /// use reveille_common::declare::{POSITIVE, number};
 ///
 /// reveille_common::declare! {
-///     /// The rectangle that is served.
+///     /// A rectangular plot.
 ///     #[derive(Clone, Copy, Debug)]
 ///     pub struct Plot in "plot" {
 ///         /// East-west side.
 ///         pub width: f64 = number(POSITIVE, 20.0).unit("metres").source("Table II"),
 ///         /// North-south side.
-///         pub height: f64 = number(POSITIVE, 20.0).unit("metres").derived("that of `width`") => width,
+///         pub height: f64 = number(POSITIVE, 20.0).unit("metres").derived("as `width`") => width,
 ///     }
 /// }
 /// assert_eq!(Plot::SECTION.field("width").map(|field| field.help), Some("East-west side."));

@@ -12,6 +12,55 @@ use super::error::{ScenarioError, did_you_mean, quoted_list, truncate};
 use super::field::FieldType;
 use super::layer::Layer;
 
+/// Replaces the former names of fields in `layer` by their names of today, and adds a warning for each. A former name
+/// next to the name of today stays, so that the check rejects it.
+pub(super) fn replace_former<'a>(layer: &mut Layer<'a>, declaration: &Declaration, warnings: &mut Vec<String>) {
+    let (scope, origin) = (layer.item.map_or(Scope::Top, |_| Scope::Item), layer.origin.clone());
+    let mut found = Vec::new();
+    rename(&mut layer.table, declaration, (scope, ""), &mut found);
+    warnings.extend(found.into_iter().map(|(former, name, offset)| {
+        let place = origin.place(offset);
+        format!("{former} is now called {name} ({place}); the former name will be removed in a later version")
+    }));
+}
+
+/// Replaces former names in the table at a path; `found` receives both paths and the offset of each.
+fn rename<'a>(
+    table: &mut DeTable<'a>,
+    declaration: &Declaration,
+    (scope, path): (Scope, &str),
+    found: &mut Vec<(String, String, usize)>,
+) {
+    let names: Vec<_> = table.keys().cloned().collect();
+    for name in names {
+        let former = name.get_ref().as_ref();
+        if let Some(field) = declaration.renamed(scope, path, former).filter(|field| !table.contains_key(field.name))
+            && let Some(value) = table.remove(former)
+        {
+            let offset = if name.span().is_empty() {
+                value.span().start
+            } else {
+                name.span().start
+            };
+            found.push((dotted(path, former), dotted(path, field.name), offset));
+            table.insert(Spanned::new(name.span(), field.name.into()), value);
+            continue;
+        }
+        let is_list = scope == Scope::Top && path.is_empty() && former == declaration.list.name();
+        match table.get_mut(former).map(Spanned::get_mut) {
+            Some(DeValue::Table(inner)) => rename(inner, declaration, (scope, &dotted(path, former)), found),
+            Some(DeValue::Array(items)) if is_list => {
+                for item in items.iter_mut() {
+                    if let DeValue::Table(inner) = item.get_mut() {
+                        rename(inner, declaration, (Scope::Item, ""), found);
+                    }
+                }
+            }
+            Some(_) | None => {}
+        }
+    }
+}
+
 /// Rejects a layer with an unknown name or a value of the wrong type.
 pub(super) fn check(layer: &Layer<'_>, declaration: &Declaration) -> Result<(), ScenarioError> {
     let check = Check { layer, declaration };
@@ -43,7 +92,7 @@ impl Check<'_, '_> {
                 self.list(value, &shown)?;
             } else if below.contains(&known) {
                 let DeValue::Table(inner) = value.get_ref() else {
-                    return Err(self.invalid(shown, &TypeMismatch::of(value, "must be a table".to_owned())));
+                    return Err(self.invalid(shown, &TypeMismatch::new(value, "must be a table".to_owned())));
                 };
                 self.table(inner, scope, &dotted(path, known), &shown)?;
             } else {
@@ -64,14 +113,14 @@ impl Check<'_, '_> {
         let DeValue::Array(items) = value.get_ref() else {
             return Err(self.invalid(
                 shown.to_owned(),
-                &TypeMismatch::of(value, format!("must be a list: write [[{shown}]] for each item")),
+                &TypeMismatch::new(value, format!("must be a list: write [[{shown}]] for each item")),
             ));
         };
         for (index, item) in items.iter().enumerate() {
             let name = item.get_ref().get("name").and_then(|name| name.get_ref().as_str());
             let shown = dotted(shown, &name.map_or_else(|| (index + 1).to_string(), truncate));
             let DeValue::Table(table) = item.get_ref() else {
-                return Err(self.invalid(shown, &TypeMismatch::of(item, "must be a table".to_owned())));
+                return Err(self.invalid(shown, &TypeMismatch::new(item, "must be a table".to_owned())));
             };
             self.table(table, Scope::Item, "", &shown)?;
         }
@@ -93,7 +142,7 @@ impl Check<'_, '_> {
         let candidates = elsewhere.iter().map(String::as_str).chain(valid.iter().copied());
         let is_registered = self.declaration.registered.iter().any(|word| word.name == name);
         let hint = if is_registered {
-            format!("; `{name}` has no fields of its own")
+            format!("; the policy `{name}` has no fields")
         } else {
             did_you_mean(name, candidates)
         };
@@ -130,7 +179,7 @@ struct TypeMismatch {
 }
 
 impl TypeMismatch {
-    fn of(value: &Spanned<DeValue<'_>>, allowed: String) -> Self {
+    fn new(value: &Spanned<DeValue<'_>>, allowed: String) -> Self {
         Self {
             span: value.span(),
             is_table: value.get_ref().is_table(),
@@ -141,16 +190,16 @@ impl TypeMismatch {
 
 /// Checks that `value` has the type `form`.
 fn fits(form: &FieldType, value: &Spanned<DeValue<'_>>, registered: &[Alternative]) -> Result<(), TypeMismatch> {
-    let wrong = || TypeMismatch::of(value, format!("must be {}", form.kind()));
+    let wrong = || TypeMismatch::new(value, format!("must be {}", form.kind()));
     let word = |words: &[Alternative]| match value.get_ref().as_str() {
-        Some(word) => one_of(word, words).map_err(|allowed| TypeMismatch::of(value, allowed)),
+        Some(word) => one_of(word, words).map_err(|allowed| TypeMismatch::new(value, allowed)),
         None => Err(wrong()),
     };
     let holds = |is_it: bool| if is_it { Ok(()) } else { Err(wrong()) };
     match form {
         FieldType::Whole { .. } => match integer(value.get_ref()) {
             Some(whole) if whole > i128::from(u64::MAX) => {
-                Err(TypeMismatch::of(value, format!("must be {}", form.allowed())))
+                Err(TypeMismatch::new(value, format!("must be {}", form.allowed())))
             }
             whole => holds(whole.is_some_and(|whole| whole >= 0)),
         },

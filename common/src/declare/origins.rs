@@ -19,7 +19,7 @@ pub enum ValueOrigin {
     /// On the command line.
     Flag(Arc<str>),
     /// Not set by a preset, a file or the command line.
-    Nowhere,
+    Unset,
 }
 
 impl fmt::Display for ValueOrigin {
@@ -28,7 +28,7 @@ impl fmt::Display for ValueOrigin {
             Self::Preset(name) => write!(f, "set by the preset `{name}`"),
             Self::File { name, line } => write!(f, "set in {name}, line {line}"),
             Self::Flag(flag) => write!(f, "set by {flag}"),
-            Self::Nowhere => write!(f, "not set anywhere"),
+            Self::Unset => write!(f, "not set anywhere"),
         }
     }
 }

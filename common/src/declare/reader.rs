@@ -112,7 +112,7 @@ impl<'a> FieldReader<'a> {
     /// If this reader must not read the field at `path`.
     fn assert_own(&self, path: &str) {
         let is_own = self.scope.as_ref().is_none_or(|scope| path.starts_with(scope));
-        assert!(is_own, "a policy reads its own fields, and not {path}");
+        assert!(is_own, "a policy may read only its own fields, not {path}");
     }
 
     /// Returns the value of a required field.
@@ -262,7 +262,7 @@ impl<'a> FieldReader<'a> {
             if has_default() {
                 ValueOrigin::Preset(self.declaration.base())
             } else {
-                ValueOrigin::Nowhere
+                ValueOrigin::Unset
             }
         };
         let (Some((_, shown)), Some(list)) = (&self.item, Some(self.declaration.list)) else {
@@ -283,7 +283,7 @@ impl<'a> FieldReader<'a> {
         let index = self.item.as_ref().map(|(index, _)| index);
         let path = index.map(|index| format!("{}.{index}", self.declaration.list.name()));
         let place = path.and_then(|path| self.places.get(&path));
-        place.cloned().unwrap_or(ValueOrigin::Nowhere)
+        place.cloned().unwrap_or(ValueOrigin::Unset)
     }
 
     /// Returns the error for an invalid value.
@@ -319,7 +319,7 @@ impl<'a> FieldReader<'a> {
     /// Returns the error for a file, named at `path`, that cannot be used.
     pub fn file_error(&self, path: &str, file: PathBuf, reason: impl Into<String>) -> ScenarioError {
         let (field, place) = self.locate(path);
-        ScenarioError::Data {
+        ScenarioError::InvalidFile {
             field,
             file,
             reason: reason.into(),
@@ -335,7 +335,7 @@ impl<'a> FieldReader<'a> {
         let (_, place) = self.locate(path);
         let full = match place {
             ValueOrigin::Flag(_) => PathBuf::from(file),
-            ValueOrigin::File { .. } | ValueOrigin::Preset(_) | ValueOrigin::Nowhere => self.ground.base_dir.join(file),
+            ValueOrigin::File { .. } | ValueOrigin::Preset(_) | ValueOrigin::Unset => self.ground.base_dir.join(file),
         };
         if file.is_empty() {
             return Err(self.invalid_value(path, "\"\"", "must be the path of a file"));
@@ -399,8 +399,8 @@ impl<'a> FieldReader<'a> {
             if self.is_set(&path) && !items.iter().any(takes_it) {
                 let list = self.declaration.list.name();
                 let reason = match condition {
-                    None => "each sets its own".to_owned(),
-                    Some(condition) => format!("each sets its own or has another {} than {condition}", condition.field),
+                    None => "each sets its own value".to_owned(),
+                    Some(condition) => format!("each sets its own value or does not meet {condition}"),
                 };
                 let value = self.written(&path);
                 self.warn(format!(
@@ -421,7 +421,7 @@ impl<'a> FieldReader<'a> {
             }
             return Ok(());
         }
-        Err(ScenarioError::Idle {
+        Err(ScenarioError::UnusedField {
             field: self.locate(&path).0,
             holds: condition.to_string(),
             place: place.clone(),

@@ -40,7 +40,7 @@ pub fn reference(declaration: &Declaration, head: &str) -> String {
         .collect();
     let _ = writeln!(
         page,
-        "\nEach may override single fields of the sections above: {}. What it leaves out it takes from there.",
+        "\nEach may override single fields of the sections above: {}. Omitted fields keep the values set there.",
         inherited.join(", ")
     );
     write_presets(&mut page, declaration);
@@ -137,7 +137,7 @@ fn default(field: &Field) -> String {
 
 /// Writes the values in which each preset differs from the defaults.
 fn write_presets(page: &mut String, declaration: &Declaration) {
-    page.push_str("\n## Presets\n\n| preset | what it is | what it sets beside the defaults |\n|---|---|---|\n");
+    page.push_str("\n## Presets\n\n| preset | meaning | changes to the defaults |\n|---|---|---|\n");
     for preset in declaration.presets {
         let mut set = Vec::new();
         if let Ok(table) = DeTable::parse(preset.text) {

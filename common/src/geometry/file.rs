@@ -24,7 +24,7 @@ pub struct FromFile {
 impl FromFile {
     /// Reads the first `devices` devices of `file`, which must all lie on `area`. The column `class` uses the names in
     /// `classes`, which is empty for a scenario without classes.
-    pub(super) fn settle(
+    pub(super) fn from_fields(
         reader: &FieldReader<'_>,
         file: &str,
         area: Area,
@@ -128,7 +128,7 @@ fn indices(names: &ColumnData<String>, classes: &[&str], count: usize) -> Result
         // A scenario has at most MAX_CLASSES classes, so the index fits.
         at.map(|at| at as u16).ok_or_else(|| {
             format!(
-                "{}, column `class`: \"{}\" is no class of the scenario; there are {}{}",
+                "{}, column `class`: the scenario has no class \"{}\"; its classes are {}{}",
                 names.place(row),
                 truncate(name),
                 quoted_list(classes.iter().copied()),

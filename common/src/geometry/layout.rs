@@ -15,7 +15,7 @@ choices! {
         JitteredGrid = "jittered-grid",
         /// Random positions with a minimum distance between devices.
         PoissonDisk = "poisson-disk",
-        /// Rows and columns as even as N allows; on a square area, a square number N gives a perfect grid.
+        /// Rows and columns as even as N allows; on a square area, a square number N yields a perfect grid.
         Grid = "grid",
         /// As `grid`, with every other row shifted by half a spacing. The row distance is √3/2 of the device spacing.
         Hex = "hex",
@@ -76,7 +76,7 @@ impl Layout {
             LayoutKind::Hex => Self::Hex,
             LayoutKind::File => {
                 let file = file.ok_or_else(|| reader.missing_value("layout.file", "layout.kind"))?;
-                Self::File(FromFile::settle(reader, &file, area, devices, classes)?)
+                Self::File(FromFile::from_fields(reader, &file, area, devices, classes)?)
             }
         })
     }

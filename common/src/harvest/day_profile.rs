@@ -9,7 +9,7 @@ pub struct DayProfile {
     /// Expected micro-units from the start of a day up to each of its TTIs; the last entry is the whole day.
     until: Vec<u64>,
     /// The TTIs of the day at which day or night begins; empty if it is always day or always night.
-    turns: Vec<u64>,
+    switches: Vec<u64>,
 }
 
 impl DayProfile {
@@ -27,7 +27,7 @@ impl DayProfile {
         let turns = (0..n).filter(|&at| is_lit[at] != is_lit[(at + n - 1) % n]);
         Self {
             until,
-            turns: turns.map(|at| at as u64).collect(),
+            switches: turns.map(|at| at as u64).collect(),
         }
     }
 
@@ -44,8 +44,8 @@ impl DayProfile {
     /// The first TTI after `now` at which day or night begins; [`Tti::NEVER`] if that never happens.
     pub fn turn_after(&self, now: Tti) -> Tti {
         let (day, slot) = (now.0 / self.ttis(), now.0 % self.ttis());
-        let today = self.turns.iter().find(|&&turn| turn > slot);
-        let next = today.copied().or_else(|| Some(self.turns.first()? + self.ttis()));
+        let today = self.switches.iter().find(|&&turn| turn > slot);
+        let next = today.copied().or_else(|| Some(self.switches.first()? + self.ttis()));
         next.map_or(Tti::NEVER, |turn| Tti(day * self.ttis()).saturating_add(turn))
     }
 

@@ -232,7 +232,7 @@ impl HarvestSetup {
                 p: 1.0,
                 e_b: trace.mean(traces),
             }),
-            Self::Diurnal(diurnal) => diurnal.as_known().map_or(*self, Self::Arrivals),
+            Self::Diurnal(diurnal) => diurnal.expected().map_or(*self, Self::Arrivals),
         }
     }
 

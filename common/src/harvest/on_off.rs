@@ -89,7 +89,7 @@ fn default_off_mean(reader: &FieldReader<'_>, lambda: f64, tau: f64) -> Result<f
     if DURATION.contains(off_mean) {
         return Ok(off_mean);
     }
-    let allowed = "is on for so small a share of the time that harvest.off_mean has to be set";
+    let allowed = "gives too small an on share for a default off-duration; set harvest.off_mean";
     Err(reader.invalid_value("harvest.lambda", lambda, allowed))
 }
 

@@ -50,15 +50,15 @@ impl Panel {
         // Relative, since the rounding of the quotient grows with it.
         if whole < 1.0 || (ttis - whole).abs() > ROUNDING * whole.max(1.0) {
             return Err(format!(
-                "its {rows} rows of {row} s are {ttis:.3} TTIs of {} s, and must be a whole number of them; set \
-                 harvest.trace.panel.tti_seconds or row_seconds, or give another number of rows",
+                "its {rows} rows of {row} s cover {ttis:.3} TTIs of {} s, not a whole number; set \
+                 harvest.trace.panel.tti_seconds or row_seconds, or use another number of rows",
                 self.tti_seconds
             ));
         }
         if whole > MOST_TTIS {
             return Err(format!(
-                "its {rows} rows are {whole} TTIs, and must be at most {MOST_TTIS}; set a longer \
-                 harvest.trace.panel.tti_seconds, or give fewer rows"
+                "its {rows} rows cover {whole} TTIs, and the limit is {MOST_TTIS}; set a longer \
+                 harvest.trace.panel.tti_seconds, or use fewer rows"
             ));
         }
         let after_last = if stops { irradiance.last() } else { irradiance.first() };
@@ -87,7 +87,7 @@ impl Panel {
             let energy = Energy::from_micro(sum.saturating_sub(before));
             if energy.units() > MAX_UNITS {
                 return Err(format!(
-                    "in TTI {tti} come {:.1} units, and at most {MAX_UNITS} may; set a larger \
+                    "TTI {tti} harvests {:.1} units, and the limit is {MAX_UNITS}; set a larger \
                      harvest.trace.panel.unit_mj",
                     energy.units()
                 ));
@@ -209,7 +209,7 @@ mod tests {
             ..PANEL
         });
         assert!(
-            odd.starts_with("its 3 rows of 4 s are 2.400 TTIs of 5 s, and must be a whole number"),
+            odd.starts_with("its 3 rows of 4 s cover 2.400 TTIs of 5 s, not a whole number"),
             "{odd}"
         );
         let much = reason(Panel {

@@ -110,8 +110,8 @@ impl HarvestTrace {
         if panel.is_some() && (settings.scale, settings.ttis_per_row) != (1.0, 1) {
             (settings.scale, settings.ttis_per_row) = (1.0, 1);
             reader.warn(
-                "harvest.trace.scale and ttis_per_row have no effect on irradiance: harvest.trace.panel says what a \
-                 row comes to, and how long it lasts",
+                "harvest.trace.scale and ttis_per_row have no effect on irradiance: harvest.trace.panel sets the \
+                 energy and the duration of a row",
             );
         }
         let (path, because) = ("harvest.trace.file", "harvest.kind");
@@ -120,8 +120,7 @@ impl HarvestTrace {
             (Some(column), None) => TraceColumns::Shared(column),
             (None, Some(columns)) => TraceColumns::PerDevice(columns),
             (Some(column), Some(_)) => {
-                let allowed = "cannot be set together with harvest.trace.columns: all devices share one \
-                    column, or each has its own";
+                let allowed = "excludes harvest.trace.columns; set only one of them";
                 return Err(reader.invalid_value("harvest.trace.column", column, allowed));
             }
             (None, None) => {
@@ -240,8 +239,7 @@ fn under(
     let column = |(values, name): (&Vec<f64>, &String)| {
         if let Some(row) = values.iter().position(|&value| value < 0.0) {
             return Err(format!(
-                "{}, column `{name}`: an irradiance of {} W/m² must be at least 0; write 0 for what a sensor is off at \
-                 night",
+                "{}, column `{name}`: the irradiance {} W/m² must be at least 0; write 0 for negative offsets at night",
                 numbers.place(row),
                 values[row]
             ));
@@ -350,7 +348,7 @@ mod tests {
         let names = ["ghi".to_owned()];
         let reason = under(&panel, &column("ghi\n1\n-3\n"), &names, TraceEnd::Cycle).expect_err("negative");
         assert!(
-            reason.starts_with("line 3, column `ghi`: an irradiance of -3 W/m² must be"),
+            reason.starts_with("line 3, column `ghi`: the irradiance -3 W/m² must be"),
             "{reason}"
         );
         // 10 cm² at a tenth: 1 W/m² is 0.1 mJ a second.

@@ -112,7 +112,7 @@ pub enum WakeOutcome {
     /// S4 → S2 → S4: the device woke and could not pay E_Tx.
     Failed(FailedTransmission),
     /// The device's wake-up radio had no power or missed it, or the device was not asleep.
-    Unheard,
+    Missed,
     /// S4 → S2 → S3: the device reported, and the report was lost on its way to the BS.
     Lost(Report),
     /// S4 → S2 → S4: the device woke after the end of the event and detected nothing.
@@ -130,12 +130,12 @@ impl fmt::Display for WakeOutcome {
             Self::Reported(report) => write!(f, "reported: {report}"),
             Self::Failed(failure) => write!(
                 f,
-                "woke and cannot pay for a report; {:.2} are lost",
+                "woke but could not pay for a report; {:.2} units lost",
                 failure.drained.units()
             ),
-            Self::Unheard => f.write_str("did not hear it"),
-            Self::Lost(report) => write!(f, "reported, and that was lost: {report}"),
-            Self::Late { spent, .. } => write!(f, "woke when the event was over, for {:.2}", spent.units()),
+            Self::Missed => f.write_str("did not receive it"),
+            Self::Lost(report) => write!(f, "reported, but the report was lost: {report}"),
+            Self::Late { spent, .. } => write!(f, "woke after the event; {:.2} units spent", spent.units()),
         }
     }
 }
@@ -147,7 +147,7 @@ impl WakeOutcome {
         match self {
             // The draw is keyed by device and TTI, so the BS and an observer find the same loss without a message.
             Self::Reported(report) if air.loses_report(report.device) => Self::Lost(report),
-            Self::Reported(_) | Self::Failed(_) | Self::Unheard | Self::Lost(_) | Self::Late { .. } => self,
+            Self::Reported(_) | Self::Failed(_) | Self::Missed | Self::Lost(_) | Self::Late { .. } => self,
         }
     }
 
@@ -168,7 +168,7 @@ impl WakeOutcome {
                 // View and outcome come from a host and may contradict each other, so a plain subtraction could panic.
                 battery: view.battery.saturating_sub(*spent),
             },
-            Self::Unheard => view,
+            Self::Missed => view,
         }
     }
 }

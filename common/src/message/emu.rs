@@ -37,7 +37,7 @@ pub enum JoinReply {
     /// The host's assignment.
     Welcome(Box<HostSetup>),
     /// No devices are free now; the host may ask again. Holds the reason.
-    Later(String),
+    Retry(String),
     /// The BS refuses the host, for this reason.
     Refused(String),
 }
@@ -47,7 +47,7 @@ impl Concerns for JoinRequest {}
 impl fmt::Display for JoinRequest {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { version, count, .. } = self;
-        write!(f, "{:?} offers to carry {count} devices, reveille {version}", self.name)
+        write!(f, "{:?} offers to run {count} devices, reveille {version}", self.name)
     }
 }
 
@@ -124,25 +124,25 @@ impl HostSetup {
     /// If a value is invalid; describes the first such value.
     pub fn validate(&self) -> Result<(), String> {
         let Some(first) = self.devices.first() else {
-            return Err("it names no device".to_owned());
+            return Err("it has no devices".to_owned());
         };
         // A probability outside [0, 1] would panic in `Geometric::new`.
         if !self.radio.is_valid() {
-            return Err("it has an impossible radio".to_owned());
+            return Err("its radio settings are invalid".to_owned());
         }
         for (setup, expected) in self.devices.iter().zip(first.id.0..) {
             let device = setup.id;
             // A host finds a device by its offset from the first id, so ids have to be consecutive.
             if device.0 != expected {
-                return Err(format!("device {device} is in the place of device {expected}"));
+                return Err(format!("device {device} follows where device {expected} is due"));
             }
             // `Battery::new` would panic.
             if setup.energy.initial > setup.energy.e_max {
-                return Err(format!("device {device} starts with more than its battery holds"));
+                return Err(format!("the initial level of device {device} exceeds its capacity"));
             }
             // An unknown trace or an impossible probability would panic in `HarvestSource::new`.
             if !setup.harvest.is_valid(&self.traces) {
-                return Err(format!("device {device} has an impossible energy source"));
+                return Err(format!("the energy source of device {device} is invalid"));
             }
         }
         // The host zips devices with checkpoints, which would silently drop the rest of the longer list.
@@ -151,7 +151,7 @@ impl HostSetup {
             .as_ref()
             .is_some_and(|r| r.devices.len() != self.devices.len())
         {
-            return Err("it has more or fewer checkpoints than devices".to_owned());
+            return Err("its numbers of checkpoints and devices differ".to_owned());
         }
         Ok(())
     }
@@ -214,11 +214,11 @@ pub enum ClockMessage {
     /// TTIs are granted.
     Grant(GrantMessage),
     /// The run has ended before this TTI: hosts answer with their devices' ledgers and leave.
-    Finish(Tti),
+    CollectLedgers(Tti),
     /// The BS has received everything: hosts leave.
     Dismiss,
     /// The run has failed, for the reason given: hosts leave.
-    Fail(String),
+    RunFailed(String),
 }
 
 impl Concerns for ClockMessage {}
@@ -227,9 +227,9 @@ impl fmt::Display for ClockMessage {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Grant(tick) => tick.fmt(f),
-            Self::Finish(end) => write!(f, "the run ends before TTI {end}"),
+            Self::CollectLedgers(end) => write!(f, "the run ends before TTI {end}"),
             Self::Dismiss => f.write_str("hosts may leave"),
-            Self::Fail(why) => write!(f, "the run has failed: {why}"),
+            Self::RunFailed(why) => write!(f, "the run has failed: {why}"),
         }
     }
 }
@@ -254,8 +254,8 @@ impl fmt::Display for GrantMessage {
         if let Some(stimulus) = stimulus {
             write!(f, ", {stimulus}")?;
         }
-        f.write_str(if *account { ", sums wanted" } else { "" })?;
-        f.write_str(if *views { ", states and batteries wanted" } else { "" })
+        f.write_str(if *account { ", sums requested" } else { "" })?;
+        f.write_str(if *views { ", states and batteries requested" } else { "" })
     }
 }
 
@@ -263,7 +263,7 @@ impl fmt::Display for GrantMessage {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum HostAnswer {
     /// A host's devices have completed all TTIs up to `tti`.
-    Done {
+    GrantDone {
         /// The host.
         host: HostId,
         /// The last TTI of the grant.
@@ -288,7 +288,7 @@ pub enum HostAnswer {
         outcome: WakeOutcome,
     },
     /// The ledgers of a host's devices at the end of the run.
-    Final {
+    Ledgers {
         /// The host.
         host: HostId,
         /// The ledger of each device.
@@ -300,8 +300,8 @@ impl Concerns for HostAnswer {
     fn concerns(&self, _number: Option<u32>, device: DeviceId) -> bool {
         match self {
             Self::NotWoken { device: who, .. } => *who == device,
-            Self::Done { failures, .. } => failures.iter().any(|failure| failure.device == device),
-            Self::Final { ledgers, .. } => ledgers.iter().any(|(who, _)| *who == device),
+            Self::GrantDone { failures, .. } => failures.iter().any(|failure| failure.device == device),
+            Self::Ledgers { ledgers, .. } => ledgers.iter().any(|(who, _)| *who == device),
         }
     }
 }
@@ -309,7 +309,7 @@ impl Concerns for HostAnswer {
 impl fmt::Display for HostAnswer {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Done {
+            Self::GrantDone {
                 reports,
                 failures,
                 totals,
@@ -324,7 +324,7 @@ impl fmt::Display for HostAnswer {
                     .map_or(Ok(()), |sums| write!(f, ", batteries hold {}", sums.battery))
             }
             Self::NotWoken { device, outcome, .. } => write!(f, "device {device} {outcome}"),
-            Self::Final { ledgers, .. } => write!(f, "the ledgers of {} devices", ledgers.len()),
+            Self::Ledgers { ledgers, .. } => write!(f, "the ledgers of {} devices", ledgers.len()),
         }
     }
 }

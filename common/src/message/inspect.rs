@@ -23,7 +23,7 @@ pub struct Frame {
 
 impl Frame {
     /// Copies `message`, from or to `address`, in TTI `tti`.
-    pub fn of<P: Payload>(tti: Tti, address: P::Address, message: &P) -> Self {
+    pub fn new<P: Payload>(tti: Tti, address: P::Address, message: &P) -> Self {
         Self {
             tti,
             kind: P::KIND,
@@ -65,7 +65,7 @@ impl Concerns for DescribeRequest {}
 
 impl fmt::Display for DescribeRequest {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("asks for the scenario")
+        f.write_str("requests the scenario")
     }
 }
 
@@ -90,7 +90,7 @@ impl Concerns for ReadLog {}
 
 impl fmt::Display for ReadLog {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "asks for the log of inputs from byte {} on", self.from)
+        write!(f, "requests the input log from byte {}", self.from)
     }
 }
 

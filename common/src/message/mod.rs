@@ -235,7 +235,7 @@ messages! {
         "A report of a device with δ = 1 that was lost on its way to the BS.";
     States "states": DeviceStates, Truth, Members, (), "world → observers",
         "State and battery level of all devices at the end of a TTI, if the recording includes them.";
-    Gone "gone": DeviceRemoval, Truth, Members, (), "world → observers",
+    Removed "removed": DeviceRemoval, Truth, Members, (), "world → observers",
         "Devices removed from the run because their process was lost under --on-loss continue.";
 }
 
@@ -246,7 +246,7 @@ pub fn markdown() -> String {
         format!("| `{name}` | {plane} | {direction} | {about} |\n")
     };
     let rows: String = MessageKind::ALL.iter().map(row).collect();
-    format!("| kind | plane | direction | what |\n|---|---|---|---|\n{rows}")
+    format!("| kind | plane | direction | meaning |\n|---|---|---|---|\n{rows}")
 }
 
 /// The planes: two on the bus, and one that only observers see.

@@ -56,7 +56,7 @@ impl fmt::Display for EventUpdate {
                 let ActiveEvent { stimulus, start, last } = event;
                 write!(
                     f,
-                    "{stimulus} starts in TTI {start}, to last to TTI {last} unless it is reported"
+                    "{stimulus} starts in TTI {start} and lasts to TTI {last} unless it is reported"
                 )
             }
             Self::Ended(record) => {
@@ -99,7 +99,7 @@ impl fmt::Display for FailedReport {
         let lost = self.failure.drained.units();
         write!(
             f,
-            "has detected the event and cannot pay for a report; {lost:.2} are lost"
+            "detected the event but could not pay for a report; {lost:.2} units lost"
         )
     }
 }
@@ -119,7 +119,7 @@ impl Concerns for LostReport {
 
 impl fmt::Display for LostReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "has reported, and that was lost: {}", self.report)
+        write!(f, "reported, but the report was lost: {}", self.report)
     }
 }
 
@@ -161,8 +161,11 @@ impl fmt::Display for DeviceStates {
         let idle = count(|state| state == DeviceState::Idle);
         let sent = count(|state| state == DeviceState::Transmission);
         let asleep = count(|state| state == DeviceState::Sleep { powered: true });
-        let deaf = count(|state| state == DeviceState::Sleep { powered: false });
-        write!(f, "{idle} sense, {sent} have reported, {asleep} sleep, {deaf} are deaf")
+        let unpowered = count(|state| state == DeviceState::Sleep { powered: false });
+        write!(
+            f,
+            "{idle} sense, {sent} have reported, {asleep} sleep, {unpowered} are unpowered"
+        )
     }
 }
 
@@ -193,7 +196,7 @@ impl DeviceRemoval {
 
     /// Returns the removals of `devices`, in ascending order, in TTI `tti` after `wake_ups` wake-ups: one removal for
     /// each range of consecutive ids.
-    pub fn of(devices: impl IntoIterator<Item = DeviceId>, tti: Tti, wake_ups: Option<u32>) -> Vec<Self> {
+    pub fn by_class(devices: impl IntoIterator<Item = DeviceId>, tti: Tti, wake_ups: Option<u32>) -> Vec<Self> {
         let mut all: Vec<Self> = Vec::new();
         for device in devices {
             match all.last_mut() {
@@ -232,9 +235,9 @@ impl fmt::Display for DeviceRemoval {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { first, count, .. } = self;
         if *count == 1 {
-            write!(f, "device {first} is gone for good")
+            write!(f, "device {first} is removed")
         } else {
-            write!(f, "devices {first} to {} are gone for good", self.last())
+            write!(f, "devices {first} to {} are removed", self.last())
         }
     }
 }
@@ -286,7 +289,7 @@ mod tests {
     #[test]
     fn devices_that_follow_one_another_go_together() {
         let went = |devices: &[u32]| -> Vec<(u32, u32)> {
-            let outages = DeviceRemoval::of(devices.iter().copied().map(DeviceId), Tti(4), Some(2));
+            let outages = DeviceRemoval::by_class(devices.iter().copied().map(DeviceId), Tti(4), Some(2));
             assert!(
                 outages
                     .iter()
@@ -309,7 +312,7 @@ mod tests {
                 wake_ups: None,
             };
             assert!(
-                !outage.is_valid(u32::MAX) && outage.to_string().contains("gone for good"),
+                !outage.is_valid(u32::MAX) && outage.to_string().contains("removed"),
                 "{outage}"
             );
         }

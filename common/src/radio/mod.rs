@@ -31,7 +31,7 @@ crate::declare! {
         wake_miss: f64 = number(PROBABILITY, 0.0),
         /// Probability that a device in S4 with a powered wake-up radio has a false wake-up. It enters S2, finds
         /// nothing to report and sleeps again within the TTI. This costs E_idle in addition to E_WuR.
-        false_wake: f64 = number(PROBABILITY, 0.0).unit("per TTI"),
+        false_wake_up: f64 = number(PROBABILITY, 0.0).unit("per TTI").formerly("false_wake"),
         /// Probability that a report, which costs E_Tx, does not reach the base station: one draw per device and TTI.
         uplink_loss: f64 = number(PROBABILITY, 0.0),
         /// Probability that a device misses a δ plan and keeps its current plan: one draw per device and TTI in which a
@@ -52,7 +52,7 @@ pub struct RadioSettings {
     /// Probability that a wake-up radio with power misses a wake-up, `[0, 1]`.
     pub wake_miss: f64,
     /// Probability of a false wake-up in a TTI in S4 with power, `[0, 1]`.
-    pub false_wake: f64,
+    pub false_wake_up: f64,
     /// Probability that a report does not reach the base station, `[0, 1]`.
     pub uplink_loss: f64,
     /// Probability that a device misses a plan, `[0, 1]`.
@@ -85,7 +85,7 @@ impl RadioSettings {
     pub fn from_fields(reader: &FieldReader<'_>) -> Result<Self, ScenarioError> {
         let Settings {
             wake_miss,
-            false_wake,
+            false_wake_up,
             uplink_loss,
             plan_loss,
             wake_latency,
@@ -93,7 +93,7 @@ impl RadioSettings {
         } = Settings::read(reader)?;
         Ok(Self {
             wake_miss,
-            false_wake,
+            false_wake_up,
             uplink_loss,
             plan_loss,
             wake_latency,
@@ -112,7 +112,7 @@ impl RadioSettings {
         }
         let Self {
             wake_miss,
-            false_wake,
+            false_wake_up,
             uplink_loss,
             plan_loss,
             wake_latency,
@@ -120,7 +120,7 @@ impl RadioSettings {
         } = *self;
         Settings {
             wake_miss,
-            false_wake,
+            false_wake_up,
             uplink_loss,
             plan_loss,
             wake_latency,
@@ -141,13 +141,13 @@ impl RadioSettings {
     pub fn is_valid(&self) -> bool {
         let Self {
             wake_miss,
-            false_wake,
+            false_wake_up,
             uplink_loss,
             plan_loss,
             wake_latency,
             bursts,
         } = self;
-        let probabilities = [wake_miss, false_wake, uplink_loss, plan_loss];
+        let probabilities = [wake_miss, false_wake_up, uplink_loss, plan_loss];
         probabilities.into_iter().all(|&p| PROBABILITY.contains(p))
             && *wake_latency <= LONGEST_LATENCY
             && bursts.is_none_or(|bursts| bursts.is_valid())

@@ -9,7 +9,7 @@ use crate::scenario::testing::load;
 fn radio() -> RadioSettings {
     RadioSettings {
         wake_miss: 0.1,
-        false_wake: 0.02,
+        false_wake_up: 0.02,
         uplink_loss: 0.25,
         plan_loss: 0.4,
         wake_latency: 3,
@@ -171,7 +171,7 @@ fn a_radio_that_never_fails_is_no_part_of_a_scenario() {
     let mut hashes = vec![plain.hash()];
     for field in [
         "wake_miss=0.1",
-        "false_wake=0.1",
+        "false_wake_up=0.1",
         "uplink_loss=0.1",
         "plan_loss=0.1",
         "wake_latency=1",

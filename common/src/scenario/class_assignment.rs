@@ -16,7 +16,7 @@ use crate::rng::{Purpose, Stream};
 /// If a device has no class, which loading a scenario rules out.
 pub fn assign_classes<P>(scenario: &Scenario<P>) -> Vec<u16> {
     let assigned = try_assign(scenario);
-    assigned.unwrap_or_else(|j| panic!("device {j} is of no class"))
+    assigned.unwrap_or_else(|j| panic!("device {j} has no class"))
 }
 
 /// Returns the class of each device, or the first device without a class as the error.

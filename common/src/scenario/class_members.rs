@@ -66,7 +66,7 @@ impl Zone {
 
 impl Members {
     /// Returns the rule that `own`, the fields of `item`, specifies; `None` if they specify none.
-    pub(super) fn settle(item: &FieldReader<'_>, own: &ClassFields, area: Area) -> Result<Option<Self>, ScenarioError> {
+    pub(super) fn from_fields(item: &FieldReader<'_>, own: &ClassFields, area: Area) -> Result<Option<Self>, ScenarioError> {
         let zone = Zone {
             west: own.west,
             east: own.east,
@@ -75,8 +75,8 @@ impl Members {
         };
         let is_placed = zone != Zone::default();
         if usize::from(own.share.is_some()) + usize::from(own.devices.is_some()) + usize::from(is_placed) > 1 {
-            let allowed = "is one of three ways to say which devices are of the class: give its share, or its devices \
-                by number, or the place (west, east, south, north) where they stand";
+            let allowed = "selects its devices in several ways; keep only one of class.share, class.devices and the \
+                zone (class.west, east, south, north)";
             return Err(item.invalid_value("class.name", own.name.as_deref().unwrap_or_default(), allowed));
         }
         let ends = [
@@ -86,7 +86,7 @@ impl Members {
         for (path, least, most, limit, other) in ends {
             let (least, most) = (least.unwrap_or(0.0), most.unwrap_or(limit));
             if least > most {
-                let allowed = format!("must be at most {most}, its {other} end");
+                let allowed = format!("must be at most {most}, the {other} edge of the zone");
                 return Err(item.invalid_value(path, least, allowed));
             }
         }

@@ -56,14 +56,14 @@ impl DeviceClass {
         let mut names = BTreeSet::new();
         let (mut classes, mut are_told) = (Vec::new(), Vec::new());
         for item in items {
-            let (class, is_told) = Self::settle(item, &mut names, tau, area)?;
+            let (class, is_told) = Self::from_fields(item, &mut names, tau, area)?;
             classes.push(class);
             are_told.push(is_told);
         }
         Ok((classes, are_told))
     }
 
-    fn settle(
+    fn from_fields(
         item: FieldReader<'_>,
         names: &mut BTreeSet<String>,
         tau: f64,
@@ -90,7 +90,7 @@ impl DeviceClass {
             return Err(item.invalid_value("class.name", &name, "must differ from the other classes' names"));
         }
         item.reject_unused_fields()?;
-        let members = Members::settle(&item, &ClassFields::read(&item)?, area)?;
+        let members = Members::from_fields(&item, &ClassFields::read(&item)?, area)?;
         let is_told = members.is_some();
         let class = Self {
             name,
@@ -128,8 +128,8 @@ pub(super) fn check_shares(
     if by_layout {
         if are_told.contains(&true) {
             reader.warn(
-                "class.share has no effect, nor have class.devices and places: the column `class` of layout.file says \
-                 who is of which class",
+                "class.share, class.devices and zones have no effect: the column `class` of layout.file assigns the \
+                 classes",
             );
         }
         for class in classes {

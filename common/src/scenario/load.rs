@@ -32,7 +32,7 @@ pub fn load<K: PolicyKind>(
     }
     let path = Path::new(source);
     if !files.exists(path) {
-        return Err(ScenarioError::NoSuchScenario {
+        return Err(ScenarioError::NotFound {
             name: source.to_owned(),
             hint: did_you_mean(source, preset_names()),
             presets: quoted_list(preset_names()),
@@ -100,7 +100,7 @@ fn resolve<K: PolicyKind>(
                 quoted_list(preset_names()),
                 did_you_mean(name, preset_names())
             ),
-            place: asked.map_or(ValueOrigin::Nowhere, |(_, place)| place),
+            place: asked.map_or(ValueOrigin::Unset, |(_, place)| place),
         });
     };
     let merged = merged(&declaration, preset, file, given)?;
@@ -134,8 +134,8 @@ fn read(path: &Path, source: &str, files: &dyn Files) -> Result<String, Scenario
     };
     let bytes = files.read(path, LONGEST_TEXT).map_err(|error| match error {
         FileError::Io(error) => refused(error),
-        FileError::Folder => refused(io::Error::other("it is a folder")),
-        FileError::Special => refused(io::Error::other("it is no regular file")),
+        FileError::Folder => refused(io::Error::other("it is a folder, not a file")),
+        FileError::Special => refused(io::Error::other("it is not a regular file")),
         FileError::TooLong { most, .. } => ScenarioError::Syntax {
             name: source.to_owned(),
             line: 1,

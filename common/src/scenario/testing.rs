@@ -68,7 +68,7 @@ mod tests {
     };
 
     #[test]
-    #[should_panic(expected = "a policy reads its own fields, and not events.process")]
+    #[should_panic(expected = "a policy may read only its own fields, not events.process")]
     fn a_policy_cannot_be_set_from_the_event_process() {
         let _unreachable = super::super::load("paper", &[], &[&PEEKING], &crate::io::Disk);
     }

@@ -24,7 +24,7 @@ pub(super) fn validate<K: PolicyKind>(
     policies: Policies<'_, K>,
     ground: FileContext<'_>,
 ) -> Result<Loaded<PolicyChoice<K>>, ScenarioError> {
-    let warnings = RefCell::new(Vec::new());
+    let warnings = RefCell::new(merged.warnings.clone());
     let reader = &FieldReader::new(declaration, merged, ground, &warnings);
     reader.reject_unused_fields()?;
     let run = RunSettings {
@@ -87,7 +87,7 @@ fn settle_members(reader: &FieldReader<'_>, scenario: &mut Scenario<()>) -> Resu
             return Err(item.invalid_value("class.devices", j, format!("must be below {n}, the number of devices")));
         }
         if let Some(j) = devices.iter().find(|&&j| !is_named.insert(j)) {
-            return Err(item.invalid_value("class.devices", j, "is named already: a device is of one class"));
+            return Err(item.invalid_value("class.devices", j, "is listed twice; a device has one class"));
         }
     }
     let is_by_share = |class: &DeviceClass| matches!(class.members, Members::Share(_));
@@ -101,7 +101,7 @@ fn settle_members(reader: &FieldReader<'_>, scenario: &mut Scenario<()>) -> Resu
         return Ok(());
     }
     let assigned = try_assign(scenario).map_err(|j| {
-        let allowed = format!("device {j} is of none of them; give one of them a share, of the devices that are left");
+        let allowed = format!("device {j} has no class; set class.share in a class, for the remaining devices");
         reader.invalid_value("class", format!("{} classes", scenario.classes.len()), allowed)
     })?;
     let by_layout = scenario.layout.classes().is_some();
@@ -110,7 +110,7 @@ fn settle_members(reader: &FieldReader<'_>, scenario: &mut Scenario<()>) -> Resu
         class.share = devices as f64 / assigned.len() as f64;
         if devices == 0 {
             let of = if by_layout { " of layout.file" } else { "" };
-            reader.warn(format!("no device{of} is of the class `{}`", class.name));
+            reader.warn(format!("no device{of} has the class `{}`", class.name));
         }
     }
     Ok(())
@@ -126,11 +126,11 @@ fn over_before_a_look<K: PolicyKind>(scenario: &Scenario<PolicyChoice<K>>) -> Op
     };
     (share >= 1.0).then(|| {
         format!(
-            "{path} = {budget} lets {budget} TTIs pass between two looks at a place, and events last {lasts}{}: up to \
-             {share:.0} % of them can be over before a device looks, and are missed",
+            "{path} = {budget} leaves a place unsensed for up to {budget} TTIs, and events last {lasts}{}: up to \
+             {share:.0} % of them can end undetected; set a smaller {path}",
             match scenario.events.duration_kind {
                 DurationKind::Fixed => "",
-                DurationKind::Geometric => " in the mean",
+                DurationKind::Geometric => " on average",
             }
         )
     })

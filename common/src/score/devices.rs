@@ -106,7 +106,7 @@ pub struct ClassRecord {
 
 impl ClassRecord {
     /// Sums the records of the devices of `class` among `devices`, over `ttis` measured TTIs.
-    pub fn of(class: u16, devices: &[DeviceRecord], ttis: u64) -> Self {
+    pub fn new(class: u16, devices: &[DeviceRecord], ttis: u64) -> Self {
         let own = || devices.iter().filter(|device| device.class == class);
         let measured = || own().map(|device| &device.ledger.measured);
         let mut acts = EventActivity::default();
@@ -115,13 +115,13 @@ impl ClassRecord {
             devices: own().count() as u64,
             ttis,
             energy: measured().copied().sum::<DeviceTotals>(),
-            spread: Spread::of(measured()),
+            spread: Spread::sum(measured()),
             ..Totals::default()
         };
         Self {
             devices: totals.devices,
             // α concerns events, which belong to no class.
-            metrics: Metrics::of(f64::NAN, &totals),
+            metrics: Metrics::from_totals(f64::NAN, &totals),
             acts,
         }
     }

@@ -130,7 +130,7 @@ impl DigestBuilder {
         let (kind, drained) = match outcome {
             WakeOutcome::Reported(_) => (0, Energy::ZERO),
             WakeOutcome::Failed(failure) => (1, failure.drained),
-            WakeOutcome::Unheard => (2, Energy::ZERO),
+            WakeOutcome::Missed => (2, Energy::ZERO),
             WakeOutcome::Lost(_) => (3, Energy::ZERO),
             WakeOutcome::Late { spent, .. } => (4, *spent),
         };
@@ -138,7 +138,7 @@ impl DigestBuilder {
         match outcome {
             WakeOutcome::Reported(report) => self.report(report),
             WakeOutcome::Lost(report) => self.lost(report),
-            WakeOutcome::Failed(_) | WakeOutcome::Unheard | WakeOutcome::Late { .. } => {}
+            WakeOutcome::Failed(_) | WakeOutcome::Missed | WakeOutcome::Late { .. } => {}
         }
     }
 
@@ -180,8 +180,8 @@ impl DigestBuilder {
             // These follow from the records that are hashed above.
             missed: _,
             losses: _,
-            gone_ttis: _,
-            refining_ttis: _,
+            removed_ttis: _,
+            wake_up_span_ttis: _,
             delay_p95_ttis,
             control,
             uplink,
@@ -227,16 +227,16 @@ impl DigestBuilder {
             low_ttis,
             sensing_ttis,
             failed_ttis,
-            dark_ttis,
-            false_wakes,
+            unpowered_ttis,
+            false_wake_ups,
         } = *sums;
         let energies = [initial, harvested, sensing, sleep, report, overflow, battery];
         self.words(tag, energies.map(Energy::micro));
         let [low, high] = halves(battery_sum);
-        self.words(b'l', [low, high, low_ttis, sensing_ttis, failed_ttis, dark_ttis]);
+        self.words(b'l', [low, high, low_ttis, sensing_ttis, failed_ttis, unpowered_ttis]);
         // Omitted at 0, so that runs without false wake-ups keep the digests of versions without them.
-        if false_wakes > 0 {
-            self.words(b'f', [false_wakes]);
+        if false_wake_ups > 0 {
+            self.words(b'f', [false_wake_ups]);
         }
     }
 

@@ -160,7 +160,7 @@ macro_rules! metrics {
             }
 
             /// Computes the metrics of `totals` for events that start with probability `alpha` in a TTI.
-            pub fn of(alpha: f64, totals: &Totals) -> Self {
+            pub fn from_totals(alpha: f64, totals: &Totals) -> Self {
                 let run = Measured { alpha, totals };
                 Self {
                     $($($name: (|$measured: &Measured<'_>| $formula)(&run),)+)+
@@ -250,8 +250,8 @@ metrics! {
             100.0 * failed_ttis as f64 / sensing_ttis as f64
         };
         /// Device-TTIs asleep with an unpowered wake-up radio, %.
-        dark_pct: "% of device-TTIs", "% of device-TTIs with an unpowered wake-up radio" =
-            |run| run.pct_of_device_ttis(run.totals.energy.dark_ttis);
+        unpowered_pct: "% of device-TTIs", "% of device-TTIs with an unpowered wake-up radio" =
+            |run| run.pct_of_device_ttis(run.totals.energy.unpowered_ttis);
     }
     Radio {
         /// Bytes on the control channel (δ plans, synchronisation, wake-ups; BS to devices) per TTI.
@@ -267,9 +267,9 @@ metrics! {
         };
         /// Wake-ups that the device did not receive, % of wake-ups sent. The wake-up radio missed the signal or was
         /// unpowered, or the device was not asleep.
-        unheard_wake_ups_pct: "% of wake-ups", "% of wake-ups not received" = |run| {
-            let RadioLosses { wake_ups, unheard, .. } = run.totals.losses;
-            100.0 * unheard as f64 / wake_ups as f64
+        missed_wake_ups_pct: "% of wake-ups", "% of wake-ups not received" = |run| {
+            let RadioLosses { wake_ups, missed_wake_ups, .. } = run.totals.losses;
+            100.0 * missed_wake_ups as f64 / wake_ups as f64
         };
         /// Wake-ups after which the device woke too late for the event because of `radio.wake_latency`, % of wake-ups
         /// sent.
@@ -279,9 +279,9 @@ metrics! {
         };
         /// TTIs from an event's first report to its last, mean over reported events. The cause is the wake-up latency
         /// of devices woken in order.
-        refining_ttis: "TTIs", "TTIs from the first report to the last" = |run| {
+        wake_up_span_ttis: "TTIs", "TTIs from the first report to the last" = |run| {
             let EventTotals { events, misdetected, .. } = run.totals.events;
-            run.totals.refining_ttis as f64 / (events - misdetected) as f64
+            run.totals.wake_up_span_ttis as f64 / (events - misdetected) as f64
         };
         /// Plans that a device missed, % of plans sent, counted once per device.
         missed_plans_pct: "% of plans", "% of plans that devices missed" = |run| {
@@ -289,14 +289,14 @@ metrics! {
             100.0 * missed_plans as f64 / plans as f64
         };
         /// Device-TTIs with δ = 0 and a false or late wake-up, % of device-TTIs with δ = 0.
-        false_wakes_pct: "% of δ = 0", "% of δ = 0 with a false or late wake-up" = |run| {
-            let DeviceTotals { false_wakes, sensing_ttis, .. } = run.totals.energy;
-            100.0 * false_wakes as f64 / (run.device_ttis() - sensing_ttis as f64)
+        false_wake_ups_pct: "% of δ = 0", "% of δ = 0 with a false or late wake-up" = |run| {
+            let DeviceTotals { false_wake_ups, sensing_ttis, .. } = run.totals.energy;
+            100.0 * false_wake_ups as f64 / (run.device_ttis() - sensing_ttis as f64)
         };
         /// Device-TTIs of removed devices, whose process was lost under `--on-loss continue`, %. Energy and battery
         /// means cover all N devices: removed devices spend nothing.
-        gone_pct: "% of device-TTIs", "% of device-TTIs of removed devices" =
-            |run| run.pct_of_device_ttis(run.totals.gone_ttis);
+        removed_pct: "% of device-TTIs", "% of device-TTIs of removed devices" =
+            |run| run.pct_of_device_ttis(run.totals.removed_ttis);
     }
 }
 
@@ -320,9 +320,25 @@ impl Metrics {
         names
     };
 
-    /// Returns the description of the metric `name`.
+    /// Names of metrics in version 0.1, each with the name of today.
+    const FORMER_NAMES: [(&str, &str); 5] = [
+        ("dark_pct", "unpowered_pct"),
+        ("gone_pct", "removed_pct"),
+        ("unheard_wake_ups_pct", "missed_wake_ups_pct"),
+        ("refining_ttis", "wake_up_span_ttis"),
+        ("false_wakes_pct", "false_wake_ups_pct"),
+    ];
+
+    /// Returns today's name of the metric that once had this name; any other name stays as it is.
+    pub fn current_name(name: &str) -> &str {
+        let renamed = Self::FORMER_NAMES.iter().find(|(former, _)| *former == name);
+        renamed.map_or(name, |(_, current)| current)
+    }
+
+    /// Returns the description of the metric `name`, which may be a former name.
     pub fn named(name: &str) -> Option<&'static Metric> {
         const ALL: &[Metric] = &Metrics::ALL;
+        let name = Self::current_name(name);
         ALL.iter().find(|metric| metric.name == name)
     }
 
@@ -383,5 +399,9 @@ mod tests {
             assert_eq!(metrics.value(name), Some(value), "{name}");
         }
         assert_eq!((Metrics::named("colour"), metrics.value("colour")), (None, None));
+        for (former, current) in Metrics::FORMER_NAMES {
+            assert!(Metrics::NAMES.contains(&current) && !Metrics::NAMES.contains(&former), "{former}");
+            assert_eq!(Metrics::named(former).map(|metric| metric.name), Some(current));
+        }
     }
 }

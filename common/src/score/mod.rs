@@ -59,7 +59,7 @@ pub struct Score {
     losses: RadioLosses,
     wake_latency: u64,
     /// TTIs from the first to the last report, summed over the counted events.
-    refining_ttis: u64,
+    wake_up_span_ttis: u64,
     outages: Vec<DeviceRemoval>,
     fingerprint: DigestBuilder,
 }
@@ -102,7 +102,7 @@ impl Score {
             uplink: MessageTotals::default(),
             losses: RadioLosses::default(),
             wake_latency: scenario.radio.wake_latency,
-            refining_ttis: 0,
+            wake_up_span_ttis: 0,
             outages: Vec::new(),
             fingerprint: DigestBuilder::default(),
         }
@@ -214,8 +214,8 @@ impl Score {
                 self.act(device, EventActivity::WOKEN);
                 self.wrong(device, *spent);
             }
-            WakeOutcome::Unheard => {
-                self.losses.unheard += u64::from(is_measured);
+            WakeOutcome::Missed => {
+                self.losses.missed_wake_ups += u64::from(is_measured);
                 self.act(device, EventActivity::UNHEARD);
             }
         }
@@ -238,7 +238,7 @@ impl Score {
             answered,
             late,
             ..
-        } = self.current.take().expect("an event is under way");
+        } = self.current.take().expect("an event is active");
         // Whole 10⁻¹² units: integer sums over events do not depend on their order.
         tally.information_pico = (information * PICO_PER_INFORMATION).round() as u64;
         self.fingerprint.event_ended(last, &tally);
@@ -260,7 +260,7 @@ impl Score {
                 Some(delay) => {
                     self.delays.count(delay);
                     // Wake-ups go out one latency apart, so answer n arrives n latencies after the first report.
-                    self.refining_ttis += answered * self.wake_latency;
+                    self.wake_up_span_ttis += answered * self.wake_latency;
                 }
                 None => self.count_missed(&record, has_lost, late),
             }
@@ -281,7 +281,7 @@ impl Score {
         }
         FinalScore {
             digest: self.fingerprint.finish(ledgers, &totals),
-            metrics: Metrics::of(alpha, &totals),
+            metrics: Metrics::from_totals(alpha, &totals),
             totals,
             devices: self.devices,
         }
@@ -289,7 +289,7 @@ impl Score {
 
     /// Returns the metrics of the run as if it ended before TTI `end`. See [`Self::finish`] for the arguments.
     pub fn metrics(&self, alpha: f64, end: Tti, ledgers: &[Ledger]) -> Metrics {
-        Metrics::of(alpha, &self.totals(end, ledgers))
+        Metrics::from_totals(alpha, &self.totals(end, ledgers))
     }
 
     fn totals(&self, end: Tti, ledgers: &[Ledger]) -> Totals {
@@ -309,9 +309,9 @@ impl Score {
             uplink: self.uplink,
             losses: self.losses,
             energy: measured().copied().sum(),
-            spread: Spread::of(measured()),
-            refining_ttis: self.refining_ttis,
-            gone_ttis: self.outages.iter().map(gone).sum(),
+            spread: Spread::sum(measured()),
+            wake_up_span_ttis: self.wake_up_span_ttis,
+            removed_ttis: self.outages.iter().map(gone).sum(),
         }
     }
 
@@ -321,9 +321,9 @@ impl Score {
         let cause = if has_lost {
             &mut self.missed.lost
         } else if event.tally.wrong_activations > late {
-            &mut self.missed.unpaid
+            &mut self.missed.no_energy
         } else if self.devices.iter().any(is_in_reach) {
-            &mut self.missed.unseen
+            &mut self.missed.not_sensing
         } else {
             &mut self.missed.out_of_reach
         };
@@ -331,7 +331,7 @@ impl Score {
     }
 
     fn current(&mut self) -> &mut Current {
-        self.current.as_mut().expect("an event is under way")
+        self.current.as_mut().expect("an event is active")
     }
 
     fn act(&mut self, device: DeviceId, act: EventActivity) {

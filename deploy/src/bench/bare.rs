@@ -36,7 +36,7 @@ pub(super) fn zenoh(hosts: u32, sizes: Sizes, seconds: f64) -> anyhow::Result<f6
         while bus.count_alive_hosts().await? < hosts {
             anyhow::ensure!(
                 ready.elapsed() < Duration::from_mins(1),
-                "the hosts of the bare barrier did not start"
+                "the hosts of the bare barrier did not join within a minute"
             );
         }
         let rate = rate(seconds, || barrier.round(&tick, hosts as usize))?;

@@ -58,7 +58,7 @@ impl BareBarrier {
         let (waiting, _) = all
             .wait_timeout_while(waiting, PATIENCE, |waiting| *waiting > 0)
             .unwrap_or_else(PoisonError::into_inner);
-        ensure!(*waiting == 0, "{} hosts did not answer", *waiting);
+        ensure!(*waiting == 0, "{} hosts have not answered", *waiting);
         Ok(())
     }
 }

@@ -36,8 +36,8 @@ pub(super) fn run(args: &BusBenchArgs) -> anyhow::Result<ExitCode> {
         sizes.tick, sizes.answer, args.repeat, seconds
     ))?;
     display::print(
-        "TTIs (rounds) per second; `ratio` is emulator without lookahead / bare zenoh barrier, `tuning` the same / \
-         emulator whose device processes are not tuned\n",
+        "TTIs (rounds) per second; `ratio`: emulator without lookahead / bare zenoh barrier; `tuning`: emulator \
+         without lookahead / the same with untuned device processes\n",
     )?;
     display::print(&format!(
         "{:>9} {:>8} {:>11} {:>11} {:>6} {:>11} {:>11} {:>6} {:>11} {:>8} {:>8} {:>8} {:>8}\n",
@@ -95,7 +95,7 @@ fn sizes() -> Sizes {
         plan: Tti::ZERO,
         plans: 1,
     });
-    let answer = HostAnswer::Done {
+    let answer = HostAnswer::GrantDone {
         host: HostId(0),
         tti,
         reports: 0,

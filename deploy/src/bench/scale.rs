@@ -31,8 +31,8 @@ impl Sample {
 /// Runs the benchmark, one row for each number of devices.
 pub(super) fn run(args: &ScaleBenchArgs) -> anyhow::Result<ExitCode> {
     display::print(&format!(
-        "preset paper{}, {}, {} TTIs, {} processes at the most; medians of {}\n\
-         TTIs per second, and nanoseconds per device and TTI; `stepped` grants every TTI by itself\n",
+        "preset paper{}, {}, {} TTIs, at most {} processes; medians of {}\n\
+         TTIs per second, and nanoseconds per device and TTI; `stepped` grants every TTI separately\n",
         if args.keep_density { ", density kept" } else { "" },
         args.policy,
         args.ttis,
@@ -54,7 +54,7 @@ pub(super) fn run(args: &ScaleBenchArgs) -> anyhow::Result<ExitCode> {
             .flat_map(Sample::runs)
             .all(|run| run["digest"] == *digest);
         // Rows with different digests would compare different runs.
-        anyhow::ensure!(is_same, "the digests of {devices} devices differ");
+        anyhow::ensure!(is_same, "the runs with {devices} devices have different digests");
         let of = |value: fn(&Sample) -> f64| median(samples.iter().map(value).collect());
         let rates = [of(|s| rate(&s.memory)), of(|s| rate(&s.bus)), of(|s| rate(&s.stepped))];
         let ready = of(|s| timing(&s.stepped, "ready_s"));

@@ -57,7 +57,7 @@ pub(super) fn run(args: &WatchBenchArgs) -> anyhow::Result<ExitCode> {
         }
         let of = |value: fn(&[MeasuredRun; 2]) -> f64| median(pairs.iter().map(value).collect());
         let is_same = pairs.iter().flatten().all(|ran| ran.digest == pairs[0][0].digest);
-        anyhow::ensure!(is_same, "the digests of runs alone and watched differ");
+        anyhow::ensure!(is_same, "the runs with and without observers have different digests");
         display::print(&format!(
             "{:>9} {:>12.0} {:>12.0} {:>7.3} {:>11.1}  {}\n",
             if lookahead { "on" } else { "off" },

@@ -2,54 +2,66 @@
 
 use std::path::PathBuf;
 
-use super::parse::one_policy;
 use clap::{Args, Subcommand};
 use reveille_bs::policy::registry;
+
+use super::examples::examples;
+use super::parse::{any_whole, one_policy, parse_number, whole};
 
 /// Subcommands of `reveille analyse`.
 #[derive(Subcommand)]
 pub(crate) enum AnalyseCommand {
-    /// Compare the transition probabilities P_m,n as printed (Sec. IV) with frequencies counted in runs.
-    #[command(
-        after_help = "A frequency is the share of visits to S_m whose next state is S_n, over all \
-            devices and measured TTIs.\n\n\
-            Examples:\n  \
-            reveille analyse transitions\n  \
-            reveille analyse transitions --policy random --devices 250 --seeds 50"
-    )]
+    /// Compare the paper's probabilities of state changes with their frequencies in runs.
+    ///
+    /// The probabilities P_m,n are in Sec. IV. A frequency is the share of visits to state S_m whose next state is S_n,
+    /// over all devices and measured TTIs.
+    #[command(after_help = examples!(
+        "reveille analyse transitions",
+        "reveille analyse transitions --policy random --devices 250 --seeds 50",
+    ))]
     Transitions(TransitionsArgs),
-    /// Compare the battery Markov chain and Eq. (8) (Sec. III-B) with the batteries of simulated devices.
-    #[command(
-        after_help = "The scenario sets the energy source and the costs; the duty cycle is fixed.\n\n\
-            Examples:\n  \
-            reveille analyse battery\n  \
-            reveille analyse battery --duty 1/8 --e-b 5 --activation 0.02 --set harvest.lambda=0.05\n  \
-            reveille analyse battery --duty 1/8 --e-b 5 --activation 0 --csv levels.csv   \
-            (the distribution, bin by bin)"
-    )]
+    /// Compare the paper's model of a battery with the batteries of simulated devices.
+    ///
+    /// The model is the Markov chain of Sec. III-B and Eq. (8). The scenario sets the energy source and the costs; the
+    /// duty cycle is fixed. --csv writes the distribution of battery levels, bin by bin.
+    #[command(after_help = examples!(
+        "reveille analyse battery --duty 1/8 --e-b 5 --activation 0.02 --set harvest.lambda=0.05",
+        "reveille analyse battery --duty 1/8 --e-b 5 --activation 0 --csv levels.csv",
+    ))]
     Battery(BatteryArgs),
-    /// Compare E(I_min) over deployments of each layout with Ψ p(√(ξ/2N)) (Sec. V-A).
-    #[command(after_help = "Example:\n  reveille analyse imin --layouts uniform,grid --devices 10,50,250 --seeds 1000")]
+    /// Compare the paper's estimate of I_min with its mean over random deployments.
+    ///
+    /// I_min is the information at which waking stops. The estimate of its mean is Ψ p(√(ξ/2N)) (Sec. V-A).
+    #[command(after_help = examples!(
+        "reveille analyse imin",
+        "reveille analyse imin --layouts uniform,grid --devices 10,50,250 --seeds 1000",
+    ))]
     Imin(IminArgs),
-    /// Compute harvest and net energy against λ (Figs. 13 and 14), in closed form and measured.
-    #[command(
-        after_help = "Net energy is positive where the mean harvest exceeds the consumption. Two consumptions are \
-            compared: the measured one (as in the paper's Fig. 8), and the one with batteries that never run short.\n\n\
-            Examples:\n  \
-            reveille analyse harvest --csv fig13.csv\n  \
-            reveille analyse harvest --devices 100 --policies random,adjusted"
-    )]
+    /// Compute harvested and net energy for many harvest rates λ, and measure them in runs.
+    ///
+    /// The tables reproduce Figs. 13 and 14. Net energy is positive where the mean harvest exceeds the consumption. The
+    /// command compares two consumptions: the measured one (as in the paper's Fig. 8), and the one with batteries that
+    /// never run short.
+    #[command(after_help = examples!(
+        "reveille analyse harvest --csv fig13.csv",
+        "reveille analyse harvest --devices 100 --policies random,adjusted",
+    ))]
     Harvest(HarvestArgs),
-    /// Measure the wall time of each policy against N (Sec. V-D), and fit an exponent.
-    #[command(
-        after_help = "Set-up: deployment of the devices and configuration of the policy (clusters, search), once per \
-            deployment. The paper's complexities refer to this step.\n\
-            Run: one complete TTI, devices and BS.\n\
-            Decision: the BS's response to an event with all wake-ups, without devices.\n\
-            The area is constant, so density grows with N.\n\n\
-            Example:\n  \
-            reveille analyse runtime --devices 100,200,400,800 --policies knn"
-    )]
+    /// Measure the computing time of each policy against the number of devices N.
+    ///
+    /// The command measures three times, and fits an exponent of N to each (Sec. V-D). The area is constant, so density
+    /// grows with N.
+    ///
+    /// Set-up: deployment of the devices and configuration of the policy (clusters, search), once per deployment. The
+    /// paper's complexities refer to this step.
+    ///
+    /// Run: one complete TTI, devices and BS.
+    ///
+    /// Decision: the BS's response to an event with all wake-ups, without devices.
+    #[command(after_help = examples!(
+        "reveille analyse runtime",
+        "reveille analyse runtime --devices 100,200,400,800 --policies knn",
+    ))]
     Runtime(RuntimeArgs),
 }
 
@@ -89,7 +101,7 @@ pub(crate) struct TransitionsArgs {
     #[arg(long, short = 'k', allow_negative_numbers = true)]
     pub ttis: Option<String>,
     /// Number of runs, each with a different seed.
-    #[arg(long, default_value_t = 20)]
+    #[arg(long, default_value_t = 20, value_parser = any_whole(1..=1_000_000_u64), allow_negative_numbers = true)]
     pub seeds: u64,
 }
 
@@ -109,13 +121,19 @@ pub(crate) struct BatteryArgs {
     #[arg(long, default_value = "0,0.01,0.05", allow_hyphen_values = true)]
     pub activation: String,
     /// Number of measured devices.
-    #[arg(long, short = 'n', default_value_t = 16)]
+    #[arg(long, short = 'n', default_value_t = 16, value_parser = whole(0..=u32::MAX), allow_negative_numbers = true)]
     pub devices: u32,
     /// Measured TTIs per device, after a warm-up of a tenth of this number.
-    #[arg(long, short = 'k', default_value_t = 1_000_000)]
+    #[arg(
+        long,
+        short = 'k',
+        default_value_t = 1_000_000,
+        value_parser = whole(0..=u64::MAX),
+        allow_negative_numbers = true
+    )]
     pub ttis: u64,
     /// Bin width of the distributions, in units.
-    #[arg(long, default_value_t = 0.5)]
+    #[arg(long, default_value_t = 0.5, value_parser = parse_number, allow_negative_numbers = true)]
     pub bin: f64,
 }
 
@@ -132,7 +150,7 @@ pub(crate) struct IminArgs {
     #[arg(long, default_value = "uniform,jittered-grid,poisson-disk,grid,hex")]
     pub layouts: String,
     /// Number of deployments, each with a different seed.
-    #[arg(long, default_value_t = 200)]
+    #[arg(long, default_value_t = 200, value_parser = any_whole(1..=1_000_000_u64), allow_negative_numbers = true)]
     pub seeds: u64,
 }
 
@@ -165,7 +183,7 @@ pub(crate) struct HarvestArgs {
     #[arg(long, short = 'k', allow_negative_numbers = true)]
     pub ttis: Option<String>,
     /// Runs per point, each with a different seed.
-    #[arg(long, default_value_t = 10)]
+    #[arg(long, default_value_t = 10, value_parser = any_whole(1..=1_000_000_u64), allow_negative_numbers = true)]
     pub seeds: u64,
 }
 
@@ -190,9 +208,9 @@ pub(crate) struct RuntimeArgs {
     #[arg(long, short = 'k', default_value = "5000", allow_hyphen_values = true)]
     pub ttis: String,
     /// Number of events in a timed round of decisions.
-    #[arg(long, default_value_t = 1000, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
+    #[arg(long, default_value_t = 1000, value_parser = whole(1..=1_000_000_u64), allow_negative_numbers = true)]
     pub events: u64,
     /// Repetitions, each with a different seed; the results are medians.
-    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=1000))]
+    #[arg(long, default_value_t = 5, value_parser = whole(1..=1000_u64), allow_negative_numbers = true)]
     pub repeat: u64,
 }

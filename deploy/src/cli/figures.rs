@@ -8,7 +8,8 @@ use reveille_bs::policy::q_learning::learned::Lookback;
 use reveille_study::figures::robustness;
 
 use super::ScenarioArgs;
-use super::parse::{parse_device, parse_field, parse_whole};
+use super::examples::examples;
+use super::parse::{any_whole, parse_field, whole};
 
 /// Folder and formats of the pictures.
 #[derive(Args, Clone, Debug)]
@@ -56,31 +57,57 @@ pub(crate) struct FiguresArgs {
 /// Pictures other than the figures of the paper.
 #[derive(Subcommand)]
 pub(crate) enum FiguresCommand {
-    /// Draw a map of a deployment with Voronoi cells, clusters and one event. It marks the devices that reported, were
-    /// woken, or failed.
+    /// Draw a map of the devices with their clusters and one event.
+    ///
+    /// The map has Voronoi cells. It marks the devices that reported, were woken, or failed.
+    #[command(after_help = examples!(
+        "reveille figures deployment --policy knn --devices 80",
+        "reveille figures deployment --event 12 --out maps",
+    ))]
     Deployment(DeploymentArgs),
-    /// Draw the battery and the states S1 to S4 of some devices per TTI, with events and wake-ups.
+    /// Draw the batteries and states of some devices over time, with events and wake-ups.
+    #[command(after_help = examples!(
+        "reveille figures timeline --policy random --show 3,7",
+        "reveille figures timeline --from 2000 --length 400",
+    ))]
     Timeline(TimelineArgs),
-    /// Draw the attention of one `dt` decision: the expectation for each device in a TTI, and the past TTIs it attends
-    /// to.
-    #[command(after_help = "Example:\n  reveille figures attention --tti 1500 --set events.process=aftershocks")]
+    /// Draw the past that one decision of the `dt` policy attends to.
+    ///
+    /// The picture shows the expectation for each device in a TTI, and the attention to past TTIs.
+    #[command(after_help = examples!(
+        "reveille figures attention --tti 1500 --set events.process=aftershocks",
+        "reveille figures attention --show 3,7",
+    ))]
     Attention(AttentionArgs),
-    /// Draw the effect of an imperfect radio on policies: information, energy and misdetection. The figures cover lost
-    /// wake-ups, false wake-ups, lost reports, lost plans, slow wake-ups and interference.
-    #[command(after_help = "Example:\n  reveille figures robustness --policies knn,age-index,genie --seeds 10")]
+    /// Draw the effect of an imperfect radio on policies.
+    ///
+    /// The figures show information, energy and misdetection. They cover lost wake-ups, false wake-ups, lost reports,
+    /// lost plans, slow wake-ups and interference.
+    #[command(after_help = examples!(
+        "reveille figures robustness --policies knn,age-index,genie --seeds 10",
+        "reveille figures robustness --only uplink_loss,wake_miss --devices 100",
+    ))]
     Robustness(RobustnessArgs),
-    /// Draw the learning curves of tables of `reveille train`: reward and information by training TTIs, for each N.
+    /// Draw the progress of q-learning trainings: reward and information by training TTIs, for each N.
+    #[command(after_help = examples!(
+        "reveille figures learning shipped",
+        "reveille figures learning mine.json shipped --out learning",
+    ))]
     Learning(LearningArgs),
-    /// Draw learned tables for one or several N as heat maps of the value of sensing or of waking.
+    /// Draw q-learning tables as heat maps of the value of sensing or of waking.
+    #[command(after_help = examples!(
+        "reveille figures q-table shipped --devices 100",
+        "reveille figures q-table mine.json --devices 50,100 --wake posterior",
+    ))]
     QTable(QTableArgs),
-    /// Draw any metric against any swept field.
+    /// Draw any metric against any field that a sweep varied.
     ///
     /// Each policy, or each value of another field, gets a line. Each combination of the remaining varied fields gets a
     /// picture.
-    #[command(
-        after_help = "Examples:\n  reveille figures sweep mine --x harvest.lambda --y energy_per_device_tti\n  \
-        reveille figures sweep mine --x harvest.lambda --by devices --where policy=knn --log x"
-    )]
+    #[command(after_help = examples!(
+        "reveille figures sweep study --x harvest.lambda --y energy_per_device_tti",
+        "reveille figures sweep study --x harvest.lambda --by devices --where policy=knn --log x",
+    ))]
     Sweep(SweepFigureArgs),
 }
 
@@ -140,7 +167,15 @@ pub(crate) struct QTableArgs {
     #[arg(value_name = "FILE")]
     pub file: PathBuf,
     /// Numbers of devices N whose tables are drawn, separated by commas.
-    #[arg(long, short = 'n', value_delimiter = ',', required = true, value_name = "N")]
+    #[arg(
+        long,
+        short = 'n',
+        value_delimiter = ',',
+        required = true,
+        value_name = "N",
+        value_parser = whole(0..=u32::MAX),
+        allow_negative_numbers = true
+    )]
     pub devices: Vec<u32>,
     /// Window of the tables to draw, in TTIs, or "ages" [default: the shortest window in the file].
     #[arg(long, short, value_name = "TTIS")]
@@ -169,7 +204,7 @@ pub(crate) struct DeploymentArgs {
     #[command(flatten)]
     pub scenario: ScenarioArgs,
     /// Number of the event, from 0 [default: the first event after the warm-up with a wake-up].
-    #[arg(long, short, value_parser = parse_whole, allow_negative_numbers = true)]
+    #[arg(long, short, value_parser = whole(0..=u64::MAX), allow_negative_numbers = true)]
     pub event: Option<u64>,
     /// Picture options.
     #[command(flatten)]
@@ -183,7 +218,7 @@ pub(crate) struct AttentionArgs {
     #[command(flatten)]
     pub scenario: ScenarioArgs,
     /// TTI of the decision [default: the end of the warm-up].
-    #[arg(long, short, value_parser = parse_whole, allow_negative_numbers = true)]
+    #[arg(long, short, value_parser = whole(0..=u64::MAX), allow_negative_numbers = true)]
     pub tti: Option<u64>,
     /// Numbers of the devices whose attention is shown, separated by commas [default: the six devices with the highest
     /// or lowest expectation].
@@ -191,8 +226,8 @@ pub(crate) struct AttentionArgs {
         long,
         value_delimiter = ',',
         value_name = "DEVICE",
-        value_parser = parse_device,
-        allow_hyphen_values = true
+        value_parser = whole(0..=u32::MAX),
+        allow_negative_numbers = true
     )]
     pub show: Vec<u32>,
     /// Picture options.
@@ -213,7 +248,7 @@ pub(crate) struct RobustnessArgs {
     #[arg(long, value_delimiter = ',', value_name = "IMPAIRMENT", value_parser = impairments())]
     pub only: Vec<String>,
     /// Runs per policy and level, with consecutive seeds.
-    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=10_000))]
+    #[arg(long, default_value_t = 5, value_parser = whole(1..=10_000_u64), allow_negative_numbers = true)]
     pub seeds: u64,
     /// Picture options.
     #[command(flatten)]
@@ -236,15 +271,15 @@ pub(crate) struct TimelineArgs {
         long,
         value_delimiter = ',',
         value_name = "DEVICE",
-        value_parser = parse_device,
-        allow_hyphen_values = true
+        value_parser = whole(0..=u32::MAX),
+        allow_negative_numbers = true
     )]
     pub show: Vec<u32>,
     /// First TTI to show [default: the end of the warm-up].
-    #[arg(long, value_parser = parse_whole, allow_negative_numbers = true)]
+    #[arg(long, value_parser = whole(0..=u64::MAX), allow_negative_numbers = true)]
     pub from: Option<u64>,
     /// Number of TTIs to show, 10 to 2000.
-    #[arg(long, default_value_t = 200, value_parser = parse_whole, allow_negative_numbers = true)]
+    #[arg(long, default_value_t = 200, value_parser = any_whole(10..=2000_u64), allow_negative_numbers = true)]
     pub length: u64,
     /// Picture options.
     #[command(flatten)]

@@ -7,35 +7,66 @@ use reveille_common::message::{MessageKind, Plane};
 use reveille_view::filter::StateName;
 
 use super::TargetArgs;
-use super::parse::{kind_parser, state_parser};
+use super::examples::examples;
+use super::parse::{kind_parser, state_parser, whole};
 
 /// Subcommands of `reveille inspect`.
 #[derive(Subcommand)]
 pub(crate) enum InspectCommand {
-    /// Print every message of an active run or of a recording, decoded, one per line. The run never waits for this
-    /// command.
+    /// Print the messages of an active run or of a recording, one per line.
     ///
-    /// A line gives the TTI, plane, kind, key, length in bytes and content. The key is the device or host, for kinds
-    /// that have one key for each.
+    /// Each line has the TTI, plane, kind, key, length in bytes and content. The key is the device or host, for kinds
+    /// that have one key for each. The run never waits for this command.
+    #[command(after_help = examples!(
+        "reveille inspect tail --kind wake,report --join",
+        "reveille inspect tail --from run.mcap --device 7 --since 1000 --until 1100",
+    ))]
     Tail(TailArgs),
-    /// Count messages and bytes by kind and plane, per TTI and per device, until the run or the recording ends.
+    /// Count the messages and bytes of an active run or of a recording.
+    ///
+    /// The table counts by kind and plane, per TTI and per device, until the run or the recording ends.
+    #[command(after_help = examples!(
+        "reveille inspect stats --watch",
+        "reveille inspect stats --from run.mcap --devices",
+    ))]
     Stats(StatsArgs),
-    /// Record an active run from its observer messages. Only `up --record` and `run --record` guarantee a complete
-    /// recording.
+    /// Record the messages of an active run in a file.
+    ///
+    /// The recording can lack messages if this command is too slow. Only `up --record` and `run --record` guarantee a
+    /// complete recording.
+    #[command(after_help = examples!(
+        "reveille inspect record run.mcap",
+        "reveille inspect record run.mcap --run demo",
+    ))]
     Record(InspectRecordArgs),
-    /// Convert a recording for Wireshark, Perfetto or a statistics program, or write the Wireshark dissector.
-    #[command(after_help = EXPORTS)]
+    /// Convert a recording for Wireshark, Perfetto or a statistics program.
+    ///
+    /// Wireshark and tshark need the dissector that --dissector writes: tshark -X lua_script:reveille.lua -r
+    /// run.pcapng -Y 'reveille.wake.device == 7'. Open a Perfetto trace at ui.perfetto.dev.
+    #[command(after_help = examples!(
+        "reveille inspect export run.mcap --to pcapng",
+        "reveille inspect export --dissector reveille.lua",
+    ))]
     Export(ExportArgs),
-    /// Compute the metrics and digest from the messages of a recording alone, and compare them with its summary.
+    /// Check that the messages of a recording lead to the metrics and digest in its summary.
     ///
     /// The devices go through the same TTIs again, and their reports and batteries must match the recording. The exit
     /// code is 1 after a mismatch, and for a truncated recording or one without a summary.
+    #[command(after_help = examples!(
+        "reveille run --record run.mcap",
+        "reveille inspect verify run.mcap",
+    ))]
     Verify(VerifyArgs),
-    /// Find the first difference between two recordings: events, δ, reports, failures, wake-ups or their outcomes.
+    /// Find the first difference between two recordings.
     ///
-    /// Two runs of one scenario and seed under different policies diverge at the first different plan. Two runs that
-    /// should be identical diverge at the first fault. Granting with or without lookahead makes no difference. The exit
-    /// code is 1 if the recordings differ.
+    /// The compared messages are events, δ plans, reports, failures, wake-ups and their outcomes. Two runs of one
+    /// scenario and seed under different policies diverge at the first different plan. Two runs that should be
+    /// identical diverge at the first fault. Granting with or without lookahead makes no difference. The exit code is 1
+    /// if the recordings differ.
+    #[command(after_help = examples!(
+        "reveille run --policy random --record random.mcap",
+        "reveille inspect compare knn.mcap random.mcap",
+    ))]
     Compare(CompareArgs),
 }
 
@@ -55,19 +86,19 @@ pub(crate) struct TailArgs {
     #[arg(long, value_parser = kind_parser(), value_delimiter = ',')]
     pub kind: Vec<MessageKind>,
     /// Only messages to, from or about this device, and messages to all devices.
-    #[arg(long)]
+    #[arg(long, value_parser = whole(0..=u32::MAX), allow_negative_numbers = true)]
     pub device: Option<u32>,
     /// Only messages to, from or about the devices in this cluster of the policy, and messages to all devices.
-    #[arg(long)]
+    #[arg(long, value_parser = whole(0..=u32::MAX), allow_negative_numbers = true)]
     pub cluster: Option<u32>,
     /// Only messages of devices that were in one of these states before the message, separated by commas.
     #[arg(long, value_parser = state_parser(), value_delimiter = ',')]
     pub state: Vec<StateName>,
     /// Only messages from this TTI on.
-    #[arg(long, value_name = "TTI")]
+    #[arg(long, value_name = "TTI", value_parser = whole(0..=u64::MAX), allow_negative_numbers = true)]
     pub since: Option<u64>,
     /// Only messages up to and including this TTI; then exit.
-    #[arg(long, value_name = "TTI")]
+    #[arg(long, value_name = "TTI", value_parser = whole(0..=u64::MAX), allow_negative_numbers = true)]
     pub until: Option<u64>,
     /// Show each wake-up and its outcome on one line.
     #[arg(long)]
@@ -76,7 +107,7 @@ pub(crate) struct TailArgs {
     #[arg(long)]
     pub json: bool,
     /// Exit after this many messages.
-    #[arg(long, short = 'c')]
+    #[arg(long, short = 'c', value_parser = whole(0..=u64::MAX), allow_negative_numbers = true)]
     pub count: Option<u64>,
     /// Colour messages by kind; NO_COLOR disables colours.
     #[arg(long, value_enum, default_value = "auto")]
@@ -99,10 +130,10 @@ pub(crate) struct StatsArgs {
     #[arg(long)]
     pub devices: bool,
     /// Only messages from this TTI on.
-    #[arg(long, value_name = "TTI")]
+    #[arg(long, value_name = "TTI", value_parser = whole(0..=u64::MAX), allow_negative_numbers = true)]
     pub since: Option<u64>,
     /// Only messages up to and including this TTI.
-    #[arg(long, value_name = "TTI")]
+    #[arg(long, value_name = "TTI", value_parser = whole(0..=u64::MAX), allow_negative_numbers = true)]
     pub until: Option<u64>,
     /// Print one JSON object.
     #[arg(long)]
@@ -118,12 +149,6 @@ pub(crate) struct InspectRecordArgs {
     /// File to write; it must not exist yet.
     pub file: PathBuf,
 }
-
-/// Examples for the help of `reveille inspect export`.
-const EXPORTS: &str = "Examples:\n  reveille inspect export run.mcap --to pcapng\n  \
-    reveille inspect export --dissector reveille.lua\n  \
-    tshark -X lua_script:reveille.lua -r run.pcapng -Y 'reveille.wake.device == 7'\n  \
-    reveille inspect export run.mcap --to perfetto      and open it at ui.perfetto.dev";
 
 /// Arguments of `reveille inspect export`.
 #[derive(Args)]
@@ -141,13 +166,19 @@ pub(crate) struct ExportArgs {
     #[arg(long, value_name = "FILE")]
     pub dissector: Option<PathBuf>,
     /// Only messages from this TTI on.
-    #[arg(long, value_name = "TTI")]
+    #[arg(long, value_name = "TTI", value_parser = whole(0..=u64::MAX), allow_negative_numbers = true)]
     pub since: Option<u64>,
     /// Only messages up to and including this TTI.
-    #[arg(long, value_name = "TTI")]
+    #[arg(long, value_name = "TTI", value_parser = whole(0..=u64::MAX), allow_negative_numbers = true)]
     pub until: Option<u64>,
     /// TTIs between two battery values, for --to perfetto.
-    #[arg(long, value_name = "TTIS", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(
+        long,
+        value_name = "TTIS",
+        default_value_t = 10,
+        value_parser = whole(1..=u64::MAX),
+        allow_negative_numbers = true
+    )]
     pub battery_every: u64,
     /// Replace existing files.
     #[arg(long)]

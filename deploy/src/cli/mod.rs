@@ -1,6 +1,7 @@
 //! The command line.
 
 mod analyse;
+mod examples;
 mod figures;
 mod inspect;
 mod parse;
@@ -13,6 +14,8 @@ mod tune;
 
 use clap::{Parser, Subcommand, ValueEnum};
 use reveille_common::logging::LogFormat;
+
+use examples::examples;
 
 pub(crate) use analyse::{AnalyseCommand, BatteryArgs, HarvestArgs, IminArgs, RuntimeArgs, StudyArgs, TransitionsArgs};
 pub(crate) use figures::{
@@ -58,10 +61,8 @@ pub(crate) struct Cli {
 }
 
 fn after_help() -> String {
-    let start = "Start with:  reveille up\n\
-        Then try:    reveille up --devices 250 --processes 250\n             \
-        reveille up --pace 20ms   and, in another terminal,   reveille inspect tail";
-    format!("{start}\n\n{}", crate::exit::help())
+    let examples = examples!("reveille up", "reveille up --devices 250 --processes 250");
+    format!("{}\n\n{examples}", crate::exit::help())
 }
 
 impl Cli {
@@ -79,88 +80,115 @@ impl Cli {
 /// The subcommands.
 #[derive(Subcommand)]
 pub(crate) enum Command {
-    /// Run a base station and its device processes on this machine, and print a summary.
-    #[command(
-        after_help = "Examples:\n  reveille up\n  reveille up --policy genie --devices 250 --processes 10\n  \
-        reveille up --scenario my.toml --set harvest.lambda=0.05 --json"
-    )]
+    /// Run a base station and its device processes on this machine, and print the results.
+    #[command(after_help = examples!("reveille up", "reveille up --policy genie --devices 250 --processes 10"))]
     Up(UpArgs),
-    /// Run a scenario in memory: the same run and digest as `up`, without processes or a network.
+    /// Run a scenario in memory: the same results as `up`, without processes or a network.
+    #[command(after_help = examples!("reveille run", "reveille run --policy q-learning --devices 100 --json"))]
     Run(RunArgs),
-    /// Run every combination of scenario fields, policies and seeds in memory. The result table has one row per run; a
-    /// summary gives means with confidence intervals.
-    #[command(
-        after_help = "Examples:\n  reveille sweep --policies knn,random --devices 10,50,250 --seeds 100\n  \
-        reveille sweep --grid harvest.lambda=0.05,0.1,0.2 --set harvest.e_b=10 --until-ci 1%\n  \
-        reveille sweep experiment.toml --shard 2/8 --out shard-2\n\n\
-        To resume an interrupted sweep, repeat the same command; this also works after kill -9. With more --seeds and \
-        the same --out, the sweep keeps the existing runs and adds the new ones."
-    )]
+    /// Run every combination of policies, scenario fields and seeds in memory, and print mean results.
+    ///
+    /// The result table has one row per run; the printed means have confidence intervals.
+    ///
+    /// To resume an interrupted sweep, repeat the same command; this also works after kill -9. With more --seeds and
+    /// the same --out, the sweep keeps the existing runs and adds the new ones.
+    #[command(after_help = examples!(
+        "reveille sweep --policies knn,random --devices 10,50,250 --seeds 100",
+        "reveille sweep --grid harvest.lambda=0.05,0.1,0.2 --until-ci 1% --out study",
+    ))]
     Sweep(SweepArgs),
-    /// Merge the result tables of the shards of a sweep.
-    #[command(after_help = "Example:\n  reveille merge shard-1 shard-2 shard-3 --out results.parquet")]
+    /// Merge the result tables of a sweep that several machines shared.
+    #[command(after_help = examples!(
+        "reveille merge shard-1 shard-2 shard-3 --out results.parquet",
+        "reveille merge shard-1 shard-3 --partial --out part.csv",
+    ))]
     Merge(MergeArgs),
     /// Train a learning policy in memory, and save the result in a file.
-    #[command(subcommand)]
+    #[command(subcommand, after_help = examples!(
+        "reveille train q-learning --out mine.json",
+        "reveille train record --policies knn --devices 50 --seeds 8 --out knn.parquet",
+    ))]
     Train(TrainCommand),
-    /// Search for the best q-learning weights μ1 and μ2 for an objective, by Bayesian optimisation. Needs the cargo
-    /// feature `tune`.
-    #[command(after_help = tune::EXAMPLES)]
+    /// Search for the q-learning weights that give the best results in a scenario.
+    ///
+    /// The search is a Bayesian optimisation over the weights μ1 and μ2. It needs a build with the cargo feature
+    /// `tune`.
+    ///
+    /// To resume an interrupted tuning, repeat the same command; this also works after kill -9. To extend a finished
+    /// tuning, repeat it with more --iterations.
+    #[command(after_help = examples!(
+        "reveille tune -n 100 --out tuning.csv",
+        "reveille tune -n 100 --objective efficiency --out efficiency.csv",
+    ))]
     Tune(TuneArgs),
     /// Start only the base station, and wait for device processes to join.
-    #[command(
-        after_help = "Example, on two machines:\n  reveille bs --listen tcp/0.0.0.0:7447 --run demo --devices 50\n  \
-        reveille device --connect tcp/HOST:7447 --run demo --count 50"
-    )]
+    ///
+    /// Start device processes with `reveille device`, on this machine or on others.
+    #[command(after_help = examples!(
+        "reveille bs --run demo --devices 50",
+        "reveille bs --run demo --devices 50 --listen tcp/0.0.0.0:7447",
+    ))]
     Bs(BsArgs),
     /// Start one device process, and connect it to a base station.
+    #[command(after_help = examples!(
+        "reveille device --run demo --connect tcp/127.0.0.1:7447 --count 50",
+        "reveille device --run demo --connect tcp/192.0.2.7:7447 --count 25 --patience 5min",
+    ))]
     Device(DeviceArgs),
     /// Supervise the process that `--policy-command` starts.
     #[command(hide = true)]
     PolicyProcess(PolicyProcessArgs),
-    /// Show or validate scenarios.
-    #[command(subcommand)]
+    /// Show or validate scenarios, the complete descriptions of runs.
+    #[command(subcommand, after_help = examples!(
+        "reveille scenario show paper",
+        "reveille scenario check my.toml",
+    ))]
     Scenario(ScenarioCommand),
-    /// Inspect the messages of an active run or of a recording; record an active run.
-    #[command(
-        subcommand,
-        after_help = "Examples:\n  reveille inspect tail --kind wake,report --join\n  \
-        reveille run --record run.mcap\n  reveille inspect verify run.mcap\n  \
-        reveille inspect tail --from run.mcap --device 7 --since 1000 --until 1100\n  \
-        reveille inspect stats --from run.mcap"
-    )]
+    /// Inspect the messages of an active run or of a recording, or record an active run.
+    #[command(subcommand, after_help = examples!(
+        "reveille inspect tail --kind wake,report --join",
+        "reveille inspect stats --from run.mcap",
+    ))]
     Inspect(InspectCommand),
     /// Show an active run or a recording in the browser.
-    #[command(
-        after_help = "Examples:\n  reveille up --dashboard --paused\n  reveille dashboard\n  \
-        reveille dashboard --from run.mcap"
-    )]
+    #[command(after_help = examples!("reveille dashboard", "reveille dashboard --from run.mcap"))]
     Dashboard(DashboardArgs),
     /// Pause, step and resume the virtual clock of a run.
+    #[command(after_help = examples!("reveille clock pause", "reveille clock step 50"))]
     Clock(ClockArgs),
-    /// Draw the paper's figures from result tables, a map of a deployment, or batteries and states over time.
+    /// Draw the figures of the paper from the result tables of sweeps.
+    ///
+    /// The subcommands draw other pictures, such as a map of a deployment, or batteries and states over time.
     #[command(
         args_conflicts_with_subcommands = true,
         subcommand_negates_reqs = true,
-        after_help = "Examples:\n  reveille figures results/table.parquet --out figures\n  \
-        reveille figures results/table.parquet --only information,energy --format svg\n  \
-        reveille figures sweep results/table.parquet --x harvest.lambda --y energy_per_device_tti\n  \
-        reveille figures deployment --policy knn -n 80\n  reveille figures timeline --policy random --show 3,7"
+        after_help = examples!(
+            "reveille figures study --out figures",
+            "reveille figures study --only information,energy --format svg",
+        )
     )]
     Figures(FiguresArgs),
-    /// Compare result tables with every claim of the paper, and write an HTML and a Markdown page.
+    /// Compare the results of sweeps with every claim of the paper, and write an HTML and a Markdown page.
     #[command(
         args_conflicts_with_subcommands = true,
         subcommand_negates_reqs = true,
-        after_help = "Examples:\n  reveille report results/paper.parquet results/literal.parquet --out report\n  \
-        reveille report search unstated --out report"
+        after_help = examples!(
+            "reveille report study --out report",
+            "reveille report paper.parquet literal.parquet --out report",
+        )
     )]
     Report(ReportArgs),
-    /// Compare the paper's closed forms and Markov chains with simulated devices.
-    #[command(subcommand)]
+    /// Compare the formulas of the paper with simulated devices.
+    #[command(subcommand, after_help = examples!(
+        "reveille analyse harvest --csv fig13.csv",
+        "reveille analyse runtime --devices 100,200,400 --policies knn",
+    ))]
     Analyse(AnalyseCommand),
-    /// Measure the emulator's speed against stated baselines.
-    #[command(subcommand)]
+    /// Measure the speed of the emulator.
+    #[command(subcommand, after_help = examples!(
+        "reveille bench memory",
+        "reveille bench bus --processes 4,50",
+    ))]
     Bench(BenchCommand),
 }
 

@@ -1,5 +1,8 @@
 //! Parsers for values on the command line.
 
+use std::fmt::Display;
+use std::ops::RangeInclusive;
+use std::str::FromStr;
 use std::time::Duration;
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
@@ -61,15 +64,32 @@ pub(super) fn state_parser() -> impl TypedValueParser<Value = StateName> {
     })
 }
 
-pub(super) fn parse_whole(text: &str) -> Result<u64, String> {
-    text.parse()
-        .map_err(|_| format!("must be a whole number from 0 to {}", u64::MAX))
+/// Returns the parser of options that take a whole number in `range`.
+pub(super) fn whole<T>(range: RangeInclusive<T>) -> impl Fn(&str) -> Result<T, String> + Clone + Send + Sync + 'static
+where
+    T: FromStr + PartialOrd + Display + Clone + Send + Sync + 'static,
+{
+    move |text| {
+        let number = text.trim().parse().ok().filter(|number| range.contains(number));
+        number.ok_or_else(|| format!("must be a whole number from {} to {}", range.start(), range.end()))
+    }
 }
 
-/// Parses a count of at least 1.
-pub(super) fn parse_count(text: &str) -> Result<usize, String> {
-    let count = text.parse().ok().filter(|count| *count > 0);
-    count.ok_or_else(|| "must be a whole number from 1".to_owned())
+/// Like [`whole`], but accepts numbers outside `range`, for an option whose command checks the range itself.
+pub(super) fn any_whole<T>(
+    range: RangeInclusive<T>,
+) -> impl Fn(&str) -> Result<T, String> + Clone + Send + Sync + 'static
+where
+    T: FromStr + PartialOrd + Display + Clone + Send + Sync + 'static,
+{
+    let refuse = whole(range);
+    move |text| text.trim().parse().or_else(|_| refuse(text))
+}
+
+/// Parses the number of an option whose command checks the range.
+pub(super) fn parse_number(text: &str) -> Result<f64, String> {
+    let number = text.trim().parse();
+    number.map_err(|_| "must be a number, such as 0.5".to_owned())
 }
 
 /// Parses FIELD=VALUE into the field and its value.
@@ -77,11 +97,6 @@ pub(super) fn parse_field(text: &str) -> Result<(String, String), String> {
     let pair = text.split_once('=').filter(|(field, _)| !field.is_empty());
     let pair = pair.map(|(field, value)| (field.trim().to_owned(), value.trim().to_owned()));
     pair.ok_or_else(|| "must be FIELD=VALUE, such as devices=50".to_owned())
-}
-
-pub(super) fn parse_device(text: &str) -> Result<u32, String> {
-    let number = text.trim().parse();
-    number.map_err(|_| "must be the number of a device, a whole number from 0, such as 3".to_owned())
 }
 
 pub(super) fn parse_pace(text: &str) -> Result<Pace, String> {
@@ -106,6 +121,26 @@ pub(super) fn parse_duration(text: &str) -> Result<Duration, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn whole_numbers_have_a_range() {
+        let parse = whole(1..=12_u32);
+        for (text, number) in [("1", 1), (" 12 ", 12), ("+3", 3)] {
+            assert_eq!(parse(text), Ok(number), "{text:?}");
+        }
+        for bad in ["", "many", "0", "13", "-1", "1.5", "99999999999999999999"] {
+            let refusal = parse(bad).expect_err(bad);
+            assert_eq!(refusal, "must be a whole number from 1 to 12", "{bad:?}");
+        }
+    }
+
+    #[test]
+    fn a_range_that_the_command_checks_is_named() {
+        let parse = any_whole(1..=12_u32);
+        assert_eq!((parse("0"), parse("13")), (Ok(0), Ok(13)));
+        let refusal = Err("must be a whole number from 1 to 12".to_owned());
+        assert_eq!((parse("many"), parse("-1")), (refusal.clone(), refusal));
+    }
 
     #[test]
     fn durations_have_units_and_a_range() {

@@ -4,7 +4,8 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 
-use super::parse::parse_count;
+use super::examples::examples;
+use super::parse::whole;
 
 /// Arguments of `reveille report`.
 #[derive(Args)]
@@ -27,12 +28,13 @@ pub(crate) struct ReportArgs {
 /// Report on a search instead of the presets.
 #[derive(Subcommand)]
 pub(crate) enum ReportCommand {
-    /// Judge the paper's claims under every setting of a sweep, and rank the settings. The rank uses half of the
-    /// claims; the other half shows whether a rank is more than chance.
-    #[command(
-        after_help = "Example:\n  reveille sweep deploy/examples/unstated.toml --out unstated\n  \
-        reveille report search unstated --out report"
-    )]
+    /// Judge the paper's claims under every setting of a sweep, and rank the settings.
+    ///
+    /// The rank uses half of the claims; the other half shows whether a rank is more than chance.
+    #[command(after_help = examples!(
+        "reveille sweep deploy/examples/unstated.toml --out unstated",
+        "reveille report search unstated --out report",
+    ))]
     Search(SearchArgs),
 }
 
@@ -43,7 +45,7 @@ pub(crate) struct SearchArgs {
     #[arg(required = true, value_name = "TABLE")]
     pub tables: Vec<PathBuf>,
     /// Number of settings to show; the presets are always shown.
-    #[arg(long, default_value = "20", value_parser = parse_count)]
+    #[arg(long, default_value = "20", value_parser = whole(1..=usize::MAX), allow_negative_numbers = true)]
     pub top: usize,
     /// Folder for search.md; created if missing.
     #[arg(long, short, default_value = "report")]

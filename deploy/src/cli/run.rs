@@ -9,7 +9,7 @@ use reveille_bs::server::{DecisionTimeout, OnLoss, OnUndecided};
 use reveille_common::keys::RunName;
 use reveille_common::message::Pace;
 
-use super::parse::{one_policy, one_policy_or_outside, parse_duration, parse_pace};
+use super::parse::{one_policy, one_policy_or_outside, parse_duration, parse_pace, whole};
 
 /// Scenario used when the command line names none.
 const DEFAULT_SCENARIO: &str = "paper";
@@ -67,6 +67,7 @@ impl ScenarioArgs {
 
 /// Options for the results of a run.
 #[derive(Args, Clone, Debug)]
+#[expect(clippy::struct_excessive_bools, reason = "each is a flag of the command line")]
 pub(crate) struct OutputArgs {
     /// Run folder; it must not hold a run yet [default: runs/POLICY-nN-sSEED, numbered if taken].
     #[arg(long, short)]
@@ -85,6 +86,10 @@ pub(crate) struct OutputArgs {
     #[arg(long)]
     pub json: bool,
 
+    /// Show every metric in the table, not only the ten metrics that runs are compared by. --json always has all.
+    #[arg(long)]
+    pub all_metrics: bool,
+
     /// Hide the progress bar and the table. Print only the digest, or the JSON output of --json.
     #[arg(long, short)]
     pub quiet: bool,
@@ -95,7 +100,13 @@ pub(crate) struct OutputArgs {
     pub record: Option<PathBuf>,
 
     /// Also record the states of all devices, once every TTIS TTIs.
-    #[arg(long, value_name = "TTIS", requires = "record", value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(
+        long,
+        value_name = "TTIS",
+        requires = "record",
+        value_parser = whole(1..=u64::MAX),
+        allow_negative_numbers = true
+    )]
     pub record_states: Option<u64>,
 
     /// Serve Prometheus metrics at http://ADDRESS:PORT/metrics during the run; port 0 selects a free port.
@@ -103,7 +114,7 @@ pub(crate) struct OutputArgs {
     pub metrics: Option<String>,
 
     /// TTIs per row of windows.csv [default: a hundredth of the run].
-    #[arg(long, value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, value_parser = whole(1..=u64::MAX), allow_negative_numbers = true)]
     pub window: Option<u64>,
 
     /// Parent process; the run ends when the parent ends.
@@ -188,7 +199,7 @@ pub struct ExternalPolicyArgs {
     pub decision_timeout: Option<Duration>,
 
     /// Action when a decision exceeds the time limit, or after three invalid answers to one decision request.
-    #[arg(long, value_enum, value_name = "WHAT", default_value = "end")]
+    #[arg(long, value_enum, value_name = "ACTION", default_value = "end")]
     pub on_undecided: OnUndecidedArg,
 }
 
@@ -205,7 +216,7 @@ impl From<&ExternalPolicyArgs> for DecisionTimeout {
     fn from(args: &ExternalPolicyArgs) -> Self {
         Self {
             limit: args.decision_timeout,
-            then: match args.on_undecided {
+            on_timeout: match args.on_undecided {
                 OnUndecidedArg::End => OnUndecided::End,
                 OnUndecidedArg::Hold => OnUndecided::Hold,
             },
@@ -227,7 +238,7 @@ pub(crate) struct UpArgs {
     pub drive: DriveArgs,
     /// Number of device processes. 0 runs all devices in this process; N (the number of devices) uses one process per
     /// device [default: 4].
-    #[arg(long, short = 'P')]
+    #[arg(long, short = 'P', value_parser = whole(0..=u32::MAX), allow_negative_numbers = true)]
     pub processes: Option<u32>,
     /// Run name on the bus [default: the name of the run folder].
     #[arg(long)]
@@ -276,7 +287,7 @@ pub(crate) struct DeviceArgs {
     #[arg(long)]
     pub run: RunName,
     /// Maximum number of devices that this process runs.
-    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, default_value_t = 1, value_parser = whole(1..=u32::MAX), allow_negative_numbers = true)]
     pub count: u32,
     /// Time limit for reaching the base station and joining the run, and for waiting for a lost base station to return.
     #[arg(long, default_value = "30s", value_parser = parse_duration)]

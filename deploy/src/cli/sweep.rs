@@ -7,7 +7,7 @@ use reveille_common::score::Metrics;
 use reveille_lab::sweep::Shard;
 use reveille_lab::table::Format;
 
-use super::parse::{parse_whole, several_policies};
+use super::parse::{several_policies, whole};
 
 /// Arguments of `reveille sweep`.
 #[derive(Args)]
@@ -47,7 +47,13 @@ pub(crate) struct SweepArgs {
     pub reuse: Vec<PathBuf>,
 
     /// Number of threads [default: one per core].
-    #[arg(long, short = 'j', help_heading = "Running", value_parser = clap::value_parser!(u16).range(1..=4096))]
+    #[arg(
+        long,
+        short = 'j',
+        help_heading = "Running",
+        value_parser = whole(1..=4096_u16),
+        allow_negative_numbers = true
+    )]
     pub threads: Option<u16>,
 
     /// Run only shard I of N, to share a sweep between machines. `reveille merge` combines their tables.
@@ -95,11 +101,11 @@ pub(crate) struct GridArgs {
     pub set: Vec<String>,
 
     /// Number of seeds, the same in every cell; the maximum with --until-ci [default: 100].
-    #[arg(long, value_parser = parse_whole, allow_negative_numbers = true, help_heading = "Seeds")]
+    #[arg(long, value_parser = whole(0..=u64::MAX), allow_negative_numbers = true, help_heading = "Seeds")]
     pub seeds: Option<u64>,
 
     /// First seed; the other seeds follow consecutively [default: 1].
-    #[arg(long, value_parser = parse_whole, allow_negative_numbers = true, help_heading = "Seeds")]
+    #[arg(long, value_parser = whole(0..=u64::MAX), allow_negative_numbers = true, help_heading = "Seeds")]
     pub first_seed: Option<u64>,
 
     /// Stop a cell when the 95 % confidence intervals of its metrics reach this width: half-width over mean, such as 1%
@@ -113,7 +119,7 @@ pub(crate) struct GridArgs {
     pub ci_metrics: Option<Vec<String>>,
 
     /// Runs per cell before the first check of --until-ci, at most --seeds [default: 30].
-    #[arg(long, value_parser = parse_whole, allow_negative_numbers = true, help_heading = "Seeds")]
+    #[arg(long, value_parser = whole(0..=u64::MAX), allow_negative_numbers = true, help_heading = "Seeds")]
     pub min_seeds: Option<u64>,
 }
 

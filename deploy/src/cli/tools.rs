@@ -9,12 +9,17 @@ use reveille_common::ids::Tti;
 use reveille_common::keys::RunName;
 use reveille_common::message::{ClockCommand, Pace};
 
-use super::parse::{parse_duration, parse_pace, parse_sizes};
+use super::examples::examples;
+use super::parse::{parse_duration, parse_pace, parse_sizes, whole};
 
 /// Subcommands of `reveille scenario`.
 #[derive(Subcommand)]
 pub(crate) enum ScenarioCommand {
     /// Print a scenario with every field, or list the presets if no name is given.
+    #[command(after_help = examples!(
+        "reveille scenario show",
+        "reveille scenario show paper --set harvest.lambda=0.05",
+    ))]
     Show {
         /// Preset name or TOML file.
         source: Option<String>,
@@ -23,6 +28,10 @@ pub(crate) enum ScenarioCommand {
         set: Vec<String>,
     },
     /// Print a JSON Schema of scenario files, for completion and validation in editors.
+    #[command(after_help = examples!(
+        "reveille scenario schema",
+        "reveille scenario schema --out scenario.schema.json",
+    ))]
     Schema {
         /// Write the output to this file [default: standard output].
         #[arg(long, value_name = "FILE")]
@@ -36,6 +45,10 @@ pub(crate) enum ScenarioCommand {
         out: Option<PathBuf>,
     },
     /// Validate scenario files, and print a summary of each.
+    #[command(after_help = examples!(
+        "reveille scenario check my.toml",
+        "reveille scenario check paper quick --set devices=100",
+    ))]
     Check {
         /// Preset names or TOML files.
         #[arg(required = true)]
@@ -74,36 +87,51 @@ pub(crate) struct ClockArgs {
 /// Clock commands.
 #[derive(Subcommand, Clone, Copy)]
 pub enum ClockAction {
-    /// Pause the run before the next TTI. The command returns when the open TTI is closed, or reports after 2 s that it
-    /// is still open.
+    /// Pause the run before its next time slot (TTI).
+    ///
+    /// The command returns when the open TTI is closed, or reports after 2 s that it is still open.
+    #[command(after_help = examples!("reveille clock pause", "reveille clock pause --run demo"))]
     Pause,
-    /// Advance the given number of TTIs, then pause. Without --wait, the command returns immediately.
+    /// Run the given number of time slots (TTIs), then pause.
+    ///
+    /// Without --wait, the command returns immediately.
+    #[command(after_help = examples!("reveille clock step", "reveille clock step 50 --wait"))]
     Step {
         /// Number of TTIs to advance.
-        #[arg(default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..))]
+        #[arg(default_value_t = 1, value_parser = whole(1..=u64::MAX), allow_negative_numbers = true)]
         ttis: u64,
         /// Return only when the clock has paused there or the run has ended. A run that fails or is interrupted
         /// earlier, or a clock that another command stops earlier, is an error.
         #[arg(long)]
         wait: bool,
     },
-    /// Advance until this TTI is next, then pause. Without --wait, the command returns immediately.
+    /// Run up to the given time slot (TTI), then pause.
+    ///
+    /// Without --wait, the command returns immediately.
+    #[command(after_help = examples!("reveille clock run-to 4000", "reveille clock run-to 4000 --wait"))]
     RunTo {
         /// TTI before which the clock pauses.
+        #[arg(value_parser = whole(0..=u64::MAX), allow_negative_numbers = true)]
         tti: u64,
-        /// Return only when the clock has paused there, as for `step`.
+        /// Return only when the clock has paused there or the run has ended, as for `step`.
         #[arg(long)]
         wait: bool,
     },
-    /// Resume the run until its end.
+    /// Resume a paused run until its end.
+    #[command(after_help = examples!("reveille clock resume", "reveille clock resume --run demo"))]
     Resume,
-    /// Change the pace of the run.
+    /// Set the real time that the run spends on each time slot (TTI).
+    #[command(after_help = examples!("reveille clock pace 20ms", "reveille clock pace max"))]
     Pace {
         /// Real time per TTI, such as 4ms; `max` runs as fast as the devices answer.
         #[arg(value_parser = parse_pace, allow_hyphen_values = true)]
         pace: Pace,
     },
-    /// Print the position of the clock.
+    /// Print whether the run is paused, and its next time slot (TTI).
+    #[command(after_help = examples!(
+        "reveille clock status",
+        "reveille clock status --run demo --connect tcp/192.0.2.7:7447",
+    ))]
     Status,
 }
 
@@ -133,15 +161,21 @@ impl From<ClockAction> for ClockCommand {
 /// Subcommands of `reveille bench`.
 #[derive(Subcommand)]
 pub(crate) enum BenchCommand {
-    /// Measure TTIs per second over the bus, compared with bare zenoh and unix-socket barriers in the same session.
+    /// Measure the speed of runs over the bus, in TTIs per second.
+    ///
+    /// For comparison, the same session measures bare barriers over zenoh and over unix sockets.
+    #[command(after_help = examples!("reveille bench bus", "reveille bench bus --processes 4,50 --time 10s"))]
     Bus(BusBenchArgs),
-    /// Measure device-TTIs per second in memory, on one core.
+    /// Measure the speed of runs in memory on one core, in device-TTIs per second.
+    #[command(after_help = examples!("reveille bench memory", "reveille bench memory --devices 50,250 --policies knn"))]
     Memory(MemoryBenchArgs),
-    /// Measure the cost of a device-TTI against the number of devices: in memory, over the bus, and over the bus
-    /// without lookahead.
+    /// Measure the cost of a device-TTI against the number of devices.
+    ///
+    /// The runs are in memory, over the bus, and over the bus without lookahead.
+    #[command(after_help = examples!("reveille bench scale", "reveille bench scale --devices 10,100 --ttis 500"))]
     Scale(ScaleBenchArgs),
-    /// Measure TTIs per second of a run with a recording, a metrics reader and a browser dashboard, compared with the
-    /// run alone.
+    /// Measure the slowdown of a run by a recording, a metrics reader and a browser dashboard.
+    #[command(after_help = examples!("reveille bench watch", "reveille bench watch --devices 50 --browsers 0"))]
     Watch(WatchBenchArgs),
     /// Run one host of a bare barrier.
     #[command(hide = true)]
@@ -168,14 +202,15 @@ pub(crate) struct BusBenchArgs {
         long,
         value_delimiter = ',',
         default_value = "1,4,50,250",
-        value_parser = clap::value_parser!(u32).range(1..)
+        value_parser = whole(1..=u32::MAX),
+        allow_negative_numbers = true
     )]
     pub processes: Vec<u32>,
     /// Duration of each measurement.
     #[arg(long, default_value = "3s", value_parser = parse_duration)]
     pub time: Duration,
     /// Number of repetitions; the result is the median ratio.
-    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, default_value_t = 3, value_parser = whole(1..=u32::MAX), allow_negative_numbers = true)]
     pub repeat: u32,
 }
 
@@ -188,23 +223,30 @@ pub(crate) struct ScaleBenchArgs {
         short = 'n',
         value_delimiter = ',',
         default_value = "10,100,1000,10000",
-        value_parser = clap::value_parser!(u32).range(1..)
+        value_parser = whole(1..=u32::MAX),
+        allow_negative_numbers = true
     )]
     pub devices: Vec<u32>,
     /// Number of device processes, at most the number of devices.
-    #[arg(long, short = 'P', default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, short = 'P', default_value_t = 8, value_parser = whole(1..=u32::MAX), allow_negative_numbers = true)]
     pub processes: u32,
     /// Policy of the runs.
     #[arg(long, short, default_value = "knn")]
     pub policy: String,
     /// Length of each run in TTIs.
-    #[arg(long, short = 'k', default_value_t = 1_000)]
+    #[arg(
+        long,
+        short = 'k',
+        default_value_t = 1_000,
+        value_parser = whole(0..=u64::MAX),
+        allow_negative_numbers = true
+    )]
     pub ttis: u64,
     /// Scale the area with the number of devices, to keep the density of 50 devices on the preset's area.
     #[arg(long)]
     pub keep_density: bool,
     /// Number of repetitions; the results are medians.
-    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, default_value_t = 3, value_parser = whole(1..=u32::MAX), allow_negative_numbers = true)]
     pub repeat: u32,
 }
 
@@ -215,19 +257,25 @@ pub(crate) struct WatchBenchArgs {
     #[arg(long, short, default_value = "knn")]
     pub policy: String,
     /// Number of devices.
-    #[arg(long, short = 'n', default_value_t = 250)]
+    #[arg(long, short = 'n', default_value_t = 250, value_parser = whole(0..=u32::MAX), allow_negative_numbers = true)]
     pub devices: u32,
     /// Number of device processes.
-    #[arg(long, short = 'P', default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, short = 'P', default_value_t = 10, value_parser = whole(1..=u32::MAX), allow_negative_numbers = true)]
     pub processes: u32,
     /// Length of each run in TTIs.
-    #[arg(long, short = 'k', default_value_t = 40_000)]
+    #[arg(
+        long,
+        short = 'k',
+        default_value_t = 40_000,
+        value_parser = whole(0..=u64::MAX),
+        allow_negative_numbers = true
+    )]
     pub ttis: u64,
     /// Number of browsers that show the dashboard.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, value_parser = whole(0..=u32::MAX), allow_negative_numbers = true)]
     pub browsers: u32,
     /// Number of pairs of runs; the result is the median ratio.
-    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, default_value_t = 5, value_parser = whole(1..=u32::MAX), allow_negative_numbers = true)]
     pub repeat: u32,
 }
 
@@ -235,13 +283,19 @@ pub(crate) struct WatchBenchArgs {
 #[derive(Args)]
 pub(crate) struct MemoryBenchArgs {
     /// Numbers of devices to measure.
-    #[arg(long, value_delimiter = ',', default_value = "10,50,250,2500")]
+    #[arg(
+        long,
+        value_delimiter = ',',
+        default_value = "10,50,250,2500",
+        value_parser = whole(0..=u32::MAX),
+        allow_negative_numbers = true
+    )]
     pub devices: Vec<u32>,
     /// Policies to measure.
     #[arg(long, value_delimiter = ',', default_values_t = registry::names().map(str::to_owned))]
     pub policies: Vec<String>,
     /// Length of each run in TTIs.
-    #[arg(long, default_value_t = 100_000)]
+    #[arg(long, default_value_t = 100_000, value_parser = whole(0..=u64::MAX), allow_negative_numbers = true)]
     pub ttis: u64,
     /// Scale the area with the number of devices, to keep the density of 250 devices on the preset's area.
     #[arg(long)]

@@ -1,6 +1,5 @@
 //! Options of `reveille train`.
 
-use std::num::NonZero;
 use std::path::PathBuf;
 
 use anyhow::bail;
@@ -8,37 +7,41 @@ use clap::{Args, Subcommand};
 use reveille_bs::policy::dt::model::ModelObjective;
 use reveille_bs::policy::q_learning::learned::{Lookback, QTrainingConfig};
 
+use super::examples::examples;
+use super::parse::{any_whole, parse_number, whole};
 use super::run::ScenarioArgs;
 use super::sweep::GridArgs;
 
 /// Subcommands of `reveille train`.
 #[derive(Subcommand)]
 pub(crate) enum TrainCommand {
-    /// Learn duty cycling and wake-ups for each window and N, and write the tables to a file.
-    #[command(after_help = "Examples:\n  reveille train q-learning --out mine.json\n  \
-        reveille train q-learning --devices 700 --set policy.q-learning.mu1=5 --out mine.json\n  \
-        reveille train q-learning --windows 1,2,4 --out mine.json\n  \
-        reveille train q-learning --windows ages --out ages.json\n\
-        Then:\n  reveille run --policy q-learning --set policy.q-learning.table=mine.json\n\n\
-        To resume an interrupted training, repeat the same command; this also works after kill -9.")]
+    /// Train the q-learning policy, and write its tables to a file.
+    ///
+    /// The tables decide duty cycles and wake-ups, for each window and number of devices. Use them with `reveille run
+    /// --policy q-learning --set policy.q-learning.table=FILE`.
+    ///
+    /// To resume an interrupted training, repeat the same command; this also works after kill -9.
+    #[command(after_help = examples!(
+        "reveille train q-learning --out mine.json",
+        "reveille train q-learning --devices 700 --set policy.q-learning.mu1=5 --out mine.json",
+    ))]
     QLearning(TrainArgs),
-    /// Record training data for `train dt`: the observation, action and reward in every TTI of many runs, under any
-    /// policy.
-    #[command(
-        after_help = "Examples:\n  reveille train record -p age-index --grid policy.age-index.price=0.1,0.35,1 \
-        -n 50,250 --seeds 8 --out calm.parquet\n  \
-        reveille train record -p q-learning,knn -n 50,250 --set events.process=bursts --explore 0,0.1 \
-        --out bursts.parquet\n  \
-        reveille train record --from runs/monday --from runs/tuesday --out testbed.parquet\n\
-        Then:\n  reveille train dt calm.parquet bursts.parquet --out model.safetensors"
-    )]
+    /// Record training data for `train dt` in many runs, under any policy.
+    ///
+    /// The data are the observation, action and reward in every TTI.
+    #[command(after_help = examples!(
+        "reveille train record -p knn,age-index -n 50,250 --seeds 8 --out calm.parquet",
+        "reveille train record --from runs/monday --from runs/tuesday --out testbed.parquet",
+    ))]
     Record(RecordArgs),
-    /// Train the decision transformer from recorded trajectories only.
-    #[command(
-        after_help = "Examples:\n  reveille train dt calm.parquet bursts.parquet --out model.safetensors\n\
-        Then:\n  reveille run --policy dt --set policy.dt.model=model.safetensors\n\n\
-        Needs a build with the cargo feature train-dt: cargo run --release --features train-dt -- train dt …"
-    )]
+    /// Train the decision transformer, the model of the `dt` policy, from recorded runs.
+    ///
+    /// Use the model with `reveille run --policy dt --set policy.dt.model=FILE`. Training needs a build with the cargo
+    /// feature `train-dt`: cargo run --release --features train-dt -- train dt …
+    #[command(after_help = examples!(
+        "reveille train dt calm.parquet --out model.safetensors",
+        "reveille train dt calm.parquet bursts.parquet --steps 1000 --out model.safetensors",
+    ))]
     Dt(DtArgs),
 }
 
@@ -68,19 +71,19 @@ pub(crate) struct DtArgs {
     #[arg(long)]
     pub no_space: bool,
     /// Maximum number of optimiser steps.
-    #[arg(long, default_value_t = 3000, value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, default_value_t = 3000, value_parser = whole(1..=u64::MAX), allow_negative_numbers = true)]
     pub steps: u64,
     /// Approximate number of device-TTIs in the batch of a step.
-    #[arg(long, default_value_t = 16_000, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, default_value_t = 16_000, value_parser = whole(1..=u32::MAX), allow_negative_numbers = true)]
     pub batch: u32,
     /// Initial learning rate.
-    #[arg(long, default_value_t = 0.002)]
+    #[arg(long, default_value_t = 0.002, value_parser = parse_number, allow_negative_numbers = true)]
     pub rate: f64,
     /// Stop after this many consecutive validations without improvement; a validation follows every 200 steps.
-    #[arg(long, default_value_t = 6, value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, default_value_t = 6, value_parser = whole(1..=u64::MAX), allow_negative_numbers = true)]
     pub patience: u64,
     /// Seed of every random draw.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, value_parser = whole(0..=u64::MAX), allow_negative_numbers = true)]
     pub seed: u64,
     /// Hide progress messages.
     #[arg(long, short)]
@@ -100,13 +103,32 @@ pub(crate) struct RecordArgs {
     #[command(flatten)]
     pub grid: GridArgs,
     /// Length of a chunk in consecutive TTIs.
-    #[arg(long, default_value_t = 16, value_name = "TTIS", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    #[arg(
+        long,
+        default_value_t = 16,
+        value_name = "TTIS",
+        value_parser = whole(1..=100_000_u32),
+        allow_negative_numbers = true
+    )]
     pub chunk: u32,
     /// TTIs from the start of one chunk to the start of the next; must exceed --chunk.
-    #[arg(long, default_value_t = 100, value_name = "TTIS")]
+    #[arg(
+        long,
+        default_value_t = 100,
+        value_name = "TTIS",
+        value_parser = whole(0..=u32::MAX),
+        allow_negative_numbers = true
+    )]
     pub every: u32,
     /// Shares of TTIs in which a device deviates from its policy, separated by commas. Runs use the shares in turn.
-    #[arg(long, value_delimiter = ',', default_value = "0,0.02,0.1", value_name = "SHARE,…")]
+    #[arg(
+        long,
+        value_delimiter = ',',
+        default_value = "0,0.02,0.1",
+        value_name = "SHARE,…",
+        value_parser = parse_number,
+        allow_negative_numbers = true
+    )]
     pub explore: Vec<f64>,
     /// Let policies that ignore batteries use the recorded levels to find devices that can pay for a report. If
     /// bs.battery_knowledge is "oracle", these are the true levels. Such policies then wake other devices than without
@@ -138,7 +160,9 @@ pub(crate) struct TrainArgs {
         long,
         short = 'n',
         value_delimiter = ',',
-        default_value = "10,20,40,60,80,100,130,160,200,250"
+        default_value = "10,20,40,60,80,100,130,160,200,250",
+        value_parser = whole(0..=u32::MAX),
+        allow_negative_numbers = true
     )]
     pub devices: Vec<u32>,
     /// Windows to train for, separated by commas. A window is the number of TTIs in which the area must be covered
@@ -224,10 +248,10 @@ const DECIDED: [(&str, &str); 7] = [
 #[derive(Args)]
 pub(crate) struct EpisodeArgs {
     /// Number of episodes per table, each with a different deployment.
-    #[arg(long, default_value_t = 36)]
+    #[arg(long, default_value_t = 36, value_parser = any_whole(1..=100_000_u64), allow_negative_numbers = true)]
     pub episodes: u64,
     /// Length of an episode in TTIs.
-    #[arg(long, default_value_t = 3000)]
+    #[arg(long, default_value_t = 3000, value_parser = any_whole(10..=100_000_000_u64), allow_negative_numbers = true)]
     pub episode_ttis: u64,
     /// Shares of random decisions in the first and in the last episode.
     #[arg(
@@ -235,15 +259,17 @@ pub(crate) struct EpisodeArgs {
         value_delimiter = ',',
         num_args = 1,
         default_value = "0.1,0.03",
-        value_name = "FIRST,LAST"
+        value_name = "FIRST,LAST",
+        value_parser = parse_number,
+        allow_negative_numbers = true
     )]
     pub epsilon: Vec<f64>,
     /// Seed of every random draw.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, value_parser = whole(0..=u64::MAX), allow_negative_numbers = true)]
     pub seed: u64,
     /// Number of threads; the result does not depend on it [default: one per core].
-    #[arg(long)]
-    pub threads: Option<NonZero<usize>>,
+    #[arg(long, value_parser = whole(1..=4096_u16), allow_negative_numbers = true)]
+    pub threads: Option<u16>,
 }
 
 impl EpisodeArgs {

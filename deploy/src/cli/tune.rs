@@ -7,14 +7,8 @@ use clap::{Args, ValueEnum};
 use super::ImageFormatArg;
 #[cfg(feature = "tune")]
 use super::ScenarioArgs;
+use super::parse::{any_whole, parse_number, whole};
 use super::train::EpisodeArgs;
-
-/// Text below the options in the help.
-pub(super) const EXAMPLES: &str = "Examples:\n  reveille tune -n 100 --out tuning.csv\n  \
-    reveille tune -n 100 --set bs.ranking=posterior --objective efficiency --out efficiency.csv\n  \
-    reveille tune --picture-only tuning.csv\n\n\
-    To resume an interrupted tuning, repeat the same command; this also works after kill -9. To extend a finished \
-    tuning, repeat it with more --iterations.";
 
 /// Arguments of `reveille tune`.
 #[derive(Args)]
@@ -33,11 +27,23 @@ pub(crate) struct TuneArgs {
     #[arg(long, value_enum, default_value = "balance")]
     pub objective: ObjectiveArg,
     /// Weight of energy in the balance: information (P1) per unit spent per device and TTI.
-    #[arg(long, default_value_t = 1.0, value_name = "WEIGHT")]
+    #[arg(
+        long,
+        default_value_t = 1.0,
+        value_name = "WEIGHT",
+        value_parser = parse_number,
+        allow_negative_numbers = true
+    )]
     pub energy_weight: f64,
     /// Weight of misdetection in the balance: information (P1) for a misdetected share of 1, in addition to the
     /// information missing from those events.
-    #[arg(long, default_value_t = 1.0, value_name = "WEIGHT")]
+    #[arg(
+        long,
+        default_value_t = 1.0,
+        value_name = "WEIGHT",
+        value_parser = parse_number,
+        allow_negative_numbers = true
+    )]
     pub miss_weight: f64,
     /// Minimum and maximum of μ1.
     #[arg(
@@ -45,7 +51,9 @@ pub(crate) struct TuneArgs {
         value_delimiter = ',',
         num_args = 1,
         default_value = "0.5,20",
-        value_name = "FROM,TO"
+        value_name = "FROM,TO",
+        value_parser = parse_number,
+        allow_negative_numbers = true
     )]
     pub mu1: Vec<f64>,
     /// Minimum and maximum of μ2.
@@ -54,23 +62,37 @@ pub(crate) struct TuneArgs {
         value_delimiter = ',',
         num_args = 1,
         default_value = "1,5",
-        value_name = "FROM,TO"
+        value_name = "FROM,TO",
+        value_parser = parse_number,
+        allow_negative_numbers = true
     )]
     pub mu2: Vec<f64>,
     /// Number of initial pairs of weights, at least 3, spread over the ranges. The first is the scenario's pair if it
     /// is within the ranges.
-    #[arg(long, default_value_t = 6, value_name = "PAIRS")]
+    #[arg(
+        long,
+        default_value_t = 6,
+        value_name = "PAIRS",
+        value_parser = any_whole(3..=1000_usize),
+        allow_negative_numbers = true
+    )]
     pub design: usize,
     /// Number of further pairs, each chosen from all earlier results.
-    #[arg(long, default_value_t = 10)]
+    #[arg(long, default_value_t = 10, value_parser = whole(0..=usize::MAX), allow_negative_numbers = true)]
     pub iterations: usize,
     #[command(flatten)]
     pub episodes: EpisodeArgs,
     /// Evaluation runs per pair; their seeds differ from all training seeds.
-    #[arg(long, default_value_t = 8)]
+    #[arg(long, default_value_t = 8, value_parser = any_whole(1..=10_000_u64), allow_negative_numbers = true)]
     pub seeds: u64,
     /// Length of an evaluation run in TTIs.
-    #[arg(long, short = 'k', default_value_t = 10_000)]
+    #[arg(
+        long,
+        short = 'k',
+        default_value_t = 10_000,
+        value_parser = any_whole(10..=1_000_000_000_u64),
+        allow_negative_numbers = true
+    )]
     pub ttis: u64,
     /// CSV file for the history; the picture is written to the same folder.
     #[arg(long, short, default_value = "tuning.csv")]

@@ -140,7 +140,7 @@ pub(crate) fn check(output: &OutputArgs, drive: &DriveArgs) -> anyhow::Result<()
 /// Returns the settings that the command line requests.
 pub(crate) fn settings(drive: &DriveArgs, output: &OutputArgs, window: u64) -> ServerConfig {
     if drive.no_lookahead && drive.pace != Pace::Max {
-        tracing::warn!("--no-lookahead has no effect: a real-time --pace grants every TTI by itself anyway");
+        tracing::warn!("--no-lookahead has no effect: a real-time --pace already grants every TTI separately");
     }
     ServerConfig {
         lookahead: !drive.no_lookahead,
@@ -149,7 +149,7 @@ pub(crate) fn settings(drive: &DriveArgs, output: &OutputArgs, window: u64) -> S
         window,
         join_patience: None,
         paused: drive.paused,
-        states_every: output.record_states.unwrap_or(0),
+        state_interval: output.record_states.unwrap_or(0),
         key: None,
         members_only: false,
     }
@@ -342,7 +342,7 @@ async fn play(
     match audited {
         Ok(audited) => Ok((served, audited.to_string())),
         Err(difference) => bail!(
-            "the run is not what it should be. {difference}{}",
+            "audit failed: the run diverged from its replay at {difference}{}",
             device_owner(progress, &difference)
         ),
     }
@@ -366,9 +366,7 @@ fn because(why: &str, error: &anyhow::Error) -> anyhow::Error {
         return anyhow!("{why}");
     }
     if let Some(BsError::HostLost { host, first, last, tti }) = error.downcast_ref() {
-        anyhow!(
-            "{why}: lost host {host} with devices {first} to {last} at TTI {tti}, and the run cannot go on without it"
-        )
+        anyhow!("{why}: lost host {host} with devices {first} to {last} at TTI {tti}; use --resume to continue the run")
     } else {
         anyhow!("{why}: {error:#}")
     }
@@ -405,8 +403,8 @@ async fn prepare(service: &Service<'_>, folder: &Path) -> anyhow::Result<RunServ
     let registered = run_registry::register(run, bus.endpoint(), service.settings.key);
     if let Err(error) = &registered {
         tracing::warn!(
-            "{error:#}: `clock` and `inspect` will not find this run by themselves; give them --run {run} and \
-             --connect {}, or let XDG_RUNTIME_DIR name a folder of your own",
+            "{error:#}: `clock` and `inspect` cannot find this run; give them --run {run} and --connect {}, or set \
+             XDG_RUNTIME_DIR to a folder that only you can write to",
             bus.endpoint()
         );
     }
@@ -427,7 +425,7 @@ async fn prepare(service: &Service<'_>, folder: &Path) -> anyhow::Result<RunServ
             hosts: get(&progress.hosts),
             late_ttis: get(&progress.late_ttis),
             max_late_s: get(&progress.max_late) as f64 / 1e9,
-            left_out: tapped.dropped_frames(),
+            dropped: tapped.dropped_frames(),
             // Filled in by `RunWatchers::start`, which knows the recorder.
             recorder_waited_s: 0.0,
         }
@@ -477,8 +475,8 @@ fn timing(served: &ServerOutcome, preparing: Duration) -> Timing {
         grants: served.grants,
         late_ttis: served.lateness.late,
         max_late_ms: served.lateness.max.as_secs_f64() * 1e3,
-        malformed: served.malformed,
-        strays: served.strays,
+        malformed_messages: served.malformed,
+        unexpected_messages: served.unexpected_messages,
         decisions: served.decisions.decided,
         decisions_refused: served.decisions.refused,
         decisions_held: served.decisions.held,

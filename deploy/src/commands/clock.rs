@@ -42,7 +42,7 @@ pub(crate) async fn run(args: &ClockArgs) -> anyhow::Result<ExitCode> {
         && !(status.tti.0..=status.ttis).contains(&k.0)
     {
         let ClockStatus { tti, ttis, .. } = status;
-        anyhow::bail!("TTI {k} cannot be run to: the next is TTI {tti}, and the run ends before TTI {ttis}");
+        anyhow::bail!("run-to {k}: must be from {tti}, the next TTI, to {ttis}, the end of the run");
     }
     let wait = if args.command.waits() {
         Some(Duration::MAX)
@@ -69,7 +69,7 @@ async fn reach(bus: &Bus, ended: &Notify, first: ClockStatus, patience: Duration
     let (mut waited, mut is_told) = (Duration::ZERO, false);
     loop {
         if status.paused && status.tti < target {
-            anyhow::bail!("{status}, short of TTI {target}: another command has stopped the clock");
+            anyhow::bail!("{status}: another command paused the clock before TTI {target}");
         }
         // Another command can have sent the clock beyond the target.
         if status.paused || status.tti > target || waited >= patience {
@@ -90,12 +90,12 @@ async fn reach(bus: &Bus, ended: &Notify, first: ClockStatus, patience: Duration
         let Some(now) = reply else {
             let seen = status.tti;
             if seen.0 >= ttis {
-                return Ok(format!("the run has ended: all {ttis} TTIs are done"));
+                return Ok(format!("finished: all {ttis} TTIs are done"));
             }
             // A target at the end of the run is reached by a run that has ended, even if no status showed it.
             anyhow::ensure!(
                 target.0 >= ttis,
-                "the run ended before TTI {target}: it was interrupted or has failed; last seen at TTI {seen} of {ttis}"
+                "the run was interrupted or failed before TTI {target}; last seen at TTI {seen} of {ttis}"
             );
             return Ok(format!("the run has ended; last seen at TTI {seen} of {ttis}"));
         };

@@ -45,7 +45,7 @@ fn read(path: &Path, compared: Option<ComparedRun>, mut see: impl FnMut(&Frame))
         }
     };
     if let Some(error) = torn {
-        let why = format!("{}: {error}; what is before is shown", named());
+        let why = format!("{}: {error}; the messages before this point are shown", named());
         note!("{why}");
         feed.mark_torn(why);
     }
@@ -77,7 +77,7 @@ fn matched(other: Option<(ComparedRun, String)>, scenario: &str) -> anyhow::Resu
     let Some((compared, other)) = other else {
         return Ok(None);
     };
-    let fields = fields(scenario, &other).context("the scenario of a recording")?;
+    let fields = fields(scenario, &other).context("the scenario of the recording or of --compare")?;
     Ok(Some(ComparedRun { fields, ..compared }))
 }
 
@@ -88,7 +88,7 @@ async fn recorded(path: &Path, args: &DashboardArgs) -> anyhow::Result<()> {
     // Installed after the recording is read: until then the default action ends the program.
     let signals = Signals::install(Manner::Leaves)?;
     let dashboard = serve(&args.listen, feed, None).await?;
-    note!("the recording is shown at {}; Ctrl-C ends", dashboard.url);
+    note!("dashboard at {}; press Ctrl-C to end", dashboard.url);
     signals.first().await;
     Ok(())
 }
@@ -103,7 +103,7 @@ async fn live(args: &DashboardArgs) -> anyhow::Result<()> {
     live.report_position();
     let feed = Feed::new(&live.run, &scenario, groups(&scenario), true, other);
     let dashboard = serve(&args.listen, Arc::clone(&feed), Some(live.bus())).await?;
-    note!("the run is shown at {}; Ctrl-C ends", dashboard.url);
+    note!("dashboard at {}; press Ctrl-C to end", dashboard.url);
     let hose = feed.open()?;
     live.follow(past, |frame| hose.take(frame)).await?;
     // Closes the feed, so that the page shows the end.
@@ -113,7 +113,7 @@ async fn live(args: &DashboardArgs) -> anyhow::Result<()> {
         let how = live
             .report_early_end()
             .map_or_else(|why| why.to_string(), |()| "the run has ended".to_owned());
-        note!("{how}; what was seen of it is shown until Ctrl-C");
+        note!("{how}; its messages are shown until Ctrl-C");
         signals.first().await;
     }
     Ok(())

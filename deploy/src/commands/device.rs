@@ -31,7 +31,10 @@ pub(crate) async fn run(args: &DeviceArgs) -> anyhow::Result<ExitCode> {
             note!("joined run {} as host {host} with devices {first} to {last}", args.run);
         }
         HostEvent::StandsBy if is_alone => {
-            note!("all devices of run {} are carried; standing by for lost ones", args.run);
+            note!(
+                "all devices of run {} have a host; standing by to take over lost devices",
+                args.run
+            );
         }
         HostEvent::Joined(..) | HostEvent::StandsBy => {}
     };

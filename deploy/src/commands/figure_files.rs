@@ -39,9 +39,9 @@ pub(super) fn write(args: &FigureOutputArgs, name: &str, scene: &Scene) -> anyho
 
 /// Writes a file to `folder`, which is created if needed, and prints its path.
 pub(super) fn save(folder: &Path, name: &str, bytes: &[u8]) -> anyhow::Result<()> {
-    fs::create_dir_all(folder).with_context(|| format!("{}: the folder cannot be made", folder.display()))?;
+    fs::create_dir_all(folder).with_context(|| format!("{}: cannot create this folder", folder.display()))?;
     let path = folder.join(name);
-    replace(&path, bytes).with_context(|| format!("{}: cannot be written", path.display()))?;
+    replace(&path, bytes).with_context(|| format!("{}: cannot write this file", path.display()))?;
     display::print(&format!("{}\n", path.display()))?;
     Ok(())
 }

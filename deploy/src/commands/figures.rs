@@ -50,7 +50,7 @@ fn draw_study(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
             let name = format!("{}-{label}", figure.name);
             let Some(drawing) = figure.draw(condition) else {
                 note!(
-                    "{}: not drawn, no run of {} has a value of {}",
+                    "{}: not drawn, as no run of {} has a value of {}",
                     figure.name,
                     condition.label(),
                     figure.metric
@@ -59,7 +59,7 @@ fn draw_study(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
             };
             for policy in &drawing.undefined {
                 note!(
-                    "{name}: without {policy}, none of whose runs has a value of {}",
+                    "{name}: drawn without {policy}, as none of its runs has a value of {}",
                     figure.metric
                 );
             }
@@ -98,8 +98,8 @@ fn hint(results: &Results) {
         .collect();
     for field in fields {
         note!(
-            "{field} is swept, which the paper's figures do not show: `reveille figures sweep TABLE --x {field} --y \
-             info_p1` draws a metric against it"
+            "{field} varies, which the figures of the paper do not show; use `reveille figures sweep TABLE --x {field} \
+             --y info_p1` to draw a metric against it"
         );
     }
 }
@@ -113,7 +113,11 @@ fn draw_trades(args: &FiguresArgs, label: &str, conditions: &[&RunCondition]) ->
     for trade in pareto::TRADES.iter().filter(|trade| is_chosen(args, trade.name)) {
         let name = format!("{}-{label}", trade.name);
         let Some(chart) = trade.chart(conditions) else {
-            note!("{name}: not drawn, no run has both {} and {}", trade.y, pareto::ENERGY);
+            note!(
+                "{name}: not drawn, as no run has both {} and {}",
+                trade.y,
+                pareto::ENERGY
+            );
             continue;
         };
         write(&args.pictures, &name, &chart.scene())?;
@@ -171,7 +175,7 @@ fn draw_energy(args: &FiguresArgs, label: &str, condition: &RunCondition) -> any
                 energy::net_csv(&chart).as_bytes(),
             )?;
         } else {
-            note!("{name}: not drawn, it needs runs of adjusted and random with 100 devices");
+            note!("{name}: not drawn, as it needs runs of adjusted and random with 100 devices");
         }
     }
     Ok(())
@@ -179,7 +183,7 @@ fn draw_energy(args: &FiguresArgs, label: &str, condition: &RunCondition) -> any
 
 fn draw_deployment(args: &DeploymentArgs) -> anyhow::Result<ExitCode> {
     let scenario = resolve(&args.scenario)?;
-    let moment = deployment::EventScene::of(&scenario, args.event)?;
+    let moment = deployment::EventScene::from_scenario(&scenario, args.event)?;
     let name = deployment::name(&scenario, &moment);
     write(&args.pictures, &name, &deployment::scene(&scenario, &moment))?;
     Ok(ExitCode::SUCCESS)
@@ -190,7 +194,7 @@ fn draw_attention(args: &AttentionArgs) -> anyhow::Result<ExitCode> {
     given.policy.get_or_insert_with(|| "dt".to_owned());
     let scenario = resolve(&given)?;
     let tti = args.tti.map_or_else(|| scenario.warm_up_end(), Tti);
-    let attention = AttentionFigure::of(&scenario, tti, &args.show)?;
+    let attention = AttentionFigure::from_scenario(&scenario, tti, &args.show)?;
     let name = format!("attention-n{}-s{}-t{tti}", scenario.run.devices, scenario.run.seed);
     write(&args.pictures, &name, &attention::scene(&scenario, &attention))?;
     save(&args.pictures.out, &format!("{name}.csv"), attention.csv().as_bytes())?;
@@ -238,7 +242,7 @@ fn draw_robustness(args: &RobustnessArgs) -> anyhow::Result<ExitCode> {
 fn draw_timeline(args: &TimelineArgs) -> anyhow::Result<ExitCode> {
     let scenario = resolve(&args.scenario)?;
     let from = args.from.unwrap_or(scenario.warm_up_end().0);
-    let shown = Timeline::of(&scenario, &args.show, from, args.length)?;
+    let shown = Timeline::from_scenario(&scenario, &args.show, from, args.length)?;
     let name = timeline::name(&scenario, &shown);
     write(&args.pictures, &name, &timeline::scene(&scenario, &shown))?;
     Ok(ExitCode::SUCCESS)
@@ -326,12 +330,15 @@ fn sweep(args: &SweepFigureArgs) -> anyhow::Result<ExitCode> {
     };
     let pictures = wish.draw(&results)?;
     if let Some(words) = several(&pictures) {
-        note!("{words}; --where FIELD=VALUE chooses");
+        note!("{words}; use --where FIELD=VALUE to choose");
     }
     for picture in &pictures {
         let name = wish.name(&picture.facet);
         for line in &picture.undefined {
-            note!("{name}: without {line}, none of whose runs has a value of {}", wish.y);
+            note!(
+                "{name}: drawn without {line}, as none of its runs has a value of {}",
+                wish.y
+            );
         }
         write(&args.pictures, &name, &picture.chart.scene())?;
         save(&args.pictures.out, &format!("{name}.csv"), picture.csv.as_bytes())?;

@@ -16,11 +16,11 @@ pub(crate) fn run(args: &MergeArgs) -> anyhow::Result<ExitCode> {
     let format = format(&args.out)?;
     let mut tables = Vec::with_capacity(args.shards.len());
     for given in &args.shards {
-        let path = table_of(given).map_err(|error| anyhow!("{error}; --partial merges shards without the others"))?;
+        let path = table_of(given).map_err(|error| anyhow!("{error}; use --partial to merge without it"))?;
         // --force would replace a table that has not been read yet.
         if is_same(&path, &args.out) {
             bail!(
-                "--out {}: is one of the tables to merge, which would be lost; name another file",
+                "--out {}: is one of the tables to merge; name another file",
                 args.out.display()
             );
         }
@@ -29,11 +29,11 @@ pub(crate) fn run(args: &MergeArgs) -> anyhow::Result<ExitCode> {
     }
     let table = merge(tables, args.partial)?;
     if args.out.exists() && !args.force {
-        bail!("{}: is there already; --force replaces it", args.out.display());
+        bail!("{}: file exists; use --force to replace it", args.out.display());
     }
     table.write(&args.out, format)?;
     let part = match &table.about.shard {
-        Some(shards) => format!(", of shards {shards} alone"),
+        Some(shards) => format!(", from shards {shards} only"),
         None => String::new(),
     };
     let runs = display::count(table.rows.len(), "run");

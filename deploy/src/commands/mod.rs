@@ -30,6 +30,7 @@ use reveille_bs::scenario::Scenario;
 use crate::cli::OutputArgs;
 use crate::display;
 use crate::exit::ExitReason;
+use crate::results_table::{self, Rows};
 use crate::summary::Summary;
 
 /// TTIs in a window of the per-window tables.
@@ -44,7 +45,8 @@ pub(crate) fn conclude(args: &OutputArgs, summary: &Summary<'_>, folder: &Path) 
     } else if args.quiet {
         display::print(&format!("digest {}\n", summary.digest))?;
     } else {
-        display::print(&display::table(summary))?;
+        let rows = if args.all_metrics { Rows::All } else { Rows::Main };
+        display::print(&results_table::text(summary, rows))?;
         display::print(&format!("results in {}\n", folder.display()))?;
     }
     Ok(if summary.status == "complete" {

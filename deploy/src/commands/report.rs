@@ -62,7 +62,7 @@ fn write_report(args: &ReportArgs) -> anyhow::Result<ExitCode> {
     let mut pictures = Vec::new();
     let mut files = Vec::new();
     for preset in report.missing() {
-        note!("report: no table of preset {preset}, so that there is no column of it");
+        note!("report: no table has runs of preset {preset}; the report has no column for it");
     }
     for (number, condition) in (1..).zip(report.drawn()) {
         for (name, scene) in scenes(condition)? {
@@ -127,9 +127,9 @@ fn command(args: &ReportArgs) -> String {
 /// Inserts `parts` between their marks in the optional page.
 fn into_page(page: Option<&Path>, parts: &[PageSection]) -> anyhow::Result<()> {
     let Some(path) = page else { return Ok(()) };
-    let text = fs::read_to_string(path).with_context(|| format!("{}: cannot be read", path.display()))?;
+    let text = fs::read_to_string(path).with_context(|| format!("{}: cannot read this file", path.display()))?;
     let filled = fill(&text, parts).with_context(|| path.display().to_string())?;
-    replace(path, filled.as_bytes()).with_context(|| format!("{}: cannot be written", path.display()))?;
+    replace(path, filled.as_bytes()).with_context(|| format!("{}: cannot write this file", path.display()))?;
     display::print(&format!("{}\n", path.display()))?;
     Ok(())
 }

@@ -25,13 +25,16 @@ pub(super) fn resolve_run(
     };
     if args.is_given() {
         anyhow::bail!(
-            "--resume {}: the scenario is the one in the folder; leave out the options that choose one",
+            "--resume {}: the folder already holds the scenario; leave out all options that change it",
             folder.display()
         );
     }
     let path = folder.join(SCENARIO);
     if !path.is_file() {
-        anyhow::bail!("--resume {}: there is no run in this folder", folder.display());
+        anyhow::bail!(
+            "--resume {}: the folder holds no run; name a run folder",
+            folder.display()
+        );
     }
     Ok((load_with_external(&path.to_string_lossy(), &[])?.scenario, None))
 }
@@ -43,7 +46,7 @@ fn resolve_new(args: &ScenarioArgs) -> anyhow::Result<(Scenario, Option<External
     };
     anyhow::ensure!(
         !log.as_os_str().is_empty(),
-        "--policy {REPLAY}FILE: name the {INPUTS} of a run, or its folder"
+        "--policy {REPLAY}: the file is missing; name the {INPUTS} of a run, or its folder"
     );
     let log = if log.is_dir() { log.join(INPUTS) } else { log };
     let mut args = ScenarioArgs {
@@ -51,20 +54,20 @@ fn resolve_new(args: &ScenarioArgs) -> anyhow::Result<(Scenario, Option<External
         ..args.clone()
     };
     // Without other options the scenario is the one in the log's run folder.
-    let beside = log.with_file_name(SCENARIO);
-    if !args.is_given() && beside.is_file() {
-        args.scenario = beside.to_string_lossy().into_owned();
+    let own_scenario = log.with_file_name(SCENARIO);
+    if !args.is_given() && own_scenario.is_file() {
+        args.scenario = own_scenario.to_string_lossy().into_owned();
     }
     // Set after `is_given`, for which only the user's own options count.
     args.policy = Some(outside::NAME.to_owned());
     let scenario = resolve_by(&args, load_with_external)?;
     let inputs = input_log::read_named(&log, &scenario).with_context(|| {
-        let beside = if beside.is_file() {
-            ", which needs no other option: its scenario is beside it"
+        let hint = if own_scenario.is_file() {
+            "; leave out the other scenario options to use the scenario in its folder"
         } else {
             ""
         };
-        format!("--policy {REPLAY}{}{beside}", log.display())
+        format!("--policy {REPLAY}{}{hint}", log.display())
     })?;
     Ok((scenario, Some(inputs)))
 }
@@ -75,8 +78,8 @@ pub(super) fn resolve(args: &ScenarioArgs) -> anyhow::Result<Scenario> {
     // Loads the scenario again to find out whether the policy `external` is the only problem.
     if resolved.is_err() && resolve_by(args, load_with_external).is_ok() {
         anyhow::bail!(
-            "the policy external decides nothing itself: another program does, for `reveille up` and `reveille bs`. \
-             Choose one of this program here with --policy"
+            "policy external: only `reveille up` and `reveille bs` can ask a policy process; choose a built-in policy \
+             with --policy"
         );
     }
     resolved
@@ -120,7 +123,7 @@ fn resolve_by(
     let learns = registry::named(name).is_some_and(|policy| policy.learns);
     if args.learn && !learns {
         anyhow::bail!(
-            "--learn: the policy {name} does not learn; add --policy {}",
+            "--learn: policy {name} does not learn; add --policy {}",
             registry::names_where(|policy| policy.learns)
         );
     }
@@ -134,7 +137,7 @@ fn resolve_by(
 fn give_once(args: &ScenarioArgs, flag: &str, field: &str) -> anyhow::Result<()> {
     let named = |text: &&String| text.split_once('=').is_some_and(|(name, _)| name.trim() == field);
     match args.set.iter().find(named) {
-        Some(text) => anyhow::bail!("{flag} and --set {text} both give {field}; leave one of them out"),
+        Some(text) => anyhow::bail!("{flag} and --set {text} both set {field}; leave one of them out"),
         None => Ok(()),
     }
 }

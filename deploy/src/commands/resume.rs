@@ -74,7 +74,7 @@ impl ResumePlan {
             && let Some(tti) = undecided(prepared, &inputs, to, progress)?
         {
             // The run was killed in a TTI with lost devices, or a power cut took the last decisions.
-            note!("{INPUTS} has no more than the decisions before TTI {tti}: the run is taken up there");
+            note!("{INPUTS} ends at TTI {tti}; resuming from there");
             inputs = inputs.before(tti);
             log.replace(&inputs)?;
             // From here on the run may decide differently, and then never reproduces a later mark.

@@ -99,8 +99,8 @@ pub(crate) fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     });
     if let Some(tti) = run.missing_decision() {
         let error = anyhow!(
-            "the log of inputs has no decision for TTI {tti} of {}: the run that it is of has not come further. \
-             `reveille up --resume` in the folder of that run asks for the rest",
+            "the input log has no decision for TTI {tti} of {}, as its run was interrupted; finish that run first with \
+             `reveille up --resume FOLDER`",
             scenario.run.ttis
         );
         shown.folder.fail(&error);
@@ -139,20 +139,20 @@ fn named(args: &RunArgs, scenario: &Scenario, given: Option<ExternalInputs>) -> 
     let Some(path) = &args.inputs else {
         ensure!(
             given.is_some() || args.output.resume.is_some() || !outside::is_external(&scenario.policy),
-            "--policy external: another program decides, and is asked over the bus: `reveille up` and `reveille bs` do \
-             that. In memory, --policy replay=FILE takes what it has decided, the inputs.log of such a run; and from \
-             Python a run can be stepped"
+            "--policy external: only `reveille up` and `reveille bs` can ask a policy process; use one of them, or \
+             repeat its decisions with --policy replay=FILE, the inputs.log of such a run, or step the run from Python"
         );
         return Ok(given);
     };
     ensure!(
         !outside::is_external(&scenario.policy),
-        "--inputs is for a policy of this program; decisions, and all else in the log, come with --policy replay=FILE"
+        "--inputs: policy external takes all inputs from --policy replay=FILE; use that option, or choose a built-in \
+         policy"
     );
-    let inputs = input_log::read(path, scenario).context("--inputs")?;
+    let inputs = input_log::read_named(path, scenario).context("--inputs")?;
     ensure!(
         inputs.decisions.is_empty(),
-        "--inputs: decisions are in it: {}",
+        "--inputs: the log holds decisions, but the policy is built in: {}",
         input_log::MISFIT
     );
     Ok(Some(inputs))
@@ -210,11 +210,11 @@ struct RunObservers<'a, F, W> {
 }
 
 impl<F: FnMut(Frame), W: Observer> Observer for RunObservers<'_, F, W> {
-    fn notify(&mut self, happening: &Notification<'_>) {
-        self.outages += usize::from(matches!(happening, Notification::Gone(_)));
-        self.folder.notify(happening);
-        self.framed.notify(happening);
-        self.watchers.notify(happening);
+    fn notify(&mut self, notification: &Notification<'_>) {
+        self.outages += usize::from(matches!(notification, Notification::DevicesRemoved(_)));
+        self.folder.notify(notification);
+        self.framed.notify(notification);
+        self.watchers.notify(notification);
     }
 
     fn wants_states(&self) -> bool {

@@ -70,7 +70,13 @@ fn warn(source: &str, warnings: &[String]) {
 /// Writes `text` to the file `out`, or prints it.
 fn write(out: Option<&Path>, text: &str) -> anyhow::Result<ExitCode> {
     match out {
-        Some(path) => std::fs::write(path, text).with_context(|| format!("{}: cannot be written", path.display()))?,
+        Some(path) => std::fs::write(path, text).with_context(|| {
+            format!(
+                "{}: cannot write this \
+            file",
+                path.display()
+            )
+        })?,
         None => display::print(text)?,
     }
     Ok(ExitCode::SUCCESS)

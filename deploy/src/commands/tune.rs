@@ -34,7 +34,7 @@ pub(crate) fn run(args: &TuneArgs) -> anyhow::Result<ExitCode> {
         .is_some_and(|ending| ending == "svg" || ending == "png")
     {
         bail!(
-            "{}: is the name of a picture; the history is a CSV, and its picture goes beside it",
+            "{}: the history is a CSV file and its picture gets the same name; use a name that ends in .csv",
             history.display()
         );
     }
@@ -59,7 +59,7 @@ pub(crate) fn run(args: &TuneArgs) -> anyhow::Result<ExitCode> {
     let history = tuner.history();
     if !ended? {
         note!(
-            "reveille: interrupted; the {} are kept in {}: give the same command again to go on",
+            "reveille: interrupted; the {} are kept in {}: give the same command again to resume",
             display::count(history.points.len(), "finished point"),
             args.out.display()
         );
@@ -83,7 +83,7 @@ fn plan(args: &TuneArgs) -> anyhow::Result<TuningPlan> {
     let ends = |name: &str, ends: &[f64]| match ends {
         &[from, to] => Ok((from, to)),
         _ => Err(anyhow!(
-            "--{name} takes the least and the largest weight, for example 1,5"
+            "--{name}: must be the smallest and the largest weight, for example 1,5"
         )),
     };
     let ranges = Ranges::new(ends("mu1", &args.mu1)?, ends("mu2", &args.mu2)?)?;
@@ -111,7 +111,7 @@ fn plan(args: &TuneArgs) -> anyhow::Result<TuningPlan> {
 fn announce(args: &TuneArgs, tuner: &Tuner) {
     let (found, file) = (tuner.history().points.len(), args.out.display());
     if tuner.torn() {
-        tracing::warn!("{file} ended in half a line, which is left out");
+        tracing::warn!("{file}: the last line is truncated; its point is repeated");
     }
     if found > 0 && !args.quiet {
         note!(
@@ -127,13 +127,13 @@ fn draw(history: &History, path: &Path, formats: &[ImageFormatArg]) -> anyhow::R
     // The ranges of the history apply: --picture-only draws points of an earlier command line.
     let (Some(mu1), Some(mu2)) = (history.range("mu1"), history.range("mu2")) else {
         bail!(
-            "{}: does not say in which ranges weights were looked for",
+            "{}: the ranges of the weights are missing; use a history that `reveille tune` wrote",
             path.display()
         );
     };
     if history.points.len() < reveille_lab::tuning::LEAST_DESIGN {
         bail!(
-            "{}: holds {}, and a picture needs {}",
+            "{}: holds {}, but a picture needs {}; continue the tuning first",
             path.display(),
             display::count(history.points.len(), "point"),
             reveille_lab::tuning::LEAST_DESIGN
@@ -149,7 +149,7 @@ fn draw(history: &History, path: &Path, formats: &[ImageFormatArg]) -> anyhow::R
             ImageFormatArg::Png => ("png", png::png(&scene)),
         };
         let file = path.with_extension(ending);
-        replace(&file, &bytes).map_err(|error| anyhow!("{}: cannot be written: {error}", file.display()))?;
+        replace(&file, &bytes).map_err(|error| anyhow!("{}: cannot write this file: {error}", file.display()))?;
         files.push(file);
     }
     Ok(files)
@@ -159,7 +159,7 @@ fn best(history: &History) -> anyhow::Result<&TuningPoint> {
     let first = history.ranked().first().copied();
     first
         .map(|number| &history.points[number])
-        .ok_or_else(|| anyhow!("the history holds no point"))
+        .ok_or_else(|| anyhow!("the history holds no points"))
 }
 
 /// The command line that trains tables with the best weights, with the settings of this tuning.

@@ -36,7 +36,7 @@ pub(crate) async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCod
     let processes = args.processes.unwrap_or(PROCESSES.min(devices));
     anyhow::ensure!(
         processes <= devices,
-        "--processes {processes}: there are only {devices} devices; 0 to {devices} is allowed"
+        "--processes {processes}: must be from 0 to {devices}, the number of devices"
     );
     if processes == 0 && args.drive.on_loss != OnLossArg::Wait {
         tracing::warn!("--on-loss has no effect: with --processes 0 there is no device process to lose");

@@ -59,7 +59,7 @@ impl ApiState {
         tokio::spawn(async move {
             loop {
                 // `notify_waiters` keeps no permit: the timeout covers a notification that came while nothing waited.
-                let rung = tokio::time::timeout(Duration::from_secs(1), own.bell.notified()).await;
+                let rung = tokio::time::timeout(Duration::from_secs(1), own.changed.notified()).await;
                 if rung.is_ok() {
                     tokio::time::sleep(BEAT).await;
                 }
@@ -84,7 +84,7 @@ impl ApiState {
         let busy = || {
             ApiError(
                 StatusCode::SERVICE_UNAVAILABLE,
-                "the dashboard is being ended".to_owned(),
+                "the dashboard is shutting down".to_owned(),
             )
         };
         let permit = Arc::clone(&self.readers).acquire_owned().await.map_err(|_| busy())?;
@@ -125,7 +125,7 @@ fn refused(served: &ApiState, request: &Request) -> Option<ApiError> {
     let host = get(header::HOST.as_str());
     // Against DNS rebinding: another site can make its own name resolve to this machine.
     if !is_allowed_host(host, served.at) {
-        let why = "this is served under its address alone".to_owned();
+        let why = "the request names another host; open the printed address".to_owned();
         return Some(ApiError(StatusCode::MISDIRECTED_REQUEST, why));
     }
     let own = host.map(|host| format!("http://{host}"));
@@ -133,14 +133,14 @@ fn refused(served: &ApiState, request: &Request) -> Option<ApiError> {
     if get(header::ORIGIN.as_str()).is_some_and(|origin| Some(origin) != own.as_deref()) {
         return Some(ApiError(
             StatusCode::FORBIDDEN,
-            "this comes from another site".to_owned(),
+            "the request comes from another site".to_owned(),
         ));
     }
     // A simple GET from another site has no Origin, but browsers mark it with this header.
     if get("sec-fetch-site") == Some("cross-site") && request.uri().path().starts_with("/api/") {
         return Some(ApiError(
             StatusCode::FORBIDDEN,
-            "a page of another site asks for this".to_owned(),
+            "the request comes from a page of another site".to_owned(),
         ));
     }
     let is_reading = request.method() == Method::GET;
@@ -148,7 +148,7 @@ fn refused(served: &ApiState, request: &Request) -> Option<ApiError> {
     let is_free = is_reading && (is_page || served.at.ip().is_loopback());
     // Compared in constant time, so that the response time reveals nothing about the token.
     let has_token = get(TOKEN).is_some_and(|token| token.as_bytes().ct_eq(served.token.as_bytes()).into());
-    let why = || "the token is missing: open the address that the program has printed".to_owned();
+    let why = || "the token is missing; open the address that the program printed".to_owned();
     (!is_free && !has_token).then(|| ApiError(StatusCode::UNAUTHORIZED, why()))
 }
 
@@ -182,11 +182,14 @@ pub(super) async fn tti(State(served): State<ApiState>, Path(tti): Path<u64>) ->
     let found = served.aside(move |feed| feed.at(Tti(tti))).await?;
     found
         .map(Json)
-        .ok_or_else(|| ApiError(StatusCode::NOT_FOUND, format!("TTI {tti} is not kept")))
+        .ok_or_else(|| ApiError(StatusCode::NOT_FOUND, format!("TTI {tti} is not in memory any more")))
 }
 
 fn alone() -> ApiError {
-    ApiError(StatusCode::NOT_FOUND, "there is no run to compare with".to_owned())
+    ApiError(
+        StatusCode::NOT_FOUND,
+        "the dashboard has no other run; start it with --compare".to_owned(),
+    )
 }
 
 pub(super) async fn other_tti(State(served): State<ApiState>, Path(tti): Path<u64>) -> ApiResult {
@@ -196,7 +199,7 @@ pub(super) async fn other_tti(State(served): State<ApiState>, Path(tti): Path<u6
     found
         .ok_or_else(alone)?
         .map(Json)
-        .ok_or_else(|| ApiError(StatusCode::NOT_FOUND, format!("the other run has no TTI {tti}")))
+        .ok_or_else(|| ApiError(StatusCode::NOT_FOUND, format!("TTI {tti} is not in the other run")))
 }
 
 pub(super) async fn other_curves(State(served): State<ApiState>) -> ApiResult {
@@ -226,23 +229,23 @@ pub(super) struct MessageQuery {
 
 impl MessageQuery {
     fn filter(&self, feed: &Feed) -> Result<Filter, ApiError> {
-        let refuse = |what: &str| ApiError(StatusCode::BAD_REQUEST, format!("there is no {what}"));
+        let refuse = |what: &str| ApiError(StatusCode::BAD_REQUEST, format!("no such {what}"));
         let plane = self.plane.as_deref().filter(|name| !name.is_empty());
         let plane = plane.map(|name| {
             Plane::ALL
                 .into_iter()
                 .find(|plane| plane.name() == name)
-                .ok_or_else(|| refuse("such plane"))
+                .ok_or_else(|| refuse("plane; use air, emu or truth"))
         });
         let kinds = listed(self.kind.as_deref());
         let kind = |name| MessageKind::ALL.iter().copied().find(|kind| kind.name() == name);
-        let kinds = kinds.map(|name| kind(name).ok_or_else(|| refuse("such kind")));
+        let kinds = kinds.map(|name| kind(name).ok_or_else(|| refuse("kind")));
         let state = |name| StateName::ALL.into_iter().find(|(own, _)| *own == name);
-        let states = listed(self.state.as_deref()).map(|name| state(name).ok_or_else(|| refuse("such state")));
+        let states = listed(self.state.as_deref()).map(|name| state(name).ok_or_else(|| refuse("state")));
         let own = self.device.map(DeviceId);
         let devices = match self.cluster {
             Some(number) => {
-                let group = feed.group(number).ok_or_else(|| refuse("such cluster"))?;
+                let group = feed.group(number).ok_or_else(|| refuse("cluster"))?;
                 Some(
                     group
                         .into_iter()
@@ -261,13 +264,13 @@ impl MessageQuery {
                 .map(|found| found.map(|(_, state)| state))
                 .collect::<Result<_, _>>()?,
         };
-        let (first, last) = feed.story(RunHistory::span);
+        let (first, last) = feed.history(RunHistory::span);
         let (from, end) = (
             first.0.max(self.since.unwrap_or(0)),
             last.0.min(self.until.unwrap_or(u64::MAX)),
         );
         if !filter.states.is_empty() && end.saturating_sub(from) > LONGEST {
-            let why = format!("states are looked for in at most {LONGEST} TTIs: say from which TTI to which");
+            let why = format!("a state filter covers at most {LONGEST} TTIs; limit it with from and to");
             return Err(ApiError(StatusCode::BAD_REQUEST, why));
         }
         filter.check().map_err(|why| ApiError(StatusCode::BAD_REQUEST, why))?;
@@ -286,11 +289,11 @@ pub(super) async fn messages(State(served): State<ApiState>, Query(wanted): Quer
     let most = wanted.limit.unwrap_or(MOST).min(MOST);
     let rows = served
         .aside(move |feed| {
-            feed.story(|story| {
+            feed.history(|story| {
                 let row = |(number, frame): (u64, &reveille_common::message::Frame)| {
                     let text = match frame.message() {
                         Ok(message) => message.to_string(),
-                        Err(error) => format!("not a message: {error}"),
+                        Err(error) => format!("invalid message: {error}"),
                     };
                     json!({
                         "id": number,
@@ -310,14 +313,17 @@ pub(super) async fn messages(State(served): State<ApiState>, Query(wanted): Quer
 }
 
 pub(super) async fn message(State(served): State<ApiState>, Path(number): Path<u64>) -> ApiResult {
-    let found = served.feed.story(|story| {
+    let found = served.feed.history(|story| {
         let frame = story.frame(number)?;
-        let line: Value = serde_json::from_str(&FrameLine::of(frame).to_json()).ok()?;
+        let line: Value = serde_json::from_str(&FrameLine::new(frame).to_json()).ok()?;
         Some(json!({ "message": line, "hex": hex(&frame.payload) }))
     });
-    found
-        .map(Json)
-        .ok_or_else(|| ApiError(StatusCode::NOT_FOUND, format!("message {number} is not kept")))
+    found.map(Json).ok_or_else(|| {
+        ApiError(
+            StatusCode::NOT_FOUND,
+            format!("message {number} is not in memory any more"),
+        )
+    })
 }
 
 /// The requested TTIs of a history.
@@ -343,11 +349,11 @@ pub(super) async fn device(
         let totals = span.at.and_then(|at| story.totals(DeviceId(device), Tti(at)));
         (story.history(DeviceId(device), from, end), totals)
     };
-    let (history, totals) = served.aside(move |feed| feed.story(look)).await?;
+    let (history, totals) = served.aside(move |feed| feed.history(look)).await?;
     if history.is_empty() {
         return Err(ApiError(
             StatusCode::NOT_FOUND,
-            format!("there is nothing of device {device} then"),
+            format!("device {device} has no history in these TTIs"),
         ));
     }
     Ok(Json(json!({
@@ -365,7 +371,7 @@ pub(super) async fn device(
             "battery": totals.battery.units(),
             "sensing_ttis": totals.sensing_ttis,
             "failed_ttis": totals.failed_ttis,
-            "dark_ttis": totals.dark_ttis,
+            "unpowered_ttis": totals.unpowered_ttis,
         })),
     })))
 }
@@ -393,8 +399,8 @@ pub(super) async fn command(
         ("pace", Some(0)) => ClockCommand::Pace(Pace::Max),
         ("pace", Some(n)) => ClockCommand::Pace(Pace::RealTime(n)),
         _ => {
-            let why =
-                "the clock knows pause, resume, step?n=1, run-to?n=4000, and pace?n=5000 for 5000 µs a TTI, 0 for none";
+            let why = "unknown clock command; use pause, resume, step?n=1, run-to?n=4000, or pace?n=5000 (µs per TTI, \
+                 0: no limit)";
             let why = why.to_owned();
             return Err(ApiError(StatusCode::BAD_REQUEST, why));
         }
@@ -404,13 +410,16 @@ pub(super) async fn command(
 
 async fn ask(served: &ApiState, command: ClockCommand) -> ApiResult {
     let Some(bus) = &served.bus else {
-        return Err(ApiError(StatusCode::CONFLICT, "a recording has no clock".to_owned()));
+        return Err(ApiError(
+            StatusCode::CONFLICT,
+            "a recording has no clock to control".to_owned(),
+        ));
     };
     match bus.query(&command, PATIENCE).await {
         // The clock ignores such a command; its status alone does not show that.
         Ok(Some(status)) if matches!(command, ClockCommand::RunTo(k) if k < status.tti || k.0 > status.ttis) => {
             let (next, ttis) = (status.tti, status.ttis);
-            let why = format!("the next TTI is {next}, and the run ends before TTI {ttis}: say one between");
+            let why = format!("run-to: must be from {next}, the next TTI, to {ttis}, the end of the run");
             Err(ApiError(StatusCode::BAD_REQUEST, why))
         }
         Ok(Some(status)) => Ok(Json(json!({ "status": status, "text": status.to_string() }))),

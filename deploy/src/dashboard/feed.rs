@@ -57,7 +57,7 @@ pub(crate) struct Feed {
     /// The run that this one is compared with.
     compared: Option<ComparedRun>,
     /// Notified when new data has arrived.
-    pub bell: Notify,
+    pub changed: Notify,
     /// Whether the feed is complete.
     is_over: AtomicBool,
 }
@@ -167,7 +167,7 @@ impl Feed {
             }),
             ttis: scenario.run.ttis,
             compared,
-            bell: Notify::new(),
+            changed: Notify::new(),
             is_over: AtomicBool::new(false),
         })
     }
@@ -200,7 +200,7 @@ impl Feed {
                     feed.end();
                     return;
                 }
-                feed.bell.notify_waiters();
+                feed.changed.notify_waiters();
             }
         };
         std::thread::Builder::new().name("dashboard".to_owned()).spawn(take)?;
@@ -232,7 +232,7 @@ impl Feed {
         // Released before the bell: the readers that it wakes take the lock.
         drop(known);
         self.is_over.store(true, Ordering::Relaxed);
-        self.bell.notify_waiters();
+        self.changed.notify_waiters();
     }
 
     /// The data that is constant during the run.
@@ -245,7 +245,7 @@ impl Feed {
         let mut known = self.known();
         let (first, next) = known.story.span();
         let moment = known.story.latest();
-        let mut now = self.told(Tti(next.0.saturating_sub(1)), &moment);
+        let mut now = self.snapshot_json(Tti(next.0.saturating_sub(1)), &moment);
         let events = known.story.now().events();
         now["first"] = json!(first);
         now["next"] = json!(next);
@@ -261,10 +261,10 @@ impl Feed {
     /// The data of TTI `tti`, if it is available.
     pub(crate) fn at(&self, tti: Tti) -> Option<Value> {
         let moment = self.known().story.at(tti)?;
-        Some(self.told(tti, &moment))
+        Some(self.snapshot_json(tti, &moment))
     }
 
-    fn told(&self, tti: Tti, moment: &TtiSnapshot) -> Value {
+    fn snapshot_json(&self, tti: Tti, moment: &TtiSnapshot) -> Value {
         let woken: Vec<Value> = moment
             .woken
             .iter()
@@ -337,7 +337,7 @@ impl Feed {
     }
 
     /// Calls `look` with the run's history.
-    pub(crate) fn story<T>(&self, look: impl FnOnce(&RunHistory) -> T) -> T {
+    pub(crate) fn history<T>(&self, look: impl FnOnce(&RunHistory) -> T) -> T {
         look(&self.known().story)
     }
 
@@ -367,7 +367,7 @@ impl FeedState {
         }
         if let Err(error) = self.story.push(frame) {
             self.broken = Some(format!(
-                "states are not known any more: {error}; start the dashboard once more"
+                "device states are unknown from here on: {error}; restart the dashboard"
             ));
         }
         let (_, next) = self.story.span();
@@ -396,9 +396,9 @@ impl FeedState {
         } else if let Message::Report(_) = message {
             self.under_way.push(format!("{whose} reported"));
         } else if let Message::Lost(_) = message {
-            self.under_way.push(format!("{whose} reported, and that was lost"));
+            self.under_way.push(format!("{whose} reported, report lost"));
         } else if let Message::Failed(_) = message {
-            self.under_way.push(format!("{whose} could not pay"));
+            self.under_way.push(format!("{whose} lacked energy to report"));
         } else if let Message::Woken(woken) = message {
             let came = match woken.outcome {
                 WakeOutcome::Reported(_) => {
@@ -406,9 +406,9 @@ impl FeedState {
                     self.under_way.pop();
                     "woken"
                 }
-                WakeOutcome::Failed(_) => "woken and could not pay",
-                WakeOutcome::Unheard => "did not hear",
-                WakeOutcome::Lost(_) => "woken, and its report was lost",
+                WakeOutcome::Failed(_) => "woken, lacked energy to report",
+                WakeOutcome::Missed => "missed the wake-up",
+                WakeOutcome::Lost(_) => "woken, report lost",
                 WakeOutcome::Late { .. } => "woken too late",
             };
             self.under_way.push(format!("{whose} {came}"));

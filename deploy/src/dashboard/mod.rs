@@ -57,7 +57,7 @@ pub(crate) async fn serve(address: &str, feed: Arc<Feed>, bus: Option<Bus>) -> a
     let named = || format!("--dashboard {address}");
     let listener = TcpListener::bind(address).await.with_context(named)?;
     let at: SocketAddr = listener.local_addr().with_context(named)?;
-    let token = token().context("cannot draw a token")?;
+    let token = token().context("cannot generate a token")?;
     // Browsers send no fragment to a server, so the token stays out of logs.
     let url = format!("http://{at}/#{token}");
     let served = ApiState::new(feed, bus, token, at);
@@ -94,7 +94,7 @@ pub(crate) async fn serve(address: &str, feed: Arc<Feed>, bus: Option<Bus>) -> a
         .with_state(served);
     tokio::spawn(async move {
         if let Err(error) = axum::serve(listener, router).await {
-            tracing::warn!(%error, "the dashboard is not served any more");
+            tracing::warn!(%error, "the dashboard server has stopped");
         }
     });
     Ok(Dashboard { url })

@@ -26,12 +26,12 @@ pub enum HostRequest {
 #[derive(Clone, Debug, PartialEq)]
 pub enum Disposition<T> {
     /// The host has this request already: it resends the answer as soon as the answer is complete.
-    Again,
+    Resend,
     /// The host cannot follow, because a message is missing or this one is stale. It waits for the base station to
     /// repeat the request.
-    Wait,
+    NotReady,
     /// The host executes this task.
-    Do(T),
+    Execute(T),
 }
 
 /// A grant to execute. Devices are numbered from 0 within the host's assignment.
@@ -67,7 +67,7 @@ pub struct GrantFollower {
     /// The first TTI of the current plan of this host.
     plan_from: Option<Tti>,
     /// Plans for TTIs that are not granted yet, by first TTI.
-    coming: BTreeMap<Tti, Plan>,
+    pending: BTreeMap<Tti, Plan>,
     /// The first TTI that is not granted yet.
     next: Tti,
     tick: Option<GrantMessage>,
@@ -107,7 +107,7 @@ impl GrantFollower {
             radio: *radio,
             air: Air::new(seed, radio),
             plan_from,
-            coming: BTreeMap::new(),
+            pending: BTreeMap::new(),
             next,
             tick: None,
             asked: None,
@@ -130,7 +130,7 @@ impl GrantFollower {
         let PlanUpdate { from, plan } = update;
         let is_due = from >= self.next && from < self.end;
         if is_due {
-            self.coming.insert(from, plan);
+            self.pending.insert(from, plan);
         }
         is_due
     }
@@ -139,9 +139,9 @@ impl GrantFollower {
     pub fn receive_grant(&mut self, tick: GrantMessage) -> Disposition<GrantTask> {
         let question = HostRequest::Grant(tick.last);
         if self.asked == Some(question) {
-            return Disposition::Again;
+            return Disposition::Resend;
         }
-        let own = || self.coming.range(..=tick.last).map(|(from, _)| *from);
+        let own = || self.pending.range(..=tick.last).map(|(from, _)| *from);
         let plan = own().next_back().or(self.plan_from);
         // The first TTI shows a lost grant; the last plan and the number of plans show a lost plan. The base station
         // then resends everything.
@@ -151,7 +151,7 @@ impl GrantFollower {
             || plan != Some(tick.plan)
             || own().count() != tick.plans as usize
         {
-            return Disposition::Wait;
+            return Disposition::NotReady;
         }
         // Before `listeners`, which uses δ of the grant's last TTI.
         let changes = self.follow(tick.last);
@@ -161,19 +161,19 @@ impl GrantFollower {
         };
         self.next = tick.last.saturating_add(1);
         (self.tick, self.asked) = (Some(tick), Some(question));
-        Disposition::Do(GrantTask { changes, listeners })
+        Disposition::Execute(GrantTask { changes, listeners })
     }
 
     /// Processes the end of the run before TTI `end`, which requests the ledgers.
     pub fn receive_finish(&mut self, end: Tti) -> Disposition<()> {
         if self.asked == Some(HostRequest::Ledgers) {
-            return Disposition::Again;
+            return Disposition::Resend;
         }
         if end != self.next {
-            return Disposition::Wait;
+            return Disposition::NotReady;
         }
         self.asked = Some(HostRequest::Ledgers);
-        Disposition::Do(())
+        Disposition::Execute(())
     }
 
     /// Processes a wake-up for `device`. Returns `None` if the device belongs to another host or the wake-up is outside
@@ -194,9 +194,9 @@ impl GrantFollower {
     /// Applies the plans that belong to a grant up to TTI `last`.
     fn follow(&mut self, last: Tti) -> Vec<(usize, Tti, DutyCycle)> {
         let mut changes = Vec::new();
-        let later = self.coming.split_off(&last.saturating_add(1));
+        let later = self.pending.split_off(&last.saturating_add(1));
         // In the order of TTIs, because `Air` never goes back.
-        for (from, plan) in std::mem::replace(&mut self.coming, later) {
+        for (from, plan) in std::mem::replace(&mut self.pending, later) {
             self.plan_from = Some(from);
             let Self { air, duties, first, .. } = self;
             air.deliver_plan(from, &plan, *first, duties.len(), |j, new| {

@@ -62,18 +62,18 @@ fn a_grant_is_followed_once() {
         changes,
         listeners: Vec::new(),
     };
-    assert_eq!(host.receive_grant(tick(0, 9, 0, 1)), Disposition::Do(turn));
+    assert_eq!(host.receive_grant(tick(0, 9, 0, 1)), Disposition::Execute(turn));
     assert_eq!((host.granted(), host.next()), (Tti(9), Tti(10)));
-    assert_eq!(host.receive_grant(tick(0, 9, 0, 1)), Disposition::Again);
-    assert_eq!(host.receive_grant(tick(0, 4, 0, 0)), Disposition::Wait, "stale");
+    assert_eq!(host.receive_grant(tick(0, 9, 0, 1)), Disposition::Resend);
+    assert_eq!(host.receive_grant(tick(0, 4, 0, 0)), Disposition::NotReady, "stale");
     assert_eq!(
         host.receive_grant(tick(11, 12, 0, 0)),
-        Disposition::Wait,
+        Disposition::NotReady,
         "one is missing before it"
     );
     assert_eq!(
         host.receive_grant(tick(10, 12, 0, 0)),
-        Disposition::Do(GrantTask::default())
+        Disposition::Execute(GrantTask::default())
     );
 }
 
@@ -85,11 +85,11 @@ fn it_waits_for_each_plan_that_goes_with_a_grant() {
     host.receive_plan(plan(7, &[5]));
     assert_eq!(
         host.receive_grant(grant),
-        Disposition::Wait,
+        Disposition::NotReady,
         "the plan of TTI 4 is missing"
     );
     host.receive_plan(plan(4, &[3, 4]));
-    let Disposition::Do(turn) = host.receive_grant(grant) else {
+    let Disposition::Execute(turn) = host.receive_grant(grant) else {
         panic!("everything is there");
     };
     let (on, off) = (DutyCycle::SENSING, DutyCycle::ASLEEP);
@@ -98,13 +98,13 @@ fn it_waits_for_each_plan_that_goes_with_a_grant() {
     assert!(!host.receive_plan(plan(7, &[3])), "sent again, when it was followed");
     assert_eq!(
         host.receive_grant(tick(10, 10, 10, 1)),
-        Disposition::Wait,
+        Disposition::NotReady,
         "it has another plan"
     );
     host.receive_plan(plan(12, &[3]));
     assert_eq!(
         host.receive_grant(tick(10, 11, 7, 0)),
-        Disposition::Do(GrantTask::default()),
+        Disposition::Execute(GrantTask::default()),
         "one that comes later has no say"
     );
 }
@@ -115,13 +115,13 @@ fn who_listens_has_delta_1_and_is_within_reach() {
     host.receive_plan(plan(0, &[3, 5]));
     let mut grant = tick(0, 0, 0, 1);
     grant.stimulus = Some(event_at(2.0));
-    let Disposition::Do(turn) = host.receive_grant(grant) else {
+    let Disposition::Execute(turn) = host.receive_grant(grant) else {
         panic!("everything is there");
     };
     assert_eq!(turn.listeners, [0, 2], "at 2 m and, just so, at 4 m");
     let mut grant = tick(1, 1, 0, 0);
     grant.stimulus = Some(event_at(1.9));
-    let Disposition::Do(turn) = host.receive_grant(grant) else {
+    let Disposition::Execute(turn) = host.receive_grant(grant) else {
         panic!("everything is there");
     };
     assert_eq!(turn.listeners, [0]);
@@ -187,14 +187,14 @@ fn who_wakes_late_finds_what_is_there_then() {
 #[test]
 fn the_end_is_followed_once_and_in_its_place() {
     let mut host = follower();
-    assert_eq!(host.receive_finish(Tti(10)), Disposition::Wait);
+    assert_eq!(host.receive_finish(Tti(10)), Disposition::NotReady);
     host.receive_plan(plan(0, &[]));
     host.receive_grant(tick(0, 9, 0, 1));
-    assert_eq!(host.receive_finish(Tti(10)), Disposition::Do(()));
-    assert_eq!(host.receive_finish(Tti(10)), Disposition::Again);
+    assert_eq!(host.receive_finish(Tti(10)), Disposition::Execute(()));
+    assert_eq!(host.receive_finish(Tti(10)), Disposition::Resend);
     assert_eq!(
         host.receive_grant(tick(0, 9, 0, 1)),
-        Disposition::Wait,
+        Disposition::NotReady,
         "the grant is answered"
     );
 }
@@ -203,10 +203,10 @@ fn the_end_is_followed_once_and_in_its_place() {
 fn nothing_reaches_beyond_the_end_of_the_run() {
     let mut host = follower();
     host.receive_plan(plan(0, &[]));
-    assert_eq!(host.receive_grant(tick(0, END.0, 0, 1)), Disposition::Wait);
-    assert_eq!(host.receive_grant(tick(0, u64::MAX, 0, 1)), Disposition::Wait);
+    assert_eq!(host.receive_grant(tick(0, END.0, 0, 1)), Disposition::NotReady);
+    assert_eq!(host.receive_grant(tick(0, u64::MAX, 0, 1)), Disposition::NotReady);
     assert!(!host.receive_plan(plan(END.0, &[3])) && !host.receive_plan(plan(u64::MAX, &[3])));
-    assert_ne!(host.receive_grant(tick(0, END.0 - 1, 0, 1)), Disposition::Wait);
+    assert_ne!(host.receive_grant(tick(0, END.0 - 1, 0, 1)), Disposition::NotReady);
     assert_eq!(host.next(), END);
 }
 
@@ -247,7 +247,7 @@ fn over_a_bad_link_it_follows_what_was_planned() {
                     match heard {
                         Heard::Plan(update) => drop(host.receive_plan(update)),
                         Heard::Grant(tick) => {
-                            if let Disposition::Do(turn) = host.receive_grant(tick) {
+                            if let Disposition::Execute(turn) = host.receive_grant(tick) {
                                 assert!(tick == grant && followed.is_none(), "followed twice, or out of turn");
                                 followed = Some(turn);
                             }

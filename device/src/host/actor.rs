@@ -16,7 +16,7 @@ pub(crate) enum DeviceCommand {
     /// Air plane: δ from a TTI on.
     Duty(Tti, DutyCycle),
     /// Emulation plane: end all TTIs before this one and add the totals to the round.
-    Settle(Tti, Arc<Round>),
+    AdvanceTo(Tti, Arc<Round>),
     /// Emulation plane: begin this TTI, if it has not begun, and add state and battery to the round.
     View(Tti, Arc<Round>),
     /// The stimulus of the physical world in a TTI.
@@ -50,10 +50,10 @@ impl Actor {
         while let Some(input) = mailbox.recv().await {
             match input {
                 DeviceCommand::Duty(from, duty) => self.machine.set_duty(from, duty),
-                DeviceCommand::Settle(k, round) => {
+                DeviceCommand::AdvanceTo(k, round) => {
                     self.machine.advance_to(k);
                     round.add(
-                        &DeviceAnswer::Books(self.machine.id(), Box::new(self.machine.ledger())),
+                        &DeviceAnswer::Ledger(self.machine.id(), Box::new(self.machine.ledger())),
                         &self.uplink,
                     );
                 }
@@ -98,7 +98,7 @@ impl Actor {
         match outcome {
             // The modelled air loses a report after transmission, and the base station draws that loss itself.
             WakeOutcome::Reported(report) | WakeOutcome::Lost(report) => self.uplink.report(&report),
-            WakeOutcome::Failed(_) | WakeOutcome::Unheard | WakeOutcome::Late { .. } => {
+            WakeOutcome::Failed(_) | WakeOutcome::Missed | WakeOutcome::Late { .. } => {
                 self.uplink.answer(&HostAnswer::NotWoken { device, tti, outcome });
             }
         }

@@ -29,9 +29,9 @@ pub(super) enum HostMessage {
 #[derive(Clone)]
 pub(super) enum Dispatcher {
     /// Processes a message on the thread that delivers it.
-    AtOnce(Arc<dyn Fn(HostMessage) + Send + Sync>),
+    Inline(Arc<dyn Fn(HostMessage) + Send + Sync>),
     /// Processes a message in a task of the process's own runtime.
-    HandedOver(UnboundedSender<HostMessage>),
+    Worker(UnboundedSender<HostMessage>),
 }
 
 impl Dispatcher {
@@ -40,7 +40,7 @@ impl Dispatcher {
     /// process's own runtime.
     pub(super) fn new(devices: u32, hands_over: bool, act: impl Fn(HostMessage) + Send + Sync + 'static) -> Self {
         if devices <= FEW && !hands_over {
-            return Self::AtOnce(Arc::new(act));
+            return Self::Inline(Arc::new(act));
         }
         // Unbounded, because zenoh's thread must not wait for the task.
         let (sender, mut heard) = unbounded_channel();
@@ -49,14 +49,14 @@ impl Dispatcher {
                 act(heard);
             }
         });
-        Self::HandedOver(sender)
+        Self::Worker(sender)
     }
 
     /// Processes one message, or queues it for the task.
     pub(super) fn dispatch(&self, heard: HostMessage) {
         match self {
-            Self::AtOnce(act) => act(heard),
-            Self::HandedOver(sender) => {
+            Self::Inline(act) => act(heard),
+            Self::Worker(sender) => {
                 // The task ends early only with a panic, which the panic hook prints.
                 let _gone = sender.send(heard).is_err();
             }

@@ -117,7 +117,7 @@ async fn join(bus: &Bus, offer: &HostConfig, say: &(dyn Fn(HostEvent) + Sync)) -
                 assignment.validate().map_err(HostError::Assignment)?;
                 return Ok(Some(*assignment));
             }
-            Ok(Some(JoinReply::Later(why))) if offer.stands_by => {
+            Ok(Some(JoinReply::Retry(why))) if offer.stands_by => {
                 if !stands_by {
                     tracing::info!("{why}");
                     say(HostEvent::StandsBy);
@@ -125,7 +125,7 @@ async fn join(bus: &Bus, offer: &HostConfig, say: &(dyn Fn(HostEvent) + Sync)) -
                 stands_by = true;
                 tokio::time::sleep(STANDING_BY).await;
             }
-            Ok(Some(JoinReply::Later(why) | JoinReply::Refused(why))) | Err(BusError::Refused(why)) => {
+            Ok(Some(JoinReply::Retry(why) | JoinReply::Refused(why))) | Err(BusError::Refused(why)) => {
                 return Err(HostError::Refused(why));
             }
             // The base station has answered before, so its run is over.
@@ -155,7 +155,7 @@ async fn tend(
     let shared = Arc::new(Shared::new(&bus, assignment)?);
     let this = Arc::clone(&shared);
     // The link's queue has to hold the traffic of all devices that the process may run, not only of these.
-    let ear = Dispatcher::new(offer.count.max(count), offer.hands_over, move |heard| this.hear(heard));
+    let ear = Dispatcher::new(offer.count.max(count), offer.hands_over, move |heard| this.dispatch(heard));
     let _declared = shared.declare(&bus, ear)?;
     match bus.query_until(&Ready { host }, Some(pass.token), patience).await? {
         Some(true) => shared.stay(&bus, patience).await,

@@ -44,10 +44,10 @@ pub enum HostError {
     #[error("the base station refused: {0}")]
     Refused(String),
     /// The base station sent an invalid assignment.
-    #[error("the base station's assignment cannot be: {0}")]
+    #[error("invalid assignment from the base station: {0}")]
     Assignment(String),
     /// A device task has ended, which is a bug in Reveille.
-    #[error("a device has failed in a way that it never should; please report the lines above")]
+    #[error("a device task failed, which is a bug; please report the lines above")]
     DeviceFailed,
     /// The base station reports that the run has failed.
     #[error("the run has failed: {0}")]
@@ -256,7 +256,7 @@ impl Shared {
         }
     }
 
-    fn hear(&self, heard: HostMessage) {
+    fn dispatch(&self, heard: HostMessage) {
         match heard {
             HostMessage::Plan(update) => self.on_plan(update),
             HostMessage::Wake(device, wake) => self.on_wake(device, wake),
@@ -267,7 +267,7 @@ impl Shared {
     fn on_plan(&self, update: PlanUpdate) {
         let from = update.from;
         if !self.lock().follower.receive_plan(update) {
-            tracing::debug!(%from, "a plan for another TTI, one sent again as a rule");
+            tracing::debug!(%from, "ignored a plan for another TTI, usually a resent one");
         }
     }
 
@@ -276,16 +276,16 @@ impl Shared {
         if let Some(WakeUpTask { device, tti, stimulus }) = woken {
             self.send(device, DeviceCommand::Wake(tti, stimulus));
         } else {
-            tracing::debug!(%device, tti = %wake.tti, "a wake-up outside its TTI, or for somebody else");
+            tracing::debug!(%device, tti = %wake.tti, "ignored a wake-up for another TTI or host");
         }
     }
 
     fn on_clock(&self, clock: ClockMessage) {
         match clock {
             ClockMessage::Grant(tick) => self.on_grant(tick),
-            ClockMessage::Finish(end) => self.on_finish(end),
+            ClockMessage::CollectLedgers(end) => self.on_finish(end),
             ClockMessage::Dismiss => self.leave(Progress::Dismissed),
-            ClockMessage::Fail(why) => self.leave(Progress::RunFailed(why)),
+            ClockMessage::RunFailed(why) => self.leave(Progress::RunFailed(why)),
         }
     }
 
@@ -308,7 +308,7 @@ impl Shared {
         // The order matters: `Settle` at `first` would panic after a later δ, and views show the state after sensing.
         if tick.account {
             for j in 0..self.mailboxes.len() {
-                self.send(j, DeviceCommand::Settle(tick.first, Arc::clone(&round)));
+                self.send(j, DeviceCommand::AdvanceTo(tick.first, Arc::clone(&round)));
             }
         }
         for (j, from, duty) in changes {
@@ -334,7 +334,7 @@ impl Shared {
         };
         let round = self.begin(state, HostRequest::Ledgers, self.mailboxes.len());
         for j in 0..self.mailboxes.len() {
-            self.send(j, DeviceCommand::Settle(end, Arc::clone(&round)));
+            self.send(j, DeviceCommand::AdvanceTo(end, Arc::clone(&round)));
         }
         round.add(&DeviceAnswer::Nothing, &self.uplink);
     }
@@ -346,11 +346,11 @@ impl Shared {
     ) -> Option<(MutexGuard<'_, HostState>, T)> {
         let mut state = self.lock();
         match follow(&mut state.follower) {
-            Disposition::Do(it) => {
+            Disposition::Execute(it) => {
                 self.start_actors(&mut state);
                 Some((state, it))
             }
-            Disposition::Again => {
+            Disposition::Resend => {
                 let round = state.round.clone();
                 // Released before sending, which blocks while the link is congested.
                 drop(state);
@@ -359,9 +359,9 @@ impl Shared {
                 }
                 None
             }
-            Disposition::Wait => {
+            Disposition::NotReady => {
                 let next = state.follower.next();
-                tracing::debug!(%next, "cannot follow the clock; waiting to be asked again");
+                tracing::debug!(%next, "cannot follow the clock; waiting for the grant to be resent");
                 None
             }
         }

@@ -121,13 +121,13 @@ pub struct Machine {
     /// The wake-up radio, if it can fail.
     ears: Option<Box<WakeUpRadio>>,
     /// The first TTI from `next` on with a false wake-up, if the device is in S4 then.
-    false_wake: Tti,
+    false_wake_up: Tti,
 }
 
 impl Machine {
     /// Creates the device of `setup` before TTI 0, asleep until a plan changes δ.
     pub fn new(setup: &DeviceSetup, physics: &Physics) -> Self {
-        let ears = WakeUpRadio::of(physics.seed, &physics.radio, setup.id);
+        let ears = WakeUpRadio::new(physics.seed, &physics.radio, setup.id);
         Self {
             id: setup.id,
             position: setup.position,
@@ -140,7 +140,7 @@ impl Machine {
             open: false,
             books: LedgerBuilder::new(physics.measured_from),
             is_gone: false,
-            false_wake: ears.as_ref().map_or(Tti::NEVER, |ears| ears.false_wake()),
+            false_wake_up: ears.as_ref().map_or(Tti::NEVER, |ears| ears.false_wake_up()),
             ears,
         }
     }
@@ -170,15 +170,15 @@ impl Machine {
         let kept: MachineState = codec::decode(&checkpoint.0).map_err(|error| error.to_string())?;
         let mut machine = Self::new(setup, physics);
         if !kept.battery.is_of(&setup.energy) || kept.books.measured_from() != physics.measured_from {
-            return Err(format!("the checkpoint of device {} is another device's", setup.id));
+            return Err(format!("the checkpoint of device {} is for another device", setup.id));
         }
         // A checkpoint holds no stream: the draws up to it are repeated from the seed.
         while machine.source.next() < kept.next {
             machine.source.take();
         }
-        while machine.false_wake < kept.next {
+        while machine.false_wake_up < kept.next {
             let Some(ears) = &mut machine.ears else { break };
-            machine.false_wake = ears.take_false_wake();
+            machine.false_wake_up = ears.take_false_wake();
         }
         (machine.battery, machine.books) = (kept.battery, kept.books);
         (machine.duty, machine.state) = (kept.duty, kept.state);
@@ -259,18 +259,18 @@ impl Machine {
 
     fn catch_up(&mut self, k: Tti) {
         self.end_open();
-        while self.false_wake < k {
+        while self.false_wake_up < k {
             // A false wake-up costs energy within its TTI, so that TTI is not part of a span.
-            let then = self.false_wake;
-            self.pass(then);
+            let then = self.false_wake_up;
+            self.advance(then);
             self.start(then);
             self.end_open();
         }
-        self.pass(k);
+        self.advance(k);
     }
 
     /// Advances through the TTIs before `k`, which must not contain a false wake-up.
-    fn pass(&mut self, k: Tti) {
+    fn advance(&mut self, k: Tti) {
         let mut phase = self.duty.phase(self.next);
         while self.next < k {
             if self.source.next() == self.next {
@@ -305,7 +305,7 @@ impl Machine {
             (Ok(()), false) => DeviceState::Sleep { powered: true },
             (Err(_), _) => DeviceState::Sleep { powered: false },
         };
-        if self.false_wake == k {
+        if self.false_wake_up == k {
             self.wake_for_nothing();
         }
         self.next = k + 1;
@@ -314,7 +314,7 @@ impl Machine {
 
     fn wake_for_nothing(&mut self) {
         if let Some(ears) = &mut self.ears {
-            self.false_wake = ears.take_false_wake();
+            self.false_wake_up = ears.take_false_wake();
         }
         if self.state == (DeviceState::Sleep { powered: true }) {
             let _late = self.find_nothing();
@@ -324,7 +324,7 @@ impl Machine {
     /// Goes to S2 and back to S4 without a detection.
     fn find_nothing(&mut self) -> WakeOutcome {
         let paid = self.battery.pay(self.costs.e_idle);
-        self.books.false_wake(paid);
+        self.books.false_wake_up(paid);
         let powered = paid.is_ok();
         self.state = DeviceState::Sleep { powered };
         WakeOutcome::Late {
@@ -370,7 +370,7 @@ impl Machine {
                 None => self.find_nothing(),
             },
             DeviceState::Sleep { .. } | DeviceState::Idle | DeviceState::Active | DeviceState::Transmission => {
-                WakeOutcome::Unheard
+                WakeOutcome::Missed
             }
         }
     }
@@ -482,28 +482,28 @@ impl Machine {
 pub(crate) struct WakeUpRadio {
     device: DeviceId,
     air: Air,
-    false_wakes: FalseWakes,
+    false_wake_ups: FalseWakes,
 }
 
 impl WakeUpRadio {
     /// Creates the faults of `device` in a run with `seed`. Returns `None` if `radio` never fails.
-    pub(crate) fn of(seed: u64, radio: &RadioSettings, device: DeviceId) -> Option<Box<Self>> {
+    pub(crate) fn new(seed: u64, radio: &RadioSettings, device: DeviceId) -> Option<Box<Self>> {
         let of = || Self {
             device,
             air: Air::new(seed, radio),
-            false_wakes: FalseWakes::new(seed, radio.false_wake, device),
+            false_wake_ups: FalseWakes::new(seed, radio.false_wake_up, device),
         };
         (!radio.is_perfect()).then(|| Box::new(of()))
     }
 
     /// The TTI of the next false wake-up, if the device sleeps then.
-    pub(crate) const fn false_wake(&self) -> Tti {
-        self.false_wakes.next()
+    pub(crate) const fn false_wake_up(&self) -> Tti {
+        self.false_wake_ups.next()
     }
 
     /// Consumes that TTI and returns the next one.
     pub(crate) fn take_false_wake(&mut self) -> Tti {
-        self.false_wakes.take()
+        self.false_wake_ups.take()
     }
 
     /// Returns whether the device misses a wake-up signal in TTI `k`, which must not precede the last call's TTI.

@@ -78,7 +78,7 @@ impl EnvBuffers<'_> {
         *self.reward = step.reward();
         self.parts.copy_from_slice(&[asleep, missed, information, woken]);
         *self.ttis = environment.ttis_done().cast_signed();
-        *self.ended = environment.question().is_none();
+        *self.ended = environment.pending_decision().is_none();
         let question = environment.view();
         question.write_devices(self.devices);
         question.write_global(self.global);

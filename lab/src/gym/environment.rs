@@ -94,26 +94,26 @@ struct StepObserver {
 }
 
 impl Observer for StepObserver {
-    fn notify(&mut self, happening: &Notification<'_>) {
-        match *happening {
+    fn notify(&mut self, notification: &Notification<'_>) {
+        match *notification {
             // Î counts the reports of one TTI; a grant opens the next one.
-            Notification::Granted(_) => self.information = 0.0,
-            Notification::Reported(report)
-            | Notification::Woken {
+            Notification::TtisGranted(_) => self.information = 0.0,
+            Notification::ReportReceived(report)
+            | Notification::WakeUpCompleted {
                 outcome: WakeOutcome::Reported(report),
                 ..
             } => self.information = self.sensing.fuse(self.information, report.information),
-            Notification::WakeUp { .. } => self.wake_ups += 1,
-            Notification::Plan { .. }
+            Notification::WakeUpSent { .. } => self.wake_ups += 1,
+            Notification::PlanSent { .. }
             | Notification::EventStarted(_)
-            | Notification::Lost(_)
-            | Notification::Failed { .. }
-            | Notification::Woken { .. }
-            | Notification::Believed { .. }
-            | Notification::Gone(_)
+            | Notification::ReportLost(_)
+            | Notification::ReportFailed { .. }
+            | Notification::WakeUpCompleted { .. }
+            | Notification::BeliefUpdated { .. }
+            | Notification::DevicesRemoved(_)
             | Notification::EventEnded(_)
-            | Notification::Closed(_)
-            | Notification::States(_) => {}
+            | Notification::TtiClosed(_)
+            | Notification::DeviceStates(_) => {}
         }
     }
 }
@@ -160,7 +160,7 @@ impl Environment {
     }
 
     /// The pending decision request; `None` at the end of the run.
-    pub fn question(&self) -> Option<DecisionContext<'_>> {
+    pub fn pending_decision(&self) -> Option<DecisionContext<'_>> {
         self.stepping.pending_decision()
     }
 
@@ -186,7 +186,7 @@ impl Environment {
     fn sense(&mut self, is_set: impl Fn(usize) -> bool) -> StepResult {
         self.on.clear();
         self.on.extend((0..self.devices).map(is_set));
-        let looked = CoverageReward::of(&mut self.ground.union, &self.on);
+        let looked = CoverageReward::new(&mut self.ground.union, &self.on);
         self.stepping.decide(PlanDecision {
             plan: Plan::from_bits(self.on.iter().copied()),
             // A step is one decision, so a plan is due in every TTI.
@@ -225,10 +225,10 @@ impl Environment {
 
     /// Returns a copy that continues from the current state.
     #[must_use]
-    pub fn branch(&self) -> Self {
+    pub fn fork(&self) -> Self {
         Self {
             ground: self.ground.clone(),
-            stepping: self.stepping.branch(),
+            stepping: self.stepping.fork(),
             on: Vec::new(),
             chosen: Vec::new(),
             ..*self
@@ -238,6 +238,6 @@ impl Environment {
     /// The outcome of the run so far; incomplete before its end.
     pub fn outcome(&self) -> Outcome {
         // `finish` consumes a run and answers an open request, so it works on a copy.
-        self.stepping.branch().finish().0
+        self.stepping.fork().finish().0
     }
 }

@@ -45,12 +45,12 @@ struct Commands {
 }
 
 impl Observer for Commands {
-    fn notify(&mut self, happening: &Notification<'_>) {
+    fn notify(&mut self, notification: &Notification<'_>) {
         // A plan that is resent for synchronisation repeats the last one.
-        if let Notification::Plan { update, is_new: true } = happening {
+        if let Notification::PlanSent { update, is_new: true } = notification {
             self.plans.insert(update.from.0, update.plan.clone());
         }
-        if let Notification::WakeUp { tti, device, .. } = happening {
+        if let Notification::WakeUpSent { tti, device, .. } = notification {
             self.wake_ups.entry(tti.0).or_default().push(*device);
         }
     }
@@ -68,7 +68,7 @@ pub fn record(scenario: &Scenario, outside: &Scenario) -> Option<Actions> {
     let mut environment = Environment::new(EpisodeTemplate::new(outside), RewardWeights::default());
     let (mut rows, mut stages) = (Vec::new(), Vec::new());
     let mut woken = 0;
-    while let Some(question) = environment.question() {
+    while let Some(question) = environment.pending_decision() {
         let (now, n) = (question.seen.now, question.seen.known.n());
         let action: Vec<bool> = match question.stage {
             DecisionStage::Plan => {

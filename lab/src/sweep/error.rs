@@ -57,15 +57,15 @@ pub enum SweepError {
     },
     /// The journal cannot be written, for example because the disk is full.
     #[error(
-        "{}: cannot be written: {error}; the runs in it, {kept} so far, are kept: free some space or mend the disk, \
-         then give the same command again to go on",
+        "{}: cannot be written: {error}; its {recorded} runs are kept; free some space or repair the disk, then give \
+         the same command again to resume",
         path.display()
     )]
     Journal {
         /// The journal.
         path: PathBuf,
         /// The number of runs in it.
-        kept: usize,
+        recorded: usize,
         /// The error of the operating system.
         error: io::Error,
     },
@@ -74,15 +74,15 @@ pub enum SweepError {
     Table(#[from] TableError),
     /// The table of a sweep cannot be written, for example because the disk is full; the runs are kept.
     #[error(
-        "{error}; the runs, {kept} so far, are kept in {}: free some space or mend the disk, then give the \
-         same command again to go on",
+        "{error}; the {recorded} finished runs are kept in {}; free some space or repair the disk, then give the same \
+         command again to resume",
         folder.display()
     )]
     Results {
         /// The folder of the sweep.
         folder: PathBuf,
         /// The number of runs in its journal.
-        kept: usize,
+        recorded: usize,
         /// The table and the error of the operating system.
         error: TableError,
     },
@@ -104,8 +104,8 @@ pub enum SweepError {
     },
     /// The runs of a table cannot be reused.
     #[error(
-        "--reuse {}: was written by reveille {version}, whose runs may have come out differently; make them anew, or \
-         go on with that version",
+        "--reuse {}: was written by reveille {version}, whose results may differ; run it again without --reuse, or use \
+         that version",
         path.display()
     )]
     Reuse {

@@ -49,7 +49,7 @@ fn hint(message: &str, name: &str) -> String {
     let is_of_scenarios = |path: String| path.split('.').next() == Some(field);
     if declaration().paths().any(is_of_scenarios) {
         format!(
-            ". This is a field of scenarios: `reveille sweep --scenario {name}` sweeps a scenario file, and an \
+            "; this is a field of scenarios: `reveille sweep --scenario {name}` sweeps a scenario file, and an \
              experiment names one as `scenario = \"FILE\"` and sets fields under [set]"
         )
     } else {
@@ -156,7 +156,7 @@ impl ExperimentBuilder {
         };
         if let Some(before) = self.axes.insert(path.to_owned(), axis) {
             let allowed = format!(
-                "is swept twice, by {} and by {origin}; give all values at once",
+                "is swept twice, by {} and by {origin}; list all values in one of them",
                 before.origin
             );
             return Err(SweepError::invalid(path, "…", allowed));
@@ -240,25 +240,26 @@ fn until(
 ) -> Result<Option<UntilCi>, SweepError> {
     let Some(text) = target else {
         if metrics.is_some() || min_seeds.is_some() {
-            let allowed = "counts only with until_ci (--until-ci), which says how narrow the intervals must be";
+            let allowed = "has an effect only with until_ci (--until-ci), the target width of the intervals";
             return Err(SweepError::invalid("ci_metrics or min_seeds", "…", allowed));
         }
         return Ok(None);
     };
     let target = width(text)?;
-    let metrics = metrics.unwrap_or_else(UntilCi::default_metrics);
+    let metrics = metrics.unwrap_or_else(UntilCi::default_metrics).into_iter();
+    let metrics: Vec<String> = metrics.map(|name| Metrics::current_name(&name).to_owned()).collect();
     if metrics.is_empty() {
         let allowed = "name at least one metric, or leave it out for all";
         return Err(SweepError::invalid("ci_metrics", "[]", allowed));
     }
     if let Some(unknown) = metrics.iter().find(|name| !is_metric(name)) {
         let names = Metrics::ALL.map(|metric| metric.name).join(", ");
-        let allowed = format!("there is no such metric; there are {names}");
+        let allowed = format!("unknown metric; the metrics are {names}");
         return Err(SweepError::invalid("ci_metrics", unknown, allowed));
     }
     if let Some(min_seeds) = min_seeds.filter(|min_seeds| *min_seeds > seeds.count) {
         let allowed = format!(
-            "is above the {} seeds that a cell has at the most; lower it, or raise seeds (--seeds)",
+            "exceeds the {} seeds of a cell; lower it, or raise seeds (--seeds)",
             seeds.count
         );
         return Err(SweepError::invalid("min_seeds", min_seeds, allowed));
@@ -287,7 +288,7 @@ fn width(text: &str) -> Result<f64, SweepError> {
     number.clone().ok().filter(within).ok_or_else(|| {
         let hint = match number {
             Ok(number) if !is_percent && (1.0..=100.0).contains(&number) => {
-                format!("; {number} % is written {number}% or {}", number / 100.0)
+                format!("; write {number} % as {number}% or {}", number / 100.0)
             }
             Ok(_) | Err(_) => String::new(),
         };

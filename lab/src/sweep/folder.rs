@@ -67,7 +67,7 @@ impl<'g> Sweep<'g> {
         };
         let unusable = |error: std::io::Error| {
             refused(format!(
-                "cannot be used: {error}; free some space, mend the permissions, or choose another folder"
+                "cannot be used: {error}; free some space, correct the permissions, or choose another folder"
             ))
         };
         for name in with_names(folder).map_err(unusable)? {
@@ -79,7 +79,7 @@ impl<'g> Sweep<'g> {
             if !is_ours && !folder.join(JOURNAL).exists() {
                 let name = name.to_string_lossy();
                 return Err(refused(format!(
-                    "holds `{name}` and no sweep; choose an empty or a new folder"
+                    "holds `{name}` but no sweep; choose an empty or a new folder"
                 )));
             }
         }
@@ -90,8 +90,8 @@ impl<'g> Sweep<'g> {
         let journal = Journal::open(&path, &identity(grid, shard), cells, seeds).map_err(refused)?;
         let unwritable = |error: std::io::Error| {
             refused(format!(
-                "cannot be written: {error}; its finished runs are kept: free some space or mend the permissions, then \
-                 give the same command again"
+                "cannot be written: {error}; its finished runs are kept; free some space or correct the permissions, \
+                 then give the same command again"
             ))
         };
         // In this order: a process killed in between leaves a folder that the same command resumes.
@@ -180,7 +180,7 @@ impl<'g> Sweep<'g> {
         table.write(&path, format).map_err(|error| match error {
             TableError::Write { .. } => SweepError::Results {
                 folder: self.folder.clone(),
-                kept: self.done(),
+                recorded: self.done(),
                 error,
             },
             TableError::Read { .. }
@@ -284,9 +284,9 @@ pub fn table_in(folder: &Path) -> Result<PathBuf, SweepError> {
     let found = [Format::Parquet, Format::Csv].map(|format| results(folder, format));
     let Some(table) = found.into_iter().find(|path| path.exists()) else {
         return Err(refused(if folder.join(JOURNAL).exists() {
-            "its sweep is not finished; give its command again to go on with it".to_owned()
+            "its sweep is not finished; give its command again to resume it".to_owned()
         } else {
-            "the folder holds no table of a sweep".to_owned()
+            "the folder has no table of a sweep; name the --out folder of `reveille sweep`".to_owned()
         }));
     };
     let seeds = |draft: ExperimentBuilder| draft.build().map(|experiment| experiment.seeds.count);
@@ -304,8 +304,8 @@ pub fn table_in(folder: &Path) -> Result<PathBuf, SweepError> {
     {
         let name = table.file_name().unwrap_or_default().to_string_lossy();
         return Err(refused(format!(
-            "its {EXPERIMENT} asks for {asked} seeds a cell, but {name} holds {held}; give the command of its sweep \
-             again, or name the table itself"
+            "its {EXPERIMENT} asks for {asked} seeds a cell, but {name} holds {held}; repeat the command of its sweep, \
+             or name the table itself"
         )));
     }
     Ok(table)
@@ -347,7 +347,7 @@ impl ReusableRuns {
     ///
     /// # Errors
     /// If a table was written by another version of the program, whose runs may have other results.
-    pub fn of(tables: &[(PathBuf, Table)]) -> Result<Self, SweepError> {
+    pub fn from_tables(tables: &[(PathBuf, Table)]) -> Result<Self, SweepError> {
         let mut runs = BTreeMap::new();
         for (path, table) in tables {
             if table.about.version != env!("CARGO_PKG_VERSION") {

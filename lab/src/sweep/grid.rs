@@ -95,8 +95,8 @@ impl SweepGrid {
         if shard == Shard::WHOLE || self.experiment.until_ci.is_none() {
             return Ok(());
         }
-        let allowed = "cannot go with until_ci: no shard sees all runs of a cell, so none could tell when it has \
-            enough; leave one of them out";
+        let allowed = "excludes until_ci: no shard has all runs of a cell, so a shard cannot decide when the cell is \
+            complete; set only one of them";
         Err(SweepError::invalid("shard", shard, allowed))
     }
 
@@ -124,13 +124,13 @@ impl SweepGrid {
 pub(super) fn check_size(experiment: &Experiment) -> Result<(), SweepError> {
     let (cells, seeds) = (experiment.cell_count(), experiment.seeds.count);
     if cells > MOST_CELLS {
-        let allowed = format!("a grid has at most {MOST_CELLS} cells; sweep fewer fields at once");
+        let allowed = format!("a grid has at most {MOST_CELLS} cells; sweep fewer fields");
         return Err(SweepError::invalid("cells", cells, allowed));
     }
     let runs = cells.saturating_mul(seeds);
     if runs > MOST_RUNS {
         let allowed = format!(
-            "{cells} cells × {seeds} seeds, but a sweep has at most {MOST_RUNS} runs; take fewer seeds \
+            "{cells} cells × {seeds} seeds, but a sweep has at most {MOST_RUNS} runs; use fewer seeds \
              (--seeds), or split the grid"
         );
         return Err(SweepError::invalid("runs", runs, allowed));

@@ -44,10 +44,7 @@ pub fn merge(tables: Vec<(PathBuf, Table)>, partial: bool) -> Result<Table, Swee
             continue;
         };
         if a == b {
-            let reason = format!(
-                "is shard {b} again, which {} is already; name each shard once",
-                path_a.display()
-            );
+            let reason = format!("is shard {b}, which {} is too; name each shard once", path_a.display());
             return Err(wrong(path_b, reason));
         }
     }
@@ -60,7 +57,7 @@ pub fn merge(tables: Vec<(PathBuf, Table)>, partial: bool) -> Result<Table, Swee
     if !missing.is_empty() && !partial {
         let shown = missing.iter().take(20).cloned().collect::<Vec<_>>().join(", ");
         let reason = format!(
-            "{} of {count} shards are missing: {shown}; add them, or merge what is there with --partial",
+            "{} of {count} shards are missing: {shown}; add them, or merge the present ones with --partial",
             missing.len()
         );
         return Err(wrong(first_path, reason));
@@ -126,8 +123,7 @@ fn wrong(path: &Path, reason: String) -> SweepError {
 
 fn shard_of(path: &Path, table: &Table) -> Result<Shard, SweepError> {
     if table.about.experiment.is_empty() {
-        let reason =
-            "does not say which experiment it belongs to; a CSV file needs its side-car, NAME.csv.toml, beside it";
+        let reason = "does not name its experiment; a CSV file needs its side-car NAME.csv.toml in the same folder";
         return Err(wrong(path, reason.to_owned()));
     }
     let Some(shard) = &table.about.shard else {
@@ -147,7 +143,7 @@ fn fits(first_path: &Path, first: &Table, path: &Path, table: &Table) -> Result<
     let (a, b) = (&first.about, &table.about);
     let name = |(name, _): &(String, ColumnType)| name.clone();
     let what = if a.version != b.version {
-        format!("was made by reveille {}, but that one by {}", b.version, a.version)
+        format!("it is from reveille {}, the other table from {}", b.version, a.version)
     } else if a.experiment != b.experiment {
         let differing = a.experiment.lines().zip(b.experiment.lines()).find(|(a, b)| a != b);
         let (theirs, own) = differing.unwrap_or(("", ""));
@@ -189,7 +185,7 @@ fn in_order(experiment: &Experiment, count: u64, mut tables: BTreeMap<u64, IntoI
     let mut rows = Vec::with_capacity(tables.values().map(IntoIter::len).sum());
     for cell in 0..experiment.cell_count() {
         for seed in 0..experiment.seeds.count {
-            let table = tables.get_mut(&Shard::of(cell, seed, count));
+            let table = tables.get_mut(&Shard::assigned_to(cell, seed, count));
             rows.extend(table.and_then(Iterator::next));
         }
     }

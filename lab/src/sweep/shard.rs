@@ -30,14 +30,14 @@ impl Shard {
     }
 
     /// Returns the shard of `count` with the run of a cell and a seed, both counted from 0.
-    pub const fn of(cell: u64, seed: u64, count: u64) -> u64 {
+    pub const fn assigned_to(cell: u64, seed: u64, count: u64) -> u64 {
         // Each term is reduced first: the sum of a cell and a seed could overflow.
         (cell % count + seed % count) % count + 1
     }
 
     /// Returns whether the run of a cell and a seed, both counted from 0, belongs to the shard.
     pub const fn holds(self, cell: u64, seed: u64) -> bool {
-        Self::of(cell, seed, self.count) == self.index
+        Self::assigned_to(cell, seed, self.count) == self.index
     }
 
     /// Returns the first of the shard's seeds of `cell`.

@@ -132,11 +132,11 @@ fn what_cannot_be_run_is_refused_with_its_field() {
         ("until_ci = \"1%\"\nci_metrics = []", "at least one metric"),
         ("until_ci = \"1%\"\nseeds = 1", "at least two runs"),
         ("min_seeds = 4", "only with until_ci"),
-        ("until_ci = 1", "1 % is written 1% or 0.01"),
-        ("until_ci = \"5\"", "5 % is written 5% or 0.05"),
+        ("until_ci = 1", "write 1 % as 1% or 0.01"),
+        ("until_ci = \"5\"", "write 5 % as 5% or 0.05"),
         (
             "until_ci = 0.1\nseeds = 20\nmin_seeds = 21",
-            "min_seeds = 21: is above the 20 seeds",
+            "min_seeds = 21: exceeds the 20 seeds",
         ),
         (
             "devices = [10]\n[set]\ndevices = 5",
@@ -268,12 +268,12 @@ fn runs_of_another_sweep_are_taken_over_and_change_nothing() {
 
     let mut known = vec![(made.path, made.table)];
     let mut sweep = Sweep::open(&other, Shard::WHOLE, &own.0).expect("a folder");
-    let taken = sweep.reuse(&ReusableRuns::of(&known).expect("of this version"));
+    let taken = sweep.reuse(&ReusableRuns::from_tables(&known).expect("of this version"));
     // Seeds 3 to 9 with both rates for 12 devices.
     assert_eq!((taken.expect("written"), sweep.found()), (14, 14));
     assert_eq!(
         sweep
-            .reuse(&ReusableRuns::of(&known).expect("the same"))
+            .reuse(&ReusableRuns::from_tables(&known).expect("the same"))
             .expect("written"),
         0
     );
@@ -281,7 +281,7 @@ fn runs_of_another_sweep_are_taken_over_and_change_nothing() {
     assert!(swept(&other, "1/1", 2, &own.0).1 == expected, "the table differs");
 
     known[0].1.about.version = "0.0.1".to_owned();
-    let refused = ReusableRuns::of(&known).expect_err("another version").to_string();
+    let refused = ReusableRuns::from_tables(&known).expect_err("another version").to_string();
     assert!(refused.contains("--reuse") && refused.contains("0.0.1"), "{refused}");
 }
 
@@ -492,5 +492,5 @@ fn shards_cannot_tell_when_a_cell_has_enough() {
     let message = Sweep::open(&grid, "1/2".parse().expect("a shard"), &folder.0)
         .expect_err("both")
         .to_string();
-    assert!(message.contains("shard = 1/2: cannot go with until_ci"), "{message}");
+    assert!(message.contains("shard = 1/2: excludes until_ci"), "{message}");
 }

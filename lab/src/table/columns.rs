@@ -130,7 +130,8 @@ impl Schema {
                 .collect(),
         };
         let expected = own.names();
-        if expected == header {
+        // Tables of version 0.1 have former names of metrics.
+        if expected.iter().copied().eq(header.iter().map(|name| Metrics::current_name(name))) {
             Ok(names)
         } else {
             Err(mismatch(&expected, header))
@@ -145,7 +146,7 @@ fn mismatch(expected: &[&str], found: &[&str]) -> SchemaMismatch {
     }
     let missing = expected.iter().find(|name| !found.contains(name));
     SchemaMismatch::Columns(missing.map_or_else(
-        || "they are in another order".to_owned(),
-        |name| format!("there is no column `{name}`, or there are columns of metrics that this version does not know"),
+        || "its columns are in another order".to_owned(),
+        |name| format!("it has no column `{name}`, or has columns of metrics that this version does not know"),
     ))
 }

@@ -68,7 +68,7 @@ fn schema(
     if types.len() != names.len() {
         let (told, found) = (types.len(), names.len());
         return Err(SchemaMismatch::Broken(format!(
-            "its side-car tells of {told} swept columns, but it has {found}"
+            "its side-car lists {told} swept columns, but it has {found}"
         )));
     }
     Ok(Schema {
@@ -80,7 +80,7 @@ fn schema(
 pub(super) fn decode(text: &str, side: Sidecar) -> Result<Table, SchemaMismatch> {
     let broken = |error: csv::Error| SchemaMismatch::Broken(error.to_string());
     if !text.ends_with('\n') {
-        return Err(SchemaMismatch::Broken("its last row has no end".to_owned()));
+        return Err(SchemaMismatch::Broken("its last row is incomplete".to_owned()));
     }
     let mut reader = csv::Reader::from_reader(text.as_bytes());
     let header = reader.headers().map_err(broken)?.clone();
@@ -123,8 +123,8 @@ fn rows(schema: &Schema, records: &[csv::StringRecord]) -> Result<Vec<ResultRow>
         }
         let row = ResultRow {
             scenario_hash: fields.get(0)?,
-            preset: preset.of(&record[1]),
-            policy: policy.of(&record[2]),
+            preset: preset.intern(&record[1]),
+            policy: policy.intern(&record[2]),
             n: fields.get(3)?,
             ttis: fields.get(4)?,
             seed: fields.get(5)?,

@@ -34,7 +34,7 @@ pub enum TableError {
         reason: String,
     },
     /// The file is not a table of Reveille.
-    #[error("{}: is not a result table of Reveille; `reveille sweep` and `reveille merge` write those", path.display())]
+    #[error("{}: is not a result table of Reveille; use a table written by `reveille sweep`", path.display())]
     NotOurs {
         /// The file.
         path: PathBuf,
@@ -42,7 +42,7 @@ pub enum TableError {
     /// The table has another version.
     #[error(
         "{}: is a result table of version {found}, written by reveille {by}; this reveille reads version \
-         {TABLE_VERSION}: use that one, or run the sweep again",
+         {TABLE_VERSION}; use that release, or run the sweep again",
         path.display()
     )]
     Version {
@@ -54,7 +54,7 @@ pub enum TableError {
         by: String,
     },
     /// The columns differ from this version's.
-    #[error("{}: has not the columns of a result table: {reason}", path.display())]
+    #[error("{}: is not a result table: {reason}; use a table written by `reveille sweep`", path.display())]
     Columns {
         /// The file.
         path: PathBuf,
@@ -63,7 +63,7 @@ pub enum TableError {
     },
     /// The file is cut off or corrupt.
     #[error(
-        "{}: is cut off or corrupt ({reason}); run `reveille sweep` or `reveille merge` again to make it anew",
+        "{}: is cut off or corrupt ({reason}); run `reveille sweep` or `reveille merge` again",
         path.display()
     )]
     Broken {
@@ -102,7 +102,7 @@ impl From<SchemaMismatch> for ReadFailure {
 
 impl ReadFailure {
     /// Adds the path of the file.
-    pub(super) fn of(self, path: &Path) -> TableError {
+    pub(super) fn with_path(self, path: &Path) -> TableError {
         let path = path.to_owned();
         match self {
             Self::Io(error) => TableError::Read { path, error },

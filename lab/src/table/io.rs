@@ -30,7 +30,7 @@ impl Format {
     }
 
     /// Returns the format of a file by its extension; Parquet unless it is `.csv`.
-    pub fn of(path: &Path) -> Self {
+    pub fn from_path(path: &Path) -> Self {
         if path
             .extension()
             .is_some_and(|ending| ending.eq_ignore_ascii_case("csv"))
@@ -48,11 +48,11 @@ impl TableMetadata {
     /// # Errors
     /// See [`Table::read`].
     pub fn read(path: &Path) -> Result<Self, TableError> {
-        let read = match Format::of(path) {
+        let read = match Format::from_path(path) {
             Format::Parquet => open(path).and_then(|file| Ok(parquet::about(file)?)),
             Format::Csv => side_of(path).map(|side| side.about),
         };
-        read.map_err(|failure| failure.of(path))
+        read.map_err(|failure| failure.with_path(path))
     }
 }
 
@@ -62,11 +62,11 @@ impl Table {
     /// # Errors
     /// If the file cannot be read, is not a result table, has another version, or is cut off or corrupt.
     pub fn read(path: &Path) -> Result<Self, TableError> {
-        let read = match Format::of(path) {
+        let read = match Format::from_path(path) {
             Format::Parquet => open(path).and_then(|file| Ok(parquet::decode(file)?)),
             Format::Csv => csv_at(path),
         };
-        read.map_err(|failure| failure.of(path))
+        read.map_err(|failure| failure.with_path(path))
     }
 
     /// Writes the table to `path` in `format`, atomically: under another name, synced to the disk and then renamed.

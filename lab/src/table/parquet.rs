@@ -94,7 +94,7 @@ fn float(value: &SweptValue) -> Result<f64, ParquetError> {
 }
 
 fn misplaced(value: &SweptValue, types: &str) -> ParquetError {
-    ParquetError::General(format!("`{value}` stands in a column of {types}"))
+    ParquetError::General(format!("`{value}` is in a column of {types}"))
 }
 
 /// Decodes the table in `file`.
@@ -108,7 +108,7 @@ pub(super) fn about<F: ChunkReader + 'static>(file: F) -> Result<TableMetadata, 
 }
 
 fn guarded<T>(decode: impl FnOnce() -> Result<T, SchemaMismatch>) -> Result<T, SchemaMismatch> {
-    let gave_up = || Err(SchemaMismatch::Broken("the Parquet decoder gave up".to_owned()));
+    let gave_up = || Err(SchemaMismatch::Broken("the Parquet decoder failed".to_owned()));
     parquet::guarded(decode).unwrap_or_else(gave_up)
 }
 
@@ -138,7 +138,7 @@ fn table_of(reader: &impl FileReader) -> Result<Table, SchemaMismatch> {
     let differing = own.get_fields().iter().zip(fields).find(|(own, found)| own != found);
     if let Some((own, _)) = differing {
         return Err(SchemaMismatch::Columns(format!(
-            "the column `{}` is of another type",
+            "the column `{}` has another type",
             own.name()
         )));
     }
@@ -223,8 +223,8 @@ fn read_group(group: &dyn RowGroupReader, schema: &Schema, rows: &mut Vec<Result
         }
         let row = ResultRow {
             scenario_hash: hash_column[at],
-            preset: preset.of(&presets[at]),
-            policy: policy.of(&policies[at]),
+            preset: preset.intern(&presets[at]),
+            policy: policy.intern(&policies[at]),
             n: u32::try_from(n[at]).map_err(|_| SchemaMismatch::Broken(format!("`n` = {} is out of range", n[at])))?,
             ttis: positive(ttis[at], "ttis")?,
             seed: positive(seeds[at], "seed")?,

@@ -96,7 +96,7 @@ impl ResultRow {
         match self.metrics.iter().position(is_odd) {
             None => Ok(self),
             Some(at) => Err(SchemaMismatch::Broken(format!(
-                "row {number}, {}: no run comes to {:e}",
+                "row {number}, {}: no run can have the value {:e}",
                 Metrics::NAMES[at],
                 self.metrics[at]
             ))),
@@ -135,7 +135,7 @@ pub(super) struct LastText(Option<Arc<str>>);
 
 impl LastText {
     /// Returns `text`, shared with the previous one if it is equal.
-    pub(super) fn of(&mut self, text: &str) -> Arc<str> {
+    pub(super) fn intern(&mut self, text: &str) -> Arc<str> {
         match &self.0 {
             Some(known) if **known == *text => Arc::clone(known),
             Some(_) | None => Arc::clone(self.0.insert(Arc::from(text))),

@@ -32,10 +32,10 @@ fn both_formats_give_back_what_was_written() {
     let table = fixtures::table();
     for name in ["t.parquet", "t.csv"] {
         let path = folder.path(name);
-        table.write(&path, Format::of(&path)).expect("written");
+        table.write(&path, Format::from_path(&path)).expect("written");
         assert_eq!(Table::read(&path).expect("read"), table, "{name}");
         let first = fs::read(&path).expect("there");
-        table.write(&path, Format::of(&path)).expect("written");
+        table.write(&path, Format::from_path(&path)).expect("written");
         assert_eq!(fs::read(&path).expect("there"), first, "the same bytes again");
     }
     assert!(!folder.path("t.parquet.part").exists());
@@ -121,7 +121,7 @@ fn text_that_looks_like_numbers_stays_text() {
         .write(&folder.path("t.parquet"), Format::Parquet)
         .expect_err("text among numbers")
         .to_string();
-    assert!(message.contains("`5` stands in a column of whole numbers"), "{message}");
+    assert!(message.contains("`5` is in a column of whole numbers"), "{message}");
 }
 
 #[test]
@@ -156,7 +156,7 @@ fn a_cut_file_is_refused_at_every_length() {
     let folder = Folder::new("cut");
     for name in ["t.parquet", "t.csv"] {
         let path = folder.path(name);
-        fixtures::table().write(&path, Format::of(&path)).expect("written");
+        fixtures::table().write(&path, Format::from_path(&path)).expect("written");
         let bytes = fs::read(&path).expect("there");
         for length in 0..bytes.len() {
             fs::write(&path, &bytes[..length]).expect("written");

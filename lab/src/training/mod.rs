@@ -40,7 +40,7 @@ const LOOK: u64 = 200;
 #[derive(Debug, thiserror::Error)]
 pub enum TrainingError {
     /// The scenario has another policy than `q-learning`.
-    #[error("policy.name = {0}: only q-learning is trained")]
+    #[error("policy.name = {0}: only q-learning has tables to train")]
     Policy(String),
     /// A value is out of range.
     #[error("{what} = {value}: {allowed}")]
@@ -63,11 +63,11 @@ pub enum TrainingError {
         most: u32,
     },
     /// The file exists already.
-    #[error("{}: is there already; --force replaces it", .0.display())]
+    #[error("{}: file exists; use --force to replace it", .0.display())]
     Taken(PathBuf),
     /// The checkpoint belongs to another training.
     #[error(
-        "{}: is the checkpoint of another training ({why}); finish that, remove the file, or use another --out",
+        "{}: is the checkpoint of another training ({why}); finish that one, remove the file, or use another --out",
         path.display()
     )]
     OtherCheckpoint {
@@ -77,7 +77,7 @@ pub enum TrainingError {
         why: String,
     },
     /// The checkpoint cannot be used.
-    #[error("{}: the checkpoint {error}, or remove it to begin anew", path.display())]
+    #[error("{}: the checkpoint {error}, or remove it to start over", path.display())]
     Checkpoint {
         /// The checkpoint.
         path: PathBuf,
@@ -223,7 +223,7 @@ impl Trainer {
             begun_from: None,
             schedule: self.settings.schedule,
             training: self.training.clone(),
-            setting: TrainingSite::of(&self.scenario.site()),
+            setting: TrainingSite::from_site(&self.scenario.site()),
             entries: self.entries.clone(),
         }
     }
@@ -426,7 +426,7 @@ pub fn learned_in(scenario: &Scenario, outcome: &Outcome) -> Option<LearnedTable
             epsilon: settings.epsilon,
             seed: scenario.run.seed,
         },
-        setting: TrainingSite::of(&scenario.site()),
+        setting: TrainingSite::from_site(&scenario.site()),
         entries: vec![entry],
     })
 }

@@ -41,7 +41,7 @@ pub struct RecordingConfig {
     /// The probabilities, `[0, 1)`, that a device deviates from its policy; runs use them in turn.
     pub explore: Vec<f64>,
     /// See [`RecordingOptions::told`].
-    pub told: bool,
+    pub true_batteries: bool,
 }
 
 impl RecordingConfig {
@@ -49,7 +49,7 @@ impl RecordingConfig {
     const fn manner(&self, explores: f64) -> RecordingOptions {
         RecordingOptions {
             explores,
-            told: self.told,
+            true_batteries: self.true_batteries,
         }
     }
 }

@@ -32,13 +32,13 @@ pub enum TrajectoryError {
     #[error("is not a readable Parquet file ({0}); record one: reveille train record")]
     Format(String),
     /// The file belongs to another program or version.
-    #[error("is not a file of trajectories of this program ({0}); record one: reveille train record")]
+    #[error("is not a trajectory file of this program ({0}); record one: reveille train record")]
     Foreign(String),
     /// A column is missing or has another type.
     #[error("its column {0}; record it again: reveille train record")]
     Column(String),
     /// Rows are inconsistent.
-    #[error("its rows do not fit together: {0}")]
+    #[error("its rows are inconsistent: {0}; record it again: reveille train record")]
     Rows(String),
 }
 
@@ -142,7 +142,7 @@ fn look<'c>(row: &Row<'c>) -> &'c DeviceStep {
 pub(super) fn from_bytes(bytes: Vec<u8>) -> Result<(Trajectories, Hash), TrajectoryError> {
     let hash = Hash(Sha256::digest(&bytes).into());
     let read = parquet::guarded(|| decode(Bytes::from(bytes)));
-    let read = read.unwrap_or_else(|| Err(TrajectoryError::Format("the decoder gave up".to_owned())));
+    let read = read.unwrap_or_else(|| Err(TrajectoryError::Format("the decoder failed".to_owned())));
     read.map(|trajectories| (trajectories, hash))
 }
 
@@ -165,7 +165,7 @@ fn decode(bytes: Bytes) -> Result<Trajectories, TrajectoryError> {
         match found.get(index) {
             Some(other) if other == field => {}
             Some(other) if other.name() == name => {
-                return Err(TrajectoryError::Column(format!("{name} is of another type")));
+                return Err(TrajectoryError::Column(format!("{name} has another type")));
             }
             Some(_) | None => return Err(TrajectoryError::Column(format!("{name} is missing"))),
         }
@@ -229,7 +229,7 @@ fn read_group(group: &dyn RowGroupReader, chunks: &mut Vec<Chunk>) -> Result<(),
             });
         if !is_whole {
             return Err(TrajectoryError::Rows(format!(
-                "TTI {} of run {} is not whole",
+                "TTI {} of run {} is incomplete",
                 ttis[row], runs[row]
             )));
         }

@@ -28,7 +28,7 @@ fn recording(explore: &[f64]) -> RecordingConfig {
         length: 6,
         stride: 50,
         explore: explore.to_vec(),
-        told: false,
+        true_batteries: false,
     }
 }
 
@@ -89,7 +89,7 @@ fn what_is_recorded_is_the_run() {
         let outcome = Run::new(&RunPreparer::default().prepare(&scenario), RunOptions::default()).finish(&mut ());
         let digest = |told: bool| {
             let recording = RecordingConfig {
-                told,
+                true_batteries: told,
                 ..recording(&[0.0])
             };
             let again = record_from_scenario(&scenario, 0, &recording, &|| false).expect("not stopped");
@@ -98,7 +98,7 @@ fn what_is_recorded_is_the_run() {
         assert_eq!(digest(false), outcome.digest, "{}", scenario.policy.name());
         others += usize::from(digest(true) != outcome.digest);
     }
-    assert!(others > 0, "it is never of use to be told batteries");
+    assert!(others > 0, "knowing batteries never helps");
 }
 
 #[test]

@@ -67,7 +67,7 @@ impl State {
         training: &DtTrainingConfig,
         about: &BTreeMap<String, String>,
     ) -> Result<Self, TransformerError> {
-        let damaged = || TransformerError::Checkpoint("is no checkpoint, or damaged".to_owned());
+        let damaged = || TransformerError::Checkpoint("is not a checkpoint, or is damaged".to_owned());
         let (_, found) = SafeTensors::read_metadata(bytes).map_err(|_| damaged())?;
         let file = SafeTensors::deserialize(bytes).map_err(|_| damaged())?;
         let text = found.metadata().as_ref().and_then(|pairs| pairs.get(KEY));

@@ -114,7 +114,7 @@ pub fn train(
     let data = Data::new(trajectories);
     if data.learned_from() == 0 || data.held_out() == 0 {
         return Err(TransformerError::Data(format!(
-            "there are {} chunks to learn from and {} of other runs to be judged by: record more runs",
+            "there are {} chunks for training and {} of other runs for evaluation, both needed; record more runs",
             data.learned_from(),
             data.held_out()
         )));

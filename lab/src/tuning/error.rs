@@ -21,13 +21,13 @@ pub enum TuningError {
     #[error(transparent)]
     Training(#[from] TrainingError),
     /// No evaluation run has an event that counts.
-    #[error("none of the evaluation runs of {ttis} TTIs had an event that counts: longer ones do (--ttis)")]
+    #[error("no evaluation run of {ttis} TTIs has a counted event; use longer runs (--ttis)")]
     NoEvent {
         /// The length of the evaluation runs, TTIs.
         ttis: u64,
     },
     /// The file is not a history.
-    #[error("{}: is no history of a tuning: {why}", path.display())]
+    #[error("{}: is not a history of a tuning: {why}", path.display())]
     NotOurs {
         /// The file.
         path: PathBuf,
@@ -36,8 +36,8 @@ pub enum TuningError {
     },
     /// The history belongs to another tuning.
     #[error(
-        "{}: is the history of another tuning ({why}); give that one's options, another --out, or --force \
-         to begin anew",
+        "{}: is the history of another tuning ({why}); use the options of that tuning, another --out, or --force to \
+         start over",
         path.display()
     )]
     Foreign {

@@ -47,7 +47,7 @@ impl Evaluation {
     }
 
     /// Creates an evaluation from [`Self::values`].
-    pub const fn of(values: [f64; 7]) -> Self {
+    pub const fn new(values: [f64; 7]) -> Self {
         let [
             objective,
             objective_half,

@@ -108,14 +108,14 @@ impl History {
             match lines.next() {
                 Some(line) if line.starts_with('#') => {
                     let pair = line.trim_start_matches("# ").split_once(" = ");
-                    let (name, value) = pair.ok_or_else(|| format!("`{line}` says nothing"))?;
+                    let (name, value) = pair.ok_or_else(|| format!("`{line}` is malformed"))?;
                     history.header.push((name.to_owned(), value.to_owned()));
                 }
                 other => break other,
             }
         };
         if found != Some(columns().as_str()) {
-            return Err("its columns are not those of a history".to_owned());
+            return Err("it does not have the columns of a history".to_owned());
         }
         for (number, line) in lines.enumerate() {
             let point = point(number, line).ok_or_else(|| format!("point {number} reads `{line}`"))?;
@@ -135,7 +135,7 @@ fn point(number: usize, line: &str) -> Option<TuningPoint> {
         .ok()
         .filter(|_| own.parse() == Ok(number))?;
     let (weights, values) = values.split_first_chunk::<2>()?;
-    let evaluation = Evaluation::of(values.try_into().ok()?);
+    let evaluation = Evaluation::new(values.try_into().ok()?);
     // Half-widths are NaN with a single run, and some means may be NaN too. The proposer only uses these three.
     let is_finite = weights
         .iter()

@@ -94,7 +94,7 @@ impl TuningPlan {
         let longest = self.scenario.longest();
         for (what, ttis) in [("ttis", self.ttis), ("episode-ttis", self.training.ttis)] {
             if ttis > longest {
-                let allowed = format!("must be at most {longest} with so many devices, or sums of energy overflow");
+                let allowed = format!("must be at most {longest} with this many devices, or sums of energy overflow");
                 return invalid(what, &ttis, &allowed);
             }
         }

@@ -189,7 +189,7 @@ fn an_objective_is_what_it_says() {
     let missed = totals.events.misdetected as f64 / events;
     let balance = information / expected - 0.5 * spent / (30.0 * 2000.0) - 2.0 * missed;
     assert!((of(TuningObjective::Balance { energy: 0.5, miss: 2.0 }) - balance).abs() < 1e-12);
-    assert!(missed > 0.0, "or the last term says nothing");
+    assert!(missed > 0.0, "otherwise the last term has no effect");
     assert!(TuningObjective::Information.of(&Metrics::default(), 0.1, 30).is_nan());
 }
 
@@ -215,7 +215,7 @@ fn a_pair_comes_to_the_same_twice_and_with_any_number_of_threads() {
     let evaluate = |weights: WeightPair, threads: usize| {
         let pool = pool(threads).expect("threads");
         let found = plan.evaluate(weights, &pool, &()).expect("evaluated");
-        found.expect("nobody stops it")
+        found.expect("it is not stopped")
     };
     let once = evaluate([5.0, 2.0], 1);
     assert_eq!(once, evaluate([5.0, 2.0], 1));
@@ -257,7 +257,7 @@ fn a_tuning_that_is_cut_short_comes_to_the_same_end() {
     assert!(rest.run(3, 1, &Between, &()).expect("run"));
     assert_eq!(cut.text(), whole.text());
     let longer = Tuner::open(plan(), &whole.0, false).expect("found");
-    assert_eq!((longer.left(3), longer.left(5)), (0, 2), "more iterations go on");
+    assert_eq!((longer.left(3), longer.left(5)), (0, 2), "more iterations resume it");
 }
 
 #[test]
@@ -288,8 +288,8 @@ fn the_history_of_another_tuning_is_refused() {
     let other = file.text().replacen("\n1,", "\n1,1", 1);
     std::fs::write(&file.0, other).expect("writable");
     refused(&|_| {}, "other pairs");
-    let anew = Tuner::open(plan(), &file.0, true).expect("forced");
-    assert_eq!(anew.left(0), 3);
+    let restarted = Tuner::open(plan(), &file.0, true).expect("forced");
+    assert_eq!(restarted.left(0), 3);
 }
 
 #[test]

@@ -125,11 +125,7 @@ impl HarvestStudy {
             return Err(AnalysisError::invalid("lambda", bad, allowed));
         }
         if self.e_b.contains(&Energy::ZERO) {
-            return Err(AnalysisError::invalid(
-                "e-b",
-                &0,
-                "must be above 0 units, or nothing is ever harvested",
-            ));
+            return Err(AnalysisError::invalid("e-b", &0, "must be above 0 units"));
         }
         check_seeds(self.seeds)
     }
@@ -236,13 +232,13 @@ pub const STATED: [StatedThreshold; 9] = {
     const MANY: Ends = ("dt", "adjusted");
     const NEVER: Contradiction = Contradiction {
         with: FIG_8.sentence(2),
-        why: "Under Eq. (5) no λ brings more than E_B/e = 0.368 units with E_B = 1, and the most that a method spends \
-            there is 0.83.",
+        why: "Under Eq. (5) the harvest with E_B = 1 is at most E_B/e = 0.368 units, but the method with the highest \
+            consumption spends 0.83 there.",
     };
     const UNLIKE: Contradiction = Contradiction {
         with: FIG_14.sentence(5),
-        why: "One consumption belongs to all three E_B. Under Eq. (5) these λ stand for 0.18 and 0.26 units, those of \
-            E_B = 5 and 10 for 0.22 to 0.25 and 0.44 to 0.46. A harvest of λ·E_B would bring them closer.",
+        why: "All three E_B share one consumption. Under Eq. (5) these λ correspond to 0.18 and 0.26 units, but the λ \
+            of E_B = 5 and 10 to 0.22 to 0.25 and 0.44 to 0.46. A harvest of λ·E_B would bring them closer.",
     };
     const fn both(
         devices: u32,
@@ -348,7 +344,7 @@ mod tests {
     }
 
     #[test]
-    fn runs_harvest_what_the_closed_form_says() {
+    fn runs_harvest_as_the_closed_form() {
         let points = measure(&study(&[0.0, 0.05, 1.0, 3.0], &[1.0, 10.0])).expect("a study");
         assert_eq!(points.len(), 16);
         for point in points {
@@ -401,7 +397,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_studied_is_refused() {
+    fn invalid_studies_are_refused() {
         for (study, part) in [
             (study(&[], &[1.0]), "lambda: the list is empty"),
             (study(&[0.1], &[]), "e-b: the list is empty"),

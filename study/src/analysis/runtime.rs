@@ -136,7 +136,7 @@ impl TimedDecisions {
         let mut wake_ups = 0;
         for (tti, stimulus, reports) in situations {
             if let Some(oracle) = policy.oracle() {
-                wake_ups += u64::from(oracle.told(stimulus));
+                wake_ups += u64::from(oracle.reveal_event(stimulus));
                 continue;
             }
             if reports.is_empty() {

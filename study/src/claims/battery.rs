@@ -6,7 +6,7 @@ use super::claim::DeviceCounts::{At, Everywhere};
 use super::claim::Statement::{About, Above, Between, Falls, Level, Rises};
 use super::claim::{Claim, ClaimTopic, SPARING};
 
-const SAME: &str = "The same level is read as over N, for each of the two.";
+const SAME: &str = "The same level is read as the same over N, for each of the two methods.";
 
 /// Claims on Fig. 10.
 pub(super) const LOW: ClaimTopic = ClaimTopic {
@@ -26,8 +26,8 @@ pub(super) const LOW: ClaimTopic = ClaimTopic {
         Claim::new("q-learning", At(250), Own, Between(8.0, 13.0), FIG_10.sentence(4)),
         Claim::new("adjusted", Everywhere, Own, Between(30.0, 45.0), FIG_10.sentence(6)).with_caveat(SPARING),
         Claim::new("dt", At(250), Growth(10), About(0.5), FIG_10.sentence(7)).interpreted_as(
-            "\"Also decrease\" is read as over N, as the 4th sentence says of knn and q-learning: to half of its own \
-             at N = 10. Half of what q-learning has would be another reading.",
+            "\"Also decrease\" is read as a fall over N, as the 4th sentence states for knn and q-learning: to half of \
+             the value at N = 10. Half of the value of q-learning would be another reading.",
         ),
     ],
 };

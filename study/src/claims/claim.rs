@@ -60,7 +60,7 @@ pub enum ClaimQuantity {
 pub enum Statement {
     /// About this value, at each N.
     About(f64),
-    /// Between these values, at each N.
+    /// Within a range, at each N.
     Between(f64, f64),
     /// Less than this value, at each N.
     Below(f64),
@@ -204,30 +204,30 @@ pub struct ClaimTopic {
 }
 
 /// Caveat for an information of 0.72 with 250 devices.
-pub(super) const CLOSEST: &str = "Under g = max an event gives no more than its closest device reports. With 250 \
-    devices on 20 × 20 m that is 0.55 on the mean where they stand at random, 0.59 on a jittered grid, and 0.63 in the \
-    best of all layouts, a lattice of regular hexagons.";
+pub(super) const CLOSEST: &str = "Under g = max an event gives at most the information of its closest device. With 250 \
+    devices on 20 × 20 m the mean of that is 0.55 at random positions, 0.59 on a jittered grid, and 0.63 in the best \
+    possible layout, a lattice of regular hexagons.";
 /// Caveat for the genie's 0.055 units.
 pub(super) const WUR_FLOOR: &str = "A device that always listens spends E_WuR = 1/14 = 0.0714 units in every TTI, so \
-    0.055 lies below what the genie's sleepers alone spend.";
+    0.055 is less than the consumption of the genie's sleeping devices alone.";
 /// Caveat for actions that devices under adjusted take too rarely here.
-pub(super) const SPARING: &str = "Of the duty cycles of its grid, adjusted takes the one that spends least among those \
-    that reach I_min, which is next to nothing where devices are few, as p falls with the distance. The paper states \
-    neither its grid nor the cycle it found; its devices must sense more often than that.";
+pub(super) const SPARING: &str = "From its grid, adjusted takes the duty cycle with the lowest consumption that \
+    reaches I_min. With few devices I_min is almost 0, because p falls with the distance. The paper states neither its \
+    grid nor the chosen cycle; its devices must sense more often.";
 /// Caveat for the trend of random with rising N.
-pub(super) const FIXED_CYCLE: &str = "The duty cycles of Sec. VI, t_on of 1 or 2 in t_DRX of 2, 4 or 8, have a device \
-    sense in 0.44 of all TTIs on the mean, whatever N is: about 0.48 units where the harvest allows it. Nothing in \
-    them falls with N.";
+pub(super) const FIXED_CYCLE: &str = "The duty cycles of Sec. VI, t_on of 1 or 2 in t_DRX of 2, 4 or 8, make a device \
+    sense in 0.44 of all TTIs on average, for every N: about 0.48 units where the harvest allows it. This consumption \
+    does not fall with N.";
 /// Caveat for the genie's 2 % with ten devices.
-pub(super) const REACH: &str = "Ten discs of d_max = 4 m do not cover 20 × 20 m however they are placed: that takes \
-    4.36 m. At random places they leave a third of the area out of reach, on a jittered grid a quarter, and an event \
-    there is lost whoever is woken.";
+pub(super) const REACH: &str = "Ten discs of d_max = 4 m cannot cover 20 × 20 m in any layout, which needs 4.36 m. At \
+    random positions they leave a third of the area out of reach, on a jittered grid a quarter. No wake-up can report \
+    an event there.";
 /// Caveat for knn's misdetections with many devices.
-pub(super) const UNSEEN: &str = "One device of each cluster senses, a dozen or so, which leaves part of the area \
-    unwatched in any one TTI.";
+pub(super) const UNSEEN: &str = "One device of each cluster senses, about a dozen in all, so in any TTI part of the \
+    area is not covered.";
 /// Caveat for spending more than the harvest.
-pub(super) const HARVEST: &str = "In the long run devices spend no more than they harvest, 0.45 units under Eq. (5) \
-    with λ = 0.1 and E_B = 5 as in the presets.";
+pub(super) const HARVEST: &str = "In the long run devices cannot spend more than they harvest, 0.45 units under Eq. \
+    (5) with λ = 0.1 and E_B = 5 as in the presets.";
 /// Caveat for one event in 100 000.
-pub(super) const RARE: &str = "The genie's devices sleep until they are woken, so that their batteries are nearly \
-    full. It takes some 400 000 events to tell one in 100 000 from none.";
+pub(super) const RARE: &str = "The genie's devices sleep until they are woken, so their batteries are nearly full. \
+    About 400 000 events are needed to distinguish one in 100 000 from none.";

@@ -6,7 +6,7 @@ use super::claim::DeviceCounts::{At, Everywhere, Over};
 use super::claim::Statement::{About, Above, Below, Between, Falls, Smallest};
 use super::claim::{Claim, ClaimTopic, FIXED_CYCLE, HARVEST, SPARING, WUR_FLOOR};
 
-const DENSE: &str = "Said without an N; read at the end of the axis.";
+const DENSE: &str = "Stated without an N; read at the end of the axis.";
 const UPPER: &str = "The upper end of the 2nd sentence's range, which the caption and the text of Fig. 13 give to \
     q-learning.";
 
@@ -32,11 +32,11 @@ pub(super) const ENERGY: ClaimTopic = ClaimTopic {
         Claim::new("random", At(250), Own, Above(0.18), FIG_8.sentence(4)),
         Claim::new("random", At(250), Ratio(&["knn"]), Above(1.29), FIG_8.sentence(4)).contradicting(
             FIG_8.sentence(3),
-            "0.18 is 24 % more than 0.145. For 29 % random would have to spend more than 0.187.",
+            "0.18 is 24 % more than 0.145. For 29 %, random would have to spend more than 0.187.",
         ),
         Claim::new("knn", Everywhere, Ratio(&["random"]), Smallest(0.77), CONTRIBUTION)
             .also_at(CONCLUSIONS.sentence(6))
-            .interpreted_as("Of the methods named, Fig. 8 has knn as the one that spends least."),
+            .interpreted_as("Of the named methods, knn spends least in Fig. 8."),
         Claim::new("knn", At(250), Ratio(&["random"]), Below(1.0), ABSTRACT.sentence(8)).interpreted_as(DENSE),
         Claim::new(
             "q-learning",

@@ -8,9 +8,9 @@ use super::claim::{CLOSEST, Claim, ClaimTopic, SPARING};
 
 const ENDPOINT: &str = "\"Up to\" is read as the end of the axis, since information rises with N (1st sentence).";
 const ALIKE: &str = "Not near is read as below 80 %, beyond the tolerance of this report.";
-const DENSE: &str = "Read for N > 50: the 8th sentence has all methods alike up to there. The 7th sentence sets \
-    q-learning and the genie above.";
-const ALL_METHODS: &str = "The sentence says so of all methods together, without an N; read at the end of the axis.";
+const DENSE: &str = "Read for N > 50, as the 8th sentence states that all methods are alike up to there. The 7th \
+    sentence places q-learning and the genie higher.";
+const ALL_METHODS: &str = "The sentence is about all methods together, without an N; read at the end of the axis.";
 
 /// Claims that compare the performance of policies.
 pub(super) const OVER_TIME: ClaimTopic = ClaimTopic {
@@ -18,9 +18,9 @@ pub(super) const OVER_TIME: ClaimTopic = ClaimTopic {
     is_per_device: false,
     about: "information, objective of P1",
     source: "Fig. 7",
-    reading: "The sentences compare how well policies do. That is the objective of P1, Σ I_i over the expected number \
-        of events αK: an event that is found late leaves less time for others and costs information there, and none \
-        per event.",
+    reading: "The sentences compare the performance of policies, which is the objective of P1: Σ I_i over the expected \
+        number of events αK. A late detection leaves less time for other events. It therefore lowers this objective, \
+        but not the information per event.",
     claims: &[
         Claim::new(
             "adjusted",
@@ -95,9 +95,8 @@ pub(super) const PER_EVENT: ClaimTopic = ClaimTopic {
     is_per_device: false,
     about: "information per event",
     source: "Fig. 7",
-    reading: "The sentences say per event, so they are judged by the events that took place. In the paper's model, \
-        where events do not depend on what the base station does, this and the objective of P1 are the same on the \
-        mean.",
+    reading: "The sentences are about information per event, so they are judged by the actual events. In the paper's \
+        model, events do not depend on the base station, so this metric and the objective of P1 have the same mean.",
     claims: &[
         Claim::new("knn", Everywhere, Own, Rises, FIG_7.sentence(1)),
         Claim::new("adjusted", Everywhere, Own, Rises, FIG_7.sentence(1)),
@@ -109,7 +108,7 @@ pub(super) const PER_EVENT: ClaimTopic = ClaimTopic {
         Claim::new("adjusted", At(250), Own, About(0.4), FIG_7.sentence(4)).interpreted_as(ENDPOINT),
         Claim::new("q-learning", At(250), Own, About(0.72), FIG_7.sentence(4)).with_caveat(CLOSEST),
         Claim::new("genie", At(250), Own, About(0.72), FIG_7.sentence(4))
-            .interpreted_as("Said of q-learning, which is near the genie.")
+            .interpreted_as("Stated for q-learning, which is near the genie.")
             .with_caveat(CLOSEST),
         Claim::new(
             "genie",
@@ -121,8 +120,8 @@ pub(super) const PER_EVENT: ClaimTopic = ClaimTopic {
         Claim::new("q-learning", Everywhere, Ratio(&["random"]), Largest(4.5), CONTRIBUTION)
             .also_at(CONCLUSIONS.sentence(6))
             .interpreted_as(
-                "The largest ratio over N, of whichever method has it; Fig. 7 has q-learning in front. \"4.5 times \
-                 more\" is read as 4.5 times.",
+                "The largest ratio over N among all methods; in Fig. 7 this is q-learning. \"4.5 times more\" is read \
+                 as 4.5 times.",
             ),
     ],
 };

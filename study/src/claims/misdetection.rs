@@ -59,8 +59,10 @@ pub(super) const MISSED: ClaimTopic = ClaimTopic {
         Claim::new("adjusted", Under(200), Own, Above(2.0), FIG_9.sentence(7)),
         Claim::new("genie", At(10), Own, About(2.0), FIG_9.sentence(8)).with_caveat(REACH),
         Claim::new("genie", At(250), Own, About(0.003), FIG_9.sentence(8)),
-        Claim::new("genie", Everywhere, Own, Above(0.001), FIG_9.sentence(11))
-            .interpreted_as("A lower bound is read as one of the genie's misdetections, which it is said of."),
+        Claim::new("genie", Everywhere, Own, Above(0.001), FIG_9.sentence(11)).interpreted_as(
+            "A lower bound is read as a bound on the genie's misdetections, the subject of the \
+                sentence.",
+        ),
     ],
 };
 

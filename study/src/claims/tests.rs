@@ -195,7 +195,7 @@ fn no_claim_is_made_twice() {
 }
 
 #[test]
-fn a_contradiction_is_with_something_that_the_paper_says() {
+fn a_contradiction_cites_an_existing_sentence() {
     for (_, claim) in claims() {
         let Some(Contradiction { with, .. }) = claim.contradicts else {
             continue;
@@ -207,7 +207,7 @@ fn a_contradiction_is_with_something_that_the_paper_says() {
 }
 
 #[test]
-fn sites_end_where_they_say() {
+fn sites_end_at_their_bounds() {
     assert!(Under(200).holds(199) && !Under(200).holds(200));
     assert!(UpTo(50).holds(50) && !UpTo(50).holds(51));
     assert!(Over(180).holds(181) && !Over(180).holds(180));
@@ -221,7 +221,7 @@ fn sites_end_where_they_say() {
 }
 
 #[test]
-fn a_place_reads_as_people_say_it() {
+fn a_citation_reads_naturally() {
     let place = |n| FIG_8.sentence(n).to_string();
     for (n, ordinal) in [
         (1, "1st"),

@@ -6,7 +6,8 @@ use super::claim::DeviceCounts::{At, Everywhere};
 use super::claim::Statement::{About, Below, Falls, Rises};
 use super::claim::{Claim, ClaimTopic};
 
-const BASE: &str = "Half of what is not said; read as half of each of the others, one claim for each.";
+const BASE: &str = "The sentence does not state half of which value; read as half of each of the others, one claim \
+    each.";
 const THREE_HALVES: &str = "Half of adjusted's 17, of q-learning's 9.5 and of knn's less than 6 are 8.5, 4.75 and less \
     than 3: at most one of the three halves can hold.";
 
@@ -50,11 +51,13 @@ pub(super) const WASTED: ClaimTopic = ClaimTopic {
     is_per_device: true,
     about: "energy wasted per event and device, units",
     source: "Fig. 12b",
-    reading: "The text has the wasted energy per IoTD, as it has the consumption: what an event wastes, divided by N.",
+    reading: "The text states the wasted energy per IoTD, like the consumption: the energy wasted per event, divided \
+        by N.",
     claims: &[
         Claim::new("genie", Everywhere, Own, About(0.0), FIG_12.sentence(4)).contradicting(
             FIG_9.sentence(11),
-            "There the closest device lacks the energy to transmit at 0.001 % of events, which wastes what it had.",
+            "There the closest device lacks the energy to transmit at 0.001 % of events, which wastes its remaining \
+             energy.",
         ),
         Claim::new("knn", Everywhere, Own, Falls, FIG_12.sentence(5)),
         Claim::new("adjusted", Everywhere, Own, Falls, FIG_12.sentence(5)),

@@ -64,8 +64,8 @@ impl AreaPlot {
         }
         let below = (0.5 * (self.left + right), self.bottom() + 2.0 * LEADING);
         scene.text(Text::new("x, metres", below, SMALL).anchored(Anchor::Middle));
-        let beside = (EDGE + 0.76 * SMALL, 0.5 * (top + self.bottom()));
-        let mut label = Text::new("y, metres", beside, SMALL).anchored(Anchor::Middle);
+        let label_position = (EDGE + 0.76 * SMALL, 0.5 * (top + self.bottom()));
+        let mut label = Text::new("y, metres", label_position, SMALL).anchored(Anchor::Middle);
         label.upwards = true;
         scene.text(label);
     }

@@ -54,7 +54,7 @@ impl AttentionFigure {
     ///
     /// # Errors
     /// The policy is not `dt`, or the TTI or a device does not exist.
-    pub fn of(scenario: &Scenario, tti: Tti, devices: &[u32]) -> Result<Self, FigureError> {
+    pub fn from_scenario(scenario: &Scenario, tti: Tti, devices: &[u32]) -> Result<Self, FigureError> {
         let Some(settings) = scenario.policy.settings().downcast_ref::<DtSettings>() else {
             return Err(FigureError::NoAttention(scenario.policy.name().to_owned()));
         };
@@ -156,10 +156,10 @@ fn last_found(window: &[TrajectoryStep], j: usize) -> Option<usize> {
 pub fn scene(scenario: &Scenario, attention: &AttentionFigure) -> Scene {
     let mut scene = Scene::new(COLUMN, 0.0);
     let did = match attention.shape.objective {
-        ModelObjective::Events => "expected",
-        ModelObjective::Actions => "would do",
+        ModelObjective::Events => "Expectation",
+        ModelObjective::Actions => "Choice",
     };
-    scene.title = format!("What dt {did} in TTI {}, N = {}", attention.tti, scenario.run.devices);
+    scene.title = format!("{did} of dt in TTI {}, N = {}", attention.tti, scenario.run.devices);
     let mut y = EDGE + LARGE;
     for line in wrap(&scene.title.clone(), Weight::Bold, LARGE, COLUMN - 2.0 * EDGE) {
         scene.text(Text::new(line, (EDGE, y), LARGE).bold());
@@ -204,21 +204,22 @@ fn caption(scenario: &Scenario, attention: &AttentionFigure) -> String {
     let on = attention.on.iter().filter(|on| **on).count();
     let ago: Vec<usize> = attention.found.iter().flatten().copied().collect();
     let found = ago.iter().min().map_or_else(
-        || "Nobody found an event in the TTIs that it attended to.".to_owned(),
+        || "No device detected an event in the attended TTIs.".to_owned(),
         |least| {
             let ttis = if *least == 1 { "TTI" } else { "TTIs" };
-            format!("Stars are devices that found an event in those TTIs, the last {least} {ttis} before.")
+            format!("Stars are devices that detected an event in those TTIs, the latest {least} {ttis} before.")
         },
     );
     let said = match attention.shape.objective {
         ModelObjective::Events => {
-            "ln of how many times as many events the device was expected to find as its places' ages and α say"
+            "the logarithm of the events that dt expects of a device, relative to the number that α and the ages of \
+             its places imply"
         }
-        ModelObjective::Actions => "the log-odds that the teacher would have the device sense",
+        ModelObjective::Actions => "the log-odds that the teacher lets the device sense",
     };
     format!(
-        "Colours of the Voronoi cells are {said}. {on} devices, with circles, were told to sense. Below, by head, the \
-         shares of their attention that devices gave to each of the last {} TTIs. {found} Preset {}, seed {}.",
+        "Colours of the Voronoi cells: {said}. {on} devices, with circles, were commanded to sense. Below, for each \
+         head: the share of a device's attention to each of the last {} TTIs. {found} Preset {}, seed {}.",
         attention.shape.memory, scenario.run.preset, scenario.run.seed
     )
 }

@@ -14,7 +14,7 @@ const PLOT: f64 = 158.0;
 /// Legend entry of the marks.
 const STATED: &str = "hollow: stated in the paper";
 /// Largest horizontal offset of marks, points: only a few devices on the axis of N.
-const BESIDE: f64 = 4.0;
+const CLEARANCE: f64 = 4.0;
 /// Opacity of grid lines.
 const GRID: f64 = 0.14;
 
@@ -277,8 +277,8 @@ impl Frame<'_> {
         scene.line(VectorPath::polyline(corner, false), axis);
         let below = (0.5 * (self.left + self.right), self.bottom + 2.0 * LEADING + 2.5);
         scene.text(Text::new(self.chart.x_label.as_str(), below, SMALL).anchored(Anchor::Middle));
-        let beside = (EDGE + 0.76 * SMALL, 0.5 * (self.top + self.bottom));
-        let mut label = Text::new(self.chart.y_label.as_str(), beside, SMALL).anchored(Anchor::Middle);
+        let label_position = (EDGE + 0.76 * SMALL, 0.5 * (self.top + self.bottom));
+        let mut label = Text::new(self.chart.y_label.as_str(), label_position, SMALL).anchored(Anchor::Middle);
         label.upwards = true;
         scene.text(label);
     }
@@ -465,7 +465,7 @@ pub fn spread(marks: &mut [StatedMark]) {
         let turn = all[..i].iter().filter(shares).count();
         let gaps = count as f64 - 1.0;
         // A lone mark has no gaps and stays at its x.
-        let step = (2.4 * MARKER).min(2.0 * BESIDE / gaps.max(1.0));
+        let step = (2.4 * MARKER).min(2.0 * CLEARANCE / gaps.max(1.0));
         mark.aside = (turn as f64 - 0.5 * gaps) * step;
     }
 }

@@ -43,7 +43,7 @@ pub enum DeviceRole {
     /// In S1 or woken, but could not pay E_Tx.
     Failed,
     /// Woken, but no report arrived: unpowered, not asleep, or the wake-up or report was lost.
-    Deaf,
+    Unpowered,
     /// In S1 without an event to report.
     Sensing,
     /// In S4.
@@ -75,7 +75,7 @@ impl EventScene {
     ///
     /// # Errors
     /// There are more than `CROWD` devices, or the event does not exist.
-    pub fn of(scenario: &Scenario, event: Option<u64>) -> Result<Self, FigureError> {
+    pub fn from_scenario(scenario: &Scenario, event: Option<u64>) -> Result<Self, FigureError> {
         if scenario.run.devices > CROWD {
             return Err(FigureError::Crowd {
                 count: scenario.run.devices,
@@ -122,7 +122,7 @@ fn role(device: DeviceId, happened: &TtiOutcome, state: DeviceState) -> DeviceRo
     match wake_up {
         Some((number, (_, WakeOutcome::Reported(_)))) => return DeviceRole::Woken(number),
         Some((_, (_, WakeOutcome::Failed(_) | WakeOutcome::Late { .. }))) => return DeviceRole::Failed,
-        Some((_, (_, WakeOutcome::Unheard | WakeOutcome::Lost(_)))) => return DeviceRole::Deaf,
+        Some((_, (_, WakeOutcome::Missed | WakeOutcome::Lost(_)))) => return DeviceRole::Unpowered,
         None => {}
     }
     if happened.failures.iter().any(|f| f.device == device) {
@@ -263,7 +263,7 @@ fn draw_role(scene: &mut Scene, role: DeviceRole, at: (f64, f64)) {
             scene.outlined(square, Paint::Colour(GREEN), border);
         }
         DeviceRole::Failed => cross(scene, at, 3.0, Stroke::solid(Paint::Colour(VERMILION), 1.6)),
-        DeviceRole::Deaf => {
+        DeviceRole::Unpowered => {
             let square = VectorPath::rectangle([x - 2.6, y - 2.6, x + 2.6, y + 2.6]);
             scene.outlined(square, Paint::Paper, Stroke::solid(Paint::Ink, 0.8));
             cross(scene, at, 2.6, Stroke::solid(Paint::Ink, 0.8));
@@ -294,13 +294,13 @@ fn legend(scene: &mut Scene, moment: &EventScene, mut y: f64) -> f64 {
         ),
         (
             DeviceRole::Failed,
-            "could not pay E_Tx",
+            "lacked E_Tx",
             count(|r| matches!(r, DeviceRole::Failed)),
         ),
         (
-            DeviceRole::Deaf,
-            "woken, not heard of",
-            count(|r| matches!(r, DeviceRole::Deaf)),
+            DeviceRole::Unpowered,
+            "woken, no report",
+            count(|r| matches!(r, DeviceRole::Unpowered)),
         ),
         (
             DeviceRole::Sensing,
@@ -346,8 +346,8 @@ fn caption(scenario: &Scenario, moment: &EventScene) -> String {
     let information = tally.information();
     let wake_ups = match moment.wake_ups {
         0 => "no wake-up".to_owned(),
-        1 => "one wake-up (numbered if a report came of it)".to_owned(),
-        many => format!("{many} wake-ups (numbered where a report came of it)"),
+        1 => "one wake-up (numbered if it led to a report)".to_owned(),
+        many => format!("{many} wake-ups (numbered if they led to a report)"),
     };
     format!(
         "{ground} The event began in TTI {start} and ended in TTI {last}, which is shown. The BS sent {wake_ups} and \

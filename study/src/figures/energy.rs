@@ -139,7 +139,8 @@ pub fn harvest_chart(condition: &RunCondition, points: &[HarvestPoint]) -> Chart
     let hollow = if marks.is_empty() {
         ""
     } else {
-        "Hollow, on the lines: the λ above which, as the paper has it, harvest exceeds consumption, N = 10 and 250. "
+        "Hollow marks on the lines: the λ above which harvest exceeds consumption according to the paper, N = 10 and \
+         250. "
     };
     Chart {
         title: title("Harvest against λ", "Fig. 13 of the paper", condition),
@@ -148,10 +149,9 @@ pub fn harvest_chart(condition: &RunCondition, points: &[HarvestPoint]) -> Chart
         x: axis(),
         y: Scale::Log { from: 0.01, to: 10.0 },
         caption: format!(
-            "Lines: closed form λ·exp(−λ)·E_B, Eq. (5). Points: not of the table, but of {seeds} runs with N = \
-             {devices} and {ttis} TTIs made for this picture under preset {}, 95 % intervals; harvest does not depend \
-             on N. {hollow}\
-             Bands, of the table: {}.{bands}",
+            "Lines: closed form λ·exp(−λ)·E_B, Eq. (5). Points: {seeds} runs with N = {devices} and {ttis} TTIs, made \
+             for this figure under preset {} (not from the table), with 95 % intervals; harvest does not depend on N. \
+             {hollow}Bands, from the table: {}.{bands}",
             condition.preset,
             condition.label()
         ),
@@ -208,7 +208,7 @@ pub fn net_chart(condition: &RunCondition, points: &[HarvestPoint]) -> Option<Ch
     let hollow = if marks.is_empty() {
         ""
     } else {
-        " Hollow, at zero: where the paper says that it turns positive."
+        " Hollow marks at zero: the λ at which it becomes positive according to the paper."
     };
     Some(Chart {
         title: title("Net energy against λ", "Fig. 14 of the paper", condition),
@@ -224,9 +224,9 @@ pub fn net_chart(condition: &RunCondition, points: &[HarvestPoint]) -> Option<Ch
         notes: Vec::new(),
         zero_below: false,
         caption: format!(
-            "Lines: closed form λ·exp(−λ)·E_B, Eq. (5), less what the policy spends with {NET_N} devices, preset {}: \
-             {}; bands are their 95 % intervals. Points: less the same, harvests measured in {seeds} runs with \
-             N = {devices}, {ttis} TTIs, made for this picture.{hollow}",
+            "Lines: closed form λ·exp(−λ)·E_B, Eq. (5), less the consumption of the policy with {NET_N} devices, \
+             preset {}: {}; bands are their 95 % intervals. Points: measured harvest less the same consumption, \
+             {seeds} runs with N = {devices} and {ttis} TTIs, made for this figure.{hollow}",
             condition.label(),
             figures.join(", ")
         ),

@@ -7,7 +7,7 @@ use thiserror::Error;
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum FigureError {
     /// No figure has this name.
-    #[error("figure `{name}`: there is none of that name; the figures are {known}")]
+    #[error("figure `{name}`: unknown figure; use {known}")]
     Unknown {
         /// Requested name.
         name: String,
@@ -15,15 +15,15 @@ pub enum FigureError {
         known: String,
     },
     /// The tables hold no run.
-    #[error("{tables}: no rows, so there is nothing to draw; `reveille sweep` writes tables with runs")]
+    #[error("{tables}: the table has no runs to draw; use a table that `reveille sweep` wrote")]
     Empty {
         /// Names of the tables.
         tables: String,
     },
     /// Two tables hold different outcomes of one run.
     #[error(
-        "scenario {scenario}: the tables hold two different outcomes (digests {first} and {second}) of one scenario; \
-         they come from versions of Reveille that do not agree, so make them again with one version"
+        "scenario {scenario}: the tables hold two outcomes of it (digests {first} and {second}), from different \
+         versions of Reveille; repeat the sweeps with one version"
     )]
     Contradiction {
         /// Hash of the scenario.
@@ -35,8 +35,8 @@ pub enum FigureError {
     },
     /// The run has no event with this number.
     #[error(
-        "event {event}: the run of {ttis} TTIs has {count} events, numbered from 0; give one of them, or \
-         a longer run with --ttis"
+        "event {event}: the run of {ttis} TTIs has {count} events, numbered from 0; give one of these numbers, or a \
+         longer run with --ttis"
     )]
     NoEvent {
         /// Requested event.
@@ -47,10 +47,10 @@ pub enum FigureError {
         ttis: u64,
     },
     /// The policy has no attention weights; only `dt` has them.
-    #[error("--policy {0}: what a decision attended to is drawn for dt alone; leave the option out")]
+    #[error("--policy {0}: the attention figure is for policy dt only; leave the option out")]
     NoAttention(String),
     /// The run has no TTI with this number.
-    #[error("TTI {tti}: the last that can be shown is {last}; give an earlier one, or a longer run with --ttis")]
+    #[error("TTI {tti}: must be at most {last}; give an earlier TTI, or a longer run with --ttis")]
     NoTti {
         /// Requested TTI.
         tti: u64,
@@ -66,7 +66,7 @@ pub enum FigureError {
         count: u32,
     },
     /// The range of TTIs is empty, too long or outside the run.
-    #[error("TTIs {from} to {to}: the run has TTIs 0 to {}, and a timeline shows 10 to 2000 of them", ttis - 1)]
+    #[error("TTIs {from} to {to}: must be 10 to 2000 TTIs within 0 to {}, the TTIs of the run", ttis - 1)]
     NoWindow {
         /// First TTI.
         from: u64,
@@ -76,7 +76,7 @@ pub enum FigureError {
         ttis: u64,
     },
     /// Too many devices for a legible figure.
-    #[error("{count} devices: {what} shows {limit} at the most; {advice}")]
+    #[error("{count} devices: {what} shows at most {limit}; {advice}")]
     Crowd {
         /// Requested number of devices.
         count: u32,
@@ -89,8 +89,8 @@ pub enum FigureError {
     },
     /// The file has no table for this number of devices.
     #[error(
-        "N = {devices}: {file} has tables for {known} devices with {own}, and for {windows}; \
-            reveille train q-learning --devices {devices} --windows {window} --out FILE learns others",
+        "N = {devices}: {file} has tables for {known} devices with {own}, and for {windows}; train the missing tables \
+            with reveille train q-learning --devices {devices} --windows {window} --out FILE",
         own = .window.in_words()
     )]
     NoEntry {
@@ -106,13 +106,13 @@ pub enum FigureError {
         windows: String,
     },
     /// The file holds no learning curve.
-    #[error("{file}: holds no learning curve; reveille train q-learning --out FILE writes tables with theirs")]
+    #[error("{file}: holds no learning curve; use tables that reveille train q-learning wrote")]
     NoCurve {
         /// File name.
         file: String,
     },
     /// Too many items for a legible figure of learning curves.
-    #[error("{count} {what}: a picture of learning curves shows {limit} at the most")]
+    #[error("{count} {what}: a figure of learning curves shows at most {limit}; give fewer")]
     Curves {
         /// Number of items.
         count: usize,
@@ -122,7 +122,7 @@ pub enum FigureError {
         limit: usize,
     },
     /// The runs have no field with this name.
-    #[error("field `{name}`: the runs have none of that name; they have {known}")]
+    #[error("field `{name}`: unknown field; the runs have {known}")]
     Field {
         /// Requested field.
         name: String,
@@ -130,7 +130,7 @@ pub enum FigureError {
         known: String,
     },
     /// No metric has this name.
-    #[error("metric `{name}`: there is none of that name; there are {known}")]
+    #[error("metric `{name}`: unknown metric; use {known}")]
     Metric {
         /// Requested metric.
         name: String,
@@ -138,7 +138,7 @@ pub enum FigureError {
         known: String,
     },
     /// No run has this value of the field.
-    #[error("{field} = {value}: no run has that; the values are {known}")]
+    #[error("{field} = {value}: no run has this value; use {known}")]
     Value {
         /// Field name.
         field: String,
@@ -148,7 +148,7 @@ pub enum FigureError {
         known: String,
     },
     /// The filter leaves no run.
-    #[error("--x {x}: no run that has a value of it has all of {only}")]
+    #[error("--x {x}: no run with a value of this field matches {only}; change --where")]
     Nothing {
         /// Field along x.
         x: String,
@@ -156,9 +156,7 @@ pub enum FigureError {
         only: String,
     },
     /// The field along x has a value that is not a number.
-    #[error(
-        "--x {field}: {value} is no number, so that it has no place on an axis; draw a line for each with --by {field}"
-    )]
+    #[error("--x {field}: {value} is not a number; draw a line for each value with --by {field}")]
     Words {
         /// Field name.
         field: String,
@@ -166,13 +164,13 @@ pub enum FigureError {
         value: String,
     },
     /// Field along x and field of the lines are equal.
-    #[error("--x {field} --by {field}: a line would be a point; name another field with --by")]
+    #[error("--x {field} --by {field}: each line would be a single point; name another field with --by")]
     Twice {
         /// Field name.
         field: String,
     },
     /// Too many lines for a legible figure.
-    #[error("--by {field}: {count} lines, and {most} can be told apart; choose some runs with --where FIELD=VALUE")]
+    #[error("--by {field}: {count} lines, but a figure shows at most {most}; select runs with --where FIELD=VALUE")]
     Lines {
         /// Field that selects the lines.
         field: String,
@@ -183,8 +181,8 @@ pub enum FigureError {
     },
     /// The runs would need too many figures.
     #[error(
-        "--x {x} --by {by}: the runs differ in {fields} as well, which would be more than {most} pictures; choose some \
-         with --where FIELD=VALUE"
+        "--x {x} --by {by}: the runs also differ in {fields}, which makes more than {most} figures; select runs with \
+         --where FIELD=VALUE"
     )]
     Facets {
         /// Largest number of figures.
@@ -197,7 +195,10 @@ pub enum FigureError {
         by: String,
     },
     /// The metric is undefined in every run.
-    #[error("metric `{metric}`: no run has a value of it, as where there was no event")]
+    #[error(
+        "metric `{metric}`: no run defines it, for example because no event occurred; use other runs or another \
+        metric"
+    )]
     Undefined {
         /// Metric name.
         metric: String,

@@ -37,12 +37,12 @@ const SIDE: f64 = 20.0;
 const D_MAX: f64 = 4.0;
 
 /// Caption text about the floor.
-pub(crate) const NOTE: &str = "Energy floor: the least that looking at the whole area in reach in every TTI takes (the \
-    deployment's least cover senses, all others listen, one report an event, full batteries), where that is \
-    no more than the harvest; who looks at less may spend less.";
+pub(crate) const NOTE: &str = "Energy floor: the least energy to observe the whole area in reach in every TTI (a \
+    minimum cover senses, all others listen, one report per event, full batteries), shown where the harvest reaches \
+    it. A policy that observes less can spend less.";
 /// Caption text about the relaxed bound.
-pub(crate) const BOUND_NOTE: &str = "Relaxed bound: an estimate, not a proof, from a prototype of 20 runs: each TTI \
-    the best choice of so many devices looks, two reports an event, batteries never bind.";
+pub(crate) const BOUND_NOTE: &str = "Relaxed bound: an estimate, not a proof, from 20 runs of a prototype. In each TTI \
+    the best set of a given number of devices senses, with two reports per event and no battery limits.";
 
 /// Returns the energy floor per device and TTI, units, for `n` devices under `scenario`. `None` without cover data:
 /// other areas, ranges, layouts or numbers of devices. Also `None` for probabilistic detection, events that are not
@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn many_devices_listen_and_few_look() {
+    fn with_many_devices_most_listen() {
         let (cover, reach) = cover(&Layout::JitteredGrid, 250).expect("a cover");
         let found = floor(&scenario(&["energy.e_wur=0"]), 250).expect("a floor");
         assert!((found - (cover + 2.0 * reach) / 250.0).abs() < 1e-9, "{found}");

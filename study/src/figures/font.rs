@@ -7,9 +7,9 @@ use super::path::{PathStep, VectorPath};
 /// Font weight.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Weight {
-    /// For running text.
+    /// Weight of running text.
     Regular,
-    /// For titles.
+    /// Weight of titles.
     Bold,
 }
 

@@ -215,8 +215,8 @@ fn caption(n: u32, world: &[(String, String)], group: &[&RunCondition], (floor, 
     let counts = || group.iter().map(|condition| condition.runs_per_cell());
     let (least, most) = (counts().map(|c| c.0).min(), counts().map(|c| c.1).max());
     let mut text = format!(
-        "Preset {what}, N = {n}; {} of {} TTIs a point, means with their 95 % intervals in both directions. Lines join \
-         a policy's settings by rising energy; what sets them apart stands beside them. Up and to the left is better.",
+        "Preset {what}, N = {n}; {} of {} TTIs per point, means with 95 % intervals in both directions. Lines join the \
+         settings of a policy in order of energy, with labels for their differences. Up and to the left is better.",
         runs_in_words((least.unwrap_or(0), most.unwrap_or(0))),
         group[0].ttis
     );
@@ -226,7 +226,7 @@ fn caption(n: u32, world: &[(String, String)], group: &[&RunCondition], (floor, 
         }
     }
     if group.iter().any(|condition| condition.sizes(GENIE).contains(&n)) {
-        text.push_str(" The genie is told where events are.");
+        text.push_str(" The genie receives the positions of events.");
     }
     text
 }

@@ -197,18 +197,18 @@ impl Grid<'_> {
 
     fn labels(&self, scene: &mut Scene, edge: f64) -> f64 {
         let rows = self.map.cells.len();
-        let beside =
+        let row_label =
             |text: &str, y: f64| Text::new(text, (self.left - 4.0, y + 0.36 * SMALL), SMALL).anchored(Anchor::End);
         match &self.map.rows {
             RowLabels::Names(names) => {
                 for (row, name) in names.iter().enumerate() {
                     let [_, top, _, bottom] = self.corners(row, 0);
-                    scene.text(beside(name, 0.5 * (top + bottom)));
+                    scene.text(row_label(name, 0.5 * (top + bottom)));
                 }
             }
             RowLabels::Ends(ends) => {
                 for (row, end) in ends.iter().enumerate() {
-                    scene.text(beside(end, self.top + self.cell.1 * (rows - row) as f64));
+                    scene.text(row_label(end, self.top + self.cell.1 * (rows - row) as f64));
                 }
             }
         }

@@ -209,9 +209,9 @@ fn fit(text: &str, limit: f64) -> String {
 
 fn caption(sources: &[NamedTables]) -> String {
     let mut text = String::from(
-        "A point is an episode on a deployment of its own: its mean reward, and its information (P1), while the \
-         policy also tried things out. Episodes rank wake-ups by posterior and by p42 in turn. Every panel has its own \
-         axis, which need not start at zero.",
+        "A point is an episode on its own deployment: its mean reward and its information (P1), exploration included. \
+         Episodes alternate between the rankings posterior and p42. Every panel has a separate axis, which need not \
+         start at zero.",
     );
     let is_one_setting = sources.windows(2).all(|pair| pair[0].1.setting == pair[1].1.setting);
     for (file, learned) in sources {

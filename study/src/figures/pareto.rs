@@ -50,7 +50,8 @@ pub(crate) const DELAY: Trade = Trade {
     name: "delay",
     title: "Delay of detection against energy",
     y: "detection_delay_ttis",
-    better: "Down and to the left is better. Delays are of reported events alone: who misses more may look faster.",
+    better: "Down and to the left is better. Delays cover reported events only, so a policy that misses more events \
+        can look faster.",
 };
 
 /// All trade-off figures.
@@ -206,13 +207,13 @@ impl Trade {
     ) -> String {
         let what = match conditions {
             [one] => one.label(),
-            _ => format!("{}, also changed as the legend says", condition.preset),
+            _ => format!("{}, with the changes in the legend", condition.preset),
         };
         let counts = || conditions.iter().map(|s| s.runs_per_cell());
         let (least, most) = (counts().map(|c| c.0).min(), counts().map(|c| c.1).max());
         let mut text = format!(
-            "Preset {what}; {} of {} TTIs a point, means with their 95 % intervals in both directions. Lines join \
-             rising N, which stands beside some points. {}",
+            "Preset {what}; {} of {} TTIs per point, means with 95 % intervals in both directions. Lines join points \
+             in order of N, which labels some points. {}",
             runs_in_words((least.unwrap_or(0), most.unwrap_or(0))),
             condition.ttis,
             self.better
@@ -220,7 +221,7 @@ impl Trade {
         if has_floor {
             let _ = write!(
                 text,
-                " {} It stands at the genie's information for the same N.",
+                " {} It is drawn at the genie's information for the same N.",
                 floor::NOTE
             );
         }
@@ -230,8 +231,8 @@ impl Trade {
         if !stated.is_empty() {
             let _ = write!(
                 text,
-                " Hollow marks are for N = {}; the paper states information per event, which in its model is the same \
-                 on the mean.",
+                " Hollow marks are for N = {}; the paper states information per event, which has the same mean in its \
+                 model.",
                 stated.join(", ")
             );
         }

@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn a_number_that_is_none_is_not_overlooked() {
+    fn a_nan_is_noticed() {
         let path = VectorPath::polyline([(1.0, 1.0), (f64::NAN, 2.0)], false);
         assert!(path.bounds()[0].is_nan());
         let bounds = VectorPath::circle((1.0, 2.0), 1.0).bounds();

@@ -160,10 +160,8 @@ pub(crate) fn duty_map(learned: &LearnedTables, entry: &TableSet) -> HeatMap {
     }
     HeatMap {
         x_label: match entry.lookback {
-            Lookback::Window(_) => "area that the device would newly cover: share of its sensing disc",
-            Lookback::Ages => {
-                "what the device would newly look at, places by their ages' worth: share of its disc at age 1"
-            }
+            Lookback::Window(_) => "area that the device would newly cover, share of its sensing disc",
+            Lookback::Ages => "area that the device would newly cover, weighted by age, share of its disc at age 1",
         }
         .to_owned(),
         y_label: "battery, units".to_owned(),
@@ -178,20 +176,18 @@ pub(crate) fn duty_map(learned: &LearnedTables, entry: &TableSet) -> HeatMap {
 /// Draws the duty table of `entry`: advantages, with V below them.
 pub fn duty_scene(learned: &LearnedTables, entry: &TableSet) -> Scene {
     let what = match entry.lookback {
-        Lookback::Window(_) => "how much of the area it would newly cover",
-        Lookback::Ages => "what it would newly look at",
+        Lookback::Window(_) => "the area that it would newly cover",
+        Lookback::Ages => "the area that it would newly cover, weighted by age",
     };
-    let title = format!("What sensing is worth with N = {}: Q(s, 1) − Q(s, 0)", entry.devices);
+    let title = format!("Value of sensing with N = {}: Q(s, 1) − Q(s, 0)", entry.devices);
     let map = duty_map(learned, entry);
     let text = format!(
-        "A cell is a state s of a device: its battery, and {what}. The number \
-         is what it gains if it senses in the next TTI (δ = 1) rather than sleeps, in units of N r(k). Within the \
-         bold line the policy lets it sense, those with most to gain first: there the advantage is positive once \
-         it is made never to fall with the area, and the battery is enough to sense and report. Colours follow the \
-         root of the number. {}{}",
+        "A cell is a state s of a device: its battery, and {what}. The number is the gain from sensing in the next TTI \
+         (δ = 1) over sleeping, in units of N r(k). Within the bold line the policy lets devices sense, in order of \
+         gain: there the battery is enough to sense and report, and the advantage is positive after smoothing (never \
+         falling with the area). Colours follow the square root of the number. {}{}",
         if map.count(VisitCount::Half) > 0 {
-            "Where one action was never tried, it is worth its start, what it brings at once, so read \
-             such a number as a guess. "
+            "An action that was never tried keeps its initial value, the immediate reward; such a number is a guess. "
         } else {
             ""
         },
@@ -262,14 +258,15 @@ fn value_chart(learned: &LearnedTables, entry: &TableSet) -> Chart {
         x,
         y,
         series: vec![
-            series("as the policy uses it", Style::nth(0), true, used),
+            series("as used by the policy", Style::nth(0), true, used),
             series("as learned", Style::nth(1), false, raw),
         ],
         marks: Vec::new(),
         spans: Vec::new(),
         notes: Vec::new(),
         zero_below: false,
-        caption: "What a device can expect in all, with discount ζ. The policy makes it never fall with the battery."
+        caption: "Expected total reward of a device, with discount ζ. The policy smooths it so that it never falls \
+            with the battery."
             .to_owned(),
     }
 }
@@ -307,7 +304,7 @@ pub(super) fn trained(learned: &LearnedTables, windows: &[Lookback], place: &str
         learned
             .begun_from
             .as_ref()
-            .map_or_else(String::new, |from| format!("; begun from {from}")),
+            .map_or_else(String::new, |from| format!("; started from {from}")),
     )
 }
 
@@ -409,13 +406,13 @@ fn wake_map(table: &WakeTable, reports: usize) -> HeatMap {
 /// Draws a wake-up table of `entry`, with a panel for each number of reports.
 pub fn wake_scene(learned: &LearnedTables, entry: &TableSet, ranking: WakeUpRanking) -> Scene {
     let (table, name) = (wake_table(entry, ranking), ranking.name());
-    let title = format!("What a wake-up is worth with N = {}, ranking {name}: Q", entry.devices);
+    let title = format!("Value of a wake-up with N = {}, ranking {name}: Q", entry.devices);
     let text = format!(
-        "A cell is what the BS knows of an event: the score of the best device that it could wake (rows, as a share of \
-         Ψ), the information that it has (columns), and the reports so far (panels). The number is what waking is \
-         worth, in units of N r*(k), where stopping is worth 0. Within the bold line the policy does not wake: there \
-         the number is not positive once it is made never to fall with the score. Cells that were never visited keep \
-         the optimistic start. Colours follow the root of the number, the same in all panels. {}",
+        "A cell is the BS's knowledge about an event: the score of the best candidate (rows, as a share of Ψ), the \
+         information so far (columns) and the reports so far (panels). The number is the value of waking, in units of \
+         N r*(k); the value of stopping is 0. Within the bold line the policy does not wake: there the number is not \
+         positive after smoothing (never falling with the score). Cells that were never visited keep the optimistic \
+         initial value. Colours follow the square root of the number, with one scale for all panels. {}",
         learned_on(learned, entry)
     );
     let (mut scene, top) = begun(title, text.clone());
@@ -429,7 +426,7 @@ pub fn wake_scene(learned: &LearnedTables, entry: &TableSet, ranking: WakeUpRank
             let left = EDGE + (wide + GAP) * column as f64;
             let name = match 2 * row + column {
                 0 => "after 1 report".to_owned(),
-                last if last + 1 == REPORTS => format!("after {REPORTS} reports and more"),
+                last if last + 1 == REPORTS => format!("after {REPORTS} or more reports"),
                 reports => format!("after {} reports", reports + 1),
             };
             scene.text(Text::new(name, (left + 0.5 * wide, y + 2.0), SMALL).anchored(super::scene::Anchor::Middle));

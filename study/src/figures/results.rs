@@ -294,7 +294,7 @@ impl RunCondition {
     /// Returns the estimate of `metric` with its interval; `None` if it is undefined in all runs of the cell.
     pub fn reading(&self, policy: &str, n: u32, metric: &str) -> Option<MetricEstimate> {
         let runs: Vec<&ResultRow> = self.runs(policy, n).collect();
-        MetricEstimate::of(&runs, metric)
+        MetricEstimate::from_rows(&runs, metric)
     }
 
     /// Returns the estimate of `metric` for `policy` with `n` devices; `None` if it is undefined in all runs.

@@ -48,7 +48,7 @@ const LEVELS: &[f64] = &[0.0, 0.1, 0.2, 0.3, 0.5];
 pub static IMPAIRMENTS: [Impairment; 6] = [
     Impairment {
         name: "wake_miss",
-        title: "Wake-ups that are missed",
+        title: "Missed wake-ups",
         axis: "probability that a wake-up is missed",
         levels: LEVELS,
         radio: |wake_miss| RadioSettings {
@@ -57,18 +57,18 @@ pub static IMPAIRMENTS: [Impairment; 6] = [
         },
     },
     Impairment {
-        name: "false_wake",
-        title: "Wake-ups for nothing",
-        axis: "probability of a wake-up for nothing, per TTI asleep",
+        name: "false_wake_up",
+        title: "False wake-ups",
+        axis: "probability of a false wake-up, per TTI asleep",
         levels: &[0.0, 0.01, 0.02, 0.05, 0.1],
-        radio: |false_wake| RadioSettings {
-            false_wake,
+        radio: |false_wake_up| RadioSettings {
+            false_wake_up,
             ..RadioSettings::default()
         },
     },
     Impairment {
         name: "uplink_loss",
-        title: "Reports that are lost",
+        title: "Lost reports",
         axis: "probability that a report is lost",
         levels: LEVELS,
         radio: |uplink_loss| RadioSettings {
@@ -78,7 +78,7 @@ pub static IMPAIRMENTS: [Impairment; 6] = [
     },
     Impairment {
         name: "plan_loss",
-        title: "Plans that are missed",
+        title: "Missed plans",
         axis: "probability that a device misses a plan",
         levels: LEVELS,
         radio: |plan_loss| RadioSettings {
@@ -88,7 +88,7 @@ pub static IMPAIRMENTS: [Impairment; 6] = [
     },
     Impairment {
         name: "wake_latency",
-        title: "Devices that take time to wake",
+        title: "Wake-up latency",
         axis: "TTIs from a wake-up until the device is awake",
         levels: &[0.0, 1.0, 2.0, 3.0, 4.0],
         radio: |ttis| RadioSettings {
@@ -99,7 +99,7 @@ pub static IMPAIRMENTS: [Impairment; 6] = [
     Impairment {
         name: "interference",
         title: "Bursts of interference",
-        axis: "share of the time in which nothing gets through",
+        axis: "share of time without any reception",
         levels: LEVELS,
         radio: |share| RadioSettings {
             bursts: Some(InterferenceBursts {
@@ -128,7 +128,7 @@ pub struct RobustnessPoint {
 impl RobustnessPoint {
     /// Returns the mean of `metric` over the runs, with its interval; `None` if no run has a value.
     pub fn reading(&self, metric: &str) -> Option<Estimate> {
-        Estimate::of(self.runs.iter().filter_map(|run| run.value(metric)))
+        Estimate::from_values(self.runs.iter().filter_map(|run| run.value(metric)))
     }
 }
 
@@ -207,8 +207,8 @@ pub fn chart(
     let most = levels.iter().copied().fold(0.0, f64::max);
     let seeds = own.iter().map(|point| point.runs.len());
     let caption = format!(
-        "Preset {}, N = {}; {} of {} TTIs a point, mean with its 95 % interval as band and bar. Plans are sent \
-         again every {} TTIs; all that is not along x works.",
+        "Preset {}, N = {}; {} of {} TTIs per point, mean with its 95 % interval as band and bar. Plans are resent \
+         every {} TTIs; there is no impairment except the one along x.",
         scenario.run.preset,
         scenario.run.devices,
         runs_in_words((seeds.clone().min().unwrap_or(0), seeds.max().unwrap_or(0))),
@@ -311,8 +311,8 @@ mod tests {
         }
         // Each impairment's largest level, against level 0, shows in its own metric.
         let shown = [
-            "unheard_wake_ups_pct",
-            "false_wakes_pct",
+            "missed_wake_ups_pct",
+            "false_wake_ups_pct",
             "lost_reports_pct",
             "missed_plans_pct",
             "late_wake_ups_pct",

@@ -15,8 +15,8 @@ use reveille_lab::run::{Run, RunOptions};
 pub fn events(scenario: &Scenario) -> Vec<EventRecord> {
     struct EventCollector(Vec<EventRecord>);
     impl Observer for EventCollector {
-        fn notify(&mut self, happening: &Notification<'_>) {
-            if let Notification::EventEnded(event) = happening {
+        fn notify(&mut self, notification: &Notification<'_>) {
+            if let Notification::EventEnded(event) = notification {
                 self.0.push(**event);
             }
         }
@@ -38,21 +38,21 @@ pub(crate) struct TtiOutcome {
 }
 
 impl Observer for TtiOutcome {
-    fn notify(&mut self, happening: &Notification<'_>) {
-        match happening {
-            Notification::Granted(_) => *self = Self::default(),
-            Notification::Reported(report) => self.reports.push(**report),
-            Notification::Failed { failure, .. } => self.failures.push(**failure),
-            Notification::Woken { device, outcome, .. } => self.woken.push((*device, **outcome)),
-            Notification::Plan { .. }
+    fn notify(&mut self, notification: &Notification<'_>) {
+        match notification {
+            Notification::TtisGranted(_) => *self = Self::default(),
+            Notification::ReportReceived(report) => self.reports.push(**report),
+            Notification::ReportFailed { failure, .. } => self.failures.push(**failure),
+            Notification::WakeUpCompleted { device, outcome, .. } => self.woken.push((*device, **outcome)),
+            Notification::PlanSent { .. }
             | Notification::EventStarted(_)
-            | Notification::Lost(_)
-            | Notification::Gone(_)
-            | Notification::WakeUp { .. }
-            | Notification::Believed { .. }
+            | Notification::ReportLost(_)
+            | Notification::DevicesRemoved(_)
+            | Notification::WakeUpSent { .. }
+            | Notification::BeliefUpdated { .. }
             | Notification::EventEnded(_)
-            | Notification::Closed(_)
-            | Notification::States(_) => {}
+            | Notification::TtiClosed(_)
+            | Notification::DeviceStates(_) => {}
         }
     }
 }
@@ -122,7 +122,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_walk_is_the_run_and_its_states_are_those_of_the_ledgers() {
+    fn a_walk_equals_the_run_and_its_ledgers() {
         let overrides = ["devices=30", "ttis=400", "warm_up=0"].map(|o| Override::parse(o).expect("an override"));
         let scenario = load("paper", &overrides).expect("a scenario").scenario;
         let outcome = start(&scenario, RunOptions::default()).finish(&mut ());

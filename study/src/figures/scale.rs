@@ -214,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn an_axis_holds_whatever_it_is_given() {
+    fn an_axis_contains_all_values() {
         for values in [
             vec![],
             vec![0.0],
@@ -244,11 +244,11 @@ mod tests {
     }
 
     #[test]
-    fn decades_are_labelled_as_people_write_them() {
+    fn decades_have_usual_labels() {
         let axis = Scale::log([0.003, 77.0, 0.0, f64::NAN]).expect("two values above zero");
         assert_eq!(labels(axis), ["0.001", "0.01", "0.1", "1", "10", "100"]);
         assert!((axis.place(0.1) - 0.4).abs() < 1e-12);
-        assert!(axis.place(0.0).abs() < 1e-12, "zero stands at the start");
+        assert!(axis.place(0.0).abs() < 1e-12, "zero is at the start");
         assert_eq!(labels(Scale::log([2.0, 7.0]).expect("a scale")), ["1", "2", "5", "10"]);
         assert_eq!(Scale::log([0.0, -1.0]), None);
         assert_eq!(Scale::log([1.0]).map(Scale::ends), Some((1.0, 10.0)));

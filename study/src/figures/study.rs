@@ -225,22 +225,22 @@ impl Figure {
     ) -> String {
         let runs = runs_in_words(condition.runs_per_cell());
         let mut text = format!(
-            "Preset {}; {runs} of {} TTIs a point, mean with its 95 % interval as band and bar.",
+            "Preset {}; {runs} of {} TTIs per point, mean with its 95 % interval as band and bar.",
             condition.label(),
             condition.ttis
         );
         if !marks.is_empty() {
-            text.push_str(" What the paper states stands beside its N; box: a range, arrow: a bound.");
+            text.push_str(" Hollow marks next to an N: values stated in the paper; box: a range, arrow: a bound.");
         }
         if self.judged != self.metric && !marks.is_empty() {
-            text.push_str(" It states information per event, which in its model is the same on the mean.");
+            text.push_str(" The paper states information per event, which has the same mean in its model.");
         }
         if !spans.is_empty() {
-            text.push_str(" Hatched: what it states for a range of N.");
+            text.push_str(" Hatched: values stated for a range of N.");
         }
         if self.is_log && has_zero(series) {
             text.push_str(
-                " At the lower border: not one of the events; bars then end at 300 / Σ events %, the rule of three.",
+                " At the lower border: none of the events; bars then end at 300 / Σ events %, the rule of three.",
             );
         }
         if !undefined.is_empty() {

@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn what_xml_keeps_for_itself_is_escaped() {
+    fn characters_reserved_in_xml_are_escaped() {
         assert_eq!(escape("a < b & \"c\" > d"), "a &lt; b &amp; &quot;c&quot; &gt; d");
     }
 }

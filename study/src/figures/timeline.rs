@@ -62,7 +62,7 @@ impl Timeline {
     ///
     /// # Errors
     /// The run has no such device or TTIs, or there are more than `CROWD` devices.
-    pub fn of(scenario: &Scenario, devices: &[u32], from: u64, ttis: u64) -> Result<Self, FigureError> {
+    pub fn from_scenario(scenario: &Scenario, devices: &[u32], from: u64, ttis: u64) -> Result<Self, FigureError> {
         // Both numbers are user input, so the sum may overflow.
         let end = from.saturating_add(ttis);
         if !(10..=2000).contains(&ttis) || end > scenario.run.ttis {
@@ -217,7 +217,7 @@ fn legend(scene: &mut Scene, y: f64) {
         let span = [x, middle - 4.0, x + 10.0, middle + 4.0];
         scene.area(VectorPath::rectangle(span), Paint::Colour(ORANGE), 0.35);
     });
-    entry(scene, "event nobody reported", &|scene, x| {
+    entry(scene, "event, no report", &|scene, x| {
         let span = [x, middle - 4.0, x + 10.0, middle + 4.0];
         scene.area(VectorPath::rectangle(span), Paint::Ink, 0.25);
     });
@@ -385,7 +385,7 @@ fn caption(scenario: &Scenario, timeline: &Timeline) -> String {
     let unseen = timeline.events.iter().filter(|e| e.tally.reports == 0).count();
     format!(
         "Battery at the end of each TTI and states S1 (idle: sensing), S2 (active), S3 (transmission), S4 (sleep). A \
-         device that reports goes through S2 and S3 within its TTI. {} events, {unseen} of them reported by nobody. \
+         device that reports goes through S2 and S3 within its TTI. {} events, {unseen} of them without a report. \
          Preset {}, seed {}, K = {}.",
         timeline.events.len(),
         scenario.run.preset,

@@ -66,9 +66,9 @@ fn caption(history: &History) -> String {
         )
     });
     format!(
-        "The objective, {}, is to be large. Colours and lines are the mean of a Gaussian process through the pairs \
-         that were tried, which are numbered in order; it is sure of itself only near them.{} For each pair tables \
-         were trained ({}) and measured ({}), all with the same seeds. Ranking {}, preset {}, seed {}.",
+        "The tuning maximises the objective, {}. Colours and lines are the mean of a Gaussian process through the \
+         evaluated pairs, which are numbered in order; it is reliable only near them.{} For each pair, tables were \
+         trained ({}) and measured ({}), all with the same seeds. Ranking {}, preset {}, seed {}.",
         says("objective").split_once(": ").map_or("", |(_, words)| words),
         best.unwrap_or_default(),
         says("training"),
@@ -110,7 +110,7 @@ impl Panel {
         (left + x * (right - left), bottom - y * (bottom - top))
     }
 
-    fn of(&self, [mu1, mu2]: WeightPair) -> (f64, f64) {
+    fn position(&self, [mu1, mu2]: WeightPair) -> (f64, f64) {
         Self::at((self.x.place(mu1), self.y.place(mu2)))
     }
 
@@ -148,7 +148,11 @@ impl Panel {
     /// Draws the pairs with their numbers. Returns the boxes around them.
     fn points(&self, scene: &mut Scene, history: &History) -> Vec<Rect> {
         let best = history.ranked().first().copied();
-        let places: Vec<(f64, f64)> = history.points.iter().map(|point| self.of(point.weights)).collect();
+        let places: Vec<(f64, f64)> = history
+            .points
+            .iter()
+            .map(|point| self.position(point.weights))
+            .collect();
         let marks = places.iter().enumerate().map(|(number, &(x, y))| {
             let size = if best == Some(number) { 1.4 * STAR } else { DOT + 0.8 };
             [x - size, y - size, x + size, y + size]
@@ -242,8 +246,9 @@ impl Panel {
         scene.line(VectorPath::rectangle(PANEL), axis);
         let below = (0.5 * (left + right), bottom + 2.0 * LEADING + 3.0);
         scene.text(Text::new("μ1, weight of misdetections (logarithmic)", below, SMALL).anchored(Anchor::Middle));
-        let beside = (EDGE + 0.76 * SMALL, 0.5 * (top + bottom));
-        let mut text = Text::new("μ2, weight of information (logarithmic)", beside, SMALL).anchored(Anchor::Middle);
+        let label_position = (EDGE + 0.76 * SMALL, 0.5 * (top + bottom));
+        let mut text =
+            Text::new("μ2, weight of information (logarithmic)", label_position, SMALL).anchored(Anchor::Middle);
         text.upwards = true;
         scene.text(text);
     }
@@ -275,7 +280,7 @@ impl Panel {
         }
         scene.text(Text::new("objective (mean)", (left, top - 5.0), SMALL));
         let mut y = PANEL[1] + 0.76 * SMALL;
-        for (is_best, words) in [(false, "pair tried, its number"), (true, "best of them")] {
+        for (is_best, words) in [(false, "evaluated pair, its number"), (true, "best pair")] {
             if is_best && history.points.is_empty() {
                 continue;
             }

@@ -21,14 +21,14 @@ pub(super) fn why(topic: &ClaimTopic, claim: &Claim, judgement: &Judgement, cond
             reasons.extend(order(judgement));
             let known = known(topic, claim, judgement, condition);
             if known.is_empty() && judgement.verdict == Verdict::NotReproduced {
-                reasons.push("We do not know why.".to_owned());
+                reasons.push("Cause unknown.".to_owned());
             }
             reasons.extend(known);
         }
     }
     reasons.extend(absent(claim, judgement));
     if !judgement.firm {
-        reasons.push("Our interval reaches across the border of this verdict: more runs would decide.".to_owned());
+        reasons.push("Our interval crosses the limit of this verdict; more runs would decide.".to_owned());
     }
     reasons.join(" ")
 }
@@ -66,7 +66,7 @@ fn absent(claim: &Claim, judgement: &Judgement) -> Option<String> {
     let is_absent = |other: &&&str| !judgement.findings.iter().any(|f| f.other == Some(**other));
     let absent: Vec<&str> = others.iter().filter(is_absent).copied().collect();
     let is_told = !absent.is_empty() && judgement.verdict != Verdict::NotRun;
-    is_told.then(|| format!("Without {}, not run here.", absent.join(", ")))
+    is_told.then(|| format!("Without {} (not run here).", absent.join(", ")))
 }
 
 /// Lists the causes known from the claims or from our own metrics.
@@ -105,7 +105,7 @@ fn known(topic: &ClaimTopic, claim: &Claim, judgement: &Judgement, condition: &R
     let is_missed = topic.metric == "misdetection_pct" && claim.quantity == ClaimQuantity::Own && is_under.is_some();
     if let Some(lasts) = lasts.filter(|_| is_missed) {
         reasons.push(format!(
-            "An event lasts {lasts} here and is missed only if no report comes in any of them."
+            "An event lasts {lasts} here and is missed only if none of them brings a report."
         ));
     }
     reasons

@@ -1,7 +1,7 @@
 //! Text for the figures found for a claim and for their distance from it.
 
 use super::judge::Finding;
-use super::phrasing::{list, number, told};
+use super::phrasing::{format_estimate, list, number};
 use crate::claims::{Claim, ClaimQuantity, Statement};
 
 /// Describes the figures for `claim`: a figure with its interval, or the ends over several N or policies.
@@ -55,7 +55,7 @@ fn nothing(findings: &[Finding]) -> String {
 /// Formats a figure with its interval.
 fn alone(claim: &Claim, finding: &Finding) -> String {
     if let Some(reading) = &finding.reading {
-        return told(reading);
+        return format_estimate(reading);
     }
     let Finding { low, high, .. } = *finding;
     let interval = match (low > 0.0, high.is_finite()) {
@@ -75,7 +75,7 @@ fn figure(claim: &Claim, finding: &Finding) -> String {
     };
     match (claim.quantity, finding.other) {
         (ClaimQuantity::Ratio(_), Some(other)) => format!("{value} × {other}"),
-        (ClaimQuantity::Growth(n), _) => format!("{value} × that at N = {n}"),
+        (ClaimQuantity::Growth(n), _) => format!("{value} × the value at N = {n}"),
         (ClaimQuantity::Own | ClaimQuantity::Gap(_) | ClaimQuantity::Ratio(_), _) => value,
     }
 }
@@ -147,7 +147,7 @@ fn order(claim: &Claim, findings: &[Finding]) -> Option<String> {
         None => format!("N = {} ({})", f.n, number(f.value)),
     };
     let places: Vec<String> = findings.iter().filter(fails).map(place).collect();
-    (!places.is_empty()).then(|| format!("Not so at {}.", list(&places)))
+    (!places.is_empty()).then(|| format!("It does not hold at {}.", list(&places)))
 }
 
 /// Describes the largest step against a trend; `step` is measured from an earlier to a later finding.
@@ -193,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn the_distance_is_that_of_the_worst() {
+    fn the_distance_is_the_largest() {
         let range = claim(ClaimQuantity::Own, Statement::Between(30.0, 45.0));
         let text = distance(&range, &[finding(10, 60.0), finding(250, 90.0)]).expect("a distance");
         assert_eq!(text, "At N = 250 ours is 2.00 times the nearer end of the range.");
@@ -204,18 +204,18 @@ mod tests {
     }
 
     #[test]
-    fn an_order_that_fails_says_where() {
+    fn a_failed_order_names_its_places() {
         let below = claim(ClaimQuantity::Ratio(&["random"]), Statement::Below(1.0));
         let text = distance(&below, &[finding(10, 0.5), finding(50, 1.25), finding(250, 2.0)]);
         assert_eq!(
             text.expect("a distance"),
-            "Not so at N = 50 (1.25 × random) and N = 250 (2.00 × random)."
+            "It does not hold at N = 50 (1.25 × random) and N = 250 (2.00 × random)."
         );
         assert_eq!(distance(&below, &[finding(10, 0.5)]), None);
     }
 
     #[test]
-    fn a_trend_says_its_largest_step_against() {
+    fn a_trend_names_its_largest_step_against() {
         let falls = claim(ClaimQuantity::Own, Statement::Falls);
         let row = [finding(10, 5.0), finding(50, 2.0), finding(100, 3.0), finding(250, 4.5)];
         let text = distance(&falls, &row).expect("a distance");
@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_found_has_its_interval_or_its_ends() {
+    fn findings_have_an_interval_or_ends() {
         let most = claim(ClaimQuantity::Ratio(&["random"]), Statement::Largest(4.5));
         let row = [finding(10, 1.0), finding(50, 4.0), finding(250, 2.0)];
         assert_eq!(found(&most, &row), "4.00 × random (3.60 to 4.40), N = 50");

@@ -18,7 +18,7 @@ use reveille_lab::stats::Estimate;
 /// Metric that is held fixed.
 const SPENT: &str = "energy_per_device_tti";
 /// Reading of a single λ.
-const LONE: &str = "A single λ, \"as low as\", is read as that of the policy that spends least.";
+const LONE: &str = "A single λ, \"as low as\", is read as the λ of the policy that spends least.";
 
 /// All claims on λ.
 pub(super) fn lines(columns: &[ConditionColumn<'_>]) -> Vec<ClaimRow> {
@@ -74,8 +74,8 @@ fn ours(stated: &StatedThreshold, is_most: bool, end: StatedEnd, column: &Condit
     };
     let Some(tau) = condition.scenario.as_ref().and_then(tau_of_eq5) else {
         return none(
-            "Not comparable: the claim is about Eq. (5), and the energy source of these runs is another, or their \
-             table does not tell it."
+            "Not comparable: the claim is about Eq. (5), but these runs have another energy source, or their table \
+             does not name it."
                 .to_owned(),
         );
     };
@@ -114,10 +114,10 @@ fn place(condition: &RunCondition, n: u32, is_most: bool, policy: &str) -> Strin
     let here = if other.0 == policy {
         format!("it spends {opposite} of all")
     } else {
-        "it is neither the first nor the last".to_owned()
+        "it spends neither the most nor the least".to_owned()
     };
     format!(
-        "The paper has {policy} as the one that spends {rank}; here {here}, and {} spends {rank}, {} units.",
+        "In the paper {policy} spends {rank}; here {here}, and {} spends {rank}, {} units.",
         own.0,
         number(own.1.mean)
     )
@@ -141,8 +141,8 @@ fn judge((e_b, tau): (f64, f64), end: StatedEnd, spent: &Estimate) -> Assessment
             verdict: Verdict::NotReproduced,
             firm: low.is_none() && !is_one_run,
             why: format!(
-                "{policy} spends {} units, and under Eq. (5) no λ brings more than E_B/e = {}. The paper's values fit \
-                 a harvest of about λ·E_B, which λ·exp(-λ)·E_B is for small λ only.",
+                "{policy} spends {} units, but under Eq. (5) the harvest is at most E_B/e = {}. The paper's values fit \
+                 a harvest of about λ·E_B, to which λ·exp(-λ)·E_B is close for small λ only.",
                 number(spent.mean),
                 number(most)
             ),
@@ -162,14 +162,14 @@ fn judge((e_b, tau): (f64, f64), end: StatedEnd, spent: &Estimate) -> Assessment
     let doubt = if firm {
         ""
     } else {
-        " Our interval reaches across the border of this verdict: more runs would decide."
+        " Our interval crosses the limit of this verdict; more runs would decide."
     };
     let why = if fits == FitLevel::Yes {
         doubt.trim_start().to_owned()
     } else {
         let needed = e_b * LambdaReading::Eq5.probability(stated, tau);
         format!(
-            "{policy} spends {} units here; the paper's λ stands for a consumption of {}.{doubt}",
+            "{policy} spends {} units here; the paper's λ corresponds to a consumption of {}.{doubt}",
             number(spent.mean),
             number(needed)
         )
@@ -199,7 +199,13 @@ mod tests {
         };
         // Under Eq. (5), some λ harvests 0.2 units and no λ harvests 5 units.
         for spent in [0.2, 5.0] {
-            let ours = |spent: &[f64]| judge((5.0, 1.0), end, &Estimate::of(spent.iter().copied()).expect("a run"));
+            let ours = |spent: &[f64]| {
+                judge(
+                    (5.0, 1.0),
+                    end,
+                    &Estimate::from_values(spent.iter().copied()).expect("a run"),
+                )
+            };
             let (one, two) = (ours(&[spent]), ours(&[spent, spent * 1.001]));
             assert!(!one.firm && two.firm, "{one:?} {two:?}");
             assert!(!one.found.contains('±'), "{one:?}");

@@ -9,7 +9,7 @@ use super::{ClaimReport, ClaimRow, ConditionColumn, PRESETS};
 
 /// Renders the whole report.
 pub fn markdown(report: &ClaimReport<'_>, figures: &[(String, String)], command: &str) -> String {
-    let mut out = String::from("# What the paper claims and what Reveille measures\n\n");
+    let mut out = String::from("# Claims of the paper and measurements of Reveille\n\n");
     for line in runs(report).into_iter().chain(absent(report)) {
         let _ = writeln!(out, "- {line}");
     }
@@ -155,7 +155,7 @@ fn reasons(report: &ClaimReport<'_>, is_told: impl Fn(&ConditionColumn<'_>) -> b
 /// Describes the origin of the page: the command, the tables, and their experiments.
 pub(super) fn made(report: &ClaimReport<'_>, command: &str) -> String {
     let mut out = format!(
-        "\n## How it was made\n\nBy Reveille {}: `{command}`\n\n",
+        "\n## How this report was made\n\nBy Reveille {}: `{command}`\n\n",
         env!("CARGO_PKG_VERSION")
     );
     for line in origins(report) {

@@ -7,13 +7,13 @@ use super::{ClaimReport, ClaimRow, PRESETS};
 
 /// Rule for the verdicts.
 pub(super) const RULE: &str = "A claim is reproduced if our mean is within 5 % of the stated value, in a stated range, \
-    or meets a stated bound or order; it is within 20 % if it is that near to the value or to the nearer end of the \
-    range. A claim for several N or against several policies must hold at each that was run. What falls or rises with \
-    N may go against that by a tenth of its range, and what stays level may stray by 20 %. A stated 0 is met by less \
-    than 1 % of the largest of the other policies. Its order is reproduced if, failing all that, the policy stands to \
-    every other whose place the paper states as it does there. A verdict marked ? would differ for some value in our \
-    95 % interval. Where cases are too few for an interval, a one-sided 95 % bound stands in its place: without a case \
-    in n events 3/n, the rule of three. No definition was changed to meet a claim.";
+    or meets a stated bound or order. It is within 20 % if our mean is that close to the value or to the nearer end of \
+    the range. A claim for several N or against several policies must hold for each that was run. A value that falls \
+    or rises with N may deviate from that by a tenth of its range, and a level value may vary by 20 %. A stated 0 is \
+    met by less than 1 % of the largest of the other policies. Otherwise its order is reproduced if the policy is \
+    above or below every other policy with a stated place as in the paper. A verdict marked ? would differ for some \
+    value in our 95 % interval. Where an interval would need more cases, a one-sided 95 % bound replaces it: 3/n \
+    without a case in n events, the rule of three. No definition was changed to meet a claim.";
 
 /// A list under a heading.
 pub(super) struct ReportNotes {
@@ -47,7 +47,7 @@ pub(super) fn absent(report: &ClaimReport<'_>) -> Vec<String> {
     let missing: Vec<&str> = report.missing().collect();
     if missing.len() == PRESETS.len() {
         sentences.push(
-            "These tables hold runs of neither preset as it is: what the paper states is stated of other settings."
+            "These tables hold no runs of an unchanged preset; the claims of the paper are about other settings."
                 .to_owned(),
         );
     } else {
@@ -138,11 +138,11 @@ pub(super) fn remarks(report: &ClaimReport<'_>) -> [ReportNotes; 2] {
     }
     [
         ReportNotes {
-            heading: "Where the paper contradicts itself",
+            heading: "Contradictions in the paper",
             items: against,
         },
         ReportNotes {
-            heading: "How sentences were read",
+            heading: "Interpretation of sentences",
             items: readings,
         },
     ]
@@ -162,8 +162,8 @@ pub(super) fn origins(report: &ClaimReport<'_>) -> Vec<String> {
             &about.version
         };
         format!(
-            "{}: {} runs by Reveille {version}{shard}; SHA-256 of the experiment's scenarios {}; of the runs' digests \
-             in order {}.",
+            "{}: {} runs by Reveille {version}{shard}; SHA-256 of the scenarios of the experiment {}; of the digests \
+             of the runs in order {}.",
             source.name, source.rows, about.grid, source.digests
         )
     };

@@ -12,10 +12,17 @@ const STYLE: &str = include_str!("page.css");
 /// Renders the page. `pictures` are SVGs.
 pub fn page(report: &ClaimReport<'_>, pictures: &[String], command: &str) -> String {
     let mut out = format!(
-        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" \
-         content=\"width=device-width, initial-scale=1\">\n<title>Reveille beside the \
-         paper</title>\n<style>\n{STYLE}</style>\n\
-         </head>\n<body>\n<h1>What the paper claims and what Reveille measures</h1>\n"
+        "<!DOCTYPE html>\n\
+         <html lang=\"en\">\n\
+         <head>\n\
+         <meta charset=\"utf-8\">\n\
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
+         <title>Reveille compared with the paper</title>\n\
+         <style>\n\
+         {STYLE}</style>\n\
+         </head>\n\
+         <body>\n\
+         <h1>Claims of the paper and measurements of Reveille</h1>\n"
     );
     out.push_str(&list(runs(report).into_iter().chain(absent(report))));
     let _ = writeln!(out, "<p>{}</p>", escape(RULE));
@@ -35,7 +42,7 @@ pub fn page(report: &ClaimReport<'_>, pictures: &[String], command: &str) -> Str
         // Not escaped: the pictures are our own SVG, whose texts are already escaped.
         let _ = writeln!(out, "<figure>{picture}</figure>");
     }
-    out.push_str("</div>\n<h2>How it was made</h2>\n");
+    out.push_str("</div>\n<h2>How this report was made</h2>\n");
     let _ = writeln!(
         out,
         "<p>By Reveille {}: <code>{}</code></p>",

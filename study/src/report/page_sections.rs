@@ -22,7 +22,7 @@ pub struct PageSection {
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum PageSectionError {
     /// A section has no end mark.
-    #[error("line {line}: <!-- report {name} --> without <!-- /report {name} --> after it")]
+    #[error("line {line}: <!-- report {name} --> has no <!-- /report {name} --> after it")]
     Open {
         /// Line of the start mark, from 1.
         line: usize,
@@ -30,7 +30,7 @@ pub enum PageSectionError {
         name: String,
     },
     /// The page has no mark of any of the sections.
-    #[error("has no mark <!-- report NAME --> of a part that this command makes; they are {known}")]
+    #[error("no mark <!-- report NAME --> of a part of this report; use {known}")]
     Unmarked {
         /// Names of the sections.
         known: String,
@@ -110,7 +110,7 @@ mod tests {
         kept\n<!-- /report z -->\n";
 
     #[test]
-    fn a_part_stands_between_its_marks_and_all_else_stays() {
+    fn a_part_is_between_its_marks_and_the_rest_stays() {
         let parts = [
             PageSection::new("a", "| new |\n".to_owned()),
             PageSection::new("b", "nowhere".to_owned()),
@@ -121,12 +121,12 @@ mod tests {
         assert_eq!(
             fill(&filled, &parts).expect("marks"),
             filled,
-            "filled again it is the same"
+            "filling twice changes nothing"
         );
     }
 
     #[test]
-    fn marks_that_cannot_be_filled_are_told() {
+    fn unknown_marks_are_errors() {
         let parts = [
             PageSection::new("a", String::new()),
             PageSection::new("b", String::new()),
@@ -138,7 +138,7 @@ mod tests {
         let none = fill("text\n<!-- report z -->\n<!-- /report z -->\n", &parts)
             .expect_err("no mark")
             .to_string();
-        assert!(none.contains("they are a, b"), "{none}");
+        assert!(none.contains("use a, b"), "{none}");
     }
 
     #[test]

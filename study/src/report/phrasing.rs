@@ -42,7 +42,7 @@ fn number_like(half: f64, mean: f64) -> String {
 }
 
 /// Formats the estimate of a metric: a mean with its interval, or a bound.
-pub(super) fn told(reading: &MetricEstimate) -> String {
+pub(super) fn format_estimate(reading: &MetricEstimate) -> String {
     let (mean, half) = (reading.estimate.mean, reading.estimate.half_width);
     match (reading.upper, reading.counted) {
         (Some(upper), Some(CaseCounts { cases: 0, events })) => format!("0 in {events} events, < {}", number(upper)),
@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_next_to_nothing_has_a_bound_and_no_interval() {
+    fn values_near_zero_have_a_bound_instead_of_an_interval() {
         let reading = |values: &[f64], cases: Option<u64>, upper| MetricEstimate {
             estimate: Estimate::over(values.iter().copied()),
             counted: cases.map(|cases| CaseCounts { cases, events: 600 }),
@@ -168,23 +168,26 @@ mod tests {
             lower: None,
         };
         assert_eq!(
-            told(&reading(&[0.0; 2], Some(0), Some(0.5))),
+            format_estimate(&reading(&[0.0; 2], Some(0), Some(0.5))),
             "0 in 600 events, < 0.500"
         );
         assert_eq!(
-            told(&reading(&[0.0, 0.2], Some(1), Some(0.79))),
+            format_estimate(&reading(&[0.0, 0.2], Some(1), Some(0.79))),
             "0.100, 1 in 600 events, < 0.790"
         );
-        assert_eq!(told(&reading(&[0.0, 0.026], None, Some(0.04))), "0.0130, < 0.0400");
-        assert_eq!(told(&reading(&[0.0; 2], None, None)), "0 in every run");
-        assert_eq!(told(&reading(&[0.3, 0.5], Some(99), None)), "0.400 ± 1.271");
+        assert_eq!(
+            format_estimate(&reading(&[0.0, 0.026], None, Some(0.04))),
+            "0.0130, < 0.0400"
+        );
+        assert_eq!(format_estimate(&reading(&[0.0; 2], None, None)), "0 in every run");
+        assert_eq!(format_estimate(&reading(&[0.3, 0.5], Some(99), None)), "0.400 ± 1.271");
     }
 
     #[test]
-    fn claims_read_as_people_say_them() {
+    fn claims_read_naturally() {
         let says =
             |quantity, statement| relation(&Claim::new("knn", DeviceCounts::Everywhere, quantity, statement, FIG_8));
-        for (statement, alone, beside) in [
+        for (statement, alone, compared) in [
             (Statement::About(0.4), "≈ 0.4", "0.4 × adjusted and random"),
             (Statement::About(1.0), "≈ 1", "about as adjusted and random"),
             (Statement::Below(1.0), "< 1", "less than adjusted and random"),
@@ -207,7 +210,7 @@ mod tests {
             ),
         ] {
             assert_eq!(says(ClaimQuantity::Own, statement), alone);
-            assert_eq!(says(ClaimQuantity::Ratio(&["adjusted", "random"]), statement), beside);
+            assert_eq!(says(ClaimQuantity::Ratio(&["adjusted", "random"]), statement), compared);
         }
         assert_eq!(
             says(ClaimQuantity::Gap("genie"), Statement::Falls),

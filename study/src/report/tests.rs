@@ -119,7 +119,7 @@ fn the_lambda_of_a_consumption_solves_the_closed_form() {
     let few = at("N = 10", "1", "random, spends least");
     assert!(few.found.starts_with("0.68"), "{few:?}");
     assert!(
-        !few.why.contains("The paper has"),
+        !few.why.contains("In the paper"),
         "random spends least in ours too: {few:?}"
     );
     let five = at("N = 10", "5", "random");
@@ -141,7 +141,7 @@ fn the_lambda_of_a_consumption_solves_the_closed_form() {
 }
 
 #[test]
-fn what_the_paper_says_of_q_learning_is_judged_by_its_runs() {
+fn statements_about_q_learning_are_judged_by_its_runs() {
     let runs: [(&str, u32, &[f64]); 2] = [("q-learning", 250, &[0.23, 0.24]), ("q-learning", 10, &[0.6, 0.62])];
     let table = fixtures::table("paper", "energy_per_device_tti", &runs);
     let results = Results::new(std::slice::from_ref(&table), &NoFiles).expect("runs");
@@ -167,7 +167,7 @@ fn what_the_paper_says_of_q_learning_is_judged_by_its_runs() {
 }
 
 #[test]
-fn a_policy_at_the_other_end_than_in_the_paper_is_judged_all_the_same() {
+fn a_policy_at_the_other_end_is_still_judged() {
     let runs: [(&str, u32, &[f64]); 2] = [("adjusted", 100, &[0.13, 0.14]), ("random", 100, &[0.38, 0.39])];
     let table = fixtures::table("paper", "energy_per_device_tti", &runs);
     let results = Results::new(std::slice::from_ref(&table), &NoFiles).expect("runs");
@@ -273,7 +273,7 @@ fn markdown_tables_are_straight() {
         rows += block.lines().count() - 2;
     }
     assert_eq!(rows, report.lines.iter().filter(|line| line.is_run()).count() + 5);
-    let head = text.split("\n\n").nth(1).expect("what stands at the top");
+    let head = text.split("\n\n").nth(1).expect("the head of the report");
     assert!(
         head.contains("- paper: 2 runs of 2000 TTIs for each policy and N, 10 in all, seeds 1 to 2."),
         "{head}"
@@ -305,7 +305,7 @@ fn not_one_miss_is_bounded_by_the_rule_of_three() {
 }
 
 #[test]
-fn almost_nothing_beside_others_is_zero() {
+fn almost_nothing_compared_with_others_counts_as_zero() {
     for (genie, expected) in [(0.03, Verdict::Reproduced), (0.05, Verdict::NotReproduced)] {
         let runs: [(&str, u32, &[f64]); 2] = [("genie", 50, &[genie; 2]), ("knn", 50, &[4.0; 2])];
         let results =
@@ -316,7 +316,7 @@ fn almost_nothing_beside_others_is_zero() {
 }
 
 #[test]
-fn reasons_are_those_that_the_runs_show() {
+fn reasons_follow_from_the_runs() {
     let mut table = fixtures::table(
         "paper",
         "energy_per_device_tti",
@@ -335,11 +335,11 @@ fn reasons_are_those_that_the_runs_show() {
     let [knn, random] = [why("knn", "0.45 to 0.83"), why("random", "≈ 0.34")];
     assert!(knn.contains("80.0 % of the devices are below E_Tx"), "{knn}");
     assert!(
-        !knn.contains("We do not know why") && knn.contains("Not on the paper's side of random"),
+        !knn.contains("Cause unknown") && knn.contains("Not on the paper's side of random"),
         "{knn}"
     );
     assert!(
-        random.contains("2.65 times") && random.contains("We do not know why"),
+        random.contains("2.65 times") && random.contains("Cause unknown"),
         "{random}"
     );
 }
@@ -356,7 +356,7 @@ fn outside_a_range_and_near_it_is_not_called_reproduced() {
 }
 
 #[test]
-fn what_is_said_of_one_n_counts_before_what_is_said_of_many() {
+fn a_statement_about_one_n_precedes_a_statement_about_many() {
     let runs: [(&str, u32, &[f64]); 2] = [("knn", 10, &[5.0, 5.0]), ("adjusted", 10, &[20.0, 20.0])];
     let results = Results::new(&[fixtures::table("paper", "misdetection_pct", &runs)], &NoFiles).expect("runs");
     let report = ClaimReport::new(&results);
@@ -388,7 +388,7 @@ fn claims_without_runs_are_one_line() {
 }
 
 #[test]
-fn a_sweep_over_a_field_judges_its_presets_own_value_and_says_what_it_cannot() {
+fn a_sweep_over_a_field_judges_the_value_of_its_preset() {
     let lambda = SweptValue::Float;
     let runs: [(&str, u32, SweptValue, &[f64]); 5] = [
         ("knn", 250, lambda(0.05), &[0.15, 0.151]),
@@ -417,7 +417,7 @@ fn a_sweep_over_a_field_judges_its_presets_own_value_and_says_what_it_cannot() {
 }
 
 #[test]
-fn the_paper_against_itself_is_told_with_both_places() {
+fn a_contradiction_in_the_paper_names_both_sentences() {
     let results = results();
     let report = ClaimReport::new(&results);
     for text in [markdown(&report, &[], ""), page(&report, &[], "")] {

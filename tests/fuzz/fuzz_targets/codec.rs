@@ -15,7 +15,7 @@ use reveille_common::message::{Message, MessageKind, PlanUpdate, Reply, TapBatch
 fn use_message(message: &Message) {
     let wire = message.encode();
     assert_eq!(message.encoded_len(), wire.len() as u64, "the stated length");
-    let again = Message::decode(message.kind(), &wire).expect("what was encoded decodes");
+    let again = Message::decode(message.kind(), &wire).expect("an encoded message decodes");
     assert_eq!(again.encode(), wire, "the same wire form");
     assert!(!message.to_string().is_empty());
     message.concerns(Some(1), DeviceId(1));
@@ -52,14 +52,14 @@ fuzz_target!(|data: &[u8]| {
                 let wire = reply.encode();
                 let again = Reply::decode(kind, &wire)
                     .expect("a query")
-                    .expect("what was encoded decodes");
+                    .expect("an encoded message decodes");
                 assert_eq!(again.encode(), wire, "the same wire form");
             }
         }
         _ => {
             if let Ok(batch) = codec::decode::<TapBatch>(payload) {
                 let wire = codec::encode(&batch);
-                let again: TapBatch = codec::decode(&wire).expect("what was encoded decodes");
+                let again: TapBatch = codec::decode(&wire).expect("an encoded message decodes");
                 assert_eq!(again, batch);
             }
         }

@@ -36,8 +36,8 @@ fn table(name: &str, format: Format, bytes: &[u8]) {
     match Table::read(&put(name, bytes)) {
         Ok(table) => {
             let again = path(&format!("again-{name}"));
-            table.write(&again, format).expect("what was read is written");
-            let again = Table::read(&again).expect("what was written is read");
+            table.write(&again, format).expect("a read table can be written");
+            let again = Table::read(&again).expect("a written table can be read");
             assert_eq!(again.rows.len(), table.rows.len());
         }
         Err(error) => assert!(!error.to_string().trim().is_empty()),
@@ -56,7 +56,7 @@ fn journal(lines: &[u8]) {
         // Compare debug output, since NaN differs from itself.
         let kept = format!("{:?}", opened.runs());
         drop(opened);
-        let again = Journal::open(&path, "sweep", 4, 8).expect("it was mended");
+        let again = Journal::open(&path, "sweep", 4, 8).expect("the journal was repaired");
         assert_eq!((again.dropped(), format!("{:?}", again.runs())), (0, kept));
     }
 }
@@ -94,7 +94,7 @@ fn mark(text: &str) {
     match ResumeMark::parse(text, scenario()) {
         Ok(mark) => {
             assert_eq!(
-                ResumeMark::parse(&mark.text(), scenario()).expect("what was written"),
+                ResumeMark::parse(&mark.text(), scenario()).expect("written text can be read"),
                 mark
             );
             assert!(mark.window > 0 && mark.tti <= scenario().run.ttis);
@@ -109,7 +109,7 @@ fn log(text: &str) {
         Ok(all) => {
             let lines: String = all.iter().map(|input| external_inputs::line(&input)).collect();
             let again = external_inputs::parse(&(external_inputs::first_line(scenario()) + &lines), scenario());
-            assert_eq!(again.expect("what was written"), all);
+            assert_eq!(again.expect("written text can be read"), all);
             for outage in all.outages {
                 assert!(outage.is_valid(scenario().run.devices) && outage.tti.0 < scenario().run.ttis);
             }

@@ -100,7 +100,7 @@ impl Host {
         assert!(changes.next().is_none(), "changes of other TTIs");
         assert_eq!(plans, tick.plans, "plans of the grant");
         let last = (0..=tick.last.0).rev().find(|&k| self.heard[k as usize].is_some());
-        assert_eq!(last, Some(tick.plan.0), "the plan in force");
+        assert_eq!(last, Some(tick.plan.0), "the current plan");
         let listeners: Vec<usize> = (0..self.duties.len())
             .filter(|&j| {
                 let is_near = |seen: Stimulus| (seen.epicentre.x - j as f64 * 2.0).hypot(seen.epicentre.y) <= D_MAX;

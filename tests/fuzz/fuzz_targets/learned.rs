@@ -13,7 +13,7 @@ fn tables(text: &str) {
     match LearnedTables::parse(text) {
         Ok(learned) => {
             let written = learned.to_json();
-            let again = LearnedTables::parse(&written).expect("what was written is read");
+            let again = LearnedTables::parse(&written).expect("written tables can be read");
             assert_eq!(again.to_json(), written);
         }
         Err(error) => assert!(!error.to_string().trim().is_empty()),

@@ -20,9 +20,9 @@ fn again<T: DeserializeOwned + Serialize + PartialEq + std::fmt::Debug>(form: En
     match form.decode::<T>(bytes) {
         Ok(read) => {
             let written = form.encode(&read);
-            let once_more: T = form.decode(&written).expect("what was written");
+            let decoded: T = form.decode(&written).expect("encoded text decodes");
             // Compares the encoded form, since NaN differs from itself.
-            assert_eq!(form.encode(&once_more), written);
+            assert_eq!(form.encode(&decoded), written);
         }
         Err(why) => assert!(!why.trim().is_empty()),
     }

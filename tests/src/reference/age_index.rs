@@ -174,7 +174,7 @@ impl AgeIndex {
 
     /// Returns the option with the largest net value among `j`, the devices within d_max of it outside `others`, and no
     /// device.
-    #[expect(clippy::option_option, reason = "too close to call, or nobody")]
+    #[expect(clippy::option_option, reason = "too close to call, or no device")]
     fn best_instead(&self, j: usize, others: &[usize], prices: &[f64]) -> Option<Option<usize>> {
         // On equal net value the first wins: no device, then j, then the lowest number.
         let mut nets = vec![(0.0, 0, None)];

@@ -34,8 +34,8 @@ pub(super) struct Device {
     pub(super) low_ttis: u64,
     pub(super) sensing_ttis: u64,
     pub(super) failed_ttis: u64,
-    pub(super) dark_ttis: u64,
-    pub(super) false_wakes: u64,
+    pub(super) unpowered_ttis: u64,
+    pub(super) false_wake_ups: u64,
     /// Consecutive TTIs without power: current and longest.
     pub(super) outage: [u64; 2],
     /// Totals at the start of the measured part.
@@ -56,8 +56,8 @@ impl Device {
             low_ttis: 0,
             sensing_ttis: 0,
             failed_ttis: 0,
-            dark_ttis: 0,
-            false_wakes: 0,
+            unpowered_ttis: 0,
+            false_wake_ups: 0,
             outage: [0; 2],
             before: None,
         }
@@ -93,8 +93,8 @@ impl Device {
             low_ttis: self.low_ttis,
             sensing_ttis: self.sensing_ttis,
             failed_ttis: self.failed_ttis,
-            dark_ttis: self.dark_ttis,
-            false_wakes: self.false_wakes,
+            unpowered_ttis: self.unpowered_ttis,
+            false_wake_ups: self.false_wake_ups,
         }
     }
 }

@@ -22,7 +22,7 @@ const CLOSE_INFORMATION: f64 = 1e-9;
 pub enum Policy {
     /// Clusters whose devices sense in turn.
     Knn {
-        /// Devices of each cluster, by rising id.
+        /// Devices of each cluster, in order of id.
         members: Vec<Vec<usize>>,
         /// `I_min`.
         enough: f64,

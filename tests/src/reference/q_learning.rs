@@ -33,8 +33,8 @@ pub struct Sequential {
 }
 
 impl Sequential {
-    /// Creates the deployment of devices with the battery and costs of `energy` at `positions` of `area`. The area is
-    /// to be covered once in `window` TTIs.
+    /// Creates the deployment of devices with the battery and costs of `energy` at `positions` of `area`. The
+    /// devices must cover the area once in `window` TTIs.
     pub fn new(positions: &[Point], area: Area, sensing: &Sensing, energy: EnergyModel, window: usize) -> Self {
         let is_sure = sensing.kind == DetectionKind::Range;
         let fine = if is_sure { 15.0 } else { 10.0 };
@@ -161,8 +161,8 @@ impl Sequential {
         while self.is_sure() {
             let mut least: Option<(u32, usize)> = None;
             for (turn, &j) in chosen.iter().enumerate() {
-                let beside = chosen.iter().copied().filter(|&other| other != j);
-                let others: Vec<usize> = before.iter().copied().chain(beside).collect();
+                let others_chosen = chosen.iter().copied().filter(|&other| other != j);
+                let others: Vec<usize> = before.iter().copied().chain(others_chosen).collect();
                 let parts = self.newly(&others, j);
                 if !self.is_worth_it(advantages, batteries[j], parts) && least.is_none_or(|(few, _)| parts <= few) {
                     least = Some((parts, turn));

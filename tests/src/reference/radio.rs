@@ -62,7 +62,7 @@ impl Interference {
 impl Radio {
     pub(super) fn new(scenario: &Scenario, devices: usize) -> Self {
         let (seed, settings) = (scenario.run.seed, scenario.radio);
-        let law = Geometric::new(settings.false_wake);
+        let law = Geometric::new(settings.false_wake_up);
         let startling = (0..devices as u64).map(|id| {
             let mut stream = Stream::new(seed, Purpose::FalseWakes, id);
             let gap = law.draw(&mut stream);
@@ -107,7 +107,7 @@ impl Radio {
         *left -= 1;
         let is_now = *left == 0;
         if is_now {
-            *left = Geometric::new(self.settings.false_wake).draw(stream);
+            *left = Geometric::new(self.settings.false_wake_up).draw(stream);
         }
         is_now
     }

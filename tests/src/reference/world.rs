@@ -39,11 +39,11 @@ pub struct Run {
     /// Radio losses in measured TTIs.
     pub losses: RadioLosses,
     /// TTIs from the first report to the last, summed over the counted events.
-    pub refining_ttis: u64,
+    pub wake_up_span_ttis: u64,
     /// Reports that arrived in measured TTIs.
     pub arrived: u64,
     /// Wake-ups that a device did not receive, in all TTIs.
-    pub unheard: u64,
+    pub missed_wake_ups: u64,
     /// Wake-up decisions that took a device in S4 to be unable to report.
     pub spared: u64,
     /// State and battery of each device at the end of each TTI.
@@ -126,9 +126,9 @@ struct World<'a> {
     acts: Vec<[u64; 4]>,
     wake_ups: u64,
     losses: RadioLosses,
-    refining_ttis: u64,
+    wake_up_span_ttis: u64,
     arrived: u64,
-    unheard: u64,
+    missed_wake_ups: u64,
     spared: u64,
     trace: Vec<Vec<(State, u64)>>,
     ambiguous: Option<u64>,
@@ -175,9 +175,9 @@ impl<'a> World<'a> {
             events: Vec::new(),
             wake_ups: 0,
             losses: RadioLosses::default(),
-            refining_ttis: 0,
+            wake_up_span_ttis: 0,
             arrived: 0,
-            unheard: 0,
+            missed_wake_ups: 0,
             spared: 0,
             trace: Vec::new(),
             ambiguous: None,
@@ -217,7 +217,7 @@ impl<'a> World<'a> {
                 State::Idle
             } else {
                 (_, paid) = device.pay(device.costs.e_wur, 1);
-                device.dark_ttis += u64::from(!paid);
+                device.unpowered_ttis += u64::from(!paid);
                 State::Asleep
             };
             let [now, most] = device.outage;
@@ -226,7 +226,7 @@ impl<'a> World<'a> {
             device.state = if paid { then } else { State::Dark };
             // `startles` comes first in the condition: it counts down in every TTI, whatever the state.
             if self.radio.startles(j) && device.state == State::Asleep {
-                device.false_wakes += 1;
+                device.false_wake_ups += 1;
                 if !device.pay(device.costs.e_idle, 1).1 {
                     device.state = State::Dark;
                 }
@@ -347,8 +347,8 @@ impl<'a> World<'a> {
                     false
                 }
             } else {
-                self.unheard += 1;
-                self.losses.unheard += u64::from(k >= self.warm_up_end);
+                self.missed_wake_ups += 1;
+                self.losses.missed_wake_ups += u64::from(k >= self.warm_up_end);
                 false
             };
             if has_reported {
@@ -366,7 +366,7 @@ impl<'a> World<'a> {
     /// Wakes device `j` after the end of the event; it detects nothing and sleeps again.
     fn wake_too_late(&mut self, j: usize, k: u64, event: &mut Event) {
         let device = &mut self.devices[j];
-        device.false_wakes += 1;
+        device.false_wake_ups += 1;
         let (gone, paid) = device.pay(device.costs.e_idle, 1);
         device.state = if paid { State::Asleep } else { State::Dark };
         event.acts.push((j, [0, 0, 0, 1]));
@@ -441,7 +441,7 @@ impl<'a> World<'a> {
             return;
         }
         if event.start >= self.warm_up_end {
-            self.refining_ttis += event.refined;
+            self.wake_up_span_ttis += event.refined;
             for (j, acts) in event.acts.drain(..) {
                 let sums = self.acts[j].iter_mut().zip(acts);
                 sums.for_each(|(sum, act)| *sum += act);
@@ -507,9 +507,9 @@ impl<'a> World<'a> {
                 wake_ups: self.wake_ups,
                 ..self.losses
             },
-            refining_ttis: self.refining_ttis,
+            wake_up_span_ttis: self.wake_up_span_ttis,
             arrived: self.arrived,
-            unheard: self.unheard,
+            missed_wake_ups: self.missed_wake_ups,
             spared: self.spared,
             trace: self.trace,
             ambiguous: self.ambiguous,

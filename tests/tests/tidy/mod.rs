@@ -23,7 +23,7 @@ const MAY_USE: [(&str, &[&str]); 9] = [
     ("python", &["common", "bs", "lab", "study"]),
 ];
 
-/// Layers of `common`: a module may use modules of its own line and of the lines above it. A file or folder directly in
+/// Layers of `common`: a module may use modules of its line and of the lines above it. A file or folder directly in
 /// `common/src` is a module here.
 const LAYERS_OF_COMMON: [&[&str]; 13] = [
     &["codec", "encoding", "units"],
@@ -239,7 +239,7 @@ fn common_keeps_to_its_layers() {
         LAYERS_OF_COMMON
             .iter()
             .position(|layer| layer.contains(&part))
-            .unwrap_or_else(|| panic!("common/src/{part} has no place in LAYERS_OF_COMMON"))
+            .unwrap_or_else(|| panic!("common/src/{part} is missing in LAYERS_OF_COMMON"))
     };
     let mut found = Offenders::new();
     let (_, tree) = crates()
@@ -258,7 +258,7 @@ fn common_keeps_to_its_layers() {
     for part in LAYERS_OF_COMMON.iter().flat_map(|layer| layer.iter()) {
         let names = [format!("common/src/{part}.rs"), format!("common/src/{part}/mod.rs")];
         let is_there = sources.iter().any(|source| names.contains(&source.name));
-        assert!(is_there, "LAYERS_OF_COMMON names {part}, which is not there");
+        assert!(is_there, "LAYERS_OF_COMMON names {part}, which does not exist");
     }
 }
 
@@ -310,7 +310,10 @@ fn pure_code_does_no_io() {
     }
     assert_none("pure code does no input or output", &found);
     for shell in SHELLS {
-        assert!(root().join(shell).exists(), "SHELLS names {shell}, which is not there");
+        assert!(
+            root().join(shell).exists(),
+            "SHELLS names {shell}, which does not exist"
+        );
     }
 }
 
@@ -358,7 +361,7 @@ fn pure_code_has_no_global_state() {
 
 /// Protects: bincode, which is unmaintained, and zenoh can each be replaced in one place.
 #[test]
-fn bincode_and_zenoh_stay_behind_one_door() {
+fn bincode_and_zenoh_are_used_in_one_module() {
     let mut found = Offenders::new();
     for (_, tree) in crates() {
         for module in tree.modules.values() {
@@ -380,7 +383,7 @@ fn bincode_and_zenoh_stay_behind_one_door() {
 /// Protects: a file is short enough for a reader to keep in mind. Clippy limits the length of functions
 /// (`too-many-lines-threshold`).
 #[test]
-fn files_can_be_held_in_mind() {
+fn files_have_a_limited_length() {
     let mut found = Offenders::new();
     for source in sources().iter().filter(|source| !source.is_test()) {
         let lines = source.code().len();
@@ -410,7 +413,7 @@ fn lines_fit_on_a_screen() {
 
 /// Protects: sources cite the paper or a reason, never a document that readers do not have.
 #[test]
-fn no_document_is_cited_that_readers_lack() {
+fn no_unavailable_document_is_cited() {
     let mut found = Offenders::new();
     let word = ["MO", "DEL"].concat();
     for source in sources() {
@@ -423,7 +426,7 @@ fn no_document_is_cited_that_readers_lack() {
             ));
         }
     }
-    assert_none("sources cite what readers have", &found);
+    assert_none("sources cite available documents", &found);
 }
 
 /// Protects: the tree builds and runs wherever it is cloned.
@@ -498,6 +501,29 @@ fn no_page_has_a_gap_to_be_filled_in() {
     assert_none("pages have no gaps", &found);
 }
 
+/// Protects: releases, from a file that still names another version of Reveille or of Rust.
+#[test]
+fn versions_agree() {
+    let (version, rust) = (env!("CARGO_PKG_VERSION"), env!("CARGO_PKG_RUST_VERSION"));
+    let mut found = Offenders::new();
+    for (file, expected) in [
+        ("CHANGELOG.md", format!("\n## {version} (")),
+        ("CITATION.cff", format!("\nversion: {version}\n")),
+        ("tests/fuzz/Cargo.toml", format!("\nversion = \"{version}\"\n")),
+        ("tests/fuzz/Cargo.toml", format!("\nrust-version = \"{rust}\"\n")),
+        ("rust-toolchain.toml", format!("\nchannel = \"{rust}.")),
+        ("deploy/docker/Dockerfile", format!("rust:{rust}-")),
+        ("docker-compose.yml", format!("rust:{rust}-")),
+        ("README.md", format!("Rust {rust} ")),
+    ] {
+        let text = fs::read_to_string(root().join(file)).expect("a file of the repository");
+        if !text.contains(&expected) {
+            found.insert((file.to_owned(), format!("does not contain {expected:?}")));
+        }
+    }
+    assert_none("all files name the versions of Cargo.toml", &found);
+}
+
 /// Protects: ARCHITECTURE.md, which newcomers use to find the file for a change.
 #[test]
 fn the_code_map_names_real_files() {
@@ -521,11 +547,11 @@ fn the_code_map_names_real_files() {
                 root().join(above).join(word).exists() || root().join(above).join(format!("{word}.rs")).exists()
             });
             if !exists {
-                found.insert((word.to_owned(), "is not there".to_owned()));
+                found.insert((word.to_owned(), "does not exist".to_owned()));
             }
         }
     }
-    assert_none("ARCHITECTURE.md names what is there", &found);
+    assert_none("ARCHITECTURE.md names existing files", &found);
 }
 
 /// Dependency graph: files or folders, each with its dependencies.

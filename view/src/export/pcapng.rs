@@ -95,7 +95,7 @@ mod tests {
 
     #[test]
     fn a_packet_is_a_header_and_the_payload_at_its_virtual_time() {
-        let frame = Frame::of(Tti(5_000_000), DeviceId(7), &WakeUp { tti: Tti(5_000_000) });
+        let frame = Frame::new(Tti(5_000_000), DeviceId(7), &WakeUp { tti: Tti(5_000_000) });
         let mut packets = Packets::begin(Vec::new()).expect("begun");
         packets.write(&frame).expect("written");
         let bytes = packets.finish().expect("finished");

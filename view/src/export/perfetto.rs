@@ -36,7 +36,7 @@ pub enum TraceError {
     #[error(transparent)]
     Io(#[from] io::Error),
     /// The frames do not form one run from its start.
-    #[error("the states of devices cannot be worked out: {0}")]
+    #[error("the states of devices cannot be computed: {0}")]
     Frames(#[from] Discrepancy),
 }
 
@@ -110,7 +110,7 @@ impl<W: Write> PerfettoWriter<W> {
         }
         self.mirror.apply(frame, &message)?;
         match (&message, device) {
-            (Message::Plan(_) | Message::Gone(_), _) => {
+            (Message::Plan(_) | Message::Removed(_), _) => {
                 self.instant(frame.tti, STATION, &message.to_string(), None)?;
             }
             (Message::Wake(_), Some(device)) => {
@@ -124,7 +124,7 @@ impl<W: Write> PerfettoWriter<W> {
                 let said = match &woken.outcome {
                     WakeOutcome::Reported(report) => format!("woken: {report}"),
                     outcome @ (WakeOutcome::Failed(_)
-                    | WakeOutcome::Unheard
+                    | WakeOutcome::Missed
                     | WakeOutcome::Lost(_)
                     | WakeOutcome::Late { .. }) => outcome.to_string(),
                 };
@@ -176,14 +176,14 @@ impl<W: Write> PerfettoWriter<W> {
         while self.next < end {
             let views = self.mirror.views_at(self.next);
             for (id, view) in (0..).map(DeviceId).zip(views) {
-                self.tell(self.next, id, view)?;
+                self.write_state(self.next, id, view)?;
             }
             self.next = self.next + 1;
         }
         Ok(())
     }
 
-    fn tell(&mut self, tti: Tti, id: DeviceId, view: DeviceView) -> io::Result<()> {
+    fn write_state(&mut self, tti: Tti, id: DeviceId, view: DeviceView) -> io::Result<()> {
         let (name, level) = (named(view.state), view.battery.micro());
         let before = self.open[id.index()];
         let is_other = before.is_none_or(|(open, _)| open != name);
@@ -256,6 +256,6 @@ const fn named(state: DeviceState) -> &'static str {
         DeviceState::Active => "S2 active",
         DeviceState::Transmission => "S3 transmission",
         DeviceState::Sleep { powered: true } => "S4 sleep",
-        DeviceState::Sleep { powered: false } => "S4 sleep, deaf",
+        DeviceState::Sleep { powered: false } => "S4 sleep, unpowered",
     }
 }

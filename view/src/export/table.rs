@@ -47,7 +47,7 @@ pub struct MessageRow {
 
 impl MessageRow {
     /// Creates the row of a frame.
-    pub fn of(frame: &Frame) -> Self {
+    pub fn new(frame: &Frame) -> Self {
         let message = frame.message();
         let report = match &message {
             Ok(Message::Report(report)) => Some((report.information, report.battery.units())),

@@ -32,7 +32,7 @@ pub(crate) const fn log_time(tti: Tti) -> u64 {
 }
 
 /// Version of the recording format; files of other versions are refused.
-pub const VERSION: u32 = 1;
+pub const VERSION: u32 = 2;
 
 #[cfg(test)]
 mod tests;

@@ -28,7 +28,7 @@ pub enum RecordingError {
     #[error("cannot be read: {0}")]
     Io(#[from] io::Error),
     /// The file is not a recording.
-    #[error("is no recording: {0}")]
+    #[error("is not a recording: {0}")]
     Foreign(String),
     /// Another version wrote the recording.
     #[error(
@@ -42,7 +42,7 @@ pub enum RecordingError {
         wire: String,
     },
     /// The file is truncated: the recording process was killed, or the file was cut.
-    #[error("is torn after {frames} messages")]
+    #[error("is truncated after {frames} messages")]
     Torn {
         /// Number of messages before the tear.
         frames: u64,
@@ -206,7 +206,7 @@ impl<R: Read + Seek> RecordingReader<R> {
             ReadStop::Version { found, wire } => RecordingError::Version { found, wire },
             ReadStop::Format(McapError::UnexpectedEof | McapError::UnexpectedEoc) => RecordingError::Torn { frames },
             ReadStop::Format(McapError::BadMagic) if frames == 0 => {
-                RecordingError::Foreign("it is no MCAP file".to_owned())
+                RecordingError::Foreign("it is not an MCAP file".to_owned())
             }
             ReadStop::Format(error) => RecordingError::Damaged {
                 frames,
@@ -365,7 +365,7 @@ fn summary<R: Read + Seek>(source: &mut R, index: &Summary) -> Result<Option<Str
         Ok(Record::Attachment { data, .. }) => Ok(Some(String::from_utf8_lossy(&data).into_owned())),
         Ok(_) | Err(_) => Err(RecordingError::Damaged {
             frames: 0,
-            why: "its index does not fit to it".to_owned(),
+            why: "its index does not match it".to_owned(),
         }),
     }
 }

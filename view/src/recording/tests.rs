@@ -26,7 +26,7 @@ fn scenario(set: &[&str]) -> Scenario {
 }
 
 /// Frames and outcome of a run of `scenario`, with states every `states_every` TTIs.
-fn told(scenario: &Scenario, lookahead: bool, states_every: u64) -> (Vec<Frame>, Outcome) {
+fn record(scenario: &Scenario, lookahead: bool, states_every: u64) -> (Vec<Frame>, Outcome) {
     let mut frames = Vec::new();
     let options = RunOptions { lookahead, window: 70 };
     let outcome =
@@ -42,14 +42,14 @@ fn replayed(scenario: &Scenario, frames: &[Frame]) -> Result<reveille_common::sc
 
 fn small() -> (Scenario, Vec<Frame>) {
     let scenario = scenario(&["devices=40", "ttis=400", "policy.name=knn", "events.alpha=0.4"]);
-    let (frames, _) = told(&scenario, true, 50);
+    let (frames, _) = record(&scenario, true, 50);
     (scenario, frames)
 }
 
 fn recorded(scenario: &Scenario, frames: &[Frame], summary: Option<&str>) -> Vec<u8> {
     let bundle = Bundle {
         scenario: scenario.to_toml(),
-        files: vec![("inputs/x.csv".to_owned(), vec![1, 2, 3])],
+        files: vec![("scenario-files/x.csv".to_owned(), vec![1, 2, 3])],
     };
     let mut writer = Writer::begin(Cursor::new(Vec::new()), "r1", &bundle).expect("begun");
     for (nth, frame) in frames.iter().enumerate() {
@@ -89,7 +89,7 @@ fn metrics_and_digest_follow_from_the_messages() {
             );
             let scenario = scenario(&[&name, &n, &harvest, &kind, "ttis=600", "bs.sync_interval=9"]);
             for lookahead in [true, false] {
-                let (frames, outcome) = told(&scenario, lookahead, 13);
+                let (frames, outcome) = record(&scenario, lookahead, 13);
                 let own = replayed(&scenario, &frames).expect("it fits");
                 assert_eq!(own.digest, outcome.digest, "{policy}, {n}, {kind}");
                 assert_eq!(format!("{:?}", own.metrics), format!("{:?}", outcome.metrics));
@@ -139,7 +139,7 @@ fn a_recording_holds_everything() {
     let reader = RecordingReader::open(Cursor::new(&bytes)).expect("a recording");
     assert_eq!((reader.run(), reader.summary()), ("r1", Some("{}")));
     assert_eq!(reader.len(), Some(frames.len() as u64));
-    assert_eq!(reader.bundle().files, [("inputs/x.csv".to_owned(), vec![1, 2, 3])]);
+    assert_eq!(reader.bundle().files, [("scenario-files/x.csv".to_owned(), vec![1, 2, 3])]);
     assert_eq!(
         reader.bundle().load().expect("a scenario").hash_hex(),
         scenario.hash_hex()
@@ -174,8 +174,8 @@ fn a_recording_is_read_from_a_tti_on() {
 #[test]
 fn what_is_no_recording_is_refused() {
     let foreign = |bytes: &[u8]| read(bytes).1.expect_err("refused").to_string();
-    assert!(foreign(b"").contains("torn") || foreign(b"").contains("no recording"));
-    assert!(foreign(b"this is a text, and not a short one").contains("no MCAP file"));
+    assert!(foreign(b"").contains("truncated") || foreign(b"").contains("not a recording"));
+    assert!(foreign(b"this is a text, and not a short one").contains("not an MCAP file"));
     let empty = mcap::Writer::new(Cursor::new(Vec::new())).and_then(|mut writer| {
         writer.finish()?;
         Ok(writer.into_inner().into_inner())
@@ -206,7 +206,7 @@ proptest! {
         prop_assert!(frames.starts_with(&own));
         if own.len() < frames.len() {
             let said = end.expect_err("not all of it").to_string();
-            prop_assert!(said.contains("torn") || said.contains("no recording"), "{}", said);
+            prop_assert!(said.contains("truncated") || said.contains("not a recording"), "{}", said);
         }
         // Chunks hold about a hundred frames, so at most the last chunk is lost.
         let whole = |count: usize| recorded(&scenario, &frames[..count], None).len();

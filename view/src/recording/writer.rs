@@ -90,7 +90,7 @@ impl<W: Write + Seek> Writer<W> {
         self.count += 1;
         self.is_pending = true;
         self.mcap
-            .write_to_known_channel(&header, FrameLine::of(frame).to_json().as_bytes())
+            .write_to_known_channel(&header, FrameLine::new(frame).to_json().as_bytes())
     }
 
     /// Number of frames written.

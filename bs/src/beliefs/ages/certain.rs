@@ -77,13 +77,13 @@ impl CertainAges {
             lookers: vec![0; cells.len()],
             cells: cells.all().map(|cell| cell as u32).collect(),
         };
-        sure.pass(true);
+        sure.advance(true);
         sure
     }
 
     /// Returns the gain of the `j`-th device, at most 16 · 16 · 255.
     #[inline]
-    pub(super) fn worth(&self, j: usize) -> u32 {
+    pub(super) fn gain(&self, j: usize) -> u32 {
         let mut sum = 0;
         for (left, mask) in self.discs[j].rows(&self.left, self.stride) {
             for i in 0..SIDE {
@@ -93,7 +93,7 @@ impl CertainAges {
         sum
     }
 
-    pub(super) fn left(&self) -> u64 {
+    pub(super) fn unused(&self) -> u64 {
         self.left.iter().copied().map(u64::from).sum()
     }
 
@@ -131,7 +131,7 @@ impl CertainAges {
         self.left.copy_from_slice(&self.whole);
     }
 
-    pub(super) fn pass(&mut self, is_found: bool) {
+    pub(super) fn advance(&mut self, is_found: bool) {
         if is_found {
             self.ages.fill(1);
         } else {

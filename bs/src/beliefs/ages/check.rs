@@ -20,8 +20,8 @@ pub fn check_price(
     check_cells(policy, reader, site)?;
     if let Some(price) = price.filter(|price| *price >= MOST) {
         reader.warn(format!(
-            "policy.{policy}.price is {price}, and what a device looks at is worth at most {MOST}: hardly a device is \
-             told to sense, and events are missed"
+            "policy.{policy}.price is {price}, and the area of a device is worth at most {MOST}: almost no device \
+             senses, and events are missed; set a lower price"
         ));
     }
     let never = site.classes.iter().filter_map(|class| never_senses(policy, class));
@@ -37,7 +37,7 @@ pub(crate) fn check_cells(policy: &str, reader: &FieldReader<'_>, site: &Site<'_
     let cells = cells(site.area, site.sensing.d_max);
     if cells > MOST_CELLS {
         let allowed = format!(
-            "is so small against the area that {policy} would keep the ages of {cells:.0} cells, more than {MOST_CELLS}"
+            "is too small for the area: {policy} would keep the ages of {cells:.0} cells, more than {MOST_CELLS}"
         );
         return Err(reader.invalid_value("sensing.d_max", site.sensing.d_max, allowed));
     }
@@ -46,11 +46,11 @@ pub(crate) fn check_cells(policy: &str, reader: &FieldReader<'_>, site: &Site<'_
 
 /// Returns a warning if the batteries of `class` cannot hold the level that sensing requires.
 fn never_senses(policy: &str, class: &ClassKnowledge<'_>) -> Option<String> {
-    let (needed, e_max) = (price::needed(&class.energy), class.energy.e_max);
+    let (needed, e_max) = (price::min_level(&class.energy), class.energy.e_max);
     (needed > e_max).then(|| {
         format!(
-            "{policy} tells only devices with {needed} to sense (E_idle, E_Tx and a reserve), and the batteries of \
-             class {} hold {e_max}: none of them ever senses",
+            "{policy} selects only devices with {needed} (E_idle, E_Tx and a reserve), and the batteries of class {} \
+             hold {e_max}: its devices never sense",
             class.name
         )
     })

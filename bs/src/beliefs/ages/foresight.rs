@@ -28,7 +28,7 @@ impl Foresight {
 
     /// Returns the expected battery levels by device id, if all devices sleep until then and harvest as expected.
     /// Levels are between 0 and E_max.
-    pub(crate) fn of(&mut self, seen: &Observation<'_>) -> &[Energy] {
+    pub(crate) fn expected_levels(&mut self, seen: &Observation<'_>) -> &[Energy] {
         let end = seen.now.saturating_add(self.ttis);
         for (j, (expected, &level)) in (0..).zip(self.expected.iter_mut().zip(seen.batteries)) {
             let energy = &seen.known.devices[j as usize].energy;
@@ -58,7 +58,7 @@ mod tests {
             .map(|set| Override::parse(set).expect("an override"))
             .collect();
         let scenario = load("paper", &overrides).expect("a scenario").scenario;
-        Knowledge::of(&scenario, &Deployment::new(&scenario), Arc::default())
+        Knowledge::from_scenario(&scenario, &Deployment::new(&scenario), Arc::default())
     }
 
     /// Returns the expected level, in units, `ttis` TTIs after TTI `now` with `level` units.
@@ -74,7 +74,7 @@ mod tests {
             levels: None,
         };
         let mut foresight = Foresight::new(known, ttis);
-        let found = foresight.of(&seen);
+        let found = foresight.expected_levels(&seen);
         assert!(found.iter().all(|other| *other == found[0]), "one class");
         found[0].units()
     }

@@ -15,7 +15,7 @@ pub type AgeIndexTable = [u8; OLDEST + 1];
 const LEVEL: u8 = 22;
 
 /// Worth of a sensing area whose places are all of age `LEVEL` or more: the largest worth of a look.
-pub const MOST: f64 = of(LEVEL) as f64;
+pub const MOST: f64 = index(LEVEL) as f64;
 
 /// Stands for a price of 0, so that ratios to it are finite.
 pub const FREE: f64 = 1e-30;
@@ -23,12 +23,12 @@ pub const FREE: f64 = 1e-30;
 /// Returns the worth of each age a: a(a + 1)/2. This is Whittle's index of a place if an undetected event costs the
 /// same in each TTI.
 pub fn worths() -> AgeIndexTable {
-    std::array::from_fn(|age| of(age as u8))
+    std::array::from_fn(|age| index(age as u8))
 }
 
 /// Returns the worth of `age`, as in [`worths`].
 #[inline]
-pub(super) const fn of(age: u8) -> u8 {
+pub(super) const fn index(age: u8) -> u8 {
     let age = if age < LEVEL { age } else { LEVEL } as u16;
     (age * (age + 1) / 2) as u8
 }

@@ -40,8 +40,8 @@ pub struct Ages {
 
 #[derive(Clone, Debug)]
 enum AgeModel {
-    Sure(CertainAges),
-    Chance(ProbabilisticAges),
+    Certain(CertainAges),
+    Probabilistic(ProbabilisticAges),
 }
 
 impl Ages {
@@ -62,11 +62,11 @@ impl Ages {
         let cells = Cells::new(area, sensing.d_max);
         let chance = |finds: &dyn Fn(f64) -> f64| {
             let heard = |d: f64| (1.0 - lost) * finds(d);
-            AgeModel::Chance(ProbabilisticAges::new(&cells, positions, sensing.d_max, heard, worths))
+            AgeModel::Probabilistic(ProbabilisticAges::new(&cells, positions, sensing.d_max, heard, worths))
         };
         let looks = match sensing.kind {
             DetectionKind::Range if lost <= 0.0 => {
-                AgeModel::Sure(CertainAges::new(&cells, positions, sensing.d_max, worths))
+                AgeModel::Certain(CertainAges::new(&cells, positions, sensing.d_max, worths))
             }
             DetectionKind::Range => chance(&|_| 1.0),
             DetectionKind::Probabilistic => chance(&|d| sensing.p(d)),
@@ -79,8 +79,8 @@ impl Ages {
     #[inline]
     pub fn gain(&self, j: usize) -> f64 {
         match &self.looks {
-            AgeModel::Sure(sure) => f64::from(sure.worth(j)),
-            AgeModel::Chance(chance) => chance.worth(j),
+            AgeModel::Certain(sure) => f64::from(sure.gain(j)),
+            AgeModel::Probabilistic(chance) => chance.gain(j),
         }
     }
 
@@ -88,48 +88,48 @@ impl Ages {
     /// [`Self::gain`].
     pub fn remaining(&self) -> f64 {
         match &self.looks {
-            AgeModel::Sure(sure) => sure.left() as f64,
-            AgeModel::Chance(chance) => chance.left(),
+            AgeModel::Certain(sure) => sure.unused() as f64,
+            AgeModel::Probabilistic(chance) => chance.left(),
         }
     }
 
     /// Returns the sum over all cells if no device was chosen.
     pub fn all(&self) -> f64 {
         match &self.looks {
-            AgeModel::Sure(sure) => sure.all() as f64,
-            AgeModel::Chance(chance) => chance.all(),
+            AgeModel::Certain(sure) => sure.all() as f64,
+            AgeModel::Probabilistic(chance) => chance.all(),
         }
     }
 
     /// Adds the `j`-th device, which is not chosen, to the choice.
     pub fn add(&mut self, j: usize) {
         match &mut self.looks {
-            AgeModel::Sure(sure) => sure.add(j),
-            AgeModel::Chance(chance) => chance.add(j),
+            AgeModel::Certain(sure) => sure.add(j),
+            AgeModel::Probabilistic(chance) => chance.add(j),
         }
     }
 
     /// Removes the `j`-th device, which is chosen, from the choice.
     pub fn remove(&mut self, j: usize) {
         match &mut self.looks {
-            AgeModel::Sure(sure) => sure.remove(j),
-            AgeModel::Chance(chance) => chance.remove(j),
+            AgeModel::Certain(sure) => sure.remove(j),
+            AgeModel::Probabilistic(chance) => chance.remove(j),
         }
     }
 
     /// Removes all devices from the choice.
     pub fn clear(&mut self) {
         match &mut self.looks {
-            AgeModel::Sure(sure) => sure.clear(),
-            AgeModel::Chance(chance) => chance.clear(),
+            AgeModel::Certain(sure) => sure.clear(),
+            AgeModel::Probabilistic(chance) => chance.clear(),
         }
     }
 
     /// Passes a TTI in which the chosen devices sense, and clears the choice. `is_found`: an event was reported.
     pub fn advance(&mut self, is_found: bool) {
         match &mut self.looks {
-            AgeModel::Sure(sure) => sure.pass(is_found),
-            AgeModel::Chance(chance) => chance.pass(is_found),
+            AgeModel::Certain(sure) => sure.advance(is_found),
+            AgeModel::Probabilistic(chance) => chance.advance(is_found),
         }
     }
 
@@ -138,8 +138,8 @@ impl Ages {
     pub fn age_at(&self, at: Point) -> f64 {
         let cell = self.cells.cell(at);
         match &self.looks {
-            AgeModel::Sure(sure) => f64::from(sure.age(cell)),
-            AgeModel::Chance(chance) => chance.age(cell),
+            AgeModel::Certain(sure) => f64::from(sure.age(cell)),
+            AgeModel::Probabilistic(chance) => chance.age(cell),
         }
     }
 

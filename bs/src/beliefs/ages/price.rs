@@ -16,7 +16,7 @@ const DEARNESS: f64 = 3.0;
 const RESERVE: f64 = 0.03;
 
 /// Returns the lowest battery level at which a plan may let a device sense.
-pub fn needed(energy: &EnergyModel) -> Energy {
+pub fn min_level(energy: &EnergyModel) -> Energy {
     let reserve = RESERVE * energy.e_max.micro() as f64;
     energy.e_idle + energy.e_tx + Energy::from_micro(reserve as u64)
 }
@@ -43,7 +43,7 @@ impl Prices {
         let share = |energy: &EnergyModel| if mean > 0.0 { extra(energy) / mean } else { 0.0 };
         Self {
             full: energies().map(|energy| price * share(energy)).collect(),
-            needed: energies().map(needed).collect(),
+            needed: energies().map(min_level).collect(),
             e_max: energies().map(|energy| energy.e_max).collect(),
             now: vec![f64::INFINITY; known.n()],
         }

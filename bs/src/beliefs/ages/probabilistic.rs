@@ -77,7 +77,7 @@ impl ProbabilisticAges {
             cells: cells.all().collect(),
         };
         // Before the first TTI every place has age 1, as after a reported event.
-        chance.pass(true);
+        chance.advance(true);
         chance
     }
 
@@ -85,7 +85,7 @@ impl ProbabilisticAges {
         self.starts[j] as usize..self.starts[j + 1] as usize
     }
 
-    pub(super) fn worth(&self, j: usize) -> f64 {
+    pub(super) fn gain(&self, j: usize) -> f64 {
         let mut sum = 0.0;
         for DetectionSpan { cells, begin } in &self.stretches[self.stretches(j)] {
             let (whole, missed) = (&self.whole[cells.clone()], &self.missed[cells.clone()]);
@@ -131,7 +131,7 @@ impl ProbabilisticAges {
         self.missed.fill(1.0);
     }
 
-    pub(super) fn pass(&mut self, is_found: bool) {
+    pub(super) fn advance(&mut self, is_found: bool) {
         for &cell in &self.cells {
             let old = if is_found {
                 0.0

@@ -27,7 +27,7 @@ enum StalenessModel {
 
 impl Staleness {
     /// Creates the state before the first TTI; arguments as in [`Ages::with_loss`].
-    pub(crate) fn losing(lost: f64, positions: &[Point], area: Area, sensing: &Sensing) -> Self {
+    pub(crate) fn with_loss(lost: f64, positions: &[Point], area: Area, sensing: &Sensing) -> Self {
         let looks = match sensing.kind {
             DetectionKind::Range if lost <= 0.0 => {
                 StalenessModel::Sure(CertainStaleness::new(area, positions, sensing.d_max))
@@ -57,7 +57,7 @@ impl Staleness {
     }
 
     /// Passes a TTI. `is_found`: an event was reported.
-    pub(crate) fn pass(&mut self, is_found: bool) {
+    pub(crate) fn advance(&mut self, is_found: bool) {
         match &mut self.looks {
             StalenessModel::Sure(sure) => sure.pass(is_found),
             StalenessModel::Chance(ages) => ages.advance(is_found),
@@ -67,7 +67,7 @@ impl Staleness {
     /// Returns the worth of a look of the `j`-th device, ≥ 1, relative to its worth right after a look. A device
     /// without cells has worth 1.
     #[inline]
-    pub(crate) fn of(&self, j: usize) -> f64 {
+    pub(crate) fn staleness(&self, j: usize) -> f64 {
         let fresh = self.fresh[j];
         if fresh > 0.0 { self.worth(j) / fresh } else { 1.0 }
     }
@@ -188,7 +188,7 @@ impl CertainStaleness {
             let mut worths = [0_u8; LANES];
             for (age, worth) in ages.iter_mut().zip(&mut worths) {
                 *age = age.saturating_add(1);
-                *worth = index_table::of(*age);
+                *worth = index_table::index(*age);
             }
             for (before, worth) in before.iter_mut().zip(worths) {
                 sum += u64::from(worth);
@@ -206,7 +206,7 @@ impl CertainStaleness {
         }
         let rows = self.ages.chunks_exact(self.stride).enumerate();
         let beyond = rows.flat_map(|(row, ages)| &ages[if row < self.rows { self.columns } else { 0 }..]);
-        beyond.map(|age| u64::from(index_table::of(*age))).sum()
+        beyond.map(|age| u64::from(index_table::index(*age))).sum()
     }
 
     /// Returns the worth of a look, at most 16 · 16 · 255.
@@ -251,13 +251,13 @@ mod tests {
                 let positions = place(&Layout::Uniform, area, 25, 3);
                 let mut stream = Stream::new(9, Purpose::Epicentre, 0);
                 let mut ages = Ages::with_loss(lost, &positions, area, &sensing, worths());
-                let mut staleness = Staleness::losing(lost, &positions, area, &sensing);
+                let mut staleness = Staleness::with_loss(lost, &positions, area, &sensing);
                 let fresh: Vec<f64> = (0..25).map(|j| ages.gain(j)).collect();
                 let all_fresh = ages.all();
                 for _ in 0..300 {
                     for (j, fresh) in fresh.iter().enumerate() {
                         let expected = if *fresh > 0.0 { ages.gain(j) / fresh } else { 1.0 };
-                        assert_eq!(staleness.of(j).to_bits(), expected.to_bits(), "{kind:?} {width} {j}");
+                        assert_eq!(staleness.staleness(j).to_bits(), expected.to_bits(), "{kind:?} {width} {j}");
                     }
                     assert_eq!(staleness.of_all().to_bits(), (ages.all() / all_fresh).to_bits());
                     for j in (0..25).filter(|_| stream.unit() < 0.06) {
@@ -266,7 +266,7 @@ mod tests {
                     }
                     let is_found = stream.unit() < 0.02;
                     ages.advance(is_found);
-                    staleness.pass(is_found);
+                    staleness.advance(is_found);
                 }
             }
         }

@@ -32,7 +32,7 @@ const TOLERANCE: f64 = 1e-6;
 pub struct EpicentreBelief {
     sensing: Sensing,
     /// Cost of a failed wake-up, in units of information.
-    in_vain: f64,
+    miss_cost: f64,
     /// Weight of a point in range of a silent device that should have detected an event there.
     silence: f64,
     area: Area,
@@ -44,9 +44,9 @@ pub struct EpicentreBelief {
     /// Devices in S1 that did not report.
     silent: Vec<Point>,
     /// Woken devices that are farther than d_max from the event.
-    far: Vec<Point>,
+    out_of_range: Vec<Point>,
     is_given_out: Vec<bool>,
-    given_out: Vec<DeviceId>,
+    proposed: Vec<DeviceId>,
     /// cos φ and sin φ of the points on a ring.
     circle: Box<[(f64, f64)]>,
 }
@@ -106,7 +106,7 @@ impl EpicentreBelief {
     pub fn new(positions: &[Point], area: Area, sensing: &Sensing) -> Self {
         Self {
             sensing: sensing.clone(),
-            in_vain: 0.0,
+            miss_cost: 0.0,
             silence: SILENCE,
             area,
             buckets: Buckets::new(positions, area, sensing.d_max),
@@ -115,17 +115,17 @@ impl EpicentreBelief {
             places: Vec::new(),
             rings: Vec::new(),
             silent: Vec::new(),
-            far: Vec::new(),
-            given_out: Vec::new(),
+            out_of_range: Vec::new(),
+            proposed: Vec::new(),
             circle: (0..FINE).map(direction).collect(),
         }
     }
 
-    /// Sets the cost of waking a device farther than d_max from the event: `in_vain`, ≥ 0, in units of information. It
+    /// Sets the cost of waking a device farther than d_max from the event: `miss_cost`, ≥ 0, in units of information. It
     /// affects only the comparison of devices.
     #[must_use]
-    pub(crate) fn with_miss_cost(self, in_vain: f64) -> Self {
-        Self { in_vain, ..self }
+    pub(crate) fn with_miss_cost(self, miss_cost: f64) -> Self {
+        Self { miss_cost: miss_cost, ..self }
     }
 
     /// Sets the probability that the radio silences a device that should have reported: `lost`, `[0, 1]`.
@@ -143,8 +143,8 @@ impl EpicentreBelief {
         self.places.clear();
         self.rings.clear();
         self.silent.clear();
-        self.far.clear();
-        for device in self.given_out.drain(..) {
+        self.out_of_range.clear();
+        for device in self.proposed.drain(..) {
             self.is_given_out[device.index()] = false;
         }
     }
@@ -157,7 +157,7 @@ impl EpicentreBelief {
         // A second device at the same position adds no ring, and `meet` cannot divide by a distance of 0.
         if self.rings.iter().all(|(centre, _)| centre.distance(at) > slack) {
             match self.rings.len() {
-                0 => self.places = self.ring(at, d),
+                0 => self.places = self.ring_points(at, d),
                 1 => self.meet(at, d, prior),
                 _ => self.keep_nearest(at, d),
             }
@@ -175,7 +175,7 @@ impl EpicentreBelief {
             }
         }
         // Kept, since a later report creates new points, which must be ruled out as well.
-        self.far.push(at);
+        self.out_of_range.push(at);
         self.weigh();
     }
 
@@ -261,7 +261,7 @@ impl EpicentreBelief {
                 return;
             }
             let (gain, missed) = self.outlook(self.positions[j], information);
-            let (gain, score) = (gain / sum, (gain - self.in_vain * missed) / sum);
+            let (gain, score) = (gain / sum, (gain - self.miss_cost * missed) / sum);
             let is_better = best.is_none_or(|(most, _, first)| match score.total_cmp(&most) {
                 Ordering::Greater => true,
                 Ordering::Equal => device < first,
@@ -333,12 +333,12 @@ impl EpicentreBelief {
     fn take_out(&mut self, device: DeviceId) {
         if !self.is_given_out[device.index()] {
             self.is_given_out[device.index()] = true;
-            self.given_out.push(device);
+            self.proposed.push(device);
         }
     }
 
     /// Returns the points on the ring around `centre` that lie in the area.
-    fn ring(&self, centre: Point, d: f64) -> Vec<RingPoint> {
+    fn ring_points(&self, centre: Point, d: f64) -> Vec<RingPoint> {
         let place = |(cosine, sine): &(f64, f64)| Point::new(centre.x + d * cosine, centre.y + d * sine);
         let all = self.circle.iter().map(place).filter(|&at| self.area.contains(at));
         let inside: Vec<RingPoint> = all.map(|at| RingPoint::new(at, Likelihood::CERTAIN)).collect();
@@ -403,7 +403,7 @@ impl EpicentreBelief {
                 DetectionKind::Probabilistic => 1.0 - (1.0 - self.silence) * self.sensing.p(d),
             }
         };
-        let ruled_out = self.far.iter().filter(|device| device.distance(at) <= d_max);
+        let ruled_out = self.out_of_range.iter().filter(|device| device.distance(at) <= d_max);
         let factors = self.silent.iter().map(of).chain(ruled_out.map(|_| RULED_OUT));
         factors.fold(Likelihood::CERTAIN.times(prior), Likelihood::times)
     }

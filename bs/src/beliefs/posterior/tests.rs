@@ -34,7 +34,7 @@ fn three_reports_find_the_event_and_then_the_closest_device() {
         let closest = *near
             .iter()
             .min_by(|&&a, &&b| points[a].distance(event).total_cmp(&points[b].distance(event)))
-            .expect("somebody");
+            .expect("a device");
         near.retain(|&j| j != closest);
         let sensing = sensing(Fusion::Max);
         let mut belief = EpicentreBelief::new(&points, AREA, &sensing);
@@ -50,7 +50,7 @@ fn three_reports_find_the_event_and_then_the_closest_device() {
             "{seed}: {:?}",
             belief.places
         );
-        let (next, gain) = belief.next(information, |_| true).expect("somebody adds");
+        let (next, gain) = belief.next(information, |_| true).expect("a device adds");
         assert_eq!(next.index(), closest, "{seed}");
         let expected = sensing.p(points[closest].distance(event)) - information;
         assert!(
@@ -194,7 +194,7 @@ fn a_loss_in_vain_changes_the_order_and_no_gain() {
         let score = |j: usize| gain(j) - loss * definition.missed(&places, j);
         let others = || (0..120).filter(|&j| j != h as usize && gain(j) > 1e-9);
         let Some((next, told)) = belief.next(information, |_| true) else {
-            assert_eq!(others().next(), None, "{case} {h}: nobody");
+            assert_eq!(others().next(), None, "{case} {h}: no device");
             continue;
         };
         let best = others().map(score).fold(f64::NEG_INFINITY, f64::max);
@@ -235,7 +235,7 @@ fn silence_weighs_the_places_of_the_ring() {
                 let share = place.weight / definition.weight(place.at);
                 assert!(
                     (share - share.round()).abs() < 1e-9 && (1.0..17.0).contains(&share.round()),
-                    "{case} {h} {seed}: {place:?} weighs {share} times what it is due"
+                    "{case} {h} {seed}: {place:?} weighs {share} times its due weight"
                 );
             }
             let information = sensing.p(d);
@@ -243,7 +243,7 @@ fn silence_weighs_the_places_of_the_ring() {
             let free = all.filter(|&j| j != h as usize && !is_on(DeviceId(j as u32)));
             let most = free.map(|j| definition.gain(&fine, j, information)).fold(0.0, f64::max);
             let Some((next, gain)) = belief.next(information, |j| !is_on(j)) else {
-                assert!(most < 1e-3, "{case} {h} {seed}: nobody, and one adds {most}");
+                assert!(most < 1e-3, "{case} {h} {seed}: none selected, and one adds {most}");
                 continue;
             };
             let own = definition.gain(&fine, next.index(), information);
@@ -327,7 +327,7 @@ fn silence_of_hundreds_does_not_end_the_wake_ups() {
         belief.start();
         belief.add_reporter(reporter, d, uniform_prior);
         belief.observe_silence(is_on, uniform_prior);
-        let (next, gain) = belief.next(sensing.p(d), |j| !is_on(j)).expect("somebody adds");
+        let (next, gain) = belief.next(sensing.p(d), |j| !is_on(j)).expect("a device adds");
         // The definition, with logarithms.
         let centre = points[reporter.index()];
         let places: Vec<Point> = (0..FINE)
@@ -378,7 +378,7 @@ fn silence_of_hundreds_does_not_end_the_wake_ups() {
             belief.observe_silence(is_on, uniform_prior);
             belief.add_reporter(second, points[9].distance(at), uniform_prior);
             belief.add_reporter(DeviceId(11), points[11].distance(at), uniform_prior);
-            let found = belief.next(sensing.p(d), |j| !is_on(j)).expect("somebody adds");
+            let found = belief.next(sensing.p(d), |j| !is_on(j)).expect("a device adds");
             assert!(points[found.0.index()].distance(at) < 0.5, "{kind:?}: {found:?}");
         }
     }

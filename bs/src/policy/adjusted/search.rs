@@ -98,8 +98,8 @@ fn warnings(settings: &AdjustedSettings, trials: &Trials) -> Vec<String> {
         return Vec::new();
     }
     vec![format!(
-        "the duty cycle of adjusted is hardly more than a guess: its pilot runs were to hold {} events each, and \
-         not all do in {} TTIs; raise policy.adjusted.pilot_limit, or leave one pair in policy.adjusted.t_on and \
+        "the duty cycle of adjusted is unreliable: not all pilot runs have {} events (policy.adjusted.pilot_events) in \
+         {} TTIs; raise policy.adjusted.pilot_limit, or keep one pair in policy.adjusted.t_on and \
          policy.adjusted.t_drx",
         settings.pilot_events, trials.ttis
     )]

@@ -36,7 +36,7 @@ impl AdjustedSettings {
     pub fn from_fields(reader: &FieldReader<'_>) -> Result<Self, ScenarioError> {
         let settings = Self::read(reader)?;
         if settings.pairs().next().is_none() {
-            let allowed = "must hold a value that is not longer than one of policy.adjusted.t_drx";
+            let allowed = "must contain a value that does not exceed the longest of policy.adjusted.t_drx";
             return Err(reader.invalid_value("policy.adjusted.t_on", format!("{:?}", settings.t_on), allowed));
         }
         Ok(settings)

@@ -28,7 +28,7 @@ use super::SensingCount;
 use super::factory::{PolicyEntry, PolicyFactory};
 use super::interface::Policy;
 use crate::beliefs::ages;
-use crate::beliefs::ages::price::{Prices, needed};
+use crate::beliefs::ages::price::{Prices, min_level};
 use crate::beliefs::ages::selector::DeviceSelector;
 use crate::beliefs::candidates::{Candidates, LEAST_GAIN};
 use crate::beliefs::posterior::EpicentreBelief;
@@ -56,7 +56,7 @@ impl Dt {
     /// Creates the policy for the devices in `known`.
     pub fn new(known: &Knowledge, settings: &DtSettings) -> Self {
         let positions = known.positions();
-        let senses = TokenBuilder::new(known, |j| needed(&known.devices[j].energy));
+        let senses = TokenBuilder::new(known, |j| min_level(&known.devices[j].energy));
         let reach = ages::reach(&known.sensing) / senses.ages().cell_surface();
         // With a target the model names the price in each TTI, as a factor of this one.
         let price = settings.fixed_price().unwrap_or(1.0);
@@ -67,7 +67,7 @@ impl Dt {
             prices: Prices::new(known, price * reach),
             choice: DeviceSelector::new(&positions, known.area, known.sensing.d_max),
             candidates: Candidates::by(WakeUpRanking::Posterior, known)
-                .with_miss_cost(settings.in_vain * known.sensing.psi),
+                .with_miss_cost(settings.miss_cost * known.sensing.psi),
             wake_factors: vec![1.0; known.n()],
             factors: vec![1.0; known.n()],
             usual: ExpectationBaseline::new(known.n()),

@@ -7,7 +7,7 @@ use reveille_common::rng::PolicyPurpose;
 
 use super::tokens::TokenBuilder;
 use crate::battery_estimator::BatteryEstimator;
-use crate::beliefs::ages::price::needed;
+use crate::beliefs::ages::price::min_level;
 use crate::beliefs::candidates::Candidates;
 use crate::beliefs::coverage::Union;
 use crate::beliefs::posterior::EpicentreBelief;
@@ -67,7 +67,7 @@ pub struct RecordingOptions {
     /// Whether a policy that does not need batteries uses the recorded levels to find the devices that can pay for a
     /// report. With `bs.battery_knowledge = "oracle"` these are the true levels. The policy then wakes other devices
     /// than in a run without a recording.
-    pub told: bool,
+    pub true_batteries: bool,
 }
 
 /// Battery levels that the policy receives.
@@ -120,7 +120,7 @@ pub struct RecordingPolicy<S> {
 impl<S: StepSink> RecordingPolicy<S> {
     /// Records `policy`, for the devices in `known`, with the options in `manner`.
     pub fn new(policy: Box<dyn Policy>, known: &Knowledge, manner: RecordingOptions, sink: S) -> Self {
-        let own = if policy.needs_batteries() || manner.told {
+        let own = if policy.needs_batteries() || manner.true_batteries {
             BatterySource::Recorded
         } else {
             BatterySource::Hidden(
@@ -132,7 +132,7 @@ impl<S: StepSink> RecordingPolicy<S> {
         Self {
             policy,
             own,
-            senses: TokenBuilder::new(known, |j| needed(&known.devices[j].energy)),
+            senses: TokenBuilder::new(known, |j| min_level(&known.devices[j].energy)),
             union: reward::union(known),
             candidates: Candidates::by(WakeUpRanking::Posterior, known),
             explores: manner.explores,
@@ -153,7 +153,7 @@ impl<S: StepSink> RecordingPolicy<S> {
                 .streams
                 .unit_for_pair(PolicyPurpose::Exploration, seen.now.0, j as u64)
         };
-        let can = |j: usize| seen.batteries[j] >= needed(&known.devices[j].energy);
+        let can = |j: usize| seen.batteries[j] >= min_level(&known.devices[j].energy);
         (0..known.n())
             // An exploring device does the opposite of the plan; one without energy for a report does not explore.
             .map(|j| is_on(j) ^ (self.explores > 0.0 && can(j) && draw(j) < self.explores))
@@ -178,7 +178,7 @@ impl<S: StepSink + 'static> Policy for RecordingPolicy<S> {
             self.own.keep(|levels| levels.advance(seen.now, seen.plan));
         }
         let on = self.explored(seen, self.plan.as_ref().expect("decided in TTI 0"));
-        let looked = CoverageReward::of(&mut self.union, &on);
+        let looked = CoverageReward::new(&mut self.union, &on);
         let mut looks = vec![DeviceStep::default(); on.len()];
         for (j, (look, &on)) in looks.iter_mut().zip(&on).enumerate() {
             (look.expected, look.on) = (self.senses.expected(j), on);

@@ -22,7 +22,7 @@ const MODELS: &[Alternative] = &[
     },
     Alternative {
         name: "untrained",
-        about: "An untrained model; with in_vain = 0 it decides exactly as `age-index`.",
+        about: "An untrained model; with miss_cost = 0 it decides exactly as `age-index`.",
     },
 ];
 
@@ -40,7 +40,7 @@ declare! {
         target: f64 = number(PROBABILITY, 0.0).source("Sec. V-C"),
         /// Loss, as a share of Ψ, for a wake-up farther than d_max from the event, in the comparison of devices. A
         /// higher loss selects devices that are surer to sense the event but add less information.
-        in_vain: f64 = number(PROBABILITY, 0.16),
+        miss_cost: f64 = number(PROBABILITY, 0.16).formerly("in_vain"),
         /// TTIs Z that a decision attends to. With 0, the value of the model; training uses 8.
         memory: u64 = whole(0, LONGEST_MEMORY, 0).unit("TTIs").source("Sec. V-C"),
         /// Width of a device's embedding, a multiple of 4 times its heads. With 0, the width of the model; training
@@ -77,7 +77,7 @@ pub struct DtSettings {
     /// Target share of new events found in their first TTI, `[0, 1]`; 0 for no target.
     pub target: f64,
     /// Cost of a wake-up of a device beyond d_max of the event, a share of Ψ, `[0, 1]`.
-    pub in_vain: f64,
+    pub miss_cost: f64,
     /// Model shape that the scenario requests.
     pub asked: RequestedShape,
 }
@@ -171,18 +171,18 @@ impl DtSettings {
         };
         if let Some((name, asked, has)) = asked.other_than(weights.shape()) {
             let allowed = format!(
-                "is not what the model has, {has}; train one: reveille train dt --set policy.dt.{name}={asked}"
+                "the model has {has}; omit the field, or train one: reveille train dt --set policy.dt.{name}={asked}"
             );
             return Err(reader.invalid_value(&format!("policy.dt.{name}"), asked, allowed));
         }
         let knows_prices = source != ModelSource::Untrained && weights.shape().objective == ModelObjective::Events;
         if fields.target > 0.0 && !knows_prices {
             reader.warn(format!(
-                "policy.dt.target is {}, and the model has not learned what price goes with it: {}",
+                "policy.dt.target is {}, and the model has not learned its price: {}",
                 fields.target,
                 match weights.shape().objective {
-                    ModelObjective::Events => "an untrained one takes 1",
-                    ModelObjective::Actions => "one that imitates actions has none",
+                    ModelObjective::Events => "an untrained model uses 1",
+                    ModelObjective::Actions => "a model that imitates actions has none",
                 }
             ));
         }
@@ -191,7 +191,7 @@ impl DtSettings {
             weights: Arc::new(weights),
             price: fields.price,
             target: fields.target,
-            in_vain: fields.in_vain,
+            miss_cost: fields.miss_cost,
             asked,
         })
     }
@@ -213,7 +213,7 @@ impl Visit for DtSettings {
             model: None,
             price: self.price,
             target: self.target,
-            in_vain: self.in_vain,
+            miss_cost: self.miss_cost,
             memory: self.asked.memory,
             width: self.asked.width,
             heads: self.asked.heads,

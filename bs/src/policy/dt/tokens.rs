@@ -57,7 +57,7 @@ struct Counts {
 
 impl Counts {
     /// Advances by one TTI with this many `found` and `expected` events.
-    fn pass(&mut self, found: f32, expected: f32) {
+    fn advance(&mut self, found: f32, expected: f32) {
         for (scale, tau) in SCALES.into_iter().enumerate() {
             let kept = 1.0 - 1.0 / tau;
             self.found[scale] = kept * self.found[scale] + found;
@@ -82,7 +82,7 @@ struct DeviceConstants {
     harvest: f32,
     neighbours: f32,
     /// Least level with which it can sense.
-    needed: Energy,
+    min_level: Energy,
     e_max: f32,
 }
 
@@ -146,7 +146,7 @@ impl TokenBuilder {
                 // E_idle may be 0.
                 harvest: (units(device.mean_harvest) / units(device.energy.e_idle).max(1e-6)).min(4.0) as f32,
                 neighbours: libm::logf(1.0 + neighbours as f32) / 5.0,
-                needed: needed(j),
+                min_level: needed(j),
                 e_max: units(device.energy.e_max) as f32,
             }
         };
@@ -174,7 +174,7 @@ impl TokenBuilder {
     /// Begins the TTI of `seen`: processes the events of the last TTI and computes the [`Self::tokens`] of this one.
     pub(crate) fn begin(&mut self, seen: &Observation<'_>) {
         if seen.now > Tti::ZERO {
-            self.pass(Tti(seen.now.0 - 1));
+            self.advance(Tti(seen.now.0 - 1));
         }
         let last = self.last;
         let is_found = last.is_some_and(|found| found.tti.0 + 1 == seen.now.0);
@@ -202,7 +202,7 @@ impl TokenBuilder {
             let level = seen.batteries[j];
             *token = [
                 level.units() as f32 / fixed.e_max,
-                f32::from(u8::from(level >= fixed.needed)),
+                f32::from(u8::from(level >= fixed.min_level)),
                 libm::logf(mean_age(self.worths[j], fixed.own)),
                 logarithm(idle),
                 fixed.reach,
@@ -226,7 +226,7 @@ impl TokenBuilder {
     }
 
     /// Ends the TTI `tti` and counts its reports.
-    fn pass(&mut self, tti: Tti) {
+    fn advance(&mut self, tti: Tti) {
         let place = centre(&self.reporters);
         self.reporters.clear();
         self.is_near.fill(false);
@@ -238,9 +238,9 @@ impl TokenBuilder {
             self.last = Some(FoundEvent { at, tti });
         }
         for ((near, fixed), &is_near) in self.near.iter_mut().zip(&self.fixed).zip(&self.is_near) {
-            near.pass(f32::from(u8::from(is_near)), fixed.expected);
+            near.advance(f32::from(u8::from(is_near)), fixed.expected);
         }
-        self.all.pass(f32::from(u8::from(place.is_some())), self.events);
+        self.all.advance(f32::from(u8::from(place.is_some())), self.events);
         self.ages.advance(place.is_some());
     }
 

@@ -17,77 +17,77 @@ pub struct Feature {
     pub about: &'static str,
 }
 
-const fn of(name: &'static str, about: &'static str) -> Feature {
+const fn new(name: &'static str, about: &'static str) -> Feature {
     Feature { name, about }
 }
 
 /// Features of each device, in this order; all in `[0, 1]`.
 pub const DEVICE: [Feature; 15] = [
-    of("x", "position along the area's width, as a share of the width"),
-    of("y", "position along the area's height, as a share of the height"),
-    of(
+    new("x", "position along the area's width, as a share of the width"),
+    new("y", "position along the area's height, as a share of the height"),
+    new(
         "battery",
         "B / E_max at the end of the last TTI, as known under `bs.battery_knowledge`",
     ),
-    of(
+    new(
         "can_report",
         "1 if its known battery level pays for a report in this TTI",
     ),
-    of("sensing", "δ of this TTI at stage 1, of the last TTI at stage 0"),
-    of(
+    new("sensing", "δ of this TTI at stage 1, of the last TTI at stage 0"),
+    new(
         "may_wake",
         "1 if a wake-up decision may name it: at stage 1, with δ = 0 and not yet woken",
     ),
-    of("woken", "1 if it was woken in this TTI; 0 at stage 0"),
-    of(
+    new("woken", "1 if it was woken in this TTI; 0 at stage 0"),
+    new(
         "information",
         "I / Ψ of its report in this TTI; 0 without a report, and at stage 0",
     ),
-    of(
+    new(
         "nearness",
         "p(d), d the distance to the nearest reporter of this TTI; 0 at stage 0",
     ),
-    of(
+    new(
         "since_sensing",
         "t / (t + 8), t the TTIs since its last δ = 1; 1 if never",
     ),
-    of(
+    new(
         "since_report",
         "t / (t + 64), t the TTIs since its last report; 1 if never",
     ),
-    of(
+    new(
         "stale",
         "1 - 1 / √w, w the mean of a(a + 1)/2 over the places it covers, a the age of a place in TTIs",
     ),
-    of("neighbours", "ln(1 + n) / ln(N), n the other devices within d_max"),
-    of("harvest", "h / (h + E_idle), h the mean harvest in a TTI"),
-    of("harvest_now", "h / (h + E_idle), h the expected harvest in this TTI"),
+    new("neighbours", "ln(1 + n) / ln(N), n the other devices within d_max"),
+    new("harvest", "h / (h + E_idle), h the mean harvest in a TTI"),
+    new("harvest_now", "h / (h + E_idle), h the expected harvest in this TTI"),
 ];
 
 /// Features of the global row, in this order; all in `[0, 1]`.
 pub const GLOBAL: [Feature; 10] = [
-    of(
+    new(
         "information",
         "Î / Ψ: the known information about the event of this TTI; 0 at stage 0",
     ),
-    of("i_min", "I_min / Ψ: the information at which `knn` stops"),
-    of("alpha", "α: the probability that an event starts in a TTI"),
-    of("devices", "ln(N) / 10"),
-    of(
+    new("i_min", "I_min / Ψ: the information at which `knn` stops"),
+    new("alpha", "α: the probability that an event starts in a TTI"),
+    new("devices", "ln(N) / 10"),
+    new(
         "sensing",
         "share of the devices with δ = 1 in this TTI at stage 1, in the last TTI at stage 0",
     ),
-    of(
+    new(
         "reports",
         "n / (n + 1), n the number of reports so far in this TTI; 0 at stage 0",
     ),
-    of("woken", "share of the devices woken in this TTI; 0 at stage 0"),
-    of("battery", "mean of the known B / E_max over the devices"),
-    of(
+    new("woken", "share of the devices woken in this TTI; 0 at stage 0"),
+    new("battery", "mean of the known B / E_max over the devices"),
+    new(
         "since_report",
         "t / (t + 8), t the TTIs since the last report of any device; 1 if never",
     ),
-    of("stale", "1 - 1 / √w, w the mean of a(a + 1)/2 over the whole area"),
+    new("stale", "1 - 1 / √w, w the mean of a(a + 1)/2 over the whole area"),
 ];
 
 /// Time after which the feature of a device's last report is 1/2, TTIs.

@@ -78,7 +78,7 @@ impl ReportHistory {
             }
         };
         Self {
-            staleness: Staleness::losing(lost, &positions, known.area, &known.sensing),
+            staleness: Staleness::with_loss(lost, &positions, known.area, &known.sensing),
             next: Tti::ZERO,
             is_found: false,
             looked: vec![0; known.n()],
@@ -105,7 +105,7 @@ impl ReportHistory {
                 }
             }
             // The reports belong to the first of these TTIs, so only that one counts as found.
-            self.staleness.pass(std::mem::take(&mut self.is_found));
+            self.staleness.advance(std::mem::take(&mut self.is_found));
             self.next = self.next + 1;
         }
     }
@@ -170,7 +170,7 @@ impl ReportHistory {
     /// It is the mean of a(a + 1)/2 over the ages a of the places ([`ages`](crate::beliefs::ages)).
     #[inline]
     pub(crate) fn staleness(&self, device: usize) -> f64 {
-        self.staleness.of(device)
+        self.staleness.staleness(device)
     }
 
     /// Returns the same ratio for the whole area.

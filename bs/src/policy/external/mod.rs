@@ -39,7 +39,7 @@ use crate::observation::Observation;
 #[derive(Clone, Debug)]
 pub struct External {
     /// Plan decision for the coming TTI.
-    told: Option<PlanDecision>,
+    received: Option<PlanDecision>,
     /// TTI of the next plan request.
     next: Tti,
     /// See [`DecisionContext::heard`].
@@ -57,7 +57,7 @@ impl External {
     /// Creates the state before TTI 0, for the devices in `known`.
     pub fn new(known: &Knowledge) -> Self {
         Self {
-            told: None,
+            received: None,
             next: Tti::ZERO,
             heard: Vec::new(),
             woken: vec![false; known.n()],
@@ -69,7 +69,7 @@ impl External {
 
     /// Whether a plan decision is needed before TTI `k` begins.
     pub(crate) fn needs_plan(&self, k: Tti) -> bool {
-        self.told.is_none() && k >= self.next
+        self.received.is_none() && k >= self.next
     }
 
     /// Whether a wake-up decision is needed in the TTI of `seen`: a report arrived, a device can be woken, and the last
@@ -81,7 +81,7 @@ impl External {
     }
 
     /// Returns the decision context of `stage` for the observation `seen`.
-    pub fn question<'a>(&'a self, stage: DecisionStage, seen: Observation<'a>) -> DecisionContext<'a> {
+    pub fn context<'a>(&'a self, stage: DecisionStage, seen: Observation<'a>) -> DecisionContext<'a> {
         DecisionContext {
             stage,
             seen,
@@ -95,7 +95,7 @@ impl External {
     pub(crate) fn set_plan(&mut self, decision: PlanDecision) {
         let PlanDecision { plan, next } = decision;
         let plan = fitted(&plan, self.woken.len() as u32);
-        self.told = Some(PlanDecision { plan, next });
+        self.received = Some(PlanDecision { plan, next });
     }
 
     /// Sets the decision at [`DecisionStage::Wake`]: the devices to wake, in this order.
@@ -120,7 +120,7 @@ impl Policy for External {
     /// # Panics
     /// If there is no plan for this TTI.
     fn decide(&mut self, seen: &Observation<'_>) -> Plan {
-        let PlanDecision { plan, next } = self.told.take().expect("a driver tells the plan that is asked for");
+        let PlanDecision { plan, next } = self.received.take().expect("a driver supplies the requested plan");
         // The decision can name a TTI that has passed, but the base station requires a later one.
         self.next = next.max(seen.now + 1);
         plan

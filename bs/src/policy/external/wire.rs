@@ -409,10 +409,10 @@ impl DecisionReply {
         };
         // Two kinds of decision in one reply could contradict each other.
         let [one] = said[..] else {
-            return Err(format!("one of {} is to be said, not {said:?}", allowed.join(", ")));
+            return Err(format!("exactly one of {} is due, not {said:?}", allowed.join(", ")));
         };
         if !allowed.contains(&one) {
-            return Err(format!("{one} is no answer here; {} are", allowed.join(", ")));
+            return Err(format!("{one} is not valid here; {} are", allowed.join(", ")));
         }
         match stage {
             DecisionStage::Plan => {
@@ -423,7 +423,7 @@ impl DecisionReply {
                 let plan = self.plan(devices)?;
                 Ok(Decision::Plan(PlanDecision { plan, next }))
             }
-            DecisionStage::Wake if self.next.is_some() => Err("next goes with a plan, not with wake-ups".to_owned()),
+            DecisionStage::Wake if self.next.is_some() => Err("next is valid only with a plan".to_owned()),
             DecisionStage::Wake => match (&self.wake, &self.action) {
                 (Some(wake), _) => Ok(Decision::Wake(known(wake, devices)?)),
                 (None, action) => Ok(Decision::Wake(chosen(action.as_ref(), devices)?)),
@@ -456,7 +456,7 @@ impl DecisionReply {
 /// Converts the ids, all of which must be below `devices`.
 fn known(ids: &[u32], devices: u32) -> Result<Vec<DeviceId>, String> {
     match ids.iter().find(|id| **id >= devices) {
-        Some(id) => Err(format!("there is no device {id}: they are 0 to {}", devices - 1)),
+        Some(id) => Err(format!("there is no device {id}; the ids are 0 to {}", devices - 1)),
         None => Ok(ids.iter().copied().map(DeviceId).collect()),
     }
 }
@@ -468,7 +468,7 @@ fn chosen(action: Option<&Octets>, devices: u32) -> Result<Vec<DeviceId>, String
         return Err(format!("{} numbers in action for {devices} devices", bits.len()));
     }
     if let Some(j) = bits.iter().position(|bit| *bit > 1) {
-        return Err(format!("action is {} at device {j}: 0 or 1 is allowed", bits[j]));
+        return Err(format!("action is {} at device {j}, and must be 0 or 1", bits[j]));
     }
     let ones = (0..devices).filter(|j| bits[*j as usize] == 1);
     Ok(ones.map(DeviceId).collect())
@@ -535,10 +535,10 @@ mod tests {
             (DecisionStage::Plan, r#""name":"x""#, "unknown field"),
             (DecisionStage::Plan, r#""next":9"#, "one of action, sense, cycles"),
             (DecisionStage::Plan, r#""sense":[],"action":[0,0,0,0,0]"#, "one of"),
-            (DecisionStage::Plan, r#""wake":[1]"#, "wake is no answer here"),
-            (DecisionStage::Wake, r#""sense":[1]"#, "sense is no answer here"),
-            (DecisionStage::Wake, r#""wake":[1],"next":9"#, "next goes with a plan"),
-            (DecisionStage::Plan, r#""sense":[5]"#, "no device 5: they are 0 to 4"),
+            (DecisionStage::Plan, r#""wake":[1]"#, "wake is not valid here"),
+            (DecisionStage::Wake, r#""sense":[1]"#, "sense is not valid here"),
+            (DecisionStage::Wake, r#""wake":[1],"next":9"#, "only with a plan"),
+            (DecisionStage::Plan, r#""sense":[5]"#, "no device 5; the ids are 0 to 4"),
             (DecisionStage::Wake, r#""wake":[4294967295]"#, "no device 4294967295"),
             (
                 DecisionStage::Plan,

@@ -64,7 +64,7 @@ pub struct QLearning {
     wake: WakeLearner,
     candidates: Candidates,
     /// E_Tx plus the cost of a TTI asleep, by device.
-    needed: Vec<reveille_common::units::Energy>,
+    min_level: Vec<reveille_common::units::Energy>,
     reports: usize,
     is_exploring: bool,
     tally: SensingCount,
@@ -106,7 +106,7 @@ impl QLearning {
                 known.sensing.psi,
             ),
             candidates: Candidates::new(known),
-            needed: needed.collect(),
+            min_level: needed.collect(),
             reports: 0,
             is_exploring: false,
             tally: SensingCount::default(),
@@ -117,7 +117,7 @@ impl QLearning {
 
     /// Returns the next candidate that can pay for a report, with its state.
     fn candidate(&mut self, seen: &Observation<'_>) -> Option<(DeviceId, WakeState)> {
-        let needed = &self.needed;
+        let needed = &self.min_level;
         let can_report = |device: DeviceId| seen.batteries[device.index()] >= needed[device.index()];
         let (device, score) = self.candidates.next(seen, can_report)?;
         Some((device, self.wake.state(score, seen.information, self.reports)))
@@ -191,7 +191,7 @@ impl Policy for QLearning {
     }
 
     fn wake_up_answered(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
-        self.wake.answered(seen.information);
+        self.wake.add_answer(seen.information);
         if let Some(report) = report {
             self.reports += 1;
             let Self { duty, candidates, .. } = self;

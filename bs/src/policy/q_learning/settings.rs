@@ -60,11 +60,11 @@ declare! {
         epsilon: f64 = number(BELOW_ONE, 0.02).source("Sec. V-B"),
         /// Probability of a random decision in the last TTI. It changes linearly in between.
         epsilon_last: f64 = number(BELOW_ONE, 0.02).derived("value of `epsilon`") => epsilon,
-        /// Exponent of the learning rate: the rate falls with a value's number of visits, raised to this exponent.
+        /// Exponent ω of the learning rate max((n + 4)^−ω, `rate_floor`) at the n-th visit of a value.
         rate_decay: f64 = number(ABOVE_ZERO, Schedule::USUAL.rate_decay),
         /// Minimum learning rate.
         rate_floor: f64 = number(ABOVE_ZERO, Schedule::USUAL.rate_floor),
-        /// Optimism of the initial values; 1 is the largest immediate reward of an action.
+        /// Factor of the initial values. With 1, an action starts at its largest immediate reward.
         optimism: f64 = number(NOT_NEGATIVE, Schedule::USUAL.optimism),
     }
 }
@@ -140,7 +140,7 @@ impl QLearningSettings {
     /// # Errors
     /// A value is out of range, or the tables cannot be used.
     pub fn from_fields(reader: &FieldReader<'_>, site: &Site<'_>) -> Result<Self, ScenarioError> {
-        settle(reader, site)
+        from_fields(reader, site)
     }
 }
 
@@ -185,7 +185,7 @@ fn check_raster(reader: &FieldReader<'_>, site: &Site<'_>, lookback: Lookback) -
         return Ok(());
     }
     let allowed =
-        format!("is so small against the area that q-learning would {what} {cells:.0} cells, more than {MOST_CELLS}");
+        format!("is too small for the area: q-learning would {what} {cells:.0} cells, more than {MOST_CELLS}");
     Err(reader.invalid_value("sensing.d_max", d_max, allowed))
 }
 
@@ -199,10 +199,10 @@ fn warn_of_sleep(reader: &FieldReader<'_>, site: &Site<'_>, weights: &QWeights, 
     // Below `ABLE` no device senses, whatever its values are.
     if !advantages.iter().skip(usize::from(ABLE)).any(is_worth_it) {
         reader.warn(format!(
-            "under these tables of q-learning no device is ever told to sense, and every event is missed: with μ1 = \
-             {mu1}, α = {alpha} and the tables' N = {n}, all that one device can look at is worth less than sleep; \
-             raise policy.q-learning.mu1 and train: reveille train q-learning --windows {lookback} --out FILE, with \
-             the same --scenario and --set",
+            "with these tables of q-learning no device ever senses, and every event is missed: with μ1 = {mu1}, α = \
+             {alpha} and the tables' N = {n}, the area of a device is worth less than sleep; raise \
+             policy.q-learning.mu1 and train: reveille train q-learning --windows {lookback} --out FILE, with the same \
+             --scenario and --set",
             mu1 = weights.mu1,
             alpha = site.alpha,
             n = start.devices,
@@ -214,28 +214,27 @@ fn warn_of_sleep(reader: &FieldReader<'_>, site: &Site<'_>, weights: &QWeights, 
 fn warn_of_differences(reader: &FieldReader<'_>, differences: &[String]) {
     if !differences.is_empty() {
         reader.warn(format!(
-            "the tables of q-learning were learned on another setting, and what is worth doing there may not be worth \
-             it here ({}); to train tables for it: reveille train q-learning --out FILE, with the same --scenario and \
-             --set",
+            "the tables of q-learning were learned on another setting and may decide badly here ({}); train tables for \
+             this setting: reveille train q-learning --out FILE, with the same --scenario and --set",
             differences.join("; ")
         ));
     }
 }
 
-fn settle(reader: &FieldReader<'_>, site: &Site<'_>) -> Result<QLearningSettings, ScenarioError> {
+fn from_fields(reader: &FieldReader<'_>, site: &Site<'_>) -> Result<QLearningSettings, ScenarioError> {
     let fields = Fields::read(reader)?;
     let name = fields.table.as_deref().unwrap_or("shipped");
-    let setting = TrainingSite::of(site);
+    let setting = TrainingSite::from_site(site);
     let (source, learned) = tables(reader, &fields, name, &setting)?;
     if learned.is_none() && !fields.learn {
-        let allowed = "needs policy.q-learning.learn = true, or nothing is ever known; or name a table";
+        let allowed = "needs policy.q-learning.learn = true, because the policy starts without tables; or name a table";
         return Err(reader.invalid_value("policy.q-learning.table", name, allowed));
     }
     let (window, ages) = (fields.window, fields.ages);
     let lookback = fields.lookback();
     check_raster(reader, site, lookback)?;
     if ages && window > 1 {
-        let allowed = "must be 1 with policy.q-learning.ages = true: a place's age says how long it has waited";
+        let allowed = "must be 1 with policy.q-learning.ages = true, which uses the age of each place instead";
         return Err(reader.invalid_value("policy.q-learning.window", window, allowed));
     }
     let weights = weights(reader, &fields, learned.as_deref())?;
@@ -279,8 +278,8 @@ fn weights(
     let as_learned = |name: &str, known: Option<f64>, value: f64| match known {
         Some(known) if (known - value).abs() > 1e-9 && !fields.learn => {
             let allowed = format!(
-                "must be {known}, for which its table was learned, unless policy.q-learning.learn = true; for a table \
-                 of your own: reveille train q-learning --windows {} --set policy.q-learning.{name}={value} --out FILE",
+                "must be {known}, for which its table was learned, unless policy.q-learning.learn = true; to train \
+                 another: reveille train q-learning --windows {} --set policy.q-learning.{name}={value} --out FILE",
                 fields.lookback()
             );
             Err(reader.invalid_value(&format!("policy.q-learning.{name}"), value, allowed))
@@ -315,7 +314,7 @@ fn tables(
             let path = reader.file(field, file)?;
             match LearnedTables::read(reader.files(), &path) {
                 Ok(tables) if tables.is_cut_short() => {
-                    let why = "is the checkpoint of a training that was cut short: go on with that";
+                    let why = "is the checkpoint of an unfinished training; repeat its command to finish it";
                     return Err(reader.file_error(field, path, why));
                 }
                 Ok(tables) => (TableSource::File(path), Some(Arc::new(tables))),
@@ -351,7 +350,7 @@ fn entry(
         };
         let known: Vec<String> = known.iter().map(set).collect();
         let allowed = format!(
-            "has no tables in {name}, which has those for {known}; set one of these, or train for yours: reveille \
+            "has no tables in {name}, which has tables for {known}; set one of these, or train others: reveille \
              train q-learning --windows {own} --out FILE, with the same --scenario and --set",
             known = known.join(", "),
         );
@@ -363,7 +362,7 @@ fn entry(
     tables.closest(lookback, site.devices, surface).cloned().ok_or_else(|| {
         let (least, most) = tables.range(lookback, surface);
         let allowed = format!(
-            "serves {least} to {most} devices on {surface} m² with {}, not {n}; train for yours: reveille train \
+            "serves {least} to {most} devices on {surface} m² with {}, not {n}; train others: reveille train \
              q-learning --devices {n} --windows {own} --out FILE, with the same --scenario and --set",
             lookback.in_words(),
             n = site.devices,

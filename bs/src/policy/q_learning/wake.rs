@@ -67,7 +67,7 @@ impl WakeLearner {
     }
 
     /// Records the outcome of the wake-up, after which Î is `information`. Returns its reward N (μ2 ΔÎ − 1/N).
-    pub fn answered(&mut self, information: f64) -> f64 {
+    pub fn add_answer(&mut self, information: f64) -> f64 {
         let Some((state, before)) = self.open.take() else {
             return 0.0;
         };
@@ -131,7 +131,7 @@ mod tests {
                 }
             };
             let start = information(&distances);
-            assert!(wake.answered(start).abs() < 1e-12, "nobody was woken");
+            assert!(wake.add_answer(start).abs() < 1e-12, "no device was woken");
             let (mut sum, wakes) = (0.0, stream.below(20));
             let mut seen = start;
             for _ in 0..wakes {
@@ -144,7 +144,7 @@ mod tests {
                 seen = distances[1..]
                     .iter()
                     .fold(start, |so_far, &d| sensing.fuse(so_far, sensing.information(d)));
-                sum += wake.answered(seen);
+                sum += wake.add_answer(seen);
                 wake.learn(None);
             }
             let n = f64::from(devices);
@@ -172,7 +172,7 @@ mod tests {
             let state = wake.state(0.3, 0.1, 1);
             let before = wake.table().at(state).value;
             wake.wake(state, 0.1);
-            let reward = wake.answered(0.4);
+            let reward = wake.add_answer(0.4);
             assert!((reward - 29.0).abs() < 1e-9, "50·2·0.3 − 1");
             wake.learn(next);
             // The first visit's rate is 5^-0.7.
@@ -201,7 +201,7 @@ mod tests {
         // The learned value applies from the next candidate on.
         for _ in 0..40 {
             wake.wake([19, 2, 1], 0.0);
-            wake.answered(-0.4);
+            wake.add_answer(-0.4);
             wake.learn(None);
         }
         let last = wake.table().at([19, 2, 1]).value;

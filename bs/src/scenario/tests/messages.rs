@@ -117,8 +117,7 @@ fn a_menu_of_duty_cycles_fits_together() {
     let message = from("policy.name = \"random\"\npolicy.random.t_on = [1, 4]").expect_err("too long");
     assert_eq!(
         message.to_string(),
-        "policy.random.t_on = [1, 4]: none may be longer than the shortest of policy.random.t_drx, 2; set in my.toml, \
-         line 2"
+        "policy.random.t_on = [1, 4]: must not exceed 2, the shortest of policy.random.t_drx; set in my.toml, line 2"
     );
 }
 
@@ -182,7 +181,7 @@ fn tables_in_the_wrong_place_are_explained() {
 fn unknown_fields_come_with_a_suggestion() {
     let settings = from("[policy.genie]\nx = 1\n").expect_err("it has none").to_string();
     assert!(
-        settings.starts_with("unknown field `policy.genie`; `genie` has no fields of its own; set in my.toml"),
+        settings.starts_with("unknown field `policy.genie`; the policy `genie` has no fields; set in my.toml"),
         "{settings}"
     );
     let folder = load(env!("CARGO_MANIFEST_DIR"), &[]).expect_err("a folder");
@@ -282,7 +281,7 @@ fn data_files_are_checked_row_by_row() {
         (trace("", "w"), "harvest.trace.file = \"\": must be the path"),
         (
             trace("t.csv", "w") + "trace.columns = [\"w\"]",
-            "cannot be set together with",
+            "excludes harvest.trace.columns",
         ),
     ] {
         let message = parse(&text, "my.toml", &folder, &[]).expect_err(&text).to_string();
@@ -359,4 +358,27 @@ fn what_has_no_effect_is_warned_of() {
     for preset in PRESETS {
         assert!(load(preset.name, &[]).expect("a preset").warnings.is_empty());
     }
+}
+
+#[test]
+fn former_names_of_fields_are_accepted_with_a_warning() {
+    let dt = "policy.name=dt";
+    let hash = |fields: &[&str]| load("paper", &set(fields)).expect("valid").scenario.hash();
+    for (former, current) in [
+        (vec!["radio.false_wake=0.1"], vec!["radio.false_wake_up=0.1"]),
+        (vec![dt, "policy.dt.in_vain=0.2"], vec![dt, "policy.dt.miss_cost=0.2"]),
+    ] {
+        let warnings = load("paper", &set(&former)).expect("valid").warnings;
+        let (old, new) = (former.last().expect("one"), current.last().expect("one"));
+        let name = |field: &str| field.split('=').next().unwrap_or_default().to_owned();
+        let expected = format!("{} is now called {} (set by --set {old})", name(old), name(new));
+        assert!(matches!(&warnings[..], [one] if one.starts_with(&expected)), "{warnings:?}");
+        assert_eq!(hash(&former), hash(&current));
+        let both: Vec<&str> = former.iter().chain(&current).copied().collect();
+        assert_eq!(hash(&both), hash(&current), "the later override applies");
+    }
+    let file = parse("[radio]\nfalse_wake = 0.1\n", "my.toml", Path::new(""), &[]).expect("valid");
+    assert!(file.warnings[0].contains("(set in my.toml, line 2)"), "{:?}", file.warnings);
+    let twice = from("[radio]\nfalse_wake = 0.1\nfalse_wake_up = 0.2\n").expect_err("two values");
+    assert!(twice.to_string().starts_with("unknown field `radio.false_wake`"), "{twice}");
 }

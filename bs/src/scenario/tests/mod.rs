@@ -249,12 +249,13 @@ fn a_layout_file_may_say_the_class_of_each_device() {
         shared
             .warnings
             .iter()
-            .any(|w| w.starts_with("class.share has no effect"))
+            .any(|w| w.starts_with("class.share, class.devices and zones have no effect"))
     );
     assert_eq!(shared.scenario.hash(), placed.hash());
     let unknown = load("bad.csv", "").expect_err("no such class").to_string();
     assert!(
-        unknown.contains("line 3, column `class`: \"stron\" is no class") && unknown.contains("did you mean `strong`?"),
+        unknown.contains("line 3, column `class`: the scenario has no class \"stron\"")
+            && unknown.contains("did you mean `strong`?"),
         "{unknown}"
     );
     let missing = load("plain.csv", "").expect_err("no shares").to_string();

@@ -13,7 +13,7 @@ fn the_reference_page_is_current() {
     let page = std::fs::read_to_string(path).expect("the page");
     assert!(
         page == reference(),
-        "docs/scenario.md is not what the declarations say: reveille scenario reference --out docs/scenario.md"
+        "docs/scenario.md differs from the declarations: reveille scenario reference --out docs/scenario.md"
     );
 }
 

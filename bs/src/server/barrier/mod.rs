@@ -60,7 +60,7 @@ impl<T> Answers<T> {
     }
 
     /// Stops waiting for the host at this position. Returns its answer, if it gave one.
-    fn lose(&mut self, host: usize) -> Option<T> {
+    fn remove_host(&mut self, host: usize) -> Option<T> {
         let answer = self.of[host].take();
         self.missing -= usize::from(answer.is_none());
         answer
@@ -76,7 +76,7 @@ impl<T> Answers<T> {
 /// The answers that the barrier waits for.
 #[derive(Debug)]
 enum BarrierState {
-    Nothing,
+    Idle,
     Grant {
         tti: Tti,
         /// Whether devices may report.
@@ -88,12 +88,12 @@ enum BarrierState {
         expected: usize,
         reports: BTreeMap<DeviceId, Report>,
     },
-    Wake {
+    WakeUp {
         tti: Tti,
         device: DeviceId,
         outcome: Option<WakeOutcome>,
     },
-    Finish {
+    Ledgers {
         answers: Answers<Vec<(DeviceId, Ledger)>>,
     },
 }
@@ -105,7 +105,7 @@ pub struct Barrier {
     stage: BarrierState,
     /// The last TTI that was granted.
     granted: Option<Tti>,
-    strays: u64,
+    unexpected: u64,
 }
 
 impl Barrier {
@@ -113,9 +113,9 @@ impl Barrier {
     pub const fn new(roster: Roster) -> Self {
         Self {
             roster,
-            stage: BarrierState::Nothing,
+            stage: BarrierState::Idle,
             granted: None,
-            strays: 0,
+            unexpected: 0,
         }
     }
 
@@ -142,27 +142,27 @@ impl Barrier {
     pub fn expect_wake(&mut self, tti: Tti, device: DeviceId) {
         // A wake-up to a removed device completes immediately, as no host would ever answer it.
         let is_carried = self.roster.owner_of(device).is_some();
-        self.stage = BarrierState::Wake {
+        self.stage = BarrierState::WakeUp {
             tti,
             device,
-            outcome: (!is_carried).then_some(WakeOutcome::Unheard),
+            outcome: (!is_carried).then_some(WakeOutcome::Missed),
         };
     }
 
     /// Starts to wait for the ledgers of all devices.
     pub fn expect_ledgers(&mut self) {
-        self.stage = BarrierState::Finish {
+        self.stage = BarrierState::Ledgers {
             answers: Answers::new(&self.roster),
         };
     }
 
     /// Removes `host` with its devices. Its answer to an open grant no longer counts, and nothing more is expected from
     /// it.
-    pub fn lose(&mut self, host: HostId) {
+    pub fn remove_host(&mut self, host: HostId) {
         let Self { roster, stage, .. } = self;
         let Some(position) = roster.position(host) else { return };
         match stage {
-            BarrierState::Nothing => {}
+            BarrierState::Idle => {}
             BarrierState::Grant {
                 answers,
                 expected,
@@ -171,22 +171,22 @@ impl Barrier {
             } => {
                 // Removed devices do not sense in this TTI, so neither the reports nor the number of reports of the
                 // host may count.
-                *expected -= answers.lose(position).map_or(0, |done| done.reports as usize);
+                *expected -= answers.remove_host(position).map_or(0, |done| done.reports as usize);
                 reports.retain(|device, _| !roster.owns(position, *device));
             }
-            BarrierState::Wake { device, outcome, .. } => {
+            BarrierState::WakeUp { device, outcome, .. } => {
                 if roster.owns(position, *device) {
-                    outcome.get_or_insert(WakeOutcome::Unheard);
+                    outcome.get_or_insert(WakeOutcome::Missed);
                 }
             }
-            BarrierState::Finish { answers } => drop(answers.lose(position)),
+            BarrierState::Ledgers { answers } => drop(answers.remove_host(position)),
         }
         roster.remove_host(position);
     }
 
     /// Counts an unexpected message from a process without a valid credential.
     pub const fn count_unexpected(&mut self) {
-        self.strays += 1;
+        self.unexpected += 1;
     }
 
     /// Takes in a report from `host`. Returns whether the barrier is complete.
@@ -206,18 +206,18 @@ impl Barrier {
                 // The first report counts if a host sends it again.
                 reports.entry(report.device).or_insert(report);
             }
-            BarrierState::Wake { tti, device, outcome }
+            BarrierState::WakeUp { tti, device, outcome }
                 if is_sound && report.tti == *tti && report.device == *device =>
             {
                 *outcome = Some(WakeOutcome::Reported(report));
             }
-            BarrierState::Nothing
+            BarrierState::Idle
             | BarrierState::Grant { .. }
-            | BarrierState::Wake { .. }
-            | BarrierState::Finish { .. } => {
+            | BarrierState::WakeUp { .. }
+            | BarrierState::Ledgers { .. } => {
                 // After a resend, duplicates about an earlier TTI are normal; only a report that was never asked for is
                 // a stray.
-                self.strays += u64::from(!is_late || is_asked);
+                self.unexpected += u64::from(!is_late || is_asked);
             }
         }
         self.is_complete()
@@ -231,14 +231,14 @@ impl Barrier {
     /// Takes in an answer from `host`. Returns whether the barrier is complete.
     pub fn answer(&mut self, host: HostId, answer: HostAnswer) -> bool {
         let is_late = match &answer {
-            HostAnswer::Done { tti, .. } | HostAnswer::NotWoken { tti, .. } => self.is_past(*tti),
-            HostAnswer::Final { .. } => false,
+            HostAnswer::GrantDone { tti, .. } | HostAnswer::NotWoken { tti, .. } => self.is_past(*tti),
+            HostAnswer::Ledgers { .. } => false,
         };
         let is_open = self.is_about_what_is_open(&answer);
         let is_taken = self.roster.position(host).is_some_and(|at| self.take(at, answer));
         // As for reports, a late duplicate is not counted, but an impossible answer to the open grant is.
         if !is_taken && (is_open || !is_late) {
-            self.strays += 1;
+            self.unexpected += 1;
         }
         self.is_complete()
     }
@@ -246,19 +246,19 @@ impl Barrier {
     /// Whether the answer concerns the open wait.
     fn is_about_what_is_open(&self, answer: &HostAnswer) -> bool {
         match (&self.stage, answer) {
-            (BarrierState::Grant { tti, .. }, HostAnswer::Done { tti: answered, .. }) => tti == answered,
+            (BarrierState::Grant { tti, .. }, HostAnswer::GrantDone { tti: answered, .. }) => tti == answered,
             (
-                BarrierState::Wake { tti, device, .. },
+                BarrierState::WakeUp { tti, device, .. },
                 HostAnswer::NotWoken {
                     tti: when, device: who, ..
                 },
             ) => (tti, device) == (when, who),
-            (BarrierState::Finish { .. }, HostAnswer::Final { .. }) => true,
+            (BarrierState::Ledgers { .. }, HostAnswer::Ledgers { .. }) => true,
             (
-                BarrierState::Nothing
+                BarrierState::Idle
                 | BarrierState::Grant { .. }
-                | BarrierState::Wake { .. }
-                | BarrierState::Finish { .. },
+                | BarrierState::WakeUp { .. }
+                | BarrierState::Ledgers { .. },
                 _,
             ) => false,
         }
@@ -277,7 +277,7 @@ impl Barrier {
                     expected,
                     ..
                 },
-                HostAnswer::Done {
+                HostAnswer::GrantDone {
                     host: named,
                     tti: answered,
                     reports,
@@ -313,7 +313,7 @@ impl Barrier {
                 is_sound
             }
             (
-                BarrierState::Wake { tti, device, outcome },
+                BarrierState::WakeUp { tti, device, outcome },
                 HostAnswer::NotWoken {
                     device: who,
                     tti: when,
@@ -327,7 +327,7 @@ impl Barrier {
                 }
                 is_sound
             }
-            (BarrierState::Finish { answers }, HostAnswer::Final { host: named, ledgers }) => {
+            (BarrierState::Ledgers { answers }, HostAnswer::Ledgers { host: named, ledgers }) => {
                 let is_sound = roster.position(named) == Some(host) && roster.are_possible_ledgers(host, &ledgers);
                 if is_sound {
                     answers.put(host, ledgers);
@@ -335,10 +335,10 @@ impl Barrier {
                 is_sound
             }
             (
-                BarrierState::Nothing
+                BarrierState::Idle
                 | BarrierState::Grant { .. }
-                | BarrierState::Wake { .. }
-                | BarrierState::Finish { .. },
+                | BarrierState::WakeUp { .. }
+                | BarrierState::Ledgers { .. },
                 _,
             ) => false,
         }
@@ -347,7 +347,7 @@ impl Barrier {
     /// Whether everything expected has arrived.
     pub fn is_complete(&self) -> bool {
         match &self.stage {
-            BarrierState::Nothing => true,
+            BarrierState::Idle => true,
             // A host can send more reports than it announces, so `==` might never become true.
             BarrierState::Grant {
                 answers,
@@ -355,8 +355,8 @@ impl Barrier {
                 reports,
                 ..
             } => answers.missing == 0 && reports.len() >= *expected,
-            BarrierState::Wake { outcome, .. } => outcome.is_some(),
-            BarrierState::Finish { answers } => answers.missing == 0,
+            BarrierState::WakeUp { outcome, .. } => outcome.is_some(),
+            BarrierState::Ledgers { answers } => answers.missing == 0,
         }
     }
 
@@ -365,7 +365,7 @@ impl Barrier {
     /// # Panics
     /// If no grant is complete.
     pub fn take_grant_result(&mut self) -> GrantResult {
-        match std::mem::replace(&mut self.stage, BarrierState::Nothing) {
+        match std::mem::replace(&mut self.stage, BarrierState::Idle) {
             BarrierState::Grant {
                 answers,
                 reports,
@@ -383,7 +383,7 @@ impl Barrier {
                     gathered.failures.extend(done.failures);
                     gathered.totals += done.totals.unwrap_or_default();
                     if asked.views {
-                        let first = self.roster.places(host).first.index();
+                        let first = self.roster.assignment(host).first.index();
                         // In range: `are_possible_views` has checked that there is one view for each device of the
                         // host.
                         gathered.views[first..][..done.views.len()].copy_from_slice(&done.views);
@@ -391,10 +391,10 @@ impl Barrier {
                 }
                 gathered
             }
-            BarrierState::Nothing
+            BarrierState::Idle
             | BarrierState::Grant { .. }
-            | BarrierState::Wake { .. }
-            | BarrierState::Finish { .. } => {
+            | BarrierState::WakeUp { .. }
+            | BarrierState::Ledgers { .. } => {
                 panic!("no grant is complete")
             }
         }
@@ -405,14 +405,14 @@ impl Barrier {
     /// # Panics
     /// If no wake-up is complete.
     pub fn take_outcome(&mut self) -> WakeOutcome {
-        match std::mem::replace(&mut self.stage, BarrierState::Nothing) {
-            BarrierState::Wake {
+        match std::mem::replace(&mut self.stage, BarrierState::Idle) {
+            BarrierState::WakeUp {
                 outcome: Some(outcome), ..
             } => outcome,
-            BarrierState::Nothing
+            BarrierState::Idle
             | BarrierState::Grant { .. }
-            | BarrierState::Wake { .. }
-            | BarrierState::Finish { .. } => {
+            | BarrierState::WakeUp { .. }
+            | BarrierState::Ledgers { .. } => {
                 panic!("no wake-up is complete")
             }
         }
@@ -423,14 +423,14 @@ impl Barrier {
     /// # Panics
     /// If they are not complete.
     pub fn take_ledgers(&mut self) -> Vec<(DeviceId, Ledger)> {
-        match std::mem::replace(&mut self.stage, BarrierState::Nothing) {
-            BarrierState::Finish { answers } if answers.missing == 0 => {
+        match std::mem::replace(&mut self.stage, BarrierState::Idle) {
+            BarrierState::Ledgers { answers } if answers.missing == 0 => {
                 answers.of.into_iter().flatten().flatten().collect()
             }
-            BarrierState::Nothing
+            BarrierState::Idle
             | BarrierState::Grant { .. }
-            | BarrierState::Wake { .. }
-            | BarrierState::Finish { .. } => {
+            | BarrierState::WakeUp { .. }
+            | BarrierState::Ledgers { .. } => {
                 panic!("the ledgers are not complete")
             }
         }
@@ -439,20 +439,20 @@ impl Barrier {
     /// The hosts that have not answered.
     pub fn missing_hosts(&self) -> Vec<HostId> {
         let is_missing: Vec<bool> = match &self.stage {
-            BarrierState::Nothing => Vec::new(),
-            BarrierState::Wake { device, .. } => return self.roster.owner_of(*device).into_iter().collect(),
+            BarrierState::Idle => Vec::new(),
+            BarrierState::WakeUp { device, .. } => return self.roster.owner_of(*device).into_iter().collect(),
             BarrierState::Grant { answers, .. } => answers.of.iter().map(Option::is_none).collect(),
-            BarrierState::Finish { answers } => answers.of.iter().map(Option::is_none).collect(),
+            BarrierState::Ledgers { answers } => answers.of.iter().map(Option::is_none).collect(),
         };
         let missing = (0..)
             .zip(is_missing)
             .filter(|(host, missing)| *missing && !self.roster.is_removed(*host));
-        missing.map(|(host, _)| self.roster.places(host).host).collect()
+        missing.map(|(host, _)| self.roster.assignment(host).host).collect()
     }
 
     /// Number of messages that were unexpected or impossible.
     pub const fn unexpected_messages(&self) -> u64 {
-        self.strays
+        self.unexpected
     }
 }
 

@@ -9,7 +9,7 @@ use crate::server::admission::Assignment;
 use crate::server::roster::tests::roster;
 
 fn done(host: u32, tti: u64, reports: u32) -> HostAnswer {
-    HostAnswer::Done {
+    HostAnswer::GrantDone {
         host: HostId(host),
         tti: Tti(tti),
         reports,
@@ -44,7 +44,7 @@ fn a_grant_waits_for_every_host_and_every_report() {
     let mut b = barrier(true);
     assert!(!b.answer(HostId(0), done(0, 5, 2)));
     assert!(!b.answer(HostId(0), done(0, 5, 2)), "the same answer twice");
-    assert!(!b.answer(HostId(7), done(7, 5, 0)), "a host that nobody knows");
+    assert!(!b.answer(HostId(7), done(7, 5, 0)), "an unknown host");
     assert!(!b.answer(HostId(1), done(0, 5, 0)), "in another's name");
     assert!(!b.answer(HostId(1), done(1, 4, 0)), "an answer to another grant");
     assert!(!b.answer(HostId(1), done(1, 5, 6)), "more reports than devices");
@@ -64,7 +64,7 @@ fn a_grant_waits_for_every_host_and_every_report() {
 #[test]
 fn a_better_answer_takes_the_place_of_a_false_one() {
     let mut b = barrier(true);
-    assert!(!b.answer(HostId(0), done(0, 5, 3)), "false: nobody reports");
+    assert!(!b.answer(HostId(0), done(0, 5, 3)), "a wrong number of reports");
     assert!(!b.answer(HostId(1), done(1, 5, 0)));
     assert!(b.answer(HostId(0), done(0, 5, 0)));
 }
@@ -85,7 +85,7 @@ fn who_takes_over_says_the_same_once_more() {
     hear(&mut b, report(3, 5));
     let heir = Assignment {
         host: HostId(2),
-        ..b.roster().places(0)
+        ..b.roster().assignment(0)
     };
     b.roster().replace(HostId(0), heir);
     assert!(!b.answer(HostId(0), done(0, 5, 1)), "it has no say any more");
@@ -101,7 +101,7 @@ fn a_wake_up_waits_for_its_device() {
     let not_woken = |tti| HostAnswer::NotWoken {
         device: DeviceId(3),
         tti: Tti(tti),
-        outcome: WakeOutcome::Unheard,
+        outcome: WakeOutcome::Missed,
     };
     let mut b = Barrier::new(roster());
     b.expect_wake(Tti(5), DeviceId(3));
@@ -110,5 +110,5 @@ fn a_wake_up_waits_for_its_device() {
     assert!(!b.answer(HostId(1), not_woken(5)), "another host's device");
     assert_eq!(b.missing_hosts(), [HostId(0)]);
     assert!(b.answer(HostId(0), not_woken(5)));
-    assert_eq!(b.take_outcome(), WakeOutcome::Unheard);
+    assert_eq!(b.take_outcome(), WakeOutcome::Missed);
 }

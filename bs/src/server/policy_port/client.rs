@@ -114,7 +114,7 @@ impl ClientSession<'_> {
         if head.stage == RequestKind::Hello {
             return match form.decode::<Hello>(&question.payload) {
                 Ok(hello) => self.welcome(question, &hello, decider),
-                Err(why) => question.reply_error(&format!("the greeting cannot be read: {why}")),
+                Err(why) => question.reply_error(&format!("the greeting cannot be decoded: {why}")),
             };
         }
         let asked: DecisionRequest = match form.decode(&question.payload) {

@@ -103,11 +103,11 @@ type WaitResult<T> = Result<ControlFlow<WaitEnd, T>, BsError>;
 /// Result of a decision request.
 enum PeerReply {
     /// A valid answer.
-    Answer(Decision),
+    Decision(Decision),
     /// An invalid answer, with the reason.
-    Refused(String),
+    Invalid(String),
     /// No answer.
-    Silence,
+    Timeout,
 }
 
 /// The policy port of a run, from which decisions come.
@@ -120,11 +120,11 @@ pub(super) struct Port<'a> {
     /// The greeting for policy processes, built at the first decision request.
     hello: Option<Hello>,
     /// Further replies to the last request, whose first valid reply counted, and the id of the process asked.
-    spare: Option<(Replies, String)>,
+    extra_replies: Option<(Replies, String)>,
     /// The last warning about the policy process.
-    said: String,
+    last_replies: String,
     /// Warnings about other processes at the port.
-    strange: BTreeSet<String>,
+    unexpected: BTreeSet<String>,
     /// Counts of decisions so far.
     counts: DecisionCounts,
 }
@@ -138,9 +138,9 @@ impl<'a> Port<'a> {
             patience,
             partner: None,
             hello: None,
-            spare: None,
-            said: String::new(),
-            strange: BTreeSet::new(),
+            extra_replies: None,
+            last_replies: String::new(),
+            unexpected: BTreeSet::new(),
             counts: DecisionCounts::default(),
         }
     }
@@ -157,8 +157,8 @@ impl<'a> Port<'a> {
     pub(super) fn lookup(&mut self, question: &DecisionContext<'_>, seq: u64) -> Result<Pending, BsError> {
         let (stage, tti) = (question.stage, question.seen.now);
         if self.patience.is_none() {
-            return Err(BsError::CannotGoOn(format!(
-                "no decision was kept for TTI {tti}: the run that the log is of ended there"
+            return Err(BsError::CannotContinue(format!(
+                "inputs.log has no decision for TTI {tti}: the logged run ended there"
             )));
         }
         let run = &self.run;
@@ -215,36 +215,36 @@ impl<'a> Port<'a> {
                 ControlFlow::Break(WaitEnd::Stop) => return Ok(None),
                 ControlFlow::Break(WaitEnd::TimeUp) => break self.peer_status(),
                 ControlFlow::Continue(None) => {}
-                ControlFlow::Continue(Some(PeerReply::Answer(answer))) => {
+                ControlFlow::Continue(Some(PeerReply::Decision(answer))) => {
                     self.counts.decided += 1;
                     return Ok(Some(answer));
                 }
-                ControlFlow::Continue(Some(PeerReply::Silence)) => {
+                ControlFlow::Continue(Some(PeerReply::Timeout)) => {
                     // An unresponsive process may have exited, so the next attempt greets again and another process can
                     // take its place.
                     let name = self.partner.take().map(|partner| partner.name).unwrap_or_default();
-                    let held = "the clock is held until it, or another, does";
+                    let held = "the clock is held until a policy process answers";
                     self.complain(format!("{name} has not answered for TTI {tti}; {held}"));
                     tokio::time::sleep(BETWEEN).await;
                 }
-                ControlFlow::Continue(Some(PeerReply::Refused(why))) => {
+                ControlFlow::Continue(Some(PeerReply::Invalid(why))) => {
                     self.counts.refused += 1;
                     strikes += 1;
-                    tracing::warn!(%tti, "an answer that decides nothing: {why}");
+                    tracing::warn!(%tti, "invalid answer: {why}");
                     if strikes >= STRIKES {
-                        break format!("{strikes} answers decided nothing, the last because: {why}");
+                        break format!("{strikes} invalid answers, the last one because: {why}");
                     }
                     asked.refused = Some(why);
                 }
             }
         };
-        match patience.then {
+        match patience.on_timeout {
             OnUndecided::End => Err(BsError::Undecided { tti, why }),
             OnUndecided::Hold => {
                 // One warning in a run: without a policy process every decision would add another.
                 if self.counts.held == 0 {
-                    let held = "the plan in force holds, and nobody is woken";
-                    tracing::warn!(%tti, "{why}; {held}. Further ones are only counted");
+                    let held = "the current plan stays, and no device is woken";
+                    tracing::warn!(%tti, "{why}; {held}; further cases are only counted");
                 }
                 self.counts.held += 1;
                 Ok(Some(hold))
@@ -256,7 +256,7 @@ impl<'a> Port<'a> {
     fn peer_status(&self) -> String {
         match &self.partner {
             Some(partner) => format!("{} has not decided", partner.name),
-            None => format!("nobody decides at {}", self.bus.keys().policy()),
+            None => format!("no policy process answers at {}", self.bus.keys().policy()),
         }
     }
 
@@ -301,7 +301,7 @@ impl<'a> Port<'a> {
                     }
                 },
             };
-            self.wonder(&format!("a process at the policy port cannot decide: {problem}"));
+            self.wonder(&format!("refused a process at the policy port: {problem}"));
         }
         wait.name();
         // With no process at the port the replies can end immediately; without a pause this loop would spin.
@@ -323,10 +323,10 @@ impl<'a> Port<'a> {
             return Err("it answers another greeting".to_owned());
         }
         if !self.is_ours(&welcome.key) {
-            return Err("it does not show the run's key, which whoever started the run has".to_owned());
+            return Err("it does not show the run's key; use the key of the process that started the run".to_owned());
         }
         if welcome.id.is_empty() || welcome.id.len() > NAME {
-            return Err(format!("its id is to be 1 to {NAME} characters"));
+            return Err(format!("its id must have 1 to {NAME} characters"));
         }
         // The name appears in logs and on the terminal, so another process must not control either.
         let name: String = welcome.name.chars().filter(|c| !c.is_control()).take(NAME).collect();
@@ -366,16 +366,16 @@ impl<'a> Port<'a> {
         loop {
             match wait.next(&mut replies).await {
                 ControlFlow::Break(cut) => return Ok(ControlFlow::Break(cut)),
-                ControlFlow::Continue(None) => return Ok(ControlFlow::Continue(PeerReply::Silence)),
+                ControlFlow::Continue(None) => return Ok(ControlFlow::Continue(PeerReply::Timeout)),
                 ControlFlow::Continue(Some(PortReply::Refusal(why))) => {
-                    self.wonder(&format!("a process at the policy port does not answer: {why}"));
+                    self.wonder(&format!("a process at the policy port returned an error: {why}"));
                 }
                 // A reply without key and id can come from any client, so it does not count against the policy process.
                 ControlFlow::Continue(Some(PortReply::Answer(bytes, form)))
                     if !self.is_from(&asked.to, &bytes, form) =>
                 {
-                    let what = "that cannot be read, or does not show the run's key and the id that was asked";
-                    self.wonder(&format!("an answer was dropped {what}"));
+                    let what = "that cannot be decoded, or does not show the run's key and the requested id";
+                    self.wonder(&format!("dropped an answer {what}"));
                 }
                 ControlFlow::Continue(Some(PortReply::Answer(bytes, form))) => {
                     let reply: Result<DecisionReply, String> = form.decode(&bytes);
@@ -383,7 +383,7 @@ impl<'a> Port<'a> {
                         let echo = (reply.seq, reply.tti, reply.stage);
                         let own = (asked.head.seq, asked.head.tti, Some(asked.head.stage));
                         if echo != own {
-                            return Err(format!("it is for {echo:?}, and {own:?} was asked (seq, tti, stage)"));
+                            return Err(format!("it is for {echo:?}, not for {own:?} (seq, tti, stage)"));
                         }
                         reply.answer(stage, tti, devices)
                     });
@@ -391,10 +391,10 @@ impl<'a> Port<'a> {
                         Ok(answer) => {
                             // The replies stay open, so a second answer to this request can be counted before the next
                             // request.
-                            self.spare = Some((replies, asked.to.clone()));
-                            PeerReply::Answer(answer)
+                            self.extra_replies = Some((replies, asked.to.clone()));
+                            PeerReply::Decision(answer)
                         }
-                        Err(why) => PeerReply::Refused(why),
+                        Err(why) => PeerReply::Invalid(why),
                     };
                     return Ok(ControlFlow::Continue(told));
                 }
@@ -404,7 +404,7 @@ impl<'a> Port<'a> {
 
     /// Counts further answers to the last request.
     fn count_spare(&mut self) {
-        let Some((replies, id)) = self.spare.take() else { return };
+        let Some((replies, id)) = self.extra_replies.take() else { return };
         let is_own = |heard: &PortReply| match heard {
             PortReply::Answer(bytes, form) => self.is_from(&id, bytes, *form),
             PortReply::Refusal(_) => false,
@@ -412,15 +412,15 @@ impl<'a> Port<'a> {
         let more = replies.drain().filter(is_own).count() as u64;
         if more > 0 {
             self.counts.refused += more;
-            self.complain("a question was answered twice; the first answer counts".to_owned());
+            self.complain("a decision request was answered twice; the first answer counts".to_owned());
         }
     }
 
     /// Logs a warning about the policy process, unless it repeats the last one.
     fn complain(&mut self, what: String) {
-        if self.said != what {
+        if self.last_replies != what {
             tracing::warn!("{what}");
-            self.said = what;
+            self.last_replies = what;
         }
     }
 
@@ -429,13 +429,13 @@ impl<'a> Port<'a> {
     fn wonder(&mut self, what: &str) {
         let what: String = what.chars().filter(|c| !c.is_control()).take(WONDER).collect();
         // The set is bounded as well as the text, since a process can send new texts for ever.
-        if self.strange.len() == WONDERS || self.strange.contains(&what) {
+        if self.unexpected.len() == WONDERS || self.unexpected.contains(&what) {
             return;
         }
         tracing::warn!("{what}");
-        self.strange.insert(what);
-        if self.strange.len() == WONDERS {
-            tracing::warn!("more of what strangers say at the policy port is not told");
+        self.unexpected.insert(what);
+        if self.unexpected.len() == WONDERS {
+            tracing::warn!("further errors of other processes at the policy port are not logged");
         }
     }
 }

@@ -118,20 +118,20 @@ impl Diurnal {
         match reference {
             IrradianceReference::DailyMean if made.mean <= 0.0 => {
                 let allowed = format!(
-                    "must be such that there is daylight, and {dark}, so λ cannot be its daily mean; set another \
-                     harvest.diurnal.day_of_year, or harvest.diurnal.reference = \"zenith\""
+                    "{dark}, so λ cannot be the daily mean; set another harvest.diurnal.day_of_year, or \
+                     harvest.diurnal.reference = \"zenith\""
                 );
                 return Err(reader.invalid_value("harvest.diurnal.latitude", latitude, allowed));
             }
-            IrradianceReference::Zenith if made.mean <= 0.0 => reader.warn(format!("nothing is harvested: {dark}")),
+            IrradianceReference::Zenith if made.mean <= 0.0 => reader.warn(format!("no energy is harvested: {dark}")),
             IrradianceReference::DailyMean | IrradianceReference::Zenith => {}
         }
         // No TTI of the day is brighter than noon, so this bounds all of them.
         let noon = made.zenith(tau) * sun.noon();
         if noon >= SURE {
             let allowed = format!(
-                "makes the probability of an arrival in a TTI {noon:.3} at noon, and it has to be below 1; set a \
-                 smaller harvest.lambda, and a larger harvest.e_b for the same harvest"
+                "makes the arrival probability {noon:.3} per TTI at noon, and it must be below 1; set a smaller \
+                 harvest.lambda, and a larger harvest.e_b for the same harvest"
             );
             return Err(reader.invalid_value("harvest.lambda", arrivals.lambda, allowed));
         }
@@ -221,7 +221,7 @@ impl DiurnalSetup {
     }
 
     /// The setup known before a run if only the mean is known: arrivals that are equally likely in all TTIs.
-    pub(super) fn as_known(&self) -> Option<ArrivalsSetup> {
+    pub(super) fn expected(&self) -> Option<ArrivalsSetup> {
         match self.known {
             DayKnowledge::Course => None,
             DayKnowledge::Mean => Some(ArrivalsSetup {

@@ -90,7 +90,7 @@ fn only_class(scenario: &Scenario) -> anyhow::Result<&DeviceClass> {
     match &scenario.classes[..] {
         [class] => Ok(class),
         many => bail!(
-            "the scenario has {} device classes, and the chain is of one battery; study a scenario with one class",
+            "the scenario has {} device classes, but the chain describes one battery; use a scenario with one class",
             many.len()
         ),
     }
@@ -101,9 +101,7 @@ fn source(harvest: &Harvest) -> anyhow::Result<(LambdaReading, f64)> {
         .into_iter()
         .find(|reading| reading.kind() == harvest.kind());
     let Some((reading, arrivals)) = reading.zip(harvest.arrivals()) else {
-        bail!(
-            "the chain needs arrivals that do not depend on each other; use --set harvest.kind=eq5 or exp-minus-lambda"
-        );
+        bail!("the chain needs independent arrivals; use --set harvest.kind=eq5 or exp-minus-lambda");
     };
     Ok((reading, arrivals.lambda))
 }
@@ -205,21 +203,21 @@ fn notes(found: &BatteryResults, bin: f64) -> Vec<String> {
     let above: Vec<String> = found.iter().flat_map(|(study, c)| above_one(study, c)).collect();
     if let Some(example) = above.first() {
         notes.push(format!(
-            "Eq. (8) as printed is not a probability: {example} ({} rows above 1). Its terms belong to different \
-             numbers of trials, so the sum is Pr(E+1 successes within M+1 trials)/P and tends to 1/P.",
+            "Eq. (8) as printed is not a probability: {example} ({} rows above 1). Its terms have different numbers of \
+             trials, so the sum is Pr(E+1 successes within M+1 trials)/P and tends to 1/P.",
             above.len()
         ));
     }
     if let Some(example) = found.iter().find_map(|one| falls_with_harvest(one, found)) {
         notes.push(format!(
-            "Eq. (8) as printed falls where more energy comes: {example}. A larger E_B makes M = ⌈E_max/E_λ⌉ smaller, \
-             while B and E count units; and P, the chance to spend, is its chance of success."
+            "Eq. (8) as printed falls with a larger harvest: {example}. A larger E_B makes M = ⌈E_max/E_λ⌉ smaller, \
+             while B and E count units. P, the probability to spend, is used as the probability of success."
         ));
     }
     notes.push(
-        "eq8_sum_by_beta is the incomplete beta form that the printed sum has, I_P(E+1, M−E+1)/P. The one that the \
-         paper names, β_{1−P}(E+1, E_max+1), lies in [0, 1] but is another function: it is 1 at P = 0 whatever the \
-         harvest, which it does not contain."
+        "eq8_sum_by_beta is the incomplete beta form of the printed sum, I_P(E+1, M−E+1)/P. The form that the paper \
+         names, β_{1−P}(E+1, E_max+1), lies in [0, 1] but is another function: it does not contain the harvest, and is \
+         1 at P = 0 for every harvest."
             .to_owned(),
     );
     notes

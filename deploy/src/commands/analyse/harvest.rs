@@ -8,7 +8,7 @@ use reveille_study::analysis::harvest::{
     HarvestPoint, HarvestStudy, LambdaReading, STATED, StatedThreshold, consumption, demand, measure, positive_net,
 };
 
-use super::lists::{energies, numbers, readings, scenario, words};
+use super::lists::{energies, list_items, numbers, readings, scenario};
 use super::sheet::{Findings, Sheet, SheetValue};
 use crate::cli::HarvestArgs;
 
@@ -38,7 +38,7 @@ const CROSSINGS: &[&str] = &[
 
 /// Measures the curves and their crossings with the consumptions.
 pub(super) fn run(args: &HarvestArgs) -> anyhow::Result<ExitCode> {
-    let policies = words("--policies", &args.policies, "random,adjusted")?;
+    let policies = list_items("--policies", &args.policies, "random,adjusted")?;
     let (readings, energies) = (readings(&args.readings)?, energies(&args.e_b)?);
     let base = scenario(
         &args.study,
@@ -57,7 +57,7 @@ pub(super) fn run(args: &HarvestArgs) -> anyhow::Result<ExitCode> {
     let points = measure(&study)?;
     let findings = Findings {
         title: format!(
-            "Harvest against λ, Figs. 13 and 14 · {} · {} devices · {} TTIs · preset {} · {} runs a point",
+            "Harvest against λ, Figs. 13 and 14 · {} · {} devices · {} TTIs · preset {} · {} runs per point",
             study.scenario.policy.name(),
             study.scenario.run.devices,
             study.scenario.run.ttis,
@@ -106,7 +106,7 @@ fn crossings(
     energies: &[Energy],
 ) -> anyhow::Result<Vec<Vec<SheetValue>>> {
     let mut rows = Vec::new();
-    for devices in words("--devices", &args.devices, "10,100,250")? {
+    for devices in list_items("--devices", &args.devices, "10,100,250")? {
         for policy in policies {
             let scenario = scenario(
                 &args.study,
@@ -168,17 +168,18 @@ fn notes(points: &[HarvestPoint]) -> Vec<String> {
         .count();
     vec![
         format!(
-            "The closed form lies outside the 95 % interval of {missed} of {} points; one in twenty is to be expected.",
+            "The closed form lies outside the 95 % interval of {missed} of {} points; one in twenty is expected.",
             points.len()
         ),
-        "A run's own net (harvested less spent, at the same λ) cannot stay below 0: a device spends no more than it \
-         has. It is the overflow of full batteries, and what is left of the initial charge. The paper's net is the \
-         harvest less a consumption that does not depend on λ, and so is net_positive_from/to."
+        "The net of a run (harvested less spent, at the same λ) cannot stay below 0, as a device cannot spend more \
+         than it has. This net is the overflow of full batteries plus the rest of the initial charge. The net in the \
+         paper is the harvest less a consumption that does not depend on λ; net_positive_from/to uses the same \
+         definition."
             .to_owned(),
-        "`as in the scenario`: what the policy spends with the scenario's own λ and E_B, as in Fig. 8. `never \
-         short`: what it would spend with full batteries. Under Eq. (5) no λ brings more than E_B/e a TTI, and \
-         beyond λ = 1/τ more λ brings less; under exp(-λ) the harvest only falls with λ, so the statement `positive \
-         above λ` cannot be meant that way."
+        "`as in the scenario`: the consumption of the policy with the λ and E_B of the scenario, as in Fig. 8. `never \
+         short`: its consumption with full batteries. Under Eq. (5) the harvest is at most E_B/e per TTI, and falls \
+         with λ beyond λ = 1/τ; under exp(-λ) the harvest always falls with λ, which contradicts the statement \
+         `positive above λ`."
             .to_owned(),
     ]
 }

@@ -4,7 +4,7 @@ use std::process::ExitCode;
 
 use reveille_study::analysis::imin::measure;
 
-use super::lists::{scenario, words};
+use super::lists::{list_items, scenario};
 use super::sheet::{Findings, Sheet};
 use crate::cli::IminArgs;
 
@@ -24,8 +24,8 @@ const COLUMNS: &[&str] = &[
 pub(super) fn run(args: &IminArgs) -> anyhow::Result<ExitCode> {
     let mut rows = Vec::new();
     let mut about = String::new();
-    for layout in words("--layouts", &args.layouts, "uniform,grid")? {
-        for devices in words("--devices", &args.devices, "10,50,250")? {
+    for layout in list_items("--layouts", &args.layouts, "uniform,grid")? {
+        for devices in list_items("--devices", &args.devices, "10,50,250")? {
             let fields = [
                 ("--layouts", "layout.kind", Some(layout)),
                 ("--devices", "devices", Some(devices)),
@@ -60,8 +60,8 @@ pub(super) fn run(args: &IminArgs) -> anyhow::Result<ExitCode> {
             rows,
         }],
         notes: vec![
-            "Ψ p(√(ξ/2N)) is the value of a square grid; that of a random layout is governed by its largest hole and \
-             lies below. grid and hex do not depend on the seed."
+            "Ψ p(√(ξ/2N)) is the value of a square grid. A random layout has a lower value, set by its largest hole. \
+             The layouts grid and hex do not depend on the seed."
                 .to_owned(),
         ],
     };

@@ -7,11 +7,11 @@ use reveille_study::analysis::harvest::LambdaReading;
 
 use crate::cli::StudyArgs;
 
-/// Splits the list `text` given by `flag` into words.
+/// Splits the list `text` given by `flag` into items.
 ///
 /// # Errors
 /// If the list is empty.
-pub(super) fn words<'a>(flag: &str, text: &'a str, example: &str) -> anyhow::Result<Vec<&'a str>> {
+pub(super) fn list_items<'a>(flag: &str, text: &'a str, example: &str) -> anyhow::Result<Vec<&'a str>> {
     let words: Vec<&str> = text.split(',').map(str::trim).filter(|word| !word.is_empty()).collect();
     if words.is_empty() {
         bail!(
@@ -33,7 +33,7 @@ pub(super) fn numbers(flag: &str, text: &str, example: &str) -> anyhow::Result<V
             "{flag} {text}: `{word}` is not a number; give numbers separated by commas, for example {flag} {example}"
         ),
     };
-    words(flag, text, example)?.into_iter().map(read).collect()
+    list_items(flag, text, example)?.into_iter().map(read).collect()
 }
 
 /// Parses the energies E_B of `--e-b`, units.
@@ -55,9 +55,9 @@ pub(super) fn energies(text: &str) -> anyhow::Result<Vec<Energy>> {
 pub(super) fn readings(text: &str) -> anyhow::Result<Vec<LambdaReading>> {
     let known = |word: &str| match LambdaReading::ALL.into_iter().find(|r| r.name() == word) {
         Some(reading) => Ok(reading),
-        None => bail!("--readings {text}: `{word}` is no reading of λ; must be eq5 or exp-minus-lambda"),
+        None => bail!("--readings {text}: `{word}` is not a reading of λ; must be eq5 or exp-minus-lambda"),
     };
-    words("--readings", text, "eq5")?.into_iter().map(known).collect()
+    list_items("--readings", text, "eq5")?.into_iter().map(known).collect()
 }
 
 /// Parses the duty cycles (t_on, t_DRX) of `--duty`.
@@ -77,7 +77,7 @@ pub(super) fn duties(text: &str) -> anyhow::Result<Vec<(u32, u32)>> {
             None => bail!("--duty {text}: `{word}` must be t_on/t_DRX in TTIs, for example 1/8"),
         }
     };
-    words("--duty", text, "1/2,1/8")?.into_iter().map(read).collect()
+    list_items("--duty", text, "1/2,1/8")?.into_iter().map(read).collect()
 }
 
 /// Builds the scenario of `study` with `fields` on top. Each entry has the option, the field and the value.
@@ -115,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_list_is_refused_with_the_option_and_a_way_out() {
+    fn invalid_lists_are_refused_with_the_option_and_a_fix() {
         let refused = |result: anyhow::Result<()>, part: &str| {
             let message = result.expect_err(part).to_string();
             assert!(message.contains(part), "{message}");

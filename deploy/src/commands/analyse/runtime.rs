@@ -5,7 +5,7 @@ use std::process::ExitCode;
 use reveille_bs::scenario::Scenario;
 use reveille_study::analysis::runtime::{TimedWork, paper_claim, power_law};
 
-use super::lists::{scenario, words};
+use super::lists::{list_items, scenario};
 use super::sheet::{Findings, Sheet, SheetValue};
 use crate::cli::RuntimeArgs;
 use crate::runtime::{median, now};
@@ -35,10 +35,10 @@ struct Times {
 /// Times every policy with every N, and fits power laws.
 pub(super) fn run(args: &RuntimeArgs) -> anyhow::Result<ExitCode> {
     let (mut rows, mut fits) = (Vec::new(), Vec::new());
-    for policy in words("--policies", &args.policies, "knn,random")? {
+    for policy in list_items("--policies", &args.policies, "knn,random")? {
         let mut times = Vec::new();
         let mut claim = "–";
-        for devices in words("--devices", &args.devices, "10,100,1000")? {
+        for devices in list_items("--devices", &args.devices, "10,100,1000")? {
             let scenario = scenario(
                 &args.study,
                 &[
@@ -76,13 +76,13 @@ pub(super) fn run(args: &RuntimeArgs) -> anyhow::Result<ExitCode> {
             },
         ],
         notes: vec![
-            "adjusted searches one (t_on, t_DRX) for all devices, so its set-up is ϱ pilot runs and not the ϱ^N of a \
-             search for each device. knn finds neighbours in a grid, not by all N(N−1)/2 distances."
+            "adjusted searches one (t_on, t_DRX) for all devices, so its set-up takes ϱ pilot runs, not the ϱ^N runs \
+             of a search for each device. knn finds neighbours in a grid, not by all N(N−1)/2 distances."
                 .to_owned(),
-            "q-learning decides in every TTI who senses (plan); a decision is what follows a report, with all \
-             wake-ups. The plans of the others hold for good."
+            "q-learning decides in every TTI which devices sense (plan). A decision covers all wake-ups after a \
+             report. The other policies keep one plan for the whole run."
                 .to_owned(),
-            "The area is fixed, so density grows with N, and with it the devices that a report concerns.".to_owned(),
+            "The area is fixed, so the density grows with N, as does the number of devices per report.".to_owned(),
         ],
     };
     findings.present(&args.study)

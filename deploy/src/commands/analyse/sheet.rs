@@ -158,7 +158,7 @@ impl Findings {
             let written = put(path, &first.csv()?);
             written.with_context(|| {
                 format!(
-                    "--csv {}: cannot be written; name a file in a folder that exists",
+                    "--csv {}: cannot write this file; name a file in a folder that exists",
                     path.display()
                 )
             })?;
@@ -198,7 +198,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn undefined_numbers_are_empty_or_null_and_others_come_back() {
+    fn undefined_numbers_are_empty_or_null_and_others_round_trip() {
         let sheet = Sheet {
             name: "points",
             title: "Points.".to_owned(),

@@ -75,22 +75,20 @@ fn row(t: &Transition) -> Vec<SheetValue> {
 fn notes(found: &Transitions) -> Vec<String> {
     let mut notes = vec![
         "A measured frequency is the share of the visits of S_m whose next state is S_n, over all devices and measured \
-         TTIs, with or without an event. Wilson's interval takes visits for independent; the half-width is Student's t \
-         between runs and is the one to trust."
+         TTIs, with or without an event. Wilson's interval assumes independent visits. The half-width is Student's t \
+         between runs and is more reliable."
             .to_owned(),
-        "The printed forms condition otherwise: P_4,1 = t_on/t_DRX is the share of all TTIs that are spent in S1, not \
-         of those in S4 that S1 follows (by_duty_cycle is the latter); P_1,2 = α p(d), averaged over the area, is for \
-         the TTI in which an event starts; P_4,2 takes for granted that the closest device has just reported."
+        "The printed forms use other conditions: P_4,1 = t_on/t_DRX is the share of S1 in all TTIs, not the share of \
+         S4 visits that S1 follows (by_duty_cycle is the latter); P_1,2 = α p(d), averaged over the area, is for the \
+         TTI in which an event starts; P_4,2 assumes that the closest device has just reported."
             .to_owned(),
     ];
     for t in found.transitions.iter().filter(|t| t.improper > 0) {
         let why = match (t.from, t.to) {
-            (1 | 3, 1) => {
-                "a sum of several conditional probabilities of one and the same event; 0/0 where t_on = t_DRX"
-            }
-            (1 | 3, 4) => "the complement of a sum that is none",
-            (4, 4) => "t_on/t_DRX + P_4,2 exceeds 1: the two are not of disjoint events",
-            _ => "Eq. (8) as printed; see `reveille analyse battery`",
+            (1 | 3, 1) => "it sums several conditional probabilities of the same event, and is 0/0 where t_on = t_DRX",
+            (1 | 3, 4) => "it is the complement of a sum that is not a probability",
+            (4, 4) => "t_on/t_DRX + P_4,2 exceeds 1, as the two events are not disjoint",
+            _ => "it uses Eq. (8) as printed; see `reveille analyse battery`",
         };
         notes.push(format!(
             "P_{},{} as printed is not a probability for {} of {} devices: {why}.",

@@ -22,7 +22,7 @@ use reveille_lab::run::{Run, RunOptions};
 use crate::signals::aside;
 
 /// Context of an error in the input log.
-const LOG: &str = "the log of what the run depends on";
+const LOG: &str = "the input log of the run";
 
 /// Passes on the replayed past of a run before the received frames.
 pub(crate) struct CatchUp {
@@ -107,7 +107,7 @@ impl CatchUp {
     pub(crate) fn catch_up(&mut self, status: &ClockStatus, take: impl FnMut(Frame)) -> anyhow::Result<()> {
         // While the clock runs, the TTI before the next one can still be open.
         let in_work = u64::from(!status.paused);
-        self.tell(Tti(status.tti.0.saturating_sub(in_work)), take)?;
+        self.replay_until(Tti(status.tti.0.saturating_sub(in_work)), take)?;
         Ok(())
     }
 
@@ -115,7 +115,7 @@ impl CatchUp {
     ///
     /// # Errors
     /// If a decision in one of the TTIs is unknown.
-    fn tell(&mut self, end: Tti, mut take: impl FnMut(Frame)) -> anyhow::Result<bool> {
+    fn replay_until(&mut self, end: Tti, mut take: impl FnMut(Frame)) -> anyhow::Result<bool> {
         if end <= self.told {
             return Ok(true);
         }
@@ -143,7 +143,7 @@ impl CatchUp {
             }
             run.grant(&mut framed);
             if let Some(tti) = run.missing_decision() {
-                bail!("the run has not told what was decided in TTI {tti}");
+                bail!("the input log of the run has no decision for TTI {tti}");
             }
         }
         self.told = end;
@@ -167,14 +167,14 @@ impl CatchUp {
             Ok(Message::World(world)) => {
                 // The grant that was open at the connection: its plan may have been missed, so it is replayed.
                 if world.last >= self.told {
-                    self.is_within = self.tell(world.last, take)?;
+                    self.is_within = self.replay_until(world.last, take)?;
                 }
                 return Ok(());
             }
-            Ok(Message::Clock(ClockMessage::Finish(end))) => end,
+            Ok(Message::Clock(ClockMessage::CollectLedgers(end))) => end,
             Ok(_) | Err(_) => return Ok(()),
         };
-        if self.tell(whole_from, &mut take)? {
+        if self.replay_until(whole_from, &mut take)? {
             // The replay is not needed any more, and can be large.
             (self.is_over, self.run) = (true, None);
             take(frame);
@@ -221,7 +221,7 @@ mod tests {
     }
 
     impl ReceivedRun {
-        fn of(scenario: &Scenario, outages: &[DeviceRemoval], lookahead: bool) -> Self {
+        fn new(scenario: &Scenario, outages: &[DeviceRemoval], lookahead: bool) -> Self {
             let mut frames = Vec::new();
             let options = RunOptions {
                 lookahead,
@@ -231,7 +231,7 @@ mod tests {
             run.schedule_inputs(&ExternalInputs::of_outages(outages));
             run.finish(&mut FrameObserver::new(0, |frame| frames.push(frame)));
             let gone = frames.iter().enumerate();
-            let gone = gone.filter(|(_, frame)| frame.kind == MessageKind::Gone);
+            let gone = gone.filter(|(_, frame)| frame.kind == MessageKind::Removed);
             let inputs = gone
                 .map(|(at, _)| at)
                 .zip(outages.iter().copied().map(ExternalInput::Outage))
@@ -275,7 +275,8 @@ mod tests {
         /// the last received frame was sent.
         fn assert_whole_from_everywhere(mut self, scenario: &Scenario) {
             let end = Tti(scenario.run.ttis);
-            self.frames.push(Frame::of(end, (), &ClockMessage::Finish(end)));
+            self.frames
+                .push(Frame::new(end, (), &ClockMessage::CollectLedgers(end)));
             // World frames depend on how TTIs were granted.
             let happened = |frames: &[Frame]| {
                 let mut frames = frames.to_vec();
@@ -332,13 +333,13 @@ mod tests {
         for policy in ["knn", "age-index"] {
             let scenario = scenario(policy);
             for lookahead in [true, false] {
-                ReceivedRun::of(&scenario, &[], lookahead).assert_whole_from_everywhere(&scenario);
+                ReceivedRun::new(&scenario, &[], lookahead).assert_whole_from_everywhere(&scenario);
             }
         }
     }
 
     #[test]
-    fn so_is_one_that_devices_go_from() {
+    fn a_run_with_removed_devices_is_whole_too() {
         let scenario = scenario("knn");
         let gone = |first, tti, wake_ups| DeviceRemoval {
             first: DeviceId(first),
@@ -348,14 +349,14 @@ mod tests {
         };
         let outages = [gone(0, 40, None), gone(10, 41, None), gone(5, 180, None)];
         for lookahead in [true, false] {
-            let heard = ReceivedRun::of(&scenario, &outages, lookahead);
+            let heard = ReceivedRun::new(&scenario, &outages, lookahead);
             assert_eq!(heard.inputs.len(), outages.len());
             heard.assert_whole_from_everywhere(&scenario);
         }
     }
 
     #[test]
-    fn so_is_one_that_is_decided_for() {
+    fn a_run_with_external_decisions_is_whole_too() {
         let scenario = scenario("external");
         for hold in [1, 30, 500] {
             ReceivedRun::decided(&scenario, hold).assert_whole_from_everywhere(&scenario);

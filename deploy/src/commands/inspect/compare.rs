@@ -19,16 +19,19 @@ pub(super) fn run(args: &CompareArgs) -> anyhow::Result<ExitCode> {
     let (mut this, mut other) = (open(&args.this)?, open(&args.other)?);
     let mut said = String::new();
     for (field, this, other) in fields(&this.bundle().scenario, &other.bundle().scenario)? {
-        let _infallible = writeln!(said, "scenario: {field} is {this}, and {other} in the other");
+        let _infallible = writeln!(
+            said,
+            "scenario: {field} is {this} in this recording, {other} in the other"
+        );
     }
     let (comparison, torn) = recordings(&mut this, &mut other);
     let differences = comparison.differences();
     for (nth, difference) in differences.iter().enumerate() {
-        let text = told(difference, nth == 0);
+        let text = format_difference(difference, nth == 0);
         said = format!("{said}{text}");
     }
     if differences.is_empty() {
-        said = format!("{said}the same happens in both\n");
+        said = format!("{said}no difference in the messages of both recordings\n");
     }
     print(&said)?;
     if let Some((side, error)) = torn {
@@ -36,7 +39,10 @@ pub(super) fn run(args: &CompareArgs) -> anyhow::Result<ExitCode> {
             RunSide::This => &args.this,
             RunSide::Other => &args.other,
         };
-        bail!("{}: {error}; both are compared up to there", path.display());
+        bail!(
+            "{}: {error}; the recordings were compared up to this point",
+            path.display()
+        );
     }
     Ok(if differences.is_empty() {
         ExitReason::Done
@@ -46,7 +52,7 @@ pub(super) fn run(args: &CompareArgs) -> anyhow::Result<ExitCode> {
     .into())
 }
 
-fn told(difference: &FirstDifference, is_first: bool) -> String {
+fn format_difference(difference: &FirstDifference, is_first: bool) -> String {
     let FirstDifference { tti, kind, .. } = difference;
     let nth = if is_first { "first difference" } else { "then" };
     let devices = difference.devices();

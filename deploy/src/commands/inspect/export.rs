@@ -35,7 +35,11 @@ pub(super) fn run(args: &ExportArgs) -> anyhow::Result<ExitCode> {
     let mut recording = open(from)?;
     free(&path, args.force)?;
     // With --force, `free` accepts every file, the recording itself included.
-    anyhow::ensure!(!is_same(from, &path), "{}: is the recording itself", path.display());
+    anyhow::ensure!(
+        !is_same(from, &path),
+        "--out {}: is the recording itself; name another file",
+        path.display()
+    );
     // Written to a part file: half an export looks whole, and the old file must stay until the new one is complete.
     let cannot = || format!("cannot write {}", path.display());
     let part = beside(&path, |part| File::create(part)).with_context(cannot)?;
@@ -49,7 +53,10 @@ pub(super) fn run(args: &ExportArgs) -> anyhow::Result<ExitCode> {
     match torn {
         None => Ok(ExitReason::Done.into()),
         Some(error) => {
-            bail!("{}: {error}; what is before is written", from.display());
+            bail!(
+                "{}: {error}; the messages before this point were written",
+                from.display()
+            );
         }
     }
 }
@@ -57,7 +64,7 @@ pub(super) fn run(args: &ExportArgs) -> anyhow::Result<ExitCode> {
 /// Checks that `path` is free, or may be replaced.
 fn free(path: &Path, force: bool) -> anyhow::Result<()> {
     if path.exists() && !force {
-        bail!("{}: is there already; --force replaces it", path.display());
+        bail!("{}: file exists; use --force to replace it", path.display());
     }
     Ok(())
 }
@@ -81,7 +88,10 @@ fn write(
         }
         ToArg::Perfetto => {
             if args.since.is_some() {
-                bail!("--since: a trace begins with the run, as the states of devices follow from all that was before");
+                bail!(
+                    "--since: a trace must start at TTI 0, as device states depend on all earlier messages; leave it \
+                    out"
+                );
             }
             let scenario = recording.bundle().load()?;
             let mut trace = PerfettoWriter::begin(out, recording.run(), &scenario, args.battery_every)?;
@@ -93,14 +103,14 @@ fn write(
             let mut rows = csv::Writer::from_writer(out);
             rows.write_record(COLUMNS)?;
             let frames = each(args, recording, |frame| {
-                Ok(rows.write_record(MessageRow::of(frame).fields())?)
+                Ok(rows.write_record(MessageRow::new(frame).fields())?)
             })?;
             rows.flush()?;
             Ok(frames)
         }
         ToArg::Parquet => {
             let mut rows = MessageTableWriter::begin(out)?;
-            let frames = each(args, recording, |frame| Ok(rows.write(MessageRow::of(frame))?))?;
+            let frames = each(args, recording, |frame| Ok(rows.write(MessageRow::new(frame))?))?;
             rows.finish()?.flush()?;
             Ok(frames)
         }

@@ -168,7 +168,7 @@ impl Live {
         let (reached, ttis) = (self.reached, self.status.ttis);
         anyhow::ensure!(
             !self.is_over || reached.0 >= ttis,
-            "the run ended before TTI {reached} of {ttis}: it was interrupted or has failed"
+            "the run was interrupted or failed before TTI {reached} of {ttis}"
         );
         Ok(())
     }
@@ -228,11 +228,11 @@ impl Live {
                 if is_there {
                     return error;
                 }
-                anyhow!("the run has ended before this was with it; `up --record` records from the beginning")
+                anyhow!("the run ended before this observer had caught up; use `up --record` to record from TTI 0")
             })?;
             if self.left_out > 0 && !is_told {
                 let (left_out, tti) = (self.left_out, past.replayed_until());
-                note!("{left_out} messages after TTI {tti} were left out, because this could not keep up");
+                note!("{left_out} messages after TTI {tti} were dropped (reader too slow)");
                 is_told = true;
             }
         }

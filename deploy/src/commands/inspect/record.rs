@@ -15,7 +15,10 @@ use crate::exit::ExitReason;
 pub(super) async fn run(args: &InspectRecordArgs) -> anyhow::Result<ExitCode> {
     let path = &args.file;
     if path.exists() {
-        bail!("{}: is there already; choose another, or move it away", path.display());
+        bail!(
+            "{}: file exists; choose another name, or move the file away",
+            path.display()
+        );
     }
     let mut live = Live::connect(&args.target).await?;
     let bundle = live.bundle().await?;
@@ -46,7 +49,7 @@ pub(super) async fn run(args: &InspectRecordArgs) -> anyhow::Result<ExitCode> {
     );
     if left_out > 0 {
         bail!(
-            "{}: {left_out} messages are missing, because this could not keep up; `up --record` makes the run wait",
+            "{}: {left_out} messages were dropped (reader too slow); use `up --record`, for which the run waits",
             path.display()
         );
     }

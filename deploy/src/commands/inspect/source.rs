@@ -28,11 +28,11 @@ pub(crate) fn open(path: &Path) -> anyhow::Result<RecordingFile> {
     // A folder can be opened too, and fails only when read.
     anyhow::ensure!(
         file.metadata().is_ok_and(|file| file.is_file()),
-        "{}: is not a file",
+        "{}: not a file; name a recording",
         named()
     );
     if is_growing(&file) {
-        note!("{} is still being written: this is what there is so far", named());
+        note!("{}: still being written; reading the messages so far", named());
     }
     RecordingReader::open(BufReader::new(file)).with_context(named)
 }
@@ -107,7 +107,7 @@ impl FrameSource {
         match self {
             Self::Live(live) => {
                 let left_out = live.left_out;
-                format!("{shown} messages shown, {left_out} left out because this could not keep up")
+                format!("{shown} messages shown, {left_out} dropped (reader too slow)")
             }
             Self::Recorded(..) => format!("{shown} messages shown"),
         }

@@ -48,16 +48,16 @@ pub(super) async fn run(args: &StatsArgs) -> anyhow::Result<ExitCode> {
             } else {
                 ""
             };
-            print(&format!("{clear}{}\n", told(args, &traffic, devices)))?;
+            print(&format!("{clear}{}\n", format_stats(args, &traffic, devices)))?;
             shown = crate::runtime::now();
         }
     };
-    print(&format!("{}\n", told(args, &traffic, devices)))?;
+    print(&format!("{}\n", format_stats(args, &traffic, devices)))?;
     if let FrameSource::Live(live) = &source
         && live.left_out > 0
     {
         note!(
-            "{} messages are not counted, because this could not keep up",
+            "{} messages were dropped and not counted (reader too slow)",
             live.left_out
         );
     }
@@ -65,7 +65,7 @@ pub(super) async fn run(args: &StatsArgs) -> anyhow::Result<ExitCode> {
     torn.map_or_else(|| Ok(ExitReason::Done.into()), Err)
 }
 
-fn told(args: &StatsArgs, traffic: &TrafficStats, devices: u32) -> String {
+fn format_stats(args: &StatsArgs, traffic: &TrafficStats, devices: u32) -> String {
     if args.json {
         json(traffic, devices, args.devices).to_string()
     } else {

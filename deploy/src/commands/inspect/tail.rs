@@ -75,14 +75,14 @@ fn filter(args: &TailArgs) -> Filter {
 fn of_cluster(scenario: &Scenario, cluster: u32, also: Option<&[DeviceId]>) -> anyhow::Result<Vec<DeviceId>> {
     let Some(groups) = groups(scenario) else {
         bail!(
-            "--cluster: the policy {} has no clusters that follow from the scenario",
+            "--cluster: policy {} has no clusters that the scenario determines; leave it out",
             scenario.policy.name()
         );
     };
     let most = groups.iter().max().copied().unwrap_or(0);
     anyhow::ensure!(
         cluster <= most,
-        "--cluster {cluster}: there are {} clusters, 0 to {most}",
+        "--cluster {cluster}: the run has {} clusters, 0 to {most}",
         most + 1
     );
     let ids = (0..).map(DeviceId).zip(&groups);
@@ -137,8 +137,8 @@ impl<'a> Printer<'a> {
                 let is_late = std::mem::take(&mut is_first) && frame.tti.0 > 0;
                 if missing > 0 || is_late {
                     bail!(
-                        "--state: what was before TTI {} was not seen, and the states follow from it; record the run, \
-                        and give the recording with --from",
+                        "--state: messages before TTI {} were not received, and device states depend on them; record \
+                        the run and give the recording with --from",
                         frame.tti
                     );
                 }
@@ -169,7 +169,7 @@ impl<'a> Printer<'a> {
 
     /// Formats the line of a frame, if it passes the filter.
     fn line(&mut self, frame: &Frame) -> anyhow::Result<Option<String>> {
-        let line = FrameLine::of(frame);
+        let line = FrameLine::new(frame);
         let mut state = None;
         if let Some(mirror) = &mut self.mirror {
             // Filters see the state before the message has its effect.
@@ -184,8 +184,8 @@ impl<'a> Printer<'a> {
         let step = self
             .join
             .as_mut()
-            .map_or(PairStep::Alone, |join| join.take(frame, &line.message));
-        if let PairStep::Complete(joined) = step {
+            .map_or(PairStep::Unpaired, |join| join.take(frame, &line.message));
+        if let PairStep::Paired(joined) = step {
             // The filter treats the joined line as a wake-up, although its last frame is of another kind.
             let wake = Frame {
                 kind: MessageKind::Wake,
@@ -194,7 +194,7 @@ impl<'a> Printer<'a> {
             let passes = self.filter.passes(&wake, line.message.as_ref().ok(), self.before_wake);
             return Ok(passes.then(|| self.joined(&joined)));
         }
-        let passes = step == PairStep::Alone && self.filter.passes(frame, line.message.as_ref().ok(), state);
+        let passes = step == PairStep::Unpaired && self.filter.passes(frame, line.message.as_ref().ok(), state);
         Ok(passes.then(|| self.shown(frame.kind, &line)))
     }
 

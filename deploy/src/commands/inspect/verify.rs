@@ -30,7 +30,8 @@ pub(super) fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
                 let is_from_the_start = frames > 0 || frame.tti == Tti::ZERO;
                 anyhow::ensure!(
                     is_from_the_start,
-                    "{}: begins in TTI {}: what a run came to follows from all of its messages alone",
+                    "{}: starts at TTI {}, but results can be verified only from TTI 0; use a recording of the whole \
+                     run",
                     named(),
                     frame.tti
                 );
@@ -44,23 +45,23 @@ pub(super) fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
     let ttis = replay.ttis();
     let own = replay.finish();
     let said = format!(
-        "{}: {}, TTIs 0 to {}, fit together",
+        "{}: {}, TTIs 0 to {}, are consistent",
         named(),
         count(frames, "message"),
         ttis.saturating_sub(1)
     );
     if let Some(error) = torn {
         print(&format!("{said}\n"))?;
-        bail!("{}: {error}; there is no summary to compare with", named());
+        bail!("{}: {error}; the recording has no summary to compare with", named());
     }
     let Some(summary) = summary else {
         print(&format!("{said}\ndigest of these TTIs {}\n", own.digest))?;
         let why = if ttis < scenario.run.ttis {
-            format!("the run was cut short, before TTI {}", scenario.run.ttis)
+            format!("the run was interrupted before TTI {}", scenario.run.ttis)
         } else {
-            "it was recorded by another program than the run's, or its end was damaged".to_owned()
+            "it was recorded by `inspect record`, or its end is damaged".to_owned()
         };
-        bail!("{}: there is no summary to compare with: {why}", named());
+        bail!("{}: the recording has no summary to compare with: {why}", named());
     };
     let summary: ExpectedResults = serde_json::from_str(&summary).with_context(named)?;
     let metrics = compare(&own, ttis, &summary).with_context(named)?;
@@ -85,7 +86,7 @@ fn compare(own: &FinalScore, ttis: u64, told: &ExpectedResults) -> anyhow::Resul
     fn same<T: PartialEq + Debug>(what: &str, own: &T, told: &T) -> anyhow::Result<()> {
         anyhow::ensure!(
             own == told,
-            "{what} is {own:?} by the messages, and {told:?} in the summary"
+            "{what} is {own:?} according to the messages, but {told:?} in the summary"
         );
         Ok(())
     }

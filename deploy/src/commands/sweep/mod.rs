@@ -80,7 +80,7 @@ fn known(tables: &[PathBuf]) -> anyhow::Result<ReusableRuns> {
         anyhow::Ok((path, table))
     };
     let tables: Vec<(PathBuf, Table)> = tables.iter().map(read).collect::<Result<_, _>>()?;
-    Ok(ReusableRuns::of(&tables)?)
+    Ok(ReusableRuns::from_tables(&tables)?)
 }
 
 /// Prints each distinct warning of all cells.
@@ -119,10 +119,7 @@ fn announce(args: &SweepArgs, sweep: &Sweep<'_>, folder: &Path) {
         } else {
             ("were", "have")
         };
-        tracing::warn!(
-            "{rows} of {folder}/runs.journal {were} torn or garbled and {have} been taken out; \
-             runs that are missing are made again"
-        );
+        tracing::warn!("{folder}/runs.journal: {rows} {were} damaged and {have} been removed; their runs are repeated");
     }
     if sweep.found() > 0 && !args.quiet {
         note!("{} found in {folder}", display::count(sweep.found(), "finished run"));

@@ -46,7 +46,7 @@ pub(super) struct SweepSummary<'r> {
 impl SweepSummary<'_> {
     /// Formats a row per cell, and the path of the table of all runs.
     pub(super) fn to_text(&self) -> String {
-        let names = SeriesNames::of(&self.finished.table);
+        let names = SeriesNames::from_table(&self.finished.table);
         let is_shown = |place: usize| names.name_column() != Some(place);
         let swept = self.finished.table.schema.swept.iter().enumerate();
         let swept = swept.filter(|(place, _)| is_shown(*place));
@@ -83,13 +83,13 @@ impl SweepSummary<'_> {
         }
         let mut lines = vec![
             table.to_string(),
-            "mean ± half-width of the 95 % interval over the runs; < a one-sided 95 % bound, where cases are too few \
-             for an interval"
+            "mean ± half-width of the 95 % interval over the runs; <: a one-sided 95 % bound, where an interval would \
+             need more cases"
                 .to_owned(),
         ];
         lines.extend(self.wide_text());
         lines.push(self.speed());
-        lines.push(format!("a row per run in {}\n", self.finished.path.display()));
+        lines.push(format!("one row per run in {}\n", self.finished.path.display()));
         lines.join("\n")
     }
 
@@ -98,7 +98,7 @@ impl SweepSummary<'_> {
         let rows = self.finished.table.rows.len();
         let found = match self.found {
             0 => String::new(),
-            found => format!(", {found} of them found"),
+            found => format!(", {found} of them already finished"),
         };
         // A sweep that found all of its runs takes no measurable time.
         let rate = self.device_ttis as f64 / self.seconds.max(1e-9) / 1e6;
@@ -128,10 +128,10 @@ impl SweepSummary<'_> {
             let width = if width.is_finite() {
                 format!("is {:.1} % of the mean", 100.0 * width)
             } else {
-                "has no relative width, as its mean is 0 or it is defined in one run alone".to_owned()
+                "has no relative width, as its mean is 0 or only one run defines it".to_owned()
             };
             let seeds = self.grid.experiment.seeds.count;
-            format!("not narrow after all {seeds} seeds: {label}: the interval of {metric} {width}")
+            format!("{label}: --until-ci not reached with {seeds} seeds: the interval of {metric} {width}")
         };
         self.wide().into_iter().map(line).collect()
     }
@@ -142,7 +142,7 @@ impl SweepSummary<'_> {
     /// Never in practice.
     pub(super) fn to_json(&self) -> anyhow::Result<String> {
         let schema = &self.finished.table.schema;
-        let names = SeriesNames::of(&self.finished.table);
+        let names = SeriesNames::from_table(&self.finished.table);
         let cells: Vec<Json> = stats::cells(&self.finished.table)
             .iter()
             .map(|cell| {

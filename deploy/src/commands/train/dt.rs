@@ -49,7 +49,7 @@ fn settle_in() {
         let mut again = Command::new(program);
         again.args(std::env::args_os().skip(1)).envs(unset());
         let failed = again.exec();
-        tracing::debug!(%failed, "trains as it is");
+        tracing::debug!(%failed, "cannot restart with the environment for training; training without it");
     }
 }
 
@@ -58,7 +58,7 @@ pub(super) fn run(args: &DtArgs) -> anyhow::Result<ExitCode> {
     settle_in();
     let training = training(args)?;
     if args.out.exists() && !args.force {
-        bail!("{}: is there already; --force replaces it", args.out.display());
+        bail!("{}: file exists; use --force to replace it", args.out.display());
     }
     check_place(&args.out, "the model")?;
     let (trajectories, about) = trajectories(args, &training)?;
@@ -71,7 +71,7 @@ pub(super) fn run(args: &DtArgs) -> anyhow::Result<ExitCode> {
     let mut show = |now: DtTrainingStatus, bytes: &[u8]| {
         if !args.quiet {
             if std::mem::take(&mut goes_on) {
-                note!("going on from {}", kept.display());
+                note!("resuming from {}", kept.display());
             }
             show(&now);
         }
@@ -82,7 +82,7 @@ pub(super) fn run(args: &DtArgs) -> anyhow::Result<ExitCode> {
     let stop = || signals.have_come();
     let trained = match train(trajectories, &training, &about, from.as_deref(), &mut show, &stop) {
         Err(error @ TransformerError::Checkpoint(_)) => bail!(
-            "{}: {error}; finish that, remove the file, or use another --out",
+            "{}: {error}; finish that training, remove the file, or use another --out",
             kept.display()
         ),
         trained => trained?,
@@ -92,14 +92,14 @@ pub(super) fn run(args: &DtArgs) -> anyhow::Result<ExitCode> {
         unwritten = replace(&kept, bytes).err();
     }
     if let Some(error) = unwritten {
-        bail!("{}: cannot be written: {error}", kept.display());
+        bail!("{}: cannot write this file: {error}", kept.display());
     }
     let bytes = match trained {
         Trained::Model(bytes) if complete => bytes,
         Trained::Model(_) | Trained::Stopped(_) => bail!(interrupted(&kept)),
     };
     if let Err(error) = replace(&args.out, &bytes) {
-        bail!("{}: cannot be written: {error}", args.out.display());
+        bail!("{}: cannot write this file: {error}", args.out.display());
     }
     // The finished model replaces the checkpoint.
     let _ = std::fs::remove_file(&kept);

@@ -25,8 +25,8 @@ pub(crate) fn run(command: &TrainCommand) -> anyhow::Result<ExitCode> {
 #[cfg(not(feature = "train-dt"))]
 fn needs_the_feature() -> ExitCode {
     crate::display::note!(
-        "reveille: train dt needs the cargo feature train-dt, which brings a training framework of some 150 crates: \
-         cargo run --release --features train-dt -- train dt …"
+        "reveille: this build cannot train dt, which needs the cargo feature train-dt (150 more crates); use `cargo \
+         run --release --features train-dt -- train dt …`"
     );
     ExitCode::from(2)
 }

@@ -24,7 +24,7 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
     largest.run.devices = args.devices.iter().copied().max().unwrap_or(1).max(1);
     if training.ttis > largest.longest() {
         bail!(
-            "--episode-ttis {}: must be at most {} with {} devices and their energies, or sums of energy overflow",
+            "--episode-ttis {}: must be at most {} with {} devices, or their sums of energy overflow",
             training.ttis,
             largest.longest(),
             largest.run.devices
@@ -38,7 +38,7 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
     let kept = checkpoint(&args.out);
     if trainer.resume(&kept)? && !args.quiet {
         note!(
-            "{} episodes left, going on from {}",
+            "{} episodes left, resuming from {}",
             trainer.episodes_left(),
             kept.display()
         );
@@ -61,7 +61,7 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
     }
     // Checked again: another process can have written the file during the training.
     if args.out.exists() && !args.force {
-        note!("what was learned is kept in {}", kept.display());
+        note!("the training so far is kept in {}", kept.display());
         bail!(TrainingError::Taken(args.out.clone()));
     }
     let learned = trainer.learned();
@@ -99,7 +99,7 @@ pub(super) fn interrupted(kept: &Path) -> Interrupted {
         let kept = kept.display();
         format!("interrupted; the training so far is kept in {kept}: give the same command again to resume").into()
     } else {
-        "interrupted before there was anything to keep".into()
+        "interrupted before the first checkpoint".into()
     })
 }
 

@@ -24,7 +24,7 @@ use crate::signals::{Manner, Signals};
 pub(super) fn run(args: &RecordArgs) -> anyhow::Result<ExitCode> {
     let recording = recording(args)?;
     if args.out.exists() && !args.force {
-        bail!("{}: is there already; --force replaces it", args.out.display());
+        bail!("{}: file exists; use --force to replace it", args.out.display());
     }
     check_place(&args.out, "the trajectories")?;
     let signals = Signals::install(Manner::Keeps)?;
@@ -45,8 +45,8 @@ pub(super) fn run(args: &RecordArgs) -> anyhow::Result<ExitCode> {
     };
     if trajectories.chunks.is_empty() {
         bail!(
-            "nothing was recorded: runs must be longer than --chunk {} and the {HORIZON} TTIs of a return, and the \
-             genie decides by what no base station knows",
+            "no chunks recorded: use runs longer than --chunk {} plus the {HORIZON} TTIs of a return, and a policy \
+             other than genie, which uses ground truth",
             args.chunk
         );
     }
@@ -72,7 +72,7 @@ fn of_grid(
 ) -> anyhow::Result<Option<Trajectories>> {
     let grid = SweepGrid::new(experiment(args.experiment.as_deref(), &args.grid)?, &Disk)?;
     if grid.experiment.until_ci.is_some() {
-        bail!("--until-ci: a recording makes all of its runs; leave it out");
+        bail!("--until-ci: a recording always makes all runs; leave it out");
     }
     let bar = display::bar(grid.share(Shard::WHOLE), "{bar:24} {pos}/{len} runs", args.quiet);
     let trajectories = record(&grid, recording, stop, &|| bar.inc(1));
@@ -90,7 +90,7 @@ fn of_folders(
     for (run, folder) in (0..).zip(&args.from) {
         let path = folder.join(SCENARIO);
         if !path.exists() {
-            bail!("{}: is no run folder: it has no {SCENARIO}", folder.display());
+            bail!("{}: not a run folder: {SCENARIO} is missing", folder.display());
         }
         let scenario = load(&path.to_string_lossy(), &[])?.scenario;
         let digest = digest(folder)?;
@@ -99,14 +99,15 @@ fn of_folders(
         };
         let Some(found) = found else {
             bail!(
-                "{}: a run of the genie, which decides by what no base station knows: nothing can be learned from it",
+                "{}: a run of genie, which decides by ground truth, cannot be learned from; use a run of another \
+                 policy",
                 folder.display()
             );
         };
         if found.to_string() != digest {
             bail!(
-                "{}: the scenario there gives the digest {found}, and its summary has {digest}: the run was cut short, \
-                 made by another version, or one of the files was changed",
+                "{}: the scenario has the digest {found}, but the summary has {digest}; use a complete, unchanged run \
+                 folder of this version",
                 folder.display()
             );
         }
@@ -125,29 +126,33 @@ fn digest(folder: &Path) -> anyhow::Result<String> {
     let path = folder.join(SUMMARY);
     let refuse = |why: String| anyhow::anyhow!("{}: {why}", path.display());
     match status(folder) {
-        FolderStatus::Ended => {}
-        FolderStatus::Alive(_) => bail!(
-            "{}: its run is still going on; wait until it has ended",
+        FolderStatus::Finished => {}
+        FolderStatus::Running(_) => bail!(
+            "{}: the run is still running; wait until it has finished",
             folder.display()
         ),
-        FolderStatus::Killed => bail!("{}: its run was killed, so it has no digest", folder.display()),
+        FolderStatus::Killed => bail!(
+            "{}: the run was killed and has no digest; resume it with --resume \
+            first",
+            folder.display()
+        ),
     }
     let text = std::fs::read_to_string(&path).map_err(|error| refuse(error.to_string()))?;
     let summary: serde_json::Value = serde_json::from_str(&text).map_err(|error| refuse(error.to_string()))?;
     let digest = summary["digest"].as_str().map(str::to_owned);
-    digest.ok_or_else(|| refuse("has no digest".to_owned()))
+    digest.ok_or_else(|| refuse("the digest is missing".to_owned()))
 }
 
 fn recording(args: &RecordArgs) -> anyhow::Result<RecordingConfig> {
     if args.every <= args.chunk {
         bail!(
-            "--every {}: must be more than --chunk, {}, or one chunk would run into the next",
+            "--every {}: must be more than --chunk {}, or chunks overlap",
             args.every,
             args.chunk
         );
     }
     if args.explore.is_empty() {
-        bail!("--explore: must be a share or several, such as 0,0.1");
+        bail!("--explore: the list is empty; give one or more shares, such as 0,0.1");
     }
     if let Some(bad) = args.explore.iter().find(|share| !(0.0..1.0).contains(*share)) {
         bail!("--explore {bad}: must be at least 0 and less than 1");
@@ -156,6 +161,6 @@ fn recording(args: &RecordArgs) -> anyhow::Result<RecordingConfig> {
         length: args.chunk as usize,
         stride: args.every as usize,
         explore: args.explore.clone(),
-        told: args.told,
+        true_batteries: args.told,
     })
 }

@@ -6,9 +6,9 @@ const CHARTS = [
   ["P1 so far", (p) => [p.metrics[0]]],
   ["missed, %", (p) => [p.metrics[1]]],
   ["delay, TTIs", (p) => [p.metrics[2]]],
-  ["energy a device-TTI: sensing, sleep, report", (p) => p.metrics.slice(3, 6)],
+  ["energy per device-TTI: sensing, sleep, report", (p) => p.metrics.slice(3, 6)],
   ["battery: 5, 50, 95 %", (p) => p.batteries],
-  ["bytes a TTI: control, reports", (p) => [p.control, p.uplink]],
+  ["bytes per TTI: control, reports", (p) => [p.control, p.uplink]],
 ];
 const DASHES = [[], [6, 3], [2, 2]];
 
@@ -31,18 +31,18 @@ export class Charts {
     this.end = 1;
   }
 
-  // The curves of a run, and of the one that it is compared with, in the other colour.
+  // Paints the curves of a run, and the curves of the compared run in another colour.
   paint(points, others, end, tti) {
     this.end = Math.max(end, 1);
     for (const { canvas, value, last } of this.all) {
       const { draw, width, height } = sharp(canvas);
-      const rows = points.map((p) => [p.tti, value(p)]), beside = others.map((p) => [p.tti, value(p)]);
-      const known = [...beside, ...rows].flatMap(([, values]) => values).filter((v) => v !== null && v !== undefined);
+      const rows = points.map((p) => [p.tti, value(p)]), compared = others.map((p) => [p.tti, value(p)]);
+      const known = [...compared, ...rows].flatMap(([, values]) => values).filter((v) => v !== null && v !== undefined);
       const most = Math.max(...known, 1e-9);
       const x = (k) => (k / this.end) * width, y = (v) => height - 2 - (v / most) * (height - 6);
       draw.strokeStyle = ink("--line");
       draw.strokeRect(0.5, 0.5, width - 1, height - 1);
-      for (const [all, tint] of [[beside, ink("--alarm")], [rows, ink("--accent")]]) {
+      for (const [all, tint] of [[compared, ink("--alarm")], [rows, ink("--accent")]]) {
         for (let i = 0; i < (all[0]?.[1].length ?? 0); i++) {
           draw.beginPath();
           draw.setLineDash(DASHES[i]);

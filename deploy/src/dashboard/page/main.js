@@ -8,7 +8,7 @@ const by = (id) => document.getElementById(id);
 const page = { run: null, now: null, tti: 0, follows: true, moment: null, device: -1, points: [], marks: [], updates: 0, other: null };
 // For tests, and for a look from the console.
 window.reveille = page;
-let map, otherMap, charts, asked = 0, besideIsAsked = false;
+let map, otherMap, charts, asked = 0, otherIsRequested = false;
 
 function tell(text, isAlarm = false) {
   by("state").textContent = text;
@@ -24,7 +24,7 @@ function happened(moment) {
   if (moment.event) said.push(`event ${moment.event.event}`);
   if (moment.reported?.length) said.push(`reported: ${names(moment.reported)}`);
   if (moment.lost?.length) said.push(`lost: ${names(moment.lost)}`);
-  if (moment.failed?.length) said.push(`could not pay: ${names(moment.failed)}`);
+  if (moment.failed?.length) said.push(`lacked energy to report: ${names(moment.failed)}`);
   for (const { device, text } of moment.woken ?? []) said.push(`${device} woken, ${text}`);
   if (moment.ended) said.push(moment.ended.delay === null ? "missed" : `ended, delay ${moment.ended.delay}, I ${moment.ended.information.toFixed(3)}`);
   return said.join(" · ");
@@ -36,7 +36,7 @@ function paint() {
   charts.paint(page.points, page.other?.points ?? [], Math.max(page.now.next, 1), page.tti);
   if (page.other?.moment) {
     otherMap.paint(page.other.moment, page.device);
-    by("other-happened").textContent = `${page.other.run.run}: ${happened(page.other.moment) || "nothing happens"}`;
+    by("other-happened").textContent = `${page.other.run.run}: ${happened(page.other.moment) || "no events"}`;
   }
   by("happened").textContent = happened(page.moment);
   by("map").setAttribute("aria-label", `Map of ${page.run.devices} devices in TTI ${page.tti}. ${happened(page.moment)}`);
@@ -45,28 +45,28 @@ function paint() {
   by("follow").setAttribute("aria-pressed", page.follows);
 }
 
-// Shows a TTI of those that are kept.
+// Shows a TTI that is still in memory.
 async function show(tti) {
   const { first, next } = page.now;
   page.tti = Math.max(first, Math.min(tti, next - 1));
   if (next <= first) return;
   // Answers can arrive out of order: only the newest request is shown.
   const own = ++asked;
-  const [moment, beside] = await Promise.all([get(`api/tti/${page.tti}`), besides(page.tti)]);
+  const [moment, otherMoment] = await Promise.all([get(`api/tti/${page.tti}`), getOther(page.tti)]);
   if (own !== asked) return;
   page.moment = moment;
-  if (page.other) page.other.moment = beside;
+  if (page.other) page.other.moment = otherMoment;
   paint();
   if (page.device >= 0) refresh(showDevice);
   if (by("filters").here.checked) showMessages();
 }
 
 // The same TTI of the other run, or null if that run has no such TTI.
-async function besides(tti) {
+async function getOther(tti) {
   return page.other ? get(`api/other/tti/${tti}`).catch(() => null) : null;
 }
 
-// Where the two runs first differ.
+// Lists the first differences between the two runs.
 async function compare() {
   const told = await get("api/compare");
   if (JSON.stringify(told) === by("differences").dataset.told) return;
@@ -99,7 +99,7 @@ function see(now) {
   page.updates += 1;
   by("scrubber").min = now.first;
   by("scrubber").max = Math.max(now.next - 1, now.first);
-  const end = now.over ? "ended" : page.run.live ? "live" : "recording";
+  const end = now.over ? (now.next < page.run.ttis ? "interrupted or failed" : "finished") : page.run.live ? "live" : "recording";
   tell(`${end} · TTI ${now.next} of ${page.run.ttis} · ${now.events} events counted, ${now.missed} missed · ${now.messages} messages`);
   // Unchanged entries stay in place: a click could miss an entry that is being replaced.
   const told = JSON.stringify(now.ticker);
@@ -112,10 +112,10 @@ function see(now) {
     page.tti = now.next - 1;
     page.moment = now;
     // One request at a time, since updates can come faster than answers.
-    if (page.other && !besideIsAsked && page.tti < page.other.run.ttis) {
-      besideIsAsked = true;
-      besides(page.tti).then((moment) => {
-        besideIsAsked = false;
+    if (page.other && !otherIsRequested && page.tti < page.other.run.ttis) {
+      otherIsRequested = true;
+      getOther(page.tti).then((moment) => {
+        otherIsRequested = false;
         if (page.follows) page.other.moment = moment;
       });
     }
@@ -133,7 +133,7 @@ function showTicker(now) {
   }));
 }
 
-// Shows something again, or the reason why that fails.
+// Refreshes a view, or shows why that failed.
 const refresh = (show) => show().catch((error) => tell(error.message, true));
 
 async function showDevice() {
@@ -147,11 +147,11 @@ async function showDevice() {
   by("one-title").textContent = `Device ${page.device}, TTIs ${told.from} to ${told.from + told.batteries.length - 1}`;
   history(by("history"), told, page.run.e_max[page.device], page.tti);
   const share = (states) => Math.round((100 * [...told.states].filter((s) => states.includes(s)).length) / told.states.length);
-  by("ledger").textContent = `battery ${told.batteries[page.tti - told.from]?.toFixed(2)} · S1 ${share("1")} % · S3 ${share("23")} % · S4 ${share("4")} % · deaf ${share("0")} % of these TTIs`;
+  by("ledger").textContent = `battery ${told.batteries[page.tti - told.from]?.toFixed(2)} · S1 ${share("1")} % · S3 ${share("23")} % · S4 ${share("4")} % · unpowered ${share("0")} % of these TTIs`;
   const sums = told.totals;
   if (!sums) return;
   const unit = (value) => +value.toPrecision(4);
-  by("ledger").textContent += ` — since TTI 0: ${unit(sums.initial)} at first + ${unit(sums.harvested)} harvested − ${unit(sums.sensing)} sensing − ${unit(sums.sleep)} sleep − ${unit(sums.report)} reports − ${unit(sums.overflow)} that did not fit = ${unit(sums.battery)}; sensed in ${sums.sensing_ttis} TTIs, could not pay in ${sums.failed_ttis}, deaf in ${sums.dark_ttis}`;
+  by("ledger").textContent += ` — since TTI 0: ${unit(sums.initial)} initial + ${unit(sums.harvested)} harvested − ${unit(sums.sensing)} sensing − ${unit(sums.sleep)} sleep − ${unit(sums.report)} reports − ${unit(sums.overflow)} overflow = ${unit(sums.battery)}; sensed in ${sums.sensing_ttis} TTIs, lacked energy to report in ${sums.failed_ttis}, unpowered in ${sums.unpowered_ttis}`;
 }
 
 async function showMessages() {
@@ -166,7 +166,7 @@ async function showMessages() {
     return null;
   });
   if (!rows) return;
-  by("refused").textContent = rows.length ? "" : "no message passes";
+  by("refused").textContent = rows.length ? "" : "no messages match";
   const body = by("messages").tBodies[0];
   body.replaceChildren(...rows.map((row) => {
     const line = document.createElement("tr");
@@ -188,13 +188,13 @@ async function showMessage(id) {
   by("detail").showModal();
 }
 
-// A pace as the clock tells it: "Max", or the microseconds that a TTI takes.
+// Returns a pace in milliseconds; the clock reports it as "Max" or in microseconds per TTI.
 const milliseconds = ({ RealTime: micros }) => (micros ? micros / 1000 : 0);
 
 function stands({ status, text }) {
   by("said").textContent = text;
   if (document.activeElement !== by("pace")) by("pace").value = milliseconds(status.pace);
-  by("pause").textContent = status.paused || status.until < status.ttis ? "go on" : "pause";
+  by("pause").textContent = status.paused || status.until < status.ttis ? "Resume" : "Pause";
   return status.paused || status.until >= status.ttis;
 }
 
@@ -241,7 +241,7 @@ function follow() {
   see(page.now);
 }
 
-const pause = () => drive(by("pause").textContent === "pause" ? "pause" : "resume");
+const pause = () => drive(by("pause").textContent === "Pause" ? "pause" : "resume");
 
 function listen() {
   by("back").onclick = () => go(page.tti - 1);
@@ -296,7 +296,7 @@ async function curves() {
       page.other.points = await get("api/other/curves");
       await compare();
     }
-  } catch { /* told by the stream */ }
+  } catch { /* the stream reports it */ }
   if (!page.now?.over) setTimeout(curves, 1000);
   if (page.follows && page.device >= 0) refresh(showDevice);
   if (page.follows && by("filters").here.checked) refresh(showMessages);
@@ -310,14 +310,14 @@ async function begin() {
   by("run").textContent = run;
   by("about").textContent = `${policy} · ${devices} devices · seed ${seed} · preset ${preset}`;
   by("clock").hidden = !page.run.controls;
-  by("legend").innerHTML = `<span>battery <i style="background:${ramp()}"></i> full</span><span>● S1 senses</span><span>▲ S3 reports</span><span>■ S4 sleeps</span><span>✕ deaf</span><span>✶ event, d_max around it</span><span>• where the base station believes it to be</span>`;
+  by("legend").innerHTML = `<span>battery <i style="background:${ramp()}"></i> full</span><span>● S1 senses</span><span>▲ S3 reports</span><span>■ S4 sleeps</span><span>✕ unpowered (deaf)</span><span>✶ event, d_max around it</span><span>• believed position of the event (base station)</span>`;
   map = new Map(by("map"), page.run);
   charts = new Charts(by("charts"), go);
   page.now = await get("api/now");
   if (page.run.compared) {
     page.other = { run: (await get("api/compare")).other, moment: null, points: [] };
     otherMap = new Map(by("other"), page.other.run);
-    by("beside").hidden = by("compare").hidden = false;
+    by("other-figure").hidden = by("compare").hidden = false;
     by("compare-title").textContent = `Compared with ${page.other.run.run}: ${page.other.run.policy}, seed ${page.other.run.seed}`;
   }
   listen();

@@ -36,7 +36,7 @@ export class Map {
     return [edge + (x / w) * (width - 2 * edge), height - edge - (y / h) * (height - 2 * edge)];
   }
 
-  // The device next to a place on the screen.
+  // Returns the device closest to a position on the screen.
   near(event) {
     const box = this.canvas.getBoundingClientRect();
     const [x, y] = [event.clientX - box.left, event.clientY - box.top];
@@ -45,7 +45,7 @@ export class Map {
     return all.indexOf(Math.min(...all));
   }
 
-  // The cells, which stay as they are: painted once for each size and scheme.
+  // Paints the cells, which do not change, once for each size and colour scheme.
   cells(width, height) {
     const line = ink("--line"), ratio = devicePixelRatio || 1, key = [width, height, ratio, line].join();
     if (this.ground?.key === key) return this.ground.canvas;

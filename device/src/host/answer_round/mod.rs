@@ -39,7 +39,7 @@ pub enum DeviceAnswer {
     /// A device with its state and battery.
     View(DeviceId, DeviceView),
     /// A device with its ledger.
-    Books(DeviceId, Box<Ledger>),
+    Ledger(DeviceId, Box<Ledger>),
     /// An empty part.
     Nothing,
 }
@@ -93,7 +93,7 @@ impl Round {
             DeviceAnswer::Reported(report) => parts.reports.push(*report),
             DeviceAnswer::Failed(failure) => parts.failures.push(*failure),
             DeviceAnswer::View(device, view) => parts.views.push((*device, *view)),
-            DeviceAnswer::Books(device, ledger) => match self.question {
+            DeviceAnswer::Ledger(device, ledger) => match self.question {
                 HostRequest::Grant(_) => parts.totals = Some(parts.totals.unwrap_or_default() + ledger.whole),
                 HostRequest::Ledgers => parts.ledgers.push((*device, **ledger)),
             },
@@ -112,7 +112,7 @@ impl Round {
 
     fn answer(&self, parts: &Parts) -> HostAnswer {
         match self.question {
-            HostRequest::Grant(tti) => HostAnswer::Done {
+            HostRequest::Grant(tti) => HostAnswer::GrantDone {
                 host: self.host,
                 tti,
                 reports: parts.reports.len() as u32,
@@ -120,7 +120,7 @@ impl Round {
                 totals: parts.totals,
                 views: parts.views(),
             },
-            HostRequest::Ledgers => HostAnswer::Final {
+            HostRequest::Ledgers => HostAnswer::Ledgers {
                 host: self.host,
                 ledgers: parts.ledgers.clone(),
             },

@@ -36,7 +36,7 @@ fn totals(harvested: u64) -> DeviceTotals {
 }
 
 fn done(reports: u32) -> HostAnswer {
-    HostAnswer::Done {
+    HostAnswer::GrantDone {
         host: HOST,
         tti: TTI,
         reports,
@@ -96,12 +96,12 @@ fn a_grant_gathers_failures_sums_and_levels() {
         DeviceAnswer::Failed(failure),
         level(5),
         level(4),
-        DeviceAnswer::Books(DeviceId(4), Box::new(ledger(3))),
-        DeviceAnswer::Books(DeviceId(5), Box::new(ledger(8))),
+        DeviceAnswer::Ledger(DeviceId(4), Box::new(ledger(3))),
+        DeviceAnswer::Ledger(DeviceId(5), Box::new(ledger(8))),
     ] {
         assert_eq!(round.take(&part), None);
     }
-    let expected = HostAnswer::Done {
+    let expected = HostAnswer::GrantDone {
         host: HOST,
         tti: TTI,
         reports: 0,
@@ -116,13 +116,13 @@ fn a_grant_gathers_failures_sums_and_levels() {
 fn ledgers_are_kept_by_device() {
     let round = Round::new(HOST, HostRequest::Ledgers, 2);
     round.take(&DeviceAnswer::Nothing);
-    round.take(&DeviceAnswer::Books(DeviceId(4), Box::new(ledger(3))));
-    let expected = HostAnswer::Final {
+    round.take(&DeviceAnswer::Ledger(DeviceId(4), Box::new(ledger(3))));
+    let expected = HostAnswer::Ledgers {
         host: HOST,
         ledgers: vec![(DeviceId(4), ledger(3)), (DeviceId(5), ledger(8))],
     };
     assert_eq!(
-        round.take(&DeviceAnswer::Books(DeviceId(5), Box::new(ledger(8)))),
+        round.take(&DeviceAnswer::Ledger(DeviceId(5), Box::new(ledger(8)))),
         Some(expected)
     );
 }

@@ -109,7 +109,7 @@ fn a_new_device_sleeps_with_its_initial_battery() {
 #[test]
 fn a_false_wake_costs_e_idle_in_s4_and_leaves_a_device_that_hears() {
     let always = RadioSettings {
-        false_wake: 1.0,
+        false_wake_up: 1.0,
         ..RadioSettings::default()
     };
     let (mut machine, world) = device_with(always, costs(500), &[0]);
@@ -125,18 +125,18 @@ fn a_false_wake_costs_e_idle_in_s4_and_leaves_a_device_that_hears() {
     machine.advance_to(Tti(2));
     let totals = machine.totals();
     assert_eq!(
-        (totals.false_wakes, totals.spent.sleep, totals.spent.sensing),
+        (totals.false_wake_ups, totals.spent.sleep, totals.spent.sensing),
         (1, micro(11), micro(10))
     );
     // It cannot pay for the second: the remaining energy is lost, and it is unpowered.
     let (mut machine, world) = device_with(always, costs(16), &[0]);
     machine.begin(Tti(1));
     assert_eq!((machine.state(), machine.battery()), (DARK, micro(0)));
-    assert_eq!(machine.wake(Tti(1), Some(&event(NEAR)), &world), WakeOutcome::Unheard);
+    assert_eq!(machine.wake(Tti(1), Some(&event(NEAR)), &world), WakeOutcome::Missed);
     machine.advance_to(Tti(2));
     let totals = machine.totals();
     assert_eq!(
-        (totals.false_wakes, totals.dark_ttis, totals.spent.sleep),
+        (totals.false_wake_ups, totals.unpowered_ttis, totals.spent.sleep),
         (2, 0, micro(16))
     );
     assert!(totals.closes());
@@ -149,7 +149,7 @@ fn a_missed_wake_up_costs_nothing() {
         ..RadioSettings::default()
     };
     let (mut machine, world) = device_with(deaf, costs(500), &[0]);
-    assert_eq!(machine.wake(Tti(3), Some(&event(NEAR)), &world), WakeOutcome::Unheard);
+    assert_eq!(machine.wake(Tti(3), Some(&event(NEAR)), &world), WakeOutcome::Missed);
     assert_eq!((machine.state(), machine.battery()), (ASLEEP, micro(496)));
 }
 
@@ -189,7 +189,7 @@ fn s1_to_s3_reports_and_pays_e_tx() {
     );
     // S3 lasts to the end of the TTI: it neither senses again nor receives a wake-up.
     assert_eq!(machine.sense(Tti(0), &event(NEAR), &world), SenseOutcome::Nothing);
-    assert_eq!(machine.wake(Tti(0), Some(&event(NEAR)), &world), WakeOutcome::Unheard);
+    assert_eq!(machine.wake(Tti(0), Some(&event(NEAR)), &world), WakeOutcome::Missed);
     machine.begin(Tti(1));
     assert_eq!((machine.state(), machine.battery()), (DeviceState::Idle, micro(380)));
 }
@@ -225,7 +225,7 @@ fn s2_to_s4_where_e_tx_cannot_be_paid_drains_the_battery() {
         SenseOutcome::Failed(failure)
     );
     assert_eq!((machine.state(), machine.battery()), (DARK, micro(0)));
-    assert_eq!(machine.wake(Tti(0), Some(&event(NEAR)), &world), WakeOutcome::Unheard);
+    assert_eq!(machine.wake(Tti(0), Some(&event(NEAR)), &world), WakeOutcome::Missed);
     machine.advance_to(Tti(1));
     let spent = EnergyByState {
         sensing: micro(10),
@@ -286,10 +286,10 @@ fn a_wake_up_that_cannot_be_paid_drains_the_battery() {
 #[test]
 fn a_wake_up_is_unheard_in_s1_and_by_a_radio_without_power() {
     let (mut machine, world) = dry(500, true);
-    assert_eq!(machine.wake(Tti(0), Some(&event(NEAR)), &world), WakeOutcome::Unheard);
+    assert_eq!(machine.wake(Tti(0), Some(&event(NEAR)), &world), WakeOutcome::Missed);
     assert_eq!((machine.state(), machine.battery()), (DeviceState::Idle, micro(490)));
     let (mut machine, world) = dry(0, false);
-    assert_eq!(machine.wake(Tti(0), Some(&event(NEAR)), &world), WakeOutcome::Unheard);
+    assert_eq!(machine.wake(Tti(0), Some(&event(NEAR)), &world), WakeOutcome::Missed);
     assert_eq!(machine.state(), DARK);
 }
 
@@ -299,7 +299,7 @@ fn a_device_that_cannot_pay_for_s1_is_drained_and_deaf_until_it_harvests() {
     machine.set_duty(Tti(0), DutyCycle::SENSING);
     assert_eq!(machine.sense(Tti(0), &event(NEAR), &world), SenseOutcome::Nothing);
     assert_eq!((machine.state(), machine.battery()), (DARK, micro(0)));
-    assert_eq!(machine.wake(Tti(0), Some(&event(NEAR)), &world), WakeOutcome::Unheard);
+    assert_eq!(machine.wake(Tti(0), Some(&event(NEAR)), &world), WakeOutcome::Missed);
     assert!(matches!(
         machine.sense(Tti(1), &event(NEAR), &world),
         SenseOutcome::Reported(_)

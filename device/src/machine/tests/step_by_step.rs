@@ -28,7 +28,7 @@ enum Incident {
     Late,
 }
 
-fn happening() -> impl Strategy<Value = Incident> {
+fn incident() -> impl Strategy<Value = Incident> {
     let distance = || prop_oneof![Just(NEAR), Just(FAR)];
     prop_oneof![
         6 => Just(Incident::Quiet),
@@ -70,8 +70,8 @@ struct Plain {
     low_ttis: u64,
     sensing_ttis: u64,
     failed_ttis: u64,
-    dark_ttis: u64,
-    false_wakes: u64,
+    unpowered_ttis: u64,
+    false_wake_ups: u64,
     /// Whether the battery could not pay for anything, by TTI.
     failed: Vec<bool>,
     /// The totals before each TTI.
@@ -91,8 +91,8 @@ impl Plain {
             low_ttis: 0,
             sensing_ttis: 0,
             failed_ttis: 0,
-            dark_ttis: 0,
-            false_wakes: 0,
+            unpowered_ttis: 0,
+            false_wake_ups: 0,
             failed: Vec::new(),
             before: Vec::new(),
         }
@@ -121,7 +121,7 @@ impl Plain {
         };
         self.sensing_ttis += u64::from(delta);
         self.failed_ttis += u64::from(delta && !is_paid);
-        self.dark_ttis += u64::from(!delta && !is_paid);
+        self.unpowered_ttis += u64::from(!delta && !is_paid);
         self.failed.push(!is_paid);
         self.state = match (delta, is_paid) {
             (true, true) => DeviceState::Idle,
@@ -135,7 +135,7 @@ impl Plain {
 
     /// Goes through a false wake-up and returns whether the battery could pay for it.
     fn wakes_for_nothing(&mut self) -> bool {
-        self.false_wakes += 1;
+        self.false_wake_ups += 1;
         let is_paid = self.pays(self.costs.e_idle, 1);
         self.state = if is_paid { ASLEEP } else { DARK };
         is_paid
@@ -170,8 +170,8 @@ impl Plain {
             low_ttis: self.low_ttis,
             sensing_ttis: self.sensing_ttis,
             failed_ttis: self.failed_ttis,
-            dark_ttis: self.dark_ttis,
-            false_wakes: self.false_wakes,
+            unpowered_ttis: self.unpowered_ttis,
+            false_wake_ups: self.false_wake_ups,
         }
     }
 
@@ -210,7 +210,7 @@ fn of_sensed(sensed: &SenseOutcome) -> Came {
 
 fn of_woken(woken: &WakeOutcome) -> Came {
     match woken {
-        WakeOutcome::Unheard => None,
+        WakeOutcome::Missed => None,
         WakeOutcome::Reported(_) => Some(Ok(())),
         WakeOutcome::Failed(failure) => Some(Err(failure.drained.micro())),
         WakeOutcome::Lost(_) | WakeOutcome::Late { .. } => panic!("nothing is lost, and it was not late: {woken}"),
@@ -220,16 +220,16 @@ fn of_woken(woken: &WakeOutcome) -> Came {
 /// Radios that never fail, fail rarely, and fail often.
 fn any_radio() -> impl Strategy<Value = RadioSettings> {
     let p = || prop_oneof![1 => Just(0.0), 2 => 0.0..0.2_f64, 1 => 0.5..=1.0_f64];
-    (p(), p()).prop_map(|(wake_miss, false_wake)| RadioSettings {
+    (p(), p()).prop_map(|(wake_miss, false_wake_up)| RadioSettings {
         wake_miss,
-        false_wake,
+        false_wake_up,
         ..RadioSettings::default()
     })
 }
 
 /// Whether device 7 of a run with seed 1 has a false wake-up, for each of the first `ttis` TTIs: gap by gap.
 fn startled(radio: &RadioSettings, ttis: u64) -> Vec<bool> {
-    let (law, mut stream) = (Geometric::new(radio.false_wake), Stream::new(1, Purpose::FalseWakes, 7));
+    let (law, mut stream) = (Geometric::new(radio.false_wake_up), Stream::new(1, Purpose::FalseWakes, 7));
     let mut gap = law.draw(&mut stream);
     let each = (0..ttis).map(|_| {
         gap -= 1;
@@ -250,45 +250,45 @@ proptest! {
         costs in any_costs(),
         radio in any_radio(),
         rows in prop::collection::vec(prop_oneof![4 => Just(0), 1 => 0..200_u64], 1..30),
-        steps in prop::collection::vec((happening(), prop::option::weighted(0.1, duty_cycle())), 1..120),
+        steps in prop::collection::vec((incident(), prop::option::weighted(0.1, duty_cycle())), 1..120),
     ) {
         let (mut machine, world) = device_with(radio, costs, &rows);
         let startled = startled(&radio, steps.len() as u64);
         let mut plain = Plain::new(costs);
         let mut duty = DutyCycle::ASLEEP;
-        for (k, (happening, new_duty)) in (0..).zip(&steps) {
+        for (k, (notification, new_duty)) in (0..).zip(&steps) {
             if let Some(new_duty) = new_duty {
                 duty = *new_duty;
                 machine.set_duty(Tti(k), duty);
             }
             let delta = (k + u64::from(duty.offset)) % u64::from(duty.t_drx) < u64::from(duty.t_on);
-            if matches!(happening, Incident::Settled) {
+            if matches!(notification, Incident::Settled) {
                 machine.advance_to(Tti(k));
                 prop_assert_eq!(machine.totals(), plain.totals(), "before TTI {}", k);
             }
             plain.starts(rows[k as usize % rows.len()], delta, startled[k as usize]);
-            if let Incident::Event { distance, .. } = *happening {
+            if let Incident::Event { distance, .. } = *notification {
                 let is_sensed = plain.state == DeviceState::Idle && distance <= 4.0;
                 let expected = is_sensed.then(|| plain.transmits());
                 prop_assert_eq!(of_sensed(&machine.sense(Tti(k), &event(distance), &world)), expected, "TTI {}", k);
             }
-            if let Incident::Woken { distance } | Incident::Event { distance, is_woken: true } = *happening {
+            if let Incident::Woken { distance } | Incident::Event { distance, is_woken: true } = *notification {
                 let hears = unit_for_pair(1, Purpose::WakeMiss, 7, k) >= radio.wake_miss;
                 let expected = (plain.state == ASLEEP && hears).then(|| plain.transmits());
                 prop_assert_eq!(of_woken(&machine.wake(Tti(k), Some(&event(distance)), &world)), expected, "TTI {}", k);
             }
-            if matches!(happening, Incident::Late) {
+            if matches!(notification, Incident::Late) {
                 let hears = unit_for_pair(1, Purpose::WakeMiss, 7, k) >= radio.wake_miss;
                 let expected = if plain.state == ASLEEP && hears {
                     let before = plain.level;
                     let powered = plain.wakes_for_nothing();
                     WakeOutcome::Late { spent: micro(before - plain.level), powered }
                 } else {
-                    WakeOutcome::Unheard
+                    WakeOutcome::Missed
                 };
                 prop_assert_eq!(machine.wake(Tti(k), None, &world), expected, "TTI {}", k);
             }
-            if matches!(happening, Incident::Event { .. } | Incident::Woken { .. } | Incident::Late) {
+            if matches!(notification, Incident::Event { .. } | Incident::Woken { .. } | Incident::Late) {
                 prop_assert_eq!((machine.state(), machine.battery()), (plain.state, micro(plain.level)), "TTI {}", k);
             }
             plain.ends();

@@ -67,7 +67,7 @@ pub(super) enum JournalHeader {
 
 impl JournalHeader {
     /// Parses `line` as the header of the sweep called `name`.
-    pub(super) fn of(line: &[u8], name: &str) -> Option<Self> {
+    pub(super) fn parse(line: &[u8], name: &str) -> Option<Self> {
         let text = std::str::from_utf8(line).ok()?;
         let Some(text) = text.strip_suffix('\n') else {
             let seeds = text.strip_prefix(name).and_then(|rest| rest.strip_prefix(' '));
@@ -84,8 +84,8 @@ impl JournalHeader {
 /// Explains why a journal of `held` seeds a cell cannot become one of `seeds`.
 pub(super) fn fewer(held: u64, seeds: u64) -> String {
     format!(
-        "holds the runs of {held} seeds a cell, more than the {seeds} asked for: they can be raised, not lowered; \
-         give --seeds {held} or more, or choose another folder by --out"
+        "holds the runs of {held} seeds a cell, more than the requested {seeds}; use --seeds {held} or more, or choose \
+         another folder with --out"
     )
 }
 

@@ -41,7 +41,7 @@ fn trained(scenario: &Scenario, devices: u32, episodes: u64, ttis: u64) -> Table
     let mut trainer = Trainer::new(scenario, &[devices], &[], &training(episodes, ttis)).expect("a training");
     assert!(
         trainer.train(1, &|_| Ok(()), &()).expect("no file is written"),
-        "nobody stops it"
+        "it is not stopped"
     );
     trainer.learned().entries.swap_remove(0)
 }

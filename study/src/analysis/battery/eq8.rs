@@ -5,7 +5,7 @@
 //! Each term is the probability of E successes in B trials. The terms belong to a different distribution for each B, so
 //! their events are not disjoint and the sum is not a probability. The sum is Pr(the (E+1)-th success comes within M +
 //! 1 trials) / P, which tends to 1/P. It rises with P, the chance to *spend*. A larger harvest makes M, and hence the
-//! sum, smaller. The text names the regularized β_{1−P}(E + 1, E_max + 1). That value lies in [0, 1], but it is not the
+//! sum, smaller. The text names the regularised β_{1−P}(E + 1, E_max + 1). That value lies in [0, 1], but it is not the
 //! sum and does not depend on the harvest.
 
 use statrs::function::beta::beta_reg;

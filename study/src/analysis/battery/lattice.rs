@@ -49,8 +49,8 @@ impl Lattice {
         let [e_max, e_idle, e_wur, e_tx, e_b] = energies.map(|e| quanta(e, per_unit));
         if e_max >= MOST_LEVELS {
             let allowed = format!(
-                "with {per_unit} quanta a unit the battery has {} levels, and {MOST_LEVELS} are the most that the \
-                 chain takes; use a smaller battery or coarser costs",
+                "with {per_unit} quanta per unit the battery has {} levels, but the chain takes at most {MOST_LEVELS}; \
+                 use a smaller battery or coarser costs",
                 e_max + 1
             );
             return Err(AnalysisError::invalid("energy.e_max", &model.e_max.units(), allowed));
@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_no_lattice_is_refused() {
+    fn values_without_a_lattice_are_refused() {
         let odd = Lattice::new(&model([100.0, 1.0, 0.071_234, 10.0]), Energy::from_micro(1));
         assert!(odd.expect_err("no lattice").to_string().contains("common quantum"));
         let large = Lattice::new(&model([10_000.0, 1.0, 0.01, 10.0]), Energy::from_micro(1_000_000));

@@ -138,17 +138,13 @@ impl BatteryStudy {
     fn check(&self) -> Result<(), AnalysisError> {
         self.drive().check()?;
         if self.e_b == Energy::ZERO {
-            return Err(AnalysisError::invalid(
-                "e-b",
-                &0,
-                "must be above 0 units, or nothing is ever harvested",
-            ));
+            return Err(AnalysisError::invalid("e-b", &0, "must be above 0 units"));
         }
         let SampleConfig {
             devices, ttis, warm_up, ..
         } = self.sample;
         if devices < FEWEST_DEVICES {
-            let allowed = format!("must be at least {FEWEST_DEVICES}: intervals are taken between devices");
+            let allowed = format!("must be at least {FEWEST_DEVICES}, because intervals are computed between devices");
             return Err(AnalysisError::invalid("devices", &devices, allowed));
         }
         let all = ttis.saturating_add(warm_up).saturating_mul(u64::from(devices));
@@ -250,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn the_chain_is_what_the_machines_do() {
+    fn the_chain_agrees_with_the_machines() {
         for e_b in [1.0, 5.0, 10.0] {
             for (t_on, t_drx, activation) in [(1, 2, 0.0), (1, 5, 0.0), (2, 16, 0.0), (0, 1, 0.0), (1, 8, 0.02)] {
                 let study = study(e_b, t_on, t_drx, activation);

@@ -20,7 +20,7 @@ pub struct TransitionCounts(pub [[u64; 4]; 4]);
 
 impl TransitionCounts {
     /// Number of transitions S_m → S_n, with m and n in 1 ..= 4.
-    pub const fn of(&self, m: usize, n: usize) -> u64 {
+    pub const fn count(&self, m: usize, n: usize) -> u64 {
         self.0[m - 1][n - 1]
     }
 
@@ -119,7 +119,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_way_through_a_tti_is_told_from_its_end() {
+    fn transitions_within_a_tti_follow_from_its_end() {
         let (idle, wur, none) = (Energy::from_micro(10), Energy::from_micro(3), Energy::ZERO);
         let dark = DeviceState::Sleep { powered: false };
         let path = |state, on, spent, cost| {

@@ -276,8 +276,8 @@ impl SweepFigureSpec {
     ) -> String {
         let counts = || points.iter().map(|point| point.runs());
         let runs = runs_in_words((counts().min().unwrap_or(0), counts().max().unwrap_or(0)));
-        let mut text = format!("{runs} a point, mean with its 95 % interval as band and bar.");
-        let told: Vec<String> = self.told(facet, points);
+        let mut text = format!("{runs} per point, mean with its 95 % interval as band and bar.");
+        let told: Vec<String> = self.point_rows(facet, points);
         if !told.is_empty() {
             let _ = write!(text, " With {}.", told.join(", "));
         }
@@ -291,7 +291,7 @@ impl SweepFigureSpec {
     }
 
     /// Returns the fields with equal values in all runs of a figure, as text: first the facet, then the others.
-    fn told(&self, facet: &[(String, String)], points: &[&SweepPoint<'_>]) -> Vec<String> {
+    fn point_rows(&self, facet: &[(String, String)], points: &[&SweepPoint<'_>]) -> Vec<String> {
         let mut told: Vec<String> = facet
             .iter()
             .map(|(field, value)| format!("{field} = {value}"))
@@ -340,7 +340,7 @@ pub fn several(pictures: &[SweepFigure]) -> Option<String> {
     let [first, _, ..] = pictures else { return None };
     let fields: Vec<&str> = first.facet.iter().map(|(field, _)| field.as_str()).collect();
     Some(format!(
-        "the runs differ in {} as well: {} pictures, one for each of the values",
+        "the runs also differ in {}: {} figures, one for each combination of values",
         fields.join(", "),
         pictures.len()
     ))

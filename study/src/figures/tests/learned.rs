@@ -62,7 +62,7 @@ fn learned(sizes: &[u32], episodes: u64) -> LearnedTables {
             epsilon: (0.1, 0.03),
             seed: 1,
         },
-        setting: TrainingSite::of(&scenario(&[]).site()),
+        setting: TrainingSite::from_site(&scenario(&[]).site()),
         entries: sizes.iter().map(entry).collect(),
     }
 }
@@ -195,14 +195,14 @@ fn a_cell_is_the_advantage_and_is_framed_where_the_policy_senses() {
         "μ1 = 14, μ2 = 1.6, ζ = 0.95",
         "with N = 10 on 400 m²",
         "sensing.d_max = 4",
-        "what it brings at once",
+        "the immediate reward",
     ] {
         assert!(text.contains(part), "no {part:?} in {text}");
     }
 }
 
 #[test]
-fn an_n_without_tables_is_refused_with_those_there_are() {
+fn an_n_without_tables_lists_the_available_ones() {
     let refused =
         q_table::entry("a.json", &learned(&[10, 250], 1), 50, Some(Lookback::Window(4))).expect_err("no entry");
     assert!(matches!(refused, FigureError::NoEntry { devices: 50, .. }));
@@ -234,7 +234,7 @@ fn information_is_drawn_against_energy_with_intervals_in_both_directions() {
     let knn = &chart.series[0].samples;
     assert!(
         (knn[0].y - 0.1).abs() < 1e-12 && (knn[1].y - 0.5).abs() < 1e-12,
-        "by rising N: {knn:?}"
+        "in order of N: {knn:?}"
     );
     // t(2) = 4.302653, and 0.1 / √3.
     assert!((knn[1].half - 4.302_653 * 0.1 / 3.0_f64.sqrt()).abs() < 1e-5, "{knn:?}");
@@ -317,6 +317,6 @@ fn settings_drawn_together_have_a_line_for_each_policy_and_shared_runs_once() {
     assert!(
         chart
             .caption
-            .starts_with("Preset paper, also changed as the legend says; 2 runs of 2000 TTIs")
+            .starts_with("Preset paper, with the changes in the legend; 2 runs of 2000 TTIs")
     );
 }

@@ -97,7 +97,10 @@ fn every_figure_of_the_paper_is_drawn() {
         assert_eq!(names, ["knn", "random", "genie"]);
         let genie = &drawing.chart.series[2].samples[0];
         let mean = if figure.is_per_device { 0.225 } else { 2.25 };
-        assert!((genie.y - mean).abs() < 1e-12, "the mean of what is defined: {genie:?}");
+        assert!(
+            (genie.y - mean).abs() < 1e-12,
+            "the mean of the defined values: {genie:?}"
+        );
         let csv = figure.csv(condition, &drawing);
         if figure.is_per_device {
             let knn = format!("measured,paper,knn,10,{}/n,3.3,0.4968", figure.metric);
@@ -202,9 +205,10 @@ fn harvest_and_net_are_drawn() {
     check("harvest", &harvest.scene());
     assert_eq!(harvest.marks.len(), 8, "four for N = 10, four for N = 250");
     assert!(
-        harvest
-            .caption
-            .contains("not of the table, but of 8 runs with N = 20 and 2000 TTIs made for this picture"),
+        harvest.caption.contains(
+            "Points: 8 runs with N = 20 and 2000 TTIs, made for this figure under preset paper (not from the \
+                table)"
+        ),
         "{}",
         harvest.caption
     );
@@ -258,7 +262,7 @@ fn deployments_and_timelines_are_drawn_for_every_policy() {
         let policy = format!("policy.name={policy}");
         let n = format!("devices={n}");
         let scenario = scenario(&[&policy, &n, "ttis=300", "policy.adjusted.pilot_ttis=100"]);
-        let moment = deployment::EventScene::of(&scenario, None).expect("an event");
+        let moment = deployment::EventScene::from_scenario(&scenario, None).expect("an event");
         assert_eq!(moment.roles.len(), scenario.run.devices as usize);
         let reports = moment
             .roles
@@ -267,23 +271,23 @@ fn deployments_and_timelines_are_drawn_for_every_policy() {
         assert_eq!(
             reports.count() as u64,
             moment.event.tally.reports,
-            "{policy}: who reported is who is drawn"
+            "{policy}: the drawn reporters are the devices that reported"
         );
         check("deployment", &deployment::scene(&scenario, &moment));
-        let shown = timeline::Timeline::of(&scenario, &[], 30, 120).expect("a timeline");
+        let shown = timeline::Timeline::from_scenario(&scenario, &[], 30, 120).expect("a timeline");
         check("timeline", &timeline::scene(&scenario, &shown));
     }
 }
 
 #[test]
-fn an_event_that_nobody_reported_can_be_drawn() {
+fn an_event_without_a_report_can_be_drawn() {
     let scenario = scenario(&["policy.name=random", "devices=3", "ttis=300"]);
     let all = super::run_walk::events(&scenario);
     let unseen = all
         .iter()
         .find(|e| e.tally.reports == 0)
         .expect("three devices miss some");
-    let moment = deployment::EventScene::of(&scenario, Some(unseen.event.0)).expect("an event");
+    let moment = deployment::EventScene::from_scenario(&scenario, Some(unseen.event.0)).expect("an event");
     check("unseen", &deployment::scene(&scenario, &moment));
 }
 
@@ -341,7 +345,7 @@ fn tables_are_put_together_by_what_was_run() {
 }
 
 #[test]
-fn settings_of_tables_of_one_name_have_names_of_their_own() {
+fn settings_of_tables_with_equal_names_get_separate_names() {
     let (_, table) = fixtures::table("paper", "mean_battery", &RUNS[..2]);
     let table = |hash: u8| {
         let mut changed = table.clone();

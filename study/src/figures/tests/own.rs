@@ -121,7 +121,7 @@ fn any_field_has_the_lines() {
 }
 
 #[test]
-fn wishes_that_cannot_be_drawn_say_what_there_is() {
+fn errors_of_invalid_requests_list_the_options() {
     let refused = |wish: SweepFigureSpec, parts: &[&str]| {
         let error = draw(&wish).expect_err("nothing to draw").to_string();
         assert!(parts.iter().all(|part| error.contains(part)), "{error}");
@@ -130,7 +130,7 @@ fn wishes_that_cannot_be_drawn_say_what_there_is() {
     refused(wish("harvest.lamda", "policy", &[]), &["`harvest.lamda`", all]);
     refused(wish("devices", "colour", &[]), &["`colour`", all]);
     refused(wish("devices", "policy", &[("colour", "red")]), &["`colour`", all]);
-    refused(wish("policy", "devices", &[]), &["knn is no number", "--by policy"]);
+    refused(wish("policy", "devices", &[]), &["knn is not a number", "--by policy"]);
     refused(wish("devices", "devices", &[]), &["--x devices --by devices"]);
     refused(
         wish("devices", "policy", &[("harvest.lambda", "0.2")]),
@@ -168,13 +168,13 @@ fn too_many_lines_or_pictures_are_refused() {
     assert!(lines.contains("30 lines") && lines.contains("--where"), "{lines}");
     let pictures = error(wish("devices", "policy", &[]));
     assert!(
-        pictures.contains("harvest.lambda as well") && pictures.contains("24 pictures"),
+        pictures.contains("differ in harvest.lambda") && pictures.contains("24 figures"),
         "{pictures}"
     );
 }
 
 #[test]
-fn rankings_are_lines_beside_each_other_or_a_field() {
+fn rankings_are_separate_lines_or_a_field() {
     let text = |value: &str| SweptValue::Text(value.to_owned());
     let runs: [(&str, u32, SweptValue, &[f64]); 4] = [
         ("knn", 10, text("p42"), &[0.2, 0.22]),

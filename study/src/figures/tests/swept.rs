@@ -55,7 +55,7 @@ fn rankings_are_series_of_one_picture() {
 }
 
 #[test]
-fn tables_of_different_rankings_stand_side_by_side() {
+fn tables_of_different_rankings_share_a_picture() {
     let runs: [(&str, u32, &[f64]); 1] = [("knn", 10, &[0.2, 0.22])];
     let plain = fixtures::table("paper", "info_p1", &runs);
     let ranked = [("knn", 10, text("posterior"), &[0.3, 0.32][..])];
@@ -70,7 +70,7 @@ fn tables_of_different_rankings_stand_side_by_side() {
     assert_eq!(both.conditions.len(), 1);
     assert_eq!(both.conditions[0].policies(), ["knn", "knn+posterior"]);
     let alone = Results::new(&[("b".to_owned(), ranked)], &NoFiles).expect("runs");
-    assert_eq!(alone.conditions[0].policies(), ["knn"], "there is nothing beside it");
+    assert_eq!(alone.conditions[0].policies(), ["knn"], "there is no other policy");
     assert_eq!(alone.conditions[0].label(), "paper, bs.ranking = posterior");
 }
 

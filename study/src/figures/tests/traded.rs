@@ -8,7 +8,7 @@ use super::super::{front, pareto};
 use super::{Results, check, fixtures};
 
 #[test]
-fn delay_has_a_picture_of_its_own_without_marks() {
+fn delay_has_a_separate_picture_without_marks() {
     let runs: [(&str, u32, &[f64]); 3] = [
         ("knn", 250, &[0.1, 0.2]),
         ("knn", 10, &[2.0, 2.5]),
@@ -37,7 +37,7 @@ fn delay_has_a_picture_of_its_own_without_marks() {
 }
 
 #[test]
-fn the_energy_floor_stands_at_the_information_of_the_genie() {
+fn the_energy_floor_is_at_the_information_of_the_genie() {
     let runs: [(&str, u32, &[f64]); 5] = [
         ("knn", 250, &[0.4, 0.5]),
         ("knn", 10, &[0.1, 0.1]),

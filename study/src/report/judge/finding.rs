@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn the_interval_of_a_ratio_of_pairs_is_that_of_their_residuals() {
+    fn the_interval_of_a_ratio_of_pairs_follows_from_residuals() {
         // b is half of a, except for ±0.1: residuals a − 2b of 0.2, −0.4, 0.2, whose deviation is √0.12.
         let (a, b) = ([2.0, 4.0, 6.0], [0.9, 2.2, 2.9]);
         let pairs: Vec<(f64, f64)> = a.into_iter().zip(b).collect();
@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn the_interval_of_a_gap_is_that_of_the_differences() {
+    fn the_interval_of_a_gap_follows_from_differences() {
         let (a, b) = ([2.0, 4.0, 6.0], [1.0, 3.1, 4.9]);
         let pairs: Vec<(f64, f64)> = a.into_iter().zip(b).collect();
         let [value, low, high] = gap(&reading(&b), &reading(&a), &pairs);
@@ -229,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn a_ratio_to_nothing_is_what_people_mean() {
+    fn a_ratio_to_zero_is_defined() {
         let none = MetricEstimate {
             counted: Some(CaseCounts { cases: 0, events: 30 }),
             upper: Some(0.1),

@@ -66,7 +66,7 @@ fn a_value_is_met_within_5_percent_and_near_within_20() {
 }
 
 #[test]
-fn ranges_are_met_within_and_near_beside_them_and_bounds_have_no_near() {
+fn ranges_have_a_near_margin_and_bounds_have_none() {
     const RANGE: &[Claim] = &[one(Statement::Between(10.0, 20.0))];
     const BELOW: &[Claim] = &[one(Statement::Below(6.0))];
     const ABOVE: &[Claim] = &[one(Statement::Above(6.0))];
@@ -142,7 +142,7 @@ fn order_counts_where_the_value_does_not_fit() {
     assert_eq!(
         verdict(THREE, &[("knn", 250, &[50.0; 2])]).0,
         Verdict::NotReproduced,
-        "nobody to compare with"
+        "no policy to compare with"
     );
     let runs: [(&str, u32, &[f64]); 2] = [("knn", 250, &[50.0; 2]), ("random", 250, &[60.0; 2])];
     assert_eq!(
@@ -153,7 +153,7 @@ fn order_counts_where_the_value_does_not_fit() {
 }
 
 #[test]
-fn an_order_that_the_paper_states_counts_for_the_figures_beside_it() {
+fn a_stated_order_counts_for_the_values_next_to_it() {
     // The paper gives no figure for random, only that it is above knn.
     const STATED: &[Claim] = &[
         about(10.0),
@@ -189,7 +189,7 @@ fn a_ratio_takes_part_in_the_order_by_the_figure_it_stands_for() {
 }
 
 #[test]
-fn an_order_is_firm_if_intervals_are_apart_and_its_lack_if_one_pair_is_surely_wrong() {
+fn an_order_is_firm_if_intervals_are_apart_or_one_pair_is_wrong() {
     const THREE: &[Claim] = &[
         about(10.0),
         claim("random", At(250), Own, Statement::About(20.0)),
@@ -264,7 +264,7 @@ fn runs_with_the_same_seeds_tell_an_order_that_their_spread_would_hide() {
 }
 
 #[test]
-fn up_to_is_of_the_largest_over_n() {
+fn up_to_means_the_largest_over_n() {
     const MOST: &[Claim] = &[claim("knn", Everywhere, Ratio(&["random"]), Statement::Largest(4.5))];
     const LEAST: &[Claim] = &[claim("knn", Everywhere, Ratio(&["random"]), Statement::Smallest(0.5))];
     let of = |claims, ratios: [f64; 3]| {
@@ -329,7 +329,7 @@ fn what_is_level_stays_within_20_percent_of_the_middle() {
     assert_eq!(of(8.1, 11.9, 0.0), (Verdict::Reproduced, true));
     assert_eq!(of(7.9, 12.1, 0.0), (Verdict::NotReproduced, true));
     assert_eq!(of(8.005, 12.0, 0.0), (Verdict::Reproduced, false));
-    assert_eq!(of(0.01, 0.05, 10.0).0, Verdict::Reproduced, "both are next to nothing");
+    assert_eq!(of(0.01, 0.05, 10.0).0, Verdict::Reproduced, "both are almost zero");
     assert_eq!(of(0.01, 0.05, 1.0).0, Verdict::NotReproduced);
 }
 
@@ -397,7 +397,7 @@ fn a_claim_for_many_n_must_hold_at_each() {
 }
 
 #[test]
-fn policies_that_were_not_run_are_said_so() {
+fn policies_without_runs_are_named() {
     const ABSENT: &[Claim] = &[claim("dt", At(250), Own, Statement::About(1.0))];
     let judgement = judged(&topic(ABSENT), &[("knn", 250, &[1.0])]);
     assert_eq!(judgement.verdict, Verdict::NotRun);

@@ -10,12 +10,11 @@ use super::super::phrasing::number;
 use super::{ClaimSplit, RankedSetting, SettingSearch};
 
 /// Explanation of the ranking and of its limits.
-pub(crate) const RULE: &str = "Every claim has a number, in the order of the report. Settings are ranked by the \
-    claims with even numbers alone: by how many are reproduced, then by how many are within 20 %. The claims with \
-    odd numbers have no part in that; how many of those a setting meets tells whether its rank is more than luck. \
-    Claims that were not run count for nobody. Neither verdict looks at another claim. Both halves come from the \
-    same runs, and sentences about several policies are several claims, so that the halves are not independent of \
-    each other.";
+pub(crate) const RULE: &str = "Every claim has a number, in the order of the report. Settings are ranked by the claims \
+    with even numbers alone: by how many are reproduced, then by how many are within 20 %. The claims with odd numbers \
+    do not affect the rank; the number of them that a setting meets shows whether its rank is more than luck. Claims \
+    that were not run do not count. Each verdict is independent of the other claims. Both halves come from the same \
+    runs, and a sentence about several policies gives several claims, so the halves are not independent of each other.";
 
 /// Renders the whole page, with the first `count` settings and the presets.
 pub fn markdown(search: &SettingSearch<'_>, count: usize, command: &str) -> String {
@@ -86,7 +85,7 @@ pub fn summary(search: &SettingSearch<'_>) -> Vec<String> {
     }
     if let Some(together) = search.correlation() {
         sentences.push(format!(
-            "Over all settings the numbers of claims met in the two halves correlate by {together:.2}."
+            "Over all settings, the numbers of claims met in the two halves have a correlation of {together:.2}."
         ));
     }
     sentences
@@ -183,7 +182,7 @@ fn effects(search: &SettingSearch<'_>) -> String {
         ]
     });
     format!(
-        "\n## What each value does\n\nOver all settings that have it.\n\n{}",
+        "\n## Effect of each value\n\nOver all settings with this value.\n\n{}",
         table(&heads, rows)
     )
 }
@@ -213,7 +212,7 @@ fn unmet(search: &SettingSearch<'_>) -> String {
             ours.why.clone(),
         ]
     });
-    format!("\n## What no setting meets\n\n{}", table(&heads, rows))
+    format!("\n## Claims that no setting meets\n\n{}", table(&heads, rows))
 }
 
 /// Lists every claim, its half, the number of settings that meet it, and its verdicts under presets and best setting.

@@ -45,7 +45,7 @@ fn alphas(search: &SettingSearch<'_>) -> Vec<String> {
 }
 
 #[test]
-fn settings_that_meet_more_claims_stand_first() {
+fn settings_that_meet_more_claims_come_first() {
     let results = results(&[(0.3, ELSEWHERE), (0.1, NEXT_TO_IT), (0.4, AS_STATED)]);
     let search = SettingSearch::new(ClaimReport::new(&results));
     assert_eq!(alphas(&search), ["0.4", "0.1", "0.3"]);
@@ -95,7 +95,7 @@ fn ranked_without(search: &SettingSearch<'_>, half: ClaimSplit) -> Vec<usize> {
 }
 
 #[test]
-fn the_held_out_half_has_no_part_in_the_ranking() {
+fn the_held_out_half_does_not_affect_the_ranking() {
     let results = results(&[(0.3, ELSEWHERE), (0.1, NEXT_TO_IT), (0.4, AS_STATED)]);
     let search = SettingSearch::new(ClaimReport::new(&results));
     let ranked: Vec<usize> = search.settings.iter().map(|setting| setting.column).collect();
@@ -124,7 +124,7 @@ fn equal_scores_share_a_place_and_presets_are_always_shown() {
 }
 
 #[test]
-fn what_none_meets_has_the_figure_that_comes_closest() {
+fn unmet_claims_have_the_closest_value() {
     let far = [0.5, 0.145, 0.34, 0.10];
     let near = [0.5, 0.145, 0.34, 0.17];
     let results = results(&[(0.3, far), (0.4, near)]);
@@ -153,7 +153,7 @@ fn what_none_meets_has_the_figure_that_comes_closest() {
 }
 
 #[test]
-fn a_value_is_told_by_the_mean_of_its_settings() {
+fn a_value_has_the_mean_of_its_settings() {
     let results = results(&[(0.3, ELSEWHERE), (0.4, AS_STATED)]);
     let search = SettingSearch::new(ClaimReport::new(&results));
     let effects = search.effects();

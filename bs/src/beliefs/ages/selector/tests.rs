@@ -126,7 +126,7 @@ fn without_a_price_no_place_in_reach_is_left_out_and_nobody_idle_is_chosen() {
             }
             for device in &chosen {
                 ages.remove(device.index());
-                assert!(ages.gain(device.index()) > 0.0, "{device:?} looks at what others do");
+                assert!(ages.gain(device.index()) > 0.0, "{device:?} is redundant");
                 ages.add(device.index());
             }
             ages.advance(false);

@@ -49,7 +49,7 @@ pub enum ModelError {
         wanted: String,
     },
     /// A tensor is missing or unexpected, or has another shape or type.
-    #[error("its tensor {name} is {found}, not {wanted}; the file is damaged or of another program")]
+    #[error("its tensor {name} is {found}, not {wanted}; the file is damaged or from another program")]
     Tensor {
         /// Name of the tensor.
         name: String,
@@ -302,7 +302,7 @@ fn tensor(file: &SafeTensors<'_>, name: &str, size: &[usize]) -> Result<Vec<f32>
         found,
         wanted: format!("F32 {size:?}"),
     };
-    let view = file.tensor(name).map_err(|_| wrong("not there".to_owned()))?;
+    let view = file.tensor(name).map_err(|_| wrong("missing".to_owned()))?;
     if view.dtype() != Dtype::F32 || view.shape() != size {
         return Err(wrong(format!("{:?} {:?}", view.dtype(), view.shape())));
     }

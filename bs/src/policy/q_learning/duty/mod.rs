@@ -50,7 +50,7 @@ struct Decision {
     /// By device, the coverage credited to it, in the unit of `all`.
     credits: Vec<f64>,
     /// U(k), the uncovered part.
-    left: f64,
+    unused: f64,
     /// Total that can be covered: the area, or with ages its worth.
     all: f64,
 }
@@ -144,7 +144,7 @@ impl Duty {
         }
         self.last = Some(Decision {
             shares,
-            left: self.ground.left(),
+            unused: self.ground.left(),
             all: self.ground.all(),
             credits: self.ground.credits(&chosen, &gains),
         });
@@ -191,7 +191,7 @@ impl Duty {
         let Decision {
             shares,
             credits,
-            left,
+            unused: left,
             all,
         } = self.last.as_ref()?;
         let n = shares.len() as f64;

@@ -61,12 +61,12 @@ pub enum LearnedError {
     Foreign(String),
     /// The file has another format version.
     #[error(
-        "has version {0} of the form of learned tables, this program reads {VERSION}; train again: \
+        "has version {0} of the format of learned tables, and this program reads {VERSION}; train again: \
          reveille train q-learning"
     )]
     Version(u64),
     /// The file was modified or truncated.
-    #[error("is damaged: {0}; take a copy or train again: reveille train q-learning")]
+    #[error("is damaged: {0}; restore a copy or train again: reveille train q-learning")]
     Damaged(String),
 }
 
@@ -123,8 +123,8 @@ impl LearnedTables {
         let bytes = files.read(path, LONGEST).map_err(|error| match error {
             FileError::Io(error) => LearnedError::Read(error),
             FileError::Folder => LearnedError::Read(io::ErrorKind::IsADirectory.into()),
-            FileError::Special => LearnedError::Foreign("it is no regular file".to_owned()),
-            FileError::TooLong { length, .. } => LearnedError::Foreign(format!("it has {length} bytes")),
+            FileError::Special => LearnedError::Foreign("it is not a regular file".to_owned()),
+            FileError::TooLong { length, .. } => LearnedError::Foreign(format!("it is too long, {length} bytes")),
         })?;
         let text = String::from_utf8(bytes).map_err(|error| LearnedError::Foreign(error.to_string()))?;
         Self::parse(&text)
@@ -152,7 +152,7 @@ impl LearnedTables {
         // Checked before parsing, since a damaged body can still be valid JSON.
         if sha256(body) != head.sha256 {
             return Err(LearnedError::Damaged(
-                "its checksum is that of another content".to_owned(),
+                "its checksum does not match its content".to_owned(),
             ));
         }
         let mut body: FileBody = serde_json::from_str(body).map_err(damaged)?;
@@ -218,7 +218,7 @@ impl LearnedTables {
             ));
         }
         if self.entries.is_empty() {
-            return Err("it holds no entry".to_owned());
+            return Err("it has no entries".to_owned());
         }
         for entry in &self.entries {
             let TableSet {
@@ -237,7 +237,7 @@ impl LearnedTables {
                 return Err(format!("it has an entry for {devices} devices on {surface} m²"));
             }
             if !duty.has_its_size() || ![wake_p42, wake_posterior].into_iter().all(WakeTable::has_its_size) {
-                return Err(format!("the entry for {devices} devices has a table of another size"));
+                return Err(format!("the entry for {devices} devices has a table of the wrong size"));
             }
             let mut cells = duty.cells().chain(&wake_p42.q).chain(&wake_posterior.q);
             if cells.any(|cell| !cell.value.is_finite()) {
@@ -411,7 +411,7 @@ mod tests {
         assert!(LearnedTables::parse(&sealed(body)).is_ok());
         refused(&sealed(&body.replacen("[20.0,0]", "[null,0]", 1)), "damaged");
         refused(&sealed(&body.replacen("[20.0,0]", "[1e999,0]", 1)), "damaged");
-        refused(&sealed(&body.replacen("[20.0,0],", "", 1)), "another size");
+        refused(&sealed(&body.replacen("[20.0,0],", "", 1)), "wrong size");
         refused(&sealed(&body.replacen("\"zeta\":0.95", "\"zeta\":1.5", 1)), "zeta 1.5");
         refused(
             &sealed(&body.replacen("\"window\":1", "\"window\":0", 1)),
@@ -503,7 +503,7 @@ mod tests {
             let preset = name.trim_start_matches("shipped-").trim_end_matches(AGES);
             let mut scenario = load(preset, &set).expect("a preset").scenario;
             assert!(
-                TrainingSite::of(&scenario.site())
+                TrainingSite::from_site(&scenario.site())
                     .differences(&tables.setting)
                     .is_empty(),
                 "{preset}"

@@ -59,7 +59,7 @@ pub struct TrainingSite {
 
 impl TrainingSite {
     /// Extracts the training fields of `site`.
-    pub fn of(site: &Site<'_>) -> Self {
+    pub fn from_site(site: &Site<'_>) -> Self {
         let word = |name: &str, value: &str| (name.to_owned(), value.to_owned());
         let number = |name: &str, value: f64| (name.to_owned(), value);
         let sensing = site.sensing;
@@ -296,7 +296,7 @@ mod tests {
             .iter()
             .map(|set| Override::parse(set).expect("an override"))
             .collect();
-        TrainingSite::of(&load("paper", &set).expect("a scenario").scenario.site())
+        TrainingSite::from_site(&load("paper", &set).expect("a scenario").scenario.site())
     }
 
     #[test]

@@ -46,8 +46,7 @@ impl Journal {
             Err(TryLockError::Error(error)) => return Err(unusable(path, &error)),
             Err(TryLockError::WouldBlock) => {
                 return Err(
-                    "another `reveille sweep` is at work in this folder; wait for its end, or choose another"
-                        .to_owned(),
+                    "another `reveille sweep` uses this folder; wait for its end, or choose another folder".to_owned(),
                 );
             }
         }
@@ -73,7 +72,7 @@ impl Journal {
             .take(LONGEST_HEAD)
             .read_until(b'\n', &mut line)
             .ok()?;
-        match JournalHeader::of(&line, &name_of(identity))? {
+        match JournalHeader::parse(&line, &name_of(identity))? {
             JournalHeader::Torn => None,
             JournalHeader::Seeds(held) => Some(held),
         }
@@ -89,7 +88,7 @@ impl Journal {
         while reader.read_until(b'\n', &mut line).map_err(failed)? > 0 {
             length += line.len() as u64;
             if whole == 0 {
-                match JournalHeader::of(&line, name) {
+                match JournalHeader::parse(&line, name) {
                     None => return Err(foreign(&line)),
                     // `whole` is still 0, so the file is emptied and gets a new first line.
                     Some(JournalHeader::Torn) => break,
@@ -164,7 +163,7 @@ impl Journal {
     fn failed(&self, error: io::Error) -> SweepError {
         SweepError::Journal {
             path: self.path.clone(),
-            kept: self.runs.len(),
+            recorded: self.runs.len(),
             error,
         }
     }
@@ -200,7 +199,7 @@ impl RunStore for Journal {
 
 fn unusable(path: &Path, error: &io::Error) -> String {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    format!("its {name} cannot be used: {error}; free some space, mend the permissions, or choose another folder")
+    format!("its {name} cannot be used: {error}; free some space, correct the permissions, or choose another folder")
 }
 
 #[cfg(test)]

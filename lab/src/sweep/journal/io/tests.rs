@@ -108,7 +108,7 @@ fn a_garbled_line_is_dropped_and_no_other() {
         assert_eq!((journal.runs().len(), journal.dropped()), (2, 0), "byte {at}, again");
         journal.add(JOBS[0], entry(7), 1).expect("written");
         drop(journal);
-        assert_eq!(place.open().runs().len(), 3, "byte {at}, mended");
+        assert_eq!(place.open().runs().len(), 3, "byte {at}, repaired");
     }
 }
 
@@ -125,7 +125,7 @@ fn seeds_are_raised_with_all_runs_and_never_lowered() {
     let raised = fs::read(&place.0).expect("there");
     let reason = Journal::open(&place.0, "me", 3, 19).expect_err("fewer seeds");
     assert!(
-        reason.contains("20 seeds") && reason.contains("the 19 asked for"),
+        reason.contains("20 seeds") && reason.contains("the requested 19"),
         "{reason}"
     );
     assert_eq!(fs::read(&place.0).expect("there"), raised, "untouched");

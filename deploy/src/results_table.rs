@@ -1,0 +1,301 @@
+//! The results of a run as text, for the end of `run`, `up` and `bs`.
+
+use comfy_table::presets::UTF8_FULL_CONDENSED;
+use comfy_table::{CellAlignment, Table};
+use reveille_common::radio::RadioSettings;
+use reveille_common::score::{EventActivity, MetricGroup, Metrics};
+
+use crate::summary::{ClassSummary, Summary};
+
+/// The metrics of every results table, in its order.
+///
+/// The first three show the information that the base station gets, and its share and delay of detection. The next three
+/// show the messages and the wrong activations behind them. The last four show the energy that they cost and leave.
+const MAIN: [&str; 10] = [
+    "info_p1",
+    "misdetection_pct",
+    "detection_delay_ttis",
+    "reports_per_event",
+    "wake_ups_per_event",
+    "wrong_activations_per_event",
+    "energy_per_device_tti",
+    "mean_battery",
+    "low_energy_pct",
+    "unpowered_pct",
+];
+
+/// Whether a radio has a certain impairment.
+type HasImpairment = fn(&RadioSettings) -> bool;
+
+/// The metrics that are always 0 without a certain radio impairment, and whether the radio has the impairment.
+const IMPAIRMENTS: [(&str, HasImpairment); 5] = [
+    ("lost_reports_pct", |radio| {
+        radio.uplink_loss > 0.0 || radio.bursts.is_some()
+    }),
+    ("missed_plans_pct", |radio| {
+        radio.plan_loss > 0.0 || radio.bursts.is_some()
+    }),
+    ("late_wake_ups_pct", |radio| radio.wake_latency > 0),
+    ("wake_up_span_ttis", |radio| radio.wake_latency > 0),
+    ("false_wake_ups_pct", |radio| {
+        radio.false_wake_up > 0.0 || radio.wake_latency > 0
+    }),
+];
+
+/// The metric that is 0 unless `--on-loss continue` has removed devices.
+const REMOVED: &str = "removed_pct";
+
+/// Rows of the results table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Rows {
+    /// The ten metrics that runs are compared by.
+    Main,
+    /// All metrics, without the rows of radio impairments that the scenario leaves off.
+    All,
+}
+
+/// Formats the results of a run.
+pub(crate) fn text(summary: &Summary<'_>, rows: Rows) -> String {
+    let mut lines = vec![
+        format!(
+            "{} · {} devices · {} of {} TTIs · preset {} · seed {}",
+            summary.policy, summary.n, summary.ttis_done, summary.ttis, summary.preset, summary.seed
+        ),
+        metrics(summary, rows),
+        missed(summary),
+    ];
+    lines.extend(classes(&summary.classes, rows));
+    lines.extend(facts(summary));
+    lines.push(timing(summary));
+    if summary.timing.late_ttis > 0 {
+        let (late, most) = (summary.timing.late_ttis, summary.timing.max_late_ms);
+        lines.push(format!("{late} TTIs began late, by at most {most:.1} ms"));
+    }
+    if summary.metrics.removed_pct > 0.0 {
+        lines.push(format!(
+            "{:.2} % of device-TTIs belong to removed devices, which spend no energy",
+            summary.metrics.removed_pct
+        ));
+    }
+    if summary.status != "complete" {
+        lines.push(if summary.totals.ttis == 0 {
+            "interrupted before the end of the warm-up: no TTI was measured".to_owned()
+        } else {
+            "interrupted: the results cover the TTIs that were run".to_owned()
+        });
+    }
+    lines.push(format!("digest {}\n", summary.digest));
+    lines.join("\n")
+}
+
+/// Returns whether `metric` belongs to the table of a run with `radio`, in which it has this value.
+fn is_active(metric: &str, value: f64, radio: &RadioSettings) -> bool {
+    let impairment = IMPAIRMENTS.iter().find(|(of, _)| *of == metric);
+    impairment.is_none_or(|(_, has)| has(radio)) && (metric != REMOVED || value > 0.0)
+}
+
+/// Formats the main metrics; with [`Rows::All`] also the other metrics, by group.
+fn metrics(summary: &Summary<'_>, rows: Rows) -> String {
+    let mut table = Table::new();
+    table
+        .load_style(UTF8_FULL_CONDENSED)
+        .set_header(["metric", "value", "unit"]);
+    let all = summary.metrics.rows();
+    let main = MAIN.iter().filter_map(|name| all.iter().find(|row| row.0 == *name));
+    for (name, value, unit) in main {
+        table.add_row([(*name).to_owned(), number(*value), (*unit).to_owned()]);
+    }
+    if rows == Rows::All {
+        for group in MetricGroup::ALL {
+            table.add_row([group.title().to_uppercase(), String::new(), String::new()]);
+            for (metric, (name, value, unit)) in Metrics::ALL.iter().zip(all) {
+                let is_other = metric.group == group && !MAIN.contains(&name);
+                if is_other && is_active(name, value, &summary.radio) {
+                    table.add_row([format!("  {name}"), number(value), unit.to_owned()]);
+                }
+            }
+        }
+    }
+    if let Some(column) = table.column_mut(1) {
+        column.set_cell_alignment(CellAlignment::Right);
+    }
+    table.to_string()
+}
+
+/// Formats the device classes in columns, if there are several.
+fn classes(classes: &[ClassSummary<'_>], rows: Rows) -> Option<String> {
+    if classes.is_empty() {
+        return None;
+    }
+    let mut table = Table::new();
+    let names = classes
+        .iter()
+        .map(|class| format!("{} ({} devices)", class.name, class.n));
+    table
+        .load_style(UTF8_FULL_CONDENSED)
+        .set_header(std::iter::once("by class".to_owned()).chain(names));
+    let by_device = Metrics::ALL.iter().filter(|metric| metric.group.is_by_device());
+    for metric in by_device.filter(|metric| rows == Rows::All || MAIN.contains(&metric.name)) {
+        let values = classes.iter().map(|class| {
+            class
+                .metrics
+                .get(metric.name)
+                .map_or_else(String::new, |value| number(*value))
+        });
+        table.add_row(std::iter::once(metric.name.to_owned()).chain(values));
+    }
+    for (at, (name, _)) in EventActivity::default().rows().into_iter().enumerate() {
+        let values = classes.iter().map(|class| class.acts.rows()[at].1.to_string());
+        table.add_row(std::iter::once(name.to_owned()).chain(values));
+    }
+    for column in table.column_iter_mut().skip(1) {
+        column.set_cell_alignment(CellAlignment::Right);
+    }
+    Some(table.to_string())
+}
+
+/// Formats the policy's facts; `None` without facts.
+fn facts(summary: &Summary<'_>) -> Option<String> {
+    let facts = summary.policy_facts.iter();
+    let facts: Vec<String> = facts
+        .map(|(name, value)| format!("{name} {}", number(*value)))
+        .collect();
+    (!facts.is_empty()).then(|| facts.join(" · "))
+}
+
+/// Formats the number of events and of missed events, with the share of each cause in all events.
+fn missed(summary: &Summary<'_>) -> String {
+    let (events, missed) = (summary.totals.events, summary.totals.missed);
+    let causes = [
+        (missed.not_sensing, "no device in range sensed"),
+        (missed.lost, "every report was lost"),
+        (missed.no_energy, "no detecting device could pay for a report"),
+        (missed.out_of_reach, "no device within d_max"),
+    ];
+    let causes = causes.iter().filter(|(count, _)| *count > 0);
+    let causes: Vec<String> = causes
+        // A missed event was also counted, so `events` is above 0 here.
+        .map(|(count, cause)| format!("{cause} {:.2} %", 100.0 * *count as f64 / events.events as f64))
+        .collect();
+    let causes = if causes.is_empty() {
+        String::new()
+    } else {
+        format!(": {}", causes.join(", "))
+    };
+    format!("{} of {} events missed{causes}", events.misdetected, events.events)
+}
+
+/// Formats the speed of the run and its hosts.
+fn timing(summary: &Summary<'_>) -> String {
+    let timing = &summary.timing;
+    let mut parts = vec![format!("{:.0} TTIs/s", timing.ttis_per_s)];
+    if timing.hosts > 0 {
+        let plural = if timing.hosts == 1 { "" } else { "es" };
+        parts.push(format!(
+            "{} process{plural} ready in {:.2} s",
+            timing.hosts, timing.ready_s
+        ));
+        parts.push(format!("{} barriers", timing.grants));
+    }
+    if timing.host_rss_mb > 0.0 {
+        let (rss, pss) = (timing.host_rss_mb, timing.host_pss_mb);
+        parts.push(format!("{rss:.1} MB ({pss:.1} MB unshared) per process"));
+    }
+    parts.join(" · ")
+}
+
+fn number(value: f64) -> String {
+    if value.is_nan() {
+        "–".to_owned()
+    } else if value.fract() == 0.0 && value.abs() < 1e15 {
+        format!("{value:.0}")
+    } else {
+        format!("{value:.4}")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use reveille_bs::scenario::{Override, Scenario, load};
+    use reveille_lab::preparation::prepare;
+    use reveille_lab::run::{Run, RunOptions};
+
+    use super::*;
+    use crate::summary::Timing;
+
+    /// Runs `quick` with these overrides, and returns its scenario and results in both forms.
+    fn results(set: &[&str]) -> (Scenario, [String; 2]) {
+        let overrides: Vec<Override> = set
+            .iter()
+            .map(|text| Override::parse(text).expect("FIELD=VALUE"))
+            .collect();
+        let scenario = load("quick", &overrides).expect("a scenario").scenario;
+        let prepared = prepare(&scenario);
+        let options = RunOptions {
+            lookahead: true,
+            window: scenario.run.ttis,
+        };
+        let outcome = Run::new(&prepared, options).finish(&mut ());
+        let summary = Summary::new(&scenario, &outcome, Timing::default());
+        let texts = [Rows::Main, Rows::All].map(|rows| text(&summary, rows));
+        (scenario, texts)
+    }
+
+    /// Returns the names in the first column of the first table of `text`, without titles.
+    fn names(text: &str) -> Vec<&str> {
+        let table = text.lines().skip(1).take_while(|line| !line.starts_with('└'));
+        let cells = table.filter_map(|line| line.split(['│', '┆']).nth(1));
+        let names = cells.map(str::trim).filter(|name| Metrics::named(name).is_some());
+        names.collect()
+    }
+
+    #[test]
+    fn tables_name_metrics_that_exist() {
+        let impairments = IMPAIRMENTS.iter().map(|(name, _)| *name);
+        for name in MAIN.into_iter().chain(impairments).chain([REMOVED]) {
+            assert!(Metrics::ALL.iter().any(|metric| metric.name == name), "{name}");
+        }
+    }
+
+    #[test]
+    fn a_run_shows_ten_metrics_and_all_on_request() {
+        let (_, [main, all]) = results(&[]);
+        assert_eq!(names(&main), MAIN);
+        let shown = names(&all);
+        assert_eq!(shown[..MAIN.len()], MAIN);
+        let inactive = IMPAIRMENTS.map(|(name, _)| name);
+        for metric in &Metrics::ALL {
+            let times = shown.iter().filter(|name| **name == metric.name).count();
+            let expected = usize::from(!inactive.contains(&metric.name) && metric.name != REMOVED);
+            assert_eq!(times, expected, "{}: {all}", metric.name);
+        }
+        for part in [" events missed", " TTIs/s", "digest "] {
+            assert!(main.contains(part) && all.contains(part), "no {part:?}: {main}");
+        }
+    }
+
+    #[test]
+    fn an_impairment_of_the_scenario_has_its_rows() {
+        for (set, rows) in [
+            (&["radio.uplink_loss=0.1"][..], &["lost_reports_pct"][..]),
+            (&["radio.plan_loss=0.1"], &["missed_plans_pct"]),
+            (&["radio.false_wake_up=0.1"], &["false_wake_ups_pct"]),
+            (
+                &["radio.wake_latency=2"],
+                &["late_wake_ups_pct", "wake_up_span_ttis", "false_wake_ups_pct"],
+            ),
+            (
+                &["radio.interference=bursts"],
+                &["lost_reports_pct", "missed_plans_pct"],
+            ),
+        ] {
+            let (scenario, [main, all]) = results(set);
+            assert!(!scenario.radio.is_perfect(), "{set:?}");
+            assert_eq!(names(&main), MAIN, "{set:?}");
+            let shown = names(&all);
+            for (name, _) in IMPAIRMENTS {
+                assert_eq!(shown.contains(&name), rows.contains(&name), "{set:?}: {name}: {all}");
+            }
+        }
+    }
+}

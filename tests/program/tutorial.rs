@@ -1,0 +1,229 @@
+//! Runs the commands of docs/tutorial.md in order, in one folder, and compares their output with the page.
+//!
+//! On the page, the language of a block states its purpose: `sh` holds commands that this test runs, `text` their
+//! output. `python` and `toml` hold files, named in their first line. `console` holds the commands of [`NOT_RUN`].
+
+use std::fs;
+use std::io::{BufRead, BufReader, Write};
+use std::net::{TcpListener, TcpStream};
+use std::os::unix::fs::symlink;
+use std::path::Path;
+use std::process::Command;
+use std::thread;
+
+use reveille_bs::policy::external::wire::{DecisionReply, DecisionRequest, RequestKind};
+use reveille_bs::policy::external::{Decision, DecisionStage};
+use reveille_bs::server::policy_port::client::{self, ClientIdentity};
+use reveille_common::bus::Bus;
+use reveille_common::encoding::Encoding;
+use reveille_common::ids::Tti;
+use reveille_tests::machine::missing;
+use reveille_tests::process::{Folder, PATIENCE, Process, reveille};
+use serde_json::{Value, json};
+
+/// Commands of the page that need a network, a second build or the reader's own terminal.
+const NOT_RUN: [&str; 9] = [
+    "git clone ADDRESS reveille",
+    "cd reveille",
+    "cargo build --release",
+    "export PATH=\"$PWD/target/release:$PATH\"",
+    "mkdir ../first-hour",
+    "cd ../first-hour",
+    "python3 -m venv python",
+    ". python/bin/activate",
+    "pip install '../reveille/python[port]'",
+];
+
+/// A Python module in place of the package `reveille`, which needs a build and a zenoh client. It calls the page's
+/// policy and lets this test speak with the base station.
+const STAND_IN: &str = r#"
+import json, os, socket
+
+def decide(policy):
+    link = socket.create_connection(("127.0.0.1", int(os.environ["TUTORIAL_PORT"])))
+    lines, answers = link.makefile("r"), link.makefile("w")
+    def send(message):
+        print(json.dumps(message), file=answers, flush=True)
+    send([os.environ["REVEILLE_CONNECT"], os.environ["REVEILLE_RUN"], os.environ["REVEILLE_KEY"]])
+    for line in lines:
+        send(policy(json.loads(line)))
+"#;
+
+/// A block of the page.
+struct Block<'p> {
+    language: &'p str,
+    text: &'p str,
+}
+
+/// Returns the blocks of a page.
+fn blocks(page: &str) -> Vec<Block<'_>> {
+    let fenced = page.split("\n```").skip(1).step_by(2);
+    let split = |block| -> (&str, &str) { str::split_once(block, '\n').expect("a block has lines") };
+    fenced
+        .map(split)
+        .map(|(language, text)| Block { language, text })
+        .collect()
+}
+
+/// Whether `line` is the line of the page `expected`, in which `…` stands for any text.
+fn matches(line: &str, expected: &str) -> bool {
+    let mut parts = expected.split('…');
+    let Some(mut rest) = line.strip_prefix(parts.next().unwrap_or_default()) else {
+        return false;
+    };
+    let mut has_gap = false;
+    for part in parts {
+        let Some(at) = rest.find(part) else {
+            return false;
+        };
+        rest = &rest[at + part.len()..];
+        // A gap at the end of the line covers its rest.
+        has_gap = part.is_empty();
+    }
+    has_gap || rest.is_empty()
+}
+
+/// Checks that the lines of a `text` block occur in `output`, in their order.
+fn check(command: &str, shown: &str, output: &str) {
+    let mut lines = output.lines();
+    for expected in shown.lines().filter(|line| *line != "…") {
+        let found = lines.any(|line| matches(line.trim_end(), expected));
+        assert!(
+            found,
+            "docs/tutorial.md shows `{expected}` after `{command}`, which printed:\n{output}"
+        );
+    }
+}
+
+/// Answers the decision requests of a run with the policy behind `link`.
+fn decide(link: &TcpStream) {
+    let mut lines = BufReader::new(link).lines();
+    let mut receive = || -> Value {
+        let line = lines.next().expect("the policy answers").expect("a line");
+        serde_json::from_str(&line).expect("JSON")
+    };
+    let target: [String; 3] = serde_json::from_value(receive()).expect("a target");
+    let [endpoint, run, key] = target;
+    let introduction = ClientIdentity {
+        name: "the tutorial".to_owned(),
+        key: Some(key.parse().expect("a key")),
+        form: Encoding::Json,
+    };
+    let mut policy = |asked: &DecisionRequest| -> Decision {
+        let (number, stage) = match asked.head.stage {
+            RequestKind::Wake => (1, DecisionStage::Wake),
+            RequestKind::Plan | RequestKind::Hello | RequestKind::Bye => (0, DecisionStage::Plan),
+        };
+        let mut seen = serde_json::to_value(asked).expect("JSON");
+        seen["stage"] = json!(number);
+        // One write: many small ones would each wait for the acknowledgement of the one before.
+        let mut link = link;
+        link.write_all(format!("{seen}\n").as_bytes())
+            .expect("the policy reads");
+        let answer = receive();
+        let devices = |name: &str| serde_json::from_value(answer[name].clone()).expect("devices");
+        let mut reply = DecisionReply::to(&asked.head, "", "");
+        (reply.sense, reply.wake) = (devices("sense"), devices("wake"));
+        let n = u32::try_from(asked.action_mask.0.len()).expect("few devices");
+        reply.answer(stage, Tti(asked.head.tti), n).expect("a valid decision")
+    };
+    let runtime = tokio::runtime::Runtime::new().expect("a runtime");
+    let decided = runtime.block_on(async {
+        let bus = Bus::connect(&endpoint, run.parse().expect("a run name"), PATIENCE).await;
+        client::decide(&bus.expect("it listens"), &introduction, &mut policy).await
+    });
+    decided.expect("the bus continues");
+}
+
+/// The reader's terminal: a folder with the program and the stand-in on its search paths.
+struct Terminal {
+    folder: Folder,
+    policies: TcpListener,
+}
+
+impl Terminal {
+    fn open() -> Self {
+        let folder = Folder::new();
+        for name in ["bin", "stand-in"] {
+            fs::create_dir(folder.join(name)).expect("a folder");
+        }
+        symlink(reveille(), folder.join("bin/reveille")).expect("a link");
+        folder.write("stand-in/reveille.py", STAND_IN);
+        let policies = TcpListener::bind("127.0.0.1:0").expect("a port");
+        Self { folder, policies }
+    }
+
+    /// Runs a command and returns its standard error and output.
+    fn run(&self, line: &str) -> String {
+        let policy = line.contains("--policy-command").then(|| {
+            let policies = self.policies.try_clone().expect("a listener");
+            thread::spawn(move || decide(&policies.accept().expect("the policy connects").0))
+        });
+        let port = self.policies.local_addr().expect("an address").port();
+        let others = std::env::var("PATH").unwrap_or_default();
+        let mut shell = Command::new("sh");
+        shell
+            .args(["-c", line])
+            .current_dir(self.folder.path())
+            .env("PATH", format!("{}:{others}", self.folder.join("bin").display()))
+            .env("XDG_RUNTIME_DIR", self.folder.join("runtime"))
+            .env("PYTHONPATH", self.folder.join("stand-in"))
+            .env("TUTORIAL_PORT", port.to_string())
+            .env_remove("RUST_LOG");
+        let end = Process::start(&mut shell).finish();
+        assert!(end.is_success(), "{line}: {end}");
+        if let Some(policy) = policy {
+            policy.join().expect("the policy decides");
+        }
+        end.stderr + &end.stdout
+    }
+}
+
+#[test]
+fn every_command_of_the_tutorial_works_as_shown() {
+    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/tutorial.md");
+    let page = fs::read_to_string(page).expect("the page");
+    let blocks = blocks(&page);
+    let fences = page.lines().filter(|line| line.trim_start().starts_with("```"));
+    assert_eq!(fences.count(), 2 * blocks.len(), "a block is indented or open");
+    let not_run = blocks.iter().filter(|block| block.language == "console");
+    let not_run: Vec<&str> = not_run.flat_map(|block| block.text.lines()).collect();
+    assert_eq!(not_run, NOT_RUN, "commands that this test leaves out");
+    let has_python = Command::new("python3").arg("--version").output();
+    if !has_python.is_ok_and(|end| end.status.success()) {
+        return missing("the tutorial is not run: there is no python3 here");
+    }
+
+    let terminal = Terminal::open();
+    let (mut commands, mut digests) = (0, 0);
+    let mut blocks = blocks.iter().peekable();
+    while let Some(Block { language, text }) = blocks.next() {
+        match *language {
+            "sh" => {
+                let output: String = text.lines().map(|line| terminal.run(line)).collect();
+                let shown = blocks.next_if(|next| next.language == "text");
+                let shown = shown.unwrap_or_else(|| panic!("no output is shown after {text}")).text;
+                check(text, shown, &output);
+                commands += text.lines().count();
+                digests += shown.matches("digest ").count();
+            }
+            "toml" | "python" => {
+                let name = text.lines().next().and_then(|line| line.strip_prefix("# "));
+                terminal
+                    .folder
+                    .write(name.expect("the first line names the file"), text);
+            }
+            "console" => {}
+            other => panic!("a block in {other:?} has no purpose here: {text}"),
+        }
+    }
+    assert!(commands > 10 && digests > 6, "{commands} commands, {digests} digests");
+    // No step leaves a run behind.
+    assert_eq!(terminal.folder.list("runtime/reveille"), Vec::<String>::new());
+}
+
+#[test]
+fn a_shown_line_matches_only_its_text() {
+    assert!(matches("60 runs in 4.1 s", "60 runs in …") && matches("a b c", "a … c") && matches("abc", "…"));
+    assert!(!matches("61 runs in 4.1 s", "60 runs in …") && !matches("a b c d", "a … c") && !matches("ab", "a"));
+}
