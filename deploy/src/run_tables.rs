@@ -37,7 +37,7 @@ pub(crate) const DEVICES: [&str; 20] = [
     "overflow_units",
     "reports",
     "wake_ups",
-    "wake_ups_heard",
+    "wake_ups_received",
     "wrong_activations",
     "sensing_ttis",
     "failed_ttis",

@@ -95,7 +95,7 @@ def clock(endpoint, run, chance):
         time.sleep(0.05)
 
 
-def deaf(endpoint, run, chance):
+def stalled(endpoint, run, chance):
     """Subscribes to everything and stops reading."""
     script = (
         "import sys; sys.path.insert(0, sys.argv[3]); import os, signal, attacker\n"

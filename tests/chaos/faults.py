@@ -11,7 +11,7 @@ from bus_runs import ENDED_WITHIN
 from subprocesses import Failure
 
 SIGNALS = {"SIGTERM": signal.SIGTERM, "SIGHUP": signal.SIGHUP, "Ctrl-C": signal.SIGINT}
-ATTACKS = ["noise", "huge", "tokens", "clock", "deaf"]
+ATTACKS = ["noise", "huge", "tokens", "clock", "stalled"]
 
 # The kinds of faults possible under `up`, and with device processes started by hand.
 UP = ["hosts", "station", "everything", "joining", "held", "freeze", "signal", "launcher", "strangers", "disk"]

@@ -170,7 +170,7 @@ fn device_ledgers_close_and_filters_equal_those_of_tail() {
             .len()
     };
     for (args, query) in [
-        ("--kind wake --state deaf", "kind=wake&state=deaf"),
+        ("--kind wake --state unpowered", "kind=wake&state=unpowered"),
         (
             "--kind wake --state S4 --since 300 --until 500",
             "kind=wake&state=S4&since=300&until=500",

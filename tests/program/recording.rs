@@ -103,8 +103,8 @@ fn filters_and_joined_wake_ups_show_the_right_messages() {
     assert!(joined.iter().all(|line| !line["message"]["outcome"].is_null()));
     // Exactly the unpowered devices do not receive wake-ups.
     let missed = |line: &&Value| line["kind"] == "woken" && line["message"]["outcome"] == "Missed";
-    let deaf = shown(&folder, "r.mcap --state deaf --kind wake");
-    assert_eq!(deaf.len(), all.iter().filter(missed).count());
+    let unpowered = shown(&folder, "r.mcap --state unpowered --kind wake");
+    assert_eq!(unpowered.len(), all.iter().filter(missed).count());
     // A device that is woken was asleep before, and its line shows the outcome.
     assert_eq!(shown(&folder, "r.mcap --join --state S4 --kind wake"), joined);
     // Every device is in one cluster.
@@ -216,7 +216,7 @@ fn invalid_recordings_are_refused() {
         1,
         &["--device 10", "0 to 9"],
     );
-    assert_refused(&folder.run("inspect tail --from r.mcap --state S5"), 2, &["S5", "deaf"]);
+    assert_refused(&folder.run("inspect tail --from r.mcap --state S5"), 2, &["S5", "unpowered"]);
     let random = folder.run("run -p random -n 10 -k 100 --record q.mcap --quiet --out z");
     assert!(random.is_success(), "{random}");
     assert_refused(

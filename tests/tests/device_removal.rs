@@ -109,9 +109,9 @@ fn removed_devices_send_nothing() {
                 let mut late = heard.filter(|(tti, device)| outage.has(*device) && is_after(*tti));
                 assert_eq!(late.next(), None, "{policy}, {outage:?}");
                 for (tti, device, came) in wake_ups(&disturbed) {
-                    let is_deaf = outage.has(device) && is_after(tti);
+                    let is_removed = outage.has(device) && is_after(tti);
                     assert!(
-                        !is_deaf || came == WakeOutcome::Missed,
+                        !is_removed || came == WakeOutcome::Missed,
                         "{policy}, {outage:?}: {came:?}"
                     );
                 }

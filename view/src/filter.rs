@@ -44,7 +44,7 @@ impl StateName {
         ("S2", Self::S2),
         ("S3", Self::S3),
         ("S4", Self::S4),
-        ("deaf", Self::Unpowered),
+        ("unpowered", Self::Unpowered),
     ];
 
     /// Whether this name covers `state`.

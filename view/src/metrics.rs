@@ -321,7 +321,7 @@ impl PrometheusMetrics {
             ("S1", DeviceState::Idle),
             ("S3", DeviceState::Transmission),
             ("S4", DeviceState::Sleep { powered: true }),
-            ("S4 deaf", DeviceState::Sleep { powered: false }),
+            ("S4 unpowered", DeviceState::Sleep { powered: false }),
         ];
         for (name, state) in states {
             let count = views.iter().filter(|view| view.state == state).count() as u64;
@@ -474,7 +474,7 @@ mod tests {
         close(value("reveille_hosts_alive "), 3.0);
         close(value("reveille_observer_messages_left_out_total "), 7.0);
         let of = |state: &str| value(&format!("reveille_devices{{state=\"{state}\"}} "));
-        close(["S1", "S3", "S4", "S4 deaf"].map(of).iter().sum(), 30.0);
+        close(["S1", "S3", "S4", "S4 unpowered"].map(of).iter().sum(), 30.0);
         let spent: EnergyByState = outcome
             .devices
             .iter()

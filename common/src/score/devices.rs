@@ -63,7 +63,7 @@ impl EventActivity {
         [
             ("reports", self.reports),
             ("wake_ups", self.wake_ups),
-            ("wake_ups_heard", self.heard),
+            ("wake_ups_received", self.heard),
             ("wrong_activations", self.wrong_activations),
         ]
     }

@@ -310,7 +310,7 @@ async function begin() {
   by("run").textContent = run;
   by("about").textContent = `${policy} · ${devices} devices · seed ${seed} · preset ${preset}`;
   by("clock").hidden = !page.run.controls;
-  by("legend").innerHTML = `<span>battery <i style="background:${ramp()}"></i> full</span><span>● S1 senses</span><span>▲ S3 reports</span><span>■ S4 sleeps</span><span>✕ unpowered (deaf)</span><span>✶ event, d_max around it</span><span>• believed position of the event (base station)</span>`;
+  by("legend").innerHTML = `<span>battery <i style="background:${ramp()}"></i> full</span><span>● S1 senses</span><span>▲ S3 reports</span><span>■ S4 sleeps</span><span>✕ unpowered</span><span>✶ event, d_max around it</span><span>• believed position of the event (base station)</span>`;
   map = new Map(by("map"), page.run);
   charts = new Charts(by("charts"), go);
   page.now = await get("api/now");

@@ -294,7 +294,7 @@ fn a_wake_up_is_unheard_in_s1_and_by_a_radio_without_power() {
 }
 
 #[test]
-fn a_device_that_cannot_pay_for_s1_is_drained_and_deaf_until_it_harvests() {
+fn a_device_that_cannot_pay_for_s1_is_drained_and_unpowered_until_it_harvests() {
     let (mut machine, world) = device(costs(9), &[0, 300]);
     machine.set_duty(Tti(0), DutyCycle::SENSING);
     assert_eq!(machine.sense(Tti(0), &event(NEAR), &world), SenseOutcome::Nothing);
