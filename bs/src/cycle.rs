@@ -265,7 +265,10 @@ impl Cycle {
 
     fn play(&mut self, first: Tti, horizon: Tti) -> Grant {
         let Self {
-            world, station, changes: turns, ..
+            world,
+            station,
+            changes: turns,
+            ..
         } = self;
         let (plan, genie) = station.commands();
         let stimulated = world.advance(first, horizon, plan, genie, turns);

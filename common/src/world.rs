@@ -122,7 +122,11 @@ impl World {
     ) -> Option<Tti> {
         self.detectors.clear();
         loop {
-            let Some(Current { event, is_revealed: is_told }) = self.current else {
+            let Some(Current {
+                event,
+                is_revealed: is_told,
+            }) = self.current
+            else {
                 k = self.process.next_start();
                 if k >= horizon {
                     return None;
@@ -230,7 +234,10 @@ impl World {
             });
             false
         };
-        self.current = Some(Current { event, is_revealed: is_told });
+        self.current = Some(Current {
+            event,
+            is_revealed: is_told,
+        });
         event
     }
 

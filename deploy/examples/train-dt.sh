@@ -26,7 +26,7 @@ families=(
 record() { # NAME OPTIONS...
     local out="$1.parquet"
     shift
-    [ -e "$out" ] || "$reveille" train record --set ttis=1800 --chunk 24 --every 150 --told --quiet "$@" --out "$out"
+    [ -e "$out" ] || "$reveille" train record --set ttis=1800 --chunk 24 --stride 150 --true-batteries --quiet "$@" --out "$out"
 }
 
 train() { # NAME SEED

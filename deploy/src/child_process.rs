@@ -104,7 +104,7 @@ impl DeviceProcesses<'_> {
         let command = |count: u32| {
             let count = count.to_string();
             let own = ["device", "--connect", self.endpoint, &run, "--count", &count];
-            let ties = ["--parent", &parent, "--among", &among];
+            let ties = ["--parent", &parent, "--host-count", &among];
             let untuned = self.is_untuned.then_some("--untuned");
             let all = own.into_iter().chain(ties).chain(untuned);
             all.map(str::to_owned).chain(self.log.iter().cloned()).collect()

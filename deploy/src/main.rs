@@ -46,8 +46,12 @@ use display::note;
 use runtime::drive;
 
 fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let (args, renamed) = cli::former::replace(std::env::args_os());
+    let cli = Cli::parse_from(args);
     reveille_common::logging::init(cli.verbose, cli.log_format.into(), display::LogWriter);
+    for warning in renamed {
+        tracing::warn!("{warning}");
+    }
     match run(cli) {
         Ok(code) => code,
         Err(error) => {

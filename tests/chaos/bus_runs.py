@@ -255,7 +255,7 @@ class Hand(Game):
         """Starts a device process."""
         args = ["device", "--connect", self.endpoint, f"--run={self.name}", "--count", count]
         prefix = self.link.prefix() if self.link else ()
-        return self.ground.start([*args, "--patience", f"{self.patience}s"], prefix=prefix)
+        return self.ground.start([*args, "--connect-timeout", f"{self.patience}s"], prefix=prefix)
 
     def tend(self):
         """Restarts device processes that were killed, ran out of patience, or were dismissed by an interrupted run."""

@@ -45,10 +45,10 @@ def window_of(out):
 def check_again(ground, played, out, summary):
     """Checks that a run in memory with these inputs has the same digest and the same tables."""
     window = window_of(out)
-    inputs = ["--inputs", out / "inputs.log"] if (out / "inputs.log").exists() else []
+    inputs = ["--input-log", out / "inputs.log"] if (out / "inputs.log").exists() else []
     done = ground.call(["run", *played.args(), *inputs, "--window", window, "--quiet", "--json", "--out", "again"])
     if done.returncode != 0:
-        raise Failure(f"run --inputs ended with {done.returncode}: {done.stderr[-1500:]}")
+        raise Failure(f"run --input-log ended with {done.returncode}: {done.stderr[-1500:]}")
     again = json.loads(done.stdout)
     if again["digest"] != summary["digest"]:
         raise Failure(f"the digest is {summary['digest']}, but its inputs give {again['digest']}")

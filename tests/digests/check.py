@@ -149,7 +149,7 @@ def with_outages(reveille, command):
         entries += [{"outage": dict(zip(names, outage))} for outage in outages]
         log = Path(folder, "outages.log")
         log.write_text("".join(json.dumps(entry) + "\n" for entry in entries))
-        return summary(reveille, f"{command} --inputs {log} --out {folder}/lost", folder)["digest"], str(len(outages))
+        return summary(reveille, f"{command} --input-log {log} --out {folder}/lost", folder)["digest"], str(len(outages))
 
 
 def resumed(reveille, command):

@@ -225,7 +225,7 @@ fn an_invalid_endpoint_is_refused() {
         }
     }
     for endpoint in ["127.0.0.1:7447", "tcp/", "tcp/127.0.0.1"] {
-        let end = folder.run(&format!("device --connect {endpoint} --run x --patience 2s"));
+        let end = folder.run(&format!("device --connect {endpoint} --run x --connect-timeout 2s"));
         assert_refused(&end, 1, &[endpoint, "tcp/HOST:PORT"]);
     }
 }
@@ -233,7 +233,7 @@ fn an_invalid_endpoint_is_refused() {
 #[test]
 fn an_endpoint_without_a_listener_is_reported() {
     let (folder, endpoint) = (Folder::new(), free_endpoint());
-    let end = folder.run(&format!("device --connect {endpoint} --run x --patience 2s"));
+    let end = folder.run(&format!("device --connect {endpoint} --run x --connect-timeout 2s"));
     assert_refused(&end, 1, &["no base station answers at", &endpoint, "within 2s"]);
 }
 
@@ -242,7 +242,7 @@ fn a_wrong_run_name_lists_the_runs() {
     let (folder, run, endpoint) = (Folder::new(), unique_run("right"), free_endpoint());
     let _bs = folder.waiting_bs(&run, &endpoint, "");
     let hint = format!("runs there: {run}");
-    let end = folder.run(&format!("device --connect {endpoint} --run wrong --patience 2s"));
+    let end = folder.run(&format!("device --connect {endpoint} --run wrong --connect-timeout 2s"));
     assert_refused(&end, 1, &["run wrong", &endpoint, &hint]);
     let end = folder.run(&format!("inspect tail --connect {endpoint} --run wrong"));
     assert_refused(&end, 1, &["run wrong", &endpoint, &hint]);
@@ -348,7 +348,7 @@ fn a_device_process_that_tries_to_connect_can_be_interrupted() {
     let folder = Folder::new();
     for signal in [Signal::INT, Signal::TERM] {
         let device = folder.start(&format!(
-            "device --connect {} --run x --patience 10min",
+            "device --connect {} --run x --connect-timeout 10min",
             free_endpoint()
         ));
         device.wait_for_handlers();
@@ -409,7 +409,7 @@ fn an_invalid_input_log_is_refused() {
         ("", "the input log is empty"),
     ] {
         folder.write("some.log", content);
-        for option in ["--inputs some.log", "--policy replay=some.log"] {
+        for option in ["--input-log some.log", "--policy replay=some.log"] {
             let end = folder.run(&format!("run -s quick {option} --out out"));
             assert_refused(&end, 1, &["some.log", reason]);
             assert_untouched(&folder, &["some.log"]);

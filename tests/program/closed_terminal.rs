@@ -106,7 +106,7 @@ fn a_closed_terminal_ends_a_sweep_and_a_recording() {
     sweep.wait_for("runs");
     assert_eq!(closed(&mut sweep).code(), Some(130));
     assert!(folder.join("s/runs.journal").exists());
-    let record = "train record -p knn -n 20 -k 5000 --seeds 900000 --chunk 12 --every 40 --out c.parquet";
+    let record = "train record -p knn -n 20 -k 5000 --seeds 900000 --chunk 12 --stride 40 --out c.parquet";
     let mut record = Windowed::start(&folder.command(record), true);
     record.wait_for("runs");
     assert_eq!(closed(&mut record).code(), Some(130));

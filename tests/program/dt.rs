@@ -6,7 +6,7 @@ use reveille_tests::process::{Folder, assert_refused};
 
 /// Command for a small recording.
 const RECORD: &str =
-    "train record -p age-index,knn -n 12 -k 400 --seeds 6 --set events.process=bursts --chunk 12 --every 40";
+    "train record -p age-index,knn -n 12 -k 400 --seeds 6 --set events.process=bursts --chunk 12 --stride 40";
 
 #[test]
 fn recordings_are_reproducible_and_invalid_ones_are_refused() {
@@ -19,14 +19,14 @@ fn recordings_are_reproducible_and_invalid_ones_are_refused() {
     for (args, code, parts) in [
         (format!("{RECORD} --out a.parquet"), 1, &["a.parquet", "--force"][..]),
         (
-            "train record -p knn -k 400 --chunk 50 --every 40 --out c.parquet".into(),
+            "train record -p knn -k 400 --chunk 50 --stride 40 --out c.parquet".into(),
             1,
-            &["--every 40", "--chunk"],
+            &["--stride 40", "--chunk"],
         ),
         (
-            "train record -p knn -k 400 --chunk 40 --every 40 --out c.parquet".into(),
+            "train record -p knn -k 400 --chunk 40 --stride 40 --out c.parquet".into(),
             1,
-            &["--every 40", "more than --chunk"],
+            &["--stride 40", "more than --chunk"],
         ),
         (
             format!("{RECORD} --explore 1 --out c.parquet"),
@@ -55,7 +55,7 @@ fn a_run_of_the_emulator_is_recorded_from_its_folder() {
     let folder = Folder::new();
     let end = folder.run("up -p knn -n 12 -k 300 --processes 2 --quiet --out live");
     assert!(end.is_success(), "{end}");
-    let record = "train record --from live --chunk 12 --every 40";
+    let record = "train record --from live --chunk 12 --stride 40";
     let end = folder.run(&format!("{record} --out live.parquet"));
     assert!(end.is_success(), "{end}");
     let end = folder.run("up -p genie -n 12 -k 60 --processes 1 --quiet --out seer");

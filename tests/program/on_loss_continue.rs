@@ -37,7 +37,7 @@ fn a_run_continues_without_a_killed_process() {
         "{log}"
     );
 
-    let again = folder.summary(&format!("run {scenario} --inputs out/inputs.log --out again"));
+    let again = folder.summary(&format!("run {scenario} --input-log out/inputs.log --out again"));
     assert_eq!(again.digest(), summary.digest());
     assert_eq!(read("again/inputs.log"), log, "the folder is whole");
     for table in ["events.csv", "devices.csv", "windows.csv"] {
@@ -50,13 +50,13 @@ fn a_run_continues_without_a_killed_process() {
     let verified = folder.run("inspect verify out.mcap");
     assert!(verified.is_success(), "{verified}");
 
-    let other = folder.run(&format!("run {scenario} --seed 2 --inputs out/inputs.log"));
+    let other = folder.run(&format!("run {scenario} --seed 2 --input-log out/inputs.log"));
     assert!(
         other.code() == Some(1) && other.stderr.contains("another scenario or seed"),
         "{other}"
     );
     std::fs::write(folder.join("torn.log"), "no log\n").expect("writable");
-    let torn = folder.run(&format!("run {scenario} --inputs torn.log"));
+    let torn = folder.run(&format!("run {scenario} --input-log torn.log"));
     assert!(
         torn.code() == Some(1) && torn.stderr.contains("line 1, column "),
         "{torn}"
@@ -93,7 +93,7 @@ fn a_killed_run_with_removed_devices_resumes() {
     let end = up.finish();
     assert!(end.is_success(), "{end}");
     let summary = Summary::read(&folder.join("out"));
-    let again = folder.summary("run -n 20 -k 1500 -p age-index --inputs out/inputs.log");
+    let again = folder.summary("run -n 20 -k 1500 -p age-index --input-log out/inputs.log");
     assert_eq!((summary.digest(), summary.status()), (again.digest(), "complete"));
     let gone = summary.metric("removed_pct");
     assert!(gone > 0.0 && gone < 100.0, "{gone}");

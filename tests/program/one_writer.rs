@@ -39,7 +39,7 @@ fn a_running_run_is_never_replaced() {
             );
         }
     }
-    let end = folder.run("train record --from out --chunk 12 --every 40 --out c.parquet");
+    let end = folder.run("train record --from out --chunk 12 --stride 40 --out c.parquet");
     assert_refused(&end, 1, &["out", "still running"]);
     up.signal(Signal::INT);
     let end = up.finish();
@@ -61,7 +61,7 @@ fn killed_and_running_runs_are_distinguished() {
     assert!(folder.list("out").contains(&"RUNNING".to_owned()));
     let end = folder.run("run -n 7 -k 50 --out out");
     assert_refused(&end, 1, &["--out out", "was killed", "--force"]);
-    let record = folder.run("train record --from out --chunk 12 --every 40 --out c.parquet");
+    let record = folder.run("train record --from out --chunk 12 --stride 40 --out c.parquet");
     assert_refused(&record, 1, &["out", "was killed"]);
     assert!(
         folder.list("out").contains(&"RUNNING".to_owned()),

@@ -78,7 +78,7 @@ fn by_hand_mid_run(folder: &Folder, run: &str, args: &str) -> (Process, [Process
     bs.wait_for_stderr("waiting for 30 devices");
     let hosts = [10, 20].map(|count| {
         let host = folder.start(&format!(
-            "-v device --patience 3s --connect {endpoint} --run {run} --count {count}"
+            "-v device --connect-timeout 3s --connect {endpoint} --run {run} --count {count}"
         ));
         host.wait_for_stderr("joined");
         host

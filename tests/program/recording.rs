@@ -98,7 +98,7 @@ fn filters_and_joined_wake_ups_show_the_right_messages() {
     });
     assert_eq!(shown(&folder, "r.mcap -c 7"), all[..7]);
     let wakes = all.iter().filter(|line| line["kind"] == "wake").count();
-    let joined = shown(&folder, "r.mcap --join --kind wake");
+    let joined = shown(&folder, "r.mcap --pair-wake-ups --kind wake");
     assert_eq!(joined.len(), wakes);
     assert!(joined.iter().all(|line| !line["message"]["outcome"].is_null()));
     // Exactly the unpowered devices do not receive wake-ups.
@@ -106,7 +106,7 @@ fn filters_and_joined_wake_ups_show_the_right_messages() {
     let unpowered = shown(&folder, "r.mcap --state unpowered --kind wake");
     assert_eq!(unpowered.len(), all.iter().filter(missed).count());
     // A device that is woken was asleep before, and its line shows the outcome.
-    assert_eq!(shown(&folder, "r.mcap --join --state S4 --kind wake"), joined);
+    assert_eq!(shown(&folder, "r.mcap --pair-wake-ups --state S4 --kind wake"), joined);
     // Every device is in one cluster.
     let clusters = folder.run("inspect tail --from r.mcap --cluster 999");
     assert_refused(&clusters, 1, &["--cluster 999", "clusters, 0 to"]);
@@ -216,7 +216,11 @@ fn invalid_recordings_are_refused() {
         1,
         &["--device 10", "0 to 9"],
     );
-    assert_refused(&folder.run("inspect tail --from r.mcap --state S5"), 2, &["S5", "unpowered"]);
+    assert_refused(
+        &folder.run("inspect tail --from r.mcap --state S5"),
+        2,
+        &["S5", "unpowered"],
+    );
     let random = folder.run("run -p random -n 10 -k 100 --record q.mcap --quiet --out z");
     assert!(random.is_success(), "{random}");
     assert_refused(

@@ -199,7 +199,7 @@ fn a_signal_at_any_moment_ends_a_command_that_makes_a_run() {
     let bs = format!("bs {LONG} --listen tcp/127.0.0.1:0 --run OUT --out OUT");
     let external = "-p external --policy-command ./idle";
     let q_learning = "train q-learning --devices 8 --episode-ttis 2000 --out OUT.json";
-    let record = format!("train record {SEARCH} -k 1000 --seeds 2 --chunk 12 --every 40 --out OUT.parquet");
+    let record = format!("train record {SEARCH} -k 1000 --seeds 2 --chunk 12 --stride 40 --out OUT.parquet");
     let cases = [
         Case::new(format!("up -P 2 {LONG} --out OUT"), Interrupted),
         Case::new(format!("up -P 0 {LONG} --out OUT --dashboard 127.0.0.1:0"), Interrupted),
@@ -241,7 +241,7 @@ fn a_signal_at_any_moment_ends_a_command_that_joins_or_shows_a_run() {
     let nowhere = free_endpoint();
     let cases = [
         Case::new(
-            format!("device --connect {nowhere} --run {run} --patience 1000s"),
+            format!("device --connect {nowhere} --run {run} --connect-timeout 1000s"),
             Interrupted,
         ),
         Case::new(join, Interrupted),
@@ -279,7 +279,7 @@ fn a_signal_at_any_moment_ends_a_tuning() {
 fn a_signal_at_any_moment_ends_a_training_of_the_transformer() {
     let folder = Folder::new();
     let record = "train record -p age-index,knn -n 12 -k 400 --seeds 6 --set events.process=bursts";
-    prepare(&folder, &format!("{record} --chunk 12 --every 40 --out a.parquet"));
+    prepare(&folder, &format!("{record} --chunk 12 --stride 40 --out a.parquet"));
     let train = "train dt a.parquet --steps 100000 --batch 600 --patience 1000 --set policy.dt.width=8 \
                  --set policy.dt.heads=1 --set policy.dt.memory=3 --out OUT.safetensors";
     assert_all_end(&folder, &[Case::new(train, Interrupted)]);

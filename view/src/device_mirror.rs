@@ -175,7 +175,8 @@ impl DeviceMirror {
     /// If the frame contradicts the frames before it. Later frames can still be applied, but may fail too.
     pub fn apply(&mut self, frame: &Frame, message: &Message) -> Result<(), Discrepancy> {
         let tti = frame.tti;
-        self.apply_message(frame, message).map_err(|what| Discrepancy { tti, what })
+        self.apply_message(frame, message)
+            .map_err(|what| Discrepancy { tti, what })
     }
 
     fn apply_message(&mut self, frame: &Frame, message: &Message) -> Result<(), String> {

@@ -386,7 +386,8 @@ impl BatteryEstimator {
     /// Records the `level` that `device` reported in TTI `k`.
     pub fn observe_level(&mut self, device: DeviceId, k: Tti, level: Energy) {
         let account = &mut self.devices[device.index()];
-        (account.next, account.doubt, account.silence, account.silence_likelihood) = (k + 1, HarvestDoubt::default(), 0.0, 1.0);
+        (account.next, account.doubt, account.silence, account.silence_likelihood) =
+            (k + 1, HarvestDoubt::default(), 0.0, 1.0);
         // One report shows that the source of the class delivers, so it clears the doubt of the class as well.
         let class = &mut self.classes[usize::from(account.class)];
         (class.silence, class.doubt) = (0.0, HarvestDoubt::default());

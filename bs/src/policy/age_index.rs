@@ -76,7 +76,9 @@ impl Policy for AgeIndex {
         }
         let prices = match &mut self.foresight {
             None => self.prices.at(seen.batteries),
-            Some(foresight) => self.prices.with_foresight(seen.batteries, foresight.expected_levels(seen)),
+            Some(foresight) => self
+                .prices
+                .with_foresight(seen.batteries, foresight.expected_levels(seen)),
         };
         let mut chosen = self.choice.choose(&mut self.ages, prices);
         chosen.sort_unstable();

@@ -51,7 +51,9 @@ impl<'a> Downlink<'a> {
         self.to_clocks.publish(&clock)?;
         match clock {
             ClockMessage::Grant(_) => self.grant = Some(clock),
-            ClockMessage::CollectLedgers(_) | ClockMessage::Dismiss | ClockMessage::RunFailed(_) => self.end = Some(clock),
+            ClockMessage::CollectLedgers(_) | ClockMessage::Dismiss | ClockMessage::RunFailed(_) => {
+                self.end = Some(clock)
+            }
         }
         Ok(())
     }

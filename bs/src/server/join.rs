@@ -125,7 +125,11 @@ impl JoinHandler {
 
 /// Builds the reply for a host that offers to run `count` devices while no devices are available for it.
 fn later(state: &ServerState, count: u32) -> JoinReply {
-    let lost: Vec<String> = state.losses.assignments().map(|places| places.count.to_string()).collect();
+    let lost: Vec<String> = state
+        .losses
+        .assignments()
+        .map(|places| places.count.to_string())
+        .collect();
     JoinReply::Retry(if lost.is_empty() {
         format!("all {} devices of the run have a host", state.admission.devices())
     } else {

@@ -447,7 +447,8 @@ impl RunLoop<'_> {
     async fn collect_ledgers(&mut self) -> Result<Vec<Ledger>, BsError> {
         // Before the message is sent, for the same reason as with a grant.
         self.crew.shared.lock().barrier.expect_ledgers();
-        self.voice.send_clock(ClockMessage::CollectLedgers(self.session.next_tti()))?;
+        self.voice
+            .send_clock(ClockMessage::CollectLedgers(self.session.next_tti()))?;
         self.wait_for_answers().await?;
         let end = self.session.next_tti();
         let (mut ledgers, leaving, devices) = {

@@ -34,7 +34,9 @@ fn rename<'a>(
     let names: Vec<_> = table.keys().cloned().collect();
     for name in names {
         let former = name.get_ref().as_ref();
-        if let Some(field) = declaration.renamed(scope, path, former).filter(|field| !table.contains_key(field.name))
+        if let Some(field) = declaration
+            .renamed(scope, path, former)
+            .filter(|field| !table.contains_key(field.name))
             && let Some(value) = table.remove(former)
         {
             let offset = if name.span().is_empty() {

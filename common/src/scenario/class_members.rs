@@ -66,7 +66,11 @@ impl Zone {
 
 impl Members {
     /// Returns the rule that `own`, the fields of `item`, specifies; `None` if they specify none.
-    pub(super) fn from_fields(item: &FieldReader<'_>, own: &ClassFields, area: Area) -> Result<Option<Self>, ScenarioError> {
+    pub(super) fn from_fields(
+        item: &FieldReader<'_>,
+        own: &ClassFields,
+        area: Area,
+    ) -> Result<Option<Self>, ScenarioError> {
         let zone = Zone {
             west: own.west,
             east: own.east,

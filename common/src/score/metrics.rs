@@ -400,7 +400,10 @@ mod tests {
         }
         assert_eq!((Metrics::named("colour"), metrics.value("colour")), (None, None));
         for (former, current) in Metrics::FORMER_NAMES {
-            assert!(Metrics::NAMES.contains(&current) && !Metrics::NAMES.contains(&former), "{former}");
+            assert!(
+                Metrics::NAMES.contains(&current) && !Metrics::NAMES.contains(&former),
+                "{former}"
+            );
             assert_eq!(Metrics::named(former).map(|metric| metric.name), Some(current));
         }
     }

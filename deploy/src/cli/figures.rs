@@ -48,7 +48,7 @@ pub(crate) struct FiguresArgs {
     /// Draw pareto and delay once per preset and run length, with one line per policy and setting. This suits
     /// q-learning with tables for several weights, for example. Other figures are always drawn per setting.
     #[arg(long)]
-    pub together: bool,
+    pub combine: bool,
     /// Picture options.
     #[command(flatten)]
     pub pictures: FigureOutputArgs,

@@ -18,7 +18,7 @@ pub(crate) enum InspectCommand {
     /// Each line has the TTI, plane, kind, key, length in bytes and content. The key is the device or host, for kinds
     /// that have one key for each. The run never waits for this command.
     #[command(after_help = examples!(
-        "reveille inspect tail --kind wake,report --join",
+        "reveille inspect tail --kind wake,report --pair-wake-ups",
         "reveille inspect tail --from run.mcap --device 7 --since 1000 --until 1100",
     ))]
     Tail(TailArgs),
@@ -102,7 +102,7 @@ pub(crate) struct TailArgs {
     pub until: Option<u64>,
     /// Show each wake-up and its outcome on one line.
     #[arg(long)]
-    pub join: bool,
+    pub pair_wake_ups: bool,
     /// Print one JSON object per line.
     #[arg(long)]
     pub json: bool,

@@ -3,6 +3,7 @@
 mod analyse;
 mod examples;
 mod figures;
+pub(crate) mod former;
 mod inspect;
 mod parse;
 mod report;
@@ -132,7 +133,7 @@ pub(crate) enum Command {
     /// Start one device process, and connect it to a base station.
     #[command(after_help = examples!(
         "reveille device --run demo --connect tcp/127.0.0.1:7447 --count 50",
-        "reveille device --run demo --connect tcp/192.0.2.7:7447 --count 25 --patience 5min",
+        "reveille device --run demo --connect tcp/192.0.2.7:7447 --count 25 --connect-timeout 5min",
     ))]
     Device(DeviceArgs),
     /// Supervise the process that `--policy-command` starts.
@@ -146,7 +147,7 @@ pub(crate) enum Command {
     Scenario(ScenarioCommand),
     /// Inspect the messages of an active run or of a recording, or record an active run.
     #[command(subcommand, after_help = examples!(
-        "reveille inspect tail --kind wake,report --join",
+        "reveille inspect tail --kind wake,report --pair-wake-ups",
         "reveille inspect stats --from run.mcap",
     ))]
     Inspect(InspectCommand),

@@ -137,7 +137,7 @@ pub(crate) struct RunArgs {
     /// Input log (inputs.log) of a run over the bus. It lists the devices that were lost under --on-loss continue. With
     /// it, this run has the same digest. To replay decisions, use --policy replay=FILE.
     #[arg(long, value_name = "FILE", conflicts_with = "resume")]
-    pub inputs: Option<PathBuf>,
+    pub input_log: Option<PathBuf>,
 }
 
 /// Options for the clock, lost processes, the audit and the dashboard.
@@ -159,7 +159,7 @@ pub(crate) struct DriveArgs {
     /// `reveille device` can take over. The run ends with the same digest.
     ///
     /// With `continue`, the devices are removed permanently. The base station receives no more messages from them and
-    /// no notice of the loss. The input log (inputs.log) keeps the TTI of the removal; `reveille run --inputs`
+    /// no notice of the loss. The input log (inputs.log) keeps the TTI of the removal; `reveille run --input-log`
     /// reproduces the digest.
     #[arg(long, value_enum, default_value = "wait")]
     pub on_loss: OnLossArg,
@@ -291,7 +291,7 @@ pub(crate) struct DeviceArgs {
     pub count: u32,
     /// Time limit for reaching the base station and joining the run, and for waiting for a lost base station to return.
     #[arg(long, default_value = "30s", value_parser = parse_duration)]
-    pub patience: Duration,
+    pub connect_timeout: Duration,
     /// File with the run's key, if the base station requires one.
     #[arg(long, value_name = "FILE")]
     pub key_file: Option<PathBuf>,
@@ -300,7 +300,7 @@ pub(crate) struct DeviceArgs {
     pub parent: Option<i32>,
     /// Number of device processes on this machine, including this one.
     #[arg(long, hide = true, default_value_t = 1)]
-    pub among: u32,
+    pub host_count: u32,
     /// Disable device-process tuning (for benchmarks).
     #[arg(long, hide = true)]
     pub untuned: bool,

@@ -119,7 +119,7 @@ pub(crate) struct RecordArgs {
         value_parser = whole(0..=u32::MAX),
         allow_negative_numbers = true
     )]
-    pub every: u32,
+    pub stride: u32,
     /// Shares of TTIs in which a device deviates from its policy, separated by commas. Runs use the shares in turn.
     #[arg(
         long,
@@ -134,7 +134,7 @@ pub(crate) struct RecordArgs {
     /// bs.battery_knowledge is "oracle", these are the true levels. Such policies then wake other devices than without
     /// a recording. The teachers of the shipped model were recorded with this option.
     #[arg(long, conflicts_with = "from")]
-    pub told: bool,
+    pub true_batteries: bool,
     /// Parquet file for the trajectories.
     #[arg(long, short)]
     pub out: PathBuf,

@@ -46,12 +46,13 @@ pub(crate) async fn run(args: &DeviceArgs) -> anyhow::Result<ExitCode> {
         count: args.count,
         name: format!("the process with pid {}", std::process::id()),
         key,
-        patience: if is_alone { args.patience } else { FOREVER },
+        patience: if is_alone { args.connect_timeout } else { FOREVER },
         stands_by: true,
         hands_over: args.untuned,
     };
     let work = async {
-        let bus = Bus::connect_with_hosts(args.among, &args.connect, args.run.clone(), args.patience).await?;
+        let bus =
+            Bus::connect_with_hosts(args.host_count, &args.connect, args.run.clone(), args.connect_timeout).await?;
         let carried = host::run_host(&bus, offer, &say).await;
         bus.close().await;
         carried

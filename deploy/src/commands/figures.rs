@@ -73,13 +73,13 @@ fn draw_study(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
         if condition.swept.is_empty() || condition.is_plain() {
             draw_energy(args, &label, condition)?;
         }
-        if !args.together {
+        if !args.combine {
             draw_trades(args, &label, &[condition])?;
         }
     }
     hint(&results);
     for (label, conditions) in results.together() {
-        if args.together {
+        if args.combine {
             draw_trades(args, &label, &conditions)?;
         }
         draw_fronts(args, label.trim_end_matches("-together"), &conditions)?;

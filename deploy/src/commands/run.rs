@@ -136,7 +136,7 @@ pub(crate) fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
 
 /// Returns the external inputs that the command names: a log, or the decisions `given` for a policy.
 fn named(args: &RunArgs, scenario: &Scenario, given: Option<ExternalInputs>) -> anyhow::Result<Option<ExternalInputs>> {
-    let Some(path) = &args.inputs else {
+    let Some(path) = &args.input_log else {
         ensure!(
             given.is_some() || args.output.resume.is_some() || !outside::is_external(&scenario.policy),
             "--policy external: only `reveille up` and `reveille bs` can ask a policy process; use one of them, or \
@@ -146,13 +146,13 @@ fn named(args: &RunArgs, scenario: &Scenario, given: Option<ExternalInputs>) -> 
     };
     ensure!(
         !outside::is_external(&scenario.policy),
-        "--inputs: policy external takes all inputs from --policy replay=FILE; use that option, or choose a built-in \
+        "--input-log: policy external takes all inputs from --policy replay=FILE; use that option, or choose a built-in \
          policy"
     );
-    let inputs = input_log::read_named(path, scenario).context("--inputs")?;
+    let inputs = input_log::read_named(path, scenario).context("--input-log")?;
     ensure!(
         inputs.decisions.is_empty(),
-        "--inputs: the log holds decisions, but the policy is built in: {}",
+        "--input-log: the log holds decisions, but the policy is built in: {}",
         input_log::MISFIT
     );
     Ok(Some(inputs))

@@ -155,7 +155,9 @@ async fn tend(
     let shared = Arc::new(Shared::new(&bus, assignment)?);
     let this = Arc::clone(&shared);
     // The link's queue has to hold the traffic of all devices that the process may run, not only of these.
-    let ear = Dispatcher::new(offer.count.max(count), offer.hands_over, move |heard| this.dispatch(heard));
+    let ear = Dispatcher::new(offer.count.max(count), offer.hands_over, move |heard| {
+        this.dispatch(heard)
+    });
     let _declared = shared.declare(&bus, ear)?;
     match bus.query_until(&Ready { host }, Some(pass.token), patience).await? {
         Some(true) => shared.stay(&bus, patience).await,

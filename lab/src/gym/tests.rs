@@ -150,7 +150,10 @@ fn rewards_are_those_of_the_paper() {
         let now = question.seen.now;
         let step = environment.step(|j| two.contains(&j) || !free.contains(&j));
         assert!((step.woken + two.len() as f64 / 24.0).abs() < 1e-12);
-        if let Some(question) = environment.pending_decision().filter(|question| question.seen.now == now) {
+        if let Some(question) = environment
+            .pending_decision()
+            .filter(|question| question.seen.now == now)
+        {
             let gained = (question.seen.information - before) / 2.0;
             assert!((step.information - 5.0 * gained).abs() < 1e-9, "{step:?} {gained}");
             wakes += i32::from(gained > 0.0);

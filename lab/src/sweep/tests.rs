@@ -281,7 +281,9 @@ fn runs_of_another_sweep_are_taken_over_and_change_nothing() {
     assert!(swept(&other, "1/1", 2, &own.0).1 == expected, "the table differs");
 
     known[0].1.about.version = "0.0.1".to_owned();
-    let refused = ReusableRuns::from_tables(&known).expect_err("another version").to_string();
+    let refused = ReusableRuns::from_tables(&known)
+        .expect_err("another version")
+        .to_string();
     assert!(refused.contains("--reuse") && refused.contains("0.0.1"), "{refused}");
 }
 

@@ -131,7 +131,11 @@ impl Schema {
         };
         let expected = own.names();
         // Tables of version 0.1 have former names of metrics.
-        if expected.iter().copied().eq(header.iter().map(|name| Metrics::current_name(name))) {
+        if expected
+            .iter()
+            .copied()
+            .eq(header.iter().map(|name| Metrics::current_name(name)))
+        {
             Ok(names)
         } else {
             Err(mismatch(&expected, header))

@@ -156,7 +156,9 @@ fn a_cut_file_is_refused_at_every_length() {
     let folder = Folder::new("cut");
     for name in ["t.parquet", "t.csv"] {
         let path = folder.path(name);
-        fixtures::table().write(&path, Format::from_path(&path)).expect("written");
+        fixtures::table()
+            .write(&path, Format::from_path(&path))
+            .expect("written");
         let bytes = fs::read(&path).expect("there");
         for length in 0..bytes.len() {
             fs::write(&path, &bytes[..length]).expect("written");

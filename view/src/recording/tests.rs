@@ -139,7 +139,10 @@ fn a_recording_holds_everything() {
     let reader = RecordingReader::open(Cursor::new(&bytes)).expect("a recording");
     assert_eq!((reader.run(), reader.summary()), ("r1", Some("{}")));
     assert_eq!(reader.len(), Some(frames.len() as u64));
-    assert_eq!(reader.bundle().files, [("scenario-files/x.csv".to_owned(), vec![1, 2, 3])]);
+    assert_eq!(
+        reader.bundle().files,
+        [("scenario-files/x.csv".to_owned(), vec![1, 2, 3])]
+    );
     assert_eq!(
         reader.bundle().load().expect("a scenario").hash_hex(),
         scenario.hash_hex()

@@ -257,7 +257,11 @@ mod tests {
                 for _ in 0..300 {
                     for (j, fresh) in fresh.iter().enumerate() {
                         let expected = if *fresh > 0.0 { ages.gain(j) / fresh } else { 1.0 };
-                        assert_eq!(staleness.staleness(j).to_bits(), expected.to_bits(), "{kind:?} {width} {j}");
+                        assert_eq!(
+                            staleness.staleness(j).to_bits(),
+                            expected.to_bits(),
+                            "{kind:?} {width} {j}"
+                        );
                     }
                     assert_eq!(staleness.of_all().to_bits(), (ages.all() / all_fresh).to_bits());
                     for j in (0..25).filter(|_| stream.unit() < 0.06) {

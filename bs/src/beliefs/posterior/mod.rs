@@ -125,7 +125,7 @@ impl EpicentreBelief {
     /// affects only the comparison of devices.
     #[must_use]
     pub(crate) fn with_miss_cost(self, miss_cost: f64) -> Self {
-        Self { miss_cost: miss_cost, ..self }
+        Self { miss_cost, ..self }
     }
 
     /// Sets the probability that the radio silences a device that should have reported: `lost`, `[0, 1]`.

@@ -372,13 +372,23 @@ fn former_names_of_fields_are_accepted_with_a_warning() {
         let (old, new) = (former.last().expect("one"), current.last().expect("one"));
         let name = |field: &str| field.split('=').next().unwrap_or_default().to_owned();
         let expected = format!("{} is now called {} (set by --set {old})", name(old), name(new));
-        assert!(matches!(&warnings[..], [one] if one.starts_with(&expected)), "{warnings:?}");
+        assert!(
+            matches!(&warnings[..], [one] if one.starts_with(&expected)),
+            "{warnings:?}"
+        );
         assert_eq!(hash(&former), hash(&current));
         let both: Vec<&str> = former.iter().chain(&current).copied().collect();
         assert_eq!(hash(&both), hash(&current), "the later override applies");
     }
     let file = parse("[radio]\nfalse_wake = 0.1\n", "my.toml", Path::new(""), &[]).expect("valid");
-    assert!(file.warnings[0].contains("(set in my.toml, line 2)"), "{:?}", file.warnings);
+    assert!(
+        file.warnings[0].contains("(set in my.toml, line 2)"),
+        "{:?}",
+        file.warnings
+    );
     let twice = from("[radio]\nfalse_wake = 0.1\nfalse_wake_up = 0.2\n").expect_err("two values");
-    assert!(twice.to_string().starts_with("unknown field `radio.false_wake`"), "{twice}");
+    assert!(
+        twice.to_string().starts_with("unknown field `radio.false_wake`"),
+        "{twice}"
+    );
 }

@@ -404,7 +404,9 @@ impl<'a> Port<'a> {
 
     /// Counts further answers to the last request.
     fn count_spare(&mut self) {
-        let Some((replies, id)) = self.extra_replies.take() else { return };
+        let Some((replies, id)) = self.extra_replies.take() else {
+            return;
+        };
         let is_own = |heard: &PortReply| match heard {
             PortReply::Answer(bytes, form) => self.is_from(&id, bytes, *form),
             PortReply::Refusal(_) => false,

@@ -107,7 +107,7 @@ impl<'a> Printer<'a> {
     fn new(args: &'a TailArgs, filter: Filter, scenario: Option<&Scenario>) -> Self {
         let is_wanted = |_: &&Scenario| !filter.states.is_empty();
         Self {
-            join: args.join.then(WakeUpPairer::default),
+            join: args.pair_wake_ups.then(WakeUpPairer::default),
             before_wake: None,
             mirror: scenario
                 .filter(is_wanted)

@@ -144,10 +144,10 @@ fn digest(folder: &Path) -> anyhow::Result<String> {
 }
 
 fn recording(args: &RecordArgs) -> anyhow::Result<RecordingConfig> {
-    if args.every <= args.chunk {
+    if args.stride <= args.chunk {
         bail!(
-            "--every {}: must be more than --chunk {}, or chunks overlap",
-            args.every,
+            "--stride {}: must be more than --chunk {}, or chunks overlap",
+            args.stride,
             args.chunk
         );
     }
@@ -159,8 +159,8 @@ fn recording(args: &RecordArgs) -> anyhow::Result<RecordingConfig> {
     }
     Ok(RecordingConfig {
         length: args.chunk as usize,
-        stride: args.every as usize,
+        stride: args.stride as usize,
         explore: args.explore.clone(),
-        true_batteries: args.told,
+        true_batteries: args.true_batteries,
     })
 }

@@ -229,7 +229,10 @@ fn any_radio() -> impl Strategy<Value = RadioSettings> {
 
 /// Whether device 7 of a run with seed 1 has a false wake-up, for each of the first `ttis` TTIs: gap by gap.
 fn startled(radio: &RadioSettings, ttis: u64) -> Vec<bool> {
-    let (law, mut stream) = (Geometric::new(radio.false_wake_up), Stream::new(1, Purpose::FalseWakes, 7));
+    let (law, mut stream) = (
+        Geometric::new(radio.false_wake_up),
+        Stream::new(1, Purpose::FalseWakes, 7),
+    );
     let mut gap = law.draw(&mut stream);
     let each = (0..ttis).map(|_| {
         gap -= 1;

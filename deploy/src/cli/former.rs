@@ -1,0 +1,142 @@
+//! Former names of options and values, which are still accepted with a warning.
+
+use std::ffi::OsString;
+
+use reveille_common::score::Metrics;
+
+/// The command, the former name of its option, and the name of today.
+const OPTIONS: [(&str, &str, &str); 7] = [
+    ("run", "--inputs", "--input-log"),
+    ("train record", "--told", "--true-batteries"),
+    ("train record", "--every", "--stride"),
+    ("device", "--patience", "--connect-timeout"),
+    ("device", "--among", "--host-count"),
+    ("inspect tail", "--join", "--pair-wake-ups"),
+    ("figures study", "--together", "--combine"),
+];
+
+/// The command, the option whose values changed their names, and the name of today for a value.
+const VALUES: [(&str, &str, fn(&str) -> &str); 3] = [
+    ("inspect tail", "--state", |state| {
+        if state == "deaf" { "unpowered" } else { state }
+    }),
+    ("figures sweep", "--y", Metrics::current_name),
+    ("sweep", "--ci-metrics", Metrics::current_name),
+];
+
+/// Replaces former names in the command line `args`, and returns it with a warning for each.
+pub(crate) fn replace(args: impl IntoIterator<Item = OsString>) -> (Vec<OsString>, Vec<String>) {
+    let mut args: Vec<OsString> = args.into_iter().collect();
+    let mut warnings = Vec::new();
+    let warning = |former: &str, current: &str| {
+        format!("{former} is now called {current}; the former name will be removed in a later version")
+    };
+    for (command, former, current) in OPTIONS {
+        for at in of_command(&args, command) {
+            let Some(text) = args[at].to_str() else { continue };
+            let (name, value) = text.split_at(text.find('=').unwrap_or(text.len()));
+            if name == former {
+                args[at] = format!("{current}{value}").into();
+                warnings.push(warning(former, current));
+            }
+        }
+    }
+    for (command, option, current_name) in VALUES {
+        for at in of_command(&args, command) {
+            let Some(text) = args[at].to_str() else { continue };
+            let own = text.strip_prefix(option).and_then(|rest| rest.strip_prefix('='));
+            let own = own.or_else(|| (args[at - 1] == option).then_some(text));
+            let Some(list) = own else { continue };
+            let current: Vec<&str> = list.split(',').map(current_name).collect();
+            let renamed = list
+                .split(',')
+                .zip(&current)
+                .filter(|(former, current)| former != *current);
+            warnings.extend(renamed.map(|(former, current)| warning(former, current)));
+            args[at] = format!("{}{}", &text[..text.len() - list.len()], current.join(",")).into();
+        }
+    }
+    (args, warnings)
+}
+
+/// Returns the positions of the arguments of `command`; empty if `args` call another command.
+fn of_command(args: &[OsString], command: &str) -> std::ops::Range<usize> {
+    let words: Vec<&str> = command.split(' ').collect();
+    let is_called = |window: &[OsString]| window.iter().zip(&words).all(|(arg, word)| arg == word);
+    let found = args.windows(words.len()).position(is_called);
+    found.map_or(0..0, |at| at + words.len()..args.len())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn former_names_are_replaced_in_their_command_alone() {
+        let replaced = |line: &str| {
+            let (args, warnings) = replace(line.split(' ').map(OsString::from));
+            let args: Vec<_> = args.iter().map(|arg| arg.to_str().expect("text")).collect();
+            (args.join(" "), warnings.len())
+        };
+        for (line, expected, count) in [
+            ("reveille -v run --inputs a.log", "reveille -v run --input-log a.log", 1),
+            (
+                "reveille run --inputs=a.log -n 3",
+                "reveille run --input-log=a.log -n 3",
+                1,
+            ),
+            (
+                "reveille train record --told --every 9",
+                "reveille train record --true-batteries --stride 9",
+                2,
+            ),
+            (
+                "reveille device --patience 3s --among 2",
+                "reveille device --connect-timeout 3s --host-count 2",
+                2,
+            ),
+            (
+                "reveille train dt a --patience 3",
+                "reveille train dt a --patience 3",
+                0,
+            ),
+            (
+                "reveille inspect tail --join",
+                "reveille inspect tail --pair-wake-ups",
+                1,
+            ),
+            (
+                "reveille inspect tail --state S1,deaf",
+                "reveille inspect tail --state S1,unpowered",
+                1,
+            ),
+            (
+                "reveille inspect tail --state=deaf",
+                "reveille inspect tail --state=unpowered",
+                1,
+            ),
+            (
+                "reveille figures sweep t --y dark_pct",
+                "reveille figures sweep t --y unpowered_pct",
+                1,
+            ),
+            (
+                "reveille sweep --ci-metrics=a,gone_pct",
+                "reveille sweep --ci-metrics=a,removed_pct",
+                1,
+            ),
+            (
+                "reveille inspect tail --run deaf",
+                "reveille inspect tail --run deaf",
+                0,
+            ),
+            (
+                "reveille figures study --together t",
+                "reveille figures study --combine t",
+                1,
+            ),
+        ] {
+            assert_eq!(replaced(line), (expected.to_owned(), count), "{line}");
+        }
+    }
+}
