@@ -153,16 +153,16 @@ def strike_signal(how, game, random):
 
 
 def strike_held(how, game, random):
-    """Sends a signal that requests the end while the clock is held for a frozen device process."""
+    """Sends a signal that requests the end while the run is waiting for a frozen device process."""
     hosts, station = game.hosts(), game.station
     if not hosts or not game.is_running():
         return False
-    before = station.err().count("the clock is held")
+    before = station.err().count("the run is waiting")
     pid = random.choice(hosts)
     subprocesses.send(pid, signal.SIGSTOP)
 
     def held():
-        return station.err().count("the clock is held") > before or game.is_over()
+        return station.err().count("the run is waiting") > before or game.is_over()
 
     game.ground.wait("the clock to be held for a frozen process", held, within=ENDED_WITHIN)
     hit = not game.is_over()

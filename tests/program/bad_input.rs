@@ -166,7 +166,7 @@ fn too_many_processes_are_refused() {
     assert_refused(
         &folder.run("up -n 10 -P 11"),
         1,
-        &["--processes 11", "10 devices", "0 to 10"],
+        &["--processes 11", "0 to 10", "number of devices"],
     );
     assert_untouched(&folder, &[]);
 }
@@ -300,9 +300,9 @@ fn a_folder_with_other_files_is_kept() {
     fs::create_dir(folder.join("mine")).expect("writable");
     folder.write("mine/thesis.tex", "precious");
     let end = folder.run("run -s quick --out mine");
-    assert_refused(&end, 1, &["--out mine", "not empty", "not a run"]);
+    assert_refused(&end, 1, &["--out mine", "not empty", "holds no run"]);
     let end = folder.run("run -s quick --out mine --force");
-    assert_refused(&end, 1, &["--out mine", "not empty", "not a run"]);
+    assert_refused(&end, 1, &["--out mine", "not empty", "holds no run"]);
     assert_eq!(folder.list("mine"), ["thesis.tex"]);
     assert!(folder.run("run -s quick --out run").is_success());
     let end = folder.run("up -s quick --out run");

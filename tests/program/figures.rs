@@ -361,7 +361,7 @@ fn empty_and_foreign_tables_are_refused_and_one_table_is_enough() {
     folder.write("later.csv.toml", &later);
     for command in ["figures", "report"] {
         let end = folder.run(&format!("{command} empty.csv --out out"));
-        assert_refused(&end, 1, &["empty.csv", "no rows", "reveille sweep"]);
+        assert_refused(&end, 1, &["empty.csv", "no runs to draw", "reveille sweep"]);
         let end = folder.run(&format!("{command} paper/results.csv later.csv --out out"));
         assert_refused(&end, 1, &["later.csv", "version 2"]);
         assert!(!folder.join("out").exists());

@@ -60,9 +60,9 @@ fn killed_and_running_runs_are_distinguished() {
     gone(&run);
     assert!(folder.list("out").contains(&"RUNNING".to_owned()));
     let end = folder.run("run -n 7 -k 50 --out out");
-    assert_refused(&end, 1, &["--out out", "was killed", "--force"]);
+    assert_refused(&end, 1, &["--out out", "killed run", "--force"]);
     let record = folder.run("train record --from out --chunk 12 --stride 40 --out c.parquet");
-    assert_refused(&record, 1, &["out", "was killed"]);
+    assert_refused(&record, 1, &["out", "killed"]);
     assert!(
         folder.list("out").contains(&"RUNNING".to_owned()),
         "it is left as it was"
@@ -125,7 +125,7 @@ fn a_folder_without_a_run_stays_unchanged() {
         let before = folder.list("mine");
         for force in ["", "--force"] {
             let end = folder.run(&format!("run -n 7 -k 50 --out mine {force}"));
-            assert_refused(&end, 1, &["--out mine", "not a run"]);
+            assert_refused(&end, 1, &["--out mine", "holds no run"]);
             assert_eq!(folder.list("mine"), before);
         }
     }

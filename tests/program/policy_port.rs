@@ -42,7 +42,7 @@ async fn the_decisions_of_a_policy_give_its_digest() {
         let summary = end.summary();
         assert_eq!(
             (summary.digest(), summary.text("audit")),
-            (&*digest, "whole"),
+            (&*digest, "complete"),
             "{policy}: {end}"
         );
         assert!(
@@ -97,7 +97,7 @@ async fn killed_processes_change_no_result() {
     assert!(end.is_success(), "{end}");
     assert_eq!(
         (end.summary().digest(), end.summary().text("audit")),
-        (&*digest, "whole")
+        (&*digest, "complete")
     );
     assert!(end.stderr.contains("the first has not answered"), "{end}");
     assert!(end.stderr.contains(" run again after "), "{end}");

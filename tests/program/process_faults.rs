@@ -120,11 +120,11 @@ fn thawed(scenario: &str) {
     let run = unique_run("thaw");
     let (up, hosts) = up_mid_run(&folder, &run, &format!("{scenario} --pace 5ms --on-loss wait --json"));
     send_signal(hosts[1], Signal::STOP);
-    up.wait_for_stderr("the clock is held");
+    up.wait_for_stderr("the run is waiting");
     let held = folder.wait_for_tti(&run, 0);
     // Longer than the detection of a loss takes: four seconds in total.
     std::thread::sleep(Duration::from_secs(2));
-    assert_eq!(folder.wait_for_tti(&run, 0), held, "the clock is held");
+    assert_eq!(folder.wait_for_tti(&run, 0), held, "the run is waiting");
     send_signal(hosts[1], Signal::CONT);
     let end = up.finish();
     assert!(end.stderr.contains("is back"), "{end}");

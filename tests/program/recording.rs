@@ -112,7 +112,7 @@ fn filters_and_joined_wake_ups_show_the_right_messages() {
     assert_refused(&clusters, 1, &["--cluster 999", "clusters, 0 to"]);
     let count: usize = clusters
         .stderr
-        .split("there are ")
+        .split("the run has ")
         .nth(1)
         .and_then(|rest| rest.split(' ').next()?.parse().ok())
         .expect("a number");

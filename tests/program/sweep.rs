@@ -82,7 +82,7 @@ fn threads_shards_and_both_together_give_the_same_bytes() {
     assert!(folder.run("merge s1 s2 s3 --force --out taken.csv").is_success());
     assert!(folder.bytes("taken.csv").starts_with(b"scenario_hash"));
     let again = folder.run("merge s1 s1 --out twice.parquet");
-    assert_refused(&again, 1, &["s1/results.parquet", "again"]);
+    assert_refused(&again, 1, &["s1/results.parquet", "name each shard once"]);
 }
 
 #[test]

@@ -147,7 +147,7 @@ fn an_interrupted_run_resumes() {
     taken_up("up -P 2", Signal::TERM);
 }
 
-/// A run interrupted while the clock is held ends in the middle of a TTI. It is resumed from its state before that TTI.
+/// A run interrupted while it waits ends in the middle of a TTI. It is resumed from its state before that TTI.
 #[test]
 fn a_run_interrupted_while_waiting_resumes() {
     let (folder, run, endpoint) = (Folder::new(), unique_run("held"), free_endpoint());
@@ -165,7 +165,7 @@ fn a_run_interrupted_while_waiting_resumes() {
     let killed = host();
     folder.wait_for_tti(&run, 20);
     killed.signal(Signal::KILL);
-    bs.wait_for_stderr("the clock is held");
+    bs.wait_for_stderr("the run is waiting");
     bs.signal(Signal::TERM);
     let end = bs.finish();
     assert_eq!(end.code(), Some(130), "{end}");

@@ -136,7 +136,7 @@ impl Folder {
             let words: Vec<&str> = said.split_whitespace().collect();
             let at = words.iter().position(|&word| word == "TTI")? + 1;
             // The status also shows TTI 0 before the devices have joined.
-            let has_begun = !said.contains("waiting for devices to join");
+            let has_begun = !said.starts_with("joining");
             words.get(at)?.parse().ok().filter(|&now| has_begun && now >= tti)
         })
     }

@@ -62,8 +62,8 @@ pub enum BsError {
     /// The run was interrupted before it had any result.
     #[error("interrupted before all devices had joined")]
     Interrupted,
-    /// The run was interrupted while the clock was held for a lost host.
-    #[error("interrupted at TTI {tti}, while the clock was held for lost host {host} with devices {first} to {last}")]
+    /// The run was interrupted while it waited for a lost host.
+    #[error("interrupted at TTI {tti}, while the run waited for lost host {host} with devices {first} to {last}")]
     InterruptedAwaitingHost {
         /// The host.
         host: HostId,

@@ -58,11 +58,11 @@ impl RunLoop<'_> {
             }
         }
         for places in lost {
-            // The check runs many times a second while the clock is held; each loss is reported once.
+            // The check runs many times a second while the run is waiting; each loss is reported once.
             if state.reported.insert(places.host) {
                 let (host, first, last) = (places.host, places.first.0, places.last().0);
                 let name = state.admission.name(host);
-                let held = "the clock is held until a host runs its devices again";
+                let held = "the run is waiting until a host runs its devices again";
                 tracing::warn!(%host, first, last, %tti, "lost {name}; {held}");
             }
         }

@@ -110,13 +110,13 @@ impl fmt::Display for ClockStatus {
             lost,
         } = self;
         if !begun {
-            write!(f, "before TTI 0 of {ttis}, waiting for devices to join")?;
+            write!(f, "joining before TTI 0 of {ttis}")?;
             return f.write_str(if *paused { "; then paused" } else { "" });
         }
         match (paused, lost.is_empty()) {
             (true, _) => write!(f, "paused before TTI {tti} of {ttis}")?,
             (false, true) => write!(f, "running at TTI {tti} of {ttis}")?,
-            (false, false) => write!(f, "held at TTI {tti} of {ttis}")?,
+            (false, false) => write!(f, "waiting at TTI {tti} of {ttis}")?,
         }
         if !paused && until.0 < *ttis {
             write!(f, ", to stop before TTI {until}")?;
@@ -125,7 +125,7 @@ impl fmt::Display for ClockStatus {
             write!(f, ", a TTI every {pace}")?;
         }
         for (nth, host) in lost.iter().enumerate() {
-            write!(f, "{} {host}", if nth == 0 { ": waiting for" } else { "," })?;
+            write!(f, "{} {host}", if nth == 0 { ": lost" } else { "," })?;
         }
         Ok(())
     }
@@ -180,7 +180,7 @@ mod tests {
                     lost: vec![lost],
                     ..running.clone()
                 },
-                "held at TTI 12 of 400: waiting for host 1 (devices 25 to 49)",
+                "waiting at TTI 12 of 400: lost host 1 (devices 25 to 49)",
             ),
             (
                 ClockStatus {
@@ -188,7 +188,7 @@ mod tests {
                     paused: true,
                     ..running
                 },
-                "before TTI 0 of 400, waiting for devices to join; then paused",
+                "joining before TTI 0 of 400; then paused",
             ),
         ];
         for (status, text) in cases {

@@ -127,7 +127,7 @@ fn what_cannot_be_run_is_refused_with_its_field() {
         ("until_ci = 2", "until_ci = 2"),
         (
             "until_ci = \"1%\"\nci_metrics = [\"colour\"]",
-            "there are info_p1, info_per_event",
+            "the metrics are info_p1, info_per_event",
         ),
         ("until_ci = \"1%\"\nci_metrics = []", "at least one metric"),
         ("until_ci = \"1%\"\nseeds = 1", "at least two runs"),
@@ -248,7 +248,7 @@ fn threads_interruptions_and_shards_change_nothing() {
         (11 + 11, Some("1,4/5"))
     );
     let twice = merge(tables(&[2, 2], 2), true).expect_err("twice").to_string();
-    assert!(twice.contains("shard 2/2 again"), "{twice}");
+    assert!(twice.contains("name each shard once"), "{twice}");
     let mixed = [tables(&[1], 2), tables(&[2], 3)].concat();
     let mixed = merge(mixed, true).expect_err("mixed").to_string();
     assert!(mixed.contains("is shard 2/3, but"), "{mixed}");

@@ -75,7 +75,7 @@ fn other_versions_and_other_files_are_refused() {
             "\"reveille.rows\" = \"6\"",
             "5 rows, but its side-car says 6",
         ),
-        ("float,int,text", "float,int", "tells of 2 swept columns, but it has 3"),
+        ("float,int,text", "float,int", "lists 2 swept columns, but it has 3"),
         ("float,int,text", "float,int,colour", "reveille.kinds"),
     ] {
         let changed = text.replace(from, to);

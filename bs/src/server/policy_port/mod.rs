@@ -223,7 +223,7 @@ impl<'a> Port<'a> {
                     // An unresponsive process may have exited, so the next attempt greets again and another process can
                     // take its place.
                     let name = self.partner.take().map(|partner| partner.name).unwrap_or_default();
-                    let held = "the clock is held until a policy process answers";
+                    let held = "the run is waiting until a policy process answers";
                     self.complain(format!("{name} has not answered for TTI {tti}; {held}"));
                     tokio::time::sleep(BETWEEN).await;
                 }
@@ -489,7 +489,7 @@ impl<'a> Wait<'a> {
         if self.begun.elapsed() >= SILENT && !self.is_named {
             self.is_named = true;
             let (tti, peer_status) = (self.tti, &self.peer_status);
-            tracing::warn!(%tti, "no decision for {} s: {peer_status}; the clock is held", SILENT.as_secs());
+            tracing::warn!(%tti, "no decision for {} s: {peer_status}; the run is waiting", SILENT.as_secs());
         }
     }
 }

@@ -99,7 +99,7 @@ function see(now) {
   page.updates += 1;
   by("scrubber").min = now.first;
   by("scrubber").max = Math.max(now.next - 1, now.first);
-  const end = now.over ? (now.next < page.run.ttis ? "interrupted or failed" : "finished") : page.run.live ? "live" : "recording";
+  const end = now.over ? (now.next < page.run.ttis ? "interrupted or failed" : "finished") : "running";
   tell(`${end} · TTI ${now.next} of ${page.run.ttis} · ${now.events} events counted, ${now.missed} missed · ${now.messages} messages`);
   // Unchanged entries stay in place: a click could miss an entry that is being replaced.
   const told = JSON.stringify(now.ticker);
