@@ -40,7 +40,7 @@ impl Frames {
             Notification::EventStarted(event) => take(Frame::new(event.start, (), &EventUpdate::Started(*event))),
             Notification::ReportReceived(report) => take(Frame::new(report.tti, report.device, report)),
             Notification::ReportLost(report) => {
-                take(Frame::new(report.tti, report.device, &LostReport { report: *report }))
+                take(Frame::new(report.tti, report.device, &LostReport { report: *report }));
             }
             Notification::ReportFailed { tti, failure } => {
                 take(Frame::new(tti, failure.device, &FailedReport { failure: *failure }));

@@ -52,7 +52,7 @@ impl<'a> Downlink<'a> {
         match clock {
             ClockMessage::Grant(_) => self.grant = Some(clock),
             ClockMessage::CollectLedgers(_) | ClockMessage::Dismiss | ClockMessage::RunFailed(_) => {
-                self.end = Some(clock)
+                self.end = Some(clock);
             }
         }
         Ok(())

@@ -14,7 +14,7 @@ use super::layer::Layer;
 
 /// Replaces the former names of fields in `layer` by their names of today, and adds a warning for each. A former name
 /// next to the name of today stays, so that the check rejects it.
-pub(super) fn replace_former<'a>(layer: &mut Layer<'a>, declaration: &Declaration, warnings: &mut Vec<String>) {
+pub(super) fn replace_former(layer: &mut Layer<'_>, declaration: &Declaration, warnings: &mut Vec<String>) {
     let (scope, origin) = (layer.item.map_or(Scope::Top, |_| Scope::Item), layer.origin.clone());
     let mut found = Vec::new();
     rename(&mut layer.table, declaration, (scope, ""), &mut found);
@@ -25,8 +25,8 @@ pub(super) fn replace_former<'a>(layer: &mut Layer<'a>, declaration: &Declaratio
 }
 
 /// Replaces former names in the table at a path; `found` receives both paths and the offset of each.
-fn rename<'a>(
-    table: &mut DeTable<'a>,
+fn rename(
+    table: &mut DeTable<'_>,
     declaration: &Declaration,
     (scope, path): (Scope, &str),
     found: &mut Vec<(String, String, usize)>,

@@ -15,8 +15,11 @@ const OPTIONS: [(&str, &str, &str); 7] = [
     ("figures study", "--together", "--combine"),
 ];
 
-/// The command, the option whose values changed their names, and the name of today for a value.
-const VALUES: [(&str, &str, fn(&str) -> &str); 3] = [
+/// Returns the name of today for a value.
+type CurrentName = fn(&str) -> &str;
+
+/// The command, its option whose values changed their names, and the name of today for a value.
+const VALUES: [(&str, &str, CurrentName); 3] = [
     ("inspect tail", "--state", |state| {
         if state == "deaf" { "unpowered" } else { state }
     }),

@@ -156,7 +156,7 @@ async fn tend(
     let this = Arc::clone(&shared);
     // The link's queue has to hold the traffic of all devices that the process may run, not only of these.
     let ear = Dispatcher::new(offer.count.max(count), offer.hands_over, move |heard| {
-        this.dispatch(heard)
+        this.dispatch(heard);
     });
     let _declared = shared.declare(&bus, ear)?;
     match bus.query_until(&Ready { host }, Some(pass.token), patience).await? {
