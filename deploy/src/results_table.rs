@@ -9,8 +9,9 @@ use crate::summary::{ClassSummary, Summary};
 
 /// The metrics of every results table, in its order.
 ///
-/// The first three show the information that the base station gets, and its share and delay of detection. The next three
-/// show the messages and the wrong activations behind them. The last four show the energy that they cost and leave.
+/// The first three show the information that the base station gets, and its share and delay of detection. The next
+/// three show the messages and the wrong activations behind them. The last four show the energy that they cost and
+/// leave.
 const MAIN: [&str; 10] = [
     "info_p1",
     "misdetection_pct",

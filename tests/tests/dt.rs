@@ -58,10 +58,10 @@ fn a_scenario_names_the_shape_that_the_model_must_have() {
     for (set, parts) in [
         (
             &["policy.dt.memory=4"][..],
-            &["policy.dt.memory", "has, 8", "reveille train dt"][..],
+            &["policy.dt.memory", "model has 8", "reveille train dt"][..],
         ),
-        (&["policy.dt.width=64"], &["policy.dt.width", "has, 32"]),
-        (&["policy.dt.heads=1"], &["policy.dt.heads", "has, 2"]),
+        (&["policy.dt.width=64"], &["policy.dt.width", "model has 32"]),
+        (&["policy.dt.heads=1"], &["policy.dt.heads", "model has 2"]),
         (
             &[untrained, "policy.dt.width=30"],
             &["policy.dt.width", "multiple of 4 times the heads, 8"],

@@ -143,10 +143,17 @@ async fn memory_and_bus_show_the_same() {
         }
         assert_eq!(memory.len(), bus.len(), "{name}");
         let count = |kind: &str| memory.iter().filter(|line| line.starts_with(kind)).count();
-        for kind in ["Plan", "Granted", "EventStarted", "EventEnded", "Closed", "States"] {
+        for kind in [
+            "PlanSent",
+            "TtisGranted",
+            "EventStarted",
+            "EventEnded",
+            "TtiClosed",
+            "DeviceStates",
+        ] {
             assert!(count(kind) > 0, "{name}: no {kind}");
         }
-        for kind in ["WakeUp", "Woken"] {
+        for kind in ["WakeUpSent", "WakeUpCompleted"] {
             assert_eq!(count(kind) > 0, policy.wakes, "{name}: {kind}");
         }
     }

@@ -146,8 +146,8 @@ fn named(args: &RunArgs, scenario: &Scenario, given: Option<ExternalInputs>) -> 
     };
     ensure!(
         !outside::is_external(&scenario.policy),
-        "--input-log: policy external takes all inputs from --policy replay=FILE; use that option, or choose a built-in \
-         policy"
+        "--input-log: policy external takes all inputs from --policy replay=FILE; use that option, or choose a \
+         built-in policy"
     );
     let inputs = input_log::read_named(path, scenario).context("--input-log")?;
     ensure!(

@@ -106,7 +106,7 @@ impl Script<'_> {
                 self.field(&format!("{path}.is"), "string");
                 let mut all = String::new();
                 for (at, variant) in variants {
-                    let inner = format!("{path}.{}", variant.name.to_lowercase());
+                    let inner = format!("{path}.{}", snake_case(&variant.name));
                     let form = match &variant.value {
                         VariantFormat::Unit | VariantFormat::Variable(_) => "{\"nothing\"}".to_owned(),
                         VariantFormat::NewType(format) => self.format(format, &inner),
@@ -135,6 +135,18 @@ impl Script<'_> {
     }
 }
 
+/// Converts the name of a variant, such as `GrantDone`, to the name of a field, `grant_done`.
+fn snake_case(name: &str) -> String {
+    let mut text = String::new();
+    for (at, letter) in name.char_indices() {
+        if letter.is_uppercase() && at > 0 {
+            text.push('_');
+        }
+        text.extend(letter.to_lowercase());
+    }
+    text
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -145,7 +157,12 @@ mod tests {
         for kind in MessageKind::ALL {
             assert!(script.contains(&format!("name = {:?}", kind.name())), "{}", kind.name());
         }
-        for field in ["wake.device", "report.information", "clock.is", "answer.done.reports"] {
+        for field in [
+            "wake.device",
+            "report.information",
+            "clock.is",
+            "answer.grant_done.reports",
+        ] {
             assert!(script.contains(&format!("\"reveille.{field}\"")), "{field}");
         }
         assert!(!script.contains("--@"), "everything is filled in");

@@ -194,7 +194,7 @@ fn what_is_no_recording_is_refused() {
         .expect("a version");
     newer[at + key.len()] = b'9';
     let said = foreign(&newer);
-    assert!(said.contains("version 9") && said.contains("reads version 1"), "{said}");
+    assert!(said.contains("version 9") && said.contains("reads version 2"), "{said}");
 }
 
 proptest! {

@@ -121,8 +121,8 @@ impl EpicentreBelief {
         }
     }
 
-    /// Sets the cost of waking a device farther than d_max from the event: `miss_cost`, ≥ 0, in units of information. It
-    /// affects only the comparison of devices.
+    /// Sets the cost of waking a device farther than d_max from the event: `miss_cost`, ≥ 0, in units of information.
+    /// It affects only the comparison of devices.
     #[must_use]
     pub(crate) fn with_miss_cost(self, miss_cost: f64) -> Self {
         Self { miss_cost, ..self }

@@ -341,7 +341,10 @@ fn tables_are_put_together_by_what_was_run() {
         ..table
     };
     let refused = Results::new(&[(name, empty)], &NoFiles).expect_err("nothing to draw");
-    assert!(refused.to_string().contains("paper.parquet: no rows"), "{refused}");
+    assert!(
+        refused.to_string().contains("paper.parquet: the table has no runs"),
+        "{refused}"
+    );
 }
 
 #[test]
