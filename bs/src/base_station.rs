@@ -1,6 +1,8 @@
 //! The base station as a state machine without I/O: its knowledge, the current plan, and the policy that decides.
 //!
-//! It receives reports or their absence, never the ground truth.
+//! [`Cycle`](crate::cycle::Cycle) calls it in the order of a TTI. It receives reports or their absence, never the
+//! ground truth; only a genie receives events, through [`BaseStation::plan_and_oracle`]. Policies keep state from call
+//! to call, so the order of the calls of a policy must stay the same.
 
 use std::any::Any;
 
@@ -18,44 +20,45 @@ use crate::policy::external::{DecisionContext, DecisionStage, External, PlanDeci
 use crate::policy::interface::Policy;
 
 /// The base station of one run.
-pub struct Station {
-    view: View,
+pub struct BaseStation {
+    view: PolicyView,
     policy: Box<dyn Policy>,
     /// Whether the policy receives ground truth.
-    is_told: bool,
+    has_oracle: bool,
     /// Whether the policy is `external`.
     is_external: bool,
+    /// TTI in which the policy decides next.
     next_decision: Tti,
     /// Whether a report has arrived in this TTI.
-    has_heard: bool,
+    has_report: bool,
 }
 
-/// The policy's view of the run.
+/// The data from which the policy's observations are made.
 #[derive(Clone)]
-struct View {
+struct PolicyView {
     known: Knowledge,
     plan: Plan,
     /// The battery levels that the BS knows, for a policy that reads batteries or wakes devices.
-    levels: Option<BatteryEstimator>,
+    battery_estimator: Option<BatteryEstimator>,
     /// Whether the policy reads batteries, so that the levels advance in each TTI.
-    shows_levels: bool,
+    reads_batteries: bool,
     /// Î of this TTI.
     information: f64,
 }
 
-impl View {
-    fn at(&self, now: Tti) -> Observation<'_> {
+impl PolicyView {
+    fn observation(&self, now: Tti) -> Observation<'_> {
         Observation {
             now,
             known: &self.known,
             plan: &self.plan,
             information: self.information,
             batteries: self
-                .levels
+                .battery_estimator
                 .as_ref()
-                .filter(|_| self.shows_levels)
-                .map_or(&[], BatteryEstimator::all),
-            levels: self.levels.as_ref(),
+                .filter(|_| self.reads_batteries)
+                .map_or(&[], BatteryEstimator::levels),
+            battery_estimator: self.battery_estimator.as_ref(),
         }
     }
 
@@ -65,29 +68,31 @@ impl View {
     }
 }
 
-impl Station {
+impl BaseStation {
     /// Creates a base station with the knowledge `known` and the given policy, before TTI 0.
     pub fn new(known: Knowledge, mut policy: Box<dyn Policy>) -> Self {
-        let view = View {
+        let view = PolicyView {
             plan: Plan::from_bits(known.devices.iter().map(|_| false)),
-            levels: if policy.needs_batteries() {
+            battery_estimator: if policy.needs_batteries() {
                 Some(BatteryEstimator::new(&known))
             } else {
                 // A policy that only wakes devices asks whether they can pay for a report, so levels need no update in
                 // each TTI.
-                policy.needs_levels().then(|| BatteryEstimator::estimated(&known))
+                policy
+                    .needs_battery_estimates()
+                    .then(|| BatteryEstimator::new_estimated(&known))
             },
-            shows_levels: policy.needs_batteries(),
+            reads_batteries: policy.needs_batteries(),
             known,
             information: 0.0,
         };
         Self {
             view,
-            is_told: policy.oracle().is_some(),
-            is_external: external(&*policy).is_some(),
+            has_oracle: policy.oracle().is_some(),
+            is_external: downcast_external(&*policy).is_some(),
             policy,
             next_decision: Tti::ZERO,
-            has_heard: false,
+            has_report: false,
         }
     }
 
@@ -108,13 +113,13 @@ impl Station {
 
     /// The policy if an external program decides. The flag spares all other policies the dynamic dispatch in each TTI.
     fn external(&self) -> Option<&External> {
-        self.is_external.then(|| external(&*self.policy))?
+        self.is_external.then(|| downcast_external(&*self.policy))?
     }
 
     /// The policy's belief about the place of this TTI's event. Empty if the policy has none, or no report arrived.
     pub fn belief(&self) -> Vec<WeightedPoint> {
-        let belief = self.has_heard.then(|| self.policy.belief()).flatten();
-        belief.map_or_else(Vec::new, EpicentreBelief::shares)
+        let belief = self.has_report.then(|| self.policy.epicentre_belief()).flatten();
+        belief.map_or_else(Vec::new, EpicentreBelief::weighted_points)
     }
 
     /// Whether an external policy has to decide a plan before TTI `k` begins.
@@ -124,44 +129,45 @@ impl Station {
 
     /// Whether an external policy has to decide wake-ups in TTI `tti`.
     pub(crate) fn needs_wake_ups(&self, tti: Tti) -> bool {
-        let asked = self.external().filter(|_| self.has_heard);
-        asked.is_some_and(|external| external.needs_wake_ups(&self.view.at(tti)))
+        let asked = self.external().filter(|_| self.has_report);
+        asked.is_some_and(|external| external.needs_wake_ups(&self.view.observation(tti)))
     }
 
     /// The decision context for an external policy in TTI `k`; `None` if a policy of this program decides.
-    pub fn pending_decision(&self, k: Tti, stage: DecisionStage) -> Option<DecisionContext<'_>> {
-        let seen = self.view.at(k);
-        let seen = match stage {
+    pub fn decision_context(&self, k: Tti, stage: DecisionStage) -> Option<DecisionContext<'_>> {
+        let observation = self.view.observation(k);
+        let observation = match stage {
             // Nothing has been gathered in a TTI that has not begun; `information` is still the value of the last one.
             DecisionStage::Plan => Observation {
                 information: 0.0,
-                ..seen
+                ..observation
             },
-            DecisionStage::Wake => seen,
+            DecisionStage::Wake => observation,
         };
-        self.external().map(|external| external.context(stage, seen))
+        self.external().map(|external| external.context(stage, observation))
     }
 
     /// Closes TTI `tti`.
-    pub fn closed(&mut self, tti: Tti) {
+    pub fn close_tti(&mut self, tti: Tti) {
         if self.is_external {
-            let (external, view) = self.asked();
-            external.closed(tti + 1, &view.plan);
+            let (external, view) = self.external_and_view();
+            external.end_ttis_before(tti + 1, &view.plan);
         }
     }
 
     /// Sets the plan of an external policy for the next TTI.
     pub(crate) fn set_plan(&mut self, decision: PlanDecision) {
-        self.asked().0.set_plan(decision);
+        self.external_and_view().0.set_plan(decision);
     }
 
     /// Sets the wake-ups of an external policy in TTI `tti`.
     pub(crate) fn set_wake_ups(&mut self, tti: Tti, devices: &[DeviceId]) {
-        let (external, view) = self.asked();
-        external.set_wake_ups(&view.at(tti), devices);
+        let (external, view) = self.external_and_view();
+        external.set_wake_ups(&view.observation(tti), devices);
     }
 
-    fn asked(&mut self) -> (&mut External, &View) {
+    /// Returns the external policy and the data of its observations.
+    fn external_and_view(&mut self) -> (&mut External, &PolicyView) {
         let policy: &mut dyn Any = &mut *self.policy;
         let external = policy.downcast_mut();
         (
@@ -181,11 +187,14 @@ impl Station {
     }
 
     /// The current plan, and the oracle interface of a genie, which receives events.
-    pub fn commands(&mut self) -> (&Plan, Option<&mut dyn Oracle>) {
+    pub fn plan_and_oracle(&mut self) -> (&Plan, Option<&mut dyn Oracle>) {
         let Self {
-            view, policy, is_told, ..
+            view,
+            policy,
+            has_oracle,
+            ..
         } = self;
-        (&view.plan, is_told.then(|| policy.oracle()).flatten())
+        (&view.plan, has_oracle.then(|| policy.oracle()).flatten())
     }
 
     /// Whether the policy needs the true batteries before it decides for TTI `k`.
@@ -197,44 +206,47 @@ impl Station {
     /// Whether the policy ever needs the true batteries.
     pub(crate) fn needs_true_batteries(&self) -> bool {
         self.view
-            .levels
+            .battery_estimator
             .as_ref()
             .is_some_and(BatteryEstimator::needs_true_levels)
     }
 
     /// The known battery levels, in the order of ids; empty for a policy that needs none.
     pub fn batteries(&self) -> &[Energy] {
-        self.view.levels.as_ref().map_or(&[], BatteryEstimator::all)
+        self.view
+            .battery_estimator
+            .as_ref()
+            .map_or(&[], BatteryEstimator::levels)
     }
 
     /// Sets the true battery levels of all devices, in the order of ids, at the end of the last TTI.
     pub(crate) fn set_batteries(&mut self, levels: impl IntoIterator<Item = Energy>) {
-        if let Some(known) = &mut self.view.levels {
-            known.set_true_levels(levels);
+        if let Some(estimator) = &mut self.view.battery_estimator {
+            estimator.set_true_levels(levels);
         }
     }
 
-    /// Begins TTI `k` and decides if a decision is due. Returns the plan to send: a new plan (`true`), or the current
-    /// plan again for synchronisation.
-    pub fn announce(&mut self, k: Tti) -> Option<(PlanUpdate, bool)> {
+    /// Begins TTI `k` and decides if a decision is due. Returns the plan to send and whether it is new; a plan that is
+    /// not new is sent for synchronisation.
+    pub fn begin_tti(&mut self, k: Tti) -> Option<(PlanUpdate, bool)> {
         let mut is_new = k == Tti::ZERO;
         // The policy must not see Î of the previous TTI when it decides for this one.
         self.view.information = 0.0;
-        self.has_heard = false;
+        self.has_report = false;
         if k >= self.next_decision {
-            let decided = self.policy.decide(&self.view.at(k));
+            let decided = self.policy.decide(&self.view.observation(k));
             self.next_decision = self.policy.next_decision(k);
             assert!(self.next_decision > k, "a policy decides at most once per TTI");
             is_new |= decided != self.view.plan;
-            let View {
+            let PolicyView {
                 plan,
-                levels,
-                shows_levels,
+                battery_estimator,
+                reads_batteries,
                 ..
             } = &mut self.view;
             // Levels advance under the plan that was valid in the past TTIs, so this comes before the new plan.
-            if let Some(levels) = levels.as_mut().filter(|_| !*shows_levels) {
-                levels.advance(k, plan);
+            if let Some(battery_estimator) = battery_estimator.as_mut().filter(|_| !*reads_batteries) {
+                battery_estimator.advance(k, plan);
             }
             *plan = decided;
         }
@@ -247,62 +259,64 @@ impl Station {
     }
 
     /// The next TTI after `k` in which the station sends a plan or decides.
-    pub(crate) fn next_announcement(&self, k: Tti) -> Tti {
+    pub(crate) fn next_plan_or_decision(&self, k: Tti) -> Tti {
         let sync = self.view.known.bs.sync_interval;
         Tti((k.0 / sync + 1) * sync).min(self.next_decision)
     }
 
     /// Takes in the reports of TTI `tti`, in the order of ids.
-    pub fn gathered(&mut self, tti: Tti, reports: &[Report]) {
+    pub fn take_reports(&mut self, tti: Tti, reports: &[Report]) {
         let Self {
             view,
             policy,
-            has_heard,
+            has_report,
             ..
         } = self;
-        (view.information, *has_heard) = (0.0, !reports.is_empty());
-        if let Some(levels) = &mut view.levels {
-            if view.shows_levels {
+        (view.information, *has_report) = (0.0, !reports.is_empty());
+        if let Some(battery_estimator) = &mut view.battery_estimator {
+            if view.reads_batteries {
                 // Policies of this program that read batteries decide in every TTI. Only a plan of `external` may hold
                 // longer.
-                levels.advance(tti + 1, &view.plan);
+                battery_estimator.advance(tti + 1, &view.plan);
             }
-            levels.observe_reports(tti, &view.plan, reports);
+            battery_estimator.observe_reports(tti, &view.plan, reports);
         }
         for report in reports {
             view.fuse(report);
         }
-        if *has_heard {
-            policy.reports_received(&view.at(tti), reports);
+        if *has_report {
+            policy.reports_received(&view.observation(tti), reports);
         }
     }
 
     /// The next device to wake in `tti`, if any.
     pub fn next_wake_up(&mut self, tti: Tti) -> Option<DeviceId> {
         // Without a report a base station knows of no event; only the genie, which receives events, may wake anyway.
-        let is_due = self.has_heard || self.is_told;
-        is_due.then(|| self.policy.next_wake_up(&self.view.at(tti))).flatten()
+        let is_due = self.has_report || self.has_oracle;
+        is_due
+            .then(|| self.policy.next_wake_up(&self.view.observation(tti)))
+            .flatten()
     }
 
     /// Takes in the answer to the wake-up of `device`: its report, or none.
-    pub fn woken(&mut self, tti: Tti, device: DeviceId, report: Option<&Report>) {
+    pub fn take_wake_up_answer(&mut self, tti: Tti, device: DeviceId, report: Option<&Report>) {
         let view = &mut self.view;
         // The policy sees the new level in `wake_up_answered`, so levels come first.
-        if let Some(levels) = &mut view.levels {
+        if let Some(battery_estimator) = &mut view.battery_estimator {
             match report {
-                Some(report) => levels.observe_level(device, tti, report.battery),
-                None => levels.observe_no_answer(device, tti, &view.plan),
+                Some(report) => battery_estimator.observe_level(device, tti, report.battery),
+                None => battery_estimator.observe_no_answer(device, tti, &view.plan),
             }
         }
         if let Some(report) = report {
             view.fuse(report);
         }
-        self.policy.wake_up_answered(&view.at(tti), report);
+        self.policy.wake_up_answered(&view.observation(tti), report);
     }
 }
 
 /// Returns `policy` if an external program decides for it.
-fn external(policy: &dyn Policy) -> Option<&External> {
+fn downcast_external(policy: &dyn Policy) -> Option<&External> {
     let policy: &dyn Any = policy;
     policy.downcast_ref()
 }

@@ -1,4 +1,5 @@
-//! The TTIs at which the energy of all devices is summed: the end of the warm-up, of each window and of the run.
+//! The TTIs at which the energy of all devices is summed: the end of the warm-up, of each window and of the run. The
+//! session ends every grant at the next boundary, so that devices can return their sums before it.
 
 use reveille_common::ids::Tti;
 use reveille_common::scenario::Scenario;

@@ -1,4 +1,7 @@
 //! Upper bounds of wake-up correlations on a grid of distances, cached per sensing model and shared between runs.
+//!
+//! [`Correlation`](crate::beliefs::correlation::Correlation) computes and reads them. Runs share the cache through
+//! [`Knowledge::grids`](crate::knowledge::Knowledge::grids), so a grid must depend on its key alone.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -6,7 +9,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 #[derive(Debug, Default)]
 pub(crate) struct CorrelationBounds {
     /// Grid points per metre.
-    pub(crate) scale: f64,
+    pub(crate) points_per_metre: f64,
     /// Grid points along γ, from 0 to twice the sensing range.
     pub(crate) columns: usize,
     /// Bands of γ with a bound of at least p(d_max), one list per row of d, in descending order of the bound.
@@ -23,30 +26,30 @@ pub(crate) struct Band {
 }
 
 /// Maximum number of cached grids.
-const KEPT: usize = 32;
+const MAX_GRIDS: usize = 32;
 
 /// The bits of η and d_max, which determine the grid of a sensing model.
-type Key = (u64, u64);
+type GridKey = (u64, u64);
 
 /// Cache of bounds by η and d_max, for several runs. Its contents do not change any result.
 #[derive(Debug, Default)]
-pub struct BoundsCache(Mutex<Vec<(Key, Arc<CorrelationBounds>)>>);
+pub struct BoundsCache(Mutex<Vec<(GridKey, Arc<CorrelationBounds>)>>);
 
 impl BoundsCache {
     /// Returns the grid of `key`, and calls `make` if it is not cached.
-    pub(crate) fn get_or_make(&self, key: Key, make: impl FnOnce() -> CorrelationBounds) -> Arc<CorrelationBounds> {
+    pub(crate) fn get_or_make(&self, key: GridKey, make: impl FnOnce() -> CorrelationBounds) -> Arc<CorrelationBounds> {
         // A panic in another thread leaves the list whole, since entries change only by one `remove` and one `push`.
         let lock = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((_, known)) = lock().iter().find(|(other, _)| *other == key) {
-            return Arc::clone(known);
+        if let Some((_, cached)) = lock().iter().find(|(other, _)| *other == key) {
+            return Arc::clone(cached);
         }
         // The lock is free while `make` runs. Two runs may make the same grid twice; both copies are equal.
-        let made = Arc::new(make());
+        let grid = Arc::new(make());
         let mut grids = lock();
-        if grids.len() >= KEPT {
+        if grids.len() >= MAX_GRIDS {
             grids.remove(0);
         }
-        grids.push((key, Arc::clone(&made)));
-        made
+        grids.push((key, Arc::clone(&grid)));
+        grid
     }
 }

@@ -1,8 +1,8 @@
-//! The combination of world, base station and score of a run. No I/O.
+//! The steps of a TTI on the world, the base station and the score of a run. No I/O.
 //!
 //! [`Session`](crate::session::Session) calls the steps in their order: a grant, the reports of its last TTI, and the
 //! wake-ups, one by one, until the TTI closes. Under an external policy, the cycle stops for a plan before a grant
-//! (`Cycle::needs_plan`) and for wake-ups after reports (`CycleStep::Asks`).
+//! (`Cycle::needs_plan`) and for wake-ups after reports (`CycleStep::AskExternal`).
 //!
 //! A grant covers one or more TTIs. All but the last are *quiet*: no device can detect an event in them, whatever its
 //! battery, because no event is active or no device in range has δ = 1. The clock knows this from the plan and from the
@@ -10,6 +10,9 @@
 //!
 //! A policy that decides in every TTI decides for all of them before the grant, since a quiet TTI brings no reports.
 //! Only a policy that needs the true batteries has to wait for the devices.
+//!
+//! The digest covers events, plans, reports and wake-ups in the order in which the score receives them here, so this
+//! order must stay the same.
 
 use std::sync::Arc;
 
@@ -25,18 +28,18 @@ use reveille_common::totals::{EventTotals, Ledger, Totals};
 use reveille_common::units::Energy;
 use reveille_common::world::{World, WorldChange};
 
-use crate::base_station::Station;
+use crate::base_station::BaseStation;
 use crate::bounds_cache::BoundsCache;
 use crate::knowledge::Knowledge;
 use crate::observer::{Grant, Notification, Observer};
 use crate::policy::external::{DecisionContext, DecisionStage, PlanDecision};
 use crate::policy::factory::PolicyFactory;
-use crate::policy::interface::{Opaque, Policy};
+use crate::policy::interface::{LearnedState, Policy};
 use crate::scenario::Scenario;
 
 /// Largest number of plans in a grant. More would not be faster, and all of them have to be decided, sent and kept
 /// before any host answers.
-const AHEAD: usize = 64;
+const MAX_PLANS_PER_GRANT: usize = 64;
 
 /// A wake-up to carry out.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -53,12 +56,12 @@ pub struct WakeOrder {
     pub stimulus: Option<Stimulus>,
 }
 
-/// The step that follows the reports of a TTI.
+/// The next step after the reports of a TTI or the outcome of a wake-up.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum CycleStep {
     /// Carry out this wake-up, then call [`Cycle::complete_wake_up`].
     SendWakeUp(WakeOrder),
-    /// Answer [`Cycle::wake_question`] of this TTI by [`Cycle::wake`].
+    /// Answer [`Cycle::wake_up_context`] of this TTI by [`Cycle::set_wake_ups`].
     AskExternal(Tti),
     /// The TTI is closed; the next may be granted.
     TtiClosed,
@@ -68,9 +71,11 @@ pub(crate) enum CycleStep {
 pub struct Cycle {
     scenario: Scenario,
     world: World,
-    station: Station,
+    station: BaseStation,
     score: Score,
-    next: Tti,
+    /// The next TTI to be granted, or one of the open grant.
+    next_tti: Tti,
+    /// Whether a grant is out and its last TTI is not closed.
     is_open: bool,
     /// Wake-ups of the open TTI.
     wake_up_count: u32,
@@ -90,17 +95,17 @@ impl Cycle {
     pub fn with_world(prepared: &PreparedRun, world: World) -> Self {
         let known = prepared.knowledge();
         let policy = prepared.policy(&known);
-        Self::with_station(prepared, world, Station::new(known, policy))
+        Self::with_station(prepared, world, BaseStation::new(known, policy))
     }
 
     /// Creates a cycle with a given world and base station, such as one whose decisions are recorded.
-    pub fn with_station(prepared: &PreparedRun, world: World, station: Station) -> Self {
+    pub fn with_station(prepared: &PreparedRun, world: World, station: BaseStation) -> Self {
         Self {
             scenario: prepared.scenario.clone(),
             world,
             station,
             score: Score::new(&prepared.scenario, &prepared.deployment),
-            next: Tti::ZERO,
+            next_tti: Tti::ZERO,
             is_open: false,
             wake_up_count: 0,
             last_woken: vec![Tti::NEVER; prepared.deployment.devices.len()],
@@ -110,7 +115,7 @@ impl Cycle {
 
     /// The next TTI to be granted.
     pub const fn next_tti(&self) -> Tti {
-        self.next
+        self.next_tti
     }
 
     /// Whether a grant is out and its last TTI is not closed.
@@ -143,40 +148,41 @@ impl Cycle {
     /// last TTI. Call it when no TTI is open.
     pub(crate) fn set_batteries(&mut self, levels: impl IntoIterator<Item = Energy>, observer: &mut impl Observer) {
         self.station.set_batteries(levels);
-        observer.batteries_revealed(self.next, self.station.batteries());
+        observer.batteries_revealed(self.next_tti, self.station.batteries());
     }
 
     /// Whether an external policy has to decide a plan before the next grant. False if a policy of this program
     /// decides, the last plan still holds, or the decision has been made.
     #[inline]
     pub(crate) fn needs_plan(&self) -> bool {
-        !self.is_open && self.station.needs_plan(self.next)
+        !self.is_open && self.station.needs_plan(self.next_tti)
     }
 
     /// The context of an external policy's plan for the next TTI, even if no plan is due and at the end of the run.
     /// `None` while a TTI is open or if a policy of this program decides.
     pub fn next_decision_context(&self) -> Option<DecisionContext<'_>> {
-        (!self.is_open).then(|| self.station.pending_decision(self.next, DecisionStage::Plan))?
+        (!self.is_open).then(|| self.station.decision_context(self.next_tti, DecisionStage::Plan))?
     }
 
     /// Takes the plan that [`Self::needs_plan`] asks for.
     ///
     /// # Panics
     /// If no decision is due.
-    pub(crate) fn decide(&mut self, decision: PlanDecision) {
+    pub(crate) fn set_plan(&mut self, decision: PlanDecision) {
         assert!(self.needs_plan(), "no plan was requested");
         self.station.set_plan(decision);
     }
 
-    /// The wake-ups that an external policy has to decide in TTI `tti`, after [`CycleStep::Asks`].
-    pub(crate) fn wake_question(&self, tti: Tti) -> DecisionContext<'_> {
-        let question = self.station.pending_decision(tti, DecisionStage::Wake);
-        question.expect("an external policy has asked")
+    /// The context of the wake-ups that an external policy has to decide in TTI `tti`, after
+    /// [`CycleStep::AskExternal`].
+    pub(crate) fn wake_up_context(&self, tti: Tti) -> DecisionContext<'_> {
+        let context = self.station.decision_context(tti, DecisionStage::Wake);
+        context.expect("an external policy has asked")
     }
 
-    /// Answers [`Self::wake_question`]: wake these devices in this order, then ask again; an empty list ends the
+    /// Answers [`Self::wake_up_context`]: wake these devices in this order, then ask again; an empty list ends the
     /// wake-ups of the TTI. [`external`](crate::policy::external) lists the devices that are left out.
-    pub(crate) fn wake(&mut self, tti: Tti, devices: &[DeviceId], observer: &mut impl Observer) -> CycleStep {
+    pub(crate) fn set_wake_ups(&mut self, tti: Tti, devices: &[DeviceId], observer: &mut impl Observer) -> CycleStep {
         self.station.set_wake_ups(tti, devices);
         self.next_step(tti, observer)
     }
@@ -200,17 +206,17 @@ impl Cycle {
     /// # Panics
     /// If the last grant is still open, `horizon` is not after the next TTI, or [`Self::needs_plan`].
     pub(crate) fn grant(&mut self, horizon: Tti, observer: &mut impl Observer) -> (Grant, Vec<PlanUpdate>) {
-        assert!(!self.is_open, "TTI {} is still open", self.next);
-        let first = self.next;
+        assert!(!self.is_open, "TTI {} is still open", self.next_tti);
+        let first = self.next_tti;
         assert!(first < horizon, "a grant covers at least one TTI");
         // True batteries come from the devices, so a plan for a later TTI must wait until this grant is answered.
-        let foresees = !self.station.needs_true_batteries();
+        let can_plan_ahead = !self.station.needs_true_batteries();
         let mut updates = Vec::new();
         let last = loop {
-            updates.extend(self.announce(observer));
-            let span = self.span(horizon, observer);
-            if !foresees
-                || updates.len() >= AHEAD
+            updates.extend(self.issue_plan(observer));
+            let span = self.advance_until_plan(horizon, observer);
+            if !can_plan_ahead
+                || updates.len() >= MAX_PLANS_PER_GRANT
                 || span.stimulus.is_some()
                 || span.last + 1 >= horizon
                 || self.station.needs_plan(span.last + 1)
@@ -221,21 +227,22 @@ impl Cycle {
                 break span;
             }
             // A quiet TTI brings no reports, so the station can close its reports before the devices have run it.
-            self.station.gathered(span.last, &[]);
-            self.next = span.last + 1;
+            self.station.take_reports(span.last, &[]);
+            self.next_tti = span.last + 1;
         };
         self.is_open = true;
         (Grant { first, ..last }, updates)
     }
 
-    /// Returns the plan to send in the next TTI, if any.
-    fn announce(&mut self, observer: &mut impl Observer) -> Option<PlanUpdate> {
-        let k = self.next;
-        let (update, is_new) = self.station.announce(k)?;
-        self.score.plan(&update, is_new, codec::encoded_len(&update));
+    /// Begins the next TTI at the station. Returns the plan to send in it, if any.
+    fn issue_plan(&mut self, observer: &mut impl Observer) -> Option<PlanUpdate> {
+        let k = self.next_tti;
+        let (update, is_new) = self.station.begin_tti(k)?;
+        self.score.record_plan(&update, is_new, codec::encoded_len(&update));
         // Sent before the world advances: a device that misses the plan senses by the one it has.
-        let missed = self.world.plan_sent(k, &update.plan);
-        self.score.plan_missed(k, u64::from(self.scenario.run.devices), missed);
+        let missed = self.world.send_plan(k, &update.plan);
+        self.score
+            .record_missed_plans(k, u64::from(self.scenario.run.devices), missed);
         observer.notify(&Notification::PlanSent {
             update: &update,
             is_new,
@@ -245,39 +252,44 @@ impl Cycle {
 
     /// Advances the world from the next TTI, before `horizon` and before the next plan is sent. All TTIs but the last
     /// are quiet.
-    fn span(&mut self, horizon: Tti, observer: &mut impl Observer) -> Grant {
+    fn advance_until_plan(&mut self, horizon: Tti, observer: &mut impl Observer) -> Grant {
         // One plan must hold for the whole span: the world finds the first device that can react under that plan.
-        let grant = self.play(self.next, horizon.min(self.station.next_announcement(self.next)));
+        let grant = self.advance_world(
+            self.next_tti,
+            horizon.min(self.station.next_plan_or_decision(self.next_tti)),
+        );
         observer.notify(&Notification::TtisGranted(&grant));
-        for turn in self.changes.drain(..) {
-            match turn {
+        for change in self.changes.drain(..) {
+            match change {
                 WorldChange::Started(event) => {
-                    self.score.event_started(event);
+                    self.score.record_event_start(event);
                     observer.notify(&Notification::EventStarted(&event));
                 }
                 WorldChange::Missed(last) => {
-                    observer.notify(&Notification::EventEnded(&self.score.event_ended(last, 0.0)));
+                    observer.notify(&Notification::EventEnded(&self.score.record_event_end(last, 0.0)));
                 }
             }
         }
         grant
     }
 
-    fn play(&mut self, first: Tti, horizon: Tti) -> Grant {
+    /// Advances the world from `first` to the first TTI in which a device can detect an event, at most to before
+    /// `horizon`.
+    fn advance_world(&mut self, first: Tti, horizon: Tti) -> Grant {
         let Self {
             world,
             station,
-            changes: turns,
+            changes,
             ..
         } = self;
-        let (plan, genie) = station.commands();
-        let stimulated = world.advance(first, horizon, plan, genie, turns);
+        let (plan, genie) = station.plan_and_oracle();
+        let stimulated = world.advance(first, horizon, plan, genie, changes);
         Grant {
             first,
             // No underflow: the caller's limit and the next announcement are both after `first`.
             last: stimulated.unwrap_or(Tti(horizon.0 - 1)),
             stimulus: stimulated.and_then(|_| world.stimulus()),
-            until: world.until(),
+            until: world.event_last_tti(),
         }
     }
 
@@ -292,12 +304,12 @@ impl Cycle {
         // Answers arrive from the bus in any order. The digest, the score and the station need one order, by device.
         reports.sort_unstable_by_key(|report| report.device);
         failures.sort_unstable_by_key(|failure| failure.device);
-        let arrived = self.carry(tti, reports, observer);
+        let arrived = self.transmit_reports(tti, reports, observer);
         for failure in failures.iter() {
-            self.score.failed(failure);
+            self.score.record_failed_transmission(failure);
             observer.notify(&Notification::ReportFailed { tti, failure });
         }
-        self.station.gathered(tti, &reports[..arrived]);
+        self.station.take_reports(tti, &reports[..arrived]);
         // `next_step` numbers the wake-ups of a TTI from 0; queued removals refer to these numbers.
         self.wake_up_count = 0;
         self.next_step(tti, observer)
@@ -305,17 +317,17 @@ impl Cycle {
 
     /// Transmits the `reports` of a TTI to the base station, and moves those that arrive to the front, in order.
     /// Returns their number.
-    fn carry(&mut self, tti: Tti, reports: &mut [Report], observer: &mut impl Observer) -> usize {
+    fn transmit_reports(&mut self, tti: Tti, reports: &mut [Report], observer: &mut impl Observer) -> usize {
         // The base station never sees a lost report, so the score and the observer must count it here.
-        let air = self.world.air(tti);
+        let air = self.world.channel_at(tti);
         let mut arrived = 0;
-        for at in 0..reports.len() {
-            let report = reports[at];
+        for i in 0..reports.len() {
+            let report = reports[i];
             if air.loses_report(report.device) {
-                self.score.lost(&report);
+                self.score.record_lost_report(&report);
                 observer.notify(&Notification::ReportLost(&report));
             } else {
-                self.score.reported(&report);
+                self.score.record_report(&report);
                 observer.notify(&Notification::ReportReceived(&report));
                 reports[arrived] = report;
                 arrived += 1;
@@ -325,14 +337,14 @@ impl Cycle {
     }
 
     /// Removes devices in the last granted TTI. The station receives no notice, only silence.
-    pub(crate) fn remove_devices(&mut self, outage: &DeviceRemoval, observer: &mut impl Observer) {
-        self.score.devices_removed(outage);
-        observer.notify(&Notification::DevicesRemoved(outage));
+    pub(crate) fn remove_devices(&mut self, removal: &DeviceRemoval, observer: &mut impl Observer) {
+        self.score.record_removal(removal);
+        observer.notify(&Notification::DevicesRemoved(removal));
     }
 
     /// Whether `device` is removed.
     pub(crate) fn is_removed(&self, device: DeviceId) -> bool {
-        self.score.is_gone(device)
+        self.score.is_removed(device)
     }
 
     /// Takes in the outcome of the wake-up that the last [`CycleStep`] asked for.
@@ -344,48 +356,48 @@ impl Cycle {
     ) -> CycleStep {
         let WakeOrder { tti, device, .. } = *order;
         // Only the radio model determines whether the report was lost on the way; the device does not know.
-        let outcome = &outcome.after_uplink(&self.world.air(tti));
+        let outcome = &outcome.after_uplink(&self.world.channel_at(tti));
         // `is_far` needs an open event. There is one, since the world closes it only after the last wake-up.
         self.score
-            .wake_up_completed(tti, device, outcome, self.world.is_far(device));
+            .record_wake_up_outcome(tti, device, outcome, self.world.is_beyond_d_max(device));
         observer.notify(&Notification::WakeUpCompleted { tti, device, outcome });
         let report = match outcome {
             WakeOutcome::Reported(report) => Some(report),
             WakeOutcome::Failed(_) | WakeOutcome::Missed | WakeOutcome::Lost(_) | WakeOutcome::Late { .. } => None,
         };
-        self.station.woken(tti, device, report);
+        self.station.take_wake_up_answer(tti, device, report);
         self.next_step(tti, observer)
     }
 
     /// The group of each device, in the order of ids, if the policy groups devices by place.
     pub fn groups(&self) -> Option<&[u32]> {
-        self.station.policy().groups()
+        self.station.policy().device_groups()
     }
 
     /// Returns the outcome of the run. `ledgers` has the ledgers of all devices, in the order of ids.
     ///
     /// # Panics
     /// If the last grant is still open.
-    pub(crate) fn finish(self, ledgers: &[Ledger]) -> Outcome {
-        assert!(!self.is_open, "TTI {} is still open", self.next);
+    pub(crate) fn finish(self, ledgers: &[Ledger]) -> RunOutcome {
+        assert!(!self.is_open, "TTI {} is still open", self.next_tti);
         let (events, measured_from) = (&self.scenario.events, self.scenario.warm_up_end());
         // The probability in the measured TTIs, which differs from α where it changes with time.
-        let alpha = events.mean_start_probability(self.scenario.run.seed, measured_from, self.next);
+        let alpha = events.mean_start_probability(self.scenario.run.seed, measured_from, self.next_tti);
         let FinalScore {
             digest,
             metrics,
             totals,
             devices,
-        } = self.score.finish(alpha, self.next, ledgers);
-        Outcome {
+        } = self.score.finish(alpha, self.next_tti, ledgers);
+        RunOutcome {
             facts: self.station.policy().summary_facts(),
-            learned: self.station.policy().learned(),
+            learned: self.station.policy().learned_state(),
             digest,
             metrics,
             totals,
             devices,
-            ttis_done: self.next.0,
-            complete: self.next.0 == self.scenario.run.ttis,
+            ttis_done: self.next_tti.0,
+            is_complete: self.next_tti.0 == self.scenario.run.ttis,
         }
     }
 
@@ -393,8 +405,8 @@ impl Cycle {
     fn next_step(&mut self, tti: Tti, observer: &mut impl Observer) -> CycleStep {
         if let Some(device) = self.station.next_wake_up(tti) {
             let number = self.wake_up_count;
-            // A second wake-up in a TTI would be a resend to a host and a new wake-up in memory. A policy that repeats
-            // a device would never end the TTI.
+            // A second wake-up in a TTI would be a retransmission to a host and a new wake-up in memory. A policy that
+            // repeats a device would never end the TTI.
             assert!(
                 self.last_woken.get(device.index()).is_some_and(|&last| last != tti),
                 "policy {} wakes {device} in TTI {tti}, which does not exist or is woken already; `next_wake_up` must \
@@ -405,8 +417,8 @@ impl Cycle {
             self.wake_up_count += 1;
             let sent = self.scenario.radio.send_tti(tti, u64::from(number));
             let message = WakeUp { tti: sent };
-            let is_late = self.scenario.radio.is_late(sent, self.world.until());
-            self.score.wake_up(tti, codec::encoded_len(&message));
+            let is_late = self.scenario.radio.is_late(sent, self.world.event_last_tti());
+            self.score.record_wake_up(tti, codec::encoded_len(&message));
             observer.notify(&Notification::WakeUpSent { tti, device, sent });
             return CycleStep::SendWakeUp(WakeOrder {
                 tti,
@@ -427,21 +439,21 @@ impl Cycle {
             }
         }
         // The score takes Î before the station resets it for the next TTI.
-        if self.world.close(tti, self.score.is_reported()) {
-            let record = self.score.event_ended(tti, self.station.information());
+        if self.world.close_tti(tti, self.score.is_reported()) {
+            let record = self.score.record_event_end(tti, self.station.information());
             observer.notify(&Notification::EventEnded(&record));
         }
-        self.station.closed(tti);
+        self.station.close_tti(tti);
         observer.notify(&Notification::TtiClosed(tti));
-        (self.is_open, self.next) = (false, tti + 1);
+        (self.is_open, self.next_tti) = (false, tti + 1);
         CycleStep::TtiClosed
     }
 }
 
 /// Result of a run, complete or partial.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Outcome {
-    /// The run's fingerprint.
+pub struct RunOutcome {
+    /// The run's digest.
     pub digest: Digest,
     /// The metrics of its measured part.
     pub metrics: Metrics,
@@ -452,11 +464,11 @@ pub struct Outcome {
     /// Figures about the deployment that the policy has determined, by name.
     pub facts: Vec<(&'static str, f64)>,
     /// Tables of a learning policy at the end of the run.
-    pub learned: Option<Opaque>,
+    pub learned: Option<LearnedState>,
     /// TTIs that were run.
     pub ttis_done: u64,
     /// Whether the run has reached its last TTI.
-    pub complete: bool,
+    pub is_complete: bool,
 }
 
 /// A scenario with its deployment and the results of the pilot runs that its policy needs.
@@ -467,7 +479,7 @@ pub struct PreparedRun {
     /// Its devices.
     pub deployment: Deployment,
     /// The factory chosen by pilot runs, if the policy needs any.
-    pub found: Option<Arc<dyn PolicyFactory>>,
+    pub pilot_choice: Option<Arc<dyn PolicyFactory>>,
     /// Warnings from the pilot runs, one sentence each, without a stop.
     pub warnings: Vec<String>,
     /// Random streams of the policy. A pilot run uses the streams of its run, so that both judge the same policy.
@@ -482,7 +494,7 @@ impl PreparedRun {
         Self {
             deployment: Deployment::new(scenario),
             scenario: scenario.clone(),
-            found: None,
+            pilot_choice: None,
             streams: PolicyStreams::new(scenario.run.seed),
             warnings: Vec::new(),
             grids: Arc::default(),
@@ -499,7 +511,9 @@ impl PreparedRun {
 
     /// The policy, for a base station with the knowledge `known`.
     pub fn policy(&self, known: &Knowledge) -> Box<dyn Policy> {
-        let found = self.found.as_deref();
-        found.unwrap_or_else(|| self.scenario.policy.settings()).build(known)
+        let pilot_choice = self.pilot_choice.as_deref();
+        pilot_choice
+            .unwrap_or_else(|| self.scenario.policy.settings())
+            .build(known)
     }
 }

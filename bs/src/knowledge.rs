@@ -1,7 +1,8 @@
 //! The base station's knowledge before the first TTI, which a policy receives.
 //!
 //! [`Knowledge`] separates policies from ground truth: it contains neither scenario and seed, nor times, places and
-//! durations of events, nor future harvests. During the run a policy receives [`crate::observation::Observation`].
+//! durations of events, nor future harvests. During the run a policy receives [`crate::observation::Observation`]. The
+//! `compile_fail` examples below test this.
 
 use std::sync::Arc;
 
@@ -9,7 +10,7 @@ use reveille_common::deployment::Deployment;
 use reveille_common::geometry::{Area, Point};
 use reveille_common::harvest::DayProfile;
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::radio::Link;
+use reveille_common::radio::RadioLossRates;
 use reveille_common::rng::PolicyStreams;
 use reveille_common::scenario::{BsSettings, EnergyModel, Scenario};
 use reveille_common::sensing::Sensing;
@@ -71,8 +72,8 @@ pub struct DeviceKnowledge {
 ///
 /// fn all(known: Knowledge) {
 ///     let Knowledge {
-///         area: _, sensing: _, radio: _, alpha: _, tau: _, ttis: _, bs: _, classes: _, courses: _, devices: _,
-///         streams: _, grids: _,
+///         area: _, sensing: _, radio: _, alpha: _, tau: _, ttis: _, bs: _, classes: _, day_profiles: _,
+///         devices: _, streams: _, grids: _,
 ///     } = known;
 /// }
 /// ```
@@ -92,7 +93,7 @@ pub struct Knowledge {
     /// The sensing model, with p known and invertible.
     pub sensing: Sensing,
     /// Long-run loss rates of the radio.
-    pub radio: Link,
+    pub radio: RadioLossRates,
     /// Probability α that an event starts in a TTI in which none is active, `(0, 1]`; its long-run mean where it
     /// changes with time.
     pub alpha: f64,
@@ -105,7 +106,7 @@ pub struct Knowledge {
     /// Names of the device classes.
     pub classes: Vec<String>,
     /// Expected harvest by time of day, for each class; `None` if it is constant or unknown.
-    pub courses: Vec<Option<Arc<DayProfile>>>,
+    pub day_profiles: Vec<Option<Arc<DayProfile>>>,
     /// The devices, in the order of ids.
     pub devices: Vec<DeviceKnowledge>,
     /// The random draws that a policy may make.
@@ -122,17 +123,17 @@ impl Knowledge {
         Self {
             area: scenario.area,
             sensing: scenario.sensing.clone(),
-            radio: scenario.radio.link(),
+            radio: scenario.radio.loss_rates(),
             alpha: scenario.events.alpha,
             tau: scenario.run.tau,
             ttis: scenario.run.ttis,
             bs: scenario.bs,
             classes: scenario.classes.iter().map(|class| class.name.clone()).collect(),
-            courses: scenario
+            day_profiles: scenario
                 .classes
                 .iter()
                 // Only a source by the time of day has a day profile, so the index of the trace does not matter.
-                .map(|class| class.harvest.setup(scenario.run.tau, 0).course().map(Arc::new))
+                .map(|class| class.harvest.setup(scenario.run.tau, 0).day_profile().map(Arc::new))
                 .collect(),
             devices: devices
                 .map(|(device, &class)| DeviceKnowledge {
@@ -155,10 +156,10 @@ impl Knowledge {
     /// Expected harvest of `device` in the TTIs from `from` to before `end`. It follows the day profile of its class if
     /// known, and the mean otherwise. It uses no random draw.
     pub fn expected_harvest(&self, device: DeviceId, from: Tti, end: Tti) -> Energy {
-        let known = &self.devices[device.index()];
-        match &self.courses[usize::from(known.class)] {
-            Some(course) => course.between(from, end),
-            None => known.mean_harvest.times(end.0.saturating_sub(from.0)),
+        let device_knowledge = &self.devices[device.index()];
+        match &self.day_profiles[usize::from(device_knowledge.class)] {
+            Some(profile) => profile.energy_between(from, end),
+            None => device_knowledge.mean_harvest.times(end.0.saturating_sub(from.0)),
         }
     }
 

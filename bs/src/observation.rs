@@ -1,4 +1,7 @@
-//! The observation that a policy receives in a TTI.
+//! The observation that a policy receives in a TTI, with [`Knowledge`] as its part from before the first TTI.
+//!
+//! The [`BaseStation`](crate::base_station::BaseStation) makes one for each call of the policy. A field must not give
+//! ground truth; `tests/tests/knowledge_wall.rs` checks that unobservable changes of a run change no decision.
 
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::plan::Plan;
@@ -22,8 +25,9 @@ pub struct Observation<'a> {
     /// Batteries at the end of the last TTI, as far as `bs.battery_knowledge` allows. Empty for a policy that does not
     /// need them ([`crate::policy::interface::Policy::needs_batteries`]).
     pub batteries: &'a [Energy],
-    /// Levels for [`Self::can_report`]; `None` for a policy that does not need them.
-    pub levels: Option<&'a BatteryEstimator>,
+    /// Estimator for [`Self::can_report`]; `None` for a policy that does not need it, and all devices then count as
+    /// able to report.
+    pub battery_estimator: Option<&'a BatteryEstimator>,
 }
 
 impl Observation<'_> {
@@ -36,7 +40,7 @@ impl Observation<'_> {
     /// wake-up (Sec. IV), taken as 1 or 0. If the policy reads batteries, it follows from their levels. Otherwise it
     /// follows from each device's last report, the plans since, and its mean harvest.
     pub fn can_report(&self, device: DeviceId) -> bool {
-        self.levels
-            .is_none_or(|levels| levels.can_report(device, self.now, self.plan))
+        self.battery_estimator
+            .is_none_or(|estimator| estimator.can_report(device, self.now, self.plan))
     }
 }

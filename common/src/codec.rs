@@ -1,4 +1,5 @@
-//! The wire format of all messages: one version byte, then bincode with variable-length integers.
+//! The wire format of all messages: one version byte, then bincode with variable-length integers. A change of a
+//! message, or of a type in it, raises [`WIRE_VERSION`].
 //!
 //! bincode is unmaintained upstream. Only this file names it, so that another encoding can replace it here.
 
@@ -71,14 +72,14 @@ pub fn decode<T: DeserializeOwned>(payload: &[u8]) -> Result<T, CodecError> {
 /// Returns the length of [`encode`]'s payload in bytes, without encoding it.
 pub fn encoded_len<T: Serialize>(message: &T) -> u64 {
     // The version byte.
-    let mut counter = Counter(1);
+    let mut counter = ByteCounter(1);
     bincode::serde::encode_into_std_write(message, &mut counter, CONFIG).expect("messages have a wire form");
     counter.0
 }
 
-struct Counter(u64);
+struct ByteCounter(u64);
 
-impl std::io::Write for Counter {
+impl std::io::Write for ByteCounter {
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
         self.0 += bytes.len() as u64;
         Ok(bytes.len())

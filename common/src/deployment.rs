@@ -1,8 +1,11 @@
-//! The deployment of a scenario: the position and the setup of each device.
+//! The deployment of a scenario: the position and the setup of each device, and the setup of each host.
+//!
+//! Base station, reconstruction and figures derive it from the scenario, so a scenario must give the same deployment in
+//! every process.
 
 use std::sync::Arc;
 
-use crate::geometry::{Point, place};
+use crate::geometry::{Point, place_devices};
 use crate::ids::DeviceId;
 use crate::message::{BusCredentials, DeviceSetup, HostSetup};
 use crate::scenario::{Scenario, assign_classes};
@@ -23,23 +26,23 @@ impl Deployment {
     /// Deploys the devices of `scenario`.
     pub fn new<P>(scenario: &Scenario<P>) -> Self {
         let (traces, first_trace) = collect_traces(scenario);
-        let positions = place(&scenario.layout, scenario.area, scenario.run.devices, scenario.run.seed);
-        let mut of_class = vec![0u32; scenario.classes.len()];
+        let positions = place_devices(&scenario.layout, scenario.area, scenario.run.devices, scenario.run.seed);
+        let mut devices_of_class = vec![0u32; scenario.classes.len()];
         let classes = assign_classes(scenario);
         let devices = positions
             .into_iter()
             .zip(&classes)
             .zip(0..)
             .map(|((position, &class), id)| {
-                let class = usize::from(class);
-                let kind = &scenario.classes[class];
-                let trace = first_trace[class] + kind.harvest.column_of(of_class[class]);
-                of_class[class] += 1;
-                let harvest = kind.harvest.setup(scenario.run.tau, trace);
+                let index = usize::from(class);
+                let class = &scenario.classes[index];
+                let trace = first_trace[index] + class.harvest.column_index(devices_of_class[index]);
+                devices_of_class[index] += 1;
+                let harvest = class.harvest.setup(scenario.run.tau, trace);
                 DeviceSetup {
                     id: DeviceId(id),
                     position,
-                    energy: kind.energy,
+                    energy: class.energy,
                     harvest,
                 }
             })
@@ -66,7 +69,7 @@ impl Deployment {
     ) -> HostSetup {
         let devices = self.devices[first as usize..(first + count) as usize].to_vec();
         // Traces can be long, so a host that reads none does not receive them.
-        let traces = if devices.iter().any(|d| d.harvest.reads_a_trace()) {
+        let traces = if devices.iter().any(|d| d.harvest.reads_trace()) {
             self.traces.clone()
         } else {
             Vec::new()
@@ -93,7 +96,7 @@ fn collect_traces<P>(scenario: &Scenario<P>) -> (Vec<Arc<Vec<Energy>>>, Vec<u32>
         .iter()
         .map(|class| {
             let first = traces.len() as u32;
-            traces.extend(class.harvest.columns().iter().cloned().map(Arc::new));
+            traces.extend(class.harvest.trace_columns().iter().cloned().map(Arc::new));
             first
         })
         .collect();

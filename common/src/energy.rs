@@ -1,4 +1,4 @@
-//! The battery and the energy costs of a device.
+//! The battery and the energy costs of a device, per class of a scenario. `device/src/battery/` applies them.
 
 use serde::{Deserialize, Serialize};
 

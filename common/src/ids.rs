@@ -1,4 +1,4 @@
-//! Identifiers and model time.
+//! Identifiers of devices, hosts and events, and model time ([`Tti`]).
 
 use std::fmt;
 use std::ops::{Add, Sub};

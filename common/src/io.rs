@@ -1,4 +1,4 @@
-//! File access; no other module outside the bus opens files.
+//! File access for [`crate::declare::Files`]; no other module of this crate outside the bus opens files.
 
 use std::io::{self, Read as _};
 use std::path::{Path, PathBuf};
@@ -10,22 +10,22 @@ use crate::declare::{FileError, Files};
 pub struct Disk;
 
 impl Files for Disk {
-    fn read(&self, path: &Path, most: u64) -> Result<Vec<u8>, FileError> {
-        let about = std::fs::metadata(path)?;
-        if about.is_dir() {
+    fn read(&self, path: &Path, max_bytes: u64) -> Result<Vec<u8>, FileError> {
+        let metadata = std::fs::metadata(path)?;
+        if metadata.is_dir() {
             return Err(FileError::Folder);
         }
         // Checked before opening, because opening a pipe waits for its writer.
-        if !about.is_file() {
+        if !metadata.is_file() {
             return Err(FileError::Special);
         }
-        let length = about.len();
-        if length > most {
-            return Err(FileError::TooLong { length, most });
+        let length = metadata.len();
+        if length > max_bytes {
+            return Err(FileError::TooLong { length, max_bytes });
         }
         let mut bytes = Vec::with_capacity(length as usize);
         // Limited a second time, because the file may have grown since its length was read.
-        std::fs::File::open(path)?.take(most).read_to_end(&mut bytes)?;
+        std::fs::File::open(path)?.take(max_bytes).read_to_end(&mut bytes)?;
         Ok(bytes)
     }
 

@@ -70,7 +70,7 @@ impl Keys {
     }
 
     /// Returns the keys of `run` for its members.
-    pub const fn of_members(run: RunName, secret: Secret) -> Self {
+    pub const fn for_members(run: RunName, secret: Secret) -> Self {
         Self {
             run,
             secret: Some(secret),
@@ -91,18 +91,18 @@ impl Keys {
     pub fn base_key(&self, kind: MessageKind) -> String {
         let prefix = match kind.access() {
             Access::Anyone => format!("reveille/{}", self.run),
-            Access::Members => self.members(),
+            Access::Members => self.member_prefix(),
         };
         format!("{prefix}/{}/{}", kind.plane().name(), kind.name())
     }
 
     /// Returns the key on which the BS sends messages of `kind` to all hosts.
-    pub fn to_all(&self, kind: MessageKind) -> String {
+    pub fn to_all_hosts(&self, kind: MessageKind) -> String {
         format!("{}/*", self.base_key(kind))
     }
 
     /// Returns the key on which `host` receives messages to all hosts.
-    pub fn to_one_of_all(&self, kind: MessageKind, host: HostId) -> String {
+    pub fn to_all_hosts_at(&self, kind: MessageKind, host: HostId) -> String {
         format!("{}/{host}", self.base_key(kind))
     }
 
@@ -112,13 +112,13 @@ impl Keys {
     }
 
     /// Returns the key expression of wake-ups for all devices of `host`.
-    pub fn wakes_of(&self, host: HostId) -> String {
+    pub fn wake_ups_of(&self, host: HostId) -> String {
         format!("{}/{host}/*", self.base_key(MessageKind::Wake))
     }
 
     /// Returns the key on which the host with this credential sends messages of `kind`.
-    pub fn uplink(&self, kind: MessageKind, pass: HostCredential) -> String {
-        format!("{}/{pass}", self.base_key(kind))
+    pub fn uplink(&self, kind: MessageKind, credential: HostCredential) -> String {
+        format!("{}/{credential}", self.base_key(kind))
     }
 
     /// Returns the key expression for messages of `kind` from all hosts.
@@ -127,27 +127,27 @@ impl Keys {
     }
 
     /// Returns the liveliness token of the host with this credential.
-    pub fn alive(&self, pass: HostCredential) -> String {
-        format!("{}/emu/alive/{pass}", self.members())
+    pub fn host_liveliness(&self, credential: HostCredential) -> String {
+        format!("{}/emu/alive/{credential}", self.member_prefix())
     }
 
     /// Returns the key expression of the liveliness tokens of all hosts.
-    pub fn all_alive(&self) -> String {
-        format!("{}/emu/alive/*/*", self.members())
+    pub fn all_host_liveliness(&self) -> String {
+        format!("{}/emu/alive/*/*", self.member_prefix())
     }
 
     /// Returns the liveliness token of the BS.
-    pub fn bs_alive(&self) -> String {
+    pub fn bs_liveliness(&self) -> String {
         format!("reveille/{}/emu/bs", self.run)
     }
 
     /// Returns the key expression of the liveliness tokens of the BSs of all runs.
-    pub fn any_bs() -> &'static str {
+    pub fn all_bs_liveliness() -> &'static str {
         "reveille/*/emu/bs"
     }
 
     /// Returns the key of the policy port. It ends with the protocol's version, which separates later versions.
-    pub fn policy(&self) -> String {
+    pub fn policy_port(&self) -> String {
         format!("reveille/{}/policy/v1", self.run)
     }
 
@@ -156,7 +156,7 @@ impl Keys {
         format!("reveille/{}/tap", self.run)
     }
 
-    fn members(&self) -> String {
+    fn member_prefix(&self) -> String {
         match self.secret {
             Some(secret) => format!("reveille/{}/@{secret}", self.run),
             // A member's key has the secret behind the `@`, so this one matches none.
@@ -205,7 +205,7 @@ mod tests {
 
     #[test]
     fn members_have_keys_that_no_wildcard_matches() {
-        let keys = Keys::of_members("r1".parse().expect("valid"), SECRET);
+        let keys = Keys::for_members("r1".parse().expect("valid"), SECRET);
         let secret = "ab".repeat(16);
         let token = "01".repeat(16);
         assert_eq!(
@@ -214,8 +214,8 @@ mod tests {
         );
         assert_eq!(
             [
-                keys.to_all(MessageKind::Clock),
-                keys.to_one_of_all(MessageKind::Clock, HostId(3))
+                keys.to_all_hosts(MessageKind::Clock),
+                keys.to_all_hosts_at(MessageKind::Clock, HostId(3))
             ],
             ["*", "3"].map(|host| format!("reveille/r1/@{secret}/emu/clock/{host}"))
         );
@@ -235,21 +235,21 @@ mod tests {
 
     #[test]
     fn a_pass_is_read_off_the_keys_that_carry_it() {
-        let keys = Keys::of_members("r1".parse().expect("valid"), SECRET);
-        for key in [keys.uplink(MessageKind::Answer, pass()), keys.alive(pass())] {
-            assert_eq!(HostCredential::at_end_of(&key), Some(pass()), "{key}");
+        let keys = Keys::for_members("r1".parse().expect("valid"), SECRET);
+        for key in [keys.uplink(MessageKind::Answer, pass()), keys.host_liveliness(pass())] {
+            assert_eq!(HostCredential::from_key(&key), Some(pass()), "{key}");
         }
         for other in ["", "2", "x/2/3", "reveille/r1/emu/answer/2/0101", "-2/01", "*/*"] {
-            assert_eq!(HostCredential::at_end_of(other), None, "{other}");
+            assert_eq!(HostCredential::from_key(other), None, "{other}");
         }
     }
 
     #[test]
     fn keys_are_classified() {
-        let keys = Keys::of_members("r1".parse().expect("valid"), SECRET);
+        let keys = Keys::for_members("r1".parse().expect("valid"), SECRET);
         for &kind in MessageKind::ALL {
             assert_eq!(classify(&keys.base_key(kind)), Some((kind, None)));
-            assert_eq!(classify(&keys.to_all(kind)), Some((kind, None)));
+            assert_eq!(classify(&keys.to_all_hosts(kind)), Some((kind, None)));
             assert_eq!(classify(&keys.uplink(kind, pass())), Some((kind, Some(2))));
         }
         assert_eq!(classify("reveille/r1/air/clock"), None);

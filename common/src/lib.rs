@@ -1,8 +1,12 @@
-//! The common types of the Reveille emulator.
+//! The common types of the Reveille emulator, on which all its other crates build.
 //!
-//! Everything except [`bus`], [`io`] and [`logging`] is pure: no clock, no entropy, no I/O. The crate contains the
-//! physical world ([`sensing`], [`harvest`], [`event`], [`radio`]), the scenario that configures it, and the messages
-//! on the bus. It defines all metrics and the digest of a run.
+//! - A run: [`scenario`] describes it, [`deployment`] places its devices, [`world`] holds its events.
+//! - Physics: [`sensing`], [`harvest`], [`energy`], [`event`], [`radio`], [`geometry`], [`rng`].
+//! - Decisions and messages: [`plan`], [`message`], [`codec`], [`keys`], [`bus`].
+//! - Results: [`totals`], [`score`] with all metrics and the digest.
+//! - Fields and files: [`declare`] declares scenario fields; [`columns`], [`encoding`] for data, and `parquet`.
+//!
+//! Everything except [`bus`], [`io`] and [`logging`] is pure: no clock, no entropy, no I/O. Start with [`scenario`].
 
 #[cfg(feature = "bus")]
 pub mod bus;

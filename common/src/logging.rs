@@ -1,4 +1,4 @@
-//! Set-up of `tracing` for all processes.
+//! Set-up of `tracing` for all processes; the program calls it once at its start.
 
 use std::io::IsTerminal;
 

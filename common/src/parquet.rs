@@ -1,4 +1,4 @@
-//! Flat Parquet files: one writer for all tables, and a reader of columns of known types.
+//! Flat Parquet files: the writer and the reader of columns that result tables, trajectories and exports share.
 
 use std::io::Write;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -14,7 +14,7 @@ use ::parquet::file::reader::RowGroupReader;
 use ::parquet::file::writer::{SerializedFileWriter, SerializedRowGroupWriter};
 use ::parquet::schema::types::Type;
 
-/// A column. A column of bytes holds texts.
+/// The name, type and optionality of a column. A column of bytes holds texts.
 #[derive(Clone, Copy, Debug)]
 pub struct Column<'n> {
     name: &'n str,
@@ -60,16 +60,16 @@ pub fn schema<'n>(name: &str, columns: impl IntoIterator<Item = Column<'n>>) -> 
 pub struct Writer<W: Write + Send>(SerializedFileWriter<W>);
 
 impl<W: Write + Send> Writer<W> {
-    /// Starts a file with the metadata `about`.
+    /// Starts a file with the key-value pairs `metadata`.
     ///
     /// # Errors
     /// If it cannot be written.
     pub fn begin(
         out: W,
         schema: Type,
-        about: impl IntoIterator<Item = (String, String)>,
+        metadata: impl IntoIterator<Item = (String, String)>,
     ) -> Result<Self, ParquetError> {
-        let pairs: Vec<KeyValue> = about
+        let pairs: Vec<KeyValue> = metadata
             .into_iter()
             .map(|(key, value)| KeyValue::new(key, value))
             .collect();
@@ -80,16 +80,16 @@ impl<W: Write + Send> Writer<W> {
         SerializedFileWriter::new(out, Arc::new(schema), Arc::new(properties)).map(Self)
     }
 
-    /// Writes a row group; `fill` writes each column of the schema in order.
+    /// Writes a row group; `write_columns` writes each column of the schema in order.
     ///
     /// # Errors
     /// If it cannot be written.
-    pub fn group(
+    pub fn write_row_group(
         &mut self,
-        fill: impl FnOnce(&mut GroupWriter<'_, W>) -> Result<(), ParquetError>,
+        write_columns: impl FnOnce(&mut GroupWriter<'_, W>) -> Result<(), ParquetError>,
     ) -> Result<(), ParquetError> {
         let mut group = GroupWriter(self.0.next_row_group()?);
-        fill(&mut group)?;
+        write_columns(&mut group)?;
         group.0.close().map(drop)
     }
 
@@ -110,7 +110,7 @@ impl<W: Write + Send> GroupWriter<'_, W> {
     ///
     /// # Errors
     /// If it cannot be written, or is of another type in the schema.
-    pub fn required<T: DataType>(&mut self, values: impl IntoIterator<Item = T::T>) -> Result<(), ParquetError> {
+    pub fn write_required<T: DataType>(&mut self, values: impl IntoIterator<Item = T::T>) -> Result<(), ParquetError> {
         self.column::<T>(&values.into_iter().collect::<Vec<_>>(), None)
     }
 
@@ -118,7 +118,7 @@ impl<W: Write + Send> GroupWriter<'_, W> {
     ///
     /// # Errors
     /// If it cannot be written, or is of another type in the schema.
-    pub fn optional<T: DataType>(
+    pub fn write_optional<T: DataType>(
         &mut self,
         values: impl IntoIterator<Item = Option<T::T>>,
     ) -> Result<(), ParquetError> {
@@ -162,7 +162,7 @@ impl<'f> GroupReader<'f> {
     ///
     /// # Errors
     /// If it cannot be read or is shorter than the group.
-    pub fn required<T: DataType>(&mut self) -> Result<Vec<T::T>, ParquetError> {
+    pub fn read_required<T: DataType>(&mut self) -> Result<Vec<T::T>, ParquetError> {
         self.column::<T>(None)
     }
 
@@ -170,7 +170,7 @@ impl<'f> GroupReader<'f> {
     ///
     /// # Errors
     /// If it cannot be read or is shorter than the group.
-    pub fn optional<T: DataType>(&mut self) -> Result<Vec<Option<T::T>>, ParquetError> {
+    pub fn read_optional<T: DataType>(&mut self) -> Result<Vec<Option<T::T>>, ParquetError> {
         let mut levels = Vec::new();
         let mut values = self.column::<T>(Some(&mut levels))?.into_iter();
         // The reader returns only the values that exist; the levels tell in which rows they belong.
@@ -196,6 +196,6 @@ impl<'f> GroupReader<'f> {
 }
 
 /// Runs `decode`; `None` if the decoder panics, as it does on some corrupt files.
-pub fn guarded<T>(decode: impl FnOnce() -> T) -> Option<T> {
+pub fn catch_decoder_panic<T>(decode: impl FnOnce() -> T) -> Option<T> {
     catch_unwind(AssertUnwindSafe(decode)).ok()
 }

@@ -1,4 +1,4 @@
-//! Alternating busy and quiet phases of events or of interference.
+//! Alternating busy and quiet phases: of events in `event/bursts.rs`, of interference in `radio/air.rs`.
 
 use crate::ids::Tti;
 use crate::rng::{Geometric, Stream};
@@ -17,8 +17,10 @@ pub struct Phase {
 #[derive(Clone, Debug)]
 pub struct Phases {
     stream: Stream,
-    busy: Geometric,
-    quiet: Geometric,
+    /// The length of a busy phase.
+    busy_ttis: Geometric,
+    /// The length of a quiet phase.
+    quiet_ttis: Geometric,
     phase: Phase,
 }
 
@@ -29,28 +31,32 @@ impl Phases {
         let is_busy = stream.unit() < busy / (busy + quiet);
         let mut phases = Self {
             stream,
-            busy: Geometric::new(1.0 / busy),
-            quiet: Geometric::new(1.0 / quiet),
+            busy_ttis: Geometric::new(1.0 / busy),
+            quiet_ttis: Geometric::new(1.0 / quiet),
             phase: Phase {
                 is_busy,
                 end: Tti::ZERO,
             },
         };
-        phases.lengthen();
+        phases.draw_phase_end();
         phases
     }
 
     /// Draws the length of the phase that starts at the end of the last one.
-    fn lengthen(&mut self) {
-        let law = if self.phase.is_busy { self.busy } else { self.quiet };
-        self.phase.end = self.phase.end.saturating_add(law.draw(&mut self.stream));
+    fn draw_phase_end(&mut self) {
+        let distribution = if self.phase.is_busy {
+            self.busy_ttis
+        } else {
+            self.quiet_ttis
+        };
+        self.phase.end = self.phase.end.saturating_add(distribution.draw(&mut self.stream));
     }
 
     /// Returns the phase of TTI `k`, which must not precede the TTI of the last call.
-    pub fn at(&mut self, k: Tti) -> Phase {
+    pub fn phase_at(&mut self, k: Tti) -> Phase {
         while self.phase.end <= k {
             self.phase.is_busy = !self.phase.is_busy;
-            self.lengthen();
+            self.draw_phase_end();
         }
         self.phase
     }

@@ -1,4 +1,7 @@
-//! The δ plan, which determines the sensing devices of each TTI.
+//! The δ plan, which determines the sensing devices of each TTI: policies create it, devices and the world follow it.
+//!
+//! Plans travel on the bus and enter the digest. A change of their fields raises the version of the wire format, and of
+//! the digest if it is hashed.
 
 use serde::{Deserialize, Serialize};
 
@@ -9,7 +12,7 @@ use crate::ids::{DeviceId, Tti};
 pub struct DutyCycle {
     /// TTIs in S1 per cycle, `0 ..= t_drx`.
     pub t_on: u32,
-    /// Length of the cycle in TTIs, `1 ..= `[`DutyCycle::LONGEST`].
+    /// Length of the cycle in TTIs, `1 ..= `[`DutyCycle::MAX_T_DRX`].
     pub t_drx: u32,
     /// The position in the device's cycle at k = 0 in TTIs, `0 .. t_drx`.
     pub offset: u32,
@@ -29,12 +32,12 @@ impl DutyCycle {
         offset: 0,
     };
 
-    /// Maximum length of a cycle, in TTIs.
-    pub const LONGEST: u32 = 1 << 24;
+    /// Maximum length of a cycle, in TTIs; [`Self::sum_over_span`] relies on it.
+    pub const MAX_T_DRX: u32 = 1 << 24;
 
     /// Whether the three numbers are within their ranges.
     pub const fn is_valid(self) -> bool {
-        self.t_drx >= 1 && self.t_drx <= Self::LONGEST && self.t_on <= self.t_drx && self.offset < self.t_drx
+        self.t_drx >= 1 && self.t_drx <= Self::MAX_T_DRX && self.t_on <= self.t_drx && self.offset < self.t_drx
     }
 
     /// Returns δ_j(k).
@@ -62,36 +65,36 @@ impl DutyCycle {
     ///   the reduction of the battery by a unit cost paid in S1, summed over the span;
     /// - the phase after the span.
     #[inline]
-    pub const fn span(self, phase: u32, n: u32) -> (u64, u64, u32) {
+    pub const fn sum_over_span(self, phase: u32, n: u32) -> (u64, u64, u32) {
         // No overflow: phase is below 2²⁴, and n at most 2³⁰.
         let end = phase + n;
-        let before = least(phase, self.t_on) as u64;
+        let before = min_u32(phase, self.t_on) as u64;
         // x counts TTIs from the start of the first cycle. A TTI x with δ = 1 adds end − x to the sum, so the number of
         // such x and their sum suffice.
         // A span within one cycle needs no division.
         if end < self.t_drx {
-            let after = least(end, self.t_on) as u64;
+            let after = min_u32(end, self.t_on) as u64;
             let on = after - before;
-            return (on, end as u64 * on - (triangle(after) - triangle(before)), end);
+            return (on, end as u64 * on - (sum_below(after) - sum_below(before)), end);
         }
         let (cycles, rest) = ((end / self.t_drx) as u64, end % self.t_drx);
-        let (t_on, cycle, after) = (self.t_on as u64, self.t_drx as u64, least(rest, self.t_on) as u64);
+        let (t_on, cycle, after) = (self.t_on as u64, self.t_drx as u64, min_u32(rest, self.t_on) as u64);
         let on = cycles * t_on + after - before;
         // Whole cycle c begins at x = c · t_drx and adds t_on · c · t_drx + 0 + … + (t_on − 1).
-        let full = cycle * t_on * triangle(cycles) + cycles * triangle(t_on);
-        let sum = full + cycles * cycle * after + triangle(after) - triangle(before);
+        let full = cycle * t_on * sum_below(cycles) + cycles * sum_below(t_on);
+        let sum = full + cycles * cycle * after + sum_below(after) - sum_below(before);
         (on, end as u64 * on - sum, rest)
     }
 
     /// Returns the position in the cycle in TTI `k`, `0 .. t_drx`.
     #[inline]
     pub const fn phase(self, k: Tti) -> u32 {
-        let into = k.0 + self.offset as u64;
+        let ttis = k.0 + self.offset as u64;
         // A 32-bit division takes less time, and few runs are longer.
-        if into <= u32::MAX as u64 {
-            into as u32 % self.t_drx
+        if ttis <= u32::MAX as u64 {
+            ttis as u32 % self.t_drx
         } else {
-            (into % self.t_drx as u64) as u32
+            (ttis % self.t_drx as u64) as u32
         }
     }
 }
@@ -102,12 +105,12 @@ fn is_set(bits: &[u8], j: usize) -> bool {
     bits.get(j / 8).is_some_and(|byte| byte >> (j % 8) & 1 == 1)
 }
 
-const fn least(a: u32, b: u32) -> u32 {
+const fn min_u32(a: u32, b: u32) -> u32 {
     if a < b { a } else { b }
 }
 
 /// Returns 0 + 1 + … + (n − 1).
-const fn triangle(n: u64) -> u64 {
+const fn sum_below(n: u64) -> u64 {
     // With n = 0 the other factor does not matter.
     n.wrapping_mul(n.wrapping_sub(1)) / 2
 }
@@ -131,25 +134,25 @@ impl Plan {
         let mut bits = Vec::with_capacity(delta.size_hint().0.div_ceil(8));
         // Whole bytes: a policy process and the Python package create a plan in every TTI, and a bounds check for each
         // device costs three times as much.
-        let (mut byte, mut filled) = (0, 0);
-        for on in delta {
-            byte |= u8::from(on) << filled;
-            filled += 1;
-            if filled == 8 {
+        let (mut byte, mut bit) = (0, 0);
+        for is_on in delta {
+            byte |= u8::from(is_on) << bit;
+            bit += 1;
+            if bit == 8 {
                 bits.push(byte);
-                (byte, filled) = (0, 0);
+                (byte, bit) = (0, 0);
             }
         }
-        if filled > 0 {
+        if bit > 0 {
             bits.push(byte);
         }
         Self::Bits { bits }
     }
 
-    /// Creates a plan of bits for `devices` devices, of which `chosen` sense.
-    pub fn from_devices(devices: usize, chosen: &[DeviceId]) -> Self {
+    /// Creates a plan of bits for `devices` devices, of which `sensing` have δ = 1.
+    pub fn from_devices(devices: usize, sensing: &[DeviceId]) -> Self {
         let mut bits = vec![0; devices.div_ceil(8)];
-        for device in chosen {
+        for device in sensing {
             bits[device.index() / 8] |= 1 << (device.index() % 8);
         }
         Self::Bits { bits }
@@ -157,8 +160,8 @@ impl Plan {
 
     /// Returns the devices whose bit is set in the `bits` of a plan, in the order of ids.
     pub fn sensing_devices(bits: &[u8]) -> impl Iterator<Item = DeviceId> {
-        let all = 0..bits.len() * 8;
-        all.filter(|&j| is_set(bits, j)).map(|j| DeviceId(j as u32))
+        let numbers = 0..bits.len() * 8;
+        numbers.filter(|&j| is_set(bits, j)).map(|j| DeviceId(j as u32))
     }
 
     /// Returns δ_j(k) of `device` in TTI `k`; for a plan of bits, without the detour over a duty cycle.
@@ -211,7 +214,7 @@ mod tests {
             let cycle = DutyCycle { t_on: on.min(t_drx), t_drx, offset: off % t_drx };
             let on_ttis: Vec<u64> = (0..n).filter(|i| cycle.is_on(Tti(from + i))).collect();
             let remaining: u64 = on_ttis.iter().map(|i| n - i).sum();
-            let span = cycle.span(cycle.phase(Tti(from)), n as u32);
+            let span = cycle.sum_over_span(cycle.phase(Tti(from)), n as u32);
             prop_assert_eq!(span, (on_ttis.len() as u64, remaining, cycle.phase(Tti(from + n))));
             let next = (from..from + 100).map(Tti).find(|&k| cycle.is_on(k)).unwrap_or(Tti::NEVER);
             prop_assert_eq!(cycle.next_on(Tti(from)), next);

@@ -1,7 +1,8 @@
-//! Named random streams.
+//! Named random streams, the only source of randomness in the model.
 //!
 //! Each stream is keyed by the scenario's seed, a [`Purpose`], and a device or an event. No draw depends on the
-//! process or the order of draws, so a run is the same however it is scheduled.
+//! process or the order of draws, so a run is the same however it is scheduled. Any change of a key, a purpose's number
+//! or the arithmetic of a draw changes all digests.
 
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
@@ -51,7 +52,7 @@ pub enum Purpose {
     /// Whether a device misses a plan (keyed by device and TTI).
     PlanLoss = 23,
     /// The bursts of interference (one stream a run).
-    Interference = 24,
+    InterferencePhases = 24,
 }
 
 /// A stream of pseudo-random numbers (xoshiro256++), the same on every machine.
@@ -61,7 +62,7 @@ pub struct Stream(Xoshiro256PlusPlus);
 impl Stream {
     /// Creates the stream of `purpose` for `id` (a device or event number; 0 if a run has only one such stream).
     pub fn new(seed: u64, purpose: Purpose, id: u64) -> Self {
-        Self(Xoshiro256PlusPlus::seed_from_u64(key(seed, purpose, id)))
+        Self(Xoshiro256PlusPlus::seed_from_u64(stream_key(seed, purpose, id)))
     }
 
     /// Draws a number uniform on `[0, 1)`, with 53 random bits.
@@ -93,7 +94,9 @@ impl Stream {
 
 /// Draws a number uniform on `[0, 1)` for `purpose` and the pair of ids (`a`, `b`), without a stream.
 pub fn unit_for_pair(seed: u64, purpose: Purpose, a: u64, b: u64) -> f64 {
-    to_unit(mix(key(seed, purpose, a) ^ mix(b ^ 0xD1B5_4A32_D192_ED03)))
+    to_unit(mix_bits(
+        stream_key(seed, purpose, a) ^ mix_bits(b ^ 0xD1B5_4A32_D192_ED03),
+    ))
 }
 
 /// The purposes of the draws that a policy may make.
@@ -154,6 +157,7 @@ impl std::fmt::Debug for PolicyStreams {
 /// The distribution of the gap between two successes of a Bernoulli trial made once per TTI.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Geometric {
+    /// 1 / ln(1 − p).
     inverse_log_failure: f64,
 }
 
@@ -185,38 +189,44 @@ impl Geometric {
 }
 
 /// Returns the gap if the quotient of logarithms has no finite value: p = 0 or a gap longer than any run.
-fn never_or_now(law: Geometric) -> u64 {
-    if law.inverse_log_failure == 0.0 { 1 } else { u64::MAX }
+fn never_or_now(distribution: Geometric) -> u64 {
+    if distribution.inverse_log_failure == 0.0 {
+        1
+    } else {
+        u64::MAX
+    }
 }
 
-/// Bits of a draw that index a [`GapTable`].
-const GUIDE_BITS: u32 = 11;
+/// Number of leading bits of a draw that index a [`GapTable`].
+const INDEX_BITS: u32 = 11;
 
 /// A [`Geometric`] distribution that computes few logarithms: a table over the leading bits of the draw holds the gap
 /// wherever those bits alone decide it. Every draw equals the distribution's.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct GapTable {
-    law: Geometric,
+    distribution: Geometric,
     /// The gap for each value of the leading bits, 0 if they do not decide it.
     gaps: Vec<u16>,
 }
 
 impl GapTable {
-    /// Creates the table of `law`. Its 4096 logarithms pay off if thousands of gaps are drawn.
-    pub(crate) fn new(law: Geometric) -> Self {
-        let cells = 1_u64 << GUIDE_BITS;
+    /// Creates the table of `distribution`. Its 4096 logarithms pay off if thousands of gaps are drawn.
+    pub(crate) fn new(distribution: Geometric) -> Self {
+        let cells = 1_u64 << INDEX_BITS;
         // The first draw of cell c, c = 0 ..= cells, and the last of the cell before it. For c = cells the shift gives
         // 0, which wraps to the largest draw.
-        let first = |c: u64| to_unit(c << (64 - GUIDE_BITS));
-        let last = |c: u64| to_unit((c << (64 - GUIDE_BITS)).wrapping_sub(1));
-        let decided = |c: u64| {
+        let first = |c: u64| to_unit(c << (64 - INDEX_BITS));
+        let last = |c: u64| to_unit((c << (64 - INDEX_BITS)).wrapping_sub(1));
+        let decided_gap = |c: u64| {
             // The gap is non-decreasing in the draw, so equal gaps at both ends hold for the whole cell.
-            let gap = law.gap(first(c));
-            (gap == law.gap(last(c + 1))).then(|| u16::try_from(gap).ok()).flatten()
+            let gap = distribution.gap(first(c));
+            (gap == distribution.gap(last(c + 1)))
+                .then(|| u16::try_from(gap).ok())
+                .flatten()
         };
         Self {
-            law,
-            gaps: (0..cells).map(|c| decided(c).unwrap_or(0)).collect(),
+            distribution,
+            gaps: (0..cells).map(|c| decided_gap(c).unwrap_or(0)).collect(),
         }
     }
 
@@ -224,20 +234,23 @@ impl GapTable {
     #[inline]
     pub(crate) fn draw(&self, stream: &mut Stream) -> u64 {
         let bits = stream.0.next_u64();
-        match self.gaps[(bits >> (64 - GUIDE_BITS)) as usize] {
-            0 => self.law.gap(to_unit(bits)),
+        match self.gaps[(bits >> (64 - INDEX_BITS)) as usize] {
+            0 => self.distribution.gap(to_unit(bits)),
             gap => u64::from(gap),
         }
     }
 }
 
-fn key(seed: u64, purpose: Purpose, id: u64) -> u64 {
-    mix(mix(seed ^ (purpose as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15))
-        .wrapping_add(id.wrapping_mul(0xBF58_476D_1CE4_E5B9)))
+/// Returns the seed of a stream.
+fn stream_key(seed: u64, purpose: Purpose, id: u64) -> u64 {
+    mix_bits(
+        mix_bits(seed ^ (purpose as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15))
+            .wrapping_add(id.wrapping_mul(0xBF58_476D_1CE4_E5B9)),
+    )
 }
 
 /// The finaliser of `SplitMix64`: a bijection of 64 bits that spreads every input bit over the whole word.
-fn mix(mut z: u64) -> u64 {
+fn mix_bits(mut z: u64) -> u64 {
     z = z.wrapping_add(0x9E37_79B9_7F4A_7C15);
     z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
     z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);

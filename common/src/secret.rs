@@ -1,4 +1,4 @@
-//! Secrets that authorise a peer, and the credentials of hosts.
+//! Secrets that authorise a peer, and the credentials of hosts. Both are parts of [keys](crate::keys) on the bus.
 
 use std::fmt;
 use std::str::FromStr;
@@ -54,8 +54,8 @@ impl FromStr for Secret {
             return Err(SecretError);
         }
         let mut bytes = [0; 16];
-        for (byte, at) in bytes.iter_mut().zip((0..32).step_by(2)) {
-            *byte = u8::from_str_radix(&text[at..at + 2], 16).map_err(|_| SecretError)?;
+        for (byte, start) in bytes.iter_mut().zip((0..32).step_by(2)) {
+            *byte = u8::from_str_radix(&text[start..start + 2], 16).map_err(|_| SecretError)?;
         }
         Ok(Self(bytes))
     }
@@ -72,7 +72,7 @@ pub struct HostCredential {
 
 impl HostCredential {
     /// Parses the credential at the end of `key`, if the key is a host's own.
-    pub fn at_end_of(key: &str) -> Option<Self> {
+    pub fn from_key(key: &str) -> Option<Self> {
         let mut parts = key.rsplit('/');
         let token = parts.next()?.parse().ok()?;
         let host = parts.next()?.parse().ok().map(HostId)?;

@@ -1,4 +1,4 @@
-//! The states of a device (Sec. II).
+//! The states of a device (Sec. II), as messages carry them. The state machine is `device/src/machine/`.
 
 use serde::{Deserialize, Serialize};
 

@@ -1,4 +1,7 @@
-//! Exact integer totals of devices, events and the control channel.
+//! Exact integer totals of devices, events and radio traffic, from which every metric follows.
+//!
+//! Integer sums do not depend on the order of addition, so any split of a run over hosts gives the same totals. The
+//! totals of devices travel on the bus, and the digest hashes most fields.
 
 use std::ops::{Add, AddAssign, Sub};
 
@@ -79,7 +82,7 @@ pub struct DeviceTotals {
 
 impl DeviceTotals {
     /// Whether the energy put in equals the energy taken out and left.
-    pub fn closes(&self) -> bool {
+    pub fn is_balanced(&self) -> bool {
         // In 128 bits: a host's ledger can hold any numbers, and `Energy` panics if a sum overflows.
         let sum = |parts: &[Energy]| parts.iter().map(|part| u128::from(part.micro())).sum::<u128>();
         let EnergyByState { sensing, sleep, report } = self.spent;
@@ -173,8 +176,8 @@ impl Ledger {
         };
         // In 128 bits, because the counts of an invalid ledger can overflow.
         let outages = u128::from(measured.failed_ttis) + u128::from(measured.unpowered_ttis);
-        whole.closes()
-            && measured.closes()
+        whole.is_balanced()
+            && measured.is_balanced()
             // For the whole, this only checks that no more TTIs failed than had δ = 1.
             && within(whole)
             && within(measured)
@@ -283,7 +286,7 @@ pub struct Spread {
 
 impl Spread {
     /// Computes the spread over devices with these sums.
-    pub fn sum<'a>(devices: impl IntoIterator<Item = &'a DeviceTotals>) -> Self {
+    pub fn from_devices<'a>(devices: impl IntoIterator<Item = &'a DeviceTotals>) -> Self {
         devices.into_iter().fold(Self::default(), |so_far, device| {
             let spent = u128::from(device.spent.total().micro());
             Self {
@@ -434,7 +437,7 @@ mod tests {
             low_ttis,
             ..DeviceTotals::default()
         };
-        let spread = Spread::sum(&[device(3, 1), device(4, 9), device(0, 2)]);
+        let spread = Spread::from_devices(&[device(3, 1), device(4, 9), device(0, 2)]);
         assert_eq!((spread.spent_squares, spread.worst_low_ttis), (25, 9));
     }
 }

@@ -38,7 +38,7 @@ impl Energy {
     }
 
     /// Converts the `units` of a declared default, rounded to the nearest micro-unit.
-    pub(crate) const fn rounded(units: f64) -> Self {
+    pub(crate) const fn from_default(units: f64) -> Self {
         Self((units * MICRO_PER_UNIT as f64 + 0.5) as u64)
     }
 
@@ -68,20 +68,20 @@ impl Energy {
     pub const fn times(self, n: u64) -> Self {
         match self.0.checked_mul(n) {
             Some(product) => Self(product),
-            None => too_much(),
+            None => panic_overflow(),
         }
     }
 }
 
 #[cold]
 #[inline(never)]
-const fn too_much() -> ! {
+const fn panic_overflow() -> ! {
     panic!("a sum of energy does not fit in 64 bits")
 }
 
 #[cold]
 #[inline(never)]
-const fn too_little() -> ! {
+const fn panic_underflow() -> ! {
     panic!("there is less energy than is taken")
 }
 
@@ -91,7 +91,7 @@ impl Add for Energy {
     fn add(self, other: Self) -> Self {
         match self.0.checked_add(other.0) {
             Some(sum) => Self(sum),
-            None => too_much(),
+            None => panic_overflow(),
         }
     }
 }
@@ -109,7 +109,7 @@ impl Sub for Energy {
     fn sub(self, other: Self) -> Self {
         match self.0.checked_sub(other.0) {
             Some(rest) => Self(rest),
-            None => too_little(),
+            None => panic_underflow(),
         }
     }
 }

@@ -1,7 +1,8 @@
-//! The physical world of a run: the start, position, detection and end of events (Sec. II).
+//! The physical world of a run: the start, position, detection and end of events (Sec. II). `bs/src/cycle.rs` advances
+//! it; `tests/src/reference/` computes the same TTI by TTI, so change both.
 //!
 //! The world is ground truth. A base station and its policies never have access to a [`World`]; only the genie
-//! receives events, through [`Oracle`].
+//! receives events, through [`Oracle`]. Random draws depend on event and device only, never on the order of calls.
 
 use crate::deployment::Deployment;
 use crate::event::{ActiveEvent, EventProcess, Stimulus};
@@ -34,10 +35,10 @@ pub enum WorldChange {
 
 /// The active event.
 #[derive(Clone, Copy, Debug)]
-struct Current {
+struct CurrentEvent {
     event: ActiveEvent,
     /// Whether the oracle wakes any device in the event's first TTI.
-    is_revealed: bool,
+    needs_wake_up: bool,
 }
 
 /// The world of one run.
@@ -49,11 +50,12 @@ pub struct World {
     buckets: Buckets,
     process: EventProcess,
     air: Air,
-    /// δ as the devices received it, if they may miss plans.
-    heard: Option<Vec<DutyCycle>>,
-    current: Option<Current>,
-    /// Devices that detect the active event in any TTI in which they have δ = 1.
-    audience: Vec<DeviceId>,
+    /// The duty cycles that the devices last received, if they may miss plans; otherwise the plan applies.
+    received_cycles: Option<Vec<DutyCycle>>,
+    current: Option<CurrentEvent>,
+    /// Devices that detect the active event in every TTI in which they have δ = 1 and can pay for it.
+    potential_detectors: Vec<DeviceId>,
+    /// The potential detectors with δ = 1 in the TTI from [`Self::advance`].
     detectors: Vec<DeviceId>,
 }
 
@@ -81,34 +83,36 @@ impl World {
             // Every query has the radius d_max, so cells of that size suit it.
             buckets: Buckets::new(&positions, scenario.area, scenario.sensing.d_max),
             air: Air::new(scenario.run.seed, &scenario.radio),
-            heard: None,
+            received_cycles: None,
             positions,
             process,
             current: None,
-            audience: Vec::new(),
+            potential_detectors: Vec::new(),
             detectors: Vec::new(),
         }
     }
 
     /// Sends `plan` on the air in TTI `from`. Returns the number of devices that miss it.
-    pub fn plan_sent(&mut self, from: Tti, plan: &Plan) -> u64 {
+    pub fn send_plan(&mut self, from: Tti, plan: &Plan) -> u64 {
         if !self.air.loses_plans() {
             return 0;
         }
         let devices = self.positions.len();
         // A device sleeps until its first plan, as in the device's state machine.
-        let heard = self.heard.get_or_insert_with(|| vec![DutyCycle::ASLEEP; devices]);
+        let received_cycles = self
+            .received_cycles
+            .get_or_insert_with(|| vec![DutyCycle::ASLEEP; devices]);
         self.air
-            .deliver_plan(from, plan, DeviceId(0), devices, |j, cycle| heard[j] = cycle)
+            .deliver_plan(from, plan, DeviceId(0), devices, |j, cycle| received_cycles[j] = cycle)
     }
 
     /// Returns the state of the air in TTI `k`, which must not precede the TTI of the last call.
-    pub fn air(&mut self, k: Tti) -> ChannelState {
-        self.air.at(k)
+    pub fn channel_at(&mut self, k: Tti) -> ChannelState {
+        self.air.channel_at(k)
     }
 
     /// Advances the world from TTI `k` to the first TTI before `horizon` in which a device may react to an event under
-    /// `plan`. Returns that TTI, if any. Appends all changes of the world on the way to `turns`, in order.
+    /// `plan`. Returns that TTI, if any. Appends all changes of the world on the way to `changes`, in order.
     ///
     /// If an `oracle` is given, no device senses and only the oracle reacts.
     #[inline]
@@ -122,24 +126,20 @@ impl World {
     ) -> Option<Tti> {
         self.detectors.clear();
         loop {
-            let Some(Current {
-                event,
-                is_revealed: is_told,
-            }) = self.current
-            else {
+            let Some(CurrentEvent { event, needs_wake_up }) = self.current else {
                 k = self.process.next_start();
                 if k >= horizon {
                     return None;
                 }
-                changes.push(WorldChange::Started(self.start(oracle.as_deref_mut())));
+                changes.push(WorldChange::Started(self.start_event(oracle.as_deref_mut())));
                 continue;
             };
             // Lazy: in the event's first TTI the answer that `start` received holds.
-            let mut is_told_again = || oracle.as_deref_mut().is_some_and(Oracle::needs_another_wake_up);
-            if is_told && (k == event.start || is_told_again()) {
+            let mut needs_another = || oracle.as_deref_mut().is_some_and(Oracle::needs_another_wake_up);
+            if needs_wake_up && (k == event.start || needs_another()) {
                 return Some(k);
             }
-            let reaction = self.first_reaction(k, plan);
+            let reaction = self.find_first_reaction(k, plan);
             if reaction <= event.last && reaction < horizon {
                 return Some(reaction);
             }
@@ -148,7 +148,7 @@ impl World {
             if event.last >= horizon || reaction <= event.last {
                 return None;
             }
-            self.end(event.last);
+            self.end_event(event.last);
             changes.push(WorldChange::Missed(event.last));
             k = event.last + 1;
         }
@@ -160,7 +160,7 @@ impl World {
     }
 
     /// Returns the last TTI of the active event if no device reports it; 0 without an active event.
-    pub fn until(&self) -> Tti {
+    pub fn event_last_tti(&self) -> Tti {
         self.current.map_or(Tti::ZERO, |current| current.event.last)
     }
 
@@ -173,30 +173,30 @@ impl World {
     ///
     /// # Panics
     /// If no event is active.
-    pub fn is_far(&self, device: DeviceId) -> bool {
+    pub fn is_beyond_d_max(&self, device: DeviceId) -> bool {
         let epicentre = self.stimulus().expect("an event is active").epicentre;
         self.positions[device.index()].distance(epicentre) > self.sensing.d_max
     }
 
     /// Closes TTI `tti`. Returns whether the active event ends with it: it was reported, or this was its last TTI.
-    pub fn close(&mut self, tti: Tti, is_reported: bool) -> bool {
+    pub fn close_tti(&mut self, tti: Tti, is_reported: bool) -> bool {
         let ends = self
             .current
             .is_some_and(|current| is_reported || current.event.last == tti);
         if ends {
-            self.end(tti);
+            self.end_event(tti);
         }
         ends
     }
 
-    /// Returns the first TTI from `k` on in which any device of the audience has δ = 1, and stores the detectors of
+    /// Returns the first TTI from `k` on in which any potential detector has δ = 1, and stores the detectors of
     /// that TTI. The last plan that a device received applies, `plan` or an earlier one.
-    fn first_reaction(&mut self, k: Tti, plan: &Plan) -> Tti {
+    fn find_first_reaction(&mut self, k: Tti, plan: &Plan) -> Tti {
         let mut reaction = Tti::NEVER;
-        for &device in &self.audience {
-            let cycle = match &self.heard {
+        for &device in &self.potential_detectors {
+            let cycle = match &self.received_cycles {
                 None => plan.duty_cycle(device),
-                Some(heard) => heard[device.index()],
+                Some(received_cycles) => received_cycles[device.index()],
             };
             let next_on = cycle.next_on(k);
             if next_on < reaction {
@@ -210,38 +210,35 @@ impl World {
         reaction
     }
 
-    fn start(&mut self, oracle: Option<&mut (impl Oracle + ?Sized)>) -> ActiveEvent {
+    fn start_event(&mut self, oracle: Option<&mut (impl Oracle + ?Sized)>) -> ActiveEvent {
         let event = self.process.start();
         let Stimulus { event: id, epicentre } = event.stimulus;
         let Self {
             seed,
             sensing,
             buckets,
-            audience,
+            potential_detectors,
             ..
         } = self;
-        // Detection is one draw per event and device, so the audience is fixed for the whole event.
-        audience.clear();
-        let is_told = if let Some(oracle) = oracle {
-            // The audience stays empty: under a policy with an oracle no device senses.
+        // Detection is one draw per event and device, so the potential detectors are fixed for the whole event.
+        potential_detectors.clear();
+        let needs_wake_up = if let Some(oracle) = oracle {
+            // The list stays empty: under a policy with an oracle no device senses.
             oracle.reveal_event(&event.stimulus)
         } else {
             buckets.within(epicentre, sensing.d_max, |j, d| {
                 let device = DeviceId(j as u32);
                 if sensing.detects(*seed, id, device, d) {
-                    audience.push(device);
+                    potential_detectors.push(device);
                 }
             });
             false
         };
-        self.current = Some(Current {
-            event,
-            is_revealed: is_told,
-        });
+        self.current = Some(CurrentEvent { event, needs_wake_up });
         event
     }
 
-    fn end(&mut self, last: Tti) {
+    fn end_event(&mut self, last: Tti) {
         self.current = None;
         self.process.end(last);
     }

@@ -1,4 +1,5 @@
-//! The replay of a run over the bus: it supplies the devices of lost hosts and audits the run.
+//! The replay of a run over the bus: it supplies the devices of lost hosts and audits the run. `commands::bs` starts
+//! it; `lab/src/replay.rs` re-executes and compares. It also writes the input log, before an input takes effect.
 //!
 //! The base station's loop passes its frames on at the start of each grant, so that the replay never passes a TTI that
 //! a takeover may repeat. A separate thread advances the replay. Under [`AuditArg::Auto`] it uses at most a twentieth
@@ -10,7 +11,7 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use reveille_bs::cycle::{Outcome, PreparedRun};
+use reveille_bs::cycle::{PreparedRun, RunOutcome};
 use reveille_bs::observer::{Notification, Observer};
 use reveille_bs::policy::external::RecordedDecision;
 use reveille_bs::server::{ReplaySource, RunProgress};
@@ -26,15 +27,15 @@ use crate::input_log::InputLog;
 use crate::runtime::now;
 
 /// The default share of the time for an audit.
-const SHARE: f64 = 0.05;
+const AUTO_TIME_SHARE: f64 = 0.05;
 /// Additional time for an audit at the end of the run.
-const SHORT: Duration = Duration::from_secs(2);
+const END_ALLOWANCE: Duration = Duration::from_secs(2);
 /// TTIs per replay step, which bounds how long the run waits for the lock.
-const STEP: u64 = 4096;
+const STEP_TTIS: u64 = 4096;
 /// Most frames that may wait for the replay.
-const QUEUE: u64 = 1 << 18;
+const MAX_QUEUED_FRAMES: u64 = 1 << 18;
 /// Pause between two checks of a replay that has used up its share.
-const REST: Duration = Duration::from_millis(20);
+const THROTTLE_PAUSE: Duration = Duration::from_millis(20);
 
 /// The outcome of an audit.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -58,27 +59,27 @@ impl std::fmt::Display for AuditOutcome {
 }
 
 /// The frames of the TTIs before the given one.
-type Batch = (Tti, Vec<Frame>);
+type AuditBatch = (Tti, Vec<Frame>);
 
 /// A shared handle to the replay.
 #[derive(Clone)]
 pub(crate) struct SharedReplay {
-    shadow: Arc<Mutex<Replay>>,
+    replay: Arc<Mutex<Replay>>,
     log: Arc<Mutex<InputLog>>,
     /// Decisions not yet added to the replay, so that the run does not wait for its lock.
-    decided: Arc<Mutex<Vec<RecordedDecision>>>,
+    pending_decisions: Arc<Mutex<Vec<RecordedDecision>>>,
 }
 
 impl SharedReplay {
     /// Locks the replay and adds all pending decisions.
     fn lock(&self) -> MutexGuard<'_, Replay> {
-        let mut shadow = self.shadow.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut replay = self.replay.lock().unwrap_or_else(PoisonError::into_inner);
         // Taken under the replay's lock, so that decisions keep their order.
-        let decided = std::mem::take(&mut *self.decided.lock().unwrap_or_else(PoisonError::into_inner));
+        let decided = std::mem::take(&mut *self.pending_decisions.lock().unwrap_or_else(PoisonError::into_inner));
         for decision in decided {
-            shadow.add_input(ExternalInput::Decision(decision));
+            replay.add_input(ExternalInput::Decision(decision));
         }
-        shadow
+        replay
     }
 
     fn log(&self, input: &ExternalInput) -> Result<(), String> {
@@ -88,11 +89,11 @@ impl SharedReplay {
 }
 
 impl ReplaySource for SharedReplay {
-    fn devices(&self, k: Tti, first: DeviceId, count: u32) -> Result<Vec<DeviceCheckpoint>, String> {
-        Ok(self.lock().devices(k, first, count))
+    fn device_checkpoints(&self, k: Tti, first: DeviceId, count: u32) -> Result<Vec<DeviceCheckpoint>, String> {
+        Ok(self.lock().checkpoints(k, first, count))
     }
 
-    fn outcome(&self, k: Tti) -> Result<Outcome, String> {
+    fn outcome(&self, k: Tti) -> Result<RunOutcome, String> {
         Ok(self.lock().outcome(k))
     }
 
@@ -108,12 +109,12 @@ impl ReplaySource for SharedReplay {
         Ok(())
     }
 
-    fn decided(&self, decision: RecordedDecision) -> Result<(), String> {
+    fn record_decision(&self, decision: RecordedDecision) -> Result<(), String> {
         let input = ExternalInput::Decision(decision);
         // Logged before it takes effect: a killed run must find it in the log.
         self.log(&input)?;
         if let ExternalInput::Decision(decision) = input {
-            self.decided
+            self.pending_decisions
                 .lock()
                 .unwrap_or_else(PoisonError::into_inner)
                 .push(decision);
@@ -134,23 +135,23 @@ pub(crate) struct AuditStart<'a> {
 
 /// The replay of a run and its audit.
 pub(crate) struct Auditor {
-    shadow: SharedReplay,
-    sender: Option<Sender<Batch>>,
+    replay: SharedReplay,
+    sender: Option<Sender<AuditBatch>>,
     thread: Option<JoinHandle<Result<(), Divergence>>>,
-    flow: Arc<AuditBacklog>,
+    backlog: Arc<AuditBacklog>,
 }
 
 /// State shared by the run's loop and the audit thread.
 #[derive(Default)]
 struct AuditBacklog {
     /// Frames in the queue.
-    waiting: AtomicU64,
+    queued_frames: AtomicU64,
     /// Working time of the replay, microseconds.
-    busy: AtomicU64,
+    busy_us: AtomicU64,
     /// End of the run.
-    over: OnceLock<Instant>,
+    run_ended_at: OnceLock<Instant>,
     /// Whether the audit was abandoned because the queue was too long.
-    is_given_up: AtomicBool,
+    is_abandoned: AtomicBool,
 }
 
 impl Auditor {
@@ -159,57 +160,57 @@ impl Auditor {
     pub(crate) fn start(
         prepared: &PreparedRun,
         start: AuditStart<'_>,
-        how: AuditArg,
+        mode: AuditArg,
         progress: &Arc<RunProgress>,
     ) -> Self {
-        let is_audited = how != AuditArg::Off;
+        let is_audited = mode != AuditArg::Off;
         // Without an audit the replay compares nothing, but still supplies lost devices.
         let from = if is_audited { start.from } else { Tti::NEVER };
-        let shadow = SharedReplay {
-            shadow: Arc::new(Mutex::new(Replay::new(prepared, start.inputs, from))),
+        let replay = SharedReplay {
+            replay: Arc::new(Mutex::new(Replay::new(prepared, start.inputs, from))),
             log: Arc::new(Mutex::new(start.log)),
-            decided: Arc::default(),
+            pending_decisions: Arc::default(),
         };
-        let flow = Arc::new(AuditBacklog::default());
-        let begun = now();
+        let backlog = Arc::new(AuditBacklog::default());
+        let started = now();
         let (sender, thread) = if is_audited {
             let (sender, batches) = channel();
-            let follower = Follower {
-                shadow: shadow.clone(),
-                how,
-                begun,
-                flow: Arc::clone(&flow),
+            let audit_thread = AuditThread {
+                replay: replay.clone(),
+                mode,
+                started,
+                backlog: Arc::clone(&backlog),
                 progress: Arc::clone(progress),
             };
             (
                 Some(sender),
-                Some(std::thread::spawn(move || follower.follow(&batches))),
+                Some(std::thread::spawn(move || audit_thread.audit_batches(&batches))),
             )
         } else {
             (None, None)
         };
         Self {
-            shadow,
+            replay,
             sender,
             thread,
-            flow,
+            backlog,
         }
     }
 
     /// The source of devices and outcomes for a takeover.
     pub(crate) fn replay(&self) -> Arc<dyn ReplaySource> {
-        Arc::new(self.shadow.clone())
+        Arc::new(self.replay.clone())
     }
 
     /// Returns an observer that feeds the replay.
     pub(crate) fn observer(&self) -> AuditObserver {
         AuditObserver {
-            noting: DigestFrames::default(),
+            encoder: DigestFrames::default(),
             frames: Vec::new(),
             sender: self.sender.clone(),
-            flow: Arc::clone(&self.flow),
-            closed: None,
-            told: Tti::ZERO,
+            backlog: Arc::clone(&self.backlog),
+            unsent_end: None,
+            last_sent: Tti::ZERO,
         }
     }
 
@@ -217,139 +218,145 @@ impl Auditor {
     ///
     /// # Errors
     /// The first divergence of the run from its replay.
-    pub(crate) fn finish(mut self, outcome: &Outcome) -> Result<AuditOutcome, Divergence> {
-        // The follower ends when no sender is left; the observer has been dropped before.
+    pub(crate) fn finish(mut self, outcome: &RunOutcome) -> Result<AuditOutcome, Divergence> {
+        // The audit thread ends when no sender is left; the observer has been dropped before.
         self.sender = None;
-        // Set before the join, since it bounds how long the follower rests.
-        let _ended_before = self.flow.over.set(now()).is_err();
+        // Set before the join, since it bounds how long the thread pauses.
+        let _ended_before = self.backlog.run_ended_at.set(now()).is_err();
         let Some(thread) = self.thread.take() else {
             return Ok(AuditOutcome::Off);
         };
         match thread.join() {
-            Ok(followed) => followed?,
+            Ok(audited) => audited?,
             // A panic of the replay is a bug in Reveille, not a divergence.
             Err(panic) => std::panic::resume_unwind(panic),
         }
-        let mut shadow = self.shadow.lock();
-        if self.flow.is_given_up.load(Ordering::Relaxed) {
-            return Ok(AuditOutcome::Partial(shadow.compared()));
+        let mut replay = self.replay.lock();
+        if self.backlog.is_abandoned.load(Ordering::Relaxed) {
+            return Ok(AuditOutcome::Partial(replay.compared_until()));
         }
-        shadow.compare_outcome(outcome)?;
+        replay.compare_outcome(outcome)?;
         Ok(AuditOutcome::Complete)
     }
 }
 
 /// The host that owns the diverging device, as the end of a sentence; empty if unknown.
-pub(crate) fn device_owner(progress: &RunProgress, difference: &Divergence) -> String {
-    let host = difference.device.and_then(|device| progress.owner_of(device));
+pub(crate) fn device_owner(progress: &RunProgress, divergence: &Divergence) -> String {
+    let host = divergence.device.and_then(|device| progress.owner_of(device));
     host.map_or_else(String::new, |host| format!("; the device runs on {host}"))
 }
 
 /// The thread that advances the replay.
-struct Follower {
-    shadow: SharedReplay,
-    how: AuditArg,
-    begun: Instant,
-    flow: Arc<AuditBacklog>,
+struct AuditThread {
+    replay: SharedReplay,
+    mode: AuditArg,
+    started: Instant,
+    backlog: Arc<AuditBacklog>,
     progress: Arc<RunProgress>,
 }
 
-impl Follower {
-    fn follow(self, batches: &Receiver<Batch>) -> Result<(), Divergence> {
+impl AuditThread {
+    fn audit_batches(self, batches: &Receiver<AuditBatch>) -> Result<(), Divergence> {
         for (k, frames) in batches {
-            self.flow.waiting.fetch_sub(frames.len() as u64, Ordering::Relaxed);
-            if self.flow.is_given_up.load(Ordering::Relaxed) {
+            self.backlog
+                .queued_frames
+                .fetch_sub(frames.len() as u64, Ordering::Relaxed);
+            if self.backlog.is_abandoned.load(Ordering::Relaxed) {
                 // The batches are still received, or the channel would grow without bound.
-                self.shadow.lock().stop_comparing();
+                self.replay.lock().stop_comparing();
                 continue;
             }
-            if let Err(difference) = self.compare(k, &frames) {
+            if let Err(divergence) = self.compare(k, &frames) {
                 let why = format!(
-                    "audit failed: the run diverged from its replay at {difference}{}",
-                    device_owner(&self.progress, &difference)
+                    "audit failed: the run diverged from its replay at {divergence}{}",
+                    device_owner(&self.progress, &divergence)
                 );
                 // Only the first cause counts. It is set before `stop`, at which the run looks for it.
-                let _told_before = self.progress.cause.set(why).is_err();
-                self.progress.stop.store(true, Ordering::Relaxed);
-                return Err(difference);
+                let _has_earlier_cause = self.progress.stop_cause.set(why).is_err();
+                self.progress.stop_requested.store(true, Ordering::Relaxed);
+                return Err(divergence);
             }
         }
-        if self.flow.is_given_up.load(Ordering::Relaxed) {
+        if self.backlog.is_abandoned.load(Ordering::Relaxed) {
             // The replay still supplies lost devices, but must not keep frames that nothing compares.
-            self.shadow.lock().stop_comparing();
+            self.replay.lock().stop_comparing();
         }
         Ok(())
     }
 
     fn compare(&self, k: Tti, frames: &[Frame]) -> Result<(), Divergence> {
         loop {
-            if !self.may_go_on() {
-                self.flow.is_given_up.store(true, Ordering::Relaxed);
+            if !self.wait_for_time_share() {
+                self.backlog.is_abandoned.store(true, Ordering::Relaxed);
                 return Ok(());
             }
             let started = now();
             // Locked for one step only: the run can ask for lost devices between two steps.
-            let mut shadow = self.shadow.lock();
-            let next = shadow.next_tti();
-            let to = k.min(next + STEP);
-            let is_last = to == k || next >= k;
-            let compared = if is_last {
-                shadow.compare(k, frames)
+            let mut replay = self.replay.lock();
+            let next = replay.next_tti();
+            let step_end = k.min(next + STEP_TTIS);
+            let is_last = step_end == k || next >= k;
+            let result = if is_last {
+                replay.compare(k, frames)
             } else {
                 // Only advances the replay; the frames are compared in the last step.
-                shadow.compare(to, &[])
+                replay.compare(step_end, &[])
             };
-            drop(shadow);
-            let took = started.elapsed().as_micros() as u64;
-            self.flow.busy.fetch_add(took, Ordering::Relaxed);
-            compared?;
-            if is_last || self.flow.is_given_up.load(Ordering::Relaxed) {
+            drop(replay);
+            let step_us = started.elapsed().as_micros() as u64;
+            self.backlog.busy_us.fetch_add(step_us, Ordering::Relaxed);
+            result?;
+            if is_last || self.backlog.is_abandoned.load(Ordering::Relaxed) {
                 return Ok(());
             }
         }
     }
 
     /// Waits while the replay has used up its share. Returns false if the audit can no longer finish in time.
-    fn may_go_on(&self) -> bool {
+    fn wait_for_time_share(&self) -> bool {
         loop {
-            let elapsed = self.begun.elapsed().as_secs_f64();
-            let busy = Duration::from_micros(self.flow.busy.load(Ordering::Relaxed)).as_secs_f64();
-            if self.how == AuditArg::On || busy <= SHARE * elapsed {
+            let elapsed = self.started.elapsed().as_secs_f64();
+            let busy = Duration::from_micros(self.backlog.busy_us.load(Ordering::Relaxed)).as_secs_f64();
+            if self.mode == AuditArg::On || busy <= AUTO_TIME_SHARE * elapsed {
                 return true;
             }
-            if let Some(over) = self.flow.over.get() {
-                // After the end of the run the audit may take SHORT, or in a long run its share of the time.
-                return over.elapsed().as_secs_f64() < SHORT.as_secs_f64().max(SHARE * elapsed);
+            if let Some(run_ended_at) = self.backlog.run_ended_at.get() {
+                // After the end of the run the audit may take END_ALLOWANCE, or its share of the time if longer.
+                return run_ended_at.elapsed().as_secs_f64()
+                    < END_ALLOWANCE.as_secs_f64().max(AUTO_TIME_SHARE * elapsed);
             }
-            std::thread::sleep(REST);
+            std::thread::sleep(THROTTLE_PAUSE);
         }
     }
 }
 
 /// An observer that sends the run's frames to the replay.
 pub(crate) struct AuditObserver {
-    noting: DigestFrames,
+    encoder: DigestFrames,
     frames: Vec<Frame>,
-    sender: Option<Sender<Batch>>,
-    flow: Arc<AuditBacklog>,
+    sender: Option<Sender<AuditBatch>>,
+    backlog: Arc<AuditBacklog>,
     /// The TTI after the last closed one, until it is sent.
-    closed: Option<Tti>,
-    told: Tti,
+    unsent_end: Option<Tti>,
+    last_sent: Tti,
 }
 
 impl AuditObserver {
-    fn advance(&mut self, k: Tti) {
+    fn send_frames(&mut self, k: Tti) {
         let Some(sender) = &self.sender else { return };
         let frames = std::mem::take(&mut self.frames);
-        // A batch without frames is sent only once in STEP TTIs, which keeps the replay close enough.
-        if frames.is_empty() && k.0 < self.told.0 + STEP {
+        // A batch without frames is sent only once in STEP_TTIS, which keeps the replay close enough.
+        if frames.is_empty() && k.0 < self.last_sent.0 + STEP_TTIS {
             return;
         }
-        self.told = k;
-        let waiting = self.flow.waiting.fetch_add(frames.len() as u64, Ordering::Relaxed);
+        self.last_sent = k;
+        let queued_frames = self
+            .backlog
+            .queued_frames
+            .fetch_add(frames.len() as u64, Ordering::Relaxed);
         // A backlog of this size would fill the memory.
-        if waiting > QUEUE {
-            self.flow.is_given_up.store(true, Ordering::Relaxed);
+        if queued_frames > MAX_QUEUED_FRAMES {
+            self.backlog.is_abandoned.store(true, Ordering::Relaxed);
             self.sender = None;
             return;
         }
@@ -359,18 +366,18 @@ impl AuditObserver {
 
 impl Drop for AuditObserver {
     fn drop(&mut self) {
-        if let Some(k) = self.closed.take() {
+        if let Some(k) = self.unsent_end.take() {
             // The frames of the last grant are compared too.
-            self.told = Tti::ZERO;
-            self.advance(k);
+            self.last_sent = Tti::ZERO;
+            self.send_frames(k);
         }
     }
 }
 
 impl Observer for AuditObserver {
     fn batteries_revealed(&mut self, tti: Tti, batteries: &[Energy]) {
-        if let Some(k) = self.closed.take() {
-            self.advance(k);
+        if let Some(k) = self.unsent_end.take() {
+            self.send_frames(k);
         }
         if self.sender.is_some() {
             self.frames.push(DigestFrames::batteries_frame(tti, batteries));
@@ -382,16 +389,16 @@ impl Observer for AuditObserver {
         if matches!(
             notification,
             Notification::PlanSent { .. } | Notification::TtisGranted(_)
-        ) && let Some(k) = self.closed.take()
+        ) && let Some(k) = self.unsent_end.take()
         {
-            self.advance(k);
+            self.send_frames(k);
         }
         if self.sender.is_some() {
             let frames = &mut self.frames;
-            self.noting.encode(notification, |frame| frames.push(frame));
+            self.encoder.encode(notification, |frame| frames.push(frame));
         }
         if let Notification::TtiClosed(last) = notification {
-            self.closed = Some(*last + 1);
+            self.unsent_end = Some(*last + 1);
         }
     }
 }

@@ -1,4 +1,5 @@
-//! Device processes as children of this process. No child outlives it, even if it is killed.
+//! Device processes as children of this process. No child outlives it, even if it is killed. `supervisor` starts and
+//! replaces those of `up`; benchmarks use [`Children`] and [`run_for_summary`].
 
 use std::os::unix::process::CommandExt;
 use std::process::{Child, Command, Stdio};
@@ -12,10 +13,10 @@ use serde_json::Value;
 use crate::key;
 
 /// The variable that sets zenoh's threads. It takes effect only before the first session of a process opens.
-const THREADS: &str = "ZENOH_RUNTIME";
+const ZENOH_THREADS_VARIABLE: &str = "ZENOH_RUNTIME";
 /// One thread for all of zenoh, so that a grant is answered without a handover between threads. Only for processes that
 /// run devices and never block that thread on its own work.
-const ONE_THREAD: &str =
+const ONE_ZENOH_THREAD: &str =
     "(rx:(handover:app),acc:(handover:app),tx:(handover:app),net:(handover:app),app:(worker_threads:1))";
 
 /// zenoh's threads in a process, unless the environment sets them.
@@ -28,7 +29,7 @@ pub(crate) enum Threads {
 }
 
 /// Time for a few child processes to leave on their own.
-pub(crate) const LEAVE: Duration = Duration::from_secs(5);
+pub(crate) const EXIT_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Child processes of this program without supervision.
 pub(crate) struct Children {
@@ -51,10 +52,10 @@ impl Children {
         Ok(children)
     }
 
-    /// Waits for all children to leave, and kills the rest after [`LEAVE`].
+    /// Waits for all children to leave, and kills the rest after [`EXIT_TIMEOUT`].
     pub(crate) fn wait(mut self) {
         let started = crate::runtime::now();
-        while started.elapsed() < LEAVE {
+        while started.elapsed() < EXIT_TIMEOUT {
             self.running
                 .retain_mut(|child| !matches!(child.try_wait(), Ok(Some(_))));
             if self.running.is_empty() {
@@ -100,16 +101,16 @@ impl DeviceProcesses<'_> {
     pub(crate) fn commands(&self) -> Vec<Vec<String>> {
         // In one argument, so that no name is taken for an option.
         let run = format!("--run={}", self.run);
-        let (parent, among) = (std::process::id().to_string(), self.processes.to_string());
+        let (parent, host_count) = (std::process::id().to_string(), self.processes.to_string());
         let command = |count: u32| {
             let count = count.to_string();
-            let own = ["device", "--connect", self.endpoint, &run, "--count", &count];
-            let ties = ["--parent", &parent, "--host-count", &among];
+            let device_args = ["device", "--connect", self.endpoint, &run, "--count", &count];
+            let lifetime_args = ["--parent", &parent, "--host-count", &host_count];
             let untuned = self.is_untuned.then_some("--untuned");
-            let all = own.into_iter().chain(ties).chain(untuned);
+            let all = device_args.into_iter().chain(lifetime_args).chain(untuned);
             all.map(str::to_owned).chain(self.log.iter().cloned()).collect()
         };
-        shares(self.devices, self.processes).map(command).collect()
+        split_devices(self.devices, self.processes).map(command).collect()
     }
 }
 
@@ -124,10 +125,10 @@ pub(crate) fn spawn(arguments: &[String], key: Option<Secret>, threads: Threads)
     let program = std::env::current_exe().context("cannot find the path of the reveille program")?;
     let mut command = Command::new(program);
     if threads == Threads::One && !has_thread_setting() {
-        command.env(THREADS, ONE_THREAD);
+        command.env(ZENOH_THREADS_VARIABLE, ONE_ZENOH_THREAD);
     }
     if let Some(key) = key {
-        command.env(key::VARIABLE, key.to_string());
+        command.env(key::KEY_VARIABLE, key.to_string());
     }
     Ok(command
         .args(arguments)
@@ -140,7 +141,7 @@ pub(crate) fn spawn(arguments: &[String], key: Option<Secret>, threads: Threads)
 
 /// Restarts this process with one zenoh thread, unless the environment sets zenoh's threads. zenoh reads only the
 /// environment, which a process cannot change for itself. Returns if no restart is needed or the restart fails.
-pub(crate) fn with_one_thread() {
+pub(crate) fn restart_with_one_zenoh_thread() {
     if has_thread_setting() {
         return;
     }
@@ -149,17 +150,20 @@ pub(crate) fn with_one_thread() {
     let Ok(program) = std::env::current_exe() else { return };
     let mut command = Command::new(&program);
     command.arg0(name.unwrap_or_else(|| program.into_os_string()));
-    let error = command.args(arguments).env(THREADS, ONE_THREAD).exec();
+    let error = command
+        .args(arguments)
+        .env(ZENOH_THREADS_VARIABLE, ONE_ZENOH_THREAD)
+        .exec();
     tracing::debug!(%error, "cannot restart with one zenoh thread; zenoh uses its default number");
 }
 
 /// Whether the environment sets zenoh's threads. zenoh cannot read an empty setting.
 fn has_thread_setting() -> bool {
-    std::env::var_os(THREADS).is_some_and(|set| !set.is_empty())
+    std::env::var_os(ZENOH_THREADS_VARIABLE).is_some_and(|set| !set.is_empty())
 }
 
 /// The number of devices of each of `processes` processes: as even as possible, never 0.
-fn shares(devices: u32, processes: u32) -> impl Iterator<Item = u32> {
+fn split_devices(devices: u32, processes: u32) -> impl Iterator<Item = u32> {
     // No process without a device, and no division by zero.
     let processes = processes.clamp(1, devices.max(1));
     (0..processes).map(move |i| devices / processes + u32::from(i < devices % processes))
@@ -179,8 +183,8 @@ pub(crate) fn has_exited_child() -> bool {
 pub(crate) fn exit_with_parent(parent: i32, signal: Signal) -> anyhow::Result<()> {
     rustix::process::set_parent_process_death_signal(Some(signal)).context("cannot tie this process to its parent")?;
     // Compared after the request: the kernel sends nothing for a parent that ended before it.
-    let is_ours = rustix::process::getppid().map(Pid::as_raw_pid) == Some(parent);
-    anyhow::ensure!(is_ours, "the parent process has ended");
+    let is_parent_alive = rustix::process::getppid().map(Pid::as_raw_pid) == Some(parent);
+    anyhow::ensure!(is_parent_alive, "the parent process has ended");
     Ok(())
 }
 
@@ -188,7 +192,7 @@ pub(crate) fn exit_with_parent(parent: i32, signal: Signal) -> anyhow::Result<()
 ///
 /// # Errors
 /// See [`exit_with_parent`].
-pub(crate) fn end_with(parent: Option<i32>) -> anyhow::Result<()> {
+pub(crate) fn exit_with_optional_parent(parent: Option<i32>) -> anyhow::Result<()> {
     parent.map_or(Ok(()), |parent| exit_with_parent(parent, Signal::TERM))
 }
 
@@ -196,7 +200,7 @@ pub(crate) fn end_with(parent: Option<i32>) -> anyhow::Result<()> {
 ///
 /// # Errors
 /// If the run fails; the error contains its standard error.
-pub(crate) fn played(arguments: &[&str]) -> anyhow::Result<Value> {
+pub(crate) fn run_for_summary(arguments: &[&str]) -> anyhow::Result<Value> {
     let folder = std::env::temp_dir().join(format!("reveille-bench-{}", std::process::id()));
     // A killed benchmark leaves its folder, and this process may have the same number.
     let _absent = std::fs::remove_dir_all(&folder).is_err();
@@ -231,7 +235,7 @@ mod tests {
 
     #[test]
     fn shares_are_even_and_complete() {
-        let all = |devices, processes| shares(devices, processes).collect::<Vec<_>>();
+        let all = |devices, processes| split_devices(devices, processes).collect::<Vec<_>>();
         assert_eq!(all(50, 4), [13, 13, 12, 12]);
         assert_eq!(all(3, 8), [1, 1, 1]);
         assert_eq!(all(7, 1), [7]);

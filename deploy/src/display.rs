@@ -1,4 +1,5 @@
-//! Output for people: lines of text and progress bars.
+//! Output for people: lines of text, log lines and progress bars, written so that log lines and bars do not tear each
+//! other. Results go to standard output ([`print_stdout`]), all else to standard error.
 
 use std::io;
 use std::os::fd::AsFd;
@@ -18,12 +19,12 @@ use crate::terminal;
 ///
 /// # Errors
 /// If it cannot be written for another reason.
-pub(crate) fn print(text: &str) -> anyhow::Result<()> {
+pub(crate) fn print_stdout(text: &str) -> anyhow::Result<()> {
     use std::io::Write;
     let mut stdout = io::stdout().lock();
     // Flushed here: an error at the end of the program would be lost.
     match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
-        Err(error) if !terminal::is_gone(&error, stdout.as_fd()) => {
+        Err(error) if !terminal::is_closed_output(&error, stdout.as_fd()) => {
             Err(error).context("cannot write to standard output")
         }
         Ok(()) | Err(_) => Ok(()),
@@ -31,25 +32,25 @@ pub(crate) fn print(text: &str) -> anyhow::Result<()> {
 }
 
 /// Writes a whole line to standard error with one call, so that readers never see a part of it. A failed write is
-/// ignored: the exit code still tells how the command ended.
+/// ignored: the exit code still tells how the command ended. Unlike a log line, it does not suspend progress bars.
 macro_rules! note {
-    ($($said:tt)*) => {{
+    ($($text:tt)*) => {{
         use std::io::Write as _;
-        let line = format!("{}\n", format_args!($($said)*));
-        let _unread = std::io::stderr().write_all(line.as_bytes()).is_err();
+        let line = format!("{}\n", format_args!($($text)*));
+        let _failed = std::io::stderr().write_all(line.as_bytes()).is_err();
     }};
 }
 pub(crate) use note;
 
 /// Formats a number with its noun: `1 run`, `2 runs`.
-pub(crate) fn count(number: usize, noun: &str) -> String {
+pub(crate) fn count_noun(number: usize, noun: &str) -> String {
     let plural = if number == 1 { "" } else { "s" };
     format!("{number} {noun}{plural}")
 }
 
 /// All progress bars of the process: log lines are written between them, not over them.
-static BARS: std::sync::LazyLock<MultiProgress> =
-    std::sync::LazyLock::new(|| MultiProgress::with_draw_target(terminal::target()));
+static ALL_BARS: std::sync::LazyLock<MultiProgress> =
+    std::sync::LazyLock::new(|| MultiProgress::with_draw_target(terminal::progress_target()));
 
 /// Writes log lines to standard error without tearing a progress bar.
 #[derive(Clone, Copy)]
@@ -58,7 +59,7 @@ pub(crate) struct LogWriter;
 impl io::Write for LogWriter {
     fn write(&mut self, line: &[u8]) -> io::Result<usize> {
         // tracing reports a failed write by `eprintln!`, which panics if standard error is what failed.
-        let _unread = BARS.suspend(|| io::stderr().write_all(line)).is_err();
+        let _failed = ALL_BARS.suspend(|| io::stderr().write_all(line)).is_err();
         Ok(line.len())
     }
 
@@ -76,11 +77,11 @@ impl<'a> tracing_subscriber::fmt::MakeWriter<'a> for LogWriter {
 }
 
 /// Creates a progress bar, unless `hidden` or standard error is not a terminal.
-pub(crate) fn bar(length: u64, template: &str, hidden: bool) -> ProgressBar {
+pub(crate) fn new_bar(length: u64, template: &str, hidden: bool) -> ProgressBar {
     let bar = if hidden {
         ProgressBar::hidden()
     } else {
-        BARS.add(ProgressBar::new(length))
+        ALL_BARS.add(ProgressBar::new(length))
     };
     let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
     bar.set_style(style.progress_chars("━╸ "));
@@ -88,72 +89,76 @@ pub(crate) fn bar(length: u64, template: &str, hidden: bool) -> ProgressBar {
 }
 
 /// A progress bar with a thread that updates it; removed when dropped.
-pub(crate) struct Bar {
-    line: ProgressBar,
+pub(crate) struct RunProgressBar {
+    bar: ProgressBar,
     done: Arc<std::sync::atomic::AtomicBool>,
     thread: Option<std::thread::JoinHandle<()>>,
 }
 
-impl Bar {
+impl RunProgressBar {
     /// Shows `progress` of a run of `scenario`, unless `hidden` or standard error is not a terminal.
     pub(crate) fn start(progress: &Arc<RunProgress>, scenario: &Scenario, hidden: bool) -> Self {
         let template = "{bar:30} TTI {pos}/{len}  {msg}  {eta} left";
-        let bar = bar(scenario.run.ttis, template, hidden);
+        let bar = new_bar(scenario.run.ttis, template, hidden);
         let done = Arc::new(std::sync::atomic::AtomicBool::new(false));
         let (thread_bar, thread_done, progress) = (bar.clone(), Arc::clone(&done), Arc::clone(progress));
         let devices = scenario.run.devices;
         let thread = std::thread::spawn(move || {
-            let mut is_running = false;
+            let mut has_started = false;
             while !thread_done.load(Ordering::Relaxed) {
-                is_running = update(&thread_bar, &progress, devices, is_running);
+                has_started = update(&thread_bar, &progress, devices, has_started);
                 // `drop` unparks the thread, so that the end does not wait for this pause.
                 std::thread::park_timeout(Duration::from_millis(100));
             }
         });
         Self {
-            line: bar,
+            bar,
             done,
             thread: Some(thread),
         }
     }
 }
 
-impl Drop for Bar {
+impl Drop for RunProgressBar {
     fn drop(&mut self) {
         self.done.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
             thread.thread().unpark();
             let _panicked = thread.join().is_err();
         }
-        self.line.finish_and_clear();
+        self.bar.finish_and_clear();
     }
 }
 
-fn update(bar: &ProgressBar, progress: &RunProgress, devices: u32, was_running: bool) -> bool {
-    let get = |value: &std::sync::atomic::AtomicU64| value.load(Ordering::Relaxed);
-    let tti = get(&progress.tti);
-    let paused = progress.paused.load(Ordering::Relaxed);
+/// Shows the progress. Returns whether the first TTI has passed; `had_started` is the result of the last call.
+fn update(bar: &ProgressBar, progress: &RunProgress, devices: u32, had_started: bool) -> bool {
+    let load = |value: &std::sync::atomic::AtomicU64| value.load(Ordering::Relaxed);
+    let tti = load(&progress.next_tti);
+    let paused = progress.is_paused.load(Ordering::Relaxed);
     if tti == 0 && paused {
         bar.set_message("paused before TTI 0; resume with `reveille clock resume`");
         return false;
     }
     if tti == 0 {
-        bar.set_message(format!("joining: {} of {devices} devices", get(&progress.joined)));
+        bar.set_message(format!(
+            "joining: {} of {devices} devices",
+            load(&progress.joined_devices)
+        ));
         return false;
     }
     // The time before the first TTI would lower the rate.
-    if !was_running {
+    if !had_started {
         bar.reset_elapsed();
         bar.reset_eta();
     }
-    let (events, missed) = (get(&progress.events), get(&progress.misdetected));
+    let (events, missed) = (load(&progress.events), load(&progress.misdetected));
     let share = if events == 0 {
         0.0
     } else {
         100.0 * missed as f64 / events as f64
     };
-    let battery = get(&progress.mean_battery) as f64 / MICRO_PER_UNIT as f64;
-    // Before the first window ends there is no mean.
+    let battery = load(&progress.mean_battery_micro) as f64 / MICRO_PER_UNIT as f64;
+    // Before the first window ends there is no mean. A mean of 0 (all batteries empty) shows the same.
     let battery = if battery > 0.0 {
         format!("{battery:.1}")
     } else {

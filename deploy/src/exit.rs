@@ -1,4 +1,5 @@
-//! The exit codes of the command, and the error of a command ended by a signal.
+//! The exit codes of `reveille`, their lines in `--help`, and the error of a command ended by a signal. `main` turns
+//! the error of a command into its code. Scripts rely on the numbers.
 
 use std::borrow::Cow;
 use std::fmt;
@@ -26,8 +27,8 @@ impl ExitReason {
     /// The outcome of a command that returned `error`.
     pub fn from_error(error: &anyhow::Error) -> Self {
         // A run over the bus that a signal stops ends with an error of the base station.
-        let by_bs = error.downcast_ref::<BsError>().is_some_and(BsError::is_interruption);
-        if by_bs || error.is::<Interrupted>() {
+        let is_bs_interruption = error.downcast_ref::<BsError>().is_some_and(BsError::is_interruption);
+        if is_bs_interruption || error.is::<Interrupted>() {
             Self::Interrupted
         } else {
             Self::Failed
@@ -55,7 +56,7 @@ impl ExitReason {
     }
 
     /// Ends the program immediately.
-    pub fn now(self) -> ! {
+    pub fn exit_now(self) -> ! {
         std::process::exit(i32::from(self.code()))
     }
 }
@@ -66,7 +67,7 @@ pub(crate) struct Interrupted(pub Cow<'static, str>);
 
 impl Interrupted {
     /// The error of a command without results to keep.
-    pub(crate) const BARE: Self = Self(Cow::Borrowed("interrupted"));
+    pub(crate) const WITHOUT_RESULTS: Self = Self(Cow::Borrowed("interrupted"));
     /// The error of a run that has not begun.
     pub(crate) const BEFORE_RUN: Self = Self(Cow::Borrowed("interrupted before the first TTI"));
 }
@@ -86,7 +87,7 @@ impl From<ExitReason> for ExitCode {
 }
 
 /// The part of `--help` that lists the exit codes.
-pub(crate) fn help() -> String {
+pub(crate) fn exit_codes_help() -> String {
     let lines = ExitReason::ALL.map(|exit| format!("  {:>3}  {}", exit.code(), exit.about()));
     format!("Exit codes:\n{}", lines.join("\n"))
 }

@@ -3,30 +3,31 @@
 use anyhow::bail;
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
-/// Files of a base station without device processes: 34, plus some for a recording, pages, scrapers and observers.
-const STATION: u64 = 48;
-/// Files of a device process: 28 to 30, plus some while it connects.
-const DEVICE: u64 = 32;
+/// Files of a base station without device processes: 34 (sessions, runtimes, the run folder), plus some for a
+/// recording, dashboard pages, scrapers and observers.
+const STATION_FILES: u64 = 48;
+/// Files of a device process: 28 to 30 open, plus some while it connects.
+const DEVICE_PROCESS_FILES: u64 = 32;
 
-/// Ensures enough files for a base station with `processes` device processes, each of which needs one.
+/// Ensures enough files for a base station with `processes` device processes; each takes one more.
 ///
 /// # Errors
 /// If the system limit is too low.
-pub(crate) fn for_station(processes: u32) -> anyhow::Result<()> {
-    let (allowed, needed) = (raise(), STATION + u64::from(processes));
+pub(crate) fn ensure_for_station(processes: u32) -> anyhow::Result<()> {
+    let (allowed, needed) = (raise_limit(), STATION_FILES + u64::from(processes));
     if allowed >= needed {
         return Ok(());
     }
-    let carried = allowed.saturating_sub(STATION);
-    let fewer = if carried > 0 {
-        format!(", or use at most {carried} device processes")
+    let max_processes = allowed.saturating_sub(STATION_FILES);
+    let advice = if max_processes > 0 {
+        format!(", or use at most {max_processes} device processes")
     } else {
         String::new()
     };
     let plural = if processes == 1 { "" } else { "es" };
     bail!(
         "this process may have {allowed} files open, and a base station with {processes} device process{plural} needs \
-         {needed}; raise the limit (`ulimit -n {needed}`, LimitNOFILE= of a service){fewer}"
+         {needed}; raise the limit (`ulimit -n {needed}`, LimitNOFILE= of a service){advice}"
     )
 }
 
@@ -34,15 +35,15 @@ pub(crate) fn for_station(processes: u32) -> anyhow::Result<()> {
 ///
 /// # Errors
 /// If the system limit does not even allow one device process.
-pub(crate) fn for_any_station(devices: u32) -> anyhow::Result<()> {
+pub(crate) fn ensure_for_unknown_processes(devices: u32) -> anyhow::Result<()> {
     // Also ensures that the subtraction below does not wrap.
-    for_station(1)?;
-    let carried = raise() - STATION;
-    if carried < u64::from(devices) {
+    ensure_for_station(1)?;
+    let max_processes = raise_limit() - STATION_FILES;
+    if max_processes < u64::from(devices) {
         tracing::warn!(
-            "this process may have {} files open, so at most {carried} device processes can join; raise the limit with \
-             `ulimit -n`",
-            raise()
+            "this process may have {} files open, so at most {max_processes} device processes can join; raise the limit \
+             with `ulimit -n`",
+            raise_limit()
         );
     }
     Ok(())
@@ -52,29 +53,29 @@ pub(crate) fn for_any_station(devices: u32) -> anyhow::Result<()> {
 ///
 /// # Errors
 /// If the system limit is too low.
-pub(crate) fn for_device() -> anyhow::Result<()> {
-    let allowed = raise();
-    if allowed < DEVICE {
+pub(crate) fn ensure_for_device_process() -> anyhow::Result<()> {
+    let allowed = raise_limit();
+    if allowed < DEVICE_PROCESS_FILES {
         bail!(
-            "this process may have {allowed} files open, and a device process needs {DEVICE}; raise the limit \
-             (`ulimit -n {DEVICE}`, LimitNOFILE= of a service)"
+            "this process may have {allowed} files open, and a device process needs {DEVICE_PROCESS_FILES}; raise the \
+             limit (`ulimit -n {DEVICE_PROCESS_FILES}`, LimitNOFILE= of a service)"
         );
     }
     Ok(())
 }
 
 /// Raises the limit as far as the system allows, and returns it.
-fn raise() -> u64 {
+fn raise_limit() -> u64 {
     let limit = getrlimit(Resource::Nofile);
-    let most = Rlimit {
+    let raised = Rlimit {
         current: limit.maximum,
         maximum: limit.maximum,
     };
-    let now = if setrlimit(Resource::Nofile, most).is_ok() {
+    let effective = if setrlimit(Resource::Nofile, raised).is_ok() {
         limit.maximum
     } else {
         limit.current
     };
     // `None` means no limit.
-    now.unwrap_or(u64::MAX)
+    effective.unwrap_or(u64::MAX)
 }

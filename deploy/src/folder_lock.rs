@@ -1,7 +1,8 @@
 //! The lock of a run folder: one run at a time writes into it.
 //!
 //! The file `RUNNING` exists and is locked while the run lasts. The kernel releases the lock when the process ends for
-//! any reason, so a `RUNNING` file without a lock belongs to a killed run.
+//! any reason, so a `RUNNING` file without a lock belongs to a killed run. `run_folder` takes the lock; `inspect` and
+//! `--resume` read its status.
 
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, Write};
@@ -11,14 +12,14 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 
 /// The file that marks an active or killed run.
-pub(crate) const RUNNING: &str = "RUNNING";
+pub(crate) const RUNNING_FILE: &str = "RUNNING";
 
 /// The right to write into a folder; released when dropped.
 pub(crate) struct FolderLock {
     path: PathBuf,
     mark: File,
     /// The content of a mark found in the folder.
-    left: Option<String>,
+    found_text: Option<String>,
 }
 
 /// The status of the run in a folder.
@@ -38,9 +39,9 @@ impl FolderLock {
     /// # Errors
     /// If a run is writing there, or the folder cannot be written to.
     pub(crate) fn acquire(folder: &Path) -> anyhow::Result<Self> {
-        let cannot = || format!("cannot write in the run folder {}", folder.display());
-        fs::create_dir_all(folder).with_context(cannot)?;
-        let path = folder.join(RUNNING);
+        let write_error = || format!("cannot write in the run folder {}", folder.display());
+        fs::create_dir_all(folder).with_context(write_error)?;
+        let path = folder.join(RUNNING_FILE);
         loop {
             // Checked before the open, which creates the file.
             let was_there = path.symlink_metadata().is_ok();
@@ -52,26 +53,28 @@ impl FolderLock {
                 .create(true)
                 .truncate(false)
                 .open(&path);
-            let mark = mark.with_context(cannot)?;
+            let mark = mark.with_context(write_error)?;
             match mark.try_lock() {
                 Ok(()) => {}
-                Err(TryLockError::WouldBlock) => bail!("{}", refusal(folder, pid(&mark))),
+                Err(TryLockError::WouldBlock) => bail!("{}", in_use_error(folder, read_pid(&mark))),
                 Err(TryLockError::Error(error)) => tracing::warn!(
                     "{}: {error}: this file system cannot lock files, so a second run in the folder is not kept out",
                     folder.display()
                 ),
             }
             // A run that ended meanwhile has removed this file: its lock protects nothing, and another try is needed.
-            if is_at(&mark, &path) {
-                let left = was_there.then(|| text(&mark));
-                return Ok(Self { path, mark, left });
+            if is_file_at(&mark, &path) {
+                let found_text = was_there.then(|| read_text(&mark));
+                return Ok(Self { path, mark, found_text });
             }
         }
     }
 
     /// Whether a killed run had left its mark.
     pub(crate) fn was_killed(&self) -> bool {
-        self.left.as_ref().is_some_and(|text| text.starts_with(PID))
+        self.found_text
+            .as_ref()
+            .is_some_and(|text| text.starts_with(PID_PREFIX))
     }
 
     /// Marks the folder as in use by this process.
@@ -80,12 +83,13 @@ impl FolderLock {
     /// If the mark cannot be written.
     pub(crate) fn mark_running(&mut self) -> io::Result<()> {
         self.mark.set_len(0)?;
-        self.mark.write_all(format!("{PID}{}\n", std::process::id()).as_bytes())
+        self.mark
+            .write_all(format!("{PID_PREFIX}{}\n", std::process::id()).as_bytes())
     }
 
     /// Releases a folder that was not used, and leaves it as it was found.
     pub(crate) fn abandon(self) {
-        if self.left.is_none() {
+        if self.found_text.is_none() {
             // The caller reports why it abandons the folder; an error from here would hide that.
             let _stays = self.release().is_err();
         }
@@ -102,22 +106,22 @@ impl FolderLock {
 }
 
 /// The start of a mark's text.
-const PID: &str = "pid ";
+const PID_PREFIX: &str = "pid ";
 
 /// The status of the run in `folder`.
 pub(crate) fn status(folder: &Path) -> FolderStatus {
-    let Ok(mark) = File::open(folder.join(RUNNING)) else {
+    let Ok(mark) = File::open(folder.join(RUNNING_FILE)) else {
         return FolderStatus::Finished;
     };
     // A shared lock, so that two readers do not take each other for a run.
     match mark.try_lock_shared() {
-        Err(TryLockError::WouldBlock) => FolderStatus::Running(pid(&mark)),
+        Err(TryLockError::WouldBlock) => FolderStatus::Running(read_pid(&mark)),
         Ok(()) | Err(TryLockError::Error(_)) => FolderStatus::Killed,
     }
 }
 
 /// Returns the error message for a folder in use.
-fn refusal(folder: &Path, pid: Option<u32>) -> String {
+fn in_use_error(folder: &Path, pid: Option<u32>) -> String {
     let by = pid.map_or_else(String::new, |pid| format!(" (pid {pid})"));
     format!(
         "--out {}: a run is running in this folder{by}; choose another folder, or wait until the run has finished \
@@ -126,22 +130,22 @@ fn refusal(folder: &Path, pid: Option<u32>) -> String {
     )
 }
 
-fn text(mut mark: &File) -> String {
+fn read_text(mut mark: &File) -> String {
     let mut text = String::new();
     // Text that is not UTF-8 is not a mark of this program and counts as empty.
     let _unread = io::Read::read_to_string(&mut mark, &mut text).is_err();
     text
 }
 
-fn pid(mark: &File) -> Option<u32> {
-    text(mark).strip_prefix(PID)?.trim().parse().ok()
+fn read_pid(mark: &File) -> Option<u32> {
+    read_text(mark).strip_prefix(PID_PREFIX)?.trim().parse().ok()
 }
 
 /// Whether `path` leads to the open file `file`.
-fn is_at(file: &File, path: &Path) -> bool {
+fn is_file_at(file: &File, path: &Path) -> bool {
     match (file.metadata(), fs::metadata(path)) {
         // The same path can lead to a new file; device and inode tell the two apart.
-        (Ok(own), Ok(found)) => (own.dev(), own.ino()) == (found.dev(), found.ino()),
+        (Ok(open_file), Ok(at_path)) => (open_file.dev(), open_file.ino()) == (at_path.dev(), at_path.ino()),
         (Err(_), _) | (_, Err(_)) => false,
     }
 }
@@ -203,10 +207,10 @@ mod tests {
     fn a_lock_on_a_removed_file_does_not_count() {
         let place = LockTestFolder::new("gone");
         let claim = FolderLock::acquire(&place.0).expect("free");
-        let late = File::open(place.0.join(RUNNING)).expect("there");
+        let late = File::open(place.0.join(RUNNING_FILE)).expect("there");
         claim.release().expect("removable");
         late.try_lock().expect("its lock is free");
-        assert!(!is_at(&late, &place.0.join(RUNNING)));
+        assert!(!is_file_at(&late, &place.0.join(RUNNING_FILE)));
         FolderLock::acquire(&place.0)
             .expect("free")
             .release()

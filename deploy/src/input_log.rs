@@ -1,4 +1,5 @@
-//! The input log of a run folder: `inputs.log`.
+//! The input log of a run folder: `inputs.log`, written during a run and read by `--resume`, `--input-log` and
+//! observers. `lab/src/external_inputs.rs` defines its lines.
 //!
 //! An input is logged before the run acts on it, so that a replay repeats the run after any kill. Outages are synced
 //! to the disk immediately. Decisions can be thousands a second, so a power cut can lose the last second of them.
@@ -10,18 +11,18 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use reveille_bs::scenario::Scenario;
-use reveille_common::message::LogPart;
+use reveille_common::message::InputLogPart;
 use reveille_lab::external_inputs::{self, ExternalInput, ExternalInputs};
 
 use crate::runtime::now;
 
 /// The file name of the log in a run folder.
-pub(crate) const INPUTS: &str = "inputs.log";
+pub(crate) const INPUT_LOG_FILE: &str = "inputs.log";
 /// The error for a log with inputs that do not occur in the run.
-pub(crate) const MISFIT: &str = "inputs.log names a removal or a decision that does not occur in this run; use the log \
+pub(crate) const MISMATCH: &str = "inputs.log names a removal or a decision that does not occur in this run; use the log \
     of a run with this scenario";
 /// Time between two syncs of decisions to the disk.
-const SYNC: Duration = Duration::from_secs(1);
+const SYNC_INTERVAL: Duration = Duration::from_secs(1);
 
 /// The input log of a run.
 #[derive(Debug)]
@@ -37,7 +38,7 @@ impl InputLog {
     /// Creates the log of a run folder. The file is created with the first input.
     pub(crate) fn new(folder: &Path, scenario: &Scenario) -> Self {
         Self {
-            path: folder.join(INPUTS),
+            path: folder.join(INPUT_LOG_FILE),
             first_line: external_inputs::first_line(scenario),
             file: None,
             synced: now(),
@@ -76,13 +77,13 @@ impl InputLog {
 
     fn write(&mut self, input: &ExternalInput) -> io::Result<()> {
         // Taken out: after a failed write the file is reopened, which removes a torn line.
-        let opened = self.file.take();
-        let mut file = opened.map_or_else(|| self.open(), Ok)?;
+        let open_file = self.file.take();
+        let mut file = open_file.map_or_else(|| self.open(), Ok)?;
         file.write_all(external_inputs::line(input).as_bytes())?;
         // Outages are rare. A sync for each of thousands of decisions a second would slow the run down.
         let is_due = match input {
             ExternalInput::Outage(_) => true,
-            ExternalInput::Decision(_) => self.synced.elapsed() >= SYNC,
+            ExternalInput::Decision(_) => self.synced.elapsed() >= SYNC_INTERVAL,
         };
         if is_due {
             file.sync_data()?;
@@ -102,10 +103,10 @@ impl InputLog {
             .truncate(false)
             .open(&self.path)?;
         // A kill can leave half a line, which the next entry must not continue.
-        let whole = external_inputs::complete_lines(&io::read_to_string(&file)?).len();
-        file.set_len(whole as u64)?;
+        let whole_bytes = external_inputs::complete_lines(&io::read_to_string(&file)?).len();
+        file.set_len(whole_bytes as u64)?;
         file.seek(SeekFrom::End(0))?;
-        if whole == 0 {
+        if whole_bytes == 0 {
             file.write_all(self.first_line.as_bytes())?;
             // The folder is synced too, so that the new file survives a power cut.
             if let Some(folder) = self.path.parent() {
@@ -120,8 +121,8 @@ impl InputLog {
 ///
 /// # Errors
 /// See [`read`].
-pub(crate) fn of_folder(folder: &Path, scenario: &Scenario) -> anyhow::Result<ExternalInputs> {
-    let path = folder.join(INPUTS);
+pub(crate) fn read_folder(folder: &Path, scenario: &Scenario) -> anyhow::Result<ExternalInputs> {
+    let path = folder.join(INPUT_LOG_FILE);
     // A dangling link is an error, not a missing log.
     match std::fs::symlink_metadata(&path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(ExternalInputs::default()),
@@ -143,13 +144,13 @@ pub(crate) fn read(path: &Path, scenario: &Scenario) -> anyhow::Result<ExternalI
 ///
 /// # Errors
 /// If the log cannot be read.
-pub(crate) fn read_part(path: &Path, from: u64) -> io::Result<LogPart> {
+pub(crate) fn read_part(path: &Path, from: u64) -> io::Result<InputLogPart> {
     let mut bytes = Vec::new();
     match File::open(path) {
         Ok(mut file) => {
             file.seek(SeekFrom::Start(from))?;
             let mut file = BufReader::new(file);
-            file.by_ref().take(LogPart::LONGEST).read_to_end(&mut bytes)?;
+            file.by_ref().take(InputLogPart::MAX_BYTES).read_to_end(&mut bytes)?;
             // A line can be longer than a part; without a whole line an observer would never get further.
             if !bytes.contains(&b'\n') {
                 file.read_until(b'\n', &mut bytes)?;
@@ -158,14 +159,14 @@ pub(crate) fn read_part(path: &Path, from: u64) -> io::Result<LogPart> {
         Err(error) if error.kind() == io::ErrorKind::NotFound => {}
         Err(error) => return Err(error),
     }
-    Ok(LogPart { bytes })
+    Ok(InputLogPart { bytes })
 }
 
 /// Reads a log named by the user, which must not be empty; see [`read`].
 ///
 /// # Errors
 /// See [`read`]; also if the log is empty.
-pub(crate) fn read_named(path: &Path, scenario: &Scenario) -> anyhow::Result<ExternalInputs> {
+pub(crate) fn read_nonempty(path: &Path, scenario: &Scenario) -> anyhow::Result<ExternalInputs> {
     let inputs = read(path, scenario)?;
     anyhow::ensure!(
         inputs != ExternalInputs::default(),

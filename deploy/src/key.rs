@@ -1,4 +1,5 @@
-//! The key of a run. It allows a client to control the clock, and to run devices if only members may.
+//! The key of a run: its file (`--key-file`) and its way to child processes. It allows a client to control the clock,
+//! and to run devices if only members may. A key file must not be readable by other users.
 
 use std::fs::{self, OpenOptions};
 use std::io::{ErrorKind, Write};
@@ -10,42 +11,42 @@ use reveille_common::bus::draw_secret;
 use reveille_common::secret::Secret;
 
 /// The environment variable that passes the run's key to device processes.
-pub(crate) const VARIABLE: &str = "REVEILLE_KEY";
+pub(crate) const KEY_VARIABLE: &str = "REVEILLE_KEY";
 
 /// Reads the key in `path`.
 ///
 /// # Errors
 /// If there is no key, or other users may read it.
 pub(crate) fn read(path: &Path) -> anyhow::Result<Secret> {
-    let named = || format!("--key-file {}", path.display());
-    let mode = fs::metadata(path).with_context(named)?.permissions().mode() & 0o777;
+    let option = || format!("--key-file {}", path.display());
+    let mode = fs::metadata(path).with_context(option)?.permissions().mode() & 0o777;
     if mode & 0o077 != 0 {
-        bail!("{}: other users may read it (mode {mode:o}); `chmod 600` it", named());
+        bail!("{}: other users may read it (mode {mode:o}); `chmod 600` it", option());
     }
-    let text = fs::read_to_string(path).with_context(named)?;
-    text.trim().parse().with_context(named)
+    let text = fs::read_to_string(path).with_context(option)?;
+    text.trim().parse().with_context(option)
 }
 
 /// Reads the key in `path`, which is created if missing.
 ///
 /// # Errors
 /// If it can neither be read nor created.
-pub(crate) fn read_or_make(path: &Path) -> anyhow::Result<Secret> {
-    let named = || format!("--key-file {}", path.display());
+pub(crate) fn read_or_create(path: &Path) -> anyhow::Result<Secret> {
+    let option = || format!("--key-file {}", path.display());
     // One call makes the file and its mode: the key is never readable by others, and only one process makes it.
     let made = OpenOptions::new().write(true).create_new(true).mode(0o600).open(path);
     match made {
         Ok(mut file) => {
             let key = draw_secret()?;
-            writeln!(file, "{key}").with_context(named)?;
+            writeln!(file, "{key}").with_context(option)?;
             Ok(key)
         }
         Err(error) if error.kind() == ErrorKind::AlreadyExists => read(path),
-        Err(error) => Err(error).with_context(named),
+        Err(error) => Err(error).with_context(option),
     }
 }
 
 /// The key that the parent process passed to this one.
 pub(crate) fn inherited() -> Option<Secret> {
-    std::env::var(VARIABLE).ok()?.parse().ok()
+    std::env::var(KEY_VARIABLE).ok()?.parse().ok()
 }

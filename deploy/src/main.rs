@@ -1,4 +1,7 @@
-//! `reveille`: the command line of the emulator.
+//! `reveille`: the command line of the emulator. `cli` declares the commands and their options, `commands` executes
+//! them, `bench` measures, `dashboard` serves the page. The other modules are services for them: `run_folder` for the
+//! files of a run, `audit` for its replay, `display` for output, `signals` for a clean end. Start with `commands::run`
+//! (in memory) and `commands::bs` (over the bus).
 
 #![deny(
     clippy::print_stderr,
@@ -46,7 +49,7 @@ use display::note;
 use runtime::drive;
 
 fn main() -> ExitCode {
-    let (args, renamed) = cli::former::replace(std::env::args_os());
+    let (args, renamed) = cli::former::replace_former_names(std::env::args_os());
     let cli = Cli::parse_from(args);
     reveille_common::logging::init(cli.verbose, cli.log_format.into(), display::LogWriter);
     for warning in renamed {
@@ -75,7 +78,7 @@ fn run(cli: Cli) -> anyhow::Result<ExitCode> {
         Command::Device(args) => {
             // Before any runtime or session: it replaces this process by one with another environment.
             if !args.untuned {
-                child_process::with_one_thread();
+                child_process::restart_with_one_zenoh_thread();
             }
             drive(1, commands::device::run(&args))
         }

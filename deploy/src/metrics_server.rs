@@ -1,4 +1,5 @@
-//! The HTTP server for the metrics of a run.
+//! The HTTP server for the metrics of a run (`--metrics`), in the Prometheus and OpenMetrics text formats. The metrics
+//! are in `view/src/metrics.rs`. The dashboard uses the checks of address and host too.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -15,45 +16,53 @@ use tokio::net::TcpListener;
 
 use crate::display::note;
 
-const OPEN: &str = "application/openmetrics-text";
+const OPENMETRICS_TYPE: &str = "application/openmetrics-text";
 
 /// Returns the statistics of the run's processes.
-type Ask = dyn Fn() -> ProcessStats + Send + Sync;
+type ProcessProbe = dyn Fn() -> ProcessStats + Send + Sync;
 
 /// State shared by the request handlers.
 #[derive(Clone)]
 struct MetricsState {
     metrics: Arc<PrometheusMetrics>,
-    process: Arc<Ask>,
+    process_stats: Arc<ProcessProbe>,
     /// The address of the listener.
-    at: SocketAddr,
+    address: SocketAddr,
 }
 
 /// Checks that this process can listen at `address`, which was given by `option`.
 ///
 /// # Errors
 /// If it cannot.
-pub(crate) fn can_listen(option: &str, address: &str) -> anyhow::Result<()> {
+pub(crate) fn check_can_listen(option: &str, address: &str) -> anyhow::Result<()> {
     let bound = std::net::TcpListener::bind(address);
     let hint = "must be ADDRESS:PORT of this machine, such as 127.0.0.1:9464, with a free port or port 0";
     bound.map(drop).with_context(|| format!("{option} {address}: {hint}"))
 }
 
-/// Serves `metrics` at `address` until the program ends. `process` returns the statistics of the processes.
+/// Serves `metrics` at `address` until the program ends. `process_stats` returns the statistics of the processes.
 ///
 /// # Errors
 /// If it cannot listen there.
-pub(crate) async fn serve(address: &str, metrics: Arc<PrometheusMetrics>, process: Arc<Ask>) -> anyhow::Result<()> {
+pub(crate) async fn serve(
+    address: &str,
+    metrics: Arc<PrometheusMetrics>,
+    process_stats: Arc<ProcessProbe>,
+) -> anyhow::Result<()> {
     let named = || format!("--metrics {address}");
     let listener = TcpListener::bind(address).await.with_context(named)?;
-    let at = listener.local_addr().with_context(named)?;
-    note!("metrics at http://{at}/metrics");
-    let served = MetricsState { metrics, process, at };
+    let local_address = listener.local_addr().with_context(named)?;
+    note!("metrics at http://{local_address}/metrics");
+    let state = MetricsState {
+        metrics,
+        process_stats,
+        address: local_address,
+    };
     let router = Router::new()
         .route("/", get(|| async { Redirect::temporary("/metrics") }))
         .route("/metrics", get(serve_metrics))
-        .layer(middleware::from_fn_with_state(served.clone(), guard))
-        .with_state(served);
+        .layer(middleware::from_fn_with_state(state.clone(), check_host))
+        .with_state(state);
     tokio::spawn(async move {
         if let Err(error) = axum::serve(listener, router).await {
             tracing::warn!(%error, "the metrics server has stopped");
@@ -63,9 +72,9 @@ pub(crate) async fn serve(address: &str, metrics: Arc<PrometheusMetrics>, proces
 }
 
 /// Refuses requests from pages of other sites whose name resolves to this machine.
-async fn guard(State(served): State<MetricsState>, request: Request, next: Next) -> Response {
+async fn check_host(State(state): State<MetricsState>, request: Request, next: Next) -> Response {
     let host = request.headers().get(header::HOST).and_then(|host| host.to_str().ok());
-    if is_allowed_host(host, served.at) {
+    if is_allowed_host(host, state.address) {
         next.run(request).await
     } else {
         (
@@ -76,10 +85,11 @@ async fn guard(State(served): State<MetricsState>, request: Request, next: Next)
     }
 }
 
-/// Whether a request for `host` is meant for the listener `at`. On other than loopback addresses any name is allowed.
-pub(crate) fn is_allowed_host(host: Option<&str>, at: SocketAddr) -> bool {
+/// Whether a request for `host` is meant for the listener at `address`. Any name is allowed unless that is a loopback
+/// address.
+pub(crate) fn is_allowed_host(host: Option<&str>, address: SocketAddr) -> bool {
     let Some(host) = host else { return false };
-    if !at.ip().is_loopback() {
+    if !address.ip().is_loopback() {
         return true;
     }
     // An IPv6 address has colons too: only digits after the last one are a port.
@@ -90,22 +100,22 @@ pub(crate) fn is_allowed_host(host: Option<&str>, at: SocketAddr) -> bool {
             host
         }
     });
-    matches!(name, "localhost" | "127.0.0.1" | "[::1]") || name == at.ip().to_string()
+    matches!(name, "localhost" | "127.0.0.1" | "[::1]") || name == address.ip().to_string()
 }
 
-async fn serve_metrics(State(served): State<MetricsState>, request: Request) -> impl IntoResponse {
+async fn serve_metrics(State(state): State<MetricsState>, request: Request) -> impl IntoResponse {
     let accept = request
         .headers()
         .get(header::ACCEPT)
         .and_then(|accept| accept.to_str().ok());
-    let is_open = accept.is_some_and(|accept| accept.contains(OPEN));
-    let form = if is_open {
+    let is_openmetrics = accept.is_some_and(|accept| accept.contains(OPENMETRICS_TYPE));
+    let content_type = if is_openmetrics {
         "application/openmetrics-text; version=1.0.0; charset=utf-8"
     } else {
         "text/plain; version=0.0.4; charset=utf-8"
     };
-    let text = served.metrics.encode((served.process)(), is_open);
-    ([(header::CONTENT_TYPE, form)], text)
+    let text = state.metrics.encode((state.process_stats)(), is_openmetrics);
+    ([(header::CONTENT_TYPE, content_type)], text)
 }
 
 #[cfg(test)]

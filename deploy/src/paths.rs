@@ -1,21 +1,21 @@
-//! Files and folders given on the command line.
+//! Files and folders given on the command line: checks before a command begins its work.
 
 use std::path::{Path, PathBuf};
 
 use anyhow::bail;
-use reveille_lab::sweep::{SweepError, table_in};
+use reveille_lab::sweep::{SweepError, find_table};
 
-/// The table that `given` names; for a folder, the table of the sweep in it.
-pub(crate) fn table_of(given: &Path) -> Result<PathBuf, SweepError> {
-    if given.is_dir() {
-        table_in(given)
+/// The table that `path` names; for a folder, the table of the sweep in it.
+pub(crate) fn resolve_table(path: &Path) -> Result<PathBuf, SweepError> {
+    if path.is_dir() {
+        find_table(path)
     } else {
-        Ok(given.to_owned())
+        Ok(path.to_owned())
     }
 }
 
 /// Whether both paths lead to the same file or folder.
-pub(crate) fn is_same(a: &Path, b: &Path) -> bool {
+pub(crate) fn is_same_path(a: &Path, b: &Path) -> bool {
     match (a.canonicalize(), b.canonicalize()) {
         (Ok(a), Ok(b)) => a == b,
         (Err(_), _) | (_, Err(_)) => false,
@@ -23,7 +23,7 @@ pub(crate) fn is_same(a: &Path, b: &Path) -> bool {
 }
 
 /// Returns an error, before any work is done, if a file for `what` cannot be written at `path`.
-pub(crate) fn check_place(path: &Path, what: &str) -> anyhow::Result<()> {
+pub(crate) fn check_output_path(path: &Path, what: &str) -> anyhow::Result<()> {
     if path.is_dir() {
         bail!("{}: is a folder; name a file for {what}", path.display());
     }

@@ -27,28 +27,28 @@ use tokio::signal::unix::{SignalKind, signal};
 
 use crate::exit::ExitReason;
 use crate::runtime::now;
-use crate::signals::{Manner, Signals};
+use crate::signals::{SignalMode, Signals};
 use crate::{child_process, key};
 
 /// The variable with the base station's endpoint.
-const CONNECT: &str = "REVEILLE_CONNECT";
+const CONNECT_VARIABLE: &str = "REVEILLE_CONNECT";
 /// The variable with the run's name.
-const RUN: &str = "REVEILLE_RUN";
+const RUN_VARIABLE: &str = "REVEILLE_RUN";
 /// The subcommand that runs the guard.
 const GUARD: &str = "policy-process";
 /// Base of the exit codes of processes ended by a signal.
-const SIGNALLED: i32 = 128;
+const SIGNAL_EXIT_BASE: i32 = 128;
 /// Time between two checks of a process.
-const LOOK: Duration = Duration::from_millis(20);
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// Time for a policy process to end: once after the end of the run, and once after SIGTERM.
-const LEAVE: Duration = Duration::from_secs(2);
+const EXIT_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// A policy process, supervised until this is dropped.
 pub(crate) struct PolicyProcess {
     /// The run is over.
     is_over: Arc<AtomicBool>,
     /// The policy process must end.
-    is_left: Arc<AtomicBool>,
+    must_end: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -68,32 +68,32 @@ impl PolicyProcess {
         let mut guard = Command::new(program);
         guard
             .args([GUARD, "--parent", &std::process::id().to_string(), "--", command])
-            .env(CONNECT, bus.endpoint())
-            .env(RUN, bus.keys().run().to_string())
+            .env(CONNECT_VARIABLE, bus.endpoint())
+            .env(RUN_VARIABLE, bus.keys().run().to_string())
             .stdin(Stdio::null())
             // The run's standard output is for its results only.
             .stdout(std::io::stderr())
             // In another process group Ctrl-C reaches the run alone, which ends the policy process later.
             .process_group(0);
         if let Some(key) = key {
-            guard.env(key::VARIABLE, key.to_string());
+            guard.env(key::KEY_VARIABLE, key.to_string());
         }
         let guard = guard.spawn().context("cannot start a process for --policy-command")?;
         let is_over = Arc::new(AtomicBool::new(false));
-        let is_left = Arc::new(AtomicBool::new(false));
-        let charge = GuardedProcess {
+        let must_end = Arc::new(AtomicBool::new(false));
+        let guarded = GuardedProcess {
             guard,
             command: command.to_owned(),
             is_over: Arc::clone(&is_over),
-            is_left: Arc::clone(&is_left),
+            must_end: Arc::clone(&must_end),
         };
         let progress = Arc::clone(progress);
         let thread = std::thread::Builder::new()
             .name("policy".to_owned())
-            .spawn(move || charge.look_after(&progress))?;
+            .spawn(move || guarded.supervise(&progress))?;
         Ok(Self {
             is_over,
-            is_left,
+            must_end,
             thread: Some(thread),
         })
     }
@@ -109,7 +109,7 @@ impl PolicyProcess {
 impl Drop for PolicyProcess {
     fn drop(&mut self) {
         self.is_over.store(true, Ordering::Relaxed);
-        self.is_left.store(true, Ordering::Relaxed);
+        self.must_end.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
             let _panicked = thread.join().is_err();
         }
@@ -121,11 +121,11 @@ struct GuardedProcess {
     guard: Child,
     command: String,
     is_over: Arc<AtomicBool>,
-    is_left: Arc<AtomicBool>,
+    must_end: Arc<AtomicBool>,
 }
 
 impl GuardedProcess {
-    fn look_after(mut self, progress: &RunProgress) {
+    fn supervise(mut self, progress: &RunProgress) {
         self.watch(progress);
         // Ends processes that the command left behind, and a guard that hangs.
         let _gone = kill_process_group(Pid::from_child(&self.guard), Signal::KILL).is_err();
@@ -134,32 +134,36 @@ impl GuardedProcess {
 
     /// Watches the process until it ends, or does not react to SIGTERM.
     fn watch(&mut self, progress: &RunProgress) {
-        while !self.is_left.load(Ordering::Relaxed) {
+        while !self.must_end.load(Ordering::Relaxed) {
             if let Ok(Some(status)) = self.guard.try_wait() {
                 if !self.is_over.load(Ordering::Relaxed) {
-                    let why = format!("the policy process `{}` ended with {}", self.command, ending(status));
+                    let why = format!(
+                        "the policy process `{}` ended with {}",
+                        self.command,
+                        describe_status(status)
+                    );
                     // Only the first cause counts. It is set before `stop`, at which the run looks for it.
-                    let _told_before = progress.cause.set(why).is_err();
-                    progress.stop.store(true, Ordering::Relaxed);
+                    let _told_before = progress.stop_cause.set(why).is_err();
+                    progress.stop_requested.store(true, Ordering::Relaxed);
                 }
                 return;
             }
-            std::thread::sleep(LOOK);
+            std::thread::sleep(POLL_INTERVAL);
         }
-        if !self.has_ended_within(LEAVE) {
+        if !self.has_ended_within(EXIT_TIMEOUT) {
             let _gone = kill_process(Pid::from_child(&self.guard), Signal::TERM).is_err();
-            // The guard itself waits up to LEAVE before it kills its group.
-            self.has_ended_within(2 * LEAVE);
+            // The guard itself waits up to EXIT_TIMEOUT before it kills its group.
+            self.has_ended_within(2 * EXIT_TIMEOUT);
         }
     }
 
-    fn has_ended_within(&mut self, patience: Duration) -> bool {
+    fn has_ended_within(&mut self, timeout: Duration) -> bool {
         let begun = now();
-        while begun.elapsed() < patience {
+        while begun.elapsed() < timeout {
             if !matches!(self.guard.try_wait(), Ok(None)) {
                 return true;
             }
-            std::thread::sleep(LOOK);
+            std::thread::sleep(POLL_INTERVAL);
         }
         false
     }
@@ -180,8 +184,8 @@ pub(crate) async fn guard(command: &str, parent: i32) -> anyhow::Result<ExitCode
     // Orphans become children of this process, so that it notices when all have ended.
     set_child_subreaper(Some(getpid()))?;
     // Both are installed before the shell starts, or its end could be missed.
-    let signals = Signals::install(Manner::EndsGroup)?;
-    let mut ended = signal(SignalKind::child())?;
+    let signals = Signals::install(SignalMode::EndsGroup)?;
+    let mut child_signals = signal(SignalKind::child())?;
     let mut shell = Command::new("/bin/sh")
         .args(["-c", command])
         .spawn()
@@ -189,20 +193,20 @@ pub(crate) async fn guard(command: &str, parent: i32) -> anyhow::Result<ExitCode
     loop {
         // SIGCHLD also comes for orphans; only the end of the shell counts.
         if let Some(status) = shell.try_wait()? {
-            return Ok(code(status));
+            return Ok(exit_code(status));
         }
         tokio::select! {
-            _ = ended.recv() => {}
-            () = signals.first() => break,
+            _ = child_signals.recv() => {}
+            () = signals.wait_for_first() => break,
         }
     }
-    // This process receives the signal too, and ignores it (`Manner::EndsGroup`).
+    // This process receives the signal too, and ignores it (`SignalMode::EndsGroup`).
     kill_current_process_group(Signal::TERM)?;
     let begun = now();
-    while begun.elapsed() < LEAVE {
+    while begun.elapsed() < EXIT_TIMEOUT {
         match wait(WaitOptions::NOHANG) {
             Err(Errno::CHILD) => return Ok(ExitReason::Interrupted.into()),
-            Ok(None) | Err(_) => tokio::time::sleep(LOOK).await,
+            Ok(None) | Err(_) => tokio::time::sleep(POLL_INTERVAL).await,
             Ok(Some(_)) => {}
         }
     }
@@ -212,17 +216,19 @@ pub(crate) async fn guard(command: &str, parent: i32) -> anyhow::Result<ExitCode
 }
 
 /// The exit code of a process; 128 plus the signal number, as in shells, if a signal ended it.
-fn code(status: ExitStatus) -> ExitCode {
-    let signal = || SIGNALLED + status.signal().unwrap_or_default();
+fn exit_code(status: ExitStatus) -> ExitCode {
+    let signal = || SIGNAL_EXIT_BASE + status.signal().unwrap_or_default();
     u8::try_from(status.code().unwrap_or_else(signal))
         .unwrap_or(u8::MAX)
         .into()
 }
 
 /// Describes how a process ended, by its exit code.
-fn ending(status: ExitStatus) -> String {
+fn describe_status(status: ExitStatus) -> String {
     match status.code() {
-        Some(code) if code > SIGNALLED => format!("{status}, by signal {}", code - SIGNALLED),
+        Some(exit_code) if exit_code > SIGNAL_EXIT_BASE => {
+            format!("{status}, by signal {}", exit_code - SIGNAL_EXIT_BASE)
+        }
         _ => status.to_string(),
     }
 }

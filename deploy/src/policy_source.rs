@@ -1,4 +1,5 @@
-//! The source of external decisions, as the command line selects it.
+//! The source of external decisions in a run over the bus, as the command line selects it: a recorded input log, a
+//! policy process that `reveille` starts, or one that connects to the policy port. Used by `up` and `bs`.
 
 use std::sync::Arc;
 
@@ -21,41 +22,41 @@ pub(crate) struct PolicySource<'a> {
     /// Decisions of an earlier run, in order.
     pub recorded: Vec<RecordedDecision>,
     /// Timeout of decision requests; `None` without a policy process.
-    pub patience: Option<DecisionTimeout>,
+    pub decision_timeout: Option<DecisionTimeout>,
     /// The command that starts the policy process.
     command: Option<&'a str>,
 }
 
-/// Returns the source of decisions in a run of `scenario`: none, the decisions `given` from an earlier run, or the
+/// Returns the source of decisions in a run of `scenario`: none, the `recorded_inputs` of an earlier run, or the
 /// policy port.
 ///
 /// # Errors
 /// If the options do not apply here, or the given inputs cannot be replayed on the bus.
 pub(crate) fn policy_source<'a>(
     scenario: &Scenario,
-    given: Option<ExternalInputs>,
+    recorded_inputs: Option<ExternalInputs>,
     drive: &'a DriveArgs,
 ) -> anyhow::Result<PolicySource<'a>> {
     let ExternalPolicyArgs {
         policy_command,
         decision_timeout,
         on_undecided,
-    } = &drive.outside;
+    } = &drive.external_policy;
     // Given inputs hold all decisions, so no policy process is asked.
-    let is_asked = outside::is_external(&scenario.policy) && given.is_none();
+    let is_asked = outside::is_external(&scenario.policy) && recorded_inputs.is_none();
     let is_tuned = decision_timeout.is_some() || *on_undecided != OnUndecidedArg::End;
     ensure!(
         is_asked || (policy_command.is_none() && !is_tuned),
         "--policy-command, --decision-timeout and --on-undecided need a policy process; add --policy external"
     );
-    let ExternalInputs { outages, decisions } = given.unwrap_or_default();
+    let ExternalInputs { outages, decisions } = recorded_inputs.unwrap_or_default();
     ensure!(
         outages.is_empty(),
         "the input log removes devices, which cannot be repeated on the bus; replay it with `reveille run`"
     );
     Ok(PolicySource {
         recorded: decisions,
-        patience: is_asked.then(|| (&drive.outside).into()),
+        decision_timeout: is_asked.then(|| (&drive.external_policy).into()),
         command: policy_command.as_deref(),
     })
 }
@@ -76,8 +77,11 @@ impl PolicySource<'_> {
         if let Some(command) = self.command {
             return PolicyProcess::start(command, bus, key, progress).map(Some);
         }
-        if self.patience.is_some() && !is_quiet {
-            let (port, endpoint) = (bus.keys().policy(), run_registry::reachable_endpoint(bus.endpoint()));
+        if self.decision_timeout.is_some() && !is_quiet {
+            let (port, endpoint) = (
+                bus.keys().policy_port(),
+                run_registry::reachable_endpoint(bus.endpoint()),
+            );
             note!("sending decision requests to {port} of {endpoint}");
         }
         Ok(None)

@@ -1,11 +1,12 @@
-//! The recording that this process makes of its run.
+//! The recording of a run to the file of `--record`, made by the process of the run. `run_watchers` starts and closes
+//! it; `view/src/recording/` defines the format.
 
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use reveille_bs::scenario::Scenario;
-use reveille_view::recording::{self, Bundle, Recorder, RecorderHandle};
+use reveille_view::recording::{self, ScenarioBundle, Recorder, RecorderHandle};
 
 use crate::cli::OutputArgs;
 use crate::display::note;
@@ -86,6 +87,6 @@ pub(crate) fn is_growing(path: &Path) -> bool {
 ///
 /// # Errors
 /// If a file cannot be read any more.
-pub(crate) fn bundle(scenario: &Scenario) -> anyhow::Result<Bundle> {
+pub(crate) fn bundle(scenario: &Scenario) -> anyhow::Result<ScenarioBundle> {
     Ok(ScenarioFiles::read(scenario)?.bundle(scenario))
 }

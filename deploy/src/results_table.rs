@@ -1,4 +1,4 @@
-//! The results of a run as text, for the end of `run`, `up` and `bs`.
+//! The results of a run as text, for the end of `run`, `up` and `bs`. Its data are the fields of `summary.json`.
 
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{CellAlignment, Table};
@@ -12,7 +12,7 @@ use crate::summary::{ClassSummary, Summary};
 /// The first three show the information that the base station gets, and its share and delay of detection. The next
 /// three show the messages and the wrong activations behind them. The last four show the energy that they cost and
 /// leave.
-const MAIN: [&str; 10] = [
+const MAIN_METRICS: [&str; 10] = [
     "info_p1",
     "misdetection_pct",
     "detection_delay_ttis",
@@ -44,7 +44,7 @@ const IMPAIRMENTS: [(&str, HasImpairment); 5] = [
 ];
 
 /// The metric that is 0 unless `--on-loss continue` has removed devices.
-const REMOVED: &str = "removed_pct";
+const REMOVED_METRIC: &str = "removed_pct";
 
 /// Rows of the results table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -56,18 +56,18 @@ pub(crate) enum Rows {
 }
 
 /// Formats the results of a run.
-pub(crate) fn text(summary: &Summary<'_>, rows: Rows) -> String {
+pub(crate) fn format_results(summary: &Summary<'_>, rows: Rows) -> String {
     let mut lines = vec![
         format!(
             "{} · {} devices · {} of {} TTIs · preset {} · seed {}",
             summary.policy, summary.n, summary.ttis_done, summary.ttis, summary.preset, summary.seed
         ),
-        metrics(summary, rows),
-        missed(summary),
+        format_metrics(summary, rows),
+        format_missed(summary),
     ];
-    lines.extend(classes(&summary.classes, rows));
-    lines.extend(facts(summary));
-    lines.push(timing(summary));
+    lines.extend(format_classes(&summary.classes, rows));
+    lines.extend(format_facts(summary));
+    lines.push(format_timing(summary));
     if summary.timing.late_ttis > 0 {
         let (late, most) = (summary.timing.late_ttis, summary.timing.max_late_ms);
         lines.push(format!("{late} TTIs began late, by at most {most:.1} ms"));
@@ -91,28 +91,30 @@ pub(crate) fn text(summary: &Summary<'_>, rows: Rows) -> String {
 
 /// Returns whether `metric` belongs to the table of a run with `radio`, in which it has this value.
 fn is_active(metric: &str, value: f64, radio: &RadioSettings) -> bool {
-    let impairment = IMPAIRMENTS.iter().find(|(of, _)| *of == metric);
-    impairment.is_none_or(|(_, has)| has(radio)) && (metric != REMOVED || value > 0.0)
+    let impairment = IMPAIRMENTS.iter().find(|(name, _)| *name == metric);
+    impairment.is_none_or(|(_, has_impairment)| has_impairment(radio)) && (metric != REMOVED_METRIC || value > 0.0)
 }
 
 /// Formats the main metrics; with [`Rows::All`] also the other metrics, by group.
-fn metrics(summary: &Summary<'_>, rows: Rows) -> String {
+fn format_metrics(summary: &Summary<'_>, rows: Rows) -> String {
     let mut table = Table::new();
     table
         .load_style(UTF8_FULL_CONDENSED)
         .set_header(["metric", "value", "unit"]);
     let all = summary.metrics.rows();
-    let main = MAIN.iter().filter_map(|name| all.iter().find(|row| row.0 == *name));
+    let main = MAIN_METRICS
+        .iter()
+        .filter_map(|name| all.iter().find(|row| row.0 == *name));
     for (name, value, unit) in main {
-        table.add_row([(*name).to_owned(), number(*value), (*unit).to_owned()]);
+        table.add_row([(*name).to_owned(), format_number(*value), (*unit).to_owned()]);
     }
     if rows == Rows::All {
         for group in MetricGroup::ALL {
             table.add_row([group.title().to_uppercase(), String::new(), String::new()]);
             for (metric, (name, value, unit)) in Metrics::ALL.iter().zip(all) {
-                let is_other = metric.group == group && !MAIN.contains(&name);
+                let is_other = metric.group == group && !MAIN_METRICS.contains(&name);
                 if is_other && is_active(name, value, &summary.radio) {
-                    table.add_row([format!("  {name}"), number(value), unit.to_owned()]);
+                    table.add_row([format!("  {name}"), format_number(value), unit.to_owned()]);
                 }
             }
         }
@@ -124,7 +126,7 @@ fn metrics(summary: &Summary<'_>, rows: Rows) -> String {
 }
 
 /// Formats the device classes in columns, if there are several.
-fn classes(classes: &[ClassSummary<'_>], rows: Rows) -> Option<String> {
+fn format_classes(classes: &[ClassSummary<'_>], rows: Rows) -> Option<String> {
     if classes.is_empty() {
         return None;
     }
@@ -136,17 +138,17 @@ fn classes(classes: &[ClassSummary<'_>], rows: Rows) -> Option<String> {
         .load_style(UTF8_FULL_CONDENSED)
         .set_header(std::iter::once("by class".to_owned()).chain(names));
     let by_device = Metrics::ALL.iter().filter(|metric| metric.group.is_by_device());
-    for metric in by_device.filter(|metric| rows == Rows::All || MAIN.contains(&metric.name)) {
+    for metric in by_device.filter(|metric| rows == Rows::All || MAIN_METRICS.contains(&metric.name)) {
         let values = classes.iter().map(|class| {
             class
                 .metrics
                 .get(metric.name)
-                .map_or_else(String::new, |value| number(*value))
+                .map_or_else(String::new, |value| format_number(*value))
         });
         table.add_row(std::iter::once(metric.name.to_owned()).chain(values));
     }
-    for (at, (name, _)) in EventActivity::default().rows().into_iter().enumerate() {
-        let values = classes.iter().map(|class| class.acts.rows()[at].1.to_string());
+    for (row, (name, _)) in EventActivity::default().rows().into_iter().enumerate() {
+        let values = classes.iter().map(|class| class.acts.rows()[row].1.to_string());
         table.add_row(std::iter::once(name.to_owned()).chain(values));
     }
     for column in table.column_iter_mut().skip(1) {
@@ -156,16 +158,16 @@ fn classes(classes: &[ClassSummary<'_>], rows: Rows) -> Option<String> {
 }
 
 /// Formats the policy's facts; `None` without facts.
-fn facts(summary: &Summary<'_>) -> Option<String> {
+fn format_facts(summary: &Summary<'_>) -> Option<String> {
     let facts = summary.policy_facts.iter();
     let facts: Vec<String> = facts
-        .map(|(name, value)| format!("{name} {}", number(*value)))
+        .map(|(name, value)| format!("{name} {}", format_number(*value)))
         .collect();
     (!facts.is_empty()).then(|| facts.join(" · "))
 }
 
 /// Formats the number of events and of missed events, with the share of each cause in all events.
-fn missed(summary: &Summary<'_>) -> String {
+fn format_missed(summary: &Summary<'_>) -> String {
     let (events, missed) = (summary.totals.events, summary.totals.missed);
     let causes = [
         (missed.not_sensing, "no device in range sensed"),
@@ -187,7 +189,7 @@ fn missed(summary: &Summary<'_>) -> String {
 }
 
 /// Formats the speed of the run and its hosts.
-fn timing(summary: &Summary<'_>) -> String {
+fn format_timing(summary: &Summary<'_>) -> String {
     let timing = &summary.timing;
     let mut parts = vec![format!("{:.0} TTIs/s", timing.ttis_per_s)];
     if timing.hosts > 0 {
@@ -205,7 +207,7 @@ fn timing(summary: &Summary<'_>) -> String {
     parts.join(" · ")
 }
 
-fn number(value: f64) -> String {
+fn format_number(value: f64) -> String {
     if value.is_nan() {
         "–".to_owned()
     } else if value.fract() == 0.0 && value.abs() < 1e15 {
@@ -238,7 +240,7 @@ mod tests {
         };
         let outcome = Run::new(&prepared, options).finish(&mut ());
         let summary = Summary::new(&scenario, &outcome, Timing::default());
-        let texts = [Rows::Main, Rows::All].map(|rows| text(&summary, rows));
+        let texts = [Rows::Main, Rows::All].map(|rows| format_results(&summary, rows));
         (scenario, texts)
     }
 
@@ -246,14 +248,14 @@ mod tests {
     fn names(text: &str) -> Vec<&str> {
         let table = text.lines().skip(1).take_while(|line| !line.starts_with('└'));
         let cells = table.filter_map(|line| line.split(['│', '┆']).nth(1));
-        let names = cells.map(str::trim).filter(|name| Metrics::named(name).is_some());
+        let names = cells.map(str::trim).filter(|name| Metrics::find(name).is_some());
         names.collect()
     }
 
     #[test]
     fn tables_name_metrics_that_exist() {
         let impairments = IMPAIRMENTS.iter().map(|(name, _)| *name);
-        for name in MAIN.into_iter().chain(impairments).chain([REMOVED]) {
+        for name in MAIN_METRICS.into_iter().chain(impairments).chain([REMOVED_METRIC]) {
             assert!(Metrics::ALL.iter().any(|metric| metric.name == name), "{name}");
         }
     }
@@ -261,13 +263,13 @@ mod tests {
     #[test]
     fn a_run_shows_ten_metrics_and_all_on_request() {
         let (_, [main, all]) = results(&[]);
-        assert_eq!(names(&main), MAIN);
+        assert_eq!(names(&main), MAIN_METRICS);
         let shown = names(&all);
-        assert_eq!(shown[..MAIN.len()], MAIN);
+        assert_eq!(shown[..MAIN_METRICS.len()], MAIN_METRICS);
         let inactive = IMPAIRMENTS.map(|(name, _)| name);
         for metric in &Metrics::ALL {
             let times = shown.iter().filter(|name| **name == metric.name).count();
-            let expected = usize::from(!inactive.contains(&metric.name) && metric.name != REMOVED);
+            let expected = usize::from(!inactive.contains(&metric.name) && metric.name != REMOVED_METRIC);
             assert_eq!(times, expected, "{}: {all}", metric.name);
         }
         for part in [" events missed", " TTIs/s", "digest "] {
@@ -292,7 +294,7 @@ mod tests {
         ] {
             let (scenario, [main, all]) = results(set);
             assert!(!scenario.radio.is_perfect(), "{set:?}");
-            assert_eq!(names(&main), MAIN, "{set:?}");
+            assert_eq!(names(&main), MAIN_METRICS, "{set:?}");
             let shown = names(&all);
             for (name, _) in IMPAIRMENTS {
                 assert_eq!(shown.contains(&name), rows.contains(&name), "{set:?}: {name}: {all}");

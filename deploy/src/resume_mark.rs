@@ -1,4 +1,5 @@
-//! The resume mark of a run: `resume.json`, rewritten regularly during the run.
+//! The resume mark of a run: `resume.json`, rewritten every second during the run. [`ResumeMarkWriter`] writes it as an
+//! observer, and checks for `--resume` that the replay reproduces it. `lab/src/resume_mark.rs` defines its content.
 
 use std::fs::{self, File};
 use std::io::Write as _;
@@ -15,23 +16,23 @@ use reveille_lab::resume_mark::{ResumeMark, ResumeMarkError, ResumeTracker};
 use crate::runtime::now;
 
 /// The file name of the mark in a run folder.
-pub(crate) const MARK: &str = "resume.json";
+pub(crate) const RESUME_MARK_FILE: &str = "resume.json";
 /// Time between two marks.
-const EVERY: Duration = Duration::from_secs(1);
+const MARK_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Reads the mark in a run folder; `None` if the run was killed before its first mark or while it wrote one.
 ///
 /// # Errors
 /// If the mark belongs to another scenario or another version of the digest.
 pub(crate) fn read(folder: &Path, scenario: &Scenario) -> anyhow::Result<Option<ResumeMark>> {
-    let path = folder.join(MARK);
+    let path = folder.join(RESUME_MARK_FILE);
     let Ok(text) = fs::read_to_string(&path) else {
         return Ok(None);
     };
     match ResumeMark::parse(&text, scenario) {
         Ok(mark) => Ok(Some(mark)),
-        Err(torn @ ResumeMarkError::Torn(_)) => {
-            tracing::warn!("{}: {torn}; resuming from TTI 0", path.display());
+        Err(torn_mark @ ResumeMarkError::Torn(_)) => {
+            tracing::warn!("{}: {torn_mark}; resuming from TTI 0", path.display());
             Ok(None)
         }
         Err(error) => bail!("{}: {error}", path.display()),
@@ -41,20 +42,20 @@ pub(crate) fn read(folder: &Path, scenario: &Scenario) -> anyhow::Result<Option<
 /// An observer that writes marks, and checks that a resumed run reproduces its old mark.
 pub(crate) struct ResumeMarkWriter {
     path: PathBuf,
-    way: ResumeTracker,
+    tracker: ResumeTracker,
     /// Whether the last mark could not be written.
     has_failed: bool,
-    due: Instant,
+    next_write: Instant,
 }
 
 impl ResumeMarkWriter {
     /// Creates a writer of marks in `folder`; a resumed run must reproduce `expected`.
     pub(crate) fn new(folder: &Path, scenario: &Scenario, window: u64, expected: Option<ResumeMark>) -> Self {
         Self {
-            path: folder.join(MARK),
-            way: ResumeTracker::new(scenario, window, expected),
+            path: folder.join(RESUME_MARK_FILE),
+            tracker: ResumeTracker::new(scenario, window, expected),
             has_failed: false,
-            due: now() + EVERY,
+            next_write: now() + MARK_INTERVAL,
         }
     }
 
@@ -63,8 +64,8 @@ impl ResumeMarkWriter {
     /// # Errors
     /// If it has not.
     pub(crate) fn check(&mut self) -> anyhow::Result<()> {
-        self.way.finish_replay();
-        if self.way.has_diverged() {
+        self.tracker.finish_replay();
+        if self.tracker.has_diverged() {
             bail!(
                 "{}: the replay diverged from the run before the resume mark; resume from an unchanged copy of the \
                  folder, or start the run again",
@@ -93,7 +94,7 @@ impl ResumeMarkWriter {
     fn write(&self) -> std::io::Result<()> {
         // Not synced, since it is written often: a torn mark only means that a resumed run starts at TTI 0.
         let mut file = beside(&self.path, |part| File::create(part))?;
-        file.as_file_mut().write_all(self.way.mark().text().as_bytes())?;
+        file.as_file_mut().write_all(self.tracker.mark().text().as_bytes())?;
         file.persist(&self.path)?;
         Ok(())
     }
@@ -101,12 +102,12 @@ impl ResumeMarkWriter {
 
 impl Observer for ResumeMarkWriter {
     fn notify(&mut self, notification: &Notification<'_>) {
-        let is_closed = self.way.notify(notification);
+        let is_closed = self.tracker.notify(notification);
         // A mark names a closed TTI. During a replay the old mark stays until the run has passed it.
-        if !is_closed || self.way.is_underway() || self.way.has_diverged() || now() < self.due {
+        if !is_closed || self.tracker.is_mark_ahead() || self.tracker.has_diverged() || now() < self.next_write {
             return;
         }
-        self.due = now() + EVERY;
+        self.next_write = now() + MARK_INTERVAL;
         let failed = self.write().err();
         // Reported at the second failure only: on a full disk the tables have ended the run by then.
         if let Some(error) = failed.as_ref().filter(|_| self.has_failed) {
@@ -116,6 +117,6 @@ impl Observer for ResumeMarkWriter {
     }
 
     fn window_closed(&mut self, _: &WindowRecord) -> bool {
-        !self.way.has_diverged()
+        !self.tracker.has_diverged()
     }
 }

@@ -1,4 +1,4 @@
-//! The run folder.
+//! The run folder: what a run writes, and when. The names and contents are documented in `docs/results.md`.
 //!
 //! | file | content |
 //! |---|---|
@@ -18,36 +18,36 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
-use reveille_bs::cycle::Outcome;
+use reveille_bs::cycle::RunOutcome;
 use reveille_bs::observer::{Notification, Observer};
 use reveille_bs::scenario::Scenario;
 use reveille_common::score::WindowRecord;
 use reveille_lab::io::replace;
-use reveille_lab::training::learned_in;
+use reveille_lab::training::learned_tables_of;
 
 use crate::cli::OutputArgs;
-use crate::folder_lock::{FolderLock, RUNNING};
-use crate::input_log::INPUTS;
-use crate::resume_mark::MARK;
+use crate::folder_lock::{FolderLock, RUNNING_FILE};
+use crate::input_log::INPUT_LOG_FILE;
+use crate::resume_mark::RESUME_MARK_FILE;
 use crate::run_tables;
 use crate::scenario_files::{self, ScenarioFiles};
 use crate::summary::Summary;
-use crate::table_writer::Tables;
+use crate::table_writer::TableWriter;
 
-const FAILED: &str = "FAILED";
+const FAILED_FILE: &str = "FAILED";
 /// The resolved scenario.
-pub(crate) const SCENARIO: &str = "scenario.toml";
+pub(crate) const SCENARIO_FILE: &str = "scenario.toml";
 /// The results of the run.
-pub(crate) const SUMMARY: &str = "summary.json";
-const LEARNED: &str = "learned.json";
-const DEVICES: &str = "devices.csv";
-const EVENTS: &str = "events.csv";
-const WINDOWS: &str = "windows.csv";
+pub(crate) const SUMMARY_FILE: &str = "summary.json";
+const LEARNED_FILE: &str = "learned.json";
+const DEVICES_FILE: &str = "devices.csv";
+const EVENTS_FILE: &str = "events.csv";
+const WINDOWS_FILE: &str = "windows.csv";
 /// Indices of the two tables in [`Tables`].
-const EVENT: usize = 0;
-const WINDOW: usize = 1;
+const EVENTS_TABLE: usize = 0;
+const WINDOWS_TABLE: usize = 1;
 /// Part files that a run killed during a write may have left.
-const PARTS: [&str; 5] = [
+const PART_FILES: [&str; 5] = [
     "resume.json.part",
     "scenario.toml.part",
     "summary.json.part",
@@ -59,8 +59,8 @@ const PARTS: [&str; 5] = [
 pub(crate) struct RunFolder {
     path: PathBuf,
     /// The lock, until the run has ended.
-    claim: Option<FolderLock>,
-    tables: Tables,
+    lock: Option<FolderLock>,
+    tables: TableWriter,
     devices: u32,
 }
 
@@ -71,27 +71,27 @@ impl RunFolder {
     /// If the folder is not empty, a run is writing there, or it cannot be written to.
     pub(crate) fn create(args: &OutputArgs, scenario: &Scenario) -> anyhow::Result<Self> {
         // Read before the folder is emptied, since it can hold these files.
-        let inputs = ScenarioFiles::read(scenario)?;
+        let files = ScenarioFiles::read(scenario)?;
         if let Some(path) = &args.resume {
             return Self::reopen(path, scenario);
         }
-        let (path, mut claim) = if let Some(path) = &args.out {
-            (path.clone(), clear(path, args.force)?)
+        let (path, mut lock) = if let Some(path) = &args.out {
+            (path.clone(), lock_and_clear(path, args.force)?)
         } else {
-            let path = free_name(scenario)?;
-            let claim = FolderLock::acquire(&path)?;
-            (path, claim)
+            let path = create_free_folder(scenario)?;
+            let lock = FolderLock::acquire(&path)?;
+            (path, lock)
         };
-        match fill(&path, &mut claim, &inputs, scenario) {
+        match write_first_files(&path, &mut lock, &files, scenario) {
             Ok(tables) => Ok(Self {
                 path,
-                claim: Some(claim),
+                lock: Some(lock),
                 tables,
                 devices: scenario.run.devices,
             }),
             Err(error) => {
                 // The files of a run that did not begin would block the next one.
-                let _emptied = empty(&path).is_ok() && claim.release().is_ok();
+                let _emptied = remove_run(&path).is_ok() && lock.release().is_ok();
                 Err(error)
             }
         }
@@ -99,19 +99,24 @@ impl RunFolder {
 
     /// Opens the folder of a run to resume. Its result files are written from the start.
     fn reopen(path: &Path, scenario: &Scenario) -> anyhow::Result<Self> {
-        let cannot = || format!("cannot write in the run folder {}", path.display());
-        let mut claim = FolderLock::acquire(path)?;
+        let write_error = || format!("cannot write in the run folder {}", path.display());
+        let mut lock = FolderLock::acquire(path)?;
         // Under the lock, so that no other run can complete it meanwhile.
         if is_complete(path) {
-            claim.abandon();
+            lock.abandon();
             bail!("--resume {}: the run in this folder has finished", path.display());
         }
-        claim.mark_running().with_context(cannot)?;
-        remove(path, [SUMMARY, LEARNED, FAILED, DEVICES].into_iter().chain(PARTS))?;
+        lock.mark_running().with_context(write_error)?;
+        remove_files(
+            path,
+            [SUMMARY_FILE, LEARNED_FILE, FAILED_FILE, DEVICES_FILE]
+                .into_iter()
+                .chain(PART_FILES),
+        )?;
         Ok(Self {
-            tables: tables(path).with_context(cannot)?,
+            tables: begin_tables(path).with_context(write_error)?,
             path: path.to_owned(),
-            claim: Some(claim),
+            lock: Some(lock),
             devices: scenario.run.devices,
         })
     }
@@ -124,7 +129,7 @@ impl RunFolder {
     /// The last part of its path, as a run name.
     pub(crate) fn name(&self) -> String {
         let name = self.path.file_name().unwrap_or_default().to_string_lossy();
-        let fits = |c: char| {
+        let to_name_char = |c: char| {
             if c.is_ascii_alphanumeric() || c == '-' || c == '_' {
                 c
             } else {
@@ -132,7 +137,12 @@ impl RunFolder {
             }
         };
         // A run name has at most 64 characters and does not begin with `-`.
-        let name: String = name.chars().map(fits).skip_while(|&c| c == '-').take(64).collect();
+        let name: String = name
+            .chars()
+            .map(to_name_char)
+            .skip_while(|&c| c == '-')
+            .take(64)
+            .collect();
         if name.is_empty() { "run".to_owned() } else { name }
     }
 
@@ -143,127 +153,142 @@ impl RunFolder {
     pub(crate) fn finish(
         mut self,
         scenario: &Scenario,
-        outcome: &Outcome,
+        outcome: &RunOutcome,
         summary: &Summary<'_>,
     ) -> anyhow::Result<()> {
-        let cannot = || format!("cannot write in the run folder {}", self.path.display());
+        let write_error = || format!("cannot write in the run folder {}", self.path.display());
         // The summary comes after all other files: with it the folder counts as complete.
-        self.tables.flush().with_context(cannot)?;
-        self.write_devices(scenario, outcome).with_context(cannot)?;
-        replace(&self.path.join(SUMMARY), summary.to_json()?.as_bytes()).with_context(cannot)?;
-        self.claim
+        self.tables.flush().with_context(write_error)?;
+        self.write_devices(scenario, outcome).with_context(write_error)?;
+        replace(&self.path.join(SUMMARY_FILE), summary.to_json()?.as_bytes()).with_context(write_error)?;
+        self.lock
             .take()
             .map_or(Ok(()), FolderLock::release)
-            .with_context(cannot)
+            .with_context(write_error)
     }
 
     /// Writes the tables that the policy learned in the run, if it learns.
-    pub(crate) fn write_learned(&self, scenario: &Scenario, outcome: &Outcome) -> anyhow::Result<()> {
-        let Some(learned) = learned_in(scenario, outcome) else {
+    pub(crate) fn write_learned(&self, scenario: &Scenario, outcome: &RunOutcome) -> anyhow::Result<()> {
+        let Some(learned) = learned_tables_of(scenario, outcome) else {
             return Ok(());
         };
-        replace(&self.path.join(LEARNED), learned.to_json().as_bytes())
+        replace(&self.path.join(LEARNED_FILE), learned.to_json().as_bytes())
             .with_context(|| format!("cannot write in the run folder {}", self.path.display()))
     }
 
-    fn write_devices(&self, scenario: &Scenario, outcome: &Outcome) -> anyhow::Result<()> {
+    fn write_devices(&self, scenario: &Scenario, outcome: &RunOutcome) -> anyhow::Result<()> {
         let mut rows = csv::Writer::from_writer(Vec::new());
-        rows.write_record(run_tables::DEVICES)?;
+        rows.write_record(run_tables::DEVICE_COLUMNS)?;
         for device in &outcome.devices {
-            rows.write_record(run_tables::device(scenario, device))?;
+            rows.write_record(run_tables::device_row(scenario, device))?;
         }
         let rows = rows.into_inner().context("a table in memory")?;
-        Ok(replace(&self.path.join(DEVICES), &rows)?)
+        Ok(replace(&self.path.join(DEVICES_FILE), &rows)?)
     }
 
     /// Marks the run as failed, with the reason.
-    pub(crate) fn fail(mut self, why: &anyhow::Error) {
-        self.mark(&format!("{why:#}\n"));
+    pub(crate) fn fail(mut self, reason: &anyhow::Error) {
+        self.mark_failed(&format!("{reason:#}\n"));
     }
 
-    fn mark(&mut self, why: &str) {
-        let Some(claim) = self.claim.take() else { return };
+    fn mark_failed(&mut self, reason: &str) {
+        let Some(lock) = self.lock.take() else { return };
         // The run has failed already, so errors in writing about it are ignored.
         let _ = self.tables.flush();
         // Written in place: on a full disk an empty mark is better than none.
-        let _ = fs::write(self.path.join(FAILED), why);
-        let _ = claim.release();
+        let _ = fs::write(self.path.join(FAILED_FILE), reason);
+        let _ = lock.release();
     }
 }
 
 impl Drop for RunFolder {
     fn drop(&mut self) {
-        self.mark("the run failed without a summary; its error is on the standard error of the command\n");
+        self.mark_failed("the run failed without a summary; its error is on the standard error of the command\n");
     }
 }
 
 impl Observer for RunFolder {
     fn notify(&mut self, notification: &Notification<'_>) {
         if let Notification::EventEnded(event) = notification {
-            self.tables.add(EVENT, run_tables::event(event));
+            self.tables.add(EVENTS_TABLE, run_tables::event_row(event));
         }
     }
 
     fn window_closed(&mut self, window: &WindowRecord) -> bool {
         if window.end > window.first {
-            self.tables.add(WINDOW, run_tables::window(self.devices, window));
+            self.tables
+                .add(WINDOWS_TABLE, run_tables::window_row(self.devices, window));
         }
         self.tables.has_no_error()
     }
 }
 
 /// Writes the first files of a run into a folder.
-fn fill(path: &Path, claim: &mut FolderLock, inputs: &ScenarioFiles, scenario: &Scenario) -> anyhow::Result<Tables> {
-    let cannot = || format!("cannot write in the run folder {}", path.display());
-    claim.mark_running().with_context(cannot)?;
-    inputs.write(path).with_context(cannot)?;
-    replace(&path.join(SCENARIO), inputs.to_toml(scenario).as_bytes()).with_context(cannot)?;
-    inputs.check(&path.join(SCENARIO), scenario)?;
-    tables(path).with_context(cannot)
+fn write_first_files(
+    path: &Path,
+    lock: &mut FolderLock,
+    files: &ScenarioFiles,
+    scenario: &Scenario,
+) -> anyhow::Result<TableWriter> {
+    let write_error = || format!("cannot write in the run folder {}", path.display());
+    lock.mark_running().with_context(write_error)?;
+    files.write(path).with_context(write_error)?;
+    replace(&path.join(SCENARIO_FILE), files.to_toml(scenario).as_bytes()).with_context(write_error)?;
+    files.check(&path.join(SCENARIO_FILE), scenario)?;
+    begin_tables(path).with_context(write_error)
 }
 
 /// Opens the tables that grow during the run.
-fn tables(path: &Path) -> anyhow::Result<Tables> {
+fn begin_tables(path: &Path) -> anyhow::Result<TableWriter> {
     let tables = [
-        (EVENTS, run_tables::EVENTS.to_vec()),
-        (WINDOWS, run_tables::window_columns().collect()),
+        (EVENTS_FILE, run_tables::EVENT_COLUMNS.to_vec()),
+        (WINDOWS_FILE, run_tables::window_columns().collect()),
     ];
-    Tables::begin(path, &tables)
+    TableWriter::begin(path, &tables)
 }
 
 /// Whether the run in a folder is complete.
 fn is_complete(path: &Path) -> bool {
-    let text = fs::read_to_string(path.join(SUMMARY)).unwrap_or_default();
+    let text = fs::read_to_string(path.join(SUMMARY_FILE)).unwrap_or_default();
     serde_json::from_str::<serde_json::Value>(&text).is_ok_and(|summary| summary["status"] == "complete")
 }
 
 /// Locks a folder, and removes an earlier run from it with `force`.
-fn clear(path: &Path, force: bool) -> anyhow::Result<FolderLock> {
+fn lock_and_clear(path: &Path, force: bool) -> anyhow::Result<FolderLock> {
     // A folder without a run gets no RUNNING file.
-    if !path.join(RUNNING).exists() {
+    if !path.join(RUNNING_FILE).exists() {
         check_free(path, force, false)?;
     }
-    let claim = FolderLock::acquire(path)?;
+    let lock = FolderLock::acquire(path)?;
     // Checked again under the lock: another run may have used the folder meanwhile.
-    if let Err(refusal) = check_free(path, force, claim.was_killed()) {
-        claim.abandon();
+    if let Err(refusal) = check_free(path, force, lock.was_killed()) {
+        lock.abandon();
         return Err(refusal);
     }
-    empty(path)?;
-    Ok(claim)
+    remove_run(path)?;
+    Ok(lock)
 }
 
 /// Removes the files of a run from a folder, except the running mark.
-fn empty(path: &Path) -> anyhow::Result<()> {
-    let files = [SUMMARY, LEARNED, FAILED, DEVICES, EVENTS, WINDOWS, INPUTS, MARK];
+fn remove_run(path: &Path) -> anyhow::Result<()> {
+    let files = [
+        SUMMARY_FILE,
+        LEARNED_FILE,
+        FAILED_FILE,
+        DEVICES_FILE,
+        EVENTS_FILE,
+        WINDOWS_FILE,
+        INPUT_LOG_FILE,
+        RESUME_MARK_FILE,
+    ];
     // scenario.toml goes last: a half-emptied folder must still count as a run, which --force may replace.
-    remove(path, files.into_iter().chain(PARTS).chain([SCENARIO]))?;
-    let inputs = path.join(scenario_files::FOLDER);
-    scenario_files::remove(path).with_context(|| format!("cannot replace {}", inputs.display()))
+    remove_files(path, files.into_iter().chain(PART_FILES).chain([SCENARIO_FILE]))?;
+    let files_folder = path.join(scenario_files::FOLDER);
+    scenario_files::remove(path).with_context(|| format!("cannot replace {}", files_folder.display()))
 }
 
 /// Removes the files that exist from a folder.
-fn remove(path: &Path, names: impl Iterator<Item = &'static str>) -> anyhow::Result<()> {
+fn remove_files(path: &Path, names: impl Iterator<Item = &'static str>) -> anyhow::Result<()> {
     for name in names {
         let file = path.join(name);
         if file.exists() {
@@ -278,11 +303,11 @@ fn check_free(path: &Path, force: bool, was_killed: bool) -> anyhow::Result<()> 
     let Ok(files) = fs::read_dir(path) else {
         return Ok(());
     };
-    let is_mark = |file: &fs::DirEntry| file.file_name() == RUNNING;
-    if files.flatten().all(|file| is_mark(&file)) {
+    let is_running_file = |file: &fs::DirEntry| file.file_name() == RUNNING_FILE;
+    if files.flatten().all(|file| is_running_file(&file)) {
         return Ok(());
     }
-    let is_run = was_killed || path.join(SCENARIO).exists();
+    let is_run = was_killed || path.join(SCENARIO_FILE).exists();
     if force && is_run {
         return Ok(());
     }
@@ -298,7 +323,7 @@ fn check_free(path: &Path, force: bool, was_killed: bool) -> anyhow::Result<()> 
 }
 
 /// Creates a new folder under `runs/`. It is created here, so that two runs never share one.
-fn free_name(scenario: &Scenario) -> anyhow::Result<PathBuf> {
+fn create_free_folder(scenario: &Scenario) -> anyhow::Result<PathBuf> {
     fs::create_dir_all("runs").context("cannot create the folder runs here; name another folder with --out")?;
     let stem = format!(
         "{}-n{}-s{}",

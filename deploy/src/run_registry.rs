@@ -1,4 +1,5 @@
-//! The registry of runs on this machine, so that `inspect` and `clock` find a run without an address.
+//! The registry of runs on this machine, so that `inspect`, `dashboard` and `clock` find a run without an address. `bs`
+//! and `up` register; a registered key is only for the same user, so the folder must belong to that user alone.
 
 use std::fs::{self, OpenOptions};
 use std::io::{self, Write};
@@ -47,28 +48,31 @@ impl Drop for Registration {
 /// # Errors
 /// If the entry cannot be written.
 pub(crate) fn register(run: &RunName, endpoint: &str, key: Option<Secret>) -> anyhow::Result<Registration> {
-    let folder = folder();
-    // Anything else at this path, such as a link, is refused by `check`.
-    if folder.symlink_metadata().is_err() {
-        let made = fs::DirBuilder::new().recursive(true).mode(0o700).create(&folder);
-        made.with_context(|| format!("cannot create {}", folder.display()))?;
+    let registry_folder = registry_folder();
+    // Anything else at this path, such as a link, is refused by `check_folder`.
+    if registry_folder.symlink_metadata().is_err() {
+        let made = fs::DirBuilder::new()
+            .recursive(true)
+            .mode(0o700)
+            .create(&registry_folder);
+        made.with_context(|| format!("cannot create {}", registry_folder.display()))?;
     }
-    check(&folder)?;
+    check_folder(&registry_folder)?;
     let pid = i32::try_from(std::process::id()).context("process ids are 31 bits")?;
     // The pid keeps runs of the same name apart.
-    let path = folder.join(format!("{run}-{pid}.json"));
+    let path = registry_folder.join(format!("{run}-{pid}.json"));
     let entry = RegistryEntry {
         run: run.to_string(),
         endpoint: endpoint.to_owned(),
         pid,
         key: key.map(|key| key.to_string()),
     };
-    write(&path, &serde_json::to_vec(&entry)?).with_context(|| format!("cannot write {}", path.display()))?;
+    write_entry(&path, &serde_json::to_vec(&entry)?).with_context(|| format!("cannot write {}", path.display()))?;
     Ok(Registration(path))
 }
 
 /// Writes an entry that other users cannot read.
-fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
+fn write_entry(path: &Path, bytes: &[u8]) -> io::Result<()> {
     // Left by a killed process with the same pid.
     if path.symlink_metadata().is_ok() {
         fs::remove_file(path)?;
@@ -78,11 +82,11 @@ fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
 }
 
 /// Returns an error for a folder that other users may have written to, since its entries are trusted.
-fn check(folder: &Path) -> anyhow::Result<()> {
+fn check_folder(registry_folder: &Path) -> anyhow::Result<()> {
     let own = rustix::process::getuid().as_raw();
-    let named = folder.display();
+    let named = registry_folder.display();
     // Not `metadata`, which follows a link into a folder of another user.
-    let found = folder.symlink_metadata().with_context(|| named.to_string())?;
+    let found = registry_folder.symlink_metadata().with_context(|| named.to_string())?;
     if !found.is_dir() {
         bail!("{named} must be a folder, but is a link or a file; remove it");
     }
@@ -117,11 +121,11 @@ pub(crate) fn find(target: &TargetArgs) -> anyhow::Result<RunAddress> {
             run: run.clone(),
         });
     }
-    let entries: Vec<RegistryEntry> = entries()?
+    let live_entries: Vec<RegistryEntry> = live_entries()?
         .into_iter()
         .filter(|entry| target.run.as_ref().is_none_or(|run| run.to_string() == entry.run))
         .collect();
-    match &entries[..] {
+    match &live_entries[..] {
         [entry] => Ok(RunAddress {
             endpoint: entry.endpoint.clone(),
             run: entry.run.parse()?,
@@ -144,11 +148,11 @@ pub(crate) fn find(target: &TargetArgs) -> anyhow::Result<RunAddress> {
 
 /// The key of a run given by its address, if it runs on this machine.
 fn key_of(endpoint: &str, run: &RunName) -> Option<Secret> {
-    let entries = entries().ok()?;
-    let own = entries
+    let live_entries = live_entries().ok()?;
+    let entry = live_entries
         .iter()
         .find(|entry| entry.endpoint == endpoint && entry.run == run.to_string());
-    own.and_then(RegistryEntry::key)
+    entry.and_then(RegistryEntry::key)
 }
 
 impl RegistryEntry {
@@ -158,15 +162,15 @@ impl RegistryEntry {
 }
 
 /// The entries of live processes; entries of ended processes are removed.
-fn entries() -> anyhow::Result<Vec<RegistryEntry>> {
-    let folder = folder();
-    if folder.symlink_metadata().is_err() {
+fn live_entries() -> anyhow::Result<Vec<RegistryEntry>> {
+    let registry_folder = registry_folder();
+    if registry_folder.symlink_metadata().is_err() {
         return Ok(Vec::new());
     }
-    check(&folder).map_err(|why| {
+    check_folder(&registry_folder).map_err(|why| {
         anyhow!("{why:#}; or give --run and --connect, or set XDG_RUNTIME_DIR to a folder that only you can write to")
     })?;
-    let files = fs::read_dir(&folder).with_context(|| folder.display().to_string())?;
+    let files = fs::read_dir(&registry_folder).with_context(|| registry_folder.display().to_string())?;
     let mut found = Vec::new();
     for path in files.flatten().map(|file| file.path()) {
         let entry: Option<RegistryEntry> = fs::read(&path)
@@ -188,11 +192,11 @@ fn is_alive(pid: i32) -> bool {
     rustix::process::Pid::from_raw(pid).is_some_and(|pid| rustix::process::test_kill_process(pid).is_ok())
 }
 
-fn folder() -> PathBuf {
+fn registry_folder() -> PathBuf {
     let given = std::env::var_os("XDG_RUNTIME_DIR").map(PathBuf::from);
     // The XDG specification asks programs to ignore a relative path.
-    match given.filter(|folder| folder.is_absolute()) {
-        Some(folder) => folder.join("reveille"),
+    match given.filter(|registry_folder| registry_folder.is_absolute()) {
+        Some(registry_folder) => registry_folder.join("reveille"),
         None => std::env::temp_dir().join(format!("reveille-{}", rustix::process::getuid().as_raw())),
     }
 }

@@ -1,5 +1,6 @@
 //! The rows of the tables in a run folder: events, windows of TTIs, devices.
 //!
+//! `run_folder` writes them. The columns and their order are a file format, documented in `docs/results.md`.
 //! Energies are in units; whole numbers of micro-units are written exactly, with six decimals.
 
 use reveille_bs::scenario::Scenario;
@@ -9,7 +10,7 @@ use reveille_common::totals::{PICO_PER_INFORMATION, Totals};
 use reveille_common::units::{Energy, MICRO_PER_UNIT};
 
 /// The columns of `events.csv`.
-pub(crate) const EVENTS: [&str; 12] = [
+pub(crate) const EVENT_COLUMNS: [&str; 12] = [
     "event",
     "start_tti",
     "last_tti",
@@ -25,7 +26,7 @@ pub(crate) const EVENTS: [&str; 12] = [
 ];
 
 /// The columns of `devices.csv`.
-pub(crate) const DEVICES: [&str; 20] = [
+pub(crate) const DEVICE_COLUMNS: [&str; 20] = [
     "device",
     "x_m",
     "y_m",
@@ -71,7 +72,7 @@ const WINDOW_EVENTS: [&str; 6] = [
 ];
 
 /// The row of an event.
-pub(crate) fn event(record: &EventRecord) -> [String; EVENTS.len()] {
+pub(crate) fn event_row(record: &EventRecord) -> [String; EVENT_COLUMNS.len()] {
     let tally = record.tally;
     [
         record.event.0.to_string(),
@@ -83,32 +84,32 @@ pub(crate) fn event(record: &EventRecord) -> [String; EVENTS.len()] {
         record.delay().map_or_else(String::new, |delay| delay.to_string()),
         tally.reports.to_string(),
         tally.wake_ups.to_string(),
-        information(u128::from(tally.information_pico)),
+        format_information(u128::from(tally.information_pico)),
         tally.wrong_activations.to_string(),
-        units(tally.wasted),
+        format_units(tally.wasted),
     ]
 }
 
 /// The row of a device, over the measured TTIs.
-pub(crate) fn device(scenario: &Scenario, record: &DeviceRecord) -> [String; DEVICES.len()] {
+pub(crate) fn device_row(scenario: &Scenario, record: &DeviceRecord) -> [String; DEVICE_COLUMNS.len()] {
     let (sums, spent) = (record.ledger.measured, record.ledger.measured.spent);
     let EventActivity {
         reports,
         wake_ups,
         heard,
         wrong_activations,
-    } = record.acts;
+    } = record.activity;
     let class = scenario.classes.get(usize::from(record.class));
     [
         record.device.to_string(),
         record.position.x.to_string(),
         record.position.y.to_string(),
         class.map_or_else(String::new, |class| class.name.clone()),
-        units(spent.sensing),
-        units(spent.sleep),
-        units(spent.report),
-        units(sums.harvested),
-        units(sums.overflow),
+        format_units(spent.sensing),
+        format_units(spent.sleep),
+        format_units(spent.report),
+        format_units(sums.harvested),
+        format_units(sums.overflow),
         reports.to_string(),
         wake_ups.to_string(),
         heard.to_string(),
@@ -118,8 +119,8 @@ pub(crate) fn device(scenario: &Scenario, record: &DeviceRecord) -> [String; DEV
         sums.low_ttis.to_string(),
         sums.unpowered_ttis.to_string(),
         record.ledger.longest_outage.to_string(),
-        units(sums.initial),
-        units(sums.battery),
+        format_units(sums.initial),
+        format_units(sums.battery),
     ]
 }
 
@@ -132,7 +133,7 @@ pub(crate) fn window_columns() -> impl Iterator<Item = &'static str> {
 }
 
 /// The row of a window of TTIs with `devices` devices.
-pub(crate) fn window(devices: u32, record: &WindowRecord) -> impl Iterator<Item = String> {
+pub(crate) fn window_row(devices: u32, record: &WindowRecord) -> impl Iterator<Item = String> {
     let sums = record.events;
     let totals = Totals {
         devices: u64::from(devices),
@@ -148,18 +149,18 @@ pub(crate) fn window(devices: u32, record: &WindowRecord) -> impl Iterator<Item 
         sums.events.to_string(),
         sums.misdetected.to_string(),
         sums.delay_ttis.to_string(),
-        information(sums.information_pico),
+        format_information(sums.information_pico),
         sums.wake_ups.to_string(),
         sums.wrong_activations.to_string(),
     ];
     times.into_iter().chain(means).chain(events)
 }
 
-fn information(pico: u128) -> String {
+fn format_information(pico: u128) -> String {
     (pico as f64 / PICO_PER_INFORMATION).to_string()
 }
 
-fn units(energy: Energy) -> String {
+fn format_units(energy: Energy) -> String {
     // In whole numbers: an f64 would round a large energy.
     let micro = energy.micro();
     format!("{}.{:06}", micro / MICRO_PER_UNIT, micro % MICRO_PER_UNIT)
@@ -171,7 +172,7 @@ mod tests {
 
     #[test]
     fn energies_are_written_exactly() {
-        let texts = [0, 1, 999_999, 1_000_000, 12_345_678_901].map(|micro| units(Energy::from_micro(micro)));
+        let texts = [0, 1, 999_999, 1_000_000, 12_345_678_901].map(|micro| format_units(Energy::from_micro(micro)));
         assert_eq!(texts, ["0.000000", "0.000001", "0.999999", "1.000000", "12345.678901"]);
     }
 }

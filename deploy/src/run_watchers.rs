@@ -1,4 +1,5 @@
-//! The watchers of a run within its process: its recording and its metrics.
+//! The watchers of a run within its process: its recording (`--record`) and its metrics (`--metrics`). `run`, `up` and
+//! `bs` start them before the first TTI and pass them every frame. They never change the run's results.
 
 use std::sync::Arc;
 
@@ -10,7 +11,7 @@ use reveille_view::recording::RecorderHandle;
 
 use crate::cli::OutputArgs;
 use crate::metrics_server;
-use crate::paths::check_place;
+use crate::paths::check_output_path;
 use crate::recording::{RunRecording, is_growing};
 
 /// The watchers that the command line requests.
@@ -40,10 +41,10 @@ pub(crate) fn check(args: &OutputArgs) -> anyhow::Result<()> {
                 path.display()
             );
         }
-        check_place(path, "the recording")?;
+        check_output_path(path, "the recording")?;
     }
     if let Some(address) = &args.metrics {
-        metrics_server::can_listen("--metrics", address)?;
+        metrics_server::check_can_listen("--metrics", address)?;
     }
     Ok(())
 }
@@ -61,13 +62,15 @@ impl RunWatchers {
         process: impl Fn() -> ProcessStats + Send + Sync + 'static,
     ) -> anyhow::Result<Self> {
         let recording = RunRecording::start(args, run, scenario)?;
-        let tape = recording.recorder();
+        let recorder = recording.recorder();
         let metrics = match &args.metrics {
             Some(address) => {
                 let metrics = PrometheusMetrics::new(run, scenario);
-                let own = tape.clone();
+                let metrics_recorder = recorder.clone();
                 let process = move || ProcessStats {
-                    recorder_waited_s: own.as_ref().map_or(0.0, |tape| tape.waited().as_secs_f64()),
+                    recorder_waited_s: metrics_recorder
+                        .as_ref()
+                        .map_or(0.0, |recorder| recorder.waited().as_secs_f64()),
                     ..process()
                 };
                 metrics_server::serve(address, Arc::clone(&metrics), Arc::new(process)).await?;
@@ -77,22 +80,22 @@ impl RunWatchers {
         };
         Ok(Self {
             recording,
-            recorder: tape,
+            recorder,
             metrics,
         })
     }
 
     /// The sink for every frame, if a watcher needs one.
     pub(crate) fn sink(&self) -> Option<Box<FrameSink>> {
-        let (tape, metrics) = (self.recorder.clone(), self.metrics.clone());
-        (tape.is_some() || metrics.is_some()).then(|| -> Box<FrameSink> {
+        let (recorder, metrics) = (self.recorder.clone(), self.metrics.clone());
+        (recorder.is_some() || metrics.is_some()).then(|| -> Box<FrameSink> {
             Box::new(move |frame| {
-                // Counted first, since the tape can wait for the disk.
+                // Counted first, since the recorder can wait for the disk.
                 if let Some(metrics) = &metrics {
-                    metrics.count(frame);
+                    metrics.count_frame(frame);
                 }
-                if let Some(tape) = &tape {
-                    tape.take(frame.clone());
+                if let Some(recorder) = &recorder {
+                    recorder.push(frame.clone());
                 }
             })
         })
@@ -103,10 +106,10 @@ impl RunWatchers {
         self.metrics.clone().map(MetricsObserver)
     }
 
-    /// Returns a check whether the recording has failed.
-    pub(crate) fn is_broken(&self) -> impl Fn() -> bool + use<> {
-        let tape = self.recorder.clone();
-        move || tape.as_ref().is_some_and(|tape| tape.failure().is_some())
+    /// Returns a function that tells whether the recording has failed.
+    pub(crate) fn recording_failure_check(&self) -> impl Fn() -> bool + use<> {
+        let recorder = self.recorder.clone();
+        move || recorder.as_ref().is_some_and(|recorder| recorder.failure().is_some())
     }
 
     /// Closes the recording, with the text of the summary if the run has one.

@@ -1,4 +1,5 @@
-//! Machine services for the command line: the time, runtimes for sessions, and the median of measurements.
+//! Machine services for the command line: the time, tokio runtimes for bus sessions, and the median of measurements.
+//! The time read here is only for reports and timeouts; it must never reach a run's results.
 
 /// The current time, for durations.
 #[expect(clippy::disallowed_methods, reason = "the command line reports how long things took")]
@@ -23,10 +24,10 @@ pub(crate) fn runtime(workers: usize) -> std::io::Result<tokio::runtime::Runtime
 /// If the command fails, or the threads cannot be started.
 pub(crate) fn drive<T>(workers: usize, command: impl Future<Output = anyhow::Result<T>>) -> anyhow::Result<T> {
     let runtime = runtime(workers)?;
-    let ended = runtime.block_on(command);
+    let result = runtime.block_on(command);
     // A drop would wait for blocking tasks, such as a search through a long run for the dashboard.
     runtime.shutdown_background();
-    ended
+    result
 }
 
 /// The median of `values`; NaN if empty.

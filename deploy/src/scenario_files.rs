@@ -1,4 +1,5 @@
 //! The scenario files, copied to the run folder: the folder can be moved, and the run repeated without the originals.
+//! A recording holds the same copies ([`ScenarioFiles::bundle`]).
 
 use std::fs;
 use std::io;
@@ -6,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use reveille_bs::scenario::{Scenario, load};
-use reveille_view::recording::Bundle;
+use reveille_view::recording::ScenarioBundle;
 
 /// The subfolder of the copies in a run folder.
 pub(crate) const FOLDER: &str = "scenario-files";
@@ -27,15 +28,15 @@ impl ScenarioFiles {
     /// # Errors
     /// If a file cannot be read any more.
     pub(crate) fn read(scenario: &Scenario) -> anyhow::Result<Self> {
-        let mut inputs: Vec<ScenarioFile> = Vec::new();
+        let mut files: Vec<ScenarioFile> = Vec::new();
         for path in scenario.files() {
             let bytes = fs::read(&path).with_context(|| format!("cannot read {}", path.display()))?;
-            let is_taken = |name: &str| inputs.iter().any(|input| input.name == name);
+            let is_taken = |name: &str| files.iter().any(|file| file.name == name);
             // The copies of files from several folders share one folder, so their names must differ.
             let name = free_name(&path, is_taken);
-            inputs.push(ScenarioFile { path, name, bytes });
+            files.push(ScenarioFile { path, name, bytes });
         }
-        Ok(Self(inputs))
+        Ok(Self(files))
     }
 
     /// Writes the copies to the run folder `folder`.
@@ -50,10 +51,10 @@ impl ScenarioFiles {
         fs::create_dir_all(&folder)?;
         self.0
             .iter()
-            .try_for_each(|input| fs::write(folder.join(&input.name), &input.bytes))
+            .try_for_each(|file| fs::write(folder.join(&file.name), &file.bytes))
     }
 
-    /// Checks that the scenario file at `path`, which names the copies, gives `scenario`.
+    /// Checks that `scenario.toml` of the run folder, at `path`, gives `scenario` when read with the copied files.
     ///
     /// # Errors
     /// If a scenario file changed after it was read.
@@ -62,7 +63,7 @@ impl ScenarioFiles {
             return Ok(());
         }
         let copy = load(&path.to_string_lossy(), &[])?.scenario;
-        let names: Vec<String> = self.0.iter().map(|input| input.path.display().to_string()).collect();
+        let names: Vec<String> = self.0.iter().map(|file| file.path.display().to_string()).collect();
         anyhow::ensure!(
             copy.hash_hex() == scenario.hash_hex(),
             "a scenario file was changed while it was read ({}); start the run again",
@@ -72,19 +73,19 @@ impl ScenarioFiles {
     }
 
     /// Bundles `scenario` with its files.
-    pub(crate) fn bundle(&self, scenario: &Scenario) -> Bundle {
-        let file = |input: &ScenarioFile| (format!("{FOLDER}/{}", input.name), input.bytes.clone());
-        Bundle {
+    pub(crate) fn bundle(&self, scenario: &Scenario) -> ScenarioBundle {
+        let file = |file: &ScenarioFile| (format!("{FOLDER}/{}", file.name), file.bytes.clone());
+        ScenarioBundle {
             scenario: self.to_toml(scenario),
             files: self.0.iter().map(file).collect(),
         }
     }
 
-    /// Formats `scenario` as the run folder's scenario file, which names the copies.
+    /// Formats `scenario` as `scenario.toml` of the run folder, which refers to the copied files, not to the originals.
     pub(crate) fn to_toml(&self, scenario: &Scenario) -> String {
-        scenario.to_toml_with(|path| {
-            let copy = self.0.iter().find(|input| input.path == path);
-            copy.map(|input| format!("{FOLDER}/{}", input.name))
+        scenario.to_toml_with_files(|path| {
+            let copy = self.0.iter().find(|file| file.path == path);
+            copy.map(|file| format!("{FOLDER}/{}", file.name))
         })
     }
 }
@@ -103,16 +104,16 @@ pub(crate) fn remove(folder: &Path) -> io::Result<()> {
 /// The file name of `path`, numbered if the name is taken.
 fn free_name(path: &Path, is_taken: impl Fn(&str) -> bool) -> String {
     let text = |part: Option<&std::ffi::OsStr>| part.unwrap_or_default().to_string_lossy().into_owned();
-    let (stem, ending) = (text(path.file_stem()), text(path.extension()));
-    let ending = if ending.is_empty() {
-        ending
+    let (stem, extension) = (text(path.file_stem()), text(path.extension()));
+    let extension = if extension.is_empty() {
+        extension
     } else {
-        format!(".{ending}")
+        format!(".{extension}")
     };
-    let mut name = format!("{stem}{ending}");
+    let mut name = format!("{stem}{extension}");
     let mut number = 2;
     while is_taken(&name) {
-        name = format!("{stem}-{number}{ending}");
+        name = format!("{stem}-{number}{extension}");
         number += 1;
     }
     name

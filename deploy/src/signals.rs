@@ -3,7 +3,7 @@
 //!
 //! A command installs its handlers once, before it prints anything or creates a folder, and keeps them to its end.
 //! Before that, the kernel ends it at a signal. A separate thread receives every signal, so that neither a later wait
-//! nor a busy runtime misses one.
+//! nor a busy runtime misses one. Every command whose work takes long uses [`Signals`]; its exit code is in `exit`.
 
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::time::Duration;
@@ -17,17 +17,17 @@ use crate::display::note;
 use crate::exit::ExitReason;
 
 /// Time between two checks for a signal by a thread that waits for something else.
-const LOOK: Duration = Duration::from_millis(20);
-/// Time from a signal to the end enforced by [`Signals::insist`].
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
+/// Time from a signal to the end enforced by [`Signals::force_exit_after_signal`].
 const GRACE: Duration = Duration::from_secs(1);
 
-/// The reaction of a process to its signals, in addition to recording the first.
+/// How a process reacts to its signals, in addition to recording the first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Manner {
+pub(crate) enum SignalMode {
     /// A process with results to keep: announces its end at the first signal. The second ends it immediately.
-    Keeps,
+    SavesResults,
     /// A process without results to keep. The second signal ends it immediately.
-    Leaves,
+    HasNoResults,
     /// A process that ends its process group, itself included, with the same signals: further ones change nothing.
     EndsGroup,
 }
@@ -35,7 +35,7 @@ pub(crate) enum Manner {
 /// The signals that end a command. Once installed, none of them ends the process by default.
 #[derive(Clone, Debug)]
 pub(crate) struct Signals {
-    has_come: watch::Receiver<bool>,
+    has_arrived: watch::Receiver<bool>,
 }
 
 impl Signals {
@@ -43,75 +43,83 @@ impl Signals {
     ///
     /// # Errors
     /// If the handlers cannot be installed, or their thread cannot be started.
-    pub(crate) fn install(manner: Manner) -> io::Result<Self> {
+    pub(crate) fn install(mode: SignalMode) -> io::Result<Self> {
         // `nohup` asks to outlive the terminal.
-        let hang_up = (!is_under_nohup()).then_some(SIGHUP);
+        let hang_up_signal = (!is_under_nohup()).then_some(SIGHUP);
         // Not tokio's streams: their handlers are installed before the stream exists, and a signal in between is lost
         // if a runtime already runs.
-        let mut signals = iterator::Signals::new([SIGINT, SIGTERM].into_iter().chain(hang_up))?;
-        let (sender, has_come) = watch::channel(false);
+        let mut signals = iterator::Signals::new([SIGINT, SIGTERM].into_iter().chain(hang_up_signal))?;
+        let (sender, has_arrived) = watch::channel(false);
         thread::Builder::new().name("signals".to_owned()).spawn(move || {
             for signal in signals.forever() {
                 // `send_replace` returns the old value, so exactly one signal is the first.
-                answer(manner, signal, !sender.send_replace(true));
+                react(mode, signal, !sender.send_replace(true));
             }
         })?;
-        Ok(Self { has_come })
+        Ok(Self { has_arrived })
     }
 
     /// Whether a signal has arrived.
-    pub(crate) fn have_come(&self) -> bool {
-        *self.has_come.borrow()
+    pub(crate) fn has_arrived(&self) -> bool {
+        *self.has_arrived.borrow()
     }
 
     /// Waits for the first signal, which may have arrived already.
-    pub(crate) async fn first(&self) {
+    pub(crate) async fn wait_for_first(&self) {
         // The thread lasts as long as the process.
-        let _lasts = self.has_come.clone().wait_for(|has_come| *has_come).await.is_ok();
+        let _lasts = self
+            .has_arrived
+            .clone()
+            .wait_for(|has_arrived| *has_arrived)
+            .await
+            .is_ok();
     }
 
     /// Returns the result of `work`, or `None` if a signal arrives first.
-    pub(crate) async fn or<T>(&self, work: impl Future<Output = T>) -> Option<T> {
+    pub(crate) async fn unless_interrupted<T>(&self, work: impl Future<Output = T>) -> Option<T> {
         tokio::select! {
             done = work => Some(done),
-            () = self.first() => None,
+            () = self.wait_for_first() => None,
         }
     }
 
-    /// Ends the program with `last_words` if it lasts for [`GRACE`] after a signal, unless the returned value is
+    /// Ends the program with `exit_message` if it lasts for [`GRACE`] after a signal, unless the returned value is
     /// dropped by then: for a command whose work does not check for signals.
     ///
     /// # Errors
     /// If the thread cannot be started.
-    pub(crate) fn insist(&self, last_words: impl FnOnce() -> String + Send + 'static) -> io::Result<Insistence> {
+    pub(crate) fn force_exit_after_signal(
+        &self,
+        exit_message: impl FnOnce() -> String + Send + 'static,
+    ) -> io::Result<ForcedExit> {
         let signals = self.clone();
-        let (over, dropped) = channel();
+        let (keep_alive, is_dropped) = channel();
         thread::Builder::new().name("insistence".to_owned()).spawn(move || {
-            // Nothing is ever sent: the channel closes when the `Insistence` is dropped.
-            let is_over = |patience| dropped.recv_timeout(patience) == Err(RecvTimeoutError::Disconnected);
-            while !signals.have_come() {
-                if is_over(LOOK) {
+            // Nothing is ever sent: the channel closes when the `ForcedExit` is dropped.
+            let is_over = |timeout| is_dropped.recv_timeout(timeout) == Err(RecvTimeoutError::Disconnected);
+            while !signals.has_arrived() {
+                if is_over(POLL_INTERVAL) {
                     return;
                 }
             }
             if !is_over(GRACE) {
-                note!("reveille: {}", last_words());
-                ExitReason::Interrupted.now();
+                note!("reveille: {}", exit_message());
+                ExitReason::Interrupted.exit_now();
             }
         })?;
-        Ok(Insistence(over))
+        Ok(ForcedExit(keep_alive))
     }
 }
 
 /// Ends the program soon after a signal, until this is dropped.
-pub(crate) struct Insistence(#[expect(dead_code, reason = "it is dropped, and nothing else")] Sender<()>);
+pub(crate) struct ForcedExit(#[expect(dead_code, reason = "it is dropped, and nothing else")] Sender<()>);
 
 /// Runs `work` on another thread. Returns its result, or `None` if `is_over` first; the thread then ends with the
 /// process.
 ///
 /// # Errors
 /// If the thread cannot be started, or panics.
-pub(crate) fn aside<T: Send + 'static>(
+pub(crate) fn run_on_thread<T: Send + 'static>(
     work: impl FnOnce() -> T + Send + 'static,
     is_over: impl Fn() -> bool,
 ) -> anyhow::Result<Option<T>> {
@@ -121,7 +129,7 @@ pub(crate) fn aside<T: Send + 'static>(
         let _given_up = sender.send(work()).is_err();
     })?;
     loop {
-        match receiver.recv_timeout(LOOK) {
+        match receiver.recv_timeout(POLL_INTERVAL) {
             Ok(done) => return Ok(Some(done)),
             Err(RecvTimeoutError::Timeout) if is_over() => return Ok(None),
             Err(RecvTimeoutError::Timeout) => {}
@@ -131,21 +139,23 @@ pub(crate) fn aside<T: Send + 'static>(
 }
 
 /// Reacts to a signal.
-fn answer(manner: Manner, signal: i32, is_first: bool) {
-    match manner {
-        Manner::Keeps if is_first => {
+fn react(mode: SignalMode, signal: i32, is_first: bool) {
+    match mode {
+        SignalMode::SavesResults if is_first => {
             tracing::warn!("interrupted; saving the results so far (repeat the signal to end immediately)");
         }
         // A terminal that closes sends SIGHUP more than once: from the kernel, and from its shell.
-        Manner::Keeps | Manner::Leaves if !is_first && signal != SIGHUP => ExitReason::Interrupted.now(),
-        Manner::Keeps | Manner::Leaves | Manner::EndsGroup => {}
+        SignalMode::SavesResults | SignalMode::HasNoResults if !is_first && signal != SIGHUP => {
+            ExitReason::Interrupted.exit_now()
+        }
+        SignalMode::SavesResults | SignalMode::HasNoResults | SignalMode::EndsGroup => {}
     }
 }
 
 /// Whether this process was started to ignore the closing of its terminal.
 fn is_under_nohup() -> bool {
     let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
-    let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
-    mask.is_some_and(|mask| mask >> (SIGHUP - 1) & 1 == 1)
+    let ignored_mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let ignored_mask = ignored_mask.and_then(|ignored_mask| u64::from_str_radix(ignored_mask.trim(), 16).ok());
+    ignored_mask.is_some_and(|ignored_mask| ignored_mask >> (SIGHUP - 1) & 1 == 1)
 }

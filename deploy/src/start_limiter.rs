@@ -1,17 +1,17 @@
-//! The limit on device processes that start at the same time.
+//! The limit on device processes that start at the same time, for `supervisor`.
 //!
 //! A starting process needs milliseconds of a core until its devices run. A thousand processes started together would
 //! delay each other beyond the timeouts of links and base station, so each waits before it starts.
 
 use std::num::NonZero;
 
-/// Starting processes per core.
-const EACH: usize = 16;
+/// Processes per core that may be starting at the same time.
+const STARTS_PER_CORE: usize = 16;
 
 /// Limits the number of starting processes.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct StartLimiter {
-    at_once: usize,
+    max_starting: usize,
 }
 
 impl StartLimiter {
@@ -21,15 +21,17 @@ impl StartLimiter {
     }
 
     const fn for_cores(cores: usize) -> Self {
-        Self { at_once: EACH * cores }
+        Self {
+            max_starting: STARTS_PER_CORE * cores,
+        }
     }
 
-    /// The number of `waiting` processes that may start now, if `living` have been started and `there` of them already
+    /// The number of `waiting` processes that may start now, if `living` have been started and `joined` of them already
     /// run their devices.
-    pub(crate) fn allowed_starts(self, waiting: usize, living: usize, there: usize) -> usize {
-        // Two threads count these, so `there` can exceed `living` for a moment.
-        let on_their_way = living.saturating_sub(there);
-        self.at_once.saturating_sub(on_their_way).min(waiting)
+    pub(crate) fn allowed_starts(self, waiting: usize, living: usize, joined: usize) -> usize {
+        // Two threads count these, so `joined` can exceed `living` for a moment.
+        let starting = living.saturating_sub(joined);
+        self.max_starting.saturating_sub(starting).min(waiting)
     }
 }
 
@@ -39,14 +41,14 @@ mod tests {
 
     #[test]
     fn no_more_starts_than_the_machine_can_take() {
-        let muster = StartLimiter::for_cores(2);
-        assert_eq!(muster.allowed_starts(1000, 0, 0), 32);
-        assert_eq!(muster.allowed_starts(968, 32, 0), 0);
-        assert_eq!(muster.allowed_starts(968, 32, 5), 5);
-        assert_eq!(muster.allowed_starts(3, 40, 40), 3);
-        assert_eq!(muster.allowed_starts(0, 40, 40), 0);
+        let limiter = StartLimiter::for_cores(2);
+        assert_eq!(limiter.allowed_starts(1000, 0, 0), 32);
+        assert_eq!(limiter.allowed_starts(968, 32, 0), 0);
+        assert_eq!(limiter.allowed_starts(968, 32, 5), 5);
+        assert_eq!(limiter.allowed_starts(3, 40, 40), 3);
+        assert_eq!(limiter.allowed_starts(0, 40, 40), 0);
         assert_eq!(
-            muster.allowed_starts(7, 30, 33),
+            limiter.allowed_starts(7, 30, 33),
             7,
             "ended processes can still be counted"
         );
@@ -54,14 +56,14 @@ mod tests {
 
     #[test]
     fn all_processes_start_even_if_slow() {
-        let muster = StartLimiter::for_cores(1);
-        let (mut waiting, mut living, mut there, mut most) = (1000, 0, 0, 0);
-        while there < 1000 {
-            let now = muster.allowed_starts(waiting, living, there);
-            (waiting, living) = (waiting - now, living + now);
-            most = most.max(living - there);
-            there += 1;
+        let limiter = StartLimiter::for_cores(1);
+        let (mut waiting, mut living, mut joined, mut most_starting) = (1000, 0, 0, 0);
+        while joined < 1000 {
+            let allowed = limiter.allowed_starts(waiting, living, joined);
+            (waiting, living) = (waiting - allowed, living + allowed);
+            most_starting = most_starting.max(living - joined);
+            joined += 1;
         }
-        assert_eq!((waiting, living, most), (0, 1000, EACH));
+        assert_eq!((waiting, living, most_starting), (0, 1000, STARTS_PER_CORE));
     }
 }

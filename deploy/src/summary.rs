@@ -1,8 +1,10 @@
-//! `summary.json`: the results of a run.
+//! `summary.json`: the results of a run, also printed by `--json` and as a table (`results_table`).
+//!
+//! The field names are a file format (`docs/results.md`): raise [`SUMMARY_VERSION`] if one changes its meaning.
 
 use std::collections::BTreeMap;
 
-use reveille_bs::cycle::Outcome;
+use reveille_bs::cycle::RunOutcome;
 use reveille_bs::scenario::Scenario;
 use reveille_common::ids::Tti;
 use reveille_common::radio::RadioSettings;
@@ -16,7 +18,7 @@ const SUMMARY_VERSION: u32 = 3;
 /// `summary.json`.
 #[derive(Debug, Serialize)]
 pub(crate) struct Summary<'a> {
-    /// The run's fingerprint.
+    /// The run's digest.
     pub digest: Digest,
     /// Whether the run was `complete` or `interrupted`.
     pub status: &'static str,
@@ -72,7 +74,7 @@ pub(crate) struct ClassSummary<'a> {
 }
 
 impl<'a> ClassSummary<'a> {
-    fn all(scenario: &'a Scenario, outcome: &Outcome) -> Vec<Self> {
+    fn all(scenario: &'a Scenario, outcome: &RunOutcome) -> Vec<Self> {
         // A single class would repeat the metrics of the whole run.
         if scenario.classes.len() < 2 {
             return Vec::new();
@@ -80,15 +82,17 @@ impl<'a> ClassSummary<'a> {
         let class = |(class, name): (u16, &'a str)| {
             let record = ClassRecord::new(class, &outcome.devices, outcome.totals.ttis);
             let rows = record.metrics.rows();
-            let own = Metrics::ALL
+            let device_metrics = Metrics::ALL
                 .iter()
                 .zip(rows)
                 .filter(|(metric, _)| metric.group.is_by_device());
             Self {
                 name,
                 n: record.devices,
-                metrics: own.map(|(metric, (_, value, _))| (metric.name, value)).collect(),
-                acts: record.acts,
+                metrics: device_metrics
+                    .map(|(metric, (_, value, _))| (metric.name, value))
+                    .collect(),
+                acts: record.activity,
             }
         };
         let names = scenario.classes.iter().map(|class| class.name.as_str());
@@ -148,10 +152,10 @@ pub(crate) struct Versions {
 
 impl<'a> Summary<'a> {
     /// Creates the summary of a run of `scenario`.
-    pub(crate) fn new(scenario: &'a Scenario, outcome: &Outcome, timing: Timing) -> Self {
+    pub(crate) fn new(scenario: &'a Scenario, outcome: &RunOutcome, timing: Timing) -> Self {
         Self {
             digest: outcome.digest,
-            status: if outcome.complete { "complete" } else { "interrupted" },
+            status: if outcome.is_complete { "complete" } else { "interrupted" },
             policy: scenario.policy.name(),
             n: scenario.run.devices,
             ttis: scenario.run.ttis,

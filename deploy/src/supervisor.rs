@@ -1,4 +1,6 @@
-//! The supervised device processes of `up`: a process that ends is replaced by a new one, which takes over its devices.
+//! The supervised device processes of `up`: a process that fails is replaced by a new one, which takes over its
+//! devices, unless `--on-loss` ends the run or continues without them. `child_process` starts a process,
+//! `start_limiter` sets how many start together.
 
 use std::collections::VecDeque;
 use std::process::{Child, ExitStatus};
@@ -13,27 +15,27 @@ use reveille_bs::server::{OnLoss, RunProgress};
 use reveille_common::bus::scaled_timeout;
 use reveille_common::secret::Secret;
 
-use crate::child_process::{self, LEAVE, Threads};
+use crate::child_process::{self, EXIT_TIMEOUT, Threads};
 use crate::display::note;
 use crate::runtime::now;
 use crate::start_limiter::StartLimiter;
 
 /// Time between two checks of the processes.
-const LOOK: Duration = Duration::from_millis(20);
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// First pause before a short-lived process is replaced, doubled each time.
-const PAUSE: Duration = Duration::from_millis(100);
+const FIRST_PAUSE: Duration = Duration::from_millis(100);
 /// A process that ends within this time counts as short-lived.
-const LONG: Duration = Duration::from_secs(5);
+const SHORT_LIFE: Duration = Duration::from_secs(5);
 /// This many short-lived processes in a row in one slot end the run.
-const SHORT_LIVES: u32 = 6;
+const MAX_SHORT_LIVES: u32 = 6;
 
 /// State shared by the supervisor and its thread.
-struct State {
+struct SupervisorState {
     pids: Mutex<Vec<u32>>,
     /// The run has ended, and the processes leave.
     is_over: AtomicBool,
     /// The supervisor was dropped and waits no longer.
-    is_left: AtomicBool,
+    is_dropped: AtomicBool,
 }
 
 /// The slot of one device process.
@@ -43,13 +45,13 @@ struct ProcessSlot {
     started: Instant,
     short_lives: u32,
     /// Start time of a replacement, if one is due.
-    due: Option<Instant>,
+    restart_at: Option<Instant>,
 }
 
 /// The device processes of a run and the thread that supervises them. The kernel ends the processes when that thread
 /// ends for any reason.
 pub(crate) struct Supervisor {
-    state: Arc<State>,
+    state: Arc<SupervisorState>,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -72,41 +74,41 @@ impl Supervisor {
     ///
     /// # Errors
     /// If one of the first processes cannot be started.
-    pub(crate) fn start(orders: SupervisorConfig, progress: &Arc<RunProgress>) -> anyhow::Result<Self> {
+    pub(crate) fn start(config: SupervisorConfig, progress: &Arc<RunProgress>) -> anyhow::Result<Self> {
         let SupervisorConfig {
             commands,
             key,
             threads,
             on_loss,
-        } = orders;
-        let state = Arc::new(State {
+        } = config;
+        let state = Arc::new(SupervisorState {
             pids: Mutex::default(),
             is_over: AtomicBool::new(false),
-            is_left: AtomicBool::new(false),
+            is_dropped: AtomicBool::new(false),
         });
-        let keeper = SupervisorThread {
+        let supervisor = SupervisorThread {
             state: Arc::clone(&state),
             progress: Arc::clone(progress),
             start_limiter: StartLimiter::new(),
-            leave: scaled_timeout(LEAVE, commands.len() as u32),
+            exit_timeout: scaled_timeout(EXIT_TIMEOUT, commands.len() as u32),
             key,
             threads,
             on_loss,
         };
-        let (sender, begun) = channel();
+        let (sender, first_starts) = channel();
         // Every process is started on this thread, since the kernel ends a child with the thread that started it.
         let thread = std::thread::Builder::new().name("launcher".to_owned()).spawn(move || {
-            let (mut waiting, mut places) = (VecDeque::from(commands), Vec::new());
-            let begun = keeper.start(&mut waiting, &mut places);
-            let has_begun = begun.is_ok();
+            let (mut waiting, mut slots) = (VecDeque::from(commands), Vec::new());
+            let started = supervisor.start(&mut waiting, &mut slots);
+            let has_started = started.is_ok();
             // If one of the first processes fails, those before it must not stay.
-            if sender.send(begun).is_ok() && has_begun {
-                keeper.keep(waiting, places);
+            if sender.send(started).is_ok() && has_started {
+                supervisor.supervise(waiting, slots);
             } else {
-                end(places);
+                kill_all(slots);
             }
         })?;
-        begun
+        first_starts
             .recv()
             .context("the thread that starts device processes has failed")??;
         Ok(Self {
@@ -135,165 +137,168 @@ impl Supervisor {
 
 impl Drop for Supervisor {
     fn drop(&mut self) {
-        self.state.is_left.store(true, Ordering::Relaxed);
+        self.state.is_dropped.store(true, Ordering::Relaxed);
         self.join();
     }
 }
 
 /// The supervising thread.
 struct SupervisorThread {
-    state: Arc<State>,
+    state: Arc<SupervisorState>,
     progress: Arc<RunProgress>,
     start_limiter: StartLimiter,
     key: Option<Secret>,
     threads: Threads,
     on_loss: OnLoss,
     /// Time for the processes to leave on their own.
-    leave: Duration,
+    exit_timeout: Duration,
 }
 
 impl SupervisorThread {
     /// The number of `waiting` processes that may start now.
-    fn turns(&self, waiting: usize, places: &[ProcessSlot]) -> usize {
-        let living = places.iter().filter(|place| place.child.is_some()).count();
-        let there = self.progress.hosts.load(Ordering::Relaxed) as usize;
-        self.start_limiter.allowed_starts(waiting, living, there)
+    fn allowed_starts_now(&self, waiting: usize, slots: &[ProcessSlot]) -> usize {
+        let living = slots.iter().filter(|slot| slot.child.is_some()).count();
+        let joined = self.progress.active_hosts.load(Ordering::Relaxed) as usize;
+        self.start_limiter.allowed_starts(waiting, living, joined)
     }
 
     /// Starts as many of the `waiting` processes as the limiter allows.
-    fn start(&self, waiting: &mut VecDeque<Vec<String>>, places: &mut Vec<ProcessSlot>) -> anyhow::Result<()> {
-        let turns = self.turns(waiting.len(), places);
-        for command in waiting.drain(..turns) {
+    fn start(&self, waiting: &mut VecDeque<Vec<String>>, slots: &mut Vec<ProcessSlot>) -> anyhow::Result<()> {
+        let allowed_starts_now = self.allowed_starts_now(waiting.len(), slots);
+        for command in waiting.drain(..allowed_starts_now) {
             let child = child_process::spawn(&command, self.key, self.threads)
-                .with_context(|| format!("cannot start device process {}", places.len()))?;
-            places.push(ProcessSlot {
+                .with_context(|| format!("cannot start device process {}", slots.len()))?;
+            slots.push(ProcessSlot {
                 command,
                 child: Some(child),
                 started: now(),
                 short_lives: 0,
-                due: None,
+                restart_at: None,
             });
         }
-        if turns > 0 {
-            self.show(places);
+        if allowed_starts_now > 0 {
+            self.publish_pids(slots);
         }
         Ok(())
     }
 
-    fn show(&self, places: &[ProcessSlot]) {
-        let pids = places.iter().filter_map(|place| place.child.as_ref()).map(Child::id);
+    fn publish_pids(&self, slots: &[ProcessSlot]) {
+        let pids = slots.iter().filter_map(|slot| slot.child.as_ref()).map(Child::id);
         *self.state.pids.lock().unwrap_or_else(PoisonError::into_inner) = pids.collect();
     }
 
-    fn keep(&self, mut waiting: VecDeque<Vec<String>>, mut places: Vec<ProcessSlot>) {
-        while !self.state.is_over.load(Ordering::Relaxed) && !self.state.is_left.load(Ordering::Relaxed) {
-            if let Err(error) = self.start(&mut waiting, &mut places) {
+    fn supervise(&self, mut waiting: VecDeque<Vec<String>>, mut slots: Vec<ProcessSlot>) {
+        while !self.state.is_over.load(Ordering::Relaxed) && !self.state.is_dropped.load(Ordering::Relaxed) {
+            if let Err(error) = self.start(&mut waiting, &mut slots) {
                 // Cleared, or every check would try again and fail.
                 waiting.clear();
-                self.give_up(format!("{error:#}"));
+                self.stop_run(format!("{error:#}"));
             }
             let mut has_changed = false;
             // One system call for all: a call for each of a thousand processes would cost more at every check.
             let has_ended = child_process::has_exited_child();
             if has_ended {
-                for place in &mut places {
-                    has_changed |= self.look(place);
+                for slot in &mut slots {
+                    has_changed |= self.reap(slot);
                 }
             }
-            let is_due = |place: &&mut ProcessSlot| place.due.is_some_and(|due| now() >= due);
-            let waiting = places.iter_mut().filter(is_due).count();
-            let turns = if waiting > 0 { self.turns(waiting, &places) } else { 0 };
-            for place in places.iter_mut().filter(is_due).take(turns) {
-                self.start_anew(place);
+            let is_due = |slot: &&mut ProcessSlot| slot.restart_at.is_some_and(|restart_at| now() >= restart_at);
+            let due_slots = slots.iter_mut().filter(is_due).count();
+            let allowed_starts_now = if due_slots > 0 {
+                self.allowed_starts_now(due_slots, &slots)
+            } else {
+                0
+            };
+            for slot in slots.iter_mut().filter(is_due).take(allowed_starts_now) {
+                self.restart(slot);
                 has_changed = true;
             }
             if has_changed {
-                self.show(&places);
+                self.publish_pids(&slots);
             }
-            std::thread::sleep(LOOK);
+            std::thread::sleep(POLL_INTERVAL);
         }
         let started = now();
-        while started.elapsed() < self.leave && !self.state.is_left.load(Ordering::Relaxed) {
-            places.retain_mut(|place| {
-                place
-                    .child
+        while started.elapsed() < self.exit_timeout && !self.state.is_dropped.load(Ordering::Relaxed) {
+            slots.retain_mut(|slot| {
+                slot.child
                     .as_mut()
                     .is_some_and(|child| matches!(child.try_wait(), Ok(None)))
             });
-            if places.is_empty() {
+            if slots.is_empty() {
                 return;
             }
             std::thread::sleep(Duration::from_millis(10));
         }
-        if !self.state.is_left.load(Ordering::Relaxed) {
+        if !self.state.is_dropped.load(Ordering::Relaxed) {
             tracing::warn!(
-                processes = places.len(),
+                processes = slots.len(),
                 "device processes did not exit in time and were killed"
             );
         }
-        end(places);
+        kill_all(slots);
     }
 
     /// Checks one process. Returns whether it has ended.
-    fn look(&self, place: &mut ProcessSlot) -> bool {
-        if let Some(child) = &mut place.child
+    fn reap(&self, slot: &mut ProcessSlot) -> bool {
+        if let Some(child) = &mut slot.child
             && let Ok(Some(status)) = child.try_wait()
         {
             let pid = child.id();
-            place.child = None;
+            slot.child = None;
             if !status.success() {
-                self.mourn(place, pid, status);
+                self.handle_failure(slot, pid, status);
             }
             return true;
         }
         false
     }
 
-    fn start_anew(&self, place: &mut ProcessSlot) {
-        place.due = None;
-        place.started = now();
-        match child_process::spawn(&place.command, self.key, self.threads) {
-            Ok(child) => place.child = Some(child),
-            Err(error) => self.give_up(format!("{error:#}")),
+    fn restart(&self, slot: &mut ProcessSlot) {
+        slot.restart_at = None;
+        slot.started = now();
+        match child_process::spawn(&slot.command, self.key, self.threads) {
+            Ok(child) => slot.child = Some(child),
+            Err(error) => self.stop_run(format!("{error:#}")),
         }
     }
 
     /// Handles a process that failed before the end of the run.
-    fn mourn(&self, place: &mut ProcessSlot, pid: u32, status: ExitStatus) {
+    fn handle_failure(&self, slot: &mut ProcessSlot, pid: u32, status: ExitStatus) {
         let why = format!("the device process with pid {pid} ended with {status}");
         match self.on_loss {
-            OnLoss::End => return self.give_up(why),
-            // Before the run begins no device is lost, and another process takes the place.
+            OnLoss::End => return self.stop_run(why),
+            // Before the run begins no device is lost, and another process takes the slot.
             OnLoss::Continue if self.progress.has_begun.load(Ordering::Relaxed) => return note!("{why}"),
             OnLoss::Continue | OnLoss::Wait => {}
         }
-        let is_short = place.started.elapsed() < LONG;
-        place.short_lives = if is_short { place.short_lives + 1 } else { 0 };
-        if place.short_lives >= SHORT_LIVES {
-            return self.give_up(format!("{why}, as did {} processes before it", SHORT_LIVES - 1));
+        let is_short = slot.started.elapsed() < SHORT_LIFE;
+        slot.short_lives = if is_short { slot.short_lives + 1 } else { 0 };
+        if slot.short_lives >= MAX_SHORT_LIVES {
+            return self.stop_run(format!("{why}, as did {} processes before it", MAX_SHORT_LIVES - 1));
         }
-        let pause = if place.short_lives == 0 {
+        let pause = if slot.short_lives == 0 {
             Duration::ZERO
         } else {
-            // At most 1.6 s: SHORT_LIVES bounds the exponent.
-            PAUSE * 2_u32.pow(place.short_lives - 1)
+            // At most 1.6 s: MAX_SHORT_LIVES bounds the exponent.
+            FIRST_PAUSE * 2_u32.pow(slot.short_lives - 1)
         };
         note!(
             "{why}; starting another process{}",
-            if pause > PAUSE { " in a while" } else { "" }
+            if pause > FIRST_PAUSE { " in a while" } else { "" }
         );
-        place.due = Some(now() + pause);
+        slot.restart_at = Some(now() + pause);
     }
 
-    fn give_up(&self, why: String) {
+    fn stop_run(&self, why: String) {
         // Only the first cause counts. It is set before `stop`, at which the run looks for it.
-        let _told_before = self.progress.cause.set(why).is_err();
-        self.progress.stop.store(true, Ordering::Relaxed);
+        let _has_earlier_cause = self.progress.stop_cause.set(why).is_err();
+        self.progress.stop_requested.store(true, Ordering::Relaxed);
     }
 }
 
-fn end(places: Vec<ProcessSlot>) {
-    for mut child in places.into_iter().filter_map(|place| place.child) {
+fn kill_all(slots: Vec<ProcessSlot>) {
+    for mut child in slots.into_iter().filter_map(|slot| slot.child) {
         // An error means that the child has already ended.
         let _gone = child.kill().is_err();
         let _reaped = child.wait().is_err();

@@ -1,5 +1,5 @@
 //! The growing tables of a run folder. Only whole rows reach the file, each within a second, so that a killed run keeps
-//! its rows so far.
+//! its rows so far. `run_folder` uses it for `events.csv` and `windows.csv`.
 
 use std::fs::File;
 use std::io::{self, Write};
@@ -9,26 +9,26 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 /// Longest delay of a row.
-const WAIT: Duration = Duration::from_secs(1);
+const WRITE_INTERVAL: Duration = Duration::from_secs(1);
 /// Most bytes that are held back.
-const HELD: usize = 1 << 16;
+const MAX_HELD_BYTES: usize = 1 << 16;
 
 /// Tables whose rows are written within a second.
-pub(crate) struct Tables {
-    state: Arc<Mutex<State>>,
+pub(crate) struct TableWriter {
+    state: Arc<Mutex<TableWriterState>>,
     /// Writes the pending rows.
     thread: Option<JoinHandle<()>>,
 }
 
 /// State shared by the run and the thread.
-struct State {
+struct TableWriterState {
     tables: Vec<csv::Writer<LineBuffered<File>>>,
     /// The first error; no rows are added after it.
     error: Option<csv::Error>,
     is_over: bool,
 }
 
-impl Tables {
+impl TableWriter {
     /// Creates tables in `folder`, each with a name and its columns.
     ///
     /// # Errors
@@ -40,16 +40,16 @@ impl Tables {
             table.write_record(columns)?;
             open.push(table);
         }
-        let state = Arc::new(Mutex::new(State {
+        let state = Arc::new(Mutex::new(TableWriterState {
             tables: open,
             error: None,
             is_over: false,
         }));
-        let own = Arc::clone(&state);
+        let thread_state = Arc::clone(&state);
         let write = move || {
             loop {
-                std::thread::park_timeout(WAIT);
-                let mut state = lock(&own);
+                std::thread::park_timeout(WRITE_INTERVAL);
+                let mut state = lock(&thread_state);
                 state.write_out();
                 // Checked after the write, so that the last rows are written too.
                 if state.is_over {
@@ -92,7 +92,7 @@ impl Tables {
     }
 }
 
-impl Drop for Tables {
+impl Drop for TableWriter {
     fn drop(&mut self) {
         lock(&self.state).is_over = true;
         if let Some(thread) = self.thread.take() {
@@ -102,11 +102,11 @@ impl Drop for Tables {
     }
 }
 
-fn lock(state: &Mutex<State>) -> MutexGuard<'_, State> {
+fn lock(state: &Mutex<TableWriterState>) -> MutexGuard<'_, TableWriterState> {
     state.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-impl State {
+impl TableWriterState {
     fn write_out(&mut self) {
         for table in &mut self.tables {
             // The first error names the cause; later ones follow from it.
@@ -130,14 +130,14 @@ impl<W: Write> LineBuffered<W> {
 
     /// Writes the whole lines held back.
     fn write_lines(&mut self) -> io::Result<()> {
-        let mut left = self.held.iter().rposition(|&byte| byte == b'\n').map_or(0, |at| at + 1);
+        let mut unwritten = self.held.iter().rposition(|&byte| byte == b'\n').map_or(0, |at| at + 1);
         // Not `write_all`: bytes that a full disk has taken must not be written again once there is room.
-        while left > 0 {
-            match self.file.write(&self.held[..left]) {
+        while unwritten > 0 {
+            match self.file.write(&self.held[..unwritten]) {
                 Ok(0) => return Err(io::ErrorKind::WriteZero.into()),
                 Ok(written) => {
                     self.held.drain(..written);
-                    left -= written;
+                    unwritten -= written;
                 }
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
                 Err(error) => return Err(error),
@@ -150,7 +150,7 @@ impl<W: Write> LineBuffered<W> {
 impl<W: Write> Write for LineBuffered<W> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         // Written before `bytes` are taken: after an error, the CSV writer passes the same bytes again.
-        if self.held.len() >= HELD {
+        if self.held.len() >= MAX_HELD_BYTES {
             self.write_lines()?;
         }
         self.held.extend_from_slice(bytes);
@@ -189,7 +189,7 @@ mod tests {
         for _ in 0..400 {
             whole.write_all(&row).expect("taken");
         }
-        assert!(whole.held.len() < HELD);
+        assert!(whole.held.len() < MAX_HELD_BYTES);
         whole.flush().expect("written");
         assert_eq!(whole.held, b"4,", "half a row waits for its other half");
         whole.write_all(b"5\n").expect("taken");
@@ -226,7 +226,7 @@ mod tests {
     #[test]
     fn bytes_of_a_failed_write_are_written_once() {
         let mut whole = LineBuffered::new(FullOnce::default());
-        let rows = b"1,2,3\n".repeat(HELD);
+        let rows = b"1,2,3\n".repeat(MAX_HELD_BYTES);
         whole.write_all(&rows).expect("held");
         whole.write_all(b"4,5,6\n").expect_err("the disk is full");
         // The CSV writer keeps the bytes of a failed write and passes them again.

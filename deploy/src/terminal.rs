@@ -1,5 +1,5 @@
 //! The terminal in which a command was started. A closed terminal is not an error, since the run must not end because
-//! of its progress bar.
+//! of its progress bar. `display` draws its progress bars through [`progress_target`].
 
 use std::fs::File;
 use std::io::{self, IsTerminal, Write};
@@ -11,22 +11,22 @@ use indicatif::{ProgressDrawTarget, TermLike};
 use rustix::io::Errno;
 
 /// Most redraws per second.
-const RATE: u8 = 20;
+const MAX_REDRAW_HZ: u8 = 20;
 /// Default columns and lines, if the terminal reports none.
-const USUAL: (u16, u16) = (80, 24);
+const DEFAULT_SIZE: (u16, u16) = (80, 24);
 
 /// The target of progress bars: standard error, or hidden if that is not a terminal that can draw them.
-pub(crate) fn target() -> ProgressDrawTarget {
+pub(crate) fn progress_target() -> ProgressDrawTarget {
     let is_dumb = std::env::var_os("TERM").is_none_or(|kind| kind == "dumb");
     if io::stderr().is_terminal() && !is_dumb {
-        ProgressDrawTarget::term_like_with_hz(Box::new(Terminal::default()), RATE)
+        ProgressDrawTarget::term_like_with_hz(Box::new(Terminal::default()), MAX_REDRAW_HZ)
     } else {
         ProgressDrawTarget::hidden()
     }
 }
 
 /// Whether `error`, from writing to `output`, means that its pipe or terminal is closed.
-pub(crate) fn is_gone(error: &io::Error, output: BorrowedFd<'_>) -> bool {
+pub(crate) fn is_closed_output(error: &io::Error, output: BorrowedFd<'_>) -> bool {
     // A closed terminal does not pass `isatty`, but its file is still a character device.
     let is_device = || {
         let copy = output.try_clone_to_owned().map(File::from);
@@ -43,17 +43,17 @@ struct Terminal(Mutex<String>);
 
 impl Terminal {
     #[expect(clippy::unnecessary_wraps, reason = "the trait requires a result")]
-    fn add(&self, text: &str) -> io::Result<()> {
+    fn buffer(&self, text: &str) -> io::Result<()> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).push_str(text);
         Ok(())
     }
 
     /// Moves the cursor by `n` in the direction of the escape `code`.
-    fn go(&self, n: usize, code: char) -> io::Result<()> {
+    fn move_cursor(&self, n: usize, code: char) -> io::Result<()> {
         if n == 0 {
             Ok(())
         } else {
-            self.add(&format!("\u{1b}[{n}{code}"))
+            self.buffer(&format!("\u{1b}[{n}{code}"))
         }
     }
 
@@ -63,7 +63,7 @@ impl Terminal {
         size.ok()
             // A size of 0 means that the terminal does not know it.
             .filter(|&(columns, lines)| columns > 0 && lines > 0)
-            .unwrap_or(USUAL)
+            .unwrap_or(DEFAULT_SIZE)
     }
 }
 
@@ -77,32 +77,32 @@ impl TermLike for Terminal {
     }
 
     fn move_cursor_up(&self, n: usize) -> io::Result<()> {
-        self.go(n, 'A')
+        self.move_cursor(n, 'A')
     }
 
     fn move_cursor_down(&self, n: usize) -> io::Result<()> {
-        self.go(n, 'B')
+        self.move_cursor(n, 'B')
     }
 
     fn move_cursor_right(&self, n: usize) -> io::Result<()> {
-        self.go(n, 'C')
+        self.move_cursor(n, 'C')
     }
 
     fn move_cursor_left(&self, n: usize) -> io::Result<()> {
-        self.go(n, 'D')
+        self.move_cursor(n, 'D')
     }
 
     fn write_line(&self, text: &str) -> io::Result<()> {
-        self.add(text)?;
-        self.add("\n")
+        self.buffer(text)?;
+        self.buffer("\n")
     }
 
     fn write_str(&self, text: &str) -> io::Result<()> {
-        self.add(text)
+        self.buffer(text)
     }
 
     fn clear_line(&self) -> io::Result<()> {
-        self.add("\r\u{1b}[2K")
+        self.buffer("\r\u{1b}[2K")
     }
 
     fn flush(&self) -> io::Result<()> {

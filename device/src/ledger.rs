@@ -1,8 +1,8 @@
-//! The ledger of a device: its actions, their energy cost by state, and its outages.
+//! The ledger of a device, written by `machine`: its actions, their energy cost by state, and its outages.
 //!
-//! The ledger counts actions instead of summing costs. The energy spent follows from the counts and the prices. The
-//! ledger and the battery are therefore two independent accounts of the same energy. [`DeviceTotals::closes`] compares
-//! them.
+//! The ledger counts actions instead of summing costs. The energy spent follows from the counts and the costs. The
+//! ledger and the battery are therefore two independent accounts of the same energy. [`DeviceTotals::is_balanced`]
+//! compares them.
 
 use reveille_common::ids::Tti;
 use reveille_common::scenario::EnergyModel;
@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use crate::battery::Battery;
 
 /// The effect of an action on the battery: paid in full, or failed after draining the remaining energy.
-type Paid = Result<(), Energy>;
+type Payment = Result<(), Energy>;
 
 /// The ledger of one device since TTI 0.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -77,19 +77,19 @@ impl LedgerBuilder {
         }
     }
 
-    /// Records the begin of a TTI, with δ = 1 if `on`.
-    pub fn record_duty(&mut self, on: bool, paid: Paid) {
-        self.sensing_ttis += u64::from(on);
-        match paid {
+    /// Records the begin of a TTI, with δ = 1 if `is_on`.
+    pub fn record_duty(&mut self, is_on: bool, payment: Payment) {
+        self.sensing_ttis += u64::from(is_on);
+        match payment {
             Ok(()) => self.outage = 0,
             Err(drained) => {
-                if on {
+                if is_on {
                     self.drained.sensing += drained;
                 } else {
                     self.drained.sleep += drained;
                 }
-                self.failed_ttis += u64::from(on);
-                self.unpowered_ttis += u64::from(!on);
+                self.failed_ttis += u64::from(is_on);
+                self.unpowered_ttis += u64::from(!is_on);
                 self.lengthen_outage(1);
             }
         }
@@ -114,41 +114,41 @@ impl LedgerBuilder {
     }
 
     /// Records a false wake-up in a TTI with δ = 0. Its cost is a cost of listening and counts for S4.
-    pub fn false_wake_up(&mut self, paid: Paid) {
+    pub fn record_false_wake_up(&mut self, payment: Payment) {
         self.false_wake_ups += 1;
-        if let Err(drained) = paid {
+        if let Err(drained) = payment {
             self.failed_false_wakes += 1;
             self.drained.sleep += drained;
         }
     }
 
     /// Records an attempt to transmit.
-    pub fn transmission(&mut self, paid: Paid) {
-        match paid {
+    pub fn record_transmission(&mut self, payment: Payment) {
+        match payment {
             Ok(()) => self.transmissions += 1,
             Err(drained) => self.drained.report += drained,
         }
     }
 
-    /// Records the end of `n` TTIs with `level` in the battery.
-    pub fn ends(&mut self, level: Energy, e_tx: Energy, n: u64) {
-        self.battery_sum += u128::from(level.micro()) * u128::from(n);
-        self.low_ttis += if level < e_tx { n } else { 0 };
+    /// Records the end of `ttis` TTIs with `level` in the battery.
+    pub fn record_end(&mut self, level: Energy, e_tx: Energy, ttis: u64) {
+        self.battery_sum += u128::from(level.micro()) * u128::from(ttis);
+        self.low_ttis += if level < e_tx { ttis } else { 0 };
     }
 
-    /// Returns the totals over the TTIs before `next`, with these prices and this battery.
-    pub fn totals(&self, next: Tti, prices: &EnergyModel, battery: &Battery) -> DeviceTotals {
+    /// Returns the totals over the TTIs before `next`, with these costs and this battery.
+    pub fn totals(&self, next: Tti, costs: &EnergyModel, battery: &Battery) -> DeviceTotals {
         // Each TTI before `next` had either δ = 1 or δ = 0.
-        let asleep = next.0 - self.sensing_ttis;
+        let sleep_ttis = next.0 - self.sensing_ttis;
         DeviceTotals {
             initial: battery.initial(),
             harvested: battery.harvested(),
             spent: EnergyByState {
-                sensing: prices.e_idle.times(self.sensing_ttis - self.failed_ttis) + self.drained.sensing,
-                sleep: prices.e_wur.times(asleep - self.unpowered_ttis)
-                    + prices.e_idle.times(self.false_wake_ups - self.failed_false_wakes)
+                sensing: costs.e_idle.times(self.sensing_ttis - self.failed_ttis) + self.drained.sensing,
+                sleep: costs.e_wur.times(sleep_ttis - self.unpowered_ttis)
+                    + costs.e_idle.times(self.false_wake_ups - self.failed_false_wakes)
                     + self.drained.sleep,
-                report: prices.e_tx.times(self.transmissions) + self.drained.report,
+                report: costs.e_tx.times(self.transmissions) + self.drained.report,
             },
             overflow: battery.overflow(),
             battery: battery.level(),

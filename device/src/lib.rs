@@ -1,5 +1,8 @@
-//! One battery-less IoT device (IoTD): its energy ledger and its state machine, both without I/O. A tokio host runs
-//! many devices in one process.
+//! One battery-less IoT device (IoTD), and the process that runs many of them.
+//!
+//! Start at [`machine`], the state machine of a device. [`battery`] and [`ledger`] are its two independent accounts of
+//! energy. `lab` runs machines in memory; [`host`] runs them on the bus, following grants by the rules of
+//! [`grant_follower`]. Only [`host`] performs I/O, behind the feature `host`.
 
 pub mod battery;
 pub mod grant_follower;

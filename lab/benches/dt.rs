@@ -9,30 +9,30 @@ use std::sync::Arc;
 
 use candle_core::{Device, Tensor};
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
-use reveille_bs::policy::dt::model::infer::Forward;
+use reveille_bs::policy::dt::model::infer::ForwardPass;
 use reveille_bs::policy::dt::model::weights::ModelWeights;
-use reveille_bs::policy::dt::model::{ModelShape, Width};
-use reveille_bs::policy::dt::tokens::COUNT;
+use reveille_bs::policy::dt::model::{ModelShape, VectorWidth};
+use reveille_bs::policy::dt::tokens::FEATURE_COUNT;
 use reveille_common::rng::{Purpose, Stream};
-use reveille_lab::transformer::{Net, file};
+use reveille_lab::transformer::{Net, encode_file};
 
 fn tokens(devices: usize, ttis: usize) -> Vec<f32> {
     let mut stream = Stream::new(1, Purpose::Training, 0);
-    (0..ttis * devices * COUNT)
+    (0..ttis * devices * FEATURE_COUNT)
         .map(|_| (2.0 * stream.unit() - 1.0) as f32)
         .collect()
 }
 
 fn inference(criterion: &mut Criterion) {
-    let net = Net::new(ModelShape::USUAL, 1).expect("a net");
-    let bytes = file(&net, &BTreeMap::new()).expect("a file");
+    let net = Net::new(ModelShape::SHIPPED, 1).expect("a net");
+    let bytes = encode_file(&net, &BTreeMap::new()).expect("a file");
     let weights = Arc::new(ModelWeights::read(&bytes).expect("a model"));
-    let memory = ModelShape::USUAL.memory;
+    let memory = ModelShape::SHIPPED.memory;
 
     let mut group = criterion.benchmark_group("a TTI of 250 devices");
     let tti = tokens(250, 1);
-    for width in Width::here() {
-        let mut forward = Forward::new(Arc::clone(&weights), 250).with_width(width);
+    for width in VectorWidth::supported() {
+        let mut forward = ForwardPass::new(Arc::clone(&weights), 250).with_vector_width(width);
         // Attention covers at most Z TTIs: with Z steps before, each measured step attends to all of them.
         for _ in 0..memory {
             forward.step(&tti);
@@ -44,7 +44,7 @@ fn inference(criterion: &mut Criterion) {
         });
     }
     group.sample_size(20);
-    let window = Tensor::from_vec(tokens(250, memory), (1, memory, 250, COUNT), &Device::Cpu).expect("tokens");
+    let window = Tensor::from_vec(tokens(250, memory), (1, memory, 250, FEATURE_COUNT), &Device::Cpu).expect("tokens");
     let targets = Tensor::full(0.5_f32, (1, memory), &Device::Cpu).expect("targets");
     group.bench_function("in the framework", |bencher| {
         bencher.iter(|| net.forward(black_box(&window), &targets).expect("outputs").price);
@@ -55,7 +55,7 @@ fn inference(criterion: &mut Criterion) {
     group.sample_size(20);
     for devices in [10, 50, 250, 1000, 2500] {
         let tti = tokens(devices, 1);
-        let mut forward = Forward::new(Arc::clone(&weights), devices);
+        let mut forward = ForwardPass::new(Arc::clone(&weights), devices);
         // The steps before the measurement fill the memory of Z TTIs, as in the first group.
         for _ in 0..memory {
             forward.step(&tti);

@@ -1,7 +1,8 @@
-//! The external inputs of a run as text, the input log: one line for each input, in order of arrival.
+//! The external inputs of a run as text, the input log (a replay log): one line for each input, in order of arrival.
 //!
 //! External inputs are removals of devices, whose process was lost under `--on-loss continue`, and decisions of a
-//! policy process.
+//! policy process. They and the scenario determine the run: replays and resumed runs read them from `inputs.log`. A
+//! change of the lines needs a new `VERSION`; logs of version 1 must still be read.
 
 use reveille_bs::policy::external::{Decision, PlanDecision, RecordedDecision};
 use reveille_bs::scenario::Scenario;
@@ -17,14 +18,14 @@ const VERSION: u32 = 2;
 #[derive(Debug, thiserror::Error)]
 pub enum InputLogError {
     /// A line is malformed.
-    #[error("line {line}, column {column}: invalid input log entry: {what}; use the inputs.log of a run folder")]
+    #[error("line {line}, column {column}: invalid input log entry: {cause}; use the inputs.log of a run folder")]
     Line {
         /// The line number, from 1.
         line: usize,
         /// The column of the error, from 1.
         column: usize,
         /// The cause.
-        what: String,
+        cause: String,
     },
     /// The log has another format version.
     #[error("was written by another version of reveille; use that version")]
@@ -34,7 +35,7 @@ pub enum InputLogError {
     Scenario,
     /// The log does not begin with the line that names its run.
     #[error("line {0}: the line that names the run must come first")]
-    Headless(usize),
+    MissingFirstLine(usize),
     /// A removal is impossible in this run.
     #[error("line {0}: this run cannot have removed these devices at this point")]
     Outage(usize),
@@ -63,7 +64,7 @@ pub struct ExternalInputs {
 
 impl ExternalInputs {
     /// Creates inputs with removals only.
-    pub fn of_outages(outages: &[DeviceRemoval]) -> Self {
+    pub fn from_outages(outages: &[DeviceRemoval]) -> Self {
         Self {
             outages: outages.to_vec(),
             decisions: Vec::new(),
@@ -125,13 +126,18 @@ enum InputLogLine {
 }
 
 impl InputLogLine {
-    fn line(&self) -> String {
+    fn to_text(&self) -> String {
         serde_json::to_string(self).expect("an entry is JSON") + "\n"
     }
 }
 
 impl From<&RecordedDecision> for InputLogLine {
-    fn from(RecordedDecision { tti: Tti(tti), answer }: &RecordedDecision) -> Self {
+    fn from(
+        RecordedDecision {
+            tti: Tti(tti),
+            decision: answer,
+        }: &RecordedDecision,
+    ) -> Self {
         let tti = *tti;
         match answer {
             Decision::Wake(devices) => Self::Wake {
@@ -164,14 +170,14 @@ fn first_line_of(version: u32, scenario: &Scenario) -> String {
         version,
         scenario_hash: scenario.hash_hex(),
     };
-    first.line()
+    first.to_text()
 }
 
 /// Returns the line of an input.
 pub fn line(input: &ExternalInput) -> String {
     match input {
-        ExternalInput::Outage(outage) => InputLogLine::Outage(*outage).line(),
-        ExternalInput::Decision(decision) => InputLogLine::from(decision).line(),
+        ExternalInput::Outage(outage) => InputLogLine::Outage(*outage).to_text(),
+        ExternalInput::Decision(decision) => InputLogLine::from(decision).to_text(),
     }
 }
 
@@ -188,27 +194,27 @@ pub fn complete_lines(text: &str) -> &str {
 /// # Errors
 /// If the text is not an input log, belongs to another scenario, or contains an impossible input.
 pub fn parse(text: &str, scenario: &Scenario) -> Result<ExternalInputs, InputLogError> {
-    let mut parser = Parser::default();
+    let mut parser = InputLogParser::default();
     let length = parser.read(text, scenario)?;
     let rest = &text[length..];
     let is_start = (1..=VERSION).any(|version| first_line_of(version, scenario).starts_with(rest));
     if length == 0 && !is_start {
-        parser.lines = 1;
-        parser.take(rest, scenario)?;
+        parser.line_count = 1;
+        parser.parse_line(rest, scenario)?;
     }
     Ok(parser.inputs)
 }
 
 /// An incremental parser, for example for the log of a run in progress.
 #[derive(Clone, Debug, Default)]
-pub struct Parser {
+pub struct InputLogParser {
     inputs: ExternalInputs,
     /// The number of lines read.
-    lines: usize,
-    has_begun: bool,
+    line_count: usize,
+    has_first_line: bool,
 }
 
-impl Parser {
+impl InputLogParser {
     /// The inputs so far.
     pub const fn inputs(&self) -> &ExternalInputs {
         &self.inputs
@@ -222,19 +228,19 @@ impl Parser {
     pub fn read(&mut self, text: &str, scenario: &Scenario) -> Result<usize, InputLogError> {
         let text = complete_lines(text);
         for line in text.lines() {
-            self.lines += 1;
-            self.take(line, scenario)?;
+            self.line_count += 1;
+            self.parse_line(line, scenario)?;
         }
         Ok(text.len())
     }
 
-    fn take(&mut self, text: &str, scenario: &Scenario) -> Result<(), InputLogError> {
+    fn parse_line(&mut self, text: &str, scenario: &Scenario) -> Result<(), InputLogError> {
         let Self {
             inputs,
-            lines: line,
-            has_begun,
+            line_count: line_number,
+            has_first_line,
         } = self;
-        let entry = serde_json::from_str(text).map_err(|error| bad_line(*line, &error))?;
+        let entry = serde_json::from_str(text).map_err(|error| line_error(*line_number, &error))?;
         let decision = match entry {
             // Version 1 only has removals, in the same form, so it is accepted too.
             InputLogLine::Inputs { version, .. } if !(1..=VERSION).contains(&version) => {
@@ -244,55 +250,60 @@ impl Parser {
                 return Err(InputLogError::Scenario);
             }
             InputLogLine::Inputs { .. } => {
-                *has_begun = true;
+                *has_first_line = true;
                 return Ok(());
             }
             // Everything below is checked against the scenario, which only the first line guarantees.
-            _ if !*has_begun => return Err(InputLogError::Headless(*line)),
+            _ if !*has_first_line => return Err(InputLogError::MissingFirstLine(*line_number)),
             InputLogLine::Outage(outage) => {
-                if !may_come(&outage, &inputs.outages, scenario) {
-                    return Err(InputLogError::Outage(*line));
+                if !is_possible_removal(&outage, &inputs.outages, scenario) {
+                    return Err(InputLogError::Outage(*line_number));
                 }
                 inputs.outages.push(outage);
                 return Ok(());
             }
-            InputLogLine::Sense { tti, devices, next } => chosen(&devices, scenario).map(|devices| {
+            InputLogLine::Sense { tti, devices, next } => existing_devices(&devices, scenario).map(|devices| {
                 let plan = Plan::from_devices(scenario.run.devices as usize, &devices);
                 (tti, Decision::Plan(PlanDecision { plan, next: Tti(next) }))
             }),
-            InputLogLine::Cycles { tti, devices, next } => cycles(&devices, scenario).map(|cycles| {
+            InputLogLine::Cycles { tti, devices, next } => valid_cycles(&devices, scenario).map(|cycles| {
                 let plan = Plan::Periodic(cycles);
                 (tti, Decision::Plan(PlanDecision { plan, next: Tti(next) }))
             }),
             InputLogLine::Wake { tti, devices } => {
-                chosen(&devices, scenario).map(|devices| (tti, Decision::Wake(devices)))
+                existing_devices(&devices, scenario).map(|devices| (tti, Decision::Wake(devices)))
             }
         };
-        let decision = decision.map(|(tti, answer)| RecordedDecision { tti: Tti(tti), answer });
-        let decision = decision.filter(|decision| may_be_made(decision, inputs.decisions.last(), scenario));
-        inputs.decisions.push(decision.ok_or(InputLogError::Decision(*line))?);
+        let decision = decision.map(|(tti, answer)| RecordedDecision {
+            tti: Tti(tti),
+            decision: answer,
+        });
+        let decision = decision.filter(|decision| is_possible_decision(decision, inputs.decisions.last(), scenario));
+        inputs
+            .decisions
+            .push(decision.ok_or(InputLogError::Decision(*line_number))?);
         Ok(())
     }
 }
 
 /// Returns the error of line number `line`. The JSON parser sees one line at a time, so its own line number is dropped.
-fn bad_line(line: usize, error: &serde_json::Error) -> InputLogError {
-    let (column, what) = (error.column(), error.to_string());
-    let place = format!(" at line {} column {column}", error.line());
-    let what = what.strip_suffix(&place).unwrap_or(&what).to_owned();
+fn line_error(line: usize, error: &serde_json::Error) -> InputLogError {
+    let (column, text) = (error.column(), error.to_string());
+    let position = format!(" at line {} column {column}", error.line());
+    let cause = text.strip_suffix(&position).unwrap_or(&text).to_owned();
     // serde_json gives column 0 for an error before the first character.
     let column = column.max(1);
-    InputLogError::Line { line, column, what }
+    InputLogError::Line { line, column, cause }
 }
 
 /// Returns these devices if all of them exist.
-fn chosen(devices: &[u32], scenario: &Scenario) -> Option<Vec<DeviceId>> {
-    let is_there = devices.iter().all(|device| *device < scenario.run.devices);
-    is_there.then(|| devices.iter().copied().map(DeviceId).collect())
+fn existing_devices(devices: &[u32], scenario: &Scenario) -> Option<Vec<DeviceId>> {
+    let all_exist = devices.iter().all(|device| *device < scenario.run.devices);
+    all_exist.then(|| devices.iter().copied().map(DeviceId).collect())
 }
 
 /// Returns these cycles if there is a valid one for each device.
-fn cycles(devices: &[[u32; 3]], scenario: &Scenario) -> Option<Vec<DutyCycle>> {
+fn valid_cycles(devices: &[[u32; 3]], scenario: &Scenario) -> Option<Vec<DutyCycle>> {
     let cycles = devices
         .iter()
         .map(|&[t_on, t_drx, offset]| DutyCycle { t_on, t_drx, offset });
@@ -302,22 +313,23 @@ fn cycles(devices: &[[u32; 3]], scenario: &Scenario) -> Option<Vec<DutyCycle>> {
 }
 
 /// Returns whether `outage` is possible after those in `before`.
-fn may_come(outage: &DeviceRemoval, before: &[DeviceRemoval], scenario: &Scenario) -> bool {
+fn is_possible_removal(outage: &DeviceRemoval, before: &[DeviceRemoval], scenario: &Scenario) -> bool {
     let order = |outage: &DeviceRemoval| (outage.tti, outage.wake_ups);
     let is_next = before.last().is_none_or(|last| order(last) <= order(outage));
-    let is_apart = |other: &DeviceRemoval| other.last() < outage.first || outage.last() < other.first;
+    let is_disjoint = |other: &DeviceRemoval| other.last() < outage.first || outage.last() < other.first;
     // A valid removal names devices of the run, so its range can index them. A device is removed once, so ranges are
     // disjoint.
-    outage.is_valid(scenario.run.devices) && outage.tti.0 < scenario.run.ttis && is_next && before.iter().all(is_apart)
+    let is_in_run = outage.is_valid(scenario.run.devices) && outage.tti.0 < scenario.run.ttis;
+    is_in_run && is_next && before.iter().all(is_disjoint)
 }
 
 /// Returns whether `decision` is possible after the one in `before`. A run starts with a plan, and a TTI has at most
 /// one.
-fn may_be_made(decision: &RecordedDecision, before: Option<&RecordedDecision>, scenario: &Scenario) -> bool {
+fn is_possible_decision(decision: &RecordedDecision, before: Option<&RecordedDecision>, scenario: &Scenario) -> bool {
     let Some(before) = before else {
-        return decision.tti == Tti::ZERO && matches!(decision.answer, Decision::Plan(_));
+        return decision.tti == Tti::ZERO && matches!(decision.decision, Decision::Plan(_));
     };
-    let is_later = match decision.answer {
+    let is_later = match decision.decision {
         Decision::Plan(PlanDecision { next, .. }) => decision.tti > before.tti && next > decision.tti,
         Decision::Wake(_) => decision.tti >= before.tti,
     };
@@ -350,12 +362,18 @@ mod tests {
     fn plan(tti: u64, plan: Plan, next: u64) -> RecordedDecision {
         let next = Tti(next);
         let answer = Decision::Plan(PlanDecision { plan, next });
-        RecordedDecision { tti: Tti(tti), answer }
+        RecordedDecision {
+            tti: Tti(tti),
+            decision: answer,
+        }
     }
 
     fn wake(tti: u64, devices: &[u32]) -> RecordedDecision {
         let answer = Decision::Wake(devices.iter().copied().map(DeviceId).collect());
-        RecordedDecision { tti: Tti(tti), answer }
+        RecordedDecision {
+            tti: Tti(tti),
+            decision: answer,
+        }
     }
 
     /// A plan of the right size, in which device `j` senses.
@@ -382,7 +400,7 @@ mod tests {
         let scenario = load("quick", &[]).expect("a preset").scenario;
         let text = first_line(&scenario) + &all.iter().map(line).collect::<String>();
         for length in [1, 7, 60, 4000] {
-            let (mut parser, mut read, mut end) = (Parser::default(), 0, 0);
+            let (mut parser, mut read, mut end) = (InputLogParser::default(), 0, 0);
             while read < text.len() {
                 end = text.len().min(end + length);
                 read += parser.read(&text[read..end], &scenario).expect("a log");
@@ -432,7 +450,7 @@ mod tests {
         );
         assert!(matches!(
             of(&line(&ExternalInput::Outage(outage(0, 1, 1)))),
-            InputLogError::Headless(1)
+            InputLogError::MissingFirstLine(1)
         ));
         // Without a newline only the start of a first line is a log that a kill has cut short.
         for text in ["garbage", "\0\u{1}", "{\"inputs\":{\"version\":2}}", " "] {
@@ -443,7 +461,7 @@ mod tests {
             );
         }
         let removal = line(&ExternalInput::Outage(outage(0, 1, 1)));
-        assert!(matches!(of(removal.trim_end()), InputLogError::Headless(1)));
+        assert!(matches!(of(removal.trim_end()), InputLogError::MissingFirstLine(1)));
         for version in 1..=VERSION {
             let first = first_line_of(version, &scenario);
             for length in [0, 1, 9, first.len() - 1, first.len()] {

@@ -1,4 +1,5 @@
-//! Reading and writing of files. A write replaces the file in one step or fails.
+//! Reading and writing of files, for this crate and the programs. A write replaces the file in one step or fails, so a
+//! reader or a resumed process never finds half a file.
 
 use std::ffi::OsString;
 use std::fs::{self, File};
@@ -48,7 +49,7 @@ pub fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
 /// If the bytes cannot be written.
 pub fn put(path: &Path, bytes: &[u8]) -> io::Result<()> {
     match fs::symlink_metadata(path) {
-        Ok(found) if !found.is_file() => fs::write(path, bytes),
+        Ok(metadata) if !metadata.is_file() => fs::write(path, bytes),
         Ok(_) | Err(_) => replace(path, bytes),
     }
 }
@@ -69,14 +70,14 @@ pub(crate) fn read_text(path: &Path) -> io::Result<String> {
     fs::read_to_string(path)
 }
 
-/// Returns the text of the regular file at `path`, of at most `longest` bytes.
+/// Returns the text of the regular file at `path`, of at most `max_bytes` bytes.
 ///
 /// # Errors
 /// If it is longer or not a regular file, cannot be read, or is not UTF-8.
-pub(crate) fn read_short(path: &Path, longest: u64) -> io::Result<String> {
+pub(crate) fn read_short(path: &Path, max_bytes: u64) -> io::Result<String> {
     // Checked before the file is opened: opening a pipe would block until another process writes to it.
-    let found = fs::metadata(path)?;
-    if !found.is_file() || found.len() > longest {
+    let metadata = fs::metadata(path)?;
+    if !metadata.is_file() || metadata.len() > max_bytes {
         return Err(io::Error::other("it is not a file, or too long for an experiment"));
     }
     read_text(path)
@@ -99,7 +100,7 @@ pub(crate) fn open(path: &Path) -> io::Result<File> {
 ///
 /// # Errors
 /// If it cannot be created or read.
-pub(crate) fn with_names(folder: &Path) -> io::Result<Vec<OsString>> {
+pub(crate) fn create_and_list(folder: &Path) -> io::Result<Vec<OsString>> {
     fs::create_dir_all(folder)?;
     let names = fs::read_dir(folder)?.map(|entry| entry.map(|entry| entry.file_name()));
     names.collect()

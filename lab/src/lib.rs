@@ -1,5 +1,10 @@
-//! Runs of the Reveille machines in memory, without a bus: single runs, sweeps with their result tables, trajectories,
-//! training and tuning.
+//! Runs of the Reveille machines in memory, without a bus, and everything built on such runs. Start with
+//! [`preparation::run`] and [`run::Run`].
+//!
+//! - One run: [`preparation`], [`run`], [`stepped_run`], which stops at each decision, and [`gym`], its environments.
+//! - A run over the bus: [`replay`] restores and audits it, [`external_inputs`] and [`resume_mark`] are its files.
+//! - Many runs: [`sweep`] fills a [`table`]; [`stats`], [`metric_estimate`] and [`series`] evaluate it.
+//! - Training: [`training`] and [`tuning`] of `q-learning`, [`trajectories`] and `transformer` for `dt`.
 
 pub mod external_inputs;
 pub mod gym;

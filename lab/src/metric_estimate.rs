@@ -1,4 +1,5 @@
-//! Estimates of a metric from the runs of a cell: a mean with its interval, or a one-sided bound if cases are few.
+//! Estimates of a metric from the runs of a cell: a mean with its interval, or a one-sided bound if cases are few. The
+//! claim report, the figures and the report of `reveille sweep` show these estimates.
 //!
 //! Student's t derives the interval of a mean from the spread of the runs. With very few cases that interval is too
 //! narrow (runs without a case do not differ) or extends below zero. An upper bound is then the only valid result.
@@ -10,17 +11,17 @@ use crate::table::ResultRow;
 use reveille_common::score::Metrics;
 
 /// The metrics that count cases per event, with their value for one case per event.
-const COUNTS: [(&str, f64); 3] = [
+const CASE_METRICS: [(&str, f64); 3] = [
     ("misdetection_pct", 100.0),
     ("wrong_activations_per_event", 1.0),
     ("wake_ups_per_event", 1.0),
 ];
 /// The one of these metrics that is a share of events, %.
-const SHARE: &str = "misdetection_pct";
+const SHARE_METRIC: &str = "misdetection_pct";
 /// The rule of three: without a case among n, 3/n is the 95 % upper bound.
 const RULE_OF_THREE: f64 = 3.0;
 /// The largest number of cases of a single run that counts as few.
-const FEW: u64 = 9;
+const MAX_FEW_CASES: u64 = 9;
 
 /// Counts of cases and events.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -37,11 +38,11 @@ pub struct MetricEstimate {
     /// The mean with its interval.
     pub estimate: Estimate,
     /// The cases, if the metric counts cases per event.
-    pub counted: Option<CaseCounts>,
+    pub case_counts: Option<CaseCounts>,
     /// The one-sided 95 % upper bound, if it replaces the interval.
-    pub upper: Option<f64>,
+    pub upper_bound: Option<f64>,
     /// The one-sided 95 % lower bound, if all events were cases.
-    pub lower: Option<f64>,
+    pub lower_bound: Option<f64>,
 }
 
 impl MetricEstimate {
@@ -49,29 +50,33 @@ impl MetricEstimate {
     pub fn from_rows(rows: &[&ResultRow], metric: &str) -> Option<Self> {
         let defined = || rows.iter().filter_map(|row| Some((row, row.metric(metric)?)));
         let estimate = Estimate::from_values(defined().map(|(_, value)| value))?;
-        let count = COUNTS.iter().find(|(name, _)| *name == metric);
-        let counted = count.map(|(_, each)| CaseCounts {
+        let case_metric = CASE_METRICS.iter().find(|(name, _)| *name == metric);
+        let case_counts = case_metric.map(|(_, value_per_case)| CaseCounts {
             cases: defined()
                 // The metric is a ratio of whole numbers: rounding removes the error of the division.
-                .map(|(row, value)| (value * row.events as f64 / each).round() as u64)
+                .map(|(row, value)| (value * row.events as f64 / value_per_case).round() as u64)
                 .sum(),
             events: defined().map(|(row, _)| row.events).sum(),
         });
-        let exact = count.zip(counted).map(|((_, each), counted)| each * counted.most());
+        let count_bound = case_metric
+            .zip(case_counts)
+            .map(|((_, value_per_case), counts)| value_per_case * counts.upper_bound_per_event());
         // A difference may be negative, so an interval across zero does not indicate few cases.
-        let is_difference = Metrics::named(metric).is_some_and(|metric| metric.is_difference);
+        let is_difference = Metrics::find(metric).is_some_and(|metric| metric.is_difference);
         Some(Self {
             estimate,
-            counted,
-            upper: upper(estimate, counted, exact).filter(|_| !is_difference),
-            lower: counted.filter(|_| metric == SHARE).and_then(CaseCounts::least),
+            case_counts,
+            upper_bound: upper_bound(estimate, case_counts, count_bound).filter(|_| !is_difference),
+            lower_bound: case_counts
+                .filter(|_| metric == SHARE_METRIC)
+                .and_then(CaseCounts::lower_bound_pct),
         })
     }
 
     /// Returns the 95 % limits of a metric that cannot be negative; zero and infinity if they are unknown.
     pub fn ends(&self) -> (f64, f64) {
         let Estimate { mean, half_width, .. } = self.estimate;
-        match (self.upper, self.lower) {
+        match (self.upper_bound, self.lower_bound) {
             (Some(upper), _) => (0.0, upper),
             (None, Some(lower)) => (lower, mean),
             (None, None) if half_width.is_nan() => (0.0, f64::INFINITY),
@@ -81,13 +86,13 @@ impl MetricEstimate {
 
     /// Returns the distance from the mean to its limit: half the interval, or to the bound. NaN if it is unknown.
     pub fn half_width(&self) -> f64 {
-        let bound = self.upper.or(self.lower);
+        let bound = self.upper_bound.or(self.lower_bound);
         bound.map_or(self.estimate.half_width, |bound| (bound - self.estimate.mean).abs())
     }
 
-    /// Returns the estimate of the metric divided by `parts`.
+    /// Returns the estimate of the metric divided by `divisor`.
     #[must_use]
-    pub fn divided_by(self, parts: f64) -> Self {
+    pub fn divided_by(self, divisor: f64) -> Self {
         let Estimate {
             mean,
             deviation,
@@ -96,13 +101,13 @@ impl MetricEstimate {
         } = self.estimate;
         Self {
             estimate: Estimate {
-                mean: mean / parts,
-                deviation: deviation / parts,
-                half_width: half_width / parts,
+                mean: mean / divisor,
+                deviation: deviation / divisor,
+                half_width: half_width / divisor,
                 runs,
             },
-            upper: self.upper.map(|upper| upper / parts),
-            lower: self.lower.map(|lower| lower / parts),
+            upper_bound: self.upper_bound.map(|upper| upper / divisor),
+            lower_bound: self.lower_bound.map(|lower| lower / divisor),
             ..self
         }
     }
@@ -110,7 +115,7 @@ impl MetricEstimate {
 
 impl CaseCounts {
     /// Returns the one-sided 95 % upper bound on cases per event, for Poisson counts (Garwood).
-    fn most(self) -> f64 {
+    fn upper_bound_per_event(self) -> f64 {
         let Self { cases, events } = self;
         let bound = if cases == 0 {
             RULE_OF_THREE
@@ -122,23 +127,27 @@ impl CaseCounts {
     }
 
     /// Returns the one-sided 95 % lower bound on the share of events with a case, %, if all events have one.
-    fn least(self) -> Option<f64> {
+    fn lower_bound_pct(self) -> Option<f64> {
         let is_all = self.events > 0 && self.cases == self.events;
         is_all.then(|| (100.0 * (1.0 - RULE_OF_THREE / self.events as f64)).max(0.0))
     }
 }
 
-/// Returns the one-sided bound on a mean whose interval is not usable. `exact` is the bound of the count.
-fn upper(estimate: Estimate, counted: Option<CaseCounts>, exact: Option<f64>) -> Option<f64> {
+/// Returns the one-sided bound on a mean whose interval is not usable. `count_bound` follows from the number of cases.
+fn upper_bound(estimate: Estimate, case_counts: Option<CaseCounts>, count_bound: Option<f64>) -> Option<f64> {
     let Estimate { mean, half_width, .. } = estimate;
-    let counted = counted.filter(|counted| counted.events > 0);
-    match counted {
-        Some(CaseCounts { cases: 0, .. }) => exact,
-        Some(CaseCounts { cases: 1..=FEW, .. }) if half_width.is_nan() => exact,
+    let case_counts = case_counts.filter(|counts| counts.events > 0);
+    match case_counts {
+        Some(CaseCounts { cases: 0, .. }) => count_bound,
+        Some(CaseCounts {
+            cases: 1..=MAX_FEW_CASES,
+            ..
+        }) if half_width.is_nan() => count_bound,
         // Clustered cases scatter more than Poisson's law. The spread of the runs shows it, so the wider bound counts.
         _ if mean > 0.0 && half_width >= mean => {
-            let of_runs = mean + half_width;
-            Some(counted.and(exact).map_or(of_runs, |exact| exact.max(of_runs)))
+            let interval_bound = mean + half_width;
+            let count_bound = case_counts.and(count_bound);
+            Some(count_bound.map_or(interval_bound, |bound| bound.max(interval_bound)))
         }
         Some(_) | None => None,
     }
@@ -154,7 +163,7 @@ impl CellRuns<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::stats::cells;
+    use crate::stats::group_by_cell;
     use crate::table::fixtures;
 
     /// Estimates `metric` from runs with these values and 1000 events each.
@@ -179,24 +188,24 @@ mod tests {
     fn bounds_on_counts_are_those_of_printed_tables() {
         // One-sided 95 % limits of a Poisson mean.
         for (cases, printed) in [(1, 4.744), (2, 6.296), (3, 7.754), (10, 16.962)] {
-            let bound = CaseCounts { cases, events: 1000 }.most() * 1000.0;
+            let bound = CaseCounts { cases, events: 1000 }.upper_bound_per_event() * 1000.0;
             assert!((bound - printed).abs() < 6e-4, "{cases}: {bound}");
         }
         let none = CaseCounts { cases: 0, events: 600 };
-        assert!((none.most() - 0.005).abs() < 1e-12, "the rule of three");
+        assert!((none.upper_bound_per_event() - 0.005).abs() < 1e-12, "the rule of three");
     }
 
     #[test]
     fn without_a_case_there_is_a_bound_and_no_interval_of_width_zero() {
         let none = reading("misdetection_pct", &[0.0, 0.0, 0.0]);
-        assert_eq!(none.counted, Some(CaseCounts { cases: 0, events: 3000 }));
-        assert_eq!((none.upper, none.ends()), (Some(0.1), (0.0, 0.1)));
+        assert_eq!(none.case_counts, Some(CaseCounts { cases: 0, events: 3000 }));
+        assert_eq!((none.upper_bound, none.ends()), (Some(0.1), (0.0, 0.1)));
         assert!((none.half_width() - 0.1).abs() < 1e-15);
         let one_run = reading("wrong_activations_per_event", &[0.0]);
-        assert_eq!(one_run.upper, Some(0.003));
+        assert_eq!(one_run.upper_bound, Some(0.003));
         let no_count = reading("low_energy_pct", &[0.0, 0.0]);
         assert_eq!(
-            (no_count.upper, no_count.half_width()),
+            (no_count.upper_bound, no_count.half_width()),
             (None, 0.0),
             "nothing was counted"
         );
@@ -206,44 +215,44 @@ mod tests {
     fn where_all_is_missed_the_bound_is_below() {
         let all = reading("misdetection_pct", &[100.0, 100.0]);
         let (lower, mean) = all.ends();
-        assert!(all.upper.is_none() && all.lower == Some(lower));
+        assert!(all.upper_bound.is_none() && all.lower_bound == Some(lower));
         assert!((lower - 99.85).abs() < 1e-9 && (mean - 100.0).abs() < 1e-12, "{all:?}");
         assert!((all.half_width() - 0.15).abs() < 1e-9);
         let each = reading("wake_ups_per_event", &[1.0, 1.0]);
-        assert_eq!(each.lower, None, "there may be more than one an event");
+        assert_eq!(each.lower_bound, None, "there may be more than one an event");
     }
 
     #[test]
     fn few_cases_give_a_bound_that_holds_for_heaps_too() {
         // 0, 0 and 4 of 1000: mean 4/30 %, deviation 0.23094, t(2) = 4.302653.
         let few = reading("misdetection_pct", &[0.0, 0.0, 0.4]);
-        assert_eq!(few.counted, Some(CaseCounts { cases: 4, events: 3000 }));
+        assert_eq!(few.case_counts, Some(CaseCounts { cases: 4, events: 3000 }));
         let of_runs = 0.4 / 3.0 + 4.302_653 * 0.4 / 3.0;
-        assert!((few.upper.expect("a bound") - of_runs).abs() < 1e-6, "{few:?}");
+        assert!((few.upper_bound.expect("a bound") - of_runs).abs() < 1e-6, "{few:?}");
         // 1 of 1000 in each of 2 of 300 runs: the bound of the count is the wider one.
         let mut rare = vec![0.0; 298];
         rare.extend([0.1, 0.1]);
         let rare = reading("misdetection_pct", &rare);
         assert!(
-            (rare.upper.expect("a bound") - 100.0 * 6.296 / 300_000.0).abs() < 1e-6,
+            (rare.upper_bound.expect("a bound") - 100.0 * 6.296 / 300_000.0).abs() < 1e-6,
             "{rare:?}"
         );
         let lone = reading("misdetection_pct", &[0.3]);
-        assert!((lone.upper.expect("a bound") - 100.0 * 7.754 / 1000.0).abs() < 1e-4);
+        assert!((lone.upper_bound.expect("a bound") - 100.0 * 7.754 / 1000.0).abs() < 1e-4);
         assert_eq!(lone.ends().0.to_bits(), 0.0_f64.to_bits());
     }
 
     #[test]
     fn an_interval_above_zero_stays_what_it_is() {
         let known = reading("misdetection_pct", &[30.0, 31.0, 32.0]);
-        assert_eq!(known.upper, None);
+        assert_eq!(known.upper_bound, None);
         assert_eq!(known.ends(), known.estimate.interval());
         let one_run = reading("misdetection_pct", &[33.0]);
-        assert_eq!((one_run.upper, one_run.ends()), (None, (0.0, f64::INFINITY)));
+        assert_eq!((one_run.upper_bound, one_run.ends()), (None, (0.0, f64::INFINITY)));
         let below = reading("net_per_device_tti", &[0.01, -0.01, 0.02]);
-        assert_eq!(below.upper, None, "a difference may be negative");
+        assert_eq!(below.upper_bound, None, "a difference may be negative");
         let wide = reading("low_energy_pct", &[0.0, 0.03]);
-        assert!((wide.upper.expect("a bound") - (0.015 + 12.706_205 * 0.015)).abs() < 1e-6);
+        assert!((wide.upper_bound.expect("a bound") - (0.015 + 12.706_205 * 0.015)).abs() < 1e-6);
     }
 
     #[test]
@@ -252,13 +261,16 @@ mod tests {
         assert!((wasted.estimate.mean - 2.75).abs() < 1e-12);
         assert!((wasted.half_width() - 12.706_205 / 4.0).abs() < 1e-5);
         let rare = reading("wasted_energy_per_event", &[0.0, 2.0]);
-        assert_eq!(rare.divided_by(2.0).upper, rare.upper.map(|upper| upper / 2.0));
+        assert_eq!(
+            rare.divided_by(2.0).upper_bound,
+            rare.upper_bound.map(|upper| upper / 2.0)
+        );
     }
 
     #[test]
     fn a_cell_tells_of_its_runs() {
         let table = fixtures::table();
-        let cells = cells(&table);
+        let cells = group_by_cell(&table);
         assert_eq!(cells[0].reading("info_per_event"), None, "in neither run");
         assert_eq!(cells[0].reading("info_p1").map(|r| r.estimate.runs), Some(2));
     }

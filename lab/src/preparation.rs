@@ -1,4 +1,5 @@
-//! Preparation of a run before its first TTI: the deployed devices, and the pilot runs that its policy requests.
+//! Preparation of a run before its first TTI: the deployed devices, and the pilot runs that its policy requests. Runs
+//! in memory and over the bus use it; `PreparedRun::without_pilots` is enough for policies that request none.
 //!
 //! The `adjusted` policy (Sec. V-A, P2) evaluates each duty cycle of its grid in a pilot run of the same machines on
 //! the same deployment. Pilot runs have another seed for events and harvests. They use the knowledge of a base station,
@@ -10,69 +11,69 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use reveille_bs::bounds_cache::BoundsCache;
-use reveille_bs::cycle::{Outcome, PreparedRun};
-use reveille_bs::policy::factory::{Found, PilotSearch, Trials};
+use reveille_bs::cycle::{PreparedRun, RunOutcome};
+use reveille_bs::policy::factory::{PilotRuns, PilotSearch, SearchOutcome};
 use reveille_bs::scenario::Scenario;
 use reveille_common::deployment::Deployment;
 
 use crate::run::{Run, RunOptions};
 
 /// An offset to the seed for the pilot runs.
-const PILOT: u64 = 0x5EED_0F91_1070_0500;
+const PILOT_SEED_OFFSET: u64 = 0x5EED_0F91_1070_0500;
 /// The share of a pilot run that its metrics leave out.
-const WARM_UP: f64 = 0.25;
+const PILOT_WARM_UP: f64 = 0.25;
 /// The largest number of cached searches.
-const REMEMBERED: usize = 1024;
+const MAX_CACHED_SEARCHES: usize = 1024;
 
 /// Prepares runs and caches their shared data. Sharing a preparer does not change results.
 #[derive(Debug, Default)]
 pub struct RunPreparer {
-    grids: Arc<BoundsCache>,
+    bounds_cache: Arc<BoundsCache>,
     /// The search results by the hash of the pilot scenario: runs that only differ in length share a search.
-    found: Mutex<VecDeque<([u8; 32], Found)>>,
+    searches: Mutex<VecDeque<([u8; 32], SearchOutcome)>>,
 }
 
 impl RunPreparer {
     /// Deploys `scenario` and makes the pilot runs that its policy requests.
     pub fn prepare(&self, scenario: &Scenario) -> PreparedRun {
         let mut prepared = PreparedRun {
-            grids: Arc::clone(&self.grids),
+            grids: Arc::clone(&self.bounds_cache),
             ..PreparedRun::without_pilots(scenario)
         };
-        if let Some(pilots) = scenario.policy.settings().pilots() {
+        if let Some(pilots) = scenario.policy.settings().pilot_search() {
             let (found, warnings) = self.search(&prepared, &pilots);
-            (prepared.found, prepared.warnings) = (Some(found), warnings);
+            (prepared.pilot_choice, prepared.warnings) = (Some(found), warnings);
         }
         prepared
     }
 
-    fn search(&self, prepared: &PreparedRun, pilots: &PilotSearch) -> Found {
-        let key = pilot(&prepared.scenario, pilots.ttis).hash();
-        if let Some(known) = self.recall(&key) {
-            return known;
+    fn search(&self, prepared: &PreparedRun, pilots: &PilotSearch) -> SearchOutcome {
+        let key = pilot_scenario(&prepared.scenario, pilots.initial_ttis).hash();
+        if let Some(found) = self.cached_search(&key) {
+            return found;
         }
         // No lock is held during the pilot runs. Two threads may search for the same deployment, with the same result.
         let trials = pilot_runs(prepared, pilots);
         let found = (pilots.judge)(&prepared.knowledge(), &trials);
-        self.remember(key, found.clone());
+        self.cache_search(key, found.clone());
         found
     }
 
-    fn recall(&self, key: &[u8; 32]) -> Option<Found> {
-        let found = self.found.lock().unwrap_or_else(PoisonError::into_inner);
-        found
+    fn cached_search(&self, key: &[u8; 32]) -> Option<SearchOutcome> {
+        let searches = self.searches.lock().unwrap_or_else(PoisonError::into_inner);
+        searches
             .iter()
-            .find(|(known, _)| known == key)
+            .find(|(cached_key, _)| cached_key == key)
             .map(|(_, found)| found.clone())
     }
 
     /// Caches a search result. Two threads that searched for the same deployment have equal results.
-    fn remember(&self, key: [u8; 32], what: Found) {
-        let mut found = self.found.lock().unwrap_or_else(PoisonError::into_inner);
-        if found.len() == REMEMBERED {
-            found.pop_front();
+    fn cache_search(&self, key: [u8; 32], found: SearchOutcome) {
+        let mut searches = self.searches.lock().unwrap_or_else(PoisonError::into_inner);
+        if searches.len() == MAX_CACHED_SEARCHES {
+            searches.pop_front();
         }
-        found.push_back((key, what));
+        searches.push_back((key, found));
     }
 }
 
@@ -87,30 +88,30 @@ pub fn start(scenario: &Scenario, options: RunOptions) -> Run {
 }
 
 /// Runs `scenario` from its first TTI to its last, without a shared cache.
-pub fn run(scenario: &Scenario) -> Outcome {
+pub fn run(scenario: &Scenario) -> RunOutcome {
     start(scenario, RunOptions::default()).finish(&mut ())
 }
 
 /// Runs each candidate of `pilots` on the deployment of `prepared`. All pilot runs have the same length. It is long
 /// enough for each to hold the requested events, up to a limit.
-fn pilot_runs(prepared: &PreparedRun, pilots: &PilotSearch) -> Trials {
-    let mut ground = prepared.clone();
-    let Deployment { devices, traces, .. } = &mut ground.deployment;
+fn pilot_runs(prepared: &PreparedRun, pilots: &PilotSearch) -> PilotRuns {
+    let mut pilot_run = prepared.clone();
+    let Deployment { devices, traces, .. } = &mut pilot_run.deployment;
     for device in devices {
         // A trace has only one realisation: replayed in a pilot run, it would show the future of the run itself.
-        device.harvest = device.harvest.expected(traces);
+        device.harvest = device.harvest.known_before_run(traces);
     }
-    let (mut ttis, mut all_ttis) = (pilots.ttis, 0_u64);
+    let (mut ttis, mut all_ttis) = (pilots.initial_ttis, 0_u64);
     // Beyond `longest`, sums of energy would overflow 64 bits.
-    let limit = pilots.limit.min(prepared.scenario.longest()).max(ttis);
+    let max_ttis = pilots.max_ttis.min(prepared.scenario.max_ttis()).max(ttis);
     loop {
-        ground.scenario = pilot(&prepared.scenario, ttis);
+        pilot_run.scenario = pilot_scenario(&prepared.scenario, ttis);
         let (mut metrics, mut is_long_enough) = (Vec::with_capacity(pilots.candidates.len()), true);
         for candidate in &pilots.candidates {
-            ground.found = Some(Arc::clone(candidate));
-            let outcome = Run::new(&ground, RunOptions::default()).finish(&mut ());
+            pilot_run.pilot_choice = Some(Arc::clone(candidate));
+            let outcome = Run::new(&pilot_run, RunOptions::default()).finish(&mut ());
             all_ttis = all_ttis.saturating_add(ttis);
-            is_long_enough = ttis >= limit || outcome.metrics.events >= pilots.events;
+            is_long_enough = ttis >= max_ttis || outcome.metrics.events >= pilots.min_events;
             // Metrics of runs of different length do not compare, so all candidates run again, twice as long.
             if !is_long_enough {
                 break;
@@ -118,21 +119,21 @@ fn pilot_runs(prepared: &PreparedRun, pilots: &PilotSearch) -> Trials {
             metrics.push(outcome.metrics);
         }
         if is_long_enough {
-            return Trials {
-                ttis,
-                all_ttis,
+            return PilotRuns {
+                run_ttis: ttis,
+                total_ttis: all_ttis,
                 metrics,
             };
         }
-        ttis = ttis.saturating_mul(2).min(limit);
+        ttis = ttis.saturating_mul(2).min(max_ttis);
     }
 }
 
 /// Returns the scenario of pilot runs of `ttis` TTIs, whose seed differs from the deployment's seed.
-fn pilot(scenario: &Scenario, ttis: u64) -> Scenario {
-    let mut pilot = scenario.with_seed(scenario.run.seed.wrapping_add(PILOT));
+fn pilot_scenario(scenario: &Scenario, ttis: u64) -> Scenario {
+    let mut pilot = scenario.with_seed(scenario.run.seed.wrapping_add(PILOT_SEED_OFFSET));
     pilot.run.ttis = ttis;
-    pilot.run.warm_up = WARM_UP;
+    pilot.run.warm_up = PILOT_WARM_UP;
     pilot
 }
 
@@ -141,7 +142,7 @@ mod tests {
 
     use super::*;
     use reveille_bs::beliefs::ranking::i_min;
-    use reveille_bs::policy::adjusted::search::{DutyCycleChoice, judged};
+    use reveille_bs::policy::adjusted::search::{DutyCycleChoice, pilot_results};
 
     use reveille_bs::policy::adjusted::settings::AdjustedSettings;
     use reveille_bs::policy::factory::PolicyFactory;
@@ -170,11 +171,11 @@ mod tests {
             .settings()
             .downcast_ref::<AdjustedSettings>()
             .expect("adjusted");
-        let pilots = settings.pilots().expect("a search");
-        let all = judged(settings, &pilot_runs(&prepared, &pilots));
+        let pilots = settings.pilot_search().expect("a search");
+        let all = pilot_results(settings, &pilot_runs(&prepared, &pilots));
         let pairs: Vec<(u32, u32)> = all.iter().map(|c| (c.t_on, c.t_drx)).collect();
         assert_eq!(pairs, [(1, 2), (1, 8), (3, 8)]);
-        let found = prepared.found.as_ref().expect("found");
+        let found = prepared.pilot_choice.as_ref().expect("found");
         let choice: &DutyCycleChoice = found.downcast_ref().expect("a duty cycle");
         let positions = prepared.deployment.positions();
         let threshold = i_min(&positions, scenario.area, &scenario.sensing);
@@ -182,13 +183,13 @@ mod tests {
         let least = reaching.map(|c| c.energy).fold(f64::INFINITY, f64::min);
         let own = all.iter().find(|c| (c.t_on, c.t_drx) == (choice.t_on, choice.t_drx));
         assert!((own.expect("of the grid").energy - least).abs() < 1e-15);
-        assert_eq!((choice.pairs, choice.device_ttis), (3, 3 * 60 * 800));
+        assert_eq!((choice.searched_pairs, choice.device_ttis), (3, 3 * 60 * 800));
     }
 
     #[test]
     fn the_pilot_stands_on_the_same_ground_and_sees_other_events() {
         let scenario = scenario(&["policy.name=adjusted", "devices=40"]);
-        let pilot = pilot(&scenario, 2000);
+        let pilot = pilot_scenario(&scenario, 2000);
         assert_ne!(pilot.run.seed, scenario.run.seed);
         let (a, b) = (Deployment::new(&scenario), Deployment::new(&pilot));
         assert_ne!(

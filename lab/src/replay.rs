@@ -1,10 +1,11 @@
-//! A replay: a run in memory that follows a run over the bus. It restores the devices of a lost process and audits the
-//! run, from the scenario, the seed and the external inputs alone.
+//! A replay: a run in memory that follows a run over the bus, from the scenario and the external inputs alone. It
+//! restores the devices of a lost process, and it audits the run: an audit compares a run over the bus with its replay,
+//! frame by frame. `deploy/src/audit.rs` feeds it with the frames of [`DigestFrames`].
 
 use std::collections::VecDeque;
 use std::fmt;
 
-use reveille_bs::cycle::{Outcome, PreparedRun};
+use reveille_bs::cycle::{PreparedRun, RunOutcome};
 use reveille_bs::observer::frames::Frames;
 use reveille_bs::observer::{Notification, Observer};
 use reveille_common::ids::{DeviceId, Tti};
@@ -62,12 +63,12 @@ pub struct Divergence {
     /// The device concerned, if there is only one.
     pub device: Option<DeviceId>,
     /// A message with the content of the run and of the replay.
-    pub what: String,
+    pub description: String,
 }
 
 impl fmt::Display for Divergence {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "TTI {}: {}", self.tti, self.what)
+        write!(f, "TTI {}: {}", self.tti, self.description)
     }
 }
 
@@ -76,43 +77,43 @@ pub struct Replay {
     prepared: PreparedRun,
     run: Run,
     /// The first TTI that is compared.
-    from: Tti,
-    compared: Tti,
+    compare_from: Tti,
+    compared_until: Tti,
     inputs: ExternalInputs,
-    ahead: UncomparedFrames,
+    uncompared: UncomparedFrames,
 }
 
 /// The frames of a replay that are not compared yet.
 #[derive(Default)]
 struct UncomparedFrames {
-    noting: DigestFrames,
+    encoder: DigestFrames,
     /// The frames for which the run has no counterpart yet.
-    frames: VecDeque<Frame>,
+    queue: VecDeque<Frame>,
     /// The number of frames that were equal in both.
-    same: u64,
+    equal_frames: u64,
     /// The number of compared frames that the replay still has to repeat after a restart.
-    again: u64,
+    frames_to_skip: u64,
 }
 
 impl UncomparedFrames {
-    fn take(&mut self, frame: Frame) {
-        if self.again > 0 {
-            self.again -= 1;
+    fn add(&mut self, frame: Frame) {
+        if self.frames_to_skip > 0 {
+            self.frames_to_skip -= 1;
         } else {
-            self.frames.push_back(frame);
+            self.queue.push_back(frame);
         }
     }
 }
 
 impl Observer for UncomparedFrames {
     fn notify(&mut self, notification: &Notification<'_>) {
-        let mut noting = self.noting;
-        noting.encode(notification, |frame| self.take(frame));
-        self.noting = noting;
+        let mut encoder = self.encoder;
+        encoder.encode(notification, |frame| self.add(frame));
+        self.encoder = encoder;
     }
 
     fn batteries_revealed(&mut self, tti: Tti, batteries: &[Energy]) {
-        self.take(DigestFrames::batteries_frame(tti, batteries));
+        self.add(DigestFrames::batteries_frame(tti, batteries));
     }
 }
 
@@ -120,12 +121,12 @@ impl Replay {
     /// Creates the replay of the run `prepared` with these `inputs`, before TTI 0. The comparison starts at TTI `from`.
     pub fn new(prepared: &PreparedRun, inputs: &ExternalInputs, from: Tti) -> Self {
         Self {
-            run: begin(prepared, inputs),
+            run: start_run(prepared, inputs),
             prepared: prepared.clone(),
-            from,
-            compared: from,
+            compare_from: from,
+            compared_until: from,
             inputs: inputs.clone(),
-            ahead: UncomparedFrames::default(),
+            uncompared: UncomparedFrames::default(),
         }
     }
 
@@ -138,7 +139,7 @@ impl Replay {
         // Added before a restart, which schedules all inputs.
         self.inputs.add(input.clone());
         if self.next_tti() > tti {
-            self.begin_anew();
+            self.restart();
         } else {
             self.run.schedule_input(input);
         }
@@ -150,69 +151,69 @@ impl Replay {
     }
 
     /// Advances to TTI `k`, after a restart if the replay is past it.
-    fn reach(&mut self, k: Tti) {
+    fn advance_to(&mut self, k: Tti) {
         if self.next_tti() > k {
-            self.begin_anew();
+            self.restart();
         }
-        // Frames before `from` are not compared and would only accumulate.
-        self.run.advance(k.min(self.from), &mut ());
-        self.run.advance(k, &mut self.ahead);
+        // Frames before `compare_from` are not compared and would only accumulate.
+        self.run.advance(k.min(self.compare_from), &mut ());
+        self.run.advance(k, &mut self.uncompared);
         assert!(
             self.run.missing_decision().is_none(),
             "a decision is added before the run continues from it"
         );
     }
 
-    fn begin_anew(&mut self) -> Run {
-        self.ahead.frames.clear();
-        // The new run repeats its frames from `from` on; the compared ones are skipped.
-        self.ahead.again = self.ahead.same;
-        std::mem::replace(&mut self.run, begin(&self.prepared, &self.inputs))
+    fn restart(&mut self) -> Run {
+        self.uncompared.queue.clear();
+        // The new run repeats its frames from `compare_from` on; the compared ones are skipped.
+        self.uncompared.frames_to_skip = self.uncompared.equal_frames;
+        std::mem::replace(&mut self.run, start_run(&self.prepared, &self.inputs))
     }
 
     /// Ends the comparison with the run.
     pub fn stop_comparing(&mut self) {
-        self.from = Tti::NEVER;
-        self.ahead = UncomparedFrames::default();
+        self.compare_from = Tti::NEVER;
+        self.uncompared = UncomparedFrames::default();
     }
 
     /// The TTI before which both runs are equal.
-    pub const fn compared(&self) -> Tti {
-        self.compared
+    pub const fn compared_until(&self) -> Tti {
+        self.compared_until
     }
 
     /// Returns checkpoints of `count` devices from `first` on, before TTI `k`.
-    pub fn devices(&mut self, k: Tti, first: DeviceId, count: u32) -> Vec<DeviceCheckpoint> {
-        self.reach(k);
+    pub fn checkpoints(&mut self, k: Tti, first: DeviceId, count: u32) -> Vec<DeviceCheckpoint> {
+        self.advance_to(k);
         self.run.checkpoints(first, count)
     }
 
     /// Returns the ledgers of `count` devices from `first` on, before TTI `k`.
     pub fn ledgers(&mut self, k: Tti, first: DeviceId, count: u32) -> Vec<Ledger> {
-        self.reach(k);
+        self.advance_to(k);
         self.run.ledgers(first, count)
     }
 
     /// Returns the outcome of the run before TTI `k`. The replay then restarts from TTI 0.
-    pub fn outcome(&mut self, k: Tti) -> Outcome {
-        self.reach(k);
-        self.begin_anew().partial_outcome()
+    pub fn outcome(&mut self, k: Tti) -> RunOutcome {
+        self.advance_to(k);
+        self.restart().partial_outcome()
     }
 
-    /// Compares the frames of the run since the last comparison, all of them from TTIs before `k`.
+    /// Audits the run up to TTI `k`: compares its frames since the last comparison, all of them from TTIs before `k`.
     ///
     /// # Errors
     /// If the runs differ; the error is the first divergence.
     pub fn compare(&mut self, k: Tti, live: &[Frame]) -> Result<(), Divergence> {
-        // Never goes back: frames of later TTIs wait in `ahead`, and a restart would only repeat them.
-        self.reach(k.max(self.next_tti()));
+        // Never goes back: frames of later TTIs wait in `uncompared`, and a restart would only repeat them.
+        self.advance_to(k.max(self.next_tti()));
         for frame in live {
-            match self.ahead.frames.pop_front() {
-                Some(own) if own == *frame => self.ahead.same += 1,
-                own => return Err(difference(Some(frame), own.as_ref())),
+            match self.uncompared.queue.pop_front() {
+                Some(replayed) if replayed == *frame => self.uncompared.equal_frames += 1,
+                replayed => return Err(frame_divergence(Some(frame), replayed.as_ref())),
             }
         }
-        self.compared = k;
+        self.compared_until = k;
         Ok(())
     }
 
@@ -220,31 +221,31 @@ impl Replay {
     ///
     /// # Errors
     /// If the outcomes differ; the error is the first divergence.
-    pub fn compare_outcome(&mut self, live: &Outcome) -> Result<(), Divergence> {
-        self.reach(Tti(live.ttis_done));
-        if let Some(own) = self.ahead.frames.pop_front() {
-            return Err(difference(None, Some(&own)));
+    pub fn compare_outcome(&mut self, live: &RunOutcome) -> Result<(), Divergence> {
+        self.advance_to(Tti(live.ttis_done));
+        if let Some(extra) = self.uncompared.queue.pop_front() {
+            return Err(frame_divergence(None, Some(&extra)));
         }
-        same_outcome(live, &self.outcome(Tti(live.ttis_done)))
+        compare_outcomes(live, &self.outcome(Tti(live.ttis_done)))
     }
 }
 
 /// Creates a run before TTI 0.
-fn begin(prepared: &PreparedRun, inputs: &ExternalInputs) -> Run {
+fn start_run(prepared: &PreparedRun, inputs: &ExternalInputs) -> Run {
     let mut run = Run::new(prepared, RunOptions::default());
     run.schedule_inputs(inputs);
     run
 }
 
-/// Describes the difference between a frame of the run (`had`) and a frame of the replay (`has`).
-fn difference(had: Option<&Frame>, has: Option<&Frame>) -> Divergence {
-    if let (Some(had), Some(has)) = (had, has)
-        && let Some(lie) = lie(had, has)
+/// Describes the difference between a frame of the run (`live`) and a frame of the replay (`replayed`).
+fn frame_divergence(live: Option<&Frame>, replayed: Option<&Frame>) -> Divergence {
+    if let (Some(live), Some(replayed)) = (live, replayed)
+        && let Some(divergence) = battery_divergence(live, replayed)
     {
-        return lie;
+        return divergence;
     }
-    let ttis = had.iter().chain(&has).map(|frame| frame.tti);
-    let say = |frame: Option<&Frame>| match frame {
+    let ttis = live.iter().chain(&replayed).map(|frame| frame.tti);
+    let describe = |frame: Option<&Frame>| match frame {
         None => "nothing more".to_owned(),
         Some(frame) => {
             let number = frame.number.map_or_else(String::new, |number| format!(" {number}"));
@@ -257,23 +258,27 @@ fn difference(had: Option<&Frame>, has: Option<&Frame>) -> Divergence {
     Divergence {
         // The runs diverge at the earlier of the two frames, which the other run lacks.
         tti: ttis.min().unwrap_or_default(),
-        device: had.and_then(Frame::device).or_else(|| has.and_then(Frame::device)),
-        what: format!("the run had {}, the replay has {}", say(had), say(has)),
+        device: live
+            .and_then(Frame::device)
+            .or_else(|| replayed.and_then(Frame::device)),
+        description: format!("the run had {}, the replay has {}", describe(live), describe(replayed)),
     }
 }
 
 /// Returns the first wrong battery reported to a run, if both frames hold batteries.
-fn lie(had: &Frame, has: &Frame) -> Option<Divergence> {
-    let (Ok(Message::States(had)), Ok(Message::States(own))) = (had.message(), has.message()) else {
+fn battery_divergence(live: &Frame, replayed: &Frame) -> Option<Divergence> {
+    let (Ok(Message::States(live)), Ok(Message::States(own))) = (live.message(), replayed.message()) else {
         return None;
     };
-    let pairs = had.views.iter().zip(&own.views).zip((0..).map(DeviceId));
-    let ((said, held), device) = pairs.into_iter().find(|((said, held), _)| said != held)?;
-    let (said, held) = (said.battery.units(), held.battery.units());
+    let pairs = live.views.iter().zip(&own.views).zip((0..).map(DeviceId));
+    let ((reported, own), device) = pairs.into_iter().find(|((reported, own), _)| reported != own)?;
+    let (reported, own) = (reported.battery.units(), own.battery.units());
     Some(Divergence {
-        tti: has.tti,
+        tti: replayed.tti,
         device: Some(device),
-        what: format!("the run has {said:.2} units in the battery of device {device}, and the replay {held:.2}"),
+        description: format!(
+            "the run has {reported:.2} units in the battery of device {device}, and the replay {own:.2}"
+        ),
     })
 }
 
@@ -281,7 +286,7 @@ fn lie(had: &Frame, has: &Frame) -> Option<Divergence> {
 ///
 /// # Errors
 /// If they differ; the error is the first divergence.
-fn same_outcome(live: &Outcome, replayed: &Outcome) -> Result<(), Divergence> {
+fn compare_outcomes(live: &RunOutcome, replayed: &RunOutcome) -> Result<(), Divergence> {
     let tti = Tti(live.ttis_done);
     // The digest covers the ledgers too, but a differing ledger names its device.
     let differing = live.devices.iter().zip(&replayed.devices).find(|(a, b)| a != b);
@@ -289,7 +294,7 @@ fn same_outcome(live: &Outcome, replayed: &Outcome) -> Result<(), Divergence> {
         return Err(Divergence {
             tti,
             device: Some(device.device),
-            what: format!("the ledger of device {} differs from the replay", device.device),
+            description: format!("the ledger of device {} differs from the replay", device.device),
         });
     }
     if live.digest == replayed.digest {
@@ -298,6 +303,6 @@ fn same_outcome(live: &Outcome, replayed: &Outcome) -> Result<(), Divergence> {
     Err(Divergence {
         tti,
         device: None,
-        what: format!("the digest is {}, and the replay has {}", live.digest, replayed.digest),
+        description: format!("the digest is {}, and the replay has {}", live.digest, replayed.digest),
     })
 }

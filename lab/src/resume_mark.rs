@@ -1,6 +1,7 @@
-//! The resume mark of a run: a TTI, and a fingerprint of everything before it.
+//! The resume mark of a run (`resume.json`): a TTI, and a fingerprint of everything before it.
 //!
-//! A resumed run is replayed in memory up to that TTI and must reach the same fingerprint.
+//! A resumed run is replayed in memory up to that TTI and must reach the same fingerprint. The fingerprint covers the
+//! frames of [`DigestFrames`] in their order; a change of it or of the fields needs a new `VERSION`.
 
 use std::fmt::Write as _;
 
@@ -82,16 +83,16 @@ impl ResumeMark {
 /// Follows a run from TTI 0 and computes its current mark.
 #[derive(Clone)]
 pub struct ResumeTracker {
-    noting: DigestFrames,
-    so_far: Sha256,
-    /// The hash of everything before `next`; a run may end in the middle of a TTI.
-    whole: Sha256,
+    encoder: DigestFrames,
+    hash_so_far: Sha256,
+    /// The hash of everything before `next_tti`; a run may end in the middle of a TTI.
+    hash_before_next: Sha256,
     scenario_hash: String,
     window: u64,
-    next: Tti,
+    next_tti: Tti,
     /// The mark that the run has to reach; `None` once it has.
     expected: Option<ResumeMark>,
-    is_lost: bool,
+    has_diverged: bool,
 }
 
 impl ResumeTracker {
@@ -99,28 +100,28 @@ impl ResumeTracker {
     /// `expected`.
     pub fn new(scenario: &Scenario, window: u64, expected: Option<ResumeMark>) -> Self {
         Self {
-            noting: DigestFrames::default(),
-            so_far: Sha256::new(),
-            whole: Sha256::new(),
+            encoder: DigestFrames::default(),
+            hash_so_far: Sha256::new(),
+            hash_before_next: Sha256::new(),
             scenario_hash: scenario.hash_hex(),
             window,
-            next: Tti::ZERO,
+            next_tti: Tti::ZERO,
             expected,
-            is_lost: false,
+            has_diverged: false,
         }
     }
 
     /// Processes a notification and returns whether it closes a TTI.
     pub fn notify(&mut self, notification: &Notification<'_>) -> bool {
-        // The closure borrows all of `self`, so `noting` is copied and put back.
-        let mut noting = self.noting;
-        noting.encode(notification, |frame| self.take(&frame));
-        self.noting = noting;
+        // The closure borrows all of `self`, so `encoder` is copied and put back.
+        let mut encoder = self.encoder;
+        encoder.encode(notification, |frame| self.hash_frame(&frame));
+        self.encoder = encoder;
         let Notification::TtiClosed(last) = notification else {
             return false;
         };
-        self.next = *last + 1;
-        self.whole.clone_from(&self.so_far);
+        self.next_tti = *last + 1;
+        self.hash_before_next.clone_from(&self.hash_so_far);
         true
     }
 
@@ -131,43 +132,43 @@ impl ResumeTracker {
             digest_version: DIGEST_VERSION,
             scenario_hash: self.scenario_hash.clone(),
             window: self.window,
-            tti: self.next.0,
-            fingerprint: fingerprint(&self.whole),
+            tti: self.next_tti.0,
+            fingerprint: fingerprint(&self.hash_before_next),
         }
     }
 
     /// Whether the expected mark is still ahead.
-    pub const fn is_underway(&self) -> bool {
+    pub const fn is_mark_ahead(&self) -> bool {
         self.expected.is_some()
     }
 
     /// Whether the run has reached the expected TTI with another fingerprint.
     pub const fn has_diverged(&self) -> bool {
-        self.is_lost
+        self.has_diverged
     }
 
     /// Checks the expected mark once every further frame belongs to TTI `k` or later.
-    fn advance(&mut self, k: Tti) {
+    fn check_mark(&mut self, k: Tti) {
         if let Some(mark) = self.expected.take_if(|mark| Tti(mark.tti) <= k) {
-            self.is_lost = mark.fingerprint != fingerprint(&self.so_far);
+            self.has_diverged = mark.fingerprint != fingerprint(&self.hash_so_far);
         }
     }
 
     /// Finishes the replay at the TTI where the run resumes.
     pub fn finish_replay(&mut self) {
         // Quiet TTIs have no frames, so the mark can lie after the last frame.
-        self.advance(self.next);
+        self.check_mark(self.next_tti);
     }
 
-    fn take(&mut self, frame: &Frame) {
+    fn hash_frame(&mut self, frame: &Frame) {
         // A mark covers the frames before its TTI, so it is compared before this frame is added.
-        self.advance(frame.tti);
-        self.so_far.update(codec::encode(frame));
+        self.check_mark(frame.tti);
+        self.hash_so_far.update(codec::encode(frame));
     }
 }
 
-fn fingerprint(of: &Sha256) -> String {
-    of.clone().finalize().iter().fold(String::new(), |mut text, byte| {
+fn fingerprint(hash: &Sha256) -> String {
+    hash.clone().finalize().iter().fold(String::new(), |mut text, byte| {
         let _written = write!(text, "{byte:02x}").is_ok();
         text
     })
@@ -215,9 +216,9 @@ mod tests {
         assert_eq!((mark.tti, mark.window), (120, 10));
         let read = ResumeMark::parse(&mark.text(), &scenario).expect("a mark");
         let again = followed(&scenario, 300, Some(read));
-        assert!(!again.is_underway() && !again.has_diverged());
+        assert!(!again.is_mark_ahead() && !again.has_diverged());
         let ahead = followed(&scenario, 100, Some(mark.clone()));
-        assert!(ahead.is_underway() && !ahead.has_diverged());
+        assert!(ahead.is_mark_ahead() && !ahead.has_diverged());
         let other = ResumeMark {
             fingerprint: followed(&scenario, 200, None).mark().fingerprint,
             ..mark

@@ -1,9 +1,10 @@
-//! One run in memory: a [`Session`] together with its device machines.
+//! One run in memory: a [`Session`] together with its device machines. Replays, sweeps, trainings and environments are
+//! such runs. A run has the digest of the same scenario over the bus, whatever its [`RunOptions`].
 
-use reveille_bs::cycle::{Cycle, Outcome, PreparedRun, WakeOrder};
+use reveille_bs::cycle::{Cycle, PreparedRun, RunOutcome, WakeOrder};
 use reveille_bs::observer::Observer;
 use reveille_bs::policy::external::{Decision, DecisionStage};
-use reveille_bs::session::{Action, Event, Gathered, InputQueue, Session};
+use reveille_bs::session::{Action, ActionResult, Gathered, InputQueue, Session};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{
     DeviceCheckpoint, FailedTransmission, GrantMessage, HostCheckpoint, PlanUpdate, Report, WakeOutcome,
@@ -86,9 +87,9 @@ impl Run {
 
     /// Queues an external input. Inputs of a kind are queued in the order in which they take effect.
     pub fn schedule_input(&mut self, input: ExternalInput) {
-        let queue = self.session.queue_mut();
+        let queue = self.session.input_queue_mut();
         match input {
-            ExternalInput::Outage(outage) => queue.push_outage(outage),
+            ExternalInput::Outage(outage) => queue.push_removal(outage),
             ExternalInput::Decision(decision) => queue.push_decision(decision),
         }
     }
@@ -99,14 +100,14 @@ impl Run {
     }
 
     /// The external inputs that have not taken effect.
-    pub const fn queue(&self) -> &InputQueue {
-        self.session.queue()
+    pub const fn input_queue(&self) -> &InputQueue {
+        self.session.input_queue()
     }
 
     /// The TTI of the pending decision, if that decision is not queued. At [`DecisionStage::Wake`] the TTI is open, and
     /// the run has no outcome.
     pub fn missing_decision(&self) -> Option<Tti> {
-        self.session.pending_decision().map(|question| question.seen.now)
+        self.session.pending_decision().map(|request| request.seen.now)
     }
 
     /// The devices, in the order of ids.
@@ -118,7 +119,7 @@ impl Run {
     ///
     /// # Panics
     /// If no TTI has been granted.
-    pub fn device_views(&mut self) -> &[Machine] {
+    pub fn advance_machines(&mut self) -> &[Machine] {
         let last = Tti(self
             .session
             .next_tti()
@@ -139,9 +140,9 @@ impl Run {
     }
 
     /// Runs to the end, or until `observer` ends the run.
-    pub fn finish(mut self, observer: &mut impl Observer) -> Outcome {
+    pub fn finish(mut self, observer: &mut impl Observer) -> RunOutcome {
         self.advance(Tti::NEVER, observer);
-        self.close(observer)
+        self.finish_session(observer)
     }
 
     /// Returns the ledgers of `count` devices from `first` on, before the next TTI.
@@ -150,7 +151,7 @@ impl Run {
         let machines = &mut self.devices.machines[first.index()..][..count as usize];
         machines
             .iter_mut()
-            .map(|machine| settled(machine, end).ledger())
+            .map(|machine| advanced_to(machine, end).ledger())
             .collect()
     }
 
@@ -166,11 +167,11 @@ impl Run {
     }
 
     /// Ends the run before the next TTI and returns its outcome.
-    pub fn partial_outcome(self) -> Outcome {
-        self.close(&mut ())
+    pub fn partial_outcome(self) -> RunOutcome {
+        self.finish_session(&mut ())
     }
 
-    fn close(mut self, observer: &mut impl Observer) -> Outcome {
+    fn finish_session(mut self, observer: &mut impl Observer) -> RunOutcome {
         let ledgers = self.ledgers(DeviceId(0), self.devices.machines.len() as u32);
         self.session.finish(&ledgers, observer)
     }
@@ -186,16 +187,16 @@ impl Run {
         let next = self.session.next_tti();
         // `checkpoints` does not advance devices, so they first advance to the same TTI.
         let machines = self.devices.machines.iter_mut();
-        let views = machines.map(|machine| settled(machine, next).view()).collect();
-        let resumption = HostCheckpoint {
+        let views = machines.map(|machine| advanced_to(machine, next).view()).collect();
+        let checkpoint = HostCheckpoint {
             at: self.session.hand_over(views),
             devices: self.checkpoints(DeviceId(0), self.devices.machines.len() as u32),
         };
-        (self.session, resumption)
+        (self.session, checkpoint)
     }
 
     /// Runs through one grant with its reports and wake-ups, or until a decision is missing.
-    pub fn grant(&mut self, observer: &mut impl Observer) {
+    pub fn run_grant(&mut self, observer: &mut impl Observer) {
         let first = self.session.next_tti();
         // The last TTI of a grant stays open until its wake-ups have been answered.
         while (self.session.is_open() || self.session.next_tti() == first) && self.step(Tti::NEVER, observer).is_none()
@@ -204,7 +205,7 @@ impl Run {
     }
 
     /// Runs until an external policy has to decide, or to the end.
-    pub(crate) fn seek_decision(&mut self, observer: &mut impl Observer) -> Halt {
+    pub(crate) fn run_to_decision(&mut self, observer: &mut impl Observer) -> Halt {
         loop {
             if let Some(halt) = self.step(Tti::NEVER, observer) {
                 return halt;
@@ -212,9 +213,9 @@ impl Run {
         }
     }
 
-    /// Passes on the pending decision.
-    pub(crate) fn apply_plan(&mut self, answer: Decision, observer: &mut impl Observer) {
-        self.session.handle(Event::Decided(answer), observer);
+    /// Answers the pending decision request.
+    pub(crate) fn apply_decision(&mut self, decision: Decision, observer: &mut impl Observer) {
+        self.session.apply_result(ActionResult::Decided(decision), observer);
     }
 
     /// Returns a copy that continues from the current state, under an external policy; `None` under any other.
@@ -239,25 +240,25 @@ impl Run {
         match session.next_action(limit, observer) {
             Action::CollectTotals(k) => {
                 let totals = devices.totals(k);
-                session.handle(Event::Totals(totals), observer);
+                session.apply_result(ActionResult::Totals(totals), observer);
             }
             Action::RequestDecision(stage) => return Some(Halt::Undecided(stage)),
             Action::Grant(updates) => devices.receive_plans(&updates),
             Action::Remove(outage) => {
                 // The range is valid: `DeviceRemoval::is_valid` checks removals of a log, and others come from ids of
                 // the run.
-                let lost = &mut devices.machines[outage.first.index()..=outage.last().index()];
-                for machine in lost {
+                let removed = &mut devices.machines[outage.first.index()..=outage.last().index()];
+                for machine in removed {
                     machine.remove(outage.tti);
                 }
             }
             Action::Gather => {
-                let gathered = devices.gather(session.tick(), session.cycle().detectors());
-                session.handle(Event::Gathered(gathered), observer);
+                let gathered = devices.gather(session.grant_message(), session.cycle().detectors());
+                session.apply_result(ActionResult::Gathered(gathered), observer);
             }
             Action::Wake(order) => {
                 let outcome = devices.wake(&order);
-                session.handle(Event::Woken(outcome), observer);
+                session.apply_result(ActionResult::Woken(outcome), observer);
             }
             Action::TtiClosed => {}
             Action::Finish(_) => return Some(Halt::Ended),
@@ -293,8 +294,8 @@ impl Devices {
     /// Returns the totals of all devices before TTI `k`.
     fn totals(&mut self, k: Tti) -> DeviceTotals {
         let machines = self.machines.iter_mut();
-        // An idle device lags behind the clock. Totals are integers, so their order does not matter.
-        machines.map(|machine| settled(machine, k).totals()).sum()
+        // Totals are integers, so their order does not matter.
+        machines.map(|machine| advanced_to(machine, k).totals()).sum()
     }
 
     fn receive_plans(&mut self, updates: &[PlanUpdate]) {
@@ -313,23 +314,23 @@ impl Devices {
         reason = "the one call is in every grant; `#[inline]` alone leaves it a call"
     )]
     #[inline(always)]
-    fn gather(&mut self, tick: &GrantMessage, detectors: &[DeviceId]) -> Gathered<'_> {
+    fn gather(&mut self, grant: &GrantMessage, detectors: &[DeviceId]) -> Gathered<'_> {
         self.reports.clear();
         self.failures.clear();
         self.views.clear();
-        if let Some(stimulus) = &tick.stimulus {
+        if let Some(stimulus) = &grant.stimulus {
             for device in detectors {
-                match self.machines[device.index()].sense(tick.last, stimulus, &self.physics) {
+                match self.machines[device.index()].sense(grant.last, stimulus, &self.physics) {
                     SenseOutcome::Nothing => {}
                     SenseOutcome::Reported(report) => self.reports.push(report),
                     SenseOutcome::Failed(failure) => self.failures.push(failure),
                 }
             }
         }
-        if tick.views {
+        if grant.views {
             let machines = self.machines.iter_mut();
             self.views.extend(machines.map(|machine| {
-                machine.begin(tick.last);
+                machine.begin(grant.last);
                 machine.view()
             }));
         }
@@ -346,7 +347,8 @@ impl Devices {
     }
 }
 
-fn settled(machine: &mut Machine, k: Tti) -> &Machine {
+/// Advances `machine` to TTI `k`. An idle device lags behind the clock.
+fn advanced_to(machine: &mut Machine, k: Tti) -> &Machine {
     machine.advance_to(k);
     machine
 }

@@ -1,4 +1,5 @@
-//! The names of runs in figures, reports and tables for people.
+//! The names of runs in figures, reports and tables for people: a series is a policy, with its ranking where needed.
+//! The figures of `study` and the report of `reveille sweep` use them. Result tables keep policy and ranking apart.
 //!
 //! Some policies can rank wake-up candidates in several ways; others always use one ranking. To compare like with like,
 //! a series is a policy with its ranking wherever several rankings are shown together.
@@ -12,35 +13,35 @@ use crate::table::{ResultRow, Schema, Table};
 /// The field with the ranking of wake-up candidates.
 pub const RANKING: &str = "bs.ranking";
 /// The separator between a policy and its ranking.
-const WITH: char = '+';
+const SEPARATOR: char = '+';
 
 /// Returns the name of the runs of `policy` with `ranking`, next to runs of other rankings: `knn+posterior`. It is the
 /// policy's name for the ranking by P_4,2 of the paper, and for policies that ignore the field.
 pub fn name(policy: &str, ranking: &str) -> String {
     // A policy unknown to this program may use the field, so its ranking is named.
-    let ranks = registry::named(policy).is_none_or(|known| known.heeds_ranking);
-    if ranks && !is_the_papers(ranking) {
-        format!("{policy}{WITH}{ranking}")
+    let ranks = registry::named(policy).is_none_or(|entry| entry.heeds_ranking);
+    if ranks && !is_paper_ranking(ranking) {
+        format!("{policy}{SEPARATOR}{ranking}")
     } else {
         policy.to_owned()
     }
 }
 
 /// Returns whether `ranking` is the paper's, by P_4,2.
-pub fn is_the_papers(ranking: &str) -> bool {
+pub fn is_paper_ranking(ranking: &str) -> bool {
     ranking == WakeUpRanking::P42.name()
 }
 
 /// Splits off the policy of a series, and returns whether a ranking follows.
 pub fn policy(series: &str) -> (&str, bool) {
-    match series.split_once(WITH) {
+    match series.split_once(SEPARATOR) {
         Some((policy, _)) => (policy, true),
         None => (series, false),
     }
 }
 
 /// Returns whether both have the same seeds with the same outcomes, as for a policy that ignores rankings.
-pub fn is_same<'r>(a: impl Iterator<Item = &'r ResultRow>, b: impl Iterator<Item = &'r ResultRow>) -> bool {
+pub fn has_equal_outcomes<'r>(a: impl Iterator<Item = &'r ResultRow>, b: impl Iterator<Item = &'r ResultRow>) -> bool {
     a.map(|row| (row.seed, row.digest))
         .eq(b.map(|row| (row.seed, row.digest)))
 }
@@ -49,44 +50,48 @@ pub fn is_same<'r>(a: impl Iterator<Item = &'r ResultRow>, b: impl Iterator<Item
 #[derive(Clone, Copy, Debug)]
 pub struct SeriesNames {
     /// The index of [`RANKING`] among the swept columns, if the table holds several rankings.
-    at: Option<usize>,
+    ranking_column: Option<usize>,
 }
 
 impl SeriesNames {
     /// Creates the names for the rows of `table`.
     pub fn from_table(table: &Table) -> Self {
-        let at = column(&table.schema);
-        let mut rankings = at
+        let ranking_column = ranking_column_of(&table.schema);
+        let mut rankings = ranking_column
             .iter()
-            .flat_map(|at| table.rows.iter().map(|row| row.swept[*at].to_string()));
+            .flat_map(|column| table.rows.iter().map(|row| row.swept[*column].to_string()));
         let first = rankings.next();
         // A ranking shared by all rows distinguishes none of them and would only lengthen the names.
         let has_several = rankings.any(|other| Some(&other) != first.as_ref());
         Self {
-            at: at.filter(|_| has_several),
+            ranking_column: ranking_column.filter(|_| has_several),
         }
     }
 
     /// Returns the name of the series of `row`.
     pub fn name(self, row: &ResultRow) -> String {
-        self.at.map_or_else(
+        self.ranking_column.map_or_else(
             || row.policy.to_string(),
-            |at| name(&row.policy, &row.swept[at].to_string()),
+            |column| name(&row.policy, &row.swept[column].to_string()),
         )
     }
 
     /// The index of the swept column that the names contain, if any.
-    pub const fn name_column(self) -> Option<usize> {
-        self.at
+    pub const fn ranking_column(self) -> Option<usize> {
+        self.ranking_column
     }
 
     /// Returns the cells without those that repeat the runs of another cell under another ranking.
-    pub fn distinct<'c, 't>(self, cells: &'c [CellRuns<'t>]) -> Vec<&'c CellRuns<'t>> {
-        let Some(at) = self.at else {
+    pub fn distinct_cells<'c, 't>(self, cells: &'c [CellRuns<'t>]) -> Vec<&'c CellRuns<'t>> {
+        let Some(ranking_column) = self.ranking_column else {
             return cells.iter().collect();
         };
-        let rest = |cell: &CellRuns<'_>| {
-            let others = cell.swept.iter().enumerate().filter(|(place, _)| *place != at);
+        let other_fields = |cell: &CellRuns<'_>| {
+            let others = cell
+                .swept
+                .iter()
+                .enumerate()
+                .filter(|(column, _)| *column != ranking_column);
             let others: Vec<String> = others.map(|(_, value)| value.to_string()).collect();
             (
                 cell.preset.to_owned(),
@@ -96,19 +101,21 @@ impl SeriesNames {
                 others,
             )
         };
-        let repeats = |place: usize| {
-            let own = &cells[place];
-            let mut before = cells[..place].iter();
-            before
-                .any(|other| rest(other) == rest(own) && is_same(other.rows.iter().copied(), own.rows.iter().copied()))
+        let is_repeat = |index: usize| {
+            let own = &cells[index];
+            let mut before = cells[..index].iter();
+            before.any(|other| {
+                other_fields(other) == other_fields(own)
+                    && has_equal_outcomes(other.rows.iter().copied(), own.rows.iter().copied())
+            })
         };
-        let places = (0..cells.len()).filter(|place| !repeats(*place));
-        places.map(|place| &cells[place]).collect()
+        let indices = (0..cells.len()).filter(|index| !is_repeat(*index));
+        indices.map(|index| &cells[index]).collect()
     }
 }
 
 /// Returns the index of [`RANKING`] among the swept columns.
-fn column(schema: &Schema) -> Option<usize> {
+fn ranking_column_of(schema: &Schema) -> Option<usize> {
     schema.swept.iter().position(|(path, _)| path == RANKING)
 }
 
@@ -117,7 +124,7 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::stats::cells;
+    use crate::stats::group_by_cell;
     use crate::table::{ColumnType, Hash, SweptValue, fixtures};
 
     fn table(runs: &[(&str, &str, u8)]) -> Table {
@@ -151,14 +158,14 @@ mod tests {
         let names = SeriesNames::from_table(&several);
         let told: Vec<String> = several.rows.iter().map(|row| names.name(row)).collect();
         assert_eq!(told, ["knn", "knn+posterior", "random", "genie", "dt", "age-index"]);
-        assert_eq!(names.name_column(), Some(1));
+        assert_eq!(names.ranking_column(), Some(1));
         assert_eq!(policy("knn+posterior"), ("knn", true));
         assert_eq!(policy("q-learning"), ("q-learning", false));
         let one = table(&[("knn", "posterior", 2), ("random", "posterior", 3)]);
         assert_eq!(
             (
                 SeriesNames::from_table(&one).name(&one.rows[0]).as_str(),
-                SeriesNames::from_table(&one).name_column()
+                SeriesNames::from_table(&one).ranking_column()
             ),
             ("knn", None)
         );
@@ -175,10 +182,10 @@ mod tests {
             ("random", "posterior", 3),
             ("dt", "posterior", 3),
         ]);
-        let all = cells(&several);
+        let all = group_by_cell(&several);
         let names = SeriesNames::from_table(&several);
         let kept: Vec<String> = names
-            .distinct(&all)
+            .distinct_cells(&all)
             .iter()
             .map(|cell| names.name(cell.rows[0]))
             .collect();

@@ -1,4 +1,5 @@
-//! Means over the runs of a cell, with Student-t 95 % confidence intervals.
+//! Means over the runs of a cell, with Student-t 95 % confidence intervals. Cells with `until_ci` end by them;
+//! reports, figures and tuning show them. Values are added in a fixed order, so that results do not depend on threads.
 
 use std::sync::Arc;
 
@@ -31,7 +32,7 @@ impl Estimate {
     }
 
     /// Estimates the mean of `values` and ignores NaN. All fields are NaN if no value remains.
-    pub fn over(values: impl IntoIterator<Item = f64>) -> Self {
+    pub fn from_values_or_nan(values: impl IntoIterator<Item = f64>) -> Self {
         Self::from_values(values).unwrap_or(Self {
             mean: f64::NAN,
             deviation: f64::NAN,
@@ -52,7 +53,7 @@ impl Estimate {
 
     /// The half-width over the magnitude of the mean: 0 if all values are equal, infinite if it is unknown. It is
     /// unknown for a mean of 0, because runs without a miss do not show how rare misses are.
-    pub fn relative(&self) -> f64 {
+    pub fn relative_half_width(&self) -> f64 {
         if self.half_width.is_nan() || self.mean == 0.0 {
             f64::INFINITY
         } else {
@@ -66,7 +67,7 @@ impl Estimate {
 pub struct Moments {
     runs: usize,
     mean: f64,
-    squares: f64,
+    squared_differences: f64,
 }
 
 impl Moments {
@@ -77,9 +78,9 @@ impl Moments {
         }
         self.runs += 1;
         // Welford's update: the difference of Σx² and (Σx)² would lose the digits of small variances.
-        let before = value - self.mean;
-        self.mean += before / self.runs as f64;
-        self.squares += before * (value - self.mean);
+        let difference = value - self.mean;
+        self.mean += difference / self.runs as f64;
+        self.squared_differences += difference * (value - self.mean);
     }
 
     /// The estimate so far; `None` before the first value.
@@ -87,25 +88,26 @@ impl Moments {
         if self.runs == 0 {
             return None;
         }
-        let freedom = (self.runs - 1) as f64;
+        let degrees_of_freedom = (self.runs - 1) as f64;
         let deviation = if self.runs == 1 {
             f64::NAN
         } else {
-            (self.squares / freedom).sqrt()
+            (self.squared_differences / degrees_of_freedom).sqrt()
         };
         Some(Estimate {
             mean: self.mean,
             deviation,
-            half_width: student_t(self.runs - 1) * deviation / (self.runs as f64).sqrt(),
+            half_width: student_t_quantile(self.runs - 1) * deviation / (self.runs as f64).sqrt(),
             runs: self.runs,
         })
     }
 }
 
-/// The two-sided 95 % quantile of Student's t with `freedom` degrees of freedom; NaN for none.
-pub fn student_t(freedom: usize) -> f64 {
+/// The two-sided 95 % quantile of Student's t with these degrees of freedom; NaN for none.
+pub fn student_t_quantile(degrees_of_freedom: usize) -> f64 {
     // Two-sided: 2.5 % lie above the interval, so the quantile is taken at 0.975.
-    StudentsT::new(0.0, 1.0, freedom as f64).map_or(f64::NAN, |t| t.inverse_cdf(f64::midpoint(1.0, CONFIDENCE)))
+    StudentsT::new(0.0, 1.0, degrees_of_freedom as f64)
+        .map_or(f64::NAN, |t| t.inverse_cdf(f64::midpoint(1.0, CONFIDENCE)))
 }
 
 /// The runs of one cell: equal in everything but the seed.
@@ -131,7 +133,7 @@ impl CellRuns<'_> {
         Estimate::from_values(self.rows.iter().filter_map(|row| row.metric(metric)))
     }
 
-    fn holds(&self, row: &ResultRow) -> bool {
+    fn matches(&self, row: &ResultRow) -> bool {
         self.policy == &*row.policy
             && self.n == row.n
             && self.preset == &*row.preset
@@ -141,11 +143,11 @@ impl CellRuns<'_> {
 }
 
 /// Groups the rows of `table` by cell, in the order of their first rows.
-pub fn cells(table: &Table) -> Vec<CellRuns<'_>> {
+pub fn group_by_cell(table: &Table) -> Vec<CellRuns<'_>> {
     let mut cells: Vec<CellRuns<'_>> = Vec::new();
     for row in &table.rows {
         // Tables are sorted by cell, so the search from the end nearly always succeeds with the first comparison.
-        match cells.iter_mut().rev().find(|cell| cell.holds(row)) {
+        match cells.iter_mut().rev().find(|cell| cell.matches(row)) {
             Some(cell) => cell.rows.push(row),
             None => cells.push(CellRuns {
                 preset: &row.preset,
@@ -179,12 +181,12 @@ mod tests {
     fn quantiles_are_those_of_the_printed_tables() {
         for (freedom, printed) in PRINTED {
             assert!(
-                (student_t(freedom) - printed).abs() < 6e-4,
+                (student_t_quantile(freedom) - printed).abs() < 6e-4,
                 "{freedom}: {}",
-                student_t(freedom)
+                student_t_quantile(freedom)
             );
         }
-        assert!(student_t(0).is_nan());
+        assert!(student_t_quantile(0).is_nan());
     }
 
     #[test]
@@ -194,7 +196,7 @@ mod tests {
         let deviation = (32.0f64 / 7.0).sqrt();
         assert!((e.mean - 5.0).abs() < 1e-12 && (e.deviation - deviation).abs() < 1e-12);
         assert!((e.half_width - 2.364_624_25 * deviation / 8f64.sqrt()).abs() < 1e-7);
-        assert!((e.relative() - e.half_width / 5.0).abs() < 1e-15);
+        assert!((e.relative_half_width() - e.half_width / 5.0).abs() < 1e-15);
         assert_eq!(e.runs, 8);
     }
 
@@ -203,27 +205,30 @@ mod tests {
         assert_eq!(Estimate::from_values([f64::NAN, f64::NAN]), None);
         let one = Estimate::from_values([3.0, f64::NAN]).expect("one value");
         assert_eq!((one.mean, one.runs), (3.0, 1));
-        assert!(one.half_width.is_nan() && one.relative().is_infinite());
+        assert!(one.half_width.is_nan() && one.relative_half_width().is_infinite());
         let same = Estimate::from_values([2.0, 2.0, 2.0]).expect("values");
-        assert!(same.relative() == 0.0, "three times the same is known well");
+        assert!(same.relative_half_width() == 0.0, "three times the same is known well");
         let nothing = Estimate::from_values([0.0, 0.0, 0.0]).expect("values");
-        assert!(nothing.relative().is_infinite(), "three times nothing is not");
+        assert!(
+            nothing.relative_half_width().is_infinite(),
+            "three times nothing is not"
+        );
     }
 
     #[test]
     fn an_interval_is_as_wide_as_it_says() {
-        let estimate = Estimate::over([1.0, f64::NAN, 2.0, 3.0]);
+        let estimate = Estimate::from_values_or_nan([1.0, f64::NAN, 2.0, 3.0]);
         let half = 4.302_653 / 3.0_f64.sqrt();
         let (low, high) = estimate.interval();
         assert!((low - (2.0 - half)).abs() < 1e-5 && (high - (2.0 + half)).abs() < 1e-5);
         assert!(estimate.covers(4.4) && !estimate.covers(4.5));
-        assert!(Estimate::over([]).mean.is_nan() && !Estimate::over([4.0]).covers(4.0));
+        assert!(Estimate::from_values_or_nan([]).mean.is_nan() && !Estimate::from_values_or_nan([4.0]).covers(4.0));
     }
 
     #[test]
     fn a_cell_holds_what_differs_in_the_seed_alone() {
         let table = fixtures::table();
-        let cells = cells(&table);
+        let cells = group_by_cell(&table);
         let counts: Vec<(&str, u32, usize)> = cells.iter().map(|c| (c.policy, c.n, c.rows.len())).collect();
         assert_eq!(counts, [("knn", 10, 2), ("knn", 50, 2), ("random", 10, 1)]);
         let estimate = cells[0].estimate("info_p1").expect("defined");

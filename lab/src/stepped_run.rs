@@ -1,8 +1,8 @@
-//! A run in memory under an external policy that stops at each decision.
+//! A run in memory under an external policy that stops at each decision. The environments of [`crate::gym`] step it.
 //!
 //! It never blocks, so one thread can hold any number of such runs, and copy them to try several decisions.
 
-use reveille_bs::cycle::{Outcome, PreparedRun};
+use reveille_bs::cycle::{PreparedRun, RunOutcome};
 use reveille_bs::observer::Observer;
 use reveille_bs::policy::external::{Decision, DecisionContext, DecisionStage, PlanDecision};
 use reveille_bs::policy::outside::is_external;
@@ -41,7 +41,7 @@ impl<O: Observer> SteppedRun<O> {
     /// If the policy is not `external`.
     pub fn with_world(prepared: &PreparedRun, world: World, options: RunOptions, mut observer: O) -> Self {
         let mut run = Run::with_world(prepared, world, options);
-        let halt = run.seek_decision(&mut observer);
+        let halt = run.run_to_decision(&mut observer);
         Self { run, halt, observer }
     }
 
@@ -51,11 +51,11 @@ impl<O: Observer> SteppedRun<O> {
     }
 
     /// The pending decision request; at the end of the run, the request with which a next TTI would begin.
-    pub fn view(&self) -> DecisionContext<'_> {
-        let question = self
+    pub fn decision_context(&self) -> DecisionContext<'_> {
+        let request = self
             .pending_decision()
             .or_else(|| self.run.cycle().next_decision_context());
-        question.expect("an external policy decides")
+        request.expect("an external policy decides")
     }
 
     /// Decides at [`DecisionStage::Plan`] and continues to the next decision.
@@ -84,9 +84,9 @@ impl<O: Observer> SteppedRun<O> {
         self.answer(Decision::Wake(devices.to_vec()));
     }
 
-    fn answer(&mut self, answer: Decision) {
-        self.run.apply_plan(answer, &mut self.observer);
-        self.halt = self.run.seek_decision(&mut self.observer);
+    fn answer(&mut self, decision: Decision) {
+        self.run.apply_decision(decision, &mut self.observer);
+        self.halt = self.run.run_to_decision(&mut self.observer);
     }
 
     /// The next TTI to be granted, or the open one.
@@ -106,10 +106,10 @@ impl<O: Observer> SteppedRun<O> {
 
     /// Ends the run and returns its outcome and observer. If the run has not ended, no other device is woken in the
     /// open TTI.
-    pub fn finish(mut self) -> (Outcome, O) {
+    pub fn finish(mut self) -> (RunOutcome, O) {
         // An open TTI has no outcome: an empty answer closes it.
         if self.halt == Halt::Undecided(DecisionStage::Wake) {
-            self.run.apply_plan(Decision::Wake(Vec::new()), &mut self.observer);
+            self.run.apply_decision(Decision::Wake(Vec::new()), &mut self.observer);
         }
         (self.run.partial_outcome(), self.observer)
     }

@@ -1,4 +1,5 @@
-//! Environments that step together, and the arrays that they write into.
+//! Environments that step together, and the NumPy arrays that each step overwrites. `lab/src/gym/` steps; the shapes
+//! here must match its [`BatchBuffers`]. `python/reveille/` wraps this class for Gymnasium.
 
 #![expect(
     clippy::needless_pass_by_value,
@@ -11,9 +12,9 @@ use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyRe
 use pyo3::exceptions::{PyIndexError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use reveille_bs::policy::external::{DEVICE, GLOBAL};
+use reveille_bs::policy::external::{DEVICE_FEATURES, GLOBAL_FEATURES};
 use reveille_bs::scenario::Scenario;
-use reveille_lab::gym::{self, BatchBuffers, Environment, PARTS, RewardWeights};
+use reveille_lab::gym::{self, BatchBuffers, Environment, REWARD_TERMS, RewardWeights};
 
 use crate::runs::outcome_dict;
 use crate::scenarios::read_external;
@@ -43,19 +44,19 @@ struct Arrays {
 impl Arrays {
     fn new(py: Python<'_>, k: usize, n: usize) -> Self {
         Self {
-            devices: PyArray3::zeros(py, [k, n, DEVICE.len()], false).unbind(),
-            global: PyArray2::zeros(py, [k, GLOBAL.len()], false).unbind(),
+            devices: PyArray3::zeros(py, [k, n, DEVICE_FEATURES.len()], false).unbind(),
+            global: PyArray2::zeros(py, [k, GLOBAL_FEATURES.len()], false).unbind(),
             stage: PyArray1::zeros(py, [k], false).unbind(),
             mask: PyArray2::zeros(py, [k, n], false).unbind(),
             reward: PyArray1::zeros(py, [k], false).unbind(),
-            parts: PyArray2::zeros(py, [k, PARTS], false).unbind(),
+            parts: PyArray2::zeros(py, [k, REWARD_TERMS], false).unbind(),
             ttis: PyArray1::zeros(py, [k], false).unbind(),
             ended: PyArray1::zeros(py, [k], false).unbind(),
         }
     }
 
     /// Runs `work` on the memory of the arrays, while other Python threads may run.
-    fn written(&self, py: Python<'_>, work: impl FnOnce(BatchBuffers<'_>) + Send) -> PyResult<()> {
+    fn with_buffers(&self, py: Python<'_>, work: impl FnOnce(BatchBuffers<'_>) + Send) -> PyResult<()> {
         // `try_readwrite` raises an exception, instead of a panic, while another thread writes into these arrays.
         let mut devices = self.devices.bind(py).try_readwrite()?;
         let mut global = self.global.bind(py).try_readwrite()?;
@@ -93,7 +94,7 @@ impl PyEnvBatch {
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn check(at: usize, all: usize) -> PyResult<()> {
+    fn check_index(at: usize, all: usize) -> PyResult<()> {
         if at < all {
             return Ok(());
         }
@@ -102,8 +103,9 @@ impl PyEnvBatch {
         )))
     }
 
-    fn show(&self, py: Python<'_>) -> PyResult<()> {
-        self.arrays.written(py, |views| self.lock().show(views))
+    fn fill_arrays(&self, py: Python<'_>) -> PyResult<()> {
+        self.arrays
+            .with_buffers(py, |views| self.lock().write_observations(views))
     }
 }
 
@@ -138,7 +140,7 @@ impl PyEnvBatch {
             set,
             weights,
         };
-        batch.show(py)?;
+        batch.fill_arrays(py)?;
         Ok(batch)
     }
 
@@ -160,11 +162,11 @@ impl PyEnvBatch {
         let mut scenarios = vec![None; all];
         for (at, seed) in which.into_iter().zip(seeds) {
             // Checked before any environment restarts, so that an error changes none.
-            Self::check(at, all)?;
+            Self::check_index(at, all)?;
             scenarios[at] = Some(scenario.with_seed(seed));
         }
         py.detach(|| self.lock().reset(scenarios));
-        self.show(py)
+        self.fill_arrays(py)
     }
 
     /// Applies a decision in each environment that does not rest.
@@ -188,14 +190,15 @@ impl PyEnvBatch {
             )));
         }
         let (actions, rests) = (actions.as_slice()?, rests.as_slice()?);
-        self.arrays.written(py, |views| self.lock().step(actions, rests, views))
+        self.arrays
+            .with_buffers(py, |views| self.lock().step(actions, rests, views))
     }
 
     /// Returns the outcome so far of the run in environment `at`.
     fn outcome<'py>(&self, py: Python<'py>, at: usize) -> PyResult<Bound<'py, PyDict>> {
         let outcome = {
             let inner = self.lock();
-            Self::check(at, inner.len())?;
+            Self::check_index(at, inner.len())?;
             inner.environments()[at].outcome()
         };
         outcome_dict(py, &outcome)
@@ -204,7 +207,7 @@ impl PyEnvBatch {
     /// Copies environment `at`.
     fn snapshot(&self, at: usize) -> PyResult<Snapshot> {
         let inner = self.lock();
-        Self::check(at, inner.len())?;
+        Self::check_index(at, inner.len())?;
         Ok(Snapshot {
             environment: Mutex::new(inner.environments()[at].fork()),
         })
@@ -220,14 +223,14 @@ impl PyEnvBatch {
             .fork();
         {
             let mut inner = self.lock();
-            Self::check(at, inner.len())?;
+            Self::check_index(at, inner.len())?;
             // The arrays have the shape of the first scenario.
-            if environment.ground().scenario().run.devices as usize != inner.devices() {
+            if environment.template().scenario().run.devices as usize != inner.devices() {
                 return Err(PyValueError::new_err("the snapshot has another number of devices"));
             }
-            inner.put(at, environment);
+            inner.replace(at, environment);
         }
-        self.show(py)
+        self.fill_arrays(py)
     }
 
     /// Whether both batches have the same scenario and weights.
@@ -239,7 +242,7 @@ impl PyEnvBatch {
     /// The scenario, all fields, as TOML.
     #[getter]
     fn scenario(&self) -> String {
-        self.lock().environments()[0].ground().scenario().to_toml()
+        self.lock().environments()[0].template().scenario().to_toml()
     }
 
     /// Number of devices N.
@@ -251,7 +254,7 @@ impl PyEnvBatch {
     /// Length K of a run, TTIs.
     #[getter]
     fn length(&self) -> u64 {
-        self.lock().environments()[0].ground().scenario().run.ttis
+        self.lock().environments()[0].template().scenario().run.ttis
     }
 
     #[getter]

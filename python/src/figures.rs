@@ -1,4 +1,4 @@
-//! Figures of sweeps and runs.
+//! Figures of sweeps and runs for Python, drawn by `study/src/figures/` as in `reveille figures`.
 
 #![expect(
     clippy::needless_pass_by_value,
@@ -12,16 +12,16 @@ use pyo3::types::PyBytes;
 use reveille_bs::policy::registry;
 use reveille_bs::scenario::Scenario;
 use reveille_common::io::Disk;
-use reveille_lab::sweep::table_in;
+use reveille_lab::sweep::find_table;
 use reveille_lab::table::Table;
 use reveille_study::figures::deployment::{self, EventScene};
 use reveille_study::figures::results::Results;
 use reveille_study::figures::scene::Scene;
-use reveille_study::figures::sweep::{SweepFigureSpec, named, several};
+use reveille_study::figures::sweep::{SweepFigureSpec, canonical_field, note_on_several};
 use reveille_study::figures::timeline::{self, Timeline};
 use reveille_study::figures::{png, svg};
 
-use crate::scenarios::{read, refused};
+use crate::scenarios::{read, value_error};
 
 /// A figure.
 #[pyclass(name = "Picture", module = "reveille._native", frozen)]
@@ -96,45 +96,45 @@ pub(crate) fn sweep_pictures(
     only: Vec<(String, String)>,
     log: [bool; 2],
 ) -> PyResult<(Vec<PyFigure>, Option<String>)> {
-    let wish = SweepFigureSpec {
-        x: named(&x).to_owned(),
-        y,
-        by: named(&by).to_owned(),
-        only: only
+    let spec = SweepFigureSpec {
+        x_field: canonical_field(&x).to_owned(),
+        metric: y,
+        line_field: canonical_field(&by).to_owned(),
+        filter: only
             .into_iter()
-            .map(|(field, value)| (named(&field).to_owned(), value))
+            .map(|(field, value)| (canonical_field(&field).to_owned(), value))
             .collect(),
         is_log_x: log[0],
         is_log_y: log[1],
     };
     py.detach(|| {
         let read = |(name, mut path): (String, PathBuf)| {
-            // `table_in` also refuses the folder of a sweep that has not finished.
+            // `find_table` also refuses the folder of a sweep that has not finished.
             if path.is_dir() {
-                path = table_in(&path).map_err(refused)?;
+                path = find_table(&path).map_err(value_error)?;
             }
-            Ok((name, Table::read(&path).map_err(refused)?))
+            Ok((name, Table::read(&path).map_err(value_error)?))
         };
         let tables = tables.into_iter().map(read).collect::<PyResult<Vec<_>>>()?;
-        let results = Results::new(&tables, &Disk).map_err(refused)?;
-        let drawn = wish.draw(&results).map_err(refused)?;
-        let words = several(&drawn);
-        let pictures = drawn.into_iter().map(|picture| PyFigure {
+        let results = Results::new(&tables, &Disk).map_err(value_error)?;
+        let figures = spec.draw(&results).map_err(value_error)?;
+        let note = note_on_several(&figures);
+        let pictures = figures.into_iter().map(|picture| PyFigure {
             scene: picture.chart.scene(),
-            name: wish.name(&picture.facet),
+            name: spec.file_name(&picture.facet),
             facet: picture.facet,
             csv: Some(picture.csv),
-            undefined: picture.undefined,
+            undefined: picture.lines_without_value,
         });
-        Ok((pictures.collect(), words))
+        Ok((pictures.collect(), note))
     })
 }
 
 /// Reads a scenario whose run can be drawn.
-fn drawable(source: &str, set: &[String]) -> PyResult<Scenario> {
+fn read_drawable(source: &str, set: &[String]) -> PyResult<Scenario> {
     let scenario = read(source, set)?;
     if registry::named(scenario.policy.name()).is_none() {
-        return Err(refused(
+        return Err(value_error(
             "policy external: an environment makes its decisions; choose a built-in policy",
         ));
     }
@@ -150,11 +150,11 @@ pub(crate) fn deployment_picture(
     set: Vec<String>,
     event: Option<u64>,
 ) -> PyResult<PyFigure> {
-    let scenario = drawable(source, &set)?;
+    let scenario = read_drawable(source, &set)?;
     py.detach(|| {
-        let moment = EventScene::from_scenario(&scenario, event).map_err(refused)?;
-        let name = deployment::name(&scenario, &moment);
-        Ok(PyFigure::new(deployment::scene(&scenario, &moment), name))
+        let event_scene = EventScene::from_scenario(&scenario, event).map_err(value_error)?;
+        let name = deployment::file_name(&scenario, &event_scene);
+        Ok(PyFigure::new(deployment::scene(&scenario, &event_scene), name))
     })
 }
 
@@ -169,11 +169,11 @@ pub(crate) fn timeline_picture(
     first: Option<u64>,
     length: u64,
 ) -> PyResult<PyFigure> {
-    let scenario = drawable(source, &set)?;
+    let scenario = read_drawable(source, &set)?;
     py.detach(|| {
         let first = first.unwrap_or(scenario.warm_up_end().0);
-        let shown = Timeline::from_scenario(&scenario, &devices, first, length).map_err(refused)?;
-        let name = timeline::name(&scenario, &shown);
-        Ok(PyFigure::new(timeline::scene(&scenario, &shown), name))
+        let timeline_data = Timeline::from_scenario(&scenario, &devices, first, length).map_err(value_error)?;
+        let name = timeline::file_name(&scenario, &timeline_data);
+        Ok(PyFigure::new(timeline::scene(&scenario, &timeline_data), name))
     })
 }

@@ -1,4 +1,5 @@
-//! Runs and sweeps of the built-in policies.
+//! Runs and sweeps of the built-in policies, for `python/reveille/runs.py`. Long work releases the interpreter, so that
+//! other Python threads continue; [`sweep`] also checks for Ctrl-C.
 
 #![expect(
     clippy::needless_pass_by_value,
@@ -14,8 +15,8 @@ use numpy::{PyArray1, PyArrayMethods};
 use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use reveille_bs::cycle::Outcome;
-use reveille_bs::policy::external::{DEVICE, GLOBAL};
+use reveille_bs::cycle::RunOutcome;
+use reveille_bs::policy::external::{DEVICE_FEATURES, GLOBAL_FEATURES};
 use reveille_bs::policy::registry;
 use reveille_common::io::Disk;
 use reveille_lab::gym::record;
@@ -24,13 +25,13 @@ use reveille_lab::run::{Run, RunOptions};
 use reveille_lab::sweep::{ExperimentBuilder, Shard, Sweep, SweepError, SweepGrid, SweepProgress};
 use reveille_lab::table::Format;
 
-use crate::scenarios::{read, read_external, refused};
+use crate::scenarios::{read, read_external, value_error};
 
 /// Time between two checks for Ctrl-C.
-const LOOK: Duration = Duration::from_millis(100);
+const SIGNAL_CHECK_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Converts `outcome` to a dictionary.
-pub(crate) fn outcome_dict<'py>(py: Python<'py>, outcome: &Outcome) -> PyResult<Bound<'py, PyDict>> {
+pub(crate) fn outcome_dict<'py>(py: Python<'py>, outcome: &RunOutcome) -> PyResult<Bound<'py, PyDict>> {
     let metrics = PyDict::new(py);
     for (name, value, _) in outcome.metrics.rows() {
         metrics.set_item(name, value)?;
@@ -39,13 +40,13 @@ pub(crate) fn outcome_dict<'py>(py: Python<'py>, outcome: &Outcome) -> PyResult<
     for (name, value) in &outcome.facts {
         facts.set_item(name, value)?;
     }
-    let told = PyDict::new(py);
-    told.set_item("digest", outcome.digest.to_string())?;
-    told.set_item("metrics", metrics)?;
-    told.set_item("policy_facts", facts)?;
-    told.set_item("ttis_done", outcome.ttis_done)?;
-    told.set_item("complete", outcome.complete)?;
-    Ok(told)
+    let dict = PyDict::new(py);
+    dict.set_item("digest", outcome.digest.to_string())?;
+    dict.set_item("metrics", metrics)?;
+    dict.set_item("policy_facts", facts)?;
+    dict.set_item("ttis_done", outcome.ttis_done)?;
+    dict.set_item("complete", outcome.is_complete)?;
+    Ok(dict)
 }
 
 /// Returns the names of the built-in policies.
@@ -60,7 +61,7 @@ pub(crate) fn features() -> [Vec<(&'static str, &'static str)>; 2] {
     let pairs = |features: &[reveille_bs::policy::external::Feature]| {
         features.iter().map(|feature| (feature.name, feature.about)).collect()
     };
-    [pairs(&DEVICE), pairs(&GLOBAL)]
+    [pairs(&DEVICE_FEATURES), pairs(&GLOBAL_FEATURES)]
 }
 
 /// Runs a scenario and returns its outcome.
@@ -68,7 +69,7 @@ pub(crate) fn features() -> [Vec<(&'static str, &'static str)>; 2] {
 pub(crate) fn run<'py>(py: Python<'py>, source: &str, set: Vec<String>) -> PyResult<Bound<'py, PyDict>> {
     let scenario = read(source, &set)?;
     if registry::named(scenario.policy.name()).is_none() {
-        return Err(refused(
+        return Err(value_error(
             "policy external: an environment makes its decisions; choose a built-in policy",
         ));
     }
@@ -79,27 +80,27 @@ pub(crate) fn run<'py>(py: Python<'py>, source: &str, set: Vec<String>) -> PyRes
 /// Runs a scenario and returns its outcome, with the actions that repeat the run in an environment.
 #[pyfunction]
 pub(crate) fn watched<'py>(py: Python<'py>, source: &str, set: Vec<String>) -> PyResult<Bound<'py, PyDict>> {
-    let (scenario, outside) = (read(source, &set)?, read_external(source, &set)?);
+    let (scenario, external_scenario) = (read(source, &set)?, read_external(source, &set)?);
     if registry::named(scenario.policy.name()).is_none() {
-        return Err(refused(
+        return Err(value_error(
             "policy external: an environment makes its decisions; choose a built-in policy",
         ));
     }
-    let actions = py.detach(|| record(&scenario, &outside));
-    let actions = actions.ok_or_else(|| refused("policy genie: it wakes devices before any report is received"))?;
-    let all = outcome_dict(py, &actions.own)?;
+    let actions = py.detach(|| record(&scenario, &external_scenario));
+    let actions = actions.ok_or_else(|| value_error("policy genie: it wakes devices before any report is received"))?;
+    let dict = outcome_dict(py, &actions.policy_outcome)?;
     let n = scenario.run.devices as usize;
     let rows = PyArray1::from_vec(py, actions.rows).reshape([actions.stages.len(), n])?;
-    all.set_item("actions", rows)?;
-    all.set_item("stages", PyArray1::from_vec(py, actions.stages))?;
-    all.set_item("stepped", outcome_dict(py, &actions.stepped)?)?;
-    Ok(all)
+    dict.set_item("actions", rows)?;
+    dict.set_item("stages", PyArray1::from_vec(py, actions.stages))?;
+    dict.set_item("stepped", outcome_dict(py, &actions.environment_outcome)?)?;
+    Ok(dict)
 }
 
 /// A sweep that Ctrl-C stops.
-struct Progress<'a>(&'a AtomicBool);
+struct PySweepProgress<'a>(&'a AtomicBool);
 
-impl SweepProgress for Progress<'_> {
+impl SweepProgress for PySweepProgress<'_> {
     fn planned(&self, _: usize, _: u64) {}
     fn started(&self, _: usize) {}
     fn finished(&self, _: usize) {}
@@ -112,31 +113,31 @@ impl SweepProgress for Progress<'_> {
 /// Runs the experiment in the TOML `text` in `folder`. Returns the path of its table.
 #[pyfunction]
 pub(crate) fn sweep(py: Python<'_>, text: &str, folder: PathBuf, threads: usize) -> PyResult<PathBuf> {
-    let draft = ExperimentBuilder::parse(text, "the experiment", Path::new("")).map_err(refused)?;
-    let grid = SweepGrid::new(draft.build().map_err(refused)?, &Disk).map_err(refused)?;
+    let draft = ExperimentBuilder::parse(text, "the experiment", Path::new("")).map_err(value_error)?;
+    let grid = SweepGrid::new(draft.build().map_err(value_error)?, &Disk).map_err(value_error)?;
     let stop = AtomicBool::new(false);
     let work = || -> Result<Option<PathBuf>, SweepError> {
         let mut sweep = Sweep::open(&grid, Shard::WHOLE, &folder)?;
-        let finished = sweep.run(threads.max(1), Format::Parquet, &Progress(&stop))?;
+        let finished = sweep.run(threads.max(1), Format::Parquet, &PySweepProgress(&stop))?;
         Ok(finished.map(|finished| finished.path))
     };
-    let done = std::thread::scope(|scope| -> PyResult<Result<Option<PathBuf>, SweepError>> {
-        let (tell, mut told) = channel();
+    let result = std::thread::scope(|scope| -> PyResult<Result<Option<PathBuf>, SweepError>> {
+        let (sender, mut receiver) = channel();
         scope.spawn(move || {
             // The receiver outlives this thread: also after Ctrl-C the loop below waits for the message.
-            let _ = tell.send(work());
+            let _ = sender.send(work());
         });
         let mut interrupted = None;
         loop {
             let answer;
             // A receiver cannot be shared between threads, so it is moved into the closure and back.
-            (told, answer) = py.detach(move || {
-                let answer = told.recv_timeout(LOOK);
-                (told, answer)
+            (receiver, answer) = py.detach(move || {
+                let answer = receiver.recv_timeout(SIGNAL_CHECK_INTERVAL);
+                (receiver, answer)
             });
             match answer {
                 // The sweep has ended by now, so its journal is synced also after Ctrl-C.
-                Ok(done) => return interrupted.map_or(Ok(done), Err),
+                Ok(result) => return interrupted.map_or(Ok(result), Err),
                 Err(RecvTimeoutError::Timeout) => {
                     // Signal handlers of Python run only in this call; the wait above does not end by Ctrl-C.
                     if let Err(error) = py.check_signals() {
@@ -148,6 +149,7 @@ pub(crate) fn sweep(py: Python<'_>, text: &str, folder: PathBuf, threads: usize)
             }
         }
     })?;
-    done.map_err(refused)?
+    result
+        .map_err(value_error)?
         .ok_or_else(|| PyRuntimeError::new_err("the sweep was stopped"))
 }

@@ -1,5 +1,11 @@
-//! Evaluation of runs: the paper's analysis compared with the emulation, figures, and a report that compares results
-//! with the paper's claims.
+//! Evaluation of runs, for the commands `analyse`, `figures`, `report` and `tune` and for the Python package.
+//!
+//! - [`claims`]: the paper's claims as data. Start here.
+//! - [`figures`]: result tables merged ([`figures::results`]) and drawn as SVG, PNG and CSV.
+//! - [`report`]: verdicts on the claims by the merged tables, as Markdown and HTML.
+//! - [`analysis`]: the paper's closed forms and chains, compared with runs in memory.
+//!
+//! Nothing here takes part in a run. Output is a function of the input: equal tables give equal bytes.
 
 pub mod analysis;
 pub mod claims;

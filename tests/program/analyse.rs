@@ -3,11 +3,11 @@
 use std::fs;
 use std::os::unix::fs::symlink;
 
-use reveille_tests::process::{Finished, Folder, assert_refused};
+use reveille_tests::process::{FinishedProcess, TestFolder, assert_refused};
 use serde_json::Value;
 
 /// Runs `reveille analyse ARGS --json` and parses its output.
-fn analyse(folder: &Folder, args: &str) -> Value {
+fn analyse(folder: &TestFolder, args: &str) -> Value {
     let end = folder.run(&format!("analyse {args} --json"));
     assert!(end.is_success(), "{end}");
     serde_json::from_str(&end.stdout).expect("--json prints JSON")
@@ -22,14 +22,14 @@ fn number(row: &Value, column: &str) -> f64 {
 }
 
 /// Checks a refusal that prints no output that could be mistaken for a finding.
-fn assert_no_finding(end: &Finished, code: i32, parts: &[&str]) {
+fn assert_no_finding(end: &FinishedProcess, code: i32, parts: &[&str]) {
     assert_refused(end, code, parts);
     assert!(end.stdout.is_empty(), "{end}");
 }
 
 #[test]
 fn the_battery_chain_agrees_with_the_machines() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let found = analyse(
         &folder,
         "battery --duty 1/2,1/8 --e-b 1,5,10 --activation 0,0.02 --devices 8 --ttis 100000",
@@ -52,7 +52,7 @@ fn the_battery_chain_agrees_with_the_machines() {
 
 #[test]
 fn the_distribution_of_one_battery_goes_to_csv() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let end = folder
         .run("analyse battery --duty 1/4 --e-b 5 --activation 0 --devices 4 --ttis 20000 --bin 10 --csv levels.csv");
     assert!(end.is_success(), "{end}");
@@ -71,7 +71,7 @@ fn the_distribution_of_one_battery_goes_to_csv() {
 
 #[test]
 fn transitions_name_forms_that_are_not_probabilities() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let found = analyse(
         &folder,
         "transitions --policy random --devices 100 --ttis 400 --seeds 3",
@@ -89,7 +89,7 @@ fn transitions_name_forms_that_are_not_probabilities() {
 
 #[test]
 fn the_grid_has_the_papers_i_min() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let found = analyse(&folder, "imin --layouts grid,uniform --devices 25,100 --seeds 20");
     for row in rows(&found, "imin") {
         let off = number(row, "mean") - number(row, "grid_formula");
@@ -104,7 +104,7 @@ fn the_grid_has_the_papers_i_min() {
 #[test]
 #[expect(clippy::disallowed_methods, reason = "checked to nine digits, not to the last bit")]
 fn harvest_crosses_the_consumption_where_its_closed_form_does() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let found = analyse(
         &folder,
         "harvest --lambda 0.1 --policies random --devices 10 --seeds 3 --ttis 500 --readings eq5",
@@ -121,7 +121,7 @@ fn harvest_crosses_the_consumption_where_its_closed_form_does() {
 #[test]
 #[expect(clippy::disallowed_methods, reason = "checked to nine digits, not to the last bit")]
 fn run_times_come_with_exponents() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let found = analyse(
         &folder,
         "runtime --policies knn,random,q-learning --devices 10,40,160 --ttis 200 --events 50 --repeat 2",
@@ -161,7 +161,7 @@ fn run_times_come_with_exponents() {
 
 #[test]
 fn a_sheet_replaces_a_file_and_goes_through_a_link() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let write = |name: &str| folder.run(&format!("analyse imin --devices 10 --csv {name}"));
     folder.write("sheet.csv", "before");
     fs::hard_link(folder.join("sheet.csv"), folder.join("before.csv")).expect("possible");
@@ -176,7 +176,7 @@ fn a_sheet_replaces_a_file_and_goes_through_a_link() {
 
 #[test]
 fn invalid_studies_are_refused() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     for (args, parts) in [
         ("harvest --lambda ,", &["--lambda", "the list is empty"][..]),
         ("harvest --lambda 0.1,-1", &["lambda = -1", "must be a rate"]),

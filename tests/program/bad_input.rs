@@ -6,17 +6,19 @@ use std::net::TcpListener;
 use std::os::unix::fs::PermissionsExt;
 use std::process::Stdio;
 
-use reveille_tests::process::{Finished, Folder, Process, Summary, assert_refused, free_endpoint, unique_run};
+use reveille_tests::process::{
+    FinishedProcess, Process, SummaryJson, TestFolder, assert_refused, free_endpoint, unique_run,
+};
 use rustix::process::Signal;
 
 /// Checks that the folder contains only the test's own files.
-fn assert_untouched(folder: &Folder, before: &[&str]) {
+fn assert_untouched(folder: &TestFolder, before: &[&str]) {
     let now: Vec<String> = folder.list(".").into_iter().filter(|name| name != "runtime").collect();
     assert_eq!(now, before);
 }
 
 /// Runs each command that takes a scenario and checks that all refuse it alike and leave no files.
-fn refused(folder: &Folder, scenario: &str, before: &[&str], parts: &[&str]) {
+fn refused(folder: &TestFolder, scenario: &str, before: &[&str], parts: &[&str]) {
     for command in ["run", "up", "up -P 0 --out out", "bs --run x --listen tcp/127.0.0.1:0"] {
         assert_refused(&folder.run(&format!("{command} {scenario}")), 1, parts);
         assert_untouched(folder, before);
@@ -25,7 +27,7 @@ fn refused(folder: &Folder, scenario: &str, before: &[&str], parts: &[&str]) {
 
 #[test]
 fn an_unknown_field_is_named_with_its_line() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     folder.write("my.toml", "devices = 30\n[sensing]\ndmax = 5\n");
     let parts = ["sensing.dmax", "my.toml, line 3", "did you mean `d_max`"];
     refused(&folder, "--scenario my.toml", &["my.toml"], &parts);
@@ -33,14 +35,14 @@ fn an_unknown_field_is_named_with_its_line() {
 
 #[test]
 fn a_file_that_is_not_toml_is_named_with_its_line() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     folder.write("my.toml", "devices = 30\n\n[sensing\n");
     refused(&folder, "--scenario my.toml", &["my.toml"], &["my.toml, line 3"]);
 }
 
 #[test]
 fn a_negative_energy_is_refused() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     folder.write("my.toml", "[energy]\ne_tx = -1.0\n");
     refused(
         &folder,
@@ -58,7 +60,7 @@ fn a_negative_energy_is_refused() {
 
 #[test]
 fn negative_numbers_name_the_allowed_range() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     refused(
         &folder,
         "--devices -5",
@@ -71,13 +73,18 @@ fn negative_numbers_name_the_allowed_range() {
 
 #[test]
 fn no_devices_are_refused() {
-    refused(&Folder::new(), "-n 0", &[], &["devices = 0", "at least 1", "--devices"]);
+    refused(
+        &TestFolder::new(),
+        "-n 0",
+        &[],
+        &["devices = 0", "at least 1", "--devices"],
+    );
 }
 
 #[test]
 fn a_reach_beyond_the_area_is_refused() {
     refused(
-        &Folder::new(),
+        &TestFolder::new(),
         "--set sensing.d_max=1000",
         &[],
         &["sensing.d_max = 1000", "at most", "--set sensing.d_max=1000"],
@@ -86,7 +93,7 @@ fn a_reach_beyond_the_area_is_refused() {
 
 #[test]
 fn a_missing_trace_file_is_named() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     folder.write(
         "my.toml",
         "[harvest]\nkind = \"trace\"\n[harvest.trace]\nfile = \"sun.csv\"\ncolumn = \"w\"\n",
@@ -101,7 +108,7 @@ fn a_missing_trace_file_is_named() {
 
 #[test]
 fn a_broken_row_of_a_trace_is_named() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     folder.write(
         "my.toml",
         "[harvest]\nkind = \"trace\"\n[harvest.trace]\nfile = \"sun.csv\"\ncolumn = \"w\"\n",
@@ -125,13 +132,13 @@ fn a_broken_row_of_a_trace_is_named() {
 #[test]
 fn an_unknown_scenario_or_policy_lists_the_available_ones() {
     refused(
-        &Folder::new(),
+        &TestFolder::new(),
         "-s papr",
         &[],
         &["papr", "did you mean `paper`", "quick"],
     );
     refused(
-        &Folder::new(),
+        &TestFolder::new(),
         "-p nearest",
         &[],
         &["nearest", "knn", "genie", "--policy"],
@@ -141,19 +148,19 @@ fn an_unknown_scenario_or_policy_lists_the_available_ones() {
 #[test]
 fn invalid_overrides_are_refused() {
     refused(
-        &Folder::new(),
+        &TestFolder::new(),
         "--set nonsense",
         &[],
         &["--set nonsense", "path.to.field=value"],
     );
     refused(
-        &Folder::new(),
+        &TestFolder::new(),
         "--set nonsense=1",
         &[],
         &["unknown field `nonsense`", "devices"],
     );
     refused(
-        &Folder::new(),
+        &TestFolder::new(),
         "--set devices=many",
         &[],
         &["devices", "many", "--set devices=many"],
@@ -162,7 +169,7 @@ fn invalid_overrides_are_refused() {
 
 #[test]
 fn too_many_processes_are_refused() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     assert_refused(
         &folder.run("up -n 10 -P 11"),
         1,
@@ -173,7 +180,7 @@ fn too_many_processes_are_refused() {
 
 #[test]
 fn wrong_usage_is_code_2() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     for (args, part) in [
         ("up --pace soon", "--pace"),
         ("up --pace 0ms", "--pace"),
@@ -197,7 +204,7 @@ fn wrong_usage_is_code_2() {
 
 #[test]
 fn a_port_in_use_is_reported() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let taken = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let endpoint = format!("tcp/{}", taken.local_addr().expect("bound"));
     for command in ["up", "up --out out", "bs --run x"] {
@@ -209,7 +216,7 @@ fn a_port_in_use_is_reported() {
 
 #[test]
 fn an_invalid_endpoint_is_refused() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     for endpoint in [
         "127.0.0.1:7447",
         "tcp/",
@@ -232,14 +239,14 @@ fn an_invalid_endpoint_is_refused() {
 
 #[test]
 fn an_endpoint_without_a_listener_is_reported() {
-    let (folder, endpoint) = (Folder::new(), free_endpoint());
+    let (folder, endpoint) = (TestFolder::new(), free_endpoint());
     let end = folder.run(&format!("device --connect {endpoint} --run x --connect-timeout 2s"));
     assert_refused(&end, 1, &["no base station answers at", &endpoint, "within 2s"]);
 }
 
 #[test]
 fn a_wrong_run_name_lists_the_runs() {
-    let (folder, run, endpoint) = (Folder::new(), unique_run("right"), free_endpoint());
+    let (folder, run, endpoint) = (TestFolder::new(), unique_run("right"), free_endpoint());
     let _bs = folder.waiting_bs(&run, &endpoint, "");
     let hint = format!("runs there: {run}");
     let end = folder.run(&format!("device --connect {endpoint} --run wrong --connect-timeout 2s"));
@@ -254,7 +261,7 @@ fn a_wrong_run_name_lists_the_runs() {
 
 #[test]
 fn inspecting_without_a_run_is_an_error() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     for command in ["inspect tail", "clock status"] {
         assert_refused(&folder.run(command), 1, &["no run on this machine", "reveille up"]);
     }
@@ -262,7 +269,7 @@ fn inspecting_without_a_run_is_an_error() {
 
 #[test]
 fn two_runs_on_this_machine_need_a_name() {
-    let (folder, runs) = (Folder::new(), [unique_run("one"), unique_run("two")]);
+    let (folder, runs) = (TestFolder::new(), [unique_run("one"), unique_run("two")]);
     let _bs = runs.each_ref().map(|run| folder.waiting_bs(run, &free_endpoint(), ""));
     for run in &runs {
         folder.wait_for_clock(run);
@@ -272,21 +279,21 @@ fn two_runs_on_this_machine_need_a_name() {
 
 #[test]
 fn too_few_devices_end_the_wait() {
-    let (folder, run, endpoint) = (Folder::new(), unique_run("few"), free_endpoint());
+    let (folder, run, endpoint) = (TestFolder::new(), unique_run("few"), free_endpoint());
     let bs = folder.waiting_bs(&run, &endpoint, "--join-timeout 1s --out out");
     assert_refused_after_hint(&bs.finish(), "only 0 of 30 devices joined within 1 s");
     assert!(folder.list("out").contains(&"FAILED".to_owned()));
     assert!(!folder.list("out").contains(&"RUNNING".to_owned()));
 }
 
-fn assert_refused_after_hint(end: &Finished, part: &str) {
+fn assert_refused_after_hint(end: &FinishedProcess, part: &str) {
     assert_eq!(end.code(), Some(1), "{end}");
     assert!(end.stderr.contains(part), "{end}");
 }
 
 #[test]
 fn one_device_too_many_is_refused_where_it_cannot_stand_by() {
-    let (folder, run, endpoint) = (Folder::new(), unique_run("full"), free_endpoint());
+    let (folder, run, endpoint) = (TestFolder::new(), unique_run("full"), free_endpoint());
     let _bs = folder.waiting_bs(&run, &endpoint, "--paused --on-loss end");
     let host = folder.start(&format!("-v device --connect {endpoint} --run {run} --count 30"));
     host.wait_for_stderr("joined");
@@ -296,7 +303,7 @@ fn one_device_too_many_is_refused_where_it_cannot_stand_by() {
 
 #[test]
 fn a_folder_with_other_files_is_kept() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     fs::create_dir(folder.join("mine")).expect("writable");
     folder.write("mine/thesis.tex", "precious");
     let end = folder.run("run -s quick --out mine");
@@ -308,17 +315,17 @@ fn a_folder_with_other_files_is_kept() {
     let end = folder.run("up -s quick --out run");
     assert_refused(&end, 1, &["--out run", "not empty", "--force"]);
     assert_eq!(
-        Summary::read(&folder.join("run")).status(),
+        SummaryJson::read(&folder.join("run")).status(),
         "complete",
         "the run there is as it was"
     );
     assert!(folder.run("up -s quick --out run --force --seed 3").is_success());
-    assert_eq!(Summary::read(&folder.join("run")).number("seed"), 3);
+    assert_eq!(SummaryJson::read(&folder.join("run")).number("seed"), 3);
 }
 
 #[test]
 fn a_folder_without_write_access_is_named() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     folder.write("file", "");
     let end = folder.run("run -s quick --out file");
     assert_refused(&end, 1, &["file"]);
@@ -338,14 +345,14 @@ fn a_folder_without_write_access_is_named() {
 
 #[test]
 fn missing_parent_folders_are_created() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     assert!(folder.run("run -s quick --out a/b/c").is_success());
-    assert_eq!(Summary::read(&folder.join("a/b/c")).status(), "complete");
+    assert_eq!(SummaryJson::read(&folder.join("a/b/c")).status(), "complete");
 }
 
 #[test]
 fn a_device_process_that_tries_to_connect_can_be_interrupted() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     for signal in [Signal::INT, Signal::TERM] {
         let device = folder.start(&format!(
             "device --connect {} --run x --connect-timeout 10min",
@@ -359,7 +366,7 @@ fn a_device_process_that_tries_to_connect_can_be_interrupted() {
 
 #[test]
 fn a_setting_without_effect_is_refused() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     for (setting, counts_with) in [
         ("harvest.off_mean=3", "harvest.kind = \"mpp\""),
         ("harvest.trace.file=\"sun.csv\"", "harvest.kind = \"trace\""),
@@ -373,7 +380,7 @@ fn a_setting_without_effect_is_refused() {
 
 #[test]
 fn run_to_refuses_the_past_and_beyond_the_end() {
-    let (folder, run) = (Folder::new(), unique_run("past"));
+    let (folder, run) = (TestFolder::new(), unique_run("past"));
     let _up = folder.start(&format!("up -P 1 -n 3 -k 100 --run {run} --paused --out out"));
     folder.wait_for_tti(&run, 0);
     folder.clock(&run, "step 20");
@@ -392,7 +399,7 @@ fn run_to_refuses_the_past_and_beyond_the_end() {
 
 #[test]
 fn an_invalid_input_log_is_refused() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     for (content, reason) in [
         ("garbage", "line 1, column 1: invalid input log entry"),
         ("garbage\n", "line 1, column 1: invalid input log entry"),
@@ -419,7 +426,7 @@ fn an_invalid_input_log_is_refused() {
 
 #[test]
 fn a_run_folder_can_have_any_name() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     for out in [".hidden", "./-x", "äpfel", "…"] {
         let end = folder.run(&format!("up -q -n 5 -k 50 -P 1 --out {out}"));
         assert!(end.is_success(), "{out}: {end}");
@@ -428,7 +435,7 @@ fn a_run_folder_can_have_any_name() {
 
 #[test]
 fn an_unregistered_run_continues() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let mut up = folder.command("up -q -n 5 -k 50 -P 1 --out out");
     let end = Process::start(up.env("XDG_RUNTIME_DIR", "/proc/1/nope")).finish();
     assert!(end.is_success(), "{end}");
@@ -439,7 +446,7 @@ fn an_unregistered_run_continues() {
 
 #[test]
 fn an_unread_error_is_still_an_error() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     // Printed by the command itself, and by the log, whose warning comes first.
     folder.write("spots.csv", "x,y\n1,1\n2,2\n");
     for (args, code) in [

@@ -5,9 +5,9 @@ use std::process::{Command, ExitStatus};
 use std::time::Duration;
 
 use reveille_tests::process::{
-    Folder, PATIENCE, Process, Summary, free_endpoint, hosts_of, send_signal, unique_run, wait_until,
+    PATIENCE, Process, SummaryJson, TestFolder, free_endpoint, hosts_of, send_signal, unique_run, wait_until,
 };
-use reveille_tests::terminal::Windowed;
+use reveille_tests::terminal::PtyCommand;
 use rustix::process::Signal;
 
 /// Options of a run that would take a minute.
@@ -23,7 +23,7 @@ fn assert_no_process_left(run: &str) {
 }
 
 /// Closes the window of a command, as a terminal and its shell do, and waits for its end.
-fn closed(window: &mut Windowed) -> ExitStatus {
+fn closed(window: &mut PtyCommand) -> ExitStatus {
     let pid = window.pid();
     window.close();
     // Both the shell and the kernel send SIGHUP to the commands.
@@ -35,22 +35,22 @@ fn closed(window: &mut Windowed) -> ExitStatus {
 }
 
 /// Checks the summary of a run that a closed terminal has ended.
-fn assert_interrupted(folder: &Folder, end: ExitStatus) {
+fn assert_interrupted(folder: &TestFolder, end: ExitStatus) {
     assert_eq!(end.code(), Some(130), "{end}");
     let files = folder.list("out");
     for name in ["devices.csv", "events.csv", "summary.json", "windows.csv"] {
         assert!(files.iter().any(|file| file == name), "{files:?}");
     }
     assert!(!files.iter().any(|file| file == "RUNNING"), "{files:?}");
-    let summary = Summary::read(&folder.join("out"));
+    let summary = SummaryJson::read(&folder.join("out"));
     assert_eq!(summary.status(), "interrupted");
     assert!(summary.number("ttis_done") > 0, "{summary:?}");
 }
 
 #[test]
 fn a_closed_terminal_ends_up_with_partial_results() {
-    let (folder, run) = (Folder::new(), unique_run("window"));
-    let mut up = Windowed::start(&folder.command(&format!("up -P 4 {LONG} --out out --run {run}")), true);
+    let (folder, run) = (TestFolder::new(), unique_run("window"));
+    let mut up = PtyCommand::start(&folder.command(&format!("up -P 4 {LONG} --out out --run {run}")), true);
     up.wait_for("TTIs/s");
     assert_eq!(hosts_of(&run).len(), 4);
     let end = closed(&mut up);
@@ -60,12 +60,12 @@ fn a_closed_terminal_ends_up_with_partial_results() {
 
 #[test]
 fn a_closed_terminal_ends_bs_and_device_with_partial_results() {
-    let (folder, run, endpoint) = (Folder::new(), unique_run("windows"), free_endpoint());
+    let (folder, run, endpoint) = (TestFolder::new(), unique_run("windows"), free_endpoint());
     let bs = format!("bs {LONG} --out out --run {run} --listen {endpoint}");
-    let mut bs = Windowed::start(&folder.command(&bs), true);
+    let mut bs = PtyCommand::start(&folder.command(&bs), true);
     bs.wait_for("waiting for 30 devices");
     let device = format!("device --connect {endpoint} --run {run} --count 30");
-    let mut device = Windowed::start(&folder.command(&device), true);
+    let mut device = PtyCommand::start(&folder.command(&device), true);
     bs.wait_for("TTIs/s");
     let end = closed(&mut bs);
     assert_interrupted(&folder, end);
@@ -73,7 +73,7 @@ fn a_closed_terminal_ends_bs_and_device_with_partial_results() {
 
     // A device process alone: it has nothing to save.
     let device = format!("device --connect {} --run {run} --count 30", free_endpoint());
-    let mut device = Windowed::start(&folder.command(&device), true);
+    let mut device = PtyCommand::start(&folder.command(&device), true);
     wait_for_hang_up(device.pid());
     assert_eq!(closed(&mut device).code(), Some(130));
 }
@@ -90,9 +90,9 @@ fn wait_for_hang_up(pid: u32) {
 
 #[test]
 fn a_closed_terminal_ends_a_run_in_memory_with_partial_results() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let run = "run -n 50 -k 1000000000 --window 10000 --out out";
-    let mut run = Windowed::start(&folder.command(run), true);
+    let mut run = PtyCommand::start(&folder.command(run), true);
     run.wait_for("TTIs/s");
     let end = closed(&mut run);
     assert_interrupted(&folder, end);
@@ -100,14 +100,14 @@ fn a_closed_terminal_ends_a_run_in_memory_with_partial_results() {
 
 #[test]
 fn a_closed_terminal_ends_a_sweep_and_a_recording() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let sweep = "sweep --devices 20 --ttis 5000 --seeds 900000 --out s";
-    let mut sweep = Windowed::start(&folder.command(sweep), true);
+    let mut sweep = PtyCommand::start(&folder.command(sweep), true);
     sweep.wait_for("runs");
     assert_eq!(closed(&mut sweep).code(), Some(130));
     assert!(folder.join("s/runs.journal").exists());
     let record = "train record -p knn -n 20 -k 5000 --seeds 900000 --chunk 12 --stride 40 --out c.parquet";
-    let mut record = Windowed::start(&folder.command(record), true);
+    let mut record = PtyCommand::start(&folder.command(record), true);
     record.wait_for("runs");
     assert_eq!(closed(&mut record).code(), Some(130));
     assert!(!folder.join("c.parquet").exists());
@@ -115,23 +115,23 @@ fn a_closed_terminal_ends_a_sweep_and_a_recording() {
 
 #[test]
 fn a_run_without_a_signal_continues_without_its_terminal() {
-    let (folder, run) = (Folder::new(), unique_run("untold"));
+    let (folder, run) = (TestFolder::new(), unique_run("untold"));
     let expected = folder.summary("run -n 30 -k 900");
     // With messages, so that it writes to the terminal after the terminal has closed.
     let up = format!("-vv up -P 2 -n 30 -k 900 --pace 3ms --out out --run {run}");
-    let mut up = Windowed::start(&folder.command(&up), false);
+    let mut up = PtyCommand::start(&folder.command(&up), false);
     up.wait_for("TTIs/s");
     up.close();
     let end = up.finish_within(PATIENCE);
     assert!(end.success(), "{end}");
-    let summary = Summary::read(&folder.join("out"));
+    let summary = SummaryJson::read(&folder.join("out"));
     assert_eq!((summary.status(), summary.digest()), ("complete", expected.digest()));
     assert_no_process_left(&run);
 }
 
 #[test]
 fn a_run_with_unread_output_continues() {
-    let (folder, run) = (Folder::new(), unique_run("unread"));
+    let (folder, run) = (TestFolder::new(), unique_run("unread"));
     let expected = folder.summary("run -n 30 -k 900");
     // Both pipes lead to a process that has ended.
     let line = format!(
@@ -146,13 +146,13 @@ fn a_run_with_unread_output_continues() {
             .filter(|code| code.ends_with('\n'))
     });
     assert_eq!(code, "0\n");
-    let summary = Summary::read(&folder.join("out"));
+    let summary = SummaryJson::read(&folder.join("out"));
     assert_eq!((summary.status(), summary.digest()), ("complete", expected.digest()));
 }
 
 #[test]
 fn nohup_is_respected() {
-    let (folder, run) = (Folder::new(), unique_run("nohup"));
+    let (folder, run) = (TestFolder::new(), unique_run("nohup"));
     let program = reveille_tests::process::reveille().display();
     let line = format!("trap '' HUP; exec {program} up -P 2 {LONG} --out out --run {run}");
     let up = sh(&folder, &line);
@@ -162,12 +162,12 @@ fn nohup_is_respected() {
     up.signal(Signal::TERM);
     let end = up.finish();
     assert_eq!(end.code(), Some(130), "{end}");
-    assert_eq!(Summary::read(&folder.join("out")).status(), "interrupted");
+    assert_eq!(SummaryJson::read(&folder.join("out")).status(), "interrupted");
 }
 
 #[test]
 fn a_stopped_run_continues_unchanged() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let args = "-n 50 -k 400000 --window 1000";
     let expected = folder.summary(&format!("run {args}"));
     let run = folder.start(&format!("run {args} --out out --json"));
@@ -184,7 +184,7 @@ fn a_stopped_run_continues_unchanged() {
 }
 
 /// Starts a shell in `folder`.
-fn sh(folder: &Folder, line: &str) -> Process {
+fn sh(folder: &TestFolder, line: &str) -> Process {
     let mut command = Command::new("sh");
     command
         .args(["-c", line])

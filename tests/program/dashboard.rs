@@ -4,17 +4,17 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::time::Duration;
 
-use reveille_tests::process::{Folder, PATIENCE, Process, assert_refused, now, unique_run, wait_until};
+use reveille_tests::process::{PATIENCE, Process, TestFolder, assert_refused, now, unique_run, wait_until};
 use rustix::process::Signal;
 use serde_json::Value;
 
 /// Address and token of a running dashboard.
-struct Page {
+struct DashboardPage {
     address: String,
     token: String,
 }
 
-impl Page {
+impl DashboardPage {
     /// Reads the dashboard's address from `process` once it is printed.
     fn of(process: &Process) -> Self {
         process.wait_for_stderr("http://");
@@ -78,12 +78,12 @@ impl Page {
 
 #[test]
 fn a_run_is_followed_paused_and_stepped() {
-    let (folder, run) = (Folder::new(), unique_run("dash"));
+    let (folder, run) = (TestFolder::new(), unique_run("dash"));
     let up = folder.start(&format!(
         "up -p knn -n 20 -k 400 -P 2 --paused --run {run} --quiet --out o --dashboard 127.0.0.1:0 --set \
          events.alpha=0.4"
     ));
-    let page = Page::of(&up);
+    let page = DashboardPage::of(&up);
     folder.wait_for_tti(&run, 0);
     let about = page.get("/api/run");
     assert_eq!((&about["devices"], &about["policy"]), (&20.into(), &"knn".into()));
@@ -145,11 +145,11 @@ fn a_run_is_followed_paused_and_stepped() {
 
 #[test]
 fn device_ledgers_close_and_filters_equal_those_of_tail() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let run = "run -p knn -n 60 -k 700 --set events.alpha=0.5 --set harvest.e_b=3 --record r.mcap --quiet --out o";
     assert!(folder.run(run).is_success());
     let shown = folder.start("dashboard --from r.mcap --listen 127.0.0.1:0");
-    let page = Page::of(&shown);
+    let page = DashboardPage::of(&shown);
     for tti in [0, 1, 137, 500, 699] {
         let device = page.get(&format!("/api/device/4?from={tti}&end={}&at={tti}", tti + 1));
         let of = |name: &str| device["totals"][name].as_f64().expect(name);
@@ -193,18 +193,18 @@ fn device_ledgers_close_and_filters_equal_those_of_tail() {
 
 #[test]
 fn a_run_killed_while_observed_is_shown_to_its_end() {
-    let (folder, run) = (Folder::new(), unique_run("dies"));
+    let (folder, run) = (TestFolder::new(), unique_run("dies"));
     let up = folder.start(&format!(
         "up -p knn -n 10 -k 1000000 -P 1 --run {run} --quiet --out o --pace 5ms"
     ));
     folder.wait_for_tti(&run, 1);
     let watching = folder.start(&format!("dashboard --run {run} --listen 127.0.0.1:0"));
-    let page = Page::of(&watching);
+    let page = DashboardPage::of(&watching);
     // A second dashboard at the same port is refused; at another port it is not.
     let again = folder.run(&format!("dashboard --run {run} --listen {}", page.address));
     assert_refused(&again, 1, &["--listen", &page.address, "free port"]);
     let second = folder.start(&format!("dashboard --run {run} --listen 127.0.0.1:0"));
-    let other = Page::of(&second);
+    let other = DashboardPage::of(&second);
     let seen = wait_until("some TTIs", PATIENCE, || {
         page.get("/api/now")["next"].as_u64().filter(|next| *next > 50)
     });
@@ -225,7 +225,7 @@ fn a_run_killed_while_observed_is_shown_to_its_end() {
 
 #[test]
 fn two_runs_are_compared_side_by_side() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let run = |name: &str, args: &str| {
         let end = folder.run(&format!(
             "{args} -n 25 -k 400 --record {name}.mcap --quiet --out {name}"
@@ -264,7 +264,7 @@ fn two_runs_are_compared_side_by_side() {
     );
 
     let shown = folder.start("dashboard --from one.mcap --compare two.mcap --listen 127.0.0.1:0");
-    let page = Page::of(&shown);
+    let page = DashboardPage::of(&shown);
     let told = page.get("/api/compare");
     assert_eq!(told["fields"], serde_json::json!([["seed", "1", "2"]]));
     assert_eq!(
@@ -292,7 +292,7 @@ fn two_runs_are_compared_side_by_side() {
     let watching = folder.start(&format!(
         "dashboard --run {name} --compare one.mcap --listen 127.0.0.1:0"
     ));
-    let page = Page::of(&watching);
+    let page = DashboardPage::of(&watching);
     folder.clock(&name, "resume");
     assert!(up.finish().is_success());
     wait_until("the end", PATIENCE, || {
@@ -307,12 +307,12 @@ fn two_runs_are_compared_side_by_side() {
 
 #[test]
 fn untrusted_clients_are_refused() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let run = unique_run("strange");
     let up = folder.start(&format!(
         "up -n 5 -k 60 -P 1 --paused --run {run} --quiet --out o --dashboard 127.0.0.1:0"
     ));
-    let page = Page::of(&up);
+    let page = DashboardPage::of(&up);
     folder.wait_for_tti(&run, 0);
     let token = ("x-reveille-token", &page.token[..]);
     let mut wrong = page.token.clone();
@@ -345,9 +345,9 @@ fn untrusted_clients_are_refused() {
 
 #[test]
 fn a_browser_that_never_reads_delays_no_run() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let up = folder.start("up -p random -n 20 -k 20000 -P 1 --quiet --out o --dashboard 127.0.0.1:0");
-    let page = Page::of(&up);
+    let page = DashboardPage::of(&up);
     // Clients send requests, and some never read the answers.
     let silent: Vec<TcpStream> = (0..50)
         .map(|_| {
@@ -364,14 +364,14 @@ fn a_browser_that_never_reads_delays_no_run() {
 
 #[test]
 fn a_recording_is_shown_without_a_clock() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     assert!(
         folder
             .run("run -p knn -n 20 -k 300 --record r.mcap --quiet --out o")
             .is_success()
     );
     let shown = folder.start("dashboard --from r.mcap --listen 127.0.0.1:0");
-    let page = Page::of(&shown);
+    let page = DashboardPage::of(&shown);
     let about = page.get("/api/run");
     assert_eq!((&about["live"], &about["controls"]), (&false.into(), &false.into()));
     assert!(about["groups"].as_array().is_some_and(|groups| groups.len() == 20));

@@ -4,7 +4,7 @@
 use std::fmt::Write as _;
 
 use reveille_bs::policy::registry::{self, POLICIES};
-use reveille_tests::process::{Folder, PATIENCE, Process, free_endpoint, unique_run, wait_until};
+use reveille_tests::process::{PATIENCE, Process, TestFolder, free_endpoint, unique_run, wait_until};
 
 /// Thirty devices, and enough TTIs for reports, failures and wake-ups.
 const SMALL: &str = "-n 30 -k 400";
@@ -62,13 +62,13 @@ const FAILING: &str = "--set radio.wake_miss=0.3 --set radio.false_wake_up=0.02 
                        --set bs.sync_interval=37";
 
 fn digest(args: &str) -> String {
-    Folder::new().summary(args).digest().to_owned()
+    TestFolder::new().summary(args).digest().to_owned()
 }
 
 /// Checks that all `ways` to drive one policy on one preset give one digest, and returns it.
 fn agreed(preset: &str, policy: &str, ways: &[&str]) -> String {
     let scenario = format!("-s {preset} -p {policy} {SMALL}");
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let mut seen = String::new();
     let mut digests = Vec::new();
     for way in ways {
@@ -173,7 +173,7 @@ fn policies_and_presets_differ() {
 
 /// Runs a base station and two device processes, with `counts` in join order, and returns the digest.
 fn by_hand(counts: [u32; 2]) -> String {
-    let (folder, run, endpoint) = (Folder::new(), unique_run("hand"), free_endpoint());
+    let (folder, run, endpoint) = (TestFolder::new(), unique_run("hand"), free_endpoint());
     let bs = folder.start(&format!("bs {SMALL} --run {run} --listen {endpoint} --json"));
     bs.wait_for_stderr("waiting for 30 devices");
     let mut hosts: Vec<Process> = Vec::new();
@@ -207,7 +207,7 @@ fn pace_does_not_matter() {
 #[test]
 fn pausing_and_stepping_do_not_matter() {
     let expected = digest(&format!("run {SMALL}"));
-    let (folder, run) = (Folder::new(), unique_run("stepped"));
+    let (folder, run) = (TestFolder::new(), unique_run("stepped"));
     let up = folder.start(&format!("up -P 4 {SMALL} --paused --run {run} --json"));
     folder.wait_for_tti(&run, 0);
     folder.clock(&run, "step");
@@ -225,7 +225,7 @@ fn pausing_and_stepping_do_not_matter() {
 #[test]
 fn an_observer_does_not_matter() {
     let expected = digest(&format!("run {SMALL}"));
-    let (folder, run) = (Folder::new(), unique_run("watched"));
+    let (folder, run) = (TestFolder::new(), unique_run("watched"));
     let up = folder.start(&format!("up -P 4 {SMALL} --paused --no-lookahead --run {run} --json"));
     folder.wait_for_tti(&run, 0);
     let tail = folder.start(&format!("inspect tail --json --run {run}"));

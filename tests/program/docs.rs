@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use reveille_tests::process::Folder;
+use reveille_tests::process::TestFolder;
 
 /// Returns the folder of the repository.
 fn root() -> PathBuf {
@@ -52,7 +52,7 @@ fn commands(text: &str) -> Vec<(&str, Option<&str>)> {
 }
 
 /// Returns the subcommands in the help of `reveille ARGS`, if it requires a subcommand.
-fn subcommands(folder: &Folder, args: &str) -> BTreeSet<String> {
+fn subcommands(folder: &TestFolder, args: &str) -> BTreeSet<String> {
     let help = folder.run(&format!("{args} --help"));
     assert!(help.is_success(), "{help}");
     let usage = help.stdout.lines().find(|line| line.starts_with("Usage: "));
@@ -90,7 +90,7 @@ fn runs_of_the_pages_use_separate_folders() {
 
 #[test]
 fn every_subcommand_that_is_named_exists() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let known = subcommands(&folder, "");
     assert!(known.contains("run") && known.contains("up"), "{known:?}");
     let mut seen = 0;

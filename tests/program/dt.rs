@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use reveille_tests::process::{Folder, assert_refused};
+use reveille_tests::process::{TestFolder, assert_refused};
 
 /// Command for a small recording.
 const RECORD: &str =
@@ -10,7 +10,7 @@ const RECORD: &str =
 
 #[test]
 fn recordings_are_reproducible_and_invalid_ones_are_refused() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     for out in ["a.parquet", "b.parquet"] {
         let end = folder.run(&format!("{RECORD} --out {out}"));
         assert!(end.is_success() && end.stderr.contains("device-TTIs"), "{end}");
@@ -52,7 +52,7 @@ fn recordings_are_reproducible_and_invalid_ones_are_refused() {
 
 #[test]
 fn a_run_of_the_emulator_is_recorded_from_its_folder() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let end = folder.run("up -p knn -n 12 -k 300 --processes 2 --quiet --out live");
     assert!(end.is_success(), "{end}");
     let record = "train record --from live --chunk 12 --stride 40";
@@ -83,7 +83,7 @@ fn a_run_of_the_emulator_is_recorded_from_its_folder() {
 
 #[test]
 fn invalid_models_are_refused() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let whole = include_bytes!("../../bs/src/policy/dt/shipped.safetensors");
     fs::write(folder.join("good.safetensors"), whole).expect("written");
     fs::write(folder.join("cut.safetensors"), &whole[..whole.len() / 2]).expect("written");
@@ -105,7 +105,7 @@ fn invalid_models_are_refused() {
 #[cfg(not(feature = "train-dt"))]
 #[test]
 fn without_the_feature_the_error_names_the_build_command() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let end = folder.run("train dt some.parquet --out model.safetensors");
     assert_refused(&end, 2, &["cargo run --release --features train-dt -- train dt"]);
 }
@@ -120,8 +120,8 @@ mod transformer {
     const TRAIN: &str = "train dt a.parquet --steps 600 --batch 600 --patience 99 --set policy.dt.width=8 \
         --set policy.dt.heads=1 --set policy.dt.memory=3";
 
-    fn recorded() -> Folder {
-        let folder = Folder::new();
+    fn recorded() -> TestFolder {
+        let folder = TestFolder::new();
         let end = folder.run(&format!("{RECORD} --out a.parquet"));
         assert!(end.is_success(), "{end}");
         folder

@@ -5,10 +5,10 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use reveille_tests::process::{Folder, PATIENCE, Process, assert_refused, reveille};
+use reveille_tests::process::{PATIENCE, Process, TestFolder, assert_refused, reveille};
 
 /// Writes a small result table `name` in `folder`.
-fn sweep(folder: &Folder, name: &str, options: &str) {
+fn sweep(folder: &TestFolder, name: &str, options: &str) {
     let end = folder.run(&format!(
         "sweep --policies knn,adjusted,random,genie --devices 10,100 --seeds 2 --ttis 300 --quiet \
          --out {name} {options}"
@@ -18,14 +18,14 @@ fn sweep(folder: &Folder, name: &str, options: &str) {
 
 /// Checks that the folders `a` and `b` hold the same file `name`.
 #[track_caller]
-fn assert_same(folder: &Folder, name: &str) {
+fn assert_same(folder: &TestFolder, name: &str) {
     let [a, b] = ["a", "b"].map(|of| folder.bytes(&format!("{of}/{name}")));
     assert!(a == b, "{name} differs");
 }
 
 #[test]
 fn pictures_of_a_deployment_and_a_timeline_are_the_same_twice() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     for out in ["a", "b"] {
         for picture in [
             "deployment -n 30 -k 500",
@@ -45,7 +45,7 @@ fn pictures_of_a_deployment_and_a_timeline_are_the_same_twice() {
 
 #[test]
 fn invalid_figure_requests_are_refused() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let refused = |args: &str, parts: &[&str]| {
         assert_refused(&folder.run(&format!("figures {args} --out out")), 1, parts);
         assert!(!folder.join("out").exists(), "{args} left something");
@@ -80,7 +80,7 @@ fn invalid_figure_requests_are_refused() {
 
 #[test]
 fn files_that_are_not_tables_are_refused() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     folder.write("junk.parquet", "PAR1 not a table PAR1");
     folder.write("junk.csv", "a,b\n1,2\n");
     for command in ["figures", "report"] {
@@ -108,7 +108,7 @@ fn files_that_are_not_tables_are_refused() {
 
 #[test]
 fn learned_tables_become_pictures_the_same_twice() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let end = folder.run("train q-learning --out mine.json -n 10,30 --episodes 2 --episode-ttis 300 --quiet");
     assert_eq!(end.code(), Some(0), "{end}");
     for out in ["a", "b"] {
@@ -145,7 +145,7 @@ fn learned_tables_become_pictures_the_same_twice() {
 
 #[test]
 fn invalid_or_incomplete_learned_tables_are_refused() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let end = folder.run("train q-learning --out mine.json -n 10,30 --episodes 1 --episode-ttis 100 --quiet");
     assert_eq!(end.code(), Some(0), "{end}");
     let text = String::from_utf8(folder.bytes("mine.json")).expect("text");
@@ -186,7 +186,7 @@ fn invalid_or_incomplete_learned_tables_are_refused() {
 
 #[test]
 fn a_sweep_becomes_figures_and_a_report_the_same_twice() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     sweep(&folder, "paper", "--scenario paper");
     sweep(&folder, "literal", "--scenario paper-literal");
     let tables = "paper/results.parquet literal/results.parquet";
@@ -227,7 +227,7 @@ fn a_sweep_becomes_figures_and_a_report_the_same_twice() {
 
 #[test]
 fn settings_are_ranked_the_same_twice_and_every_one_is_judged() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     sweep(&folder, "unstated", "--grid events.alpha=0.1,0.2,0.4");
     sweep(&folder, "literal", "--scenario paper-literal");
     let search = |out: &str| {
@@ -273,7 +273,7 @@ fn settings_are_ranked_the_same_twice_and_every_one_is_judged() {
 
 #[test]
 fn a_custom_sweep_is_drawn_against_its_field() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     sweep(&folder, "mine", "--grid harvest.lambda=0.05,0.1");
     for out in ["a", "b"] {
         let end = folder.run(&format!(
@@ -301,7 +301,7 @@ fn a_custom_sweep_is_drawn_against_its_field() {
 
 #[test]
 fn a_picture_replaces_an_earlier_one() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let draw = "figures timeline --devices 5 --ttis 300 --show 3 --length 50 --format svg --out out";
     assert_eq!(folder.run(draw).code(), Some(0));
     let name = folder.list("out").pop().expect("a picture");
@@ -315,7 +315,7 @@ fn a_picture_replaces_an_earlier_one() {
 
 #[test]
 fn tables_with_equal_names_give_separate_pictures() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     folder.write("mine.toml", "preset = \"paper\"\nevents.alpha = 0.4\n");
     folder.write("other.toml", "preset = \"paper\"\nevents.alpha = 0.5\n");
     sweep(&folder, "a", "--scenario mine.toml");
@@ -329,7 +329,7 @@ fn tables_with_equal_names_give_separate_pictures() {
 
 #[test]
 fn empty_and_foreign_tables_are_refused_and_one_table_is_enough() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     sweep(&folder, "paper", "--format csv --set events.alpha=0.3");
     let end = folder.run("report paper/results.csv --out report");
     assert_eq!(end.code(), Some(0), "{end}");
@@ -370,7 +370,7 @@ fn empty_and_foreign_tables_are_refused_and_one_table_is_enough() {
 
 #[test]
 fn the_pictures_of_the_pages_can_be_drawn_again() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/figures/make.sh");
     let mut command = Command::new("bash");
     command
@@ -400,7 +400,7 @@ fn the_pictures_of_the_pages_can_be_drawn_again() {
 
 #[test]
 fn a_table_with_an_impossible_value_is_refused() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     sweep(&folder, "paper", "--format csv");
     let text = String::from_utf8(folder.bytes("paper/results.csv")).expect("text");
     let side_car = folder.bytes("paper/results.csv.toml");

@@ -17,7 +17,7 @@ use reveille_common::plan::{DutyCycle, Plan};
 use reveille_common::secret::{HostCredential, Secret};
 use reveille_common::totals::{DeviceTotals, Ledger};
 use reveille_common::units::Energy;
-use reveille_tests::process::{Folder, PATIENCE, Process, Summary, ask, free_endpoint, unique_run};
+use reveille_tests::process::{PATIENCE, Process, SummaryJson, TestFolder, ask, free_endpoint, unique_run};
 
 /// Opens a bus session for a misbehaving peer.
 async fn peer(endpoint: &str, run: &str) -> Bus {
@@ -43,12 +43,12 @@ async fn turncoat(endpoint: &str, run: &str) -> (Bus, HostCredential) {
     };
     let BusCredentials { pass, secret } = assignment.membership;
     let bus = bus.with_secret(secret);
-    drop(bus.declare_alive(bus.keys().alive(pass)).expect("declared"));
+    drop(bus.declare_alive(bus.keys().host_liveliness(pass)).expect("declared"));
     (bus, pass)
 }
 
 /// Starts a paused run of 30 devices with two device processes, and a turncoat.
-async fn testbed(folder: &Folder, run: &str, ttis: u32) -> (Process, [Process; 2], Bus, HostCredential) {
+async fn testbed(folder: &TestFolder, run: &str, ttis: u32) -> (Process, [Process; 2], Bus, HostCredential) {
     let endpoint = free_endpoint();
     let pace = "--pace 3ms --paused --out out";
     let bs = folder.start(&format!("bs -n 30 -k {ttis} {pace} --run {run} --listen {endpoint}"));
@@ -66,7 +66,7 @@ async fn testbed(folder: &Folder, run: &str, ttis: u32) -> (Process, [Process; 2
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn another_version_is_refused_with_an_error() {
-    let (folder, run, endpoint) = (Folder::new(), unique_run("version"), free_endpoint());
+    let (folder, run, endpoint) = (TestFolder::new(), unique_run("version"), free_endpoint());
     let _bs = folder.waiting_bs(&run, &endpoint, "");
     let bus = peer(&endpoint, &run).await;
     let request = JoinRequest {
@@ -85,7 +85,7 @@ async fn another_version_is_refused_with_an_error() {
     );
     let text = codec::encode(&"not a request at all, but a text");
     let reply = bus
-        .ask_raw(bus.keys().base_key(MessageKind::Join), text, PATIENCE)
+        .query_raw_without_secret(bus.keys().base_key(MessageKind::Join), text, PATIENCE)
         .await;
     let why = reply.expect_err("refused").to_string();
     assert!(why.contains("malformed") || why.contains("bytes follow"), "{why}");
@@ -114,7 +114,7 @@ fn garbage() -> Vec<Vec<u8>> {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn garbage_on_every_key_changes_nothing() {
-    let (folder, run) = (Folder::new(), unique_run("garbage"));
+    let (folder, run) = (TestFolder::new(), unique_run("garbage"));
     let expected = folder.summary("run -n 30 -k 1200");
     let (bs, hosts, bus, pass) = testbed(&folder, &run, 1200).await;
     let tail = folder.start(&format!("inspect tail --run {run}"));
@@ -128,7 +128,7 @@ async fn garbage_on_every_key_changes_nothing() {
         all.push(keys.wake(HostId(1), DeviceId(j)));
         all.extend([MessageKind::Report, MessageKind::Answer].map(|kind| keys.uplink(kind, other)));
     }
-    all.extend([MessageKind::Clock, MessageKind::Plan].map(|kind| keys.to_all(kind)));
+    all.extend([MessageKind::Clock, MessageKind::Plan].map(|kind| keys.to_all_hosts(kind)));
     all.extend([format!("{}/x/y", keys.base_key(MessageKind::Answer)), keys.tap()]);
     folder.clock(&run, "resume");
     for payload in garbage() {
@@ -137,7 +137,9 @@ async fn garbage_on_every_key_changes_nothing() {
         }
         for kind in [MessageKind::Join, MessageKind::Ready, MessageKind::Control] {
             let question = codec::encode(&(&payload, "and more"));
-            let reply = bus.ask_raw(keys.base_key(kind), question, Duration::from_secs(5)).await;
+            let reply = bus
+                .query_raw_without_secret(keys.base_key(kind), question, Duration::from_secs(5))
+                .await;
             assert!(reply.is_err(), "{kind:?}");
         }
     }
@@ -145,7 +147,7 @@ async fn garbage_on_every_key_changes_nothing() {
     let end = bs.finish();
     assert!(end.is_success(), "{end}");
     assert!(!end.stderr.contains("panicked"), "{end}");
-    let summary = Summary::read(&folder.join("out"));
+    let summary = SummaryJson::read(&folder.join("out"));
     assert_eq!(summary.digest(), expected.digest());
     assert!(summary.number("timing.malformed_messages") > 0, "{summary:?}");
     let tail = tail.finish();
@@ -222,8 +224,8 @@ fn forgeries(keys: &Keys, pass: HostCredential, tti: u64) -> Vec<(String, Vec<u8
     };
     let downlinks = |kind| {
         [
-            keys.to_all(kind),
-            keys.to_one_of_all(kind, HostId(1)),
+            keys.to_all_hosts(kind),
+            keys.to_all_hosts_at(kind, HostId(1)),
             keys.base_key(kind),
         ]
     };
@@ -263,7 +265,7 @@ fn forgeries(keys: &Keys, pass: HostCredential, tti: u64) -> Vec<(String, Vec<u8
 /// Messages for the open TTI from a peer that knows all keys but has no valid credential change nothing.
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn forged_messages_change_nothing() {
-    let (folder, run) = (Folder::new(), unique_run("forged"));
+    let (folder, run) = (TestFolder::new(), unique_run("forged"));
     let expected = folder.summary("run -n 30 -k 600");
     let (bs, hosts, bus, pass) = testbed(&folder, &run, 600).await;
     folder.clock(&run, "resume");
@@ -277,7 +279,7 @@ async fn forged_messages_change_nothing() {
     let end = bs.finish();
     assert!(end.is_success(), "{end}");
     assert!(!end.stderr.contains("panicked"), "{end}");
-    let summary = Summary::read(&folder.join("out"));
+    let summary = SummaryJson::read(&folder.join("out"));
     assert_eq!(summary.digest(), expected.digest());
     assert!(summary.number("timing.unexpected_messages") > 0, "{summary:?}");
     assert!(hosts.into_iter().all(|host| host.finish().is_success()));
@@ -286,7 +288,7 @@ async fn forged_messages_change_nothing() {
 /// A client without the run's key can neither stop its clock nor run its devices.
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn without_the_key_clients_cannot_command_or_join() {
-    let (folder, run, endpoint) = (Folder::new(), unique_run("keyless"), free_endpoint());
+    let (folder, run, endpoint) = (TestFolder::new(), unique_run("keyless"), free_endpoint());
     let up = folder.start(&format!(
         "up -P 2 -n 30 -k 300 --pace 3ms --paused --run {run} --listen {endpoint} --out out"
     ));

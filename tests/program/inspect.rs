@@ -3,20 +3,20 @@
 use std::time::Duration;
 
 use reveille_tests::process::{
-    Folder, PATIENCE, Process, assert_refused, free_endpoint, hosts_of, send_signal, unique_run, wait_until,
+    PATIENCE, Process, TestFolder, assert_refused, free_endpoint, hosts_of, send_signal, unique_run, wait_until,
 };
 use rustix::process::Signal;
 use serde_json::Value;
 
 /// Starts a run of 60 TTIs that is paused before the first.
-fn paused(folder: &Folder, run: &str, args: &str) -> Process {
+fn paused(folder: &TestFolder, run: &str, args: &str) -> Process {
     let up = folder.start(&format!("up -k 60 --paused --run {run} --quiet --out out {args}"));
     folder.wait_for_tti(run, 0);
     up
 }
 
 /// Starts an observer of `run` and waits until it has connected.
-fn tail(folder: &Folder, run: &str, args: &str) -> Process {
+fn tail(folder: &TestFolder, run: &str, args: &str) -> Process {
     let tail = folder.start(&format!("inspect tail --run {run} {args}"));
     tail.wait_for_stderr("connected to run");
     tail
@@ -33,7 +33,7 @@ fn messages(shown: &str) -> Vec<Value> {
 /// Returns the messages that an observer shows for TTIs 20 to 49 of a run with this many processes. The observer's
 /// copies do not delay the end of the run.
 fn shown(processes: u32) -> Vec<Value> {
-    let (folder, run) = (Folder::new(), unique_run("shown"));
+    let (folder, run) = (TestFolder::new(), unique_run("shown"));
     let up = paused(
         &folder,
         &run,
@@ -77,7 +77,7 @@ fn devices_in_the_base_stations_process_are_shown_once() {
 
 #[test]
 fn a_paused_run_prints_its_position_and_owners() {
-    let (folder, run) = (Folder::new(), unique_run("greet"));
+    let (folder, run) = (TestFolder::new(), unique_run("greet"));
     let up = paused(
         &folder,
         &run,
@@ -98,7 +98,7 @@ fn a_paused_run_prints_its_position_and_owners() {
 
 #[test]
 fn filters_without_matches_are_refused() {
-    let (folder, run) = (Folder::new(), unique_run("filters"));
+    let (folder, run) = (TestFolder::new(), unique_run("filters"));
     let up = paused(&folder, &run, "-P 1 -n 5");
     let end = folder.run(&format!("inspect tail --run {run} --device 99"));
     assert_refused(&end, 1, &["--device 99", "5 devices", "0 to 4"]);
@@ -112,7 +112,7 @@ fn filters_without_matches_are_refused() {
 
 #[test]
 fn help_lists_the_kinds_with_their_direction_and_the_exit_codes() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let help = folder.run("inspect tail --help").stdout;
     for part in ["wake:", "BS → one device", "answer:", "host → BS"] {
         assert!(help.contains(part), "no {part:?}: {help}");
@@ -127,7 +127,7 @@ fn help_lists_the_kinds_with_their_direction_and_the_exit_codes() {
 
 #[test]
 fn a_waiting_clock_command_returns_when_it_is_done() {
-    let (folder, run) = (Folder::new(), unique_run("wait"));
+    let (folder, run) = (TestFolder::new(), unique_run("wait"));
     let up = paused(&folder, &run, "-P 1 -n 5 --pace 20ms");
     assert_eq!(
         folder.clock(&run, "step 3 --wait"),
@@ -152,7 +152,7 @@ fn a_waiting_clock_command_returns_when_it_is_done() {
 
 #[test]
 fn a_waiting_clock_command_reports_an_early_end() {
-    let (folder, run) = (Folder::new(), unique_run("cut"));
+    let (folder, run) = (TestFolder::new(), unique_run("cut"));
     let up = paused(&folder, &run, "-P 1 -n 5 --pace 200ms");
     let clock = folder.start(&format!("clock --run {run} run-to 59 --wait"));
     folder.wait_for_tti(&run, 2);
@@ -163,7 +163,7 @@ fn a_waiting_clock_command_reports_an_early_end() {
 
 #[test]
 fn a_held_clock_names_the_missing_hosts() {
-    let (folder, run, endpoint) = (Folder::new(), unique_run("held"), free_endpoint());
+    let (folder, run, endpoint) = (TestFolder::new(), unique_run("held"), free_endpoint());
     let drive = "-n 50 -k 6000 --pace 5ms --on-loss wait --quiet --out out";
     let bs = folder.start(&format!("bs {drive} --run {run} --listen {endpoint}"));
     let [_first, second] = [0, 1].map(|_| {
@@ -185,7 +185,7 @@ fn a_held_clock_names_the_missing_hosts() {
 
 #[test]
 fn the_devices_of_a_failed_run_report_the_cause() {
-    let (folder, run, endpoint) = (Folder::new(), unique_run("failed"), free_endpoint());
+    let (folder, run, endpoint) = (TestFolder::new(), unique_run("failed"), free_endpoint());
     let bs = folder.start(&format!(
         "bs -n 5 -k 6000 --pace 5ms --on-loss end --quiet --out out --run {run} --listen {endpoint}"
     ));
@@ -207,7 +207,7 @@ fn the_devices_of_a_failed_run_report_the_cause() {
 
 #[test]
 fn only_the_base_station_of_up_reports_the_cause() {
-    let (folder, run) = (Folder::new(), unique_run("alone"));
+    let (folder, run) = (TestFolder::new(), unique_run("alone"));
     let up = folder.start(&format!(
         "up -P 2 -n 5 -k 6000 --pace 5ms --on-loss end --quiet --out out --run {run}"
     ));
@@ -220,7 +220,7 @@ fn only_the_base_station_of_up_reports_the_cause() {
 
 #[test]
 fn options_without_effect_are_refused_or_reported() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let end = folder.run("run -n 5 -k 60 --set devices=7 --quiet");
     assert_refused(&end, 1, &["--devices and --set devices=7", "leave one"]);
     let end = folder.run("run -p random --set policy.name=knn --quiet");

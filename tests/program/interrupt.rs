@@ -3,7 +3,7 @@
 use std::fs;
 use std::time::Duration;
 
-use reveille_tests::process::{Folder, PATIENCE, assert_refused, hosts_of, unique_run, wait_until};
+use reveille_tests::process::{PATIENCE, TestFolder, assert_refused, hosts_of, unique_run, wait_until};
 use rustix::process::Signal;
 
 /// Options of a scenario whose search before the run takes hours.
@@ -13,7 +13,7 @@ const SOON: Duration = Duration::from_secs(10);
 
 #[test]
 fn ctrl_c_ends_a_sweep_and_names_how_to_resume() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     // A run of hours is aborted midway.
     let endless = "sweep --devices 100 --ttis 1000000000 --seeds 2 --out s";
     for signal in [Signal::INT, Signal::TERM] {
@@ -35,7 +35,7 @@ fn ctrl_c_ends_a_sweep_and_names_how_to_resume() {
 
 #[test]
 fn a_run_in_preparation_ends_immediately() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     for (out, signal) in [("a", Signal::INT), ("b", Signal::TERM)] {
         let run = folder.start(&format!("run --policy adjusted {SEARCH} --out {out}"));
         wait_until("the run to begin", PATIENCE, || {
@@ -58,7 +58,7 @@ fn a_run_in_preparation_ends_immediately() {
 
 #[test]
 fn a_base_station_in_preparation_ends_immediately_with_its_devices() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     for (command, hosts) in [
         ("up --processes 2", 2),
         ("up --processes 0", 0),
@@ -93,7 +93,7 @@ fn a_base_station_in_preparation_ends_immediately_with_its_devices() {
 
 #[test]
 fn a_sweep_in_preparation_ends_soon_and_keeps_finished_runs() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let args = format!("sweep --policies genie,adjusted --ttis 200 --seeds 3 --threads 2 {SEARCH} --out s");
     let sweep = folder.start(&args);
     let runs = || fs::read_to_string(folder.join("s/runs.journal")).map_or(0, |text| text.matches('\n').count());

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use reveille_tests::machine::{FewPorts, Mount, skipped};
 use reveille_tests::process::{
-    Finished, Folder, Process, Summary, assert_refused, free_endpoint, reveille, unique_run,
+    FinishedProcess, Process, SummaryJson, TestFolder, assert_refused, free_endpoint, reveille, unique_run,
 };
 
 /// Time limit for a refusal on a busy machine; it replaces a timeout of thirty seconds.
@@ -17,7 +17,7 @@ const AT_ONCE: Duration = Duration::from_secs(10);
 const NOT_LATER: Duration = Duration::from_secs(20);
 
 /// Starts `reveille ARGS` with a hard limit of `files` open files and a soft limit of `now`.
-fn limited(folder: &Folder, files: u32, now: u32, args: &str) -> Process {
+fn limited(folder: &TestFolder, files: u32, now: u32, args: &str) -> Process {
     let line = format!(
         "ulimit -Sn {now}; ulimit -Hn {files}; exec {} {args}",
         reveille().display()
@@ -32,7 +32,7 @@ fn limited(folder: &Folder, files: u32, now: u32, args: &str) -> Process {
 }
 
 /// Checks that a command is refused before it creates a run folder.
-fn refused(folder: &Folder, files: u32, args: &str, parts: &[&str]) {
+fn refused(folder: &TestFolder, files: u32, args: &str, parts: &[&str]) {
     let end = limited(folder, files, files, args).finish_within(AT_ONCE);
     assert_refused(&end, 1, parts);
     let left: Vec<String> = folder.list(".").into_iter().filter(|name| name != "runtime").collect();
@@ -41,7 +41,7 @@ fn refused(folder: &Folder, files: u32, args: &str, parts: &[&str]) {
 
 #[test]
 fn too_few_files_are_refused_before_the_run() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let said = |files: u32| format!("may have {files} files open");
     refused(
         &folder,
@@ -63,7 +63,7 @@ fn too_few_files_are_refused_before_the_run() {
 
 #[test]
 fn the_suggested_file_limit_is_enough() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let expected = folder.summary("run -n 50 -k 200");
     // The hard limit is as needed and the soft limit is half of it: the run raises its soft limit.
     for (processes, files) in [(16, 64), (4, 52), (0, 48)] {
@@ -91,7 +91,7 @@ fn the_suggested_file_limit_is_enough() {
 }
 
 /// Checks a refusal that leaves no run folder `out`, or one that states why the run failed.
-fn assert_clear(folder: &Folder, end: &Finished, parts: &[&str]) {
+fn assert_clear(folder: &TestFolder, end: &FinishedProcess, parts: &[&str]) {
     assert_refused(end, 1, parts);
     let left = folder.list("out");
     assert!(
@@ -102,7 +102,7 @@ fn assert_clear(folder: &Folder, end: &Finished, parts: &[&str]) {
 
 #[test]
 fn a_used_port_is_named_before_the_run() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let taken = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let endpoint = format!("tcp/{}", taken.local_addr().expect("bound"));
     for command in ["up -P 1", "bs --run x"] {
@@ -114,7 +114,7 @@ fn a_used_port_is_named_before_the_run() {
 
 #[test]
 fn a_lack_of_ports_is_reported_soon() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     // One port for the base station, and some for the first device processes.
     let Some(network) = FewPorts::make(&unique_run("ports"), 4) else {
         skipped("cannot create a separate network here (root is needed)");
@@ -137,7 +137,7 @@ fn a_lack_of_ports_is_reported_soon() {
 
 #[test]
 fn a_read_only_folder_is_named() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     fs::create_dir(folder.join("disk")).expect("possible");
     let path = folder.join("disk");
     let Some(_disk) = Mount::read_only(&path) else {
@@ -152,7 +152,7 @@ fn a_read_only_folder_is_named() {
 
 #[test]
 fn a_run_on_a_full_disk_reports_it_and_can_be_replaced() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let path = folder.join("disk");
     let Some(_disk) = Mount::small(&path) else {
         skipped("a small tmpfs cannot be mounted here (it takes root)");
@@ -175,7 +175,7 @@ fn a_run_on_a_full_disk_reports_it_and_can_be_replaced() {
         // The partial output is replaced.
         let short = folder.summary(&format!("{command} -n 20 -k 400 --out disk/out --force"));
         assert_eq!(short.digest(), expected.digest());
-        assert_eq!(Summary::read(&folder.join("disk/out")).digest(), expected.digest());
+        assert_eq!(SummaryJson::read(&folder.join("disk/out")).digest(), expected.digest());
     }
     // Without space for the first files, the run leaves nothing that blocks the next run.
     fs::remove_dir_all(folder.join("disk/out")).expect("removable");

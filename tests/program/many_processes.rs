@@ -3,7 +3,7 @@
 
 use std::fs;
 
-use reveille_tests::process::{Folder, PATIENCE, Process, free_endpoint, hosts_of, unique_run, wait_until};
+use reveille_tests::process::{PATIENCE, Process, TestFolder, free_endpoint, hosts_of, unique_run, wait_until};
 
 /// More processes than are started at a time on any machine with fewer than eight cores.
 const MANY: u32 = 120;
@@ -12,7 +12,7 @@ const HEAVY: u32 = 3000;
 
 /// Compares a run of `scenario` over the bus in `processes` processes, without warnings, with a run in memory.
 fn clean(scenario: &str, processes: u32) {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let expected = folder.summary(&format!("run {scenario}"));
     let run = unique_run("many");
     let end = folder.run(&format!("up {scenario} -P {processes} --run {run} --json --out out"));
@@ -58,7 +58,7 @@ fn threads_said(pid: u32) -> Option<String> {
 }
 
 /// Starts a run with two device processes, which continues until dropped, and returns their thread settings.
-fn threads_of_hosts(folder: &Folder, said: Option<&str>, args: &str) -> (Process, Vec<Option<String>>) {
+fn threads_of_hosts(folder: &TestFolder, said: Option<&str>, args: &str) -> (Process, Vec<Option<String>>) {
     let run = unique_run("threads");
     let mut command = folder.command(&format!(
         "up -n 4 -P 2 -k 100000 --pace 5ms --run {run} --out {run} {args}"
@@ -76,7 +76,7 @@ fn threads_of_hosts(folder: &Folder, said: Option<&str>, args: &str) -> (Process
 
 #[test]
 fn zenoh_has_one_thread_in_device_processes_by_default() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let (_up, threads) = threads_of_hosts(&folder, None, "");
     for said in threads {
         let said = said.expect("one thread");
@@ -94,7 +94,7 @@ fn zenoh_has_one_thread_in_device_processes_by_default() {
 
 #[test]
 fn a_device_process_by_hand_has_one_thread_for_zenoh_too() {
-    let (folder, run, endpoint) = (Folder::new(), unique_run("hand"), free_endpoint());
+    let (folder, run, endpoint) = (TestFolder::new(), unique_run("hand"), free_endpoint());
     let mut command = folder.command(&format!("device --run={run} --connect {endpoint}"));
     command.env_remove("ZENOH_RUNTIME");
     let device = Process::start(&mut command);

@@ -9,20 +9,20 @@ use reveille_bs::server::policy_port::client::{self, ClientIdentity};
 use reveille_common::bus::{Bus, PolicyQuestion};
 use reveille_common::encoding::Encoding;
 use reveille_common::secret::Secret;
-use reveille_tests::external_policy::{Decided, Rogue, answer, own, say};
+use reveille_tests::external_policy::{ExternallyDecidedRun, MisbehavingPolicy, answer, own, say};
 use reveille_tests::process::PATIENCE;
 use serde_json::{Value, json};
 
 /// Function that corrupts an answer.
-type Spoil = fn(&mut Value);
+type CorruptReply = fn(&mut Value);
 /// Function that answers a decision request in some other way than with the given answer.
-type Act = fn(&PolicyQuestion, Value);
+type ReplyAction = fn(&PolicyQuestion, Value);
 
 /// Strangers answer every query with more data than a client accepts.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_flood_of_answers_changes_no_result() {
     let (transcript, digest) = own("age-index", &[]);
-    let run = Decided::start("-P 2");
+    let run = ExternallyDecidedRun::start("-P 2");
     let flood = run.bus().await;
     let questions = flood.serve_policy_port().expect("a queryable");
     let flooding = tokio::spawn(async move {
@@ -44,8 +44,8 @@ async fn a_flood_of_answers_changes_no_result() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_answer_that_comes_twice_counts_once() {
-    let run = Decided::start("-P 2");
-    let rogue = Rogue::at(&run).await;
+    let run = ExternallyDecidedRun::start("-P 2");
+    let rogue = MisbehavingPolicy::at(&run).await;
     rogue
         .serve(|question, asked| {
             for _ in 0..2 {
@@ -61,7 +61,7 @@ async fn an_answer_that_comes_twice_counts_once() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn invalid_decisions_are_reported_and_end_the_run_or_are_dropped() {
-    let nonsense: [(&str, Spoil); 6] = [
+    let nonsense: [(&str, CorruptReply); 6] = [
         ("no device 30", |answer| answer["sense"] = json!([30])),
         ("one of", |answer| answer["action"] = json!([0])),
         ("unknown field", |answer| answer["senses"] = json!([1])),
@@ -70,8 +70,8 @@ async fn invalid_decisions_are_reported_and_end_the_run_or_are_dropped() {
         ("(seq, tti, stage)", |answer| answer["stage"] = json!("wake")),
     ];
     for (why, spoil) in nonsense {
-        let run = Decided::start("-P 0");
-        let rogue = Rogue::at(&run).await;
+        let run = ExternallyDecidedRun::start("-P 0");
+        let rogue = MisbehavingPolicy::at(&run).await;
         let mut told = 0;
         rogue
             .serve(|question, asked| {
@@ -91,7 +91,7 @@ async fn invalid_decisions_are_reported_and_end_the_run_or_are_dropped() {
         assert_eq!(told, 2, "the policy receives the errors");
     }
     // The sender of these answers is unknown: a stranger could otherwise end the run with them.
-    let strange: [(&str, Act); 3] = [
+    let strange: [(&str, ReplyAction); 3] = [
         ("dropped an answer", |question, _| {
             question.answer(b"{".to_vec(), Encoding::Json).expect("answered");
         }),
@@ -104,8 +104,8 @@ async fn invalid_decisions_are_reported_and_end_the_run_or_are_dropped() {
         }),
     ];
     for (why, act) in strange {
-        let run = Decided::start("-P 0 --decision-timeout 1s");
-        let rogue = Rogue::at(&run).await;
+        let run = ExternallyDecidedRun::start("-P 0 --decision-timeout 1s");
+        let rogue = MisbehavingPolicy::at(&run).await;
         rogue
             .serve(|question, asked| {
                 act(question, rogue.idle(asked));
@@ -119,8 +119,8 @@ async fn invalid_decisions_are_reported_and_end_the_run_or_are_dropped() {
         );
         assert_eq!(end.stderr.matches(why).count(), 1, "the warning appears once: {end}");
     }
-    let run = Decided::start("-P 2 --on-undecided hold");
-    let rogue = Rogue::at(&run).await;
+    let run = ExternallyDecidedRun::start("-P 2 --on-undecided hold");
+    let rogue = MisbehavingPolicy::at(&run).await;
     rogue
         .serve(|question, asked| {
             let mut answer = rogue.idle(asked);
@@ -146,8 +146,8 @@ async fn invalid_decisions_are_reported_and_end_the_run_or_are_dropped() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_late_answer_does_not_answer_another_request() {
-    let run = Decided::start("-P 2 --decision-timeout 300ms --on-undecided hold");
-    let rogue = Rogue::at(&run).await;
+    let run = ExternallyDecidedRun::start("-P 2 --decision-timeout 300ms --on-undecided hold");
+    let rogue = MisbehavingPolicy::at(&run).await;
     let mut slept = 0;
     rogue
         .serve(|question, asked| {
@@ -172,12 +172,12 @@ async fn a_late_answer_does_not_answer_another_request() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_policy_without_the_key_decides_nothing() {
     let (transcript, digest) = own("age-index", &[]);
-    let run = Decided::start("-P 2 --pace 2ms");
+    let run = ExternallyDecidedRun::start("-P 2 --pace 2ms");
     let bus = run.bus().await;
     let stranger = ClientIdentity {
         name: "a stranger".to_owned(),
-        key: Some(Secret::new([7; 16])),
-        form: Encoding::Json,
+        run_key: Some(Secret::new([7; 16])),
+        encoding: Encoding::Json,
     };
     let mut strange = |_: &DecisionRequest| Decision::Wake(Vec::new());
     let greeting = client::decide(&bus, &stranger, &mut strange);
@@ -197,15 +197,17 @@ async fn a_policy_without_the_key_decides_nothing() {
     let questions = forger.serve_policy_port().expect("a queryable");
     let forging = async {
         while let Some(question) = questions.next().await {
-            let Ok(asked) = question.form.decode::<DecisionRequest>(&question.payload) else {
+            let Ok(asked) = question.encoding.decode::<DecisionRequest>(&question.payload) else {
                 continue;
             };
             id.lock().expect("one thread").clone_from(&asked.to);
             let forged = DecisionReply {
                 wake: Some(Vec::new()),
-                ..DecisionReply::to(&asked.head, &asked.to, "")
+                ..DecisionReply::for_request(&asked.head, &asked.to, "")
             };
-            let _gone = question.answer(question.form.encode(&forged), question.form).is_err();
+            let _gone = question
+                .answer(question.encoding.encode(&forged), question.encoding)
+                .is_err();
         }
     };
     tokio::select! {

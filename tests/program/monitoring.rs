@@ -3,7 +3,7 @@
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 
-use reveille_tests::process::{Folder, assert_refused, unique_run};
+use reveille_tests::process::{TestFolder, assert_refused, unique_run};
 
 /// Requests `path` from `address` with header `host`, and returns the answer.
 fn get(address: &str, path: &str, host: &str) -> String {
@@ -20,7 +20,7 @@ fn get(address: &str, path: &str, host: &str) -> String {
 
 #[test]
 fn observed_runs_have_the_same_digest() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let plain = folder.run("run -p knn -n 30 -k 600 --quiet --out a");
     assert!(plain.is_success(), "{plain}");
     for (nth, command) in ["run", "up -P 2", "up -P 0 --no-lookahead"].into_iter().enumerate() {
@@ -32,7 +32,7 @@ fn observed_runs_have_the_same_digest() {
 
 #[test]
 fn metrics_are_served_only_to_this_machine() {
-    let (folder, run) = (Folder::new(), unique_run("metrics"));
+    let (folder, run) = (TestFolder::new(), unique_run("metrics"));
     let up = folder.start(&format!(
         "up -P 1 -n 10 -k 60 --paused --run {run} --quiet --out o --metrics 127.0.0.1:0"
     ));
@@ -58,7 +58,7 @@ fn metrics_are_served_only_to_this_machine() {
 
 #[test]
 fn an_address_that_cannot_be_listened_on_is_refused() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let taken = TcpListener::bind("127.0.0.1:0").expect("a port");
     let address = taken.local_addr().expect("bound");
     for command in ["run", "up -P 1"] {

@@ -1,11 +1,11 @@
 //! `--on-loss continue`: a killed process becomes a stored device removal, so the run can be repeated.
 
-use reveille_tests::process::{Folder, PATIENCE, Summary, hosts_of, send_signal, unique_run, wait_until};
+use reveille_tests::process::{PATIENCE, SummaryJson, TestFolder, hosts_of, send_signal, unique_run, wait_until};
 use rustix::process::Signal;
 
 #[test]
 fn a_run_continues_without_a_killed_process() {
-    let (folder, run) = (Folder::new(), unique_run("outage"));
+    let (folder, run) = (TestFolder::new(), unique_run("outage"));
     // Sums are requested in every TTI, and for some TTIs only part of them arrives.
     let scenario = "-n 24 -k 900 -p knn --window 1";
     let whole = folder.summary(&format!("run {scenario}"));
@@ -65,7 +65,7 @@ fn a_run_continues_without_a_killed_process() {
 
 #[test]
 fn a_killed_run_with_removed_devices_resumes() {
-    let (folder, run) = (Folder::new(), unique_run("outage"));
+    let (folder, run) = (TestFolder::new(), unique_run("outage"));
     let up = folder.start(&format!(
         "up -n 20 -k 1500 -p age-index -P 4 --pace 3ms --on-loss continue --out out --run {run}"
     ));
@@ -92,7 +92,7 @@ fn a_killed_run_with_removed_devices_resumes() {
     folder.wait_for_tti(&run, tti + 60);
     let end = up.finish();
     assert!(end.is_success(), "{end}");
-    let summary = Summary::read(&folder.join("out"));
+    let summary = SummaryJson::read(&folder.join("out"));
     let again = folder.summary("run -n 20 -k 1500 -p age-index --input-log out/inputs.log");
     assert_eq!((summary.digest(), summary.status()), (again.digest(), "complete"));
     let gone = summary.metric("removed_pct");

@@ -3,12 +3,12 @@
 use std::fs;
 
 use reveille_tests::process::{
-    Finished, Folder, PATIENCE, Process, Summary, assert_refused, hosts_of, now, unique_run, wait_until,
+    FinishedProcess, PATIENCE, Process, SummaryJson, TestFolder, assert_refused, hosts_of, now, unique_run, wait_until,
 };
 use rustix::process::Signal;
 
 /// Starts `up` with two device processes in the folder `out`, and waits past its first TTIs.
-fn alive(folder: &Folder, run: &str, args: &str) -> Process {
+fn alive(folder: &TestFolder, run: &str, args: &str) -> Process {
     let up = folder.start(&format!(
         "up -P 2 -n 30 -k 12000 --pace 5ms --out out --run {run} {args}"
     ));
@@ -25,7 +25,7 @@ fn gone(run: &str) {
 
 #[test]
 fn a_running_run_is_never_replaced() {
-    let (folder, run) = (Folder::new(), unique_run("writer"));
+    let (folder, run) = (TestFolder::new(), unique_run("writer"));
     let up = alive(&folder, &run, "");
     let scenario = folder.bytes("out/scenario.toml");
     let pid = format!("(pid {})", up.pid());
@@ -45,14 +45,14 @@ fn a_running_run_is_never_replaced() {
     let end = up.finish();
     assert_eq!(end.code(), Some(130), "{end}");
     assert!(folder.bytes("out/scenario.toml") == scenario);
-    let summary = Summary::read(&folder.join("out"));
+    let summary = SummaryJson::read(&folder.join("out"));
     assert_eq!((summary.number("n"), summary.status()), (30, "interrupted"));
     assert!(folder.run("run -n 7 -k 50 --quiet --out out --force").is_success());
 }
 
 #[test]
 fn killed_and_running_runs_are_distinguished() {
-    let (folder, run) = (Folder::new(), unique_run("stale"));
+    let (folder, run) = (TestFolder::new(), unique_run("stale"));
     let expected = folder.summary("run -n 7 -k 50");
     let up = alive(&folder, &run, "");
     up.signal(Signal::KILL);
@@ -83,7 +83,7 @@ fn killed_and_running_runs_are_distinguished() {
 
 #[test]
 fn of_simultaneous_runs_one_gets_the_folder() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     for force in [false, true] {
         let args = |seed: u64| {
             format!(
@@ -92,14 +92,14 @@ fn of_simultaneous_runs_one_gets_the_folder() {
             )
         };
         let runs: Vec<Process> = (1..=6).map(|seed| folder.start(&args(seed))).collect();
-        let ends: Vec<Finished> = runs.into_iter().map(Process::finish).collect();
-        let (won, lost): (Vec<&Finished>, Vec<&Finished>) = ends.iter().partition(|end| end.is_success());
+        let ends: Vec<FinishedProcess> = runs.into_iter().map(Process::finish).collect();
+        let (won, lost): (Vec<&FinishedProcess>, Vec<&FinishedProcess>) = ends.iter().partition(|end| end.is_success());
         for end in lost {
             assert_refused(end, 1, &["--out new"]);
         }
         // With --force a later run may replace one that has ended.
         assert!(if force { !won.is_empty() } else { won.len() == 1 }, "{ends:?}");
-        let kept = Summary::read(&folder.join("new"));
+        let kept = SummaryJson::read(&folder.join("new"));
         assert!(won.iter().any(|end| end.summary().digest() == kept.digest()));
         assert!(!folder.list("new").contains(&"RUNNING".to_owned()));
         let text = String::from_utf8(folder.bytes("new/scenario.toml")).expect("text");
@@ -115,7 +115,7 @@ fn of_simultaneous_runs_one_gets_the_folder() {
 
 #[test]
 fn a_folder_without_a_run_stays_unchanged() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     fs::create_dir(folder.join("mine")).expect("possible");
     folder.write("mine/letter", "dear");
     for mark in [None, Some("to the sea")] {
@@ -134,7 +134,7 @@ fn a_folder_without_a_run_stays_unchanged() {
 
 #[test]
 fn a_growing_recording_is_never_replaced() {
-    let (folder, run) = (Folder::new(), unique_run("tape"));
+    let (folder, run) = (TestFolder::new(), unique_run("tape"));
     let up = alive(&folder, &run, "--record r.mcap");
     let end = folder.run("run -n 7 -k 50 --out other --record r.mcap --force");
     assert_refused(&end, 1, &["--record r.mcap", "is recording", "--force never"]);
@@ -157,7 +157,7 @@ fn a_growing_recording_is_never_replaced() {
 
 #[test]
 fn a_killed_run_keeps_complete_rows_up_to_the_last_second() {
-    let (folder, run) = (Folder::new(), unique_run("rows"));
+    let (folder, run) = (TestFolder::new(), unique_run("rows"));
     let up = folder.start(&format!(
         "up -P 2 -n 30 -k 12000 --pace 5ms --window 10 --set events.alpha=0.2 --out out --run {run}"
     ));

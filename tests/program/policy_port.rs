@@ -10,13 +10,13 @@ use reveille_bs::server::policy_port::client::{self, ClientIdentity};
 use reveille_common::encoding::Encoding;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::io::Disk;
-use reveille_common::message::LogPart;
+use reveille_common::message::InputLogPart;
 use reveille_common::plan::{DutyCycle, Plan};
 use reveille_common::scenario::{Override, load};
 use reveille_lab::external_inputs::{ExternalInput, first_line, line};
-use reveille_tests::external_policy::{Decided, SMALL, answer, own};
+use reveille_tests::external_policy::{ExternallyDecidedRun, SMALL, answer, own};
 use reveille_tests::process::{
-    Folder, PATIENCE, Process, Summary, hosts_of, lives, send_signal, unique_run, wait_until,
+    PATIENCE, Process, SummaryJson, TestFolder, hosts_of, lives, send_signal, unique_run, wait_until,
 };
 use rustix::process::Signal;
 
@@ -35,7 +35,7 @@ async fn the_decisions_of_a_policy_give_its_digest() {
         let (transcript, digest) = own(policy, set);
         let set: Vec<String> = set.iter().map(|set| format!(" --set {set}")).collect();
         let set = set.concat();
-        let run = Decided::start(&format!("{way} --audit on{set}"));
+        let run = ExternallyDecidedRun::start(&format!("{way} --audit on{set}"));
         let decided = run.decide(form, |asked| answer(&transcript, asked)).await;
         let (folder, end) = run.finish();
         assert!(end.is_success(), "{policy}: {end}");
@@ -71,12 +71,12 @@ async fn the_decisions_of_a_policy_give_its_digest() {
 #[tokio::test(flavor = "multi_thread")]
 async fn killed_processes_change_no_result() {
     let (transcript, digest) = own("age-index", &[]);
-    let run = Decided::start("-P 4 --pace 4ms --audit on");
+    let run = ExternallyDecidedRun::start("-P 4 --pace 4ms --audit on");
     let key = run.key();
     let introduction = |name: &str| ClientIdentity {
         name: name.to_owned(),
-        key: Some(key),
-        form: Encoding::Cbor,
+        run_key: Some(key),
+        encoding: Encoding::Cbor,
     };
     // The first policy process leaves at an arbitrary point midway.
     let (bus, own_name) = (run.bus().await, introduction("the first"));
@@ -106,7 +106,7 @@ async fn killed_processes_change_no_result() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_resumed_base_station_requests_only_new_decisions() {
     let (transcript, digest) = own("q-learning", &[]);
-    let run = Decided::start("-P 2 --pace 8ms");
+    let run = ExternallyDecidedRun::start("-P 2 --pace 8ms");
     let asked_before = {
         let (folder, name) = (run.folder.path().to_owned(), run.run.clone());
         let decider = run.decide(Encoding::Cbor, |asked| {
@@ -125,7 +125,7 @@ async fn a_resumed_base_station_requests_only_new_decisions() {
         .lines()
         .count() as u64;
     assert!(lines >= asked_before, "{lines} lines of {asked_before} decisions");
-    let again = Decided::start_in(folder, "up --resume out -P 3 --audit on");
+    let again = ExternallyDecidedRun::start_in(folder, "up --resume out -P 3 --audit on");
     let mut first = None;
     again
         .decide(Encoding::Cbor, |asked| {
@@ -135,7 +135,7 @@ async fn a_resumed_base_station_requests_only_new_decisions() {
         .await;
     let (folder, end) = again.finish();
     assert!(end.is_success(), "{end}");
-    assert_eq!(Summary::read(&folder.join("out")).digest(), digest);
+    assert_eq!(SummaryJson::read(&folder.join("out")).digest(), digest);
     // The request during which it was killed may not have arrived.
     assert!(
         first.is_some_and(|first| first + 3 >= asked_before),
@@ -149,7 +149,7 @@ async fn a_resumed_base_station_requests_only_new_decisions() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_run_that_is_joined_late_is_whole() {
     let (transcript, digest) = own("age-index", &["bs.sync_interval=1000"]);
-    let run = Decided::start("-P 2 --pace 3ms --record whole.mcap --set bs.sync_interval=1000");
+    let run = ExternallyDecidedRun::start("-P 2 --pace 3ms --record whole.mcap --set bs.sync_interval=1000");
     let mut late = None;
     run.decide(Encoding::Json, |asked| {
         if asked.head.tti == 150 && late.is_none() {
@@ -175,7 +175,7 @@ async fn a_run_that_is_joined_late_is_whole() {
 /// The input log is larger than one transfer.
 #[test]
 fn a_run_with_a_long_log_is_joined_late() {
-    let (folder, run) = (Folder::new(), unique_run("long"));
+    let (folder, run) = (TestFolder::new(), unique_run("long"));
     let set = ["policy.name=external", "devices=1000", "ttis=240"];
     let set = set.map(|set| Override::parse(set).expect("an override"));
     let scenario = load("paper", &set, &outside::kinds_with_external(), &Disk)
@@ -183,17 +183,20 @@ fn a_run_with_a_long_log_is_joined_late() {
         .scenario;
     let asleep = |offset: u64| DutyCycle {
         t_on: 0,
-        t_drx: DutyCycle::LONGEST,
-        offset: (offset % u64::from(DutyCycle::LONGEST)) as u32,
+        t_drx: DutyCycle::MAX_T_DRX,
+        offset: (offset % u64::from(DutyCycle::MAX_T_DRX)) as u32,
     };
     let plans = (0..scenario.run.ttis).map(|k| {
         let cycles = (0..1000).map(|j| asleep((k * 1000 + j) * 7_919_777)).collect();
         let (plan, next) = (Plan::Periodic(cycles), Tti(k + 1));
         let answer = Decision::Plan(PlanDecision { plan, next });
-        line(&ExternalInput::Decision(RecordedDecision { tti: Tti(k), answer }))
+        line(&ExternalInput::Decision(RecordedDecision {
+            tti: Tti(k),
+            decision: answer,
+        }))
     });
     let log = first_line(&scenario) + &plans.collect::<String>();
-    assert!(log.len() as u64 > LogPart::LONGEST, "{} bytes", log.len());
+    assert!(log.len() as u64 > InputLogPart::MAX_BYTES, "{} bytes", log.len());
     folder.write("long.log", &log);
     let up = folder.start(&format!(
         "up -n 1000 -k 240 -P 1 -p replay=long.log --paused --record whole.mcap --run {run} --quiet --out out"
@@ -214,7 +217,7 @@ fn a_run_with_a_long_log_is_joined_late() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_run_killed_during_wake_ups_resumes_before_them() {
     let (transcript, _) = own("age-index", &[]);
-    let run = Decided::start("-P 3 --pace 4ms --on-loss continue");
+    let run = ExternallyDecidedRun::start("-P 3 --pace 4ms --on-loss continue");
     run.key();
     let (bs, mut lost_in) = (run.process.pid(), None);
     let name = run.run.clone();
@@ -243,11 +246,11 @@ async fn a_run_killed_during_wake_ups_resumes_before_them() {
     })
     .await;
     let (folder, _) = run.finish();
-    let again = Decided::start_in(folder, "up --resume out -P 3 --audit on --on-loss continue");
+    let again = ExternallyDecidedRun::start_in(folder, "up --resume out -P 3 --audit on --on-loss continue");
     again.decide(Encoding::Cbor, |asked| answer(&transcript, asked)).await;
     let (folder, end) = again.finish();
     assert!(end.is_success(), "{end}");
-    let summary = Summary::read(&folder.join("out"));
+    let summary = SummaryJson::read(&folder.join("out"));
     let kept = folder.summary("run --policy replay=out");
     assert_eq!((summary.digest(), summary.status()), (kept.digest(), "complete"));
 
@@ -269,7 +272,7 @@ async fn a_run_killed_during_wake_ups_resumes_before_them() {
 
 #[test]
 fn a_missing_policy_process_is_named_and_waited_for() {
-    let run = Decided::start("-P 1 --decision-timeout 1s");
+    let run = ExternallyDecidedRun::start("-P 1 --decision-timeout 1s");
     let (_, end) = run.finish();
     assert!(
         end.code() == Some(1) && end.stderr.contains("no policy process answers at reveille/"),
@@ -277,14 +280,14 @@ fn a_missing_policy_process_is_named_and_waited_for() {
     );
 
     let two = "up -n 30 -k 2 -p external --out out -P 1 --decision-timeout 1s --on-undecided hold";
-    let run = Decided::start_in(Folder::new(), two);
+    let run = ExternallyDecidedRun::start_in(TestFolder::new(), two);
     let (_, end) = run.finish();
     assert!(
         end.is_success() && end.summary().number("timing.decisions_held") >= 2,
         "{end}"
     );
 
-    let run = Decided::start("-P 1");
+    let run = ExternallyDecidedRun::start("-P 1");
     run.process
         .wait_for_stderr("no decision for 5 s: no policy process answers at reveille/");
     run.process.signal(Signal::INT);
@@ -300,7 +303,7 @@ fn a_missing_policy_process_is_named_and_waited_for() {
 
 #[test]
 fn a_policy_command_and_its_run_end_together() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let script = folder.write(
         "policy.sh",
         "echo told \"$REVEILLE_RUN\" >&2\ntest -n \"$REVEILLE_KEY\" || exit 3\nexit 4\n",
@@ -326,7 +329,7 @@ fn a_policy_command_and_its_run_end_together() {
 /// Neither a policy command that ignores signals nor its children outlive a killed base station.
 #[test]
 fn a_policy_command_does_not_outlive_its_base_station() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let stubborn = "trap '' TERM INT HUP; sleep 1000 & echo $! > child; wait";
     for (name, signal) in [("killed", Signal::KILL), ("hurried", Signal::INT)] {
         let (run, own) = sleeper(&folder, name, stubborn);
@@ -347,7 +350,7 @@ fn a_policy_command_does_not_outlive_its_base_station() {
 /// Children of a policy command get time for cleanup, even if the command itself has ended.
 #[test]
 fn processes_of_a_policy_command_get_sigterm_before_sigkill() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let child = folder.write(
         "policy.sh",
         "trap 'sleep 0.4; echo done > saved; exit' TERM\necho $$ > child\nwhile :; do sleep 0.05; done\n",
@@ -363,7 +366,7 @@ fn processes_of_a_policy_command_get_sigterm_before_sigkill() {
 }
 
 /// Starts a run with a policy command that never decides; returns the run and the command's pid.
-fn sleeper(folder: &Folder, name: &str, command: &str) -> (Process, u32) {
+fn sleeper(folder: &TestFolder, name: &str, command: &str) -> (Process, u32) {
     let _none_before = std::fs::remove_file(folder.join("pid")).is_err();
     let _none_before = std::fs::remove_file(folder.join("child")).is_err();
     let mut up = folder.command(&format!("up {SMALL} -p external -P 2 --out {name} --run {name}"));
@@ -375,7 +378,7 @@ fn sleeper(folder: &Folder, name: &str, command: &str) -> (Process, u32) {
 }
 
 /// Reads the pid that a command has written to a file.
-fn pid_in(folder: &Folder, file: &str) -> u32 {
+fn pid_in(folder: &TestFolder, file: &str) -> u32 {
     wait_until("the command to run", PATIENCE, || {
         std::fs::read_to_string(folder.join(file)).ok()?.trim().parse().ok()
     })
@@ -383,7 +386,7 @@ fn pid_in(folder: &Folder, file: &str) -> u32 {
 
 #[test]
 fn invalid_policy_options_are_refused_before_a_folder_exists() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     folder.write("empty.log", "");
     let refused = [
         (format!("run {SMALL} -p external"), "reveille up"),

@@ -5,8 +5,8 @@ use std::time::{Duration, Instant};
 use reveille_common::bus::Bus;
 use reveille_common::message::{ClockMessage, JoinReply, JoinRequest, PlanUpdate, Ready};
 use reveille_tests::process::{
-    Finished, Folder, PATIENCE, Process, Summary, ask, free_endpoint, hosts_of, now, send_signal, unique_run,
-    wait_until,
+    FinishedProcess, PATIENCE, Process, SummaryJson, TestFolder, ask, free_endpoint, hosts_of, now, send_signal,
+    unique_run, wait_until,
 };
 use rustix::process::Signal;
 
@@ -17,7 +17,7 @@ const LONG: &str = "-n 30 -k 12000 --pace 5ms";
 const NOTICE: Duration = Duration::from_secs(4);
 
 /// Checks the end of a run that lost a process.
-fn assert_lost(end: &Finished, since: Instant, within: Duration) {
+fn assert_lost(end: &FinishedProcess, since: Instant, within: Duration) {
     let took = since.elapsed();
     assert_eq!(end.code(), Some(1), "{end}");
     for part in ["lost host", "with devices ", " at TTI "] {
@@ -43,7 +43,7 @@ fn assert_no_process_left(run: &str) {
 }
 
 /// Starts `up` with four device processes, and waits past its first TTIs.
-fn up_mid_run(folder: &Folder, run: &str, args: &str) -> (Process, Vec<u32>) {
+fn up_mid_run(folder: &TestFolder, run: &str, args: &str) -> (Process, Vec<u32>) {
     let up = folder.start(&format!("up -P 4 --out out --run {run} {args}"));
     folder.wait_for_tti(run, 10);
     let hosts = hosts_of(run);
@@ -53,7 +53,7 @@ fn up_mid_run(folder: &Folder, run: &str, args: &str) -> (Process, Vec<u32>) {
 
 #[test]
 fn a_killed_device_process_of_up_is_noticed() {
-    let (folder, run) = (Folder::new(), unique_run("kill"));
+    let (folder, run) = (TestFolder::new(), unique_run("kill"));
     let (up, hosts) = up_mid_run(&folder, &run, &format!("{LONG} --on-loss end"));
     let since = now();
     send_signal(hosts[2], Signal::KILL);
@@ -72,7 +72,7 @@ fn a_killed_device_process_of_up_is_noticed() {
 }
 
 /// Starts a base station and two device processes separately, and waits past the first TTIs.
-fn by_hand_mid_run(folder: &Folder, run: &str, args: &str) -> (Process, [Process; 2]) {
+fn by_hand_mid_run(folder: &TestFolder, run: &str, args: &str) -> (Process, [Process; 2]) {
     let endpoint = free_endpoint();
     let bs = folder.start(&format!("bs --out out --run {run} --listen {endpoint} {args}"));
     bs.wait_for_stderr("waiting for 30 devices");
@@ -89,7 +89,7 @@ fn by_hand_mid_run(folder: &Folder, run: &str, args: &str) -> (Process, [Process
 
 #[test]
 fn a_killed_device_process_of_bs_is_noticed_and_named() {
-    let (folder, run) = (Folder::new(), unique_run("killhand"));
+    let (folder, run) = (TestFolder::new(), unique_run("killhand"));
     let (bs, [first, second]) = by_hand_mid_run(&folder, &run, &format!("{LONG} --on-loss end"));
     let since = now();
     first.signal(Signal::KILL);
@@ -103,7 +103,7 @@ fn a_killed_device_process_of_bs_is_noticed_and_named() {
 
 #[test]
 fn a_frozen_device_process_is_lost_after_the_lease() {
-    let (folder, run) = (Folder::new(), unique_run("freeze"));
+    let (folder, run) = (TestFolder::new(), unique_run("freeze"));
     let (up, hosts) = up_mid_run(&folder, &run, &format!("{LONG} --on-loss end"));
     let since = now();
     send_signal(hosts[1], Signal::STOP);
@@ -115,7 +115,7 @@ fn a_frozen_device_process_is_lost_after_the_lease() {
 
 /// Freezes a device process of a run for longer than the lease, then lets it continue.
 fn thawed(scenario: &str) {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let expected = folder.summary(&format!("run {scenario}"));
     let run = unique_run("thaw");
     let (up, hosts) = up_mid_run(&folder, &run, &format!("{scenario} --pace 5ms --on-loss wait --json"));
@@ -145,9 +145,9 @@ fn a_thawed_device_process_continues_with_random() {
 }
 
 /// Kills the remaining device processes of a run on drop, in case the test fails.
-struct Swept(String);
+struct ProcessReaper(String);
 
-impl Drop for Swept {
+impl Drop for ProcessReaper {
     fn drop(&mut self) {
         for host in hosts_of(&self.0) {
             send_signal(host, Signal::KILL);
@@ -157,9 +157,9 @@ impl Drop for Swept {
 
 #[test]
 fn no_device_process_outlives_a_killed_up() {
-    let (folder, run) = (Folder::new(), unique_run("orphans"));
+    let (folder, run) = (TestFolder::new(), unique_run("orphans"));
     let (up, hosts) = up_mid_run(&folder, &run, LONG);
-    let _none_left = Swept(run.clone());
+    let _none_left = ProcessReaper(run.clone());
     // A frozen process cannot exit: the kernel has to kill it.
     send_signal(hosts[0], Signal::STOP);
     up.signal(Signal::KILL);
@@ -175,7 +175,7 @@ fn no_device_process_outlives_a_killed_up() {
 
 /// Interrupts a run midway with `signal`.
 fn interrupted(signal: Signal, by_hand: bool) {
-    let (folder, run) = (Folder::new(), unique_run("interrupt"));
+    let (folder, run) = (TestFolder::new(), unique_run("interrupt"));
     let (process, hosts) = if by_hand {
         let (bs, hosts) = by_hand_mid_run(&folder, &run, LONG);
         (bs, hosts.into_iter().collect())
@@ -185,7 +185,7 @@ fn interrupted(signal: Signal, by_hand: bool) {
     process.signal(signal);
     let end = process.finish();
     assert_eq!(end.code(), Some(130), "{end}");
-    let summary = Summary::read(&folder.join("out"));
+    let summary = SummaryJson::read(&folder.join("out"));
     assert_eq!(summary.status(), "interrupted");
     assert!((10..12_000).contains(&summary.number("ttis_done")), "{summary:?}");
     assert_eq!(
@@ -228,19 +228,19 @@ fn sigint_ends_bs_with_partial_results() {
 
 #[test]
 fn a_paused_run_can_be_interrupted() {
-    let (folder, run) = (Folder::new(), unique_run("partial"));
+    let (folder, run) = (TestFolder::new(), unique_run("partial"));
     let (up, _) = up_mid_run(&folder, &run, LONG);
     folder.clock(&run, "pause");
     let tti = folder.wait_for_tti(&run, 10);
     up.signal(Signal::INT);
     assert_eq!(up.finish().code(), Some(130));
-    let summary = Summary::read(&folder.join("out"));
+    let summary = SummaryJson::read(&folder.join("out"));
     assert!(summary.number("ttis_done").abs_diff(tti) <= 1, "{summary:?}");
 }
 
 #[test]
 fn a_base_station_that_waits_for_devices_can_be_interrupted() {
-    let (folder, run) = (Folder::new(), unique_run("waiting"));
+    let (folder, run) = (TestFolder::new(), unique_run("waiting"));
     let bs = folder.start(&format!("bs --out out -n 30 --run {run} --listen {}", free_endpoint()));
     // The clock answers as soon as the run is prepared.
     folder.wait_for_clock(&run);
@@ -256,7 +256,7 @@ fn a_base_station_that_waits_for_devices_can_be_interrupted() {
 
 #[test]
 fn device_processes_notice_a_killed_base_station() {
-    let (folder, run) = (Folder::new(), unique_run("headless"));
+    let (folder, run) = (TestFolder::new(), unique_run("headless"));
     let (bs, hosts) = by_hand_mid_run(&folder, &run, LONG);
     bs.signal(Signal::KILL);
     bs.finish();
@@ -270,10 +270,10 @@ fn device_processes_notice_a_killed_base_station() {
     }
 }
 
-/// A message lost with a broken link is resent, after the plan that precedes it.
+/// A message lost with a broken link is retransmitted, after the plan that precedes it.
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn an_unanswered_grant_is_repeated_with_its_plan() {
-    let (folder, run, endpoint) = (Folder::new(), unique_run("silent"), free_endpoint());
+    let (folder, run, endpoint) = (TestFolder::new(), unique_run("silent"), free_endpoint());
     let bs = folder.start(&format!("bs -n 30 -p random --out out --run {run} --listen {endpoint}"));
     let bus = Bus::connect(&endpoint, run.parse().expect("a run name"), PATIENCE)
         .await
@@ -303,7 +303,7 @@ async fn an_unanswered_grant_is_repeated_with_its_plan() {
             let _deaf = send.send("grant");
         })
         .expect("subscribed");
-    let _alive = bus.declare_alive(bus.keys().alive(pass)).expect("declared");
+    let _alive = bus.declare_alive(bus.keys().host_liveliness(pass)).expect("declared");
     let ready = Ready { host: pass.host };
     let known = bus
         .query_until(&ready, Some(pass.token), PATIENCE)

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::process::Command;
 
 use reveille_tests::machine::missing;
-use reveille_tests::process::Folder;
+use reveille_tests::process::TestFolder;
 
 /// Returns the recomputed scenarios: all policies, depleted devices, device classes, and very few events.
 fn runs() -> Vec<String> {
@@ -28,7 +28,7 @@ fn metrics_follow_from_the_tables() {
     if !has_python.is_ok_and(|status| status.success()) {
         return missing("metrics are not recomputed: python3 3.11 or later is missing");
     }
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let runs = runs();
     let mut check = Command::new("python3");
     check.arg(script);

@@ -3,12 +3,12 @@
 use std::fs;
 use std::time::Duration;
 
-use reveille_tests::process::{Folder, assert_refused, unique_run};
+use reveille_tests::process::{TestFolder, assert_refused, unique_run};
 use rustix::process::Signal;
 use serde_json::Value;
 
 /// Returns the messages that `tail --json` shows for a recording.
-fn shown(folder: &Folder, args: &str) -> Vec<Value> {
+fn shown(folder: &TestFolder, args: &str) -> Vec<Value> {
     let end = folder.run(&format!("inspect tail --json --from {args}"));
     assert!(end.is_success(), "{end}");
     end.stdout
@@ -18,7 +18,7 @@ fn shown(folder: &Folder, args: &str) -> Vec<Value> {
 }
 
 /// Returns how many messages `tail` shows for a truncated recording.
-fn shown_of_torn(folder: &Folder, file: &str) -> usize {
+fn shown_of_torn(folder: &TestFolder, file: &str) -> usize {
     let end = folder.run(&format!("inspect tail --json --from {file}"));
     assert_eq!(end.code(), Some(1), "{end}");
     end.stdout.lines().count()
@@ -27,7 +27,7 @@ fn shown_of_torn(folder: &Folder, file: &str) -> usize {
 /// The sums of squares exceed 64 bits.
 #[test]
 fn a_long_run_is_verified_too() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let end = folder.run("run -p knn -n 50 -k 10000 --record r.mcap --quiet --out o");
     assert!(end.is_success(), "{end}");
     let end = folder.run("inspect verify r.mcap");
@@ -47,7 +47,7 @@ fn memory_and_bus_record_the_same_air_and_truth() {
 
 /// Checks that the run with these options is recorded alike however it is driven, and can be verified.
 fn are_the_same(run: &str) {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let mut digests = Vec::new();
     for (name, command) in [("m", "run"), ("b", "up -P 3"), ("o", "up -P 0 --no-lookahead")] {
         let end = folder.run(&format!("{command} {run} --record {name}.mcap --out {name}"));
@@ -77,7 +77,7 @@ fn are_the_same(run: &str) {
 
 #[test]
 fn filters_and_joined_wake_ups_show_the_right_messages() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let end = folder
         .run("run -p knn -n 60 -k 600 --set events.alpha=0.5 --set harvest.e_b=3 --record r.mcap --quiet --out o");
     assert!(end.is_success(), "{end}");
@@ -123,7 +123,7 @@ fn filters_and_joined_wake_ups_show_the_right_messages() {
 
 #[test]
 fn statistics_equal_messages_and_summary() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let end = folder.run("run -p age-index -n 40 -k 500 --set warm_up=0 --record r.mcap --json --out o");
     let summary: Value = serde_json::from_str(&end.stdout).unwrap_or_else(|_| panic!("{end}"));
     let end = folder.run("inspect stats --from r.mcap --json --devices");
@@ -144,7 +144,7 @@ fn statistics_equal_messages_and_summary() {
 
 #[test]
 fn a_killed_run_leaves_a_recording_up_to_the_tear() {
-    let (folder, run) = (Folder::new(), unique_run("torn"));
+    let (folder, run) = (TestFolder::new(), unique_run("torn"));
     let up = folder.start(&format!(
         "up -P 1 -n 30 -k 100000 --run {run} --record r.mcap --quiet --out o"
     ));
@@ -172,7 +172,7 @@ fn a_killed_run_leaves_a_recording_up_to_the_tear() {
 
 #[test]
 fn invalid_recordings_are_refused() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     assert!(
         folder
             .run("run -n 10 -k 200 --record r.mcap --quiet --out o")
@@ -232,7 +232,7 @@ fn invalid_recordings_are_refused() {
 
 #[test]
 fn a_run_is_recorded_by_another_process() {
-    let (folder, run) = (Folder::new(), unique_run("outside"));
+    let (folder, run) = (TestFolder::new(), unique_run("outside"));
     let up = folder.start(&format!("up -P 1 -n 20 -k 300 --paused --run {run} --quiet --out o"));
     folder.wait_for_tti(&run, 0);
     let start = |file: &str| {
@@ -262,7 +262,7 @@ fn a_run_is_recorded_by_another_process() {
 
 #[test]
 fn exports_are_written_whole() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     assert!(
         folder
             .run("run -n 20 -k 300 --record r.mcap --quiet --out o")

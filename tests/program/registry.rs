@@ -4,7 +4,7 @@ use std::fs::{self, Permissions};
 use std::os::unix::fs::{PermissionsExt, chown, symlink};
 
 use reveille_tests::machine::skipped;
-use reveille_tests::process::{Folder, PATIENCE, Process, assert_refused, free_endpoint, unique_run, wait_until};
+use reveille_tests::process::{PATIENCE, Process, TestFolder, assert_refused, free_endpoint, unique_run, wait_until};
 use rustix::process::{Signal, getuid};
 
 /// Folder of the registry entries.
@@ -13,14 +13,14 @@ const REGISTRY: &str = "runtime/reveille";
 const UNPRIVILEGED: u32 = 65_534;
 
 /// Returns the permissions of an entry in the folder.
-fn mode(folder: &Folder, name: &str) -> u32 {
+fn mode(folder: &TestFolder, name: &str) -> u32 {
     let found = fs::symlink_metadata(folder.join(name)).expect("there");
     found.permissions().mode() & 0o777
 }
 
 #[test]
 fn entries_are_private() {
-    let (folder, run) = (Folder::new(), unique_run("own"));
+    let (folder, run) = (TestFolder::new(), unique_run("own"));
     let mut command = std::process::Command::new("sh");
     let program = reveille_tests::process::reveille().display();
     let endpoint = free_endpoint();
@@ -44,7 +44,7 @@ fn entries_are_private() {
 
 /// Checks that a run continues without the registry and warns, and that `clock` does not trust its contents and changes
 /// nothing.
-fn assert_not_trusted(folder: &Folder, why: &str) {
+fn assert_not_trusted(folder: &TestFolder, why: &str) {
     let (run, endpoint) = (unique_run("doubt"), free_endpoint());
     // An entry of a live process: this one.
     let entry = format!(
@@ -74,7 +74,7 @@ fn assert_not_trusted(folder: &Folder, why: &str) {
 
 #[test]
 fn a_folder_open_to_others_is_not_trusted() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     fs::create_dir(folder.join(REGISTRY)).expect("possible");
     for mode in [0o755, 0o770, 0o1777] {
         fs::set_permissions(folder.join(REGISTRY), Permissions::from_mode(mode)).expect("ours");
@@ -87,7 +87,7 @@ fn a_folder_open_to_others_is_not_trusted() {
 
 #[test]
 fn a_link_in_its_place_is_not_followed() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     fs::create_dir(folder.join("elsewhere")).expect("possible");
     fs::set_permissions(folder.join("elsewhere"), Permissions::from_mode(0o700)).expect("ours");
     symlink(folder.join("elsewhere"), folder.join(REGISTRY)).expect("possible");
@@ -107,7 +107,7 @@ fn the_folder_of_another_user_is_not_trusted() {
         skipped("to give a folder to another user takes root");
         return;
     }
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     fs::create_dir(folder.join(REGISTRY)).expect("possible");
     fs::set_permissions(folder.join(REGISTRY), Permissions::from_mode(0o700)).expect("ours");
     chown(folder.join(REGISTRY), Some(UNPRIVILEGED), Some(UNPRIVILEGED)).expect("root may");
@@ -116,7 +116,7 @@ fn the_folder_of_another_user_is_not_trusted() {
 
 #[test]
 fn a_relative_folder_is_not_used() {
-    let (folder, run) = (Folder::new(), unique_run("relative"));
+    let (folder, run) = (TestFolder::new(), unique_run("relative"));
     let mut command = folder.command(&format!("up -P 0 -n 5 -k 100 --quiet --run {run} --out out"));
     command.env("XDG_RUNTIME_DIR", "runtime").env("TMPDIR", folder.path());
     let end = Process::start(&mut command).finish();

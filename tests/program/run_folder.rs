@@ -2,10 +2,10 @@
 
 use std::fs;
 
-use reveille_tests::process::Folder;
+use reveille_tests::process::TestFolder;
 
 /// Writes a scenario whose layout, traces and tables are files, two of them with the same name.
-fn with_files(folder: &Folder) {
+fn with_files(folder: &TestFolder) {
     for name in ["a", "b"] {
         fs::create_dir(folder.join(name)).expect("a folder");
     }
@@ -29,7 +29,7 @@ fn with_files(folder: &Folder) {
 
 #[test]
 fn a_run_folder_that_was_moved_can_be_run_again() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     with_files(&folder);
     let first = folder.summary("run -s my.toml --out first");
     let text = String::from_utf8(folder.bytes("first/scenario.toml")).expect("text");
@@ -61,7 +61,7 @@ fn a_run_folder_that_was_moved_can_be_run_again() {
 /// Uses a model of the decision transformer, and traces in the formats of sweep tables.
 #[test]
 fn models_and_traces_of_other_forms_are_kept_as_well() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let shipped = concat!(env!("CARGO_MANIFEST_DIR"), "/../bs/src/policy/dt/shipped.safetensors");
     fs::copy(shipped, folder.join("model.safetensors")).expect("it is shipped");
     let swept = folder.run("sweep -n 5 --ttis 100 --seeds 8 --quiet --out s");

@@ -12,7 +12,7 @@ use std::thread;
 use std::time::Duration;
 
 use reveille_common::rng::{Purpose, Stream};
-use reveille_tests::process::{Finished, Folder, PATIENCE, Process, free_endpoint, unique_run, wait_until};
+use reveille_tests::process::{FinishedProcess, PATIENCE, Process, TestFolder, free_endpoint, unique_run, wait_until};
 use rustix::process::Signal;
 
 /// Number of signals sent to each command, each to a new process.
@@ -69,7 +69,7 @@ fn ignores_interrupts() -> bool {
 }
 
 /// Sends signals to processes of each of the `cases` in `folder`.
-fn assert_all_end(folder: &Folder, cases: &[Case]) {
+fn assert_all_end(folder: &TestFolder, cases: &[Case]) {
     let (is_over, next) = (AtomicBool::new(false), AtomicUsize::new(0));
     let (is_over, next) = (&is_over, &next);
     let interrupts = !ignores_interrupts();
@@ -108,7 +108,7 @@ fn assert_all_end(folder: &Folder, cases: &[Case]) {
 }
 
 /// Starts process `number` for `case`, sends it `signal` at a moment drawn for it, and checks its end.
-fn assert_ends(folder: &Folder, case: &Case, number: usize, signal: Signal) -> String {
+fn assert_ends(folder: &TestFolder, case: &Case, number: usize, signal: Signal) -> String {
     let mut stream = Stream::new(28, Purpose::Training, number as u64);
     let moment = LATEST.mul_f64(stream.unit().powi(2));
     let out = format!("out{number}");
@@ -174,7 +174,7 @@ fn marked(mark: &Path) -> Vec<String> {
 }
 
 /// Copies a folder of files within `folder`.
-fn copy(folder: &Folder, from: &str, to: &str) {
+fn copy(folder: &TestFolder, from: &str, to: &str) {
     fs::create_dir(folder.join(to)).expect("a new folder");
     for name in folder.list(from) {
         let path = format!("{from}/{name}");
@@ -182,14 +182,14 @@ fn copy(folder: &Folder, from: &str, to: &str) {
     }
 }
 
-fn prepare(folder: &Folder, args: &str) {
-    let end: Finished = folder.run(args);
+fn prepare(folder: &TestFolder, args: &str) {
+    let end: FinishedProcess = folder.run(args);
     assert!(end.is_success(), "{args}: {end}");
 }
 
 #[test]
 fn a_signal_at_any_moment_ends_a_command_that_makes_a_run() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     folder.write("idle", "#!/bin/sh\nsleep 1000\n");
     fs::set_permissions(folder.join("idle"), fs::Permissions::from_mode(0o700)).expect("ours");
     let killed = folder.start("up -P 1 -n 50 -k 90000000 --window 100000 --quiet --out resumed --run resumed");
@@ -223,7 +223,7 @@ fn a_signal_at_any_moment_ends_a_command_that_makes_a_run() {
 
 #[test]
 fn a_signal_at_any_moment_ends_a_command_that_joins_or_shows_a_run() {
-    let (folder, run, endpoint) = (Folder::new(), unique_run("shown"), free_endpoint());
+    let (folder, run, endpoint) = (TestFolder::new(), unique_run("shown"), free_endpoint());
     prepare(
         &folder,
         "run -p knn -n 20 -k 3000 --record seen.mcap --quiet --out seen",
@@ -269,7 +269,7 @@ fn a_signal_at_any_moment_ends_a_command_that_joins_or_shows_a_run() {
 #[cfg(feature = "tune")]
 #[test]
 fn a_signal_at_any_moment_ends_a_tuning() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let tune = "tune -n 8 --design 3 --episodes 100 --episode-ttis 1000 --seeds 2 --ttis 1000 --out OUT.csv";
     assert_all_end(&folder, &[Case::new(tune, Interrupted)]);
 }
@@ -277,7 +277,7 @@ fn a_signal_at_any_moment_ends_a_tuning() {
 #[cfg(feature = "train-dt")]
 #[test]
 fn a_signal_at_any_moment_ends_a_training_of_the_transformer() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let record = "train record -p age-index,knn -n 12 -k 400 --seeds 6 --set events.process=bursts";
     prepare(&folder, &format!("{record} --chunk 12 --stride 40 --out a.parquet"));
     let train = "train dt a.parquet --steps 100000 --batch 600 --patience 1000 --set policy.dt.width=8 \

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use reveille_common::score::Metrics;
 use reveille_tests::machine::{Mount, skipped};
-use reveille_tests::process::{Folder, PATIENCE, assert_refused, now, wait_until};
+use reveille_tests::process::{PATIENCE, TestFolder, assert_refused, now, wait_until};
 use rustix::process::Signal;
 use serde_json::Value;
 
@@ -19,7 +19,7 @@ const GRID: &str = "--policies knn,random,adjusted,genie --devices 8,20 --ttis 6
 const RUNS: usize = 4 * 2 * 12 * 2;
 
 /// Runs `reveille sweep ARGS --out OUT` and returns the bytes of its table.
-fn swept(folder: &Folder, args: &str, out: &str) -> Vec<u8> {
+fn swept(folder: &TestFolder, args: &str, out: &str) -> Vec<u8> {
     let end = folder.run(&format!("sweep {args} --out {out} --quiet"));
     assert!(end.is_success(), "{end}");
     fs::read(folder.join(&format!("{out}/results.parquet"))).expect("a table")
@@ -43,7 +43,7 @@ fn rows(path: &Path) -> Vec<Vec<(String, String)>> {
 
 #[test]
 fn threads_shards_and_both_together_give_the_same_bytes() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let expected = swept(&folder, &format!("{GRID} --threads 1"), "one");
     assert!(
         swept(&folder, &format!("{GRID} --threads 2"), "two") == expected,
@@ -87,7 +87,7 @@ fn threads_shards_and_both_together_give_the_same_bytes() {
 
 #[test]
 fn rows_equal_single_runs() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let end = folder.run(&format!("sweep {GRID} --format csv --quiet --out s"));
     assert!(end.is_success(), "{end}");
     let rows = rows(&folder.join("s/results.csv"));
@@ -134,7 +134,7 @@ fn random(bound: u64) -> u64 {
 
 #[test]
 fn a_killed_sweep_resumes_to_the_same_table() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let grid = &GRID.replace("--ttis 600", "--ttis 60000");
     let expected = swept(&folder, grid, "undisturbed");
     // Random moments, counted in runs after the last kill, so that the machine's speed does not matter, plus a random
@@ -172,7 +172,7 @@ fn a_killed_sweep_resumes_to_the_same_table() {
 
 #[test]
 fn a_table_is_whole_or_not_there_when_its_writer_is_killed() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let sweep = "--devices 2 --ttis 20 --seeds 5000";
     let expected = swept(&folder, sweep, "s");
     let (table, part) = (folder.join("s/results.parquet"), folder.join("s/results.parquet.part"));
@@ -206,7 +206,7 @@ fn a_table_is_whole_or_not_there_when_its_writer_is_killed() {
 
 #[test]
 fn damaged_rows_are_repeated() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let expected = swept(&folder, GRID, "s");
     let journal = folder.join("s/runs.journal");
     let mut bytes = fs::read(&journal).expect("there");
@@ -246,7 +246,7 @@ fn damaged_rows_are_repeated() {
 
 #[test]
 fn two_sweeps_do_not_share_a_folder() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let endless = "sweep --devices 100 --ttis 1000000000 --seeds 2 --out s";
     let first = folder.start(endless);
     wait_until("the sweep to begin", PATIENCE, || {
@@ -265,7 +265,7 @@ fn two_sweeps_do_not_share_a_folder() {
 
 #[test]
 fn a_table_of_another_version_is_not_merged() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     for index in 1..=2 {
         let end = folder.run(&format!(
             "sweep --devices 5 --ttis 50 --seeds 4 --shard {index}/2 --format csv -q --out s{index}"
@@ -304,7 +304,7 @@ fn a_table_of_another_version_is_not_merged() {
 
 #[test]
 fn invalid_scenarios_are_refused_before_the_first_run() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     folder.write("typo.toml", "devices = [10]\npolicees = [\"knn\"]\n");
     folder.write("empty.toml", "devices = []\n");
     folder.write("scenario.toml", "devices = 10\n[sensing]\nd_max = 5\n");
@@ -384,7 +384,7 @@ fn invalid_scenarios_are_refused_before_the_first_run() {
 
 #[test]
 fn a_dry_run_shows_the_grid_and_runs_nothing() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let end = folder.run(&format!("sweep {GRID} --dry-run --out s"));
     assert!(end.is_success(), "{end}");
     for part in [
@@ -400,7 +400,7 @@ fn a_dry_run_shows_the_grid_and_runs_nothing() {
 
 #[test]
 fn an_experiment_file_and_options_mean_the_same() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     folder.write(
         "e.toml",
         "policies = [\"knn\", \"random\", \"adjusted\", \"genie\"]\ndevices = [8]\nttis = 600\n\
@@ -417,7 +417,7 @@ fn an_experiment_file_and_options_mean_the_same() {
 
 #[test]
 fn a_folder_runs_again_without_the_scenario_file() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     fs::create_dir_all(folder.join("mine/traces")).expect("writable");
     folder.write("mine/traces/t.csv", "a,b\n1,2\n3,1\n");
     folder.write(
@@ -446,7 +446,7 @@ fn a_folder_runs_again_without_the_scenario_file() {
 
 #[test]
 fn a_full_disk_loses_no_finished_run() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let expected = swept(&folder, GRID, "elsewhere");
     let path = folder.join("disk");
     let Some(_disk) = Mount::small(&path) else {

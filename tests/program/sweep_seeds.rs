@@ -5,7 +5,7 @@ use std::fs;
 use std::time::Duration;
 
 use reveille_tests::machine::{Mount, skipped};
-use reveille_tests::process::{Folder, PATIENCE, assert_refused, wait_until};
+use reveille_tests::process::{PATIENCE, TestFolder, assert_refused, wait_until};
 use rustix::process::Signal;
 use serde_json::Value;
 
@@ -14,7 +14,7 @@ const GRID: &str = "--policies knn,random,adjusted,genie --devices 8,20 --ttis 6
     --set policy.adjusted.pilot_ttis=100 --set policy.adjusted.t_on=[1,2] --set policy.adjusted.t_drx=[2,8]";
 
 /// Runs `reveille sweep ARGS --out OUT`; returns the bytes of its table and the number of runs found.
-fn swept(folder: &Folder, args: &str, out: &str) -> (Vec<u8>, u64) {
+fn swept(folder: &TestFolder, args: &str, out: &str) -> (Vec<u8>, u64) {
     let end = folder.run(&format!("sweep {args} --out {out} --json"));
     assert!(end.is_success(), "{end}");
     let report: Value = serde_json::from_str(&end.stdout).expect("JSON");
@@ -24,7 +24,7 @@ fn swept(folder: &Folder, args: &str, out: &str) -> (Vec<u8>, u64) {
 
 #[test]
 fn more_seeds_end_as_a_fresh_sweep() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let (expected, _) = swept(&folder, &format!("{GRID} --seeds 12"), "fresh");
     swept(&folder, &format!("{GRID} --seeds 3"), "s");
     let (_, found) = swept(&folder, "s/experiment.toml --seeds 7", "s");
@@ -37,7 +37,7 @@ fn more_seeds_end_as_a_fresh_sweep() {
 }
 
 /// Runs `reveille sweep ARGS --json` without `--out`; returns the runs, the runs found, and the folder.
-fn swept_by_default(folder: &Folder, args: &str) -> (u64, u64, String) {
+fn swept_by_default(folder: &TestFolder, args: &str) -> (u64, u64, String) {
     let end = folder.run(&format!("sweep {args} --json"));
     assert!(end.is_success(), "{end}");
     let report: Value = serde_json::from_str(&end.stdout).expect("JSON");
@@ -48,7 +48,7 @@ fn swept_by_default(folder: &Folder, args: &str) -> (u64, u64, String) {
 
 #[test]
 fn an_unnamed_sweep_can_be_extended() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let args = "--devices 5 --ttis 50";
     let (_, _, long) = swept_by_default(&folder, &format!("{args} --seeds 5"));
     let (runs, found, short) = swept_by_default(&folder, &format!("{args} --seeds 2"));
@@ -70,7 +70,7 @@ fn an_unnamed_sweep_can_be_extended() {
 
 #[test]
 fn a_table_with_fewer_seeds_is_not_reused() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     for index in 1..=2 {
         swept(
             &folder,
@@ -110,7 +110,7 @@ fn a_table_with_fewer_seeds_is_not_reused() {
 
 #[test]
 fn a_kill_between_the_journal_and_the_experiment_is_harmless() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let (expected, _) = swept(&folder, &format!("{GRID} --seeds 4"), "fresh");
     for changed in ["runs.journal", "experiment.toml"] {
         for by in ["s/experiment.toml", &format!("{GRID} --seeds 4")] {
@@ -137,7 +137,7 @@ fn a_kill_between_the_journal_and_the_experiment_is_harmless() {
 
 #[test]
 fn a_full_disk_while_seeds_are_raised_leaves_the_folder_as_it_was() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let (expected, _) = swept(&folder, &format!("{GRID} --seeds 12"), "fresh");
     let path = folder.join("disk");
     let Some(_disk) = Mount::small(&path) else {
@@ -175,7 +175,7 @@ fn a_full_disk_while_seeds_are_raised_leaves_the_folder_as_it_was() {
 
 #[test]
 fn fewer_seeds_and_another_first_one_are_refused() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let (expected, _) = swept(&folder, &format!("{GRID} --seeds 4"), "s");
     let journal = || fs::read(folder.join("s/runs.journal")).expect("there");
     let before = journal();
@@ -202,7 +202,7 @@ fn fewer_seeds_and_another_first_one_are_refused() {
 
 #[test]
 fn a_cell_stops_when_it_is_narrow_enough() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let args = "--policies genie --devices 20 --ttis 2000 --seeds 400 --until-ci 5% --ci-metrics energy_per_device_tti";
     let end = folder.run(&format!("sweep {args} --json --out s"));
     let report: Value = serde_json::from_str(&end.stdout).expect("JSON");
@@ -232,7 +232,7 @@ fn a_cell_stops_when_it_is_narrow_enough() {
 
 #[test]
 fn a_cell_that_was_not_narrow_continues_with_more_seeds() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     // With 20 seeds the first check is at 20, with 200 at 30.
     let args = "--policies genie,knn --devices 20 --ttis 500 --until-ci 8% --ci-metrics info_per_event";
     let (expected, _) = swept(&folder, &format!("{args} --seeds 200"), "fresh");
@@ -244,7 +244,7 @@ fn a_cell_that_was_not_narrow_continues_with_more_seeds() {
 
 #[test]
 fn shards_with_more_seeds_equal_a_fresh_sweep() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let (expected, _) = swept(&folder, &format!("{GRID} --seeds 7"), "fresh");
     let mut all = 0;
     for index in 1..=3 {
@@ -264,7 +264,7 @@ fn shards_with_more_seeds_equal_a_fresh_sweep() {
 
 #[test]
 fn a_kill_while_seeds_are_added_loses_no_run() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let (expected, _) = swept(&folder, &format!("{GRID} --seeds 40"), "fresh");
     swept(&folder, &format!("{GRID} --seeds 20"), "s");
     let journal = folder.join("s/runs.journal");

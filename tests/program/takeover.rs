@@ -3,13 +3,13 @@
 use std::time::Duration;
 
 use reveille_tests::process::{
-    Folder, PATIENCE, Summary, free_endpoint, hosts_of, send_signal, unique_run, wait_until,
+    PATIENCE, SummaryJson, TestFolder, free_endpoint, hosts_of, send_signal, unique_run, wait_until,
 };
 use rustix::process::Signal;
 
 /// Kills device processes of `up` in order, and expects the digest of an undisturbed run.
 fn killed_and_taken_over(scenario: &str, kills: usize) {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let expected = folder.summary(&format!("run {scenario}"));
     let run = unique_run("heir");
     let up = folder.start(&format!(
@@ -50,7 +50,7 @@ fn devices_of_a_killed_process_are_taken_over_learning() {
 
 #[test]
 fn a_process_with_room_takes_over() {
-    let (folder, run, endpoint) = (Folder::new(), unique_run("room"), free_endpoint());
+    let (folder, run, endpoint) = (TestFolder::new(), unique_run("room"), free_endpoint());
     let scenario = "-n 30 -k 1200";
     let expected = folder.summary(&format!("run {scenario}"));
     let bs = folder.start(&format!(
@@ -69,7 +69,7 @@ fn a_process_with_room_takes_over() {
     spare.wait_for_stderr("standing by");
     let end = bs.finish();
     assert!(end.is_success(), "{end}");
-    assert_eq!(Summary::read(&folder.join("out")).digest(), expected.digest());
+    assert_eq!(SummaryJson::read(&folder.join("out")).digest(), expected.digest());
     for process in [roomy, spare] {
         let end = process.finish();
         assert!(end.is_success(), "{end}");
@@ -79,7 +79,7 @@ fn a_process_with_room_takes_over() {
 /// Kills the base station midway, and resumes the run with the device processes that are still alive.
 #[test]
 fn a_killed_base_station_resumes_with_its_living_hosts() {
-    let (folder, run, endpoint) = (Folder::new(), unique_run("resume"), free_endpoint());
+    let (folder, run, endpoint) = (TestFolder::new(), unique_run("resume"), free_endpoint());
     let scenario = "-n 30 -k 1500 -p q-learning --learn";
     let expected = folder.summary(&format!("run {scenario}"));
     let serve = format!("--pace 3ms --run {run} --listen {endpoint}");
@@ -101,7 +101,7 @@ fn a_killed_base_station_resumes_with_its_living_hosts() {
     let end = bs.finish();
     assert!(end.is_success(), "{end}");
     assert!(reached > 0);
-    let summary = Summary::read(&folder.join("out"));
+    let summary = SummaryJson::read(&folder.join("out"));
     assert_eq!((summary.digest(), summary.status()), (expected.digest(), "complete"));
     for host in hosts {
         let end = host.finish();
@@ -116,7 +116,7 @@ fn a_killed_base_station_resumes_with_its_living_hosts() {
 
 /// Checks that a fully killed or interrupted run ends like an undisturbed run after a resume.
 fn taken_up(command: &str, signal: Signal) {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let scenario = "-n 40 -k 60000 -p knn --window 7000";
     let expected = folder.summary(&format!("run {scenario} --out whole"));
     let run = folder.start(&format!("{command} {scenario} --no-lookahead --out out"));
@@ -128,7 +128,7 @@ fn taken_up(command: &str, signal: Signal) {
     std::thread::sleep(Duration::from_millis(100));
     let end = folder.run(&format!("{command} --resume out"));
     assert!(end.is_success(), "{end}");
-    let summary = Summary::read(&folder.join("out"));
+    let summary = SummaryJson::read(&folder.join("out"));
     assert_eq!((summary.digest(), summary.status()), (expected.digest(), "complete"));
     for table in ["events.csv", "windows.csv", "devices.csv"] {
         let read = |run: &str| std::fs::read(folder.join(run).join(table)).expect("readable");
@@ -150,7 +150,7 @@ fn an_interrupted_run_resumes() {
 /// A run interrupted while it waits ends in the middle of a TTI. It is resumed from its state before that TTI.
 #[test]
 fn a_run_interrupted_while_waiting_resumes() {
-    let (folder, run, endpoint) = (Folder::new(), unique_run("held"), free_endpoint());
+    let (folder, run, endpoint) = (TestFolder::new(), unique_run("held"), free_endpoint());
     // A plan in each TTI, so that the open TTI already has a message.
     let scenario = "-n 20 -k 800 -p random";
     let expected = folder.summary(&format!("run {scenario}"));
@@ -174,13 +174,13 @@ fn a_run_interrupted_while_waiting_resumes() {
     let heir = host();
     let end = bs.finish();
     assert!(end.is_success(), "{end}");
-    assert_eq!(Summary::read(&folder.join("out")).digest(), expected.digest());
+    assert_eq!(SummaryJson::read(&folder.join("out")).digest(), expected.digest());
     assert!(heir.finish().is_success());
 }
 
 #[test]
 fn a_changed_folder_is_not_resumed() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let run = folder.start("up -P 2 -n 40 -k 60000 --no-lookahead --out out");
     wait_until("a mark", PATIENCE, || {
         folder.list("out").contains(&"resume.json".to_owned()).then_some(())

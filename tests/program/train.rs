@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use std::fs;
 use std::time::Duration;
 
-use reveille_tests::process::{Folder, PATIENCE, assert_refused, wait_until};
+use reveille_tests::process::{PATIENCE, TestFolder, assert_refused, wait_until};
 use rustix::process::Signal;
 use sha2::{Digest, Sha256};
 
@@ -15,12 +15,12 @@ const TRAINING: &str = "train q-learning --quiet --devices 8,15,30 --windows 1,3
 /// Options of a training that takes hours.
 const ENDLESS: &str = "train q-learning --quiet --devices 20 --episodes 100000 --episode-ttis 300";
 
-fn bytes(folder: &Folder, name: &str) -> Vec<u8> {
+fn bytes(folder: &TestFolder, name: &str) -> Vec<u8> {
     fs::read(folder.join(name)).unwrap_or_default()
 }
 
 /// Writes tables for 10 and 50 devices after minimal training.
-fn table(folder: &Folder) -> String {
+fn table(folder: &TestFolder) -> String {
     let args = "train q-learning --quiet --devices 10,50 --episodes 1 --episode-ttis 50 --out good.json";
     let end = folder.run(args);
     assert!(end.is_success(), "{end}");
@@ -29,7 +29,7 @@ fn table(folder: &Folder) -> String {
 
 #[test]
 fn threads_and_kills_leave_the_same_bytes() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let end = folder.run(&format!("{TRAINING} --threads 1 --out one.json"));
     assert!(end.is_success(), "{end}");
     let expected = bytes(&folder, "one.json");
@@ -74,7 +74,7 @@ fn threads_and_kills_leave_the_same_bytes() {
 
 #[test]
 fn an_existing_file_is_kept() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     folder.write("mine.json", "mine");
     let args = "train q-learning --quiet --devices 5 --episodes 1 --episode-ttis 20 --out mine.json";
     assert_refused(&folder.run(args), 1, &["mine.json", "file exists", "--force"]);
@@ -88,7 +88,7 @@ fn an_existing_file_is_kept() {
 
 #[test]
 fn ctrl_c_keeps_the_training() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     for signal in [Signal::INT, Signal::TERM] {
         let before = bytes(&folder, "t.json.checkpoint");
         let training = folder.start(&format!("{ENDLESS} --out t.json"));
@@ -123,7 +123,7 @@ fn ctrl_c_keeps_the_training() {
 
 #[test]
 fn the_checkpoint_of_another_training_is_refused() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let training = folder.start(&format!("{ENDLESS} --out t.json"));
     wait_until("an episode", PATIENCE, || {
         folder.join("t.json.checkpoint").exists().then_some(())
@@ -183,7 +183,7 @@ fn with_value(text: &str, value: &str) -> String {
 
 #[test]
 fn tables_that_cannot_be_used_are_refused() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let text = table(&folder);
     assert!(
         sealed(&text, str::to_owned) == text,
@@ -262,7 +262,7 @@ fn tables_that_cannot_be_used_are_refused() {
 
 #[test]
 fn a_table_for_other_densities_or_weights_is_refused() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     table(&folder);
     let base = "run -k 60 --policy q-learning --set policy.q-learning.table=good.json --out run";
     for n in [700, 101, 4] {
@@ -303,7 +303,7 @@ fn a_table_for_other_densities_or_weights_is_refused() {
 
 #[test]
 fn a_missing_window_lists_the_available_ones() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let run = |set: &str| folder.run(&format!("run -n 20 -k 60 --policy q-learning {set} --out run --force"));
     for window in [1, 2, 4] {
         let end = run(&format!("--set policy.q-learning.window={window}"));
@@ -390,7 +390,7 @@ fn a_missing_window_lists_the_available_ones() {
 
 #[test]
 fn unknown_rankings_and_knowledge_list_the_available_ones() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     for (field, known) in [
         ("bs.ranking", ["p42", "posterior"]),
         ("bs.battery_knowledge", ["oracle", "reported"]),
@@ -411,7 +411,7 @@ fn unknown_rankings_and_knowledge_list_the_available_ones() {
 
 #[test]
 fn invalid_options_are_refused_before_training() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     for (args, parts) in [
         ("--devices 0", &["devices = [0]", "from 1 to 1000000"][..]),
         (

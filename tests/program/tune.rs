@@ -3,9 +3,9 @@
 #[cfg(not(feature = "tune"))]
 #[test]
 fn without_the_feature_the_error_names_the_build_command() {
-    use reveille_tests::process::{Folder, assert_refused};
+    use reveille_tests::process::{TestFolder, assert_refused};
 
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let end = folder.run("tune -n 100");
     assert_refused(&end, 2, &["cargo run --release --features tune -- tune"]);
     let help = folder.run("--help");
@@ -16,26 +16,26 @@ fn without_the_feature_the_error_names_the_build_command() {
 mod with_the_feature {
     use std::fs;
 
-    use reveille_tests::process::{Folder, PATIENCE, assert_refused, wait_until};
+    use reveille_tests::process::{PATIENCE, TestFolder, assert_refused, wait_until};
     use rustix::process::Signal;
     use serde_json::Value;
 
     /// Options of a small tuning.
     const TUNE: &str = "tune -n 12 --design 3 --iterations 2 --episodes 2 --episode-ttis 200 --seeds 2 --ttis 1000";
 
-    fn text(folder: &Folder, name: &str) -> String {
+    fn text(folder: &TestFolder, name: &str) -> String {
         fs::read_to_string(folder.join(name)).unwrap_or_default()
     }
 
     /// Counts the finished points in a history.
-    fn points(folder: &Folder, name: &str) -> usize {
+    fn points(folder: &TestFolder, name: &str) -> usize {
         let is_point = |line: &&str| line.starts_with(|c: char| c.is_ascii_digit());
         text(folder, name).lines().filter(is_point).count()
     }
 
     #[test]
     fn a_tuning_ends_the_same_with_any_threads_and_after_kills() {
-        let folder = Folder::new();
+        let folder = TestFolder::new();
         let end = folder.run(&format!("{TUNE} --out whole.csv --threads 1"));
         assert!(end.is_success(), "{end}");
         for part in [
@@ -85,7 +85,7 @@ mod with_the_feature {
 
     #[test]
     fn invalid_tuning_requests_are_refused() {
-        let folder = Folder::new();
+        let folder = TestFolder::new();
         folder.write("foreign.csv", "a,b\n1,2\n");
         for (args, code, part) in [
             ("--mu1 20,0.5", 1, "mu1 = 20,0.5"),

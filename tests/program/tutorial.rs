@@ -18,7 +18,7 @@ use reveille_common::bus::Bus;
 use reveille_common::encoding::Encoding;
 use reveille_common::ids::Tti;
 use reveille_tests::machine::missing;
-use reveille_tests::process::{Folder, PATIENCE, Process, reveille};
+use reveille_tests::process::{PATIENCE, Process, TestFolder, reveille};
 use serde_json::{Value, json};
 
 /// Commands of the page that need a network, a second build or the reader's own terminal.
@@ -106,8 +106,8 @@ fn decide(link: &TcpStream) {
     let [endpoint, run, key] = target;
     let introduction = ClientIdentity {
         name: "the tutorial".to_owned(),
-        key: Some(key.parse().expect("a key")),
-        form: Encoding::Json,
+        run_key: Some(key.parse().expect("a key")),
+        encoding: Encoding::Json,
     };
     let mut policy = |asked: &DecisionRequest| -> Decision {
         let (number, stage) = match asked.head.stage {
@@ -122,10 +122,10 @@ fn decide(link: &TcpStream) {
             .expect("the policy reads");
         let answer = receive();
         let devices = |name: &str| serde_json::from_value(answer[name].clone()).expect("devices");
-        let mut reply = DecisionReply::to(&asked.head, "", "");
+        let mut reply = DecisionReply::for_request(&asked.head, "", "");
         (reply.sense, reply.wake) = (devices("sense"), devices("wake"));
         let n = u32::try_from(asked.action_mask.0.len()).expect("few devices");
-        reply.answer(stage, Tti(asked.head.tti), n).expect("a valid decision")
+        reply.decode(stage, Tti(asked.head.tti), n).expect("a valid decision")
     };
     let runtime = tokio::runtime::Runtime::new().expect("a runtime");
     let decided = runtime.block_on(async {
@@ -137,13 +137,13 @@ fn decide(link: &TcpStream) {
 
 /// The reader's terminal: a folder with the program and the stand-in on its search paths.
 struct Terminal {
-    folder: Folder,
+    folder: TestFolder,
     policies: TcpListener,
 }
 
 impl Terminal {
     fn open() -> Self {
-        let folder = Folder::new();
+        let folder = TestFolder::new();
         for name in ["bin", "stand-in"] {
             fs::create_dir(folder.join(name)).expect("a folder");
         }

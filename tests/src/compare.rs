@@ -1,6 +1,6 @@
 //! Runs a scenario on the emulator and returns the results in the form that the reference uses.
 
-use reveille_bs::cycle::Outcome;
+use reveille_bs::cycle::RunOutcome;
 use reveille_bs::observer::{Notification, Observer};
 use reveille_bs::scenario::Scenario;
 use reveille_common::event::EventRecord;
@@ -11,7 +11,7 @@ use reveille_device::machine::Machine;
 use reveille_lab::preparation::start;
 use reveille_lab::run::RunOptions;
 
-use crate::reference::State;
+use crate::reference::ReferenceState;
 
 /// Observer that keeps every ended event.
 #[derive(Clone, Debug, Default)]
@@ -29,7 +29,7 @@ impl Observer for Collected {
 }
 
 /// Returns the outcome and the ended events of the whole run.
-pub fn outcome(scenario: &Scenario, lookahead: bool, window: u64) -> (Outcome, Vec<EventRecord>) {
+pub fn outcome(scenario: &Scenario, lookahead: bool, window: u64) -> (RunOutcome, Vec<EventRecord>) {
     let mut collected = Collected::default();
     let options = RunOptions { lookahead, window };
     let outcome = start(scenario, options).finish(&mut collected);
@@ -46,7 +46,7 @@ pub fn ledgers(scenario: &Scenario, lookahead: bool) -> Vec<Ledger> {
         },
     );
     while run.cycle().next_tti() < Tti(scenario.run.ttis) {
-        run.grant(&mut ());
+        run.run_grant(&mut ());
     }
     let settled = |machine: &Machine| {
         // Advances a copy: the run advances its own machines later.
@@ -58,7 +58,7 @@ pub fn ledgers(scenario: &Scenario, lookahead: bool) -> Vec<Ledger> {
 }
 
 /// Returns state and battery of each device at the end of each TTI.
-pub fn trace(scenario: &Scenario) -> Vec<Vec<(State, u64)>> {
+pub fn trace(scenario: &Scenario) -> Vec<Vec<(ReferenceState, u64)>> {
     let options = RunOptions {
         lookahead: false,
         ..RunOptions::default()
@@ -66,7 +66,7 @@ pub fn trace(scenario: &Scenario) -> Vec<Vec<(State, u64)>> {
     let mut run = start(scenario, options);
     let mut trace = Vec::new();
     for k in (0..scenario.run.ttis).map(Tti) {
-        run.grant(&mut ());
+        run.run_grant(&mut ());
         let now = |machine: &Machine| {
             // Advances a copy: the run advances its own machines later.
             let mut machine = machine.clone();
@@ -82,12 +82,12 @@ pub fn trace(scenario: &Scenario) -> Vec<Vec<(State, u64)>> {
 ///
 /// # Panics
 /// If the state is S2, in which no device is at the end of a step.
-pub fn translated(state: DeviceState) -> State {
+pub fn translated(state: DeviceState) -> ReferenceState {
     match state {
-        DeviceState::Idle => State::Idle,
-        DeviceState::Transmission => State::Transmission,
-        DeviceState::Sleep { powered: true } => State::Asleep,
-        DeviceState::Sleep { powered: false } => State::Dark,
+        DeviceState::Idle => ReferenceState::Idle,
+        DeviceState::Transmission => ReferenceState::Transmission,
+        DeviceState::Sleep { powered: true } => ReferenceState::Asleep,
+        DeviceState::Sleep { powered: false } => ReferenceState::Dark,
         DeviceState::Active => panic!("S2 is left within the TTI"),
     }
 }

@@ -12,8 +12,8 @@ use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::secret::Secret;
 use serde_json::{Value, json};
 
-use crate::process::{Finished, Folder, PATIENCE, Process, free_endpoint, unique_run, wait_until};
-use crate::transcript::Transcript;
+use crate::process::{FinishedProcess, PATIENCE, Process, TestFolder, free_endpoint, unique_run, wait_until};
+use crate::transcript::CommandTranscript;
 
 /// Options of a scenario whose run takes a moment.
 pub const SMALL: &str = "-n 30 -k 400";
@@ -22,19 +22,20 @@ pub const SMALL: &str = "-n 30 -k 400";
 ///
 /// # Panics
 /// If the scenario is invalid.
-pub fn own(policy: &str, set: &[&str]) -> (Transcript, String) {
+pub fn own(policy: &str, set: &[&str]) -> (CommandTranscript, String) {
     let policy = format!("policy.name={policy}");
     let always = [policy.as_str(), "devices=30", "ttis=400"];
     let all = always
         .iter()
         .chain(set)
         .map(|set| Override::parse(set).expect("an override"));
-    let (transcript, digest) = Transcript::of(&load("paper", &all.collect::<Vec<_>>()).expect("a scenario").scenario);
+    let (transcript, digest) =
+        CommandTranscript::of(&load("paper", &all.collect::<Vec<_>>()).expect("a scenario").scenario);
     (transcript, digest.to_string())
 }
 
 /// Looks up the answer to a decision request in `transcript`.
-pub fn answer(transcript: &Transcript, asked: &DecisionRequest) -> Decision {
+pub fn answer(transcript: &CommandTranscript, asked: &DecisionRequest) -> Decision {
     let stage = match asked.head.stage {
         RequestKind::Wake => DecisionStage::Wake,
         RequestKind::Plan | RequestKind::Hello | RequestKind::Bye => DecisionStage::Plan,
@@ -46,9 +47,9 @@ pub fn answer(transcript: &Transcript, asked: &DecisionRequest) -> Decision {
 }
 
 /// A run that waits for an external policy process.
-pub struct Decided {
+pub struct ExternallyDecidedRun {
     /// Working folder of the run.
-    pub folder: Folder,
+    pub folder: TestFolder,
     /// Run name.
     pub run: String,
     /// Endpoint of the base station.
@@ -57,14 +58,14 @@ pub struct Decided {
     pub process: Process,
 }
 
-impl Decided {
+impl ExternallyDecidedRun {
     /// Starts `up` with the scenario of [`SMALL`] and `args`.
     pub fn start(args: &str) -> Self {
-        Self::start_in(Folder::new(), &format!("up {SMALL} -p external --out out {args}"))
+        Self::start_in(TestFolder::new(), &format!("up {SMALL} -p external --out out {args}"))
     }
 
     /// Starts a command in the given folder.
-    pub fn start_in(folder: Folder, command: &str) -> Self {
+    pub fn start_in(folder: TestFolder, command: &str) -> Self {
         let (run, endpoint) = (unique_run("port"), free_endpoint());
         let process = folder.start(&format!("{command} --run {run} --listen {endpoint} --json"));
         Self {
@@ -108,29 +109,29 @@ impl Decided {
     pub async fn decide(&self, form: Encoding, mut decide: impl FnMut(&DecisionRequest) -> Decision) -> u64 {
         let introduction = ClientIdentity {
             name: "the test".to_owned(),
-            key: Some(self.key()),
-            form,
+            run_key: Some(self.key()),
+            encoding: form,
         };
         let decided = client::decide(&self.bus().await, &introduction, &mut decide).await;
         decided.expect("the bus is open")
     }
 
     /// Waits for the end of the process.
-    pub fn finish(self) -> (Folder, Finished) {
+    pub fn finish(self) -> (TestFolder, FinishedProcess) {
         (self.folder, self.process.finish())
     }
 }
 
 /// A policy process that misbehaves.
-pub struct Rogue {
+pub struct MisbehavingPolicy {
     bus: Bus,
     key: String,
     id: &'static str,
 }
 
-impl Rogue {
+impl MisbehavingPolicy {
     /// Connects to `run` with its key.
-    pub async fn at(run: &Decided) -> Self {
+    pub async fn at(run: &ExternallyDecidedRun) -> Self {
         Self {
             bus: run.bus().await,
             key: run.key().to_string(),

@@ -50,9 +50,9 @@ fn next_to_test() -> PathBuf {
 
 /// Folder of one test, removed on drop. Commands that run in it do not see the runs of other tests.
 #[derive(Debug)]
-pub struct Folder(PathBuf);
+pub struct TestFolder(PathBuf);
 
-impl Folder {
+impl TestFolder {
     /// Creates a new, empty folder.
     ///
     /// # Panics
@@ -104,7 +104,7 @@ impl Folder {
     }
 
     /// Runs `reveille ARGS` in this folder and waits for its end.
-    pub fn run(&self, args: &str) -> Finished {
+    pub fn run(&self, args: &str) -> FinishedProcess {
         self.start(args).finish()
     }
 
@@ -112,7 +112,7 @@ impl Folder {
     ///
     /// # Panics
     /// If the command fails.
-    pub fn summary(&self, args: &str) -> Summary {
+    pub fn summary(&self, args: &str) -> SummaryJson {
         self.run(&format!("{args} --json")).summary()
     }
 
@@ -183,13 +183,13 @@ impl Folder {
     }
 }
 
-impl Default for Folder {
+impl Default for TestFolder {
     fn default() -> Self {
         Self::new()
     }
 }
 
-impl Drop for Folder {
+impl Drop for TestFolder {
     fn drop(&mut self) {
         // Keep the folder of a failed test for inspection.
         if !std::thread::panicking() {
@@ -331,7 +331,7 @@ impl Process {
     ///
     /// # Panics
     /// If the process does not end in time.
-    pub fn finish(self) -> Finished {
+    pub fn finish(self) -> FinishedProcess {
         self.finish_within(PATIENCE)
     }
 
@@ -339,7 +339,7 @@ impl Process {
     ///
     /// # Panics
     /// If the process does not end in time.
-    pub fn finish_within(mut self, patience: Duration) -> Finished {
+    pub fn finish_within(mut self, patience: Duration) -> FinishedProcess {
         let deadline = now() + patience;
         let status = loop {
             match self.child.try_wait().expect("the child can be polled") {
@@ -352,7 +352,7 @@ impl Process {
                 ),
             }
         };
-        Finished {
+        FinishedProcess {
             status,
             stdout: self.stdout.all(),
             stderr: self.stderr.all(),
@@ -369,7 +369,7 @@ impl Drop for Process {
 
 /// Ended process.
 #[derive(Debug)]
-pub struct Finished {
+pub struct FinishedProcess {
     /// Exit status of the process.
     pub status: ExitStatus,
     /// Complete standard output.
@@ -378,7 +378,7 @@ pub struct Finished {
     pub stderr: String,
 }
 
-impl Finished {
+impl FinishedProcess {
     /// Exit code; `None` if a signal ended the process.
     pub fn code(&self) -> Option<i32> {
         self.status.code()
@@ -393,13 +393,13 @@ impl Finished {
     ///
     /// # Panics
     /// If the process failed or printed no summary.
-    pub fn summary(&self) -> Summary {
+    pub fn summary(&self) -> SummaryJson {
         assert!(self.is_success(), "{self}");
-        Summary(serde_json::from_str(&self.stdout).expect("--json prints JSON"))
+        SummaryJson(serde_json::from_str(&self.stdout).expect("--json prints JSON"))
     }
 }
 
-impl std::fmt::Display for Finished {
+impl std::fmt::Display for FinishedProcess {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(
             f,
@@ -413,7 +413,7 @@ impl std::fmt::Display for Finished {
 ///
 /// # Panics
 /// If the process ended in any other way.
-pub fn assert_refused(end: &Finished, code: i32, parts: &[&str]) {
+pub fn assert_refused(end: &FinishedProcess, code: i32, parts: &[&str]) {
     assert_eq!(end.code(), Some(code), "{end}");
     for part in parts {
         assert!(end.stderr.contains(part), "no {part:?}: {end}");
@@ -427,9 +427,9 @@ pub fn assert_refused(end: &Finished, code: i32, parts: &[&str]) {
 
 /// Contents of a `summary.json`.
 #[derive(Clone, Debug)]
-pub struct Summary(Value);
+pub struct SummaryJson(Value);
 
-impl Summary {
+impl SummaryJson {
     /// Reads the summary in a run folder.
     ///
     /// # Panics

@@ -16,7 +16,7 @@ use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use crate::process::{PATIENCE, now, wait_until};
 
 /// Command in its own terminal; killed on drop.
-pub struct Windowed {
+pub struct PtyCommand {
     child: Child,
     shown: Arc<Mutex<Vec<u8>>>,
     is_closed: Arc<AtomicBool>,
@@ -24,7 +24,7 @@ pub struct Windowed {
     reader: Option<JoinHandle<()>>,
 }
 
-impl Windowed {
+impl PtyCommand {
     /// Starts `command` in a new terminal. With `is_told` it receives SIGHUP when the terminal closes, as from a shell;
     /// otherwise only its writes fail.
     ///
@@ -123,7 +123,7 @@ impl Windowed {
     }
 }
 
-impl Drop for Windowed {
+impl Drop for PtyCommand {
     fn drop(&mut self) {
         let _ended = self.child.kill().is_err();
         let _reaped = self.child.wait().is_err();

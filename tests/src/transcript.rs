@@ -14,7 +14,7 @@ use reveille_lab::run::{Run, RunOptions};
 
 /// Commands of a base station and events of one run.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Transcript {
+pub struct CommandTranscript {
     /// Plan sent in each TTI.
     pub plans: BTreeMap<u64, Plan>,
     /// Devices woken in each TTI.
@@ -23,7 +23,7 @@ pub struct Transcript {
     pub events: Vec<EventRecord>,
 }
 
-impl Observer for Transcript {
+impl Observer for CommandTranscript {
     fn notify(&mut self, notification: &Notification<'_>) {
         match notification {
             Notification::PlanSent { update, .. } => {
@@ -45,7 +45,7 @@ impl Observer for Transcript {
     }
 }
 
-impl Transcript {
+impl CommandTranscript {
     /// Runs `scenario` in memory and returns its transcript and digest.
     pub fn of(scenario: &Scenario) -> (Self, Digest) {
         let mut transcript = Self::default();

@@ -5,14 +5,14 @@ use std::collections::BTreeMap;
 
 use proptest::strategy::{Strategy, ValueTree};
 use proptest::test_runner::TestRunner;
-use reveille_bs::cycle::Outcome;
+use reveille_bs::cycle::RunOutcome;
 use reveille_bs::policy::adjusted::search::DutyCycleChoice;
 use reveille_bs::scenario::{Override, Scenario, load};
 use reveille_common::deployment::Deployment;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_lab::preparation::{prepare, run};
 use reveille_lab::run::{Run, RunOptions};
-use reveille_tests::process::Folder;
+use reveille_tests::process::TestFolder;
 use reveille_tests::{reference, scenarios};
 
 fn scenario(set: &[&str]) -> Scenario {
@@ -21,12 +21,12 @@ fn scenario(set: &[&str]) -> Scenario {
     load("paper", &overrides).expect("a scenario").scenario
 }
 
-fn facts(outcome: &Outcome) -> BTreeMap<&'static str, f64> {
+fn facts(outcome: &RunOutcome) -> BTreeMap<&'static str, f64> {
     outcome.facts.iter().copied().collect()
 }
 
 fn found(scenario: &Scenario) -> DutyCycleChoice {
-    let found = prepare(scenario).found.expect("a search");
+    let found = prepare(scenario).pilot_choice.expect("a search");
     let found: &dyn Any = &*found;
     *found.downcast_ref().expect("a duty cycle")
 }
@@ -61,7 +61,7 @@ fn the_duty_cycle_sets_the_number_of_sensing_devices() {
         let of = |seed: &str| {
             let scenario = scenario(&[&set[..], &[seed]].concat());
             let mut run = Run::new(&prepare(&scenario), RunOptions::default());
-            run.grant(&mut ());
+            run.run_grant(&mut ());
             let plan = run.cycle().plan().clone();
             let sensing = |k| {
                 (0..devices)
@@ -133,7 +133,7 @@ fn a_search_without_events_warns() {
 /// Equal energy at other times: a search that knows only the mean finds the same pair.
 #[test]
 fn pilots_know_the_mean_of_a_trace_and_not_its_future() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let rows = |of: fn(u32) -> f64| {
         (0..2000)
             .map(|row| format!("{}\n", of(row)))
@@ -187,7 +187,7 @@ fn the_search_takes_the_pair_that_the_second_implementation_takes() {
         let choice = found(&scenario);
         assert_eq!((u64::from(choice.t_on), u64::from(choice.t_drx)), expected, "{text}");
         same += 1;
-        of_many += u64::from(choice.pairs > 1);
+        of_many += u64::from(choice.searched_pairs > 1);
         reaching += u64::from(choice.reaches_i_min);
     }
     assert!(

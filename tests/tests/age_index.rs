@@ -8,17 +8,17 @@ use reveille_common::ids::{DeviceId, Tti};
 use reveille_device::machine::Machine;
 use reveille_lab::preparation::prepare;
 use reveille_lab::run::{Run, RunOptions};
-use reveille_tests::reference::AgeIndex;
+use reveille_tests::reference::ReferenceAgeIndex;
 use reveille_tests::scenarios;
 
 /// Commands and reports of the last granted TTI.
 #[derive(Default)]
-struct Heard {
+struct TtiReports {
     is_found: bool,
     woken: Vec<DeviceId>,
 }
 
-impl Observer for Heard {
+impl Observer for TtiReports {
     fn notify(&mut self, notification: &Notification<'_>) {
         match notification {
             Notification::ReportReceived(_) => self.is_found = true,
@@ -39,14 +39,14 @@ impl Observer for Heard {
 }
 
 /// One TTI of a run: sensing devices, reports, and the batteries before, micro-units.
-struct Played {
+struct PlayedTti {
     sensing: Vec<usize>,
-    heard: Heard,
+    heard: TtiReports,
     levels: Vec<u64>,
 }
 
 /// Runs `scenario` TTI by TTI.
-fn play(scenario: &Scenario) -> Vec<Played> {
+fn play(scenario: &Scenario) -> Vec<PlayedTti> {
     let prepared = prepare(scenario);
     let options = RunOptions {
         lookahead: false,
@@ -61,16 +61,16 @@ fn play(scenario: &Scenario) -> Vec<Played> {
     let mut levels: Vec<u64> = initial.collect();
     (0..scenario.run.ttis)
         .map(|k| {
-            let mut heard = Heard::default();
-            run.grant(&mut heard);
+            let mut heard = TtiReports::default();
+            run.run_grant(&mut heard);
             let plan = run.cycle().plan();
             let is_on = |&j: &usize| plan.duty_cycle(DeviceId(j as u32)).is_on(Tti(k));
             let sensing = (0..levels.len()).filter(is_on).collect();
             let after = run
-                .device_views()
+                .advance_machines()
                 .iter()
                 .map(|machine: &Machine| machine.battery().micro());
-            Played {
+            PlayedTti {
                 sensing,
                 heard,
                 levels: std::mem::replace(&mut levels, after.collect()),
@@ -83,7 +83,7 @@ fn play(scenario: &Scenario) -> Vec<Played> {
 fn compare(scenario: &Scenario, price: f64) -> Result<[usize; 2], TestCaseError> {
     let deployment = prepare(scenario).deployment;
     let energies = deployment.devices.iter().map(|device| device.energy).collect();
-    let Some(mut expected) = AgeIndex::new(scenario, &deployment.positions(), energies, price) else {
+    let Some(mut expected) = ReferenceAgeIndex::new(scenario, &deployment.positions(), energies, price) else {
         return Err(TestCaseError::reject("a place on the rim of a reach"));
     };
     let mut counts = [0; 2];

@@ -7,13 +7,13 @@ use reveille_common::ids::{DeviceId, Tti};
 use reveille_lab::preparation::start;
 use reveille_lab::run::RunOptions;
 use reveille_study::analysis::transitions::measure;
-use reveille_tests::reference::State;
+use reveille_tests::reference::ReferenceState;
 use reveille_tests::{reference, scenarios};
 
 /// Counts transitions by (m, n) in the measured TTIs of a reference run in which every action can be paid.
-fn brute(scenario: &Scenario, run: &reference::Run) -> [[u64; 5]; 5] {
+fn brute(scenario: &Scenario, run: &reference::ReferenceRun) -> [[u64; 5]; 5] {
     let mut first = start(scenario, RunOptions::default());
-    first.grant(&mut ());
+    first.run_grant(&mut ());
     let plan = first.cycle().plan().clone();
     let from = scenario.warm_up_end().0;
     let mut counts = [[0; 5]; 5];
@@ -30,13 +30,13 @@ fn brute(scenario: &Scenario, run: &reference::Run) -> [[u64; 5]; 5] {
             }
             let (state, _) = run.trace[k as usize][j as usize];
             last = Some(match state {
-                State::Idle | State::Asleep => start,
-                State::Transmission => {
+                ReferenceState::Idle | ReferenceState::Asleep => start,
+                ReferenceState::Transmission => {
                     counts[start][2] += 1;
                     counts[2][3] += 1;
                     3
                 }
-                State::Dark => panic!("TTI {k}, device {j}: an action failed"),
+                ReferenceState::Dark => panic!("TTI {k}, device {j}: an action failed"),
             });
         }
     }
@@ -67,7 +67,7 @@ proptest! {
             return Err(TestCaseError::reject("too close to call"));
         }
         let measured = &expected.trace[scenario.warm_up_end().0 as usize..];
-        let sent = measured.iter().flatten().filter(|(state, _)| *state == State::Transmission).count();
+        let sent = measured.iter().flatten().filter(|(state, _)| *state == ReferenceState::Transmission).count();
         let found = measure(&scenario, 1).expect("a study").transitions;
         let count = |m, n| found.iter().find(|t| (t.from, t.to) == (m, n)).map_or(0, |t| t.count);
         prop_assert_eq!(count(2, 3), sent as u64, "{}", text);

@@ -26,12 +26,12 @@ fn prepared(policy: &str, knowledge: &str) -> PreparedRun {
 
 /// Records of a run, as the base station passes them to the audit.
 #[derive(Default)]
-struct Notes {
+struct RecordedNotes {
     noting: DigestFrames,
     frames: Vec<Frame>,
 }
 
-impl Observer for Notes {
+impl Observer for RecordedNotes {
     fn notify(&mut self, notification: &Notification<'_>) {
         let Self { noting, frames } = self;
         noting.encode(notification, |frame| frames.push(frame));
@@ -43,7 +43,7 @@ impl Observer for Notes {
 }
 
 fn noted(prepared: &PreparedRun) -> Vec<Frame> {
-    let mut notes = Notes::default();
+    let mut notes = RecordedNotes::default();
     Run::new(prepared, RunOptions::default()).finish(&mut notes);
     notes.frames
 }
@@ -56,7 +56,7 @@ fn audited(prepared: &PreparedRun, frames: &[Frame], step: u64) -> Result<(), Di
         let before = rest.iter().take_while(|frame| frame.tti < Tti(k)).count();
         let (now, later) = rest.split_at(before);
         shadow.compare(Tti(k), now)?;
-        assert_eq!(shadow.compared(), Tti(k));
+        assert_eq!(shadow.compared_until(), Tti(k));
         rest = later;
     }
     assert!(rest.is_empty());
@@ -98,7 +98,7 @@ fn a_host_with_a_false_battery_is_named() {
         "{:.2} units in the battery of device 17, and the replay {held:.2}",
         held + 2.0
     );
-    assert!(found.what.contains(&said), "{}", found.what);
+    assert!(found.description.contains(&said), "{}", found.description);
 }
 
 #[test]

@@ -138,7 +138,7 @@ fn impossible_events_are_not_waited_for() {
          quiet_alpha = 0.0\nbusy_ttis = 1.0\nquiet_ttis = 1.0\n",
     );
     let (outcome, events) = compare::outcome(&scenario, true, u64::MAX);
-    assert!(outcome.complete && events.is_empty());
+    assert!(outcome.is_complete && events.is_empty());
 }
 
 #[test]

@@ -4,7 +4,7 @@ use proptest::prelude::*;
 use proptest::test_runner::Config;
 use reveille_bs::beliefs::clusters::{ClusterSettings, Clusters};
 use reveille_bs::beliefs::ranking::i_min;
-use reveille_common::geometry::{Area, Layout, Point, place};
+use reveille_common::geometry::{Area, Layout, Point, place_devices};
 use reveille_common::ids::DeviceId;
 use reveille_common::rng::{Purpose, Stream};
 use reveille_common::sensing::{DetectionKind, Fusion, Sensing};
@@ -40,7 +40,7 @@ proptest! {
         layout in layouts(), area in areas(), n in 1..=130u32, seed: u64, neighbours in 1..=9u32, limit_radius: bool,
         d_max in 1.0..12.0f64,
     ) {
-        let points = place(&layout, area, n, seed);
+        let points = place_devices(&layout, area, n, seed);
         let start = || Stream::new(seed, Purpose::Clusters, 0);
         let found = emulated(&points, area, d_max, ClusterSettings { neighbours, limit_radius }, start());
         let expected = reference::clusters(&points, area, d_max, (neighbours as usize, limit_radius), start());
@@ -63,7 +63,7 @@ proptest! {
     fn i_min_is_that_of_the_worst_place(
         layout in layouts(), area in areas(), n in 1..=40u32, seed: u64, eta in 0.05..2.0f64, psi in 0.1..5.0f64,
     ) {
-        let points = place(&layout, area, n, seed);
+        let points = place_devices(&layout, area, n, seed);
         let sensing = Sensing { kind: DetectionKind::Range, d_max: 4.0, eta, psi, g: Fusion::Max };
         let (found, expected) = (i_min(&points, area, &sensing), reference::least_information(&points, area, &sensing));
         prop_assert!((found / expected - 1.0).abs() < 1e-9, "{} and {}", found, expected);
@@ -79,7 +79,7 @@ fn random_deployments_make_clusters_of_all_kinds() {
     };
     let (mut split, mut moved) = (0, 0);
     for seed in 0..40 {
-        let points = place(&Layout::Uniform, area, 60, seed);
+        let points = place_devices(&Layout::Uniform, area, 60, seed);
         let start = || Stream::new(seed, Purpose::Clusters, 0);
         let whole = reference::clusters(&points, area, 4.0, (5, false), start());
         let parts = reference::clusters(&points, area, 4.0, (5, true), start());

@@ -2,7 +2,7 @@
 
 use std::cell::RefCell;
 
-use reveille_bs::cycle::{Outcome, PreparedRun};
+use reveille_bs::cycle::{PreparedRun, RunOutcome};
 use reveille_bs::observer::frames::FrameObserver;
 use reveille_bs::scenario::{Override, load};
 use reveille_common::ids::{DeviceId, Tti};
@@ -29,10 +29,10 @@ fn prepared(policy: &str) -> PreparedRun {
     prepare(&load("paper", &set).expect("a scenario").scenario)
 }
 
-fn run(prepared: &PreparedRun, outages: &[DeviceRemoval], options: RunOptions) -> (Outcome, Vec<Frame>) {
+fn run(prepared: &PreparedRun, outages: &[DeviceRemoval], options: RunOptions) -> (RunOutcome, Vec<Frame>) {
     let frames = RefCell::new(Vec::new());
     let mut run = Run::new(prepared, options);
-    run.schedule_inputs(&ExternalInputs::of_outages(outages));
+    run.schedule_inputs(&ExternalInputs::from_outages(outages));
     let outcome = run.finish(&mut FrameObserver::new(0, |frame| frames.borrow_mut().push(frame)));
     (outcome, frames.into_inner())
 }
@@ -106,10 +106,10 @@ fn removed_devices_send_nothing() {
             for outage in &outages {
                 let is_after = |tti: Tti| tti > outage.tti || (tti == outage.tti && outage.wake_ups.is_none());
                 let heard = reports(&disturbed).into_iter();
-                let mut late = heard.filter(|(tti, device)| outage.has(*device) && is_after(*tti));
+                let mut late = heard.filter(|(tti, device)| outage.contains(*device) && is_after(*tti));
                 assert_eq!(late.next(), None, "{policy}, {outage:?}");
                 for (tti, device, came) in wake_ups(&disturbed) {
-                    let is_removed = outage.has(device) && is_after(tti);
+                    let is_removed = outage.contains(device) && is_after(tti);
                     assert!(
                         !is_removed || came == WakeOutcome::Missed,
                         "{policy}, {outage:?}: {came:?}"
@@ -212,7 +212,7 @@ fn a_replay_with_a_late_removal_goes_back() {
     let (outcome, _) = run(&prepared, &[lost], RunOptions::default());
     for reached in [10, 601, 900] {
         let mut shadow = Replay::new(&prepared, &ExternalInputs::default(), Tti::ZERO);
-        shadow.devices(Tti(reached), DeviceId(0), 1);
+        shadow.checkpoints(Tti(reached), DeviceId(0), 1);
         shadow.add_input(ExternalInput::Outage(lost));
         assert_eq!(shadow.outcome(Tti(TTIS)), outcome, "from TTI {reached}");
     }

@@ -4,7 +4,7 @@
 use reveille_bs::cycle::PreparedRun;
 use reveille_bs::policy::external::wire::{DecisionRequest, Hello};
 use reveille_bs::policy::external::{
-    DEVICE, Decision, DecisionContext, DecisionStage, GLOBAL, PlanDecision, RecordedDecision,
+    DEVICE_FEATURES, Decision, DecisionContext, DecisionStage, GLOBAL_FEATURES, PlanDecision, RecordedDecision,
 };
 use reveille_bs::policy::{outside, registry};
 use reveille_bs::scenario::{Override, Scenario, load};
@@ -20,7 +20,7 @@ use reveille_common::world::World;
 use reveille_lab::external_inputs::ExternalInputs;
 use reveille_lab::run::{Run, RunOptions};
 use reveille_lab::stepped_run::SteppedRun;
-use reveille_tests::transcript::Transcript;
+use reveille_tests::transcript::CommandTranscript;
 
 fn overrides(policy: &str, set: &[&str]) -> Vec<Override> {
     let policy = format!("policy.name={policy}");
@@ -37,9 +37,9 @@ fn external(set: &[&str]) -> Scenario {
         .scenario
 }
 
-fn stepping(scenario: &Scenario, world: World, options: RunOptions) -> SteppedRun<Transcript> {
+fn stepping(scenario: &Scenario, world: World, options: RunOptions) -> SteppedRun<CommandTranscript> {
     let prepared = PreparedRun::without_pilots(scenario);
-    SteppedRun::with_world(&prepared, world, options, Transcript::default())
+    SteppedRun::with_world(&prepared, world, options, CommandTranscript::default())
 }
 
 fn own_world(scenario: &Scenario) -> World {
@@ -48,7 +48,7 @@ fn own_world(scenario: &Scenario) -> World {
 }
 
 /// Returns the digest of a run answered with the decisions of `first`, `at_a_time` wake-ups per answer or all together.
-fn replayed(scenario: &Scenario, first: &Transcript, options: RunOptions, at_a_time: usize) -> Digest {
+fn replayed(scenario: &Scenario, first: &CommandTranscript, options: RunOptions, at_a_time: usize) -> Digest {
     let mut stepping = stepping(scenario, own_world(scenario), options);
     let mut given = 0_usize;
     while let Some(question) = stepping.pending_decision() {
@@ -70,7 +70,7 @@ fn replayed(scenario: &Scenario, first: &Transcript, options: RunOptions, at_a_t
         }
     }
     let (outcome, _) = stepping.finish();
-    assert!(outcome.complete);
+    assert!(outcome.is_complete);
     outcome.digest
 }
 
@@ -102,7 +102,7 @@ fn external_decisions_of_a_policy_give_its_digest() {
             _ => set.to_vec(),
         };
         let own = load("paper", &overrides(policy, &set)).expect("a scenario").scenario;
-        let (first, own_digest) = Transcript::of(&own);
+        let (first, own_digest) = CommandTranscript::of(&own);
         wake_ups += first.wake_ups.len();
         let set: Vec<&str> = set.into_iter().filter(|set| !set.starts_with("policy.")).collect();
         let scenario = external(&set);
@@ -127,7 +127,7 @@ fn external_decisions_of_a_policy_give_its_digest() {
 fn an_unlimited_plan_is_not_requested_again() {
     let scenario = external(&[]);
     let own = load("paper", &overrides("knn", &[])).expect("a scenario").scenario;
-    let (first, digest) = Transcript::of(&own);
+    let (first, digest) = CommandTranscript::of(&own);
     let mut stepping = stepping(&scenario, own_world(&scenario), RunOptions::default());
     let mut plans = 0;
     while let Some(question) = stepping.pending_decision() {
@@ -158,8 +158,8 @@ fn said(question: &DecisionContext<'_>) -> String {
     };
     let devices: Vec<(bool, bool, bool)> = (0..n).map(each).collect();
     let at = (seen.now, question.stage, seen.plan, seen.information);
-    let mut rows = vec![0.0; n as usize * DEVICE.len()];
-    let (mut row, mut mask) = ([0.0; GLOBAL.len()], vec![0; n as usize]);
+    let mut rows = vec![0.0; n as usize * DEVICE_FEATURES.len()];
+    let (mut row, mut mask) = ([0.0; GLOBAL_FEATURES.len()], vec![0; n as usize]);
     question.write_devices(&mut rows);
     question.write_global(&mut row);
     question.write_mask(&mut mask);
@@ -175,7 +175,7 @@ fn said(question: &DecisionContext<'_>) -> String {
 }
 
 /// Answers with random draws that depend only on the earlier requests.
-fn drawn(stepping: &mut SteppedRun<Transcript>, stream: &mut Stream) -> Vec<String> {
+fn drawn(stepping: &mut SteppedRun<CommandTranscript>, stream: &mut Stream) -> Vec<String> {
     let mut heard = Vec::new();
     while let Some(question) = stepping.pending_decision() {
         heard.push(said(&question));
@@ -253,7 +253,7 @@ fn impossible_wake_ups_are_dropped() {
     }
     let (outcome, transcript) = stepping.finish();
     assert!(rounds > 30, "{rounds} rounds");
-    assert!(outcome.complete && transcript.plans.len() == 400);
+    assert!(outcome.is_complete && transcript.plans.len() == 400);
     for (k, plan) in transcript.plans {
         let on = (0..60).filter(|&j| plan.duty_cycle(DeviceId(j)).is_on(Tti(k))).count();
         assert!((1..=2).contains(&on), "TTI {k}: {on}");
@@ -282,12 +282,12 @@ fn a_run_stands_where_its_log_ends() {
                 Decision::Plan(decision) => stepping.decide(decision),
                 Decision::Wake(devices) => stepping.wake(&devices),
             }
-            all.decisions.push(RecordedDecision { tti, answer });
+            all.decisions.push(RecordedDecision { tti, decision: answer });
         }
         let digest = stepping.finish().0.digest;
         let prepared = PreparedRun::without_pilots(&scenario);
         let end = Tti(scenario.run.ttis);
-        let wakes = |at: usize| all.decisions.get(at).map(|next| next.answer.stage()) == Some(DecisionStage::Wake);
+        let wakes = |at: usize| all.decisions.get(at).map(|next| next.decision.stage()) == Some(DecisionStage::Wake);
         assert!((0..all.decisions.len()).filter(|at| wakes(*at)).count() > 20);
         for length in 0..=all.decisions.len() {
             let mut run = Run::new(&prepared, RunOptions::default());

@@ -17,19 +17,19 @@ use reveille_lab::run::{Run, RunOptions};
 
 /// Commands of a base station in a run, and its beliefs about events.
 #[derive(Debug, Default, PartialEq)]
-struct Transcript {
+struct DecisionTranscript {
     plans: Vec<(Tti, Plan)>,
     wake_ups: Vec<(Tti, DeviceId)>,
     beliefs: Vec<(Tti, Vec<WeightedPoint>)>,
 }
 
 #[derive(Default)]
-struct Watch {
-    transcript: Transcript,
+struct DecisionObserver {
+    transcript: DecisionTranscript,
     events: Vec<EventRecord>,
 }
 
-impl Observer for Watch {
+impl Observer for DecisionObserver {
     fn notify(&mut self, notification: &Notification<'_>) {
         match notification {
             Notification::PlanSent { update, .. } => self.transcript.plans.push((update.from, update.plan.clone())),
@@ -53,10 +53,10 @@ impl Observer for Watch {
     }
 }
 
-fn play(prepared: &PreparedRun, script: &[ScriptedEvent]) -> Watch {
+fn play(prepared: &PreparedRun, script: &[ScriptedEvent]) -> DecisionObserver {
     let process = EventProcess::scripted(script.to_vec());
     let world = World::with_events(&prepared.scenario, &prepared.deployment, process);
-    let mut watch = Watch::default();
+    let mut watch = DecisionObserver::default();
     Run::with_world(prepared, world, RunOptions::default()).finish(&mut watch);
     watch
 }
@@ -88,7 +88,13 @@ fn script(prepared: &PreparedRun) -> Vec<ScriptedEvent> {
 
 /// Whether no device within d_max of `epicentre` is in S1 from `start` for `duration` TTIs under the plans of
 /// `transcript`.
-fn is_unseen(prepared: &PreparedRun, transcript: &Transcript, epicentre: Point, start: Tti, duration: u64) -> bool {
+fn is_unseen(
+    prepared: &PreparedRun,
+    transcript: &DecisionTranscript,
+    epicentre: Point,
+    start: Tti,
+    duration: u64,
+) -> bool {
     let d_max = prepared.scenario.sensing.d_max;
     (start.0..start.0 + duration).map(Tti).all(|k| {
         let at = transcript.plans.partition_point(|(from, _)| *from <= k);
@@ -216,7 +222,7 @@ fn policies() -> Vec<PreparedRun> {
 }
 
 /// Runs `script` and checks that a policy that can wake devices does, since the test is vacuous otherwise.
-fn first(prepared: &PreparedRun, script: &[ScriptedEvent]) -> Watch {
+fn first(prepared: &PreparedRun, script: &[ScriptedEvent]) -> DecisionObserver {
     let watch = play(prepared, script);
     let name = prepared.scenario.policy.name();
     let can_wake = registry::named(name).expect("a policy").wakes;

@@ -115,7 +115,7 @@ proptest! {
 }
 
 /// Effect of one TTI on one device.
-struct Passed {
+struct DeviceTtiDelta {
     costs: EnergyModel,
     /// δ.
     delta: bool,
@@ -130,20 +130,20 @@ struct Passed {
 }
 
 /// Effects of one TTI.
-struct Step {
+struct TtiDelta {
     k: Tti,
-    devices: Vec<Passed>,
+    devices: Vec<DeviceTtiDelta>,
 }
 
 type Checked = Result<(), TestCaseError>;
 
 /// Runs `scenario` and calls `check` for every TTI.
-fn each_tti(scenario: &Scenario, mut check: impl FnMut(&Step) -> Checked) -> Checked {
+fn each_tti(scenario: &Scenario, mut check: impl FnMut(&TtiDelta) -> Checked) -> Checked {
     let deployment = Deployment::new(scenario);
     let mut run = start(scenario, STEPPED);
     for k in (0..scenario.run.ttis).map(Tti) {
         let unstepped = run.machines().to_vec();
-        run.grant(&mut ());
+        run.run_grant(&mut ());
         prop_assert_eq!(run.cycle().next_tti(), k + 1);
         let passed = |(mut before, after): (Machine, &Machine)| {
             // The device's own δ: it may have missed the current plan.
@@ -156,7 +156,7 @@ fn each_tti(scenario: &Scenario, mut check: impl FnMut(&Step) -> Checked) -> Che
             ended.begin(k);
             let state = ended.state();
             ended.advance_to(k + 1);
-            Passed {
+            DeviceTtiDelta {
                 costs: deployment.devices[after.id().index()].energy,
                 delta: duty.is_on(k),
                 before: before.state(),
@@ -167,14 +167,14 @@ fn each_tti(scenario: &Scenario, mut check: impl FnMut(&Step) -> Checked) -> Che
             }
         };
         let devices = unstepped.into_iter().zip(run.machines()).map(passed).collect();
-        check(&Step { k, devices })?;
+        check(&TtiDelta { k, devices })?;
     }
     Ok(())
 }
 
 /// Checks the energy balance of a device; `for_nothing` is the maximum number of fruitless wake-ups in a TTI.
-fn balanced(device: &Passed, for_nothing: u64) -> Checked {
-    let Passed {
+fn balanced(device: &DeviceTtiDelta, for_nothing: u64) -> Checked {
+    let DeviceTtiDelta {
         costs, opened, closed, ..
     } = device;
     for totals in [opened, closed] {
@@ -200,8 +200,8 @@ fn balanced(device: &Passed, for_nothing: u64) -> Checked {
     Ok(())
 }
 
-fn consistent(device: &Passed, wakes_late: bool) -> Checked {
-    let Passed {
+fn consistent(device: &DeviceTtiDelta, wakes_late: bool) -> Checked {
+    let DeviceTtiDelta {
         costs,
         delta,
         before,

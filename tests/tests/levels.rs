@@ -7,17 +7,17 @@ use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::plan::Plan;
 use reveille_lab::preparation::start;
 use reveille_lab::run::RunOptions;
-use reveille_tests::process::Folder;
+use reveille_tests::process::TestFolder;
 
 /// Number of sensing devices in each TTI, and the ended events with whether they were reported.
-struct Watch {
+struct SensingObserver {
     devices: u32,
     plan: Plan,
     sensing: Vec<usize>,
     events: Vec<(Tti, bool)>,
 }
 
-impl Watch {
+impl SensingObserver {
     fn sensing_in(&self, ttis: std::ops::Range<usize>) -> f64 {
         let n = ttis.len() as f64;
         self.sensing[ttis].iter().sum::<usize>() as f64 / n
@@ -29,7 +29,7 @@ impl Watch {
     }
 }
 
-impl Observer for Watch {
+impl Observer for SensingObserver {
     fn notify(&mut self, notification: &Notification<'_>) {
         match notification {
             Notification::PlanSent { update, .. } => self.plan = update.plan.clone(),
@@ -53,7 +53,7 @@ impl Observer for Watch {
 }
 
 /// Runs 40 devices under `q-learning` with harvest `rows`, units per TTI.
-fn watch(folder: &Folder, knowledge: &str, rows: impl Iterator<Item = u32>) -> Watch {
+fn watch(folder: &TestFolder, knowledge: &str, rows: impl Iterator<Item = u32>) -> SensingObserver {
     let rows: Vec<String> = rows.map(|units| units.to_string()).collect();
     let file = folder.write("energy.csv", &format!("e\n{}\n", rows.join("\n")));
     let file = format!("harvest.trace.file={}", file.display());
@@ -72,7 +72,7 @@ fn watch(folder: &Folder, knowledge: &str, rows: impl Iterator<Item = u32>) -> W
         .iter()
         .map(|set| Override::parse(set).expect("an override"))
         .collect();
-    let mut watch = Watch {
+    let mut watch = SensingObserver {
         devices: 40,
         plan: Plan::from_bits([]),
         sensing: Vec::new(),
@@ -89,7 +89,7 @@ fn watch(folder: &Folder, knowledge: &str, rows: impl Iterator<Item = u32>) -> W
 
 #[test]
 fn devices_without_harvest_are_woken_ever_less_often() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     let ended = watch(&folder, "reported", std::iter::repeat_n(2, 200));
     let thousands: Vec<f64> = (0..12).map(|i| ended.sensing_in(1000 * i..1000 * (i + 1))).collect();
     assert!(thousands[0] > 3.0, "{thousands:?}");
@@ -100,7 +100,7 @@ fn devices_without_harvest_are_woken_ever_less_often() {
 
 #[test]
 fn devices_that_charge_again_are_woken_again() {
-    let folder = Folder::new();
+    let folder = TestFolder::new();
     // A night of 600 TTIs, then day to the end.
     let rows = || (0..12_000).map(|k| if (200..800).contains(&k) { 0 } else { 2 });
     let [known, estimated] = ["oracle", "reported"].map(|knowledge| watch(&folder, knowledge, rows()));

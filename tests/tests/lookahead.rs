@@ -1,6 +1,6 @@
 //! Lookahead: the number of TTIs in a grant does not change the result.
 
-use reveille_bs::cycle::{Outcome, PreparedRun};
+use reveille_bs::cycle::{PreparedRun, RunOutcome};
 use reveille_bs::scenario::{Override, load};
 use reveille_lab::preparation::prepare;
 use reveille_lab::run::{Run, RunOptions};
@@ -19,7 +19,7 @@ fn prepared(policy: &str, knowledge: &str) -> PreparedRun {
 }
 
 /// Returns the number of grants and the outcome of the run.
-fn grants(prepared: &PreparedRun, lookahead: bool) -> (u64, Outcome) {
+fn grants(prepared: &PreparedRun, lookahead: bool) -> (u64, RunOutcome) {
     let mut run = Run::new(
         prepared,
         RunOptions {
@@ -29,7 +29,7 @@ fn grants(prepared: &PreparedRun, lookahead: bool) -> (u64, Outcome) {
     );
     let mut grants = 0;
     while run.cycle().next_tti().0 < TTIS {
-        run.grant(&mut ());
+        run.run_grant(&mut ());
         grants += 1;
     }
     (grants, run.finish(&mut ()))

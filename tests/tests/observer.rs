@@ -72,12 +72,12 @@ async fn over_the_bus(prepared: &PreparedRun, lookahead: bool, hosts: u32) -> Ve
                 .await
                 .expect("a link");
             let offer = HostConfig {
-                count: devices.div_ceil(hosts),
+                max_devices: devices.div_ceil(hosts),
                 name: format!("host {host} of a test"),
                 key: None,
                 patience: PATIENCE,
                 stands_by: false,
-                hands_over: false,
+                uses_worker: false,
             };
             run_host(&own, offer, &|_| {}).await
         });
@@ -86,19 +86,19 @@ async fn over_the_bus(prepared: &PreparedRun, lookahead: bool, hosts: u32) -> Ve
         lookahead,
         pace: Pace::Max,
         on_loss: OnLoss::End,
-        window: u64::MAX,
-        join_patience: Some(PATIENCE),
-        paused: false,
-        state_interval: 0,
-        key: None,
-        members_only: false,
+        window_ttis: u64::MAX,
+        join_timeout: Some(PATIENCE),
+        starts_paused: false,
+        state_interval_ttis: 0,
+        run_key: None,
+        join_needs_key: false,
     };
     let course = RunSpec {
         prepared,
-        session: Session::new(prepared, settings.window),
-        resumption: None,
+        session: Session::new(prepared, settings.window_ttis),
+        checkpoint: None,
         replay: None,
-        patience: None,
+        decision_timeout: None,
     };
     let mut record = Record::default();
     let progress = Arc::new(RunProgress::default());

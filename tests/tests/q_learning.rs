@@ -1,15 +1,15 @@
 //! Choice of sensing devices under `q-learning`, compared with the second implementation.
 
 use proptest::prelude::*;
-use reveille_bs::policy::q_learning::duty::{Duty, DutyTerms};
-use reveille_bs::policy::q_learning::learned::{AREAS, DutyTable, Lookback, QWeights, Schedule};
+use reveille_bs::policy::q_learning::duty::{DutyLearner, DutyParameters};
+use reveille_bs::policy::q_learning::learned::{AREA_BUCKETS, DutyTable, Lookback, QWeights, Schedule};
 use reveille_bs::policy::q_learning::settings::QLearningSettings;
 use reveille_bs::scenario::{EnergyModel, Override, load};
-use reveille_common::geometry::{Area, Layout, place};
+use reveille_common::geometry::{Area, Layout, place_devices};
 use reveille_common::rng::{Purpose, Stream};
 use reveille_common::sensing::{DetectionKind, Fusion, Sensing};
 use reveille_common::units::Energy;
-use reveille_tests::reference::{AgeIndex, Sequential, choose_by_ages};
+use reveille_tests::reference::{ReferenceAgeIndex, Sequential, choose_by_ages};
 
 const GROUNDS: [(f64, f64); 4] = [(20.0, 20.0), (31.0, 7.3), (3.0, 1.0), (9.0, 14.0)];
 
@@ -27,8 +27,8 @@ fn energy() -> EnergyModel {
     }
 }
 
-fn terms(lookback: Lookback) -> DutyTerms {
-    DutyTerms {
+fn terms(lookback: Lookback) -> DutyParameters {
+    DutyParameters {
         schedule: Schedule::default(),
         weights: QWeights {
             mu1: 10.0,
@@ -37,7 +37,7 @@ fn terms(lookback: Lookback) -> DutyTerms {
         },
         alpha: 0.2,
         lookback,
-        lost: 0.0,
+        loss_probability: 0.0,
     }
 }
 
@@ -49,7 +49,7 @@ fn table(stream: &mut Stream, bias: f64) -> DutyTable {
         cell.value = 20.0 + 4.0 * (stream.unit() - 0.5);
         cell.visits = stream.below(5000) as u32;
         if index % 2 == 1 {
-            cell.value += bias + (index / 2 % AREAS) as f64 * 0.2;
+            cell.value += bias + (index / 2 % AREA_BUCKETS) as f64 * 0.2;
         }
     }
     table
@@ -82,11 +82,11 @@ proptest! {
             psi: 1.0,
             g: Fusion::Max,
         };
-        let points = place(&Layout::Uniform, area, devices, seed);
+        let points = place_devices(&Layout::Uniform, area, devices, seed);
         let mut stream = Stream::new(seed, Purpose::Training, 1);
         let table = table(&mut stream, bias);
         let energies = vec![energy(); devices as usize];
-        let mut duty = Duty::new(table.clone(), terms(Lookback::Window(window)), &points, energies, area, &sensing);
+        let mut duty = DutyLearner::new(table.clone(), terms(Lookback::Window(window)), &points, energies, area, &sensing);
         let mut reference = Sequential::new(&points, area, &sensing, energy(), window as usize);
         for k in 0..6 {
             let levels = levels(devices as usize, &mut stream);
@@ -114,10 +114,10 @@ fn shipped_tables_choose_as_the_second_implementation_does() {
             .downcast_ref::<QLearningSettings>()
             .expect("q-learning");
         let (area, sensing, energy) = (scenario.area, &scenario.sensing, scenario.classes[0].energy);
-        let points = place(&scenario.layout, area, devices, 9);
-        let table = settings.start.duty.clone();
+        let points = place_devices(&scenario.layout, area, devices, 9);
+        let table = settings.initial_tables.duty.clone();
         let energies = vec![energy; devices as usize];
-        let mut duty = Duty::new(
+        let mut duty = DutyLearner::new(
             table.clone(),
             terms(Lookback::Window(window)),
             &points,
@@ -155,12 +155,12 @@ fn with_ages_the_choice_is_that_of_the_second_implementation() {
         let scenario = load("paper", &set).expect("a scenario").scenario;
         let mut stream = Stream::new(seed, Purpose::Training, 2);
         let devices = 2 + stream.below(30) as u32;
-        let points = place(&Layout::Uniform, scenario.area, devices, seed);
+        let points = place_devices(&Layout::Uniform, scenario.area, devices, seed);
         let energies = vec![energy(); devices as usize];
         let bias = 4.0 * stream.unit() - 3.0;
         let table = table(&mut stream, bias);
         let lookback = terms(Lookback::Ages);
-        let mut duty = Duty::new(
+        let mut duty = DutyLearner::new(
             table.clone(),
             lookback,
             &points,
@@ -168,7 +168,7 @@ fn with_ages_the_choice_is_that_of_the_second_implementation() {
             scenario.area,
             &scenario.sensing,
         );
-        let Some(mut places) = AgeIndex::new(&scenario, &points, energies, 1.0) else {
+        let Some(mut places) = ReferenceAgeIndex::new(&scenario, &points, energies, 1.0) else {
             continue;
         };
         for k in 0..10 {
@@ -182,7 +182,7 @@ fn with_ages_the_choice_is_that_of_the_second_implementation() {
             let is_found = stream.unit() < 0.2;
             places.pass(&chosen, is_found);
             if is_found {
-                duty.found();
+                duty.record_event();
             }
         }
     }

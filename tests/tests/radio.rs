@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use reveille_bs::base_station::Station;
+use reveille_bs::base_station::BaseStation;
 use reveille_bs::cycle::{Cycle, PreparedRun};
 use reveille_bs::knowledge::Knowledge;
 use reveille_bs::observer::{Notification, Observer};
@@ -13,7 +13,7 @@ use reveille_common::geometry::Point;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::WakeOutcome;
 use reveille_common::plan::Plan;
-use reveille_common::radio::{Air, Link};
+use reveille_common::radio::{Air, RadioLossRates};
 use reveille_common::world::World;
 use reveille_device::machine::Machine;
 use reveille_lab::preparation::prepare;
@@ -27,7 +27,7 @@ fn prepared(set: &[&str]) -> PreparedRun {
 
 /// Decisions of a base station and their outcomes.
 #[derive(Clone, Debug, Default, PartialEq)]
-struct Watch {
+struct RadioObserver {
     plans: Vec<(Tti, Plan)>,
     wake_ups: Vec<(Tti, DeviceId)>,
     /// By kind of notification: the count, and the last TTI.
@@ -41,7 +41,7 @@ struct Watch {
     lost: u64,
 }
 
-impl Observer for Watch {
+impl Observer for RadioObserver {
     fn notify(&mut self, notification: &Notification<'_>) {
         match notification {
             Notification::PlanSent { update, .. } => self.plans.push((update.from, update.plan.clone())),
@@ -73,8 +73,8 @@ impl Observer for Watch {
     }
 }
 
-fn watch(prepared: &PreparedRun) -> Watch {
-    let mut watch = Watch::default();
+fn watch(prepared: &PreparedRun) -> RadioObserver {
+    let mut watch = RadioObserver::default();
     Run::new(prepared, RunOptions::default()).finish(&mut watch);
     watch
 }
@@ -103,7 +103,7 @@ fn reports_and_wake_ups_are_lost_as_they_are_drawn() {
         all.sort_unstable();
         for &(tti, device, is_lost) in &all {
             assert_eq!(
-                air.at(tti).loses_report(device),
+                air.channel_at(tti).loses_report(device),
                 is_lost,
                 "{policy}: device {device} in TTI {tti}"
             );
@@ -117,7 +117,7 @@ fn reports_and_wake_ups_are_lost_as_they_are_drawn() {
         );
         let mut air = Air::new(prepared.scenario.run.seed, &prepared.scenario.radio);
         for &(tti, device) in &seen.wake_ups {
-            let is_missed = air.at(tti).misses_wake_up(device);
+            let is_missed = air.channel_at(tti).misses_wake_up(device);
             let is_unheard = seen.missed_wake_ups.contains(&(tti, device));
             assert!(is_unheard || !is_missed, "{policy}: device {device} heard in TTI {tti}");
         }
@@ -165,13 +165,13 @@ fn devices_that_miss_plans_keep_the_old_one() {
         let set = [&*name, "ttis=1500", "radio.plan_loss=0.4", "bs.sync_interval=200"];
         let prepared = prepared(&set);
         let mut run = Run::new(&prepared, RunOptions::default());
-        let mut watch = Watch::default();
+        let mut watch = RadioObserver::default();
         let mut air = Air::new(prepared.scenario.run.seed, &prepared.scenario.radio);
         let mut heard: Vec<_> = run.machines().iter().map(Machine::duty).collect();
         let mut differing = 0_u64;
         while run.cycle().next_tti() < Tti(1500) {
             let before = watch.plans.len();
-            run.grant(&mut watch);
+            run.run_grant(&mut watch);
             for (from, plan) in &watch.plans[before..] {
                 let devices = heard.len();
                 air.deliver_plan(*from, plan, DeviceId(0), devices, |j, cycle| heard[j] = cycle);
@@ -213,12 +213,12 @@ fn a_base_station_does_not_learn_lost_reports() {
             let world = World::with_events(&prepared.scenario, &prepared.deployment, process);
             // A base station that assumes a perfect radio: one that knew of the losses would not plan any sensing.
             let known = Knowledge {
-                radio: Link::default(),
+                radio: RadioLossRates::default(),
                 ..prepared.knowledge()
             };
             let policy = prepared.policy(&known);
-            let cycle = Cycle::with_station(&prepared, world, Station::new(known, policy));
-            let mut watch = Watch::default();
+            let cycle = Cycle::with_station(&prepared, world, BaseStation::new(known, policy));
+            let mut watch = RadioObserver::default();
             Run::with_cycle(&prepared, cycle, RunOptions::default()).finish(&mut watch);
             watch
         };
@@ -266,7 +266,7 @@ fn every_failure_has_its_metric() {
 
 /// Wake-ups of the current event: its start, and for each wake-up the TTI sent and its outcome.
 #[derive(Default)]
-struct Calls {
+struct WakeUpTimes {
     start: Tti,
     sent: Vec<Tti>,
     /// TTIs from the event's start until the device was awake, and the outcome.
@@ -274,7 +274,7 @@ struct Calls {
     latency: u64,
 }
 
-impl Observer for Calls {
+impl Observer for WakeUpTimes {
     fn notify(&mut self, notification: &Notification<'_>) {
         match notification {
             Notification::EventStarted(event) => self.start = event.start,
@@ -318,9 +318,9 @@ fn a_device_that_wakes_after_the_event_detects_nothing() {
             "events.duration=6",
             "energy.initial=100",
         ]);
-        let mut calls = Calls {
+        let mut calls = WakeUpTimes {
             latency,
-            ..Calls::default()
+            ..WakeUpTimes::default()
         };
         let outcome = Run::new(&prepared, RunOptions::default()).finish(&mut calls);
         let (mut in_time, mut late) = (0, 0);

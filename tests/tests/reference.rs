@@ -9,7 +9,7 @@ use reveille_bs::scenario::Scenario;
 use reveille_common::event::EventRecord;
 use reveille_common::score::{EventActivity, Metrics};
 use reveille_common::totals::{DeviceTotals, RadioLosses, Totals};
-use reveille_tests::reference::Run;
+use reveille_tests::reference::ReferenceRun;
 use reveille_tests::{compare, reference, scenarios};
 
 proptest! {
@@ -28,7 +28,7 @@ proptest! {
         prop_assert_eq!(events, expected.events.clone(), "events\n{}", text);
         prop_assert_eq!(compare::ledgers(&scenario, lookahead), expected.ledgers.clone(), "ledgers\n{}", text);
         let acts = outcome.devices.iter().map(|device| {
-            let EventActivity { reports, wake_ups, heard, wrong_activations } = device.acts;
+            let EventActivity { reports, wake_ups, heard, wrong_activations } = device.activity;
             [reports, wake_ups, heard, wrong_activations]
         });
         prop_assert_eq!(acts.collect::<Vec<_>>(), expected.acts.clone(), "acts of devices\n{}", text);
@@ -39,7 +39,7 @@ proptest! {
         prop_assert_eq!(outcome.totals.ttis, scenario.run.ttis - warm_up_end(&scenario));
         let messages = expected.wake_ups + synchronisations(&scenario);
         prop_assert_eq!(outcome.totals.control.messages, messages, "control messages\n{}", text);
-        prop_assert!(outcome.complete && outcome.ttis_done == scenario.run.ttis);
+        prop_assert!(outcome.is_complete && outcome.ttis_done == scenario.run.ttis);
         same_metrics(&scenario, &expected, &outcome.totals, &outcome.metrics)?;
     }
 
@@ -119,7 +119,7 @@ fn random_scenarios_cover_every_case() {
 }
 
 /// Returns `scenario`, cut short before the first decision that is too close to call, and its reference run.
-fn decided(mut scenario: Scenario) -> Option<(Scenario, reference::Run)> {
+fn decided(mut scenario: Scenario) -> Option<(Scenario, reference::ReferenceRun)> {
     loop {
         let run = reference::simulate(&scenario);
         match run.ambiguous {
@@ -141,7 +141,12 @@ fn synchronisations(scenario: &Scenario) -> u64 {
 }
 
 /// Checks that the metrics equal their definitions applied to the reference run, except for traffic.
-fn same_metrics(scenario: &Scenario, run: &Run, totals: &Totals, metrics: &Metrics) -> Result<(), TestCaseError> {
+fn same_metrics(
+    scenario: &Scenario,
+    run: &ReferenceRun,
+    totals: &Totals,
+    metrics: &Metrics,
+) -> Result<(), TestCaseError> {
     let counted: Vec<_> = run.events.iter().filter(|record| record.counted).collect();
     let seen: Vec<_> = counted.iter().filter(|record| record.tally.reports > 0).collect();
     let (n, ttis) = (
@@ -168,7 +173,7 @@ fn same_metrics(scenario: &Scenario, run: &Run, totals: &Totals, metrics: &Metri
     Ok(())
 }
 
-fn lost(run: &Run, n: f64, ttis: f64) -> Vec<Row> {
+fn lost(run: &ReferenceRun, n: f64, ttis: f64) -> Vec<Row> {
     let RadioLosses {
         reports,
         wake_ups,
@@ -225,7 +230,7 @@ fn information(counted: &[&EventRecord], seen: &[&&EventRecord], expected_events
     ]
 }
 
-fn energy(run: &Run, n: f64, ttis: f64) -> Vec<Row> {
+fn energy(run: &ReferenceRun, n: f64, ttis: f64) -> Vec<Row> {
     let measured: Vec<DeviceTotals> = run.ledgers.iter().map(|ledger| ledger.measured).collect();
     let sum = |of: fn(&DeviceTotals) -> f64| measured.iter().map(of).sum::<f64>();
     let mean = |of: fn(&DeviceTotals) -> f64| sum(of) / n / ttis;

@@ -1,7 +1,7 @@
 //! Ψ is a unit: a run whose reports are worth three times as much, or a tenth, has the same commands and scaled
 //! information (Eq. (1)).
 
-use reveille_bs::cycle::Outcome;
+use reveille_bs::cycle::RunOutcome;
 use reveille_bs::observer::{Notification, Observer};
 use reveille_bs::scenario::{Override, load};
 use reveille_common::ids::{DeviceId, Tti};
@@ -12,14 +12,14 @@ use reveille_lab::run::RunOptions;
 
 /// Commands, and senders and information of reports.
 #[derive(Default)]
-struct Heard {
+struct ScaledRun {
     plans: Vec<(Tti, Plan)>,
     wake_ups: Vec<(Tti, DeviceId)>,
     reports: Vec<(Tti, DeviceId, f64)>,
     ended: Vec<f64>,
 }
 
-impl Observer for Heard {
+impl Observer for ScaledRun {
     fn notify(&mut self, notification: &Notification<'_>) {
         match notification {
             Notification::PlanSent { update, .. } => self.plans.push((update.from, update.plan.clone())),
@@ -42,11 +42,11 @@ impl Observer for Heard {
     }
 }
 
-fn run(set: &[&str], psi: f64) -> (Outcome, Heard) {
+fn run(set: &[&str], psi: f64) -> (RunOutcome, ScaledRun) {
     let psi = format!("sensing.psi={psi:?}");
     let set = set.iter().copied().chain([psi.as_str()]);
     let overrides: Vec<Override> = set.map(|set| Override::parse(set).expect("an override")).collect();
-    let mut heard = Heard::default();
+    let mut heard = ScaledRun::default();
     let outcome = start(
         &load("paper", &overrides).expect("a scenario").scenario,
         RunOptions::default(),

@@ -2,10 +2,10 @@
 
 use std::cell::Cell;
 
-use reveille_bs::cycle::{Outcome, PreparedRun};
+use reveille_bs::cycle::{PreparedRun, RunOutcome};
 use reveille_bs::observer::{Notification, Observer};
 use reveille_bs::scenario::{Override, load};
-use reveille_bs::session::{Action, Event, Gathered, Session};
+use reveille_bs::session::{Action, ActionResult, Gathered, Session};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::DeviceRemoval;
 use reveille_common::radio::Air;
@@ -71,7 +71,7 @@ struct Loss {
 
 /// Drives a run like the shell on the bus: it requests every action twice, and sums travel with the next grant. Hosts
 /// are lost while an answer is due. It stops before the first grant from TTI `stop` on.
-fn serve(prepared: &PreparedRun, loss: Option<Loss>, stop: Tti) -> (Outcome, Seen) {
+fn serve(prepared: &PreparedRun, loss: Option<Loss>, stop: Tti) -> (RunOutcome, Seen) {
     let (scenario, deployment) = (&prepared.scenario, &prepared.deployment);
     let physics = Physics::new(
         scenario.run.seed,
@@ -100,7 +100,7 @@ fn serve(prepared: &PreparedRun, loss: Option<Loss>, stop: Tti) -> (Outcome, See
         }
         match action {
             Action::CollectTotals(k) => {
-                session.handle(Event::TotalsFollow, &mut seen);
+                session.apply_result(ActionResult::TotalsFollow, &mut seen);
                 if k >= stop {
                     return finish(session, machines, seen);
                 }
@@ -109,7 +109,7 @@ fn serve(prepared: &PreparedRun, loss: Option<Loss>, stop: Tti) -> (Outcome, See
             Action::TtiClosed => panic!("no decision is queued"),
             Action::Remove(outage) => panic!("no removal is queued: {outage:?}"),
             Action::Grant(updates) => {
-                let tick = *session.tick();
+                let tick = *session.grant_message();
                 let sums = tick.account.then(|| {
                     settle(&mut machines, tick.first);
                     machines.iter().map(Machine::totals).sum::<DeviceTotals>()
@@ -139,9 +139,9 @@ fn serve(prepared: &PreparedRun, loss: Option<Loss>, stop: Tti) -> (Outcome, See
                     views: &views,
                 };
                 if let Some(sums) = sums {
-                    session.handle(Event::Totals(sums), &mut seen);
+                    session.apply_result(ActionResult::Totals(sums), &mut seen);
                 }
-                session.handle(Event::Gathered(gathered), &mut seen);
+                session.apply_result(ActionResult::Gathered(gathered), &mut seen);
             }
             Action::Gather => unreachable!("the answers came with the grant"),
             Action::Wake(order) => {
@@ -157,7 +157,7 @@ fn serve(prepared: &PreparedRun, loss: Option<Loss>, stop: Tti) -> (Outcome, See
                 }
                 let machine = &mut machines[order.device.index()];
                 let outcome = machine.wake(order.tti, order.stimulus.as_ref(), &physics);
-                session.handle(Event::Woken(outcome), &mut seen);
+                session.apply_result(ActionResult::Woken(outcome), &mut seen);
             }
             Action::Finish(_) => return finish(session, machines, seen),
         }
@@ -176,14 +176,14 @@ fn remove(session: &mut Session, devices: impl Iterator<Item = DeviceId>, seen: 
 }
 
 /// Runs `prepared` with the removals `outages` in memory, where sums are collected before the grant.
-fn run(prepared: &PreparedRun, outages: &[DeviceRemoval]) -> (Outcome, Seen) {
+fn run(prepared: &PreparedRun, outages: &[DeviceRemoval]) -> (RunOutcome, Seen) {
     let options = RunOptions {
         window: WINDOW,
         ..RunOptions::default()
     };
     let mut seen = Seen::default();
     let mut run = Run::new(prepared, options);
-    run.schedule_inputs(&ExternalInputs::of_outages(outages));
+    run.schedule_inputs(&ExternalInputs::from_outages(outages));
     let outcome = run.finish(&mut seen);
     (outcome, seen)
 }
@@ -256,5 +256,5 @@ fn a_result_that_no_action_asked_for_is_refused() {
         failures: &mut [],
         views: &[],
     };
-    session.handle(Event::Gathered(none), &mut ());
+    session.apply_result(ActionResult::Gathered(none), &mut ());
 }

@@ -1,4 +1,4 @@
-//! Receiver that takes items from another thread in batches.
+//! Receiver that takes items from another thread in batches. The recorder and the dashboard receive frames with it.
 //!
 //! A thread that waits for each item is woken for each, at the sender's cost. A thread that sleeps between batches
 //! avoids that cost.
@@ -7,39 +7,39 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Duration;
 
 /// Pause after the first item of a batch, in which others arrive.
-const PAUSE: Duration = Duration::from_millis(15);
+const BATCH_PAUSE: Duration = Duration::from_millis(15);
 /// Size above which the next batch follows without a pause, so that a fast sender does not wait.
-const MANY: usize = 1_000;
+const MAX_BATCH: usize = 1_000;
 
 /// Niceness of an observing thread.
 #[cfg(target_os = "linux")]
-const BEHIND: i32 = 10;
+const OBSERVER_NICENESS: i32 = 10;
 
 /// Receiving end of a bounded queue, whose capacity must be some thousand items or more.
 #[derive(Debug)]
 pub struct BatchReceiver<T> {
     items: Receiver<T>,
-    is_busy: bool,
+    was_full: bool,
 }
 
 impl<T> BatchReceiver<T> {
     /// Creates a receiver of the items of `items`.
     pub const fn new(items: Receiver<T>) -> Self {
-        Self { items, is_busy: false }
+        Self { items, was_full: false }
     }
 
     /// Returns the next batch, of at least one item.
     ///
     /// # Errors
-    /// If no item arrives within `patience`, or the sender was dropped.
-    pub fn next(&mut self, patience: Duration) -> Result<Vec<T>, RecvTimeoutError> {
-        let mut batch = vec![self.items.recv_timeout(patience)?];
+    /// If no item arrives within `timeout`, or the sender was dropped.
+    pub fn next(&mut self, timeout: Duration) -> Result<Vec<T>, RecvTimeoutError> {
+        let mut batch = vec![self.items.recv_timeout(timeout)?];
         // A full batch means that more is waiting already, and the queue must not fill up.
-        if !self.is_busy {
-            std::thread::sleep(PAUSE);
+        if !self.was_full {
+            std::thread::sleep(BATCH_PAUSE);
         }
-        batch.extend(self.items.try_iter().take(MANY));
-        self.is_busy = batch.len() > MANY;
+        batch.extend(self.items.try_iter().take(MAX_BATCH));
+        self.was_full = batch.len() > MAX_BATCH;
         Ok(batch)
     }
 }
@@ -48,7 +48,7 @@ impl<T> BatchReceiver<T> {
 pub fn lower_priority() {
     // On Linux each thread has its own niceness; elsewhere the call would slow the run as well.
     #[cfg(target_os = "linux")]
-    let _refused = rustix::process::setpriority_process(None, BEHIND).is_err();
+    let _refused = rustix::process::setpriority_process(None, OBSERVER_NICENESS).is_err();
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! Comparison of two runs: the first difference in each kind of message.
+//! Comparison of two runs: the first difference in each kind of message. `inspect compare` and the dashboard use it.
 //!
 //! Only outcomes are compared: events, δ, reports, failures, wake-ups and their outcomes. Grants and answers are
 //! ignored, so a run with lookahead equals the same run without it.
@@ -11,7 +11,7 @@ use reveille_common::message::{Frame, Message, MessageKind};
 use reveille_common::plan::Plan;
 use toml::{Table, Value};
 
-use crate::frame_line::{FrameLine, owner};
+use crate::frame_line::{FrameLine, key_owner};
 use crate::recording::{RecordingError, RecordingReader};
 
 /// The kinds that are compared, in the order of their occurrence in a TTI.
@@ -67,8 +67,8 @@ impl FirstDifference {
         };
         match (own, others) {
             (None, _) => "nothing".to_owned(),
-            (Some(own), Some(others)) if words(own) == words(others) => FrameLine::new(own).to_json(),
-            (Some(own), _) => words(own),
+            (Some(own), Some(others)) if describe_frame(own) == describe_frame(others) => FrameLine::new(own).to_json(),
+            (Some(own), _) => describe_frame(own),
         }
     }
 
@@ -81,23 +81,23 @@ impl FirstDifference {
         let (Some(this), Some(other)) = (plan(&self.this), plan(&self.other)) else {
             return Vec::new();
         };
-        let ids = (0..reach(&this).max(reach(&other)) as u32).map(DeviceId);
+        let ids = (0..covered_devices(&this).max(covered_devices(&other)) as u32).map(DeviceId);
         ids.filter(|device| this.duty_cycle(*device) != other.duty_cycle(*device))
             .collect()
     }
 }
 
-fn words(frame: &Frame) -> String {
-    let (whose, says) = (owner(frame.kind, frame.number), FrameLine::new(frame).text());
-    if whose.is_empty() {
-        says
+fn describe_frame(frame: &Frame) -> String {
+    let (address, text) = (key_owner(frame.kind, frame.number), FrameLine::new(frame).text());
+    if address.is_empty() {
+        text
     } else {
-        format!("{whose}: {says}")
+        format!("{address}: {text}")
     }
 }
 
 /// Number of devices that a plan covers, rounded up to a multiple of eight for a bit map.
-fn reach(plan: &Plan) -> usize {
+fn covered_devices(plan: &Plan) -> usize {
     match plan {
         Plan::Bits { bits } => bits.len() * 8,
         Plan::Periodic(cycles) => cycles.len(),
@@ -106,17 +106,17 @@ fn reach(plan: &Plan) -> usize {
 
 /// Messages of one kind.
 #[derive(Debug, Default)]
-struct Kind {
+struct KindComparison {
     /// Messages of the run that is ahead, which wait for their counterparts from the other run.
     waiting: VecDeque<Frame>,
     ahead: Option<RunSide>,
-    first: Option<FirstDifference>,
+    first_difference: Option<FirstDifference>,
 }
 
 /// Comparison of two runs whose frames arrive interleaved.
 #[derive(Debug, Default)]
 pub struct RunComparison {
-    kinds: BTreeMap<MessageKind, Kind>,
+    kinds: BTreeMap<MessageKind, KindComparison>,
     /// The TTI that each run has reached.
     reached: [Tti; 2],
 }
@@ -125,67 +125,68 @@ impl RunComparison {
     /// Adds a frame of the run on `side`.
     pub fn push(&mut self, side: RunSide, frame: &Frame) {
         // First, so that older messages of the other run without a counterpart are found before this one is matched.
-        self.reach(side, frame.tti);
+        self.advance(side, frame.tti);
         if !COMPARED.contains(&frame.kind) {
             return;
         }
-        let has_passed = self.reached[side.opposite() as usize] > frame.tti;
-        let kind = self.kinds.entry(frame.kind).or_default();
+        let other_has_passed = self.reached[side.opposite() as usize] > frame.tti;
+        let comparison = self.kinds.entry(frame.kind).or_default();
         // After a first difference, later messages of the kind have no certain counterparts.
-        if kind.first.is_some() {
+        if comparison.first_difference.is_some() {
             return;
         }
-        if kind.ahead == Some(side.opposite())
-            && let Some(before) = kind.waiting.pop_front()
+        if comparison.ahead == Some(side.opposite())
+            && let Some(counterpart) = comparison.waiting.pop_front()
         {
-            if before != *frame {
-                kind.differ(Some((side.opposite(), before)), Some((side, frame.clone())));
+            if counterpart != *frame {
+                comparison.record_difference(Some((side.opposite(), counterpart)), Some((side, frame.clone())));
             }
-        } else if has_passed {
+        } else if other_has_passed {
             // The other run is past this TTI without such a message.
-            kind.differ(Some((side, frame.clone())), None);
+            comparison.record_difference(Some((side, frame.clone())), None);
         } else {
-            kind.ahead = Some(side);
-            kind.waiting.push_back(frame.clone());
+            comparison.ahead = Some(side);
+            comparison.waiting.push_back(frame.clone());
         }
     }
 
     /// Marks the run on `side` as ended.
     pub fn end(&mut self, side: RunSide) {
-        self.reach(side, Tti::NEVER);
+        self.advance(side, Tti::NEVER);
     }
 
     /// End of the compared TTIs, exclusive.
-    pub fn compared(&self) -> Tti {
+    pub fn compared_until(&self) -> Tti {
         self.reached[0].min(self.reached[1])
     }
 
     /// First difference of each kind that has one, ordered by TTI and then by kind.
     pub fn differences(&self) -> Vec<&FirstDifference> {
-        let mut all: Vec<&FirstDifference> = self.kinds.values().filter_map(|kind| kind.first.as_ref()).collect();
-        let order = |of: &FirstDifference| COMPARED.iter().position(|kind| *kind == of.kind);
+        let found = self.kinds.values().filter_map(|kind| kind.first_difference.as_ref());
+        let mut all: Vec<&FirstDifference> = found.collect();
+        let order = |difference: &FirstDifference| COMPARED.iter().position(|kind| *kind == difference.kind);
         all.sort_by_key(|difference| (difference.tti, order(difference)));
         all
     }
 
     /// Advances the run on `side` to `tti`. Earlier messages of the other run then have no counterpart.
-    fn reach(&mut self, side: RunSide, tti: Tti) {
+    fn advance(&mut self, side: RunSide, tti: Tti) {
         self.reached[side as usize] = tti;
         for kind in self.kinds.values_mut() {
-            if kind.first.is_none() && kind.ahead == Some(side.opposite()) {
-                // One frame is enough: `differ` clears the queue.
-                let lone = kind.waiting.pop_front_if(|frame| frame.tti < tti);
-                if let Some(frame) = lone {
-                    kind.differ(Some((side.opposite(), frame)), None);
+            if kind.first_difference.is_none() && kind.ahead == Some(side.opposite()) {
+                // One frame is enough: `record_difference` clears the queue.
+                let unmatched = kind.waiting.pop_front_if(|frame| frame.tti < tti);
+                if let Some(frame) = unmatched {
+                    kind.record_difference(Some((side.opposite(), frame)), None);
                 }
             }
         }
     }
 }
 
-impl Kind {
+impl KindComparison {
     /// Records the first difference. If the TTIs differ, only the earlier message is kept, without a counterpart.
-    fn differ(&mut self, one: Option<(RunSide, Frame)>, two: Option<(RunSide, Frame)>) {
+    fn record_difference(&mut self, one: Option<(RunSide, Frame)>, two: Option<(RunSide, Frame)>) {
         let Some(tti) = one.iter().chain(&two).map(|(_, frame)| frame.tti).min() else {
             return;
         };
@@ -197,19 +198,19 @@ impl Kind {
                 RunSide::Other => other = Some(frame),
             }
         }
-        self.first = kind.map(|kind| FirstDifference { tti, kind, this, other });
+        self.first_difference = kind.map(|kind| FirstDifference { tti, kind, this, other });
         self.waiting = VecDeque::new();
     }
 }
 
 /// Compares two recordings from their current positions. A torn recording is compared up to the tear; the error is
 /// returned with its side.
-pub fn recordings<R: Read + Seek>(
+pub fn compare_recordings<R: Read + Seek>(
     this: &mut RecordingReader<R>,
     other: &mut RecordingReader<R>,
 ) -> (RunComparison, Option<(RunSide, RecordingError)>) {
     let mut comparison = RunComparison::default();
-    while comparison.compared() < Tti::NEVER {
+    while comparison.compared_until() < Tti::NEVER {
         // The run that is behind is read next, so that few messages wait for their counterparts.
         let [own, others] = comparison.reached;
         let (side, reader) = if own <= others {
@@ -233,14 +234,15 @@ pub type FieldDifference = (String, String, String);
 ///
 /// # Errors
 /// If one of the texts is not valid TOML.
-pub fn fields(this: &str, other: &str) -> Result<Vec<FieldDifference>, toml::de::Error> {
+pub fn compare_scenarios(this: &str, other: &str) -> Result<Vec<FieldDifference>, toml::de::Error> {
     let (mut these, mut others) = (BTreeMap::new(), BTreeMap::new());
     flatten("", this.parse()?, &mut these);
     flatten("", other.parse()?, &mut others);
     let mut names: Vec<&String> = these.keys().chain(others.keys()).collect();
     names.sort_unstable();
     names.dedup();
-    let value = |of: &BTreeMap<String, String>, name: &str| of.get(name).cloned().unwrap_or_else(|| "none".to_owned());
+    let value =
+        |fields: &BTreeMap<String, String>, name: &str| fields.get(name).cloned().unwrap_or_else(|| "none".to_owned());
     Ok(names
         .into_iter()
         .map(|name| (name.clone(), value(&these, name), value(&others, name)))
@@ -248,17 +250,17 @@ pub fn fields(this: &str, other: &str) -> Result<Vec<FieldDifference>, toml::de:
         .collect())
 }
 
-fn flatten(path: &str, table: Table, into: &mut BTreeMap<String, String>) {
+fn flatten(path: &str, table: Table, fields: &mut BTreeMap<String, String>) {
     for (name, value) in table {
         let path = if path.is_empty() {
             name
         } else {
             format!("{path}.{name}")
         };
-        if let Value::Table(fields) = value {
-            flatten(&path, fields, into);
+        if let Value::Table(inner) = value {
+            flatten(&path, inner, fields);
         } else {
-            into.insert(path, value.to_string());
+            fields.insert(path, value.to_string());
         }
     }
 }
@@ -336,7 +338,7 @@ mod tests {
                 let first = differences.first().expect("they differ");
                 assert_eq!((first.tti, first.kind), expected, "{set:?}, {stride}");
                 assert_ne!(first.this, first.other, "{set:?}");
-                assert_eq!(comparison.compared(), Tti::NEVER);
+                assert_eq!(comparison.compared_until(), Tti::NEVER);
             }
         }
     }
@@ -393,7 +395,7 @@ mod tests {
         let (this, other) = ("seed = 1\n[a.b]\nc = [1]\nd = 'x'", "seed = 2\n[a.b]\nc = [1]");
         let expected = [("a.b.d", "\"x\"", "none"), ("seed", "1", "2")];
         let expected = expected.map(|(name, this, other)| (name.to_owned(), this.to_owned(), other.to_owned()));
-        assert_eq!(fields(this, other).expect("TOML"), expected);
-        assert!(fields("seed", other).is_err());
+        assert_eq!(compare_scenarios(this, other).expect("TOML"), expected);
+        assert!(compare_scenarios("seed", other).is_err());
     }
 }

@@ -1,7 +1,8 @@
 //! Mirror of the devices of a run, driven by observer frames: the same machines, advanced through the same TTIs.
 //!
 //! Device states follow from the scenario, plans, stimuli and wake-ups, so an observer can compute them without
-//! receiving them. Reports and failures in the frames are checked against the mirrored machines.
+//! receiving them. Reports and failures in the frames are checked against the mirrored machines. The machines must be
+//! called as in `lab/src/run.rs`, or states diverge from the run.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -21,12 +22,12 @@ use reveille_device::machine::{Machine, Physics, SenseOutcome};
 
 /// A frame that contradicts the frames before it: one is missing or changed, or comes from another version.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("TTI {tti}: {what}")]
+#[error("TTI {tti}: {description}")]
 pub struct Discrepancy {
     /// TTI of the frame.
     pub tti: Tti,
     /// Description of the contradiction.
-    pub what: String,
+    pub description: String,
 }
 
 /// The mirrored devices of a run.
@@ -37,19 +38,19 @@ pub struct DeviceMirror {
     radio: RadioSettings,
     air: Air,
     /// Number of devices that missed the last plan.
-    missed: u64,
+    missed_plans: u64,
     plan: Option<Plan>,
     /// The open grant; `None` before the first one.
-    world: Option<WorldUpdate>,
+    grant: Option<WorldUpdate>,
     /// Reports and failures still expected from devices with δ = 1 in the last TTI of the grant, in the order of ids.
     reports: VecDeque<Report>,
     failures: VecDeque<FailedTransmission>,
     /// Copies of the devices that sensed, and of the last woken device, from before that action. A removal restores
     /// them.
-    unsensed: Vec<Machine>,
-    unwoken: Option<Machine>,
+    before_sensing: Vec<Machine>,
+    before_wake_up: Option<Machine>,
     /// Open wake-up: its device and the expected outcome.
-    waking: Option<(DeviceId, WakeOutcome)>,
+    open_wake_up: Option<(DeviceId, WakeOutcome)>,
     /// Whether the report of the open wake-up has arrived.
     has_reported: bool,
 }
@@ -73,22 +74,22 @@ impl DeviceMirror {
                 .collect(),
             radio: scenario.radio,
             air: Air::new(scenario.run.seed, &scenario.radio),
-            missed: 0,
+            missed_plans: 0,
             physics,
             plan: None,
-            world: None,
+            grant: None,
             reports: VecDeque::new(),
             failures: VecDeque::new(),
-            unsensed: Vec::new(),
-            unwoken: None,
-            waking: None,
+            before_sensing: Vec::new(),
+            before_wake_up: None,
+            open_wake_up: None,
             has_reported: false,
         }
     }
 
     /// Current TTI of the devices: the last one of the latest grant.
-    pub fn now(&self) -> Option<Tti> {
-        self.world.map(|world| world.last)
+    pub fn current_tti(&self) -> Option<Tti> {
+        self.grant.map(|world| world.last)
     }
 
     /// The current plan.
@@ -98,22 +99,22 @@ impl DeviceMirror {
 
     /// Number of devices that missed the last plan.
     pub const fn missed_plans(&self) -> u64 {
-        self.missed
+        self.missed_plans
     }
 
     /// Stimulus in the current TTI, if any device might react to it.
     pub fn stimulus(&self) -> Option<Stimulus> {
-        self.world.and_then(|world| world.stimulus)
+        self.grant.and_then(|world| world.stimulus)
     }
 
     /// Whether a wake-up is open, that is, its outcome has not arrived.
     pub(crate) const fn is_waking(&self) -> bool {
-        self.waking.is_some()
+        self.open_wake_up.is_some()
     }
 
     /// State and battery of `device` in the current TTI.
     pub fn view(&mut self, device: DeviceId) -> Option<DeviceView> {
-        let now = self.now()?;
+        let now = self.current_tti()?;
         let machine = self.machines.get_mut(device.index())?;
         machine.begin(now);
         Some(machine.view())
@@ -152,7 +153,7 @@ impl DeviceMirror {
 
     /// Ledgers of all devices if the run ended after the current TTI, in the order of ids.
     pub fn ledgers(&self) -> Vec<Ledger> {
-        let end = self.next();
+        let end = self.next_tti();
         // On copies: settling closes the open TTI, and the run may continue.
         let mut machines = self.machines.clone();
         let ledger = |machine: &mut Machine| {
@@ -176,28 +177,28 @@ impl DeviceMirror {
     pub fn apply(&mut self, frame: &Frame, message: &Message) -> Result<(), Discrepancy> {
         let tti = frame.tti;
         self.apply_message(frame, message)
-            .map_err(|what| Discrepancy { tti, what })
+            .map_err(|description| Discrepancy { tti, description })
     }
 
     fn apply_message(&mut self, frame: &Frame, message: &Message) -> Result<(), String> {
         match message {
-            Message::Plan(update) => self.command(update),
-            Message::World(world) => self.play(*world),
-            Message::Report(report) => self.heard(report, false),
-            Message::Lost(lost) => self.heard(&lost.report, true),
+            Message::Plan(update) => self.apply_plan(update),
+            Message::World(world) => self.apply_grant(*world),
+            Message::Report(report) => self.check_report(report, false),
+            Message::Lost(lost) => self.check_report(&lost.report, true),
             Message::Failed(failed) => {
-                let own = |failure: &FailedTransmission| *failure == failed.failure;
-                let at = self.failures.iter().position(own);
-                let own = at.and_then(|at| self.failures.remove(at));
-                let none = || format!("an unexpected failed report of device {}", failed.failure.device);
-                own.map(|_| ()).ok_or_else(none)
+                let is_equal = |failure: &FailedTransmission| *failure == failed.failure;
+                let index = self.failures.iter().position(is_equal);
+                let expected = index.and_then(|index| self.failures.remove(index));
+                let unexpected = || format!("an unexpected failed report of device {}", failed.failure.device);
+                expected.map(|_| ()).ok_or_else(unexpected)
             }
             Message::Removed(outage) => self.remove_devices(outage),
-            Message::Wake(wake) => self.wake(frame.number, *wake),
-            Message::Woken(woken) => match self.waking.take() {
+            Message::Wake(wake) => self.apply_wake_up(frame.number, *wake),
+            Message::Woken(woken) => match self.open_wake_up.take() {
                 Some((device, outcome)) if Some(device.0) == frame.number && outcome == woken.outcome => {
-                    let is_told = self.has_reported || !matches!(outcome, WakeOutcome::Reported(_));
-                    is_told
+                    let is_report_known = self.has_reported || !matches!(outcome, WakeOutcome::Reported(_));
+                    is_report_known
                         .then_some(())
                         .ok_or_else(|| format!("the report of device {device} is missing"))
                 }
@@ -206,7 +207,7 @@ impl DeviceMirror {
             },
             Message::States(states) => {
                 let views = self.views();
-                let differs = |(own, told): (&DeviceView, &DeviceView)| own != told;
+                let differs = |(own, received): (&DeviceView, &DeviceView)| own != received;
                 match views.iter().zip(&states.views).position(differs) {
                     None if views.len() == states.views.len() => Ok(()),
                     None => Err(format!("states of {} devices, not {}", states.views.len(), views.len())),
@@ -226,16 +227,16 @@ impl DeviceMirror {
     }
 
     /// The next TTI.
-    pub fn next(&self) -> Tti {
-        self.now().map_or(Tti::ZERO, |last| last + 1)
+    pub fn next_tti(&self) -> Tti {
+        self.current_tti().map_or(Tti::ZERO, |last| last + 1)
     }
 
     /// Checks that `world` grants the next TTIs.
     ///
     /// # Errors
     /// If it grants any other TTIs.
-    pub fn fits(&self, world: &WorldUpdate) -> Result<(), String> {
-        let next = self.next();
+    pub fn check_grant(&self, world: &WorldUpdate) -> Result<(), String> {
+        let next = self.next_tti();
         // The bound keeps a corrupt recording from making the devices play TTIs without end.
         if world.first == next && world.first <= world.last && world.last.0 < MAX_TTIS {
             Ok(())
@@ -247,15 +248,15 @@ impl DeviceMirror {
         }
     }
 
-    fn command(&mut self, update: &PlanUpdate) -> Result<(), String> {
+    fn apply_plan(&mut self, update: &PlanUpdate) -> Result<(), String> {
         self.end_tti()?;
-        let next = self.next();
+        let next = self.next_tti();
         if update.from != next {
             return Err(format!("a plan from TTI {}, but TTI {next} is next", update.from));
         }
         let Self { air, machines, .. } = self;
         let (from, count) = (update.from, machines.len());
-        self.missed = air.deliver_plan(from, &update.plan, DeviceId(0), count, |j, cycle| {
+        self.missed_plans = air.deliver_plan(from, &update.plan, DeviceId(0), count, |j, cycle| {
             machines[j].set_duty(from, cycle);
         });
         self.plan = Some(update.plan.clone());
@@ -263,13 +264,13 @@ impl DeviceMirror {
     }
 
     /// Advances the devices through the TTIs of `world`.
-    fn play(&mut self, world: WorldUpdate) -> Result<(), String> {
+    fn apply_grant(&mut self, world: WorldUpdate) -> Result<(), String> {
         self.end_tti()?;
-        self.fits(&world)?;
+        self.check_grant(&world)?;
         if self.plan.is_none() {
             return Err("there is no plan yet".to_owned());
         }
-        self.unsensed.clear();
+        self.before_sensing.clear();
         if let Some(stimulus) = &world.stimulus {
             for machine in &mut self.machines {
                 // Machines are lazy: a device that cannot sense catches up when it is next needed.
@@ -282,33 +283,36 @@ impl DeviceMirror {
                     SenseOutcome::Reported(report) => self.reports.push_back(report),
                     SenseOutcome::Failed(failure) => self.failures.push_back(failure),
                 }
-                self.unsensed.push(unsensed);
+                self.before_sensing.push(unsensed);
             }
         }
-        self.world = Some(world);
+        self.grant = Some(world);
         Ok(())
     }
 
     /// Removes devices in the current TTI.
     fn remove_devices(&mut self, outage: &DeviceRemoval) -> Result<(), String> {
-        if self.now() != Some(outage.tti) || !outage.is_valid(self.machines.len() as u32) {
+        if self.current_tti() != Some(outage.tti) || !outage.is_valid(self.machines.len() as u32) {
             return Err(format!("{outage} in TTI {}, which has not been reached", outage.tti));
         }
         let mut undone = Vec::new();
         // Removed before they could sense, so their part in this TTI is undone.
         if outage.wake_ups.is_none() {
-            undone.extend(self.unsensed.extract_if(.., |machine| outage.has(machine.id())));
-            self.reports.retain(|report| !outage.has(report.device));
-            self.failures.retain(|failure| !outage.has(failure.device));
+            undone.extend(
+                self.before_sensing
+                    .extract_if(.., |machine| outage.contains(machine.id())),
+            );
+            self.reports.retain(|report| !outage.contains(report.device));
+            self.failures.retain(|failure| !outage.contains(failure.device));
         }
-        if let Some((device, outcome)) = &mut self.waking
-            && outage.has(*device)
+        if let Some((device, outcome)) = &mut self.open_wake_up
+            && outage.contains(*device)
         {
             // The wake-up was open, and its host no longer answers.
             *outcome = WakeOutcome::Missed;
-            undone.extend(self.unwoken.take());
+            undone.extend(self.before_wake_up.take());
         }
-        for machine in undone.into_iter().filter(|machine| outage.has(machine.id())) {
+        for machine in undone.into_iter().filter(|machine| outage.contains(machine.id())) {
             let at = machine.id().index();
             self.machines[at] = machine;
         }
@@ -323,15 +327,15 @@ impl DeviceMirror {
     fn end_tti(&mut self) -> Result<(), String> {
         let missing = self.reports.drain(..).map(|report| report.device);
         let missing = missing.chain(self.failures.drain(..).map(|failure| failure.device));
-        let missing = missing.min().or(self.waking.take().map(|(device, _)| device));
+        let missing = missing.min().or(self.open_wake_up.take().map(|(device, _)| device));
         missing.map_or(Ok(()), |device| {
             Err(format!("a report or an outcome of device {device} is missing"))
         })
     }
 
     /// Checks a report that arrived or, if `is_lost`, was lost on the air.
-    fn heard(&mut self, report: &Report, is_lost: bool) -> Result<(), String> {
-        if let Some((device, WakeOutcome::Reported(own))) = &self.waking
+    fn check_report(&mut self, report: &Report, is_lost: bool) -> Result<(), String> {
+        if let Some((device, WakeOutcome::Reported(own))) = &self.open_wake_up
             && *device == report.device
         {
             self.has_reported = own == report;
@@ -341,32 +345,32 @@ impl DeviceMirror {
                 Err(format!("device {device} reported: {own}; not: {report}"))
             };
         }
-        let at = self.reports.iter().position(|own| own.device == report.device);
-        let own = at.and_then(|at| self.reports.remove(at));
+        let index = self.reports.iter().position(|own| own.device == report.device);
+        let own = index.and_then(|index| self.reports.remove(index));
         let own = own.ok_or_else(|| format!("a report of device {}, which has sent none", report.device))?;
         if own != *report {
             return Err(format!("device {} reported: {own}; not: {report}", own.device));
         }
-        if self.air.at(report.tti).loses_report(own.device) == is_lost {
+        if self.air.channel_at(report.tti).loses_report(own.device) == is_lost {
             Ok(())
         } else {
-            let came = if is_lost { "arrived" } else { "was lost" };
-            Err(format!("the report of device {} {came}", own.device))
+            let correction = if is_lost { "arrived" } else { "was lost" };
+            Err(format!("the report of device {} {correction}", own.device))
         }
     }
 
-    fn wake(&mut self, number: Option<u32>, wake: WakeUp) -> Result<(), String> {
-        let world = self.world.ok_or("a wake-up before the first TTI")?;
+    fn apply_wake_up(&mut self, number: Option<u32>, wake: WakeUp) -> Result<(), String> {
+        let world = self.grant.ok_or("a wake-up before the first TTI")?;
         let stimulus = world.stimulus.ok_or("a wake-up without an event")?;
         let device = number.map(DeviceId).ok_or("a wake-up without a device")?;
         let machine = self.machines.get_mut(device.index());
         let machine = machine.ok_or_else(|| format!("a wake-up for device {device}, which does not exist"))?;
-        let air = self.air.at(world.last);
-        self.unwoken = Some(machine.clone());
+        let air = self.air.channel_at(world.last);
+        self.before_wake_up = Some(machine.clone());
         let stimulus = (!self.radio.is_late(wake.tti, world.until)).then_some(&stimulus);
         let outcome = machine.wake(world.last, stimulus, &self.physics).after_uplink(&air);
         self.has_reported = false;
-        match self.waking.replace((device, outcome)) {
+        match self.open_wake_up.replace((device, outcome)) {
             None => Ok(()),
             Some((before, _)) => Err(format!("the outcome of the wake-up of device {before} is missing")),
         }

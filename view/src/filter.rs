@@ -1,4 +1,4 @@
-//! Filters for frames.
+//! Filters for frames, from the options of `inspect tail`, `export` and the dashboard.
 
 use std::ops::RangeInclusive;
 
@@ -48,7 +48,7 @@ impl StateName {
     ];
 
     /// Whether this name covers `state`.
-    pub fn is(self, state: DeviceState) -> bool {
+    pub fn covers(self, state: DeviceState) -> bool {
         match self {
             Self::S1 => state == DeviceState::Idle,
             Self::S2 => state == DeviceState::Active,
@@ -73,11 +73,11 @@ impl Filter {
         plane.is_none_or(|plane| frame.kind.plane() == plane)
             && (kinds.is_empty() || kinds.contains(&frame.kind))
             && ttis.as_ref().is_none_or(|ttis| ttis.contains(&frame.tti.0))
-            && (states.is_empty() || state.is_some_and(|state| states.iter().any(|named| named.is(state))))
+            && (states.is_empty() || state.is_some_and(|state| states.iter().any(|name| name.covers(state))))
             && devices.as_ref().is_none_or(|devices| {
-                let concerns =
+                let is_concerned =
                     |device: &DeviceId| message.is_some_and(|message| message.concerns(frame.number, *device));
-                devices.iter().any(concerns)
+                devices.iter().any(is_concerned)
             })
     }
 
@@ -87,7 +87,7 @@ impl Filter {
     }
 
     /// First TTI whose frames may pass.
-    pub fn first(&self) -> Tti {
+    pub fn first_tti(&self) -> Tti {
         Tti(self.ttis.as_ref().map_or(0, |ttis| *ttis.start()))
     }
 
@@ -217,7 +217,7 @@ mod tests {
             ttis: Some(2..=8),
             ..all
         };
-        assert!(!early.is_over(Tti(8)) && early.is_over(Tti(9)) && early.first() == Tti(2));
+        assert!(!early.is_over(Tti(8)) && early.is_over(Tti(9)) && early.first_tti() == Tti(2));
     }
 
     #[test]

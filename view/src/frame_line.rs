@@ -1,4 +1,5 @@
-//! A frame as one line: text for a reader, or JSON for programs and recordings.
+//! A frame as one line: text for a reader, or JSON for programs and recordings. The JSON form is a file format:
+//! recordings hold it, and `from_json` must read what [`FrameLine::to_json`] writes.
 
 use std::fmt::{self, Write as _};
 
@@ -91,7 +92,7 @@ impl<'a> FrameLine<'a> {
             number,
             payload,
         } = self.frame;
-        let shown = JsonLine {
+        let line = JsonLine {
             tti: tti.0,
             plane: kind.plane().name(),
             kind: kind.name(),
@@ -101,11 +102,11 @@ impl<'a> FrameLine<'a> {
                 Ok(message) => LineBody::Message(message),
                 Err(error) => LineBody::Malformed {
                     malformed: error.to_string(),
-                    payload: hex(payload),
+                    payload: to_hex(payload),
                 },
             },
         };
-        serde_json::to_string(&shown).expect("messages have a form in JSON")
+        serde_json::to_string(&line).expect("messages have a form in JSON")
     }
 }
 
@@ -113,13 +114,13 @@ impl fmt::Display for FrameLine<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Frame { tti, kind, number, .. } = self.frame;
         let (plane, name, bytes) = (kind.plane().name(), kind.name(), self.frame.payload.len());
-        let (whose, says) = (owner(*kind, *number), self.text());
-        write!(f, "{tti:>8} {plane:<5} {name:<7} {whose:<11} {bytes:>6} B  {says}")
+        let (address, text) = (key_owner(*kind, *number), self.text());
+        write!(f, "{tti:>8} {plane:<5} {name:<7} {address:<11} {bytes:>6} B  {text}")
     }
 }
 
 /// Names the owner of the number in a key, such as `device 7`.
-pub fn owner(kind: MessageKind, number: Option<u32>) -> String {
+pub fn key_owner(kind: MessageKind, number: Option<u32>) -> String {
     number.map_or_else(String::new, |number| format!("{} {number}", kind.addressee().name()))
 }
 
@@ -128,37 +129,37 @@ pub fn owner(kind: MessageKind, number: Option<u32>) -> String {
 /// # Errors
 /// If the line is not a frame.
 pub(crate) fn from_json(text: &str) -> Result<Frame, LineError> {
-    let read: ParsedLine<'_> = serde_json::from_str(text)?;
-    let is_meant = |kind: &&MessageKind| kind.name() == read.kind && kind.plane().name() == read.plane;
-    let Some(&kind) = MessageKind::ALL.iter().find(is_meant) else {
-        return Err(LineError::Kind(read.kind, read.plane));
+    let parsed: ParsedLine<'_> = serde_json::from_str(text)?;
+    let is_named = |kind: &&MessageKind| kind.name() == parsed.kind && kind.plane().name() == parsed.plane;
+    let Some(&kind) = MessageKind::ALL.iter().find(is_named) else {
+        return Err(LineError::Kind(parsed.kind, parsed.plane));
     };
-    let mut body = serde_json::Deserializer::from_str(read.message.get());
+    let mut body = serde_json::Deserializer::from_str(parsed.message.get());
     let payload = match Message::deserialize(kind, &mut body) {
         Ok(message) => message.encode(),
         // An object for a malformed payload is tried last, since it cannot be a message of the kind.
-        Err(error) => match serde_json::from_str::<Malformed>(read.message.get()) {
-            Ok(Malformed { payload }) => bytes(&payload).ok_or(LineError::Hex)?,
+        Err(error) => match serde_json::from_str::<Malformed>(parsed.message.get()) {
+            Ok(Malformed { payload }) => parse_hex(&payload).ok_or(LineError::Hex)?,
             Err(_) => return Err(error.into()),
         },
     };
     Ok(Frame {
-        tti: Tti(read.tti),
+        tti: Tti(parsed.tti),
         kind,
-        number: read.number,
+        number: parsed.number,
         payload,
     })
 }
 
 /// Encodes bytes in hexadecimal digits.
-pub fn hex(bytes: &[u8]) -> String {
+pub fn to_hex(bytes: &[u8]) -> String {
     bytes.iter().fold(String::new(), |mut text, byte| {
         let _infallible = write!(text, "{byte:02x}");
         text
     })
 }
 
-fn bytes(hex: &str) -> Option<Vec<u8>> {
+fn parse_hex(hex: &str) -> Option<Vec<u8>> {
     let pairs = hex.as_bytes().chunks(2);
     pairs
         .map(|pair| u8::from_str_radix(std::str::from_utf8(pair).ok().filter(|pair| pair.len() == 2)?, 16).ok())

@@ -1,4 +1,4 @@
-//! History of a run: the states of all devices in any past TTI.
+//! History of a run: the states of all devices in any past TTI, for the dashboard.
 //!
 //! Only the frames and occasional snapshots of the run are stored. A TTI is recomputed from the last snapshot before
 //! it. A run of 100 000 TTIs takes little more memory than its messages, and any TTI takes milliseconds.
@@ -17,27 +17,27 @@ use crate::filter::Filter;
 use crate::reconstruction::Reconstruction;
 
 /// Minimum distance between two snapshots, TTIs.
-const SPACING: u64 = 500;
+const MIN_SNAPSHOT_SPACING: u64 = 500;
 
 /// A run, or the stored part of it.
 pub struct RunHistory {
     frames: VecDeque<Frame>,
     /// Number of the first stored frame, counted from the start of the run.
-    first: u64,
-    kept: VecDeque<HistorySnapshot>,
+    first_frame: u64,
+    snapshots: VecDeque<HistorySnapshot>,
     now: Reconstruction,
     /// Messages of the current TTI, without device states.
     latest: TtiSnapshot,
-    /// Approximate number of past TTIs to store.
-    length: u64,
+    /// Approximate number of past TTIs to store; the snapshots' spacing adds to it.
+    max_ttis: u64,
 }
 
 /// Snapshot of a run.
 struct HistorySnapshot {
     /// The next TTI after the snapshot.
-    next: Tti,
+    next_tti: Tti,
     /// Number of the next frame after the snapshot.
-    frame: u64,
+    next_frame: u64,
     run: Reconstruction,
 }
 
@@ -65,21 +65,21 @@ pub struct TtiSnapshot {
 }
 
 impl RunHistory {
-    /// Creates the history of a run of `scenario` before TTI 0. It keeps at least the last `length` TTIs.
-    pub fn new(scenario: &Scenario, length: u64) -> Self {
+    /// Creates the history of a run of `scenario` before TTI 0. It keeps at least the last `max_ttis` TTIs.
+    pub fn new(scenario: &Scenario, max_ttis: u64) -> Self {
         let now = Reconstruction::new(scenario);
         let start = HistorySnapshot {
-            next: Tti::ZERO,
-            frame: 0,
+            next_tti: Tti::ZERO,
+            next_frame: 0,
             run: now.clone(),
         };
         Self {
             frames: VecDeque::new(),
-            first: 0,
-            kept: VecDeque::from([start]),
+            first_frame: 0,
+            snapshots: VecDeque::from([start]),
             now,
             latest: TtiSnapshot::default(),
-            length,
+            max_ttis,
         }
     }
 
@@ -88,28 +88,29 @@ impl RunHistory {
     /// # Errors
     /// If the frame contradicts the frames before it. The states from there on can differ from the run.
     pub fn push(&mut self, frame: Frame) -> Result<(), Discrepancy> {
-        let next = self.now.mirror().next();
+        let next = self.now.mirror().next_tti();
         let is_between = matches!(frame.kind, MessageKind::Plan | MessageKind::World);
         // Saved only between two grants, where no report or outcome is outstanding.
-        if is_between && self.kept.back().is_none_or(|kept| next - kept.next >= SPACING) {
-            self.kept.push_back(HistorySnapshot {
-                next,
-                frame: self.first + self.frames.len() as u64,
+        let is_due = |snapshot: &HistorySnapshot| next - snapshot.next_tti >= MIN_SNAPSHOT_SPACING;
+        if is_between && self.snapshots.back().is_none_or(is_due) {
+            self.snapshots.push_back(HistorySnapshot {
+                next_tti: next,
+                next_frame: self.first_frame + self.frames.len() as u64,
                 run: self.now.clone(),
             });
-            self.forget(next);
+            self.drop_old(next);
         }
-        let taken = self.now.apply(&frame);
+        let result = self.now.apply(&frame);
         if is_between {
             self.latest = TtiSnapshot::default();
-        } else if TtiSnapshot::NOTED.contains(&frame.kind)
+        } else if TtiSnapshot::RECORDED_KINDS.contains(&frame.kind)
             && let Ok(message) = frame.message()
         {
-            self.latest.note(&frame, &message);
+            self.latest.record(&frame, &message);
         }
         // Stored even after an error, since frames are found by their numbers.
         self.frames.push_back(frame);
-        taken
+        result
     }
 
     /// Current state of the run.
@@ -125,8 +126,8 @@ impl RunHistory {
     /// The current TTI, from the frames received so far.
     pub fn latest(&mut self) -> TtiSnapshot {
         let views = self.views();
-        let on = match self.now.mirror().now() {
-            Some(tti) => on(&self.now, tti, views.len()),
+        let on = match self.now.mirror().current_tti() {
+            Some(tti) => sensing_flags(&self.now, tti, views.len()),
             None => Vec::new(),
         };
         TtiSnapshot {
@@ -138,58 +139,58 @@ impl RunHistory {
     }
 
     /// Range of the available TTIs: the first, and the one after the last.
-    pub fn span(&self) -> (Tti, Tti) {
-        let first = self.kept.front().map_or(Tti::ZERO, |kept| kept.next);
-        (first, self.now.mirror().next())
+    pub fn available_ttis(&self) -> (Tti, Tti) {
+        let first = self.snapshots.front().map_or(Tti::ZERO, |snapshot| snapshot.next_tti);
+        (first, self.now.mirror().next_tti())
     }
 
     /// Returns TTI `tti`, if available.
-    pub fn at(&self, tti: Tti) -> Option<TtiSnapshot> {
-        let (first, end) = self.span();
+    pub fn snapshot_at(&self, tti: Tti) -> Option<TtiSnapshot> {
+        let (first, end) = self.available_ttis();
         if tti < first || tti >= end {
             return None;
         }
-        let kept = self.kept.iter().rev().find(|kept| kept.next <= tti)?;
-        let mut run = kept.run.clone();
-        let mut moment = TtiSnapshot::default();
-        for frame in self.frames.range((kept.frame - self.first) as usize..) {
+        let snapshot = self.snapshots.iter().rev().find(|snapshot| snapshot.next_tti <= tti)?;
+        let mut run = snapshot.run.clone();
+        let mut tti_snapshot = TtiSnapshot::default();
+        for frame in self.frames.range((snapshot.next_frame - self.first_frame) as usize..) {
             if frame.tti > tti {
                 break;
             }
             let Ok(message) = frame.message() else { continue };
             if matches!(message, Message::World(_) | Message::Plan(_)) {
-                moment = TtiSnapshot::default();
+                tti_snapshot = TtiSnapshot::default();
             }
             // `tti` lies inside the grant, whose later messages must not be applied.
             if let Message::World(world) = &message
                 && world.last > tti
             {
-                moment.views = run.mirror_mut().views_at(tti);
-                moment.event = run.stimulus();
-                self.note_starts(frame, tti, &mut moment);
+                tti_snapshot.views = run.mirror_mut().views_at(tti);
+                tti_snapshot.event = run.stimulus();
+                self.record_event_at(frame, tti, &mut tti_snapshot);
                 break;
             }
             // After a discrepancy the states are a best guess.
             let _discrepancy = run.apply(frame).is_err();
-            moment.note(frame, &message);
-            moment.event = moment.event.or(run.stimulus());
+            tti_snapshot.record(frame, &message);
+            tti_snapshot.event = tti_snapshot.event.or(run.stimulus());
         }
-        if moment.views.is_empty() {
-            moment.views = run.mirror_mut().views();
+        if tti_snapshot.views.is_empty() {
+            tti_snapshot.views = run.mirror_mut().views();
         }
-        moment.on = on(&run, tti, moment.views.len());
-        Some(moment)
+        tti_snapshot.on = sensing_flags(&run, tti, tti_snapshot.views.len());
+        Some(tti_snapshot)
     }
 
     /// Totals of `device` from the start of the run to the end of TTI `tti`, if available.
     pub fn totals(&self, device: DeviceId, tti: Tti) -> Option<DeviceTotals> {
-        let (first, end) = self.span();
+        let (first, end) = self.available_ttis();
         if tti < first || tti >= end {
             return None;
         }
-        let kept = self.kept.iter().rev().find(|kept| kept.next <= tti)?;
-        let mut run = kept.run.clone();
-        for frame in self.frames.range((kept.frame - self.first) as usize..) {
+        let snapshot = self.snapshots.iter().rev().find(|snapshot| snapshot.next_tti <= tti)?;
+        let mut run = snapshot.run.clone();
+        for frame in self.frames.range((snapshot.next_frame - self.first_frame) as usize..) {
             let is_later = match frame.message() {
                 Ok(Message::World(world)) => world.last > tti,
                 Ok(Message::Plan(update)) => update.from > tti,
@@ -205,57 +206,57 @@ impl RunHistory {
     }
 
     /// State and battery of `device` in each available TTI from `from` up to but excluding `end`, in order.
-    pub fn history(&self, device: DeviceId, from: Tti, end: Tti) -> Vec<(Tti, DeviceView)> {
-        let (first, last) = self.span();
+    pub fn device_views(&self, device: DeviceId, from: Tti, end: Tti) -> Vec<(Tti, DeviceView)> {
+        let (first, last) = self.available_ttis();
         let (from, end) = (from.max(first), end.min(last));
-        let mut history = Vec::new();
-        let Some(kept) = self.kept.iter().rev().find(|kept| kept.next <= from) else {
-            return history;
+        let mut views = Vec::new();
+        let Some(snapshot) = self.snapshots.iter().rev().find(|snapshot| snapshot.next_tti <= from) else {
+            return views;
         };
-        let mut run = kept.run.clone();
-        let mut next = kept.next;
-        let mut tell = |run: &mut Reconstruction, until: Tti| {
+        let mut run = snapshot.run.clone();
+        let mut next = snapshot.next_tti;
+        let mut collect_until = |run: &mut Reconstruction, until: Tti| {
             while next < until {
                 if let Some(view) = run
                     .mirror_mut()
                     .view_at(device, next)
                     .filter(|_| next >= from && next < end)
                 {
-                    history.push((next, view));
+                    views.push((next, view));
                 }
                 next = next + 1;
             }
         };
-        for frame in self.frames.range((kept.frame - self.first) as usize..) {
+        for frame in self.frames.range((snapshot.next_frame - self.first_frame) as usize..) {
             if frame.tti > end {
                 break;
             }
             match frame.message() {
                 Ok(Message::Plan(_)) => {
                     // The TTIs up to here passed under the plan before this one.
-                    let reached = run.mirror().next();
-                    tell(&mut run, reached);
+                    let reached = run.mirror().next_tti();
+                    collect_until(&mut run, reached);
                 }
                 Ok(Message::World(world)) => {
-                    let reached = run.mirror().next();
-                    tell(&mut run, reached);
+                    let reached = run.mirror().next_tti();
+                    collect_until(&mut run, reached);
                     // All TTIs of a grant but the last are quiet, so their views are known before its messages.
-                    tell(&mut run, world.last.min(end));
+                    collect_until(&mut run, world.last.min(end));
                 }
                 _ => {}
             }
             let _discrepancy = run.apply(frame).is_err();
         }
-        let reached = run.mirror().next().min(end);
-        tell(&mut run, reached);
-        history
+        let reached = run.mirror().next_tti().min(end);
+        collect_until(&mut run, reached);
+        views
     }
 
-    /// At most `most` stored frames that pass `filter`, from the oldest on, each with its number.
-    pub fn frames(&self, filter: &Filter, most: usize) -> Vec<(u64, &Frame)> {
-        let start = self.frames.partition_point(|frame| frame.tti < filter.first());
+    /// At most `max_frames` stored frames that pass `filter`, from the oldest on, each with its number.
+    pub fn frames(&self, filter: &Filter, max_frames: usize) -> Vec<(u64, &Frame)> {
+        let start = self.frames.partition_point(|frame| frame.tti < filter.first_tti());
         let mut states = self.states_before(filter, start);
-        let numbered = (self.first + start as u64..).zip(self.frames.range(start..));
+        let numbered = (self.first_frame + start as u64..).zip(self.frames.range(start..));
         let passing = numbered
             .take_while(|(_, frame)| !filter.is_over(frame.tti))
             .filter(|(_, frame)| {
@@ -268,15 +269,22 @@ impl RunHistory {
                 let message = filter.devices.as_ref().and_then(|_| frame.message().ok());
                 filter.passes(frame, message.as_ref(), state)
             });
-        passing.take(most).collect()
+        passing.take(max_frames).collect()
     }
 
     /// The run before the frame at `start`, if `filter` selects by state.
     fn states_before(&self, filter: &Filter, start: usize) -> Option<Reconstruction> {
-        let number = self.first + start as u64;
-        let kept = self.kept.iter().rev().find(|kept| kept.frame <= number)?;
-        let mut run = (!filter.states.is_empty()).then(|| kept.run.clone())?;
-        for frame in self.frames.range((kept.frame - self.first) as usize..start) {
+        let number = self.first_frame + start as u64;
+        let snapshot = self
+            .snapshots
+            .iter()
+            .rev()
+            .find(|snapshot| snapshot.next_frame <= number)?;
+        let mut run = (!filter.states.is_empty()).then(|| snapshot.run.clone())?;
+        for frame in self
+            .frames
+            .range((snapshot.next_frame - self.first_frame) as usize..start)
+        {
             let _discrepancy = run.apply(frame).is_err();
         }
         Some(run)
@@ -284,31 +292,35 @@ impl RunHistory {
 
     /// The frame with this number, if stored.
     pub fn frame(&self, number: u64) -> Option<&Frame> {
-        let at = number.checked_sub(self.first)?;
-        self.frames.get(usize::try_from(at).ok()?)
+        let index = number.checked_sub(self.first_frame)?;
+        self.frames.get(usize::try_from(index).ok()?)
     }
 
-    /// Drops snapshots and frames older than `length` TTIs.
-    fn forget(&mut self, next: Tti) {
-        while let Some(second) = self.kept.get(1).filter(|second| next - second.next >= self.length) {
+    /// Drops snapshots and frames older than `max_ttis` TTIs.
+    fn drop_old(&mut self, next: Tti) {
+        while let Some(second) = self
+            .snapshots
+            .get(1)
+            .filter(|second| next - second.next_tti >= self.max_ttis)
+        {
             // Frames before the second snapshot are needed only to continue from the first one.
-            let gone = second.frame - self.first;
-            self.frames.drain(..gone as usize);
-            self.first = second.frame;
-            self.kept.pop_front();
+            let dropped_frames = second.next_frame - self.first_frame;
+            self.frames.drain(..dropped_frames as usize);
+            self.first_frame = second.next_frame;
+            self.snapshots.pop_front();
         }
     }
 
     /// Records the event that is in progress in TTI `tti`, which lies in the grant that begins with `world`.
-    fn note_starts(&self, world: &Frame, tti: Tti, moment: &mut TtiSnapshot) {
+    fn record_event_at(&self, world: &Frame, tti: Tti, tti_snapshot: &mut TtiSnapshot) {
         let start = self.frames.partition_point(|frame| frame.tti < world.tti);
         for frame in self.frames.range(start..) {
             if frame.tti > tti {
                 return;
             }
             match frame.message() {
-                Ok(Message::Event(EventUpdate::Started(event))) => moment.event = Some(event.stimulus),
-                Ok(Message::Event(EventUpdate::Ended(record))) if record.last < tti => moment.event = None,
+                Ok(Message::Event(EventUpdate::Started(event))) => tti_snapshot.event = Some(event.stimulus),
+                Ok(Message::Event(EventUpdate::Ended(record))) if record.last < tti => tti_snapshot.event = None,
                 _ => {}
             }
         }
@@ -316,7 +328,7 @@ impl RunHistory {
 }
 
 /// Whether the current plan lets each of the first `devices` devices sense in TTI `tti`.
-fn on(run: &Reconstruction, tti: Tti, devices: usize) -> Vec<bool> {
+fn sensing_flags(run: &Reconstruction, tti: Tti, devices: usize) -> Vec<bool> {
     let plan = run.mirror().plan();
     let ids = (0..).map(DeviceId).take(devices);
     ids.map(|id| plan.is_some_and(|plan| plan.duty_cycle(id).is_on(tti)))
@@ -325,7 +337,7 @@ fn on(run: &Reconstruction, tti: Tti, devices: usize) -> Vec<bool> {
 
 impl TtiSnapshot {
     /// The kinds that a snapshot records.
-    const NOTED: [MessageKind; 6] = [
+    const RECORDED_KINDS: [MessageKind; 6] = [
         MessageKind::Report,
         MessageKind::Lost,
         MessageKind::Failed,
@@ -334,7 +346,7 @@ impl TtiSnapshot {
         MessageKind::Event,
     ];
 
-    fn note(&mut self, frame: &Frame, message: &Message) {
+    fn record(&mut self, frame: &Frame, message: &Message) {
         if let Message::Report(report) = message {
             self.reported.push(report.device);
         } else if let Message::Lost(lost) = message {
@@ -377,8 +389,8 @@ mod tests {
         load("paper", &set).expect("a scenario").scenario
     }
 
-    fn story(scenario: &Scenario, length: u64) -> RunHistory {
-        let mut story = RunHistory::new(scenario, length);
+    fn story(scenario: &Scenario, max_ttis: u64) -> RunHistory {
+        let mut story = RunHistory::new(scenario, max_ttis);
         let take = |frame| story.push(frame).expect("it fits");
         Run::new(&prepare(scenario), RunOptions::default()).finish(&mut FrameObserver::new(0, take));
         story
@@ -421,16 +433,19 @@ mod tests {
         };
         Run::new(&prepare(&scenario), options).finish(&mut witness);
         let story = story(&scenario, u64::MAX);
-        assert_eq!(story.span(), (Tti(0), Tti(2600)));
-        assert_eq!(story.at(Tti(2600)), None);
+        assert_eq!(story.available_ttis(), (Tti(0), Tti(2600)));
+        assert_eq!(story.snapshot_at(Tti(2600)), None);
         let mut sent = 0;
         for k in (0..2600).filter(|k| k % 7 == 0 || k % 500 < 3) {
-            let moment = story.at(Tti(k)).expect("kept");
-            assert_eq!(moment.views, witness.states[k as usize], "TTI {k}");
-            assert_eq!(moment.reported.len(), witness.reports[k as usize], "TTI {k}");
-            assert_eq!(moment.woken.len(), witness.wakes[k as usize], "TTI {k}");
-            assert!(moment.reported.is_empty() || moment.event.is_some(), "TTI {k}");
-            let transmitting = moment
+            let tti_snapshot = story.snapshot_at(Tti(k)).expect("snapshot");
+            assert_eq!(tti_snapshot.views, witness.states[k as usize], "TTI {k}");
+            assert_eq!(tti_snapshot.reported.len(), witness.reports[k as usize], "TTI {k}");
+            assert_eq!(tti_snapshot.woken.len(), witness.wakes[k as usize], "TTI {k}");
+            assert!(
+                tti_snapshot.reported.is_empty() || tti_snapshot.event.is_some(),
+                "TTI {k}"
+            );
+            let transmitting = tti_snapshot
                 .views
                 .iter()
                 .filter(|view| view.state == DeviceState::Transmission);
@@ -438,7 +453,7 @@ mod tests {
         }
         assert!(sent > 20, "{sent}");
         let own: Vec<DeviceView> = witness.states[980..1120].iter().map(|views| views[7]).collect();
-        let history = story.history(DeviceId(7), Tti(980), Tti(1120));
+        let history = story.device_views(DeviceId(7), Tti(980), Tti(1120));
         assert_eq!(history.iter().map(|(_, view)| *view).collect::<Vec<_>>(), own);
         assert_eq!((history[0].0, history[139].0), (Tti(980), Tti(1119)));
     }
@@ -447,15 +462,15 @@ mod tests {
     fn what_is_far_back_is_forgotten() {
         let scenario = scenario();
         let (whole, short) = (story(&scenario, u64::MAX), story(&scenario, 700));
-        let (first, end) = short.span();
+        let (first, end) = short.available_ttis();
         assert!(
             end == Tti(2600) && (700..1800).contains(&(end - first)),
             "{first} to {end}"
         );
         assert!(short.frames.len() < whole.frames.len() / 2);
-        assert_eq!(short.at(Tti(first.0 - 1)), None);
+        assert_eq!(short.snapshot_at(Tti(first.0 - 1)), None);
         for k in (first.0..2600).step_by(41) {
-            assert_eq!(short.at(Tti(k)), whole.at(Tti(k)), "TTI {k}");
+            assert_eq!(short.snapshot_at(Tti(k)), whole.snapshot_at(Tti(k)), "TTI {k}");
         }
         let filter = Filter {
             ttis: Some(2000..=2010),

@@ -1,4 +1,4 @@
-//! Prometheus metrics of a running run. Their names are stable; docs/monitoring.md lists them.
+//! Prometheus metrics of a running run, for `--metrics`. Their names are stable; docs/monitoring.md lists them.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -19,9 +19,9 @@ use reveille_common::totals::EnergyByState;
 use reveille_common::units::Energy;
 
 /// Upper bounds of the delay buckets, TTIs.
-const DELAYS: [f64; 9] = [0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 16.0, 32.0];
+const DELAY_BUCKETS: [f64; 9] = [0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 16.0, 32.0];
 /// Number of battery buckets, from empty to the largest E_max.
-const STEPS: u64 = 10;
+const BATTERY_BUCKETS: u64 = 10;
 
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
 struct RunLabels {
@@ -80,11 +80,11 @@ pub struct PrometheusMetrics {
     registry: Registry,
     handles: Handles,
     /// Whether metrics were requested since the last battery count.
-    is_asked: AtomicBool,
+    is_requested: AtomicBool,
     /// Largest E_max in the run.
     e_max: Energy,
     /// Last process statistics, from which the counters' increments are computed.
-    process: Mutex<ProcessStats>,
+    last_process_stats: Mutex<ProcessStats>,
 }
 
 /// Registered metrics.
@@ -93,9 +93,9 @@ struct Handles {
     ttis: Counter,
     grants: Counter,
     events: Counter,
-    missed: Counter,
+    missed_events: Counter,
     information: Counter<f64, AtomicU64>,
-    wrong: Counter,
+    wrong_activations: Counter,
     messages: Family<KindLabels, Counter>,
     bytes: Family<KindLabels, Counter>,
     /// Message and byte counters of each kind, in the order of [`MessageKind::ALL`], for lookup by index.
@@ -106,10 +106,10 @@ struct Handles {
     batteries: Family<BucketLabels, Gauge>,
     mean_battery: Float,
     hosts: Gauge,
-    late: Counter,
+    late_ttis: Counter,
     max_late: Float,
-    waited: Counter<f64, AtomicU64>,
-    left_out: Counter,
+    recorder_waited: Counter<f64, AtomicU64>,
+    dropped_messages: Counter,
     delays: Histogram,
 }
 
@@ -118,108 +118,112 @@ impl Handles {
         let (messages, bytes) = (Family::default(), Family::default());
         // Every series exists from the start, so that Prometheus reads 0 before the first message of a kind.
         let by_kind = MessageKind::ALL.iter().map(|kind| {
-            let of = KindLabels::new(*kind);
-            let counter = |family: &Family<KindLabels, Counter>| family.get_or_create(&of).clone();
+            let labels = KindLabels::new(*kind);
+            let counter = |family: &Family<KindLabels, Counter>| family.get_or_create(&labels).clone();
             (counter(&messages), counter(&bytes))
         });
         Self {
             by_kind: by_kind.collect(),
             messages: Family::clone(&messages),
             bytes: Family::clone(&bytes),
-            delays: Histogram::new(DELAYS),
+            delays: Histogram::new(DELAY_BUCKETS),
             tti: Gauge::default(),
             ttis: Counter::default(),
             grants: Counter::default(),
             events: Counter::default(),
-            missed: Counter::default(),
+            missed_events: Counter::default(),
             information: Counter::default(),
-            wrong: Counter::default(),
+            wrong_activations: Counter::default(),
             spent: Family::default(),
             harvested: Counter::default(),
             states: Family::default(),
             batteries: Family::default(),
             mean_battery: Gauge::default(),
             hosts: Gauge::default(),
-            late: Counter::default(),
+            late_ttis: Counter::default(),
             max_late: Gauge::default(),
-            waited: Counter::default(),
-            left_out: Counter::default(),
+            recorder_waited: Counter::default(),
+            dropped_messages: Counter::default(),
         }
     }
 
     fn register(&self, registry: &mut Registry) {
-        let own = self;
-        registry.register("next_tti", "The next TTI to be granted", own.tti.clone());
-        registry.register("ttis", "TTIs that were run", own.ttis.clone());
-        registry.register("grants", "Grants of the virtual clock", own.grants.clone());
-        registry.register("events", "Counted events that have ended", own.events.clone());
+        let handles = self;
+        registry.register("next_tti", "The next TTI to be granted", handles.tti.clone());
+        registry.register("ttis", "TTIs that were run", handles.ttis.clone());
+        registry.register("grants", "Grants of the virtual clock", handles.grants.clone());
+        registry.register("events", "Counted events that have ended", handles.events.clone());
         registry.register(
             "events_missed",
             "Counted events that ended without a report",
-            own.missed.clone(),
+            handles.missed_events.clone(),
         );
         registry.register(
             "information",
             "Information of counted events at the base station",
-            own.information.clone(),
+            handles.information.clone(),
         );
         registry.register(
             "wrong_activations",
             "Wrong activations for counted events",
-            own.wrong.clone(),
+            handles.wrong_activations.clone(),
         );
-        registry.register("messages", "Messages by plane and kind", own.messages.clone());
+        registry.register("messages", "Messages by plane and kind", handles.messages.clone());
         registry.register(
             "message_bytes",
             "Bytes of messages, as encoded, by plane and kind",
-            own.bytes.clone(),
+            handles.bytes.clone(),
         );
         registry.register(
             "energy_spent_units",
             "Energy spent by devices, by purpose, up to the last window",
-            own.spent.clone(),
+            handles.spent.clone(),
         );
         registry.register(
             "energy_harvested_units",
             "Energy harvested by devices, up to the last window",
-            own.harvested.clone(),
+            handles.harvested.clone(),
         );
         registry.register(
             "devices",
             "Devices by state, as of the previous request",
-            own.states.clone(),
+            handles.states.clone(),
         );
         registry.register(
             "devices_with_battery",
             "Devices with at most this many units, as of the previous request",
-            own.batteries.clone(),
+            handles.batteries.clone(),
         );
         registry.register(
             "battery_mean_units",
             "Mean battery level, as of the previous request",
-            own.mean_battery.clone(),
+            handles.mean_battery.clone(),
         );
-        registry.register("hosts_alive", "Hosts that are not lost", own.hosts.clone());
+        registry.register("hosts_alive", "Hosts that are not lost", handles.hosts.clone());
         registry.register(
             "late_ttis",
             "TTIs that began late under a real-time pace",
-            own.late.clone(),
+            handles.late_ttis.clone(),
         );
-        registry.register("late_max_seconds", "The largest delay of a TTI", own.max_late.clone());
+        registry.register(
+            "late_max_seconds",
+            "The largest delay of a TTI",
+            handles.max_late.clone(),
+        );
         registry.register(
             "recorder_waited_seconds",
             "Time that its recording has delayed the run",
-            own.waited.clone(),
+            handles.recorder_waited.clone(),
         );
         registry.register(
             "observer_messages_left_out",
             "Messages that were dropped because an observer on the bus was too slow",
-            own.left_out.clone(),
+            handles.dropped_messages.clone(),
         );
         registry.register(
             "event_delay_ttis",
             "TTIs from the start of a counted event to its first report",
-            own.delays.clone(),
+            handles.delays.clone(),
         );
     }
 }
@@ -230,8 +234,8 @@ impl PrometheusMetrics {
         let mut registry = Registry::with_prefix("reveille");
         let handles = Handles::new();
         handles.register(&mut registry);
-        let about: Family<RunLabels, Gauge> = Family::default();
-        let of = RunLabels {
+        let run_info: Family<RunLabels, Gauge> = Family::default();
+        let labels = RunLabels {
             run: run.to_owned(),
             policy: scenario.policy.name().to_owned(),
             preset: scenario.run.preset.clone(),
@@ -239,8 +243,8 @@ impl PrometheusMetrics {
             devices: scenario.run.devices,
             version: env!("CARGO_PKG_VERSION").to_owned(),
         };
-        about.get_or_create(&of).set(1);
-        registry.register("run_info", "Description of the run by labels, always 1", about);
+        run_info.get_or_create(&labels).set(1);
+        registry.register("run_info", "Description of the run by labels, always 1", run_info);
         let length: Gauge = Gauge::default();
         length.set(scenario.run.ttis.cast_signed());
         registry.register("run_length_ttis", "Length of the run", length);
@@ -248,26 +252,26 @@ impl PrometheusMetrics {
         let metrics = Self {
             registry,
             handles,
-            is_asked: AtomicBool::new(true),
+            is_requested: AtomicBool::new(true),
             e_max: e_max.unwrap_or(Energy::ZERO),
-            process: Mutex::default(),
+            last_process_stats: Mutex::default(),
         };
-        metrics.begin();
+        metrics.create_series();
         Arc::new(metrics)
     }
 
     /// Creates every series, so that Prometheus reads 0 before the first occurrence.
-    fn begin(&self) {
+    fn create_series(&self) {
         for state in ["sensing", "sleep", "report"] {
             drop(self.handles.spent.get_or_create(&StateLabels { state }));
         }
-        // `look` clears the request, but the first states are wanted before any request.
-        self.look(&[]);
-        self.is_asked.store(true, Ordering::Relaxed);
+        // `update_devices` clears the request, but the first states are wanted before any request.
+        self.update_devices(&[]);
+        self.is_requested.store(true, Ordering::Relaxed);
     }
 
     /// Counts a frame.
-    pub fn count(&self, frame: &Frame) {
+    pub fn count_frame(&self, frame: &Frame) {
         // `ALL` lists the kinds in the order of declaration, so the discriminant is the index.
         let (messages, bytes) = &self.handles.by_kind[frame.kind as usize];
         messages.inc();
@@ -285,37 +289,46 @@ impl PrometheusMetrics {
         {
             self.handles.events.inc();
             self.handles.information.inc_by(record.tally.information());
-            self.handles.wrong.inc_by(record.tally.wrong_activations);
+            self.handles.wrong_activations.inc_by(record.tally.wrong_activations);
             match record.delay() {
                 Some(delay) => self.handles.delays.observe(delay as f64),
-                None => drop(self.handles.missed.inc()),
+                None => drop(self.handles.missed_events.inc()),
             }
         }
     }
 
-    /// Encodes the metrics with the process statistics `process`, in the OpenMetrics format if `is_open`, otherwise in
-    /// the older Prometheus text format.
-    pub fn encode(&self, process: ProcessStats, is_open: bool) -> String {
-        self.is_asked.store(true, Ordering::Relaxed);
+    /// Encodes the metrics with the process statistics `process`: in the OpenMetrics format if `is_openmetrics`,
+    /// otherwise in the older Prometheus text format.
+    pub fn encode(&self, process: ProcessStats, is_openmetrics: bool) -> String {
+        self.is_requested.store(true, Ordering::Relaxed);
         // Held over all increments; otherwise two parallel requests would count them twice.
-        let mut before = self.process.lock().unwrap_or_else(PoisonError::into_inner);
-        let own = &self.handles;
-        own.hosts.set(process.hosts.cast_signed());
-        own.max_late.set(process.max_late_s);
-        own.late.inc_by(process.late_ttis.saturating_sub(before.late_ttis));
-        own.left_out.inc_by(process.dropped.saturating_sub(before.dropped));
-        own.waited
+        let mut before = self.last_process_stats.lock().unwrap_or_else(PoisonError::into_inner);
+        let handles = &self.handles;
+        handles.hosts.set(process.hosts.cast_signed());
+        handles.max_late.set(process.max_late_s);
+        handles
+            .late_ttis
+            .inc_by(process.late_ttis.saturating_sub(before.late_ttis));
+        handles
+            .dropped_messages
+            .inc_by(process.dropped.saturating_sub(before.dropped));
+        handles
+            .recorder_waited
             .inc_by((process.recorder_waited_s - before.recorder_waited_s).max(0.0));
         *before = process;
         drop(before);
         let mut text = String::new();
         encode(&mut text, &self.registry).expect("a text takes everything");
-        if is_open { text } else { plain(&text) }
+        if is_openmetrics {
+            text
+        } else {
+            to_prometheus_text(&text)
+        }
     }
 
-    fn look(&self, views: &[DeviceView]) {
-        self.is_asked.store(false, Ordering::Relaxed);
-        let of = |state| StateLabels { state };
+    fn update_devices(&self, views: &[DeviceView]) {
+        self.is_requested.store(false, Ordering::Relaxed);
+        let labels = |state| StateLabels { state };
         let states = [
             // Devices leave S2 within the TTI in which they enter it, so no view shows S2.
             ("S1", DeviceState::Idle),
@@ -325,12 +338,15 @@ impl PrometheusMetrics {
         ];
         for (name, state) in states {
             let count = views.iter().filter(|view| view.state == state).count() as u64;
-            self.handles.states.get_or_create(&of(name)).set(count.cast_signed());
+            self.handles
+                .states
+                .get_or_create(&labels(name))
+                .set(count.cast_signed());
         }
-        for step in 0..=STEPS {
-            let most = Energy::from_micro(self.e_max.micro() * step / STEPS);
-            let count = views.iter().filter(|view| view.battery <= most).count() as u64;
-            let at_most = most.units().to_string();
+        for step in 0..=BATTERY_BUCKETS {
+            let upper_bound = Energy::from_micro(self.e_max.micro() * step / BATTERY_BUCKETS);
+            let count = views.iter().filter(|view| view.battery <= upper_bound).count() as u64;
+            let at_most = upper_bound.units().to_string();
             self.handles
                 .batteries
                 .get_or_create(&BucketLabels { at_most })
@@ -341,7 +357,7 @@ impl PrometheusMetrics {
         self.handles.mean_battery.set(sum / views.len().max(1) as f64);
     }
 
-    fn spend(&self, window: &WindowRecord) {
+    fn add_energy(&self, window: &WindowRecord) {
         let EnergyByState { sensing, sleep, report } = window.energy.spent;
         for (state, energy) in [("sensing", sensing), ("sleep", sleep), ("report", report)] {
             self.handles
@@ -360,24 +376,24 @@ pub struct MetricsObserver(pub Arc<PrometheusMetrics>);
 impl Observer for MetricsObserver {
     fn notify(&mut self, notification: &Notification<'_>) {
         if let Notification::DeviceStates(views) = notification {
-            self.0.look(views);
+            self.0.update_devices(views);
         }
     }
 
     fn wants_states(&self) -> bool {
-        self.0.is_asked.load(Ordering::Relaxed)
+        self.0.is_requested.load(Ordering::Relaxed)
     }
 
     fn window_closed(&mut self, window: &WindowRecord) -> bool {
-        self.0.spend(window);
+        self.0.add_energy(window);
         true
     }
 }
 
 /// Converts OpenMetrics to the older Prometheus text format: counter names keep their suffix in descriptions, and the
 /// end mark is missing.
-fn plain(open: &str) -> String {
-    let counters: Vec<&str> = open
+fn to_prometheus_text(openmetrics: &str) -> String {
+    let counters: Vec<&str> = openmetrics
         .lines()
         .filter_map(|line| line.strip_prefix("# TYPE ")?.strip_suffix(" counter"))
         .collect();
@@ -392,7 +408,7 @@ fn plain(open: &str) -> String {
             _ => format!("{line}\n"),
         }
     };
-    open.lines().map(line).collect()
+    openmetrics.lines().map(line).collect()
 }
 
 #[cfg(test)]
@@ -439,7 +455,7 @@ mod tests {
         let metrics = PrometheusMetrics::new("r", &scenario);
         let counted = Arc::clone(&metrics);
         let mut observers = (
-            FrameObserver::new(0, move |frame| counted.count(&frame)),
+            FrameObserver::new(0, move |frame| counted.count_frame(&frame)),
             MetricsObserver(Arc::clone(&metrics)),
         );
         let options = RunOptions {

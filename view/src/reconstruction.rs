@@ -1,4 +1,5 @@
-//! Reconstruction of a run from observer frames alone: metrics, digest and a consistency check.
+//! Reconstruction of a run from observer frames alone: metrics, digest and a consistency check. `inspect verify` and
+//! the dashboard use it. Its score must count as the base station's does, in the same order.
 
 use reveille_bs::scenario::Scenario;
 use reveille_common::codec;
@@ -25,7 +26,7 @@ pub struct Reconstruction {
     plan: Option<Plan>,
     stimulus: Option<Stimulus>,
     /// TTI of `information`.
-    tti: Tti,
+    information_tti: Tti,
     /// Î of that TTI, from its reports.
     information: f64,
 }
@@ -41,7 +42,7 @@ impl Reconstruction {
             deployment,
             plan: None,
             stimulus: None,
-            tti: Tti::ZERO,
+            information_tti: Tti::ZERO,
             information: 0.0,
         }
     }
@@ -52,7 +53,7 @@ impl Reconstruction {
     /// If the frame contradicts the frames before it.
     pub fn apply(&mut self, frame: &Frame) -> Result<(), Discrepancy> {
         let tti = frame.tti;
-        let refuse = |what: String| Discrepancy { tti, what };
+        let discrepancy = |description: String| Discrepancy { tti, description };
         // The emulation plane has no influence on results, so it is not decoded.
         if frame.kind.plane() == Plane::Emu {
             return Ok(());
@@ -61,28 +62,28 @@ impl Reconstruction {
             Ok(message) => message,
             // A malformed message on the air was sent by a foreign client and is not part of the run.
             Err(_) if frame.kind.plane() == Plane::Air => return Ok(()),
-            Err(error) => return Err(refuse(format!("malformed {}: {error}", frame.kind.name()))),
+            Err(error) => return Err(discrepancy(format!("malformed {}: {error}", frame.kind.name()))),
         };
-        // First, since `count` asks the mirror about missed plans and the open wake-up.
+        // First, since `count_message` asks the mirror about missed plans and the open wake-up.
         self.mirror.apply(frame, &message)?;
-        self.count(frame, message).map_err(refuse)
+        self.count_message(frame, message).map_err(discrepancy)
     }
 
     /// Returns the score of the run if it ended after the current TTI.
     pub fn finish(self) -> FinalScore {
-        let (alpha, end) = self.so_far();
+        let (alpha, end) = self.alpha_and_end();
         self.score.finish(alpha, end, &self.mirror.ledgers())
     }
 
     /// Metrics of the run if it ended after the current TTI.
     pub fn metrics(&self) -> Metrics {
-        let (alpha, end) = self.so_far();
+        let (alpha, end) = self.alpha_and_end();
         self.score.metrics(alpha, end, &self.mirror.ledgers())
     }
 
     /// Start probability of events in the measured TTIs so far, and the next TTI.
-    fn so_far(&self) -> (f64, Tti) {
-        let (scenario, end) = (&self.scenario, self.mirror.next());
+    fn alpha_and_end(&self) -> (f64, Tti) {
+        let (scenario, end) = (&self.scenario, self.mirror.next_tti());
         let measured_from = scenario.warm_up_end();
         let alpha = scenario
             .events
@@ -111,17 +112,18 @@ impl Reconstruction {
     }
 
     /// Number of TTIs applied.
-    pub fn ttis(&self) -> u64 {
-        self.mirror.now().map_or(0, |last| last.0 + 1)
+    pub fn ttis_applied(&self) -> u64 {
+        self.mirror.current_tti().map_or(0, |last| last.0 + 1)
     }
 
-    fn count(&mut self, frame: &Frame, message: Message) -> Result<(), String> {
+    fn count_message(&mut self, frame: &Frame, message: Message) -> Result<(), String> {
         match message {
             Message::Plan(update) => {
                 let is_new = self.plan.as_ref() != Some(&update.plan);
-                self.score.plan(&update, is_new, codec::encoded_len(&update));
+                self.score.record_plan(&update, is_new, codec::encoded_len(&update));
                 let devices = u64::from(self.scenario.run.devices);
-                self.score.plan_missed(update.from, devices, self.mirror.missed_plans());
+                self.score
+                    .record_missed_plans(update.from, devices, self.mirror.missed_plans());
                 self.plan = Some(update.plan);
             }
             Message::Event(EventUpdate::Started(event)) => {
@@ -129,37 +131,38 @@ impl Reconstruction {
                     return Err("an event starts while another is active".to_owned());
                 }
                 self.stimulus = Some(event.stimulus);
-                self.score.event_started(event);
+                self.score.record_event_start(event);
             }
-            Message::Event(EventUpdate::Ended(told)) => return self.event_ended(&told),
+            Message::Event(EventUpdate::Ended(record)) => return self.check_event_record(&record),
             Message::Report(report) => {
                 self.fuse(report.tti, report.information);
                 // A woken device's report is counted with its wake-up.
                 if !self.mirror.is_waking() {
-                    self.under_way()?;
-                    self.score.reported(&report);
+                    self.active_event()?;
+                    self.score.record_report(&report);
                 }
             }
             Message::Lost(lost) => {
-                self.under_way()?;
-                self.score.lost(&lost.report);
+                self.active_event()?;
+                self.score.record_lost_report(&lost.report);
             }
-            Message::Removed(outage) => self.score.devices_removed(&outage),
+            Message::Removed(outage) => self.score.record_removal(&outage),
             Message::Failed(failed) => {
-                self.under_way()?;
-                self.score.failed(&failed.failure);
+                self.active_event()?;
+                self.score.record_failed_transmission(&failed.failure);
             }
             Message::Wake(wake) => {
-                self.under_way()?;
-                self.score.wake_up(frame.tti, codec::encoded_len(&wake));
+                self.active_event()?;
+                self.score.record_wake_up(frame.tti, codec::encoded_len(&wake));
             }
             Message::Woken(woken) => {
-                let epicentre = self.under_way()?.epicentre;
+                let epicentre = self.active_event()?.epicentre;
                 let device = frame.number.map(DeviceId).ok_or("an outcome without a device")?;
                 let setup = self.deployment.devices.get(device.index());
-                let place = setup.ok_or("an outcome of a device that does not exist")?.position;
-                let is_far = place.distance(epicentre) > self.scenario.sensing.d_max;
-                self.score.wake_up_completed(frame.tti, device, &woken.outcome, is_far);
+                let position = setup.ok_or("an outcome of a device that does not exist")?.position;
+                let is_far = position.distance(epicentre) > self.scenario.sensing.d_max;
+                self.score
+                    .record_wake_up_outcome(frame.tti, device, &woken.outcome, is_far);
             }
             Message::World(_)
             | Message::States(_)
@@ -175,8 +178,8 @@ impl Reconstruction {
         Ok(())
     }
 
-    fn event_ended(&mut self, told: &EventRecord) -> Result<(), String> {
-        self.under_way()?;
+    fn check_event_record(&mut self, record: &EventRecord) -> Result<(), String> {
+        self.active_event()?;
         self.stimulus = None;
         // Without a report, `information` belongs to an earlier event.
         let information = if self.score.is_reported() {
@@ -184,25 +187,25 @@ impl Reconstruction {
         } else {
             0.0
         };
-        let own = self.score.event_ended(told.last, information);
-        if own == *told {
+        let own = self.score.record_event_end(record.last, information);
+        if own == *record {
             Ok(())
         } else {
             Err(format!(
                 "the messages of event {} give {:?}, and its record says {:?}",
-                told.event.0, own.tally, told.tally
+                record.event.0, own.tally, record.tally
             ))
         }
     }
 
-    fn under_way(&self) -> Result<Stimulus, String> {
+    fn active_event(&self) -> Result<Stimulus, String> {
         self.stimulus.ok_or_else(|| "no event is active".to_owned())
     }
 
     /// Adds the information of a report of TTI `tti`.
     fn fuse(&mut self, tti: Tti, information: f64) {
-        if tti != self.tti {
-            (self.tti, self.information) = (tti, 0.0);
+        if tti != self.information_tti {
+            (self.information_tti, self.information) = (tti, 0.0);
         }
         self.information = self.scenario.sensing.fuse(self.information, information);
     }

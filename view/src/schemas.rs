@@ -1,4 +1,5 @@
-//! Schemas of the messages, traced from the Rust types: names, order and types of their fields.
+//! Schemas of the messages, traced from the Rust types: names, order and types of their fields. Recordings embed them
+//! as JSON Schema, and the Wireshark dissector is generated from them.
 
 use std::collections::BTreeMap;
 
@@ -26,8 +27,8 @@ struct SchemaTracer {
 
 impl SchemaTracer {
     fn trace<T: DeserializeOwned>(&mut self) -> Format {
-        let traced = self.tracer.trace_simple_type::<T>();
-        traced.expect("a type of messages has one form").0
+        let format = self.tracer.trace_simple_type::<T>();
+        format.expect("a type of messages has one form").0
     }
 }
 
@@ -40,35 +41,35 @@ impl TypeVisitor for SchemaTracer {
 
 impl MessageSchemas {
     /// Traces the message schemas of this version.
-    pub fn read() -> Self {
-        let mut seen = SchemaTracer {
+    pub fn trace_all() -> Self {
+        let mut tracer = SchemaTracer {
             tracer: Tracer::new(TracerConfig::default()),
             kinds: BTreeMap::new(),
         };
         // Enums inside messages are traced first: from a message alone, the tracer sees only their first variant.
-        seen.trace::<Plan>();
-        seen.trace::<WakeOutcome>();
-        seen.trace::<DeviceState>();
-        seen.trace::<Pace>();
-        MessageKind::show_types(&mut seen);
+        tracer.trace::<Plan>();
+        tracer.trace::<WakeOutcome>();
+        tracer.trace::<DeviceState>();
+        tracer.trace::<Pace>();
+        MessageKind::visit_types(&mut tracer);
         Self {
-            types: seen.tracer.registry().expect("types of messages are finite"),
-            kinds: seen.kinds,
+            types: tracer.tracer.registry().expect("types of messages are finite"),
+            kinds: tracer.kinds,
         }
     }
 
     /// Returns the type called `name`.
-    pub fn named(&self, name: &str) -> Option<&ContainerFormat> {
+    pub fn type_named(&self, name: &str) -> Option<&ContainerFormat> {
         self.types.get(name)
     }
 
     /// Returns the type of the messages of `kind`.
-    pub fn kind(&self, kind: MessageKind) -> &Format {
+    pub fn type_of(&self, kind: MessageKind) -> &Format {
         &self.kinds[&kind]
     }
 
     /// Returns the JSON Schema of the JSON lines of `kind`.
-    pub fn schema(&self, kind: MessageKind) -> Value {
+    pub fn json_schema(&self, kind: MessageKind) -> Value {
         let number = match kind.addressee().name() {
             "" => json!({ "type": "null" }),
             whose => json!({ "type": "integer", "minimum": 0, "description": format!("the {whose}") }),
@@ -80,7 +81,10 @@ impl MessageSchemas {
             ("kind", json!({ "const": kind.name() })),
             ("number", number),
             ("bytes", integer(true)),
-            ("message", json!({ "anyOf": [self.format(self.kind(kind)), malformed] })),
+            (
+                "message",
+                json!({ "anyOf": [self.format(self.type_of(kind)), malformed] }),
+            ),
         ]);
         schema["$schema"] = json!("https://json-schema.org/draft/2020-12/schema");
         schema["title"] = json!(format!("{}: {}", kind.name(), kind.direction()));
@@ -160,12 +164,12 @@ fn integer(is_natural: bool) -> Value {
 
 /// Builds the schema of an object whose properties are all required.
 fn object<'a>(properties: impl IntoIterator<Item = (&'a str, Value)>) -> Value {
-    let (mut required, mut of) = (Vec::new(), serde_json::Map::new());
+    let (mut required, mut schemas) = (Vec::new(), serde_json::Map::new());
     for (name, schema) in properties {
         required.push(json!(name));
-        of.insert(name.to_owned(), schema);
+        schemas.insert(name.to_owned(), schema);
     }
-    json!({ "type": "object", "properties": of, "required": required })
+    json!({ "type": "object", "properties": schemas, "required": required })
 }
 
 #[cfg(test)]
@@ -174,13 +178,13 @@ mod tests {
 
     #[test]
     fn every_kind_has_a_form() {
-        let forms = MessageSchemas::read();
+        let forms = MessageSchemas::trace_all();
         for kind in MessageKind::ALL {
-            let schema = forms.schema(*kind);
+            let schema = forms.json_schema(*kind);
             assert_eq!(schema["properties"]["kind"]["const"], kind.name());
             assert!(schema["properties"]["message"]["anyOf"][0].is_object(), "{schema}");
         }
-        let report = &forms.schema(MessageKind::Report)["properties"]["message"]["anyOf"][0];
+        let report = &forms.json_schema(MessageKind::Report)["properties"]["message"]["anyOf"][0];
         let names: Vec<&str> = report["required"]
             .as_array()
             .expect("fields")

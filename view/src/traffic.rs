@@ -1,4 +1,4 @@
-//! Traffic statistics: messages and bytes by kind, plane, TTI and device.
+//! Traffic statistics: messages and bytes by kind, plane and device, for `inspect stats` and the dashboard.
 
 use std::collections::BTreeMap;
 

@@ -1,4 +1,4 @@
-//! Pairs of a wake-up and its outcome.
+//! Pairs of a wake-up and its outcome, shown as one line by `inspect tail --pair-wake-ups`.
 
 use std::fmt;
 
@@ -27,8 +27,8 @@ impl fmt::Display for WakeUpExchange {
             outcome,
             bytes,
         } = self;
-        let whose = format!("device {device}");
-        write!(f, "{tti:>8} air   wake    {whose:<11} {bytes:>6} B  {outcome}")
+        let address = format!("device {device}");
+        write!(f, "{tti:>8} air   wake    {address:<11} {bytes:>6} B  {outcome}")
     }
 }
 
@@ -38,7 +38,7 @@ pub enum PairStep {
     /// Not part of a wake-up.
     Unpaired,
     /// Part of a wake-up that is still incomplete.
-    Held,
+    Pending,
     /// Last part of this wake-up.
     Paired(WakeUpExchange),
 }
@@ -47,27 +47,27 @@ pub enum PairStep {
 #[derive(Clone, Debug, Default)]
 pub struct WakeUpPairer {
     /// Device of the open wake-up, and its bytes so far.
-    waking: Option<(DeviceId, usize)>,
+    open_wake_up: Option<(DeviceId, usize)>,
 }
 
 impl WakeUpPairer {
     /// Adds `frame`, whose decoded content is `message`. A wake-up without an outcome, as when that frame was dropped,
     /// is discarded at the next wake-up.
-    pub fn take(&mut self, frame: &Frame, message: &Result<Message, CodecError>) -> PairStep {
+    pub fn push(&mut self, frame: &Frame, message: &Result<Message, CodecError>) -> PairStep {
         let bytes = frame.payload.len();
-        let is_own = |device: DeviceId| frame.number == Some(device.0);
-        match (frame.kind, &mut self.waking) {
-            (MessageKind::Wake, waking) => {
-                *waking = frame.number.map(|number| (DeviceId(number), bytes));
-                PairStep::Held
+        let is_for = |device: DeviceId| frame.number == Some(device.0);
+        match (frame.kind, &mut self.open_wake_up) {
+            (MessageKind::Wake, open_wake_up) => {
+                *open_wake_up = frame.number.map(|number| (DeviceId(number), bytes));
+                PairStep::Pending
             }
-            (MessageKind::Report, Some((device, sum))) if is_own(*device) => {
+            (MessageKind::Report, Some((device, sum))) if is_for(*device) => {
                 *sum += bytes;
-                PairStep::Held
+                PairStep::Pending
             }
-            (MessageKind::Woken, Some((device, sum))) if is_own(*device) => {
+            (MessageKind::Woken, Some((device, sum))) if is_for(*device) => {
                 let (device, bytes) = (*device, *sum);
-                self.waking = None;
+                self.open_wake_up = None;
                 match message {
                     Ok(Message::Woken(woken)) => PairStep::Paired(WakeUpExchange {
                         tti: frame.tti,
@@ -108,7 +108,7 @@ mod tests {
             Frame::new(tti, device, &report(device)),
         ];
         let mut join = WakeUpPairer::default();
-        let steps = frames.each_ref().map(|frame| join.take(frame, &frame.message()));
+        let steps = frames.each_ref().map(|frame| join.push(frame, &frame.message()));
         let bytes = frames[1].payload.len() + frames[2].payload.len();
         let joined = WakeUpExchange {
             tti,
@@ -120,8 +120,8 @@ mod tests {
             steps,
             [
                 PairStep::Unpaired,
-                PairStep::Held,
-                PairStep::Held,
+                PairStep::Pending,
+                PairStep::Pending,
                 PairStep::Paired(joined),
                 PairStep::Unpaired
             ]

@@ -34,11 +34,11 @@ fn estimates_follow_what_was_commanded_and_heard() {
     // eq5: λτ·exp(−λτ)·E_B = 0.1·e^-0.1·5.
     let harvest = 0.5 * libm::exp(-0.1);
     let expected = |cost: f64| 50.0 + 10.0 * (harvest - cost);
-    assert!((levels.all()[3].units() - expected(1.0)).abs() < 1e-4);
-    assert!((levels.all()[4].units() - expected(1.0 / 14.0)).abs() < 1e-4);
+    assert!((levels.levels()[3].units() - expected(1.0)).abs() < 1e-4);
+    assert!((levels.levels()[4].units() - expected(1.0 / 14.0)).abs() < 1e-4);
     levels.observe_level(DeviceId(4), Tti(9), Energy::from_micro(7));
     levels.observe_no_answer(DeviceId(5), Tti(9), &plan);
-    assert_eq!(levels.all()[4..6], [Energy::from_micro(7), Energy::ZERO]);
+    assert_eq!(levels.levels()[4..6], [Energy::from_micro(7), Energy::ZERO]);
     assert!(!levels.needs_true_levels());
 }
 
@@ -52,17 +52,20 @@ fn an_estimate_over_many_ttis_is_the_sum_of_them() {
         offset: j % 3,
     };
     let plan = Plan::Periodic((0..50).map(cycle).collect());
-    let (mut stepped, mut at_once) = (BatteryEstimator::estimated(&known), BatteryEstimator::estimated(&known));
+    let (mut stepped, mut at_once) = (
+        BatteryEstimator::new_estimated(&known),
+        BatteryEstimator::new_estimated(&known),
+    );
     for k in 0..1000 {
         stepped.advance(Tti(k + 1), &plan);
     }
     at_once.advance(Tti(1000), &plan);
-    assert_eq!(stepped.all(), at_once.all());
+    assert_eq!(stepped.levels(), at_once.levels());
     let by_hand = |j: u32| {
         let on = (0..1000).filter(|k| (k + j % 3) % (3 + j % 7) < 1 + j % 3).count() as u64;
         5_000_000_000 + 1000 * 452_419 - on * 1_000_000 - (1000 - on) * 71_429
     };
-    for (level, j) in at_once.all().iter().zip(0..) {
+    for (level, j) in at_once.levels().iter().zip(0..) {
         assert_eq!(level.micro(), by_hand(j), "device {j}");
     }
 }
@@ -84,7 +87,7 @@ fn estimates_follow_the_time_of_the_day_where_it_is_known() {
         let mut levels = BatteryEstimator::new(&known(&[&DAY, set].concat()));
         let each = (0..48).map(|k| {
             levels.advance(Tti(k + 1), &asleep);
-            levels.all()[7].units()
+            levels.levels()[7].units()
         });
         each.collect::<Vec<f64>>()
     };
@@ -123,13 +126,16 @@ fn days_and_nights_are_carried_one_by_one() {
         offset: 0,
     };
     let plan = Plan::Periodic((0..50).map(cycle).collect());
-    let (mut stepped, mut at_once) = (BatteryEstimator::estimated(&known), BatteryEstimator::estimated(&known));
+    let (mut stepped, mut at_once) = (
+        BatteryEstimator::new_estimated(&known),
+        BatteryEstimator::new_estimated(&known),
+    );
     for k in 0..24 * 9 + 3 {
         stepped.advance(Tti(k + 1), &plan);
     }
     at_once.advance(Tti(24 * 9 + 3), &plan);
     // Full at dusk, then nine TTIs of night: 13.5 units for devices in S1.
-    for (j, (once, step)) in at_once.all().iter().zip(stepped.all()).enumerate() {
+    for (j, (once, step)) in at_once.levels().iter().zip(stepped.levels()).enumerate() {
         let spent = if j % 2 == 0 { 13.5 } else { 9.0 / 14.0 };
         assert!((once.units() - (100.0 - spent)).abs() < 4.0, "device {j}: {once}");
         assert!(
@@ -148,13 +154,13 @@ fn a_battery_that_is_full_or_empty_stays_within_its_ends() {
         levels.advance(Tti(k + 1), &asleep);
     }
     // A full battery ends each TTI below E_max by the cost of that TTI.
-    assert_eq!(levels.all()[0].micro(), 100_000_000 - 71_429);
+    assert_eq!(levels.levels()[0].micro(), 100_000_000 - 71_429);
     let poor = super::tests::known(&["harvest.lambda=0"]);
     let (mut levels, on) = (BatteryEstimator::new(&poor), Plan::from_bits([true; 50]));
     for k in 0..200 {
         levels.advance(Tti(k + 1), &on);
     }
-    assert_eq!(levels.all()[0], Energy::ZERO);
+    assert_eq!(levels.levels()[0], Energy::ZERO);
 }
 
 #[test]
@@ -174,7 +180,7 @@ fn who_must_have_seen_the_event_and_is_silent_is_empty() {
     );
     let mut levels = BatteryEstimator::new(&known);
     levels.advance(Tti(1), &plan);
-    let before = levels.all().to_vec();
+    let before = levels.levels().to_vec();
     levels.observe_reports(Tti(0), &plan, &[first, second(on[0])]);
     for j in 0..50 {
         let expected = match j {
@@ -183,7 +189,7 @@ fn who_must_have_seen_the_event_and_is_silent_is_empty() {
             j if on.contains(&j) => Energy::ZERO,
             j => before[j as usize],
         };
-        assert_eq!(levels.all()[j as usize], expected, "device {j}");
+        assert_eq!(levels.levels()[j as usize], expected, "device {j}");
     }
     // With probabilistic detection, one silent device shows little.
     let mut chance = known.clone();
@@ -191,14 +197,14 @@ fn who_must_have_seen_the_event_and_is_silent_is_empty() {
     let mut levels = BatteryEstimator::new(&chance);
     levels.advance(Tti(1), &plan);
     levels.observe_reports(Tti(0), &plan, &[first]);
-    assert_eq!(levels.all()[on[0] as usize], before[on[0] as usize]);
+    assert_eq!(levels.levels()[on[0] as usize], before[on[0] as usize]);
 }
 
 /// A device that never answers is asked whenever its estimate allows a report; the gaps between the requests grow.
 #[test]
 fn a_device_that_is_found_empty_again_and_again_is_asked_ever_later() {
     let known = known(&[]);
-    let (mut levels, asleep) = (BatteryEstimator::estimated(&known), Plan::from_bits([false; 50]));
+    let (mut levels, asleep) = (BatteryEstimator::new_estimated(&known), Plan::from_bits([false; 50]));
     let device = DeviceId(7);
     let mut asked = Vec::new();
     for k in 0..5000 {
@@ -239,17 +245,17 @@ fn a_device_can_report_if_what_is_carried_pays_for_it() {
             offset: j % 3,
         };
         let plan = Plan::Periodic((0..50).map(cycle).collect());
-        let mut levels = BatteryEstimator::estimated(&known);
+        let mut levels = BatteryEstimator::new_estimated(&known);
         for k in 0..300 {
             for j in 0..50 {
-                let (device, level) = (DeviceId(j), levels.of[j as usize]);
+                let (device, level) = (DeviceId(j), levels.levels[j as usize]);
                 let pays = levels.estimate_at(device, &plan, Tti(k + 1)).0 >= known.devices[j as usize].energy.e_tx;
                 assert_eq!(
                     levels.can_report(device, Tti(k), &plan),
                     pays,
                     "{set:?}, TTI {k}, device {j}"
                 );
-                let is_well = levels.devices[j as usize].is_usable(level, Tti(k + 1));
+                let is_well = levels.estimates[j as usize].can_surely_report(level, Tti(k + 1));
                 sure += usize::from(is_well);
                 others[usize::from(pays)] += usize::from(!is_well);
                 match (k + u64::from(j)) % 37 {
@@ -272,8 +278,8 @@ fn silent_for(known: &Knowledge, device: u32) -> f64 {
     let plan = Plan::from_bits((0..50).map(|j| j == device));
     for k in 0..10_000 {
         levels.advance(Tti(k + 1), &plan);
-        if levels.all()[device as usize] == Energy::ZERO {
-            assert!(levels.all()[2] > Energy::ZERO, "a sleeping device is not asked");
+        if levels.levels()[device as usize] == Energy::ZERO {
+            assert!(levels.levels()[2] > Energy::ZERO, "a sleeping device is not asked");
             return (k + 1) as f64;
         }
     }
@@ -319,8 +325,8 @@ fn a_device_among_others_that_report_is_found_out_by_itself() {
         if k % 50 == 0 {
             levels.observe_level(DeviceId(1), Tti(k), Energy::from_micro(60_000_000));
         }
-        assert!(levels.all()[1] > Energy::ZERO);
-        if found.is_none() && levels.all()[0] == Energy::ZERO {
+        assert!(levels.levels()[1] > Energy::ZERO);
+        if found.is_none() && levels.levels()[0] == Energy::ZERO {
             found = Some((k + 1) as f64);
         }
     }
@@ -336,7 +342,7 @@ fn a_class_of_which_nobody_is_heard_is_taken_to_charge_ever_slower() {
     // Imitates a policy: the first four charged devices sense.
     let (mut asked, mut last) = (Vec::new(), 0);
     for k in 0..40_000 {
-        let able = (0..50).filter(|&j: &u32| levels.all()[j as usize] >= need).take(4);
+        let able = (0..50).filter(|&j: &u32| levels.levels()[j as usize] >= need).take(4);
         let chosen: Vec<DeviceId> = able.map(DeviceId).collect();
         asked.push(chosen.len());
         last = if chosen.is_empty() { last } else { k };
@@ -352,7 +358,11 @@ fn a_class_of_which_nobody_is_heard_is_taken_to_charge_ever_slower() {
         levels.advance(Tti(k + 1), &asleep);
     }
     // 5 e⁻¹ − 1/14 units in each of 19 TTIs.
-    assert!(levels.all().iter().all(|level| *level >= need), "{:?}", levels.all());
+    assert!(
+        levels.levels().iter().all(|level| *level >= need),
+        "{:?}",
+        levels.levels()
+    );
     assert!(last > 20_000, "{last}: they are never asked again");
 }
 
@@ -363,9 +373,9 @@ fn levels_that_are_told_are_not_estimated() {
     let mut levels = BatteryEstimator::new(&known);
     let plan = Plan::from_bits((0..50).map(|j| j == 1));
     levels.set_true_levels((0..50).map(|j| Energy::from_micro(10_000_000 + 50_000 * j)));
-    let before = levels.all().to_vec();
+    let before = levels.levels().to_vec();
     levels.advance(Tti(1), &plan);
-    assert_eq!(levels.all(), before);
+    assert_eq!(levels.levels(), before);
     // These are levels before the TTI is paid, so a report needs E_Tx plus E_WuR or E_idle.
     let able: Vec<u32> = (0..50)
         .filter(|&j| levels.can_report(DeviceId(j), Tti(1), &plan))

@@ -1,4 +1,7 @@
-//! The probability that a device has sensed an event that another device reported (Sec. III).
+//! The probability that a device has sensed an event that another device reported (Sec. III), `P_4,2`.
+//!
+//! [`Ranking`](super::ranking::Ranking) orders candidates by it. The order of float operations is fixed, since a
+//! changed last bit can change which device is woken.
 
 use std::f64::consts::{LOG2_E, PI};
 use std::sync::Arc;
@@ -10,17 +13,19 @@ use crate::bounds_cache::{Band, BoundsCache, CorrelationBounds};
 /// Points computed in parallel.
 const LANES: usize = 2;
 
-/// Quadrature points for η·`d_max` up to [`DECAY`].
-const NODES: f64 = 18.0;
+/// Quadrature points for η·`d_max` up to [`BASE_DECAY`].
+const BASE_NODES: f64 = 18.0;
 
-/// η times the step of the grid of bounds, unless d would get too many rows.
-const STEP_DECAY: f64 = 0.1;
-const MOST_ROWS: f64 = 100.0;
+/// η times the step of the grid of bounds, unless d would get more than [`MAX_GRID_ROWS`]. A smaller step gives tighter
+/// bounds and more bands.
+const GRID_STEP_DECAY: f64 = 0.1;
+/// Largest number of steps of the grid along d.
+const MAX_GRID_ROWS: f64 = 100.0;
 /// Upper bound on the error of [`Correlation::p42`].
 const QUADRATURE_ERROR: f64 = 1e-6;
 
-/// Largest η·`d_max` for [`NODES`] points; beyond it the peak of the integrand is narrower and needs more points.
-const DECAY: f64 = 8.0;
+/// Largest η·`d_max` for [`BASE_NODES`] points; beyond it the peak of the integrand is narrower and needs more points.
+const BASE_DECAY: f64 = 8.0;
 
 /// The wake-up correlation of Eq. (`cosine_rule2`), prepared for the mean over the unknown direction φ of the event.
 #[derive(Clone, Debug)]
@@ -29,8 +34,9 @@ pub struct Correlation {
     /// 2 (1 − cos φ) and the weight of each node φ on [0, π], [`LANES`] at a time; the weights add up to 1. The nodes
     /// follow the Gauss-Legendre rule in t ∈ [0, 1] with φ = πt³. Where γ is close to d the integrand nearly has a kink
     /// at φ = 0, and the cube gathers nodes there. The plain rule needs three times as many nodes for the same error.
-    versines: Vec<[f64; LANES]>,
+    doubled_versines: Vec<[f64; LANES]>,
     weights: Vec<[f64; LANES]>,
+    /// p(`d_max`).
     threshold: f64,
     bounds: Arc<CorrelationBounds>,
 }
@@ -38,72 +44,76 @@ pub struct Correlation {
 impl Correlation {
     /// Creates the correlation for the given sensing model. The grid of bounds comes from the cache `grids`.
     pub fn new(sensing: &Sensing, grids: &BoundsCache) -> Self {
-        let narrower = (sensing.eta * sensing.d_max / DECAY).max(1.0);
-        let count = (NODES * narrower.sqrt()).ceil().min(1024.0) as usize;
+        let decay_ratio = (sensing.eta * sensing.d_max / BASE_DECAY).max(1.0);
+        let count = (BASE_NODES * decay_ratio.sqrt()).ceil().min(1024.0) as usize;
         // A node of weight 0 fills the last lane.
         let nodes = gauss_legendre(count).chain(std::iter::once((1.0, 0.0)));
-        let (versines, weights): (Vec<f64>, Vec<f64>) = nodes
+        let (doubled_versines, weights): (Vec<f64>, Vec<f64>) = nodes
             .map(|(t, weight)| {
                 let t = 0.5 * (t + 1.0);
-                let twice_versine = 2.0 - 2.0 * libm::cos(PI * t * t * t);
-                (twice_versine, 0.5 * weight * 3.0 * t * t)
+                let doubled_versine = 2.0 - 2.0 * libm::cos(PI * t * t * t);
+                (doubled_versine, 0.5 * weight * 3.0 * t * t)
             })
             .unzip();
         let mut correlation = Self {
             sensing: sensing.clone(),
-            versines: versines.as_chunks().0.to_vec(),
+            doubled_versines: doubled_versines.as_chunks().0.to_vec(),
             weights: weights.as_chunks().0.to_vec(),
             threshold: sensing.p(sensing.d_max),
             bounds: Arc::default(),
         };
         let key = (sensing.eta.to_bits(), sensing.d_max.to_bits());
-        correlation.bounds = grids.get_or_make(key, || correlation.make_grid());
+        correlation.bounds = grids.get_or_make(key, || correlation.compute_bounds());
         correlation
     }
 
     /// Computes the bands in descending order of bound, for each d of a grid. A step of h in d or in γ moves the event
     /// by at most h relative to the device, so ln p changes by at most ηh. A pair is at most half a step from its grid
     /// point in each coordinate, so the total change is at most ηh.
-    fn make_grid(&self) -> CorrelationBounds {
+    fn compute_bounds(&self) -> CorrelationBounds {
         let Sensing { eta, d_max, .. } = self.sensing;
-        let step = (STEP_DECAY / eta).max(d_max / MOST_ROWS);
+        let step = (GRID_STEP_DECAY / eta).max(d_max / MAX_GRID_ROWS);
         let rows = (d_max / step).round() as usize + 1;
         let columns = (2.0 * d_max / step).round() as usize + 2;
         // exp(ηh) bounds the change within a grid cell; the other factor covers the rounding of the bound.
-        let factor = libm::exp(eta * step) * (1.0 + 1e-9);
-        let value = |i: usize, j: usize| {
-            let bound = (self.p42(i as f64 * step, j as f64 * step) + QUADRATURE_ERROR) * factor;
+        let error_factor = libm::exp(eta * step) * (1.0 + 1e-9);
+        let bound_at = |i: usize, j: usize| {
+            let bound = (self.p42(i as f64 * step, j as f64 * step) + QUADRATURE_ERROR) * error_factor;
             // For a steep decay the factor is large, but no probability exceeds 1.
             bound.min(1.0)
         };
-        let band = |i: usize, column: usize| Band {
+        let band_at = |i: usize, column: usize| Band {
             column,
-            bound: value(i, column),
+            bound: bound_at(i, column),
         };
-        let row = |i: usize| {
-            let all = (0..columns).map(|column| band(i, column));
-            let mut bands: Vec<Band> = all.filter(|band| band.bound >= self.threshold).collect();
+        let bands_of_row = |i: usize| {
+            let unfiltered = (0..columns).map(|column| band_at(i, column));
+            let mut bands: Vec<Band> = unfiltered.filter(|band| band.bound >= self.threshold).collect();
             bands.sort_by(|a, b| b.bound.total_cmp(&a.bound));
             bands
         };
         CorrelationBounds {
-            scale: 1.0 / step,
+            points_per_metre: 1.0 / step,
             columns,
-            bands: (0..rows).map(row).collect(),
+            bands: (0..rows).map(bands_of_row).collect(),
         }
     }
 
     /// Returns the bands of γ that can hold a candidate for a reporter `d` metres from the event, the highest bound
     /// first.
     pub(crate) fn bands(&self, d: f64) -> &[Band] {
-        let CorrelationBounds { scale, bands, .. } = &*self.bounds;
+        let CorrelationBounds {
+            points_per_metre,
+            bands,
+            ..
+        } = &*self.bounds;
         // Rounding can place a reporter just beyond the last row.
-        &bands[((d * scale + 0.5) as usize).min(bands.len() - 1)]
+        &bands[((d * points_per_metre + 0.5) as usize).min(bands.len() - 1)]
     }
 
-    /// Returns the number of bands per metre and the number of bands.
-    pub(crate) fn banding(&self) -> (f64, usize) {
-        (self.bounds.scale, self.bounds.columns)
+    /// Returns the number of bands per metre, and the number of bands from γ = 0 to 2 `d_max`.
+    pub(crate) fn bands_per_metre_and_count(&self) -> (f64, usize) {
+        (self.bounds.points_per_metre, self.bounds.columns)
     }
 
     /// Returns Pr(`S_j` = S3 | `S_h` = S3), `[0, 1]`: the mean of p(√(d² + γ² − 2dγ cos φ)) over φ uniform on [0, 2π).
@@ -116,14 +126,14 @@ impl Correlation {
             return self.sensing.p(d + gamma);
         }
         // d² + γ² − 2dγ cos φ as a sum of non-negative terms, so that rounding cannot make it negative.
-        let difference = (d - gamma) * (d - gamma);
+        let squared_difference = (d - gamma) * (d - gamma);
         let eta = self.sensing.eta;
         // One sum per lane and a fixed order of lanes, so the result does not depend on the vector width.
         let mut sums = [0.0; LANES];
-        for (versines, weights) in self.versines.iter().zip(&self.weights) {
+        for (doubled_versines, weights) in self.doubled_versines.iter().zip(&self.weights) {
             for lane in 0..LANES {
-                let distance = (difference + product * versines[lane]).sqrt();
-                sums[lane] += weights[lane] * decay(eta * distance);
+                let distance = (squared_difference + product * doubled_versines[lane]).sqrt();
+                sums[lane] += weights[lane] * exp_negative(eta * distance);
             }
         }
         sums.iter().sum()
@@ -138,13 +148,13 @@ impl Correlation {
 /// Returns exp(-x) for `x` ≥ 0 to 15 digits, in a form that the compiler can vectorise. Beyond 708, where normal
 /// doubles end, it stays at exp(-708), which is less than any valid p(d_max).
 #[inline]
-pub(crate) fn decay(x: f64) -> f64 {
+pub(crate) fn exp_negative(x: f64) -> f64 {
     // Adding this constant leaves the nearest whole number in the lowest bits.
     const ROUND: f64 = (3_u64 << 51) as f64;
     // ln 2 in two parts; the first has so few digits that its multiples are exact.
     const LN2_HIGH: f64 = 0.693_147_180_369_123_8;
     const LN2_LOW: f64 = 1.908_214_929_270_587_7e-10;
-    let x = if x < LONGEST_DECAY { x } else { LONGEST_DECAY };
+    let x = if x < MAX_EXPONENT { x } else { MAX_EXPONENT };
     let shifted = -x * LOG2_E + ROUND;
     let n = shifted - ROUND;
     let r = (-x - n * LN2_HIGH) - n * LN2_LOW;
@@ -156,7 +166,7 @@ pub(crate) fn decay(x: f64) -> f64 {
 }
 
 /// Largest exponent of [`decay`].
-const LONGEST_DECAY: f64 = 708.0;
+const MAX_EXPONENT: f64 = 708.0;
 
 /// 1 / k! for k = 0, 1, …
 const INVERSE_FACTORIALS: [f64; 13] = [
@@ -192,12 +202,12 @@ fn gauss_legendre(count: usize) -> impl Iterator<Item = (f64, f64)> {
 
 /// Returns the Legendre polynomial of degree `n` ≥ 1 at |`t`| < 1, and its derivative.
 fn legendre(n: usize, t: f64) -> (f64, f64) {
-    let (mut before, mut value) = (1.0, t);
+    let (mut previous, mut value) = (1.0, t);
     for k in 2..=n {
         let k = k as f64;
-        (before, value) = (value, ((2.0 * k - 1.0) * t * value - (k - 1.0) * before) / k);
+        (previous, value) = (value, ((2.0 * k - 1.0) * t * value - (k - 1.0) * previous) / k);
     }
-    (value, n as f64 * (before - t * value) / (1.0 - t * t))
+    (value, n as f64 * (previous - t * value) / (1.0 - t * t))
 }
 
 #[cfg(test)]
@@ -294,10 +304,10 @@ mod tests {
         for i in 0..=70_000 {
             let x = f64::from(i) / 100.0 + f64::from(i % 7) * 1e-4;
             let exact = libm::exp(-x);
-            assert!((decay(x) / exact - 1.0).abs() < 4e-16 * (1.0 + x), "{x}");
+            assert!((exp_negative(x) / exact - 1.0).abs() < 4e-16 * (1.0 + x), "{x}");
         }
-        assert_eq!(decay(0.0).to_bits(), 1.0_f64.to_bits());
-        assert_eq!(decay(2100.0).to_bits(), decay(708.0).to_bits());
+        assert_eq!(exp_negative(0.0).to_bits(), 1.0_f64.to_bits());
+        assert_eq!(exp_negative(2100.0).to_bits(), exp_negative(708.0).to_bits());
     }
 
     #[test]
@@ -321,8 +331,8 @@ mod tests {
             let (d, gamma) = (4.0 * stream.unit(), 8.0 * stream.unit());
             let mean = correlation.p42(d, gamma);
             assert!(mean >= model.p(d + gamma), "{d}, {gamma}");
-            let (scale, columns) = correlation.banding();
-            let column = (gamma * scale + 0.5) as usize;
+            let (points_per_metre, columns) = correlation.bands_per_metre_and_count();
+            let column = (gamma * points_per_metre + 0.5) as usize;
             assert!(column < columns, "{gamma}");
             let band = correlation.bands(d).iter().find(|band| band.column == column);
             assert!(

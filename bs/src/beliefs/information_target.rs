@@ -1,9 +1,10 @@
-//! Wake-ups up to a target information: the best candidates in order, until Î ≥ I_min.
+//! Wake-ups up to a target information: the best candidates in order, until Î ≥ I_min. The policies `knn` and
+//! `adjusted` use it.
 
 use reveille_common::ids::DeviceId;
 use reveille_common::message::Report;
 
-use super::candidates::Candidates;
+use super::candidates::WakeUpCandidates;
 use super::posterior::EpicentreBelief;
 use super::ranking::i_min;
 use crate::knowledge::Knowledge;
@@ -13,7 +14,7 @@ use crate::observation::Observation;
 #[derive(Clone, Debug)]
 pub(crate) struct InformationTarget {
     i_min: f64,
-    candidates: Candidates,
+    candidates: WakeUpCandidates,
 }
 
 impl InformationTarget {
@@ -22,7 +23,7 @@ impl InformationTarget {
     pub(crate) fn new(known: &Knowledge) -> Self {
         Self {
             i_min: i_min(&known.positions(), known.area, &known.sensing),
-            candidates: Candidates::new(known),
+            candidates: WakeUpCandidates::new(known),
         }
     }
 
@@ -32,10 +33,10 @@ impl InformationTarget {
     }
 
     /// Begins an event with its first reports. Returns whether more information is wanted.
-    pub(crate) fn start(&mut self, seen: &Observation<'_>, reports: &[Report]) -> bool {
+    pub(crate) fn start_event(&mut self, seen: &Observation<'_>, reports: &[Report]) -> bool {
         let wants_more = !self.is_reached(seen);
         if wants_more {
-            self.candidates.start(seen, reports);
+            self.candidates.start_event(seen, reports);
         } else {
             // The belief of the previous event must not remain visible for this one.
             self.candidates.clear();
@@ -49,19 +50,23 @@ impl InformationTarget {
     }
 
     /// Adds the answer of a woken device.
-    pub(crate) fn add_answer(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
+    pub(crate) fn add_wake_up_answer(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
         if let Some(report) = report.filter(|_| !self.is_reached(seen)) {
-            self.candidates.add(seen, report);
+            self.candidates.add_report(seen, report);
         }
     }
 
     /// Returns the next device to wake for which `may_wake` holds, or `None` if the target is reached or no candidate
     /// is left.
-    pub(crate) fn next(&mut self, seen: &Observation<'_>, may_wake: impl Fn(DeviceId) -> bool) -> Option<DeviceId> {
+    pub(crate) fn next_device(
+        &mut self,
+        seen: &Observation<'_>,
+        may_wake: impl Fn(DeviceId) -> bool,
+    ) -> Option<DeviceId> {
         if self.is_reached(seen) {
             return None;
         }
-        self.candidates.next(seen, may_wake).map(|(device, _)| device)
+        self.candidates.next_candidate(seen, may_wake).map(|(device, _)| device)
     }
 
     fn is_reached(&self, seen: &Observation<'_>) -> bool {

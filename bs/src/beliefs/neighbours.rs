@@ -1,4 +1,5 @@
-//! Neighbours of each device in bands of distance.
+//! Neighbours of each device in bands of distance. [`Ranking`](super::ranking::Ranking) evaluates candidates band by
+//! band; the bands are those of the grid of bounds in [`Correlation`](super::correlation::Correlation).
 
 use reveille_common::geometry::{Area, Buckets, Point};
 use reveille_common::ids::DeviceId;
@@ -10,8 +11,8 @@ pub(crate) struct Neighbours {
     buckets: Buckets,
     positions: Vec<Point>,
     /// Bands per metre.
-    scale: f64,
-    bands: usize,
+    bands_per_metre: f64,
+    band_count: usize,
     lists: Vec<Option<NeighbourList>>,
 }
 
@@ -23,13 +24,13 @@ struct NeighbourList {
 }
 
 impl Neighbours {
-    /// Creates the lists for devices at `positions` in `area`: `bands` bands, with `scale` bands per metre.
-    pub(crate) fn new(positions: &[Point], area: Area, scale: f64, bands: usize) -> Self {
+    /// Creates the lists for devices at `positions` in `area`, with `band_count` bands.
+    pub(crate) fn new(positions: &[Point], area: Area, bands_per_metre: f64, band_count: usize) -> Self {
         Self {
-            buckets: Buckets::new(positions, area, 0.5 * bands as f64 / scale),
+            buckets: Buckets::new(positions, area, 0.5 * band_count as f64 / bands_per_metre),
             positions: positions.to_vec(),
-            scale,
-            bands,
+            bands_per_metre,
+            band_count,
             lists: vec![None; positions.len()],
         }
     }
@@ -44,44 +45,45 @@ impl Neighbours {
         let Self {
             buckets,
             positions,
-            scale,
-            bands,
+            bands_per_metre,
+            band_count,
             lists,
         } = self;
-        let list = lists[device.index()]
-            .get_or_insert_with(|| NeighbourList::new(buckets, positions[device.index()], *scale, *bands));
+        let list = lists[device.index()].get_or_insert_with(|| {
+            NeighbourList::new(buckets, positions[device.index()], *bands_per_metre, *band_count)
+        });
         &list.devices[list.starts[band] as usize..list.starts[band + 1] as usize]
     }
 }
 
 impl NeighbourList {
-    fn new(buckets: &Buckets, centre: Point, scale: f64, bands: usize) -> Self {
-        let mut found: Vec<(u32, DeviceId)> = Vec::new();
-        buckets.within(centre, bands as f64 / scale, |index, distance| {
-            let band = (distance * scale + 0.5) as usize;
+    fn new(buckets: &Buckets, centre: Point, bands_per_metre: f64, band_count: usize) -> Self {
+        let mut neighbours: Vec<(u32, DeviceId)> = Vec::new();
+        buckets.within(centre, band_count as f64 / bands_per_metre, |index, distance| {
+            let band = (distance * bands_per_metre + 0.5) as usize;
             // A distance within half a band of the range rounds up to a band that does not exist.
-            if band < bands {
-                found.push((band as u32, DeviceId(index as u32)));
+            if band < band_count {
+                neighbours.push((band as u32, DeviceId(index as u32)));
             }
         });
-        found.sort_unstable();
-        let mut starts = vec![0_u32; bands + 1];
-        for &(band, _) in &found {
+        neighbours.sort_unstable();
+        let mut starts = vec![0_u32; band_count + 1];
+        for &(band, _) in &neighbours {
             starts[band as usize + 1] += 1;
         }
-        for band in 0..bands {
+        for band in 0..band_count {
             starts[band + 1] += starts[band];
         }
         Self {
             starts: starts.into(),
-            devices: found.into_iter().map(|(_, device)| device).collect(),
+            devices: neighbours.into_iter().map(|(_, device)| device).collect(),
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use reveille_common::geometry::{Layout, place};
+    use reveille_common::geometry::{Layout, place_devices};
 
     use super::*;
 
@@ -92,7 +94,7 @@ mod tests {
             height: 10.0,
         };
         for (layout, n) in [(Layout::Uniform, 90), (Layout::Grid, 50), (Layout::Hex, 7)] {
-            let points = place(&layout, area, n, 3);
+            let points = place_devices(&layout, area, n, 3);
             let mut neighbours = Neighbours::new(&points, area, 10.0, 80);
             for h in (0..n).map(DeviceId) {
                 for band in 0..80 {

@@ -1,4 +1,4 @@
-//! Selection of the next device to wake, and the information required per event (Sec. III and V-A).
+//! Selection of the next device to wake by `P_4,2`, and the information required per event (Sec. III and V-A).
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
@@ -20,8 +20,8 @@ pub fn i_min(points: &[Point], area: Area, sensing: &Sensing) -> f64 {
 /// Wake-up candidates of one event at a time, in descending order of `P_4,2` = max over the event's reporters h of
 /// Pr(`S_j` = S3 | `S_h` = S3). Ties are broken by device number.
 ///
-/// [`Ranking::start`] begins an event, `Ranking::add_reporter` adds a report, and [`Ranking::next`] returns the next
-/// candidate to wake. Reports may be added between two candidates.
+/// [`Ranking::start_event`] begins an event, `Ranking::add_reporter` adds a report, and [`Ranking::next_candidate`]
+/// returns the next candidate to wake. Reports may be added between two candidates.
 ///
 /// Most integrals are never computed. Candidates wait in whole bands of distance from a reporter under a cheap upper
 /// bound. A band is evaluated only when no known candidate reaches its bound.
@@ -32,31 +32,32 @@ pub struct Ranking {
     queue: BinaryHeap<QueueEntry>,
     /// Reporters of the event and their distances from it, metres.
     reporters: Vec<(DeviceId, f64)>,
-    /// Number of the last event for which each device was returned.
-    proposed: Vec<u64>,
-    event: u64,
+    /// Number of the last event for which each device was returned or excluded.
+    last_returned_for: Vec<u64>,
+    /// Number of the current event, from 1.
+    event_number: u64,
 }
 
 impl Ranking {
     /// Creates a ranking of the devices at `points` in `area`.
     pub fn new(points: &[Point], area: Area, correlation: Correlation) -> Self {
-        let (scale, bands) = correlation.banding();
+        let (bands_per_metre, band_count) = correlation.bands_per_metre_and_count();
         Self {
-            neighbours: Neighbours::new(points, area, scale, bands),
+            neighbours: Neighbours::new(points, area, bands_per_metre, band_count),
             correlation,
             queue: BinaryHeap::new(),
             reporters: Vec::new(),
-            proposed: vec![0; points.len()],
-            event: 0,
+            last_returned_for: vec![0; points.len()],
+            event_number: 0,
         }
     }
 
     /// Begins an event and clears all reporters and candidates.
-    pub fn start(&mut self) {
+    pub fn start_event(&mut self) {
         self.queue.clear();
         self.reporters.clear();
         // A new event number releases all returned devices without a pass over them.
-        self.event += 1;
+        self.event_number += 1;
     }
 
     /// Adds the report of `device`, which is `d` metres, 0 ..= `d_max`, from the event. Devices already returned for
@@ -64,26 +65,26 @@ impl Ranking {
     pub(crate) fn add_reporter(&mut self, device: DeviceId, d: f64) {
         let reporter = self.reporters.len() as u32;
         self.reporters.push((device, d));
-        self.await_band(reporter, 0);
+        self.queue_band(reporter, 0);
     }
 
     /// Excludes `device` for this event.
     pub(crate) fn exclude(&mut self, device: DeviceId) {
-        self.proposed[device.index()] = self.event;
+        self.last_returned_for[device.index()] = self.event_number;
     }
 
     /// Returns the candidate with the largest `P_4,2`, and this probability to eight digits. Only devices in S4 that
     /// the policy may wake (`is_candidate`) and with at least p(`d_max`) count.
-    pub fn next(&mut self, is_candidate: impl Fn(DeviceId) -> bool) -> Option<(DeviceId, f64)> {
+    pub fn next_candidate(&mut self, is_candidate: impl Fn(DeviceId) -> bool) -> Option<(DeviceId, f64)> {
         // A device may be queued once per reporter. Its largest value comes first and is its maximum over all
         // reporters.
-        while let Some(QueueEntry { bound, waiting, number }) = self.queue.pop() {
-            match waiting {
-                QueueItem::Band { reporter } => self.open(reporter, number, &is_candidate),
+        while let Some(QueueEntry { bound, item, number }) = self.queue.pop() {
+            match item {
+                QueueItem::Band { reporter } => self.evaluate_band(reporter, number, &is_candidate),
                 QueueItem::Evaluated => {
                     let device = DeviceId(number);
-                    if self.proposed[device.index()] != self.event && is_candidate(device) {
-                        self.proposed[device.index()] = self.event;
+                    if self.last_returned_for[device.index()] != self.event_number && is_candidate(device) {
+                        self.last_returned_for[device.index()] = self.event_number;
                         return Some((device, bound.probability()));
                     }
                 }
@@ -92,19 +93,19 @@ impl Ranking {
         None
     }
 
-    /// Evaluates the candidates of the `turn`-th band of `reporter`, and queues its next band.
-    fn open(&mut self, reporter: u32, turn: u32, is_candidate: impl Fn(DeviceId) -> bool) {
+    /// Evaluates the candidates of the `band_index`-th band of `reporter`, and queues its next band.
+    fn evaluate_band(&mut self, reporter: u32, band_index: u32, is_candidate: impl Fn(DeviceId) -> bool) {
         let (device, d) = self.reporters[reporter as usize];
-        let column = self.correlation.bands(d)[turn as usize].column;
+        let column = self.correlation.bands(d)[band_index as usize].column;
         for i in 0..self.neighbours.band(device, column).len() {
             let j = self.neighbours.band(device, column)[i];
-            self.evaluate(reporter, j, &is_candidate);
+            self.evaluate_candidate(reporter, j, &is_candidate);
         }
-        self.await_band(reporter, turn + 1);
+        self.queue_band(reporter, band_index + 1);
     }
 
-    /// Queues the first non-empty band of `reporter` from the `turn`-th on.
-    fn await_band(&mut self, reporter: u32, turn: u32) {
+    /// Queues the first non-empty band of `reporter` from the `band_index`-th on.
+    fn queue_band(&mut self, reporter: u32, band_index: u32) {
         let Self {
             correlation,
             neighbours,
@@ -113,19 +114,19 @@ impl Ranking {
             ..
         } = self;
         let (device, d) = reporters[reporter as usize];
-        let bands = (0..).zip(correlation.bands(d)).skip(turn as usize);
+        let bands = (0..).zip(correlation.bands(d)).skip(band_index as usize);
         let next = bands
             .into_iter()
             .find(|(_, band)| !neighbours.band(device, band.column).is_empty());
-        queue.extend(next.map(|(turn, band)| QueueEntry {
-            bound: Rounded::above(band.bound),
-            waiting: QueueItem::Band { reporter },
-            number: turn,
+        queue.extend(next.map(|(band_index, band)| QueueEntry {
+            bound: RoundedProbability::above(band.bound),
+            item: QueueItem::Band { reporter },
+            number: band_index,
         }));
     }
 
-    fn evaluate(&mut self, reporter: u32, j: DeviceId, is_candidate: impl Fn(DeviceId) -> bool) {
-        if self.proposed[j.index()] == self.event || !is_candidate(j) {
+    fn evaluate_candidate(&mut self, reporter: u32, j: DeviceId, is_candidate: impl Fn(DeviceId) -> bool) {
+        if self.last_returned_for[j.index()] == self.event_number || !is_candidate(j) {
             return;
         }
         let (device, d) = self.reporters[reporter as usize];
@@ -133,8 +134,8 @@ impl Ranking {
         let value = self.correlation.p42(d, gamma);
         if value >= self.correlation.threshold() {
             self.queue.push(QueueEntry {
-                bound: Rounded::nearest(value),
-                waiting: QueueItem::Evaluated,
+                bound: RoundedProbability::nearest(value),
+                item: QueueItem::Evaluated,
                 number: j.0,
             });
         }
@@ -145,16 +146,16 @@ impl Ranking {
 /// probabilities are equal: on a grid, symmetric devices differ only in the last bits of their distances, and the lower
 /// number must win.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-struct Rounded(u64);
+struct RoundedProbability(u64);
 
-impl Rounded {
+impl RoundedProbability {
     /// Number of low bits dropped. The remaining bits are a whole number that grows with the probability.
-    const LEFT_OUT: u32 = 25;
+    const DROPPED_BITS: u32 = 25;
 
     /// Rounds `p`, which is not negative, to the nearest value.
     fn nearest(p: f64) -> Self {
         // A carry into the exponent is correct, since positive numbers and their bits have the same order.
-        Self((p.to_bits() + (1 << (Self::LEFT_OUT - 1))) >> Self::LEFT_OUT)
+        Self((p.to_bits() + (1 << (Self::DROPPED_BITS - 1))) >> Self::DROPPED_BITS)
     }
 
     /// Returns a value above the rounded `p`, and so above every smaller probability.
@@ -163,7 +164,7 @@ impl Rounded {
     }
 
     fn probability(self) -> f64 {
-        f64::from_bits(self.0 << Self::LEFT_OUT)
+        f64::from_bits(self.0 << Self::DROPPED_BITS)
     }
 }
 
@@ -180,8 +181,8 @@ enum QueueItem {
 /// Candidates and an upper bound on their probability.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct QueueEntry {
-    bound: Rounded,
-    waiting: QueueItem,
+    bound: RoundedProbability,
+    item: QueueItem,
     number: u32,
 }
 
@@ -189,8 +190,8 @@ impl Ord for QueueEntry {
     /// The largest value comes first. At equal values, bounds precede probabilities, as a band may hold a device with a
     /// lower number. Then lower numbers come first.
     fn cmp(&self, other: &Self) -> Ordering {
-        (self.bound, self.waiting)
-            .cmp(&(other.bound, other.waiting))
+        (self.bound, self.item)
+            .cmp(&(other.bound, other.item))
             .then_with(|| other.number.cmp(&self.number))
     }
 }
@@ -205,7 +206,7 @@ impl PartialOrd for QueueEntry {
 mod tests {
     use std::f64::consts::PI;
 
-    use reveille_common::geometry::{Layout, place};
+    use reveille_common::geometry::{Layout, place_devices};
     use reveille_common::rng::{Purpose, Stream};
     use reveille_common::sensing::{DetectionKind, Fusion};
 
@@ -228,7 +229,7 @@ mod tests {
     }
 
     fn all(ranking: &mut Ranking) -> Vec<u32> {
-        std::iter::from_fn(|| ranking.next(|_| true))
+        std::iter::from_fn(|| ranking.next_candidate(|_| true))
             .map(|(j, _)| j.0)
             .collect()
     }
@@ -265,14 +266,14 @@ mod tests {
     }
 
     /// The candidates by definition, with ln `P_4,2` of each.
-    struct Definition<'a> {
+    struct RankingDefinition<'a> {
         sensing: &'a Sensing,
         points: &'a [Point],
         /// ln of the largest probability of each device, with its reporter and distance γ.
         best: Vec<Option<(f64, u32, f64)>>,
     }
 
-    impl<'a> Definition<'a> {
+    impl<'a> RankingDefinition<'a> {
         fn new(sensing: &'a Sensing, points: &'a [Point]) -> Self {
             Self {
                 sensing,
@@ -338,15 +339,15 @@ mod tests {
         let error = if decay > 500.0 { 5e-3 } else { 2e-6 };
         // On a grid, devices that report from their own cell cause many ties.
         let layout = [Layout::Uniform, Layout::Grid, Layout::Hex, Layout::JitteredGrid][case as usize % 4].clone();
-        let points = place(&layout, AREA, 1 + (case % 90) as u32, case);
+        let points = place_devices(&layout, AREA, 1 + (case % 90) as u32, case);
         let mut ranking = Ranking::new(&points, AREA, correlation.clone());
         for _event in 0..3 {
             let may = |j: DeviceId| !(u64::from(j.0) + case).is_multiple_of(5);
             let mut given = Vec::new();
-            let mut definition = Definition::new(sensing, &points);
-            ranking.start();
-            let next = |given: &mut Vec<DeviceId>, ranking: &mut Ranking, definition: &Definition<'_>| {
-                let next = ranking.next(may);
+            let mut definition = RankingDefinition::new(sensing, &points);
+            ranking.start_event();
+            let next = |given: &mut Vec<DeviceId>, ranking: &mut Ranking, definition: &RankingDefinition<'_>| {
+                let next = ranking.next_candidate(may);
                 let case = format!("case {case}, {layout:?}, decay {decay}");
                 definition.check(next, |j| may(j) && !given.contains(&j), error, &case);
                 given.extend(next.map(|(j, _)| j));
@@ -399,11 +400,11 @@ mod tests {
             at(0.0, 0.0),
         ];
         let mut ranking = ranking(&points);
-        ranking.start();
+        ranking.start_event();
         ranking.add_reporter(DeviceId(6), 0.0);
         assert_eq!(all(&mut ranking), [6, 2, 3, 5, 0, 1]);
-        ranking.start();
-        assert_eq!(ranking.next(|_| true), None);
+        ranking.start_event();
+        assert_eq!(ranking.next_candidate(|_| true), None);
     }
 
     #[test]
@@ -418,9 +419,9 @@ mod tests {
             "the case has lost its point"
         );
         let mut ranking = ranking(&points);
-        ranking.start();
+        ranking.start_event();
         ranking.add_reporter(DeviceId(4), 1.0);
-        let corners = std::iter::from_fn(|| ranking.next(|j| j.0 < 4)).map(|(j, _)| j.0);
+        let corners = std::iter::from_fn(|| ranking.next_candidate(|j| j.0 < 4)).map(|(j, _)| j.0);
         assert_eq!(corners.collect::<Vec<_>>(), [0, 1, 2, 3]);
     }
 
@@ -428,7 +429,7 @@ mod tests {
     fn i_min_of_a_grid_is_the_papers() {
         for side in [1_u32, 3, 10, 15] {
             let n = side * side;
-            let points = place(&Layout::Grid, AREA, n, 0);
+            let points = place_devices(&Layout::Grid, AREA, n, 0);
             let expected = paper().p((AREA.surface() / (2.0 * f64::from(n))).sqrt());
             assert!((i_min(&points, AREA, &paper()) - expected).abs() < 1e-9, "N = {n}");
         }

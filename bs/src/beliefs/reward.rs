@@ -1,49 +1,50 @@
-//! The rewards of Sec. V-B, which learning policies maximise and which trajectories and environments report.
+//! The rewards of Sec. V-B, reported by recorded trajectories (`policy/dt/record.rs`) and by environments
+//! (`lab/src/gym/`).
 //!
 //! Whether an event is missed depends on chance and is unknown in its TTI. So r(k) uses the expectation over the
 //! epicentre of an event that starts in TTI k, which is the uncovered share of the area.
 
-use super::coverage::Union;
+use super::coverage::CoverageUnion;
 use crate::knowledge::Knowledge;
 
 /// Default weight μ1 of misdetections.
-pub const MU1: f64 = 14.0;
+pub const DEFAULT_MU1: f64 = 14.0;
 /// Default weight μ2 of information.
-pub const MU2: f64 = 1.0;
+pub const DEFAULT_MU2: f64 = 1.0;
 
 /// The coverage terms of the reward for a set of devices in S1.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CoverageReward {
     /// Share of the devices that sleep, `[0, 1]`: the first term of r(k).
-    pub asleep: f64,
+    pub asleep_share: f64,
     /// Uncovered share of the area, `[0, 1]`: the share of events starting in this TTI that are missed in it.
-    pub uncovered: f64,
+    pub uncovered_share: f64,
 }
 
 impl CoverageReward {
     /// Computes the terms for the devices in S1, those with a true value in `on`, by device id. `union` covers all
     /// devices.
-    pub fn new(union: &mut Union, on: &[bool]) -> Self {
-        let sensing = || on.iter().enumerate().filter(|(_, on)| **on).map(|(j, _)| j);
+    pub fn new(union: &mut CoverageUnion, on: &[bool]) -> Self {
+        let devices_on = || on.iter().enumerate().filter(|(_, on)| **on).map(|(j, _)| j);
         Self {
-            asleep: 1.0 - sensing().count() as f64 / on.len() as f64,
-            uncovered: union.uncovered(sensing()),
+            asleep_share: 1.0 - devices_on().count() as f64 / on.len() as f64,
+            uncovered_share: union.uncovered(devices_on()),
         }
     }
 
     /// Returns r(k) for the probability `alpha` that an event starts and the weight `mu1`.
     pub fn reward(&self, alpha: f64, mu1: f64) -> f64 {
-        self.asleep - alpha * mu1 * self.uncovered
+        self.asleep_share - alpha * mu1 * self.uncovered_share
     }
 }
 
 /// Creates the coverage model for [`CoverageReward`].
-pub fn union(known: &Knowledge) -> Union {
-    Union::new(&known.positions(), known.area, &known.sensing)
+pub fn coverage_union(known: &Knowledge) -> CoverageUnion {
+    CoverageUnion::new(&known.positions(), known.area, &known.sensing)
 }
 
 /// Returns the terms of r*(k) for `woken` wake-ups out of `n` devices: their value, and their cost, ≤ 0. The wake-ups
 /// raise Î by `brought`, as a share of Ψ. The terms of a TTI add up to r*(k).
-pub fn of_wake_ups(mu2: f64, brought: f64, woken: u32, n: usize) -> [f64; 2] {
-    [mu2 * brought, -f64::from(woken) / n as f64]
+pub fn wake_up_terms(mu2: f64, gained_share: f64, woken: u32, n: usize) -> [f64; 2] {
+    [mu2 * gained_share, -f64::from(woken) / n as f64]
 }

@@ -1,7 +1,7 @@
 //! Encodes a run as frames: the messages on the air, and the ground truth that is never sent.
 //!
-//! The frames are byte-identical over the bus and in memory. Each message that the score counts on the air appears
-//! once.
+//! The frames are byte-identical over the bus and in memory, since an audit compares those of a run with those of its
+//! replay. Each message that the score counts on the air appears once. Recordings and the tap of the bus carry them.
 
 use reveille_common::ids::Tti;
 use reveille_common::message::{
@@ -23,10 +23,10 @@ pub struct Frames {
 }
 
 impl Frames {
-    /// Passes the frames of `notification` to `take`.
-    pub fn encode(&mut self, notification: &Notification<'_>, mut take: impl FnMut(Frame)) {
+    /// Passes the frames of `notification` to `emit`.
+    pub fn encode(&mut self, notification: &Notification<'_>, mut emit: impl FnMut(Frame)) {
         match *notification {
-            Notification::PlanSent { update, .. } => take(Frame::new(update.from, (), update)),
+            Notification::PlanSent { update, .. } => emit(Frame::new(update.from, (), update)),
             Notification::TtisGranted(grant) => {
                 (self.first, self.last, self.next) = (grant.first, grant.last, grant.last + 1);
                 let world = WorldUpdate {
@@ -35,34 +35,34 @@ impl Frames {
                     stimulus: grant.stimulus,
                     until: grant.until,
                 };
-                take(Frame::new(grant.first, (), &world));
+                emit(Frame::new(grant.first, (), &world));
             }
-            Notification::EventStarted(event) => take(Frame::new(event.start, (), &EventUpdate::Started(*event))),
-            Notification::ReportReceived(report) => take(Frame::new(report.tti, report.device, report)),
+            Notification::EventStarted(event) => emit(Frame::new(event.start, (), &EventUpdate::Started(*event))),
+            Notification::ReportReceived(report) => emit(Frame::new(report.tti, report.device, report)),
             Notification::ReportLost(report) => {
-                take(Frame::new(report.tti, report.device, &LostReport { report: *report }));
+                emit(Frame::new(report.tti, report.device, &LostReport { report: *report }));
             }
             Notification::ReportFailed { tti, failure } => {
-                take(Frame::new(tti, failure.device, &FailedReport { failure: *failure }));
+                emit(Frame::new(tti, failure.device, &FailedReport { failure: *failure }));
             }
-            Notification::WakeUpSent { tti, device, sent } => take(Frame::new(tti, device, &WakeUp { tti: sent })),
+            Notification::WakeUpSent { tti, device, sent } => emit(Frame::new(tti, device, &WakeUp { tti: sent })),
             Notification::WakeUpCompleted { tti, device, outcome } => {
                 // The report was on the air before its outcome was known, so its frame comes first.
                 if let WakeOutcome::Reported(report) = outcome {
-                    take(Frame::new::<Report>(tti, device, report));
+                    emit(Frame::new::<Report>(tti, device, report));
                 }
-                take(Frame::new(tti, device, &WakeUpResult { outcome: *outcome }));
+                emit(Frame::new(tti, device, &WakeUpResult { outcome: *outcome }));
             }
             Notification::BeliefUpdated { tti, places } => {
                 let places = places.to_vec();
-                take(Frame::new(tti, (), &BeliefUpdate { places }));
+                emit(Frame::new(tti, (), &BeliefUpdate { places }));
             }
-            Notification::EventEnded(record) => take(Frame::new(record.last, (), &EventUpdate::Ended(*record))),
-            Notification::DevicesRemoved(outage) => take(Frame::new(outage.tti, (), outage)),
+            Notification::EventEnded(record) => emit(Frame::new(record.last, (), &EventUpdate::Ended(*record))),
+            Notification::DevicesRemoved(removal) => emit(Frame::new(removal.tti, (), removal)),
             Notification::TtiClosed(_) => {}
             Notification::DeviceStates(views) => {
                 let states = DeviceStates { views: views.to_vec() };
-                take(Frame::new(self.last, (), &states));
+                emit(Frame::new(self.last, (), &states));
             }
         }
     }
@@ -72,7 +72,7 @@ impl Frames {
 #[derive(Clone, Copy, Debug)]
 pub struct FrameObserver<F> {
     frames: Frames,
-    take: F,
+    emit: F,
     /// Interval between device states, TTIs; 0 for never.
     state_interval: u64,
     /// First TTI at which states are due again.
@@ -80,13 +80,13 @@ pub struct FrameObserver<F> {
 }
 
 impl<F: FnMut(Frame)> FrameObserver<F> {
-    /// Creates an observer that passes frames to `take`. It also passes the device states at the end of a grant, every
+    /// Creates an observer that passes frames to `emit`. It also passes the device states at the end of a grant, every
     /// `states_every` TTIs or a little later if a grant is longer; 0 for never.
-    pub fn new(states_every: u64, take: F) -> Self {
+    pub fn new(state_interval: u64, emit: F) -> Self {
         Self {
             frames: Frames::default(),
-            take,
-            state_interval: states_every,
+            emit,
+            state_interval,
             states_due: Tti::ZERO,
         }
     }
@@ -95,14 +95,14 @@ impl<F: FnMut(Frame)> FrameObserver<F> {
 impl<F: FnMut(Frame)> Observer for FrameObserver<F> {
     fn notify(&mut self, notification: &Notification<'_>) {
         if matches!(notification, Notification::DeviceStates(_)) {
-            let is_own = self.state_interval > 0 && self.frames.first >= self.states_due;
-            if !is_own {
+            let is_due = self.state_interval > 0 && self.frames.first >= self.states_due;
+            if !is_due {
                 // Another observer has requested these states.
                 return;
             }
             self.states_due = self.frames.last + self.state_interval;
         }
-        self.frames.encode(notification, &mut self.take);
+        self.frames.encode(notification, &mut self.emit);
     }
 
     fn wants_states(&self) -> bool {

@@ -80,14 +80,14 @@ pub enum Notification<'a> {
 /// An observer of a run. The default methods ignore everything.
 pub trait Observer {
     /// Receives a notification.
-    fn notify(&mut self, _happening: &Notification<'_>) {}
+    fn notify(&mut self, _notification: &Notification<'_>) {}
 
-    /// Whether [`Notification::States`] is wanted at the end of the next grant. Called before each grant.
+    /// Whether [`Notification::DeviceStates`] is wanted at the end of the next grant. Called before each grant.
     fn wants_states(&self) -> bool {
         false
     }
 
-    /// Whether [`Notification::Believed`] is wanted in the TTI being closed.
+    /// Whether [`Notification::BeliefUpdated`] is wanted in the TTI being closed.
     fn wants_beliefs(&self) -> bool {
         false
     }
@@ -177,8 +177,8 @@ impl<A: Observer, B: Observer> Observer for (A, B) {
 
     fn window_closed(&mut self, window: &WindowRecord) -> bool {
         // Not one expression: `&&` would keep the window from the second observer if the first one ends the run.
-        let goes_on = self.0.window_closed(window);
-        self.1.window_closed(window) && goes_on
+        let first_continues = self.0.window_closed(window);
+        self.1.window_closed(window) && first_continues
     }
 }
 

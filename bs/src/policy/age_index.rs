@@ -9,6 +9,9 @@
 //! Wake-ups use the belief over the place of the event, regardless of `bs.ranking`. The prior of the belief is the age
 //! of a place. A newly found event can have started in any TTI of that age, so a place of twice the age is twice as
 //! likely. The best candidate is woken while its expected gain is large enough.
+//!
+//! `tests/src/reference/age_index.rs` repeats the calculation, and an untrained `dt` with `miss_cost =
+//! 0` must decide the same.
 
 use std::sync::Arc;
 
@@ -27,7 +30,7 @@ use crate::beliefs::ages::Ages;
 use crate::beliefs::ages::foresight::Foresight;
 use crate::beliefs::ages::price::Prices;
 use crate::beliefs::ages::selector::DeviceSelector;
-use crate::beliefs::candidates::{Candidates, LEAST_GAIN};
+use crate::beliefs::candidates::{MIN_GAIN_SHARE, WakeUpCandidates};
 use crate::beliefs::posterior::EpicentreBelief;
 use crate::knowledge::Knowledge;
 use crate::observation::Observation;
@@ -37,11 +40,11 @@ pub struct AgeIndex {
     ages: Ages,
     prices: Prices,
     foresight: Option<Foresight>,
-    choice: DeviceSelector,
-    candidates: Candidates,
+    selector: DeviceSelector,
+    candidates: WakeUpCandidates,
     /// Whether an event was reported in the TTI of the last decision.
-    is_found: bool,
-    tally: SensingCount,
+    is_event_reported: bool,
+    sensing_count: SensingCount,
 }
 
 impl AgeIndex {
@@ -53,18 +56,18 @@ impl AgeIndex {
             &positions,
             known.area,
             &known.sensing,
-            ages::worths(),
+            ages::age_worths(),
         );
         // The worth of one device's places at age 1, in the unit of worths.
-        let reach = ages::reach(&known.sensing) / ages.cell_surface();
+        let reach = ages::effective_area(&known.sensing) / ages.cell_surface();
         Self {
             prices: Prices::new(known, settings.price * reach),
             foresight: settings.foresight.map(|ttis| Foresight::new(known, ttis)),
-            choice: DeviceSelector::new(&positions, known.area, known.sensing.d_max),
-            candidates: Candidates::by(WakeUpRanking::Posterior, known),
+            selector: DeviceSelector::new(&positions, known.area, known.sensing.d_max),
+            candidates: WakeUpCandidates::with_ranking(WakeUpRanking::Posterior, known),
             ages,
-            is_found: false,
-            tally: SensingCount::default(),
+            is_event_reported: false,
+            sensing_count: SensingCount::default(),
         }
     }
 }
@@ -72,17 +75,17 @@ impl AgeIndex {
 impl Policy for AgeIndex {
     fn decide(&mut self, seen: &Observation<'_>) -> Plan {
         if seen.now > Tti::ZERO {
-            self.ages.advance(std::mem::take(&mut self.is_found));
+            self.ages.advance(std::mem::take(&mut self.is_event_reported));
         }
         let prices = match &mut self.foresight {
-            None => self.prices.at(seen.batteries),
+            None => self.prices.for_levels(seen.batteries),
             Some(foresight) => self
                 .prices
-                .with_foresight(seen.batteries, foresight.expected_levels(seen)),
+                .for_expected_levels(seen.batteries, foresight.expected_levels(seen)),
         };
-        let mut chosen = self.choice.choose(&mut self.ages, prices);
+        let mut chosen = self.selector.choose(&mut self.ages, prices);
         chosen.sort_unstable();
-        self.tally.plan(seen.known.n(), &chosen)
+        self.sensing_count.count_and_plan(seen.known.n(), &chosen)
     }
 
     fn needs_batteries(&self) -> bool {
@@ -90,29 +93,29 @@ impl Policy for AgeIndex {
     }
 
     fn reports_received(&mut self, seen: &Observation<'_>, reports: &[Report]) {
-        self.is_found = true;
+        self.is_event_reported = true;
         let Self { ages, candidates, .. } = self;
-        candidates.start_with(seen, reports, |place| ages.age_at(place));
+        candidates.start_event_with_prior(seen, reports, |place| ages.age_at(place));
     }
 
     fn next_wake_up(&mut self, seen: &Observation<'_>) -> Option<DeviceId> {
-        let (device, gain) = self.candidates.next(seen, |_| true)?;
-        (gain >= LEAST_GAIN * seen.known.sensing.psi).then_some(device)
+        let (device, gain) = self.candidates.next_candidate(seen, |_| true)?;
+        (gain >= MIN_GAIN_SHARE * seen.known.sensing.psi).then_some(device)
     }
 
-    fn belief(&self) -> Option<&EpicentreBelief> {
+    fn epicentre_belief(&self) -> Option<&EpicentreBelief> {
         self.candidates.belief()
     }
 
     fn wake_up_answered(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
         if let Some(report) = report {
             let Self { ages, candidates, .. } = self;
-            candidates.add_with(seen, report, |place| ages.age_at(place));
+            candidates.add_report_with_prior(seen, report, |place| ages.age_at(place));
         }
     }
 
     fn summary_facts(&self) -> Vec<(&'static str, f64)> {
-        vec![self.tally.fact()]
+        vec![self.sensing_count.summary_fact()]
     }
 }
 

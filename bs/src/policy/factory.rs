@@ -1,4 +1,5 @@
-//! Registry entry of a policy, and its settings, which build it for a run.
+//! The interface of a policy for the rest of the program: its registry entry ([`PolicyEntry`]), its validated settings,
+//! which build it for a run ([`PolicyFactory`]), and pilot runs before a run ([`PilotSearch`]).
 
 use std::any::Any;
 use std::fmt::Debug;
@@ -17,7 +18,7 @@ pub trait PolicyFactory: Visit + Any + Debug + Send + Sync {
     fn build(&self, known: &Knowledge) -> Box<dyn Policy>;
 
     /// Returns the pilot search that must choose the factory to build with, if any.
-    fn pilots(&self) -> Option<PilotSearch> {
+    fn pilot_search(&self) -> Option<PilotSearch> {
         None
     }
 
@@ -131,12 +132,12 @@ impl PolicyKind for PolicyEntry {
 /// Pilot runs before a run: a search among factories. Each candidate gets a run on the same deployment with other
 /// events and harvests.
 pub struct PilotSearch {
-    /// Length of a pilot run, TTIs, ≥ 1, if it holds enough events.
-    pub ttis: u64,
-    /// Counted events that each pilot run must hold; otherwise all are repeated at twice the length.
-    pub events: u64,
+    /// Length of the first pilot runs, TTIs, ≥ 1.
+    pub initial_ttis: u64,
+    /// Counted events that each pilot run must hold; otherwise all are repeated at twice the length, up to `max_ttis`.
+    pub min_events: u64,
     /// The greatest length of a pilot run, TTIs.
-    pub limit: u64,
+    pub max_ttis: u64,
     /// The candidates, at least one, in the order of the search.
     pub candidates: Vec<Arc<dyn PolicyFactory>>,
     /// Chooses the factory to build with, for a base station that knows the deployment.
@@ -144,23 +145,23 @@ pub struct PilotSearch {
 }
 
 /// Function that judges the pilot runs, for a base station that knows the deployment.
-pub type Judge = dyn Fn(&Knowledge, &Trials) -> Found;
+pub type Judge = dyn Fn(&Knowledge, &PilotRuns) -> SearchOutcome;
 
 /// The outcome of a search: the factory to build with, and warnings, a sentence each without its stop.
-pub type Found = (Arc<dyn PolicyFactory>, Vec<String>);
+pub type SearchOutcome = (Arc<dyn PolicyFactory>, Vec<String>);
 
 /// The pilot runs of a search.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Trials {
+pub struct PilotRuns {
     /// The length of each run, TTIs.
-    pub ttis: u64,
+    pub run_ttis: u64,
     /// The TTIs of all pilot runs together, including those that were too short.
-    pub all_ttis: u64,
+    pub total_ttis: u64,
     /// Metrics in the order of the candidates.
     pub metrics: Vec<Metrics>,
 }
 
-impl Trials {
+impl PilotRuns {
     /// Returns the number of events in the pilot run with the fewest.
     pub(crate) fn fewest_events(&self) -> u64 {
         self.metrics.iter().map(|metrics| metrics.events).min().unwrap_or(0)

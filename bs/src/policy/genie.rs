@@ -1,4 +1,5 @@
-//! The genie-aided bound (Sec. VI): every device sleeps, and the device closest to an event is woken when it starts.
+//! The policy `genie`, the genie-aided bound (Sec. VI): every device sleeps, and the device closest to an event is
+//! woken when it starts. It receives the events through [`Oracle`], as no base station could.
 
 use std::sync::Arc;
 
@@ -43,14 +44,14 @@ impl PolicyFactory for GenieFactory {
 pub struct Genie {
     buckets: Buckets,
     d_max: f64,
-    devices: usize,
+    device_count: usize,
     /// Whether the radio can lose the answer of a working device.
     is_lossy: bool,
     /// Epicentre of the last event.
     epicentre: Point,
     /// Devices to wake for the new event, the next one at the end. Without radio losses it is the closest one, even if
     /// it cannot pay, as the bound requires.
-    chosen: Vec<DeviceId>,
+    wake_queue: Vec<DeviceId>,
 }
 
 impl Genie {
@@ -60,15 +61,15 @@ impl Genie {
         Self {
             buckets: Buckets::new(&known.positions(), known.area, d_max),
             d_max,
-            devices: known.n(),
+            device_count: known.n(),
             is_lossy: known.radio.no_answer_probability() > 0.0,
             epicentre: Point::new(0.0, 0.0),
-            chosen: Vec::new(),
+            wake_queue: Vec::new(),
         }
     }
 
     /// Returns the device closest to `epicentre` within d_max, if any. Ties go to the lower id.
-    fn closest(&self, epicentre: Point) -> Option<DeviceId> {
+    fn closest_device(&self, epicentre: Point) -> Option<DeviceId> {
         let mut best: Option<(f64, usize)> = None;
         self.buckets.within(epicentre, self.d_max, |j, d| {
             if best.is_none_or(|b| (d, j) < b) {
@@ -79,18 +80,18 @@ impl Genie {
     }
 
     /// Returns all devices within d_max of `epicentre`, the closest at the end.
-    fn around(&self, epicentre: Point) -> Vec<DeviceId> {
-        let mut around = Vec::new();
-        self.buckets.within(epicentre, self.d_max, |j, d| around.push((d, j)));
-        around.sort_by(|a, b| b.0.total_cmp(&a.0).then(b.1.cmp(&a.1)));
-        around.into_iter().map(|(_, j)| DeviceId(j as u32)).collect()
+    fn devices_around(&self, epicentre: Point) -> Vec<DeviceId> {
+        let mut devices = Vec::new();
+        self.buckets.within(epicentre, self.d_max, |j, d| devices.push((d, j)));
+        devices.sort_by(|a, b| b.0.total_cmp(&a.0).then(b.1.cmp(&a.1)));
+        devices.into_iter().map(|(_, j)| DeviceId(j as u32)).collect()
     }
 }
 
 impl Policy for Genie {
     /// Returns a plan in which all devices sleep.
     fn decide(&mut self, _: &Observation<'_>) -> Plan {
-        Plan::from_bits((0..self.devices).map(|_| false))
+        Plan::from_bits((0..self.device_count).map(|_| false))
     }
 
     fn next_decision(&self, _: Tti) -> Tti {
@@ -98,18 +99,18 @@ impl Policy for Genie {
     }
 
     fn next_wake_up(&mut self, _: &Observation<'_>) -> Option<DeviceId> {
-        self.chosen.pop()
+        self.wake_queue.pop()
     }
 
     /// Ends the wake-ups after one report of the event.
     fn wake_up_answered(&mut self, _: &Observation<'_>, report: Option<&Report>) {
         if report.is_some() {
-            self.chosen.clear();
+            self.wake_queue.clear();
         }
     }
 
     /// Returns false: the genie knows which devices to wake.
-    fn needs_levels(&self) -> bool {
+    fn needs_battery_estimates(&self) -> bool {
         false
     }
 
@@ -121,19 +122,19 @@ impl Policy for Genie {
 impl Oracle for Genie {
     fn reveal_event(&mut self, stimulus: &Stimulus) -> bool {
         self.epicentre = stimulus.epicentre;
-        self.chosen = if self.is_lossy {
-            self.around(stimulus.epicentre)
+        self.wake_queue = if self.is_lossy {
+            self.devices_around(stimulus.epicentre)
         } else {
-            self.closest(stimulus.epicentre).into_iter().collect()
+            self.closest_device(stimulus.epicentre).into_iter().collect()
         };
-        !self.chosen.is_empty()
+        !self.wake_queue.is_empty()
     }
 
     /// Wakes the devices again if the radio is lossy, since a later answer can succeed.
     fn needs_another_wake_up(&mut self) -> bool {
         if self.is_lossy {
-            self.chosen = self.around(self.epicentre);
+            self.wake_queue = self.devices_around(self.epicentre);
         }
-        !self.chosen.is_empty()
+        !self.wake_queue.is_empty()
     }
 }

@@ -1,4 +1,5 @@
-//! The interface of a policy, and values that only the policy itself can read.
+//! The interface between a policy and the base station: [`Policy`]. The base station (`base_station.rs`) calls it;
+//! every policy of [`POLICIES`](super::registry::POLICIES) implements it, and `docs/writing-a-policy.md` explains it.
 
 use std::any::Any;
 use std::fmt::Debug;
@@ -47,22 +48,22 @@ pub trait Policy: Any + Send {
     }
 
     /// Whether the policy calls [`Observation::can_report`], which needs a battery estimate of each device.
-    fn needs_levels(&self) -> bool {
+    fn needs_battery_estimates(&self) -> bool {
         true
     }
 
     /// Returns the state that a learning policy has reached in the run.
-    fn learned(&self) -> Option<Opaque> {
+    fn learned_state(&self) -> Option<LearnedState> {
         None
     }
 
     /// Returns the group of each device, in the order of ids, if the policy groups devices by place.
-    fn groups(&self) -> Option<&[u32]> {
+    fn device_groups(&self) -> Option<&[u32]> {
         None
     }
 
     /// Returns the belief over the place of the last reported event, if the policy has one.
-    fn belief(&self) -> Option<&EpicentreBelief> {
+    fn epicentre_belief(&self) -> Option<&EpicentreBelief> {
         None
     }
 
@@ -73,23 +74,23 @@ pub trait Policy: Any + Send {
     }
 }
 
-/// The state of a learning policy, which only the policy itself can read.
+/// The state of a learning policy, of a type that only the policy and its training (`lab/src/training/`) know.
 #[derive(Clone, Debug)]
-pub struct Opaque(Arc<dyn Content>);
+pub struct LearnedState(Arc<dyn StateValue>);
 
-/// Value that an [`Opaque`] can hold.
-trait Content: Any + Debug + Send + Sync {
+/// Value that a [`LearnedState`] can hold.
+trait StateValue: Any + Debug + Send + Sync {
     /// Returns whether `other` is of the same type and equal.
-    fn is_same(&self, other: &dyn Any) -> bool;
+    fn is_equal_to(&self, other: &dyn Any) -> bool;
 }
 
-impl<T: Any + Debug + PartialEq + Send + Sync> Content for T {
-    fn is_same(&self, other: &dyn Any) -> bool {
+impl<T: Any + Debug + PartialEq + Send + Sync> StateValue for T {
+    fn is_equal_to(&self, other: &dyn Any) -> bool {
         other.downcast_ref::<T>() == Some(self)
     }
 }
 
-impl Opaque {
+impl LearnedState {
     /// Wraps `value`, which can be read by its type.
     pub fn new(value: impl Any + Debug + PartialEq + Send + Sync) -> Self {
         Self(Arc::new(value))
@@ -102,8 +103,8 @@ impl Opaque {
     }
 }
 
-impl PartialEq for Opaque {
+impl PartialEq for LearnedState {
     fn eq(&self, other: &Self) -> bool {
-        self.0.is_same(&*other.0)
+        self.0.is_equal_to(&*other.0)
     }
 }

@@ -1,6 +1,5 @@
-//! KNN-based duty cycling and wake-up (Sec. V-A, Algorithm 1): devices are clustered by location, and one member of
-//! each cluster is in S1 in turn. After a report the members of the reporters' clusters are woken, most correlated
-//! first, until Î ≥ I_min.
+//! The policy `knn` (Sec. V-A, Algorithm 1): devices are clustered by location, and one member of each cluster is in S1
+//! in turn. After a report the members of the reporters' clusters are woken, most correlated first, until Î ≥ I_min.
 
 use reveille_common::declare;
 use reveille_common::declare::{switch, whole};
@@ -21,20 +20,20 @@ use crate::observation::Observation;
 /// The `knn` policy.
 pub struct Knn {
     clusters: Clusters,
-    aim: InformationTarget,
+    information_target: InformationTarget,
     /// Clusters of this event's first reporters; every device woken later belongs to one of them.
-    asked: Vec<u32>,
+    reporter_clusters: Vec<u32>,
 }
 
 impl Knn {
     /// Clusters the devices in `known` and finds I_min of the deployment.
     pub fn new(known: &Knowledge, settings: &KnnSettings) -> Self {
         let (positions, d_max) = (known.positions(), known.sensing.d_max);
-        let start = known.streams.stream(PolicyPurpose::Clusters, 0);
+        let stream = known.streams.stream(PolicyPurpose::Clusters, 0);
         Self {
-            clusters: Clusters::form(&positions, known.area, d_max, settings.voting(), start),
-            aim: InformationTarget::new(known),
-            asked: Vec::new(),
+            clusters: Clusters::form(&positions, known.area, d_max, settings.cluster_settings(), stream),
+            information_target: InformationTarget::new(known),
+            reporter_clusters: Vec::new(),
         }
     }
 }
@@ -57,8 +56,8 @@ impl Policy for Knn {
         Plan::Periodic(cycles)
     }
 
-    fn groups(&self) -> Option<&[u32]> {
-        Some(&self.clusters.of)
+    fn device_groups(&self) -> Option<&[u32]> {
+        Some(&self.clusters.cluster_of)
     }
 
     fn next_decision(&self, _: Tti) -> Tti {
@@ -66,37 +65,43 @@ impl Policy for Knn {
     }
 
     fn reports_received(&mut self, seen: &Observation<'_>, reports: &[Report]) {
-        if !self.aim.start(seen, reports) {
+        if !self.information_target.start_event(seen, reports) {
             return;
         }
-        self.asked.clear();
+        self.reporter_clusters.clear();
         for report in reports {
-            let cluster = self.clusters.of[report.device.index()];
-            if !self.asked.contains(&cluster) {
-                self.asked.push(cluster);
+            let cluster = self.clusters.cluster_of[report.device.index()];
+            if !self.reporter_clusters.contains(&cluster) {
+                self.reporter_clusters.push(cluster);
             }
         }
     }
 
     fn next_wake_up(&mut self, seen: &Observation<'_>) -> Option<DeviceId> {
-        let Self { clusters, aim, asked } = self;
-        aim.next(seen, |device| asked.contains(&clusters.of[device.index()]))
+        let Self {
+            clusters,
+            information_target,
+            reporter_clusters,
+        } = self;
+        information_target.next_device(seen, |device| {
+            reporter_clusters.contains(&clusters.cluster_of[device.index()])
+        })
     }
 
     fn summary_facts(&self) -> Vec<(&'static str, f64)> {
         vec![
-            ("clusters_formed", self.clusters.formed as f64),
+            ("clusters_formed", self.clusters.formed_count as f64),
             ("clusters_after_splitting", self.clusters.members.len() as f64),
-            ("i_min", self.aim.i_min()),
+            ("i_min", self.information_target.i_min()),
         ]
     }
 
-    fn belief(&self) -> Option<&EpicentreBelief> {
-        self.aim.belief()
+    fn epicentre_belief(&self) -> Option<&EpicentreBelief> {
+        self.information_target.belief()
     }
 
     fn wake_up_answered(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
-        self.aim.add_answer(seen, report);
+        self.information_target.add_wake_up_answer(seen, report);
     }
 }
 
@@ -128,7 +133,7 @@ declare! {
 
 impl KnnSettings {
     /// Returns the settings for forming the clusters.
-    pub const fn voting(&self) -> ClusterSettings {
+    pub const fn cluster_settings(&self) -> ClusterSettings {
         ClusterSettings {
             neighbours: self.neighbours,
             limit_radius: self.limit_radius,

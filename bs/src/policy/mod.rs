@@ -25,20 +25,23 @@ use reveille_common::plan::Plan;
 #[derive(Clone, Copy, Debug, Default)]
 pub struct SensingCount {
     decisions: u64,
-    sensing: u64,
+    sensing_devices: u64,
 }
 
 impl SensingCount {
     /// Returns the plan for `devices` devices in which the `chosen` ones, in ascending order, sense. Counts it.
-    pub fn plan(&mut self, devices: usize, chosen: &[DeviceId]) -> Plan {
+    pub fn count_and_plan(&mut self, devices: usize, chosen: &[DeviceId]) -> Plan {
         self.decisions += 1;
-        self.sensing += chosen.len() as u64;
+        self.sensing_devices += chosen.len() as u64;
         Plan::from_devices(devices, chosen)
     }
 
     /// Returns the mean number of devices that sense per TTI, for the summary.
-    pub fn fact(&self) -> (&'static str, f64) {
-        ("sensing_per_tti", self.sensing as f64 / self.decisions.max(1) as f64)
+    pub fn summary_fact(&self) -> (&'static str, f64) {
+        (
+            "sensing_per_tti",
+            self.sensing_devices as f64 / self.decisions.max(1) as f64,
+        )
     }
 }
 

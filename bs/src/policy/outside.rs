@@ -1,5 +1,6 @@
-//! The policy `external`, for programs that can serve decision requests. [`POLICIES`](super::registry::POLICIES) leaves
-//! it out: no list or sweep contains it, and it cannot run by its name alone.
+//! The registry entry of the policy [`external`](super::external), for programs that can serve decision requests.
+//! [`POLICIES`](super::registry::POLICIES) leaves it out: no list or sweep contains it, and it cannot run by its name
+//! alone.
 
 use std::sync::Arc;
 
@@ -14,21 +15,21 @@ use crate::beliefs::ages;
 use crate::knowledge::Knowledge;
 
 /// Name of the policy in a scenario.
-pub const NAME: &str = "external";
+pub const EXTERNAL_NAME: &str = "external";
 
 /// The policy `external`.
 pub(crate) const EXTERNAL: PolicyEntry = PolicyEntry::without_settings(
-    NAME,
+    EXTERNAL_NAME,
     "Makes no decisions itself: each decision request goes to a policy process.",
     |reader, site| {
-        ages::check_cells(NAME, reader, site)?;
+        ages::check_cells(EXTERNAL_NAME, reader, site)?;
         Ok(Arc::new(ExternalFactory))
     },
 );
 
 /// Whether `choice` is `external`.
 pub fn is_external(choice: &PolicyChoice<PolicyEntry>) -> bool {
-    choice.name() == NAME
+    choice.name() == EXTERNAL_NAME
 }
 
 /// Returns the policies of this program and `external`, as a scenario names them.

@@ -1,4 +1,5 @@
-//! The random benchmark (Sec. VI): every device draws its own duty cycle once, and no device is woken.
+//! The policy `random`, the benchmark of Sec. VI: every device draws its own duty cycle once, and no device is woken.
+//! The streams of the draws are part of the digest.
 
 use std::sync::Arc;
 
@@ -49,7 +50,7 @@ impl Policy for Random {
         Tti::NEVER
     }
 
-    fn needs_levels(&self) -> bool {
+    fn needs_battery_estimates(&self) -> bool {
         false
     }
 }
@@ -70,16 +71,18 @@ impl PolicyFactory for RandomSettings {
 }
 
 /// Longest list of t_on or t_DRX to draw from.
-const MOST_CYCLES: usize = 64;
+const MAX_LIST_LENGTH: usize = 64;
 
 declare! {
     /// Settings of the policy `random` (Sec. VI). The paper does not state the values that devices draw from.
     #[derive(Clone, Debug, PartialEq, Eq)]
     pub struct RandomSettings in "policy.random" {
         /// Values of t_on that a device draws from, each equally likely. None may exceed the shortest of `t_drx`.
-        pub t_on: Vec<u32> = wholes(1, DutyCycle::LONGEST, MOST_CYCLES, &[1, 2]).unit("TTIs").source("by calibration"),
+        pub t_on: Vec<u32> = wholes(1, DutyCycle::MAX_T_DRX, MAX_LIST_LENGTH, &[1, 2])
+            .unit("TTIs")
+            .source("by calibration"),
         /// Values of t_DRX that a device draws from, each equally likely.
-        pub t_drx: Vec<u32> = wholes(1, DutyCycle::LONGEST, MOST_CYCLES, &[2, 4, 8])
+        pub t_drx: Vec<u32> = wholes(1, DutyCycle::MAX_T_DRX, MAX_LIST_LENGTH, &[2, 4, 8])
             .unit("TTIs")
             .source("by calibration"),
     }

@@ -1,4 +1,4 @@
-//! The list of policies.
+//! The list of policies, [`POLICIES`]. Scenarios, the command line, sweeps, figures and tests read it.
 
 use super::adjusted::ADJUSTED;
 use super::age_index::AGE_INDEX;
@@ -27,9 +27,9 @@ pub fn named(name: &str) -> Option<&'static PolicyEntry> {
     POLICIES.iter().find(|policy| policy.name == name)
 }
 
-/// Returns the names of the policies that satisfy `is_so`, joined by commas, for lists on the command line.
-pub fn names_where(is_so: impl Fn(&PolicyEntry) -> bool) -> String {
-    let chosen = POLICIES.iter().filter(|policy| is_so(policy));
+/// Returns the names of the policies that satisfy `is_included`, joined by commas, for lists on the command line.
+pub fn names_where(is_included: impl Fn(&PolicyEntry) -> bool) -> String {
+    let chosen = POLICIES.iter().filter(|policy| is_included(policy));
     chosen.map(|policy| policy.name).collect::<Vec<_>>().join(",")
 }
 

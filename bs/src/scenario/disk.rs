@@ -1,4 +1,5 @@
-//! Scenarios with files on the local disk.
+//! Loads scenarios and the files that they name from the local disk, for the policies of this program. Other sources of
+//! files use [`load_with`](super::load_with).
 
 use std::path::Path;
 

@@ -1,4 +1,7 @@
 //! Scenarios with the policies of this program: [`reveille_common::scenario`] with the policy registry.
+//!
+//! [`load`] is the usual start. [`schema`] and [`reference`] describe all fields; docs/scenario.md is the output of
+//! [`reference`], so a change of a field or of head.md changes it too.
 
 use reveille_common::declare::Files;
 pub use reveille_common::scenario::*;
@@ -19,7 +22,7 @@ pub type PolicyChoice = reveille_common::scenario::PolicyChoice<PolicyEntry>;
 pub type Scenario = reveille_common::scenario::Scenario<PolicyChoice>;
 
 /// A loaded scenario with a policy of this program.
-pub type Loaded = reveille_common::scenario::Loaded<PolicyChoice>;
+pub type Loaded = reveille_common::scenario::LoadedScenario<PolicyChoice>;
 
 /// Loads the scenario `source` with `overrides` applied. `source` is a preset's name or the path of a scenario file;
 /// `files` opens the scenario files that it names.
@@ -37,10 +40,10 @@ pub fn declaration() -> Declaration {
 
 /// Returns the JSON Schema of scenario files.
 pub fn schema() -> String {
-    reveille_common::declare::schema(&declaration())
+    reveille_common::declare::json_schema(&declaration())
 }
 
 /// Returns the reference page of all fields, docs/scenario.md.
 pub fn reference() -> String {
-    reveille_common::declare::reference(&declaration(), include_str!("head.md"))
+    reveille_common::declare::reference_page(&declaration(), include_str!("head.md"))
 }

@@ -1,4 +1,5 @@
-//! The virtual clock, with its commands (pause, step, run to a TTI, resume) and its pace.
+//! The virtual clock, with its commands (pause, step, run to a TTI, resume) and its pace. It reads no time: `run_loop`
+//! waits for due TTIs and records their [`Lateness`].
 
 use std::time::Duration;
 
@@ -6,7 +7,7 @@ use reveille_common::ids::Tti;
 use reveille_common::message::{ClockCommand, Pace};
 
 /// Longest time between two TTIs, in microseconds: one day.
-const SLOWEST: u64 = 86_400_000_000;
+const MAX_MICROS_PER_TTI: u64 = 86_400_000_000;
 
 /// The virtual clock: the TTI at which it must stop, and its pace.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,7 +37,7 @@ impl VirtualClock {
             ClockCommand::RunTo(k) if k >= next && k <= self.end => self.until = k,
             ClockCommand::Resume => self.until = Tti::NEVER,
             // An operator may send any `u64`; an unbounded pace could overflow the `Instant` at which a TTI is due.
-            ClockCommand::Pace(Pace::RealTime(micros)) => self.pace = Pace::RealTime(micros.min(SLOWEST)),
+            ClockCommand::Pace(Pace::RealTime(micros)) => self.pace = Pace::RealTime(micros.min(MAX_MICROS_PER_TTI)),
             ClockCommand::Pace(Pace::Max) => self.pace = Pace::Max,
             ClockCommand::RunTo(_) | ClockCommand::Status => {}
         }
@@ -62,19 +63,19 @@ impl VirtualClock {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Lateness {
     /// TTIs that began later than they were due.
-    pub late: u64,
+    pub late_ttis: u64,
     /// The largest delay.
-    pub max: Duration,
+    pub max_delay: Duration,
     /// The sum of delays.
-    pub total: Duration,
+    pub total_delay: Duration,
 }
 
 impl Lateness {
-    /// Counts a TTI that began `by` after it was due.
-    pub fn count(&mut self, by: Duration) {
-        self.late += 1;
-        self.max = self.max.max(by);
-        self.total += by;
+    /// Counts a TTI that began `delay` after it was due.
+    pub fn record_delay(&mut self, delay: Duration) {
+        self.late_ttis += 1;
+        self.max_delay = self.max_delay.max(delay);
+        self.total_delay += delay;
     }
 }
 
@@ -99,7 +100,7 @@ mod tests {
         }
         clock.apply(ClockCommand::Resume, Tti(50));
         assert_eq!((clock.until(), clock.pace()), (Tti::NEVER, Pace::Max));
-        for (micros, kept) in [(2, 2), (u64::MAX, SLOWEST)] {
+        for (micros, kept) in [(2, 2), (u64::MAX, MAX_MICROS_PER_TTI)] {
             clock.apply(ClockCommand::Pace(Pace::RealTime(micros)), Tti(50));
             assert_eq!(clock.pace(), Pace::RealTime(kept));
         }

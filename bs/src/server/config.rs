@@ -1,4 +1,5 @@
-//! Settings, progress and outcome of a run over the bus.
+//! Settings, progress and outcome of a run over the bus. `deploy/src/commands/bs.rs` sets the settings and reads the
+//! outcome; displays and supervisors in other threads share [`RunProgress`].
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Mutex, OnceLock, PoisonError};
@@ -11,7 +12,7 @@ use reveille_common::secret::Secret;
 
 use super::admission::Assignment;
 use super::clock::Lateness;
-use crate::cycle::Outcome;
+use crate::cycle::RunOutcome;
 
 /// Action when a host is lost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -65,48 +66,48 @@ pub struct ServerConfig {
     /// Action when a host is lost.
     pub on_loss: OnLoss,
     /// TTIs in a window of the per-window series.
-    pub window: u64,
+    pub window_ttis: u64,
     /// Time to wait for all devices to join; `None` for no limit.
-    pub join_patience: Option<Duration>,
+    pub join_timeout: Option<Duration>,
     /// Start with the clock paused.
-    pub paused: bool,
+    pub starts_paused: bool,
     /// TTIs between two frames with the states of all devices; 0 for none.
-    pub state_interval: u64,
+    pub state_interval_ttis: u64,
     /// The run's key, which operators must show; `None` if any client may control the clock.
-    pub key: Option<Secret>,
+    pub run_key: Option<Secret>,
     /// Whether hosts must show the key as well.
-    pub members_only: bool,
+    pub join_needs_key: bool,
 }
 
 /// Progress of a run, for a display in another thread.
 #[derive(Debug, Default)]
 pub struct RunProgress {
     /// Devices that have joined.
-    pub joined: AtomicU64,
+    pub joined_devices: AtomicU64,
     /// Whether all devices have joined, so that the run has begun.
     pub has_begun: AtomicBool,
     /// The next TTI to be granted.
-    pub tti: AtomicU64,
+    pub next_tti: AtomicU64,
     /// Counted events that have ended.
     pub events: AtomicU64,
     /// Counted events that have ended without a report.
     pub misdetected: AtomicU64,
     /// Mean battery over the last window, micro-units.
-    pub mean_battery: AtomicU64,
+    pub mean_battery_micro: AtomicU64,
     /// Whether the clock is paused.
-    pub paused: AtomicBool,
+    pub is_paused: AtomicBool,
     /// Hosts that run devices and are not lost.
-    pub hosts: AtomicU64,
+    pub active_hosts: AtomicU64,
     /// TTIs that began late under a real-time pace.
     pub late_ttis: AtomicU64,
     /// The largest delay of a TTI, nanoseconds.
-    pub max_late: AtomicU64,
+    pub max_late_ns: AtomicU64,
     /// The hosts' assignments and names.
     pub owners: Mutex<Vec<(Assignment, String)>>,
-    /// Reason why the run cannot continue. Other parts of the program set it before `stop`.
-    pub cause: OnceLock<String>,
+    /// Reason why the run cannot continue. Other parts of the program set it before `stop_requested`.
+    pub stop_cause: OnceLock<String>,
     /// Request of other parts of the program to end the run at the next TTI.
-    pub stop: AtomicBool,
+    pub stop_requested: AtomicBool,
 }
 
 impl RunProgress {
@@ -114,15 +115,15 @@ impl RunProgress {
     pub fn set_mean_battery(&self, devices: u32, window: &WindowRecord) {
         let device_ttis = u128::from(window.end - window.first) * u128::from(devices);
         let mean = window.energy.battery_sum / device_ttis.max(1);
-        self.mean_battery.store(mean as u64, Ordering::Relaxed);
+        self.mean_battery_micro.store(mean as u64, Ordering::Relaxed);
     }
 
     /// Describes the owner of `device`.
     pub fn owner_of(&self, device: DeviceId) -> Option<String> {
-        let carriers = self.owners.lock().unwrap_or_else(PoisonError::into_inner);
-        let own = |places: &Assignment| (places.first..=places.last()).contains(&device);
-        let (places, name) = carriers.iter().find(|(places, _)| own(places))?;
-        Some(format!("host {} ({name})", places.host))
+        let owners = self.owners.lock().unwrap_or_else(PoisonError::into_inner);
+        let has_device = |assignment: &Assignment| (assignment.first..=assignment.last()).contains(&device);
+        let (assignment, name) = owners.iter().find(|(assignment, _)| has_device(assignment))?;
+        Some(format!("host {} ({name})", assignment.host))
     }
 }
 
@@ -130,11 +131,11 @@ impl RunProgress {
 #[derive(Clone, Debug)]
 pub struct ServerOutcome {
     /// The outcome, whole or partial.
-    pub outcome: Outcome,
+    pub outcome: RunOutcome,
     /// The time from the call until all devices had joined.
-    pub joining: Duration,
+    pub joining_time: Duration,
     /// The time from the first grant to the last answer.
-    pub running: Duration,
+    pub running_time: Duration,
     /// Hosts that ran devices.
     pub hosts: usize,
     /// Grants made: barriers over all hosts.
@@ -142,11 +143,11 @@ pub struct ServerOutcome {
     /// Delays under a real-time pace.
     pub lateness: Lateness,
     /// Payloads that were dropped because they were not messages.
-    pub malformed: u64,
+    pub malformed_payloads: u64,
     /// Messages that were dropped because they were unexpected or impossible.
     pub unexpected_messages: u64,
     /// Duration of each loss of a host.
-    pub losses: Vec<Duration>,
+    pub loss_durations: Vec<Duration>,
     /// Decisions of policy processes.
     pub decisions: DecisionCounts,
     /// Queued decisions that the run did not need.

@@ -1,7 +1,7 @@
-//! Messages from the base station to hosts, kept until the next grant so that they can be resent.
+//! Messages from the base station to hosts, kept until the next grant so that the run loop can retransmit them.
 //!
 //! A host that missed a message, or takes over devices as before the grant, receives all of them again, in order. A
-//! host that already has them ignores the repetition.
+//! host that already has them ignores the repetition (`device/src/grant_follower/`).
 
 use reveille_common::bus::{Bus, BusError, Topic};
 use reveille_common::ids::{DeviceId, HostId};
@@ -10,12 +10,12 @@ use reveille_common::message::{ClockMessage, PlanUpdate, WakeUp};
 /// Sender of the base station's messages.
 pub(super) struct Downlink<'a> {
     bus: &'a Bus,
-    to_clocks: Topic<ClockMessage>,
-    to_plans: Topic<PlanUpdate>,
+    clock_topic: Topic<ClockMessage>,
+    plan_topic: Topic<PlanUpdate>,
     plans: Vec<PlanUpdate>,
     grant: Option<ClockMessage>,
-    woken: Vec<(HostId, DeviceId, WakeUp)>,
-    end: Option<ClockMessage>,
+    wake_ups: Vec<(HostId, DeviceId, WakeUp)>,
+    end_message: Option<ClockMessage>,
 }
 
 impl<'a> Downlink<'a> {
@@ -23,36 +23,36 @@ impl<'a> Downlink<'a> {
     pub(super) fn new(bus: &'a Bus) -> Result<Self, BusError> {
         Ok(Self {
             bus,
-            to_clocks: bus.publisher()?,
-            to_plans: bus.publisher()?,
+            clock_topic: bus.publisher()?,
+            plan_topic: bus.publisher()?,
             plans: Vec::new(),
             grant: None,
-            woken: Vec::new(),
-            end: None,
+            wake_ups: Vec::new(),
+            end_message: None,
         })
     }
 
     /// Drops the messages of the last grant, which all hosts have completed.
-    pub(super) fn clear(&mut self) {
+    pub(super) fn drop_messages(&mut self) {
         self.grant = None;
         self.plans.clear();
-        self.woken.clear();
+        self.wake_ups.clear();
     }
 
     /// Sends a plan.
     pub(super) fn send_plan(&mut self, update: PlanUpdate) -> Result<(), BusError> {
-        self.to_plans.publish(&update)?;
+        self.plan_topic.publish(&update)?;
         self.plans.push(update);
         Ok(())
     }
 
     /// Sends a grant, or the end of the run.
     pub(super) fn send_clock(&mut self, clock: ClockMessage) -> Result<(), BusError> {
-        self.to_clocks.publish(&clock)?;
+        self.clock_topic.publish(&clock)?;
         match clock {
             ClockMessage::Grant(_) => self.grant = Some(clock),
             ClockMessage::CollectLedgers(_) | ClockMessage::Dismiss | ClockMessage::RunFailed(_) => {
-                self.end = Some(clock);
+                self.end_message = Some(clock);
             }
         }
         Ok(())
@@ -60,33 +60,33 @@ impl<'a> Downlink<'a> {
 
     /// Sends a wake-up to `device`, which `host` runs.
     pub(super) fn send_wake_up(&mut self, host: HostId, device: DeviceId, wake: WakeUp) -> Result<(), BusError> {
-        self.woken.push((host, device, wake));
-        self.bus.wake(host, device, &wake)
+        self.wake_ups.push((host, device, wake));
+        self.bus.send_wake_up(host, device, &wake)
     }
 
     /// Redirects the kept wake-ups to the current owners of their devices.
-    pub(super) fn redirect(&mut self, carrier: impl Fn(DeviceId) -> Option<HostId>) {
+    pub(super) fn redirect_wake_ups(&mut self, owner_of: impl Fn(DeviceId) -> Option<HostId>) {
         // A wake-up to a removed device keeps its address; the barrier does not wait for it.
-        for (host, device, _) in &mut self.woken {
-            *host = carrier(*device).unwrap_or(*host);
+        for (host, device, _) in &mut self.wake_ups {
+            *host = owner_of(*device).unwrap_or(*host);
         }
     }
 
-    /// Resends every message of the open grant.
+    /// Retransmits every message of the open grant.
     pub(super) fn retransmit(&self) -> Result<(), BusError> {
         // In the order of the first sending: a host applies a grant only with its plan, and a wake-up only after its
         // grant.
         for plan in &self.plans {
-            self.to_plans.publish(plan)?;
+            self.plan_topic.publish(plan)?;
         }
         if let Some(grant) = &self.grant {
-            self.to_clocks.publish(grant)?;
+            self.clock_topic.publish(grant)?;
         }
-        for (host, device, wake) in &self.woken {
-            self.bus.wake(*host, *device, wake)?;
+        for (host, device, wake) in &self.wake_ups {
+            self.bus.send_wake_up(*host, *device, wake)?;
         }
-        match &self.end {
-            Some(end) => self.to_clocks.publish(end),
+        match &self.end_message {
+            Some(end) => self.clock_topic.publish(end),
             None => Ok(()),
         }
     }

@@ -1,4 +1,5 @@
-//! Errors that end a run without an outcome.
+//! Errors that end a run over the bus. `run_loop` replaces an interruption ([`BsError::is_interruption`]) by the
+//! outcome so far if it has a replay.
 
 use reveille_common::bus::BusError;
 use reveille_common::ids::{HostId, Tti};

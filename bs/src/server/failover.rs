@@ -1,4 +1,8 @@
-//! Lost hosts, until they return or another host takes over their devices.
+//! Failover: the lost hosts, until they return, another host takes over their devices, or they are removed.
+//!
+//! `ServerState::mark_lost` adds lost hosts, `failure_detection` starts their replays, `join` offers their devices to
+//! new hosts, and the run loop grants no TTI while a host is listed here. Without I/O: the caller holds the lock and
+//! passes the time.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -8,7 +12,7 @@ use reveille_common::message::{DeviceCheckpoint, DeviceRemoval, HostCheckpoint};
 use reveille_common::totals::Ledger;
 
 use super::admission::Assignment;
-use crate::cycle::Outcome;
+use crate::cycle::RunOutcome;
 use crate::policy::external::RecordedDecision;
 
 /// A replay of the run, which knows all devices at any TTI: their behaviour follows from the scenario, the seed and the
@@ -19,13 +23,13 @@ pub trait ReplaySource: Send + Sync {
     ///
     /// # Errors
     /// Returns the reason if there is no such state.
-    fn devices(&self, k: Tti, first: DeviceId, count: u32) -> Result<Vec<DeviceCheckpoint>, String>;
+    fn device_checkpoints(&self, k: Tti, first: DeviceId, count: u32) -> Result<Vec<DeviceCheckpoint>, String>;
 
     /// Returns the outcome of the run before TTI `k`.
     ///
     /// # Errors
     /// Returns the reason if there is no such state.
-    fn outcome(&self, k: Tti) -> Result<Outcome, String>;
+    fn outcome(&self, k: Tti) -> Result<RunOutcome, String>;
 
     /// Returns the ledgers of `count` devices, starting with `first`, before TTI `k`.
     ///
@@ -37,145 +41,159 @@ pub trait ReplaySource: Send + Sync {
     ///
     /// # Errors
     /// Returns the reason if it cannot be stored.
-    fn record_removal(&self, outage: &DeviceRemoval) -> Result<(), String>;
+    fn record_removal(&self, removal: &DeviceRemoval) -> Result<(), String>;
 
     /// Stores a decision of a policy process, for later replays, before it returns.
     ///
     /// # Errors
     /// Returns the reason if it cannot be stored.
-    fn decided(&self, decision: RecordedDecision) -> Result<(), String>;
+    fn record_decision(&self, decision: RecordedDecision) -> Result<(), String>;
 }
 
 /// A lost host whose devices wait for a takeover.
 #[derive(Clone, Debug)]
 struct PendingTakeover {
-    places: Assignment,
-    since: Instant,
+    assignment: Assignment,
+    lost_at: Instant,
     /// The TTI for which a replay was requested.
-    asked: Option<Tti>,
-    resumption: Option<Arc<HostCheckpoint>>,
+    replay_tti: Option<Tti>,
+    checkpoint: Option<Arc<HostCheckpoint>>,
     /// The new host that is to take over the devices and is not ready yet.
-    offered: Option<HostId>,
+    reserved_for: Option<HostId>,
 }
 
 /// All lost hosts, and the durations of past losses.
 #[derive(Clone, Debug, Default)]
 pub struct LostHosts {
-    open: Vec<PendingTakeover>,
-    recovered: Vec<Duration>,
+    pending: Vec<PendingTakeover>,
+    recovery_times: Vec<Duration>,
 }
 
 impl LostHosts {
     /// Adds a lost host with this assignment. Returns false if it is known already.
-    pub fn add(&mut self, places: Assignment, now: Instant) -> bool {
-        if self.position(places.host).is_some() {
+    pub fn add(&mut self, assignment: Assignment, now: Instant) -> bool {
+        if self.position(assignment.host).is_some() {
             return false;
         }
-        self.open.push(PendingTakeover {
-            places,
-            since: now,
-            asked: None,
-            resumption: None,
-            offered: None,
+        self.pending.push(PendingTakeover {
+            assignment,
+            lost_at: now,
+            replay_tti: None,
+            checkpoint: None,
+            reserved_for: None,
         });
         true
     }
 
     /// Whether no host is lost.
     pub fn is_empty(&self) -> bool {
-        self.open.is_empty()
+        self.pending.is_empty()
     }
 
     /// The assignments of the lost hosts.
     pub fn assignments(&self) -> impl Iterator<Item = Assignment> + '_ {
-        self.open.iter().map(|vacancy| vacancy.places)
+        self.pending.iter().map(|takeover| takeover.assignment)
     }
 
     /// Returns the assignments for which no replay was requested, and records a request for TTI `next`.
-    pub fn needing_replay(&mut self, next: Tti) -> Vec<Assignment> {
-        let unasked = self.open.iter_mut().filter(|vacancy| vacancy.asked.is_none());
-        unasked
-            .map(|vacancy| {
-                vacancy.asked = Some(next);
-                vacancy.places
+    pub fn request_replays(&mut self, next: Tti) -> Vec<Assignment> {
+        let without_request = self.pending.iter_mut().filter(|takeover| takeover.replay_tti.is_none());
+        without_request
+            .map(|takeover| {
+                takeover.replay_tti = Some(next);
+                takeover.assignment
             })
             .collect()
     }
 
     /// Sets the checkpoint that a replay found for the devices of `host`. Ignores a result for an earlier loss.
-    pub fn set_checkpoint(&mut self, host: HostId, resumption: HostCheckpoint) {
-        // A host can return and be lost again in a later TTI; a result for the earlier TTI is outdated.
-        if let Some(at) = self
+    pub fn set_checkpoint(&mut self, host: HostId, checkpoint: HostCheckpoint) {
+        // A host can return and be lost again in a later TTI; a result for the earlier TTI is stale.
+        if let Some(index) = self
             .position(host)
-            .filter(|&at| self.open[at].asked == Some(resumption.at.next))
+            .filter(|&index| self.pending[index].replay_tti == Some(checkpoint.at.next))
         {
-            self.open[at].resumption = Some(Arc::new(resumption));
+            self.pending[index].checkpoint = Some(Arc::new(checkpoint));
         }
     }
 
     /// Returns the largest lost assignment of at most `count` devices that has a checkpoint and is not reserved.
     pub fn find_takeover(&self, count: u32) -> Option<(Assignment, Arc<HostCheckpoint>)> {
-        let free = self
-            .open
+        let unreserved = self
+            .pending
             .iter()
             // The roster replaces a host as a whole, so devices of one lost host are never shared between newcomers.
-            .filter(|v| v.offered.is_none() && v.places.count <= count);
-        let ready = free.filter_map(|v| Some((v.places, Arc::clone(v.resumption.as_ref()?))));
-        ready.max_by_key(|(places, _)| places.count)
+            .filter(|takeover| takeover.reserved_for.is_none() && takeover.assignment.count <= count);
+        let restorable =
+            unreserved.filter_map(|takeover| Some((takeover.assignment, Arc::clone(takeover.checkpoint.as_ref()?))));
+        restorable.max_by_key(|(assignment, _)| assignment.count)
     }
 
     /// Returns the assignment that the new host `host` is to take over, with its checkpoint.
-    pub fn offer_for(&self, host: HostId) -> Option<(Assignment, Arc<HostCheckpoint>)> {
-        let vacancy = self.open.iter().find(|vacancy| vacancy.offered == Some(host))?;
-        Some((vacancy.places, Arc::clone(vacancy.resumption.as_ref()?)))
+    pub fn reservation_of(&self, host: HostId) -> Option<(Assignment, Arc<HostCheckpoint>)> {
+        let takeover = self
+            .pending
+            .iter()
+            .find(|takeover| takeover.reserved_for == Some(host))?;
+        Some((takeover.assignment, Arc::clone(takeover.checkpoint.as_ref()?)))
     }
 
     /// Reserves the devices of `lost` for `newcomer`.
-    pub fn offer(&mut self, lost: HostId, newcomer: HostId) {
-        if let Some(at) = self.position(lost) {
-            self.open[at].offered = Some(newcomer);
+    pub fn reserve(&mut self, lost: HostId, newcomer: HostId) {
+        if let Some(index) = self.position(lost) {
+            self.pending[index].reserved_for = Some(newcomer);
         }
     }
 
     /// Cancels the reservations for `newcomer`.
-    pub fn decline(&mut self, newcomer: HostId) {
-        for vacancy in self.open.iter_mut().filter(|v| v.offered == Some(newcomer)) {
-            vacancy.offered = None;
+    pub fn cancel_reservation(&mut self, newcomer: HostId) {
+        for takeover in self
+            .pending
+            .iter_mut()
+            .filter(|takeover| takeover.reserved_for == Some(newcomer))
+        {
+            takeover.reserved_for = None;
         }
     }
 
     /// Drops the lost host `host`, so that no host takes over its devices.
     pub fn drop_host(&mut self, host: HostId) {
-        self.open.retain(|vacancy| vacancy.places.host != host);
+        self.pending.retain(|takeover| takeover.assignment.host != host);
     }
 
     /// Ends the loss of a host that has returned. Returns the new host that was to take over its devices, if any.
-    pub fn restore(&mut self, host: HostId, now: Instant) -> Option<Option<HostId>> {
-        let at = self.position(host)?;
-        Some(self.close(at, now).offered)
+    pub fn end_loss(&mut self, host: HostId, now: Instant) -> Option<Option<HostId>> {
+        let index = self.position(host)?;
+        Some(self.remove_pending(index, now).reserved_for)
     }
 
     /// Completes the takeover by `newcomer`. Returns the assignment of the lost host, and the time for which its
     /// devices had no host.
     pub fn complete_takeover(&mut self, newcomer: HostId, now: Instant) -> Option<(Assignment, Duration)> {
-        let at = self.open.iter().position(|vacancy| vacancy.offered == Some(newcomer))?;
-        let vacancy = self.close(at, now);
-        Some((vacancy.places, now.saturating_duration_since(vacancy.since)))
+        let index = self
+            .pending
+            .iter()
+            .position(|takeover| takeover.reserved_for == Some(newcomer))?;
+        let takeover = self.remove_pending(index, now);
+        Some((takeover.assignment, now.saturating_duration_since(takeover.lost_at)))
     }
 
     /// Duration of each loss that is over.
     pub fn recovery_times(&self) -> &[Duration] {
-        &self.recovered
+        &self.recovery_times
     }
 
-    fn close(&mut self, at: usize, now: Instant) -> PendingTakeover {
-        let vacancy = self.open.swap_remove(at);
-        self.recovered.push(now.saturating_duration_since(vacancy.since));
-        vacancy
+    fn remove_pending(&mut self, index: usize, now: Instant) -> PendingTakeover {
+        let takeover = self.pending.swap_remove(index);
+        self.recovery_times
+            .push(now.saturating_duration_since(takeover.lost_at));
+        takeover
     }
 
     fn position(&self, host: HostId) -> Option<usize> {
-        self.open.iter().position(|vacancy| vacancy.places.host == host)
+        self.pending
+            .iter()
+            .position(|takeover| takeover.assignment.host == host)
     }
 }
 
@@ -210,18 +228,18 @@ mod tests {
         let now = Instant::now();
         assert!(losses.add(places(0, 0, 5), now) && losses.add(places(1, 5, 9), now));
         assert!(!losses.add(places(0, 0, 5), now), "that was known");
-        assert_eq!(losses.needing_replay(Tti(7)).len(), 2);
-        assert!(losses.needing_replay(Tti(7)).is_empty() && losses.find_takeover(20).is_none());
+        assert_eq!(losses.request_replays(Tti(7)).len(), 2);
+        assert!(losses.request_replays(Tti(7)).is_empty() && losses.find_takeover(20).is_none());
         losses.set_checkpoint(HostId(0), resumption());
         losses.set_checkpoint(HostId(1), resumption());
         assert_eq!(losses.find_takeover(4).map(|(places, _)| places), None);
         assert_eq!(losses.find_takeover(8).map(|(places, _)| places), Some(places(0, 0, 5)));
         assert_eq!(losses.find_takeover(9).map(|(places, _)| places), Some(places(1, 5, 9)));
-        losses.offer(HostId(1), HostId(2));
+        losses.reserve(HostId(1), HostId(2));
         assert_eq!(losses.find_takeover(9).map(|(places, _)| places), Some(places(0, 0, 5)));
-        losses.decline(HostId(2));
+        losses.cancel_reservation(HostId(2));
         assert_eq!(losses.find_takeover(9).map(|(places, _)| places), Some(places(1, 5, 9)));
-        losses.offer(HostId(1), HostId(3));
+        losses.reserve(HostId(1), HostId(3));
         let second = Duration::from_secs(1);
         assert_eq!(
             losses.complete_takeover(HostId(3), now + second),
@@ -236,14 +254,14 @@ mod tests {
         let mut losses = LostHosts::default();
         let now = Instant::now();
         losses.add(places(0, 0, 5), now);
-        losses.needing_replay(Tti(7));
+        losses.request_replays(Tti(7));
         losses.set_checkpoint(HostId(0), resumption());
-        losses.offer(HostId(0), HostId(1));
-        assert_eq!(losses.restore(HostId(0), now), Some(Some(HostId(1))));
-        assert_eq!(losses.restore(HostId(0), now), None);
+        losses.reserve(HostId(0), HostId(1));
+        assert_eq!(losses.end_loss(HostId(0), now), Some(Some(HostId(1))));
+        assert_eq!(losses.end_loss(HostId(0), now), None);
         assert!(losses.is_empty() && losses.complete_takeover(HostId(1), now).is_none());
         losses.add(places(0, 0, 5), now);
-        losses.needing_replay(Tti(9));
+        losses.request_replays(Tti(9));
         losses.set_checkpoint(HostId(0), resumption());
         assert!(losses.find_takeover(9).is_none(), "that was for the first loss");
     }

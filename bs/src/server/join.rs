@@ -1,4 +1,7 @@
-//! Admission of hosts: join requests before the first TTI and after a loss, and the wait for all devices.
+//! Answers to join requests, before the first TTI and after a loss, and the wait for all devices.
+//!
+//! `admission` assigns free devices, `failover` the devices of lost hosts. A welcome holds the setup of every device,
+//! so it is built without the lock of [`SharedState`].
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -17,10 +20,10 @@ use super::state::{ServerState, SharedState, now};
 use crate::scenario::Scenario;
 
 /// Interval between checks of the time limit and the stop flag during the wait for hosts.
-const LOOK: Duration = Duration::from_millis(100);
+const CHECK_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Time for a joined host to become ready, in a run with few hosts.
-const READY: Duration = Duration::from_secs(20);
+const READY_TIMEOUT: Duration = Duration::from_secs(20);
 
 /// Answers join requests.
 pub(super) struct JoinHandler {
@@ -28,41 +31,45 @@ pub(super) struct JoinHandler {
     pub(super) scenario: Scenario,
     pub(super) deployment: Deployment,
     /// Secret with which the bus keys of admitted hosts begin.
-    pub(super) secret: Secret,
+    pub(super) bus_secret: Secret,
     /// The key that a host must show to join, if any.
-    pub(super) key: Option<Secret>,
+    pub(super) required_key: Option<Secret>,
     /// The devices of a resumed run.
-    pub(super) start: Option<Arc<HostCheckpoint>>,
+    pub(super) checkpoint: Option<Arc<HostCheckpoint>>,
 }
 
 impl JoinHandler {
-    pub(super) fn join(&self, request: &JoinRequest, shown: Option<Secret>) -> JoinReply {
-        let ours = env!("CARGO_PKG_VERSION");
-        if request.version != ours {
+    /// Answers `request`, sent with the key `shown`.
+    pub(super) fn handle_request(&self, request: &JoinRequest, shown: Option<Secret>) -> JoinReply {
+        let version = env!("CARGO_PKG_VERSION");
+        if request.version != version {
             return JoinReply::Refused(format!(
-                "the device process is reveille {}, the base station is {ours}: run the same release on both sides",
+                "the device process is reveille {}, the base station is {version}: run the same release on both sides",
                 request.version
             ));
         }
-        if self.key.is_some() && shown != self.key {
+        if self.required_key.is_some() && shown != self.required_key {
             return JoinReply::Refused(
                 "the request does not show the run's key; use the key of the process that started the run".to_owned(),
             );
         }
-        let reply = self.place(request);
-        // This wakes the loop, which takes the lock that `place` has released.
-        self.shared.notify();
+        let reply = self.assign_devices(request);
+        // This wakes the loop, which takes the lock that `assign_devices` has released.
+        self.shared.notify_run_loop();
         reply.unwrap_or_else(|refusal| refusal)
     }
 
-    fn place(&self, request: &JoinRequest) -> Result<JoinReply, JoinReply> {
+    fn assign_devices(&self, request: &JoinRequest) -> Result<JoinReply, JoinReply> {
         let mut state = self.shared.lock();
         // A reply can get lost, so a repeated request gets the same assignment again, not a second one.
-        if let Some((places, token)) = state.admission.find_by_nonce(request.nonce) {
-            let resumption = state.losses.offer_for(places.host).map(|(_, resumption)| resumption);
+        if let Some((assignment, token)) = state.admission.find_by_nonce(request.nonce) {
+            let checkpoint = state
+                .lost_hosts
+                .reservation_of(assignment.host)
+                .map(|(_, checkpoint)| checkpoint);
             // The reply copies the setup of each device, and callbacks need the lock meanwhile.
             drop(state);
-            return Ok(self.welcome(places, token, resumption));
+            return Ok(self.welcome_reply(assignment, token, checkpoint));
         }
         let newcomer = JoiningHost {
             nonce: request.nonce,
@@ -70,7 +77,7 @@ impl JoinHandler {
             // Another process chose the name, which appears in logs, so its characters and length are limited.
             name: request.name.chars().filter(|c| !c.is_control()).take(64).collect(),
             count: request.count,
-            asked: now(),
+            requested_at: now(),
         };
         let token = newcomer.token;
         let devices = self.scenario.run.devices;
@@ -79,56 +86,61 @@ impl JoinHandler {
             if state.on_loss != OnLoss::Wait {
                 return Err(JoinReply::Refused("the run has begun".to_owned()));
             }
-            let Some((lost, resumption)) = state.losses.find_takeover(newcomer.count) else {
-                return Err(later(&state, newcomer.count));
+            let Some((lost, checkpoint)) = state.lost_hosts.find_takeover(newcomer.count) else {
+                return Err(retry_reply(&state, newcomer.count));
             };
-            let places = state.admission.take_over(newcomer, lost);
-            state.losses.offer(lost.host, places.host);
+            let assignment = state.admission.take_over(newcomer, lost);
+            state.lost_hosts.reserve(lost.host, assignment.host);
             drop(state);
-            tracing::info!(host = %places.host, instead_of = %lost.host, "a host takes over");
-            return Ok(self.welcome(places, token, Some(resumption)));
+            tracing::info!(host = %assignment.host, instead_of = %lost.host, "a host takes over");
+            return Ok(self.welcome_reply(assignment, token, Some(checkpoint)));
         }
-        let Some(places) = state.admission.join(newcomer) else {
-            let why = format!("all {devices} devices of the run have a host already");
+        let Some(assignment) = state.admission.admit(newcomer) else {
+            let reason = format!("all {devices} devices of the run have a host already");
             // With `wait` a spare process can still take over devices later, so it keeps asking.
             return Err(if state.on_loss == OnLoss::Wait {
-                JoinReply::Retry(why)
+                JoinReply::Retry(reason)
             } else {
-                JoinReply::Refused(why)
+                JoinReply::Refused(reason)
             });
         };
         drop(state);
-        tracing::info!(host = %places.host, first = %places.first, devices = places.count, "a host joins");
-        Ok(self.welcome(places, token, None))
+        tracing::info!(host = %assignment.host, first = %assignment.first, devices = assignment.count, "a host joins");
+        Ok(self.welcome_reply(assignment, token, None))
     }
 
-    fn welcome(&self, places: Assignment, token: Secret, resumption: Option<Arc<HostCheckpoint>>) -> JoinReply {
-        let membership = BusCredentials {
+    fn welcome_reply(
+        &self,
+        assignment: Assignment,
+        token: Secret,
+        checkpoint: Option<Arc<HostCheckpoint>>,
+    ) -> JoinReply {
+        let credentials = BusCredentials {
             pass: HostCredential {
-                host: places.host,
+                host: assignment.host,
                 token,
             },
-            secret: self.secret,
+            secret: self.bus_secret,
         };
-        let (first, count) = (places.first.0, places.count);
+        let (first, count) = (assignment.first.0, assignment.count);
         let from_start = || {
-            self.start
+            self.checkpoint
                 .as_ref()
-                .map(|start| start.part(places.first.index(), places.count as usize))
+                .map(|checkpoint| checkpoint.slice(assignment.first.index(), assignment.count as usize))
         };
         JoinReply::Welcome(Box::new(HostSetup {
-            resumption: resumption.map(|r| (*r).clone()).or_else(from_start),
-            ..self.deployment.host_setup(&self.scenario, membership, first, count)
+            resumption: checkpoint.map(|shared| (*shared).clone()).or_else(from_start),
+            ..self.deployment.host_setup(&self.scenario, credentials, first, count)
         }))
     }
 }
 
 /// Builds the reply for a host that offers to run `count` devices while no devices are available for it.
-fn later(state: &ServerState, count: u32) -> JoinReply {
+fn retry_reply(state: &ServerState, count: u32) -> JoinReply {
     let lost: Vec<String> = state
-        .losses
+        .lost_hosts
         .assignments()
-        .map(|places| places.count.to_string())
+        .map(|assignment| assignment.count.to_string())
         .collect();
     JoinReply::Retry(if lost.is_empty() {
         format!("all {} devices of the run have a host", state.admission.devices())
@@ -144,97 +156,99 @@ impl ServerState {
     /// Marks `host` as lost, or cancels the takeover that it has not completed.
     pub(super) fn mark_lost(&mut self, host: HostId) {
         // If the new host of a takeover is lost before it runs the devices, another host can take them over.
-        if self.losses.offer_for(host).is_some() {
-            self.losses.decline(host);
+        if self.lost_hosts.reservation_of(host).is_some() {
+            self.lost_hosts.cancel_reservation(host);
             self.admission.revoke(host);
-        } else if let Some(places) = self.admission.assignment(host) {
-            self.losses.add(places, now());
+        } else if let Some(assignment) = self.admission.assignment(host) {
+            self.lost_hosts.add(assignment, now());
         }
     }
 
     /// Removes a lost host and its devices from the run.
-    pub(super) fn remove_host(&mut self, places: Assignment) {
-        self.losses.drop_host(places.host);
-        self.admission.revoke(places.host);
-        self.barrier.remove_host(places.host);
-        self.removals.push(places);
+    pub(super) fn remove_host(&mut self, assignment: Assignment) {
+        self.lost_hosts.drop_host(assignment.host);
+        self.admission.revoke(assignment.host);
+        self.barrier.remove_host(assignment.host);
+        self.pending_removals.push(assignment);
     }
 
     /// Returns the hosts that have joined and were not ready in time.
     pub(super) fn overdue_hosts(&self) -> Vec<HostId> {
-        self.admission
-            .overdue(now(), scaled_timeout(READY, self.admission.assigned_hosts() as u32))
+        self.admission.overdue_hosts(
+            now(),
+            scaled_timeout(READY_TIMEOUT, self.admission.assigned_hosts() as u32),
+        )
     }
 
     /// Completes the takeover of a lost host by `host`, if one is pending and `host` is ready and alive.
-    pub(super) fn fill(&mut self, host: HostId) {
+    pub(super) fn try_complete_takeover(&mut self, host: HostId) {
         // The token and the ready message arrive in either order, so both callers try and the second one succeeds.
         if !self.admission.is_active(host) {
             return;
         }
-        if let Some((lost, took)) = self.losses.complete_takeover(host, now())
-            && let Some(places) = self.admission.assignment(host)
+        if let Some((lost, outage)) = self.lost_hosts.complete_takeover(host, now())
+            && let Some(assignment) = self.admission.assignment(host)
         {
             self.admission.revoke(lost.host);
-            self.barrier.roster().replace(lost.host, places);
-            self.reported.remove(&lost.host);
-            // The new host resumes before the last grant, so the loop must resend that grant.
+            self.barrier.roster().replace(lost.host, assignment);
+            self.warned_hosts.remove(&lost.host);
+            // The new host resumes before the last grant, so the loop must retransmit that grant.
             self.needs_retransmit = true;
-            let (first, last, took) = (places.first.0, places.last().0, took.as_secs_f64());
+            let (first, last, outage) = (assignment.first.0, assignment.last().0, outage.as_secs_f64());
             let lost = lost.host;
-            tracing::warn!(%host, first, last, "devices of lost host {lost} run again after {took:.2} s");
+            tracing::warn!(%host, first, last, "devices of lost host {lost} run again after {outage:.2} s");
         }
     }
 }
 
 /// Waits until every device has a host and every host is ready.
-pub(super) async fn wait_for_all(
+pub(super) async fn wait_for_all_devices(
     shared: &SharedState,
     scenario: &Scenario,
     settings: &ServerConfig,
     progress: &RunProgress,
 ) -> Result<(), BsError> {
-    let begun = now();
+    let started = now();
     loop {
         {
             let mut state = shared.lock();
             progress
-                .joined
+                .joined_devices
                 .store(u64::from(state.admission.assigned_devices()), Ordering::Relaxed);
             progress
-                .hosts
+                .active_hosts
                 .store(state.admission.active_hosts() as u64, Ordering::Relaxed);
-            if let Some(hosts) = state.admission.all_ready() {
+            if let Some(assignments) = state.admission.assignments_if_all_active() {
                 tracing::info!(
-                    hosts = hosts.len(),
+                    hosts = assignments.len(),
                     devices = scenario.run.devices,
                     "all devices have joined"
                 );
-                state.barrier.roster().set_hosts(hosts);
+                state.barrier.roster().set_hosts(assignments);
                 state.is_running = true;
                 return Ok(());
             }
             // A process can die between joining and declaring its token; no token event would then free its devices.
             for host in state.overdue_hosts() {
                 tracing::warn!(%host, "a host joined and never became ready; its devices are free again");
-                state.admission.leave(host);
+                state.admission.free_host(host);
             }
         }
-        if progress.stop.load(Ordering::Relaxed) {
+        if progress.stop_requested.load(Ordering::Relaxed) {
             return Err(BsError::Interrupted);
         }
         if settings
-            .join_patience
-            .is_some_and(|patience| begun.elapsed() >= patience)
+            .join_timeout
+            .is_some_and(|patience| started.elapsed() >= patience)
         {
             let joined = shared.lock().admission.assigned_devices();
             return Err(BsError::TooFewJoined {
                 joined,
                 devices: scenario.run.devices,
-                seconds: begun.elapsed().as_secs(),
+                seconds: started.elapsed().as_secs(),
             });
         }
         // The result does not matter: after a notification or a timeout all conditions are checked again.
-        let _looked = tokio::time::timeout(LOOK, shared.wait()).await;
+        let _changed = tokio::time::timeout(CHECK_INTERVAL, shared.wait_for_change()).await;
     }
 }

@@ -1,5 +1,10 @@
-//! The tokio shell of the base station: it admits hosts, drives the virtual clock over the bus, detects lost hosts and
-//! assigns their devices to others. The records of hosts need no bus and exist without the feature `host`.
+//! The tokio shell of the base station on the bus. [`serve`] is the entry point of a run.
+//!
+//! `subscriptions` receives all messages. `join` and [`admission`] assign devices to hosts. `run_loop` carries out the
+//! actions of the [`Session`](crate::session::Session), sends through `downlink` and waits at the [`barrier`].
+//! `failure_detection`, [`failover`] and `removed_hosts` handle lost hosts; [`policy_port`] obtains external decisions.
+//! The records of hosts ([`admission`], [`barrier`], [`clock`], [`failover`], [`roster`]) need no bus and exist without
+//! the feature `host`.
 
 pub mod admission;
 pub mod barrier;

@@ -1,4 +1,5 @@
-//! Removed hosts, whose devices are no longer part of the run (`--on-loss continue`).
+//! Removed hosts, whose devices are no longer part of the run (`--on-loss continue`). A replay supplies the ledgers of
+//! these devices, so that the totals of the run loop still cover all devices.
 
 use std::sync::Arc;
 
@@ -12,24 +13,24 @@ use super::failover::ReplaySource;
 
 /// A removed host, with the energy totals of its devices.
 struct RemovedHost {
-    places: Assignment,
+    assignment: Assignment,
     /// The TTI in which its devices were removed, unless they were removed before.
-    tti: Tti,
+    removed_in: Tti,
     /// The totals of its devices, computed once their ledgers are closed.
-    sums: Option<DeviceTotals>,
+    totals: Option<DeviceTotals>,
 }
 
 /// All removed hosts. A replay supplies the ledgers of their devices.
 pub(super) struct RemovedHosts {
     replay: Option<Arc<dyn ReplaySource>>,
-    lost: Vec<RemovedHost>,
+    hosts: Vec<RemovedHost>,
 }
 
 impl RemovedHosts {
     /// Creates an empty list.
     pub(super) const fn new(replay: Option<Arc<dyn ReplaySource>>) -> Self {
-        let lost = Vec::new();
-        Self { replay, lost }
+        let hosts = Vec::new();
+        Self { replay, hosts }
     }
 
     fn replay(&self) -> Result<&dyn ReplaySource, BsError> {
@@ -39,46 +40,57 @@ impl RemovedHosts {
 
     /// Adds a host with this assignment, lost in the open TTI. From now on this list accounts for all its devices,
     /// including those removed before the run was resumed.
-    pub(super) fn add(&mut self, places: Assignment, tti: Tti) {
-        let sums = None;
-        self.lost.push(RemovedHost { places, tti, sums });
+    pub(super) fn add(&mut self, assignment: Assignment, removed_in: Tti) {
+        let totals = None;
+        self.hosts.push(RemovedHost {
+            assignment,
+            removed_in,
+            totals,
+        });
     }
 
     /// Stores the removal of devices of a removed host.
-    pub(super) fn begin(&self, outage: &DeviceRemoval) -> Result<(), BsError> {
-        self.replay()?.record_removal(outage).map_err(BsError::CannotContinue)
+    pub(super) fn record_removal(&self, removal: &DeviceRemoval) -> Result<(), BsError> {
+        self.replay()?.record_removal(removal).map_err(BsError::CannotContinue)
     }
 
     /// Returns the totals before TTI `k` over all devices of removed hosts.
-    pub(super) fn sums(&mut self, k: Tti) -> Result<DeviceTotals, BsError> {
-        let mut all = DeviceTotals::default();
-        for at in 0..self.lost.len() {
-            let RemovedHost { places, tti, sums } = &self.lost[at];
-            all += if let Some(sums) = sums {
-                *sums
+    pub(super) fn totals_before(&mut self, k: Tti) -> Result<DeviceTotals, BsError> {
+        let mut sum = DeviceTotals::default();
+        for index in 0..self.hosts.len() {
+            let RemovedHost {
+                assignment,
+                removed_in,
+                totals,
+            } = &self.hosts[index];
+            sum += if let Some(totals) = totals {
+                *totals
             } else {
                 // Once the TTI of the loss is closed the ledgers never change, so one replay serves all later windows.
-                let (is_closed, ledgers) = (*tti < k, self.ledgers(k, places.first, places.count)?);
-                let sums = ledgers.iter().map(|ledger| ledger.whole).sum();
-                self.lost[at].sums = is_closed.then_some(sums);
-                sums
+                let (is_closed, ledgers) = (
+                    *removed_in < k,
+                    self.ledgers_before(k, assignment.first, assignment.count)?,
+                );
+                let totals = ledgers.iter().map(|ledger| ledger.whole).sum();
+                self.hosts[index].totals = is_closed.then_some(totals);
+                totals
             };
         }
-        Ok(all)
+        Ok(sum)
     }
 
     /// Returns the ledgers before TTI `k` of all devices of removed hosts.
-    pub(super) fn all_ledgers(&self, k: Tti) -> Result<Vec<(DeviceId, Ledger)>, BsError> {
+    pub(super) fn all_ledgers_before(&self, k: Tti) -> Result<Vec<(DeviceId, Ledger)>, BsError> {
         let mut all = Vec::new();
-        for RemovedHost { places, .. } in &self.lost {
-            let ledgers = self.ledgers(k, places.first, places.count)?;
-            all.extend((places.first.0..).map(DeviceId).zip(ledgers));
+        for RemovedHost { assignment, .. } in &self.hosts {
+            let ledgers = self.ledgers_before(k, assignment.first, assignment.count)?;
+            all.extend((assignment.first.0..).map(DeviceId).zip(ledgers));
         }
         Ok(all)
     }
 
     /// Returns the ledgers before TTI `k` of `count` devices, starting with `first`.
-    pub(super) fn ledgers(&self, k: Tti, first: DeviceId, count: u32) -> Result<Vec<Ledger>, BsError> {
+    pub(super) fn ledgers_before(&self, k: Tti, first: DeviceId, count: u32) -> Result<Vec<Ledger>, BsError> {
         let replay = self.replay()?;
         // A replay can take long; tokio moves the other tasks of this thread to another one.
         tokio::task::block_in_place(|| replay.ledgers(k, first, count)).map_err(BsError::CannotContinue)

@@ -1,5 +1,5 @@
 //! The hosts and devices of a run, and plausibility checks of received values. Every number from the bus is checked
-//! here, since a host can send anything.
+//! here, since a host can send anything: a new field of an answer needs a check that the barrier calls.
 
 use reveille_common::ids::{DeviceId, HostId};
 use reveille_common::message::{DeviceSetup, FailedTransmission, Report, WakeOutcome};
@@ -15,12 +15,12 @@ pub struct Roster {
     devices: Vec<DeviceSetup>,
     /// Largest information Ψ of a report.
     psi: f64,
-    hosts: Vec<Assignment>,
+    assignments: Vec<Assignment>,
     /// Whether the host at each position is removed, with its devices.
     removed: Vec<bool>,
-    /// The position in `hosts` of each host, by its number.
+    /// The position in `assignments` of each host, by its number.
     positions: Vec<Option<usize>>,
-    /// The position in `hosts` of each device's owner; empty before the run begins.
+    /// The position in `assignments` of each device's owner; empty before the run begins.
     owners: Vec<usize>,
 }
 
@@ -30,7 +30,7 @@ impl Roster {
         Self {
             devices,
             psi,
-            hosts: Vec::new(),
+            assignments: Vec::new(),
             removed: Vec::new(),
             positions: Vec::new(),
             owners: Vec::new(),
@@ -38,20 +38,20 @@ impl Roster {
     }
 
     /// Sets the hosts with which the run begins.
-    pub fn set_hosts(&mut self, hosts: Vec<Assignment>) {
+    pub fn set_hosts(&mut self, assignments: Vec<Assignment>) {
         self.positions.clear();
         self.owners = vec![0; self.devices.len()];
-        for (position, places) in hosts.iter().enumerate() {
-            self.set_position(places.host, Some(position));
-            self.owners[places.first.index()..][..places.count as usize].fill(position);
+        for (position, assignment) in assignments.iter().enumerate() {
+            self.set_position(assignment.host, Some(position));
+            self.owners[assignment.first.index()..][..assignment.count as usize].fill(position);
         }
-        self.removed = vec![false; hosts.len()];
-        self.hosts = hosts;
+        self.removed = vec![false; assignments.len()];
+        self.assignments = assignments;
     }
 
     /// Removes the host at `position` with its devices.
     pub fn remove_host(&mut self, position: usize) {
-        self.set_position(self.hosts[position].host, None);
+        self.set_position(self.assignments[position].host, None);
         self.removed[position] = true;
     }
 
@@ -60,36 +60,36 @@ impl Roster {
         self.removed[position]
     }
 
-    /// Assigns all devices of the host `lost` to `heir`.
+    /// Assigns all devices of the host `lost` to `successor`.
     ///
     /// # Panics
-    /// If `lost` is not a host of the run, or `heir` has a different range of devices.
-    pub fn replace(&mut self, lost: HostId, heir: Assignment) {
+    /// If `lost` is not a host of the run, or `successor` has a different range of devices.
+    pub fn replace(&mut self, lost: HostId, successor: Assignment) {
         let position = self.position(lost).expect("a host of this run");
-        let Assignment { first, count, .. } = self.hosts[position];
+        let Assignment { first, count, .. } = self.assignments[position];
         assert_eq!(
             (first, count),
-            (heir.first, heir.count),
-            "an heir has all that was left"
+            (successor.first, successor.count),
+            "a successor takes over the whole range"
         );
         self.set_position(lost, None);
-        self.set_position(heir.host, Some(position));
-        self.hosts[position] = heir;
+        self.set_position(successor.host, Some(position));
+        self.assignments[position] = successor;
     }
 
     /// The owner of `device`; `None` before the run begins and after its removal.
     pub fn owner_of(&self, device: DeviceId) -> Option<HostId> {
         let position = *self.owners.get(device.index())?;
-        (!self.removed[position]).then(|| self.hosts[position].host)
+        (!self.removed[position]).then(|| self.assignments[position].host)
     }
 
     /// Number of hosts that are not removed.
-    pub fn active_hosts(&self) -> usize {
-        self.removed.iter().filter(|is_gone| !**is_gone).count()
+    pub fn active_host_count(&self) -> usize {
+        self.removed.iter().filter(|is_removed| !**is_removed).count()
     }
 
     /// Number of devices N.
-    pub const fn devices(&self) -> usize {
+    pub const fn device_count(&self) -> usize {
         self.devices.len()
     }
 
@@ -100,8 +100,8 @@ impl Roster {
     }
 
     /// Number of hosts, including removed ones.
-    pub const fn hosts(&self) -> usize {
-        self.hosts.len()
+    pub const fn host_count(&self) -> usize {
+        self.assignments.len()
     }
 
     /// The position of `host`, `0 .. hosts()`, if it owns devices.
@@ -111,18 +111,18 @@ impl Roster {
 
     /// The assignment of the host at `position`.
     pub fn assignment(&self, position: usize) -> Assignment {
-        self.hosts[position]
+        self.assignments[position]
     }
 
     /// Whether the host at `position` is the owner of `device`.
     pub fn owns(&self, position: usize, device: DeviceId) -> bool {
-        let Assignment { first, count, .. } = self.hosts[position];
+        let Assignment { first, count, .. } = self.assignments[position];
         // A device before the range must not wrap into it.
         device.0.checked_sub(first.0).is_some_and(|offset| offset < count)
     }
 
     /// Whether `report` is possible for a device of this run.
-    pub fn can_report(&self, report: &Report) -> bool {
+    pub fn is_possible_report(&self, report: &Report) -> bool {
         let battery_fits = self
             .setup(report.device)
             .is_some_and(|setup| report.battery <= setup.energy.e_max);
@@ -131,7 +131,7 @@ impl Roster {
     }
 
     /// Whether `failure` is possible.
-    pub(crate) fn can_fail(&self, failure: &FailedTransmission) -> bool {
+    pub(crate) fn is_possible_failure(&self, failure: &FailedTransmission) -> bool {
         self.setup(failure.device)
             // A device fails only when it holds less than E_Tx, and it loses its whole level.
             .is_some_and(|setup| failure.drained < setup.energy.e_tx)
@@ -141,7 +141,7 @@ impl Roster {
     pub(crate) fn is_possible_outcome(&self, device: DeviceId, outcome: &WakeOutcome) -> bool {
         match outcome {
             WakeOutcome::Missed => true,
-            WakeOutcome::Failed(failure) => failure.device == device && self.can_fail(failure),
+            WakeOutcome::Failed(failure) => failure.device == device && self.is_possible_failure(failure),
             WakeOutcome::Late { spent, powered } => self.setup(device).is_some_and(|setup| {
                 let e_idle = setup.energy.e_idle;
                 // With power, waking costs E_idle in full; without enough, the battery is emptied by less than that.
@@ -153,32 +153,34 @@ impl Roster {
 
     /// Whether the host at `position` can have had this number of reports and these failures in one TTI.
     pub(crate) fn is_possible_answer(&self, position: usize, reports: u32, failures: &[FailedTransmission]) -> bool {
-        let places = self.hosts[position];
-        let is_own = failures
+        let assignment = self.assignments[position];
+        let are_own_failures = failures
             .iter()
-            .all(|f| self.owns(position, f.device) && self.can_fail(f));
+            .all(|f| self.owns(position, f.device) && self.is_possible_failure(f));
         // The length is checked before the subtraction, which could otherwise underflow.
-        is_own && failures.len() <= places.count as usize && reports <= places.count - failures.len() as u32
+        are_own_failures
+            && failures.len() <= assignment.count as usize
+            && reports <= assignment.count - failures.len() as u32
     }
 
     /// Whether `sums` are possible totals for the devices of the host at `position`.
     pub(crate) fn are_possible_totals(&self, position: usize, sums: &DeviceTotals) -> bool {
-        let own = self.own(position);
+        let setups = self.setups_of(position);
         let (mut initial, mut capacity) = (Energy::ZERO, Energy::ZERO);
-        for setup in own {
+        for setup in setups {
             initial += setup.energy.initial;
             capacity += setup.energy.e_max;
         }
         // `initial` is known from the scenario; a host could otherwise balance any false field with it.
-        sums.closes() && sums.initial == initial && sums.battery <= capacity
+        sums.is_balanced() && sums.initial == initial && sums.battery <= capacity
     }
 
     /// Whether `views` are possible for the devices of the host at `position`, in the order of ids.
     pub(crate) fn are_possible_views(&self, position: usize, views: &[DeviceView]) -> bool {
-        let own = self.own(position);
+        let setups = self.setups_of(position);
         // `zip` stops at the shorter side, so the lengths must agree first.
-        own.len() == views.len()
-            && own
+        setups.len() == views.len()
+            && setups
                 .iter()
                 .zip(views)
                 .all(|(setup, view)| view.battery <= setup.energy.e_max)
@@ -189,22 +191,22 @@ impl Roster {
         let mut devices: Vec<DeviceId> = ledgers.iter().map(|(device, _)| *device).collect();
         // Sorted, the list equals the host's devices only if each occurs exactly once.
         devices.sort_unstable();
-        let is_whole = devices
+        let is_complete = devices
             .iter()
             .copied()
-            .eq(self.own(position).iter().map(|setup| setup.id));
-        let is_sound = |(device, ledger): &(DeviceId, Ledger)| {
+            .eq(self.setups_of(position).iter().map(|setup| setup.id));
+        let is_balanced = |(device, ledger): &(DeviceId, Ledger)| {
             self.setup(*device).is_some_and(|setup| {
                 let energy = setup.energy;
-                let whole = &ledger.whole;
-                ledger.is_valid() && whole.initial == energy.initial && whole.battery <= energy.e_max
+                let totals = &ledger.whole;
+                ledger.is_valid() && totals.initial == energy.initial && totals.battery <= energy.e_max
             })
         };
-        is_whole && ledgers.iter().all(is_sound)
+        is_complete && ledgers.iter().all(is_balanced)
     }
 
-    fn own(&self, position: usize) -> &[DeviceSetup] {
-        let Assignment { first, count, .. } = self.hosts[position];
+    fn setups_of(&self, position: usize) -> &[DeviceSetup] {
+        let Assignment { first, count, .. } = self.assignments[position];
         &self.devices[first.index()..][..count as usize]
     }
 
@@ -284,7 +286,7 @@ pub(crate) mod tests {
             information,
             battery: Energy::from_micro(battery),
         };
-        assert!(roster.can_report(&report(9, 1.0, 100_000_000)));
+        assert!(roster.is_possible_report(&report(9, 1.0, 100_000_000)));
         let bad = [
             (10, 0.5, 0),
             (0, 1.5, 0),
@@ -294,7 +296,7 @@ pub(crate) mod tests {
         ];
         assert!(
             bad.iter()
-                .all(|&(device, i, battery)| !roster.can_report(&report(device, i, battery)))
+                .all(|&(device, i, battery)| !roster.is_possible_report(&report(device, i, battery)))
         );
         let failure = |device, drained| FailedTransmission {
             device: DeviceId(device),
@@ -309,6 +311,9 @@ pub(crate) mod tests {
             !roster.is_possible_answer(0, 0, &[failure(5, 0)]),
             "another host's device"
         );
-        assert!(!roster.can_fail(&failure(0, 10_000_000)), "it could have paid");
+        assert!(
+            !roster.is_possible_failure(&failure(0, 10_000_000)),
+            "it could have paid"
+        );
     }
 }

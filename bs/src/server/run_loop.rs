@@ -1,4 +1,8 @@
-//! The run loop on the bus: it carries out the actions of its [`Session`], from the first TTI to the last ledger.
+//! The run loop on the bus: carries out the actions of its [`Session`], from the first TTI to the last ledger.
+//!
+//! `lab/src/run.rs` is the same loop in memory: both must give the session the same results, since their digests are
+//! equal. The barrier expects an answer before the message that asks for it is sent. Nothing is sent under the lock of
+//! [`SharedState`].
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -16,24 +20,24 @@ use super::config::{RunProgress, ServerConfig, ServerOutcome};
 use super::downlink::Downlink;
 use super::error::BsError;
 use super::failover::ReplaySource;
-use super::policy_port::Port;
+use super::policy_port::PolicyPort;
 use super::removed_hosts::RemovedHosts;
 use super::state::{SharedState, now};
 use crate::cycle::WakeOrder;
 use crate::observer::Observer;
 use crate::policy::external::RecordedDecision;
-use crate::session::{Action, Event, Gathered, Session};
+use crate::session::{Action, ActionResult, Gathered, Session};
 
-/// Interval between checks of other conditions during a wait.
-const LOOK: Duration = Duration::from_millis(100);
+/// Interval between checks of the clock, the hosts and the stop flag during a wait.
+const CHECK_INTERVAL: Duration = Duration::from_millis(100);
 /// Time for hosts to answer after the run was asked to stop.
-const STOP: Duration = Duration::from_secs(3);
-/// Time to wait for an answer before the BS resends its messages.
-const REPEAT: Duration = Duration::from_secs(1);
+const STOP_TIMEOUT: Duration = Duration::from_secs(3);
+/// Time to wait for an answer before the BS retransmits its messages.
+const RETRANSMIT_INTERVAL: Duration = Duration::from_secs(1);
 /// Time without an answer after which a host counts as unresponsive.
-pub(super) const SILENT: Duration = Duration::from_secs(5);
+pub(super) const UNRESPONSIVE_AFTER: Duration = Duration::from_secs(5);
 /// Time without an answer after which a host counts as lost, even if its token exists.
-pub(super) const MUTE: Duration = Duration::from_secs(30);
+pub(super) const LOST_AFTER: Duration = Duration::from_secs(30);
 
 /// Shared context of the run loop.
 pub(super) struct LoopContext<'a> {
@@ -42,98 +46,99 @@ pub(super) struct LoopContext<'a> {
     pub(super) progress: &'a RunProgress,
     pub(super) shared: &'a Arc<SharedState>,
     pub(super) replay: Option<Arc<dyn ReplaySource>>,
-    pub(super) port: Port<'a>,
+    pub(super) port: PolicyPort<'a>,
 }
 
 /// The loop over TTIs.
 pub(super) struct RunLoop<'a> {
-    voice: Downlink<'a>,
-    pub(super) crew: LoopContext<'a>,
+    downlink: Downlink<'a>,
+    pub(super) context: LoopContext<'a>,
     pub(super) session: Session,
-    outages: RemovedHosts,
+    removed_hosts: RemovedHosts,
     grants: u64,
     lateness: Lateness,
     pace: Pace,
-    /// The last TTI whose due time [`RunLoop::keep_pace`] has reached.
-    paced: Option<Tti>,
+    /// The last TTI whose due time [`RunLoop::wait_until_due`] has reached.
+    last_paced: Option<Tti>,
     /// The moment at which a TTI was or will be due, under a real-time pace.
-    due: Option<(Tti, Instant)>,
+    last_due: Option<(Tti, Instant)>,
 }
 
+/// Runs `session` to its end, or until it is interrupted. All devices must have hosts.
 pub(super) async fn run(
-    crew: LoopContext<'_>,
+    context: LoopContext<'_>,
     session: Session,
     observer: &mut impl Observer,
-    joining: Duration,
+    joining_time: Duration,
 ) -> Result<ServerOutcome, BsError> {
-    let mut this = RunLoop {
-        voice: Downlink::new(crew.bus)?,
-        pace: crew.settings.pace,
-        outages: RemovedHosts::new(crew.replay.clone()),
-        crew,
+    let mut run_loop = RunLoop {
+        downlink: Downlink::new(context.bus)?,
+        pace: context.settings.pace,
+        removed_hosts: RemovedHosts::new(context.replay.clone()),
+        context,
         session,
         grants: 0,
         lateness: Lateness::default(),
-        paced: None,
-        due: None,
+        last_paced: None,
+        last_due: None,
     };
-    this.show();
-    this.crew.progress.has_begun.store(true, Ordering::Relaxed);
-    this.crew.shared.lock().publish_owners(this.crew.progress);
+    run_loop.publish_progress();
+    run_loop.context.progress.has_begun.store(true, Ordering::Relaxed);
+    run_loop.context.shared.lock().publish_owners(run_loop.context.progress);
     let started = now();
-    let played = this.play(observer).await;
-    this.show();
-    let unused_decisions = this.session.queue().decisions();
-    let outcome = match played {
-        Ok(ledgers) => this.session.finish(&ledgers, observer),
-        Err(error) if error.is_interruption() => match &this.crew.replay {
+    let ledgers = run_loop.run_ttis(observer).await;
+    run_loop.publish_progress();
+    let unused_decisions = run_loop.session.input_queue().decisions();
+    let outcome = match ledgers {
+        Ok(ledgers) => run_loop.session.finish(&ledgers, observer),
+        Err(error) if error.is_interruption() => match &run_loop.context.replay {
             // Some devices have no host to answer for them; a replay knows their ledgers.
             Some(replay) => {
-                let point = this.session.resume_point();
+                let point = run_loop.session.resume_point();
                 replay.outcome(point.next).map_err(BsError::CannotContinue)?
             }
             None => return Err(error),
         },
         Err(error) => return Err(error),
     };
-    let running = started.elapsed();
-    let mut state = this.crew.shared.lock();
+    let running_time = started.elapsed();
+    let mut state = run_loop.context.shared.lock();
     Ok(ServerOutcome {
         outcome,
-        joining,
-        running,
-        hosts: state.barrier.roster().hosts(),
-        grants: this.grants,
-        lateness: this.lateness,
-        malformed: this.crew.bus.malformed(),
+        joining_time,
+        running_time,
+        hosts: state.barrier.roster().host_count(),
+        grants: run_loop.grants,
+        lateness: run_loop.lateness,
+        malformed_payloads: run_loop.context.bus.malformed_payloads(),
         unexpected_messages: state.barrier.unexpected_messages(),
-        losses: state.losses.recovery_times().to_vec(),
-        decisions: this.crew.port.counts(),
+        loss_durations: state.lost_hosts.recovery_times().to_vec(),
+        decisions: run_loop.context.port.counts(),
         unused_decisions,
     })
 }
 
 impl RunLoop<'_> {
-    /// Plays all TTIs, and returns the ledgers of all devices after them.
-    async fn play(&mut self, observer: &mut impl Observer) -> Result<Vec<Ledger>, BsError> {
+    /// Runs all TTIs, and returns the ledgers of all devices after them.
+    async fn run_ttis(&mut self, observer: &mut impl Observer) -> Result<Vec<Ledger>, BsError> {
         // Pause and stop act between TTIs: an open TTI is completed first, unless a host or a policy process does not
         // answer.
-        while self.session.is_open() || self.may_begin().await? {
-            match self.session.next_action(self.limit(), observer) {
+        while self.session.is_open() || self.wait_for_next_tti().await? {
+            match self.session.next_action(self.grant_limit(), observer) {
                 // One barrier fewer: the sums come with the answers to the next grant.
-                Action::CollectTotals(_) => self.session.handle(Event::TotalsFollow, observer),
-                Action::RequestDecision(_) => self.decide(observer).await?,
-                Action::Grant(updates) => self.grant(updates)?,
-                Action::Remove(outage) => {
+                Action::CollectTotals(_) => self.session.apply_result(ActionResult::TotalsFollow, observer),
+                Action::RequestDecision(_) => self.request_decision(observer).await?,
+                Action::Grant(updates) => self.send_grant(updates)?,
+                Action::Remove(removal) => {
                     return Err(BsError::CannotContinue(format!(
                         "the input log removes device {} in TTI {}, which a run on the bus cannot repeat",
-                        outage.first, outage.tti
+                        removal.first, removal.tti
                     )));
                 }
-                Action::Gather => self.gather(observer).await?,
+                Action::Gather => self.gather_answers(observer).await?,
                 Action::Wake(order) => {
-                    let outcome = self.wake(&order, observer).await?;
-                    self.session.handle(Event::Woken(outcome), observer);
+                    let outcome = self.wake_device(&order, observer).await?;
+                    self.session.apply_result(ActionResult::Woken(outcome), observer);
                 }
                 Action::TtiClosed => {}
                 Action::Finish(_) => break,
@@ -144,79 +149,83 @@ impl RunLoop<'_> {
 
     /// Waits until the next TTI may begin: the clock runs, every device has a host, and the TTI is due. Returns false
     /// if the run is to stop.
-    async fn may_begin(&mut self) -> Result<bool, BsError> {
-        let next = self.session.next_tti();
-        self.show();
+    async fn wait_for_next_tti(&mut self) -> Result<bool, BsError> {
+        let next_tti = self.session.next_tti();
+        self.publish_progress();
         loop {
-            if !self.may_go_on().await? {
+            if !self.wait_for_clock_and_hosts().await? {
                 return Ok(false);
             }
-            if self.paced != Some(next) {
-                self.keep_pace(next).await?;
+            if self.last_paced != Some(next_tti) {
+                self.wait_until_due(next_tti).await?;
             }
-            let state = self.crew.shared.lock();
+            let state = self.context.shared.lock();
             // The clock may have been paused, or a host lost, during the wait. A host that takes over repeats the last
             // grant, so no newer one may go out.
-            if state.clock.until() > next && state.losses.is_empty() {
-                self.paced = Some(next);
+            if state.clock.until() > next_tti && state.lost_hosts.is_empty() {
+                self.last_paced = Some(next_tti);
                 drop(state);
-                self.crew.bus.set_tti(next);
+                self.context.bus.set_tti(next_tti);
                 return Ok(true);
             }
         }
     }
 
     /// Waits while the clock is paused, or held for a lost host. Returns false if the run is to stop.
-    async fn may_go_on(&mut self) -> Result<bool, BsError> {
-        let next = self.session.next_tti();
+    async fn wait_for_clock_and_hosts(&mut self) -> Result<bool, BsError> {
+        let next_tti = self.session.next_tti();
         loop {
-            let (paused, pace, is_whole) = {
-                let mut state = self.crew.shared.lock();
-                self.check_hosts(&mut state)?;
-                (state.close_until(next), state.clock.pace(), state.losses.is_empty())
+            let (is_paused, pace, has_all_hosts) = {
+                let mut state = self.context.shared.lock();
+                self.handle_lost_hosts(&mut state)?;
+                (
+                    state.close_ttis_before(next_tti),
+                    state.clock.pace(),
+                    state.lost_hosts.is_empty(),
+                )
             };
-            if self.crew.progress.stop.load(Ordering::Relaxed) {
+            if self.context.progress.stop_requested.load(Ordering::Relaxed) {
                 return Ok(false);
             }
             // The new pace counts from now; due times of the old one would make it late from the start.
             if pace != self.pace {
-                (self.pace, self.due) = (pace, None);
+                (self.pace, self.last_due) = (pace, None);
             }
-            self.crew.progress.paused.store(paused, Ordering::Relaxed);
-            let is_returned = std::mem::take(&mut self.crew.shared.lock().needs_retransmit);
-            if is_returned {
+            self.context.progress.is_paused.store(is_paused, Ordering::Relaxed);
+            let needs_retransmit = std::mem::take(&mut self.context.shared.lock().needs_retransmit);
+            if needs_retransmit {
                 self.retransmit()?;
             }
-            if !paused && is_whole {
+            if !is_paused && has_all_hosts {
                 return Ok(true);
             }
             // Paused time does not count as lateness.
-            if paused {
-                self.due = None;
+            if is_paused {
+                self.last_due = None;
             }
-            let _changed = tokio::time::timeout(LOOK, self.crew.shared.wait()).await;
+            let _changed = tokio::time::timeout(CHECK_INTERVAL, self.context.shared.wait_for_change()).await;
         }
     }
 
     /// Obtains a decision from the policy process, stores it and passes it to the session. Between TTIs, returns
     /// without a decision if the run is to stop.
-    async fn decide(&mut self, observer: &mut impl Observer) -> Result<(), BsError> {
-        let question = self
+    async fn request_decision(&mut self, observer: &mut impl Observer) -> Result<(), BsError> {
+        let request = self
             .session
             .pending_decision()
             .expect("the session requests a decision");
-        let tti = question.seen.now;
-        if let Some(kept) = self.session.queue().next_decision() {
+        let tti = request.seen.now;
+        if let Some(queued) = self.session.input_queue().next_decision() {
             return Err(BsError::CannotContinue(format!(
-                "inputs.log has a decision for TTI {kept}, but TTI {tti} needs one; use the inputs.log of this run"
+                "inputs.log has a decision for TTI {queued}, but TTI {tti} needs one; use the inputs.log of this run"
             )));
         }
         let LoopContext {
             port, progress, replay, ..
-        } = &mut self.crew;
-        let pending = port.lookup(&question, self.session.decisions())?;
+        } = &mut self.context;
+        let pending = port.prepare_request(&request, self.session.decisions())?;
         // Boxed: the future is large, and few runs need it.
-        let Some(answer) = Box::pin(port.resolve(pending, progress)).await? else {
+        let Some(decision) = Box::pin(port.obtain_decision(pending, progress)).await? else {
             // Between TTIs the loop sees the stop flag itself and ends the run in order; an open TTI lacks its
             // decision.
             return if self.session.is_open() {
@@ -227,21 +236,21 @@ impl RunLoop<'_> {
         };
         // Stored first: a decision that took effect and was not stored would make the run impossible to replay.
         if let Some(replay) = replay {
-            let answer = answer.clone();
+            let decision = decision.clone();
             replay
-                .decided(RecordedDecision { tti, answer })
+                .record_decision(RecordedDecision { tti, decision })
                 .map_err(BsError::CannotContinue)?;
         }
-        self.session.handle(Event::Decided(answer), observer);
+        self.session.apply_result(ActionResult::Decided(decision), observer);
         Ok(())
     }
 
     /// Sends a grant with its plans.
-    fn grant(&mut self, updates: Vec<PlanUpdate>) -> Result<(), BsError> {
-        self.voice.clear();
+    fn send_grant(&mut self, updates: Vec<PlanUpdate>) -> Result<(), BsError> {
+        self.downlink.drop_messages();
         for update in updates {
             tracing::debug!(from = %update.from, "the plan is sent");
-            self.voice.send_plan(update)?;
+            self.downlink.send_plan(update)?;
         }
         let GrantMessage {
             first,
@@ -250,136 +259,144 @@ impl RunLoop<'_> {
             account,
             views,
             ..
-        } = *self.session.tick();
+        } = *self.session.grant_message();
         // Before the grant is sent, since a host may answer while this task is still in `put`.
         {
-            let mut state = self.crew.shared.lock();
-            state.next = last + 1;
-            let asked = GrantOptions { account, views };
-            state.barrier.expect_grant(last, stimulus.is_some(), asked);
+            let mut state = self.context.shared.lock();
+            state.next_tti = last + 1;
+            let options = GrantOptions { account, views };
+            state.barrier.expect_grant(last, stimulus.is_some(), options);
         }
-        self.crew.bus.set_tti(last);
-        self.voice.send_clock(ClockMessage::Grant(*self.session.tick()))?;
+        self.context.bus.set_tti(last);
+        self.downlink
+            .send_clock(ClockMessage::Grant(*self.session.grant_message()))?;
         self.grants += 1;
         tracing::trace!(%first, %last, ?stimulus, "granted");
         Ok(())
     }
 
     /// Waits for the answers to a grant.
-    async fn gather(&mut self, observer: &mut impl Observer) -> Result<(), BsError> {
+    async fn gather_answers(&mut self, observer: &mut impl Observer) -> Result<(), BsError> {
         self.wait_for_answers().await?;
         let GrantMessage {
             first, last, account, ..
-        } = *self.session.tick();
+        } = *self.session.grant_message();
         // Lost devices are removed before the answers count, since the removal precedes sensing in this TTI.
         self.remove_lost(last, observer)?;
-        let mut gathered = self.crew.shared.lock().barrier.take_grant_result();
+        let mut gathered = self.context.shared.lock().barrier.take_grant_result();
         // The sums of removed hosts come from a replay. A host that is lost after this point has already answered with
         // its own.
         if account {
-            let totals = gathered.totals + self.outages.sums(first)?;
-            self.session.handle(Event::Totals(totals), observer);
+            let totals = gathered.totals + self.removed_hosts.totals_before(first)?;
+            self.session.apply_result(ActionResult::Totals(totals), observer);
         }
-        let event = Event::Gathered(Gathered {
+        let result = ActionResult::Gathered(Gathered {
             reports: &mut gathered.reports,
             failures: &mut gathered.failures,
             views: &gathered.views,
         });
-        self.session.handle(event, observer);
+        self.session.apply_result(result, observer);
         Ok(())
     }
 
     /// Sends a wake-up and waits for its outcome.
-    async fn wake(&mut self, order: &WakeOrder, observer: &mut impl Observer) -> Result<WakeOutcome, BsError> {
+    async fn wake_device(&mut self, order: &WakeOrder, observer: &mut impl Observer) -> Result<WakeOutcome, BsError> {
         let WakeOrder { tti, device, .. } = *order;
         // Before the wake-up is sent, for the same reason as with a grant.
         let host = {
-            let mut state = self.crew.shared.lock();
+            let mut state = self.context.shared.lock();
             state.barrier.expect_wake(tti, device);
             state.barrier.roster().owner_of(device)
         };
         if let Some(host) = host {
-            self.voice.send_wake_up(host, device, order.message)?;
+            self.downlink.send_wake_up(host, device, order.message)?;
         }
         self.wait_for_answers().await?;
         self.remove_lost(tti, observer)?;
-        let outcome = self.crew.shared.lock().barrier.take_outcome();
+        let outcome = self.context.shared.lock().barrier.take_wake_outcome();
         tracing::debug!(%tti, %device, ?outcome, "woken");
         Ok(outcome)
     }
 
     /// Removes the devices of hosts that were lost for good in the open TTI.
     fn remove_lost(&mut self, tti: Tti, observer: &mut impl Observer) -> Result<(), BsError> {
-        let leaving = std::mem::take(&mut self.crew.shared.lock().removals);
-        for places in leaving {
-            self.outages.add(places, tti);
-            let devices = (places.first.0..=places.last().0).map(DeviceId);
-            let outages = &self.outages;
+        let lost = std::mem::take(&mut self.context.shared.lock().pending_removals);
+        for assignment in lost {
+            self.removed_hosts.add(assignment, tti);
+            let devices = (assignment.first.0..=assignment.last().0).map(DeviceId);
+            let removed_hosts = &self.removed_hosts;
             self.session
-                .remove_devices(devices, observer, |outage| outages.begin(outage))?;
+                .remove_devices(devices, observer, |removal| removed_hosts.record_removal(removal))?;
         }
         Ok(())
     }
 
     /// The TTI before which the next grant must end.
-    fn limit(&self) -> Tti {
+    fn grant_limit(&self) -> Tti {
         // Under a real-time pace each TTI has its own moment, so a grant must not run ahead of it.
-        if !self.crew.settings.lookahead || self.pace != Pace::Max {
+        if !self.context.settings.lookahead || self.pace != Pace::Max {
             return self.session.next_tti() + 1;
         }
-        self.crew.shared.lock().clock.until()
+        self.context.shared.lock().clock.until()
     }
 
-    fn show(&self) {
-        let events = self.session.cycle().event_totals();
-        self.crew
+    /// Writes the state of the run to [`RunProgress`].
+    fn publish_progress(&self) {
+        let event_totals = self.session.cycle().event_totals();
+        self.context
             .progress
-            .tti
+            .next_tti
             .store(self.session.next_tti().0, Ordering::Relaxed);
-        self.crew.progress.events.store(events.events, Ordering::Relaxed);
-        self.crew
+        self.context
+            .progress
+            .events
+            .store(event_totals.events, Ordering::Relaxed);
+        self.context
             .progress
             .misdetected
-            .store(events.misdetected, Ordering::Relaxed);
+            .store(event_totals.misdetected, Ordering::Relaxed);
         let hosts = {
-            let mut state = self.crew.shared.lock();
-            let carrying = state.barrier.roster().active_hosts();
-            carrying.saturating_sub(state.losses.assignments().count())
+            let mut state = self.context.shared.lock();
+            let with_devices = state.barrier.roster().active_host_count();
+            with_devices.saturating_sub(state.lost_hosts.assignments().count())
         };
-        self.crew.progress.hosts.store(hosts as u64, Ordering::Relaxed);
-        self.crew
+        self.context
+            .progress
+            .active_hosts
+            .store(hosts as u64, Ordering::Relaxed);
+        self.context
             .progress
             .late_ttis
-            .store(self.lateness.late, Ordering::Relaxed);
-        let latest = self.lateness.max.as_nanos() as u64;
-        self.crew.progress.max_late.store(latest, Ordering::Relaxed);
+            .store(self.lateness.late_ttis, Ordering::Relaxed);
+        let max_late_ns = self.lateness.max_delay.as_nanos() as u64;
+        self.context.progress.max_late_ns.store(max_late_ns, Ordering::Relaxed);
     }
 
     /// Waits until `first` is due, under a real-time pace.
-    async fn keep_pace(&mut self, first: Tti) -> Result<(), BsError> {
+    async fn wait_until_due(&mut self, first: Tti) -> Result<(), BsError> {
         let Pace::RealTime(micros) = self.pace else {
             return Ok(());
         };
         let duration = Duration::from_micros(micros);
         let now = now();
-        let due = match self.due {
+        let due = match self.last_due {
             Some((tti, moment)) => moment + duration.saturating_mul((first - tti) as u32),
             None => now,
         };
         if due < now {
-            self.lateness.count(now - due);
+            self.lateness.record_delay(now - due);
         }
         // The next TTI counts from when this one was due, not from when it began, so delays do not add up.
-        self.due = Some((first, due));
+        self.last_due = Some((first, due));
         self.sleep_until(due).await
     }
 
     /// Sleeps until `due`, or until a loss, a new pace, a stop or a pause.
     async fn sleep_until(&mut self, due: Instant) -> Result<(), BsError> {
-        while now() < due && !self.crew.progress.stop.load(Ordering::Relaxed) {
-            tokio::time::sleep_until(due.min(now() + LOOK).into()).await;
-            let mut state = self.crew.shared.lock();
-            self.check_hosts(&mut state)?;
+        while now() < due && !self.context.progress.stop_requested.load(Ordering::Relaxed) {
+            tokio::time::sleep_until(due.min(now() + CHECK_INTERVAL).into()).await;
+            let mut state = self.context.shared.lock();
+            self.handle_lost_hosts(&mut state)?;
             // The caller checks the clock and the losses again.
             if state.clock.pace() != self.pace || state.clock.until() <= self.session.next_tti() {
                 return Ok(());
@@ -388,86 +405,90 @@ impl RunLoop<'_> {
         Ok(())
     }
 
-    /// Waits until the barrier is complete, and resends the messages of the grant at intervals.
+    /// Waits until the barrier is complete, and retransmits the messages of the grant at intervals.
     async fn wait_for_answers(&mut self) -> Result<(), BsError> {
-        let (mut repeat_at, mut stop_at) = (None, None);
+        let (mut retransmit_at, mut stop_at) = (None, None);
         // Time without an answer, counted only while this process ran: a stopped process receives nothing.
-        let (mut looked, mut silent) = (None, Duration::ZERO);
-        let mut is_named = false;
+        let (mut last_check, mut unanswered_for) = (None, Duration::ZERO);
+        let mut has_warned = false;
         loop {
-            let (returned, is_whole) = {
-                let mut state = self.crew.shared.lock();
+            let (needs_retransmit, has_all_hosts) = {
+                let mut state = self.context.shared.lock();
                 if state.barrier.is_complete() {
                     return Ok(());
                 }
-                self.check_hosts(&mut state)?;
-                (std::mem::take(&mut state.needs_retransmit), state.losses.is_empty())
+                self.handle_lost_hosts(&mut state)?;
+                (std::mem::take(&mut state.needs_retransmit), state.lost_hosts.is_empty())
             };
             let now = now();
             // One check adds at most two intervals: a longer gap means that this process itself was stopped.
-            silent += (now - *looked.get_or_insert(now)).min(LOOK + LOOK);
-            looked = Some(now);
+            unanswered_for += (now - *last_check.get_or_insert(now)).min(CHECK_INTERVAL + CHECK_INTERVAL);
+            last_check = Some(now);
             // A lost host is not expected to answer, and a returned host needs time to do so.
-            if returned || !is_whole {
-                (silent, is_named) = (Duration::ZERO, false);
+            if needs_retransmit || !has_all_hosts {
+                (unanswered_for, has_warned) = (Duration::ZERO, false);
             }
-            // A returned host may have missed the grant, so it does not wait for the next repetition.
-            if returned || now >= *repeat_at.get_or_insert(now + REPEAT) {
-                repeat_at = Some(now + REPEAT);
+            // A returned host may have missed the grant, so it does not wait for the next retransmission.
+            if needs_retransmit || now >= *retransmit_at.get_or_insert(now + RETRANSMIT_INTERVAL) {
+                retransmit_at = Some(now + RETRANSMIT_INTERVAL);
                 self.retransmit()?;
             }
-            if silent >= SILENT && !is_named {
-                is_named = true;
-                self.report_silent_hosts();
+            if unanswered_for >= UNRESPONSIVE_AFTER && !has_warned {
+                has_warned = true;
+                self.warn_of_unresponsive_hosts();
             }
-            if silent >= MUTE {
-                self.time_out_silent_hosts();
+            if unanswered_for >= LOST_AFTER {
+                self.mark_unresponsive_hosts_lost();
             }
-            if self.crew.progress.stop.load(Ordering::Relaxed) && now >= *stop_at.get_or_insert(now + STOP) {
-                let (tti, hosts) = (self.session.next_tti(), self.crew.shared.lock().barrier.missing_hosts());
+            let must_stop = self.context.progress.stop_requested.load(Ordering::Relaxed);
+            if must_stop && now >= *stop_at.get_or_insert(now + STOP_TIMEOUT) {
+                let (tti, hosts) = (
+                    self.session.next_tti(),
+                    self.context.shared.lock().barrier.missing_hosts(),
+                );
                 return Err(BsError::NoAnswer { tti, hosts });
             }
-            let _looked = tokio::time::timeout(LOOK, self.crew.shared.wait()).await;
+            let _changed = tokio::time::timeout(CHECK_INTERVAL, self.context.shared.wait_for_change()).await;
         }
     }
 
-    /// Resends the messages of the last grant to the current owners of the devices.
+    /// Retransmits the messages of the last grant to the current owners of the devices.
     fn retransmit(&mut self) -> Result<(), BusError> {
         // Nothing is sent under the lock: a put waits while a link is congested, and callbacks of messages need the
         // lock.
-        let mut state = self.crew.shared.lock();
+        let mut state = self.context.shared.lock();
         let roster = state.barrier.roster();
-        self.voice.redirect(|device| roster.owner_of(device));
-        state.publish_owners(self.crew.progress);
+        self.downlink.redirect_wake_ups(|device| roster.owner_of(device));
+        state.publish_owners(self.context.progress);
         drop(state);
-        self.voice.retransmit()
+        self.downlink.retransmit()
     }
 
     /// Ends the run on all hosts before the next TTI, and collects the ledgers of the devices.
     async fn collect_ledgers(&mut self) -> Result<Vec<Ledger>, BsError> {
         // Before the message is sent, for the same reason as with a grant.
-        self.crew.shared.lock().barrier.expect_ledgers();
-        self.voice
+        self.context.shared.lock().barrier.expect_ledgers();
+        self.downlink
             .send_clock(ClockMessage::CollectLedgers(self.session.next_tti()))?;
         self.wait_for_answers().await?;
         let end = self.session.next_tti();
-        let (mut ledgers, leaving, devices) = {
-            let mut state = self.crew.shared.lock();
-            let devices = state.barrier.roster().devices() as u32;
-            let leaving = std::mem::take(&mut state.removals);
-            (state.barrier.take_ledgers(), leaving, devices)
+        let (mut ledgers, lost_meanwhile, devices) = {
+            let mut state = self.context.shared.lock();
+            let devices = state.barrier.roster().device_count() as u32;
+            let lost_meanwhile = std::mem::take(&mut state.pending_removals);
+            (state.barrier.take_ledgers(), lost_meanwhile, devices)
         };
-        ledgers.extend(self.outages.all_ledgers(end)?);
-        for Assignment { first, count, .. } in leaving {
+        ledgers.extend(self.removed_hosts.all_ledgers_before(end)?);
+        for Assignment { first, count, .. } in lost_meanwhile {
             // A host lost in this barrier has completed all TTIs, so its devices are not removed: a replay has their
             // ledgers.
-            let own = self.outages.ledgers(end, first, count)?;
-            ledgers.extend((first.0..).map(DeviceId).zip(own));
+            let lost_ledgers = self.removed_hosts.ledgers_before(end, first, count)?;
+            ledgers.extend((first.0..).map(DeviceId).zip(lost_ledgers));
         }
         ledgers.sort_unstable_by_key(|(device, _)| *device);
-        let each = (0..devices).map(DeviceId);
+        let all_devices = (0..devices).map(DeviceId);
         assert!(
-            ledgers.iter().map(|(device, _)| *device).eq(each),
+            ledgers.iter().map(|(device, _)| *device).eq(all_devices),
             "a ledger for each device"
         );
         Ok(ledgers.into_iter().map(|(_, ledger)| ledger).collect())

@@ -1,4 +1,5 @@
-//! A run over the bus, from the first join to the message that dismisses all hosts.
+//! Entry points of a run over the bus: [`serve`] runs it from the first join to the last ledger, [`dismiss_hosts`] ends
+//! it for the hosts once the results are written. `deploy/src/commands/bs.rs` calls both.
 
 use std::sync::Arc;
 
@@ -9,7 +10,7 @@ use reveille_common::score::WindowRecord;
 use super::config::{DecisionTimeout, RunProgress, ServerConfig, ServerOutcome};
 use super::error::BsError;
 use super::failover::ReplaySource;
-use super::policy_port::Port;
+use super::policy_port::PolicyPort;
 use super::run_loop::LoopContext;
 use super::state::{SharedState, now};
 use super::{join, run_loop, subscriptions};
@@ -25,20 +26,20 @@ pub struct RunSpec<'a> {
     /// The run, before TTI 0 or resumed.
     pub session: Session,
     /// Checkpoint of a resumed run, for its first hosts.
-    pub resumption: Option<Arc<HostCheckpoint>>,
+    pub checkpoint: Option<Arc<HostCheckpoint>>,
     /// Replay that restores the devices of lost hosts and stores external inputs. Without it a lost host ends the run.
     pub replay: Option<Arc<dyn ReplaySource>>,
     /// Time to wait for a decision at the policy port; `None` if no policy process decides.
-    pub patience: Option<DecisionTimeout>,
+    pub decision_timeout: Option<DecisionTimeout>,
 }
 
-/// Runs `course` over `bus`: waits until every device has a host, runs every TTI and collects the ledgers.
+/// Runs `spec` over `bus`: waits until every device has a host, runs every TTI and collects the ledgers.
 ///
 /// # Errors
 /// If the bus fails, too few devices join, or a host is lost for good.
 pub async fn serve(
     bus: &Bus,
-    course: RunSpec<'_>,
+    spec: RunSpec<'_>,
     settings: &ServerConfig,
     progress: &Arc<RunProgress>,
     observer: &mut impl Observer,
@@ -46,39 +47,39 @@ pub async fn serve(
     let RunSpec {
         prepared,
         session,
-        resumption,
+        checkpoint,
         replay,
-        patience,
-    } = course;
+        decision_timeout,
+    } = spec;
     let PreparedRun {
         scenario, deployment, ..
     } = prepared;
     let shared = SharedState::new(scenario, deployment, settings, session.next_tti());
     // Kept until the end of the run: dropping a subscription undeclares it.
-    let _declared = subscriptions::declare(bus, scenario, deployment, settings, resumption, &shared)?;
+    let _guards = subscriptions::declare(bus, scenario, deployment, settings, checkpoint, &shared)?;
     let started = now();
-    join::wait_for_all(&shared, scenario, settings, progress).await?;
-    let joining = started.elapsed();
+    join::wait_for_all_devices(&shared, scenario, settings, progress).await?;
+    let joining_time = started.elapsed();
     let gauge = BatteryGauge {
         progress,
         devices: scenario.run.devices,
     };
-    let mut observers = (observer, (BusObserver::new(bus, settings.state_interval), gauge));
-    let crew = LoopContext {
+    let mut observers = (observer, (BusObserver::new(bus, settings.state_interval_ttis), gauge));
+    let context = LoopContext {
         bus,
         settings,
         progress,
         shared: &shared,
         replay,
-        port: Port::new(bus, settings.key, patience),
+        port: PolicyPort::new(bus, settings.run_key, decision_timeout),
     };
-    run_loop::run(crew, session, &mut observers, joining).await
+    run_loop::run(context, session, &mut observers, joining_time).await
 }
 
 /// Sends frames to observers on the bus, while there are any.
 struct BusObserver<'a> {
     bus: &'a Bus,
-    framed: FrameObserver<Box<dyn FnMut(Frame) + Send + 'a>>,
+    frame_observer: FrameObserver<Box<dyn FnMut(Frame) + Send + 'a>>,
 }
 
 impl<'a> BusObserver<'a> {
@@ -86,7 +87,7 @@ impl<'a> BusObserver<'a> {
     fn new(bus: &'a Bus, states_every: u64) -> Self {
         Self {
             bus,
-            framed: FrameObserver::new(states_every, Box::new(|frame| bus.publish_frame(frame))),
+            frame_observer: FrameObserver::new(states_every, Box::new(|frame| bus.publish_frame(frame))),
         }
     }
 }
@@ -95,12 +96,12 @@ impl Observer for BusObserver<'_> {
     fn notify(&mut self, notification: &Notification<'_>) {
         // Frames are encoded copies, whose cost a run without observers should not pay.
         if self.bus.is_observed() {
-            self.framed.notify(notification);
+            self.frame_observer.notify(notification);
         }
     }
 
     fn wants_states(&self) -> bool {
-        self.bus.is_observed() && self.framed.wants_states()
+        self.bus.is_observed() && self.frame_observer.wants_states()
     }
 
     fn wants_beliefs(&self) -> bool {

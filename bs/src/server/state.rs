@@ -1,4 +1,5 @@
-//! State that the bus callbacks of the base station share with its run loop.
+//! State that the bus callbacks of the base station share with its run loop, under one lock. Callbacks run on zenoh's
+//! threads, and a send can wait for a congested link, so no code sends while it holds the lock.
 
 use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -23,16 +24,16 @@ pub(super) struct ServerState {
     pub(super) barrier: Barrier,
     pub(super) clock: VirtualClock,
     /// The first TTI that is not granted yet.
-    pub(super) next: Tti,
-    /// Whether the loop is paused before `next`, with every earlier TTI closed.
-    pub(super) is_waiting: bool,
+    pub(super) next_tti: Tti,
+    /// Whether the loop is paused before `next_tti`, with every earlier TTI closed.
+    pub(super) is_paused: bool,
     /// Lost hosts and the takeovers of their devices.
-    pub(super) losses: LostHosts,
+    pub(super) lost_hosts: LostHosts,
     /// Assignments of lost hosts whose devices the run loop has yet to remove.
-    pub(super) removals: Vec<Assignment>,
+    pub(super) pending_removals: Vec<Assignment>,
     /// Lost hosts for which a warning was logged.
-    pub(super) reported: BTreeSet<HostId>,
-    /// Whether a host has returned or taken over, so that the last grant must be resent.
+    pub(super) warned_hosts: BTreeSet<HostId>,
+    /// Whether a host has returned or taken over, so that the last grant must be retransmitted.
     pub(super) needs_retransmit: bool,
     /// Whether the run has begun. From then on only devices of lost hosts are assigned.
     pub(super) is_running: bool,
@@ -43,44 +44,44 @@ pub(super) struct ServerState {
 }
 
 impl ServerState {
-    /// Notes that all TTIs before `next` are closed. Returns whether the loop must pause there.
-    pub(super) fn close_until(&mut self, next: Tti) -> bool {
-        self.next = next;
-        self.is_waiting = next >= self.clock.until();
-        self.is_waiting
+    /// Notes that all TTIs before `next_tti` are closed. Returns whether the loop must pause there.
+    pub(super) fn close_ttis_before(&mut self, next_tti: Tti) -> bool {
+        self.next_tti = next_tti;
+        self.is_paused = next_tti >= self.clock.until();
+        self.is_paused
     }
 
     /// Writes the assignments and names of all hosts to `progress`.
     pub(super) fn publish_owners(&mut self, progress: &RunProgress) {
         let roster = self.barrier.roster();
-        let all = (0..roster.hosts())
+        let assignments = (0..roster.host_count())
             .filter(|position| !roster.is_removed(*position))
             .map(|position| roster.assignment(position))
             .collect::<Vec<_>>();
-        let named = all
+        let named = assignments
             .into_iter()
-            .map(|places| (places, self.admission.name(places.host).to_owned()));
+            .map(|assignment| (assignment, self.admission.host_name(assignment.host).to_owned()));
         *progress.owners.lock().unwrap_or_else(PoisonError::into_inner) = named.collect();
     }
 
     /// The clock status for operators. After a pause command the clock runs until the open TTI is closed.
-    pub(super) fn status(&self) -> ClockStatus {
+    pub(super) fn clock_status(&self) -> ClockStatus {
         let end = self.clock.end();
         ClockStatus {
-            tti: self.next,
+            tti: self.next_tti,
             ttis: end.0,
-            paused: self.is_waiting && self.next >= self.clock.until(),
+            paused: self.is_paused && self.next_tti >= self.clock.until(),
             until: self.clock.until().min(end),
             pace: self.clock.pace(),
             begun: self.is_running,
             devices: self.admission.devices(),
             lost: self
-                .losses
+                .lost_hosts
                 .assignments()
-                .map(|places| LostHost {
-                    host: places.host,
-                    first: places.first,
-                    last: places.last(),
+                .map(|assignment| LostHost {
+                    host: assignment.host,
+                    first: assignment.first,
+                    last: assignment.last(),
                 })
                 .collect(),
         }
@@ -94,21 +95,26 @@ pub(super) struct SharedState {
 }
 
 impl SharedState {
-    /// Creates the state of a run that begins with TTI `next`.
-    pub(super) fn new(scenario: &Scenario, deployment: &Deployment, settings: &ServerConfig, next: Tti) -> Arc<Self> {
+    /// Creates the state of a run that begins with TTI `next_tti`.
+    pub(super) fn new(
+        scenario: &Scenario,
+        deployment: &Deployment,
+        settings: &ServerConfig,
+        next_tti: Tti,
+    ) -> Arc<Self> {
         let mut clock = VirtualClock::new(Tti(scenario.run.ttis), settings.pace);
-        if settings.paused {
-            clock.apply(ClockCommand::Pause, next);
+        if settings.starts_paused {
+            clock.apply(ClockCommand::Pause, next_tti);
         }
         let state = ServerState {
             admission: Admission::new(scenario.run.devices),
             barrier: Barrier::new(Roster::new(deployment.devices.clone(), scenario.sensing.psi)),
             clock,
-            next,
-            is_waiting: true,
-            losses: LostHosts::default(),
-            removals: Vec::new(),
-            reported: BTreeSet::new(),
+            next_tti,
+            is_paused: true,
+            lost_hosts: LostHosts::default(),
+            pending_removals: Vec::new(),
+            warned_hosts: BTreeSet::new(),
             needs_retransmit: false,
             is_running: false,
             failure: None,
@@ -124,13 +130,13 @@ impl SharedState {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    pub(super) fn notify(&self) {
+    pub(super) fn notify_run_loop(&self) {
         // `notify_one` keeps a permit, so a signal between a check of the loop and its wait is not lost. Only the loop
         // waits.
         self.changed.notify_one();
     }
 
-    pub(super) async fn wait(&self) {
+    pub(super) async fn wait_for_change(&self) {
         self.changed.notified().await;
     }
 }

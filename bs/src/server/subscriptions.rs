@@ -1,4 +1,5 @@
-//! Subscriptions and queryables of the base station, and their effect on its state.
+//! Subscriptions and queryables of the base station: every message from the bus enters the shared state here. This file
+//! checks credentials; `roster` checks the values.
 
 use std::sync::Arc;
 
@@ -18,74 +19,78 @@ pub(super) fn declare(
     scenario: &Scenario,
     deployment: &Deployment,
     settings: &ServerConfig,
-    start: Option<Arc<HostCheckpoint>>,
+    checkpoint: Option<Arc<HostCheckpoint>>,
     shared: &Arc<SharedState>,
 ) -> Result<Vec<DeclarationGuard>, BusError> {
     let keys = bus.keys();
-    let secret = keys
+    let bus_secret = keys
         .secret()
         .ok_or_else(|| BusError::Refused("this session does not belong to a base station".to_owned()))?;
-    let mut declared = Vec::new();
-    let this = Arc::clone(shared);
-    declared.push(bus.subscribe_uplinks(move |pass, report: Report| {
-        heard(&this, pass, |state| state.barrier.report(pass.host, report));
+    let mut guards = Vec::new();
+    let shared_state = Arc::clone(shared);
+    guards.push(bus.subscribe_uplinks(move |pass, report: Report| {
+        handle_host_message(&shared_state, pass, |state| {
+            state.barrier.receive_report(pass.host, report)
+        });
     })?);
-    let this = Arc::clone(shared);
-    declared.push(bus.subscribe_uplinks(move |pass, answer: HostAnswer| {
-        heard(&this, pass, |state| state.barrier.answer(pass.host, answer));
+    let shared_state = Arc::clone(shared);
+    guards.push(bus.subscribe_uplinks(move |pass, answer: HostAnswer| {
+        handle_host_message(&shared_state, pass, |state| {
+            state.barrier.receive_answer(pass.host, answer)
+        });
     })?);
-    let this = Arc::clone(shared);
-    declared.push(bus.watch_alive(keys.all_alive(), move |key, alive| {
-        if let Some(pass) = HostCredential::at_end_of(key) {
-            this.lock().on_alive(pass, alive);
-            this.notify();
+    let shared_state = Arc::clone(shared);
+    guards.push(bus.watch_alive(keys.all_host_liveliness(), move |key, alive| {
+        if let Some(pass) = HostCredential::from_key(key) {
+            shared_state.lock().on_alive(pass, alive);
+            shared_state.notify_run_loop();
         }
     })?);
-    let (this, control) = (Arc::clone(shared), settings.key);
-    declared.push(bus.serve_with_secret(move |command: ClockCommand, shown| {
+    let (shared_state, run_key) = (Arc::clone(shared), settings.run_key);
+    guards.push(bus.serve_with_secret(move |command: ClockCommand, shown| {
         // Asking for the status changes nothing, so anyone may do it.
-        if command != ClockCommand::Status && control.is_some_and(|key| shown != Some(key)) {
+        if command != ClockCommand::Status && run_key.is_some_and(|key| shown != Some(key)) {
             return Err(format!(
                 "`{command}` needs the run's key; use the key of the process that started the run"
             ));
         }
-        let mut state = this.lock();
-        let next = state.next;
+        let mut state = shared_state.lock();
+        let next = state.next_tti;
         // The command and the TTI that it counts from must belong to one state of the clock.
         state.clock.apply(command, next);
-        this.notify();
-        Ok(state.status())
+        shared_state.notify_run_loop();
+        Ok(state.clock_status())
     })?);
-    let this = Arc::clone(shared);
-    declared.push(bus.serve_with_secret(move |Ready { host }, shown| {
+    let shared_state = Arc::clone(shared);
+    guards.push(bus.serve_with_secret(move |Ready { host }, shown| {
         let pass = shown.map(|token| HostCredential { host, token });
-        let known = pass.is_some_and(|pass| this.lock().on_ready(pass));
-        this.notify();
-        Ok(known)
+        let is_known = pass.is_some_and(|pass| shared_state.lock().on_ready(pass));
+        shared_state.notify_run_loop();
+        Ok(is_known)
     })?);
     let handler = JoinHandler {
         shared: Arc::clone(shared),
         scenario: scenario.clone(),
         deployment: deployment.clone(),
-        secret,
-        key: settings.key.filter(|_| settings.members_only),
-        start,
+        bus_secret,
+        required_key: settings.run_key.filter(|_| settings.join_needs_key),
+        checkpoint,
     };
-    declared.push(bus.serve_with_secret(move |request: JoinRequest, shown| Ok(handler.join(&request, shown)))?);
+    guards.push(bus.serve_with_secret(move |request: JoinRequest, shown| Ok(handler.handle_request(&request, shown)))?);
     // Declared last, so that no process finds the base station alive before its queryables exist.
-    declared.push(bus.declare_alive(keys.bs_alive())?);
-    Ok(declared)
+    guards.push(bus.declare_alive(keys.bs_liveliness())?);
+    Ok(guards)
 }
 
-/// Passes a message from a host to `take`, which returns whether it completes the barrier.
-fn heard(shared: &SharedState, pass: HostCredential, take: impl FnOnce(&mut ServerState) -> bool) {
+/// Passes a message from a host to `handle`, which returns whether it completes the barrier.
+fn handle_host_message(shared: &SharedState, pass: HostCredential, handle: impl FnOnce(&mut ServerState) -> bool) {
     let mut state = shared.lock();
     // The credential comes from the key of the message; a revoked host or an unknown process has no valid one.
     if !state.admission.is_valid(pass) {
         state.barrier.count_unexpected();
-    } else if take(&mut state) {
+    } else if handle(&mut state) {
         drop(state);
-        shared.notify();
+        shared.notify_run_loop();
     }
 }
 
@@ -93,9 +98,9 @@ impl ServerState {
     /// Records that the host with this credential has made all its subscriptions. Returns whether the credential is
     /// valid.
     fn on_ready(&mut self, pass: HostCredential) -> bool {
-        let is_valid = self.admission.ready(pass);
+        let is_valid = self.admission.mark_ready(pass);
         if is_valid {
-            self.fill(pass.host);
+            self.try_complete_takeover(pass.host);
         }
         is_valid
     }
@@ -109,21 +114,21 @@ impl ServerState {
         self.admission.set_alive(host, alive);
         match (alive, self.is_running) {
             (true, _) => {
-                if let Some(newcomer) = self.losses.restore(host, now()) {
+                if let Some(newcomer) = self.lost_hosts.end_loss(host, now()) {
                     tracing::warn!(%host, "a lost host is back");
-                    self.reported.remove(&host);
+                    self.warned_hosts.remove(&host);
                     self.needs_retransmit = true;
                     // The returned host still has its devices, so the new host that was to take them over is revoked.
                     newcomer.and_then(|newcomer| self.admission.revoke(newcomer));
                 } else {
-                    self.fill(host);
+                    self.try_complete_takeover(host);
                 }
             }
             (false, true) => self.mark_lost(host),
             (false, false) => {
                 // Before the run no device has state, so its devices are immediately free for another process.
-                if let Some(places) = self.admission.leave(host) {
-                    let devices = places.count;
+                if let Some(assignment) = self.admission.free_host(host) {
+                    let devices = assignment.count;
                     tracing::warn!(%host, devices, "a host left before the run began; its devices are free again");
                 }
             }

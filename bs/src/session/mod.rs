@@ -1,6 +1,6 @@
 //! One run as a state machine without I/O. It defines the order of steps in a TTI, for runs in memory and on the bus.
 //!
-//! A shell asks for the next [`Action`], carries it out, and hands the result back as an [`Event`]:
+//! A shell asks for the next [`Action`], carries it out, and hands the result back as an [`ActionResult`]:
 //!
 //! ```text
 //!   CollectTotals ──► RequestDecision ──► Grant ──► Remove* ──► Gather ──┬──► (next TTI)
@@ -11,7 +11,8 @@
 //!                                                                                  └──── outcome ◄────┘
 //! ```
 //! An action that has a result is repeated until the shell passes the result: a shell can stop at any of them and
-//! continue later. The devices belong to the shell, as state machines in memory or on hosts over the bus.
+//! continue later. The devices belong to the shell, as state machines in memory (`lab/src/run.rs`) or on hosts over the
+//! bus (`bs/src/server/run_loop.rs`).
 
 mod queue;
 
@@ -26,12 +27,12 @@ use reveille_common::units::Energy;
 
 pub use self::queue::InputQueue;
 use crate::boundaries::Boundaries;
-use crate::cycle::{Cycle, CycleStep, Outcome, PreparedRun, WakeOrder};
+use crate::cycle::{Cycle, CycleStep, PreparedRun, RunOutcome, WakeOrder};
 use crate::observer::{Notification, Observer};
 use crate::policy::external::{Decision, DecisionContext, DecisionStage};
 
 /// The view of a removed device.
-pub(crate) const REMOVED: DeviceView = DeviceView {
+pub(crate) const REMOVED_VIEW: DeviceView = DeviceView {
     state: DeviceState::Sleep { powered: false },
     battery: Energy::ZERO,
 };
@@ -39,18 +40,18 @@ pub(crate) const REMOVED: DeviceView = DeviceView {
 /// The next action of the shell.
 #[derive(Debug)]
 pub enum Action {
-    /// Sum the energy of all devices before this TTI. Answer with [`Event::Totals`], or with [`Event::TotalsFollow`]
-    /// if the answers to the next grant can carry the sums.
+    /// Sum the energy of all devices before this TTI. Answer with [`ActionResult::Totals`], or with
+    /// [`ActionResult::TotalsFollow`] if the answers to the next grant can carry the sums.
     CollectTotals(Tti),
-    /// Obtain the answer to [`Session::pending_decision`], and pass it on as [`Event::Decided`].
+    /// Obtain the answer to [`Session::pending_decision`], and pass it on as [`ActionResult::Decided`].
     RequestDecision(DecisionStage),
-    /// Send these plans and then the clock's grant, [`Session::tick`]. [`Action::Gather`] follows.
+    /// Send these plans and then the clock's grant, [`Session::grant_message`]. [`Action::Gather`] follows.
     Grant(Vec<PlanUpdate>),
     /// Remove these devices from the run, then ask for the next action.
     Remove(DeviceRemoval),
-    /// Wait until the devices have completed the grant, and pass on their answers as [`Event::Gathered`].
+    /// Wait until the devices have completed the grant, and pass on their answers as [`ActionResult::Gathered`].
     Gather,
-    /// Wake a device, and pass on the outcome as [`Event::Woken`].
+    /// Wake a device, and pass on the outcome as [`ActionResult::Woken`].
     Wake(WakeOrder),
     /// Stop here, or ask for the next action: a queued decision has closed the TTI.
     TtiClosed,
@@ -60,10 +61,11 @@ pub enum Action {
 
 /// The result of an action.
 #[derive(Debug)]
-pub enum Event<'a> {
+pub enum ActionResult<'a> {
     /// The sums over all devices.
     Totals(DeviceTotals),
-    /// The answers to the next grant carry the sums: [`Event::Totals`] follows before [`Event::Gathered`].
+    /// The answers to the next grant carry the sums: [`ActionResult::Totals`] follows before
+    /// [`ActionResult::Gathered`].
     TotalsFollow,
     /// The decision that was requested.
     Decided(Decision),
@@ -103,7 +105,7 @@ enum Phase {
 #[derive(Clone, Copy, Debug)]
 struct LateTotals {
     /// The end of the window.
-    k: Tti,
+    window_end: Tti,
     /// Counted events up to there.
     events: EventTotals,
     /// The sums, once they have arrived.
@@ -114,19 +116,19 @@ struct LateTotals {
 pub struct Session {
     cycle: Cycle,
     boundaries: Boundaries,
-    accounts: WindowAccumulator,
-    queue: InputQueue,
+    window_accumulator: WindowAccumulator,
+    input_queue: InputQueue,
     phase: Phase,
     /// The last grant.
-    tick: GrantMessage,
+    grant_message: GrantMessage,
     /// The TTI from which the current plan holds.
     plan_from: Option<Tti>,
     /// The position before the last grant, open or closed.
     resume_point: ResumePoint,
-    /// The last boundary whose sums were taken or are on their way.
-    reached: Tti,
+    /// The last account boundary whose sums were taken or are on their way.
+    last_boundary: Tti,
     /// The boundary after it, which no grant crosses.
-    boundary: Tti,
+    next_boundary: Tti,
     late_totals: Option<LateTotals>,
     /// The devices at the end of the last TTI, in the order of ids, if the policy or the observer needs them.
     views: Vec<DeviceView>,
@@ -149,15 +151,15 @@ impl Session {
         let boundaries = Boundaries::new(&prepared.scenario, window);
         Self {
             cycle,
-            boundary: boundaries.next_boundary(Tti::ZERO),
+            next_boundary: boundaries.next_boundary(Tti::ZERO),
             boundaries,
-            accounts: WindowAccumulator::new(&prepared.deployment),
-            queue: InputQueue::default(),
+            window_accumulator: WindowAccumulator::new(&prepared.deployment),
+            input_queue: InputQueue::default(),
             phase: Phase::Between,
-            tick: GrantMessage::default(),
+            grant_message: GrantMessage::default(),
             plan_from: None,
             resume_point: ResumePoint::default(),
-            reached: Tti::ZERO,
+            last_boundary: Tti::ZERO,
             late_totals: None,
             views: Vec::new(),
             wants_states: false,
@@ -182,8 +184,8 @@ impl Session {
     }
 
     /// The last grant.
-    pub const fn tick(&self) -> &GrantMessage {
-        &self.tick
+    pub const fn grant_message(&self) -> &GrantMessage {
+        &self.grant_message
     }
 
     /// The position before the last grant: hosts that take over devices repeat that grant.
@@ -192,13 +194,13 @@ impl Session {
     }
 
     /// External inputs that have not taken effect.
-    pub const fn queue(&self) -> &InputQueue {
-        &self.queue
+    pub const fn input_queue(&self) -> &InputQueue {
+        &self.input_queue
     }
 
     /// External inputs that have not taken effect, to add to.
-    pub const fn queue_mut(&mut self) -> &mut InputQueue {
-        &mut self.queue
+    pub const fn input_queue_mut(&mut self) -> &mut InputQueue {
+        &mut self.input_queue
     }
 
     /// Decisions of an external policy that have taken effect, those from the queue included.
@@ -210,7 +212,7 @@ impl Session {
     pub fn pending_decision(&self) -> Option<DecisionContext<'_>> {
         match self.phase {
             Phase::Ready if self.cycle.needs_plan() => self.cycle.next_decision_context(),
-            Phase::Asking(tti) => Some(self.cycle.wake_question(tti)),
+            Phase::Asking(tti) => Some(self.cycle.wake_up_context(tti)),
             Phase::Between | Phase::Ready | Phase::Granted | Phase::Waking(_) => None,
         }
     }
@@ -229,7 +231,7 @@ impl Session {
                     }
                     // `CollectTotals` leaves the phase as it is. Its result moves the boundary, so the next call
                     // continues past this check.
-                    if k == self.boundary {
+                    if k == self.next_boundary {
                         return Action::CollectTotals(k);
                     }
                     self.update_batteries(observer);
@@ -237,33 +239,33 @@ impl Session {
                 }
                 Phase::Ready => {
                     if self.cycle.needs_plan() {
-                        let Some(decision) = self.queue.take_plan(self.next_tti()) else {
+                        let Some(decision) = self.input_queue.take_plan(self.next_tti()) else {
                             return Action::RequestDecision(DecisionStage::Plan);
                         };
-                        self.handle(Event::Decided(Decision::Plan(decision)), observer);
+                        self.apply_result(ActionResult::Decided(Decision::Plan(decision)), observer);
                     }
                     return self.grant(limit, observer);
                 }
                 Phase::Granted => {
                     // Removals come before the answers: the devices are removed before they sense in this TTI.
-                    return match self.queue.take_outage(self.tick.last, None) {
-                        Some(outage) => self.remove(outage, observer),
+                    return match self.input_queue.take_removal(self.grant_message.last, None) {
+                        Some(removal) => self.apply_removal(removal, observer),
                         None => Action::Gather,
                     };
                 }
                 Phase::Waking(order) => {
                     // The number tells where in the TTI the devices were lost; a replay must remove them before the
                     // same wake-up.
-                    return match self.queue.take_outage(order.tti, Some(order.number)) {
-                        Some(outage) => self.remove(outage, observer),
+                    return match self.input_queue.take_removal(order.tti, Some(order.number)) {
+                        Some(removal) => self.apply_removal(removal, observer),
                         None => Action::Wake(order),
                     };
                 }
                 Phase::Asking(tti) => {
-                    let Some(devices) = self.queue.take_wake_ups(tti) else {
+                    let Some(devices) = self.input_queue.take_wake_ups(tti) else {
                         return Action::RequestDecision(DecisionStage::Wake);
                     };
-                    self.handle(Event::Decided(Decision::Wake(devices)), observer);
+                    self.apply_result(ActionResult::Decided(Decision::Wake(devices)), observer);
                     // Granting the next TTI in the same call would carry a shell past the TTI at which it wants to
                     // stop.
                     if matches!(self.phase, Phase::Between) {
@@ -278,96 +280,99 @@ impl Session {
     ///
     /// # Panics
     /// If the phase has no such result.
-    // Inlined, so that a shell that passes a known event pays for that event alone: in memory a grant costs 1 % more
+    // Inlined, so that a shell that passes a known result pays for that result alone: in memory a grant costs 1 % more
     // instructions without.
     #[inline]
-    pub fn handle(&mut self, event: Event<'_>, observer: &mut impl Observer) {
-        match event {
-            Event::Totals(energy) => self.take_totals(energy, observer),
-            Event::TotalsFollow => self.await_totals(),
-            Event::Decided(answer) => self.take_decision(answer, observer),
-            Event::Gathered(answers) => self.take_answers(answers, observer),
-            Event::Woken(outcome) => self.take_outcome(outcome, observer),
+    pub fn apply_result(&mut self, result: ActionResult<'_>, observer: &mut impl Observer) {
+        match result {
+            ActionResult::Totals(energy) => self.take_totals(energy, observer),
+            ActionResult::TotalsFollow => self.expect_late_totals(),
+            ActionResult::Decided(answer) => self.take_decision(answer, observer),
+            ActionResult::Gathered(answers) => self.take_answers(answers, observer),
+            ActionResult::Woken(outcome) => self.take_outcome(outcome, observer),
         }
     }
 
     fn take_totals(&mut self, energy: DeviceTotals, observer: &mut impl Observer) {
-        let is_due = self.next_tti() == self.boundary;
+        let is_due = self.next_tti() == self.next_boundary;
         match (self.phase, &mut self.late_totals) {
             (Phase::Between, None) if is_due => {
-                self.reach_boundary();
-                self.end_window(self.reached, energy, *self.cycle.event_totals(), observer);
+                self.pass_boundary();
+                self.end_window(self.last_boundary, energy, *self.cycle.event_totals(), observer);
             }
             (Phase::Granted, Some(late)) => late.energy = Some(energy),
-            _ => self.refuse("sums"),
+            _ => self.panic_unexpected("sums"),
         }
     }
 
-    fn await_totals(&mut self) {
-        if !matches!(self.phase, Phase::Between) || self.next_tti() != self.boundary {
-            self.refuse("sums");
+    fn expect_late_totals(&mut self) {
+        if !matches!(self.phase, Phase::Between) || self.next_tti() != self.next_boundary {
+            self.panic_unexpected("sums");
         }
-        self.reach_boundary();
+        self.pass_boundary();
         // Copied here, because the next grant starts to score events of the next window before the sums arrive.
         self.late_totals = Some(LateTotals {
-            k: self.reached,
+            window_end: self.last_boundary,
             events: *self.cycle.event_totals(),
             energy: None,
         });
     }
 
-    fn reach_boundary(&mut self) {
-        self.reached = self.next_tti();
-        self.boundary = self.boundaries.next_boundary(self.reached);
+    fn pass_boundary(&mut self) {
+        self.last_boundary = self.next_tti();
+        self.next_boundary = self.boundaries.next_boundary(self.last_boundary);
     }
 
     fn take_decision(&mut self, answer: Decision, observer: &mut impl Observer) {
         self.decisions += 1;
         match (answer, self.phase) {
-            (Decision::Plan(decision), Phase::Ready) => self.cycle.decide(decision),
+            (Decision::Plan(decision), Phase::Ready) => self.cycle.set_plan(decision),
             (Decision::Wake(devices), Phase::Asking(tti)) => {
-                let step = self.cycle.wake(tti, &devices, observer);
-                self.follow(step, observer);
+                let step = self.cycle.set_wake_ups(tti, &devices, observer);
+                self.apply_step(step, observer);
             }
-            (Decision::Plan(_), _) => self.refuse("a plan"),
-            (Decision::Wake(_), _) => self.refuse("devices to wake"),
+            (Decision::Plan(_), _) => self.panic_unexpected("a plan"),
+            (Decision::Wake(_), _) => self.panic_unexpected("devices to wake"),
         }
     }
 
     #[inline]
     fn take_answers(&mut self, answers: Gathered<'_>, observer: &mut impl Observer) {
         if !matches!(self.phase, Phase::Granted) {
-            self.refuse("reports");
+            self.panic_unexpected("reports");
         }
         self.views.clear();
         self.views.extend_from_slice(answers.views);
         let (reports, failures) = (answers.reports, answers.failures);
-        let step = self.cycle.complete_grant(self.tick.last, reports, failures, observer);
-        self.follow(step, observer);
+        let step = self
+            .cycle
+            .complete_grant(self.grant_message.last, reports, failures, observer);
+        self.apply_step(step, observer);
     }
 
     fn take_outcome(&mut self, outcome: WakeOutcome, observer: &mut impl Observer) {
         let Phase::Waking(order) = self.phase else {
-            self.refuse("an outcome")
+            self.panic_unexpected("an outcome")
         };
         // The view was taken at the end of the grant, before this wake-up changed state and battery.
         if let Some(view) = self.views.get_mut(order.device.index()) {
-            *view = outcome.apply(*view);
+            *view = outcome.apply_to(*view);
         }
         let step = self.cycle.complete_wake_up(&order, outcome, observer);
-        self.follow(step, observer);
+        self.apply_step(step, observer);
     }
 
+    /// Panics since the phase has no such `result`.
     #[cold]
-    fn refuse(&self, result: &str) -> ! {
+    fn panic_unexpected(&self, result: &str) -> ! {
         panic!("no action of phase {:?} has {result} as its result", self.phase)
     }
 
     /// Removes the devices among `devices` that are still in the run, in the open TTI: their host was lost while its
-    /// answer was due. `keep` stores each removal before it takes effect.
+    /// answer was due. `store_removal` stores each removal before it takes effect.
     ///
     /// # Errors
-    /// If `keep` fails.
+    /// If `store_removal` fails.
     ///
     /// # Panics
     /// If no grant and no wake-up is out.
@@ -375,18 +380,18 @@ impl Session {
         &mut self,
         devices: impl IntoIterator<Item = DeviceId>,
         observer: &mut impl Observer,
-        keep: impl Fn(&DeviceRemoval) -> Result<(), E>,
+        store_removal: impl Fn(&DeviceRemoval) -> Result<(), E>,
     ) -> Result<(), E> {
         let (tti, wake_ups) = match self.phase {
-            Phase::Granted => (self.tick.last, None),
+            Phase::Granted => (self.grant_message.last, None),
             Phase::Waking(order) => (order.tti, Some(order.number)),
             phase @ (Phase::Between | Phase::Ready | Phase::Asking(_)) => panic!("no answer is due in phase {phase:?}"),
         };
         // A resumed run replays earlier removals, so some devices of a lost host may be removed already.
         let remaining = devices.into_iter().filter(|&device| !self.cycle.is_removed(device));
-        for outage in DeviceRemoval::by_class(remaining, tti, wake_ups) {
-            keep(&outage)?;
-            self.remove(outage, observer);
+        for removal in DeviceRemoval::from_devices(remaining, tti, wake_ups) {
+            store_removal(&removal)?;
+            self.apply_removal(removal, observer);
         }
         Ok(())
     }
@@ -403,8 +408,8 @@ impl Session {
     pub fn fork(&self) -> Option<Self> {
         Some(Self {
             cycle: self.cycle.fork()?,
-            accounts: self.accounts.clone(),
-            queue: self.queue.clone(),
+            window_accumulator: self.window_accumulator.clone(),
+            input_queue: self.input_queue.clone(),
             views: self.views.clone(),
             ..*self
         })
@@ -415,10 +420,10 @@ impl Session {
     ///
     /// # Panics
     /// If a TTI is open.
-    pub fn finish(mut self, ledgers: &[Ledger], observer: &mut impl Observer) -> Outcome {
+    pub fn finish(mut self, ledgers: &[Ledger], observer: &mut impl Observer) -> RunOutcome {
         let k = self.next_tti();
         // A window that ends here is closed already, unless its sums were to come with the next grant.
-        if k > self.reached || self.late_totals.is_some() {
+        if k > self.last_boundary || self.late_totals.is_some() {
             let energy = ledgers.iter().map(|ledger| ledger.whole).sum();
             self.end_window(k, energy, *self.cycle.event_totals(), observer);
         }
@@ -443,13 +448,15 @@ impl Session {
     fn grant(&mut self, limit: Tti, observer: &mut impl Observer) -> Action {
         let first = self.next_tti();
         // A removal happens in the last TTI of a grant, the only one in which devices act.
-        let limit = limit.min(self.queue.next_outage().saturating_add(1)).max(first + 1);
+        let limit = limit
+            .min(self.input_queue.next_removal().saturating_add(1))
+            .max(first + 1);
         // Taken before the cycle moves on, since a host that takes devices over repeats this grant.
         self.resume_point = self.position();
         self.wants_states = observer.wants_states();
-        let (grant, updates) = self.cycle.grant(limit.min(self.boundary), observer);
+        let (grant, updates) = self.cycle.grant(limit.min(self.next_boundary), observer);
         self.plan_from = updates.last().map(|update| update.from).or(self.plan_from);
-        self.tick = GrantMessage {
+        self.grant_message = GrantMessage {
             first,
             last: grant.last,
             stimulus: grant.stimulus,
@@ -464,17 +471,18 @@ impl Session {
         Action::Grant(updates)
     }
 
-    fn remove(&mut self, outage: DeviceRemoval, observer: &mut impl Observer) -> Action {
-        self.cycle.remove_devices(&outage, observer);
+    fn apply_removal(&mut self, removal: DeviceRemoval, observer: &mut impl Observer) -> Action {
+        self.cycle.remove_devices(&removal, observer);
         // No views are kept unless the policy or the observer needs them.
-        if let Some(views) = self.views.get_mut(outage.first.index()..=outage.last().index()) {
-            views.fill(REMOVED);
+        if let Some(views) = self.views.get_mut(removal.first.index()..=removal.last().index()) {
+            views.fill(REMOVED_VIEW);
         }
-        Action::Remove(outage)
+        Action::Remove(removal)
     }
 
+    /// Enters the phase of `step`; a closed TTI also ends a window whose sums came with the grant.
     #[inline]
-    fn follow(&mut self, step: CycleStep, observer: &mut impl Observer) {
+    fn apply_step(&mut self, step: CycleStep, observer: &mut impl Observer) {
         self.phase = match step {
             CycleStep::SendWakeUp(order) => Phase::Waking(order),
             CycleStep::AskExternal(tti) => Phase::Asking(tti),
@@ -482,9 +490,14 @@ impl Session {
                 if self.wants_states {
                     observer.notify(&Notification::DeviceStates(&self.views));
                 }
-                if let Some(LateTotals { k, events, energy }) = self.late_totals.take() {
+                if let Some(LateTotals {
+                    window_end,
+                    events,
+                    energy,
+                }) = self.late_totals.take()
+                {
                     let energy = energy.expect("the sums arrive with the answers to the grant");
-                    self.end_window(k, energy, events, observer);
+                    self.end_window(window_end, energy, events, observer);
                 }
                 Phase::Between
             }
@@ -492,7 +505,7 @@ impl Session {
     }
 
     fn end_window(&mut self, k: Tti, energy: DeviceTotals, events: EventTotals, observer: &mut impl Observer) {
-        let window = self.accounts.close_window(k, energy, events);
+        let window = self.window_accumulator.close_window(k, energy, events);
         self.is_stopped |= !observer.window_closed(&window);
     }
 }

@@ -1,4 +1,5 @@
-//! External inputs that a run has not reached yet: device removals, and decisions of an external policy.
+//! External inputs that a run has not reached yet: device removals, and decisions of an external policy. A resumed or
+//! replayed run fills the queue from an input log; the [`Session`](super::Session) takes each input when it is due.
 
 use std::collections::VecDeque;
 
@@ -10,14 +11,14 @@ use crate::policy::external::{Decision, PlanDecision, RecordedDecision};
 /// External inputs that are still to come, each kind in the order in which it takes effect.
 #[derive(Clone, Debug, Default)]
 pub struct InputQueue {
-    outages: VecDeque<DeviceRemoval>,
+    removals: VecDeque<DeviceRemoval>,
     decisions: VecDeque<RecordedDecision>,
 }
 
 impl InputQueue {
     /// Appends a removal.
-    pub fn push_outage(&mut self, outage: DeviceRemoval) {
-        self.outages.push_back(outage);
+    pub fn push_removal(&mut self, removal: DeviceRemoval) {
+        self.removals.push_back(removal);
     }
 
     /// Appends a decision.
@@ -26,8 +27,8 @@ impl InputQueue {
     }
 
     /// Removals that have not taken effect.
-    pub fn outages(&self) -> usize {
-        self.outages.len()
+    pub fn removals(&self) -> usize {
+        self.removals.len()
     }
 
     /// Decisions that no request has used.
@@ -41,20 +42,20 @@ impl InputQueue {
     }
 
     /// The TTI of the next removal, [`Tti::NEVER`] after the last.
-    pub(super) fn next_outage(&self) -> Tti {
-        self.outages.front().map_or(Tti::NEVER, |outage| outage.tti)
+    pub(super) fn next_removal(&self) -> Tti {
+        self.removals.front().map_or(Tti::NEVER, |removal| removal.tti)
     }
 
     /// Takes the next removal if it is due in TTI `k`: before sensing, or before the wake-up with this number.
-    pub(super) fn take_outage(&mut self, k: Tti, wake_up: Option<u32>) -> Option<DeviceRemoval> {
-        self.outages
+    pub(super) fn take_removal(&mut self, k: Tti, wake_up: Option<u32>) -> Option<DeviceRemoval> {
+        self.removals
             .pop_front_if(|next| next.tti == k && next.wake_ups == wake_up)
     }
 
     /// Takes the next decision if it is the plan of TTI `k`.
     pub(super) fn take_plan(&mut self, k: Tti) -> Option<PlanDecision> {
-        let is_due = |next: &mut RecordedDecision| next.tti == k && matches!(next.answer, Decision::Plan(_));
-        match self.decisions.pop_front_if(is_due)?.answer {
+        let is_due = |next: &mut RecordedDecision| next.tti == k && matches!(next.decision, Decision::Plan(_));
+        match self.decisions.pop_front_if(is_due)?.decision {
             Decision::Plan(decision) => Some(decision),
             Decision::Wake(_) => None,
         }
@@ -62,8 +63,8 @@ impl InputQueue {
 
     /// Takes the next decision if it lists devices to wake in TTI `k`.
     pub(super) fn take_wake_ups(&mut self, k: Tti) -> Option<Vec<DeviceId>> {
-        let is_due = |next: &mut RecordedDecision| next.tti == k && matches!(next.answer, Decision::Wake(_));
-        match self.decisions.pop_front_if(is_due)?.answer {
+        let is_due = |next: &mut RecordedDecision| next.tti == k && matches!(next.decision, Decision::Wake(_));
+        match self.decisions.pop_front_if(is_due)?.decision {
             Decision::Wake(devices) => Some(devices),
             Decision::Plan(_) => None,
         }

@@ -1,4 +1,5 @@
-//! Access rights of a peer on the bus of a run: only those that its role needs.
+//! Access control on the bus of a run: a peer has only the rights that its role needs. A new kind of message that
+//! crosses the bus needs an entry in one of the lists below.
 //!
 //! The BS is a router, and all messages of others pass through it. Any client may send join requests, clock controls
 //! and queries for the run's description and input log, and may follow the tap. A host receives the run's secret with
@@ -12,7 +13,7 @@ use crate::message::MessageKind;
 
 /// Limits on the harm that one peer can do: the message size, the wait for a peer that stops reading before the BS
 /// closes its link, and the number of sessions that open simultaneously.
-pub(super) const LIMITS: [(&str, &str); 3] = [
+pub(super) const PEER_LIMITS: [(&str, &str); 3] = [
     ("transport/link/rx/max_message_size", "16777216"),
     (
         "transport/link/tx/queue/congestion_control/block/wait_before_close",
@@ -22,11 +23,11 @@ pub(super) const LIMITS: [(&str, &str); 3] = [
 ];
 
 /// Kinds of messages that only the BS sends to hosts.
-const DOWN: [MessageKind; 2] = [MessageKind::Clock, MessageKind::Plan];
+const BS_TO_HOSTS: [MessageKind; 2] = [MessageKind::Clock, MessageKind::Plan];
 /// Kinds of messages that hosts send to the BS.
-const UP: [MessageKind; 2] = [MessageKind::Report, MessageKind::Answer];
+const HOSTS_TO_BS: [MessageKind; 2] = [MessageKind::Report, MessageKind::Answer];
 /// Queries that the BS answers.
-const QUERIES: [MessageKind; 5] = [
+const BS_QUERIES: [MessageKind; 5] = [
     MessageKind::Join,
     MessageKind::Ready,
     MessageKind::Control,
@@ -35,18 +36,18 @@ const QUERIES: [MessageKind; 5] = [
 ];
 
 /// Returns zenoh's access configuration of the run with these `keys`.
-pub(super) fn rules(keys: &Keys) -> String {
-    let down: Vec<String> = DOWN.iter().map(|&kind| keys.to_all(kind)).collect();
-    let wake = format!("{}/*/*", keys.base_key(MessageKind::Wake));
-    let up: Vec<String> = UP.iter().map(|&kind| keys.uplinks(kind)).collect();
-    let queries: Vec<String> = QUERIES.iter().map(|&kind| keys.base_key(kind)).collect();
-    let heard = [&down[..], &[wake, keys.tap()]].concat();
-    let (hosts, bs) = (vec![keys.all_alive()], vec![keys.bs_alive()]);
-    let policy = vec![keys.policy()];
-    let any_bs = vec![Keys::any_bs().to_owned(), keys.bs_alive()];
+pub(super) fn access_config(keys: &Keys) -> String {
+    let bs_to_hosts: Vec<String> = BS_TO_HOSTS.iter().map(|&kind| keys.to_all_hosts(kind)).collect();
+    let wake_keys = format!("{}/*/*", keys.base_key(MessageKind::Wake));
+    let hosts_to_bs: Vec<String> = HOSTS_TO_BS.iter().map(|&kind| keys.uplinks(kind)).collect();
+    let queries: Vec<String> = BS_QUERIES.iter().map(|&kind| keys.base_key(kind)).collect();
+    let received = [&bs_to_hosts[..], &[wake_keys, keys.tap()]].concat();
+    let (hosts, bs) = (vec![keys.all_host_liveliness()], vec![keys.bs_liveliness()]);
+    let policy = vec![keys.policy_port()];
+    let any_bs = vec![Keys::all_bs_liveliness().to_owned(), keys.bs_liveliness()];
     let rules = [
-        rule("send", "ingress", &["put"], &up),
-        rule("hear", "ingress", &["declare_subscriber"], &heard),
+        rule("send", "ingress", &["put"], &hosts_to_bs),
+        rule("hear", "ingress", &["declare_subscriber"], &received),
         rule("live", "ingress", &["liveliness_token"], &hosts),
         rule(
             "look",
@@ -57,8 +58,8 @@ pub(super) fn rules(keys: &Keys) -> String {
         rule("ask", "ingress", &["query"], &queries),
         rule("decide", "ingress", &["declare_queryable", "reply"], &policy),
         rule("decision", "egress", &["query"], &policy),
-        rule("told", "egress", &["put"], &heard),
-        rule("wanted", "egress", &["declare_subscriber"], &up),
+        rule("told", "egress", &["put"], &received),
+        rule("wanted", "egress", &["declare_subscriber"], &hosts_to_bs),
         rule("answered", "egress", &["declare_queryable", "reply"], &queries),
         rule("alive", "egress", &["liveliness_token"], &bs),
     ];
@@ -88,12 +89,17 @@ mod tests {
 
     #[test]
     fn every_kind_that_crosses_the_bus_has_its_rule() {
-        let listed: Vec<MessageKind> = DOWN.iter().chain(&UP).chain(&QUERIES).copied().collect();
+        let listed: Vec<MessageKind> = BS_TO_HOSTS
+            .iter()
+            .chain(&HOSTS_TO_BS)
+            .chain(&BS_QUERIES)
+            .copied()
+            .collect();
         for &kind in MessageKind::ALL {
             let is_ruled = listed.contains(&kind) || kind == MessageKind::Wake;
             assert_eq!(is_ruled, kind.plane() != Plane::Truth, "{kind:?}");
             let is_query = kind.access() == Access::Anyone || kind == MessageKind::Ready;
-            assert_eq!(is_query, QUERIES.contains(&kind), "{kind:?}");
+            assert_eq!(is_query, BS_QUERIES.contains(&kind), "{kind:?}");
         }
     }
 }

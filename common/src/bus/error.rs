@@ -1,4 +1,4 @@
-//! Errors of the bus.
+//! Errors of the bus. Their texts reach the operator.
 
 use std::time::Duration;
 

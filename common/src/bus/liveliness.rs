@@ -1,4 +1,5 @@
-//! Liveliness tokens of base stations and hosts.
+//! Liveliness tokens of base stations and hosts. A token disappears with its session: the BS detects lost hosts by it,
+//! hosts a lost BS, and clients find the runs of an endpoint.
 
 use std::pin::Pin;
 use std::time::Duration;
@@ -11,9 +12,9 @@ use super::{Bus, BusError, DeclarationGuard};
 use crate::keys::Keys;
 
 /// A callback that receives each token that appears or disappears.
-type Handle = dyn Fn(&str, bool) + Send + Sync;
+type TokenHandler = dyn Fn(&str, bool) + Send + Sync;
 /// A future of the keys of liveliness tokens.
-type Tokens<'b> = Pin<Box<dyn Future<Output = Result<Vec<Option<String>>, BusError>> + Send + 'b>>;
+type TokensFuture<'b> = Pin<Box<dyn Future<Output = Result<Vec<Option<String>>, BusError>> + Send + 'b>>;
 
 impl Bus {
     /// Declares a liveliness token, which disappears when the guard is dropped or the session is lost.
@@ -33,11 +34,11 @@ impl Bus {
     where
         F: Fn(&str, bool) + Send + Sync + 'static,
     {
-        self.watch_boxed(key, Box::new(handle))
+        self.watch_alive_boxed(key, Box::new(handle))
     }
 
     /// Watches tokens with a boxed callback. Not generic, so zenoh's code is compiled only once, in this crate.
-    fn watch_boxed(&self, key: String, handle: Box<Handle>) -> Result<DeclarationGuard, BusError> {
+    fn watch_alive_boxed(&self, key: String, handle: Box<TokenHandler>) -> Result<DeclarationGuard, BusError> {
         let on_sample = move |sample: Sample| handle(sample.key_expr().as_str(), sample.kind() == SampleKind::Put);
         Ok(DeclarationGuard::new(
             self.session
@@ -55,8 +56,10 @@ impl Bus {
     /// # Errors
     /// If zenoh refuses.
     pub async fn list_runs(&self, patience: Duration) -> Result<Vec<String>, BusError> {
-        let tokens = self.tokens(Keys::any_bs().to_owned(), Some(patience)).await?;
-        // In `Keys::any_bs` the second segment is the name of the run.
+        let tokens = self
+            .query_tokens(Keys::all_bs_liveliness().to_owned(), Some(patience))
+            .await?;
+        // In `Keys::all_bs_liveliness` the second segment is the name of the run.
         let name = |key: &String| key.split('/').nth(1).map(str::to_owned);
         let mut runs: Vec<String> = tokens.iter().flatten().filter_map(name).collect();
         runs.sort();
@@ -68,18 +71,18 @@ impl Bus {
     /// # Errors
     /// If zenoh refuses.
     pub async fn count_alive_hosts(&self) -> Result<u32, BusError> {
-        Ok(self.tokens(self.keys.all_alive(), None).await?.len() as u32)
+        Ok(self.query_tokens(self.keys.all_host_liveliness(), None).await?.len() as u32)
     }
 
     /// Queries the tokens that match `key`; an error reply gives `None`. Boxed, so zenoh's code is compiled only here.
-    fn tokens(&self, key: String, patience: Option<Duration>) -> Tokens<'_> {
+    fn query_tokens(&self, key: String, patience: Option<Duration>) -> TokensFuture<'_> {
         Box::pin(async move {
-            let question = self.session.liveliness().get(key);
-            let question = match patience {
-                Some(patience) => question.timeout(patience),
-                None => question,
+            let query = self.session.liveliness().get(key);
+            let query = match patience {
+                Some(patience) => query.timeout(patience),
+                None => query,
             };
-            let replies = question.await?;
+            let replies = query.await?;
             let mut tokens = Vec::new();
             while let Ok(reply) = replies.recv_async().await {
                 let sample = reply.result().ok();

@@ -1,4 +1,5 @@
-//! The bus: zenoh sessions and typed topics. No other module opens a session.
+//! The bus: zenoh sessions and typed topics. No other module opens a session; start at [`Bus::listen`] and
+//! [`Bus::connect`].
 //!
 //! The BS listens as a zenoh router; all other processes connect to it as clients over TCP. Links are reliable and
 //! blocking, so only the modelled radio causes losses and delays. [`crate::message`] defines the
@@ -30,7 +31,7 @@ use zenoh::sample::Sample;
 use crate::codec::{self, CodecError};
 use crate::ids::{DeviceId, HostId, Tti};
 use crate::keys::{self, Keys};
-use crate::message::{Frame, MessageKind, Payload, Plane, TapBatch, WakeUp};
+use crate::message::{Frame, FrameBatch, MessageKind, Payload, Plane, WakeUp};
 use crate::secret::{HostCredential, Secret};
 
 pub use error::BusError;
@@ -40,7 +41,7 @@ pub use session::{draw_nonce, draw_secret, resolve_listen_endpoint, scaled_timeo
 pub use tap::{FrameSink, Tap};
 
 /// Interval at which the queue of frames for observers is checked.
-const DRAINING: Duration = Duration::from_millis(2);
+const FLUSH_CHECK_INTERVAL: Duration = Duration::from_millis(2);
 
 /// A session on one run.
 #[derive(Clone)]
@@ -49,8 +50,8 @@ pub struct Bus {
     keys: Arc<Keys>,
     endpoint: Arc<str>,
     /// The secret sent with queries that need authorisation.
-    key: Option<Secret>,
-    malformed: Arc<AtomicU64>,
+    run_key: Option<Secret>,
+    malformed_payloads: Arc<AtomicU64>,
     tap: Option<Arc<Tap>>,
 }
 
@@ -64,13 +65,12 @@ type PayloadHandler = dyn Fn(&str, &[u8]) + Send + Sync;
 
 impl Bus {
     fn new(session: zenoh::Session, keys: Keys, endpoint: &str) -> Self {
-        let malformed = Arc::default();
         Self {
             session,
             keys: Arc::new(keys),
             endpoint: endpoint.into(),
-            key: None,
-            malformed,
+            run_key: None,
+            malformed_payloads: Arc::default(),
             tap: None,
         }
     }
@@ -84,15 +84,18 @@ impl Bus {
     #[must_use]
     pub fn with_secret(&self, secret: Secret) -> Self {
         Self {
-            keys: Arc::new(Keys::of_members(self.keys.run().clone(), secret)),
+            keys: Arc::new(Keys::for_members(self.keys.run().clone(), secret)),
             ..self.clone()
         }
     }
 
     /// Returns this session with the run's key, which it then sends with every query.
     #[must_use]
-    pub fn with_key(&self, key: Option<Secret>) -> Self {
-        Self { key, ..self.clone() }
+    pub fn with_key(&self, run_key: Option<Secret>) -> Self {
+        Self {
+            run_key,
+            ..self.clone()
+        }
     }
 
     /// The endpoint on which the BS listens.
@@ -101,8 +104,8 @@ impl Bus {
     }
 
     /// The number of payloads dropped because they were not valid messages.
-    pub fn malformed(&self) -> u64 {
-        self.malformed.load(Ordering::Relaxed)
+    pub fn malformed_payloads(&self) -> u64 {
+        self.malformed_payloads.load(Ordering::Relaxed)
     }
 
     /// Sets the TTI with which the tap labels frames.
@@ -120,7 +123,7 @@ impl Bus {
 
     /// The number of frames dropped because observers were too slow.
     pub fn dropped_frames(&self) -> u64 {
-        self.tap.as_ref().map_or(0, |tap| tap.dropped())
+        self.tap.as_ref().map_or(0, |tap| tap.dropped_frames())
     }
 
     /// Waits until observers have received all frames so far, for at most `patience`.
@@ -128,7 +131,7 @@ impl Bus {
         let Some(tap) = &self.tap else { return };
         let sent = async {
             while !tap.is_empty() {
-                tokio::time::sleep(DRAINING).await;
+                tokio::time::sleep(FLUSH_CHECK_INTERVAL).await;
             }
         };
         // A slower observer misses the remaining frames; the run does not wait longer.
@@ -152,7 +155,7 @@ impl Bus {
     #[must_use]
     pub fn without_tap(&self) -> Self {
         Self {
-            malformed: Arc::default(),
+            malformed_payloads: Arc::default(),
             tap: None,
             ..self.clone()
         }
@@ -163,17 +166,17 @@ impl Bus {
     /// # Errors
     /// If zenoh refuses.
     pub fn publisher<P: Payload<Address = ()>>(&self) -> Result<Topic<P>, BusError> {
-        let publisher = self.session.declare_publisher(self.keys.to_all(P::KIND));
+        let publisher = self.session.declare_publisher(self.keys.to_all_hosts(P::KIND));
         // By default zenoh drops a message under congestion; only the modelled radio may lose messages.
-        let way = Delivery::Published(publisher.congestion_control(CongestionControl::Block).wait()?);
-        Ok(Topic::new(way, None, self.tap.clone()))
+        let delivery = Delivery::Published(publisher.congestion_control(CongestionControl::Block).wait()?);
+        Ok(Topic::new(delivery, None, self.tap.clone()))
     }
 
     /// Sends a wake-up to `device`, which `host` runs. Blocks while the link is congested.
     ///
     /// # Errors
     /// If the session is closed.
-    pub fn wake(&self, host: HostId, device: DeviceId, wake: &WakeUp) -> Result<(), BusError> {
+    pub fn send_wake_up(&self, host: HostId, device: DeviceId, wake: &WakeUp) -> Result<(), BusError> {
         let payload = codec::encode(wake);
         if let Some(tap) = &self.tap {
             tap.copy_emulation(MessageKind::Wake, Some(device.0), &payload);
@@ -190,8 +193,8 @@ impl Bus {
     /// If zenoh refuses.
     pub fn uplink<P: Payload>(&self, pass: HostCredential) -> Result<Topic<P>, BusError> {
         let key = self.session.declare_keyexpr(self.keys.uplink(P::KIND, pass)).wait()?;
-        let way = Delivery::Named(self.session.clone(), key);
-        Ok(Topic::new(way, Some(pass.host.0), self.tap.clone()))
+        let delivery = Delivery::Named(self.session.clone(), key);
+        Ok(Topic::new(delivery, Some(pass.host.0), self.tap.clone()))
     }
 
     /// Calls `handle` with each message of type `P` that `host` receives on a topic for all hosts. It must not block.
@@ -203,7 +206,7 @@ impl Bus {
         P: Payload<Address = ()>,
         F: Fn(P) + Send + Sync + 'static,
     {
-        self.listen_on(self.keys.to_one_of_all(P::KIND, host), move |_, message| {
+        self.subscribe_decoded(self.keys.to_all_hosts_at(P::KIND, host), move |_, message| {
             handle(message);
             true
         })
@@ -213,11 +216,11 @@ impl Bus {
     ///
     /// # Errors
     /// If zenoh refuses.
-    pub fn subscribe_wakes<F>(&self, host: HostId, handle: F) -> Result<DeclarationGuard, BusError>
+    pub fn subscribe_wake_ups<F>(&self, host: HostId, handle: F) -> Result<DeclarationGuard, BusError>
     where
         F: Fn(DeviceId, WakeUp) + Send + Sync + 'static,
     {
-        self.listen_on(self.keys.wakes_of(host), move |key, wake| {
+        self.subscribe_decoded(self.keys.wake_ups_of(host), move |key, wake| {
             let device = keys::last_number(key).map(DeviceId);
             device.map(|device| handle(device, wake)).is_some()
         })
@@ -233,8 +236,8 @@ impl Bus {
         P: Payload,
         F: Fn(HostCredential, P) + Send + Sync + 'static,
     {
-        self.listen_on(self.keys.uplinks(P::KIND), move |key, message| {
-            HostCredential::at_end_of(key)
+        self.subscribe_decoded(self.keys.uplinks(P::KIND), move |key, message| {
+            HostCredential::from_key(key)
                 .map(|pass| handle(pass, message))
                 .is_some()
         })
@@ -244,33 +247,36 @@ impl Bus {
     ///
     /// # Errors
     /// If zenoh refuses.
-    pub fn observe(&self, handle: impl Fn(TapBatch) + Send + Sync + 'static) -> Result<DeclarationGuard, BusError> {
-        self.listen_on(self.keys.tap(), move |_, batch| {
+    pub fn observe(&self, handle: impl Fn(FrameBatch) + Send + Sync + 'static) -> Result<DeclarationGuard, BusError> {
+        self.subscribe_decoded(self.keys.tap(), move |_, batch| {
             handle(batch);
             true
         })
     }
 
     /// Calls `handle` with the key and message of each sample; it returns false if the key is invalid for the message.
-    fn listen_on<T, F>(&self, key: String, handle: F) -> Result<DeclarationGuard, BusError>
+    fn subscribe_decoded<T, F>(&self, key: String, handle: F) -> Result<DeclarationGuard, BusError>
     where
         T: DeserializeOwned,
         F: Fn(&str, T) -> bool + Send + Sync + 'static,
     {
         let bus = self.clone();
-        let take = move |key: &str, payload: &[u8]| {
+        let receive = move |key: &str, payload: &[u8]| {
             // Copied before decoding, so that observers also see malformed messages of the emulation plane.
             bus.copy_emulation(key, payload);
-            if !bus.read(key, payload).is_some_and(|message| handle(key, message)) {
-                bus.see_malformed(key, payload);
+            if !bus
+                .decode_or_count(key, payload)
+                .is_some_and(|message| handle(key, message))
+            {
+                bus.copy_malformed(key, payload);
             }
         };
-        self.listen_for_bytes(key, Box::new(take))
+        self.subscribe_bytes(key, Box::new(receive))
     }
 
-    /// Subscribes like [`Self::listen_on`], in bytes. Not generic, so zenoh's code is compiled only here, once.
-    fn listen_for_bytes(&self, key: String, take: Box<PayloadHandler>) -> Result<DeclarationGuard, BusError> {
-        let on_sample = move |sample: Sample| take(sample.key_expr().as_str(), &sample.payload().to_bytes());
+    /// Subscribes like [`Self::subscribe_decoded`], in bytes. Not generic, so zenoh's code is compiled only here, once.
+    fn subscribe_bytes(&self, key: String, receive: Box<PayloadHandler>) -> Result<DeclarationGuard, BusError> {
+        let on_sample = move |sample: Sample| receive(sample.key_expr().as_str(), &sample.payload().to_bytes());
         Ok(DeclarationGuard::new(
             self.session.declare_subscriber(key).callback(on_sample).wait()?,
         ))
@@ -296,8 +302,8 @@ impl Bus {
     }
 
     /// Copies malformed payloads of the air plane, for which the run publishes no frame.
-    fn see_malformed(&self, key: &str, payload: &[u8]) {
-        // On the emulation plane `see` has copied the payload already.
+    fn copy_malformed(&self, key: &str, payload: &[u8]) {
+        // On the emulation plane `copy_emulation` has copied the payload already.
         if let Some(tap) = self.tap.as_ref().filter(|tap| tap.is_observed())
             && let Some((kind, _)) = keys::classify(key)
             && kind.plane() != Plane::Emu
@@ -307,7 +313,7 @@ impl Bus {
         }
     }
 
-    fn read<T: DeserializeOwned>(&self, key: &str, payload: &[u8]) -> Option<T> {
+    fn decode_or_count<T: DeserializeOwned>(&self, key: &str, payload: &[u8]) -> Option<T> {
         codec::decode(payload)
             .inspect_err(|error| self.count_malformed(key, error))
             .ok()
@@ -315,7 +321,7 @@ impl Bus {
 
     fn count_malformed(&self, key: &str, error: &CodecError) {
         // Logged only once, because a broken peer could otherwise fill the log.
-        if self.malformed.fetch_add(1, Ordering::Relaxed) == 0 {
+        if self.malformed_payloads.fetch_add(1, Ordering::Relaxed) == 0 {
             tracing::warn!(key, %error, "dropped a malformed payload; further ones are only counted");
         }
     }
@@ -329,7 +335,7 @@ impl DeclarationGuard {
     }
 }
 
-/// The way in which a topic sends messages.
+/// How a topic sends messages.
 enum Delivery {
     /// By a publisher. zenoh informs it of all subscribers.
     Published(Publisher<'static>),
@@ -340,17 +346,17 @@ enum Delivery {
 
 /// The topic of messages of type `P`, published on one key.
 pub struct Topic<P> {
-    way: Delivery,
-    number: Option<u32>,
+    delivery: Delivery,
+    key_number: Option<u32>,
     tap: Option<Arc<Tap>>,
     _payload: PhantomData<fn(&P)>,
 }
 
 impl<P: Payload> Topic<P> {
-    const fn new(way: Delivery, number: Option<u32>, tap: Option<Arc<Tap>>) -> Self {
+    const fn new(delivery: Delivery, key_number: Option<u32>, tap: Option<Arc<Tap>>) -> Self {
         Self {
-            way,
-            number,
+            delivery,
+            key_number,
             tap,
             _payload: PhantomData,
         }
@@ -364,9 +370,9 @@ impl<P: Payload> Topic<P> {
         let payload = codec::encode(message);
         if let Some(tap) = &self.tap {
             // Copied before sending: another thread may copy the answer as soon as the message is sent.
-            tap.copy_emulation(P::KIND, self.number, &payload);
+            tap.copy_emulation(P::KIND, self.key_number, &payload);
         }
-        match &self.way {
+        match &self.delivery {
             Delivery::Published(publisher) => publisher.put(payload).wait()?,
             Delivery::Named(session, key) => {
                 let put = session.put(key, payload);

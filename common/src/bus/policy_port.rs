@@ -1,5 +1,6 @@
-//! The policy port: the BS sends decision requests, and a program in any language answers. Payloads are not messages
-//! of this crate; they use an [`Encoding`] that other programs read, and zenoh's encoding field names it.
+//! The policy port: the BS sends decision requests, and a program in any language answers. Payloads are not messages of
+//! this crate; they use an [`Encoding`] that other programs read, and zenoh's encoding field names it.
+//! `bs/src/server/policy_port/` uses both sides.
 
 use std::pin::Pin;
 use std::time::Duration;
@@ -23,9 +24,9 @@ pub enum PortReply {
 }
 
 /// Replies to one request that are buffered until they are read. Further ones are dropped.
-const KEPT: usize = 64;
+const MAX_BUFFERED_REPLIES: usize = 64;
 /// Characters kept of an error message.
-const WORDS: usize = 300;
+const MAX_ERROR_CHARS: usize = 300;
 
 /// The replies to a decision request.
 pub struct Replies(Receiver<PortReply>);
@@ -44,29 +45,29 @@ impl Replies {
     }
 }
 
-/// Decodes `reply`, unless it is longer than `most` bytes.
-fn read(reply: &Reply, most: usize) -> Option<PortReply> {
+/// Decodes `reply`, unless it is longer than `max_bytes` bytes.
+fn decode_reply(reply: &Reply, max_bytes: usize) -> Option<PortReply> {
     match reply.result() {
-        Ok(sample) if sample.payload().len() > most => {
+        Ok(sample) if sample.payload().len() > max_bytes => {
             let length = sample.payload().len();
-            let why = format!("an answer has {length} bytes, and the limit is {most}");
+            let why = format!("an answer has {length} bytes, and the limit is {max_bytes}");
             Some(PortReply::Refusal(why))
         }
         Ok(sample) => Some(PortReply::Answer(
             sample.payload().to_bytes().into_owned(),
-            form(sample.encoding()),
+            from_zenoh(sample.encoding()),
         )),
         // Errors of a policy process are plain text; zenoh's own errors, such as a timeout, have another encoding.
-        Err(error) if *error.encoding() == ZenohEncoding::TEXT_PLAIN && error.payload().len() <= most => {
+        Err(error) if *error.encoding() == ZenohEncoding::TEXT_PLAIN && error.payload().len() <= max_bytes => {
             let text = error.payload().try_to_string().unwrap_or_default();
-            Some(PortReply::Refusal(text.chars().take(WORDS).collect()))
+            Some(PortReply::Refusal(text.chars().take(MAX_ERROR_CHARS).collect()))
         }
         Err(_) => None,
     }
 }
 
 /// Maps zenoh's encoding. An unknown one counts as JSON, because most programs do not set it.
-fn form(encoding: &ZenohEncoding) -> Encoding {
+fn from_zenoh(encoding: &ZenohEncoding) -> Encoding {
     if *encoding == ZenohEncoding::APPLICATION_CBOR {
         Encoding::Cbor
     } else {
@@ -74,8 +75,8 @@ fn form(encoding: &ZenohEncoding) -> Encoding {
     }
 }
 
-const fn encoding(form: Encoding) -> ZenohEncoding {
-    match form {
+const fn to_zenoh(encoding: Encoding) -> ZenohEncoding {
+    match encoding {
         Encoding::Json => ZenohEncoding::APPLICATION_JSON,
         Encoding::Cbor => ZenohEncoding::APPLICATION_CBOR,
     }
@@ -86,7 +87,7 @@ pub struct PolicyQuestion {
     /// The payload of the request.
     pub payload: Vec<u8>,
     /// The encoding of the payload.
-    pub form: Encoding,
+    pub encoding: Encoding,
     query: Query,
 }
 
@@ -95,9 +96,9 @@ impl PolicyQuestion {
     ///
     /// # Errors
     /// If zenoh refuses, for example because the session is closed.
-    pub fn answer(&self, payload: Vec<u8>, form: Encoding) -> Result<(), BusError> {
+    pub fn answer(&self, payload: Vec<u8>, encoding: Encoding) -> Result<(), BusError> {
         let reply = self.query.reply(self.query.key_expr().clone(), payload);
-        Ok(reply.encoding(encoding(form)).wait()?)
+        Ok(reply.encoding(to_zenoh(encoding)).wait()?)
     }
 
     /// Answers the request with an error message.
@@ -118,7 +119,7 @@ impl PolicyQuestions {
         let query = self.0.recv_async().await.ok()?;
         Some(PolicyQuestion {
             payload: query.payload().map(|p| p.to_bytes().into_owned()).unwrap_or_default(),
-            form: query.encoding().map_or(Encoding::Json, form),
+            encoding: query.encoding().map_or(Encoding::Json, from_zenoh),
             query,
         })
     }
@@ -128,23 +129,23 @@ impl PolicyQuestions {
 type PortQueryFuture<'b> = Pin<Box<dyn Future<Output = Result<Replies, BusError>> + Send + 'b>>;
 
 impl Bus {
-    /// Sends a decision request to the policy port. The replies that arrive within `patience`, of at most `most` bytes
-    /// each, follow in [`Replies`].
+    /// Sends a decision request to the policy port. The replies that arrive within `patience`, of at most `max_bytes`
+    /// bytes each, follow in [`Replies`].
     ///
     /// # Errors
     /// If zenoh refuses.
     pub fn query_policy(
         &self,
-        (payload, form): (Vec<u8>, Encoding),
-        most: usize,
+        (payload, encoding): (Vec<u8>, Encoding),
+        max_bytes: usize,
         patience: Duration,
     ) -> PortQueryFuture<'_> {
         // Boxed, so that zenoh's generic code is compiled only once, in this crate.
         Box::pin(async move {
-            let (send, replies) = channel(KEPT);
-            let question = self.session.get(self.keys.policy()).payload(payload);
-            question
-                .encoding(encoding(form))
+            let (send, replies) = channel(MAX_BUFFERED_REPLIES);
+            let query = self.session.get(self.keys.policy_port()).payload(payload);
+            query
+                .encoding(to_zenoh(encoding))
                 // Every reply is needed: any client may answer, and only an answer with the run's key counts.
                 .target(QueryTarget::All)
                 .consolidation(ConsolidationMode::None)
@@ -152,7 +153,7 @@ impl Bus {
                 // zenoh drops the callback, and with it the sender, when no more replies can come.
                 .callback(move |reply| {
                     // Never blocks, because this is zenoh's thread: a peer that floods the port loses its replies.
-                    let _no_room = read(&reply, most).is_some_and(|heard| send.try_send(heard).is_err());
+                    let _no_room = decode_reply(&reply, max_bytes).is_some_and(|heard| send.try_send(heard).is_err());
                 })
                 .await?;
             Ok(Replies(replies))
@@ -165,7 +166,7 @@ impl Bus {
     /// If zenoh refuses.
     pub fn serve_policy_port(&self) -> Result<PolicyQuestions, BusError> {
         Ok(PolicyQuestions(
-            self.session.declare_queryable(self.keys.policy()).wait()?,
+            self.session.declare_queryable(self.keys.policy_port()).wait()?,
         ))
     }
 }

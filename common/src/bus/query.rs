@@ -1,4 +1,5 @@
-//! Queries and replies between sessions.
+//! Typed queries and replies between sessions ([`crate::message::Query`]): joining, readiness, clock control, the run's
+//! description and input log. Decision requests have their own form, in `policy_port`.
 
 use std::pin::Pin;
 use std::time::Duration;
@@ -12,9 +13,9 @@ use crate::message::Query;
 use crate::secret::Secret;
 
 /// Timeout of one attempt of a repeated query.
-const ONE_TRY: Duration = Duration::from_secs(2);
+const ATTEMPT_TIMEOUT: Duration = Duration::from_secs(2);
 /// Pause between two attempts.
-const BETWEEN_TRIES: Duration = Duration::from_millis(200);
+const ATTEMPT_PAUSE: Duration = Duration::from_millis(200);
 
 /// The error reply to a malformed request.
 const MALFORMED: &str = "the request cannot be decoded";
@@ -48,14 +49,14 @@ impl Bus {
         F: Fn(Q, Option<Secret>) -> Result<Q::Reply, String> + Send + Sync + 'static,
     {
         let bus = self.clone();
-        let reply = move |request: &[u8], shown: Option<Secret>| {
+        let reply_to = move |request: &[u8], secret: Option<Secret>| {
             let request = codec::decode(request).map_err(|error| {
                 bus.count_malformed(Q::KIND.name(), &error);
                 format!("{MALFORMED}: {error}")
             })?;
-            Ok(codec::encode(&answer(request, shown)?))
+            Ok(codec::encode(&answer(request, secret)?))
         };
-        self.serve_bytes(self.keys.base_key(Q::KIND), Box::new(reply))
+        self.serve_bytes(self.keys.base_key(Q::KIND), Box::new(reply_to))
     }
 
     /// Serves like [`Self::serve_with_secret`], in bytes. Not generic, so zenoh's code is compiled only here, once.
@@ -64,10 +65,10 @@ impl Bus {
         let on_query = move |query: ZenohQuery| {
             let payload = query.payload().map(|p| p.to_bytes().into_owned()).unwrap_or_default();
             // An attachment that is not a valid secret counts as absent.
-            let shown = query.attachment().and_then(|a| a.try_to_string().ok()?.parse().ok());
+            let secret = query.attachment().and_then(|a| a.try_to_string().ok()?.parse().ok());
             let key = query.key_expr().as_str();
             bus.copy_emulation(key, &payload);
-            let reply = match answer(&payload, shown) {
+            let reply = match answer(&payload, secret) {
                 Ok(reply) => query.reply(key, reply).wait(),
                 Err(why) => query.reply_err(codec::encode(&why)).wait(),
             };
@@ -92,7 +93,7 @@ impl Bus {
     pub async fn query_until<Q>(
         &self,
         request: &Q,
-        shown: Option<Secret>,
+        secret: Option<Secret>,
         patience: Duration,
     ) -> Result<Option<Q::Reply>, BusError>
     where
@@ -101,11 +102,11 @@ impl Bus {
         let deadline = tokio::time::Instant::now() + patience;
         while tokio::time::Instant::now() < deadline {
             // A refusal ends the attempts; only a missing answer is worth another one.
-            let reply = self.query_with_secret(request, shown, ONE_TRY).await?;
+            let reply = self.query_with_secret(request, secret, ATTEMPT_TIMEOUT).await?;
             if reply.is_some() {
                 return Ok(reply);
             }
-            tokio::time::sleep(BETWEEN_TRIES).await;
+            tokio::time::sleep(ATTEMPT_PAUSE).await;
         }
         Ok(None)
     }
@@ -118,24 +119,24 @@ impl Bus {
     where
         Q: Query<Address = ()>,
     {
-        self.query_with_secret(request, self.key, patience).await
+        self.query_with_secret(request, self.run_key, patience).await
     }
 
-    /// Sends a query like [`Self::query`], with `shown` instead of the run's key.
+    /// Sends a query like [`Self::query`], with `secret` instead of the run's key.
     ///
     /// # Errors
     /// As [`Self::query`]; [`BusError::Refused`] if the other side refuses.
     pub(crate) async fn query_with_secret<Q>(
         &self,
         request: &Q,
-        shown: Option<Secret>,
+        secret: Option<Secret>,
         patience: Duration,
     ) -> Result<Option<Q::Reply>, BusError>
     where
         Q: Query<Address = ()>,
     {
         let reply = self
-            .query_raw(self.keys.base_key(Q::KIND), codec::encode(request), shown, patience)
+            .query_raw(self.keys.base_key(Q::KIND), codec::encode(request), secret, patience)
             .await?;
         Ok(reply.map(|payload| codec::decode(&payload)).transpose()?)
     }
@@ -145,13 +146,13 @@ impl Bus {
         &self,
         key: String,
         payload: Vec<u8>,
-        shown: Option<Secret>,
+        secret: Option<Secret>,
         patience: Duration,
     ) -> ReplyFuture<'_> {
         Box::pin(async move {
-            let question = self.session.get(key).payload(payload);
-            let replies = question
-                .attachment(shown.map(|secret| secret.to_string()))
+            let query = self.session.get(key).payload(payload);
+            let replies = query
+                .attachment(secret.map(|secret| secret.to_string()))
                 .target(QueryTarget::BestMatching)
                 // Consolidation could hold the reply back until zenoh knows that no other one follows.
                 .consolidation(ConsolidationMode::None)

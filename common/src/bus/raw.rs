@@ -60,7 +60,7 @@ impl Bus {
     ///
     /// # Errors
     /// If the other side cannot decode the query, or zenoh refuses.
-    pub async fn ask_raw(
+    pub async fn query_raw_without_secret(
         &self,
         key: String,
         payload: Vec<u8>,

@@ -1,4 +1,5 @@
-//! Opening and configuration of sessions.
+//! Opening and configuration of sessions: `Bus::listen` for the BS, `Bus::connect` for all other processes. Timeouts
+//! grow with the number of processes that share the machine.
 
 use std::io::ErrorKind;
 use std::time::Duration;
@@ -9,15 +10,16 @@ use super::{Bus, BusError, Tap, access};
 use crate::keys::{Keys, RunName};
 use crate::secret::Secret;
 
-/// Time without traffic after which the peer of a link counts as lost, with at most [`FEW`] processes on a machine.
+/// Time without traffic after which the peer of a link counts as lost, with at most [`UNSCALED_PROCESSES`] processes on
+/// a machine.
 const LEASE: Duration = Duration::from_secs(2);
 /// The number of processes up to which timeouts are not scaled.
-const FEW: u32 = 100;
+const UNSCALED_PROCESSES: u32 = 100;
 
-/// Scales the timeout `base` for `processes` that share a machine: in proportion to their number above `FEW`,
-/// because they run in turns.
+/// Scales the timeout `base` for `processes` that share a machine: in proportion to their number above
+/// `UNSCALED_PROCESSES`, because they run in turns.
 pub fn scaled_timeout(base: Duration, processes: u32) -> Duration {
-    base * processes.max(FEW) / FEW
+    base * processes.max(UNSCALED_PROCESSES) / UNSCALED_PROCESSES
 }
 
 /// Number of free ports tried before listening on any free port fails.
@@ -25,10 +27,10 @@ const PORT_ATTEMPTS: u32 = 10;
 
 /// Interval between checks of why this machine may be unable to connect. The first check follows one interval after
 /// the start.
-const LOOK: Duration = Duration::from_millis(500);
+const CHECK_INTERVAL: Duration = Duration::from_millis(500);
 
 /// The settings of all sessions.
-const COMMON: [(&str, &str); 6] = [
+const COMMON_SETTINGS: [(&str, &str); 6] = [
     ("scouting/multicast/enabled", "false"),
     ("scouting/gossip/enabled", "false"),
     ("scouting/delay", "0"),
@@ -52,8 +54,8 @@ impl Bus {
     /// # Errors
     /// As [`Self::listen`].
     pub async fn listen_for_hosts(hosts: u32, endpoint: &str, run: RunName) -> Result<Self, BusError> {
-        let keys = Keys::of_members(run, draw_secret()?);
-        let rules = access::rules(&keys);
+        let keys = Keys::for_members(run, draw_secret()?);
+        let rules = access::access_config(&keys);
         Self::listen_as(hosts, endpoint, keys, &[("access_control", &rules)]).await
     }
 
@@ -66,10 +68,10 @@ impl Bus {
     }
 
     async fn listen_as(hosts: u32, endpoint: &str, keys: Keys, extra: &[(&str, &str)]) -> Result<Self, BusError> {
-        let mut config = config("router", hosts)?;
-        set(&mut config, "listen/exit_on_failure", "true")?;
-        for (key, value) in access::LIMITS.iter().chain(extra) {
-            set(&mut config, key, value)?;
+        let mut config = session_config("router", hosts)?;
+        set_option(&mut config, "listen/exit_on_failure", "true")?;
+        for (key, value) in access::PEER_LIMITS.iter().chain(extra) {
+            set_option(&mut config, key, value)?;
         }
         let (endpoint, session) = open_listening(config, endpoint).await?;
         let mut bus = Self::new(session, keys, &endpoint);
@@ -95,13 +97,13 @@ impl Bus {
         run: RunName,
         patience: Duration,
     ) -> Result<Self, BusError> {
-        let (host, port) = address(endpoint)?;
-        let mut config = config("client", hosts)?;
-        set(&mut config, "connect/endpoints", &format!("[{endpoint:?}]"))?;
-        set(&mut config, "connect/timeout_ms", &patience.as_millis().to_string())?;
-        set(&mut config, "connect/exit_on_failure", "true")?;
+        let (host, port) = parse_endpoint(endpoint)?;
+        let mut config = session_config("client", hosts)?;
+        set_option(&mut config, "connect/endpoints", &format!("[{endpoint:?}]"))?;
+        set_option(&mut config, "connect/timeout_ms", &patience.as_millis().to_string())?;
+        set_option(&mut config, "connect/exit_on_failure", "true")?;
         // Set as a whole, because zenoh refuses single fields of `connect/retry`.
-        set(
+        set_option(
             &mut config,
             "connect/retry",
             "{period_init_ms: 50, period_max_ms: 500, period_increase_factor: 2}",
@@ -110,7 +112,7 @@ impl Bus {
         let opened = tokio::select! {
             opened = open(config) => opened?,
             // The standard library takes an IPv6 address without the brackets of an endpoint.
-            why = hindrance(host.trim_matches(['[', ']']), port) => {
+            why = find_connect_obstacle(host.trim_matches(['[', ']']), port) => {
                 return Err(BusError::ConnectFailed(endpoint.to_owned(), why));
             }
         };
@@ -148,17 +150,17 @@ fn no_randomness(error: getrandom::Error) -> BusError {
 }
 
 /// Returns the configuration of sessions of `mode`, on a machine shared by `hosts` processes.
-fn config(mode: &str, hosts: u32) -> Result<zenoh::Config, BusError> {
+fn session_config(mode: &str, hosts: u32) -> Result<zenoh::Config, BusError> {
     let mut config = zenoh::Config::default();
     let lease = scaled_timeout(LEASE, hosts).as_millis().to_string();
-    let own = [("mode", &*format!("{mode:?}")), ("transport/link/tx/lease", &*lease)];
-    for (key, value) in COMMON.iter().chain(&own) {
-        set(&mut config, key, value)?;
+    let role_settings = [("mode", &*format!("{mode:?}")), ("transport/link/tx/lease", &*lease)];
+    for (key, value) in COMMON_SETTINGS.iter().chain(&role_settings) {
+        set_option(&mut config, key, value)?;
     }
     Ok(config)
 }
 
-fn set(config: &mut zenoh::Config, key: &str, value: &str) -> Result<(), BusError> {
+fn set_option(config: &mut zenoh::Config, key: &str, value: &str) -> Result<(), BusError> {
     config
         .insert_json5(key, value)
         .map_err(|e| BusError::Zenoh(format!("{key} = {value}: {e}")))
@@ -166,9 +168,9 @@ fn set(config: &mut zenoh::Config, key: &str, value: &str) -> Result<(), BusErro
 
 /// Returns the reason why this machine cannot connect to `host`, once it is known. A BS that does not listen yet is
 /// not such a reason. Once a connection succeeds, the future never completes.
-async fn hindrance(host: &str, port: u16) -> String {
+async fn find_connect_obstacle(host: &str, port: u16) -> String {
     loop {
-        tokio::time::sleep(LOOK).await;
+        tokio::time::sleep(CHECK_INTERVAL).await;
         // The machine can connect, so the session's own attempt decides from here on.
         let Err(error) = tokio::net::TcpStream::connect((host, port)).await else {
             return std::future::pending().await;
@@ -189,12 +191,12 @@ async fn hindrance(host: &str, port: u16) -> String {
 /// Opens a session that listens on `endpoint` and returns it with the endpoint in use. Another process may take a free
 /// port between its choice and zenoh's use of it, in which case another port is chosen.
 async fn open_listening(mut config: zenoh::Config, endpoint: &str) -> Result<(String, zenoh::Session), BusError> {
-    let is_any_port = address(endpoint)?.1 == 0;
+    let is_any_port = parse_endpoint(endpoint)?.1 == 0;
     let mut attempts = 0;
     loop {
         attempts += 1;
         let resolved = resolve_listen_endpoint(endpoint)?;
-        set(&mut config, "listen/endpoints", &format!("[{resolved:?}]"))?;
+        set_option(&mut config, "listen/endpoints", &format!("[{resolved:?}]"))?;
         match open(config.clone()).await? {
             Ok(session) => return Ok((resolved, session)),
             Err(error) => match resolve_listen_endpoint(&resolved) {
@@ -234,7 +236,7 @@ fn open_now(config: zenoh::Config) -> zenoh::Result<zenoh::Session> {
 }
 
 /// Returns the host and port of `endpoint`.
-fn address(endpoint: &str) -> Result<(&str, u16), BusError> {
+fn parse_endpoint(endpoint: &str) -> Result<(&str, u16), BusError> {
     let refuse = |why| BusError::Endpoint(endpoint.to_owned(), why);
     let (protocol, address) = endpoint.split_once('/').ok_or_else(|| refuse("no protocol"))?;
     if protocol != "tcp" {
@@ -256,7 +258,7 @@ fn address(endpoint: &str) -> Result<(&str, u16), BusError> {
 /// # Errors
 /// If the endpoint is invalid or in use.
 pub fn resolve_listen_endpoint(endpoint: &str) -> Result<String, BusError> {
-    let (host, port) = address(endpoint)?;
+    let (host, port) = parse_endpoint(endpoint)?;
     // The listener is dropped on return. If another process takes the port before zenoh, opening the session fails.
     let bound = std::net::TcpListener::bind((host.trim_matches(['[', ']']), port))
         .and_then(|listener| listener.local_addr())
@@ -270,8 +272,11 @@ mod tests {
 
     #[test]
     fn endpoints_are_checked() {
-        assert_eq!(address("tcp/127.0.0.1:7447").expect("valid"), ("127.0.0.1", 7447));
-        assert_eq!(address("tcp/[::1]:0").expect("valid"), ("[::1]", 0));
+        assert_eq!(
+            parse_endpoint("tcp/127.0.0.1:7447").expect("valid"),
+            ("127.0.0.1", 7447)
+        );
+        assert_eq!(parse_endpoint("tcp/[::1]:0").expect("valid"), ("[::1]", 0));
         for bad in [
             "",
             "tcp",
@@ -285,7 +290,7 @@ mod tests {
             "tcp/a/b:1",
             "tcp/a:1,tcp/b:1",
         ] {
-            assert!(matches!(address(bad), Err(BusError::Endpoint(..))), "{bad}");
+            assert!(matches!(parse_endpoint(bad), Err(BusError::Endpoint(..))), "{bad}");
         }
     }
 

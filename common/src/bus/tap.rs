@@ -1,13 +1,13 @@
-//! Copies of the BS's traffic for observers.
+//! The tap: copies of the BS's traffic for observers.
 //!
 //! The BS sees every message of a run. While observers are connected to the bus, the tap passes copies to its own
 //! thread through a bounded queue and never waits for the queue. It drops frames that do not fit; gaps in the frame
 //! numbers show their number. A sink in the BS's own process receives every copy and may make the run wait.
 //!
-//! The tap copies the actual bus traffic of the emulation plane, resent messages included. The run itself publishes
-//! frames of the air plane and the ground truth ([`Bus::publish_frame`](super::Bus::publish_frame)). The modelled
-//! radio alone decides about them: a message that the bus carries twice because a process was slow is one message on
-//! the air.
+//! The tap copies the actual bus traffic of the emulation plane, retransmitted messages included. The run itself
+//! publishes frames of the air plane and the ground truth ([`Bus::publish_frame`](super::Bus::publish_frame)). The
+//! modelled radio alone decides about them: a message that the bus carries twice because a process was slow is one
+//! message on the air.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -21,14 +21,14 @@ use zenoh::qos::CongestionControl;
 use super::error::BusError;
 use crate::codec;
 use crate::ids::Tti;
-use crate::message::{Frame, MessageKind, Plane, TapBatch};
+use crate::message::{Frame, FrameBatch, MessageKind, Plane};
 
 /// Capacity of the queue of the tap's thread, in frames.
-const QUEUE: usize = 16_384;
+const MAX_QUEUED_FRAMES: usize = 16_384;
 /// Maximum number of frames in a batch.
-const BATCH: usize = 512;
-/// Pause between two batches: with [`BATCH`] it limits the cost of observation to 100 000 frames a second.
-const PAUSE: Duration = Duration::from_millis(5);
+const MAX_BATCH_FRAMES: usize = 512;
+/// Pause between two batches: with [`MAX_BATCH_FRAMES`] it limits the cost of observation to 100 000 frames a second.
+const BATCH_PAUSE: Duration = Duration::from_millis(5);
 
 /// A callback in the BS's own process that receives every copy.
 pub type FrameSink = dyn Fn(&Frame) + Send + Sync;
@@ -40,11 +40,11 @@ pub struct Tap {
     tti: AtomicU64,
     /// The number of the next frame. Locked while that frame is queued: several threads copy messages, and the numbers
     /// must rise along the queue.
-    next: Mutex<u64>,
+    next_number: Mutex<u64>,
     queue: SyncSender<(u64, Frame)>,
-    left_out: AtomicU64,
+    dropped_frames: AtomicU64,
     /// Frames that are queued but not sent yet.
-    waiting: Arc<AtomicU64>,
+    queued_frames: Arc<AtomicU64>,
 }
 
 impl Tap {
@@ -55,17 +55,17 @@ impl Tap {
             // A slow observer must not hold up the run; it sees a gap in the numbers instead.
             .congestion_control(CongestionControl::Drop)
             .wait()?;
-        let (queue, frames) = sync_channel(QUEUE);
+        let (queue, frames) = sync_channel(MAX_QUEUED_FRAMES);
         let tap = Arc::new(Self {
             is_observed: AtomicBool::new(false),
             sink: OnceLock::new(),
             tti: AtomicU64::new(0),
-            next: Mutex::new(0),
+            next_number: Mutex::new(0),
             queue,
-            left_out: AtomicU64::new(0),
-            waiting: Arc::default(),
+            dropped_frames: AtomicU64::new(0),
+            queued_frames: Arc::default(),
         });
-        let waiting = Arc::clone(&tap.waiting);
+        let queued_frames = Arc::clone(&tap.queued_frames);
         // Weak, because the listener lives as long as the session: the thread ends when the tap is dropped.
         let weak = Arc::downgrade(&tap);
         publisher
@@ -79,7 +79,7 @@ impl Tap {
             .wait()?;
         std::thread::Builder::new()
             .name("tap".to_owned())
-            .spawn(move || publish(&publisher, &frames, &waiting))
+            .spawn(move || publish_batches(&publisher, &frames, &queued_frames))
             .map_err(|e| BusError::Zenoh(format!("cannot start the tap's thread: {e}")))?;
         Ok(tap)
     }
@@ -95,13 +95,13 @@ impl Tap {
     }
 
     /// The number of frames dropped because observers on the bus were too slow.
-    pub(super) fn dropped(&self) -> u64 {
-        self.left_out.load(Ordering::Relaxed)
+    pub(super) fn dropped_frames(&self) -> u64 {
+        self.dropped_frames.load(Ordering::Relaxed)
     }
 
     /// Whether all queued frames are sent.
     pub(super) fn is_empty(&self) -> bool {
-        self.waiting.load(Ordering::Relaxed) == 0
+        self.queued_frames.load(Ordering::Relaxed) == 0
     }
 
     /// Whether any observer is connected or a local sink is set.
@@ -129,7 +129,7 @@ impl Tap {
     /// Forwards a copy. Waits only for the sink.
     pub(super) fn forward(&self, frame: Frame) {
         // A sink panics before the number changes, so a poisoned lock still holds a valid number.
-        let mut next = self.next.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut next_number = self.next_number.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(sink) = self.sink.get() {
             // Called under the lock, so that the sink receives frames of several threads in the order of their
             // numbers.
@@ -138,46 +138,46 @@ impl Tap {
         if !self.is_observed.load(Ordering::Relaxed) {
             return;
         }
-        let number = *next;
-        *next += 1;
+        let number = *next_number;
+        *next_number += 1;
         // Counted before it is queued, because the thread may send it and count down before `try_send` returns. A full
         // queue drops the frame; the observer sees the gap in the numbers.
-        self.waiting.fetch_add(1, Ordering::Relaxed);
+        self.queued_frames.fetch_add(1, Ordering::Relaxed);
         if self.queue.try_send((number, frame)).is_err() {
-            self.waiting.fetch_sub(1, Ordering::Relaxed);
-            self.left_out.fetch_add(1, Ordering::Relaxed);
+            self.queued_frames.fetch_sub(1, Ordering::Relaxed);
+            self.dropped_frames.fetch_add(1, Ordering::Relaxed);
         }
     }
 }
 
 /// Publishes batches of consecutively numbered frames until the tap is dropped.
-fn publish(publisher: &Publisher<'_>, frames: &Receiver<(u64, Frame)>, waiting: &AtomicU64) {
-    let mut held: Option<(u64, Frame)> = None;
+fn publish_batches(publisher: &Publisher<'_>, frames: &Receiver<(u64, Frame)>, queued_frames: &AtomicU64) {
+    let mut first_of_next_batch: Option<(u64, Frame)> = None;
     loop {
-        let Some((first, frame)) = held.take().or_else(|| frames.recv().ok()) else {
+        let Some((first, frame)) = first_of_next_batch.take().or_else(|| frames.recv().ok()) else {
             return;
         };
-        let mut batch = TapBatch {
+        let mut batch = FrameBatch {
             first,
             frames: vec![frame],
         };
-        while batch.frames.len() < BATCH {
+        while batch.frames.len() < MAX_BATCH_FRAMES {
             match frames.try_recv() {
                 // A batch carries only its first number, so it ends where frames are missing.
                 Ok((number, frame)) if number == first + batch.frames.len() as u64 => batch.frames.push(frame),
-                Ok(next) => {
-                    held = Some(next);
+                Ok(later) => {
+                    first_of_next_batch = Some(later);
                     break;
                 }
                 Err(_) => break,
             }
         }
         let is_sent = publisher.put(codec::encode(&batch)).wait().is_ok();
-        waiting.fetch_sub(batch.frames.len() as u64, Ordering::Relaxed);
+        queued_frames.fetch_sub(batch.frames.len() as u64, Ordering::Relaxed);
         if !is_sent {
             return;
         }
-        std::thread::sleep(PAUSE);
+        std::thread::sleep(BATCH_PAUSE);
     }
 }
 
@@ -187,15 +187,15 @@ mod tests {
 
     #[test]
     fn numbers_rise_along_the_queue_whoever_sees_a_message() {
-        let (queue, frames) = sync_channel(QUEUE);
+        let (queue, frames) = sync_channel(MAX_QUEUED_FRAMES);
         let tap = Tap {
             is_observed: AtomicBool::new(true),
             sink: OnceLock::new(),
             tti: AtomicU64::new(0),
-            next: Mutex::new(0),
+            next_number: Mutex::new(0),
             queue,
-            left_out: AtomicU64::new(0),
-            waiting: Arc::default(),
+            dropped_frames: AtomicU64::new(0),
+            queued_frames: Arc::default(),
         };
         std::thread::scope(|scope| {
             for _ in 0..4 {

@@ -1,8 +1,8 @@
-//! Columns of CSV files.
+//! Columns of CSV files; errors name the line.
 
 use csv::{ReaderBuilder, StringRecord, Trim};
 
-use super::data::{ColumnData, column_index, within_limit};
+use super::data::{ColumnData, check_size, column_index};
 use crate::declare::truncate;
 
 /// Reads the columns `wanted` as numbers.
@@ -19,10 +19,10 @@ pub(super) fn numbers(bytes: &[u8], wanted: &[String]) -> Result<ColumnData<f64>
 /// Reads the column `wanted` as text; `None` without such a column.
 pub(super) fn texts(bytes: &[u8], wanted: &str) -> Result<Option<ColumnData<String>>, String> {
     let mut reader = reader(bytes);
-    let has_it = reader
+    let has_column = reader
         .headers()
         .is_ok_and(|header| header.iter().any(|name| name == wanted));
-    if !has_it {
+    if !has_column {
         return Ok(None);
     }
     read(bytes, &[wanted.to_owned()], |text, _, _| Ok(text.to_owned())).map(Some)
@@ -32,11 +32,11 @@ fn reader(bytes: &[u8]) -> csv::Reader<&[u8]> {
     ReaderBuilder::new().trim(Trim::All).from_reader(bytes)
 }
 
-/// Reads the columns `wanted`; `cell` converts a text, given its column and its line.
+/// Reads the columns `wanted`; `parse_cell` converts a text, given its column and its line.
 fn read<T>(
     bytes: &[u8],
     wanted: &[String],
-    cell: impl Fn(&str, &str, u64) -> Result<T, String>,
+    parse_cell: impl Fn(&str, &str, u64) -> Result<T, String>,
 ) -> Result<ColumnData<T>, String> {
     let mut reader = reader(bytes);
     let header = reader
@@ -52,10 +52,10 @@ fn read<T>(
         lines: Vec::new(),
     };
     let mut record = StringRecord::new();
-    let mut lines = Lines::new(bytes);
+    let mut lines = LineCounter::new(bytes);
     loop {
         // Read before the record, since an error has to name the line too.
-        let line = lines.after_blanks(reader.position().byte() as usize);
+        let line = lines.line_after_blanks(reader.position().byte() as usize);
         match reader.read_record(&mut record) {
             Ok(true) => {}
             Ok(false) => return Ok(columns),
@@ -63,35 +63,40 @@ fn read<T>(
         }
         columns.lines.push(line);
         // Checked at each row, before a huge file fills the memory.
-        within_limit(columns.lines.len(), wanted.len())?;
+        check_size(columns.lines.len(), wanted.len())?;
         for ((column, &index), name) in columns.values.iter_mut().zip(&indices).zip(wanted) {
             // The reader refuses rows of another length than the header's, so the cell exists.
-            column.push(cell(record.get(index).unwrap_or_default(), name, line)?);
+            column.push(parse_cell(record.get(index).unwrap_or_default(), name, line)?);
         }
     }
 }
 
 /// Line numbers of a text, from 1, for ascending offsets.
-struct Lines<'b> {
+struct LineCounter<'b> {
     bytes: &'b [u8],
-    at: usize,
+    /// The offset up to which line breaks are counted.
+    offset: usize,
     line: u64,
 }
 
-impl<'b> Lines<'b> {
+impl<'b> LineCounter<'b> {
     const fn new(bytes: &'b [u8]) -> Self {
-        Self { bytes, at: 0, line: 1 }
+        Self {
+            bytes,
+            offset: 0,
+            line: 1,
+        }
     }
 
     /// The line of the first byte from `offset` on that is not a line break. The next record begins there, since the
     /// reader skips blank lines. Offsets never decrease.
-    fn after_blanks(&mut self, offset: usize) -> u64 {
-        while let Some(&byte) = self.bytes.get(self.at) {
-            if self.at >= offset && byte != b'\n' && byte != b'\r' {
+    fn line_after_blanks(&mut self, offset: usize) -> u64 {
+        while let Some(&byte) = self.bytes.get(self.offset) {
+            if self.offset >= offset && byte != b'\n' && byte != b'\r' {
                 break;
             }
             self.line += u64::from(byte == b'\n');
-            self.at += 1;
+            self.offset += 1;
         }
         self.line
     }
@@ -121,7 +126,7 @@ mod tests {
             .expect("a column");
         assert_eq!(found.values, [["weak", "strong"]]);
         assert_eq!(
-            (found.place(0), found.place(1)),
+            (found.describe_row(0), found.describe_row(1)),
             ("line 2".to_owned(), "line 4".to_owned())
         );
         assert_eq!(texts(b"x,y\n1,2\n", "class"), Ok(None));

@@ -13,7 +13,7 @@ pub struct ColumnData<T> {
 
 impl<T> ColumnData<T> {
     /// The position of row `row`, from 0: "line 5", or "row 4" for a file without lines.
-    pub fn place(&self, row: usize) -> String {
+    pub fn describe_row(&self, row: usize) -> String {
         match self.lines.get(row) {
             Some(line) => format!("line {line}"),
             None => format!("row {}", row + 1),
@@ -31,8 +31,8 @@ impl<T> ColumnData<T> {
     }
 }
 
-/// Limit of the values in one file.
-pub(super) const MOST_VALUES: usize = 10_000_000;
+/// Maximum number of values that are read from one file.
+pub(super) const MAX_VALUES: usize = 10_000_000;
 
 /// The index of the only column called `name`.
 pub(super) fn column_index<'h>(name: &str, header: impl Iterator<Item = &'h str> + Clone) -> Result<usize, String> {
@@ -49,9 +49,9 @@ pub(super) fn column_index<'h>(name: &str, header: impl Iterator<Item = &'h str>
 }
 
 /// Returns an error for a file with more values than memory should hold.
-pub(super) fn within_limit(rows: usize, columns: usize) -> Result<(), String> {
-    if rows.saturating_mul(columns) > MOST_VALUES {
-        return Err(format!("has more than {MOST_VALUES} values in {columns} columns"));
+pub(super) fn check_size(rows: usize, columns: usize) -> Result<(), String> {
+    if rows.saturating_mul(columns) > MAX_VALUES {
+        return Err(format!("has more than {MAX_VALUES} values in {columns} columns"));
     }
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! Columns of CSV files (and of Parquet files, with the cargo feature `parquet`), from their bytes.
+//! Columns of data files (layouts, energy traces) from their bytes: CSV, and Parquet with the cargo feature `parquet`.
 
 mod csv;
 mod data;
@@ -9,15 +9,15 @@ use std::path::Path;
 
 pub use data::ColumnData;
 
-/// Bytes of the largest data file that is read.
-pub(crate) const LARGEST_FILE: u64 = 256 << 20;
+/// Maximum size of a data file, in bytes.
+pub(crate) const MAX_FILE_BYTES: u64 = 256 << 20;
 
 /// Reads the columns `wanted` of the file `bytes` as numbers, at least one row. The extension of `path` selects
 /// the format.
 ///
 /// # Errors
 /// The problem with the file, without its name.
-pub fn numbers(path: &Path, bytes: &[u8], wanted: &[String]) -> Result<ColumnData<f64>, String> {
+pub fn read_numbers(path: &Path, bytes: &[u8], wanted: &[String]) -> Result<ColumnData<f64>, String> {
     let columns = if is_parquet(path) {
         parquet_numbers(bytes, wanted)?
     } else {
@@ -33,7 +33,7 @@ pub fn numbers(path: &Path, bytes: &[u8], wanted: &[String]) -> Result<ColumnDat
 ///
 /// # Errors
 /// The problem with the file, without its name.
-pub fn texts(path: &Path, bytes: &[u8], wanted: &str) -> Result<Option<ColumnData<String>>, String> {
+pub fn read_texts(path: &Path, bytes: &[u8], wanted: &str) -> Result<Option<ColumnData<String>>, String> {
     if is_parquet(path) {
         parquet_texts(bytes, wanted)
     } else {

@@ -1,11 +1,11 @@
-//! Columns of Parquet files.
+//! Columns of Parquet files; errors name the row.
 
 use ::parquet::file::reader::{FileReader, SerializedFileReader};
 use ::parquet::record::Field;
 use ::parquet::schema::types::Type;
 use bytes::Bytes;
 
-use super::data::{ColumnData, column_index, within_limit};
+use super::data::{ColumnData, check_size, column_index};
 
 /// Reads the columns `wanted` of a flat Parquet file as numbers.
 pub(super) fn numbers(bytes: &[u8], wanted: &[String]) -> Result<ColumnData<f64>, String> {
@@ -33,7 +33,7 @@ fn guarded<T>(
     wanted: &[String],
     cell: impl Fn(&Field) -> Result<T, &'static str>,
 ) -> Result<ColumnData<T>, String> {
-    crate::parquet::guarded(|| read(Bytes::copy_from_slice(bytes), wanted, cell))
+    crate::parquet::catch_decoder_panic(|| read(Bytes::copy_from_slice(bytes), wanted, cell))
         .unwrap_or_else(|| Err("is a corrupt Parquet file".to_owned()))
 }
 
@@ -52,21 +52,21 @@ fn read<T>(
         .map(|name| column_index(name, fields.iter().map(|field| field.name())))
         .collect::<Result<Vec<usize>, String>>()?;
     // A corrupt file may claim fewer rows than it has; the loop below counts them again.
-    within_limit(usize::try_from(metadata.num_rows()).unwrap_or(usize::MAX), wanted.len())?;
-    let taken = fields
+    check_size(usize::try_from(metadata.num_rows()).unwrap_or(usize::MAX), wanted.len())?;
+    let wanted_fields = fields
         .iter()
         .enumerate()
         .filter(|(index, _)| indices.contains(index))
         .map(|(_, field)| field.clone())
         .collect();
     let projection = Type::group_type_builder(schema.name())
-        .with_fields(taken)
+        .with_fields(wanted_fields)
         .build()
         .map_err(broken)?;
     let mut columns: Vec<Vec<T>> = wanted.iter().map(|_| Vec::new()).collect();
     for (row, record) in reader.get_row_iter(Some(projection)).map_err(broken)?.enumerate() {
         let record = record.map_err(|error| format!("row {}: {error}", row + 1))?;
-        within_limit(row + 1, wanted.len())?;
+        check_size(row + 1, wanted.len())?;
         for (column, name) in columns.iter_mut().zip(wanted) {
             let field = record
                 .get_column_iter()
@@ -129,9 +129,9 @@ mod tests {
         ];
         let schema = schema("m", columns).expect("a schema");
         let mut writer = Writer::begin(Vec::new(), schema, []).expect("begun");
-        let filled = writer.group(|group| {
-            group.required::<Int32Type>([0, 1, 2])?;
-            group.required::<DoubleType>([0.5, 1.5, 2.5])
+        let filled = writer.write_row_group(|group| {
+            group.write_required::<Int32Type>([0, 1, 2])?;
+            group.write_required::<DoubleType>([0.5, 1.5, 2.5])
         });
         filled.expect("written");
         writer.finish().expect("finished")

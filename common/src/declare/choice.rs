@@ -1,4 +1,4 @@
-//! Enums whose variants are words in a scenario file.
+//! Enums whose variants are words in a scenario file, and the macro that declares them.
 
 /// A word that a field may hold.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

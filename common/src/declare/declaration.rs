@@ -1,4 +1,5 @@
-//! The declaration of a configuration: all its sections, its list and its presets.
+//! The declaration of a whole configuration: sections, list and presets, with the look-ups by path that reader, schema
+//! and pages share.
 
 use super::choice::Alternative;
 use super::field::{Field, FieldType, Section};
@@ -19,8 +20,8 @@ impl TableArray {
     }
 
     /// Whether an item inherits the section at `path`.
-    pub fn takes(&self, path: &str) -> bool {
-        self.inherits.iter().any(|own| is_within(path, own))
+    pub fn inherits_section(&self, path: &str) -> bool {
+        self.inherits.iter().any(|header| is_within(path, header))
     }
 }
 
@@ -61,19 +62,19 @@ pub enum Scope {
 
 impl Declaration {
     /// Returns the sections whose header is exactly `path` in `scope`.
-    pub fn at(&self, scope: Scope, path: &str) -> Vec<&'static Section> {
+    pub fn sections_at(&self, scope: Scope, path: &str) -> Vec<&'static Section> {
         match (scope, path) {
             (Scope::Item, "") => vec![self.list.section],
-            (Scope::Item, path) if !self.list.takes(path) => Vec::new(),
+            (Scope::Item, path) if !self.list.inherits_section(path) => Vec::new(),
             (Scope::Top | Scope::Item, path) => self.sections.iter().copied().filter(|s| s.path == path).collect(),
         }
     }
 
-    /// Returns the last names of the headers directly below `path` in `scope`.
-    pub fn below(&self, scope: Scope, path: &str) -> Vec<&'static str> {
-        let mut found: Vec<&'static str> = Vec::new();
+    /// Returns the last parts of the headers directly below `path` in `scope`.
+    pub fn child_names(&self, scope: Scope, path: &str) -> Vec<&'static str> {
+        let mut names: Vec<&'static str> = Vec::new();
         for section in &self.sections {
-            if scope == Scope::Item && !self.list.takes(section.path) {
+            if scope == Scope::Item && !self.list.inherits_section(section.path) {
                 continue;
             }
             let rest = match (path, section.path) {
@@ -82,32 +83,35 @@ impl Declaration {
                 (path, other) => other.strip_prefix(path).and_then(|rest| rest.strip_prefix('.')),
             };
             let name = rest.and_then(|rest| rest.split('.').next());
-            if let Some(name) = name.filter(|name| !found.contains(name)) {
-                found.push(name);
+            if let Some(name) = name.filter(|name| !names.contains(name)) {
+                names.push(name);
             }
         }
         if scope == Scope::Top && path.is_empty() {
-            found.push(self.list.name());
+            names.push(self.list.name());
         }
-        found
+        names
     }
 
     /// Returns the field `name` below the header `path` in `scope`, with its section.
     pub fn field(&self, scope: Scope, path: &str, name: &str) -> Option<(&'static Section, &'static Field)> {
-        let sections = self.at(scope, path);
+        let sections = self.sections_at(scope, path);
         sections
             .into_iter()
             .find_map(|section| section.field(name).map(|field| (section, field)))
     }
 
     /// Returns the field below the header `path` in `scope` that had the name `former`.
-    pub(super) fn renamed(&self, scope: Scope, path: &str, former: &str) -> Option<&'static Field> {
-        let mut fields = self.at(scope, path).into_iter().flat_map(|section| section.fields);
-        fields.find(|field| field.former == Some(former))
+    pub(super) fn field_by_former_name(&self, scope: Scope, path: &str, former: &str) -> Option<&'static Field> {
+        let mut fields = self
+            .sections_at(scope, path)
+            .into_iter()
+            .flat_map(|section| section.fields);
+        fields.find(|field| field.former_name == Some(former))
     }
 
     /// Returns the field at the full path `path` of the top level, with its section.
-    pub fn field_at(&self, path: &str) -> Option<(&'static Section, &'static Field)> {
+    pub fn field_by_path(&self, path: &str) -> Option<(&'static Section, &'static Field)> {
         let (section, name) = path.rsplit_once('.').unwrap_or(("", path));
         if section == self.list.name() {
             return self.list.section.field(name).map(|field| (self.list.section, field));
@@ -116,8 +120,8 @@ impl Declaration {
     }
 
     /// Returns the words that a field of this type may hold; empty for a type without words.
-    pub fn words(&self, form: &FieldType) -> &[Alternative] {
-        match form {
+    pub fn words_of(&self, field_type: &FieldType) -> &[Alternative] {
+        match field_type {
             FieldType::Choice(words) | FieldType::Source(words) => words,
             FieldType::Registered => &self.registered,
             FieldType::Whole { .. }
@@ -143,13 +147,13 @@ impl Declaration {
     }
 
     /// Returns the full paths of all fields of the top level.
-    pub fn paths(&self) -> impl Iterator<Item = String> + '_ {
+    pub fn field_paths(&self) -> impl Iterator<Item = String> + '_ {
         let fields = |section: &&'static Section| section.fields.iter().map(|field| section.path_of(field.name));
         self.sections.iter().flat_map(fields)
     }
 
     /// Returns the name of the preset that holds only the defaults.
-    pub fn base(&self) -> &'static str {
+    pub fn default_preset(&self) -> &'static str {
         self.presets.first().map_or("", |preset| preset.name)
     }
 }

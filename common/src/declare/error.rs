@@ -49,7 +49,7 @@ pub enum ScenarioError {
         reason: String,
     },
     /// The field does not exist.
-    #[error("unknown field `{field}`{hint}; {place}; the fields there are {valid}")]
+    #[error("unknown field `{field}`{hint}; {origin}; the fields there are {valid}")]
     UnknownField {
         /// The full path of the field.
         field: String,
@@ -58,10 +58,10 @@ pub enum ScenarioError {
         /// The fields of its section.
         valid: String,
         /// The origin of the value.
-        place: ValueOrigin,
+        origin: ValueOrigin,
     },
     /// A value has the wrong type or is out of its range.
-    #[error("{field} = {value}: {allowed}; {place}")]
+    #[error("{field} = {value}: {allowed}; {origin}")]
     Invalid {
         /// The full path of the field.
         field: String,
@@ -70,7 +70,7 @@ pub enum ScenarioError {
         /// The allowed values.
         allowed: String,
         /// The origin of the value.
-        place: ValueOrigin,
+        origin: ValueOrigin,
     },
     /// A required field has no value.
     #[error("{field}: required {why}")]
@@ -81,17 +81,17 @@ pub enum ScenarioError {
         why: String,
     },
     /// Other settings leave the field without effect.
-    #[error("{field}: has an effect only with {holds}; remove it, or set {holds}; {place}")]
+    #[error("{field}: has an effect only with {holds}; remove it, or set {holds}; {origin}")]
     UnusedField {
         /// The full path of the field.
         field: String,
         /// The setting under which the field has an effect.
         holds: String,
         /// The origin of the value.
-        place: ValueOrigin,
+        origin: ValueOrigin,
     },
     /// A layout or trace file cannot be used.
-    #[error("{field} = \"{}\": {reason}; {place}", file.display())]
+    #[error("{field} = \"{}\": {reason}; {origin}", file.display())]
     InvalidFile {
         /// The field that names the file.
         field: String,
@@ -100,21 +100,21 @@ pub enum ScenarioError {
         /// The reason for the error.
         reason: String,
         /// The origin of the field's value.
-        place: ValueOrigin,
+        origin: ValueOrigin,
     },
 }
 
 /// Returns "; did you mean `…`?" for the candidates nearest to `word`, or an empty text if none is near.
 pub(crate) fn did_you_mean<'c>(word: &str, candidates: impl IntoIterator<Item = &'c str>) -> String {
     // The time grows with the length of the word, and a hostile file can hold a name of megabytes.
-    const LONGEST: usize = 64;
-    let word: String = word.chars().take(LONGEST).collect();
+    const MAX_WORD_CHARS: usize = 64;
+    let word: String = word.chars().take(MAX_WORD_CHARS).collect();
     let limit = (word.chars().count() / 3).max(2);
     // Candidates can be full paths, but a typo concerns only their last part.
-    let leaf = |c: &'c str| c.rsplit('.').next().unwrap_or(c);
+    let last_part = |c: &'c str| c.rsplit('.').next().unwrap_or(c);
     let nearest = candidates
         .into_iter()
-        .map(|c| (osa_distance(&word, leaf(c)), c))
+        .map(|c| (osa_distance(&word, last_part(c)), c))
         .filter(|&(distance, _)| distance <= limit)
         .min_by_key(|&(distance, _)| distance);
     nearest.map_or_else(String::new, |(_, c)| format!("; did you mean `{c}`?"))
@@ -132,12 +132,12 @@ pub fn quoted_list<'n>(names: impl IntoIterator<Item = &'n str>) -> String {
 
 /// Truncates `text` to a length that fits a message.
 pub fn truncate(text: &str) -> String {
-    const LONGEST: usize = 60;
+    const MAX_CHARS: usize = 60;
     let line = text.split(['\n', '\r']).next().unwrap_or_default();
-    if line.len() == text.len() && line.chars().count() <= LONGEST {
+    if line.len() == text.len() && line.chars().count() <= MAX_CHARS {
         text.to_owned()
     } else {
-        line.chars().take(LONGEST).chain("…".chars()).collect()
+        line.chars().take(MAX_CHARS).chain("…".chars()).collect()
     }
 }
 

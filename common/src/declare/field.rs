@@ -1,4 +1,4 @@
-//! The declaration of a field, which all users of the field share.
+//! Declared fields: type, range, default, unit, help and condition, with a constructor per type for `declare!`.
 
 use std::fmt;
 
@@ -9,72 +9,77 @@ use crate::units::MAX_UNITS;
 /// A range of numbers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Range {
-    least: f64,
-    holds_least: bool,
-    most: f64,
-    holds_most: bool,
+    min: f64,
+    includes_min: bool,
+    max: f64,
+    includes_max: bool,
 }
 
 impl Range {
-    /// Returns the range from `least` to `most`, both included.
-    pub const fn closed(least: f64, most: f64) -> Self {
+    /// Returns the range from `min` to `max`, both included.
+    pub const fn closed(min: f64, max: f64) -> Self {
         Self {
-            least,
-            holds_least: true,
-            most,
-            holds_most: true,
+            min,
+            includes_min: true,
+            max,
+            includes_max: true,
         }
     }
 
-    /// Returns the range above `least` and at most `most`.
-    pub const fn above(least: f64, most: f64) -> Self {
+    /// Returns the range above `min` and at most `max`.
+    pub const fn above(min: f64, max: f64) -> Self {
         Self {
-            holds_least: false,
-            ..Self::closed(least, most)
+            includes_min: false,
+            ..Self::closed(min, max)
         }
     }
 
-    /// Returns the range from `least` to below `most`.
-    pub const fn below(least: f64, most: f64) -> Self {
+    /// Returns the range from `min` to below `max`.
+    pub const fn below(min: f64, max: f64) -> Self {
         Self {
-            holds_most: false,
-            ..Self::closed(least, most)
+            includes_max: false,
+            ..Self::closed(min, max)
         }
     }
 
     /// Whether `x` lies within the range.
     pub fn contains(&self, x: f64) -> bool {
-        let from_below = x > self.least || (self.holds_least && x >= self.least);
-        let from_above = x < self.most || (self.holds_most && x <= self.most);
+        let from_below = x > self.min || (self.includes_min && x >= self.min);
+        let from_above = x < self.max || (self.includes_max && x <= self.max);
         from_below && from_above
     }
 
     /// Returns both ends, and whether each is included.
     pub const fn ends(&self) -> ((f64, bool), (f64, bool)) {
-        ((self.least, self.holds_least), (self.most, self.holds_most))
+        ((self.min, self.includes_min), (self.max, self.includes_max))
     }
 
     /// Formats the range as an interval, for example "(0, 1]".
     pub fn interval(&self) -> String {
         let (open, close) = (
-            if self.holds_least { '[' } else { '(' },
-            if self.holds_most { ']' } else { ')' },
+            if self.includes_min { '[' } else { '(' },
+            if self.includes_max { ']' } else { ')' },
         );
-        format!("{open}{}, {}{close}", short(self.least), short(self.most))
+        format!("{open}{}, {}{close}", format_number(self.min), format_number(self.max))
     }
 }
 
 impl fmt::Display for Range {
     /// Writes for example "greater than 0 and at most 1".
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let from = if self.holds_least { "at least" } else { "greater than" };
-        let to = if self.holds_most { "at most" } else { "less than" };
-        write!(f, "{from} {} and {to} {}", short(self.least), short(self.most))
+        let from = if self.includes_min { "at least" } else { "greater than" };
+        let to = if self.includes_max { "at most" } else { "less than" };
+        write!(
+            f,
+            "{from} {} and {to} {}",
+            format_number(self.min),
+            format_number(self.max)
+        )
     }
 }
 
 /// Formats the number, with an exponent if it is large.
-fn short(x: f64) -> String {
+fn format_number(x: f64) -> String {
     if x.abs() >= 1e9 {
         format!("{x:e}")
     } else {
@@ -96,12 +101,12 @@ pub const ABOVE_ZERO: Range = Range::above(0.0, 1.0);
 /// The type of a field with its bounds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum FieldType {
-    /// A whole number from `least` to `most`.
+    /// A whole number from `min` to `max`.
     Whole {
         /// Smallest allowed value.
-        least: u64,
+        min: u64,
         /// Largest allowed value.
-        most: u64,
+        max: u64,
     },
     /// A number within a range.
     Number(Range),
@@ -125,11 +130,11 @@ pub enum FieldType {
     /// A list of whole numbers.
     Wholes {
         /// Smallest allowed element.
-        least: u32,
+        min: u32,
         /// Largest allowed element.
-        most: u32,
+        max: u32,
         /// Maximum length of the list; it has at least one element.
-        longest: usize,
+        max_len: usize,
     },
     /// A list of at least one text.
     Texts,
@@ -137,14 +142,14 @@ pub enum FieldType {
 
 impl FieldType {
     /// Describes the allowed values, as the end of "must be …".
-    pub fn allowed(&self) -> String {
+    pub fn describe_range(&self) -> String {
         match self {
-            Self::Whole { least, most } => format!("at least {least} and at most {most}"),
+            Self::Whole { min, max } => format!("at least {min} and at most {max}"),
             Self::Number(range) => range.to_string(),
             Self::Energy { is_positive: false } => format!("at least 0 and at most {MAX_UNITS} units"),
             Self::Energy { is_positive: true } => format!("at least 0.000001 and at most {MAX_UNITS} units"),
-            Self::Wholes { least, most, longest } => {
-                format!("a list of 1 to {longest} whole numbers from {least} to {most}")
+            Self::Wholes { min, max, max_len } => {
+                format!("a list of 1 to {max_len} whole numbers from {min} to {max}")
             }
             Self::Switch
             | Self::Choice(_)
@@ -152,12 +157,12 @@ impl FieldType {
             | Self::Text
             | Self::File
             | Self::Source(_)
-            | Self::Texts => self.kind().to_owned(),
+            | Self::Texts => self.describe_type().to_owned(),
         }
     }
 
     /// Describes the TOML type, as the end of "must be …".
-    pub const fn kind(&self) -> &'static str {
+    pub const fn describe_type(&self) -> &'static str {
         match self {
             Self::Whole { .. } => "a whole number that is not negative",
             Self::Number(_) | Self::Energy { .. } => "a number",
@@ -172,7 +177,7 @@ impl FieldType {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum FieldDefault {
     /// This value.
-    Is(FieldValue<'static>),
+    Value(FieldValue<'static>),
     /// A value derived from other fields, described as text.
     Derived(&'static str),
     /// No value: the field must be set wherever it has an effect.
@@ -205,7 +210,7 @@ pub struct Field {
     /// The name within its section.
     pub name: &'static str,
     /// The type with its bounds.
-    pub form: FieldType,
+    pub field_type: FieldType,
     /// The value if it is not set.
     pub default: FieldDefault,
     /// Its unit; "" for none.
@@ -219,21 +224,21 @@ pub struct Field {
     /// An alternative field of the same section for the same quantity. The later layer decides which one applies.
     pub instead_of: Option<&'static str>,
     /// A former name, which is still accepted with a warning.
-    pub former: Option<&'static str>,
+    pub former_name: Option<&'static str>,
 }
 
 impl Field {
-    const fn new(form: FieldType, default: FieldDefault) -> Self {
+    const fn new(field_type: FieldType, default: FieldDefault) -> Self {
         Self {
             name: "",
-            form,
+            field_type,
             default,
             unit: "",
             help: "",
             source: "",
             only_with: None,
             instead_of: None,
-            former: None,
+            former_name: None,
         }
     }
 
@@ -289,7 +294,7 @@ impl Field {
     #[must_use]
     pub const fn formerly(self, name: &'static str) -> Self {
         Self {
-            former: Some(name),
+            former_name: Some(name),
             ..self
         }
     }
@@ -301,61 +306,64 @@ impl Field {
     }
 }
 
-/// Declares a whole number from `least` to `most`.
-pub const fn whole(least: u64, most: u64, default: u64) -> Field {
+/// Declares a whole number from `min` to `max`.
+pub const fn whole(min: u64, max: u64, default: u64) -> Field {
     Field::new(
-        FieldType::Whole { least, most },
-        FieldDefault::Is(FieldValue::Whole(default)),
+        FieldType::Whole { min, max },
+        FieldDefault::Value(FieldValue::Whole(default)),
     )
 }
 
 /// Declares a number within `range`.
 pub const fn number(range: Range, default: f64) -> Field {
-    Field::new(FieldType::Number(range), FieldDefault::Is(FieldValue::Number(default)))
+    Field::new(
+        FieldType::Number(range),
+        FieldDefault::Value(FieldValue::Number(default)),
+    )
 }
 
 /// Declares an amount of energy, with `default` in units.
 pub const fn energy(default: f64) -> Field {
     Field::new(
         FieldType::Energy { is_positive: false },
-        FieldDefault::Is(FieldValue::Energy(crate::units::Energy::rounded(default))),
+        FieldDefault::Value(FieldValue::Energy(crate::units::Energy::from_default(default))),
     )
 }
 
 /// Declares an amount of energy above 0, with `default` in units.
 pub(crate) const fn positive_energy(default: f64) -> Field {
     Field {
-        form: FieldType::Energy { is_positive: true },
+        field_type: FieldType::Energy { is_positive: true },
         ..energy(default)
     }
 }
 
 /// Declares a field that is true or false.
 pub const fn switch(default: bool) -> Field {
-    Field::new(FieldType::Switch, FieldDefault::Is(FieldValue::Switch(default)))
+    Field::new(FieldType::Switch, FieldDefault::Value(FieldValue::Switch(default)))
 }
 
 /// Declares a field that holds one of the words of `T`.
 pub const fn choice<T: ChoiceType>(default: &'static str) -> Field {
     Field::new(
         FieldType::Choice(T::ALTERNATIVES),
-        FieldDefault::Is(FieldValue::Text(default)),
+        FieldDefault::Value(FieldValue::Text(default)),
     )
 }
 
 /// Declares a field that holds the name of a registered variant.
 pub const fn registered(default: &'static str) -> Field {
-    Field::new(FieldType::Registered, FieldDefault::Is(FieldValue::Text(default)))
+    Field::new(FieldType::Registered, FieldDefault::Value(FieldValue::Text(default)))
 }
 
 /// Declares a field that holds one of `words`.
 pub const fn word(words: &'static [Alternative], default: &'static str) -> Field {
-    Field::new(FieldType::Choice(words), FieldDefault::Is(FieldValue::Text(default)))
+    Field::new(FieldType::Choice(words), FieldDefault::Value(FieldValue::Text(default)))
 }
 
 /// Declares a field that holds one of `words`, or the path of a file.
 pub const fn source(words: &'static [Alternative], default: &'static str) -> Field {
-    Field::new(FieldType::Source(words), FieldDefault::Is(FieldValue::Text(default)))
+    Field::new(FieldType::Source(words), FieldDefault::Value(FieldValue::Text(default)))
 }
 
 /// Declares a field that holds any text.
@@ -368,11 +376,11 @@ pub const fn file() -> Field {
     Field::new(FieldType::File, FieldDefault::None)
 }
 
-/// Declares a list of 1 to `longest` whole numbers from `least` to `most`.
-pub const fn wholes(least: u32, most: u32, longest: usize, default: &'static [u32]) -> Field {
+/// Declares a list of 1 to `max_len` whole numbers from `min` to `max`.
+pub const fn wholes(min: u32, max: u32, max_len: usize, default: &'static [u32]) -> Field {
     Field::new(
-        FieldType::Wholes { least, most, longest },
-        FieldDefault::Is(FieldValue::Wholes(default)),
+        FieldType::Wholes { min, max, max_len },
+        FieldDefault::Value(FieldValue::Wholes(default)),
     )
 }
 
@@ -407,7 +415,7 @@ impl Section {
 
     /// Returns the full path of the field `name`.
     pub fn path_of(&self, name: &str) -> String {
-        super::dotted(self.path, name)
+        super::join_path(self.path, name)
     }
 }
 

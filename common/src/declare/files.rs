@@ -16,22 +16,22 @@ pub enum FileError {
     #[error("is not a file")]
     Special,
     /// The file is longer than the limit.
-    #[error("is larger than {most} bytes")]
+    #[error("is larger than {max_bytes} bytes")]
     TooLong {
         /// Its length in bytes.
         length: u64,
         /// The limit in bytes.
-        most: u64,
+        max_bytes: u64,
     },
 }
 
 /// An interface that reads files.
 pub trait Files {
-    /// Returns the bytes of the regular file at `path`, if it has at most `most` bytes.
+    /// Returns the bytes of the regular file at `path`, if it has at most `max_bytes` bytes.
     ///
     /// # Errors
     /// See [`FileError`].
-    fn read(&self, path: &Path, most: u64) -> Result<Vec<u8>, FileError>;
+    fn read(&self, path: &Path, max_bytes: u64) -> Result<Vec<u8>, FileError>;
 
     /// Whether `path` exists.
     fn exists(&self, path: &Path) -> bool;

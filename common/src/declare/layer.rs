@@ -1,4 +1,4 @@
-//! One layer of a configuration: a preset, a file, or a command-line override.
+//! One layer of a configuration: a preset, a file, or a command-line override, parsed but not yet checked.
 
 use std::sync::Arc;
 
@@ -7,20 +7,20 @@ use toml::de::{DeTable, DeValue};
 
 use super::declaration::Declaration;
 use super::error::ScenarioError;
-use super::origins::{Origin, ValueOrigin};
+use super::origins::{LayerOrigin, ValueOrigin};
 use super::overrides::Override;
 
 /// Maximum length of a text, in bytes.
-pub const LONGEST_TEXT: u64 = 1 << 20;
+pub const MAX_TEXT_BYTES: u64 = 1 << 20;
 
 /// One layer: a table, and the list item to which it applies if a command-line path names one.
 #[derive(Debug)]
 pub struct Layer<'a> {
     pub(super) table: DeTable<'a>,
     pub(super) text: &'a str,
-    pub(super) origin: Origin,
+    pub(super) origin: LayerOrigin,
     /// The item to which the layer applies.
-    pub(super) item: Option<&'a str>,
+    pub(super) item_name: Option<&'a str>,
 }
 
 impl<'a> Layer<'a> {
@@ -28,16 +28,16 @@ impl<'a> Layer<'a> {
     ///
     /// # Errors
     /// If the text is too long or not valid TOML.
-    pub(crate) fn from_text(text: &'a str, origin: Origin) -> Result<Self, ScenarioError> {
-        if text.len() as u64 > LONGEST_TEXT {
-            return Err(syntax(&origin, 0, format!("longer than {LONGEST_TEXT} bytes")));
+    pub(crate) fn from_text(text: &'a str, origin: LayerOrigin) -> Result<Self, ScenarioError> {
+        if text.len() as u64 > MAX_TEXT_BYTES {
+            return Err(syntax(&origin, 0, format!("longer than {MAX_TEXT_BYTES} bytes")));
         }
         match DeTable::parse(text) {
             Ok(table) => Ok(Self {
                 table: table.into_inner(),
                 text,
                 origin,
-                item: None,
+                item_name: None,
             }),
             Err(error) => {
                 let offset = error.span().map_or(0, |span| span.start);
@@ -52,14 +52,14 @@ impl<'a> Layer<'a> {
     /// If the value is not valid TOML.
     pub(crate) fn from_override(given: &'a Override, declaration: &Declaration) -> Result<Self, ScenarioError> {
         let list = declaration.list.name();
-        let (item, path) = match given.path.as_slice() {
+        let (item_name, path) = match given.path.as_slice() {
             [section, name, rest @ ..] if section == list && !rest.is_empty() => (Some(name.as_str()), rest),
             path => (None, path),
         };
-        let mut value = given.toml()?;
+        let mut value = given.parse_value()?;
         let span = value.span();
         for name in path.iter().rev() {
-            value = Spanned::new(span.clone(), DeValue::Table(single(name, value)));
+            value = Spanned::new(span.clone(), DeValue::Table(single_entry(name, value)));
         }
         // A path has at least one name, so the value is a table here.
         let DeValue::Table(table) = value.into_inner() else {
@@ -67,7 +67,7 @@ impl<'a> Layer<'a> {
         };
         Ok(Self {
             table,
-            item,
+            item_name,
             ..Self::empty(given)
         })
     }
@@ -76,28 +76,30 @@ impl<'a> Layer<'a> {
         Self {
             table: DeTable::new(),
             text: &given.value,
-            origin: Origin::Flag(Arc::clone(&given.flag)),
-            item: None,
+            origin: LayerOrigin::Flag(Arc::clone(&given.flag)),
+            item_name: None,
         }
     }
 
     /// Returns the text value of the top-level field `name` in this layer, with its origin.
-    pub(crate) fn text_of(&self, name: &str) -> Option<(&str, ValueOrigin)> {
-        let value = self.table.get(name).filter(|_| self.item.is_none())?;
-        Some((value.get_ref().as_str()?, self.origin.place(value.span().start)))
+    pub(crate) fn text_at(&self, name: &str) -> Option<(&str, ValueOrigin)> {
+        let value = self.table.get(name).filter(|_| self.item_name.is_none())?;
+        Some((value.get_ref().as_str()?, self.origin.origin_at(value.span().start)))
     }
 }
 
-pub(super) fn key<'a>(name: &str) -> Spanned<std::borrow::Cow<'a, str>> {
+/// Creates a key that has no offset in any text.
+pub(super) fn owned_key<'a>(name: &str) -> Spanned<std::borrow::Cow<'a, str>> {
     Spanned::new(0..0, std::borrow::Cow::Owned(name.to_owned()))
 }
 
-pub(super) fn single<'a>(name: &str, value: Spanned<DeValue<'a>>) -> DeTable<'a> {
-    std::iter::once((key(name), value)).collect()
+/// Creates a table with one entry.
+pub(super) fn single_entry<'a>(name: &str, value: Spanned<DeValue<'a>>) -> DeTable<'a> {
+    std::iter::once((owned_key(name), value)).collect()
 }
 
-fn syntax(origin: &Origin, offset: usize, reason: String) -> ScenarioError {
-    let (name, line) = match origin.place(offset) {
+fn syntax(origin: &LayerOrigin, offset: usize, reason: String) -> ScenarioError {
+    let (name, line) = match origin.origin_at(offset) {
         ValueOrigin::File { name, line } => (name.to_string(), line),
         ValueOrigin::Preset(name) => (name.to_owned(), 1),
         ValueOrigin::Flag(flag) => (flag.to_string(), 1),

@@ -7,16 +7,16 @@ use toml::de::{DeTable, DeValue};
 
 use super::declaration::{Declaration, Scope};
 use super::error::{ScenarioError, quoted_list, truncate};
-use super::layer::{Layer, key};
+use super::layer::{Layer, owned_key};
 use super::names;
-use super::origins::{Origin, ValueOrigins};
+use super::origins::{LayerOrigin, ValueOrigins};
 
 /// The layers merged so far.
 #[derive(Debug)]
 pub struct Layers<'a> {
     declaration: &'a Declaration,
     table: DeTable<'a>,
-    places: ValueOrigins,
+    origins: ValueOrigins,
     warnings: Vec<String>,
 }
 
@@ -26,7 +26,7 @@ pub struct Merged<'a> {
     /// The merged table.
     pub table: DeTable<'a>,
     /// The origins of its values.
-    pub places: ValueOrigins,
+    pub origins: ValueOrigins,
     /// The warnings about former names of fields.
     pub warnings: Vec<String>,
 }
@@ -37,7 +37,7 @@ impl<'a> Layers<'a> {
         Self {
             declaration,
             table: DeTable::new(),
-            places: ValueOrigins::new(),
+            origins: ValueOrigins::new(),
             warnings: Vec::new(),
         }
     }
@@ -48,19 +48,22 @@ impl<'a> Layers<'a> {
     /// If a field does not exist, or a value has the wrong type.
     pub fn add(&mut self, mut layer: Layer<'a>) -> Result<(), ScenarioError> {
         names::replace_former(&mut layer, self.declaration, &mut self.warnings);
-        names::check(&layer, self.declaration)?;
+        names::check_layer(&layer, self.declaration)?;
         let list = self.declaration.list.name();
         let Layer {
-            table, origin, item, ..
+            table,
+            origin,
+            item_name,
+            ..
         } = layer;
-        match item {
+        match item_name {
             None => {
-                record(&table, "", &origin, &mut self.places);
+                record_origins(&table, "", &origin, &mut self.origins);
                 overlay(self.declaration, (Scope::Top, ""), &mut self.table, table);
             }
             Some(name) => {
-                let (index, base) = item_named(&mut self.table, list, name, &origin)?;
-                record(&table, &format!("{list}.{index}."), &origin, &mut self.places);
+                let (index, base) = find_item(&mut self.table, list, name, &origin)?;
+                record_origins(&table, &format!("{list}.{index}."), &origin, &mut self.origins);
                 overlay(self.declaration, (Scope::Item, ""), base, table);
             }
         }
@@ -81,31 +84,31 @@ impl<'a> Layers<'a> {
                 if let Some(own) = table_mut(item, section) {
                     overlay(self.declaration, (Scope::Item, section), &mut full, std::mem::take(own));
                 }
-                item.insert(key(section), Spanned::new(0..0, DeValue::Table(full)));
+                item.insert(owned_key(section), Spanned::new(0..0, DeValue::Table(full)));
             }
         }
         Merged {
             table: self.table,
-            places: self.places,
+            origins: self.origins,
             warnings: self.warnings,
         }
     }
 }
 
-/// Overrides the values in `base`, the table at a path of `declaration`, by those in `above`, field by field.
-fn overlay<'a>(declaration: &Declaration, at: (Scope, &str), base: &mut DeTable<'a>, above: DeTable<'a>) {
-    let (scope, path) = at;
+/// Overrides the values in `base`, the table at `location` in `declaration`, by those in `above`, field by field.
+fn overlay<'a>(declaration: &Declaration, location: (Scope, &str), base: &mut DeTable<'a>, above: DeTable<'a>) {
+    let (scope, path) = location;
     let field = |name: &str| declaration.field(scope, path, name).map(|(_, field)| field);
     // Of two alternative fields, the later layer's applies, so it removes the other one from the layers below.
-    for other in above.keys().filter_map(|name| field(name.get_ref())?.instead_of) {
-        base.remove(other);
+    for alternative in above.keys().filter_map(|name| field(name.get_ref())?.instead_of) {
+        base.remove(alternative);
     }
     for (name, value) in above {
         let span = value.span();
         let value = value.into_inner();
         let value = if let DeValue::Table(inner) = value {
             if let Some(below) = table_mut(base, name.get_ref()) {
-                let path = super::dotted(path, name.get_ref());
+                let path = super::join_path(path, name.get_ref());
                 overlay(declaration, (scope, &path), below, inner);
                 continue;
             }
@@ -118,21 +121,21 @@ fn overlay<'a>(declaration: &Declaration, at: (Scope, &str), base: &mut DeTable<
 }
 
 /// Records the origin of everything in `table`, for paths that begin with `prefix`.
-fn record(table: &DeTable<'_>, prefix: &str, origin: &Origin, places: &mut ValueOrigins) {
+fn record_origins(table: &DeTable<'_>, prefix: &str, origin: &LayerOrigin, origins: &mut ValueOrigins) {
     for (name, value) in table {
         let path = format!("{prefix}{}", name.get_ref());
         let inner = format!("{path}.");
         match value.get_ref() {
-            DeValue::Table(table) => record(table, &inner, origin, places),
+            DeValue::Table(table) => record_origins(table, &inner, origin, origins),
             DeValue::Array(items) => {
                 // Items are replaced as a whole; no other list holds tables.
                 if prefix.is_empty() {
-                    places.retain(|known, _| !known.starts_with(&inner));
+                    origins.retain(|known, _| !known.starts_with(&inner));
                 }
                 for (index, item) in items.iter().enumerate() {
                     if let DeValue::Table(table) = item.get_ref() {
-                        places.insert(format!("{path}.{index}"), origin.place(item.span().start));
-                        record(table, &format!("{path}.{index}."), origin, places);
+                        origins.insert(format!("{path}.{index}"), origin.origin_at(item.span().start));
+                        record_origins(table, &format!("{path}.{index}."), origin, origins);
                     }
                 }
             }
@@ -142,21 +145,21 @@ fn record(table: &DeTable<'_>, prefix: &str, origin: &Origin, places: &mut Value
             | DeValue::Boolean(_)
             | DeValue::Datetime(_) => {}
         }
-        places.insert(path, origin.place(start(name.span(), value.span())));
+        origins.insert(path, origin.origin_at(origin_offset(name.span(), value.span())));
     }
 }
 
 /// Returns the offset of a key, or of its value if the key has none, as in overrides.
-fn start(name: Range<usize>, value: Range<usize>) -> usize {
+fn origin_offset(name: Range<usize>, value: Range<usize>) -> usize {
     if name.is_empty() { value.start } else { name.start }
 }
 
 /// Returns the item `name` of `list`, with its index.
-fn item_named<'t, 'a>(
+fn find_item<'t, 'a>(
     table: &'t mut DeTable<'a>,
     list: &str,
     name: &str,
-    origin: &Origin,
+    origin: &LayerOrigin,
 ) -> Result<(usize, &'t mut DeTable<'a>), ScenarioError> {
     let names: Vec<String> = items_mut(table, list).map(|item| item_name(item).to_owned()).collect();
     let found = items_mut(table, list)
@@ -169,7 +172,7 @@ fn item_named<'t, 'a>(
             "must be the name of a {list}; there are {}",
             quoted_list(names.iter().map(String::as_str))
         ),
-        place: origin.place(0),
+        origin: origin.origin_at(0),
     })
 }
 

@@ -1,4 +1,4 @@
-//! The macro that declares a section.
+//! [`crate::declare!`], which declares a struct of settings and the section of its fields together.
 
 /// Declares a struct and the fields of its section together. The doc comments become the help of the fields; the one
 /// of the struct describes the section.

@@ -1,10 +1,12 @@
-//! Fields of a configuration, each declared once.
+//! Fields of a configuration, each declared once. All scenario fields, those of policies included, use it.
 //!
 //! A declaration holds a field's name, type, unit, default, help and source next to the Rust type of its value
 //! ([`crate::declare!`], [`crate::choices!`]). From the declarations the module derives the check of names and types,
 //! errors with origin and allowed values ([`FieldReader`]), and the TOML file of a configuration ([`TomlPage`]). It
-//! also derives the fingerprint ([`ScenarioHasher`]), the JSON Schema ([`schema()`]) and the reference page
-//! ([`reference()`]). None of this depends on the meaning of the fields.
+//! also derives the scenario hash ([`ScenarioHasher`]), the JSON Schema ([`json_schema()`]) and the reference page
+//! ([`reference_page()`]). None of this depends on the meaning of the fields.
+//!
+//! Reading, in order: `overrides` and `layer` parse, `names` checks, `layers` merges, `reader` checks ranges.
 
 mod choice;
 mod declaration;
@@ -36,18 +38,18 @@ pub use field::{
 pub use field::{FieldSink, Visit};
 pub use files::{FileError, Files, NoFiles};
 pub use fingerprint::ScenarioHasher;
-pub use layer::{LONGEST_TEXT, Layer};
+pub use layer::{Layer, MAX_TEXT_BYTES};
 pub use layers::{Layers, Merged};
-pub use origins::{Origin, ValueOrigin, ValueOrigins};
+pub use origins::{LayerOrigin, ValueOrigin, ValueOrigins};
 pub use overrides::Override;
 pub use reader::{FieldReader, FileContext, Settings};
-pub use reference::reference;
-pub use schema::schema;
+pub use reference::reference_page;
+pub use schema::json_schema;
 pub use toml_page::TomlPage;
 pub use value::{FieldRepr, FieldValue};
 
 /// Returns `section.name`, or `name` at the top level.
-pub fn dotted(section: &str, name: &str) -> String {
+pub fn join_path(section: &str, name: &str) -> String {
     if section.is_empty() {
         name.to_owned()
     } else {

@@ -1,4 +1,4 @@
-//! The origins of values: preset, file or command line.
+//! The origins of values: preset, file or command line. Error messages name them.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -38,7 +38,7 @@ pub type ValueOrigins = BTreeMap<String, ValueOrigin>;
 
 /// The source of a layer.
 #[derive(Clone, Debug)]
-pub enum Origin {
+pub enum LayerOrigin {
     /// A preset.
     Preset(&'static str),
     /// A file.
@@ -52,18 +52,18 @@ pub enum Origin {
     Flag(Arc<str>),
 }
 
-impl Origin {
+impl LayerOrigin {
     /// Returns the origin for a file with the content `text`.
     pub fn file(name: &str, text: &str) -> Self {
         let breaks = text.bytes().enumerate().filter(|&(_, byte)| byte == b'\n');
         Self::File {
             name: Arc::from(name),
-            line_starts: breaks.map(|(at, _)| at + 1).collect(),
+            line_starts: breaks.map(|(offset, _)| offset + 1).collect(),
         }
     }
 
     /// Returns the origin of the value at the byte `offset` of the layer's text.
-    pub fn place(&self, offset: usize) -> ValueOrigin {
+    pub fn origin_at(&self, offset: usize) -> ValueOrigin {
         match self {
             Self::Preset(name) => ValueOrigin::Preset(name),
             Self::File { name, line_starts } => ValueOrigin::File {

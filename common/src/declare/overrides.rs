@@ -1,4 +1,4 @@
-//! Fields set on the command line.
+//! Fields set on the command line, by `--set` or by an option of their own.
 
 use std::str::FromStr;
 use std::sync::Arc;
@@ -9,7 +9,7 @@ use toml::de::DeValue;
 use super::error::ScenarioError;
 
 /// Maximum depth of nested sections in a path; no field is as deep.
-const DEEPEST: usize = 8;
+const MAX_PATH_DEPTH: usize = 8;
 
 /// A field set on the command line, which overrides the preset and the scenario file.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -32,8 +32,8 @@ impl Override {
         let Some((path, value)) = text.split_once('=') else {
             return Err(malformed("--set", text, "expected path.to.field=value".to_owned()));
         };
-        let shown = format!("--set {}", text.trim());
-        Self::with_shown("--set", &shown, path, value)
+        let label = format!("--set {}", text.trim());
+        Self::with_label("--set", &label, path, value)
     }
 
     /// Creates an override of the field at `path` by a dedicated option, such as `--devices` for `devices`. `value`
@@ -42,27 +42,27 @@ impl Override {
     /// # Errors
     /// If `path` is empty or `value` is a broken TOML string, list or table.
     pub fn from_flag(flag: &str, path: &str, value: &str) -> Result<Self, ScenarioError> {
-        Self::with_shown(flag, flag, path, value)
+        Self::with_label(flag, flag, path, value)
     }
 
-    fn with_shown(flag: &str, shown: &str, path: &str, value: &str) -> Result<Self, ScenarioError> {
+    fn with_label(flag: &str, label: &str, path: &str, value: &str) -> Result<Self, ScenarioError> {
         let names: Vec<String> = path.split('.').map(|name| name.trim().to_owned()).collect();
-        if names.iter().any(String::is_empty) || names.len() > DEEPEST {
+        if names.iter().any(String::is_empty) || names.len() > MAX_PATH_DEPTH {
             let reason = format!("`{}` is not the path of a field", path.trim());
             return Err(malformed(flag, &format!("{path}={value}"), reason));
         }
-        let made = Self {
-            flag: Arc::from(super::error::truncate(shown)),
+        let parsed = Self {
+            flag: Arc::from(super::error::truncate(label)),
             path: names,
             value: value.trim().to_owned(),
         };
         // Parsed here, so that the error names the option.
-        made.toml()?;
-        Ok(made)
+        parsed.parse_value()?;
+        Ok(parsed)
     }
 
     /// Returns the value as TOML.
-    pub(super) fn toml(&self) -> Result<Spanned<DeValue<'_>>, ScenarioError> {
+    pub(super) fn parse_value(&self) -> Result<Spanned<DeValue<'_>>, ScenarioError> {
         match DeValue::parse(&self.value) {
             Ok(value) => Ok(value),
             // A value that begins like a TOML string, list or table is a broken one; any other is a bare word.
@@ -103,9 +103,9 @@ mod tests {
     fn a_bare_word_is_a_string_and_a_number_a_number() {
         let word = Override::parse("policy.name = genie").expect("valid");
         assert_eq!(word.path, ["policy", "name"]);
-        assert_eq!(word.toml().expect("valid").get_ref().as_str(), Some("genie"));
+        assert_eq!(word.parse_value().expect("valid").get_ref().as_str(), Some("genie"));
         let number = Override::parse("sensing.d_max=5").expect("valid");
-        assert!(number.toml().expect("valid").get_ref().is_integer());
+        assert!(number.parse_value().expect("valid").get_ref().is_integer());
     }
 
     #[test]

@@ -1,4 +1,5 @@
-//! Reads the values of declared fields, and rejects invalid ones with their origin.
+//! Reads the values of declared fields from the merged layers, and rejects invalid ones with their origin. A policy
+//! gets a reader of its own fields only.
 
 use std::cell::RefCell;
 use std::fmt::Display;
@@ -7,12 +8,12 @@ use std::path::{Path, PathBuf};
 use toml::de::{DeTable, DeValue};
 
 use super::declaration::{Declaration, Scope};
-use super::dotted;
 use super::error::{ScenarioError, truncate};
 use super::field::{Field, FieldCondition, FieldDefault, FieldType, Section};
 use super::files::{FileError, Files};
+use super::join_path;
 use super::layers::Merged;
-use super::names::{float, integer};
+use super::names::{to_float, to_integer};
 use super::origins::{ValueOrigin, ValueOrigins};
 use super::value::{FieldRepr, FieldValue};
 use crate::units::Energy;
@@ -45,13 +46,13 @@ pub struct FileContext<'a> {
 pub struct FieldReader<'a> {
     declaration: &'a Declaration,
     table: &'a DeTable<'a>,
-    places: &'a ValueOrigins,
-    ground: FileContext<'a>,
+    origins: &'a ValueOrigins,
+    file_context: FileContext<'a>,
     warnings: &'a RefCell<Vec<String>>,
     /// The index of the item and its name in messages.
     item: Option<(usize, String)>,
     /// The prefix of the paths that may be read, with its dot; `None` allows all.
-    scope: Option<String>,
+    readable_prefix: Option<String>,
 }
 
 impl<'a> FieldReader<'a> {
@@ -59,17 +60,17 @@ impl<'a> FieldReader<'a> {
     pub fn new(
         declaration: &'a Declaration,
         merged: &'a Merged<'a>,
-        ground: FileContext<'a>,
+        file_context: FileContext<'a>,
         warnings: &'a RefCell<Vec<String>>,
     ) -> Self {
         Self {
             declaration,
             table: &merged.table,
-            places: &merged.places,
-            ground,
+            origins: &merged.origins,
+            file_context,
             warnings,
             item: None,
-            scope: None,
+            readable_prefix: None,
         }
     }
 
@@ -84,7 +85,7 @@ impl<'a> FieldReader<'a> {
             .map(|(index, table)| Self {
                 table,
                 item: Some((index, (index + 1).to_string())),
-                scope: self.scope.clone(),
+                readable_prefix: self.readable_prefix.clone(),
                 ..*self
             })
             .collect()
@@ -100,18 +101,21 @@ impl<'a> FieldReader<'a> {
     /// Returns this reader for the policy `name`, restricted to the policy's own fields: a policy must not read the
     /// seed or the event process.
     #[must_use]
-    pub fn of_policy(&self, name: &str) -> Self {
+    pub fn for_policy(&self, name: &str) -> Self {
         Self {
             item: self.item.clone(),
-            scope: Some(format!("policy.{name}.")),
+            readable_prefix: Some(format!("policy.{name}.")),
             ..*self
         }
     }
 
     /// # Panics
     /// If this reader must not read the field at `path`.
-    fn assert_own(&self, path: &str) {
-        let is_own = self.scope.as_ref().is_none_or(|scope| path.starts_with(scope));
+    fn assert_readable(&self, path: &str) {
+        let is_own = self
+            .readable_prefix
+            .as_ref()
+            .is_none_or(|scope| path.starts_with(scope));
         assert!(is_own, "a policy may read only its own fields, not {path}");
     }
 
@@ -127,10 +131,10 @@ impl<'a> FieldReader<'a> {
             return Ok(value);
         }
         let default = match field.default {
-            FieldDefault::Is(value) => T::from_value(value),
+            FieldDefault::Value(value) => T::from_value(value),
             FieldDefault::Derived(_) | FieldDefault::None => T::absent(),
         };
-        default.ok_or_else(|| self.missing(&section.path_of(field.name), section.condition(field)))
+        default.ok_or_else(|| self.missing_required(&section.path_of(field.name), section.condition(field)))
     }
 
     /// Returns the value of a field if it is set.
@@ -143,34 +147,34 @@ impl<'a> FieldReader<'a> {
         field: &'static Field,
     ) -> Result<Option<T>, ScenarioError> {
         let path = section.path_of(field.name);
-        self.assert_own(&path);
+        self.assert_readable(&path);
         let Some(value) = self.value(&path) else {
             return Ok(None);
         };
-        let (form, refused) = (&field.form, |shown: &dyn Display| {
-            self.invalid_value(&path, shown, format!("must be {}", field.form.allowed()))
+        let (field_type, refuse) = (&field.field_type, |shown: &dyn Display| {
+            self.invalid_value(&path, shown, format!("must be {}", field.field_type.describe_range()))
         });
-        let made = match form {
-            FieldType::Whole { least, most } => {
-                let whole = integer(value).and_then(|whole| u64::try_from(whole).ok());
-                let whole = whole.ok_or_else(|| refused(&shown(value)))?;
-                if !(*least..=*most).contains(&whole) {
-                    return Err(refused(&whole));
+        let parsed = match field_type {
+            FieldType::Whole { min, max } => {
+                let whole = to_integer(value).and_then(|whole| u64::try_from(whole).ok());
+                let whole = whole.ok_or_else(|| refuse(&format_value(value)))?;
+                if !(*min..=*max).contains(&whole) {
+                    return Err(refuse(&whole));
                 }
                 T::from_value(FieldValue::Whole(whole))
             }
             FieldType::Number(range) => {
-                let number = float(value).ok_or_else(|| refused(&shown(value)))?;
+                let number = to_float(value).ok_or_else(|| refuse(&format_value(value)))?;
                 if !range.contains(number) {
-                    return Err(refused(&number));
+                    return Err(refuse(&number));
                 }
                 // Adding 0 turns -0 into 0: both are equal, but differ in text and in the hash.
                 T::from_value(FieldValue::Number(number + 0.0))
             }
             FieldType::Energy { is_positive } => {
-                let units = float(value).ok_or_else(|| refused(&shown(value)))?;
+                let units = to_float(value).ok_or_else(|| refuse(&format_value(value)))?;
                 let energy = Energy::from_units(units).filter(|energy| !is_positive || *energy > Energy::ZERO);
-                T::from_value(FieldValue::Energy(energy.ok_or_else(|| refused(&units))?))
+                T::from_value(FieldValue::Energy(energy.ok_or_else(|| refuse(&units))?))
             }
             FieldType::Switch => value
                 .as_bool()
@@ -178,11 +182,11 @@ impl<'a> FieldReader<'a> {
             FieldType::Choice(_) | FieldType::Registered | FieldType::Text | FieldType::File | FieldType::Source(_) => {
                 value.as_str().and_then(|text| T::from_value(FieldValue::Text(text)))
             }
-            FieldType::Wholes { least, most, longest } => {
-                let list: Vec<i128> = elements(value).filter_map(integer).collect();
-                let range = i128::from(*least)..=i128::from(*most);
-                if list.is_empty() || list.len() > *longest || list.iter().any(|item| !range.contains(item)) {
-                    return Err(refused(&format!("{list:?}")));
+            FieldType::Wholes { min, max, max_len } => {
+                let list: Vec<i128> = elements(value).filter_map(to_integer).collect();
+                let range = i128::from(*min)..=i128::from(*max);
+                if list.is_empty() || list.len() > *max_len || list.iter().any(|item| !range.contains(item)) {
+                    return Err(refuse(&format!("{list:?}")));
                 }
                 // The limits of the field are `u32`, so each item fits.
                 let list: Vec<u32> = list.into_iter().map(|item| item as u32).collect();
@@ -196,12 +200,12 @@ impl<'a> FieldReader<'a> {
                 T::from_value(FieldValue::Texts(&list))
             }
         };
-        made.map(Some).ok_or_else(|| refused(&shown(value)))
+        parsed.map(Some).ok_or_else(|| refuse(&format_value(value)))
     }
 
     /// Returns the value at `path`, own or inherited.
     fn value(&self, path: &str) -> Option<&'a DeValue<'a>> {
-        let path = self.within(path);
+        let path = self.path_in_table(path);
         let mut names = path.split('.');
         let mut value = self.table.get(names.next()?)?.get_ref();
         for name in names {
@@ -211,7 +215,7 @@ impl<'a> FieldReader<'a> {
     }
 
     /// Converts `path` to this table: fields that only an item has lose the name of the list.
-    fn within<'p>(&self, path: &'p str) -> &'p str {
+    fn path_in_table<'p>(&self, path: &'p str) -> &'p str {
         let own = path.strip_prefix(self.declaration.list.name());
         match (&self.item, own.and_then(|rest| rest.strip_prefix('.'))) {
             (Some(_), Some(rest)) => rest,
@@ -220,34 +224,37 @@ impl<'a> FieldReader<'a> {
     }
 
     /// Returns the word of the field at `path`, or its default.
-    fn word(&self, path: &str) -> Option<&'a str> {
+    fn word_at(&self, path: &str) -> Option<&'a str> {
         if let Some(value) = self.value(path) {
             return value.as_str();
         }
-        match self.declaration.field_at(path)?.1.default {
-            FieldDefault::Is(FieldValue::Text(word)) => Some(word),
-            FieldDefault::Is(_) | FieldDefault::Derived(_) | FieldDefault::None => None,
+        match self.declaration.field_by_path(path)?.1.default {
+            FieldDefault::Value(FieldValue::Text(word)) => Some(word),
+            FieldDefault::Value(_) | FieldDefault::Derived(_) | FieldDefault::None => None,
         }
     }
 
     /// Whether `condition` holds for this reader.
     pub fn condition_holds(&self, condition: &FieldCondition) -> bool {
-        self.assert_own(condition.field);
-        self.word(condition.field)
+        self.assert_readable(condition.field);
+        self.word_at(condition.field)
             .is_some_and(|word| condition.values.contains(&word))
     }
 
     /// Whether a file or the command line sets the field at `path` in this table, not a preset or inheritance.
     pub fn is_set(&self, path: &str) -> bool {
-        matches!(self.own(path), Some(ValueOrigin::File { .. } | ValueOrigin::Flag(_)))
+        matches!(
+            self.own_origin(path),
+            Some(ValueOrigin::File { .. } | ValueOrigin::Flag(_))
+        )
     }
 
-    fn own(&self, path: &str) -> Option<&'a ValueOrigin> {
-        let path = self.within(path);
+    fn own_origin(&self, path: &str) -> Option<&'a ValueOrigin> {
+        let path = self.path_in_table(path);
         match &self.item {
-            None => self.places.get(path),
+            None => self.origins.get(path),
             Some((index, _)) => self
-                .places
+                .origins
                 .get(&format!("{}.{index}.{path}", self.declaration.list.name())),
         }
     }
@@ -255,58 +262,58 @@ impl<'a> FieldReader<'a> {
     /// Returns the full path of a field for messages, and the origin of its value.
     pub(crate) fn locate(&self, path: &str) -> (String, ValueOrigin) {
         let has_default = || {
-            let field = self.declaration.field_at(path);
-            field.is_some_and(|(_, field)| matches!(field.default, FieldDefault::Is(_)))
+            let field = self.declaration.field_by_path(path);
+            field.is_some_and(|(_, field)| matches!(field.default, FieldDefault::Value(_)))
         };
         let default = || {
             if has_default() {
-                ValueOrigin::Preset(self.declaration.base())
+                ValueOrigin::Preset(self.declaration.default_preset())
             } else {
                 ValueOrigin::Unset
             }
         };
         let (Some((_, shown)), Some(list)) = (&self.item, Some(self.declaration.list)) else {
-            return (path.to_owned(), self.own(path).cloned().unwrap_or_else(default));
+            return (path.to_owned(), self.own_origin(path).cloned().unwrap_or_else(default));
         };
-        let own = dotted(&dotted(list.name(), shown), self.within(path));
-        let inherited = list.takes(path).then(|| self.places.get(path));
-        match (self.own(path), inherited) {
-            (Some(place), _) => (own, place.clone()),
-            (None, Some(Some(place))) => (path.to_owned(), place.clone()),
+        let own = join_path(&join_path(list.name(), shown), self.path_in_table(path));
+        let inherited = list.inherits_section(path).then(|| self.origins.get(path));
+        match (self.own_origin(path), inherited) {
+            (Some(origin), _) => (own, origin.clone()),
+            (None, Some(Some(origin))) => (path.to_owned(), origin.clone()),
             (None, Some(None)) if has_default() => (path.to_owned(), default()),
             (None, Some(None) | None) => (own, default()),
         }
     }
 
     /// Returns the origin of the item; unset for the top level.
-    pub fn place(&self) -> ValueOrigin {
+    pub fn item_origin(&self) -> ValueOrigin {
         let index = self.item.as_ref().map(|(index, _)| index);
         let path = index.map(|index| format!("{}.{index}", self.declaration.list.name()));
-        let place = path.and_then(|path| self.places.get(&path));
-        place.cloned().unwrap_or(ValueOrigin::Unset)
+        let origin = path.and_then(|path| self.origins.get(&path));
+        origin.cloned().unwrap_or(ValueOrigin::Unset)
     }
 
     /// Returns the error for an invalid value.
     pub fn invalid_value(&self, path: &str, value: impl Display, allowed: impl Into<String>) -> ScenarioError {
-        let (field, place) = self.locate(path);
+        let (field, origin) = self.locate(path);
         ScenarioError::Invalid {
             field,
             value: truncate(&value.to_string()),
             allowed: allowed.into(),
-            place,
+            origin,
         }
     }
 
     /// Returns the error for a missing value at `path` that the field at `because` requires.
     pub fn missing_value(&self, path: &str, because: &str) -> ScenarioError {
-        let (reason, place) = self.locate(because);
+        let (reason, origin) = self.locate(because);
         ScenarioError::Missing {
             field: self.locate(path).0,
-            why: format!("because of {reason}, {place}"),
+            why: format!("because of {reason}, {origin}"),
         }
     }
 
-    fn missing(&self, path: &str, condition: Option<FieldCondition>) -> ScenarioError {
+    fn missing_required(&self, path: &str, condition: Option<FieldCondition>) -> ScenarioError {
         match condition {
             Some(condition) => self.missing_value(path, condition.field),
             None => ScenarioError::Missing {
@@ -318,12 +325,12 @@ impl<'a> FieldReader<'a> {
 
     /// Returns the error for a file, named at `path`, that cannot be used.
     pub fn file_error(&self, path: &str, file: PathBuf, reason: impl Into<String>) -> ScenarioError {
-        let (field, place) = self.locate(path);
+        let (field, origin) = self.locate(path);
         ScenarioError::InvalidFile {
             field,
             file,
             reason: reason.into(),
-            place,
+            origin,
         }
     }
 
@@ -332,29 +339,31 @@ impl<'a> FieldReader<'a> {
     /// # Errors
     /// If the name is empty, or there is no working directory.
     pub fn file(&self, path: &str, file: &str) -> Result<PathBuf, ScenarioError> {
-        let (_, place) = self.locate(path);
-        let full = match place {
+        let (_, origin) = self.locate(path);
+        let full = match origin {
             ValueOrigin::Flag(_) => PathBuf::from(file),
-            ValueOrigin::File { .. } | ValueOrigin::Preset(_) | ValueOrigin::Unset => self.ground.base_dir.join(file),
+            ValueOrigin::File { .. } | ValueOrigin::Preset(_) | ValueOrigin::Unset => {
+                self.file_context.base_dir.join(file)
+            }
         };
         if file.is_empty() {
             return Err(self.invalid_value(path, "\"\"", "must be the path of a file"));
         }
-        let absolute = self.ground.files.absolute(&full);
+        let absolute = self.file_context.files.absolute(&full);
         absolute.map_err(|error| self.file_error(path, full, error.to_string()))
     }
 
     /// Returns the interface that reads the files of a scenario.
     pub const fn files(&self) -> &'a dyn Files {
-        self.ground.files
+        self.file_context.files
     }
 
-    /// Returns the bytes of the file at `file`, if it has at most `most` bytes.
+    /// Returns the bytes of the file at `file`, if it has at most `max_bytes` bytes.
     ///
     /// # Errors
     /// If the file cannot be read.
-    pub fn bytes(&self, file: &Path, most: u64) -> Result<Vec<u8>, FileError> {
-        self.ground.files.read(file, most)
+    pub fn read_bytes(&self, file: &Path, max_bytes: u64) -> Result<Vec<u8>, FileError> {
+        self.file_context.files.read(file, max_bytes)
     }
 
     /// Adds a warning for the user: a sentence without its full stop.
@@ -363,9 +372,9 @@ impl<'a> FieldReader<'a> {
     }
 
     /// Returns the value at `path` as the user wrote it.
-    fn written(&self, path: &str) -> String {
+    fn written_value(&self, path: &str) -> String {
         self.value(path)
-            .map_or_else(String::new, |value| truncate(&shown(value)))
+            .map_or_else(String::new, |value| truncate(&format_value(value)))
     }
 
     /// Rejects fields that are set in this table without effect, because their condition does not hold. A field with a
@@ -379,7 +388,7 @@ impl<'a> FieldReader<'a> {
             None => (Scope::Top, self.items()),
         };
         for header in self.declaration.headers() {
-            for section in self.declaration.at(scope, header) {
+            for section in self.declaration.sections_at(scope, header) {
                 for field in section.fields {
                     self.check_field(section, field, &items)?;
                 }
@@ -390,21 +399,23 @@ impl<'a> FieldReader<'a> {
 
     fn check_field(&self, section: &'static Section, field: &Field, items: &[Self]) -> Result<(), ScenarioError> {
         let path = section.path_of(field.name);
-        let Some(place) = self.own(&path) else { return Ok(()) };
+        let Some(origin) = self.own_origin(&path) else {
+            return Ok(());
+        };
         let condition = section.condition(field);
-        let counts = |reader: &Self| condition.is_none_or(|condition| reader.condition_holds(&condition));
-        if !items.is_empty() && self.declaration.list.takes(section.path) {
+        let is_effective = |reader: &Self| condition.is_none_or(|condition| reader.condition_holds(&condition));
+        if !items.is_empty() && self.declaration.list.inherits_section(section.path) {
             // A field of the top level has an effect if at least one item inherits it and meets its condition.
-            let takes_it = |item: &Self| item.own(&path).is_none() && counts(item);
-            if self.is_set(&path) && !items.iter().any(takes_it) {
+            let uses_it = |item: &Self| item.own_origin(&path).is_none() && is_effective(item);
+            if self.is_set(&path) && !items.iter().any(uses_it) {
                 let list = self.declaration.list.name();
                 let reason = match condition {
                     None => "each sets its own value".to_owned(),
                     Some(condition) => format!("each sets its own value or does not meet {condition}"),
                 };
-                let value = self.written(&path);
+                let value = self.written_value(&path);
                 self.warn(format!(
-                    "{path} = {value} has no effect on any {list}: {reason}; {place}"
+                    "{path} = {value} has no effect on any {list}: {reason}; {origin}"
                 ));
             }
             return Ok(());
@@ -412,11 +423,11 @@ impl<'a> FieldReader<'a> {
         let Some(condition) = condition.filter(|condition| !self.condition_holds(condition)) else {
             return Ok(());
         };
-        if matches!(field.default, FieldDefault::Is(_)) {
+        if matches!(field.default, FieldDefault::Value(_)) {
             if self.is_set(&path) {
-                let (shown, value) = (self.locate(&path).0, self.written(&path));
+                let (shown, value) = (self.locate(&path).0, self.written_value(&path));
                 self.warn(format!(
-                    "{shown} = {value} has an effect only with {condition}; {place}"
+                    "{shown} = {value} has an effect only with {condition}; {origin}"
                 ));
             }
             return Ok(());
@@ -424,7 +435,7 @@ impl<'a> FieldReader<'a> {
         Err(ScenarioError::UnusedField {
             field: self.locate(&path).0,
             holds: condition.to_string(),
-            place: place.clone(),
+            origin: origin.clone(),
         })
     }
 }
@@ -436,7 +447,7 @@ fn elements<'v>(value: &'v DeValue<'v>) -> impl Iterator<Item = &'v DeValue<'v>>
 }
 
 /// Formats a value for a message.
-fn shown(value: &DeValue<'_>) -> String {
+fn format_value(value: &DeValue<'_>) -> String {
     match value {
         DeValue::String(text) => format!("\"{}\"", text.escape_debug()),
         DeValue::Integer(whole) => whole.as_str().to_owned(),
@@ -444,7 +455,7 @@ fn shown(value: &DeValue<'_>) -> String {
         DeValue::Boolean(is_on) => is_on.to_string(),
         DeValue::Datetime(time) => time.to_string(),
         DeValue::Array(list) => {
-            let items: Vec<String> = list.iter().map(|item| shown(item.get_ref())).collect();
+            let items: Vec<String> = list.iter().map(|item| format_value(item.get_ref())).collect();
             format!("[{}]", items.join(", "))
         }
         DeValue::Table(_) => "a table".to_owned(),

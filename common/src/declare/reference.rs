@@ -1,16 +1,16 @@
-//! The reference page of all fields, in Markdown.
+//! The reference page of all fields, in Markdown: `docs/scenario.md`, which a test compares.
 
 use std::fmt::Write as _;
 
 use toml::de::{DeTable, DeValue};
 
 use super::declaration::Declaration;
-use super::dotted;
 use super::field::{Field, FieldDefault, FieldType, Section};
-use super::toml_page::in_toml;
+use super::join_path;
+use super::toml_page::format_toml;
 
 /// Returns the page: `head`, a table for each section, the words of choices, and the values of each preset.
-pub fn reference(declaration: &Declaration, head: &str) -> String {
+pub fn reference_page(declaration: &Declaration, head: &str) -> String {
     let mut page = format!("{}\n", head.trim_end());
     for header in declaration.headers() {
         let sections: Vec<&'static Section> = declaration
@@ -59,9 +59,9 @@ fn write_sections(page: &mut String, declaration: &Declaration, title: &str, sec
     };
     page.push_str("\n| field | type, unit | range | default | meaning | source |\n|---|---|---|---|---|---|\n");
     for (section, field) in fields() {
-        let kind = match field.unit {
-            "" => kind(&field.form).to_owned(),
-            unit => format!("{}, {unit}", kind(&field.form)),
+        let type_text = match field.unit {
+            "" => describe_type(&field.field_type).to_owned(),
+            unit => format!("{}, {unit}", describe_type(&field.field_type)),
         };
         let mut meaning = field.help.replace('\n', " ");
         if let Some(condition) = section.condition(field) {
@@ -72,9 +72,9 @@ fn write_sections(page: &mut String, declaration: &Declaration, title: &str, sec
         }
         let cells = [
             &format!("`{}`", field.name),
-            &kind,
-            &range(field),
-            &default(field),
+            &type_text,
+            &describe_range(field),
+            &describe_default(field),
             &meaning,
             field.source,
         ];
@@ -82,20 +82,20 @@ fn write_sections(page: &mut String, declaration: &Declaration, title: &str, sec
         let _ = writeln!(page, "| {} |", cells.join(" | "));
     }
     for (_, field) in fields() {
-        let words = declaration.words(&field.form);
+        let words = declaration.words_of(&field.field_type);
         if !words.is_empty() {
             let _ = writeln!(page, "\nValues of `{}`:\n", field.name);
             for word in words {
                 let _ = writeln!(page, "- `\"{}\"`: {}", word.name, word.about.replace('\n', " "));
             }
-            if matches!(field.form, FieldType::Source(_)) {
+            if matches!(field.field_type, FieldType::Source(_)) {
                 page.push_str("- any other text: the path of a file.\n");
             }
         }
     }
 }
 
-const fn kind(form: &FieldType) -> &'static str {
+const fn describe_type(form: &FieldType) -> &'static str {
     match form {
         FieldType::Whole { .. } => "whole number",
         FieldType::Number(_) | FieldType::Energy { .. } => "number",
@@ -109,14 +109,14 @@ const fn kind(form: &FieldType) -> &'static str {
     }
 }
 
-fn range(field: &Field) -> String {
-    match field.form {
-        FieldType::Whole { least, most: u64::MAX } => format!("at least {least}"),
-        FieldType::Whole { least, most } => format!("{least} to {most}"),
+fn describe_range(field: &Field) -> String {
+    match field.field_type {
+        FieldType::Whole { min, max: u64::MAX } => format!("at least {min}"),
+        FieldType::Whole { min, max } => format!("{min} to {max}"),
         FieldType::Number(range) => range.interval(),
         FieldType::Energy { is_positive: false } => "0 to 10000".to_owned(),
         FieldType::Energy { is_positive: true } => "0.000001 to 10000".to_owned(),
-        FieldType::Wholes { least, most, longest } => format!("1 to {longest} of them, each {least} to {most}"),
+        FieldType::Wholes { min, max, max_len } => format!("1 to {max_len} of them, each {min} to {max}"),
         FieldType::Texts => "at least one".to_owned(),
         FieldType::Switch
         | FieldType::Choice(_)
@@ -127,9 +127,9 @@ fn range(field: &Field) -> String {
     }
 }
 
-fn default(field: &Field) -> String {
+fn describe_default(field: &Field) -> String {
     match field.default {
-        FieldDefault::Is(value) => format!("`{}`", in_toml(&value)),
+        FieldDefault::Value(value) => format!("`{}`", format_toml(&value)),
         FieldDefault::Derived(rule) => rule.to_owned(),
         FieldDefault::None => "none".to_owned(),
     }
@@ -139,27 +139,28 @@ fn default(field: &Field) -> String {
 fn write_presets(page: &mut String, declaration: &Declaration) {
     page.push_str("\n## Presets\n\n| preset | meaning | changes to the defaults |\n|---|---|---|\n");
     for preset in declaration.presets {
-        let mut set = Vec::new();
+        let mut changes = Vec::new();
         if let Ok(table) = DeTable::parse(preset.text) {
-            collect(table.get_ref(), "", preset.text, &mut set);
+            collect_values(table.get_ref(), "", preset.text, &mut changes);
         }
-        let set = if set.is_empty() {
+        let changes = if changes.is_empty() {
             "nothing".to_owned()
         } else {
-            set.join(", ")
+            changes.join(", ")
         };
-        let _ = writeln!(page, "| `{}` | {} | {set} |", preset.name, preset.about);
+        let _ = writeln!(page, "| `{}` | {} | {changes} |", preset.name, preset.about);
     }
 }
 
-fn collect(table: &DeTable<'_>, path: &str, text: &str, set: &mut Vec<String>) {
+/// Adds every value of `table`, below `path`, to `changes` as it is written in `text`.
+fn collect_values(table: &DeTable<'_>, path: &str, text: &str, changes: &mut Vec<String>) {
     for (name, value) in table {
-        let path = dotted(path, name.get_ref());
+        let path = join_path(path, name.get_ref());
         if let DeValue::Table(inner) = value.get_ref() {
-            collect(inner, &path, text, set);
+            collect_values(inner, &path, text, changes);
         } else {
             let written = text.get(value.span()).unwrap_or_default();
-            set.push(format!("`{path} = {written}`"));
+            changes.push(format!("`{path} = {written}`"));
         }
     }
 }

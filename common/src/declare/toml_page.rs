@@ -1,4 +1,4 @@
-//! A configuration as a TOML file.
+//! A configuration as a TOML file. [`TomlPage`] is also the way to compare two configurations.
 
 use std::fmt::Write as _;
 
@@ -10,17 +10,20 @@ use crate::units::{Energy, MICRO_PER_UNIT};
 /// All active fields with their values. Two pages are equal if their fields, values and file contents are equal.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TomlPage {
+    /// The names of the list items, in order.
     items: Vec<String>,
-    lines: Vec<Line>,
+    lines: Vec<PageLine>,
 }
 
 #[derive(Clone, Debug, PartialEq)]
-struct Line {
+struct PageLine {
     /// The number of the item to which the line belongs, from 1; 0 for the top level.
-    item: usize,
+    item_number: usize,
     /// The full path of the field.
     path: String,
+    /// The value as TOML.
     value: String,
+    /// The contents of the file that the field names, for comparison only.
     contents: Vec<u8>,
 }
 
@@ -30,10 +33,10 @@ impl FieldSink for TomlPage {
     }
 
     fn field(&mut self, section: &'static Section, field: &'static Field, value: FieldValue<'_>) {
-        self.lines.push(Line {
-            item: self.items.len(),
+        self.lines.push(PageLine {
+            item_number: self.items.len(),
             path: section.path_of(field.name),
-            value: in_toml(&value),
+            value: format_toml(&value),
             contents: Vec::new(),
         });
     }
@@ -49,38 +52,38 @@ impl FieldSink for TomlPage {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Detail {
     /// No other field.
-    InForce,
+    ActiveOnly,
     /// Every other field, commented out.
-    Everything,
+    AllFields,
 }
 
 impl TomlPage {
     /// Returns the active fields, as a file that can be loaded.
     pub fn active_fields(&self, declaration: &Declaration) -> String {
-        self.write(declaration, Detail::InForce)
+        self.to_text(declaration, Detail::ActiveOnly)
     }
 
     /// Returns the active fields and, commented out, every other field with its allowed values.
     pub fn all_fields(&self, declaration: &Declaration) -> String {
-        self.write(declaration, Detail::Everything)
+        self.to_text(declaration, Detail::AllFields)
     }
 
-    fn write(&self, declaration: &Declaration, detail: Detail) -> String {
+    fn to_text(&self, declaration: &Declaration, detail: Detail) -> String {
         let mut text = String::new();
         for header in declaration.headers() {
-            if self.items.is_empty() || !declaration.list.takes(header) {
-                self.section(&mut text, declaration, (Scope::Top, 0), header, detail);
+            if self.items.is_empty() || !declaration.list.inherits_section(header) {
+                self.write_section(&mut text, declaration, (Scope::Top, 0), header, detail);
             }
         }
         let list = declaration.list.name();
         for item in 1..=self.items.len() {
             let _ = writeln!(text, "\n[[{list}]]");
-            self.fields(&mut text, declaration, (Scope::Item, item), "", detail);
+            self.write_fields(&mut text, declaration, (Scope::Item, item), "", detail);
             for header in declaration.headers() {
-                if declaration.list.takes(header) {
+                if declaration.list.inherits_section(header) {
                     // The unused fields are the same for every class, so only the first one shows them.
-                    let detail = if item == 1 { detail } else { Detail::InForce };
-                    self.section(&mut text, declaration, (Scope::Item, item), header, detail);
+                    let detail = if item == 1 { detail } else { Detail::ActiveOnly };
+                    self.write_section(&mut text, declaration, (Scope::Item, item), header, detail);
                 }
             }
         }
@@ -88,64 +91,86 @@ impl TomlPage {
     }
 
     /// Writes the section below `header`, if it has a line to show.
-    fn section(&self, text: &mut String, all: &Declaration, at: (Scope, usize), header: &str, detail: Detail) {
+    fn write_section(
+        &self,
+        text: &mut String,
+        declaration: &Declaration,
+        location: (Scope, usize),
+        header: &str,
+        detail: Detail,
+    ) {
         let mut body = String::new();
-        let in_force = self.fields(&mut body, all, at, header, detail);
+        let active_fields = self.write_fields(&mut body, declaration, location, header, detail);
         if body.is_empty() {
             return;
         }
         if !header.is_empty() {
-            let list = all.list.name();
-            let header = if at.0 == Scope::Item {
+            let list = declaration.list.name();
+            let header = if location.0 == Scope::Item {
                 format!("{list}.{header}")
             } else {
                 header.to_owned()
             };
-            let _ = writeln!(text, "\n{}[{header}]", if in_force == 0 { "# " } else { "" });
+            let _ = writeln!(text, "\n{}[{header}]", if active_fields == 0 { "# " } else { "" });
         }
         text.push_str(&body);
     }
 
-    /// Writes the lines below `header` and returns the number of active fields.
-    fn fields(&self, text: &mut String, all: &Declaration, at: (Scope, usize), header: &str, detail: Detail) -> usize {
-        let mut in_force = 0;
-        for section in all.at(at.0, header) {
+    /// Writes the lines below `header` at `location`, the scope and item number. Returns the number of active fields.
+    fn write_fields(
+        &self,
+        text: &mut String,
+        declaration: &Declaration,
+        location: (Scope, usize),
+        header: &str,
+        detail: Detail,
+    ) -> usize {
+        let mut active_fields = 0;
+        for section in declaration.sections_at(location.0, header) {
             for field in section.fields {
                 let path = section.path_of(field.name);
-                let line = self.lines.iter().find(|line| line.item == at.1 && line.path == path);
-                let comment = comment(field, section.condition(field), all, line.is_some());
+                let line = self
+                    .lines
+                    .iter()
+                    .find(|line| line.item_number == location.1 && line.path == path);
+                let comment = field_comment(field, section.condition(field), declaration, line.is_some());
                 if let Some(line) = line {
-                    in_force += 1;
+                    active_fields += 1;
                     let _ = writeln!(text, "{} = {} # {comment}", field.name, line.value);
-                } else if detail == Detail::Everything {
-                    let usual = match field.default {
-                        FieldDefault::Is(value) => in_toml(&value),
+                } else if detail == Detail::AllFields {
+                    let default = match field.default {
+                        FieldDefault::Value(value) => format_toml(&value),
                         FieldDefault::Derived(_) | FieldDefault::None => "…".to_owned(),
                     };
-                    let _ = writeln!(text, "# {} = {usual} # {comment}", field.name);
+                    let _ = writeln!(text, "# {} = {default} # {comment}", field.name);
                 }
             }
         }
-        in_force
+        active_fields
     }
 }
 
 /// Returns the comment of a field: meaning, unit, allowed values, condition.
-fn comment(field: &Field, condition: Option<FieldCondition>, all: &Declaration, is_in_force: bool) -> String {
+fn field_comment(
+    field: &Field,
+    condition: Option<FieldCondition>,
+    declaration: &Declaration,
+    is_active: bool,
+) -> String {
     let meaning = field.help.split_once(". ").map_or(field.help, |(first, _)| first);
     let mut parts = vec![meaning.trim_end_matches('.').replace(['\n', '`'], "")];
     if !field.unit.is_empty() {
         parts.push(field.unit.to_owned());
     }
-    let words = all.words(&field.form);
+    let words = declaration.words_of(&field.field_type);
     if !words.is_empty() {
         let mut words: Vec<String> = words.iter().map(|word| format!("\"{}\"", word.name)).collect();
-        if matches!(field.form, FieldType::Source(_)) {
+        if matches!(field.field_type, FieldType::Source(_)) {
             words.push("a file".to_owned());
         }
         parts.push(words.join(" or "));
     }
-    if !is_in_force {
+    if !is_active {
         if let FieldDefault::Derived(rule) = field.default {
             parts.push(format!("by default {}", rule.replace('`', "")));
         }
@@ -157,12 +182,12 @@ fn comment(field: &Field, condition: Option<FieldCondition>, all: &Declaration, 
 }
 
 /// Formats a value as in a file.
-pub(super) fn in_toml(value: &FieldValue<'_>) -> String {
+pub(super) fn format_toml(value: &FieldValue<'_>) -> String {
     let text = |text: &str| toml::Value::String(text.to_owned()).to_string();
     match *value {
         FieldValue::Whole(whole) => whole.to_string(),
         FieldValue::Number(number) => toml::Value::Float(number).to_string(),
-        FieldValue::Energy(energy) => units(energy),
+        FieldValue::Energy(energy) => format_units(energy),
         FieldValue::Switch(is_on) => is_on.to_string(),
         FieldValue::Text(word) | FieldValue::Path(word) => text(word),
         FieldValue::Wholes(list) => format!("{list:?}"),
@@ -174,7 +199,7 @@ pub(super) fn in_toml(value: &FieldValue<'_>) -> String {
 }
 
 /// Formats the energy in units, as an exact decimal number.
-fn units(energy: Energy) -> String {
+fn format_units(energy: Energy) -> String {
     let (whole, rest) = (energy.micro() / MICRO_PER_UNIT, energy.micro() % MICRO_PER_UNIT);
     let digits = format!("{rest:06}");
     let decimals = digits.trim_end_matches('0');

@@ -1,4 +1,4 @@
-//! Values of fields, and the Rust types that hold them.
+//! Values of fields, and the conversion between them and the Rust types of fields.
 
 use crate::units::Energy;
 
@@ -37,11 +37,11 @@ pub trait FieldRepr: Sized {
     fn value(&self) -> Option<FieldValue<'_>>;
 }
 
-macro_rules! declared {
-    ($($type:ty: $variant:ident($taken:pat => $made:expr), $self:ident => $out:expr;)*) => {$(
+macro_rules! impl_field_repr {
+    ($($type:ty: $variant:ident($value:pat => $converted:expr), $self:ident => $out:expr;)*) => {$(
         impl FieldRepr for $type {
             fn from_value(value: FieldValue<'_>) -> Option<Self> {
-                if let FieldValue::$variant($taken) = value { $made } else { None }
+                if let FieldValue::$variant($value) = value { $converted } else { None }
             }
 
             fn value(&self) -> Option<FieldValue<'_>> {
@@ -52,7 +52,7 @@ macro_rules! declared {
     )*};
 }
 
-declared! {
+impl_field_repr! {
     u64: Whole(value => Some(value)), this => *this;
     u32: Whole(value => u32::try_from(value).ok()), this => u64::from(*this);
     f64: Number(value => Some(value)), this => *this;

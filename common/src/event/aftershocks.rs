@@ -1,6 +1,6 @@
-//! Events near the previous event.
+//! The event process `aftershocks`: many epicentres lie near the previous one.
 
-use super::uniform::Uniform;
+use super::uniform::UniformEpicentres;
 use crate::declare::{NOT_NEGATIVE, PROBABILITY, number};
 use crate::geometry::{Area, Point};
 use crate::ids::EventId;
@@ -17,18 +17,19 @@ crate::declare! {
     }
 }
 
-/// Epicentres near the previous ones.
+/// The epicentres of a run.
 #[derive(Clone, Debug)]
-pub(super) struct Chain {
-    elsewhere: Uniform,
+pub(super) struct AftershockEpicentres {
+    uniform: UniformEpicentres,
     settings: Aftershocks,
+    /// The epicentre of the previous event.
     last: Option<Point>,
 }
 
-impl Chain {
-    pub(super) fn new(settings: Aftershocks, elsewhere: Uniform) -> Self {
+impl AftershockEpicentres {
+    pub(super) fn new(settings: Aftershocks, uniform: UniformEpicentres) -> Self {
         Self {
-            elsewhere,
+            uniform,
             settings,
             last: None,
         }
@@ -36,22 +37,22 @@ impl Chain {
 
     /// Draws the epicentre of `event`, which must follow the event of the last call.
     pub(super) fn draw(&mut self, event: EventId) -> Point {
-        let mut stream = Stream::new(self.elsewhere.seed, Purpose::Attraction, event.0);
+        let mut stream = Stream::new(self.uniform.seed, Purpose::Attraction, event.0);
         let epicentre = match self.last {
             Some(last) if stream.unit() < self.settings.probability => {
-                near(last, self.settings.radius, self.elsewhere.area, &mut stream)
+                draw_near(last, self.settings.radius, self.uniform.area, &mut stream)
             }
-            Some(_) | None => self.elsewhere.draw(event),
+            Some(_) | None => self.uniform.draw(event),
         };
         *self.last.insert(epicentre)
     }
 }
 
 /// Draws a point uniformly from the part of `area` within `radius` of `centre`, which lies in `area`.
-fn near(centre: Point, radius: f64, area: Area, stream: &mut Stream) -> Point {
-    let mut offset = |at: f64, side: f64| {
-        let (least, most) = ((-radius).max(-at), radius.min(side - at));
-        least + stream.unit() * (most - least)
+fn draw_near(centre: Point, radius: f64, area: Area, stream: &mut Stream) -> Point {
+    let mut offset = |coordinate: f64, side: f64| {
+        let (lowest, highest) = ((-radius).max(-coordinate), radius.min(side - coordinate));
+        lowest + stream.unit() * (highest - lowest)
     };
     // Drawn from the part of the circle's square that lies in the area. At least π/4 of it is in the circle, for any
     // radius.
@@ -84,7 +85,7 @@ mod tests {
                 let centre = Point::new(x * area.width, y * area.height);
                 for radius in [0.0, 1e-320, 1e-16, 1e-15, 0.7, 2.0, 19.0, 30.0, 1e6] {
                     for _ in 0..200 {
-                        let point = near(centre, radius, area, &mut stream);
+                        let point = draw_near(centre, radius, area, &mut stream);
                         let slack = 1e-15 * (centre.x + centre.y);
                         assert!(area.contains(point), "{point:?} in {area:?}");
                         assert!(

@@ -1,4 +1,4 @@
-//! Events in bursts.
+//! The event process `bursts`: events are frequent in busy phases and rare in quiet phases.
 
 use crate::declare::{ABOVE_ZERO, PROBABILITY, Range, number};
 use crate::ids::{EventId, Tti};
@@ -6,7 +6,7 @@ use crate::phases::{Phase, Phases};
 use crate::rng::{Purpose, Stream};
 
 /// Range of the mean lengths of phases. No phase is shorter than a TTI.
-const LENGTH: Range = Range::closed(1.0, 1e9);
+const MEAN_TTIS_RANGE: Range = Range::closed(1.0, 1e9);
 
 crate::declare! {
     /// Events in alternating busy and quiet phases, independent of reports. A phase ends after each of its TTIs with
@@ -19,9 +19,9 @@ crate::declare! {
         /// Probability that an event starts in a quiet-phase TTI without an active event.
         pub quiet_alpha: f64 = number(PROBABILITY, 0.02).unit("per TTI"),
         /// Mean length of a busy phase.
-        pub busy_ttis: f64 = number(LENGTH, 40.0).unit("TTIs"),
+        pub busy_ttis: f64 = number(MEAN_TTIS_RANGE, 40.0).unit("TTIs"),
         /// Mean length of a quiet phase.
-        pub quiet_ttis: f64 = number(LENGTH, 160.0).unit("TTIs"),
+        pub quiet_ttis: f64 = number(MEAN_TTIS_RANGE, 160.0).unit("TTIs"),
     }
 }
 
@@ -40,7 +40,7 @@ impl EventBursts {
         let mut phases = self.phases(seed);
         let (mut k, mut busy) = (first, 0);
         while k < end {
-            let phase = phases.at(k);
+            let phase = phases.phase_at(k);
             let next = phase.end.min(end);
             if phase.is_busy {
                 busy += next - k;
@@ -62,7 +62,7 @@ fn mean_alpha(settings: &EventBursts, busy: f64, quiet: f64) -> f64 {
 
 /// The starts of events in busy and quiet phases.
 #[derive(Clone, Debug)]
-pub(super) struct Bursting {
+pub(super) struct BurstStarts {
     seed: u64,
     phases: Phases,
     /// −ln(1 − α) per TTI of a busy phase, `(0, ∞]`.
@@ -73,7 +73,7 @@ pub(super) struct Bursting {
     end: Tti,
 }
 
-impl Bursting {
+impl BurstStarts {
     pub(super) fn new(settings: &EventBursts, seed: u64, end: Tti) -> Self {
         Self {
             seed,
@@ -89,19 +89,19 @@ impl Bursting {
     /// One draw u per event: it starts in the first TTI k in which ∏ (1 − α(i)), i from `earliest` to k, falls below 1
     /// − u. In logarithms, the hazards add up to more than −ln(1 − u). They are constant within a phase, so that each
     /// phase takes one step.
-    pub(super) fn next(&mut self, event: EventId, earliest: Tti) -> Tti {
-        let mut left = -libm::log1p(-Stream::new(self.seed, Purpose::EventGap, event.0).unit());
+    pub(super) fn draw_start(&mut self, event: EventId, earliest: Tti) -> Tti {
+        let mut remaining_hazard = -libm::log1p(-Stream::new(self.seed, Purpose::EventGap, event.0).unit());
         let mut k = earliest;
         while k < self.end {
-            let phase = self.phases.at(k);
+            let phase = self.phases.phase_at(k);
             let (hazard, ttis) = (self.hazard(phase), phase.end - k);
             // 0/0 is not a number, which fails the comparison: nothing starts in this phase, and nothing is subtracted.
-            let failures = (left / hazard).floor();
+            let failures = (remaining_hazard / hazard).floor();
             if failures < ttis as f64 {
                 return k.saturating_add(failures as u64);
             }
             // The draw outlasts this phase, so only rounding can make the rest negative.
-            left = (left - hazard * ttis as f64).max(0.0);
+            remaining_hazard = (remaining_hazard - hazard * ttis as f64).max(0.0);
             k = phase.end;
         }
         Tti::NEVER

@@ -1,4 +1,4 @@
-//! The durations of events.
+//! The durations of events, and the share of events that ends before a device can sense them.
 
 use crate::declare::{choice, choices, whole};
 use crate::ids::{EventId, MAX_TTIS};
@@ -53,7 +53,7 @@ impl DurationKind {
     }
 
     /// The longest duration of an event with mean duration `mean`; `None` without a limit.
-    pub(super) const fn longest(self, mean: u64) -> Option<u64> {
+    pub(super) const fn max_duration(self, mean: u64) -> Option<u64> {
         match self {
             Self::Fixed => Some(mean),
             // A geometric law of mean 1 is always 1.

@@ -1,4 +1,4 @@
-//! The settings of the event process, checked and complete.
+//! The fields of a scenario's `events` section, checked and complete.
 
 use super::aftershocks::Aftershocks;
 use super::bursts::EventBursts;
@@ -94,7 +94,7 @@ impl EventSettings {
     }
 
     /// The longest duration of an event, TTIs; `None` without a limit.
-    pub const fn longest(&self) -> Option<u64> {
-        self.duration_kind.longest(self.duration)
+    pub const fn max_duration(&self) -> Option<u64> {
+        self.duration_kind.max_duration(self.duration)
     }
 }

@@ -1,6 +1,6 @@
-//! Events concentrated around a few places.
+//! The event process `hot-spots`: most epicentres lie around a few places that the seed draws.
 
-use super::uniform::Uniform;
+use super::uniform::UniformEpicentres;
 use crate::declare::{NOT_NEGATIVE, PROBABILITY, number, whole};
 use crate::geometry::{Area, Point};
 use crate::ids::EventId;
@@ -21,42 +21,42 @@ crate::declare! {
     }
 }
 
-/// Epicentres around hot spots.
+/// The epicentres of a run.
 #[derive(Clone, Debug)]
-pub(super) struct Spots {
-    elsewhere: Uniform,
+pub(super) struct HotSpotEpicentres {
+    uniform: UniformEpicentres,
     settings: HotSpots,
     places: Vec<Point>,
 }
 
-impl Spots {
-    pub(super) fn new(settings: HotSpots, elsewhere: Uniform) -> Self {
-        let mut stream = Stream::new(elsewhere.seed, Purpose::HotSpots, 0);
+impl HotSpotEpicentres {
+    pub(super) fn new(settings: HotSpots, uniform: UniformEpicentres) -> Self {
+        let mut stream = Stream::new(uniform.seed, Purpose::HotSpots, 0);
         Self {
-            elsewhere,
+            uniform,
             settings,
-            places: (0..settings.places).map(|_| elsewhere.anywhere(&mut stream)).collect(),
+            places: (0..settings.places).map(|_| uniform.draw_point(&mut stream)).collect(),
         }
     }
 
     /// Draws the epicentre of `event`.
     pub(super) fn draw(&self, event: EventId) -> Point {
-        let mut stream = Stream::new(self.elsewhere.seed, Purpose::Attraction, event.0);
+        let mut stream = Stream::new(self.uniform.seed, Purpose::Attraction, event.0);
         if stream.unit() >= self.settings.share {
-            return self.elsewhere.draw(event);
+            return self.uniform.draw(event);
         }
         let place = self.places[stream.below(self.places.len() as u64) as usize];
-        let (x, y) = two_normal(&mut stream);
-        let Area { width, height } = self.elsewhere.area;
+        let (x, y) = draw_two_normal(&mut stream);
+        let Area { width, height } = self.uniform.area;
         Point::new(
-            folded(place.x + self.settings.sigma * x, width),
-            folded(place.y + self.settings.sigma * y, height),
+            reflect(place.x + self.settings.sigma * x, width),
+            reflect(place.y + self.settings.sigma * y, height),
         )
     }
 }
 
 /// Draws two independent standard normal numbers, by the method of Box and Muller.
-fn two_normal(stream: &mut Stream) -> (f64, f64) {
+fn draw_two_normal(stream: &mut Stream) -> (f64, f64) {
     // A draw is below 1, so the logarithm is finite. libm has the same result on every machine, unlike the standard
     // library.
     let radius = (-2.0 * libm::log1p(-stream.unit())).sqrt();
@@ -65,10 +65,10 @@ fn two_normal(stream: &mut Stream) -> (f64, f64) {
 }
 
 /// Reflects `x` at 0 and at `side` until it lies in `[0, side]`.
-fn folded(x: f64, side: f64) -> f64 {
+fn reflect(x: f64, side: f64) -> f64 {
     // Mirrors at 0 and `side` make an even pattern with the period 2 · side. Both steps are exact in floating point.
-    let rest = x.abs() % (2.0 * side);
-    if rest > side { 2.0 * side - rest } else { rest }
+    let phase = x.abs() % (2.0 * side);
+    if phase > side { 2.0 * side - phase } else { phase }
 }
 
 #[cfg(test)]
@@ -90,12 +90,12 @@ mod tests {
             (60.5, 19.5),
             (-61.0, 19.0),
         ] {
-            assert_eq!(folded(x, 20.0).to_bits(), f64::to_bits(folded_x), "{x}");
+            assert_eq!(reflect(x, 20.0).to_bits(), f64::to_bits(folded_x), "{x}");
         }
         for side in [1e-300, 1e-9, 0.1, 20.0, 1e6] {
             for x in [1e-320, 0.3, 7.7, 1e5, 1e15, 1e300] {
                 for x in [x, -x] {
-                    assert!((0.0..=side).contains(&folded(x, side)), "{x} in {side}");
+                    assert!((0.0..=side).contains(&reflect(x, side)), "{x} in {side}");
                 }
             }
         }

@@ -1,8 +1,8 @@
-//! Events: their starts, epicentres and ends (paper Sec. II).
+//! Events: their starts, epicentres and ends (paper Sec. II). [`crate::world`] drives the [`EventProcess`].
 //!
 //! Event i starts some TTIs after event i − 1 has ended. Its gap, epicentre and duration have their own random streams.
 //! So the i-th event of a scenario has the same epicentre under every policy. Its TTI depends on the durations of
-//! earlier events, and so on the devices that reported them.
+//! earlier events, and so on the devices that reported them. `tests/src/reference/events.rs` computes the same.
 
 mod aftershocks;
 mod bursts;
@@ -69,23 +69,23 @@ pub struct ScriptedEvent {
 
 /// The source of events.
 #[derive(Clone, Debug)]
-enum Source {
-    Drawn(Box<Drawn>),
+enum EventSource {
+    Drawn(Box<RandomEvents>),
     Script(Vec<ScriptedEvent>),
 }
 
 /// Events drawn at random.
 #[derive(Clone, Debug)]
-struct Drawn {
+struct RandomEvents {
     seed: u64,
     settings: EventSettings,
     starts: Starts,
     epicentres: Epicentres,
 }
 
-impl Drawn {
+impl RandomEvents {
     /// Draws the epicentre and the duration in TTIs of `event`, which starts now.
-    fn event(&mut self, event: EventId) -> (Point, u64) {
+    fn draw_event(&mut self, event: EventId) -> (Point, u64) {
         let EventSettings {
             duration,
             duration_kind,
@@ -101,7 +101,7 @@ impl Drawn {
 /// The event process: at most one event is active at a time.
 #[derive(Clone, Debug)]
 pub struct EventProcess {
-    source: Source,
+    source: EventSource,
     next_event: EventId,
     next_start: Tti,
     active: Option<ActiveEvent>,
@@ -111,7 +111,7 @@ impl EventProcess {
     /// Creates the process of a scenario with `settings`, `seed` and `area`, before TTI 0, for a run of the TTIs before
     /// `end`. Events that would start later may be left out.
     pub fn new(seed: u64, area: Area, settings: &EventSettings, end: Tti) -> Self {
-        Self::from_source(Source::Drawn(Box::new(Drawn {
+        Self::from_source(EventSource::Drawn(Box::new(RandomEvents {
             seed,
             settings: *settings,
             starts: settings.process.starts(seed, settings.alpha, end),
@@ -121,17 +121,17 @@ impl EventProcess {
 
     /// Creates a process of the given events, in order, independent of reports.
     pub fn scripted(events: Vec<ScriptedEvent>) -> Self {
-        Self::from_source(Source::Script(events))
+        Self::from_source(EventSource::Script(events))
     }
 
-    fn from_source(source: Source) -> Self {
+    fn from_source(source: EventSource) -> Self {
         let mut process = Self {
             source,
             next_event: EventId(0),
             next_start: Tti::ZERO,
             active: None,
         };
-        process.schedule(Tti::ZERO);
+        process.schedule_next(Tti::ZERO);
         process
     }
 
@@ -152,8 +152,8 @@ impl EventProcess {
         assert!(self.active.is_none(), "one event at a time");
         let event = self.next_event;
         let (epicentre, duration) = match &mut self.source {
-            Source::Drawn(drawn) => drawn.event(event),
-            Source::Script(events) => {
+            EventSource::Drawn(drawn) => drawn.draw_event(event),
+            EventSource::Script(events) => {
                 // In range: after the last scripted event `next_start` is NEVER, and no event is due.
                 let ScriptedEvent {
                     epicentre, duration, ..
@@ -174,15 +174,15 @@ impl EventProcess {
     /// Ends the active event; `last` is its last TTI. The next may start one TTI later.
     pub fn end(&mut self, last: Tti) {
         self.active = None;
-        self.schedule(last + 1);
+        self.schedule_next(last + 1);
     }
 
-    fn schedule(&mut self, earliest: Tti) {
+    fn schedule_next(&mut self, earliest: Tti) {
         let next = self.next_event;
         self.next_start = match &mut self.source {
             // The gap has a stream keyed by the event, so it is the same whenever the event before it ended.
-            Source::Drawn(drawn) => drawn.starts.next(next, earliest),
-            Source::Script(events) => events.get(next.0 as usize).map_or(Tti::NEVER, |event| event.start),
+            EventSource::Drawn(drawn) => drawn.starts.draw_start(next, earliest),
+            EventSource::Script(events) => events.get(next.0 as usize).map_or(Tti::NEVER, |event| event.start),
         };
     }
 }

@@ -1,11 +1,12 @@
 //! The kinds of event processes.
 //!
-//! Each kind has a file with its fields and its draws. Only this module distinguishes them, with an arm for each.
+//! Each kind has a file with its fields and its draws. Only this module distinguishes them, with an arm for each: of
+//! [`ProcessSettings`], [`Starts`] and [`Epicentres`].
 
-use super::aftershocks::{Aftershocks, Chain};
-use super::bursts::{Bursting, EventBursts};
-use super::hot_spots::{HotSpots, Spots};
-use super::uniform::{Steady, Uniform};
+use super::aftershocks::{AftershockEpicentres, Aftershocks};
+use super::bursts::{BurstStarts, EventBursts};
+use super::hot_spots::{HotSpotEpicentres, HotSpots};
+use super::uniform::{SteadyStarts, UniformEpicentres};
 use crate::declare::{FieldReader, FieldSink, ScenarioError, Visit, choice, choices};
 use crate::geometry::{Area, Point};
 use crate::ids::{EventId, Tti};
@@ -97,18 +98,18 @@ impl ProcessSettings {
     /// is constant.
     pub(super) fn starts(&self, seed: u64, alpha: f64, end: Tti) -> Starts {
         match self {
-            Self::Uniform | Self::HotSpots(_) | Self::Aftershocks(_) => Starts::Steady(Steady::new(seed, alpha)),
-            Self::Bursts(bursts) => Starts::Bursting(Bursting::new(bursts, seed, end)),
+            Self::Uniform | Self::HotSpots(_) | Self::Aftershocks(_) => Starts::Steady(SteadyStarts::new(seed, alpha)),
+            Self::Bursts(bursts) => Starts::Bursts(BurstStarts::new(bursts, seed, end)),
         }
     }
 
     /// Creates the epicentres of events in a run with `seed` on `area`.
     pub(super) fn epicentres(&self, seed: u64, area: Area) -> Epicentres {
-        let uniform = Uniform { seed, area };
+        let uniform = UniformEpicentres { seed, area };
         match self {
             Self::Uniform | Self::Bursts(_) => Epicentres::Uniform(uniform),
-            Self::HotSpots(hot_spots) => Epicentres::Spots(Spots::new(*hot_spots, uniform)),
-            Self::Aftershocks(aftershocks) => Epicentres::Chain(Chain::new(*aftershocks, uniform)),
+            Self::HotSpots(hot_spots) => Epicentres::HotSpots(HotSpotEpicentres::new(*hot_spots, uniform)),
+            Self::Aftershocks(aftershocks) => Epicentres::Aftershocks(AftershockEpicentres::new(*aftershocks, uniform)),
         }
     }
 }
@@ -116,17 +117,17 @@ impl ProcessSettings {
 /// The starts of events.
 #[derive(Clone, Debug)]
 pub(super) enum Starts {
-    Steady(Steady),
-    Bursting(Bursting),
+    Steady(SteadyStarts),
+    Bursts(BurstStarts),
 }
 
 impl Starts {
     /// The TTI in which `event` starts, not before `earliest`; [`Tti::NEVER`] if it does not start. Call it once per
     /// event, in order.
-    pub(super) fn next(&mut self, event: EventId, earliest: Tti) -> Tti {
+    pub(super) fn draw_start(&mut self, event: EventId, earliest: Tti) -> Tti {
         match self {
-            Self::Steady(steady) => steady.next(event, earliest),
-            Self::Bursting(bursting) => bursting.next(event, earliest),
+            Self::Steady(steady) => steady.draw_start(event, earliest),
+            Self::Bursts(bursts) => bursts.draw_start(event, earliest),
         }
     }
 }
@@ -134,9 +135,9 @@ impl Starts {
 /// The epicentres of events.
 #[derive(Clone, Debug)]
 pub(super) enum Epicentres {
-    Uniform(Uniform),
-    Spots(Spots),
-    Chain(Chain),
+    Uniform(UniformEpicentres),
+    HotSpots(HotSpotEpicentres),
+    Aftershocks(AftershockEpicentres),
 }
 
 impl Epicentres {
@@ -144,8 +145,8 @@ impl Epicentres {
     pub(super) fn draw(&mut self, event: EventId) -> Point {
         match self {
             Self::Uniform(uniform) => uniform.draw(event),
-            Self::Spots(spots) => spots.draw(event),
-            Self::Chain(chain) => chain.draw(event),
+            Self::HotSpots(hot_spots) => hot_spots.draw(event),
+            Self::Aftershocks(aftershocks) => aftershocks.draw(event),
         }
     }
 }

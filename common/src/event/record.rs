@@ -1,4 +1,4 @@
-//! The record of an ended event.
+//! The record of an ended event, for observers, the per-event table and the reference of the tests.
 
 use serde::{Deserialize, Serialize};
 

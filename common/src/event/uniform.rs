@@ -1,4 +1,4 @@
-//! Events with uniform epicentres.
+//! Uniform epicentres and a constant start probability: the process `uniform`, and the base of the other processes.
 
 use crate::declare::{ABOVE_ZERO, number};
 use crate::geometry::{Area, Point};
@@ -7,20 +7,20 @@ use crate::rng::{Geometric, Purpose, Stream};
 
 /// Epicentres distributed uniformly on the area.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Uniform {
+pub(super) struct UniformEpicentres {
     pub(super) seed: u64,
     pub(super) area: Area,
 }
 
-impl Uniform {
+impl UniformEpicentres {
     /// Draws the epicentre of `event`.
     pub(super) fn draw(&self, event: EventId) -> Point {
         let mut stream = Stream::new(self.seed, Purpose::Epicentre, event.0);
-        self.anywhere(&mut stream)
+        self.draw_point(&mut stream)
     }
 
     /// Draws any point of the area, with two draws from `stream`.
-    pub(super) fn anywhere(&self, stream: &mut Stream) -> Point {
+    pub(super) fn draw_point(&self, stream: &mut Stream) -> Point {
         Point::new(stream.unit() * self.area.width, stream.unit() * self.area.height)
     }
 }
@@ -38,12 +38,12 @@ crate::declare! {
 
 /// The starts of events, with probability α in every TTI without an active event.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Steady {
+pub(super) struct SteadyStarts {
     seed: u64,
     gap: Geometric,
 }
 
-impl Steady {
+impl SteadyStarts {
     pub(super) fn new(seed: u64, alpha: f64) -> Self {
         Self {
             seed,
@@ -52,7 +52,7 @@ impl Steady {
     }
 
     /// The TTI in which `event` starts, not before `earliest`.
-    pub(super) fn next(&self, event: EventId, earliest: Tti) -> Tti {
+    pub(super) fn draw_start(&self, event: EventId, earliest: Tti) -> Tti {
         let gap = self.gap.draw(&mut Stream::new(self.seed, Purpose::EventGap, event.0));
         // Gaps are at least 1, and a gap of 1 means `earliest` itself.
         earliest.saturating_add(gap - 1)

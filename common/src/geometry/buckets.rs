@@ -1,4 +1,4 @@
-//! A bucket grid for points within a radius of a place, or nearest to it.
+//! A bucket grid that finds the points within a radius of a place, or nearest to it: for world, genie and beliefs.
 
 use super::{Area, Point};
 
@@ -9,12 +9,12 @@ pub struct Buckets {
     columns: usize,
     rows: usize,
     /// Cells per metre east and north.
-    scale: Point,
+    cells_per_metre: Point,
     /// Added to every query's reach, metres, so that rounding at a cell's border cannot hide a point.
     slack: f64,
     /// The points of cell c are `items[starts[c] .. starts[c + 1]]`.
-    starts: Vec<u32>,
-    items: Vec<(u32, Point)>,
+    cell_starts: Vec<u32>,
+    points: Vec<(u32, Point)>,
 }
 
 impl Buckets {
@@ -29,24 +29,24 @@ impl Buckets {
         let mut buckets = Self {
             columns,
             rows,
-            scale: Point::new(columns as f64 / area.width, rows as f64 / area.height),
+            cells_per_metre: Point::new(columns as f64 / area.width, rows as f64 / area.height),
             slack: 1e-12 * (area.width + area.height),
-            starts: vec![0; columns * rows + 1],
-            items: vec![(0, Point::default()); points.len()],
+            cell_starts: vec![0; columns * rows + 1],
+            points: vec![(0, Point::default()); points.len()],
         };
         for &p in points {
-            let cell = buckets.cell(p);
-            buckets.starts[cell + 1] += 1;
+            let cell = buckets.cell_index(p);
+            buckets.cell_starts[cell + 1] += 1;
         }
         for cell in 0..columns * rows {
-            buckets.starts[cell + 1] += buckets.starts[cell];
+            buckets.cell_starts[cell + 1] += buckets.cell_starts[cell];
         }
         // A counting sort keeps points of a cell in the order of their indices, so queries visit them alike in every
         // run.
-        let mut next = buckets.starts.clone();
+        let mut next = buckets.cell_starts.clone();
         for (index, &p) in (0..).zip(points) {
-            let cell = buckets.cell(p);
-            buckets.items[next[cell] as usize] = (index, p);
+            let cell = buckets.cell_index(p);
+            buckets.points[next[cell] as usize] = (index, p);
             next[cell] += 1;
         }
         buckets
@@ -61,18 +61,18 @@ impl Buckets {
     /// The `k` points nearest to `centre`, or all if there are fewer, by ascending distance and then index. Each has
     /// its squared distance, square metres, and its index.
     pub fn nearest(&self, centre: Point, k: usize) -> Vec<(f64, u32)> {
-        let mut found = Vec::new();
+        let mut nearby = Vec::new();
         // One cell wide. Doubling ends, since a radius as large as the area finds all points.
-        let mut radius = 1.0 / self.scale.x.min(self.scale.y);
+        let mut radius = 1.0 / self.cells_per_metre.x.min(self.cells_per_metre.y);
         loop {
-            self.within_squared(centre, radius, |index, squared| found.push((squared, index)));
-            if found.len() >= k.min(self.items.len()) {
+            self.within_squared(centre, radius, |index, squared| nearby.push((squared, index)));
+            if nearby.len() >= k.min(self.points.len()) {
                 // Ties by index: the order of cells must not decide which of two equally far points is among the `k`.
-                found.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-                found.truncate(k);
-                return found;
+                nearby.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+                nearby.truncate(k);
+                return nearby;
             }
-            found.clear();
+            nearby.clear();
             radius *= 2.0;
         }
     }
@@ -81,33 +81,33 @@ impl Buckets {
     fn within_squared(&self, centre: Point, radius: f64, mut visit: impl FnMut(u32, f64)) {
         let reach = radius * (1.0 + 1e-12) + self.slack;
         // A square above this is too far despite rounding, and skips the root.
-        let beyond = reach * reach * (1.0 + 1e-12);
+        let max_squared = reach * reach * (1.0 + 1e-12);
         let (west, east) = (self.column(centre.x - reach), self.column(centre.x + reach));
         let (south, north) = (self.row(centre.y - reach), self.row(centre.y + reach));
         for row in south..=north {
-            let first = self.starts[row * self.columns + west] as usize;
-            let last = self.starts[row * self.columns + east + 1] as usize;
-            for &(index, p) in &self.items[first..last] {
+            let first = self.cell_starts[row * self.columns + west] as usize;
+            let last = self.cell_starts[row * self.columns + east + 1] as usize;
+            for &(index, p) in &self.points[first..last] {
                 let squared = centre.distance_squared(p);
                 // Squaring rounds, so a point exactly at the radius is decided by the root, as in `Point::distance`.
-                if squared <= beyond && squared.sqrt() <= radius {
+                if squared <= max_squared && squared.sqrt() <= radius {
                     visit(index, squared);
                 }
             }
         }
     }
 
-    fn cell(&self, p: Point) -> usize {
+    fn cell_index(&self, p: Point) -> usize {
         self.row(p.y) * self.columns + self.column(p.x)
     }
 
     /// The conversion saturates, so positions west of the area belong to its first column.
     fn column(&self, x: f64) -> usize {
-        ((x * self.scale.x) as usize).min(self.columns - 1)
+        ((x * self.cells_per_metre.x) as usize).min(self.columns - 1)
     }
 
     fn row(&self, y: f64) -> usize {
-        ((y * self.scale.y) as usize).min(self.rows - 1)
+        ((y * self.cells_per_metre.y) as usize).min(self.rows - 1)
     }
 }
 

@@ -1,18 +1,18 @@
-//! Positions and classes from a layout file.
+//! Positions and classes of devices from a layout file. The scenario hash covers the values that are used.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::{Area, Point};
-use crate::columns::{self, ColumnData, LARGEST_FILE};
+use crate::columns::{self, ColumnData, MAX_FILE_BYTES};
 use crate::declare::{FieldReader, FieldSink, FieldValue, ScenarioError, Section, did_you_mean, quoted_list, truncate};
 
 /// The field that names the file.
-const FIELD: &str = "layout.file";
+const FILE_FIELD: &str = "layout.file";
 
 /// A layout from a file.
 #[derive(Clone, Debug, PartialEq)]
-pub struct FromFile {
+pub struct FileLayout {
     /// The path of the file.
     pub path: PathBuf,
     /// Its first N points.
@@ -21,7 +21,7 @@ pub struct FromFile {
     pub classes: Option<Arc<Vec<u16>>>,
 }
 
-impl FromFile {
+impl FileLayout {
     /// Reads the first `devices` devices of `file`, which must all lie on `area`. The column `class` uses the names in
     /// `classes`, which is empty for a scenario without classes.
     pub(super) fn from_fields(
@@ -31,20 +31,20 @@ impl FromFile {
         devices: u32,
         classes: &[&str],
     ) -> Result<Self, ScenarioError> {
-        let path = reader.file(FIELD, file)?;
+        let path = reader.file(FILE_FIELD, file)?;
         let count = devices as usize;
-        let found = reader
-            .bytes(&path, LARGEST_FILE)
+        let columns = reader
+            .read_bytes(&path, MAX_FILE_BYTES)
             .map_err(|error| error.to_string())
             .and_then(|bytes| {
                 Ok((
-                    points(&path, &bytes, area, count)?,
-                    columns::texts(&path, &bytes, "class")?,
+                    read_points(&path, &bytes, area, count)?,
+                    columns::read_texts(&path, &bytes, "class")?,
                 ))
             });
-        let ((points, rows), names) = match found {
-            Ok(found) => found,
-            Err(reason) => return Err(reader.file_error(FIELD, path, reason)),
+        let ((points, rows), names) = match columns {
+            Ok(columns) => columns,
+            Err(reason) => return Err(reader.file_error(FILE_FIELD, path, reason)),
         };
         if rows > count {
             reader.warn(format!(
@@ -53,9 +53,9 @@ impl FromFile {
             ));
         }
         let classes = match names {
-            Some(names) if !classes.is_empty() => match indices(&names, classes, count) {
+            Some(names) if !classes.is_empty() => match class_indices(&names, classes, count) {
                 Ok(indices) => Some(Arc::new(indices)),
-                Err(reason) => return Err(reader.file_error(FIELD, path, reason)),
+                Err(reason) => return Err(reader.file_error(FILE_FIELD, path, reason)),
             },
             Some(_) => {
                 let what = "has a column `class`, which has no effect without [[class]] in the scenario";
@@ -93,8 +93,8 @@ impl FromFile {
 }
 
 /// Reads the first `count` points of a layout file, all within `area`, and the number of points in the file.
-fn points(path: &Path, bytes: &[u8], area: Area, count: usize) -> Result<(Vec<Point>, usize), String> {
-    let columns = columns::numbers(path, bytes, &["x".to_owned(), "y".to_owned()])?;
+fn read_points(path: &Path, bytes: &[u8], area: Area, count: usize) -> Result<(Vec<Point>, usize), String> {
+    let columns = columns::read_numbers(path, bytes, &["x".to_owned(), "y".to_owned()])?;
     let [xs, ys] = columns.values.as_slice() else {
         return Err("has no columns `x` and `y`".to_owned());
     };
@@ -112,7 +112,7 @@ fn points(path: &Path, bytes: &[u8], area: Area, count: usize) -> Result<(Vec<Po
         None => Ok((points, xs.len())),
         Some(row) => Err(format!(
             "{}: the point ({}, {}) lies outside the area of {} by {} metres",
-            columns.place(row),
+            columns.describe_row(row),
             points[row].x,
             points[row].y,
             area.width,
@@ -122,14 +122,14 @@ fn points(path: &Path, bytes: &[u8], area: Area, count: usize) -> Result<(Vec<Po
 }
 
 /// The indices in `classes` of the first `count` names.
-fn indices(names: &ColumnData<String>, classes: &[&str], count: usize) -> Result<Vec<u16>, String> {
-    let index = |(row, name): (usize, &String)| {
-        let at = classes.iter().position(|class| class == name);
+fn class_indices(names: &ColumnData<String>, classes: &[&str], count: usize) -> Result<Vec<u16>, String> {
+    let class_index = |(row, name): (usize, &String)| {
+        let index = classes.iter().position(|class| class == name);
         // A scenario has at most MAX_CLASSES classes, so the index fits.
-        at.map(|at| at as u16).ok_or_else(|| {
+        index.map(|index| index as u16).ok_or_else(|| {
             format!(
                 "{}, column `class`: the scenario has no class \"{}\"; its classes are {}{}",
-                names.place(row),
+                names.describe_row(row),
                 truncate(name),
                 quoted_list(classes.iter().copied()),
                 did_you_mean(name, classes.iter().copied())
@@ -137,5 +137,5 @@ fn indices(names: &ColumnData<String>, classes: &[&str], count: usize) -> Result
         })
     };
     let column = names.values.first().into_iter().flatten();
-    column.take(count).enumerate().map(index).collect()
+    column.take(count).enumerate().map(class_index).collect()
 }

@@ -1,6 +1,6 @@
-//! Deployments: the positions of the devices.
+//! Layouts: where the devices of a scenario are. Every digest depends on the positions, bit for bit.
 
-use super::{Area, FromFile, Point};
+use super::{Area, FileLayout, Point};
 use crate::declare;
 use crate::declare::{FieldReader, FieldSink, ScenarioError, Section, Visit, choice, choices, file};
 use crate::rng::{Purpose, Stream};
@@ -50,7 +50,7 @@ pub enum Layout {
     /// See [`LayoutKind::Hex`].
     Hex,
     /// See [`LayoutKind::File`].
-    File(FromFile),
+    File(FileLayout),
 }
 
 impl Layout {
@@ -76,7 +76,7 @@ impl Layout {
             LayoutKind::Hex => Self::Hex,
             LayoutKind::File => {
                 let file = file.ok_or_else(|| reader.missing_value("layout.file", "layout.kind"))?;
-                Self::File(FromFile::from_fields(reader, &file, area, devices, classes)?)
+                Self::File(FileLayout::from_fields(reader, &file, area, devices, classes)?)
             }
         })
     }
@@ -121,32 +121,32 @@ impl Layout {
 }
 
 /// Consecutive misses after which the disks of `PoissonDisk` shrink.
-const MISSES: u32 = 500;
+const MISSES_BEFORE_SHRINK: u32 = 500;
 
-/// The factor by which a disk's radius shrinks.
-const SHRINK: f64 = 0.98;
+/// The factor by which the radius of the disks shrinks.
+const SHRINK_FACTOR: f64 = 0.98;
 
 /// The positions of `n` devices in `area`, the same for the same `seed`. A `File` gives its own positions, at most `n`.
-pub fn place(layout: &Layout, area: Area, n: u32, seed: u64) -> Vec<Point> {
+pub fn place_devices(layout: &Layout, area: Area, n: u32, seed: u64) -> Vec<Point> {
     let mut stream = Stream::new(seed, Purpose::Layout, 0);
     match layout {
-        Layout::Uniform => (0..n).map(|_| uniform(&mut stream, area)).collect(),
+        Layout::Uniform => (0..n).map(|_| draw_point(&mut stream, area)).collect(),
         Layout::JitteredGrid => jittered_grid(&mut stream, area, n),
         Layout::PoissonDisk => poisson_disk(&mut stream, area, n),
         Layout::Grid => {
             let per_height = f64::from(n) * area.height / area.width;
-            in_rows(area, n, per_height.sqrt(), [0.5, 0.5])
+            place_in_rows(area, n, per_height.sqrt(), [0.5, 0.5])
         }
         Layout::Hex => {
             // Rows √3/2 of a pitch apart: N = (h / row pitch) · (w / pitch).
             let per_height = f64::from(n) * area.height / area.width * 2.0 / 3.0_f64.sqrt();
-            in_rows(area, n, per_height.sqrt(), [0.25, 0.75])
+            place_in_rows(area, n, per_height.sqrt(), [0.25, 0.75])
         }
         Layout::File(file) => file.points.iter().take(n as usize).copied().collect(),
     }
 }
 
-fn uniform(stream: &mut Stream, area: Area) -> Point {
+fn draw_point(stream: &mut Stream, area: Area) -> Point {
     let x = stream.unit() * area.width;
     Point::new(x, stream.unit() * area.height)
 }
@@ -175,7 +175,7 @@ fn jittered_grid(stream: &mut Stream, area: Area, n: u32) -> Vec<Point> {
 
 /// Places `n` devices in about `rows` rows, as evenly as possible. `phases` are the positions of the devices of even
 /// and of odd rows within their share of the row, 0 ..= 1.
-fn in_rows(area: Area, n: u32, rows: f64, phases: [f64; 2]) -> Vec<Point> {
+fn place_in_rows(area: Area, n: u32, rows: f64, phases: [f64; 2]) -> Vec<Point> {
     let n = u64::from(n);
     let rows = (rows.round() as u64).clamp(1, n.max(1));
     let phases = if rows == 1 { [0.5, 0.5] } else { phases };
@@ -196,20 +196,20 @@ fn poisson_disk(stream: &mut Stream, area: Area, n: u32) -> Vec<Point> {
     // The spacing of the densest packing, a hexagonal lattice: A/n = √3/2 · spacing².
     let densest = (2.0 * area.surface() / (3.0_f64.sqrt() * f64::from(n))).sqrt();
     // On a strip narrower than that, devices in a line can be farther apart.
-    let in_line = area.width.max(area.height) / f64::from(n);
-    let mut radius = (0.9 * densest).max(in_line);
+    let line_spacing = area.width.max(area.height) / f64::from(n);
+    let mut radius = (0.9 * densest).max(line_spacing);
     let mut darts = Darts::new(area, radius, n);
-    let mut missed = 0;
+    let mut misses = 0;
     while darts.points.len() < n as usize {
-        let p = uniform(stream, area);
+        let p = draw_point(stream, area);
         if darts.is_clear(p, radius) {
             darts.push(p);
-            missed = 0;
+            misses = 0;
         } else {
-            missed += 1;
-            if missed == MISSES {
-                radius *= SHRINK;
-                missed = 0;
+            misses += 1;
+            if misses == MISSES_BEFORE_SHRINK {
+                radius *= SHRINK_FACTOR;
+                misses = 0;
             }
         }
     }
@@ -220,15 +220,15 @@ fn poisson_disk(stream: &mut Stream, area: Area, n: u32) -> Vec<Point> {
 /// hold all darts that a new one can collide with.
 struct Darts {
     points: Vec<Point>,
-    /// The last dart in each cell and, for each dart, the one in its cell before it; [`NONE`] for none.
-    last: Vec<u32>,
-    previous: Vec<u32>,
+    /// The last dart in each cell and, for each dart, the one in its cell before it; [`NO_DART`] for none.
+    last_in_cell: Vec<u32>,
+    previous_in_cell: Vec<u32>,
     columns: usize,
     rows: usize,
     area: Area,
 }
 
-const NONE: u32 = u32::MAX;
+const NO_DART: u32 = u32::MAX;
 
 impl Darts {
     fn new(area: Area, radius: f64, n: u32) -> Self {
@@ -236,8 +236,8 @@ impl Darts {
         let (columns, rows) = (cells(area.width), cells(area.height));
         Self {
             points: Vec::with_capacity(n as usize),
-            last: vec![NONE; columns * rows],
-            previous: Vec::with_capacity(n as usize),
+            last_in_cell: vec![NO_DART; columns * rows],
+            previous_in_cell: Vec::with_capacity(n as usize),
             columns,
             rows,
             area,
@@ -248,12 +248,12 @@ impl Darts {
         let (column, row) = self.cell(p);
         for near_row in row.saturating_sub(1)..=(row + 1).min(self.rows - 1) {
             for near_column in column.saturating_sub(1)..=(column + 1).min(self.columns - 1) {
-                let mut dart = self.last[near_row * self.columns + near_column];
-                while dart != NONE {
+                let mut dart = self.last_in_cell[near_row * self.columns + near_column];
+                while dart != NO_DART {
                     if self.points[dart as usize].distance_squared(p) < radius * radius {
                         return false;
                     }
-                    dart = self.previous[dart as usize];
+                    dart = self.previous_in_cell[dart as usize];
                 }
             }
         }
@@ -262,8 +262,9 @@ impl Darts {
 
     fn push(&mut self, p: Point) {
         let (column, row) = self.cell(p);
-        let last = &mut self.last[row * self.columns + column];
-        self.previous.push(std::mem::replace(last, self.points.len() as u32));
+        let last = &mut self.last_in_cell[row * self.columns + column];
+        self.previous_in_cell
+            .push(std::mem::replace(last, self.points.len() as u32));
         self.points.push(p);
     }
 
@@ -304,10 +305,10 @@ mod tests {
         for layout in RANDOM.iter().chain(&REGULAR) {
             for area in [SQUARE, FLAT] {
                 for n in (0..60).chain([250, 1000]) {
-                    let points = place(layout, area, n, 5);
+                    let points = place_devices(layout, area, n, 5);
                     assert_eq!(points.len(), n as usize, "{layout:?}");
                     assert!(points.iter().all(|&p| area.contains(p)), "{layout:?} of {n}");
-                    assert_eq!(points, place(layout, area, n, 5), "{layout:?} of {n}");
+                    assert_eq!(points, place_devices(layout, area, n, 5), "{layout:?} of {n}");
                     assert!(n < 2 || closest_pair(&points) > 0.0, "{layout:?} of {n}");
                 }
             }
@@ -317,16 +318,24 @@ mod tests {
     #[test]
     fn the_seed_matters_to_random_layouts_only() {
         for layout in &RANDOM {
-            assert_ne!(place(layout, SQUARE, 30, 1), place(layout, SQUARE, 30, 2), "{layout:?}");
+            assert_ne!(
+                place_devices(layout, SQUARE, 30, 1),
+                place_devices(layout, SQUARE, 30, 2),
+                "{layout:?}"
+            );
         }
         for layout in &REGULAR {
-            assert_eq!(place(layout, SQUARE, 30, 1), place(layout, SQUARE, 30, 2), "{layout:?}");
+            assert_eq!(
+                place_devices(layout, SQUARE, 30, 1),
+                place_devices(layout, SQUARE, 30, 2),
+                "{layout:?}"
+            );
         }
     }
 
     #[test]
     fn uniform_positions_fill_the_area_evenly() {
-        let points = place(&Layout::Uniform, FLAT, 40_000, 9);
+        let points = place_devices(&Layout::Uniform, FLAT, 40_000, 9);
         let mut counts = [0_u32; 8];
         for p in &points {
             counts[(p.x / 12.5) as usize + 4 * (p.y / 4.0) as usize] += 1;
@@ -339,7 +348,7 @@ mod tests {
         for area in [SQUARE, FLAT] {
             for (n, side) in [(1, 1), (2, 2), (10, 4), (16, 4), (17, 5), (250, 16), (256, 16)] {
                 let mut taken = vec![0; side * side];
-                for p in place(&Layout::JitteredGrid, area, n, 3) {
+                for p in place_devices(&Layout::JitteredGrid, area, n, 3) {
                     let column = (p.x / area.width * side as f64) as usize;
                     let row = (p.y / area.height * side as f64) as usize;
                     taken[row * side + column] += 1;
@@ -353,7 +362,7 @@ mod tests {
     fn jittered_cells_are_drawn_at_random() {
         let mut first = [0_u32; 16];
         for seed in 0..8000 {
-            let p = place(&Layout::JitteredGrid, SQUARE, 10, seed)[0];
+            let p = place_devices(&Layout::JitteredGrid, SQUARE, 10, seed)[0];
             first[(p.x / 5.0) as usize + 4 * (p.y / 5.0) as usize] += 1;
         }
         assert!(first.iter().all(|&c| (400..600).contains(&c)), "{first:?}");
@@ -363,24 +372,24 @@ mod tests {
     fn poisson_disks_keep_their_distance() {
         for (area, n) in [(SQUARE, 10), (SQUARE, 250), (FLAT, 100), (SQUARE, 2000)] {
             let densest = (2.0 * area.surface() / (3.0_f64.sqrt() * f64::from(n))).sqrt();
-            let closest = closest_pair(&place(&Layout::PoissonDisk, area, n, 8));
+            let closest = closest_pair(&place_devices(&Layout::PoissonDisk, area, n, 8));
             assert!(closest > 0.65 * densest, "N = {n}: {closest} of {densest}");
         }
         let strip = Area {
             width: 1e6,
             height: 1e-6,
         };
-        assert!(closest_pair(&place(&Layout::PoissonDisk, strip, 100, 8)) > 5_000.0);
+        assert!(closest_pair(&place_devices(&Layout::PoissonDisk, strip, 100, 8)) > 5_000.0);
     }
 
     #[test]
     fn a_hundred_thousand_poisson_disks_come_to_an_end() {
-        assert_eq!(place(&Layout::PoissonDisk, FLAT, 100_000, 1).len(), 100_000);
+        assert_eq!(place_devices(&Layout::PoissonDisk, FLAT, 100_000, 1).len(), 100_000);
     }
 
     #[test]
     fn a_square_number_makes_a_perfect_grid() {
-        let points = place(&Layout::Grid, SQUARE, 25, 0);
+        let points = place_devices(&Layout::Grid, SQUARE, 25, 0);
         for (i, p) in points.iter().enumerate() {
             let (column, row) = (i % 5, i / 5);
             let centre = Point::new(column as f64 * 4.0 + 2.0, row as f64 * 4.0 + 2.0);
@@ -390,7 +399,7 @@ mod tests {
 
     #[test]
     fn hex_neighbours_are_about_equally_far() {
-        let points = place(&Layout::Hex, SQUARE, 17 * 14, 0);
+        let points = place_devices(&Layout::Hex, SQUARE, 17 * 14, 0);
         let pitch = (2.0 * SQUARE.surface() / (3.0_f64.sqrt() * 17.0 * 14.0)).sqrt();
         let inner = points
             .iter()
@@ -409,11 +418,11 @@ mod tests {
     #[test]
     fn a_file_gives_its_first_points() {
         let points: Vec<_> = (0..9).map(|i| Point::new(f64::from(i), 1.0)).collect();
-        let layout = Layout::File(FromFile {
+        let layout = Layout::File(FileLayout {
             path: "devices.csv".into(),
             points: std::sync::Arc::new(points.clone()),
             classes: None,
         });
-        assert_eq!(place(&layout, SQUARE, 4, 0), points[..4]);
+        assert_eq!(place_devices(&layout, SQUARE, 4, 0), points[..4]);
     }
 }

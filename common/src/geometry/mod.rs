@@ -10,9 +10,9 @@ use serde::{Deserialize, Serialize};
 use crate::declare::{POSITIVE, number};
 
 pub use buckets::Buckets;
-pub use file::FromFile;
-pub use layout::{Layout, LayoutKind, place};
-pub use voronoi::{cells, farthest_cell_vertex};
+pub use file::FileLayout;
+pub use layout::{Layout, LayoutKind, place_devices};
+pub use voronoi::{farthest_cell_vertex, voronoi_cells};
 
 /// A point of the area, in metres from its south-west corner.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]

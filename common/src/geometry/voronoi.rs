@@ -1,4 +1,4 @@
-//! The Voronoi diagram clipped to the area.
+//! The Voronoi diagram clipped to the area: for the distance bound of Eq. (`E_Info3`) and for figures.
 
 use super::{Area, Point};
 
@@ -7,12 +7,12 @@ use super::{Area, Point};
 ///
 /// Devices at the same place share a cell. Without devices the distance is infinite.
 pub fn farthest_cell_vertex(points: &[Point], area: Area) -> f64 {
-    let sites = distinct(points);
+    let sites = distinct_sites(points);
     if sites.is_empty() {
         return f64::INFINITY;
     }
     let mut farthest = 0.0_f64;
-    each_cell(&sites, area, |site, cell| {
+    visit_cells(&sites, area, |site, cell| {
         farthest = cell.iter().map(|v| v.distance_squared(site)).fold(farthest, f64::max);
     });
     farthest.sqrt()
@@ -20,27 +20,29 @@ pub fn farthest_cell_vertex(points: &[Point], area: Area) -> f64 {
 
 /// The Voronoi cell of each of `points`, clipped to `area`: the corners of a convex polygon, anticlockwise seen with y
 /// upwards, in metres. Devices at the same place have the same cell.
-pub fn cells(points: &[Point], area: Area) -> Vec<Vec<Point>> {
-    let sites = distinct(points);
-    let mut of_site = vec![Vec::new(); sites.len()];
-    let by_place = |a: Point, b: Point| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y));
-    let find = |p: Point| sites.binary_search_by(|site| by_place(*site, p));
-    each_cell(&sites, area, |site, cell| {
+pub fn voronoi_cells(points: &[Point], area: Area) -> Vec<Vec<Point>> {
+    let sites = distinct_sites(points);
+    let mut cell_of_site = vec![Vec::new(); sites.len()];
+    let by_coordinates = |a: Point, b: Point| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y));
+    let find = |p: Point| sites.binary_search_by(|site| by_coordinates(*site, p));
+    visit_cells(&sites, area, |site, cell| {
         if let Ok(i) = find(site) {
-            of_site[i] = cell.to_vec();
+            cell_of_site[i] = cell.to_vec();
         }
     });
-    let cell = |p: &Point| find(Point::new(p.x + 0.0, p.y + 0.0)).map(|i| of_site[i].clone());
+    let cell = |p: &Point| find(Point::new(p.x + 0.0, p.y + 0.0)).map(|i| cell_of_site[i].clone());
     points.iter().map(|p| cell(p).unwrap_or_default()).collect()
 }
 
 /// Calls `visit` for each of `sites`, in order, with the corners of its cell.
-fn each_cell(sites: &[Point], area: Area, mut visit: impl FnMut(Point, &[Point])) {
+fn visit_cells(sites: &[Point], area: Area, mut visit: impl FnMut(Point, &[Point])) {
     let edges = delaunay_edges(sites, area);
     let (mut cell, mut spare) = (Vec::new(), Vec::new());
-    for around in edges.chunk_by(|a, b| a.0 == b.0) {
+    for site_edges in edges.chunk_by(|a, b| a.0 == b.0) {
         // The bisectors towards the far sites lie outside the area.
-        let Some(&site) = sites.get(around[0].0) else { continue };
+        let Some(&site) = sites.get(site_edges[0].0) else {
+            continue;
+        };
         cell.clear();
         cell.extend([
             Point::new(0.0, 0.0),
@@ -48,7 +50,7 @@ fn each_cell(sites: &[Point], area: Area, mut visit: impl FnMut(Point, &[Point])
             Point::new(area.width, area.height),
             Point::new(0.0, area.height),
         ]);
-        for &other in around.iter().filter_map(|edge| sites.get(edge.1)) {
+        for &other in site_edges.iter().filter_map(|edge| sites.get(edge.1)) {
             clip(&cell, site, other, &mut spare);
             std::mem::swap(&mut cell, &mut spare);
         }
@@ -57,7 +59,7 @@ fn each_cell(sites: &[Point], area: Area, mut visit: impl FnMut(Point, &[Point])
 }
 
 /// Sorts `points` by their coordinates and removes duplicates.
-fn distinct(points: &[Point]) -> Vec<Point> {
+fn distinct_sites(points: &[Point]) -> Vec<Point> {
     // Adding zero turns -0 into 0, which `total_cmp` would tell apart.
     let mut sites: Vec<_> = points.iter().map(|p| Point::new(p.x + 0.0, p.y + 0.0)).collect();
     sites.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
@@ -72,11 +74,11 @@ fn distinct(points: &[Point]) -> Vec<Point> {
 /// from circumcentres, which are badly conditioned for needle-like triangles.
 fn delaunay_edges(sites: &[Point], area: Area) -> Vec<(usize, usize)> {
     let (x, y, far) = (0.5 * area.width, 0.5 * area.height, 4.0 * area.diagonal());
-    let around = [(x - far, y), (x + far, y), (x, y - far), (x, y + far)];
+    let far_sites = [(x - far, y), (x + far, y), (x, y - far), (x, y + far)];
     let all: Vec<_> = sites
         .iter()
         .map(|p| (p.x, p.y))
-        .chain(around)
+        .chain(far_sites)
         .map(delaunator::Point::from)
         .collect();
     let triangles = delaunator::triangulate(&all).triangles;
@@ -92,22 +94,22 @@ fn delaunay_edges(sites: &[Point], area: Area) -> Vec<(usize, usize)> {
     edges
 }
 
-/// Writes the part of the convex polygon `cell` that is at least as close to `site` as to `other` to `kept`.
-fn clip(cell: &[Point], site: Point, other: Point, kept: &mut Vec<Point>) {
+/// Writes the part of the convex polygon `cell` that is at least as close to `site` as to `other` to `clipped`.
+fn clip(cell: &[Point], site: Point, other: Point, clipped: &mut Vec<Point>) {
     let normal = Point::new(other.x - site.x, other.y - site.y);
     let middle = Point::new(0.5 * (site.x + other.x), 0.5 * (site.y + other.y));
     let beyond = |v: Point| (v.x - middle.x) * normal.x + (v.y - middle.y) * normal.y;
-    kept.clear();
+    clipped.clear();
     for (i, &from) in cell.iter().enumerate() {
         let to = cell[(i + 1) % cell.len()];
         let (at_from, at_to) = (beyond(from), beyond(to));
         if at_from <= 0.0 {
-            kept.push(from);
+            clipped.push(from);
         }
         // A corner on the bisector is kept above, and adds no second corner here.
         if (at_from < 0.0 && at_to > 0.0) || (at_from > 0.0 && at_to < 0.0) {
             let t = at_from / (at_from - at_to);
-            kept.push(Point::new(from.x + t * (to.x - from.x), from.y + t * (to.y - from.y)));
+            clipped.push(Point::new(from.x + t * (to.x - from.x), from.y + t * (to.y - from.y)));
         }
     }
 }
@@ -115,7 +117,7 @@ fn clip(cell: &[Point], site: Point, other: Point, kept: &mut Vec<Point>) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::{Layout, place};
+    use crate::geometry::{Layout, place_devices};
     use crate::rng::{Purpose, Stream};
 
     const SQUARE: Area = Area {
@@ -164,7 +166,7 @@ mod tests {
     fn a_perfect_grid_has_the_half_diagonal_of_its_cells() {
         for side in [1_u32, 2, 3, 4, 5, 7, 10, 15, 16, 31, 100] {
             let n = side * side;
-            let points = place(&Layout::Grid, SQUARE, n, 0);
+            let points = place_devices(&Layout::Grid, SQUARE, n, 0);
             let expected = (SQUARE.surface() / (2.0 * f64::from(n))).sqrt();
             let found = farthest_cell_vertex(&points, SQUARE);
             assert!((found - expected).abs() < 1e-9, "N = {n}: {found}, not {expected}");
@@ -232,7 +234,7 @@ mod tests {
     fn no_place_is_farther_from_its_closest_site() {
         let mut stream = Stream::new(13, Purpose::Epicentre, 0);
         for seed in 0..20 {
-            let points = place(&Layout::Uniform, SQUARE, 250, seed);
+            let points = place_devices(&Layout::Uniform, SQUARE, 250, seed);
             let bound = farthest_cell_vertex(&points, SQUARE);
             let mut reached = 0.0_f64;
             for _ in 0..20_000 {
@@ -248,8 +250,8 @@ mod tests {
     fn cells_cover_the_area_and_hold_what_is_closest_to_their_device() {
         let mut stream = Stream::new(14, Purpose::Epicentre, 0);
         for (seed, n) in [(1, 1), (2, 2), (3, 60), (4, 250)] {
-            let points = place(&Layout::Uniform, SQUARE, n, seed);
-            let cells = cells(&points, SQUARE);
+            let points = place_devices(&Layout::Uniform, SQUARE, n, seed);
+            let cells = voronoi_cells(&points, SQUARE);
             let doubled = |cell: &[Point]| -> f64 {
                 let next = cell.iter().cycle().skip(1);
                 cell.iter().zip(next).map(|(a, b)| a.x * b.y - b.x * a.y).sum()
@@ -267,13 +269,16 @@ mod tests {
             }
         }
         let twins = [Point::new(3.0, 4.0), Point::new(3.0, 4.0)];
-        assert_eq!(cells(&twins, SQUARE).iter().map(Vec::len).collect::<Vec<_>>(), [4, 4]);
-        assert!(cells(&[], SQUARE).is_empty());
+        assert_eq!(
+            voronoi_cells(&twins, SQUARE).iter().map(Vec::len).collect::<Vec<_>>(),
+            [4, 4]
+        );
+        assert!(voronoi_cells(&[], SQUARE).is_empty());
     }
 
     #[test]
     fn near_and_exact_duplicates_do_not_matter() {
-        let points = place(&Layout::JitteredGrid, SQUARE, 40, 3);
+        let points = place_devices(&Layout::JitteredGrid, SQUARE, 40, 3);
         let alone = farthest_cell_vertex(&points, SQUARE);
         for gap in [0.0, 1e-15, 1e-13, 1e-10, 1e-7] {
             let twins = points.iter().map(|p| Point::new(p.x + gap, p.y - gap));

@@ -1,10 +1,10 @@
-//! Independent arrivals of energy.
+//! The sources `eq5` and `exp-minus-lambda`: an arrival of E_B in each TTI with the same probability, independently.
 
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::shared_tables::{Sources, expected};
+use super::shared_tables::{SharedSourceData, expected_energy};
 use crate::declare::{NOT_NEGATIVE, energy, number};
 use crate::ids::Tti;
 use crate::rng::{GapTable, Stream};
@@ -63,12 +63,12 @@ impl ArrivalsSetup {
 
     /// The mean harvest per TTI.
     pub(super) fn mean(&self) -> Energy {
-        expected(self.p, self.e_b)
+        expected_energy(self.p, self.e_b)
     }
 
     /// Creates the source. Also returns the TTI of its first arrival.
-    pub(super) fn source(&self, shared: &Sources, mut stream: Stream) -> (ArrivalsSource, Tti) {
-        let gaps = shared.gaps(self.p);
+    pub(super) fn source(&self, shared: &SharedSourceData, mut stream: Stream) -> (ArrivalsSource, Tti) {
+        let gaps = shared.gap_table(self.p);
         // Arrivals without energy change nothing, so none is ever due.
         let next = if self.e_b == Energy::ZERO {
             Tti::NEVER

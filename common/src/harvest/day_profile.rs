@@ -1,4 +1,4 @@
-//! The expected energy of a source that depends on the time of day.
+//! The expected energy of a source that depends on the time of day, from which the base station estimates batteries.
 
 use crate::ids::Tti;
 use crate::units::Energy;
@@ -7,7 +7,7 @@ use crate::units::Energy;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DayProfile {
     /// Expected micro-units from the start of a day up to each of its TTIs; the last entry is the whole day.
-    until: Vec<u64>,
+    cumulative_micro: Vec<u64>,
     /// The TTIs of the day at which day or night begins; empty if it is always day or always night.
     switches: Vec<u64>,
 }
@@ -16,44 +16,49 @@ impl DayProfile {
     /// Creates the profile of a source with arrivals of `e_b`; `day` has the probability of an arrival in each TTI of a
     /// day. A day has at least one TTI.
     pub fn new(day: impl Iterator<Item = f64>, e_b: Energy) -> Self {
-        let (mut sum, mut until, mut is_lit) = (0.0, vec![0], Vec::new());
+        let (mut sum, mut cumulative_micro, mut is_lit) = (0.0, vec![0], Vec::new());
         for p in day {
             sum += p;
             // The running sum is rounded, not each TTI, so that errors do not add up over the day.
-            until.push((sum * e_b.micro() as f64).round() as u64);
+            cumulative_micro.push((sum * e_b.micro() as f64).round() as u64);
             is_lit.push(p > 0.0);
         }
         let n = is_lit.len();
-        let turns = (0..n).filter(|&at| is_lit[at] != is_lit[(at + n - 1) % n]);
+        let switches = (0..n).filter(|&tti| is_lit[tti] != is_lit[(tti + n - 1) % n]);
         Self {
-            until,
-            switches: turns.map(|at| at as u64).collect(),
+            cumulative_micro,
+            switches: switches.map(|tti| tti as u64).collect(),
         }
     }
 
     /// TTIs per day.
-    pub fn ttis(&self) -> u64 {
-        self.until.len() as u64 - 1
+    pub fn ttis_per_day(&self) -> u64 {
+        self.cumulative_micro.len() as u64 - 1
     }
 
     /// The mean harvest from TTI `from` to before `end`; 0 if `end` is not later.
-    pub fn between(&self, from: Tti, end: Tti) -> Energy {
-        Energy::from_micro(self.before(end).saturating_sub(self.before(from)))
+    pub fn energy_between(&self, from: Tti, end: Tti) -> Energy {
+        Energy::from_micro(self.micro_before(end).saturating_sub(self.micro_before(from)))
     }
 
     /// The first TTI after `now` at which day or night begins; [`Tti::NEVER`] if that never happens.
-    pub fn turn_after(&self, now: Tti) -> Tti {
-        let (day, slot) = (now.0 / self.ttis(), now.0 % self.ttis());
-        let today = self.switches.iter().find(|&&turn| turn > slot);
-        let next = today.copied().or_else(|| Some(self.switches.first()? + self.ttis()));
-        next.map_or(Tti::NEVER, |turn| Tti(day * self.ttis()).saturating_add(turn))
+    pub fn next_switch_after(&self, now: Tti) -> Tti {
+        let (day, slot) = (now.0 / self.ttis_per_day(), now.0 % self.ttis_per_day());
+        let today = self.switches.iter().find(|&&switch| switch > slot);
+        let next = today
+            .copied()
+            .or_else(|| Some(self.switches.first()? + self.ttis_per_day()));
+        next.map_or(Tti::NEVER, |switch| {
+            Tti(day * self.ttis_per_day()).saturating_add(switch)
+        })
     }
 
     /// Expected micro-units before `end`.
-    fn before(&self, end: Tti) -> u64 {
-        let whole = self.until[self.until.len() - 1];
-        let (days, slot) = (end.0 / self.ttis(), end.0 % self.ttis());
-        days.saturating_mul(whole).saturating_add(self.until[slot as usize])
+    fn micro_before(&self, end: Tti) -> u64 {
+        let whole_day = self.cumulative_micro[self.cumulative_micro.len() - 1];
+        let (days, slot) = (end.0 / self.ttis_per_day(), end.0 % self.ttis_per_day());
+        days.saturating_mul(whole_day)
+            .saturating_add(self.cumulative_micro[slot as usize])
     }
 }
 
@@ -73,25 +78,27 @@ mod tests {
         for from in 0..13 {
             for end in from..23 {
                 assert_eq!(
-                    course.between(Tti(from), Tti(end)).micro(),
+                    course.energy_between(Tti(from), Tti(end)).micro(),
                     by_hand(from, end),
                     "{from} to {end}"
                 );
             }
         }
-        assert_eq!(course.between(Tti(7), Tti(3)), Energy::ZERO);
+        assert_eq!(course.energy_between(Tti(7), Tti(3)), Energy::ZERO);
         // A third of a micro-unit per TTI is not lost.
         let thirds = DayProfile::new([1.0 / 3.0; 3].into_iter(), Energy::from_micro(1));
-        let sum: u64 = (0..300).map(|k| thirds.between(Tti(k), Tti(k + 1)).micro()).sum();
+        let sum: u64 = (0..300)
+            .map(|k| thirds.energy_between(Tti(k), Tti(k + 1)).micro())
+            .sum();
         assert_eq!(sum, 100);
     }
 
     #[test]
     fn days_turn_with_the_first_and_after_the_last_light() {
         let course = DayProfile::new(DAY.into_iter(), Energy::from_micro(1000));
-        let turns: Vec<u64> = (0..11).map(|k| course.turn_after(Tti(k)).0).collect();
+        let turns: Vec<u64> = (0..11).map(|k| course.next_switch_after(Tti(k)).0).collect();
         assert_eq!(turns, [1, 4, 4, 4, 6, 6, 9, 9, 9, 11, 11]);
         let always = DayProfile::new([0.5; 4].into_iter(), Energy::from_micro(1000));
-        assert_eq!(always.turn_after(Tti(2)), Tti::NEVER);
+        assert_eq!(always.next_switch_after(Tti(2)), Tti::NEVER);
     }
 }

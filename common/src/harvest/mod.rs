@@ -1,9 +1,11 @@
 //! Energy sources (paper Sec. III-A): the times and amounts of energy that arrives at a device.
 //!
 //! A source is a sequence of arrivals in ascending order of TTI. It depends only on the scenario, the seed and the
-//! device. Nothing is drawn in a TTI without an arrival.
+//! device. Nothing is drawn in a TTI without an arrival. [`Harvest`] is the declared source of a class,
+//! [`HarvestSetup`] its message to a device, [`HarvestSource`] the arrivals that a device draws.
 //!
 //! Each kind of source has a file with its fields, its wire format and its draws; this module has an arm for each.
+//! `tests/src/reference/harvest.rs` draws the same arrivals TTI by TTI.
 
 mod arrivals;
 mod day_profile;
@@ -21,9 +23,9 @@ use serde::{Deserialize, Serialize};
 pub use self::arrivals::{Arrivals, ArrivalsSetup};
 pub use self::day_profile::DayProfile;
 pub use self::diurnal::{DayKnowledge, Diurnal, DiurnalSetup, IrradianceReference};
-pub use self::on_off::{Mpp, OnOffSetup};
+pub use self::on_off::{OnOff, OnOffSetup};
 pub use self::panel::Panel;
-pub use self::shared_tables::Sources;
+pub use self::shared_tables::SharedSourceData;
 pub use self::trace::{HarvestTrace, TraceColumns, TraceEnd, TraceQuantity, TraceSetup};
 
 use self::arrivals::ArrivalsSource;
@@ -68,7 +70,7 @@ pub enum Harvest {
     /// See [`HarvestKind::ExpMinusLambda`].
     ExpMinusLambda(Arrivals),
     /// See [`HarvestKind::Mpp`].
-    Mpp(Mpp),
+    Mpp(OnOff),
     /// See [`HarvestKind::Diurnal`].
     Diurnal(Diurnal),
     /// See [`HarvestKind::Trace`].
@@ -79,7 +81,7 @@ impl Harvest {
     /// The fields of all kinds.
     pub(crate) const SECTIONS: [&'static Section; 7] = {
         let [recorded, trace, panel] = HarvestTrace::SECTIONS;
-        let (arrivals, mpp, diurnal) = (Arrivals::SECTION, Mpp::SECTION, Diurnal::SECTION);
+        let (arrivals, mpp, diurnal) = (Arrivals::SECTION, OnOff::SECTION, Diurnal::SECTION);
         [Settings::SECTION, arrivals, mpp, diurnal, recorded, trace, panel]
     };
 
@@ -91,7 +93,7 @@ impl Harvest {
         Ok(match Settings::read(reader)?.kind {
             HarvestKind::Eq5 => Self::Eq5(Arrivals::read(reader)?),
             HarvestKind::ExpMinusLambda => Self::ExpMinusLambda(Arrivals::read(reader)?),
-            HarvestKind::Mpp => Self::Mpp(Mpp::from_fields(reader, tau)?),
+            HarvestKind::Mpp => Self::Mpp(OnOff::from_fields(reader, tau)?),
             HarvestKind::Diurnal => Self::Diurnal(Diurnal::from_fields(reader, tau)?),
             HarvestKind::Trace => Self::Trace(HarvestTrace::from_fields(reader)?),
         })
@@ -131,38 +133,38 @@ impl Harvest {
     }
 
     /// The recorded energy of the source, energy per TTI by column and row.
-    pub fn columns(&self) -> &[Vec<Energy>] {
+    pub fn trace_columns(&self) -> &[Vec<Energy>] {
         match self {
             Self::Trace(trace) => &trace.values,
             Self::Eq5(_) | Self::ExpMinusLambda(_) | Self::Mpp(_) | Self::Diurnal(_) => &[],
         }
     }
 
-    /// The index in [`Self::columns`] for the `nth` device of a class; 0 if it reads none.
-    pub(crate) fn column_of(&self, nth: u32) -> u32 {
+    /// The index in [`Self::trace_columns`] for the `nth` device of a class; 0 if it reads none.
+    pub(crate) fn column_index(&self, nth: u32) -> u32 {
         match self {
-            Self::Trace(trace) => trace.column_of(nth),
+            Self::Trace(trace) => trace.column_index(nth),
             Self::Eq5(_) | Self::ExpMinusLambda(_) | Self::Mpp(_) | Self::Diurnal(_) => 0,
         }
     }
 
     /// The mean harvest in a TTI of duration `tau`; for a trace, the mean of its first column.
     pub fn mean(&self, tau: f64) -> Energy {
-        let rows = self.columns().first().cloned().map(Arc::new);
+        let rows = self.trace_columns().first().cloned().map(Arc::new);
         self.setup(tau, 0).mean(rows.as_slice())
     }
 
     /// The largest energy in a TTI.
-    pub fn peak(&self) -> Energy {
+    pub fn max_per_tti(&self) -> Energy {
         match self {
             Self::Eq5(Arrivals { e_b, .. })
             | Self::ExpMinusLambda(Arrivals { e_b, .. })
-            | Self::Mpp(Mpp { e_b, .. })
+            | Self::Mpp(OnOff { e_b, .. })
             | Self::Diurnal(Diurnal {
                 arrivals: Arrivals { e_b, .. },
                 ..
             }) => *e_b,
-            Self::Trace(trace) => trace.peak(),
+            Self::Trace(trace) => trace.max_per_tti(),
         }
     }
 
@@ -170,7 +172,7 @@ impl Harvest {
     pub const fn arrivals(&self) -> Option<Arrivals> {
         match self {
             Self::Eq5(arrivals) | Self::ExpMinusLambda(arrivals) => Some(*arrivals),
-            Self::Mpp(Mpp { lambda, e_b, .. }) => Some(Arrivals {
+            Self::Mpp(OnOff { lambda, e_b, .. }) => Some(Arrivals {
                 lambda: *lambda,
                 e_b: *e_b,
             }),
@@ -225,27 +227,27 @@ impl HarvestSetup {
     /// The source as known before a run. A trace is known by its mean only, which then arrives in each TTI; so may be a
     /// diurnal source. `traces` are the run's, energy per TTI by row.
     #[must_use]
-    pub fn expected(&self, traces: &[Arc<Vec<Energy>>]) -> Self {
+    pub fn known_before_run(&self, traces: &[Arc<Vec<Energy>>]) -> Self {
         match self {
             Self::Arrivals(_) | Self::OnOff(_) => *self,
             Self::Trace(trace) => Self::Arrivals(ArrivalsSetup {
                 p: 1.0,
                 e_b: trace.mean(traces),
             }),
-            Self::Diurnal(diurnal) => diurnal.expected().map_or(*self, Self::Arrivals),
+            Self::Diurnal(diurnal) => diurnal.arrivals_if_mean_known().map_or(*self, Self::Arrivals),
         }
     }
 
     /// The expected energy by time of day, for a source that depends on it and is known before a run.
-    pub fn course(&self) -> Option<DayProfile> {
+    pub fn day_profile(&self) -> Option<DayProfile> {
         match self {
             Self::Arrivals(_) | Self::OnOff(_) | Self::Trace(_) => None,
-            Self::Diurnal(diurnal) => diurnal.course(),
+            Self::Diurnal(diurnal) => diurnal.day_profile(),
         }
     }
 
     /// Whether the source reads one of the run's traces.
-    pub(crate) const fn reads_a_trace(&self) -> bool {
+    pub(crate) const fn reads_trace(&self) -> bool {
         match self {
             Self::Trace(_) => true,
             Self::Arrivals(_) | Self::OnOff(_) | Self::Diurnal(_) => false,
@@ -253,7 +255,7 @@ impl HarvestSetup {
     }
 }
 
-impl Sources {
+impl SharedSourceData {
     /// Creates the shared data of sources of the kinds in `setups`. `traces` are the run's traces, energy per TTI by
     /// row.
     pub fn new<'a>(setups: impl IntoIterator<Item = &'a HarvestSetup>, traces: Vec<Arc<Vec<Energy>>>) -> Self {
@@ -273,11 +275,11 @@ impl Sources {
 #[derive(Clone, Debug)]
 pub struct HarvestSource {
     next: Tti,
-    source: Source,
+    source: SourceState,
 }
 
 #[derive(Clone, Debug)]
-enum Source {
+enum SourceState {
     Arrivals(ArrivalsSource),
     OnOff(OnOffSource),
     Trace(TraceSource),
@@ -289,42 +291,42 @@ impl HarvestSource {
     ///
     /// # Panics
     /// If `setup` names a trace that `shared` does not have.
-    pub fn new(setup: &HarvestSetup, shared: &Sources, seed: u64, device: DeviceId) -> Self {
+    pub fn new(setup: &HarvestSetup, shared: &SharedSourceData, seed: u64, device: DeviceId) -> Self {
         let stream = Stream::new(seed, Purpose::Harvest, u64::from(device.0));
         let (source, next) = match setup {
             HarvestSetup::Arrivals(setup) => {
                 let (source, next) = setup.source(shared, stream);
-                (Source::Arrivals(source), next)
+                (SourceState::Arrivals(source), next)
             }
             HarvestSetup::OnOff(setup) => {
                 let (source, next) = setup.source(stream);
-                (Source::OnOff(source), next)
+                (SourceState::OnOff(source), next)
             }
             HarvestSetup::Trace(setup) => {
                 let (source, next) = setup.source(&shared.traces);
-                (Source::Trace(source), next)
+                (SourceState::Trace(source), next)
             }
             HarvestSetup::Diurnal(setup) => {
                 let (source, next) = setup.source(shared, stream);
-                (Source::Diurnal(source), next)
+                (SourceState::Diurnal(source), next)
             }
         };
         Self { next, source }
     }
 
     /// The TTI of the next arrival; [`Tti::NEVER`] without one.
-    pub const fn next(&self) -> Tti {
+    pub const fn next_arrival(&self) -> Tti {
         self.next
     }
 
     /// Takes the next arrival, which must exist.
     #[inline]
-    pub fn take(&mut self) -> Energy {
+    pub fn take_arrival(&mut self) -> Energy {
         let (energy, next) = match &mut self.source {
-            Source::Arrivals(source) => source.take(self.next),
-            Source::OnOff(source) => source.take(self.next),
-            Source::Trace(source) => source.take(self.next),
-            Source::Diurnal(source) => source.take(self.next),
+            SourceState::Arrivals(source) => source.take(self.next),
+            SourceState::OnOff(source) => source.take(self.next),
+            SourceState::Trace(source) => source.take(self.next),
+            SourceState::Diurnal(source) => source.take(self.next),
         };
         self.next = next;
         energy
@@ -338,15 +340,20 @@ mod tests {
     const E_B: Energy = Energy::from_micro(5_000_000);
 
     fn source(harvest: &Harvest, device: u32) -> HarvestSource {
-        HarvestSource::new(&harvest.setup(1.0, 0), &Sources::default(), 11, DeviceId(device))
+        HarvestSource::new(
+            &harvest.setup(1.0, 0),
+            &SharedSourceData::default(),
+            11,
+            DeviceId(device),
+        )
     }
 
     fn arrivals(source: &mut HarvestSource, ttis: u64) -> u64 {
         let mut n = 0;
-        while source.next() < Tti(ttis) {
-            let before = source.next();
-            assert_eq!(source.take(), E_B);
-            assert!(source.next() > before);
+        while source.next_arrival() < Tti(ttis) {
+            let before = source.next_arrival();
+            assert_eq!(source.take_arrival(), E_B);
+            assert!(source.next_arrival() > before);
             n += 1;
         }
         n
@@ -373,7 +380,7 @@ mod tests {
                 libm::exp(-lambda),
             ),
             (
-                Harvest::Mpp(Mpp {
+                Harvest::Mpp(OnOff {
                     lambda,
                     e_b: E_B,
                     off_mean: 7.0,
@@ -394,7 +401,7 @@ mod tests {
     fn on_runs_of_mpp_are_as_long_as_its_chain_says() {
         let (lambda, off_mean) = (0.05, 10.0);
         let mut s = source(
-            &Harvest::Mpp(Mpp {
+            &Harvest::Mpp(OnOff {
                 lambda,
                 e_b: E_B,
                 off_mean,
@@ -402,9 +409,9 @@ mod tests {
             1,
         );
         let (mut runs, mut length, mut last) = (0u64, 0u64, Tti::NEVER);
-        while s.next() < Tti(400_000) {
-            let now = s.next();
-            s.take();
+        while s.next_arrival() < Tti(400_000) {
+            let now = s.next_arrival();
+            s.take_arrival();
             length += 1;
             runs += u64::from(last == Tti::NEVER || now != last + 1);
             last = now;
@@ -430,16 +437,16 @@ mod tests {
                     ttis_per_row,
                     end,
                 }),
-                &Sources::new([], vec![Arc::clone(&rows)]),
+                &SharedSourceData::new([], vec![Arc::clone(&rows)]),
                 0,
                 DeviceId(0),
             )
         };
         let collect = |mut s: HarvestSource, ttis: u64| {
             let mut seen = Vec::new();
-            while s.next() < Tti(ttis) {
-                let k = s.next().0;
-                seen.push((k, s.take().micro()));
+            while s.next_arrival() < Tti(ttis) {
+                let k = s.next_arrival().0;
+                seen.push((k, s.take_arrival().micro()));
             }
             seen
         };
@@ -452,10 +459,10 @@ mod tests {
                 ttis_per_row: 1,
                 end: TraceEnd::Cycle,
             }),
-            &Sources::new([], vec![Arc::new(vec![Energy::ZERO; 5])]),
+            &SharedSourceData::new([], vec![Arc::new(vec![Energy::ZERO; 5])]),
             0,
             DeviceId(0),
         );
-        assert_eq!(dark.next(), Tti::NEVER);
+        assert_eq!(dark.next_arrival(), Tti::NEVER);
     }
 }

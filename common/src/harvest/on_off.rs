@@ -1,23 +1,23 @@
-//! An on/off source.
+//! The source `mpp`: a two-state Markov chain, sampled once per TTI, that delivers E_B in each TTI that begins on.
 
 use serde::{Deserialize, Serialize};
 
 use super::arrivals::Arrivals;
-use super::shared_tables::expected;
+use super::shared_tables::expected_energy;
 use crate::declare::{FieldReader, FieldSink, Range, ScenarioError, Section, Visit, number};
 use crate::ids::Tti;
 use crate::rng::{Geometric, Stream};
 use crate::units::Energy;
 
-/// Mean off-durations.
-const DURATION: Range = Range::above(0.0, 1e15);
+/// Allowed mean off-durations, in units of model time.
+const OFF_MEAN_RANGE: Range = Range::above(0.0, 1e15);
 
 crate::declare! {
     /// On/off source with exponential durations. It delivers `e_b` in each TTI that begins while it is on.
     #[derive(Clone, Copy, Debug, PartialEq)]
     struct OffTimeFields in "harvest" only with "harvest.kind" = &["mpp"]; {
         /// Mean off-duration.
-        off_mean: Option<f64> = number(DURATION, 1.0)
+        off_mean: Option<f64> = number(OFF_MEAN_RANGE, 1.0)
             .unit("units of model time")
             .derived("such that the source is on for the share λτ·exp(-λτ) of the time")
             .source("Eq. (5)"),
@@ -26,7 +26,7 @@ crate::declare! {
 
 /// An on/off source with exponential durations and energy `E_B` in each TTI that begins while it is on.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Mpp {
+pub struct OnOff {
     /// λ, per unit of model time, > 0: on-durations have the mean 1/λ.
     pub lambda: f64,
     /// `E_B`.
@@ -36,7 +36,7 @@ pub struct Mpp {
     pub off_mean: f64,
 }
 
-impl Mpp {
+impl OnOff {
     /// The fields of this kind only.
     pub const SECTION: &'static Section = OffTimeFields::SECTION;
 
@@ -70,11 +70,11 @@ impl Mpp {
         let (leave_on, leave_off) = (self.lambda, 1.0 / self.off_mean);
         let on_share = leave_off / (leave_on + leave_off);
         // 1 − exp(−x) by `expm1`, which stays precise if τ is short against both means.
-        let forgotten = -libm::expm1(-(leave_on + leave_off) * tau);
+        let decay = -libm::expm1(-(leave_on + leave_off) * tau);
         OnOffSetup {
             on_share,
-            p_off: (1.0 - on_share) * forgotten,
-            p_on: on_share * forgotten,
+            p_off: (1.0 - on_share) * decay,
+            p_on: on_share * decay,
             e_b: self.e_b,
         }
     }
@@ -86,7 +86,7 @@ fn default_off_mean(reader: &FieldReader<'_>, lambda: f64, tau: f64) -> Result<f
     // The share is at most 1/e. For a very large λ it underflows to 0; the result is then infinite, which is rejected
     // below.
     let off_mean = (1.0 - on_share) / (lambda * on_share);
-    if DURATION.contains(off_mean) {
+    if OFF_MEAN_RANGE.contains(off_mean) {
         return Ok(off_mean);
     }
     let allowed = "gives too small an on share for a default off-duration; set harvest.off_mean";
@@ -117,23 +117,23 @@ impl OnOffSetup {
 
     /// The mean harvest per TTI.
     pub(super) fn mean(&self) -> Energy {
-        expected(self.on_share, self.e_b)
+        expected_energy(self.on_share, self.e_b)
     }
 
     /// Creates the source. Also returns the TTI of its first arrival.
     pub(super) fn source(&self, mut stream: Stream) -> (OnOffSource, Tti) {
-        let (on_run, off_run) = (Geometric::new(self.p_off), Geometric::new(self.p_on));
-        let on_now = stream.unit() < self.on_share;
-        let next = if on_now {
+        let (on_duration, off_duration) = (Geometric::new(self.p_off), Geometric::new(self.p_on));
+        let is_on = stream.unit() < self.on_share;
+        let next = if is_on {
             Tti::ZERO
         } else {
             // An off run of n TTIs from TTI 0 on ends before TTI n.
-            Tti(off_run.draw(&mut stream))
+            Tti(off_duration.draw(&mut stream))
         };
-        let last_on = last_of_run(next, on_run, &mut stream);
+        let last_on = draw_last_on(next, on_duration, &mut stream);
         let source = OnOffSource {
-            on_run,
-            off_run,
+            on_duration,
+            off_duration,
             last_on,
             stream,
             e_b: self.e_b,
@@ -145,8 +145,11 @@ impl OnOffSetup {
 /// The on/off source of one device.
 #[derive(Clone, Debug)]
 pub(super) struct OnOffSource {
-    on_run: Geometric,
-    off_run: Geometric,
+    /// The length of an on-period in TTIs.
+    on_duration: Geometric,
+    /// The length of an off-period in TTIs.
+    off_duration: Geometric,
+    /// The last TTI of the current on-period.
     last_on: Tti,
     stream: Stream,
     e_b: Energy,
@@ -161,14 +164,14 @@ impl OnOffSource {
         }
         // The off run begins at `now` + 1, so its length is counted from there.
         let next = now
-            .saturating_add(self.off_run.draw(&mut self.stream))
+            .saturating_add(self.off_duration.draw(&mut self.stream))
             .saturating_add(1);
-        self.last_on = last_of_run(next, self.on_run, &mut self.stream);
+        self.last_on = draw_last_on(next, self.on_duration, &mut self.stream);
         (self.e_b, next)
     }
 }
 
 /// The last TTI of a run of on-TTIs that starts at `first`.
-fn last_of_run(first: Tti, on_run: Geometric, stream: &mut Stream) -> Tti {
-    first.saturating_add(on_run.draw(stream)).saturating_sub_one()
+fn draw_last_on(first: Tti, on_duration: Geometric, stream: &mut Stream) -> Tti {
+    first.saturating_add(on_duration.draw(stream)).saturating_sub_one()
 }

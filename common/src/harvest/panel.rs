@@ -2,32 +2,32 @@
 //!
 //! A panel of area A and efficiency η turns an irradiance of G W/m² into η·A·G watts. Irradiance is linear between two
 //! rows of a record, and a TTI brings its integral. Rounding errors are carried over between TTIs, so that the
-//! micro-units of a record add up to its energy.
+//! micro-units of a record add up to its energy. `harvest/trace.rs` applies it to the source `trace`.
 
 use crate::declare::{FieldSink, Range, Section, Visit, number};
 use crate::units::{Energy, MAX_UNITS, MICRO_PER_UNIT};
 
-/// Most TTIs per column.
-const MOST_TTIS: f64 = 10_000_000.0;
-/// Allowed deviation of a record from a whole number of TTIs, in TTIs, for rounding.
-const ROUNDING: f64 = 1e-6;
+/// Maximum number of TTIs per column, which bounds the memory.
+const MAX_TTIS_PER_COLUMN: f64 = 10_000_000.0;
+/// Allowed relative deviation of a record from a whole number of TTIs, for rounding.
+const ROUNDING_TOLERANCE: f64 = 1e-6;
 /// Range of areas, energies and times.
-const SIZE: Range = Range::above(0.0, 1e9);
+const SIZE_RANGE: Range = Range::above(0.0, 1e9);
 
 crate::declare! {
     /// Solar panel, time scale and energy unit of an irradiance trace.
     #[derive(Clone, Copy, Debug, PartialEq)]
     pub struct Panel in "harvest.trace.panel" only with "harvest.trace.quantity" = &["irradiance"]; {
         /// Area of the panel.
-        pub area_cm2: f64 = number(SIZE, 1.0).unit("cm²").required(),
+        pub area_cm2: f64 = number(SIZE_RANGE, 1.0).unit("cm²").required(),
         /// Share of the light's energy that reaches the battery, converter losses included.
         pub efficiency: f64 = number(Range::above(0.0, 1.0), 1.0).required(),
         /// Energy that one unit represents. If E_Tx is 10 units, one unit is a tenth of the cost of a report.
-        pub unit_mj: f64 = number(SIZE, 1.0).unit("mJ").required(),
+        pub unit_mj: f64 = number(SIZE_RANGE, 1.0).unit("mJ").required(),
         /// Duration that a TTI represents.
-        pub tti_seconds: f64 = number(SIZE, 1.0).unit("seconds").required(),
+        pub tti_seconds: f64 = number(SIZE_RANGE, 1.0).unit("seconds").required(),
         /// Time between two rows of the file.
-        pub row_seconds: f64 = number(SIZE, 3600.0).unit("seconds"),
+        pub row_seconds: f64 = number(SIZE_RANGE, 3600.0).unit("seconds"),
     }
 }
 
@@ -46,45 +46,45 @@ impl Panel {
     pub(super) fn energies(&self, irradiance: &[f64], stops: bool) -> Result<Vec<Energy>, String> {
         let (rows, row) = (irradiance.len() as f64, self.row_seconds);
         let ttis = rows * row / self.tti_seconds;
-        let whole = ttis.round();
+        let tti_count = ttis.round();
         // Relative, since the rounding of the quotient grows with it.
-        if whole < 1.0 || (ttis - whole).abs() > ROUNDING * whole.max(1.0) {
+        if tti_count < 1.0 || (ttis - tti_count).abs() > ROUNDING_TOLERANCE * tti_count.max(1.0) {
             return Err(format!(
                 "its {rows} rows of {row} s cover {ttis:.3} TTIs of {} s, not a whole number; set \
                  harvest.trace.panel.tti_seconds or row_seconds, or use another number of rows",
                 self.tti_seconds
             ));
         }
-        if whole > MOST_TTIS {
+        if tti_count > MAX_TTIS_PER_COLUMN {
             return Err(format!(
-                "its {rows} rows cover {whole} TTIs, and the limit is {MOST_TTIS}; set a longer \
+                "its {rows} rows cover {tti_count} TTIs, and the limit is {MAX_TTIS_PER_COLUMN}; set a longer \
                  harvest.trace.panel.tti_seconds, or use fewer rows"
             ));
         }
         let after_last = if stops { irradiance.last() } else { irradiance.first() };
         let after_last = after_last.copied().unwrap_or(0.0);
-        let at = |i: usize| irradiance.get(i).copied().unwrap_or(after_last);
+        let value = |i: usize| irradiance.get(i).copied().unwrap_or(after_last);
         // The integral up to row i, W/m² times rows.
         let mut sums = Vec::with_capacity(irradiance.len() + 1);
         let mut sum = 0.0;
         for i in 0..=irradiance.len() {
             sums.push(sum);
-            sum += 0.5 * (at(i) + at(i + 1));
+            sum += 0.5 * (value(i) + value(i + 1));
         }
         let micro = self.units_per_second() * row * MICRO_PER_UNIT as f64;
-        let until = |tti: u64| {
+        let micro_until = |tti: u64| {
             // Rounding must not move the last position beyond the last row's end.
-            let place = (tti as f64 / whole * rows).min(rows);
-            let (i, part) = (place as usize, place.fract());
-            let slope = at(i + 1) - at(i);
-            micro * (sums[i] + part * (at(i) + 0.5 * part * slope))
+            let row_position = (tti as f64 / tti_count * rows).min(rows);
+            let (i, part) = (row_position as usize, row_position.fract());
+            let slope = value(i + 1) - value(i);
+            micro * (sums[i] + part * (value(i) + 0.5 * part * slope))
         };
-        let (mut energies, mut before) = (Vec::with_capacity(whole as usize), 0_u64);
-        for tti in 0..whole as u64 {
-            let end = until(tti + 1);
+        let (mut energies, mut previous_sum) = (Vec::with_capacity(tti_count as usize), 0_u64);
+        for tti in 0..tti_count as u64 {
+            let end = micro_until(tti + 1);
             // The cast saturates; a sum that large exceeds MAX_UNITS below anyway.
             let sum = end.round() as u64;
-            let energy = Energy::from_micro(sum.saturating_sub(before));
+            let energy = Energy::from_micro(sum.saturating_sub(previous_sum));
             if energy.units() > MAX_UNITS {
                 return Err(format!(
                     "TTI {tti} harvests {:.1} units, and the limit is {MAX_UNITS}; set a larger \
@@ -93,7 +93,7 @@ impl Panel {
                 ));
             }
             energies.push(energy);
-            before = sum;
+            previous_sum = sum;
         }
         Ok(energies)
     }

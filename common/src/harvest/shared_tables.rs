@@ -1,4 +1,5 @@
-//! Data shared by the sources of a run.
+//! Tables that the sources of a run share, so that a million devices do not each hold a copy. A table changes only the
+//! speed: a source draws the same arrivals with and without it.
 
 use std::sync::Arc;
 
@@ -8,21 +9,22 @@ use crate::rng::{GapTable, Geometric};
 use crate::units::Energy;
 
 /// The mean of `e_b` with probability `p`, to the nearest micro-unit.
-pub(super) fn expected(p: f64, e_b: Energy) -> Energy {
+pub(super) fn expected_energy(p: f64, e_b: Energy) -> Energy {
     Energy::from_micro((p * e_b.micro() as f64).round() as u64)
 }
 
 /// Data shared by the sources of a run: recorded energy, tables to draw gaps from, and hazards of days.
 #[derive(Clone, Debug, Default)]
-pub struct Sources {
+pub struct SharedSourceData {
+    /// Recorded energy per TTI, one row per trace.
     pub(super) traces: Vec<Arc<Vec<Energy>>>,
     /// The gap tables, by the bits of the probability of an arrival.
-    tables: Vec<(u64, Arc<GapTable>)>,
+    gap_tables: Vec<(u64, Arc<GapTable>)>,
     /// The hazards of a day, by sun and probability of an arrival with the sun in the zenith.
-    days: Vec<(Sun, f64, Arc<CumulativeHazard>)>,
+    day_hazards: Vec<(Sun, f64, Arc<CumulativeHazard>)>,
 }
 
-impl Sources {
+impl SharedSourceData {
     /// Creates the shared data with the run's `traces` only, energy per TTI by row.
     pub(super) fn with_traces(traces: Vec<Arc<Vec<Energy>>>) -> Self {
         Self {
@@ -34,23 +36,26 @@ impl Sources {
     /// Adds a table of gaps between arrivals of probability `p`.
     pub(super) fn add_gaps(&mut self, p: f64) {
         // Shared by all devices with this probability, since a table costs 4096 logarithms.
-        if self.tables.iter().all(|&(known, _)| known != p.to_bits()) {
-            self.tables
+        if self.gap_tables.iter().all(|&(known, _)| known != p.to_bits()) {
+            self.gap_tables
                 .push((p.to_bits(), Arc::new(GapTable::new(Geometric::new(p)))));
         }
     }
 
     /// Adds the hazards of a day under `sun`, where `zenith` is the probability of an arrival for an irradiance of 1.
     pub(super) fn add_hazards(&mut self, sun: &Sun, zenith: f64) {
-        if self.known_day(sun, zenith).is_none() {
-            self.days
-                .push((*sun, zenith, Arc::new(CumulativeHazard::new(sun.times(zenith)))));
+        if self.find_hazards(sun, zenith).is_none() {
+            self.day_hazards.push((
+                *sun,
+                zenith,
+                Arc::new(CumulativeHazard::new(sun.arrival_probabilities(zenith))),
+            ));
         }
     }
 
     /// The gaps between arrivals of probability `p`, from a shared table if available.
-    pub(super) fn gaps(&self, p: f64) -> Arc<GapTable> {
-        let known = self.tables.iter().find(|(bits, _)| *bits == p.to_bits());
+    pub(super) fn gap_table(&self, p: f64) -> Arc<GapTable> {
+        let known = self.gap_tables.iter().find(|(bits, _)| *bits == p.to_bits());
         known.map_or_else(
             || Arc::new(GapTable::new(Geometric::new(p))),
             |(_, table)| Arc::clone(table),
@@ -59,14 +64,18 @@ impl Sources {
 
     /// The hazards of a day under `sun`, shared if available.
     pub(super) fn hazards(&self, sun: &Sun, zenith: f64) -> Arc<CumulativeHazard> {
-        let known = self.known_day(sun, zenith);
-        known.map_or_else(|| Arc::new(CumulativeHazard::new(sun.times(zenith))), Arc::clone)
+        let known = self.find_hazards(sun, zenith);
+        known.map_or_else(
+            || Arc::new(CumulativeHazard::new(sun.arrival_probabilities(zenith))),
+            Arc::clone,
+        )
     }
 
-    fn known_day(&self, sun: &Sun, zenith: f64) -> Option<&Arc<CumulativeHazard>> {
-        let is_it =
-            |(known, at, _): &&(Sun, f64, Arc<CumulativeHazard>)| known == sun && at.to_bits() == zenith.to_bits();
-        self.days.iter().find(is_it).map(|(_, _, hazards)| hazards)
+    fn find_hazards(&self, sun: &Sun, zenith: f64) -> Option<&Arc<CumulativeHazard>> {
+        let is_same = |(known, known_zenith, _): &&(Sun, f64, Arc<CumulativeHazard>)| {
+            known == sun && known_zenith.to_bits() == zenith.to_bits()
+        };
+        self.day_hazards.iter().find(is_same).map(|(_, _, hazards)| hazards)
     }
 }
 
@@ -74,7 +83,7 @@ impl Sources {
 #[derive(Clone, Debug)]
 pub(super) struct CumulativeHazard {
     /// The hazard up to and including each TTI of the day.
-    ends: Vec<f64>,
+    cumulative: Vec<f64>,
 }
 
 impl CumulativeHazard {
@@ -85,32 +94,34 @@ impl CumulativeHazard {
             sum -= libm::log1p(-p);
             sum
         });
-        Self { ends: ends.collect() }
+        Self {
+            cumulative: ends.collect(),
+        }
     }
 
-    /// The first TTI from `from` on by whose end the hazard has grown by more than `asked`, ≥ 0.
+    /// The first TTI from `from` on by whose end the hazard has grown by more than `hazard`, ≥ 0.
     ///
     /// TTIs whose hazards add up to h bring no arrival with probability exp(-h). So one exponential draw finds the TTI
     /// of the next arrival with the same law as an independent trial in each TTI.
-    pub(super) fn passed(&self, from: Tti, asked: f64) -> Tti {
-        let ttis = self.ends.len() as u64;
-        let whole = self.ends.last().copied().unwrap_or(0.0);
-        if whole <= 0.0 {
+    pub(super) fn first_tti_beyond(&self, from: Tti, hazard: f64) -> Tti {
+        let ttis = self.cumulative.len() as u64;
+        let whole_day = self.cumulative.last().copied().unwrap_or(0.0);
+        if whole_day <= 0.0 {
             return Tti::NEVER;
         }
         let (day, slot) = (from.0 / ttis, (from.0 % ttis) as usize);
-        let before = slot.checked_sub(1).map_or(0.0, |last| self.ends[last]);
-        let goal = before + asked;
-        let days = (goal / whole).floor();
+        let before = slot.checked_sub(1).map_or(0.0, |last| self.cumulative[last]);
+        let target = before + hazard;
+        let days = (target / whole_day).floor();
         // Rounding can make the rest slightly negative.
-        let rest = (goal - days * whole).max(0.0);
+        let rest = (target - days * whole_day).max(0.0);
         let mut day = day.saturating_add(days as u64);
         // A dark TTI ends with the sum of the TTI before it, so it is never chosen.
-        let mut slot = self.ends.partition_point(|&end| end <= rest);
-        if slot == self.ends.len() {
+        let mut slot = self.cumulative.partition_point(|&end| end <= rest);
+        if slot == self.cumulative.len() {
             // Only rounding leads here: the arrival is in the first lit TTI of the next day.
             day = day.saturating_add(1);
-            slot = self.ends.partition_point(|&end| end <= 0.0);
+            slot = self.cumulative.partition_point(|&end| end <= 0.0);
         }
         Tti(day.saturating_mul(ttis).saturating_add(slot as u64))
     }

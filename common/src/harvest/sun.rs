@@ -10,11 +10,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::declare::choices;
 
-/// The tilt of the Earth's axis in Cooper's formula, degrees.
-const TILT: f64 = 23.45;
+/// The tilt of the Earth's axis in Cooper's formula.
+const AXIAL_TILT_DEGREES: f64 = 23.45;
 /// Attenuation by a clear sky (Haurwitz): irradiance is proportional to s·exp(-0.059/s), with s the sine of the
 /// elevation.
-const HAZE: f64 = 0.059;
+const HAURWITZ_ATTENUATION: f64 = 0.059;
 
 choices! {
     /// Attenuation of sunlight by the atmosphere.
@@ -37,7 +37,7 @@ impl Sky {
         }
         match self {
             Self::Vacuum => sine,
-            Self::Clear => sine * libm::exp(HAZE - HAZE / sine),
+            Self::Clear => sine * libm::exp(HAURWITZ_ATTENUATION - HAURWITZ_ATTENUATION / sine),
         }
     }
 }
@@ -60,12 +60,12 @@ pub struct Sun {
 impl Sun {
     /// The declination δ in radians: 23.45°·sin(360°·(284 + n)/365).
     pub(crate) fn declination(&self) -> f64 {
-        TILT.to_radians() * libm::sin(TAU * (284.0 + f64::from(self.day_of_year)) / 365.0)
+        AXIAL_TILT_DEGREES.to_radians() * libm::sin(TAU * (284.0 + f64::from(self.day_of_year)) / 365.0)
     }
 
     /// The sine of the elevation at the hour angle `omega` in radians, 0 at noon:
     /// sin φ sin δ + cos φ cos δ cos ω.
-    pub fn sine(&self, omega: f64) -> f64 {
+    pub fn elevation_sine(&self, omega: f64) -> f64 {
         let (phi, delta) = (self.latitude.to_radians(), self.declination());
         libm::sin(phi) * libm::sin(delta) + libm::cos(phi) * libm::cos(delta) * libm::cos(omega)
     }
@@ -80,31 +80,32 @@ impl Sun {
     }
 
     /// Irradiance in the middle of each TTI of a day, from TTI 0 on, relative to a sun in the zenith, `[0, 1]`.
-    pub fn day(&self) -> impl Iterator<Item = f64> + '_ {
+    pub fn irradiance_by_tti(&self) -> impl Iterator<Item = f64> + '_ {
         let ttis = f64::from(self.ttis_per_day);
         // As in `Self::sine`, with the factors that are constant over a day computed once.
         let (phi, delta) = (self.latitude.to_radians(), self.declination());
-        let (level, swing) = (libm::sin(phi) * libm::sin(delta), libm::cos(phi) * libm::cos(delta));
+        let (constant, amplitude) = (libm::sin(phi) * libm::sin(delta), libm::cos(phi) * libm::cos(delta));
         (0..self.ttis_per_day).map(move |tti| {
-            let of_day = self.start_hour / 24.0 + (f64::from(tti) + 0.5) / ttis;
+            let day_share = self.start_hour / 24.0 + (f64::from(tti) + 0.5) / ttis;
             // The hour angle is 0 at noon.
-            self.sky.irradiance(level + swing * libm::cos(TAU * (of_day - 0.5)))
+            self.sky
+                .irradiance(constant + amplitude * libm::cos(TAU * (day_share - 0.5)))
         })
     }
 
-    /// [`Self::day`] multiplied by `zenith`.
-    pub fn times(&self, zenith: f64) -> impl Iterator<Item = f64> + '_ {
-        self.day().map(move |light| zenith * light)
+    /// The probability of an arrival in each TTI of a day; `zenith` is the one for an irradiance of 1.
+    pub fn arrival_probabilities(&self, zenith: f64) -> impl Iterator<Item = f64> + '_ {
+        self.irradiance_by_tti().map(move |light| zenith * light)
     }
 
-    /// The upper bound of [`Self::day`]: irradiance at noon.
-    pub fn noon(&self) -> f64 {
-        self.sky.irradiance(self.sine(0.0))
+    /// Irradiance at noon, the upper bound of [`Self::irradiance_by_tti`].
+    pub fn noon_irradiance(&self) -> f64 {
+        self.sky.irradiance(self.elevation_sine(0.0))
     }
 
-    /// The mean of [`Self::day`], `[0, 1]`.
-    pub fn mean(&self) -> f64 {
-        self.day().sum::<f64>() / f64::from(self.ttis_per_day)
+    /// The mean of [`Self::irradiance_by_tti`], `[0, 1]`.
+    pub fn mean_irradiance(&self) -> f64 {
+        self.irradiance_by_tti().sum::<f64>() / f64::from(self.ttis_per_day)
     }
 }
 
@@ -157,7 +158,7 @@ mod tests {
             (-60.0, 300),
         ] {
             let sun = sun(latitude, day);
-            let lit = sun.day().filter(|&light| light > 0.0).count();
+            let lit = sun.irradiance_by_tti().filter(|&light| light > 0.0).count();
             let expected = 1440.0 * sun.daylight();
             assert!(
                 (lit as f64 - expected).abs() <= 2.0,
@@ -187,7 +188,7 @@ mod tests {
         ] {
             let sun = sun(latitude, day);
             assert_eq!(sun.daylight().to_bits(), f64::to_bits(lit), "{latitude}° on {day}");
-            let found = sun.day().filter(|&light| light > 0.0).count();
+            let found = sun.irradiance_by_tti().filter(|&light| light > 0.0).count();
             assert_eq!(found, if lit > 0.0 { 1440 } else { 0 }, "{latitude}° on {day}");
         }
     }
@@ -196,15 +197,18 @@ mod tests {
     fn a_day_is_the_same_before_and_after_noon() {
         for sky in [Sky::Vacuum, Sky::Clear] {
             let sun = Sun { sky, ..sun(40.0, 100) };
-            let day: Vec<f64> = sun.day().collect();
+            let day: Vec<f64> = sun.irradiance_by_tti().collect();
             for (morning, evening) in day.iter().zip(day.iter().rev()) {
                 assert!((morning - evening).abs() < 1e-12);
             }
             let most = day.iter().copied().fold(0.0, f64::max);
-            assert!(most <= sun.noon() && most > 0.9999 * sun.noon(), "{most}");
+            assert!(
+                most <= sun.noon_irradiance() && most > 0.9999 * sun.noon_irradiance(),
+                "{most}"
+            );
             // A run that begins at another hour has the same day, shifted.
             let later = Sun { start_hour: 6.0, ..sun };
-            for (at, light) in later.day().enumerate() {
+            for (at, light) in later.irradiance_by_tti().enumerate() {
                 assert!((light - day[(at + 360) % 1440]).abs() < 1e-12);
             }
         }
@@ -220,9 +224,9 @@ mod tests {
             let closed =
                 (omega * libm::sin(phi) * libm::sin(delta) + libm::cos(phi) * libm::cos(delta) * libm::sin(omega)) / PI;
             assert!(
-                (vacuum.mean() - closed).abs() < 1e-5,
+                (vacuum.mean_irradiance() - closed).abs() < 1e-5,
                 "{latitude}° on {day}: {} not {closed}",
-                vacuum.mean()
+                vacuum.mean_irradiance()
             );
             let clear = Sun {
                 sky: Sky::Clear,
@@ -236,21 +240,21 @@ mod tests {
                     odd if odd % 2 == 1 => 4.0,
                     _ => 2.0,
                 };
-                let light = clear.sine(omega * f64::from(step) / f64::from(steps));
+                let light = clear.elevation_sine(omega * f64::from(step) / f64::from(steps));
                 sum += weight
                     * if light > 1e-9 {
-                        light * libm::exp(HAZE - HAZE / light)
+                        light * libm::exp(HAURWITZ_ATTENUATION - HAURWITZ_ATTENUATION / light)
                     } else {
                         0.0
                     };
             }
             let integral = sum * omega / (3.0 * f64::from(steps)) / PI;
             assert!(
-                (clear.mean() - integral).abs() < 1e-5,
+                (clear.mean_irradiance() - integral).abs() < 1e-5,
                 "{latitude}° on {day}: {} not {integral}",
-                clear.mean()
+                clear.mean_irradiance()
             );
-            assert!(clear.mean() < vacuum.mean());
+            assert!(clear.mean_irradiance() < vacuum.mean_irradiance());
         }
     }
 }

@@ -1,4 +1,6 @@
-//! Energy traces from files.
+//! The source `trace`: recorded energy, or irradiance that [`super::panel`] converts, from a CSV or Parquet file.
+//!
+//! The scenario hash covers the converted values, so a change of the conversion changes the hash.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -6,7 +8,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::panel::{self, Panel};
-use crate::columns::{self, ColumnData, LARGEST_FILE};
+use crate::columns::{self, ColumnData, MAX_FILE_BYTES};
 use crate::declare::choices;
 use crate::declare::{
     FieldReader, FieldSink, FieldValue, NOT_NEGATIVE, ScenarioError, Section, Visit, choice, file, number, text, texts,
@@ -114,8 +116,8 @@ impl HarvestTrace {
                  energy and the duration of a row",
             );
         }
-        let (path, because) = ("harvest.trace.file", "harvest.kind");
-        let file = settings.file.ok_or_else(|| reader.missing_value(path, because))?;
+        let (field_path, because) = ("harvest.trace.file", "harvest.kind");
+        let file = settings.file.ok_or_else(|| reader.missing_value(field_path, because))?;
         let columns = match (settings.column, settings.columns) {
             (Some(column), None) => TraceColumns::Shared(column),
             (None, Some(columns)) => TraceColumns::PerDevice(columns),
@@ -127,18 +129,18 @@ impl HarvestTrace {
                 return Err(reader.missing_value("harvest.trace.column (or harvest.trace.columns)", because));
             }
         };
-        let file = reader.file(path, &file)?;
+        let file = reader.file(field_path, &file)?;
         let names = match &columns {
             TraceColumns::Shared(name) => std::slice::from_ref(name),
             TraceColumns::PerDevice(names) => names,
         };
         let values = reader
-            .bytes(&file, LARGEST_FILE)
+            .read_bytes(&file, MAX_FILE_BYTES)
             .map_err(|error| error.to_string())
-            .and_then(|bytes| columns::numbers(&file, &bytes, names))
+            .and_then(|bytes| columns::read_numbers(&file, &bytes, names))
             .and_then(|numbers| match &panel {
-                None => energies(&numbers, names, settings.scale),
-                Some(panel) => under(panel, &numbers, names, settings.end),
+                None => scale_to_energy(&numbers, names, settings.scale),
+                Some(panel) => convert_irradiance(panel, &numbers, names, settings.end),
             });
         match values {
             Ok(values) => Ok(Self {
@@ -150,7 +152,7 @@ impl HarvestTrace {
                 panel,
                 values: Arc::new(values),
             }),
-            Err(reason) => Err(reader.file_error(path, file, reason)),
+            Err(reason) => Err(reader.file_error(field_path, file, reason)),
         }
     }
 
@@ -191,12 +193,12 @@ impl HarvestTrace {
     }
 
     /// The largest energy in a TTI.
-    pub(super) fn peak(&self) -> Energy {
+    pub(super) fn max_per_tti(&self) -> Energy {
         self.values.iter().flatten().max().copied().unwrap_or_default()
     }
 
     /// The index of the column, from 0, that the `nth` device of a class reads.
-    pub(super) fn column_of(&self, nth: u32) -> u32 {
+    pub(super) fn column_index(&self, nth: u32) -> u32 {
         match &self.columns {
             TraceColumns::Shared(_) => 0,
             TraceColumns::PerDevice(columns) => nth % columns.len() as u32,
@@ -214,13 +216,13 @@ impl HarvestTrace {
 }
 
 /// Converts `numbers` by column and row to energy per TTI.
-fn energies(numbers: &ColumnData<f64>, names: &[String], scale: f64) -> Result<Vec<Vec<Energy>>, String> {
+fn scale_to_energy(numbers: &ColumnData<f64>, names: &[String], scale: f64) -> Result<Vec<Vec<Energy>>, String> {
     let energy = |name: &str, (row, &number): (usize, &f64)| {
         Energy::from_units(number * scale).ok_or_else(|| {
             format!(
                 "{}, column `{name}`: {number} times the scale {scale} must be at least 0 and \
                  at most {MAX_UNITS} units",
-                numbers.place(row)
+                numbers.describe_row(row)
             )
         })
     };
@@ -230,7 +232,7 @@ fn energies(numbers: &ColumnData<f64>, names: &[String], scale: f64) -> Result<V
 }
 
 /// Converts `numbers` by column and row, W/m², to energy per TTI by column and TTI.
-fn under(
+fn convert_irradiance(
     panel: &Panel,
     numbers: &ColumnData<f64>,
     names: &[String],
@@ -240,7 +242,7 @@ fn under(
         if let Some(row) = values.iter().position(|&value| value < 0.0) {
             return Err(format!(
                 "{}, column `{name}`: the irradiance {} W/m² must be at least 0; write 0 for negative offsets at night",
-                numbers.place(row),
+                numbers.describe_row(row),
                 values[row]
             ));
         }
@@ -263,18 +265,18 @@ pub struct TraceSetup {
 
 impl TraceSetup {
     /// The rows of this trace, from the run's `traces`.
-    fn rows<'t>(&self, traces: &'t [Arc<Vec<Energy>>]) -> Option<&'t Arc<Vec<Energy>>> {
+    fn find_rows<'t>(&self, traces: &'t [Arc<Vec<Energy>>]) -> Option<&'t Arc<Vec<Energy>>> {
         traces.get(self.trace as usize)
     }
 
     /// Whether the setup is valid for a device.
     pub(super) fn is_valid(&self, traces: &[Arc<Vec<Energy>>]) -> bool {
-        self.ttis_per_row > 0 && self.rows(traces).is_some_and(|rows| !rows.is_empty())
+        self.ttis_per_row > 0 && self.find_rows(traces).is_some_and(|rows| !rows.is_empty())
     }
 
     /// The mean harvest per TTI.
     pub(super) fn mean(&self, traces: &[Arc<Vec<Energy>>]) -> Energy {
-        let rows = self.rows(traces).map_or(&[][..], |rows| rows);
+        let rows = self.find_rows(traces).map_or(&[][..], |rows| rows);
         let sum: u128 = rows.iter().map(|energy| u128::from(energy.micro())).sum();
         Energy::from_micro((sum / (rows.len() as u128).max(1)) as u64)
     }
@@ -327,12 +329,12 @@ mod tests {
     use super::*;
 
     fn column(text: &str) -> ColumnData<f64> {
-        columns::numbers(Path::new("t.csv"), text.as_bytes(), &["ghi".to_owned()]).expect("a column")
+        columns::read_numbers(Path::new("t.csv"), text.as_bytes(), &["ghi".to_owned()]).expect("a column")
     }
 
     #[test]
     fn values_are_scaled_to_micro_units() {
-        let values = energies(&column("ghi\n0\n500\n"), &["ghi".to_owned()], 0.002).expect("valid");
+        let values = scale_to_energy(&column("ghi\n0\n500\n"), &["ghi".to_owned()], 0.002).expect("valid");
         assert_eq!(values, [[Energy::ZERO, Energy::from_micro(1_000_000)]]);
     }
 
@@ -346,19 +348,20 @@ mod tests {
             row_seconds: 60.0,
         };
         let names = ["ghi".to_owned()];
-        let reason = under(&panel, &column("ghi\n1\n-3\n"), &names, TraceEnd::Cycle).expect_err("negative");
+        let reason =
+            convert_irradiance(&panel, &column("ghi\n1\n-3\n"), &names, TraceEnd::Cycle).expect_err("negative");
         assert!(
             reason.starts_with("line 3, column `ghi`: the irradiance -3 W/m² must be"),
             "{reason}"
         );
         // 10 cm² at a tenth: 1 W/m² is 0.1 mJ a second.
-        let rows = under(&panel, &column("ghi\n2\n2\n"), &names, TraceEnd::Stop).expect("valid");
+        let rows = convert_irradiance(&panel, &column("ghi\n2\n2\n"), &names, TraceEnd::Stop).expect("valid");
         assert_eq!(rows, [[Energy::from_micro(12_000_000); 2]]);
     }
 
     #[test]
     fn a_negative_value_is_named() {
-        let reason = energies(&column("ghi\n1\n-3\n"), &["ghi".to_owned()], 1.0).expect_err("negative");
+        let reason = scale_to_energy(&column("ghi\n1\n-3\n"), &["ghi".to_owned()], 1.0).expect_err("negative");
         assert!(reason.starts_with("line 3, column `ghi`: -3 times"), "{reason}");
     }
 }

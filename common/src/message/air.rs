@@ -12,7 +12,7 @@ use crate::state::{DeviceState, DeviceView};
 use crate::units::Energy;
 
 /// The largest number of devices listed in one line of text.
-const NAMED: usize = 8;
+const MAX_LISTED_DEVICES: usize = 8;
 
 /// Air, BS → all devices: the δ plan from a TTI on, sent when it changes and for synchronisation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -32,22 +32,22 @@ impl Concerns for PlanUpdate {
 impl fmt::Display for PlanUpdate {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { from, plan } = self;
-        let (places, form) = match plan {
+        let (positions, kind) = match plan {
             // A plan of bits does not hold N. The spare bits of its last byte are 0 and add no device to the count.
             Plan::Bits { bits } => (bits.len() * 8, ""),
             Plan::Periodic(cycles) => (cycles.len(), "periodic, "),
         };
-        let on = || (0..places as u32).filter(|&j| plan.duty_cycle(DeviceId(j)).is_on(*from));
+        let on = || (0..positions as u32).filter(|&j| plan.duty_cycle(DeviceId(j)).is_on(*from));
         let count = on().count();
-        write!(f, "δ from TTI {from}: {form}")?;
+        write!(f, "δ from TTI {from}: {kind}")?;
         match plan {
             Plan::Bits { .. } => write!(f, "{count} devices sense")?,
-            Plan::Periodic(_) => write!(f, "{count} of {places} devices sense first")?,
+            Plan::Periodic(_) => write!(f, "{count} of {positions} devices sense first")?,
         }
-        for (nth, device) in on().take(NAMED).enumerate() {
+        for (nth, device) in on().take(MAX_LISTED_DEVICES).enumerate() {
             write!(f, "{} {device}", if nth == 0 { ":" } else { "," })?;
         }
-        f.write_str(if count > NAMED { " …" } else { "" })
+        f.write_str(if count > MAX_LISTED_DEVICES { " …" } else { "" })
     }
 }
 
@@ -153,7 +153,7 @@ impl WakeOutcome {
 
     /// Applies the outcome to `view`, which dates from before the wake-up.
     #[must_use]
-    pub const fn apply(&self, view: DeviceView) -> DeviceView {
+    pub const fn apply_to(&self, view: DeviceView) -> DeviceView {
         match self {
             Self::Reported(report) | Self::Lost(report) => DeviceView {
                 state: DeviceState::Transmission,

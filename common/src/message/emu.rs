@@ -86,7 +86,7 @@ pub struct HostCheckpoint {
 impl HostCheckpoint {
     /// Returns the checkpoint of `count` devices from position `first`.
     #[must_use]
-    pub fn part(&self, first: usize, count: usize) -> Self {
+    pub fn slice(&self, first: usize, count: usize) -> Self {
         Self {
             at: self.at,
             devices: self.devices[first..][..count].to_vec(),

@@ -1,4 +1,4 @@
-//! Copies of messages for observers, and their queries about a run.
+//! Copies of messages for observers ([`Frame`], the unit of a recording), and the observers' queries about a run.
 
 use std::fmt;
 
@@ -49,7 +49,7 @@ impl Frame {
 
 /// Emulation, BS → observers: copies of messages, in the order of sending and receiving.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct TapBatch {
+pub struct FrameBatch {
     /// The number of the first frame, counted from the start of the run. A gap to the previous batch shows dropped
     /// frames.
     pub first: u64,
@@ -71,7 +71,7 @@ impl fmt::Display for DescribeRequest {
 
 /// Emulation, BS → observer: the reply to [`DescribeRequest`].
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Description {
+pub struct ScenarioDescription {
     /// The text of the scenario file.
     pub scenario: String,
     /// The files that it names: path relative to the scenario file, and bytes.
@@ -81,27 +81,28 @@ pub struct Description {
 /// Emulation, observer → BS, a query: a part of the run's input log. The log grows during the run and can be longer
 /// than the maximum length of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct ReadLog {
+pub struct InputLogRequest {
     /// The first byte to read, counted from 0.
     pub from: u64,
 }
 
-impl Concerns for ReadLog {}
+impl Concerns for InputLogRequest {}
 
-impl fmt::Display for ReadLog {
+impl fmt::Display for InputLogRequest {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "requests the input log from byte {}", self.from)
     }
 }
 
-/// Emulation, BS → observer: the reply to [`ReadLog`].
+/// Emulation, BS → observer: the reply to [`InputLogRequest`].
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct LogPart {
-    /// Up to [`LogPart::LONGEST`] bytes of the log, or one longer line. Empty at the end of the log or without one.
+pub struct InputLogPart {
+    /// Up to [`InputLogPart::MAX_BYTES`] bytes of the log, or one longer line. Empty at the end of the log or without
+    /// one.
     pub bytes: Vec<u8>,
 }
 
-impl LogPart {
+impl InputLogPart {
     /// Length in bytes of every part except the last.
-    pub const LONGEST: u64 = 4 << 20;
+    pub const MAX_BYTES: u64 = 4 << 20;
 }

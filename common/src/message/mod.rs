@@ -2,9 +2,10 @@
 //!
 //! There are three planes. The *air* plane holds the messages that a real deployment would send over the radio, the
 //! *emulation* plane the messages that only the emulation needs. The *truth* plane is not sent: it tells observers
-//! about the modelled world and the BS's conclusions. The table `messages!` below is the single list of kinds. The
-//! keys ([`crate::keys`]), the typed bus (`crate::bus`), `reveille inspect` with its help and its page, and the fuzz
-//! target use it. A new kind needs a row of the table, and a payload in the file of its plane.
+//! about the modelled world and the BS's conclusions. The table `messages!` below is the single list of kinds. The keys
+//! ([`crate::keys`]), the typed bus (`crate::bus`), `reveille inspect` with its help and its page, and the fuzz target
+//! use it. A new kind needs a row of the table, a payload in the file of its plane and, if it is sent, a right in
+//! `bus/access.rs`. Payloads are encoded by position, so a changed field is a new [`crate::codec::WIRE_VERSION`].
 //!
 //! The table omits the copies of messages for observers ([`Frame`]), which are not part of the run.
 
@@ -28,7 +29,7 @@ pub use emu::{
     BusCredentials, ClockMessage, DeviceCheckpoint, DeviceSetup, GrantMessage, HostAnswer, HostCheckpoint, HostSetup,
     JoinReply, JoinRequest, Ready, ResumePoint,
 };
-pub use inspect::{DescribeRequest, Description, Frame, LogPart, ReadLog, TapBatch};
+pub use inspect::{DescribeRequest, Frame, FrameBatch, InputLogPart, InputLogRequest, ScenarioDescription};
 pub use truth::{
     BeliefUpdate, DeviceRemoval, DeviceStates, EventUpdate, FailedReport, LostReport, WakeUpResult, WeightedPoint,
     WorldUpdate,
@@ -95,7 +96,7 @@ macro_rules! messages {
             }
 
             /// Passes the payload type of every kind to `visitor`.
-            pub fn show_types(visitor: &mut impl TypeVisitor) {
+            pub fn visit_types(visitor: &mut impl TypeVisitor) {
                 $(visitor.visit::<$payload>();)+
             }
         }
@@ -217,9 +218,9 @@ messages! {
         "A query: a host has made all subscriptions and waits for the first TTI.";
     Control "control": ClockCommand => ClockStatus, Emu, Anyone, (), "operator → BS",
         "A query: pause, step or resume the clock, or read its status.";
-    Describe "describe": DescribeRequest => Description, Emu, Anyone, (), "observer → BS",
+    Describe "describe": DescribeRequest => ScenarioDescription, Emu, Anyone, (), "observer → BS",
         "A query: the scenario of the run, with its scenario files.";
-    Log "log": ReadLog => LogPart, Emu, Anyone, (), "observer → BS",
+    Log "log": InputLogRequest => InputLogPart, Emu, Anyone, (), "observer → BS",
         "A query: a part of the input log, which holds device removals and external decisions.";
     World "world": WorldUpdate, Truth, Members, (), "world → observers",
         "TTIs granted to the devices, and the stimulus in the last one.";
@@ -240,7 +241,7 @@ messages! {
 }
 
 /// Returns the kinds of message as a Markdown table, for the page on inspecting.
-pub fn markdown() -> String {
+pub fn kinds_as_markdown() -> String {
     let row = |kind: &MessageKind| {
         let (name, plane, direction, about) = (kind.name(), kind.plane().name(), kind.direction(), kind.about());
         format!("| `{name}` | {plane} | {direction} | {about} |\n")
@@ -377,7 +378,7 @@ mod tests {
 
     #[test]
     fn the_page_on_inspecting_has_the_table_of_kinds() {
-        io::assert_table("docs/inspecting.md", "kinds", &markdown());
+        io::assert_table("docs/inspecting.md", "kinds", &kinds_as_markdown());
     }
 
     #[test]

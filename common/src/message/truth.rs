@@ -1,4 +1,5 @@
-//! The truth plane, only for observers: the modelled world, and the beliefs of the base station.
+//! The truth plane, only for observers: the modelled world, and the beliefs of the base station. Its messages never
+//! cross the bus as such; `bs/src/observer/` builds them. [`DeviceRemoval`] is also an entry of the input log.
 
 use std::fmt;
 
@@ -196,12 +197,12 @@ impl DeviceRemoval {
 
     /// Returns the removals of `devices`, in ascending order, in TTI `tti` after `wake_ups` wake-ups: one removal for
     /// each range of consecutive ids.
-    pub fn by_class(devices: impl IntoIterator<Item = DeviceId>, tti: Tti, wake_ups: Option<u32>) -> Vec<Self> {
-        let mut all: Vec<Self> = Vec::new();
+    pub fn from_devices(devices: impl IntoIterator<Item = DeviceId>, tti: Tti, wake_ups: Option<u32>) -> Vec<Self> {
+        let mut removals: Vec<Self> = Vec::new();
         for device in devices {
-            match all.last_mut() {
+            match removals.last_mut() {
                 Some(last) if last.last().0 + 1 == device.0 => last.count += 1,
-                Some(_) | None => all.push(Self {
+                Some(_) | None => removals.push(Self {
                     first: device,
                     count: 1,
                     tti,
@@ -209,11 +210,11 @@ impl DeviceRemoval {
                 }),
             }
         }
-        all
+        removals
     }
 
     /// Whether `device` is removed by it.
-    pub const fn has(&self, device: DeviceId) -> bool {
+    pub const fn contains(&self, device: DeviceId) -> bool {
         // Compares offsets, because first + count can overflow in a removal that was not validated.
         self.first.0 <= device.0 && device.0 - self.first.0 < self.count
     }
@@ -227,7 +228,7 @@ impl DeviceRemoval {
 
 impl Concerns for DeviceRemoval {
     fn concerns(&self, _number: Option<u32>, device: DeviceId) -> bool {
-        self.has(device)
+        self.contains(device)
     }
 }
 
@@ -289,7 +290,7 @@ mod tests {
     #[test]
     fn devices_that_follow_one_another_go_together() {
         let went = |devices: &[u32]| -> Vec<(u32, u32)> {
-            let outages = DeviceRemoval::by_class(devices.iter().copied().map(DeviceId), Tti(4), Some(2));
+            let outages = DeviceRemoval::from_devices(devices.iter().copied().map(DeviceId), Tti(4), Some(2));
             assert!(
                 outages
                     .iter()

@@ -1,4 +1,5 @@
-//! Losses on the air.
+//! Losses on the air, and false wake-ups. Each loss is drawn from seed, device and TTI, and bursts follow from the
+//! seed, so the world, hosts and observers compute the same losses.
 
 use super::RadioSettings;
 use crate::ids::{DeviceId, Tti};
@@ -11,7 +12,7 @@ use crate::rng::{Geometric, Purpose, Stream, unit_for_pair};
 pub struct Air {
     seed: u64,
     radio: RadioSettings,
-    bursts: Option<Phases>,
+    burst_phases: Option<Phases>,
 }
 
 /// The air in one TTI. Repeated queries for a device give the same result.
@@ -30,12 +31,12 @@ impl Air {
         Self {
             seed,
             radio: *radio,
-            bursts: radio.bursts.map(|bursts| bursts.phases(seed)),
+            burst_phases: radio.bursts.map(|bursts| bursts.burst_phases(seed)),
         }
     }
 
     /// The air in TTI `k` of a run; `k` must not decrease between calls.
-    pub fn at(&mut self, k: Tti) -> ChannelState {
+    pub fn channel_at(&mut self, k: Tti) -> ChannelState {
         let RadioSettings {
             wake_miss,
             uplink_loss,
@@ -43,15 +44,18 @@ impl Air {
             bursts,
             ..
         } = self.radio;
-        let is_burst = self.bursts.as_mut().is_some_and(|phases| phases.at(k).is_busy);
+        let is_burst = self
+            .burst_phases
+            .as_mut()
+            .is_some_and(|phases| phases.phase_at(k).is_busy);
         // During a burst each loss has at least the probability `loss`; a higher one in the settings is kept.
-        let least = bursts.filter(|_| is_burst).map_or(0.0, |bursts| bursts.loss);
+        let burst_loss = bursts.filter(|_| is_burst).map_or(0.0, |bursts| bursts.loss);
         ChannelState {
             seed: self.seed,
             tti: k,
-            wake_miss: wake_miss.max(least),
-            uplink_loss: uplink_loss.max(least),
-            plan_loss: plan_loss.max(least),
+            wake_miss: wake_miss.max(burst_loss),
+            uplink_loss: uplink_loss.max(burst_loss),
+            plan_loss: plan_loss.max(burst_loss),
         }
     }
 
@@ -72,11 +76,11 @@ impl Air {
         count: usize,
         mut receive: impl FnMut(usize, DutyCycle),
     ) -> u64 {
-        let moment = self.at(from);
+        let channel = self.channel_at(from);
         let mut missed = 0;
         // Each draw is keyed by device and TTI, so a host that delivers only to its own devices finds the same losses.
         for (j, device) in (first.0..).map(DeviceId).enumerate().take(count) {
-            if moment.draws(Purpose::PlanLoss, device, moment.plan_loss) {
+            if channel.is_lost(Purpose::PlanLoss, device, channel.plan_loss) {
                 missed += 1;
             } else {
                 receive(j, plan.duty_cycle(device));
@@ -89,16 +93,16 @@ impl Air {
 impl ChannelState {
     /// Whether the powered wake-up radio of `device` misses a wake-up.
     pub fn misses_wake_up(&self, device: DeviceId) -> bool {
-        self.draws(Purpose::WakeMiss, device, self.wake_miss)
+        self.is_lost(Purpose::WakeMiss, device, self.wake_miss)
     }
 
     /// Whether a report of `device` is lost.
     pub fn loses_report(&self, device: DeviceId) -> bool {
-        self.draws(Purpose::UplinkLoss, device, self.uplink_loss)
+        self.is_lost(Purpose::UplinkLoss, device, self.uplink_loss)
     }
 
     #[inline]
-    fn draws(&self, purpose: Purpose, device: DeviceId, p: f64) -> bool {
+    fn is_lost(&self, purpose: Purpose, device: DeviceId, p: f64) -> bool {
         // A radio that never fails skips the hash. The draw is below 1, so p = 1 always loses.
         p > 0.0 && unit_for_pair(self.seed, purpose, u64::from(device.0), self.tti.0) < p
     }
@@ -107,30 +111,36 @@ impl ChannelState {
 /// The TTIs in which noise wakes a sleeping device with power. They do not depend on the device's state and are drawn
 /// as gaps: a TTI without one costs nothing.
 #[derive(Clone, Debug)]
-pub struct FalseWakes {
+pub struct FalseWakeUps {
     stream: Stream,
-    law: Geometric,
-    next: Tti,
+    gap_distribution: Geometric,
+    next_tti: Tti,
 }
 
-impl FalseWakes {
+impl FalseWakeUps {
     /// Creates the false wake-ups of `device` in a run with `seed`, with probability `p` in each TTI.
     pub fn new(seed: u64, p: f64, device: DeviceId) -> Self {
-        let law = Geometric::new(p);
+        let gap_distribution = Geometric::new(p);
         let mut stream = Stream::new(seed, Purpose::FalseWakes, u64::from(device.0));
         // A gap of 1 is TTI 0.
-        let next = Tti(law.draw(&mut stream)).saturating_sub_one();
-        Self { stream, law, next }
+        let next_tti = Tti(gap_distribution.draw(&mut stream)).saturating_sub_one();
+        Self {
+            stream,
+            gap_distribution,
+            next_tti,
+        }
     }
 
     /// The next false wake-up.
     pub const fn next(&self) -> Tti {
-        self.next
+        self.next_tti
     }
 
     /// Takes the next false wake-up and returns the one after it.
-    pub fn take(&mut self) -> Tti {
-        self.next = self.next.saturating_add(self.law.draw(&mut self.stream));
-        self.next
+    pub fn advance(&mut self) -> Tti {
+        self.next_tti = self
+            .next_tti
+            .saturating_add(self.gap_distribution.draw(&mut self.stream));
+        self.next_tti
     }
 }

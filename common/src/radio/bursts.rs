@@ -1,4 +1,5 @@
-//! Bursts of interference that raise the loss probabilities.
+//! Bursts of interference that raise the loss probabilities of [`Air`](super::Air), and their long-run mean for
+//! [`RadioLossRates`](super::RadioLossRates).
 
 use serde::{Deserialize, Serialize};
 
@@ -7,7 +8,7 @@ use crate::phases::Phases;
 use crate::rng::{Purpose, Stream};
 
 /// Range of mean lengths. Neither a burst nor the gap between two is shorter than a TTI.
-const LENGTH: Range = Range::closed(1.0, 1e9);
+const MEAN_TTIS_RANGE: Range = Range::closed(1.0, 1e9);
 
 choices! {
     /// Type of additional interference.
@@ -25,9 +26,9 @@ crate::declare! {
     #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
     pub struct InterferenceBursts in "radio.bursts" only with "radio.interference" = &["bursts"]; {
         /// Mean length of a burst.
-        pub burst_ttis: f64 = number(LENGTH, 10.0).unit("TTIs"),
+        pub burst_ttis: f64 = number(MEAN_TTIS_RANGE, 10.0).unit("TTIs"),
         /// Mean time between two bursts.
-        pub quiet_ttis: f64 = number(LENGTH, 90.0).unit("TTIs"),
+        pub quiet_ttis: f64 = number(MEAN_TTIS_RANGE, 90.0).unit("TTIs"),
         /// Probability during a burst that a wake-up, report or plan is lost. If a message's own loss probability is
         /// larger, that probability applies.
         pub loss: f64 = number(PROBABILITY, 1.0),
@@ -36,19 +37,19 @@ crate::declare! {
 
 impl InterferenceBursts {
     /// The bursts of a run with `seed`, as busy phases.
-    pub(super) fn phases(&self, seed: u64) -> Phases {
-        let stream = Stream::new(seed, Purpose::Interference, 0);
+    pub(super) fn burst_phases(&self, seed: u64) -> Phases {
+        let stream = Stream::new(seed, Purpose::InterferencePhases, 0);
         Phases::new(stream, self.burst_ttis, self.quiet_ttis)
     }
 
     /// The long-run mean of a probability that is `p` between bursts.
-    pub(super) fn mean(&self, p: f64) -> f64 {
+    pub(super) fn mean_loss(&self, p: f64) -> f64 {
         let Self {
             burst_ttis,
             quiet_ttis,
             loss,
         } = *self;
-        // Mean lengths are the weights: they are the long-run shares of time. `max` as in `Air::at`.
+        // Mean lengths are the weights: they are the long-run shares of time. `max` as in `Air::channel_at`.
         (burst_ttis * loss.max(p) + quiet_ttis * p) / (burst_ttis + quiet_ttis)
     }
 
@@ -58,6 +59,6 @@ impl InterferenceBursts {
             quiet_ttis,
             loss,
         } = *self;
-        LENGTH.contains(burst_ttis) && LENGTH.contains(quiet_ttis) && PROBABILITY.contains(loss)
+        MEAN_TTIS_RANGE.contains(burst_ttis) && MEAN_TTIS_RANGE.contains(quiet_ttis) && PROBABILITY.contains(loss)
     }
 }

@@ -3,8 +3,8 @@
 //! ```text
 //! settings ─► RadioSettings ─► Air: losses by (device, TTI) ─► world, devices
 //!                   │          bursts of interference
-//!                   ├────────► FalseWakes: gaps             ─► devices
-//!                   └────────► Link: means                  ─► the base station's knowledge
+//!                   ├────────► FalseWakeUps: gaps           ─► devices
+//!                   └────────► RadioLossRates: means        ─► the base station's knowledge
 //! ```
 //! Every draw is keyed by device and TTI. So the world, a device and an observer compute the same losses without a
 //! message.
@@ -12,7 +12,7 @@
 mod air;
 mod bursts;
 
-pub use air::{Air, ChannelState, FalseWakes};
+pub use air::{Air, ChannelState, FalseWakeUps};
 pub use bursts::{Interference, InterferenceBursts};
 
 use serde::{Deserialize, Serialize};
@@ -21,7 +21,7 @@ use crate::declare::{FieldReader, FieldSink, PROBABILITY, ScenarioError, Section
 use crate::ids::Tti;
 
 /// Longest wake-up latency of a device, in TTIs.
-const LONGEST_LATENCY: u64 = 1_000_000;
+const MAX_WAKE_LATENCY_TTIS: u64 = 1_000_000;
 
 crate::declare! {
     /// Radio between base station and devices. By default it never fails.
@@ -40,7 +40,7 @@ crate::declare! {
         /// Time from a wake-up until the device is awake. Wake-ups for an event are sent in order, each when the
         /// previous answer is due. A device that wakes after the event finds nothing and pays E_idle. The ledger books
         /// all of this in the TTI in which the event was reported.
-        wake_latency: u64 = whole(0, LONGEST_LATENCY, 0).unit("TTIs"),
+        wake_latency: u64 = whole(0, MAX_WAKE_LATENCY_TTIS, 0).unit("TTIs"),
         /// Type of additional interference.
         interference: Interference = choice::<Interference>("none"),
     }
@@ -65,7 +65,7 @@ pub struct RadioSettings {
 
 /// The base station's knowledge of its radio: long-run loss probabilities, not times. All `[0, 1]`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Link {
+pub struct RadioLossRates {
     /// Mean probability that a wake-up radio with power misses a wake-up.
     pub wake_miss: f64,
     /// Mean probability that a report is lost.
@@ -149,20 +149,20 @@ impl RadioSettings {
         } = self;
         let probabilities = [wake_miss, false_wake_up, uplink_loss, plan_loss];
         probabilities.into_iter().all(|&p| PROBABILITY.contains(p))
-            && *wake_latency <= LONGEST_LATENCY
+            && *wake_latency <= MAX_WAKE_LATENCY_TTIS
             && bursts.is_none_or(|bursts| bursts.is_valid())
     }
 
-    /// The TTI in which a wake-up for a report in TTI `tti` is sent, after `before` other wake-ups.
-    pub const fn send_tti(&self, tti: Tti, before: u64) -> Tti {
-        tti.saturating_add(before.saturating_mul(self.wake_latency))
+    /// The TTI in which a wake-up for a report in TTI `tti` is sent, after `earlier_wake_ups` other wake-ups.
+    pub const fn send_tti(&self, tti: Tti, earlier_wake_ups: u64) -> Tti {
+        tti.saturating_add(earlier_wake_ups.saturating_mul(self.wake_latency))
     }
 
     /// Whether a wake-up sent in TTI `sent` can belong to a report in TTI `tti`.
     pub const fn is_valid_send_tti(&self, sent: Tti, tti: Tti) -> bool {
         match sent.0.checked_sub(tti.0) {
             Some(0) => true,
-            Some(later) => self.wake_latency > 0 && later.is_multiple_of(self.wake_latency),
+            Some(delay) => self.wake_latency > 0 && delay.is_multiple_of(self.wake_latency),
             None => false,
         }
     }
@@ -173,9 +173,9 @@ impl RadioSettings {
     }
 
     /// The base station's knowledge of this radio.
-    pub fn link(&self) -> Link {
-        let mean = |p: f64| self.bursts.map_or(p, |bursts| bursts.mean(p));
-        Link {
+    pub fn loss_rates(&self) -> RadioLossRates {
+        let mean = |p: f64| self.bursts.map_or(p, |bursts| bursts.mean_loss(p));
+        RadioLossRates {
             wake_miss: mean(self.wake_miss),
             uplink_loss: mean(self.uplink_loss),
             plan_loss: mean(self.plan_loss),
@@ -183,7 +183,7 @@ impl RadioSettings {
     }
 }
 
-impl Link {
+impl RadioLossRates {
     /// The probability that no report arrives from a device that was to sense and has detected an event: it missed the
     /// plan, or its report was lost.
     pub fn no_report_probability(&self) -> f64 {

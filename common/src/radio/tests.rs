@@ -41,7 +41,7 @@ fn shares(radio: &RadioSettings, ttis: u64) -> [f64; 3] {
     let plan = Plan::from_bits((0..50).map(|_| true));
     let mut lost = [0_u64; 3];
     for k in (0..ttis).map(Tti) {
-        let now = air.at(k);
+        let now = air.channel_at(k);
         let mut received = 0;
         let missed = air.deliver_plan(k, &plan, DeviceId(0), 50, |_, cycle| {
             received += u64::from(cycle.is_on(k));
@@ -84,11 +84,11 @@ fn bursts_take_their_share_and_the_mean_is_known() {
         bursts: Some(bursts),
         ..radio()
     };
-    let Link {
+    let RadioLossRates {
         wake_miss,
         uplink_loss,
         plan_loss,
-    } = radio.link();
+    } = radio.loss_rates();
     let expected = [
         0.25 * 0.9 + 0.75 * 0.1,
         0.25 * 0.9 + 0.75 * 0.25,
@@ -106,7 +106,7 @@ fn bursts_take_their_share_and_the_mean_is_known() {
         plan_loss: 0.95,
         ..radio
     };
-    assert!((worse.link().plan_loss - 0.95).abs() < 1e-12);
+    assert!((worse.loss_rates().plan_loss - 0.95).abs() < 1e-12);
 }
 
 #[test]
@@ -120,12 +120,12 @@ fn a_burst_is_the_same_whoever_asks_and_when() {
         ..RadioSettings::default()
     };
     let mut often = Air::new(3, &radio);
-    let each: Vec<ChannelState> = (0..1000).map(|k| often.at(Tti(k))).collect();
+    let each: Vec<ChannelState> = (0..1000).map(|k| often.channel_at(Tti(k))).collect();
     let mut seldom = Air::new(3, &radio);
     for k in (0..1000).step_by(37) {
-        let now = seldom.at(Tti(k));
+        let now = seldom.channel_at(Tti(k));
         assert_eq!(now, each[k as usize], "TTI {k}");
-        assert_eq!(now, seldom.at(Tti(k)), "asked again");
+        assert_eq!(now, seldom.channel_at(Tti(k)), "asked again");
     }
     let in_burst = |now: &&ChannelState| now.loses_report(DeviceId(0));
     let changes = each
@@ -139,21 +139,21 @@ fn a_burst_is_the_same_whoever_asks_and_when() {
 #[test]
 fn false_wakes_are_bernoulli_trials() {
     let p = 0.03;
-    let (mut wakes, n) = (FalseWakes::new(5, p, DeviceId(4)), 200_000_u64);
+    let (mut wakes, n) = (FalseWakeUps::new(5, p, DeviceId(4)), 200_000_u64);
     let mut all = vec![wakes.next().0];
     while all.last().is_some_and(|last| *last < n) {
-        all.push(wakes.take().0);
+        all.push(wakes.advance().0);
     }
     assert!(all.windows(2).all(|two| two[0] < two[1]));
     let share = (all.len() - 1) as f64 / n as f64;
     assert!((share - p).abs() < 4.0 * (p * (1.0 - p) / n as f64).sqrt(), "{share}");
-    let mut each = FalseWakes::new(5, 1.0, DeviceId(0));
-    assert_eq!((each.next(), each.take(), each.take()), (Tti(0), Tti(1), Tti(2)));
-    assert_eq!(FalseWakes::new(5, 0.0, DeviceId(0)).next(), Tti::NEVER);
-    let first = |seed, device| FalseWakes::new(seed, 0.001, DeviceId(device)).next();
+    let mut each = FalseWakeUps::new(5, 1.0, DeviceId(0));
+    assert_eq!((each.next(), each.advance(), each.advance()), (Tti(0), Tti(1), Tti(2)));
+    assert_eq!(FalseWakeUps::new(5, 0.0, DeviceId(0)).next(), Tti::NEVER);
+    let first = |seed, device| FalseWakeUps::new(seed, 0.001, DeviceId(device)).next();
     assert!(first(1, 0) != first(1, 1) && first(1, 0) != first(2, 0));
     let at_once = (0..100_000)
-        .filter(|&d| FalseWakes::new(1, p, DeviceId(d)).next() == Tti(0))
+        .filter(|&d| FalseWakeUps::new(1, p, DeviceId(d)).next() == Tti(0))
         .count();
     assert!((2_780..3_220).contains(&at_once), "{at_once} in TTI 0");
 }

@@ -1,9 +1,9 @@
-//! The assignment of devices to classes.
+//! The assignment of devices to classes, for [`crate::deployment`]. The seed decides which devices a share receives.
 
 use super::class_members::{Members, Zone};
 use super::classes::DeviceClass;
 use super::model::Scenario;
-use crate::geometry::place;
+use crate::geometry::place_devices;
 use crate::rng::{Purpose, Stream};
 
 /// Returns the class of each device as an index into [`Scenario::classes`].
@@ -15,18 +15,18 @@ use crate::rng::{Purpose, Stream};
 /// # Panics
 /// If a device has no class, which loading a scenario rules out.
 pub fn assign_classes<P>(scenario: &Scenario<P>) -> Vec<u16> {
-    let assigned = try_assign(scenario);
+    let assigned = try_assign_classes(scenario);
     assigned.unwrap_or_else(|j| panic!("device {j} has no class"))
 }
 
 /// Returns the class of each device, or the first device without a class as the error.
-pub(super) fn try_assign<P>(scenario: &Scenario<P>) -> Result<Vec<u16>, usize> {
+pub(super) fn try_assign_classes<P>(scenario: &Scenario<P>) -> Result<Vec<u16>, usize> {
     if let Some(classes) = scenario.layout.classes() {
         return Ok(classes.to_vec());
     }
-    let named = named(scenario);
-    let left = named.iter().filter(|class| class.is_none()).count();
-    let counts = class_counts(scenario, left);
+    let assigned = assign_by_number_or_zone(scenario);
+    let unassigned = assigned.iter().filter(|class| class.is_none()).count();
+    let counts = class_counts(scenario, unassigned);
     let mut rest: Vec<u16> = (0u16..)
         .zip(&counts)
         .flat_map(|(class, &count)| std::iter::repeat_n(class, count))
@@ -35,18 +35,18 @@ pub(super) fn try_assign<P>(scenario: &Scenario<P>) -> Result<Vec<u16>, usize> {
         Stream::new(scenario.run.seed, Purpose::Classes, 0).shuffle(&mut rest);
     }
     let mut rest = rest.into_iter();
-    let of = |(j, class): (usize, Option<u16>)| class.or_else(|| rest.next()).ok_or(j);
-    named.into_iter().enumerate().map(of).collect()
+    let class_of = |(j, class): (usize, Option<u16>)| class.or_else(|| rest.next()).ok_or(j);
+    assigned.into_iter().enumerate().map(class_of).collect()
 }
 
 /// Returns the class of each device that some class lists by number or covers by its zone.
-fn named<P>(scenario: &Scenario<P>) -> Vec<Option<u16>> {
-    let mut named = vec![None; scenario.run.devices as usize];
+fn assign_by_number_or_zone<P>(scenario: &Scenario<P>) -> Vec<Option<u16>> {
+    let mut assigned = vec![None; scenario.run.devices as usize];
     for (class, kind) in (0u16..).zip(&scenario.classes) {
         if let Members::Devices(devices) = &kind.members {
             for &j in devices {
                 // `validate` has rejected numbers ≥ N.
-                named[j as usize] = Some(class);
+                assigned[j as usize] = Some(class);
             }
         }
     }
@@ -56,13 +56,17 @@ fn named<P>(scenario: &Scenario<P>) -> Vec<Option<u16>> {
     };
     let zones: Vec<(u16, Zone)> = (0u16..).zip(&scenario.classes).filter_map(zone).collect();
     if !zones.is_empty() {
-        let positions = place(&scenario.layout, scenario.area, scenario.run.devices, scenario.run.seed);
-        for (named, position) in named.iter_mut().zip(positions).filter(|(named, _)| named.is_none()) {
+        let positions = place_devices(&scenario.layout, scenario.area, scenario.run.devices, scenario.run.seed);
+        for (assigned, position) in assigned
+            .iter_mut()
+            .zip(positions)
+            .filter(|(assigned, _)| assigned.is_none())
+        {
             let first = zones.iter().find(|(_, zone)| zone.contains(position));
-            *named = first.map(|&(class, _)| class);
+            *assigned = first.map(|&(class, _)| class);
         }
     }
-    named
+    assigned
 }
 
 /// Distributes `devices` devices over the classes by their shares; all counts are 0 if no class has a share.
@@ -76,19 +80,19 @@ fn class_counts<P>(scenario: &Scenario<P>, devices: usize) -> Vec<usize> {
         .iter()
         .map(|class| share(class) * devices as f64)
         .collect();
-    let mut left = devices;
+    let mut remaining = devices;
     let mut counts = Vec::with_capacity(quotas.len());
     for quota in &quotas {
         // Shares may add up to slightly more than 1, see `SHARE_TOLERANCE`.
-        let count = (quota.floor() as usize).min(left);
-        left -= count;
+        let count = (quota.floor() as usize).min(remaining);
+        remaining -= count;
         counts.push(count);
     }
     let has_share = |&index: &usize| matches!(scenario.classes[index].members, Members::Share(_));
     let mut by_remainder: Vec<usize> = (0..quotas.len()).filter(has_share).collect();
     // A stable sort: of equal remainders the earlier class comes first.
     by_remainder.sort_by(|&a, &b| quotas[b].fract().total_cmp(&quotas[a].fract()));
-    for &class in by_remainder.iter().cycle().take(left) {
+    for &class in by_remainder.iter().cycle().take(remaining) {
         counts[class] += 1;
     }
     counts

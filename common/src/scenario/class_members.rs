@@ -65,43 +65,43 @@ impl Zone {
 }
 
 impl Members {
-    /// Returns the rule that `own`, the fields of `item`, specifies; `None` if they specify none.
+    /// Returns the rule that `fields`, read from `item`, specify; `None` if they specify none.
     pub(super) fn from_fields(
         item: &FieldReader<'_>,
-        own: &ClassFields,
+        fields: &ClassFields,
         area: Area,
     ) -> Result<Option<Self>, ScenarioError> {
         let zone = Zone {
-            west: own.west,
-            east: own.east,
-            south: own.south,
-            north: own.north,
+            west: fields.west,
+            east: fields.east,
+            south: fields.south,
+            north: fields.north,
         };
-        let is_placed = zone != Zone::default();
-        if usize::from(own.share.is_some()) + usize::from(own.devices.is_some()) + usize::from(is_placed) > 1 {
+        let has_zone = zone != Zone::default();
+        if usize::from(fields.share.is_some()) + usize::from(fields.devices.is_some()) + usize::from(has_zone) > 1 {
             let allowed = "selects its devices in several ways; keep only one of class.share, class.devices and the \
                 zone (class.west, east, south, north)";
-            return Err(item.invalid_value("class.name", own.name.as_deref().unwrap_or_default(), allowed));
+            return Err(item.invalid_value("class.name", fields.name.as_deref().unwrap_or_default(), allowed));
         }
-        let ends = [
+        let sides = [
             ("class.west", zone.west, zone.east, area.width, "east"),
             ("class.south", zone.south, zone.north, area.height, "north"),
         ];
-        for (path, least, most, limit, other) in ends {
+        for (path, least, most, limit, other) in sides {
             let (least, most) = (least.unwrap_or(0.0), most.unwrap_or(limit));
             if least > most {
                 let allowed = format!("must be at most {most}, the {other} edge of the zone");
                 return Err(item.invalid_value(path, least, allowed));
             }
         }
-        let by_place = is_placed.then_some(Self::Within(zone));
-        let by_number = || own.devices.clone().map(Self::Devices);
-        Ok(own.share.map(Self::Share).or_else(by_number).or(by_place))
+        let by_zone = has_zone.then_some(Self::Within(zone));
+        let by_number = || fields.devices.clone().map(Self::Devices);
+        Ok(fields.share.map(Self::Share).or_else(by_number).or(by_zone))
     }
 
     /// Returns the fields for the file, including the name.
-    pub(super) fn own_fields(&self, name: &str) -> ClassFields {
-        let mut own = ClassFields {
+    pub(super) fn to_fields(&self, name: &str) -> ClassFields {
+        let mut fields = ClassFields {
             name: Some(name.to_owned()),
             share: None,
             devices: None,
@@ -111,13 +111,13 @@ impl Members {
             north: None,
         };
         match self {
-            Self::Share(share) => own.share = Some(*share),
-            Self::Devices(devices) => own.devices = Some(devices.clone()),
+            Self::Share(share) => fields.share = Some(*share),
+            Self::Devices(devices) => fields.devices = Some(devices.clone()),
             Self::Within(zone) => {
-                (own.west, own.east, own.south, own.north) = (zone.west, zone.east, zone.south, zone.north);
+                (fields.west, fields.east, fields.south, fields.north) = (zone.west, zone.east, zone.south, zone.north);
             }
             Self::Layout => {}
         }
-        own
+        fields
     }
 }

@@ -1,4 +1,4 @@
-//! Device classes.
+//! Device classes: their fields, read and written, and the check that together they cover all devices.
 
 use std::collections::BTreeSet;
 
@@ -13,7 +13,7 @@ pub(crate) const MAX_CLASSES: usize = 256;
 /// Tolerance for the difference between the sum of the classes' shares and 1.
 const SHARE_TOLERANCE: f64 = 1e-9;
 /// The name of the only class in a scenario without declared classes.
-const ONLY: &str = "default";
+const DEFAULT_CLASS_NAME: &str = "default";
 
 /// A class of devices with the same battery, costs and energy source.
 #[derive(Clone, Debug, PartialEq)]
@@ -32,8 +32,8 @@ pub struct DeviceClass {
 
 impl DeviceClass {
     /// Reads the classes from `reader`, for TTIs of duration `tau` on `area`; a scenario without classes gets a
-    /// default one. The flag of each class tells whether it specifies its members, see [`check_shares`].
-    pub(super) fn settle_all(
+    /// default one. The flag of each class tells whether its fields specify its members, see [`check_shares`].
+    pub(super) fn read_all(
         reader: &FieldReader<'_>,
         tau: f64,
         area: Area,
@@ -41,7 +41,7 @@ impl DeviceClass {
         let items = reader.items();
         if items.is_empty() {
             let only = Self {
-                name: ONLY.to_owned(),
+                name: DEFAULT_CLASS_NAME.to_owned(),
                 share: 1.0,
                 members: Members::Share(1.0),
                 energy: EnergyModel::from_fields(reader)?,
@@ -54,13 +54,13 @@ impl DeviceClass {
             return Err(reader.invalid_value("class", found, format!("must be at most {MAX_CLASSES}")));
         }
         let mut names = BTreeSet::new();
-        let (mut classes, mut are_told) = (Vec::new(), Vec::new());
+        let (mut classes, mut have_members) = (Vec::new(), Vec::new());
         for item in items {
-            let (class, is_told) = Self::from_fields(item, &mut names, tau, area)?;
+            let (class, has_members) = Self::from_fields(item, &mut names, tau, area)?;
             classes.push(class);
-            are_told.push(is_told);
+            have_members.push(has_members);
         }
-        Ok((classes, are_told))
+        Ok((classes, have_members))
     }
 
     fn from_fields(
@@ -70,14 +70,14 @@ impl DeviceClass {
         area: Area,
     ) -> Result<(Self, bool), ScenarioError> {
         let section = ClassFields::SECTION;
-        let given = section
+        let name = section
             .field("name")
             .map(|field| item.optional_field::<String>(section, field))
             .transpose()?;
-        let Some(name) = given.flatten() else {
+        let Some(name) = name.flatten() else {
             return Err(ScenarioError::Missing {
                 field: item.locate("class.name").0,
-                why: format!("for every class ({})", item.place()),
+                why: format!("for every class ({})", item.item_origin()),
             });
         };
         if name.trim().is_empty() || name.chars().count() > 64 || name.contains(char::is_control) {
@@ -91,7 +91,7 @@ impl DeviceClass {
         }
         item.reject_unused_fields()?;
         let members = Members::from_fields(&item, &ClassFields::read(&item)?, area)?;
-        let is_told = members.is_some();
+        let has_members = members.is_some();
         let class = Self {
             name,
             // Set once the members of all classes are known.
@@ -100,16 +100,16 @@ impl DeviceClass {
             energy: EnergyModel::from_fields(&item)?,
             harvest: Harvest::from_fields(&item, tau)?,
         };
-        Ok((class, is_told))
+        Ok((class, has_members))
     }
 
     /// Passes every field of `classes` to `sink`. The only class of a scenario without classes uses the top level.
     pub(super) fn visit_all(classes: &[Self], sink: &mut dyn FieldSink) {
-        let is_plain = matches!(classes, [only] if only.name == ONLY);
+        let is_undeclared = matches!(classes, [only] if only.name == DEFAULT_CLASS_NAME);
         for class in classes {
-            if !is_plain {
+            if !is_undeclared {
                 sink.item(&class.name);
-                class.members.own_fields(&class.name).visit(sink);
+                class.members.to_fields(&class.name).visit(sink);
             }
             class.energy.visit(sink);
             class.harvest.visit(sink);
@@ -118,15 +118,16 @@ impl DeviceClass {
 }
 
 /// Checks how the classes share the devices. If `by_layout` is set, the layout's file names the class of each device
-/// and decides. Otherwise every class must specify its members, as `are_told` shows, and the shares must add up to 1.
+/// and decides. Otherwise every class must specify its members (its flag in `have_members`), and the shares must add up
+/// to 1.
 pub(super) fn check_shares(
     reader: &FieldReader<'_>,
     classes: &mut [DeviceClass],
-    are_told: &[bool],
+    have_members: &[bool],
     by_layout: bool,
 ) -> Result<(), ScenarioError> {
     if by_layout {
-        if are_told.contains(&true) {
+        if have_members.contains(&true) {
             reader.warn(
                 "class.share, class.devices and zones have no effect: the column `class` of layout.file assigns the \
                  classes",
@@ -137,8 +138,8 @@ pub(super) fn check_shares(
         }
         return Ok(());
     }
-    for ((item, class), is_told) in reader.items().into_iter().zip(classes.iter()).zip(are_told) {
-        if !is_told {
+    for ((item, class), has_members) in reader.items().into_iter().zip(classes.iter()).zip(have_members) {
+        if !has_members {
             return Err(item.with_name(&class.name).missing_value("class.share", "class.name"));
         }
     }

@@ -1,4 +1,4 @@
-//! The declaration of all fields of a scenario.
+//! The declaration of all fields of a scenario, in the order in which files, schema and reference page show them.
 
 use super::class_members::ClassFields;
 use super::policy::{Policies, PolicyKind};

@@ -4,13 +4,13 @@ use std::io;
 use std::path::Path;
 
 use super::declaration::declaration;
-use super::model::Loaded;
+use super::model::LoadedScenario;
 use super::policy::{Policies, PolicyChoice, PolicyKind};
 use super::run::PRESETS;
 use super::validate::validate;
 use crate::declare::{
-    Declaration, FileContext, FileError, Files, LONGEST_TEXT, Layer, Layers, Origin, Override, Preset, ScenarioError,
-    ValueOrigin, did_you_mean, quoted_list, truncate,
+    Declaration, FileContext, FileError, Files, Layer, LayerOrigin, Layers, MAX_TEXT_BYTES, Override, Preset,
+    ScenarioError, ValueOrigin, did_you_mean, quoted_list, truncate,
 };
 
 /// Loads the scenario `source`, the name of a preset or the path of a scenario file, with `overrides` on top; later
@@ -25,7 +25,7 @@ pub fn load<K: PolicyKind>(
     overrides: &[Override],
     policies: Policies<'_, K>,
     files: &dyn Files,
-) -> Result<Loaded<PolicyChoice<K>>, ScenarioError> {
+) -> Result<LoadedScenario<PolicyChoice<K>>, ScenarioError> {
     let base_dir = Path::new("");
     if let Some(preset) = PRESETS.iter().find(|preset| preset.name == source) {
         return resolve(preset, None, overrides, policies, FileContext { files, base_dir });
@@ -38,7 +38,7 @@ pub fn load<K: PolicyKind>(
             presets: quoted_list(preset_names()),
         });
     }
-    let text = read(path, source, files)?;
+    let text = read_text(path, source, files)?;
     parse(
         &text,
         source,
@@ -61,8 +61,8 @@ pub fn parse<K: PolicyKind>(
     overrides: &[Override],
     policies: Policies<'_, K>,
     files: &dyn Files,
-) -> Result<Loaded<PolicyChoice<K>>, ScenarioError> {
-    let file = Layer::from_text(text, Origin::file(origin, text))?;
+) -> Result<LoadedScenario<PolicyChoice<K>>, ScenarioError> {
+    let file = Layer::from_text(text, LayerOrigin::file(origin, text))?;
     resolve(
         &PRESETS[0],
         Some(file),
@@ -73,24 +73,24 @@ pub fn parse<K: PolicyKind>(
 }
 
 fn resolve<K: PolicyKind>(
-    start: &Preset,
+    base_preset: &Preset,
     file: Option<Layer<'_>>,
     overrides: &[Override],
     policies: Policies<'_, K>,
-    ground: FileContext<'_>,
-) -> Result<Loaded<PolicyChoice<K>>, ScenarioError> {
+    file_context: FileContext<'_>,
+) -> Result<LoadedScenario<PolicyChoice<K>>, ScenarioError> {
     let declaration = declaration(policies);
-    let given = overrides
+    let overriding = overrides
         .iter()
-        .map(|given| Layer::from_override(given, &declaration))
+        .map(|overriding| Layer::from_override(overriding, &declaration))
         .collect::<Result<Vec<_>, ScenarioError>>()?;
     // The last layer has the highest precedence.
-    let asked = file
+    let preset_field = file
         .iter()
-        .chain(&given)
-        .filter_map(|layer| layer.text_of("preset"))
+        .chain(&overriding)
+        .filter_map(|layer| layer.text_at("preset"))
         .next_back();
-    let name = asked.as_ref().map_or(start.name, |(name, _)| *name);
+    let name = preset_field.as_ref().map_or(base_preset.name, |(name, _)| *name);
     let Some(preset) = PRESETS.iter().find(|preset| preset.name == name) else {
         return Err(ScenarioError::Invalid {
             field: "preset".to_owned(),
@@ -100,23 +100,23 @@ fn resolve<K: PolicyKind>(
                 quoted_list(preset_names()),
                 did_you_mean(name, preset_names())
             ),
-            place: asked.map_or(ValueOrigin::Unset, |(_, place)| place),
+            origin: preset_field.map_or(ValueOrigin::Unset, |(_, origin)| origin),
         });
     };
-    let merged = merged(&declaration, preset, file, given)?;
-    validate(preset.name, &declaration, &merged, policies, ground)
+    let merged = merge_layers(&declaration, preset, file, overriding)?;
+    validate(preset.name, &declaration, &merged, policies, file_context)
 }
 
 /// Merges `preset`, the file and the command line.
-fn merged<'a>(
+fn merge_layers<'a>(
     declaration: &'a Declaration,
     preset: &Preset,
     file: Option<Layer<'a>>,
-    given: Vec<Layer<'a>>,
+    overrides: Vec<Layer<'a>>,
 ) -> Result<crate::declare::Merged<'a>, ScenarioError> {
     let mut layers = Layers::new(declaration);
-    layers.add(Layer::from_text(preset.text, Origin::Preset(preset.name))?)?;
-    for layer in file.into_iter().chain(given) {
+    layers.add(Layer::from_text(preset.text, LayerOrigin::Preset(preset.name))?)?;
+    for layer in file.into_iter().chain(overrides) {
         layers.add(layer)?;
     }
     Ok(layers.finish())
@@ -127,19 +127,19 @@ fn preset_names() -> impl Iterator<Item = &'static str> + Clone {
 }
 
 /// Reads the text of a scenario file.
-fn read(path: &Path, source: &str, files: &dyn Files) -> Result<String, ScenarioError> {
+fn read_text(path: &Path, source: &str, files: &dyn Files) -> Result<String, ScenarioError> {
     let refused = |error: io::Error| ScenarioError::Read {
         path: path.to_owned(),
         error,
     };
-    let bytes = files.read(path, LONGEST_TEXT).map_err(|error| match error {
+    let bytes = files.read(path, MAX_TEXT_BYTES).map_err(|error| match error {
         FileError::Io(error) => refused(error),
         FileError::Folder => refused(io::Error::other("it is a folder, not a file")),
         FileError::Special => refused(io::Error::other("it is not a regular file")),
-        FileError::TooLong { most, .. } => ScenarioError::Syntax {
+        FileError::TooLong { max_bytes, .. } => ScenarioError::Syntax {
             name: source.to_owned(),
             line: 1,
-            reason: format!("longer than {most} bytes"),
+            reason: format!("longer than {max_bytes} bytes"),
         },
     })?;
     String::from_utf8(bytes).map_err(|_| refused(io::Error::new(io::ErrorKind::InvalidData, "it is not UTF-8 text")))

@@ -2,8 +2,8 @@
 //!
 //! A scenario consists of layers: the declared defaults, the preset that the file names, the file, and the command
 //! line. [`load()`] merges them field by field, keeps the origin of each value, and validates the result once. The
-//! result is a [`Scenario`] without optional parts, with its warnings ([`Loaded`]). Each concept declares its own
-//! fields ([`mod@crate::declare`]); [`declaration()`] combines them.
+//! result is a [`Scenario`] without optional parts, with its warnings ([`LoadedScenario`]). Each concept declares its
+//! own fields ([`mod@crate::declare`]); [`declaration()`] combines them. `bs/src/scenario/` adds the policies.
 
 mod class_assignment;
 mod class_members;
@@ -24,7 +24,7 @@ pub use class_members::{Members, Zone};
 pub use classes::DeviceClass;
 pub use declaration::declaration;
 pub use load::{load, parse};
-pub use model::{Loaded, Scenario};
+pub use model::{LoadedScenario, Scenario};
 pub use policy::{Policies, PolicyChoice, PolicyKind};
 pub use run::{BatteryKnowledge, BsSettings, PRESETS, RunSettings, WakeUpRanking};
 pub use site::{ClassKnowledge, Site};

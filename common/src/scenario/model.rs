@@ -1,4 +1,5 @@
-//! A validated scenario, on which all parts of a run rely. [`super::load()`] creates it.
+//! A validated scenario, on which all parts of a run rely. [`super::load()`] creates it. The order of fields in
+//! [`Scenario::visit`] is part of the scenario hash.
 
 use std::fmt::Write as _;
 
@@ -15,7 +16,7 @@ use crate::sensing::Sensing;
 use crate::units::Energy;
 
 /// The version of the format that [`Scenario::hash`] hashes.
-const FORM: &str = "reveille scenario 2";
+const HASH_FORMAT: &str = "reveille scenario 2";
 
 /// The complete description of a run: two runs of one scenario are identical, bit for bit. `P` is the policy with its
 /// settings, a [`PolicyChoice`] of the program's policies.
@@ -43,7 +44,7 @@ pub struct Scenario<P> {
 
 /// A loaded scenario.
 #[derive(Clone, Debug)]
-pub struct Loaded<P> {
+pub struct LoadedScenario<P> {
     /// The scenario.
     pub scenario: Scenario<P>,
     /// Warnings about its source, each a sentence without its full stop. They do not affect the run.
@@ -83,7 +84,7 @@ impl<P> Scenario<P> {
     }
 
     /// Returns the length in TTIs of the longest run with these devices for which all energy sums fit in 64 bits.
-    pub fn longest(&self) -> u64 {
+    pub fn max_ttis(&self) -> u64 {
         // At least 1, because it is a divisor.
         let per_tti = u128::from(self.run.devices) * u128::from(self.largest_energy().micro().max(1));
         u64::try_from(u128::from(u64::MAX) / per_tti).unwrap_or(u64::MAX)
@@ -91,7 +92,7 @@ impl<P> Scenario<P> {
 
     /// Returns the largest amount of energy that any device can hold, or harvest in one TTI.
     pub(super) fn largest_energy(&self) -> Energy {
-        let largest = |class: &DeviceClass| class.energy.e_max.max(class.harvest.peak());
+        let largest = |class: &DeviceClass| class.energy.e_max.max(class.harvest.max_per_tti());
         self.classes.iter().map(largest).max().unwrap_or_default()
     }
 
@@ -138,9 +139,9 @@ impl<K: PolicyKind> Scenario<PolicyChoice<K>> {
     /// it only decides the fields that it sets.
     #[must_use]
     pub fn hash(&self) -> [u8; 32] {
-        let mut fingerprint = ScenarioHasher::new(FORM, "preset");
-        self.visit(&mut fingerprint);
-        fingerprint.finish()
+        let mut hasher = ScenarioHasher::new(HASH_FORMAT, "preset");
+        self.visit(&mut hasher);
+        hasher.finish()
     }
 
     /// Returns [`Self::hash`] as 64 hexadecimal digits.

@@ -1,4 +1,4 @@
-//! Scenarios written as TOML.
+//! Scenarios written as TOML: the file `scenario.toml` of a run folder, and the templates of `reveille scenario`.
 
 use std::path::{Path, PathBuf};
 
@@ -17,9 +17,9 @@ impl<K: PolicyKind> Scenario<PolicyChoice<K>> {
 
     /// Returns the TOML of [`Self::to_toml`], with new names for the files for which `name` returns one.
     #[must_use]
-    pub fn to_toml_with(&self, name: impl Fn(&Path) -> Option<String>) -> String {
+    pub fn to_toml_with_files(&self, name: impl Fn(&Path) -> Option<String>) -> String {
         let mut page = TomlPage::default();
-        let mut renamed = Renamed { page: &mut page, name };
+        let mut renamed = FileRenamer { page: &mut page, name };
         self.visit(&mut renamed);
         page.active_fields(&declaration(&[self.policy.kind()]))
     }
@@ -65,12 +65,12 @@ impl FieldSink for FileCollector {
 }
 
 /// A sink that writes a page with new names for files.
-struct Renamed<'p, N> {
+struct FileRenamer<'p, N> {
     page: &'p mut TomlPage,
     name: N,
 }
 
-impl<N: Fn(&Path) -> Option<String>> FieldSink for Renamed<'_, N> {
+impl<N: Fn(&Path) -> Option<String>> FieldSink for FileRenamer<'_, N> {
     fn item(&mut self, name: &str) {
         self.page.item(name);
     }

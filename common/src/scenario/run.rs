@@ -1,4 +1,4 @@
-//! The general fields of a run, and the presets.
+//! The general fields of a run and of the base station, and the presets.
 
 use crate::declare;
 use crate::declare::{Alternative, BELOW_ONE, POSITIVE, Preset, choice, choices, number, registered, whole, word};
@@ -24,15 +24,15 @@ pub const PRESETS: &[Preset] = &[
 ];
 
 /// The presets as words of the field `preset`.
-const WORDS: [Alternative; PRESETS.len()] = {
+const PRESET_WORDS: [Alternative; PRESETS.len()] = {
     let mut words = [Alternative { name: "", about: "" }; PRESETS.len()];
-    let mut at = 0;
-    while at < words.len() {
-        words[at] = Alternative {
-            name: PRESETS[at].name,
-            about: PRESETS[at].about,
+    let mut index = 0;
+    while index < words.len() {
+        words[index] = Alternative {
+            name: PRESETS[index].name,
+            about: PRESETS[index].about,
         };
-        at += 1;
+        index += 1;
     }
     words
 };
@@ -42,7 +42,7 @@ crate::declare! {
     #[derive(Clone, Debug, PartialEq)]
     pub struct RunSettings in "" {
         /// Preset with the values that the file and the command line override.
-        pub preset: String = word(&WORDS, "paper"),
+        pub preset: String = word(&PRESET_WORDS, "paper"),
         /// Number of devices N.
         pub devices: u32 = whole(1, MAX_DEVICES as u64, 50).source("Sec. VI, 10 to 250"),
         /// Length K of the run, including the warm-up.

@@ -3,10 +3,10 @@
 use std::cell::RefCell;
 use std::collections::BTreeSet;
 
-use super::class_assignment::try_assign;
+use super::class_assignment::try_assign_classes;
 use super::class_members::Members;
 use super::classes::{DeviceClass, check_shares};
-use super::model::{Loaded, Scenario};
+use super::model::{LoadedScenario, Scenario};
 use super::policy::{Policies, PolicyChoice, PolicyKind};
 use super::run::{BsSettings, PolicyName, RunSettings};
 use crate::declare::{Declaration, FieldReader, FileContext, Merged, ScenarioError};
@@ -22,10 +22,10 @@ pub(super) fn validate<K: PolicyKind>(
     declaration: &Declaration,
     merged: &Merged<'_>,
     policies: Policies<'_, K>,
-    ground: FileContext<'_>,
-) -> Result<Loaded<PolicyChoice<K>>, ScenarioError> {
+    file_context: FileContext<'_>,
+) -> Result<LoadedScenario<PolicyChoice<K>>, ScenarioError> {
     let warnings = RefCell::new(merged.warnings.clone());
-    let reader = &FieldReader::new(declaration, merged, ground, &warnings);
+    let reader = &FieldReader::new(declaration, merged, file_context, &warnings);
     reader.reject_unused_fields()?;
     let run = RunSettings {
         preset: preset.to_owned(),
@@ -36,7 +36,7 @@ pub(super) fn validate<K: PolicyKind>(
     let events = EventSettings::from_fields(reader)?;
     let radio = RadioSettings::from_fields(reader)?;
     let bs = BsSettings::read(reader)?;
-    let (mut classes, are_told) = DeviceClass::settle_all(reader, run.tau, area)?;
+    let (mut classes, have_members) = DeviceClass::read_all(reader, run.tau, area)?;
     let has_classes = !reader.items().is_empty();
     let names: Vec<&str> = classes
         .iter()
@@ -44,7 +44,7 @@ pub(super) fn validate<K: PolicyKind>(
         .map(|class| class.name.as_str())
         .collect();
     let layout = Layout::from_fields(reader, area, run.devices, &names)?;
-    check_shares(reader, &mut classes, &are_told, layout.classes().is_some())?;
+    check_shares(reader, &mut classes, &have_members, layout.classes().is_some())?;
     let name = PolicyName::read(reader)?.name;
     let Some(&kind) = policies.iter().find(|policy| policy.name() == name) else {
         return Err(reader.invalid_value("policy.name", name, "must be the name of a policy"));
@@ -62,22 +62,22 @@ pub(super) fn validate<K: PolicyKind>(
         policy: (),
     };
     // Before the policy, whose site holds the share of each class.
-    settle_members(reader, &mut scenario)?;
+    set_class_shares(reader, &mut scenario)?;
     let policy = PolicyChoice::new(
         kind,
-        kind.read_settings(&reader.of_policy(kind.name()), &scenario.site())?,
+        kind.read_settings(&reader.for_policy(kind.name()), &scenario.site())?,
     );
     let scenario = scenario.with_policy(policy);
-    bounded(reader, &scenario)?;
+    check_energy_sums(reader, &scenario)?;
     let mut warnings = warnings.take();
-    warnings.extend(over_before_a_look(&scenario));
-    Ok(Loaded { scenario, warnings })
+    warnings.extend(undetected_events_warning(&scenario));
+    Ok(LoadedScenario { scenario, warnings })
 }
 
-/// Determines the number of devices in each class.
-fn settle_members(reader: &FieldReader<'_>, scenario: &mut Scenario<()>) -> Result<(), ScenarioError> {
+/// Checks the lists of devices and sets the share of each class.
+fn set_class_shares(reader: &FieldReader<'_>, scenario: &mut Scenario<()>) -> Result<(), ScenarioError> {
     let n = scenario.run.devices;
-    let mut is_named = BTreeSet::new();
+    let mut listed = BTreeSet::new();
     for (item, class) in reader.items().into_iter().zip(&scenario.classes) {
         let Members::Devices(devices) = &class.members else {
             continue;
@@ -86,7 +86,7 @@ fn settle_members(reader: &FieldReader<'_>, scenario: &mut Scenario<()>) -> Resu
         if let Some(j) = devices.iter().find(|&&j| j >= n) {
             return Err(item.invalid_value("class.devices", j, format!("must be below {n}, the number of devices")));
         }
-        if let Some(j) = devices.iter().find(|&&j| !is_named.insert(j)) {
+        if let Some(j) = devices.iter().find(|&&j| !listed.insert(j)) {
             return Err(item.invalid_value("class.devices", j, "is listed twice; a device has one class"));
         }
     }
@@ -100,24 +100,24 @@ fn settle_members(reader: &FieldReader<'_>, scenario: &mut Scenario<()>) -> Resu
         scenario.classes.iter_mut().for_each(share);
         return Ok(());
     }
-    let assigned = try_assign(scenario).map_err(|j| {
+    let assigned = try_assign_classes(scenario).map_err(|j| {
         let allowed = format!("device {j} has no class; set class.share in a class, for the remaining devices");
         reader.invalid_value("class", format!("{} classes", scenario.classes.len()), allowed)
     })?;
     let by_layout = scenario.layout.classes().is_some();
     for (index, class) in scenario.classes.iter_mut().enumerate() {
-        let devices = assigned.iter().filter(|&&of| usize::from(of) == index).count();
+        let devices = assigned.iter().filter(|&&class| usize::from(class) == index).count();
         class.share = devices as f64 / assigned.len() as f64;
         if devices == 0 {
-            let of = if by_layout { " of layout.file" } else { "" };
-            reader.warn(format!("no device{of} has the class `{}`", class.name));
+            let source = if by_layout { " of layout.file" } else { "" };
+            reader.warn(format!("no device{source} has the class `{}`", class.name));
         }
     }
     Ok(())
 }
 
-/// Returns a warning if events can end before the policy looks for them. The policy does not know their duration.
-fn over_before_a_look<K: PolicyKind>(scenario: &Scenario<PolicyChoice<K>>) -> Option<String> {
+/// Returns a warning if events can end before the policy senses their places. The policy does not know their duration.
+fn undetected_events_warning<K: PolicyKind>(scenario: &Scenario<PolicyChoice<K>>) -> Option<String> {
     let (path, budget) = scenario.policy.delay_budget()?;
     let share = 100.0 * scenario.events.missed_share(budget);
     let lasts = match scenario.events.duration {
@@ -137,14 +137,17 @@ fn over_before_a_look<K: PolicyKind>(scenario: &Scenario<PolicyChoice<K>>) -> Op
 }
 
 /// Checks that energy sums over all devices and TTIs fit in 64 bits, also in the pilot runs of the policy.
-fn bounded<K: PolicyKind>(reader: &FieldReader<'_>, scenario: &Scenario<PolicyChoice<K>>) -> Result<(), ScenarioError> {
-    let most = scenario.longest();
+fn check_energy_sums<K: PolicyKind>(
+    reader: &FieldReader<'_>,
+    scenario: &Scenario<PolicyChoice<K>>,
+) -> Result<(), ScenarioError> {
+    let max_ttis = scenario.max_ttis();
     let lengths = std::iter::once(("ttis", scenario.run.ttis)).chain(scenario.policy.pilot_ttis());
-    let Some((path, ttis)) = lengths.into_iter().find(|(_, ttis)| *ttis > most) else {
+    let Some((path, ttis)) = lengths.into_iter().find(|(_, ttis)| *ttis > max_ttis) else {
         return Ok(());
     };
     let allowed = format!(
-        "must be at most {most} with {} devices that hold or harvest up to {}, or sums of energy overflow",
+        "must be at most {max_ttis} with {} devices that hold or harvest up to {}, or sums of energy overflow",
         scenario.run.devices,
         scenario.largest_energy()
     );

@@ -1,4 +1,5 @@
-//! The results of a run for each device and each device class.
+//! The results of a run for each device and each device class, for the tables and the summary of a run.
+//! [`super::Score`] counts the activity; the ledgers come from the devices at the end.
 
 use std::ops::AddAssign;
 
@@ -46,12 +47,12 @@ impl EventActivity {
         ..Self::WOKEN
     };
     /// A wake-up to it was not received.
-    pub(super) const UNHEARD: Self = Self {
+    pub(super) const MISSED_WAKE_UP: Self = Self {
         wake_ups: 1,
         ..Self::NONE
     };
     /// It was activated wrongly.
-    pub(super) const WRONG: Self = Self {
+    pub(super) const WRONG_ACTIVATION: Self = Self {
         wrong_activations: 1,
         ..Self::NONE
     };
@@ -90,7 +91,7 @@ pub struct DeviceRecord {
     /// The ledger of the device.
     pub ledger: Ledger,
     /// Its activity during the counted events.
-    pub acts: EventActivity,
+    pub activity: EventActivity,
 }
 
 /// The results of all devices of a class.
@@ -101,28 +102,28 @@ pub struct ClassRecord {
     /// The metrics of the class; only those about devices ([`super::MetricGroup::is_by_device`]) are meaningful.
     pub metrics: Metrics,
     /// The activity of its devices during the counted events.
-    pub acts: EventActivity,
+    pub activity: EventActivity,
 }
 
 impl ClassRecord {
     /// Sums the records of the devices of `class` among `devices`, over `ttis` measured TTIs.
     pub fn new(class: u16, devices: &[DeviceRecord], ttis: u64) -> Self {
-        let own = || devices.iter().filter(|device| device.class == class);
-        let measured = || own().map(|device| &device.ledger.measured);
-        let mut acts = EventActivity::default();
-        own().for_each(|device| acts += device.acts);
+        let members = || devices.iter().filter(|device| device.class == class);
+        let measured = || members().map(|device| &device.ledger.measured);
+        let mut activity = EventActivity::default();
+        members().for_each(|device| activity += device.activity);
         let totals = Totals {
-            devices: own().count() as u64,
+            devices: members().count() as u64,
             ttis,
             energy: measured().copied().sum::<DeviceTotals>(),
-            spread: Spread::sum(measured()),
+            spread: Spread::from_devices(measured()),
             ..Totals::default()
         };
         Self {
             devices: totals.devices,
             // α concerns events, which belong to no class.
             metrics: Metrics::from_totals(f64::NAN, &totals),
-            acts,
+            activity,
         }
     }
 }

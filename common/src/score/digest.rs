@@ -1,9 +1,10 @@
-//! The digest of a run.
+//! The digest of a run, by which runs are compared: replay, audit, resumption and the recorded digests in
+//! `tests/digests/`.
 //!
 //! SHA-256 over the run's history, in the order of TTIs: events, reports, wake-ups and their outcomes, changes of the
 //! δ plan. Each device's ledger by id and the totals behind the metrics follow. The digest holds no data per TTI, so
 //! that a driver may skip quiet TTIs. It does not depend on the encoding of messages: fields are hashed, each as 64
-//! bits.
+//! bits. A change of the hashed data, its order or a tag raises [`DIGEST_VERSION`].
 
 use std::fmt;
 
@@ -20,12 +21,12 @@ use crate::units::Energy;
 /// The version of the hashed data. Digests of different versions cannot be compared.
 pub const DIGEST_VERSION: u32 = 2;
 
-/// A finished digest, shown as 64 hexadecimal digits.
+/// The digest of a finished run, shown as 64 hexadecimal digits.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct Digest([u8; 32]);
 
 impl Digest {
-    /// The SHA-256 sum.
+    /// Returns the SHA-256 hash.
     pub const fn bytes(self) -> [u8; 32] {
         self.0
     }
@@ -49,14 +50,14 @@ impl Serialize for Digest {
     }
 }
 
-/// An unfinished digest.
+/// The digest of an unfinished run.
 #[derive(Clone, Debug, Default)]
 pub struct DigestBuilder(Sha256);
 
 impl DigestBuilder {
     /// Adds the start of an event in `tti`.
-    pub fn event_started(&mut self, tti: Tti, stimulus: &Stimulus) {
-        self.words(
+    pub fn add_event_start(&mut self, tti: Tti, stimulus: &Stimulus) {
+        self.hash_words(
             b'E',
             [
                 tti.0,
@@ -68,7 +69,7 @@ impl DigestBuilder {
     }
 
     /// Adds the end of an event, with its last TTI `tti`.
-    pub fn event_ended(&mut self, tti: Tti, tally: &EventTally) {
+    pub fn add_event_end(&mut self, tti: Tti, tally: &EventTally) {
         let EventTally {
             reports,
             wake_ups,
@@ -76,7 +77,7 @@ impl DigestBuilder {
             wrong_activations,
             wasted,
         } = *tally;
-        self.words(
+        self.hash_words(
             b'e',
             [
                 tti.0,
@@ -90,43 +91,43 @@ impl DigestBuilder {
     }
 
     /// Adds a report that reached the BS.
-    pub fn report(&mut self, report: &Report) {
-        self.sent(b'R', report);
+    pub fn add_report(&mut self, report: &Report) {
+        self.hash_report(b'R', report);
     }
 
     /// Adds a lost report.
-    pub fn lost(&mut self, report: &Report) {
-        self.sent(b'X', report);
+    pub fn add_lost_report(&mut self, report: &Report) {
+        self.hash_report(b'X', report);
     }
 
-    fn sent(&mut self, tag: u8, report: &Report) {
+    fn hash_report(&mut self, tag: u8, report: &Report) {
         let Report {
             device,
             tti,
             information,
             battery,
         } = *report;
-        self.words(
+        self.hash_words(
             tag,
             [tti.0, u64::from(device.0), information.to_bits(), battery.micro()],
         );
     }
 
     /// Adds the removal of devices.
-    pub fn devices_removed(&mut self, outage: &DeviceRemoval) {
+    pub fn add_removal(&mut self, removal: &DeviceRemoval) {
         let DeviceRemoval {
             first,
             count,
             tti,
             wake_ups,
-        } = *outage;
+        } = *removal;
         // Shifted by 1, so that `None` and `Some(0)` differ.
         let wake_ups = wake_ups.map_or(0, |before| 1 + u64::from(before));
-        self.words(b'G', [tti.0, u64::from(first.0), u64::from(count), wake_ups]);
+        self.hash_words(b'G', [tti.0, u64::from(first.0), u64::from(count), wake_ups]);
     }
 
     /// Adds a wake-up sent to `device` in `tti`.
-    pub fn wake_up(&mut self, tti: Tti, device: DeviceId, outcome: &WakeOutcome) {
+    pub fn add_wake_up(&mut self, tti: Tti, device: DeviceId, outcome: &WakeOutcome) {
         let (kind, drained) = match outcome {
             WakeOutcome::Reported(_) => (0, Energy::ZERO),
             WakeOutcome::Failed(failure) => (1, failure.drained),
@@ -134,28 +135,28 @@ impl DigestBuilder {
             WakeOutcome::Lost(_) => (3, Energy::ZERO),
             WakeOutcome::Late { spent, .. } => (4, *spent),
         };
-        self.words(b'W', [tti.0, u64::from(device.0), kind, drained.micro()]);
+        self.hash_words(b'W', [tti.0, u64::from(device.0), kind, drained.micro()]);
         match outcome {
-            WakeOutcome::Reported(report) => self.report(report),
-            WakeOutcome::Lost(report) => self.lost(report),
+            WakeOutcome::Reported(report) => self.add_report(report),
+            WakeOutcome::Lost(report) => self.add_lost_report(report),
             WakeOutcome::Failed(_) | WakeOutcome::Missed | WakeOutcome::Late { .. } => {}
         }
     }
 
     /// Adds a change of δ.
-    pub fn plan(&mut self, update: &PlanUpdate) {
+    pub fn add_plan(&mut self, update: &PlanUpdate) {
         let PlanUpdate { from, plan } = update;
         match plan {
             Plan::Bits { bits } => {
                 // The length comes first, because bits could otherwise be mistaken for the records after them.
-                self.words(b'p', [from.0, bits.len() as u64]);
+                self.hash_words(b'p', [from.0, bits.len() as u64]);
                 self.0.update(bits);
             }
             Plan::Periodic(cycles) => {
-                self.words(b'P', [from.0, cycles.len() as u64]);
+                self.hash_words(b'P', [from.0, cycles.len() as u64]);
                 for cycle in cycles {
                     let DutyCycle { t_on, t_drx, offset } = *cycle;
-                    self.words(b'c', [t_on, t_drx, offset].map(u64::from));
+                    self.hash_words(b'c', [t_on, t_drx, offset].map(u64::from));
                 }
             }
         }
@@ -169,9 +170,9 @@ impl DigestBuilder {
                 measured,
                 longest_outage,
             } = ledger;
-            self.sums(b'L', whole);
-            self.sums(b'M', measured);
-            self.words(b'O', [*longest_outage]);
+            self.hash_totals(b'L', whole);
+            self.hash_totals(b'M', measured);
+            self.hash_words(b'O', [*longest_outage]);
         }
         let Totals {
             devices,
@@ -198,25 +199,25 @@ impl DigestBuilder {
             wrong_activations,
             wasted,
         } = *events;
-        self.words(
+        self.hash_words(
             b'T',
             [*devices, *ttis, events, misdetected, delay_ttis, *delay_p95_ttis],
         );
-        let [low, high] = halves(information_pico);
-        self.words(b't', [reports, wake_ups, low, high, wrong_activations, wasted.micro()]);
+        let [low, high] = low_and_high(information_pico);
+        self.hash_words(b't', [reports, wake_ups, low, high, wrong_activations, wasted.micro()]);
         // Numbers of messages, not bytes: the digest does not depend on the encoding.
-        self.words(b'C', [control.messages, uplink.messages]);
-        self.sums(b'S', energy);
+        self.hash_words(b'C', [control.messages, uplink.messages]);
+        self.hash_totals(b'S', energy);
         let Spread {
             spent_squares,
             worst_low_ttis,
         } = *spread;
-        let [low, high] = halves(spent_squares);
-        self.words(b'J', [low, high, worst_low_ttis]);
+        let [low, high] = low_and_high(spent_squares);
+        self.hash_words(b'J', [low, high, worst_low_ttis]);
         Digest(self.0.finalize().into())
     }
 
-    fn sums(&mut self, tag: u8, sums: &DeviceTotals) {
+    fn hash_totals(&mut self, tag: u8, sums: &DeviceTotals) {
         let DeviceTotals {
             initial,
             harvested,
@@ -231,16 +232,17 @@ impl DigestBuilder {
             false_wake_ups,
         } = *sums;
         let energies = [initial, harvested, sensing, sleep, report, overflow, battery];
-        self.words(tag, energies.map(Energy::micro));
-        let [low, high] = halves(battery_sum);
-        self.words(b'l', [low, high, low_ttis, sensing_ttis, failed_ttis, unpowered_ttis]);
+        self.hash_words(tag, energies.map(Energy::micro));
+        let [low, high] = low_and_high(battery_sum);
+        self.hash_words(b'l', [low, high, low_ttis, sensing_ttis, failed_ttis, unpowered_ttis]);
         // Omitted at 0, so that runs without false wake-ups keep the digests of versions without them.
         if false_wake_ups > 0 {
-            self.words(b'f', [false_wake_ups]);
+            self.hash_words(b'f', [false_wake_ups]);
         }
     }
 
-    fn words<const N: usize>(&mut self, tag: u8, words: [u64; N]) {
+    /// Hashes the one-byte tag of a record, then each number in 8 little-endian bytes.
+    fn hash_words<const N: usize>(&mut self, tag: u8, words: [u64; N]) {
         self.0.update([tag]);
         for word in words {
             self.0.update(word.to_le_bytes());
@@ -248,6 +250,7 @@ impl DigestBuilder {
     }
 }
 
-const fn halves(wide: u128) -> [u64; 2] {
+/// Splits a number into its low and high 64 bits.
+const fn low_and_high(wide: u128) -> [u64; 2] {
     [wide as u64, (wide >> 64) as u64]
 }

@@ -1,4 +1,5 @@
-//! The definitions of all metrics, from exact integer totals.
+//! The definitions of all metrics, computed from exact integer totals. An entry of `metrics!` below is enough for a new
+//! metric: summaries, tables, figures and `docs/results.md` list [`Metrics::ALL`]. Names are part of those formats.
 
 use serde::Serialize;
 
@@ -59,12 +60,12 @@ pub struct Metric {
 }
 
 /// The inputs of the formulas.
-struct Measured<'t> {
+struct MetricInputs<'t> {
     alpha: f64,
     totals: &'t Totals,
 }
 
-impl Measured<'_> {
+impl MetricInputs<'_> {
     fn device_ttis(&self) -> f64 {
         self.totals.devices as f64 * self.totals.ttis as f64
     }
@@ -140,8 +141,8 @@ macro_rules! metrics {
                     axis: $axis,
                     meaning: concat!($($meaning),+).trim_ascii(),
                     is_difference: {
-                        const MARK: &[&str] = &[$(stringify!($difference))?];
-                        !MARK.is_empty()
+                        const FLAGS: &[&str] = &[$(stringify!($difference))?];
+                        !FLAGS.is_empty()
                     },
                 },)+)+
                 Metric {
@@ -161,9 +162,9 @@ macro_rules! metrics {
 
             /// Computes the metrics of `totals` for events that start with probability `alpha` in a TTI.
             pub fn from_totals(alpha: f64, totals: &Totals) -> Self {
-                let run = Measured { alpha, totals };
+                let run = MetricInputs { alpha, totals };
                 Self {
-                    $($($name: (|$measured: &Measured<'_>| $formula)(&run),)+)+
+                    $($($name: (|$measured: &MetricInputs<'_>| $formula)(&run),)+)+
                     events: totals.events.events,
                 }
             }
@@ -312,10 +313,10 @@ impl Metrics {
     /// The names of the metrics that are fractional numbers, in the order of tables; `events` comes after them.
     pub const NAMES: [&str; Self::COUNT] = {
         let mut names = [""; Self::COUNT];
-        let mut at = 0;
-        while at < Self::COUNT {
-            names[at] = Self::ALL[at].name;
-            at += 1;
+        let mut index = 0;
+        while index < Self::COUNT {
+            names[index] = Self::ALL[index].name;
+            index += 1;
         }
         names
     };
@@ -336,15 +337,15 @@ impl Metrics {
     }
 
     /// Returns the description of the metric `name`, which may be a former name.
-    pub fn named(name: &str) -> Option<&'static Metric> {
+    pub fn find(name: &str) -> Option<&'static Metric> {
         const ALL: &[Metric] = &Metrics::ALL;
         let name = Self::current_name(name);
         ALL.iter().find(|metric| metric.name == name)
     }
 
     /// Returns the axis label of the metric `name`; empty if it does not exist.
-    pub fn axis(name: &str) -> &'static str {
-        Self::named(name).map_or("", |metric| metric.axis)
+    pub fn axis_label(name: &str) -> &'static str {
+        Self::find(name).map_or("", |metric| metric.axis)
     }
 
     /// Returns the value of the metric `name`, which may be `events`.
@@ -355,19 +356,19 @@ impl Metrics {
     /// Returns the name, value and unit of every metric, in the order of tables.
     pub fn rows(&self) -> [(&'static str, f64, &'static str); Self::COUNT + 1] {
         let values = self.values();
-        std::array::from_fn(|at| {
-            let value = values.get(at).copied().unwrap_or(self.events as f64);
-            (Self::ALL[at].name, value, Self::ALL[at].unit)
+        std::array::from_fn(|index| {
+            let value = values.get(index).copied().unwrap_or(self.events as f64);
+            (Self::ALL[index].name, value, Self::ALL[index].unit)
         })
     }
 }
 
 /// Returns the metrics as a Markdown table, for the page on results.
-pub fn markdown() -> String {
+pub fn markdown_table() -> String {
     let row = |metric: Metric| {
         let meaning = metric.meaning.replace('`', "");
-        let about = metric.group.title();
-        format!("| `{}` | {about} | {} | {meaning} |\n", metric.name, metric.unit)
+        let group = metric.group.title();
+        format!("| `{}` | {group} | {} | {meaning} |\n", metric.name, metric.unit)
     };
     let rows: String = Metrics::ALL.map(row).concat();
     format!("| metric | about | unit | meaning |\n|---|---|---|---|\n{rows}")
@@ -380,7 +381,7 @@ mod tests {
 
     #[test]
     fn the_page_on_results_has_the_table_of_metrics() {
-        io::assert_table("docs/results.md", "metrics", &markdown());
+        io::assert_table("docs/results.md", "metrics", &markdown_table());
     }
 
     #[test]
@@ -398,13 +399,13 @@ mod tests {
             assert_eq!(fields[name].as_f64(), Some(value), "{name}");
             assert_eq!(metrics.value(name), Some(value), "{name}");
         }
-        assert_eq!((Metrics::named("colour"), metrics.value("colour")), (None, None));
+        assert_eq!((Metrics::find("colour"), metrics.value("colour")), (None, None));
         for (former, current) in Metrics::FORMER_NAMES {
             assert!(
                 Metrics::NAMES.contains(&current) && !Metrics::NAMES.contains(&former),
                 "{former}"
             );
-            assert_eq!(Metrics::named(former).map(|metric| metric.name), Some(current));
+            assert_eq!(Metrics::find(former).map(|metric| metric.name), Some(current));
         }
     }
 }

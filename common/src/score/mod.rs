@@ -1,6 +1,7 @@
 //! The score of a run: the results of events, the control traffic, the digest, and the metrics at the end.
 //!
-//! The score receives the history of the run in order and decides nothing.
+//! The score receives the history of the run in order and decides nothing. `bs/src/cycle.rs` feeds it during a run,
+//! `view/src/reconstruction.rs` from a recording; equal calls must give an equal digest. [`Score`] is the entry point.
 
 mod devices;
 mod digest;
@@ -11,7 +12,7 @@ use std::collections::BTreeMap;
 
 pub use devices::{ClassRecord, DeviceRecord, EventActivity};
 pub use digest::{DIGEST_VERSION, Digest, DigestBuilder};
-pub use metrics::{Metric, MetricGroup, Metrics, markdown};
+pub use metrics::{Metric, MetricGroup, Metrics, markdown_table};
 pub use windows::{WindowAccumulator, WindowRecord};
 
 use crate::codec;
@@ -27,41 +28,43 @@ use crate::units::Energy;
 
 /// The active event and its results so far.
 #[derive(Clone, Copy, Debug)]
-struct Current {
+struct OpenEvent {
     event: ActiveEvent,
     tally: EventTally,
     /// Whether a report about it was lost.
-    has_lost: bool,
+    has_lost_report: bool,
     /// The TTI of its last wake-ups, and their number in that TTI.
-    called: (Tti, u64),
+    last_wake_ups: (Tti, u64),
     /// The number of those wake-ups up to the last one that brought a report.
-    answered: u64,
+    wake_ups_until_last_report: u64,
     /// Number of devices that woke after its end.
-    late: u64,
+    late_wake_ups: u64,
 }
 
 /// The score of an unfinished run.
 #[derive(Clone, Debug)]
 pub struct Score {
     warm_up_end: Tti,
-    /// The devices as deployed, with empty ledgers.
+    /// The devices as deployed; [`Self::finish`] fills in their ledgers.
     devices: Vec<DeviceRecord>,
+    /// Cost of a report, by device.
     e_tx: Vec<Energy>,
     d_max: f64,
-    current: Option<Current>,
-    /// The activity of devices during the active event.
-    acts: Vec<(DeviceId, EventActivity)>,
+    current: Option<OpenEvent>,
+    /// What devices did during the active event, in order; a device can have several entries.
+    activities: Vec<(DeviceId, EventActivity)>,
     events: EventTotals,
     missed: MissedEvents,
-    delays: Delays,
+    delays: DelayHistogram,
     control: MessageTotals,
     uplink: MessageTotals,
     losses: RadioLosses,
+    /// TTIs from a wake-up to its report.
     wake_latency: u64,
     /// TTIs from the first to the last report, summed over the counted events.
     wake_up_span_ttis: u64,
-    outages: Vec<DeviceRemoval>,
-    fingerprint: DigestBuilder,
+    removals: Vec<DeviceRemoval>,
+    digest: DigestBuilder,
 }
 
 /// A finished score.
@@ -80,13 +83,13 @@ pub struct FinalScore {
 impl Score {
     /// Creates the score of `scenario` before TTI 0, with its devices as in `deployment`.
     pub fn new<P>(scenario: &Scenario<P>, deployment: &Deployment) -> Self {
-        let ground = deployment.devices.iter().zip(&deployment.classes);
-        let devices = ground.map(|(setup, &class)| DeviceRecord {
+        let deployed = deployment.devices.iter().zip(&deployment.classes);
+        let devices = deployed.map(|(setup, &class)| DeviceRecord {
             device: setup.id,
             position: setup.position,
             class,
             ledger: Ledger::default(),
-            acts: EventActivity::default(),
+            activity: EventActivity::default(),
         });
         Self {
             warm_up_end: scenario.warm_up_end(),
@@ -94,17 +97,17 @@ impl Score {
             e_tx: deployment.devices.iter().map(|d| d.energy.e_tx).collect(),
             d_max: scenario.sensing.d_max,
             current: None,
-            acts: Vec::new(),
+            activities: Vec::new(),
             events: EventTotals::default(),
             missed: MissedEvents::default(),
-            delays: Delays::default(),
+            delays: DelayHistogram::default(),
             control: MessageTotals::default(),
             uplink: MessageTotals::default(),
             losses: RadioLosses::default(),
             wake_latency: scenario.radio.wake_latency,
             wake_up_span_ttis: 0,
-            outages: Vec::new(),
-            fingerprint: DigestBuilder::default(),
+            removals: Vec::new(),
+            digest: DigestBuilder::default(),
         }
     }
 
@@ -114,16 +117,16 @@ impl Score {
     }
 
     /// Records a δ plan of `bytes` bytes sent on the air; `is_new` if it differs from the plan before.
-    pub fn plan(&mut self, update: &PlanUpdate, is_new: bool, bytes: u64) {
+    pub fn record_plan(&mut self, update: &PlanUpdate, is_new: bool, bytes: u64) {
         // A plan that is sent again for synchronisation costs control traffic, but changes nothing in the run.
         if is_new {
-            self.fingerprint.plan(update);
+            self.digest.add_plan(update);
         }
         self.count_control(update.from, bytes);
     }
 
     /// Records that `missed` of the `devices` addressed in TTI `from` did not receive the last plan sent.
-    pub fn plan_missed(&mut self, from: Tti, devices: u64, missed: u64) {
+    pub fn record_missed_plans(&mut self, from: Tti, devices: u64, missed: u64) {
         if from >= self.warm_up_end {
             self.losses.plans += devices;
             self.losses.missed_plans += missed;
@@ -131,92 +134,96 @@ impl Score {
     }
 
     /// Records the start of an event.
-    pub fn event_started(&mut self, event: ActiveEvent) {
-        self.fingerprint.event_started(event.start, &event.stimulus);
-        self.current = Some(Current {
+    pub fn record_event_start(&mut self, event: ActiveEvent) {
+        self.digest.add_event_start(event.start, &event.stimulus);
+        self.current = Some(OpenEvent {
             event,
             tally: EventTally::default(),
-            has_lost: false,
-            called: (Tti::NEVER, 0),
-            answered: 0,
-            late: 0,
+            has_lost_report: false,
+            last_wake_ups: (Tti::NEVER, 0),
+            wake_ups_until_last_report: 0,
+            late_wake_ups: 0,
         });
-        self.acts.clear();
+        self.activities.clear();
     }
 
     /// Records a report from a device with δ = 1.
-    pub fn reported(&mut self, report: &Report) {
-        self.fingerprint.report(report);
+    pub fn record_report(&mut self, report: &Report) {
+        self.digest.add_report(report);
         self.count_uplink(report);
-        self.current().tally.reports += 1;
-        self.act(report.device, EventActivity::REPORT);
+        self.open_event().tally.reports += 1;
+        self.add_activity(report.device, EventActivity::REPORT);
     }
 
     /// Records a lost report from a device with δ = 1.
-    pub fn lost(&mut self, report: &Report) {
-        self.fingerprint.lost(report);
-        self.count_lost(report);
+    pub fn record_lost_report(&mut self, report: &Report) {
+        self.digest.add_lost_report(report);
+        self.count_lost_report(report);
     }
 
     /// Records that a device with δ = 1 detected the event and could not transmit.
-    pub fn failed(&mut self, failure: &FailedTransmission) {
-        self.wrong(failure.device, failure.drained);
+    pub fn record_failed_transmission(&mut self, failure: &FailedTransmission) {
+        self.count_wrong_activation(failure.device, failure.drained);
     }
 
     /// Records the removal of devices.
-    pub fn devices_removed(&mut self, outage: &DeviceRemoval) {
-        self.fingerprint.devices_removed(outage);
-        self.outages.push(*outage);
+    pub fn record_removal(&mut self, removal: &DeviceRemoval) {
+        self.digest.add_removal(removal);
+        self.removals.push(*removal);
     }
 
     /// Whether `device` is removed.
-    pub fn is_gone(&self, device: DeviceId) -> bool {
-        self.outages.iter().any(|outage| outage.has(device))
+    pub fn is_removed(&self, device: DeviceId) -> bool {
+        self.removals.iter().any(|outage| outage.contains(device))
     }
 
     /// Records a wake-up of `bytes` bytes sent on the air in `tti`.
-    pub fn wake_up(&mut self, tti: Tti, bytes: u64) {
-        let current = self.current();
+    pub fn record_wake_up(&mut self, tti: Tti, bytes: u64) {
+        let current = self.open_event();
         current.tally.wake_ups += 1;
         // An event whose reports are lost stays open, and its wake-ups are counted from 0 in the next TTI.
-        let before = if current.called.0 == tti { current.called.1 } else { 0 };
-        current.called = (tti, before + 1);
+        let sent_before = if current.last_wake_ups.0 == tti {
+            current.last_wake_ups.1
+        } else {
+            0
+        };
+        current.last_wake_ups = (tti, sent_before + 1);
         self.count_control(tti, bytes);
     }
 
     /// Records the outcome of the wake-up of `device`; `is_far` if the device is farther than d_max from the event.
-    pub fn wake_up_completed(&mut self, tti: Tti, device: DeviceId, outcome: &WakeOutcome, is_far: bool) {
-        self.fingerprint.wake_up(tti, device, outcome);
+    pub fn record_wake_up_outcome(&mut self, tti: Tti, device: DeviceId, outcome: &WakeOutcome, is_far: bool) {
+        self.digest.add_wake_up(tti, device, outcome);
         let is_measured = tti >= self.warm_up_end;
         self.losses.wake_ups += u64::from(is_measured);
         match outcome {
             WakeOutcome::Reported(report) => {
                 self.count_uplink(report);
-                let current = self.current();
+                let current = self.open_event();
                 current.tally.reports += 1;
                 // Refinement ends with the last report, not with later wake-ups that bring none.
-                current.answered = current.called.1;
-                self.act(device, EventActivity::WOKEN_REPORT);
-                self.far(device, is_far);
+                current.wake_ups_until_last_report = current.last_wake_ups.1;
+                self.add_activity(device, EventActivity::WOKEN_REPORT);
+                self.count_far_report(device, is_far);
             }
             WakeOutcome::Lost(report) => {
-                self.count_lost(report);
-                self.act(device, EventActivity::WOKEN);
-                self.far(device, is_far);
+                self.count_lost_report(report);
+                self.add_activity(device, EventActivity::WOKEN);
+                self.count_far_report(device, is_far);
             }
             WakeOutcome::Failed(failure) => {
-                self.act(device, EventActivity::WOKEN);
-                self.wrong(device, failure.drained);
+                self.add_activity(device, EventActivity::WOKEN);
+                self.count_wrong_activation(device, failure.drained);
             }
             WakeOutcome::Late { spent, .. } => {
                 self.losses.late += u64::from(is_measured);
-                self.current().late += 1;
-                self.act(device, EventActivity::WOKEN);
-                self.wrong(device, *spent);
+                self.open_event().late_wake_ups += 1;
+                self.add_activity(device, EventActivity::WOKEN);
+                self.count_wrong_activation(device, *spent);
             }
             WakeOutcome::Missed => {
                 self.losses.missed_wake_ups += u64::from(is_measured);
-                self.act(device, EventActivity::UNHEARD);
+                self.add_activity(device, EventActivity::MISSED_WAKE_UP);
             }
         }
     }
@@ -230,18 +237,18 @@ impl Score {
     ///
     /// # Panics
     /// If no event is active.
-    pub fn event_ended(&mut self, last: Tti, information: f64) -> EventRecord {
-        let Current {
+    pub fn record_event_end(&mut self, last: Tti, information: f64) -> EventRecord {
+        let OpenEvent {
             event,
             mut tally,
-            has_lost,
-            answered,
-            late,
+            has_lost_report,
+            wake_ups_until_last_report,
+            late_wake_ups,
             ..
         } = self.current.take().expect("an event is active");
         // Whole 10⁻¹² units: integer sums over events do not depend on their order.
         tally.information_pico = (information * PICO_PER_INFORMATION).round() as u64;
-        self.fingerprint.event_ended(last, &tally);
+        self.digest.add_event_end(last, &tally);
         let ActiveEvent { stimulus, start, .. } = event;
         let Stimulus { event, epicentre } = stimulus;
         let record = EventRecord {
@@ -260,13 +267,13 @@ impl Score {
                 Some(delay) => {
                     self.delays.count(delay);
                     // Wake-ups go out one latency apart, so answer n arrives n latencies after the first report.
-                    self.wake_up_span_ttis += answered * self.wake_latency;
+                    self.wake_up_span_ttis += wake_ups_until_last_report * self.wake_latency;
                 }
-                None => self.count_missed(&record, has_lost, late),
+                None => self.count_missed_event(&record, has_lost_report, late_wake_ups),
             }
             // Added only here, because an event that is still open at the end of the run is not counted.
-            for (device, act) in &self.acts {
-                self.devices[device.index()].acts += *act;
+            for (device, activity) in &self.activities {
+                self.devices[device.index()].activity += *activity;
             }
         }
         record
@@ -280,7 +287,7 @@ impl Score {
             device.ledger = *ledger;
         }
         FinalScore {
-            digest: self.fingerprint.finish(ledgers, &totals),
+            digest: self.digest.finish(ledgers, &totals),
             metrics: Metrics::from_totals(alpha, &totals),
             totals,
             devices: self.devices,
@@ -294,10 +301,10 @@ impl Score {
 
     fn totals(&self, end: Tti, ledgers: &[Ledger]) -> Totals {
         let measured = || ledgers.iter().map(|ledger| &ledger.measured);
-        let gone = |outage: &DeviceRemoval| {
+        let removed_ttis = |removal: &DeviceRemoval| {
             // In TTI `tti` itself the devices still harvest and pay for δ, see `DeviceRemoval`.
-            let first = self.warm_up_end.0.max(outage.tti.0 + 1);
-            u64::from(outage.count) * end.0.saturating_sub(first)
+            let first = self.warm_up_end.0.max(removal.tti.0 + 1);
+            u64::from(removal.count) * end.0.saturating_sub(first)
         };
         Totals {
             devices: ledgers.len() as u64,
@@ -309,20 +316,20 @@ impl Score {
             uplink: self.uplink,
             losses: self.losses,
             energy: measured().copied().sum(),
-            spread: Spread::sum(measured()),
+            spread: Spread::from_devices(measured()),
             wake_up_span_ttis: self.wake_up_span_ttis,
-            removed_ttis: self.outages.iter().map(gone).sum(),
+            removed_ttis: self.removals.iter().map(removed_ttis).sum(),
         }
     }
 
-    fn count_missed(&mut self, event: &EventRecord, has_lost: bool, late: u64) {
-        let is_in_reach = |device: &DeviceRecord| device.position.distance(event.epicentre) <= self.d_max;
+    fn count_missed_event(&mut self, event: &EventRecord, has_lost_report: bool, late_wake_ups: u64) {
+        let is_within_d_max = |device: &DeviceRecord| device.position.distance(event.epicentre) <= self.d_max;
         // Late wake-ups are wrong activations too; only the excess over them stands for devices that could not pay.
-        let cause = if has_lost {
+        let cause = if has_lost_report {
             &mut self.missed.lost
-        } else if event.tally.wrong_activations > late {
+        } else if event.tally.wrong_activations > late_wake_ups {
             &mut self.missed.no_energy
-        } else if self.devices.iter().any(is_in_reach) {
+        } else if self.devices.iter().any(is_within_d_max) {
             &mut self.missed.not_sensing
         } else {
             &mut self.missed.out_of_reach
@@ -330,27 +337,27 @@ impl Score {
         *cause += 1;
     }
 
-    fn current(&mut self) -> &mut Current {
+    fn open_event(&mut self) -> &mut OpenEvent {
         self.current.as_mut().expect("an event is active")
     }
 
-    fn act(&mut self, device: DeviceId, act: EventActivity) {
-        self.acts.push((device, act));
+    fn add_activity(&mut self, device: DeviceId, activity: EventActivity) {
+        self.activities.push((device, activity));
     }
 
     /// Records a report of the woken `device`, from farther than d_max if `is_far`.
-    fn far(&mut self, device: DeviceId, is_far: bool) {
+    fn count_far_report(&mut self, device: DeviceId, is_far: bool) {
         if is_far {
             // A report from beyond d_max carries no information, so its E_Tx is wasted.
-            self.wrong(device, self.e_tx[device.index()]);
+            self.count_wrong_activation(device, self.e_tx[device.index()]);
         }
     }
 
-    fn wrong(&mut self, device: DeviceId, wasted: Energy) {
-        let tally = &mut self.current().tally;
+    fn count_wrong_activation(&mut self, device: DeviceId, wasted: Energy) {
+        let tally = &mut self.open_event().tally;
         tally.wrong_activations += 1;
         tally.wasted += wasted;
-        self.act(device, EventActivity::WRONG);
+        self.add_activity(device, EventActivity::WRONG_ACTIVATION);
     }
 
     const fn count_control(&mut self, tti: Tti, bytes: u64) {
@@ -365,25 +372,25 @@ impl Score {
         }
     }
 
-    fn count_lost(&mut self, report: &Report) {
-        self.current().has_lost = true;
+    fn count_lost_report(&mut self, report: &Report) {
+        self.open_event().has_lost_report = true;
         self.losses.reports += u64::from(report.tti >= self.warm_up_end);
     }
 }
 
-/// Delays below this limit are counted in an array, without a search.
-const SHORT: usize = 8;
+/// Delays below this limit, in TTIs, are counted in an array: most are short, and the map needs a search.
+const SHORT_DELAYS: usize = 8;
 
 /// Number of events by detection delay in TTIs.
 #[derive(Clone, Debug, Default)]
-struct Delays {
-    short: [u64; SHORT],
+struct DelayHistogram {
+    short: [u64; SHORT_DELAYS],
     long: BTreeMap<u64, u64>,
 }
 
-impl Delays {
+impl DelayHistogram {
     fn count(&mut self, delay: u64) {
-        match usize::try_from(delay).ok().and_then(|at| self.short.get_mut(at)) {
+        match usize::try_from(delay).ok().and_then(|delay| self.short.get_mut(delay)) {
             Some(count) => *count += 1,
             None => *self.long.entry(delay).or_default() += 1,
         }
@@ -394,12 +401,12 @@ impl Delays {
         let long = self.long.iter().map(|(&delay, &count)| (delay, count));
         // Short delays come before long ones and both ascend, so the running sum is a cumulative count.
         let counts = || (0..).zip(self.short).chain(long.clone());
-        let all: u64 = counts().map(|(_, count)| count).sum();
-        let rank = (all * percent).div_ceil(100);
-        let mut so_far = 0;
+        let total: u64 = counts().map(|(_, count)| count).sum();
+        let rank = (total * percent).div_ceil(100);
+        let mut cumulative = 0;
         let reaches = |&(_, count): &(u64, u64)| {
-            so_far += count;
-            so_far >= rank
+            cumulative += count;
+            cumulative >= rank
         };
         counts().find(reaches).map_or(0, |(delay, _)| delay)
     }
@@ -419,7 +426,7 @@ mod tests {
             &[0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 9],
         ];
         let found = lists.map(|list| {
-            let mut delays = Delays::default();
+            let mut delays = DelayHistogram::default();
             for &delay in list {
                 delays.count(delay);
             }

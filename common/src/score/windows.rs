@@ -1,4 +1,4 @@
-//! Sums over windows of TTIs, for the per-window series of a run.
+//! Sums over windows of TTIs, for the per-window series of a run. The session of the base station closes each window.
 
 use crate::deployment::Deployment;
 use crate::ids::Tti;

@@ -1,4 +1,5 @@
-//! Barriers without a model, with as many processes as the emulator uses.
+//! Barriers without a model, over zenoh and over unix sockets, with as many processes as the emulator uses: the
+//! baselines of `bus`.
 
 use std::io::{Read, Write};
 use std::os::unix::net::{UnixListener, UnixStream};
@@ -28,18 +29,18 @@ pub(super) fn zenoh(hosts: u32, sizes: Sizes, seconds: f64) -> anyhow::Result<f6
         // Without access rules: the baseline is zenoh alone.
         let bus = Bus::listen_open("tcp/127.0.0.1:0", "bare".parse()?).await?;
         let barrier = BareBarrier::new(&bus)?;
-        let alive = bus.declare_alive(bus.keys().bs_alive())?;
-        let children = start("zenoh", bus.endpoint(), hosts, sizes)?;
+        let alive = bus.declare_alive(bus.keys().bs_liveliness())?;
+        let children = start_hosts("zenoh", bus.endpoint(), hosts, sizes)?;
         let tick = vec![0; sizes.tick];
         // A host shows its token after it has subscribed: once all tokens are seen, no tick is lost.
-        let ready = now();
+        let started = now();
         while bus.count_alive_hosts().await? < hosts {
             anyhow::ensure!(
-                ready.elapsed() < Duration::from_mins(1),
+                started.elapsed() < Duration::from_mins(1),
                 "the hosts of the bare barrier did not join within a minute"
             );
         }
-        let rate = rate(seconds, || barrier.round(&tick, hosts as usize))?;
+        let rate = measure_rate(seconds, || barrier.round(&tick, hosts as usize))?;
         // The hosts watch this token and leave when it disappears.
         drop(alive);
         children.wait();
@@ -53,12 +54,12 @@ pub(super) fn unix(hosts: u32, sizes: Sizes, seconds: f64) -> anyhow::Result<f64
     // A killed benchmark with the same pid may have left a socket here, which `bind` refuses to replace.
     let _stale = std::fs::remove_file(&path);
     let listener = UnixListener::bind(&path).with_context(|| format!("cannot listen on {}", path.display()))?;
-    let children = start("unix", &path.display().to_string(), hosts, sizes)?;
+    let children = start_hosts("unix", &path.display().to_string(), hosts, sizes)?;
     let mut links = (0..hosts)
         .map(|_| listener.accept().map(|(link, _)| link))
         .collect::<std::io::Result<Vec<UnixStream>>>()?;
     let (tick, mut answer) = (vec![0; sizes.tick], vec![0; sizes.answer]);
-    let rate = rate(seconds, || {
+    let rate = measure_rate(seconds, || {
         // All ticks go out before the first answer is read: the hosts must work at the same time, as in the emulator.
         for link in &mut links {
             link.write_all(&tick)?;
@@ -76,35 +77,43 @@ pub(super) fn unix(hosts: u32, sizes: Sizes, seconds: f64) -> anyhow::Result<f64
 }
 
 /// Runs one host in its own process.
-pub(super) fn host(kind: &str, at: &str, sizes: (usize, usize), number: u32) -> anyhow::Result<ExitCode> {
+pub(super) fn host(kind: &str, endpoint: &str, sizes: (usize, usize), number: u32) -> anyhow::Result<ExitCode> {
     if kind == "zenoh" {
         runtime(1)?.block_on(async {
-            let bus = Bus::connect(at, "bare".parse()?, Duration::from_secs(30)).await?;
+            let bus = Bus::connect(endpoint, "bare".parse()?, Duration::from_secs(30)).await?;
             barrier::host(&bus, number, sizes.1).await?;
             bus.close().await;
             anyhow::Ok(())
         })?;
     } else {
-        let mut link = UnixStream::connect(at)?;
+        let mut link = UnixStream::connect(endpoint)?;
         let (mut tick, answer) = (vec![0; sizes.0], vec![0; sizes.1]);
         while link.read_exact(&mut tick).is_ok() && link.write_all(&answer).is_ok() {}
     }
     Ok(ExitCode::SUCCESS)
 }
 
-fn start(kind: &str, at: &str, hosts: u32, sizes: Sizes) -> anyhow::Result<Children> {
+fn start_hosts(kind: &str, endpoint: &str, hosts: u32, sizes: Sizes) -> anyhow::Result<Children> {
     let (sizes, parent) = (
         format!("{},{}", sizes.tick, sizes.answer),
         std::process::id().to_string(),
     );
     Children::spawn((0..hosts).map(|number| {
-        ["bench", "bare-host", kind, at, &sizes, &number.to_string(), &parent]
-            .map(str::to_owned)
-            .to_vec()
+        [
+            "bench",
+            "bare-host",
+            kind,
+            endpoint,
+            &sizes,
+            &number.to_string(),
+            &parent,
+        ]
+        .map(str::to_owned)
+        .to_vec()
     }))
 }
 
-fn rate(seconds: f64, mut round: impl FnMut() -> anyhow::Result<()>) -> anyhow::Result<f64> {
+fn measure_rate(seconds: f64, mut round: impl FnMut() -> anyhow::Result<()>) -> anyhow::Result<f64> {
     for _ in 0..20 {
         round()?;
     }

@@ -12,13 +12,13 @@ use reveille_common::ids::HostId;
 use reveille_common::secret::{HostCredential, Secret};
 
 /// Time after which a tick counts as lost.
-const PATIENCE: Duration = Duration::from_secs(10);
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// The base station's side of a bare barrier.
 pub(super) struct BareBarrier {
     ticks: RawTopic,
     /// Hosts that have not answered, and the signal that all have.
-    waiting: Arc<(Mutex<usize>, Condvar)>,
+    unanswered: Arc<(Mutex<usize>, Condvar)>,
     _answers: DeclarationGuard,
 }
 
@@ -28,18 +28,18 @@ impl BareBarrier {
     /// # Errors
     /// If zenoh refuses.
     pub(super) fn new(bus: &Bus) -> Result<Self, BusError> {
-        let waiting = Arc::new((Mutex::new(0_usize), Condvar::new()));
-        let seen = Arc::clone(&waiting);
+        let unanswered = Arc::new((Mutex::new(0_usize), Condvar::new()));
+        let callback_unanswered = Arc::clone(&unanswered);
         let answers = bus.subscribe_raw(key(bus, "answer/*"), move |_| {
-            let mut waiting = seen.0.lock().unwrap_or_else(PoisonError::into_inner);
-            *waiting = waiting.saturating_sub(1);
-            if *waiting == 0 {
-                seen.1.notify_one();
+            let mut unanswered = callback_unanswered.0.lock().unwrap_or_else(PoisonError::into_inner);
+            *unanswered = unanswered.saturating_sub(1);
+            if *unanswered == 0 {
+                callback_unanswered.1.notify_one();
             }
         })?;
         Ok(Self {
             ticks: bus.publisher_raw(key(bus, "tick"))?,
-            waiting,
+            unanswered,
             _answers: answers,
         })
     }
@@ -49,16 +49,16 @@ impl BareBarrier {
     /// # Errors
     /// If an answer is missing.
     pub(super) fn round(&self, tick: &[u8], hosts: usize) -> anyhow::Result<()> {
-        let (lock, all) = &*self.waiting;
+        let (lock, all) = &*self.unanswered;
         // Set before the tick goes out, since answers can arrive before `put` returns. Unlocked during `put`: the
         // callback takes the lock.
         *lock.lock().unwrap_or_else(PoisonError::into_inner) = hosts;
         self.ticks.put(tick)?;
-        let waiting = lock.lock().unwrap_or_else(PoisonError::into_inner);
-        let (waiting, _) = all
-            .wait_timeout_while(waiting, PATIENCE, |waiting| *waiting > 0)
+        let unanswered = lock.lock().unwrap_or_else(PoisonError::into_inner);
+        let (unanswered, _) = all
+            .wait_timeout_while(unanswered, ANSWER_TIMEOUT, |unanswered| *unanswered > 0)
             .unwrap_or_else(PoisonError::into_inner);
-        ensure!(*waiting == 0, "{} hosts have not answered", *waiting);
+        ensure!(*unanswered == 0, "{} hosts have not answered", *unanswered);
         Ok(())
     }
 }
@@ -74,23 +74,23 @@ pub(super) async fn host(bus: &Bus, number: u32, answer: usize) -> Result<(), Bu
         // A failed send means that the base station has ended; `_watch` notices that too.
         let _gone = answers.put(&payload).is_err();
     })?;
-    let pass = HostCredential {
+    let credential = HostCredential {
         host: HostId(number),
         token: Secret::new([0; 16]),
     };
     // The token comes last: the base station sends the first tick as soon as it sees the tokens of all hosts.
-    let _here = bus.declare_alive(bus.keys().alive(pass))?;
+    let _here = bus.declare_alive(bus.keys().host_liveliness(credential))?;
     let gone = Arc::new(tokio::sync::Notify::new());
-    let bell = Arc::clone(&gone);
-    let _watch = bus.watch_alive(bus.keys().bs_alive(), move |_, alive| {
+    let gone_notifier = Arc::clone(&gone);
+    let _watch = bus.watch_alive(bus.keys().bs_liveliness(), move |_, alive| {
         if !alive {
-            bell.notify_one();
+            gone_notifier.notify_one();
         }
     })?;
     gone.notified().await;
     Ok(())
 }
 
-fn key(bus: &Bus, end: &str) -> String {
-    format!("reveille/{}/bare/{end}", bus.keys().run())
+fn key(bus: &Bus, suffix: &str) -> String {
+    format!("reveille/{}/bare/{suffix}", bus.keys().run())
 }

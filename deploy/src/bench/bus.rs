@@ -1,4 +1,4 @@
-//! `reveille bench bus`.
+//! `reveille bench bus`: TTIs per second over the bus, against bare barriers with messages of the same size.
 
 use std::process::ExitCode;
 
@@ -8,16 +8,16 @@ use reveille_common::message::{ClockMessage, GrantMessage, HostAnswer};
 use serde_json::Value;
 
 use super::bare::{self, Sizes};
-use crate::child_process::played;
+use crate::child_process::run_for_summary;
 use crate::cli::BusBenchArgs;
 use crate::display;
 use crate::runtime::median;
 
 /// Devices of the measured runs, unless there are more processes.
-const DEVICES: u32 = 50;
+const DEFAULT_DEVICES: u32 = 50;
 
 /// One repetition of one row.
-struct Sample {
+struct BusSample {
     bare: f64,
     unix: f64,
     stepped: f64,
@@ -30,16 +30,16 @@ struct Sample {
 
 /// Runs the benchmark, one row for each number of processes.
 pub(super) fn run(args: &BusBenchArgs) -> anyhow::Result<ExitCode> {
-    let (sizes, seconds) = (sizes(), args.time.as_secs_f64());
-    display::print(&format!(
+    let (sizes, seconds) = (message_sizes(), args.time.as_secs_f64());
+    display::print_stdout(&format!(
         "preset paper, knn; a tick of {} B, an answer of {} B; medians of {} repetitions of {} s\n",
         sizes.tick, sizes.answer, args.repeat, seconds
     ))?;
-    display::print(
+    display::print_stdout(
         "TTIs (rounds) per second; `ratio`: emulator without lookahead / bare zenoh barrier; `tuning`: emulator \
          without lookahead / the same with untuned device processes\n",
     )?;
-    display::print(&format!(
+    display::print_stdout(&format!(
         "{:>9} {:>8} {:>11} {:>11} {:>6} {:>11} {:>11} {:>6} {:>11} {:>8} {:>8} {:>8} {:>8}\n",
         "processes",
         "devices",
@@ -57,32 +57,32 @@ pub(super) fn run(args: &BusBenchArgs) -> anyhow::Result<ExitCode> {
     ))?;
     for &processes in &args.processes {
         // `up` refuses more processes than devices.
-        let devices = DEVICES.max(processes);
+        let devices = DEFAULT_DEVICES.max(processes);
         let samples = (0..args.repeat)
-            .map(|_| sample(processes, devices, sizes, seconds))
+            .map(|_| measure(processes, devices, sizes, seconds))
             .collect::<Result<Vec<_>, _>>()?;
-        let of = |value: fn(&Sample) -> f64| median(samples.iter().map(value).collect());
-        display::print(&format!(
+        let median_of = |value: fn(&BusSample) -> f64| median(samples.iter().map(value).collect());
+        display::print_stdout(&format!(
             "{processes:>9} {devices:>8} {:>11.0} {:>11.0} {:>6.2} {:>11.0} {:>11.0} {:>6.2} {:>11.0} {:>8.2} \
              {:>8.2} {:>8.1} {:>8.1}\n",
-            of(|s| s.unix),
-            of(|s| s.bare),
-            of(|s| s.stepped / s.bare),
-            of(|s| s.stepped),
-            of(|s| s.untuned),
-            of(|s| s.stepped / s.untuned),
-            of(|s| s.lookahead),
-            of(|s| s.lookahead / s.stepped),
-            of(|s| s.ready_s),
-            of(|s| s.rss_mb),
-            of(|s| s.pss_mb),
+            median_of(|s| s.unix),
+            median_of(|s| s.bare),
+            median_of(|s| s.stepped / s.bare),
+            median_of(|s| s.stepped),
+            median_of(|s| s.untuned),
+            median_of(|s| s.stepped / s.untuned),
+            median_of(|s| s.lookahead),
+            median_of(|s| s.lookahead / s.stepped),
+            median_of(|s| s.ready_s),
+            median_of(|s| s.rss_mb),
+            median_of(|s| s.pss_mb),
         ))?;
     }
     Ok(ExitCode::SUCCESS)
 }
 
 /// The message sizes of a quiet TTI.
-fn sizes() -> Sizes {
+fn message_sizes() -> Sizes {
     // A TTI in the middle of a run: the encoding of small numbers is shorter.
     let tti = Tti(5_000);
     let tick = ClockMessage::Grant(GrantMessage {
@@ -109,23 +109,23 @@ fn sizes() -> Sizes {
     }
 }
 
-fn sample(processes: u32, devices: u32, sizes: Sizes, seconds: f64) -> anyhow::Result<Sample> {
+fn measure(processes: u32, devices: u32, sizes: Sizes, seconds: f64) -> anyhow::Result<BusSample> {
     let bare = bare::zenoh(processes, sizes, seconds)?;
     // The emulator reaches most of the bare rate, so the run takes about `seconds`.
     let ttis = ((bare * seconds * 0.8) as u64).clamp(500, 1_000_000);
-    let emulate = |ttis: u64, extra: &[&str]| {
+    let run_emulator = |ttis: u64, extra: &[&str]| {
         let numbers = [devices.to_string(), ttis.to_string(), processes.to_string()];
         let [devices, ttis, processes] = &numbers;
         let common = ["up", "--devices", devices, "--ttis", ttis, "--processes", processes];
-        played(&[&common, extra].concat())
+        run_for_summary(&[&common, extra].concat())
     };
-    let stepped = emulate(ttis, &["--no-lookahead"])?;
-    let untuned = emulate(ttis, &["--no-lookahead", "--untuned"])?;
+    let stepped = run_emulator(ttis, &["--no-lookahead"])?;
+    let untuned = run_emulator(ttis, &["--no-lookahead", "--untuned"])?;
     let unix = bare::unix(processes, sizes, seconds.min(1.0))?;
     // With lookahead the emulator is several times as fast; a longer run keeps the measured time similar.
-    let lookahead = emulate(ttis * 3, &[])?;
+    let lookahead = run_emulator(ttis * 3, &[])?;
     let timing = |run: &Value, field: &str| run["timing"][field].as_f64().unwrap_or(f64::NAN);
-    Ok(Sample {
+    Ok(BusSample {
         bare,
         unix,
         stepped: timing(&stepped, "ttis_per_s"),

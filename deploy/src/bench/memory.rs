@@ -1,4 +1,4 @@
-//! `reveille bench memory`.
+//! `reveille bench memory`: TTIs per second of runs in memory on one core, by policy and number of devices.
 
 use std::process::ExitCode;
 
@@ -11,37 +11,37 @@ use crate::display;
 use crate::runtime::{median, now};
 
 /// Repetitions of each measurement.
-const REPEAT: usize = 3;
+const REPETITIONS: usize = 3;
 /// Device count at which `--keep-density` keeps the preset's area, and the area's side in metres.
-const DENSE: f64 = 250.0;
-const SIDE: f64 = 20.0;
+const PRESET_DEVICES: f64 = 250.0;
+const PRESET_SIDE_M: f64 = 20.0;
 
 /// Runs the benchmark, one row for each policy and number of devices.
 pub(super) fn run(args: &MemoryBenchArgs) -> anyhow::Result<ExitCode> {
     let area = if args.keep_density { ", density kept" } else { "" };
-    display::print(&format!(
-        "preset paper{area}, {} TTIs, one core; medians of {REPEAT} runs\n",
+    display::print_stdout(&format!(
+        "preset paper{area}, {} TTIs, one core; medians of {REPETITIONS} runs\n",
         args.ttis
     ))?;
-    display::print(&format!(
+    display::print_stdout(&format!(
         "{:>10} {:>8} {:>12} {:>22}\n",
         "policy", "devices", "TTIs/s", "M device-TTIs/s"
     ))?;
     // Caches searches: of three repetitions only the first one contains the search, so the median excludes it.
-    let workshop = RunPreparer::default();
+    let preparer = RunPreparer::default();
     for policy in &args.policies {
         for devices in &args.devices {
             let scenario = scenario(args, policy, *devices)?;
-            let rates = (0..REPEAT)
+            let rates = (0..REPETITIONS)
                 .map(|_| {
                     let started = now();
                     // The time includes the preparation of the run, which matters if the run is short.
-                    std::hint::black_box(Run::new(&workshop.prepare(&scenario), RunOptions::default()).finish(&mut ()));
+                    std::hint::black_box(Run::new(&preparer.prepare(&scenario), RunOptions::default()).finish(&mut ()));
                     args.ttis as f64 / started.elapsed().as_secs_f64()
                 })
                 .collect();
             let rate = median(rates);
-            display::print(&format!(
+            display::print_stdout(&format!(
                 "{policy:>10} {devices:>8} {rate:>12.0} {:>22.1}\n",
                 rate * f64::from(*devices) / 1e6
             ))?;
@@ -57,7 +57,7 @@ fn scenario(args: &MemoryBenchArgs, policy: &str, devices: u32) -> anyhow::Resul
         Override::from_flag("--ttis", "ttis", &args.ttis.to_string())?,
     ];
     if args.keep_density {
-        let side = (f64::from(devices) / DENSE).sqrt() * SIDE;
+        let side = (f64::from(devices) / PRESET_DEVICES).sqrt() * PRESET_SIDE_M;
         for field in ["area.width", "area.height"] {
             overrides.push(Override::from_flag("--keep-density", field, &format!("{side:?}"))?);
         }

@@ -19,22 +19,22 @@ use crate::display;
 use crate::runtime::median;
 
 /// Time between two scrapes of the metrics.
-const SCRAPE: Duration = Duration::from_secs(1);
+const SCRAPE_INTERVAL: Duration = Duration::from_secs(1);
 /// Time without data on a connection until the end of the run is checked.
-const LOOK: Duration = Duration::from_millis(200);
+const READ_TIMEOUT: Duration = Duration::from_millis(200);
 /// Size of the read buffer in bytes.
-const BUFFER: usize = 1 << 16;
+const BUFFER_BYTES: usize = 1 << 16;
 
 /// Runs the benchmark: a row with lookahead and one without.
 pub(super) fn run(args: &WatchBenchArgs) -> anyhow::Result<ExitCode> {
-    display::print(&format!(
+    display::print_stdout(&format!(
         "preset paper, {}, {} devices in {} processes, {} TTIs; recorded, metrics scraped every second, {} reading the \
          dashboard; medians of {} pairs\n{:>9} {:>12} {:>12} {:>7} {:>11}  digest\n",
         args.policy,
         args.devices,
         args.processes,
         args.ttis,
-        display::count(args.browsers as usize, "browser"),
+        display::count_noun(args.browsers as usize, "browser"),
         args.repeat,
         "lookahead",
         "alone TTIs/s",
@@ -47,24 +47,24 @@ pub(super) fn run(args: &WatchBenchArgs) -> anyhow::Result<ExitCode> {
         for nth in 0..args.repeat {
             // The load of the machine drifts: the two runs alternate in coming first, so that neither gains from it.
             let mut pair = [
-                emulate(args, lookahead, nth % 2 == 1)?,
-                emulate(args, lookahead, nth % 2 == 0)?,
+                run_emulator(args, lookahead, nth % 2 == 1)?,
+                run_emulator(args, lookahead, nth % 2 == 0)?,
             ];
             if nth % 2 == 1 {
                 pair.reverse();
             }
             pairs.push(pair);
         }
-        let of = |value: fn(&[MeasuredRun; 2]) -> f64| median(pairs.iter().map(value).collect());
+        let median_of = |value: fn(&[MeasuredRun; 2]) -> f64| median(pairs.iter().map(value).collect());
         let is_same = pairs.iter().flatten().all(|ran| ran.digest == pairs[0][0].digest);
         anyhow::ensure!(is_same, "the runs with and without observers have different digests");
-        display::print(&format!(
+        display::print_stdout(&format!(
             "{:>9} {:>12.0} {:>12.0} {:>7.3} {:>11.1}  {}\n",
             if lookahead { "on" } else { "off" },
-            of(|[alone, _]| alone.ttis_per_s),
-            of(|[_, watched]| watched.ttis_per_s),
-            of(|[alone, watched]| watched.ttis_per_s / alone.ttis_per_s),
-            of(|[_, watched]| watched.recorded_mb),
+            median_of(|[alone, _]| alone.ttis_per_s),
+            median_of(|[_, watched]| watched.ttis_per_s),
+            median_of(|[alone, watched]| watched.ttis_per_s / alone.ttis_per_s),
+            median_of(|[_, watched]| watched.recorded_mb),
             pairs[0][0].digest,
         ))?;
     }
@@ -78,7 +78,7 @@ struct MeasuredRun {
     recorded_mb: f64,
 }
 
-fn emulate(args: &WatchBenchArgs, lookahead: bool, is_watched: bool) -> anyhow::Result<MeasuredRun> {
+fn run_emulator(args: &WatchBenchArgs, lookahead: bool, is_watched: bool) -> anyhow::Result<MeasuredRun> {
     let folder = std::env::temp_dir().join(format!("reveille-bench-{}", std::process::id()));
     std::fs::create_dir_all(&folder)?;
     let recording = folder.join("run.mcap");
@@ -99,7 +99,7 @@ fn emulate(args: &WatchBenchArgs, lookahead: bool, is_watched: bool) -> anyhow::
             .args(["--metrics", "127.0.0.1:0", "--dashboard", "127.0.0.1:0", "--record"])
             .arg(&recording);
     }
-    let summary = watched(&mut command, args.browsers)?;
+    let summary = run_watched(&mut command, args.browsers)?;
     let recorded = std::fs::metadata(&recording).map_or(0, |file| file.len());
     std::fs::remove_dir_all(&folder)?;
     Ok(MeasuredRun {
@@ -110,26 +110,26 @@ fn emulate(args: &WatchBenchArgs, lookahead: bool, is_watched: bool) -> anyhow::
 }
 
 /// Runs `command`, reads the addresses that it serves, and returns its summary.
-fn watched(command: &mut Command, browsers: u32) -> anyhow::Result<Value> {
+fn run_watched(command: &mut Command, browsers: u32) -> anyhow::Result<Value> {
     let mut run = command.spawn().context("cannot start reveille up")?;
     let (out, err) = (run.stdout.take(), run.stderr.take());
     let is_over = Arc::new(AtomicBool::new(false));
-    let told = std::thread::scope(|scope| {
+    let summary_text = std::thread::scope(|scope| {
         // A thread reads standard error during the run: it contains the addresses, and a full pipe would block the run.
-        let watch = scope.spawn(|| watch(scope, err.into_iter().flat_map(lines), browsers, &is_over));
+        let address_reader = scope.spawn(|| read_addresses(scope, err.into_iter().flat_map(lines), browsers, &is_over));
         let mut text = String::new();
         // Read to the end before `wait`: the summary can be longer than a pipe holds.
         let read = out.map_or(Ok(0), |mut out| out.read_to_string(&mut text));
         let ended = run.wait();
         // Set before the join: readers of endless answers stop only at this flag.
         is_over.store(true, Ordering::Relaxed);
-        let said = watch.join().unwrap_or_default();
+        let stderr_text = address_reader.join().unwrap_or_default();
         let status = ended?;
         read?;
-        anyhow::ensure!(status.success(), "reveille up: {said}");
+        anyhow::ensure!(status.success(), "reveille up: {stderr_text}");
         Ok(text)
     })?;
-    Ok(serde_json::from_str(&told)?)
+    Ok(serde_json::from_str(&summary_text)?)
 }
 
 fn lines(read: impl Read) -> impl Iterator<Item = String> {
@@ -137,47 +137,47 @@ fn lines(read: impl Read) -> impl Iterator<Item = String> {
 }
 
 /// Reads each address in `lines` until the run is over. Returns all lines.
-fn watch<'scope>(
+fn read_addresses<'scope>(
     scope: &'scope Scope<'scope, '_>,
     lines: impl Iterator<Item = String>,
     browsers: u32,
     is_over: &'scope Arc<AtomicBool>,
 ) -> String {
-    let mut said = String::new();
-    let mut looking: Vec<ScopedJoinHandle<'_, ()>> = Vec::new();
+    let mut stderr_text = String::new();
+    let mut readers: Vec<ScopedJoinHandle<'_, ()>> = Vec::new();
     for line in lines {
         let address = line.split("http://").nth(1).and_then(|rest| rest.split('/').next());
         if let Some(address) = address.map(str::to_owned) {
-            let (paths, readers) = if line.contains("/metrics") {
+            let (paths, readers_per_path) = if line.contains("/metrics") {
                 (&["/metrics"][..], 1)
             } else {
                 (&["/api/live", "/api/curves"][..], browsers)
             };
-            for _ in 0..readers {
+            for _ in 0..readers_per_path {
                 for path in paths {
                     let address = address.clone();
-                    looking.push(scope.spawn(move || look(&address, path, is_over)));
+                    readers.push(scope.spawn(move || read_until_over(&address, path, is_over)));
                 }
             }
         }
-        said = format!("{said}{line}\n");
+        stderr_text = format!("{stderr_text}{line}\n");
     }
-    for one in looking {
-        let _ended = one.join().is_ok();
+    for reader in readers {
+        let _ended = reader.join().is_ok();
     }
-    said
+    stderr_text
 }
 
 /// Requests `path` until the run is over: every second if the answer ends, or as one continuous read.
-fn look(address: &str, path: &str, is_over: &AtomicBool) {
-    let mut buffer = vec![0; BUFFER];
+fn read_until_over(address: &str, path: &str, is_over: &AtomicBool) {
+    let mut buffer = vec![0; BUFFER_BYTES];
     while !is_over.load(Ordering::Relaxed) {
         let request = format!("GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
         let Ok(mut stream) = TcpStream::connect(address) else {
             return;
         };
         // A live stream can send nothing for long; the timeout lets the loop check `is_over`.
-        let _unlimited = stream.set_read_timeout(Some(LOOK)).is_err();
+        let _unlimited = stream.set_read_timeout(Some(READ_TIMEOUT)).is_err();
         if stream.write_all(request.as_bytes()).is_err() {
             return;
         }
@@ -188,6 +188,6 @@ fn look(address: &str, path: &str, is_over: &AtomicBool) {
                 Ok(_) | Err(_) => {}
             }
         }
-        std::thread::sleep(SCRAPE);
+        std::thread::sleep(SCRAPE_INTERVAL);
     }
 }

@@ -6,12 +6,12 @@ use clap::{Args, Subcommand};
 use reveille_bs::policy::registry;
 
 use super::examples::examples;
-use super::parse::{any_whole, one_policy, parse_number, whole};
+use super::parse::{any_whole, parse_number, policy_help, whole};
 
 /// Subcommands of `reveille analyse`.
 #[derive(Subcommand)]
 pub(crate) enum AnalyseCommand {
-    /// Compare the paper's probabilities of state changes with their frequencies in runs.
+    /// Compare the paper's probabilities of state changes with their frequencies in runs
     ///
     /// The probabilities P_m,n are in Sec. IV. A frequency is the share of visits to state S_m whose next state is S_n,
     /// over all devices and measured TTIs.
@@ -20,7 +20,7 @@ pub(crate) enum AnalyseCommand {
         "reveille analyse transitions --policy random --devices 250 --seeds 50",
     ))]
     Transitions(TransitionsArgs),
-    /// Compare the paper's model of a battery with the batteries of simulated devices.
+    /// Compare the paper's model of a battery with the batteries of simulated devices
     ///
     /// The model is the Markov chain of Sec. III-B and Eq. (8). The scenario sets the energy source and the costs; the
     /// duty cycle is fixed. --csv writes the distribution of battery levels, bin by bin.
@@ -29,7 +29,7 @@ pub(crate) enum AnalyseCommand {
         "reveille analyse battery --duty 1/8 --e-b 5 --activation 0 --csv levels.csv",
     ))]
     Battery(BatteryArgs),
-    /// Compare the paper's estimate of I_min with its mean over random deployments.
+    /// Compare the paper's estimate of I_min with its mean over random deployments
     ///
     /// I_min is the information at which waking stops. The estimate of its mean is Ψ p(√(ξ/2N)) (Sec. V-A).
     #[command(after_help = examples!(
@@ -37,7 +37,7 @@ pub(crate) enum AnalyseCommand {
         "reveille analyse imin --layouts uniform,grid --devices 10,50,250 --seeds 1000",
     ))]
     Imin(IminArgs),
-    /// Compute harvested and net energy for many harvest rates λ, and measure them in runs.
+    /// Compute harvested and net energy for many harvest rates λ, and measure them in runs
     ///
     /// The tables reproduce Figs. 13 and 14. Net energy is positive where the mean harvest exceeds the consumption. The
     /// command compares two consumptions: the measured one (as in the paper's Fig. 8), and the one with batteries that
@@ -47,7 +47,7 @@ pub(crate) enum AnalyseCommand {
         "reveille analyse harvest --devices 100 --policies random,adjusted",
     ))]
     Harvest(HarvestArgs),
-    /// Measure the computing time of each policy against the number of devices N.
+    /// Measure the computing time of each policy against the number of devices N
     ///
     /// The command measures three times, and fits an exponent of N to each (Sec. V-D). The area is constant, so density
     /// grows with N.
@@ -95,7 +95,7 @@ pub(crate) struct TransitionsArgs {
     #[arg(long, short = 'n', allow_negative_numbers = true)]
     pub devices: Option<String>,
     /// Registered policy.
-    #[arg(long, short, help = one_policy())]
+    #[arg(long, short, help = policy_help())]
     pub policy: Option<String>,
     /// Length of a run in TTIs, warm-up included [default: the scenario's].
     #[arg(long, short = 'k', allow_negative_numbers = true)]
@@ -173,10 +173,10 @@ pub(crate) struct HarvestArgs {
     /// Formulas that convert λ into a probability, separated by commas: eq5, exp-minus-lambda.
     #[arg(long, default_value = "eq5,exp-minus-lambda")]
     pub readings: String,
-    /// Numbers of devices N at which consumption is compared, separated by commas. The curves use the scenario's N.
+    /// Numbers of devices N, separated by commas, for the comparison of consumption. The curves use the scenario's N.
     #[arg(long, short = 'n', default_value = "10,100,250", allow_hyphen_values = true)]
     pub devices: String,
-    /// Policies whose consumption is compared, separated by commas. The curves use the first policy.
+    /// Policies, separated by commas, for the comparison of consumption. The curves use the first policy.
     #[arg(long, short, default_value = "random,adjusted,knn")]
     pub policies: String,
     /// Length of a run in TTIs, warm-up included [default: the scenario's].
@@ -207,7 +207,7 @@ pub(crate) struct RuntimeArgs {
     /// Length of a timed run in TTIs.
     #[arg(long, short = 'k', default_value = "5000", allow_hyphen_values = true)]
     pub ttis: String,
-    /// Number of events in a timed round of decisions.
+    /// Number of events in a repetition of the decision measurement; the decision time is the mean per event.
     #[arg(long, default_value_t = 1000, value_parser = whole(1..=1_000_000_u64), allow_negative_numbers = true)]
     pub events: u64,
     /// Repetitions, each with a different seed; the results are medians.

@@ -57,7 +57,7 @@ pub(crate) struct FiguresArgs {
 /// Pictures other than the figures of the paper.
 #[derive(Subcommand)]
 pub(crate) enum FiguresCommand {
-    /// Draw a map of the devices with their clusters and one event.
+    /// Draw a map of the devices with their clusters and one event
     ///
     /// The map has Voronoi cells. It marks the devices that reported, were woken, or failed.
     #[command(after_help = examples!(
@@ -65,13 +65,13 @@ pub(crate) enum FiguresCommand {
         "reveille figures deployment --event 12 --out maps",
     ))]
     Deployment(DeploymentArgs),
-    /// Draw the batteries and states of some devices over time, with events and wake-ups.
+    /// Draw the batteries and states of some devices over time, with events and wake-ups
     #[command(after_help = examples!(
         "reveille figures timeline --policy random --show 3,7",
         "reveille figures timeline --from 2000 --length 400",
     ))]
     Timeline(TimelineArgs),
-    /// Draw the past that one decision of the `dt` policy attends to.
+    /// Draw the past that one decision of the `dt` policy attends to
     ///
     /// The picture shows the expectation for each device in a TTI, and the attention to past TTIs.
     #[command(after_help = examples!(
@@ -79,7 +79,7 @@ pub(crate) enum FiguresCommand {
         "reveille figures attention --show 3,7",
     ))]
     Attention(AttentionArgs),
-    /// Draw the effect of an imperfect radio on policies.
+    /// Draw the effect of an imperfect radio on policies
     ///
     /// The figures show information, energy and misdetection. They cover lost wake-ups, false wake-ups, lost reports,
     /// lost plans, slow wake-ups and interference.
@@ -88,19 +88,19 @@ pub(crate) enum FiguresCommand {
         "reveille figures robustness --only uplink_loss,wake_miss --devices 100",
     ))]
     Robustness(RobustnessArgs),
-    /// Draw the progress of q-learning trainings: reward and information by training TTIs, for each N.
+    /// Draw the progress of q-learning trainings: reward and information by training TTIs, for each N
     #[command(after_help = examples!(
         "reveille figures learning shipped",
         "reveille figures learning mine.json shipped --out learning",
     ))]
     Learning(LearningArgs),
-    /// Draw q-learning tables as heat maps of the value of sensing or of waking.
+    /// Draw q-learning tables as heat maps of the value of sensing or of waking
     #[command(after_help = examples!(
         "reveille figures q-table shipped --devices 100",
         "reveille figures q-table mine.json --devices 50,100 --wake posterior",
     ))]
     QTable(QTableArgs),
-    /// Draw any metric against any field that a sweep varied.
+    /// Draw any metric against any field that a sweep varied
     ///
     /// Each policy, or each value of another field, gets a line. Each combination of the remaining varied fields gets a
     /// picture.

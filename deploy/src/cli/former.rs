@@ -5,7 +5,7 @@ use std::ffi::OsString;
 use reveille_common::score::Metrics;
 
 /// The command, the former name of its option, and the name of today.
-const OPTIONS: [(&str, &str, &str); 7] = [
+const RENAMED_OPTIONS: [(&str, &str, &str); 7] = [
     ("run", "--inputs", "--input-log"),
     ("train record", "--told", "--true-batteries"),
     ("train record", "--every", "--stride"),
@@ -19,7 +19,7 @@ const OPTIONS: [(&str, &str, &str); 7] = [
 type CurrentName = fn(&str) -> &str;
 
 /// The command, its option whose values changed their names, and the name of today for a value.
-const VALUES: [(&str, &str, CurrentName); 3] = [
+const RENAMED_VALUES: [(&str, &str, CurrentName); 3] = [
     ("inspect tail", "--state", |state| {
         if state == "deaf" { "unpowered" } else { state }
     }),
@@ -28,14 +28,14 @@ const VALUES: [(&str, &str, CurrentName); 3] = [
 ];
 
 /// Replaces former names in the command line `args`, and returns it with a warning for each.
-pub(crate) fn replace(args: impl IntoIterator<Item = OsString>) -> (Vec<OsString>, Vec<String>) {
+pub(crate) fn replace_former_names(args: impl IntoIterator<Item = OsString>) -> (Vec<OsString>, Vec<String>) {
     let mut args: Vec<OsString> = args.into_iter().collect();
     let mut warnings = Vec::new();
     let warning = |former: &str, current: &str| {
         format!("{former} is now called {current}; the former name will be removed in a later version")
     };
-    for (command, former, current) in OPTIONS {
-        for at in of_command(&args, command) {
+    for (command, former, current) in RENAMED_OPTIONS {
+        for at in argument_range(&args, command) {
             let Some(text) = args[at].to_str() else { continue };
             let (name, value) = text.split_at(text.find('=').unwrap_or(text.len()));
             if name == former {
@@ -44,12 +44,12 @@ pub(crate) fn replace(args: impl IntoIterator<Item = OsString>) -> (Vec<OsString
             }
         }
     }
-    for (command, option, current_name) in VALUES {
-        for at in of_command(&args, command) {
+    for (command, option, current_name) in RENAMED_VALUES {
+        for at in argument_range(&args, command) {
             let Some(text) = args[at].to_str() else { continue };
-            let own = text.strip_prefix(option).and_then(|rest| rest.strip_prefix('='));
-            let own = own.or_else(|| (args[at - 1] == option).then_some(text));
-            let Some(list) = own else { continue };
+            let value = text.strip_prefix(option).and_then(|rest| rest.strip_prefix('='));
+            let value = value.or_else(|| (args[at - 1] == option).then_some(text));
+            let Some(list) = value else { continue };
             let current: Vec<&str> = list.split(',').map(current_name).collect();
             let renamed = list
                 .split(',')
@@ -63,11 +63,11 @@ pub(crate) fn replace(args: impl IntoIterator<Item = OsString>) -> (Vec<OsString
 }
 
 /// Returns the positions of the arguments of `command`; empty if `args` call another command.
-fn of_command(args: &[OsString], command: &str) -> std::ops::Range<usize> {
+fn argument_range(args: &[OsString], command: &str) -> std::ops::Range<usize> {
     let words: Vec<&str> = command.split(' ').collect();
     let is_called = |window: &[OsString]| window.iter().zip(&words).all(|(arg, word)| arg == word);
-    let found = args.windows(words.len()).position(is_called);
-    found.map_or(0..0, |at| at + words.len()..args.len())
+    let position = args.windows(words.len()).position(is_called);
+    position.map_or(0..0, |at| at + words.len()..args.len())
 }
 
 #[cfg(test)]
@@ -77,7 +77,7 @@ mod tests {
     #[test]
     fn former_names_are_replaced_in_their_command_alone() {
         let replaced = |line: &str| {
-            let (args, warnings) = replace(line.split(' ').map(OsString::from));
+            let (args, warnings) = replace_former_names(line.split(' ').map(OsString::from));
             let args: Vec<_> = args.iter().map(|arg| arg.to_str().expect("text")).collect();
             (args.join(" "), warnings.len())
         };

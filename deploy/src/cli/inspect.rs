@@ -13,7 +13,7 @@ use super::parse::{kind_parser, state_parser, whole};
 /// Subcommands of `reveille inspect`.
 #[derive(Subcommand)]
 pub(crate) enum InspectCommand {
-    /// Print the messages of an active run or of a recording, one per line.
+    /// Print the messages of an active run or of a recording, one per line
     ///
     /// Each line has the TTI, plane, kind, key, length in bytes and content. The key is the device or host, for kinds
     /// that have one key for each. The run never waits for this command.
@@ -22,7 +22,7 @@ pub(crate) enum InspectCommand {
         "reveille inspect tail --from run.mcap --device 7 --since 1000 --until 1100",
     ))]
     Tail(TailArgs),
-    /// Count the messages and bytes of an active run or of a recording.
+    /// Count the messages and bytes of an active run or of a recording
     ///
     /// The table counts by kind and plane, per TTI and per device, until the run or the recording ends.
     #[command(after_help = examples!(
@@ -30,7 +30,7 @@ pub(crate) enum InspectCommand {
         "reveille inspect stats --from run.mcap --devices",
     ))]
     Stats(StatsArgs),
-    /// Record the messages of an active run in a file.
+    /// Record the messages of an active run in a file
     ///
     /// The recording can lack messages if this command is too slow. Only `up --record` and `run --record` guarantee a
     /// complete recording.
@@ -39,7 +39,7 @@ pub(crate) enum InspectCommand {
         "reveille inspect record run.mcap --run demo",
     ))]
     Record(InspectRecordArgs),
-    /// Convert a recording for Wireshark, Perfetto or a statistics program.
+    /// Convert a recording for Wireshark, Perfetto or a statistics program
     ///
     /// Wireshark and tshark need the dissector that --dissector writes: tshark -X lua_script:reveille.lua -r
     /// run.pcapng -Y 'reveille.wake.device == 7'. Open a Perfetto trace at ui.perfetto.dev.
@@ -48,7 +48,7 @@ pub(crate) enum InspectCommand {
         "reveille inspect export --dissector reveille.lua",
     ))]
     Export(ExportArgs),
-    /// Check that the messages of a recording lead to the metrics and digest in its summary.
+    /// Check that the messages of a recording lead to the metrics and digest in its summary
     ///
     /// The devices go through the same TTIs again, and their reports and batteries must match the recording. The exit
     /// code is 1 after a mismatch, and for a truncated recording or one without a summary.
@@ -57,7 +57,7 @@ pub(crate) enum InspectCommand {
         "reveille inspect verify run.mcap",
     ))]
     Verify(VerifyArgs),
-    /// Find the first difference between two recordings.
+    /// Find the first difference between two recordings
     ///
     /// The compared messages are events, δ plans, reports, failures, wake-ups and their outcomes. Two runs of one
     /// scenario and seed under different policies diverge at the first different plan. Two runs that should be

@@ -1,4 +1,5 @@
-//! The command line.
+//! The command line: commands, options and help, declared with clap, one file per group of commands. The modules of
+//! `commands` execute them. Tests check that every help has two valid examples (`examples`).
 
 mod analyse;
 mod examples;
@@ -63,7 +64,7 @@ pub(crate) struct Cli {
 
 fn after_help() -> String {
     let examples = examples!("reveille up", "reveille up --devices 250 --processes 250");
-    format!("{}\n\n{examples}", crate::exit::help())
+    format!("{}\n\n{examples}", crate::exit::exit_codes_help())
 }
 
 impl Cli {
@@ -81,13 +82,13 @@ impl Cli {
 /// The subcommands.
 #[derive(Subcommand)]
 pub(crate) enum Command {
-    /// Run a base station and its device processes on this machine, and print the results.
+    /// Run a base station and its device processes on this machine, and print the results
     #[command(after_help = examples!("reveille up", "reveille up --policy genie --devices 250 --processes 10"))]
     Up(UpArgs),
-    /// Run a scenario in memory: the same results as `up`, without processes or a network.
+    /// Run a scenario in memory: the same results as `up`, without processes or a network
     #[command(after_help = examples!("reveille run", "reveille run --policy q-learning --devices 100 --json"))]
     Run(RunArgs),
-    /// Run every combination of policies, scenario fields and seeds in memory, and print mean results.
+    /// Run every combination of policies, scenario fields and seeds in memory, and print mean results
     ///
     /// The result table has one row per run; the printed means have confidence intervals.
     ///
@@ -98,19 +99,19 @@ pub(crate) enum Command {
         "reveille sweep --grid harvest.lambda=0.05,0.1,0.2 --until-ci 1% --out study",
     ))]
     Sweep(SweepArgs),
-    /// Merge the result tables of a sweep that several machines shared.
+    /// Merge the result tables of a sweep that several machines shared
     #[command(after_help = examples!(
         "reveille merge shard-1 shard-2 shard-3 --out results.parquet",
         "reveille merge shard-1 shard-3 --partial --out part.csv",
     ))]
     Merge(MergeArgs),
-    /// Train a learning policy in memory, and save the result in a file.
+    /// Train a learning policy in memory, and save the result in a file
     #[command(subcommand, after_help = examples!(
         "reveille train q-learning --out mine.json",
         "reveille train record --policies knn --devices 50 --seeds 8 --out knn.parquet",
     ))]
     Train(TrainCommand),
-    /// Search for the q-learning weights that give the best results in a scenario.
+    /// Search for the q-learning weights that give the best results in a scenario
     ///
     /// The search is a Bayesian optimisation over the weights μ1 and μ2. It needs a build with the cargo feature
     /// `tune`.
@@ -122,7 +123,7 @@ pub(crate) enum Command {
         "reveille tune -n 100 --objective efficiency --out efficiency.csv",
     ))]
     Tune(TuneArgs),
-    /// Start only the base station, and wait for device processes to join.
+    /// Start only the base station, and wait for device processes to join
     ///
     /// Start device processes with `reveille device`, on this machine or on others.
     #[command(after_help = examples!(
@@ -130,34 +131,34 @@ pub(crate) enum Command {
         "reveille bs --run demo --devices 50 --listen tcp/0.0.0.0:7447",
     ))]
     Bs(BsArgs),
-    /// Start one device process, and connect it to a base station.
+    /// Start one device process, and connect it to a base station
     #[command(after_help = examples!(
         "reveille device --run demo --connect tcp/127.0.0.1:7447 --count 50",
         "reveille device --run demo --connect tcp/192.0.2.7:7447 --count 25 --connect-timeout 5min",
     ))]
     Device(DeviceArgs),
-    /// Supervise the process that `--policy-command` starts.
+    /// Supervise the process that `--policy-command` starts
     #[command(hide = true)]
     PolicyProcess(PolicyProcessArgs),
-    /// Show or validate scenarios, the complete descriptions of runs.
+    /// Show or validate scenarios, the complete descriptions of runs
     #[command(subcommand, after_help = examples!(
         "reveille scenario show paper",
         "reveille scenario check my.toml",
     ))]
     Scenario(ScenarioCommand),
-    /// Inspect the messages of an active run or of a recording, or record an active run.
+    /// Inspect the messages of an active run or of a recording, or record an active run
     #[command(subcommand, after_help = examples!(
         "reveille inspect tail --kind wake,report --pair-wake-ups",
         "reveille inspect stats --from run.mcap",
     ))]
     Inspect(InspectCommand),
-    /// Show an active run or a recording in the browser.
+    /// Show an active run or a recording in the browser
     #[command(after_help = examples!("reveille dashboard", "reveille dashboard --from run.mcap"))]
     Dashboard(DashboardArgs),
-    /// Pause, step and resume the virtual clock of a run.
+    /// Pause, step and resume the virtual clock of a run
     #[command(after_help = examples!("reveille clock pause", "reveille clock step 50"))]
     Clock(ClockArgs),
-    /// Draw the figures of the paper from the result tables of sweeps.
+    /// Draw the figures of the paper from the result tables of sweeps
     ///
     /// The subcommands draw other pictures, such as a map of a deployment, or batteries and states over time.
     #[command(
@@ -169,7 +170,7 @@ pub(crate) enum Command {
         )
     )]
     Figures(FiguresArgs),
-    /// Compare the results of sweeps with every claim of the paper, and write an HTML and a Markdown page.
+    /// Compare the results of sweeps with every claim of the paper, and write an HTML and a Markdown page
     #[command(
         args_conflicts_with_subcommands = true,
         subcommand_negates_reqs = true,
@@ -179,13 +180,13 @@ pub(crate) enum Command {
         )
     )]
     Report(ReportArgs),
-    /// Compare the formulas of the paper with simulated devices.
+    /// Compare the formulas of the paper with simulated devices
     #[command(subcommand, after_help = examples!(
         "reveille analyse harvest --csv fig13.csv",
         "reveille analyse runtime --devices 100,200,400 --policies knn",
     ))]
     Analyse(AnalyseCommand),
-    /// Measure the speed of the emulator.
+    /// Measure the speed of the emulator
     #[command(subcommand, after_help = examples!(
         "reveille bench memory",
         "reveille bench bus --processes 4,50",

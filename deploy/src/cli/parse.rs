@@ -1,4 +1,5 @@
-//! Parsers for values on the command line.
+//! Parsers for values on the command line, and help texts that list registered names. A parser's error says which
+//! values are allowed.
 
 use std::fmt::Display;
 use std::ops::RangeInclusive;
@@ -11,25 +12,25 @@ use reveille_common::message::{MessageKind, Pace};
 use reveille_view::filter::StateName;
 
 /// The durations that are accepted.
-const A_DURATION: &str = "a time from 1us to 1000000s in us, ms, s, m, h and d, such as 500us, 1.5s, 1m30s or 1h";
+const DURATION_HELP: &str = "a time from 1us to 1000000s in us, ms, s, m, h and d, such as 500us, 1.5s, 1m30s or 1h";
 
 /// Help for an option that names a policy.
-pub(super) fn one_policy() -> String {
+pub(super) fn policy_help() -> String {
     let each = registry::POLICIES.iter().map(|policy| policy.name);
     format!("Policy: {}.", each.collect::<Vec<_>>().join(", "))
 }
 
 /// Help for the policy option of a run, which also accepts a policy process or a replay.
-pub(super) fn one_policy_or_outside() -> String {
+pub(super) fn run_policy_help() -> String {
     format!(
         "{} A run also accepts external (a policy process decides over the bus) and replay=FILE (the decisions in \
          the inputs.log of an earlier run).",
-        one_policy()
+        policy_help()
     )
 }
 
 /// Help for an option that names several policies.
-pub(super) fn several_policies() -> String {
+pub(super) fn policies_help() -> String {
     let each = registry::POLICIES.iter().map(|policy| policy.name);
     format!(
         "Policies, separated by commas: {} [default: the scenario's].",
@@ -37,11 +38,12 @@ pub(super) fn several_policies() -> String {
     )
 }
 
+/// Parses the sizes of a tick and of an answer of `bench bare-host`, bytes.
 pub(super) fn parse_sizes(text: &str) -> Result<(usize, usize), String> {
     let pair = text
         .split_once(',')
         .and_then(|(tick, answer)| Some((tick.parse().ok()?, answer.parse().ok()?)));
-    pair.ok_or_else(|| "must be TICK,ANSWER".to_owned())
+    pair.ok_or_else(|| "must be TICK,ANSWER in bytes, such as 40,24".to_owned())
 }
 
 /// Parses the name of a message kind; `--help` lists all kinds.
@@ -99,6 +101,7 @@ pub(super) fn parse_field(text: &str) -> Result<(String, String), String> {
     pair.ok_or_else(|| "must be FIELD=VALUE, such as devices=50".to_owned())
 }
 
+/// Parses the real time per TTI, or `max`.
 pub(super) fn parse_pace(text: &str) -> Result<Pace, String> {
     if text == "max" {
         return Ok(Pace::Max);
@@ -106,16 +109,17 @@ pub(super) fn parse_pace(text: &str) -> Result<Pace, String> {
     parse_duration(text)
         // The accepted range ends at 10¹² µs, which fits.
         .map(|duration| Pace::RealTime(duration.as_micros() as u64))
-        .map_err(|_| format!("must be `max` or {A_DURATION}"))
+        .map_err(|_| format!("must be `max` or {DURATION_HELP}"))
 }
 
+/// Parses a duration from 1 µs to 10⁶ s.
 pub(super) fn parse_duration(text: &str) -> Result<Duration, String> {
     // Deadlines are instants; adding a longer duration to one could overflow.
     let range = Duration::from_micros(1)..=Duration::from_secs(1_000_000);
     let duration = humantime::parse_duration(text).ok();
     duration
         .filter(|duration| range.contains(duration))
-        .ok_or_else(|| format!("must be {A_DURATION}"))
+        .ok_or_else(|| format!("must be {DURATION_HELP}"))
 }
 
 #[cfg(test)]

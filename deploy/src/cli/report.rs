@@ -28,7 +28,7 @@ pub(crate) struct ReportArgs {
 /// Report on a search instead of the presets.
 #[derive(Subcommand)]
 pub(crate) enum ReportCommand {
-    /// Judge the paper's claims under every setting of a sweep, and rank the settings.
+    /// Judge the paper's claims under every setting of a sweep, and rank the settings
     ///
     /// The rank uses half of the claims; the other half shows whether a rank is more than chance.
     #[command(after_help = examples!(

@@ -9,7 +9,7 @@ use reveille_bs::server::{DecisionTimeout, OnLoss, OnUndecided};
 use reveille_common::keys::RunName;
 use reveille_common::message::Pace;
 
-use super::parse::{one_policy, one_policy_or_outside, parse_duration, parse_pace, whole};
+use super::parse::{parse_duration, parse_pace, policy_help, run_policy_help, whole};
 
 /// Scenario used when the command line names none.
 const DEFAULT_SCENARIO: &str = "paper";
@@ -30,7 +30,7 @@ pub(crate) struct ScenarioArgs {
     pub devices: Option<String>,
 
     /// Registered policy, or a policy process.
-    #[arg(long, short, help = one_policy(), long_help = one_policy_or_outside())]
+    #[arg(long, short, help = policy_help(), long_help = run_policy_help())]
     pub policy: Option<String>,
 
     /// Let a learning policy continue to learn during the run. The run folder keeps the learned tables.
@@ -181,7 +181,7 @@ pub(crate) struct DriveArgs {
 
     /// Options of the policy process, for --policy external.
     #[command(flatten)]
-    pub outside: ExternalPolicyArgs,
+    pub external_policy: ExternalPolicyArgs,
 }
 
 /// Options of the policy process.

@@ -7,7 +7,7 @@ use reveille_common::score::Metrics;
 use reveille_lab::sweep::Shard;
 use reveille_lab::table::Format;
 
-use super::parse::{several_policies, whole};
+use super::parse::{policies_help, whole};
 
 /// Arguments of `reveille sweep`.
 #[derive(Args)]
@@ -69,7 +69,7 @@ pub(crate) struct GridArgs {
     pub scenario: Option<String>,
 
     /// Registered policies.
-    #[arg(long, short, value_delimiter = ',', help_heading = "Grid", help = several_policies())]
+    #[arg(long, short, value_delimiter = ',', help_heading = "Grid", help = policies_help())]
     pub policies: Option<Vec<String>>,
 
     /// Numbers of devices N, separated by commas [default: the scenario's].

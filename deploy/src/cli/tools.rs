@@ -15,7 +15,7 @@ use super::parse::{parse_duration, parse_pace, parse_sizes, whole};
 /// Subcommands of `reveille scenario`.
 #[derive(Subcommand)]
 pub(crate) enum ScenarioCommand {
-    /// Print a scenario with every field, or list the presets if no name is given.
+    /// Print a scenario with every field, or list the presets if no name is given
     #[command(after_help = examples!(
         "reveille scenario show",
         "reveille scenario show paper --set harvest.lambda=0.05",
@@ -27,7 +27,7 @@ pub(crate) enum ScenarioCommand {
         #[arg(long, value_name = "FIELD=VALUE")]
         set: Vec<String>,
     },
-    /// Print a JSON Schema of scenario files, for completion and validation in editors.
+    /// Print a JSON Schema of scenario files, for completion and validation in editors
     #[command(after_help = examples!(
         "reveille scenario schema",
         "reveille scenario schema --out scenario.schema.json",
@@ -37,14 +37,14 @@ pub(crate) enum ScenarioCommand {
         #[arg(long, value_name = "FILE")]
         out: Option<PathBuf>,
     },
-    /// Print docs/scenario.md, the reference page of all fields.
+    /// Print docs/scenario.md, the reference page of all fields
     #[command(hide = true)]
     Reference {
         /// Write the output to this file [default: standard output].
         #[arg(long, value_name = "FILE")]
         out: Option<PathBuf>,
     },
-    /// Validate scenario files, and print a summary of each.
+    /// Validate scenario files, and print a summary of each
     #[command(after_help = examples!(
         "reveille scenario check my.toml",
         "reveille scenario check paper quick --set devices=100",
@@ -87,12 +87,12 @@ pub(crate) struct ClockArgs {
 /// Clock commands.
 #[derive(Subcommand, Clone, Copy)]
 pub enum ClockAction {
-    /// Pause the run before its next time slot (TTI).
+    /// Pause the run before its next time slot (TTI)
     ///
     /// The command returns when the open TTI is closed, or reports after 2 s that it is still open.
     #[command(after_help = examples!("reveille clock pause", "reveille clock pause --run demo"))]
     Pause,
-    /// Run the given number of time slots (TTIs), then pause.
+    /// Run the given number of time slots (TTIs), then pause
     ///
     /// Without --wait, the command returns immediately.
     #[command(after_help = examples!("reveille clock step", "reveille clock step 50 --wait"))]
@@ -105,7 +105,7 @@ pub enum ClockAction {
         #[arg(long)]
         wait: bool,
     },
-    /// Run up to the given time slot (TTI), then pause.
+    /// Run up to the given time slot (TTI), then pause
     ///
     /// Without --wait, the command returns immediately.
     #[command(after_help = examples!("reveille clock run-to 4000", "reveille clock run-to 4000 --wait"))]
@@ -117,17 +117,17 @@ pub enum ClockAction {
         #[arg(long)]
         wait: bool,
     },
-    /// Resume a paused run until its end.
+    /// Resume a paused run until its end
     #[command(after_help = examples!("reveille clock resume", "reveille clock resume --run demo"))]
     Resume,
-    /// Set the real time that the run spends on each time slot (TTI).
+    /// Set the real time that the run spends on each time slot (TTI)
     #[command(after_help = examples!("reveille clock pace 20ms", "reveille clock pace max"))]
     Pace {
         /// Real time per TTI, such as 4ms; `max` runs as fast as the devices answer.
         #[arg(value_parser = parse_pace, allow_hyphen_values = true)]
         pace: Pace,
     },
-    /// Print whether the run is paused, and its next time slot (TTI).
+    /// Print whether the run is paused, and its next time slot (TTI)
     #[command(after_help = examples!(
         "reveille clock status",
         "reveille clock status --run demo --connect tcp/192.0.2.7:7447",
@@ -161,23 +161,23 @@ impl From<ClockAction> for ClockCommand {
 /// Subcommands of `reveille bench`.
 #[derive(Subcommand)]
 pub(crate) enum BenchCommand {
-    /// Measure the speed of runs over the bus, in TTIs per second.
+    /// Measure the speed of runs over the bus, in TTIs per second
     ///
     /// For comparison, the same session measures bare barriers over zenoh and over unix sockets.
     #[command(after_help = examples!("reveille bench bus", "reveille bench bus --processes 4,50 --time 10s"))]
     Bus(BusBenchArgs),
-    /// Measure the speed of runs in memory on one core, in device-TTIs per second.
+    /// Measure the speed of runs in memory on one core, in device-TTIs per second
     #[command(after_help = examples!("reveille bench memory", "reveille bench memory --devices 50,250 --policies knn"))]
     Memory(MemoryBenchArgs),
-    /// Measure the cost of a device-TTI against the number of devices.
+    /// Measure the cost of a device-TTI against the number of devices
     ///
     /// The runs are in memory, over the bus, and over the bus without lookahead.
     #[command(after_help = examples!("reveille bench scale", "reveille bench scale --devices 10,100 --ttis 500"))]
     Scale(ScaleBenchArgs),
-    /// Measure the slowdown of a run by a recording, a metrics reader and a browser dashboard.
+    /// Measure the slowdown of a run by a recording, a metrics reader and a browser dashboard
     #[command(after_help = examples!("reveille bench watch", "reveille bench watch --devices 50 --browsers 0"))]
     Watch(WatchBenchArgs),
-    /// Run one host of a bare barrier.
+    /// Run one host of a bare barrier
     #[command(hide = true)]
     BareHost {
         /// `zenoh` or `unix`.

@@ -15,7 +15,7 @@ use super::sweep::GridArgs;
 /// Subcommands of `reveille train`.
 #[derive(Subcommand)]
 pub(crate) enum TrainCommand {
-    /// Train the q-learning policy, and write its tables to a file.
+    /// Train the q-learning policy, and write its tables to a file
     ///
     /// The tables decide duty cycles and wake-ups, for each window and number of devices. Use them with `reveille run
     /// --policy q-learning --set policy.q-learning.table=FILE`.
@@ -26,7 +26,7 @@ pub(crate) enum TrainCommand {
         "reveille train q-learning --devices 700 --set policy.q-learning.mu1=5 --out mine.json",
     ))]
     QLearning(TrainArgs),
-    /// Record training data for `train dt` in many runs, under any policy.
+    /// Record training data for `train dt` in many runs, under any policy
     ///
     /// The data are the observation, action and reward in every TTI.
     #[command(after_help = examples!(
@@ -34,7 +34,7 @@ pub(crate) enum TrainCommand {
         "reveille train record --from runs/monday --from runs/tuesday --out testbed.parquet",
     ))]
     Record(RecordArgs),
-    /// Train the decision transformer, the model of the `dt` policy, from recorded runs.
+    /// Train the decision transformer, the model of the `dt` policy, from recorded runs
     ///
     /// Use the model with `reveille run --policy dt --set policy.dt.model=FILE`. Training needs a build with the cargo
     /// feature `train-dt`: cargo run --release --features train-dt -- train dt …
@@ -218,7 +218,7 @@ impl TrainArgs {
         }
         let mut set = self.set.clone();
         if self.windows.contains(&Lookback::Ages) {
-            if self.windows.iter().any(|one| *one != Lookback::Ages) {
+            if self.windows.iter().any(|lookback| *lookback != Lookback::Ages) {
                 bail!(
                     "--windows: tables for ages and for windows are learned for other weights; train those for ages \
                      with --windows ages and another --out"
@@ -231,7 +231,7 @@ impl TrainArgs {
 }
 
 /// Scenario fields that a training sets, and the option or reason.
-const DECIDED: [(&str, &str); 7] = [
+const FIXED_FIELDS: [(&str, &str); 7] = [
     ("seed", "a training takes it from --seed"),
     ("devices", "a training takes them from --devices"),
     ("ttis", "a training takes it from --episode-ttis"),
@@ -298,15 +298,15 @@ impl EpisodeArgs {
     pub(super) fn scenario(&self, name: &str, set: &[String], devices: Option<String>) -> anyhow::Result<ScenarioArgs> {
         for set in set {
             let field = set.split('=').next().unwrap_or_default().trim();
-            if let Some((_, instead)) = DECIDED.iter().find(|(decided, _)| *decided == field) {
-                bail!("--set {set}: {instead}");
+            if let Some((_, reason)) = FIXED_FIELDS.iter().find(|(fixed, _)| *fixed == field) {
+                bail!("--set {set}: {reason}");
             }
         }
-        let learner = ["name=q-learning", "q-learning.learn=true", "q-learning.table=nothing"];
-        let learner = learner.map(|set| format!("policy.{set}"));
+        let fixed_settings = ["name=q-learning", "q-learning.learn=true", "q-learning.table=nothing"];
+        let fixed_settings = fixed_settings.map(|set| format!("policy.{set}"));
         Ok(ScenarioArgs {
             scenario: name.to_owned(),
-            set: learner.into_iter().chain(set.iter().cloned()).collect(),
+            set: fixed_settings.into_iter().chain(set.iter().cloned()).collect(),
             devices,
             policy: None,
             learn: false,

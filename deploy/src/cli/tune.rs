@@ -100,7 +100,8 @@ pub(crate) struct TuneArgs {
     /// Start again and replace the history file if it exists.
     #[arg(long)]
     pub force: bool,
-    /// Only draw the picture of this history, in the same folder.
+    /// Only draw the picture of HISTORY, the CSV file that an earlier tuning wrote to --out. The picture is written to
+    /// the same folder.
     #[arg(long, value_name = "HISTORY")]
     pub picture_only: Option<PathBuf>,
     /// File formats of the picture, separated by commas.

@@ -1,4 +1,5 @@
-//! `reveille dashboard`: a live or recorded run in the browser.
+//! `reveille dashboard`: a live or recorded run in the browser, served by the module `dashboard`. `up --dashboard`
+//! serves the same page without this command.
 
 use std::path::Path;
 use std::process::ExitCode;
@@ -6,38 +7,42 @@ use std::sync::Arc;
 
 use anyhow::Context;
 use reveille_common::message::Frame;
-use reveille_view::compare::{RunComparison, RunSide, fields};
+use reveille_view::compare::{RunComparison, RunSide, compare_scenarios};
 
 use super::inspect::live::Live;
-use super::inspect::source::{groups, open};
+use super::inspect::source::{device_groups, open};
 use crate::cli::DashboardArgs;
 use crate::dashboard::feed::{ComparedRun, Feed};
 use crate::dashboard::serve;
 use crate::display::note;
 use crate::exit::ExitReason;
-use crate::metrics_server::can_listen;
-use crate::signals::{Manner, Signals};
+use crate::metrics_server::check_can_listen;
+use crate::signals::{SignalMode, Signals};
 
 /// Serves the page until Ctrl-C.
 pub(crate) async fn run(args: &DashboardArgs) -> anyhow::Result<ExitCode> {
-    can_listen("--listen", &args.listen)?;
+    check_can_listen("--listen", &args.listen)?;
     match &args.from {
-        Some(path) => recorded(path, args).await?,
-        None => live(args).await?,
+        Some(path) => serve_recording(path, args).await?,
+        None => serve_live(args).await?,
     }
     Ok(ExitReason::Done.into())
 }
 
-/// Reads the whole recording at `path` and calls `see` with every frame.
-fn read(path: &Path, compared: Option<ComparedRun>, mut see: impl FnMut(&Frame)) -> anyhow::Result<Arc<Feed>> {
+/// Reads the whole recording at `path` and calls `on_frame` with every frame.
+fn read_recording(
+    path: &Path,
+    compared: Option<ComparedRun>,
+    mut on_frame: impl FnMut(&Frame),
+) -> anyhow::Result<Arc<Feed>> {
     let named = || path.display().to_string();
     let mut recording = open(path)?;
     let scenario = recording.bundle().load().with_context(named)?;
-    let feed = Feed::new(recording.run(), &scenario, groups(&scenario), false, compared);
+    let feed = Feed::new(recording.run(), &scenario, device_groups(&scenario), false, compared);
     let torn = loop {
         match recording.next_frame() {
             Ok(Some(frame)) => {
-                see(&frame);
+                on_frame(&frame);
                 feed.take(frame);
             }
             Ok(None) => break None,
@@ -59,7 +64,7 @@ fn read_compared(path: Option<&Path>) -> anyhow::Result<Option<(ComparedRun, Str
     let named = || format!("--compare {}", path.display());
     let scenario = open(path).with_context(named)?.bundle().scenario.clone();
     let mut comparison = RunComparison::default();
-    let feed = read(path, None, |frame| comparison.push(RunSide::Other, frame)).with_context(named)?;
+    let feed = read_recording(path, None, |frame| comparison.push(RunSide::Other, frame)).with_context(named)?;
     // A recording that was cut short cannot be compared beyond its end.
     if feed.is_whole() {
         comparison.end(RunSide::Other);
@@ -73,48 +78,51 @@ fn read_compared(path: Option<&Path>) -> anyhow::Result<Option<(ComparedRun, Str
 }
 
 /// Adds the scenario differences between the recording and the scenario file `scenario`.
-fn matched(other: Option<(ComparedRun, String)>, scenario: &str) -> anyhow::Result<Option<ComparedRun>> {
+fn add_scenario_differences(
+    other: Option<(ComparedRun, String)>,
+    scenario: &str,
+) -> anyhow::Result<Option<ComparedRun>> {
     let Some((compared, other)) = other else {
         return Ok(None);
     };
-    let fields = fields(scenario, &other).context("the scenario of the recording or of --compare")?;
+    let fields = compare_scenarios(scenario, &other).context("the scenario of the recording or of --compare")?;
     Ok(Some(ComparedRun { fields, ..compared }))
 }
 
-async fn recorded(path: &Path, args: &DashboardArgs) -> anyhow::Result<()> {
+async fn serve_recording(path: &Path, args: &DashboardArgs) -> anyhow::Result<()> {
     let scenario = open(path)?.bundle().scenario.clone();
-    let other = matched(read_compared(args.compare.as_deref())?, &scenario)?;
-    let feed = read(path, other, |_| {})?;
+    let other = add_scenario_differences(read_compared(args.compare.as_deref())?, &scenario)?;
+    let feed = read_recording(path, other, |_| {})?;
     // Installed after the recording is read: until then the default action ends the program.
-    let signals = Signals::install(Manner::Leaves)?;
+    let signals = Signals::install(SignalMode::HasNoResults)?;
     let dashboard = serve(&args.listen, feed, None).await?;
     note!("dashboard at {}; press Ctrl-C to end", dashboard.url);
-    signals.first().await;
+    signals.wait_for_first().await;
     Ok(())
 }
 
-async fn live(args: &DashboardArgs) -> anyhow::Result<()> {
+async fn serve_live(args: &DashboardArgs) -> anyhow::Result<()> {
     // Read before connecting: frames that arrive during a long read could be lost.
     let other = read_compared(args.compare.as_deref())?;
     let mut live = Live::connect(&args.target).await?;
     let bundle = live.bundle().await?;
-    let (scenario, other) = (bundle.load()?, matched(other, &bundle.scenario)?);
+    let (scenario, other) = (bundle.load()?, add_scenario_differences(other, &bundle.scenario)?);
     let past = live.past(&bundle).await?;
     live.report_position();
-    let feed = Feed::new(&live.run, &scenario, groups(&scenario), true, other);
+    let feed = Feed::new(&live.run, &scenario, device_groups(&scenario), true, other);
     let dashboard = serve(&args.listen, Arc::clone(&feed), Some(live.bus())).await?;
     note!("dashboard at {}; press Ctrl-C to end", dashboard.url);
-    let hose = feed.open()?;
-    live.follow(past, |frame| hose.take(frame)).await?;
+    let feed_handle = feed.open()?;
+    live.follow(past, |frame| feed_handle.take(frame)).await?;
     // Closes the feed, so that the page shows the end.
-    drop(hose);
+    drop(feed_handle);
     let signals = live.signals();
-    if live.has_ended() && !signals.have_come() {
-        let how = live
+    if live.has_ended() && !signals.has_arrived() {
+        let ending = live
             .report_early_end()
             .map_or_else(|why| why.to_string(), |()| "the run has ended".to_owned());
-        note!("{how}; its messages are shown until Ctrl-C");
-        signals.first().await;
+        note!("{ending}; its messages are shown until Ctrl-C");
+        signals.wait_for_first().await;
     }
     Ok(())
 }

@@ -10,11 +10,11 @@ use rustix::process::Signal;
 use crate::cli::DeviceArgs;
 use crate::display::note;
 use crate::exit::ExitReason;
-use crate::signals::{Manner, Signals};
+use crate::signals::{SignalMode, Signals};
 use crate::{child_process, file_limits, key};
 
-/// The patience of a child of `up`, which ends with its parent anyway.
-const FOREVER: Duration = Duration::from_hours(24 * 365);
+/// Connect timeout of a child of `up`, in effect none: the child ends with its parent anyway.
+const CHILD_CONNECT_TIMEOUT: Duration = Duration::from_hours(24 * 365);
 
 /// Runs devices to the end of a run.
 pub(crate) async fn run(args: &DeviceArgs) -> anyhow::Result<ExitCode> {
@@ -22,11 +22,11 @@ pub(crate) async fn run(args: &DeviceArgs) -> anyhow::Result<ExitCode> {
     if let Some(parent) = args.parent {
         child_process::exit_with_parent(parent, Signal::KILL)?;
     }
-    let signals = Signals::install(Manner::Leaves)?;
-    file_limits::for_device()?;
+    let signals = Signals::install(SignalMode::HasNoResults)?;
+    file_limits::ensure_for_device_process()?;
     // `up` reports on behalf of its children.
     let is_alone = args.parent.is_none();
-    let say = |news: HostEvent| match news {
+    let report = |event: HostEvent| match event {
         HostEvent::Joined(host, first, last) if is_alone => {
             note!("joined run {} as host {host} with devices {first} to {last}", args.run);
         }
@@ -42,22 +42,26 @@ pub(crate) async fn run(args: &DeviceArgs) -> anyhow::Result<ExitCode> {
         Some(path) => Some(key::read(path)?),
         None => key::inherited(),
     };
-    let offer = HostConfig {
-        count: args.count,
+    let config = HostConfig {
+        max_devices: args.count,
         name: format!("the process with pid {}", std::process::id()),
         key,
-        patience: if is_alone { args.connect_timeout } else { FOREVER },
+        patience: if is_alone {
+            args.connect_timeout
+        } else {
+            CHILD_CONNECT_TIMEOUT
+        },
         stands_by: true,
-        hands_over: args.untuned,
+        uses_worker: args.untuned,
     };
     let work = async {
         let bus =
             Bus::connect_with_hosts(args.host_count, &args.connect, args.run.clone(), args.connect_timeout).await?;
-        let carried = host::run_host(&bus, offer, &say).await;
+        let result = host::run_host(&bus, config, &report).await;
         bus.close().await;
-        carried
+        result
     };
-    match signals.or(work).await {
+    match signals.unless_interrupted(work).await {
         Some(Ok(())) => Ok(ExitReason::Done.into()),
         // `up` ended the run and reports the cause; its child has not failed.
         Some(Err(HostError::RunFailed(_))) if !is_alone => Ok(ExitReason::Done.into()),

@@ -1,4 +1,4 @@
-//! The experiment that the command line selects.
+//! The experiment that the command line selects, for `sweep` and `train record`: an experiment file and options on top.
 
 use std::path::{Path, PathBuf};
 
@@ -9,68 +9,68 @@ use toml::Value;
 use crate::cli::GridArgs;
 
 /// Loads the optional experiment `file` and applies the options.
-pub(super) fn experiment(file: Option<&Path>, given: &GridArgs) -> anyhow::Result<Experiment> {
+pub(super) fn build_experiment(file: Option<&Path>, args: &GridArgs) -> anyhow::Result<Experiment> {
     let file = match file {
         Some(path) => ExperimentBuilder::load(path)?,
         None => ExperimentBuilder::default(),
     };
-    Ok(options(given)?.with_defaults_from(file).build()?)
+    Ok(options(args)?.with_defaults_from(file).build()?)
 }
 
-fn options(given: &GridArgs) -> anyhow::Result<ExperimentBuilder> {
+fn options(args: &GridArgs) -> anyhow::Result<ExperimentBuilder> {
     let mut draft = ExperimentBuilder {
-        scenario: given.scenario.clone(),
+        scenario: args.scenario.clone(),
         base_dir: PathBuf::new(),
-        count: given.seeds,
-        first: given.first_seed,
-        until_ci: given.until_ci.clone(),
-        ci_metrics: given.ci_metrics.clone(),
-        min_seeds: given.min_seeds,
+        seed_count: args.seeds,
+        first_seed: args.first_seed,
+        until_ci: args.until_ci.clone(),
+        ci_metrics: args.ci_metrics.clone(),
+        min_seeds: args.min_seeds,
         ..ExperimentBuilder::default()
     };
     for (flag, path, values) in [
-        ("--policies", "policy.name", &given.policies),
-        ("--devices", "devices", &given.devices),
-        ("--ttis", "ttis", &given.ttis),
+        ("--policies", "policy.name", &args.policies),
+        ("--devices", "devices", &args.devices),
+        ("--ttis", "ttis", &args.ttis),
     ] {
         if let Some(values) = values {
-            let given = values.iter().filter(|text| !text.trim().is_empty());
-            draft.axis(flag, path, given.map(|text| value(text)).collect())?;
+            let texts = values.iter().filter(|text| !text.trim().is_empty());
+            draft.add_axis(flag, path, texts.map(|text| parse_value(text)).collect())?;
         }
     }
-    for text in &given.grid {
+    for text in &args.grid {
         let Some((path, values)) = text.split_once('=') else {
             bail!("--grid {text}: must be FIELD=VALUE,VALUE…, such as harvest.lambda=0.05,0.1");
         };
         let values = if values.trim_start().starts_with('[') {
-            list(values).with_context(|| format!("--grid {text}"))?
+            parse_list(values).with_context(|| format!("--grid {text}"))?
         } else {
             let parts = values.split(',').map(str::trim).filter(|part| !part.is_empty());
-            parts.map(value).collect()
+            parts.map(parse_value).collect()
         };
         let path = path.trim();
-        draft.axis(&format!("--grid {path}"), path, values)?;
+        draft.add_axis(&format!("--grid {path}"), path, values)?;
     }
-    for text in &given.set {
-        let Some((path, given)) = text.split_once('=') else {
+    for text in &args.set {
+        let Some((path, value)) = text.split_once('=') else {
             bail!("--set {text}: must be FIELD=VALUE, such as sensing.d_max=5");
         };
-        let by = format!("--set {}", text.trim());
-        draft.set.insert(path.trim().to_owned(), (value(given), by));
+        let option = format!("--set {}", text.trim());
+        draft.set.insert(path.trim().to_owned(), (parse_value(value), option));
     }
     Ok(draft)
 }
 
 /// Parses a TOML value; a bare word becomes a string.
-fn value(text: &str) -> Value {
-    list(&format!("[{text}]"))
+fn parse_value(text: &str) -> Value {
+    parse_list(&format!("[{text}]"))
         .ok()
         .and_then(|values| <[Value; 1]>::try_from(values).ok())
         .map_or_else(|| Value::String(text.trim().to_owned()), |[value]| value)
 }
 
 /// Parses a TOML list.
-fn list(text: &str) -> anyhow::Result<Vec<Value>> {
+fn parse_list(text: &str) -> anyhow::Result<Vec<Value>> {
     let table: toml::Table = toml::from_str(&format!("list = {text}")).context("the list is not valid TOML")?;
     match table.into_iter().next() {
         Some((_, Value::Array(values))) => Ok(values),
@@ -84,17 +84,17 @@ mod tests {
 
     #[test]
     fn values_are_toml_or_bare_words() {
-        assert_eq!(value("10"), Value::Integer(10));
-        assert_eq!(value(" 0.5"), Value::Float(0.5));
-        assert_eq!(value("knn"), Value::String("knn".to_owned()));
-        assert_eq!(value("\"a,b\""), Value::String("a,b".to_owned()));
-        assert_eq!(value("true"), Value::Boolean(true));
+        assert_eq!(parse_value("10"), Value::Integer(10));
+        assert_eq!(parse_value(" 0.5"), Value::Float(0.5));
+        assert_eq!(parse_value("knn"), Value::String("knn".to_owned()));
+        assert_eq!(parse_value("\"a,b\""), Value::String("a,b".to_owned()));
+        assert_eq!(parse_value("true"), Value::Boolean(true));
         assert_eq!(
-            value("[1, 2]"),
+            parse_value("[1, 2]"),
             Value::Array(vec![Value::Integer(1), Value::Integer(2)])
         );
-        assert_eq!(value("1, 2"), Value::String("1, 2".to_owned()));
-        assert_eq!(list("[[1], [2, 3]]").expect("valid").len(), 2);
-        assert!(list("[1,").is_err());
+        assert_eq!(parse_value("1, 2"), Value::String("1, 2".to_owned()));
+        assert_eq!(parse_list("[[1], [2, 3]]").expect("valid").len(), 2);
+        assert!(parse_list("[1,").is_err());
     }
 }

@@ -1,4 +1,4 @@
-//! Input tables of figures and reports, and the output files.
+//! Input tables and output files of the commands `figures` and `report`.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -13,12 +13,12 @@ use reveille_study::figures::{png, svg};
 
 use crate::cli::{FigureOutputArgs, ImageFormatArg};
 use crate::display;
-use crate::paths::table_of;
+use crate::paths::resolve_table;
 
 /// Reads the tables and combines them.
-pub(super) fn read(paths: &[PathBuf]) -> anyhow::Result<Results> {
-    let read = |given: &PathBuf| -> anyhow::Result<(String, Table)> {
-        let path = table_of(given)?;
+pub(super) fn read_tables(paths: &[PathBuf]) -> anyhow::Result<Results> {
+    let read = |path: &PathBuf| -> anyhow::Result<(String, Table)> {
+        let path = resolve_table(path)?;
         Ok((path.display().to_string(), Table::read(&path)?))
     };
     let tables = paths.iter().map(read).collect::<Result<Vec<_>, _>>()?;
@@ -26,22 +26,22 @@ pub(super) fn read(paths: &[PathBuf]) -> anyhow::Result<Results> {
 }
 
 /// Writes a picture in all requested formats, and prints the paths.
-pub(super) fn write(args: &FigureOutputArgs, name: &str, scene: &Scene) -> anyhow::Result<()> {
+pub(super) fn write_picture(args: &FigureOutputArgs, name: &str, scene: &Scene) -> anyhow::Result<()> {
     for format in &args.format {
-        let (ending, bytes) = match format {
+        let (extension, bytes) = match format {
             ImageFormatArg::Svg => ("svg", svg::svg(scene, name).into_bytes()),
             ImageFormatArg::Png => ("png", png::png(scene)),
         };
-        save(&args.out, &format!("{name}.{ending}"), &bytes)?;
+        write_file(&args.out, &format!("{name}.{extension}"), &bytes)?;
     }
     Ok(())
 }
 
 /// Writes a file to `folder`, which is created if needed, and prints its path.
-pub(super) fn save(folder: &Path, name: &str, bytes: &[u8]) -> anyhow::Result<()> {
+pub(super) fn write_file(folder: &Path, name: &str, bytes: &[u8]) -> anyhow::Result<()> {
     fs::create_dir_all(folder).with_context(|| format!("{}: cannot create this folder", folder.display()))?;
     let path = folder.join(name);
     replace(&path, bytes).with_context(|| format!("{}: cannot write this file", path.display()))?;
-    display::print(&format!("{}\n", path.display()))?;
+    display::print_stdout(&format!("{}\n", path.display()))?;
     Ok(())
 }

@@ -1,4 +1,5 @@
-//! `reveille figures`: figures as SVG and PNG.
+//! `reveille figures`: figures as SVG and PNG, with their data as CSV. `study/src/figures/` draws; this module reads
+//! the input, names the files, and reports figures that cannot be drawn.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -12,13 +13,13 @@ use reveille_common::io::Disk;
 use reveille_common::scenario::WakeUpRanking;
 use reveille_study::figures::attention::{self, AttentionFigure};
 use reveille_study::figures::results::{Results, RunCondition};
-use reveille_study::figures::sweep::{SweepFigureSpec, named, several};
+use reveille_study::figures::sweep::{SweepFigureSpec, canonical_field, note_on_several};
 use reveille_study::figures::timeline::Timeline;
 use reveille_study::figures::{
-    as_file, deployment, energy, front, learning, pareto, q_table, robustness, study, timeline,
+    deployment, energy, front, learning, pareto, q_table, robustness, study, timeline, to_file_name,
 };
 
-use super::figure_files::{read, save, write};
+use super::figure_files::{read_tables, write_file, write_picture};
 use super::resolve_scenario::resolve;
 use crate::cli::{
     AttentionArgs, AxisArg, DeploymentArgs, FiguresArgs, FiguresCommand, LearningArgs, QTableArgs, RankingArg,
@@ -35,16 +36,16 @@ pub(crate) fn run(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
         Some(FiguresCommand::Robustness(args)) => draw_robustness(args),
         Some(FiguresCommand::Learning(args)) => draw_learning(args),
         Some(FiguresCommand::QTable(args)) => draw_q_table(args),
-        Some(FiguresCommand::Sweep(args)) => sweep(args),
+        Some(FiguresCommand::Sweep(args)) => draw_sweep(args),
         None => draw_study(args),
     }
 }
 
 fn draw_study(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
     let [harvest, net] = energy::NAMES;
-    let [pareto, delay] = pareto::TRADES.map(|trade| trade.name);
-    let chosen = study::chosen(&args.only, &[harvest, net, pareto, delay, front::NAME])?;
-    let results = read(&args.tables)?;
+    let [pareto, delay] = pareto::TRADE_OFFS.map(|trade| trade.name);
+    let chosen = study::select_figures(&args.only, &[harvest, net, pareto, delay, front::NAME])?;
+    let results = read_tables(&args.tables)?;
     for (condition, label) in results.conditions.iter().zip(results.file_labels()) {
         for figure in &chosen {
             let name = format!("{}-{label}", figure.name);
@@ -57,28 +58,28 @@ fn draw_study(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
                 );
                 continue;
             };
-            for policy in &drawing.undefined {
+            for policy in &drawing.policies_without_value {
                 note!(
                     "{name}: drawn without {policy}, as none of its runs has a value of {}",
                     figure.metric
                 );
             }
-            write(&args.pictures, &name, &drawing.chart.scene())?;
-            save(
+            write_picture(&args.pictures, &name, &drawing.chart.scene())?;
+            write_file(
                 &args.pictures.out,
                 &format!("{name}.csv"),
                 figure.csv(condition, &drawing).as_bytes(),
             )?;
         }
-        if condition.swept.is_empty() || condition.is_plain() {
+        if condition.swept_fields.is_empty() || condition.is_unchanged_preset() {
             draw_energy(args, &label, condition)?;
         }
         if !args.combine {
             draw_trades(args, &label, &[condition])?;
         }
     }
-    hint(&results);
-    for (label, conditions) in results.together() {
+    suggest_sweep_figures(&results);
+    for (label, conditions) in results.by_preset_and_length() {
         if args.combine {
             draw_trades(args, &label, &conditions)?;
         }
@@ -88,12 +89,12 @@ fn draw_study(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
 }
 
 /// Suggests how to draw a swept field in one picture.
-fn hint(results: &Results) {
+fn suggest_sweep_figures(results: &Results) {
     let fields: BTreeSet<&str> = results
         .conditions
         .iter()
-        .filter(|condition| !condition.is_plain())
-        .flat_map(|condition| &condition.swept)
+        .filter(|condition| !condition.is_unchanged_preset())
+        .flat_map(|condition| &condition.swept_fields)
         .map(|(path, _)| path.as_str())
         .collect();
     for field in fields {
@@ -110,18 +111,18 @@ fn is_chosen(args: &FiguresArgs, name: &str) -> bool {
 
 /// Draws information and delay against energy.
 fn draw_trades(args: &FiguresArgs, label: &str, conditions: &[&RunCondition]) -> anyhow::Result<()> {
-    for trade in pareto::TRADES.iter().filter(|trade| is_chosen(args, trade.name)) {
+    for trade in pareto::TRADE_OFFS.iter().filter(|trade| is_chosen(args, trade.name)) {
         let name = format!("{}-{label}", trade.name);
         let Some(chart) = trade.chart(conditions) else {
             note!(
                 "{name}: not drawn, as no run has both {} and {}",
-                trade.y,
-                pareto::ENERGY
+                trade.metric,
+                pareto::ENERGY_METRIC
             );
             continue;
         };
-        write(&args.pictures, &name, &chart.scene())?;
-        save(
+        write_picture(&args.pictures, &name, &chart.scene())?;
+        write_file(
             &args.pictures.out,
             &format!("{name}.csv"),
             trade.csv(conditions).as_bytes(),
@@ -135,14 +136,14 @@ fn draw_fronts(args: &FiguresArgs, label: &str, conditions: &[&RunCondition]) ->
     if !is_chosen(args, front::NAME) {
         return Ok(());
     }
-    for front in front::fronts(conditions) {
+    for front in front::draw_fronts(conditions) {
         let mut name = format!("{}-{label}", front::NAME);
-        for (field, value) in &front.world {
+        for (field, value) in &front.other_changes {
             name = format!("{name}-{field}-{value}");
         }
-        let name = as_file(&format!("{name}-n{}", front.n));
-        write(&args.pictures, &name, &front.chart.scene())?;
-        save(&args.pictures.out, &format!("{name}.csv"), front.csv.as_bytes())?;
+        let name = to_file_name(&format!("{name}-n{}", front.n));
+        write_picture(&args.pictures, &name, &front.chart.scene())?;
+        write_file(&args.pictures.out, &format!("{name}.csv"), front.csv.as_bytes())?;
     }
     Ok(())
 }
@@ -153,14 +154,14 @@ fn draw_energy(args: &FiguresArgs, label: &str, condition: &RunCondition) -> any
     if !harvest.0 && !net.0 {
         return Ok(());
     }
-    let points = energy::harvests(&condition.preset)?;
+    let points = energy::measure_harvests(&condition.preset)?;
     if let (true, name) = harvest {
-        write(
+        write_picture(
             &args.pictures,
             &name,
             &energy::harvest_chart(condition, &points).scene(),
         )?;
-        save(
+        write_file(
             &args.pictures.out,
             &format!("{name}.csv"),
             energy::harvest_csv(&points).as_bytes(),
@@ -168,8 +169,8 @@ fn draw_energy(args: &FiguresArgs, label: &str, condition: &RunCondition) -> any
     }
     if let (true, name) = net {
         if let Some(chart) = energy::net_chart(condition, &points) {
-            write(&args.pictures, &name, &chart.scene())?;
-            save(
+            write_picture(&args.pictures, &name, &chart.scene())?;
+            write_file(
                 &args.pictures.out,
                 &format!("{name}.csv"),
                 energy::net_csv(&chart).as_bytes(),
@@ -183,9 +184,9 @@ fn draw_energy(args: &FiguresArgs, label: &str, condition: &RunCondition) -> any
 
 fn draw_deployment(args: &DeploymentArgs) -> anyhow::Result<ExitCode> {
     let scenario = resolve(&args.scenario)?;
-    let moment = deployment::EventScene::from_scenario(&scenario, args.event)?;
-    let name = deployment::name(&scenario, &moment);
-    write(&args.pictures, &name, &deployment::scene(&scenario, &moment))?;
+    let event_scene = deployment::EventScene::from_scenario(&scenario, args.event)?;
+    let name = deployment::file_name(&scenario, &event_scene);
+    write_picture(&args.pictures, &name, &deployment::scene(&scenario, &event_scene))?;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -196,8 +197,8 @@ fn draw_attention(args: &AttentionArgs) -> anyhow::Result<ExitCode> {
     let tti = args.tti.map_or_else(|| scenario.warm_up_end(), Tti);
     let attention = AttentionFigure::from_scenario(&scenario, tti, &args.show)?;
     let name = format!("attention-n{}-s{}-t{tti}", scenario.run.devices, scenario.run.seed);
-    write(&args.pictures, &name, &attention::scene(&scenario, &attention))?;
-    save(&args.pictures.out, &format!("{name}.csv"), attention.csv().as_bytes())?;
+    write_picture(&args.pictures, &name, &attention::scene(&scenario, &attention))?;
+    write_file(&args.pictures.out, &format!("{name}.csv"), attention.csv().as_bytes())?;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -208,30 +209,30 @@ fn draw_robustness(args: &RobustnessArgs) -> anyhow::Result<ExitCode> {
     } else {
         args.policies.clone()
     };
-    let of = |policy: &String| {
+    let scenario_of = |policy: &String| {
         let mut given = args.scenario.clone();
         given.policy = Some(policy.clone());
         resolve(&given)
     };
     // At least one, since all registered policies are used without --policies: `scenarios[0]` below exists.
-    let scenarios = policies.iter().map(of).collect::<anyhow::Result<Vec<_>>>()?;
-    let is_asked_for = |name: &str| args.only.is_empty() || args.only.iter().any(|only| only == name);
+    let scenarios = policies.iter().map(scenario_of).collect::<anyhow::Result<Vec<_>>>()?;
+    let is_requested = |name: &str| args.only.is_empty() || args.only.iter().any(|only| only == name);
     let all = robustness::IMPAIRMENTS.iter();
-    let impairments: Vec<_> = all.filter(|impairment| is_asked_for(impairment.name)).collect();
+    let impairments: Vec<_> = all.filter(|impairment| is_requested(impairment.name)).collect();
     let points = robustness::measure(&scenarios, &impairments, args.seeds);
     let name = format!("{}-n{}", robustness::NAME, scenarios[0].run.devices);
     for impairment in impairments {
         for metric in robustness::METRICS {
             let chart = robustness::chart(&points, impairment, metric, &scenarios[0]);
             let metric = metric.0;
-            write(
+            write_picture(
                 &args.pictures,
                 &format!("{name}-{}-{metric}", impairment.name),
                 &chart.scene(),
             )?;
         }
     }
-    save(
+    write_file(
         &args.pictures.out,
         &format!("{name}.csv"),
         robustness::csv(&points).as_bytes(),
@@ -242,20 +243,20 @@ fn draw_robustness(args: &RobustnessArgs) -> anyhow::Result<ExitCode> {
 fn draw_timeline(args: &TimelineArgs) -> anyhow::Result<ExitCode> {
     let scenario = resolve(&args.scenario)?;
     let from = args.from.unwrap_or(scenario.warm_up_end().0);
-    let shown = Timeline::from_scenario(&scenario, &args.show, from, args.length)?;
-    let name = timeline::name(&scenario, &shown);
-    write(&args.pictures, &name, &timeline::scene(&scenario, &shown))?;
+    let timeline_data = Timeline::from_scenario(&scenario, &args.show, from, args.length)?;
+    let name = timeline::file_name(&scenario, &timeline_data);
+    write_picture(&args.pictures, &name, &timeline::scene(&scenario, &timeline_data))?;
     Ok(ExitCode::SUCCESS)
 }
 
 fn draw_learning(args: &LearningArgs) -> anyhow::Result<ExitCode> {
-    let read = |path: &PathBuf| Ok((path.display().to_string(), learned(path)?));
+    let read = |path: &PathBuf| Ok((path.display().to_string(), read_learned(path)?));
     let sources = args.files.iter().map(read).collect::<anyhow::Result<Vec<_>>>()?;
     let scene = learning::scene(&sources)?;
-    let stems: Vec<String> = args.files.iter().map(|path| stem(path)).collect();
+    let stems: Vec<String> = args.files.iter().map(|path| file_stem(path)).collect();
     let name = format!("learning-{}", stems.join("-"));
-    write(&args.pictures, &name, &scene)?;
-    save(
+    write_picture(&args.pictures, &name, &scene)?;
+    write_file(
         &args.pictures.out,
         &format!("{name}.csv"),
         learning::csv(&sources).as_bytes(),
@@ -264,19 +265,19 @@ fn draw_learning(args: &LearningArgs) -> anyhow::Result<ExitCode> {
 }
 
 fn draw_q_table(args: &QTableArgs) -> anyhow::Result<ExitCode> {
-    let (file, learned) = (args.file.display().to_string(), learned(&args.file)?);
-    let entry = |devices: &u32| q_table::entry(&file, &learned, *devices, args.window);
+    let (file, learned) = (args.file.display().to_string(), read_learned(&args.file)?);
+    let entry = |devices: &u32| q_table::find_entry(&file, &learned, *devices, args.window);
     let entries = args.devices.iter().map(entry).collect::<Result<Vec<&TableSet>, _>>()?;
     for entry in entries {
         let window = args.window.map_or_else(String::new, |window| format!("-w{window}"));
-        let name = format!("q-table-{}-n{}{window}", stem(&args.file), entry.devices);
+        let name = format!("q-table-{}-n{}{window}", file_stem(&args.file), entry.devices);
         let Some(ranking) = args.wake else {
-            write(&args.pictures, &name, &q_table::duty_scene(&learned, entry))?;
+            write_picture(&args.pictures, &name, &q_table::duty_scene(&learned, entry))?;
             for (name, csv) in [
                 (format!("{name}.csv"), q_table::duty_csv(&learned, entry)),
                 (format!("{name}-value.csv"), q_table::value_csv(&learned, entry)),
             ] {
-                save(&args.pictures.out, &name, csv.as_bytes())?;
+                write_file(&args.pictures.out, &name, csv.as_bytes())?;
             }
             continue;
         };
@@ -285,8 +286,8 @@ fn draw_q_table(args: &QTableArgs) -> anyhow::Result<ExitCode> {
             RankingArg::Posterior => WakeUpRanking::Posterior,
         };
         let name = format!("{name}-wake-{}", ranking.name());
-        write(&args.pictures, &name, &q_table::wake_scene(&learned, entry, ranking))?;
-        save(
+        write_picture(&args.pictures, &name, &q_table::wake_scene(&learned, entry, ranking))?;
+        write_file(
             &args.pictures.out,
             &format!("{name}.csv"),
             q_table::wake_csv(entry, ranking).as_bytes(),
@@ -296,12 +297,12 @@ fn draw_q_table(args: &QTableArgs) -> anyhow::Result<ExitCode> {
 }
 
 /// Reads the learned tables of the file at `path`, or the shipped ones of that name.
-fn learned(path: &Path) -> anyhow::Result<LearnedTables> {
+fn read_learned(path: &Path) -> anyhow::Result<LearnedTables> {
     // A file on the disk comes before shipped tables of the same name.
     let shipped = path
         .to_str()
         .filter(|_| !path.exists())
-        .and_then(LearnedTables::shipped_as);
+        .and_then(LearnedTables::shipped_named);
     if let Some(tables) = shipped {
         return Ok(tables);
     }
@@ -309,39 +310,40 @@ fn learned(path: &Path) -> anyhow::Result<LearnedTables> {
 }
 
 /// The name of a file without its extension, as part of another name.
-fn stem(path: &Path) -> String {
+fn file_stem(path: &Path) -> String {
     let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned());
     stem.unwrap_or_default()
 }
 
 /// Draws a metric against a field, with a picture for each combination of the other fields.
-fn sweep(args: &SweepFigureArgs) -> anyhow::Result<ExitCode> {
-    let results = read(&args.tables)?;
+fn draw_sweep(args: &SweepFigureArgs) -> anyhow::Result<ExitCode> {
+    let results = read_tables(&args.tables)?;
     let only = args.only.iter();
-    let wish = SweepFigureSpec {
-        x: named(&args.x).to_owned(),
-        y: args.y.clone(),
-        by: named(&args.by).to_owned(),
-        only: only
-            .map(|(field, value)| (named(field).to_owned(), value.clone()))
+    let spec = SweepFigureSpec {
+        x_field: canonical_field(&args.x).to_owned(),
+        metric: args.y.clone(),
+        line_field: canonical_field(&args.by).to_owned(),
+        filter: only
+            .map(|(field, value)| (canonical_field(field).to_owned(), value.clone()))
             .collect(),
         is_log_x: args.log.contains(&AxisArg::X),
         is_log_y: args.log.contains(&AxisArg::Y),
     };
-    let pictures = wish.draw(&results)?;
-    if let Some(words) = several(&pictures) {
-        note!("{words}; use --where FIELD=VALUE to choose");
+    let pictures = spec.draw(&results)?;
+    let first_field = pictures.first().and_then(|picture| picture.facet.first());
+    if let (Some(differences), Some((field, value))) = (note_on_several(&pictures), first_field) {
+        note!("{differences}; use --where to choose, for example --where {field}={value}");
     }
     for picture in &pictures {
-        let name = wish.name(&picture.facet);
-        for line in &picture.undefined {
+        let name = spec.file_name(&picture.facet);
+        for line in &picture.lines_without_value {
             note!(
                 "{name}: drawn without {line}, as none of its runs has a value of {}",
-                wish.y
+                spec.metric
             );
         }
-        write(&args.pictures, &name, &picture.chart.scene())?;
-        save(&args.pictures.out, &format!("{name}.csv"), picture.csv.as_bytes())?;
+        write_picture(&args.pictures, &name, &picture.chart.scene())?;
+        write_file(&args.pictures.out, &format!("{name}.csv"), picture.csv.as_bytes())?;
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -9,16 +9,17 @@ use reveille_lab::table::{Format, Table};
 
 use crate::cli::MergeArgs;
 use crate::display;
-use crate::paths::{is_same, table_of};
+use crate::paths::{is_same_path, resolve_table};
 
 /// Merges tables.
 pub(crate) fn run(args: &MergeArgs) -> anyhow::Result<ExitCode> {
-    let format = format(&args.out)?;
+    let format = table_format(&args.out)?;
     let mut tables = Vec::with_capacity(args.shards.len());
-    for given in &args.shards {
-        let path = table_of(given).map_err(|error| anyhow!("{error}; use --partial to merge without it"))?;
+    for path_or_folder in &args.shards {
+        let path =
+            resolve_table(path_or_folder).map_err(|error| anyhow!("{error}; use --partial to merge without it"))?;
         // --force would replace a table that has not been read yet.
-        if is_same(&path, &args.out) {
+        if is_same_path(&path, &args.out) {
             bail!(
                 "--out {}: is one of the tables to merge; name another file",
                 args.out.display()
@@ -32,20 +33,20 @@ pub(crate) fn run(args: &MergeArgs) -> anyhow::Result<ExitCode> {
         bail!("{}: file exists; use --force to replace it", args.out.display());
     }
     table.write(&args.out, format)?;
-    let part = match &table.about.shard {
+    let part = match &table.metadata.shard {
         Some(shards) => format!(", from shards {shards} only"),
         None => String::new(),
     };
-    let runs = display::count(table.rows.len(), "run");
-    display::print(&format!("{runs} in {}{part}\n", args.out.display()))?;
+    let runs = display::count_noun(table.rows.len(), "run");
+    display::print_stdout(&format!("{runs} in {}{part}\n", args.out.display()))?;
     Ok(ExitCode::SUCCESS)
 }
 
 /// The format of the table at `out`.
-fn format(out: &Path) -> anyhow::Result<Format> {
-    let ending = out.extension().unwrap_or_default();
+fn table_format(out: &Path) -> anyhow::Result<Format> {
+    let extension = out.extension().unwrap_or_default();
     let format = [Format::Parquet, Format::Csv]
         .into_iter()
-        .find(|format| ending.eq_ignore_ascii_case(format.ending()));
+        .find(|format| extension.eq_ignore_ascii_case(format.extension()));
     format.ok_or_else(|| anyhow!("--out {}: the file must end in .parquet or .csv", out.display()))
 }

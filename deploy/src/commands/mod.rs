@@ -1,5 +1,6 @@
-//! The subcommands, one file each, and their shared parts: `resolve_scenario` and `experiment` for the start, `resume`
-//! for a resumed run, `figure_files` for files of tables and figures.
+//! The subcommands, one file each, which execute the options of `cli`. Shared parts: `resolve_scenario` and
+//! `experiment` for the start, `resume` for a resumed run, `figure_files` for files of tables and figures. Start with
+//! `run` for a run in memory, and `bs` for a run over the bus.
 
 pub(crate) mod analyse;
 pub(crate) mod bs;
@@ -33,21 +34,21 @@ use crate::exit::ExitReason;
 use crate::results_table::{self, Rows};
 use crate::summary::Summary;
 
-/// TTIs in a window of the per-window tables.
-pub(crate) fn window(args: &OutputArgs, scenario: &Scenario) -> u64 {
+/// Length of a window of `windows.csv`, TTIs.
+pub(crate) fn window_length(args: &OutputArgs, scenario: &Scenario) -> u64 {
     args.window.unwrap_or_else(|| scenario.run.ttis.div_ceil(100))
 }
 
 /// Prints the summary in the chosen form and returns the exit code.
-pub(crate) fn conclude(args: &OutputArgs, summary: &Summary<'_>, folder: &Path) -> anyhow::Result<ExitCode> {
+pub(crate) fn print_results(args: &OutputArgs, summary: &Summary<'_>, folder: &Path) -> anyhow::Result<ExitCode> {
     if args.json {
-        display::print(&summary.to_json()?)?;
+        display::print_stdout(&summary.to_json()?)?;
     } else if args.quiet {
-        display::print(&format!("digest {}\n", summary.digest))?;
+        display::print_stdout(&format!("digest {}\n", summary.digest))?;
     } else {
         let rows = if args.all_metrics { Rows::All } else { Rows::Main };
-        display::print(&results_table::text(summary, rows))?;
-        display::print(&format!("results in {}\n", folder.display()))?;
+        display::print_stdout(&results_table::format_results(summary, rows))?;
+        display::print_stdout(&format!("results in {}\n", folder.display()))?;
     }
     Ok(if summary.status == "complete" {
         ExitReason::Done.into()

@@ -13,11 +13,11 @@ use reveille_study::figures::results::RunCondition;
 use reveille_study::figures::scene::Scene;
 use reveille_study::figures::{energy, pareto, study, svg};
 use reveille_study::report::page::page;
-use reveille_study::report::page_sections::{PageSection, fill};
+use reveille_study::report::page_sections::{PageSection, fill_page};
 use reveille_study::report::search::{SettingSearch, markdown};
 use reveille_study::report::{ClaimReport, markdown as pages};
 
-use super::figure_files::{read, save};
+use super::figure_files::{read_tables, write_file};
 use crate::cli::{ReportArgs, ReportCommand, SearchArgs};
 use crate::display::{self, note};
 
@@ -31,60 +31,63 @@ pub(crate) fn run(args: &ReportArgs) -> anyhow::Result<ExitCode> {
 
 /// Ranks the settings of the tables by the claims that they meet.
 fn search(args: &SearchArgs) -> anyhow::Result<ExitCode> {
-    let results = read(&args.tables)?;
+    let results = read_tables(&args.tables)?;
     let search = SettingSearch::new(ClaimReport::new(&results));
-    let heads = markdown::heads(&search);
+    let headings = markdown::ranking_heads(&search);
     let mut table = Table::new();
-    table.load_style(UTF8_FULL_CONDENSED).set_header(&heads);
-    for setting in search.shown(args.top) {
-        table.add_row(markdown::row(&search, setting));
+    table.load_style(UTF8_FULL_CONDENSED).set_header(&headings);
+    for setting in search.settings_to_show(args.top) {
+        table.add_row(markdown::ranking_row(&search, setting));
     }
-    display::print(&format!("{table}\n"))?;
+    display::print_stdout(&format!("{table}\n"))?;
     for sentence in markdown::summary(&search) {
-        display::print(&format!("{sentence}\n"))?;
+        display::print_stdout(&format!("{sentence}\n"))?;
     }
     let command = format!(
         "reveille report search {} --top {} --out {}",
-        named(&args.tables),
+        join_paths(&args.tables),
         args.top,
         args.out.display()
     );
     let page = markdown::markdown(&search, args.top, &command);
-    save(&args.out, "search.md", page.as_bytes())?;
-    into_page(args.page.as_deref(), &markdown::parts(&search, args.top, &command))?;
+    write_file(&args.out, "search.md", page.as_bytes())?;
+    insert_into_page(
+        args.page.as_deref(),
+        &markdown::page_sections(&search, args.top, &command),
+    )?;
     Ok(ExitCode::SUCCESS)
 }
 
 /// Judges the claims and writes the report.
 fn write_report(args: &ReportArgs) -> anyhow::Result<ExitCode> {
-    let results = read(&args.tables)?;
+    let results = read_tables(&args.tables)?;
     let report = ClaimReport::new(&results);
     let mut pictures = Vec::new();
     let mut files = Vec::new();
-    for preset in report.missing() {
+    for preset in report.missing_presets() {
         note!("report: no table has runs of preset {preset}; the report has no column for it");
     }
-    for (number, condition) in (1..).zip(report.drawn()) {
+    for (number, condition) in (1..).zip(report.conditions_to_draw()) {
         for (name, scene) in scenes(condition)? {
             let name = format!("{name}-{number}");
             let file = format!("{name}.svg");
             let picture = svg::svg(&scene, &name);
-            save(&args.out, &file, picture.as_bytes())?;
+            write_file(&args.out, &file, picture.as_bytes())?;
             files.push((format!("{}, {}", scene.title, condition.label()), file));
             pictures.push((scene.title, number, picture));
         }
     }
     // Sorted by figure, so that the pictures of both presets are next to each other.
-    pictures.sort_by_key(|(title, number, _)| (order(title), *number));
+    pictures.sort_by_key(|(title, number, _)| (figure_order(title), *number));
     let pictures: Vec<String> = pictures.into_iter().map(|(_, _, picture)| picture).collect();
-    let command = command(args);
-    save(
+    let command = report_command(args);
+    write_file(
         &args.out,
         "report.md",
         pages::markdown(&report, &files, &command).as_bytes(),
     )?;
-    save(&args.out, "report.html", page(&report, &pictures, &command).as_bytes())?;
-    into_page(args.page.as_deref(), &pages::parts(&report, &command))?;
+    write_file(&args.out, "report.html", page(&report, &pictures, &command).as_bytes())?;
+    insert_into_page(args.page.as_deref(), &pages::page_sections(&report, &command))?;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -97,12 +100,12 @@ fn scenes(condition: &RunCondition) -> anyhow::Result<Vec<(&'static str, Scene)>
         }
     }
     let [harvest, net] = energy::NAMES;
-    let points = energy::harvests(&condition.preset)?;
+    let points = energy::measure_harvests(&condition.preset)?;
     scenes.push((harvest, energy::harvest_chart(condition, &points).scene()));
     if let Some(chart) = energy::net_chart(condition, &points) {
         scenes.push((net, chart.scene()));
     }
-    for trade in pareto::TRADES {
+    for trade in pareto::TRADE_OFFS {
         if let Some(chart) = trade.chart(&[condition]) {
             scenes.push((trade.name, chart.scene()));
         }
@@ -111,31 +114,35 @@ fn scenes(condition: &RunCondition) -> anyhow::Result<Vec<(&'static str, Scene)>
 }
 
 /// The position of a picture: the paper's order first, then figures that the paper does not have.
-fn order(title: &str) -> usize {
+fn figure_order(title: &str) -> usize {
     let titles = study::FIGURES.iter().map(|figure| figure.title);
-    let trades = pareto::TRADES.iter().map(|trade| trade.title);
+    let trades = pareto::TRADE_OFFS.iter().map(|trade| trade.title);
     let mut titles = titles.chain(["Harvest", "Net"]).chain(trades);
-    let known = titles.position(|known| title.starts_with(known));
-    known.unwrap_or(usize::MAX)
+    let position = titles.position(|known| title.starts_with(known));
+    position.unwrap_or(usize::MAX)
 }
 
 /// The command line that regenerates this report.
-fn command(args: &ReportArgs) -> String {
-    format!("reveille report {} --out {}", named(&args.tables), args.out.display())
+fn report_command(args: &ReportArgs) -> String {
+    format!(
+        "reveille report {} --out {}",
+        join_paths(&args.tables),
+        args.out.display()
+    )
 }
 
 /// Inserts `parts` between their marks in the optional page.
-fn into_page(page: Option<&Path>, parts: &[PageSection]) -> anyhow::Result<()> {
+fn insert_into_page(page: Option<&Path>, parts: &[PageSection]) -> anyhow::Result<()> {
     let Some(path) = page else { return Ok(()) };
     let text = fs::read_to_string(path).with_context(|| format!("{}: cannot read this file", path.display()))?;
-    let filled = fill(&text, parts).with_context(|| path.display().to_string())?;
+    let filled = fill_page(&text, parts).with_context(|| path.display().to_string())?;
     replace(path, filled.as_bytes()).with_context(|| format!("{}: cannot write this file", path.display()))?;
-    display::print(&format!("{}\n", path.display()))?;
+    display::print_stdout(&format!("{}\n", path.display()))?;
     Ok(())
 }
 
 /// The tables as given on the command line.
-fn named(tables: &[PathBuf]) -> String {
+fn join_paths(tables: &[PathBuf]) -> String {
     let tables: Vec<String> = tables.iter().map(|path| path.display().to_string()).collect();
     tables.join(" ")
 }

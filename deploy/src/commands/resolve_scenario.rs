@@ -1,4 +1,5 @@
-//! Resolution of the command line to a scenario.
+//! Resolution of the command line to a scenario: preset or file, options, `--set`, `--policy replay=FILE`, `--resume`.
+//! All commands that run or draw a scenario use it.
 
 use std::path::PathBuf;
 
@@ -8,11 +9,11 @@ use reveille_bs::scenario::{Loaded, Override, Scenario, ScenarioError, load, loa
 use reveille_lab::external_inputs::ExternalInputs;
 
 use crate::cli::{OutputArgs, ScenarioArgs};
-use crate::input_log::{self, INPUTS};
-use crate::run_folder::SCENARIO;
+use crate::input_log::{self, INPUT_LOG_FILE};
+use crate::run_folder::SCENARIO_FILE;
 
 /// The prefix of `--policy` for decisions from a log.
-const REPLAY: &str = "replay=";
+const REPLAY_PREFIX: &str = "replay=";
 
 /// Returns the scenario of a run, from the folder that it resumes in or from the command line. Also returns the
 /// decisions of `--policy replay=FILE`, if given.
@@ -29,7 +30,7 @@ pub(super) fn resolve_run(
             folder.display()
         );
     }
-    let path = folder.join(SCENARIO);
+    let path = folder.join(SCENARIO_FILE);
     if !path.is_file() {
         anyhow::bail!(
             "--resume {}: the folder holds no run; name a run folder",
@@ -40,43 +41,50 @@ pub(super) fn resolve_run(
 }
 
 fn resolve_new(args: &ScenarioArgs) -> anyhow::Result<(Scenario, Option<ExternalInputs>)> {
-    let log = args.policy.as_ref().and_then(|policy| policy.strip_prefix(REPLAY));
-    let Some(log) = log.map(PathBuf::from) else {
-        return Ok((resolve_by(args, load_with_external)?, None));
+    let log_path = args
+        .policy
+        .as_ref()
+        .and_then(|policy| policy.strip_prefix(REPLAY_PREFIX));
+    let Some(log_path) = log_path.map(PathBuf::from) else {
+        return Ok((resolve_with_loader(args, load_with_external)?, None));
     };
     anyhow::ensure!(
-        !log.as_os_str().is_empty(),
-        "--policy {REPLAY}: the file is missing; name the {INPUTS} of a run, or its folder"
+        !log_path.as_os_str().is_empty(),
+        "--policy {REPLAY_PREFIX}: the file is missing; name the {INPUT_LOG_FILE} of a run, or its folder"
     );
-    let log = if log.is_dir() { log.join(INPUTS) } else { log };
+    let log_path = if log_path.is_dir() {
+        log_path.join(INPUT_LOG_FILE)
+    } else {
+        log_path
+    };
     let mut args = ScenarioArgs {
         policy: None,
         ..args.clone()
     };
     // Without other options the scenario is the one in the log's run folder.
-    let own_scenario = log.with_file_name(SCENARIO);
+    let own_scenario = log_path.with_file_name(SCENARIO_FILE);
     if !args.is_given() && own_scenario.is_file() {
         args.scenario = own_scenario.to_string_lossy().into_owned();
     }
     // Set after `is_given`, for which only the user's own options count.
-    args.policy = Some(outside::NAME.to_owned());
-    let scenario = resolve_by(&args, load_with_external)?;
-    let inputs = input_log::read_named(&log, &scenario).with_context(|| {
+    args.policy = Some(outside::EXTERNAL_NAME.to_owned());
+    let scenario = resolve_with_loader(&args, load_with_external)?;
+    let inputs = input_log::read_nonempty(&log_path, &scenario).with_context(|| {
         let hint = if own_scenario.is_file() {
             "; leave out the other scenario options to use the scenario in its folder"
         } else {
             ""
         };
-        format!("--policy {REPLAY}{}{hint}", log.display())
+        format!("--policy {REPLAY_PREFIX}{}{hint}", log_path.display())
     })?;
     Ok((scenario, Some(inputs)))
 }
 
 /// Returns the command line's scenario, with a policy of this program.
 pub(super) fn resolve(args: &ScenarioArgs) -> anyhow::Result<Scenario> {
-    let resolved = resolve_by(args, load);
+    let resolved = resolve_with_loader(args, load);
     // Loads the scenario again to find out whether the policy `external` is the only problem.
-    if resolved.is_err() && resolve_by(args, load_with_external).is_ok() {
+    if resolved.is_err() && resolve_with_loader(args, load_with_external).is_ok() {
         anyhow::bail!(
             "policy external: only `reveille up` and `reveille bs` can ask a policy process; choose a built-in policy \
              with --policy"
@@ -85,7 +93,7 @@ pub(super) fn resolve(args: &ScenarioArgs) -> anyhow::Result<Scenario> {
     resolved
 }
 
-fn resolve_by(
+fn resolve_with_loader(
     args: &ScenarioArgs,
     load: impl Fn(&str, &[Override]) -> Result<Loaded, ScenarioError>,
 ) -> anyhow::Result<Scenario> {
@@ -102,7 +110,7 @@ fn resolve_by(
     ];
     for (flag, field, value) in flags {
         if let Some(value) = value {
-            give_once(args, flag, field)?;
+            check_set_once(args, flag, field)?;
             overrides.push(Override::from_flag(flag, field, value)?);
         }
     }
@@ -114,7 +122,7 @@ fn resolve_by(
             .map(|policy| policy.name)
         {
             let field = format!("policy.{name}.learn");
-            give_once(args, "--learn", &field)?;
+            check_set_once(args, "--learn", &field)?;
             overrides.push(Override::from_flag("--learn", &field, "true")?);
         }
     }
@@ -134,9 +142,9 @@ fn resolve_by(
 }
 
 /// Returns an error for a field set both by its own option and by `--set`: one of them would have no effect.
-fn give_once(args: &ScenarioArgs, flag: &str, field: &str) -> anyhow::Result<()> {
-    let named = |text: &&String| text.split_once('=').is_some_and(|(name, _)| name.trim() == field);
-    match args.set.iter().find(named) {
+fn check_set_once(args: &ScenarioArgs, flag: &str, field: &str) -> anyhow::Result<()> {
+    let sets_field = |text: &&String| text.split_once('=').is_some_and(|(name, _)| name.trim() == field);
+    match args.set.iter().find(sets_field) {
         Some(text) => anyhow::bail!("{flag} and --set {text} both set {field}; leave one of them out"),
         None => Ok(()),
     }

@@ -19,7 +19,7 @@ use reveille_lab::run::{Run, RunOptions};
 use super::run::advance;
 use crate::display::note;
 use crate::exit::Interrupted;
-use crate::input_log::{self, INPUTS, InputLog};
+use crate::input_log::{self, INPUT_LOG_FILE, InputLog};
 use crate::resume_mark;
 
 /// The start of a run, or the point at which it resumes.
@@ -35,14 +35,14 @@ pub(super) struct ResumePlan {
 }
 
 impl ResumePlan {
-    /// Creates the plan of a new run. Copies decisions `kept` from another run into its log.
+    /// Creates the plan of a new run. Copies decisions `recorded` in another run into its log.
     ///
     /// # Errors
     /// If they cannot be written.
-    pub(super) fn new(kept: &[RecordedDecision], mut log: InputLog) -> anyhow::Result<Self> {
+    pub(super) fn new(recorded: &[RecordedDecision], mut log: InputLog) -> anyhow::Result<Self> {
         let inputs = ExternalInputs {
             outages: Vec::new(),
-            decisions: kept.to_vec(),
+            decisions: recorded.to_vec(),
         };
         log.add_all(&inputs)?;
         Ok(Self {
@@ -65,16 +65,16 @@ impl ResumePlan {
     ) -> anyhow::Result<Self> {
         let scenario = &prepared.scenario;
         let mut mark = resume_mark::read(folder, scenario)?;
-        let mut inputs = input_log::of_folder(folder, scenario)?;
+        let mut inputs = input_log::read_folder(folder, scenario)?;
         // An outage in the log can be later than the last mark; the run then reached at least the TTI after it.
-        let known = inputs.outages.last().map(|outage| outage.tti + 1);
-        let mut from = mark.as_ref().map(|mark| Tti(mark.tti)).max(known);
+        let after_last_outage = inputs.outages.last().map(|outage| outage.tti + 1);
+        let mut from = mark.as_ref().map(|mark| Tti(mark.tti)).max(after_last_outage);
         if let Some(to) = from
             && outside::is_external(&scenario.policy)
-            && let Some(tti) = undecided(prepared, &inputs, to, progress)?
+            && let Some(tti) = first_undecided(prepared, &inputs, to, progress)?
         {
             // The run was killed in a TTI with lost devices, or a power cut took the last decisions.
-            note!("{INPUTS} ends at TTI {tti}; resuming from there");
+            note!("{INPUT_LOG_FILE} ends at TTI {tti}; resuming from there");
             inputs = inputs.before(tti);
             log.replace(&inputs)?;
             // From here on the run may decide differently, and then never reproduces a later mark.
@@ -91,7 +91,7 @@ impl ResumePlan {
 }
 
 /// The first TTI before `to` with a missing decision, if any.
-fn undecided(
+fn first_undecided(
     prepared: &PreparedRun,
     inputs: &ExternalInputs,
     to: Tti,
@@ -100,19 +100,19 @@ fn undecided(
     // A trial without observers: `replay` shows them the run afterwards.
     let mut run = Run::new(prepared, RunOptions::default());
     run.schedule_inputs(inputs);
-    bring(&mut run, to, progress, &mut ())?;
+    advance_to(&mut run, to, progress, &mut ())?;
     Ok(run.missing_decision())
 }
 
 /// Advances `run` to TTI `to`, or to the first missing decision.
-fn bring(run: &mut Run, to: Tti, progress: &RunProgress, observer: &mut impl Observer) -> anyhow::Result<()> {
-    let is_stopped = || progress.stop.load(Ordering::Relaxed);
-    let is_there = advance(run, to, observer, |next| {
-        progress.tti.store(next.0, Ordering::Relaxed);
+fn advance_to(run: &mut Run, to: Tti, progress: &RunProgress, observer: &mut impl Observer) -> anyhow::Result<()> {
+    let is_stopped = || progress.stop_requested.load(Ordering::Relaxed);
+    let has_reached = advance(run, to, observer, |next| {
+        progress.next_tti.store(next.0, Ordering::Relaxed);
         !is_stopped()
     });
     // Without a stop the run lacks a decision, which the callers look for.
-    ensure!(is_there || !is_stopped(), Interrupted::BEFORE_RUN);
+    ensure!(has_reached || !is_stopped(), Interrupted::BEFORE_RUN);
     Ok(())
 }
 
@@ -132,8 +132,8 @@ pub(super) fn replay(
     };
     let mut run = Run::new(prepared, options);
     run.schedule_inputs(inputs);
-    bring(&mut run, to, progress, observer)?;
+    advance_to(&mut run, to, progress, observer)?;
     // `to` lies after the last logged outage, so all of them must have taken effect.
-    ensure!(run.queue().outages() == 0, input_log::MISFIT);
+    ensure!(run.input_queue().removals() == 0, input_log::MISMATCH);
     Ok(run.into_resumed())
 }

@@ -1,4 +1,4 @@
-//! `reveille scenario`.
+//! `reveille scenario`: shows presets and scenarios, checks files, and writes the schema and the field reference.
 
 use std::path::Path;
 use std::process::ExitCode;
@@ -14,35 +14,35 @@ use crate::display::{self, note};
 pub(crate) fn run(command: &ScenarioCommand) -> anyhow::Result<ExitCode> {
     match command {
         ScenarioCommand::Show { source: None, .. } => {
-            display::print("Presets, for --scenario and as `preset = \"…\"` in a file:\n")?;
+            display::print_stdout("Presets, for --scenario and as `preset = \"…\"` in a file:\n")?;
             for Preset { name, about, .. } in PRESETS {
-                display::print(&format!("  {name:<15} {about}\n"))?;
+                display::print_stdout(&format!("  {name:<15} {about}\n"))?;
             }
-            display::print("`reveille scenario show NAME` prints all fields of one.\n")?;
+            display::print_stdout("`reveille scenario show NAME` prints all fields of one.\n")?;
             Ok(ExitCode::SUCCESS)
         }
         ScenarioCommand::Show {
             source: Some(source),
             set,
         } => {
-            let Loaded { scenario, warnings } = load_with_external(source, &overrides(set)?)?;
-            warn(source, &warnings);
-            display::print(&scenario.to_full_toml(&registry::kinds()))?;
+            let Loaded { scenario, warnings } = load_with_external(source, &parse_overrides(set)?)?;
+            print_warnings(source, &warnings);
+            display::print_stdout(&scenario.to_full_toml(&registry::kinds()))?;
             Ok(ExitCode::SUCCESS)
         }
-        ScenarioCommand::Schema { out } => write(out.as_deref(), &schema()),
-        ScenarioCommand::Reference { out } => write(out.as_deref(), &reference()),
-        ScenarioCommand::Check { sources, set } => check(sources, &overrides(set)?),
+        ScenarioCommand::Schema { out } => write_or_print(out.as_deref(), &schema()),
+        ScenarioCommand::Reference { out } => write_or_print(out.as_deref(), &reference()),
+        ScenarioCommand::Check { sources, set } => check_sources(sources, &parse_overrides(set)?),
     }
 }
 
-fn check(sources: &[String], overrides: &[Override]) -> anyhow::Result<ExitCode> {
+fn check_sources(sources: &[String], overrides: &[Override]) -> anyhow::Result<ExitCode> {
     let mut code = ExitCode::SUCCESS;
     for source in sources {
         match load_with_external(source, overrides) {
             Ok(Loaded { scenario, warnings }) => {
-                warn(source, &warnings);
-                display::print(&format!(
+                print_warnings(source, &warnings);
+                display::print_stdout(&format!(
                     "{source}: ok. {} devices, {} TTIs, policy {}, hash {}\n",
                     scenario.run.devices,
                     scenario.run.ttis,
@@ -61,14 +61,14 @@ fn check(sources: &[String], overrides: &[Override]) -> anyhow::Result<ExitCode>
 }
 
 /// Prints the warnings about a scenario.
-fn warn(source: &str, warnings: &[String]) {
+fn print_warnings(source: &str, warnings: &[String]) {
     for warning in warnings {
         note!("{source}: warning: {warning}");
     }
 }
 
 /// Writes `text` to the file `out`, or prints it.
-fn write(out: Option<&Path>, text: &str) -> anyhow::Result<ExitCode> {
+fn write_or_print(out: Option<&Path>, text: &str) -> anyhow::Result<ExitCode> {
     match out {
         Some(path) => std::fs::write(path, text).with_context(|| {
             format!(
@@ -77,11 +77,11 @@ fn write(out: Option<&Path>, text: &str) -> anyhow::Result<ExitCode> {
                 path.display()
             )
         })?,
-        None => display::print(text)?,
+        None => display::print_stdout(text)?,
     }
     Ok(ExitCode::SUCCESS)
 }
 
-fn overrides(set: &[String]) -> anyhow::Result<Vec<Override>> {
+fn parse_overrides(set: &[String]) -> anyhow::Result<Vec<Override>> {
     Ok(set.iter().map(|text| Override::parse(text)).collect::<Result<_, _>>()?)
 }

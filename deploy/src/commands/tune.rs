@@ -1,4 +1,5 @@
-//! `reveille tune`: Bayesian optimisation of the q-learning weights.
+//! `reveille tune`: Bayesian optimisation of the q-learning weights μ1, μ2 with `lab/src/tuning/`. The history file
+//! holds every finished point; an interrupted tuning resumes from it.
 
 use std::ffi::OsStr;
 use std::fmt::Write as _;
@@ -21,17 +22,17 @@ use serde_json::json;
 use super::resolve_scenario::resolve;
 use crate::cli::{ImageFormatArg, ObjectiveArg, TuneArgs};
 use crate::display::{self, note};
-use crate::signals::{Manner, Signals};
+use crate::signals::{SignalMode, Signals};
 
 /// Number of points in the closing table.
-const SHOWN: usize = 5;
+const CLOSING_TABLE_POINTS: usize = 5;
 
 /// Starts, resumes or draws a tuning.
 pub(crate) fn run(args: &TuneArgs) -> anyhow::Result<ExitCode> {
     let history = args.picture_only.as_ref().unwrap_or(&args.out);
     if history
         .extension()
-        .is_some_and(|ending| ending == "svg" || ending == "png")
+        .is_some_and(|extension| extension == "svg" || extension == "png")
     {
         bail!(
             "{}: the history is a CSV file and its picture gets the same name; use a name that ends in .csv",
@@ -40,39 +41,39 @@ pub(crate) fn run(args: &TuneArgs) -> anyhow::Result<ExitCode> {
     }
     if let Some(path) = &args.picture_only {
         let (history, _) = History::read(path)?;
-        for file in draw(&history, path, &args.format)? {
-            display::print(&format!("{}\n", file.display()))?;
+        for file in draw_pictures(&history, path, &args.format)? {
+            display::print_stdout(&format!("{}\n", file.display()))?;
         }
         return Ok(ExitCode::SUCCESS);
     }
     let mut tuner = Tuner::open(plan(args)?, &args.out, args.force)?;
-    announce(args, &tuner);
+    report_found(args, &tuner);
     let threads = args.episodes.threads()?;
-    let signals = Signals::install(Manner::Keeps)?;
-    let shown = TuningDisplay::start(args, &tuner, signals);
+    let signals = Signals::install(SignalMode::SavesResults)?;
+    let tuning_display = TuningDisplay::start(args, &tuner, signals);
     let started = crate::runtime::now();
     let bayes = Bayes {
         seed: args.episodes.seed,
     };
-    let ended = tuner.run(args.iterations, threads, &bayes, &shown);
-    shown.bar.finish_and_clear();
+    let ended = tuner.run(args.iterations, threads, &bayes, &tuning_display);
+    tuning_display.bar.finish_and_clear();
     let history = tuner.history();
     if !ended? {
         note!(
             "reveille: interrupted; the {} are kept in {}: give the same command again to resume",
-            display::count(history.points.len(), "finished point"),
+            display::count_noun(history.points.len(), "finished point"),
             args.out.display()
         );
         return Ok(crate::exit::ExitReason::Interrupted.into());
     }
-    let pictures = draw(history, &args.out, &args.format)?;
+    let pictures = draw_pictures(history, &args.out, &args.format)?;
     if args.json {
-        display::print(&result(args, history, &pictures)?)?;
+        display::print_stdout(&result_json(args, history, &pictures)?)?;
     } else if args.quiet {
-        let [mu1, mu2] = best(history)?.weights;
-        display::print(&format!("mu1={mu1} mu2={mu2}\n"))?;
+        let [mu1, mu2] = best_point(history)?.weights;
+        display::print_stdout(&format!("mu1={mu1} mu2={mu2}\n"))?;
     } else {
-        display::print(&summary(args, history, &pictures)?)?;
+        display::print_stdout(&format_summary(args, history, &pictures)?)?;
         note!("tuned in {:.1} s", started.elapsed().as_secs_f64());
     }
     Ok(ExitCode::SUCCESS)
@@ -80,13 +81,13 @@ pub(crate) fn run(args: &TuneArgs) -> anyhow::Result<ExitCode> {
 
 /// Checks the command line and returns the tuning plan.
 fn plan(args: &TuneArgs) -> anyhow::Result<TuningPlan> {
-    let ends = |name: &str, ends: &[f64]| match ends {
+    let range_ends = |name: &str, weights: &[f64]| match weights {
         &[from, to] => Ok((from, to)),
         _ => Err(anyhow!(
             "--{name}: must be the smallest and the largest weight, for example 1,5"
         )),
     };
-    let ranges = Ranges::new(ends("mu1", &args.mu1)?, ends("mu2", &args.mu2)?)?;
+    let ranges = Ranges::new(range_ends("mu1", &args.mu1)?, range_ends("mu2", &args.mu2)?)?;
     let plan = TuningPlan {
         scenario: resolve(&args.scenario()?)?,
         ranges,
@@ -108,22 +109,22 @@ fn plan(args: &TuneArgs) -> anyhow::Result<TuningPlan> {
 }
 
 /// Prints the number of points found in the history.
-fn announce(args: &TuneArgs, tuner: &Tuner) {
+fn report_found(args: &TuneArgs, tuner: &Tuner) {
     let (found, file) = (tuner.history().points.len(), args.out.display());
-    if tuner.torn() {
+    if tuner.is_torn() {
         tracing::warn!("{file}: the last line is truncated; its point is repeated");
     }
     if found > 0 && !args.quiet {
         note!(
             "{} found in {file}, {} left",
-            display::count(found, "finished point"),
-            tuner.left(args.iterations)
+            display::count_noun(found, "finished point"),
+            tuner.pairs_left(args.iterations)
         );
     }
 }
 
 /// Draws `history` next to its file, in the given formats.
-fn draw(history: &History, path: &Path, formats: &[ImageFormatArg]) -> anyhow::Result<Vec<PathBuf>> {
+fn draw_pictures(history: &History, path: &Path, formats: &[ImageFormatArg]) -> anyhow::Result<Vec<PathBuf>> {
     // The ranges of the history apply: --picture-only draws points of an earlier command line.
     let (Some(mu1), Some(mu2)) = (history.range("mu1"), history.range("mu2")) else {
         bail!(
@@ -131,12 +132,12 @@ fn draw(history: &History, path: &Path, formats: &[ImageFormatArg]) -> anyhow::R
             path.display()
         );
     };
-    if history.points.len() < reveille_lab::tuning::LEAST_DESIGN {
+    if history.points.len() < reveille_lab::tuning::MIN_DESIGN_PAIRS {
         bail!(
             "{}: holds {}, but a picture needs {}; continue the tuning first",
             path.display(),
-            display::count(history.points.len(), "point"),
-            reveille_lab::tuning::LEAST_DESIGN
+            display::count_noun(history.points.len(), "point"),
+            reveille_lab::tuning::MIN_DESIGN_PAIRS
         );
     }
     let ranges = Ranges::new(mu1, mu2)?;
@@ -144,26 +145,26 @@ fn draw(history: &History, path: &Path, formats: &[ImageFormatArg]) -> anyhow::R
     let name = path.file_stem().unwrap_or(OsStr::new("tuning")).to_string_lossy();
     let mut files = Vec::new();
     for format in formats {
-        let (ending, bytes) = match format {
+        let (extension, bytes) = match format {
             ImageFormatArg::Svg => ("svg", svg::svg(&scene, &name).into_bytes()),
             ImageFormatArg::Png => ("png", png::png(&scene)),
         };
-        let file = path.with_extension(ending);
+        let file = path.with_extension(extension);
         replace(&file, &bytes).map_err(|error| anyhow!("{}: cannot write this file: {error}", file.display()))?;
         files.push(file);
     }
     Ok(files)
 }
 
-fn best(history: &History) -> anyhow::Result<&TuningPoint> {
-    let first = history.ranked().first().copied();
-    first
+fn best_point(history: &History) -> anyhow::Result<&TuningPoint> {
+    let best_index = history.ranked().first().copied();
+    best_index
         .map(|number| &history.points[number])
         .ok_or_else(|| anyhow!("the history holds no points"))
 }
 
 /// The command line that trains tables with the best weights, with the settings of this tuning.
-fn command(args: &TuneArgs, [mu1, mu2]: WeightPair) -> String {
+fn training_command(args: &TuneArgs, [mu1, mu2]: WeightPair) -> String {
     let mut text = format!("reveille train q-learning --devices {}", args.devices);
     if args.scenario != "paper" {
         let _ = write!(text, " --scenario {}", args.scenario);
@@ -176,18 +177,22 @@ fn command(args: &TuneArgs, [mu1, mu2]: WeightPair) -> String {
     for set in args.set.iter().filter(|set| !is_weight(set)) {
         let _ = write!(text, " --set {set}");
     }
-    let how = &args.episodes;
+    let training_args = &args.episodes;
     let _ = write!(
         text,
         " --set policy.q-learning.mu1={mu1} --set policy.q-learning.mu2={mu2} --episodes {} --episode-ttis {} \
          --epsilon {},{} --seed {} --out tuned.json",
-        how.episodes, how.episode_ttis, how.epsilon[0], how.epsilon[1], how.seed
+        training_args.episodes,
+        training_args.episode_ttis,
+        training_args.epsilon[0],
+        training_args.epsilon[1],
+        training_args.seed
     );
     text
 }
 
 /// Formats the closing table.
-fn summary(args: &TuneArgs, history: &History, pictures: &[PathBuf]) -> anyhow::Result<String> {
+fn format_summary(args: &TuneArgs, history: &History, pictures: &[PathBuf]) -> anyhow::Result<String> {
     let mut table = Table::new();
     table.load_style(UTF8_FULL_CONDENSED).set_header([
         "point",
@@ -199,14 +204,14 @@ fn summary(args: &TuneArgs, history: &History, pictures: &[PathBuf]) -> anyhow::
         "energy",
         "wake-ups",
     ]);
-    let within = |mean: f64, half: f64| {
+    let with_half_width = |mean: f64, half: f64| {
         if half.is_nan() {
             format!("{mean:.4}")
         } else {
             format!("{mean:.4} ± {half:.4}")
         }
     };
-    for number in history.ranked().into_iter().take(SHOWN) {
+    for number in history.ranked().into_iter().take(CLOSING_TABLE_POINTS) {
         let TuningPoint {
             weights: [mu1, mu2],
             evaluation: e,
@@ -215,8 +220,8 @@ fn summary(args: &TuneArgs, history: &History, pictures: &[PathBuf]) -> anyhow::
             (number + 1).to_string(),
             mu1.to_string(),
             mu2.to_string(),
-            within(e.objective, e.objective_half),
-            within(e.information, e.information_half),
+            with_half_width(e.objective, e.objective_half),
+            with_half_width(e.information, e.information_half),
             format!("{:.3}", e.misdetection_pct),
             format!("{:.4}", e.energy),
             format!("{:.2}", e.wake_ups),
@@ -227,7 +232,7 @@ fn summary(args: &TuneArgs, history: &History, pictures: &[PathBuf]) -> anyhow::
     }
     let TuningPoint {
         weights: [mu1, mu2], ..
-    } = *best(history)?;
+    } = *best_point(history)?;
     let pictures: Vec<String> = pictures.iter().map(|path| path.display().to_string()).collect();
     Ok(format!(
         "{} · N = {} · {} points · seed {}\n{table}\nbest: μ1 = {mu1}, μ2 = {mu2}\nto train with them:\n  {}\n\
@@ -236,14 +241,14 @@ fn summary(args: &TuneArgs, history: &History, pictures: &[PathBuf]) -> anyhow::
         args.devices,
         history.points.len(),
         args.episodes.seed,
-        command(args, [mu1, mu2]),
+        training_command(args, [mu1, mu2]),
         args.out.display(),
         pictures.join(", ")
     ))
 }
 
 /// Returns the result as JSON.
-fn result(args: &TuneArgs, history: &History, pictures: &[PathBuf]) -> anyhow::Result<String> {
+fn result_json(args: &TuneArgs, history: &History, pictures: &[PathBuf]) -> anyhow::Result<String> {
     let point = |number: usize| {
         let TuningPoint { weights, evaluation } = history.points[number];
         let mut point = json!({"point": number + 1, "mu1": weights[0], "mu2": weights[1]});
@@ -257,12 +262,12 @@ fn result(args: &TuneArgs, history: &History, pictures: &[PathBuf]) -> anyhow::R
         .iter()
         .map(|(name, value)| (name.clone(), json!(value)))
         .collect();
-    let first = history.ranked().first().copied();
+    let best_index = history.ranked().first().copied();
     let text = serde_json::to_string_pretty(&json!({
         "tuning": settings,
-        "best": first.map(point),
+        "best": best_index.map(point),
         "points": (0..history.points.len()).map(point).collect::<Vec<_>>(),
-        "command": command(args, best(history)?.weights),
+        "command": training_command(args, best_point(history)?.weights),
         "history": args.out,
         "pictures": pictures,
     }))?;
@@ -273,7 +278,7 @@ fn result(args: &TuneArgs, history: &History, pictures: &[PathBuf]) -> anyhow::R
 struct TuningDisplay {
     bar: ProgressBar,
     signals: Signals,
-    best: Mutex<Option<(f64, WeightPair)>>,
+    best_point: Mutex<Option<(f64, WeightPair)>>,
     runs: u64,
 }
 
@@ -281,23 +286,25 @@ impl TuningDisplay {
     fn start(args: &TuneArgs, tuner: &Tuner, signals: Signals) -> Self {
         // A point is trained for all episodes, then evaluated by one run per seed; both advance the bar.
         let steps = args.episodes.episodes + args.seeds;
-        let known = tuner.history().ranked().first().copied();
+        let best_known = tuner.history().ranked().first().copied();
         let points = &tuner.history().points;
         Self {
-            bar: display::bar(
-                tuner.left(args.iterations) as u64 * steps,
+            bar: display::new_bar(
+                tuner.pairs_left(args.iterations) as u64 * steps,
                 "{bar:24} {percent} %  {eta} left  {msg}",
                 args.quiet,
             ),
             signals,
-            best: Mutex::new(known.map(|number| (points[number].evaluation.objective, points[number].weights))),
+            best_point: Mutex::new(
+                best_known.map(|number| (points[number].evaluation.objective, points[number].weights)),
+            ),
             runs: args.seeds,
         }
     }
 
-    fn so_far(&self) -> String {
-        let best = *self.best.lock().unwrap_or_else(PoisonError::into_inner);
-        best.map_or_else(String::new, |(objective, [mu1, mu2])| {
+    fn format_best(&self) -> String {
+        let best_point = *self.best_point.lock().unwrap_or_else(PoisonError::into_inner);
+        best_point.map_or_else(String::new, |(objective, [mu1, mu2])| {
             format!("  best {objective:.4} at μ1 = {mu1:.3}, μ2 = {mu2:.3}")
         })
     }
@@ -305,9 +312,9 @@ impl TuningDisplay {
 
 impl TuningProgress for TuningDisplay {
     fn begun(&self, number: usize, [mu1, mu2]: WeightPair) {
-        let so_far = self.so_far();
+        let best_text = self.format_best();
         self.bar.set_message(format!(
-            "point {}: μ1 = {mu1:.3}, μ2 = {mu2:.3} ({} runs){so_far}",
+            "point {}: μ1 = {mu1:.3}, μ2 = {mu2:.3} ({} runs){best_text}",
             number + 1,
             self.runs
         ));
@@ -322,14 +329,14 @@ impl TuningProgress for TuningDisplay {
     }
 
     fn point(&self, point: &TuningPoint) {
-        let mut best = self.best.lock().unwrap_or_else(PoisonError::into_inner);
-        let own = (point.evaluation.objective, point.weights);
-        if best.is_none_or(|(known, _)| own.0 > known) {
-            *best = Some(own);
+        let mut best_point = self.best_point.lock().unwrap_or_else(PoisonError::into_inner);
+        let candidate = (point.evaluation.objective, point.weights);
+        if best_point.is_none_or(|(best_known, _)| candidate.0 > best_known) {
+            *best_point = Some(candidate);
         }
     }
 
     fn stop(&self) -> bool {
-        self.signals.have_come()
+        self.signals.has_arrived()
     }
 }

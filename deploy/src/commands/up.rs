@@ -1,4 +1,5 @@
-//! `reveille up`: a base station and its device processes on this machine.
+//! `reveille up`: a base station and its device processes on this machine. `bs` serves the run, `supervisor` keeps the
+//! processes.
 
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -10,30 +11,30 @@ use reveille_common::bus::{self, Bus, draw_secret, scaled_timeout};
 use reveille_common::keys::RunName;
 use reveille_device::host::{self, HostConfig, HostError};
 
-use super::bs::{Service, check, serve, settings};
+use super::bs::{Service, check_watchers, serve_run, server_settings};
 use super::resolve_scenario::resolve_run;
-use super::window;
+use super::window_length;
 use crate::child_process::{self, DeviceProcesses, Threads};
 use crate::cli::{OnLossArg, UpArgs};
 use crate::exit::ExitReason;
 use crate::policy_source::policy_source;
 use crate::run_folder::RunFolder;
-use crate::signals::{Manner, Signals};
+use crate::signals::{SignalMode, Signals};
 use crate::summary::Timing;
 use crate::supervisor::{Supervisor, SupervisorConfig};
 
 /// Default number of device processes.
-const PROCESSES: u32 = 4;
+const DEFAULT_PROCESSES: u32 = 4;
 /// Time for all device processes to join, if they are few.
-const JOIN: Duration = Duration::from_mins(1);
+const JOIN_TIMEOUT: Duration = Duration::from_mins(1);
 
 /// Runs the base station and the devices on this machine.
 pub(crate) async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCode> {
-    child_process::end_with(args.output.parent)?;
+    child_process::exit_with_optional_parent(args.output.parent)?;
     let started = crate::runtime::now();
     let (scenario, given) = resolve_run(&args.scenario, &args.output)?;
     let devices = scenario.run.devices;
-    let processes = args.processes.unwrap_or(PROCESSES.min(devices));
+    let processes = args.processes.unwrap_or(DEFAULT_PROCESSES.min(devices));
     anyhow::ensure!(
         processes <= devices,
         "--processes {processes}: must be from 0 to {devices}, the number of devices"
@@ -41,21 +42,21 @@ pub(crate) async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCod
     if processes == 0 && args.drive.on_loss != OnLossArg::Wait {
         tracing::warn!("--on-loss has no effect: with --processes 0 there is no device process to lose");
     }
-    check(&args.output, &args.drive)?;
-    let deciding = policy_source(&scenario, given, &args.drive)?;
-    crate::file_limits::for_station(processes)?;
+    check_watchers(&args.output, &args.drive)?;
+    let policy_source = policy_source(&scenario, given, &args.drive)?;
+    crate::file_limits::ensure_for_station(processes)?;
     // Checked before the folder is created: an endpoint in use must not cost a run that --force replaces.
     bus::resolve_listen_endpoint(&args.listen)?;
-    let signals = Signals::install(Manner::Keeps)?;
+    let signals = Signals::install(SignalMode::SavesResults)?;
     let folder = RunFolder::create(&args.output, &scenario)?;
     match listen(args, &folder).await {
         Ok((bus, run)) => {
             let service = Service {
                 settings: ServerConfig {
-                    join_patience: Some(scaled_timeout(JOIN, processes)),
-                    key: Some(draw_secret()?),
-                    members_only: true,
-                    ..settings(&args.drive, &args.output, window(&args.output, &scenario))
+                    join_timeout: Some(scaled_timeout(JOIN_TIMEOUT, processes)),
+                    run_key: Some(draw_secret()?),
+                    join_needs_key: true,
+                    ..server_settings(&args.drive, &args.output, window_length(&args.output, &scenario))
                 },
                 bus: &bus,
                 run: &run,
@@ -63,12 +64,12 @@ pub(crate) async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCod
                 output: &args.output,
                 dashboard: args.drive.dashboard.as_deref(),
                 audit: args.drive.audit,
-                deciding,
+                policy_source,
                 progress: Arc::default(),
                 signals: &signals,
                 started,
             };
-            attend(processes, &service, folder, (args.untuned, log)).await
+            serve_with_devices(processes, &service, folder, (args.untuned, log)).await
         }
         Err(error) => {
             folder.fail(&error);
@@ -82,13 +83,13 @@ async fn listen(args: &UpArgs, folder: &RunFolder) -> anyhow::Result<(Bus, RunNa
         Some(run) => run.clone(),
         None => folder.name().parse().context("the run folder's name")?,
     };
-    let processes = args.processes.unwrap_or(PROCESSES);
+    let processes = args.processes.unwrap_or(DEFAULT_PROCESSES);
     let bus = Bus::listen_for_hosts(processes, &args.listen, run.clone()).await?;
     Ok((bus, run))
 }
 
 /// Serves the run to devices in this process or in `processes` others.
-async fn attend(
+async fn serve_with_devices(
     processes: u32,
     service: &Service<'_>,
     folder: RunFolder,
@@ -97,33 +98,33 @@ async fn attend(
     let devices = service.scenario.run.devices;
     if processes == 0 {
         // Without a tap, since the base station already copies both directions.
-        let own = service.bus.without_tap();
-        let offer = HostConfig {
-            count: devices,
+        let host_bus = service.bus.without_tap();
+        let host_config = HostConfig {
+            max_devices: devices,
             name: "the base station's own process".to_owned(),
-            key: service.settings.key,
-            patience: JOIN,
+            key: service.settings.run_key,
+            patience: JOIN_TIMEOUT,
             // With a single host there are no devices to take over.
             stands_by: false,
-            hands_over: is_untuned,
+            uses_worker: is_untuned,
         };
-        let carried = tokio::spawn(async move { host::run_host(&own, offer, &|_| {}).await });
-        let code = serve(service, folder, |_| {}).await;
+        let host_task = tokio::spawn(async move { host::run_host(&host_bus, host_config, &|_| {}).await });
+        let code = serve_run(service, folder, |_| {}).await;
         if code
             .as_ref()
             .is_err_and(|error| ExitReason::from_error(error) == ExitReason::Interrupted)
         {
             // The devices would wait to join a run that never starts, or for a base station that has ended.
-            carried.abort();
+            host_task.abort();
             return code;
         }
-        return match carried.await.context("the devices' task")? {
+        return match host_task.await.context("the devices' task")? {
             // `code` already has the error that the base station sent to the devices.
             Ok(()) | Err(HostError::RunFailed(_)) => code,
             Err(error) => Err(error.into()),
         };
     }
-    let fleet = DeviceProcesses {
+    let device_processes = DeviceProcesses {
         devices,
         processes,
         endpoint: service.bus.endpoint(),
@@ -131,45 +132,45 @@ async fn attend(
         log,
         is_untuned,
     };
-    let orders = SupervisorConfig {
-        commands: fleet.commands(),
-        key: service.settings.key,
+    let config = SupervisorConfig {
+        commands: device_processes.commands(),
+        key: service.settings.run_key,
         threads: if is_untuned { Threads::Default } else { Threads::One },
         on_loss: service.settings.on_loss,
     };
-    let launcher = match Supervisor::start(orders, &service.progress) {
-        Ok(launcher) => launcher,
+    let supervisor = match Supervisor::start(config, &service.progress) {
+        Ok(supervisor) => supervisor,
         Err(error) => {
             folder.fail(&error);
             return Err(error);
         }
     };
-    let code = serve(service, folder, |timing| measure(&launcher.pids(), timing)).await;
-    // After an error the drop of `launcher` ends the processes without a wait.
+    let code = serve_run(service, folder, |timing| measure_memory(&supervisor.pids(), timing)).await;
+    // After an error the drop of `supervisor` ends the processes without a wait.
     if code.is_ok() {
-        launcher.wait();
+        supervisor.wait();
     }
     code
 }
 
 /// Measures the mean memory of the live device processes.
-fn measure(pids: &[u32], timing: &mut Timing) {
+fn measure_memory(pids: &[u32], timing: &mut Timing) {
     let field = |text: &str, name: &str| -> f64 {
         let line = text.lines().find_map(|line| line.strip_prefix(name));
         line.and_then(|rest| rest.split_whitespace().next()?.parse().ok())
             .unwrap_or(0.0)
     };
-    let mut seen = 0.0;
+    let mut measured = 0.0;
     for pid in pids {
         // A process can have ended since its pid was listed.
         if let Ok(text) = std::fs::read_to_string(format!("/proc/{pid}/smaps_rollup")) {
             timing.host_rss_mb += field(&text, "Rss:") / 1024.0;
             timing.host_pss_mb += field(&text, "Pss:") / 1024.0;
-            seen += 1.0;
+            measured += 1.0;
         }
     }
-    if seen > 0.0 {
-        timing.host_rss_mb /= seen;
-        timing.host_pss_mb /= seen;
+    if measured > 0.0 {
+        timing.host_rss_mb /= measured;
+        timing.host_pss_mb /= measured;
     }
 }

@@ -1,4 +1,5 @@
-//! The HTTP interface that the dashboard page uses.
+//! The HTTP interface that the dashboard page uses: one handler per route of `mod.rs`. Every request passes
+//! [`check_request`] first. `page/api.js` uses the paths and keys.
 
 use std::convert::Infallible;
 use std::net::SocketAddr;
@@ -15,7 +16,7 @@ use reveille_common::bus::Bus;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{ClockCommand, MessageKind, Pace, Plane};
 use reveille_view::filter::{Filter, StateName};
-use reveille_view::frame_line::{FrameLine, hex, owner};
+use reveille_view::frame_line::{FrameLine, key_owner, to_hex};
 use reveille_view::history::RunHistory;
 use serde::Deserialize;
 use serde_json::{Value, json};
@@ -26,17 +27,17 @@ use super::feed::Feed;
 use crate::metrics_server::is_allowed_host;
 
 /// The header that holds the token.
-const TOKEN: &str = "x-reveille-token";
+const TOKEN_HEADER: &str = "x-reveille-token";
 /// Least time between two updates of the page.
-const BEAT: Duration = Duration::from_millis(40);
+const UPDATE_INTERVAL: Duration = Duration::from_millis(40);
 /// Most messages in one answer.
-const MOST: usize = 1_000;
+const MAX_MESSAGES: usize = 1_000;
 /// Longest history of a device and longest search for states, TTIs.
-const LONGEST: u64 = 5_000;
+const MAX_HISTORY_TTIS: u64 = 5_000;
 /// Most concurrent readers of the history.
-const READERS: usize = 2;
+const MAX_READERS: usize = 2;
 /// Longest wait for an answer of the clock.
-const PATIENCE: Duration = Duration::from_secs(5);
+const CLOCK_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// State shared by all request handlers.
 #[derive(Clone)]
@@ -44,7 +45,7 @@ pub(super) struct ApiState {
     feed: Arc<Feed>,
     bus: Option<Bus>,
     token: Arc<str>,
-    at: SocketAddr,
+    address: SocketAddr,
     /// The current state of the run, broadcast to all clients.
     now: Arc<watch::Sender<Arc<str>>>,
     /// Permits for concurrent readers of the history.
@@ -52,20 +53,20 @@ pub(super) struct ApiState {
 }
 
 impl ApiState {
-    /// Creates the state of a server at `at`. Call it within a runtime.
-    pub(super) fn new(feed: Arc<Feed>, bus: Option<Bus>, token: String, at: SocketAddr) -> Self {
+    /// Creates the state of a server at `address`. Call it within a runtime.
+    pub(super) fn new(feed: Arc<Feed>, bus: Option<Bus>, token: String, address: SocketAddr) -> Self {
         let now = Arc::new(watch::Sender::new(Arc::from("{}")));
-        let (own, send) = (Arc::clone(&feed), Arc::clone(&now));
+        let (feed_copy, send) = (Arc::clone(&feed), Arc::clone(&now));
         tokio::spawn(async move {
             loop {
                 // `notify_waiters` keeps no permit: the timeout covers a notification that came while nothing waited.
-                let rung = tokio::time::timeout(Duration::from_secs(1), own.changed.notified()).await;
-                if rung.is_ok() {
-                    tokio::time::sleep(BEAT).await;
+                let notified = tokio::time::timeout(Duration::from_secs(1), feed_copy.changed.notified()).await;
+                if notified.is_ok() {
+                    tokio::time::sleep(UPDATE_INTERVAL).await;
                 }
                 // Without a listener the state is not computed.
                 if send.receiver_count() > 0 {
-                    let _gone = send.send(Arc::from(own.now().to_string())).is_err();
+                    let _gone = send.send(Arc::from(feed_copy.current_json().to_string())).is_err();
                 }
             }
         });
@@ -73,28 +74,34 @@ impl ApiState {
             feed,
             bus,
             token: token.into(),
-            at,
+            address,
             now,
-            readers: Arc::new(Semaphore::new(READERS)),
+            readers: Arc::new(Semaphore::new(MAX_READERS)),
         }
     }
 
     /// Runs `look` on a blocking thread. Few run at a time, so that the run's own thread is not delayed.
-    async fn aside<T: Send + 'static>(&self, look: impl FnOnce(&Feed) -> T + Send + 'static) -> Result<T, ApiError> {
-        let busy = || {
+    async fn read_feed<T: Send + 'static>(
+        &self,
+        look: impl FnOnce(&Feed) -> T + Send + 'static,
+    ) -> Result<T, ApiError> {
+        let unavailable = || {
             ApiError(
                 StatusCode::SERVICE_UNAVAILABLE,
                 "the dashboard is shutting down".to_owned(),
             )
         };
-        let permit = Arc::clone(&self.readers).acquire_owned().await.map_err(|_| busy())?;
+        let permit = Arc::clone(&self.readers)
+            .acquire_owned()
+            .await
+            .map_err(|_| unavailable())?;
         let feed = Arc::clone(&self.feed);
-        let looked = tokio::task::spawn_blocking(move || {
+        let result = tokio::task::spawn_blocking(move || {
             // Held by the thread itself: it can outlive a request that is given up.
             let _permit = permit;
             look(&feed)
         });
-        looked.await.map_err(|_| busy())
+        result.await.map_err(|_| unavailable())
     }
 }
 
@@ -111,8 +118,8 @@ impl IntoResponse for ApiError {
 }
 
 /// Passes on allowed requests only.
-pub(super) async fn guard(State(served): State<ApiState>, request: Request, next: Next) -> Response {
-    match refused(&served, &request) {
+pub(super) async fn check_request(State(served): State<ApiState>, request: Request, next: Next) -> Response {
+    match refusal_of(&served, &request) {
         Some(refusal) => refusal.into_response(),
         None => next.run(request).await,
     }
@@ -120,24 +127,24 @@ pub(super) async fn guard(State(served): State<ApiState>, request: Request, next
 
 /// The reason why a request is refused, if it is. Refused are requests under another host name, from a page of another
 /// site, and without the token. Reading from a loopback address needs no token.
-fn refused(served: &ApiState, request: &Request) -> Option<ApiError> {
-    let get = |name: &str| request.headers().get(name).and_then(|value| value.to_str().ok());
-    let host = get(header::HOST.as_str());
+fn refusal_of(served: &ApiState, request: &Request) -> Option<ApiError> {
+    let header_text = |name: &str| request.headers().get(name).and_then(|value| value.to_str().ok());
+    let host = header_text(header::HOST.as_str());
     // Against DNS rebinding: another site can make its own name resolve to this machine.
-    if !is_allowed_host(host, served.at) {
+    if !is_allowed_host(host, served.address) {
         let why = "the request names another host; open the printed address".to_owned();
         return Some(ApiError(StatusCode::MISDIRECTED_REQUEST, why));
     }
-    let own = host.map(|host| format!("http://{host}"));
+    let own_origin = host.map(|host| format!("http://{host}"));
     // Browsers name the page that sends the request; a page of another site must not drive the clock.
-    if get(header::ORIGIN.as_str()).is_some_and(|origin| Some(origin) != own.as_deref()) {
+    if header_text(header::ORIGIN.as_str()).is_some_and(|origin| Some(origin) != own_origin.as_deref()) {
         return Some(ApiError(
             StatusCode::FORBIDDEN,
             "the request comes from another site".to_owned(),
         ));
     }
     // A simple GET from another site has no Origin, but browsers mark it with this header.
-    if get("sec-fetch-site") == Some("cross-site") && request.uri().path().starts_with("/api/") {
+    if header_text("sec-fetch-site") == Some("cross-site") && request.uri().path().starts_with("/api/") {
         return Some(ApiError(
             StatusCode::FORBIDDEN,
             "the request comes from a page of another site".to_owned(),
@@ -145,11 +152,12 @@ fn refused(served: &ApiState, request: &Request) -> Option<ApiError> {
     }
     let is_reading = request.method() == Method::GET;
     let is_page = !request.uri().path().starts_with("/api/");
-    let is_free = is_reading && (is_page || served.at.ip().is_loopback());
+    let needs_no_token = is_reading && (is_page || served.address.ip().is_loopback());
     // Compared in constant time, so that the response time reveals nothing about the token.
-    let has_token = get(TOKEN).is_some_and(|token| token.as_bytes().ct_eq(served.token.as_bytes()).into());
+    let has_token =
+        header_text(TOKEN_HEADER).is_some_and(|token| token.as_bytes().ct_eq(served.token.as_bytes()).into());
     let why = || "the token is missing; open the address that the program printed".to_owned();
-    (!is_free && !has_token).then(|| ApiError(StatusCode::UNAUTHORIZED, why()))
+    (!needs_no_token && !has_token).then(|| ApiError(StatusCode::UNAUTHORIZED, why()))
 }
 
 pub(super) async fn about(State(served): State<ApiState>) -> Json<Value> {
@@ -159,13 +167,13 @@ pub(super) async fn about(State(served): State<ApiState>) -> Json<Value> {
 }
 
 pub(super) async fn now(State(served): State<ApiState>) -> Json<Value> {
-    Json(served.feed.now())
+    Json(served.feed.current_json())
 }
 
 /// Sends the state of the run after every change, as server-sent events. Slow readers skip some.
 pub(super) async fn live(State(served): State<ApiState>) -> impl IntoResponse {
     // Sent without a wait: the next change of a paused run can be far away.
-    let first = Some(served.feed.now().to_string());
+    let first = Some(served.feed.current_json().to_string());
     let events = futures::stream::unfold((served.now.subscribe(), first), |(mut now, first)| async move {
         let event = if let Some(first) = first {
             Event::default().data(first)
@@ -179,13 +187,13 @@ pub(super) async fn live(State(served): State<ApiState>) -> impl IntoResponse {
 }
 
 pub(super) async fn tti(State(served): State<ApiState>, Path(tti): Path<u64>) -> ApiResult {
-    let found = served.aside(move |feed| feed.at(Tti(tti))).await?;
-    found
+    let value = served.read_feed(move |feed| feed.tti_json(Tti(tti))).await?;
+    value
         .map(Json)
         .ok_or_else(|| ApiError(StatusCode::NOT_FOUND, format!("TTI {tti} is not in memory any more")))
 }
 
-fn alone() -> ApiError {
+fn no_compared_run() -> ApiError {
     ApiError(
         StatusCode::NOT_FOUND,
         "the dashboard has no other run; start it with --compare".to_owned(),
@@ -193,21 +201,25 @@ fn alone() -> ApiError {
 }
 
 pub(super) async fn other_tti(State(served): State<ApiState>, Path(tti): Path<u64>) -> ApiResult {
-    let found = served
-        .aside(move |feed| feed.other().map(|other| other.at(Tti(tti))))
+    let value = served
+        .read_feed(move |feed| feed.compared_feed().map(|other| other.tti_json(Tti(tti))))
         .await?;
-    found
-        .ok_or_else(alone)?
+    value
+        .ok_or_else(no_compared_run)?
         .map(Json)
         .ok_or_else(|| ApiError(StatusCode::NOT_FOUND, format!("TTI {tti} is not in the other run")))
 }
 
 pub(super) async fn other_curves(State(served): State<ApiState>) -> ApiResult {
-    served.feed.other().map(|other| Json(other.curves())).ok_or_else(alone)
+    served
+        .feed
+        .compared_feed()
+        .map(|other| Json(other.curves()))
+        .ok_or_else(no_compared_run)
 }
 
 pub(super) async fn compared(State(served): State<ApiState>) -> ApiResult {
-    served.feed.compared().map(Json).ok_or_else(alone)
+    served.feed.comparison_json().map(Json).ok_or_else(no_compared_run)
 }
 
 pub(super) async fn curves(State(served): State<ApiState>) -> Json<Value> {
@@ -229,23 +241,23 @@ pub(super) struct MessageQuery {
 
 impl MessageQuery {
     fn filter(&self, feed: &Feed) -> Result<Filter, ApiError> {
-        let refuse = |what: &str| ApiError(StatusCode::BAD_REQUEST, format!("no such {what}"));
+        let unknown_value = |what: &str| ApiError(StatusCode::BAD_REQUEST, format!("no such {what}"));
         let plane = self.plane.as_deref().filter(|name| !name.is_empty());
         let plane = plane.map(|name| {
             Plane::ALL
                 .into_iter()
                 .find(|plane| plane.name() == name)
-                .ok_or_else(|| refuse("plane; use air, emu or truth"))
+                .ok_or_else(|| unknown_value("plane; use air, emu or truth"))
         });
-        let kinds = listed(self.kind.as_deref());
+        let kinds = split_names(self.kind.as_deref());
         let kind = |name| MessageKind::ALL.iter().copied().find(|kind| kind.name() == name);
-        let kinds = kinds.map(|name| kind(name).ok_or_else(|| refuse("kind")));
+        let kinds = kinds.map(|name| kind(name).ok_or_else(|| unknown_value("kind")));
         let state = |name| StateName::ALL.into_iter().find(|(own, _)| *own == name);
-        let states = listed(self.state.as_deref()).map(|name| state(name).ok_or_else(|| refuse("state")));
+        let states = split_names(self.state.as_deref()).map(|name| state(name).ok_or_else(|| unknown_value("state")));
         let own = self.device.map(DeviceId);
         let devices = match self.cluster {
             Some(number) => {
-                let group = feed.group(number).ok_or_else(|| refuse("cluster"))?;
+                let group = feed.group(number).ok_or_else(|| unknown_value("cluster"))?;
                 Some(
                     group
                         .into_iter()
@@ -261,16 +273,16 @@ impl MessageQuery {
             devices,
             ttis: Some(self.since.unwrap_or(0)..=self.until.unwrap_or(u64::MAX)),
             states: states
-                .map(|found| found.map(|(_, state)| state))
+                .map(|state| state.map(|(_, state)| state))
                 .collect::<Result<_, _>>()?,
         };
-        let (first, last) = feed.history(RunHistory::span);
+        let (first, last) = feed.history(RunHistory::available_ttis);
         let (from, end) = (
             first.0.max(self.since.unwrap_or(0)),
             last.0.min(self.until.unwrap_or(u64::MAX)),
         );
-        if !filter.states.is_empty() && end.saturating_sub(from) > LONGEST {
-            let why = format!("a state filter covers at most {LONGEST} TTIs; limit it with from and to");
+        if !filter.states.is_empty() && end.saturating_sub(from) > MAX_HISTORY_TTIS {
+            let why = format!("a state filter covers at most {MAX_HISTORY_TTIS} TTIs; limit it with from and to");
             return Err(ApiError(StatusCode::BAD_REQUEST, why));
         }
         filter.check().map_err(|why| ApiError(StatusCode::BAD_REQUEST, why))?;
@@ -279,17 +291,17 @@ impl MessageQuery {
 }
 
 /// The names in a comma-separated list.
-fn listed(names: Option<&str>) -> impl Iterator<Item = &str> {
+fn split_names(names: Option<&str>) -> impl Iterator<Item = &str> {
     let names = names.unwrap_or_default().split(',').map(str::trim);
     names.filter(|name| !name.is_empty())
 }
 
-pub(super) async fn messages(State(served): State<ApiState>, Query(wanted): Query<MessageQuery>) -> ApiResult {
-    let filter = wanted.filter(&served.feed)?;
-    let most = wanted.limit.unwrap_or(MOST).min(MOST);
+pub(super) async fn messages(State(served): State<ApiState>, Query(query): Query<MessageQuery>) -> ApiResult {
+    let filter = query.filter(&served.feed)?;
+    let limit = query.limit.unwrap_or(MAX_MESSAGES).min(MAX_MESSAGES);
     let rows = served
-        .aside(move |feed| {
-            feed.history(|story| {
+        .read_feed(move |feed| {
+            feed.history(|history| {
                 let row = |(number, frame): (u64, &reveille_common::message::Frame)| {
                     let text = match frame.message() {
                         Ok(message) => message.to_string(),
@@ -300,12 +312,16 @@ pub(super) async fn messages(State(served): State<ApiState>, Query(wanted): Quer
                         "tti": frame.tti,
                         "plane": frame.kind.plane().name(),
                         "kind": frame.kind.name(),
-                        "whose": owner(frame.kind, frame.number),
+                        "whose": key_owner(frame.kind, frame.number),
                         "bytes": frame.payload.len(),
                         "text": text,
                     })
                 };
-                story.frames(&filter, most).into_iter().map(row).collect::<Vec<Value>>()
+                history
+                    .frames(&filter, limit)
+                    .into_iter()
+                    .map(row)
+                    .collect::<Vec<Value>>()
             })
         })
         .await?;
@@ -313,12 +329,12 @@ pub(super) async fn messages(State(served): State<ApiState>, Query(wanted): Quer
 }
 
 pub(super) async fn message(State(served): State<ApiState>, Path(number): Path<u64>) -> ApiResult {
-    let found = served.feed.history(|story| {
-        let frame = story.frame(number)?;
+    let value = served.feed.history(|history| {
+        let frame = history.frame(number)?;
         let line: Value = serde_json::from_str(&FrameLine::new(frame).to_json()).ok()?;
-        Some(json!({ "message": line, "hex": hex(&frame.payload) }))
+        Some(json!({ "message": line, "hex": to_hex(&frame.payload) }))
     });
-    found.map(Json).ok_or_else(|| {
+    value.map(Json).ok_or_else(|| {
         ApiError(
             StatusCode::NOT_FOUND,
             format!("message {number} is not in memory any more"),
@@ -341,15 +357,15 @@ pub(super) async fn device(
     Query(span): Query<TtiRange>,
 ) -> ApiResult {
     let (from, end) = (span.from.unwrap_or(0), span.end.unwrap_or(u64::MAX));
-    let look = move |story: &RunHistory| {
-        let (first, last) = story.span();
+    let look = move |history: &RunHistory| {
+        let (first, last) = history.available_ttis();
         // A request can name any TTIs, so the length of the history is bounded.
         let (from, end) = (Tti(from).max(first).min(last), Tti(end).min(last));
-        let end = end.min(from + LONGEST);
-        let totals = span.at.and_then(|at| story.totals(DeviceId(device), Tti(at)));
-        (story.history(DeviceId(device), from, end), totals)
+        let end = end.min(from + MAX_HISTORY_TTIS);
+        let totals = span.at.and_then(|at| history.totals(DeviceId(device), Tti(at)));
+        (history.device_views(DeviceId(device), from, end), totals)
     };
-    let (history, totals) = served.aside(move |feed| feed.history(look)).await?;
+    let (history, totals) = served.read_feed(move |feed| feed.history(look)).await?;
     if history.is_empty() {
         return Err(ApiError(
             StatusCode::NOT_FOUND,
@@ -377,7 +393,7 @@ pub(super) async fn device(
 }
 
 pub(super) async fn clock(State(served): State<ApiState>) -> ApiResult {
-    ask(&served, ClockCommand::Status).await
+    command_clock(&served, ClockCommand::Status).await
 }
 
 /// The number of a command.
@@ -405,17 +421,17 @@ pub(super) async fn command(
             return Err(ApiError(StatusCode::BAD_REQUEST, why));
         }
     };
-    ask(&served, command).await
+    command_clock(&served, command).await
 }
 
-async fn ask(served: &ApiState, command: ClockCommand) -> ApiResult {
+async fn command_clock(served: &ApiState, command: ClockCommand) -> ApiResult {
     let Some(bus) = &served.bus else {
         return Err(ApiError(
             StatusCode::CONFLICT,
             "a recording has no clock to control".to_owned(),
         ));
     };
-    match bus.query(&command, PATIENCE).await {
+    match bus.query(&command, CLOCK_TIMEOUT).await {
         // The clock ignores such a command; its status alone does not show that.
         Ok(Some(status)) if matches!(command, ClockCommand::RunTo(k) if k < status.tti || k.0 > status.ttis) => {
             let (next, ttis) = (status.tti, status.ttis);

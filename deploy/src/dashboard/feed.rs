@@ -1,4 +1,5 @@
-//! The dashboard's copy of a run: its history, the curves over it and its current state.
+//! The dashboard's copy of a run: its history, the curves over it and its current state. One thread takes the frames;
+//! `api` reads from many requests. The JSON here is the page's data: a changed key needs a change in `page/*.js`.
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -8,7 +9,7 @@ use std::time::Duration;
 
 use reveille_bs::scenario::Scenario;
 use reveille_common::deployment::Deployment;
-use reveille_common::geometry::cells;
+use reveille_common::geometry::voronoi_cells;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{EventUpdate, Frame, Message, MessageKind, WakeOutcome};
 use reveille_common::state::{DeviceState, DeviceView};
@@ -21,15 +22,15 @@ use serde_json::{Value, json};
 use tokio::sync::Notify;
 
 /// TTIs of a live run that stay available for inspection.
-const LIVE: u64 = 100_000;
+const MAX_LIVE_TTIS: u64 = 100_000;
 /// Capacity of the frame queue.
-const QUEUE: usize = 65_536;
+const QUEUE_CAPACITY: usize = 65_536;
 /// Longest wait for one frame.
-const IDLE: Duration = Duration::from_secs(1);
+const FRAME_TIMEOUT: Duration = Duration::from_secs(1);
 /// Most points of a curve; beyond that, every other point is dropped.
-const POINTS: usize = 800;
+const MAX_CURVE_POINTS: usize = 800;
 /// Initial distance of two points in TTIs, in a run that is long enough.
-const SPACING: u64 = 10;
+const FIRST_SPACING_TTIS: u64 = 10;
 /// Metrics that have a curve.
 const CURVES: [&str; 6] = [
     "info_p1",
@@ -40,7 +41,7 @@ const CURVES: [&str; 6] = [
     "energy_report_per_device_tti",
 ];
 /// Number of listed events.
-const TICKER: usize = 6;
+const MAX_TICKER_EVENTS: usize = 6;
 /// Battery quantiles that have a curve.
 const QUANTILES: [f64; 3] = [0.05, 0.5, 0.95];
 
@@ -51,7 +52,7 @@ pub(crate) struct Feed {
     about: Value,
     /// The group of each device, if the policy has groups.
     groups: Option<Vec<u32>>,
-    known: Mutex<FeedState>,
+    state: Mutex<FeedState>,
     /// Length K of the run.
     ttis: u64,
     /// The run that this one is compared with.
@@ -73,18 +74,18 @@ pub(crate) struct ComparedRun {
 }
 
 struct FeedState {
-    story: RunHistory,
+    history: RunHistory,
     comparison: Option<RunComparison>,
     traffic: TrafficStats,
     /// One entry per time, with a value for every curve.
     points: Vec<Value>,
     /// TTIs between two points.
     spacing: u64,
-    due: Tti,
+    next_point: Tti,
     /// The reason why the states no longer follow the run, if they do not.
-    broken: Option<String>,
+    failure: Option<String>,
     /// Outcomes so far of the current event.
-    under_way: Vec<String>,
+    event_outcomes: Vec<String>,
     /// The last events with their outcomes, the latest first.
     ticker: VecDeque<Value>,
 }
@@ -138,31 +139,32 @@ impl Feed {
             "area": [scenario.area.width, scenario.area.height],
             "d_max": scenario.sensing.d_max,
             "positions": positions,
-            "cells": cells(&positions, scenario.area),
+            "cells": voronoi_cells(&positions, scenario.area),
             "groups": groups,
             "e_max": e_max,
             "curves": CURVES,
             "live": is_live,
             "compared": compared.is_some(),
         });
-        let length = if is_live { LIVE } else { u64::MAX };
+        let max_ttis = if is_live { MAX_LIVE_TTIS } else { u64::MAX };
         let e_max = deployment.devices.iter().map(|device| device.energy.e_max).max();
         Arc::new(Self {
             e_max: e_max.unwrap_or(Energy::ZERO),
             about,
             groups,
-            known: Mutex::new(FeedState {
+            state: Mutex::new(FeedState {
                 comparison: compared
                     .as_mut()
                     .map(|compared| std::mem::take(&mut compared.comparison)),
-                story: RunHistory::new(scenario, length),
+                history: RunHistory::new(scenario, max_ttis),
                 traffic: TrafficStats::default(),
                 points: Vec::new(),
-                // A short run gets a point for every TTI; a long one starts with SPACING, and `draw` thins it out.
-                spacing: (scenario.run.ttis / POINTS as u64).clamp(1, SPACING),
-                due: Tti::ZERO,
-                broken: None,
-                under_way: Vec::new(),
+                // A short run gets a point for every TTI. A long one starts with FIRST_SPACING_TTIS, and
+                // `add_curve_point` thins it out.
+                spacing: (scenario.run.ttis / MAX_CURVE_POINTS as u64).clamp(1, FIRST_SPACING_TTIS),
+                next_point: Tti::ZERO,
+                failure: None,
+                event_outcomes: Vec::new(),
                 ticker: VecDeque::new(),
             }),
             ttis: scenario.run.ttis,
@@ -177,18 +179,18 @@ impl Feed {
     /// # Errors
     /// If no thread can be started.
     pub(crate) fn open(self: &Arc<Self>) -> std::io::Result<FeedHandle> {
-        let (send, frames) = sync_channel(QUEUE);
+        let (send, frames) = sync_channel(QUEUE_CAPACITY);
         let (feed, mut batches) = (Arc::clone(self), BatchReceiver::new(frames));
         let take = move || {
             lower_priority();
             let mut is_over = false;
             loop {
-                match batches.next(IDLE) {
+                match batches.next(FRAME_TIMEOUT) {
                     Ok(batch) => {
-                        let mut known = feed.known();
+                        let mut state = feed.lock();
                         for item in batch {
                             match item {
-                                FeedItem::Frame(frame) => known.take(frame),
+                                FeedItem::Frame(frame) => state.take(frame),
                                 FeedItem::End => is_over = true,
                             }
                         }
@@ -209,28 +211,28 @@ impl Feed {
 
     /// Takes a frame.
     pub(crate) fn take(&self, frame: Frame) {
-        self.known().take(frame);
+        self.lock().take(frame);
     }
 
     /// Marks the rest of the run as unreadable, for the given reason.
     pub(crate) fn mark_torn(&self, why: String) {
-        self.known().broken = Some(why);
+        self.lock().failure = Some(why);
     }
 
     /// Ends the feed.
     pub(crate) fn end(&self) {
-        let mut known = self.known();
-        let (_, next) = known.story.span();
+        let mut state = self.lock();
+        let (_, next) = state.history.available_ttis();
         if next > Tti::ZERO {
-            known.draw(next);
+            state.add_curve_point(next);
         }
         // A run that was cut short cannot be compared beyond its end.
         let is_whole = next.0 >= self.ttis;
-        if let Some(comparison) = known.comparison.as_mut().filter(|_| is_whole) {
+        if let Some(comparison) = state.comparison.as_mut().filter(|_| is_whole) {
             comparison.end(RunSide::This);
         }
-        // Released before the bell: the readers that it wakes take the lock.
-        drop(known);
+        // Released before the notification: the readers that it wakes take the lock.
+        drop(state);
         self.is_over.store(true, Ordering::Relaxed);
         self.changed.notify_waiters();
     }
@@ -241,72 +243,72 @@ impl Feed {
     }
 
     /// The available TTIs and the latest states.
-    pub(crate) fn now(&self) -> Value {
-        let mut known = self.known();
-        let (first, next) = known.story.span();
-        let moment = known.story.latest();
-        let mut now = self.snapshot_json(Tti(next.0.saturating_sub(1)), &moment);
-        let events = known.story.now().events();
+    pub(crate) fn current_json(&self) -> Value {
+        let mut state = self.lock();
+        let (first, next) = state.history.available_ttis();
+        let snapshot = state.history.latest();
+        let mut now = self.snapshot_json(Tti(next.0.saturating_sub(1)), &snapshot);
+        let events = state.history.now().events();
         now["first"] = json!(first);
         now["next"] = json!(next);
         now["over"] = json!(self.is_over.load(Ordering::Relaxed));
-        now["broken"] = json!(known.broken);
+        now["broken"] = json!(state.failure);
         now["events"] = json!(events.events);
         now["missed"] = json!(events.misdetected);
-        now["ticker"] = json!(known.ticker);
-        now["messages"] = json!(known.traffic.kinds().map(|(_, count)| count.messages).sum::<u64>());
+        now["ticker"] = json!(state.ticker);
+        now["messages"] = json!(state.traffic.kinds().map(|(_, count)| count.messages).sum::<u64>());
         now
     }
 
     /// The data of TTI `tti`, if it is available.
-    pub(crate) fn at(&self, tti: Tti) -> Option<Value> {
-        let moment = self.known().story.at(tti)?;
-        Some(self.snapshot_json(tti, &moment))
+    pub(crate) fn tti_json(&self, tti: Tti) -> Option<Value> {
+        let snapshot = self.lock().history.snapshot_at(tti)?;
+        Some(self.snapshot_json(tti, &snapshot))
     }
 
-    fn snapshot_json(&self, tti: Tti, moment: &TtiSnapshot) -> Value {
-        let woken: Vec<Value> = moment
+    fn snapshot_json(&self, tti: Tti, snapshot: &TtiSnapshot) -> Value {
+        let woken: Vec<Value> = snapshot
             .woken
             .iter()
             .map(|(device, outcome)| json!({ "device": device, "outcome": outcome, "text": outcome.to_string() }))
             .collect();
         json!({
             "tti": tti,
-            "states": states(&moment.views),
-            "batteries": self.batteries(&moment.views),
-            "on": moment.on.iter().map(|on| if *on { '1' } else { '0' }).collect::<String>(),
-            "event": moment.event,
-            "ended": moment.ended.map(|record| json!({
+            "states": states(&snapshot.views),
+            "batteries": self.batteries(&snapshot.views),
+            "on": snapshot.on.iter().map(|on| if *on { '1' } else { '0' }).collect::<String>(),
+            "event": snapshot.event,
+            "ended": snapshot.ended.map(|record| json!({
                 "event": record.event,
                 "delay": record.delay(),
                 "information": record.tally.information(),
                 "reports": record.tally.reports,
                 "wake_ups": record.tally.wake_ups,
             })),
-            "reported": moment.reported,
-            "lost": moment.lost,
-            "failed": moment.failed,
+            "reported": snapshot.reported,
+            "lost": snapshot.lost,
+            "failed": snapshot.failed,
             "woken": woken,
-            "belief": moment.belief.as_ref().map(|belief| &belief.places),
+            "belief": snapshot.belief.as_ref().map(|belief| &belief.places),
         })
     }
 
     /// Whether the feed has received all TTIs of the run.
     pub(crate) fn is_whole(&self) -> bool {
-        self.known().story.span().1.0 >= self.ttis
+        self.lock().history.available_ttis().1.0 >= self.ttis
     }
 
     /// The run that this one is compared with, if any.
-    pub(crate) fn other(&self) -> Option<&Self> {
+    pub(crate) fn compared_feed(&self) -> Option<&Self> {
         self.compared.as_ref().map(|compared| &*compared.feed)
     }
 
     /// Returns the first difference from the compared run; `None` without a compared run.
-    pub(crate) fn compared(&self) -> Option<Value> {
+    pub(crate) fn comparison_json(&self) -> Option<Value> {
         let ComparedRun { feed, fields, .. } = self.compared.as_ref()?;
-        let known = self.known();
-        let comparison = known.comparison.as_ref()?;
-        let told = |difference: &FirstDifference| {
+        let state = self.lock();
+        let comparison = state.comparison.as_ref()?;
+        let difference_json = |difference: &FirstDifference| {
             json!({
                 "tti": difference.tti,
                 "kind": difference.kind.name(),
@@ -319,30 +321,30 @@ impl Feed {
             "other": feed.about,
             "fields": fields,
             // A side that has ended counts as compared to `NEVER`; the run's own end limits that.
-            "compared": comparison.compared().min(known.story.span().1),
-            "differences": comparison.differences().into_iter().map(told).collect::<Vec<_>>(),
+            "compared": comparison.compared_until().min(state.history.available_ttis().1),
+            "differences": comparison.differences().into_iter().map(difference_json).collect::<Vec<_>>(),
         }))
     }
 
     /// The devices of a group of the policy; `None` if the group does not exist.
     pub(crate) fn group(&self, number: u32) -> Option<Vec<DeviceId>> {
         let ids = (0..).map(DeviceId).zip(self.groups.as_ref()?);
-        let own: Vec<DeviceId> = ids.filter(|(_, group)| **group == number).map(|(id, _)| id).collect();
-        (!own.is_empty()).then_some(own)
+        let members: Vec<DeviceId> = ids.filter(|(_, group)| **group == number).map(|(id, _)| id).collect();
+        (!members.is_empty()).then_some(members)
     }
 
     /// The points of all curves so far.
     pub(crate) fn curves(&self) -> Value {
-        json!(self.known().points)
+        json!(self.lock().points)
     }
 
-    /// Calls `look` with the run's history.
-    pub(crate) fn history<T>(&self, look: impl FnOnce(&RunHistory) -> T) -> T {
-        look(&self.known().story)
+    /// Calls `read` with the run's history.
+    pub(crate) fn history<T>(&self, read: impl FnOnce(&RunHistory) -> T) -> T {
+        read(&self.lock().history)
     }
 
-    fn known(&self) -> MutexGuard<'_, FeedState> {
-        self.known.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> MutexGuard<'_, FeedState> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// The batteries, two hexadecimal digits per device: 00 to ff of the largest E_max.
@@ -357,53 +359,53 @@ impl Feed {
 impl FeedState {
     fn take(&mut self, frame: Frame) {
         self.traffic.count(&frame);
-        if self.broken.is_some() {
+        if self.failure.is_some() {
             // Later frames do not follow from the last known states.
             return;
         }
-        self.tick(&frame);
+        self.record_outcome(&frame);
         if let Some(comparison) = &mut self.comparison {
             comparison.push(RunSide::This, &frame);
         }
-        if let Err(error) = self.story.push(frame) {
-            self.broken = Some(format!(
+        if let Err(error) = self.history.push(frame) {
+            self.failure = Some(format!(
                 "device states are unknown from here on: {error}; restart the dashboard"
             ));
         }
-        let (_, next) = self.story.span();
-        if next >= self.due && next > Tti::ZERO {
-            self.draw(next);
+        let (_, next) = self.history.available_ttis();
+        if next >= self.next_point && next > Tti::ZERO {
+            self.add_curve_point(next);
         }
     }
 
     /// Records the outcome that `frame` reports for an event.
-    fn tick(&mut self, frame: &Frame) {
-        let is_news = matches!(
+    fn record_outcome(&mut self, frame: &Frame) {
+        let is_outcome = matches!(
             frame.kind,
             MessageKind::Event | MessageKind::Report | MessageKind::Lost | MessageKind::Failed | MessageKind::Woken
         );
-        let (true, Ok(message)) = (is_news, frame.message()) else {
+        let (true, Ok(message)) = (is_outcome, frame.message()) else {
             return;
         };
-        let whose = frame.number.map_or_else(String::new, |number| number.to_string());
+        let device = frame.number.map_or_else(String::new, |number| number.to_string());
         if let Message::Event(EventUpdate::Started(_)) = message {
-            self.under_way.clear();
-        } else if let Message::Event(news) = message {
-            let (tti, text) = (frame.tti, news.to_string());
+            self.event_outcomes.clear();
+        } else if let Message::Event(update) = message {
+            let (tti, text) = (frame.tti, update.to_string());
             self.ticker
-                .push_front(json!({ "tti": tti, "text": text, "who": self.under_way }));
-            self.ticker.truncate(TICKER);
+                .push_front(json!({ "tti": tti, "text": text, "who": self.event_outcomes }));
+            self.ticker.truncate(MAX_TICKER_EVENTS);
         } else if let Message::Report(_) = message {
-            self.under_way.push(format!("{whose} reported"));
+            self.event_outcomes.push(format!("{device} reported"));
         } else if let Message::Lost(_) = message {
-            self.under_way.push(format!("{whose} reported, report lost"));
+            self.event_outcomes.push(format!("{device} reported, report lost"));
         } else if let Message::Failed(_) = message {
-            self.under_way.push(format!("{whose} lacked energy to report"));
+            self.event_outcomes.push(format!("{device} lacked energy to report"));
         } else if let Message::Woken(woken) = message {
-            let came = match woken.outcome {
+            let outcome = match woken.outcome {
                 WakeOutcome::Reported(_) => {
                     // The frame of its report came first, and was recorded as a report without a wake-up.
-                    self.under_way.pop();
+                    self.event_outcomes.pop();
                     "woken"
                 }
                 WakeOutcome::Failed(_) => "woken, lacked energy to report",
@@ -411,16 +413,16 @@ impl FeedState {
                 WakeOutcome::Lost(_) => "woken, report lost",
                 WakeOutcome::Late { .. } => "woken too late",
             };
-            self.under_way.push(format!("{whose} {came}"));
+            self.event_outcomes.push(format!("{device} {outcome}"));
         }
     }
 
     /// Adds a point to every curve, before TTI `next`.
-    fn draw(&mut self, next: Tti) {
-        let point = self.point(next);
-        self.points.push(point);
+    fn add_curve_point(&mut self, next: Tti) {
+        let curve_point = self.curve_point(next);
+        self.points.push(curve_point);
         // Keeps every other point, the first included, at twice the distance, so that memory stays bounded.
-        if self.points.len() > POINTS {
+        if self.points.len() > MAX_CURVE_POINTS {
             let mut is_odd = false;
             self.points.retain(|_| {
                 is_odd = !is_odd;
@@ -428,19 +430,19 @@ impl FeedState {
             });
             self.spacing *= 2;
         }
-        self.due = next + self.spacing;
+        self.next_point = next + self.spacing;
     }
 
     /// Computes a point of every curve, before TTI `next`.
-    fn point(&mut self, next: Tti) -> Value {
-        let views = self.story.views();
-        let mut levels: Vec<Energy> = views.iter().map(|view| view.battery).collect();
-        levels.sort_unstable();
+    fn curve_point(&mut self, next: Tti) -> Value {
+        let views = self.history.views();
+        let mut batteries: Vec<Energy> = views.iter().map(|view| view.battery).collect();
+        batteries.sort_unstable();
         let quantile = |share: f64| {
-            let at = (share * levels.len().saturating_sub(1) as f64).round() as usize;
-            levels.get(at).map(|level| level.units())
+            let at = (share * batteries.len().saturating_sub(1) as f64).round() as usize;
+            batteries.get(at).map(|level| level.units())
         };
-        let metrics = self.story.now().metrics();
+        let metrics = self.history.now().metrics();
         let value = |name: &str| metrics.value(name).filter(|value| value.is_finite());
         let ttis = self.traffic.ttis().max(1) as f64;
         json!({

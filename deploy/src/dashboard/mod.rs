@@ -1,7 +1,8 @@
 //! The dashboard: a live or recorded run in the browser.
 //!
-//! It is a single page that loads nothing from other sites, and an HTTP interface. On a loopback address reading needs
-//! no token. Changes need one, and so does every request if other machines can connect.
+//! It is a single page that loads nothing from other sites (`page/`), an HTTP interface (`api`), and a copy of the run
+//! (`feed`). On a loopback address reading needs no token. Changes need one, and so does every request if other
+//! machines can connect.
 
 mod api;
 pub(crate) mod feed;
@@ -18,7 +19,7 @@ use axum::routing::{get, post};
 use reveille_common::bus::Bus;
 use tokio::net::TcpListener;
 
-use self::api::{ApiState, guard};
+use self::api::{ApiState, check_request};
 use self::feed::Feed;
 
 /// The files of the page: path, type, content.
@@ -40,8 +41,8 @@ const PAGE: [(&str, &str, &str); 6] = [
 ];
 
 /// The content security policy: the browser loads content from this server only.
-const POLICY: &str = "default-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; base-uri 'none'; \
-                      form-action 'none'; frame-ancestors 'none'";
+const CONTENT_POLICY: &str = "default-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; \
+                              base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
 /// A running dashboard.
 pub(crate) struct Dashboard {
@@ -56,11 +57,11 @@ pub(crate) struct Dashboard {
 pub(crate) async fn serve(address: &str, feed: Arc<Feed>, bus: Option<Bus>) -> anyhow::Result<Dashboard> {
     let named = || format!("--dashboard {address}");
     let listener = TcpListener::bind(address).await.with_context(named)?;
-    let at: SocketAddr = listener.local_addr().with_context(named)?;
-    let token = token().context("cannot generate a token")?;
+    let local_address: SocketAddr = listener.local_addr().with_context(named)?;
+    let token = draw_token().context("cannot generate a token")?;
     // Browsers send no fragment to a server, so the token stays out of logs.
-    let url = format!("http://{at}/#{token}");
-    let served = ApiState::new(feed, bus, token, at);
+    let url = format!("http://{local_address}/#{token}");
+    let state = ApiState::new(feed, bus, token, local_address);
     let mut router = Router::new()
         .route("/api/run", get(api::about))
         .route("/api/now", get(api::now))
@@ -75,12 +76,12 @@ pub(crate) async fn serve(address: &str, feed: Arc<Feed>, bus: Option<Bus>) -> a
         .route("/api/device/{device}", get(api::device))
         .route("/api/clock", get(api::clock))
         .route("/api/clock/{command}", post(api::command));
-    for (path, form, text) in PAGE {
+    for (path, content_type, text) in PAGE {
         let page = move || async move {
             let headers = [
-                (header::CONTENT_TYPE, form),
+                (header::CONTENT_TYPE, content_type),
                 (header::CACHE_CONTROL, "no-store"),
-                (header::CONTENT_SECURITY_POLICY, POLICY),
+                (header::CONTENT_SECURITY_POLICY, CONTENT_POLICY),
                 (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
                 (HeaderName::from_static("referrer-policy"), "no-referrer"),
             ];
@@ -90,8 +91,8 @@ pub(crate) async fn serve(address: &str, feed: Arc<Feed>, bus: Option<Bus>) -> a
     }
     // A layer covers the routes added before it: all of them, the pages included.
     let router = router
-        .layer(middleware::from_fn_with_state(served.clone(), guard))
-        .with_state(served);
+        .layer(middleware::from_fn_with_state(state.clone(), check_request))
+        .with_state(state);
     tokio::spawn(async move {
         if let Err(error) = axum::serve(listener, router).await {
             tracing::warn!(%error, "the dashboard server has stopped");
@@ -101,9 +102,9 @@ pub(crate) async fn serve(address: &str, feed: Arc<Feed>, bus: Option<Bus>) -> a
 }
 
 /// Draws a random token.
-fn token() -> std::io::Result<String> {
+fn draw_token() -> std::io::Result<String> {
     use std::io::Read;
     let mut bytes = [0; 16];
     std::fs::File::open("/dev/urandom")?.read_exact(&mut bytes)?;
-    Ok(reveille_view::frame_line::hex(&bytes))
+    Ok(reveille_view::frame_line::to_hex(&bytes))
 }

@@ -1,4 +1,5 @@
-//! The battery: harvest, consumption and overflow.
+//! The battery of a device: harvest, consumption and overflow. Amounts are integers, so sums do not depend on their
+//! order. [`crate::ledger`] counts the consumption a second time, independently.
 
 use reveille_common::scenario::EnergyModel;
 use reveille_common::units::Energy;

@@ -2,7 +2,7 @@
 //! which devices sense.
 //!
 //! Messages may be lost, repeated or stale. A host executes a grant once, when all messages that belong to it are
-//! present. It answers a repeated request again.
+//! present. It answers a repeated request again. `host` drives this file; the base station's side is `bs/src/server/`.
 
 use std::collections::BTreeMap;
 
@@ -25,10 +25,10 @@ pub enum HostRequest {
 /// The decision of a host about a request.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Disposition<T> {
-    /// The host has this request already: it resends the answer as soon as the answer is complete.
-    Resend,
+    /// The host has this request already: it retransmits the answer as soon as the answer is complete.
+    Retransmit,
     /// The host cannot follow, because a message is missing or this one is stale. It waits for the base station to
-    /// repeat the request.
+    /// retransmit the request.
     NotReady,
     /// The host executes this task.
     Execute(T),
@@ -38,9 +38,9 @@ pub enum Disposition<T> {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GrantTask {
     /// The changes of δ, in the order of TTIs: device, first TTI, and the new duty cycle.
-    pub changes: Vec<(usize, Tti, DutyCycle)>,
+    pub duty_changes: Vec<(usize, Tti, DutyCycle)>,
     /// The devices with δ = 1 in the grant's last TTI that are within d_max of its stimulus.
-    pub listeners: Vec<usize>,
+    pub sensing_devices: Vec<usize>,
 }
 
 /// A wake-up signal to deliver.
@@ -67,11 +67,11 @@ pub struct GrantFollower {
     /// The first TTI of the current plan of this host.
     plan_from: Option<Tti>,
     /// Plans for TTIs that are not granted yet, by first TTI.
-    pending: BTreeMap<Tti, Plan>,
+    pending_plans: BTreeMap<Tti, Plan>,
     /// The first TTI that is not granted yet.
     next: Tti,
-    tick: Option<GrantMessage>,
-    asked: Option<HostRequest>,
+    grant: Option<GrantMessage>,
+    last_request: Option<HostRequest>,
 }
 
 /// The start of a follower: its assignment, and the progress of the devices.
@@ -84,19 +84,19 @@ pub struct FollowerStart {
     /// The duty cycle of each device.
     pub duties: Vec<DutyCycle>,
     /// The progress of the devices.
-    pub at: ResumePoint,
+    pub resume_point: ResumePoint,
 }
 
 impl GrantFollower {
     /// Creates the follower of a host in a run that ends before TTI `end`. Its devices sense events within `d_max`, m;
     /// `seed` and `radio` are the run's.
-    pub fn new(beginning: FollowerStart, d_max: f64, end: Tti, seed: u64, radio: &RadioSettings) -> Self {
+    pub fn new(start: FollowerStart, d_max: f64, end: Tti, seed: u64, radio: &RadioSettings) -> Self {
         let FollowerStart {
             first,
             positions,
             duties,
-            at: ResumePoint { next, plan_from },
-        } = beginning;
+            resume_point: ResumePoint { next, plan_from },
+        } = start;
         assert_eq!(positions.len(), duties.len(), "a δ for each device");
         Self {
             first,
@@ -107,16 +107,16 @@ impl GrantFollower {
             radio: *radio,
             air: Air::new(seed, radio),
             plan_from,
-            pending: BTreeMap::new(),
+            pending_plans: BTreeMap::new(),
             next,
-            tick: None,
-            asked: None,
+            grant: None,
+            last_request: None,
         }
     }
 
     /// The last TTI granted; 0 before the first grant.
-    pub fn granted(&self) -> Tti {
-        self.tick.map_or(Tti::ZERO, |tick| tick.last)
+    pub fn last_granted(&self) -> Tti {
+        self.grant.map_or(Tti::ZERO, |grant| grant.last)
     }
 
     /// The first TTI that is not granted yet.
@@ -130,49 +130,52 @@ impl GrantFollower {
         let PlanUpdate { from, plan } = update;
         let is_due = from >= self.next && from < self.end;
         if is_due {
-            self.pending.insert(from, plan);
+            self.pending_plans.insert(from, plan);
         }
         is_due
     }
 
     /// Processes a grant.
-    pub fn receive_grant(&mut self, tick: GrantMessage) -> Disposition<GrantTask> {
-        let question = HostRequest::Grant(tick.last);
-        if self.asked == Some(question) {
-            return Disposition::Resend;
+    pub fn receive_grant(&mut self, grant: GrantMessage) -> Disposition<GrantTask> {
+        let request = HostRequest::Grant(grant.last);
+        if self.last_request == Some(request) {
+            return Disposition::Retransmit;
         }
-        let own = || self.pending.range(..=tick.last).map(|(from, _)| *from);
-        let plan = own().next_back().or(self.plan_from);
+        let due_plans = || self.pending_plans.range(..=grant.last).map(|(from, _)| *from);
+        let last_plan = due_plans().next_back().or(self.plan_from);
         // The first TTI shows a lost grant; the last plan and the number of plans show a lost plan. The base station
-        // then resends everything.
-        if tick.first != self.next
-            || tick.last < tick.first
-            || tick.last >= self.end
-            || plan != Some(tick.plan)
-            || own().count() != tick.plans as usize
+        // then retransmits everything.
+        if grant.first != self.next
+            || grant.last < grant.first
+            || grant.last >= self.end
+            || last_plan != Some(grant.plan)
+            || due_plans().count() != grant.plans as usize
         {
             return Disposition::NotReady;
         }
-        // Before `listeners`, which uses δ of the grant's last TTI.
-        let changes = self.follow(tick.last);
-        let listeners = match &tick.stimulus {
-            Some(stimulus) => self.listeners(tick.last, stimulus),
+        // Before `find_sensing_devices`, which uses δ of the grant's last TTI.
+        let duty_changes = self.apply_plans(grant.last);
+        let sensing_devices = match &grant.stimulus {
+            Some(stimulus) => self.find_sensing_devices(grant.last, stimulus),
             None => Vec::new(),
         };
-        self.next = tick.last.saturating_add(1);
-        (self.tick, self.asked) = (Some(tick), Some(question));
-        Disposition::Execute(GrantTask { changes, listeners })
+        self.next = grant.last.saturating_add(1);
+        (self.grant, self.last_request) = (Some(grant), Some(request));
+        Disposition::Execute(GrantTask {
+            duty_changes,
+            sensing_devices,
+        })
     }
 
     /// Processes the end of the run before TTI `end`, which requests the ledgers.
-    pub fn receive_finish(&mut self, end: Tti) -> Disposition<()> {
-        if self.asked == Some(HostRequest::Ledgers) {
-            return Disposition::Resend;
+    pub fn receive_collect_ledgers(&mut self, end: Tti) -> Disposition<()> {
+        if self.last_request == Some(HostRequest::Ledgers) {
+            return Disposition::Retransmit;
         }
         if end != self.next {
             return Disposition::NotReady;
         }
-        self.asked = Some(HostRequest::Ledgers);
+        self.last_request = Some(HostRequest::Ledgers);
         Disposition::Execute(())
     }
 
@@ -180,36 +183,36 @@ impl GrantFollower {
     /// its TTI.
     pub fn receive_wake_up(&self, device: DeviceId, wake: WakeUp) -> Option<WakeUpTask> {
         let device = device.index().checked_sub(self.first.index())?;
-        let tick = self.tick.filter(|_| device < self.duties.len())?;
-        let stimulus = tick.stimulus?;
+        let grant = self.grant.filter(|_| device < self.duties.len())?;
+        let stimulus = grant.stimulus?;
         // With a wake-up delay, later wake-ups of this TTI are sent in TTIs after it.
-        let is_of_it = self.radio.is_valid_send_tti(wake.tti, tick.last);
-        is_of_it.then(|| WakeUpTask {
+        let is_in_grant = self.radio.is_valid_send_tti(wake.tti, grant.last);
+        is_in_grant.then(|| WakeUpTask {
             device,
-            tti: tick.last,
-            stimulus: (!self.radio.is_late(wake.tti, tick.until)).then_some(stimulus),
+            tti: grant.last,
+            stimulus: (!self.radio.is_late(wake.tti, grant.until)).then_some(stimulus),
         })
     }
 
     /// Applies the plans that belong to a grant up to TTI `last`.
-    fn follow(&mut self, last: Tti) -> Vec<(usize, Tti, DutyCycle)> {
+    fn apply_plans(&mut self, last: Tti) -> Vec<(usize, Tti, DutyCycle)> {
         let mut changes = Vec::new();
-        let later = self.pending.split_off(&last.saturating_add(1));
+        let later_plans = self.pending_plans.split_off(&last.saturating_add(1));
         // In the order of TTIs, because `Air` never goes back.
-        for (from, plan) in std::mem::replace(&mut self.pending, later) {
+        for (from, plan) in std::mem::replace(&mut self.pending_plans, later_plans) {
             self.plan_from = Some(from);
             let Self { air, duties, first, .. } = self;
-            air.deliver_plan(from, &plan, *first, duties.len(), |j, new| {
-                if duties[j] != new {
-                    duties[j] = new;
-                    changes.push((j, from, new));
+            air.deliver_plan(from, &plan, *first, duties.len(), |j, duty| {
+                if duties[j] != duty {
+                    duties[j] = duty;
+                    changes.push((j, from, duty));
                 }
             });
         }
         changes
     }
 
-    fn listeners(&self, tti: Tti, stimulus: &Stimulus) -> Vec<usize> {
+    fn find_sensing_devices(&self, tti: Tti, stimulus: &Stimulus) -> Vec<usize> {
         let is_near = |j: &usize| self.positions[*j].distance(stimulus.epicentre) <= self.d_max;
         (0..self.duties.len())
             .filter(|&j| self.duties[j].is_on(tti))

@@ -20,7 +20,7 @@ fn with_radio(radio: &RadioSettings) -> GrantFollower {
         first: DeviceId(FIRST),
         positions: (0..3).map(|j| Point::new(3.0 * f64::from(j), 0.0)).collect(),
         duties: vec![DutyCycle::ASLEEP; 3],
-        at: ResumePoint::default(),
+        resume_point: ResumePoint::default(),
     };
     GrantFollower::new(beginning, D_MAX, END, 1, radio)
 }
@@ -59,12 +59,12 @@ fn a_grant_is_followed_once() {
     assert!(host.receive_plan(plan(0, &[4])));
     let changes = vec![(1, Tti(0), DutyCycle::SENSING)];
     let turn = GrantTask {
-        changes,
-        listeners: Vec::new(),
+        duty_changes: changes,
+        sensing_devices: Vec::new(),
     };
     assert_eq!(host.receive_grant(tick(0, 9, 0, 1)), Disposition::Execute(turn));
-    assert_eq!((host.granted(), host.next()), (Tti(9), Tti(10)));
-    assert_eq!(host.receive_grant(tick(0, 9, 0, 1)), Disposition::Resend);
+    assert_eq!((host.last_granted(), host.next()), (Tti(9), Tti(10)));
+    assert_eq!(host.receive_grant(tick(0, 9, 0, 1)), Disposition::Retransmit);
     assert_eq!(host.receive_grant(tick(0, 4, 0, 0)), Disposition::NotReady, "stale");
     assert_eq!(
         host.receive_grant(tick(11, 12, 0, 0)),
@@ -94,7 +94,7 @@ fn it_waits_for_each_plan_that_goes_with_a_grant() {
     };
     let (on, off) = (DutyCycle::SENSING, DutyCycle::ASLEEP);
     let changes = [(0, 0, on), (1, 4, on), (0, 7, off), (1, 7, off), (2, 7, on)];
-    assert_eq!(turn.changes, changes.map(|(j, from, duty)| (j, Tti(from), duty)));
+    assert_eq!(turn.duty_changes, changes.map(|(j, from, duty)| (j, Tti(from), duty)));
     assert!(!host.receive_plan(plan(7, &[3])), "sent again, when it was followed");
     assert_eq!(
         host.receive_grant(tick(10, 10, 10, 1)),
@@ -118,13 +118,13 @@ fn who_listens_has_delta_1_and_is_within_reach() {
     let Disposition::Execute(turn) = host.receive_grant(grant) else {
         panic!("everything is there");
     };
-    assert_eq!(turn.listeners, [0, 2], "at 2 m and, just so, at 4 m");
+    assert_eq!(turn.sensing_devices, [0, 2], "at 2 m and, just so, at 4 m");
     let mut grant = tick(1, 1, 0, 0);
     grant.stimulus = Some(event_at(1.9));
     let Disposition::Execute(turn) = host.receive_grant(grant) else {
         panic!("everything is there");
     };
-    assert_eq!(turn.listeners, [0]);
+    assert_eq!(turn.sensing_devices, [0]);
 }
 
 #[test]
@@ -187,11 +187,11 @@ fn who_wakes_late_finds_what_is_there_then() {
 #[test]
 fn the_end_is_followed_once_and_in_its_place() {
     let mut host = follower();
-    assert_eq!(host.receive_finish(Tti(10)), Disposition::NotReady);
+    assert_eq!(host.receive_collect_ledgers(Tti(10)), Disposition::NotReady);
     host.receive_plan(plan(0, &[]));
     host.receive_grant(tick(0, 9, 0, 1));
-    assert_eq!(host.receive_finish(Tti(10)), Disposition::Execute(()));
-    assert_eq!(host.receive_finish(Tti(10)), Disposition::Resend);
+    assert_eq!(host.receive_collect_ledgers(Tti(10)), Disposition::Execute(()));
+    assert_eq!(host.receive_collect_ledgers(Tti(10)), Disposition::Retransmit);
     assert_eq!(
         host.receive_grant(tick(0, 9, 0, 1)),
         Disposition::NotReady,
@@ -217,7 +217,7 @@ fn over_a_bad_link_it_follows_what_was_planned() {
         let mut draw = Stream::new(seed, Purpose::Training, 0);
         let mut host = follower();
         let mut planned: Vec<PlanUpdate> = Vec::new();
-        let mut sent: Vec<Heard> = Vec::new();
+        let mut sent: Vec<Received> = Vec::new();
         let mut did = [DutyCycle::ASLEEP; 3];
         let mut next = 0;
         while next < 200 {
@@ -234,19 +234,19 @@ fn over_a_bad_link_it_follows_what_was_planned() {
             let news = &planned[planned.len() - with as usize..];
             let turn = loop {
                 for update in news {
-                    sent.push(Heard::Plan(update.clone()));
+                    sent.push(Received::Plan(update.clone()));
                 }
-                sent.push(Heard::Grant(grant));
+                sent.push(Received::Grant(grant));
                 // Any message sent so far may arrive again, in any order.
                 let again = draw.below(sent.len() as u64) as usize;
-                let mut arriving: Vec<Heard> = sent[sent.len() - 1 - news.len()..].to_vec();
+                let mut arriving: Vec<Received> = sent[sent.len() - 1 - news.len()..].to_vec();
                 arriving.insert(draw.below(arriving.len() as u64 + 1) as usize, sent[again].clone());
                 arriving.retain(|_| draw.below(3) > 0);
                 let mut followed = None;
                 for heard in arriving {
                     match heard {
-                        Heard::Plan(update) => drop(host.receive_plan(update)),
-                        Heard::Grant(tick) => {
+                        Received::Plan(update) => drop(host.receive_plan(update)),
+                        Received::Grant(tick) => {
                             if let Disposition::Execute(turn) = host.receive_grant(tick) {
                                 assert!(tick == grant && followed.is_none(), "followed twice, or out of turn");
                                 followed = Some(turn);
@@ -258,7 +258,7 @@ fn over_a_bad_link_it_follows_what_was_planned() {
                     break turn;
                 }
             };
-            let mut changes = turn.changes.into_iter().peekable();
+            let mut changes = turn.duty_changes.into_iter().peekable();
             for k in (next..=last).map(Tti) {
                 while let Some((j, _, duty)) = changes.next_if(|(_, from, _)| *from <= k) {
                     did[j] = duty;
@@ -279,7 +279,7 @@ fn over_a_bad_link_it_follows_what_was_planned() {
 }
 
 #[derive(Clone)]
-enum Heard {
+enum Received {
     Plan(PlanUpdate),
     Grant(GrantMessage),
 }

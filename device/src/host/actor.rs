@@ -1,4 +1,5 @@
-//! The tokio task of a device, with one mailbox and one [`Machine`].
+//! The tokio task of a device, with one mailbox and one [`Machine`]. It executes commands in the order in which the
+//! host sends them, which must be the order within a TTI.
 
 use std::sync::Arc;
 
@@ -8,7 +9,7 @@ use reveille_common::message::{HostAnswer, WakeOutcome};
 use reveille_common::plan::DutyCycle;
 use tokio::sync::mpsc::UnboundedReceiver;
 
-use super::answer_round::{DeviceAnswer, Round, Uplink};
+use super::answer_round::{AnswerRound, DeviceAnswer, Uplink};
 use crate::machine::{Machine, Physics, SenseOutcome};
 
 /// A command to a device.
@@ -16,11 +17,11 @@ pub(crate) enum DeviceCommand {
     /// Air plane: δ from a TTI on.
     Duty(Tti, DutyCycle),
     /// Emulation plane: end all TTIs before this one and add the totals to the round.
-    AdvanceTo(Tti, Arc<Round>),
+    AdvanceTo(Tti, Arc<AnswerRound>),
     /// Emulation plane: begin this TTI, if it has not begun, and add state and battery to the round.
-    View(Tti, Arc<Round>),
+    View(Tti, Arc<AnswerRound>),
     /// The stimulus of the physical world in a TTI.
-    Sense(Tti, Stimulus, Arc<Round>),
+    Sense(Tti, Stimulus, Arc<AnswerRound>),
     /// Air plane: a wake-up signal in a TTI, and the stimulus that the device senses once it is awake.
     Wake(Tti, Option<Stimulus>),
 }
@@ -47,8 +48,8 @@ impl Actor {
 
     /// Runs until the mailbox is closed.
     pub(crate) async fn run(mut self, mut mailbox: UnboundedReceiver<DeviceCommand>) {
-        while let Some(input) = mailbox.recv().await {
-            match input {
+        while let Some(command) = mailbox.recv().await {
+            match command {
                 DeviceCommand::Duty(from, duty) => self.machine.set_duty(from, duty),
                 DeviceCommand::AdvanceTo(k, round) => {
                     self.machine.advance_to(k);
@@ -70,20 +71,20 @@ impl Actor {
         }
     }
 
-    fn sense(&mut self, tti: Tti, stimulus: &Stimulus, round: &Round) {
+    fn sense(&mut self, tti: Tti, stimulus: &Stimulus, round: &AnswerRound) {
         let sensed = self.machine.sense(tti, stimulus, &self.physics);
         tracing::trace!(%tti, device = %self.machine.id(), ?sensed, state = ?self.machine.state(), "sensed");
-        let part = match sensed {
+        let answer = match sensed {
             SenseOutcome::Nothing => DeviceAnswer::Nothing,
             SenseOutcome::Failed(failure) => DeviceAnswer::Failed(failure),
             SenseOutcome::Reported(report) => {
                 // Sent before the part is added: the answer states the number of reports and has to follow them on the
                 // link.
-                self.uplink.report(&report);
+                self.uplink.send_report(&report);
                 DeviceAnswer::Reported(report)
             }
         };
-        round.add(&part, &self.uplink);
+        round.add(&answer, &self.uplink);
     }
 
     fn wake(&mut self, tti: Tti, stimulus: Option<&Stimulus>) {
@@ -97,9 +98,9 @@ impl Actor {
         let device = self.machine.id();
         match outcome {
             // The modelled air loses a report after transmission, and the base station draws that loss itself.
-            WakeOutcome::Reported(report) | WakeOutcome::Lost(report) => self.uplink.report(&report),
+            WakeOutcome::Reported(report) | WakeOutcome::Lost(report) => self.uplink.send_report(&report),
             WakeOutcome::Failed(_) | WakeOutcome::Missed | WakeOutcome::Late { .. } => {
-                self.uplink.answer(&HostAnswer::NotWoken { device, tti, outcome });
+                self.uplink.send_answer(&HostAnswer::NotWoken { device, tti, outcome });
             }
         }
     }

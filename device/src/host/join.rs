@@ -1,4 +1,5 @@
-//! Joins a host to a run, and again for lost devices if it has spare capacity.
+//! Joins a host to a run, and again for lost devices if it has spare capacity. [`run_host`] is the entry point of a
+//! host process; `host/mod.rs` runs the assignment.
 
 use std::pin::Pin;
 use std::sync::Arc;
@@ -9,17 +10,17 @@ use reveille_common::ids::{DeviceId, HostId};
 use reveille_common::message::{HostSetup, JoinReply, JoinRequest, Ready};
 use reveille_common::secret::Secret;
 
-use super::dispatch::{Dispatcher, FEW};
-use super::{HostError, HostExit, Shared};
+use super::dispatch::{Dispatcher, MAX_INLINE_DEVICES};
+use super::{HostError, HostExit, HostShared};
 
 /// The pause between two join requests while no assignment is free.
-const STANDING_BY: Duration = Duration::from_millis(250);
+const RETRY_PAUSE: Duration = Duration::from_millis(250);
 
 /// The settings of a host process.
 #[derive(Clone, Debug)]
 pub struct HostConfig {
     /// The largest number of devices that the host runs.
-    pub count: u32,
+    pub max_devices: u32,
     /// The host's name in messages to the operator.
     pub name: String,
     /// The run's key, for runs that only admit hosts with the key.
@@ -29,7 +30,7 @@ pub struct HostConfig {
     /// Whether the host also takes over devices of lost hosts, up to its spare capacity.
     pub stands_by: bool,
     /// Whether a separate thread processes the host's messages, even if the delivering thread could do it.
-    pub hands_over: bool,
+    pub uses_worker: bool,
 }
 
 /// An event that a host process reports to its caller.
@@ -44,34 +45,33 @@ pub enum HostEvent {
 /// The future of [`run_host`], boxed because the function is recursive.
 type HostFuture<'a> = Pin<Box<dyn Future<Output = Result<(), HostError>> + Send + 'a>>;
 
-/// Joins the run of `bus`, runs devices to the end of the run, and leaves. `say` receives the events on the way.
+/// Joins the run of `bus`, runs devices to the end of the run, and leaves. `on_event` receives the events on the way.
 ///
 /// # Errors
-/// If the run is not found within the patience of `offer`, or the base station refuses or is lost.
-pub fn run_host<'a>(bus: &'a Bus, offer: HostConfig, say: &'a (dyn Fn(HostEvent) + Sync)) -> HostFuture<'a> {
+/// If the run is not found within the patience of `config`, or the base station refuses or is lost.
+pub fn run_host<'a>(bus: &'a Bus, config: HostConfig, on_event: &'a (dyn Fn(HostEvent) + Sync)) -> HostFuture<'a> {
     Box::pin(async move {
         loop {
-            let Some(assignment) = join(bus, &offer, say).await? else {
+            let Some(assignment) = request_assignment(bus, &config, on_event).await? else {
                 return Ok(());
             };
-            let room = offer.count.saturating_sub(assignment.devices.len() as u32);
-            let own = tend(bus, assignment, &offer, say);
-            let left = if room > 0 && offer.stands_by {
-                let count = room;
-                // Devices taken over later share this process's link. The whole offer therefore decides, not the
+            let spare_devices = config.max_devices.saturating_sub(assignment.devices.len() as u32);
+            let own_run = run_assignment(bus, assignment, &config, on_event);
+            let exit = if spare_devices > 0 && config.stands_by {
+                // Devices taken over later share this process's link. The total capacity therefore decides, not the
                 // remaining capacity.
-                let hands_over = offer.hands_over || offer.count > FEW;
-                let others = HostConfig {
-                    count,
-                    hands_over,
-                    ..offer.clone()
+                let uses_worker = config.uses_worker || config.max_devices > MAX_INLINE_DEVICES;
+                let takeovers = HostConfig {
+                    max_devices: spare_devices,
+                    uses_worker,
+                    ..config.clone()
                 };
-                let others = run_host(bus, others, &|_| {});
-                run_with_takeovers(own, others).await?
+                let takeovers = run_host(bus, takeovers, &|_| {});
+                run_with_takeovers(own_run, takeovers).await?
             } else {
-                own.await?
+                own_run.await?
             };
-            match left {
+            match exit {
                 HostExit::Dismissed => return Ok(()),
                 HostExit::Replaced => {
                     tracing::warn!(
@@ -83,53 +83,57 @@ pub fn run_host<'a>(bus: &'a Bus, offer: HostConfig, say: &'a (dyn Fn(HostEvent)
     })
 }
 
-/// Returns the result of `own`. `others`, which takes over devices of lost hosts, only logs its failures.
+/// Returns the result of `own_run`. `takeovers`, which runs devices of lost hosts, only logs its failures.
 async fn run_with_takeovers(
-    own: impl Future<Output = Result<HostExit, HostError>>,
-    others: HostFuture<'_>,
+    own_run: impl Future<Output = Result<HostExit, HostError>>,
+    takeovers: HostFuture<'_>,
 ) -> Result<HostExit, HostError> {
-    tokio::pin!(own);
+    tokio::pin!(own_run);
     tokio::select! {
-        // `own` is polled first: if both have ended, its outcome counts.
+        // `own_run` is polled first: if both have ended, its outcome counts.
         biased;
-        left = &mut own => left,
-        ended = others => {
-            if let Err(error) = ended {
+        exit = &mut own_run => exit,
+        result = takeovers => {
+            if let Err(error) = result {
                 tracing::debug!(%error, "no more devices for this process");
             }
-            own.await
+            own_run.await
         }
     }
 }
 
 /// Asks for an assignment until it gets one. Returns `None` if the run ends first.
-async fn join(bus: &Bus, offer: &HostConfig, say: &(dyn Fn(HostEvent) + Sync)) -> Result<Option<HostSetup>, HostError> {
+async fn request_assignment(
+    bus: &Bus,
+    config: &HostConfig,
+    on_event: &(dyn Fn(HostEvent) + Sync),
+) -> Result<Option<HostSetup>, HostError> {
     let request = JoinRequest {
         version: env!("CARGO_PKG_VERSION").to_owned(),
-        count: offer.count,
+        count: config.max_devices,
         nonce: draw_nonce()?,
-        name: offer.name.clone(),
+        name: config.name.clone(),
     };
-    let mut stands_by = false;
+    let mut has_stood_by = false;
     loop {
-        match bus.query_until(&request, offer.key, offer.patience).await {
+        match bus.query_until(&request, config.key, config.patience).await {
             Ok(Some(JoinReply::Welcome(assignment))) => {
                 assignment.validate().map_err(HostError::Assignment)?;
                 return Ok(Some(*assignment));
             }
-            Ok(Some(JoinReply::Retry(why))) if offer.stands_by => {
-                if !stands_by {
+            Ok(Some(JoinReply::Retry(why))) if config.stands_by => {
+                if !has_stood_by {
                     tracing::info!("{why}");
-                    say(HostEvent::StandsBy);
+                    on_event(HostEvent::StandsBy);
                 }
-                stands_by = true;
-                tokio::time::sleep(STANDING_BY).await;
+                has_stood_by = true;
+                tokio::time::sleep(RETRY_PAUSE).await;
             }
             Ok(Some(JoinReply::Retry(why) | JoinReply::Refused(why))) | Err(BusError::Refused(why)) => {
                 return Err(HostError::Refused(why));
             }
             // The base station has answered before, so its run is over.
-            Ok(None) if stands_by => return Ok(None),
+            Ok(None) if has_stood_by => return Ok(None),
             Ok(None) => return Err(bus.no_run_error().await.into()),
             Err(error) => return Err(error.into()),
         }
@@ -137,30 +141,30 @@ async fn join(bus: &Bus, offer: &HostConfig, say: &(dyn Fn(HostEvent) + Sync)) -
 }
 
 /// Runs the devices of `assignment` until the run ends or they belong to another host.
-async fn tend(
+async fn run_assignment(
     bus: &Bus,
     assignment: HostSetup,
-    offer: &HostConfig,
-    say: &(dyn Fn(HostEvent) + Sync),
+    config: &HostConfig,
+    on_event: &(dyn Fn(HostEvent) + Sync),
 ) -> Result<HostExit, HostError> {
-    let patience = offer.patience;
+    let patience = config.patience;
     let pass = assignment.membership.pass;
     let host = pass.host;
     // `HostSetup::validate` has refused an empty list.
     let (first, count) = (assignment.devices[0].id, assignment.devices.len() as u32);
     let last = DeviceId(first.0 + count - 1);
     tracing::info!(%host, %first, %last, "joined");
-    say(HostEvent::Joined(host, first, last));
+    on_event(HostEvent::Joined(host, first, last));
     let bus = bus.with_secret(assignment.membership.secret);
-    let shared = Arc::new(Shared::new(&bus, assignment)?);
-    let this = Arc::clone(&shared);
+    let shared = Arc::new(HostShared::new(&bus, assignment)?);
+    let receiver = Arc::clone(&shared);
     // The link's queue has to hold the traffic of all devices that the process may run, not only of these.
-    let ear = Dispatcher::new(offer.count.max(count), offer.hands_over, move |heard| {
-        this.dispatch(heard);
+    let dispatcher = Dispatcher::new(config.max_devices.max(count), config.uses_worker, move |message| {
+        receiver.dispatch(message);
     });
-    let _declared = shared.declare(&bus, ear)?;
+    let _declared = shared.declare(&bus, dispatcher)?;
     match bus.query_until(&Ready { host }, Some(pass.token), patience).await? {
-        Some(true) => shared.stay(&bus, patience).await,
+        Some(true) => shared.wait_for_exit(&bus, patience).await,
         Some(false) => Ok(HostExit::Replaced),
         None => Err(bus.no_run_error().await.into()),
     }

@@ -22,7 +22,7 @@ use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 use tokio::sync::watch;
 
 use self::actor::{Actor, DeviceCommand};
-use self::answer_round::{DeviceAnswer, Round, Uplink};
+use self::answer_round::{AnswerRound, DeviceAnswer, Uplink};
 use self::dispatch::{Dispatcher, HostMessage};
 use crate::grant_follower::{Disposition, FollowerStart, GrantFollower, GrantTask, HostRequest, WakeUpTask};
 use crate::machine::{Machine, Physics};
@@ -32,7 +32,7 @@ pub use self::join::{HostConfig, HostEvent, run_host};
 /// Time limit for asking a base station that is back whether it still knows this host. A restarted base station serves
 /// other keys, so no answer comes. This shows immediately, because its token follows everything that it answers. A host
 /// that gives up too soon needs a new assignment.
-const ANOTHER: Duration = Duration::from_secs(1);
+const STILL_KNOWN_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// A reason why a host cannot do its work.
 #[derive(Debug, thiserror::Error)]
@@ -67,9 +67,9 @@ pub enum HostError {
     },
 }
 
-/// The state of a host.
+/// The progress of a host from joining to its exit.
 #[derive(Clone, Debug, PartialEq, Eq)]
-enum Progress {
+enum HostStatus {
     Running,
     BsMissing,
     /// The base station, or its replacement, is back.
@@ -88,38 +88,38 @@ enum HostExit {
 }
 
 /// Reports a panic in a device task, which tokio would otherwise hide.
-struct PanicGuard(watch::Sender<Progress>);
+struct PanicGuard(watch::Sender<HostStatus>);
 
 impl Drop for PanicGuard {
     fn drop(&mut self) {
         if std::thread::panicking() {
-            self.0.send_modify(|progress| *progress = Progress::DeviceFailed);
+            self.0.send_modify(|status| *status = HostStatus::DeviceFailed);
         }
     }
 }
 
 /// The state of a host, shared by the callbacks of its subscriptions.
-struct Shared {
-    membership: BusCredentials,
-    fallback: Handle,
+struct HostShared {
+    credentials: BusCredentials,
+    fallback_runtime: Handle,
     mailboxes: Vec<UnboundedSender<DeviceCommand>>,
     uplink: Arc<Uplink>,
     state: Mutex<HostState>,
-    progress: watch::Sender<Progress>,
+    status: watch::Sender<HostStatus>,
 }
 
 struct HostState {
-    /// Actors that are not started yet; see [`Shared::start_actors`].
-    resting: Vec<(Actor, UnboundedReceiver<DeviceCommand>)>,
+    /// Actors that are not started yet; see [`HostShared::start_actors`].
+    unstarted_actors: Vec<(Actor, UnboundedReceiver<DeviceCommand>)>,
     follower: GrantFollower,
     /// The answer to the last request.
-    round: Option<Arc<Round>>,
+    round: Option<Arc<AnswerRound>>,
 }
 
-impl Shared {
+impl HostShared {
     fn new(bus: &Bus, assignment: HostSetup) -> Result<Self, HostError> {
         let HostSetup {
-            membership,
+            membership: credentials,
             resumption,
             seed,
             ttis,
@@ -129,7 +129,7 @@ impl Shared {
             devices,
             traces,
         } = assignment;
-        let uplink = Arc::new(Uplink::new(bus, membership.pass)?);
+        let uplink = Arc::new(Uplink::new(bus, credentials.pass)?);
         let d_max = sensing.d_max;
         let physics = Arc::new(Physics::new(seed, measured_from, sensing, radio, &devices, traces));
         let machines: Vec<Machine> = match &resumption {
@@ -141,71 +141,77 @@ impl Shared {
                 .collect::<Result<_, _>>()
                 .map_err(HostError::Assignment)?,
         };
-        let beginning = FollowerStart {
+        let start = FollowerStart {
             first: devices.first().map_or(DeviceId(0), |d| d.id),
             positions: devices.iter().map(|d| d.position).collect(),
             duties: machines.iter().map(Machine::duty).collect(),
-            at: resumption.map_or(ResumePoint::default(), |resumption| resumption.at),
+            resume_point: resumption.map_or(ResumePoint::default(), |resumption| resumption.at),
         };
-        let (mut resting, mut mailboxes) = (Vec::new(), Vec::new());
+        let (mut unstarted_actors, mut mailboxes) = (Vec::new(), Vec::new());
         for machine in machines {
             // Unbounded, because the thread that delivers messages must not wait for a device.
-            let (mailbox, inputs) = unbounded_channel();
+            let (mailbox, commands) = unbounded_channel();
             mailboxes.push(mailbox);
-            resting.push((Actor::new(machine, Arc::clone(&physics), Arc::clone(&uplink)), inputs));
+            unstarted_actors.push((Actor::new(machine, Arc::clone(&physics), Arc::clone(&uplink)), commands));
         }
         let state = Mutex::new(HostState {
-            resting,
-            follower: GrantFollower::new(beginning, d_max, Tti(ttis), seed, &radio),
+            unstarted_actors,
+            follower: GrantFollower::new(start, d_max, Tti(ttis), seed, &radio),
             round: None,
         });
         Ok(Self {
-            membership,
-            fallback: Handle::current(),
+            credentials,
+            fallback_runtime: Handle::current(),
             mailboxes,
             uplink,
             state,
-            progress: watch::Sender::new(Progress::Running),
+            status: watch::Sender::new(HostStatus::Running),
         })
     }
 
     /// Declares all subscriptions of this host, then its liveliness token. The token comes last, so that every
     /// subscription is in place when the base station sees it.
-    fn declare(self: &Arc<Self>, bus: &Bus, ear: Dispatcher) -> Result<Vec<DeclarationGuard>, BusError> {
+    fn declare(self: &Arc<Self>, bus: &Bus, dispatcher: Dispatcher) -> Result<Vec<DeclarationGuard>, BusError> {
         let keys = bus.keys();
-        let mut declared = Vec::new();
-        let host = self.membership.pass.host;
-        let hear = ear.clone();
-        declared.push(bus.subscribe(host, move |update: PlanUpdate| hear.dispatch(HostMessage::Plan(update)))?);
-        let hear = ear.clone();
-        declared.push(bus.subscribe_wakes(host, move |device, wake| hear.dispatch(HostMessage::Wake(device, wake)))?);
-        declared.push(bus.subscribe(host, move |clock: ClockMessage| ear.dispatch(HostMessage::Clock(clock)))?);
+        let mut guards = Vec::new();
+        let host = self.credentials.pass.host;
+        let plan_dispatcher = dispatcher.clone();
+        guards.push(bus.subscribe(host, move |update: PlanUpdate| {
+            plan_dispatcher.dispatch(HostMessage::Plan(update))
+        })?);
+        let wake_dispatcher = dispatcher.clone();
+        guards.push(bus.subscribe_wake_ups(host, move |device, wake| {
+            wake_dispatcher.dispatch(HostMessage::Wake(device, wake))
+        })?);
+        guards.push(bus.subscribe(host, move |clock: ClockMessage| {
+            dispatcher.dispatch(HostMessage::Clock(clock))
+        })?);
         let this = Arc::clone(self);
-        declared.push(bus.watch_alive(keys.bs_alive(), move |_, alive| this.on_bs(alive))?);
-        declared.push(bus.declare_alive(keys.alive(self.membership.pass))?);
-        Ok(declared)
+        guards.push(bus.watch_alive(keys.bs_liveliness(), move |_, alive| this.on_bs_liveliness(alive))?);
+        guards.push(bus.declare_alive(keys.host_liveliness(self.credentials.pass))?);
+        Ok(guards)
     }
 
     /// Waits until the base station dismisses the host, reassigns its devices, or is lost for longer than `patience`.
-    async fn stay(&self, bus: &Bus, patience: Duration) -> Result<HostExit, HostError> {
-        let mut progress = self.progress.subscribe();
+    async fn wait_for_exit(&self, bus: &Bus, patience: Duration) -> Result<HostExit, HostError> {
+        let mut status = self.status.subscribe();
         loop {
-            let now = progress.borrow_and_update().clone();
+            let now = status.borrow_and_update().clone();
             let changed = match now {
-                Progress::Dismissed => return Ok(HostExit::Dismissed),
-                Progress::RunFailed(why) => return Err(HostError::RunFailed(why)),
-                Progress::DeviceFailed => return Err(HostError::DeviceFailed),
-                Progress::Running => progress.changed().await.is_ok(),
-                Progress::BsMissing => tokio::time::timeout(patience, progress.changed()).await.is_ok(),
-                Progress::BsBack => {
+                HostStatus::Dismissed => return Ok(HostExit::Dismissed),
+                HostStatus::RunFailed(why) => return Err(HostError::RunFailed(why)),
+                HostStatus::DeviceFailed => return Err(HostError::DeviceFailed),
+                HostStatus::Running => status.changed().await.is_ok(),
+                HostStatus::BsMissing => tokio::time::timeout(patience, status.changed()).await.is_ok(),
+                HostStatus::BsBack => {
                     if !self.is_still_known(bus, patience).await? {
                         return Ok(HostExit::Replaced);
                     }
                     // Only if nothing else has happened meanwhile, such as a second loss of the base station.
-                    self.progress.send_if_modified(|progress| {
-                        let is_back = *progress == Progress::BsBack;
+                    self.status.send_if_modified(|status| {
+                        let is_back = *status == HostStatus::BsBack;
                         if is_back {
-                            *progress = Progress::Running;
+                            *status = HostStatus::Running;
                         }
                         is_back
                     });
@@ -215,7 +221,7 @@ impl Shared {
             if !changed {
                 return Err(HostError::BsLost {
                     run: bus.keys().run().to_string(),
-                    tti: self.lock().follower.granted(),
+                    tti: self.lock().follower.last_granted(),
                     patience,
                 });
             }
@@ -225,39 +231,41 @@ impl Shared {
     /// Returns whether the base station still counts on this host. A restarted one serves other keys and does not
     /// answer.
     async fn is_still_known(&self, bus: &Bus, patience: Duration) -> Result<bool, BusError> {
-        let pass = self.membership.pass;
+        let pass = self.credentials.pass;
         let ready = Ready { host: pass.host };
-        let patience = patience.min(ANOTHER);
+        let patience = patience.min(STILL_KNOWN_TIMEOUT);
         Ok(bus.query_until(&ready, Some(pass.token), patience).await? == Some(true))
     }
 
-    fn on_bs(&self, alive: bool) {
-        self.progress.send_modify(|progress| match (&progress, alive) {
-            (Progress::Dismissed | Progress::RunFailed(_) | Progress::DeviceFailed, _)
-            | (Progress::Running | Progress::BsBack, true) => {}
-            (Progress::Running | Progress::BsMissing | Progress::BsBack, false) => *progress = Progress::BsMissing,
-            (Progress::BsMissing, true) => *progress = Progress::BsBack,
+    fn on_bs_liveliness(&self, alive: bool) {
+        self.status.send_modify(|status| match (&status, alive) {
+            (HostStatus::Dismissed | HostStatus::RunFailed(_) | HostStatus::DeviceFailed, _)
+            | (HostStatus::Running | HostStatus::BsBack, true) => {}
+            (HostStatus::Running | HostStatus::BsMissing | HostStatus::BsBack, false) => {
+                *status = HostStatus::BsMissing
+            }
+            (HostStatus::BsMissing, true) => *status = HostStatus::BsBack,
         });
     }
 
     /// Starts the actors on the runtime that processes this host's messages. A message then wakes its actor without a
     /// switch to another thread, which would cost more than the actor's work.
     fn start_actors(&self, state: &mut HostState) {
-        if state.resting.is_empty() {
+        if state.unstarted_actors.is_empty() {
             return;
         }
-        let runtime = Handle::try_current().unwrap_or_else(|_| self.fallback.clone());
-        for (actor, inputs) in state.resting.drain(..) {
-            let obituary = PanicGuard(self.progress.clone());
+        let runtime = Handle::try_current().unwrap_or_else(|_| self.fallback_runtime.clone());
+        for (actor, commands) in state.unstarted_actors.drain(..) {
+            let panic_guard = PanicGuard(self.status.clone());
             runtime.spawn(async move {
-                let _obituary = obituary;
-                actor.run(inputs).await;
+                let _panic_guard = panic_guard;
+                actor.run(commands).await;
             });
         }
     }
 
-    fn dispatch(&self, heard: HostMessage) {
-        match heard {
+    fn dispatch(&self, message: HostMessage) {
+        match message {
             HostMessage::Plan(update) => self.on_plan(update),
             HostMessage::Wake(device, wake) => self.on_wake(device, wake),
             HostMessage::Clock(clock) => self.on_clock(clock),
@@ -267,14 +275,14 @@ impl Shared {
     fn on_plan(&self, update: PlanUpdate) {
         let from = update.from;
         if !self.lock().follower.receive_plan(update) {
-            tracing::debug!(%from, "ignored a plan for another TTI, usually a resent one");
+            tracing::debug!(%from, "ignored a plan for another TTI, usually a retransmitted one");
         }
     }
 
     fn on_wake(&self, device: DeviceId, wake: WakeUp) {
         let woken = self.lock().follower.receive_wake_up(device, wake);
         if let Some(WakeUpTask { device, tti, stimulus }) = woken {
-            self.send(device, DeviceCommand::Wake(tti, stimulus));
+            self.send_command(device, DeviceCommand::Wake(tti, stimulus));
         } else {
             tracing::debug!(%device, tti = %wake.tti, "ignored a wake-up for another TTI or host");
         }
@@ -282,101 +290,104 @@ impl Shared {
 
     fn on_clock(&self, clock: ClockMessage) {
         match clock {
-            ClockMessage::Grant(tick) => self.on_grant(tick),
-            ClockMessage::CollectLedgers(end) => self.on_finish(end),
-            ClockMessage::Dismiss => self.leave(Progress::Dismissed),
-            ClockMessage::RunFailed(why) => self.leave(Progress::RunFailed(why)),
+            ClockMessage::Grant(grant) => self.on_grant(grant),
+            ClockMessage::CollectLedgers(end) => self.on_collect_ledgers(end),
+            ClockMessage::Dismiss => self.record_run_end(HostStatus::Dismissed),
+            ClockMessage::RunFailed(why) => self.record_run_end(HostStatus::RunFailed(why)),
         }
     }
 
     /// Records how the run has ended. The base station's first message counts, unless a device has failed before.
-    fn leave(&self, end: Progress) {
-        self.progress.send_modify(|progress| match progress {
-            Progress::Dismissed | Progress::RunFailed(_) | Progress::DeviceFailed => {}
-            Progress::Running | Progress::BsMissing | Progress::BsBack => *progress = end,
+    fn record_run_end(&self, end: HostStatus) {
+        self.status.send_modify(|status| match status {
+            HostStatus::Dismissed | HostStatus::RunFailed(_) | HostStatus::DeviceFailed => {}
+            HostStatus::Running | HostStatus::BsMissing | HostStatus::BsBack => *status = end,
         });
     }
 
-    fn on_grant(&self, tick: GrantMessage) {
-        let Some((state, turn)) = self.heed(|follower| follower.receive_grant(tick)) else {
+    fn on_grant(&self, grant: GrantMessage) {
+        let Some((state, task)) = self.take_task(|follower| follower.receive_grant(grant)) else {
             return;
         };
-        let GrantTask { changes, listeners } = turn;
-        let questions = usize::from(tick.account) + usize::from(tick.views);
-        let parts = questions * self.mailboxes.len() + listeners.len();
-        let round = self.begin(state, HostRequest::Grant(tick.last), parts);
-        // The order matters: `Settle` at `first` would panic after a later δ, and views show the state after sensing.
-        if tick.account {
+        let GrantTask {
+            duty_changes,
+            sensing_devices,
+        } = task;
+        let parts_per_device = usize::from(grant.account) + usize::from(grant.views);
+        let parts = parts_per_device * self.mailboxes.len() + sensing_devices.len();
+        let round = self.open_round(state, HostRequest::Grant(grant.last), parts);
+        // The order matters: `AdvanceTo(first)` would panic after a later δ, and views show the state after sensing.
+        if grant.account {
             for j in 0..self.mailboxes.len() {
-                self.send(j, DeviceCommand::AdvanceTo(tick.first, Arc::clone(&round)));
+                self.send_command(j, DeviceCommand::AdvanceTo(grant.first, Arc::clone(&round)));
             }
         }
-        for (j, from, duty) in changes {
-            self.send(j, DeviceCommand::Duty(from, duty));
+        for (j, from, duty) in duty_changes {
+            self.send_command(j, DeviceCommand::Duty(from, duty));
         }
-        if let Some(stimulus) = tick.stimulus {
-            for j in listeners {
-                self.send(j, DeviceCommand::Sense(tick.last, stimulus, Arc::clone(&round)));
+        if let Some(stimulus) = grant.stimulus {
+            for j in sensing_devices {
+                self.send_command(j, DeviceCommand::Sense(grant.last, stimulus, Arc::clone(&round)));
             }
         }
-        if tick.views {
+        if grant.views {
             for j in 0..self.mailboxes.len() {
-                self.send(j, DeviceCommand::View(tick.last, Arc::clone(&round)));
+                self.send_command(j, DeviceCommand::View(grant.last, Arc::clone(&round)));
             }
         }
         // The host's own part. It completes the answer if no device has a part in it.
         round.add(&DeviceAnswer::Nothing, &self.uplink);
     }
 
-    fn on_finish(&self, end: Tti) {
-        let Some((state, ())) = self.heed(|follower| follower.receive_finish(end)) else {
+    fn on_collect_ledgers(&self, end: Tti) {
+        let Some((state, ())) = self.take_task(|follower| follower.receive_collect_ledgers(end)) else {
             return;
         };
-        let round = self.begin(state, HostRequest::Ledgers, self.mailboxes.len());
+        let round = self.open_round(state, HostRequest::Ledgers, self.mailboxes.len());
         for j in 0..self.mailboxes.len() {
-            self.send(j, DeviceCommand::AdvanceTo(end, Arc::clone(&round)));
+            self.send_command(j, DeviceCommand::AdvanceTo(end, Arc::clone(&round)));
         }
         round.add(&DeviceAnswer::Nothing, &self.uplink);
     }
 
     /// Returns the task of a request, if any. A repeated request gets the same answer again.
-    fn heed<T>(
+    fn take_task<T>(
         &self,
         follow: impl FnOnce(&mut GrantFollower) -> Disposition<T>,
     ) -> Option<(MutexGuard<'_, HostState>, T)> {
         let mut state = self.lock();
         match follow(&mut state.follower) {
-            Disposition::Execute(it) => {
+            Disposition::Execute(task) => {
                 self.start_actors(&mut state);
-                Some((state, it))
+                Some((state, task))
             }
-            Disposition::Resend => {
+            Disposition::Retransmit => {
                 let round = state.round.clone();
                 // Released before sending, which blocks while the link is congested.
                 drop(state);
                 if let Some(round) = round {
-                    round.resend(&self.uplink);
+                    round.retransmit(&self.uplink);
                 }
                 None
             }
             Disposition::NotReady => {
                 let next = state.follower.next();
-                tracing::debug!(%next, "cannot follow the clock; waiting for the grant to be resent");
+                tracing::debug!(%next, "cannot follow the clock; waiting for the grant to be retransmitted");
                 None
             }
         }
     }
 
     /// Opens the answer to a request, with one part of the host and `parts` parts of devices.
-    fn begin(&self, mut state: MutexGuard<'_, HostState>, question: HostRequest, parts: usize) -> Arc<Round> {
-        let round = Arc::new(Round::new(self.membership.pass.host, question, parts));
+    fn open_round(&self, mut state: MutexGuard<'_, HostState>, request: HostRequest, parts: usize) -> Arc<AnswerRound> {
+        let round = Arc::new(AnswerRound::new(self.credentials.pass.host, request, parts));
         state.round = Some(Arc::clone(&round));
         round
     }
 
-    fn send(&self, j: usize, input: DeviceCommand) {
+    fn send_command(&self, j: usize, command: DeviceCommand) {
         // A mailbox closes only after a panic in the actor's task, which `PanicGuard` reports.
-        let _closed = self.mailboxes[j].send(input).is_err();
+        let _closed = self.mailboxes[j].send(command).is_err();
     }
 
     fn lock(&self) -> MutexGuard<'_, HostState> {

@@ -1,4 +1,4 @@
-//! One device as a state machine without I/O.
+//! One device as a state machine without I/O. `lab/src/run.rs` calls it directly, `host` through its actors.
 //!
 //! ```text
 //!            δ = 1, pays E_idle                detects the event
@@ -24,11 +24,11 @@ use std::sync::Arc;
 use reveille_common::codec;
 use reveille_common::event::Stimulus;
 use reveille_common::geometry::Point;
-use reveille_common::harvest::{HarvestSource, Sources};
+use reveille_common::harvest::{HarvestSource, SharedSourceData};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{DeviceCheckpoint, DeviceSetup, FailedTransmission, Report, WakeOutcome};
 use reveille_common::plan::DutyCycle;
-use reveille_common::radio::{Air, FalseWakes, RadioSettings};
+use reveille_common::radio::{Air, FalseWakeUps, RadioSettings};
 use reveille_common::scenario::EnergyModel;
 use reveille_common::sensing::Sensing;
 use reveille_common::state::{DeviceState, DeviceView};
@@ -40,7 +40,7 @@ use crate::battery::Battery;
 use crate::ledger::LedgerBuilder;
 
 /// Largest number of TTIs per span: levels of up to 10¹⁰ micro-units, summed over this many, fit in 64 bits.
-const LONGEST_SPAN: u64 = 1 << 13;
+const MAX_SPAN_TTIS: u64 = 1 << 13;
 
 /// The outcome of a stimulus for a device.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -63,7 +63,7 @@ pub struct Physics {
     /// The faults of the radio.
     pub radio: RadioSettings,
     /// The data shared by the energy sources.
-    pub sources: Sources,
+    pub sources: SharedSourceData,
     /// The first measured TTI; the TTIs before it are warm-up.
     pub measured_from: Tti,
 }
@@ -84,12 +84,13 @@ impl Physics {
             measured_from,
             sensing,
             radio,
-            sources: Sources::new(devices.iter().map(|d| &d.harvest), traces),
+            sources: SharedSourceData::new(devices.iter().map(|d| &d.harvest), traces),
         }
     }
 }
 
-/// The saved state of a machine; everything else follows from its setup and the seed.
+/// The saved state of a machine; everything else follows from its setup and the seed. Its fields, in this order, are
+/// the format of [`DeviceCheckpoint`].
 #[derive(Serialize, Deserialize)]
 struct MachineState {
     battery: Battery,
@@ -108,40 +109,42 @@ pub struct Machine {
     position: Point,
     costs: EnergyModel,
     battery: Battery,
-    source: HarvestSource,
+    harvest_source: HarvestSource,
     duty: DutyCycle,
     state: DeviceState,
     /// The first TTI whose harvest and δ have not been applied.
     next: Tti,
     /// Whether TTI `next - 1` is still open: its end, when the battery is accounted, is outstanding.
-    open: bool,
-    books: LedgerBuilder,
+    is_open: bool,
+    ledger_builder: LedgerBuilder,
     /// Whether the device is removed; it then stays unchanged.
-    is_gone: bool,
+    is_removed: bool,
     /// The wake-up radio, if it can fail.
-    ears: Option<Box<WakeUpRadio>>,
+    wake_up_radio: Option<Box<WakeUpRadio>>,
     /// The first TTI from `next` on with a false wake-up, if the device is in S4 then.
-    false_wake_up: Tti,
+    next_false_wake_up: Tti,
 }
 
 impl Machine {
     /// Creates the device of `setup` before TTI 0, asleep until a plan changes δ.
     pub fn new(setup: &DeviceSetup, physics: &Physics) -> Self {
-        let ears = WakeUpRadio::new(physics.seed, &physics.radio, setup.id);
+        let wake_up_radio = WakeUpRadio::new(physics.seed, &physics.radio, setup.id);
         Self {
             id: setup.id,
             position: setup.position,
             costs: setup.energy,
             battery: Battery::new(&setup.energy),
-            source: HarvestSource::new(&setup.harvest, &physics.sources, physics.seed, setup.id),
+            harvest_source: HarvestSource::new(&setup.harvest, &physics.sources, physics.seed, setup.id),
             duty: DutyCycle::ASLEEP,
             state: DeviceState::Sleep { powered: true },
             next: Tti::ZERO,
-            open: false,
-            books: LedgerBuilder::new(physics.measured_from),
-            is_gone: false,
-            false_wake_up: ears.as_ref().map_or(Tti::NEVER, |ears| ears.false_wake_up()),
-            ears,
+            is_open: false,
+            ledger_builder: LedgerBuilder::new(physics.measured_from),
+            is_removed: false,
+            next_false_wake_up: wake_up_radio
+                .as_ref()
+                .map_or(Tti::NEVER, |radio| radio.next_false_wake_up()),
+            wake_up_radio,
         }
     }
 
@@ -152,9 +155,9 @@ impl Machine {
             duty: self.duty,
             state: self.state,
             next: self.next,
-            open: self.open,
-            books: self.books.clone(),
-            is_gone: self.is_gone,
+            open: self.is_open,
+            books: self.ledger_builder.clone(),
+            is_gone: self.is_removed,
         }))
     }
 
@@ -167,22 +170,24 @@ impl Machine {
         physics: &Physics,
         checkpoint: &DeviceCheckpoint,
     ) -> Result<Self, String> {
-        let kept: MachineState = codec::decode(&checkpoint.0).map_err(|error| error.to_string())?;
+        let saved: MachineState = codec::decode(&checkpoint.0).map_err(|error| error.to_string())?;
         let mut machine = Self::new(setup, physics);
-        if !kept.battery.is_of(&setup.energy) || kept.books.measured_from() != physics.measured_from {
+        if !saved.battery.is_of(&setup.energy) || saved.books.measured_from() != physics.measured_from {
             return Err(format!("the checkpoint of device {} is for another device", setup.id));
         }
         // A checkpoint holds no stream: the draws up to it are repeated from the seed.
-        while machine.source.next() < kept.next {
-            machine.source.take();
+        while machine.harvest_source.next_arrival() < saved.next {
+            machine.harvest_source.take_arrival();
         }
-        while machine.false_wake_up < kept.next {
-            let Some(ears) = &mut machine.ears else { break };
-            machine.false_wake_up = ears.take_false_wake();
+        while machine.next_false_wake_up < saved.next {
+            let Some(wake_up_radio) = &mut machine.wake_up_radio else {
+                break;
+            };
+            machine.next_false_wake_up = wake_up_radio.take_false_wake_up();
         }
-        (machine.battery, machine.books) = (kept.battery, kept.books);
-        (machine.duty, machine.state) = (kept.duty, kept.state);
-        (machine.next, machine.open, machine.is_gone) = (kept.next, kept.open, kept.is_gone);
+        (machine.battery, machine.ledger_builder) = (saved.battery, saved.books);
+        (machine.duty, machine.state) = (saved.duty, saved.state);
+        (machine.next, machine.is_open, machine.is_removed) = (saved.next, saved.open, saved.is_gone);
         Ok(machine)
     }
 
@@ -198,7 +203,7 @@ impl Machine {
 
     /// The battery level after the last step; 0 once the device is removed.
     pub const fn battery(&self) -> Energy {
-        if self.is_gone {
+        if self.is_removed {
             Energy::ZERO
         } else {
             self.battery.level()
@@ -222,13 +227,13 @@ impl Machine {
     pub fn remove(&mut self, k: Tti) {
         self.begin(k);
         self.advance_to(k + 1);
-        self.is_gone = true;
+        self.is_removed = true;
         self.state = DeviceState::Sleep { powered: false };
     }
 
     /// Sets δ to `duty` from TTI `from` on.
     pub fn set_duty(&mut self, from: Tti, duty: DutyCycle) {
-        if duty != self.duty && !self.is_gone {
+        if duty != self.duty && !self.is_removed {
             self.advance_to(from);
             self.duty = duty;
         }
@@ -239,7 +244,7 @@ impl Machine {
     /// # Panics
     /// If TTI `k` or a later one has already begun.
     pub fn advance_to(&mut self, k: Tti) {
-        if self.is_gone {
+        if self.is_removed {
             return;
         }
         assert!(
@@ -249,86 +254,86 @@ impl Machine {
             self.next
         );
         // Catching up stops at the first measured TTI, where the ledger is divided.
-        if self.next <= self.books.measured_from() && self.books.measured_from() <= k {
-            self.catch_up(self.books.measured_from());
+        if self.next <= self.ledger_builder.measured_from() && self.ledger_builder.measured_from() <= k {
+            self.catch_up(self.ledger_builder.measured_from());
             let so_far = self.totals();
-            self.books.start_measuring(so_far);
+            self.ledger_builder.start_measuring(so_far);
         }
         self.catch_up(k);
     }
 
     fn catch_up(&mut self, k: Tti) {
-        self.end_open();
-        while self.false_wake_up < k {
+        self.end_open_tti();
+        while self.next_false_wake_up < k {
             // A false wake-up costs energy within its TTI, so that TTI is not part of a span.
-            let then = self.false_wake_up;
-            self.advance(then);
-            self.start(then);
-            self.end_open();
+            let false_wake_up = self.next_false_wake_up;
+            self.advance_without_false_wake_ups(false_wake_up);
+            self.begin_next(false_wake_up);
+            self.end_open_tti();
         }
-        self.advance(k);
+        self.advance_without_false_wake_ups(k);
     }
 
     /// Advances through the TTIs before `k`, which must not contain a false wake-up.
-    fn advance(&mut self, k: Tti) {
+    fn advance_without_false_wake_ups(&mut self, k: Tti) {
         let mut phase = self.duty.phase(self.next);
         while self.next < k {
-            if self.source.next() == self.next {
-                self.battery.harvest(self.source.take());
+            if self.harvest_source.next_arrival() == self.next {
+                self.battery.harvest(self.harvest_source.take_arrival());
             }
             // Harvest precedes δ within a TTI: an arrival opens a span, and the next one ends it.
-            let span_end = self.source.next().min(k);
-            phase = self.quiet((span_end - self.next).min(LONGEST_SPAN) as u32, phase);
+            let span_end = self.harvest_source.next_arrival().min(k);
+            phase = self.advance_span((span_end - self.next).min(MAX_SPAN_TTIS) as u32, phase);
         }
     }
 
     /// Steps 1 and 2 of TTI `k` (harvest, then δ), after ending all TTIs before it. Does nothing if `k` has begun.
     pub fn begin(&mut self, k: Tti) {
-        if self.is_gone || (self.open && self.next == k + 1) {
+        if self.is_removed || (self.is_open && self.next == k + 1) {
             return;
         }
         self.advance_to(k);
-        self.start(k);
+        self.begin_next(k);
     }
 
     /// Performs steps 1 and 2 of TTI `k`, which must be the next one.
-    fn start(&mut self, k: Tti) {
-        if self.source.next() == k {
-            self.battery.harvest(self.source.take());
+    fn begin_next(&mut self, k: Tti) {
+        if self.harvest_source.next_arrival() == k {
+            self.battery.harvest(self.harvest_source.take_arrival());
         }
-        let on = self.duty.is_on(k);
-        let cost = if on { self.costs.e_idle } else { self.costs.e_wur };
-        let paid = self.battery.pay(cost);
-        self.books.record_duty(on, paid);
-        self.state = match (paid, on) {
+        let is_on = self.duty.is_on(k);
+        let cost = if is_on { self.costs.e_idle } else { self.costs.e_wur };
+        let payment = self.battery.pay(cost);
+        self.ledger_builder.record_duty(is_on, payment);
+        self.state = match (payment, is_on) {
             (Ok(()), true) => DeviceState::Idle,
             (Ok(()), false) => DeviceState::Sleep { powered: true },
             (Err(_), _) => DeviceState::Sleep { powered: false },
         };
-        if self.false_wake_up == k {
-            self.wake_for_nothing();
+        if self.next_false_wake_up == k {
+            self.apply_false_wake_up();
         }
         self.next = k + 1;
-        self.open = true;
+        self.is_open = true;
     }
 
-    fn wake_for_nothing(&mut self) {
-        if let Some(ears) = &mut self.ears {
-            self.false_wake_up = ears.take_false_wake();
+    fn apply_false_wake_up(&mut self) {
+        if let Some(wake_up_radio) = &mut self.wake_up_radio {
+            self.next_false_wake_up = wake_up_radio.take_false_wake_up();
         }
         if self.state == (DeviceState::Sleep { powered: true }) {
-            let _late = self.find_nothing();
+            let _late = self.wake_without_detection();
         }
     }
 
     /// Goes to S2 and back to S4 without a detection.
-    fn find_nothing(&mut self) -> WakeOutcome {
-        let paid = self.battery.pay(self.costs.e_idle);
-        self.books.false_wake_up(paid);
-        let powered = paid.is_ok();
+    fn wake_without_detection(&mut self) -> WakeOutcome {
+        let payment = self.battery.pay(self.costs.e_idle);
+        self.ledger_builder.record_false_wake_up(payment);
+        let powered = payment.is_ok();
         self.state = DeviceState::Sleep { powered };
         WakeOutcome::Late {
-            spent: paid.err().unwrap_or(self.costs.e_idle),
+            spent: payment.err().unwrap_or(self.costs.e_idle),
             powered,
         }
     }
@@ -367,7 +372,7 @@ impl Machine {
                     self.transmit(k, d, physics)
                         .map_or_else(WakeOutcome::Failed, WakeOutcome::Reported)
                 }
-                None => self.find_nothing(),
+                None => self.wake_without_detection(),
             },
             DeviceState::Sleep { .. } | DeviceState::Idle | DeviceState::Active | DeviceState::Transmission => {
                 WakeOutcome::Missed
@@ -376,25 +381,25 @@ impl Machine {
     }
 
     fn misses_wake_up(&mut self, k: Tti) -> bool {
-        self.ears.as_mut().is_some_and(|ears| ears.misses_wake_up(k))
+        self.wake_up_radio.as_mut().is_some_and(|radio| radio.misses_wake_up(k))
     }
 
     /// The device's totals over all TTIs that have ended.
     pub fn totals(&self) -> DeviceTotals {
-        self.books.totals(self.next, &self.costs, &self.battery)
+        self.ledger_builder.totals(self.next, &self.costs, &self.battery)
     }
 
     /// The device's ledger over all TTIs that have ended.
     pub fn ledger(&self) -> Ledger {
-        self.books.ledger(self.totals())
+        self.ledger_builder.ledger(self.totals())
     }
 
     /// Goes to S2, and from there to S3 with a report, or to S4 if the battery cannot pay.
     fn transmit(&mut self, k: Tti, d: f64, physics: &Physics) -> Result<Report, FailedTransmission> {
         self.state = DeviceState::Active;
-        let paid = self.battery.pay(self.costs.e_tx);
-        self.books.transmission(paid);
-        match paid {
+        let payment = self.battery.pay(self.costs.e_tx);
+        self.ledger_builder.record_transmission(payment);
+        match payment {
             Ok(()) => {
                 self.state = DeviceState::Transmission;
                 let information = physics.sensing.information(d);
@@ -416,37 +421,40 @@ impl Machine {
     }
 
     /// Performs step 7 of the open TTI, if any.
-    fn end_open(&mut self) {
-        if self.open {
-            self.open = false;
-            self.books.ends(self.battery.level(), self.costs.e_tx, 1);
+    fn end_open_tti(&mut self) {
+        if self.is_open {
+            self.is_open = false;
+            self.ledger_builder.record_end(self.battery.level(), self.costs.e_tx, 1);
         }
     }
 
     /// Advances through `n` whole TTIs from `self.next` on, without harvest, event or wake-up. The first is at `phase`
     /// of the duty cycle. Returns the phase after them.
-    fn quiet(&mut self, n: u32, phase: u32) -> u32 {
+    fn advance_span(&mut self, n: u32, phase: u32) -> u32 {
         let EnergyModel {
             e_idle, e_wur, e_tx, ..
         } = self.costs;
         let level = self.battery.level();
-        let (on, on_remaining, phase_after) = self.duty.span(phase, n);
-        let is_on = phase < self.duty.t_on;
+        let (on_ttis, on_remaining, phase_after) = self.duty.sum_over_span(phase, n);
+        let starts_on = phase < self.duty.t_on;
         let n = u64::from(n);
-        let cost = e_idle.times(on) + e_wur.times(n - on);
-        let after_first = level.saturating_sub(if is_on { e_idle } else { e_wur });
+        let cost = e_idle.times(on_ttis) + e_wur.times(n - on_ttis);
+        let after_first = level.saturating_sub(if starts_on { e_idle } else { e_wur });
         let after_all = level.saturating_sub(cost);
         // Levels only fall within a span, so its ends show whether they cross E_Tx or reach 0.
         if level < cost || (after_first >= e_tx && after_all < e_tx) {
-            self.quiet_step_by_step(n);
+            self.advance_span_by_tti(n);
             return phase_after;
         }
-        // A cost paid i TTIs before the end of the span lowers i of its end-of-TTI levels. `LONGEST_SPAN` keeps the
+        // A cost paid i TTIs before the end of the span lowers i of its end-of-TTI levels. `MAX_SPAN_TTIS` keeps the
         // sums within 64 bits.
         let off_remaining = n * (n + 1) / 2 - on_remaining;
-        let lowered = e_idle.times(on_remaining) + e_wur.times(off_remaining);
-        self.books
-            .record_paid_span(on, level.times(n) - lowered, if after_first < e_tx { n } else { 0 });
+        let level_loss = e_idle.times(on_remaining) + e_wur.times(off_remaining);
+        self.ledger_builder.record_paid_span(
+            on_ttis,
+            level.times(n) - level_loss,
+            if after_first < e_tx { n } else { 0 },
+        );
         self.battery.spend(cost);
         self.next = self.next + n;
         phase_after
@@ -454,61 +462,61 @@ impl Machine {
 
     /// Does the same as [`Self::quiet`], one TTI at a time, for spans in which the battery runs out or falls below
     /// E_Tx.
-    fn quiet_step_by_step(&mut self, n: u64) {
+    fn advance_span_by_tti(&mut self, n: u64) {
         let EnergyModel {
             e_idle, e_wur, e_tx, ..
         } = self.costs;
-        for done in 0..n {
+        for ttis_done in 0..n {
             // With an empty battery every action that costs energy fails, up to the end of the span.
             if self.battery.level() == Energy::ZERO && e_idle > Energy::ZERO && e_wur > Energy::ZERO {
-                let rest = n - done;
-                let (on, ..) = self.duty.span(self.duty.phase(self.next), rest as u32);
-                self.books.record_outage(on, rest - on);
-                self.books.ends(Energy::ZERO, e_tx, rest);
-                self.next = self.next + rest;
+                let remaining = n - ttis_done;
+                let (on, ..) = self.duty.sum_over_span(self.duty.phase(self.next), remaining as u32);
+                self.ledger_builder.record_outage(on, remaining - on);
+                self.ledger_builder.record_end(Energy::ZERO, e_tx, remaining);
+                self.next = self.next + remaining;
                 return;
             }
             let on = self.duty.is_on(self.next);
-            let paid = self.battery.pay(if on { e_idle } else { e_wur });
-            self.books.record_duty(on, paid);
-            self.books.ends(self.battery.level(), e_tx, 1);
+            let payment = self.battery.pay(if on { e_idle } else { e_wur });
+            self.ledger_builder.record_duty(on, payment);
+            self.ledger_builder.record_end(self.battery.level(), e_tx, 1);
             self.next = self.next + 1;
         }
     }
 }
 
-/// The missed and false wake-ups of a device's wake-up radio.
+/// The faults of a device's wake-up receiver: missed and false wake-ups.
 #[derive(Clone, Debug)]
 pub(crate) struct WakeUpRadio {
     device: DeviceId,
     air: Air,
-    false_wake_ups: FalseWakes,
+    false_wake_ups: FalseWakeUps,
 }
 
 impl WakeUpRadio {
     /// Creates the faults of `device` in a run with `seed`. Returns `None` if `radio` never fails.
     pub(crate) fn new(seed: u64, radio: &RadioSettings, device: DeviceId) -> Option<Box<Self>> {
-        let of = || Self {
+        let build = || Self {
             device,
             air: Air::new(seed, radio),
-            false_wake_ups: FalseWakes::new(seed, radio.false_wake_up, device),
+            false_wake_ups: FalseWakeUps::new(seed, radio.false_wake_up, device),
         };
-        (!radio.is_perfect()).then(|| Box::new(of()))
+        (!radio.is_perfect()).then(|| Box::new(build()))
     }
 
     /// The TTI of the next false wake-up, if the device sleeps then.
-    pub(crate) const fn false_wake_up(&self) -> Tti {
+    pub(crate) const fn next_false_wake_up(&self) -> Tti {
         self.false_wake_ups.next()
     }
 
     /// Consumes that TTI and returns the next one.
-    pub(crate) fn take_false_wake(&mut self) -> Tti {
-        self.false_wake_ups.take()
+    pub(crate) fn take_false_wake_up(&mut self) -> Tti {
+        self.false_wake_ups.advance()
     }
 
     /// Returns whether the device misses a wake-up signal in TTI `k`, which must not precede the last call's TTI.
     pub(crate) fn misses_wake_up(&mut self, k: Tti) -> bool {
-        self.air.at(k).misses_wake_up(self.device)
+        self.air.channel_at(k).misses_wake_up(self.device)
     }
 }
 

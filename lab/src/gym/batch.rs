@@ -1,8 +1,9 @@
-//! Environments that step together on separate threads and write their observations into the caller's memory.
+//! Environments that step together on separate threads and write their observations into the caller's memory, the NumPy
+//! arrays of the Python package. Results do not depend on the number of threads.
 
 use rayon::iter::{IndexedParallelIterator, IntoParallelIterator, IntoParallelRefMutIterator, ParallelIterator};
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
-use reveille_bs::policy::external::{DEVICE, DecisionStage, GLOBAL};
+use reveille_bs::policy::external::{DEVICE_FEATURES, DecisionStage, GLOBAL_FEATURES};
 use reveille_bs::scenario::Scenario;
 
 use super::environment::{Environment, EpisodeTemplate, RewardWeights, StepResult};
@@ -10,9 +11,9 @@ use super::environment::{Environment, EpisodeTemplate, RewardWeights, StepResult
 /// The output buffers of a batch, one environment after another.
 #[derive(Debug)]
 pub struct BatchBuffers<'a> {
-    /// The features [`DEVICE`], `[K, N, F]`.
+    /// The features [`DEVICE_FEATURES`], `[K, N, F]`.
     pub devices: &'a mut [f32],
-    /// The features [`GLOBAL`], `[K, G]`.
+    /// The features [`GLOBAL_FEATURES`], `[K, G]`.
     pub global: &'a mut [f32],
     /// The stage, 0 or 1, `[K]`.
     pub stage: &'a mut [i64],
@@ -29,7 +30,7 @@ pub struct BatchBuffers<'a> {
 }
 
 /// The number of terms of a reward.
-pub const PARTS: usize = 4;
+pub const REWARD_TERMS: usize = 4;
 
 /// The output buffers of one environment.
 #[derive(Debug)]
@@ -46,14 +47,14 @@ struct EnvBuffers<'a> {
 
 impl<'a> BatchBuffers<'a> {
     /// Splits the buffers by environment, each with `n` devices.
-    fn places(self, n: usize) -> Vec<EnvBuffers<'a>> {
+    fn split(self, n: usize) -> Vec<EnvBuffers<'a>> {
         // The slices are disjoint, so threads write without a lock.
-        let rows = self.devices.chunks_exact_mut(n * DEVICE.len());
-        let rows = rows.zip(self.global.chunks_exact_mut(GLOBAL.len()));
+        let rows = self.devices.chunks_exact_mut(n * DEVICE_FEATURES.len());
+        let rows = rows.zip(self.global.chunks_exact_mut(GLOBAL_FEATURES.len()));
         let rows = rows.zip(self.mask.chunks_exact_mut(n)).zip(self.stage);
-        let results = self.reward.iter_mut().zip(self.parts.chunks_exact_mut(PARTS));
+        let results = self.reward.iter_mut().zip(self.parts.chunks_exact_mut(REWARD_TERMS));
         let results = results.zip(self.ttis).zip(self.ended);
-        let place = |((((devices, global), mask), stage), (((reward, parts), ttis), ended))| EnvBuffers {
+        let env_buffers = |((((devices, global), mask), stage), (((reward, parts), ttis), ended))| EnvBuffers {
             devices,
             global,
             stage,
@@ -63,12 +64,12 @@ impl<'a> BatchBuffers<'a> {
             ttis,
             ended,
         };
-        rows.zip(results).map(place).collect()
+        rows.zip(results).map(env_buffers).collect()
     }
 }
 
 impl EnvBuffers<'_> {
-    fn show(&mut self, environment: &Environment, step: StepResult) {
+    fn write(&mut self, environment: &Environment, step: StepResult) {
         let StepResult {
             asleep,
             missed,
@@ -79,11 +80,11 @@ impl EnvBuffers<'_> {
         self.parts.copy_from_slice(&[asleep, missed, information, woken]);
         *self.ttis = environment.ttis_done().cast_signed();
         *self.ended = environment.pending_decision().is_none();
-        let question = environment.view();
-        question.write_devices(self.devices);
-        question.write_global(self.global);
-        question.write_mask(self.mask);
-        *self.stage = i64::from(question.stage == DecisionStage::Wake);
+        let request = environment.decision_context();
+        request.write_devices(self.devices);
+        request.write_global(self.global);
+        request.write_mask(self.mask);
+        *self.stage = i64::from(request.stage == DecisionStage::Wake);
     }
 }
 
@@ -116,9 +117,9 @@ impl EnvBatch {
         // A pool of one thread would only add a thread switch to each step.
         let pool = (threads > 1).then(|| ThreadPoolBuilder::new().num_threads(threads).build());
         let pool = pool.transpose()?;
-        let make = |scenario: &Scenario| Environment::new(EpisodeTemplate::new(scenario), weights);
+        let new_environment = |scenario: &Scenario| Environment::new(EpisodeTemplate::new(scenario), weights);
         Ok(Self {
-            environments: scenarios.iter().map(make).collect(),
+            environments: scenarios.iter().map(new_environment).collect(),
             devices,
             weights,
             pool,
@@ -145,13 +146,13 @@ impl EnvBatch {
         &self.environments
     }
 
-    /// Replaces the environment with index `at`.
+    /// Replaces the environment with this `index`.
     ///
     /// # Panics
-    /// If the new one has another number of devices, or `at` is out of range.
-    pub fn put(&mut self, at: usize, environment: Environment) {
-        assert_eq!(environment.ground().scenario().run.devices as usize, self.devices);
-        self.environments[at] = environment;
+    /// If the new one has another number of devices, or `index` is out of range.
+    pub fn replace(&mut self, index: usize, environment: Environment) {
+        assert_eq!(environment.template().scenario().run.devices as usize, self.devices);
+        self.environments[index] = environment;
     }
 
     /// Restarts each environment that has a scenario in `scenarios`.
@@ -161,46 +162,53 @@ impl EnvBatch {
     pub fn reset(&mut self, scenarios: Vec<Option<Scenario>>) {
         assert_eq!(scenarios.len(), self.environments.len());
         let weights = self.weights;
-        let begin = |(environment, scenario): (&mut Environment, Option<Scenario>)| {
+        let restart = |(environment, scenario): (&mut Environment, Option<Scenario>)| {
             if let Some(scenario) = scenario {
                 *environment = Environment::new(EpisodeTemplate::new(&scenario), weights);
             }
         };
         let Self { environments, pool, .. } = self;
         match pool {
-            None => environments.iter_mut().zip(scenarios).for_each(begin),
-            Some(pool) => pool.install(|| environments.par_iter_mut().zip(scenarios).for_each(begin)),
+            None => environments.iter_mut().zip(scenarios).for_each(restart),
+            Some(pool) => pool.install(|| environments.par_iter_mut().zip(scenarios).for_each(restart)),
         }
     }
 
-    /// Takes a step in each environment with its row of `actions`, `[K, N]`, 0 or not 0. Environments with `rests`,
-    /// `[K]`, take no step. Then writes the observations of all environments.
+    /// Takes a step in each environment with its row of `actions`, `[K, N]`, 0 or not 0. Environments with
+    /// `is_resting`, `[K]`, take no step. Then writes the observations of all environments.
     ///
     /// # Panics
     /// If a slice has another length.
-    pub fn step(&mut self, actions: &[i8], rests: &[bool], views: BatchBuffers<'_>) {
+    pub fn step(&mut self, actions: &[i8], is_resting: &[bool], buffers: BatchBuffers<'_>) {
         let n = self.devices;
-        let places = views.places(n);
-        let all = self.environments.len();
+        let env_buffers = buffers.split(n);
+        let count = self.environments.len();
         // `chunks_exact_mut` and `zip` silently drop a remainder, so a short slice would skip environments.
-        assert_eq!((actions.len(), rests.len(), places.len()), (all * n, all, all));
-        let step = |at: usize, environment: &mut Environment, mut place: EnvBuffers<'_>| {
-            let action = &actions[at * n..][..n];
-            let step = if rests[at] {
+        assert_eq!(
+            (actions.len(), is_resting.len(), env_buffers.len()),
+            (count * n, count, count)
+        );
+        let step = |index: usize, environment: &mut Environment, mut buffers: EnvBuffers<'_>| {
+            let action = &actions[index * n..][..n];
+            let step = if is_resting[index] {
                 StepResult::default()
             } else {
                 environment.step(|j| action[j] != 0)
             };
-            place.show(environment, step);
+            buffers.write(environment, step);
         };
         match &self.pool {
             None => {
-                let each = self.environments.iter_mut().zip(places).enumerate();
-                each.for_each(|(at, (environment, place))| step(at, environment, place));
+                let environments = self.environments.iter_mut().zip(env_buffers).enumerate();
+                environments.for_each(|(index, (environment, buffers))| step(index, environment, buffers));
             }
             Some(pool) => pool.install(|| {
-                let each = self.environments.par_iter_mut().zip(places.into_par_iter()).enumerate();
-                each.for_each(|(at, (environment, place))| step(at, environment, place));
+                let environments = self
+                    .environments
+                    .par_iter_mut()
+                    .zip(env_buffers.into_par_iter())
+                    .enumerate();
+                environments.for_each(|(index, (environment, buffers))| step(index, environment, buffers));
             }),
         }
     }
@@ -209,8 +217,8 @@ impl EnvBatch {
     ///
     /// # Panics
     /// If a slice has another length.
-    pub fn show(&mut self, views: BatchBuffers<'_>) {
-        let all = self.environments.len();
-        self.step(&vec![0; all * self.devices], &vec![true; all], views);
+    pub fn write_observations(&mut self, buffers: BatchBuffers<'_>) {
+        let count = self.environments.len();
+        self.step(&vec![0; count * self.devices], &vec![true; count], buffers);
     }
 }

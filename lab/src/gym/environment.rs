@@ -1,10 +1,10 @@
-//! One environment.
+//! One environment: a run that is stepped by actions and gives the rewards of Sec. V-B.
 
 use std::sync::Arc;
 
-use reveille_bs::beliefs::coverage::Union;
-use reveille_bs::beliefs::reward::{self, CoverageReward, MU1, MU2};
-use reveille_bs::cycle::{Outcome, PreparedRun};
+use reveille_bs::beliefs::coverage::CoverageUnion;
+use reveille_bs::beliefs::reward::{self, CoverageReward, DEFAULT_MU1, DEFAULT_MU2};
+use reveille_bs::cycle::{PreparedRun, RunOutcome};
 use reveille_bs::observer::{Notification, Observer};
 use reveille_bs::policy::external::{DecisionContext, DecisionStage, PlanDecision};
 use reveille_bs::policy::outside::is_external;
@@ -29,7 +29,10 @@ pub struct RewardWeights {
 
 impl Default for RewardWeights {
     fn default() -> Self {
-        Self { mu1: MU1, mu2: MU2 }
+        Self {
+            mu1: DEFAULT_MU1,
+            mu2: DEFAULT_MU2,
+        }
     }
 }
 
@@ -37,7 +40,7 @@ impl Default for RewardWeights {
 #[derive(Clone, Debug)]
 pub struct EpisodeTemplate {
     prepared: Arc<PreparedRun>,
-    union: Union,
+    union: CoverageUnion,
 }
 
 impl EpisodeTemplate {
@@ -52,7 +55,7 @@ impl EpisodeTemplate {
             scenario.policy.name()
         );
         let prepared = PreparedRun::without_pilots(scenario);
-        let union = reward::union(&prepared.knowledge());
+        let union = reward::coverage_union(&prepared.knowledge());
         Self {
             prepared: Arc::new(prepared),
             union,
@@ -120,98 +123,98 @@ impl Observer for StepObserver {
 
 /// A run that is stepped from its first TTI to its last.
 pub struct Environment {
-    ground: EpisodeTemplate,
+    template: EpisodeTemplate,
     weights: RewardWeights,
-    stepping: SteppedRun<StepObserver>,
+    run: SteppedRun<StepObserver>,
     devices: usize,
     /// δ of the last plan; kept to reuse its memory.
-    on: Vec<bool>,
-    chosen: Vec<DeviceId>,
+    plan_bits: Vec<bool>,
+    devices_to_wake: Vec<DeviceId>,
 }
 
 impl Environment {
-    /// Creates the run of `ground` at its first decision request.
-    pub fn new(ground: EpisodeTemplate, weights: RewardWeights) -> Self {
-        let prepared = &ground.prepared;
+    /// Creates the run of `template` at its first decision request.
+    pub fn new(template: EpisodeTemplate, weights: RewardWeights) -> Self {
+        let prepared = &template.prepared;
         let world = World::new(&prepared.scenario, &prepared.deployment);
-        Self::with_world(ground, world, weights)
+        Self::with_world(template, world, weights)
     }
 
     /// Creates the run as [`Self::new`] does, in the caller's world, such as one with scripted events.
-    pub fn with_world(ground: EpisodeTemplate, world: World, weights: RewardWeights) -> Self {
-        let ear = StepObserver {
-            sensing: ground.prepared.scenario.sensing.clone(),
+    pub fn with_world(template: EpisodeTemplate, world: World, weights: RewardWeights) -> Self {
+        let observer = StepObserver {
+            sensing: template.prepared.scenario.sensing.clone(),
             information: 0.0,
             wake_ups: 0,
         };
         Self {
-            stepping: SteppedRun::with_world(&ground.prepared, world, RunOptions::default(), ear),
-            devices: ground.prepared.deployment.devices.len(),
-            ground,
+            run: SteppedRun::with_world(&template.prepared, world, RunOptions::default(), observer),
+            devices: template.prepared.deployment.devices.len(),
+            template,
             weights,
-            on: Vec::new(),
-            chosen: Vec::new(),
+            plan_bits: Vec::new(),
+            devices_to_wake: Vec::new(),
         }
     }
 
     /// The template of the environment.
-    pub const fn ground(&self) -> &EpisodeTemplate {
-        &self.ground
+    pub const fn template(&self) -> &EpisodeTemplate {
+        &self.template
     }
 
     /// The pending decision request; `None` at the end of the run.
     pub fn pending_decision(&self) -> Option<DecisionContext<'_>> {
-        self.stepping.pending_decision()
+        self.run.pending_decision()
     }
 
     /// The pending decision request; at the end of the run, the one that would follow.
-    pub fn view(&self) -> DecisionContext<'_> {
-        self.stepping.view()
+    pub fn decision_context(&self) -> DecisionContext<'_> {
+        self.run.decision_context()
     }
 
     /// The number of closed TTIs.
     pub const fn ttis_done(&self) -> u64 {
-        self.stepping.now().0
+        self.run.now().0
     }
 
     /// Takes a step with the action `is_set`, by device. Has no effect at the end of the run.
     pub fn step(&mut self, is_set: impl Fn(usize) -> bool) -> StepResult {
-        match self.stepping.pending_decision().map(|question| question.stage) {
+        match self.run.pending_decision().map(|request| request.stage) {
             None => StepResult::default(),
-            Some(DecisionStage::Plan) => self.sense(is_set),
-            Some(DecisionStage::Wake) => self.wake(is_set),
+            Some(DecisionStage::Plan) => self.step_plan(is_set),
+            Some(DecisionStage::Wake) => self.step_wake_ups(is_set),
         }
     }
 
-    fn sense(&mut self, is_set: impl Fn(usize) -> bool) -> StepResult {
-        self.on.clear();
-        self.on.extend((0..self.devices).map(is_set));
-        let looked = CoverageReward::new(&mut self.ground.union, &self.on);
-        self.stepping.decide(PlanDecision {
-            plan: Plan::from_bits(self.on.iter().copied()),
+    fn step_plan(&mut self, is_set: impl Fn(usize) -> bool) -> StepResult {
+        self.plan_bits.clear();
+        self.plan_bits.extend((0..self.devices).map(is_set));
+        let coverage = CoverageReward::new(&mut self.template.union, &self.plan_bits);
+        self.run.decide(PlanDecision {
+            plan: Plan::from_bits(self.plan_bits.iter().copied()),
             // A step is one decision, so a plan is due in every TTI.
-            next: self.stepping.now() + 1,
+            next: self.run.now() + 1,
         });
-        let alpha = self.ground.scenario().events.alpha;
+        let alpha = self.template.scenario().events.alpha;
         StepResult {
-            asleep: looked.asleep,
-            missed: looked.reward(alpha, self.weights.mu1) - looked.asleep,
+            asleep: coverage.asleep_share,
+            missed: coverage.reward(alpha, self.weights.mu1) - coverage.asleep_share,
             ..StepResult::default()
         }
     }
 
-    fn wake(&mut self, is_set: impl Fn(usize) -> bool) -> StepResult {
-        self.chosen.clear();
+    fn step_wake_ups(&mut self, is_set: impl Fn(usize) -> bool) -> StepResult {
+        self.devices_to_wake.clear();
         let devices = (0..self.devices).filter(|j| is_set(*j));
-        self.chosen.extend(devices.map(|j| DeviceId(j as u32)));
+        self.devices_to_wake.extend(devices.map(|j| DeviceId(j as u32)));
         // Reports of sensing devices count in Î before the first wake-up; only the gain by wake-ups is rewarded.
-        let (psi, before) = (self.ground.scenario().sensing.psi, self.information());
-        self.stepping.observer_mut().wake_ups = 0;
-        self.stepping.wake(&self.chosen);
+        let (psi, information_before) = (self.template.scenario().sensing.psi, self.information());
+        self.run.observer_mut().wake_ups = 0;
+        self.run.wake(&self.devices_to_wake);
         // A plan is due in every TTI, so the run stops before the next grant: Î still belongs to this TTI.
-        let ear = self.stepping.observer();
-        let brought = (ear.information - before) / psi;
-        let [information, woken] = reward::of_wake_ups(self.weights.mu2, brought, ear.wake_ups, self.devices);
+        let observer = self.run.observer();
+        let gain = (observer.information - information_before) / psi;
+        let [information, woken] = reward::wake_up_terms(self.weights.mu2, gain, observer.wake_ups, self.devices);
         StepResult {
             information,
             woken,
@@ -220,24 +223,24 @@ impl Environment {
     }
 
     fn information(&self) -> f64 {
-        self.stepping.observer().information
+        self.run.observer().information
     }
 
     /// Returns a copy that continues from the current state.
     #[must_use]
     pub fn fork(&self) -> Self {
         Self {
-            ground: self.ground.clone(),
-            stepping: self.stepping.fork(),
-            on: Vec::new(),
-            chosen: Vec::new(),
+            template: self.template.clone(),
+            run: self.run.fork(),
+            plan_bits: Vec::new(),
+            devices_to_wake: Vec::new(),
             ..*self
         }
     }
 
     /// The outcome of the run so far; incomplete before its end.
-    pub fn outcome(&self) -> Outcome {
+    pub fn outcome(&self) -> RunOutcome {
         // `finish` consumes a run and answers an open request, so it works on a copy.
-        self.stepping.fork().finish().0
+        self.run.fork().finish().0
     }
 }

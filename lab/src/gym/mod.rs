@@ -1,7 +1,8 @@
 //! Environments for training policies: runs with external decisions, one step per decision, numeric observations, and
 //! the rewards of Sec. V-B.
 //!
-//! A step answers one decision request. At stage 0 the action is δ(k), a bit for each device. At stage 1 it is the set
+//! The Python package wraps an [`EnvBatch`]; the shapes of its buffers are part of the package's interface. A step
+//! answers one decision request. At stage 0 the action is δ(k), a bit for each device. At stage 1 it is the set
 //! of devices to wake; an empty set ends the wake-ups of the TTI. Devices of one action are woken in the order of ids.
 //! Every action is valid: impossible parts are dropped ([`reveille_bs::policy::external`]).
 
@@ -10,7 +11,7 @@ mod environment;
 
 use std::collections::BTreeMap;
 
-use reveille_bs::cycle::Outcome;
+use reveille_bs::cycle::RunOutcome;
 use reveille_bs::observer::{Notification, Observer};
 use reveille_bs::policy::external::DecisionStage;
 use reveille_bs::scenario::Scenario;
@@ -20,31 +21,31 @@ use reveille_common::plan::Plan;
 use crate::preparation::prepare;
 use crate::run::{Run, RunOptions};
 
-pub use batch::{BatchBuffers, EnvBatch, PARTS};
+pub use batch::{BatchBuffers, EnvBatch, REWARD_TERMS};
 pub use environment::{Environment, EpisodeTemplate, RewardWeights, StepResult};
 
 /// A run of a policy, and the actions that reproduce it in an environment.
 #[derive(Clone, Debug)]
-pub struct Actions {
+pub struct RecordedActions {
     /// One action per step, 0 or 1, `[T, N]`. Devices are woken one at a time.
     pub rows: Vec<i8>,
     /// The stage of each step, 0 or 1, `[T]`.
     pub stages: Vec<i8>,
     /// The outcome of the policy's run.
-    pub own: Outcome,
-    /// The outcome of the environment. It has the digest of [`Self::own`] if the policy sends bits. For duty cycles the
-    /// environment sends bits whenever they change, so the digests differ.
-    pub stepped: Outcome,
+    pub policy_outcome: RunOutcome,
+    /// The outcome of the environment. It has the digest of [`Self::policy_outcome`] if the policy sends bits. For duty
+    /// cycles the environment sends bits whenever they change, so the digests differ.
+    pub environment_outcome: RunOutcome,
 }
 
 /// The commands of a base station.
 #[derive(Default)]
-struct Commands {
+struct CommandObserver {
     plans: BTreeMap<u64, Plan>,
     wake_ups: BTreeMap<u64, Vec<DeviceId>>,
 }
 
-impl Observer for Commands {
+impl Observer for CommandObserver {
     fn notify(&mut self, notification: &Notification<'_>) {
         // A plan that is resent for synchronisation repeats the last one.
         if let Notification::PlanSent { update, is_new: true } = notification {
@@ -56,23 +57,23 @@ impl Observer for Commands {
     }
 }
 
-/// Records the run of `scenario` as actions in the environment of `outside`, the same scenario with the policy
-/// `external`. Returns `None` for the genie, which wakes devices without a report.
-pub fn record(scenario: &Scenario, outside: &Scenario) -> Option<Actions> {
+/// Records the run of `scenario` as actions in the environment of `external_scenario`, the same scenario with the
+/// policy `external`. Returns `None` for the genie, which wakes devices without a report.
+pub fn record(scenario: &Scenario, external_scenario: &Scenario) -> Option<RecordedActions> {
     let prepared = prepare(scenario);
     if prepared.policy(&prepared.knowledge()).oracle().is_some() {
         return None;
     }
-    let mut commands = Commands::default();
-    let own = Run::new(&prepared, RunOptions::default()).finish(&mut commands);
-    let mut environment = Environment::new(EpisodeTemplate::new(outside), RewardWeights::default());
+    let mut commands = CommandObserver::default();
+    let policy_outcome = Run::new(&prepared, RunOptions::default()).finish(&mut commands);
+    let mut environment = Environment::new(EpisodeTemplate::new(external_scenario), RewardWeights::default());
     let (mut rows, mut stages) = (Vec::new(), Vec::new());
-    let mut woken = 0;
-    while let Some(question) = environment.pending_decision() {
-        let (now, n) = (question.seen.now, question.seen.known.n());
-        let action: Vec<bool> = match question.stage {
+    let mut woken_devices = 0;
+    while let Some(request) = environment.pending_decision() {
+        let (now, n) = (request.seen.now, request.seen.known.n());
+        let action: Vec<bool> = match request.stage {
             DecisionStage::Plan => {
-                woken = 0;
+                woken_devices = 0;
                 // A plan holds until the next one, and each run starts with a plan in TTI 0.
                 let (_, plan) = commands.plans.range(..=now.0).next_back().expect("a plan in TTI 0");
                 (0..n as u32).map(|j| plan.duty_cycle(DeviceId(j)).is_on(now)).collect()
@@ -80,20 +81,23 @@ pub fn record(scenario: &Scenario, outside: &Scenario) -> Option<Actions> {
             DecisionStage::Wake => {
                 // One device per step, because one action wakes its devices in the order of ids. After the last device
                 // the action is empty, which ends the wake-ups of the TTI.
-                let next = commands.wake_ups.get(&now.0).and_then(|all| all.get(woken));
-                woken += 1;
+                let next = commands
+                    .wake_ups
+                    .get(&now.0)
+                    .and_then(|devices| devices.get(woken_devices));
+                woken_devices += 1;
                 (0..n).map(|j| next.is_some_and(|device| device.index() == j)).collect()
             }
         };
-        stages.push(i8::from(question.stage == DecisionStage::Wake));
+        stages.push(i8::from(request.stage == DecisionStage::Wake));
         rows.extend(action.iter().map(|on| i8::from(*on)));
         environment.step(|j| action[j]);
     }
-    Some(Actions {
+    Some(RecordedActions {
         rows,
         stages,
-        own,
-        stepped: environment.outcome(),
+        policy_outcome,
+        environment_outcome: environment.outcome(),
     })
 }
 

@@ -1,12 +1,12 @@
 //! Environments against runs of the policies whose actions they repeat.
 
-use reveille_bs::policy::external::{DEVICE, GLOBAL};
+use reveille_bs::policy::external::{DEVICE_FEATURES, GLOBAL_FEATURES};
 use reveille_bs::policy::outside;
 use reveille_bs::scenario::{Override, Scenario, load};
 use reveille_common::io::Disk;
 use reveille_common::rng::{Purpose, Stream};
 
-use super::batch::PARTS;
+use super::batch::REWARD_TERMS;
 use super::*;
 
 fn overrides(policy: &str, set: &[&str]) -> Vec<Override> {
@@ -24,7 +24,7 @@ fn external(set: &[&str]) -> Scenario {
 }
 
 /// The output buffers of `k` environments of `n` devices.
-struct Shown {
+struct OwnedBuffers {
     devices: Vec<f32>,
     global: Vec<f32>,
     stage: Vec<i64>,
@@ -35,15 +35,15 @@ struct Shown {
     ended: Vec<bool>,
 }
 
-impl Shown {
+impl OwnedBuffers {
     fn new(k: usize, n: usize) -> Self {
         Self {
-            devices: vec![0.0; k * n * DEVICE.len()],
-            global: vec![0.0; k * GLOBAL.len()],
+            devices: vec![0.0; k * n * DEVICE_FEATURES.len()],
+            global: vec![0.0; k * GLOBAL_FEATURES.len()],
             stage: vec![0; k],
             mask: vec![0; k * n],
             reward: vec![0.0; k],
-            parts: vec![0.0; k * PARTS],
+            parts: vec![0.0; k * REWARD_TERMS],
             ttis: vec![0; k],
             ended: vec![false; k],
         }
@@ -69,13 +69,16 @@ fn what_a_policy_does_is_done_by_steps_with_its_digest() {
         for policy in ["age-index", "q-learning", "dt"] {
             let own = load("paper", &overrides(policy, set)).expect("a scenario").scenario;
             let actions = record(&own, &external(set)).expect("no genie");
-            assert_eq!(actions.own.digest, actions.stepped.digest, "{policy}");
+            assert_eq!(
+                actions.policy_outcome.digest, actions.environment_outcome.digest,
+                "{policy}"
+            );
             assert!(actions.stages.contains(&1) && actions.rows.len() == actions.stages.len() * 24);
         }
         // A periodic plan is sent as bits: the outcome is equal, but more plans are sent.
         let own = load("paper", &overrides("knn", set)).expect("a scenario").scenario;
         let actions = record(&own, &external(set)).expect("no genie");
-        let [own, stepped] = [&actions.own, &actions.stepped];
+        let [own, stepped] = [&actions.policy_outcome, &actions.environment_outcome];
         assert_ne!(own.digest, stepped.digest);
         assert_eq!(own.totals.events, stepped.totals.events);
         assert_eq!(own.totals.energy, stepped.totals.energy);
@@ -94,7 +97,7 @@ fn a_batch_on_threads_shows_what_each_environment_shows_alone() {
         .iter()
         .map(|scenario| EnvBatch::new(std::slice::from_ref(scenario), RewardWeights::default(), 1).expect("no threads"))
         .collect();
-    let (mut all, mut one) = (Shown::new(5, 24), Shown::new(1, 24));
+    let (mut all, mut one) = (OwnedBuffers::new(5, 24), OwnedBuffers::new(1, 24));
     let mut stream = Stream::new(3, Purpose::Training, 0);
     let (mut stages, mut ends) = (0, 0);
     for _ in 0..100 {
@@ -102,8 +105,14 @@ fn a_batch_on_threads_shows_what_each_environment_shows_alone() {
         whole.step(&actions, &[false; 5], all.views());
         for (at, batch) in alone.iter_mut().enumerate() {
             batch.step(&actions[at * 24..][..24], &[false], one.views());
-            assert_eq!(one.devices, all.devices[at * 24 * DEVICE.len()..][..24 * DEVICE.len()]);
-            assert_eq!(one.global, all.global[at * GLOBAL.len()..][..GLOBAL.len()]);
+            assert_eq!(
+                one.devices,
+                all.devices[at * 24 * DEVICE_FEATURES.len()..][..24 * DEVICE_FEATURES.len()]
+            );
+            assert_eq!(
+                one.global,
+                all.global[at * GLOBAL_FEATURES.len()..][..GLOBAL_FEATURES.len()]
+            );
             assert_eq!(
                 (one.stage[0], one.ttis[0], one.ended[0]),
                 (all.stage[at], all.ttis[at], all.ended[at])

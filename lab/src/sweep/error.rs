@@ -1,4 +1,4 @@
-//! Errors of a sweep.
+//! Errors of sweeps, their folders and merges. Each message names the thing, the cause and the fix.
 
 use std::fmt::Display;
 use std::io;

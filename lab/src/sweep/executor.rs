@@ -1,4 +1,5 @@
-//! Executes missing runs in parallel.
+//! Executes the runs that the journal of a sweep does not hold, in parallel. Which runs count must not depend on the
+//! number of threads, on interruptions or on shards: cells end by their runs in the order of seeds.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -45,7 +46,7 @@ pub struct CellSummary {
 ///
 /// # Errors
 /// If the journal cannot be written, or threads cannot be started.
-pub(super) fn run(
+pub(super) fn execute_missing(
     grid: &SweepGrid,
     shard: Shard,
     threads: usize,
@@ -61,65 +62,65 @@ pub(super) fn run(
             reason: error.to_string(),
         })?;
     let count = grid.experiment.seeds.count;
-    let first = grid
+    let first_check = grid
         .experiment
         .until_ci
         .as_ref()
         .map_or(count, |until| until.next_check(0, count));
-    let hands = SweepWorkers {
+    let workers = SweepWorkers {
         pool,
-        workshop: RunPreparer::default(),
+        preparer: RunPreparer::default(),
     };
-    let mut looks: Vec<CellProgress> = grid.cells.iter().map(|_| CellProgress::at(first)).collect();
+    let mut progress: Vec<CellProgress> = grid.cells.iter().map(|_| CellProgress::new(first_check)).collect();
     loop {
-        let open: Vec<(usize, u64)> = looks
+        let open_cells: Vec<(usize, u64)> = progress
             .iter()
             .enumerate()
-            .filter(|(_, look)| !look.is_done)
-            .map(|(cell, look)| (cell, look.runs))
+            .filter(|(_, cell)| !cell.is_done)
+            .map(|(number, cell)| (number, cell.next_check))
             .collect();
-        if open.is_empty() {
+        if open_cells.is_empty() {
             break;
         }
-        if !wave(grid, shard, &hands, &open, journal, observer)? {
+        if !execute_wave(grid, shard, &workers, &open_cells, journal, observer)? {
             return Ok(None);
         }
-        for (cell, _) in open {
-            looks[cell].decide(grid, cell, journal);
+        for (cell, _) in open_cells {
+            progress[cell].check_intervals(grid, cell, journal);
         }
     }
-    let ends = looks.into_iter().map(|look| CellSummary {
-        runs: look.runs,
-        widest: look.widest,
+    let summaries = progress.into_iter().map(|cell| CellSummary {
+        runs: cell.next_check,
+        widest: cell.widest,
     });
-    Ok(Some(ends.collect()))
+    Ok(Some(summaries.collect()))
 }
 
 /// The resources shared by all runs of a sweep.
 struct SweepWorkers {
     pool: rayon::ThreadPool,
-    workshop: RunPreparer,
+    preparer: RunPreparer,
 }
 
-/// Executes the shard's missing runs of the `open` cells, each up to a number of seeds. Returns whether all of them are
+/// Executes the shard's missing runs of `open_cells`, each up to a number of seeds. Returns whether all of them are
 /// complete.
-fn wave(
+fn execute_wave(
     grid: &SweepGrid,
     shard: Shard,
-    SweepWorkers { pool, workshop }: &SweepWorkers,
-    open: &[(usize, u64)],
+    SweepWorkers { pool, preparer }: &SweepWorkers,
+    open_cells: &[(usize, u64)],
     journal: &mut impl RunStore,
     observer: &impl SweepProgress,
 ) -> Result<bool, SweepError> {
     let mut missing: Vec<RunIndex> = Vec::new();
-    for &(cell, runs) in open {
+    for &(cell, runs) in open_cells {
         let before = missing.len();
         // The casts hold: a grid has at most 100 000 cells, and a cell at most 10 000 000 seeds.
-        let own = shard.seeds(cell as u64, runs).map(|seed| RunIndex {
+        let shard_runs = shard.seed_indices(cell as u64, runs).map(|seed| RunIndex {
             cell: cell as u32,
             seed: seed as u32,
         });
-        missing.extend(own.filter(|job| !journal.runs().contains_key(job)));
+        missing.extend(shard_runs.filter(|job| !journal.runs().contains_key(job)));
         observer.planned(cell, (missing.len() - before) as u64);
     }
     let journal = Mutex::new(journal);
@@ -128,7 +129,7 @@ fn wave(
             .into_iter()
             // Runs are handed out one by one, so cells start in order and no thread gets all long runs.
             .par_bridge()
-            .try_for_each(|job| match one(grid, job, workshop, observer) {
+            .try_for_each(|job| match execute_run(grid, job, preparer, observer) {
                 None => Err(WaveEnd::Stopped),
                 Some(entry) => {
                     let device_ttis = grid.cells[job.cell as usize].device_ttis();
@@ -156,7 +157,12 @@ enum WaveEnd {
 }
 
 /// Executes one run. Returns `None` if it was stopped.
-fn one(grid: &SweepGrid, job: RunIndex, workshop: &RunPreparer, observer: &impl SweepProgress) -> Option<JournalEntry> {
+fn execute_run(
+    grid: &SweepGrid,
+    job: RunIndex,
+    preparer: &RunPreparer,
+    observer: &impl SweepProgress,
+) -> Option<JournalEntry> {
     if observer.stop() {
         return None;
     }
@@ -168,31 +174,31 @@ fn one(grid: &SweepGrid, job: RunIndex, workshop: &RunPreparer, observer: &impl 
         window: (STOP_DEVICE_TTIS / u64::from(scenario.run.devices)).max(1),
         ..RunOptions::default()
     };
-    let prepared = workshop.prepare(&scenario);
+    let prepared = preparer.prepare(&scenario);
     for warning in &prepared.warnings {
         observer.warned(job.cell as usize, warning);
     }
     let outcome = Run::new(&prepared, options).finish(&mut StopWhen(|| observer.stop()));
     let row = ResultRow::new(&scenario, cell.swept.clone(), &outcome);
-    outcome.complete.then(|| JournalEntry::from(&row))
+    outcome.is_complete.then(|| JournalEntry::from(&row))
 }
 
 /// The progress of a cell.
 struct CellProgress {
-    /// The number of runs at the next check.
-    runs: u64,
+    /// The number of runs at the next check; of a done cell, the number of runs that count.
+    next_check: u64,
     /// The number of runs in `moments`.
-    seen: u64,
+    added_runs: u64,
     moments: Vec<Moments>,
     widest: Option<(String, f64)>,
     is_done: bool,
 }
 
 impl CellProgress {
-    fn at(runs: u64) -> Self {
+    fn new(first_check: u64) -> Self {
         Self {
-            runs,
-            seen: 0,
+            next_check: first_check,
+            added_runs: 0,
             moments: Vec::new(),
             widest: None,
             is_done: false,
@@ -200,45 +206,46 @@ impl CellProgress {
     }
 
     /// Decides whether the cell has enough runs; all runs up to the next check are present.
-    fn decide(&mut self, grid: &SweepGrid, cell: usize, journal: &impl RunStore) {
+    fn check_intervals(&mut self, grid: &SweepGrid, cell: usize, journal: &impl RunStore) {
         let Some(until) = &grid.experiment.until_ci else {
             self.is_done = true;
             return;
         };
         self.moments.resize(until.metrics.len(), Moments::default());
         // By seed and not by completion: the sums, and so the decision, are equal for any number of threads.
-        for seed in self.seen..self.runs {
+        for seed in self.added_runs..self.next_check {
             let job = RunIndex {
                 cell: cell as u32,
                 seed: seed as u32,
             };
             let entry = &journal.runs()[&job];
             for (moments, name) in self.moments.iter_mut().zip(&until.metrics) {
-                moments.add(metric(entry, name));
+                moments.add(metric_value(entry, name));
             }
         }
-        self.seen = self.runs;
-        self.widest = widest(&until.metrics, &self.moments);
+        self.added_runs = self.next_check;
+        self.widest = widest_interval(&until.metrics, &self.moments);
         // Without a defined metric, more runs would not help.
         let is_narrow = self.widest.as_ref().is_none_or(|(_, width)| *width <= until.target);
-        let next = until.next_check(self.runs, grid.experiment.seeds.count);
-        self.is_done = is_narrow || next == self.runs;
+        let next = until.next_check(self.next_check, grid.experiment.seeds.count);
+        self.is_done = is_narrow || next == self.next_check;
         if !self.is_done {
-            self.runs = next;
+            self.next_check = next;
         }
     }
 }
 
 /// Returns the metric with the widest interval relative to its mean, among the metrics that are defined in some run.
-fn widest(names: &[String], moments: &[Moments]) -> Option<(String, f64)> {
+fn widest_interval(names: &[String], moments: &[Moments]) -> Option<(String, f64)> {
     let widths = names.iter().zip(moments).filter_map(|(name, moments)| {
         let estimate = moments.estimate()?;
-        Some((name.clone(), Estimate::relative(&estimate)))
+        Some((name.clone(), Estimate::relative_half_width(&estimate)))
     });
     widths.reduce(|widest, next| if next.1 > widest.1 { next } else { widest })
 }
 
-fn metric(entry: &JournalEntry, name: &str) -> f64 {
-    let at = Metrics::NAMES.iter().position(|known| *known == name);
-    at.map_or(entry.events as f64, |at| entry.metrics[at])
+fn metric_value(entry: &JournalEntry, name: &str) -> f64 {
+    let index = Metrics::NAMES.iter().position(|known| *known == name);
+    // `until_ci` accepts metrics only, and `events` is the one without a column among `NAMES`.
+    index.map_or(entry.events as f64, |index| entry.metrics[index])
 }

@@ -1,10 +1,12 @@
-//! An experiment: a scenario, fields with lists of values, and seeds.
+//! An experiment: a scenario, fields with lists of values, and seeds. `ExperimentBuilder` checks and builds it, and
+//! `SweepGrid` expands it to cells. Its TOML text identifies it in tables and journals: after a change of
+//! [`Experiment::to_toml`], older sweeps can neither be resumed nor merged with new ones.
 
 use std::io;
 use std::path::{Path, PathBuf};
 
 use reveille_bs::scenario::declaration;
-use reveille_common::declare::{Declaration, FieldType, FileError, Files, LONGEST_TEXT, dotted};
+use reveille_common::declare::{Declaration, FieldType, FileError, Files, MAX_TEXT_BYTES, join_path};
 use reveille_common::scenario::PRESETS;
 use reveille_common::score::Metrics;
 use toml::{Table, Value};
@@ -12,9 +14,9 @@ use toml::{Table, Value};
 use super::error::SweepError;
 
 /// The largest number of seeds of a cell.
-const MOST_SEEDS: u64 = 10_000_000;
+const MAX_SEEDS: u64 = 10_000_000;
 /// The smallest number of runs between two checks of the intervals.
-const BATCH: u64 = 10;
+const MIN_RUNS_BETWEEN_CHECKS: u64 = 10;
 
 /// A field of the scenario and its swept values.
 #[derive(Clone, Debug, PartialEq)]
@@ -30,8 +32,8 @@ pub struct SweepAxis {
 impl SweepAxis {
     /// The rank of the axis: preset, policy, N, TTIs, then the others by path; the first varies slowest.
     pub(super) fn rank(&self) -> (usize, &str) {
-        let known = Self::COLUMNS.iter().position(|(path, _)| *path == self.path);
-        (known.unwrap_or(Self::COLUMNS.len()), &self.path)
+        let column = Self::COLUMNS.iter().position(|(path, _)| *path == self.path);
+        (column.unwrap_or(Self::COLUMNS.len()), &self.path)
     }
 
     /// The fields that have a column in every table, with its name.
@@ -59,8 +61,8 @@ pub struct Seeds {
 
 impl Seeds {
     pub(super) fn check(self) -> Result<(), SweepError> {
-        if self.count == 0 || self.count > MOST_SEEDS {
-            let allowed = format!("must be a number of seeds from 1 to {MOST_SEEDS}");
+        if self.count == 0 || self.count > MAX_SEEDS {
+            let allowed = format!("must be a number of seeds from 1 to {MAX_SEEDS}");
             return Err(SweepError::invalid("seeds", self.count, allowed));
         }
         // Tables and TOML hold whole numbers as `i64`. The subtraction is safe, because the count is at least 1.
@@ -106,14 +108,16 @@ impl UntilCi {
             return self.min_seeds.min(count);
         }
         // Below 4 runs the quotient is 0, whose next multiple is 0.
-        let more = (runs / 4).next_multiple_of(BATCH).max(BATCH);
-        (runs + more).min(count)
+        let added = (runs / 4)
+            .next_multiple_of(MIN_RUNS_BETWEEN_CHECKS)
+            .max(MIN_RUNS_BETWEEN_CHECKS);
+        (runs + added).min(count)
     }
 }
 
 /// Returns whether `name` is the name of a metric.
 pub(super) fn is_metric(name: &str) -> bool {
-    Metrics::named(name).is_some()
+    Metrics::find(name).is_some()
 }
 
 /// The complete description of a sweep.
@@ -125,7 +129,7 @@ pub struct Experiment {
     pub base_dir: PathBuf,
     /// The copy of the scenario file in the folder of a sweep, which is read instead of the file. It does not belong to
     /// the identity of the experiment and is not in [`Experiment::to_toml`].
-    pub copy: Option<PathBuf>,
+    pub scenario_copy: Option<PathBuf>,
     /// The fields set in all cells: path, value and origin.
     pub set: Vec<(String, Value, String)>,
     /// The swept fields; the first varies slowest.
@@ -138,8 +142,8 @@ pub struct Experiment {
 
 impl Experiment {
     /// The scenario's name for [`reveille_common::scenario::load`]: the name of a preset, or the path of a file.
-    pub(super) fn source(&self) -> String {
-        if let Some(copy) = &self.copy {
+    pub(super) fn scenario_source(&self) -> String {
+        if let Some(copy) = &self.scenario_copy {
             return copy.to_string_lossy().into_owned();
         }
         if self.is_preset() || self.base_dir == Path::new("") {
@@ -162,8 +166,8 @@ impl Experiment {
         if self.is_preset() {
             return Ok(None);
         }
-        let path = PathBuf::from(self.source());
-        let bytes = files.read(&path, LONGEST_TEXT).map_err(|error| match error {
+        let path = PathBuf::from(self.scenario_source());
+        let bytes = files.read(&path, MAX_TEXT_BYTES).map_err(|error| match error {
             FileError::Io(error) => error,
             FileError::Folder | FileError::Special | FileError::TooLong { .. } => io::Error::other(error),
         })?;
@@ -171,9 +175,9 @@ impl Experiment {
         let table: Table = toml::from_str(&text).map_err(io::Error::other)?;
         // The parent of a bare file name is the empty path, which has no absolute form; `.` has one.
         let folder = files.absolute(&path.parent().unwrap_or(Path::new("")).join("."))?;
-        let mut placed = Value::Table(table);
-        place(&declaration(), "", &mut placed, &folder);
-        Ok(Some(placed.as_table().map(Table::to_string).unwrap_or_default()))
+        let mut scenario = Value::Table(table);
+        prepend_folder(&declaration(), "", &mut scenario, &folder);
+        Ok(Some(scenario.as_table().map(Table::to_string).unwrap_or_default()))
     }
 
     /// The number of cells of the grid: the product of the axes' lengths.
@@ -231,11 +235,11 @@ impl Experiment {
 }
 
 /// Returns whether the field at `path` with this `value` names a file.
-fn is_file(fields: &Declaration, path: &str, value: &str) -> bool {
+fn is_file_field(fields: &Declaration, path: &str, value: &str) -> bool {
     let field = fields
-        .field_at(path)
-        .or_else(|| fields.field_at(path.strip_prefix("class.")?));
-    match field.map(|(_, field)| &field.form) {
+        .field_by_path(path)
+        .or_else(|| fields.field_by_path(path.strip_prefix("class.")?));
+    match field.map(|(_, field)| &field.field_type) {
         Some(FieldType::File) => !value.is_empty(),
         Some(FieldType::Source(words)) => !value.is_empty() && words.iter().all(|word| word.name != value),
         Some(_) | None => false,
@@ -243,20 +247,20 @@ fn is_file(fields: &Declaration, path: &str, value: &str) -> bool {
 }
 
 /// Prepends `folder` to the relative files in the field or table at `path`.
-fn place(fields: &Declaration, path: &str, value: &mut Value, folder: &Path) {
+fn prepend_folder(fields: &Declaration, path: &str, value: &mut Value, folder: &Path) {
     match value {
-        Value::String(file) if is_file(fields, path, file) => {
+        Value::String(file) if is_file_field(fields, path, file) => {
             *file = folder.join(&*file).to_string_lossy().into_owned();
         }
         Value::Table(inner) => {
             for (name, value) in inner {
-                place(fields, &dotted(path, name), value, folder);
+                prepend_folder(fields, &join_path(path, name), value, folder);
             }
         }
         // Only the items of a list of tables; the values of an axis stay unchanged.
         Value::Array(items) => {
             let tables = items.iter_mut().filter(|item| item.is_table());
-            tables.for_each(|item| place(fields, path, item, folder));
+            tables.for_each(|item| prepend_folder(fields, path, item, folder));
         }
         Value::String(_) | Value::Integer(_) | Value::Float(_) | Value::Boolean(_) | Value::Datetime(_) => {}
     }
@@ -282,7 +286,7 @@ mod tests {
             name = "table"
         "#;
         let mut value = Value::Table(text.parse().expect("TOML"));
-        place(&declaration(), "", &mut value, Path::new("there"));
+        prepend_folder(&declaration(), "", &mut value, Path::new("there"));
         assert_eq!(value["layout"]["file"].as_str(), Some("there/points.csv"));
         assert_eq!(value["layout"]["kind"].as_str(), Some("file"));
         assert_eq!(value["policy"]["q-learning"]["table"].as_str(), Some("there/own.json"));
@@ -292,7 +296,7 @@ mod tests {
         );
         assert_eq!(value["class"][0]["name"].as_str(), Some("file"));
         let mut word = Value::Table("policy.q-learning.table = \"shipped\"".parse().expect("TOML"));
-        place(&declaration(), "", &mut word, Path::new("there"));
+        prepend_folder(&declaration(), "", &mut word, Path::new("there"));
         assert_eq!(word["policy"]["q-learning"]["table"].as_str(), Some("shipped"));
     }
 }

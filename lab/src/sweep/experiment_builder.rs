@@ -1,4 +1,5 @@
-//! The fields of an experiment file and the command line, before they form an experiment.
+//! The fields of an experiment file and the command line, before they form an experiment. `reveille sweep` fills a
+//! builder from its options and takes missing values from a file; the names of [`ExperimentFile`] are the file format.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -41,13 +42,13 @@ enum RawSeeds {
 }
 
 /// Returns a hint on `message` about the file `name`, if the unknown field is a field of scenarios.
-fn hint(message: &str, name: &str) -> String {
+fn scenario_field_hint(message: &str, name: &str) -> String {
     let unknown = message.strip_prefix("unknown field `");
     let Some((field, _)) = unknown.and_then(|rest| rest.split_once('`')) else {
         return String::new();
     };
-    let is_of_scenarios = |path: String| path.split('.').next() == Some(field);
-    if declaration().paths().any(is_of_scenarios) {
+    let is_scenario_field = |path: String| path.split('.').next() == Some(field);
+    if declaration().field_paths().any(is_scenario_field) {
         format!(
             "; this is a field of scenarios: `reveille sweep --scenario {name}` sweeps a scenario file, and an \
              experiment names one as `scenario = \"FILE\"` and sets fields under [set]"
@@ -57,7 +58,8 @@ fn hint(message: &str, name: &str) -> String {
     }
 }
 
-/// An incomplete experiment. A missing value comes from the builder below, then from the default.
+/// An incomplete experiment. A missing value comes from another builder ([`Self::with_defaults_from`]), then from the
+/// default.
 #[derive(Clone, Debug, Default)]
 pub struct ExperimentBuilder {
     /// A preset's name or a scenario file [default: paper].
@@ -65,15 +67,15 @@ pub struct ExperimentBuilder {
     /// The folder of a relative scenario file.
     pub base_dir: PathBuf,
     /// The copy of the scenario file in the folder of a sweep, which is read instead.
-    pub copy: Option<PathBuf>,
+    pub scenario_copy: Option<PathBuf>,
     /// The fields set in all cells: by path, the value and its origin.
     pub set: BTreeMap<String, (Value, String)>,
     /// The swept fields, by path.
     pub axes: BTreeMap<String, SweepAxis>,
     /// The number of seeds of each cell, at most with `until_ci` [default: 100].
-    pub count: Option<u64>,
+    pub seed_count: Option<u64>,
     /// The first seed [default: 1].
-    pub first: Option<u64>,
+    pub first_seed: Option<u64>,
     /// The relative half-width of the 95 % interval at which a cell ends, such as `1%`.
     pub until_ci: Option<String>,
     /// The metrics that must be that narrow [default: see `UntilCi::default_metrics`].
@@ -93,23 +95,23 @@ impl ExperimentBuilder {
             SweepError::Syntax {
                 name: name.to_owned(),
                 line: text.get(..before).unwrap_or(text).matches('\n').count() + 1,
-                reason: format!("{}{}", error.message(), hint(error.message(), name)),
+                reason: format!("{}{}", error.message(), scenario_field_hint(error.message(), name)),
             }
         })?;
-        let mut draft = Self {
+        let mut builder = Self {
             scenario: raw.scenario,
             base_dir: base_dir.to_owned(),
-            copy: raw.scenario_copy.map(|copy| base_dir.join(copy)),
+            scenario_copy: raw.scenario_copy.map(|copy| base_dir.join(copy)),
             ci_metrics: raw.ci_metrics,
             min_seeds: raw.min_seeds,
             ..Self::default()
         };
-        (draft.first, draft.count) = match raw.seeds {
+        (builder.first_seed, builder.seed_count) = match raw.seeds {
             None => (None, None),
             Some(RawSeeds::Count(count)) => (None, Some(count)),
             Some(RawSeeds::Range { first, count }) => (Some(first), Some(count)),
         };
-        draft.until_ci = raw
+        builder.until_ci = raw
             .until_ci
             .map(|value| value.as_str().map_or_else(|| value.to_string(), str::to_owned));
         let lists = [
@@ -121,30 +123,30 @@ impl ExperimentBuilder {
         for (field, path, value) in lists {
             match value {
                 None => {}
-                Some(Value::Array(values)) => draft.axis(&format!("`{field}` of {name}"), path, values)?,
-                Some(value) => draft.axis(&format!("`{field}` of {name}"), path, vec![value])?,
+                Some(Value::Array(values)) => builder.add_axis(&format!("`{field}` of {name}"), path, values)?,
+                Some(value) => builder.add_axis(&format!("`{field}` of {name}"), path, vec![value])?,
             }
         }
-        for (path, value) in leaves(raw.grid) {
+        for (path, value) in flatten_table(raw.grid) {
             let origin = format!("`grid` of {name}");
             // A field with a single value belongs under `set`.
             let Value::Array(values) = value else {
                 let allowed = format!("must be a list of values, such as [{value}]; set by {origin}");
                 return Err(SweepError::invalid(format!("grid.{path}"), &value, allowed));
             };
-            draft.axis(&origin, &path, values)?;
+            builder.add_axis(&origin, &path, values)?;
         }
-        for (path, value) in leaves(raw.set) {
-            draft.set.insert(path, (value, format!("`set` of {name}")));
+        for (path, value) in flatten_table(raw.set) {
+            builder.set.insert(path, (value, format!("`set` of {name}")));
         }
-        Ok(draft)
+        Ok(builder)
     }
 
     /// Sweeps the field at `path` over `values`; `origin` is for messages.
     ///
     /// # Errors
     /// If the list is empty, or the field is swept twice.
-    pub fn axis(&mut self, origin: &str, path: &str, values: Vec<Value>) -> Result<(), SweepError> {
+    pub fn add_axis(&mut self, origin: &str, path: &str, values: Vec<Value>) -> Result<(), SweepError> {
         if values.is_empty() {
             let allowed = format!("an empty list leaves no runs; give at least one value; set by {origin}");
             return Err(SweepError::invalid(path, "[]", allowed));
@@ -164,28 +166,28 @@ impl ExperimentBuilder {
         Ok(())
     }
 
-    /// Returns this builder with its missing values filled from `below`.
+    /// Returns this builder with its missing values filled from `defaults`.
     #[must_use]
-    pub fn with_defaults_from(self, below: Self) -> Self {
-        let (mut set, mut axes) = (below.set, below.axes);
+    pub fn with_defaults_from(self, defaults: Self) -> Self {
+        let (mut set, mut axes) = (defaults.set, defaults.axes);
         set.extend(self.set);
         axes.extend(self.axes);
         // The folder and the copy belong to their scenario, so the three are taken together.
-        let (scenario, base_dir, copy) = match self.scenario {
-            Some(own) => (Some(own), self.base_dir, self.copy),
-            None => (below.scenario, below.base_dir, below.copy),
+        let (scenario, base_dir, scenario_copy) = match self.scenario {
+            Some(own) => (Some(own), self.base_dir, self.scenario_copy),
+            None => (defaults.scenario, defaults.base_dir, defaults.scenario_copy),
         };
         Self {
             scenario,
             base_dir,
-            copy,
+            scenario_copy,
             set,
             axes,
-            count: self.count.or(below.count),
-            first: self.first.or(below.first),
-            until_ci: self.until_ci.or(below.until_ci),
-            ci_metrics: self.ci_metrics.or(below.ci_metrics),
-            min_seeds: self.min_seeds.or(below.min_seeds),
+            seed_count: self.seed_count.or(defaults.seed_count),
+            first_seed: self.first_seed.or(defaults.first_seed),
+            until_ci: self.until_ci.or(defaults.until_ci),
+            ci_metrics: self.ci_metrics.or(defaults.ci_metrics),
+            min_seeds: self.min_seeds.or(defaults.min_seeds),
         }
     }
 
@@ -202,28 +204,28 @@ impl ExperimentBuilder {
                 return Err(SweepError::invalid("seed", "…", format!("{allowed}; set by {origin}")));
             }
         }
-        if let Some((path, (value, by))) = self.set.iter().find(|(path, _)| self.axes.contains_key(*path)) {
+        if let Some((path, (value, set_by))) = self.set.iter().find(|(path, _)| self.axes.contains_key(*path)) {
             let origin = &self.axes[path].origin;
-            let allowed = format!("is set by {by} and swept by {origin}; leave one of them out");
+            let allowed = format!("is set by {set_by} and swept by {origin}; leave one of them out");
             return Err(SweepError::invalid(path, value, allowed));
         }
         let seeds = Seeds {
-            first: self.first.unwrap_or(1),
-            count: self.count.unwrap_or(100),
+            first: self.first_seed.unwrap_or(1),
+            count: self.seed_count.unwrap_or(100),
         };
         seeds.check()?;
-        let until_ci = until(self.until_ci.as_deref(), self.ci_metrics, self.min_seeds, seeds)?;
+        let until_ci = build_until_ci(self.until_ci.as_deref(), self.ci_metrics, self.min_seeds, seeds)?;
         let mut axes: Vec<SweepAxis> = self.axes.into_values().collect();
         // Cells follow the order of the axes, which must not depend on the origin of a field.
         axes.sort_by(|a, b| a.rank().cmp(&b.rank()));
         Ok(Experiment {
             scenario: self.scenario.unwrap_or_else(|| "paper".to_owned()),
             base_dir: self.base_dir,
-            copy: self.copy,
+            scenario_copy: self.scenario_copy,
             set: self
                 .set
                 .into_iter()
-                .map(|(path, (value, by))| (path, value, by))
+                .map(|(path, (value, origin))| (path, value, origin))
                 .collect(),
             axes,
             seeds,
@@ -232,7 +234,7 @@ impl ExperimentBuilder {
     }
 }
 
-fn until(
+fn build_until_ci(
     target: Option<&str>,
     metrics: Option<Vec<String>>,
     min_seeds: Option<u64>,
@@ -245,7 +247,7 @@ fn until(
         }
         return Ok(None);
     };
-    let target = width(text)?;
+    let target = parse_relative_width(text)?;
     let metrics = metrics.unwrap_or_else(UntilCi::default_metrics).into_iter();
     let metrics: Vec<String> = metrics.map(|name| Metrics::current_name(&name).to_owned()).collect();
     if metrics.is_empty() {
@@ -278,7 +280,7 @@ fn until(
 }
 
 /// Parses a relative width: `1%`, or `0.01`.
-fn width(text: &str) -> Result<f64, SweepError> {
+fn parse_relative_width(text: &str) -> Result<f64, SweepError> {
     let (number, is_percent) = match text.strip_suffix('%') {
         Some(percent) => (percent.trim().parse::<f64>().map(|percent| percent / 100.0), true),
         None => (text.parse::<f64>(), false),
@@ -299,15 +301,15 @@ fn width(text: &str) -> Result<f64, SweepError> {
 }
 
 /// Returns the values of a table and its nested tables, with their dotted paths.
-fn leaves(table: Table) -> Vec<(String, Value)> {
-    let mut found = Vec::new();
+fn flatten_table(table: Table) -> Vec<(String, Value)> {
+    let mut leaves = Vec::new();
     for (name, value) in table {
         if let Value::Table(inner) = value {
-            let inner = leaves(inner).into_iter();
-            found.extend(inner.map(|(path, value)| (format!("{name}.{path}"), value)));
+            let inner = flatten_table(inner).into_iter();
+            leaves.extend(inner.map(|(path, value)| (format!("{name}.{path}"), value)));
         } else {
-            found.push((name, value));
+            leaves.push((name, value));
         }
     }
-    found
+    leaves
 }

@@ -1,4 +1,4 @@
-//! The folder of a sweep.
+//! The folder of a sweep, from which an interrupted sweep resumes and another machine can repeat it.
 //!
 //! | file | content |
 //! |---|---|
@@ -18,19 +18,20 @@ use std::sync::Arc;
 use reveille_common::io::Disk;
 
 use super::error::SweepError;
-use super::executor::{CellSummary, SweepProgress, run};
+use super::executor::{CellSummary, SweepProgress, execute_missing};
 use super::experiment::Experiment;
 use super::experiment_builder::ExperimentBuilder;
 use super::grid::SweepGrid;
 use super::journal::{Journal, JournalEntry, RunIndex, RunStore as _};
 use super::shard::Shard;
-use crate::io::{read, read_short, replace, with_names};
+use crate::io::{create_and_list, read, read_short, replace};
 use crate::table::{Format, Hash, ResultRow, Table, TableError, TableMetadata};
 
-const EXPERIMENT: &str = "experiment.toml";
-const SCENARIO: &str = "experiment.scenario.toml";
-const JOURNAL: &str = "runs.journal";
-const RESULTS: &str = "results";
+const EXPERIMENT_FILE: &str = "experiment.toml";
+const SCENARIO_FILE: &str = "experiment.scenario.toml";
+const JOURNAL_FILE: &str = "runs.journal";
+/// The name of the table without its extension.
+const TABLE_STEM: &str = "results";
 
 /// A sweep in its folder that can start or resume.
 #[derive(Debug)]
@@ -39,7 +40,7 @@ pub struct Sweep<'g> {
     shard: Shard,
     folder: PathBuf,
     journal: Journal,
-    found: usize,
+    known_runs: usize,
 }
 
 /// The result of a sweep.
@@ -70,13 +71,13 @@ impl<'g> Sweep<'g> {
                 "cannot be used: {error}; free some space, correct the permissions, or choose another folder"
             ))
         };
-        for name in with_names(folder).map_err(unusable)? {
+        for name in create_and_list(folder).map_err(unusable)? {
             let is_ours = name.to_str().is_some_and(|name| {
                 // A process that was killed while writing a file leaves NAME.part.
                 let name = name.strip_suffix(".part").unwrap_or(name);
-                [EXPERIMENT, SCENARIO, JOURNAL].contains(&name) || name.starts_with(RESULTS)
+                [EXPERIMENT_FILE, SCENARIO_FILE, JOURNAL_FILE].contains(&name) || name.starts_with(TABLE_STEM)
             });
-            if !is_ours && !folder.join(JOURNAL).exists() {
+            if !is_ours && !folder.join(JOURNAL_FILE).exists() {
                 let name = name.to_string_lossy();
                 return Err(refused(format!(
                     "holds `{name}` but no sweep; choose an empty or a new folder"
@@ -84,10 +85,10 @@ impl<'g> Sweep<'g> {
             }
         }
         let (cells, seeds) = (grid.cells.len() as u64, grid.experiment.seeds.count);
-        let path = folder.join(JOURNAL);
+        let path = folder.join(JOURNAL_FILE);
         // Checked first, because `open` creates the journal.
         let is_known = path.exists();
-        let journal = Journal::open(&path, &identity(grid, shard), cells, seeds).map_err(refused)?;
+        let journal = Journal::open(&path, &sweep_identity(grid, shard), cells, seeds).map_err(refused)?;
         let unwritable = |error: std::io::Error| {
             refused(format!(
                 "cannot be written: {error}; its finished runs are kept; free some space or correct the permissions, \
@@ -96,33 +97,33 @@ impl<'g> Sweep<'g> {
         };
         // In this order: a process killed in between leaves a folder that the same command resumes.
         if is_known {
-            remove_stale(grid, folder).map_err(unwritable)?;
+            remove_stale_tables(grid, folder).map_err(unwritable)?;
         }
-        describe(grid, folder).map_err(unwritable)?;
+        write_experiment(grid, folder).map_err(unwritable)?;
         let mut sweep = Self {
-            found: 0,
+            known_runs: 0,
             grid,
             shard,
             folder: folder.to_owned(),
             journal,
         };
-        sweep.found = sweep.done();
+        sweep.known_runs = sweep.finished_runs();
         Ok(sweep)
     }
 
     /// The number of finished runs found on opening the folder, plus the reused ones.
-    pub fn found(&self) -> usize {
-        self.found
+    pub fn known_runs(&self) -> usize {
+        self.known_runs
     }
 
     /// The number of torn or garbled journal lines that were removed on opening the folder.
-    pub fn dropped(&self) -> usize {
-        self.journal.dropped()
+    pub fn dropped_lines(&self) -> usize {
+        self.journal.dropped_lines()
     }
 
     /// The number of finished runs.
-    pub fn done(&self) -> usize {
-        self.journal.runs().keys().filter(|job| self.holds(**job)).count()
+    pub fn finished_runs(&self) -> usize {
+        self.journal.runs().keys().filter(|job| self.is_in_shard(**job)).count()
     }
 
     /// Copies missing runs from `known` into the journal, and returns their number.
@@ -134,9 +135,9 @@ impl<'g> Sweep<'g> {
             return Ok(0);
         }
         let seeds = self.grid.experiment.seeds;
-        let mut taken = 0;
+        let mut reused = 0;
         for (number, cell) in self.grid.cells.iter().enumerate() {
-            for seed in self.shard.seeds(number as u64, seeds.count) {
+            for seed in self.shard.seed_indices(number as u64, seeds.count) {
                 let job = RunIndex {
                     cell: number as u32,
                     seed: seed as u32,
@@ -145,20 +146,20 @@ impl<'g> Sweep<'g> {
                     continue;
                 }
                 let scenario = cell.with_seed(seeds.first + seed);
-                if let Some(entry) = known.run(Hash(scenario.hash())) {
+                if let Some(entry) = known.find(Hash(scenario.hash())) {
                     // No work is at risk, because the table still holds the run: it does not count towards a sync.
                     self.journal.add(job, entry.clone(), 0)?;
-                    taken += 1;
+                    reused += 1;
                 }
             }
         }
         self.journal.sync()?;
-        self.found += taken;
-        Ok(taken)
+        self.known_runs += reused;
+        Ok(reused)
     }
 
-    fn holds(&self, job: RunIndex) -> bool {
-        self.shard.holds(u64::from(job.cell), u64::from(job.seed))
+    fn is_in_shard(&self, job: RunIndex) -> bool {
+        self.shard.contains(u64::from(job.cell), u64::from(job.seed))
     }
 
     /// Executes the missing runs on `threads` threads and writes the table. Returns `None` if the observer has stopped
@@ -172,15 +173,15 @@ impl<'g> Sweep<'g> {
         format: Format,
         observer: &impl SweepProgress,
     ) -> Result<Option<SweepResult>, SweepError> {
-        let Some(cells) = run(self.grid, self.shard, threads, &mut self.journal, observer)? else {
+        let Some(cells) = execute_missing(self.grid, self.shard, threads, &mut self.journal, observer)? else {
             return Ok(None);
         };
-        let table = self.table(&cells);
-        let path = results(&self.folder, format);
+        let table = self.build_table(&cells);
+        let path = table_path(&self.folder, format);
         table.write(&path, format).map_err(|error| match error {
             TableError::Write { .. } => SweepError::Results {
                 folder: self.folder.clone(),
-                recorded: self.done(),
+                recorded: self.finished_runs(),
                 error,
             },
             TableError::Read { .. }
@@ -194,11 +195,11 @@ impl<'g> Sweep<'g> {
     }
 
     /// Returns the table of the runs that count.
-    fn table(&self, ends: &[CellSummary]) -> Table {
+    fn build_table(&self, summaries: &[CellSummary]) -> Table {
         let mut rows = Vec::with_capacity(self.journal.runs().len());
-        for (number, (cell, end)) in self.grid.cells.iter().zip(ends).enumerate() {
+        for (number, (cell, summary)) in self.grid.cells.iter().zip(summaries).enumerate() {
             let cell_number = number as u32;
-            let place = |seed: u64| RunIndex {
+            let run_index = |seed: u64| RunIndex {
                 cell: cell_number,
                 seed: seed as u32,
             };
@@ -207,8 +208,8 @@ impl<'g> Sweep<'g> {
                 Arc::<str>::from(cell.scenario.policy.name()),
             );
             // With `until_ci` the journal may hold runs beyond the check that ended the cell, such as reused ones.
-            let runs = self.journal.runs().range(place(0)..place(end.runs));
-            for (job, entry) in runs.filter(|(job, _)| self.holds(**job)) {
+            let runs = self.journal.runs().range(run_index(0)..run_index(summary.runs));
+            for (job, entry) in runs.filter(|(job, _)| self.is_in_shard(**job)) {
                 rows.push(ResultRow {
                     scenario_hash: entry.scenario_hash,
                     preset: Arc::clone(&preset),
@@ -224,7 +225,7 @@ impl<'g> Sweep<'g> {
             }
         }
         Table {
-            about: TableMetadata {
+            metadata: TableMetadata {
                 version: env!("CARGO_PKG_VERSION").to_owned(),
                 experiment: self.grid.experiment.to_toml(),
                 grid: self.grid.fingerprint().to_string(),
@@ -237,34 +238,34 @@ impl<'g> Sweep<'g> {
 }
 
 /// Writes the experiment into the folder, so that the folder alone suffices to repeat it.
-fn describe(grid: &SweepGrid, folder: &Path) -> std::io::Result<()> {
+fn write_experiment(grid: &SweepGrid, folder: &Path) -> std::io::Result<()> {
     let mut text = grid.experiment.to_toml();
     if let Some(scenario) = grid.experiment.scenario_text(&Disk)? {
-        describe_in(&folder.join(SCENARIO), &scenario)?;
-        text = format!("scenario_copy = \"{SCENARIO}\"\n{text}");
+        write_if_changed(&folder.join(SCENARIO_FILE), &scenario)?;
+        text = format!("scenario_copy = \"{SCENARIO_FILE}\"\n{text}");
     }
-    describe_in(&folder.join(EXPERIMENT), &text)
+    write_if_changed(&folder.join(EXPERIMENT_FILE), &text)
 }
 
 /// Writes a file unless it already contains `text`, so that a full disk does no harm to a complete one.
-fn describe_in(path: &Path, text: &str) -> std::io::Result<()> {
-    if read(path).is_ok_and(|found| found == text.as_bytes()) {
+fn write_if_changed(path: &Path, text: &str) -> std::io::Result<()> {
+    if read(path).is_ok_and(|bytes| bytes == text.as_bytes()) {
         return Ok(());
     }
     replace(path, text.as_bytes())
 }
 
 /// Returns the path of the table of the sweep in `folder`.
-fn results(folder: &Path, format: Format) -> PathBuf {
-    folder.join(format!("{RESULTS}.{}", format.ending()))
+fn table_path(folder: &Path, format: Format) -> PathBuf {
+    folder.join(format!("{TABLE_STEM}.{}", format.extension()))
 }
 
 /// Removes tables that lack runs of `grid`, because they have fewer seeds.
-fn remove_stale(grid: &SweepGrid, folder: &Path) -> std::io::Result<()> {
+fn remove_stale_tables(grid: &SweepGrid, folder: &Path) -> std::io::Result<()> {
     let experiment = grid.experiment.to_toml();
     for format in [Format::Parquet, Format::Csv] {
-        let path = results(folder, format);
-        let is_own = || TableMetadata::read(&path).is_ok_and(|about| about.experiment == experiment);
+        let path = table_path(folder, format);
+        let is_own = || TableMetadata::read(&path).is_ok_and(|metadata| metadata.experiment == experiment);
         if path.exists() && !is_own() {
             Table::remove(&path, format)?;
         }
@@ -276,36 +277,38 @@ fn remove_stale(grid: &SweepGrid, folder: &Path) -> std::io::Result<()> {
 ///
 /// # Errors
 /// If the folder has no table, or the table has another number of seeds than the folder's experiment.
-pub fn table_in(folder: &Path) -> Result<PathBuf, SweepError> {
+pub fn find_table(folder: &Path) -> Result<PathBuf, SweepError> {
     let refused = |reason: String| SweepError::NoTable {
         folder: folder.to_owned(),
         reason,
     };
-    let found = [Format::Parquet, Format::Csv].map(|format| results(folder, format));
-    let Some(table) = found.into_iter().find(|path| path.exists()) else {
-        return Err(refused(if folder.join(JOURNAL).exists() {
+    let paths = [Format::Parquet, Format::Csv].map(|format| table_path(folder, format));
+    let Some(table) = paths.into_iter().find(|path| path.exists()) else {
+        return Err(refused(if folder.join(JOURNAL_FILE).exists() {
             "its sweep is not finished; give its command again to resume it".to_owned()
         } else {
             "the folder has no table of a sweep; name the --out folder of `reveille sweep`".to_owned()
         }));
     };
     let seeds = |draft: ExperimentBuilder| draft.build().map(|experiment| experiment.seeds.count);
-    let asked = ExperimentBuilder::load(&folder.join(EXPERIMENT)).and_then(seeds).ok();
+    let requested = ExperimentBuilder::load(&folder.join(EXPERIMENT_FILE))
+        .and_then(seeds)
+        .ok();
     // An unreadable table is not refused here: its reader reports the cause.
-    let about = TableMetadata::read(&table)
+    let metadata = TableMetadata::read(&table)
         .ok()
-        .filter(|about| !about.experiment.is_empty());
-    let held = about.and_then(|about| {
-        let draft = ExperimentBuilder::parse(&about.experiment, "its experiment", Path::new(""));
+        .filter(|metadata| !metadata.experiment.is_empty());
+    let held = metadata.and_then(|metadata| {
+        let draft = ExperimentBuilder::parse(&metadata.experiment, "its experiment", Path::new(""));
         draft.and_then(seeds).ok()
     });
-    if let (Some(asked), Some(held)) = (asked, held)
-        && asked != held
+    if let (Some(requested), Some(held)) = (requested, held)
+        && requested != held
     {
         let name = table.file_name().unwrap_or_default().to_string_lossy();
         return Err(refused(format!(
-            "its {EXPERIMENT} asks for {asked} seeds a cell, but {name} holds {held}; repeat the command of its sweep, \
-             or name the table itself"
+            "its {EXPERIMENT_FILE} asks for {requested} seeds a cell, but {name} holds {held}; repeat the command of \
+             its sweep, or name the table itself"
         )));
     }
     Ok(table)
@@ -313,24 +316,24 @@ pub fn table_in(folder: &Path) -> Result<PathBuf, SweepError> {
 
 /// Returns the seeds per cell of the sweep in `folder`, if it belongs to `grid` and `shard`, regardless of their
 /// number.
-pub fn seeds_in(grid: &SweepGrid, shard: Shard, folder: &Path) -> Option<u64> {
-    Journal::seeds(&folder.join(JOURNAL), &identity(grid, shard))
+pub fn read_seed_count(grid: &SweepGrid, shard: Shard, folder: &Path) -> Option<u64> {
+    Journal::read_seed_count(&folder.join(JOURNAL_FILE), &sweep_identity(grid, shard))
 }
 
 /// Returns the identity of a sweep: everything except the seeds per cell, which may be raised.
-fn identity(grid: &SweepGrid, shard: Shard) -> String {
+fn sweep_identity(grid: &SweepGrid, shard: Shard) -> String {
     let mut experiment = grid.experiment.clone();
     experiment.seeds.count = 0;
-    let hash = hash_of(grid, &experiment);
+    let hash = sweep_hash(grid, &experiment);
     format!("{} {hash} {shard}", env!("CARGO_PKG_VERSION"))
 }
 
 /// Returns a SHA-256 over the experiment, its number of seeds included, and the scenarios of its cells; hexadecimal.
-pub fn hash(grid: &SweepGrid) -> String {
-    hash_of(grid, &grid.experiment)
+pub fn experiment_hash(grid: &SweepGrid) -> String {
+    sweep_hash(grid, &grid.experiment)
 }
 
-fn hash_of(grid: &SweepGrid, experiment: &Experiment) -> String {
+fn sweep_hash(grid: &SweepGrid, experiment: &Experiment) -> String {
     use sha2::{Digest, Sha256};
     let mut sum = Sha256::new();
     sum.update(grid.fingerprint().0);
@@ -350,10 +353,10 @@ impl ReusableRuns {
     pub fn from_tables(tables: &[(PathBuf, Table)]) -> Result<Self, SweepError> {
         let mut runs = BTreeMap::new();
         for (path, table) in tables {
-            if table.about.version != env!("CARGO_PKG_VERSION") {
+            if table.metadata.version != env!("CARGO_PKG_VERSION") {
                 return Err(SweepError::Reuse {
                     path: path.clone(),
-                    version: table.about.version.clone(),
+                    version: table.metadata.version.clone(),
                 });
             }
             runs.extend(
@@ -372,13 +375,13 @@ impl ReusableRuns {
     }
 
     /// Returns the run whose scenario has this `hash`.
-    pub(super) fn run(&self, hash: Hash) -> Option<&JournalEntry> {
+    pub(super) fn find(&self, hash: Hash) -> Option<&JournalEntry> {
         self.0.get(&hash)
     }
 }
 
 /// Length limit of an experiment file, bytes.
-const LONGEST_EXPERIMENT: u64 = 1 << 20;
+const MAX_EXPERIMENT_BYTES: u64 = 1 << 20;
 
 impl ExperimentBuilder {
     /// Reads the experiment file at `path`.
@@ -386,7 +389,7 @@ impl ExperimentBuilder {
     /// # Errors
     /// If the file cannot be read, or as for [`ExperimentBuilder::parse`].
     pub fn load(path: &Path) -> Result<Self, SweepError> {
-        let text = read_short(path, LONGEST_EXPERIMENT).map_err(|error| SweepError::Read {
+        let text = read_short(path, MAX_EXPERIMENT_BYTES).map_err(|error| SweepError::Read {
             path: path.to_owned(),
             error,
         })?;

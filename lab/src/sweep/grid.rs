@@ -1,4 +1,5 @@
-//! The cells of an experiment, each with a checked scenario.
+//! The cells of an experiment, each with a checked scenario. Sweeps, `train record` and the Python package run them.
+//! Journals and shards name a cell by its number, so the order of the cells must not change.
 
 use std::sync::Arc;
 
@@ -13,9 +14,9 @@ use super::shard::Shard;
 use crate::table::{ColumnType, Hash, Schema, SweptValue};
 
 /// The largest number of cells of a grid.
-const MOST_CELLS: u64 = 100_000;
+const MAX_CELLS: u64 = 100_000;
 /// The largest number of runs of a sweep, which are kept in memory.
-const MOST_RUNS: u64 = 100_000_000;
+const MAX_RUNS: u64 = 100_000_000;
 
 /// One cell: a scenario except for its seed.
 #[derive(Clone, Debug)]
@@ -38,8 +39,10 @@ impl GridCell {
 
     /// The number of device-TTIs of a run, including a preceding search.
     pub fn device_ttis(&self) -> u64 {
-        let pilots = self.scenario.policy.settings().pilots();
-        let searched = pilots.map_or(0, |pilots| pilots.ttis.saturating_mul(pilots.candidates.len() as u64));
+        let pilots = self.scenario.policy.settings().pilot_search();
+        let searched = pilots.map_or(0, |pilots| {
+            pilots.initial_ttis.saturating_mul(pilots.candidates.len() as u64)
+        });
         let ttis = self.scenario.run.ttis.saturating_add(searched);
         ttis.saturating_mul(u64::from(self.scenario.run.devices))
     }
@@ -65,7 +68,8 @@ impl SweepGrid {
     pub fn new(experiment: Experiment, files: &dyn Files) -> Result<Self, SweepError> {
         // Before any cell is built: a few long lists multiply to more cells than memory holds.
         check_size(&experiment)?;
-        let columns: Vec<(String, Vec<SweptValue>)> = experiment.axes.iter().map(column).collect::<Result<_, _>>()?;
+        let columns = experiment.axes.iter().map(swept_column);
+        let columns: Vec<(String, Vec<SweptValue>)> = columns.collect::<Result<_, _>>()?;
         let schema = Schema {
             swept: experiment
                 .axes
@@ -78,7 +82,7 @@ impl SweepGrid {
         let base = base_overrides(&experiment)?;
         let mut cells = Vec::new();
         for number in 0..experiment.cell_count() {
-            cells.push(cell(&experiment, &columns, &base, number, files)?);
+            cells.push(build_cell(&experiment, &columns, &base, number, files)?);
         }
         Ok(Self {
             experiment,
@@ -102,35 +106,35 @@ impl SweepGrid {
 
     /// Returns a SHA-256 over the scenarios of all cells: equal exactly if the grids run the same scenarios.
     pub fn fingerprint(&self) -> Hash {
-        let mut sum = Sha256::new();
+        let mut hasher = Sha256::new();
         for cell in &self.cells {
-            sum.update(cell.scenario.hash());
+            hasher.update(cell.scenario.hash());
         }
-        Hash(sum.finalize().into())
+        Hash(hasher.finalize().into())
     }
 
     /// The number of runs of the whole experiment; with `until_ci` the largest possible number.
-    pub fn runs(&self) -> u64 {
+    pub fn run_count(&self) -> u64 {
         self.cells.len() as u64 * self.experiment.seeds.count
     }
 
     /// Returns the number of runs that belong to `shard`.
-    pub fn share(&self, shard: Shard) -> u64 {
-        shard.runs(self.cells.len() as u64, self.experiment.seeds.count)
+    pub fn shard_run_count(&self, shard: Shard) -> u64 {
+        shard.run_count(self.cells.len() as u64, self.experiment.seeds.count)
     }
 }
 
 /// Checks that the experiment is not too large.
 pub(super) fn check_size(experiment: &Experiment) -> Result<(), SweepError> {
     let (cells, seeds) = (experiment.cell_count(), experiment.seeds.count);
-    if cells > MOST_CELLS {
-        let allowed = format!("a grid has at most {MOST_CELLS} cells; sweep fewer fields");
+    if cells > MAX_CELLS {
+        let allowed = format!("a grid has at most {MAX_CELLS} cells; sweep fewer fields");
         return Err(SweepError::invalid("cells", cells, allowed));
     }
     let runs = cells.saturating_mul(seeds);
-    if runs > MOST_RUNS {
+    if runs > MAX_RUNS {
         let allowed = format!(
-            "{cells} cells × {seeds} seeds, but a sweep has at most {MOST_RUNS} runs; use fewer seeds \
+            "{cells} cells × {seeds} seeds, but a sweep has at most {MAX_RUNS} runs; use fewer seeds \
              (--seeds), or split the grid"
         );
         return Err(SweepError::invalid("runs", runs, allowed));
@@ -139,16 +143,16 @@ pub(super) fn check_size(experiment: &Experiment) -> Result<(), SweepError> {
 }
 
 /// Converts the values of an axis to the type of its column.
-fn column(axis: &SweepAxis) -> Result<(String, Vec<SweptValue>), SweepError> {
-    let values: Vec<SweptValue> = axis.values.iter().map(value).collect();
+fn swept_column(axis: &SweepAxis) -> Result<(String, Vec<SweptValue>), SweepError> {
+    let values: Vec<SweptValue> = axis.values.iter().map(swept_value).collect();
     let column_type = values
         .iter()
         .map(SweptValue::column_type)
         .reduce(ColumnType::join)
         .unwrap_or(ColumnType::Text);
     let values: Vec<SweptValue> = values.into_iter().map(|value| value.into_type(column_type)).collect();
-    for (at, value) in values.iter().enumerate() {
-        if values[..at].contains(value) {
+    for (index, value) in values.iter().enumerate() {
+        if values[..index].contains(value) {
             let allowed = format!("is listed twice; set by {}", axis.origin);
             return Err(SweepError::invalid(&axis.path, value, allowed));
         }
@@ -156,7 +160,7 @@ fn column(axis: &SweepAxis) -> Result<(String, Vec<SweptValue>), SweepError> {
     Ok((axis.path.clone(), values))
 }
 
-fn value(given: &Toml) -> SweptValue {
+fn swept_value(given: &Toml) -> SweptValue {
     match given {
         Toml::Integer(value) => SweptValue::Int(*value),
         Toml::Float(value) => SweptValue::Float(*value),
@@ -167,19 +171,19 @@ fn value(given: &Toml) -> SweptValue {
 
 fn base_overrides(experiment: &Experiment) -> Result<Vec<Override>, SweepError> {
     let set = experiment.set.iter();
-    set.map(|(path, value, by)| Override::from_flag(by, path, &value.to_string()))
+    set.map(|(path, value, origin)| Override::from_flag(origin, path, &value.to_string()))
         .collect::<Result<_, _>>()
-        .map_err(|error| refused("of every seed", error))
+        .map_err(|error| scenario_error("of every seed", error))
 }
 
-fn refused(cell: &str, error: ScenarioError) -> SweepError {
+fn scenario_error(cell: &str, error: ScenarioError) -> SweepError {
     SweepError::Scenario {
         cell: cell.to_owned(),
         error: Box::new(error),
     }
 }
 
-fn cell(
+fn build_cell(
     experiment: &Experiment,
     columns: &[(String, Vec<SweptValue>)],
     base: &[Override],
@@ -187,24 +191,25 @@ fn cell(
     files: &dyn Files,
 ) -> Result<GridCell, SweepError> {
     let mut rest = usize::try_from(number).unwrap_or(usize::MAX);
-    let mut at = vec![0; experiment.axes.len()];
+    let mut value_indices = vec![0; experiment.axes.len()];
     // The number in mixed radix, from its last digit: the first axis varies slowest.
-    for (place, axis) in at.iter_mut().zip(&experiment.axes).rev() {
-        *place = rest % axis.values.len();
+    for (value_index, axis) in value_indices.iter_mut().zip(&experiment.axes).rev() {
+        *value_index = rest % axis.values.len();
         rest /= axis.values.len();
     }
     let mut overrides = base.to_vec();
     let (mut label, mut swept) = (Vec::new(), Vec::new());
-    for ((axis, (_, values)), &at) in experiment.axes.iter().zip(columns).zip(&at) {
+    for ((axis, (_, values)), &value_index) in experiment.axes.iter().zip(columns).zip(&value_indices) {
         label.push(match axis.path.as_str() {
-            "preset" | "policy.name" => values[at].to_string(),
-            path => format!("{path} = {}", values[at]),
+            "preset" | "policy.name" => values[value_index].to_string(),
+            path => format!("{path} = {}", values[value_index]),
         });
         if !axis.is_built_in() {
-            swept.push(values[at].clone());
+            swept.push(values[value_index].clone());
         }
-        let given = Override::from_flag(&axis.origin, &axis.path, &axis.values[at].to_string());
-        overrides.push(given.map_err(|error| refused(&label.join(", "), error))?);
+        let text = axis.values[value_index].to_string();
+        let field = Override::from_flag(&axis.origin, &axis.path, &text);
+        overrides.push(field.map_err(|error| scenario_error(&label.join(", "), error))?);
     }
     let label = if label.is_empty() {
         "of the scenario as it is".to_owned()
@@ -212,8 +217,10 @@ fn cell(
         label.join(", ")
     };
     let seed = experiment.seeds.first.to_string();
-    overrides.push(Override::from_flag("--first-seed", "seed", &seed).map_err(|error| refused(&label, error))?);
-    let loaded = load_with(&experiment.source(), &overrides, files).map_err(|error| refused(&label, error))?;
+    let seed = Override::from_flag("--first-seed", "seed", &seed);
+    overrides.push(seed.map_err(|error| scenario_error(&label, error))?);
+    let loaded = load_with(&experiment.scenario_source(), &overrides, files);
+    let loaded = loaded.map_err(|error| scenario_error(&label, error))?;
     Ok(GridCell {
         label,
         swept: Arc::from(swept),

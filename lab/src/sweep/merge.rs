@@ -1,4 +1,4 @@
-//! Merges the tables of shards.
+//! Merges the tables of shards (`reveille merge`). The result equals the table of an undivided sweep.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -32,10 +32,10 @@ pub fn merge(tables: Vec<(PathBuf, Table)>, partial: bool) -> Result<Table, Swee
         ));
     };
     for (shard, path, table) in &shards[1..] {
-        fits(first_path, first, path, table)?;
+        check_same_sweep(first_path, first, path, table)?;
         if shard.count() != first_shard.count() {
             let reason = format!("is shard {shard}, but {} is shard {first_shard}", first_path.display());
-            return Err(wrong(path, reason));
+            return Err(merge_error(path, reason));
         }
     }
     // Sorted by index, so equal shards are neighbours.
@@ -45,7 +45,7 @@ pub fn merge(tables: Vec<(PathBuf, Table)>, partial: bool) -> Result<Table, Swee
         };
         if a == b {
             let reason = format!("is shard {b}, which {} is too; name each shard once", path_a.display());
-            return Err(wrong(path_b, reason));
+            return Err(merge_error(path_b, reason));
         }
     }
     let count = first_shard.count();
@@ -60,41 +60,41 @@ pub fn merge(tables: Vec<(PathBuf, Table)>, partial: bool) -> Result<Table, Swee
             "{} of {count} shards are missing: {shown}; add them, or merge the present ones with --partial",
             missing.len()
         );
-        return Err(wrong(first_path, reason));
+        return Err(merge_error(first_path, reason));
     }
-    let experiment = ExperimentBuilder::parse(&first.about.experiment, "its experiment", Path::new(""))?.build()?;
+    let experiment = ExperimentBuilder::parse(&first.metadata.experiment, "its experiment", Path::new(""))?.build()?;
     // The experiment comes from a file: without a bound, the loops over its cells and seeds could run for years.
     check_size(&experiment)?;
     for (shard, path, table) in &shards {
-        complete(&experiment, *shard, path, table)?;
+        check_complete(&experiment, *shard, path, table)?;
     }
     let indices: Vec<String> = present.iter().map(ToString::to_string).collect();
-    let about = TableMetadata {
+    let metadata = TableMetadata {
         shard: (!missing.is_empty()).then(|| format!("{}/{count}", indices.join(","))),
-        ..first.about.clone()
+        ..first.metadata.clone()
     };
-    let schema = schema_of(&shards);
+    let schema = join_schemas(&shards);
     let mut tables = BTreeMap::new();
     for (shard, _, mut table) in shards {
-        conform(&mut table, &schema);
+        convert_swept_values(&mut table, &schema);
         tables.insert(shard.index(), table.rows.into_iter());
     }
     Ok(Table {
-        about,
+        metadata,
         schema,
-        rows: in_order(&experiment, count, tables),
+        rows: interleave_rows(&experiment, count, tables),
     })
 }
 
 /// Returns columns whose types hold the values of all shards. Without its types, a CSV file gets them from its values,
 /// and a file without rows gives no information.
-fn schema_of(shards: &[(Shard, PathBuf, Table)]) -> Schema {
-    let mut telling = shards
+fn join_schemas(shards: &[(Shard, PathBuf, Table)]) -> Schema {
+    let mut non_empty = shards
         .iter()
         .map(|(_, _, table)| table)
         .filter(|table| !table.rows.is_empty());
-    let mut schema = telling.next().unwrap_or(&shards[0].2).schema.clone();
-    for table in telling {
+    let mut schema = non_empty.next().unwrap_or(&shards[0].2).schema.clone();
+    for table in non_empty {
         for ((_, column_type), (_, other)) in schema.swept.iter_mut().zip(&table.schema.swept) {
             *column_type = column_type.join(*other);
         }
@@ -102,7 +102,7 @@ fn schema_of(shards: &[(Shard, PathBuf, Table)]) -> Schema {
     schema
 }
 
-fn conform(table: &mut Table, schema: &Schema) {
+fn convert_swept_values(table: &mut Table, schema: &Schema) {
     if table.schema == *schema {
         return;
     }
@@ -114,7 +114,7 @@ fn conform(table: &mut Table, schema: &Schema) {
     }
 }
 
-fn wrong(path: &Path, reason: String) -> SweepError {
+fn merge_error(path: &Path, reason: String) -> SweepError {
     SweepError::Merge {
         path: path.to_owned(),
         reason,
@@ -122,12 +122,12 @@ fn wrong(path: &Path, reason: String) -> SweepError {
 }
 
 fn shard_of(path: &Path, table: &Table) -> Result<Shard, SweepError> {
-    if table.about.experiment.is_empty() {
+    if table.metadata.experiment.is_empty() {
         let reason = "does not name its experiment; a CSV file needs its side-car NAME.csv.toml in the same folder";
-        return Err(wrong(path, reason.to_owned()));
+        return Err(merge_error(path, reason.to_owned()));
     }
-    let Some(shard) = &table.about.shard else {
-        return Err(wrong(
+    let Some(shard) = &table.metadata.shard else {
+        return Err(merge_error(
             path,
             "is the table of a whole sweep, not of a shard: there is nothing to merge".to_owned(),
         ));
@@ -135,19 +135,19 @@ fn shard_of(path: &Path, table: &Table) -> Result<Shard, SweepError> {
     shard.parse().map_err(|_| {
         let reason =
             format!("holds shards {shard} and was merged with --partial; merge the tables of the shards themselves");
-        wrong(path, reason)
+        merge_error(path, reason)
     })
 }
 
-fn fits(first_path: &Path, first: &Table, path: &Path, table: &Table) -> Result<(), SweepError> {
-    let (a, b) = (&first.about, &table.about);
+fn check_same_sweep(first_path: &Path, first: &Table, path: &Path, table: &Table) -> Result<(), SweepError> {
+    let (a, b) = (&first.metadata, &table.metadata);
     let name = |(name, _): &(String, ColumnType)| name.clone();
-    let what = if a.version != b.version {
+    let difference = if a.version != b.version {
         format!("it is from reveille {}, the other table from {}", b.version, a.version)
     } else if a.experiment != b.experiment {
         let differing = a.experiment.lines().zip(b.experiment.lines()).find(|(a, b)| a != b);
-        let (theirs, own) = differing.unwrap_or(("", ""));
-        format!("its experiment differs: `{own}` here, `{theirs}` there")
+        let (other_line, own_line) = differing.unwrap_or(("", ""));
+        format!("its experiment differs: `{own_line}` here, `{other_line}` there")
     } else if a.grid != b.grid {
         "the scenario files or traces behind its experiment differ".to_owned()
     } else if !first
@@ -161,31 +161,35 @@ fn fits(first_path: &Path, first: &Table, path: &Path, table: &Table) -> Result<
     } else {
         return Ok(());
     };
-    let reason = format!("does not belong to the sweep of {}: {what}", first_path.display());
-    Err(wrong(path, reason))
+    let reason = format!("does not belong to the sweep of {}: {difference}", first_path.display());
+    Err(merge_error(path, reason))
 }
 
 /// Checks by the number and the seeds of its rows that the table holds exactly its share.
-fn complete(experiment: &Experiment, shard: Shard, path: &Path, table: &Table) -> Result<(), SweepError> {
+fn check_complete(experiment: &Experiment, shard: Shard, path: &Path, table: &Table) -> Result<(), SweepError> {
     let (cells, seeds) = (experiment.cell_count(), experiment.seeds);
-    let own = (0..cells).flat_map(|cell| shard.seeds(cell, seeds.count));
-    if !own
+    let expected_seeds = (0..cells).flat_map(|cell| shard.seed_indices(cell, seeds.count));
+    if !expected_seeds
         .map(|seed| seeds.first + seed)
         .eq(table.rows.iter().map(|row| row.seed))
     {
-        let (rows, own) = (table.rows.len(), shard.runs(cells, seeds.count));
-        let reason = format!("holds {rows} rows that are not the {own} runs of shard {shard}; run the shard again");
-        return Err(wrong(path, reason));
+        let (rows, runs) = (table.rows.len(), shard.run_count(cells, seeds.count));
+        let reason = format!("holds {rows} rows that are not the {runs} runs of shard {shard}; run the shard again");
+        return Err(merge_error(path, reason));
     }
     Ok(())
 }
 
 /// Returns the rows of the `count` shards, in the order of cells and then of seeds.
-fn in_order(experiment: &Experiment, count: u64, mut tables: BTreeMap<u64, IntoIter<ResultRow>>) -> Vec<ResultRow> {
+fn interleave_rows(
+    experiment: &Experiment,
+    count: u64,
+    mut tables: BTreeMap<u64, IntoIter<ResultRow>>,
+) -> Vec<ResultRow> {
     let mut rows = Vec::with_capacity(tables.values().map(IntoIter::len).sum());
     for cell in 0..experiment.cell_count() {
         for seed in 0..experiment.seeds.count {
-            let table = tables.get_mut(&Shard::assigned_to(cell, seed, count));
+            let table = tables.get_mut(&Shard::index_of_run(cell, seed, count));
             rows.extend(table.and_then(Iterator::next));
         }
     }

@@ -20,7 +20,7 @@ pub use error::SweepError;
 pub use executor::{CellSummary, SweepProgress};
 pub use experiment::{Experiment, Seeds, SweepAxis, UntilCi};
 pub use experiment_builder::ExperimentBuilder;
-pub use folder::{ReusableRuns, Sweep, SweepResult, hash, seeds_in, table_in};
+pub use folder::{ReusableRuns, Sweep, SweepResult, experiment_hash, find_table, read_seed_count};
 pub use grid::{GridCell, SweepGrid};
 pub use merge::merge;
 pub use shard::Shard;

@@ -1,4 +1,5 @@
-//! Shards of a sweep for several machines.
+//! Shards of a sweep for several machines. The assignment of runs is fixed: `merge` interleaves the rows by it, and the
+//! journal of a shard stays valid when its seeds are raised.
 
 use std::fmt;
 use std::str::FromStr;
@@ -14,7 +15,7 @@ pub struct Shard {
 
 impl Shard {
     /// The largest number of shards.
-    pub const MOST: u64 = 100_000;
+    pub const MAX_COUNT: u64 = 100_000;
 
     /// The only shard of an undivided sweep.
     pub const WHOLE: Self = Self { index: 1, count: 1 };
@@ -29,32 +30,32 @@ impl Shard {
         self.count
     }
 
-    /// Returns the shard of `count` with the run of a cell and a seed, both counted from 0.
-    pub const fn assigned_to(cell: u64, seed: u64, count: u64) -> u64 {
+    /// Returns the index of the shard, of `count`, with the run of a cell and a seed, both counted from 0.
+    pub const fn index_of_run(cell: u64, seed: u64, count: u64) -> u64 {
         // Each term is reduced first: the sum of a cell and a seed could overflow.
         (cell % count + seed % count) % count + 1
     }
 
     /// Returns whether the run of a cell and a seed, both counted from 0, belongs to the shard.
-    pub const fn holds(self, cell: u64, seed: u64) -> bool {
-        Self::assigned_to(cell, seed, self.count) == self.index
+    pub const fn contains(self, cell: u64, seed: u64) -> bool {
+        Self::index_of_run(cell, seed, self.count) == self.index
     }
 
     /// Returns the first of the shard's seeds of `cell`.
-    const fn first(self, cell: u64) -> u64 {
+    const fn first_seed_index(self, cell: u64) -> u64 {
         // The count is added before the subtraction, which would otherwise go below zero.
         (self.index - 1 + self.count - cell % self.count) % self.count
     }
 
     /// Iterates over the shard's seeds of `cell`, which has `seeds` of them; counted from 0.
-    pub fn seeds(self, cell: u64, seeds: u64) -> impl Iterator<Item = u64> {
-        (self.first(cell)..seeds).step_by(self.count as usize)
+    pub fn seed_indices(self, cell: u64, seeds: u64) -> impl Iterator<Item = u64> {
+        (self.first_seed_index(cell)..seeds).step_by(self.count as usize)
     }
 
     /// Returns the number of the shard's runs of `cells` with `seeds` each.
-    pub fn runs(self, cells: u64, seeds: u64) -> u64 {
-        let runs = |cell| seeds.saturating_sub(self.first(cell)).div_ceil(self.count);
-        (0..cells).map(runs).sum()
+    pub fn run_count(self, cells: u64, seeds: u64) -> u64 {
+        let runs_in_cell = |cell| seeds.saturating_sub(self.first_seed_index(cell)).div_ceil(self.count);
+        (0..cells).map(runs_in_cell).sum()
     }
 }
 
@@ -71,10 +72,12 @@ impl FromStr for Shard {
         let parts = text.split_once('/');
         let parts = parts.and_then(|(index, count)| Some((index.parse().ok()?, count.parse().ok()?)));
         match parts {
-            Some((index, count)) if 1 <= index && index <= count && count <= Self::MOST => Ok(Self { index, count }),
+            Some((index, count)) if 1 <= index && index <= count && count <= Self::MAX_COUNT => {
+                Ok(Self { index, count })
+            }
             Some(_) | None => Err(format!(
                 "must be i/n, the i-th of n shares with 1 ≤ i ≤ n ≤ {}, such as 2/8",
-                Self::MOST
+                Self::MAX_COUNT
             )),
         }
     }
@@ -98,10 +101,10 @@ mod tests {
             for index in 1..=count {
                 let shard = Shard { index, count };
                 let all = (0..cells).flat_map(|cell| (0..seeds).map(move |seed| (cell, seed)));
-                let own: Vec<(u64, u64)> = all.filter(|(cell, seed)| shard.holds(*cell, *seed)).collect();
-                let named = (0..cells).flat_map(|cell| shard.seeds(cell, seeds).map(move |seed| (cell, seed)));
+                let own: Vec<(u64, u64)> = all.filter(|(cell, seed)| shard.contains(*cell, *seed)).collect();
+                let named = (0..cells).flat_map(|cell| shard.seed_indices(cell, seeds).map(move |seed| (cell, seed)));
                 assert_eq!(named.collect::<Vec<_>>(), own, "{shard}");
-                assert_eq!(shard.runs(cells, seeds), own.len() as u64, "{shard}");
+                assert_eq!(shard.run_count(cells, seeds), own.len() as u64, "{shard}");
                 // The numbers of runs per cell differ by at most one.
                 let of_cell = |cell| own.iter().filter(|(other, _)| *other == cell).count() as u64;
                 assert!((0..cells).all(|cell| (seeds / count..=seeds.div_ceil(count)).contains(&of_cell(cell))));
@@ -117,7 +120,7 @@ mod tests {
     fn shares_are_read_and_every_run_is_in_one() {
         let shards: Vec<Shard> = (1..=3).map(|i| format!("{i}/3").parse().expect("valid")).collect();
         for (cell, seed) in (0..7).flat_map(|cell| (0..11).map(move |seed| (cell, seed))) {
-            assert_eq!(shards.iter().filter(|shard| shard.holds(cell, seed)).count(), 1);
+            assert_eq!(shards.iter().filter(|shard| shard.contains(cell, seed)).count(), 1);
         }
         assert_eq!(shards[1].to_string(), "2/3");
         for bad in ["5/4", "0/3", "1/0", "", "2", "a/b", "-1/2", "1/2/3", "1/100001"] {

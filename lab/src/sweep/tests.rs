@@ -12,9 +12,9 @@ use crate::stats;
 use crate::table::{ColumnType, Format, SweptValue, Table};
 
 /// A temporary folder that is removed on drop.
-struct Folder(PathBuf);
+struct SweepTestFolder(PathBuf);
 
-impl Folder {
+impl SweepTestFolder {
     fn new(name: &str) -> Self {
         let path = std::env::temp_dir().join(format!("reveille-sweep-{}-{name}", std::process::id()));
         let _ = fs::remove_dir_all(&path);
@@ -23,7 +23,7 @@ impl Folder {
     }
 }
 
-impl Drop for Folder {
+impl Drop for SweepTestFolder {
     fn drop(&mut self) {
         let _ = fs::remove_dir_all(&self.0);
     }
@@ -84,7 +84,7 @@ fn cells_come_in_the_order_of_the_contract() {
     assert_eq!(labels[7], "knn, devices = 12, ttis = 300, harvest.lambda = 1");
     assert_eq!(grid.schema.swept, [("harvest.lambda".to_owned(), ColumnType::Float)]);
     assert_eq!(*grid.cells[7].swept, [SweptValue::Float(1.0)]);
-    assert_eq!((grid.cells.len(), grid.runs()), (8, 56));
+    assert_eq!((grid.cells.len(), grid.run_count()), (8, 56));
     assert_eq!(grid.cells[0].scenario.run.seed, 3);
 }
 
@@ -154,11 +154,11 @@ fn what_cannot_be_run_is_refused_with_its_field() {
 #[test]
 fn the_command_line_wins_over_the_file() {
     let mut above = ExperimentBuilder {
-        count: Some(2),
+        seed_count: Some(2),
         ..ExperimentBuilder::default()
     };
     above
-        .axis("--devices", "devices", vec![toml::Value::Integer(9)])
+        .add_axis("--devices", "devices", vec![toml::Value::Integer(9)])
         .expect("valid");
     let experiment = above
         .with_defaults_from(draft(SMALL).expect("valid"))
@@ -170,7 +170,7 @@ fn the_command_line_wins_over_the_file() {
 
 #[test]
 fn rows_are_those_of_single_runs() {
-    let folder = Folder::new("rows");
+    let folder = SweepTestFolder::new("rows");
     let grid = grid(SMALL).expect("valid");
     let (finished, _) = swept(&grid, "1/1", 1, &folder.0);
     assert_eq!(finished.table.rows.len(), 56);
@@ -196,7 +196,11 @@ fn rows_are_those_of_single_runs() {
 
 #[test]
 fn threads_interruptions_and_shards_change_nothing() {
-    let (whole, threaded, cut) = (Folder::new("whole"), Folder::new("threads"), Folder::new("interrupted"));
+    let (whole, threaded, cut) = (
+        SweepTestFolder::new("whole"),
+        SweepTestFolder::new("threads"),
+        SweepTestFolder::new("interrupted"),
+    );
     let grid = grid(SMALL).expect("valid");
     let (_, expected) = swept(&grid, "1/1", 1, &whole.0);
     assert!(swept(&grid, "1/1", 2, &threaded.0).1 == expected, "two threads");
@@ -204,8 +208,8 @@ fn threads_interruptions_and_shards_change_nothing() {
     let mut found = 0;
     for round in 0.. {
         let mut sweep = Sweep::open(&grid, Shard::WHOLE, &cut.0).expect("a folder");
-        assert!(sweep.found() >= found, "runs were lost");
-        found = sweep.found();
+        assert!(sweep.known_runs() >= found, "runs were lost");
+        found = sweep.known_runs();
         let ended = sweep
             .run(2, Format::Parquet, &Until(AtomicU64::new(7)))
             .expect("no failure");
@@ -220,7 +224,7 @@ fn threads_interruptions_and_shards_change_nothing() {
         "interrupted"
     );
 
-    let shards = Folder::new("shards");
+    let shards = SweepTestFolder::new("shards");
     let tables = |of: &[u64], count: u64| -> Vec<(PathBuf, Table)> {
         let one = |index: &u64| {
             let folder = shards.0.join(format!("{index}-{count}"));
@@ -244,7 +248,7 @@ fn threads_interruptions_and_shards_change_nothing() {
     );
     let partial = merge(tables(&[1, 4], 5), true).expect("partial");
     assert_eq!(
-        (partial.rows.len(), partial.about.shard.as_deref()),
+        (partial.rows.len(), partial.metadata.shard.as_deref()),
         (11 + 11, Some("1,4/5"))
     );
     let twice = merge(tables(&[2, 2], 2), true).expect_err("twice").to_string();
@@ -256,7 +260,11 @@ fn threads_interruptions_and_shards_change_nothing() {
 
 #[test]
 fn runs_of_another_sweep_are_taken_over_and_change_nothing() {
-    let (first, fresh, own) = (Folder::new("first"), Folder::new("fresh"), Folder::new("own"));
+    let (first, fresh, own) = (
+        SweepTestFolder::new("first"),
+        SweepTestFolder::new("fresh"),
+        SweepTestFolder::new("own"),
+    );
     let (made, _) = swept(&grid(SMALL).expect("valid"), "1/1", 2, &first.0);
     // Half of its cells, more seeds, and a number of devices that it lacks.
     let other = grid(
@@ -270,7 +278,7 @@ fn runs_of_another_sweep_are_taken_over_and_change_nothing() {
     let mut sweep = Sweep::open(&other, Shard::WHOLE, &own.0).expect("a folder");
     let taken = sweep.reuse(&ReusableRuns::from_tables(&known).expect("of this version"));
     // Seeds 3 to 9 with both rates for 12 devices.
-    assert_eq!((taken.expect("written"), sweep.found()), (14, 14));
+    assert_eq!((taken.expect("written"), sweep.known_runs()), (14, 14));
     assert_eq!(
         sweep
             .reuse(&ReusableRuns::from_tables(&known).expect("the same"))
@@ -280,7 +288,7 @@ fn runs_of_another_sweep_are_taken_over_and_change_nothing() {
     drop(sweep);
     assert!(swept(&other, "1/1", 2, &own.0).1 == expected, "the table differs");
 
-    known[0].1.about.version = "0.0.1".to_owned();
+    known[0].1.metadata.version = "0.0.1".to_owned();
     let refused = ReusableRuns::from_tables(&known)
         .expect_err("another version")
         .to_string();
@@ -289,7 +297,7 @@ fn runs_of_another_sweep_are_taken_over_and_change_nothing() {
 
 #[test]
 fn tables_that_do_not_fit_are_not_merged() {
-    let folder = Folder::new("misfits");
+    let folder = SweepTestFolder::new("misfits");
     let table = |text: &str, shard: &str, name: &str| {
         let (finished, _) = swept(&grid(text).expect("valid"), shard, 1, &folder.0.join(name));
         (finished.path, finished.table)
@@ -303,10 +311,10 @@ fn tables_that_do_not_fit_are_not_merged() {
     refused(table(SMALL, "1/1", "whole"), "nothing to merge");
     let second = table(SMALL, "2/2", "second");
     let mut version = second.clone();
-    version.1.about.version = "9.9.9".to_owned();
+    version.1.metadata.version = "9.9.9".to_owned();
     refused(version, "reveille 9.9.9");
     let mut scenario = second.clone();
-    scenario.1.about.grid = "0".repeat(64);
+    scenario.1.metadata.grid = "0".repeat(64);
     refused(scenario, "scenario files or traces");
     let mut short = second;
     short.1.rows.pop();
@@ -315,7 +323,7 @@ fn tables_that_do_not_fit_are_not_merged() {
 
 #[test]
 fn csv_shards_whose_text_looks_like_numbers_are_merged() {
-    let folder = Folder::new("kinds");
+    let folder = SweepTestFolder::new("kinds");
     let trace = folder.0.join("t.csv");
     fs::write(&trace, "5,abc\n1,2\n2,1\n").expect("writable");
     let text = format!(
@@ -350,7 +358,7 @@ fn csv_shards_whose_text_looks_like_numbers_are_merged() {
 
 #[test]
 fn a_folder_of_another_sweep_is_refused() {
-    let folder = Folder::new("foreign");
+    let folder = SweepTestFolder::new("foreign");
     let small = grid(SMALL).expect("valid");
     swept(&small, "1/1", 1, &folder.0);
     let other = grid(&SMALL.replace("300", "301")).expect("valid");
@@ -359,7 +367,7 @@ fn a_folder_of_another_sweep_is_refused() {
         let message = refused.expect_err("another").to_string();
         assert!(message.contains("another experiment, shard or version"), "{message}");
     }
-    let elsewhere = Folder::new("elsewhere");
+    let elsewhere = SweepTestFolder::new("elsewhere");
     fs::write(elsewhere.0.join("thesis.tex"), "").expect("writable");
     let message = Sweep::open(&small, Shard::WHOLE, &elsewhere.0)
         .expect_err("not empty")
@@ -372,7 +380,11 @@ fn a_cell_stops_at_the_first_look_at_which_it_is_narrow() {
     let text = "policies = [\"knn\", \"genie\"]\ndevices = 12\nttis = 2000\nseeds = 200\nmin_seeds = 5\n\
                 until_ci = \"8%\"\nci_metrics = [\"energy_per_device_tti\", \"info_per_event\"]\n";
     let grid = grid(text).expect("valid");
-    let (one, two, cut) = (Folder::new("ci-1"), Folder::new("ci-2"), Folder::new("ci-cut"));
+    let (one, two, cut) = (
+        SweepTestFolder::new("ci-1"),
+        SweepTestFolder::new("ci-2"),
+        SweepTestFolder::new("ci-cut"),
+    );
     let (finished, expected) = swept(&grid, "1/1", 1, &one.0);
     assert!(swept(&grid, "1/1", 2, &two.0).1 == expected, "two threads");
     loop {
@@ -397,7 +409,7 @@ fn a_cell_stops_at_the_first_look_at_which_it_is_narrow() {
         .take(11)
         .collect();
     assert_eq!(steps, looks);
-    let cells = stats::cells(&finished.table);
+    let cells = stats::group_by_cell(&finished.table);
     for (cell, end) in cells.iter().zip(&finished.cells) {
         assert_eq!(cell.rows.len() as u64, end.runs);
         let narrow = |runs: u64| {
@@ -411,7 +423,7 @@ fn a_cell_stops_at_the_first_look_at_which_it_is_narrow() {
                 let count = values.len() as f64;
                 let mean = values.iter().sum::<f64>() / count;
                 let variance = values.iter().map(|value| (value - mean) * (value - mean)).sum::<f64>() / (count - 1.0);
-                stats::student_t(values.len() - 1) * (variance / count).sqrt() / mean <= 0.08
+                stats::student_t_quantile(values.len() - 1) * (variance / count).sqrt() / mean <= 0.08
             })
         };
         let first = looks
@@ -428,7 +440,7 @@ fn a_cell_stops_at_the_first_look_at_which_it_is_narrow() {
 
 #[test]
 fn the_fewest_seeds_are_part_of_a_sweep_if_they_are_asked_for() {
-    let folder = Folder::new("min-seeds");
+    let folder = SweepTestFolder::new("min-seeds");
     let with = |min_seeds: &str| {
         let text = "devices = 4\nttis = 50\nuntil_ci = \"90%\"\nci_metrics = [\"events\"]\nseeds = 40\n";
         grid(&format!("{text}{min_seeds}")).expect("valid")
@@ -440,13 +452,13 @@ fn the_fewest_seeds_are_part_of_a_sweep_if_they_are_asked_for() {
             .to_string();
         assert!(message.contains("another experiment"), "{message}");
     }
-    assert_ne!(hash(&with("min_seeds = 5")), hash(&with("min_seeds = 6")));
-    assert_eq!(hash(&with("min_seeds = 30")), hash(&with("")), "the default");
+    assert_ne!(experiment_hash(&with("min_seeds = 5")), experiment_hash(&with("min_seeds = 6")));
+    assert_eq!(experiment_hash(&with("min_seeds = 30")), experiment_hash(&with("")), "the default");
 }
 
 #[test]
 fn a_raised_folder_loses_its_old_table_and_no_other() {
-    let folder = Folder::new("stale");
+    let folder = SweepTestFolder::new("stale");
     let with = |count: u64| grid(&SMALL.replace("count = 7", &format!("count = {count}"))).expect("valid");
     let of = |count: u64, format: Format| {
         let grid = with(count);
@@ -467,20 +479,20 @@ fn a_raised_folder_loses_its_old_table_and_no_other() {
         .to_string();
     assert!(fewer.contains("2 seeds a cell"), "{fewer}");
     assert_eq!(there(), [true; 3], "nothing was raised");
-    assert!(table_in(&folder.0).is_ok());
+    assert!(find_table(&folder.0).is_ok());
     drop(Sweep::open(&with(3), Shard::WHOLE, &folder.0).expect("a folder"));
     assert_eq!(there(), [false; 3], "the journal lacks runs");
-    let missing = table_in(&folder.0).expect_err("no table").to_string();
+    let missing = find_table(&folder.0).expect_err("no table").to_string();
     assert!(missing.contains("its sweep is not finished"), "{missing}");
     of(3, Format::Csv);
     assert_eq!(there(), [true, true, false]);
-    assert_eq!(table_in(&folder.0).expect("a table"), folder.0.join("results.csv"));
+    assert_eq!(find_table(&folder.0).expect("a table"), folder.0.join("results.csv"));
 
     // A table with fewer seeds than the experiment next to it is refused.
     let path = folder.0.join("experiment.toml");
     let text = fs::read_to_string(&path).expect("there");
     fs::write(&path, text.replace("count = 3", "count = 4")).expect("written");
-    let refused = table_in(&folder.0).expect_err("other seeds").to_string();
+    let refused = find_table(&folder.0).expect_err("other seeds").to_string();
     assert!(
         refused.contains("asks for 4 seeds a cell, but results.csv holds 3"),
         "{refused}"
@@ -489,7 +501,7 @@ fn a_raised_folder_loses_its_old_table_and_no_other() {
 
 #[test]
 fn shards_cannot_tell_when_a_cell_has_enough() {
-    let folder = Folder::new("ci-shard");
+    let folder = SweepTestFolder::new("ci-shard");
     let grid = grid("until_ci = \"1%\"").expect("valid");
     let message = Sweep::open(&grid, "1/2".parse().expect("a shard"), &folder.0)
         .expect_err("both")

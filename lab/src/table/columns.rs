@@ -1,4 +1,4 @@
-//! The columns of a result table.
+//! The columns of a result table: identity, swept fields, metrics, `events` and `digest`, in this order in each format.
 
 use std::fmt;
 
@@ -7,9 +7,9 @@ use reveille_common::score::Metrics;
 use super::error::SchemaMismatch;
 
 /// The columns before the swept ones.
-pub(super) const IDENTITY: [&str; 6] = ["scenario_hash", "preset", "policy", "n", "ttis", "seed"];
+pub(super) const IDENTITY_COLUMNS: [&str; 6] = ["scenario_hash", "preset", "policy", "n", "ttis", "seed"];
 /// The columns after the metrics.
-pub(super) const TAIL: [&str; 2] = ["events", "digest"];
+pub(super) const TRAILING_COLUMNS: [&str; 2] = ["events", "digest"];
 
 /// The value of a swept field.
 #[derive(Clone, Debug, PartialEq)]
@@ -105,8 +105,8 @@ impl Schema {
     /// The names of all columns, in order.
     pub fn names(&self) -> Vec<&str> {
         let swept = self.swept.iter().map(|(name, _)| name.as_str());
-        let fixed = Metrics::NAMES.into_iter().chain(TAIL);
-        IDENTITY.into_iter().chain(swept).chain(fixed).collect()
+        let fixed = Metrics::NAMES.into_iter().chain(TRAILING_COLUMNS);
+        IDENTITY_COLUMNS.into_iter().chain(swept).chain(fixed).collect()
     }
 
     /// Returns the index of the swept field at `path`.
@@ -116,20 +116,20 @@ impl Schema {
 
     /// Returns the names of the swept columns in `header`, after a check of all others.
     pub(super) fn swept_among<'h>(header: &[&'h str]) -> Result<Vec<&'h str>, SchemaMismatch> {
-        let fixed = IDENTITY.len() + Metrics::COUNT + TAIL.len();
+        let fixed = IDENTITY_COLUMNS.len() + Metrics::COUNT + TRAILING_COLUMNS.len();
         // Any CSV or Parquet file may be given, also one with fewer columns.
-        let swept = header.len().checked_sub(fixed);
-        let Some(swept) = swept else {
-            return Err(mismatch(&Self::default().names(), header));
+        let swept_count = header.len().checked_sub(fixed);
+        let Some(swept_count) = swept_count else {
+            return Err(columns_mismatch(&Self::default().names(), header));
         };
-        let names: Vec<&str> = header[IDENTITY.len()..IDENTITY.len() + swept].to_vec();
-        let own = Self {
+        let names: Vec<&str> = header[IDENTITY_COLUMNS.len()..IDENTITY_COLUMNS.len() + swept_count].to_vec();
+        let schema = Self {
             swept: names
                 .iter()
                 .map(|name| ((*name).to_owned(), ColumnType::Text))
                 .collect(),
         };
-        let expected = own.names();
+        let expected = schema.names();
         // Tables of version 0.1 have former names of metrics.
         if expected
             .iter()
@@ -138,14 +138,14 @@ impl Schema {
         {
             Ok(names)
         } else {
-            Err(mismatch(&expected, header))
+            Err(columns_mismatch(&expected, header))
         }
     }
 }
 
-fn mismatch(expected: &[&str], found: &[&str]) -> SchemaMismatch {
+fn columns_mismatch(expected: &[&str], found: &[&str]) -> SchemaMismatch {
     // Without this column the file belongs to another program, and a list of missing columns would mislead.
-    if !found.contains(&IDENTITY[0]) {
+    if !found.contains(&IDENTITY_COLUMNS[0]) {
         return SchemaMismatch::NotOurs;
     }
     let missing = expected.iter().find(|name| !found.contains(name));

@@ -1,4 +1,4 @@
-//! Encoding and decoding of tables as CSV.
+//! Encoding and decoding of tables as CSV. A table reads back with equal values; `parquet` has the same columns.
 
 use std::str::FromStr;
 use std::sync::Arc;
@@ -6,7 +6,7 @@ use std::sync::Arc;
 use reveille_common::score::Metrics;
 
 use super::Table;
-use super::columns::{ColumnType, IDENTITY, Schema, SweptValue};
+use super::columns::{ColumnType, IDENTITY_COLUMNS, Schema, SweptValue};
 use super::error::SchemaMismatch;
 use super::row::{LastText, ResultRow};
 use super::sidecar::Sidecar;
@@ -28,7 +28,7 @@ fn encode(table: &Table) -> Result<Vec<u8>, csv::Error> {
             row.ttis.to_string(),
             row.seed.to_string(),
         ];
-        let swept = row.swept.iter().map(written);
+        let swept = row.swept.iter().map(format_value);
         let metrics = row.metrics.iter().map(|value| {
             if value.is_nan() {
                 String::new()
@@ -43,32 +43,34 @@ fn encode(table: &Table) -> Result<Vec<u8>, csv::Error> {
 }
 
 /// Formats a swept value. A float with a whole value keeps its decimal point, so that its column stays one of floats.
-fn written(value: &SweptValue) -> String {
+fn format_value(value: &SweptValue) -> String {
     match value {
         SweptValue::Float(value) => format!("{value:?}"),
         SweptValue::Int(_) | SweptValue::Text(_) => value.to_string(),
     }
 }
 
-/// Returns the swept columns, with the types `told` by the sidecar or else guessed from the values.
-fn schema(
+/// Returns the swept columns, with the types in the sidecar or else guessed from the values.
+fn read_schema(
     names: &[&str],
-    told: Option<Vec<ColumnType>>,
+    sidecar_types: Option<Vec<ColumnType>>,
     records: &[csv::StringRecord],
 ) -> Result<Schema, SchemaMismatch> {
     let names = Schema::swept_among(names)?;
-    let types = told.unwrap_or_else(|| {
-        let column_type = |at: usize| {
+    let types = sidecar_types.unwrap_or_else(|| {
+        let column_type = |column: usize| {
             // The reader refuses rows of another length than the header, so the index is valid.
-            let types = records.iter().map(|record| guess(&record[IDENTITY.len() + at]));
+            let types = records
+                .iter()
+                .map(|record| guess_type(&record[IDENTITY_COLUMNS.len() + column]));
             types.reduce(ColumnType::join).unwrap_or(ColumnType::Text)
         };
         (0..names.len()).map(column_type).collect()
     });
     if types.len() != names.len() {
-        let (told, found) = (types.len(), names.len());
+        let (listed, found) = (types.len(), names.len());
         return Err(SchemaMismatch::Broken(format!(
-            "its side-car lists {told} swept columns, but it has {found}"
+            "its side-car lists {listed} swept columns, but it has {found}"
         )));
     }
     Ok(Schema {
@@ -77,7 +79,7 @@ fn schema(
 }
 
 /// Decodes the table in `text`, with the content of its sidecar.
-pub(super) fn decode(text: &str, side: Sidecar) -> Result<Table, SchemaMismatch> {
+pub(super) fn decode(text: &str, sidecar: Sidecar) -> Result<Table, SchemaMismatch> {
     let broken = |error: csv::Error| SchemaMismatch::Broken(error.to_string());
     if !text.ends_with('\n') {
         return Err(SchemaMismatch::Broken("its last row is incomplete".to_owned()));
@@ -85,40 +87,40 @@ pub(super) fn decode(text: &str, side: Sidecar) -> Result<Table, SchemaMismatch>
     let mut reader = csv::Reader::from_reader(text.as_bytes());
     let header = reader.headers().map_err(broken)?.clone();
     let records = reader.records().collect::<Result<Vec<_>, _>>().map_err(broken)?;
-    let schema = schema(&header.iter().collect::<Vec<_>>(), side.types, &records)?;
-    if let Some(rows) = side.rows.filter(|rows| *rows != records.len()) {
+    let schema = read_schema(&header.iter().collect::<Vec<_>>(), sidecar.column_types, &records)?;
+    if let Some(rows) = sidecar.row_count.filter(|rows| *rows != records.len()) {
         let found = records.len();
         return Err(SchemaMismatch::Broken(format!(
             "it has {found} rows, but its side-car says {rows}"
         )));
     }
     Ok(Table {
-        about: side.about,
-        rows: rows(&schema, &records)?,
+        metadata: sidecar.metadata,
+        rows: decode_rows(&schema, &records)?,
         schema,
     })
 }
 
-fn rows(schema: &Schema, records: &[csv::StringRecord]) -> Result<Vec<ResultRow>, SchemaMismatch> {
+fn decode_rows(schema: &Schema, records: &[csv::StringRecord]) -> Result<Vec<ResultRow>, SchemaMismatch> {
     let (mut preset, mut policy, mut cell) = (LastText::default(), LastText::default(), Arc::from([]));
     let mut rows = Vec::with_capacity(records.len());
     for (number, record) in records.iter().enumerate() {
-        let fields = Fields { record, number };
+        let fields = CsvRecord { record, number };
         let swept: Vec<SweptValue> = schema
             .swept
             .iter()
             .enumerate()
-            .map(|(at, (_, column_type))| fields.swept(IDENTITY.len() + at, *column_type))
+            .map(|(index, (_, column_type))| fields.swept(IDENTITY_COLUMNS.len() + index, *column_type))
             .collect::<Result<_, _>>()?;
         // Rows are sorted by cell, so nearly all of them share the values of the previous row.
         if *cell != *swept {
             cell = Arc::from(swept);
         }
-        let first = IDENTITY.len() + schema.swept.len();
+        let first_metric = IDENTITY_COLUMNS.len() + schema.swept.len();
         let mut metrics = [f64::NAN; Metrics::COUNT];
-        for (at, slot) in metrics.iter_mut().enumerate() {
-            if !record[first + at].is_empty() {
-                *slot = fields.get(first + at)?;
+        for (index, slot) in metrics.iter_mut().enumerate() {
+            if !record[first_metric + index].is_empty() {
+                *slot = fields.get(first_metric + index)?;
             }
         }
         let row = ResultRow {
@@ -130,8 +132,8 @@ fn rows(schema: &Schema, records: &[csv::StringRecord]) -> Result<Vec<ResultRow>
             seed: fields.get(5)?,
             swept: Arc::clone(&cell),
             metrics,
-            events: fields.get(first + Metrics::COUNT)?,
-            digest: fields.get(first + Metrics::COUNT + 1)?,
+            events: fields.get(first_metric + Metrics::COUNT)?,
+            digest: fields.get(first_metric + Metrics::COUNT + 1)?,
         };
         rows.push(row.check(number + 1)?);
     }
@@ -139,7 +141,7 @@ fn rows(schema: &Schema, records: &[csv::StringRecord]) -> Result<Vec<ResultRow>
 }
 
 /// Guesses the type of a value.
-fn guess(text: &str) -> ColumnType {
+fn guess_type(text: &str) -> ColumnType {
     if text.parse::<i64>().is_ok() {
         ColumnType::Int
     } else if text.parse::<f64>().is_ok() {
@@ -150,25 +152,29 @@ fn guess(text: &str) -> ColumnType {
 }
 
 /// One row of the file.
-struct Fields<'r> {
+struct CsvRecord<'r> {
     record: &'r csv::StringRecord,
     number: usize,
 }
 
-impl Fields<'_> {
-    fn get<T: FromStr>(&self, at: usize) -> Result<T, SchemaMismatch> {
-        let text = &self.record[at];
+impl CsvRecord<'_> {
+    fn get<T: FromStr>(&self, column: usize) -> Result<T, SchemaMismatch> {
+        let text = &self.record[column];
         text.parse().map_err(|_| {
             let row = self.number + 1;
-            SchemaMismatch::Broken(format!("row {row}, field {}: \"{}\"", at + 1, text.escape_default()))
+            SchemaMismatch::Broken(format!(
+                "row {row}, field {}: \"{}\"",
+                column + 1,
+                text.escape_default()
+            ))
         })
     }
 
-    fn swept(&self, at: usize, column_type: ColumnType) -> Result<SweptValue, SchemaMismatch> {
+    fn swept(&self, column: usize, column_type: ColumnType) -> Result<SweptValue, SchemaMismatch> {
         Ok(match column_type {
-            ColumnType::Int => SweptValue::Int(self.get(at)?),
-            ColumnType::Float => SweptValue::Float(self.get(at)?),
-            ColumnType::Text => SweptValue::Text(self.record[at].to_owned()),
+            ColumnType::Int => SweptValue::Int(self.get(column)?),
+            ColumnType::Float => SweptValue::Float(self.get(column)?),
+            ColumnType::Text => SweptValue::Text(self.record[column].to_owned()),
         })
     }
 }

@@ -1,4 +1,4 @@
-//! Errors of reading and writing a result table.
+//! Errors of reading and writing a result table. Decoders return a [`SchemaMismatch`]; `io` adds the file's path.
 
 use std::io;
 use std::path::{Path, PathBuf};

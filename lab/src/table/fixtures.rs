@@ -36,7 +36,7 @@ pub(crate) fn table() -> Table {
     };
     let path = |name: &str| name.to_owned();
     Table {
-        about: TableMetadata {
+        metadata: TableMetadata {
             version: "0.1.0".to_owned(),
             experiment: "devices = [10, 50]\nname = \"a \\\"quoted\\\" one\"\n".to_owned(),
             grid: "00".repeat(32),

@@ -1,4 +1,4 @@
-//! Tables in files, in either format.
+//! Tables in files: reading by the file's extension, and atomic writing. `parquet` and `csv` encode and decode them.
 
 use std::fs::File;
 use std::io;
@@ -22,7 +22,7 @@ pub enum Format {
 
 impl Format {
     /// The usual extension of its files.
-    pub const fn ending(self) -> &'static str {
+    pub const fn extension(self) -> &'static str {
         match self {
             Self::Parquet => "parquet",
             Self::Csv => "csv",
@@ -33,7 +33,7 @@ impl Format {
     pub fn from_path(path: &Path) -> Self {
         if path
             .extension()
-            .is_some_and(|ending| ending.eq_ignore_ascii_case("csv"))
+            .is_some_and(|extension| extension.eq_ignore_ascii_case("csv"))
         {
             Self::Csv
         } else {
@@ -49,8 +49,8 @@ impl TableMetadata {
     /// See [`Table::read`].
     pub fn read(path: &Path) -> Result<Self, TableError> {
         let read = match Format::from_path(path) {
-            Format::Parquet => open(path).and_then(|file| Ok(parquet::about(file)?)),
-            Format::Csv => side_of(path).map(|side| side.about),
+            Format::Parquet => open_file(path).and_then(|file| Ok(parquet::decode_metadata(file)?)),
+            Format::Csv => read_sidecar(path).map(|sidecar| sidecar.metadata),
         };
         read.map_err(|failure| failure.with_path(path))
     }
@@ -63,8 +63,8 @@ impl Table {
     /// If the file cannot be read, is not a result table, has another version, or is cut off or corrupt.
     pub fn read(path: &Path) -> Result<Self, TableError> {
         let read = match Format::from_path(path) {
-            Format::Parquet => open(path).and_then(|file| Ok(parquet::decode(file)?)),
-            Format::Csv => csv_at(path),
+            Format::Parquet => open_file(path).and_then(|file| Ok(parquet::decode(file)?)),
+            Format::Csv => read_csv(path),
         };
         read.map_err(|failure| failure.with_path(path))
     }
@@ -90,7 +90,7 @@ impl Table {
         };
         // The sidecar first: a table that exists counts as complete, so its sidecar must exist too.
         if format == Format::Csv {
-            write(&sidecar::path_of(path), sidecar::text(self).as_bytes())?;
+            write(&sidecar::sidecar_path(path), sidecar::to_text(self).as_bytes())?;
         }
         write(path, &bytes)
     }
@@ -104,23 +104,23 @@ impl Table {
         remove(path)?;
         match format {
             Format::Parquet => Ok(()),
-            Format::Csv => remove(&sidecar::path_of(path)),
+            Format::Csv => remove(&sidecar::sidecar_path(path)),
         }
     }
 }
 
-fn open(path: &Path) -> Result<File, ReadFailure> {
+fn open_file(path: &Path) -> Result<File, ReadFailure> {
     Ok(crate::io::open(path)?)
 }
 
-fn csv_at(path: &Path) -> Result<Table, ReadFailure> {
+fn read_csv(path: &Path) -> Result<Table, ReadFailure> {
     let text = read_text(path)?;
-    Ok(csv::decode(&text, side_of(path)?)?)
+    Ok(csv::decode(&text, read_sidecar(path)?)?)
 }
 
 /// Reads the sidecar of the CSV file at `path`; empty if it does not exist.
-fn side_of(path: &Path) -> Result<Sidecar, ReadFailure> {
-    match read_text(&sidecar::path_of(path)) {
+fn read_sidecar(path: &Path) -> Result<Sidecar, ReadFailure> {
+    match read_text(&sidecar::sidecar_path(path)) {
         Ok(text) => Ok(sidecar::parse(&text)?),
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Sidecar::default()),
         Err(error) => Err(error.into()),

@@ -1,4 +1,4 @@
-//! The origin of a table.
+//! The origin of a table: key-value metadata in Parquet files, the sidecar of CSV files. The keys are a file format.
 
 use super::error::{SchemaMismatch, TABLE_VERSION};
 
@@ -19,7 +19,7 @@ impl TableMetadata {
     /// Returns the metadata as pairs of key and value, in a fixed order.
     pub(super) fn pairs(&self) -> Vec<(&'static str, String)> {
         let mut pairs = vec![
-            (TABLE, TABLE_VERSION.to_string()),
+            (TABLE_VERSION_KEY, TABLE_VERSION.to_string()),
             (VERSION, self.version.clone()),
             (EXPERIMENT, self.experiment.clone()),
             (GRID, self.grid.clone()),
@@ -33,7 +33,7 @@ impl TableMetadata {
     /// Parses key-value metadata, after a check of the table's version.
     pub(super) fn from_pairs<'p>(get: impl Fn(&str) -> Option<&'p str>) -> Result<Self, SchemaMismatch> {
         // The version first: in another one the other keys may have another meaning.
-        let Some(version) = get(TABLE) else {
+        let Some(version) = get(TABLE_VERSION_KEY) else {
             return Err(SchemaMismatch::NotOurs);
         };
         if version != TABLE_VERSION.to_string() {
@@ -53,7 +53,7 @@ impl TableMetadata {
 }
 
 /// [`TABLE_VERSION`].
-pub(super) const TABLE: &str = "reveille.table";
+pub(super) const TABLE_VERSION_KEY: &str = "reveille.table";
 /// The version of Reveille that made the runs.
 pub(super) const VERSION: &str = "reveille.version";
 /// The experiment as TOML.
@@ -63,6 +63,6 @@ pub(super) const GRID: &str = "reveille.grid";
 /// `i/n` in the table of a shard, `i,j/n` in a merge of some shards; absent in a whole table.
 pub(super) const SHARD: &str = "reveille.shard";
 /// The types of the swept columns in sidecars: `int`, `float` or `text`, separated by commas.
-pub(super) const KINDS: &str = "reveille.kinds";
+pub(super) const COLUMN_TYPES: &str = "reveille.kinds";
 /// The number of rows, in sidecars.
 pub(super) const ROWS: &str = "reveille.rows";

@@ -1,4 +1,5 @@
-//! The result table: one row per run, as Parquet or CSV.
+//! The result table: one row per run, as Parquet or CSV. `reveille sweep` writes it; reports, figures and the Python
+//! package read it. The columns are a file format: raise `TABLE_VERSION` when one changes its meaning.
 //!
 //! | columns | content |
 //! |---|---|
@@ -30,7 +31,7 @@ pub use row::{Hash, ResultRow};
 #[derive(Clone, Debug, PartialEq)]
 pub struct Table {
     /// The origin of the runs.
-    pub about: TableMetadata,
+    pub metadata: TableMetadata,
     /// The columns.
     pub schema: Schema,
     /// One row per run.

@@ -1,4 +1,5 @@
-//! Encoding and decoding of tables as Parquet.
+//! Encoding and decoding of tables as Parquet. Columns are written and read by position, in the order of
+//! [`message_type`]; `csv` has the same columns.
 
 use std::sync::Arc;
 
@@ -11,13 +12,13 @@ use reveille_common::parquet::{self, Column, GroupReader, GroupWriter, Writer};
 use reveille_common::score::Metrics;
 
 use super::Table;
-use super::columns::{ColumnType, IDENTITY, Schema, SweptValue, TAIL};
+use super::columns::{ColumnType, IDENTITY_COLUMNS, Schema, SweptValue, TRAILING_COLUMNS};
 use super::error::SchemaMismatch;
 use super::metadata::TableMetadata;
 use super::row::{Hash, LastText, ResultRow};
 
 /// The number of rows in a row group, which bounds the memory of readers.
-const GROUP: usize = 65_536;
+const ROWS_PER_GROUP: usize = 65_536;
 
 /// Encodes the file of `table`.
 pub(super) fn to_bytes(table: &Table) -> Result<Vec<u8>, String> {
@@ -25,18 +26,18 @@ pub(super) fn to_bytes(table: &Table) -> Result<Vec<u8>, String> {
 }
 
 fn encode(table: &Table) -> Result<Vec<u8>, ParquetError> {
-    let pairs = table.about.pairs().into_iter();
-    let about = pairs.map(|(key, value)| (key.to_owned(), value));
-    let mut writer = Writer::begin(Vec::new(), message_type(&table.schema)?, about)?;
-    for rows in table.rows.chunks(GROUP) {
-        writer.group(|group| write_group(group, &table.schema, rows))?;
+    let pairs = table.metadata.pairs().into_iter();
+    let metadata = pairs.map(|(key, value)| (key.to_owned(), value));
+    let mut writer = Writer::begin(Vec::new(), message_type(&table.schema)?, metadata)?;
+    for rows in table.rows.chunks(ROWS_PER_GROUP) {
+        writer.write_row_group(|group| write_group(group, &table.schema, rows))?;
     }
     writer.finish()
 }
 
 fn message_type(schema: &Schema) -> Result<Type, ParquetError> {
-    let [hash, preset, policy, n, ttis, seed] = IDENTITY;
-    let [events, digest] = TAIL;
+    let [hash, preset, policy, n, ttis, seed] = IDENTITY_COLUMNS;
+    let [events, digest] = TRAILING_COLUMNS;
     let text = |name| Column::required(name, Physical::BYTE_ARRAY);
     let int = |name| Column::required(name, Physical::INT64);
     let mut columns = vec![text(hash), text(preset), text(policy), int(n), int(ttis), int(seed)];
@@ -53,34 +54,36 @@ fn message_type(schema: &Schema) -> Result<Type, ParquetError> {
 fn write_group(group: &mut GroupWriter<'_, Vec<u8>>, schema: &Schema, rows: &[ResultRow]) -> Result<(), ParquetError> {
     let text = |text: String| ByteArray::from(text.into_bytes());
     // In the order of `message_type`: the writer takes columns by position.
-    group.required::<ByteArrayType>(rows.iter().map(|row| text(row.scenario_hash.to_string())))?;
-    group.required::<ByteArrayType>(rows.iter().map(|row| text(row.preset.to_string())))?;
-    group.required::<ByteArrayType>(rows.iter().map(|row| text(row.policy.to_string())))?;
-    group.required::<Int64Type>(rows.iter().map(|row| i64::from(row.n)))?;
-    group.required::<Int64Type>(rows.iter().map(|row| row.ttis.cast_signed()))?;
+    group.write_required::<ByteArrayType>(rows.iter().map(|row| text(row.scenario_hash.to_string())))?;
+    group.write_required::<ByteArrayType>(rows.iter().map(|row| text(row.preset.to_string())))?;
+    group.write_required::<ByteArrayType>(rows.iter().map(|row| text(row.policy.to_string())))?;
+    group.write_required::<Int64Type>(rows.iter().map(|row| i64::from(row.n)))?;
+    group.write_required::<Int64Type>(rows.iter().map(|row| row.ttis.cast_signed()))?;
     // The cast holds: `Seeds::check` refuses seeds above `i64::MAX`.
-    group.required::<Int64Type>(rows.iter().map(|row| row.seed.cast_signed()))?;
+    group.write_required::<Int64Type>(rows.iter().map(|row| row.seed.cast_signed()))?;
     for (column, (_, column_type)) in schema.swept.iter().enumerate() {
         let values = rows.iter().map(|row| &row.swept[column]);
         match column_type {
-            ColumnType::Int => group.required::<Int64Type>(values.map(int).collect::<Result<Vec<_>, _>>()?)?,
-            ColumnType::Float => group.required::<DoubleType>(values.map(float).collect::<Result<Vec<_>, _>>()?)?,
-            ColumnType::Text => group.required::<ByteArrayType>(values.map(|value| text(value.to_string())))?,
+            ColumnType::Int => group.write_required::<Int64Type>(values.map(int).collect::<Result<Vec<_>, _>>()?)?,
+            ColumnType::Float => {
+                group.write_required::<DoubleType>(values.map(float).collect::<Result<Vec<_>, _>>()?)?
+            }
+            ColumnType::Text => group.write_required::<ByteArrayType>(values.map(|value| text(value.to_string())))?,
         }
     }
     for metric in 0..Metrics::COUNT {
         let defined = |row: &ResultRow| Some(row.metrics[metric]).filter(|value| !value.is_nan());
-        group.optional::<DoubleType>(rows.iter().map(defined))?;
+        group.write_optional::<DoubleType>(rows.iter().map(defined))?;
     }
-    group.required::<Int64Type>(rows.iter().map(|row| row.events.cast_signed()))?;
-    group.required::<ByteArrayType>(rows.iter().map(|row| text(row.digest.to_string())))
+    group.write_required::<Int64Type>(rows.iter().map(|row| row.events.cast_signed()))?;
+    group.write_required::<ByteArrayType>(rows.iter().map(|row| text(row.digest.to_string())))
 }
 
 /// Returns the value in a column of whole numbers.
 fn int(value: &SweptValue) -> Result<i64, ParquetError> {
     match value {
         SweptValue::Int(value) => Ok(*value),
-        SweptValue::Float(_) | SweptValue::Text(_) => Err(misplaced(value, "whole numbers")),
+        SweptValue::Float(_) | SweptValue::Text(_) => Err(type_error(value, "whole numbers")),
     }
 }
 
@@ -89,27 +92,27 @@ fn float(value: &SweptValue) -> Result<f64, ParquetError> {
     match value {
         SweptValue::Float(value) => Ok(*value),
         SweptValue::Int(value) => Ok(*value as f64),
-        SweptValue::Text(_) => Err(misplaced(value, "numbers")),
+        SweptValue::Text(_) => Err(type_error(value, "numbers")),
     }
 }
 
-fn misplaced(value: &SweptValue, types: &str) -> ParquetError {
+fn type_error(value: &SweptValue, types: &str) -> ParquetError {
     ParquetError::General(format!("`{value}` is in a column of {types}"))
 }
 
 /// Decodes the table in `file`.
 pub(super) fn decode<F: ChunkReader + 'static>(file: F) -> Result<Table, SchemaMismatch> {
-    guarded(|| table_of(&SerializedFileReader::new(file)?))
+    guarded(|| read_table(&SerializedFileReader::new(file)?))
 }
 
 /// Decodes the metadata of the table in `file`.
-pub(super) fn about<F: ChunkReader + 'static>(file: F) -> Result<TableMetadata, SchemaMismatch> {
-    guarded(|| about_of(&SerializedFileReader::new(file)?))
+pub(super) fn decode_metadata<F: ChunkReader + 'static>(file: F) -> Result<TableMetadata, SchemaMismatch> {
+    guarded(|| read_metadata(&SerializedFileReader::new(file)?))
 }
 
 fn guarded<T>(decode: impl FnOnce() -> Result<T, SchemaMismatch>) -> Result<T, SchemaMismatch> {
-    let gave_up = || Err(SchemaMismatch::Broken("the Parquet decoder failed".to_owned()));
-    parquet::guarded(decode).unwrap_or_else(gave_up)
+    let decoder_failed = || Err(SchemaMismatch::Broken("the Parquet decoder failed".to_owned()));
+    parquet::catch_decoder_panic(decode).unwrap_or_else(decoder_failed)
 }
 
 impl From<ParquetError> for SchemaMismatch {
@@ -118,35 +121,36 @@ impl From<ParquetError> for SchemaMismatch {
     }
 }
 
-fn about_of(reader: &impl FileReader) -> Result<TableMetadata, SchemaMismatch> {
+fn read_metadata(reader: &impl FileReader) -> Result<TableMetadata, SchemaMismatch> {
     let pairs = reader.metadata().file_metadata().key_value_metadata();
     let pairs = pairs.map_or(&[][..], Vec::as_slice);
     TableMetadata::from_pairs(|key| pairs.iter().find(|pair| pair.key == key)?.value.as_deref())
 }
 
-fn table_of(reader: &impl FileReader) -> Result<Table, SchemaMismatch> {
-    let about = about_of(reader)?;
+fn read_table(reader: &impl FileReader) -> Result<Table, SchemaMismatch> {
+    let metadata = read_metadata(reader)?;
     let fields = reader.metadata().file_metadata().schema().get_fields();
     let header: Vec<&str> = fields.iter().map(|field| field.name()).collect();
     let names = Schema::swept_among(&header)?;
-    let first = IDENTITY.len();
+    let first = IDENTITY_COLUMNS.len();
     let types = fields[first..first + names.len()].iter().map(|field| type_of(field));
     let swept = names.into_iter().map(str::to_owned).zip(types).collect();
     let schema = Schema { swept };
-    let own = message_type(&schema)?;
+    let expected = message_type(&schema)?;
     // The names are checked, so both have the same length. A type may still differ, as in a file of another program.
-    let differing = own.get_fields().iter().zip(fields).find(|(own, found)| own != found);
-    if let Some((own, _)) = differing {
+    let mut pairs = expected.get_fields().iter().zip(fields);
+    let differing = pairs.find(|(expected, found)| expected != found);
+    if let Some((column, _)) = differing {
         return Err(SchemaMismatch::Columns(format!(
             "the column `{}` has another type",
-            own.name()
+            column.name()
         )));
     }
     let mut rows = Vec::new();
     for number in 0..reader.num_row_groups() {
         read_group(&*reader.get_row_group(number)?, &schema, &mut rows)?;
     }
-    Ok(Table { about, schema, rows })
+    Ok(Table { metadata, schema, rows })
 }
 
 fn type_of(field: &Type) -> ColumnType {
@@ -166,7 +170,7 @@ fn type_of(field: &Type) -> ColumnType {
 }
 
 fn texts(columns: &mut GroupReader<'_>) -> Result<Vec<String>, SchemaMismatch> {
-    let values = columns.required::<ByteArrayType>()?;
+    let values = columns.read_required::<ByteArrayType>()?;
     let text = |value: &ByteArray| value.as_utf8().map(str::to_owned);
     Ok(values.iter().map(text).collect::<Result<_, _>>()?)
 }
@@ -182,12 +186,12 @@ fn hashes(columns: &mut GroupReader<'_>) -> Result<Vec<Hash>, SchemaMismatch> {
 fn swept(columns: &mut GroupReader<'_>, column_type: ColumnType) -> Result<Vec<SweptValue>, SchemaMismatch> {
     Ok(match column_type {
         ColumnType::Int => columns
-            .required::<Int64Type>()?
+            .read_required::<Int64Type>()?
             .into_iter()
             .map(SweptValue::Int)
             .collect(),
         ColumnType::Float => columns
-            .required::<DoubleType>()?
+            .read_required::<DoubleType>()?
             .into_iter()
             .map(SweptValue::Float)
             .collect(),
@@ -197,41 +201,45 @@ fn swept(columns: &mut GroupReader<'_>, column_type: ColumnType) -> Result<Vec<S
 
 fn read_group(group: &dyn RowGroupReader, schema: &Schema, rows: &mut Vec<ResultRow>) -> Result<(), SchemaMismatch> {
     let mut columns = GroupReader::new(group);
-    // In the order of `message_type`, which `table_of` has checked: the reader takes columns by position.
+    // In the order of `message_type`, which `read_table` has checked: the reader takes columns by position.
     let hash_column = hashes(&mut columns)?;
     let (presets, policies) = (texts(&mut columns)?, texts(&mut columns)?);
-    let n = columns.required::<Int64Type>()?;
-    let (ttis, seeds) = (columns.required::<Int64Type>()?, columns.required::<Int64Type>()?);
+    let n = columns.read_required::<Int64Type>()?;
+    let (ttis, seeds) = (
+        columns.read_required::<Int64Type>()?,
+        columns.read_required::<Int64Type>()?,
+    );
     let swept_columns = schema.swept.iter();
     let swept_columns = swept_columns
         .map(|(_, column_type)| swept(&mut columns, *column_type))
         .collect::<Result<Vec<_>, _>>()?;
     let metrics = (0..Metrics::COUNT)
-        .map(|_| columns.optional::<DoubleType>())
+        .map(|_| columns.read_optional::<DoubleType>())
         .collect::<Result<Vec<_>, _>>()?;
-    let events = columns.required::<Int64Type>()?;
+    let events = columns.read_required::<Int64Type>()?;
     let digests = hashes(&mut columns)?;
-    let positive = |value: i64, name: &str| {
+    let non_negative = |value: i64, name: &str| {
         u64::try_from(value).map_err(|_| SchemaMismatch::Broken(format!("`{name}` = {value} is negative")))
     };
     let (mut preset, mut policy, mut cell) = (LastText::default(), LastText::default(), Arc::from([]));
-    for at in 0..columns.rows() {
-        let values: Vec<SweptValue> = swept_columns.iter().map(|column| column[at].clone()).collect();
+    for index in 0..columns.rows() {
+        let values: Vec<SweptValue> = swept_columns.iter().map(|column| column[index].clone()).collect();
         // Rows are sorted by cell, so nearly all of them share the values of the previous row.
         if *cell != *values {
             cell = Arc::from(values);
         }
+        let devices = u32::try_from(n[index]);
         let row = ResultRow {
-            scenario_hash: hash_column[at],
-            preset: preset.intern(&presets[at]),
-            policy: policy.intern(&policies[at]),
-            n: u32::try_from(n[at]).map_err(|_| SchemaMismatch::Broken(format!("`n` = {} is out of range", n[at])))?,
-            ttis: positive(ttis[at], "ttis")?,
-            seed: positive(seeds[at], "seed")?,
+            scenario_hash: hash_column[index],
+            preset: preset.intern(&presets[index]),
+            policy: policy.intern(&policies[index]),
+            n: devices.map_err(|_| SchemaMismatch::Broken(format!("`n` = {} is out of range", n[index])))?,
+            ttis: non_negative(ttis[index], "ttis")?,
+            seed: non_negative(seeds[index], "seed")?,
             swept: Arc::clone(&cell),
-            metrics: std::array::from_fn(|metric| metrics[metric][at].unwrap_or(f64::NAN)),
-            events: positive(events[at], "events")?,
-            digest: digests[at],
+            metrics: std::array::from_fn(|metric| metrics[metric][index].unwrap_or(f64::NAN)),
+            events: non_negative(events[index], "events")?,
+            digest: digests[index],
         };
         rows.push(row.check(rows.len() + 1)?);
     }

@@ -1,10 +1,10 @@
-//! The row of one run.
+//! The row of one run: its identity and its results.
 
 use std::fmt;
 use std::str::FromStr;
 use std::sync::Arc;
 
-use reveille_bs::cycle::Outcome;
+use reveille_bs::cycle::RunOutcome;
 use reveille_bs::scenario::Scenario;
 use reveille_common::score::Metrics;
 
@@ -31,21 +31,21 @@ impl FromStr for Hash {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let wrong = || format!("\"{}\" is not 64 hexadecimal digits", text.escape_default());
+        let invalid = || format!("\"{}\" is not 64 hexadecimal digits", text.escape_default());
         // ASCII digits only: the slices below need character boundaries, and `from_str_radix` also accepts a sign.
         if text.len() != 64 || !text.bytes().all(|byte| byte.is_ascii_hexdigit()) {
-            return Err(wrong());
+            return Err(invalid());
         }
-        let mut sum = [0; 32];
-        for (byte, at) in sum.iter_mut().zip((0..64).step_by(2)) {
-            *byte = u8::from_str_radix(&text[at..at + 2], 16).map_err(|_| wrong())?;
+        let mut bytes = [0; 32];
+        for (byte, at) in bytes.iter_mut().zip((0..64).step_by(2)) {
+            *byte = u8::from_str_radix(&text[at..at + 2], 16).map_err(|_| invalid())?;
         }
-        Ok(Self(sum))
+        Ok(Self(bytes))
     }
 }
 
 /// A bound above every metric of any run: a table with a larger or infinite value was not written by Reveille.
-const LARGEST_METRIC: f64 = 1e15;
+const MAX_METRIC: f64 = 1e15;
 
 /// One run: its identity and its results.
 #[derive(Clone, Debug)]
@@ -68,13 +68,13 @@ pub struct ResultRow {
     pub metrics: [f64; Metrics::COUNT],
     /// The number of events that count.
     pub events: u64,
-    /// The run's fingerprint.
+    /// The run's digest.
     pub digest: Hash,
 }
 
 impl ResultRow {
     /// The row of a complete run of `scenario` with the swept values `swept`.
-    pub fn new(scenario: &Scenario, swept: Arc<[SweptValue]>, outcome: &Outcome) -> Self {
+    pub fn new(scenario: &Scenario, swept: Arc<[SweptValue]>, outcome: &RunOutcome) -> Self {
         Self {
             scenario_hash: Hash(scenario.hash()),
             preset: Arc::from(scenario.run.preset.as_str()),
@@ -92,13 +92,13 @@ impl ResultRow {
     /// Checks that the metrics are possible values; `number` is the row's, from 1.
     pub(super) fn check(self, number: usize) -> Result<Self, SchemaMismatch> {
         // False for NaN, which stands for an undefined metric.
-        let is_odd = |value: &f64| value.abs() > LARGEST_METRIC;
-        match self.metrics.iter().position(is_odd) {
+        let is_impossible = |value: &f64| value.abs() > MAX_METRIC;
+        match self.metrics.iter().position(is_impossible) {
             None => Ok(self),
-            Some(at) => Err(SchemaMismatch::Broken(format!(
+            Some(index) => Err(SchemaMismatch::Broken(format!(
                 "row {number}, {}: no run can have the value {:e}",
-                Metrics::NAMES[at],
-                self.metrics[at]
+                Metrics::NAMES[index],
+                self.metrics[index]
             ))),
         }
     }
@@ -108,8 +108,8 @@ impl ResultRow {
         if name == "events" {
             return Some(self.events as f64);
         }
-        let at = Metrics::NAMES.iter().position(|known| *known == name)?;
-        Some(self.metrics[at]).filter(|value| !value.is_nan())
+        let index = Metrics::NAMES.iter().position(|metric| *metric == name)?;
+        Some(self.metrics[index]).filter(|value| !value.is_nan())
     }
 }
 

@@ -11,25 +11,25 @@ use super::error::SchemaMismatch;
 use super::metadata::{self, TableMetadata};
 
 /// Returns the path of the sidecar of the CSV file at `csv`.
-pub(super) fn path_of(csv: &Path) -> PathBuf {
+pub(super) fn sidecar_path(csv: &Path) -> PathBuf {
     let mut name = OsString::from(csv);
     name.push(".toml");
     PathBuf::from(name)
 }
 
 /// Returns the text of the sidecar of `table`.
-pub(super) fn text(table: &Table) -> String {
+pub(super) fn to_text(table: &Table) -> String {
     let types: Vec<&str> = table
         .schema
         .swept
         .iter()
         .map(|(_, column_type)| column_type.name())
         .collect();
-    let own = [
-        (metadata::KINDS, types.join(",")),
+    let csv_pairs = [
+        (metadata::COLUMN_TYPES, types.join(",")),
         (metadata::ROWS, table.rows.len().to_string()),
     ];
-    let pairs = table.about.pairs().into_iter().chain(own);
+    let pairs = table.metadata.pairs().into_iter().chain(csv_pairs);
     pairs.fold(String::new(), |mut text, (key, value)| {
         let _ = writeln!(text, "\"{key}\" = {}", toml::Value::String(value));
         text
@@ -39,9 +39,9 @@ pub(super) fn text(table: &Table) -> String {
 /// The content of a sidecar; empty for a CSV file without one.
 #[derive(Default)]
 pub(super) struct Sidecar {
-    pub(super) about: TableMetadata,
-    pub(super) types: Option<Vec<ColumnType>>,
-    pub(super) rows: Option<usize>,
+    pub(super) metadata: TableMetadata,
+    pub(super) column_types: Option<Vec<ColumnType>>,
+    pub(super) row_count: Option<usize>,
 }
 
 /// Parses the text of a sidecar.
@@ -50,17 +50,17 @@ pub(super) fn parse(text: &str) -> Result<Sidecar, SchemaMismatch> {
         toml::from_str(text).map_err(|error| SchemaMismatch::Broken(format!("its side-car: {}", error.message())))?;
     let broken =
         |key: &str| SchemaMismatch::Broken(format!("its side-car: {key} = \"{}\"", pairs[key].escape_default()));
-    let types = pairs.get(metadata::KINDS).map(|names| {
+    let types = pairs.get(metadata::COLUMN_TYPES).map(|names| {
         let names = names.split(',').filter(|name| !name.is_empty());
         let types: Option<Vec<ColumnType>> = names.map(ColumnType::named).collect();
-        types.ok_or_else(|| broken(metadata::KINDS))
+        types.ok_or_else(|| broken(metadata::COLUMN_TYPES))
     });
     let rows = pairs
         .get(metadata::ROWS)
         .map(|rows| rows.parse().map_err(|_| broken(metadata::ROWS)));
     Ok(Sidecar {
-        about: TableMetadata::from_pairs(|key| pairs.get(key).map(String::as_str))?,
-        types: types.transpose()?,
-        rows: rows.transpose()?,
+        metadata: TableMetadata::from_pairs(|key| pairs.get(key).map(String::as_str))?,
+        column_types: types.transpose()?,
+        row_count: rows.transpose()?,
     })
 }

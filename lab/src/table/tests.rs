@@ -6,9 +6,9 @@ use std::path::PathBuf;
 use super::*;
 
 /// A temporary folder that is removed on drop.
-struct Folder(PathBuf);
+struct TableTestFolder(PathBuf);
 
-impl Folder {
+impl TableTestFolder {
     fn new(name: &str) -> Self {
         let path = std::env::temp_dir().join(format!("reveille-table-{}-{name}", std::process::id()));
         fs::create_dir_all(&path).expect("writable");
@@ -20,7 +20,7 @@ impl Folder {
     }
 }
 
-impl Drop for Folder {
+impl Drop for TableTestFolder {
     fn drop(&mut self) {
         let _ = fs::remove_dir_all(&self.0);
     }
@@ -28,7 +28,7 @@ impl Drop for Folder {
 
 #[test]
 fn both_formats_give_back_what_was_written() {
-    let folder = Folder::new("formats");
+    let folder = TableTestFolder::new("formats");
     let table = fixtures::table();
     for name in ["t.parquet", "t.csv"] {
         let path = folder.path(name);
@@ -43,7 +43,7 @@ fn both_formats_give_back_what_was_written() {
 
 #[test]
 fn an_empty_table_and_one_of_many_groups_are_read() {
-    let folder = Folder::new("sizes");
+    let folder = TableTestFolder::new("sizes");
     let path = folder.path("t.parquet");
     let mut table = fixtures::table();
     let rows = std::mem::take(&mut table.rows);
@@ -56,7 +56,7 @@ fn an_empty_table_and_one_of_many_groups_are_read() {
 
 #[test]
 fn other_versions_and_other_files_are_refused() {
-    let folder = Folder::new("refused");
+    let folder = TableTestFolder::new("refused");
     let path = folder.path("t.csv");
     let table = fixtures::table();
     table.write(&path, Format::Csv).expect("written");
@@ -103,7 +103,7 @@ fn other_versions_and_other_files_are_refused() {
 
 #[test]
 fn text_that_looks_like_numbers_stays_text() {
-    let folder = Folder::new("kinds");
+    let folder = TableTestFolder::new("kinds");
     let mut table = fixtures::table();
     for row in &mut table.rows {
         row.swept = [
@@ -129,7 +129,7 @@ fn a_parquet_file_of_another_version_is_refused() {
     use ::parquet::file::reader::{FileReader, SerializedFileReader};
     use reveille_common::parquet::Writer;
 
-    let folder = Folder::new("parquet-version");
+    let folder = TableTestFolder::new("parquet-version");
     let path = folder.path("t.parquet");
     fixtures::table().write(&path, Format::Parquet).expect("written");
     let rewritten = |version: &str| {
@@ -137,7 +137,7 @@ fn a_parquet_file_of_another_version_is_refused() {
         let metadata = reader.metadata().file_metadata();
         let other = fs::File::create(folder.path("other.parquet")).expect("writable");
         let pairs = metadata.key_value_metadata().expect("ours").iter().map(|pair| {
-            let value = pair.value.clone().filter(|_| pair.key != metadata::TABLE);
+            let value = pair.value.clone().filter(|_| pair.key != metadata::TABLE_VERSION_KEY);
             (pair.key.clone(), value.unwrap_or_else(|| version.to_owned()))
         });
         let writer = Writer::begin(other, metadata.schema().clone(), pairs);
@@ -153,7 +153,7 @@ fn a_parquet_file_of_another_version_is_refused() {
 
 #[test]
 fn a_cut_file_is_refused_at_every_length() {
-    let folder = Folder::new("cut");
+    let folder = TableTestFolder::new("cut");
     for name in ["t.parquet", "t.csv"] {
         let path = folder.path(name);
         fixtures::table()
@@ -172,7 +172,7 @@ fn a_cut_file_is_refused_at_every_length() {
 
 #[test]
 fn what_cannot_be_written_leaves_the_old_file() {
-    let folder = Folder::new("write");
+    let folder = TableTestFolder::new("write");
     let message = fixtures::table()
         .write(&folder.path("no/such/t.parquet"), Format::Parquet)
         .expect_err("no such folder")

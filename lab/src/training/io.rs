@@ -1,4 +1,4 @@
-//! Checkpoints of a training in files.
+//! Checkpoints of a training in files, written after every episode.
 
 use std::path::Path;
 
@@ -17,33 +17,34 @@ impl Trainer {
         if !path.exists() {
             return Ok(false);
         }
-        let found = LearnedTables::read(&Disk, path).map_err(|error| TrainingError::Checkpoint {
+        let checkpoint = LearnedTables::read(&Disk, path).map_err(|error| TrainingError::Checkpoint {
             path: path.to_owned(),
             error,
         })?;
-        self.resume_from(found).map_err(|why| TrainingError::OtherCheckpoint {
-            path: path.to_owned(),
-            why,
-        })?;
+        self.resume_from(checkpoint)
+            .map_err(|differences| TrainingError::OtherCheckpoint {
+                path: path.to_owned(),
+                differences,
+            })?;
         Ok(true)
     }
 
-    /// Trains as [`Trainer::train`] does, and writes each finished round to the file `checkpoint`.
+    /// Trains as [`Trainer::train`] does, and writes the tables after each episode to the file `checkpoint`.
     ///
     /// # Errors
     /// If the checkpoint cannot be written or threads cannot be started.
-    pub fn train_keeping(
+    pub fn train_with_checkpoint(
         &mut self,
         threads: usize,
         checkpoint: &Path,
         observer: &impl TrainingProgress,
     ) -> Result<bool, TrainingError> {
-        let keep = |learned: &LearnedTables| {
+        let save = |learned: &LearnedTables| {
             replace(checkpoint, learned.to_json().as_bytes()).map_err(|error| TrainingError::Write {
                 path: checkpoint.to_owned(),
                 error,
             })
         };
-        self.train(threads, &keep, observer)
+        self.train(threads, &save, observer)
     }
 }

@@ -11,10 +11,10 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use rayon::iter::{IntoParallelRefMutIterator, ParallelIterator};
-use reveille_bs::cycle::{Outcome, PreparedRun};
-use reveille_bs::policy::interface::Opaque;
+use reveille_bs::cycle::{PreparedRun, RunOutcome};
+use reveille_bs::policy::interface::LearnedState;
 use reveille_bs::policy::q_learning::learned::{
-    CurvePoint, LONGEST_WINDOW, LearnedError, LearnedTables, Lookback, QTrainingConfig, QWeights, Schedule, TableSet,
+    CurvePoint, LearnedError, LearnedTables, Lookback, MAX_WINDOW, QTrainingConfig, QWeights, Schedule, TableSet,
     TrainingSite,
 };
 use reveille_bs::policy::q_learning::settings::QLearningSettings;
@@ -28,13 +28,13 @@ use crate::run::{Run, RunOptions, StopWhen};
 /// The version of Reveille, as files name it.
 pub(crate) const MADE_BY: &str = concat!("reveille ", env!("CARGO_PKG_VERSION"));
 /// An offset to the seeds of episodes, far from the seeds of evaluations.
-pub(crate) const SEEDS: u64 = 0x7EA1_C0DE_0000_0000;
+pub(crate) const EPISODE_SEED_OFFSET: u64 = 0x7EA1_C0DE_0000_0000;
 /// The largest number of devices for which tables are trained.
-const MOST_DEVICES: u32 = 1_000_000;
+const MAX_DEVICES: u32 = 1_000_000;
 /// The share of an episode that its point on the curve leaves out.
-const WARM_UP: f64 = 0.1;
+const EPISODE_WARM_UP: f64 = 0.1;
 /// The number of TTIs between two checks whether to stop.
-const LOOK: u64 = 200;
+const TTIS_BETWEEN_STOP_CHECKS: u64 = 200;
 
 /// A reason why a training cannot start or finish.
 #[derive(Debug, thiserror::Error)]
@@ -43,38 +43,39 @@ pub enum TrainingError {
     #[error("policy.name = {0}: only q-learning has tables to train")]
     Policy(String),
     /// A value is out of range.
-    #[error("{what} = {value}: {allowed}")]
+    #[error("{name} = {value}: {allowed}")]
     Invalid {
         /// The name of the value.
-        what: &'static str,
+        name: &'static str,
         /// The value.
         value: String,
         /// The allowed range.
         allowed: &'static str,
     },
     /// A list of numbers is empty, or one of them is out of range.
-    #[error("{what} = {numbers:?}: must be a list of numbers from 1 to {most}")]
+    #[error("{name} = {numbers:?}: must be a list of numbers from 1 to {max}")]
     List {
         /// The name of the list.
-        what: &'static str,
+        name: &'static str,
         /// The numbers.
         numbers: Vec<u32>,
         /// The largest allowed number.
-        most: u32,
+        max: u32,
     },
     /// The file exists already.
     #[error("{}: file exists; use --force to replace it", .0.display())]
-    Taken(PathBuf),
+    FileExists(PathBuf),
     /// The checkpoint belongs to another training.
     #[error(
-        "{}: is the checkpoint of another training ({why}); finish that one, remove the file, or use another --out",
+        "{}: is the checkpoint of another training ({differences}); finish that one, remove the file, or use another \
+         --out",
         path.display()
     )]
     OtherCheckpoint {
         /// The checkpoint.
         path: PathBuf,
         /// The differences.
-        why: String,
+        differences: String,
     },
     /// The checkpoint cannot be used.
     #[error("{}: the checkpoint {error}, or remove it to start over", path.display())]
@@ -140,20 +141,17 @@ impl Trainer {
         let Some(settings) = scenario.policy.settings().downcast_ref::<QLearningSettings>() else {
             return Err(TrainingError::Policy(scenario.policy.name().to_owned()));
         };
-        let invalid = |what, value: &dyn std::fmt::Display, allowed| TrainingError::Invalid {
-            what,
+        let invalid = |name, value: &dyn std::fmt::Display, allowed| TrainingError::Invalid {
+            name,
             value: value.to_string(),
             allowed,
         };
-        let devices = listed("devices", devices, MOST_DEVICES)?;
+        let devices = sorted_numbers("devices", devices, MAX_DEVICES)?;
         let mut lookbacks = lookbacks.to_vec();
         if lookbacks.is_empty() {
             lookbacks.push(settings.lookback);
         }
-        if let Some(bad) = lookbacks
-            .iter()
-            .find(|one| !(1..=LONGEST_WINDOW).contains(&one.window()))
-        {
+        if let Some(bad) = lookbacks.iter().find(|one| !(1..=MAX_WINDOW).contains(&one.window())) {
             return Err(invalid("windows", bad, "must be from 1 to 1000"));
         }
         lookbacks.sort_unstable();
@@ -178,15 +176,16 @@ impl Trainer {
             return Err(invalid("epsilon", bad, "must be at least 0 and less than 1"));
         }
         // Rounded as in a checkpoint, so that a resumed training learns the same tables.
-        let begun = |devices: u32, lookback: Lookback| {
-            let mut one = scenario.clone();
-            one.run.devices = devices;
-            let mut entry = TableSet::optimistic(&one.site(), &settings.weights, lookback, settings.schedule.optimism);
+        let new_entry = |devices: u32, lookback: Lookback| {
+            let mut scenario = scenario.clone();
+            scenario.run.devices = devices;
+            let optimism = settings.schedule.optimism;
+            let mut entry = TableSet::optimistic(&scenario.site(), &settings.weights, lookback, optimism);
             entry.round();
             entry
         };
-        let each = |&lookback: &Lookback| devices.iter().map(move |&n| begun(n, lookback));
-        let entries = lookbacks.iter().flat_map(each).collect();
+        let entries_of = |&lookback: &Lookback| devices.iter().map(move |&n| new_entry(n, lookback));
+        let entries = lookbacks.iter().flat_map(entries_of).collect();
         // The settings hold one window; the entries name all windows of the training.
         let settings = QLearningSettings {
             lookback: lookbacks[0],
@@ -223,7 +222,7 @@ impl Trainer {
             begun_from: None,
             schedule: self.settings.schedule,
             training: self.training.clone(),
-            setting: TrainingSite::from_site(&self.scenario.site()),
+            site: TrainingSite::from_site(&self.scenario.site()),
             entries: self.entries.clone(),
         }
     }
@@ -232,54 +231,54 @@ impl Trainer {
     ///
     /// # Errors
     /// If the checkpoint belongs to another training; the error names the differences.
-    pub fn resume_from(&mut self, found: LearnedTables) -> Result<(), String> {
-        let mine = self.learned();
-        let ns = |learned: &LearnedTables| learned.entries.iter().map(|e| e.devices).collect::<Vec<_>>();
-        let mut why = mine.setting.differences(&found.setting);
+    pub fn resume_from(&mut self, checkpoint: LearnedTables) -> Result<(), String> {
+        let own = self.learned();
+        let device_counts = |learned: &LearnedTables| learned.entries.iter().map(|e| e.devices).collect::<Vec<_>>();
+        let mut reasons = own.site.differences(&checkpoint.site);
         let differences = [
-            (found.made_by != mine.made_by, "another version of Reveille"),
-            (found.scenario != mine.scenario, "another scenario"),
-            (!is_same_weights(&found.weights, &mine.weights), "other weights"),
+            (checkpoint.made_by != own.made_by, "another version of Reveille"),
+            (checkpoint.scenario != own.scenario, "another scenario"),
+            (!is_same_weights(&checkpoint.weights, &own.weights), "other weights"),
             (
-                !is_same_schedule(&found.schedule, &mine.schedule),
+                !is_same_schedule(&checkpoint.schedule, &own.schedule),
                 "another learning rate or optimism",
             ),
             (
-                !is_same_length(&found.training, &mine.training),
+                !is_same_length(&checkpoint.training, &own.training),
                 "other episodes, epsilon or seed",
             ),
-            (found.lookbacks() != mine.lookbacks(), "other windows"),
+            (checkpoint.lookbacks() != own.lookbacks(), "other windows"),
             (
                 // The entries also differ with the windows, which are named above.
-                found.lookbacks() == mine.lookbacks() && ns(&found) != ns(&mine),
+                checkpoint.lookbacks() == own.lookbacks() && device_counts(&checkpoint) != device_counts(&own),
                 "other numbers of devices",
             ),
         ];
-        why.extend(
+        reasons.extend(
             differences
                 .iter()
                 .filter(|(differs, _)| *differs)
-                .map(|(_, why)| (*why).to_owned()),
+                .map(|(_, reason)| (*reason).to_owned()),
         );
-        if !why.is_empty() {
-            return Err(why.join(", "));
+        if !reasons.is_empty() {
+            return Err(reasons.join(", "));
         }
-        for (own, found) in self.entries.iter_mut().zip(found.entries) {
-            let surface = own.surface;
-            *own = TableSet { surface, ..found };
+        for (entry, saved) in self.entries.iter_mut().zip(checkpoint.entries) {
+            let surface = entry.surface;
+            *entry = TableSet { surface, ..saved };
         }
         Ok(())
     }
 
-    /// Trains to the end on `threads` threads. After each episode it passes the current tables to `keep`, from one
+    /// Trains to the end on `threads` threads. After each episode it passes the current tables to `save`, from one
     /// thread at a time. Returns `false` if the observer has stopped it.
     ///
     /// # Errors
-    /// If `keep` fails, or threads cannot be started.
+    /// If `save` fails, or threads cannot be started.
     pub fn train(
         &mut self,
         threads: usize,
-        keep: &(impl Fn(&LearnedTables) -> Result<(), TrainingError> + Sync),
+        save: &(impl Fn(&LearnedTables) -> Result<(), TrainingError> + Sync),
         observer: &impl TrainingProgress,
     ) -> Result<bool, TrainingError> {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
@@ -287,74 +286,74 @@ impl Trainer {
             threads,
             reason: error.to_string(),
         })?;
-        let kept = Mutex::new(self.learned());
+        let tables = Mutex::new(self.learned());
         let Self {
             scenario,
             settings,
             training,
             entries,
         } = self;
-        let keep_with = |index: usize, entry: &TableSet| {
+        let save_entry = |index: usize, entry: &TableSet| {
             // Held while the checkpoint is written: an older one must not replace a newer one.
-            let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
-            kept.entries[index] = entry.clone();
-            keep(&kept)
+            let mut tables = tables.lock().unwrap_or_else(PoisonError::into_inner);
+            tables.entries[index] = entry.clone();
+            save(&tables)
         };
         // The largest N first: otherwise one thread would still train it after all others have finished.
         let mut work: Vec<(usize, &mut TableSet)> = entries.iter_mut().enumerate().collect();
         work.reverse();
-        let ended = pool.install(|| {
+        let are_complete = pool.install(|| {
             work.par_iter_mut()
                 .map(|(index, entry)| {
                     while (entry.curve.len() as u64) < training.episodes {
-                        let Some(next) = episode(scenario, settings, training, entry, observer) else {
+                        let Some(next) = run_episode(scenario, settings, training, entry, observer) else {
                             return Ok(false);
                         };
                         **entry = next;
-                        keep_with(*index, entry)?;
+                        save_entry(*index, entry)?;
                         observer.episode(entry, entry.curve.last().expect("the episode's"));
                     }
                     Ok(true)
                 })
                 .collect::<Result<Vec<bool>, TrainingError>>()
         })?;
-        Ok(ended.iter().all(|done| *done))
+        Ok(are_complete.iter().all(|is_complete| *is_complete))
     }
 }
 
-/// Returns `numbers` sorted and without duplicates, if the list is not empty and all are from 1 to `most`.
-fn listed(what: &'static str, numbers: &[u32], most: u32) -> Result<Vec<u32>, TrainingError> {
+/// Returns `numbers` sorted and without duplicates, if the list is not empty and all are from 1 to `max`.
+fn sorted_numbers(name: &'static str, numbers: &[u32], max: u32) -> Result<Vec<u32>, TrainingError> {
     let mut numbers = numbers.to_vec();
     numbers.sort_unstable();
     numbers.dedup();
     match (numbers.first(), numbers.last()) {
-        (Some(1..), Some(last)) if *last <= most => Ok(numbers),
-        _ => Err(TrainingError::List { what, numbers, most }),
+        (Some(1..), Some(last)) if *last <= max => Ok(numbers),
+        _ => Err(TrainingError::List { name, numbers, max }),
     }
 }
 
 /// Returns whether the numbers are equal up to the last bits, which reading a file may change.
-fn is_same(found: &[f64], mine: &[f64]) -> bool {
-    let mut pairs = found.iter().zip(mine);
+fn is_same(saved: &[f64], own: &[f64]) -> bool {
+    let mut pairs = saved.iter().zip(own);
     pairs.all(|(a, b)| (a - b).abs() <= 1e-12 * a.abs().max(b.abs()))
 }
 
-fn is_same_weights(found: &QWeights, mine: &QWeights) -> bool {
-    is_same(&[found.mu1, found.mu2, found.zeta], &[mine.mu1, mine.mu2, mine.zeta])
+fn is_same_weights(saved: &QWeights, own: &QWeights) -> bool {
+    is_same(&[saved.mu1, saved.mu2, saved.zeta], &[own.mu1, own.mu2, own.zeta])
 }
 
-fn is_same_schedule(found: &Schedule, mine: &Schedule) -> bool {
-    let [a, b] = [found, mine].map(|s| [s.rate_decay, s.rate_floor, s.optimism]);
+fn is_same_schedule(saved: &Schedule, own: &Schedule) -> bool {
+    let [a, b] = [saved, own].map(|s| [s.rate_decay, s.rate_floor, s.optimism]);
     is_same(&a, &b)
 }
 
-fn is_same_length(found: &QTrainingConfig, mine: &QTrainingConfig) -> bool {
-    let [a, b] = [found, mine].map(|t| [t.epsilon.0, t.epsilon.1]);
-    is_same(&a, &b) && (found.episodes, found.ttis, found.seed) == (mine.episodes, mine.ttis, mine.seed)
+fn is_same_length(saved: &QTrainingConfig, own: &QTrainingConfig) -> bool {
+    let [a, b] = [saved, own].map(|t| [t.epsilon.0, t.epsilon.1]);
+    is_same(&a, &b) && (saved.episodes, saved.ttis, saved.seed) == (own.episodes, own.ttis, own.seed)
 }
 
 /// Returns the tables of `entry` after another episode; `None` if the observer has stopped it.
-fn episode(
+fn run_episode(
     scenario: &Scenario,
     settings: &QLearningSettings,
     training: &QTrainingConfig,
@@ -368,52 +367,52 @@ fn episode(
     let settings = QLearningSettings {
         learn: true,
         epsilon: [first + progress * (last - first); 2].into(),
-        start: Arc::new(entry.clone()),
+        initial_tables: Arc::new(entry.clone()),
         lookback: entry.lookback,
         ..settings.clone()
     };
     // There are fewer than 2²⁰ episodes, so two N never share a seed.
-    let seed = SEEDS
+    let seed = EPISODE_SEED_OFFSET
         .wrapping_add(training.seed.wrapping_mul(0x1_0000_0001))
         .wrapping_add(u64::from(entry.devices) << 20)
         .wrapping_add(number);
-    let mut one = scenario.with_seed(seed);
-    one.run.devices = entry.devices;
-    one.run.ttis = training.ttis;
-    one.run.warm_up = WARM_UP;
-    one.policy = PolicyChoice::new(scenario.policy.kind(), Arc::new(settings));
+    let mut scenario_of_episode = scenario.with_seed(seed);
+    scenario_of_episode.run.devices = entry.devices;
+    scenario_of_episode.run.ttis = training.ttis;
+    scenario_of_episode.run.warm_up = EPISODE_WARM_UP;
+    scenario_of_episode.policy = PolicyChoice::new(scenario.policy.kind(), Arc::new(settings));
     // Each ranking has a separate table, and an episode trains one of them.
-    one.bs.ranking = if number.is_multiple_of(2) {
+    scenario_of_episode.bs.ranking = if number.is_multiple_of(2) {
         WakeUpRanking::Posterior
     } else {
         WakeUpRanking::P42
     };
-    let mut prepared = PreparedRun::without_pilots(&one);
+    let mut prepared = PreparedRun::without_pilots(&scenario_of_episode);
     // From random batteries, so that the tables cover every battery level.
-    let mut stream = Stream::new(one.run.seed, Purpose::Training, 0);
+    let mut stream = Stream::new(scenario_of_episode.run.seed, Purpose::Training, 0);
     for device in &mut prepared.deployment.devices {
         device.energy.initial = Energy::from_micro((stream.unit() * device.energy.e_max.micro() as f64) as u64);
     }
     let options = RunOptions {
-        window: LOOK,
+        window: TTIS_BETWEEN_STOP_CHECKS,
         ..RunOptions::default()
     };
     let outcome = Run::new(&prepared, options).finish(&mut StopWhen(|| observer.stop()));
     // An interrupted episode is repeated from its start: the tables must not depend on interruptions.
-    let mut learned = left_by(&outcome).filter(|_| outcome.complete)?;
-    learned.curve.push(point(&outcome, (number + 1) * training.ttis));
+    let mut learned = tables_of(&outcome).filter(|_| outcome.is_complete)?;
+    learned.curve.push(curve_point(&outcome, (number + 1) * training.ttis));
     learned.round();
     Some(learned)
 }
 
 /// Returns the tables learned in a run of `scenario` with this `outcome`, as a file of one entry. Returns `None` for a
 /// policy that does not learn.
-pub fn learned_in(scenario: &Scenario, outcome: &Outcome) -> Option<LearnedTables> {
+pub fn learned_tables_of(scenario: &Scenario, outcome: &RunOutcome) -> Option<LearnedTables> {
     let settings = scenario.policy.settings().downcast_ref::<QLearningSettings>()?;
-    let mut entry = left_by(outcome)?;
+    let mut entry = tables_of(outcome)?;
     (entry.devices, entry.surface, entry.lookback) = (scenario.run.devices, scenario.area.surface(), settings.lookback);
     let before = entry.curve.last().map_or(0, |point| point.ttis);
-    entry.curve.push(point(outcome, before + outcome.ttis_done));
+    entry.curve.push(curve_point(outcome, before + outcome.ttis_done));
     Some(LearnedTables {
         made_by: MADE_BY.to_owned(),
         scenario: scenario.hash_hex(),
@@ -426,18 +425,18 @@ pub fn learned_in(scenario: &Scenario, outcome: &Outcome) -> Option<LearnedTable
             epsilon: settings.epsilon,
             seed: scenario.run.seed,
         },
-        setting: TrainingSite::from_site(&scenario.site()),
+        site: TrainingSite::from_site(&scenario.site()),
         entries: vec![entry],
     })
 }
 
 /// Returns the tables at the end of the run with this `outcome`.
-fn left_by(outcome: &Outcome) -> Option<TableSet> {
-    outcome.learned.as_ref().and_then(Opaque::get).cloned()
+fn tables_of(outcome: &RunOutcome) -> Option<TableSet> {
+    outcome.learned.as_ref().and_then(LearnedState::get).cloned()
 }
 
 /// Returns the point on the learning curve at `ttis`, after a run with this `outcome`.
-fn point(outcome: &Outcome, ttis: u64) -> CurvePoint {
+fn curve_point(outcome: &RunOutcome, ttis: u64) -> CurvePoint {
     let reward = outcome.facts.iter().find(|(name, _)| *name == "reward_per_tti");
     // JSON has no NaN, the value of these metrics in an episode without events.
     let defined = |x: f64| if x.is_nan() { 0.0 } else { x };
@@ -450,7 +449,7 @@ fn point(outcome: &Outcome, ttis: u64) -> CurvePoint {
 }
 
 /// Returns the checkpoint path of a training with the output file `out`.
-pub fn checkpoint(out: &Path) -> PathBuf {
+pub fn checkpoint_path(out: &Path) -> PathBuf {
     let mut name = out.as_os_str().to_owned();
     name.push(".checkpoint");
     PathBuf::from(name)

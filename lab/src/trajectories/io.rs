@@ -1,4 +1,4 @@
-//! Files of trajectories.
+//! Files of trajectories: reading and atomic writing, for `reveille train record` and `train dt`.
 
 use std::path::Path;
 

@@ -2,7 +2,7 @@
 //! training data of the decision transformer.
 //!
 //! A run is recorded in chunks of consecutive TTIs, far enough apart to differ. Chunks only hold data that a base
-//! station can know.
+//! station can know. `reveille train record` writes them, `transformer` trains from them.
 
 mod io;
 mod parquet;
@@ -10,7 +10,7 @@ mod parquet;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use rayon::iter::{IntoParallelIterator, ParallelIterator};
-use reveille_bs::base_station::Station;
+use reveille_bs::base_station::BaseStation;
 use reveille_bs::cycle::{Cycle, PreparedRun};
 use reveille_bs::policy::age_index::AgeIndexSettings;
 use reveille_bs::policy::dt::record::{RecordingOptions, RecordingPolicy, TrajectoryStep};
@@ -31,7 +31,7 @@ pub use parquet::TrajectoryError;
 /// The number of TTIs over which a return is the mean.
 pub const HORIZON: usize = 20;
 
-/// The parameters of a recording.
+/// The parameters of a recording. Their `Debug` text is in the metadata of files.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RecordingConfig {
     /// The number of TTIs in a chunk, ≥ 1.
@@ -40,15 +40,15 @@ pub struct RecordingConfig {
     pub stride: usize,
     /// The probabilities, `[0, 1)`, that a device deviates from its policy; runs use them in turn.
     pub explore: Vec<f64>,
-    /// See [`RecordingOptions::told`].
+    /// See [`RecordingOptions::true_batteries`].
     pub true_batteries: bool,
 }
 
 impl RecordingConfig {
     /// Returns the options for a run in which a device deviates with probability `explores`.
-    const fn manner(&self, explores: f64) -> RecordingOptions {
+    const fn run_options(&self, explores: f64) -> RecordingOptions {
         RecordingOptions {
-            explores,
+            exploration: explores,
             true_batteries: self.true_batteries,
         }
     }
@@ -100,17 +100,17 @@ pub fn record(
     let runs: Vec<(usize, u64)> = (0..grid.cells.len())
         .flat_map(|cell| (0..seeds.count).map(move |index| (cell, index)))
         .collect();
-    let workshop = RunPreparer::default();
-    let one = |(cell, index): (usize, u64)| {
+    let preparer = RunPreparer::default();
+    let record_cell_run = |(cell, index): (usize, u64)| {
         let run = cell as u64 * seeds.count + index;
         let explores = recording.explore[(run % recording.explore.len() as u64) as usize];
         let scenario = grid.cells[cell].with_seed(seeds.first + index);
-        let chunks = record_run(&workshop, &scenario, run as u32, recording, explores, stop);
+        let chunks = record_run(&preparer, &scenario, run as u32, recording, explores, stop);
         ended();
         chunks
     };
     // `None` from one run ends the iteration, so the remaining runs are not even prepared.
-    let chunks: Option<Vec<Vec<Chunk>>> = runs.into_par_iter().map(one).collect();
+    let chunks: Option<Vec<Vec<Chunk>>> = runs.into_par_iter().map(record_cell_run).collect();
     let about = vec![
         ("experiment".to_owned(), grid.experiment.to_toml()),
         ("scenarios".to_owned(), grid.fingerprint().to_string()),
@@ -137,14 +137,14 @@ pub fn record_from_scenario(
 
 /// Returns the chunks of a run of `scenario` from random batteries.
 fn record_run(
-    workshop: &RunPreparer,
+    preparer: &RunPreparer,
     scenario: &Scenario,
     run: u32,
     recording: &RecordingConfig,
     explores: f64,
     stop: &(dyn Fn() -> bool + Sync),
 ) -> Option<Vec<Chunk>> {
-    let mut prepared = workshop.prepare(scenario);
+    let mut prepared = preparer.prepare(scenario);
     let mut stream = Stream::new(scenario.run.seed, Purpose::Training, 0);
     for device in &mut prepared.deployment.devices {
         device.energy.initial = Energy::from_micro((stream.unit() * device.energy.e_max.micro() as f64) as u64);
@@ -160,45 +160,45 @@ fn record_prepared(
     stop: &(dyn Fn() -> bool + Sync),
 ) -> Option<(Option<Digest>, Vec<Chunk>)> {
     let (length, stride) = (recording.length, recording.stride);
-    let take = move |(shares, kept): &mut (Vec<f32>, Vec<TrajectoryStep>), step: TrajectoryStep| {
-        shares.push(step.share);
+    let take = move |(shares, steps): &mut (Vec<f32>, Vec<TrajectoryStep>), step: TrajectoryStep| {
+        shares.push(step.covered_share);
         // TTI 0 starts a chunk: a policy starts there without history, so the model must learn these TTIs too.
         if (step.tti.0 as usize) % stride < length {
-            kept.push(step);
+            steps.push(step);
         }
     };
-    let (digest, (shares, kept)) = watched(prepared, recording.manner(explores), take, stop)?;
-    Some((digest, chunks(prepared, run, recording, &shares, kept)))
+    let (digest, (shares, steps)) = collect_steps(prepared, recording.run_options(explores), take, stop)?;
+    Some((digest, build_chunks(prepared, run, recording, &shares, steps)))
 }
 
 /// Records the TTIs `from` to `last` of a run of `scenario`. Returns no steps for the genie, which uses knowledge that
 /// no base station has, or if the run ends before.
-pub fn steps(scenario: &Scenario, from: Tti, last: Tti) -> Vec<TrajectoryStep> {
+pub fn record_steps(scenario: &Scenario, from: Tti, last: Tti) -> Vec<TrajectoryStep> {
     // A step is complete when the next TTI begins, so one more TTI is run.
     let mut scenario = scenario.clone();
     scenario.run.ttis = scenario.run.ttis.min(last.0 + 2);
     let prepared = RunPreparer::default().prepare(&scenario);
-    let take = move |kept: &mut Vec<TrajectoryStep>, step: TrajectoryStep| {
+    let take = move |steps: &mut Vec<TrajectoryStep>, step: TrajectoryStep| {
         if (from..=last).contains(&step.tti) {
-            kept.push(step);
+            steps.push(step);
         }
     };
-    let watched = watched(&prepared, RecordingOptions::default(), take, &|| false);
-    watched.map_or_else(Vec::new, |(_, steps)| steps)
+    let collected = collect_steps(&prepared, RecordingOptions::default(), take, &|| false);
+    collected.map_or_else(Vec::new, |(_, steps)| steps)
 }
 
 /// Runs `prepared` and collects its steps in order with `take`. Also returns the digest, which is `None` for the genie.
 /// Returns `None` if `stop` returns true.
-fn watched<T: Default + Send + 'static>(
+fn collect_steps<T: Default + Send + 'static>(
     prepared: &PreparedRun,
-    manner: RecordingOptions,
+    options: RecordingOptions,
     take: impl Fn(&mut T, TrajectoryStep) + Send + 'static,
     stop: &(dyn Fn() -> bool + Sync),
 ) -> Option<(Option<Digest>, T)> {
-    let taken = Arc::new(Mutex::new(T::default()));
+    let collected = Arc::new(Mutex::new(T::default()));
     let sink = {
-        let taken = Arc::clone(&taken);
-        move |step: TrajectoryStep| take(&mut taken.lock().unwrap_or_else(PoisonError::into_inner), step)
+        let collected = Arc::clone(&collected);
+        move |step: TrajectoryStep| take(&mut collected.lock().unwrap_or_else(PoisonError::into_inner), step)
     };
     let known = prepared.knowledge();
     let mut policy = prepared.policy(&known);
@@ -206,25 +206,25 @@ fn watched<T: Default + Send + 'static>(
     if policy.oracle().is_some() {
         return Some((None, T::default()));
     }
-    let recorded = Box::new(RecordingPolicy::new(policy, &known, manner, sink));
+    let recording_policy = Box::new(RecordingPolicy::new(policy, &known, options, sink));
     let world = World::new(&prepared.scenario, &prepared.deployment);
-    let cycle = Cycle::with_station(prepared, world, Station::new(known, recorded));
+    let cycle = Cycle::with_station(prepared, world, BaseStation::new(known, recording_policy));
     let options = RunOptions {
         // A run stops at the end of a window; the length of windows changes no outcome.
         window: 200,
         ..RunOptions::default()
     };
     let outcome = Run::with_cycle(prepared, cycle, options).finish(&mut StopWhen(stop));
-    let taken = std::mem::take(&mut *taken.lock().unwrap_or_else(PoisonError::into_inner));
-    outcome.complete.then_some((Some(outcome.digest), taken))
+    let collected = std::mem::take(&mut *collected.lock().unwrap_or_else(PoisonError::into_inner));
+    outcome.is_complete.then_some((Some(outcome.digest), collected))
 }
 
-fn chunks(
+fn build_chunks(
     prepared: &PreparedRun,
     run: u32,
     recording: &RecordingConfig,
     shares: &[f32],
-    kept: Vec<TrajectoryStep>,
+    steps: Vec<TrajectoryStep>,
 ) -> Vec<Chunk> {
     let policy = &prepared.scenario.policy;
     let settings = policy.settings();
@@ -234,12 +234,14 @@ fn chunks(
         .or_else(|| settings.downcast_ref::<DtSettings>().and_then(DtSettings::fixed_price));
     let name: Arc<str> = policy.name().into();
     let mut chunks: Vec<Chunk> = Vec::new();
-    for step in kept {
+    for step in steps {
         let k = step.tti.0 as usize;
         // The last TTIs of a run have too few TTIs after them for a return.
-        let Some(ahead) = shares.get(k..k + HORIZON) else { break };
+        let Some(next_shares) = shares.get(k..k + HORIZON) else {
+            break;
+        };
         // Summed in the order of TTIs, so that the mean is equal on every machine.
-        let mean = ahead.iter().sum::<f32>() / HORIZON as f32;
+        let mean_share = next_shares.iter().sum::<f32>() / HORIZON as f32;
         if k.is_multiple_of(recording.stride) {
             chunks.push(Chunk {
                 run,
@@ -252,7 +254,7 @@ fn chunks(
         }
         let chunk = chunks.last_mut().expect("a run begins with a chunk");
         chunk.steps.push(step);
-        chunk.returns.push(mean);
+        chunk.returns.push(mean_share);
     }
     // The end of the run can cut the last chunk short; a batch holds chunks of one length only.
     chunks.retain(|chunk| chunk.steps.len() == recording.length);

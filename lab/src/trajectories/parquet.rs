@@ -1,4 +1,5 @@
-//! Trajectories as Parquet: one row per device and TTI.
+//! Trajectories as Parquet: one row per device and TTI. Columns are written and read by position, in the order of
+//! [`schema`]; raise [`VERSION`] when the meaning of one changes.
 
 use ::parquet::basic::Type as Physical;
 use ::parquet::data_type::{BoolType, ByteArray, ByteArrayType, FloatType, Int32Type, Int64Type};
@@ -7,7 +8,7 @@ use ::parquet::file::reader::{FileReader, RowGroupReader, SerializedFileReader};
 use ::parquet::schema::types::Type;
 use bytes::Bytes;
 use reveille_bs::policy::dt::record::{DeviceStep, TrajectoryStep};
-use reveille_bs::policy::dt::tokens::{COUNT, FEATURES};
+use reveille_bs::policy::dt::tokens::{FEATURE_COUNT, FEATURES};
 use reveille_common::ids::Tti;
 use reveille_common::parquet::{self, Column, GroupReader, GroupWriter, Writer};
 use sha2::{Digest as _, Sha256};
@@ -20,7 +21,7 @@ const VERSION: &str = "1";
 /// The key of the version in the metadata.
 pub(super) const KEY: &str = "reveille.trajectories";
 /// The approximate number of rows in a row group.
-const GROUP: usize = 100_000;
+const ROWS_PER_GROUP: usize = 100_000;
 
 /// A reason why a file of trajectories cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -49,7 +50,7 @@ impl From<ParquetError> for TrajectoryError {
 }
 
 /// All columns before the features.
-const BEFORE: [Column<'_>; 6] = [
+const COLUMNS_BEFORE_FEATURES: [Column<'_>; 6] = [
     Column::required("run", Physical::INT32),
     Column::required("policy", Physical::BYTE_ARRAY),
     Column::optional("price", Physical::FLOAT),
@@ -57,7 +58,8 @@ const BEFORE: [Column<'_>; 6] = [
     Column::required("device", Physical::INT32),
     Column::required("devices", Physical::INT32),
 ];
-const AFTER: [Column<'_>; 9] = [
+/// All columns after the features.
+const COLUMNS_AFTER_FEATURES: [Column<'_>; 9] = [
     Column::required("expected", Physical::FLOAT),
     Column::required("on", Physical::BOOLEAN),
     Column::required("found", Physical::BOOLEAN),
@@ -71,79 +73,90 @@ const AFTER: [Column<'_>; 9] = [
 
 fn schema() -> Result<Type, ParquetError> {
     let features = FEATURES.map(|name| Column::required(name, Physical::FLOAT));
-    parquet::schema("trajectories", BEFORE.into_iter().chain(features).chain(AFTER))
+    let columns = COLUMNS_BEFORE_FEATURES
+        .into_iter()
+        .chain(features)
+        .chain(COLUMNS_AFTER_FEATURES);
+    parquet::schema("trajectories", columns)
 }
 
 /// Encodes the file of `trajectories`.
 pub(super) fn to_bytes(trajectories: &Trajectories) -> Result<Vec<u8>, TrajectoryError> {
-    let own = (KEY.to_owned(), VERSION.to_owned());
-    let about = std::iter::once(own).chain(trajectories.about.clone());
+    let version = (KEY.to_owned(), VERSION.to_owned());
+    let about = std::iter::once(version).chain(trajectories.about.clone());
     let mut writer = Writer::begin(Vec::new(), schema()?, about)?;
     let mut rest = &trajectories.chunks[..];
     while !rest.is_empty() {
         let mut rows = 0;
         let end = rest.iter().position(|chunk| {
             rows += chunk.steps.len() * chunk.devices;
-            rows > GROUP
+            rows > ROWS_PER_GROUP
         });
         // At least one chunk, even if it alone exceeds the size of a group; otherwise the loop would not end.
-        let (now, later) = rest.split_at(end.unwrap_or(rest.len()).max(1));
-        writer.group(|group| write_group(group, now))?;
+        let (group_chunks, later) = rest.split_at(end.unwrap_or(rest.len()).max(1));
+        writer.write_row_group(|group| write_group(group, group_chunks))?;
         rest = later;
     }
     Ok(writer.finish()?)
 }
 
 /// A row: its chunk, the TTI within it, and the device.
-type Row<'c> = (&'c Chunk, usize, usize);
+type StepRef<'c> = (&'c Chunk, usize, usize);
 
 fn write_group(group: &mut GroupWriter<'_, Vec<u8>>, chunks: &[Chunk]) -> Result<(), ParquetError> {
-    let rows: Vec<Row<'_>> = chunks
+    let rows: Vec<StepRef<'_>> = chunks
         .iter()
         .flat_map(|chunk| {
             let devices = chunk.devices;
             (0..chunk.steps.len()).flat_map(move |t| (0..devices).map(move |j| (chunk, t, j)))
         })
         .collect();
-    let number = |of: fn(&Row<'_>) -> u32| rows.iter().map(move |row| of(row).cast_signed());
-    let real = |of: fn(&Row<'_>) -> f32| rows.iter().map(of);
-    let maybe = |of: fn(&Row<'_>) -> Option<f32>| rows.iter().map(of);
-    let flag = |of: fn(&Row<'_>) -> bool| rows.iter().map(of);
+    let int = |value: fn(&StepRef<'_>) -> u32| rows.iter().map(move |row| value(row).cast_signed());
+    let float = |value: fn(&StepRef<'_>) -> f32| rows.iter().map(value);
+    let optional_float = |value: fn(&StepRef<'_>) -> Option<f32>| rows.iter().map(value);
+    let flag = |value: fn(&StepRef<'_>) -> bool| rows.iter().map(value);
     // In the order of `schema`: the writer takes columns by position.
-    group.required::<Int32Type>(number(|row| row.0.run))?;
-    group.required::<ByteArrayType>(rows.iter().map(|row| ByteArray::from(&*row.0.policy)))?;
-    group.optional::<FloatType>(maybe(|row| row.0.price))?;
-    group.required::<Int64Type>(rows.iter().map(|row| at(row).tti.0.cast_signed()))?;
-    group.required::<Int32Type>(number(|row| row.2 as u32))?;
-    group.required::<Int32Type>(number(|row| row.0.devices as u32))?;
-    for feature in 0..COUNT {
-        group.required::<FloatType>(rows.iter().map(|row| at(row).tokens[row.2 * COUNT + feature]))?;
+    group.write_required::<Int32Type>(int(|row| row.0.run))?;
+    group.write_required::<ByteArrayType>(rows.iter().map(|row| ByteArray::from(&*row.0.policy)))?;
+    group.write_optional::<FloatType>(optional_float(|row| row.0.price))?;
+    group.write_required::<Int64Type>(rows.iter().map(|row| step_of(row).tti.0.cast_signed()))?;
+    group.write_required::<Int32Type>(int(|row| row.2 as u32))?;
+    group.write_required::<Int32Type>(int(|row| row.0.devices as u32))?;
+    for feature in 0..FEATURE_COUNT {
+        group.write_required::<FloatType>(
+            rows.iter()
+                .map(|row| step_of(row).tokens[row.2 * FEATURE_COUNT + feature]),
+        )?;
     }
-    group.required::<FloatType>(real(|row| look(row).expected))?;
-    group.required::<BoolType>(flag(|row| look(row).on))?;
-    group.required::<BoolType>(flag(|row| look(row).found))?;
-    group.optional::<FloatType>(maybe(|row| look(row).wake_up.map(|(expected, _)| expected)))?;
-    group.optional::<FloatType>(maybe(|row| look(row).wake_up.map(|(_, brought)| brought)))?;
-    group.required::<FloatType>(real(|row| at(row).share))?;
-    group.required::<FloatType>(real(|row| at(row).reward))?;
-    group.required::<FloatType>(real(|row| at(row).wake_reward))?;
-    group.required::<FloatType>(real(|row| row.0.returns[row.1]))
+    group.write_required::<FloatType>(float(|row| device_step(row).expected_events))?;
+    group.write_required::<BoolType>(flag(|row| device_step(row).is_sensing))?;
+    group.write_required::<BoolType>(flag(|row| device_step(row).has_reported_first))?;
+    group.write_optional::<FloatType>(optional_float(|row| {
+        device_step(row).wake_up.map(|(expected, _)| expected)
+    }))?;
+    group.write_optional::<FloatType>(optional_float(|row| {
+        device_step(row).wake_up.map(|(_, brought)| brought)
+    }))?;
+    group.write_required::<FloatType>(float(|row| step_of(row).covered_share))?;
+    group.write_required::<FloatType>(float(|row| step_of(row).reward))?;
+    group.write_required::<FloatType>(float(|row| step_of(row).wake_reward))?;
+    group.write_required::<FloatType>(float(|row| row.0.returns[row.1]))
 }
 
-fn at<'c>(row: &Row<'c>) -> &'c TrajectoryStep {
+fn step_of<'c>(row: &StepRef<'c>) -> &'c TrajectoryStep {
     &row.0.steps[row.1]
 }
 
-fn look<'c>(row: &Row<'c>) -> &'c DeviceStep {
-    &at(row).looks[row.2]
+fn device_step<'c>(row: &StepRef<'c>) -> &'c DeviceStep {
+    &step_of(row).devices[row.2]
 }
 
 /// Decodes the bytes of a file. Also returns their SHA-256.
 pub(super) fn from_bytes(bytes: Vec<u8>) -> Result<(Trajectories, Hash), TrajectoryError> {
     let hash = Hash(Sha256::digest(&bytes).into());
-    let read = parquet::guarded(|| decode(Bytes::from(bytes)));
-    let read = read.unwrap_or_else(|| Err(TrajectoryError::Format("the decoder failed".to_owned())));
-    read.map(|trajectories| (trajectories, hash))
+    let decoded = parquet::catch_decoder_panic(|| decode(Bytes::from(bytes)));
+    let decoded = decoded.unwrap_or_else(|| Err(TrajectoryError::Format("the decoder failed".to_owned())));
+    decoded.map(|trajectories| (trajectories, hash))
 }
 
 fn decode(bytes: Bytes) -> Result<Trajectories, TrajectoryError> {
@@ -159,8 +172,8 @@ fn decode(bytes: Bytes) -> Result<Trajectories, TrajectoryError> {
         Some(other) => return Err(TrajectoryError::Foreign(format!("version {other}, not {VERSION}"))),
         None => return Err(TrajectoryError::Foreign(format!("no {KEY} in its metadata"))),
     }
-    let (own, found) = (schema()?, file.schema().get_fields());
-    for (index, field) in own.get_fields().iter().enumerate() {
+    let (expected, found) = (schema()?, file.schema().get_fields());
+    for (index, field) in expected.get_fields().iter().enumerate() {
         let name = field.name();
         match found.get(index) {
             Some(other) if other == field => {}
@@ -184,25 +197,25 @@ fn decode(bytes: Bytes) -> Result<Trajectories, TrajectoryError> {
 fn read_group(group: &dyn RowGroupReader, chunks: &mut Vec<Chunk>) -> Result<(), TrajectoryError> {
     let mut columns = GroupReader::new(group);
     let rows = columns.rows();
-    let runs = columns.required::<Int32Type>()?;
-    let policies = columns.required::<ByteArrayType>()?;
-    let prices = columns.optional::<FloatType>()?;
-    let ttis = columns.required::<Int64Type>()?;
-    let devices = columns.required::<Int32Type>()?;
-    let counts = columns.required::<Int32Type>()?;
-    let mut features = Vec::with_capacity(COUNT);
+    let runs = columns.read_required::<Int32Type>()?;
+    let policies = columns.read_required::<ByteArrayType>()?;
+    let prices = columns.read_optional::<FloatType>()?;
+    let ttis = columns.read_required::<Int64Type>()?;
+    let devices = columns.read_required::<Int32Type>()?;
+    let counts = columns.read_required::<Int32Type>()?;
+    let mut features = Vec::with_capacity(FEATURE_COUNT);
     for _ in FEATURES {
-        features.push(columns.required::<FloatType>()?);
+        features.push(columns.read_required::<FloatType>()?);
     }
-    let expected = columns.required::<FloatType>()?;
-    let on = columns.required::<BoolType>()?;
-    let found = columns.required::<BoolType>()?;
-    let wake_expected = columns.optional::<FloatType>()?;
-    let wake_brought = columns.optional::<FloatType>()?;
-    let share = columns.required::<FloatType>()?;
-    let reward = columns.required::<FloatType>()?;
-    let wake_reward = columns.required::<FloatType>()?;
-    let returns = columns.required::<FloatType>()?;
+    let expected = columns.read_required::<FloatType>()?;
+    let on = columns.read_required::<BoolType>()?;
+    let found = columns.read_required::<BoolType>()?;
+    let wake_expected = columns.read_optional::<FloatType>()?;
+    let wake_brought = columns.read_optional::<FloatType>()?;
+    let share = columns.read_required::<FloatType>()?;
+    let reward = columns.read_required::<FloatType>()?;
+    let wake_reward = columns.read_required::<FloatType>()?;
+    let returns = columns.read_required::<FloatType>()?;
     let all = [&expected, &share, &reward, &wake_reward, &returns];
     let required = ["expected", "share", "reward", "wake_reward", "return"]
         .into_iter()
@@ -212,7 +225,7 @@ fn read_group(group: &dyn RowGroupReader, chunks: &mut Vec<Chunk>) -> Result<(),
         ("wake_expected", &wake_expected),
         ("wake_brought", &wake_brought),
     ];
-    all_finite(
+    check_all_finite(
         required.into_iter().chain(FEATURES.into_iter().zip(&features)),
         optional,
     )?;
@@ -220,10 +233,10 @@ fn read_group(group: &dyn RowGroupReader, chunks: &mut Vec<Chunk>) -> Result<(),
     while row < rows {
         // A negative count is as invalid as 0, which is refused below: the loop then always advances.
         let n = usize::try_from(counts[row]).unwrap_or(0);
-        let own = row..row + n;
+        let tti_rows = row..row + n;
         let is_whole = n > 0
-            && own.end <= rows
-            && own.clone().enumerate().all(|(j, at)| {
+            && tti_rows.end <= rows
+            && tti_rows.clone().enumerate().all(|(j, at)| {
                 (runs[at], ttis[at], counts[at]) == (runs[row], ttis[row], counts[row])
                     && usize::try_from(devices[at]) == Ok(j)
             });
@@ -233,20 +246,20 @@ fn read_group(group: &dyn RowGroupReader, chunks: &mut Vec<Chunk>) -> Result<(),
                 ttis[row], runs[row]
             )));
         }
-        let look = |at: usize| DeviceStep {
-            expected: expected[at],
-            on: on[at],
-            found: found[at],
+        let device_step_at = |at: usize| DeviceStep {
+            expected_events: expected[at],
+            is_sensing: on[at],
+            has_reported_first: found[at],
             wake_up: wake_expected[at].zip(wake_brought[at]),
         };
         let step = TrajectoryStep {
             tti: Tti(ttis[row].cast_unsigned()),
-            tokens: own
+            tokens: tti_rows
                 .clone()
                 .flat_map(|at| features.iter().map(move |column| column[at]))
                 .collect(),
-            looks: own.map(look).collect(),
-            share: share[row],
+            devices: tti_rows.map(device_step_at).collect(),
+            covered_share: share[row],
             reward: reward[row],
             wake_reward: wake_reward[row],
         };
@@ -274,21 +287,21 @@ fn read_group(group: &dyn RowGroupReader, chunks: &mut Vec<Chunk>) -> Result<(),
 }
 
 /// Refuses columns with a value that is present and not finite.
-fn all_finite<'a>(
+fn check_all_finite<'a>(
     required: impl Iterator<Item = (&'a str, &'a Vec<f32>)>,
     optional: [(&'a str, &'a Vec<Option<f32>>); 3],
 ) -> Result<(), TrajectoryError> {
     for (name, column) in required {
-        finite(name, column.iter().copied().map(Some))?;
+        check_finite(name, column.iter().copied().map(Some))?;
     }
     for (name, column) in optional {
-        finite(name, column.iter().copied())?;
+        check_finite(name, column.iter().copied())?;
     }
     Ok(())
 }
 
 /// Refuses a column with a value that is present and not finite.
-fn finite(name: &str, values: impl Iterator<Item = Option<f32>>) -> Result<(), TrajectoryError> {
+fn check_finite(name: &str, values: impl Iterator<Item = Option<f32>>) -> Result<(), TrajectoryError> {
     let is_bad = |value: Option<f32>| value.is_some_and(|value| !value.is_finite());
     match values.zip(0_u64..).find(|(value, _)| is_bad(*value)) {
         Some((_, row)) => Err(TrajectoryError::Rows(format!(

@@ -1,7 +1,7 @@
 //! Recordings match the run, and files hold all of it.
 
 use ::parquet::basic::Type as Physical;
-use reveille_bs::policy::dt::tokens::{COUNT, FEATURES};
+use reveille_bs::policy::dt::tokens::{FEATURE_COUNT, FEATURES};
 use reveille_common::declare::NoFiles;
 use reveille_common::parquet::{Column, Writer, schema};
 
@@ -21,7 +21,7 @@ fn recorded(recording: &RecordingConfig) -> Trajectories {
 }
 
 /// A corruption of recorded data.
-type Spoil = fn(&mut Chunk);
+type CorruptChunk = fn(&mut Chunk);
 
 fn recording(explore: &[f64]) -> RecordingConfig {
     RecordingConfig {
@@ -45,19 +45,22 @@ fn chunks_are_whole_and_what_they_say_fits_together() {
             assert_eq!(after.tti, step.tti + 1);
             let names = |name: &str| FEATURES.iter().position(|known| *known == name).expect("a feature");
             let (is_found, idle) = (names("found"), names("idle"));
-            let reporters = step.looks.iter().filter(|look| look.found).count();
-            for (j, look) in step.looks.iter().enumerate() {
-                assert!(!look.found || look.on, "who reports first has looked");
-                let next = &after.tokens[j * COUNT..(j + 1) * COUNT];
+            let reporters = step.devices.iter().filter(|look| look.has_reported_first).count();
+            for (j, look) in step.devices.iter().enumerate() {
+                assert!(
+                    !look.has_reported_first || look.is_sensing,
+                    "who reports first has looked"
+                );
+                let next = &after.tokens[j * FEATURE_COUNT..(j + 1) * FEATURE_COUNT];
                 // In the next TTI the base station knows that an event was found, and which devices have just sensed.
                 assert_eq!(next[is_found] > 0.5, reporters > 0);
-                assert_eq!(next[idle] == 0.0, look.on, "TTI {:?}, device {j}", step.tti);
+                assert_eq!(next[idle] == 0.0, look.is_sensing, "TTI {:?}, device {j}", step.tti);
                 woken += usize::from(look.wake_up.is_some());
             }
-            let asleep = step.looks.iter().filter(|look| !look.on).count() as f32 / 30.0;
+            let asleep = step.devices.iter().filter(|look| !look.is_sensing).count() as f32 / 30.0;
             // r(k) = mean over sleeping devices − αμ1·uncovered (Sec. V-B), α = 0.2 and μ1 = 14.
             assert!(
-                (step.reward - (asleep - 2.8 * (1.0 - step.share))).abs() < 1e-4,
+                (step.reward - (asleep - 2.8 * (1.0 - step.covered_share))).abs() < 1e-4,
                 "{step:?}"
             );
             found += usize::from(reporters > 0);
@@ -111,11 +114,11 @@ fn files_that_hold_something_else_are_refused() {
             "{cut} bytes"
         );
     }
-    let breaks: [(&str, Spoil); 4] = [
-        (FEATURES[3], |chunk| chunk.steps[0].tokens[COUNT + 3] = f32::NAN),
+    let breaks: [(&str, CorruptChunk); 4] = [
+        (FEATURES[3], |chunk| chunk.steps[0].tokens[FEATURE_COUNT + 3] = f32::NAN),
         ("wake_reward is", |chunk| chunk.steps[0].wake_reward = f32::INFINITY),
         ("wake_brought is", |chunk| {
-            chunk.steps[0].looks[1].wake_up = Some((0.1, f32::NAN));
+            chunk.steps[0].devices[1].wake_up = Some((0.1, f32::NAN));
         }),
         ("price is", |chunk| chunk.price = Some(f32::INFINITY)),
     ];

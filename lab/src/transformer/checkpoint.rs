@@ -1,22 +1,23 @@
-//! Checkpoints of a training, from which it resumes with an identical result.
+//! Checkpoints of a training, from which it resumes with an identical result: a safetensors file with the weights, the
+//! optimiser's state, the best model and the counters.
 
 use std::collections::BTreeMap;
 
 use candle_core::{Device, Tensor};
-use reveille_bs::policy::dt::model::weights::metadata;
+use reveille_bs::policy::dt::model::weights::encode_metadata;
 use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensors};
 
-use super::{ByWeight, DtTrainingConfig, State, TransformerError};
+use super::{ByWeight, DtTrainingConfig, TrainerState, TransformerError};
 
 /// The only key of the metadata.
 const KEY: &str = "reveille.dt-training";
 /// The prefixes of the tensors: weights, running means of their gradients, and running means of the squared gradients.
-const KINDS: [&str; 3] = ["weight", "mean", "square"];
+const TENSOR_PREFIXES: [&str; 3] = ["weight", "mean", "square"];
 /// The name of the best model's file.
 const BEST: &str = "best";
 
-impl State {
+impl TrainerState {
     /// Encodes a checkpoint.
     pub(super) fn to_checkpoint(
         &self,
@@ -25,27 +26,27 @@ impl State {
     ) -> Result<Vec<u8>, TransformerError> {
         let mut values: Vec<(String, Dtype, Vec<usize>, Vec<u8>)> = Vec::new();
         for (name, size) in self.net.shape().tensors() {
-            let of = [
+            let tensors_of_weight = [
                 self.net.vars()[name].as_tensor(),
                 &self.optimiser.means[name],
                 &self.optimiser.squares[name],
             ];
-            for (kind, tensor) in KINDS.iter().zip(of) {
+            for (prefix, tensor) in TENSOR_PREFIXES.iter().zip(tensors_of_weight) {
                 let numbers: Vec<f32> = tensor.flatten_all()?.to_vec1()?;
                 let bytes = numbers.into_iter().flat_map(f32::to_le_bytes).collect();
-                values.push((format!("{kind}.{name}"), Dtype::F32, size.clone(), bytes));
+                values.push((format!("{prefix}.{name}"), Dtype::F32, size.clone(), bytes));
             }
         }
         if let Some(best) = &self.best {
             values.push((BEST.to_owned(), Dtype::U8, vec![best.len()], best.clone()));
         }
         let mut tensors = Vec::new();
-        for (name, kind, size, bytes) in &values {
-            tensors.push((name, TensorView::new(*kind, size.clone(), bytes)?));
+        for (name, dtype, size, bytes) in &values {
+            tensors.push((name, TensorView::new(*dtype, size.clone(), bytes)?));
         }
         let counts = [
             self.optimiser.steps,
-            self.looks_since,
+            self.evaluations_since_best,
             // As bits, because it is infinite before the first evaluation.
             self.best_loss.to_bits(),
         ];
@@ -68,25 +69,25 @@ impl State {
         about: &BTreeMap<String, String>,
     ) -> Result<Self, TransformerError> {
         let damaged = || TransformerError::Checkpoint("is not a checkpoint, or is damaged".to_owned());
-        let (_, found) = SafeTensors::read_metadata(bytes).map_err(|_| damaged())?;
+        let (_, header) = SafeTensors::read_metadata(bytes).map_err(|_| damaged())?;
         let file = SafeTensors::deserialize(bytes).map_err(|_| damaged())?;
-        let text = found.metadata().as_ref().and_then(|pairs| pairs.get(KEY));
-        let (counts, of) = text.and_then(|text| text.split_once('\n')).ok_or_else(damaged)?;
-        if of != identity(training, about) {
+        let text = header.metadata().as_ref().and_then(|pairs| pairs.get(KEY));
+        let (counts, saved_identity) = text.and_then(|text| text.split_once('\n')).ok_or_else(damaged)?;
+        if saved_identity != identity(training, about) {
             return Err(TransformerError::Checkpoint(
                 "is the checkpoint of another training, from other data or with other options".to_owned(),
             ));
         }
         let counts: Vec<u64> = counts.split(' ').filter_map(|count| count.parse().ok()).collect();
         // Unreadable text is dropped above, so damage changes the number of counts.
-        let &[steps, looks_since, best_loss] = &counts[..] else {
+        let &[steps, evaluations_since_best, best_loss] = &counts[..] else {
             return Err(damaged());
         };
         let mut state = Self::new(training)?;
         let mut maps = [ByWeight::new(), ByWeight::new(), ByWeight::new()];
         for (name, size) in training.shape.tensors() {
-            for (kind, map) in KINDS.iter().zip(&mut maps) {
-                let view = file.tensor(&format!("{kind}.{name}")).map_err(|_| damaged())?;
+            for (prefix, map) in TENSOR_PREFIXES.iter().zip(&mut maps) {
+                let view = file.tensor(&format!("{prefix}.{name}")).map_err(|_| damaged())?;
                 // The tensors have the size of the shape, so no bytes are left over below.
                 if view.dtype() != Dtype::F32 || view.shape() != size {
                     return Err(damaged());
@@ -105,12 +106,12 @@ impl State {
         state.optimiser.squares = squares;
         state.best = file.tensor(BEST).ok().map(|best| best.data().to_vec());
         state.best_loss = f64::from_bits(best_loss);
-        state.looks_since = looks_since;
+        state.evaluations_since_best = evaluations_since_best;
         Ok(state)
     }
 }
 
 /// Returns the parameters that a checkpoint must share with the training that resumes from it.
 fn identity(training: &DtTrainingConfig, about: &BTreeMap<String, String>) -> String {
-    format!("{training:?}\n{}", metadata(training.shape, about))
+    format!("{training:?}\n{}", encode_metadata(training.shape, about))
 }

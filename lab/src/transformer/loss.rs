@@ -1,4 +1,4 @@
-//! Loss function and evaluation scores of a net.
+//! Loss function and evaluation scores of a net, for [`train`](super::train).
 //!
 //! Events found by a look are Poisson with mean λ = λ₀·e^m: λ₀ is the expectation without history, m the net's output.
 //! The negative log likelihood of y events is λ − y·m, up to a constant. The gain of a wake-up uses the same formula as
@@ -20,7 +20,7 @@ pub(super) struct Sums {
     /// Negative log quasi-likelihood of the gain of wake-ups, in Ψ.
     pub wakes: Tensor,
     /// Expected gain of wake-ups, in Ψ.
-    pub hoped: f64,
+    pub expected_gain: f64,
     /// Sum of squared errors of ln θ.
     pub prices: Tensor,
     /// Number of TTIs with a price.
@@ -39,58 +39,60 @@ fn likelihood(expected: &Tensor, found: &Tensor, logs: &Tensor) -> Result<Tensor
 /// Sums n·ln((1 + e^m)/2) − y·m over n devices of which y were in S1; this is 0 for m = 0.
 fn cross_entropy(devices: &Tensor, sensing: &Tensor, logs: &Tensor) -> Result<Tensor> {
     // The net limits m to ±3, so e^m neither overflows nor vanishes.
-    let certain = (((logs.exp()? + 1.0)? / 2.0)?.log()? * devices)?;
-    (certain - (sensing * logs)?)?.sum_all()
+    let log_partition = (((logs.exp()? + 1.0)? / 2.0)?.log()? * devices)?;
+    (log_partition - (sensing * logs)?)?.sum_all()
 }
 
 impl Sums {
     /// Computes the sums for the net's `outputs` on `batch`.
-    pub(super) fn of(batch: &TrainingBatch, outputs: &Outputs) -> Result<Self> {
+    pub(super) fn from_outputs(batch: &TrainingBatch, outputs: &Outputs) -> Result<Self> {
         let head = |index: usize| outputs.logs.narrow(3, index, 1)?.squeeze(3);
         let error = (&outputs.price - &batch.prices)?.sqr()?;
-        let looks = match batch.objective {
+        let look_loss = match batch.objective {
             ModelObjective::Events => likelihood,
             ModelObjective::Actions => cross_entropy,
         };
         Ok(Self {
-            looks: looks(&batch.expected, &batch.found, &head(0)?)?,
+            looks: look_loss(&batch.expected, &batch.found, &head(0)?)?,
             expected: sum(&batch.expected)?,
             wakes: likelihood(&batch.wake_expected, &batch.wake_brought, &head(1)?)?,
-            hoped: sum(&batch.wake_expected)?,
+            expected_gain: sum(&batch.wake_expected)?,
             prices: (error * &batch.priced)?.sum_all()?,
             priced: sum(&batch.priced)?,
         })
     }
 
-    /// Returns the loss per expected event, per expected Ψ and per TTI with a price. The divisors are the totals
-    /// `whole` of all batches of the update.
-    pub(super) fn loss(&self, whole: LossWeights) -> Result<Tensor> {
+    /// Returns the loss per expected event, per expected Ψ and per TTI with a price. `divisors` are the totals of all
+    /// batches of the update.
+    pub(super) fn loss(&self, divisors: LossDivisors) -> Result<Tensor> {
         // A batch may have no priced TTI or no wake-up; its sum is then 0.
-        let part = |sum: &Tensor, by: f64| sum / by.max(1.0);
-        (part(&self.looks, whole.expected)? + (part(&self.wakes, whole.hoped)? + part(&self.prices, whole.priced)?)?)?
-            .sum_all()
+        let ratio = |sum: &Tensor, divisor: f64| sum / divisor.max(1.0);
+        let looks = ratio(&self.looks, divisors.expected)?;
+        let wakes = ratio(&self.wakes, divisors.expected_gain)?;
+        (looks + (wakes + ratio(&self.prices, divisors.priced)?)?)?.sum_all()
     }
 }
 
 /// The divisors of the three parts of a loss.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct LossWeights {
+pub(super) struct LossDivisors {
     /// Expected number of events.
     pub expected: f64,
     /// Expected gain of wake-ups, in Ψ.
-    pub hoped: f64,
+    pub expected_gain: f64,
     /// Number of TTIs with a price.
     pub priced: f64,
 }
 
-impl LossWeights {
+impl LossDivisors {
     /// Computes the divisors over all `batches`.
-    pub(super) fn of(batches: &[TrainingBatch]) -> Result<Self> {
-        let all = |of: fn(&TrainingBatch) -> &Tensor| batches.iter().map(|batch| sum(of(batch))).sum::<Result<f64>>();
+    pub(super) fn from_batches(batches: &[TrainingBatch]) -> Result<Self> {
+        let total =
+            |labels: fn(&TrainingBatch) -> &Tensor| batches.iter().map(|batch| sum(labels(batch))).sum::<Result<f64>>();
         Ok(Self {
-            expected: all(|batch| &batch.expected)?,
-            hoped: all(|batch| &batch.wake_expected)?,
-            priced: all(|batch| &batch.priced)?,
+            expected: total(|batch| &batch.expected)?,
+            expected_gain: total(|batch| &batch.wake_expected)?,
+            priced: total(|batch| &batch.priced)?,
         })
     }
 }
@@ -116,17 +118,17 @@ pub(super) struct Scores {
     looks: f64,
     expected: f64,
     wakes: f64,
-    hoped: f64,
+    expected_gain: f64,
     prices: f64,
     priced: f64,
     /// The looks, each with its expectation without and with history, and whether it found an event.
-    seen: Vec<(f32, f32, bool)>,
+    scored_looks: Vec<(f32, f32, bool)>,
 }
 
 impl Scores {
     /// Computes the scores of the net's `outputs` on `batch`.
-    pub(super) fn of(batch: &TrainingBatch, outputs: &Outputs) -> Result<Self> {
-        let sums = Sums::of(batch, outputs)?;
+    pub(super) fn from_outputs(batch: &TrainingBatch, outputs: &Outputs) -> Result<Self> {
+        let sums = Sums::from_outputs(batch, outputs)?;
         let logs = outputs.logs.narrow(3, 0, 1)?.flatten_all()?.to_vec1::<f32>()?;
         let expected = batch.expected.flatten_all()?.to_vec1::<f32>()?;
         let found = batch.found.flatten_all()?.to_vec1::<f32>()?;
@@ -137,33 +139,33 @@ impl Scores {
             looks: -sum(&sums.looks)?,
             expected: sums.expected,
             wakes: -sum(&sums.wakes)?,
-            hoped: sums.hoped,
+            expected_gain: sums.expected_gain,
             prices: sum(&sums.prices)?,
             priced: sums.priced,
-            seen: looks
+            scored_looks: looks
                 .map(|((expected, log), found)| (expected, expected * libm::expf(log), found > 0.5))
                 .collect(),
         })
     }
 
     /// Adds the scores of another batch.
-    pub(super) fn add(&mut self, more: Self) {
-        self.looks += more.looks;
-        self.expected += more.expected;
-        self.wakes += more.wakes;
-        self.hoped += more.hoped;
-        self.prices += more.prices;
-        self.priced += more.priced;
-        self.seen.extend(more.seen);
+    pub(super) fn add(&mut self, other: Self) {
+        self.looks += other.looks;
+        self.expected += other.expected;
+        self.wakes += other.wakes;
+        self.expected_gain += other.expected_gain;
+        self.prices += other.prices;
+        self.priced += other.priced;
+        self.scored_looks.extend(other.scored_looks);
     }
 
     /// Returns the score over all batches.
     pub(super) fn score(&self) -> EvalScore {
         EvalScore {
             looks: self.looks / self.expected.max(1e-9),
-            wakes: self.wakes / self.hoped.max(1e-9),
-            accuracy: accuracy(self.seen.iter().map(|(_, with, found)| (*with, *found))),
-            plain_accuracy: accuracy(self.seen.iter().map(|(without, _, found)| (*without, *found))),
+            wakes: self.wakes / self.expected_gain.max(1e-9),
+            accuracy: accuracy(self.scored_looks.iter().map(|(_, with, found)| (*with, *found))),
+            plain_accuracy: accuracy(self.scored_looks.iter().map(|(without, _, found)| (*without, *found))),
             price_error: (self.prices / self.priced.max(1.0)).sqrt(),
         }
     }
@@ -174,16 +176,16 @@ impl Scores {
 pub(super) fn accuracy(numbers: impl Iterator<Item = (f32, bool)>) -> f64 {
     let mut numbers: Vec<(f32, bool)> = numbers.collect();
     numbers.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
-    let (mut below, mut pairs, mut found) = (0.0, 0.0, 0.0);
-    for same in numbers.chunk_by(|a, b| a.0.to_bits() == b.0.to_bits()) {
-        let hits = same.iter().filter(|(_, found)| *found).count() as f64;
-        let misses = same.len() as f64 - hits;
-        pairs += hits * (below + 0.5 * misses);
-        found += hits;
-        below += misses;
+    let (mut misses_below, mut ordered_pairs, mut all_hits) = (0.0, 0.0, 0.0);
+    for equal in numbers.chunk_by(|a, b| a.0.to_bits() == b.0.to_bits()) {
+        let hits = equal.iter().filter(|(_, found)| *found).count() as f64;
+        let misses = equal.len() as f64 - hits;
+        ordered_pairs += hits * (misses_below + 0.5 * misses);
+        all_hits += hits;
+        misses_below += misses;
     }
-    if found * below > 0.0 {
-        pairs / (found * below)
+    if all_hits * misses_below > 0.0 {
+        ordered_pairs / (all_hits * misses_below)
     } else {
         0.5
     }

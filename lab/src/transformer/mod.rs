@@ -1,4 +1,8 @@
-//! Training of the decision transformer (Sec. V-C): offline, from recorded trajectories alone.
+//! Training of the decision transformer (Sec. V-C): offline, from recorded trajectories alone. `reveille train dt`
+//! calls [`train`]; its output is a weights file that the policy `dt` loads.
+//!
+//! [`Net`] computes the forward pass of `bs/src/policy/dt/model` once more, differentiably: change both. The result
+//! depends on the data, the options and the seed, not on the number of threads or on interruptions.
 
 mod checkpoint;
 mod data;
@@ -10,23 +14,24 @@ use std::collections::BTreeMap;
 
 use rayon::iter::{IntoParallelIterator, IntoParallelRefIterator, ParallelIterator};
 use reveille_bs::policy::dt::model::ModelShape;
-use reveille_bs::policy::dt::model::weights::{KEY, metadata};
+use reveille_bs::policy::dt::model::weights::{METADATA_KEY, encode_metadata};
 use reveille_common::rng::{Purpose, Stream};
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
 
 use self::data::{Data, TrainingBatch};
 pub use self::loss::EvalScore;
-use self::loss::{LossWeights, Scores, Sums};
+use self::loss::{LossDivisors, Scores, Sums};
 pub use self::net::{Net, Outputs};
 use self::optimiser::{AdamW, ByWeight};
 use crate::trajectories::{Chunk, Trajectories};
 
 /// The number of parts of a batch, each drawn separately and computed on a separate thread if available. The result
 /// depends on this number, and not on the number of threads.
-const PARTS: usize = 4;
+const BATCH_PARTS: usize = 4;
 
-/// The parameters of a training.
+/// The parameters of a training. Their `Debug` text identifies a training in its checkpoints: a renamed field refuses
+/// older checkpoints.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DtTrainingConfig {
     /// The shape of the model.
@@ -88,18 +93,18 @@ pub enum TransformerError {
 }
 
 /// A training between two evaluations on held-out data.
-struct State {
+struct TrainerState {
     net: Net,
     optimiser: AdamW,
     /// The file of the best model so far.
     best: Option<Vec<u8>>,
     best_loss: f64,
-    looks_since: u64,
+    evaluations_since_best: u64,
 }
 
 /// Trains a model from `trajectories`. `about` goes into the metadata of its file. `progress` receives each evaluation
 /// on the held-out data with the bytes of a checkpoint, and returns whether to continue; `stop` is asked before each
-/// step. With a checkpoint as `from` the training resumes, and returns the same bytes as an uninterrupted one.
+/// step. With a `checkpoint` the training resumes, and returns the same bytes as an uninterrupted one.
 ///
 /// # Errors
 /// See [`TransformerError`].
@@ -107,65 +112,65 @@ pub fn train(
     trajectories: Vec<Trajectories>,
     training: &DtTrainingConfig,
     about: &BTreeMap<String, String>,
-    from: Option<&[u8]>,
+    checkpoint: Option<&[u8]>,
     progress: &mut dyn FnMut(DtTrainingStatus, &[u8]) -> bool,
     stop: &dyn Fn() -> bool,
 ) -> Result<Trained, TransformerError> {
     let data = Data::new(trajectories);
-    if data.learned_from() == 0 || data.held_out() == 0 {
+    if data.training_chunk_count() == 0 || data.held_out_chunk_count() == 0 {
         return Err(TransformerError::Data(format!(
             "there are {} chunks for training and {} of other runs for evaluation, both needed; record more runs",
-            data.learned_from(),
-            data.held_out()
+            data.training_chunk_count(),
+            data.held_out_chunk_count()
         )));
     }
-    let mut state = match from {
-        Some(bytes) => State::from_checkpoint(bytes, training, about)?,
-        None => State::new(training)?,
+    let mut state = match checkpoint {
+        Some(bytes) => TrainerState::from_checkpoint(bytes, training, about)?,
+        None => TrainerState::new(training)?,
     };
-    let (mut sum, mut count) = (0.0, 0.0);
-    while state.optimiser.steps < training.steps && state.looks_since < training.patience {
+    let (mut loss_sum, mut step_count) = (0.0, 0.0);
+    while state.optimiser.steps < training.steps && state.evaluations_since_best < training.patience {
         // Before the step, not after it: a checkpoint between a step and its evaluation would skip the evaluation.
         if stop() {
             return state.to_checkpoint(training, about).map(Trained::Stopped);
         }
-        sum += state.step(&data, training)?;
-        count += 1.0;
+        loss_sum += state.step(&data, training)?;
+        step_count += 1.0;
         let step = state.optimiser.steps;
         if !step.is_multiple_of(training.every) && step != training.steps {
             continue;
         }
-        let score = judge(&state.net, &data, training)?;
+        let score = evaluate(&state.net, &data, training)?;
         // The price head makes no decisions, so it does not choose the best model.
-        let held_out = -score.looks - score.wakes;
-        if !held_out.is_finite() {
+        let held_out_loss = -score.looks - score.wakes;
+        if !held_out_loss.is_finite() {
             return Err(TransformerError::Diverged(step));
         }
-        let is_best = held_out < state.best_loss;
+        let is_best = held_out_loss < state.best_loss;
         if is_best {
-            (state.best, state.best_loss) = (Some(file(&state.net, about)?), held_out);
-            state.looks_since = 0;
+            (state.best, state.best_loss) = (Some(encode_file(&state.net, about)?), held_out_loss);
+            state.evaluations_since_best = 0;
         } else {
-            state.looks_since += 1;
+            state.evaluations_since_best += 1;
         }
-        let now = DtTrainingStatus {
+        let status = DtTrainingStatus {
             step,
-            loss: sum / count,
+            loss: loss_sum / step_count,
             score,
             is_best,
         };
-        (sum, count) = (0.0, 0.0);
-        if !progress(now, &state.to_checkpoint(training, about)?) {
+        (loss_sum, step_count) = (0.0, 0.0);
+        if !progress(status, &state.to_checkpoint(training, about)?) {
             break;
         }
     }
     state
         .best
-        .map_or_else(|| file(&state.net, about), Ok)
+        .map_or_else(|| encode_file(&state.net, about), Ok)
         .map(Trained::Model)
 }
 
-impl State {
+impl TrainerState {
     fn new(training: &DtTrainingConfig) -> Result<Self, TransformerError> {
         let net = Net::new(training.shape, training.seed)?;
         Ok(Self {
@@ -173,7 +178,7 @@ impl State {
             net,
             best: None,
             best_loss: f64::INFINITY,
-            looks_since: 0,
+            evaluations_since_best: 0,
         })
     }
 
@@ -183,12 +188,15 @@ impl State {
         // A stream for each step: a resumed training draws the same batches. The constant separates it from the streams
         // of the weights.
         let mut stream = Stream::new(training.seed ^ 0xDA7A, Purpose::Training, step);
-        let draw = |_| TrainingBatch::of(&data.draw(training.batch / PARTS, &mut stream), training.shape);
-        let batches: Vec<TrainingBatch> = (0..PARTS).map(draw).collect::<Result<_, _>>()?;
-        let whole = LossWeights::of(&batches)?;
-        let part = |batch: &TrainingBatch| -> candle_core::Result<(f64, ByWeight)> {
+        let draw = |_| {
+            let chunks = data.draw(training.batch / BATCH_PARTS, &mut stream);
+            TrainingBatch::from_chunks(&chunks, training.shape)
+        };
+        let batches: Vec<TrainingBatch> = (0..BATCH_PARTS).map(draw).collect::<Result<_, _>>()?;
+        let divisors = LossDivisors::from_batches(&batches)?;
+        let loss_of_part = |batch: &TrainingBatch| -> candle_core::Result<(f64, ByWeight)> {
             let outputs = self.net.forward(&batch.tokens, &batch.targets)?;
-            let loss = Sums::of(batch, &outputs)?.loss(whole)?;
+            let loss = Sums::from_outputs(batch, &outputs)?.loss(divisors)?;
             let gradients = loss.backward()?;
             let mut by_weight = ByWeight::new();
             for (name, var) in self.net.vars() {
@@ -200,21 +208,21 @@ impl State {
             }
             Ok((f64::from(loss.to_scalar::<f32>()?), by_weight))
         };
-        let parts: Vec<(f64, ByWeight)> = batches.par_iter().map(part).collect::<Result<_, _>>()?;
+        let parts: Vec<(f64, ByWeight)> = batches.par_iter().map(loss_of_part).collect::<Result<_, _>>()?;
         // Added in the order of the parts: floating-point sums must not depend on the threads.
         let mut parts = parts.into_iter();
         let (mut loss, mut gradients) = parts.next().expect("several parts");
-        for (more, others) in parts {
-            loss += more;
-            for (sum, other) in gradients.values_mut().zip(others.values()) {
+        for (part_loss, part_gradients) in parts {
+            loss += part_loss;
+            for (sum, other) in gradients.values_mut().zip(part_gradients.values()) {
                 *sum = (&*sum + other)?;
             }
         }
         if !loss.is_finite() {
             return Err(TransformerError::Diverged(step));
         }
-        let done = step as f64 / training.steps as f64;
-        let rate = training.rate * (0.505 + 0.495 * libm::cos(std::f64::consts::PI * done));
+        let progress = step as f64 / training.steps as f64;
+        let rate = training.rate * (0.505 + 0.495 * libm::cos(std::f64::consts::PI * progress));
         // The rate rises over the first 50 steps.
         let rate = rate * (0.02 * (step + 1) as f64).min(1.0);
         self.optimiser.step(self.net.vars(), &gradients, rate)?;
@@ -222,13 +230,13 @@ impl State {
     }
 }
 
-fn judge(net: &Net, data: &Data, training: &DtTrainingConfig) -> Result<EvalScore, TransformerError> {
-    let one = |chunks: Vec<&Chunk>| {
-        let batch = TrainingBatch::of(&chunks, training.shape)?;
-        Scores::of(&batch, &net.forward(&batch.tokens, &batch.targets)?)
+fn evaluate(net: &Net, data: &Data, training: &DtTrainingConfig) -> Result<EvalScore, TransformerError> {
+    let score_batch = |chunks: Vec<&Chunk>| {
+        let batch = TrainingBatch::from_chunks(&chunks, training.shape)?;
+        Scores::from_outputs(&batch, &net.forward(&batch.tokens, &batch.targets)?)
     };
-    let batches = data.held_out_batches(training.batch / PARTS);
-    let parts: Vec<Scores> = batches.into_par_iter().map(one).collect::<Result<_, _>>()?;
+    let batches = data.held_out_batches(training.batch / BATCH_PARTS);
+    let parts: Vec<Scores> = batches.into_par_iter().map(score_batch).collect::<Result<_, _>>()?;
     let mut scores = Scores::default();
     for part in parts {
         scores.add(part);
@@ -240,7 +248,7 @@ fn judge(net: &Net, data: &Data, training: &DtTrainingConfig) -> Result<EvalScor
 ///
 /// # Errors
 /// If the framework or the format fails.
-pub fn file(net: &Net, about: &BTreeMap<String, String>) -> Result<Vec<u8>, TransformerError> {
+pub fn encode_file(net: &Net, about: &BTreeMap<String, String>) -> Result<Vec<u8>, TransformerError> {
     let shape = net.shape();
     let mut values = Vec::new();
     for (name, size) in shape.tensors() {
@@ -252,7 +260,9 @@ pub fn file(net: &Net, about: &BTreeMap<String, String>) -> Result<Vec<u8>, Tran
         tensors.push((*name, TensorView::new(Dtype::F32, size.clone(), bytes)?));
     }
     // Only one key: the order of several would be random.
-    let metadata = [(KEY.to_owned(), metadata(shape, about))].into_iter().collect();
+    let metadata = [(METADATA_KEY.to_owned(), encode_metadata(shape, about))]
+        .into_iter()
+        .collect();
     Ok(safetensors::serialize(tensors, Some(metadata))?)
 }
 

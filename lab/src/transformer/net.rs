@@ -1,14 +1,14 @@
 //! The model in the training framework: the same sums as in [`reveille_bs::policy::dt::model`], in differentiable form.
+//! Change both; names and sizes of the tensors come from [`ModelShape::tensors`].
 
 use std::collections::BTreeMap;
 
 use candle_core::{D, DType, Device, Result, Tensor, Var};
 use candle_nn::ops::softmax;
-use reveille_bs::policy::dt::model::infer::{LEAST_FEATURE, LIMIT};
-use reveille_bs::policy::dt::model::{HEADS, ModelShape};
+use reveille_bs::policy::dt::model::infer::{MIN_FEATURE, OUTPUT_LIMIT};
+use reveille_bs::policy::dt::model::{ModelShape, OUTPUTS};
 use reveille_common::rng::{Purpose, Stream};
 
-/// Keeps norms finite.
 use reveille_bs::policy::dt::model::NORM_EPSILON;
 
 /// The trainable weights of a model.
@@ -53,7 +53,7 @@ impl Net {
 
     /// Converts the weights to numbers of another type.
     #[cfg(test)]
-    pub(super) fn of_type(&self, dtype: DType) -> Result<Self> {
+    pub(super) fn to_type(&self, dtype: DType) -> Result<Self> {
         let var = |(name, var): (&&'static str, &Var)| -> Result<_> {
             Ok((*name, Var::from_tensor(&var.as_tensor().to_dtype(dtype)?)?))
         };
@@ -87,19 +87,19 @@ impl Net {
         let flat = tokens.reshape((c * t * n, f))?;
         let embedded = self.linear(&flat, "embed.weight", "embed.bias")?.relu()?;
         let mut state = self.attend_in_time(&embedded, (c, t, n))?;
-        if self.shape.has_space {
+        if self.shape.attends_to_devices {
             state = self.attend_in_space(&state, (c, t, n))?;
         }
         let last = self.norm(&state, "head.norm")?;
         let out = self.linear(&last, "head.weight", "head.bias")?;
-        let limited = (out.clone() * f64::from(LIMIT))?.div(&(out.abs()? + 1.0)?)?;
+        let limited = (out.clone() * f64::from(OUTPUT_LIMIT))?.div(&(out.abs()? + 1.0)?)?;
         // Detached: the price is learned from the other features without changing them.
         let pooled = last.detach().reshape((c * t, n, d))?.mean(1)?;
-        let asked = Tensor::cat(&[&pooled, &targets.reshape((c * t, 1))?], 1)?;
-        let inner = self.linear(&asked, "price.in.weight", "price.in.bias")?.relu()?;
+        let price_input = Tensor::cat(&[&pooled, &targets.reshape((c * t, 1))?], 1)?;
+        let inner = self.linear(&price_input, "price.in.weight", "price.in.bias")?.relu()?;
         let price = self.linear(&inner, "price.out.weight", "price.out.bias")?;
         Ok(Outputs {
-            logs: limited.reshape((c, t, n, HEADS))?,
+            logs: limited.reshape((c, t, n, OUTPUTS))?,
             price: price.reshape((c, t))?,
         })
     }
@@ -114,7 +114,7 @@ impl Net {
         x.broadcast_mul(&inverse)?.broadcast_mul(self.var(scale))
     }
 
-    fn mix(&self, x: &Tensor, names: [&str; 5]) -> Result<Tensor> {
+    fn feed_forward(&self, x: &Tensor, names: [&str; 5]) -> Result<Tensor> {
         let [norm, in_weight, in_bias, out_weight, out_bias] = names;
         let inner = self.linear(&self.norm(x, norm)?, in_weight, in_bias)?.relu()?;
         x + self.linear(&inner, out_weight, out_bias)?
@@ -137,13 +137,13 @@ impl Net {
             by_device("time.value")?,
         );
         let scale = 1.0 / (width as f64).sqrt();
-        let scores = (query.matmul(&key.t()?.contiguous()?)? * scale)?.broadcast_add(&self.lags(t)?)?;
+        let scores = (query.matmul(&key.t()?.contiguous()?)? * scale)?.broadcast_add(&self.lag_bias(t)?)?;
         // Not `softmax_last_dim`, which has no backward pass.
         let gathered = softmax(&scores, D::Minus1)?.matmul(&value)?;
         let gathered = gathered.reshape((c, n, heads, t, width))?.permute((0, 3, 1, 2, 4))?;
         let gathered = gathered.contiguous()?.reshape((c * t * n, heads * width))?;
         let attended = (x + gathered.matmul(self.var("time.out"))?)?;
-        self.mix(
+        self.feed_forward(
             &attended,
             [
                 "time.mix.norm",
@@ -156,7 +156,7 @@ impl Net {
     }
 
     /// Returns the bias of the lag between two TTIs, `[heads, T, T]`; a TTI only attends to the last Z.
-    fn lags(&self, t: usize) -> Result<Tensor> {
+    fn lag_bias(&self, t: usize) -> Result<Tensor> {
         let (heads, z) = (self.shape.heads, self.shape.memory);
         let bias = self.var("time.bias");
         let out_of_reach = Tensor::full(-1e9_f32, (heads, 1), &Device::Cpu)?.to_dtype(bias.dtype())?;
@@ -180,18 +180,18 @@ impl Net {
             let split = normed.matmul(self.var(name))?.reshape((c * t, n, heads, width))?;
             split.transpose(1, 2)?.contiguous()
         };
-        let feature = |x: Tensor| x.relu()? + f64::from(LEAST_FEATURE);
+        let feature = |x: Tensor| x.relu()? + f64::from(MIN_FEATURE);
         let (query, key) = (feature(by_tti("space.query")?)?, feature(by_tti("space.key")?)?);
         let summary = key.t()?.contiguous()?.matmul(&by_tti("space.value")?)?;
-        let all = query.broadcast_mul(&key.sum_keepdim(2)?)?.sum_keepdim(D::Minus1)?;
-        // Every feature is at least `LEAST_FEATURE`, so the divisor is above 0.
-        let gathered = query.matmul(&summary)?.broadcast_div(&all)?;
+        let weight_sum = query.broadcast_mul(&key.sum_keepdim(2)?)?.sum_keepdim(D::Minus1)?;
+        // Every feature is at least `MIN_FEATURE`, so the divisor is above 0.
+        let gathered = query.matmul(&summary)?.broadcast_div(&weight_sum)?;
         let gathered = gathered
             .transpose(1, 2)?
             .contiguous()?
             .reshape((c * t * n, heads * width))?;
         let attended = (x + gathered.matmul(self.var("space.out"))?)?;
-        self.mix(
+        self.feed_forward(
             &attended,
             [
                 "space.mix.norm",

@@ -1,4 +1,4 @@
-//! AdamW with a clipped gradient, whose state can be saved.
+//! AdamW with a clipped gradient. Its state is part of a checkpoint; sums follow the order of the weights' names.
 
 use std::collections::BTreeMap;
 
@@ -6,11 +6,12 @@ use candle_core::{Result, Tensor, Var};
 
 /// Decay of the running means of gradients, and of their squares.
 const BETAS: (f64, f64) = (0.9, 0.999);
+/// Keeps divisors above 0.
 const EPSILON: f64 = 1e-8;
 /// The largest norm of a gradient.
-const CLIP: f64 = 1.0;
+const MAX_GRADIENT_NORM: f64 = 1.0;
 /// Decay of weights, in learning rates.
-const DECAY: f64 = 0.01;
+const WEIGHT_DECAY: f64 = 0.01;
 
 /// A tensor for each weight.
 pub(super) type ByWeight = BTreeMap<&'static str, Tensor>;
@@ -45,13 +46,17 @@ impl AdamW {
     /// # Errors
     /// If the framework fails.
     pub(super) fn step(&mut self, vars: &BTreeMap<&'static str, Var>, gradients: &ByWeight, rate: f64) -> Result<()> {
-        let mut sum = 0.0;
+        let mut squared_norm = 0.0;
         // One norm over all weights, in the order of their names: the clip keeps the direction of the step.
         for gradient in gradients.values() {
-            sum += f64::from(gradient.sqr()?.sum_all()?.to_scalar::<f32>()?);
+            squared_norm += f64::from(gradient.sqr()?.sum_all()?.to_scalar::<f32>()?);
         }
-        let norm = sum.sqrt();
-        let clip = if norm > CLIP { CLIP / norm } else { 1.0 };
+        let norm = squared_norm.sqrt();
+        let clip = if norm > MAX_GRADIENT_NORM {
+            MAX_GRADIENT_NORM / norm
+        } else {
+            1.0
+        };
         self.steps += 1;
         let (first, second) = BETAS;
         let unbias = |beta: f64| 1.0 - libm::pow(beta, self.steps as f64);
@@ -62,8 +67,8 @@ impl AdamW {
             let square = ((&self.squares[name] * second)? + (gradient.sqr()? * (1.0 - second))?)?.detach();
             let size = ((&square / unbias(second))?.sqrt()? + EPSILON)?;
             let step = ((&mean / unbias(first))? / size)?;
-            let kept = (var.as_tensor() * (1.0 - rate * DECAY))?;
-            var.set(&(kept - (step * rate)?)?)?;
+            let decayed = (var.as_tensor() * (1.0 - rate * WEIGHT_DECAY))?;
+            var.set(&(decayed - (step * rate)?)?)?;
             self.means.insert(name, mean);
             self.squares.insert(name, square);
         }

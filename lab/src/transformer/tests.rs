@@ -5,16 +5,16 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use candle_core::{DType, Device, Tensor};
-use reveille_bs::policy::dt::model::infer::Forward;
+use reveille_bs::policy::dt::model::infer::ForwardPass;
 use reveille_bs::policy::dt::model::weights::ModelWeights;
-use reveille_bs::policy::dt::model::{HEADS, ModelObjective, ModelShape};
+use reveille_bs::policy::dt::model::{ModelObjective, ModelShape, OUTPUTS};
 use reveille_bs::policy::dt::record::{DeviceStep, TrajectoryStep};
-use reveille_bs::policy::dt::tokens::{CAN_SENSE, COUNT};
+use reveille_bs::policy::dt::tokens::{CAN_SENSE, FEATURE_COUNT};
 use reveille_common::ids::Tti;
 use reveille_common::rng::{Purpose, Stream};
 
 use super::data::TrainingBatch;
-use super::loss::LossWeights;
+use super::loss::LossDivisors;
 use super::*;
 use crate::trajectories::Chunk;
 
@@ -22,7 +22,7 @@ const SHAPE: ModelShape = ModelShape {
     memory: 3,
     width: 8,
     heads: 2,
-    has_space: true,
+    attends_to_devices: true,
     objective: ModelObjective::Events,
 };
 
@@ -47,24 +47,24 @@ fn chunks(count: u32, m: f32) -> Vec<Chunk> {
     let chunk = |run: u32| {
         let mut stream = Stream::new(u64::from(run), Purpose::Training, 1);
         let mut step = |k: u64| {
-            let tokens: Vec<f32> = (0..devices * COUNT)
+            let tokens: Vec<f32> = (0..devices * FEATURE_COUNT)
                 .map(|_| (2.0 * stream.unit() - 1.0) as f32)
                 .collect();
             let look = |j: usize| {
-                let more = if tokens[j * COUNT] > 0.0 { m } else { -m };
+                let more = if tokens[j * FEATURE_COUNT] > 0.0 { m } else { -m };
                 let hoped = 0.2 + 0.3 * stream.unit() as f32;
                 DeviceStep {
-                    expected: 0.2,
-                    on: stream.unit() < 0.7,
-                    found: stream.unit() < f64::from(0.2 * libm::expf(more)),
+                    expected_events: 0.2,
+                    is_sensing: stream.unit() < 0.7,
+                    has_reported_first: stream.unit() < f64::from(0.2 * libm::expf(more)),
                     wake_up: (stream.unit() < 0.3).then_some((hoped, 0.5 * hoped)),
                 }
             };
             TrajectoryStep {
                 tti: Tti(100 + k),
-                looks: (0..devices).map(look).collect(),
+                devices: (0..devices).map(look).collect(),
                 tokens,
-                share: 0.5,
+                covered_share: 0.5,
                 reward: 0.0,
                 wake_reward: 0.0,
             }
@@ -85,30 +85,30 @@ fn chunks(count: u32, m: f32) -> Vec<Chunk> {
 fn what_is_learned_is_what_runs() {
     let wide = ModelShape {
         width: 40,
-        ..ModelShape::USUAL
+        ..ModelShape::SHIPPED
     };
-    [SHAPE, ModelShape::USUAL, wide].into_iter().for_each(compare_outputs);
+    [SHAPE, ModelShape::SHIPPED, wide].into_iter().for_each(compare_outputs);
 }
 
 fn compare_outputs(shape: ModelShape) {
     let net = net(shape, 3);
-    let bytes = file(&net, &BTreeMap::new()).expect("a file");
+    let bytes = encode_file(&net, &BTreeMap::new()).expect("a file");
     let weights = Arc::new(ModelWeights::read(&bytes).expect("a model"));
     let chunks = chunks(2, 0.5);
-    let batch = TrainingBatch::of(&chunks.iter().collect::<Vec<_>>(), shape).expect("a batch");
+    let batch = TrainingBatch::from_chunks(&chunks.iter().collect::<Vec<_>>(), shape).expect("a batch");
     let outputs = net.forward(&batch.tokens, &batch.targets).expect("outputs");
     let (logs, prices) = (outputs.logs.flatten_all(), outputs.price.flatten_all());
     let logs: Vec<f32> = logs.and_then(|logs| logs.to_vec1()).expect("numbers");
     let prices: Vec<f32> = prices.and_then(|prices| prices.to_vec1()).expect("numbers");
-    let (mut logs, mut prices) = (logs.chunks(6 * HEADS), prices.into_iter());
+    let (mut logs, mut prices) = (logs.chunks(6 * OUTPUTS), prices.into_iter());
     for chunk in &chunks {
-        let mut forward = Forward::new(Arc::clone(&weights), chunk.devices);
+        let mut forward = ForwardPass::new(Arc::clone(&weights), chunk.devices);
         for (step, target) in chunk.steps.iter().zip(&chunk.returns) {
             let own = forward.step(&step.tokens).to_vec();
             for (a, b) in own.iter().zip(logs.next().expect("a TTI")) {
                 assert!((a - b).abs() < 1e-5, "{a} here, {b} in training");
             }
-            let (a, b) = (forward.price(*target), prices.next().expect("a TTI"));
+            let (a, b) = (forward.log_price(*target), prices.next().expect("a TTI"));
             assert!((a - b).abs() < 1e-5, "{a} here, {b} in training");
         }
     }
@@ -122,7 +122,7 @@ fn the_gradient_of_each_weight_is_the_slope_of_the_loss() {
 fn compare_gradients(objective: ModelObjective) {
     // In double precision, so that steps are short compared with the distance to the kink of a relu.
     let net = net(SHAPE, 4);
-    let net = net.of_type(DType::F64).expect("a net");
+    let net = net.to_type(DType::F64).expect("a net");
     // The features that the price head reads must not learn from it, so the other weights are checked without prices.
     let priced = chunks(3, 0.5);
     let mut others = priced.clone();
@@ -131,14 +131,14 @@ fn compare_gradients(objective: ModelObjective) {
     }
     let batch = |chunks: &[Chunk]| {
         let shape = ModelShape { objective, ..SHAPE };
-        let batch = TrainingBatch::of(&chunks.iter().collect::<Vec<_>>(), shape);
-        batch.and_then(|batch| batch.of_type(DType::F64)).expect("a batch")
+        let batch = TrainingBatch::from_chunks(&chunks.iter().collect::<Vec<_>>(), shape);
+        batch.and_then(|batch| batch.to_type(DType::F64)).expect("a batch")
     };
     let batches = [batch(&others), batch(&priced)];
     let loss = |batch: &TrainingBatch| {
         let outputs = net.forward(&batch.tokens, &batch.targets).expect("outputs");
-        let whole = LossWeights::of(std::slice::from_ref(batch)).expect("sums");
-        Sums::of(batch, &outputs)
+        let whole = LossDivisors::from_batches(std::slice::from_ref(batch)).expect("sums");
+        Sums::from_outputs(batch, &outputs)
             .and_then(|sums| sums.loss(whole))
             .expect("a loss")
     };
@@ -175,7 +175,7 @@ fn compare_gradients(objective: ModelObjective) {
 fn actions_of_teachers_are_learned_as_odds() {
     let mut chunks = chunks(300, 0.0);
     for look in chunks.iter_mut().flat_map(|chunk| &mut chunk.steps) {
-        for token in look.tokens.as_chunks_mut::<COUNT>().0 {
+        for token in look.tokens.as_chunks_mut::<FEATURE_COUNT>().0 {
             token[CAN_SENSE] = f32::from(u8::from(token[CAN_SENSE] > -0.5));
         }
     }
@@ -267,7 +267,7 @@ fn a_training_finds_what_is_there_and_goes_on_to_the_same_bytes() {
         |from: Option<&[u8]>, most: u64| stopped(from, most, &|| false).map(|(trained, last)| (model(trained), last));
     let (bytes, last) = train(None, 1000).expect("trained");
     let (score, _) = last.expect("a look");
-    assert_eq!(ModelWeights::read(&bytes).expect("a model").about["data"], "a test");
+    assert_eq!(ModelWeights::read(&bytes).expect("a model").metadata["data"], "a test");
     // Interrupted after the first evaluation, and resumed.
     let (_, last) = train(None, 40).expect("cut short");
     let (_, kept) = last.expect("a look");

@@ -13,14 +13,14 @@ use ndarray::{Array1, Array2, array};
 
 use super::error::TuningError;
 use super::history::History;
-use super::plan::pool;
+use super::plan::new_pool;
 use super::ranges::{Ranges, WeightPair};
 use super::{Proposer, Surface};
 
 /// Values along each side of a surface.
-const SIDE: usize = 40;
+const SURFACE_SIDE: usize = 40;
 /// The smallest noise of a surrogate, as a share of the variance of its points; it keeps matrices regular.
-const LEAST_NOISE: f64 = 1e-6;
+const MIN_NOISE: f64 = 1e-6;
 
 /// The optimiser: log expected improvement.
 #[derive(Clone, Copy, Debug)]
@@ -29,10 +29,10 @@ pub struct Bayes {
     pub seed: u64,
 }
 
-/// The places of `points` in the unit square, and their objectives with mean 0 and variance 1.
-fn standard(ranges: &Ranges, points: &[(WeightPair, f64)]) -> (Array2<f64>, Array1<f64>, (f64, f64)) {
-    let places: Array1<[f64; 2]> = points.iter().map(|(pair, _)| ranges.place(*pair)).collect();
-    let x = Array2::from_shape_fn((points.len(), 2), |(row, column)| places[row][column]);
+/// The positions of `points` in the unit square, and their objectives with mean 0 and variance 1.
+fn standardise(ranges: &Ranges, points: &[(WeightPair, f64)]) -> (Array2<f64>, Array1<f64>, (f64, f64)) {
+    let positions: Array1<[f64; 2]> = points.iter().map(|(pair, _)| ranges.position(*pair)).collect();
+    let x = Array2::from_shape_fn((points.len(), 2), |(row, column)| positions[row][column]);
     let count = points.len() as f64;
     let mean = points.iter().map(|(_, value)| value).sum::<f64>() / count;
     let variance = points
@@ -48,7 +48,7 @@ fn standard(ranges: &Ranges, points: &[(WeightPair, f64)]) -> (Array2<f64>, Arra
 
 impl Proposer for Bayes {
     fn propose(&self, ranges: &Ranges, points: &[(WeightPair, f64)]) -> Result<WeightPair, TuningError> {
-        let (x, y, _) = standard(ranges, points);
+        let (x, y, _) = standardise(ranges, points);
         // The optimiser minimises.
         let y = y.mapv(|value| -value).insert_axis(ndarray::Axis(1));
         let optimiser = EgorServiceBuilder::optimize()
@@ -63,17 +63,17 @@ impl Proposer for Bayes {
             })
             .min_within(&array![[0.0, 1.0], [0.0, 1.0]])
             .map_err(|error| TuningError::Model {
-                what: "optimiser",
-                why: error.to_string(),
+                part: "optimiser",
+                reason: error.to_string(),
             })?;
         // On one thread, so that equal points always give the same proposal.
-        let next = pool(1)?.install(|| optimiser.suggest(&x, &y));
-        let place = next.row(0).iter().copied().collect::<Vec<f64>>();
-        match place[..] {
-            [u, v] if u.is_finite() && v.is_finite() => Ok(ranges.at([u.clamp(0.0, 1.0), v.clamp(0.0, 1.0)])),
+        let next = new_pool(1)?.install(|| optimiser.suggest(&x, &y));
+        let position = next.row(0).iter().copied().collect::<Vec<f64>>();
+        match position[..] {
+            [u, v] if u.is_finite() && v.is_finite() => Ok(ranges.pair_at([u.clamp(0.0, 1.0), v.clamp(0.0, 1.0)])),
             _ => Err(TuningError::Model {
-                what: "optimiser",
-                why: format!("it proposes {place:?}"),
+                part: "optimiser",
+                reason: format!("it proposes {position:?}"),
             }),
         }
     }
@@ -88,36 +88,40 @@ impl Proposer for Bayes {
 /// If the points do not determine a process.
 pub fn surface(ranges: &Ranges, history: &History) -> Result<Surface, TuningError> {
     let failed = |error: egobox_gp::GpError| TuningError::Model {
-        what: "surrogate",
-        why: error.to_string(),
+        part: "surrogate",
+        reason: error.to_string(),
     };
-    let (x, y, (mean, deviation)) = standard(ranges, &history.objectives());
-    let process = pool(1)?.install(|| {
+    let (x, y, (mean, deviation)) = standardise(ranges, &history.objectives());
+    let process = new_pool(1)?.install(|| {
         GaussianProcess::<f64, ConstantMean, Matern52Corr>::params(ConstantMean::default(), Matern52Corr::default())
             .nugget(noise(history, deviation))
             .fit(&Dataset::new(x, y))
             .map_err(failed)
     })?;
-    let middle = |i: usize| (i as f64 + 0.5) / SIDE as f64;
-    let grid = Array2::from_shape_fn((SIDE * SIDE, 2), |(row, column)| {
-        middle(if column == 0 { row % SIDE } else { row / SIDE })
+    let cell_centre = |i: usize| (i as f64 + 0.5) / SURFACE_SIDE as f64;
+    let grid = Array2::from_shape_fn((SURFACE_SIDE * SURFACE_SIDE, 2), |(row, column)| {
+        cell_centre(if column == 0 {
+            row % SURFACE_SIDE
+        } else {
+            row / SURFACE_SIDE
+        })
     });
     let values = process.predict(&grid).map_err(failed)?;
     let values: Vec<f64> = values.iter().map(|value| mean + deviation * value).collect();
     Ok(Surface {
-        rows: values.chunks(SIDE).map(<[f64]>::to_vec).collect(),
+        rows: values.chunks(SURFACE_SIDE).map(<[f64]>::to_vec).collect(),
     })
 }
 
 /// Returns the noise of a point as a share of the variance of all points, which is `deviation` squared.
 fn noise(history: &History, deviation: f64) -> f64 {
-    let halves = history.points.iter().map(|point| point.evaluation.objective_half);
-    let errors: Vec<f64> = halves
+    let half_widths = history.points.iter().map(|point| point.evaluation.objective_half);
+    let variances: Vec<f64> = half_widths
         .filter(|half| half.is_finite())
         // A 95 % interval extends about two standard errors to each side.
         .map(|half| (0.5 * half / deviation) * (0.5 * half / deviation))
         .collect();
-    // Points of a single run have no interval, so `errors` may be empty.
-    let mean = errors.iter().sum::<f64>() / errors.len().max(1) as f64;
-    mean.clamp(LEAST_NOISE, 1.0)
+    // Points of a single run have no interval, so `variances` may be empty.
+    let mean = variances.iter().sum::<f64>() / variances.len().max(1) as f64;
+    mean.clamp(MIN_NOISE, 1.0)
 }

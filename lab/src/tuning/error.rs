@@ -1,4 +1,4 @@
-//! Errors of a tuning.
+//! Errors of a tuning and of its history file. Each message names the thing, the cause and the fix.
 
 use std::path::PathBuf;
 
@@ -8,10 +8,10 @@ use crate::training::TrainingError;
 #[derive(Debug, thiserror::Error)]
 pub enum TuningError {
     /// A value is out of range.
-    #[error("{what} = {value}: {allowed}")]
+    #[error("{name} = {value}: {allowed}")]
     Invalid {
         /// The name of the value.
-        what: &'static str,
+        name: &'static str,
         /// The value.
         value: String,
         /// The allowed range.
@@ -27,24 +27,24 @@ pub enum TuningError {
         ttis: u64,
     },
     /// The file is not a history.
-    #[error("{}: is not a history of a tuning: {why}", path.display())]
+    #[error("{}: is not a history of a tuning: {reason}", path.display())]
     NotOurs {
         /// The file.
         path: PathBuf,
         /// The cause.
-        why: String,
+        reason: String,
     },
     /// The history belongs to another tuning.
     #[error(
-        "{}: is the history of another tuning ({why}); use the options of that tuning, another --out, or --force to \
-         start over",
+        "{}: is the history of another tuning ({differences}); use the options of that tuning, another --out, or \
+         --force to start over",
         path.display()
     )]
     Foreign {
         /// The file.
         path: PathBuf,
         /// The differences.
-        why: String,
+        differences: String,
     },
     /// The history cannot be read.
     #[error("{}: cannot be read: {error}", path.display())]
@@ -63,11 +63,11 @@ pub enum TuningError {
         error: std::io::Error,
     },
     /// The optimiser or the surrogate has failed.
-    #[error("the {what} failed: {why}")]
+    #[error("the {part} failed: {reason}")]
     Model {
         /// The part that failed.
-        what: &'static str,
+        part: &'static str,
         /// The cause.
-        why: String,
+        reason: String,
     },
 }

@@ -1,4 +1,5 @@
-//! The measured result of a pair of weights.
+//! The measured result of a pair of weights. [`Evaluation::NAMES`] and the order of the values are the format of
+//! history files.
 
 use super::ranges::WeightPair;
 

@@ -1,4 +1,5 @@
 //! The points of a tuning and their CSV file: the description of the tuning in comment lines, then one line per point.
+//! A resumed tuning continues from this file; `figures tuning` draws it. Numbers read back as the same bits.
 
 use std::fmt::Write as _;
 
@@ -6,7 +7,7 @@ use super::evaluation::{Evaluation, TuningPoint};
 use super::ranges::WeightPair;
 
 /// The first line of a history.
-const FIRST: &str = "# reveille tuning 1";
+const FIRST_LINE: &str = "# reveille tuning 1";
 
 /// The column names.
 fn columns() -> String {
@@ -50,8 +51,8 @@ impl History {
 
     /// The header's value of `name`; empty if it has none.
     pub fn header_value(&self, name: &str) -> &str {
-        let own = self.header.iter().find(|(own, _)| own == name);
-        own.map_or("", |(_, value)| value)
+        let entry = self.header.iter().find(|(key, _)| key == name);
+        entry.map_or("", |(_, value)| value)
     }
 
     /// The two limits of a range in the header.
@@ -62,22 +63,22 @@ impl History {
 
     /// Lists the differences from a tuning with `header` and `design`, one phrase for each.
     pub fn differences(&self, header: &[(String, String)], design: &[WeightPair]) -> Vec<String> {
-        let other = header.iter().filter(|(name, value)| self.header_value(name) != value);
-        let mut why: Vec<String> = other
+        let differing = header.iter().filter(|(name, value)| self.header_value(name) != value);
+        let mut differences: Vec<String> = differing
             .map(|(name, value)| format!("{name}: {} there, {value} here", self.header_value(name)))
             .collect();
         let bits = |pair: &WeightPair| pair.map(f64::to_bits);
-        let mut first = self.points.iter().zip(design);
+        let mut designed = self.points.iter().zip(design);
         // With another header the design differs for that reason alone.
-        if why.is_empty() && first.any(|(point, pair)| bits(&point.weights) != bits(pair)) {
-            why.push("other pairs at the start".to_owned());
+        if differences.is_empty() && designed.any(|(point, pair)| bits(&point.weights) != bits(pair)) {
+            differences.push("other pairs at the start".to_owned());
         }
-        why
+        differences
     }
 
     /// Returns the file's text. Numbers are written in full, so that reading restores the same bits.
     pub(crate) fn to_csv(&self) -> String {
-        let mut out = format!("{FIRST}\n");
+        let mut out = format!("{FIRST_LINE}\n");
         for (name, value) in &self.header {
             let _ = writeln!(out, "# {name} = {value}");
         }
@@ -97,14 +98,14 @@ impl History {
     /// # Errors
     /// If the text is not a history; the error is the cause.
     pub fn parse(text: &str) -> Result<(Self, bool), String> {
-        let torn = !text.ends_with('\n');
-        let whole = text.rfind('\n').map_or("", |end| &text[..end]);
-        let mut lines = whole.lines();
-        if lines.next() != Some(FIRST) {
-            return Err(format!("it does not begin with `{FIRST}`"));
+        let is_torn = !text.ends_with('\n');
+        let complete = text.rfind('\n').map_or("", |end| &text[..end]);
+        let mut lines = complete.lines();
+        if lines.next() != Some(FIRST_LINE) {
+            return Err(format!("it does not begin with `{FIRST_LINE}`"));
         }
         let mut history = Self::new(Vec::new());
-        let found = loop {
+        let column_line = loop {
             match lines.next() {
                 Some(line) if line.starts_with('#') => {
                     let pair = line.trim_start_matches("# ").split_once(" = ");
@@ -114,26 +115,26 @@ impl History {
                 other => break other,
             }
         };
-        if found != Some(columns().as_str()) {
+        if column_line != Some(columns().as_str()) {
             return Err("it does not have the columns of a history".to_owned());
         }
         for (number, line) in lines.enumerate() {
-            let point = point(number, line).ok_or_else(|| format!("point {number} reads `{line}`"))?;
+            let point = parse_point(number, line).ok_or_else(|| format!("point {number} reads `{line}`"))?;
             history.points.push(point);
         }
-        Ok((history, torn))
+        Ok((history, is_torn))
     }
 }
 
 /// Parses `line` as the point `number`.
-fn point(number: usize, line: &str) -> Option<TuningPoint> {
-    let (own, rest) = line.split_once(',')?;
+fn parse_point(number: usize, line: &str) -> Option<TuningPoint> {
+    let (written_number, rest) = line.split_once(',')?;
     let values: Vec<f64> = rest
         .split(',')
         .map(str::parse)
         .collect::<Result<_, _>>()
         .ok()
-        .filter(|_| own.parse() == Ok(number))?;
+        .filter(|_| written_number.parse() == Ok(number))?;
     let (weights, values) = values.split_first_chunk::<2>()?;
     let evaluation = Evaluation::new(values.try_into().ok()?);
     // Half-widths are NaN with a single run, and some means may be NaN too. The proposer only uses these three.

@@ -8,7 +8,7 @@
 //! ```
 //! Every pair uses the same seeds in training and in evaluation (common random numbers), so that pairs only differ in
 //! the weights. The next pair depends on the history alone, so a resumed tuning reaches the same result. The program's
-//! proposer is `bayes::Bayes`, with the cargo feature `tune`.
+//! proposer is `bayes::Bayes`, with the cargo feature `tune`. Start with [`TuningPlan`] and [`Tuner`].
 
 #[cfg(feature = "tune")]
 pub mod bayes;
@@ -25,13 +25,13 @@ pub use evaluation::{Evaluation, TuningPoint};
 pub use history::History;
 pub use objective::TuningObjective;
 pub use plan::{TuningPlan, TuningProgress};
-pub use ranges::{LEAST_DESIGN, Ranges, WeightPair, design};
+pub use ranges::{MIN_DESIGN_PAIRS, Ranges, WeightPair, design};
 pub use tuner::Tuner;
 
 /// Chooses the next pair of weights.
 pub trait Proposer {
     /// Returns the pair to try next, in `ranges`, after `points`: pairs with their objectives, at least
-    /// [`LEAST_DESIGN`].
+    /// [`MIN_DESIGN_PAIRS`].
     ///
     /// # Errors
     /// If no pair can be found.

@@ -1,4 +1,5 @@
-//! The objective of a tuning.
+//! The objective of a tuning: the number that a run's metrics give, larger is better. Its text is in the header of the
+//! history file, so a change of the text ends the resumption of older tunings.
 
 use std::fmt;
 
@@ -27,7 +28,7 @@ impl TuningObjective {
     ///
     /// `alpha` is α, events per TTI; `devices` is N. Σ I_i / Σ energy = `info_p1` · α / (N · energy per device and
     /// TTI).
-    pub fn of(self, metrics: &Metrics, alpha: f64, devices: u32) -> f64 {
+    pub fn value_of(self, metrics: &Metrics, alpha: f64, devices: u32) -> f64 {
         let Metrics {
             info_p1,
             misdetection_pct,

@@ -1,4 +1,5 @@
-//! The evaluation of a pair of weights: trains tables with it and measures runs with those tables.
+//! The evaluation of a pair of weights: trains tables with it and measures runs with those tables. All random draws
+//! follow from the scenario's seed, and the texts of [`TuningPlan::header`] identify a tuning in its history file.
 
 use std::sync::Arc;
 
@@ -14,19 +15,19 @@ use reveille_common::score::Metrics;
 use super::error::TuningError;
 use super::evaluation::{Evaluation, TuningPoint};
 use super::objective::TuningObjective;
-use super::ranges::{LEAST_DESIGN, Ranges, WeightPair, design};
+use super::ranges::{MIN_DESIGN_PAIRS, Ranges, WeightPair, design};
 use crate::run::{Run, RunOptions, StopWhen};
 use crate::stats::Estimate;
 use crate::training::{self, Trainer, TrainingError, TrainingProgress};
 
 /// An offset to the seeds of evaluation runs, far from the seeds of trainings and sweeps.
-const SEEDS: u64 = 0xE7A1_5EED_0000_0000;
+const EVALUATION_SEED_OFFSET: u64 = 0xE7A1_5EED_0000_0000;
 /// The number of TTIs between two checks whether to stop.
-const LOOK: u64 = 200;
+const TTIS_BETWEEN_STOP_CHECKS: u64 = 200;
 /// The largest number of evaluation runs of a pair.
-const MOST_RUNS: u64 = 10_000;
+const MAX_RUNS: u64 = 10_000;
 /// The largest number of pairs in a design.
-const MOST_DESIGN: usize = 1000;
+const MAX_DESIGN_PAIRS: usize = 1000;
 
 /// Callbacks of a tuning. All threads call them.
 pub trait TuningProgress: Sync {
@@ -57,7 +58,7 @@ pub struct TuningPlan {
     pub ranges: Ranges,
     /// The objective to maximise.
     pub objective: TuningObjective,
-    /// The number of pairs before the proposer chooses, ≥ [`LEAST_DESIGN`].
+    /// The number of pairs before the proposer chooses, ≥ [`MIN_DESIGN_PAIRS`].
     pub design: usize,
     /// The training parameters.
     pub training: QTrainingConfig,
@@ -75,33 +76,33 @@ impl TuningPlan {
     pub fn check(&self) -> Result<(), TuningError> {
         // The trainer only serves to check the policy and the training parameters.
         Trainer::new(&self.scenario, &[self.scenario.run.devices], &[], &self.training)?;
-        let invalid = |what, value: &dyn std::fmt::Display, allowed: &str| {
+        let invalid = |name, value: &dyn std::fmt::Display, allowed: &str| {
             Err(TuningError::Invalid {
-                what,
+                name,
                 value: value.to_string(),
                 allowed: allowed.to_owned(),
             })
         };
-        if !(LEAST_DESIGN..=MOST_DESIGN).contains(&self.design) {
+        if !(MIN_DESIGN_PAIRS..=MAX_DESIGN_PAIRS).contains(&self.design) {
             return invalid("design", &self.design, "must be at least 3 and at most 1000");
         }
-        if !(1..=MOST_RUNS).contains(&self.runs) {
+        if !(1..=MAX_RUNS).contains(&self.runs) {
             return invalid("seeds", &self.runs, "must be at least 1 and at most 10000");
         }
         if !(10..=MAX_TTIS).contains(&self.ttis) {
             return invalid("ttis", &self.ttis, "must be at least 10 and at most 1000000000");
         }
-        let longest = self.scenario.longest();
-        for (what, ttis) in [("ttis", self.ttis), ("episode-ttis", self.training.ttis)] {
+        let longest = self.scenario.max_ttis();
+        for (name, ttis) in [("ttis", self.ttis), ("episode-ttis", self.training.ttis)] {
             if ttis > longest {
                 let allowed = format!("must be at most {longest} with this many devices, or sums of energy overflow");
-                return invalid(what, &ttis, &allowed);
+                return invalid(name, &ttis, &allowed);
             }
         }
         if let TuningObjective::Balance { energy, miss } = self.objective {
-            for (what, weight) in [("energy-weight", energy), ("miss-weight", miss)] {
+            for (name, weight) in [("energy-weight", energy), ("miss-weight", miss)] {
                 if !(0.0..=1e6).contains(&weight) {
-                    return invalid(what, &weight, "must be at least 0 and at most 1000000");
+                    return invalid(name, &weight, "must be at least 0 and at most 1000000");
                 }
             }
         }
@@ -131,7 +132,7 @@ impl TuningPlan {
             epsilon,
             ..
         } = &self.training;
-        let all = [
+        let entries = [
             ("made by", training::MADE_BY.to_owned()),
             ("scenario", self.scenario.hash_hex()),
             ("preset", self.scenario.run.preset.clone()),
@@ -151,7 +152,7 @@ impl TuningPlan {
             ),
             ("evaluation", format!("{} runs of {} TTIs", self.runs, self.ttis)),
         ];
-        all.map(|(name, value)| (name.to_owned(), value)).to_vec()
+        entries.map(|(name, value)| (name.to_owned(), value)).to_vec()
     }
 
     /// Evaluates `weights` on the threads of `pool`. Returns `None` if the observer has stopped it.
@@ -164,27 +165,31 @@ impl TuningPlan {
         pool: &ThreadPool,
         observer: &impl TuningProgress,
     ) -> Result<Option<Evaluation>, TuningError> {
-        let Some(scenario) = self.trained(weights, observer)? else {
+        let Some(scenario) = self.train_scenario(weights, observer)? else {
             return Ok(None);
         };
-        let one = |index: u64| {
-            let own = scenario.with_seed(evaluation_seed(self.scenario.run.seed, index));
+        let evaluate_run = |index: u64| {
+            let scenario = scenario.with_seed(evaluation_seed(self.scenario.run.seed, index));
             let options = RunOptions {
-                window: LOOK,
+                window: TTIS_BETWEEN_STOP_CHECKS,
                 ..RunOptions::default()
             };
             let outcome =
-                Run::new(&PreparedRun::without_pilots(&own), options).finish(&mut StopWhen(|| observer.stop()));
+                Run::new(&PreparedRun::without_pilots(&scenario), options).finish(&mut StopWhen(|| observer.stop()));
             observer.run();
-            outcome.complete.then_some(outcome.metrics)
+            outcome.is_complete.then_some(outcome.metrics)
         };
         // Collected by index, so that means are summed in the same order on any number of threads.
-        let metrics: Option<Vec<Metrics>> = pool.install(|| (0..self.runs).into_par_iter().map(one).collect());
-        metrics.map(|metrics| self.judge(&metrics)).transpose()
+        let metrics: Option<Vec<Metrics>> = pool.install(|| (0..self.runs).into_par_iter().map(evaluate_run).collect());
+        metrics.map(|metrics| self.average(&metrics)).transpose()
     }
 
     /// Returns the scenario of the evaluation runs, except their seeds, with tables trained with `weights`.
-    fn trained(&self, weights: WeightPair, observer: &impl TuningProgress) -> Result<Option<Scenario>, TuningError> {
+    fn train_scenario(
+        &self,
+        weights: WeightPair,
+        observer: &impl TuningProgress,
+    ) -> Result<Option<Scenario>, TuningError> {
         let settings = self.settings()?;
         let [mu1, mu2] = weights;
         let settings = QLearningSettings {
@@ -195,60 +200,62 @@ impl TuningPlan {
             },
             ..settings.clone()
         };
-        let with = |settings: QLearningSettings| Scenario {
+        let scenario_with = |settings: QLearningSettings| Scenario {
             policy: PolicyChoice::new(self.scenario.policy.kind(), Arc::new(settings)),
             ..self.scenario.clone()
         };
         let mut trainer = Trainer::new(
-            &with(settings.clone()),
+            &scenario_with(settings.clone()),
             &[self.scenario.run.devices],
             &[],
             &self.training,
         )?;
         // One window and one N make one entry, whose episodes run in order: more threads would idle.
-        if !trainer.train(1, &|_| Ok(()), &Episodes(observer))? {
+        if !trainer.train(1, &|_| Ok(()), &EpisodeForwarder(observer))? {
             return Ok(None);
         }
         let entry = trainer.learned().entries.swap_remove(0);
         let settings = QLearningSettings {
             learn: false,
             epsilon: (0.0, 0.0),
-            start: Arc::new(entry),
+            initial_tables: Arc::new(entry),
             ..settings
         };
-        let mut trained = with(settings);
+        let mut trained = scenario_with(settings);
         trained.run.ttis = self.ttis;
         Ok(Some(trained))
     }
 
     /// Returns the means over the `metrics` of the runs.
-    fn judge(&self, metrics: &[Metrics]) -> Result<Evaluation, TuningError> {
+    fn average(&self, metrics: &[Metrics]) -> Result<Evaluation, TuningError> {
         let (alpha, devices) = (self.scenario.events.alpha, self.scenario.run.devices);
-        let over = |of: &dyn Fn(&Metrics) -> f64| Estimate::over(metrics.iter().map(of));
-        let objective = over(&|m| self.objective.of(m, alpha, devices));
+        let estimate = |value_of: &dyn Fn(&Metrics) -> f64| Estimate::from_values_or_nan(metrics.iter().map(value_of));
+        let objective = estimate(&|m| self.objective.value_of(m, alpha, devices));
         if objective.runs == 0 {
             return Err(TuningError::NoEvent { ttis: self.ttis });
         }
-        let information = over(&|m| m.info_p1);
+        let information = estimate(&|m| m.info_p1);
         Ok(Evaluation {
             objective: objective.mean,
             objective_half: objective.half_width,
             information: information.mean,
             information_half: information.half_width,
-            misdetection_pct: over(&|m| m.misdetection_pct).mean,
-            energy: over(&|m| m.energy_per_device_tti).mean,
-            wake_ups: over(&|m| m.wake_ups_per_event).mean,
+            misdetection_pct: estimate(&|m| m.misdetection_pct).mean,
+            energy: estimate(&|m| m.energy_per_device_tti).mean,
+            wake_ups: estimate(&|m| m.wake_ups_per_event).mean,
         })
     }
 }
 
 /// Returns the seed of evaluation run `index` of a tuning with `seed`.
 pub(crate) const fn evaluation_seed(seed: u64, index: u64) -> u64 {
-    SEEDS.wrapping_add(seed.wrapping_mul(0x1_0000_0001)).wrapping_add(index)
+    EVALUATION_SEED_OFFSET
+        .wrapping_add(seed.wrapping_mul(0x1_0000_0001))
+        .wrapping_add(index)
 }
 
 /// Creates a pool of `threads` threads.
-pub(super) fn pool(threads: usize) -> Result<ThreadPool, TrainingError> {
+pub(super) fn new_pool(threads: usize) -> Result<ThreadPool, TrainingError> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
     pool.map_err(|error| TrainingError::Threads {
         threads,
@@ -257,9 +264,9 @@ pub(super) fn pool(threads: usize) -> Result<ThreadPool, TrainingError> {
 }
 
 /// Forwards the episodes of a training.
-struct Episodes<'a, O>(&'a O);
+struct EpisodeForwarder<'a, O>(&'a O);
 
-impl<O: TuningProgress> TrainingProgress for Episodes<'_, O> {
+impl<O: TuningProgress> TrainingProgress for EpisodeForwarder<'_, O> {
     fn episode(&self, _: &TableSet, _: &CurvePoint) {
         self.0.episode();
     }

@@ -1,4 +1,5 @@
-//! The search ranges of the weights on a logarithmic scale, and the first pairs to try.
+//! The search ranges of the weights on a logarithmic scale, and the first pairs to try. A position is a point of the
+//! unit square: the shares of the ranges' logarithms. A resumed tuning draws the pairs again and must draw the same.
 
 use libm::{exp, log};
 use reveille_common::rng::{Purpose, Stream};
@@ -9,15 +10,15 @@ use super::error::TuningError;
 pub type WeightPair = [f64; 2];
 
 /// The smallest number of pairs in a design: a surrogate of two variables needs them.
-pub const LEAST_DESIGN: usize = 3;
+pub const MIN_DESIGN_PAIRS: usize = 3;
 /// The largest weight in a range.
-const LARGEST: f64 = 1e6;
+const MAX_WEIGHT: f64 = 1e6;
 /// The number of Latin hypercubes, of which the one with the widest gaps is used.
 const HYPERCUBES: u32 = 64;
 /// The number of random pairs, of which the one farthest from all others is used.
-const CANDIDATES: u32 = 256;
+const FARTHEST_CANDIDATES: u32 = 256;
 /// Distance, as a share of the ranges, up to which two pairs count as equal.
-const NEAR: f64 = 2e-3;
+const SAME_PAIR_DISTANCE: f64 = 2e-3;
 
 /// The ranges of both weights.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -34,10 +35,10 @@ impl Ranges {
     /// # Errors
     /// If a limit is not above 0 or is too large, or the first is not below the second.
     pub fn new(mu1: (f64, f64), mu2: (f64, f64)) -> Result<Self, TuningError> {
-        for (what, (from, to)) in [("mu1", mu1), ("mu2", mu2)] {
-            if !(from > 0.0 && from < to && to <= LARGEST) {
+        for (name, (from, to)) in [("mu1", mu1), ("mu2", mu2)] {
+            if !(from > 0.0 && from < to && to <= MAX_WEIGHT) {
                 return Err(TuningError::Invalid {
-                    what,
+                    name,
                     value: format!("{from},{to}"),
                     allowed: "must be two weights above 0 and at most 1000000, the lesser first".to_owned(),
                 });
@@ -46,65 +47,65 @@ impl Ranges {
         Ok(Self { mu1, mu2 })
     }
 
-    fn ends(&self) -> [(f64, f64); 2] {
+    fn limits(&self) -> [(f64, f64); 2] {
         [self.mu1, self.mu2]
     }
 
-    /// Returns the pair at `place`, given as shares of the ranges' logarithms, `[0, 1]` each.
-    pub fn at(&self, place: [f64; 2]) -> WeightPair {
-        let ends = self.ends();
+    /// Returns the pair at `position`, given as shares of the ranges' logarithms, `[0, 1]` each.
+    pub fn pair_at(&self, position: [f64; 2]) -> WeightPair {
+        let limits = self.limits();
         [0, 1].map(|i| {
-            let (from, to) = ends[i];
+            let (from, to) = limits[i];
             // `exp` of a logarithm may leave the range in its last bits.
-            exp(log(from) + place[i] * (log(to) - log(from))).clamp(from, to)
+            exp(log(from) + position[i] * (log(to) - log(from))).clamp(from, to)
         })
     }
 
-    /// Returns the place of `pair`, the inverse of [`Self::at`].
-    pub fn place(&self, pair: WeightPair) -> [f64; 2] {
-        let ends = self.ends();
+    /// Returns the position of `pair`, the inverse of [`Self::pair_at`].
+    pub fn position(&self, pair: WeightPair) -> [f64; 2] {
+        let limits = self.limits();
         [0, 1].map(|i| {
-            let (from, to) = ends[i];
+            let (from, to) = limits[i];
             (log(pair[i] / from) / log(to / from)).clamp(0.0, 1.0)
         })
     }
 
     /// Returns whether `pair` lies in the ranges.
     pub fn contains(&self, pair: WeightPair) -> bool {
-        let ends = self.ends();
-        [0, 1].iter().all(|&i| ends[i].0 <= pair[i] && pair[i] <= ends[i].1)
+        let limits = self.limits();
+        [0, 1].iter().all(|&i| limits[i].0 <= pair[i] && pair[i] <= limits[i].1)
     }
 
     /// Rounds `pair` to five digits, so that typing it trains the same tables.
     pub fn rounded(&self, pair: WeightPair) -> WeightPair {
-        let ends = self.ends();
+        let limits = self.limits();
         [0, 1].map(|i| {
             let short: f64 = format!("{:.4e}", pair[i]).parse().unwrap_or(pair[i]);
             // A limit with more than five digits may be rounded out of the range.
-            short.clamp(ends[i].0, ends[i].1)
+            short.clamp(limits[i].0, limits[i].1)
         })
     }
 
     /// Returns the distance to the closest of `others`, as a share of the ranges; infinite if `others` is empty.
-    fn gap(&self, pair: WeightPair, others: &[WeightPair]) -> f64 {
-        let [x, y] = self.place(pair);
+    fn distance_to_closest(&self, pair: WeightPair, others: &[WeightPair]) -> f64 {
+        let [x, y] = self.position(pair);
         let distance = |other: &WeightPair| {
-            let [u, v] = self.place(*other);
+            let [u, v] = self.position(*other);
             ((x - u) * (x - u) + (y - v) * (y - v)).sqrt()
         };
         others.iter().map(distance).fold(f64::INFINITY, f64::min)
     }
 
     /// Returns whether one of `others` counts as equal to `pair`.
-    pub fn is_near(&self, pair: WeightPair, others: &[WeightPair]) -> bool {
-        self.gap(pair, others) <= NEAR
+    pub fn is_close_to_any(&self, pair: WeightPair, others: &[WeightPair]) -> bool {
+        self.distance_to_closest(pair, others) <= SAME_PAIR_DISTANCE
     }
 
     /// Returns a pair far from all of `others`, drawn with `seed` for the point `number`.
-    pub fn farthest(&self, others: &[WeightPair], seed: u64, number: u64) -> WeightPair {
+    pub fn draw_farthest(&self, others: &[WeightPair], seed: u64, number: u64) -> WeightPair {
         let mut stream = Stream::new(seed, Purpose::Tuning, number);
-        let drawn = (0..CANDIDATES).map(|_| self.rounded(self.at([stream.unit(), stream.unit()])));
-        let best = drawn.map(|pair| (self.gap(pair, others), pair));
+        let drawn = (0..FARTHEST_CANDIDATES).map(|_| self.rounded(self.pair_at([stream.unit(), stream.unit()])));
+        let best = drawn.map(|pair| (self.distance_to_closest(pair, others), pair));
         let best = best.max_by(|a, b| a.0.total_cmp(&b.0));
         best.expect("there are candidates").1
     }
@@ -113,28 +114,28 @@ impl Ranges {
 /// Returns the first pairs to try: `start`, if `ranges` contain it, and a Latin hypercube, `count` in all.
 pub fn design(ranges: &Ranges, start: WeightPair, count: usize, seed: u64) -> Vec<WeightPair> {
     let known: Vec<WeightPair> = Some(start).filter(|pair| ranges.contains(*pair)).into_iter().collect();
-    // `count` is at least `LEAST_DESIGN`, and at most one pair is known.
+    // `count` is at least `MIN_DESIGN_PAIRS`, and at most one pair is known.
     let rest = count - known.len();
     let mut stream = Stream::new(seed, Purpose::Tuning, 0);
     let hypercubes = (0..HYPERCUBES).map(|_| {
-        let mut all = known.clone();
-        let mut least = f64::INFINITY;
-        for place in hypercube(rest, &mut stream) {
-            let pair = ranges.rounded(ranges.at(place));
-            least = least.min(ranges.gap(pair, &all));
-            all.push(pair);
+        let mut pairs = known.clone();
+        let mut smallest_distance = f64::INFINITY;
+        for position in hypercube(rest, &mut stream) {
+            let pair = ranges.rounded(ranges.pair_at(position));
+            smallest_distance = smallest_distance.min(ranges.distance_to_closest(pair, &pairs));
+            pairs.push(pair);
         }
-        (least, all)
+        (smallest_distance, pairs)
     });
     let widest = hypercubes.max_by(|a, b| a.0.total_cmp(&b.0));
     widest.expect("there are hypercubes").1
 }
 
-/// Draws places of which no two share a row or a column of a grid with `count` of each.
+/// Draws positions of which no two share a row or a column of a grid with `count` of each.
 fn hypercube(count: usize, stream: &mut Stream) -> Vec<[f64; 2]> {
     let (columns, mut rows): (Vec<usize>, Vec<usize>) = ((0..count).collect(), (0..count).collect());
     stream.shuffle(&mut rows);
-    let mut within = |i: usize| (i as f64 + stream.unit()) / count as f64;
-    let places = columns.into_iter().zip(rows);
-    places.map(|(x, y)| [within(x), within(y)]).collect()
+    let mut draw_within = |i: usize| (i as f64 + stream.unit()) / count as f64;
+    let cells = columns.into_iter().zip(rows);
+    cells.map(|(x, y)| [draw_within(x), draw_within(y)]).collect()
 }

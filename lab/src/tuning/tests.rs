@@ -7,7 +7,7 @@ use reveille_bs::policy::q_learning::learned::QTrainingConfig;
 use reveille_bs::scenario::{Override, Scenario, load};
 use reveille_common::score::Metrics;
 
-use super::plan::{evaluation_seed, pool};
+use super::plan::{evaluation_seed, new_pool};
 use super::*;
 use crate::preparation::run;
 
@@ -67,8 +67,8 @@ struct Between;
 impl Proposer for Between {
     fn propose(&self, ranges: &Ranges, points: &[(WeightPair, f64)]) -> Result<WeightPair, TuningError> {
         let best = points.iter().max_by(|a, b| a.1.total_cmp(&b.1)).expect("points").0;
-        let (a, b) = (ranges.place(best), ranges.place(points[points.len() - 1].0));
-        Ok(ranges.at([0.6 * a[0] + 0.4 * b[0], 0.5 * a[1] + 0.5 * b[1]]))
+        let (a, b) = (ranges.position(best), ranges.position(points[points.len() - 1].0));
+        Ok(ranges.pair_at([0.6 * a[0] + 0.4 * b[0], 0.5 * a[1] + 0.5 * b[1]]))
     }
 }
 
@@ -88,10 +88,18 @@ impl TuningProgress for StopIn {
 #[test]
 fn ranges_are_logarithmic_and_checked() {
     let ranges = Ranges::new((0.5, 50.0), (1.0, 4.0)).expect("ranges");
-    let [mu1, mu2] = ranges.at([0.5, 0.5]);
+    let [mu1, mu2] = ranges.pair_at([0.5, 0.5]);
     assert!((mu1 - 5.0).abs() < 1e-12 && (mu2 - 2.0).abs() < 1e-12);
-    assert!(ranges.place([5.0, 2.0]).iter().all(|share| (share - 0.5).abs() < 1e-12));
-    assert_eq!(ranges.at([0.0, 1.0]).map(f64::to_bits), [0.5, 4.0].map(f64::to_bits));
+    assert!(
+        ranges
+            .position([5.0, 2.0])
+            .iter()
+            .all(|share| (share - 0.5).abs() < 1e-12)
+    );
+    assert_eq!(
+        ranges.pair_at([0.0, 1.0]).map(f64::to_bits),
+        [0.5, 4.0].map(f64::to_bits)
+    );
     assert_eq!(
         ranges.rounded([1.234_567, 3.999_99]).map(f64::to_bits),
         [1.2346, 4.0].map(f64::to_bits)
@@ -118,7 +126,7 @@ fn a_design_has_the_start_and_fills_the_ranges() {
     for i in 0..2 {
         let mut fifths: Vec<usize> = pairs[1..]
             .iter()
-            .map(|p| (ranges.place(*p)[i] * 5.0) as usize)
+            .map(|p| (ranges.position(*p)[i] * 5.0) as usize)
             .collect();
         fifths.sort_unstable();
         assert_eq!(fifths, [0, 1, 2, 3, 4], "one in each fifth");
@@ -175,7 +183,7 @@ fn an_objective_is_what_it_says() {
         (run(&scenario), scenario)
     };
     let metrics: &Metrics = &outcome.metrics;
-    let of = |objective: TuningObjective| objective.of(metrics, scenario.events.alpha, 30);
+    let of = |objective: TuningObjective| objective.value_of(metrics, scenario.events.alpha, 30);
     // From the totals instead of the metrics.
     let totals = &outcome.totals;
     let events = totals.events.events as f64;
@@ -190,7 +198,7 @@ fn an_objective_is_what_it_says() {
     let balance = information / expected - 0.5 * spent / (30.0 * 2000.0) - 2.0 * missed;
     assert!((of(TuningObjective::Balance { energy: 0.5, miss: 2.0 }) - balance).abs() < 1e-12);
     assert!(missed > 0.0, "otherwise the last term has no effect");
-    assert!(TuningObjective::Information.of(&Metrics::default(), 0.1, 30).is_nan());
+    assert!(TuningObjective::Information.value_of(&Metrics::default(), 0.1, 30).is_nan());
 }
 
 #[test]
@@ -198,7 +206,7 @@ fn no_evaluation_has_a_seed_of_a_training() {
     for seed in [0, 1, 2, 77, u64::MAX] {
         let first = evaluation_seed(seed, 0);
         for (n, episode) in [(1, 0), (100, 11), (1_000_000, 99_999)] {
-            let training = crate::training::SEEDS
+            let training = crate::training::EPISODE_SEED_OFFSET
                 .wrapping_add(seed.wrapping_mul(0x1_0000_0001))
                 .wrapping_add(n << 20)
                 .wrapping_add(episode);
@@ -213,7 +221,7 @@ fn no_evaluation_has_a_seed_of_a_training() {
 fn a_pair_comes_to_the_same_twice_and_with_any_number_of_threads() {
     let plan = plan();
     let evaluate = |weights: WeightPair, threads: usize| {
-        let pool = pool(threads).expect("threads");
+        let pool = new_pool(threads).expect("threads");
         let found = plan.evaluate(weights, &pool, &()).expect("evaluated");
         found.expect("it is not stopped")
     };
@@ -234,7 +242,7 @@ fn a_tuning_without_events_says_so() {
         scenario: scenario(&["devices=12", "events.alpha=0.000001"]),
         ..plan()
     };
-    let error = plan.evaluate([5.0, 2.0], &pool(1).expect("a thread"), &());
+    let error = plan.evaluate([5.0, 2.0], &new_pool(1).expect("a thread"), &());
     assert!(matches!(error, Err(TuningError::NoEvent { ttis: 10 })), "{error:?}");
 }
 
@@ -243,7 +251,7 @@ fn a_tuning_that_is_cut_short_comes_to_the_same_end() {
     let (whole, cut) = (File::new("whole"), File::new("cut"));
     let mut tuner = Tuner::open(plan(), &whole.0, false).expect("new");
     assert!(tuner.run(3, 1, &Between, &()).expect("run"));
-    assert_eq!((tuner.history().points.len(), tuner.left(3)), (6, 0));
+    assert_eq!((tuner.history().points.len(), tuner.pairs_left(3)), (6, 0));
     for stop in [1, 4] {
         let mut part = Tuner::open(plan(), &cut.0, false).expect("new or found");
         let ended = part.run(3, 2, &Between, &StopIn(stop, AtomicUsize::new(0)));
@@ -253,11 +261,15 @@ fn a_tuning_that_is_cut_short_comes_to_the_same_end() {
         std::fs::write(&cut.0, cut.text() + &format!("{stop},1.5,2.")).expect("writable");
     }
     let mut rest = Tuner::open(plan(), &cut.0, false).expect("found");
-    assert!(rest.torn());
+    assert!(rest.is_torn());
     assert!(rest.run(3, 1, &Between, &()).expect("run"));
     assert_eq!(cut.text(), whole.text());
     let longer = Tuner::open(plan(), &whole.0, false).expect("found");
-    assert_eq!((longer.left(3), longer.left(5)), (0, 2), "more iterations resume it");
+    assert_eq!(
+        (longer.pairs_left(3), longer.pairs_left(5)),
+        (0, 2),
+        "more iterations resume it"
+    );
 }
 
 #[test]
@@ -289,7 +301,7 @@ fn the_history_of_another_tuning_is_refused() {
     std::fs::write(&file.0, other).expect("writable");
     refused(&|_| {}, "other pairs");
     let restarted = Tuner::open(plan(), &file.0, true).expect("forced");
-    assert_eq!(restarted.left(0), 3);
+    assert_eq!(restarted.pairs_left(0), 3);
 }
 
 #[test]
@@ -387,7 +399,7 @@ mod optimiser {
         let bits =
             |points: &[(WeightPair, f64)]| -> Vec<[u64; 2]> { points.iter().map(|p| p.0.map(f64::to_bits)).collect() };
         assert_eq!(bits(&once), bits(&climb(1, 3)));
-        let many = pool(3).expect("threads").install(|| climb(1, 3));
+        let many = new_pool(3).expect("threads").install(|| climb(1, 3));
         assert_eq!(bits(&once), bits(&many));
     }
 
@@ -411,9 +423,9 @@ mod optimiser {
         assert_eq!((surface.rows.len(), surface.rows[0].len()), (40, 40));
         for point in &history.points {
             let [u, v] = ranges
-                .place(point.weights)
+                .position(point.weights)
                 .map(|share| ((share * 40.0) as usize).min(39));
-            let off = surface.rows[v][u] - hill(ranges.at([(u as f64 + 0.5) / 40.0, (v as f64 + 0.5) / 40.0]));
+            let off = surface.rows[v][u] - hill(ranges.pair_at([(u as f64 + 0.5) / 40.0, (v as f64 + 0.5) / 40.0]));
             assert!(off.abs() < 0.01, "{:?}: {off}", point.weights);
         }
     }

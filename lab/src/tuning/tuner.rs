@@ -1,4 +1,5 @@
-//! A tuning from its design to its end.
+//! A tuning from its design to its end: evaluates pair after pair, and writes the history after each, so that a killed
+//! tuning resumes. `reveille tune` runs it.
 
 use std::path::{Path, PathBuf};
 
@@ -6,7 +7,7 @@ use super::Proposer;
 use super::error::TuningError;
 use super::evaluation::TuningPoint;
 use super::history::History;
-use super::plan::{TuningPlan, TuningProgress, pool};
+use super::plan::{TuningPlan, TuningProgress, new_pool};
 use super::ranges::WeightPair;
 use crate::io::{read, replace};
 
@@ -17,7 +18,7 @@ pub struct Tuner {
     path: PathBuf,
     history: History,
     design: Vec<WeightPair>,
-    torn: bool,
+    is_torn: bool,
 }
 
 impl Tuner {
@@ -30,25 +31,25 @@ impl Tuner {
         let design = plan.design();
         let header = plan.header();
         let is_new = force || !path.exists();
-        let (history, torn) = if is_new {
+        let (history, is_torn) = if is_new {
             (History::new(header), false)
         } else {
-            let (found, torn) = History::read(path)?;
-            let why = found.differences(&header, &design);
-            if !why.is_empty() {
+            let (saved, is_torn) = History::read(path)?;
+            let differences = saved.differences(&header, &design);
+            if !differences.is_empty() {
                 return Err(TuningError::Foreign {
                     path: path.to_owned(),
-                    why: why.join("; "),
+                    differences: differences.join("; "),
                 });
             }
-            (found, torn)
+            (saved, is_torn)
         };
         Ok(Self {
             plan,
             path: path.to_owned(),
             history,
             design,
-            torn,
+            is_torn,
         })
     }
 
@@ -63,12 +64,12 @@ impl Tuner {
     }
 
     /// Whether the file ended in an incomplete line, which was dropped.
-    pub const fn torn(&self) -> bool {
-        self.torn
+    pub const fn is_torn(&self) -> bool {
+        self.is_torn
     }
 
     /// The number of pairs to evaluate, with `iterations` pairs after the design.
-    pub fn left(&self, iterations: usize) -> usize {
+    pub fn pairs_left(&self, iterations: usize) -> usize {
         (self.design.len() + iterations).saturating_sub(self.history.points.len())
     }
 
@@ -84,9 +85,9 @@ impl Tuner {
         proposer: &impl Proposer,
         observer: &impl TuningProgress,
     ) -> Result<bool, TuningError> {
-        let pool = pool(threads)?;
-        while self.left(iterations) > 0 {
-            let weights = self.next(proposer)?;
+        let pool = new_pool(threads)?;
+        while self.pairs_left(iterations) > 0 {
+            let weights = self.choose_next(proposer)?;
             observer.begun(self.history.points.len(), weights);
             let Some(evaluation) = self.plan.evaluate(weights, &pool, observer)? else {
                 return Ok(false);
@@ -101,7 +102,7 @@ impl Tuner {
     }
 
     /// Returns the next pair. If the proposal repeats a known pair, it returns a pair far from all others instead.
-    fn next(&self, proposer: &impl Proposer) -> Result<WeightPair, TuningError> {
+    fn choose_next(&self, proposer: &impl Proposer) -> Result<WeightPair, TuningError> {
         let number = self.history.points.len();
         if let Some(pair) = self.design.get(number) {
             return Ok(*pair);
@@ -113,11 +114,11 @@ impl Tuner {
         let tried: Vec<WeightPair> = points.iter().map(|(pair, _)| *pair).collect();
         if !is_flat {
             let proposed = ranges.rounded(proposer.propose(ranges, &points)?);
-            if !ranges.is_near(proposed, &tried) {
+            if !ranges.is_close_to_any(proposed, &tried) {
                 return Ok(proposed);
             }
         }
-        Ok(ranges.farthest(&tried, self.plan.scenario.run.seed, number as u64))
+        Ok(ranges.draw_farthest(&tried, self.plan.scenario.run.seed, number as u64))
     }
 }
 
@@ -134,9 +135,9 @@ impl History {
         let parsed = String::from_utf8(bytes).map_err(|_| "it is not UTF-8 text".to_owned());
         parsed
             .and_then(|text| Self::parse(&text))
-            .map_err(|why| TuningError::NotOurs {
+            .map_err(|reason| TuningError::NotOurs {
                 path: path.to_owned(),
-                why,
+                reason,
             })
     }
 

@@ -1,10 +1,10 @@
 //! Harvest and net energy against λ (Sec. VI-B, Figs. 13 and 14): the closed form, and runs of the device machines.
 //!
 //! The paper holds the consumption of a policy fixed, "as shown in Fig. 8", and calls the harvest minus that
-//! consumption the net energy. [`positive_net`] does the same. A run cannot, because a device spends no more than it
-//! has harvested. Its harvest minus its spending ([`HarvestPoint::net`]) is therefore never a lasting deficit. It
-//! consists of the overflow of full batteries and the change from the initial charge. [`demand`] is the spending of a
-//! policy if no battery were ever short.
+//! consumption the net energy. [`lambdas_with_positive_net`] does the same. A run cannot, because a device spends no
+//! more than it has harvested. Its harvest minus its spending ([`HarvestPoint::net`]) is therefore never a lasting
+//! deficit. It consists of the overflow of full batteries and the change from the initial charge. [`measure_demand`] is
+//! the spending of a policy if no battery were ever short.
 
 use reveille_bs::scenario::Scenario;
 use reveille_common::harvest::{Arrivals, HarvestKind};
@@ -13,13 +13,13 @@ use reveille_common::units::Energy;
 use reveille_lab::preparation::run;
 use reveille_lab::stats::Estimate;
 
-use super::{AnalysisError, check_seeds, over_seeds};
+use super::{AnalysisError, check_seeds, map_seeds};
 use crate::claims::{Citation, Contradiction, FIG_8, FIG_13, FIG_14};
 
 /// Largest valid λ.
-const LARGEST_LAMBDA: f64 = 1000.0;
+const MAX_LAMBDA: f64 = 1000.0;
 /// Halvings of an interval that contains a root; double precision needs no more.
-const HALVINGS: u32 = 200;
+const BISECTION_STEPS: u32 = 200;
 
 /// Reading of the paper's λ as a probability of an arrival.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,7 +36,7 @@ impl LambdaReading {
 
     /// Returns the kind of harvest with this reading of λ.
     pub fn kind(self) -> HarvestKind {
-        self.source(0.0, Energy::ZERO).kind()
+        self.harvest_source(0.0, Energy::ZERO).kind()
     }
 
     /// Name of the reading, as in `harvest.kind` of a scenario.
@@ -46,12 +46,12 @@ impl LambdaReading {
 
     /// Computes the probability of an arrival in a TTI of duration `tau`, `[0, 1]`.
     pub fn probability(self, lambda: f64, tau: f64) -> f64 {
-        let independent = self.source(lambda, Energy::ZERO).independent_probability(tau);
+        let independent = self.harvest_source(lambda, Energy::ZERO).independent_probability(tau);
         independent.expect("its arrivals do not depend on each other")
     }
 
     /// Returns the energy source with this reading.
-    pub const fn source(self, lambda: f64, e_b: Energy) -> Harvest {
+    pub const fn harvest_source(self, lambda: f64, e_b: Energy) -> Harvest {
         match self {
             Self::Eq5 => Harvest::Eq5(Arrivals { lambda, e_b }),
             Self::ExpMinusLambda => Harvest::ExpMinusLambda(Arrivals { lambda, e_b }),
@@ -102,7 +102,12 @@ pub fn measure(study: &HarvestStudy) -> Result<Vec<HarvestPoint>, AnalysisError>
     let mut points = Vec::new();
     for &reading in &study.readings {
         for &e_b in &study.e_b {
-            points.extend(study.lambdas.iter().map(|&lambda| study.point(reading, lambda, e_b)));
+            points.extend(
+                study
+                    .lambdas
+                    .iter()
+                    .map(|&lambda| study.measure_point(reading, lambda, e_b)),
+            );
         }
     }
     Ok(points)
@@ -110,19 +115,19 @@ pub fn measure(study: &HarvestStudy) -> Result<Vec<HarvestPoint>, AnalysisError>
 
 impl HarvestStudy {
     fn check(&self) -> Result<(), AnalysisError> {
-        let empty = |what, example| Err(AnalysisError::Empty { what, example });
+        let empty_list = |what, example| Err(AnalysisError::EmptyList { what, example });
         if self.readings.is_empty() {
-            return empty("reading", "eq5");
+            return empty_list("reading", "eq5");
         }
         if self.lambdas.is_empty() {
-            return empty("lambda", "0.05,0.1,0.2");
+            return empty_list("lambda", "0.05,0.1,0.2");
         }
         if self.e_b.is_empty() {
-            return empty("e-b", "1,5,10");
+            return empty_list("e-b", "1,5,10");
         }
-        if let Some(bad) = self.lambdas.iter().find(|l| !(0.0..=LARGEST_LAMBDA).contains(*l)) {
-            let allowed = format!("must be a rate from 0 to {LARGEST_LAMBDA}");
-            return Err(AnalysisError::invalid("lambda", bad, allowed));
+        if let Some(out_of_range) = self.lambdas.iter().find(|l| !(0.0..=MAX_LAMBDA).contains(*l)) {
+            let allowed = format!("must be a rate from 0 to {MAX_LAMBDA}");
+            return Err(AnalysisError::invalid("lambda", out_of_range, allowed));
         }
         if self.e_b.contains(&Energy::ZERO) {
             return Err(AnalysisError::invalid("e-b", &0, "must be above 0 units"));
@@ -130,17 +135,17 @@ impl HarvestStudy {
         check_seeds(self.seeds)
     }
 
-    fn point(&self, reading: LambdaReading, lambda: f64, e_b: Energy) -> HarvestPoint {
-        let scenario = with_source(&self.scenario, &reading.source(lambda, e_b));
-        let metrics = over_seeds(&scenario, self.seeds, |one| run(one).metrics);
+    fn measure_point(&self, reading: LambdaReading, lambda: f64, e_b: Energy) -> HarvestPoint {
+        let scenario = with_source(&self.scenario, &reading.harvest_source(lambda, e_b));
+        let metrics = map_seeds(&scenario, self.seeds, |one| run(one).metrics);
         HarvestPoint {
             reading,
             lambda,
             e_b: e_b.units(),
             closed_form: e_b.units() * reading.probability(lambda, scenario.run.tau),
-            harvested: Estimate::over(metrics.iter().map(|m| m.harvested_per_device_tti)),
-            spent: Estimate::over(metrics.iter().map(|m| m.energy_per_device_tti)),
-            net: Estimate::over(metrics.iter().map(|m| m.net_per_device_tti)),
+            harvested: Estimate::from_values_or_nan(metrics.iter().map(|m| m.harvested_per_device_tti)),
+            spent: Estimate::from_values_or_nan(metrics.iter().map(|m| m.energy_per_device_tti)),
+            net: Estimate::from_values_or_nan(metrics.iter().map(|m| m.net_per_device_tti)),
         }
     }
 }
@@ -149,9 +154,9 @@ impl HarvestStudy {
 ///
 /// # Errors
 /// If `seeds` is 0.
-pub fn consumption(scenario: &Scenario, seeds: u64) -> Result<Estimate, AnalysisError> {
+pub fn measure_consumption(scenario: &Scenario, seeds: u64) -> Result<Estimate, AnalysisError> {
     check_seeds(seeds)?;
-    Ok(Estimate::over(over_seeds(scenario, seeds, |one| {
+    Ok(Estimate::from_values_or_nan(map_seeds(scenario, seeds, |one| {
         run(one).metrics.energy_per_device_tti
     })))
 }
@@ -160,35 +165,39 @@ pub fn consumption(scenario: &Scenario, seeds: u64) -> Result<Estimate, Analysis
 ///
 /// # Errors
 /// If `seeds` is 0.
-pub fn demand(scenario: &Scenario, seeds: u64) -> Result<Estimate, AnalysisError> {
-    let mut abundant = scenario.clone();
-    for class in &mut abundant.classes {
+pub fn measure_demand(scenario: &Scenario, seeds: u64) -> Result<Estimate, AnalysisError> {
+    let mut with_full_batteries = scenario.clone();
+    for class in &mut with_full_batteries.classes {
         // exp(-0) = 1: an arrival in every TTI.
-        class.harvest = LambdaReading::ExpMinusLambda.source(0.0, class.energy.e_max);
+        class.harvest = LambdaReading::ExpMinusLambda.harvest_source(0.0, class.energy.e_max);
     }
-    consumption(&abundant, seeds)
+    measure_consumption(&with_full_batteries, seeds)
 }
 
 /// Computes the range of λ in which the mean harvest E_B · Pr(arrival) exceeds a fixed consumption `spent`, units per
 /// TTI. Fig. 14's net energy is positive there. `None` if no λ gives that much. Under Eq. (5) the harvest rises up to λ
 /// = 1/τ and falls beyond. Under exp(-λ) it only falls, so the range begins at 0. `e_b` and `spent` are above 0.
-pub fn positive_net(reading: LambdaReading, e_b: f64, spent: f64, tau: f64) -> Option<(f64, f64)> {
+pub fn lambdas_with_positive_net(reading: LambdaReading, e_b: f64, spent: f64, tau: f64) -> Option<(f64, f64)> {
     let net = |lambda: f64| e_b * reading.probability(lambda, tau) - spent;
-    let best = match reading {
+    let lambda_of_most = match reading {
         LambdaReading::Eq5 => 1.0 / tau,
         LambdaReading::ExpMinusLambda => 0.0,
     };
-    if net(best) <= 0.0 {
+    if net(lambda_of_most) <= 0.0 {
         return None;
     }
-    let from = if best > 0.0 { root(&net, 0.0, best) } else { 0.0 };
-    // The start must be above 0 even if the best λ is 0; otherwise doubling would not end. It ends because the harvest
-    // tends to 0.
-    let mut beyond = best.max(1.0 / tau);
-    while net(beyond) > 0.0 {
-        beyond *= 2.0;
+    let from = if lambda_of_most > 0.0 {
+        bisect(&net, 0.0, lambda_of_most)
+    } else {
+        0.0
+    };
+    // The start must be above 0 even if the harvest is largest at λ = 0; otherwise doubling would not end. It ends
+    // because the harvest tends to 0.
+    let mut upper = lambda_of_most.max(1.0 / tau);
+    while net(upper) > 0.0 {
+        upper *= 2.0;
     }
-    Some((from, root(&net, best, beyond)))
+    Some((from, bisect(&net, lambda_of_most, upper)))
 }
 
 /// A λ that the paper states, and the policy whose consumption it belongs to.
@@ -208,13 +217,13 @@ pub struct StatedThreshold {
     /// E_B, units.
     pub e_b: f64,
     /// λ for the policy with the least consumption, according to the paper.
-    pub least: StatedEnd,
+    pub least_consumption: StatedEnd,
     /// λ for the policy with the most consumption; `None` if the paper states only one λ.
-    pub most: Option<StatedEnd>,
+    pub most_consumption: Option<StatedEnd>,
     /// Figure of the paper.
-    pub source: &'static str,
+    pub paper_figure: &'static str,
     /// Sentence of the statement.
-    pub place: Citation,
+    pub citation: Citation,
     /// Contradiction with another statement, if any.
     pub contradicts: Option<Contradiction>,
 }
@@ -225,71 +234,75 @@ pub struct StatedThreshold {
 /// 10 it stands for 0.41 to 0.48 units. That is close to the 0.34 of `random` and far from the 0.83 at the upper end.
 /// For E_B of 5 and 10 the text on Fig. 14 names the lower λ first and calls it the upper bound; it is read the other
 /// way round.
-pub const STATED: [StatedThreshold; 9] = {
+pub const STATED_THRESHOLDS: [StatedThreshold; 9] = {
+    /// Policies with the least and the most consumption, according to the paper.
     type Ends = (&'static str, &'static str);
-    const FEW: Ends = ("random", "q-learning");
-    const SOME: Ends = ("random", "adjusted");
-    const MANY: Ends = ("dt", "adjusted");
-    const NEVER: Contradiction = Contradiction {
-        with: FIG_8.sentence(2),
-        why: "Under Eq. (5) the harvest with E_B = 1 is at most E_B/e = 0.368 units, but the method with the highest \
-            consumption spends 0.83 there.",
+    const AT_10: Ends = ("random", "q-learning");
+    const AT_100: Ends = ("random", "adjusted");
+    const AT_250: Ends = ("dt", "adjusted");
+    const ABOVE_ANY_HARVEST: Contradiction = Contradiction {
+        other_citation: FIG_8.sentence(2),
+        reason: "Under Eq. (5) the harvest with E_B = 1 is at most E_B/e = 0.368 units, but the method with the \
+            highest consumption spends 0.83 there.",
     };
-    const UNLIKE: Contradiction = Contradiction {
-        with: FIG_14.sentence(5),
-        why: "All three E_B share one consumption. Under Eq. (5) these λ correspond to 0.18 and 0.26 units, but the λ \
-            of E_B = 5 and 10 to 0.22 to 0.25 and 0.44 to 0.46. A harvest of λ·E_B would bring them closer.",
+    const DIFFERENT_CONSUMPTIONS: Contradiction = Contradiction {
+        other_citation: FIG_14.sentence(5),
+        reason: "All three E_B share one consumption. Under Eq. (5) these λ correspond to 0.18 and 0.26 units, but the \
+            λ of E_B = 5 and 10 to 0.22 to 0.25 and 0.44 to 0.46. A harvest of λ·E_B would bring them closer.",
     };
     const fn both(
         devices: u32,
         (least, most): Ends,
         e_b: f64,
-        low: f64,
-        high: f64,
-        place: Citation,
+        least_lambda: f64,
+        most_lambda: f64,
+        citation: Citation,
     ) -> StatedThreshold {
         StatedThreshold {
-            most: Some(StatedEnd {
-                lambda: high,
+            most_consumption: Some(StatedEnd {
+                lambda: most_lambda,
                 policy: most,
             }),
-            ..one(devices, (least, most), e_b, low, place)
+            ..one(devices, (least, most), e_b, least_lambda, citation)
         }
     }
-    const fn one(devices: u32, (policy, _): Ends, e_b: f64, lambda: f64, place: Citation) -> StatedThreshold {
+    const fn one(devices: u32, (policy, _): Ends, e_b: f64, lambda: f64, citation: Citation) -> StatedThreshold {
         StatedThreshold {
             devices,
             e_b,
-            least: StatedEnd { lambda, policy },
-            most: None,
-            source: if devices == 100 { "Fig. 14" } else { "Fig. 13" },
-            place,
+            least_consumption: StatedEnd { lambda, policy },
+            most_consumption: None,
+            paper_figure: if devices == 100 { "Fig. 14" } else { "Fig. 13" },
+            citation,
             contradicts: None,
         }
     }
-    const fn against(stated: StatedThreshold, contradiction: Contradiction) -> StatedThreshold {
+    const fn contradicted(stated: StatedThreshold, contradiction: Contradiction) -> StatedThreshold {
         StatedThreshold {
             contradicts: Some(contradiction),
             ..stated
         }
     }
     [
-        against(both(10, FEW, 1.0, 0.4, 0.9, FIG_13.sentence(6)), NEVER),
-        one(10, FEW, 5.0, 0.09, FIG_13.sentence(7)),
-        one(10, FEW, 10.0, 0.05, FIG_13.sentence(7)),
-        against(both(100, SOME, 1.0, 0.23, 0.38, FIG_14.sentence(4)), UNLIKE),
-        both(100, SOME, 5.0, 0.052, 0.096, FIG_14.sentence(5)),
-        both(100, SOME, 10.0, 0.023, 0.048, FIG_14.sentence(5)),
-        both(250, MANY, 1.0, 0.15, 0.3, FIG_13.sentence(6)),
-        one(250, MANY, 5.0, 0.05, FIG_13.sentence(7)),
-        one(250, MANY, 10.0, 0.02, FIG_13.sentence(7)),
+        contradicted(both(10, AT_10, 1.0, 0.4, 0.9, FIG_13.sentence(6)), ABOVE_ANY_HARVEST),
+        one(10, AT_10, 5.0, 0.09, FIG_13.sentence(7)),
+        one(10, AT_10, 10.0, 0.05, FIG_13.sentence(7)),
+        contradicted(
+            both(100, AT_100, 1.0, 0.23, 0.38, FIG_14.sentence(4)),
+            DIFFERENT_CONSUMPTIONS,
+        ),
+        both(100, AT_100, 5.0, 0.052, 0.096, FIG_14.sentence(5)),
+        both(100, AT_100, 10.0, 0.023, 0.048, FIG_14.sentence(5)),
+        both(250, AT_250, 1.0, 0.15, 0.3, FIG_13.sentence(6)),
+        one(250, AT_250, 5.0, 0.05, FIG_13.sentence(7)),
+        one(250, AT_250, 10.0, 0.02, FIG_13.sentence(7)),
     ]
 };
 
 impl StatedThreshold {
     /// Iterates over the stated ends: least, then most.
     pub fn ends(&self) -> impl Iterator<Item = StatedEnd> {
-        std::iter::once(self.least).chain(self.most)
+        std::iter::once(self.least_consumption).chain(self.most_consumption)
     }
 }
 
@@ -303,12 +316,12 @@ fn with_source(scenario: &Scenario, source: &Harvest) -> Scenario {
 }
 
 /// Finds the sign change of `f` between `a` and `b` by halving.
-fn root(f: &impl Fn(f64) -> f64, mut a: f64, mut b: f64) -> f64 {
+fn bisect(f: &impl Fn(f64) -> f64, mut a: f64, mut b: f64) -> f64 {
     // The net energy rises up to the best λ and falls beyond it; both of its roots are sought here.
-    let rises = f(b) > f(a);
-    for _ in 0..HALVINGS {
+    let is_rising = f(b) > f(a);
+    for _ in 0..BISECTION_STEPS {
         let middle = f64::midpoint(a, b);
-        if (f(middle) > 0.0) == rises {
+        if (f(middle) > 0.0) == is_rising {
             b = middle;
         } else {
             a = middle;
@@ -369,29 +382,35 @@ mod tests {
     fn net_energy_is_positive_between_two_lambdas() {
         // The maximum of Eq. (5), at λ = 1, gives E_B / e.
         let e = std::f64::consts::E;
-        assert_eq!(positive_net(LambdaReading::Eq5, 1.0, 1.0 / e + 1e-9, 1.0), None);
+        assert_eq!(
+            lambdas_with_positive_net(LambdaReading::Eq5, 1.0, 1.0 / e + 1e-9, 1.0),
+            None
+        );
         for (e_b, spent, tau) in [(1.0, 0.2, 1.0), (5.0, 0.25, 1.0), (10.0, 3.0, 0.5)] {
-            let (from, to) = positive_net(LambdaReading::Eq5, e_b, spent, tau).expect("a range");
+            let (from, to) = lambdas_with_positive_net(LambdaReading::Eq5, e_b, spent, tau).expect("a range");
             assert!(from < 1.0 / tau && to > 1.0 / tau, "{from} {to}");
             for edge in [from, to] {
                 assert!((e_b * LambdaReading::Eq5.probability(edge, tau) - spent).abs() < 1e-9);
             }
         }
-        let (from, to) = positive_net(LambdaReading::ExpMinusLambda, 5.0, 0.25, 1.0).expect("a range");
+        let (from, to) = lambdas_with_positive_net(LambdaReading::ExpMinusLambda, 5.0, 0.25, 1.0).expect("a range");
         assert!(from == 0.0 && (to - libm::log(20.0)).abs() < 1e-12, "{from} {to}");
-        assert_eq!(positive_net(LambdaReading::ExpMinusLambda, 1.0, 2.0, 1.0), None);
+        assert_eq!(
+            lambdas_with_positive_net(LambdaReading::ExpMinusLambda, 1.0, 2.0, 1.0),
+            None
+        );
     }
 
     #[test]
     fn demand_is_what_full_batteries_would_spend() {
         // Without events the genie's devices stay in S4.
         let genie = scenario(&["devices=10", "ttis=1000", "policy.name=genie", "events.alpha=1e-9"]);
-        let spent = demand(&genie, 2).expect("runs").mean;
+        let spent = measure_demand(&genie, 2).expect("runs").mean;
         assert!((spent - 0.071_429).abs() < 1e-12, "{spent}");
         let random = scenario(&["devices=100", "ttis=1000", "policy.name=random", "harvest.e_b=0.1"]);
         let (short, full) = (
-            consumption(&random, 3).expect("runs"),
-            demand(&random, 3).expect("runs"),
+            measure_consumption(&random, 3).expect("runs"),
+            measure_demand(&random, 3).expect("runs"),
         );
         assert!(short.mean < 0.2 && full.mean > 0.4, "{short:?} {full:?}");
     }

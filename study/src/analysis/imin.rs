@@ -1,40 +1,41 @@
-//! E(I_min) over deployments (Sec. V-A, Eqs. (`E_Info3`) and (`E_Info1`)).
+//! E(I_min) over deployments (Sec. V-A, Eqs. (`E_Info3`) and (`E_Info1`)): the mean over random layouts next to the
+//! closed form for a square grid.
 
 use reveille_bs::beliefs::ranking::i_min;
 use reveille_bs::scenario::Scenario;
 use reveille_common::deployment::Deployment;
 use reveille_lab::stats::Estimate;
 
-use super::{AnalysisError, check_seeds, over_seeds};
+use super::{AnalysisError, check_seeds, map_seeds};
 
 /// I_min of the deployments of one scenario.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct IMin {
+pub struct IMinComparison {
     /// Ψ p(d*) over the deployments, one for each seed.
     pub measured: Estimate,
     /// Minimum and maximum over the deployments.
-    pub range: (f64, f64),
+    pub measured_range: (f64, f64),
     /// Ψ p(√(ξ/(2N))), Eq. (`E_Info1`), for a square grid.
-    pub grid: f64,
+    pub square_grid: f64,
 }
 
 /// Measures I_min of `scenario`'s layout under `seeds` consecutive seeds from its own.
 ///
 /// # Errors
 /// If `seeds` is 0.
-pub fn measure(scenario: &Scenario, seeds: u64) -> Result<IMin, AnalysisError> {
+pub fn measure(scenario: &Scenario, seeds: u64) -> Result<IMinComparison, AnalysisError> {
     check_seeds(seeds)?;
-    let values = over_seeds(scenario, seeds, |one| {
+    let values = map_seeds(scenario, seeds, |one| {
         i_min(&Deployment::new(one).positions(), one.area, &one.sensing)
     });
     let least = values.iter().copied().fold(f64::INFINITY, f64::min);
     let largest = values.iter().copied().fold(0.0, f64::max);
     // In a square cell of ξ/N the farthest point from the device is a corner, √(ξ/(2N)) away.
     let half_diagonal = (scenario.area.surface() / (2.0 * f64::from(scenario.run.devices))).sqrt();
-    Ok(IMin {
-        measured: Estimate::over(values),
-        range: (least, largest),
-        grid: scenario.sensing.psi * scenario.sensing.p(half_diagonal),
+    Ok(IMinComparison {
+        measured: Estimate::from_values_or_nan(values),
+        measured_range: (least, largest),
+        square_grid: scenario.sensing.psi * scenario.sensing.p(half_diagonal),
     })
 }
 
@@ -44,7 +45,7 @@ mod tests {
 
     use super::*;
 
-    fn study(overrides: &[&str]) -> IMin {
+    fn study(overrides: &[&str]) -> IMinComparison {
         let parse = |text: &&str| Override::parse(text).expect("an override");
         let overrides: Vec<Override> = overrides.iter().map(parse).collect();
         measure(&load("paper", &overrides).expect("a scenario").scenario, 40).expect("a study")
@@ -54,11 +55,11 @@ mod tests {
     fn a_square_grid_is_eq_e_info1_and_random_layouts_do_worse() {
         let grid = study(&["layout.kind=grid", "devices=100"]);
         assert!(
-            (grid.measured.mean - grid.grid).abs() < 1e-12 && grid.measured.deviation < 1e-12,
+            (grid.measured.mean - grid.square_grid).abs() < 1e-12 && grid.measured.deviation < 1e-12,
             "{grid:?}"
         );
         // √(400 / 200) = √2 m.
-        assert!((grid.grid - 0.243_116_734).abs() < 1e-9);
+        assert!((grid.square_grid - 0.243_116_734).abs() < 1e-9);
         for layout in [
             "layout.kind=uniform",
             "layout.kind=jittered-grid",
@@ -66,11 +67,11 @@ mod tests {
         ] {
             let random = study(&[layout, "devices=100"]);
             assert!(
-                random.measured.mean + random.measured.half_width < random.grid,
+                random.measured.mean + random.measured.half_width < random.square_grid,
                 "{layout}: {random:?}"
             );
             assert!(
-                random.measured.deviation > 0.0 && random.range.0 < random.measured.mean,
+                random.measured.deviation > 0.0 && random.measured_range.0 < random.measured.mean,
                 "{layout}: {random:?}"
             );
         }

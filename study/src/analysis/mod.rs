@@ -1,4 +1,10 @@
-//! Analysis of the paper's models: closed forms and chains, compared with runs in memory.
+//! Analysis of the paper's models: closed forms and chains, compared with runs in memory. `reveille analyse` prints it.
+//!
+//! - [`battery`]: the battery's Markov chain and Eq. (8) (Sec. III-B).
+//! - [`transitions`]: the transition probabilities P_m,n (Sec. IV).
+//! - [`imin`]: the mean of I_min (Sec. V-A).
+//! - [`runtime`]: the run time against N (Sec. V-D).
+//! - [`harvest`]: harvest and net energy against λ (Sec. VI-B), and the paper's statements on λ.
 //!
 //! All measurements come from [`reveille_lab::run`] or from the device machine itself; this module adds no second
 //! model. Closed forms are evaluated as printed in the paper. Values that are not probabilities are reported, not
@@ -18,7 +24,7 @@ use reveille_bs::scenario::Scenario;
 pub enum AnalysisError {
     /// A list of values to study is empty.
     #[error("{what}: the list is empty, so there is nothing to study; give at least one value, for example {example}")]
-    Empty {
+    EmptyList {
         /// Name of the list.
         what: &'static str,
         /// Example of a valid list.
@@ -26,7 +32,7 @@ pub enum AnalysisError {
     },
     /// A value is out of its range.
     #[error("{what} = {value}: {allowed}")]
-    Invalid {
+    InvalidValue {
         /// Name of the quantity.
         what: &'static str,
         /// Invalid value.
@@ -39,7 +45,7 @@ pub enum AnalysisError {
 impl AnalysisError {
     /// Creates the error for an invalid `value` of `what`.
     pub(crate) fn invalid(what: &'static str, value: &impl ToString, allowed: impl Into<String>) -> Self {
-        Self::Invalid {
+        Self::InvalidValue {
             what,
             value: value.to_string(),
             allowed: allowed.into(),
@@ -48,23 +54,23 @@ impl AnalysisError {
 }
 
 /// Maximum number of seeds in a study.
-const MOST_SEEDS: u64 = 1_000_000;
+const MAX_SEEDS: u64 = 1_000_000;
 
 /// Checks a number of seeds.
 ///
 /// # Errors
 /// If it is 0 or above the limit.
 pub(crate) fn check_seeds(seeds: u64) -> Result<(), AnalysisError> {
-    if (1..=MOST_SEEDS).contains(&seeds) {
+    if (1..=MAX_SEEDS).contains(&seeds) {
         return Ok(());
     }
-    let allowed = format!("must be from 1 to {MOST_SEEDS}: one run per seed");
+    let allowed = format!("must be from 1 to {MAX_SEEDS}: one run per seed");
     Err(AnalysisError::invalid("seeds", &seeds, allowed))
 }
 
 /// Applies `measure` to `scenario` under `seeds` consecutive seeds from its own, on all cores. Returns the results in
 /// order of seeds.
-pub(crate) fn over_seeds<T: Send>(scenario: &Scenario, seeds: u64, measure: impl Fn(&Scenario) -> T + Sync) -> Vec<T> {
+pub(crate) fn map_seeds<T: Send>(scenario: &Scenario, seeds: u64, measure: impl Fn(&Scenario) -> T + Sync) -> Vec<T> {
     let indices = (0..seeds).into_par_iter();
     indices
         .map(|i| measure(&scenario.with_seed(scenario.run.seed.wrapping_add(i))))

@@ -2,8 +2,8 @@
 //!
 //! The paper counts the cost of a *configuration*: O(ϱ^N) for the exhaustive search of the adjusted duty cycle,
 //! O(N(N−1)/2) for KNN clusters, O(N²) for Q-learning and for the decision transformer. [`TimedWork::set_up`] is that
-//! configuration. [`TimedWork::run`] is the run after it, and [`TimedWork::decide`] the BS's share of that run: its
-//! answers to events.
+//! configuration. [`TimedWork::run`] is the run after it, and [`TimedWork::prepare_decisions`] the BS's share of that
+//! run: its answers to events.
 
 use reveille_bs::cycle::PreparedRun;
 use reveille_bs::knowledge::Knowledge;
@@ -25,7 +25,7 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 use super::AnalysisError;
 
 /// Returns the paper's complexity for configuring a policy.
-pub fn paper_claim(policy: &PolicyChoice) -> &'static str {
+pub fn paper_complexity(policy: &PolicyChoice) -> &'static str {
     registry::named(policy.name()).map_or("–", |policy| policy.runtime)
 }
 
@@ -52,32 +52,37 @@ impl TimedWork {
     }
 
     /// Prepares `events` events for the BS to decide.
-    pub fn decide(&self, events: u64) -> TimedDecisions {
+    pub fn prepare_decisions(&self, events: u64) -> TimedDecisions {
         TimedDecisions::new(&prepare(&self.scenario), events)
     }
 }
 
 /// Events with their first reports, for one policy.
 pub struct TimedDecisions {
-    known: Knowledge,
+    knowledge: Knowledge,
     /// Random charges, on average half full.
     batteries: Vec<Energy>,
     policy: Box<dyn Policy>,
     plan: Plan,
-    situations: Vec<(Tti, Stimulus, Vec<Report>)>,
+    /// TTI, event and first reports of each event to decide.
+    events_with_reports: Vec<(Tti, Stimulus, Vec<Report>)>,
 }
 
 impl TimedDecisions {
     fn new(prepared: &PreparedRun, events: u64) -> Self {
         let (scenario, deployment) = (&prepared.scenario, &prepared.deployment);
-        let known = prepared.knowledge();
-        let mut policy = prepared.policy(&known);
-        let nothing = Plan::from_bits(known.devices.iter().map(|_| false));
+        let knowledge = prepared.knowledge();
+        let mut policy = prepared.policy(&knowledge);
+        let all_off = Plan::from_bits(knowledge.devices.iter().map(|_| false));
         let mut stream = Stream::new(scenario.run.seed, Purpose::Training, 0);
-        let mut level = |full: Energy| Energy::from_micro((stream.unit() * full.micro() as f64) as u64);
-        let batteries: Vec<Energy> = deployment.devices.iter().map(|d| level(d.energy.e_max)).collect();
-        let plan = policy.decide(&observe(&known, &batteries, &nothing, Tti::ZERO, 0.0));
-        let situation = |event| {
+        let mut random_charge = |full: Energy| Energy::from_micro((stream.unit() * full.micro() as f64) as u64);
+        let batteries: Vec<Energy> = deployment
+            .devices
+            .iter()
+            .map(|d| random_charge(d.energy.e_max))
+            .collect();
+        let plan = policy.decide(&observe(&knowledge, &batteries, &all_off, Tti::ZERO, 0.0));
+        let event_with_reports = |event| {
             let mut stream = Stream::new(scenario.run.seed, Purpose::Epicentre, event);
             let epicentre = Point::new(
                 stream.unit() * scenario.area.width,
@@ -87,27 +92,27 @@ impl TimedDecisions {
             let sensing_now = (0..scenario.run.devices)
                 .map(DeviceId)
                 .filter(|&j| plan.duty_cycle(j).is_on(tti));
-            let report = |j: DeviceId| report(&known, j, tti, epicentre);
+            let report = |j: DeviceId| report(&knowledge, j, tti, epicentre);
             // Beyond d_max the information is 0: such a device detects nothing.
             let reports = sensing_now.map(report).filter(|r| r.information > 0.0).collect();
             let event = EventId(event);
             (tti, Stimulus { event, epicentre }, reports)
         };
-        let situations = (0..events).map(situation).collect();
+        let events_with_reports = (0..events).map(event_with_reports).collect();
         Self {
-            known,
+            knowledge,
             batteries,
             policy,
             plan,
-            situations,
+            events_with_reports,
         }
     }
 
     /// Decides the plans of `ttis` TTIs in order. Returns `None` for a policy whose first plan stays valid for the
     /// whole run. May be called repeatedly.
-    pub fn plan(&mut self, ttis: u64) -> Option<()> {
+    pub fn decide_plans(&mut self, ttis: u64) -> Option<()> {
         let Self {
-            known,
+            knowledge,
             batteries,
             policy,
             plan,
@@ -118,23 +123,23 @@ impl TimedDecisions {
             if policy.next_decision(k) == Tti::NEVER {
                 return None;
             }
-            *plan = policy.decide(&observe(known, batteries, plan, k, 0.0));
+            *plan = policy.decide(&observe(knowledge, batteries, plan, k, 0.0));
         }
         Some(())
     }
 
     /// Decides all events and returns the number of wake-ups. Each event lasts until the policy requests no more
     /// wake-ups, and all wake-ups are answered. May be called repeatedly.
-    pub fn run(&mut self) -> u64 {
+    pub fn decide_wake_ups(&mut self) -> u64 {
         let Self {
-            known,
+            knowledge,
             batteries,
             policy,
             plan,
-            situations,
+            events_with_reports,
         } = self;
         let mut wake_ups = 0;
-        for (tti, stimulus, reports) in situations {
+        for (tti, stimulus, reports) in events_with_reports {
             if let Some(oracle) = policy.oracle() {
                 wake_ups += u64::from(oracle.reveal_event(stimulus));
                 continue;
@@ -142,14 +147,14 @@ impl TimedDecisions {
             if reports.is_empty() {
                 continue;
             }
-            let fused = reports.iter().map(|r| r.information);
-            let mut information = fused.fold(0.0, |so_far, i| known.sensing.fuse(so_far, i));
-            policy.reports_received(&observe(known, batteries, plan, *tti, information), reports);
-            while let Some(woken) = policy.next_wake_up(&observe(known, batteries, plan, *tti, information)) {
+            let informations = reports.iter().map(|r| r.information);
+            let mut information = informations.fold(0.0, |so_far, i| knowledge.sensing.fuse(so_far, i));
+            policy.reports_received(&observe(knowledge, batteries, plan, *tti, information), reports);
+            while let Some(woken) = policy.next_wake_up(&observe(knowledge, batteries, plan, *tti, information)) {
                 wake_ups += 1;
-                let report = report(known, woken, *tti, stimulus.epicentre);
-                information = known.sensing.fuse(information, report.information);
-                policy.wake_up_answered(&observe(known, batteries, plan, *tti, information), Some(&report));
+                let report = report(knowledge, woken, *tti, stimulus.epicentre);
+                information = knowledge.sensing.fuse(information, report.information);
+                policy.wake_up_answered(&observe(knowledge, batteries, plan, *tti, information), Some(&report));
             }
         }
         wake_ups
@@ -179,7 +184,7 @@ const fn observe<'a>(
         plan,
         information,
         batteries,
-        levels: None,
+        battery_estimator: None,
     }
 }
 
@@ -198,7 +203,7 @@ pub struct PowerLaw {
 ///
 /// # Errors
 /// With fewer than two different x, or a value that has no logarithm.
-pub fn power_law(points: &[(f64, f64)]) -> Result<PowerLaw, AnalysisError> {
+pub fn fit_power_law(points: &[(f64, f64)]) -> Result<PowerLaw, AnalysisError> {
     if let Some(bad) = points.iter().find(|(x, y)| !(*x > 0.0 && *y > 0.0)) {
         let allowed = "must both be above 0 for a power law";
         return Err(AnalysisError::invalid("point (N, time)", &format!("{bad:?}"), allowed));
@@ -238,18 +243,18 @@ mod tests {
         let exact: Vec<(f64, f64)> = [10.0, 50.0, 250.0, 2500.0]
             .map(|x: f64| (x, 3.0 * x * x.sqrt()))
             .to_vec();
-        let law = power_law(&exact).expect("a law");
+        let law = fit_power_law(&exact).expect("a law");
         assert!((law.exponent - 1.5).abs() < 1e-12 && (law.factor - 3.0).abs() < 1e-9 && law.half_width < 1e-6);
         // Logarithms 0, 1, 2 and 0, 1, 4: slope 2, residuals 1/3, −2/3, 1/3, t with one degree of freedom 12.706.
         let e = |power: f64| libm::exp(power);
-        let law = power_law(&[(e(0.0), e(0.0)), (e(1.0), e(1.0)), (e(2.0), e(4.0))]).expect("a law");
+        let law = fit_power_law(&[(e(0.0), e(0.0)), (e(1.0), e(1.0)), (e(2.0), e(4.0))]).expect("a law");
         assert!((law.exponent - 2.0).abs() < 1e-12, "{law:?}");
         assert!(
             (law.half_width - 12.706_205 * (2.0_f64 / 3.0 / 2.0).sqrt()).abs() < 1e-3,
             "{law:?}"
         );
-        assert!(power_law(&[(10.0, 1.0)]).is_err() && power_law(&[(10.0, 1.0), (10.0, 2.0)]).is_err());
-        assert!(power_law(&[(10.0, 0.0), (20.0, 1.0)]).is_err());
+        assert!(fit_power_law(&[(10.0, 1.0)]).is_err() && fit_power_law(&[(10.0, 1.0), (10.0, 2.0)]).is_err());
+        assert!(fit_power_law(&[(10.0, 0.0), (20.0, 1.0)]).is_err());
     }
 
     #[test]
@@ -266,9 +271,9 @@ mod tests {
             let overrides: Vec<Override> = overrides.iter().map(parse).collect();
             let work = TimedWork::new(load("paper", &overrides).expect("a scenario").scenario);
             TimedWork::run(work.set_up());
-            let mut decisions = work.decide(200);
-            let first = decisions.run();
-            assert_eq!(first, decisions.run(), "{policy}");
+            let mut decisions = work.prepare_decisions(200);
+            let first = decisions.decide_wake_ups();
+            assert_eq!(first, decisions.decide_wake_ups(), "{policy}");
             assert_eq!(first > 0, policy != "random", "{policy}: {first}");
         }
     }

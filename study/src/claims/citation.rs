@@ -1,4 +1,5 @@
-//! Citations: the place of a claim in the paper.
+//! Citations: a passage of the paper and a sentence in it. [`super`]'s claims and [`crate::analysis::harvest`] cite
+//! with these constants; tests compare the displayed text with a transcript, and the report prints it.
 
 use std::fmt;
 
@@ -26,7 +27,7 @@ pub(crate) const FIG_8: Citation = Citation::passage("Sec. VI-A, on Fig. 8");
 /// The paragraph on misdetections.
 pub(super) const FIG_9: Citation = Citation::passage("Sec. VI-A, on Fig. 9");
 /// The paragraph on batteries.
-pub(super) const FIG_10: Citation = Citation::passage("Sec. VI-A, on Figs. 10 and 11");
+pub(super) const FIGS_10_11: Citation = Citation::passage("Sec. VI-A, on Figs. 10 and 11");
 /// The paragraph on wrong activations.
 pub(super) const FIG_12: Citation = Citation::passage("Sec. VI-A, on Fig. 12");
 /// The paragraph on harvest against λ.

@@ -1,11 +1,12 @@
-//! A claim: a statement on a quantity of one policy, at some N.
+//! The types of a claim: a [`Statement`] on a [`ClaimQuantity`] of one policy, for some numbers of devices, and the
+//! caveats that several figures share. The neighbouring modules hold the claims themselves, one module a figure.
 
 use Statement::{Above, Below, Between};
 
 use super::citation::Citation;
 
 /// Range of N in the paper's figures (Sec. VI).
-const AXIS: (u32, u32) = (10, 250);
+const PAPER_N_RANGE: (u32, u32) = (10, 250);
 
 /// The N of a claim, within the paper's 10 to 250.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -25,18 +26,18 @@ pub enum DeviceCounts {
 impl DeviceCounts {
     /// Smallest and largest N.
     pub const fn ends(self) -> (u32, u32) {
-        let (least, largest) = AXIS;
+        let (smallest, largest) = PAPER_N_RANGE;
         match self {
             Self::At(n) => (n, n),
-            Self::Under(n) => (least, n - 1),
-            Self::UpTo(n) => (least, n),
+            Self::Under(n) => (smallest, n - 1),
+            Self::UpTo(n) => (smallest, n),
             Self::Over(n) => (n + 1, largest),
-            Self::Everywhere => AXIS,
+            Self::Everywhere => PAPER_N_RANGE,
         }
     }
 
     /// Whether the claim covers `n` devices.
-    pub const fn holds(self, n: u32) -> bool {
+    pub const fn contains(self, n: u32) -> bool {
         let (from, to) = self.ends();
         from <= n && n <= to
     }
@@ -46,7 +47,7 @@ impl DeviceCounts {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ClaimQuantity {
     /// Mean of the metric.
-    Own,
+    Mean,
     /// The mean divided by the mean of each of these policies; policies without runs are left out.
     Ratio(&'static [&'static str]),
     /// Distance of the mean from the mean of this policy.
@@ -71,7 +72,7 @@ pub enum Statement {
     /// The smallest over N is about this value: "down to".
     Smallest(f64),
     /// About equal at every N.
-    Level,
+    Constant,
     /// Falls as N rises.
     Falls,
     /// Rises with N.
@@ -87,7 +88,7 @@ impl Statement {
             Between(low, high) => Some((low, high)),
             Below(v) => Some((f64::NEG_INFINITY, v)),
             Above(v) => Some((v, f64::INFINITY)),
-            Self::Largest(_) | Self::Smallest(_) | Self::Level | Self::Falls | Self::Rises => None,
+            Self::Largest(_) | Self::Smallest(_) | Self::Constant | Self::Falls | Self::Rises => None,
         }
     }
 
@@ -96,7 +97,7 @@ impl Statement {
         match self {
             Self::About(v) | Below(v) | Above(v) | Self::Largest(v) | Self::Smallest(v) => vec![v],
             Between(low, high) => vec![low, high],
-            Self::Level | Self::Falls | Self::Rises => Vec::new(),
+            Self::Constant | Self::Falls | Self::Rises => Vec::new(),
         }
     }
 }
@@ -105,9 +106,9 @@ impl Statement {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Contradiction {
     /// Place of the other statement.
-    pub with: Citation,
+    pub other_citation: Citation,
     /// Reason why not both can hold.
-    pub why: &'static str,
+    pub reason: &'static str,
 }
 
 /// A claim of the paper.
@@ -116,17 +117,17 @@ pub struct Claim {
     /// Policy of the claim.
     pub policy: &'static str,
     /// The N of the claim.
-    pub sites: DeviceCounts,
+    pub device_counts: DeviceCounts,
     /// Quantity of the claim.
     pub quantity: ClaimQuantity,
     /// Statement on the quantity.
     pub statement: Statement,
     /// Place of the claim in the paper.
-    pub place: Citation,
+    pub citation: Citation,
     /// Second place with the same claim.
-    pub again: Option<Citation>,
+    pub second_citation: Option<Citation>,
     /// Chosen reading of an ambiguous sentence; empty otherwise.
-    pub reading: &'static str,
+    pub interpretation: &'static str,
     /// Reason why the model makes the claim unlikely to be met as written; empty otherwise.
     pub caveat: &'static str,
     /// Contradiction with another statement, if any.
@@ -137,37 +138,37 @@ impl Claim {
     /// Creates a claim without further notes.
     pub const fn new(
         policy: &'static str,
-        sites: DeviceCounts,
+        device_counts: DeviceCounts,
         quantity: ClaimQuantity,
         statement: Statement,
-        place: Citation,
+        citation: Citation,
     ) -> Self {
         Self {
             policy,
-            sites,
+            device_counts,
             quantity,
             statement,
-            place,
-            again: None,
-            reading: "",
+            citation,
+            second_citation: None,
+            interpretation: "",
             caveat: "",
             contradicts: None,
         }
     }
 
-    /// Adds `again`, the second place with the same claim.
+    /// Adds the second place with the same claim.
     #[must_use]
-    pub const fn also_at(self, again: Citation) -> Self {
+    pub const fn also_at(self, second_citation: Citation) -> Self {
         Self {
-            again: Some(again),
+            second_citation: Some(second_citation),
             ..self
         }
     }
 
     /// Adds the chosen reading of the sentence.
     #[must_use]
-    pub const fn interpreted_as(self, reading: &'static str) -> Self {
-        Self { reading, ..self }
+    pub const fn interpreted_as(self, interpretation: &'static str) -> Self {
+        Self { interpretation, ..self }
     }
 
     /// Adds `caveat`, the reason why the claim is unlikely to be met.
@@ -176,11 +177,11 @@ impl Claim {
         Self { caveat, ..self }
     }
 
-    /// Adds a contradiction with the statement at `with`, for the reason `why`.
+    /// Adds a contradiction with the statement at `other_citation`.
     #[must_use]
-    pub const fn contradicting(self, with: Citation, why: &'static str) -> Self {
+    pub const fn contradicting(self, other_citation: Citation, reason: &'static str) -> Self {
         Self {
-            contradicts: Some(Contradiction { with, why }),
+            contradicts: Some(Contradiction { other_citation, reason }),
             ..self
         }
     }
@@ -194,24 +195,26 @@ pub struct ClaimTopic {
     /// Whether the metric is divided by N.
     pub is_per_device: bool,
     /// Description of the metric, with its unit.
-    pub about: &'static str,
-    /// Figure of the paper.
-    pub source: &'static str,
+    pub metric_description: &'static str,
+    /// Figure of the paper, for example `Fig. 12a`: the heading of the topic's rows in the report.
+    pub paper_figure: &'static str,
     /// Reason for the choice of metric, if the paper's words allow several; empty otherwise.
-    pub reading: &'static str,
+    pub metric_reason: &'static str,
     /// Claims of the topic.
     pub claims: &'static [Claim],
 }
 
 /// Caveat for an information of 0.72 with 250 devices.
-pub(super) const CLOSEST: &str = "Under g = max an event gives at most the information of its closest device. With 250 \
+pub(super) const CLOSEST_DEVICE: &str =
+    "Under g = max an event gives at most the information of its closest device. With 250 \
     devices on 20 × 20 m the mean of that is 0.55 at random positions, 0.59 on a jittered grid, and 0.63 in the best \
     possible layout, a lattice of regular hexagons.";
 /// Caveat for the genie's 0.055 units.
 pub(super) const WUR_FLOOR: &str = "A device that always listens spends E_WuR = 1/14 = 0.0714 units in every TTI, so \
     0.055 is less than the consumption of the genie's sleeping devices alone.";
 /// Caveat for actions that devices under adjusted take too rarely here.
-pub(super) const SPARING: &str = "From its grid, adjusted takes the duty cycle with the lowest consumption that \
+pub(super) const RARE_SENSING: &str =
+    "From its grid, adjusted takes the duty cycle with the lowest consumption that \
     reaches I_min. With few devices I_min is almost 0, because p falls with the distance. The paper states neither its \
     grid nor the chosen cycle; its devices must sense more often.";
 /// Caveat for the trend of random with rising N.
@@ -219,15 +222,19 @@ pub(super) const FIXED_CYCLE: &str = "The duty cycles of Sec. VI, t_on of 1 or 2
     sense in 0.44 of all TTIs on average, for every N: about 0.48 units where the harvest allows it. This consumption \
     does not fall with N.";
 /// Caveat for the genie's 2 % with ten devices.
-pub(super) const REACH: &str = "Ten discs of d_max = 4 m cannot cover 20 × 20 m in any layout, which needs 4.36 m. At \
+pub(super) const AREA_OUT_OF_REACH: &str =
+    "Ten discs of d_max = 4 m cannot cover 20 × 20 m in any layout, which needs 4.36 m. At \
     random positions they leave a third of the area out of reach, on a jittered grid a quarter. No wake-up can report \
     an event there.";
 /// Caveat for knn's misdetections with many devices.
-pub(super) const UNSEEN: &str = "One device of each cluster senses, about a dozen in all, so in any TTI part of the \
+pub(super) const PARTIAL_COVERAGE: &str =
+    "One device of each cluster senses, about a dozen in all, so in any TTI part of the \
     area is not covered.";
 /// Caveat for spending more than the harvest.
-pub(super) const HARVEST: &str = "In the long run devices cannot spend more than they harvest, 0.45 units under Eq. \
+pub(super) const HARVEST_LIMIT: &str =
+    "In the long run devices cannot spend more than they harvest, 0.45 units under Eq. \
     (5) with λ = 0.1 and E_B = 5 as in the presets.";
 /// Caveat for one event in 100 000.
-pub(super) const RARE: &str = "The genie's devices sleep until they are woken, so their batteries are nearly full. \
+pub(super) const TOO_FEW_EVENTS: &str =
+    "The genie's devices sleep until they are woken, so their batteries are nearly full. \
     About 400 000 events are needed to distinguish one in 100 000 from none.";

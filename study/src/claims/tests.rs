@@ -6,7 +6,7 @@ use reveille_common::score::Metrics;
 
 use super::DeviceCounts::{At, Everywhere, Over, Under, UpTo};
 use super::*;
-use crate::analysis::harvest::STATED;
+use crate::analysis::harvest::STATED_THRESHOLDS;
 
 /// The sentences of the paper on results, each with its numbers (`%` as printed) and the N that it names. Transcribed
 /// from the text independently of the claims.
@@ -85,11 +85,14 @@ fn is_of(value: f64, printed: f64) -> bool {
 
 /// Numbers that claims take from the sentence at `place`.
 fn taken(place: &str) -> Vec<f64> {
-    let is_here =
-        |claim: &Claim| claim.place.to_string() == place || claim.again.is_some_and(|again| again.to_string() == place);
+    let is_here = |claim: &Claim| {
+        claim.citation.to_string() == place || claim.second_citation.is_some_and(|again| again.to_string() == place)
+    };
     let own = claims().filter(|(_, claim)| is_here(claim));
     let own = own.flat_map(|(_, claim)| claim.statement.values());
-    let lambdas = STATED.iter().filter(|stated| stated.place.to_string() == place);
+    let lambdas = STATED_THRESHOLDS
+        .iter()
+        .filter(|stated| stated.citation.to_string() == place);
     let lambdas = lambdas.flat_map(|stated| stated.ends().map(|end| end.lambda));
     own.chain(lambdas).collect()
 }
@@ -103,16 +106,16 @@ fn every_number_of_a_claim_is_printed_in_its_sentence() {
             .1
     };
     for (_, claim) in claims() {
-        let printed = numbers(&claim.place.to_string());
+        let printed = numbers(&claim.citation.to_string());
         for value in claim.statement.values() {
             let is_word = matches!(claim.quantity, ClaimQuantity::Ratio(_)) && WORDS.contains(&value);
             assert!(is_word || printed.iter().any(|p| is_of(value, *p)), "{claim:?}");
         }
         // A statement made at two places has its number in at least one of them.
-        claim.again.map(|again| numbers(&again.to_string()));
+        claim.second_citation.map(|again| numbers(&again.to_string()));
     }
-    for stated in &STATED {
-        let printed = numbers(&stated.place.to_string());
+    for stated in &STATED_THRESHOLDS {
+        let printed = numbers(&stated.citation.to_string());
         assert!(stated.ends().all(|end| printed.contains(&end.lambda)), "{stated:?}");
     }
 }
@@ -128,11 +131,11 @@ fn every_number_that_is_printed_is_claimed() {
             );
         }
         for n in *sizes {
-            let is_of = |claim: &Claim| match claim.sites {
+            let is_of = |claim: &Claim| match claim.device_counts {
                 At(own) | Under(own) | UpTo(own) | Over(own) => own == *n,
                 Everywhere => false,
             };
-            let is_here = |claim: &Claim| [Some(claim.place), claim.again].contains(&place_of(place));
+            let is_here = |claim: &Claim| [Some(claim.citation), claim.second_citation].contains(&place_of(place));
             assert!(
                 claims().any(|(_, claim)| is_of(claim) && is_here(claim)),
                 "{place}: no claim for N = {n}"
@@ -144,9 +147,9 @@ fn every_number_that_is_printed_is_claimed() {
 /// The place whose text form is `text`.
 fn place_of(text: &str) -> Option<Citation> {
     let all = claims()
-        .flat_map(|(_, claim)| [Some(claim.place), claim.again])
+        .flat_map(|(_, claim)| [Some(claim.citation), claim.second_citation])
         .flatten();
-    all.chain(STATED.iter().map(|stated| stated.place))
+    all.chain(STATED_THRESHOLDS.iter().map(|stated| stated.citation))
         .find(|place| place.to_string() == text)
 }
 
@@ -164,7 +167,7 @@ fn every_claim_names_a_metric_and_policies_that_exist() {
         assert!(Metrics::NAMES.contains(&topic.metric), "{}", topic.metric);
         assert!(is_known(claim.policy), "{claim:?}");
         match claim.quantity {
-            ClaimQuantity::Own => {}
+            ClaimQuantity::Mean => {}
             ClaimQuantity::Ratio(others) => {
                 let others: BTreeSet<&str> = others.iter().copied().collect();
                 assert!(
@@ -174,7 +177,7 @@ fn every_claim_names_a_metric_and_policies_that_exist() {
                 assert!(!others.contains(claim.policy), "{claim:?}");
             }
             ClaimQuantity::Gap(other) => assert!(is_known(other) && other != claim.policy, "{claim:?}"),
-            ClaimQuantity::Growth(n) => assert!(claim.sites != At(n) && Everywhere.holds(n), "{claim:?}"),
+            ClaimQuantity::Growth(n) => assert!(claim.device_counts != At(n) && Everywhere.contains(n), "{claim:?}"),
         }
         if let Some((low, high)) = claim.statement.range() {
             assert!(low <= high, "{claim:?}");
@@ -187,7 +190,8 @@ fn no_claim_is_made_twice() {
     for topic in TOPICS {
         for (i, a) in topic.claims.iter().enumerate() {
             let same = |b: &Claim| {
-                (a.policy, a.sites, a.quantity, a.statement) == (b.policy, b.sites, b.quantity, b.statement)
+                (a.policy, a.device_counts, a.quantity, a.statement)
+                    == (b.policy, b.device_counts, b.quantity, b.statement)
             };
             assert!(!topic.claims[..i].iter().any(same), "{}: {a:?}", topic.metric);
         }
@@ -197,24 +201,27 @@ fn no_claim_is_made_twice() {
 #[test]
 fn a_contradiction_cites_an_existing_sentence() {
     for (_, claim) in claims() {
-        let Some(Contradiction { with, .. }) = claim.contradicts else {
+        let Some(Contradiction {
+            other_citation: with, ..
+        }) = claim.contradicts
+        else {
             continue;
         };
         let is_there = PRINTED.iter().any(|(place, ..)| *place == with.to_string());
         assert!(is_there || with == citation::PARAMETERS, "{claim:?}");
-        assert!(with != claim.place, "{claim:?}");
+        assert!(with != claim.citation, "{claim:?}");
     }
 }
 
 #[test]
 fn sites_end_at_their_bounds() {
-    assert!(Under(200).holds(199) && !Under(200).holds(200));
-    assert!(UpTo(50).holds(50) && !UpTo(50).holds(51));
-    assert!(Over(180).holds(181) && !Over(180).holds(180));
-    assert!(At(10).holds(10) && !At(10).holds(11));
+    assert!(Under(200).contains(199) && !Under(200).contains(200));
+    assert!(UpTo(50).contains(50) && !UpTo(50).contains(51));
+    assert!(Over(180).contains(181) && !Over(180).contains(180));
+    assert!(At(10).contains(10) && !At(10).contains(11));
     for sites in [Under(200), UpTo(50), Everywhere, Over(180)] {
         assert!(
-            !sites.holds(9) && !sites.holds(251),
+            !sites.contains(9) && !sites.contains(251),
             "{sites:?} is within the paper's axis"
         );
     }

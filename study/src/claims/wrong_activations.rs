@@ -1,12 +1,13 @@
-//! Fig. 12: wrong activations and the energy that they waste.
+//! Claims on wrong activations (Fig. 12a) and on the energy that they waste (Fig. 12b).
 
 use super::citation::{FIG_9, FIG_12};
-use super::claim::ClaimQuantity::{Own, Ratio};
+use super::claim::ClaimQuantity::{Mean, Ratio};
 use super::claim::DeviceCounts::{At, Everywhere};
 use super::claim::Statement::{About, Below, Falls, Rises};
 use super::claim::{Claim, ClaimTopic};
 
-const BASE: &str = "The sentence does not state half of which value; read as half of each of the others, one claim \
+const HALF_OF_EACH: &str =
+    "The sentence does not state half of which value; read as half of each of the others, one claim \
     each.";
 const THREE_HALVES: &str = "Half of adjusted's 17, of q-learning's 9.5 and of knn's less than 6 are 8.5, 4.75 and less \
     than 3: at most one of the three halves can hold.";
@@ -15,25 +16,25 @@ const THREE_HALVES: &str = "Half of adjusted's 17, of q-learning's 9.5 and of kn
 pub(super) const ACTIVATIONS: ClaimTopic = ClaimTopic {
     metric: "wrong_activations_per_event",
     is_per_device: false,
-    about: "wrong activations per event, devices",
-    source: "Fig. 12a",
-    reading: "",
+    metric_description: "wrong activations per event, devices",
+    paper_figure: "Fig. 12a",
+    metric_reason: "",
     claims: &[
-        Claim::new("knn", Everywhere, Own, Rises, FIG_12.sentence(5)),
-        Claim::new("adjusted", Everywhere, Own, Rises, FIG_12.sentence(5)),
-        Claim::new("q-learning", Everywhere, Own, Rises, FIG_12.sentence(5)),
-        Claim::new("dt", Everywhere, Own, Rises, FIG_12.sentence(5)),
-        Claim::new("adjusted", At(250), Own, About(17.0), FIG_12.sentence(6)),
-        Claim::new("q-learning", At(250), Own, About(9.5), FIG_12.sentence(6)),
-        Claim::new("knn", At(250), Own, Below(6.0), FIG_12.sentence(6)),
+        Claim::new("knn", Everywhere, Mean, Rises, FIG_12.sentence(5)),
+        Claim::new("adjusted", Everywhere, Mean, Rises, FIG_12.sentence(5)),
+        Claim::new("q-learning", Everywhere, Mean, Rises, FIG_12.sentence(5)),
+        Claim::new("dt", Everywhere, Mean, Rises, FIG_12.sentence(5)),
+        Claim::new("adjusted", At(250), Mean, About(17.0), FIG_12.sentence(6)),
+        Claim::new("q-learning", At(250), Mean, About(9.5), FIG_12.sentence(6)),
+        Claim::new("knn", At(250), Mean, Below(6.0), FIG_12.sentence(6)),
         Claim::new("dt", At(250), Ratio(&["knn"]), About(0.5), FIG_12.sentence(7))
-            .interpreted_as(BASE)
+            .interpreted_as(HALF_OF_EACH)
             .contradicting(FIG_12.sentence(6), THREE_HALVES),
         Claim::new("dt", At(250), Ratio(&["adjusted"]), About(0.5), FIG_12.sentence(7))
-            .interpreted_as(BASE)
+            .interpreted_as(HALF_OF_EACH)
             .contradicting(FIG_12.sentence(6), THREE_HALVES),
         Claim::new("dt", At(250), Ratio(&["q-learning"]), About(0.5), FIG_12.sentence(7))
-            .interpreted_as(BASE)
+            .interpreted_as(HALF_OF_EACH)
             .contradicting(FIG_12.sentence(6), THREE_HALVES),
         Claim::new(
             "dt",
@@ -49,20 +50,20 @@ pub(super) const ACTIVATIONS: ClaimTopic = ClaimTopic {
 pub(super) const WASTED: ClaimTopic = ClaimTopic {
     metric: "wasted_energy_per_event",
     is_per_device: true,
-    about: "energy wasted per event and device, units",
-    source: "Fig. 12b",
-    reading: "The text states the wasted energy per IoTD, like the consumption: the energy wasted per event, divided \
-        by N.",
+    metric_description: "energy wasted per event and device, units",
+    paper_figure: "Fig. 12b",
+    metric_reason: "The text states the wasted energy per IoTD, like the consumption: the energy wasted per event, \
+        divided by N.",
     claims: &[
-        Claim::new("genie", Everywhere, Own, About(0.0), FIG_12.sentence(4)).contradicting(
+        Claim::new("genie", Everywhere, Mean, About(0.0), FIG_12.sentence(4)).contradicting(
             FIG_9.sentence(11),
             "There the closest device lacks the energy to transmit at 0.001 % of events, which wastes its remaining \
              energy.",
         ),
-        Claim::new("knn", Everywhere, Own, Falls, FIG_12.sentence(5)),
-        Claim::new("adjusted", Everywhere, Own, Falls, FIG_12.sentence(5)),
-        Claim::new("q-learning", Everywhere, Own, Falls, FIG_12.sentence(5)),
-        Claim::new("dt", Everywhere, Own, Falls, FIG_12.sentence(5)),
-        Claim::new("dt", Everywhere, Own, Below(1.5), FIG_12.sentence(7)),
+        Claim::new("knn", Everywhere, Mean, Falls, FIG_12.sentence(5)),
+        Claim::new("adjusted", Everywhere, Mean, Falls, FIG_12.sentence(5)),
+        Claim::new("q-learning", Everywhere, Mean, Falls, FIG_12.sentence(5)),
+        Claim::new("dt", Everywhere, Mean, Falls, FIG_12.sentence(5)),
+        Claim::new("dt", Everywhere, Mean, Below(1.5), FIG_12.sentence(7)),
     ],
 };

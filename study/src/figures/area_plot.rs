@@ -1,11 +1,11 @@
-//! Plot of the deployment area with its axes.
+//! Plot of the deployment area with its axes, shared by the deployment and the attention figure.
 
 use reveille_common::geometry::{Area, Point};
 
 use super::cell_map;
 use super::path::VectorPath;
 use super::scene::{Anchor, Paint, Scene, Stroke, Text};
-use super::style::{COLUMN, EDGE, LEADING, SMALL};
+use super::style::{COLUMN_WIDTH, LEADING, MARGIN, TEXT_SIZE};
 
 /// Position of the area on the canvas.
 #[derive(Clone, Copy, Debug)]
@@ -17,56 +17,64 @@ pub struct AreaPlot {
     /// Upper edge, points.
     pub top: f64,
     /// Scale, points per metre.
-    pub scale: f64,
+    pub points_per_metre: f64,
 }
 
 impl AreaPlot {
     /// Fits `area` into a column's width below `top`.
     pub fn new(area: Area, top: f64) -> Self {
-        let left = EDGE + 2.0 * LEADING + 5.0;
-        let scale = (COLUMN - EDGE - 3.0 - left) / area.width;
+        let left = MARGIN + 2.0 * LEADING + 5.0;
+        let scale = (COLUMN_WIDTH - MARGIN - 3.0 - left) / area.width;
         // A tall area would extend beyond the page.
-        let scale = scale.min(2.0 * COLUMN / area.height);
-        Self { area, left, top, scale }
+        let scale = scale.min(2.0 * COLUMN_WIDTH / area.height);
+        Self {
+            area,
+            left,
+            top,
+            points_per_metre: scale,
+        }
     }
 
     /// Maps `p` to the canvas, points.
-    pub fn at(&self, p: Point) -> (f64, f64) {
-        (self.left + p.x * self.scale, self.bottom() - p.y * self.scale)
+    pub fn to_canvas(&self, p: Point) -> (f64, f64) {
+        (
+            self.left + p.x * self.points_per_metre,
+            self.bottom() - p.y * self.points_per_metre,
+        )
     }
 
     /// Lower edge, points.
     pub fn bottom(&self) -> f64 {
-        self.top + self.area.height * self.scale
+        self.top + self.area.height * self.points_per_metre
     }
 
     /// Draws a frame with ticks in metres.
-    pub fn axes(&self, scene: &mut Scene) {
-        let (right, top) = self.at(Point::new(self.area.width, self.area.height));
+    pub fn draw_axes(&self, scene: &mut Scene) {
+        let (right, top) = self.to_canvas(Point::new(self.area.width, self.area.height));
         let frame = [self.left, top, right, self.bottom()];
         scene.line(VectorPath::rectangle(frame), Stroke::solid(Paint::Ink, 0.8));
-        for tick in cell_map::ticks(self.area.width) {
-            let (x, y) = self.at(Point::new(tick.value, 0.0));
+        for tick in cell_map::metre_ticks(self.area.width) {
+            let (x, y) = self.to_canvas(Point::new(tick.value, 0.0));
             scene.line(
                 VectorPath::segment((x, y), (x, y + 2.5)),
                 Stroke::solid(Paint::Ink, 0.7),
             );
-            scene.text(Text::new(tick.label, (x, y + LEADING), SMALL).anchored(Anchor::Middle));
+            scene.text(Text::new(tick.label, (x, y + LEADING), TEXT_SIZE).anchored(Anchor::Middle));
         }
-        for tick in cell_map::ticks(self.area.height) {
-            let (x, y) = self.at(Point::new(0.0, tick.value));
+        for tick in cell_map::metre_ticks(self.area.height) {
+            let (x, y) = self.to_canvas(Point::new(0.0, tick.value));
             scene.line(
                 VectorPath::segment((x - 2.5, y), (x, y)),
                 Stroke::solid(Paint::Ink, 0.7),
             );
-            let at = (x - 4.0, y + 0.36 * SMALL);
-            scene.text(Text::new(tick.label, at, SMALL).anchored(Anchor::End));
+            let at = (x - 4.0, y + 0.36 * TEXT_SIZE);
+            scene.text(Text::new(tick.label, at, TEXT_SIZE).anchored(Anchor::End));
         }
         let below = (0.5 * (self.left + right), self.bottom() + 2.0 * LEADING);
-        scene.text(Text::new("x, metres", below, SMALL).anchored(Anchor::Middle));
-        let label_position = (EDGE + 0.76 * SMALL, 0.5 * (top + self.bottom()));
-        let mut label = Text::new("y, metres", label_position, SMALL).anchored(Anchor::Middle);
-        label.upwards = true;
+        scene.text(Text::new("x, metres", below, TEXT_SIZE).anchored(Anchor::Middle));
+        let label_position = (MARGIN + 0.76 * TEXT_SIZE, 0.5 * (top + self.bottom()));
+        let mut label = Text::new("y, metres", label_position, TEXT_SIZE).anchored(Anchor::Middle);
+        label.is_vertical = true;
         scene.text(label);
     }
 }

@@ -1,4 +1,4 @@
-//! Adjacency of Voronoi cells, and tints that distinguish neighbouring clusters.
+//! Adjacency of Voronoi cells, and tints that distinguish neighbouring clusters, for the deployment figure.
 
 use std::collections::BTreeSet;
 
@@ -6,14 +6,18 @@ use reveille_common::geometry::Point;
 
 use super::scale::{AxisTick, Scale};
 
-/// Returns the device on the other side of the edge `from`–`to` of the cell of `own`, if any.
-fn across(points: &[Point], own: usize, from: Point, to: Point) -> Option<usize> {
+/// Returns the device on the other side of the edge `from`–`to` of the cell of `device`, if any.
+fn device_across(positions: &[Point], device: usize, from: Point, to: Point) -> Option<usize> {
     let middle = Point::new(0.5 * (from.x + to.x), 0.5 * (from.y + to.y));
-    let reach = middle.distance(points[own]);
-    let others = (0..points.len()).filter(|j| points[*j] != points[own]);
+    let distance = middle.distance(positions[device]);
+    let others = (0..positions.len()).filter(|j| positions[*j] != positions[device]);
     // On a common edge both devices are equally far from the middle; on the border of the area all others are farther.
-    let near = others.min_by(|a, b| points[*a].distance(middle).total_cmp(&points[*b].distance(middle)))?;
-    (points[near].distance(middle) <= reach + 1e-6).then_some(near)
+    let closest = others.min_by(|a, b| {
+        positions[*a]
+            .distance(middle)
+            .total_cmp(&positions[*b].distance(middle))
+    })?;
+    (positions[closest].distance(middle) <= distance + 1e-6).then_some(closest)
 }
 
 /// Returns the edges of a cell, as pairs of corners. Edges of zero length are omitted.
@@ -23,25 +27,26 @@ fn edges(cell: &[Point]) -> impl Iterator<Item = (Point, Point)> + '_ {
     pairs.filter(|(a, b)| a.distance(*b) > 1e-9)
 }
 
-/// Returns pairs of devices with adjacent cells, in both orders. `cells` are the cells of the devices at `points`.
-pub(super) fn neighbours(points: &[Point], cells: &[Vec<Point>]) -> BTreeSet<(usize, usize)> {
+/// Returns pairs of devices with adjacent cells, in both orders. `cells` are the cells of the devices at `positions`.
+pub(super) fn adjacent_devices(positions: &[Point], cells: &[Vec<Point>]) -> BTreeSet<(usize, usize)> {
     let mut pairs = BTreeSet::new();
-    for (own, cell) in cells.iter().enumerate() {
-        for other in edges(cell).filter_map(|(from, to)| across(points, own, from, to)) {
-            pairs.insert((own, other));
-            pairs.insert((other, own));
+    for (device, cell) in cells.iter().enumerate() {
+        for other in edges(cell).filter_map(|(from, to)| device_across(positions, device, from, to)) {
+            pairs.insert((device, other));
+            pairs.insert((other, device));
         }
     }
     pairs
 }
 
-/// Returns the edges between cells of different clusters; `of` is the cluster of each device.
-pub(super) fn borders(points: &[Point], cells: &[Vec<Point>], of: &[u32]) -> Vec<(Point, Point)> {
+/// Returns the edges between cells of different clusters; `cluster_of` holds the cluster of each device.
+pub(super) fn cluster_borders(positions: &[Point], cells: &[Vec<Point>], cluster_of: &[u32]) -> Vec<(Point, Point)> {
     let mut lines = Vec::new();
-    for (own, cell) in cells.iter().enumerate() {
+    for (device, cell) in cells.iter().enumerate() {
         let is_border = |(from, to): &(Point, Point)| {
             // Both cells have the edge; it is taken from the one with the lower number.
-            across(points, own, *from, *to).is_some_and(|other| own < other && of[own] != of[other])
+            device_across(positions, device, *from, *to)
+                .is_some_and(|other| device < other && cluster_of[device] != cluster_of[other])
         };
         lines.extend(edges(cell).filter(is_border));
     }
@@ -49,18 +54,18 @@ pub(super) fn borders(points: &[Point], cells: &[Vec<Point>], of: &[u32]) -> Vec
 }
 
 /// Returns the tint of each cluster, `0 .. count`. Adjacent clusters differ if that many tints suffice.
-pub(super) fn tints(neighbours: &BTreeSet<(usize, usize)>, of: &[u32], count: usize) -> Vec<usize> {
-    let clusters = of.iter().max().map_or(0, |last| *last as usize + 1);
-    let mut touching = vec![BTreeSet::new(); clusters];
+pub(super) fn assign_tints(neighbours: &BTreeSet<(usize, usize)>, cluster_of: &[u32], count: usize) -> Vec<usize> {
+    let clusters = cluster_of.iter().max().map_or(0, |last| *last as usize + 1);
+    let mut adjacent_clusters = vec![BTreeSet::new(); clusters];
     for (a, b) in neighbours {
-        if of[*a] != of[*b] {
-            touching[of[*a] as usize].insert(of[*b] as usize);
+        if cluster_of[*a] != cluster_of[*b] {
+            adjacent_clusters[cluster_of[*a] as usize].insert(cluster_of[*b] as usize);
         }
     }
     let mut tints: Vec<usize> = Vec::with_capacity(clusters);
-    for (cluster, touched) in touching.iter().enumerate() {
+    for (cluster, adjacent) in adjacent_clusters.iter().enumerate() {
         // Clusters with higher numbers have no tint yet; they will avoid this one.
-        let taken: Vec<usize> = touched.iter().filter_map(|other| tints.get(*other).copied()).collect();
+        let taken: Vec<usize> = adjacent.iter().filter_map(|other| tints.get(*other).copied()).collect();
         let free = (0..count).find(|tint| !taken.contains(tint));
         tints.push(free.unwrap_or(cluster % count));
     }
@@ -68,14 +73,14 @@ pub(super) fn tints(neighbours: &BTreeSet<(usize, usize)>, of: &[u32], count: us
 }
 
 /// Returns the ticks from 0 to `length` metres.
-pub(super) fn ticks(length: f64) -> Vec<AxisTick> {
+pub(super) fn metre_ticks(length: f64) -> Vec<AxisTick> {
     let ticks = Scale::Linear { from: 0.0, to: length }.ticks();
     ticks.into_iter().filter(|t| t.value <= length + 1e-9).collect()
 }
 
 #[cfg(test)]
 mod tests {
-    use reveille_common::geometry::{Area, Layout, cells, place};
+    use reveille_common::geometry::{Area, Layout, place_devices, voronoi_cells};
 
     use super::*;
 
@@ -86,9 +91,9 @@ mod tests {
 
     #[test]
     fn a_grid_has_the_neighbours_of_a_chess_board() {
-        let points = place(&Layout::Grid, SQUARE, 9, 0);
-        let cells = cells(&points, SQUARE);
-        let pairs = neighbours(&points, &cells);
+        let points = place_devices(&Layout::Grid, SQUARE, 9, 0);
+        let cells = voronoi_cells(&points, SQUARE);
+        let pairs = adjacent_devices(&points, &cells);
         assert_eq!(pairs.len(), 24, "12 borders, both ways");
         let at = |x: f64, y: f64| {
             let by = |j: &usize| points[*j].distance(Point::new(x, y));
@@ -98,7 +103,7 @@ mod tests {
         assert!(pairs.contains(&(corner, side)) && pairs.contains(&(side, centre)));
         assert!(!pairs.contains(&(corner, centre)), "they share only a corner");
         let halves: Vec<u32> = points.iter().map(|p| u32::from(p.x > 7.0)).collect();
-        let lines = borders(&points, &cells, &halves);
+        let lines = cluster_borders(&points, &cells, &halves);
         let length: f64 = lines.iter().map(|(a, b)| a.distance(*b)).sum();
         assert!((length - 20.0).abs() < 1e-6, "one line across the area");
     }
@@ -106,18 +111,18 @@ mod tests {
     #[test]
     fn the_edge_of_the_area_is_no_border() {
         let points = [Point::new(9.5, 10.0), Point::new(10.5, 10.0)];
-        let lines = borders(&points, &cells(&points, SQUARE), &[0, 1]);
+        let lines = cluster_borders(&points, &voronoi_cells(&points, SQUARE), &[0, 1]);
         assert_eq!(lines.len(), 1, "{lines:?}");
         assert!((lines[0].0.distance(lines[0].1) - 20.0).abs() < 1e-9);
     }
 
     #[test]
     fn touching_clusters_have_different_tints() {
-        let points = place(&Layout::Uniform, SQUARE, 120, 5);
-        let cells = cells(&points, SQUARE);
-        let pairs = neighbours(&points, &cells);
+        let points = place_devices(&Layout::Uniform, SQUARE, 120, 5);
+        let cells = voronoi_cells(&points, SQUARE);
+        let pairs = adjacent_devices(&points, &cells);
         let of: Vec<u32> = (0..120).collect();
-        let tints = tints(&pairs, &of, 6);
+        let tints = assign_tints(&pairs, &of, 6);
         assert!(pairs.iter().all(|(a, b)| tints[*a] != tints[*b]));
     }
 }

@@ -1,22 +1,23 @@
 //! Charts: axes, lines with markers and interval bands, marks for the paper's statements, a legend and a caption.
 //!
-//! The layout fits a journal column, 3.5 inch wide, with no text below 8 points.
+//! The figure modules fill a [`Chart`]; [`Chart::scene`] draws it. The layout fits a journal column, 3.5 inch wide,
+//! with no text below 8 points.
 
-use super::font::{Weight, width, wrap};
+use super::font::{Weight, text_width, wrap_text};
 use super::note::{Note, Obstacles, place_notes};
 use super::path::{Rect, VectorPath};
 use super::scale::{AxisTick, Scale};
 use super::scene::{Anchor, Paint, Scene, Stroke, Text};
-use super::style::{COLUMN, EDGE, LARGE, LEADING, LINE, MARKER, SMALL, Style};
+use super::style::{COLUMN_WIDTH, LEADING, LINE_WIDTH, MARGIN, MARKER_RADIUS, Style, TEXT_SIZE, TITLE_SIZE};
 
 /// Height of the plot, points.
-const PLOT: f64 = 158.0;
+const PLOT_HEIGHT: f64 = 158.0;
 /// Legend entry of the marks.
-const STATED: &str = "hollow: stated in the paper";
+const MARKS_LEGEND: &str = "hollow: stated in the paper";
 /// Largest horizontal offset of marks, points: only a few devices on the axis of N.
-const CLEARANCE: f64 = 4.0;
+const MAX_MARK_OFFSET: f64 = 4.0;
 /// Opacity of grid lines.
-const GRID: f64 = 0.14;
+const GRID_OPACITY: f64 = 0.14;
 
 /// A measured point.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -25,10 +26,10 @@ pub struct ChartPoint {
     pub x: f64,
     /// Position along y, a mean.
     pub y: f64,
-    /// Half the width of the 95 % interval; NaN without an interval, as for a single run or a closed form.
-    pub half: f64,
+    /// Half the width of the 95 % interval of y; NaN without an interval, as for a single run or a closed form.
+    pub y_half_width: f64,
     /// Half the width of the interval of x; NaN if x is given, not measured.
-    pub across: f64,
+    pub x_half_width: f64,
 }
 
 /// Drawing style of a line's intervals.
@@ -37,9 +38,9 @@ pub enum Interval {
     /// A band, and bars with caps at the points.
     Bars,
     /// A band alone.
-    Area,
+    Band,
     /// A band with its edges, in place of the line.
-    Edges,
+    BandEdges,
     /// Bars with caps at the points in both directions, without a band.
     Crosses,
 }
@@ -52,13 +53,13 @@ pub struct Series {
     /// Style of line and markers.
     pub style: Style,
     /// Whether the points are joined.
-    pub joined: bool,
+    pub is_joined: bool,
     /// Whether the points have markers.
-    pub marked: bool,
+    pub has_markers: bool,
     /// Drawing style of the intervals.
     pub interval: Interval,
     /// Points, in the order in which they are joined.
-    pub samples: Vec<ChartPoint>,
+    pub points: Vec<ChartPoint>,
 }
 
 /// Value that the paper states for a point.
@@ -90,7 +91,7 @@ pub struct StatedMark {
     /// Position along x.
     pub x: f64,
     /// Horizontal offset from x, points, so that marks at the same x do not hide each other.
-    pub aside: f64,
+    pub x_offset: f64,
     /// Stated value.
     pub stated: StatedValue,
     /// Style of the mark.
@@ -132,13 +133,13 @@ pub struct Chart {
     /// Labels next to points, most important first. Labels without room are left out.
     pub notes: Vec<Note>,
     /// Whether values of zero are drawn on the lower border, which is then labelled 0.
-    pub zero_below: bool,
+    pub has_zero_at_border: bool,
     /// Caption: how to read marks and intervals, and a description of the runs.
     pub caption: String,
 }
 
 /// Position of the plot on the canvas.
-struct Frame<'a> {
+struct PlotFrame<'a> {
     chart: &'a Chart,
     left: f64,
     top: f64,
@@ -149,111 +150,119 @@ struct Frame<'a> {
 impl Chart {
     /// Draws the chart.
     pub fn scene(&self) -> Scene {
-        let mut scene = Scene::new(COLUMN, 0.0);
+        let mut scene = Scene::new(COLUMN_WIDTH, 0.0);
         scene.title.clone_from(&self.title);
         scene.description.clone_from(&self.caption);
-        let mut y = EDGE + LARGE;
-        for line in wrap(&self.title, Weight::Bold, LARGE, COLUMN - 2.0 * EDGE) {
-            scene.text(Text::new(line, (EDGE, y), LARGE).bold());
+        let mut y = MARGIN + TITLE_SIZE;
+        for line in wrap_text(&self.title, Weight::Bold, TITLE_SIZE, COLUMN_WIDTH - 2.0 * MARGIN) {
+            scene.text(Text::new(line, (MARGIN, y), TITLE_SIZE).bold());
             y += LEADING + 1.0;
         }
         let labels = self.y_ticks().into_iter().map(|tick| tick.label);
-        let widest = labels.map(|l| width(&l, Weight::Regular, SMALL)).fold(0.0, f64::max);
-        let frame = Frame {
+        let widest_label = labels
+            .map(|l| text_width(&l, Weight::Regular, TEXT_SIZE))
+            .fold(0.0, f64::max);
+        let frame = PlotFrame {
             chart: self,
-            left: EDGE + LEADING + widest + 5.0,
+            left: MARGIN + LEADING + widest_label + 5.0,
             top: y - 2.0,
-            right: COLUMN - EDGE - 4.0,
-            bottom: y - 2.0 + PLOT,
+            right: COLUMN_WIDTH - MARGIN - 4.0,
+            bottom: y - 2.0 + PLOT_HEIGHT,
         };
-        frame.axes(&mut scene);
-        frame.data(&mut scene);
+        frame.draw_axes(&mut scene);
+        frame.draw_data(&mut scene);
         let mut y = frame.bottom + 3.0 * LEADING + 6.0;
-        y = self.legend(&mut scene, y);
+        y = self.draw_legend(&mut scene, y);
         y += 1.0;
-        for line in wrap(&self.caption, Weight::Regular, SMALL, COLUMN - 2.0 * EDGE) {
-            scene.text(Text::new(line, (EDGE, y), SMALL));
+        for line in wrap_text(&self.caption, Weight::Regular, TEXT_SIZE, COLUMN_WIDTH - 2.0 * MARGIN) {
+            scene.text(Text::new(line, (MARGIN, y), TEXT_SIZE));
             y += LEADING;
         }
-        scene.height = (y - LEADING + 0.24 * SMALL + EDGE).ceil();
+        scene.height = (y - LEADING + 0.24 * TEXT_SIZE + MARGIN).ceil();
         scene
     }
 
     fn y_ticks(&self) -> Vec<AxisTick> {
         let mut ticks = self.y.ticks();
-        if let Some(lowest) = ticks.first_mut().filter(|_| self.zero_below) {
+        if let Some(lowest) = ticks.first_mut().filter(|_| self.has_zero_at_border) {
             "0".clone_into(&mut lowest.label);
         }
         ticks
     }
 
     /// Draws rows of as many entries as fit. Returns the base line of the text below.
-    fn legend(&self, scene: &mut Scene, mut y: f64) -> f64 {
+    fn draw_legend(&self, scene: &mut Scene, mut y: f64) -> f64 {
+        /// Width of an entry's line and marker, points.
         const SWATCH: f64 = 22.0;
-        let mut x = EDGE;
+        let mut x = MARGIN;
         for series in self.series.iter().filter(|s| !s.name.is_empty()) {
-            let lines = wrap(&series.name, Weight::Regular, SMALL, COLUMN - 2.0 * EDGE - SWATCH);
+            let lines = wrap_text(
+                &series.name,
+                Weight::Regular,
+                TEXT_SIZE,
+                COLUMN_WIDTH - 2.0 * MARGIN - SWATCH,
+            );
             let widest = lines
                 .iter()
-                .map(|line| width(line, Weight::Regular, SMALL))
+                .map(|line| text_width(line, Weight::Regular, TEXT_SIZE))
                 .fold(0.0, f64::max);
-            let needed = SWATCH + widest;
-            if x > EDGE && (x + needed > COLUMN - EDGE || lines.len() > 1) {
-                (x, y) = (EDGE, y + LEADING + 1.0);
+            let entry_width = SWATCH + widest;
+            if x > MARGIN && (x + entry_width > COLUMN_WIDTH - MARGIN || lines.len() > 1) {
+                (x, y) = (MARGIN, y + LEADING + 1.0);
             }
-            let middle = y - 0.35 * SMALL;
-            if series.joined {
+            let middle = y - 0.35 * TEXT_SIZE;
+            if series.is_joined {
                 scene.line(
                     VectorPath::segment((x, middle), (x + 18.0, middle)),
-                    series.style.line(),
+                    series.style.stroke(),
                 );
             }
-            if series.marked {
-                series.style.mark(scene, (x + 9.0, middle));
+            if series.has_markers {
+                series.style.draw_marker(scene, (x + 9.0, middle));
             }
             for (i, line) in lines.into_iter().enumerate() {
                 y += if i > 0 { LEADING } else { 0.0 };
-                scene.text(Text::new(line, (x + SWATCH, y), SMALL));
+                scene.text(Text::new(line, (x + SWATCH, y), TEXT_SIZE));
             }
-            x += needed + 9.0;
+            x += entry_width + 9.0;
         }
         if let Some(mark) = self.marks.first() {
-            let needed = 10.0 + width(STATED, Weight::Regular, SMALL);
-            if x + needed > COLUMN - EDGE {
-                (x, y) = (EDGE, y + LEADING + 1.0);
+            let entry_width = 10.0 + text_width(MARKS_LEGEND, Weight::Regular, TEXT_SIZE);
+            if x + entry_width > COLUMN_WIDTH - MARGIN {
+                (x, y) = (MARGIN, y + LEADING + 1.0);
             }
             let hollow = Style {
                 paint: Paint::Ink,
                 ..mark.style
             };
-            hollow.mark_hollow(scene, (x + 4.0, y - 0.35 * SMALL));
-            scene.text(Text::new(STATED, (x + 11.0, y), SMALL));
+            hollow.draw_hollow_marker(scene, (x + 4.0, y - 0.35 * TEXT_SIZE));
+            scene.text(Text::new(MARKS_LEGEND, (x + 11.0, y), TEXT_SIZE));
         }
         y + LEADING + 2.0
     }
 }
 
-impl Frame<'_> {
+impl PlotFrame<'_> {
     fn x(&self, value: f64) -> f64 {
-        self.left + self.chart.x.place(value) * (self.right - self.left)
+        self.left + self.chart.x.position(value) * (self.right - self.left)
     }
 
     fn y(&self, value: f64) -> f64 {
-        self.bottom - self.chart.y.place(value) * (self.bottom - self.top)
+        self.bottom - self.chart.y.position(value) * (self.bottom - self.top)
     }
 
-    fn axes(&self, scene: &mut Scene) {
+    fn draw_axes(&self, scene: &mut Scene) {
         let (axis, grid) = (
             Stroke::solid(Paint::Ink, 0.7),
-            Stroke::solid(Paint::Ink, 0.5).faded(GRID),
+            Stroke::solid(Paint::Ink, 0.5).with_opacity(GRID_OPACITY),
         );
         for tick in self.chart.y_ticks() {
             let y = self.y(tick.value);
             let is_main = !tick.label.is_empty();
             if is_main {
                 scene.line(VectorPath::segment((self.left, y), (self.right, y)), grid);
-                let at = (self.left - 4.0, y + 0.36 * SMALL);
-                scene.text(Text::new(tick.label, at, SMALL).anchored(Anchor::End));
+                let at = (self.left - 4.0, y + 0.36 * TEXT_SIZE);
+                scene.text(Text::new(tick.label, at, TEXT_SIZE).anchored(Anchor::End));
             }
             let length = if is_main { 2.5 } else { 1.5 };
             scene.line(VectorPath::segment((self.left - length, y), (self.left, y)), axis);
@@ -264,7 +273,7 @@ impl Frame<'_> {
             if is_main {
                 scene.line(VectorPath::segment((x, self.top), (x, self.bottom)), grid);
                 let at = (x, self.bottom + LEADING + 1.5);
-                scene.text(Text::new(tick.label, at, SMALL).anchored(Anchor::Middle));
+                scene.text(Text::new(tick.label, at, TEXT_SIZE).anchored(Anchor::Middle));
             }
             let length = if is_main { 2.5 } else { 1.5 };
             scene.line(VectorPath::segment((x, self.bottom), (x, self.bottom + length)), axis);
@@ -276,98 +285,114 @@ impl Frame<'_> {
         ];
         scene.line(VectorPath::polyline(corner, false), axis);
         let below = (0.5 * (self.left + self.right), self.bottom + 2.0 * LEADING + 2.5);
-        scene.text(Text::new(self.chart.x_label.as_str(), below, SMALL).anchored(Anchor::Middle));
-        let label_position = (EDGE + 0.76 * SMALL, 0.5 * (self.top + self.bottom));
-        let mut label = Text::new(self.chart.y_label.as_str(), label_position, SMALL).anchored(Anchor::Middle);
-        label.upwards = true;
+        scene.text(Text::new(self.chart.x_label.as_str(), below, TEXT_SIZE).anchored(Anchor::Middle));
+        let label_position = (MARGIN + 0.76 * TEXT_SIZE, 0.5 * (self.top + self.bottom));
+        let mut label = Text::new(self.chart.y_label.as_str(), label_position, TEXT_SIZE).anchored(Anchor::Middle);
+        label.is_vertical = true;
         scene.text(label);
     }
 
-    fn data(&self, scene: &mut Scene) {
+    fn draw_data(&self, scene: &mut Scene) {
         // From back to front: bands first and markers last, so that no interval hides a mean.
         for series in &self.chart.series {
-            self.intervals(scene, series);
+            self.draw_intervals(scene, series);
         }
         for span in &self.chart.spans {
-            self.span(scene, span);
+            self.draw_span(scene, span);
         }
         for mark in &self.chart.marks {
-            self.range(scene, mark);
+            self.draw_stated_range(scene, mark);
         }
-        let has_line = |s: &&Series| s.joined && s.interval != Interval::Edges;
+        let has_line = |s: &&Series| s.is_joined && s.interval != Interval::BandEdges;
         for series in self.chart.series.iter().filter(has_line) {
-            let points = series.samples.iter().map(|s| (self.x(s.x), self.y(s.y)));
-            scene.line(VectorPath::polyline(points, false), series.style.line());
+            let points = series.points.iter().map(|s| (self.x(s.x), self.y(s.y)));
+            scene.line(VectorPath::polyline(points, false), series.style.stroke());
         }
         for mark in &self.chart.marks {
-            self.point(scene, mark);
+            self.draw_stated_point(scene, mark);
         }
-        for series in self.chart.series.iter().filter(|s| s.marked) {
-            for sample in &series.samples {
-                series.style.mark(scene, (self.x(sample.x), self.y(sample.y)));
+        for series in self.chart.series.iter().filter(|s| s.has_markers) {
+            for sample in &series.points {
+                series.style.draw_marker(scene, (self.x(sample.x), self.y(sample.y)));
             }
         }
-        self.notes(scene);
+        self.draw_notes(scene);
     }
 
-    fn notes(&self, scene: &mut Scene) {
+    fn draw_notes(&self, scene: &mut Scene) {
         let notes = self.chart.notes.iter();
         let notes: Vec<_> = notes.map(|n| ((self.x(n.x), self.y(n.y)), n.text.as_str())).collect();
         let mut obstacles = Obstacles::default();
         for series in &self.chart.series {
-            let at = |s: &ChartPoint| (self.x(s.x), self.y(s.y));
-            let markers = series.samples.iter().map(|s| (at(s), MARKER));
+            let to_canvas = |s: &ChartPoint| (self.x(s.x), self.y(s.y));
+            let markers = series.points.iter().map(|s| (to_canvas(s), MARKER_RADIUS));
             obstacles.markers.extend(markers);
-            let lines = series.samples.windows(2).map(|pair| [at(&pair[0]), at(&pair[1])]);
-            obstacles.lines.extend(lines.filter(|_| series.joined));
-            for s in &series.samples {
-                let (x, y) = at(s);
-                let ends = [-1.0, 1.0].map(|side| (self.x(s.x + side * s.across), y));
-                obstacles.lines.extend(s.across.is_finite().then_some(ends));
-                let ends = [-1.0, 1.0].map(|side| (x, self.y(s.y + side * s.half)));
-                obstacles.lines.extend(s.half.is_finite().then_some(ends));
+            let lines = series
+                .points
+                .windows(2)
+                .map(|pair| [to_canvas(&pair[0]), to_canvas(&pair[1])]);
+            obstacles.lines.extend(lines.filter(|_| series.is_joined));
+            for s in &series.points {
+                let (x, y) = to_canvas(s);
+                let ends = [-1.0, 1.0].map(|side| (self.x(s.x + side * s.x_half_width), y));
+                obstacles.lines.extend(s.x_half_width.is_finite().then_some(ends));
+                let ends = [-1.0, 1.0].map(|side| (x, self.y(s.y + side * s.y_half_width)));
+                obstacles.lines.extend(s.y_half_width.is_finite().then_some(ends));
             }
         }
         let marks = self.chart.marks.iter();
         // A number next to a hollow mark would be read as the value of the mark.
-        let values = marks.map(|m| ((self.aside(m), self.y(m.stated.values()[0])), 4.0 * MARKER));
-        obstacles.markers.extend(values);
+        let mark_discs = marks.map(|m| ((self.mark_x(m), self.y(m.stated.values()[0])), 4.0 * MARKER_RADIUS));
+        obstacles.markers.extend(mark_discs);
         for text in place_notes(&notes, &obstacles, [self.left, self.top, self.right, self.bottom]) {
             scene.text(text);
         }
     }
 
     /// Draws the band of a joined series, and a bar with caps at each of its points.
-    fn intervals(&self, scene: &mut Scene, series: &Series) {
-        let known: Vec<&ChartPoint> = series.samples.iter().filter(|s| s.half.is_finite()).collect();
-        if series.joined && known.len() > 1 && series.interval != Interval::Crosses {
-            let upper = known.iter().map(|s| (self.x(s.x), self.y(s.y + s.half)));
-            let lower = known.iter().rev().map(|s| (self.x(s.x), self.y(s.y - s.half)));
+    fn draw_intervals(&self, scene: &mut Scene, series: &Series) {
+        let with_interval: Vec<&ChartPoint> = series.points.iter().filter(|s| s.y_half_width.is_finite()).collect();
+        if series.is_joined && with_interval.len() > 1 && series.interval != Interval::Crosses {
+            let upper = with_interval
+                .iter()
+                .map(|s| (self.x(s.x), self.y(s.y + s.y_half_width)));
+            let lower = with_interval
+                .iter()
+                .rev()
+                .map(|s| (self.x(s.x), self.y(s.y - s.y_half_width)));
             scene.area(VectorPath::polyline(upper.chain(lower), true), series.style.paint, 0.25);
         }
         match series.interval {
             Interval::Bars | Interval::Crosses => {}
-            Interval::Area => return,
-            Interval::Edges => {
+            Interval::Band => return,
+            Interval::BandEdges => {
                 for sign in [1.0, -1.0] {
-                    let edge = known.iter().map(|s| (self.x(s.x), self.y(s.y + sign * s.half)));
-                    scene.line(VectorPath::polyline(edge, false), series.style.line());
+                    let edge = with_interval
+                        .iter()
+                        .map(|s| (self.x(s.x), self.y(s.y + sign * s.y_half_width)));
+                    scene.line(VectorPath::polyline(edge, false), series.style.stroke());
                 }
                 return;
             }
         }
         let bar = Stroke::solid(series.style.paint, 0.7);
-        for sample in known {
+        for sample in with_interval {
             let x = self.x(sample.x);
-            let (top, bottom) = (self.y(sample.y + sample.half), self.y(sample.y - sample.half));
+            let (top, bottom) = (
+                self.y(sample.y + sample.y_half_width),
+                self.y(sample.y - sample.y_half_width),
+            );
             let mut path = VectorPath::segment((x, top), (x, bottom));
             path.extend(VectorPath::segment((x - 2.0, top), (x + 2.0, top)));
             path.extend(VectorPath::segment((x - 2.0, bottom), (x + 2.0, bottom)));
             scene.line(path, bar);
         }
-        for sample in series.samples.iter().filter(|s| s.across.is_finite()) {
+        for sample in series.points.iter().filter(|s| s.x_half_width.is_finite()) {
             let y = self.y(sample.y);
-            let (left, right) = (self.x(sample.x - sample.across), self.x(sample.x + sample.across));
+            let (left, right) = (
+                self.x(sample.x - sample.x_half_width),
+                self.x(sample.x + sample.x_half_width),
+            );
             let mut path = VectorPath::segment((left, y), (right, y));
             path.extend(VectorPath::segment((left, y - 2.0), (left, y + 2.0)));
             path.extend(VectorPath::segment((right, y - 2.0), (right, y + 2.0)));
@@ -375,15 +400,15 @@ impl Frame<'_> {
         }
     }
 
-    fn aside(&self, mark: &StatedMark) -> f64 {
-        (self.x(mark.x) + mark.aside).clamp(self.left + 3.0, self.right + 2.0)
+    fn mark_x(&self, mark: &StatedMark) -> f64 {
+        (self.x(mark.x) + mark.x_offset).clamp(self.left + 3.0, self.right + 2.0)
     }
 
-    fn range(&self, scene: &mut Scene, mark: &StatedMark) {
+    fn draw_stated_range(&self, scene: &mut Scene, mark: &StatedMark) {
         let StatedValue::Range(low, high) = mark.stated else {
             return;
         };
-        let x = self.aside(mark);
+        let x = self.mark_x(mark);
         let corners = [x - 2.2, self.y(high), x + 2.2, self.y(low)];
         scene.outlined(
             VectorPath::rectangle(corners),
@@ -393,10 +418,11 @@ impl Frame<'_> {
     }
 
     /// Draws a range as an outline with light hatching, and a bound as a line hatched on its permitted side.
-    fn span(&self, scene: &mut Scene, span: &StatedSpan) {
+    fn draw_span(&self, scene: &mut Scene, span: &StatedSpan) {
+        /// Height of the hatching on the permitted side of a bound, points.
         const DEPTH: f64 = 7.0;
         let (left, right) = (self.x(span.from), self.x(span.to));
-        let stroke = Stroke::solid(span.paint, 0.6).faded(0.6);
+        let stroke = Stroke::solid(span.paint, 0.6).with_opacity(0.6);
         let (top, bottom) = match span.stated {
             StatedValue::Range(low, high) => (self.y(high), self.y(low)),
             StatedValue::Value(v) => (self.y(v), self.y(v)),
@@ -411,13 +437,13 @@ impl Frame<'_> {
         for y in edges {
             scene.line(VectorPath::segment((left, y), (right, y)), stroke.dashed(&[3.0, 1.5]));
         }
-        for hatch in hatching([left, top, right, bottom]) {
-            scene.line(hatch, Stroke::solid(span.paint, 0.4).faded(0.4));
+        for hatch in hatch_lines([left, top, right, bottom]) {
+            scene.line(hatch, Stroke::solid(span.paint, 0.4).with_opacity(0.4));
         }
     }
 
-    fn point(&self, scene: &mut Scene, mark: &StatedMark) {
-        let x = self.aside(mark);
+    fn draw_stated_point(&self, scene: &mut Scene, mark: &StatedMark) {
+        let x = self.mark_x(mark);
         let (value, direction) = match mark.stated {
             StatedValue::Range(..) => return,
             StatedValue::Value(value) => (value, 0.0),
@@ -434,14 +460,14 @@ impl Frame<'_> {
                 [(x - 2.0, barb), (x, tip), (x + 2.0, barb)],
                 false,
             ));
-            scene.line(arrow, Stroke::solid(mark.style.paint, 0.8 * LINE));
+            scene.line(arrow, Stroke::solid(mark.style.paint, 0.8 * LINE_WIDTH));
         }
-        mark.style.mark_hollow(scene, (x, y));
+        mark.style.draw_hollow_marker(scene, (x, y));
     }
 }
 
 /// Returns lines that rise through a rectangle at 45°.
-pub(super) fn hatching([left, top, right, bottom]: Rect) -> Vec<VectorPath> {
+pub(super) fn hatch_lines([left, top, right, bottom]: Rect) -> Vec<VectorPath> {
     const STEP: f64 = 6.0;
     let height = bottom - top;
     if height <= 0.0 {
@@ -457,15 +483,15 @@ pub(super) fn hatching([left, top, right, bottom]: Rect) -> Vec<VectorPath> {
 }
 
 /// Spreads marks that share an x around it, in order: one marker width apart, at most 4 points from x.
-pub fn spread(marks: &mut [StatedMark]) {
-    let all = marks.to_vec();
+pub fn separate_overlapping(marks: &mut [StatedMark]) {
+    let originals = marks.to_vec();
     for (i, mark) in marks.iter_mut().enumerate() {
         let shares = |other: &&StatedMark| (other.x - mark.x).abs() < 1e-9;
-        let count = all.iter().filter(shares).count();
-        let turn = all[..i].iter().filter(shares).count();
-        let gaps = count as f64 - 1.0;
+        let count = originals.iter().filter(shares).count();
+        let rank = originals[..i].iter().filter(shares).count();
+        let gap_count = count as f64 - 1.0;
         // A lone mark has no gaps and stays at its x.
-        let step = (2.4 * MARKER).min(2.0 * CLEARANCE / gaps.max(1.0));
-        mark.aside = (turn as f64 - 0.5 * gaps) * step;
+        let step = (2.4 * MARKER_RADIUS).min(2.0 * MAX_MARK_OFFSET / gap_count.max(1.0));
+        mark.x_offset = (rank as f64 - 0.5 * gap_count) * step;
     }
 }

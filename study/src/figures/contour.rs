@@ -1,23 +1,23 @@
-//! Contour lines of values on a grid, as segments.
+//! Contour lines of values on a grid, as segments, for the tuning figure.
 
 /// A point of the unit square.
 type UnitPoint = (f64, f64);
 
 /// Returns the contour at `level` as segments (marching squares). `rows` ascend in y and have equal length. Their
 /// values are at the middles of equal cells of the unit square, and stay constant beyond the outermost middles.
-pub(super) fn segments(rows: &[Vec<f64>], level: f64) -> Vec<(UnitPoint, UnitPoint)> {
-    let (high, wide) = (rows.len(), rows.first().map_or(0, Vec::len));
-    let mut found = Vec::new();
-    if high == 0 || wide == 0 {
-        return found;
+pub(super) fn contour_segments(rows: &[Vec<f64>], level: f64) -> Vec<(UnitPoint, UnitPoint)> {
+    let (row_count, column_count) = (rows.len(), rows.first().map_or(0, Vec::len));
+    let mut segments = Vec::new();
+    if row_count == 0 || column_count == 0 {
+        return segments;
     }
     // Nodes 0 and n + 1 lie on the border and have the values of their neighbours.
-    let place = |i: usize, count: usize| ((i as f64 - 0.5) / count as f64).clamp(0.0, 1.0);
-    let value = |i: usize, j: usize| rows[j.clamp(1, high) - 1][i.clamp(1, wide) - 1];
-    for j in 0..=high {
-        for i in 0..=wide {
+    let position = |i: usize, count: usize| ((i as f64 - 0.5) / count as f64).clamp(0.0, 1.0);
+    let value = |i: usize, j: usize| rows[j.clamp(1, row_count) - 1][i.clamp(1, column_count) - 1];
+    for j in 0..=row_count {
+        for i in 0..=column_count {
             let corners = [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)]
-                .map(|(i, j)| ((place(i, wide), place(j, high)), value(i, j)));
+                .map(|(i, j)| ((position(i, column_count), position(j, row_count)), value(i, j)));
             let mut crossings = Vec::new();
             for side in 0..4 {
                 let ((a, from), (b, to)) = (corners[side], corners[(side + 1) % 4]);
@@ -35,10 +35,10 @@ pub(super) fn segments(rows: &[Vec<f64>], level: f64) -> Vec<(UnitPoint, UnitPoi
                 }
             }
             // A line that enters a cell leaves it, so the number of crossings is even.
-            found.extend(crossings.chunks_exact(2).map(|pair| (pair[0], pair[1])));
+            segments.extend(crossings.chunks_exact(2).map(|pair| (pair[0], pair[1])));
         }
     }
-    found
+    segments
 }
 
 #[cfg(test)]
@@ -60,7 +60,7 @@ mod tests {
     #[test]
     fn the_line_of_a_cone_is_a_circle() {
         let cone = grid(|x, y| ((x - 0.5) * (x - 0.5) + (y - 0.5) * (y - 0.5)).sqrt());
-        let found = segments(&cone, 0.3);
+        let found = contour_segments(&cone, 0.3);
         assert!(
             (length(&found) - 0.6 * std::f64::consts::PI).abs() < 0.01,
             "{}",
@@ -70,12 +70,12 @@ mod tests {
             let reach = ((a.0 - 0.5) * (a.0 - 0.5) + (a.1 - 0.5) * (a.1 - 0.5)).sqrt();
             assert!((reach - 0.3).abs() < 0.002, "{reach}");
         }
-        assert!(segments(&cone, 2.0).is_empty() && segments(&[], 0.0).is_empty());
+        assert!(contour_segments(&cone, 2.0).is_empty() && contour_segments(&[], 0.0).is_empty());
     }
 
     #[test]
     fn the_line_of_a_plane_goes_from_edge_to_edge() {
-        let found = segments(&grid(|x, _| x), 0.4);
+        let found = contour_segments(&grid(|x, _| x), 0.4);
         assert!((length(&found) - 1.0).abs() < 1e-9, "{}", length(&found));
         assert!(
             found
@@ -88,7 +88,7 @@ mod tests {
     fn lines_do_not_cross_at_a_saddle() {
         // The middle (0.5) is above the level, so the high corners are connected.
         let saddle = vec![vec![1.0, 0.0], vec![0.0, 1.0]];
-        let found = segments(&saddle, 0.4);
+        let found = contour_segments(&saddle, 0.4);
         let between = |t: &UnitPoint| t.0 + t.1;
         // Each piece lies wholly on one side of the diagonal through the high corners.
         for (a, b) in found {

@@ -6,22 +6,22 @@ use reveille_bs::beliefs::ranking::i_min;
 use reveille_bs::scenario::Scenario;
 use reveille_common::deployment::Deployment;
 use reveille_common::event::EventRecord;
-use reveille_common::geometry::{Point, cells};
+use reveille_common::geometry::{Point, voronoi_cells};
 use reveille_common::ids::DeviceId;
 use reveille_common::message::WakeOutcome;
 use reveille_common::state::DeviceState;
 
 use super::area_plot::AreaPlot;
-use super::cell_map::{self, tints};
+use super::cell_map::{self, assign_tints};
 use super::error::FigureError;
-use super::font::{Weight, width, wrap};
+use super::font::{Weight, text_width, wrap_text};
 use super::path::VectorPath;
-use super::run_walk::{RunWalk, TtiOutcome, events};
+use super::run_walk::{RunWalk, TtiOutcome, collect_events};
 use super::scene::{Anchor, Paint, Rgb, Scene, Stroke, Text};
-use super::style::{BLUE, COLUMN, EDGE, GREEN, LARGE, LEADING, SMALL, VERMILION};
+use super::style::{BLUE, COLUMN_WIDTH, GREEN, LEADING, MARGIN, TEXT_SIZE, TITLE_SIZE, VERMILION};
 
 /// Largest number of devices in a figure.
-pub(crate) const CROWD: u32 = 1000;
+pub(crate) const MAX_DEVICES: u32 = 1000;
 
 /// Background colours of clusters: pale, so that markers stand out.
 const TINTS: [Rgb; 6] = [
@@ -43,13 +43,13 @@ pub enum DeviceRole {
     /// In S1 or woken, but could not pay E_Tx.
     Failed,
     /// Woken, but no report arrived: unpowered, not asleep, or the wake-up or report was lost.
-    Unpowered,
+    NoReport,
     /// In S1 without an event to report.
     Sensing,
     /// In S4.
     Asleep,
     /// Without power.
-    Empty,
+    WithoutPower,
 }
 
 /// One event and the devices around it.
@@ -66,7 +66,7 @@ pub struct EventScene {
     /// Threshold I_min of the deployment.
     pub i_min: f64,
     /// Number of wake-ups sent.
-    pub wake_ups: usize,
+    pub wake_up_count: usize,
 }
 
 impl EventScene {
@@ -74,23 +74,23 @@ impl EventScene {
     /// several reports and a wake-up. Failing that, it is the first reported event, or else the first event.
     ///
     /// # Errors
-    /// There are more than `CROWD` devices, or the event does not exist.
+    /// There are more than `MAX_DEVICES` devices, or the event does not exist.
     pub fn from_scenario(scenario: &Scenario, event: Option<u64>) -> Result<Self, FigureError> {
-        if scenario.run.devices > CROWD {
-            return Err(FigureError::Crowd {
+        if scenario.run.devices > MAX_DEVICES {
+            return Err(FigureError::TooManyDevices {
                 count: scenario.run.devices,
                 what: "a deployment picture",
-                limit: CROWD,
+                limit: MAX_DEVICES,
                 advice: "give fewer with --devices",
             });
         }
-        let all = events(scenario);
-        let counted = || all.iter().filter(|e| e.counted);
+        let all = collect_events(scenario);
+        let measured_events = || all.iter().filter(|e| e.counted);
         let chosen = match event {
             Some(event) => all.iter().find(|e| e.event.0 == event),
-            None => counted()
+            None => measured_events()
                 .find(|e| e.tally.reports > 1 && e.tally.wake_ups > 0)
-                .or_else(|| counted().find(|e| e.tally.reports > 0))
+                .or_else(|| measured_events().find(|e| e.tally.reports > 0))
                 .or_else(|| all.first()),
         };
         let Some(chosen) = chosen else {
@@ -101,112 +101,129 @@ impl EventScene {
             });
         };
         let mut walk = RunWalk::new(scenario);
-        let happened = walk.reach(chosen.last);
+        let outcome = walk.run_through(chosen.last);
         let positions = Deployment::new(scenario).positions();
         let roles = (0..scenario.run.devices).map(DeviceId);
-        let roles = roles.map(|j| role(j, &happened, walk.state(j, chosen.last).0));
+        let roles = roles.map(|j| role(j, &outcome, walk.state_and_battery(j, chosen.last).0));
         Ok(Self {
             event: *chosen,
             roles: roles.collect(),
             clusters: walk.groups().map(<[u32]>::to_vec),
             i_min: i_min(&positions, scenario.area, &scenario.sensing),
             positions,
-            wake_ups: happened.woken.len(),
+            wake_up_count: outcome.wake_ups.len(),
         })
     }
 }
 
-fn role(device: DeviceId, happened: &TtiOutcome, state: DeviceState) -> DeviceRole {
+fn role(device: DeviceId, outcome: &TtiOutcome, state: DeviceState) -> DeviceRole {
     // Wake-ups first: a woken device that has reported also ends its TTI in S3.
-    let wake_up = (1..).zip(&happened.woken).find(|(_, (woken, _))| *woken == device);
+    let wake_up = (1..).zip(&outcome.wake_ups).find(|(_, (woken, _))| *woken == device);
     match wake_up {
         Some((number, (_, WakeOutcome::Reported(_)))) => return DeviceRole::Woken(number),
         Some((_, (_, WakeOutcome::Failed(_) | WakeOutcome::Late { .. }))) => return DeviceRole::Failed,
-        Some((_, (_, WakeOutcome::Missed | WakeOutcome::Lost(_)))) => return DeviceRole::Unpowered,
+        Some((_, (_, WakeOutcome::Missed | WakeOutcome::Lost(_)))) => return DeviceRole::NoReport,
         None => {}
     }
-    if happened.failures.iter().any(|f| f.device == device) {
+    if outcome.failures.iter().any(|f| f.device == device) {
         return DeviceRole::Failed;
     }
     match state {
         DeviceState::Transmission => DeviceRole::Reporter,
         DeviceState::Idle | DeviceState::Active => DeviceRole::Sensing,
         DeviceState::Sleep { powered: true } => DeviceRole::Asleep,
-        DeviceState::Sleep { powered: false } => DeviceRole::Empty,
+        DeviceState::Sleep { powered: false } => DeviceRole::WithoutPower,
     }
 }
 
 /// Returns the file name, without extension, of the figure.
-pub fn name(scenario: &Scenario, moment: &EventScene) -> String {
-    let (policy, event) = (scenario.policy.name(), moment.event.event.0);
+pub fn file_name(scenario: &Scenario, event_scene: &EventScene) -> String {
+    let (policy, event) = (scenario.policy.name(), event_scene.event.event.0);
     format!(
         "deployment-{policy}-n{}-s{}-e{event}",
         scenario.run.devices, scenario.run.seed
     )
 }
 
-/// Draws `moment`.
-pub fn scene(scenario: &Scenario, moment: &EventScene) -> Scene {
-    let mut scene = Scene::new(COLUMN, 0.0);
+/// Draws `event_scene`.
+pub fn scene(scenario: &Scenario, event_scene: &EventScene) -> Scene {
+    let mut scene = Scene::new(COLUMN_WIDTH, 0.0);
     scene.title = format!(
         "Event {}, policy {}, N = {}",
-        moment.event.event.0,
+        event_scene.event.event.0,
         scenario.policy.name(),
         scenario.run.devices
     );
-    let mut y = EDGE + LARGE;
-    for line in wrap(&scene.title.clone(), Weight::Bold, LARGE, COLUMN - 2.0 * EDGE) {
-        scene.text(Text::new(line, (EDGE, y), LARGE).bold());
+    let mut y = MARGIN + TITLE_SIZE;
+    for line in wrap_text(
+        &scene.title.clone(),
+        Weight::Bold,
+        TITLE_SIZE,
+        COLUMN_WIDTH - 2.0 * MARGIN,
+    ) {
+        scene.text(Text::new(line, (MARGIN, y), TITLE_SIZE).bold());
         y += LEADING + 1.0;
     }
     let ground = AreaPlot::new(scenario.area, y - 2.0);
-    ground.cells(&mut scene, moment);
-    ground.axes(&mut scene);
-    ground.event(&mut scene, moment, scenario.sensing.d_max);
-    ground.devices(&mut scene, moment);
-    y = legend(&mut scene, moment, ground.bottom() + 2.0 * LEADING + 15.0);
-    scene.description = caption(scenario, moment);
-    for line in wrap(&scene.description.clone(), Weight::Regular, SMALL, COLUMN - 2.0 * EDGE) {
-        scene.text(Text::new(line, (EDGE, y), SMALL));
+    ground.draw_cells(&mut scene, event_scene);
+    ground.draw_axes(&mut scene);
+    ground.draw_event(&mut scene, event_scene, scenario.sensing.d_max);
+    ground.draw_devices(&mut scene, event_scene);
+    y = legend(&mut scene, event_scene, ground.bottom() + 2.0 * LEADING + 15.0);
+    scene.description = caption(scenario, event_scene);
+    for line in wrap_text(
+        &scene.description.clone(),
+        Weight::Regular,
+        TEXT_SIZE,
+        COLUMN_WIDTH - 2.0 * MARGIN,
+    ) {
+        scene.text(Text::new(line, (MARGIN, y), TEXT_SIZE));
         y += LEADING;
     }
-    scene.height = (y - LEADING + 0.24 * SMALL + EDGE).ceil();
+    scene.height = (y - LEADING + 0.24 * TEXT_SIZE + MARGIN).ceil();
     scene
 }
 
 impl AreaPlot {
-    fn cells(&self, scene: &mut Scene, moment: &EventScene) {
-        let cells = cells(&moment.positions, self.area);
-        let border = Stroke::solid(Paint::Ink, 0.5).faded(0.3);
-        if let Some(of) = &moment.clusters {
-            let tints = tints(&cell_map::neighbours(&moment.positions, &cells), of, TINTS.len());
-            for (cell, cluster) in cells.iter().zip(of) {
+    fn draw_cells(&self, scene: &mut Scene, event_scene: &EventScene) {
+        let cells = voronoi_cells(&event_scene.positions, self.area);
+        let border = Stroke::solid(Paint::Ink, 0.5).with_opacity(0.3);
+        if let Some(cluster_of) = &event_scene.clusters {
+            let tints = assign_tints(
+                &cell_map::adjacent_devices(&event_scene.positions, &cells),
+                cluster_of,
+                TINTS.len(),
+            );
+            for (cell, cluster) in cells.iter().zip(cluster_of) {
                 let tint = TINTS[tints[*cluster as usize]];
-                let corners = cell.iter().map(|p| self.at(*p));
+                let corners = cell.iter().map(|p| self.to_canvas(*p));
                 scene.area(VectorPath::polyline(corners, true), Paint::Colour(tint), 1.0);
             }
         }
         for cell in &cells {
-            scene.line(VectorPath::polyline(cell.iter().map(|p| self.at(*p)), true), border);
+            scene.line(
+                VectorPath::polyline(cell.iter().map(|p| self.to_canvas(*p)), true),
+                border,
+            );
         }
-        if let Some(of) = &moment.clusters {
-            for (from, to) in cell_map::borders(&moment.positions, &cells, of) {
-                let line = VectorPath::segment(self.at(from), self.at(to));
-                scene.line(line, Stroke::solid(Paint::Ink, 1.1).faded(0.75));
+        if let Some(cluster_of) = &event_scene.clusters {
+            for (from, to) in cell_map::cluster_borders(&event_scene.positions, &cells, cluster_of) {
+                let line = VectorPath::segment(self.to_canvas(from), self.to_canvas(to));
+                scene.line(line, Stroke::solid(Paint::Ink, 1.1).with_opacity(0.75));
             }
         }
     }
 
     /// Draws the epicentre, and the part of the circle of radius d_max around it that lies in the area.
-    fn event(&self, scene: &mut Scene, moment: &EventScene, d_max: f64) {
-        let centre = moment.event.epicentre;
+    fn draw_event(&self, scene: &mut Scene, event_scene: &EventScene, d_max: f64) {
+        let centre = event_scene.event.epicentre;
         let stroke = Stroke::solid(Paint::Colour(VERMILION), 1.2).dashed(&[4.0, 2.0]);
         let mut arc: Vec<(f64, f64)> = Vec::new();
         for i in 0..=360 {
             let angle = f64::from(i).to_radians();
             let p = Point::new(centre.x + d_max * cos(angle), centre.y + d_max * sin(angle));
             if self.area.contains(p) {
-                arc.push(self.at(p));
+                arc.push(self.to_canvas(p));
             } else if !arc.is_empty() {
                 // The circle leaves the area here, so the next point inside begins another arc.
                 scene.line(VectorPath::polyline(std::mem::take(&mut arc), false), stroke);
@@ -215,39 +232,39 @@ impl AreaPlot {
         if !arc.is_empty() {
             scene.line(VectorPath::polyline(arc, false), stroke);
         }
-        epicentre(scene, self.at(centre));
+        draw_epicentre(scene, self.to_canvas(centre));
     }
 
-    fn devices(&self, scene: &mut Scene, moment: &EventScene) {
-        for (p, role) in moment.positions.iter().zip(&moment.roles) {
-            draw_role(scene, *role, self.at(*p));
+    fn draw_devices(&self, scene: &mut Scene, event_scene: &EventScene) {
+        for (p, role) in event_scene.positions.iter().zip(&event_scene.roles) {
+            draw_role(scene, *role, self.to_canvas(*p));
         }
-        for (p, role) in moment.positions.iter().zip(&moment.roles) {
+        for (p, role) in event_scene.positions.iter().zip(&event_scene.roles) {
             if let DeviceRole::Woken(number) = role {
-                let (x, y) = self.at(*p);
+                let (x, y) = self.to_canvas(*p);
                 let text = number.to_string();
                 // On the right, unless the text would extend beyond the area.
-                let room = width(&text, Weight::Bold, SMALL) + 6.0;
-                let is_left = x + room < self.left + self.area.width * self.scale;
+                let room = text_width(&text, Weight::Bold, TEXT_SIZE) + 6.0;
+                let is_left = x + room < self.left + self.area.width * self.points_per_metre;
                 let (x, anchor) = if is_left {
                     (x + 4.0, Anchor::Start)
                 } else {
                     (x - 4.0, Anchor::End)
                 };
-                let y = (y - 2.0).max(self.top + 0.8 * SMALL);
-                scene.text(Text::new(text, (x, y), SMALL).bold().anchored(anchor));
+                let y = (y - 2.0).max(self.top + 0.8 * TEXT_SIZE);
+                scene.text(Text::new(text, (x, y), TEXT_SIZE).bold().anchored(anchor));
             }
         }
     }
 }
 
-pub(super) fn epicentre(scene: &mut Scene, at: (f64, f64)) {
+pub(super) fn draw_epicentre(scene: &mut Scene, at: (f64, f64)) {
     let star = VectorPath::polygon(at, 6.0, 8, 0.0, 0.4);
     let border = Stroke::solid(Paint::Ink, 0.6);
     scene.outlined(star, Paint::Colour(VERMILION), border);
 }
 
-fn cross(scene: &mut Scene, (x, y): (f64, f64), size: f64, stroke: Stroke) {
+fn draw_cross(scene: &mut Scene, (x, y): (f64, f64), size: f64, stroke: Stroke) {
     let mut path = VectorPath::segment((x - size, y - size), (x + size, y + size));
     path.extend(VectorPath::segment((x - size, y + size), (x + size, y - size)));
     scene.line(path, stroke);
@@ -262,11 +279,11 @@ fn draw_role(scene: &mut Scene, role: DeviceRole, at: (f64, f64)) {
             let square = VectorPath::rectangle([x - 2.8, y - 2.8, x + 2.8, y + 2.8]);
             scene.outlined(square, Paint::Colour(GREEN), border);
         }
-        DeviceRole::Failed => cross(scene, at, 3.0, Stroke::solid(Paint::Colour(VERMILION), 1.6)),
-        DeviceRole::Unpowered => {
+        DeviceRole::Failed => draw_cross(scene, at, 3.0, Stroke::solid(Paint::Colour(VERMILION), 1.6)),
+        DeviceRole::NoReport => {
             let square = VectorPath::rectangle([x - 2.6, y - 2.6, x + 2.6, y + 2.6]);
             scene.outlined(square, Paint::Paper, Stroke::solid(Paint::Ink, 0.8));
-            cross(scene, at, 2.6, Stroke::solid(Paint::Ink, 0.8));
+            draw_cross(scene, at, 2.6, Stroke::solid(Paint::Ink, 0.8));
         }
         DeviceRole::Sensing => scene.outlined(
             VectorPath::circle(at, 2.8),
@@ -274,13 +291,13 @@ fn draw_role(scene: &mut Scene, role: DeviceRole, at: (f64, f64)) {
             Stroke::solid(Paint::Colour(BLUE), 1.2),
         ),
         DeviceRole::Asleep => scene.area(VectorPath::circle(at, 1.5), Paint::Ink, 1.0),
-        DeviceRole::Empty => cross(scene, at, 1.7, Stroke::solid(Paint::Ink, 0.8)),
+        DeviceRole::WithoutPower => draw_cross(scene, at, 1.7, Stroke::solid(Paint::Ink, 0.8)),
     }
 }
 
 /// Draws the roles in the figure, with the number of devices in each. Returns the base line of the text below.
-fn legend(scene: &mut Scene, moment: &EventScene, mut y: f64) -> f64 {
-    let count = |is: fn(&DeviceRole) -> bool| moment.roles.iter().filter(|role| is(role)).count();
+fn legend(scene: &mut Scene, event_scene: &EventScene, mut y: f64) -> f64 {
+    let count = |is: fn(&DeviceRole) -> bool| event_scene.roles.iter().filter(|role| is(role)).count();
     let entries = [
         (
             DeviceRole::Reporter,
@@ -298,9 +315,9 @@ fn legend(scene: &mut Scene, moment: &EventScene, mut y: f64) -> f64 {
             count(|r| matches!(r, DeviceRole::Failed)),
         ),
         (
-            DeviceRole::Unpowered,
+            DeviceRole::NoReport,
             "woken, no report",
-            count(|r| matches!(r, DeviceRole::Unpowered)),
+            count(|r| matches!(r, DeviceRole::NoReport)),
         ),
         (
             DeviceRole::Sensing,
@@ -312,21 +329,25 @@ fn legend(scene: &mut Scene, moment: &EventScene, mut y: f64) -> f64 {
             "S4, asleep",
             count(|r| matches!(r, DeviceRole::Asleep)),
         ),
-        (DeviceRole::Empty, "no power", count(|r| matches!(r, DeviceRole::Empty))),
+        (
+            DeviceRole::WithoutPower,
+            "no power",
+            count(|r| matches!(r, DeviceRole::WithoutPower)),
+        ),
     ];
-    let mut x = EDGE;
+    let mut x = MARGIN;
     let mut place = |scene: &mut Scene, text: String| {
-        let needed = 14.0 + width(&text, Weight::Regular, SMALL);
-        if x > EDGE && x + needed > COLUMN - EDGE {
-            (x, y) = (EDGE, y + LEADING + 2.0);
+        let needed = 14.0 + text_width(&text, Weight::Regular, TEXT_SIZE);
+        if x > MARGIN && x + needed > COLUMN_WIDTH - MARGIN {
+            (x, y) = (MARGIN, y + LEADING + 2.0);
         }
-        scene.text(Text::new(text, (x + 14.0, y), SMALL));
-        let at = (x + 6.0, y - 0.35 * SMALL);
+        scene.text(Text::new(text, (x + 14.0, y), TEXT_SIZE));
+        let at = (x + 6.0, y - 0.35 * TEXT_SIZE);
         x += needed + 10.0;
         at
     };
     let at = place(scene, "event, with d_max".to_owned());
-    epicentre(scene, at);
+    draw_epicentre(scene, at);
     for (role, text, count) in entries.into_iter().filter(|(_, _, count)| *count > 0) {
         let at = place(scene, format!("{text} ({count})"));
         draw_role(scene, role, at);
@@ -334,9 +355,9 @@ fn legend(scene: &mut Scene, moment: &EventScene, mut y: f64) -> f64 {
     y + LEADING + 5.0
 }
 
-fn caption(scenario: &Scenario, moment: &EventScene) -> String {
-    let EventRecord { start, last, tally, .. } = moment.event;
-    let ground = moment.clusters.as_ref().map_or_else(
+fn caption(scenario: &Scenario, event_scene: &EventScene) -> String {
+    let EventRecord { start, last, tally, .. } = event_scene.event;
+    let ground = event_scene.clusters.as_ref().map_or_else(
         || "Cells are the devices' Voronoi cells.".to_owned(),
         |of| {
             let count = of.iter().max().map_or(0, |last| last + 1);
@@ -344,7 +365,7 @@ fn caption(scenario: &Scenario, moment: &EventScene) -> String {
         },
     );
     let information = tally.information();
-    let wake_ups = match moment.wake_ups {
+    let wake_ups = match event_scene.wake_up_count {
         0 => "no wake-up".to_owned(),
         1 => "one wake-up (numbered if it led to a report)".to_owned(),
         many => format!("{many} wake-ups (numbered if they led to a report)"),
@@ -352,6 +373,6 @@ fn caption(scenario: &Scenario, moment: &EventScene) -> String {
     format!(
         "{ground} The event began in TTI {start} and ended in TTI {last}, which is shown. The BS sent {wake_ups} and \
          got information {information:.3}; I_min of the deployment is {:.3}. Preset {}, seed {}.",
-        moment.i_min, scenario.run.preset, scenario.run.seed
+        event_scene.i_min, scenario.run.preset, scenario.run.seed
     )
 }

@@ -13,38 +13,38 @@ use reveille_common::units::Energy;
 use super::chart::{Chart, ChartPoint, Interval, Series, StatedMark, StatedValue};
 use super::results::RunCondition;
 use super::scale::Scale;
-use super::study::title;
+use super::study::figure_title;
 use super::style::Style;
 use crate::analysis::AnalysisError;
-use crate::analysis::harvest::{self, HarvestPoint, HarvestStudy, LambdaReading, STATED, measure};
+use crate::analysis::harvest::{self, HarvestPoint, HarvestStudy, LambdaReading, STATED_THRESHOLDS, measure};
 use reveille_lab::stats::Estimate;
 
 /// Names of the two figures.
 pub const NAMES: [&str; 2] = ["harvest", "net"];
 /// E_B of the figures, units.
-const E_B: [f64; 3] = [1.0, 5.0, 10.0];
+const E_B_UNITS: [f64; 3] = [1.0, 5.0, 10.0];
 /// λ at which harvests are measured.
 const LAMBDAS: [f64; 9] = [0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0];
 /// Ends of the λ axis. Eq. (5) is largest at λτ = 1.
-const ENDS: (f64, f64) = (0.01, 1.0);
+const LAMBDA_RANGE: (f64, f64) = (0.01, 1.0);
 /// Number of points of a closed form's line.
-const STEPS: u32 = 80;
+const CURVE_STEPS: u32 = 80;
 /// N of Fig. 14.
 const NET_N: u32 = 100;
 /// Policies of Fig. 14: the ones with the highest and lowest consumption in the paper.
 const NET_POLICIES: [&str; 2] = ["adjusted", "random"];
 /// Range of the y axis of Fig. 14, units per device and TTI; lines end where they leave it.
-const NET_ENDS: (f64, f64) = (-0.4, 1.0);
+const NET_RANGE: (f64, f64) = (-0.4, 1.0);
 /// Devices, TTIs and runs of the measured harvests.
-const MEASURED: (u32, u64, u64) = (20, 2000, 8);
+const MEASUREMENT_SIZE: (u32, u64, u64) = (20, 2000, 8);
 
 /// Measures harvests of simulated devices for the λ and E_B of the figures, with all other settings as in the preset
 /// `name`.
 ///
 /// # Errors
 /// The measurement fails, which does not happen for a preset.
-pub fn harvests(name: &str) -> Result<Vec<HarvestPoint>, AnalysisError> {
-    let (devices, ttis, seeds) = MEASURED;
+pub fn measure_harvests(name: &str) -> Result<Vec<HarvestPoint>, AnalysisError> {
+    let (devices, ttis, seeds) = MEASUREMENT_SIZE;
     let Ok(Loaded { mut scenario, .. }) = load_with(name, &[], &NoFiles) else {
         return Ok(Vec::new());
     };
@@ -54,14 +54,14 @@ pub fn harvests(name: &str) -> Result<Vec<HarvestPoint>, AnalysisError> {
         scenario,
         readings: vec![LambdaReading::Eq5],
         lambdas: LAMBDAS.to_vec(),
-        e_b: E_B.into_iter().filter_map(Energy::from_units).collect(),
+        e_b: E_B_UNITS.into_iter().filter_map(Energy::from_units).collect(),
         seeds,
     })
 }
 
 /// Returns the policies with the least and the most consumption in `condition` with `n` devices, units per device and
 /// TTI. The genie does not count, since it cannot be built. `None` with fewer than two policies.
-pub fn consumption(condition: &RunCondition, n: u32) -> Option<[(String, Estimate); 2]> {
+pub fn extreme_consumptions(condition: &RunCondition, n: u32) -> Option<[(String, Estimate); 2]> {
     let policies = condition
         .policies()
         .into_iter()
@@ -78,64 +78,74 @@ pub fn consumption(condition: &RunCondition, n: u32) -> Option<[(String, Estimat
     }
 }
 
-fn lambdas() -> impl Iterator<Item = f64> {
-    let (from, to) = ENDS;
-    (0..=STEPS).map(move |i| from * libm::pow(to / from, f64::from(i) / f64::from(STEPS)))
+fn curve_lambdas() -> impl Iterator<Item = f64> {
+    let (from, to) = LAMBDA_RANGE;
+    (0..=CURVE_STEPS).map(move |i| from * libm::pow(to / from, f64::from(i) / f64::from(CURVE_STEPS)))
 }
 
 fn closed_form(e_b: f64, lambda: f64) -> f64 {
     e_b * LambdaReading::Eq5.probability(lambda, 1.0)
 }
 
-fn axis() -> Scale {
+fn lambda_scale() -> Scale {
     Scale::Log {
-        from: ENDS.0,
-        to: ENDS.1,
+        from: LAMBDA_RANGE.0,
+        to: LAMBDA_RANGE.1,
     }
 }
 
-/// Draws Fig. 13 with `points` of [`harvests`], and consumption bands for N = 10 and 250 if `condition` has them.
+/// Draws Fig. 13 with `points` of [`measure_harvests`], and consumption bands for N = 10 and 250 if `condition` has
+/// them.
 pub fn harvest_chart(condition: &RunCondition, points: &[HarvestPoint]) -> Chart {
-    let (devices, ttis, seeds) = MEASURED;
+    let (devices, ttis, seeds) = MEASUREMENT_SIZE;
     let mut series = Vec::new();
     let mut bands = String::new();
-    for (n, style) in [(10, Style::nth(1)), (250, Style::nth(2))] {
-        let Some([(less, least), (more, most)]) = consumption(condition, n) else {
+    for (n, style) in [(10, Style::from_palette(1)), (250, Style::from_palette(2))] {
+        let Some([(least_policy, least), (most_policy, most)]) = extreme_consumptions(condition, n) else {
             continue;
         };
         let (least, most) = (least.mean, most.mean);
         // A band is a line with a half-width, so it is drawn around its middle.
-        let half = 0.5 * (most - least);
-        let samples = [ENDS.0, ENDS.1].map(|x| ChartPoint {
+        let half_width = 0.5 * (most - least);
+        let ends = [LAMBDA_RANGE.0, LAMBDA_RANGE.1].map(|x| ChartPoint {
             x,
-            y: least + half,
-            half,
-            across: f64::NAN,
+            y: least + half_width,
+            y_half_width: half_width,
+            x_half_width: f64::NAN,
         });
         series.push(Series {
             name: format!("spent, N = {n}"),
             style,
-            joined: true,
-            marked: false,
-            interval: Interval::Edges,
-            samples: samples.to_vec(),
+            is_joined: true,
+            has_markers: false,
+            interval: Interval::BandEdges,
+            points: ends.to_vec(),
         });
-        let _ = write!(bands, " Spent at N = {n}: {least:.3} ({less}) to {most:.3} ({more}).");
+        let _ = write!(
+            bands,
+            " Spent at N = {n}: {least:.3} ({least_policy}) to {most:.3} ({most_policy})."
+        );
     }
-    for (e_b, style) in E_B.into_iter().zip([Style::nth(0), Style::nth(3), Style::nth(4)]) {
-        let line = lambdas().map(|x| ChartPoint {
+    for (e_b, style) in
+        E_B_UNITS
+            .into_iter()
+            .zip([Style::from_palette(0), Style::from_palette(3), Style::from_palette(4)])
+    {
+        let line = curve_lambdas().map(|x| ChartPoint {
             x,
             y: closed_form(e_b, x),
-            half: f64::NAN,
-            across: f64::NAN,
+            y_half_width: f64::NAN,
+            x_half_width: f64::NAN,
         });
-        series.push(line_of(format!("E_B = {e_b}"), style, line.collect()));
+        series.push(curve_series(format!("E_B = {e_b}"), style, line.collect()));
         let measured = points.iter().filter(|p| (p.e_b - e_b).abs() < 1e-9);
-        series.push(dots_of(style, measured.map(harvest_of).collect()));
+        series.push(measured_series(style, measured.map(harvest_point).collect()));
     }
     // The paper states these for its own settings, which only an unchanged preset matches.
-    let stated = STATED.iter().filter(|s| s.devices != NET_N && condition.is_plain());
-    let marks: Vec<StatedMark> = stated.flat_map(marks_of).collect();
+    let stated = STATED_THRESHOLDS
+        .iter()
+        .filter(|s| s.devices != NET_N && condition.is_unchanged_preset());
+    let marks: Vec<StatedMark> = stated.flat_map(stated_marks).collect();
     let hollow = if marks.is_empty() {
         ""
     } else {
@@ -143,10 +153,10 @@ pub fn harvest_chart(condition: &RunCondition, points: &[HarvestPoint]) -> Chart
          250. "
     };
     Chart {
-        title: title("Harvest against λ", "Fig. 13 of the paper", condition),
+        title: figure_title("Harvest against λ", "Fig. 13 of the paper", condition),
         x_label: "energy arrival rate λ, per TTI".to_owned(),
         y_label: "units per device and TTI".to_owned(),
-        x: axis(),
+        x: lambda_scale(),
         y: Scale::Log { from: 0.01, to: 10.0 },
         caption: format!(
             "Lines: closed form λ·exp(−λ)·E_B, Eq. (5). Points: {seeds} runs with N = {devices} and {ttis} TTIs, made \
@@ -159,48 +169,58 @@ pub fn harvest_chart(condition: &RunCondition, points: &[HarvestPoint]) -> Chart
         marks,
         spans: Vec::new(),
         notes: Vec::new(),
-        zero_below: false,
+        has_zero_at_border: false,
     }
 }
 
 /// Draws Fig. 14: harvest less the consumption of `random` and `adjusted` with 100 devices, in closed form and with
-/// `points` of [`harvests`]. `None` if `condition` lacks those policies.
+/// `points` of [`measure_harvests`]. `None` if `condition` lacks those policies.
 pub fn net_chart(condition: &RunCondition, points: &[HarvestPoint]) -> Option<Chart> {
-    let (devices, ttis, seeds) = MEASURED;
+    let (devices, ttis, seeds) = MEASUREMENT_SIZE;
     let spent = |policy| condition.estimate(policy, NET_N, "energy_per_device_tti");
     let mut series = Vec::new();
-    let mut figures = Vec::new();
+    let mut consumptions = Vec::new();
     for policy in NET_POLICIES {
         let consumption = spent(policy)?;
-        let (spent, half) = (consumption.mean, consumption.half_width);
-        figures.push(if half.is_nan() {
+        let (spent, half_width) = (consumption.mean, consumption.half_width);
+        consumptions.push(if half_width.is_nan() {
             format!("{policy} spends {spent:.3}")
         } else {
-            format!("{policy} spends {spent:.4} ± {half:.4}")
+            format!("{policy} spends {spent:.4} ± {half_width:.4}")
         });
-        for (e_b, style) in E_B.into_iter().zip([Style::nth(0), Style::nth(3), Style::nth(4)]) {
-            let net = lambdas().map(|x| ChartPoint {
+        for (e_b, style) in
+            E_B_UNITS
+                .into_iter()
+                .zip([Style::from_palette(0), Style::from_palette(3), Style::from_palette(4)])
+        {
+            let net = curve_lambdas().map(|x| ChartPoint {
                 x,
                 y: closed_form(e_b, x) - spent,
-                half,
-                across: f64::NAN,
+                y_half_width: half_width,
+                x_half_width: f64::NAN,
             });
             let style = Style {
                 dashes: Style::of_policy(policy).dashes,
                 ..style
             };
-            let shown = net.filter(|s| (NET_ENDS.0..=NET_ENDS.1).contains(&s.y));
-            series.push(line_of(format!("{policy}, E_B = {e_b}"), style, shown.collect()));
-            let measured = points.iter().filter(|p| (p.e_b - e_b).abs() < 1e-9);
-            let net = measured.map(|p| net_of(p, &consumption));
-            series.push(dots_of(
+            let within_range = net.filter(|s| (NET_RANGE.0..=NET_RANGE.1).contains(&s.y));
+            series.push(curve_series(
+                format!("{policy}, E_B = {e_b}"),
                 style,
-                net.filter(|s| (NET_ENDS.0..=NET_ENDS.1).contains(&s.y)).collect(),
+                within_range.collect(),
+            ));
+            let measured = points.iter().filter(|p| (p.e_b - e_b).abs() < 1e-9);
+            let net = measured.map(|p| net_point(p, &consumption));
+            series.push(measured_series(
+                style,
+                net.filter(|s| (NET_RANGE.0..=NET_RANGE.1).contains(&s.y)).collect(),
             ));
         }
     }
-    let stated = STATED.iter().filter(|s| s.devices == NET_N && condition.is_plain());
-    let marks = stated.flat_map(marks_of).map(|mark| StatedMark {
+    let stated = STATED_THRESHOLDS
+        .iter()
+        .filter(|s| s.devices == NET_N && condition.is_unchanged_preset());
+    let marks = stated.flat_map(stated_marks).map(|mark| StatedMark {
         stated: StatedValue::Value(0.0),
         ..mark
     });
@@ -211,81 +231,87 @@ pub fn net_chart(condition: &RunCondition, points: &[HarvestPoint]) -> Option<Ch
         " Hollow marks at zero: the λ at which it becomes positive according to the paper."
     };
     Some(Chart {
-        title: title("Net energy against λ", "Fig. 14 of the paper", condition),
+        title: figure_title("Net energy against λ", "Fig. 14 of the paper", condition),
         x_label: "energy arrival rate λ, per TTI".to_owned(),
         y_label: "units per device and TTI".to_owned(),
-        x: axis(),
+        x: lambda_scale(),
         y: Scale::Linear {
-            from: NET_ENDS.0,
-            to: NET_ENDS.1,
+            from: NET_RANGE.0,
+            to: NET_RANGE.1,
         },
         marks,
         spans: Vec::new(),
         notes: Vec::new(),
-        zero_below: false,
+        has_zero_at_border: false,
         caption: format!(
             "Lines: closed form λ·exp(−λ)·E_B, Eq. (5), less the consumption of the policy with {NET_N} devices, \
              preset {}: {}; bands are their 95 % intervals. Points: measured harvest less the same consumption, \
              {seeds} runs with N = {devices} and {ttis} TTIs, made for this figure.{hollow}",
             condition.label(),
-            figures.join(", ")
+            consumptions.join(", ")
         ),
         series,
     })
 }
 
 /// Returns marks at the λ of a statement, on the line of its E_B.
-fn marks_of(stated: &harvest::StatedThreshold) -> impl Iterator<Item = StatedMark> {
-    let own = E_B.iter().position(|e| (e - stated.e_b).abs() < 1e-9).unwrap_or(0);
-    let (style, e_b) = ([Style::nth(0), Style::nth(3), Style::nth(4)][own], stated.e_b);
+fn stated_marks(stated: &harvest::StatedThreshold) -> impl Iterator<Item = StatedMark> {
+    let index = E_B_UNITS
+        .iter()
+        .position(|e| (e - stated.e_b).abs() < 1e-9)
+        .unwrap_or(0);
+    let (style, e_b) = (
+        [Style::from_palette(0), Style::from_palette(3), Style::from_palette(4)][index],
+        stated.e_b,
+    );
     stated.ends().map(move |end| StatedMark {
         x: end.lambda,
-        aside: 0.0,
+        x_offset: 0.0,
         stated: StatedValue::Value(closed_form(e_b, end.lambda)),
         style,
     })
 }
 
-fn line_of(name: String, style: Style, samples: Vec<ChartPoint>) -> Series {
+fn curve_series(name: String, style: Style, points: Vec<ChartPoint>) -> Series {
     Series {
         name,
         style,
-        joined: true,
-        marked: false,
-        interval: Interval::Area,
-        samples,
+        is_joined: true,
+        has_markers: false,
+        interval: Interval::Band,
+        points,
     }
 }
 
 /// Creates measured points without an entry in the legend.
-fn dots_of(style: Style, samples: Vec<ChartPoint>) -> Series {
+fn measured_series(style: Style, points: Vec<ChartPoint>) -> Series {
     Series {
         name: String::new(),
         style,
-        joined: false,
-        marked: true,
+        is_joined: false,
+        has_markers: true,
         interval: Interval::Bars,
-        samples,
+        points,
     }
 }
 
-fn harvest_of(point: &HarvestPoint) -> ChartPoint {
+fn harvest_point(point: &HarvestPoint) -> ChartPoint {
     ChartPoint {
         x: point.lambda,
         y: point.harvested.mean,
-        half: point.harvested.half_width,
-        across: f64::NAN,
+        y_half_width: point.harvested.half_width,
+        x_half_width: f64::NAN,
     }
 }
 
 /// Returns the harvest of `point` less `consumption`. The two come from different runs, so their variances add up. The
 /// result has no interval if either comes from a single run.
-fn net_of(point: &HarvestPoint, consumption: &Estimate) -> ChartPoint {
+fn net_point(point: &HarvestPoint, consumption: &Estimate) -> ChartPoint {
     ChartPoint {
         x: point.lambda,
         y: point.harvested.mean - consumption.mean,
-        half: libm::hypot(point.harvested.half_width, consumption.half_width),
-        across: f64::NAN,
+        y_half_width: libm::hypot(point.harvested.half_width, consumption.half_width),
+        x_half_width: f64::NAN,
     }
 }
 
@@ -311,11 +337,17 @@ pub fn net_csv(chart: &Chart) -> String {
     let mut out = String::from("line,kind,lambda,net,half_width_95\n");
     let mut line = "";
     for series in &chart.series {
-        let kind = if series.joined { "closed form" } else { "measured" };
-        if series.joined {
+        let kind = if series.is_joined { "closed form" } else { "measured" };
+        if series.is_joined {
             line = &series.name;
         }
-        for ChartPoint { x, y, half, .. } in &series.samples {
+        for ChartPoint {
+            x,
+            y,
+            y_half_width: half,
+            ..
+        } in &series.points
+        {
             // Quoted, since the names of lines contain commas.
             let _ = writeln!(out, "\"{line}\",{kind},{x},{y},{half}");
         }

@@ -1,4 +1,4 @@
-//! Errors in requests for figures.
+//! Errors in requests for figures. The texts go to the user of `reveille figures`, so they name options and the fix.
 
 use reveille_bs::policy::q_learning::learned::Lookback;
 use thiserror::Error;
@@ -8,7 +8,7 @@ use thiserror::Error;
 pub enum FigureError {
     /// No figure has this name.
     #[error("figure `{name}`: unknown figure; use {known}")]
-    Unknown {
+    UnknownFigure {
         /// Requested name.
         name: String,
         /// All valid names.
@@ -16,7 +16,7 @@ pub enum FigureError {
     },
     /// The tables hold no run.
     #[error("{tables}: the table has no runs to draw; use a table that `reveille sweep` wrote")]
-    Empty {
+    NoRuns {
         /// Names of the tables.
         tables: String,
     },
@@ -77,7 +77,7 @@ pub enum FigureError {
     },
     /// Too many devices for a legible figure.
     #[error("{count} devices: {what} shows at most {limit}; {advice}")]
-    Crowd {
+    TooManyDevices {
         /// Requested number of devices.
         count: u32,
         /// Kind of figure.
@@ -91,7 +91,7 @@ pub enum FigureError {
     #[error(
         "N = {devices}: {file} has tables for {known} devices with {own}, and for {windows}; train the missing tables \
             with reveille train q-learning --devices {devices} --windows {window} --out FILE",
-        own = .window.in_words()
+        own = .window.describe()
     )]
     NoEntry {
         /// Requested N.
@@ -113,7 +113,7 @@ pub enum FigureError {
     },
     /// Too many items for a legible figure of learning curves.
     #[error("{count} {what}: a figure of learning curves shows at most {limit}; give fewer")]
-    Curves {
+    TooManyCurves {
         /// Number of items.
         count: usize,
         /// Kind of item that is counted.
@@ -123,7 +123,7 @@ pub enum FigureError {
     },
     /// The runs have no field with this name.
     #[error("field `{name}`: unknown field; the runs have {known}")]
-    Field {
+    UnknownField {
         /// Requested field.
         name: String,
         /// Fields of the runs.
@@ -131,7 +131,7 @@ pub enum FigureError {
     },
     /// No metric has this name.
     #[error("metric `{name}`: unknown metric; use {known}")]
-    Metric {
+    UnknownMetric {
         /// Requested metric.
         name: String,
         /// All metrics.
@@ -139,7 +139,7 @@ pub enum FigureError {
     },
     /// No run has this value of the field.
     #[error("{field} = {value}: no run has this value; use {known}")]
-    Value {
+    UnknownValue {
         /// Field name.
         field: String,
         /// Requested value.
@@ -149,7 +149,7 @@ pub enum FigureError {
     },
     /// The filter leaves no run.
     #[error("--x {x}: no run with a value of this field matches {only}; change --where")]
-    Nothing {
+    NoMatchingRun {
         /// Field along x.
         x: String,
         /// Requested filter.
@@ -157,7 +157,7 @@ pub enum FigureError {
     },
     /// The field along x has a value that is not a number.
     #[error("--x {field}: {value} is not a number; draw a line for each value with --by {field}")]
-    Words {
+    NotNumeric {
         /// Field name.
         field: String,
         /// One of its non-numeric values.
@@ -165,13 +165,13 @@ pub enum FigureError {
     },
     /// Field along x and field of the lines are equal.
     #[error("--x {field} --by {field}: each line would be a single point; name another field with --by")]
-    Twice {
+    SameField {
         /// Field name.
         field: String,
     },
     /// Too many lines for a legible figure.
     #[error("--by {field}: {count} lines, but a figure shows at most {most}; select runs with --where FIELD=VALUE")]
-    Lines {
+    TooManyLines {
         /// Field that selects the lines.
         field: String,
         /// Number of values of the field.
@@ -184,7 +184,7 @@ pub enum FigureError {
         "--x {x} --by {by}: the runs also differ in {fields}, which makes more than {most} figures; select runs with \
          --where FIELD=VALUE"
     )]
-    Facets {
+    TooManyFacets {
         /// Largest number of figures.
         most: usize,
         /// Other fields in which the runs differ.

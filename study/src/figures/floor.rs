@@ -29,71 +29,73 @@ use super::style::{MarkerShape, Style};
 
 /// Least covers by layout and N: number of deployments, and the means over them of the least cover and of the share in
 /// reach.
-const COVERS: &str = include_str!("../../data/cover.csv");
+const COVER_CSV: &str = include_str!("../../data/cover.csv");
 /// Relaxed bounds: layout, N, energy per device and TTI, information.
-const BOUNDS: &str = include_str!("../../data/bounds.csv");
-/// Side of the area and sensing range in [`COVERS`], metres.
-const SIDE: f64 = 20.0;
-const D_MAX: f64 = 4.0;
+const BOUND_CSV: &str = include_str!("../../data/bounds.csv");
+/// Side of the area and sensing range in [`COVER_CSV`], metres.
+const COVER_AREA_SIDE: f64 = 20.0;
+const COVER_D_MAX: f64 = 4.0;
 
 /// Caption text about the floor.
-pub(crate) const NOTE: &str = "Energy floor: the least energy to observe the whole area in reach in every TTI (a \
+pub(crate) const FLOOR_CAPTION: &str =
+    "Energy floor: the least energy to observe the whole area in reach in every TTI (a \
     minimum cover senses, all others listen, one report per event, full batteries), shown where the harvest reaches \
     it. A policy that observes less can spend less.";
 /// Caption text about the relaxed bound.
-pub(crate) const BOUND_NOTE: &str = "Relaxed bound: an estimate, not a proof, from 20 runs of a prototype. In each TTI \
+pub(crate) const BOUND_CAPTION: &str =
+    "Relaxed bound: an estimate, not a proof, from 20 runs of a prototype. In each TTI \
     the best set of a given number of devices senses, with two reports per event and no battery limits.";
 
 /// Returns the energy floor per device and TTI, units, for `n` devices under `scenario`. `None` without cover data:
 /// other areas, ranges, layouts or numbers of devices. Also `None` for probabilistic detection, events that are not
 /// uniform over the area, or several device classes.
-pub fn floor(scenario: &Scenario, n: u32) -> Option<f64> {
+pub fn energy_floor(scenario: &Scenario, n: u32) -> Option<f64> {
     // With several classes the smallest cover need not be the cheapest one.
     let [class] = &scenario.classes[..] else { return None };
     let is_same = |value: f64, stated: f64| (value - stated).abs() < 1e-9;
-    let is_covered = is_same(scenario.area.width, SIDE)
-        && is_same(scenario.area.height, SIDE)
-        && is_same(scenario.sensing.d_max, D_MAX)
+    let has_cover_data = is_same(scenario.area.width, COVER_AREA_SIDE)
+        && is_same(scenario.area.height, COVER_AREA_SIDE)
+        && is_same(scenario.sensing.d_max, COVER_D_MAX)
         && scenario.sensing.kind == DetectionKind::Range
         && scenario.events.process == ProcessSettings::Uniform;
-    let (cover, reach) = cover(&scenario.layout, n).filter(|_| is_covered)?;
+    let (cover, covered_share) = least_cover(&scenario.layout, n).filter(|_| has_cover_data)?;
     let energy = &class.energy;
     // An event out of reach lasts D TTIs, in which no other can start; one in reach ends in its first TTI.
-    let blocked = (1.0 - reach) * (scenario.events.duration as f64 - 1.0);
-    let starts = 1.0 / (1.0 / scenario.events.alpha + blocked);
+    let blocked_ttis = (1.0 - covered_share) * (scenario.events.duration as f64 - 1.0);
+    let events_per_tti = 1.0 / (1.0 / scenario.events.alpha + blocked_ttis);
     let n = f64::from(n);
     let sensing = cover * energy.e_idle.units();
-    let asleep = (n - cover) * energy.e_wur.units();
-    let reports = starts * reach * energy.e_tx.units();
-    Some((sensing + asleep + reports) / n)
+    let listening = (n - cover) * energy.e_wur.units();
+    let reports = events_per_tti * covered_share * energy.e_tx.units();
+    Some((sensing + listening + reports) / n)
 }
 
 /// Returns the energy floor, if it does not exceed the mean harvest; devices cannot spend more in the long run.
-pub(crate) fn affordable(scenario: &Scenario, n: u32) -> Option<f64> {
+pub(crate) fn floor_within_harvest(scenario: &Scenario, n: u32) -> Option<f64> {
     let harvest = scenario.classes.first()?.harvest.mean(scenario.run.tau).units();
-    floor(scenario, n).filter(|floor| *floor <= harvest)
+    energy_floor(scenario, n).filter(|floor| *floor <= harvest)
 }
 
 /// Returns the least cover of `n` devices and the share of the area within their reach.
-fn cover(layout: &Layout, n: u32) -> Option<(f64, f64)> {
-    let found = rows(COVERS).find(|row| is_of(row, layout, n))?;
+fn least_cover(layout: &Layout, n: u32) -> Option<(f64, f64)> {
+    let found = csv_rows(COVER_CSV).find(|row| is_row_of(row, layout, n))?;
     Some((found.get(3)?.parse().ok()?, found.get(6)?.parse().ok()?))
 }
 
 /// Returns the relaxed bounds for `n` devices as points of energy and information, in ascending order of energy. They
 /// are valid only for the events, ranges and energies of the preset `paper`.
-pub fn bounds(layout: &Layout, n: u32) -> Vec<ChartPoint> {
-    let own = rows(BOUNDS).filter(|row| is_of(row, layout, n));
-    let point = |row: Vec<&str>| Some(sample(row.get(2)?.parse().ok()?, row.get(3)?.parse().ok()?));
-    own.filter_map(point).collect()
+pub fn relaxed_bounds(layout: &Layout, n: u32) -> Vec<ChartPoint> {
+    let rows_at_n = csv_rows(BOUND_CSV).filter(|row| is_row_of(row, layout, n));
+    let point = |row: Vec<&str>| Some(exact_point(row.get(2)?.parse().ok()?, row.get(3)?.parse().ok()?));
+    rows_at_n.filter_map(point).collect()
 }
 
 /// Returns the rows of a table without its header.
-fn rows(table: &str) -> impl Iterator<Item = Vec<&str>> {
+fn csv_rows(table: &str) -> impl Iterator<Item = Vec<&str>> {
     table.lines().skip(1).map(|line| line.split(',').collect())
 }
 
-fn is_of(row: &[&str], layout: &Layout, n: u32) -> bool {
+fn is_row_of(row: &[&str], layout: &Layout, n: u32) -> bool {
     let layout = match layout {
         Layout::JitteredGrid => "jittered-grid",
         Layout::Uniform => "uniform",
@@ -103,26 +105,26 @@ fn is_of(row: &[&str], layout: &Layout, n: u32) -> bool {
 }
 
 /// Creates a point without intervals, since it is not measured.
-pub const fn sample(x: f64, y: f64) -> ChartPoint {
+pub const fn exact_point(x: f64, y: f64) -> ChartPoint {
     ChartPoint {
         x,
         y,
-        half: f64::NAN,
-        across: f64::NAN,
+        y_half_width: f64::NAN,
+        x_half_width: f64::NAN,
     }
 }
 
-/// Creates the line of the energy floor through `samples`.
-pub fn series(samples: Vec<ChartPoint>) -> Series {
-    line("energy floor", &[8.0, 2.0, 1.0, 2.0, 1.0, 2.0], samples)
+/// Creates the line of the energy floor through `points`.
+pub fn floor_series(points: Vec<ChartPoint>) -> Series {
+    ink_series("energy floor", &[8.0, 2.0, 1.0, 2.0, 1.0, 2.0], points)
 }
 
-/// Creates the line of the relaxed bound through `samples`.
-pub(crate) fn bound_series(samples: Vec<ChartPoint>) -> Series {
-    line("relaxed bound", &[4.0, 2.0], samples)
+/// Creates the line of the relaxed bound through `points`.
+pub(crate) fn bound_series(points: Vec<ChartPoint>) -> Series {
+    ink_series("relaxed bound", &[4.0, 2.0], points)
 }
 
-fn line(name: &str, dashes: &'static [f64], samples: Vec<ChartPoint>) -> Series {
+fn ink_series(name: &str, dashes: &'static [f64], points: Vec<ChartPoint>) -> Series {
     Series {
         name: name.to_owned(),
         style: Style {
@@ -130,10 +132,10 @@ fn line(name: &str, dashes: &'static [f64], samples: Vec<ChartPoint>) -> Series 
             marker: MarkerShape::Circle,
             dashes,
         },
-        joined: true,
-        marked: false,
-        interval: Interval::Area,
-        samples,
+        is_joined: true,
+        has_markers: false,
+        interval: Interval::Band,
+        points,
     }
 }
 
@@ -153,10 +155,10 @@ mod tests {
 
     #[test]
     fn every_row_of_the_data_is_whole() {
-        let columns = [COVERS, BOUNDS].map(|table| table.lines().next().expect("a head").split(',').count());
+        let columns = [COVER_CSV, BOUND_CSV].map(|table| table.lines().next().expect("a head").split(',').count());
         assert_eq!(columns, [7, 4]);
-        for (table, columns) in [COVERS, BOUNDS].into_iter().zip(columns) {
-            for row in rows(table) {
+        for (table, columns) in [COVER_CSV, BOUND_CSV].into_iter().zip(columns) {
+            for row in csv_rows(table) {
                 assert_eq!(row.len(), columns, "{row:?}");
                 assert!(["jittered-grid", "uniform"].contains(&row[0]), "{row:?}");
                 assert!(
@@ -169,7 +171,7 @@ mod tests {
         }
         for layout in [Layout::JitteredGrid, Layout::Uniform] {
             for n in [10, 20, 40, 50, 60, 80, 100, 130, 160, 200, 250] {
-                let (cover, reach) = cover(&layout, n).expect("a cover");
+                let (cover, reach) = least_cover(&layout, n).expect("a cover");
                 assert!(reach > 0.0 && reach <= 1.0 && cover <= f64::from(n), "{cover} {reach}");
                 // Discs of 16π m² cannot cover more than their area.
                 assert!(cover * 16.0 * std::f64::consts::PI >= reach * 400.0, "{cover} {reach}");
@@ -179,26 +181,26 @@ mod tests {
 
     #[test]
     fn the_floor_is_what_cover_listeners_and_one_report_an_event_cost() {
-        let (cover, reach) = cover(&Layout::JitteredGrid, 10).expect("a cover");
+        let (cover, reach) = least_cover(&Layout::JitteredGrid, 10).expect("a cover");
         assert!(
             (cover - 10.0).abs() < 1e-12 && (0.7..0.8).contains(&reach),
             "{cover} {reach}"
         );
         // All ten sense. An event starts 5 TTIs after the last on average; one out of reach adds 3 TTIs.
         let expected = 1.0 + reach * 10.0 / (5.0 + 3.0 * (1.0 - reach)) / 10.0;
-        let found = floor(&scenario(&[]), 10).expect("a floor");
+        let found = energy_floor(&scenario(&[]), 10).expect("a floor");
         assert!((found - expected).abs() < 1e-12, "{found} {expected}");
         // Events of one TTI block nothing.
-        let short = floor(&scenario(&["events.duration=1"]), 10).expect("a floor");
+        let short = energy_floor(&scenario(&["events.duration=1"]), 10).expect("a floor");
         assert!((short - (1.0 + 0.2 * reach)).abs() < 1e-12, "{short}");
     }
 
     #[test]
     fn with_many_devices_most_listen() {
-        let (cover, reach) = cover(&Layout::JitteredGrid, 250).expect("a cover");
-        let found = floor(&scenario(&["energy.e_wur=0"]), 250).expect("a floor");
+        let (cover, reach) = least_cover(&Layout::JitteredGrid, 250).expect("a cover");
+        let found = energy_floor(&scenario(&["energy.e_wur=0"]), 250).expect("a floor");
         assert!((found - (cover + 2.0 * reach) / 250.0).abs() < 1e-9, "{found}");
-        let listening = floor(&scenario(&[]), 250).expect("a floor") - found;
+        let listening = energy_floor(&scenario(&[]), 250).expect("a floor") - found;
         assert!(
             (listening - 0.071_429 * (250.0 - cover) / 250.0).abs() < 1e-9,
             "{listening}"
@@ -214,15 +216,20 @@ mod tests {
             "area.width=30",
             "events.process=bursts",
         ] {
-            assert_eq!(floor(&scenario(&[set]), 50), None, "{set}");
+            assert_eq!(energy_floor(&scenario(&[set]), 50), None, "{set}");
         }
-        assert_eq!(floor(&scenario(&[]), 51), None);
+        assert_eq!(energy_floor(&scenario(&[]), 51), None);
         assert_eq!(
-            affordable(&scenario(&[]), 10),
+            floor_within_harvest(&scenario(&[]), 10),
             None,
             "a unit and more, and 0.45 are harvested"
         );
-        assert_eq!(affordable(&scenario(&[]), 250), floor(&scenario(&[]), 250));
-        assert!(bounds(&Layout::Uniform, 250).is_empty() && bounds(&Layout::JitteredGrid, 250).len() == 3);
+        assert_eq!(
+            floor_within_harvest(&scenario(&[]), 250),
+            energy_floor(&scenario(&[]), 250)
+        );
+        assert!(
+            relaxed_bounds(&Layout::Uniform, 250).is_empty() && relaxed_bounds(&Layout::JitteredGrid, 250).len() == 3
+        );
     }
 }

@@ -1,4 +1,5 @@
-//! Text as outlines of DejaVu Sans Condensed, so that a figure looks the same on every machine.
+//! Text as outlines of DejaVu Sans Condensed, so that a figure looks the same on every machine. Layouts measure and
+//! wrap text here; [`super::svg`] and [`super::png`] draw the outlines.
 
 use ttf_parser::{Face, GlyphId, OutlineBuilder};
 
@@ -38,7 +39,7 @@ pub(crate) fn units_per_em(weight: Weight) -> f64 {
 
 /// Returns the glyphs of `text` with their positions along the base line, and the total length, in font units. A
 /// missing letter becomes the font's box for missing glyphs.
-pub(crate) fn set(text: &str, weight: Weight) -> (Vec<(Glyph, u32)>, u32) {
+pub(crate) fn set_glyphs(text: &str, weight: Weight) -> (Vec<(Glyph, u32)>, u32) {
     let face = face(weight);
     let mut at = 0;
     let glyphs = text
@@ -55,32 +56,32 @@ pub(crate) fn set(text: &str, weight: Weight) -> (Vec<(Glyph, u32)>, u32) {
 }
 
 /// Returns the length of `text`, points.
-pub(crate) fn width(text: &str, weight: Weight, size: f64) -> f64 {
-    f64::from(set(text, weight).1) * size / units_per_em(weight)
+pub(crate) fn text_width(text: &str, weight: Weight, size: f64) -> f64 {
+    f64::from(set_glyphs(text, weight).1) * size / units_per_em(weight)
 }
 
 /// Returns whether the font has every letter of `text`.
 #[cfg(test)]
-pub(crate) fn has(text: &str, weight: Weight) -> bool {
+pub(crate) fn has_all_glyphs(text: &str, weight: Weight) -> bool {
     let face = face(weight);
     text.chars().all(|letter| face.glyph_index(letter).is_some())
 }
 
 /// Returns the outline of a glyph, in font units, y upwards; empty for a space.
 pub(crate) fn outline(glyph: Glyph) -> VectorPath {
-    let mut pen = Pen(VectorPath::default());
+    let mut pen = OutlinePen(VectorPath::default());
     // A letter without an outline leaves the path empty.
     let _bounds = face(glyph.weight).outline_glyph(GlyphId(glyph.id), &mut pen);
     pen.0
 }
 
 /// Breaks `text` at spaces into lines of at most `limit` points. A longer word gets its own line.
-pub(crate) fn wrap(text: &str, weight: Weight, size: f64, limit: f64) -> Vec<String> {
+pub(crate) fn wrap_text(text: &str, weight: Weight, size: f64, limit: f64) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for word in text.split(' ').filter(|word| !word.is_empty()) {
         if let Some(line) = lines.last_mut() {
             let longer = format!("{line} {word}");
-            if width(&longer, weight, size) <= limit {
+            if text_width(&longer, weight, size) <= limit {
                 *line = longer;
                 continue;
             }
@@ -90,9 +91,9 @@ pub(crate) fn wrap(text: &str, weight: Weight, size: f64, limit: f64) -> Vec<Str
     lines
 }
 
-struct Pen(VectorPath);
+struct OutlinePen(VectorPath);
 
-impl OutlineBuilder for Pen {
+impl OutlineBuilder for OutlinePen {
     fn move_to(&mut self, x: f32, y: f32) {
         self.0.0.push(PathStep::Move(x.into(), y.into()));
     }
@@ -122,24 +123,27 @@ mod tests {
     #[test]
     fn the_letters_of_the_model_are_there() {
         for weight in [Weight::Regular, Weight::Bold] {
-            assert!(has("αβγδληξτφΨΣÎ≥≤≈±×·−–…°², Pr(S₃|S₁) 0123456789 %", weight));
+            assert!(has_all_glyphs(
+                "αβγδληξτφΨΣÎ≥≤≈±×·−–…°², Pr(S₃|S₁) 0123456789 %",
+                weight
+            ));
         }
-        assert!(!has("\u{e000}", Weight::Regular));
+        assert!(!has_all_glyphs("\u{e000}", Weight::Regular));
     }
 
     #[test]
     fn lines_keep_to_their_length_and_lose_no_word() {
         let text = "knn, random and genie over 1000 runs of 10 000 TTIs each, mean and 95 % interval of the mean";
-        let lines = wrap(text, Weight::Regular, 8.0, 120.0);
+        let lines = wrap_text(text, Weight::Regular, 8.0, 120.0);
         assert!(lines.len() > 2);
-        assert!(lines.iter().all(|line| width(line, Weight::Regular, 8.0) <= 120.0));
+        assert!(lines.iter().all(|line| text_width(line, Weight::Regular, 8.0) <= 120.0));
         assert_eq!(lines.join(" "), text);
-        assert_eq!(wrap("incomprehensibilities", Weight::Regular, 8.0, 10.0).len(), 1);
+        assert_eq!(wrap_text("incomprehensibilities", Weight::Regular, 8.0, 10.0).len(), 1);
     }
 
     #[test]
     fn a_space_has_a_width_and_no_outline() {
-        let (glyphs, length) = set("a b", Weight::Regular);
+        let (glyphs, length) = set_glyphs("a b", Weight::Regular);
         assert_eq!(outline(glyphs[1].0), VectorPath::default());
         assert!(glyphs[1].1 < glyphs[2].1 && glyphs[2].1 < length);
     }

@@ -5,12 +5,12 @@
 
 use libm::sqrt;
 
-use super::chart::hatching;
-use super::font::{Weight, width};
+use super::chart::hatch_lines;
+use super::font::{Weight, text_width};
 use super::path::{Rect, VectorPath};
 use super::scale::label;
 use super::scene::{Anchor, Paint, Rgb, Scene, Stroke, Text};
-use super::style::{LEADING, SMALL};
+use super::style::{LEADING, TEXT_SIZE};
 
 /// Evenly spaced colours from the least value to the largest.
 const RAMP: [Rgb; 5] = [
@@ -21,23 +21,23 @@ const RAMP: [Rgb; 5] = [
     Rgb(0xFE, 0xE8, 0x38),
 ];
 /// Colours of numbers on light and on dark cells.
-const NUMBERS: [Rgb; 2] = [Rgb(0, 0, 0), Rgb(255, 255, 255)];
+const NUMBER_COLOURS: [Rgb; 2] = [Rgb(0, 0, 0), Rgb(255, 255, 255)];
 /// Luminance, as a share of white's, above which numbers are black. Both colours are legible at this limit.
-const LIGHT: f64 = 0.18;
+const LIGHT_LUMINANCE: f64 = 0.18;
 /// Size of the mark on partly known cells, points.
-const CORNER: f64 = 4.5;
+const CORNER_SIZE: f64 = 4.5;
 /// Width of the line around framed cells, points.
-const BORDER: f64 = 1.8;
+const FRAME_WIDTH: f64 = 1.8;
 
 /// Degree to which a value is known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum VisitCount {
+pub enum KnowledgeDegree {
     /// Unknown: the cell was never visited.
-    Never,
+    Unknown,
     /// Partly known: one of two actions was never tried.
-    Half,
+    Partly,
     /// Known: the cell was visited.
-    Well,
+    Known,
 }
 
 /// A cell of a heat map.
@@ -46,9 +46,9 @@ pub(crate) struct HeatCell {
     /// Value of the cell.
     pub value: f64,
     /// Degree to which the value is known.
-    pub known: VisitCount,
+    pub knowledge: KnowledgeDegree,
     /// Whether the cell lies within the bold line.
-    pub framed: bool,
+    pub is_framed: bool,
 }
 
 /// Labels of the rows.
@@ -76,80 +76,84 @@ pub(crate) struct HeatMap {
 }
 
 /// Position of the cells on the canvas.
-struct Grid<'a> {
+struct HeatGrid<'a> {
     map: &'a HeatMap,
     left: f64,
     top: f64,
-    cell: (f64, f64),
+    cell_size: (f64, f64),
 }
 
 impl HeatMap {
     /// Largest magnitude of the known values.
-    pub(crate) fn largest(&self) -> f64 {
+    pub(crate) fn largest_magnitude(&self) -> f64 {
         let cells = self
             .cells
             .iter()
             .flatten()
-            .filter(|cell| cell.known != VisitCount::Never);
+            .filter(|cell| cell.knowledge != KnowledgeDegree::Unknown);
         cells.map(|cell| cell.value.abs()).fold(0.0, f64::max)
     }
 
-    /// Returns the number of cells that are `known` to this degree.
-    pub(crate) fn count(&self, known: VisitCount) -> usize {
-        self.cells.iter().flatten().filter(|cell| cell.known == known).count()
+    /// Returns the number of cells that are known to this degree.
+    pub(crate) fn count(&self, known: KnowledgeDegree) -> usize {
+        self.cells
+            .iter()
+            .flatten()
+            .filter(|cell| cell.knowledge == known)
+            .count()
     }
 
     /// Draws the map with its upper left corner at `at`, `wide` points wide, with rows `height` points high. The colour
     /// scale ends at ±`largest`. Returns the y below the map.
     pub(crate) fn draw(&self, scene: &mut Scene, at: (f64, f64), (wide, height): (f64, f64), largest: f64) -> f64 {
-        let measure = |text: &String| width(text, Weight::Regular, SMALL);
+        let width_of = |text: &String| text_width(text, Weight::Regular, TEXT_SIZE);
         let (RowLabels::Names(words) | RowLabels::Ends(words)) = &self.rows;
-        let units = self.columns.iter().map(|(unit, _)| measure(unit) + 8.0);
-        let widest = words.iter().map(measure).chain(units).fold(0.0, f64::max);
+        let units = self.columns.iter().map(|(unit, _)| width_of(unit) + 8.0);
+        let widest = words.iter().map(width_of).chain(units).fold(0.0, f64::max);
         let left = at.0 + LEADING + widest + 5.0;
         let columns = self.cells.first().map_or(1, Vec::len);
-        let last = self.columns.iter().filter_map(|(_, ends)| ends.last());
-        let beyond = last.map(measure).fold(0.0, f64::max) * 0.5;
-        let grid = Grid {
+        let last_limits = self.columns.iter().filter_map(|(_, ends)| ends.last());
+        let overhang = last_limits.map(width_of).fold(0.0, f64::max) * 0.5;
+        let grid = HeatGrid {
             map: self,
             left,
             top: at.1,
-            cell: ((at.0 + wide - beyond - left) / columns as f64, height),
+            cell_size: ((at.0 + wide - overhang - left) / columns as f64, height),
         };
         for (row, cells) in self.cells.iter().enumerate() {
             for (column, cell) in cells.iter().enumerate() {
-                grid.cell(scene, (row, column), cell, largest);
+                grid.draw_cell(scene, (row, column), cell, largest);
             }
         }
-        grid.borders(scene);
-        grid.labels(scene, at.0)
+        grid.draw_borders(scene);
+        grid.draw_labels(scene, at.0)
     }
 }
 
-impl Grid<'_> {
+impl HeatGrid<'_> {
     /// Returns left, top, right, bottom of a cell.
     fn corners(&self, row: usize, column: usize) -> Rect {
-        let (wide, high) = self.cell;
+        let (wide, high) = self.cell_size;
         let up = self.map.cells.len() - 1 - row;
         let (left, top) = (self.left + wide * column as f64, self.top + high * up as f64);
         [left, top, left + wide, top + high]
     }
 
-    fn cell(&self, scene: &mut Scene, (row, column): (usize, usize), cell: &HeatCell, largest: f64) {
+    fn draw_cell(&self, scene: &mut Scene, (row, column): (usize, usize), cell: &HeatCell, largest: f64) {
         let corners = self.corners(row, column);
-        match cell.known {
-            VisitCount::Never => hatched(scene, corners),
-            VisitCount::Half | VisitCount::Well => {
+        match cell.knowledge {
+            KnowledgeDegree::Unknown => draw_hatching(scene, corners),
+            KnowledgeDegree::Partly | KnowledgeDegree::Known => {
                 let colour = colour(cell.value, largest);
                 scene.area(VectorPath::rectangle(corners), Paint::Colour(colour), 1.0);
-                if cell.known == VisitCount::Half {
-                    corner(scene, corners, contrast_colour(colour));
+                if cell.knowledge == KnowledgeDegree::Partly {
+                    draw_corner_mark(scene, corners, contrast_colour(colour));
                 }
                 let at = (
                     0.5 * (corners[0] + corners[2]),
-                    0.5 * (corners[1] + corners[3]) + 0.36 * SMALL,
+                    0.5 * (corners[1] + corners[3]) + 0.36 * TEXT_SIZE,
                 );
-                let mut text = Text::new(number(cell.value), at, SMALL).anchored(Anchor::Middle);
+                let mut text = Text::new(number(cell.value), at, TEXT_SIZE).anchored(Anchor::Middle);
                 text.paint = contrast_colour(colour);
                 scene.text(text);
             }
@@ -157,12 +161,12 @@ impl Grid<'_> {
     }
 
     /// Draws a thin line around the map, and a bold one around the framed cells.
-    fn borders(&self, scene: &mut Scene) {
+    fn draw_borders(&self, scene: &mut Scene) {
         let cells = &self.map.cells;
         let framed = |row: Option<usize>, column: Option<usize>| {
             let row = row.and_then(|row| cells.get(row));
             row.and_then(|row| column.and_then(|column| row.get(column)))
-                .is_some_and(|cell| cell.framed)
+                .is_some_and(|cell| cell.is_framed)
         };
         let mut bold = VectorPath::default();
         // One step past the last row and column closes the outlines at the far borders.
@@ -173,14 +177,20 @@ impl Grid<'_> {
                     framed(Some(row), column.checked_sub(1)),
                     framed(row.checked_sub(1), Some(column)),
                 );
-                let (wide, high) = self.cell;
+                let (wide, high) = self.cell_size;
                 let x = self.left + wide * column as f64;
                 let y = self.top + high * (cells.len() - row) as f64;
                 if here != left {
-                    bold.extend(VectorPath::segment((x, y + 0.5 * BORDER), (x, y - high - 0.5 * BORDER)));
+                    bold.extend(VectorPath::segment(
+                        (x, y + 0.5 * FRAME_WIDTH),
+                        (x, y - high - 0.5 * FRAME_WIDTH),
+                    ));
                 }
                 if here != below {
-                    bold.extend(VectorPath::segment((x - 0.5 * BORDER, y), (x + wide + 0.5 * BORDER, y)));
+                    bold.extend(VectorPath::segment(
+                        (x - 0.5 * FRAME_WIDTH, y),
+                        (x + wide + 0.5 * FRAME_WIDTH, y),
+                    ));
                 }
             }
         }
@@ -191,14 +201,15 @@ impl Grid<'_> {
             Stroke::solid(Paint::Ink, 0.7),
         );
         if !bold.0.is_empty() {
-            scene.line(bold, Stroke::solid(Paint::Ink, BORDER));
+            scene.line(bold, Stroke::solid(Paint::Ink, FRAME_WIDTH));
         }
     }
 
-    fn labels(&self, scene: &mut Scene, edge: f64) -> f64 {
+    fn draw_labels(&self, scene: &mut Scene, edge: f64) -> f64 {
         let rows = self.map.cells.len();
-        let row_label =
-            |text: &str, y: f64| Text::new(text, (self.left - 4.0, y + 0.36 * SMALL), SMALL).anchored(Anchor::End);
+        let row_label = |text: &str, y: f64| {
+            Text::new(text, (self.left - 4.0, y + 0.36 * TEXT_SIZE), TEXT_SIZE).anchored(Anchor::End)
+        };
         match &self.map.rows {
             RowLabels::Names(names) => {
                 for (row, name) in names.iter().enumerate() {
@@ -208,11 +219,11 @@ impl Grid<'_> {
             }
             RowLabels::Ends(ends) => {
                 for (row, end) in ends.iter().enumerate() {
-                    scene.text(row_label(end, self.top + self.cell.1 * (rows - row) as f64));
+                    scene.text(row_label(end, self.top + self.cell_size.1 * (rows - row) as f64));
                 }
             }
         }
-        let bottom = self.top + self.cell.1 * rows as f64;
+        let bottom = self.top + self.cell_size.1 * rows as f64;
         // The label of the lowest limit reaches half a line below the cells.
         let mut y = bottom
             + LEADING
@@ -223,43 +234,47 @@ impl Grid<'_> {
             };
         for (unit, ends) in &self.map.columns {
             if !unit.is_empty() {
-                scene.text(Text::new(unit.as_str(), (self.left - 8.0, y), SMALL).anchored(Anchor::End));
+                scene.text(Text::new(unit.as_str(), (self.left - 8.0, y), TEXT_SIZE).anchored(Anchor::End));
             }
             for (column, end) in ends.iter().enumerate() {
-                let x = self.left + self.cell.0 * column as f64;
-                scene.text(Text::new(end.as_str(), (x, y), SMALL).anchored(Anchor::Middle));
+                let x = self.left + self.cell_size.0 * column as f64;
+                scene.text(Text::new(end.as_str(), (x, y), TEXT_SIZE).anchored(Anchor::Middle));
             }
             y += LEADING;
         }
-        let right = self.left + self.cell.0 * self.map.cells[0].len() as f64;
+        let right = self.left + self.cell_size.0 * self.map.cells[0].len() as f64;
         let below = (0.5 * (self.left + right), y + 1.0);
-        scene.text(Text::new(self.map.x_label.as_str(), below, SMALL).anchored(Anchor::Middle));
-        let middle = (edge + 0.76 * SMALL, 0.5 * (self.top + bottom));
-        let mut label = Text::new(self.map.y_label.as_str(), middle, SMALL).anchored(Anchor::Middle);
-        label.upwards = true;
+        scene.text(Text::new(self.map.x_label.as_str(), below, TEXT_SIZE).anchored(Anchor::Middle));
+        let middle = (edge + 0.76 * TEXT_SIZE, 0.5 * (self.top + bottom));
+        let mut label = Text::new(self.map.y_label.as_str(), middle, TEXT_SIZE).anchored(Anchor::Middle);
+        label.is_vertical = true;
         scene.text(label);
         y + LEADING
     }
 }
 
 /// Length and height of the colour scale in the key, points.
-const BAR: f64 = 132.0;
-const HIGH: f64 = 9.0;
+const RAMP_WIDTH: f64 = 132.0;
+const RAMP_HEIGHT: f64 = 9.0;
 
 /// Draws the colour scale up to ±`largest` from `at` to the right. Returns the y below it.
-pub(crate) fn ramp(scene: &mut Scene, at: (f64, f64), largest: f64) -> f64 {
+pub(crate) fn draw_ramp(scene: &mut Scene, at: (f64, f64), largest: f64) -> f64 {
     const STEPS: u32 = 66;
     let (left, top) = (at.0 + 13.0, at.1);
     for i in 0..STEPS {
-        let place = |i: u32| left + BAR * f64::from(i) / f64::from(STEPS);
+        let place = |i: u32| left + RAMP_WIDTH * f64::from(i) / f64::from(STEPS);
         let share = 2.0 * (f64::from(i) + 0.5) / f64::from(STEPS) - 1.0;
         // The steps overlap slightly to avoid gaps between them.
-        let end = (place(i + 1) + 0.3).min(left + BAR);
+        let end = (place(i + 1) + 0.3).min(left + RAMP_WIDTH);
         let paint = Paint::Colour(blend(share));
-        scene.area(VectorPath::rectangle([place(i), top, end, top + HIGH]), paint, 1.0);
+        scene.area(
+            VectorPath::rectangle([place(i), top, end, top + RAMP_HEIGHT]),
+            paint,
+            1.0,
+        );
     }
     scene.line(
-        VectorPath::rectangle([left, top, left + BAR, top + HIGH]),
+        VectorPath::rectangle([left, top, left + RAMP_WIDTH, top + RAMP_HEIGHT]),
         Stroke::solid(Paint::Ink, 0.5),
     );
     // The colours follow the square root, so a quarter of the largest value is halfway.
@@ -270,51 +285,51 @@ pub(crate) fn ramp(scene: &mut Scene, at: (f64, f64), largest: f64) -> f64 {
         (0.5, 0.25 * largest),
         (1.0, largest),
     ] {
-        let x = left + 0.5 * BAR * (1.0 + share);
+        let x = left + 0.5 * RAMP_WIDTH * (1.0 + share);
         scene.line(
-            VectorPath::segment((x, top + HIGH), (x, top + HIGH + 2.0)),
+            VectorPath::segment((x, top + RAMP_HEIGHT), (x, top + RAMP_HEIGHT + 2.0)),
             Stroke::solid(Paint::Ink, 0.5),
         );
-        let text = Text::new(number(value), (x, top + HIGH + LEADING), SMALL);
+        let text = Text::new(number(value), (x, top + RAMP_HEIGHT + LEADING), TEXT_SIZE);
         scene.text(text.anchored(Anchor::Middle));
     }
-    top + HIGH + LEADING + 0.24 * SMALL
+    top + RAMP_HEIGHT + LEADING + 0.24 * TEXT_SIZE
 }
 
 /// Draws the key: the colour scale and the meaning of marks. `framed` describes the cells within the bold line, `half`
 /// the partly known cells, if any. Returns the y below the key.
-pub fn key(scene: &mut Scene, at: (f64, f64), largest: f64, framed: &str, half: Option<&str>) -> f64 {
-    let below = ramp(scene, at, largest);
+pub fn draw_key(scene: &mut Scene, at: (f64, f64), largest: f64, framed: &str, half: Option<&str>) -> f64 {
+    let below = draw_ramp(scene, at, largest);
     let top = at.1;
-    let mut x = at.0 + 13.0 + BAR + 22.0;
-    let base = top + HIGH - 1.5;
-    let swatch = |x: f64| [x, top - 0.5, x + 15.0, top + HIGH + 0.5];
+    let mut x = at.0 + 13.0 + RAMP_WIDTH + 22.0;
+    let base = top + RAMP_HEIGHT - 1.5;
+    let swatch = |x: f64| [x, top - 0.5, x + 15.0, top + RAMP_HEIGHT + 0.5];
     let entry = |scene: &mut Scene, x: &mut f64, words: &str| {
-        scene.text(Text::new(words, (*x + 19.0, base), SMALL));
-        *x += 19.0 + width(words, Weight::Regular, SMALL) + 11.0;
+        scene.text(Text::new(words, (*x + 19.0, base), TEXT_SIZE));
+        *x += 19.0 + text_width(words, Weight::Regular, TEXT_SIZE) + 11.0;
     };
-    scene.line(VectorPath::rectangle(swatch(x)), Stroke::solid(Paint::Ink, BORDER));
+    scene.line(VectorPath::rectangle(swatch(x)), Stroke::solid(Paint::Ink, FRAME_WIDTH));
     entry(scene, &mut x, framed);
     if let Some(half) = half {
         let colour = blend(0.4);
         scene.area(VectorPath::rectangle(swatch(x)), Paint::Colour(colour), 1.0);
-        corner(scene, swatch(x), contrast_colour(colour));
+        draw_corner_mark(scene, swatch(x), contrast_colour(colour));
         entry(scene, &mut x, half);
     }
-    hatched(scene, swatch(x));
+    draw_hatching(scene, swatch(x));
     entry(scene, &mut x, "never visited");
     below
 }
 
-fn hatched(scene: &mut Scene, corners: Rect) {
-    for line in hatching(corners) {
-        scene.line(line, Stroke::solid(Paint::Ink, 0.5).faded(0.35));
+fn draw_hatching(scene: &mut Scene, corners: Rect) {
+    for line in hatch_lines(corners) {
+        scene.line(line, Stroke::solid(Paint::Ink, 0.5).with_opacity(0.35));
     }
 }
 
 /// Draws the mark in the upper right corner of a cell.
-fn corner(scene: &mut Scene, [_, top, right, _]: Rect, paint: Paint) {
-    let points = [(right - CORNER, top), (right, top), (right, top + CORNER)];
+fn draw_corner_mark(scene: &mut Scene, [_, top, right, _]: Rect, paint: Paint) {
+    let points = [(right - CORNER_SIZE, top), (right, top), (right, top + CORNER_SIZE)];
     scene.area(VectorPath::polyline(points, true), paint, 1.0);
 }
 
@@ -347,8 +362,12 @@ fn luminance(Rgb(r, g, b): Rgb) -> f64 {
 
 /// Returns the text colour with the better contrast on `ground`: black or white.
 pub(super) fn contrast_colour(ground: Rgb) -> Paint {
-    let [black, white] = NUMBERS;
-    Paint::Colour(if luminance(ground) > LIGHT { black } else { white })
+    let [black, white] = NUMBER_COLOURS;
+    Paint::Colour(if luminance(ground) > LIGHT_LUMINANCE {
+        black
+    } else {
+        white
+    })
 }
 
 /// Formats a number in short form: three digits or two decimals, thousands as k and millions as M.

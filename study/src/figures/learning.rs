@@ -1,4 +1,5 @@
-//! Learning curves of tables: reward and information per episode, with a row of panels for each N and window.
+//! Learning curves of `q-learning` tables: reward and information per episode, with a row of panels for each N and
+//! window.
 //!
 //! Every panel has its own axis, since rewards vary little within a panel but differ greatly between few and many
 //! devices.
@@ -8,40 +9,40 @@ use std::fmt::Write as _;
 use reveille_bs::policy::q_learning::learned::{CurvePoint, LearnedTables, Lookback, TableSet};
 
 use super::error::FigureError;
-use super::font::{Weight, width, wrap};
+use super::font::{Weight, text_width, wrap_text};
 use super::path::{Rect, VectorPath};
-use super::q_table::{setting, trained};
+use super::q_table::{describe_setting, describe_training};
 use super::scale::Scale;
 use super::scene::{Anchor, Paint, Scene, Stroke, Text};
 use super::study::csv_cell;
-use super::style::{EDGE, LARGE, LEADING, SMALL, Style, WIDE};
+use super::style::{LEADING, MARGIN, PAGE_WIDTH, Style, TEXT_SIZE, TITLE_SIZE};
 
 /// Largest number of files, and of rows, in one figure.
-const LIMITS: (usize, usize) = (6, 40);
+const MAX_FILES_AND_ROWS: (usize, usize) = (6, 40);
 /// Largest number of points of a line with markers.
-const MARKED: usize = 40;
+const MAX_MARKED_POINTS: usize = 40;
 /// Height of a panel and of the gap below it, points.
-const PANEL: (f64, f64) = (38.0, 11.0);
+const PANEL_AND_GAP_HEIGHT: (f64, f64) = (38.0, 11.0);
 /// Left edge of the panels, and the gap between them, points.
-const LEFT: f64 = 88.0;
-const GAP: f64 = 48.0;
+const PANELS_LEFT: f64 = 88.0;
+const PANEL_GAP: f64 = 48.0;
 /// Opacity of grid lines.
-const GRID: f64 = 0.14;
+const GRID_OPACITY: f64 = 0.14;
 
 /// Quantity shown in a column of panels.
-struct Quantity {
+struct CurveQuantity {
     title: &'static str,
-    of: fn(&CurvePoint) -> f64,
+    value: fn(&CurvePoint) -> f64,
 }
 
-const QUANTITIES: [Quantity; 2] = [
-    Quantity {
+const QUANTITIES: [CurveQuantity; 2] = [
+    CurveQuantity {
         title: "reward r(k) per TTI",
-        of: |point| point.reward,
+        value: |point| point.reward,
     },
-    Quantity {
+    CurveQuantity {
         title: "information (P1)",
-        of: |point| point.information,
+        value: |point| point.information,
     },
 ];
 
@@ -50,14 +51,14 @@ pub type NamedTables = (String, LearnedTables);
 
 /// Key shared by the curves in one row of panels.
 #[derive(Clone, Copy, PartialEq)]
-struct Row {
+struct PanelRow {
     lookback: Lookback,
     devices: u32,
     /// Area, m².
     surface: f64,
 }
 
-impl Row {
+impl PanelRow {
     const fn of(entry: &TableSet) -> Self {
         Self {
             lookback: entry.lookback,
@@ -66,8 +67,8 @@ impl Row {
         }
     }
 
-    /// Returns whether window and area, in this order, are equal in both rows.
-    fn is_beside(&self, other: &Self) -> [bool; 2] {
+    /// Whether the window, and whether the area, is equal in both rows.
+    fn same_window_and_area(&self, other: &Self) -> [bool; 2] {
         [
             self.lookback == other.lookback,
             self.surface.to_bits() == other.surface.to_bits(),
@@ -76,11 +77,11 @@ impl Row {
 }
 
 /// Returns the rows of all curves of `sources`, in ascending order of window, area and N.
-fn rows(sources: &[NamedTables]) -> Vec<Row> {
+fn panel_rows(sources: &[NamedTables]) -> Vec<PanelRow> {
     let entries = sources.iter().flat_map(|(_, learned)| &learned.entries);
-    let drawn = entries.filter(|entry| !entry.curve.is_empty());
-    let mut rows: Vec<Row> = drawn.map(Row::of).collect();
-    let order = |a: &Row, b: &Row| {
+    let with_curve = entries.filter(|entry| !entry.curve.is_empty());
+    let mut rows: Vec<PanelRow> = with_curve.map(PanelRow::of).collect();
+    let order = |a: &PanelRow, b: &PanelRow| {
         let by_window = a.lookback.cmp(&b.lookback).then(a.surface.total_cmp(&b.surface));
         by_window.then(a.devices.cmp(&b.devices))
     };
@@ -90,10 +91,10 @@ fn rows(sources: &[NamedTables]) -> Vec<Row> {
     rows
 }
 
-fn curve(learned: &LearnedTables, row: Row) -> &[CurvePoint] {
+fn curve(learned: &LearnedTables, row: PanelRow) -> &[CurvePoint] {
     let mut entries = learned.entries.iter();
     entries
-        .find(|entry| Row::of(entry) == row)
+        .find(|entry| PanelRow::of(entry) == row)
         .map_or(&[], |entry| &entry.curve)
 }
 
@@ -102,75 +103,80 @@ fn curve(learned: &LearnedTables, row: Row) -> &[CurvePoint] {
 /// # Errors
 /// A file has no learning curve, or there are too many files or N.
 pub fn scene(sources: &[NamedTables]) -> Result<Scene, FigureError> {
-    let too_many = |count, what, limit| FigureError::Curves { count, what, limit };
-    if sources.len() > LIMITS.0 {
-        return Err(too_many(sources.len(), "files", LIMITS.0));
+    let too_many = |count, what, limit| FigureError::TooManyCurves { count, what, limit };
+    if sources.len() > MAX_FILES_AND_ROWS.0 {
+        return Err(too_many(sources.len(), "files", MAX_FILES_AND_ROWS.0));
     }
-    let is_bare = |(_, learned): &&NamedTables| learned.entries.iter().all(|entry| entry.curve.is_empty());
-    if let Some((file, _)) = sources.iter().find(is_bare) {
+    let has_no_curve = |(_, learned): &&NamedTables| learned.entries.iter().all(|entry| entry.curve.is_empty());
+    if let Some((file, _)) = sources.iter().find(has_no_curve) {
         return Err(FigureError::NoCurve { file: file.clone() });
     }
-    let rows = rows(sources);
-    if rows.len() > LIMITS.1 {
-        return Err(too_many(rows.len(), "numbers of devices", LIMITS.1));
+    let rows = panel_rows(sources);
+    if rows.len() > MAX_FILES_AND_ROWS.1 {
+        return Err(too_many(rows.len(), "numbers of devices", MAX_FILES_AND_ROWS.1));
     }
-    let mut scene = Scene::new(WIDE, 0.0);
+    let mut scene = Scene::new(PAGE_WIDTH, 0.0);
     "Learning curves of q-learning".clone_into(&mut scene.title);
     scene.description = caption(sources);
-    let mut y = EDGE + LARGE;
-    scene.text(Text::new(scene.title.clone(), (EDGE, y), LARGE).bold());
+    let mut y = MARGIN + TITLE_SIZE;
+    scene.text(Text::new(scene.title.clone(), (MARGIN, y), TITLE_SIZE).bold());
     y = legend(&mut scene, sources, y + LEADING + 3.0);
-    let wide = 0.5 * (WIDE - EDGE - 14.0 - LEFT - GAP);
-    let lefts = [LEFT, LEFT + wide + GAP];
-    for (left, quantity) in lefts.iter().zip(&QUANTITIES) {
-        let at = (left + 0.5 * wide, y);
-        scene.text(Text::new(quantity.title, at, SMALL).bold().anchored(Anchor::Middle));
+    let panel_width = 0.5 * (PAGE_WIDTH - MARGIN - 14.0 - PANELS_LEFT - PANEL_GAP);
+    let panel_lefts = [PANELS_LEFT, PANELS_LEFT + panel_width + PANEL_GAP];
+    for (left, quantity) in panel_lefts.iter().zip(&QUANTITIES) {
+        let at = (left + 0.5 * panel_width, y);
+        scene.text(Text::new(quantity.title, at, TEXT_SIZE).bold().anchored(Anchor::Middle));
     }
     let last = sources.iter().flat_map(|(_, l)| &l.entries).flat_map(|e| &e.curve);
     // All panels share x, so its labels are drawn only below the last row.
     let x = Scale::linear([0.0, last.map(|p| p.ttis as f64).fold(1.0, f64::max)], true);
-    let are_one = rows.windows(2).fold([true; 2], |[window, area], pair| {
-        let [same_window, same_area] = pair[0].is_beside(&pair[1]);
+    let is_one_window_and_area = rows.windows(2).fold([true; 2], |[window, area], pair| {
+        let [same_window, same_area] = pair[0].same_window_and_area(&pair[1]);
         [window && same_window, area && same_area]
     });
     let mut top = y + 7.0;
     for (i, row) in rows.iter().enumerate() {
-        name(&mut scene, *row, are_one, top);
-        for (left, quantity) in lefts.iter().zip(&QUANTITIES) {
-            let panel = Panel {
-                corners: [*left, top, left + wide, top + PANEL.0],
+        draw_row_name(&mut scene, *row, is_one_window_and_area, top);
+        for (left, quantity) in panel_lefts.iter().zip(&QUANTITIES) {
+            let panel = CurvePanel {
+                corners: [*left, top, left + panel_width, top + PANEL_AND_GAP_HEIGHT.0],
                 x,
                 is_last: i + 1 == rows.len(),
             };
             panel.draw(&mut scene, sources, *row, quantity);
         }
-        top += PANEL.0 + PANEL.1;
+        top += PANEL_AND_GAP_HEIGHT.0 + PANEL_AND_GAP_HEIGHT.1;
     }
-    let mut y = top - PANEL.1 + 3.0 * LEADING + 6.0;
-    for line in wrap(&scene.description.clone(), Weight::Regular, SMALL, WIDE - 2.0 * EDGE) {
-        scene.text(Text::new(line, (EDGE, y), SMALL));
+    let mut y = top - PANEL_AND_GAP_HEIGHT.1 + 3.0 * LEADING + 6.0;
+    for line in wrap_text(
+        &scene.description.clone(),
+        Weight::Regular,
+        TEXT_SIZE,
+        PAGE_WIDTH - 2.0 * MARGIN,
+    ) {
+        scene.text(Text::new(line, (MARGIN, y), TEXT_SIZE));
         y += LEADING;
     }
-    scene.height = (y - LEADING + 0.24 * SMALL + EDGE).ceil();
+    scene.height = (y - LEADING + 0.24 * TEXT_SIZE + MARGIN).ceil();
     Ok(scene)
 }
 
 /// Draws N next to a row, with its window and area if these differ between rows.
-fn name(scene: &mut Scene, row: Row, [is_one_window, is_one_area]: [bool; 2], top: f64) {
-    let Row {
+fn draw_row_name(scene: &mut Scene, row: PanelRow, [is_one_window, is_one_area]: [bool; 2], top: f64) {
+    let PanelRow {
         lookback,
         devices,
         surface,
     } = row;
-    let mut y = top + 0.5 * PANEL.0 + 0.36 * SMALL;
-    scene.text(Text::new(format!("N = {devices}"), (EDGE, y), SMALL).bold());
+    let mut y = top + 0.5 * PANEL_AND_GAP_HEIGHT.0 + 0.36 * TEXT_SIZE;
+    scene.text(Text::new(format!("N = {devices}"), (MARGIN, y), TEXT_SIZE).bold());
     let more = [
         (!is_one_window).then(|| lookback.label()),
         (!is_one_area).then(|| format!("{surface} m²")),
     ];
     for text in more.into_iter().flatten() {
         y += LEADING;
-        scene.text(Text::new(text, (EDGE, y), SMALL));
+        scene.text(Text::new(text, (MARGIN, y), TEXT_SIZE));
     }
 }
 
@@ -180,30 +186,33 @@ fn legend(scene: &mut Scene, sources: &[NamedTables], mut y: f64) -> f64 {
     if sources.len() < 2 {
         return y + 2.0;
     }
-    let mut x = EDGE;
+    let mut x = MARGIN;
     for (i, (file, _)) in sources.iter().enumerate() {
-        let (style, file) = (Style::nth(i), fit(file, WIDE - 2.0 * EDGE - SWATCH));
-        let needed = SWATCH + width(&file, Weight::Regular, SMALL);
-        if x > EDGE && x + needed > WIDE - EDGE {
-            (x, y) = (EDGE, y + LEADING + 1.0);
+        let (style, file) = (
+            Style::from_palette(i),
+            shorten_start(file, PAGE_WIDTH - 2.0 * MARGIN - SWATCH),
+        );
+        let needed = SWATCH + text_width(&file, Weight::Regular, TEXT_SIZE);
+        if x > MARGIN && x + needed > PAGE_WIDTH - MARGIN {
+            (x, y) = (MARGIN, y + LEADING + 1.0);
         }
-        let middle = y - 0.35 * SMALL;
-        scene.line(VectorPath::segment((x, middle), (x + 18.0, middle)), style.line());
-        style.mark(scene, (x + 9.0, middle));
-        scene.text(Text::new(file, (x + SWATCH, y), SMALL));
+        let middle = y - 0.35 * TEXT_SIZE;
+        scene.line(VectorPath::segment((x, middle), (x + 18.0, middle)), style.stroke());
+        style.draw_marker(scene, (x + 9.0, middle));
+        scene.text(Text::new(file, (x + SWATCH, y), TEXT_SIZE));
         x += needed + 9.0;
     }
     y + LEADING + 6.0
 }
 
-/// Returns the longest end of `text` that fits in `limit` points.
-fn fit(text: &str, limit: f64) -> String {
-    let all: Vec<char> = text.chars().collect();
-    let shortened = (0..all.len()).map(|from| {
+/// Returns the longest end of `text` that fits in `max_width` points.
+fn shorten_start(text: &str, max_width: f64) -> String {
+    let letters: Vec<char> = text.chars().collect();
+    let shortened = (0..letters.len()).map(|from| {
         let mark = if from == 0 { "" } else { "…" };
-        format!("{mark}{}", all[from..].iter().collect::<String>())
+        format!("{mark}{}", letters[from..].iter().collect::<String>())
     });
-    let mut fitting = shortened.filter(|text| width(text, Weight::Regular, SMALL) <= limit);
+    let mut fitting = shortened.filter(|text| text_width(text, Weight::Regular, TEXT_SIZE) <= max_width);
     fitting.next().unwrap_or_default()
 }
 
@@ -213,48 +222,52 @@ fn caption(sources: &[NamedTables]) -> String {
          Episodes alternate between the rankings posterior and p42. Every panel has a separate axis, which need not \
          start at zero.",
     );
-    let is_one_setting = sources.windows(2).all(|pair| pair[0].1.setting == pair[1].1.setting);
+    let is_one_setting = sources.windows(2).all(|pair| pair[0].1.site == pair[1].1.site);
     for (file, learned) in sources {
         if sources.len() > 1 {
-            let _ = write!(text, " {}:", fit(file, WIDE - 8.0 * EDGE));
+            let _ = write!(text, " {}:", shorten_start(file, PAGE_WIDTH - 8.0 * MARGIN));
         }
-        let _ = write!(text, " {}", trained(learned, &learned.lookbacks(), "for each N"));
+        let _ = write!(
+            text,
+            " {}",
+            describe_training(learned, &learned.lookbacks(), "for each N")
+        );
         if !is_one_setting {
-            let _ = write!(text, " {}", setting(learned));
+            let _ = write!(text, " {}", describe_setting(learned));
         }
     }
     if let Some((_, first)) = sources.first().filter(|_| is_one_setting) {
-        let _ = write!(text, " {}", setting(first));
+        let _ = write!(text, " {}", describe_setting(first));
     }
     text
 }
 
 /// One panel.
-struct Panel {
+struct CurvePanel {
     /// Left, top, right, bottom.
     corners: Rect,
     x: Scale,
     is_last: bool,
 }
 
-impl Panel {
-    fn draw(&self, scene: &mut Scene, sources: &[NamedTables], row: Row, quantity: &Quantity) {
+impl CurvePanel {
+    fn draw(&self, scene: &mut Scene, sources: &[NamedTables], row: PanelRow, quantity: &CurveQuantity) {
         let [left, top, right, bottom] = self.corners;
         let points = || sources.iter().flat_map(|(_, learned)| curve(learned, row));
-        let scale = Scale::linear(points().map(quantity.of), false);
+        let scale = Scale::linear(points().map(quantity.value), false);
         self.axes(scene, scale);
         let at = |point: &CurvePoint| {
-            let x = left + self.x.place(point.ttis as f64) * (right - left);
-            (x, bottom - scale.place((quantity.of)(point)) * (bottom - top))
+            let x = left + self.x.position(point.ttis as f64) * (right - left);
+            (x, bottom - scale.position((quantity.value)(point)) * (bottom - top))
         };
         for (i, (_, learned)) in sources.iter().enumerate() {
-            let (style, curve) = (Style::nth(i), curve(learned, row));
+            let (style, curve) = (Style::from_palette(i), curve(learned, row));
             if curve.len() > 1 {
-                scene.line(VectorPath::polyline(curve.iter().map(at), false), style.line());
+                scene.line(VectorPath::polyline(curve.iter().map(at), false), style.stroke());
             }
-            if curve.len() <= MARKED {
+            if curve.len() <= MAX_MARKED_POINTS {
                 for point in curve {
-                    style.mark(scene, at(point));
+                    style.draw_marker(scene, at(point));
                 }
             }
         }
@@ -265,24 +278,24 @@ impl Panel {
         let [left, top, right, bottom] = self.corners;
         let (axis, grid) = (
             Stroke::solid(Paint::Ink, 0.7),
-            Stroke::solid(Paint::Ink, 0.5).faded(GRID),
+            Stroke::solid(Paint::Ink, 0.5).with_opacity(GRID_OPACITY),
         );
         let ticks = y.ticks();
         for (i, tick) in ticks.iter().enumerate() {
-            let at = bottom - y.place(tick.value) * (bottom - top);
+            let at = bottom - y.position(tick.value) * (bottom - top);
             scene.line(VectorPath::segment((left, at), (right, at)), grid);
             scene.line(VectorPath::segment((left - 2.5, at), (left, at)), axis);
             if i == 0 || i + 1 == ticks.len() {
-                let text = Text::new(tick.label.as_str(), (left - 4.0, at + 0.36 * SMALL), SMALL);
+                let text = Text::new(tick.label.as_str(), (left - 4.0, at + 0.36 * TEXT_SIZE), TEXT_SIZE);
                 scene.text(text.anchored(Anchor::End));
             }
         }
         for tick in self.x.ticks() {
-            let at = left + self.x.place(tick.value) * (right - left);
+            let at = left + self.x.position(tick.value) * (right - left);
             scene.line(VectorPath::segment((at, top), (at, bottom)), grid);
             scene.line(VectorPath::segment((at, bottom), (at, bottom + 2.5)), axis);
             if self.is_last {
-                let text = Text::new(tick.label, (at, bottom + LEADING + 1.5), SMALL);
+                let text = Text::new(tick.label, (at, bottom + LEADING + 1.5), TEXT_SIZE);
                 scene.text(text.anchored(Anchor::Middle));
             }
         }
@@ -292,7 +305,7 @@ impl Panel {
         );
         if self.is_last {
             let below = (0.5 * (left + right), bottom + 2.0 * LEADING + 2.5);
-            scene.text(Text::new("TTIs of training", below, SMALL).anchored(Anchor::Middle));
+            scene.text(Text::new("TTIs of training", below, TEXT_SIZE).anchored(Anchor::Middle));
         }
     }
 }

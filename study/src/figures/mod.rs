@@ -46,7 +46,7 @@ pub mod tuning;
 pub use error::FigureError;
 
 /// Replaces the characters of `name` that are unsafe in a file name.
-pub fn as_file(name: &str) -> String {
+pub fn to_file_name(name: &str) -> String {
     let keep = |c: char| {
         if c.is_ascii_alphanumeric() || matches!(c, '.' | '-' | '_') {
             c

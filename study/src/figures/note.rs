@@ -1,9 +1,9 @@
-//! Labels next to points of a chart, placed where there is room.
+//! Labels next to points of a chart, placed where there is room. Trade-off charts label points with N or settings.
 
-use super::font::{Weight, width};
-use super::path::{Rect, overlap};
+use super::font::{Weight, text_width};
+use super::path::{Rect, boxes_overlap};
 use super::scene::{Anchor, Text};
-use super::style::{MARKER, SMALL};
+use super::style::{MARKER_RADIUS, TEXT_SIZE};
 
 /// A label next to a point.
 #[derive(Clone, Debug, PartialEq)]
@@ -30,44 +30,52 @@ pub struct Obstacles {
 pub fn place_notes(notes: &[((f64, f64), &str)], obstacles: &Obstacles, frame: Rect) -> Vec<Text> {
     let markers = obstacles.markers.iter();
     let markers: Vec<Rect> = markers.map(|&((x, y), r)| [x - r, y - r, x + r, y + r]).collect();
-    let mut settled: Vec<Text> = Vec::new();
-    for &(at, words) in notes {
-        let taken: Vec<Rect> = settled.iter().map(Text::bounds).collect();
+    let mut placed: Vec<Text> = Vec::new();
+    for &(point, label) in notes {
+        let taken: Vec<Rect> = placed.iter().map(Text::bounds).collect();
         let is_free = |text: &Text| {
-            let own = text.bounds();
-            let is_inside = own[0] >= frame[0] && own[1] >= frame[1] && own[2] <= frame[2] && own[3] <= frame[3];
-            is_inside && !markers.iter().chain(&taken).any(|other| overlap(&own, other))
+            let bounds = text.bounds();
+            let is_inside =
+                bounds[0] >= frame[0] && bounds[1] >= frame[1] && bounds[2] <= frame[2] && bounds[3] <= frame[3];
+            is_inside && !markers.iter().chain(&taken).any(|other| boxes_overlap(&bounds, other))
         };
         let crossed = |text: &Text| {
-            let own = letters(text);
-            obstacles.lines.iter().filter(|line| cross(own, **line)).count()
+            let bounds = box_of_digits(text);
+            obstacles
+                .lines
+                .iter()
+                .filter(|line| crosses_box(bounds, **line))
+                .count()
         };
         // Of equally good sides `min_by_key` takes the first.
-        let best = sides(at, words).into_iter().filter(is_free).min_by_key(crossed);
-        settled.extend(best);
+        let best = candidate_texts(point, label)
+            .into_iter()
+            .filter(is_free)
+            .min_by_key(crossed);
+        placed.extend(best);
     }
-    settled
+    placed
 }
 
 /// Returns the box of a text without the room for descenders, which numbers do not have.
-fn letters(text: &Text) -> Rect {
+fn box_of_digits(text: &Text) -> Rect {
     let [left, top, right, _] = text.bounds();
     [left, top, right, text.at.1]
 }
 
 /// Returns whether a line crosses a box: its stretches between opposite borders overlap.
-fn cross([left, top, right, bottom]: Rect, [from, to]: [(f64, f64); 2]) -> bool {
+fn crosses_box([left, top, right, bottom]: Rect, [from, to]: [(f64, f64); 2]) -> bool {
     let (mut start, mut end) = (0.0_f64, 1.0_f64);
-    for (at, change, low, high) in [
+    for (start_coordinate, length, low, high) in [
         (from.0, to.0 - from.0, left, right),
         (from.1, to.1 - from.1, top, bottom),
     ] {
-        if change == 0.0 {
-            if at <= low || at >= high {
+        if length == 0.0 {
+            if start_coordinate <= low || start_coordinate >= high {
                 return false;
             }
         } else {
-            let (a, b) = ((low - at) / change, (high - at) / change);
+            let (a, b) = ((low - start_coordinate) / length, (high - start_coordinate) / length);
             (start, end) = (start.max(a.min(b)), end.min(a.max(b)));
         }
     }
@@ -75,21 +83,22 @@ fn cross([left, top, right, bottom]: Rect, [from, to]: [(f64, f64); 2]) -> bool 
 }
 
 /// Returns candidate texts right of, left of, above, below and in the corners around a point.
-fn sides((x, y): (f64, f64), words: &str) -> [Text; 8] {
-    const AWAY: f64 = MARKER + 2.0;
-    let half = 0.5 * width(words, Weight::Regular, SMALL);
-    let middle = y + 0.36 * SMALL;
-    let (above, below) = (y - AWAY - 0.24 * SMALL, y + AWAY + 0.76 * SMALL);
-    let text = |x: f64, y: f64| Text::new(words, (x, y), SMALL).anchored(Anchor::Middle);
+fn candidate_texts((x, y): (f64, f64), label: &str) -> [Text; 8] {
+    /// Gap between the point and the text, points.
+    const AWAY: f64 = MARKER_RADIUS + 2.0;
+    let half_width = 0.5 * text_width(label, Weight::Regular, TEXT_SIZE);
+    let middle = y + 0.36 * TEXT_SIZE;
+    let (above, below) = (y - AWAY - 0.24 * TEXT_SIZE, y + AWAY + 0.76 * TEXT_SIZE);
+    let text = |x: f64, y: f64| Text::new(label, (x, y), TEXT_SIZE).anchored(Anchor::Middle);
     [
-        text(x + AWAY + half, middle),
-        text(x - AWAY - half, middle),
+        text(x + AWAY + half_width, middle),
+        text(x - AWAY - half_width, middle),
         text(x, above),
         text(x, below),
-        text(x + MARKER + half, above),
-        text(x - MARKER - half, above),
-        text(x + MARKER + half, below),
-        text(x - MARKER - half, below),
+        text(x + MARKER_RADIUS + half_width, above),
+        text(x - MARKER_RADIUS - half_width, above),
+        text(x + MARKER_RADIUS + half_width, below),
+        text(x - MARKER_RADIUS - half_width, below),
     ]
 }
 
@@ -103,7 +112,7 @@ mod tests {
     fn notes_keep_clear_of_each_other_of_markers_and_of_the_border() {
         let points: Vec<(f64, f64)> = (0..10).map(|i| (50.0 + 0.5 * f64::from(i), 50.0)).collect();
         let notes: Vec<_> = points.iter().map(|p| (*p, "250")).collect();
-        let markers = points.iter().map(|point| (*point, MARKER)).collect();
+        let markers = points.iter().map(|point| (*point, MARKER_RADIUS)).collect();
         let obstacles = Obstacles {
             markers,
             ..Obstacles::default()
@@ -111,9 +120,12 @@ mod tests {
         let settled = place_notes(&notes, &obstacles, FRAME);
         assert!((2..10).contains(&settled.len()), "{settled:?}");
         for (i, a) in settled.iter().enumerate() {
-            assert!(settled[..i].iter().all(|b| !overlap(&a.bounds(), &b.bounds())));
+            assert!(settled[..i].iter().all(|b| !boxes_overlap(&a.bounds(), &b.bounds())));
             for (x, y) in &points {
-                assert!(!overlap(&a.bounds(), &[x - 1.0, y - 1.0, x + 1.0, y + 1.0]), "{a:?}");
+                assert!(
+                    !boxes_overlap(&a.bounds(), &[x - 1.0, y - 1.0, x + 1.0, y + 1.0]),
+                    "{a:?}"
+                );
             }
         }
         let corner = place_notes(&[((99.0, 1.0), "10")], &Obstacles::default(), FRAME);
@@ -136,7 +148,7 @@ mod tests {
     fn lines_are_crossed_only_where_there_is_no_other_room() {
         let to_the_right = [(50.0, 50.0), (100.0, 50.0)];
         let obstacles = |lines: &[[(f64, f64); 2]]| Obstacles {
-            markers: vec![((50.0, 50.0), MARKER)],
+            markers: vec![((50.0, 50.0), MARKER_RADIUS)],
             lines: lines.to_vec(),
         };
         let settled = place_notes(&[((50.0, 50.0), "10")], &obstacles(&[to_the_right]), FRAME);
@@ -157,7 +169,7 @@ mod tests {
             ([(0.0, 12.0), (12.0, 0.0)], false),
             ([(25.0, 0.0), (25.0, 30.0)], false),
         ] {
-            assert_eq!(cross(corners, line), expected, "{line:?}");
+            assert_eq!(crosses_box(corners, line), expected, "{line:?}");
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Paths of lines and curves, in points.
+//! Paths of lines and curves, in points, y downwards: the shapes of a [`super::scene::Scene`].
 
 use libm::{cos, sin};
 
@@ -6,7 +6,7 @@ use libm::{cos, sin};
 pub type Rect = [f64; 4];
 
 /// Whether two boxes overlap. Boxes that only touch do not.
-pub(super) fn overlap(a: &Rect, b: &Rect) -> bool {
+pub(super) fn boxes_overlap(a: &Rect, b: &Rect) -> bool {
     a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3]
 }
 
@@ -84,7 +84,7 @@ impl VectorPath {
 
     /// Returns the path shifted by the given offset.
     #[must_use]
-    pub fn moved(self, (right, down): (f64, f64)) -> Self {
+    pub fn shifted(self, (right, down): (f64, f64)) -> Self {
         let step = |step| match step {
             PathStep::Move(x, y) => PathStep::Move(x + right, y + down),
             PathStep::Line(x, y) => PathStep::Line(x + right, y + down),
@@ -161,7 +161,7 @@ mod tests {
         let here = VectorPath::circle((1.0, 2.0), 1.5).bounds();
         let mut path = VectorPath(vec![PathStep::Quad(1.0, -3.0, 2.0, 9.0)]);
         path.extend(VectorPath::circle((1.0, 2.0), 1.5));
-        let there = path.clone().moved((10.0, -5.0));
+        let there = path.clone().shifted((10.0, -5.0));
         assert_eq!(there.0[0], PathStep::Quad(11.0, -8.0, 12.0, 4.0));
         let moved = VectorPath(there.0[1..].to_vec()).bounds();
         let expected = [here[0] + 10.0, here[1] - 5.0, here[2] + 10.0, here[3] - 5.0];

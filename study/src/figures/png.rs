@@ -1,26 +1,26 @@
-//! PNG output of a scene.
+//! PNG output of a scene, drawn from the same paths and glyph outlines as [`super::svg`].
 
 use tiny_skia::{Color, FillRule, LineJoin, Mask, Paint as Brush, PathBuilder, Pixmap, StrokeDash, Transform};
 
-use super::font::{outline, set, units_per_em};
+use super::font::{outline, set_glyphs, units_per_em};
 use super::path::{PathStep, VectorPath};
 use super::scene::{FilledPath, Paint, Rgb, Scene, SceneItem, Stroke, Text};
 
 /// Pixels per inch.
 pub(crate) const DPI: f64 = 300.0;
 /// Points per inch.
-const POINTS: f64 = 72.0;
+const POINTS_PER_INCH: f64 = 72.0;
 /// Colour of ink.
 const INK: Rgb = Rgb(0x1a, 0x1a, 0x1a);
 /// No clipping.
-const WHOLE: Option<&Mask> = None;
+const NO_CLIP: Option<&Mask> = None;
 
 /// Renders `scene` as PNG at `DPI`, dark on white.
 pub fn png(scene: &Scene) -> Vec<u8> {
-    let scale = DPI / POINTS;
+    let scale = DPI / POINTS_PER_INCH;
     let (w, h) = (
-        (scene.width * DPI / POINTS).ceil() as u32,
-        (scene.height * DPI / POINTS).ceil() as u32,
+        (scene.width * DPI / POINTS_PER_INCH).ceil() as u32,
+        (scene.height * DPI / POINTS_PER_INCH).ceil() as u32,
     );
     // `Pixmap::new` rejects a side of 0.
     let mut pixmap = Pixmap::new(w.max(1), h.max(1)).expect("a canvas of a few inches");
@@ -66,7 +66,7 @@ fn brush(paint: Paint, opacity: f64) -> Brush<'static> {
     brush
 }
 
-fn build(path: &VectorPath) -> Option<tiny_skia::Path> {
+fn to_skia_path(path: &VectorPath) -> Option<tiny_skia::Path> {
     let mut builder = PathBuilder::new();
     for step in &path.0 {
         match *step {
@@ -83,12 +83,12 @@ fn build(path: &VectorPath) -> Option<tiny_skia::Path> {
 }
 
 fn draw_shape(pixmap: &mut Pixmap, shape: &FilledPath, ground: Transform) {
-    let Some(path) = build(&shape.path) else { return };
+    let Some(path) = to_skia_path(&shape.path) else { return };
     let [left, top, right, bottom] = shape.path.bounds();
     // An interval of no width has nothing to fill.
     let has_surface = right - left > 1e-6 && bottom - top > 1e-6;
     if let Some((paint, opacity)) = shape.fill.filter(|_| has_surface) {
-        pixmap.fill_path(&path, &brush(paint, opacity), FillRule::Winding, ground, WHOLE);
+        pixmap.fill_path(&path, &brush(paint, opacity), FillRule::Winding, ground, NO_CLIP);
     }
     if let Some(Stroke {
         paint,
@@ -104,7 +104,7 @@ fn draw_shape(pixmap: &mut Pixmap, shape: &FilledPath, ground: Transform) {
             dash: StrokeDash::new(dashes, 0.0),
             ..tiny_skia::Stroke::default()
         };
-        pixmap.stroke_path(&path, &brush(paint, opacity), &stroke, ground, WHOLE);
+        pixmap.stroke_path(&path, &brush(paint, opacity), &stroke, ground, NO_CLIP);
     }
 }
 
@@ -112,14 +112,14 @@ fn draw_text(pixmap: &mut Pixmap, text: &Text, ground: Transform) {
     let (x, y) = text.start();
     let scale = (text.size / units_per_em(text.weight)) as f32;
     let mut place = ground.pre_translate(x as f32, y as f32);
-    if text.upwards {
+    if text.is_vertical {
         place = place.pre_concat(Transform::from_row(0.0, -1.0, 1.0, 0.0, 0.0, 0.0));
     }
     let place = place.pre_scale(scale, -scale);
-    for (glyph, at) in set(&text.text, text.weight).0 {
-        if let Some(path) = build(&outline(glyph)) {
+    for (glyph, at) in set_glyphs(&text.text, text.weight).0 {
+        if let Some(path) = to_skia_path(&outline(glyph)) {
             let place = place.pre_translate(at as f32, 0.0);
-            pixmap.fill_path(&path, &brush(text.paint, 1.0), FillRule::Winding, place, WHOLE);
+            pixmap.fill_path(&path, &brush(text.paint, 1.0), FillRule::Winding, place, NO_CLIP);
         }
     }
 }

@@ -5,36 +5,36 @@ use std::fmt::Write as _;
 
 use reveille_bs::beliefs::ages;
 use reveille_bs::policy::q_learning::learned::{
-    self, AREAS, BATTERIES, INFORMATIONS, LearnedTables, Lookback, NODES, QValue, REPORTS, SCORES, TableSet, WakeTable,
-    score_edge,
+    self, AREA_BUCKETS, BATTERY_BUCKETS, INFORMATION_BUCKETS, LearnedTables, Lookback, QValue, REPORT_BUCKETS,
+    SCORE_BUCKETS, TableSet, VALUE_NODES, WakeTable, score_edge,
 };
 use reveille_common::scenario::WakeUpRanking;
 
 use super::chart::{Chart, ChartPoint, Interval, Series};
 use super::error::FigureError;
-use super::font::{Weight, wrap};
-use super::heat::{HeatCell, HeatMap, RowLabels, VisitCount, key};
+use super::font::{Weight, wrap_text};
+use super::heat::{HeatCell, HeatMap, KnowledgeDegree, RowLabels, draw_key};
 use super::scale::Scale;
 use super::scene::{Scene, Text};
-use super::style::{EDGE, LARGE, LEADING, SMALL, Style, WIDE};
+use super::style::{LEADING, MARGIN, PAGE_WIDTH, Style, TEXT_SIZE, TITLE_SIZE};
 
 /// Heights of rows, points.
 const DUTY_ROW: f64 = 15.0;
 const WAKE_ROW: f64 = 12.0;
 /// Distance between panels, points.
-const GAP: f64 = 12.0;
+const PANEL_GAP: f64 = 12.0;
 /// Limits of the buckets of Î, shares of Ψ, as used by
 /// [`reveille_bs::policy::q_learning::learned::information_bucket`].
-const INFORMATION: [f64; INFORMATIONS + 1] = [0.0, 0.03, 0.08, 0.15, 0.25, 0.4, 0.55, 0.75, 1.0];
+const INFORMATION_LIMITS: [f64; INFORMATION_BUCKETS + 1] = [0.0, 0.03, 0.08, 0.15, 0.25, 0.4, 0.55, 0.75, 1.0];
 /// First battery bucket in which a device can sense and report.
-const ABLE: usize = learned::ABLE as usize;
+const FIRST_ABLE_BUCKET: usize = learned::FIRST_ABLE_BUCKET as usize;
 
 /// Finds the entry of `learned`, read from `file`, for `devices` devices and `window`. The default is the shortest
 /// window in the file.
 ///
 /// # Errors
 /// The file has no such entry.
-pub fn entry<'l>(
+pub fn find_entry<'l>(
     file: &str,
     learned: &'l LearnedTables,
     devices: u32,
@@ -43,20 +43,20 @@ pub fn entry<'l>(
     let windows = learned.lookbacks();
     let shortest = windows.first().copied().unwrap_or(Lookback::Window(1));
     let mut of_window = learned.entries.iter();
-    let own = window.unwrap_or(shortest);
-    let found = of_window.find(|entry| entry.lookback == own && entry.devices == devices);
-    found.ok_or_else(|| {
-        let same = learned.entries.iter().filter(|entry| entry.lookback == own);
-        let known: Vec<String> = same.map(|entry| entry.devices.to_string()).collect();
-        let windows: Vec<String> = windows.iter().map(|own| own.in_words()).collect();
+    let chosen_window = window.unwrap_or(shortest);
+    let entry = of_window.find(|entry| entry.lookback == chosen_window && entry.devices == devices);
+    entry.ok_or_else(|| {
+        let entries_of_window = learned.entries.iter().filter(|entry| entry.lookback == chosen_window);
+        let device_counts: Vec<String> = entries_of_window.map(|entry| entry.devices.to_string()).collect();
+        let windows: Vec<String> = windows.iter().map(|lookback| lookback.describe()).collect();
         FigureError::NoEntry {
             devices,
-            window: own,
+            window: chosen_window,
             file: file.to_owned(),
-            known: if known.is_empty() {
+            known: if device_counts.is_empty() {
                 "no".to_owned()
             } else {
-                known.join(", ")
+                device_counts.join(", ")
             },
             windows: windows.join(", "),
         }
@@ -64,48 +64,49 @@ pub fn entry<'l>(
 }
 
 /// Returns E_max, E_idle and E_Tx of the training, units; `None` if the file does not hold them.
-fn energies(learned: &LearnedTables) -> Option<[f64; 3]> {
-    let [e_max, e_idle, e_tx] = ["energy.e_max", "energy.e_idle", "energy.e_tx"].map(|name| field(learned, name));
+fn training_energies(learned: &LearnedTables) -> Option<[f64; 3]> {
+    let [e_max, e_idle, e_tx] =
+        ["energy.e_max", "energy.e_idle", "energy.e_tx"].map(|name| training_field(learned, name));
     Some([e_max?, e_idle?, e_tx?])
 }
 
 /// Returns a numeric field of the training's scenario.
-fn field(learned: &LearnedTables, name: &str) -> Option<f64> {
-    let own = learned.setting.numbers.iter().find(|(path, _)| path == name);
-    own.map(|(_, value)| *value)
+fn training_field(learned: &LearnedTables, name: &str) -> Option<f64> {
+    let entry = learned.site.numbers.iter().find(|(path, _)| path == name);
+    entry.map(|(_, value)| *value)
 }
 
 /// Returns the limits of the battery buckets, units.
-fn battery_ends([e_max, e_idle, e_tx]: [f64; 3]) -> [f64; BATTERIES + 1] {
-    let needed = e_idle + e_tx;
-    let part = (e_max - needed) / (BATTERIES - ABLE) as f64;
-    std::array::from_fn(|end| match end {
+fn battery_limits([e_max, e_idle, e_tx]: [f64; 3]) -> [f64; BATTERY_BUCKETS + 1] {
+    let energy_to_report = e_idle + e_tx;
+    let bucket_width = (e_max - energy_to_report) / (BATTERY_BUCKETS - FIRST_ABLE_BUCKET) as f64;
+    std::array::from_fn(|limit| match limit {
         0 => 0.0,
         1 => e_idle,
-        _ => needed + part * (end - ABLE) as f64,
+        _ => energy_to_report + bucket_width * (limit - FIRST_ABLE_BUCKET) as f64,
     })
 }
 
 /// Returns the limits of the buckets of newly covered area, shares of the sensing disc.
-fn area_ends(lookback: Lookback) -> [f64; AREAS + 1] {
-    let most = match lookback {
+fn area_limits(lookback: Lookback) -> [f64; AREA_BUCKETS + 1] {
+    let largest = match lookback {
         Lookback::Window(_) => 1.0,
-        Lookback::Ages => ages::MOST,
+        Lookback::Ages => ages::MAX_WORTH,
     };
-    std::array::from_fn(|end| match end {
+    std::array::from_fn(|limit| match limit {
         0 => 0.0,
-        AREAS => most,
-        _ => lookback.edge(end - 1),
+        AREA_BUCKETS => largest,
+        _ => lookback.edge(limit - 1),
     })
 }
 
 /// Returns the limits of the score buckets, shares of Ψ.
-fn score_ends() -> [f64; SCORES + 1] {
+fn score_limits() -> [f64; SCORE_BUCKETS + 1] {
     std::array::from_fn(score_edge)
 }
 
 /// Formats `value` with two digits, without trailing zeros.
-fn short(value: f64) -> String {
+fn format_short(value: f64) -> String {
     let decimals = if value == 0.0 || value >= 9.95 {
         0
     } else if value >= 0.995 {
@@ -124,23 +125,29 @@ fn short(value: f64) -> String {
 /// Creates the heat map of the duty table of `entry`.
 pub(crate) fn duty_map(learned: &LearnedTables, entry: &TableSet) -> HeatMap {
     // The policy decides by the monotone advantages, not by the learned numbers in the cells.
-    let used = entry.duty.advantages();
+    let advantages = entry.duty.advantages();
     let cell = |battery: usize, area: usize| {
         let [on, off] = [true, false].map(|delta| entry.duty.at(battery, area, delta));
         HeatCell {
             value: on.value - off.value,
-            known: match (on.visits, off.visits) {
-                (0, 0) => VisitCount::Never,
-                (0, _) | (_, 0) => VisitCount::Half,
-                (_, _) => VisitCount::Well,
+            knowledge: match (on.visits, off.visits) {
+                (0, 0) => KnowledgeDegree::Unknown,
+                (0, _) | (_, 0) => KnowledgeDegree::Partly,
+                (_, _) => KnowledgeDegree::Known,
             },
-            // Below `ABLE` the policy lets no device sense, whatever the table holds.
-            framed: battery >= ABLE && used[battery][area] > 0.0,
+            // Below `FIRST_ABLE_BUCKET` the policy lets no device sense, whatever the table holds.
+            is_framed: battery >= FIRST_ABLE_BUCKET && advantages[battery][area] > 0.0,
         }
     };
-    let ends = energies(learned).map(battery_ends);
+    let limits = training_energies(learned).map(battery_limits);
     let name = |battery: usize| {
-        let range = ends.map(|ends| format!("{}–{}", short(ends[battery]), short(ends[battery + 1])));
+        let range = limits.map(|limits| {
+            format!(
+                "{}–{}",
+                format_short(limits[battery]),
+                format_short(limits[battery + 1])
+            )
+        });
         match (battery, range) {
             (0, range) => format!("cannot sense: {}", range.unwrap_or_default()),
             (1, range) => format!("cannot report: {}", range.unwrap_or_default()),
@@ -148,15 +155,17 @@ pub(crate) fn duty_map(learned: &LearnedTables, entry: &TableSet) -> HeatMap {
             (_, None) => format!("sixth {} of the rest", battery - 1),
         }
     };
-    let in_units = |unit: &str, whole: f64| {
+    let column_limits = |unit: &str, whole: f64| {
         (
             unit.to_owned(),
-            area_ends(entry.lookback).map(|end| short(whole * end)).to_vec(),
+            area_limits(entry.lookback)
+                .map(|limit| format_short(whole * limit))
+                .to_vec(),
         )
     };
-    let mut columns = vec![in_units("% of the disc", 100.0)];
-    if let Some(d_max) = field(learned, "sensing.d_max") {
-        columns.push(in_units("m²", PI * d_max * d_max));
+    let mut columns = vec![column_limits("% of the disc", 100.0)];
+    if let Some(d_max) = training_field(learned, "sensing.d_max") {
+        columns.push(column_limits("m²", PI * d_max * d_max));
     }
     HeatMap {
         x_label: match entry.lookback {
@@ -166,9 +175,9 @@ pub(crate) fn duty_map(learned: &LearnedTables, entry: &TableSet) -> HeatMap {
         .to_owned(),
         y_label: "battery, units".to_owned(),
         columns,
-        rows: RowLabels::Names((0..BATTERIES).map(name).collect()),
-        cells: (0..BATTERIES)
-            .map(|battery| (0..AREAS).map(|area| cell(battery, area)).collect())
+        rows: RowLabels::Names((0..BATTERY_BUCKETS).map(name).collect()),
+        cells: (0..BATTERY_BUCKETS)
+            .map(|battery| (0..AREA_BUCKETS).map(|area| cell(battery, area)).collect())
             .collect(),
     }
 }
@@ -186,67 +195,64 @@ pub fn duty_scene(learned: &LearnedTables, entry: &TableSet) -> Scene {
          (δ = 1) over sleeping, in units of N r(k). Within the bold line the policy lets devices sense, in order of \
          gain: there the battery is enough to sense and report, and the advantage is positive after smoothing (never \
          falling with the area). Colours follow the square root of the number. {}{}",
-        if map.count(VisitCount::Half) > 0 {
+        if map.count(KnowledgeDegree::Partly) > 0 {
             "An action that was never tried keeps its initial value, the immediate reward; such a number is a guess. "
         } else {
             ""
         },
-        learned_on(learned, entry)
+        describe_training_of_entry(learned, entry)
     );
-    let (mut scene, y) = begun(title, text.clone());
-    let largest = map.largest();
-    let mut y = map.draw(&mut scene, (EDGE, y), (WIDE - 2.0 * EDGE, DUTY_ROW), largest);
-    let half = (map.count(VisitCount::Half) > 0).then_some("one action never tried");
-    y = key(&mut scene, (EDGE, y), largest, "senses", half) + 8.0;
+    let (mut scene, y) = titled_scene(title, text.clone());
+    let largest = map.largest_magnitude();
+    let mut y = map.draw(&mut scene, (MARGIN, y), (PAGE_WIDTH - 2.0 * MARGIN, DUTY_ROW), largest);
+    let half = (map.count(KnowledgeDegree::Partly) > 0).then_some("one action never tried");
+    y = draw_key(&mut scene, (MARGIN, y), largest, "senses", half) + 8.0;
     let value = value_chart(learned, entry).scene();
     let lower = value.height;
-    scene.put(value, (0.0, y));
-    let (left, mut line_y) = (0.5 * (WIDE + GAP), y + EDGE + LARGE);
-    for line in wrap(&text, Weight::Regular, SMALL, WIDE - EDGE - left) {
-        scene.text(Text::new(line, (left, line_y), SMALL));
+    scene.add_scene(value, (0.0, y));
+    let (left, mut line_y) = (0.5 * (PAGE_WIDTH + PANEL_GAP), y + MARGIN + TITLE_SIZE);
+    for line in wrap_text(&text, Weight::Regular, TEXT_SIZE, PAGE_WIDTH - MARGIN - left) {
+        scene.text(Text::new(line, (left, line_y), TEXT_SIZE));
         line_y += LEADING;
     }
-    scene.height = (y + lower).max(line_y - LEADING + 0.24 * SMALL + EDGE).ceil();
+    scene.height = (y + lower).max(line_y - LEADING + 0.24 * TEXT_SIZE + MARGIN).ceil();
     scene
 }
 
 /// Creates a scene with its title. Returns it with the y below the title.
-fn begun(title: String, description: String) -> (Scene, f64) {
-    let mut scene = Scene::new(WIDE, 0.0);
-    scene.text(Text::new(title.as_str(), (EDGE, EDGE + LARGE), LARGE).bold());
+fn titled_scene(title: String, description: String) -> (Scene, f64) {
+    let mut scene = Scene::new(PAGE_WIDTH, 0.0);
+    scene.text(Text::new(title.as_str(), (MARGIN, MARGIN + TITLE_SIZE), TITLE_SIZE).bold());
     scene.title = title;
     scene.description = description;
-    (scene, EDGE + LARGE + LEADING)
+    (scene, MARGIN + TITLE_SIZE + LEADING)
 }
 
 /// Creates the chart of V against the battery.
 fn value_chart(learned: &LearnedTables, entry: &TableSet) -> Chart {
-    let e_max = energies(learned).map(|[e_max, ..]| e_max);
-    let sample = |node: usize, y: f64| ChartPoint {
-        x: e_max.unwrap_or(1.0) * node as f64 / (NODES - 1) as f64,
+    let e_max = training_energies(learned).map(|[e_max, ..]| e_max);
+    let point = |node: usize, y: f64| ChartPoint {
+        x: e_max.unwrap_or(1.0) * node as f64 / (VALUE_NODES - 1) as f64,
         y,
-        half: f64::NAN,
-        across: f64::NAN,
+        y_half_width: f64::NAN,
+        x_half_width: f64::NAN,
     };
-    let used: Vec<ChartPoint> = (0..)
-        .zip(entry.duty.values())
-        .map(|(node, y)| sample(node, y))
-        .collect();
+    let smoothed: Vec<ChartPoint> = (0..).zip(entry.duty.values()).map(|(node, y)| point(node, y)).collect();
     let visited = |(_, cell): &(usize, &QValue)| cell.visits > 0;
-    let raw = entry.duty.value.iter().enumerate().filter(visited);
-    let raw: Vec<ChartPoint> = raw.map(|(node, cell)| sample(node, cell.value)).collect();
-    let ys = used.iter().chain(&raw).map(|s| s.y);
+    let learned_points = entry.duty.value.iter().enumerate().filter(visited);
+    let learned_points: Vec<ChartPoint> = learned_points.map(|(node, cell)| point(node, cell.value)).collect();
+    let ys = smoothed.iter().chain(&learned_points).map(|s| s.y);
     let (y, x) = (
         Scale::linear(ys, false),
-        Scale::linear([0.0, sample(NODES - 1, 0.0).x], true),
+        Scale::linear([0.0, point(VALUE_NODES - 1, 0.0).x], true),
     );
     let series = |name: &str, style: Style, joined: bool, samples: Vec<ChartPoint>| Series {
         name: name.to_owned(),
         style,
-        joined,
-        marked: !joined,
+        is_joined: joined,
+        has_markers: !joined,
         interval: Interval::Bars,
-        samples,
+        points: samples,
     };
     Chart {
         title: "Value V of a battery".to_owned(),
@@ -258,13 +264,13 @@ fn value_chart(learned: &LearnedTables, entry: &TableSet) -> Chart {
         x,
         y,
         series: vec![
-            series("as used by the policy", Style::nth(0), true, used),
-            series("as learned", Style::nth(1), false, raw),
+            series("as used by the policy", Style::from_palette(0), true, smoothed),
+            series("as learned", Style::from_palette(1), false, learned_points),
         ],
         marks: Vec::new(),
         spans: Vec::new(),
         notes: Vec::new(),
-        zero_below: false,
+        has_zero_at_border: false,
         caption: "Expected total reward of a device, with discount ζ. The policy smooths it so that it never falls \
             with the battery."
             .to_owned(),
@@ -272,23 +278,23 @@ fn value_chart(learned: &LearnedTables, entry: &TableSet) -> Chart {
 }
 
 /// Describes the training of `entry` in two sentences.
-fn learned_on(learned: &LearnedTables, entry: &TableSet) -> String {
+fn describe_training_of_entry(learned: &LearnedTables, entry: &TableSet) -> String {
     let (n, surface) = (entry.devices, entry.surface);
     format!(
         "{} {}",
-        trained(learned, &[entry.lookback], &format!("with N = {n} on {surface} m²")),
-        setting(learned)
+        describe_training(learned, &[entry.lookback], &format!("with N = {n} on {surface} m²")),
+        describe_setting(learned)
     )
 }
 
 /// Describes the training of a file: version, weights, schedule and `windows`. `place` names the number of devices or
 /// the area.
-pub(super) fn trained(learned: &LearnedTables, windows: &[Lookback], place: &str) -> String {
-    let lengths: Vec<String> = windows.iter().map(|own| own.in_words()).collect();
+pub(super) fn describe_training(learned: &LearnedTables, lookbacks: &[Lookback], scope: &str) -> String {
+    let lengths: Vec<String> = lookbacks.iter().map(|lookback| lookback.describe()).collect();
     let (weights, schedule, training) = (learned.weights, &learned.schedule, &learned.training);
     let (first, last) = training.epsilon;
     format!(
-        "Learned by {} for μ1 = {}, μ2 = {}, ζ = {} and {}, in {} episodes of {} TTIs {place}, ε from \
+        "Learned by {} for μ1 = {}, μ2 = {}, ζ = {} and {}, in {} episodes of {} TTIs {scope}, ε from \
          {first} to {last}, learning rate max((n + 4)^−{}, {}), optimism {}, seed {}{}.",
         learned.made_by,
         weights.mu1,
@@ -309,10 +315,10 @@ pub(super) fn trained(learned: &LearnedTables, windows: &[Lookback], place: &str
 }
 
 /// Describes the training setting of a file in one sentence.
-pub(super) fn setting(learned: &LearnedTables) -> String {
-    let words = learned.setting.words.iter();
+pub(super) fn describe_setting(learned: &LearnedTables) -> String {
+    let words = learned.site.words.iter();
     let words = words.map(|(name, value)| format!("{name} = {value}"));
-    let numbers = learned.setting.numbers.iter();
+    let numbers = learned.site.numbers.iter();
     // To four decimals, without trailing zeros.
     let numbers = numbers.map(|(name, value)| format!("{name} = {}", (value * 1e4).round() / 1e4));
     let all: Vec<String> = words.chain(numbers).collect();
@@ -325,12 +331,15 @@ pub fn duty_csv(learned: &LearnedTables, entry: &TableSet) -> String {
         "bucket,battery_from,battery_to,area_from,area_to,q_sleep,visits_sleep,q_sense,visits_sense,\
          advantage,used,senses\n",
     );
-    let (areas, batteries) = (area_ends(entry.lookback), energies(learned).map(battery_ends));
-    let used = entry.duty.advantages();
+    let (areas, batteries) = (
+        area_limits(entry.lookback),
+        training_energies(learned).map(battery_limits),
+    );
+    let advantages = entry.duty.advantages();
     for (battery, cells) in duty_map(learned, entry).cells.iter().enumerate() {
         let range = batteries.map_or_else(
             || ",".to_owned(),
-            |ends| format!("{},{}", ends[battery], ends[battery + 1]),
+            |limits| format!("{},{}", limits[battery], limits[battery + 1]),
         );
         for (area, cell) in cells.iter().enumerate() {
             let [off, on] = [false, true].map(|delta| entry.duty.at(battery, area, delta));
@@ -344,8 +353,8 @@ pub fn duty_csv(learned: &LearnedTables, entry: &TableSet) -> String {
                 on.value,
                 on.visits,
                 cell.value,
-                used[battery][area],
-                u8::from(cell.framed)
+                advantages[battery][area],
+                u8::from(cell.is_framed)
             );
         }
     }
@@ -355,10 +364,10 @@ pub fn duty_csv(learned: &LearnedTables, entry: &TableSet) -> String {
 /// Formats V as CSV.
 pub fn value_csv(learned: &LearnedTables, entry: &TableSet) -> String {
     let mut out = String::from("battery,value,visits,used\n");
-    let e_max = energies(learned).map_or(1.0, |[e_max, ..]| e_max);
-    for (node, (cell, used)) in entry.duty.value.iter().zip(entry.duty.values()).enumerate() {
-        let level = e_max * node as f64 / (NODES - 1) as f64;
-        let _ = writeln!(out, "{level},{},{},{used}", cell.value, cell.visits);
+    let e_max = training_energies(learned).map_or(1.0, |[e_max, ..]| e_max);
+    for (node, (cell, smoothed)) in entry.duty.value.iter().zip(entry.duty.values()).enumerate() {
+        let level = e_max * node as f64 / (VALUE_NODES - 1) as f64;
+        let _ = writeln!(out, "{level},{},{},{smoothed}", cell.value, cell.visits);
     }
     out
 }
@@ -373,23 +382,27 @@ pub const fn wake_table(entry: &TableSet, ranking: WakeUpRanking) -> &WakeTable 
 
 /// Creates the heat map of the wake-up table for bucket `reports` of the number of reports.
 fn wake_map(table: &WakeTable, reports: usize) -> HeatMap {
-    let used: [_; INFORMATIONS] = std::array::from_fn(|information| table.worths(information, reports));
+    let worths: [_; INFORMATION_BUCKETS] = std::array::from_fn(|information| table.monotone_q(information, reports));
     let cell = |score: usize, information: usize| {
         let cell = table.at([score, information, reports]);
         HeatCell {
             value: cell.value,
-            known: if cell.visits == 0 {
-                VisitCount::Never
+            knowledge: if cell.visits == 0 {
+                KnowledgeDegree::Unknown
             } else {
-                VisitCount::Well
+                KnowledgeDegree::Known
             },
-            framed: used[information][score] <= 0.0,
+            is_framed: worths[information][score] <= 0.0,
         }
     };
-    let row = |score: usize| (0..INFORMATIONS).map(|information| cell(score, information)).collect();
+    let row = |score: usize| {
+        (0..INFORMATION_BUCKETS)
+            .map(|information| cell(score, information))
+            .collect()
+    };
     // Every other limit is a root between two halvings.
-    let score = |end: usize| match SCORES - end {
-        _ if end == 0 => "0".to_owned(),
+    let score = |limit: usize| match SCORE_BUCKETS - limit {
+        _ if limit == 0 => "0".to_owned(),
         0 => "1".to_owned(),
         roots if roots % 2 == 1 => String::new(),
         roots => format!("1/{}", 1_u32 << (roots / 2)),
@@ -397,9 +410,9 @@ fn wake_map(table: &WakeTable, reports: usize) -> HeatMap {
     HeatMap {
         x_label: "information so far Î / Ψ".to_owned(),
         y_label: "score of the best candidate / Ψ".to_owned(),
-        columns: vec![(String::new(), INFORMATION.map(short).to_vec())],
-        rows: RowLabels::Ends((0..=SCORES).map(score).collect()),
-        cells: (0..SCORES).map(row).collect(),
+        columns: vec![(String::new(), INFORMATION_LIMITS.map(format_short).to_vec())],
+        rows: RowLabels::Ends((0..=SCORE_BUCKETS).map(score).collect()),
+        cells: (0..SCORE_BUCKETS).map(row).collect(),
     }
 }
 
@@ -413,53 +426,53 @@ pub fn wake_scene(learned: &LearnedTables, entry: &TableSet, ranking: WakeUpRank
          N r*(k); the value of stopping is 0. Within the bold line the policy does not wake: there the number is not \
          positive after smoothing (never falling with the score). Cells that were never visited keep the optimistic \
          initial value. Colours follow the square root of the number, with one scale for all panels. {}",
-        learned_on(learned, entry)
+        describe_training_of_entry(learned, entry)
     );
-    let (mut scene, top) = begun(title, text.clone());
-    let maps: Vec<HeatMap> = (0..REPORTS).map(|reports| wake_map(table, reports)).collect();
-    let largest = maps.iter().map(HeatMap::largest).fold(0.0, f64::max);
-    let wide = 0.5 * (WIDE - 2.0 * EDGE - GAP);
+    let (mut scene, top) = titled_scene(title, text.clone());
+    let maps: Vec<HeatMap> = (0..REPORT_BUCKETS).map(|reports| wake_map(table, reports)).collect();
+    let largest = maps.iter().map(HeatMap::largest_magnitude).fold(0.0, f64::max);
+    let wide = 0.5 * (PAGE_WIDTH - 2.0 * MARGIN - PANEL_GAP);
     let mut y = top;
     for (row, pair) in maps.chunks(2).enumerate() {
         let mut below = y;
         for (column, map) in pair.iter().enumerate() {
-            let left = EDGE + (wide + GAP) * column as f64;
+            let left = MARGIN + (wide + PANEL_GAP) * column as f64;
             let name = match 2 * row + column {
                 0 => "after 1 report".to_owned(),
-                last if last + 1 == REPORTS => format!("after {REPORTS} or more reports"),
+                last if last + 1 == REPORT_BUCKETS => format!("after {REPORT_BUCKETS} or more reports"),
                 reports => format!("after {} reports", reports + 1),
             };
-            scene.text(Text::new(name, (left + 0.5 * wide, y + 2.0), SMALL).anchored(super::scene::Anchor::Middle));
+            scene.text(Text::new(name, (left + 0.5 * wide, y + 2.0), TEXT_SIZE).anchored(super::scene::Anchor::Middle));
             below = map.draw(&mut scene, (left, y + LEADING), (wide, WAKE_ROW), largest);
         }
         y = below + 6.0;
     }
-    y = key(&mut scene, (EDGE, y - 2.0), largest, "does not wake", None) + LEADING + 4.0;
-    for line in wrap(&text, Weight::Regular, SMALL, WIDE - 2.0 * EDGE) {
-        scene.text(Text::new(line, (EDGE, y), SMALL));
+    y = draw_key(&mut scene, (MARGIN, y - 2.0), largest, "does not wake", None) + LEADING + 4.0;
+    for line in wrap_text(&text, Weight::Regular, TEXT_SIZE, PAGE_WIDTH - 2.0 * MARGIN) {
+        scene.text(Text::new(line, (MARGIN, y), TEXT_SIZE));
         y += LEADING;
     }
-    scene.height = (y - LEADING + 0.24 * SMALL + EDGE).ceil();
+    scene.height = (y - LEADING + 0.24 * TEXT_SIZE + MARGIN).ceil();
     scene
 }
 
 /// Formats the plotted data of a wake-up table as CSV.
 pub fn wake_csv(entry: &TableSet, ranking: WakeUpRanking) -> String {
     let mut out = String::from("reports,score_from,score_to,information_from,information_to,q,visits,used,wakes\n");
-    let (table, scores) = (wake_table(entry, ranking), score_ends());
-    for reports in 0..REPORTS {
-        for score in 0..SCORES {
-            for information in 0..INFORMATIONS {
+    let (table, scores) = (wake_table(entry, ranking), score_limits());
+    for reports in 0..REPORT_BUCKETS {
+        for score in 0..SCORE_BUCKETS {
+            for information in 0..INFORMATION_BUCKETS {
                 let cell = table.at([score, information, reports]);
-                let used = table.worths(information, reports)[score];
+                let used = table.monotone_q(information, reports)[score];
                 let _ = writeln!(
                     out,
                     "{},{},{},{},{},{},{},{used},{}",
                     reports + 1,
                     scores[score],
                     scores[score + 1],
-                    INFORMATION[information],
-                    INFORMATION[information + 1],
+                    INFORMATION_LIMITS[information],
+                    INFORMATION_LIMITS[information + 1],
                     cell.value,
                     cell.visits,
                     u8::from(used > 0.0)
@@ -492,13 +505,13 @@ mod tests {
 
     #[test]
     fn the_ends_drawn_are_those_of_the_buckets() {
-        agree(&INFORMATION, information_bucket);
-        agree(&score_ends(), score_bucket);
+        agree(&INFORMATION_LIMITS, information_bucket);
+        agree(&score_limits(), score_bucket);
         for lookback in [Lookback::Window(1), Lookback::Ages] {
-            agree(&area_ends(lookback), |share| lookback.bucket(share));
+            agree(&area_limits(lookback), |share| lookback.bucket(share));
         }
         let energy = load("paper", &[]).expect("a preset").scenario.classes[0].energy;
-        let ends = battery_ends([energy.e_max, energy.e_idle, energy.e_tx].map(Energy::units));
+        let ends = battery_limits([energy.e_max, energy.e_idle, energy.e_tx].map(Energy::units));
         agree(&ends, |x| {
             battery_bucket(Energy::from_units(x).expect("an energy"), &energy)
         });
@@ -508,7 +521,7 @@ mod tests {
     fn ends_are_written_short() {
         let values = [0.0, 0.02, 0.5, 0.725, 1.524, 9.96, 25.833, 100.0, 0.010_053];
         assert_eq!(
-            values.map(short),
+            values.map(format_short),
             ["0", "0.02", "0.5", "0.72", "1.5", "10", "26", "100", "0.01"].map(str::to_owned)
         );
     }

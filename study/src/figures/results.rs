@@ -1,4 +1,8 @@
-//! Result tables merged for figures and judging: runs by condition, policy and N.
+//! Result tables merged for figures and judging: runs by condition, policy and N. Everything that is drawn or judged
+//! from tables is read through [`RunCondition`].
+//!
+//! Figures use [`Results::conditions`], in which rankings of wake-ups are series of one condition; the report uses
+//! [`Results::by_ranking`]. A condition has a scenario only if the scenario's hash equals the hash in the table.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -12,7 +16,7 @@ use super::error::FigureError;
 use crate::claims::POLICIES;
 use reveille_lab::metric_estimate::MetricEstimate;
 use reveille_lab::series::{self, RANKING};
-use reveille_lab::stats::{CellRuns, Estimate, cells};
+use reveille_lab::stats::{CellRuns, Estimate, group_by_cell};
 use reveille_lab::table::{Hash, ResultRow, Table, TableMetadata};
 
 /// Summary of a result table.
@@ -21,11 +25,11 @@ pub struct LabelledTable {
     /// Name of the file that the table was read from.
     pub name: String,
     /// Metadata on the table's origin.
-    pub about: TableMetadata,
+    pub metadata: TableMetadata,
     /// Number of runs.
-    pub rows: usize,
+    pub run_count: usize,
     /// SHA-256 over the digests of the runs, in table order, hexadecimal.
-    pub digests: String,
+    pub digest_hash: String,
 }
 
 /// Settings that runs share, except policy, N and seed.
@@ -36,29 +40,29 @@ pub struct RunCondition {
     /// Length of the runs K, TTIs.
     pub ttis: u64,
     /// Swept fields with their values.
-    pub swept: Vec<(String, String)>,
+    pub swept_fields: Vec<(String, String)>,
     /// Fields whose value in the experiment differs from the preset, with their values.
-    pub changes: Vec<(String, String)>,
+    pub changed_fields: Vec<(String, String)>,
     /// Name of the table, if its scenarios differ from their preset in unknown fields.
-    pub changed_in: Option<String>,
+    pub changed_in_table: Option<String>,
     /// Scenario of the first run; `None` if it cannot be reconstructed.
     pub scenario: Option<Scenario>,
     /// Whether all runs use the preset unchanged, including swept and set fields.
     is_preset: bool,
     /// Indices in [`Results::by_ranking`] of the conditions merged into this one.
-    pub parts: Vec<usize>,
+    pub ranking_indices: Vec<usize>,
     /// Runs by series and N, each in seed order.
-    runs: Runs,
+    runs: RunsBySeries,
 }
 
 /// Runs by series and N, each in seed order.
-type Runs = BTreeMap<(String, u32), BTreeMap<u64, Arc<ResultRow>>>;
+type RunsBySeries = BTreeMap<(String, u32), BTreeMap<u64, Arc<ResultRow>>>;
 
 /// The merged tables.
 #[derive(Clone, Debug)]
 pub struct Results {
     /// Summaries of the tables.
-    pub sources: Vec<LabelledTable>,
+    pub tables: Vec<LabelledTable>,
     /// Conditions in the order in which tables introduce them. Conditions that differ only in the ranking of wake-ups
     /// are merged, with one series per policy and ranking, so that figures compare like with like.
     pub conditions: Vec<RunCondition>,
@@ -74,77 +78,78 @@ impl Results {
     /// The tables hold no run, or two outcomes of one run.
     pub fn new(tables: &[(String, Table)], files: &dyn Files) -> Result<Self, FigureError> {
         let mut results = Self {
-            sources: Vec::new(),
+            tables: Vec::new(),
             conditions: Vec::new(),
             by_ranking: Vec::new(),
         };
         for (name, table) in tables {
-            results.sources.push(LabelledTable {
+            results.tables.push(LabelledTable {
                 name: name.clone(),
-                about: table.about.clone(),
-                rows: table.rows.len(),
-                digests: digests(table),
+                metadata: table.metadata.clone(),
+                run_count: table.rows.len(),
+                digest_hash: hash_of_digests(table),
             });
-            results.add(name, table, files)?;
+            results.add_table(name, table, files)?;
         }
         if results.by_ranking.is_empty() {
             let names: Vec<&str> = tables.iter().map(|(name, _)| name.as_str()).collect();
-            return Err(FigureError::Empty {
+            return Err(FigureError::NoRuns {
                 tables: names.join(", "),
             });
         }
-        results.conditions = side_by_side(&results.by_ranking);
+        results.conditions = merge_rankings(&results.by_ranking);
         Ok(results)
     }
 
-    fn add(&mut self, name: &str, table: &Table, files: &dyn Files) -> Result<(), FigureError> {
-        let cells = cells(table);
+    fn add_table(&mut self, name: &str, table: &Table, files: &dyn Files) -> Result<(), FigureError> {
+        let cells = group_by_cell(table);
         let swept_of = |cell: &CellRuns<'_>| {
             let fields = table.schema.swept.iter().map(|(path, _)| path.clone());
             fields
                 .zip(cell.swept.iter().map(ToString::to_string))
                 .collect::<Vec<_>>()
         };
-        let set = changes_of(&table.about.experiment);
+        let set_fields = fields_set_by(&table.metadata.experiment);
         // All policies of a table share its changes, even a change that affects one policy, so that they stay together.
-        let scenario =
-            |cell: &CellRuns<'_>, set: &[(String, String)]| scenario_of(cell.rows[0], &swept_of(cell), set, files);
+        let scenario_with = |cell: &CellRuns<'_>, set_fields: &[(String, String)]| {
+            reconstruct_scenario(cell.rows[0], &swept_of(cell), set_fields, files)
+        };
         // The scenario of a policy unknown to this program cannot be loaded, so its cells decide nothing here.
-        let told = || cells.iter().filter(|cell| registry::named(cell.policy).is_some());
-        let is_preset = told().all(|cell| scenario(cell, &[]).is_some());
-        let is_known = told().all(|cell| scenario(cell, &set).is_some());
-        let changes = if is_known && !is_preset { set } else { Vec::new() };
+        let cells_of_known_policies = || cells.iter().filter(|cell| registry::named(cell.policy).is_some());
+        let is_preset = cells_of_known_policies().all(|cell| scenario_with(cell, &[]).is_some());
+        let is_known = cells_of_known_policies().all(|cell| scenario_with(cell, &set_fields).is_some());
+        let changes = if is_known && !is_preset { set_fields } else { Vec::new() };
         let changed_in = (!is_known && !is_preset).then(|| name.to_owned());
         for cell in cells {
-            let is_told = registry::named(cell.policy).is_some();
-            let as_it_is = !is_told || scenario_of(cell.rows[0], &[], &[], files).is_some();
-            let wanted = RunCondition {
+            let is_known_policy = registry::named(cell.policy).is_some();
+            let is_unchanged = !is_known_policy || reconstruct_scenario(cell.rows[0], &[], &[], files).is_some();
+            let new_condition = RunCondition {
                 preset: cell.preset.to_owned(),
                 ttis: cell.ttis,
-                changes: changes.clone(),
-                changed_in: changed_in.clone(),
-                scenario: scenario(&cell, &changes).filter(|_| changed_in.is_none()),
-                swept: swept_of(&cell),
+                changed_fields: changes.clone(),
+                changed_in_table: changed_in.clone(),
+                scenario: scenario_with(&cell, &changes).filter(|_| changed_in.is_none()),
+                swept_fields: swept_of(&cell),
                 is_preset: true,
-                parts: Vec::new(),
+                ranking_indices: Vec::new(),
                 runs: BTreeMap::new(),
             };
-            let found = self.by_ranking.iter().position(|s| s.is_like(&wanted));
-            let at = found.unwrap_or_else(|| {
-                self.by_ranking.push(wanted);
+            let existing = self.by_ranking.iter().position(|s| s.has_same_settings(&new_condition));
+            let index = existing.unwrap_or_else(|| {
+                self.by_ranking.push(new_condition);
                 self.by_ranking.len() - 1
             });
-            self.by_ranking[at].is_preset &= as_it_is;
-            let runs = &mut self.by_ranking[at].runs;
+            self.by_ranking[index].is_preset &= is_unchanged;
+            let runs = &mut self.by_ranking[index].runs;
             let runs = runs.entry((cell.policy.to_owned(), cell.n)).or_default();
             for row in cell.rows {
                 // Condition, policy, N and seed identify a run, so a second outcome contradicts the first.
-                if let Some(known) = runs.insert(row.seed, Arc::new(row.clone()))
-                    && known.digest != row.digest
+                if let Some(previous) = runs.insert(row.seed, Arc::new(row.clone()))
+                    && previous.digest != row.digest
                 {
                     return Err(FigureError::Contradiction {
                         scenario: row.scenario_hash.to_string(),
-                        first: known.digest.to_string(),
+                        first: previous.digest.to_string(),
                         second: row.digest.to_string(),
                     });
                 }
@@ -154,94 +159,106 @@ impl Results {
     }
 }
 
-/// Merges the conditions of `apart` that differ only in the ranking of wake-ups, the paper's ranking first.
-fn side_by_side(apart: &[RunCondition]) -> Vec<RunCondition> {
+/// Merges the conditions of `by_ranking` that differ only in the ranking of wake-ups, the paper's ranking first.
+fn merge_rankings(by_ranking: &[RunCondition]) -> Vec<RunCondition> {
     let mut groups: Vec<(RunCondition, Vec<usize>)> = Vec::new();
-    for (place, condition) in apart.iter().enumerate() {
-        let bare = condition.without_ranking();
-        match groups.iter_mut().find(|(known, _)| known.is_like(&bare)) {
-            Some((_, places)) => places.push(place),
-            None => groups.push((bare, vec![place])),
+    for (index, condition) in by_ranking.iter().enumerate() {
+        let without_ranking = condition.without_ranking();
+        match groups
+            .iter_mut()
+            .find(|(group, _)| group.has_same_settings(&without_ranking))
+        {
+            Some((_, indices)) => indices.push(index),
+            None => groups.push((without_ranking, vec![index])),
         }
     }
-    let together = |(bare, mut parts): (RunCondition, Vec<usize>)| {
-        if let [lone] = parts[..] {
+    let merge = |(without_ranking, mut indices): (RunCondition, Vec<usize>)| {
+        if let [single] = indices[..] {
             return RunCondition {
-                parts,
-                ..apart[lone].clone()
+                ranking_indices: indices,
+                ..by_ranking[single].clone()
             };
         }
         // The paper's ranking comes first: policies with equal runs under another ranking are left out.
-        parts.sort_by_key(|place| !series::is_the_papers(&apart[*place].ranking()));
-        let mut runs = Runs::new();
-        for place in &parts {
-            let ranking = apart[*place].ranking();
-            for ((policy, n), own) in &apart[*place].runs {
+        indices.sort_by_key(|index| !series::is_paper_ranking(&by_ranking[*index].ranking()));
+        let mut runs = RunsBySeries::new();
+        for index in &indices {
+            let ranking = by_ranking[*index].ranking();
+            for ((policy, n), runs_by_seed) in &by_ranking[*index].runs {
                 let name = (series::name(policy, &ranking), *n);
-                let plain = runs.get(&(policy.clone(), *n)).filter(|_| name.0 != *policy);
-                let rows = || own.values().map(Arc::as_ref);
-                if !plain.is_some_and(|plain| series::is_same(plain.values().map(Arc::as_ref), rows())) {
-                    runs.entry(name).or_default().extend(own.clone());
+                let unranked = runs.get(&(policy.clone(), *n)).filter(|_| name.0 != *policy);
+                let rows = || runs_by_seed.values().map(Arc::as_ref);
+                if !unranked
+                    .is_some_and(|unranked| series::has_equal_outcomes(unranked.values().map(Arc::as_ref), rows()))
+                {
+                    runs.entry(name).or_default().extend(runs_by_seed.clone());
                 }
             }
         }
         RunCondition {
-            scenario: apart[parts[0]].scenario.clone(),
-            is_preset: apart[parts[0]].is_preset,
-            parts,
+            scenario: by_ranking[indices[0]].scenario.clone(),
+            is_preset: by_ranking[indices[0]].is_preset,
+            ranking_indices: indices,
             runs,
-            ..bare
+            ..without_ranking
         }
     };
-    groups.into_iter().map(together).collect()
+    groups.into_iter().map(merge).collect()
 }
 
-fn digests(table: &Table) -> String {
-    let mut sum = Sha256::new();
+fn hash_of_digests(table: &Table) -> String {
+    let mut hasher = Sha256::new();
     for row in &table.rows {
-        sum.update(row.digest.0);
+        hasher.update(row.digest.0);
     }
-    Hash(sum.finalize().into()).to_string()
+    Hash(hasher.finalize().into()).to_string()
 }
 
 /// Returns fields and values that the experiment `text` sets for all its runs; empty if it cannot be parsed.
-fn changes_of(text: &str) -> Vec<(String, String)> {
+fn fields_set_by(text: &str) -> Vec<(String, String)> {
     let Ok(experiment) = text.parse::<toml::Table>() else {
         return Vec::new();
     };
     let set = experiment.get("set").and_then(toml::Value::as_table);
-    let words = |value: &toml::Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
+    let to_text = |value: &toml::Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
     let set = set.into_iter().flatten();
-    set.map(|(path, value)| (path.clone(), words(value))).collect()
+    set.map(|(path, value)| (path.clone(), to_text(value))).collect()
 }
 
-/// Returns the scenario of `row`, if the preset with the table's columns and `set` reproduces its hash.
-fn scenario_of(
+/// Returns the scenario of `row`, if the preset with the table's columns, `swept` and `assignments` reproduces its
+/// hash.
+fn reconstruct_scenario(
     row: &ResultRow,
     swept: &[(String, String)],
-    set: &[(String, String)],
+    assignments: &[(String, String)],
     files: &dyn Files,
 ) -> Option<Scenario> {
-    let set = set.iter().chain(swept).map(|(path, value)| format!("{path}={value}"));
-    let columns = [
+    let assignments = assignments
+        .iter()
+        .chain(swept)
+        .map(|(path, value)| format!("{path}={value}"));
+    let row_assignments = [
         format!("policy.name={}", row.policy),
         format!("devices={}", row.n),
         format!("ttis={}", row.ttis),
         format!("seed={}", row.seed),
     ];
-    let overrides: Result<Vec<Override>, _> = set.chain(columns).map(|text| Override::parse(&text)).collect();
+    let overrides: Result<Vec<Override>, _> = assignments
+        .chain(row_assignments)
+        .map(|text| Override::parse(&text))
+        .collect();
     let scenario = load_with(&row.preset, &overrides.ok()?, files).ok()?.scenario;
     // The hash covers every setting of a run, so equal hashes rule out any other change.
     (scenario.hash() == row.scenario_hash.0).then_some(scenario)
 }
 
 impl RunCondition {
-    fn is_like(&self, other: &Self) -> bool {
+    fn has_same_settings(&self, other: &Self) -> bool {
         self.preset == other.preset
             && self.ttis == other.ttis
-            && self.swept == other.swept
-            && self.changes == other.changes
-            && self.changed_in == other.changed_in
+            && self.swept_fields == other.swept_fields
+            && self.changed_fields == other.changed_fields
+            && self.changed_in_table == other.changed_in_table
     }
 
     /// Copy of the condition without ranking fields and runs.
@@ -251,22 +268,25 @@ impl RunCondition {
             rest.cloned().collect()
         };
         Self {
-            swept: rest(&self.swept),
-            changes: rest(&self.changes),
-            runs: Runs::new(),
+            swept_fields: rest(&self.swept_fields),
+            changed_fields: rest(&self.changed_fields),
+            runs: RunsBySeries::new(),
             preset: self.preset.clone(),
-            changed_in: self.changed_in.clone(),
+            changed_in_table: self.changed_in_table.clone(),
             scenario: None,
-            parts: Vec::new(),
+            ranking_indices: Vec::new(),
             ..*self
         }
     }
 
     /// Name of the ranking of wake-ups in its runs.
     fn ranking(&self) -> String {
-        let said = self.changed().find(|(path, _)| path == RANKING);
-        let in_force = self.scenario.as_ref().map(|scenario| scenario.bs.ranking.name());
-        said.map_or_else(|| in_force.unwrap_or_default().to_owned(), |(_, value)| value.clone())
+        let changed = self.all_changes().find(|(path, _)| path == RANKING);
+        let of_scenario = self.scenario.as_ref().map(|scenario| scenario.bs.ranking.name());
+        changed.map_or_else(
+            || of_scenario.unwrap_or_default().to_owned(),
+            |(_, value)| value.clone(),
+        )
     }
 
     /// Names of the series, the paper's policies first in its order, then others by name.
@@ -277,22 +297,22 @@ impl RunCondition {
                 names.push(series);
             }
         }
-        let place = |series: &str| {
-            let known = POLICIES.iter().position(|policy| *policy == series::policy(series).0);
-            known.unwrap_or(POLICIES.len())
+        let rank = |series: &str| {
+            let listed = POLICIES.iter().position(|policy| *policy == series::policy(series).0);
+            listed.unwrap_or(POLICIES.len())
         };
-        names.sort_by_key(|series| place(series));
+        names.sort_by_key(|series| rank(series));
         names
     }
 
     /// Returns the values of N that were run with `policy`, in ascending order.
-    pub fn sizes(&self, policy: &str) -> Vec<u32> {
-        let own = self.runs.keys().filter(|(name, _)| name == policy);
-        own.map(|(_, n)| *n).collect()
+    pub fn device_counts(&self, policy: &str) -> Vec<u32> {
+        let of_policy = self.runs.keys().filter(|(name, _)| name == policy);
+        of_policy.map(|(_, n)| *n).collect()
     }
 
     /// Returns the estimate of `metric` with its interval; `None` if it is undefined in all runs of the cell.
-    pub fn reading(&self, policy: &str, n: u32, metric: &str) -> Option<MetricEstimate> {
+    pub fn metric_estimate(&self, policy: &str, n: u32, metric: &str) -> Option<MetricEstimate> {
         let runs: Vec<&ResultRow> = self.runs(policy, n).collect();
         MetricEstimate::from_rows(&runs, metric)
     }
@@ -302,7 +322,7 @@ impl RunCondition {
     /// If the interval is uninformative, half its width is the distance from the mean to the one-sided bound. For
     /// `misdetection_pct` without a missed event the bound is 300 / Σ events %, by the rule of three.
     pub fn estimate(&self, policy: &str, n: u32, metric: &str) -> Option<Estimate> {
-        let reading = self.reading(policy, n, metric)?;
+        let reading = self.metric_estimate(policy, n, metric)?;
         Some(Estimate {
             half_width: reading.half_width(),
             ..reading.estimate
@@ -322,30 +342,30 @@ impl RunCondition {
     }
 
     /// First and last seed.
-    pub fn seeds(&self) -> (u64, u64) {
+    pub fn seed_range(&self) -> (u64, u64) {
         let seeds = || self.runs.values().flat_map(BTreeMap::keys);
         (seeds().min().copied().unwrap_or(0), seeds().max().copied().unwrap_or(0))
     }
 
     /// Changed fields with their values: first table-wide changes, then changes of some cells.
-    pub fn changed(&self) -> impl Iterator<Item = &(String, String)> {
-        self.changes.iter().chain(&self.swept)
+    pub fn all_changes(&self) -> impl Iterator<Item = &(String, String)> {
+        self.changed_fields.iter().chain(&self.swept_fields)
     }
 
     /// Human-readable description of the condition.
     pub fn label(&self) -> String {
         let mut label = self.preset.clone();
-        for (path, value) in self.changed() {
+        for (path, value) in self.all_changes() {
             label = format!("{label}, {path} = {value}");
         }
-        match &self.changed_in {
+        match &self.changed_in_table {
             None => label,
             Some(table) => format!("{label}, changed as in {table}"),
         }
     }
 
     /// Whether the runs use the preset unchanged: nothing is swept or set to another value.
-    pub const fn is_plain(&self) -> bool {
+    pub const fn is_unchanged_preset(&self) -> bool {
         self.is_preset
     }
 
@@ -358,10 +378,10 @@ impl RunCondition {
     /// set, the label includes the table's folder.
     fn file_label(&self, has_folder: bool) -> String {
         let mut label = self.preset.clone();
-        for (path, value) in self.changed() {
+        for (path, value) in self.all_changes() {
             label = format!("{label}-{path}-{value}");
         }
-        if let Some(table) = &self.changed_in {
+        if let Some(table) = &self.changed_in_table {
             let table = std::path::Path::new(table);
             let folder = table
                 .parent()
@@ -371,41 +391,45 @@ impl RunCondition {
                 label = format!("{label}-{}", part.to_string_lossy());
             }
         }
-        let keep = |c: char| {
+        let replace_unsafe = |c: char| {
             if c.is_ascii_alphanumeric() || matches!(c, '.' | '-') {
                 c
             } else {
                 '_'
             }
         };
-        label.chars().map(keep).collect()
+        label.chars().map(replace_unsafe).collect()
     }
 }
 
 impl Results {
     /// Unique part of a file name for each of [`Self::conditions`].
     pub fn file_labels(&self) -> Vec<String> {
-        let lengths = self.conditions.windows(2).any(|pair| pair[0].ttis != pair[1].ttis);
-        let of = |condition: &RunCondition, has_folder: bool| {
+        let has_lengths = self.conditions.windows(2).any(|pair| pair[0].ttis != pair[1].ttis);
+        let label_of = |condition: &RunCondition, has_folder: bool| {
             let label = condition.file_label(has_folder);
-            if lengths {
+            if has_lengths {
                 format!("{label}-k{}", condition.ttis)
             } else {
                 label
             }
         };
-        let short: Vec<String> = self.conditions.iter().map(|s| of(s, false)).collect();
+        let without_folder: Vec<String> = self.conditions.iter().map(|s| label_of(s, false)).collect();
         let mut labels: Vec<String> = Vec::new();
-        for (condition, label) in self.conditions.iter().zip(&short) {
+        for (condition, label) in self.conditions.iter().zip(&without_folder) {
             // Some file systems ignore the case of names.
-            let is_shared = short.iter().filter(|other| other.eq_ignore_ascii_case(label)).count() > 1;
-            let label = of(condition, is_shared);
+            let is_shared = without_folder
+                .iter()
+                .filter(|other| other.eq_ignore_ascii_case(label))
+                .count()
+                > 1;
+            let label = label_of(condition, is_shared);
             let is_taken = |name: &str| labels.iter().any(|other| other.eq_ignore_ascii_case(name));
             let numbered = (2..).map(|i| format!("{label}-{i}"));
-            let free = std::iter::once(label.clone())
+            let unique = std::iter::once(label.clone())
                 .chain(numbered)
                 .find(|name| !is_taken(name));
-            labels.extend(free);
+            labels.extend(unique);
         }
         labels
     }
@@ -413,7 +437,7 @@ impl Results {
 
 impl Results {
     /// Conditions grouped by preset and K, with a part of a file name for each group.
-    pub fn together(&self) -> Vec<(String, Vec<&RunCondition>)> {
+    pub fn by_preset_and_length(&self) -> Vec<(String, Vec<&RunCondition>)> {
         let has_lengths = self.conditions.windows(2).any(|pair| pair[0].ttis != pair[1].ttis);
         let mut groups: Vec<(String, Vec<&RunCondition>)> = Vec::new();
         for condition in &self.conditions {
@@ -454,7 +478,14 @@ pub(crate) mod fixtures {
             ..TableMetadata::default()
         };
         let schema = Schema::default();
-        (format!("{preset}.parquet"), Table { about, schema, rows })
+        (
+            format!("{preset}.parquet"),
+            Table {
+                metadata: about,
+                schema,
+                rows,
+            },
+        )
     }
 
     /// Creates a table of runs under `preset` that sweeps `path`: for each policy, N and field value, one value of

@@ -1,5 +1,5 @@
-//! Robustness to an imperfect radio: information, energy and missed events of policies against the failure rate of one
-//! radio function, while all others work.
+//! Robustness to an imperfect radio: information, energy and missed events against the failure rate of one radio
+//! function, while all others work. This module makes the runs; it reads no tables.
 
 use std::fmt::Write as _;
 
@@ -13,7 +13,7 @@ use reveille_lab::stats::Estimate;
 
 use super::chart::{Chart, ChartPoint, Interval, Series};
 use super::scale::Scale;
-use super::study::{csv_half, runs_in_words};
+use super::study::{csv_half_width, runs_in_words};
 use super::style::Style;
 
 /// Name in commands and files.
@@ -25,7 +25,7 @@ pub const METRICS: [(&str, &str); 3] = [
     ("misdetection_pct", "missed events"),
 ];
 /// Mean length of an interference burst, TTIs.
-const BURST: f64 = 10.0;
+const BURST_TTIS: f64 = 10.0;
 
 /// A kind of radio failure.
 #[derive(Clone, Copy, Debug)]
@@ -35,23 +35,23 @@ pub struct Impairment {
     /// Description for titles.
     pub title: &'static str,
     /// Axis label of the levels.
-    pub axis: &'static str,
+    pub x_label: &'static str,
     /// Failure rates or magnitudes; the first is 0.
     pub levels: &'static [f64],
     /// Radio settings for a level above 0.
-    radio: fn(f64) -> RadioSettings,
+    radio_settings: fn(f64) -> RadioSettings,
 }
 
-const LEVELS: &[f64] = &[0.0, 0.1, 0.2, 0.3, 0.5];
+const FAILURE_RATES: &[f64] = &[0.0, 0.1, 0.2, 0.3, 0.5];
 
 /// All impairments.
 pub static IMPAIRMENTS: [Impairment; 6] = [
     Impairment {
         name: "wake_miss",
         title: "Missed wake-ups",
-        axis: "probability that a wake-up is missed",
-        levels: LEVELS,
-        radio: |wake_miss| RadioSettings {
+        x_label: "probability that a wake-up is missed",
+        levels: FAILURE_RATES,
+        radio_settings: |wake_miss| RadioSettings {
             wake_miss,
             ..RadioSettings::default()
         },
@@ -59,9 +59,9 @@ pub static IMPAIRMENTS: [Impairment; 6] = [
     Impairment {
         name: "false_wake_up",
         title: "False wake-ups",
-        axis: "probability of a false wake-up, per TTI asleep",
+        x_label: "probability of a false wake-up, per TTI asleep",
         levels: &[0.0, 0.01, 0.02, 0.05, 0.1],
-        radio: |false_wake_up| RadioSettings {
+        radio_settings: |false_wake_up| RadioSettings {
             false_wake_up,
             ..RadioSettings::default()
         },
@@ -69,9 +69,9 @@ pub static IMPAIRMENTS: [Impairment; 6] = [
     Impairment {
         name: "uplink_loss",
         title: "Lost reports",
-        axis: "probability that a report is lost",
-        levels: LEVELS,
-        radio: |uplink_loss| RadioSettings {
+        x_label: "probability that a report is lost",
+        levels: FAILURE_RATES,
+        radio_settings: |uplink_loss| RadioSettings {
             uplink_loss,
             ..RadioSettings::default()
         },
@@ -79,9 +79,9 @@ pub static IMPAIRMENTS: [Impairment; 6] = [
     Impairment {
         name: "plan_loss",
         title: "Missed plans",
-        axis: "probability that a device misses a plan",
-        levels: LEVELS,
-        radio: |plan_loss| RadioSettings {
+        x_label: "probability that a device misses a plan",
+        levels: FAILURE_RATES,
+        radio_settings: |plan_loss| RadioSettings {
             plan_loss,
             ..RadioSettings::default()
         },
@@ -89,9 +89,9 @@ pub static IMPAIRMENTS: [Impairment; 6] = [
     Impairment {
         name: "wake_latency",
         title: "Wake-up latency",
-        axis: "TTIs from a wake-up until the device is awake",
+        x_label: "TTIs from a wake-up until the device is awake",
         levels: &[0.0, 1.0, 2.0, 3.0, 4.0],
-        radio: |ttis| RadioSettings {
+        radio_settings: |ttis| RadioSettings {
             wake_latency: ttis as u64,
             ..RadioSettings::default()
         },
@@ -99,12 +99,12 @@ pub static IMPAIRMENTS: [Impairment; 6] = [
     Impairment {
         name: "interference",
         title: "Bursts of interference",
-        axis: "share of time without any reception",
-        levels: LEVELS,
-        radio: |share| RadioSettings {
+        x_label: "share of time without any reception",
+        levels: FAILURE_RATES,
+        radio_settings: |share| RadioSettings {
             bursts: Some(InterferenceBursts {
-                burst_ttis: BURST,
-                quiet_ttis: BURST * (1.0 - share) / share,
+                burst_ttis: BURST_TTIS,
+                quiet_ttis: BURST_TTIS * (1.0 - share) / share,
                 loss: 1.0,
             }),
             ..RadioSettings::default()
@@ -122,25 +122,30 @@ pub struct RobustnessPoint {
     /// Failure level.
     pub level: f64,
     /// Metrics of the runs, in seed order.
-    pub runs: Vec<Metrics>,
+    pub run_metrics: Vec<Metrics>,
 }
 
 impl RobustnessPoint {
     /// Returns the mean of `metric` over the runs, with its interval; `None` if no run has a value.
-    pub fn reading(&self, metric: &str) -> Option<Estimate> {
-        Estimate::from_values(self.runs.iter().filter_map(|run| run.value(metric)))
+    pub fn estimate(&self, metric: &str) -> Option<Estimate> {
+        Estimate::from_values(self.run_metrics.iter().filter_map(|run| run.value(metric)))
     }
 }
 
 /// Runs `scenarios`, one for each policy, with all levels of each of `impairments`, on all cores. Each cell has `seeds`
 /// runs, with consecutive seeds from the scenario's own. The scenarios' radio settings are ignored.
 pub fn measure(scenarios: &[Scenario], impairments: &[&'static Impairment], seeds: u64) -> Vec<RobustnessPoint> {
-    let workshop = RunPreparer::default();
+    let preparer = RunPreparer::default();
     let mut cells: Vec<(&Scenario, RadioSettings)> = scenarios
         .iter()
         .map(|scenario| (scenario, RadioSettings::default()))
         .collect();
-    for Impairment { levels, radio, .. } in impairments {
+    for Impairment {
+        levels,
+        radio_settings: radio,
+        ..
+    } in impairments
+    {
         // Level 0 comes first and is the perfect radio, which all impairments share.
         for &level in levels.iter().skip(1) {
             cells.extend(scenarios.iter().map(|scenario| (scenario, radio(level))));
@@ -148,28 +153,32 @@ pub fn measure(scenarios: &[Scenario], impairments: &[&'static Impairment], seed
     }
     let runs = cells.iter().flat_map(|cell| (0..seeds).map(move |i| (cell, i)));
     let runs: Vec<_> = runs.collect();
-    let play = |((scenario, radio), i): &(&(&Scenario, RadioSettings), u64)| {
+    let run_metrics = |((scenario, radio), i): &(&(&Scenario, RadioSettings), u64)| {
         // The same seeds for every level, so that levels differ only in the radio.
         let mut scenario = scenario.with_seed(scenario.run.seed.wrapping_add(*i));
         scenario.radio = *radio;
-        Run::new(&workshop.prepare(&scenario), RunOptions::default())
+        Run::new(&preparer.prepare(&scenario), RunOptions::default())
             .finish(&mut ())
             .metrics
     };
-    let metrics: Vec<Metrics> = runs.par_iter().map(play).collect();
+    let metrics: Vec<Metrics> = runs.par_iter().map(run_metrics).collect();
     // The chunks follow the order of `cells` above.
     let mut by_cell = metrics.chunks(seeds as usize);
-    let perfect: Vec<&[Metrics]> = by_cell.by_ref().take(scenarios.len()).collect();
+    let at_level_zero: Vec<&[Metrics]> = by_cell.by_ref().take(scenarios.len()).collect();
     let mut points = Vec::new();
     for &impairment in impairments {
         for &level in impairment.levels {
-            for (at, scenario) in scenarios.iter().enumerate() {
-                let runs = if level > 0.0 { by_cell.next() } else { Some(perfect[at]) };
+            for (index, scenario) in scenarios.iter().enumerate() {
+                let runs = if level > 0.0 {
+                    by_cell.next()
+                } else {
+                    Some(at_level_zero[index])
+                };
                 points.push(RobustnessPoint {
                     policy: scenario.policy.name().to_owned(),
                     impairment,
                     level,
-                    runs: runs.unwrap_or_default().to_vec(),
+                    run_metrics: runs.unwrap_or_default().to_vec(),
                 });
             }
         }
@@ -181,31 +190,36 @@ pub fn measure(scenarios: &[Scenario], impairments: &[&'static Impairment], seed
 pub fn chart(
     points: &[RobustnessPoint],
     impairment: &Impairment,
-    (metric, word): (&str, &str),
+    (metric, metric_name): (&str, &str),
     scenario: &Scenario,
 ) -> Chart {
     let Impairment {
         name,
         title,
-        axis,
+        x_label: axis,
         levels,
         ..
     } = *impairment;
-    let own: Vec<&RobustnessPoint> = points.iter().filter(|point| point.impairment.name == name).collect();
+    let of_impairment: Vec<&RobustnessPoint> = points.iter().filter(|point| point.impairment.name == name).collect();
     let mut policies: Vec<&str> = Vec::new();
-    for point in &own {
+    for point in &of_impairment {
         if !policies.contains(&point.policy.as_str()) {
             policies.push(&point.policy);
         }
     }
     let series: Vec<Series> = policies
         .into_iter()
-        .map(|policy| series(&own, policy, metric))
+        .map(|policy| series(&of_impairment, policy, metric))
         .collect();
-    let samples = || series.iter().flat_map(|line| &line.samples);
-    let reach = |s: &ChartPoint| [(s.y - finite(s.half)).max(0.0), s.y + finite(s.half)];
-    let most = levels.iter().copied().fold(0.0, f64::max);
-    let seeds = own.iter().map(|point| point.runs.len());
+    let samples = || series.iter().flat_map(|line| &line.points);
+    let interval_ends = |s: &ChartPoint| {
+        [
+            (s.y - finite_or_zero(s.y_half_width)).max(0.0),
+            s.y + finite_or_zero(s.y_half_width),
+        ]
+    };
+    let largest_level = levels.iter().copied().fold(0.0, f64::max);
+    let seeds = of_impairment.iter().map(|point| point.run_metrics.len());
     let caption = format!(
         "Preset {}, N = {}; {} of {} TTIs per point, mean with its 95 % interval as band and bar. Plans are resent \
          every {} TTIs; there is no impairment except the one along x.",
@@ -216,18 +230,18 @@ pub fn chart(
         scenario.bs.sync_interval
     );
     Chart {
-        title: format!("{title}: {word}"),
+        title: format!("{title}: {metric_name}"),
         x_label: axis.to_owned(),
-        y_label: Metrics::axis(metric).to_owned(),
+        y_label: Metrics::axis_label(metric).to_owned(),
         x: Scale::Linear {
-            from: -0.04 * most,
-            to: 1.04 * most,
+            from: -0.04 * largest_level,
+            to: 1.04 * largest_level,
         },
-        y: Scale::linear(samples().flat_map(reach), true),
+        y: Scale::linear(samples().flat_map(interval_ends), true),
         marks: Vec::new(),
         spans: Vec::new(),
         notes: Vec::new(),
-        zero_below: false,
+        has_zero_at_border: false,
         caption,
         series,
     }
@@ -235,21 +249,21 @@ pub fn chart(
 
 fn series(points: &[&RobustnessPoint], policy: &str, metric: &str) -> Series {
     let sample = |point: &&RobustnessPoint| {
-        let Estimate { mean, half_width, .. } = point.reading(metric)?;
+        let Estimate { mean, half_width, .. } = point.estimate(metric)?;
         Some(ChartPoint {
             x: point.level,
             y: mean,
-            half: half_width,
-            across: f64::NAN,
+            y_half_width: half_width,
+            x_half_width: f64::NAN,
         })
     };
     Series {
         name: policy.to_owned(),
         style: Style::of_policy(policy),
-        joined: true,
-        marked: true,
+        is_joined: true,
+        has_markers: true,
         interval: Interval::Bars,
-        samples: points
+        points: points
             .iter()
             .filter(|point| point.policy == policy)
             .filter_map(sample)
@@ -257,7 +271,7 @@ fn series(points: &[&RobustnessPoint], policy: &str, metric: &str) -> Series {
     }
 }
 
-const fn finite(half: f64) -> f64 {
+const fn finite_or_zero(half: f64) -> f64 {
     if half.is_finite() { half } else { 0.0 }
 }
 
@@ -268,9 +282,9 @@ pub fn csv(points: &[RobustnessPoint]) -> String {
         for metric in Metrics::NAMES {
             if let Some(Estimate {
                 mean, half_width, runs, ..
-            }) = point.reading(metric)
+            }) = point.estimate(metric)
             {
-                let (name, half) = (point.impairment.name, csv_half(half_width));
+                let (name, half) = (point.impairment.name, csv_half_width(half_width));
                 let _ = writeln!(
                     out,
                     "{name},{},{},{metric},{mean},{half},{runs}",
@@ -307,7 +321,10 @@ mod tests {
         assert_eq!(points.len(), 2 * levels);
         let perfect: Vec<&RobustnessPoint> = points.iter().filter(|point| point.level <= 0.0).collect();
         for point in &perfect {
-            assert_eq!(point.runs, perfect[usize::from(point.policy == "genie")].runs);
+            assert_eq!(
+                point.run_metrics,
+                perfect[usize::from(point.policy == "genie")].run_metrics
+            );
         }
         // Each impairment's largest level, against level 0, shows in its own metric.
         let shown = [
@@ -322,7 +339,7 @@ mod tests {
             let own = points
                 .iter()
                 .filter(|point| point.impairment.name == impairment.name && point.policy == "genie");
-            let values: Vec<f64> = own.filter_map(|point| Some(point.reading(metric)?.mean)).collect();
+            let values: Vec<f64> = own.filter_map(|point| Some(point.estimate(metric)?.mean)).collect();
             let levels = impairment.levels.len();
             assert!(
                 values.len() == levels && values[levels - 1] > values[0] + 2.0,
@@ -331,7 +348,7 @@ mod tests {
             for drawn in METRICS {
                 let chart = chart(&points, impairment, drawn, &scenarios[0]);
                 assert_eq!(chart.series.len(), 2);
-                assert!(chart.series.iter().all(|line| line.samples.len() == levels));
+                assert!(chart.series.iter().all(|line| line.points.len() == levels));
                 assert!(
                     chart.scene().height > 100.0 && chart.caption.contains("2 runs of 400 TTIs"),
                     "{}",

@@ -1,4 +1,5 @@
-//! Lab runs for figures, with the outcome of each TTI and the states of devices.
+//! Lab runs for figures, with the outcome of each TTI and the states of devices. A walk only observes: it must equal
+//! the run of the same scenario, which a test compares.
 
 use reveille_bs::observer::{Notification, Observer};
 use reveille_bs::scenario::Scenario;
@@ -12,7 +13,7 @@ use reveille_lab::preparation::start;
 use reveille_lab::run::{Run, RunOptions};
 
 /// Collects all events of a run of `scenario`, in order, including warm-up events and misdetections.
-pub fn events(scenario: &Scenario) -> Vec<EventRecord> {
+pub fn collect_events(scenario: &Scenario) -> Vec<EventRecord> {
     struct EventCollector(Vec<EventRecord>);
     impl Observer for EventCollector {
         fn notify(&mut self, notification: &Notification<'_>) {
@@ -34,7 +35,7 @@ pub(crate) struct TtiOutcome {
     /// Devices with δ = 1 that detected the event but could not transmit.
     pub failures: Vec<FailedTransmission>,
     /// Wake-ups in order, with their outcomes.
-    pub woken: Vec<(DeviceId, WakeOutcome)>,
+    pub wake_ups: Vec<(DeviceId, WakeOutcome)>,
 }
 
 impl Observer for TtiOutcome {
@@ -43,7 +44,7 @@ impl Observer for TtiOutcome {
             Notification::TtisGranted(_) => *self = Self::default(),
             Notification::ReportReceived(report) => self.reports.push(**report),
             Notification::ReportFailed { failure, .. } => self.failures.push(**failure),
-            Notification::WakeUpCompleted { device, outcome, .. } => self.woken.push((*device, **outcome)),
+            Notification::WakeUpCompleted { device, outcome, .. } => self.wake_ups.push((*device, **outcome)),
             Notification::PlanSent { .. }
             | Notification::EventStarted(_)
             | Notification::ReportLost(_)
@@ -83,23 +84,23 @@ impl RunWalk {
     /// Runs the next TTI. Returns it with its outcome.
     pub(crate) fn step(&mut self) -> (Tti, TtiOutcome) {
         let k = self.run.cycle().next_tti();
-        let mut happened = TtiOutcome::default();
-        self.run.grant(&mut happened);
-        (k, happened)
+        let mut outcome = TtiOutcome::default();
+        self.run.run_grant(&mut outcome);
+        (k, outcome)
     }
 
     /// Runs all TTIs up to and including `k`. Returns the outcome of the last one.
-    pub(crate) fn reach(&mut self, k: Tti) -> TtiOutcome {
+    pub(crate) fn run_through(&mut self, k: Tti) -> TtiOutcome {
         loop {
-            let (at, happened) = self.step();
-            if at >= k {
-                return happened;
+            let (tti, outcome) = self.step();
+            if tti >= k {
+                return outcome;
             }
         }
     }
 
     /// Returns the state of `device` in TTI `k`, the last TTI run, and its battery level at the end of it.
-    pub(crate) fn state(&self, device: DeviceId, k: Tti) -> (DeviceState, Energy) {
+    pub(crate) fn state_and_battery(&self, device: DeviceId, k: Tti) -> (DeviceState, Energy) {
         // On a copy, since advancing a machine changes it, and the run is only observed.
         let mut machine = self.run.machines()[device.index()].clone();
         machine.begin(k);
@@ -131,13 +132,13 @@ mod tests {
         for _ in 0..400 {
             let (k, happened) = walk.step();
             let from_wake_ups = happened
-                .woken
+                .wake_ups
                 .iter()
                 .filter(|(_, o)| matches!(o, WakeOutcome::Reported(_)));
             reports += (happened.reports.len() + from_wake_ups.count()) as u64;
-            wake_ups += happened.woken.len() as u64;
+            wake_ups += happened.wake_ups.len() as u64;
             for j in 0..30 {
-                let (state, level) = walk.state(DeviceId(j), k);
+                let (state, level) = walk.state_and_battery(DeviceId(j), k);
                 battery += u128::from(level.micro());
                 low += u64::from(level < Energy::from_micro(10_000_000));
                 assert_eq!(
@@ -148,7 +149,7 @@ mod tests {
         }
         assert_eq!(battery, outcome.totals.energy.battery_sum);
         assert_eq!(low, outcome.totals.energy.low_ttis);
-        let all = events(&scenario);
+        let all = collect_events(&scenario);
         assert_eq!(all.len() as u64, outcome.totals.events.events);
         assert_eq!(all.iter().map(|e| e.tally.reports).sum::<u64>(), reports);
         assert_eq!(all.iter().map(|e| e.tally.wake_ups).sum::<u64>(), wake_ups);

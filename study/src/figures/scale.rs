@@ -1,4 +1,4 @@
-//! Axis scales: positions of values along an axis, and tick selection.
+//! Axis scales: positions of values along an axis, and tick selection. Labels have no more decimals than their step.
 
 use libm::{floor, log10};
 
@@ -31,7 +31,7 @@ pub struct AxisTick {
 }
 
 /// Approximate upper limit on the number of labelled ticks of an axis.
-const TICKS: f64 = 6.0;
+const MAX_TICKS: f64 = 6.0;
 
 impl Scale {
     /// Creates a linear axis that holds all of `values` and ends on ticks. Infinities and NaN do not count; without any
@@ -47,7 +47,7 @@ impl Scale {
             let room = if low == 0.0 { 1.0 } else { 0.5 * low.abs() };
             (low, high) = (low - if low > 0.0 || !with_zero { room } else { 0.0 }, high + room);
         }
-        let step = step(high - low);
+        let step = tick_spacing(high - low);
         Self::Linear {
             // The small terms keep a value that lies on a tick from being pushed to the next one by rounding.
             from: step * floor(low / step + 1e-9),
@@ -63,8 +63,8 @@ impl Scale {
         // At least a decade: without it, a single power of ten would have no axis.
         let to = (-floor(-log10(high) + 1e-9)).max(from + 1.0);
         Some(Self::Log {
-            from: power(from as i32),
-            to: power(to as i32),
+            from: power_of_ten(from as i32),
+            to: power_of_ten(to as i32),
         })
     }
 
@@ -76,7 +76,7 @@ impl Scale {
     }
 
     /// Returns the position of `value` on the axis, 0 at its start and 1 at its end; values beyond are clamped.
-    pub fn place(self, value: f64) -> f64 {
+    pub fn position(self, value: f64) -> f64 {
         let share = match self {
             Self::Linear { from, to } => (value - from) / (to - from),
             Self::Log { from, .. } if value <= from => 0.0,
@@ -89,7 +89,7 @@ impl Scale {
     pub fn ticks(self) -> Vec<AxisTick> {
         match self {
             Self::Linear { from, to } => {
-                let step = step(to - from);
+                let step = tick_spacing(to - from);
                 let first = -floor(-from / step + 1e-6);
                 let count = floor(to / step - first + 1e-6) as u32;
                 (0..=count)
@@ -106,18 +106,18 @@ impl Scale {
 }
 
 /// Limits of tick spacing beyond which labels have an exponent.
-const FAR: f64 = 1e7;
-const CLOSE: f64 = 1e-7;
+const MAX_PLAIN_STEP: f64 = 1e7;
+const MIN_PLAIN_STEP: f64 = 1e-7;
 
 /// Returns a label for `value` on an axis with ticks `step` apart, with as many decimals as the step.
 pub fn label(value: f64, step: f64) -> String {
-    if value != 0.0 && !(CLOSE..FAR).contains(&step) {
+    if value != 0.0 && !(MIN_PLAIN_STEP..MAX_PLAIN_STEP).contains(&step) {
         // A value is a multiple of the step, whose first digit is 1, 2 or 5.
         return format!("{value:.1e}").replace(".0e", "e").replace('-', "−");
     }
     let decimals = (0..9)
         .find(|&d| {
-            let scaled = step * power(d);
+            let scaled = step * power_of_ten(d);
             (scaled - scaled.round()).abs() < 1e-6 * scaled
         })
         .unwrap_or(9);
@@ -139,16 +139,16 @@ fn range(values: impl IntoIterator<Item = f64>) -> Option<(f64, f64)> {
 }
 
 /// Returns the tick spacing for a range of this length: 1, 2 or 5 times a power of ten.
-fn step(length: f64) -> f64 {
-    let rough = length / TICKS;
-    let unit = power(floor(log10(rough)) as i32);
+fn tick_spacing(length: f64) -> f64 {
+    let min_spacing = length / MAX_TICKS;
+    let unit = power_of_ten(floor(log10(min_spacing)) as i32);
     let factors = [1.0, 2.0, 5.0];
-    let fit = factors.into_iter().find(|f| f * unit >= rough * (1.0 - 1e-9));
-    fit.unwrap_or(10.0) * unit
+    let factor = factors.into_iter().find(|f| f * unit >= min_spacing * (1.0 - 1e-9));
+    factor.unwrap_or(10.0) * unit
 }
 
 /// Returns the nearest `f64` to 10ⁿ.
-fn power(n: i32) -> f64 {
+fn power_of_ten(n: i32) -> f64 {
     libm::exp10(f64::from(n))
 }
 
@@ -156,11 +156,11 @@ fn log_ticks(from: f64, to: f64) -> Vec<AxisTick> {
     let (first, last) = (log10(from).round() as i32, log10(to).round() as i32);
     let decades = last - first;
     // With many decades only some have labels.
-    let every = 1 + decades / 8;
+    let label_interval = 1 + decades / 8;
     let mut ticks = Vec::new();
     for n in first..=last {
-        let value = power(n);
-        let is_labelled = (last - n) % every == 0;
+        let value = power_of_ten(n);
+        let is_labelled = (last - n) % label_interval == 0;
         let text = if is_labelled {
             label(value, value.min(1.0))
         } else {
@@ -174,7 +174,7 @@ fn log_ticks(from: f64, to: f64) -> Vec<AxisTick> {
             let value = value * f64::from(factor);
             let is_labelled = decades <= 1 && matches!(factor, 2 | 5);
             let text = if is_labelled {
-                label(value, power(n).min(1.0))
+                label(value, power_of_ten(n).min(1.0))
             } else {
                 String::new()
             };
@@ -247,8 +247,8 @@ mod tests {
     fn decades_have_usual_labels() {
         let axis = Scale::log([0.003, 77.0, 0.0, f64::NAN]).expect("two values above zero");
         assert_eq!(labels(axis), ["0.001", "0.01", "0.1", "1", "10", "100"]);
-        assert!((axis.place(0.1) - 0.4).abs() < 1e-12);
-        assert!(axis.place(0.0).abs() < 1e-12, "zero is at the start");
+        assert!((axis.position(0.1) - 0.4).abs() < 1e-12);
+        assert!(axis.position(0.0).abs() < 1e-12, "zero is at the start");
         assert_eq!(labels(Scale::log([2.0, 7.0]).expect("a scale")), ["1", "2", "5", "10"]);
         assert_eq!(Scale::log([0.0, -1.0]), None);
         assert_eq!(Scale::log([1.0]).map(Scale::ends), Some((1.0, 10.0)));
@@ -263,7 +263,7 @@ mod tests {
     #[test]
     fn places_are_even_on_an_even_axis() {
         let axis = Scale::Linear { from: -1.0, to: 3.0 };
-        assert!((axis.place(0.0) - 0.25).abs() < 1e-15);
-        assert!((axis.place(9.0) - 1.0).abs() < 1e-15);
+        assert!((axis.position(0.0) - 0.25).abs() < 1e-15);
+        assert!((axis.position(9.0) - 1.0).abs() < 1e-15);
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! The SVG and PNG writers both render a scene and add nothing to it.
 
-use super::font::{Weight, width};
+use super::font::{Weight, text_width};
 use super::path::{Rect, VectorPath};
 
 /// A colour with 8 bits per channel.
@@ -52,7 +52,7 @@ impl Stroke {
 
     /// Returns the stroke with the given opacity.
     #[must_use]
-    pub(crate) const fn faded(self, opacity: f64) -> Self {
+    pub(crate) const fn with_opacity(self, opacity: f64) -> Self {
         Self { opacity, ..self }
     }
 }
@@ -93,7 +93,7 @@ pub struct Text {
     /// Point of the text that lies at `at`.
     pub anchor: Anchor,
     /// Whether it reads from bottom to top.
-    pub upwards: bool,
+    pub is_vertical: bool,
     /// Paint of the text.
     pub paint: Paint,
 }
@@ -107,7 +107,7 @@ impl Text {
             size,
             weight: Weight::Regular,
             anchor: Anchor::Start,
-            upwards: false,
+            is_vertical: false,
             paint: Paint::Ink,
         }
     }
@@ -129,13 +129,13 @@ impl Text {
 
     /// Start of the base line, points.
     pub fn start(&self) -> (f64, f64) {
-        let length = width(&self.text, self.weight, self.size);
+        let length = text_width(&self.text, self.weight, self.size);
         let back = match self.anchor {
             Anchor::Start => 0.0,
             Anchor::Middle => 0.5 * length,
             Anchor::End => length,
         };
-        if self.upwards {
+        if self.is_vertical {
             (self.at.0, self.at.1 + back)
         } else {
             (self.at.0 - back, self.at.1)
@@ -145,9 +145,9 @@ impl Text {
     /// Bounding box: left, top, right, bottom, points. Ascent and descent are taken from the font.
     pub fn bounds(&self) -> Rect {
         let (x, y) = self.start();
-        let length = width(&self.text, self.weight, self.size);
+        let length = text_width(&self.text, self.weight, self.size);
         let (ascent, descent) = (0.76 * self.size, 0.24 * self.size);
-        if self.upwards {
+        if self.is_vertical {
             [x - ascent, y - length, x + descent, y]
         } else {
             [x, y - ascent, x + length, y + descent]
@@ -238,10 +238,10 @@ impl Scene {
     }
 
     /// Adds all items of another scene on top, with its upper left corner at `at`.
-    pub fn put(&mut self, other: Self, at: (f64, f64)) {
+    pub fn add_scene(&mut self, other: Self, at: (f64, f64)) {
         let moved = other.items.into_iter().map(|item| match item {
             SceneItem::Shape(shape) => SceneItem::Shape(FilledPath {
-                path: shape.path.moved(at),
+                path: shape.path.shifted(at),
                 ..shape
             }),
             SceneItem::Text(text) => SceneItem::Text(Text {

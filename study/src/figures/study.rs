@@ -1,4 +1,5 @@
-//! The paper's Figs. 7 to 12: a metric against N, with a line for each policy.
+//! The paper's Figs. 7 to 12: a metric against N, with a line for each policy. Figs. 13 and 14 are in
+//! [`super::energy`]. Titles, captions and CSV cells are shared with the other charts from tables.
 
 use std::fmt::Write as _;
 
@@ -8,9 +9,9 @@ use super::chart::{Chart, ChartPoint, Interval, Series, StatedMark, StatedSpan, 
 use super::error::FigureError;
 use super::results::RunCondition;
 use super::scale::Scale;
-use super::stated::{marks, spans, stated_value};
+use super::stated::{stated_marks, stated_spans, stated_value};
 use super::style::Style;
-use crate::claims::{Claim, DeviceCounts, on};
+use crate::claims::{Claim, DeviceCounts, claims_on};
 use reveille_lab::metric_estimate::MetricEstimate;
 
 /// One of the paper's figures.
@@ -25,9 +26,9 @@ pub struct Figure {
     /// Title.
     pub title: &'static str,
     /// Corresponding figure of the paper.
-    pub paper: &'static str,
-    /// Metric by which the paper's values in this figure are judged.
-    pub judged: &'static str,
+    pub paper_figure: &'static str,
+    /// Metric of the claims that are drawn as the paper's values.
+    pub stated_metric: &'static str,
     /// Whether y is logarithmic.
     pub is_log: bool,
 }
@@ -40,14 +41,14 @@ pub const FIGURES: [Figure; 8] = {
             metric,
             is_per_device: false,
             title,
-            paper,
-            judged: metric,
+            paper_figure: paper,
+            stated_metric: metric,
             is_log: false,
         }
     }
     [
         Figure {
-            judged: "info_per_event",
+            stated_metric: "info_per_event",
             ..figure("information", "info_p1", "Information, objective of P1", "Fig. 7")
         },
         figure(
@@ -81,13 +82,13 @@ pub const FIGURES: [Figure; 8] = {
 ///
 /// # Errors
 /// A name is in neither list.
-pub fn chosen(names: &[String], others: &[&str]) -> Result<Vec<Figure>, FigureError> {
-    let known = |name: &String| FIGURES.iter().any(|f| f.name == name) || others.contains(&name.as_str());
-    if let Some(unknown) = names.iter().find(|name| !known(name)) {
-        let all: Vec<&str> = FIGURES.iter().map(|f| f.name).chain(others.iter().copied()).collect();
-        return Err(FigureError::Unknown {
+pub fn select_figures(names: &[String], others: &[&str]) -> Result<Vec<Figure>, FigureError> {
+    let is_known = |name: &String| FIGURES.iter().any(|f| f.name == name) || others.contains(&name.as_str());
+    if let Some(unknown) = names.iter().find(|name| !is_known(name)) {
+        let all_names: Vec<&str> = FIGURES.iter().map(|f| f.name).chain(others.iter().copied()).collect();
+        return Err(FigureError::UnknownFigure {
             name: unknown.clone(),
-            known: all.join(", "),
+            known: all_names.join(", "),
         });
     }
     let is_chosen = |f: &Figure| names.is_empty() || names.iter().any(|name| name == f.name);
@@ -100,60 +101,63 @@ pub struct Drawing {
     /// The chart.
     pub chart: Chart,
     /// Policies that were run but have no value of the metric.
-    pub undefined: Vec<String>,
+    pub policies_without_value: Vec<String>,
 }
 
 impl Figure {
     /// Draws the figure for the runs of `condition`; `None` if the metric is undefined in all of them.
     pub fn draw(&self, condition: &RunCondition) -> Option<Drawing> {
         let mut series = Vec::new();
-        let mut undefined = Vec::new();
+        let mut without_value = Vec::new();
         for policy in condition.policies() {
-            let samples = self.samples(condition, policy);
-            if samples.is_empty() {
-                undefined.push(policy.to_owned());
+            let points = self.points(condition, policy);
+            if points.is_empty() {
+                without_value.push(policy.to_owned());
                 continue;
             }
             series.push(Series {
                 name: policy.to_owned(),
                 style: Style::of_policy(policy),
-                joined: true,
-                marked: true,
+                is_joined: true,
+                has_markers: true,
                 interval: Interval::Bars,
-                samples,
+                points,
             });
         }
         if series.is_empty() {
             return None;
         }
         let claims = self.claims(condition);
-        let marks = marks(claims, &series);
-        let spans = spans(claims, &series);
-        let largest = series.iter().flat_map(|s| &s.samples).map(|s| s.x);
-        let largest = largest.chain(marks.iter().map(|m| m.x)).fold(0.0, f64::max);
+        let marks = stated_marks(claims, &series);
+        let spans = stated_spans(claims, &series);
+        let largest_n = series.iter().flat_map(|s| &s.points).map(|s| s.x);
+        let largest_n = largest_n.chain(marks.iter().map(|m| m.x)).fold(0.0, f64::max);
         let chart = Chart {
-            title: title(self.title, &format!("{} of the paper", self.paper), condition),
+            title: figure_title(self.title, &format!("{} of the paper", self.paper_figure), condition),
             x_label: "number of devices N".to_owned(),
-            y_label: self.axis(),
+            y_label: self.y_label(),
             x: Scale::Linear {
                 // Room at both ends for markers, and for marks that are moved aside.
-                from: -0.06 * largest,
-                to: 1.07 * largest,
+                from: -0.06 * largest_n,
+                to: 1.07 * largest_n,
             },
             y: self.y_scale(&series, &marks, &spans),
-            caption: self.caption(condition, (&series, &marks, &spans), &undefined),
+            caption: self.caption(condition, (&series, &marks, &spans), &without_value),
             notes: Vec::new(),
-            zero_below: self.is_log && has_zero(&series),
+            has_zero_at_border: self.is_log && has_zero_mean(&series),
             series,
             marks,
             spans,
         };
-        Some(Drawing { chart, undefined })
+        Some(Drawing {
+            chart,
+            policies_without_value: without_value,
+        })
     }
 
     /// Label of the y axis.
-    fn axis(&self) -> String {
-        let axis = Metrics::axis(self.metric);
+    fn y_label(&self) -> String {
+        let axis = Metrics::axis_label(self.metric);
         if self.is_per_device {
             format!("{axis} and device")
         } else {
@@ -163,44 +167,48 @@ impl Figure {
 
     /// Claims of the paper about the figure. Empty for changed presets, about which the paper states nothing.
     fn claims(&self, condition: &RunCondition) -> &'static [Claim] {
-        if condition.is_plain() {
-            on(self.paper, self.judged)
+        if condition.is_unchanged_preset() {
+            claims_on(self.paper_figure, self.stated_metric)
         } else {
             &[]
         }
     }
 
     /// Returns the estimate of the figure's metric for `policy` with `n` devices.
-    fn reading(&self, condition: &RunCondition, policy: &str, n: u32) -> Option<MetricEstimate> {
-        let reading = condition.reading(policy, n, self.metric)?;
+    fn metric_estimate(&self, condition: &RunCondition, policy: &str, n: u32) -> Option<MetricEstimate> {
+        let estimate = condition.metric_estimate(policy, n, self.metric)?;
         Some(if self.is_per_device {
-            reading.divided_by(f64::from(n))
+            estimate.divided_by(f64::from(n))
         } else {
-            reading
+            estimate
         })
     }
 
-    fn samples(&self, condition: &RunCondition, policy: &str) -> Vec<ChartPoint> {
-        let sizes = condition.sizes(policy).into_iter();
-        let sample = |n: u32| {
-            let reading = self.reading(condition, policy, n)?;
+    fn points(&self, condition: &RunCondition, policy: &str) -> Vec<ChartPoint> {
+        let device_counts = condition.device_counts(policy).into_iter();
+        let point = |n: u32| {
+            let estimate = self.metric_estimate(condition, policy, n)?;
             Some(ChartPoint {
                 x: f64::from(n),
-                y: reading.estimate.mean,
-                half: reading.half_width(),
-                across: f64::NAN,
+                y: estimate.estimate.mean,
+                y_half_width: estimate.half_width(),
+                x_half_width: f64::NAN,
             })
         };
-        sizes.filter_map(sample).collect()
+        device_counts.filter_map(point).collect()
     }
 
     fn y_scale(&self, series: &[Series], marks: &[StatedMark], spans: &[StatedSpan]) -> Scale {
         let ends = |s: &ChartPoint| {
-            let half = if s.half.is_finite() { s.half } else { 0.0 };
+            let half_width = if s.y_half_width.is_finite() {
+                s.y_half_width
+            } else {
+                0.0
+            };
             // None of these metrics can be negative, whatever an interval says.
-            [(s.y - half).max(s.y.min(0.0)), s.y + half]
+            [(s.y - half_width).max(s.y.min(0.0)), s.y + half_width]
         };
-        let measured = series.iter().flat_map(|s| &s.samples);
+        let measured = series.iter().flat_map(|s| &s.points);
         let stated = marks.iter().map(|m| m.stated).chain(spans.iter().map(|s| s.stated));
         let stated = stated.flat_map(StatedValue::values);
         if !self.is_log {
@@ -212,7 +220,7 @@ impl Figure {
         let (from, to) = scale.ends();
         Scale::Log {
             // Values of 0 have no logarithm; the axis begins a decade lower, and they are drawn on its border.
-            from: if has_zero(series) { from / 10.0 } else { from },
+            from: if has_zero_mean(series) { from / 10.0 } else { from },
             to,
         }
     }
@@ -221,7 +229,7 @@ impl Figure {
         &self,
         condition: &RunCondition,
         (series, marks, spans): (&[Series], &[StatedMark], &[StatedSpan]),
-        undefined: &[String],
+        without_value: &[String],
     ) -> String {
         let runs = runs_in_words(condition.runs_per_cell());
         let mut text = format!(
@@ -232,19 +240,19 @@ impl Figure {
         if !marks.is_empty() {
             text.push_str(" Hollow marks next to an N: values stated in the paper; box: a range, arrow: a bound.");
         }
-        if self.judged != self.metric && !marks.is_empty() {
+        if self.stated_metric != self.metric && !marks.is_empty() {
             text.push_str(" The paper states information per event, which has the same mean in its model.");
         }
         if !spans.is_empty() {
             text.push_str(" Hatched: values stated for a range of N.");
         }
-        if self.is_log && has_zero(series) {
+        if self.is_log && has_zero_mean(series) {
             text.push_str(
                 " At the lower border: none of the events; bars then end at 300 / Σ events %, the rule of three.",
             );
         }
-        if !undefined.is_empty() {
-            let _ = write!(text, " Not defined for {}.", undefined.join(", "));
+        if !without_value.is_empty() {
+            let _ = write!(text, " Not defined for {}.", without_value.join(", "));
         }
         text
     }
@@ -259,13 +267,13 @@ impl Figure {
             self.metric.to_owned()
         };
         for series in &drawing.chart.series {
-            for n in condition.sizes(&series.name) {
-                if let Some(reading) = self.reading(condition, &series.name, n) {
-                    let half = csv_half(reading.half_width());
-                    let (policy, estimate) = (&series.name, reading.estimate);
+            for n in condition.device_counts(&series.name) {
+                if let Some(metric_estimate) = self.metric_estimate(condition, &series.name, n) {
+                    let half_width = csv_half_width(metric_estimate.half_width());
+                    let (policy, estimate) = (&series.name, metric_estimate.estimate);
                     let _ = writeln!(
                         out,
-                        "measured,{label},{policy},{n},{metric},{},{half},{},,",
+                        "measured,{label},{policy},{n},{metric},{},{half_width},{},,",
                         estimate.mean, estimate.runs
                     );
                 }
@@ -273,7 +281,7 @@ impl Figure {
         }
         let claims = self.claims(condition);
         for claim in claims {
-            if let (Some(stated), DeviceCounts::At(n)) = (stated_value(claim, claims), claim.sites) {
+            if let (Some(stated), DeviceCounts::At(n)) = (stated_value(claim, claims), claim.device_counts) {
                 let (low, high) = match stated {
                     StatedValue::Value(v) => (v.to_string(), v.to_string()),
                     StatedValue::Range(low, high) => (low.to_string(), high.to_string()),
@@ -288,12 +296,14 @@ impl Figure {
 }
 
 /// Returns the title of a figure, with its figure in the paper for an unchanged preset, or else the changed fields.
-pub(super) fn title(what: &str, paper: &str, condition: &RunCondition) -> String {
-    if condition.is_plain() {
-        return format!("{what} ({paper})");
+pub(super) fn figure_title(subject: &str, paper_figure: &str, condition: &RunCondition) -> String {
+    if condition.is_unchanged_preset() {
+        return format!("{subject} ({paper_figure})");
     }
-    let changed = condition.changed().map(|(path, value)| format!(", {path} = {value}"));
-    format!("{what}{}", changed.collect::<String>())
+    let changed = condition
+        .all_changes()
+        .map(|(path, value)| format!(", {path} = {value}"));
+    format!("{subject}{}", changed.collect::<String>())
 }
 
 /// Formats the number of runs per point as text.
@@ -315,10 +325,15 @@ pub(super) fn csv_cell(text: &str) -> String {
 }
 
 /// Formats the half-width of an interval as a CSV cell; empty for NaN.
-pub(super) fn csv_half(half: f64) -> String {
-    if half.is_nan() { String::new() } else { half.to_string() }
+pub(super) fn csv_half_width(half_width: f64) -> String {
+    if half_width.is_nan() {
+        String::new()
+    } else {
+        half_width.to_string()
+    }
 }
 
-fn has_zero(series: &[Series]) -> bool {
-    series.iter().flat_map(|s| &s.samples).any(|s| s.y <= 0.0)
+/// Whether a mean is 0, which a logarithmic axis cannot hold.
+fn has_zero_mean(series: &[Series]) -> bool {
+    series.iter().flat_map(|s| &s.points).any(|s| s.y <= 0.0)
 }

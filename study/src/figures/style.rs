@@ -1,5 +1,6 @@
-//! Styles of lines and markers. The colours suit colour-blind readers (Okabe and Ito); each policy has its own marker
-//! and dash pattern for print without colours.
+//! Styles of lines and markers, and the measures of figures. The colours suit colour-blind readers (Okabe and Ito);
+//! each policy has its own marker and dash pattern for print without colours, the same in all figures. No two policies
+//! may share a colour, a marker or dashes.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -90,9 +91,9 @@ pub struct Style {
 }
 
 /// Half the size of markers, points.
-pub(crate) const MARKER: f64 = 2.4;
+pub(crate) const MARKER_RADIUS: f64 = 2.4;
 /// The width of lines, points.
-pub(crate) const LINE: f64 = 1.1;
+pub(crate) const LINE_WIDTH: f64 = 1.1;
 
 /// Styles of policies by name.
 const POLICIES: [(&str, Style); 8] = [
@@ -126,15 +127,15 @@ const POLICIES: [(&str, Style); 8] = [
 
 /// Styles of registered policies without an entry above, in the order of the registry. Unregistered policies share the
 /// last one.
-const FREE: [Style; 3] = [
+const FREE_STYLES: [Style; 3] = [
     Style::new(Paint::Colour(WINE), MarkerShape::FourPoints, &[12.0, 2.0]),
     Style::new(Paint::Colour(INDIGO), MarkerShape::SixPoints, &[3.5, 1.6, 1.0, 1.6]),
     Style::new(Paint::Colour(OLIVE), MarkerShape::TriangleRight, &[6.0, 4.0]),
 ];
 
 /// Offsets in [`POLICIES`] of the entries that lend a marker and dashes to a policy with another ranking. The last
-/// entry lends neither.
-const RANKED: [usize; 2] = [3, 4];
+/// entry, `external`, lends neither.
+const RANKED_STYLE_OFFSETS: [usize; 2] = [3, 4];
 
 impl Style {
     const fn new(paint: Paint, marker: MarkerShape, dashes: &'static [f64]) -> Self {
@@ -145,15 +146,16 @@ impl Style {
     /// colour with another marker and other dashes.
     pub fn of_policy(series: &str) -> Self {
         let (name, is_ranked) = series::policy(series);
-        let place = POLICIES.iter().position(|(listed, _)| *listed == name);
-        let style = place.map_or_else(|| Self::free(name), |place| POLICIES[place].1);
+        let index = POLICIES.iter().position(|(listed, _)| *listed == name);
+        let style = index.map_or_else(|| Self::of_unlisted_policy(name), |index| POLICIES[index].1);
         if !is_ranked {
             return style;
         }
         // The offsets differ and are smaller than the number of lenders, so marker and dashes come from two other
         // policies.
         let lenders = POLICIES.len() - 1;
-        let [marker, dashes] = RANKED.map(|shift| POLICIES[(place.unwrap_or(lenders) + shift) % lenders].1);
+        let [marker, dashes] =
+            RANKED_STYLE_OFFSETS.map(|offset| POLICIES[(index.unwrap_or(lenders) + offset) % lenders].1);
         Self {
             marker: marker.marker,
             dashes: dashes.dashes,
@@ -162,15 +164,15 @@ impl Style {
     }
 
     /// Returns the style of a policy without an entry in [`POLICIES`].
-    fn free(name: &str) -> Self {
+    fn of_unlisted_policy(name: &str) -> Self {
         let is_free = |name: &&str| POLICIES.iter().all(|(listed, _)| listed != name);
         // The registry decides, not the given tables, so that a policy looks the same in all figures.
         let before = registry::names().filter(is_free).take_while(|other| *other != name);
-        FREE[before.count().min(FREE.len() - 1)]
+        FREE_STYLES[before.count().min(FREE_STYLES.len() - 1)]
     }
 
     /// Returns the `i`-th style of a cyclic palette for series that are not policies.
-    pub fn nth(i: usize) -> Self {
+    pub fn from_palette(i: usize) -> Self {
         let all = [
             Self::new(Paint::Colour(BLUE), MarkerShape::Circle, &[]),
             Self::new(Paint::Colour(VERMILION), MarkerShape::Square, &[6.0, 2.0]),
@@ -183,33 +185,36 @@ impl Style {
     }
 
     /// Stroke of the line in this style.
-    pub const fn line(self) -> Stroke {
-        Stroke::solid(self.paint, LINE).dashed(self.dashes)
+    pub const fn stroke(self) -> Stroke {
+        Stroke::solid(self.paint, LINE_WIDTH).dashed(self.dashes)
     }
 
     /// Adds a marker to `scene`.
-    pub fn mark(self, scene: &mut Scene, at: (f64, f64)) {
-        scene.area(self.marker.path(at, MARKER), self.paint, 1.0);
+    pub fn draw_marker(self, scene: &mut Scene, at: (f64, f64)) {
+        scene.area(self.marker.path(at, MARKER_RADIUS), self.paint, 1.0);
     }
 
     /// Adds a hollow marker to `scene`. It is large enough to surround a filled one and does not hide it.
-    pub(crate) fn mark_hollow(self, scene: &mut Scene, at: (f64, f64)) {
-        scene.line(self.marker.path(at, 1.45 * MARKER), Stroke::solid(self.paint, 0.9));
+    pub(crate) fn draw_hollow_marker(self, scene: &mut Scene, at: (f64, f64)) {
+        scene.line(
+            self.marker.path(at, 1.45 * MARKER_RADIUS),
+            Stroke::solid(self.paint, 0.9),
+        );
     }
 }
 
 /// Width of a single-column figure, points: 3.5 inch.
-pub(crate) const COLUMN: f64 = 252.0;
+pub(crate) const COLUMN_WIDTH: f64 = 252.0;
 /// Width of a figure across both columns, points.
-pub(crate) const WIDE: f64 = 516.0;
+pub(crate) const PAGE_WIDTH: f64 = 516.0;
 /// The smallest font size, points.
-pub const SMALL: f64 = 8.0;
+pub const TEXT_SIZE: f64 = 8.0;
 /// The font size of titles, points.
-pub(crate) const LARGE: f64 = 9.5;
+pub(crate) const TITLE_SIZE: f64 = 9.5;
 /// Line spacing of text, points.
 pub(crate) const LEADING: f64 = 10.5;
 /// Margin of the figure, points.
-pub(crate) const EDGE: f64 = 6.0;
+pub(crate) const MARGIN: f64 = 6.0;
 
 #[cfg(test)]
 mod tests {
@@ -223,7 +228,7 @@ mod tests {
 
     #[test]
     fn no_two_looks_share_a_colour_a_marker_or_dashes() {
-        let looks: Vec<Style> = listed().chain(FREE).collect();
+        let looks: Vec<Style> = listed().chain(FREE_STYLES).collect();
         for (i, a) in looks.iter().enumerate() {
             for b in &looks[..i] {
                 assert_ne!(a.paint, b.paint);
@@ -235,7 +240,7 @@ mod tests {
 
     #[test]
     fn no_two_policies_look_alike() {
-        let names: Vec<&str> = registry::names().chain([outside::NAME]).collect();
+        let names: Vec<&str> = registry::names().chain([outside::EXTERNAL_NAME]).collect();
         for (i, a) in names.iter().enumerate() {
             for b in &names[..i] {
                 assert_ne!(Style::of_policy(a), Style::of_policy(b), "{a}, {b}");
@@ -262,7 +267,7 @@ mod tests {
 
     #[test]
     fn dashes_come_in_pairs() {
-        for style in listed().chain(FREE).chain((0..6).map(Style::nth)) {
+        for style in listed().chain(FREE_STYLES).chain((0..6).map(Style::from_palette)) {
             assert!(style.dashes.len().is_multiple_of(2));
         }
     }

@@ -1,4 +1,4 @@
-//! SVG output of a scene.
+//! SVG output of a scene. [`super::png`] draws the same scene; neither adds anything to it.
 //!
 //! Text is written as outlines. Ink is `currentColor` and the background has the class `paper`, so that a page with the
 //! figure can swap both in dark mode. A standalone figure is dark on white.
@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
-use super::font::{Glyph, Weight, outline, set, units_per_em};
+use super::font::{Glyph, Weight, outline, set_glyphs, units_per_em};
 use super::path::{PathStep, VectorPath};
 use super::scene::{FilledPath, Paint, Rgb, Scene, SceneItem, Text};
 
@@ -63,14 +63,14 @@ fn colour(paint: Paint) -> String {
     }
 }
 
-fn class(paint: Paint) -> &'static str {
+fn class_attribute(paint: Paint) -> &'static str {
     match paint {
         Paint::Paper => " class=\"paper\"",
         Paint::Ink | Paint::Colour(_) => "",
     }
 }
 
-fn data(path: &VectorPath) -> String {
+fn path_data(path: &VectorPath) -> String {
     let mut out = String::new();
     for step in &path.0 {
         let (letter, numbers): (char, &[f64]) = match step {
@@ -88,10 +88,10 @@ fn data(path: &VectorPath) -> String {
 }
 
 fn shape_element(shape: &FilledPath) -> String {
-    let mut out = format!("<path d=\"{}\"", data(&shape.path));
+    let mut out = format!("<path d=\"{}\"", path_data(&shape.path));
     match shape.fill {
         Some((paint, opacity)) => {
-            let _ = write!(out, "{} fill=\"{}\"", class(paint), colour(paint));
+            let _ = write!(out, "{} fill=\"{}\"", class_attribute(paint), colour(paint));
             if opacity < 1.0 {
                 let _ = write!(out, " fill-opacity=\"{}\"", number(opacity));
             }
@@ -120,15 +120,15 @@ fn text_element(text: &Text, name: &str, glyphs: &mut BTreeMap<Glyph, String>) -
     let (x, y) = text.start();
     // Fonts have thousands of units per em, so the scale needs more than two decimals below.
     let scale = text.size / units_per_em(text.weight);
-    let turn = if text.upwards { " rotate(-90)" } else { "" };
+    let turn = if text.is_vertical { " rotate(-90)" } else { "" };
     let mut out = format!(
         "<g transform=\"translate({} {}){turn} scale({scale:.7} -{scale:.7})\" fill=\"{}\">",
         number(x),
         number(y),
         colour(text.paint)
     );
-    for (glyph, at) in set(&text.text, text.weight).0 {
-        let data = glyphs.entry(glyph).or_insert_with(|| data(&outline(glyph)));
+    for (glyph, at) in set_glyphs(&text.text, text.weight).0 {
+        let data = glyphs.entry(glyph).or_insert_with(|| path_data(&outline(glyph)));
         if !data.is_empty() {
             let _ = write!(out, "<use xlink:href=\"#{}\" x=\"{at}\"/>", glyph_name(name, glyph));
         }

@@ -1,4 +1,4 @@
-//! Timeline figure: battery and states of selected devices per TTI, with the events and wake-ups of the run.
+//! Timeline figure: battery and states of selected devices per TTI, with the events and wake-ups of a repeated run.
 
 use reveille_bs::scenario::Scenario;
 use reveille_common::event::EventRecord;
@@ -9,24 +9,24 @@ use reveille_common::state::DeviceState;
 use reveille_common::units::Energy;
 
 use super::error::FigureError;
-use super::font::{Weight, wrap};
+use super::font::{Weight, wrap_text};
 use super::path::VectorPath;
-use super::run_walk::{RunWalk, TtiOutcome, events};
+use super::run_walk::{RunWalk, TtiOutcome, collect_events};
 use super::scale::Scale;
 use super::scene::{Anchor, Paint, Scene, Stroke, Text};
-use super::style::{BLUE, EDGE, GREEN, LARGE, LEADING, ORANGE, SMALL, VERMILION, WIDE};
+use super::style::{BLUE, GREEN, LEADING, MARGIN, ORANGE, PAGE_WIDTH, TEXT_SIZE, TITLE_SIZE, VERMILION};
 
 /// Left and right edge of the plots, points.
-const LEFT: f64 = 48.0;
-const RIGHT: f64 = WIDE - EDGE - 4.0;
+const PLOT_LEFT: f64 = 48.0;
+const PLOT_RIGHT: f64 = PAGE_WIDTH - MARGIN - 4.0;
 /// Height of a battery plot, of a lane of states, and of the gap to the next device, points.
-const BATTERY: f64 = 62.0;
-const LANE: f64 = 9.0;
-const GAP: f64 = 12.0;
+const BATTERY_HEIGHT: f64 = 62.0;
+const LANE_HEIGHT: f64 = 9.0;
+const DEVICE_GAP: f64 = 12.0;
 /// Number of devices in a timeline by default.
-const SHOWN: usize = 3;
+const DEFAULT_DEVICES: usize = 3;
 /// Largest number of devices in a timeline.
-pub(crate) const CROWD: u32 = 8;
+pub(crate) const MAX_DEVICES: u32 = 8;
 
 /// One device in one TTI.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -36,9 +36,9 @@ pub struct DeviceTti {
     /// State at the end of the TTI.
     pub state: DeviceState,
     /// Whether the device was in S2 and could not transmit.
-    pub failed: bool,
+    pub has_failed: bool,
     /// Whether the BS sent the device a wake-up signal.
-    pub woken: bool,
+    pub has_wake_up: bool,
     /// Battery level at the end of the TTI.
     pub battery: Energy,
 }
@@ -61,7 +61,7 @@ impl Timeline {
     /// with most reports and wake-ups, lower numbers first in a tie.
     ///
     /// # Errors
-    /// The run has no such device or TTIs, or there are more than `CROWD` devices.
+    /// The run has no such device or TTIs, or there are more than `MAX_DEVICES` devices.
     pub fn from_scenario(scenario: &Scenario, devices: &[u32], from: u64, ttis: u64) -> Result<Self, FigureError> {
         // Both numbers are user input, so the sum may overflow.
         let end = from.saturating_add(ttis);
@@ -78,16 +78,16 @@ impl Timeline {
                 count: scenario.run.devices,
             });
         }
-        if devices.len() > CROWD as usize {
-            return Err(FigureError::Crowd {
+        if devices.len() > MAX_DEVICES as usize {
+            return Err(FigureError::TooManyDevices {
                 count: devices.len() as u32,
                 what: "a timeline",
-                limit: CROWD,
+                limit: MAX_DEVICES,
                 advice: "draw several",
             });
         }
         let shown = if devices.is_empty() {
-            busiest(scenario, Tti(from), Tti(end))
+            busiest_devices(scenario, Tti(from), Tti(end))
         } else {
             devices.iter().copied().map(DeviceId).collect()
         };
@@ -95,20 +95,20 @@ impl Timeline {
         Ok(Self {
             from: Tti(from),
             end: Tti(end),
-            devices: follow(scenario, &shown, Tti(from), Tti(end)),
+            devices: device_histories(scenario, &shown, Tti(from), Tti(end)),
             // These come from a whole run: an event is recorded when it ends, which may be after the last TTI shown.
-            events: events(scenario).into_iter().filter(overlaps).collect(),
+            events: collect_events(scenario).into_iter().filter(overlaps).collect(),
         })
     }
 }
 
 /// Runs the scenario up to TTI `end`, and calls `visit` for each TTI from `from`.
-fn walk(scenario: &Scenario, from: Tti, end: Tti, mut visit: impl FnMut(&RunWalk, Tti, &TtiOutcome)) {
+fn for_each_tti(scenario: &Scenario, from: Tti, end: Tti, mut visit: impl FnMut(&RunWalk, Tti, &TtiOutcome)) {
     let mut walk = RunWalk::new(scenario);
     loop {
-        let (k, happened) = walk.step();
+        let (k, outcome) = walk.step();
         if k >= from {
-            visit(&walk, k, &happened);
+            visit(&walk, k, &outcome);
         }
         if k + 1 >= end {
             return;
@@ -116,25 +116,25 @@ fn walk(scenario: &Scenario, from: Tti, end: Tti, mut visit: impl FnMut(&RunWalk
     }
 }
 
-fn busiest(scenario: &Scenario, from: Tti, end: Tti) -> Vec<DeviceId> {
-    let mut acts = vec![0_u32; scenario.run.devices as usize];
-    walk(scenario, from, end, |_, _, happened| {
-        let reporters = happened.reports.iter().map(|r| r.device);
-        let failed = happened.failures.iter().map(|f| f.device);
-        let woken = happened.woken.iter().map(|(device, _)| *device);
+fn busiest_devices(scenario: &Scenario, from: Tti, end: Tti) -> Vec<DeviceId> {
+    let mut activity_counts = vec![0_u32; scenario.run.devices as usize];
+    for_each_tti(scenario, from, end, |_, _, outcome| {
+        let reporters = outcome.reports.iter().map(|r| r.device);
+        let failed = outcome.failures.iter().map(|f| f.device);
+        let woken = outcome.wake_ups.iter().map(|(device, _)| *device);
         for device in reporters.chain(failed).chain(woken) {
-            acts[device.index()] += 1;
+            activity_counts[device.index()] += 1;
         }
     });
     let mut ids: Vec<DeviceId> = (0..scenario.run.devices).map(DeviceId).collect();
     // A stable sort: of equally busy devices the lower numbers come first.
-    ids.sort_by_key(|id| std::cmp::Reverse(acts[id.index()]));
-    ids.truncate(SHOWN);
+    ids.sort_by_key(|id| std::cmp::Reverse(activity_counts[id.index()]));
+    ids.truncate(DEFAULT_DEVICES);
     ids.sort_unstable();
     ids
 }
 
-fn follow(
+fn device_histories(
     scenario: &Scenario,
     shown: &[DeviceId],
     from: Tti,
@@ -143,16 +143,16 @@ fn follow(
     let deployment = reveille_common::deployment::Deployment::new(scenario);
     let start = |id: &DeviceId| (*id, deployment.devices[id.index()].energy, Vec::new());
     let mut devices: Vec<(DeviceId, EnergyModel, Vec<DeviceTti>)> = shown.iter().map(start).collect();
-    walk(scenario, from, end, |walk, k, happened| {
-        for (id, _, moments) in &mut devices {
-            let (state, battery) = walk.state(*id, k);
-            let wake_up = happened.woken.iter().find(|(woken, _)| woken == id);
+    for_each_tti(scenario, from, end, |walk, k, outcome| {
+        for (id, _, history) in &mut devices {
+            let (state, battery) = walk.state_and_battery(*id, k);
+            let wake_up = outcome.wake_ups.iter().find(|(woken, _)| woken == id);
             let failed_awake = wake_up.is_some_and(|(_, outcome)| matches!(outcome, WakeOutcome::Failed(_)));
-            moments.push(DeviceTti {
+            history.push(DeviceTti {
                 tti: k,
                 state,
-                failed: failed_awake || happened.failures.iter().any(|f| f.device == *id),
-                woken: wake_up.is_some(),
+                has_failed: failed_awake || outcome.failures.iter().any(|f| f.device == *id),
+                has_wake_up: wake_up.is_some(),
                 battery,
             });
         }
@@ -161,7 +161,7 @@ fn follow(
 }
 
 /// Returns the file name, without extension, of the figure.
-pub fn name(scenario: &Scenario, timeline: &Timeline) -> String {
+pub fn file_name(scenario: &Scenario, timeline: &Timeline) -> String {
     let (policy, from) = (scenario.policy.name(), timeline.from);
     format!(
         "timeline-{policy}-n{}-s{}-k{from}",
@@ -171,47 +171,52 @@ pub fn name(scenario: &Scenario, timeline: &Timeline) -> String {
 
 /// Draws `timeline`.
 pub fn scene(scenario: &Scenario, timeline: &Timeline) -> Scene {
-    let mut scene = Scene::new(WIDE, 0.0);
+    let mut scene = Scene::new(PAGE_WIDTH, 0.0);
     scene.title = format!(
         "Battery and states of {} of {} devices, policy {}",
         timeline.devices.len(),
         scenario.run.devices,
         scenario.policy.name()
     );
-    scene.text(Text::new(scene.title.clone(), (EDGE, EDGE + LARGE), LARGE).bold());
-    let axis = Axis {
+    scene.text(Text::new(scene.title.clone(), (MARGIN, MARGIN + TITLE_SIZE), TITLE_SIZE).bold());
+    let axis = TtiAxis {
         from: timeline.from.0 as f64,
         ttis: (timeline.end - timeline.from) as f64,
     };
-    let top = EDGE + LARGE + LEADING + 4.0;
+    let top = MARGIN + TITLE_SIZE + LEADING + 4.0;
     legend(&mut scene, top);
     let top = top + 8.0;
-    let height = BATTERY + 4.0 * LANE + GAP;
-    let bottom = top + height * timeline.devices.len() as f64 - GAP;
-    axis.events(&mut scene, &timeline.events, top, bottom);
-    for (i, (id, energy, moments)) in timeline.devices.iter().enumerate() {
+    let height = BATTERY_HEIGHT + 4.0 * LANE_HEIGHT + DEVICE_GAP;
+    let bottom = top + height * timeline.devices.len() as f64 - DEVICE_GAP;
+    axis.draw_events(&mut scene, &timeline.events, top, bottom);
+    for (i, (id, energy, history)) in timeline.devices.iter().enumerate() {
         let top = top + height * i as f64;
-        axis.battery(&mut scene, *id, energy, moments, top);
-        axis.states(&mut scene, moments, top + BATTERY);
+        axis.draw_battery(&mut scene, *id, energy, history, top);
+        axis.draw_states(&mut scene, history, top + BATTERY_HEIGHT);
     }
     axis.ticks(&mut scene, bottom);
     let mut y = bottom + 3.0 * LEADING + 10.0;
     scene.description = caption(scenario, timeline);
-    for line in wrap(&scene.description.clone(), Weight::Regular, SMALL, WIDE - 2.0 * EDGE) {
-        scene.text(Text::new(line, (EDGE, y), SMALL));
+    for line in wrap_text(
+        &scene.description.clone(),
+        Weight::Regular,
+        TEXT_SIZE,
+        PAGE_WIDTH - 2.0 * MARGIN,
+    ) {
+        scene.text(Text::new(line, (MARGIN, y), TEXT_SIZE));
         y += LEADING;
     }
-    scene.height = (y - LEADING + 0.24 * SMALL + EDGE).ceil();
+    scene.height = (y - LEADING + 0.24 * TEXT_SIZE + MARGIN).ceil();
     scene
 }
 
 fn legend(scene: &mut Scene, y: f64) {
-    let mut x = EDGE;
-    let middle = y - 0.35 * SMALL;
+    let mut x = MARGIN;
+    let middle = y - 0.35 * TEXT_SIZE;
     let mut entry = |scene: &mut Scene, text: &str, draw: &dyn Fn(&mut Scene, f64)| {
         draw(scene, x);
-        scene.text(Text::new(text, (x + 13.0, y), SMALL));
-        x += 13.0 + super::font::width(text, Weight::Regular, SMALL) + 11.0;
+        scene.text(Text::new(text, (x + 13.0, y), TEXT_SIZE));
+        x += 13.0 + super::font::text_width(text, Weight::Regular, TEXT_SIZE) + 11.0;
     };
     entry(scene, "event", &|scene, x| {
         let span = [x, middle - 4.0, x + 10.0, middle + 4.0];
@@ -242,18 +247,18 @@ fn legend(scene: &mut Scene, y: f64) {
     });
 }
 
-struct Axis {
+struct TtiAxis {
     from: f64,
     ttis: f64,
 }
 
-impl Axis {
+impl TtiAxis {
     /// Returns the x position of the start of TTI `k`.
     fn x(&self, k: f64) -> f64 {
-        LEFT + ((k - self.from) / self.ttis).clamp(0.0, 1.0) * (RIGHT - LEFT)
+        PLOT_LEFT + ((k - self.from) / self.ttis).clamp(0.0, 1.0) * (PLOT_RIGHT - PLOT_LEFT)
     }
 
-    fn events(&self, scene: &mut Scene, events: &[EventRecord], top: f64, bottom: f64) {
+    fn draw_events(&self, scene: &mut Scene, events: &[EventRecord], top: f64, bottom: f64) {
         for event in events {
             let (from, to) = (self.x(event.start.0 as f64), self.x(event.last.0 as f64 + 1.0));
             let (paint, opacity) = if event.tally.reports > 0 {
@@ -265,24 +270,24 @@ impl Axis {
         }
     }
 
-    fn battery(&self, scene: &mut Scene, id: DeviceId, energy: &EnergyModel, moments: &[DeviceTti], top: f64) {
-        let bottom = top + BATTERY - 4.0;
+    fn draw_battery(&self, scene: &mut Scene, id: DeviceId, energy: &EnergyModel, history: &[DeviceTti], top: f64) {
+        let bottom = top + BATTERY_HEIGHT - 4.0;
         let scale = Scale::Linear {
             from: 0.0,
             to: energy.e_max.units(),
         };
-        let y = |units: f64| bottom - scale.place(units) * (bottom - top - 4.0);
-        let frame = [(LEFT, top), (LEFT, bottom), (RIGHT, bottom)];
+        let y = |units: f64| bottom - scale.position(units) * (bottom - top - 4.0);
+        let frame = [(PLOT_LEFT, top), (PLOT_LEFT, bottom), (PLOT_RIGHT, bottom)];
         scene.line(VectorPath::polyline(frame, false), Stroke::solid(Paint::Ink, 0.7));
         for value in [0.0, 0.5 * energy.e_max.units(), energy.e_max.units()] {
-            let at = (LEFT - 4.0, y(value) + 0.36 * SMALL);
-            scene.text(Text::new(super::scale::label(value, 1.0), at, SMALL).anchored(Anchor::End));
-            let tick = VectorPath::segment((LEFT - 2.5, y(value)), (LEFT, y(value)));
+            let at = (PLOT_LEFT - 4.0, y(value) + 0.36 * TEXT_SIZE);
+            scene.text(Text::new(super::scale::label(value, 1.0), at, TEXT_SIZE).anchored(Anchor::End));
+            let tick = VectorPath::segment((PLOT_LEFT - 2.5, y(value)), (PLOT_LEFT, y(value)));
             scene.line(tick, Stroke::solid(Paint::Ink, 0.7));
         }
         let e_tx = y(energy.e_tx.units());
-        scene.line(VectorPath::segment((LEFT, e_tx), (RIGHT, e_tx)), threshold());
-        let steps = moments.iter().flat_map(|m| {
+        scene.line(VectorPath::segment((PLOT_LEFT, e_tx), (PLOT_RIGHT, e_tx)), threshold());
+        let steps = history.iter().flat_map(|m| {
             let (k, level) = (m.tti.0 as f64, y(m.battery.units()));
             [(self.x(k), level), (self.x(k + 1.0), level)]
         });
@@ -292,30 +297,36 @@ impl Axis {
         );
         let mut label = Text::new(
             format!("device {id}"),
-            (EDGE + 0.76 * SMALL, 0.5 * (top + bottom)),
-            SMALL,
+            (MARGIN + 0.76 * TEXT_SIZE, 0.5 * (top + bottom)),
+            TEXT_SIZE,
         );
-        label.upwards = true;
+        label.is_vertical = true;
         scene.text(label.anchored(Anchor::Middle));
-        let mut unit = Text::new("units", (EDGE + 1.9 * SMALL, 0.5 * (top + bottom)), SMALL);
-        unit.upwards = true;
+        let mut unit = Text::new("units", (MARGIN + 1.9 * TEXT_SIZE, 0.5 * (top + bottom)), TEXT_SIZE);
+        unit.is_vertical = true;
         scene.text(unit.anchored(Anchor::Middle));
     }
 
     /// Draws four lanes, from S1 at the top to S4.
-    fn states(&self, scene: &mut Scene, moments: &[DeviceTti], top: f64) {
+    fn draw_states(&self, scene: &mut Scene, history: &[DeviceTti], top: f64) {
         for (lane, name) in ["S1", "S2", "S3", "S4"].iter().enumerate() {
-            let y = top + LANE * (lane as f64 + 1.0) - 1.5;
-            scene.text(Text::new(*name, (LEFT - 4.0, y), SMALL).anchored(Anchor::End));
-            let line = VectorPath::segment((LEFT, y + 1.5), (RIGHT, y + 1.5));
-            scene.line(line, Stroke::solid(Paint::Ink, 0.4).faded(0.3));
+            let y = top + LANE_HEIGHT * (lane as f64 + 1.0) - 1.5;
+            scene.text(Text::new(*name, (PLOT_LEFT - 4.0, y), TEXT_SIZE).anchored(Anchor::End));
+            let line = VectorPath::segment((PLOT_LEFT, y + 1.5), (PLOT_RIGHT, y + 1.5));
+            scene.line(line, Stroke::solid(Paint::Ink, 0.4).with_opacity(0.3));
         }
         // Equal neighbours become one block.
-        for block in moments.chunk_by(|a, b| a.state == b.state && !a.failed && !b.failed) {
+        for block in history.chunk_by(|a, b| a.state == b.state && !a.has_failed && !b.has_failed) {
             let (first, last) = (block[0], block[block.len() - 1]);
             let (from, to) = (self.x(first.tti.0 as f64), self.x(last.tti.0 as f64 + 1.0));
-            let lane =
-                |lane: f64| VectorPath::rectangle([from, top + LANE * lane + 1.0, to, top + LANE * (lane + 1.0) - 1.0]);
+            let lane = |lane: f64| {
+                VectorPath::rectangle([
+                    from,
+                    top + LANE_HEIGHT * lane + 1.0,
+                    to,
+                    top + LANE_HEIGHT * (lane + 1.0) - 1.0,
+                ])
+            };
             match first.state {
                 DeviceState::Idle => scene.area(lane(0.0), Paint::Colour(BLUE), 1.0),
                 DeviceState::Active => scene.area(lane(1.0), Paint::Colour(ORANGE), 1.0),
@@ -329,13 +340,13 @@ impl Axis {
                 }
             }
         }
-        for m in moments {
+        for m in history {
             let middle = self.x(m.tti.0 as f64 + 0.5);
-            if m.failed {
-                failure(scene, middle, top + 1.5 * LANE);
+            if m.has_failed {
+                failure(scene, middle, top + 1.5 * LANE_HEIGHT);
             }
-            if m.woken {
-                wake_up(scene, middle, top + 4.0 * LANE + 5.5);
+            if m.has_wake_up {
+                wake_up(scene, middle, top + 4.0 * LANE_HEIGHT + 5.5);
             }
         }
     }
@@ -343,7 +354,7 @@ impl Axis {
     fn ticks(&self, scene: &mut Scene, bottom: f64) {
         let y = bottom + 7.0;
         scene.line(
-            VectorPath::segment((LEFT, y), (RIGHT, y)),
+            VectorPath::segment((PLOT_LEFT, y), (PLOT_RIGHT, y)),
             Stroke::solid(Paint::Ink, 0.7),
         );
         let scale = Scale::linear([self.from, self.from + self.ttis], false);
@@ -357,11 +368,11 @@ impl Axis {
                 Stroke::solid(Paint::Ink, 0.7),
             );
             // A label at the very end would extend beyond the page.
-            let at = x.min(RIGHT - 4.0);
-            scene.text(Text::new(tick.label, (at, y + LEADING), SMALL).anchored(Anchor::Middle));
+            let at = x.min(PLOT_RIGHT - 4.0);
+            scene.text(Text::new(tick.label, (at, y + LEADING), TEXT_SIZE).anchored(Anchor::Middle));
         }
-        let middle = (0.5 * (LEFT + RIGHT), y + 2.0 * LEADING);
-        scene.text(Text::new("TTI k", middle, SMALL).anchored(Anchor::Middle));
+        let middle = (0.5 * (PLOT_LEFT + PLOT_RIGHT), y + 2.0 * LEADING);
+        scene.text(Text::new("TTI k", middle, TEXT_SIZE).anchored(Anchor::Middle));
     }
 }
 

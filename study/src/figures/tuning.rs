@@ -4,58 +4,63 @@
 
 use reveille_lab::tuning::{History, Ranges, Surface, WeightPair};
 
-use super::contour::segments;
-use super::font::{Weight, width, wrap};
+use super::contour::contour_segments;
+use super::font::{Weight, text_width, wrap_text};
 use super::heat::{blend, contrast_colour};
-use super::path::{Rect, VectorPath, overlap};
+use super::path::{Rect, VectorPath, boxes_overlap};
 use super::scale::{AxisTick, Scale, label};
 use super::scene::{Anchor, Paint, Rgb, Scene, Stroke, Text};
-use super::style::{EDGE, LARGE, LEADING, MarkerShape, SMALL, WIDE};
+use super::style::{LEADING, MARGIN, MarkerShape, PAGE_WIDTH, TEXT_SIZE, TITLE_SIZE};
 
 /// Left, top, right and bottom of the panel, points.
-const PANEL: Rect = [46.0, 28.0, 376.0, 286.0];
+const PANEL_BOX: Rect = [46.0, 28.0, 376.0, 286.0];
 /// Left and width of the key, points.
-const KEY: (f64, f64) = (392.0, 14.0);
+const KEY_LEFT_AND_WIDTH: (f64, f64) = (392.0, 14.0);
 /// Number of colour steps in the key.
-const STEPS: u32 = 60;
+const KEY_STEPS: u32 = 60;
 /// Half the size of the mark of a pair, and of the mark of the best pair, points.
-const DOT: f64 = 2.0;
-const STAR: f64 = 4.6;
+const PAIR_RADIUS: f64 = 2.0;
+const BEST_PAIR_RADIUS: f64 = 4.6;
 /// Possible distances of a number from its pair, points.
-const REACHES: [f64; 7] = [9.0, 13.0, 18.0, 25.0, 34.0, 46.0, 60.0];
+const NUMBER_DISTANCES: [f64; 7] = [9.0, 13.0, 18.0, 25.0, 34.0, 46.0, 60.0];
 /// Number of possible directions of a number from its pair.
-const TURNS: u32 = 16;
+const NUMBER_DIRECTIONS: u32 = 16;
 /// Least distance of a contour's label from other items, points.
-const CLEAR: f64 = 3.0;
+const MIN_LABEL_GAP: f64 = 3.0;
 
 /// Draws `history`, whose surrogate over `ranges` is `surface`.
 pub fn scene(history: &History, ranges: &Ranges, surface: &Surface) -> Scene {
-    let mut scene = Scene::new(WIDE, 0.0);
+    let mut scene = Scene::new(PAGE_WIDTH, 0.0);
     let (objective, devices) = (history.header_value("objective"), history.header_value("devices"));
     let name = objective.split(':').next().unwrap_or_default();
     scene.title = format!("Tuning of q-learning with N = {devices}: objective {name}");
     scene.description = caption(history);
-    scene.text(Text::new(scene.title.clone(), (EDGE, EDGE + LARGE), LARGE).bold());
-    let panel = Panel::new(ranges, surface);
-    panel.cells(&mut scene, surface);
+    scene.text(Text::new(scene.title.clone(), (MARGIN, MARGIN + TITLE_SIZE), TITLE_SIZE).bold());
+    let panel = SurfacePanel::new(ranges, surface);
+    panel.draw_cells(&mut scene, surface);
     // Numbers are placed first, so that the labels of contours avoid them, and drawn last.
-    let mut front = Scene::new(WIDE, 0.0);
-    let taken = panel.points(&mut front, history);
-    panel.contours(&mut scene, surface, taken);
-    scene.put(front, (0.0, 0.0));
-    panel.axes(&mut scene);
-    panel.key(&mut scene, history);
-    let mut y = PANEL[3] + 3.0 * LEADING + 8.0;
-    for line in wrap(&scene.description.clone(), Weight::Regular, SMALL, WIDE - 2.0 * EDGE) {
-        scene.text(Text::new(line, (EDGE, y), SMALL));
+    let mut front = Scene::new(PAGE_WIDTH, 0.0);
+    let taken = panel.draw_pairs(&mut front, history);
+    panel.draw_contours(&mut scene, surface, taken);
+    scene.add_scene(front, (0.0, 0.0));
+    panel.draw_axes(&mut scene);
+    panel.draw_key(&mut scene, history);
+    let mut y = PANEL_BOX[3] + 3.0 * LEADING + 8.0;
+    for line in wrap_text(
+        &scene.description.clone(),
+        Weight::Regular,
+        TEXT_SIZE,
+        PAGE_WIDTH - 2.0 * MARGIN,
+    ) {
+        scene.text(Text::new(line, (MARGIN, y), TEXT_SIZE));
         y += LEADING;
     }
-    scene.height = (y - LEADING + 0.24 * SMALL + EDGE).ceil();
+    scene.height = (y - LEADING + 0.24 * TEXT_SIZE + MARGIN).ceil();
     scene
 }
 
 fn caption(history: &History) -> String {
-    let says = |name: &str| history.header_value(name).to_owned();
+    let header = |name: &str| history.header_value(name).to_owned();
     let best = history.ranked().first().map(|&number| {
         let point = &history.points[number];
         let [mu1, mu2] = point.weights;
@@ -69,28 +74,28 @@ fn caption(history: &History) -> String {
         "The tuning maximises the objective, {}. Colours and lines are the mean of a Gaussian process through the \
          evaluated pairs, which are numbered in order; it is reliable only near them.{} For each pair, tables were \
          trained ({}) and measured ({}), all with the same seeds. Ranking {}, preset {}, seed {}.",
-        says("objective").split_once(": ").map_or("", |(_, words)| words),
+        header("objective").split_once(": ").map_or("", |(_, words)| words),
         best.unwrap_or_default(),
-        says("training"),
-        says("evaluation"),
-        says("ranking"),
-        says("preset"),
-        says("seed")
+        header("training"),
+        header("evaluation"),
+        header("ranking"),
+        header("preset"),
+        header("seed")
     )
 }
 
-fn grown([left, top, right, bottom]: Rect, by: f64) -> Rect {
+fn enlarge([left, top, right, bottom]: Rect, by: f64) -> Rect {
     [left - by, top - by, right + by, bottom + by]
 }
 
 /// Scales of the panel, and the range of values.
-struct Panel {
+struct SurfacePanel {
     x: Scale,
     y: Scale,
-    values: (f64, f64),
+    value_range: (f64, f64),
 }
 
-impl Panel {
+impl SurfacePanel {
     fn new(ranges: &Ranges, surface: &Surface) -> Self {
         let log = |(from, to): (f64, f64)| Scale::Log { from, to };
         let values = surface.rows.iter().flatten();
@@ -100,28 +105,28 @@ impl Panel {
         Self {
             x: log(ranges.mu1),
             y: log(ranges.mu2),
-            values: ends,
+            value_range: ends,
         }
     }
 
     /// Maps a point of the unit square to the canvas.
-    fn at((x, y): (f64, f64)) -> (f64, f64) {
-        let [left, top, right, bottom] = PANEL;
+    fn to_canvas((x, y): (f64, f64)) -> (f64, f64) {
+        let [left, top, right, bottom] = PANEL_BOX;
         (left + x * (right - left), bottom - y * (bottom - top))
     }
 
     fn position(&self, [mu1, mu2]: WeightPair) -> (f64, f64) {
-        Self::at((self.x.place(mu1), self.y.place(mu2)))
+        Self::to_canvas((self.x.position(mu1), self.y.position(mu2)))
     }
 
     fn colour(&self, value: f64) -> Rgb {
-        let (low, high) = self.values;
+        let (low, high) = self.value_range;
         let share = if high > low { (value - low) / (high - low) } else { 0.5 };
         blend(2.0 * share.clamp(0.0, 1.0) - 1.0)
     }
 
     fn levels(&self) -> (Vec<AxisTick>, f64) {
-        let (low, high) = self.values;
+        let (low, high) = self.value_range;
         let ticks = Scale::Linear {
             from: low,
             to: if high > low { high } else { low + 1.0 },
@@ -131,58 +136,67 @@ impl Panel {
         (ticks, step)
     }
 
-    fn cells(&self, scene: &mut Scene, surface: &Surface) {
+    fn draw_cells(&self, scene: &mut Scene, surface: &Surface) {
         // The cells overlap slightly to avoid gaps between them.
-        let over = 0.3;
-        let high = surface.rows.len() as f64;
+        let overlap = 0.3;
+        let row_count = surface.rows.len() as f64;
         for (j, row) in surface.rows.iter().enumerate() {
             for (i, value) in row.iter().enumerate() {
-                let place = |i: usize, j: usize| Self::at((i as f64 / row.len() as f64, j as f64 / high));
-                let ((left, bottom), (right, top)) = (place(i, j), place(i + 1, j + 1));
-                let corners = [left, top, (right + over).min(PANEL[2]), (bottom + over).min(PANEL[3])];
+                let corner = |i: usize, j: usize| Self::to_canvas((i as f64 / row.len() as f64, j as f64 / row_count));
+                let ((left, bottom), (right, top)) = (corner(i, j), corner(i + 1, j + 1));
+                let corners = [
+                    left,
+                    top,
+                    (right + overlap).min(PANEL_BOX[2]),
+                    (bottom + overlap).min(PANEL_BOX[3]),
+                ];
                 scene.area(VectorPath::rectangle(corners), Paint::Colour(self.colour(*value)), 1.0);
             }
         }
     }
 
     /// Draws the pairs with their numbers. Returns the boxes around them.
-    fn points(&self, scene: &mut Scene, history: &History) -> Vec<Rect> {
+    fn draw_pairs(&self, scene: &mut Scene, history: &History) -> Vec<Rect> {
         let best = history.ranked().first().copied();
-        let places: Vec<(f64, f64)> = history
+        let positions: Vec<(f64, f64)> = history
             .points
             .iter()
             .map(|point| self.position(point.weights))
             .collect();
-        let marks = places.iter().enumerate().map(|(number, &(x, y))| {
-            let size = if best == Some(number) { 1.4 * STAR } else { DOT + 0.8 };
+        let marks = positions.iter().enumerate().map(|(number, &(x, y))| {
+            let size = if best == Some(number) {
+                1.4 * BEST_PAIR_RADIUS
+            } else {
+                PAIR_RADIUS + 0.8
+            };
             [x - size, y - size, x + size, y + size]
         });
         let mut taken: Vec<Rect> = marks.collect();
         let mut numbers = Vec::new();
-        for (number, place) in places.iter().enumerate() {
+        for (number, position) in positions.iter().enumerate() {
             let text = (number + 1).to_string();
-            let (at, corners) = free(*place, &text, &taken);
+            let (at, corners) = free_position(*position, &text, &taken);
             taken.push(corners);
-            let (dx, dy) = (at.0 - place.0, at.1 - place.1);
-            if (dx * dx + dy * dy).sqrt() > REACHES[1] + 1.0 {
+            let (dx, dy) = (at.0 - position.0, at.1 - position.1);
+            if (dx * dx + dy * dy).sqrt() > NUMBER_DISTANCES[1] + 1.0 {
                 // A line in both paints is visible on dark and on light.
                 scene.line(
-                    VectorPath::segment(*place, at),
+                    VectorPath::segment(*position, at),
                     Stroke::solid(Paint::Colour(Rgb(255, 255, 255)), 1.4),
                 );
                 scene.line(
-                    VectorPath::segment(*place, at),
+                    VectorPath::segment(*position, at),
                     Stroke::solid(Paint::Colour(Rgb(0, 0, 0)), 0.6),
                 );
             }
             numbers.push((text, at, corners));
         }
-        for (number, place) in places.iter().enumerate() {
-            mark(scene, *place, best == Some(number));
+        for (number, position) in positions.iter().enumerate() {
+            draw_pair_mark(scene, *position, best == Some(number));
         }
         for (number, (text, at, corners)) in numbers.into_iter().enumerate() {
             scene.area(VectorPath::rectangle(corners), Paint::Colour(Rgb(255, 255, 255)), 0.85);
-            let mut text = Text::new(text, (at.0, at.1 + 0.36 * SMALL), SMALL).anchored(Anchor::Middle);
+            let mut text = Text::new(text, (at.0, at.1 + 0.36 * TEXT_SIZE), TEXT_SIZE).anchored(Anchor::Middle);
             text.paint = Paint::Colour(Rgb(0, 0, 0));
             scene.text(if best == Some(number) { text.bold() } else { text });
         }
@@ -190,14 +204,14 @@ impl Panel {
     }
 
     /// Draws the contour lines, each with its value if there is room.
-    fn contours(&self, scene: &mut Scene, surface: &Surface, mut taken: Vec<Rect>) {
+    fn draw_contours(&self, scene: &mut Scene, surface: &Surface, mut taken: Vec<Rect>) {
         let (levels, step) = self.levels();
         let mut labels = Vec::new();
         for level in levels {
-            let all = segments(&surface.rows, level.value);
+            let all = contour_segments(&surface.rows, level.value);
             let mut path = VectorPath::default();
             for (from, to) in &all {
-                path.extend(VectorPath::segment(Self::at(*from), Self::at(*to)));
+                path.extend(VectorPath::segment(Self::to_canvas(*from), Self::to_canvas(*to)));
             }
             if path.0.is_empty() {
                 continue;
@@ -205,62 +219,68 @@ impl Panel {
             let ground = self.colour(level.value);
             scene.line(path, Stroke::solid(contrast_colour(ground), 0.8));
             let text = label(level.value, step);
-            let half = 0.5 * width(&text, Weight::Regular, SMALL) + 1.5;
+            let half = 0.5 * text_width(&text, Weight::Regular, TEXT_SIZE) + 1.5;
             let boxes = all.iter().map(|(a, b)| {
-                let (x, y) = Self::at((0.5 * (a.0 + b.0), 0.5 * (a.1 + b.1)));
-                ((x, y), [x - half, y - 0.6 * SMALL, x + half, y + 0.6 * SMALL])
+                let (x, y) = Self::to_canvas((0.5 * (a.0 + b.0), 0.5 * (a.1 + b.1)));
+                ((x, y), [x - half, y - 0.6 * TEXT_SIZE, x + half, y + 0.6 * TEXT_SIZE])
             });
-            let room = boxes.filter(|(_, corners)| within(corners)).map(|(at, corners)| {
-                let gaps = taken.iter().map(|other| gap(&corners, other));
+            let room = boxes.filter(|(_, corners)| is_in_panel(corners)).map(|(at, corners)| {
+                let gaps = taken.iter().map(|other| distance_between(&corners, other));
                 (gaps.fold(f64::INFINITY, f64::min), at, corners)
             });
             let widest = room.max_by(|a, b| a.0.total_cmp(&b.0));
-            if let Some((_, at, corners)) = widest.filter(|(gap, ..)| *gap >= CLEAR) {
+            if let Some((_, at, corners)) = widest.filter(|(gap, ..)| *gap >= MIN_LABEL_GAP) {
                 taken.push(corners);
                 labels.push((text, at, corners, ground));
             }
         }
         for (text, at, corners, ground) in labels {
             scene.area(VectorPath::rectangle(corners), Paint::Colour(ground), 1.0);
-            let mut text = Text::new(text, (at.0, at.1 + 0.36 * SMALL), SMALL).anchored(Anchor::Middle);
+            let mut text = Text::new(text, (at.0, at.1 + 0.36 * TEXT_SIZE), TEXT_SIZE).anchored(Anchor::Middle);
             text.paint = contrast_colour(ground);
             scene.text(text);
         }
     }
 
-    fn axes(&self, scene: &mut Scene) {
-        let [left, top, right, bottom] = PANEL;
+    fn draw_axes(&self, scene: &mut Scene) {
+        let [left, top, right, bottom] = PANEL_BOX;
         let axis = Stroke::solid(Paint::Ink, 0.7);
         for tick in ticks(self.x) {
-            let (x, long) = (Self::at((self.x.place(tick.value), 0.0)).0, long(&tick));
+            let (x, long) = (
+                Self::to_canvas((self.x.position(tick.value), 0.0)).0,
+                tick_length(&tick),
+            );
             scene.line(VectorPath::segment((x, bottom), (x, bottom + long)), axis);
-            let text = Text::new(tick.label, (x, bottom + LEADING + 1.5), SMALL);
+            let text = Text::new(tick.label, (x, bottom + LEADING + 1.5), TEXT_SIZE);
             scene.text(text.anchored(Anchor::Middle));
         }
         for tick in ticks(self.y) {
-            let (y, long) = (Self::at((0.0, self.y.place(tick.value))).1, long(&tick));
+            let (y, long) = (
+                Self::to_canvas((0.0, self.y.position(tick.value))).1,
+                tick_length(&tick),
+            );
             scene.line(VectorPath::segment((left - long, y), (left, y)), axis);
-            let text = Text::new(tick.label, (left - 5.0, y + 0.36 * SMALL), SMALL);
+            let text = Text::new(tick.label, (left - 5.0, y + 0.36 * TEXT_SIZE), TEXT_SIZE);
             scene.text(text.anchored(Anchor::End));
         }
-        scene.line(VectorPath::rectangle(PANEL), axis);
+        scene.line(VectorPath::rectangle(PANEL_BOX), axis);
         let below = (0.5 * (left + right), bottom + 2.0 * LEADING + 3.0);
-        scene.text(Text::new("μ1, weight of misdetections (logarithmic)", below, SMALL).anchored(Anchor::Middle));
-        let label_position = (EDGE + 0.76 * SMALL, 0.5 * (top + bottom));
+        scene.text(Text::new("μ1, weight of misdetections (logarithmic)", below, TEXT_SIZE).anchored(Anchor::Middle));
+        let label_position = (MARGIN + 0.76 * TEXT_SIZE, 0.5 * (top + bottom));
         let mut text =
-            Text::new("μ2, weight of information (logarithmic)", label_position, SMALL).anchored(Anchor::Middle);
-        text.upwards = true;
+            Text::new("μ2, weight of information (logarithmic)", label_position, TEXT_SIZE).anchored(Anchor::Middle);
+        text.is_vertical = true;
         scene.text(text);
     }
 
     /// Draws the key: the colour scale with values, and the meaning of marks.
-    fn key(&self, scene: &mut Scene, history: &History) {
-        let ((left, wide), [_, top, _, bottom]) = (KEY, PANEL);
+    fn draw_key(&self, scene: &mut Scene, history: &History) {
+        let ((left, wide), [_, top, _, bottom]) = (KEY_LEFT_AND_WIDTH, PANEL_BOX);
         let top = top + 2.0 * LEADING + 48.0;
-        let (low, high) = self.values;
+        let (low, high) = self.value_range;
         let place = |share: f64| bottom - share * (bottom - top);
-        for i in 0..STEPS {
-            let share = |i: f64| i / f64::from(STEPS);
+        for i in 0..KEY_STEPS {
+            let share = |i: f64| i / f64::from(KEY_STEPS);
             let (from, to) = (place(share(f64::from(i))), place(share(f64::from(i) + 1.0)));
             let value = low + share(f64::from(i) + 0.5) * (high - low);
             let corners = [left, to, left + wide, (from + 0.3).min(bottom)];
@@ -274,67 +294,87 @@ impl Panel {
             scene.line(VectorPath::segment((left + wide, y), (left + wide + 2.5, y)), line);
             scene.text(Text::new(
                 label(level.value, step),
-                (left + wide + 5.0, y + 0.36 * SMALL),
-                SMALL,
+                (left + wide + 5.0, y + 0.36 * TEXT_SIZE),
+                TEXT_SIZE,
             ));
         }
-        scene.text(Text::new("objective (mean)", (left, top - 5.0), SMALL));
-        let mut y = PANEL[1] + 0.76 * SMALL;
+        scene.text(Text::new("objective (mean)", (left, top - 5.0), TEXT_SIZE));
+        let mut y = PANEL_BOX[1] + 0.76 * TEXT_SIZE;
         for (is_best, words) in [(false, "evaluated pair, its number"), (true, "best pair")] {
             if is_best && history.points.is_empty() {
                 continue;
             }
-            mark(scene, (left + 6.0, y - 0.36 * SMALL), is_best);
-            scene.text(Text::new(words, (left + 17.0, y), SMALL));
+            draw_pair_mark(scene, (left + 6.0, y - 0.36 * TEXT_SIZE), is_best);
+            scene.text(Text::new(words, (left + 17.0, y), TEXT_SIZE));
             y += LEADING + 4.0;
         }
     }
 }
 
 /// Adds the mark of a pair to `scene`.
-fn mark(scene: &mut Scene, at: (f64, f64), is_best: bool) {
+fn draw_pair_mark(scene: &mut Scene, at: (f64, f64), is_best: bool) {
     let (paper, ink) = (Paint::Colour(Rgb(255, 255, 255)), Paint::Colour(Rgb(0, 0, 0)));
     if is_best {
-        scene.outlined(MarkerShape::Star.path(at, STAR), paper, Stroke::solid(ink, 0.9));
+        scene.outlined(
+            MarkerShape::Star.path(at, BEST_PAIR_RADIUS),
+            paper,
+            Stroke::solid(ink, 0.9),
+        );
     } else {
-        scene.outlined(MarkerShape::Circle.path(at, DOT), ink, Stroke::solid(paper, 0.8));
+        scene.outlined(
+            MarkerShape::Circle.path(at, PAIR_RADIUS),
+            ink,
+            Stroke::solid(paper, 0.8),
+        );
     }
 }
 
-/// Finds a position for the middle of `text` near `place`, clear of all `taken` boxes. Returns it with the text's box.
-fn free(place: (f64, f64), text: &str, taken: &[Rect]) -> ((f64, f64), Rect) {
-    let half = 0.5 * width(text, Weight::Regular, SMALL) + 1.2;
-    let candidates = REACHES.iter().flat_map(|reach| {
-        (0..TURNS).map(move |turn| {
-            let angle = std::f64::consts::TAU * f64::from(turn) / f64::from(TURNS);
-            let at = (place.0 + reach * libm::cos(angle), place.1 - reach * libm::sin(angle));
-            let corners = [at.0 - half, at.1 - 0.56 * SMALL, at.0 + half, at.1 + 0.56 * SMALL];
+/// Finds a position for the middle of `text` near `pair_position`, clear of all `taken_boxes`. Returns it with the
+/// text's box.
+fn free_position(pair_position: (f64, f64), text: &str, taken_boxes: &[Rect]) -> ((f64, f64), Rect) {
+    let half_width = 0.5 * text_width(text, Weight::Regular, TEXT_SIZE) + 1.2;
+    let candidates = NUMBER_DISTANCES.iter().flat_map(|distance| {
+        (0..NUMBER_DIRECTIONS).map(move |direction| {
+            let angle = std::f64::consts::TAU * f64::from(direction) / f64::from(NUMBER_DIRECTIONS);
+            let at = (
+                pair_position.0 + distance * libm::cos(angle),
+                pair_position.1 - distance * libm::sin(angle),
+            );
+            let corners = [
+                at.0 - half_width,
+                at.1 - 0.56 * TEXT_SIZE,
+                at.0 + half_width,
+                at.1 + 0.56 * TEXT_SIZE,
+            ];
             (at, corners)
         })
     });
-    let mut fitting = candidates
-        .clone()
-        .filter(|(_, corners)| within(corners) && !taken.iter().any(|other| overlap(&grown(*corners, 0.6), other)));
+    let mut free_positions = candidates.clone().filter(|(_, corners)| {
+        is_in_panel(corners)
+            && !taken_boxes
+                .iter()
+                .any(|other| boxes_overlap(&enlarge(*corners, 0.6), other))
+    });
     // Without any free position, an overlap cannot be avoided.
-    fitting
+    free_positions
         .next()
         .or_else(|| candidates.clone().next())
         .expect("there are candidates")
 }
 
 /// Returns whether a box lies in the panel.
-fn within(corners: &Rect) -> bool {
-    let [left, top, right, bottom] = grown(PANEL, -2.0);
+fn is_in_panel(corners: &Rect) -> bool {
+    let [left, top, right, bottom] = enlarge(PANEL_BOX, -2.0);
     corners[0] >= left && corners[1] >= top && corners[2] <= right && corners[3] <= bottom
 }
 
 /// Returns the distance between two boxes, negative if they overlap.
-fn gap(a: &Rect, b: &Rect) -> f64 {
+fn distance_between(a: &Rect, b: &Rect) -> f64 {
     let apart = |low: usize, high: usize| (b[low] - a[high]).max(a[low] - b[high]);
     apart(0, 2).max(apart(1, 3))
 }
 
-const fn long(tick: &AxisTick) -> f64 {
+const fn tick_length(tick: &AxisTick) -> f64 {
     if tick.label.is_empty() { 1.8 } else { 3.0 }
 }
 

@@ -1,4 +1,4 @@
-//! Rows of the report, one for each claim, with a column for each condition.
+//! Rows and columns of a [`super::ClaimReport`]: a row for each claim, with an assessment for each condition.
 
 use super::judge::Verdict;
 use crate::claims::{Citation, Contradiction};
@@ -10,57 +10,59 @@ pub const PRESETS: [&str; 2] = ["paper", "paper-literal"];
 /// Our result for a claim under one condition.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Assessment {
-    /// Our figure, with its 95 % interval; empty without runs.
-    pub found: String,
+    /// Our value of the claim's quantity, with its 95 % interval; empty without runs.
+    pub measured: String,
     /// Verdict on the claim.
     pub verdict: Verdict,
     /// Whether the verdict holds throughout the interval.
-    pub firm: bool,
-    /// Known cause of an unmet claim; empty if the claim is met.
-    pub why: String,
-    /// Distance of our figures from the statement, for comparing settings: 0 if the claim is met, infinite if
+    pub is_firm: bool,
+    /// Explanation of an unmet or doubtful verdict, and of missing runs; empty otherwise.
+    pub explanation: String,
+    /// Deviation of our findings from the statement, for comparing settings: 0 if the claim is met, infinite if
     /// undefined. See [`super::search`].
-    pub off: f64,
+    pub deviation: f64,
 }
 
 /// A claim with its results.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ClaimRow {
-    /// Figure of the paper that the claim is about.
-    pub source: &'static str,
+    /// Figure of the paper that the claim is about. Neighbouring rows with one figure form a table.
+    pub paper_figure: &'static str,
     /// Description of the metric.
-    pub about: String,
+    pub metric_description: String,
     /// The policy.
     pub policy: String,
     /// The N for which the claim is made.
-    pub sites: String,
-    /// Statement of the paper.
-    pub paper: String,
+    pub device_counts: String,
+    /// Statement of the paper, as text.
+    pub stated: String,
     /// Place of the claim in the paper.
-    pub place: Citation,
+    pub citation: Citation,
     /// Second place with the same claim.
-    pub again: Option<Citation>,
+    pub second_citation: Option<Citation>,
     /// Reason for the choice of metric; empty without alternatives.
-    pub judged: &'static str,
+    pub metric_reason: &'static str,
     /// Chosen reading of an ambiguous sentence; empty otherwise.
-    pub reading: &'static str,
+    pub interpretation: &'static str,
     /// Contradiction with another statement, if any.
     pub contradicts: Option<Contradiction>,
     /// Our results, one for each of [`super::ClaimReport::columns`].
-    pub ours: Vec<Assessment>,
+    pub assessments: Vec<Assessment>,
 }
 
 impl ClaimRow {
     /// Whether any condition has runs for the claim.
-    pub fn is_run(&self) -> bool {
-        self.ours.iter().any(|ours| ours.verdict != Verdict::NotRun)
+    pub fn has_runs(&self) -> bool {
+        self.assessments
+            .iter()
+            .any(|assessment| assessment.verdict != Verdict::NotRun)
     }
 
     /// All places of the claim in the paper.
-    pub fn places(&self) -> String {
-        match self.again {
-            Some(again) => format!("{}; {again}", self.place),
-            None => self.place.to_string(),
+    pub fn citations(&self) -> String {
+        match self.second_citation {
+            Some(second) => format!("{}; {second}", self.citation),
+            None => self.citation.to_string(),
         }
     }
 }

@@ -1,35 +1,36 @@
-//! Distance of figures from a claim, as a number. It compares settings if none meets the claim.
+//! Deviation of findings from a claim, as a number. [`super::search`] uses it to find the setting closest to a claim
+//! that none meets. [`super::finding_text`] describes the same deviations as text; change both.
 
 use super::judge::Finding;
 use crate::claims::{Claim, Statement};
 
-/// Computes the distance of `findings` from `claim`: 0 if they are as stated, infinite if it is undefined.
+/// Computes the deviation of `findings` from `claim`: 0 if they are as stated, infinite if it is undefined.
 ///
 /// Values, ranges and bounds: |ln(ours / the nearest allowed value)|, the largest over several N and policies. A stated
 /// 0: |ln| of our multiple of the 1 % of the others that counts as 0. A trend: the largest step against it, as a share
-/// of the range of all means. A constant level: half the range divided by the middle. Distances are comparable only
+/// of the range of all means. A constant level: half the range divided by the middle. Deviations are comparable only
 /// under the same claim.
-pub(super) fn off(claim: &Claim, findings: &[Finding]) -> f64 {
+pub(super) fn deviation(claim: &Claim, findings: &[Finding]) -> f64 {
     if findings.is_empty() {
         return f64::INFINITY;
     }
-    let worst = |of: &dyn Fn(&Finding) -> f64| findings.iter().map(of).fold(0.0, f64::max);
+    let worst = |deviation_of: &dyn Fn(&Finding) -> f64| findings.iter().map(deviation_of).fold(0.0, f64::max);
     match claim.statement {
-        Statement::About(0.0) => worst(&|one| factor(one.value, 0.0, one.zero)),
-        Statement::About(v) => worst(&|one| factor(one.value, v, v)),
-        Statement::Between(low, high) => worst(&|one| factor(one.value, low, high)),
-        Statement::Below(v) => worst(&|one| factor(one.value, f64::NEG_INFINITY, v)),
-        Statement::Above(v) => worst(&|one| factor(one.value, v, f64::INFINITY)),
-        Statement::Largest(v) => factor(over(findings, f64::max), v, v),
-        Statement::Smallest(v) => factor(over(findings, f64::min), v, v),
-        Statement::Level => level(over(findings, f64::min), over(findings, f64::max)),
-        Statement::Falls => against(findings, |earlier, later| later - earlier),
-        Statement::Rises => against(findings, |earlier, later| earlier - later),
+        Statement::About(0.0) => worst(&|finding| log_factor(finding.value, 0.0, finding.zero_limit)),
+        Statement::About(v) => worst(&|finding| log_factor(finding.value, v, v)),
+        Statement::Between(low, high) => worst(&|finding| log_factor(finding.value, low, high)),
+        Statement::Below(v) => worst(&|finding| log_factor(finding.value, f64::NEG_INFINITY, v)),
+        Statement::Above(v) => worst(&|finding| log_factor(finding.value, v, f64::INFINITY)),
+        Statement::Largest(v) => log_factor(reduce_values(findings, f64::max), v, v),
+        Statement::Smallest(v) => log_factor(reduce_values(findings, f64::min), v, v),
+        Statement::Constant => level_deviation(reduce_values(findings, f64::min), reduce_values(findings, f64::max)),
+        Statement::Falls => trend_deviation(findings, |earlier, later| later - earlier),
+        Statement::Rises => trend_deviation(findings, |earlier, later| earlier - later),
     }
 }
 
 /// Computes |ln| of the factor from `value` to the nearest value in `low` to `high`.
-fn factor(value: f64, low: f64, high: f64) -> f64 {
+fn log_factor(value: f64, low: f64, high: f64) -> f64 {
     let nearest = value.clamp(low, high);
     let is_there = value.total_cmp(&nearest).is_eq();
     let factor = value / nearest;
@@ -40,11 +41,12 @@ fn factor(value: f64, low: f64, high: f64) -> f64 {
     }
 }
 
-fn over(findings: &[Finding], pick: fn(f64, f64) -> f64) -> f64 {
+fn reduce_values(findings: &[Finding], pick: fn(f64, f64) -> f64) -> f64 {
     findings.iter().map(|one| one.value).reduce(pick).unwrap_or(f64::NAN)
 }
 
-fn level(least: f64, most: f64) -> f64 {
+/// Computes half the range divided by the middle.
+fn level_deviation(least: f64, most: f64) -> f64 {
     if most > least {
         (most - least) / (most + least)
     } else {
@@ -53,14 +55,14 @@ fn level(least: f64, most: f64) -> f64 {
 }
 
 /// Computes the largest step against a trend between two N, as a share of the range; 1 if all values are equal.
-fn against(findings: &[Finding], step: impl Fn(f64, f64) -> f64) -> f64 {
-    let of_one = |a: &Finding, b: &Finding| a.other == b.other && a.n < b.n;
+fn trend_deviation(findings: &[Finding], step: impl Fn(f64, f64) -> f64) -> f64 {
+    let is_later_of_same = |a: &Finding, b: &Finding| a.other_policy == b.other_policy && a.n < b.n;
     let pairs = findings.iter().flat_map(|a| findings.iter().map(move |b| (a, b)));
     let largest = pairs
-        .filter(|(a, b)| of_one(a, b))
+        .filter(|(a, b)| is_later_of_same(a, b))
         .map(|(a, b)| step(a.value, b.value))
         .fold(0.0, f64::max);
-    let range = over(findings, f64::max) - over(findings, f64::min);
+    let range = reduce_values(findings, f64::max) - reduce_values(findings, f64::min);
     // Without any change there is no trend, which is as far off as the largest possible step.
     if range > 0.0 { largest / range } else { 1.0 }
 }
@@ -73,16 +75,16 @@ mod tests {
     fn of(statement: Statement, values: &[f64]) -> f64 {
         let finding = |(n, value): (u32, &f64)| Finding {
             n,
-            other: None,
+            other_policy: None,
             value: *value,
             low: 0.0,
             high: f64::INFINITY,
-            zero: 0.5,
-            reading: None,
+            zero_limit: 0.5,
+            metric_estimate: None,
         };
         let findings: Vec<Finding> = (1..).zip(values).map(finding).collect();
-        off(
-            &Claim::new("knn", DeviceCounts::Everywhere, ClaimQuantity::Own, statement, FIG_8),
+        deviation(
+            &Claim::new("knn", DeviceCounts::Everywhere, ClaimQuantity::Mean, statement, FIG_8),
             &findings,
         )
     }
@@ -103,8 +105,8 @@ mod tests {
             (Statement::Above(2.0), vec![1.0, 9.0], two),
             (Statement::Largest(4.0), vec![1.0, 8.0, 2.0], two),
             (Statement::Smallest(4.0), vec![1.0, 8.0], four),
-            (Statement::Level, vec![1.0, 3.0], 0.5),
-            (Statement::Level, vec![0.0, 0.0], 0.0),
+            (Statement::Constant, vec![1.0, 3.0], 0.5),
+            (Statement::Constant, vec![0.0, 0.0], 0.0),
             (Statement::Falls, vec![5.0, 1.0, 3.0], 0.5),
             (Statement::Falls, vec![5.0, 4.0, 3.0], 0.0),
             (Statement::Falls, vec![5.0, 5.0], 1.0),

@@ -1,4 +1,5 @@
-//! The claims on λ (Figs. 13 and 14): the λ from which on a device harvests more than it spends.
+//! The claims on λ (Figs. 13 and 14): the λ from which on a device harvests more than it spends. They become rows of
+//! the report like the claims of [`crate::claims`], but have a rule of their own.
 //!
 //! As in the paper, consumption is held fixed at a policy's spending in the tables (Fig. 8) while λ varies. The
 //! policies are those that the paper names at the ends of its ranges, regardless of their rank in our runs.
@@ -8,84 +9,95 @@ use reveille_common::harvest::HarvestKind;
 
 use super::causes::NOT_RUN;
 use super::claim_rows::{Assessment, ClaimRow, ConditionColumn};
-use super::judge::{FitLevel, Verdict, about, verdict_of};
-use super::phrasing::{number, plain, plus_minus};
-use crate::analysis::harvest::{LambdaReading, STATED, StatedEnd, StatedThreshold, positive_net};
-use crate::figures::energy::consumption;
+use super::judge::{FitLevel, Verdict, fit_to_value, verdict_of};
+use super::phrasing::{format_exact, format_number, format_plus_minus};
+use crate::analysis::harvest::{
+    LambdaReading, STATED_THRESHOLDS, StatedEnd, StatedThreshold, lambdas_with_positive_net,
+};
+use crate::figures::energy::extreme_consumptions;
 use crate::figures::results::RunCondition;
 use reveille_lab::stats::Estimate;
 
 /// Metric that is held fixed.
-const SPENT: &str = "energy_per_device_tti";
+const CONSUMPTION_METRIC: &str = "energy_per_device_tti";
 /// Reading of a single λ.
-const LONE: &str = "A single λ, \"as low as\", is read as the λ of the policy that spends least.";
+const SINGLE_LAMBDA: &str = "A single λ, \"as low as\", is read as the λ of the policy that spends least.";
 
 /// All claims on λ.
-pub(super) fn lines(columns: &[ConditionColumn<'_>]) -> Vec<ClaimRow> {
-    let lines = |stated: &'static StatedThreshold| {
-        let own = stated.ends().enumerate();
-        own.map(move |(end, value)| line(stated, end == 1, value, columns))
+pub(super) fn claim_rows(columns: &[ConditionColumn<'_>]) -> Vec<ClaimRow> {
+    let rows = |stated: &'static StatedThreshold| {
+        let ends = stated.ends().enumerate();
+        ends.map(move |(index, stated_end)| claim_row(stated, index == 1, stated_end, columns))
     };
-    let mut lines: Vec<ClaimRow> = STATED.iter().flat_map(lines).collect();
-    // Sections are made of neighbouring lines, and the statements on Fig. 14 lie between those on Fig. 13.
-    lines.sort_by_key(|line| line.source);
-    lines
+    let mut rows: Vec<ClaimRow> = STATED_THRESHOLDS.iter().flat_map(rows).collect();
+    // The report groups neighbouring rows, and the statements on Fig. 14 lie between those on Fig. 13.
+    rows.sort_by_key(|row| row.paper_figure);
+    rows
 }
 
 /// Whether a claim on λ concerns the runs of `condition`.
-pub(super) fn concerns(condition: &RunCondition) -> bool {
-    let mut ends = STATED
+pub(super) fn has_claims_on(condition: &RunCondition) -> bool {
+    let mut ends = STATED_THRESHOLDS
         .iter()
         .flat_map(|stated| stated.ends().map(|end| (stated.devices, end.policy)));
-    ends.any(|(n, policy)| condition.estimate(policy, n, SPENT).is_some())
+    ends.any(|(n, policy)| condition.estimate(policy, n, CONSUMPTION_METRIC).is_some())
 }
 
-fn line(stated: &'static StatedThreshold, is_most: bool, end: StatedEnd, columns: &[ConditionColumn<'_>]) -> ClaimRow {
+fn claim_row(
+    stated: &'static StatedThreshold,
+    is_most: bool,
+    end: StatedEnd,
+    columns: &[ConditionColumn<'_>],
+) -> ClaimRow {
     let rank = if is_most { "most" } else { "least" };
     ClaimRow {
-        source: stated.source,
-        about: format!("λ above which net energy is positive, E_B = {}", stated.e_b),
+        paper_figure: stated.paper_figure,
+        metric_description: format!("λ above which net energy is positive, E_B = {}", stated.e_b),
         policy: format!("{}, spends {rank}", end.policy),
-        sites: format!("N = {}", stated.devices),
-        paper: format!("≈ {}", plain(end.lambda)),
-        place: stated.place,
-        again: None,
-        judged: "",
-        reading: if stated.most.is_none() { LONE } else { "" },
+        device_counts: format!("N = {}", stated.devices),
+        stated: format!("≈ {}", format_exact(end.lambda)),
+        citation: stated.citation,
+        second_citation: None,
+        metric_reason: "",
+        interpretation: if stated.most_consumption.is_none() {
+            SINGLE_LAMBDA
+        } else {
+            ""
+        },
         contradicts: stated.contradicts,
-        ours: columns
+        assessments: columns
             .iter()
-            .map(|column| ours(stated, is_most, end, column))
+            .map(|column| assess(stated, is_most, end, column))
             .collect(),
     }
 }
 
-fn ours(stated: &StatedThreshold, is_most: bool, end: StatedEnd, column: &ConditionColumn<'_>) -> Assessment {
-    let none = |why: String| Assessment {
-        found: String::new(),
+fn assess(stated: &StatedThreshold, is_most: bool, end: StatedEnd, column: &ConditionColumn<'_>) -> Assessment {
+    let not_run = |explanation: String| Assessment {
+        measured: String::new(),
         verdict: Verdict::NotRun,
-        firm: true,
-        why,
-        off: f64::INFINITY,
+        is_firm: true,
+        explanation,
+        deviation: f64::INFINITY,
     };
     let condition = column.condition;
-    let Some(spent) = condition.estimate(end.policy, stated.devices, SPENT) else {
-        return none(NOT_RUN.to_owned());
+    let Some(spent) = condition.estimate(end.policy, stated.devices, CONSUMPTION_METRIC) else {
+        return not_run(NOT_RUN.to_owned());
     };
     let Some(tau) = condition.scenario.as_ref().and_then(tau_of_eq5) else {
-        return none(
+        return not_run(
             "Not comparable: the claim is about Eq. (5), but these runs have another energy source, or their table \
              does not name it."
                 .to_owned(),
         );
     };
-    let mut ours = judge((stated.e_b, tau), end, &spent);
-    let place = place(condition, stated.devices, is_most, end.policy);
-    if !place.is_empty() {
-        let why = format!("{} {place}", ours.why);
-        why.trim_start().clone_into(&mut ours.why);
+    let mut assessment = judge_threshold((stated.e_b, tau), end, &spent);
+    let note = rank_note(condition, stated.devices, is_most, end.policy);
+    if !note.is_empty() {
+        let explanation = format!("{} {note}", assessment.explanation);
+        explanation.trim_start().clone_into(&mut assessment.explanation);
     }
-    ours
+    assessment
 }
 
 /// τ of a scenario in which all devices harvest by Eq. (5); `None` for any other.
@@ -98,91 +110,96 @@ fn tau_of_eq5(scenario: &Scenario) -> Option<f64> {
 }
 
 /// Returns a note if `policy` is not at the end of our range that the paper assigns to it; empty otherwise.
-fn place(condition: &RunCondition, n: u32, is_most: bool, policy: &str) -> String {
-    let Some([least, most]) = consumption(condition, n) else {
+fn rank_note(condition: &RunCondition, n: u32, is_most: bool, policy: &str) -> String {
+    let Some([least, most]) = extreme_consumptions(condition, n) else {
         return String::new();
     };
-    let (own, other, rank) = if is_most {
+    let (expected, other, rank) = if is_most {
         (&most, &least, ["most", "least"])
     } else {
         (&least, &most, ["least", "most"])
     };
-    if own.0 == policy {
+    if expected.0 == policy {
         return String::new();
     }
     let [rank, opposite] = rank;
-    let here = if other.0 == policy {
+    let actual = if other.0 == policy {
         format!("it spends {opposite} of all")
     } else {
         "it spends neither the most nor the least".to_owned()
     };
     format!(
-        "In the paper {policy} spends {rank}; here {here}, and {} spends {rank}, {} units.",
-        own.0,
-        number(own.1.mean)
+        "In the paper {policy} spends {rank}; here {actual}, and {} spends {rank}, {} units.",
+        expected.0,
+        format_number(expected.1.mean)
     )
 }
 
-fn judge((e_b, tau): (f64, f64), end: StatedEnd, spent: &Estimate) -> Assessment {
-    let StatedEnd { lambda: stated, policy } = end;
-    // `positive_net` needs a consumption above 0, but the interval may reach below it.
-    let threshold =
-        |spent: f64| positive_net(LambdaReading::Eq5, e_b, spent.max(f64::MIN_POSITIVE), tau).map(|(from, _)| from);
+/// Judges a stated λ by the λ from which on the harvest under Eq. (5) exceeds `spent`.
+fn judge_threshold((e_b, tau): (f64, f64), end: StatedEnd, spent: &Estimate) -> Assessment {
+    let StatedEnd {
+        lambda: stated_lambda,
+        policy,
+    } = end;
+    // `lambdas_with_positive_net` needs a consumption above 0, but the interval may reach below it.
+    let threshold = |spent: f64| {
+        lambdas_with_positive_net(LambdaReading::Eq5, e_b, spent.max(f64::MIN_POSITIVE), tau).map(|(from, _)| from)
+    };
     // The interval of one run is unknown: its half-width is NaN.
     let is_one_run = spent.half_width.is_nan();
     let (low, high) = (
         threshold(spent.mean - spent.half_width),
         threshold(spent.mean + spent.half_width),
     );
-    let Some(found) = threshold(spent.mean) else {
-        let most = e_b * LambdaReading::Eq5.probability(1.0 / tau, tau);
+    let Some(lambda) = threshold(spent.mean) else {
+        let max_harvest = e_b * LambdaReading::Eq5.probability(1.0 / tau, tau);
         return Assessment {
-            found: "never".to_owned(),
+            measured: "never".to_owned(),
             verdict: Verdict::NotReproduced,
-            firm: low.is_none() && !is_one_run,
-            why: format!(
+            is_firm: low.is_none() && !is_one_run,
+            explanation: format!(
                 "{policy} spends {} units, but under Eq. (5) the harvest is at most E_B/e = {}. The paper's values fit \
                  a harvest of about λ·E_B, to which λ·exp(-λ)·E_B is close for small λ only.",
-                number(spent.mean),
-                number(most)
+                format_number(spent.mean),
+                format_number(max_harvest)
             ),
-            off: f64::INFINITY,
+            deviation: f64::INFINITY,
         };
     };
-    let fits = about(found, stated);
+    let fit = fit_to_value(lambda, stated_lambda);
     let measured = match (low, high) {
-        _ if is_one_run => plus_minus(found, f64::NAN),
-        (Some(low), Some(high)) => plus_minus(found, 0.5 * (high - low)),
-        (Some(_) | None, None) | (None, Some(_)) => format!("{}, perhaps never", number(found)),
+        _ if is_one_run => format_plus_minus(lambda, f64::NAN),
+        (Some(low), Some(high)) => format_plus_minus(lambda, 0.5 * (high - low)),
+        (Some(_) | None, None) | (None, Some(_)) => format!("{}, perhaps never", format_number(lambda)),
     };
-    let firm = !is_one_run
+    let is_firm = !is_one_run
         && low
             .zip(high)
-            .is_some_and(|(a, b)| about(a, stated) == fits && about(b, stated) == fits);
-    let doubt = if firm {
+            .is_some_and(|(a, b)| fit_to_value(a, stated_lambda) == fit && fit_to_value(b, stated_lambda) == fit);
+    let doubt = if is_firm {
         ""
     } else {
         " Our interval crosses the limit of this verdict; more runs would decide."
     };
-    let why = if fits == FitLevel::Yes {
+    let explanation = if fit == FitLevel::Yes {
         doubt.trim_start().to_owned()
     } else {
-        let needed = e_b * LambdaReading::Eq5.probability(stated, tau);
+        let needed = e_b * LambdaReading::Eq5.probability(stated_lambda, tau);
         format!(
             "{policy} spends {} units here; the paper's λ corresponds to a consumption of {}.{doubt}",
-            number(spent.mean),
-            number(needed)
+            format_number(spent.mean),
+            format_number(needed)
         )
     };
     Assessment {
-        found: measured,
-        verdict: verdict_of(fits).unwrap_or(Verdict::NotReproduced),
-        firm,
-        why,
-        off: if fits == FitLevel::Yes {
+        measured,
+        verdict: verdict_of(fit).unwrap_or(Verdict::NotReproduced),
+        is_firm,
+        explanation,
+        deviation: if fit == FitLevel::Yes {
             0.0
         } else {
-            libm::log(found / stated).abs()
+            libm::log(lambda / stated_lambda).abs()
         },
     }
 }
@@ -200,15 +217,15 @@ mod tests {
         // Under Eq. (5), some λ harvests 0.2 units and no λ harvests 5 units.
         for spent in [0.2, 5.0] {
             let ours = |spent: &[f64]| {
-                judge(
+                judge_threshold(
                     (5.0, 1.0),
                     end,
                     &Estimate::from_values(spent.iter().copied()).expect("a run"),
                 )
             };
             let (one, two) = (ours(&[spent]), ours(&[spent, spent * 1.001]));
-            assert!(!one.firm && two.firm, "{one:?} {two:?}");
-            assert!(!one.found.contains('±'), "{one:?}");
+            assert!(!one.is_firm && two.is_firm, "{one:?} {two:?}");
+            assert!(!one.measured.contains('±'), "{one:?}");
         }
     }
 }

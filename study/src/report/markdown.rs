@@ -1,28 +1,32 @@
-//! The report as Markdown.
+//! The report as Markdown: a whole file ([`markdown`]), or sections of a page ([`page_sections`]).
+//!
+//! Section names are marks in `docs/reproduction.md`. Every table row must have the columns of its head.
 
 use std::fmt::Write as _;
 
 use super::judge::Verdict;
-use super::notes::{RULE, absent, origins, remarks, runs, verdict};
-use super::page_sections::{PageSection, wrapped};
+use super::notes::{
+    VERDICT_RULE, describe_missing_runs, describe_origins, describe_runs, remarks_on_paper, verdict_cell,
+};
+use super::page_sections::{PageSection, wrap_text};
 use super::{ClaimReport, ClaimRow, ConditionColumn, PRESETS};
 
-/// Renders the whole report.
+/// Renders the whole report. `figures` are titles and files, and `command` is the command that made it.
 pub fn markdown(report: &ClaimReport<'_>, figures: &[(String, String)], command: &str) -> String {
     let mut out = String::from("# Claims of the paper and measurements of Reveille\n\n");
-    for line in runs(report).into_iter().chain(absent(report)) {
+    for line in describe_runs(report).into_iter().chain(describe_missing_runs(report)) {
         let _ = writeln!(out, "- {line}");
     }
-    let _ = writeln!(out, "\n{RULE}\n");
-    out.push_str(&tally(report));
-    for (source, lines) in report.sections() {
-        out.push_str(&head(report, source));
-        out.extend(lines.iter().map(|line| row(line)));
+    let _ = writeln!(out, "\n{VERDICT_RULE}\n");
+    out.push_str(&tally_table(report));
+    for (figure, rows) in report.rows_by_figure() {
+        out.push_str(&table_head(report, figure));
+        out.extend(rows.iter().map(|line| table_row(line)));
     }
-    out.push_str(&why(report));
-    for remarks in remarks(report) {
-        let _ = writeln!(out, "\n## {}\n", remarks.heading);
-        for item in remarks.items {
+    out.push_str(&why_section(report));
+    for notes in remarks_on_paper(report) {
+        let _ = writeln!(out, "\n## {}\n", notes.heading);
+        for item in notes.items {
             let _ = writeln!(out, "- {item}");
         }
     }
@@ -32,69 +36,72 @@ pub fn markdown(report: &ClaimReport<'_>, figures: &[(String, String)], command:
             let _ = writeln!(out, "![{title}]({file})");
         }
     }
-    out.push_str(&made(report, command));
+    out.push_str(&origin_section(report, command));
     out
 }
 
 /// Renders the report as sections of a page, with third-level headings.
-pub fn parts(report: &ClaimReport<'_>, command: &str) -> Vec<PageSection> {
-    let sections = report.sections().into_iter();
-    let sections = sections.map(|(source, lines)| {
-        let rows = lines.iter().map(|line| row(line));
-        lower(&head(report, source)) + &rows.collect::<String>()
+pub fn page_sections(report: &ClaimReport<'_>, command: &str) -> Vec<PageSection> {
+    let tables = report.rows_by_figure().into_iter();
+    let tables = tables.map(|(figure, rows_of_figure)| {
+        let rows = rows_of_figure.iter().map(|row| table_row(row));
+        demote_headings(&table_head(report, figure)) + &rows.collect::<String>()
     });
-    let [against, readings] = remarks(report);
+    let [contradictions, interpretations] = remarks_on_paper(report);
     vec![
-        PageSection::list("runs", runs(report).into_iter().chain(absent(report))),
-        PageSection::new("rule", wrapped(RULE, "")),
-        PageSection::new("tally", tally(report)),
-        PageSection::new("claims", sections.collect()),
+        PageSection::list(
+            "runs",
+            describe_runs(report).into_iter().chain(describe_missing_runs(report)),
+        ),
+        PageSection::new("rule", wrap_text(VERDICT_RULE, "")),
+        PageSection::new("tally", tally_table(report)),
+        PageSection::new("claims", tables.collect()),
         // The paper makes no statements on other settings, and their reasons would fill another page.
         PageSection::list(
             "why",
-            reasons(report, |column| PRESETS.contains(&column.label.as_str())),
+            explanations(report, |column| PRESETS.contains(&column.label.as_str())),
         ),
-        PageSection::list("contradictions", against.items),
-        PageSection::list("readings", readings.items),
-        PageSection::new("made", folded(&made(report, command))),
+        PageSection::list("contradictions", contradictions.items),
+        PageSection::list("readings", interpretations.items),
+        PageSection::new("made", without_heading_wrapped(&origin_section(report, command))),
     ]
 }
 
 /// Converts second-level headings to third-level ones.
-pub(super) fn lower(text: &str) -> String {
+pub(super) fn demote_headings(text: &str) -> String {
     text.replace("\n## ", "\n### ")
 }
 
-/// Removes the heading from the notes on the page's origin, and wraps their lists to the page width.
-pub(super) fn folded(text: &str) -> String {
+/// Removes the second-level headings from the text of [`origin_section`], and wraps their lists to the page width.
+pub(super) fn without_heading_wrapped(text: &str) -> String {
     let lines = text.lines().filter(|line| !line.starts_with("## "));
-    let fold = |line: &str| match line.strip_prefix("- ") {
-        Some(_) => wrapped(line, "  "),
+    let wrap_item = |line: &str| match line.strip_prefix("- ") {
+        Some(_) => wrap_text(line, "  "),
         None => format!("{line}\n"),
     };
-    lines.map(fold).collect()
+    lines.map(wrap_item).collect()
 }
 
-fn tally(report: &ClaimReport<'_>) -> String {
+fn tally_table(report: &ClaimReport<'_>) -> String {
     let mut out = String::from("| claims |");
     for column in &report.columns {
-        let _ = write!(out, " {} |", cell(&column.label));
+        let _ = write!(out, " {} |", escape_cell(&column.label));
     }
     let _ = writeln!(out, "\n|---|{}", "---|".repeat(report.columns.len()));
     for verdict in Verdict::ALL {
-        let _ = write!(out, "| {} |", verdict.words());
+        let _ = write!(out, "| {} |", verdict.name());
         for column in 0..report.columns.len() {
-            let _ = write!(out, " {} |", report.tally(column, verdict));
+            let _ = write!(out, " {} |", report.tally_text(column, verdict));
         }
         out.push('\n');
     }
     out
 }
 
-fn head(report: &ClaimReport<'_>, source: &str) -> String {
-    let mut out = format!("\n## {source}\n\n| | policy | N | stated |");
+fn table_head(report: &ClaimReport<'_>, paper_figure: &str) -> String {
+    let mut out = format!("\n## {paper_figure}\n\n| | policy | N | stated |");
     for column in &report.columns {
-        let _ = write!(out, " {} | verdict |", cell(&column.label));
+        let _ = write!(out, " {} | verdict |", escape_cell(&column.label));
     }
     let _ = writeln!(
         out,
@@ -104,61 +111,66 @@ fn head(report: &ClaimReport<'_>, source: &str) -> String {
     out
 }
 
-fn row(line: &ClaimRow) -> String {
+fn table_row(row: &ClaimRow) -> String {
     let mut out = format!(
         "| {} | {} | {} | {} |",
-        cell(&line.about),
-        line.policy,
-        line.sites,
-        cell(&line.paper)
+        escape_cell(&row.metric_description),
+        row.policy,
+        row.device_counts,
+        escape_cell(&row.stated)
     );
-    for (column, ours) in line.ours.iter().enumerate() {
-        let _ = write!(out, " {} | {} |", cell(&ours.found), verdict(line, column));
+    for (column, assessment) in row.assessments.iter().enumerate() {
+        let _ = write!(
+            out,
+            " {} | {} |",
+            escape_cell(&assessment.measured),
+            verdict_cell(row, column)
+        );
     }
-    let _ = writeln!(out, " {} |", cell(&line.places()));
+    let _ = writeln!(out, " {} |", escape_cell(&row.citations()));
     out
 }
 
-fn why(report: &ClaimReport<'_>) -> String {
+fn why_section(report: &ClaimReport<'_>) -> String {
     let mut out = String::from("\n## Why\n\n");
-    for reason in reasons(report, |_| true) {
+    for reason in explanations(report, |_| true) {
         let _ = writeln!(out, "- {reason}");
     }
     out
 }
 
-/// Explains unmet claims in the columns for which `is_told` holds, as far as known, in one or more sentences each.
-fn reasons(report: &ClaimReport<'_>, is_told: impl Fn(&ConditionColumn<'_>) -> bool) -> Vec<String> {
-    let mut reasons = Vec::new();
-    for line in report.lines.iter().filter(|line| line.is_run()) {
-        let columns = report.columns.iter().zip(&line.ours);
-        for (column, ours) in columns.filter(|(column, _)| is_told(column)) {
-            if !ours.why.is_empty() && ours.verdict != Verdict::NotRun {
+/// Explains verdicts in the columns for which `is_included` holds, as far as known, in one or more sentences each.
+fn explanations(report: &ClaimReport<'_>, is_included: impl Fn(&ConditionColumn<'_>) -> bool) -> Vec<String> {
+    let mut sentences = Vec::new();
+    for row in report.rows.iter().filter(|row| row.has_runs()) {
+        let columns = report.columns.iter().zip(&row.assessments);
+        for (column, assessment) in columns.filter(|(column, _)| is_included(column)) {
+            if !assessment.explanation.is_empty() && assessment.verdict != Verdict::NotRun {
                 let ClaimRow {
-                    source,
+                    paper_figure,
                     policy,
-                    sites,
-                    about,
-                    paper,
+                    device_counts,
+                    metric_description,
+                    stated,
                     ..
-                } = line;
-                reasons.push(format!(
-                    "{source}, {policy}, {sites}, {about} {paper}, under `{}`: {}",
-                    column.label, ours.why
+                } = row;
+                sentences.push(format!(
+                    "{paper_figure}, {policy}, {device_counts}, {metric_description} {stated}, under `{}`: {}",
+                    column.label, assessment.explanation
                 ));
             }
         }
     }
-    reasons
+    sentences
 }
 
 /// Describes the origin of the page: the command, the tables, and their experiments.
-pub(super) fn made(report: &ClaimReport<'_>, command: &str) -> String {
+pub(super) fn origin_section(report: &ClaimReport<'_>, command: &str) -> String {
     let mut out = format!(
         "\n## How this report was made\n\nBy Reveille {}: `{command}`\n\n",
         env!("CARGO_PKG_VERSION")
     );
-    for line in origins(report) {
+    for line in describe_origins(report) {
         let _ = writeln!(out, "- {line}");
     }
     for (name, text) in report.experiments() {
@@ -168,6 +180,6 @@ pub(super) fn made(report: &ClaimReport<'_>, command: &str) -> String {
 }
 
 /// Escapes text for a table cell.
-pub(super) fn cell(text: &str) -> String {
+pub(super) fn escape_cell(text: &str) -> String {
     text.replace('|', "\\|")
 }

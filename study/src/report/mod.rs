@@ -1,7 +1,9 @@
 //! The report: every claim of the paper next to our measurement, with a verdict by a stated rule.
 //!
-//! [`crate::claims`] holds the paper's claims and [`mod@judge`] the rule. [`ClaimReport`] applies the rule to result
-//! tables; [`page`] and [`markdown`] render it.
+//! [`crate::claims`] holds the paper's claims, and [`mod@judge`] the rule. [`ClaimReport`] applies the rule to merged
+//! result tables: a row for each claim, a column for each condition. [`page`] (HTML) and [`markdown`] render it;
+//! [`page_sections`] inserts the Markdown into hand-written pages. [`search`] ranks settings by the same verdicts.
+//! `reveille report` writes the files.
 
 mod causes;
 mod claim_rows;
@@ -17,7 +19,7 @@ mod phrasing;
 pub mod search;
 
 use self::judge::{Verdict, judge};
-use self::phrasing::{relation, sites};
+use self::phrasing::{format_device_counts, format_statement};
 use crate::claims::{Claim, ClaimQuantity, ClaimTopic, TOPICS};
 use crate::figures::results::{Results, RunCondition};
 
@@ -31,87 +33,93 @@ pub struct ClaimReport<'r> {
     /// The columns.
     pub columns: Vec<ConditionColumn<'r>>,
     /// The claims, by figure of the paper.
-    pub lines: Vec<ClaimRow>,
+    pub rows: Vec<ClaimRow>,
     /// Names of the conditions in the tables that have no runs for any claim.
-    pub silent: Vec<String>,
+    pub conditions_without_claims: Vec<String>,
 }
 
 impl<'r> ClaimReport<'r> {
     /// Judges every claim by `results`.
     pub fn new(results: &'r Results) -> Self {
-        let all = columns(results);
-        let (columns, silent): (Vec<_>, Vec<_>) = all.into_iter().partition(|c| is_shown(c));
-        let mut lines = Vec::new();
+        let columns = select_columns(results);
+        let (columns, without_claims): (Vec<_>, Vec<_>) = columns.into_iter().partition(|c| is_shown(c));
+        let mut rows = Vec::new();
         for topic in TOPICS {
-            lines.extend(topic.claims.iter().map(|claim| line(topic, claim, &columns)));
+            rows.extend(topic.claims.iter().map(|claim| claim_row(topic, claim, &columns)));
         }
-        lines.extend(lambda::lines(&columns));
+        rows.extend(lambda::claim_rows(&columns));
         Self {
             results,
             columns,
-            lines,
-            silent: silent.into_iter().map(|column| column.label).collect(),
+            rows,
+            conditions_without_claims: without_claims.into_iter().map(|column| column.label).collect(),
         }
     }
 
     /// Groups the claims that have runs by the paper's figure.
-    pub fn sections(&self) -> Vec<(&'static str, Vec<&ClaimRow>)> {
-        let mut sections: Vec<(&'static str, Vec<&ClaimRow>)> = Vec::new();
-        for line in self.lines.iter().filter(|line| line.is_run()) {
-            match sections.last_mut() {
-                Some((source, lines)) if *source == line.source => lines.push(line),
-                Some(_) | None => sections.push((line.source, vec![line])),
+    pub fn rows_by_figure(&self) -> Vec<(&'static str, Vec<&ClaimRow>)> {
+        let mut groups: Vec<(&'static str, Vec<&ClaimRow>)> = Vec::new();
+        for row in self.rows.iter().filter(|row| row.has_runs()) {
+            match groups.last_mut() {
+                Some((figure, rows)) if *figure == row.paper_figure => rows.push(row),
+                Some(_) | None => groups.push((row.paper_figure, vec![row])),
             }
         }
-        sections
+        groups
     }
 
     /// Iterates over the conditions to draw: those in the columns, with rankings side by side.
-    pub fn drawn(&self) -> impl Iterator<Item = &'r RunCondition> {
-        let of_column = |part: &usize| {
-            let own = &self.results.by_ranking[*part];
-            self.columns.iter().any(|column| std::ptr::eq(column.condition, own))
+    pub fn conditions_to_draw(&self) -> impl Iterator<Item = &'r RunCondition> {
+        let is_in_columns = |index: &usize| {
+            let ranked = &self.results.by_ranking[*index];
+            self.columns.iter().any(|column| std::ptr::eq(column.condition, ranked))
         };
         let all = self.results.conditions.iter();
-        all.filter(move |condition| condition.parts.iter().any(of_column))
+        all.filter(move |condition| condition.ranking_indices.iter().any(is_in_columns))
     }
 
     /// Iterates over the presets without a table.
-    pub fn missing(&self) -> impl Iterator<Item = &'static str> {
+    pub fn missing_presets(&self) -> impl Iterator<Item = &'static str> {
         let is_missing = |preset: &&str| !self.columns.iter().any(|column| column.label == *preset);
         PRESETS.into_iter().filter(is_missing)
     }
 
     /// Iterates over the tables that name their experiment, as table name and experiment text.
     pub fn experiments(&self) -> impl Iterator<Item = (&str, &str)> {
-        let all = self.results.sources.iter();
-        let texts = all.map(|source| (source.name.as_str(), source.about.experiment.trim_end()));
+        let tables = self.results.tables.iter();
+        let texts = tables.map(|table| (table.name.as_str(), table.metadata.experiment.trim_end()));
         texts.filter(|(_, text)| !text.is_empty())
     }
 
     /// Formats the number of claims with `verdict` in column `column`, and the number of doubtful ones among them.
-    pub fn tally(&self, column: usize, verdict: Verdict) -> String {
-        let is_doubtful = |line: &&ClaimRow| line.ours[column].verdict == verdict && !line.ours[column].firm;
-        let count = self.count(column, verdict);
-        match self.lines.iter().filter(is_doubtful).count() {
+    pub fn tally_text(&self, column: usize, verdict: Verdict) -> String {
+        let is_doubtful =
+            |row: &&ClaimRow| row.assessments[column].verdict == verdict && !row.assessments[column].is_firm;
+        let count = self.count_verdict(column, verdict);
+        match self.rows.iter().filter(is_doubtful).count() {
             0 => count.to_string(),
             doubtful => format!("{count}, of which {doubtful} ?"),
         }
     }
 
     /// Counts the claims with `verdict` in column `column`, doubtful or not.
-    pub fn count(&self, column: usize, verdict: Verdict) -> usize {
-        self.lines
+    pub fn count_verdict(&self, column: usize, verdict: Verdict) -> usize {
+        self.rows
             .iter()
-            .filter(|line| line.ours[column].verdict == verdict)
+            .filter(|row| row.assessments[column].verdict == verdict)
             .count()
     }
 }
 
 /// Counts the claims for which `condition` has runs.
-fn covered(condition: &RunCondition) -> usize {
+fn count_claims_with_runs(condition: &RunCondition) -> usize {
     let claims = TOPICS.iter().flat_map(|topic| topic.claims);
-    let is_run = |claim: &&Claim| condition.sizes(claim.policy).into_iter().any(|n| claim.sites.holds(n));
+    let is_run = |claim: &&Claim| {
+        condition
+            .device_counts(claim.policy)
+            .into_iter()
+            .any(|n| claim.device_counts.contains(n))
+    };
     claims.filter(is_run).count()
 }
 
@@ -121,18 +129,23 @@ fn is_shown(column: &ConditionColumn<'_>) -> bool {
     let claims = TOPICS
         .iter()
         .flat_map(|topic| topic.claims.iter().map(move |claim| (topic, claim)));
-    PRESETS.contains(&column.label.as_str()) || claims.into_iter().any(is_judged) || lambda::concerns(column.condition)
+    PRESETS.contains(&column.label.as_str())
+        || claims.into_iter().any(is_judged)
+        || lambda::has_claims_on(column.condition)
 }
 
 /// Selects the columns: first the presets, then all other conditions. For a preset, the condition that covers most
 /// claims is chosen, then the one with most runs, then the longest.
-fn columns(results: &Results) -> Vec<ConditionColumn<'_>> {
+fn select_columns(results: &Results) -> Vec<ConditionColumn<'_>> {
     let mut columns: Vec<ConditionColumn<'_>> = Vec::new();
     for preset in PRESETS {
-        let own = results.by_ranking.iter().filter(|s| s.is_plain() && s.preset == preset);
+        let candidates = results
+            .by_ranking
+            .iter()
+            .filter(|s| s.is_unchanged_preset() && s.preset == preset);
         // A preset has one column, but tables may hold runs of it with several lengths.
-        let widest = own.max_by_key(|s| (covered(s), s.run_count(), s.ttis));
-        columns.extend(widest.map(|condition| ConditionColumn {
+        let best_covered = candidates.max_by_key(|s| (count_claims_with_runs(s), s.run_count(), s.ttis));
+        columns.extend(best_covered.map(|condition| ConditionColumn {
             label: preset.to_owned(),
             condition,
         }));
@@ -148,37 +161,37 @@ fn columns(results: &Results) -> Vec<ConditionColumn<'_>> {
     columns
 }
 
-fn line(topic: &'static ClaimTopic, claim: &Claim, columns: &[ConditionColumn<'_>]) -> ClaimRow {
+fn claim_row(topic: &'static ClaimTopic, claim: &Claim, columns: &[ConditionColumn<'_>]) -> ClaimRow {
     ClaimRow {
-        source: topic.source,
-        about: topic.about.to_owned(),
+        paper_figure: topic.paper_figure,
+        metric_description: topic.metric_description.to_owned(),
         policy: claim.policy.to_owned(),
-        sites: sites(claim.sites),
-        paper: relation(claim),
-        place: claim.place,
-        again: claim.again,
-        judged: topic.reading,
-        reading: claim.reading,
+        device_counts: format_device_counts(claim.device_counts),
+        stated: format_statement(claim),
+        citation: claim.citation,
+        second_citation: claim.second_citation,
+        metric_reason: topic.metric_reason,
+        interpretation: claim.interpretation,
         contradicts: claim.contradicts,
-        ours: columns
+        assessments: columns
             .iter()
-            .map(|column| ours(topic, claim, column.condition))
+            .map(|column| assess(topic, claim, column.condition))
             .collect(),
     }
 }
 
-fn ours(topic: &ClaimTopic, claim: &Claim, condition: &RunCondition) -> Assessment {
+fn assess(topic: &ClaimTopic, claim: &Claim, condition: &RunCondition) -> Assessment {
     let judgement = judge(topic, claim, condition);
-    let mut found = finding_text::found(claim, &judgement.findings);
-    if let (ClaimQuantity::Gap(other), false) = (claim.quantity, found.is_empty()) {
-        found = format!("gap to {other}: {found}");
+    let mut measured = finding_text::describe_findings(claim, &judgement.findings);
+    if let (ClaimQuantity::Gap(other), false) = (claim.quantity, measured.is_empty()) {
+        measured = format!("gap to {other}: {measured}");
     }
     Assessment {
-        found,
+        measured,
         verdict: judgement.verdict,
-        firm: judgement.firm,
-        why: causes::why(topic, claim, &judgement, condition),
-        off: distance::off(claim, &judgement.findings),
+        is_firm: judgement.is_firm,
+        explanation: causes::explain(topic, claim, &judgement, condition),
+        deviation: distance::deviation(claim, &judgement.findings),
     }
 }
 

@@ -1,12 +1,13 @@
-//! Notes around the tables of the report, for Markdown and HTML.
+//! Sentences around the tables of the report, shared by its Markdown and its HTML.
 
 use super::causes::NOT_RUN;
 use super::judge::Verdict;
-use super::phrasing::list;
+use super::phrasing::join_names;
 use super::{ClaimReport, ClaimRow, PRESETS};
 
 /// Rule for the verdicts.
-pub(super) const RULE: &str = "A claim is reproduced if our mean is within 5 % of the stated value, in a stated range, \
+pub(super) const VERDICT_RULE: &str =
+    "A claim is reproduced if our mean is within 5 % of the stated value, in a stated range, \
     or meets a stated bound or order. It is within 20 % if our mean is that close to the value or to the nearer end of \
     the range. A claim for several N or against several policies must hold for each that was run. A value that falls \
     or rises with N may deviate from that by a tenth of its range, and a level value may vary by 20 %. A stated 0 is \
@@ -22,10 +23,10 @@ pub(super) struct ReportNotes {
 }
 
 /// Describes the number of runs of each column, one sentence a column.
-pub(super) fn runs(report: &ClaimReport<'_>) -> Vec<String> {
-    let of = |column: &super::ConditionColumn<'_>| {
+pub(super) fn describe_runs(report: &ClaimReport<'_>) -> Vec<String> {
+    let sentence = |column: &super::ConditionColumn<'_>| {
         let condition = column.condition;
-        let ((least, most), (first, last)) = (condition.runs_per_cell(), condition.seeds());
+        let ((least, most), (first, last)) = (condition.runs_per_cell(), condition.seed_range());
         let per_cell = match (least, most) {
             (1, 1) => "1 run".to_owned(),
             (least, most) if least == most => format!("{most} runs"),
@@ -38,13 +39,13 @@ pub(super) fn runs(report: &ClaimReport<'_>) -> Vec<String> {
             condition.run_count()
         )
     };
-    report.columns.iter().map(of).collect()
+    report.columns.iter().map(sentence).collect()
 }
 
 /// Describes the missing runs: presets, settings of the tables, and claims, one sentence each.
-pub(super) fn absent(report: &ClaimReport<'_>) -> Vec<String> {
+pub(super) fn describe_missing_runs(report: &ClaimReport<'_>) -> Vec<String> {
     let mut sentences = Vec::new();
-    let missing: Vec<&str> = report.missing().collect();
+    let missing: Vec<&str> = report.missing_presets().collect();
     if missing.len() == PRESETS.len() {
         sentences.push(
             "These tables hold no runs of an unchanged preset; the claims of the paper are about other settings."
@@ -57,47 +58,50 @@ pub(super) fn absent(report: &ClaimReport<'_>) -> Vec<String> {
                 .map(|preset| format!("No table of preset {preset} was given.")),
         );
     }
-    if !report.silent.is_empty() {
-        sentences.push(format!("No claim is about the runs of {}.", list(&report.silent)));
+    if !report.conditions_without_claims.is_empty() {
+        sentences.push(format!(
+            "No claim is about the runs of {}.",
+            join_names(&report.conditions_without_claims)
+        ));
     }
-    let lines = || report.lines.iter().filter(|line| !line.is_run());
+    let rows_without_runs = || report.rows.iter().filter(|row| !row.has_runs());
     let mut policies: Vec<&str> = Vec::new();
-    for line in lines() {
-        // Lines on λ name the policy with its rank: `random, spends least`.
-        let name = line.policy.split(',').next().unwrap_or_default();
-        if !policies.contains(&name) {
-            policies.push(name);
+    for row in rows_without_runs() {
+        // Rows on λ name the policy with its rank: `random, spends least`.
+        let policy = row.policy.split(',').next().unwrap_or_default();
+        if !policies.contains(&policy) {
+            policies.push(policy);
         }
     }
     if !policies.is_empty() {
-        let of = |policy: &&str| {
-            let count = lines()
-                .filter(|line| line.policy.split(',').next() == Some(*policy))
+        let policy_count = |policy: &&str| {
+            let count = rows_without_runs()
+                .filter(|row| row.policy.split(',').next() == Some(*policy))
                 .count();
             format!("{policy} {count}")
         };
-        let counts: Vec<String> = policies.iter().map(of).collect();
+        let counts: Vec<String> = policies.iter().map(policy_count).collect();
         sentences.push(format!(
             "Not run and left out below: {} of {} claims ({}).",
-            lines().count(),
-            report.lines.len(),
+            rows_without_runs().count(),
+            report.rows.len(),
             counts.join(", ")
         ));
     }
-    sentences.extend(reasons(report));
+    sentences.extend(explain_missing_verdicts(report));
     sentences
 }
 
-/// Explains missing verdicts of claims that have runs, one sentence a reason.
-fn reasons(report: &ClaimReport<'_>) -> Vec<String> {
+/// Explains verdicts that are missing although a policy was run, one sentence a reason: claims on λ without Eq. (5).
+fn explain_missing_verdicts(report: &ClaimReport<'_>) -> Vec<String> {
     let mut reasons: Vec<(String, usize)> = Vec::new();
-    for line in report.lines.iter().filter(|line| !line.is_run()) {
-        for (column, ours) in report.columns.iter().zip(&line.ours) {
-            let reason = (&column.label, &ours.why);
-            if ours.why == NOT_RUN {
+    for row in report.rows.iter().filter(|row| !row.has_runs()) {
+        for (column, assessment) in report.columns.iter().zip(&row.assessments) {
+            let reason = (&column.label, &assessment.explanation);
+            if assessment.explanation == NOT_RUN {
                 continue;
             }
-            // The count is inserted last: `# claims` is its placeholder until all lines are counted.
+            // The count is inserted last: `# claims` is its placeholder until all rows are counted.
             let text = format!("`{}`: # claims: {}", reason.0, reason.1);
             match reasons.iter_mut().find(|(known, _)| *known == text) {
                 Some((_, count)) => *count += 1,
@@ -105,7 +109,7 @@ fn reasons(report: &ClaimReport<'_>) -> Vec<String> {
             }
         }
     }
-    let of = |(text, count): (String, usize)| {
+    let sentence = |(text, count): (String, usize)| {
         let claims = if count == 1 {
             "1 claim".to_owned()
         } else {
@@ -113,70 +117,82 @@ fn reasons(report: &ClaimReport<'_>) -> Vec<String> {
         };
         text.replacen("# claims", &claims, 1)
     };
-    reasons.into_iter().map(of).collect()
+    reasons.into_iter().map(sentence).collect()
 }
 
-/// Lists the paper's contradictions, and the readings of ambiguous sentences.
-pub(super) fn remarks(report: &ClaimReport<'_>) -> [ReportNotes; 2] {
-    let mut against: Vec<String> = Vec::new();
-    let mut readings: Vec<String> = Vec::new();
-    for line in &report.lines {
-        if let Some(contradiction) = line.contradicts {
-            let item = format!("{}, against {}: {}", line.place, contradiction.with, contradiction.why);
-            if !against.contains(&item) {
-                against.push(item);
+/// Lists the paper's contradictions, and the interpretations of ambiguous sentences.
+pub(super) fn remarks_on_paper(report: &ClaimReport<'_>) -> [ReportNotes; 2] {
+    let mut contradictions: Vec<String> = Vec::new();
+    let mut interpretations: Vec<String> = Vec::new();
+    for row in &report.rows {
+        if let Some(contradiction) = row.contradicts {
+            let item = format!(
+                "{}, against {}: {}",
+                row.citation, contradiction.other_citation, contradiction.reason
+            );
+            if !contradictions.contains(&item) {
+                contradictions.push(item);
             }
         }
         for (text, item) in [
-            (line.judged, format!("{}, {}: {}", line.source, line.about, line.judged)),
-            (line.reading, format!("{}: {}", line.places(), line.reading)),
+            (
+                row.metric_reason,
+                format!(
+                    "{}, {}: {}",
+                    row.paper_figure, row.metric_description, row.metric_reason
+                ),
+            ),
+            (
+                row.interpretation,
+                format!("{}: {}", row.citations(), row.interpretation),
+            ),
         ] {
-            if !text.is_empty() && !readings.contains(&item) {
-                readings.push(item);
+            if !text.is_empty() && !interpretations.contains(&item) {
+                interpretations.push(item);
             }
         }
     }
     [
         ReportNotes {
             heading: "Contradictions in the paper",
-            items: against,
+            items: contradictions,
         },
         ReportNotes {
             heading: "Interpretation of sentences",
-            items: readings,
+            items: interpretations,
         },
     ]
 }
 
 /// Describes the origin of the runs, one sentence a table.
-pub(super) fn origins(report: &ClaimReport<'_>) -> Vec<String> {
-    let of = |source: &crate::figures::results::LabelledTable| {
-        let about = &source.about;
-        let shard = about
+pub(super) fn describe_origins(report: &ClaimReport<'_>) -> Vec<String> {
+    let sentence = |table: &crate::figures::results::LabelledTable| {
+        let metadata = &table.metadata;
+        let shard = metadata
             .shard
             .as_ref()
             .map_or_else(String::new, |shard| format!(", shard {shard}"));
-        let version = if about.version.is_empty() {
+        let version = if metadata.version.is_empty() {
             "unknown version"
         } else {
-            &about.version
+            &metadata.version
         };
         format!(
             "{}: {} runs by Reveille {version}{shard}; SHA-256 of the scenarios of the experiment {}; of the digests \
              of the runs in order {}.",
-            source.name, source.rows, about.grid, source.digests
+            table.name, table.run_count, metadata.grid, table.digest_hash
         )
     };
-    report.results.sources.iter().map(of).collect()
+    report.results.tables.iter().map(sentence).collect()
 }
 
 /// Formats the cell of a verdict.
-pub(super) fn verdict(line: &ClaimRow, column: usize) -> String {
-    let ours = &line.ours[column];
-    let doubt = if ours.firm || ours.verdict == Verdict::NotRun {
+pub(super) fn verdict_cell(row: &ClaimRow, column: usize) -> String {
+    let assessment = &row.assessments[column];
+    let doubt = if assessment.is_firm || assessment.verdict == Verdict::NotRun {
         ""
     } else {
         " ?"
     };
-    format!("{}{doubt}", ours.verdict.words())
+    format!("{}{doubt}", assessment.verdict.name())
 }

@@ -1,9 +1,11 @@
-//! The report as one self-contained HTML page.
+//! The report as one self-contained HTML page, with the rows and notes of [`super::markdown`]. Nothing is loaded.
 
 use std::fmt::Write as _;
 
 use super::judge::Verdict;
-use super::notes::{RULE, absent, origins, remarks, runs, verdict};
+use super::notes::{
+    VERDICT_RULE, describe_missing_runs, describe_origins, describe_runs, remarks_on_paper, verdict_cell,
+};
 use super::{ClaimReport, ClaimRow};
 use crate::figures::svg::escape;
 
@@ -24,18 +26,20 @@ pub fn page(report: &ClaimReport<'_>, pictures: &[String], command: &str) -> Str
          <body>\n\
          <h1>Claims of the paper and measurements of Reveille</h1>\n"
     );
-    out.push_str(&list(runs(report).into_iter().chain(absent(report))));
-    let _ = writeln!(out, "<p>{}</p>", escape(RULE));
-    out.push_str(&tally(report));
+    out.push_str(&html_list(
+        describe_runs(report).into_iter().chain(describe_missing_runs(report)),
+    ));
+    let _ = writeln!(out, "<p>{}</p>", escape(VERDICT_RULE));
+    out.push_str(&tally_table(report));
     out.push_str("<h2>Claims</h2>\n");
-    for (source, lines) in report.sections() {
-        out.push_str(&head(report, source));
-        out.extend(lines.iter().map(|line| row(report, line)));
+    for (figure, rows) in report.rows_by_figure() {
+        out.push_str(&table_head(report, figure));
+        out.extend(rows.iter().map(|row| table_row(report, row)));
         out.push_str("</tbody></table></div>\n");
     }
-    for remarks in remarks(report) {
-        let _ = writeln!(out, "<h2>{}</h2>", remarks.heading);
-        out.push_str(&list(remarks.items.into_iter()));
+    for notes in remarks_on_paper(report) {
+        let _ = writeln!(out, "<h2>{}</h2>", notes.heading);
+        out.push_str(&html_list(notes.items.into_iter()));
     }
     out.push_str("<h2>Figures</h2>\n<div class=\"figures\">\n");
     for picture in pictures {
@@ -49,7 +53,7 @@ pub fn page(report: &ClaimReport<'_>, pictures: &[String], command: &str) -> Str
         env!("CARGO_PKG_VERSION"),
         escape(command)
     );
-    out.push_str(&list(origins(report).into_iter()));
+    out.push_str(&html_list(describe_origins(report).into_iter()));
     for (name, text) in report.experiments() {
         let (name, text) = (escape(name), escape(text));
         let _ = writeln!(
@@ -61,16 +65,16 @@ pub fn page(report: &ClaimReport<'_>, pictures: &[String], command: &str) -> Str
     out
 }
 
-fn list(items: impl Iterator<Item = String>) -> String {
+fn html_list(items: impl Iterator<Item = String>) -> String {
     let mut out = String::from("<ul>\n");
     for item in items {
-        let _ = writeln!(out, "<li>{}</li>", together(&escape(&item)));
+        let _ = writeln!(out, "<li>{}</li>", with_no_break_spaces(&escape(&item)));
     }
     out.push_str("</ul>\n");
     out
 }
 
-const fn class(verdict: Verdict) -> &'static str {
+const fn css_class(verdict: Verdict) -> &'static str {
     match verdict {
         Verdict::Reproduced => "yes",
         Verdict::Near => "near",
@@ -81,7 +85,7 @@ const fn class(verdict: Verdict) -> &'static str {
 }
 
 /// Sign in front of the verdict, for readers who cannot distinguish the colours.
-const fn sign(verdict: Verdict) -> &'static str {
+const fn verdict_sign(verdict: Verdict) -> &'static str {
     match verdict {
         Verdict::Reproduced => "✓",
         Verdict::Near => "≈",
@@ -91,7 +95,7 @@ const fn sign(verdict: Verdict) -> &'static str {
     }
 }
 
-fn tally(report: &ClaimReport<'_>) -> String {
+fn tally_table(report: &ClaimReport<'_>) -> String {
     let mut out = String::from("<table class=\"tally\"><thead><tr><th>claims</th>");
     for column in &report.columns {
         let _ = write!(out, "<th>{}</th>", escape(&column.label));
@@ -101,12 +105,12 @@ fn tally(report: &ClaimReport<'_>) -> String {
         let _ = write!(
             out,
             "<tr><td class=\"{}\">{} {}</td>",
-            class(verdict),
-            sign(verdict),
-            verdict.words()
+            css_class(verdict),
+            verdict_sign(verdict),
+            verdict.name()
         );
         for column in 0..report.columns.len() {
-            let _ = write!(out, "<td>{}</td>", report.tally(column, verdict));
+            let _ = write!(out, "<td>{}</td>", report.tally_text(column, verdict));
         }
         out.push_str("</tr>\n");
     }
@@ -114,10 +118,10 @@ fn tally(report: &ClaimReport<'_>) -> String {
     out
 }
 
-fn head(report: &ClaimReport<'_>, source: &str) -> String {
+fn table_head(report: &ClaimReport<'_>, paper_figure: &str) -> String {
     let mut out = format!(
         "<h3>{}</h3>\n<div class=\"wide\"><table><thead><tr><th></th><th>policy</th><th>N</th><th>stated</th>",
-        escape(source)
+        escape(paper_figure)
     );
     for column in &report.columns {
         let _ = write!(out, "<th>{}</th><th>verdict</th>", escape(&column.label));
@@ -126,37 +130,51 @@ fn head(report: &ClaimReport<'_>, source: &str) -> String {
     out
 }
 
-fn row(report: &ClaimReport<'_>, line: &ClaimRow) -> String {
+fn table_row(report: &ClaimReport<'_>, row: &ClaimRow) -> String {
     let mut out = format!(
         "<tr class=\"claim\"><td>{}</td><td>{}</td><td>{}</td><td>{}</td>",
-        escape(&line.about),
-        escape(&line.policy),
-        escape(&line.sites),
-        escape(&line.paper)
+        escape(&row.metric_description),
+        escape(&row.policy),
+        escape(&row.device_counts),
+        escape(&row.stated)
     );
-    for (column, ours) in line.ours.iter().enumerate() {
-        let (class, sign, words) = (class(ours.verdict), sign(ours.verdict), verdict(line, column));
+    for (column, assessment) in row.assessments.iter().enumerate() {
+        let (class, sign, words) = (
+            css_class(assessment.verdict),
+            verdict_sign(assessment.verdict),
+            verdict_cell(row, column),
+        );
         let _ = write!(
             out,
             "<td>{}</td><td class=\"{class}\">{sign} {words}</td>",
-            together(&escape(&ours.found))
+            with_no_break_spaces(&escape(&assessment.measured))
         );
     }
-    let _ = write!(out, "<td>{}</td>", escape(&line.places()));
+    let _ = write!(out, "<td>{}</td>", escape(&row.citations()));
     let mut reasons: Vec<String> = Vec::new();
     // A reason that all columns share is printed once, without their names.
-    let is_same = line.ours.iter().all(|ours| ours.why == line.ours[0].why);
-    for (column, ours) in report.columns.iter().zip(&line.ours) {
-        if is_same {
-            reasons = vec![escape(&ours.why)];
-        } else if !ours.why.is_empty() {
-            reasons.push(format!("<b>{}</b>: {}", escape(&column.label), escape(&ours.why)));
+    let is_one_reason = row
+        .assessments
+        .iter()
+        .all(|assessment| assessment.explanation == row.assessments[0].explanation);
+    for (column, assessment) in report.columns.iter().zip(&row.assessments) {
+        if is_one_reason {
+            reasons = vec![escape(&assessment.explanation)];
+        } else if !assessment.explanation.is_empty() {
+            reasons.push(format!(
+                "<b>{}</b>: {}",
+                escape(&column.label),
+                escape(&assessment.explanation)
+            ));
         }
     }
     reasons.retain(|reason| !reason.is_empty());
     out.push_str("</tr>\n");
     if !reasons.is_empty() {
-        let (width, reasons) = (4 + 2 * report.columns.len(), together(&reasons.join("<br>")));
+        let (width, reasons) = (
+            4 + 2 * report.columns.len(),
+            with_no_break_spaces(&reasons.join("<br>")),
+        );
         let _ = writeln!(
             out,
             "<tr class=\"why\"><td></td><td colspan=\"{width}\">{reasons}</td></tr>"
@@ -166,6 +184,6 @@ fn row(report: &ClaimReport<'_>, line: &ClaimRow) -> String {
 }
 
 /// Joins figures in `text` by no-break spaces, so that lines do not break within them.
-fn together(text: &str) -> String {
+fn with_no_break_spaces(text: &str) -> String {
     text.replace(" ± ", "\u{a0}±\u{a0}").replace("N = ", "N\u{a0}=\u{a0}")
 }

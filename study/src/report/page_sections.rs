@@ -7,7 +7,7 @@ use textwrap::{Options, WordSeparator, WordSplitter};
 use thiserror::Error;
 
 /// Maximum width of a text line, columns. Tables and marks may be wider.
-const WIDTH: usize = 118;
+const MAX_COLUMNS: usize = 118;
 
 /// A section of a page.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -23,7 +23,7 @@ pub struct PageSection {
 pub enum PageSectionError {
     /// A section has no end mark.
     #[error("line {line}: <!-- report {name} --> has no <!-- /report {name} --> after it")]
-    Open {
+    MissingEndMark {
         /// Line of the start mark, from 1.
         line: usize,
         /// Name of the section.
@@ -31,7 +31,7 @@ pub enum PageSectionError {
     },
     /// The page has no mark of any of the sections.
     #[error("no mark <!-- report NAME --> of a part of this report; use {known}")]
-    Unmarked {
+    NoMark {
         /// Names of the sections.
         known: String,
     },
@@ -45,56 +45,56 @@ impl PageSection {
 
     /// Creates a section with a list.
     pub fn list(name: &'static str, items: impl IntoIterator<Item = String>) -> Self {
-        let items = items.into_iter().map(|item| wrapped(&format!("- {item}"), "  "));
+        let items = items.into_iter().map(|item| wrap_text(&format!("- {item}"), "  "));
         Self::new(name, items.collect())
     }
 }
 
-/// Inserts `parts` between their marks in the page `text`. Marks of other sections are kept, since several commands may
-/// fill one page.
+/// Inserts `sections` between their marks in the page `text`. Marks of other sections are kept, since several commands
+/// may fill one page.
 ///
 /// # Errors
 /// If a mark has no end mark, or no section has a mark.
-pub fn fill(text: &str, parts: &[PageSection]) -> Result<String, PageSectionError> {
+pub fn fill_page(text: &str, sections: &[PageSection]) -> Result<String, PageSectionError> {
     let mut out = String::new();
     let mut filled = 0;
     let mut lines = (1..).zip(text.lines());
-    while let Some((number, line)) = lines.next() {
+    while let Some((line_number, line)) = lines.next() {
         out.push_str(line);
         out.push('\n');
         let name = line
             .strip_prefix("<!-- report ")
             .and_then(|rest| rest.strip_suffix(" -->"));
-        let part = name.and_then(|name| parts.iter().find(|part| part.name == name));
-        let Some(part) = part else { continue };
-        let end = format!("<!-- /report {} -->", part.name);
+        let section = name.and_then(|name| sections.iter().find(|section| section.name == name));
+        let Some(section) = section else { continue };
+        let end = format!("<!-- /report {} -->", section.name);
         // `any` also consumes the lines up to the end mark, which the new body replaces.
         if !lines.any(|(_, line)| line == end) {
-            return Err(PageSectionError::Open {
-                line: number,
-                name: part.name.to_owned(),
+            return Err(PageSectionError::MissingEndMark {
+                line: line_number,
+                name: section.name.to_owned(),
             });
         }
         filled += 1;
         out.push('\n');
-        out.push_str(part.body.trim());
+        out.push_str(section.body.trim());
         out.push_str("\n\n");
         out.push_str(&end);
         out.push('\n');
     }
     if filled == 0 {
-        let known: Vec<&str> = parts.iter().map(|part| part.name).collect();
-        return Err(PageSectionError::Unmarked {
-            known: known.join(", "),
+        let known_names: Vec<&str> = sections.iter().map(|section| section.name).collect();
+        return Err(PageSectionError::NoMark {
+            known: known_names.join(", "),
         });
     }
     Ok(out)
 }
 
 /// Wraps `text` to the maximum width, with `indent` before each line after the first.
-pub fn wrapped(text: &str, indent: &str) -> String {
+pub fn wrap_text(text: &str, indent: &str) -> String {
     // Names and formulas contain hyphens, so lines break only at spaces.
-    let options = Options::new(WIDTH)
+    let options = Options::new(MAX_COLUMNS)
         .subsequent_indent(indent)
         .break_words(false)
         .word_separator(WordSeparator::AsciiSpace)
@@ -115,11 +115,11 @@ mod tests {
             PageSection::new("a", "| new |\n".to_owned()),
             PageSection::new("b", "nowhere".to_owned()),
         ];
-        let filled = fill(PAGE, &parts).expect("marks");
+        let filled = fill_page(PAGE, &parts).expect("marks");
         let expected = PAGE.replace("old\n", "\n| new |\n\n");
         assert_eq!(filled, expected);
         assert_eq!(
-            fill(&filled, &parts).expect("marks"),
+            fill_page(&filled, &parts).expect("marks"),
             filled,
             "filling twice changes nothing"
         );
@@ -131,11 +131,11 @@ mod tests {
             PageSection::new("a", String::new()),
             PageSection::new("b", String::new()),
         ];
-        let open = fill("text\n<!-- report a -->\n", &parts)
+        let open = fill_page("text\n<!-- report a -->\n", &parts)
             .expect_err("no end")
             .to_string();
         assert!(open.contains("line 2") && open.contains("<!-- /report a -->"), "{open}");
-        let none = fill("text\n<!-- report z -->\n<!-- /report z -->\n", &parts)
+        let none = fill_page("text\n<!-- report z -->\n<!-- /report z -->\n", &parts)
             .expect_err("no mark")
             .to_string();
         assert!(none.contains("use a, b"), "{none}");
@@ -145,7 +145,7 @@ mod tests {
     fn lists_are_no_wider_than_a_page() {
         let item = "w-ord ".repeat(55);
         let PageSection { body, .. } = PageSection::list("a", [item.trim().to_owned(), "short".to_owned()]);
-        assert!(body.lines().all(|line| line.chars().count() <= WIDTH), "{body}");
+        assert!(body.lines().all(|line| line.chars().count() <= MAX_COLUMNS), "{body}");
         assert_eq!(body.matches("\n  w-ord").count(), 2, "{body}");
         assert_eq!(body.matches("w-ord").count(), 55);
         assert!(body.starts_with("- w-ord") && body.ends_with("- short\n"), "{body}");

@@ -1,11 +1,11 @@
-//! Text for numbers and claims.
+//! Text for numbers, intervals and claims, shared by all of the report.
 
 use reveille_lab::metric_estimate::{CaseCounts, MetricEstimate};
 
 use crate::claims::{Claim, ClaimQuantity, DeviceCounts, Statement};
 
 /// Formats a number with three significant digits, and without decimals if it has more than three integer digits.
-pub(super) fn number(x: f64) -> String {
+pub(super) fn format_number(x: f64) -> String {
     if x == 0.0 {
         return "0".to_owned();
     }
@@ -19,50 +19,56 @@ pub(super) fn number(x: f64) -> String {
 }
 
 /// Formats a mean with half the width of its interval.
-pub(super) fn plus_minus(mean: f64, half: f64) -> String {
-    if half.is_nan() {
-        format!("{} (one run)", number(mean))
+pub(super) fn format_plus_minus(mean: f64, half_width: f64) -> String {
+    if half_width.is_nan() {
+        format!("{} (one run)", format_number(mean))
     } else {
-        format!("{} ± {}", number(mean), number_like(half, mean))
+        format!("{} ± {}", format_number(mean), format_half_width(half_width, mean))
     }
 }
 
-/// Formats `half` with as many decimals as [`number`] gives `mean`, and at least one significant digit.
-fn number_like(half: f64, mean: f64) -> String {
-    let text = number(mean);
-    let decimals = text.split_once('.').map_or(0, |(_, decimals)| decimals.len());
-    let same = format!("{half:.decimals$}");
-    let is_zero = same.chars().all(|c| matches!(c, '0' | '.'));
-    if is_zero && half > 0.0 {
-        let magnitude = libm::floor(libm::log10(half) + 1e-12) as i32;
-        format!("{half:.*}", (-magnitude).clamp(0, 9) as usize)
+/// Formats `half_width` with as many decimals as [`format_number`] gives `mean`, and at least one significant digit.
+fn format_half_width(half_width: f64, mean: f64) -> String {
+    let mean_text = format_number(mean);
+    let decimals = mean_text.split_once('.').map_or(0, |(_, decimals)| decimals.len());
+    let text_like_mean = format!("{half_width:.decimals$}");
+    let is_zero = text_like_mean.chars().all(|c| matches!(c, '0' | '.'));
+    if is_zero && half_width > 0.0 {
+        let magnitude = libm::floor(libm::log10(half_width) + 1e-12) as i32;
+        format!("{half_width:.*}", (-magnitude).clamp(0, 9) as usize)
     } else {
-        same
+        text_like_mean
     }
 }
 
 /// Formats the estimate of a metric: a mean with its interval, or a bound.
-pub(super) fn format_estimate(reading: &MetricEstimate) -> String {
-    let (mean, half) = (reading.estimate.mean, reading.estimate.half_width);
-    match (reading.upper, reading.counted) {
-        (Some(upper), Some(CaseCounts { cases: 0, events })) => format!("0 in {events} events, < {}", number(upper)),
-        (Some(upper), Some(CaseCounts { cases, events })) => {
-            format!("{}, {cases} in {events} events, < {}", number(mean), number(upper))
+pub(super) fn format_estimate(estimate: &MetricEstimate) -> String {
+    let (mean, half_width) = (estimate.estimate.mean, estimate.estimate.half_width);
+    match (estimate.upper_bound, estimate.case_counts) {
+        (Some(upper), Some(CaseCounts { cases: 0, events })) => {
+            format!("0 in {events} events, < {}", format_number(upper))
         }
-        (Some(upper), None) => format!("{}, < {}", number(mean), number(upper)),
-        (None, Some(CaseCounts { events, .. })) if reading.lower.is_some() => {
+        (Some(upper), Some(CaseCounts { cases, events })) => {
+            format!(
+                "{}, {cases} in {events} events, < {}",
+                format_number(mean),
+                format_number(upper)
+            )
+        }
+        (Some(upper), None) => format!("{}, < {}", format_number(mean), format_number(upper)),
+        (None, Some(CaseCounts { events, .. })) if estimate.lower_bound.is_some() => {
             // Near 100 %, three digits would show 100. Rounding down keeps the bound valid.
-            let bound = libm::floor(100.0 * reading.lower.unwrap_or(mean)) / 100.0;
+            let bound = libm::floor(100.0 * estimate.lower_bound.unwrap_or(mean)) / 100.0;
             format!("{mean} in all {events} events, > {bound:.2}")
         }
-        (None, _) if half == 0.0 => format!("{} in every run", number(mean)),
-        (None, _) => plus_minus(mean, half),
+        (None, _) if half_width == 0.0 => format!("{} in every run", format_number(mean)),
+        (None, _) => format_plus_minus(mean, half_width),
     }
 }
 
 /// Formats the N of a claim.
-pub(super) fn sites(sites: DeviceCounts) -> String {
-    match sites {
+pub(super) fn format_device_counts(device_counts: DeviceCounts) -> String {
+    match device_counts {
         DeviceCounts::At(n) => format!("N = {n}"),
         DeviceCounts::Under(n) => format!("N < {n}"),
         DeviceCounts::UpTo(n) => format!("N ≤ {n}"),
@@ -72,47 +78,49 @@ pub(super) fn sites(sites: DeviceCounts) -> String {
 }
 
 /// Formats the statement of a claim.
-pub(super) fn relation(claim: &Claim) -> String {
+pub(super) fn format_statement(claim: &Claim) -> String {
     let statement = claim.statement;
     match claim.quantity {
-        ClaimQuantity::Own => own(statement),
-        ClaimQuantity::Ratio(others) => ratio(statement, &list(others)),
-        ClaimQuantity::Gap(other) => format!("gap to {other} {}", own(statement)),
-        ClaimQuantity::Growth(n) => ratio(statement, &format!("its own at N = {n}")),
+        ClaimQuantity::Mean => statement_text(statement),
+        ClaimQuantity::Ratio(others) => ratio_text(statement, &join_names(others)),
+        ClaimQuantity::Gap(other) => format!("gap to {other} {}", statement_text(statement)),
+        ClaimQuantity::Growth(n) => ratio_text(statement, &format!("its own at N = {n}")),
     }
 }
 
-fn own(statement: Statement) -> String {
+fn statement_text(statement: Statement) -> String {
     match statement {
-        Statement::About(v) => format!("≈ {}", plain(v)),
-        Statement::Between(low, high) => format!("{} to {}", plain(low), plain(high)),
-        Statement::Below(v) => format!("< {}", plain(v)),
-        Statement::Above(v) => format!("> {}", plain(v)),
-        Statement::Largest(v) => format!("up to {}", plain(v)),
-        Statement::Smallest(v) => format!("down to {}", plain(v)),
-        Statement::Level => "about level over N".to_owned(),
+        Statement::About(v) => format!("≈ {}", format_exact(v)),
+        Statement::Between(low, high) => format!("{} to {}", format_exact(low), format_exact(high)),
+        Statement::Below(v) => format!("< {}", format_exact(v)),
+        Statement::Above(v) => format!("> {}", format_exact(v)),
+        Statement::Largest(v) => format!("up to {}", format_exact(v)),
+        Statement::Smallest(v) => format!("down to {}", format_exact(v)),
+        Statement::Constant => "about level over N".to_owned(),
         Statement::Falls => "falls with N".to_owned(),
         Statement::Rises => "rises with N".to_owned(),
     }
 }
 
-fn ratio(statement: Statement, others: &str) -> String {
+fn ratio_text(statement: Statement, others: &str) -> String {
     let is_one = |v: f64| (v - 1.0).abs() < 1e-12;
     match statement {
         Statement::About(v) if is_one(v) => format!("about as {others}"),
         Statement::Below(v) if is_one(v) => format!("less than {others}"),
         Statement::Above(v) if is_one(v) => format!("more than {others}"),
-        Statement::About(v) => format!("{} × {others}", plain(v)),
-        Statement::Between(low, high) => format!("{} to {} × {others}", plain(low), plain(high)),
+        Statement::About(v) => format!("{} × {others}", format_exact(v)),
+        Statement::Between(low, high) => format!("{} to {} × {others}", format_exact(low), format_exact(high)),
         Statement::Below(_) | Statement::Above(_) | Statement::Largest(_) | Statement::Smallest(_) => {
-            format!("{} × {others}", own(statement))
+            format!("{} × {others}", statement_text(statement))
         }
-        Statement::Level | Statement::Falls | Statement::Rises => format!("share of {others} {}", own(statement)),
+        Statement::Constant | Statement::Falls | Statement::Rises => {
+            format!("share of {others} {}", statement_text(statement))
+        }
     }
 }
 
 /// Joins names into a list.
-pub(super) fn list<T: AsRef<str>>(names: &[T]) -> String {
+pub(super) fn join_names<T: AsRef<str>>(names: &[T]) -> String {
     match names {
         [] => String::new(),
         [one] => one.as_ref().to_owned(),
@@ -124,7 +132,7 @@ pub(super) fn list<T: AsRef<str>>(names: &[T]) -> String {
 }
 
 /// Formats a stated value with all of its digits.
-pub(super) fn plain(x: f64) -> String {
+pub(super) fn format_exact(x: f64) -> String {
     x.to_string().replace('-', "−")
 }
 
@@ -146,26 +154,26 @@ mod tests {
             (1.0, "1.00"),
             (99.96, "100.0"),
         ] {
-            assert_eq!(number(x), text);
+            assert_eq!(format_number(x), text);
         }
-        assert_eq!(number(f64::NAN), "–");
+        assert_eq!(format_number(f64::NAN), "–");
     }
 
     #[test]
     fn an_interval_has_the_decimals_of_its_mean_or_more() {
-        assert_eq!(plus_minus(0.1462, 0.0123), "0.146 ± 0.012");
-        assert_eq!(plus_minus(61.0, 0.004), "61.0 ± 0.004");
-        assert_eq!(plus_minus(61.0, 0.0), "61.0 ± 0.0");
-        assert_eq!(plus_minus(5.0, f64::NAN), "5.00 (one run)");
+        assert_eq!(format_plus_minus(0.1462, 0.0123), "0.146 ± 0.012");
+        assert_eq!(format_plus_minus(61.0, 0.004), "61.0 ± 0.004");
+        assert_eq!(format_plus_minus(61.0, 0.0), "61.0 ± 0.0");
+        assert_eq!(format_plus_minus(5.0, f64::NAN), "5.00 (one run)");
     }
 
     #[test]
     fn values_near_zero_have_a_bound_instead_of_an_interval() {
         let reading = |values: &[f64], cases: Option<u64>, upper| MetricEstimate {
-            estimate: Estimate::over(values.iter().copied()),
-            counted: cases.map(|cases| CaseCounts { cases, events: 600 }),
-            upper,
-            lower: None,
+            estimate: Estimate::from_values_or_nan(values.iter().copied()),
+            case_counts: cases.map(|cases| CaseCounts { cases, events: 600 }),
+            upper_bound: upper,
+            lower_bound: None,
         };
         assert_eq!(
             format_estimate(&reading(&[0.0; 2], Some(0), Some(0.5))),
@@ -185,8 +193,9 @@ mod tests {
 
     #[test]
     fn claims_read_naturally() {
-        let says =
-            |quantity, statement| relation(&Claim::new("knn", DeviceCounts::Everywhere, quantity, statement, FIG_8));
+        let says = |quantity, statement| {
+            format_statement(&Claim::new("knn", DeviceCounts::Everywhere, quantity, statement, FIG_8))
+        };
         for (statement, alone, compared) in [
             (Statement::About(0.4), "≈ 0.4", "0.4 × adjusted and random"),
             (Statement::About(1.0), "≈ 1", "about as adjusted and random"),
@@ -209,7 +218,7 @@ mod tests {
                 "share of adjusted and random falls with N",
             ),
         ] {
-            assert_eq!(says(ClaimQuantity::Own, statement), alone);
+            assert_eq!(says(ClaimQuantity::Mean, statement), alone);
             assert_eq!(says(ClaimQuantity::Ratio(&["adjusted", "random"]), statement), compared);
         }
         assert_eq!(
@@ -220,6 +229,6 @@ mod tests {
             says(ClaimQuantity::Growth(10), Statement::About(0.5)),
             "0.5 × its own at N = 10"
         );
-        assert_eq!(list(&["a", "b", "c"]), "a, b and c");
+        assert_eq!(join_names(&["a", "b", "c"]), "a, b and c");
     }
 }

@@ -24,18 +24,18 @@ fn results() -> Results {
 
 fn line<'l>(report: &'l ClaimReport<'_>, source: &str, policy: &str, sites: &str) -> &'l ClaimRow {
     let found = report
-        .lines
+        .rows
         .iter()
-        .find(|l| l.source == source && l.policy == policy && l.sites == sites);
+        .find(|l| l.paper_figure == source && l.policy == policy && l.device_counts == sites);
     found.unwrap_or_else(|| panic!("{source} {policy} {sites}"))
 }
 
 /// Finds the row of a policy whose paper value is `paper`.
 fn said<'l>(report: &'l ClaimReport<'_>, source: &str, policy: &str, paper: &str) -> &'l ClaimRow {
     let found = report
-        .lines
+        .rows
         .iter()
-        .find(|l| l.source == source && l.policy == policy && l.paper == paper);
+        .find(|l| l.paper_figure == source && l.policy == policy && l.stated == paper);
     found.unwrap_or_else(|| panic!("{source} {policy} {paper}"))
 }
 
@@ -45,16 +45,16 @@ fn every_claim_has_a_verdict_under_every_preset() {
     let report = ClaimReport::new(&results);
     let labels: Vec<&str> = report.columns.iter().map(|c| c.label.as_str()).collect();
     assert_eq!(labels, ["paper"], "no table of paper-literal");
-    assert_eq!(report.missing().collect::<Vec<_>>(), ["paper-literal"]);
+    assert_eq!(report.missing_presets().collect::<Vec<_>>(), ["paper-literal"]);
     let claims: usize = TOPICS.iter().map(|topic| topic.claims.len()).sum();
     assert_eq!(
-        report.lines.len(),
+        report.rows.len(),
         claims + 14,
         "those on λ: nine low ends and five high ones"
     );
-    let counts = Verdict::ALL.map(|verdict| report.count(0, verdict));
-    assert_eq!(counts.iter().sum::<usize>(), report.lines.len());
-    let verdict = |policy: &str, paper: &str| said(&report, "Fig. 8", policy, paper).ours[0].verdict;
+    let counts = Verdict::ALL.map(|verdict| report.count_verdict(0, verdict));
+    assert_eq!(counts.iter().sum::<usize>(), report.rows.len());
+    let verdict = |policy: &str, paper: &str| said(&report, "Fig. 8", policy, paper).assessments[0].verdict;
     assert_eq!(verdict("knn", "≈ 0.145"), Verdict::Reproduced);
     assert_eq!(verdict("random", "> 0.18"), Verdict::Reproduced);
     assert_eq!(verdict("knn", "falls with N"), Verdict::Reproduced);
@@ -62,20 +62,20 @@ fn every_claim_has_a_verdict_under_every_preset() {
     assert_eq!(verdict("genie", "≈ 0.055"), Verdict::OrderReproduced);
     assert_eq!(verdict("dt", "0.9 × knn"), Verdict::NotRun);
     assert!(
-        line(&report, "Fig. 8", "dt", "N = 250").ours[0]
-            .why
+        line(&report, "Fig. 8", "dt", "N = 250").assessments[0]
+            .explanation
             .contains("no such runs")
     );
     assert!(
-        line(&report, "Fig. 8", "adjusted", "N = 250").ours[0]
-            .why
+        line(&report, "Fig. 8", "adjusted", "N = 250").assessments[0]
+            .explanation
             .contains("no such runs")
     );
-    let genie = &said(&report, "Fig. 8", "genie", "≈ 0.055").ours[0];
+    let genie = &said(&report, "Fig. 8", "genie", "≈ 0.055").assessments[0];
     assert!(
-        genie.why.contains("1.64 times the paper's") && genie.why.contains("E_WuR"),
+        genie.explanation.contains("1.64 times the paper's") && genie.explanation.contains("E_WuR"),
         "{}",
-        genie.why
+        genie.explanation
     );
 }
 
@@ -111,20 +111,22 @@ fn the_lambda_of_a_consumption_solves_the_closed_form() {
     let report = ClaimReport::new(&results);
     let at = |sites: &str, e_b: &str, policy: &str| {
         let own = |l: &&ClaimRow| {
-            l.about.ends_with(&format!("E_B = {e_b}")) && l.sites == sites && l.policy.starts_with(policy)
+            l.metric_description.ends_with(&format!("E_B = {e_b}"))
+                && l.device_counts == sites
+                && l.policy.starts_with(policy)
         };
-        report.lines.iter().find(own).expect("a claim").ours[0].clone()
+        report.rows.iter().find(own).expect("a claim").assessments[0].clone()
     };
     // λ·exp(-λ) = 0.345 at 0.6864 (exp(-0.6864) = 0.5034); 5·λ·exp(-λ) = 0.345 at 0.0743 (exp(-0.0743) = 0.9284).
     let few = at("N = 10", "1", "random, spends least");
-    assert!(few.found.starts_with("0.68"), "{few:?}");
+    assert!(few.measured.starts_with("0.68"), "{few:?}");
     assert!(
-        !few.why.contains("In the paper"),
+        !few.explanation.contains("In the paper"),
         "random spends least in ours too: {few:?}"
     );
     let five = at("N = 10", "5", "random");
     assert!(
-        five.found.starts_with("0.0743") && five.verdict == Verdict::Near,
+        five.measured.starts_with("0.0743") && five.verdict == Verdict::Near,
         "{five:?}"
     );
     for (sites, policy, why) in [
@@ -133,7 +135,7 @@ fn the_lambda_of_a_consumption_solves_the_closed_form() {
     ] {
         let absent = at(sites, "1", policy);
         assert!(
-            absent.verdict == Verdict::NotRun && absent.why.contains(why),
+            absent.verdict == Verdict::NotRun && absent.explanation.contains(why),
             "{absent:?}"
         );
     }
@@ -147,21 +149,21 @@ fn statements_about_q_learning_are_judged_by_its_runs() {
     let results = Results::new(std::slice::from_ref(&table), &NoFiles).expect("runs");
     let report = ClaimReport::new(&results);
     let built = |line: &&ClaimRow| line.policy.starts_with("q-learning");
-    for line in report.lines.iter().filter(built) {
+    for line in report.rows.iter().filter(built) {
         assert!(
-            line.ours
+            line.assessments
                 .iter()
-                .any(|ours| ours.verdict != Verdict::NotRun || ours.why.contains("no such runs")),
+                .any(|ours| ours.verdict != Verdict::NotRun || ours.explanation.contains("no such runs")),
             "{line:?}"
         );
     }
     for paper in ["0.45 to 0.83", "≈ 0.24"] {
-        let ours = &said(&report, "Fig. 8", "q-learning", paper).ours[0];
+        let ours = &said(&report, "Fig. 8", "q-learning", paper).assessments[0];
         assert_eq!(ours.verdict, Verdict::Reproduced, "{ours:?}");
     }
-    let dt = &line(&report, "Fig. 8", "dt", "N = 10").ours[0];
+    let dt = &line(&report, "Fig. 8", "dt", "N = 10").assessments[0];
     assert!(
-        dt.verdict == Verdict::NotRun && dt.why.contains("no such runs"),
+        dt.verdict == Verdict::NotRun && dt.explanation.contains("no such runs"),
         "{dt:?}"
     );
 }
@@ -174,19 +176,19 @@ fn a_policy_at_the_other_end_is_still_judged() {
     let report = ClaimReport::new(&results);
     let adjusted = line(&report, "Fig. 14", "adjusted, spends most", "N = 100");
     // 0.135 = λ·exp(-λ) at 0.1594 (exp(-0.1594) = 0.8527).
-    let ours = &adjusted.ours[0];
+    let ours = &adjusted.assessments[0];
     assert!(
-        ours.found.starts_with("0.158") || ours.found.starts_with("0.159"),
+        ours.measured.starts_with("0.158") || ours.measured.starts_with("0.159"),
         "{ours:?}"
     );
     assert!(
-        ours.why
+        ours.explanation
             .contains("here it spends least of all, and random spends most, 0.385"),
         "{ours:?}"
     );
-    let random = &line(&report, "Fig. 14", "random, spends least", "N = 100").ours[0];
+    let random = &line(&report, "Fig. 14", "random, spends least", "N = 100").assessments[0];
     assert!(
-        random.found == "never" && random.why.contains("here it spends most of all"),
+        random.measured == "never" && random.explanation.contains("here it spends most of all"),
         "{random:?}"
     );
 }
@@ -205,12 +207,12 @@ fn lambda_is_not_compared_where_devices_do_not_harvest_by_eq_5() {
     let (name, mut table) = fixtures::table("paper", "energy_per_device_tti", &[("random", 100, &[0.2])]);
     table.rows[0].scenario_hash = reveille_lab::table::Hash(other.hash());
     for experiment in ["[set]\n\"harvest.kind\" = \"exp-minus-lambda\"\n", ""] {
-        table.about.experiment = experiment.to_owned();
+        table.metadata.experiment = experiment.to_owned();
         let results = Results::new(&[(name.clone(), table.clone())], &NoFiles).expect("runs");
         let report = ClaimReport::new(&results);
-        let ours = &line(&report, "Fig. 14", "random, spends least", "N = 100").ours[0];
+        let ours = &line(&report, "Fig. 14", "random, spends least", "N = 100").assessments[0];
         assert!(
-            ours.verdict == Verdict::NotRun && ours.why.contains("Not comparable"),
+            ours.verdict == Verdict::NotRun && ours.explanation.contains("Not comparable"),
             "{ours:?}"
         );
         let text = markdown(&report, &[], "");
@@ -239,10 +241,10 @@ fn the_page_is_well_formed_needs_nothing_and_holds_every_claim() {
         let rows = tree.descendants().filter(|n| n.has_tag_name("tr"));
         rows.filter(|n| n.attribute("class") == class).count()
     };
-    let run = || report.lines.iter().filter(|line| line.is_run());
+    let run = || report.rows.iter().filter(|line| line.has_runs());
     assert_eq!(rows(Some("claim")), run().count());
-    assert_eq!(rows(None), report.sections().len() + 6, "heads, and the tally");
-    let reasoned = run().filter(|line| line.ours.iter().any(|o| !o.why.is_empty()));
+    assert_eq!(rows(None), report.rows_by_figure().len() + 6, "heads, and the tally");
+    let reasoned = run().filter(|line| line.assessments.iter().any(|o| !o.explanation.is_empty()));
     assert_eq!(rows(Some("why")), reasoned.count());
     for outside in ["src=", "@import", "url(", "<script", "<link"] {
         assert!(!html.contains(outside), "{outside}");
@@ -272,7 +274,7 @@ fn markdown_tables_are_straight() {
         assert!(widths.windows(2).all(|pair| pair[0] == pair[1]), "{block}");
         rows += block.lines().count() - 2;
     }
-    assert_eq!(rows, report.lines.iter().filter(|line| line.is_run()).count() + 5);
+    assert_eq!(rows, report.rows.iter().filter(|line| line.has_runs()).count() + 5);
     let head = text.split("\n\n").nth(1).expect("the head of the report");
     assert!(
         head.contains("- paper: 2 runs of 2000 TTIs for each policy and N, 10 in all, seeds 1 to 2."),
@@ -289,16 +291,19 @@ fn not_one_miss_is_bounded_by_the_rule_of_three() {
     );
     let results = Results::new(&[table], &NoFiles).expect("runs");
     let report = ClaimReport::new(&results);
-    let knn = &said(&report, "Fig. 9", "knn", "< 0.01").ours[0];
+    let knn = &said(&report, "Fig. 9", "knn", "< 0.01").assessments[0];
     // 300 / 600 = 0.5 %, far above the stated 0.01 %.
     assert_eq!(
-        (knn.verdict, knn.firm, knn.found.as_str()),
+        (knn.verdict, knn.is_firm, knn.measured.as_str()),
         (Verdict::Reproduced, false, "0 in 600 events, < 0.500")
     );
-    assert!(report.tally(0, Verdict::Reproduced).ends_with(" ?"));
+    assert!(report.tally_text(0, Verdict::Reproduced).ends_with(" ?"));
     // One of two runs missed 1 % of its 300 events.
-    let genie = &said(&report, "Fig. 9", "genie", "≈ 0.003").ours[0];
-    assert!(genie.found.starts_with("0.500, 3 in 600 events, < 6.85"), "{genie:?}");
+    let genie = &said(&report, "Fig. 9", "genie", "≈ 0.003").assessments[0];
+    assert!(
+        genie.measured.starts_with("0.500, 3 in 600 events, < 6.85"),
+        "{genie:?}"
+    );
     for text in [markdown(&report, &[], ""), page(&report, &[], "")] {
         assert!(!text.contains(" 0 ± ") && !text.contains("0.500 ± "), "{text}");
     }
@@ -311,7 +316,10 @@ fn almost_nothing_compared_with_others_counts_as_zero() {
         let results =
             Results::new(&[fixtures::table("paper", "wasted_energy_per_event", &runs)], &NoFiles).expect("runs");
         let report = ClaimReport::new(&results);
-        assert_eq!(said(&report, "Fig. 12b", "genie", "≈ 0").ours[0].verdict, expected);
+        assert_eq!(
+            said(&report, "Fig. 12b", "genie", "≈ 0").assessments[0].verdict,
+            expected
+        );
     }
 }
 
@@ -331,7 +339,11 @@ fn reasons_follow_from_the_runs() {
     }
     let results = Results::new(&[table], &NoFiles).expect("runs");
     let report = ClaimReport::new(&results);
-    let why = |policy: &str, paper: &str| said(&report, "Fig. 8", policy, paper).ours[0].why.clone();
+    let why = |policy: &str, paper: &str| {
+        said(&report, "Fig. 8", policy, paper).assessments[0]
+            .explanation
+            .clone()
+    };
     let [knn, random] = [why("knn", "0.45 to 0.83"), why("random", "≈ 0.34")];
     assert!(knn.contains("80.0 % of the devices are below E_Tx"), "{knn}");
     assert!(
@@ -349,9 +361,12 @@ fn outside_a_range_and_near_it_is_not_called_reproduced() {
     let runs: [(&str, u32, &[f64]); 1] = [("knn", 10, &[0.4, 0.4])];
     let results = Results::new(&[fixtures::table("paper", "energy_per_device_tti", &runs)], &NoFiles).expect("runs");
     let report = ClaimReport::new(&results);
-    let knn = &said(&report, "Fig. 8", "knn", "0.45 to 0.83").ours[0];
+    let knn = &said(&report, "Fig. 8", "knn", "0.45 to 0.83").assessments[0];
     assert_eq!(knn.verdict, Verdict::Near);
-    assert!(knn.why.contains("0.889 times the nearer end of the range"), "{knn:?}");
+    assert!(
+        knn.explanation.contains("0.889 times the nearer end of the range"),
+        "{knn:?}"
+    );
     assert!(page(&report, &[], "").contains("within 20 %</td>"));
 }
 
@@ -361,10 +376,10 @@ fn a_statement_about_one_n_precedes_a_statement_about_many() {
     let results = Results::new(&[fixtures::table("paper", "misdetection_pct", &runs)], &NoFiles).expect("runs");
     let report = ClaimReport::new(&results);
     // 58 % against 33 %, which "above 2 %" for all N under 200 does not contradict.
-    let adjusted = &said(&report, "Fig. 9", "adjusted", "≈ 58").ours[0];
+    let adjusted = &said(&report, "Fig. 9", "adjusted", "≈ 58").assessments[0];
     assert_eq!(adjusted.verdict, Verdict::OrderReproduced, "{adjusted:?}");
     assert!(
-        adjusted.why.contains("On the paper's side of knn (N = 10)"),
+        adjusted.explanation.contains("On the paper's side of knn (N = 10)"),
         "{adjusted:?}"
     );
 }
@@ -373,9 +388,9 @@ fn a_statement_about_one_n_precedes_a_statement_about_many() {
 fn claims_without_runs_are_one_line() {
     let results = results();
     let report = ClaimReport::new(&results);
-    let not_run = report.lines.iter().filter(|line| !line.is_run()).count();
+    let not_run = report.rows.iter().filter(|line| !line.has_runs()).count();
     assert!(not_run > 50);
-    let total = report.lines.len();
+    let total = report.rows.len();
     let folded = format!("Not run and left out below: {not_run} of {total} claims (");
     for (text, cell) in [
         (markdown(&report, &[], ""), "| not run |"),
@@ -407,7 +422,10 @@ fn a_sweep_over_a_field_judges_the_value_of_its_preset() {
         ["paper", "paper, harvest.lambda = 0.05, K = 2000"],
         "λ = 0.1 is the preset's"
     );
-    assert_eq!(report.silent, ["paper, harvest.lambda = 0.2, K = 2000"]);
+    assert_eq!(
+        report.conditions_without_claims,
+        ["paper, harvest.lambda = 0.2, K = 2000"]
+    );
     let text = markdown(&report, &[], "");
     assert!(
         text.contains("No claim is about the runs of paper, harvest.lambda = 0.2"),
@@ -448,9 +466,9 @@ fn each_ranking_has_a_column_and_the_papers_is_that_of_the_preset() {
     let labels: Vec<&str> = report.columns.iter().map(|column| column.label.as_str()).collect();
     assert_eq!(labels, ["paper", "paper, bs.ranking = posterior, K = 2000"]);
     let knn = said(&report, "Fig. 8", "knn", "≈ 0.145");
-    let verdicts: Vec<Verdict> = knn.ours.iter().map(|ours| ours.verdict).collect();
+    let verdicts: Vec<Verdict> = knn.assessments.iter().map(|ours| ours.verdict).collect();
     assert_eq!(verdicts, [Verdict::Reproduced, Verdict::OrderReproduced]);
-    let drawn: Vec<Vec<&str>> = report.drawn().map(RunCondition::policies).collect();
+    let drawn: Vec<Vec<&str>> = report.conditions_to_draw().map(RunCondition::policies).collect();
     assert_eq!(drawn, [["knn", "knn+posterior", "random"]], "one picture with both");
 }
 
@@ -458,12 +476,12 @@ fn each_ranking_has_a_column_and_the_papers_is_that_of_the_preset() {
 fn the_parts_of_a_page_hold_every_claim_that_was_run() {
     let results = results();
     let report = ClaimReport::new(&results);
-    let parts = super::markdown::parts(&report, "command");
+    let parts = super::markdown::page_sections(&report, "command");
     let part = |name: &str| &parts.iter().find(|part| part.name == name).expect("a part").body;
     let rows = part("claims")
         .lines()
         .filter(|line| line.starts_with("| ") && !line.starts_with("| |"));
-    assert_eq!(rows.count(), report.lines.iter().filter(|line| line.is_run()).count());
+    assert_eq!(rows.count(), report.rows.iter().filter(|line| line.has_runs()).count());
     assert!(part("claims").contains("\n### Fig. 8\n") && part("runs").contains("paper: 2 runs"));
     assert!(part("made").contains("`command`") && part("why").contains("E_WuR"));
 }

@@ -7,7 +7,7 @@
 use libfuzzer_sys::fuzz_target;
 use reveille_common::codec;
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::{Message, MessageKind, PlanUpdate, Reply, TapBatch};
+use reveille_common::message::{Message, MessageKind, PlanUpdate, Reply, FrameBatch};
 
 /// Checks that a message decodes from its own wire form, has the stated length and can be printed.
 ///
@@ -57,9 +57,9 @@ fuzz_target!(|data: &[u8]| {
             }
         }
         _ => {
-            if let Ok(batch) = codec::decode::<TapBatch>(payload) {
+            if let Ok(batch) = codec::decode::<FrameBatch>(payload) {
                 let wire = codec::encode(&batch);
-                let again: TapBatch = codec::decode(&wire).expect("an encoded message decodes");
+                let again: FrameBatch = codec::decode(&wire).expect("an encoded message decodes");
                 assert_eq!(again, batch);
             }
         }

@@ -23,7 +23,7 @@ const END: u64 = 60;
 struct Host {
     follower: GrantFollower,
     /// Plans received for TTIs that were not yet granted, by TTI.
-    heard: Vec<Option<Plan>>,
+    plans: Vec<Option<Plan>>,
     /// Expected δ by device.
     duties: Vec<DutyCycle>,
     /// Wake-up latency of a device, in TTIs.
@@ -42,15 +42,15 @@ fn radio(wake_latency: u64) -> RadioSettings {
 impl Host {
     fn new(latency: u64) -> Self {
         let duties = vec![DutyCycle::ASLEEP; DEVICES as usize];
-        let beginning = FollowerStart {
+        let start = FollowerStart {
             first: DeviceId(FIRST),
             positions: (0..DEVICES).map(|j| Point::new(f64::from(j) * 2.0, 0.0)).collect(),
             duties: duties.clone(),
-            at: ResumePoint::default(),
+            resume_point: ResumePoint::default(),
         };
         Self {
-            follower: GrantFollower::new(beginning, D_MAX, Tti(END), 0, &radio(latency)),
-            heard: vec![None; END as usize],
+            follower: GrantFollower::new(start, D_MAX, Tti(END), 0, &radio(latency)),
+            plans: vec![None; END as usize],
             duties,
             latency,
             next: 0,
@@ -63,34 +63,34 @@ impl Host {
         let is_due = from.0 >= self.next && from.0 < END;
         assert_eq!(self.follower.receive_plan(update), is_due);
         if is_due {
-            self.heard[from.0 as usize] = Some(plan);
+            self.plans[from.0 as usize] = Some(plan);
         }
     }
 
     fn grant(&mut self, tick: GrantMessage) {
         match self.follower.receive_grant(tick) {
-            Disposition::Again => assert_eq!(self.tick.map(|own| own.last), Some(tick.last), "another question"),
-            Disposition::Wait => {}
-            Disposition::Do(turn) => self.go(tick, turn),
+            Disposition::Retransmit => assert_eq!(self.tick.map(|own| own.last), Some(tick.last), "another question"),
+            Disposition::NotReady => {}
+            Disposition::Execute(task) => self.check_task(tick, task),
         }
         assert_eq!(self.follower.next(), Tti(self.next));
     }
 
-    fn go(&mut self, tick: GrantMessage, turn: GrantTask) {
+    fn check_task(&mut self, tick: GrantMessage, task: GrantTask) {
         assert!(
             tick.first.0 == self.next && tick.last >= tick.first && tick.last.0 < END,
             "out of turn: {tick:?}"
         );
-        let mut changes = turn.changes.into_iter().peekable();
+        let mut changes = task.duty_changes.into_iter().peekable();
         let mut plans = 0;
         for k in tick.first.0..=tick.last.0 {
-            plans += u32::from(self.heard[k as usize].is_some());
+            plans += u32::from(self.plans[k as usize].is_some());
             while let Some((j, _, duty)) = changes.next_if(|(_, from, _)| from.0 == k) {
                 assert_ne!(self.duties[j], duty, "no change at all");
                 self.duties[j] = duty;
             }
             // Devices sleep until the first plan.
-            let in_force = self.heard[..=k as usize].iter().rev().flatten().next();
+            let in_force = self.plans[..=k as usize].iter().rev().flatten().next();
             for (j, duty) in self.duties.iter().enumerate() {
                 let device = DeviceId(FIRST + j as u32);
                 let planned = in_force.map_or(DutyCycle::ASLEEP, |plan| plan.duty_cycle(device));
@@ -99,15 +99,15 @@ impl Host {
         }
         assert!(changes.next().is_none(), "changes of other TTIs");
         assert_eq!(plans, tick.plans, "plans of the grant");
-        let last = (0..=tick.last.0).rev().find(|&k| self.heard[k as usize].is_some());
+        let last = (0..=tick.last.0).rev().find(|&k| self.plans[k as usize].is_some());
         assert_eq!(last, Some(tick.plan.0), "the current plan");
-        let listeners: Vec<usize> = (0..self.duties.len())
+        let sensing_devices: Vec<usize> = (0..self.duties.len())
             .filter(|&j| {
                 let is_near = |seen: Stimulus| (seen.epicentre.x - j as f64 * 2.0).hypot(seen.epicentre.y) <= D_MAX;
                 self.duties[j].is_on(tick.last) && tick.stimulus.is_some_and(is_near)
             })
             .collect();
-        assert_eq!(turn.listeners, listeners);
+        assert_eq!(task.sensing_devices, sensing_devices);
         (self.next, self.tick) = (tick.last.0 + 1, Some(tick));
     }
 
@@ -126,9 +126,9 @@ impl Host {
     }
 
     fn finish(&mut self, end: Tti) -> bool {
-        let heed = self.follower.receive_finish(end);
-        assert_eq!(heed == Disposition::Do(()), end.0 == self.next);
-        heed == Disposition::Do(())
+        let disposition = self.follower.receive_collect_ledgers(end);
+        assert_eq!(disposition == Disposition::Execute(()), end.0 == self.next);
+        disposition == Disposition::Execute(())
     }
 }
 
@@ -169,8 +169,8 @@ fn tick(host: &Host, input: &mut Unstructured<'_>) -> Result<GrantMessage> {
         None
     };
     // Usually the grant that the base station would send if the host has received all of its plans.
-    let told = input.ratio(7, 8)?;
-    let own = |from: u64, to: u64| (from..=to.min(END - 1)).filter(|&k| host.heard[k as usize].is_some());
+    let is_regular = input.ratio(7, 8)?;
+    let own = |from: u64, to: u64| (from..=to.min(END - 1)).filter(|&k| host.plans[k as usize].is_some());
     Ok(GrantMessage {
         first,
         last,
@@ -178,12 +178,12 @@ fn tick(host: &Host, input: &mut Unstructured<'_>) -> Result<GrantMessage> {
         until: near(last.0 + 2, input)?,
         account: input.arbitrary()?,
         views: input.arbitrary()?,
-        plan: if told {
+        plan: if is_regular {
             Tti(own(0, last.0).next_back().unwrap_or(0))
         } else {
             near(host.next, input)?
         },
-        plans: if told {
+        plans: if is_regular {
             own(first.0, last.0).count() as u32
         } else {
             input.int_in_range(0..=3)?

@@ -24,10 +24,10 @@ use reveille_common::units::Energy;
 const DEVICES: u32 = 12;
 
 /// The base station's host records, driven by the fuzzer.
-struct Books {
+struct HostRecords {
     admission: Admission,
     barrier: Barrier,
-    losses: LostHosts,
+    lost_hosts: LostHosts,
     passes: Vec<HostCredential>,
     is_running: bool,
     /// Whether the run waits for lost hosts or continues without their devices.
@@ -45,7 +45,7 @@ enum Open {
     Ledgers,
 }
 
-impl Books {
+impl HostRecords {
     fn new(waits: bool) -> Self {
         let set = Override::parse(&format!("devices={DEVICES}")).expect("an override");
         let scenario = load("quick", &[set]).expect("a preset").scenario;
@@ -53,7 +53,7 @@ impl Books {
         Self {
             admission: Admission::new(DEVICES),
             barrier: Barrier::new(Roster::new(deployment.devices, scenario.sensing.psi)),
-            losses: LostHosts::default(),
+            lost_hosts: LostHosts::default(),
             passes: Vec::new(),
             is_running: false,
             waits,
@@ -68,13 +68,13 @@ impl Books {
             token: Secret::new(input.arbitrary()?),
             name: "a host".to_owned(),
             count: input.int_in_range(0..=2 * DEVICES)?,
-            asked: self.now,
+            requested_at: self.now,
         })
     }
 
-    fn enter(&mut self, places: Assignment, token: Secret) {
+    fn add_credential(&mut self, assignment: Assignment, token: Secret) {
         let pass = HostCredential {
-            host: places.host,
+            host: assignment.host,
             token,
         };
         assert!(self.admission.is_valid(pass));
@@ -91,27 +91,27 @@ impl Books {
             if !self.waits {
                 return Ok(());
             }
-            if let Some((lost, _)) = self.losses.find_takeover(newcomer.count) {
-                let places = self.admission.take_over(newcomer, lost);
-                self.losses.offer(lost.host, places.host);
-                self.enter(places, token);
+            if let Some((lost, _)) = self.lost_hosts.find_takeover(newcomer.count) {
+                let assignment = self.admission.take_over(newcomer, lost);
+                self.lost_hosts.reserve(lost.host, assignment.host);
+                self.add_credential(assignment, token);
             }
-        } else if let Some(places) = self.admission.join(newcomer) {
-            self.enter(places, token);
+        } else if let Some(assignment) = self.admission.admit(newcomer) {
+            self.add_credential(assignment, token);
         }
         Ok(())
     }
 
     /// Starts the run when all hosts are ready.
     fn begin(&mut self) {
-        if let Some(hosts) = self.admission.all_ready().filter(|_| !self.is_running) {
-            let mut carried = vec![false; DEVICES as usize];
-            for places in &hosts {
-                for device in places.first.0..=places.last().0 {
-                    assert!(!std::mem::replace(&mut carried[device as usize], true), "carried twice");
+        if let Some(hosts) = self.admission.assignments_if_all_active().filter(|_| !self.is_running) {
+            let mut has_owner = vec![false; DEVICES as usize];
+            for assignment in &hosts {
+                for device in assignment.first.0..=assignment.last().0 {
+                    assert!(!std::mem::replace(&mut has_owner[device as usize], true), "two hosts own a device");
                 }
             }
-            assert!(carried.iter().all(|is_carried| *is_carried));
+            assert!(has_owner.iter().all(|is_owned| *is_owned));
             self.barrier.roster().set_hosts(hosts);
             self.is_running = true;
         }
@@ -123,50 +123,50 @@ impl Books {
         }
         self.admission.set_alive(pass.host, is_alive);
         if is_alive {
-            if let Some(newcomer) = self.losses.restore(pass.host, self.now).flatten() {
+            if let Some(newcomer) = self.lost_hosts.end_loss(pass.host, self.now).flatten() {
                 self.admission.revoke(newcomer);
             }
             self.fill(pass.host);
         } else if !self.is_running {
-            self.admission.leave(pass.host);
-        } else if self.losses.offer_for(pass.host).is_some() {
-            self.losses.decline(pass.host);
+            self.admission.free_host(pass.host);
+        } else if self.lost_hosts.reservation_of(pass.host).is_some() {
+            self.lost_hosts.cancel_reservation(pass.host);
             self.admission.revoke(pass.host);
-        } else if let Some(places) = self.admission.assignment(pass.host) {
-            self.losses.lose(places, self.now);
+        } else if let Some(assignment) = self.admission.assignment(pass.host) {
+            self.lost_hosts.add(assignment, self.now);
         }
     }
 
     fn fill(&mut self, host: HostId) {
-        if self.admission.carries(host)
-            && let Some((lost, _)) = self.losses.complete_takeover(host, self.now)
-            && let Some(places) = self.admission.assignment(host)
+        if self.admission.is_active(host)
+            && let Some((lost, _)) = self.lost_hosts.complete_takeover(host, self.now)
+            && let Some(assignment) = self.admission.assignment(host)
         {
             self.admission.revoke(lost.host);
-            self.barrier.roster().replace(lost.host, places);
+            self.barrier.roster().replace(lost.host, assignment);
         }
     }
 
     /// Continues the run without the devices of lost hosts.
-    fn give_up(&mut self) {
-        let lost: Vec<Assignment> = self.losses.places().collect();
-        for places in lost {
-            self.losses.drop_host(places.host);
-            self.admission.revoke(places.host);
-            self.barrier.lose(places.host);
+    fn remove_lost_hosts(&mut self) {
+        let lost: Vec<Assignment> = self.lost_hosts.assignments().collect();
+        for assignment in lost {
+            self.lost_hosts.drop_host(assignment.host);
+            self.admission.revoke(assignment.host);
+            self.barrier.remove_host(assignment.host);
         }
     }
 
     fn restore(&mut self) {
         let next = Tti(self.tti);
-        for places in self.losses.needing_replay(next) {
-            let devices = vec![DeviceCheckpoint(Vec::new()); places.count as usize];
+        for assignment in self.lost_hosts.request_replays(next) {
+            let devices = vec![DeviceCheckpoint(Vec::new()); assignment.count as usize];
             let at = ResumePoint { next, plan_from: None };
-            self.losses.set_checkpoint(places.host, HostCheckpoint { at, devices });
+            self.lost_hosts.set_checkpoint(assignment.host, HostCheckpoint { at, devices });
         }
     }
 
-    fn hear(&mut self, input: &mut Unstructured<'_>) -> Result<()> {
+    fn receive_message(&mut self, input: &mut Unstructured<'_>) -> Result<()> {
         let host = HostId(input.int_in_range(0..=20)?);
         let device = DeviceId(input.int_in_range(0..=DEVICES)?);
         let tti = Tti(self.tti.saturating_sub(input.int_in_range(0..=2)?));
@@ -183,10 +183,10 @@ impl Books {
                     information: input.arbitrary()?,
                     battery,
                 };
-                self.barrier.report(host, report);
+                self.barrier.receive_report(host, report);
             }
             1 => {
-                let answer = HostAnswer::Done {
+                let answer = HostAnswer::GrantDone {
                     host,
                     tti,
                     reports: input.arbitrary()?,
@@ -194,27 +194,27 @@ impl Books {
                     totals: None,
                     views: None,
                 };
-                self.barrier.answer(host, answer);
+                self.barrier.receive_answer(host, answer);
             }
             2 => {
                 let outcome = match input.int_in_range(0..=2)? {
-                    0 => WakeOutcome::Unheard,
+                    0 => WakeOutcome::Missed,
                     1 => WakeOutcome::Failed(failure),
                     _ => WakeOutcome::Late {
                         spent: battery,
                         powered: input.arbitrary()?,
                     },
                 };
-                self.barrier.answer(host, HostAnswer::NotWoken { device, tti, outcome });
+                self.barrier.receive_answer(host, HostAnswer::NotWoken { device, tti, outcome });
             }
             3 => {
                 let ledgers = Vec::new();
-                self.barrier.answer(host, HostAnswer::Final { host, ledgers });
+                self.barrier.receive_answer(host, HostAnswer::Ledgers { host, ledgers });
             }
             _ => {
                 let length = input.int_in_range(0..=64)?;
                 if let Ok(answer) = codec::decode::<HostAnswer>(input.bytes(length)?) {
-                    self.barrier.answer(host, answer);
+                    self.barrier.receive_answer(host, answer);
                 }
             }
         }
@@ -225,7 +225,7 @@ impl Books {
     fn answer_quietly(&mut self) {
         let tti = Tti(self.tti);
         for host in self.barrier.missing_hosts() {
-            let answer = HostAnswer::Done {
+            let answer = HostAnswer::GrantDone {
                 host,
                 tti,
                 reports: 0,
@@ -233,66 +233,66 @@ impl Books {
                 totals: None,
                 views: None,
             };
-            self.barrier.answer(host, answer);
+            self.barrier.receive_answer(host, answer);
         }
     }
 }
 
 fn play(input: &mut Unstructured<'_>) -> Result<()> {
-    let mut books = Books::new(input.arbitrary()?);
+    let mut records = HostRecords::new(input.arbitrary()?);
     let mut open = Open::Nothing;
     while !input.is_empty() {
-        books.now += Duration::from_millis(100);
-        let pass = |books: &Books, at: usize| books.passes.get(at % books.passes.len().max(1)).copied();
+        records.now += Duration::from_millis(100);
+        let pass = |records: &HostRecords, at: usize| records.passes.get(at % records.passes.len().max(1)).copied();
         match input.int_in_range(0..=11)? {
-            0 => books.join(input)?,
+            0 => records.join(input)?,
             1 => {
-                if let Some(pass) = pass(&books, input.arbitrary()?)
-                    && books.admission.ready(pass)
+                if let Some(pass) = pass(&records, input.arbitrary()?)
+                    && records.admission.mark_ready(pass)
                 {
-                    books.fill(pass.host);
+                    records.fill(pass.host);
                 }
             }
             2 | 3 => {
-                if let Some(pass) = pass(&books, input.arbitrary()?) {
-                    books.alive(pass, input.ratio(3, 4)?);
+                if let Some(pass) = pass(&records, input.arbitrary()?) {
+                    records.alive(pass, input.ratio(3, 4)?);
                 }
             }
-            4 => books.begin(),
-            5 if !books.waits => books.give_up(),
-            6 if books.waits => books.restore(),
-            7 if books.is_running && open == Open::Nothing => {
-                books.tti += 1;
-                books
+            4 => records.begin(),
+            5 if !records.waits => records.remove_lost_hosts(),
+            6 if records.waits => records.restore(),
+            7 if records.is_running && open == Open::Nothing => {
+                records.tti += 1;
+                records
                     .barrier
-                    .expect_grant(Tti(books.tti), input.arbitrary()?, GrantOptions::default());
+                    .expect_grant(Tti(records.tti), input.arbitrary()?, GrantOptions::default());
                 open = Open::Grant;
             }
-            8 if books.is_running && open == Open::Nothing => {
+            8 if records.is_running && open == Open::Nothing => {
                 let device = DeviceId(input.int_in_range(0..=DEVICES - 1)?);
-                books.barrier.expect_wake(Tti(books.tti), device);
+                records.barrier.expect_wake(Tti(records.tti), device);
                 open = Open::Wake;
             }
-            9 if books.is_running && open == Open::Nothing => {
-                books.barrier.expect_ledgers();
+            9 if records.is_running && open == Open::Nothing => {
+                records.barrier.expect_ledgers();
                 open = Open::Ledgers;
             }
             10 => {
                 if open == Open::Grant {
-                    books.answer_quietly();
+                    records.answer_quietly();
                 }
             }
-            _ => books.hear(input)?,
+            _ => records.receive_message(input)?,
         }
-        let waiting = books.barrier.missing_hosts();
-        let is_early = books.barrier.is_complete() && open != Open::Wake && !waiting.is_empty();
-        assert!(!is_early, "{waiting:?} have not answered");
-        if books.barrier.is_complete() {
+        let missing = records.barrier.missing_hosts();
+        let is_early = records.barrier.is_complete() && open != Open::Wake && !missing.is_empty();
+        assert!(!is_early, "{missing:?} have not answered");
+        if records.barrier.is_complete() {
             match open {
                 Open::Nothing => {}
-                Open::Grant => drop(books.barrier.take_grant_result()),
-                Open::Wake => drop(books.barrier.take_outcome()),
-                Open::Ledgers => drop(books.barrier.take_ledgers()),
+                Open::Grant => drop(records.barrier.take_grant_result()),
+                Open::Wake => drop(records.barrier.take_wake_outcome()),
+                Open::Ledgers => drop(records.barrier.take_ledgers()),
             }
             open = Open::Nothing;
         }

@@ -16,7 +16,7 @@ const CLOSE: f64 = 1e-6;
 
 /// Places of an area with their ages, and the devices that cover them.
 #[derive(Clone, Debug)]
-pub struct AgeIndex {
+pub struct ReferenceAgeIndex {
     /// Probability that a device detects an event at a place, by device and place.
     sees: Vec<Vec<f64>>,
     ages: Vec<f64>,
@@ -28,7 +28,7 @@ pub struct AgeIndex {
     disc: f64,
 }
 
-impl AgeIndex {
+impl ReferenceAgeIndex {
     /// Creates the index for devices at `positions` with these batteries and costs, at `price`. `None` if rounding
     /// decides whether a place is within a device's range.
     pub fn new(scenario: &Scenario, positions: &[Point], energies: Vec<EnergyModel>, price: f64) -> Option<Self> {

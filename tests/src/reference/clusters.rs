@@ -25,7 +25,7 @@ pub fn clusters(
     stream: Stream,
 ) -> Vec<Vec<usize>> {
     let count = (area.width * area.height / (PI * d_max * d_max)).ceil() as usize;
-    let mut voting = Voting::start(points, count.max(1).min(points.len()), stream);
+    let mut voting = ReferenceVoting::start(points, count.max(1).min(points.len()), stream);
     let near: Vec<Vec<usize>> = (0..points.len()).map(|j| nearest(points, j, neighbours)).collect();
     for _ in 0..VOTES {
         let before = voting.clone();
@@ -70,13 +70,13 @@ fn mean(points: &[Point], of: &[usize]) -> Point {
 }
 
 #[derive(Clone, PartialEq)]
-struct Voting<'a> {
+struct ReferenceVoting<'a> {
     points: &'a [Point],
     of: Vec<usize>,
     centroids: Vec<Point>,
 }
 
-impl<'a> Voting<'a> {
+impl<'a> ReferenceVoting<'a> {
     fn start(points: &'a [Point], count: usize, mut stream: Stream) -> Self {
         let mut centroids: Vec<Point> = Vec::new();
         let mut gaps = vec![f64::INFINITY; points.len()];

@@ -4,11 +4,11 @@ use reveille_common::scenario::EnergyModel;
 use reveille_common::totals::{DeviceTotals, EnergyByState, Ledger};
 use reveille_common::units::Energy;
 
-use super::harvest::Source;
+use super::harvest::ReferenceSource;
 
 /// State of a device at the end of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum State {
+pub enum ReferenceState {
     /// S1.
     Idle,
     /// S3.
@@ -23,8 +23,8 @@ pub enum State {
 #[derive(Clone, Debug)]
 pub(super) struct Device {
     pub(super) costs: EnergyModel,
-    pub(super) source: Source,
-    pub(super) state: State,
+    pub(super) source: ReferenceSource,
+    pub(super) state: ReferenceState,
     pub(super) battery: u64,
     pub(super) harvested: u64,
     /// Spent energy by state: S1, S4, S2 to S3.
@@ -43,10 +43,10 @@ pub(super) struct Device {
 }
 
 impl Device {
-    pub(super) fn new(costs: EnergyModel, source: Source) -> Self {
+    pub(super) fn new(costs: EnergyModel, source: ReferenceSource) -> Self {
         Self {
             source,
-            state: State::Asleep,
+            state: ReferenceState::Asleep,
             battery: costs.initial.micro(),
             costs,
             harvested: 0,

@@ -4,7 +4,7 @@ use reveille_common::scenario::EnergyModel;
 
 /// Estimate of one battery, micro-units.
 #[derive(Clone, Debug)]
-pub(super) struct Estimate {
+pub(super) struct ReferenceEstimate {
     costs: EnergyModel,
     /// Mean harvest in each TTI of a day; a single entry if all TTIs are alike.
     mean: Vec<u64>,
@@ -20,7 +20,7 @@ pub(super) struct Estimate {
     luck: f64,
 }
 
-impl Estimate {
+impl ReferenceEstimate {
     /// Creates the estimate for a battery with these costs, and mean harvest and daylight by TTI of a day.
     pub(super) fn new(costs: EnergyModel, mean: Vec<u64>, is_day: Vec<bool>) -> Self {
         Self {

@@ -7,7 +7,7 @@ use reveille_common::rng::{Geometric, Purpose, Stream};
 
 /// Event process. Its clock also advances during an event.
 #[derive(Clone, Debug)]
-pub(super) struct Events<'a> {
+pub(super) struct ReferenceEvents<'a> {
     scenario: &'a Scenario,
     weather: Option<Weather>,
     /// Start probability in this TTI.
@@ -67,7 +67,7 @@ impl Weather {
     }
 }
 
-impl<'a> Events<'a> {
+impl<'a> ReferenceEvents<'a> {
     pub(super) fn new(scenario: &'a Scenario) -> Self {
         let seed = scenario.run.seed;
         let (mut places, mut weather) = (Vec::new(), None);

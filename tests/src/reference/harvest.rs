@@ -3,13 +3,13 @@
 use std::f64::consts::PI;
 
 use reveille_common::harvest::sun::{Sky, Sun};
-use reveille_common::harvest::{Arrivals, DayKnowledge, Diurnal, IrradianceReference, Mpp};
+use reveille_common::harvest::{Arrivals, DayKnowledge, Diurnal, IrradianceReference, OnOff};
 use reveille_common::rng::{Geometric, Purpose, Stream};
 use reveille_common::scenario::{Harvest, HarvestTrace, TraceColumns, TraceEnd};
 
 /// Energy source of one device. Call [`Source::arriving`] once for each TTI, in order.
 #[derive(Clone, Debug)]
-pub(super) enum Source {
+pub(super) enum ReferenceSource {
     /// Arrivals with random gaps.
     Arrivals {
         stream: Stream,
@@ -46,7 +46,7 @@ pub(super) enum Source {
     },
 }
 
-impl Source {
+impl ReferenceSource {
     /// Creates the source of device `id`, the `nth` of its class.
     pub(super) fn new(harvest: &Harvest, tau: f64, seed: u64, id: u64, nth: usize) -> Self {
         let stream = Stream::new(seed, Purpose::Harvest, id);
@@ -56,7 +56,7 @@ impl Source {
                 arrivals(stream, rate * libm::exp(-rate), e_b.micro())
             }
             Harvest::ExpMinusLambda(Arrivals { lambda, e_b }) => arrivals(stream, libm::exp(-lambda), e_b.micro()),
-            Harvest::Mpp(Mpp { lambda, e_b, off_mean }) => on_off(stream, *lambda, 1.0 / off_mean, tau, e_b.micro()),
+            Harvest::Mpp(OnOff { lambda, e_b, off_mean }) => on_off(stream, *lambda, 1.0 / off_mean, tau, e_b.micro()),
             Harvest::Diurnal(diurnal) => sunny(stream, diurnal, tau),
             Harvest::Trace(trace) => recorded(trace, nth),
         }
@@ -143,7 +143,7 @@ pub(super) fn mean(harvest: &Harvest, tau: f64, nth: usize) -> u64 {
             share_of(rate * libm::exp(-rate), e_b.micro())
         }
         Harvest::ExpMinusLambda(Arrivals { lambda, e_b }) => share_of(libm::exp(-lambda), e_b.micro()),
-        Harvest::Mpp(Mpp { lambda, e_b, off_mean }) => {
+        Harvest::Mpp(OnOff { lambda, e_b, off_mean }) => {
             let back = 1.0 / off_mean;
             share_of(back / (lambda + back), e_b.micro())
         }
@@ -223,7 +223,7 @@ fn brightness(sun: &Sun, k: u64) -> f64 {
     }
 }
 
-fn sunny(mut stream: Stream, diurnal: &Diurnal, tau: f64) -> Source {
+fn sunny(mut stream: Stream, diurnal: &Diurnal, tau: f64) -> ReferenceSource {
     let e_b = diurnal.arrivals.e_b.micro();
     let mut day = sunny_day(diurnal, tau);
     if e_b == 0 {
@@ -231,7 +231,7 @@ fn sunny(mut stream: Stream, diurnal: &Diurnal, tau: f64) -> Source {
     }
     let unused = stream.clone();
     let left = -libm::log1p(-stream.unit());
-    Source::Sunny {
+    ReferenceSource::Sunny {
         unused,
         stream,
         is_known: diurnal.known == DayKnowledge::Course,
@@ -241,22 +241,22 @@ fn sunny(mut stream: Stream, diurnal: &Diurnal, tau: f64) -> Source {
     }
 }
 
-fn arrivals(mut stream: Stream, p: f64, e_b: u64) -> Source {
+fn arrivals(mut stream: Stream, p: f64, e_b: u64) -> ReferenceSource {
     let law = Geometric::new(if e_b == 0 { 0.0 } else { p });
     // A gap of 1 means an arrival in TTI 0.
     let next = law.draw(&mut stream) - 1;
-    Source::Arrivals { stream, law, next, e_b }
+    ReferenceSource::Arrivals { stream, law, next, e_b }
 }
 
 /// Creates a source that leaves "on" at rate `stop` and "off" at rate `start`, sampled every `tau`.
-fn on_off(mut stream: Stream, stop: f64, start: f64, tau: f64, e_b: u64) -> Source {
+fn on_off(mut stream: Stream, stop: f64, start: f64, tau: f64, e_b: u64) -> ReferenceSource {
     let both = stop + start;
     let moved = -libm::expm1(-both * tau);
     let on_run = Geometric::new(stop / both * moved);
     let off_run = Geometric::new(start / both * moved);
     let on = stream.unit() < start / both;
     let left = if on { on_run } else { off_run }.draw(&mut stream);
-    Source::OnOff {
+    ReferenceSource::OnOff {
         stream,
         on_run,
         off_run,
@@ -274,8 +274,8 @@ fn column(trace: &HarvestTrace, nth: usize) -> usize {
     }
 }
 
-fn recorded(trace: &HarvestTrace, nth: usize) -> Source {
-    Source::Recorded {
+fn recorded(trace: &HarvestTrace, nth: usize) -> ReferenceSource {
+    ReferenceSource::Recorded {
         rows: trace.values[column(trace, nth)]
             .iter()
             .map(|energy| energy.micro())

@@ -20,27 +20,27 @@ mod world;
 use reveille_bs::scenario::Scenario;
 use reveille_common::geometry::Point;
 
-pub use age_index::AgeIndex;
+pub use age_index::ReferenceAgeIndex;
 pub use clusters::clusters;
-pub use device::State;
+pub use device::ReferenceState;
 pub use i_min::least_information;
-pub use policy::Policy;
+pub use policy::ReferencePolicy;
 pub use q_learning::{Sequential, choose_by_ages};
 pub use search::own_search;
-pub use world::Run;
-use world::{Ground, play};
+pub use world::ReferenceRun;
+use world::{ReferenceDeployment, play};
 
 /// Runs `scenario` on the reference implementation.
-pub fn simulate(scenario: &Scenario) -> Run {
-    let ground = Ground::of(scenario);
+pub fn simulate(scenario: &Scenario) -> ReferenceRun {
+    let ground = ReferenceDeployment::of(scenario);
     let policy = policy_of(scenario, &ground.positions);
     play(scenario, &ground, policy)
 }
 
 /// Creates the policy of `scenario` for devices at `positions`, including the search that `adjusted` needs.
-pub fn policy_of(scenario: &Scenario, positions: &[Point]) -> Policy {
+pub fn policy_of(scenario: &Scenario, positions: &[Point]) -> ReferencePolicy {
     match scenario.policy.name() {
-        "adjusted" => Policy::adjusted(scenario, positions, search::search(scenario, positions)),
-        _ => Policy::new(scenario, positions),
+        "adjusted" => ReferencePolicy::adjusted(scenario, positions, search::search(scenario, positions)),
+        _ => ReferencePolicy::new(scenario, positions),
     }
 }

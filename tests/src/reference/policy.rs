@@ -19,7 +19,7 @@ const CLOSE_INFORMATION: f64 = 1e-9;
 
 /// Policy with its choices.
 #[derive(Clone, Debug)]
-pub enum Policy {
+pub enum ReferencePolicy {
     /// Clusters whose devices sense in turn.
     Knn {
         /// Devices of each cluster, in order of id.
@@ -77,7 +77,7 @@ pub(super) struct Reporter {
 
 /// Next wake-up decision.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Choice {
+pub(super) enum WakeUpChoice {
     /// Wake this device.
     Wake(usize),
     /// No further wake-up.
@@ -86,7 +86,7 @@ pub(super) enum Choice {
     Ambiguous,
 }
 
-impl Policy {
+impl ReferencePolicy {
     /// Creates the policy of `scenario` for devices at `positions`, if it needs no search.
     pub fn new(scenario: &Scenario, positions: &[Point]) -> Self {
         match scenario.policy.name() {
@@ -176,30 +176,30 @@ impl Policy {
     }
 
     /// Chooses the next device to wake.
-    pub(super) fn choose(&self, seen: &Situation<'_>) -> Choice {
+    pub(super) fn choose(&self, seen: &Situation<'_>) -> WakeUpChoice {
         match self {
             Self::Genie if seen.first && seen.woken.is_empty() || (seen.lossy && seen.reporters.is_empty()) => {
-                closest(seen).map_or(Choice::Stop, Choice::Wake)
+                closest(seen).map_or(WakeUpChoice::Stop, WakeUpChoice::Wake)
             }
-            Self::Random(_) | Self::Genie => Choice::Stop,
+            Self::Random(_) | Self::Genie => WakeUpChoice::Stop,
             Self::Adjusted { everyone, enough, .. } => self.most_correlated(seen, everyone, *enough),
             Self::Knn { members, enough } => self.most_correlated(seen, members, *enough),
         }
     }
 
-    fn most_correlated(&self, seen: &Situation<'_>, members: &[Vec<usize>], enough: f64) -> Choice {
+    fn most_correlated(&self, seen: &Situation<'_>, members: &[Vec<usize>], enough: f64) -> WakeUpChoice {
         if seen.reporters.is_empty() {
-            return Choice::Stop;
+            return WakeUpChoice::Stop;
         }
         if (seen.information - enough).abs() < CLOSE_INFORMATION {
-            return Choice::Ambiguous;
+            return WakeUpChoice::Ambiguous;
         }
         if seen.information >= enough {
-            return Choice::Stop;
+            return WakeUpChoice::Stop;
         }
         let floor = libm::exp(-seen.scenario.sensing.eta * seen.scenario.sensing.d_max);
         let heard: Vec<usize> = seen.reporters.iter().map(|h| cluster_of(members, h.device)).collect();
-        let mut best: Option<(Likelihood, usize)> = None;
+        let mut best: Option<(ReporterCorrelation, usize)> = None;
         let mut candidates = Vec::new();
         for j in 0..seen.positions.len() {
             if self.senses(j, seen.k) || seen.woken.contains(&j) || !heard.contains(&cluster_of(members, j)) {
@@ -210,7 +210,7 @@ impl Policy {
             }
             let likelihood = p42(seen, j);
             if (likelihood.value - floor).abs() < CLOSE_P {
-                return Choice::Ambiguous;
+                return WakeUpChoice::Ambiguous;
             }
             if likelihood.value >= floor {
                 candidates.push(likelihood);
@@ -220,16 +220,16 @@ impl Policy {
             }
         }
         let Some((most, device)) = best else {
-            return Choice::Stop;
+            return WakeUpChoice::Stop;
         };
         // An exact tie goes to the lower id under any integration rule.
         if candidates
             .iter()
             .any(|&other| other != most && most.value - other.value < CLOSE_P)
         {
-            return Choice::Ambiguous;
+            return WakeUpChoice::Ambiguous;
         }
-        Choice::Wake(device)
+        WakeUpChoice::Wake(device)
     }
 }
 
@@ -255,15 +255,15 @@ fn closest(seen: &Situation<'_>) -> Option<usize> {
 /// `P_4,2` of a device, and its origin. Devices with the same origin have exactly the same value under every
 /// integration rule.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Likelihood {
+struct ReporterCorrelation {
     value: f64,
     reporter: usize,
     gamma: f64,
 }
 
 /// Returns the largest Pr(`S_j` = S3 | `S_h` = S3) over the reporters h.
-fn p42(seen: &Situation<'_>, j: usize) -> Likelihood {
-    let mut most = Likelihood {
+fn p42(seen: &Situation<'_>, j: usize) -> ReporterCorrelation {
+    let mut most = ReporterCorrelation {
         value: 0.0,
         reporter: 0,
         gamma: 0.0,
@@ -271,7 +271,7 @@ fn p42(seen: &Situation<'_>, j: usize) -> Likelihood {
     for reporter in seen.reporters {
         let (gamma, value) = reporter.correlation[j];
         if value > most.value {
-            most = Likelihood {
+            most = ReporterCorrelation {
                 value,
                 reporter: reporter.device,
                 gamma,

@@ -3,13 +3,13 @@
 
 use std::f64::consts::PI;
 
-use reveille_bs::policy::q_learning::learned::{AREAS, BATTERIES, DutyTable};
+use reveille_bs::policy::q_learning::learned::{AREA_BUCKETS, BATTERY_BUCKETS, DutyTable};
 use reveille_common::geometry::{Area, Point};
 use reveille_common::scenario::EnergyModel;
 use reveille_common::sensing::{DetectionKind, Sensing};
 use reveille_common::units::Energy;
 
-use super::age_index::AgeIndex;
+use super::age_index::ReferenceAgeIndex;
 use super::clusters::distance;
 
 /// Cells along the side of a block.
@@ -101,7 +101,9 @@ impl Sequential {
             0 => 0.0002,
             _ => 0.005 * 1.45_f64.powi(bucket.cast_signed() - 1),
         };
-        let bucket = (0..AREAS as u32 - 1).filter(|&bucket| share >= edge(bucket)).count();
+        let bucket = (0..AREA_BUCKETS as u32 - 1)
+            .filter(|&bucket| share >= edge(bucket))
+            .count();
         parts > 0 && battery >= 2 && advantages[battery][bucket] > 0.0
     }
 
@@ -190,13 +192,13 @@ fn battery(energy: &EnergyModel, level: Energy) -> usize {
 /// Chooses the sensing devices by the ages of `places`, in order of number; `None` if too close to call. A device's
 /// price is the lower edge of the first area bucket in which sensing has an advantage at its battery level.
 pub fn choose_by_ages(
-    places: &AgeIndex,
+    places: &ReferenceAgeIndex,
     table: &DutyTable,
     energy: &EnergyModel,
     levels: &[Energy],
 ) -> Option<Vec<usize>> {
     let advantages = advantages(table);
-    let first = |battery: usize| (0..AREAS as u32).find(|&bucket| advantages[battery][bucket as usize] > 0.0);
+    let first = |battery: usize| (0..AREA_BUCKETS as u32).find(|&bucket| advantages[battery][bucket as usize] > 0.0);
     let own = |battery: usize| match first(battery) {
         Some(0) => 1e-30,
         Some(1) => 0.0002 * places.disc(),
@@ -243,14 +245,15 @@ fn advantages(table: &DutyTable) -> Vec<Vec<f64>> {
             let [on, off] = [true, false].map(|delta| table.at(battery, area, delta));
             (on.value - off.value, 1.0 + f64::from(on.visits.min(off.visits)))
         };
-        let raw: Vec<(f64, f64)> = (0..AREAS).map(of).collect();
+        let raw: Vec<(f64, f64)> = (0..AREA_BUCKETS).map(of).collect();
         let mean = |from: usize, to: usize| {
             let weight: f64 = raw[from..=to].iter().map(|(_, weight)| weight).sum();
             raw[from..=to].iter().map(|(value, weight)| value * weight).sum::<f64>() / weight
         };
-        let least_from = |from: usize, area: usize| (area..AREAS).map(|to| mean(from, to)).fold(f64::MAX, f64::min);
+        let least_from =
+            |from: usize, area: usize| (area..AREA_BUCKETS).map(|to| mean(from, to)).fold(f64::MAX, f64::min);
         let at = |area: usize| (0..=area).map(|from| least_from(from, area)).fold(f64::MIN, f64::max);
-        (0..AREAS).map(at).collect()
+        (0..AREA_BUCKETS).map(at).collect()
     };
-    (0..BATTERIES).map(of_battery).collect()
+    (0..BATTERY_BUCKETS).map(of_battery).collect()
 }

@@ -1,16 +1,16 @@
 //! Radio of the reference, computed TTI by TTI from the definition.
 
 use reveille_bs::scenario::Scenario;
-use reveille_common::radio::{self, InterferenceBursts, Link};
+use reveille_common::radio::{self, InterferenceBursts, RadioLossRates};
 use reveille_common::rng::{Geometric, Purpose, Stream, unit_for_pair};
 
 /// Radio of a run. Its clock advances whether or not anything is sent.
 #[derive(Clone, Debug)]
-pub(super) struct Radio {
+pub(super) struct ReferenceRadio {
     seed: u64,
     settings: radio::RadioSettings,
-    link: Link,
-    interference: Option<Interference>,
+    link: RadioLossRates,
+    interference: Option<InterferencePhases>,
     /// By device, its random stream and the TTIs until its next false wake-up.
     startling: Vec<(Stream, u64)>,
     /// By device, whether a plan has reached it. All plans are equal.
@@ -20,16 +20,16 @@ pub(super) struct Radio {
 
 /// Bursts and the gaps between them.
 #[derive(Clone, Debug)]
-struct Interference {
+struct InterferencePhases {
     bursts: InterferenceBursts,
     stream: Stream,
     is_burst: bool,
     left: u64,
 }
 
-impl Interference {
+impl InterferencePhases {
     fn new(bursts: InterferenceBursts, seed: u64) -> Self {
-        let mut stream = Stream::new(seed, Purpose::Interference, 0);
+        let mut stream = Stream::new(seed, Purpose::InterferencePhases, 0);
         let is_burst = stream.unit() < bursts.burst_ttis / (bursts.burst_ttis + bursts.quiet_ttis);
         let mut made = Self {
             bursts,
@@ -59,7 +59,7 @@ impl Interference {
     }
 }
 
-impl Radio {
+impl ReferenceRadio {
     pub(super) fn new(scenario: &Scenario, devices: usize) -> Self {
         let (seed, settings) = (scenario.run.seed, scenario.radio);
         let law = Geometric::new(settings.false_wake_up);
@@ -72,7 +72,7 @@ impl Radio {
             seed,
             settings,
             link: link(&settings),
-            interference: settings.bursts.map(|bursts| Interference::new(bursts, seed)),
+            interference: settings.bursts.map(|bursts| InterferencePhases::new(bursts, seed)),
             startling: startling.collect(),
             informed: vec![false; devices],
             k: 0,
@@ -139,7 +139,7 @@ impl Radio {
 }
 
 /// Returns the mean loss probabilities over bursts and gaps.
-fn link(settings: &radio::RadioSettings) -> Link {
+fn link(settings: &radio::RadioSettings) -> RadioLossRates {
     let mean = |p: f64| match settings.bursts {
         None => p,
         Some(InterferenceBursts {
@@ -148,7 +148,7 @@ fn link(settings: &radio::RadioSettings) -> Link {
             loss,
         }) => (burst_ttis * loss.max(p) + quiet_ttis * p) / (burst_ttis + quiet_ttis),
     };
-    Link {
+    RadioLossRates {
         wake_miss: mean(settings.wake_miss),
         uplink_loss: mean(settings.uplink_loss),
         plan_loss: mean(settings.plan_loss),

@@ -8,8 +8,8 @@ use reveille_common::scenario::assign_classes;
 use reveille_lab::preparation::prepare;
 
 use super::i_min::least_information;
-use super::policy::Policy;
-use super::world::{Ground, play};
+use super::policy::ReferencePolicy;
+use super::world::{ReferenceDeployment, play};
 
 /// Difference between the seeds of pilot runs and the run.
 const OTHER_SEED: u64 = 0x5EED_0F91_1070_0500;
@@ -17,7 +17,7 @@ const OTHER_SEED: u64 = 0x5EED_0F91_1070_0500;
 const CLOSE: f64 = 1e-9;
 
 /// Result of a pair.
-struct Tried {
+struct SearchTrial {
     pair: (u64, u64),
     /// Information per event; `None` without events.
     information: Option<f64>,
@@ -28,7 +28,7 @@ struct Tried {
 /// Returns the pair (t_on, t_DRX) of the search, or the emulator's pair if a pilot run is too close to call.
 pub(super) fn search(scenario: &Scenario, positions: &[Point]) -> (u64, u64) {
     own_search(scenario, positions).unwrap_or_else(|| {
-        let found = prepare(scenario).found.expect("the search finds a pair");
+        let found = prepare(scenario).pilot_choice.expect("the search finds a pair");
         let choice: &DutyCycleChoice = found.downcast_ref().expect("a pair");
         (u64::from(choice.t_on), u64::from(choice.t_drx))
     })
@@ -49,7 +49,7 @@ pub fn own_search(scenario: &Scenario, positions: &[Point]) -> Option<(u64, u64)
             }
         }
     }
-    let ground = Ground {
+    let ground = ReferenceDeployment {
         positions: positions.to_vec(),
         classes: assign_classes(scenario),
         plays_traces: false,
@@ -64,12 +64,12 @@ pub fn own_search(scenario: &Scenario, positions: &[Point]) -> Option<(u64, u64)
         let mut tried = Vec::new();
         for &pair in &pairs {
             // The offsets come from the run itself, not from the pilot.
-            let run = play(&pilot, &ground, Policy::adjusted(scenario, positions, pair));
+            let run = play(&pilot, &ground, ReferencePolicy::adjusted(scenario, positions, pair));
             if run.ambiguous.is_some() {
                 return None;
             }
             let events = run.totals.events;
-            tried.push(Tried {
+            tried.push(SearchTrial {
                 pair,
                 information: (events > 0).then(|| run.totals.information_pico as f64 * 1e-12 / events as f64),
                 spent: run.measured.spent.total().micro(),
@@ -84,9 +84,9 @@ pub fn own_search(scenario: &Scenario, positions: &[Point]) -> Option<(u64, u64)
 }
 
 /// Returns the cheapest pair that reaches `enough`, or else the pair with the most information, or else the cheapest.
-fn best(tried: &[Tried], enough: f64) -> Option<(u64, u64)> {
-    let cheapest = |of: &dyn Fn(&Tried) -> bool| {
-        let mut best: Option<&Tried> = None;
+fn best(tried: &[SearchTrial], enough: f64) -> Option<(u64, u64)> {
+    let cheapest = |of: &dyn Fn(&SearchTrial) -> bool| {
+        let mut best: Option<&SearchTrial> = None;
         for one in tried.iter().filter(|one| of(one)) {
             if best.is_none_or(|best| one.spent < best.spent) {
                 best = Some(one);
@@ -98,7 +98,7 @@ fn best(tried: &[Tried], enough: f64) -> Option<(u64, u64)> {
     if known.iter().any(|information| (information - enough).abs() < CLOSE) {
         return None;
     }
-    let reaches = |one: &Tried| one.information.is_some_and(|information| information >= enough);
+    let reaches = |one: &SearchTrial| one.information.is_some_and(|information| information >= enough);
     if let Some(pair) = cheapest(&reaches) {
         return Some(pair);
     }

@@ -12,16 +12,16 @@ use reveille_common::totals::{DeviceTotals, EventTally, EventTotals, Ledger, Rad
 use reveille_common::units::Energy;
 
 use super::clusters::distance;
-use super::device::{Device, State};
-use super::estimate::Estimate;
-use super::events::Events;
-use super::harvest::{Source, expected_day, is_day, mean};
-use super::policy::{Choice, Policy, Reporter, Situation};
-use super::radio::Radio;
+use super::device::{Device, ReferenceState};
+use super::estimate::ReferenceEstimate;
+use super::events::ReferenceEvents;
+use super::harvest::{ReferenceSource, expected_day, is_day, mean};
+use super::policy::{ReferencePolicy, Reporter, Situation, WakeUpChoice};
+use super::radio::ReferenceRadio;
 
 /// Result of a run of the reference.
 #[derive(Clone, Debug)]
-pub struct Run {
+pub struct ReferenceRun {
     /// Ended events, in order.
     pub events: Vec<EventRecord>,
     /// Ledgers by device.
@@ -47,21 +47,21 @@ pub struct Run {
     /// Wake-up decisions that took a device in S4 to be unable to report.
     pub spared: u64,
     /// State and battery of each device at the end of each TTI.
-    pub trace: Vec<Vec<(State, u64)>>,
+    pub trace: Vec<Vec<(ReferenceState, u64)>>,
     /// TTI in which a decision was too close to call; results from there on are undefined.
     pub ambiguous: Option<u64>,
 }
 
 /// Positions and classes of the devices.
 #[derive(Clone, Debug)]
-pub(super) struct Ground {
+pub(super) struct ReferenceDeployment {
     pub(super) positions: Vec<Point>,
     pub(super) classes: Vec<u16>,
     /// Whether traces are played; otherwise their mean arrives in each TTI.
     pub(super) plays_traces: bool,
 }
 
-impl Ground {
+impl ReferenceDeployment {
     pub(super) fn of(scenario: &Scenario) -> Self {
         Self {
             positions: Deployment::new(scenario).positions(),
@@ -72,8 +72,8 @@ impl Ground {
 }
 
 /// Runs `scenario` on `ground` with `policy`.
-pub(super) fn play(scenario: &Scenario, ground: &Ground, policy: Policy) -> Run {
-    let mut world = World::new(scenario, ground, policy);
+pub(super) fn play(scenario: &Scenario, ground: &ReferenceDeployment, policy: ReferencePolicy) -> ReferenceRun {
+    let mut world = ReferenceWorld::new(scenario, ground, policy);
     for k in 0..scenario.run.ttis {
         if k == world.warm_up_end {
             world.begin_measuring();
@@ -109,17 +109,17 @@ struct Event {
     reporters: Vec<Reporter>,
 }
 
-struct World<'a> {
+struct ReferenceWorld<'a> {
     scenario: &'a Scenario,
     positions: Vec<Point>,
     devices: Vec<Device>,
-    policy: Policy,
+    policy: ReferencePolicy,
     /// The base station's battery estimates.
-    estimates: Vec<Estimate>,
+    estimates: Vec<ReferenceEstimate>,
     warm_up_end: u64,
     event: Option<Event>,
-    coming: Events<'a>,
-    radio: Radio,
+    coming: ReferenceEvents<'a>,
+    radio: ReferenceRadio,
     /// Sum and number of the start probabilities in the measured part.
     start_probability: (f64, f64),
     events: Vec<EventRecord>,
@@ -130,12 +130,12 @@ struct World<'a> {
     arrived: u64,
     missed_wake_ups: u64,
     spared: u64,
-    trace: Vec<Vec<(State, u64)>>,
+    trace: Vec<Vec<(ReferenceState, u64)>>,
     ambiguous: Option<u64>,
 }
 
-impl<'a> World<'a> {
-    fn new(scenario: &'a Scenario, ground: &Ground, policy: Policy) -> Self {
+impl<'a> ReferenceWorld<'a> {
+    fn new(scenario: &'a Scenario, ground: &ReferenceDeployment, policy: ReferencePolicy) -> Self {
         let mut of_class = vec![0; scenario.classes.len()];
         let (mut devices, mut estimates) = (Vec::new(), Vec::new());
         for (id, &class) in ground.classes.iter().enumerate() {
@@ -151,8 +151,8 @@ impl<'a> World<'a> {
                 }
                 None => (vec![mean], vec![true]),
             };
-            estimates.push(Estimate::new(kind.energy, day, is_lit));
-            let source = Source::new(&kind.harvest, scenario.run.tau, seed, id as u64, nth);
+            estimates.push(ReferenceEstimate::new(kind.energy, day, is_lit));
+            let source = ReferenceSource::new(&kind.harvest, scenario.run.tau, seed, id as u64, nth);
             let source = if ground.plays_traces {
                 source
             } else {
@@ -169,8 +169,8 @@ impl<'a> World<'a> {
             devices,
             warm_up_end: (scenario.run.ttis as f64 * scenario.run.warm_up).floor() as u64,
             event: None,
-            coming: Events::new(scenario),
-            radio: Radio::new(scenario, ground.positions.len()),
+            coming: ReferenceEvents::new(scenario),
+            radio: ReferenceRadio::new(scenario, ground.positions.len()),
             start_probability: (0.0, 0.0),
             events: Vec::new(),
             wake_ups: 0,
@@ -214,21 +214,21 @@ impl<'a> World<'a> {
                 (_, paid) = device.pay(device.costs.e_idle, 0);
                 device.sensing_ttis += 1;
                 device.failed_ttis += u64::from(!paid);
-                State::Idle
+                ReferenceState::Idle
             } else {
                 (_, paid) = device.pay(device.costs.e_wur, 1);
                 device.unpowered_ttis += u64::from(!paid);
-                State::Asleep
+                ReferenceState::Asleep
             };
             let [now, most] = device.outage;
             let now = if paid { 0 } else { now + 1 };
             device.outage = [now, most.max(now)];
-            device.state = if paid { then } else { State::Dark };
+            device.state = if paid { then } else { ReferenceState::Dark };
             // `startles` comes first in the condition: it counts down in every TTI, whatever the state.
-            if self.radio.startles(j) && device.state == State::Asleep {
+            if self.radio.startles(j) && device.state == ReferenceState::Asleep {
                 device.false_wake_ups += 1;
                 if !device.pay(device.costs.e_idle, 1).1 {
-                    device.state = State::Dark;
+                    device.state = ReferenceState::Dark;
                 }
             }
         }
@@ -263,7 +263,7 @@ impl<'a> World<'a> {
         let mut reported = Vec::new();
         for j in 0..self.devices.len() {
             let d = distance(self.positions[j], event.epicentre);
-            if self.devices[j].state == State::Idle && self.detects(j, d) {
+            if self.devices[j].state == ReferenceState::Idle && self.detects(j, d) {
                 debug_assert!(self.policy.senses(j, k));
                 if self.transmit(j, k, &mut event) {
                     self.estimates[j].heard(k, self.devices[j].battery);
@@ -303,7 +303,8 @@ impl<'a> World<'a> {
         };
         let mut woken = Vec::new();
         let able: Vec<bool> = if self.policy.ranks() && !event.reporters.is_empty() {
-            let is_able = |(j, estimate): (usize, &Estimate)| estimate.is_able(k, |k| self.policy.senses(j, k));
+            let is_able =
+                |(j, estimate): (usize, &ReferenceEstimate)| estimate.is_able(k, |k| self.policy.senses(j, k));
             self.estimates.iter().enumerate().map(is_able).collect()
         } else {
             vec![true; self.devices.len()]
@@ -324,14 +325,14 @@ impl<'a> World<'a> {
                 lossy: self.radio.no_answer() > 0.0,
             });
             let j = match choice {
-                Choice::Wake(j) => j,
-                Choice::Stop => break,
-                Choice::Ambiguous => return false,
+                WakeUpChoice::Wake(j) => j,
+                WakeUpChoice::Stop => break,
+                WakeUpChoice::Ambiguous => return false,
             };
             woken.push(j);
             event.tally.wake_ups += 1;
             self.wake_ups += u64::from(k >= self.warm_up_end);
-            let heard = self.devices[j].state == State::Asleep && !self.radio.misses_wake_up(j);
+            let heard = self.devices[j].state == ReferenceState::Asleep && !self.radio.misses_wake_up(j);
             event.acts.push((j, [0, 1, u64::from(heard), 0]));
             // Wake-ups for an event are sent in order, each after the latency of the previous one.
             let awake = k + woken.len() as u64 * self.scenario.radio.wake_latency;
@@ -368,7 +369,11 @@ impl<'a> World<'a> {
         let device = &mut self.devices[j];
         device.false_wake_ups += 1;
         let (gone, paid) = device.pay(device.costs.e_idle, 1);
-        device.state = if paid { State::Asleep } else { State::Dark };
+        device.state = if paid {
+            ReferenceState::Asleep
+        } else {
+            ReferenceState::Dark
+        };
         event.acts.push((j, [0, 0, 0, 1]));
         event.tally.wrong_activations += 1;
         event.tally.wasted += Energy::from_micro(gone);
@@ -391,10 +396,10 @@ impl<'a> World<'a> {
             event.tally.wasted += Energy::from_micro(gone);
         }
         if !paid {
-            self.devices[j].state = State::Dark;
+            self.devices[j].state = ReferenceState::Dark;
             return false;
         }
-        self.devices[j].state = State::Transmission;
+        self.devices[j].state = ReferenceState::Transmission;
         let is_measured = u64::from(k >= self.warm_up_end);
         if !arrives {
             self.losses.reports += is_measured;
@@ -478,7 +483,7 @@ impl<'a> World<'a> {
         }
     }
 
-    fn into_run(self) -> Run {
+    fn into_run(self) -> ReferenceRun {
         let mut totals = EventTotals::default();
         for record in self.events.iter().filter(|record| record.counted) {
             totals.events += 1;
@@ -495,7 +500,7 @@ impl<'a> World<'a> {
             totals.wasted += record.tally.wasted;
         }
         let ledgers: Vec<Ledger> = self.devices.iter().map(Device::ledger).collect();
-        Run {
+        ReferenceRun {
             measured: ledgers.iter().map(|ledger| ledger.measured).sum(),
             ledgers,
             events: self.events,

@@ -8,7 +8,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-use tree::{CRATES, Crate, Mention, Module, Source, root, sources};
+use tree::{CRATES, Crate, Mention, Module, SourceFile, root, sources};
 
 /// Crates of the workspace that each crate may use in its code.
 const MAY_USE: [(&str, &[&str]); 9] = [
@@ -445,7 +445,7 @@ fn no_path_of_a_machine_is_named() {
 }
 
 /// Returns the files that a source declares as modules: `name.rs` or `name/mod.rs`, of which clippy allows one.
-fn declared_files(source: &Source) -> Vec<String> {
+fn declared_files(source: &SourceFile) -> Vec<String> {
     let (folder, _) = source.name.rsplit_once('/').expect("a folder");
     let files = source.text.lines().flat_map(|line| {
         let name = line.strip_suffix(';').and_then(|line| line.rsplit_once("mod "));

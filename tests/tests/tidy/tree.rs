@@ -14,14 +14,14 @@ pub(super) const CRATES: [&str; 9] = [
 ];
 
 /// Source file.
-pub(super) struct Source {
+pub(super) struct SourceFile {
     /// Path from the root of the workspace, such as `common/src/plan.rs`.
     pub name: String,
     /// Contents of the file.
     pub text: String,
 }
 
-impl Source {
+impl SourceFile {
     /// Whether the file contains only tests.
     pub(super) fn is_test(&self) -> bool {
         is_test(&self.name)
@@ -47,7 +47,7 @@ pub(super) fn root() -> PathBuf {
 }
 
 /// Returns all Rust files of the tree, ordered by name, including files outside the workspace.
-pub(super) fn sources() -> Vec<Source> {
+pub(super) fn sources() -> Vec<SourceFile> {
     let mut found = Vec::new();
     for folder in ["docs", "tests/fuzz/fuzz_targets"] {
         let before = found.len();
@@ -68,7 +68,7 @@ pub(super) fn sources() -> Vec<Source> {
     found
 }
 
-fn collect(folder: &Path, name: &str, found: &mut Vec<Source>) {
+fn collect(folder: &Path, name: &str, found: &mut Vec<SourceFile>) {
     let Ok(entries) = fs::read_dir(folder) else { return };
     for entry in entries {
         let path = entry.expect("an entry").path();
@@ -77,7 +77,7 @@ fn collect(folder: &Path, name: &str, found: &mut Vec<Source>) {
             collect(&path, &name, found);
         } else if path.extension().is_some_and(|e| e == "rs") {
             let text = fs::read_to_string(&path).expect("UTF-8");
-            found.push(Source { name, text });
+            found.push(SourceFile { name, text });
         }
     }
 }
@@ -88,12 +88,12 @@ pub(super) struct Mention {
     /// Words of the path.
     pub words: Vec<String>,
     /// Syntactic role of the path.
-    role: Role,
+    role: MentionRole,
 }
 
 /// Syntactic role of a path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Role {
+enum MentionRole {
     /// In an expression, a type or a pattern.
     Code,
     /// In a `use`.
@@ -141,7 +141,7 @@ enum Target {
 
 impl Crate {
     /// Reads the modules of `member`.
-    pub(super) fn read(member: &str, sources: &[Source]) -> Self {
+    pub(super) fn read(member: &str, sources: &[SourceFile]) -> Self {
         let (mut modules, mut for_tests) = (BTreeMap::new(), Vec::new());
         let prefix = format!("{member}/src/");
         for source in sources.iter().filter(|source| !source.is_test()) {
@@ -153,7 +153,7 @@ impl Crate {
                 path.pop();
             }
             let file = syn::parse_file(&source.text).unwrap_or_else(|error| panic!("{}: {error}", source.name));
-            let mut reader = Reader {
+            let mut reader = SourceReader {
                 file: &source.name,
                 path,
                 modules: &mut modules,
@@ -209,7 +209,7 @@ impl Crate {
     pub(super) fn hands_on(&self, path: &[String], mention: &Mention) -> bool {
         let first = mention.words.iter().find(|&word| word != "self");
         let is_below = first.is_some_and(|first| self.modules[path].children.contains(first));
-        mention.role == Role::HandedOn && is_below
+        mention.role == MentionRole::HandedOn && is_below
     }
 
     /// Returns `words` in the module at `path` with imports expanded: `std::path::absolute` for `path::absolute`.
@@ -294,7 +294,7 @@ impl Crate {
     }
 }
 
-struct Reader<'a> {
+struct SourceReader<'a> {
     file: &'a str,
     path: Vec<String>,
     modules: &'a mut BTreeMap<Vec<String>, Module>,
@@ -302,7 +302,7 @@ struct Reader<'a> {
     for_tests: &'a mut Vec<Vec<String>>,
 }
 
-impl Reader<'_> {
+impl SourceReader<'_> {
     fn module(&mut self) -> &mut Module {
         let module = self.modules.entry(self.path.clone()).or_default();
         if module.file.is_empty() {
@@ -311,11 +311,11 @@ impl Reader<'_> {
         module
     }
 
-    fn mention(&mut self, words: Vec<String>, role: Role) {
+    fn mention(&mut self, words: Vec<String>, role: MentionRole) {
         self.module().mentions.insert(Mention { words, role });
     }
 
-    fn import(&mut self, tree: &syn::UseTree, mut words: Vec<String>, role: Role) {
+    fn import(&mut self, tree: &syn::UseTree, mut words: Vec<String>, role: MentionRole) {
         let (word, name) = match tree {
             syn::UseTree::Path(path) => {
                 words.push(path.ident.to_string());
@@ -371,7 +371,7 @@ impl Reader<'_> {
     fn end_of_path(&mut self, words: &mut Vec<String>) {
         let words = std::mem::take(words);
         if words.len() > 1 {
-            self.mention(words, Role::Code);
+            self.mention(words, MentionRole::Code);
         }
     }
 }
@@ -416,7 +416,7 @@ fn declared(item: &syn::Item) -> Option<String> {
     }
 }
 
-impl<'ast> Visit<'ast> for Reader<'_> {
+impl<'ast> Visit<'ast> for SourceReader<'_> {
     fn visit_item(&mut self, item: &'ast syn::Item) {
         if is_for_tests(attributes(item)) {
             if let syn::Item::Mod(module) = item {
@@ -448,15 +448,15 @@ impl<'ast> Visit<'ast> for Reader<'_> {
 
     fn visit_item_use(&mut self, item: &'ast syn::ItemUse) {
         let role = if matches!(item.vis, syn::Visibility::Inherited) {
-            Role::Import
+            MentionRole::Import
         } else {
-            Role::HandedOn
+            MentionRole::HandedOn
         };
         self.import(&item.tree, Vec::new(), role);
     }
 
     fn visit_item_static(&mut self, item: &'ast syn::ItemStatic) {
-        let mut written = Names::default();
+        let mut written = TypeNames::default();
         written.visit_type(&item.ty);
         if matches!(item.mutability, syn::StaticMutability::Mut(_)) {
             written.0.push("mut".to_owned());
@@ -467,7 +467,7 @@ impl<'ast> Visit<'ast> for Reader<'_> {
 
     fn visit_path(&mut self, path: &'ast syn::Path) {
         let words = path.segments.iter().map(|segment| segment.ident.to_string()).collect();
-        self.mention(words, Role::Code);
+        self.mention(words, MentionRole::Code);
         visit::visit_path(self, path);
     }
 
@@ -490,7 +490,7 @@ impl<'ast> Visit<'ast> for Reader<'_> {
         self.tokens(call.tokens.clone());
         if let Ok(arguments) = call.parse_body_with(Punctuated::<syn::Expr, syn::Token![,]>::parse_terminated) {
             for argument in &arguments {
-                Calls(self.module()).visit_expr(argument);
+                MacroCalls(self.module()).visit_expr(argument);
             }
         }
         visit::visit_macro(self, call);
@@ -502,9 +502,9 @@ impl<'ast> Visit<'ast> for Reader<'_> {
 }
 
 /// Collects method calls in the arguments of a macro.
-struct Calls<'a>(&'a mut Module);
+struct MacroCalls<'a>(&'a mut Module);
 
-impl<'ast> Visit<'ast> for Calls<'_> {
+impl<'ast> Visit<'ast> for MacroCalls<'_> {
     fn visit_expr_method_call(&mut self, call: &'ast syn::ExprMethodCall) {
         if call.args.is_empty() {
             self.0.calls.insert(call.method.to_string());
@@ -515,9 +515,9 @@ impl<'ast> Visit<'ast> for Calls<'_> {
 
 /// Collects all names in a type.
 #[derive(Default)]
-struct Names(Vec<String>);
+struct TypeNames(Vec<String>);
 
-impl<'ast> Visit<'ast> for Names {
+impl<'ast> Visit<'ast> for TypeNames {
     fn visit_ident(&mut self, ident: &'ast proc_macro2::Ident) {
         self.0.push(ident.to_string());
     }

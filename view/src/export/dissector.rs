@@ -1,7 +1,7 @@
 //! Wireshark dissector in Lua, generated from the message schemas so that it reads the messages of this version.
 //!
 //! Every field has its own filter: `reveille.`, the kind and the path to the field, such as `reveille.wake.device`. The
-//! variant name of a choice is in `….is`.
+//! variant name of a choice is in `….is`. The keys of the generated tables are read by `dissector.lua`.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -10,85 +10,87 @@ use reveille_common::codec::WIRE_VERSION;
 use reveille_common::message::{Addressee, MessageKind};
 use serde_reflection::{ContainerFormat, Format, Named, VariantFormat};
 
-use super::pcapng::number;
+use super::pcapng::kind_number;
 use crate::schemas::MessageSchemas;
 
 /// Part common to all dissectors.
-const CORE: &str = include_str!("dissector.lua");
+const LUA_CORE: &str = include_str!("dissector.lua");
 
 /// Generates the script.
-pub fn lua() -> String {
-    let forms = MessageSchemas::read();
-    let mut script = Script {
-        forms: &forms,
+pub fn lua_script() -> String {
+    let schemas = MessageSchemas::trace_all();
+    let mut script = ScriptBuilder {
+        schemas: &schemas,
         fields: BTreeMap::new(),
     };
     let mut kinds = String::new();
     for kind in MessageKind::ALL {
         let (plane, name, whose) = (kind.plane().name(), kind.name(), kind.addressee().name());
-        let form = script.format(forms.kind(*kind), name);
+        let lua_form = script.format(schemas.type_of(*kind), name);
         // A report's payload holds the device, so the field with this path exists already.
         let path = format!("{name}.{whose}");
-        let is_told = kind.addressee() == Addressee::Nobody || script.fields.contains_key(&path);
-        if !is_told {
-            script.field(&path, "uint32");
+        let has_own_field = kind.addressee() == Addressee::Nobody || script.fields.contains_key(&path);
+        if !has_own_field {
+            script.add_field(&path, "uint32");
         }
         let _infallible = writeln!(
             kinds,
-            "kinds[{}] = {{plane = {plane:?}, name = {name:?}, whose = {whose:?}, told = {is_told}, form = {form}}}",
-            number(*kind)
+            "kinds[{}] = {{plane = {plane:?}, name = {name:?}, whose = {whose:?}, told = {has_own_field}, \
+             form = {lua_form}}}",
+            kind_number(*kind)
         );
     }
     let mut fields = String::new();
-    for (path, of) in &script.fields {
+    for (path, lua_type) in &script.fields {
         let name = path.rsplit('.').next().unwrap_or(path);
         let _infallible = writeln!(
             fields,
-            "fields[{path:?}] = ProtoField.{of}(\"reveille.{path}\", {name:?})"
+            "fields[{path:?}] = ProtoField.{lua_type}(\"reveille.{path}\", {name:?})"
         );
     }
-    CORE.replace("--@fields", &fields)
+    LUA_CORE
+        .replace("--@fields", &fields)
         .replace("--@kinds", &kinds)
         .replace("--@version", &format!("local version = {WIRE_VERSION}"))
 }
 
 /// Schemas as Lua tables, and the fields that they need.
-struct Script<'a> {
-    forms: &'a MessageSchemas,
+struct ScriptBuilder<'a> {
+    schemas: &'a MessageSchemas,
     /// Field types by path.
     fields: BTreeMap<String, &'static str>,
 }
 
-impl Script<'_> {
-    fn field(&mut self, path: &str, of: &'static str) {
-        self.fields.insert(path.to_owned(), of);
+impl ScriptBuilder<'_> {
+    fn add_field(&mut self, path: &str, lua_type: &'static str) {
+        self.fields.insert(path.to_owned(), lua_type);
     }
 
     /// Adds a value that has its own field.
-    fn leaf(&mut self, path: &str, read: &str, of: &'static str) -> String {
-        self.field(path, of);
+    fn add_leaf(&mut self, path: &str, read: &str, lua_type: &'static str) -> String {
+        self.add_field(path, lua_type);
         format!("{{{read:?}, {path:?}}}")
     }
 
     fn format(&mut self, format: &Format, path: &str) -> String {
         match format {
             Format::TypeName(name) => {
-                let container = self.forms.named(name).expect("a type that was traced").clone();
+                let container = self.schemas.type_named(name).expect("a type that was traced").clone();
                 self.container(&container, path)
             }
             Format::Unit | Format::Variable(_) => "{\"nothing\"}".to_owned(),
-            Format::Bool => self.leaf(path, "bool", "bool"),
-            Format::U8 | Format::I8 => self.leaf(path, "byte", "uint8"),
-            Format::U16 | Format::U32 => self.leaf(path, "unsigned", "uint32"),
-            Format::U64 => self.leaf(path, "long", "uint64"),
-            Format::U128 | Format::I128 => self.leaf(path, "longest", "string"),
-            Format::I16 | Format::I32 | Format::I64 => self.leaf(path, "signed", "int64"),
-            Format::F32 => self.leaf(path, "single", "float"),
-            Format::F64 => self.leaf(path, "double", "double"),
-            Format::Char | Format::Str => self.leaf(path, "text", "string"),
-            Format::Bytes => self.leaf(path, "bytes", "bytes"),
+            Format::Bool => self.add_leaf(path, "bool", "bool"),
+            Format::U8 | Format::I8 => self.add_leaf(path, "byte", "uint8"),
+            Format::U16 | Format::U32 => self.add_leaf(path, "unsigned", "uint32"),
+            Format::U64 => self.add_leaf(path, "long", "uint64"),
+            Format::U128 | Format::I128 => self.add_leaf(path, "longest", "string"),
+            Format::I16 | Format::I32 | Format::I64 => self.add_leaf(path, "signed", "int64"),
+            Format::F32 => self.add_leaf(path, "single", "float"),
+            Format::F64 => self.add_leaf(path, "double", "double"),
+            Format::Char | Format::Str => self.add_leaf(path, "text", "string"),
+            Format::Bytes => self.add_leaf(path, "bytes", "bytes"),
             Format::Option(inner) => format!("{{\"option\", {}}}", self.format(inner, path)),
-            Format::Seq(inner) if **inner == Format::U8 => self.leaf(path, "bytes", "bytes"),
+            Format::Seq(inner) if **inner == Format::U8 => self.add_leaf(path, "bytes", "bytes"),
             Format::Seq(inner) => format!("{{\"seq\", {}}}", self.format(inner, path)),
             Format::TupleArray { content, size } => self.tuple(&vec![(**content).clone(); *size], path),
             Format::Tuple(parts) => self.tuple(parts, path),
@@ -103,9 +105,9 @@ impl Script<'_> {
             ContainerFormat::TupleStruct(parts) => self.tuple(parts, path),
             ContainerFormat::Struct(fields) => self.structure(fields, path),
             ContainerFormat::Enum(variants) => {
-                self.field(&format!("{path}.is"), "string");
+                self.add_field(&format!("{path}.is"), "string");
                 let mut all = String::new();
-                for (at, variant) in variants {
+                for (index, variant) in variants {
                     let inner = format!("{path}.{}", snake_case(&variant.name));
                     let form = match &variant.value {
                         VariantFormat::Unit | VariantFormat::Variable(_) => "{\"nothing\"}".to_owned(),
@@ -113,7 +115,7 @@ impl Script<'_> {
                         VariantFormat::Tuple(parts) => self.tuple(parts, &inner),
                         VariantFormat::Struct(fields) => self.structure(fields, &inner),
                     };
-                    let _infallible = write!(all, "[{at}] = {{{:?}, {form}}}, ", variant.name);
+                    let _infallible = write!(all, "[{index}] = {{{:?}, {form}}}, ", variant.name);
                 }
                 format!("{{\"choice\", {:?}, {{{all}}}}}", format!("{path}.is"))
             }
@@ -121,17 +123,17 @@ impl Script<'_> {
     }
 
     fn structure(&mut self, fields: &[Named<Format>], path: &str) -> String {
-        let each = fields
+        let forms = fields
             .iter()
             .map(|field| self.format(&field.value, &format!("{path}.{}", field.name)));
-        format!("{{\"all\", {}}}", each.collect::<Vec<_>>().join(", "))
+        format!("{{\"all\", {}}}", forms.collect::<Vec<_>>().join(", "))
     }
 
     fn tuple(&mut self, parts: &[Format], path: &str) -> String {
-        let each = (0..)
+        let forms = (0..)
             .zip(parts)
             .map(|(at, part)| self.format(part, &format!("{path}.{at}")));
-        format!("{{\"all\", {}}}", each.collect::<Vec<_>>().join(", "))
+        format!("{{\"all\", {}}}", forms.collect::<Vec<_>>().join(", "))
     }
 }
 
@@ -153,7 +155,7 @@ mod tests {
 
     #[test]
     fn every_kind_is_dissected() {
-        let script = lua();
+        let script = lua_script();
         for kind in MessageKind::ALL {
             assert!(script.contains(&format!("name = {:?}", kind.name())), "{}", kind.name());
         }

@@ -1,4 +1,8 @@
-//! Export of runs to the file formats of other tools.
+//! Files of a run for other programs. A new format is a module here and a value of `inspect export --to`.
+//!
+//! - [`pcapng`]: packets for Wireshark, which [`dissector`] teaches to read them.
+//! - [`perfetto`]: a trace of states, batteries and wake-ups, encoded by `protobuf`.
+//! - [`table`]: one row a message, as CSV or Parquet.
 
 pub mod dissector;
 pub mod pcapng;

@@ -2,7 +2,7 @@
 //!
 //! A packet is a header and the payload as encoded. The header is little-endian. Its fields are the number of the kind
 //! (one byte, in the order of [`MessageKind::ALL`]), whether a number follows (one byte, 0 or 1), the number at the end
-//! of the key (four bytes) and the TTI (eight bytes).
+//! of the key (four bytes) and the TTI (eight bytes). `dissector.lua` reads this header.
 
 use core::time::Duration;
 use std::io::Write;
@@ -16,14 +16,14 @@ use reveille_common::message::{Frame, MessageKind};
 use crate::recording::NANOS_PER_TTI;
 
 /// Length of a packet header, bytes.
-const HEADER: usize = 14;
+const HEADER_BYTES: usize = 14;
 /// Resolution of time stamps: 10⁻⁹ s.
 const NANOSECONDS: u8 = 9;
 
 /// Writer of packets.
-pub struct Packets<W: Write>(PcapNgWriter<W>);
+pub struct PacketWriter<W: Write>(PcapNgWriter<W>);
 
-impl<W: Write> Packets<W> {
+impl<W: Write> PacketWriter<W> {
     /// Writes the start of a file.
     ///
     /// # Errors
@@ -47,7 +47,7 @@ impl<W: Write> Packets<W> {
     /// # Errors
     /// If the file cannot be written.
     pub fn write(&mut self, frame: &Frame) -> Result<(), PcapError> {
-        let packet = packet(frame);
+        let packet = packet_bytes(frame);
         self.0.write_pcapng_block(EnhancedPacketBlock {
             interface_id: 0,
             timestamp: Duration::from_nanos(frame.tti.0 * NANOS_PER_TTI),
@@ -70,14 +70,14 @@ impl<W: Write> Packets<W> {
 }
 
 /// Returns the number of a kind in packets.
-pub fn number(kind: MessageKind) -> u8 {
-    let at = MessageKind::ALL.iter().position(|known| *known == kind);
-    at.expect("all kinds are listed") as u8
+pub fn kind_number(kind: MessageKind) -> u8 {
+    let index = MessageKind::ALL.iter().position(|other| *other == kind);
+    index.expect("all kinds are listed") as u8
 }
 
-fn packet(frame: &Frame) -> Vec<u8> {
-    let mut packet = Vec::with_capacity(HEADER + frame.payload.len());
-    packet.push(number(frame.kind));
+fn packet_bytes(frame: &Frame) -> Vec<u8> {
+    let mut packet = Vec::with_capacity(HEADER_BYTES + frame.payload.len());
+    packet.push(kind_number(frame.kind));
     packet.push(u8::from(frame.number.is_some()));
     packet.extend(frame.number.unwrap_or(0).to_le_bytes());
     packet.extend(frame.tti.0.to_le_bytes());
@@ -96,7 +96,7 @@ mod tests {
     #[test]
     fn a_packet_is_a_header_and_the_payload_at_its_virtual_time() {
         let frame = Frame::new(Tti(5_000_000), DeviceId(7), &WakeUp { tti: Tti(5_000_000) });
-        let mut packets = Packets::begin(Vec::new()).expect("begun");
+        let mut packets = PacketWriter::begin(Vec::new()).expect("begun");
         packets.write(&frame).expect("written");
         let bytes = packets.finish().expect("finished");
         let mut reader = PcapNgReader::new(&bytes[..]).expect("a section");
@@ -108,8 +108,8 @@ mod tests {
         let packet = reader.next_block().expect("a block").expect("whole").into_owned();
         let packet = packet.into_enhanced_packet().expect("a packet");
         assert_eq!(packet.timestamp.as_nanos(), 5_000_000 * 1_000_000);
-        assert_eq!(packet.data[..6], [number(MessageKind::Wake), 1, 7, 0, 0, 0]);
-        assert_eq!(packet.data[HEADER..], frame.payload);
+        assert_eq!(packet.data[..6], [kind_number(MessageKind::Wake), 1, 7, 0, 0, 0]);
+        assert_eq!(packet.data[HEADER_BYTES..], frame.payload);
         assert!(reader.next_block().is_none());
     }
 }

@@ -1,4 +1,4 @@
-//! Encoder for Protocol Buffers fields.
+//! Encoder for Protocol Buffers fields, used by `perfetto` with the field numbers of Perfetto's schema.
 
 /// An encoded message, to which fields can be appended.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -57,9 +57,9 @@ impl Proto {
         self.0.extend(value);
     }
 
-    fn key(&mut self, field: u32, wire: u32) {
+    fn key(&mut self, field: u32, wire_type: u32) {
         // Wire types: 0 varint, 1 eight bytes, 2 a length and its bytes.
-        self.varint(u64::from(field << 3 | wire));
+        self.varint(u64::from(field << 3 | wire_type));
     }
 
     fn varint(&mut self, mut value: u64) {

@@ -1,4 +1,5 @@
-//! Export of messages as a table for statistics programs, one row a message.
+//! Export of messages as a table for statistics programs, one row a message. The columns are a file format, in CSV by
+//! [`MessageRow::fields`] and in Parquet by [`MessageTableWriter`], in the order of [`COLUMNS`].
 //!
 //! | column | content |
 //! |---|---|
@@ -19,7 +20,7 @@ use reveille_common::parquet::{Column, Writer, schema};
 use serde_json::json;
 
 /// Rows in a row group.
-const GROUP: usize = 100_000;
+const ROWS_PER_GROUP: usize = 100_000;
 
 /// The columns.
 pub const COLUMNS: [&str; 8] = [
@@ -41,6 +42,7 @@ pub struct MessageRow {
     kind: &'static str,
     number: Option<u32>,
     bytes: usize,
+    /// Information and remaining battery, of a report.
     report: Option<(f64, f64)>,
     message: String,
 }
@@ -87,7 +89,7 @@ impl MessageRow {
 /// Writer of a Parquet file.
 pub struct MessageTableWriter<W: Write + Send> {
     writer: Writer<W>,
-    held: Vec<MessageRow>,
+    pending_rows: Vec<MessageRow>,
 }
 
 impl<W: Write + Send> MessageTableWriter<W> {
@@ -109,7 +111,7 @@ impl<W: Write + Send> MessageTableWriter<W> {
         ];
         Ok(Self {
             writer: Writer::begin(out, schema("messages", columns)?, [])?,
-            held: Vec::new(),
+            pending_rows: Vec::new(),
         })
     }
 
@@ -118,8 +120,8 @@ impl<W: Write + Send> MessageTableWriter<W> {
     /// # Errors
     /// If the file cannot be written.
     pub fn write(&mut self, row: MessageRow) -> Result<(), ParquetError> {
-        self.held.push(row);
-        if self.held.len() < GROUP {
+        self.pending_rows.push(row);
+        if self.pending_rows.len() < ROWS_PER_GROUP {
             Ok(())
         } else {
             self.write_group()
@@ -131,25 +133,25 @@ impl<W: Write + Send> MessageTableWriter<W> {
     /// # Errors
     /// If the file cannot be written.
     pub fn finish(mut self) -> Result<W, ParquetError> {
-        if !self.held.is_empty() {
+        if !self.pending_rows.is_empty() {
             self.write_group()?;
         }
         self.writer.finish()
     }
 
     fn write_group(&mut self) -> Result<(), ParquetError> {
-        let held = std::mem::take(&mut self.held);
-        let rows = || held.iter();
-        self.writer.group(|group| {
+        let pending = std::mem::take(&mut self.pending_rows);
+        let rows = || pending.iter();
+        self.writer.write_row_group(|group| {
             // Parquet's integers are signed. TTIs, ids and lengths of a run are far below their limits.
-            group.required::<Int64Type>(rows().map(|row| row.tti.cast_signed()))?;
-            group.required::<ByteArrayType>(rows().map(|row| row.plane.into()))?;
-            group.required::<ByteArrayType>(rows().map(|row| row.kind.into()))?;
-            group.optional::<Int32Type>(rows().map(|row| row.number.map(u32::cast_signed)))?;
-            group.required::<Int32Type>(rows().map(|row| (row.bytes as u32).cast_signed()))?;
-            group.optional::<DoubleType>(rows().map(|row| row.report.map(|(information, _)| information)))?;
-            group.optional::<DoubleType>(rows().map(|row| row.report.map(|(_, battery)| battery)))?;
-            group.required::<ByteArrayType>(rows().map(|row| row.message.as_str().into()))
+            group.write_required::<Int64Type>(rows().map(|row| row.tti.cast_signed()))?;
+            group.write_required::<ByteArrayType>(rows().map(|row| row.plane.into()))?;
+            group.write_required::<ByteArrayType>(rows().map(|row| row.kind.into()))?;
+            group.write_optional::<Int32Type>(rows().map(|row| row.number.map(u32::cast_signed)))?;
+            group.write_required::<Int32Type>(rows().map(|row| (row.bytes as u32).cast_signed()))?;
+            group.write_optional::<DoubleType>(rows().map(|row| row.report.map(|(information, _)| information)))?;
+            group.write_optional::<DoubleType>(rows().map(|row| row.report.map(|(_, battery)| battery)))?;
+            group.write_required::<ByteArrayType>(rows().map(|row| row.message.as_str().into()))
         })
     }
 }

@@ -1,4 +1,5 @@
-//! Bundle of a scenario and its scenario files.
+//! A scenario without a disk: its text and the files that it refers to. Recordings hold a bundle, and
+//! a base station sends one to observers; from it they rebuild the scenario of the run.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -6,36 +7,36 @@ use std::path::{Path, PathBuf};
 use reveille_bs::policy::outside;
 use reveille_bs::scenario::Scenario;
 use reveille_common::declare::{FileError, Files};
-use reveille_common::message::Description;
+use reveille_common::message::ScenarioDescription;
 use reveille_common::scenario::{self, ScenarioError};
 
-/// Name of the scenario file.
-pub const SCENARIO: &str = "scenario.toml";
-/// Name of the summary.
-pub const SUMMARY: &str = "summary.json";
+/// Name of the scenario file in a recording, and in messages about it.
+pub const SCENARIO_FILE: &str = "scenario.toml";
+/// Name of the summary in a recording.
+pub const SUMMARY_FILE: &str = "summary.json";
 
 /// A scenario, and its scenario files by paths relative to it.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Bundle {
+pub struct ScenarioBundle {
     /// Text of the scenario.
     pub scenario: String,
     /// Scenario files: path, with `/` between its parts, and bytes.
     pub files: Vec<(String, Vec<u8>)>,
 }
 
-impl From<Description> for Bundle {
-    fn from(Description { scenario, files }: Description) -> Self {
+impl From<ScenarioDescription> for ScenarioBundle {
+    fn from(ScenarioDescription { scenario, files }: ScenarioDescription) -> Self {
         Self { scenario, files }
     }
 }
 
-impl From<Bundle> for Description {
-    fn from(Bundle { scenario, files }: Bundle) -> Self {
+impl From<ScenarioBundle> for ScenarioDescription {
+    fn from(ScenarioBundle { scenario, files }: ScenarioBundle) -> Self {
         Self { scenario, files }
     }
 }
 
-impl Bundle {
+impl ScenarioBundle {
     /// Loads the scenario.
     ///
     /// # Errors
@@ -43,7 +44,7 @@ impl Bundle {
     pub fn load(&self) -> Result<Scenario, ScenarioError> {
         let loaded = scenario::parse(
             &self.scenario,
-            SCENARIO,
+            SCENARIO_FILE,
             Path::new(""),
             &[],
             &outside::kinds_with_external(),
@@ -53,17 +54,17 @@ impl Bundle {
     }
 
     fn find(&self, path: &Path) -> Option<&[u8]> {
-        let is_it = |(name, _): &&(String, Vec<u8>)| Path::new(name) == path;
-        self.files.iter().find(is_it).map(|(_, bytes)| &bytes[..])
+        let has_path = |(name, _): &&(String, Vec<u8>)| Path::new(name) == path;
+        self.files.iter().find(has_path).map(|(_, bytes)| &bytes[..])
     }
 }
 
-impl Files for Bundle {
-    fn read(&self, path: &Path, most: u64) -> Result<Vec<u8>, FileError> {
+impl Files for ScenarioBundle {
+    fn read(&self, path: &Path, max_bytes: u64) -> Result<Vec<u8>, FileError> {
         let bytes = self.find(path).ok_or(io::Error::from(io::ErrorKind::NotFound))?;
         let length = bytes.len() as u64;
-        if length > most {
-            return Err(FileError::TooLong { length, most });
+        if length > max_bytes {
+            return Err(FileError::TooLong { length, max_bytes });
         }
         Ok(bytes.to_vec())
     }
@@ -73,6 +74,7 @@ impl Files for Bundle {
     }
 
     fn absolute(&self, path: &Path) -> io::Result<PathBuf> {
+        // Paths stay relative: they are the keys of `files`.
         Ok(path.to_owned())
     }
 }

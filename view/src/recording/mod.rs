@@ -13,10 +13,10 @@ mod writer;
 use reveille_common::ids::Tti;
 use reveille_common::message::MessageKind;
 
-pub use bundle::{Bundle, SCENARIO, SUMMARY};
+pub use bundle::{SCENARIO_FILE, SUMMARY_FILE, ScenarioBundle};
 pub use reader::{RecordingError, RecordingReader};
 pub use recorder::{Recorder, RecorderHandle, RecordingStats, is_growing};
-pub use writer::Writer;
+pub use writer::RecordingWriter;
 
 /// Log time of one TTI, nanoseconds.
 pub(crate) const NANOS_PER_TTI: u64 = 1_000_000;

@@ -1,4 +1,5 @@
-//! Reader of recordings, whole or torn, from the start or from any TTI.
+//! Reader of recordings, whole or torn, from the start or from any TTI. It must read what `writer` writes: metadata,
+//! attachments, then messages with consecutive numbers.
 
 use std::collections::BTreeMap;
 use std::io::{self, Read, Seek, SeekFrom};
@@ -11,7 +12,7 @@ use reveille_common::codec::WIRE_VERSION;
 use reveille_common::ids::Tti;
 use reveille_common::message::Frame;
 
-use super::bundle::{Bundle, SCENARIO, SUMMARY};
+use super::bundle::{SCENARIO_FILE, SUMMARY_FILE, ScenarioBundle};
 use super::{VERSION, log_time};
 use crate::frame_line::{LineError, from_json};
 
@@ -19,7 +20,7 @@ use crate::frame_line::{LineError, from_json};
 pub(super) const METADATA: &str = "reveille";
 
 /// Maximum length of a record, bytes; a harvest trace may be long.
-const LONGEST: usize = 1 << 30;
+const MAX_RECORD_BYTES: usize = 1 << 30;
 
 /// Reason why a recording cannot be read, or not any further.
 #[derive(Debug, thiserror::Error)]
@@ -48,12 +49,12 @@ pub enum RecordingError {
         frames: u64,
     },
     /// The content was changed.
-    #[error("is damaged after {frames} messages: {why}")]
+    #[error("is damaged after {frames} messages: {cause}")]
     Damaged {
         /// Number of messages before the damage.
         frames: u64,
         /// Description of the damage.
-        why: String,
+        cause: String,
     },
 }
 
@@ -65,15 +66,15 @@ pub struct RecordingReader<R> {
     is_over: bool,
     frames: u64,
     /// Number of the next frame; unknown after a jump.
-    next: Option<u32>,
+    next_sequence: Option<u32>,
     /// First TTI to return; earlier frames are skipped.
-    from: Tti,
-    bundle: Bundle,
-    about: BTreeMap<String, String>,
+    first_tti: Tti,
+    bundle: ScenarioBundle,
+    metadata: BTreeMap<String, String>,
     summary: Option<String>,
     index: Option<Summary>,
     /// The first frame, which was read early to find the records before it.
-    held: Option<Frame>,
+    first_frame: Option<Frame>,
 }
 
 impl<R: Read + Seek> RecordingReader<R> {
@@ -82,48 +83,48 @@ impl<R: Read + Seek> RecordingReader<R> {
     /// # Errors
     /// If the file is not a recording, is of another version, or is torn before its first frame.
     pub fn open(mut source: R) -> Result<Self, RecordingError> {
-        let index = index(&mut source)?;
+        let index = read_index(&mut source)?;
         let summary = match &index {
-            Some(index) => summary(&mut source, index)?,
+            Some(index) => read_summary(&mut source, index)?,
             None => None,
         };
         source.seek(SeekFrom::Start(0))?;
         let mut reader = Self {
             source,
-            linear: linear(false),
+            linear: new_linear_reader(false),
             is_over: false,
             frames: 0,
-            next: Some(0),
-            from: Tti::ZERO,
-            bundle: Bundle::default(),
-            about: BTreeMap::new(),
+            next_sequence: Some(0),
+            first_tti: Tti::ZERO,
+            bundle: ScenarioBundle::default(),
+            metadata: BTreeMap::new(),
             summary,
             index,
-            held: None,
+            first_frame: None,
         };
-        reader.held = match reader.read() {
+        reader.first_frame = match reader.read_frame() {
             Ok(frame) => frame,
             // The scenario is usable even without a whole frame; `next_frame` reports the tear again.
-            Err(RecordingError::Torn { .. }) if !reader.about.is_empty() => {
+            Err(RecordingError::Torn { .. }) if !reader.metadata.is_empty() => {
                 reader.is_over = false;
                 None
             }
             Err(error) => return Err(error),
         };
-        if reader.about.is_empty() || reader.bundle.scenario.is_empty() {
+        if reader.metadata.is_empty() || reader.bundle.scenario.is_empty() {
             return Err(RecordingError::Foreign("it was not recorded by reveille".to_owned()));
         }
         Ok(reader)
     }
 
     /// The scenario and its scenario files.
-    pub const fn bundle(&self) -> &Bundle {
+    pub const fn bundle(&self) -> &ScenarioBundle {
         &self.bundle
     }
 
     /// Name of the run.
     pub fn run(&self) -> &str {
-        self.about.get("run").map_or("", String::as_str)
+        self.metadata.get("run").map_or("", String::as_str)
     }
 
     /// Text of the summary, if the run has ended.
@@ -152,28 +153,28 @@ impl<R: Read + Seek> RecordingReader<R> {
     /// # Errors
     /// If the file cannot be read.
     pub fn seek(&mut self, tti: Tti) -> Result<(), RecordingError> {
-        self.from = tti;
-        let wanted = log_time(tti);
+        self.first_tti = tti;
+        let wanted_time = log_time(tti);
         let chunks = self.index.as_ref().map_or(&[][..], |index| &index.chunk_indexes);
         let start = chunks
             .iter()
-            .filter(|chunk| chunk.message_end_time >= wanted)
+            .filter(|chunk| chunk.message_end_time >= wanted_time)
             .map(|chunk| chunk.chunk_start_offset)
             .min();
         let (offset, is_inside) = match (start, &self.index) {
             (Some(offset), _) => (offset, true),
             // No chunk reaches this TTI.
             (None, Some(_)) => {
-                (self.is_over, self.held) = (true, None);
+                (self.is_over, self.first_frame) = (true, None);
                 return Ok(());
             }
             // A torn file has no index, so it is read from the start.
             (None, None) => (0, false),
         };
         self.source.seek(SeekFrom::Start(offset))?;
-        self.linear = linear(is_inside);
-        (self.is_over, self.held, self.frames) = (false, None, 0);
-        self.next = (!is_inside).then_some(0);
+        self.linear = new_linear_reader(is_inside);
+        (self.is_over, self.first_frame, self.frames) = (false, None, 0);
+        self.next_sequence = (!is_inside).then_some(0);
         Ok(())
     }
 
@@ -183,22 +184,22 @@ impl<R: Read + Seek> RecordingReader<R> {
     /// If the file is torn or damaged at this place. Later calls return `None`.
     pub fn next_frame(&mut self) -> Result<Option<Frame>, RecordingError> {
         loop {
-            let frame = match self.held.take() {
+            let frame = match self.first_frame.take() {
                 Some(frame) => Some(frame),
-                None => self.read()?,
+                None => self.read_frame()?,
             };
             match frame {
-                Some(frame) if frame.tti < self.from => {}
+                Some(frame) if frame.tti < self.first_tti => {}
                 other => return Ok(other),
             }
         }
     }
 
-    fn read(&mut self) -> Result<Option<Frame>, RecordingError> {
+    fn read_frame(&mut self) -> Result<Option<Frame>, RecordingError> {
         if self.is_over {
             return Ok(None);
         }
-        let read = self.read_on();
+        let read = self.read_to_message();
         self.is_over = !matches!(read, Ok(Some(_)));
         let frames = self.frames;
         read.map_err(|error| match error {
@@ -210,20 +211,20 @@ impl<R: Read + Seek> RecordingReader<R> {
             }
             ReadStop::Format(error) => RecordingError::Damaged {
                 frames,
-                why: said(&error),
+                cause: error_chain(&error),
             },
             ReadStop::Line(error) => RecordingError::Damaged {
                 frames,
-                why: error.to_string(),
+                cause: error.to_string(),
             },
             ReadStop::Missing => RecordingError::Damaged {
                 frames,
-                why: "messages are missing".to_owned(),
+                cause: "messages are missing".to_owned(),
             },
         })
     }
 
-    fn read_on(&mut self) -> Result<Option<Frame>, ReadStop> {
+    fn read_to_message(&mut self) -> Result<Option<Frame>, ReadStop> {
         while let Some(event) = self.linear.next_event() {
             match event? {
                 LinearReadEvent::ReadRequest(need) => {
@@ -234,13 +235,13 @@ impl<R: Read + Seek> RecordingReader<R> {
                     Record::Message { header, data } => {
                         // Numbers are consecutive. A chunk that damage has turned into an unknown record therefore
                         // shows as a gap.
-                        if self.next.is_some_and(|next| next != header.sequence) {
+                        if self.next_sequence.is_some_and(|next| next != header.sequence) {
                             return Err(ReadStop::Missing);
                         }
                         let text = std::str::from_utf8(&data).map_err(|_| LineError::Hex)?;
                         let frame = from_json(text)?;
                         // Sequence numbers have 32 bits and wrap, as in the writer.
-                        self.next = Some(header.sequence.wrapping_add(1));
+                        self.next_sequence = Some(header.sequence.wrapping_add(1));
                         self.frames += 1;
                         return Ok(Some(frame));
                     }
@@ -250,18 +251,18 @@ impl<R: Read + Seek> RecordingReader<R> {
                         if (&found, &wire) != (&VERSION.to_string(), &WIRE_VERSION.to_string()) {
                             return Err(ReadStop::Version { found, wire });
                         }
-                        self.about = metadata.metadata;
+                        self.metadata = metadata.metadata;
                     }
                     Record::Attachment { header, data, .. } => {
-                        if header.name == SCENARIO {
+                        if header.name == SCENARIO_FILE {
                             self.bundle.scenario = String::from_utf8_lossy(&data).into_owned();
-                        } else if header.name != SUMMARY && self.frames == 0 {
+                        } else if header.name != SUMMARY_FILE && self.frames == 0 {
                             self.bundle.files.push((header.name, data.into_owned()));
                         }
                     }
                     // The end of the data; only the index follows.
                     Record::DataEnd(_) => {
-                        if let (Some(next), Some(all)) = (self.next, self.len())
+                        if let (Some(next), Some(all)) = (self.next_sequence, self.len())
                             && next != all as u32
                         {
                             return Err(ReadStop::Missing);
@@ -319,17 +320,17 @@ impl From<LineError> for ReadStop {
     }
 }
 
-fn linear(is_inside: bool) -> LinearReader {
+fn new_linear_reader(is_inside: bool) -> LinearReader {
     let options = LinearReaderOptions::default()
         .with_skip_start_magic(is_inside)
         // A damaged chunk must not yield frames before its checksum fails.
         .with_prevalidate_chunk_crcs(true)
-        .with_record_length_limit(LONGEST);
+        .with_record_length_limit(MAX_RECORD_BYTES);
     LinearReader::new_with_options(options)
 }
 
 /// Reads the index at the end; `None` if the file was not closed.
-fn index<R: Read + Seek>(source: &mut R) -> Result<Option<Summary>, RecordingError> {
+fn read_index<R: Read + Seek>(source: &mut R) -> Result<Option<Summary>, RecordingError> {
     let mut reader = SummaryReader::new();
     loop {
         match reader.next_event() {
@@ -351,13 +352,13 @@ fn index<R: Read + Seek>(source: &mut R) -> Result<Option<Summary>, RecordingErr
 }
 
 /// Reads the summary of the run through the index.
-fn summary<R: Read + Seek>(source: &mut R, index: &Summary) -> Result<Option<String>, RecordingError> {
-    let Some(at) = index.attachment_indexes.iter().find(|at| at.name == SUMMARY) else {
+fn read_summary<R: Read + Seek>(source: &mut R, index: &Summary) -> Result<Option<String>, RecordingError> {
+    let Some(entry) = index.attachment_indexes.iter().find(|entry| entry.name == SUMMARY_FILE) else {
         return Ok(None);
     };
-    source.seek(SeekFrom::Start(at.offset))?;
+    source.seek(SeekFrom::Start(entry.offset))?;
     // A corrupt index can claim any length.
-    let mut record = vec![0; usize::try_from(at.length).unwrap_or(usize::MAX).min(LONGEST)];
+    let mut record = vec![0; usize::try_from(entry.length).unwrap_or(usize::MAX).min(MAX_RECORD_BYTES)];
     source.read_exact(&mut record)?;
     // The record follows an opcode and a length of eight bytes. A corrupt index can also claim no bytes at all.
     let (opcode, body) = (record.first().copied(), record.get(9..));
@@ -365,13 +366,13 @@ fn summary<R: Read + Seek>(source: &mut R, index: &Summary) -> Result<Option<Str
         Ok(Record::Attachment { data, .. }) => Ok(Some(String::from_utf8_lossy(&data).into_owned())),
         Ok(_) | Err(_) => Err(RecordingError::Damaged {
             frames: 0,
-            why: "its index does not match it".to_owned(),
+            cause: "its index does not match it".to_owned(),
         }),
     }
 }
 
 /// Describes a container error with its sources.
-fn said(error: &McapError) -> String {
+fn error_chain(error: &McapError) -> String {
     let mut text = error.to_string();
     let mut source = std::error::Error::source(error);
     while let Some(inner) = source {

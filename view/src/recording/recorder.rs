@@ -1,4 +1,5 @@
-//! Recorder of a running run. A separate thread writes the file; the run waits only when its queue is full.
+//! Recorder of a running run. A separate thread writes the file; the run waits only when its queue is full. A write
+//! error does not end the run: the thread stops, and [`RecorderHandle::failure`] returns the error.
 
 use std::fs::{File, TryLockError};
 use std::io::{BufWriter, Write};
@@ -12,20 +13,20 @@ use std::time::{Duration, Instant};
 use mcap::McapResult;
 use reveille_common::message::Frame;
 
-use super::bundle::Bundle;
-use super::writer::Writer;
+use super::bundle::ScenarioBundle;
+use super::writer::RecordingWriter;
 use crate::batch_receiver::{BatchReceiver, lower_priority};
 
 /// Capacity of the queue, frames.
-const QUEUE: usize = 8_192;
+const QUEUE_FRAMES: usize = 8_192;
 /// Longest time that frames stay unwritten while no others follow.
-const IDLE: Duration = Duration::from_millis(200);
+const MAX_UNWRITTEN_TIME: Duration = Duration::from_millis(200);
 
 /// Recorder of one run.
 pub struct Recorder {
     path: PathBuf,
     queue: SyncSender<RecorderItem>,
-    shared: Arc<Shared>,
+    shared: Arc<RecorderState>,
     thread: JoinHandle<McapResult<u64>>,
 }
 
@@ -38,9 +39,9 @@ enum RecorderItem {
 
 /// State shared by the run and the thread.
 #[derive(Default)]
-struct Shared {
+struct RecorderState {
     /// Total time that the run has waited, nanoseconds.
-    waited: AtomicU64,
+    waited_nanos: AtomicU64,
     /// The error that stopped writing.
     failure: OnceLock<String>,
 }
@@ -60,14 +61,14 @@ pub struct RecordingStats {
 #[derive(Clone)]
 pub struct RecorderHandle {
     queue: SyncSender<RecorderItem>,
-    shared: Arc<Shared>,
+    shared: Arc<RecorderState>,
 }
 
 /// Whether a recorder is still writing `file`.
 pub fn is_growing(file: &File) -> bool {
     let is_locked = matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock));
     // Released immediately: this was a test, and the lock belongs to the writer.
-    let _free = file.unlock().is_ok();
+    let _unlocked = file.unlock().is_ok();
     is_locked
 }
 
@@ -76,26 +77,26 @@ impl Recorder {
     ///
     /// # Errors
     /// If the file exists or cannot be written.
-    pub fn start(path: &Path, run: &str, bundle: &Bundle) -> Result<Self, String> {
+    pub fn start(path: &Path, run: &str, bundle: &ScenarioBundle) -> Result<Self, String> {
         let file = File::options().write(true).create_new(true).open(path);
         let file = file.map_err(|error| error.to_string())?;
         // Locked during writing, so that readers can tell. A failure is ignored, as some network file systems lack
         // locks.
         let _locked = file.try_lock().is_ok();
-        let writer = Writer::begin(BufWriter::new(file), run, bundle).map_err(|error| error.to_string())?;
-        let (queue, items) = sync_channel(QUEUE);
-        let shared = Arc::new(Shared::default());
-        let own = Arc::clone(&shared);
-        let write = move || {
+        let writer = RecordingWriter::begin(BufWriter::new(file), run, bundle).map_err(|error| error.to_string())?;
+        let (queue, items) = sync_channel(QUEUE_FRAMES);
+        let shared = Arc::new(RecorderState::default());
+        let thread_state = Arc::clone(&shared);
+        let run_thread = move || {
             lower_priority();
-            let written = write(writer, BatchReceiver::new(items));
+            let written = write_items(writer, BatchReceiver::new(items));
             if let Err(error) = &written {
                 // Only this thread sets it, so the first value is the only one.
-                let _first = own.failure.set(error.to_string());
+                let _first = thread_state.failure.set(error.to_string());
             }
             written
         };
-        let thread = std::thread::Builder::new().name("recorder".to_owned()).spawn(write);
+        let thread = std::thread::Builder::new().name("recorder".to_owned()).spawn(run_thread);
         Ok(Self {
             path: path.to_owned(),
             queue,
@@ -129,14 +130,14 @@ impl Recorder {
         Ok(RecordingStats {
             frames,
             bytes: std::fs::metadata(&self.path).map_or(0, |file| file.len()),
-            waited: Duration::from_nanos(self.shared.waited.load(Ordering::Relaxed)),
+            waited: Duration::from_nanos(self.shared.waited_nanos.load(Ordering::Relaxed)),
         })
     }
 }
 
 impl RecorderHandle {
     /// Adds a frame; waits while the queue is full.
-    pub fn take(&self, frame: Frame) {
+    pub fn push(&self, frame: Frame) {
         let item = match self.queue.try_send(RecorderItem::Frame(frame)) {
             // If writing has failed, `failure` returns the error.
             Ok(()) | Err(TrySendError::Disconnected(_)) => return,
@@ -145,8 +146,8 @@ impl RecorderHandle {
         #[expect(clippy::disallowed_methods, reason = "the recorder reports how long the run waited")]
         let started = Instant::now();
         let _gone = self.queue.send(item).is_err();
-        let waited = started.elapsed().as_nanos() as u64;
-        self.shared.waited.fetch_add(waited, Ordering::Relaxed);
+        let waited_nanos = started.elapsed().as_nanos() as u64;
+        self.shared.waited_nanos.fetch_add(waited_nanos, Ordering::Relaxed);
     }
 
     /// The error that stopped writing, if any.
@@ -156,33 +157,36 @@ impl RecorderHandle {
 
     /// Total time that the run has waited so far.
     pub fn waited(&self) -> Duration {
-        Duration::from_nanos(self.shared.waited.load(Ordering::Relaxed))
+        Duration::from_nanos(self.shared.waited_nanos.load(Ordering::Relaxed))
     }
 }
 
 /// Writes all items up to `End` and returns the number of frames. If the run fails and sends no `End`, the file is
 /// closed without a summary.
-fn write(mut writer: Writer<BufWriter<File>>, mut items: BatchReceiver<RecorderItem>) -> McapResult<u64> {
+fn write_items(
+    mut writer: RecordingWriter<BufWriter<File>>,
+    mut items: BatchReceiver<RecorderItem>,
+) -> McapResult<u64> {
     loop {
-        let batch = match items.next(IDLE) {
+        let batch = match items.next(MAX_UNWRITTEN_TIME) {
             Ok(batch) => batch,
             Err(RecvTimeoutError::Timeout) => {
                 writer.flush()?;
                 continue;
             }
-            Err(RecvTimeoutError::Disconnected) => return close(writer, None),
+            Err(RecvTimeoutError::Disconnected) => return close_recording(writer, None),
         };
         for item in batch {
             match item {
                 RecorderItem::Frame(frame) => writer.write(&frame)?,
-                RecorderItem::End(summary) => return close(writer, summary.as_deref()),
+                RecorderItem::End(summary) => return close_recording(writer, summary.as_deref()),
             }
         }
     }
 }
 
-fn close(writer: Writer<BufWriter<File>>, summary: Option<&str>) -> McapResult<u64> {
-    let frames = writer.count();
+fn close_recording(writer: RecordingWriter<BufWriter<File>>, summary: Option<&str>) -> McapResult<u64> {
+    let frames = writer.frame_count();
     let mut file = writer.finish(summary)?;
     file.flush()?;
     // A recording reported as complete must survive a power failure.

@@ -3,7 +3,7 @@
 use std::io::Cursor;
 
 use proptest::prelude::*;
-use reveille_bs::cycle::Outcome;
+use reveille_bs::cycle::RunOutcome;
 use reveille_bs::observer::frames::FrameObserver;
 use reveille_bs::scenario::{Override, Scenario, load};
 use reveille_common::codec;
@@ -26,7 +26,7 @@ fn scenario(set: &[&str]) -> Scenario {
 }
 
 /// Frames and outcome of a run of `scenario`, with states every `states_every` TTIs.
-fn record(scenario: &Scenario, lookahead: bool, states_every: u64) -> (Vec<Frame>, Outcome) {
+fn record(scenario: &Scenario, lookahead: bool, states_every: u64) -> (Vec<Frame>, RunOutcome) {
     let mut frames = Vec::new();
     let options = RunOptions { lookahead, window: 70 };
     let outcome =
@@ -47,11 +47,11 @@ fn small() -> (Scenario, Vec<Frame>) {
 }
 
 fn recorded(scenario: &Scenario, frames: &[Frame], summary: Option<&str>) -> Vec<u8> {
-    let bundle = Bundle {
+    let bundle = ScenarioBundle {
         scenario: scenario.to_toml(),
         files: vec![("scenario-files/x.csv".to_owned(), vec![1, 2, 3])],
     };
-    let mut writer = Writer::begin(Cursor::new(Vec::new()), "r1", &bundle).expect("begun");
+    let mut writer = RecordingWriter::begin(Cursor::new(Vec::new()), "r1", &bundle).expect("begun");
     for (nth, frame) in frames.iter().enumerate() {
         writer.write(frame).expect("written");
         if nth % 100 == 99 {

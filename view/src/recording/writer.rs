@@ -1,4 +1,5 @@
-//! Writer of recordings.
+//! Writer of recordings. The order and the contents of the records are a file format: raise [`VERSION`] with a change
+//! that the `reader` of an older program would misread.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -10,39 +11,39 @@ use reveille_common::codec::WIRE_VERSION;
 use reveille_common::message::{Frame, MessageKind};
 use reveille_common::score::DIGEST_VERSION;
 
-use super::bundle::{Bundle, SCENARIO, SUMMARY};
+use super::bundle::{SCENARIO_FILE, SUMMARY_FILE, ScenarioBundle};
 use super::{VERSION, log_time, reader, topic};
 use crate::frame_line::FrameLine;
 use crate::schemas::MessageSchemas;
 
 /// Approximate size of a chunk before compression, bytes: the most data that a crash can lose.
-const CHUNK: u64 = 256 << 10;
+const CHUNK_BYTES: u64 = 256 << 10;
 /// Compression level: the fastest.
-const LEVEL: u32 = 1;
+const COMPRESSION_LEVEL: u32 = 1;
 
 /// Writer of one recording.
-pub struct Writer<W: Write + Seek> {
+pub struct RecordingWriter<W: Write + Seek> {
     mcap: mcap::Writer<W>,
     channels: BTreeMap<MessageKind, u16>,
     /// Number of frames so far.
-    count: u64,
+    frame_count: u64,
     is_pending: bool,
 }
 
-impl<W: Write + Seek> Writer<W> {
+impl<W: Write + Seek> RecordingWriter<W> {
     /// Writes the start of a recording of the run called `run`, with the files of `bundle`.
     ///
     /// # Errors
     /// If the recording cannot be written.
-    pub fn begin(out: W, run: &str, bundle: &Bundle) -> McapResult<Self> {
+    pub fn begin(out: W, run: &str, bundle: &ScenarioBundle) -> McapResult<Self> {
         let options = WriteOptions::new()
             .library(concat!("reveille ", env!("CARGO_PKG_VERSION")))
             .compression(Some(Compression::Zstd))
-            .compression_level(LEVEL)
+            .compression_level(COMPRESSION_LEVEL)
             .compression_threads(0)
-            .chunk_size(Some(CHUNK));
+            .chunk_size(Some(CHUNK_BYTES));
         let mut mcap = mcap::Writer::with_options(out, options)?;
-        let about = [
+        let metadata = [
             ("recording", VERSION.to_string()),
             ("wire", WIRE_VERSION.to_string()),
             ("digest", DIGEST_VERSION.to_string()),
@@ -50,16 +51,16 @@ impl<W: Write + Seek> Writer<W> {
         ];
         mcap.write_metadata(&Metadata {
             name: reader::METADATA.to_owned(),
-            metadata: about.map(|(key, value)| (key.to_owned(), value)).into(),
+            metadata: metadata.map(|(key, value)| (key.to_owned(), value)).into(),
         })?;
-        attach(&mut mcap, SCENARIO, "application/toml", bundle.scenario.as_bytes())?;
+        attach(&mut mcap, SCENARIO_FILE, "application/toml", bundle.scenario.as_bytes())?;
         for (name, bytes) in &bundle.files {
             attach(&mut mcap, name, "application/octet-stream", bytes)?;
         }
-        let (forms, mut channels) = (MessageSchemas::read(), BTreeMap::new());
+        let (schemas, mut channels) = (MessageSchemas::trace_all(), BTreeMap::new());
         for kind in MessageKind::ALL {
             let name = format!("reveille.{}.{}", kind.plane().name(), kind.name());
-            let schema = mcap.add_schema(&name, "jsonschema", forms.schema(*kind).to_string().as_bytes())?;
+            let schema = mcap.add_schema(&name, "jsonschema", schemas.json_schema(*kind).to_string().as_bytes())?;
             let about = [("direction", kind.direction()), ("about", kind.about())];
             let about = about.map(|(key, value)| (key.to_owned(), value.to_owned())).into();
             channels.insert(*kind, mcap.add_channel(schema, &topic(*kind), "json", &about)?);
@@ -69,7 +70,7 @@ impl<W: Write + Seek> Writer<W> {
         Ok(Self {
             mcap,
             channels,
-            count: 0,
+            frame_count: 0,
             is_pending: false,
         })
     }
@@ -79,23 +80,23 @@ impl<W: Write + Seek> Writer<W> {
     /// # Errors
     /// If the recording cannot be written.
     pub fn write(&mut self, frame: &Frame) -> McapResult<()> {
-        let at = log_time(frame.tti);
+        let time = log_time(frame.tti);
         let header = MessageHeader {
             channel_id: self.channels[&frame.kind],
             // Wraps after 2³² frames, as in the reader.
-            sequence: self.count as u32,
-            log_time: at,
-            publish_time: at,
+            sequence: self.frame_count as u32,
+            log_time: time,
+            publish_time: time,
         };
-        self.count += 1;
+        self.frame_count += 1;
         self.is_pending = true;
         self.mcap
             .write_to_known_channel(&header, FrameLine::new(frame).to_json().as_bytes())
     }
 
     /// Number of frames written.
-    pub const fn count(&self) -> u64 {
-        self.count
+    pub const fn frame_count(&self) -> u64 {
+        self.frame_count
     }
 
     /// Writes all pending frames to the file, if any.
@@ -115,7 +116,7 @@ impl<W: Write + Seek> Writer<W> {
     /// If the recording cannot be written.
     pub fn finish(mut self, summary: Option<&str>) -> McapResult<W> {
         if let Some(summary) = summary {
-            attach(&mut self.mcap, SUMMARY, "application/json", summary.as_bytes())?;
+            attach(&mut self.mcap, SUMMARY_FILE, "application/json", summary.as_bytes())?;
         }
         self.mcap.finish()?;
         Ok(self.mcap.into_inner())

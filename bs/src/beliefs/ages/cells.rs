@@ -1,24 +1,27 @@
-//! Cells of the area, with a margin of unused cells.
+//! Cells of the area, with a margin of unused cells, so that the square around any disc can be read without bounds
+//! tests. `CertainAges` and `ProbabilisticAges` index their cells by it; `CertainStaleness` uses a margin only where
+//! the area is smaller than a square.
 
 use reveille_common::geometry::{Area, Point};
 
 use crate::beliefs::grid::{self, Raster};
 
-/// Cells along d_max. This density puts the middles of at most [`SIDE`] cells within a length of 2·d_max in any area:
-/// with c = ⌈7.5 w/d_max⌉ cells along a width w, either c ≤ 16, or 2·d_max is less than 15·c/(c − 1) < 16 cells long.
-const PER_RANGE: f64 = 7.5;
+/// Cells along d_max. This density puts the middles of at most [`DISC_SIDE`] cells within a length of 2·d_max in any
+/// area: with c = ⌈7.5 w/d_max⌉ cells along a width w, either c ≤ 16, or 2·d_max is less than 15·c/(c − 1) < 16 cells
+/// long.
+const CELLS_PER_RANGE: f64 = 7.5;
 
 /// Maximum number of rows, and of columns, of cells within d_max of a device.
-pub(super) const SIDE: usize = 16;
+pub(super) const DISC_SIDE: usize = 16;
 
-/// The area in cells of about d_max/7.5, row by row. [`SIDE`] unused cells follow each row, and [`SIDE`] unused rows
-/// follow the last. So a square of this side can be read from any cell on.
+/// The area in cells of about d_max/7.5, row by row. [`DISC_SIDE`] unused cells follow each row, and as many unused
+/// rows follow the last. So a square of this side can be read from any cell on.
 #[derive(Clone, Debug)]
 pub(super) struct Cells {
     raster: Raster,
 }
 
-/// Cells of one row whose middles are within d_max of a device: `count` cells starting at `first`, 1 to [`SIDE`].
+/// Cells of one row whose middles are within d_max of a device: `count` cells starting at `first`, 1 to [`DISC_SIDE`].
 #[derive(Clone, Copy, Debug)]
 pub(super) struct CellSpan {
     pub(super) row: usize,
@@ -29,18 +32,18 @@ pub(super) struct CellSpan {
 impl Cells {
     pub(super) fn new(area: Area, d_max: f64) -> Self {
         Self {
-            raster: Raster::new(area, d_max, PER_RANGE),
+            raster: Raster::new(area, d_max, CELLS_PER_RANGE),
         }
     }
 
     /// Returns the number of cells of `area`, without unused ones.
     pub(super) fn count(area: Area, d_max: f64) -> f64 {
-        grid::cells(area, d_max, PER_RANGE)
+        grid::count_cells(area, d_max, CELLS_PER_RANGE)
     }
 
     /// Area of a cell, m².
     pub(super) fn surface(&self) -> f64 {
-        self.raster.width * self.raster.height
+        self.raster.cell_width * self.raster.cell_height
     }
 
     /// Number of rows and of columns of the area.
@@ -50,12 +53,12 @@ impl Cells {
 
     /// Offset from a cell to the cell above it.
     pub(super) const fn stride(&self) -> usize {
-        self.raster.columns + SIDE
+        self.raster.columns + DISC_SIDE
     }
 
     /// Number of cells, including unused ones.
     pub(super) const fn len(&self) -> usize {
-        self.stride() * (self.raster.rows + SIDE)
+        self.stride() * (self.raster.rows + DISC_SIDE)
     }
 
     /// Indices of the cells of the area.
@@ -64,28 +67,32 @@ impl Cells {
         (0..self.raster.rows).flat_map(move |row| (0..columns).map(move |column| row * stride + column))
     }
 
-    /// Returns the cell that contains `at`, or the nearest cell of the area.
-    pub(super) fn cell(&self, at: Point) -> usize {
-        let of = |length: f64, size: f64, count: usize| ((length / size).max(0.0) as usize).min(count - 1);
+    /// Returns the cell that contains `point`, or the nearest cell of the area.
+    pub(super) fn cell_at(&self, point: Point) -> usize {
+        let index_along = |length: f64, size: f64, count: usize| ((length / size).max(0.0) as usize).min(count - 1);
         let Raster {
             columns,
             rows,
-            width,
-            height,
+            cell_width,
+            cell_height,
         } = self.raster;
-        of(at.y, height, rows) * self.stride() + of(at.x, width, columns)
+        index_along(point.y, cell_height, rows) * self.stride() + index_along(point.x, cell_width, columns)
     }
 
     /// Returns the middle of the cell in `row` and `column`.
     pub(super) fn middle(&self, row: usize, column: usize) -> Point {
-        let Raster { width, height, .. } = self.raster;
-        Point::new(width * (column as f64 + 0.5), height * (row as f64 + 0.5))
+        let Raster {
+            cell_width,
+            cell_height,
+            ..
+        } = self.raster;
+        Point::new(cell_width * (column as f64 + 0.5), cell_height * (row as f64 + 0.5))
     }
 
     /// Returns the cells whose middles are within `d_max` of `centre`, row by row.
     pub(super) fn within(&self, centre: Point, d_max: f64) -> Vec<CellSpan> {
-        let [rows, columns] = self.raster.around(centre, d_max);
-        let mut stretches = Vec::new();
+        let [rows, columns] = self.raster.disc_bounds(centre, d_max);
+        let mut spans = Vec::new();
         for row in rows {
             // A disc cuts one span out of a row, so the columns inside it are adjacent.
             let mut inside = columns
@@ -93,11 +100,11 @@ impl Cells {
                 .filter(|&column| self.middle(row, column).distance(centre) <= d_max);
             if let Some(first) = inside.next() {
                 let count = 1 + inside.count();
-                stretches.push(CellSpan { row, first, count });
+                spans.push(CellSpan { row, first, count });
             }
         }
-        let rows = stretches.len();
-        assert!(rows <= SIDE && stretches.iter().all(|stretch| stretch.count <= SIDE));
-        stretches
+        let rows = spans.len();
+        assert!(rows <= DISC_SIDE && spans.iter().all(|span| span.count <= DISC_SIDE));
+        spans
     }
 }

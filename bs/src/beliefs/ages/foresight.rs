@@ -1,7 +1,8 @@
 //! Expected future battery levels.
 //!
 //! A battery that will be full soon loses later harvest, so its energy is cheap now; energy before a night is scarce.
-//! Both follow from the mean harvest of a device and, where known, from its course over the day.
+//! Both follow from the mean harvest of a device and, where known, from its course over the day. `age-index` with the
+//! field `foresight` uses the prediction for prices.
 
 use reveille_common::ids::DeviceId;
 use reveille_common::units::Energy;
@@ -12,31 +13,31 @@ use crate::observation::Observation;
 /// Predicts battery levels a fixed time ahead.
 #[derive(Clone, Debug)]
 pub(crate) struct Foresight {
-    ttis: u64,
+    horizon_ttis: u64,
     /// Expected level by device.
-    expected: Vec<Energy>,
+    expected_levels: Vec<Energy>,
 }
 
 impl Foresight {
     /// Creates the prediction for the devices in `known`, `ttis` TTIs ahead.
-    pub(crate) fn new(known: &Knowledge, ttis: u64) -> Self {
+    pub(crate) fn new(known: &Knowledge, horizon_ttis: u64) -> Self {
         Self {
-            ttis,
-            expected: vec![Energy::ZERO; known.n()],
+            horizon_ttis,
+            expected_levels: vec![Energy::ZERO; known.n()],
         }
     }
 
     /// Returns the expected battery levels by device id, if all devices sleep until then and harvest as expected.
     /// Levels are between 0 and E_max.
     pub(crate) fn expected_levels(&mut self, seen: &Observation<'_>) -> &[Energy] {
-        let end = seen.now.saturating_add(self.ttis);
-        for (j, (expected, &level)) in (0..).zip(self.expected.iter_mut().zip(seen.batteries)) {
+        let end = seen.now.saturating_add(self.horizon_ttis);
+        for (j, (expected, &level)) in (0..).zip(self.expected_levels.iter_mut().zip(seen.batteries)) {
             let energy = &seen.known.devices[j as usize].energy;
-            let income = seen.known.expected_harvest(DeviceId(j), seen.now, end);
-            let asleep = Energy::from_micro(energy.e_wur.micro().saturating_mul(self.ttis));
-            *expected = (level + income).saturating_sub(asleep).min(energy.e_max);
+            let harvest = seen.known.expected_harvest(DeviceId(j), seen.now, end);
+            let sleep_cost = Energy::from_micro(energy.e_wur.micro().saturating_mul(self.horizon_ttis));
+            *expected = (level + harvest).saturating_sub(sleep_cost).min(energy.e_max);
         }
-        &self.expected
+        &self.expected_levels
     }
 }
 
@@ -71,7 +72,7 @@ mod tests {
             plan: &plan,
             information: 0.0,
             batteries: &batteries,
-            levels: None,
+            battery_estimator: None,
         };
         let mut foresight = Foresight::new(known, ttis);
         let found = foresight.expected_levels(&seen);
@@ -127,7 +128,10 @@ mod tests {
         let units = |levels: [u64; 3]| levels.map(|level| Energy::from_micro(level * 1_000_000));
         let (now, later) = (units([50, 50, 5]), units([100, 0, 100]));
         let mut prices = Prices::new(&known, 2.0);
-        assert_eq!(prices.with_foresight(&now, &later), [2.0, 8.0, f64::INFINITY]);
-        assert_eq!(prices.with_foresight(&now, &now), Prices::new(&known, 2.0).at(&now));
+        assert_eq!(prices.for_expected_levels(&now, &later), [2.0, 8.0, f64::INFINITY]);
+        assert_eq!(
+            prices.for_expected_levels(&now, &now),
+            Prices::new(&known, 2.0).for_levels(&now)
+        );
     }
 }

@@ -1,41 +1,46 @@
-//! Worths of ages.
+//! Worths of ages, in which gains and prices of sensing are measured. Learned tables and the weights of models were
+//! made with these worths, so a change needs new ones.
 
 use std::f64::consts::PI;
 
 use reveille_common::sensing::{DetectionKind, Sensing};
 
 /// Largest age that is distinguished, TTIs.
-pub(crate) const OLDEST: usize = u8::MAX as usize;
+pub(crate) const MAX_AGE: usize = u8::MAX as usize;
 
-/// Worth of a look at a cell by age, from age 0 to `OLDEST`; at most 255, and non-decreasing.
-pub type AgeIndexTable = [u8; OLDEST + 1];
+/// Worth of a look at a cell by age, from age 0 to `MAX_AGE`; at most 255, and non-decreasing.
+pub type AgeIndexTable = [u8; MAX_AGE + 1];
 
-/// Age from which on the worth is constant, TTIs: the last whose worth fits a byte. Few events last longer, and places
-/// that no device covers affect no choice.
-const LEVEL: u8 = 22;
+/// Age from which on the worth is constant, TTIs: the last whose worth, 22 · 23/2 = 253, fits a byte. Few events last
+/// longer, and places that no device covers affect no choice.
+const CONSTANT_WORTH_AGE: u8 = 22;
 
-/// Worth of a sensing area whose places are all of age `LEVEL` or more: the largest worth of a look.
-pub const MOST: f64 = index(LEVEL) as f64;
+/// Worth of a sensing area whose places are all of age `CONSTANT_WORTH_AGE` or more: the largest worth of a look.
+pub const MAX_WORTH: f64 = age_index(CONSTANT_WORTH_AGE) as f64;
 
 /// Stands for a price of 0, so that ratios to it are finite.
-pub const FREE: f64 = 1e-30;
+pub const MIN_PRICE: f64 = 1e-30;
 
 /// Returns the worth of each age a: a(a + 1)/2. This is Whittle's index of a place if an undetected event costs the
 /// same in each TTI.
-pub fn worths() -> AgeIndexTable {
-    std::array::from_fn(|age| index(age as u8))
+pub fn age_worths() -> AgeIndexTable {
+    std::array::from_fn(|age| age_index(age as u8))
 }
 
 /// Returns the worth of `age`, as in [`worths`].
 #[inline]
-pub(super) const fn index(age: u8) -> u8 {
-    let age = if age < LEVEL { age } else { LEVEL } as u16;
+pub(super) const fn age_index(age: u8) -> u8 {
+    let age = if age < CONSTANT_WORTH_AGE {
+        age
+    } else {
+        CONSTANT_WORTH_AGE
+    } as u16;
     (age * (age + 1) / 2) as u8
 }
 
-/// Returns the effective sensing area of a device, m²: the integral of its detection probability over the places around
-/// it.
-pub fn reach(sensing: &Sensing) -> f64 {
+/// Returns the effective sensing area of a device, m²: the integral of its detection probability over the places
+/// around it.
+pub fn effective_area(sensing: &Sensing) -> f64 {
     let Sensing { d_max, eta, kind, .. } = *sensing;
     match kind {
         DetectionKind::Range => PI * d_max * d_max,
@@ -54,10 +59,10 @@ mod tests {
 
     #[test]
     fn ages_are_worth_the_triangular_numbers_up_to_a_byte() {
-        let worths = worths();
+        let worths = age_worths();
         assert_eq!(worths[..5], [0, 1, 3, 6, 10]);
         assert_eq!(
-            (worths[21], worths[22], worths[23], worths[OLDEST]),
+            (worths[21], worths[22], worths[23], worths[MAX_AGE]),
             (231, 253, 253, 253)
         );
     }
@@ -84,9 +89,9 @@ mod tests {
             };
             let sum: f64 = (0..3000).map(ring).sum();
             assert!(
-                (reach(&sensing) - sum).abs() < 1e-4,
+                (effective_area(&sensing) - sum).abs() < 1e-4,
                 "{kind:?}: {}, not {sum}",
-                reach(&sensing)
+                effective_area(&sensing)
             );
         }
     }

@@ -1,4 +1,6 @@
-//! Ages of all places: the time since a device last covered each of them.
+//! Ages of all places: the time since a device last covered each of them. [`selector`] chooses the sensing devices by
+//! the worths of ages, for `age-index`, `dt` and `q-learning`; [`price`] sets the prices of the first two. `staleness`
+//! serves external policies.
 //!
 //! The age of a place is the number of TTIs in which an unnoticed event may have started there, including the coming
 //! TTI. It is 1 before the first TTI. It is 1 again after a TTI in which a device in S1 covers the place. After a
@@ -7,7 +9,7 @@
 //!
 //! If detection is certain within d_max, one look resets a place. If it is probabilistic, a look from distance d resets
 //! the place with probability p(d), and the age is the mean over both outcomes. The same holds if the radio may lose
-//! reports.
+//! reports. `tests/src/reference/age_index.rs` computes ages a second time.
 
 mod cells;
 mod certain;
@@ -26,7 +28,7 @@ use self::cells::Cells;
 use self::certain::CertainAges;
 pub(crate) use self::check::check_cells;
 pub use self::check::check_price;
-pub use self::index_table::{AgeIndexTable, FREE, MOST, reach, worths};
+pub use self::index_table::{AgeIndexTable, MAX_WORTH, MIN_PRICE, age_worths, effective_area};
 use self::probabilistic::ProbabilisticAges;
 
 /// Ages of the cells of an area, and the worth that the devices chosen for the coming TTI leave uncovered.
@@ -35,7 +37,7 @@ use self::probabilistic::ProbabilisticAges;
 #[derive(Clone, Debug)]
 pub struct Ages {
     cells: Cells,
-    looks: AgeModel,
+    model: AgeModel,
 }
 
 #[derive(Clone, Debug)]
@@ -47,99 +49,106 @@ enum AgeModel {
 impl Ages {
     /// Creates the ages of `area` before the first TTI, for devices at `positions`, none of them chosen. `worths` gives
     /// the worth of each age.
-    pub fn new(positions: &[Point], area: Area, sensing: &Sensing, worths: AgeIndexTable) -> Self {
-        Self::with_loss(0.0, positions, area, sensing, worths)
+    pub fn new(positions: &[Point], area: Area, sensing: &Sensing, age_worths: AgeIndexTable) -> Self {
+        Self::with_loss(0.0, positions, area, sensing, age_worths)
     }
 
     /// Creates ages like [`Self::new`], where a detection stays unreported with probability `lost`, `[0, 1]`.
     pub(crate) fn with_loss(
-        lost: f64,
+        loss_probability: f64,
         positions: &[Point],
         area: Area,
         sensing: &Sensing,
-        worths: AgeIndexTable,
+        age_worths: AgeIndexTable,
     ) -> Self {
         let cells = Cells::new(area, sensing.d_max);
-        let chance = |finds: &dyn Fn(f64) -> f64| {
-            let heard = |d: f64| (1.0 - lost) * finds(d);
-            AgeModel::Probabilistic(ProbabilisticAges::new(&cells, positions, sensing.d_max, heard, worths))
+        let probabilistic = |detection_probability: &dyn Fn(f64) -> f64| {
+            let report_probability = |d: f64| (1.0 - loss_probability) * detection_probability(d);
+            AgeModel::Probabilistic(ProbabilisticAges::new(
+                &cells,
+                positions,
+                sensing.d_max,
+                report_probability,
+                age_worths,
+            ))
         };
-        let looks = match sensing.kind {
-            DetectionKind::Range if lost <= 0.0 => {
-                AgeModel::Certain(CertainAges::new(&cells, positions, sensing.d_max, worths))
+        let model = match sensing.kind {
+            DetectionKind::Range if loss_probability <= 0.0 => {
+                AgeModel::Certain(CertainAges::new(&cells, positions, sensing.d_max, age_worths))
             }
-            DetectionKind::Range => chance(&|_| 1.0),
-            DetectionKind::Probabilistic => chance(&|d| sensing.p(d)),
+            DetectionKind::Range => probabilistic(&|_| 1.0),
+            DetectionKind::Probabilistic => probabilistic(&|d| sensing.p(d)),
         };
-        Self { cells, looks }
+        Self { cells, model }
     }
 
     /// Returns the gain of adding the `j`-th device: the sum over its cells of the worths of their ages. With
     /// probabilistic detection each worth is weighted by the probability that only this device detects.
     #[inline]
     pub fn gain(&self, j: usize) -> f64 {
-        match &self.looks {
-            AgeModel::Certain(sure) => f64::from(sure.gain(j)),
-            AgeModel::Probabilistic(chance) => chance.gain(j),
+        match &self.model {
+            AgeModel::Certain(certain) => f64::from(certain.gain(j)),
+            AgeModel::Probabilistic(probabilistic) => probabilistic.gain(j),
         }
     }
 
     /// Returns the worth that the chosen devices leave uncovered: the sum over all cells, in the unit of
     /// [`Self::gain`].
-    pub fn remaining(&self) -> f64 {
-        match &self.looks {
-            AgeModel::Certain(sure) => sure.unused() as f64,
-            AgeModel::Probabilistic(chance) => chance.left(),
+    pub fn uncovered_worth(&self) -> f64 {
+        match &self.model {
+            AgeModel::Certain(certain) => certain.uncovered_worth() as f64,
+            AgeModel::Probabilistic(probabilistic) => probabilistic.uncovered_worth(),
         }
     }
 
     /// Returns the sum over all cells if no device was chosen.
-    pub fn all(&self) -> f64 {
-        match &self.looks {
-            AgeModel::Certain(sure) => sure.all() as f64,
-            AgeModel::Probabilistic(chance) => chance.all(),
+    pub fn total_worth(&self) -> f64 {
+        match &self.model {
+            AgeModel::Certain(certain) => certain.total_worth() as f64,
+            AgeModel::Probabilistic(probabilistic) => probabilistic.total_worth(),
         }
     }
 
     /// Adds the `j`-th device, which is not chosen, to the choice.
     pub fn add(&mut self, j: usize) {
-        match &mut self.looks {
-            AgeModel::Certain(sure) => sure.add(j),
-            AgeModel::Probabilistic(chance) => chance.add(j),
+        match &mut self.model {
+            AgeModel::Certain(certain) => certain.add(j),
+            AgeModel::Probabilistic(probabilistic) => probabilistic.add(j),
         }
     }
 
     /// Removes the `j`-th device, which is chosen, from the choice.
     pub fn remove(&mut self, j: usize) {
-        match &mut self.looks {
-            AgeModel::Certain(sure) => sure.remove(j),
-            AgeModel::Probabilistic(chance) => chance.remove(j),
+        match &mut self.model {
+            AgeModel::Certain(certain) => certain.remove(j),
+            AgeModel::Probabilistic(probabilistic) => probabilistic.remove(j),
         }
     }
 
     /// Removes all devices from the choice.
     pub fn clear(&mut self) {
-        match &mut self.looks {
-            AgeModel::Certain(sure) => sure.clear(),
-            AgeModel::Probabilistic(chance) => chance.clear(),
+        match &mut self.model {
+            AgeModel::Certain(certain) => certain.clear(),
+            AgeModel::Probabilistic(probabilistic) => probabilistic.clear(),
         }
     }
 
-    /// Passes a TTI in which the chosen devices sense, and clears the choice. `is_found`: an event was reported.
-    pub fn advance(&mut self, is_found: bool) {
-        match &mut self.looks {
-            AgeModel::Certain(sure) => sure.advance(is_found),
-            AgeModel::Probabilistic(chance) => chance.advance(is_found),
+    /// Passes a TTI in which the chosen devices sense, and clears the choice. All ages are 1 again if
+    /// `is_event_reported`.
+    pub fn advance(&mut self, is_event_reported: bool) {
+        match &mut self.model {
+            AgeModel::Certain(certain) => certain.advance(is_event_reported),
+            AgeModel::Probabilistic(probabilistic) => probabilistic.advance(is_event_reported),
         }
     }
 
-    /// Returns the age of the place `at` in the coming TTI, TTIs, 1 ..= `OLDEST`. Outside of the area, it is the age of
-    /// the nearest cell.
-    pub fn age_at(&self, at: Point) -> f64 {
-        let cell = self.cells.cell(at);
-        match &self.looks {
-            AgeModel::Certain(sure) => f64::from(sure.age(cell)),
-            AgeModel::Probabilistic(chance) => chance.age(cell),
+    /// Returns the age of the place `point` in the coming TTI, TTIs, 1 ..= `MAX_AGE`. Outside of the area, it is the
+    /// age of the nearest cell.
+    pub fn age_at(&self, point: Point) -> f64 {
+        let cell = self.cells.cell_at(point);
+        match &self.model {
+            AgeModel::Certain(certain) => f64::from(certain.age(cell)),
+            AgeModel::Probabilistic(probabilistic) => probabilistic.age(cell),
         }
     }
 
@@ -150,7 +159,7 @@ impl Ages {
 }
 
 /// Returns the number of cells of `area` for the sensing range `d_max`.
-pub fn cells(area: Area, d_max: f64) -> f64 {
+pub fn count_cells(area: Area, d_max: f64) -> f64 {
     Cells::count(area, d_max)
 }
 

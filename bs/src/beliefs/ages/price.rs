@@ -1,23 +1,24 @@
-//! Prices of TTIs in S1, and the battery level that sensing requires.
+//! Prices of TTIs in S1, and the battery level that sensing requires. Prices are in the unit of
+//! [`Ages::gain`](super::Ages::gain): a device senses if its gain exceeds its price.
 
 use reveille_common::scenario::EnergyModel;
 use reveille_common::units::Energy;
 
-use super::FREE;
+use super::MIN_PRICE;
 use crate::knowledge::Knowledge;
 
 /// Relative extra price of a device with an empty battery. The price grows with the square of the missing charge. So
 /// nearly full devices, which lose harvest, all cost about the same, and low devices are kept for reports that only
 /// they can give.
-const DEARNESS: f64 = 3.0;
+const EMPTY_BATTERY_SURCHARGE: f64 = 3.0;
 
 /// Reserve after a TTI in S1 and a report, as a share of E_max: wake-ups need further reports, and estimates may be
 /// wrong.
-const RESERVE: f64 = 0.03;
+const RESERVE_SHARE: f64 = 0.03;
 
 /// Returns the lowest battery level at which a plan may let a device sense.
 pub fn min_level(energy: &EnergyModel) -> Energy {
-    let reserve = RESERVE * energy.e_max.micro() as f64;
+    let reserve = RESERVE_SHARE * energy.e_max.micro() as f64;
     energy.e_idle + energy.e_tx + Energy::from_micro(reserve as u64)
 }
 
@@ -25,54 +26,68 @@ pub fn min_level(energy: &EnergyModel) -> Energy {
 #[derive(Clone, Debug)]
 pub(crate) struct Prices {
     /// Price with a full battery, by device.
-    full: Vec<f64>,
-    needed: Vec<Energy>,
+    full_battery_price: Vec<f64>,
+    /// Level below which a device may not sense, by device.
+    min_level: Vec<Energy>,
     e_max: Vec<Energy>,
     /// Price in this TTI, by device; infinite if the device may not sense.
-    now: Vec<f64>,
+    prices: Vec<f64>,
 }
 
 impl Prices {
     /// Creates prices with the mean `price` per TTI in S1 over the devices in `known`. The price of a class is
     /// proportional to its extra energy in S1 over S4.
     pub(crate) fn new(known: &Knowledge, price: f64) -> Self {
-        let extra = |energy: &EnergyModel| energy.e_idle.saturating_sub(energy.e_wur).micro() as f64;
+        let extra_energy = |energy: &EnergyModel| energy.e_idle.saturating_sub(energy.e_wur).micro() as f64;
         let energies = || known.devices.iter().map(|device| &device.energy);
-        let mean = energies().map(extra).sum::<f64>() / known.n() as f64;
+        let mean_extra = energies().map(extra_energy).sum::<f64>() / known.n() as f64;
         // If S1 costs no more than S4 in any class, sensing costs nothing.
-        let share = |energy: &EnergyModel| if mean > 0.0 { extra(energy) / mean } else { 0.0 };
+        let relative_cost = |energy: &EnergyModel| {
+            if mean_extra > 0.0 {
+                extra_energy(energy) / mean_extra
+            } else {
+                0.0
+            }
+        };
         Self {
-            full: energies().map(|energy| price * share(energy)).collect(),
-            needed: energies().map(min_level).collect(),
+            full_battery_price: energies().map(|energy| price * relative_cost(energy)).collect(),
+            min_level: energies().map(min_level).collect(),
             e_max: energies().map(|energy| energy.e_max).collect(),
-            now: vec![f64::INFINITY; known.n()],
+            prices: vec![f64::INFINITY; known.n()],
         }
     }
 
     /// Returns the prices for the battery `levels`.
-    pub(crate) fn at(&mut self, levels: &[Energy]) -> &[f64] {
-        self.scaled(levels, |_| 1.0)
+    pub(crate) fn for_levels(&mut self, levels: &[Energy]) -> &[f64] {
+        self.scaled_for_levels(levels, |_| 1.0)
     }
 
     /// Returns the prices, where the extra price of low batteries follows the `expected` levels, at most E_max.
-    pub(crate) fn with_foresight(&mut self, levels: &[Energy], expected: &[Energy]) -> &[f64] {
-        self.dear(levels, expected, |_| 1.0)
+    pub(crate) fn for_expected_levels(&mut self, levels: &[Energy], expected: &[Energy]) -> &[f64] {
+        self.update_prices(levels, expected, |_| 1.0)
     }
 
     /// Returns the prices for the battery `levels`, each multiplied by its `factor`, > 0.
-    pub(crate) fn scaled(&mut self, levels: &[Energy], factor: impl Fn(usize) -> f64) -> &[f64] {
-        self.dear(levels, levels, factor)
+    pub(crate) fn scaled_for_levels(&mut self, levels: &[Energy], factor: impl Fn(usize) -> f64) -> &[f64] {
+        self.update_prices(levels, levels, factor)
     }
 
-    fn dear(&mut self, levels: &[Energy], dear_by: &[Energy], factor: impl Fn(usize) -> f64) -> &[f64] {
-        for (j, (now, &level)) in self.now.iter_mut().zip(levels).enumerate() {
-            *now = if level < self.needed[j] {
+    /// Computes the prices. `levels` decide which devices may sense, and `surcharge_levels` the extra price.
+    fn update_prices(
+        &mut self,
+        levels: &[Energy],
+        surcharge_levels: &[Energy],
+        factor: impl Fn(usize) -> f64,
+    ) -> &[f64] {
+        for (j, (price, &level)) in self.prices.iter_mut().zip(levels).enumerate() {
+            *price = if level < self.min_level[j] {
                 f64::INFINITY
             } else {
-                let missing = 1.0 - dear_by[j].micro() as f64 / self.e_max[j].micro() as f64;
-                (self.full[j] * (1.0 + DEARNESS * missing * missing) * factor(j)).max(FREE)
+                let missing = 1.0 - surcharge_levels[j].micro() as f64 / self.e_max[j].micro() as f64;
+                (self.full_battery_price[j] * (1.0 + EMPTY_BATTERY_SURCHARGE * missing * missing) * factor(j))
+                    .max(MIN_PRICE)
             };
         }
-        &self.now
+        &self.prices
     }
 }

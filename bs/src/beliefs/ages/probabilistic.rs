@@ -1,11 +1,12 @@
-//! Ages where detection is probabilistic, or where the radio may lose reports.
+//! Mean ages where detection is probabilistic, or where the radio may lose reports. The order of float operations is
+//! fixed: the choice of devices depends on the last bit of a gain.
 
 use std::ops::Range;
 
 use reveille_common::geometry::Point;
 
 use super::cells::Cells;
-use super::index_table::{AgeIndexTable, OLDEST};
+use super::index_table::{AgeIndexTable, MAX_AGE};
 
 /// Cells of one row in which a device may detect an event. Their entries in `ProbabilisticAges::detected` start at
 /// `begin`.
@@ -18,26 +19,28 @@ struct DetectionSpan {
 /// Mean ages of all cells.
 #[derive(Clone, Debug)]
 pub(super) struct ProbabilisticAges {
-    worths: AgeIndexTable,
+    age_worths: AgeIndexTable,
     /// The spans of device j are `stretches[starts[j] .. starts[j + 1]]`.
-    starts: Vec<u32>,
-    stretches: Vec<DetectionSpan>,
+    span_starts: Vec<u32>,
+    spans: Vec<DetectionSpan>,
     /// p(d) and −ln(1 − p(d)) of the cells of all spans, in order.
     detected: Vec<(f64, u64)>,
     ages: Vec<f64>,
-    whole: Vec<f64>,
+    /// Worth of the age of each cell; 0 outside the area.
+    cell_worths: Vec<f64>,
     /// Sum of −ln(1 − p(d)) over the chosen devices by cell, in [`UNIT`]s. Whole numbers allow exact removal of a
     /// device.
-    doubts: Vec<u64>,
+    log_missed: Vec<u64>,
     /// Probability by cell that no chosen device detects an event there.
     missed: Vec<f64>,
-    cells: Vec<usize>,
+    /// Indices of the cells in the area.
+    area_cells: Vec<usize>,
 }
 
 /// Unit of logarithms of probabilities.
 const UNIT: f64 = 1.0 / (1_u64 << 32) as f64;
 /// Logarithm that stands for certainty, at distance 0.
-const SURE: f64 = 64.0;
+const CERTAINTY: f64 = 64.0;
 
 impl ProbabilisticAges {
     /// Creates the ages. `heard` is the probability that an event at a distance, at most d_max, is detected and
@@ -46,109 +49,109 @@ impl ProbabilisticAges {
         cells: &Cells,
         positions: &[Point],
         d_max: f64,
-        heard: impl Fn(f64) -> f64,
-        worths: AgeIndexTable,
+        report_probability: impl Fn(f64) -> f64,
+        age_worths: AgeIndexTable,
     ) -> Self {
-        let (mut starts, mut stretches, mut detected) = (vec![0], Vec::new(), Vec::new());
+        let (mut span_starts, mut spans, mut detected) = (vec![0], Vec::new(), Vec::new());
         for &p in positions {
-            for stretch in cells.within(p, d_max) {
-                let cell = stretch.row * cells.stride() + stretch.first;
-                stretches.push(DetectionSpan {
-                    cells: cell..cell + stretch.count,
+            for span in cells.within(p, d_max) {
+                let cell = span.row * cells.stride() + span.first;
+                spans.push(DetectionSpan {
+                    cells: cell..cell + span.count,
                     begin: detected.len(),
                 });
-                let columns = stretch.first..stretch.first + stretch.count;
+                let columns = span.first..span.first + span.count;
                 detected.extend(columns.map(|column| {
-                    let p = heard(cells.middle(stretch.row, column).distance(p));
-                    (p, ((-libm::log1p(-p)).min(SURE) / UNIT) as u64)
+                    let p = report_probability(cells.middle(span.row, column).distance(p));
+                    (p, ((-libm::log1p(-p)).min(CERTAINTY) / UNIT) as u64)
                 }));
             }
-            starts.push(stretches.len() as u32);
+            span_starts.push(spans.len() as u32);
         }
-        let mut chance = Self {
-            worths,
-            starts,
-            stretches,
+        let mut ages = Self {
+            age_worths,
+            span_starts,
+            spans,
             detected,
             ages: vec![0.0; cells.len()],
-            whole: vec![0.0; cells.len()],
-            doubts: vec![0; cells.len()],
+            cell_worths: vec![0.0; cells.len()],
+            log_missed: vec![0; cells.len()],
             missed: vec![1.0; cells.len()],
-            cells: cells.all().collect(),
+            area_cells: cells.all().collect(),
         };
         // Before the first TTI every place has age 1, as after a reported event.
-        chance.advance(true);
-        chance
+        ages.advance(true);
+        ages
     }
 
-    fn stretches(&self, j: usize) -> Range<usize> {
-        self.starts[j] as usize..self.starts[j + 1] as usize
+    fn spans(&self, j: usize) -> Range<usize> {
+        self.span_starts[j] as usize..self.span_starts[j + 1] as usize
     }
 
     pub(super) fn gain(&self, j: usize) -> f64 {
         let mut sum = 0.0;
-        for DetectionSpan { cells, begin } in &self.stretches[self.stretches(j)] {
-            let (whole, missed) = (&self.whole[cells.clone()], &self.missed[cells.clone()]);
-            for ((whole, missed), (p, _)) in whole.iter().zip(missed).zip(&self.detected[*begin..]) {
-                sum += whole * missed * p;
+        for DetectionSpan { cells, begin } in &self.spans[self.spans(j)] {
+            let (worths, missed) = (&self.cell_worths[cells.clone()], &self.missed[cells.clone()]);
+            for ((worth, missed), (p, _)) in worths.iter().zip(missed).zip(&self.detected[*begin..]) {
+                sum += worth * missed * p;
             }
         }
         sum
     }
 
-    pub(super) fn left(&self) -> f64 {
-        self.whole
+    pub(super) fn uncovered_worth(&self) -> f64 {
+        self.cell_worths
             .iter()
             .zip(&self.missed)
-            .map(|(whole, missed)| whole * missed)
+            .map(|(worth, missed)| worth * missed)
             .sum()
     }
 
-    pub(super) fn all(&self) -> f64 {
-        self.whole.iter().sum()
+    pub(super) fn total_worth(&self) -> f64 {
+        self.cell_worths.iter().sum()
     }
 
     pub(super) fn add(&mut self, j: usize) {
-        self.change(j, u64::saturating_add);
+        self.update_missed(j, u64::saturating_add);
     }
 
     pub(super) fn remove(&mut self, j: usize) {
-        self.change(j, u64::saturating_sub);
+        self.update_missed(j, u64::saturating_sub);
     }
 
-    fn change(&mut self, j: usize, by: impl Fn(u64, u64) -> u64) {
-        for DetectionSpan { cells, begin } in &self.stretches[self.stretches(j)] {
-            let (doubts, missed) = (&mut self.doubts[cells.clone()], &mut self.missed[cells.clone()]);
-            for ((doubt, missed), (_, one)) in doubts.iter_mut().zip(missed).zip(&self.detected[*begin..]) {
-                *doubt = by(*doubt, *one);
-                *missed = libm::exp(-(*doubt as f64) * UNIT);
+    fn update_missed(&mut self, j: usize, combine: impl Fn(u64, u64) -> u64) {
+        for DetectionSpan { cells, begin } in &self.spans[self.spans(j)] {
+            let (log_missed, missed) = (&mut self.log_missed[cells.clone()], &mut self.missed[cells.clone()]);
+            for ((sum, missed), (_, term)) in log_missed.iter_mut().zip(missed).zip(&self.detected[*begin..]) {
+                *sum = combine(*sum, *term);
+                *missed = libm::exp(-(*sum as f64) * UNIT);
             }
         }
     }
 
     pub(super) fn clear(&mut self) {
-        self.doubts.fill(0);
+        self.log_missed.fill(0);
         self.missed.fill(1.0);
     }
 
-    pub(super) fn advance(&mut self, is_found: bool) {
-        for &cell in &self.cells {
-            let old = if is_found {
+    pub(super) fn advance(&mut self, is_event_reported: bool) {
+        for &cell in &self.area_cells {
+            let old = if is_event_reported {
                 0.0
             } else {
                 self.ages[cell] * self.missed[cell]
             };
-            self.ages[cell] = (old + 1.0).min(OLDEST as f64);
-            self.whole[cell] = self.worth_of(self.ages[cell]);
+            self.ages[cell] = (old + 1.0).min(MAX_AGE as f64);
+            self.cell_worths[cell] = self.worth_of(self.ages[cell]);
         }
         self.clear();
     }
 
-    /// Returns the worth of an age, by linear interpolation between whole ages.
+    /// Returns the worth of `age`, by linear interpolation between whole ages.
     fn worth_of(&self, age: f64) -> f64 {
         // The table must also hold the next age.
-        let below = (age as usize).min(OLDEST - 1);
-        let [low, high] = [below, below + 1].map(|age| f64::from(self.worths[age]));
+        let below = (age as usize).min(MAX_AGE - 1);
+        let [low, high] = [below, below + 1].map(|age| f64::from(self.age_worths[age]));
         low + (age - below as f64) * (high - low)
     }
 

@@ -1,6 +1,6 @@
 //! Ages and worths of cells against their definition, computed from all devices and cells.
 
-use reveille_common::geometry::{Layout, place};
+use reveille_common::geometry::{Layout, place_devices};
 use reveille_common::rng::{Purpose, Stream};
 use reveille_common::sensing::Fusion;
 
@@ -36,7 +36,7 @@ fn ages_and_worths_are_those_of_the_definition() {
     for kind in [DetectionKind::Range, DetectionKind::Probabilistic] {
         for (area, (width, height)) in AREAS.into_iter().enumerate() {
             let area_of = Area { width, height };
-            let points = place(&Layout::Uniform, area_of, 30, 5);
+            let points = place_devices(&Layout::Uniform, area_of, 30, 5);
             let sensing = sensing(kind);
             let mut ages = Ages::new(&points, area_of, &sensing, triangle());
             let cells = middles(&ages);
@@ -112,8 +112,8 @@ fn a_place_that_nobody_sees_gets_old_and_no_older() {
 fn the_cells_that_count_are_those_within_reach() {
     for (width, height) in AREAS {
         let area = Area { width, height };
-        let points = place(&Layout::Uniform, area, 12, 9);
-        let mut one = [0; index_table::OLDEST + 1];
+        let points = place_devices(&Layout::Uniform, area, 12, 9);
+        let mut one = [0; index_table::MAX_AGE + 1];
         one[1] = 1;
         let ages = Ages::new(&points, area, &sensing(DetectionKind::Range), one);
         let mut stream = Stream::new(2, Purpose::Epicentre, 0);
@@ -134,7 +134,7 @@ fn taking_all_back_leaves_what_was_there() {
             width: 20.0,
             height: 20.0,
         };
-        let points = place(&Layout::Uniform, area, 300, 2);
+        let points = place_devices(&Layout::Uniform, area, 300, 2);
         let mut ages = Ages::new(&points, area, &sensing(kind), triangle());
         (0..4).for_each(|_| ages.advance(false));
         let before: Vec<f64> = (0..300).map(|j| ages.gain(j)).collect();

@@ -1,4 +1,8 @@
-//! Clusters of neighbouring devices, with one device in S1 at a time (Sec. V-A, Algorithm 1, lines 1 and 2).
+//! Clusters of neighbouring devices, with one device in S1 at a time (Sec. V-A, Algorithm 1, lines 1 and 2), for the
+//! policy `knn`.
+//!
+//! `tests/src/reference/clusters.rs` computes the same clusters exhaustively. Ties and the order of random draws are
+//! part of the result.
 
 use std::f64::consts::PI;
 
@@ -6,11 +10,11 @@ use reveille_common::geometry::{Area, Buckets, Point};
 use reveille_common::ids::DeviceId;
 use reveille_common::rng::Stream;
 
-/// Maximum number of voting rounds; devices that still change clusters then stay where they are.
-const ROUNDS: u32 = 100;
+/// Maximum number of voting rounds, since votes can alternate for ever.
+const MAX_VOTING_ROUNDS: u32 = 100;
 
 /// Maximum number of 2-means rounds when a cluster is split.
-const HALVING_ROUNDS: u32 = 10;
+const MAX_HALVING_ROUNDS: u32 = 10;
 
 /// Settings for forming clusters (Algorithm 1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -27,47 +31,51 @@ pub struct Clusters {
     /// Devices of each cluster, at least one, in ascending order. Clusters are in the order of their first devices.
     pub members: Vec<Vec<DeviceId>>,
     /// The cluster of each device, an index into `members`.
-    pub of: Vec<u32>,
+    pub cluster_of: Vec<u32>,
     /// Number M = ⌈ξ/(π `d_max`²)⌉ of clusters formed, at most N: `members.len()` before splitting.
-    pub formed: usize,
+    pub formed_count: usize,
 }
 
 impl Clusters {
     /// Forms clusters of the devices at `points` in `area` for the sensing range `d_max`, metres, > 0. `start` draws
     /// the centres of the k-means++ start. With [`ClusterSettings::limit_radius`], no device is farther than `d_max`
     /// from the mean of its cluster.
-    pub fn form(points: &[Point], area: Area, d_max: f64, voting: ClusterSettings, start: Stream) -> Self {
-        let wanted = (area.surface() / (PI * d_max * d_max)).ceil() as usize;
-        let formed = wanted.max(1).min(points.len());
-        let mut members = vote(points, area, formed, voting.neighbours as usize, start);
-        if voting.limit_radius {
+    pub fn form(points: &[Point], area: Area, d_max: f64, settings: ClusterSettings, centre_stream: Stream) -> Self {
+        let discs_per_area = (area.surface() / (PI * d_max * d_max)).ceil() as usize;
+        let formed_count = discs_per_area.max(1).min(points.len());
+        let mut members = vote(points, area, formed_count, settings.neighbours as usize, centre_stream);
+        if settings.limit_radius {
             members = members.into_iter().flat_map(|m| split(points, m, d_max)).collect();
         }
         members.sort_unstable();
-        let mut of = vec![0; points.len()];
+        let mut cluster_of = vec![0; points.len()];
         for (cluster, members) in (0..).zip(&members) {
             for member in members {
-                of[member.index()] = cluster;
+                cluster_of[member.index()] = cluster;
             }
         }
-        Self { members, of, formed }
+        Self {
+            members,
+            cluster_of,
+            formed_count,
+        }
     }
 }
 
 /// Forms up to `count` clusters by the votes of each device's `k` nearest neighbours.
-fn vote(points: &[Point], area: Area, count: usize, k: usize, start: Stream) -> Vec<Vec<DeviceId>> {
+fn vote(points: &[Point], area: Area, count: usize, k: usize, centre_stream: Stream) -> Vec<Vec<DeviceId>> {
     let neighbours = nearest_neighbours(points, area, k);
-    let mut assignment = Partition::start(points, count, start);
-    for _ in 0..ROUNDS {
-        let next = assignment.round(&neighbours);
-        let settled = next == assignment;
-        assignment = next;
-        if settled {
+    let mut partition = Partition::start(points, count, centre_stream);
+    for _ in 0..MAX_VOTING_ROUNDS {
+        let next = partition.vote_once(&neighbours);
+        let is_settled = next == partition;
+        partition = next;
+        if is_settled {
             break;
         }
     }
     let mut members = vec![Vec::new(); count];
-    for (device, &cluster) in (0..).zip(&assignment.of) {
+    for (device, &cluster) in (0..).zip(&partition.cluster_of) {
         members[cluster as usize].push(DeviceId(device));
     }
     members
@@ -77,7 +85,7 @@ fn vote(points: &[Point], area: Area, count: usize, k: usize, start: Stream) -> 
 #[derive(Clone, Debug, PartialEq)]
 struct Partition<'a> {
     points: &'a [Point],
-    of: Vec<u32>,
+    cluster_of: Vec<u32>,
     centroids: Vec<Point>,
 }
 
@@ -85,7 +93,7 @@ impl<'a> Partition<'a> {
     /// Assigns each device to the nearest of `count` k-means++ centres, at most one per device.
     fn start(points: &'a [Point], count: usize, mut stream: Stream) -> Self {
         let mut squared = vec![f64::INFINITY; points.len()];
-        let mut of = vec![0; points.len()];
+        let mut cluster_of = vec![0; points.len()];
         let mut centroids = Vec::with_capacity(count);
         for cluster in 0..count {
             let centre = if cluster == 0 {
@@ -94,35 +102,39 @@ impl<'a> Partition<'a> {
                 points[draw_by_weight(&squared, &mut stream)]
             };
             centroids.push(centre);
-            for ((p, squared), of) in points.iter().zip(&mut squared).zip(&mut of) {
+            for ((p, squared), cluster_of) in points.iter().zip(&mut squared).zip(&mut cluster_of) {
                 let d2 = p.distance_squared(centre);
                 if d2 < *squared {
-                    (*squared, *of) = (d2, cluster as u32);
+                    (*squared, *cluster_of) = (d2, cluster as u32);
                 }
             }
         }
-        let mut assignment = Self { points, of, centroids };
-        assignment.recentre();
-        assignment
+        let mut partition = Self {
+            points,
+            cluster_of,
+            centroids,
+        };
+        partition.recentre();
+        partition
     }
 
     /// Returns the partition in which each device joins the current cluster of most of its neighbours.
-    fn round(&self, neighbours: &[Vec<u32>]) -> Self {
+    fn vote_once(&self, neighbours: &[Vec<u32>]) -> Self {
         let mut tally = Vec::new();
-        let of = (0..).zip(neighbours).map(|(device, near)| {
+        let cluster_of = (0..).zip(neighbours).map(|(device, near)| {
             tally.clear();
             for &neighbour in near {
-                let cluster = self.of[neighbour as usize];
+                let cluster = self.cluster_of[neighbour as usize];
                 match tally.iter_mut().find(|(c, _)| *c == cluster) {
                     Some((_, votes)) => *votes += 1,
                     None => tally.push((cluster, 1_u32)),
                 }
             }
-            self.winner(device, &tally)
+            self.winning_cluster(device, &tally)
         });
         let mut next = Self {
             points: self.points,
-            of: of.collect(),
+            cluster_of: cluster_of.collect(),
             centroids: self.centroids.clone(),
         };
         next.recentre();
@@ -131,13 +143,15 @@ impl<'a> Partition<'a> {
 
     /// Returns the cluster with the most votes. Ties go to the nearest centroid, then to the lowest number. A device
     /// without neighbours keeps its cluster.
-    fn winner(&self, device: usize, tally: &[(u32, u32)]) -> u32 {
-        let gap = |cluster: u32| self.points[device].distance_squared(self.centroids[cluster as usize]);
+    fn winning_cluster(&self, device: usize, tally: &[(u32, u32)]) -> u32 {
+        let squared_gap = |cluster: u32| self.points[device].distance_squared(self.centroids[cluster as usize]);
         let best = tally.iter().min_by(|(a, votes_a), (b, votes_b)| {
             let by_votes = votes_b.cmp(votes_a);
-            by_votes.then_with(|| gap(*a).total_cmp(&gap(*b))).then(a.cmp(b))
+            by_votes
+                .then_with(|| squared_gap(*a).total_cmp(&squared_gap(*b)))
+                .then(a.cmp(b))
         });
-        best.map_or(self.of[device], |&(cluster, _)| cluster)
+        best.map_or(self.cluster_of[device], |&(cluster, _)| cluster)
     }
 
     /// Moves centroids to their members' means. Each empty cluster gets one of the devices farthest from their own
@@ -147,8 +161,8 @@ impl<'a> Partition<'a> {
         if !sizes.contains(&0) {
             return;
         }
-        let away = |j: usize| self.points[j].distance_squared(self.centroids[self.of[j] as usize]);
-        let mut farthest: Vec<_> = (0..self.of.len()).map(|j| (away(j), j)).collect();
+        let squared_distance = |j: usize| self.points[j].distance_squared(self.centroids[self.cluster_of[j] as usize]);
+        let mut farthest: Vec<_> = (0..self.cluster_of.len()).map(|j| (squared_distance(j), j)).collect();
         farthest.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
         let mut farthest = farthest.into_iter().map(|(_, j)| j);
         for empty in 0..sizes.len() {
@@ -156,10 +170,10 @@ impl<'a> Partition<'a> {
                 continue;
             }
             // There are no more clusters than devices, so a cluster with a device to spare exists.
-            if let Some(j) = farthest.find(|&j| sizes[self.of[j] as usize] > 1) {
-                sizes[self.of[j] as usize] -= 1;
+            if let Some(j) = farthest.find(|&j| sizes[self.cluster_of[j] as usize] > 1) {
+                sizes[self.cluster_of[j] as usize] -= 1;
                 sizes[empty] = 1;
-                self.of[j] = empty as u32;
+                self.cluster_of[j] = empty as u32;
             }
         }
         self.move_centroids();
@@ -169,7 +183,7 @@ impl<'a> Partition<'a> {
     fn move_centroids(&mut self) -> Vec<u32> {
         let mut sums = vec![(0.0, 0.0); self.centroids.len()];
         let mut sizes = vec![0_u32; self.centroids.len()];
-        for (p, &cluster) in self.points.iter().zip(&self.of) {
+        for (p, &cluster) in self.points.iter().zip(&self.cluster_of) {
             sums[cluster as usize].0 += p.x;
             sums[cluster as usize].1 += p.y;
             sizes[cluster as usize] += 1;
@@ -185,16 +199,16 @@ impl<'a> Partition<'a> {
 
 /// Draws an index with probability proportional to its weight; returns the first index if no weight is above 0.
 fn draw_by_weight(weights: &[f64], stream: &mut Stream) -> usize {
-    let mut left = stream.unit() * weights.iter().sum::<f64>();
+    let mut remaining = stream.unit() * weights.iter().sum::<f64>();
     let mut drawn = 0;
     for (index, &weight) in weights.iter().enumerate() {
         if weight > 0.0 {
             drawn = index;
             // Rounding can leave a remainder after the last weight; the last index with a weight is then drawn.
-            if left < weight {
+            if remaining < weight {
                 break;
             }
-            left -= weight;
+            remaining -= weight;
         }
     }
     drawn
@@ -203,23 +217,23 @@ fn draw_by_weight(weights: &[f64], stream: &mut Stream) -> usize {
 /// Returns the `k` nearest devices of each device, or all others if there are fewer. Ties are in ascending order.
 fn nearest_neighbours(points: &[Point], area: Area, k: usize) -> Vec<Vec<u32>> {
     let buckets = Buckets::new(points, area, 0.0);
-    let near = (0..).zip(points).map(|(own, p)| {
+    let neighbours = (0..).zip(points).map(|(device, p)| {
         // One of the k + 1 nearest is the device itself, unless more than k others have the same position.
-        let others = buckets.nearest(*p, k + 1).into_iter().map(|(_, other)| other);
-        others.filter(|other| *other != own).take(k).collect()
+        let nearest = buckets.nearest(*p, k + 1).into_iter().map(|(_, other)| other);
+        nearest.filter(|other| *other != device).take(k).collect()
     });
-    near.collect()
+    neighbours.collect()
 }
 
 /// Splits `members` until no part has a member farther than `d_max` from its mean.
 fn split(points: &[Point], members: Vec<DeviceId>, d_max: f64) -> Vec<Vec<DeviceId>> {
-    let (mut open, mut done) = (vec![members], Vec::new());
-    while let Some(members) = open.pop() {
-        let centroid = mean(points, &members);
-        let is_wide = members.iter().any(|j| points[j.index()].distance(centroid) > d_max);
-        match is_wide.then(|| halve(points, &members, centroid)) {
+    let (mut pending, mut done) = (vec![members], Vec::new());
+    while let Some(members) = pending.pop() {
+        let centroid = mean_position(points, &members);
+        let is_too_wide = members.iter().any(|j| points[j.index()].distance(centroid) > d_max);
+        match is_too_wide.then(|| halve(points, &members, centroid)) {
             // Both parts are smaller than the whole, so the loop ends; with an empty part it would not.
-            Some([near, far]) if !near.is_empty() && !far.is_empty() => open.extend([near, far]),
+            Some([near, far]) if !near.is_empty() && !far.is_empty() => pending.extend([near, far]),
             _ => done.push(members),
         }
     }
@@ -231,26 +245,26 @@ fn halve(points: &[Point], members: &[DeviceId], centroid: Point) -> [Vec<Device
     let first = farthest(points, members, centroid);
     let mut seeds = [first, farthest(points, members, first)];
     let mut halves = [members.to_vec(), Vec::new()];
-    for _ in 0..HALVING_ROUNDS {
-        let nearer = |j: &DeviceId| {
+    for _ in 0..MAX_HALVING_ROUNDS {
+        let is_nearer_to_first = |j: &DeviceId| {
             let p = points[j.index()];
             p.distance_squared(seeds[0]) <= p.distance_squared(seeds[1])
         };
-        let (a, b): (Vec<_>, Vec<_>) = members.iter().partition(|j| nearer(j));
+        let (a, b): (Vec<_>, Vec<_>) = members.iter().partition(|j| is_nearer_to_first(j));
         if a.is_empty() || b.is_empty() || a == halves[0] {
             break;
         }
-        seeds = [mean(points, &a), mean(points, &b)];
+        seeds = [mean_position(points, &a), mean_position(points, &b)];
         halves = [a, b];
     }
     halves
 }
 
 /// Returns the position of the member farthest from `place`; ties go to the lowest number.
-fn farthest(points: &[Point], members: &[DeviceId], place: Point) -> Point {
+fn farthest(points: &[Point], members: &[DeviceId], origin: Point) -> Point {
     let positions = members.iter().map(|j| points[j.index()]);
-    positions.fold(place, |far, p| {
-        if p.distance_squared(place) > far.distance_squared(place) {
+    positions.fold(origin, |far, p| {
+        if p.distance_squared(origin) > far.distance_squared(origin) {
             p
         } else {
             far
@@ -259,7 +273,7 @@ fn farthest(points: &[Point], members: &[DeviceId], place: Point) -> Point {
 }
 
 /// Returns the mean position of `members`, which must not be empty.
-fn mean(points: &[Point], members: &[DeviceId]) -> Point {
+fn mean_position(points: &[Point], members: &[DeviceId]) -> Point {
     let n = members.len() as f64;
     let positions = members.iter().map(|j| points[j.index()]);
     let (x, y) = positions.fold((0.0, 0.0), |(x, y), p| (x + p.x, y + p.y));

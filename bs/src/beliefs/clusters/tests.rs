@@ -1,7 +1,7 @@
 //! Algorithm 1 on layouts with known clusters, and the invariants of a partition on random layouts.
 
 use proptest::prelude::*;
-use reveille_common::geometry::{Layout, place};
+use reveille_common::geometry::{Layout, place_devices};
 
 use super::*;
 use reveille_common::rng::Purpose;
@@ -38,12 +38,12 @@ fn is_partition(clusters: &Clusters, n: usize) -> bool {
     for (index, members) in clusters.members.iter().enumerate() {
         for j in members {
             seen[j.index()] += 1;
-            if clusters.of[j.index()] as usize != index {
+            if clusters.cluster_of[j.index()] as usize != index {
                 return false;
             }
         }
     }
-    clusters.of.len() == n
+    clusters.cluster_of.len() == n
         && seen.iter().all(|&times| times == 1)
         && clusters.members.iter().all(|m| !m.is_empty() && m.is_sorted())
         && clusters.members.is_sorted_by_key(|m| m[0])
@@ -67,18 +67,19 @@ proptest! {
     fn clusters_partition_the_devices(
         layout in layouts(), n in 1_u32..=300, seed: u64, k in 1_u32..=12, limit: bool, d_max in 1.0..30.0_f64,
     ) {
-        let points = place(&layout, AREA, n, seed);
+        let points = place_devices(&layout, AREA, n, seed);
         let clusters = Clusters::form(&points, AREA, d_max, settings(k, limit), start(seed));
         prop_assert!(is_partition(&clusters, n as usize), "{clusters:?}");
         // The smallest number of discs whose total area is at least the deployment area.
-        let (discs, surface) = (clusters.formed as f64, 400.0);
+        let (discs, surface) = (clusters.formed_count as f64, 400.0);
         let disc = PI * d_max * d_max;
-        prop_assert!((discs - 1.0) * disc < surface && (discs * disc >= surface || clusters.formed == n as usize));
+        let is_limited = clusters.formed_count == n as usize;
+        prop_assert!((discs - 1.0) * disc < surface && (discs * disc >= surface || is_limited));
         if limit {
-            prop_assert!(clusters.members.len() >= clusters.formed);
+            prop_assert!(clusters.members.len() >= clusters.formed_count);
             prop_assert!(widest(&points, &clusters) <= d_max + 1e-9);
         } else {
-            prop_assert_eq!(clusters.members.len(), clusters.formed);
+            prop_assert_eq!(clusters.members.len(), clusters.formed_count);
         }
         prop_assert_eq!(&clusters, &Clusters::form(&points, AREA, d_max, settings(k, limit), start(seed)));
     }
@@ -95,7 +96,7 @@ proptest! {
 
     #[test]
     fn neighbours_are_those_of_a_full_sort(layout in layouts(), n in 1_u32..150, seed: u64, k in 1_usize..160) {
-        let points = place(&layout, AREA, n, seed);
+        let points = place_devices(&layout, AREA, n, seed);
         for (j, found) in nearest_neighbours(&points, AREA, k).into_iter().enumerate() {
             let mut others: Vec<_> = (0..n).filter(|&i| i as usize != j).collect();
             let gap = |i: u32| points[i as usize].distance_squared(points[j]);
@@ -126,7 +127,7 @@ fn two_blobs_make_two_clusters() {
     for seed in 0..50 {
         let clusters = Clusters::form(&points, AREA, 9.0, settings(5, true), start(seed));
         let expected = [0..7, 7..14].map(|ids| ids.map(DeviceId).collect::<Vec<_>>());
-        assert_eq!(clusters.formed, 2);
+        assert_eq!(clusters.formed_count, 2);
         assert_eq!(clusters.members, expected, "seed {seed}");
     }
 }
@@ -144,10 +145,10 @@ fn a_device_joins_the_majority_then_the_nearer_centroid_then_the_lower_number() 
     let points: Vec<_> = (0..7).map(|x| Point::new(f64::from(x), 0.0)).collect();
     let assignment = Partition {
         points: &points,
-        of: vec![0, 0, 0, 1, 1, 2, 2],
+        cluster_of: vec![0, 0, 0, 1, 1, 2, 2],
         centroids: vec![Point::new(1.0, 0.0), Point::new(3.5, 0.0), Point::new(5.5, 0.0)],
     };
-    let joined = |device, votes: &[(u32, u32)]| assignment.winner(device, votes);
+    let joined = |device, votes: &[(u32, u32)]| assignment.winning_cluster(device, votes);
     assert_eq!(joined(6, &[(2, 1), (0, 3), (1, 1)]), 0);
     assert_eq!(joined(2, &[(0, 2), (1, 2), (2, 1)]), 0);
     assert_eq!(joined(3, &[(0, 2), (1, 2)]), 1);
@@ -155,7 +156,7 @@ fn a_device_joins_the_majority_then_the_nearer_centroid_then_the_lower_number() 
         centroids: vec![Point::new(5.0, 0.0), Point::new(1.0, 0.0), Point::new(9.0, 0.0)],
         ..assignment.clone()
     };
-    assert_eq!(even.winner(3, &[(1, 2), (0, 2)]), 0);
+    assert_eq!(even.winning_cluster(3, &[(1, 2), (0, 2)]), 0);
     assert_eq!(joined(4, &[]), 1);
 }
 
@@ -164,12 +165,12 @@ fn an_empty_cluster_gets_the_device_farthest_from_its_centroid() {
     let points: Vec<_> = [0.0, 1.0, 2.0, 9.0].map(|x| Point::new(x, 0.0)).to_vec();
     let mut assignment = Partition {
         points: &points,
-        of: vec![0, 0, 0, 0],
+        cluster_of: vec![0, 0, 0, 0],
         centroids: vec![Point::default(); 3],
     };
     assignment.recentre();
     // The mean is 3: device 3 is 6 away, device 0 is 3 away.
-    assert_eq!(assignment.of, [2, 0, 0, 1]);
+    assert_eq!(assignment.cluster_of, [2, 0, 0, 1]);
     assert_eq!(assignment.centroids, [1.5, 9.0, 0.0].map(|x| Point::new(x, 0.0)));
 }
 
@@ -184,9 +185,9 @@ fn the_paper_forms_eight_clusters() {
         (15.0, 250, 1),
         (1.0, 30, 30),
     ] {
-        let points = place(&Layout::JitteredGrid, AREA, n, 1);
+        let points = place_devices(&Layout::JitteredGrid, AREA, n, 1);
         let clusters = Clusters::form(&points, AREA, d_max, settings(5, true), start(1));
-        assert_eq!(clusters.formed, formed, "d_max {d_max}");
+        assert_eq!(clusters.formed_count, formed, "d_max {d_max}");
     }
 }
 

@@ -1,4 +1,5 @@
-//! Coverage where detection is certain within d_max: one bit per cell.
+//! Coverage where detection is certain within d_max: one bit per cell. `CoverageBits` serves
+//! [`Coverage`](super::Coverage); `BitDisc` also serves [`CoverageUnion`](super::CoverageUnion).
 
 use reveille_common::geometry::Point;
 
@@ -6,54 +7,55 @@ use crate::beliefs::grid::Raster;
 
 /// Exclusive limit on the rows, and columns, of cells that a device covers. With c = ⌈15 w/d_max⌉ cells along a width
 /// w, either c ≤ 30, or 2·d_max is at most 30·c/(c − 1) ≤ 31 cells long and holds no more whole cells.
-pub(super) const SIDE: usize = 32;
+pub(super) const DISC_SIDE: usize = 32;
 
 /// The cells covered by at least one device, and those covered by at least two.
 ///
 /// Columns lie in tiles of 64 bits that overlap by half. So all cells of a device lie in one tile, and its rows are
-/// consecutive words. An extra tile at either end and [`SIDE`] empty rows above each tile make bounds tests
+/// consecutive words. An extra tile at either end and [`DISC_SIDE`] empty rows above each tile make bounds tests
 /// unnecessary.
 #[derive(Clone, Debug)]
-pub(super) struct Bits {
+pub(super) struct CoverageBits {
     /// Words per tile.
     stride: usize,
     covered: Vec<u64>,
-    twice: Vec<u64>,
+    /// Cells that at least two added devices cover.
+    covered_twice: Vec<u64>,
     discs: Vec<BitDisc>,
     /// Number of covered cells.
-    count: u32,
+    covered_count: u32,
 }
 
-/// Cells that a device covers: bit `b` of `rows[i]` is the cell in row `first.0 + i` and column `first.1 + b`.
+/// Cells that a device covers: bit `b` of `rows[i]` is the cell in row `first_cell.0 + i`, column `first_cell.1 + b`.
 #[derive(Clone, Debug)]
 pub(super) struct BitDisc {
-    pub(super) first: (u32, u32),
+    pub(super) first_cell: (u32, u32),
     /// Word of the first row, and bit of the first column in it, less than 32.
     word: u32,
     shift: u32,
-    pub(super) rows: [u32; SIDE],
+    pub(super) rows: [u32; DISC_SIDE],
 }
 
 impl BitDisc {
     pub(super) fn new(raster: &Raster, stride: usize, p: Point, d_max: f64) -> Self {
-        let [south_to_north, west_to_east] = raster.around(p, d_max);
+        let [south_to_north, west_to_east] = raster.disc_bounds(p, d_max);
         // The cells of a row are adjacent: distances fall towards `p` and rise beyond it, however they are rounded.
-        let stretch = |row: usize| {
-            let is_inside = |column: &usize| raster.distances(row, *column, p).0 <= d_max;
+        let row_span = |row: usize| {
+            let is_inside = |column: &usize| raster.cell_distances(row, *column, p).0 <= d_max;
             let first = west_to_east.clone().find(is_inside)?;
             let last = west_to_east.clone().rfind(is_inside)?;
             Some((row, first, last))
         };
-        let stretches: Vec<(usize, usize, usize)> = south_to_north.filter_map(stretch).collect();
-        let row = stretches.first().map_or(0, |stretch| stretch.0);
-        let column = stretches.iter().map(|stretch| stretch.1).min().unwrap_or(0);
-        let mut rows = [0; SIDE];
-        for (at, first, last) in stretches {
-            // At most 31 columns, see `SIDE`, so the shifts lose no bit.
-            rows[at - row] = u32::MAX >> (31 - (last - first)) << (first - column);
+        let row_spans: Vec<(usize, usize, usize)> = south_to_north.filter_map(row_span).collect();
+        let row = row_spans.first().map_or(0, |row_span| row_span.0);
+        let column = row_spans.iter().map(|row_span| row_span.1).min().unwrap_or(0);
+        let mut rows = [0; DISC_SIDE];
+        for (row_index, first, last) in row_spans {
+            // At most 31 columns, see `DISC_SIDE`, so the shifts lose no bit.
+            rows[row_index - row] = u32::MAX >> (31 - (last - first)) << (first - column);
         }
         Self {
-            first: (row as u32, column as u32),
+            first_cell: (row as u32, column as u32),
             word: ((1 + column / 32) * stride + row) as u32,
             shift: (column % 32) as u32,
             rows,
@@ -61,37 +63,37 @@ impl BitDisc {
     }
 }
 
-impl Bits {
+impl CoverageBits {
     pub(super) fn new(raster: &Raster, positions: &[Point], d_max: f64) -> Self {
-        let stride = raster.rows + SIDE;
+        let stride = raster.rows + DISC_SIDE;
         let words = (raster.columns.div_ceil(32) + 2) * stride;
         Self {
             stride,
             covered: vec![0; words],
-            twice: vec![0; words],
+            covered_twice: vec![0; words],
             discs: positions
                 .iter()
                 .map(|&p| BitDisc::new(raster, stride, p, d_max))
                 .collect(),
-            count: 0,
+            covered_count: 0,
         }
     }
 
     pub(super) fn clear(&mut self) {
         self.covered.fill(0);
-        self.twice.fill(0);
-        self.count = 0;
+        self.covered_twice.fill(0);
+        self.covered_count = 0;
     }
 
     /// Returns the number of cells of the `j`-th device that no device covers.
     #[inline]
     pub(super) fn gain(&self, j: usize) -> u32 {
-        outside(&self.covered, &self.discs[j])
+        count_outside(&self.covered, &self.discs[j])
     }
 
     /// Returns the number of cells that only the `j`-th device covers, if it was added.
-    pub(super) fn lost(&self, j: usize) -> u32 {
-        outside(&self.twice, &self.discs[j])
+    pub(super) fn loss(&self, j: usize) -> u32 {
+        count_outside(&self.covered_twice, &self.discs[j])
     }
 
     /// Adds a device that was not added before.
@@ -99,51 +101,54 @@ impl Bits {
         let Self {
             stride,
             covered,
-            twice,
+            covered_twice,
             discs,
-            count,
+            covered_count,
         } = self;
         let disc = &discs[j];
-        *count += outside(covered, disc);
+        *covered_count += count_outside(covered, disc);
         let (word, shift) = (disc.word as usize, disc.shift);
         // Tiles overlap by half, so the same cells also appear in the tile to the west and in the tile to the east.
         for (begin, to_east, to_west) in [(word - *stride, 32, 0), (word, 0, 0), (word + *stride, 0, 32)] {
-            let covered = covered[begin..].first_chunk_mut::<SIDE>().expect(ROOM);
-            let twice = twice[begin..].first_chunk_mut::<SIDE>().expect(ROOM);
-            for i in 0..SIDE {
+            let covered = covered[begin..].first_chunk_mut::<DISC_SIDE>().expect(ROWS_FIT);
+            let covered_twice = covered_twice[begin..].first_chunk_mut::<DISC_SIDE>().expect(ROWS_FIT);
+            for i in 0..DISC_SIDE {
                 let cells = u64::from(disc.rows[i]) << shift << to_east >> to_west;
-                twice[i] |= covered[i] & cells;
+                covered_twice[i] |= covered[i] & cells;
                 covered[i] |= cells;
             }
         }
     }
 
     pub(super) const fn covered(&self) -> u32 {
-        self.count
+        self.covered_count
     }
 
     /// Returns whether the `j`-th device covers the cell.
     #[inline]
     pub(super) fn reaches(&self, j: usize, row: u32, column: u32) -> bool {
-        let BitDisc { first, rows, .. } = &self.discs[j];
-        let (row, column) = (row.wrapping_sub(first.0) as usize, column.wrapping_sub(first.1));
-        row < SIDE && column < 32 && rows[row] >> column & 1 == 1
+        let BitDisc { first_cell, rows, .. } = &self.discs[j];
+        let (row, column) = (
+            row.wrapping_sub(first_cell.0) as usize,
+            column.wrapping_sub(first_cell.1),
+        );
+        row < DISC_SIDE && column < 32 && rows[row] >> column & 1 == 1
     }
 
     /// Returns the uncovered cells of `row` from `column` on as bits. The first cell is the lowest bit, and at least 33
     /// bits are valid.
     #[inline]
-    pub(super) fn open(&self, row: u32, column: u32) -> u64 {
+    pub(super) fn uncovered_from(&self, row: u32, column: u32) -> u64 {
         !self.covered[(1 + column as usize / 32) * self.stride + row as usize] >> (column % 32)
     }
 }
 
-const ROOM: &str = "there are empty rows above";
+const ROWS_FIT: &str = "there are empty rows above";
 
 /// Returns the number of cells of `disc` that are not in `words`.
 #[inline]
-fn outside(words: &[u64], disc: &BitDisc) -> u32 {
-    let words = words[disc.word as usize..].first_chunk::<SIDE>().expect(ROOM);
+fn count_outside(words: &[u64], disc: &BitDisc) -> u32 {
+    let words = words[disc.word as usize..].first_chunk::<DISC_SIDE>().expect(ROWS_FIT);
     let rows = words.iter().zip(&disc.rows);
     rows.map(|(word, cells)| (!((word >> disc.shift) as u32) & cells).count_ones())
         .sum()

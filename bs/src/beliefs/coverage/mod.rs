@@ -1,4 +1,7 @@
-//! The covered part of the area, counted on a grid.
+//! The part of the area that a set of devices covers, counted on a grid.
+//!
+//! `Coverage` answers gain and loss of single devices, from which `q-learning` with a window chooses those that sense.
+//! [`CoverageUnion`] gives only the total, for rewards, in less memory; both give bit-equal results.
 
 mod bits;
 mod blocks;
@@ -8,33 +11,34 @@ mod union;
 use reveille_common::geometry::{Area, Point};
 use reveille_common::sensing::{DetectionKind, Sensing};
 
-use self::bits::Bits;
+use self::bits::CoverageBits;
 pub use self::blocks::CellPosition;
 use self::blocks::{Block, CellBlocks};
-use self::shares::{CELL, UncoveredShares};
-pub use self::union::Union;
+use self::shares::{SHARES_PER_CELL, UncoveredShares};
+pub use self::union::CoverageUnion;
 use super::grid::{self, Raster};
 
 /// Returns the number of grid cells along d_max. With certain detection, a device covers only cells that lie fully
-/// within its range, so larger cells lose more of each disc. With probabilistic detection, cells are covered in part
-/// and nothing is lost.
-const fn per_range(kind: DetectionKind) -> f64 {
+/// within its range, so larger cells lose more of each disc, and smaller ones do not fit `DISC_SIDE`. With
+/// probabilistic detection, cells are covered in part and nothing is lost.
+const fn cells_per_range(kind: DetectionKind) -> f64 {
     match kind {
         DetectionKind::Range => 15.0,
         DetectionKind::Probabilistic => 10.0,
     }
 }
 
-/// Returns the number of grid cells on which the covered part of `area` is counted.
-pub fn cells(area: Area, sensing: &Sensing) -> f64 {
-    grid::cells(area, sensing.d_max, per_range(sensing.kind))
+/// Returns the number of grid cells on which the covered part of `area` is counted: a whole number, but possibly too
+/// large for an integer type.
+pub fn count_cells(area: Area, sensing: &Sensing) -> f64 {
+    grid::count_cells(area, sensing.d_max, cells_per_range(sensing.kind))
 }
 
 /// Parts of a cell, where it can be covered in part.
-const PARTS: u32 = 64;
+const PARTS_PER_CELL: u32 = 64;
 
 /// Shares per part. A whole cell is one share short of 64 parts.
-const SHARES: u64 = (CELL as u64 + 1) / PARTS as u64;
+const SHARES_PER_PART: u64 = (SHARES_PER_CELL as u64 + 1) / PARTS_PER_CELL as u64;
 
 /// The part of the area covered by the devices added so far.
 ///
@@ -43,52 +47,53 @@ const SHARES: u64 = (CELL as u64 + 1) / PARTS as u64;
 #[derive(Clone, Debug)]
 pub(crate) struct Coverage {
     raster: Raster,
-    cover: CoverageModel,
-    places: CellBlocks,
+    model: CoverageModel,
+    blocks: CellBlocks,
     /// Devices already added. A device counts once: for one event it detects always or never.
     is_added: Vec<bool>,
-    added: Vec<u32>,
+    /// The same devices as a list, for [`Self::clear`].
+    added_devices: Vec<u32>,
 }
 
 #[derive(Clone, Debug)]
 enum CoverageModel {
-    Range(Bits),
-    Chance(UncoveredShares),
+    Range(CoverageBits),
+    Probabilistic(UncoveredShares),
 }
 
 impl Coverage {
     /// Creates the coverage for devices at `positions`, none of them added yet.
     pub(crate) fn new(positions: &[Point], area: Area, sensing: &Sensing) -> Self {
-        let raster = Raster::new(area, sensing.d_max, per_range(sensing.kind));
-        let (cover, places) = match sensing.kind {
+        let raster = Raster::new(area, sensing.d_max, cells_per_range(sensing.kind));
+        let (model, blocks) = match sensing.kind {
             DetectionKind::Range => {
-                let bits = Bits::new(&raster, positions, sensing.d_max);
+                let bits = CoverageBits::new(&raster, positions, sensing.d_max);
                 let reaches = |j: usize, row: u32, column: u32| bits.reaches(j, row, column);
-                let places = CellBlocks::new(&raster, positions, sensing.d_max, reaches);
-                (CoverageModel::Range(bits), places)
+                let blocks = CellBlocks::new(&raster, positions, sensing.d_max, reaches);
+                (CoverageModel::Range(bits), blocks)
             }
-            // No place is ever fully covered, so places have no order.
+            // No cell is ever fully covered, so cells have no order.
             DetectionKind::Probabilistic => (
-                CoverageModel::Chance(UncoveredShares::new(&raster, positions, sensing)),
-                CellBlocks::one(positions.len()),
+                CoverageModel::Probabilistic(UncoveredShares::new(&raster, positions, sensing)),
+                CellBlocks::single(positions.len()),
             ),
         };
         Self {
             raster,
-            cover,
-            places,
+            model,
+            blocks,
             is_added: vec![false; positions.len()],
-            added: Vec::new(),
+            added_devices: Vec::new(),
         }
     }
 
     /// Removes all devices.
     pub(crate) fn clear(&mut self) {
-        match &mut self.cover {
+        match &mut self.model {
             CoverageModel::Range(bits) => bits.clear(),
-            CoverageModel::Chance(shares) => shares.clear(),
+            CoverageModel::Probabilistic(shares) => shares.clear(),
         }
-        for j in self.added.drain(..) {
+        for j in self.added_devices.drain(..) {
             self.is_added[j as usize] = false;
         }
     }
@@ -98,42 +103,42 @@ impl Coverage {
         if self.is_added[j] {
             return 0.0;
         }
-        let cells = match &self.cover {
+        let cells = match &self.model {
             CoverageModel::Range(bits) => f64::from(bits.gain(j)),
-            CoverageModel::Chance(shares) => shares.gain(j) as f64 / f64::from(CELL),
+            CoverageModel::Probabilistic(shares) => shares.gain(j) as f64 / f64::from(SHARES_PER_CELL),
         };
-        cells / self.raster.cells() as f64
+        cells / self.raster.cell_count() as f64
     }
 
     /// Returns the gain in whole parts, rounded down, for comparisons: cells, or 64ths of a cell if detection is
     /// probabilistic.
     #[inline]
-    pub(crate) fn parts(&self, j: usize) -> u32 {
+    pub(crate) fn gain_in_parts(&self, j: usize) -> u32 {
         if self.is_added[j] {
             return 0;
         }
-        match &self.cover {
+        match &self.model {
             CoverageModel::Range(bits) => bits.gain(j),
-            CoverageModel::Chance(shares) => (shares.gain(j) / SHARES) as u32,
+            CoverageModel::Probabilistic(shares) => (shares.gain(j) / SHARES_PER_PART) as u32,
         }
     }
 
     /// Returns the number of parts that would be uncovered without the `j`-th device, which was added. `None` if
-    /// detection is probabilistic, since all devices then cover cells in part and no device alone covers a place.
-    pub(crate) fn lost(&self, j: usize) -> Option<u32> {
-        match &self.cover {
-            CoverageModel::Range(bits) => Some(bits.lost(j)),
-            CoverageModel::Chance(_) => None,
+    /// detection is probabilistic, since all devices then cover cells in part and no device alone covers a cell.
+    pub(crate) fn loss_in_parts(&self, j: usize) -> Option<u32> {
+        match &self.model {
+            CoverageModel::Range(bits) => Some(bits.loss(j)),
+            CoverageModel::Probabilistic(_) => None,
         }
     }
 
     /// Number of parts in the area.
-    pub(crate) fn all_parts(&self) -> f64 {
-        let each = match &self.cover {
+    pub(crate) fn total_parts(&self) -> f64 {
+        let parts_per_cell = match &self.model {
             CoverageModel::Range(_) => 1,
-            CoverageModel::Chance(_) => PARTS,
+            CoverageModel::Probabilistic(_) => PARTS_PER_CELL,
         };
-        self.raster.cells() as f64 * f64::from(each)
+        self.raster.cell_count() as f64 * f64::from(parts_per_cell)
     }
 
     /// Adds the `j`-th device.
@@ -141,36 +146,37 @@ impl Coverage {
         if std::mem::replace(&mut self.is_added[j], true) {
             return;
         }
-        self.added.push(j as u32);
-        match &mut self.cover {
+        self.added_devices.push(j as u32);
+        match &mut self.model {
             CoverageModel::Range(bits) => bits.add(j),
-            CoverageModel::Chance(shares) => shares.add(j),
+            CoverageModel::Probabilistic(shares) => shares.add(j),
         }
     }
 
     /// Returns whether the `j`-th device was added.
-    pub(crate) fn has(&self, j: usize) -> bool {
+    pub(crate) fn contains(&self, j: usize) -> bool {
         self.is_added[j]
     }
 
     /// Share of the area that is not covered, `[0, 1]`.
     pub(crate) fn uncovered(&self) -> f64 {
-        let cells = self.raster.cells() as f64;
-        match &self.cover {
+        let cells = self.raster.cell_count() as f64;
+        match &self.model {
             CoverageModel::Range(bits) => (cells - f64::from(bits.covered())) / cells,
-            CoverageModel::Chance(shares) => shares.uncovered() as f64 / f64::from(CELL) / cells,
+            CoverageModel::Probabilistic(shares) => shares.uncovered() as f64 / f64::from(SHARES_PER_CELL) / cells,
         }
     }
 
-    /// Number of blocks of neighbouring places. Blocks are in the order in which they should be covered.
-    pub(crate) const fn blocks(&self) -> usize {
-        self.places.blocks.len()
+    /// Number of blocks of neighbouring cells. Blocks are in the order in which a choice of devices should cover them:
+    /// corners and borders of the area first.
+    pub(crate) const fn block_count(&self) -> usize {
+        self.blocks.blocks.len()
     }
 
     /// Returns whether a block has an uncovered cell.
     #[inline]
-    pub(crate) fn has_open(&self, block: usize) -> bool {
-        let CoverageModel::Range(bits) = &self.cover else {
+    pub(crate) fn has_uncovered(&self, block: usize) -> bool {
+        let CoverageModel::Range(bits) = &self.model else {
             return true;
         };
         let Block {
@@ -179,46 +185,46 @@ impl Coverage {
             rows,
             columns,
             ..
-        } = self.places.blocks[block];
-        let open = (row..row + rows).fold(0, |open, row| open | bits.open(row, column));
-        // The word also holds columns beyond the block.
-        open & ((1 << columns) - 1) != 0
+        } = self.blocks.blocks[block];
+        let uncovered = (row..row + rows).fold(0, |uncovered, row| uncovered | bits.uncovered_from(row, column));
+        // The word also holds columns beyond the block, which has at most 4.
+        uncovered & ((1 << columns) - 1) != 0
     }
 
-    /// Returns the places of a block that devices can cover, in order.
-    pub(crate) fn spots(&self, block: usize) -> &[CellPosition] {
-        let (first, end) = self.places.blocks[block].spots;
-        &self.places.spots[first as usize..end as usize]
+    /// Returns the cells of a block that devices can cover, in the order in which they should be covered.
+    pub(crate) fn cells_in(&self, block: usize) -> &[CellPosition] {
+        let (first, end) = self.blocks.blocks[block].cells;
+        &self.blocks.cells[first as usize..end as usize]
     }
 
-    /// Returns the devices that can cover a place of a block, in ascending order.
-    pub(crate) fn near(&self, block: usize) -> &[u32] {
-        let (first, end) = self.places.blocks[block].devices;
-        &self.places.devices[first as usize..end as usize]
+    /// Returns the devices that can cover a cell of a block, in ascending order.
+    pub(crate) fn devices_reaching(&self, block: usize) -> &[u32] {
+        let (first, end) = self.blocks.blocks[block].devices;
+        &self.blocks.devices[first as usize..end as usize]
     }
 
-    /// Returns whether no device covers a place. With probabilistic detection no place is ever fully covered.
+    /// Returns whether no added device covers `cell`. With probabilistic detection no cell is ever fully covered.
     #[inline]
-    pub(crate) fn is_open(&self, spot: CellPosition) -> bool {
-        match &self.cover {
-            CoverageModel::Range(bits) => bits.open(spot.row, spot.column) & 1 == 1,
-            CoverageModel::Chance(_) => true,
+    pub(crate) fn is_uncovered(&self, cell: CellPosition) -> bool {
+        match &self.model {
+            CoverageModel::Range(bits) => bits.uncovered_from(cell.row, cell.column) & 1 == 1,
+            CoverageModel::Probabilistic(_) => true,
         }
     }
 
-    /// Returns whether the `j`-th device covers a place, at least in part.
+    /// Returns whether the `j`-th device covers `cell`, at least in part.
     #[inline]
-    pub(crate) fn reaches(&self, j: usize, spot: CellPosition) -> bool {
-        match &self.cover {
-            CoverageModel::Range(bits) => bits.reaches(j, spot.row, spot.column),
-            CoverageModel::Chance(_) => true,
+    pub(crate) fn reaches(&self, j: usize, cell: CellPosition) -> bool {
+        match &self.model {
+            CoverageModel::Range(bits) => bits.reaches(j, cell.row, cell.column),
+            CoverageModel::Probabilistic(_) => true,
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use reveille_common::geometry::{Layout, place};
+    use reveille_common::geometry::{Layout, place_devices};
     use reveille_common::rng::{Purpose, Stream};
     use reveille_common::sensing::Fusion;
 
@@ -241,7 +247,7 @@ mod tests {
         for kind in [DetectionKind::Range, DetectionKind::Probabilistic] {
             for (width, height) in AREAS {
                 let area = Area { width, height };
-                let points = place(&Layout::Uniform, area, 40, 5);
+                let points = place_devices(&Layout::Uniform, area, 40, 5);
                 let mut coverage = Coverage::new(&points, area, &sensing(kind));
                 let mut sum = 0.0;
                 assert!((coverage.uncovered() - 1.0).abs() < 1e-12);
@@ -262,20 +268,20 @@ mod tests {
     fn what_counts_as_covered_is_in_range_and_little_more_is_left_out() {
         for (width, height) in AREAS {
             let area = Area { width, height };
-            let points = place(&Layout::Uniform, area, 8, 7);
+            let points = place_devices(&Layout::Uniform, area, 8, 7);
             let mut coverage = Coverage::new(&points, area, &sensing(DetectionKind::Range));
             (0..8).for_each(|j| coverage.add(j));
             let mut stream = Stream::new(1, Purpose::Epicentre, 0);
             let (draws, mut reached, mut counted) = (40_000, 0, 0);
-            let CoverageModel::Range(bits) = &coverage.cover else {
+            let CoverageModel::Range(bits) = &coverage.model else {
                 panic!("range")
             };
             let counts = |row: u32, column: u32| (0..8).any(|j| bits.reaches(j, row, column));
             for _ in 0..draws {
                 let p = Point::new(stream.unit() * width, stream.unit() * height);
                 let raster = &coverage.raster;
-                let (row, column) = ((p.y / raster.height) as usize, (p.x / raster.width) as usize);
-                let is_counted = bits.open(row as u32, column as u32) & 1 == 0;
+                let (row, column) = ((p.y / raster.cell_height) as usize, (p.x / raster.cell_width) as usize);
+                let is_counted = bits.uncovered_from(row as u32, column as u32) & 1 == 0;
                 assert_eq!(is_counted, counts(row as u32, column as u32));
                 let is_reached = points.iter().any(|q| q.distance(p) <= 4.0);
                 assert!(is_reached || !is_counted, "{p:?} counts as covered");

@@ -1,4 +1,6 @@
-//! Coverage where detection is probabilistic: the uncovered share of each cell.
+//! Coverage where detection is probabilistic: the uncovered share of each cell. [`Coverage`](super::Coverage) and
+//! [`CoverageUnion`](super::CoverageUnion) both use it. Each device rounds down, so the order of additions is part of
+//! the result.
 
 use reveille_common::geometry::Point;
 use reveille_common::sensing::Sensing;
@@ -9,16 +11,16 @@ use crate::beliefs::grid::Raster;
 const LANES: usize = 8;
 
 /// A whole cell, in shares of 1/65535. Whole numbers make the covered shares add up exactly.
-pub(super) const CELL: u16 = u16::MAX;
+pub(super) const SHARES_PER_CELL: u16 = u16::MAX;
 
 /// The uncovered share of each cell.
 #[derive(Clone, Debug)]
 pub(super) struct UncoveredShares {
-    /// Shares of all cells, row by row, followed by padding for the last spans.
-    missed: Vec<u16>,
-    cells: usize,
+    /// Uncovered shares of all cells, row by row, followed by padding for the last spans.
+    uncovered: Vec<u16>,
+    cell_count: usize,
     /// The rows of device j are `rows[starts[j] .. starts[j + 1]]`.
-    starts: Vec<u32>,
+    row_starts: Vec<u32>,
     rows: Vec<ShareSpan>,
     /// p(d) of the cells of all spans, in order, in 65536ths.
     detected: Vec<u16>,
@@ -29,14 +31,14 @@ pub(super) struct UncoveredShares {
 #[derive(Clone, Copy, Debug)]
 struct ShareSpan {
     /// Index of the first cell, and of its p(d).
-    cell: u32,
+    first_cell: u32,
     detected: u32,
     length: u32,
 }
 
 impl ShareSpan {
     fn cells(self) -> std::ops::Range<usize> {
-        self.cell as usize..(self.cell + self.length) as usize
+        self.first_cell as usize..(self.first_cell + self.length) as usize
     }
 
     fn detected(self) -> std::ops::Range<usize> {
@@ -44,66 +46,69 @@ impl ShareSpan {
     }
 }
 
-/// Returns the part of the share `missed` that a device with detection probability `detected` covers, rounded down.
+/// Returns the part of the share `uncovered` that a device with detection probability `detected` covers, rounded down.
 #[inline]
-const fn covered(missed: u16, detected: u16) -> u16 {
-    ((missed as u32 * detected as u32) >> 16) as u16
+const fn covered(uncovered: u16, detected: u16) -> u16 {
+    ((uncovered as u32 * detected as u32) >> 16) as u16
 }
 
 impl UncoveredShares {
     pub(super) fn new(raster: &Raster, positions: &[Point], sensing: &Sensing) -> Self {
-        let (mut starts, mut rows, mut detected) = (vec![0], Vec::new(), Vec::new());
+        let (mut row_starts, mut rows, mut detected) = (vec![0], Vec::new(), Vec::new());
         for &p in positions {
-            let [south_to_north, west_to_east] = raster.around(p, sensing.d_max);
+            let [south_to_north, west_to_east] = raster.disc_bounds(p, sensing.d_max);
             for row in south_to_north {
                 let begin = detected.len();
                 let mut first = None;
                 // The cells of a row that are near enough are adjacent.
                 for column in west_to_east.clone() {
-                    let (_, middle) = raster.distances(row, column, p);
-                    if middle <= sensing.d_max {
+                    let (_, distance) = raster.cell_distances(row, column, p);
+                    if distance <= sensing.d_max {
                         first = first.or(Some(column));
                         // p = 1 would be 65536, which does not fit.
-                        detected.push((sensing.p(middle) * 65536.0).round().min(f64::from(u16::MAX)) as u16);
+                        detected.push((sensing.p(distance) * 65536.0).round().min(f64::from(u16::MAX)) as u16);
                     }
                 }
                 let length = (detected.len() - begin).next_multiple_of(LANES);
                 detected.resize(begin + length, 0);
                 rows.extend(first.map(|column| ShareSpan {
-                    cell: (row * raster.columns + column) as u32,
+                    first_cell: (row * raster.columns + column) as u32,
                     detected: begin as u32,
                     length: length as u32,
                 }));
             }
-            starts.push(rows.len() as u32);
+            row_starts.push(rows.len() as u32);
         }
         Self {
-            missed: vec![CELL; raster.cells() + LANES],
-            cells: raster.cells(),
-            starts,
+            uncovered: vec![SHARES_PER_CELL; raster.cell_count() + LANES],
+            cell_count: raster.cell_count(),
+            row_starts,
             rows,
             detected,
         }
     }
 
     pub(super) fn clear(&mut self) {
-        self.missed.fill(CELL);
+        self.uncovered.fill(SHARES_PER_CELL);
     }
 
     /// Returns the uncovered area, in 65535ths of a cell.
     pub(super) fn uncovered(&self) -> u64 {
-        self.missed[..self.cells].iter().map(|&missed| u64::from(missed)).sum()
+        self.uncovered[..self.cell_count]
+            .iter()
+            .map(|&shares| u64::from(shares))
+            .sum()
     }
 
     /// Returns the area that the `j`-th device would newly cover, in 65535ths of a cell.
     pub(super) fn gain(&self, j: usize) -> u64 {
         let mut lanes = [0; LANES];
-        for row in &self.rows[self.starts[j] as usize..self.starts[j + 1] as usize] {
-            let (missed, _) = self.missed[row.cells()].as_chunks::<LANES>();
+        for row in &self.rows[self.row_starts[j] as usize..self.row_starts[j + 1] as usize] {
+            let (uncovered, _) = self.uncovered[row.cells()].as_chunks::<LANES>();
             let (detected, _) = self.detected[row.detected()].as_chunks::<LANES>();
-            for (missed, detected) in missed.iter().zip(detected) {
+            for (uncovered, detected) in uncovered.iter().zip(detected) {
                 for lane in 0..LANES {
-                    lanes[lane] += u32::from(covered(missed[lane], detected[lane]));
+                    lanes[lane] += u32::from(covered(uncovered[lane], detected[lane]));
                 }
             }
         }
@@ -111,11 +116,11 @@ impl UncoveredShares {
     }
 
     pub(super) fn add(&mut self, j: usize) {
-        for row in &self.rows[self.starts[j] as usize..self.starts[j + 1] as usize] {
-            let missed = &mut self.missed[row.cells()];
-            for (missed, &detected) in missed.iter_mut().zip(&self.detected[row.detected()]) {
+        for row in &self.rows[self.row_starts[j] as usize..self.row_starts[j + 1] as usize] {
+            let uncovered = &mut self.uncovered[row.cells()];
+            for (uncovered, &detected) in uncovered.iter_mut().zip(&self.detected[row.detected()]) {
                 // No underflow: `detected` is below 2¹⁶, so the product shifted by 16 bits is at most `missed`.
-                *missed -= covered(*missed, detected);
+                *uncovered -= covered(*uncovered, detected);
             }
         }
     }

@@ -4,68 +4,70 @@
 use reveille_common::geometry::{Area, Point};
 use reveille_common::sensing::{DetectionKind, Sensing};
 
-use super::bits::{BitDisc, SIDE};
-use super::shares::{CELL, UncoveredShares};
-use super::{Raster, per_range};
+use super::bits::{BitDisc, DISC_SIDE};
+use super::shares::{SHARES_PER_CELL, UncoveredShares};
+use super::{Raster, cells_per_range};
 
 /// The area that a set of devices covers, in the cells of `Coverage`.
 #[derive(Clone, Debug)]
-pub struct Union {
+pub struct CoverageUnion {
     /// Number of cells of the area.
-    cells: f64,
-    cover: UnionModel,
+    cell_count: f64,
+    model: UnionModel,
 }
 
 #[derive(Clone, Debug)]
 enum UnionModel {
-    Range(Tiles),
-    Chance(UncoveredShares),
+    Range(UnionTiles),
+    Probabilistic(UncoveredShares),
 }
 
-impl Union {
+impl CoverageUnion {
     /// Creates the model for devices at `positions`.
     pub fn new(positions: &[Point], area: Area, sensing: &Sensing) -> Self {
-        let raster = Raster::new(area, sensing.d_max, per_range(sensing.kind));
-        let cover = match sensing.kind {
-            DetectionKind::Range => UnionModel::Range(Tiles::new(&raster, positions, sensing.d_max)),
-            DetectionKind::Probabilistic => UnionModel::Chance(UncoveredShares::new(&raster, positions, sensing)),
+        let raster = Raster::new(area, sensing.d_max, cells_per_range(sensing.kind));
+        let model = match sensing.kind {
+            DetectionKind::Range => UnionModel::Range(UnionTiles::new(&raster, positions, sensing.d_max)),
+            DetectionKind::Probabilistic => {
+                UnionModel::Probabilistic(UncoveredShares::new(&raster, positions, sensing))
+            }
         };
         Self {
-            cells: raster.cells() as f64,
-            cover,
+            cell_count: raster.cell_count() as f64,
+            model,
         }
     }
 
     /// Returns the share of the area, `[0, 1]`, that none of `devices` covers. Each device appears once in `devices`.
     pub fn uncovered(&mut self, devices: impl Iterator<Item = usize>) -> f64 {
-        match &mut self.cover {
+        match &mut self.model {
             UnionModel::Range(tiles) => {
                 tiles.covered.fill(0);
                 let covered: u32 = devices.map(|j| tiles.add(j)).sum();
-                (self.cells - f64::from(covered)) / self.cells
+                (self.cell_count - f64::from(covered)) / self.cell_count
             }
-            UnionModel::Chance(shares) => {
+            UnionModel::Probabilistic(shares) => {
                 shares.clear();
                 devices.for_each(|j| shares.add(j));
-                shares.uncovered() as f64 / f64::from(CELL) / self.cells
+                shares.uncovered() as f64 / f64::from(SHARES_PER_CELL) / self.cell_count
             }
         }
     }
 }
 
-/// One bit per cell. Columns lie in tiles of 64, and a tile has a word for each row, with [`SIDE`] empty words above.
-/// An extra tile in the east makes bounds tests unnecessary.
+/// One bit per cell. Columns lie in tiles of 64, and a tile has a word for each row, with [`DISC_SIDE`] empty words
+/// above. An extra tile in the east makes bounds tests unnecessary.
 #[derive(Clone, Debug)]
-struct Tiles {
+struct UnionTiles {
     /// Words per tile.
     stride: usize,
     covered: Vec<u64>,
     discs: Vec<BitDisc>,
 }
 
-impl Tiles {
+impl UnionTiles {
     fn new(raster: &Raster, positions: &[Point], d_max: f64) -> Self {
-        let stride = raster.rows + SIDE;
+        let stride = raster.rows + DISC_SIDE;
         Self {
             stride,
             covered: vec![0; (raster.columns.div_ceil(64) + 1) * stride],
@@ -75,30 +77,30 @@ impl Tiles {
 
     /// Adds the `j`-th device and returns the number of cells that it newly covers.
     fn add(&mut self, j: usize) -> u32 {
-        let BitDisc { first, rows, .. } = &self.discs[j];
-        let (row, column) = (first.0 as usize, first.1 as usize);
+        let BitDisc { first_cell, rows, .. } = &self.discs[j];
+        let (row, column) = (first_cell.0 as usize, first_cell.1 as usize);
         let (begin, shift) = (column / 64 * self.stride + row, column % 64);
         let (west, east) = self.covered.split_at_mut(begin + self.stride);
-        let west = west[begin..].first_chunk_mut::<SIDE>().expect(ROOM);
-        let east = east.first_chunk_mut::<SIDE>().expect(ROOM);
-        let mut new = 0;
-        for i in 0..SIDE {
+        let west = west[begin..].first_chunk_mut::<DISC_SIDE>().expect(TILES_FIT);
+        let east = east.first_chunk_mut::<DISC_SIDE>().expect(TILES_FIT);
+        let mut newly_covered = 0;
+        for i in 0..DISC_SIDE {
             let cells = u64::from(rows[i]);
             // A shift by 64 − `shift` would overflow for 0, so it is split into two.
-            let known = west[i] >> shift | east[i] << 1 << (63 - shift);
-            new += (cells & !known).count_ones();
+            let already_covered = west[i] >> shift | east[i] << 1 << (63 - shift);
+            newly_covered += (cells & !already_covered).count_ones();
             west[i] |= cells << shift;
             east[i] |= cells >> 1 >> (63 - shift);
         }
-        new
+        newly_covered
     }
 }
 
-const ROOM: &str = "there are empty rows above, and a tile in the east";
+const TILES_FIT: &str = "there are empty rows above, and a tile in the east";
 
 #[cfg(test)]
 mod tests {
-    use reveille_common::geometry::{Layout, place};
+    use reveille_common::geometry::{Layout, place_devices};
     use reveille_common::rng::{Purpose, Stream};
     use reveille_common::sensing::Fusion;
 
@@ -117,9 +119,9 @@ mod tests {
                     g: Fusion::Max,
                 };
                 let area = Area { width, height };
-                let positions = place(&Layout::Uniform, area, 60, 11);
+                let positions = place_devices(&Layout::Uniform, area, 60, 11);
                 let mut stream = Stream::new(2, Purpose::Epicentre, 0);
-                let mut union = Union::new(&positions, area, &sensing);
+                let mut union = CoverageUnion::new(&positions, area, &sensing);
                 let mut coverage = Coverage::new(&positions, area, &sensing);
                 for share in [0.0, 0.02, 0.1, 0.5, 1.0] {
                     let devices: Vec<usize> = (0..60).filter(|_| stream.unit() < share).collect();

@@ -1,4 +1,5 @@
-//! A belief over the epicentre of an event.
+//! A belief over the epicentre of an event, with the devices ranked by the information that they are expected to add.
+//! [`WakeUpCandidates`](super::candidates::WakeUpCandidates) uses it; observers of a run receive its points.
 //!
 //! A report determines the distance to the event, so the epicentre lies on a ring around the reporter. The ring is held
 //! as a set of points. A second report leaves the two points where the rings meet, and a third report leaves one of
@@ -12,20 +13,20 @@ use reveille_common::ids::DeviceId;
 use reveille_common::message::WeightedPoint;
 use reveille_common::sensing::{DetectionKind, Sensing};
 
-use super::correlation::decay;
+use super::correlation::exp_negative;
 
-/// Points on a ring before weighting (`FINE`). `KEPT` limits the likely points, and separately the unlikely points,
-/// kept after it.
-const FINE: usize = 512;
-const KEPT: usize = 32;
+/// Points on a ring before the silence of other devices is applied.
+const POINTS_PER_RING: usize = 512;
+/// Largest number of likely points, and of unlikely points, that are kept after that.
+const MAX_POINTS_PER_CLASS: usize = 32;
 /// Weight of a point in range of a device that should have detected an event there but did not report. The device may
 /// have failed.
-const SILENCE: f64 = 0.02;
+const SILENCE_WEIGHT: f64 = 0.02;
 /// Weight of a point in range of a woken device that found the event beyond d_max. It is not 0, so that points still
 /// differ if all are ruled out.
-const RULED_OUT: f64 = 1e-12;
+const RULED_OUT_WEIGHT: f64 = 1e-12;
 /// Largest distance from a ring at which a point counts as on it, metres per metre of d_max.
-const TOLERANCE: f64 = 1e-6;
+const RING_TOLERANCE: f64 = 1e-6;
 
 /// A belief over the epicentre of one event at a time, with the devices ranked by their expected gain.
 #[derive(Clone, Debug)]
@@ -33,56 +34,59 @@ pub struct EpicentreBelief {
     sensing: Sensing,
     /// Cost of a failed wake-up, in units of information.
     miss_cost: f64,
-    /// Weight of a point in range of a silent device that should have detected an event there.
-    silence: f64,
+    /// Weight of a point in range of a silent device: [`SILENCE_WEIGHT`], or more if the radio loses reports.
+    silence_weight: f64,
     area: Area,
     positions: Vec<Point>,
     buckets: Buckets,
-    places: Vec<RingPoint>,
+    /// Candidate epicentres.
+    points: Vec<RingPoint>,
     /// Positions of the reporters and their distances from the event.
     rings: Vec<(Point, f64)>,
-    /// Devices in S1 that did not report.
-    silent: Vec<Point>,
-    /// Woken devices that are farther than d_max from the event.
-    out_of_range: Vec<Point>,
-    is_given_out: Vec<bool>,
-    proposed: Vec<DeviceId>,
+    /// Positions of the devices in S1 that did not report, in the order of ids.
+    silent_devices: Vec<Point>,
+    /// Positions of the woken devices that are farther than d_max from the event.
+    far_devices: Vec<Point>,
+    /// By device: whether it has reported or was returned as a candidate for this event.
+    is_excluded: Vec<bool>,
+    /// The same devices as a list.
+    excluded: Vec<DeviceId>,
     /// cos φ and sin φ of the points on a ring.
-    circle: Box<[(f64, f64)]>,
+    directions: Box<[(f64, f64)]>,
 }
 
 #[derive(Clone, Copy, Debug)]
 struct RingPoint {
-    at: Point,
-    likelihood: Likelihood,
-    /// The likelihood in units of [`STEP`] to the power of the least number of steps of any point.
+    position: Point,
+    likelihood: ScaledLikelihood,
+    /// The likelihood in units of [`SCALE_STEP`] to the power of the least number of steps of any point.
     weight: f64,
 }
 
 /// A product of factors below 1 that may be too small for a floating-point number.
 #[derive(Clone, Copy, Debug)]
-struct Likelihood {
-    /// Value in units of [`STEP`] to the power of `steps`. It is at least [`STEP`] and not much above 1.
+struct ScaledLikelihood {
+    /// Value in units of [`SCALE_STEP`] to the power of `steps`. It is at least [`SCALE_STEP`] and not much above 1.
     value: f64,
     steps: u32,
 }
 
 /// 2⁻⁵¹²; multiplication by a power of two is exact.
-const STEP: f64 = 1.0 / (TWO_TO_256 * TWO_TO_256);
+const SCALE_STEP: f64 = 1.0 / (TWO_TO_256 * TWO_TO_256);
 const TWO_TO_256: f64 = TWO_TO_128 * TWO_TO_128;
 const TWO_TO_128: f64 = (1_u128 << 127) as f64 * 2.0;
 
-impl Likelihood {
+impl ScaledLikelihood {
     const CERTAIN: Self = Self { value: 1.0, steps: 0 };
 
-    /// Multiplies the likelihood by `factor`, which is at least [`STEP`].
+    /// Multiplies the likelihood by `factor`, which is at least [`SCALE_STEP`].
     fn times(self, factor: f64) -> Self {
         let Self { value, steps } = self;
-        // One step is enough, since neither the value nor the factor is below `STEP`.
+        // One step is enough, since neither the value nor the factor is below `SCALE_STEP`.
         let value = value * factor;
-        if value < STEP {
+        if value < SCALE_STEP {
             Self {
-                value: value / STEP,
+                value: value / SCALE_STEP,
                 steps: steps + 1,
             }
         } else {
@@ -92,9 +96,9 @@ impl Likelihood {
 }
 
 impl RingPoint {
-    const fn new(at: Point, likelihood: Likelihood) -> Self {
+    const fn new(position: Point, likelihood: ScaledLikelihood) -> Self {
         Self {
-            at,
+            position,
             likelihood,
             weight: 1.0,
         }
@@ -107,17 +111,17 @@ impl EpicentreBelief {
         Self {
             sensing: sensing.clone(),
             miss_cost: 0.0,
-            silence: SILENCE,
+            silence_weight: SILENCE_WEIGHT,
             area,
             buckets: Buckets::new(positions, area, sensing.d_max),
-            is_given_out: vec![false; positions.len()],
+            is_excluded: vec![false; positions.len()],
             positions: positions.to_vec(),
-            places: Vec::new(),
+            points: Vec::new(),
             rings: Vec::new(),
-            silent: Vec::new(),
-            out_of_range: Vec::new(),
-            proposed: Vec::new(),
-            circle: (0..FINE).map(direction).collect(),
+            silent_devices: Vec::new(),
+            far_devices: Vec::new(),
+            excluded: Vec::new(),
+            directions: (0..POINTS_PER_RING).map(direction).collect(),
         }
     }
 
@@ -130,53 +134,53 @@ impl EpicentreBelief {
 
     /// Sets the probability that the radio silences a device that should have reported: `lost`, `[0, 1]`.
     #[must_use]
-    pub(crate) fn with_loss(self, lost: f64) -> Self {
+    pub(crate) fn with_loss(self, loss_probability: f64) -> Self {
         Self {
             // The device failed, or it worked and the radio lost its report.
-            silence: SILENCE + (1.0 - SILENCE) * lost,
+            silence_weight: SILENCE_WEIGHT + (1.0 - SILENCE_WEIGHT) * loss_probability,
             ..self
         }
     }
 
     /// Begins an event.
-    pub fn start(&mut self) {
-        self.places.clear();
+    pub fn start_event(&mut self) {
+        self.points.clear();
         self.rings.clear();
-        self.silent.clear();
-        self.out_of_range.clear();
-        for device in self.proposed.drain(..) {
-            self.is_given_out[device.index()] = false;
+        self.silent_devices.clear();
+        self.far_devices.clear();
+        for device in self.excluded.drain(..) {
+            self.is_excluded[device.index()] = false;
         }
     }
 
     /// Adds the report of `device` at distance `d` from the event, 0 ..= d_max. `prior` is the relative density of the
     /// epicentre before any report; see [`uniform_prior`].
     pub(crate) fn add_reporter(&mut self, device: DeviceId, d: f64, prior: impl Fn(Point) -> f64) {
-        let at = self.positions[device.index()];
-        let slack = TOLERANCE * self.sensing.d_max;
-        // A second device at the same position adds no ring, and `meet` cannot divide by a distance of 0.
-        if self.rings.iter().all(|(centre, _)| centre.distance(at) > slack) {
+        let position = self.positions[device.index()];
+        let slack = RING_TOLERANCE * self.sensing.d_max;
+        // A second device at the same position adds no ring, and `intersect_rings` cannot divide by a distance of 0.
+        if self.rings.iter().all(|(centre, _)| centre.distance(position) > slack) {
             match self.rings.len() {
-                0 => self.places = self.ring_points(at, d),
-                1 => self.meet(at, d, prior),
-                _ => self.keep_nearest(at, d),
+                0 => self.points = self.ring_points(position, d),
+                1 => self.intersect_rings(position, d, prior),
+                _ => self.keep_points_on_ring(position, d),
             }
-            self.rings.push((at, d));
+            self.rings.push((position, d));
         }
-        self.take_out(device);
+        self.exclude(device);
     }
 
     /// Records that the woken `device` reported a distance above d_max.
-    pub(crate) fn add_far(&mut self, device: DeviceId) {
-        let at = self.positions[device.index()];
-        for place in &mut self.places {
-            if place.at.distance(at) <= self.sensing.d_max {
-                place.likelihood = place.likelihood.times(RULED_OUT);
+    pub(crate) fn add_far_reporter(&mut self, device: DeviceId) {
+        let position = self.positions[device.index()];
+        for point in &mut self.points {
+            if point.position.distance(position) <= self.sensing.d_max {
+                point.likelihood = point.likelihood.times(RULED_OUT_WEIGHT);
             }
         }
         // Kept, since a later report creates new points, which must be ruled out as well.
-        self.out_of_range.push(at);
-        self.weigh();
+        self.far_devices.push(position);
+        self.update_weights();
     }
 
     /// Applies the silence of devices in S1 (`is_sensing`) that could have reported. Call it once, after the first
@@ -186,43 +190,43 @@ impl EpicentreBelief {
         let Self {
             buckets,
             positions,
-            silent,
-            is_given_out,
+            silent_devices,
+            is_excluded,
             sensing,
             ..
         } = self;
-        let mut found = Vec::new();
+        let mut silent_indices = Vec::new();
         // A device farther away reaches no point on the ring.
         buckets.within(centre, d + sensing.d_max, |j, _| {
-            if !is_given_out[j] && is_sensing(DeviceId(j as u32)) {
-                found.push(j);
+            if !is_excluded[j] && is_sensing(DeviceId(j as u32)) {
+                silent_indices.push(j);
             }
         });
         // The likelihood is a rounded product, so its factors need one order.
-        found.sort_unstable();
-        silent.extend(found.into_iter().map(|j| positions[j]));
-        let weigh = |place: &RingPoint| self.likelihood_of(place.at, prior(place.at));
-        let likelihoods: Vec<Likelihood> = self.places.iter().map(weigh).collect();
-        for (place, likelihood) in self.places.iter_mut().zip(likelihoods) {
-            place.likelihood = likelihood;
+        silent_indices.sort_unstable();
+        silent_devices.extend(silent_indices.into_iter().map(|j| positions[j]));
+        let likelihood_at = |point: &RingPoint| self.likelihood_of(point.position, prior(point.position));
+        let likelihoods: Vec<ScaledLikelihood> = self.points.iter().map(likelihood_at).collect();
+        for (point, likelihood) in self.points.iter_mut().zip(likelihoods) {
+            point.likelihood = likelihood;
         }
-        self.weigh();
-        self.thin();
+        self.update_weights();
+        self.thin_points();
     }
 
     /// Computes the relative weights of the points. A point 2⁵¹² times less likely than another may get weight 0.
-    fn weigh(&mut self) {
-        let least = self
-            .places
+    fn update_weights(&mut self) {
+        let min_steps = self
+            .points
             .iter()
-            .map(|place| place.likelihood.steps)
+            .map(|point| point.likelihood.steps)
             .min()
             .unwrap_or(0);
-        for place in &mut self.places {
-            let Likelihood { value, steps } = place.likelihood;
-            place.weight = match steps - least {
+        for point in &mut self.points {
+            let ScaledLikelihood { value, steps } = point.likelihood;
+            point.weight = match steps - min_steps {
                 0 => value,
-                1 => value * STEP,
+                1 => value * SCALE_STEP,
                 _ => 0.0,
             };
         }
@@ -230,39 +234,43 @@ impl EpicentreBelief {
 
     /// Reduces the number of points. Among the likely points, and among the others, it keeps every n-th point, which
     /// then stands for the points dropped.
-    fn thin(&mut self) {
-        let most = self.places.iter().map(|place| place.weight).fold(0.0, f64::max);
-        let is_likely = |place: &RingPoint| place.weight > 0.5 * most;
-        let likely = self.places.iter().filter(|place| is_likely(place)).count();
+    fn thin_points(&mut self) {
+        let max_weight = self.points.iter().map(|point| point.weight).fold(0.0, f64::max);
+        let is_likely = |point: &RingPoint| point.weight > 0.5 * max_weight;
+        let likely = self.points.iter().filter(|point| is_likely(point)).count();
         // A class without points gets a stride of 1, since the stride divides below.
-        let strides = [self.places.len() - likely, likely].map(|count| count.div_ceil(KEPT).max(1));
-        let mut seen = [0; 2];
-        self.places.retain_mut(|place| {
-            let class = usize::from(is_likely(place));
-            let turn = seen[class];
-            seen[class] += 1;
-            place.likelihood.value *= strides[class] as f64;
-            turn % strides[class] == strides[class] / 2
+        let strides = [self.points.len() - likely, likely].map(|count| count.div_ceil(MAX_POINTS_PER_CLASS).max(1));
+        let mut counts = [0; 2];
+        self.points.retain_mut(|point| {
+            let class = usize::from(is_likely(point));
+            let index = counts[class];
+            counts[class] += 1;
+            point.likelihood.value *= strides[class] as f64;
+            index % strides[class] == strides[class] / 2
         });
-        self.weigh();
+        self.update_weights();
     }
 
     /// Returns the device with the largest expected gain less the cost of a failed wake-up, and its gain alone. Only
     /// devices for which `is_candidate` holds and that were not returned for this event count. `information` is Î. Ties
     /// go to the lower number. `None` if no device has a gain.
-    pub fn next(&mut self, information: f64, is_candidate: impl Fn(DeviceId) -> bool) -> Option<(DeviceId, f64)> {
+    pub fn next_candidate(
+        &mut self,
+        information: f64,
+        is_candidate: impl Fn(DeviceId) -> bool,
+    ) -> Option<(DeviceId, f64)> {
         let &(centre, d) = self.rings.first()?;
-        // Never 0: a point with the fewest steps has its value as weight, which is at least `STEP`.
-        let sum: f64 = self.places.iter().map(|place| place.weight).sum();
+        // Never 0: a point with the fewest steps has its value as weight, which is at least `SCALE_STEP`.
+        let sum: f64 = self.points.iter().map(|point| point.weight).sum();
         let mut best: Option<(f64, f64, DeviceId)> = None;
         let mut consider = |j: usize| {
             let device = DeviceId(j as u32);
-            if self.is_given_out[j] || !is_candidate(device) {
+            if self.is_excluded[j] || !is_candidate(device) {
                 return;
             }
-            let (gain, missed) = self.outlook(self.positions[j], information);
+            let (gain, missed) = self.gain_and_miss(self.positions[j], information);
             let (gain, score) = (gain / sum, (gain - self.miss_cost * missed) / sum);
-            let is_better = best.is_none_or(|(most, _, first)| match score.total_cmp(&most) {
+            let is_better = best.is_none_or(|(best_score, _, first)| match score.total_cmp(&best_score) {
                 Ordering::Greater => true,
                 Ordering::Equal => device < first,
                 Ordering::Less => false,
@@ -274,9 +282,9 @@ impl EpicentreBelief {
         let reach = self.reach(information);
         // With two points left, far fewer devices are near them than near the ring. A device found twice changes
         // nothing.
-        if self.places.len() <= 2 {
-            for place in &self.places {
-                self.buckets.within(place.at, reach, |j, _| consider(j));
+        if self.points.len() <= 2 {
+            for point in &self.points {
+                self.buckets.within(point.position, reach, |j, _| consider(j));
             }
         } else {
             self.buckets.within(centre, d + reach, |j, gamma| {
@@ -287,19 +295,19 @@ impl EpicentreBelief {
             });
         }
         let (_, gain, device) = best?;
-        self.take_out(device);
+        self.exclude(device);
         Some((device, gain))
     }
 
     /// Returns the possible epicentres with weights that sum to 1; empty before the first report.
-    pub fn shares(&self) -> Vec<WeightedPoint> {
-        let sum: f64 = self.places.iter().map(|place| place.weight).sum();
-        let likely = |place: &RingPoint| WeightedPoint {
-            x: place.at.x as f32,
-            y: place.at.y as f32,
-            share: (place.weight / sum) as f32,
+    pub fn weighted_points(&self) -> Vec<WeightedPoint> {
+        let sum: f64 = self.points.iter().map(|point| point.weight).sum();
+        let likely = |point: &RingPoint| WeightedPoint {
+            x: point.position.x as f32,
+            y: point.position.y as f32,
+            share: (point.weight / sum) as f32,
         };
-        self.places.iter().map(likely).collect()
+        self.points.iter().map(likely).collect()
     }
 
     /// Returns the largest distance from the event at which a device can add to `information`, metres.
@@ -313,53 +321,59 @@ impl EpicentreBelief {
         }
     }
 
-    /// Returns the gain from a device at `at`, and the weight of points too far from it, both as weighted sums over the
-    /// points.
-    fn outlook(&self, at: Point, information: f64) -> (f64, f64) {
+    /// Returns the gain from a device at `position`, and the weight of points too far from it, both as weighted sums
+    /// over the points.
+    fn gain_and_miss(&self, position: Point, information: f64) -> (f64, f64) {
         let Sensing { d_max, eta, psi, .. } = self.sensing;
         let (mut gain, mut missed) = (0.0, 0.0);
-        for place in &self.places {
-            let d = place.at.distance(at);
+        for point in &self.points {
+            let d = point.position.distance(position);
             if d > d_max {
-                missed += place.weight;
+                missed += point.weight;
             } else {
-                let report = psi * decay(eta * d);
-                gain += place.weight * (self.sensing.fuse(information, report) - information);
+                let report = psi * exp_negative(eta * d);
+                gain += point.weight * (self.sensing.fuse(information, report) - information);
             }
         }
         (gain, missed)
     }
 
-    fn take_out(&mut self, device: DeviceId) {
-        if !self.is_given_out[device.index()] {
-            self.is_given_out[device.index()] = true;
-            self.proposed.push(device);
+    fn exclude(&mut self, device: DeviceId) {
+        if !self.is_excluded[device.index()] {
+            self.is_excluded[device.index()] = true;
+            self.excluded.push(device);
         }
     }
 
     /// Returns the points on the ring around `centre` that lie in the area.
     fn ring_points(&self, centre: Point, d: f64) -> Vec<RingPoint> {
-        let place = |(cosine, sine): &(f64, f64)| Point::new(centre.x + d * cosine, centre.y + d * sine);
-        let all = self.circle.iter().map(place).filter(|&at| self.area.contains(at));
-        let inside: Vec<RingPoint> = all.map(|at| RingPoint::new(at, Likelihood::CERTAIN)).collect();
+        let point_at = |(cosine, sine): &(f64, f64)| Point::new(centre.x + d * cosine, centre.y + d * sine);
+        let all = self
+            .directions
+            .iter()
+            .map(point_at)
+            .filter(|&position| self.area.contains(position));
+        let inside: Vec<RingPoint> = all
+            .map(|position| RingPoint::new(position, ScaledLikelihood::CERTAIN))
+            .collect();
         if inside.is_empty() {
             // In a very small area the ring can pass between its points.
-            vec![RingPoint::new(centre, Likelihood::CERTAIN)]
+            vec![RingPoint::new(centre, ScaledLikelihood::CERTAIN)]
         } else {
             inside
         }
     }
 
     /// Keeps the points where the first ring meets the ring around `centre`.
-    fn meet(&mut self, centre: Point, d: f64, prior: impl Fn(Point) -> f64) {
+    fn intersect_rings(&mut self, centre: Point, d: f64, prior: impl Fn(Point) -> f64) {
         let (first, d_first) = self.rings[0];
         let gamma = first.distance(centre);
         let (east, north) = ((centre.x - first.x) / gamma, (centre.y - first.y) / gamma);
         let along = (gamma * gamma + d_first * d_first - d * d) / (2.0 * gamma);
         // Where the rings only touch, rounding can make the square negative.
         let across = (d_first * d_first - along * along).max(0.0).sqrt();
-        let slack = TOLERANCE * self.sensing.d_max;
-        let meeting = [across, -across].map(|across| {
+        let slack = RING_TOLERANCE * self.sensing.d_max;
+        let intersections = [across, -across].map(|across| {
             Point::new(
                 first.x + along * east - across * north,
                 first.y + along * north + across * east,
@@ -368,44 +382,51 @@ impl EpicentreBelief {
         let is_near = |p: Point| {
             (-slack..=self.area.width + slack).contains(&p.x) && (-slack..=self.area.height + slack).contains(&p.y)
         };
-        let places: Vec<RingPoint> = meeting
+        let points: Vec<RingPoint> = intersections
             .into_iter()
-            .filter(|&at| is_near(at))
-            .map(|at| RingPoint::new(at, self.likelihood_of(at, prior(at))))
+            .filter(|&position| is_near(position))
+            .map(|position| RingPoint::new(position, self.likelihood_of(position, prior(position))))
             .collect();
         // If both points lie outside the area, the reports contradict each other, and the first ring remains.
-        if !places.is_empty() {
-            self.places = places;
-            self.weigh();
+        if !points.is_empty() {
+            self.points = points;
+            self.update_weights();
         }
     }
 
     /// Keeps the points on the ring around `centre`, or else the nearest one.
-    fn keep_nearest(&mut self, centre: Point, d: f64) {
-        let off = |place: &RingPoint| (place.at.distance(centre) - d).abs();
-        let least = self.places.iter().map(off).fold(f64::INFINITY, f64::min);
-        let limit = least + TOLERANCE * self.sensing.d_max;
-        self.places.retain(|place| off(place) <= limit);
-        self.weigh();
+    fn keep_points_on_ring(&mut self, centre: Point, d: f64) {
+        let ring_error = |point: &RingPoint| (point.position.distance(centre) - d).abs();
+        let min_error = self.points.iter().map(ring_error).fold(f64::INFINITY, f64::min);
+        let limit = min_error + RING_TOLERANCE * self.sensing.d_max;
+        self.points.retain(|point| ring_error(point) <= limit);
+        self.update_weights();
     }
 
-    /// Returns the relative likelihood of an event at `at`, given the devices without a report and the relative density
-    /// `prior`.
-    fn likelihood_of(&self, at: Point, prior: f64) -> Likelihood {
+    /// Returns the relative likelihood of an event at `position`, given the devices without a report and the relative
+    /// density `prior`.
+    fn likelihood_of(&self, position: Point, prior: f64) -> ScaledLikelihood {
         let Sensing { d_max, .. } = self.sensing;
-        let of = |device: &Point| {
-            let d = device.distance(at);
+        let factor_of = |device: &Point| {
+            let d = device.distance(position);
             if d > d_max {
                 return 1.0;
             }
             match self.sensing.kind {
-                DetectionKind::Range => self.silence,
-                DetectionKind::Probabilistic => 1.0 - (1.0 - self.silence) * self.sensing.p(d),
+                DetectionKind::Range => self.silence_weight,
+                DetectionKind::Probabilistic => 1.0 - (1.0 - self.silence_weight) * self.sensing.p(d),
             }
         };
-        let ruled_out = self.out_of_range.iter().filter(|device| device.distance(at) <= d_max);
-        let factors = self.silent.iter().map(of).chain(ruled_out.map(|_| RULED_OUT));
-        factors.fold(Likelihood::CERTAIN.times(prior), Likelihood::times)
+        let ruled_out = self
+            .far_devices
+            .iter()
+            .filter(|device| device.distance(position) <= d_max);
+        let factors = self
+            .silent_devices
+            .iter()
+            .map(factor_of)
+            .chain(ruled_out.map(|_| RULED_OUT_WEIGHT));
+        factors.fold(ScaledLikelihood::CERTAIN.times(prior), ScaledLikelihood::times)
     }
 }
 
@@ -416,7 +437,7 @@ pub fn uniform_prior(_: Point) -> f64 {
 
 /// Returns cos φ and sin φ of the `i`-th point on a ring.
 fn direction(i: usize) -> (f64, f64) {
-    let phi = TAU * i as f64 / FINE as f64;
+    let phi = TAU * i as f64 / POINTS_PER_RING as f64;
     (libm::cos(phi), libm::sin(phi))
 }
 

@@ -1,6 +1,6 @@
 //! The belief over the epicentre against sums over the points of the plane.
 
-use reveille_common::geometry::{Layout, place};
+use reveille_common::geometry::{Layout, place_devices};
 use reveille_common::rng::{Purpose, Stream};
 use reveille_common::sensing::Fusion;
 
@@ -25,7 +25,7 @@ fn sensing(g: Fusion) -> Sensing {
 fn three_reports_find_the_event_and_then_the_closest_device() {
     let mut stream = Stream::new(3, Purpose::Epicentre, 0);
     for seed in 0..200 {
-        let points = place(&Layout::Uniform, AREA, 60, seed);
+        let points = place_devices(&Layout::Uniform, AREA, 60, seed);
         let event = Point::new(20.0 * stream.unit(), 20.0 * stream.unit());
         let mut near: Vec<usize> = (0..60).filter(|&j| points[j].distance(event) <= 4.0).collect();
         if near.len() < 5 {
@@ -38,7 +38,7 @@ fn three_reports_find_the_event_and_then_the_closest_device() {
         near.retain(|&j| j != closest);
         let sensing = sensing(Fusion::Max);
         let mut belief = EpicentreBelief::new(&points, AREA, &sensing);
-        belief.start();
+        belief.start_event();
         let mut information: f64 = 0.0;
         for &j in near.iter().rev().take(3) {
             let d = points[j].distance(event);
@@ -46,15 +46,15 @@ fn three_reports_find_the_event_and_then_the_closest_device() {
             information = information.max(sensing.p(d));
         }
         assert!(
-            belief.places.iter().any(|p| p.at.distance(event) < 1e-5),
+            belief.points.iter().any(|p| p.position.distance(event) < 1e-5),
             "{seed}: {:?}",
-            belief.places
+            belief.points
         );
-        let (next, gain) = belief.next(information, |_| true).expect("a device adds");
+        let (next, gain) = belief.next_candidate(information, |_| true).expect("a device adds");
         assert_eq!(next.index(), closest, "{seed}");
         let expected = sensing.p(points[closest].distance(event)) - information;
         assert!(
-            belief.places.len() > 1 || (gain - expected).abs() < 1e-5,
+            belief.points.len() > 1 || (gain - expected).abs() < 1e-5,
             "{gain} {expected}"
         );
     }
@@ -62,7 +62,7 @@ fn three_reports_find_the_event_and_then_the_closest_device() {
 
 /// The belief after a first report by plain sums, as docs/q-learning.md defines it. Each point on the reporter's ring
 /// is weighted by the silence of the other devices in S1.
-struct Definition<'a> {
+struct BeliefDefinition<'a> {
     points: &'a [Point],
     sensing: &'a Sensing,
     reporter: usize,
@@ -72,7 +72,7 @@ struct Definition<'a> {
     prior: fn(Point) -> f64,
 }
 
-impl<'a> Definition<'a> {
+impl<'a> BeliefDefinition<'a> {
     /// Creates the case in which only the reporter senses.
     fn alone(points: &'a [Point], sensing: &'a Sensing, reporter: u32, d: f64) -> Self {
         Self {
@@ -156,15 +156,15 @@ fn first_reports() -> impl Iterator<Item = (u64, Sensing, u32, f64)> {
 #[test]
 fn without_silence_gains_are_plain_sums_over_the_ring() {
     for (case, sensing, h, d) in first_reports() {
-        let points = place(&Layout::JitteredGrid, AREA, 120, case);
+        let points = place_devices(&Layout::JitteredGrid, AREA, 120, case);
         let mut belief = EpicentreBelief::new(&points, AREA, &sensing);
-        belief.start();
+        belief.start_event();
         belief.add_reporter(DeviceId(h), d, uniform_prior);
-        let definition = Definition::alone(&points, &sensing, h, d);
+        let definition = BeliefDefinition::alone(&points, &sensing, h, d);
         let (places, information) = (definition.places(512), sensing.p(d));
         let mut left: Vec<usize> = (0..120).filter(|&j| j != h as usize).collect();
         // Devices come in descending order of gain, until no device adds anything.
-        while let Some((next, gain)) = belief.next(information, |_| true) {
+        while let Some((next, gain)) = belief.next_candidate(information, |_| true) {
             let gains = left.iter().map(|&j| definition.gain(&places, j, information));
             let most = gains.fold(0.0, f64::max);
             let own = definition.gain(&places, next.index(), information);
@@ -184,16 +184,16 @@ fn without_silence_gains_are_plain_sums_over_the_ring() {
 fn a_loss_in_vain_changes_the_order_and_no_gain() {
     let (loss, mut is_changed) = (0.3, false);
     for (case, sensing, h, d) in first_reports() {
-        let points = place(&Layout::JitteredGrid, AREA, 120, case);
+        let points = place_devices(&Layout::JitteredGrid, AREA, 120, case);
         let mut belief = EpicentreBelief::new(&points, AREA, &sensing).with_miss_cost(loss);
-        belief.start();
+        belief.start_event();
         belief.add_reporter(DeviceId(h), d, uniform_prior);
-        let definition = Definition::alone(&points, &sensing, h, d);
+        let definition = BeliefDefinition::alone(&points, &sensing, h, d);
         let (places, information) = (definition.places(512), sensing.p(d));
         let gain = |j: usize| definition.gain(&places, j, information);
         let score = |j: usize| gain(j) - loss * definition.missed(&places, j);
         let others = || (0..120).filter(|&j| j != h as usize && gain(j) > 1e-9);
-        let Some((next, told)) = belief.next(information, |_| true) else {
+        let Some((next, told)) = belief.next_candidate(information, |_| true) else {
             assert_eq!(others().next(), None, "{case} {h}: no device");
             continue;
         };
@@ -211,10 +211,10 @@ fn silence_weighs_the_places_of_the_ring() {
     let (mut errors, mut squares, mut count) = (0.0, 0.0, 0.0);
     for (case, sensing, h, d) in first_reports() {
         for seed in 0..15 {
-            let points = place(&Layout::JitteredGrid, AREA, 120, 100 * case + seed);
+            let points = place_devices(&Layout::JitteredGrid, AREA, 120, 100 * case + seed);
             let is_on = |j: DeviceId| j.0.is_multiple_of(7);
             let silent = (0..120).filter(|&k| k != h as usize && is_on(DeviceId(k as u32)));
-            let definition = Definition {
+            let definition = BeliefDefinition {
                 points: &points,
                 sensing: &sensing,
                 reporter: h as usize,
@@ -223,16 +223,16 @@ fn silence_weighs_the_places_of_the_ring() {
                 prior: if seed % 2 == 0 { uniform_prior } else { |at| 0.1 + at.x },
             };
             let mut belief = EpicentreBelief::new(&points, AREA, &sensing);
-            belief.start();
+            belief.start_event();
             belief.add_reporter(DeviceId(h), d, definition.prior);
-            for place in &belief.places {
+            for place in &belief.points {
                 assert!(place.weight.to_bits() == 1f64.to_bits(), "before the silence is heard");
             }
             belief.observe_silence(is_on, definition.prior);
             // A kept point stands for its neighbours, so its weight is a multiple of the weight in the definition.
-            assert!(belief.places.len() <= 2 * KEPT);
-            for place in &belief.places {
-                let share = place.weight / definition.weight(place.at);
+            assert!(belief.points.len() <= 2 * MAX_POINTS_PER_CLASS);
+            for place in &belief.points {
+                let share = place.weight / definition.weight(place.position);
                 assert!(
                     (share - share.round()).abs() < 1e-9 && (1.0..17.0).contains(&share.round()),
                     "{case} {h} {seed}: {place:?} weighs {share} times its due weight"
@@ -242,7 +242,7 @@ fn silence_weighs_the_places_of_the_ring() {
             let (fine, all) = (definition.places(5_000), 0..120_usize);
             let free = all.filter(|&j| j != h as usize && !is_on(DeviceId(j as u32)));
             let most = free.map(|j| definition.gain(&fine, j, information)).fold(0.0, f64::max);
-            let Some((next, gain)) = belief.next(information, |j| !is_on(j)) else {
+            let Some((next, gain)) = belief.next_candidate(information, |j| !is_on(j)) else {
                 assert!(most < 1e-3, "{case} {h} {seed}: none selected, and one adds {most}");
                 continue;
             };
@@ -265,19 +265,19 @@ fn silence_weighs_the_places_of_the_ring() {
 
 #[test]
 fn devices_at_one_place_tell_the_same_and_a_third_report_finds_the_event() {
-    let mut points = place(&Layout::Uniform, AREA, 40, 9);
+    let mut points = place_devices(&Layout::Uniform, AREA, 40, 9);
     let event = Point::new(9.0, 9.0);
     points[0] = Point::new(7.0, 9.5);
     points[1] = points[0];
     points[2] = Point::new(10.0, 7.0);
     points[3] = Point::new(10.5, 11.0);
     let mut belief = EpicentreBelief::new(&points, AREA, &sensing(Fusion::Max));
-    belief.start();
+    belief.start_event();
     for (j, places) in [(0, 512), (1, 512), (2, 2), (3, 1)] {
         belief.add_reporter(DeviceId(j), points[j as usize].distance(event), uniform_prior);
-        assert_eq!(belief.places.len(), places, "after {j}");
+        assert_eq!(belief.points.len(), places, "after {j}");
     }
-    assert!(belief.places[0].at.distance(event) < 1e-5);
+    assert!(belief.points[0].position.distance(event) < 1e-5);
 }
 
 #[test]
@@ -289,15 +289,15 @@ fn a_device_that_was_woken_in_vain_rules_its_reach_out() {
             ..sensing(Fusion::Max)
         };
         let mut belief = EpicentreBelief::new(&points, AREA, &sensing);
-        belief.start();
+        belief.start_event();
         belief.add_reporter(DeviceId(0), 3.0, uniform_prior);
-        belief.add_far(DeviceId(1));
+        belief.add_far_reporter(DeviceId(1));
         let weights = |belief: &EpicentreBelief| -> [f64; 2] {
             let of = |near: bool| {
                 let own = belief
-                    .places
+                    .points
                     .iter()
-                    .filter(|p| (p.at.distance(points[1]) <= 4.0) == near);
+                    .filter(|p| (p.position.distance(points[1]) <= 4.0) == near);
                 own.map(|place| place.weight).sum()
             };
             [of(true), of(false)]
@@ -308,7 +308,7 @@ fn a_device_that_was_woken_in_vain_rules_its_reach_out() {
         let left = Point::new(10.0 - 3.0 * 0.8, 10.0 + 3.0 * 0.6);
         belief.add_reporter(DeviceId(2), points[2].distance(left), uniform_prior);
         let [near, far] = weights(&belief);
-        assert!(belief.places.len() == 2 && near < 1e-9 * far, "{kind:?}: {near} {far}");
+        assert!(belief.points.len() == 2 && near < 1e-9 * far, "{kind:?}: {near} {far}");
     }
 }
 
@@ -320,17 +320,19 @@ fn silence_of_hundreds_does_not_end_the_wake_ups() {
             kind,
             ..sensing(Fusion::Max)
         };
-        let points = place(&Layout::Uniform, AREA, 12_000, 5);
+        let points = place_devices(&Layout::Uniform, AREA, 12_000, 5);
         let mut belief = EpicentreBelief::new(&points, AREA, &sensing);
         let (reporter, d) = (DeviceId(7), 2.5);
         let is_on = |j: DeviceId| j.0.is_multiple_of(2);
-        belief.start();
+        belief.start_event();
         belief.add_reporter(reporter, d, uniform_prior);
         belief.observe_silence(is_on, uniform_prior);
-        let (next, gain) = belief.next(sensing.p(d), |j| !is_on(j)).expect("a device adds");
+        let (next, gain) = belief
+            .next_candidate(sensing.p(d), |j| !is_on(j))
+            .expect("a device adds");
         // The definition, with logarithms.
         let centre = points[reporter.index()];
-        let places: Vec<Point> = (0..FINE)
+        let places: Vec<Point> = (0..POINTS_PER_RING)
             .map(direction)
             .map(|(x, y)| Point::new(centre.x + d * x, centre.y + d * y))
             .filter(|&at| AREA.contains(at))
@@ -373,12 +375,14 @@ fn silence_of_hundreds_does_not_end_the_wake_ups() {
             .max_by(|a, b| apart(a).total_cmp(&apart(b)))
             .expect("a place");
         for at in [event, other] {
-            belief.start();
+            belief.start_event();
             belief.add_reporter(reporter, d, uniform_prior);
             belief.observe_silence(is_on, uniform_prior);
             belief.add_reporter(second, points[9].distance(at), uniform_prior);
             belief.add_reporter(DeviceId(11), points[11].distance(at), uniform_prior);
-            let found = belief.next(sensing.p(d), |j| !is_on(j)).expect("a device adds");
+            let found = belief
+                .next_candidate(sensing.p(d), |j| !is_on(j))
+                .expect("a device adds");
             assert!(points[found.0.index()].distance(at) < 0.5, "{kind:?}: {found:?}");
         }
     }
@@ -386,13 +390,13 @@ fn silence_of_hundreds_does_not_end_the_wake_ups() {
 
 #[test]
 fn nobody_is_given_out_twice_in_an_event() {
-    let points = place(&Layout::Grid, AREA, 100, 1);
+    let points = place_devices(&Layout::Grid, AREA, 100, 1);
     let mut belief = EpicentreBelief::new(&points, AREA, &sensing(Fusion::SumSaturation));
     for _ in 0..2 {
-        belief.start();
-        assert!(belief.next(0.0, |_| true).is_none(), "nothing is known");
+        belief.start_event();
+        assert!(belief.next_candidate(0.0, |_| true).is_none(), "nothing is known");
         belief.add_reporter(DeviceId(44), 2.0, uniform_prior);
-        let mut given: Vec<u32> = std::iter::from_fn(|| belief.next(0.0, |_| true))
+        let mut given: Vec<u32> = std::iter::from_fn(|| belief.next_candidate(0.0, |_| true))
             .map(|(j, _)| j.0)
             .collect();
         let count = given.len();

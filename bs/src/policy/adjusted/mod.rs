@@ -1,9 +1,9 @@
-//! Adjusted duty cycling (Sec. V-A, first approach): one (t_on, t_DRX) for all devices, found by exhaustive search for
+//! The policy `adjusted` (Sec. V-A, first approach): one (t_on, t_DRX) for all devices, found by exhaustive search for
 //! the deployment. Offsets are staggered in an order drawn once. After a report any sleeping device can be woken, most
 //! correlated first, until Î ≥ I_min.
 //!
-//! The search needs pilot runs with devices, so the caller that drives both sides makes them. [`search`] judges the
-//! pilot runs, and the policy receives the result.
+//! The search needs pilot runs with devices, so the caller that drives both sides makes them
+//! (`lab/src/preparation.rs`). [`search`] judges the pilot runs, and the policy receives the result.
 
 pub mod search;
 pub mod settings;
@@ -31,7 +31,7 @@ pub struct Adjusted {
     /// Turn of each device, `0 .. N`, in random order. In the order of ids, neighbours on a regular layout would sense
     /// together and leave the rest of the area blind.
     turns: Vec<u32>,
-    aim: InformationTarget,
+    information_target: InformationTarget,
 }
 
 impl Adjusted {
@@ -42,7 +42,7 @@ impl Adjusted {
         Self {
             choice,
             turns,
-            aim: InformationTarget::new(known),
+            information_target: InformationTarget::new(known),
         }
     }
 }
@@ -63,19 +63,19 @@ impl Policy for Adjusted {
     }
 
     fn reports_received(&mut self, seen: &Observation<'_>, reports: &[Report]) {
-        self.aim.start(seen, reports);
+        self.information_target.start_event(seen, reports);
     }
 
     fn next_wake_up(&mut self, seen: &Observation<'_>) -> Option<DeviceId> {
-        self.aim.next(seen, |_| true)
+        self.information_target.next_device(seen, |_| true)
     }
 
-    fn belief(&self) -> Option<&EpicentreBelief> {
-        self.aim.belief()
+    fn epicentre_belief(&self) -> Option<&EpicentreBelief> {
+        self.information_target.belief()
     }
 
     fn wake_up_answered(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
-        self.aim.add_answer(seen, report);
+        self.information_target.add_wake_up_answer(seen, report);
     }
 
     fn summary_facts(&self) -> Vec<(&'static str, f64)> {
@@ -83,7 +83,7 @@ impl Policy for Adjusted {
             t_on,
             t_drx,
             reaches_i_min,
-            pairs,
+            searched_pairs,
             pilot_events,
             pilot_ttis,
             device_ttis,
@@ -91,9 +91,9 @@ impl Policy for Adjusted {
         vec![
             ("t_on", f64::from(t_on)),
             ("t_drx", f64::from(t_drx)),
-            ("i_min", self.aim.i_min()),
+            ("i_min", self.information_target.i_min()),
             ("reaches_i_min", f64::from(u8::from(reaches_i_min))),
-            ("searched_pairs", f64::from(pairs)),
+            ("searched_pairs", f64::from(searched_pairs)),
             ("pilot_events", pilot_events as f64),
             ("pilot_ttis", pilot_ttis as f64),
             ("searched_device_ttis", device_ttis as f64),
@@ -119,8 +119,8 @@ impl PolicyFactory for AdjustedSettings {
         panic!("the duty cycle is searched before a run")
     }
 
-    fn pilots(&self) -> Option<PilotSearch> {
-        Some(search::pilots(self))
+    fn pilot_search(&self) -> Option<PilotSearch> {
+        Some(search::pilot_search(self))
     }
 
     fn pilot_ttis(&self) -> Option<(&'static str, u64)> {

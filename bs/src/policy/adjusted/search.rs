@@ -1,17 +1,18 @@
 //! Choice among the duty cycles of a grid (Sec. V-A, P2): the (t_on, t_DRX) of least mean consumption among those that
 //! reach I_min in their pilot runs. If none does, the one with the most information is chosen. If no pilot run has an
-//! event, the least consumption decides.
+//! event, the least consumption decides. `lab/src/preparation.rs` makes the pilot runs; `tests/src/reference/search.rs`
+//! repeats the choice for comparison.
 
 use std::sync::Arc;
 
 use super::settings::AdjustedSettings;
 use crate::beliefs::ranking::i_min;
 use crate::knowledge::Knowledge;
-use crate::policy::factory::{PilotSearch, PolicyFactory, Trials};
+use crate::policy::factory::{PilotRuns, PilotSearch, PolicyFactory};
 
 /// Duty cycle of the grid with the results of its pilot run.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Trial {
+pub struct PilotResult {
     /// t_on, TTIs.
     pub t_on: u32,
     /// t_DRX, TTIs.
@@ -32,7 +33,7 @@ pub struct DutyCycleChoice {
     /// Whether the pair reached I_min in its pilot run; if false, no pair did.
     pub reaches_i_min: bool,
     /// Number of judged pairs.
-    pub pairs: u32,
+    pub searched_pairs: u32,
     /// Number of events in the pilot run with the fewest.
     pub pilot_events: u64,
     /// Length of a pilot run, TTIs.
@@ -42,25 +43,25 @@ pub struct DutyCycleChoice {
 }
 
 /// Returns the duty cycles of the grid with the results of their pilot runs, in the order of the grid.
-pub fn judged(settings: &AdjustedSettings, trials: &Trials) -> Vec<Trial> {
-    let pairs = settings.pairs().zip(&trials.metrics);
-    let trial = pairs.map(|((t_on, t_drx), metrics)| Trial {
+pub fn pilot_results(settings: &AdjustedSettings, pilots: &PilotRuns) -> Vec<PilotResult> {
+    let pairs = settings.pairs().zip(&pilots.metrics);
+    let results = pairs.map(|((t_on, t_drx), metrics)| PilotResult {
         t_on,
         t_drx,
         information: metrics.info_per_event,
         energy: metrics.energy_per_device_tti,
     });
-    trial.collect()
+    results.collect()
 }
 
 /// Creates the pilot search over the grid.
-pub(super) fn pilots(settings: &AdjustedSettings) -> PilotSearch {
+pub(super) fn pilot_search(settings: &AdjustedSettings) -> PilotSearch {
     let candidate = |(t_on, t_drx)| {
         let choice = DutyCycleChoice {
             t_on,
             t_drx,
             reaches_i_min: false,
-            pairs: 1,
+            searched_pairs: 1,
             pilot_events: 0,
             pilot_ttis: 0,
             device_ttis: 0,
@@ -68,56 +69,59 @@ pub(super) fn pilots(settings: &AdjustedSettings) -> PilotSearch {
         Arc::new(choice) as Arc<dyn PolicyFactory>
     };
     PilotSearch {
-        ttis: settings.pilot_ttis,
-        events: settings.pilot_events,
-        limit: settings.pilot_limit,
+        initial_ttis: settings.pilot_ttis,
+        min_events: settings.pilot_events,
+        max_ttis: settings.pilot_limit,
         candidates: settings.pairs().map(candidate).collect(),
         judge: {
             let settings = settings.clone();
-            Box::new(move |known, trials| (Arc::new(judge(&settings, known, trials)), warnings(&settings, trials)))
+            Box::new(move |known, pilots| {
+                let choice = choose_cycle(&settings, known, pilots);
+                (Arc::new(choice), warnings(&settings, pilots))
+            })
         },
     }
 }
 
-fn judge(settings: &AdjustedSettings, known: &Knowledge, trials: &Trials) -> DutyCycleChoice {
+fn choose_cycle(settings: &AdjustedSettings, known: &Knowledge, pilots: &PilotRuns) -> DutyCycleChoice {
     let threshold = i_min(&known.positions(), known.area, &known.sensing);
-    let (best, reaches_i_min) = choose(&judged(settings, trials), threshold).expect("the grid holds a pair");
+    let (best, reaches_i_min) = choose(&pilot_results(settings, pilots), threshold).expect("the grid holds a pair");
     DutyCycleChoice {
         t_on: best.t_on,
         t_drx: best.t_drx,
         reaches_i_min,
-        pairs: trials.metrics.len() as u32,
-        pilot_events: trials.fewest_events(),
-        pilot_ttis: trials.ttis,
-        device_ttis: trials.all_ttis.saturating_mul(known.n() as u64),
+        searched_pairs: pilots.metrics.len() as u32,
+        pilot_events: pilots.fewest_events(),
+        pilot_ttis: pilots.run_ttis,
+        device_ttis: pilots.total_ttis.saturating_mul(known.n() as u64),
     }
 }
 
-fn warnings(settings: &AdjustedSettings, trials: &Trials) -> Vec<String> {
-    if trials.fewest_events() >= settings.pilot_events {
+fn warnings(settings: &AdjustedSettings, pilots: &PilotRuns) -> Vec<String> {
+    if pilots.fewest_events() >= settings.pilot_events {
         return Vec::new();
     }
     vec![format!(
         "the duty cycle of adjusted is unreliable: not all pilot runs have {} events (policy.adjusted.pilot_events) in \
          {} TTIs; raise policy.adjusted.pilot_limit, or keep one pair in policy.adjusted.t_on and \
          policy.adjusted.t_drx",
-        settings.pilot_events, trials.ttis
+        settings.pilot_events, pilots.run_ttis
     )]
 }
 
-/// Returns the best of `trials` for the threshold `i_min`, and whether it reaches the threshold. Ties go to the first.
-pub fn choose(trials: &[Trial], i_min: f64) -> Option<(Trial, bool)> {
+/// Returns the best of `results` for the threshold `i_min`, and whether it reaches the threshold. Ties go to the first.
+pub fn choose(results: &[PilotResult], i_min: f64) -> Option<(PilotResult, bool)> {
     // NaN, the information of a run without events, is below every threshold.
-    let reaching = trials.iter().filter(|trial| trial.information >= i_min);
-    let least = reaching.min_by(|a, b| a.energy.total_cmp(&b.energy));
-    if let Some(trial) = least {
-        return Some((*trial, true));
+    let reaching = results.iter().filter(|result| result.information >= i_min);
+    let cheapest_reaching = reaching.min_by(|a, b| a.energy.total_cmp(&b.energy));
+    if let Some(result) = cheapest_reaching {
+        return Some((*result, true));
     }
-    let with_events = trials.iter().filter(|trial| !trial.information.is_nan());
+    let with_events = results.iter().filter(|result| !result.information.is_nan());
     // `max_by` takes the last of equals; in reverse order that is the first pair of the grid.
-    let most = with_events.rev().max_by(|a, b| a.information.total_cmp(&b.information));
-    let cheapest = || trials.iter().min_by(|a, b| a.energy.total_cmp(&b.energy));
-    most.or_else(cheapest).map(|trial| (*trial, false))
+    let most_informative = with_events.rev().max_by(|a, b| a.information.total_cmp(&b.information));
+    let cheapest = || results.iter().min_by(|a, b| a.energy.total_cmp(&b.energy));
+    most_informative.or_else(cheapest).map(|result| (*result, false))
 }
 
 #[cfg(test)]
@@ -126,7 +130,7 @@ mod tests {
 
     #[test]
     fn the_choice_is_the_cheapest_that_reaches_i_min_or_else_the_best() {
-        let trial = |t_on, information, energy| Trial {
+        let trial = |t_on, information, energy| PilotResult {
             t_on,
             t_drx: 9,
             information,

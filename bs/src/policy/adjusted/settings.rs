@@ -1,21 +1,24 @@
-//! Settings of the `adjusted` policy (Sec. V-A, first approach).
+//! Settings of the policy `adjusted` (Sec. V-A, first approach): the grid of duty cycles to search, and the length of
+//! its pilot runs.
 
 use reveille_common::declare;
 use reveille_common::declare::{FieldReader, ScenarioError, whole, wholes};
 use reveille_common::plan::DutyCycle;
 use reveille_common::scenario::MAX_TTIS;
 
-/// The longest list of t_on or t_DRX to search.
-const MOST_CYCLES: usize = 64;
+/// Longest list of t_on or t_DRX to search.
+const MAX_LIST_LENGTH: usize = 64;
 
 declare! {
     /// Settings of the policy `adjusted` (Sec. V-A, first approach).
     #[derive(Clone, Debug, PartialEq)]
     pub struct AdjustedSettings in "policy.adjusted" {
         /// Values of t_on to search. At least one must not exceed the longest of `t_drx`.
-        pub t_on: Vec<u32> = wholes(1, DutyCycle::LONGEST, MOST_CYCLES, &[1, 2]).unit("TTIs").source("Sec. V-A"),
+        pub t_on: Vec<u32> = wholes(1, DutyCycle::MAX_T_DRX, MAX_LIST_LENGTH, &[1, 2])
+            .unit("TTIs")
+            .source("Sec. V-A"),
         /// Values of t_DRX to search.
-        pub t_drx: Vec<u32> = wholes(1, DutyCycle::LONGEST, MOST_CYCLES, &[2, 4, 8, 16, 32])
+        pub t_drx: Vec<u32> = wholes(1, DutyCycle::MAX_T_DRX, MAX_LIST_LENGTH, &[2, 4, 8, 16, 32])
             .unit("TTIs")
             .source("Sec. V-A"),
         /// Length of the pilot run that evaluates a pair, without its first quarter. It grows if events are rare.

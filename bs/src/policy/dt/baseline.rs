@@ -1,4 +1,5 @@
-//! Baseline of the events that a device usually finds, which discounts them where energy is scarce.
+//! Moving average of each device's ratio of expected events to the expectation by age and α. Where energy is scarce, it
+//! discounts the ratio in the price factor of `dt` ([`ExpectationBaseline::price_factor`]).
 //!
 //! Without the baseline, a device at a hot spot would always sense, since its price is always low. That is right while
 //! its battery is full. A device that spends all its harvest trades sensing now against sensing later. For it, only the
@@ -7,31 +8,33 @@
 use reveille_common::units::Energy;
 
 /// Time over which expectations are averaged, TTIs.
-const TTIS: f64 = 512.0;
+const AVERAGING_TTIS: f64 = 512.0;
 
 /// Battery share below which a device is compared only with its own baseline. Between this share and a full battery the
 /// weight of the baseline falls gradually.
-const SCARCE: f64 = 0.5;
+const SCARCE_SHARE: f64 = 0.5;
 
 /// Average expectation of each device, as a multiple of the expectation by age and α.
 #[derive(Clone, Debug)]
 pub(super) struct ExpectationBaseline {
-    means: Vec<f64>,
+    average_ratios: Vec<f64>,
 }
 
 impl ExpectationBaseline {
     /// Creates the baseline of `n` devices before the first TTI: the expectation by age and α.
     pub(super) fn new(n: usize) -> Self {
-        Self { means: vec![1.0; n] }
+        Self {
+            average_ratios: vec![1.0; n],
+        }
     }
 
-    /// Returns the price factor of device `j` and updates its average. `expected` is the ratio of expected events to
-    /// the expectation by age and α; the battery holds `level` of at most `e_max`.
-    pub(super) fn factor(&mut self, j: usize, expected: f64, level: Energy, e_max: Energy) -> f64 {
-        let mean = &mut self.means[j];
-        *mean += (expected - *mean) / TTIS;
-        let missing = 1.0 - level.micro() as f64 / e_max.micro() as f64;
-        libm::pow(*mean, (missing / (1.0 - SCARCE)).clamp(0.0, 1.0)) / expected
+    /// Returns the price factor of device `j` and updates its average. `ratio` is the ratio of expected events to the
+    /// expectation by age and α; the battery holds `level` of at most `e_max`.
+    pub(super) fn price_factor(&mut self, j: usize, ratio: f64, level: Energy, e_max: Energy) -> f64 {
+        let mean = &mut self.average_ratios[j];
+        *mean += (ratio - *mean) / AVERAGING_TTIS;
+        let missing_share = 1.0 - level.micro() as f64 / e_max.micro() as f64;
+        libm::pow(*mean, (missing_share / (1.0 - SCARCE_SHARE)).clamp(0.0, 1.0)) / ratio
     }
 }
 
@@ -42,21 +45,21 @@ mod tests {
     #[test]
     fn what_is_usual_counts_with_a_full_battery_alone() {
         let energy = Energy::from_micro;
-        let mut usual = ExpectationBaseline::new(2);
+        let mut baseline = ExpectationBaseline::new(2);
         assert_eq!(
-            usual.factor(0, 1.0, energy(0), energy(100)).to_bits(),
+            baseline.price_factor(0, 1.0, energy(0), energy(100)).to_bits(),
             1.0_f64.to_bits()
         );
         for _ in 0..20_000 {
-            usual.factor(0, 4.0, energy(100), energy(100));
-            usual.factor(1, 0.5, energy(100), energy(100));
+            baseline.price_factor(0, 4.0, energy(100), energy(100));
+            baseline.price_factor(1, 0.5, energy(100), energy(100));
         }
         let close = |factor: f64, expected: f64| assert!((factor - expected).abs() < 0.01, "{factor}, not {expected}");
-        close(usual.factor(0, 4.0, energy(100), energy(100)), 0.25);
-        close(usual.factor(0, 4.0, energy(75), energy(100)), 0.5);
-        close(usual.factor(0, 4.0, energy(20), energy(100)), 1.0);
-        close(usual.factor(0, 8.0, energy(0), energy(100)), 0.5);
-        close(usual.factor(1, 0.5, energy(100), energy(100)), 2.0);
-        close(usual.factor(1, 0.5, energy(50), energy(100)), 1.0);
+        close(baseline.price_factor(0, 4.0, energy(100), energy(100)), 0.25);
+        close(baseline.price_factor(0, 4.0, energy(75), energy(100)), 0.5);
+        close(baseline.price_factor(0, 4.0, energy(20), energy(100)), 1.0);
+        close(baseline.price_factor(0, 8.0, energy(0), energy(100)), 0.5);
+        close(baseline.price_factor(1, 0.5, energy(100), energy(100)), 2.0);
+        close(baseline.price_factor(1, 0.5, energy(50), energy(100)), 1.0);
     }
 }

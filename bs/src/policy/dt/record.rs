@@ -1,4 +1,7 @@
-//! Trajectories: observation, action and reward of a base station in each TTI under any policy.
+//! Recording of trajectories: observation, action and reward of a base station in each TTI under any policy.
+//! [`RecordingPolicy`] wraps the policy and passes each step to a [`StepSink`]. `lab/src/trajectories/` writes the
+//! steps to files, from which `reveille train dt` learns. With the default [`RecordingOptions`] a recording does not
+//! change the run.
 
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::Report;
@@ -8,24 +11,24 @@ use reveille_common::rng::PolicyPurpose;
 use super::tokens::TokenBuilder;
 use crate::battery_estimator::BatteryEstimator;
 use crate::beliefs::ages::price::min_level;
-use crate::beliefs::candidates::Candidates;
-use crate::beliefs::coverage::Union;
+use crate::beliefs::candidates::WakeUpCandidates;
+use crate::beliefs::coverage::CoverageUnion;
 use crate::beliefs::posterior::EpicentreBelief;
-use crate::beliefs::reward::{self, CoverageReward, MU1, MU2};
+use crate::beliefs::reward::{self, CoverageReward, DEFAULT_MU1, DEFAULT_MU2};
 use crate::knowledge::Knowledge;
 use crate::observation::Observation;
-use crate::policy::interface::{Opaque, Policy};
+use crate::policy::interface::{LearnedState, Policy};
 use reveille_common::scenario::WakeUpRanking;
 
 /// Action and outcome of one device in a TTI.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct DeviceStep {
     /// Events that it would find if it sensed, given only α.
-    pub expected: f32,
+    pub expected_events: f32,
     /// Whether it was in S1 (δ = 1).
-    pub on: bool,
+    pub is_sensing: bool,
     /// Whether its report was among the first reports of an event.
-    pub found: bool,
+    pub has_reported_first: bool,
     /// Expected and actual gain of information of a woken device, shares of Ψ.
     pub wake_up: Option<(f32, f32)>,
 }
@@ -38,9 +41,9 @@ pub struct TrajectoryStep {
     /// The tokens of the devices, `[N, F]`.
     pub tokens: Vec<f32>,
     /// Actions and outcomes by device.
-    pub looks: Vec<DeviceStep>,
+    pub devices: Vec<DeviceStep>,
     /// Covered share of the area: the probability that an event that starts in this TTI is found in it.
-    pub share: f32,
+    pub covered_share: f32,
     /// Reward r(k), in expectation over events that start in this TTI.
     pub reward: f32,
     /// Reward r*(k) with μ2 = 1; 0 without wake-ups.
@@ -63,7 +66,7 @@ impl<F: FnMut(TrajectoryStep) + Send> StepSink for F {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RecordingOptions {
     /// Probability that a device does the opposite of the plan, `[0, 1)`.
-    pub explores: f64,
+    pub exploration: f64,
     /// Whether a policy that does not need batteries uses the recorded levels to find the devices that can pay for a
     /// report. With `bs.battery_knowledge = "oracle"` these are the true levels. The policy then wakes other devices
     /// than in a run without a recording.
@@ -81,71 +84,71 @@ enum BatterySource {
 
 impl BatterySource {
     /// Returns the observation `seen` with the battery levels for the policy.
-    fn shown<'a>(&'a self, seen: &Observation<'a>) -> Observation<'a> {
+    fn for_policy<'a>(&'a self, seen: &Observation<'a>) -> Observation<'a> {
         match self {
             Self::Recorded => *seen,
-            Self::Hidden(levels) => Observation {
+            Self::Hidden(estimator) => Observation {
                 batteries: &[],
-                levels: levels.as_deref(),
+                battery_estimator: estimator.as_deref(),
                 ..*seen
             },
         }
     }
 
-    /// Applies `keep` to the separate estimator, if present.
-    fn keep(&mut self, keep: impl FnOnce(&mut BatteryEstimator)) {
-        if let Self::Hidden(Some(levels)) = self {
-            keep(levels);
+    /// Applies `update` to the separate estimator, if present.
+    fn update_estimator(&mut self, update: impl FnOnce(&mut BatteryEstimator)) {
+        if let Self::Hidden(Some(estimator)) = self {
+            update(estimator);
         }
     }
 }
 
-/// A policy whose trajectory is recorded, optionally with exploration ([`RecordingOptions::explores`]).
+/// A policy whose trajectory is recorded, optionally with exploration ([`RecordingOptions::exploration`]).
 pub struct RecordingPolicy<S> {
     policy: Box<dyn Policy>,
-    own: BatterySource,
-    senses: TokenBuilder,
-    union: Union,
+    battery_source: BatterySource,
+    token_builder: TokenBuilder,
+    coverage: CoverageUnion,
     /// Candidates, which give the expected gain of a wake-up.
-    candidates: Candidates,
-    explores: f64,
+    candidates: WakeUpCandidates,
+    exploration: f64,
     sink: S,
     plan: Option<Plan>,
-    due: Tti,
-    open: Option<TrajectoryStep>,
+    next_decision_tti: Tti,
+    open_step: Option<TrajectoryStep>,
     /// Device being woken, its expected gain, and Î before.
     woken: Option<(DeviceId, f64, f64)>,
 }
 
 impl<S: StepSink> RecordingPolicy<S> {
-    /// Records `policy`, for the devices in `known`, with the options in `manner`.
-    pub fn new(policy: Box<dyn Policy>, known: &Knowledge, manner: RecordingOptions, sink: S) -> Self {
-        let own = if policy.needs_batteries() || manner.true_batteries {
+    /// Records `policy`, for the devices in `known`, with the options in `options`.
+    pub fn new(policy: Box<dyn Policy>, known: &Knowledge, options: RecordingOptions, sink: S) -> Self {
+        let battery_source = if policy.needs_batteries() || options.true_batteries {
             BatterySource::Recorded
         } else {
             BatterySource::Hidden(
                 policy
-                    .needs_levels()
-                    .then(|| Box::new(BatteryEstimator::estimated(known))),
+                    .needs_battery_estimates()
+                    .then(|| Box::new(BatteryEstimator::new_estimated(known))),
             )
         };
         Self {
             policy,
-            own,
-            senses: TokenBuilder::new(known, |j| min_level(&known.devices[j].energy)),
-            union: reward::union(known),
-            candidates: Candidates::by(WakeUpRanking::Posterior, known),
-            explores: manner.explores,
+            battery_source,
+            token_builder: TokenBuilder::new(known, |j| min_level(&known.devices[j].energy)),
+            coverage: reward::coverage_union(known),
+            candidates: WakeUpCandidates::with_ranking(WakeUpRanking::Posterior, known),
+            exploration: options.exploration,
             sink,
             plan: None,
-            due: Tti::ZERO,
-            open: None,
+            next_decision_tti: Tti::ZERO,
+            open_step: None,
             woken: None,
         }
     }
 
     /// Returns whether each device senses in the TTI of `seen` under `plan` with exploration.
-    fn explored(&self, seen: &Observation<'_>, plan: &Plan) -> Vec<bool> {
+    fn apply_exploration(&self, seen: &Observation<'_>, plan: &Plan) -> Vec<bool> {
         let known = seen.known;
         let is_on = |j: usize| plan.duty_cycle(DeviceId(j as u32)).is_on(seen.now);
         let draw = |j: usize| {
@@ -156,7 +159,7 @@ impl<S: StepSink> RecordingPolicy<S> {
         let can = |j: usize| seen.batteries[j] >= min_level(&known.devices[j].energy);
         (0..known.n())
             // An exploring device does the opposite of the plan; one without energy for a report does not explore.
-            .map(|j| is_on(j) ^ (self.explores > 0.0 && can(j) && draw(j) < self.explores))
+            .map(|j| is_on(j) ^ (self.exploration > 0.0 && can(j) && draw(j) < self.exploration))
             .collect()
     }
 }
@@ -164,39 +167,40 @@ impl<S: StepSink> RecordingPolicy<S> {
 impl<S: StepSink + 'static> Policy for RecordingPolicy<S> {
     fn decide(&mut self, seen: &Observation<'_>) -> Plan {
         // A step is complete only now: reports and wake-ups of a TTI come after its decision.
-        if let Some(step) = self.open.take() {
+        if let Some(step) = self.open_step.take() {
             self.sink.take(step);
         }
-        self.senses.begin(seen);
-        let decides = seen.now >= self.due;
+        self.token_builder.begin_tti(seen);
+        let decides = seen.now >= self.next_decision_tti;
         if decides {
-            self.plan = Some(self.policy.decide(&self.own.shown(seen)));
-            self.due = self.policy.next_decision(seen.now);
+            self.plan = Some(self.policy.decide(&self.battery_source.for_policy(seen)));
+            self.next_decision_tti = self.policy.next_decision(seen.now);
         }
         // The plan changes when the policy decides, and in every TTI while devices explore.
-        if decides || self.explores > 0.0 {
-            self.own.keep(|levels| levels.advance(seen.now, seen.plan));
+        if decides || self.exploration > 0.0 {
+            self.battery_source
+                .update_estimator(|estimator| estimator.advance(seen.now, seen.plan));
         }
-        let on = self.explored(seen, self.plan.as_ref().expect("decided in TTI 0"));
-        let looked = CoverageReward::new(&mut self.union, &on);
-        let mut looks = vec![DeviceStep::default(); on.len()];
-        for (j, (look, &on)) in looks.iter_mut().zip(&on).enumerate() {
-            (look.expected, look.on) = (self.senses.expected(j), on);
+        let on = self.apply_exploration(seen, self.plan.as_ref().expect("decided in TTI 0"));
+        let coverage_reward = CoverageReward::new(&mut self.coverage, &on);
+        let mut devices = vec![DeviceStep::default(); on.len()];
+        for (j, (device, &on)) in devices.iter_mut().zip(&on).enumerate() {
+            (device.expected_events, device.is_sensing) = (self.token_builder.expected_events(j), on);
         }
-        self.open = Some(TrajectoryStep {
+        self.open_step = Some(TrajectoryStep {
             tti: seen.now,
-            tokens: self.senses.tokens().to_vec(),
-            looks,
-            share: (1.0 - looked.uncovered) as f32,
-            reward: looked.reward(seen.known.alpha, MU1) as f32,
+            tokens: self.token_builder.tokens().to_vec(),
+            devices,
+            covered_share: (1.0 - coverage_reward.uncovered_share) as f32,
+            reward: coverage_reward.reward(seen.known.alpha, DEFAULT_MU1) as f32,
             wake_reward: 0.0,
         });
-        let plan = if self.explores > 0.0 {
+        let plan = if self.exploration > 0.0 {
             Plan::from_bits(on)
         } else {
             self.plan.clone().expect("decided in TTI 0")
         };
-        self.senses.mark_sensing(seen.now, &plan, false);
+        self.token_builder.mark_sensing(seen.now, &plan, false);
         plan
     }
 
@@ -204,29 +208,31 @@ impl<S: StepSink + 'static> Policy for RecordingPolicy<S> {
         true
     }
 
-    fn needs_levels(&self) -> bool {
-        self.policy.needs_levels()
+    fn needs_battery_estimates(&self) -> bool {
+        self.policy.needs_battery_estimates()
     }
 
     fn reports_received(&mut self, seen: &Observation<'_>, reports: &[Report]) {
         for report in reports {
-            self.senses.add_report(seen, report);
-            if let Some(step) = &mut self.open {
-                step.looks[report.device.index()].found = true;
+            self.token_builder.add_report(seen, report);
+            if let Some(step) = &mut self.open_step {
+                step.devices[report.device.index()].has_reported_first = true;
             }
         }
-        let ages = self.senses.ages();
-        self.candidates.start_with(seen, reports, |place| ages.age_at(place));
-        self.own
-            .keep(|levels| levels.observe_reports(seen.now, seen.plan, reports));
-        self.policy.reports_received(&self.own.shown(seen), reports);
+        let ages = self.token_builder.ages();
+        self.candidates
+            .start_event_with_prior(seen, reports, |place| ages.age_at(place));
+        self.battery_source
+            .update_estimator(|estimator| estimator.observe_reports(seen.now, seen.plan, reports));
+        self.policy
+            .reports_received(&self.battery_source.for_policy(seen), reports);
     }
 
     fn next_wake_up(&mut self, seen: &Observation<'_>) -> Option<DeviceId> {
-        let device = self.policy.next_wake_up(&self.own.shown(seen))?;
+        let device = self.policy.next_wake_up(&self.battery_source.for_policy(seen))?;
         // Restricted to the device that the policy wakes, the candidates give the expected gain of this device.
-        let own = self.candidates.next(seen, |candidate| candidate == device);
-        self.woken = Some((device, own.map_or(0.0, |(_, gain)| gain), seen.information));
+        let candidate = self.candidates.next_candidate(seen, |candidate| candidate == device);
+        self.woken = Some((device, candidate.map_or(0.0, |(_, gain)| gain), seen.information));
         Some(device)
     }
 
@@ -234,38 +240,40 @@ impl<S: StepSink + 'static> Policy for RecordingPolicy<S> {
         let psi = seen.known.sensing.psi;
         let woken = self.woken.take();
         if let Some((device, ..)) = woken {
-            self.own.keep(|levels| match report {
-                Some(report) => levels.observe_level(device, seen.now, report.battery),
-                None => levels.observe_no_answer(device, seen.now, seen.plan),
+            self.battery_source.update_estimator(|estimator| match report {
+                Some(report) => estimator.observe_level(device, seen.now, report.battery),
+                None => estimator.observe_no_answer(device, seen.now, seen.plan),
             });
         }
-        if let (Some((device, gain, before)), Some(step)) = (woken, &mut self.open) {
-            let brought = (seen.information - before) / psi;
-            step.looks[device.index()].wake_up = Some(((gain / psi) as f32, brought as f32));
-            let [worth, cost] = reward::of_wake_ups(MU2, brought, 1, seen.known.n());
+        if let (Some((device, gain, before)), Some(step)) = (woken, &mut self.open_step) {
+            let gained = (seen.information - before) / psi;
+            step.devices[device.index()].wake_up = Some(((gain / psi) as f32, gained as f32));
+            let [worth, cost] = reward::wake_up_terms(DEFAULT_MU2, gained, 1, seen.known.n());
             step.wake_reward += (worth + cost) as f32;
         }
         if let Some(report) = report {
-            self.senses.add_report(seen, report);
-            let ages = self.senses.ages();
-            self.candidates.add_with(seen, report, |place| ages.age_at(place));
+            self.token_builder.add_report(seen, report);
+            let ages = self.token_builder.ages();
+            self.candidates
+                .add_report_with_prior(seen, report, |place| ages.age_at(place));
         }
-        self.policy.wake_up_answered(&self.own.shown(seen), report);
+        self.policy
+            .wake_up_answered(&self.battery_source.for_policy(seen), report);
     }
 
     fn summary_facts(&self) -> Vec<(&'static str, f64)> {
         self.policy.summary_facts()
     }
 
-    fn learned(&self) -> Option<Opaque> {
-        self.policy.learned()
+    fn learned_state(&self) -> Option<LearnedState> {
+        self.policy.learned_state()
     }
 
-    fn groups(&self) -> Option<&[u32]> {
-        self.policy.groups()
+    fn device_groups(&self) -> Option<&[u32]> {
+        self.policy.device_groups()
     }
 
-    fn belief(&self) -> Option<&EpicentreBelief> {
-        self.policy.belief()
+    fn epicentre_belief(&self) -> Option<&EpicentreBelief> {
+        self.policy.epicentre_belief()
     }
 }

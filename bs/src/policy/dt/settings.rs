@@ -1,4 +1,5 @@
-//! Settings of the `dt` policy (Sec. V-C).
+//! Settings of the policy `dt` (Sec. V-C): reads them with the model that they name, and refuses a shape that the model
+//! does not have. The hash of the model is part of the fingerprint of a scenario.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -11,7 +12,7 @@ use reveille_common::declare::{
 use reveille_common::scenario::Site;
 
 use super::model::weights::ModelWeights;
-use super::model::{LONGEST_MEMORY, MOST_HEADS, ModelObjective, ModelShape, WIDEST};
+use super::model::{MAX_HEADS, MAX_MEMORY, MAX_WIDTH, ModelObjective, ModelShape};
 use crate::beliefs::ages;
 
 /// Named sources of models, other than files.
@@ -42,17 +43,17 @@ declare! {
         /// higher loss selects devices that are surer to sense the event but add less information.
         miss_cost: f64 = number(PROBABILITY, 0.16).formerly("in_vain"),
         /// TTIs Z that a decision attends to. With 0, the value of the model; training uses 8.
-        memory: u64 = whole(0, LONGEST_MEMORY, 0).unit("TTIs").source("Sec. V-C"),
+        memory: u64 = whole(0, MAX_MEMORY, 0).unit("TTIs").source("Sec. V-C"),
         /// Width of a device's embedding, a multiple of 4 times its heads. With 0, the width of the model; training
         /// uses 32.
-        width: u64 = whole(0, WIDEST, 0).source("Sec. V-C"),
+        width: u64 = whole(0, MAX_WIDTH, 0).source("Sec. V-C"),
         /// Heads of each attention layer. With 0, the number in the model; training uses 2.
-        heads: u64 = whole(0, MOST_HEADS, 0).source("Sec. V-C"),
+        heads: u64 = whole(0, MAX_HEADS, 0).source("Sec. V-C"),
     }
 }
 
 /// Size of the largest file that is read, bytes.
-const LARGEST: u64 = 64 << 20;
+const MAX_FILE_BYTES: u64 = 64 << 20;
 
 /// Source of a model.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -79,7 +80,7 @@ pub struct DtSettings {
     /// Cost of a wake-up of a device beyond d_max of the event, a share of Ψ, `[0, 1]`.
     pub miss_cost: f64,
     /// Model shape that the scenario requests.
-    pub asked: RequestedShape,
+    pub requested_shape: RequestedShape,
 }
 
 /// Model shape that a scenario requests; 0 accepts the value of the model.
@@ -95,33 +96,33 @@ pub struct RequestedShape {
 
 impl RequestedShape {
     /// Returns the requested shape, with values of `shape` where nothing is requested.
-    const fn or(self, shape: ModelShape) -> ModelShape {
-        const fn or(asked: u64, other: usize) -> usize {
-            if asked == 0 { other } else { asked as usize }
+    const fn with_defaults(self, shape: ModelShape) -> ModelShape {
+        const fn or_default(requested: u64, default: usize) -> usize {
+            if requested == 0 { default } else { requested as usize }
         }
         ModelShape {
-            memory: or(self.memory, shape.memory),
-            width: or(self.width, shape.width),
-            heads: or(self.heads, shape.heads),
+            memory: or_default(self.memory, shape.memory),
+            width: or_default(self.width, shape.width),
+            heads: or_default(self.heads, shape.heads),
             ..shape
         }
     }
 
     /// Returns the first field that differs from `shape`, with the requested and the actual value.
-    fn other_than(self, shape: ModelShape) -> Option<(&'static str, u64, usize)> {
+    fn first_difference(self, shape: ModelShape) -> Option<(&'static str, u64, usize)> {
         let Self { memory, width, heads } = self;
         let fields = [
             ("memory", memory, shape.memory),
             ("width", width, shape.width),
             ("heads", heads, shape.heads),
         ];
-        let differs = |(_, asked, has): &(&str, u64, usize)| *asked != 0 && *asked != *has as u64;
+        let differs = |(_, requested, actual): &(&str, u64, usize)| *requested != 0 && *requested != *actual as u64;
         fields.into_iter().find(differs)
     }
 }
 
 /// Returns the model that comes with the program.
-fn shipped() -> ModelWeights {
+fn shipped_model() -> ModelWeights {
     ModelWeights::read(include_bytes!("shipped.safetensors")).expect("the model of this program")
 }
 
@@ -142,15 +143,15 @@ impl DtSettings {
         let fields = Fields::read(reader)?;
         let price = (fields.target <= 0.0).then_some(fields.price);
         ages::check_price("dt", price, reader, site)?;
-        let asked = RequestedShape {
+        let requested_shape = RequestedShape {
             memory: fields.memory,
             width: fields.width,
             heads: fields.heads,
         };
         let (source, weights) = match fields.model.as_deref().unwrap_or("shipped") {
-            "shipped" => (ModelSource::Shipped, shipped()),
+            "shipped" => (ModelSource::Shipped, shipped_model()),
             "untrained" => {
-                let shape = asked.or(ModelShape::USUAL);
+                let shape = requested_shape.with_defaults(ModelShape::SHIPPED);
                 if !shape.is_valid() {
                     let allowed = format!("must be a multiple of 4 times the heads, {}", 4 * shape.heads);
                     return Err(reader.invalid_value("policy.dt.width", shape.width, allowed));
@@ -163,20 +164,21 @@ impl DtSettings {
                 let refuse = |why: String| reader.file_error(field, path.clone(), why);
                 let bytes = reader
                     .files()
-                    .read(&path, LARGEST)
+                    .read(&path, MAX_FILE_BYTES)
                     .map_err(|error| refuse(error.to_string()))?;
                 let weights = ModelWeights::read(&bytes).map_err(|error| refuse(error.to_string()))?;
                 (ModelSource::File(path), weights)
             }
         };
-        if let Some((name, asked, has)) = asked.other_than(weights.shape()) {
+        if let Some((name, requested, actual)) = requested_shape.first_difference(weights.shape()) {
             let allowed = format!(
-                "the model has {has}; omit the field, or train one: reveille train dt --set policy.dt.{name}={asked}"
+                "the model has {actual}; omit the field, or train one: reveille train dt --set \
+                 policy.dt.{name}={requested}"
             );
-            return Err(reader.invalid_value(&format!("policy.dt.{name}"), asked, allowed));
+            return Err(reader.invalid_value(&format!("policy.dt.{name}"), requested, allowed));
         }
-        let knows_prices = source != ModelSource::Untrained && weights.shape().objective == ModelObjective::Events;
-        if fields.target > 0.0 && !knows_prices {
+        let has_learned_price = source != ModelSource::Untrained && weights.shape().objective == ModelObjective::Events;
+        if fields.target > 0.0 && !has_learned_price {
             reader.warn(format!(
                 "policy.dt.target is {}, and the model has not learned its price: {}",
                 fields.target,
@@ -192,7 +194,7 @@ impl DtSettings {
             price: fields.price,
             target: fields.target,
             miss_cost: fields.miss_cost,
-            asked,
+            requested_shape,
         })
     }
 }
@@ -214,9 +216,9 @@ impl Visit for DtSettings {
             price: self.price,
             target: self.target,
             miss_cost: self.miss_cost,
-            memory: self.asked.memory,
-            width: self.asked.width,
-            heads: self.asked.heads,
+            memory: self.requested_shape.memory,
+            width: self.requested_shape.width,
+            heads: self.requested_shape.heads,
         };
         fields.visit(sink);
     }

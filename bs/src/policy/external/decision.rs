@@ -1,4 +1,6 @@
-//! Decisions of a policy process, and the context that it receives for them.
+//! Decisions of a policy process, and the context that it receives for them: the types between the `external` policy,
+//! the messages ([`super::wire`]), environments in memory (`lab/src/gym/`) and logged decisions
+//! (`lab/src/external_inputs.rs`).
 
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::Report;
@@ -29,7 +31,7 @@ pub struct DecisionContext<'a> {
     /// By device, whether it was woken in the TTI of [`Self::heard`], with or without an answer.
     pub woken: &'a [bool],
     /// History of the run before this decision.
-    pub memory: &'a ReportHistory,
+    pub history: &'a ReportHistory,
 }
 
 impl DecisionContext<'_> {
@@ -82,5 +84,5 @@ pub struct RecordedDecision {
     /// TTI of the decision request.
     pub tti: Tti,
     /// The decision.
-    pub answer: Decision,
+    pub decision: Decision,
 }

@@ -1,12 +1,13 @@
 //! Features of a decision request, in `[0, 1]`: one row per device and one global row. A model trained on them in
 //! memory can decide on the bus.
 //!
-//! The features hold only knowledge of the base station. None grows with N, the area or the length of the run.
+//! The features hold only knowledge of the base station. None grows with N, the area or the length of the run. Their
+//! order and meaning are part of the policy port and of the Python environments: trained models rely on them.
 
 use reveille_common::ids::{DeviceId, Tti};
 
 use super::decision::{DecisionContext, DecisionStage};
-use super::history::{StaticFeatures, harvest};
+use super::history::{StaticFeatures, harvest_share};
 
 /// Description of a feature of a device, or of the global row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -22,7 +23,7 @@ const fn new(name: &'static str, about: &'static str) -> Feature {
 }
 
 /// Features of each device, in this order; all in `[0, 1]`.
-pub const DEVICE: [Feature; 15] = [
+pub const DEVICE_FEATURES: [Feature; 15] = [
     new("x", "position along the area's width, as a share of the width"),
     new("y", "position along the area's height, as a share of the height"),
     new(
@@ -65,7 +66,7 @@ pub const DEVICE: [Feature; 15] = [
 ];
 
 /// Features of the global row, in this order; all in `[0, 1]`.
-pub const GLOBAL: [Feature; 10] = [
+pub const GLOBAL_FEATURES: [Feature; 10] = [
     new(
         "information",
         "Î / Ψ: the known information about the event of this TTI; 0 at stage 0",
@@ -91,15 +92,15 @@ pub const GLOBAL: [Feature; 10] = [
 ];
 
 /// Time after which the feature of a device's last report is 1/2, TTIs.
-const HALF_REPORT: f64 = 64.0;
+const REPORT_HALF_TTIS: f64 = 64.0;
 /// Time after which the features of sensing, and of the last report of any device, are 1/2, TTIs.
-const HALF: f64 = 8.0;
+const HALF_TTIS: f64 = 8.0;
 
-fn bounded(ttis: Option<u64>, half: f64) -> f64 {
+fn bounded_time(ttis: Option<u64>, half: f64) -> f64 {
     ttis.map_or(1.0, |t| t as f64 / (t as f64 + half))
 }
 
-fn stale(worth: f64) -> f64 {
+fn bounded_staleness(worth: f64) -> f64 {
     1.0 - 1.0 / worth.max(1.0).sqrt()
 }
 
@@ -121,65 +122,65 @@ impl DecisionContext<'_> {
 
     #[inline]
     fn battery(&self, device: usize) -> f64 {
-        (self.seen.batteries[device].units() / self.memory.fixed(device).e_max).min(1.0)
+        (self.seen.batteries[device].units() / self.history.static_features(device).e_max).min(1.0)
     }
 
     /// Returns the expected harvest of `device` in this TTI, scaled as [`StaticFeatures::harvest`].
     #[inline]
-    fn harvest_now(&self, device: usize, fixed: &StaticFeatures) -> f32 {
+    fn harvest_now(&self, device: usize, constants: &StaticFeatures) -> f32 {
         // A steady harvest is the same in every TTI and was computed once.
-        if fixed.is_steady {
-            return fixed.harvest;
+        if constants.is_steady {
+            return constants.harvest;
         }
         let (known, now) = (self.seen.known, self.seen.now);
-        let comes = known.expected_harvest(DeviceId(device as u32), now, now + 1);
-        harvest(comes, known.devices[device].energy.e_idle) as f32
+        let expected_harvest = known.expected_harvest(DeviceId(device as u32), now, now + 1);
+        harvest_share(expected_harvest, known.devices[device].energy.e_idle) as f32
     }
 
-    /// Writes [`DEVICE`] of each device, in the order of ids, into `rows`.
+    /// Writes [`DEVICE_FEATURES`] of each device, in the order of ids, into `rows`.
     ///
     /// # Panics
     /// If the length of `rows` is not N times the number of features.
     pub fn write_devices(&self, rows: &mut [f32]) {
-        let (seen, memory) = (&self.seen, self.memory);
+        let (seen, history) = (&self.seen, self.history);
         let (n, psi) = (seen.known.n(), seen.known.sensing.psi);
-        assert_eq!(rows.len(), n * DEVICE.len(), "a row for each device");
-        let is_open = self.stage == DecisionStage::Wake;
-        for (j, row) in rows.chunks_exact_mut(DEVICE.len()).enumerate() {
-            let (device, fixed) = (DeviceId(j as u32), memory.fixed(j));
-            let [information, nearness] = if is_open {
-                [memory.information(j) / psi, memory.nearness(j)].map(|value| value as f32)
+        assert_eq!(rows.len(), n * DEVICE_FEATURES.len(), "a row for each device");
+        let is_wake_stage = self.stage == DecisionStage::Wake;
+        for (j, row) in rows.chunks_exact_mut(DEVICE_FEATURES.len()).enumerate() {
+            let (device, constants) = (DeviceId(j as u32), history.static_features(j));
+            let [information, nearness] = if is_wake_stage {
+                [history.information(j) / psi, history.nearness(j)].map(|value| value as f32)
             } else {
                 [0.0; 2]
             };
-            let values: [f32; DEVICE.len()] = [
-                fixed.place[0],
-                fixed.place[1],
+            let values: [f32; DEVICE_FEATURES.len()] = [
+                constants.relative_position[0],
+                constants.relative_position[1],
                 self.battery(j) as f32,
                 flag(seen.can_report(device)),
                 flag(self.is_sensing(device)),
                 flag(self.may_wake(device)),
-                flag(is_open && self.woken[j]),
+                flag(is_wake_stage && self.woken[j]),
                 information,
                 nearness,
-                bounded(memory.since_sensing(j, seen.now), HALF) as f32,
-                bounded(memory.since_report(j, seen.now), HALF_REPORT) as f32,
-                stale(memory.staleness(j)) as f32,
-                fixed.crowd,
-                fixed.harvest,
-                self.harvest_now(j, fixed),
+                bounded_time(history.since_sensing(j, seen.now), HALF_TTIS) as f32,
+                bounded_time(history.since_report(j, seen.now), REPORT_HALF_TTIS) as f32,
+                bounded_staleness(history.staleness(j)) as f32,
+                constants.neighbours,
+                constants.harvest,
+                self.harvest_now(j, constants),
             ];
             row.copy_from_slice(&values);
         }
     }
 
-    /// Writes [`GLOBAL`] into `row`.
+    /// Writes [`GLOBAL_FEATURES`] into `row`.
     ///
     /// # Panics
     /// If `row` has another length.
     pub fn write_global(&self, row: &mut [f32]) {
-        let (seen, memory, known) = (&self.seen, self.memory, self.seen.known);
-        assert_eq!(row.len(), GLOBAL.len(), "a place for each feature");
+        let (seen, history, known) = (&self.seen, self.history, self.seen.known);
+        assert_eq!(row.len(), GLOBAL_FEATURES.len(), "a place for each feature");
         let (n, psi) = (known.n() as f64, known.sensing.psi);
         let devices = || (0..known.n() as u32).map(DeviceId);
         let share = |count: usize| count as f64 / n;
@@ -190,20 +191,20 @@ impl DecisionContext<'_> {
                 self.woken.iter().filter(|woken| **woken).count(),
             ),
         };
-        let values: [f64; GLOBAL.len()] = [
+        let values: [f64; GLOBAL_FEATURES.len()] = [
             seen.information / psi,
-            memory.i_min() / psi,
+            history.i_min() / psi,
             known.alpha,
             (libm::log(n) / 10.0).min(1.0),
             share(devices().filter(|j| self.is_sensing(*j)).count()),
             reports / (reports + 1.0),
             share(woken),
             (0..known.n()).map(|j| self.battery(j)).sum::<f64>() / n,
-            bounded(memory.since_any_report(seen.now), HALF),
-            stale(memory.staleness_of_all()),
+            bounded_time(history.since_any_report(seen.now), HALF_TTIS),
+            bounded_staleness(history.area_staleness()),
         ];
-        for (place, value) in row.iter_mut().zip(values) {
-            *place = value as f32;
+        for (feature, value) in row.iter_mut().zip(values) {
+            *feature = value as f32;
         }
     }
 
@@ -213,12 +214,12 @@ impl DecisionContext<'_> {
     /// If the length of `mask` is not N.
     pub fn write_mask(&self, mask: &mut [i8]) {
         assert_eq!(mask.len(), self.woken.len(), "a place for each device");
-        for (j, place) in (0..).zip(mask) {
+        for (j, allowed) in (0..).zip(mask) {
             let is_free = match self.stage {
                 DecisionStage::Plan => true,
                 DecisionStage::Wake => self.may_wake(DeviceId(j)),
             };
-            *place = if is_free { 2 } else { 0 };
+            *allowed = if is_free { 2 } else { 0 };
         }
     }
 }

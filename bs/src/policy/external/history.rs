@@ -1,4 +1,5 @@
-//! History for decision requests: when each device sensed and reported, and how long each place has been uncovered.
+//! History of the run for decision requests ([`super::features`]): when each device sensed and reported, and how long
+//! each place has been uncovered.
 
 use reveille_common::geometry::{Buckets, Point};
 use reveille_common::ids::{DeviceId, Tti};
@@ -16,18 +17,18 @@ use crate::knowledge::{DeviceKnowledge, Knowledge};
 pub struct ReportHistory {
     staleness: Staleness,
     /// First TTI that has not ended.
-    next: Tti,
-    /// Whether a report arrived in [`Self::next`].
-    is_found: bool,
+    open_tti: Tti,
+    /// Whether a report arrived in [`Self::open_tti`].
+    is_event_reported: bool,
     /// By device, the last ended TTI with δ = 1, counted from 1; 0 for none.
-    looked: Vec<u64>,
+    last_sensed: Vec<u64>,
     /// By device, the TTI of its last report, counted from 1; 0 for none.
-    reported: Vec<u64>,
+    last_reported: Vec<u64>,
     /// By device, its constant features.
-    fixed: Vec<StaticFeatures>,
+    static_features: Vec<StaticFeatures>,
     positions: Vec<Point>,
     sensing: Sensing,
-    near: LastReports,
+    last_reports: LastReports,
     i_min: f64,
 }
 
@@ -35,9 +36,9 @@ pub struct ReportHistory {
 #[derive(Clone, Copy, Debug)]
 pub struct StaticFeatures {
     /// Position as shares of the width and height of the area, `[0, 1]`.
-    pub place: [f32; 2],
+    pub relative_position: [f32; 2],
     /// Density ln(1 + n) / ln(N), with n the other devices within d_max, `[0, 1]`.
-    pub crowd: f32,
+    pub neighbours: f32,
     /// Share h / (h + E_idle), with h its mean harvest in a TTI, `[0, 1]`.
     pub harvest: f32,
     /// E_max, units.
@@ -61,30 +62,30 @@ impl ReportHistory {
     /// Creates the history before TTI 0, for the devices in `known`.
     pub fn new(known: &Knowledge) -> Self {
         let positions = known.positions();
-        let lost = known.radio.no_report_probability();
+        let loss_probability = known.radio.no_report_probability();
         let buckets = Buckets::new(&positions, known.area, known.sensing.d_max);
-        // ln(1) is 0: for a single device the crowd below is then 0 and not NaN.
+        // ln(1) is 0: for a single device `neighbours` below is then 0 and not NaN.
         let ln_n = libm::log(known.n() as f64).max(f64::MIN_POSITIVE);
-        let fixed = |(j, device): (usize, &DeviceKnowledge)| {
+        let static_features = |(j, device): (usize, &DeviceKnowledge)| {
             let mut others = 0_u32;
             buckets.within(device.position, known.sensing.d_max, |i, _| others += u32::from(i != j));
             let Point { x, y } = device.position;
             StaticFeatures {
-                place: [x / known.area.width, y / known.area.height].map(|share| share as f32),
-                crowd: (libm::log(f64::from(1 + others)) / ln_n) as f32,
-                harvest: harvest(device.mean_harvest, device.energy.e_idle) as f32,
+                relative_position: [x / known.area.width, y / known.area.height].map(|share| share as f32),
+                neighbours: (libm::log(f64::from(1 + others)) / ln_n) as f32,
+                harvest: harvest_share(device.mean_harvest, device.energy.e_idle) as f32,
                 e_max: device.energy.e_max.units(),
-                is_steady: known.courses[usize::from(device.class)].is_none(),
+                is_steady: known.day_profiles[usize::from(device.class)].is_none(),
             }
         };
         Self {
-            staleness: Staleness::with_loss(lost, &positions, known.area, &known.sensing),
-            next: Tti::ZERO,
-            is_found: false,
-            looked: vec![0; known.n()],
-            reported: vec![0; known.n()],
-            fixed: known.devices.iter().enumerate().map(fixed).collect(),
-            near: LastReports {
+            staleness: Staleness::with_loss(loss_probability, &positions, known.area, &known.sensing),
+            open_tti: Tti::ZERO,
+            is_event_reported: false,
+            last_sensed: vec![0; known.n()],
+            last_reported: vec![0; known.n()],
+            static_features: known.devices.iter().enumerate().map(static_features).collect(),
+            last_reports: LastReports {
                 information: vec![0.0; known.n()],
                 distance: vec![f64::INFINITY; known.n()],
                 p: vec![0.0; known.n()],
@@ -97,24 +98,24 @@ impl ReportHistory {
 
     /// Ends the open TTIs before `end`, which passed under `plan`.
     pub fn advance(&mut self, end: Tti, plan: &Plan) {
-        while self.next < end {
-            for (j, looked) in self.looked.iter_mut().enumerate() {
-                if plan.is_on(DeviceId(j as u32), self.next) {
-                    self.staleness.look(j);
-                    *looked = self.next.0 + 1;
+        while self.open_tti < end {
+            for (j, last_sensed) in self.last_sensed.iter_mut().enumerate() {
+                if plan.is_on(DeviceId(j as u32), self.open_tti) {
+                    self.staleness.add(j);
+                    *last_sensed = self.open_tti.0 + 1;
                 }
             }
             // The reports belong to the first of these TTIs, so only that one counts as found.
-            self.staleness.advance(std::mem::take(&mut self.is_found));
-            self.next = self.next + 1;
+            self.staleness.advance(std::mem::take(&mut self.is_event_reported));
+            self.open_tti = self.open_tti + 1;
         }
     }
 
     /// Adds the first reports of the open TTI, at least one.
     pub(crate) fn start_event(&mut self, reports: &[Report]) {
-        self.near.information.fill(0.0);
-        self.near.distance.fill(f64::INFINITY);
-        self.near.p.fill(0.0);
+        self.last_reports.information.fill(0.0);
+        self.last_reports.distance.fill(f64::INFINITY);
+        self.last_reports.p.fill(0.0);
         for report in reports {
             self.add_report(report);
         }
@@ -125,16 +126,20 @@ impl ReportHistory {
         let Self {
             positions,
             sensing,
-            near,
+            last_reports,
             ..
         } = self;
-        self.is_found = true;
-        self.reported[report.device.index()] = report.tti.0 + 1;
-        near.information[report.device.index()] = report.information;
-        let at = positions[report.device.index()];
+        self.is_event_reported = true;
+        self.last_reported[report.device.index()] = report.tti.0 + 1;
+        last_reports.information[report.device.index()] = report.information;
+        let reporter = positions[report.device.index()];
         // Updated per report: computing distances for each request took half of an environment's step at N = 250.
-        for ((own, nearest), p) in positions.iter().zip(&mut near.distance).zip(&mut near.p) {
-            let distance = own.distance(at);
+        let devices = positions
+            .iter()
+            .zip(&mut last_reports.distance)
+            .zip(&mut last_reports.p);
+        for ((position, nearest), p) in devices {
+            let distance = position.distance(reporter);
             if distance < *nearest {
                 (*nearest, *p) = (distance, sensing.p(distance));
             }
@@ -143,27 +148,27 @@ impl ReportHistory {
 
     /// Returns I of the report of `device` in the last TTI with reports, `[0, Ψ]`; 0 without a report.
     pub fn information(&self, device: usize) -> f64 {
-        self.near.information[device]
+        self.last_reports.information[device]
     }
 
     /// Returns p(d) of the distance from `device` to the nearest reporter of that TTI, `[0, 1]`.
     pub(crate) fn nearness(&self, device: usize) -> f64 {
-        self.near.p[device]
+        self.last_reports.p[device]
     }
 
     /// Returns the TTIs since `device` last sensed by the plan in an ended TTI, or `None`.
     pub(crate) fn since_sensing(&self, device: usize, now: Tti) -> Option<u64> {
-        since(self.looked[device], now)
+        ttis_since(self.last_sensed[device], now)
     }
 
     /// Returns the TTIs since the last report of `device`, or `None`.
     pub(crate) fn since_report(&self, device: usize, now: Tti) -> Option<u64> {
-        since(self.reported[device], now)
+        ttis_since(self.last_reported[device], now)
     }
 
     /// Returns the TTIs since the last report of any device, or `None`.
     pub(crate) fn since_any_report(&self, now: Tti) -> Option<u64> {
-        since(self.reported.iter().copied().max().unwrap_or(0), now)
+        ttis_since(self.last_reported.iter().copied().max().unwrap_or(0), now)
     }
 
     /// Returns the worth of covering the places of `device`, as a multiple of the worth right after covering them, ≥ 1.
@@ -174,14 +179,14 @@ impl ReportHistory {
     }
 
     /// Returns the same ratio for the whole area.
-    pub(crate) fn staleness_of_all(&self) -> f64 {
-        self.staleness.of_all()
+    pub(crate) fn area_staleness(&self) -> f64 {
+        self.staleness.area_staleness()
     }
 
     /// Returns the constant features of `device`.
     #[inline]
-    pub fn fixed(&self, device: usize) -> &StaticFeatures {
-        &self.fixed[device]
+    pub fn static_features(&self, device: usize) -> &StaticFeatures {
+        &self.static_features[device]
     }
 
     /// I_min (Sec. V-A), `[0, Ψ]`.
@@ -191,13 +196,17 @@ impl ReportHistory {
 }
 
 /// Returns h / (h + E_idle) for a harvest h in a TTI.
-pub(super) fn harvest(comes: Energy, e_idle: Energy) -> f64 {
-    let (comes, e_idle) = (comes.units(), e_idle.units());
-    if comes > 0.0 { comes / (comes + e_idle) } else { 0.0 }
+pub(super) fn harvest_share(harvest: Energy, e_idle: Energy) -> f64 {
+    let (harvest, e_idle) = (harvest.units(), e_idle.units());
+    if harvest > 0.0 {
+        harvest / (harvest + e_idle)
+    } else {
+        0.0
+    }
 }
 
 /// Returns the TTIs to `now` from `last`, a TTI counted from 1; `None` for 0.
-const fn since(last: u64, now: Tti) -> Option<u64> {
+const fn ttis_since(last: u64, now: Tti) -> Option<u64> {
     match last {
         0 => None,
         last => Some((now.0 + 1).saturating_sub(last)),

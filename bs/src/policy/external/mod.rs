@@ -1,4 +1,5 @@
-//! A policy whose decisions come from a policy process.
+//! The policy `external`, whose decisions come from a policy process. [`External`] holds their state; the base
+//! station (`base_station.rs`) asks it which decision is due and passes the decisions on.
 //!
 //! The driver of the cycle sends a decision request and continues once it has the decision; the cycle never waits.
 //!
@@ -29,7 +30,7 @@ use reveille_common::message::Report;
 use reveille_common::plan::{DutyCycle, Plan};
 
 pub use self::decision::{Decision, DecisionContext, DecisionStage, PlanDecision, RecordedDecision};
-pub use self::features::{DEVICE, Feature, GLOBAL};
+pub use self::features::{DEVICE_FEATURES, Feature, GLOBAL_FEATURES};
 pub use self::history::ReportHistory;
 use super::interface::Policy;
 use crate::knowledge::Knowledge;
@@ -38,38 +39,38 @@ use crate::observation::Observation;
 /// Decision state of the `external` policy.
 #[derive(Clone, Debug)]
 pub struct External {
-    /// Plan decision for the coming TTI.
-    received: Option<PlanDecision>,
+    /// Plan decision for the coming TTI, fitted to the devices.
+    pending_plan: Option<PlanDecision>,
     /// TTI of the next plan request.
-    next: Tti,
+    next_plan_request: Tti,
     /// See [`DecisionContext::heard`].
     heard: Vec<Report>,
     /// See [`DecisionContext::woken`].
     woken: Vec<bool>,
     /// Devices that are still to be woken.
-    queue: VecDeque<DeviceId>,
+    wake_queue: VecDeque<DeviceId>,
     /// Whether the wake-ups of this TTI have ended.
-    is_done: bool,
-    memory: ReportHistory,
+    are_wake_ups_done: bool,
+    history: ReportHistory,
 }
 
 impl External {
     /// Creates the state before TTI 0, for the devices in `known`.
     pub fn new(known: &Knowledge) -> Self {
         Self {
-            received: None,
-            next: Tti::ZERO,
+            pending_plan: None,
+            next_plan_request: Tti::ZERO,
             heard: Vec::new(),
             woken: vec![false; known.n()],
-            queue: VecDeque::new(),
-            is_done: true,
-            memory: ReportHistory::new(known),
+            wake_queue: VecDeque::new(),
+            are_wake_ups_done: true,
+            history: ReportHistory::new(known),
         }
     }
 
     /// Whether a plan decision is needed before TTI `k` begins.
     pub(crate) fn needs_plan(&self, k: Tti) -> bool {
-        self.received.is_none() && k >= self.next
+        self.pending_plan.is_none() && k >= self.next_plan_request
     }
 
     /// Whether a wake-up decision is needed in the TTI of `seen`: a report arrived, a device can be woken, and the last
@@ -77,7 +78,9 @@ impl External {
     pub(crate) fn needs_wake_ups(&self, seen: &Observation<'_>) -> bool {
         let mut devices = (0..self.woken.len() as u32).map(DeviceId);
         // If no device can be woken, every decision would be empty, so no request is sent.
-        !self.is_done && self.queue.is_empty() && devices.any(|j| decision::may_wake(seen, &self.woken, j))
+        !self.are_wake_ups_done
+            && self.wake_queue.is_empty()
+            && devices.any(|j| decision::may_wake(seen, &self.woken, j))
     }
 
     /// Returns the decision context of `stage` for the observation `seen`.
@@ -87,15 +90,15 @@ impl External {
             seen,
             heard: &self.heard,
             woken: &self.woken,
-            memory: &self.memory,
+            history: &self.history,
         }
     }
 
     /// Sets the decision at [`DecisionStage::Plan`].
     pub(crate) fn set_plan(&mut self, decision: PlanDecision) {
         let PlanDecision { plan, next } = decision;
-        let plan = fitted(&plan, self.woken.len() as u32);
-        self.received = Some(PlanDecision { plan, next });
+        let plan = fit_to_devices(&plan, self.woken.len() as u32);
+        self.pending_plan = Some(PlanDecision { plan, next });
     }
 
     /// Sets the decision at [`DecisionStage::Wake`]: the devices to wake, in this order.
@@ -104,15 +107,15 @@ impl External {
             if decision::may_wake(seen, &self.woken, device) {
                 // Marked when queued, so that a device listed twice is woken once.
                 self.woken[device.index()] = true;
-                self.queue.push_back(device);
+                self.wake_queue.push_back(device);
             }
         }
-        self.is_done = self.queue.is_empty();
+        self.are_wake_ups_done = self.wake_queue.is_empty();
     }
 
     /// Ends the TTIs before `end`; TTIs still open passed under `plan`.
-    pub fn closed(&mut self, end: Tti, plan: &Plan) {
-        self.memory.advance(end, plan);
+    pub fn end_ttis_before(&mut self, end: Tti, plan: &Plan) {
+        self.history.advance(end, plan);
     }
 }
 
@@ -120,34 +123,34 @@ impl Policy for External {
     /// # Panics
     /// If there is no plan for this TTI.
     fn decide(&mut self, seen: &Observation<'_>) -> Plan {
-        let PlanDecision { plan, next } = self.received.take().expect("a driver supplies the requested plan");
+        let PlanDecision { plan, next } = self.pending_plan.take().expect("a driver supplies the requested plan");
         // The decision can name a TTI that has passed, but the base station requires a later one.
-        self.next = next.max(seen.now + 1);
+        self.next_plan_request = next.max(seen.now + 1);
         plan
     }
 
     fn next_decision(&self, _: Tti) -> Tti {
-        self.next
+        self.next_plan_request
     }
 
     fn reports_received(&mut self, seen: &Observation<'_>, reports: &[Report]) {
         // The TTIs before this one pass first, since the reports belong to this one.
-        self.memory.advance(seen.now, seen.plan);
-        self.memory.start_event(reports);
+        self.history.advance(seen.now, seen.plan);
+        self.history.start_event(reports);
         self.heard.clear();
         self.heard.extend_from_slice(reports);
         self.woken.fill(false);
-        self.queue.clear();
-        self.is_done = false;
+        self.wake_queue.clear();
+        self.are_wake_ups_done = false;
     }
 
     fn next_wake_up(&mut self, _: &Observation<'_>) -> Option<DeviceId> {
-        self.queue.pop_front()
+        self.wake_queue.pop_front()
     }
 
     fn wake_up_answered(&mut self, _: &Observation<'_>, report: Option<&Report>) {
         if let Some(report) = report {
-            self.memory.add_report(report);
+            self.history.add_report(report);
             self.heard.push(*report);
         }
     }
@@ -158,7 +161,7 @@ impl Policy for External {
 }
 
 /// Fits `plan` to the devices 0 to `devices` − 1.
-fn fitted(plan: &Plan, devices: u32) -> Plan {
+fn fit_to_devices(plan: &Plan, devices: u32) -> Plan {
     let cycles = (0..devices).map(|j| plan.duty_cycle(DeviceId(j)));
     match plan {
         Plan::Bits { .. } => Plan::from_bits(cycles.map(|cycle| cycle == DutyCycle::SENSING)),

@@ -1,4 +1,6 @@
-//! Messages of the policy port, in an [`Encoding`](reveille_common::encoding::Encoding) that any language can read.
+//! Messages of the policy port, between `bs/src/server/policy_port/` and a policy process
+//! (`python/reveille/policy_client.py`), in an [`Encoding`](reveille_common::encoding::Encoding) that any language can
+//! read. Names and meanings of the fields are the protocol: raise `PROTOCOL_VERSION` if they change.
 //!
 //! ```text
 //!   BS                                                    policy process
@@ -24,13 +26,13 @@ use reveille_common::plan::{DutyCycle, Plan};
 use serde::{Deserialize, Serialize};
 
 use super::decision::{Decision, DecisionContext, DecisionStage, PlanDecision};
-use super::features::{DEVICE, Feature, GLOBAL};
+use super::features::{DEVICE_FEATURES, Feature, GLOBAL_FEATURES};
 use crate::knowledge::Knowledge;
 
 /// Protocol version of this program.
-pub(crate) const PROTOCOL: u32 = 1;
+pub(crate) const PROTOCOL_VERSION: u32 = 1;
 /// Oldest protocol version that this program supports.
-pub(crate) const OLDEST: u32 = 1;
+pub(crate) const OLDEST_PROTOCOL: u32 = 1;
 
 /// Kind of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -185,18 +187,18 @@ impl Hello {
     pub fn new(run: String, known: &Knowledge) -> Self {
         Self {
             head: WireHeader {
-                protocol: PROTOCOL,
+                protocol: PROTOCOL_VERSION,
                 seq: 0,
                 tti: 0,
                 stage: RequestKind::Hello,
             },
-            min: OLDEST,
-            max: PROTOCOL,
+            min: OLDEST_PROTOCOL,
+            max: PROTOCOL_VERSION,
             run,
             reveille: env!("CARGO_PKG_VERSION").to_owned(),
             ttis: known.ttis,
-            device_features: DEVICE.iter().map(FeatureInfo::from).collect(),
-            global_features: GLOBAL.iter().map(FeatureInfo::from).collect(),
+            device_features: DEVICE_FEATURES.iter().map(FeatureInfo::from).collect(),
+            global_features: GLOBAL_FEATURES.iter().map(FeatureInfo::from).collect(),
             known: known.into(),
             refused: None,
         }
@@ -255,33 +257,33 @@ pub struct DecisionRequest {
 }
 
 impl DecisionRequest {
-    /// Encodes `question` as decision request `seq` to process `to`.
-    pub fn new(question: &DecisionContext<'_>, seq: u64, to: &str) -> Self {
-        let n = question.woken.len();
-        let mut device = vec![0.0; n * DEVICE.len()];
-        let (mut globals, mut mask) = (vec![0.0; GLOBAL.len()], vec![0; n]);
-        question.write_devices(&mut device);
-        question.write_global(&mut globals);
-        question.write_mask(&mut mask);
+    /// Encodes `context` as decision request `seq` to process `to`.
+    pub fn new(context: &DecisionContext<'_>, seq: u64, to: &str) -> Self {
+        let n = context.woken.len();
+        let mut device = vec![0.0; n * DEVICE_FEATURES.len()];
+        let (mut globals, mut mask) = (vec![0.0; GLOBAL_FEATURES.len()], vec![0; n]);
+        context.write_devices(&mut device);
+        context.write_global(&mut globals);
+        context.write_mask(&mut mask);
         // At `DecisionStage::Plan` the context still holds the reports of an earlier TTI.
-        let heard = match question.stage {
+        let heard = match context.stage {
             DecisionStage::Plan => &[],
-            DecisionStage::Wake => question.heard,
+            DecisionStage::Wake => context.heard,
         };
         Self {
             head: WireHeader {
-                protocol: PROTOCOL,
+                protocol: PROTOCOL_VERSION,
                 seq,
-                tti: question.seen.now.0,
-                stage: question.stage.into(),
+                tti: context.seen.now.0,
+                stage: context.stage.into(),
             },
             to: to.to_owned(),
             device: FloatRows {
-                width: DEVICE.len(),
+                width: DEVICE_FEATURES.len(),
                 values: device,
             },
             globals: FloatRows {
-                width: GLOBAL.len(),
+                width: GLOBAL_FEATURES.len(),
                 values: globals,
             },
             action_mask: Octets(mask.into_iter().map(i8::cast_unsigned).collect()),
@@ -344,9 +346,9 @@ pub struct DecisionReply {
 
 impl DecisionReply {
     /// Creates an empty reply to the request with this `head`.
-    pub fn to(head: &WireHeader, id: &str, key: &str) -> Self {
+    pub fn for_request(head: &WireHeader, id: &str, key: &str) -> Self {
         Self {
-            protocol: PROTOCOL,
+            protocol: PROTOCOL_VERSION,
             seq: head.seq,
             tti: head.tti,
             stage: Some(head.stage),
@@ -358,7 +360,7 @@ impl DecisionReply {
 
     /// Returns the reply with the decision in `answer`.
     #[must_use]
-    pub fn with(self, answer: &Decision) -> Self {
+    pub fn with_decision(self, answer: &Decision) -> Self {
         match answer {
             Decision::Plan(PlanDecision { plan, next }) => {
                 let next = (next.0 > self.tti + 1).then_some(next.0);
@@ -368,8 +370,8 @@ impl DecisionReply {
                         Self { sense, next, ..self }
                     }
                     Plan::Periodic(cycles) => {
-                        let three = |cycle: &DutyCycle| [cycle.t_on, cycle.t_drx, cycle.offset];
-                        let cycles = Some(cycles.iter().map(three).collect());
+                        let triple = |cycle: &DutyCycle| [cycle.t_on, cycle.t_drx, cycle.offset];
+                        let cycles = Some(cycles.iter().map(triple).collect());
                         Self { cycles, next, ..self }
                     }
                 }
@@ -385,22 +387,22 @@ impl DecisionReply {
     ///
     /// # Errors
     /// The reply holds no valid decision. The message is worded for the author of the process.
-    pub fn answer(&self, stage: DecisionStage, tti: Tti, devices: u32) -> Result<Decision, String> {
-        if !(OLDEST..=PROTOCOL).contains(&self.protocol) {
-            let own = self.protocol;
+    pub fn decode(&self, stage: DecisionStage, tti: Tti, devices: u32) -> Result<Decision, String> {
+        if !(OLDEST_PROTOCOL..=PROTOCOL_VERSION).contains(&self.protocol) {
+            let version = self.protocol;
             return Err(format!(
-                "it is in protocol {own}, this base station speaks {OLDEST} to {PROTOCOL}"
+                "it is in protocol {version}, this base station speaks {OLDEST_PROTOCOL} to {PROTOCOL_VERSION}"
             ));
         }
-        let said = [
+        let present = [
             ("action", self.action.is_some()),
             ("sense", self.sense.is_some()),
             ("cycles", self.cycles.is_some()),
             ("wake", self.wake.is_some()),
         ];
-        let said: Vec<&str> = said
+        let present: Vec<&str> = present
             .iter()
-            .filter(|(_, is_said)| *is_said)
+            .filter(|(_, is_present)| *is_present)
             .map(|(name, _)| *name)
             .collect();
         let allowed: &[&str] = match stage {
@@ -408,11 +410,11 @@ impl DecisionReply {
             DecisionStage::Wake => &["action", "wake"],
         };
         // Two kinds of decision in one reply could contradict each other.
-        let [one] = said[..] else {
-            return Err(format!("exactly one of {} is due, not {said:?}", allowed.join(", ")));
+        let [field] = present[..] else {
+            return Err(format!("exactly one of {} is due, not {present:?}", allowed.join(", ")));
         };
-        if !allowed.contains(&one) {
-            return Err(format!("{one} is not valid here; {} are", allowed.join(", ")));
+        if !allowed.contains(&field) {
+            return Err(format!("{field} is not valid here; {} are", allowed.join(", ")));
         }
         match stage {
             DecisionStage::Plan => {
@@ -425,8 +427,8 @@ impl DecisionReply {
             }
             DecisionStage::Wake if self.next.is_some() => Err("next is valid only with a plan".to_owned()),
             DecisionStage::Wake => match (&self.wake, &self.action) {
-                (Some(wake), _) => Ok(Decision::Wake(known(wake, devices)?)),
-                (None, action) => Ok(Decision::Wake(chosen(action.as_ref(), devices)?)),
+                (Some(wake), _) => Ok(Decision::Wake(check_ids(wake, devices)?)),
+                (None, action) => Ok(Decision::Wake(ids_with_one(action.as_ref(), devices)?)),
             },
         }
     }
@@ -446,15 +448,15 @@ impl DecisionReply {
             return Ok(Plan::Periodic(cycles.collect::<Result<_, _>>()?));
         }
         let on = match &self.sense {
-            Some(sense) => known(sense, devices)?,
-            None => chosen(self.action.as_ref(), devices)?,
+            Some(sense) => check_ids(sense, devices)?,
+            None => ids_with_one(self.action.as_ref(), devices)?,
         };
         Ok(Plan::from_devices(devices as usize, &on))
     }
 }
 
-/// Converts the ids, all of which must be below `devices`.
-fn known(ids: &[u32], devices: u32) -> Result<Vec<DeviceId>, String> {
+/// Converts the ids. Returns an error unless all are below `devices`.
+fn check_ids(ids: &[u32], devices: u32) -> Result<Vec<DeviceId>, String> {
     match ids.iter().find(|id| **id >= devices) {
         Some(id) => Err(format!("there is no device {id}; the ids are 0 to {}", devices - 1)),
         None => Ok(ids.iter().copied().map(DeviceId).collect()),
@@ -462,7 +464,7 @@ fn known(ids: &[u32], devices: u32) -> Result<Vec<DeviceId>, String> {
 }
 
 /// Returns the devices with a 1 in `action`.
-fn chosen(action: Option<&Octets>, devices: u32) -> Result<Vec<DeviceId>, String> {
+fn ids_with_one(action: Option<&Octets>, devices: u32) -> Result<Vec<DeviceId>, String> {
     let bits = action.map_or(&[][..], |action| &action.0);
     if bits.len() != devices as usize {
         return Err(format!("{} numbers in action for {devices} devices", bits.len()));
@@ -481,7 +483,7 @@ mod tests {
     use super::*;
 
     const HEAD: WireHeader = WireHeader {
-        protocol: PROTOCOL,
+        protocol: PROTOCOL_VERSION,
         seq: 9,
         tti: 7,
         stage: RequestKind::Plan,
@@ -494,7 +496,7 @@ mod tests {
     /// Decodes a reply with the fields in `text` and returns its decision at `stage` for five devices.
     fn decided(stage: DecisionStage, text: &str) -> Result<Decision, String> {
         let head = r#"{"protocol":1,"seq":9,"tti":7,"stage":"plan","id":"a","#;
-        read(&format!("{head}{text}}}")).and_then(|reply| reply.answer(stage, Tti(7), 5))
+        read(&format!("{head}{text}}}")).and_then(|reply| reply.decode(stage, Tti(7), 5))
     }
 
     #[test]
@@ -555,8 +557,8 @@ mod tests {
             ),
         ];
         for (stage, text, why) in refused {
-            let said = decided(stage, text).expect_err(text);
-            assert!(said.contains(why), "{text}: {said}");
+            let present = decided(stage, text).expect_err(text);
+            assert!(present.contains(why), "{text}: {present}");
         }
     }
 
@@ -575,10 +577,10 @@ mod tests {
         ];
         for answer in decisions {
             for form in [Encoding::Json, Encoding::Cbor] {
-                let reply = DecisionReply::to(&HEAD, "a", "").with(&answer);
+                let reply = DecisionReply::for_request(&HEAD, "a", "").with_decision(&answer);
                 let read: DecisionReply = form.decode(&form.encode(&reply)).expect("an answer");
                 assert_eq!(read, reply);
-                assert_eq!(read.answer(answer.stage(), Tti(7), 5), Ok(answer.clone()));
+                assert_eq!(read.decode(answer.stage(), Tti(7), 5), Ok(answer.clone()));
             }
         }
     }

@@ -1,9 +1,10 @@
-//! Q-learning (Sec. V-B): one table chooses the sensing devices, another the devices to wake after a report. Both can
-//! continue to learn in a run.
+//! The policy `q-learning` (Sec. V-B): one table chooses the sensing devices ([`duty`]), another the devices to wake
+//! after a report ([`wake`]). Both can continue to learn in a run; `lab/src/training/` trains the tables that
+//! [`settings`] reads ([`learned`]).
 //!
 //! # Factorisation
 //! A joint action δ(k) of N devices has 2^N values. Devices are therefore considered one by one
-//! ([`duty::Duty::choose`]), and each has its own share of the paper's reward.
+//! ([`duty::DutyLearner::choose`]), and each has its own share of the paper's reward.
 //!
 //! A place is covered in TTI k if a device that detects an event there senses in k or sensed in one of the `window` − 1
 //! TTIs before. An event that ends there in k is then reported. With U(k) for the uncovered share of the area, the
@@ -44,14 +45,14 @@ use reveille_common::plan::Plan;
 use reveille_common::rng::PolicyPurpose;
 use reveille_common::scenario::WakeUpRanking;
 
-use self::duty::{Duty, DutyTerms};
+use self::duty::{DutyLearner, DutyParameters};
 use self::learned::{Lookback, TableSet};
 use self::settings::QLearningSettings;
 use self::wake::{WakeLearner, WakeState};
 use super::SensingCount;
 use super::factory::{PolicyEntry, PolicyFactory};
-use super::interface::{Opaque, Policy};
-use crate::beliefs::candidates::Candidates;
+use super::interface::{LearnedState, Policy};
+use crate::beliefs::candidates::WakeUpCandidates;
 use crate::beliefs::posterior::EpicentreBelief;
 use crate::knowledge::Knowledge;
 use crate::observation::Observation;
@@ -60,39 +61,40 @@ use crate::observation::Observation;
 pub struct QLearning {
     settings: QLearningSettings,
     ranking: WakeUpRanking,
-    duty: Duty,
+    duty: DutyLearner,
     wake: WakeLearner,
-    candidates: Candidates,
+    candidates: WakeUpCandidates,
     /// E_Tx plus the cost of a TTI asleep, by device.
-    min_level: Vec<reveille_common::units::Energy>,
-    reports: usize,
+    min_levels: Vec<reveille_common::units::Energy>,
+    /// Reports of the current event so far.
+    report_count: usize,
     is_exploring: bool,
-    tally: SensingCount,
-    /// Sum of r(k) and the number of TTIs in it.
-    rewards: (f64, u64),
+    sensing_count: SensingCount,
+    /// Sum of r(k) and the number of TTIs in it, while the policy learns.
+    reward_total: (f64, u64),
 }
 
 impl QLearning {
     /// Creates the policy for the devices in `known`, with its initial tables.
     pub fn new(known: &Knowledge, settings: &QLearningSettings) -> Self {
-        let start = &settings.start;
-        let terms = DutyTerms {
+        let tables = &settings.initial_tables;
+        let duty_parameters = DutyParameters {
             weights: settings.weights,
             schedule: settings.schedule,
             alpha: known.alpha,
             lookback: settings.lookback,
-            lost: known.radio.no_report_probability(),
+            loss_probability: known.radio.no_report_probability(),
         };
         let wake_table = match known.bs.ranking {
-            WakeUpRanking::P42 => start.wake_p42.clone(),
-            WakeUpRanking::Posterior => start.wake_posterior.clone(),
+            WakeUpRanking::P42 => tables.wake_p42.clone(),
+            WakeUpRanking::Posterior => tables.wake_posterior.clone(),
         };
-        let needed = known.devices.iter().map(|d| d.energy.e_tx + d.energy.e_wur);
+        let min_levels = known.devices.iter().map(|d| d.energy.e_tx + d.energy.e_wur);
         Self {
             ranking: known.bs.ranking,
-            duty: Duty::new(
-                start.duty.clone(),
-                terms,
+            duty: DutyLearner::new(
+                tables.duty.clone(),
+                duty_parameters,
                 &known.positions(),
                 known.devices.iter().map(|device| device.energy).collect(),
                 known.area,
@@ -105,22 +107,22 @@ impl QLearning {
                 known.n() as u32,
                 known.sensing.psi,
             ),
-            candidates: Candidates::new(known),
-            min_level: needed.collect(),
-            reports: 0,
+            candidates: WakeUpCandidates::new(known),
+            min_levels: min_levels.collect(),
+            report_count: 0,
             is_exploring: false,
-            tally: SensingCount::default(),
-            rewards: (0.0, 0),
+            sensing_count: SensingCount::default(),
+            reward_total: (0.0, 0),
             settings: settings.clone(),
         }
     }
 
     /// Returns the next candidate that can pay for a report, with its state.
-    fn candidate(&mut self, seen: &Observation<'_>) -> Option<(DeviceId, WakeState)> {
-        let needed = &self.min_level;
-        let can_report = |device: DeviceId| seen.batteries[device.index()] >= needed[device.index()];
-        let (device, score) = self.candidates.next(seen, can_report)?;
-        Some((device, self.wake.state(score, seen.information, self.reports)))
+    fn next_candidate(&mut self, seen: &Observation<'_>) -> Option<(DeviceId, WakeState)> {
+        let min_levels = &self.min_levels;
+        let can_report = |device: DeviceId| seen.batteries[device.index()] >= min_levels[device.index()];
+        let (device, score) = self.candidates.next_candidate(seen, can_report)?;
+        Some((device, self.wake.state(score, seen.information, self.report_count)))
     }
 
     /// Returns ε in this TTI.
@@ -135,8 +137,8 @@ impl QLearning {
                 (shares.sum::<f64>() - reward).abs() < 1e-6 * (1.0 + reward.abs()),
                 "the shares add up to r(k)"
             );
-            self.rewards.0 += reward;
-            self.rewards.1 += 1;
+            self.reward_total.0 += reward;
+            self.reward_total.1 += 1;
         }
         self.duty.learn(seen.batteries);
     }
@@ -151,7 +153,7 @@ impl Policy for QLearning {
         } else {
             self.duty.choose(seen.batteries)
         };
-        self.tally.plan(seen.known.n(), &chosen)
+        self.sensing_count.count_and_plan(seen.known.n(), &chosen)
     }
 
     fn needs_batteries(&self) -> bool {
@@ -159,7 +161,7 @@ impl Policy for QLearning {
     }
 
     fn reports_received(&mut self, seen: &Observation<'_>, reports: &[Report]) {
-        self.reports = reports.len();
+        self.report_count = reports.len();
         // Exploring wakes all candidates of an event: values beyond a stop are learned only by continuing there.
         self.is_exploring = self.settings.learn
             && seen
@@ -167,13 +169,13 @@ impl Policy for QLearning {
                 .streams
                 .unit_for_pair(PolicyPurpose::Exploration, seen.now.0, 1)
                 < self.epsilon(seen);
-        self.duty.found();
+        self.duty.record_event();
         let Self { duty, candidates, .. } = self;
-        candidates.start_with(seen, reports, |place| duty.prior(place));
+        candidates.start_event_with_prior(seen, reports, |place| duty.prior(place));
     }
 
     fn next_wake_up(&mut self, seen: &Observation<'_>) -> Option<DeviceId> {
-        let candidate = self.candidate(seen);
+        let candidate = self.next_candidate(seen);
         // The value of the last wake-up includes what can follow it, so learning waits for the next candidate.
         if self.settings.learn {
             self.wake.learn(candidate.map(|(_, state)| state));
@@ -182,47 +184,47 @@ impl Policy for QLearning {
         if !self.is_exploring && !self.wake.is_worth_it(state) {
             return None;
         }
-        self.wake.wake(state, seen.information);
+        self.wake.record_wake_up(state, seen.information);
         Some(device)
     }
 
-    fn belief(&self) -> Option<&EpicentreBelief> {
+    fn epicentre_belief(&self) -> Option<&EpicentreBelief> {
         self.candidates.belief()
     }
 
     fn wake_up_answered(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
-        self.wake.add_answer(seen.information);
+        self.wake.record_answer(seen.information);
         if let Some(report) = report {
-            self.reports += 1;
+            self.report_count += 1;
             let Self { duty, candidates, .. } = self;
-            candidates.add_with(seen, report, |place| duty.prior(place));
+            candidates.add_report_with_prior(seen, report, |place| duty.prior(place));
         }
     }
 
     fn summary_facts(&self) -> Vec<(&'static str, f64)> {
         let mut facts = vec![
-            ("learned_for_devices", f64::from(self.settings.start.devices)),
-            self.tally.fact(),
+            ("learned_for_devices", f64::from(self.settings.initial_tables.devices)),
+            self.sensing_count.summary_fact(),
         ];
-        let (sum, ttis) = self.rewards;
+        let (sum, ttis) = self.reward_total;
         if ttis > 0 {
             facts.push(("reward_per_tti", sum / ttis as f64));
         }
         facts
     }
 
-    fn learned(&self) -> Option<Opaque> {
+    fn learned_state(&self) -> Option<LearnedState> {
         if !self.settings.learn {
             return None;
         }
-        let mut entry = TableSet::clone(&self.settings.start);
+        let mut entry = TableSet::clone(&self.settings.initial_tables);
         entry.duty = self.duty.table().clone();
         let wake = self.wake.table().clone();
         match self.ranking {
             WakeUpRanking::P42 => entry.wake_p42 = wake,
             WakeUpRanking::Posterior => entry.wake_posterior = wake,
         }
-        Some(Opaque::new(entry))
+        Some(LearnedState::new(entry))
     }
 }
 

@@ -1,4 +1,5 @@
-//! Settings of the `q-learning` policy (Sec. V-B).
+//! Settings of the policy `q-learning` (Sec. V-B): reads them with the tables that they name, and checks that the
+//! tables serve the scenario. The tables are part of the fingerprint of a scenario.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -11,13 +12,13 @@ use reveille_common::declare::{
 use reveille_common::scenario::Site;
 
 use super::learned::{
-    ABLE, AREAS, LONGEST_WINDOW, LearnedTables, Lookback, QWeights, Schedule, TableSet, TrainingSite,
+    AREA_BUCKETS, FIRST_ABLE_BUCKET, LearnedTables, Lookback, MAX_WINDOW, QWeights, Schedule, TableSet, TrainingSite,
 };
-use crate::beliefs::grid::MOST_CELLS;
+use crate::beliefs::grid::MAX_CELLS;
 use crate::beliefs::{ages, coverage};
 
 /// Range of the discount ζ. Beyond it Q-values take too long to learn.
-const DISCOUNT: Range = Range::closed(0.0, 0.999);
+const DISCOUNT_RANGE: Range = Range::closed(0.0, 0.999);
 
 /// Named sources of tables, other than files.
 const TABLES: &[Alternative] = &[
@@ -38,19 +39,21 @@ declare! {
         /// Source of the tables; a file must be written by `reveille train`.
         table: Option<String> = source(TABLES, "shipped"),
         /// Weight μ1 of misdetections in the reward. Unless the policy learns, it is the weight of the tables.
-        mu1: Option<f64> = number(NOT_NEGATIVE, DEFAULT.mu1)
+        mu1: Option<f64> = number(NOT_NEGATIVE, DEFAULT_WEIGHTS.mu1)
             .derived("value of the tables, or 14 (1 with `ages`)")
             .source("Sec. V-B, 0.5 to 20"),
         /// Weight μ2 of information in the reward of a wake-up. Unless the policy learns, it is the weight of the
         /// tables.
-        mu2: Option<f64> = number(NOT_NEGATIVE, DEFAULT.mu2)
+        mu2: Option<f64> = number(NOT_NEGATIVE, DEFAULT_WEIGHTS.mu2)
             .derived("value of the tables, or 1")
             .source("Sec. V-B, 1 to 5"),
         /// Discount ζ of duty cycling. Unless the policy learns, it is the discount of the tables.
-        zeta: Option<f64> = number(DISCOUNT, DEFAULT.zeta).derived("value of the tables, or 0.95").source("Sec. V-B"),
+        zeta: Option<f64> = number(DISCOUNT_RANGE, DEFAULT_WEIGHTS.zeta)
+            .derived("value of the tables, or 0.95")
+            .source("Sec. V-B"),
         /// Delay budget of the application: the area is covered once within this time, or in every TTI with 1.
         /// Unless the policy learns, it needs tables for this window; `shipped` has 1, 2 and 4.
-        window: u32 = whole(1, LONGEST_WINDOW as u64, 1).unit("TTIs"),
+        window: u32 = whole(1, MAX_WINDOW as u64, 1).unit("TTIs"),
         /// Whether places that a device would newly cover are weighted by their age, as under `age-index`. The tables
         /// then determine how long a place may wait, and the window is 1.
         ages: bool = switch(false),
@@ -61,11 +64,11 @@ declare! {
         /// Probability of a random decision in the last TTI. It changes linearly in between.
         epsilon_last: f64 = number(BELOW_ONE, 0.02).derived("value of `epsilon`") => epsilon,
         /// Exponent ω of the learning rate max((n + 4)^−ω, `rate_floor`) at the n-th visit of a value.
-        rate_decay: f64 = number(ABOVE_ZERO, Schedule::USUAL.rate_decay),
+        rate_decay: f64 = number(ABOVE_ZERO, Schedule::DEFAULT.rate_decay),
         /// Minimum learning rate.
-        rate_floor: f64 = number(ABOVE_ZERO, Schedule::USUAL.rate_floor),
+        rate_floor: f64 = number(ABOVE_ZERO, Schedule::DEFAULT.rate_floor),
         /// Factor of the initial values. With 1, an action starts at its largest immediate reward.
-        optimism: f64 = number(NOT_NEGATIVE, Schedule::USUAL.optimism),
+        optimism: f64 = number(NOT_NEGATIVE, Schedule::DEFAULT.optimism),
     }
 }
 
@@ -81,17 +84,20 @@ impl Fields {
 
     /// Returns the default weights, used where neither the scenario nor a table sets them. With ages μ1 is smaller,
     /// because the worth of ages already includes the cost of each TTI in which an event waits.
-    const fn usual(&self) -> QWeights {
+    const fn default_weights(&self) -> QWeights {
         if self.ages {
-            QWeights { mu1: 1.0, ..DEFAULT }
+            QWeights {
+                mu1: 1.0,
+                ..DEFAULT_WEIGHTS
+            }
         } else {
-            DEFAULT
+            DEFAULT_WEIGHTS
         }
     }
 }
 
 /// Default weights for windows.
-const DEFAULT: QWeights = QWeights {
+const DEFAULT_WEIGHTS: QWeights = QWeights {
     mu1: 14.0,
     mu2: 1.0,
     zeta: 0.95,
@@ -126,7 +132,7 @@ pub struct QLearningSettings {
     /// Learning schedule.
     pub schedule: Schedule,
     /// Tables at the start of the run.
-    pub start: Arc<TableSet>,
+    pub initial_tables: Arc<TableSet>,
     /// Description of the tables; `None` for the optimistic start.
     pub begun_from: Option<String>,
 }
@@ -154,7 +160,7 @@ impl Visit for QLearningSettings {
         if let Some(field) = Fields::SECTION.field("table") {
             sink.field(Fields::SECTION, field, FieldValue::Path(&table));
             // Other tables under the same path make another scenario.
-            sink.content(&self.start.fingerprint());
+            sink.content(&self.initial_tables.fingerprint());
         }
         let fields = Fields {
             table: None,
@@ -177,27 +183,27 @@ impl Visit for QLearningSettings {
 /// Checks that the raster of cells for coverage or ages is not too fine. The cell size follows from d_max.
 fn check_raster(reader: &FieldReader<'_>, site: &Site<'_>, lookback: Lookback) -> Result<(), ScenarioError> {
     let d_max = site.sensing.d_max;
-    let (cells, what) = match lookback {
-        Lookback::Window(_) => (coverage::cells(site.area, site.sensing), "count coverage on"),
-        Lookback::Ages => (ages::cells(site.area, d_max), "keep the ages of"),
+    let (cells, purpose) = match lookback {
+        Lookback::Window(_) => (coverage::count_cells(site.area, site.sensing), "count coverage on"),
+        Lookback::Ages => (ages::count_cells(site.area, d_max), "keep the ages of"),
     };
-    if cells <= MOST_CELLS {
+    if cells <= MAX_CELLS {
         return Ok(());
     }
     let allowed =
-        format!("is too small for the area: q-learning would {what} {cells:.0} cells, more than {MOST_CELLS}");
+        format!("is too small for the area: q-learning would {purpose} {cells:.0} cells, more than {MAX_CELLS}");
     Err(reader.invalid_value("sensing.d_max", d_max, allowed))
 }
 
-/// Warns if no device ever senses under the tables of `start`, because even the largest gain is worth less than sleep.
-fn warn_of_sleep(reader: &FieldReader<'_>, site: &Site<'_>, weights: &QWeights, start: &TableSet) {
-    let lookback = start.lookback;
+/// Warns if no device ever senses under `tables`, because even the largest gain is worth less than sleep.
+fn warn_of_sleep(reader: &FieldReader<'_>, site: &Site<'_>, weights: &QWeights, tables: &TableSet) {
+    let lookback = tables.lookback;
     let disc = std::f64::consts::PI * site.sensing.d_max * site.sensing.d_max;
-    let most = ages::reach(site.sensing) / disc * lookback.most();
-    let advantages = start.duty.advantages();
-    let is_worth_it = |row: &[f64; AREAS]| lookback.begin(row).is_some_and(|begin| begin < most);
-    // Below `ABLE` no device senses, whatever its values are.
-    if !advantages.iter().skip(usize::from(ABLE)).any(is_worth_it) {
+    let max_gain = ages::effective_area(site.sensing) / disc * lookback.max_gain();
+    let advantages = tables.duty.advantages();
+    let is_worth_it = |row: &[f64; AREA_BUCKETS]| lookback.advantage_start(row).is_some_and(|start| start < max_gain);
+    // Below `FIRST_ABLE_BUCKET` no device senses, whatever its values are.
+    if !advantages.iter().skip(usize::from(FIRST_ABLE_BUCKET)).any(is_worth_it) {
         reader.warn(format!(
             "with these tables of q-learning no device ever senses, and every event is missed: with μ1 = {mu1}, α = \
              {alpha} and the tables' N = {n}, the area of a device is worth less than sleep; raise \
@@ -205,7 +211,7 @@ fn warn_of_sleep(reader: &FieldReader<'_>, site: &Site<'_>, weights: &QWeights, 
              --scenario and --set",
             mu1 = weights.mu1,
             alpha = site.alpha,
-            n = start.devices,
+            n = tables.devices,
         ));
     }
 }
@@ -225,7 +231,7 @@ fn from_fields(reader: &FieldReader<'_>, site: &Site<'_>) -> Result<QLearningSet
     let fields = Fields::read(reader)?;
     let name = fields.table.as_deref().unwrap_or("shipped");
     let setting = TrainingSite::from_site(site);
-    let (source, learned) = tables(reader, &fields, name, &setting)?;
+    let (source, learned) = load_tables(reader, &fields, name, &setting)?;
     if learned.is_none() && !fields.learn {
         let allowed = "needs policy.q-learning.learn = true, because the policy starts without tables; or name a table";
         return Err(reader.invalid_value("policy.q-learning.table", name, allowed));
@@ -237,21 +243,21 @@ fn from_fields(reader: &FieldReader<'_>, site: &Site<'_>) -> Result<QLearningSet
         let allowed = "must be 1 with policy.q-learning.ages = true, which uses the age of each place instead";
         return Err(reader.invalid_value("policy.q-learning.window", window, allowed));
     }
-    let weights = weights(reader, &fields, learned.as_deref())?;
+    let weights = resolve_weights(reader, &fields, learned.as_deref())?;
     let schedule = Schedule {
         rate_decay: fields.rate_decay,
         rate_floor: fields.rate_floor,
         optimism: fields.optimism,
     };
-    let start = match &learned {
+    let initial_tables = match &learned {
         None => Arc::new(TableSet::optimistic(site, &weights, lookback, schedule.optimism)),
-        Some(tables) => Arc::new(entry(reader, &fields, tables, site)?),
+        Some(tables) => Arc::new(select_entry(reader, &fields, tables, site)?),
     };
     if !fields.learn {
-        warn_of_sleep(reader, site, &weights, &start);
+        warn_of_sleep(reader, site, &weights, &initial_tables);
     }
     if let Some(tables) = &learned {
-        warn_of_differences(reader, &tables.setting.differences(&setting));
+        warn_of_differences(reader, &tables.site.differences(&setting));
     }
     Ok(QLearningSettings {
         weights,
@@ -260,8 +266,8 @@ fn from_fields(reader: &FieldReader<'_>, site: &Site<'_>) -> Result<QLearningSet
         learn: fields.learn,
         epsilon: (fields.epsilon, fields.epsilon_last),
         schedule,
-        begun_from: learned.as_ref().map(|tables| tables.in_words(&start)),
-        start,
+        begun_from: learned.as_ref().map(|tables| tables.describe(&initial_tables)),
+        initial_tables,
     })
 }
 
@@ -269,16 +275,16 @@ fn from_fields(reader: &FieldReader<'_>, site: &Site<'_>) -> Result<QLearningSet
 ///
 /// # Errors
 /// The policy does not learn, and the scenario sets other weights than its tables.
-fn weights(
+fn resolve_weights(
     reader: &FieldReader<'_>,
     fields: &Fields,
     learned: Option<&LearnedTables>,
 ) -> Result<QWeights, ScenarioError> {
-    let known = learned.map(|tables| tables.weights);
-    let as_learned = |name: &str, known: Option<f64>, value: f64| match known {
-        Some(known) if (known - value).abs() > 1e-9 && !fields.learn => {
+    let table_weights = learned.map(|tables| tables.weights);
+    let check_weight = |name: &str, table_weight: Option<f64>, value: f64| match table_weight {
+        Some(learned) if (learned - value).abs() > 1e-9 && !fields.learn => {
             let allowed = format!(
-                "must be {known}, for which its table was learned, unless policy.q-learning.learn = true; to train \
+                "must be {learned}, for which its table was learned, unless policy.q-learning.learn = true; to train \
                  another: reveille train q-learning --windows {} --set policy.q-learning.{name}={value} --out FILE",
                 fields.lookback()
             );
@@ -286,9 +292,10 @@ fn weights(
         }
         Some(_) | None => Ok(value),
     };
-    let weight = |name: &str, given: Option<f64>, of: fn(&QWeights) -> f64| {
-        let known = known.as_ref().map(of);
-        as_learned(name, known, given.or(known).unwrap_or(of(&fields.usual())))
+    let weight = |name: &str, given: Option<f64>, get: fn(&QWeights) -> f64| {
+        let table_weight = table_weights.as_ref().map(get);
+        let value = given.or(table_weight).unwrap_or(get(&fields.default_weights()));
+        check_weight(name, table_weight, value)
     };
     Ok(QWeights {
         mu1: weight("mu1", fields.mu1, |w| w.mu1)?,
@@ -297,7 +304,7 @@ fn weights(
     })
 }
 
-fn tables(
+fn load_tables(
     reader: &FieldReader<'_>,
     fields: &Fields,
     name: &str,
@@ -313,7 +320,7 @@ fn tables(
         file => {
             let path = reader.file(field, file)?;
             match LearnedTables::read(reader.files(), &path) {
-                Ok(tables) if tables.is_cut_short() => {
+                Ok(tables) if tables.is_unfinished() => {
                     let why = "is the checkpoint of an unfinished training; repeat its command to finish it";
                     return Err(reader.file_error(field, path, why));
                 }
@@ -326,47 +333,50 @@ fn tables(
 
 /// Returns the entry of `tables` for the lookback and density of the scenario. A policy that learns can start from the
 /// entry of another window.
-fn entry(
+fn select_entry(
     reader: &FieldReader<'_>,
     fields: &Fields,
     tables: &LearnedTables,
     site: &Site<'_>,
 ) -> Result<TableSet, ScenarioError> {
     let (name, surface) = (fields.table.as_deref().unwrap_or("shipped"), site.area.surface());
-    let own = fields.lookback();
-    let known = tables.lookbacks();
-    let lookback = if known.contains(&own) {
-        own
+    let requested = fields.lookback();
+    let trained = tables.lookbacks();
+    let lookback = if trained.contains(&requested) {
+        requested
     // With ages the buckets measure another quantity, so the table of a window cannot serve as their start.
     } else if fields.learn
-        && own != Lookback::Ages
-        && let Some(nearest) = tables.nearest_window(own.window())
+        && requested != Lookback::Ages
+        && let Some(nearest) = tables.nearest_window(requested.window())
     {
         Lookback::Window(nearest)
     } else {
-        let set = |lookback: &Lookback| match lookback {
+        let setting = |lookback: &Lookback| match lookback {
             Lookback::Window(window) => format!("policy.q-learning.window = {window}"),
             Lookback::Ages => "policy.q-learning.ages = true".to_owned(),
         };
-        let known: Vec<String> = known.iter().map(set).collect();
+        let trained: Vec<String> = trained.iter().map(setting).collect();
         let allowed = format!(
-            "has no tables in {name}, which has tables for {known}; set one of these, or train others: reveille \
-             train q-learning --windows {own} --out FILE, with the same --scenario and --set",
-            known = known.join(", "),
+            "has no tables in {name}, which has tables for {trained}; set one of these, or train others: reveille \
+             train q-learning --windows {requested} --out FILE, with the same --scenario and --set",
+            trained = trained.join(", "),
         );
-        return Err(match own {
+        return Err(match requested {
             Lookback::Window(window) => reader.invalid_value("policy.q-learning.window", window, allowed),
             Lookback::Ages => reader.invalid_value("policy.q-learning.ages", true, allowed),
         });
     };
-    tables.closest(lookback, site.devices, surface).cloned().ok_or_else(|| {
-        let (least, most) = tables.range(lookback, surface);
-        let allowed = format!(
-            "serves {least} to {most} devices on {surface} m² with {}, not {n}; train others: reveille train \
-             q-learning --devices {n} --windows {own} --out FILE, with the same --scenario and --set",
-            lookback.in_words(),
-            n = site.devices,
-        );
-        reader.invalid_value("policy.q-learning.table", name, allowed)
-    })
+    tables
+        .closest_entry(lookback, site.devices, surface)
+        .cloned()
+        .ok_or_else(|| {
+            let (fewest, most) = tables.served_devices(lookback, surface);
+            let allowed = format!(
+                "serves {fewest} to {most} devices on {surface} m² with {}, not {n}; train others: reveille train \
+                 q-learning --devices {n} --windows {requested} --out FILE, with the same --scenario and --set",
+                lookback.describe(),
+                n = site.devices,
+            );
+            reader.invalid_value("policy.q-learning.table", name, allowed)
+        })
 }

@@ -1,7 +1,10 @@
-//! Wake-up decisions: candidates are woken one by one until waking the best is worth nothing.
+//! Wake-up decisions of `q-learning`: candidates are woken one by one until waking the best is worth nothing, by a
+//! table that learns from the answers. Calls for each wake-up: [`WakeLearner::is_worth_it`], `record_wake_up`,
+//! `record_answer`, then [`WakeLearner::learn`] with the state of the next candidate.
 
 use super::learned::{
-    INFORMATIONS, QWeights, REPORTS, Rates, SCORES, Schedule, WakeTable, information_bucket, score_bucket,
+    INFORMATION_BUCKETS, LearningRates, QWeights, REPORT_BUCKETS, SCORE_BUCKETS, Schedule, WakeTable,
+    information_bucket, score_bucket,
 };
 
 /// State of a wake-up decision: buckets of the candidate's score, of Î, and of the reports so far.
@@ -11,30 +14,30 @@ pub(crate) type WakeState = [usize; 3];
 #[derive(Clone, Debug)]
 pub struct WakeLearner {
     table: WakeTable,
-    rates: Rates,
-    /// Q by Î, reports and score, made monotone in the score.
-    worths: [[[f64; SCORES]; REPORTS]; INFORMATIONS],
+    rates: LearningRates,
+    /// [`WakeTable::monotone_q`] by buckets of Î and reports.
+    monotone_q: [[[f64; SCORE_BUCKETS]; REPORT_BUCKETS]; INFORMATION_BUCKETS],
     /// Worth μ2 N of all information in N r*(k).
-    worth: f64,
+    information_worth: f64,
     psi: f64,
     /// State and previous Î of the wake-up that waits for its answer.
-    open: Option<(WakeState, f64)>,
+    awaiting_answer: Option<(WakeState, f64)>,
     /// State and reward of the last answered wake-up, until it is known whether another follows.
-    answered: Option<(WakeState, f64)>,
+    last_answered: Option<(WakeState, f64)>,
 }
 
 impl WakeLearner {
     /// Creates a learner with `table` for `devices` devices, whose reports are worth at most `psi`.
     pub fn new(table: WakeTable, weights: &QWeights, schedule: &Schedule, devices: u32, psi: f64) -> Self {
-        let of = |information| std::array::from_fn(|reports| table.worths(information, reports));
+        let by_reports = |information| std::array::from_fn(|reports| table.monotone_q(information, reports));
         Self {
-            worths: std::array::from_fn(of),
+            monotone_q: std::array::from_fn(by_reports),
             table,
             rates: schedule.rates(),
-            worth: weights.mu2 * f64::from(devices),
+            information_worth: weights.mu2 * f64::from(devices),
             psi,
-            open: None,
-            answered: None,
+            awaiting_answer: None,
+            last_answered: None,
         }
     }
 
@@ -54,39 +57,39 @@ impl WakeLearner {
 
     /// Whether waking is worth more than stopping, which is worth 0.
     pub fn is_worth_it(&self, state: WakeState) -> bool {
-        self.worth_of(state) > 0.0
+        self.q_of(state) > 0.0
     }
 
-    fn worth_of(&self, [score, information, reports]: WakeState) -> f64 {
-        self.worths[information][reports][score]
+    fn q_of(&self, [score, information, reports]: WakeState) -> f64 {
+        self.monotone_q[information][reports][score]
     }
 
     /// Records that the candidate of `state` is woken, with Î at `information`.
-    pub fn wake(&mut self, state: WakeState, information: f64) {
-        self.open = Some((state, information));
+    pub fn record_wake_up(&mut self, state: WakeState, information: f64) {
+        self.awaiting_answer = Some((state, information));
     }
 
     /// Records the outcome of the wake-up, after which Î is `information`. Returns its reward N (μ2 ΔÎ − 1/N).
-    pub fn add_answer(&mut self, information: f64) -> f64 {
-        let Some((state, before)) = self.open.take() else {
+    pub fn record_answer(&mut self, information: f64) -> f64 {
+        let Some((state, before)) = self.awaiting_answer.take() else {
             return 0.0;
         };
-        let reward = self.worth * (information - before) - 1.0;
-        self.answered = Some((state, reward));
+        let reward = self.information_worth * (information - before) - 1.0;
+        self.last_answered = Some((state, reward));
         reward
     }
 
     /// Learns from the last answer. `next` is the state that followed, or `None` if no candidate is left.
     pub fn learn(&mut self, next: Option<WakeState>) {
-        let Some((state, reward)) = self.answered.take() else {
+        let Some((state, reward)) = self.last_answered.take() else {
             return;
         };
         // Stopping is always possible and worth 0.
-        let rest = next.map_or(0.0, |next| self.worth_of(next).max(0.0));
+        let rest = next.map_or(0.0, |next| self.q_of(next).max(0.0));
         self.table.at_mut(state).learn(reward + rest, self.rates);
         // Only this row of the table has changed.
         let [_, information, reports] = state;
-        self.worths[information][reports] = self.table.worths(information, reports);
+        self.monotone_q[information][reports] = self.table.monotone_q(information, reports);
     }
 }
 
@@ -131,12 +134,12 @@ mod tests {
                 }
             };
             let start = information(&distances);
-            assert!(wake.add_answer(start).abs() < 1e-12, "no device was woken");
+            assert!(wake.record_answer(start).abs() < 1e-12, "no device was woken");
             let (mut sum, wakes) = (0.0, stream.below(20));
             let mut seen = start;
             for _ in 0..wakes {
                 let state = wake.state(psi * stream.unit(), seen, distances.len());
-                wake.wake(state, seen);
+                wake.record_wake_up(state, seen);
                 // One in three fails: the device is too far away, or its battery is empty.
                 if stream.unit() < 0.67 {
                     distances.push(4.0 * stream.unit());
@@ -144,7 +147,7 @@ mod tests {
                 seen = distances[1..]
                     .iter()
                     .fold(start, |so_far, &d| sensing.fuse(so_far, sensing.information(d)));
-                sum += wake.add_answer(seen);
+                sum += wake.record_answer(seen);
                 wake.learn(None);
             }
             let n = f64::from(devices);
@@ -164,15 +167,15 @@ mod tests {
         };
         let mut wake = WakeLearner::new(WakeTable::optimistic(1.0), &weights, &Schedule::default(), 50, 1.0);
         let (good, bad) = ([19, 0, 0], [0, 7, 3]);
-        wake.worths[0][0][19] = 5.0;
-        wake.worths[7][3][0] = -5.0;
+        wake.monotone_q[0][0][19] = 5.0;
+        wake.monotone_q[7][3][0] = -5.0;
         // Stopping is worth 0, so the next step is never worth less.
         for (next, rest) in [(Some(good), 5.0), (Some(bad), 0.0), (None, 0.0)] {
             let mut wake = wake.clone();
             let state = wake.state(0.3, 0.1, 1);
             let before = wake.table().at(state).value;
-            wake.wake(state, 0.1);
-            let reward = wake.add_answer(0.4);
+            wake.record_wake_up(state, 0.1);
+            let reward = wake.record_answer(0.4);
             assert!((reward - 29.0).abs() < 1e-9, "50·2·0.3 − 1");
             wake.learn(next);
             // The first visit's rate is 5^-0.7.
@@ -195,24 +198,27 @@ mod tests {
         *table.at_mut([4, 2, 1]) = (-3.0, 500).into();
         *table.at_mut([17, 2, 1]) = (6.0, 500).into();
         let mut wake = WakeLearner::new(table, &weights, &Schedule::default(), 50, 1.0);
-        let woken = |wake: &WakeLearner| (0..SCORES).filter(|&s| wake.is_worth_it([s, 2, 1])).collect::<Vec<_>>();
-        assert_eq!(woken(&wake), (5..SCORES).collect::<Vec<_>>());
-        assert!((0..SCORES).all(|s| wake.is_worth_it([s, 2, 0]) && wake.is_worth_it([s, 3, 1])));
+        let woken = |wake: &WakeLearner| {
+            let scores = (0..SCORE_BUCKETS).filter(|&s| wake.is_worth_it([s, 2, 1]));
+            scores.collect::<Vec<_>>()
+        };
+        assert_eq!(woken(&wake), (5..SCORE_BUCKETS).collect::<Vec<_>>());
+        assert!((0..SCORE_BUCKETS).all(|s| wake.is_worth_it([s, 2, 0]) && wake.is_worth_it([s, 3, 1])));
         // The learned value applies from the next candidate on.
         for _ in 0..40 {
-            wake.wake([19, 2, 1], 0.0);
-            wake.add_answer(-0.4);
+            wake.record_wake_up([19, 2, 1], 0.0);
+            wake.record_answer(-0.4);
             wake.learn(None);
         }
         let last = wake.table().at([19, 2, 1]).value;
         assert!(last < -30.0, "{last}");
-        let worths = wake.table().worths(2, 1);
+        let worths = wake.table().monotone_q(2, 1);
         let pooled = (501.0 * 6.0 + 1.0 + 41.0 * last) / 543.0;
         assert!(
             worths[17..].iter().all(|worth| (worth - pooled).abs() < 1e-9),
             "{worths:?}"
         );
-        let mut used = worths.iter().zip(&wake.worths[2][1]);
+        let mut used = worths.iter().zip(&wake.monotone_q[2][1]);
         assert!(used.all(|(known, used)| (known - used).abs() < 1e-12));
     }
 }

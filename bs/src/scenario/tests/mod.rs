@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use super::*;
 use reveille_common::event::{DurationKind, EventBursts, ProcessSettings};
 use reveille_common::geometry::Layout;
-use reveille_common::harvest::Mpp;
+use reveille_common::harvest::OnOff;
 use reveille_common::sensing::DetectionKind;
 use reveille_common::units::Energy;
 
@@ -103,7 +103,7 @@ fn a_class_inherits_field_by_field() {
     assert_eq!(both(|energy| energy.e_max), [100_000_000, 80_000_000]);
     assert_eq!(both(|energy| energy.initial), [50_000_000, 40_000_000]);
     assert_eq!(both(|energy| energy.e_wur), [500_000, 500_000]);
-    let Harvest::Mpp(Mpp { lambda, off_mean, .. }) = classes[1].harvest else {
+    let Harvest::Mpp(OnOff { lambda, off_mean, .. }) = classes[1].harvest else {
         panic!("{:?}", classes[1].harvest);
     };
     let on_share = (1.0 / lambda) / (1.0 / lambda + off_mean);

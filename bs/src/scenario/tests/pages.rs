@@ -24,7 +24,7 @@ fn schema_and_full_page_have_every_field() {
         .expect("a preset")
         .scenario
         .to_full_toml(&registry::kinds());
-    for path in declaration().paths() {
+    for path in declaration().field_paths() {
         let pointer = path
             .split('.')
             .fold(String::new(), |at, name| format!("{at}/properties/{name}"));
@@ -66,7 +66,7 @@ fn words_of_the_fuzz_dictionary_are_those_of_the_declaration() {
         .flat_map(|section| section.fields)
     {
         words.insert(field.name);
-        if let FieldType::Choice(alternatives) | FieldType::Source(alternatives) = field.form {
+        if let FieldType::Choice(alternatives) | FieldType::Source(alternatives) = field.field_type {
             words.extend(alternatives.iter().map(|alternative| alternative.name));
         }
     }

@@ -1,7 +1,9 @@
-//! The barrier, which waits for the answers of all hosts to a grant, the outcome of a wake-up, or the final ledgers.
+//! The barrier of the run loop: waits for the answers of all hosts to a grant, for the outcome of a wake-up, or for the
+//! final ledgers.
 //!
-//! Answers are kept by host and TTI. An answer with impossible figures is counted and dropped, and a repeated answer
-//! replaces the first one. A late answer, such as a duplicate after a resend, is dropped.
+//! Answers are kept by host and TTI. An answer with impossible figures ([`Roster`]) is counted and dropped, and a
+//! repeated answer replaces the first one. A late answer, such as a duplicate after a retransmission, is dropped.
+//! Reports and views are in the order of ids, whichever host answers first.
 
 use std::collections::BTreeMap;
 
@@ -11,7 +13,7 @@ use reveille_common::state::DeviceView;
 use reveille_common::totals::{DeviceTotals, Ledger};
 
 use super::roster::Roster;
-use crate::session::REMOVED;
+use crate::session::REMOVED_VIEW;
 
 /// The answers to one grant.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -47,29 +49,29 @@ pub struct GrantOptions {
 /// One answer of each host.
 #[derive(Debug)]
 struct Answers<T> {
-    of: Vec<Option<T>>,
+    by_host: Vec<Option<T>>,
     missing: usize,
 }
 
 impl<T> Answers<T> {
     fn new(roster: &Roster) -> Self {
         Self {
-            of: (0..roster.hosts()).map(|_| None).collect(),
-            missing: roster.active_hosts(),
+            by_host: (0..roster.host_count()).map(|_| None).collect(),
+            missing: roster.active_host_count(),
         }
     }
 
     /// Stops waiting for the host at this position. Returns its answer, if it gave one.
-    fn remove_host(&mut self, host: usize) -> Option<T> {
-        let answer = self.of[host].take();
+    fn remove_host(&mut self, position: usize) -> Option<T> {
+        let answer = self.by_host[position].take();
         self.missing -= usize::from(answer.is_none());
         answer
     }
 
-    fn put(&mut self, host: usize, answer: T) -> Option<T> {
-        let before = self.of[host].replace(answer);
-        self.missing -= usize::from(before.is_none());
-        before
+    fn replace_answer(&mut self, position: usize, answer: T) -> Option<T> {
+        let previous = self.by_host[position].replace(answer);
+        self.missing -= usize::from(previous.is_none());
+        previous
     }
 }
 
@@ -80,12 +82,12 @@ enum BarrierState {
     Grant {
         tti: Tti,
         /// Whether devices may report.
-        stimulus: bool,
+        has_stimulus: bool,
         /// The additional data in the answers.
-        asked: GrantOptions,
+        options: GrantOptions,
         answers: Answers<HostResult>,
         /// Number of reports that the answers so far announce.
-        expected: usize,
+        announced_reports: usize,
         reports: BTreeMap<DeviceId, Report>,
     },
     WakeUp {
@@ -102,10 +104,10 @@ enum BarrierState {
 #[derive(Debug)]
 pub struct Barrier {
     roster: Roster,
-    stage: BarrierState,
+    state: BarrierState,
     /// The last TTI that was granted.
     granted: Option<Tti>,
-    unexpected: u64,
+    unexpected_messages: u64,
 }
 
 impl Barrier {
@@ -113,9 +115,9 @@ impl Barrier {
     pub const fn new(roster: Roster) -> Self {
         Self {
             roster,
-            stage: BarrierState::Idle,
+            state: BarrierState::Idle,
             granted: None,
-            unexpected: 0,
+            unexpected_messages: 0,
         }
     }
 
@@ -124,16 +126,16 @@ impl Barrier {
         &mut self.roster
     }
 
-    /// Starts to wait for the answers to a grant that ends with `tti`, with the data in `asked`. Without a `stimulus`
+    /// Starts to wait for the answers to a grant that ends with `tti`, with the data in `options`. Without a stimulus
     /// no device can report.
-    pub fn expect_grant(&mut self, tti: Tti, stimulus: bool, asked: GrantOptions) {
+    pub fn expect_grant(&mut self, tti: Tti, has_stimulus: bool, options: GrantOptions) {
         self.granted = Some(tti);
-        self.stage = BarrierState::Grant {
+        self.state = BarrierState::Grant {
             tti,
-            stimulus,
-            asked,
+            has_stimulus,
+            options,
             answers: Answers::new(&self.roster),
-            expected: 0,
+            announced_reports: 0,
             reports: BTreeMap::new(),
         };
     }
@@ -141,17 +143,17 @@ impl Barrier {
     /// Starts to wait for the outcome of a wake-up.
     pub fn expect_wake(&mut self, tti: Tti, device: DeviceId) {
         // A wake-up to a removed device completes immediately, as no host would ever answer it.
-        let is_carried = self.roster.owner_of(device).is_some();
-        self.stage = BarrierState::WakeUp {
+        let has_owner = self.roster.owner_of(device).is_some();
+        self.state = BarrierState::WakeUp {
             tti,
             device,
-            outcome: (!is_carried).then_some(WakeOutcome::Missed),
+            outcome: (!has_owner).then_some(WakeOutcome::Missed),
         };
     }
 
     /// Starts to wait for the ledgers of all devices.
     pub fn expect_ledgers(&mut self) {
-        self.stage = BarrierState::Ledgers {
+        self.state = BarrierState::Ledgers {
             answers: Answers::new(&self.roster),
         };
     }
@@ -159,19 +161,21 @@ impl Barrier {
     /// Removes `host` with its devices. Its answer to an open grant no longer counts, and nothing more is expected from
     /// it.
     pub fn remove_host(&mut self, host: HostId) {
-        let Self { roster, stage, .. } = self;
+        let Self { roster, state, .. } = self;
         let Some(position) = roster.position(host) else { return };
-        match stage {
+        match state {
             BarrierState::Idle => {}
             BarrierState::Grant {
                 answers,
-                expected,
+                announced_reports,
                 reports,
                 ..
             } => {
                 // Removed devices do not sense in this TTI, so neither the reports nor the number of reports of the
                 // host may count.
-                *expected -= answers.remove_host(position).map_or(0, |done| done.reports as usize);
+                *announced_reports -= answers
+                    .remove_host(position)
+                    .map_or(0, |result| result.reports as usize);
                 reports.retain(|device, _| !roster.owns(position, *device));
             }
             BarrierState::WakeUp { device, outcome, .. } => {
@@ -186,28 +190,28 @@ impl Barrier {
 
     /// Counts an unexpected message from a process without a valid credential.
     pub const fn count_unexpected(&mut self) {
-        self.unexpected += 1;
+        self.unexpected_messages += 1;
     }
 
     /// Takes in a report from `host`. Returns whether the barrier is complete.
-    pub fn report(&mut self, host: HostId, report: Report) -> bool {
-        let owner = self.roster.position(host);
-        let is_sound =
-            owner.is_some_and(|position| self.roster.owns(position, report.device)) && self.roster.can_report(&report);
-        let is_late = is_sound && self.is_past(report.tti);
-        let is_asked = matches!(self.stage, BarrierState::Grant { tti, .. } if tti == report.tti);
-        match &mut self.stage {
+    pub fn receive_report(&mut self, host: HostId, report: Report) -> bool {
+        let position = self.roster.position(host);
+        let is_possible = position.is_some_and(|position| self.roster.owns(position, report.device))
+            && self.roster.is_possible_report(&report);
+        let is_late = is_possible && self.was_granted(report.tti);
+        let is_about_grant = matches!(self.state, BarrierState::Grant { tti, .. } if tti == report.tti);
+        match &mut self.state {
             BarrierState::Grant {
                 tti,
-                stimulus: true,
+                has_stimulus: true,
                 reports,
                 ..
-            } if is_sound && report.tti == *tti => {
+            } if is_possible && report.tti == *tti => {
                 // The first report counts if a host sends it again.
                 reports.entry(report.device).or_insert(report);
             }
             BarrierState::WakeUp { tti, device, outcome }
-                if is_sound && report.tti == *tti && report.device == *device =>
+                if is_possible && report.tti == *tti && report.device == *device =>
             {
                 *outcome = Some(WakeOutcome::Reported(report));
             }
@@ -215,44 +219,49 @@ impl Barrier {
             | BarrierState::Grant { .. }
             | BarrierState::WakeUp { .. }
             | BarrierState::Ledgers { .. } => {
-                // After a resend, duplicates about an earlier TTI are normal; only a report that was never asked for is
-                // a stray.
-                self.unexpected += u64::from(!is_late || is_asked);
+                // After a retransmission, duplicates about an earlier TTI are normal; only a report that was never
+                // asked for is a stray.
+                self.unexpected_messages += u64::from(!is_late || is_about_grant);
             }
         }
         self.is_complete()
     }
 
     /// Whether `tti` has been granted, so that a message about it can be a late duplicate.
-    fn is_past(&self, tti: Tti) -> bool {
+    fn was_granted(&self, tti: Tti) -> bool {
         self.granted.is_some_and(|last| tti <= last)
     }
 
     /// Takes in an answer from `host`. Returns whether the barrier is complete.
-    pub fn answer(&mut self, host: HostId, answer: HostAnswer) -> bool {
+    pub fn receive_answer(&mut self, host: HostId, answer: HostAnswer) -> bool {
         let is_late = match &answer {
-            HostAnswer::GrantDone { tti, .. } | HostAnswer::NotWoken { tti, .. } => self.is_past(*tti),
+            HostAnswer::GrantDone { tti, .. } | HostAnswer::NotWoken { tti, .. } => self.was_granted(*tti),
             HostAnswer::Ledgers { .. } => false,
         };
-        let is_open = self.is_about_what_is_open(&answer);
-        let is_taken = self.roster.position(host).is_some_and(|at| self.take(at, answer));
+        let is_open = self.concerns_open_wait(&answer);
+        let is_stored = self
+            .roster
+            .position(host)
+            .is_some_and(|position| self.store_answer(position, answer));
         // As for reports, a late duplicate is not counted, but an impossible answer to the open grant is.
-        if !is_taken && (is_open || !is_late) {
-            self.unexpected += 1;
+        if !is_stored && (is_open || !is_late) {
+            self.unexpected_messages += 1;
         }
         self.is_complete()
     }
 
     /// Whether the answer concerns the open wait.
-    fn is_about_what_is_open(&self, answer: &HostAnswer) -> bool {
-        match (&self.stage, answer) {
-            (BarrierState::Grant { tti, .. }, HostAnswer::GrantDone { tti: answered, .. }) => tti == answered,
+    fn concerns_open_wait(&self, answer: &HostAnswer) -> bool {
+        match (&self.state, answer) {
+            (BarrierState::Grant { tti, .. }, HostAnswer::GrantDone { tti: answered_tti, .. }) => tti == answered_tti,
             (
                 BarrierState::WakeUp { tti, device, .. },
                 HostAnswer::NotWoken {
-                    tti: when, device: who, ..
+                    tti: answered_tti,
+                    device: answered_device,
+                    ..
                 },
-            ) => (tti, device) == (when, who),
+            ) => (tti, device) == (answered_tti, answered_device),
             (BarrierState::Ledgers { .. }, HostAnswer::Ledgers { .. }) => true,
             (
                 BarrierState::Idle
@@ -265,21 +274,21 @@ impl Barrier {
     }
 
     /// Keeps the answer of the host at position `host` if it is expected and possible. Returns whether it was kept.
-    fn take(&mut self, host: usize, answer: HostAnswer) -> bool {
-        let Self { roster, stage, .. } = self;
-        match (stage, answer) {
+    fn store_answer(&mut self, host: usize, answer: HostAnswer) -> bool {
+        let Self { roster, state, .. } = self;
+        match (state, answer) {
             (
                 BarrierState::Grant {
                     tti,
-                    stimulus,
-                    asked,
+                    has_stimulus,
+                    options,
                     answers,
-                    expected,
+                    announced_reports,
                     ..
                 },
                 HostAnswer::GrantDone {
-                    host: named,
-                    tti: answered,
+                    host: stated_host,
+                    tti: answered_tti,
                     reports,
                     failures,
                     totals,
@@ -288,51 +297,62 @@ impl Barrier {
             ) => {
                 let is_quiet = reports == 0 && failures.is_empty();
                 // Every field is checked before anything is kept, since a host may send any numbers.
-                let is_sound = roster.position(named) == Some(host)
-                    && answered == *tti
-                    && (*stimulus || is_quiet)
+                let is_possible = roster.position(stated_host) == Some(host)
+                    && answered_tti == *tti
+                    && (*has_stimulus || is_quiet)
                     && roster.is_possible_answer(host, reports, &failures)
-                    && totals.is_some() == asked.account
-                    && views.is_some() == asked.views
+                    && totals.is_some() == options.account
+                    && views.is_some() == options.views
                     && views
                         .as_ref()
                         .is_none_or(|views| roster.are_possible_views(host, views))
                     && totals.is_none_or(|sums| roster.are_possible_totals(host, &sums));
-                if is_sound {
-                    let done = HostResult {
+                if is_possible {
+                    let result = HostResult {
                         reports,
                         failures,
                         totals,
                         views: views.unwrap_or_default(),
                     };
-                    *expected += reports as usize;
-                    // The host may answer again after a resend, so its earlier number of reports is replaced, not
-                    // added.
-                    *expected -= answers.put(host, done).map_or(0, |before| before.reports as usize);
+                    *announced_reports += reports as usize;
+                    // The host may answer again after a retransmission, so its earlier number of reports is replaced,
+                    // not added.
+                    *announced_reports -= answers
+                        .replace_answer(host, result)
+                        .map_or(0, |previous| previous.reports as usize);
                 }
-                is_sound
+                is_possible
             }
             (
                 BarrierState::WakeUp { tti, device, outcome },
                 HostAnswer::NotWoken {
-                    device: who,
-                    tti: when,
-                    outcome: came,
+                    device: answered_device,
+                    tti: answered_tti,
+                    outcome: answered_outcome,
                 },
             ) => {
-                let is_sound =
-                    when == *tti && who == *device && roster.owns(host, who) && roster.is_possible_outcome(who, &came);
-                if is_sound {
-                    *outcome = Some(came);
+                let is_possible = answered_tti == *tti
+                    && answered_device == *device
+                    && roster.owns(host, answered_device)
+                    && roster.is_possible_outcome(answered_device, &answered_outcome);
+                if is_possible {
+                    *outcome = Some(answered_outcome);
                 }
-                is_sound
+                is_possible
             }
-            (BarrierState::Ledgers { answers }, HostAnswer::Ledgers { host: named, ledgers }) => {
-                let is_sound = roster.position(named) == Some(host) && roster.are_possible_ledgers(host, &ledgers);
-                if is_sound {
-                    answers.put(host, ledgers);
+            (
+                BarrierState::Ledgers { answers },
+                HostAnswer::Ledgers {
+                    host: stated_host,
+                    ledgers,
+                },
+            ) => {
+                let is_possible =
+                    roster.position(stated_host) == Some(host) && roster.are_possible_ledgers(host, &ledgers);
+                if is_possible {
+                    answers.replace_answer(host, ledgers);
                 }
-                is_sound
+                is_possible
             }
             (
                 BarrierState::Idle
@@ -346,15 +366,15 @@ impl Barrier {
 
     /// Whether everything expected has arrived.
     pub fn is_complete(&self) -> bool {
-        match &self.stage {
+        match &self.state {
             BarrierState::Idle => true,
             // A host can send more reports than it announces, so `==` might never become true.
             BarrierState::Grant {
                 answers,
-                expected,
+                announced_reports,
                 reports,
                 ..
-            } => answers.missing == 0 && reports.len() >= *expected,
+            } => answers.missing == 0 && reports.len() >= *announced_reports,
             BarrierState::WakeUp { outcome, .. } => outcome.is_some(),
             BarrierState::Ledgers { answers } => answers.missing == 0,
         }
@@ -365,31 +385,31 @@ impl Barrier {
     /// # Panics
     /// If no grant is complete.
     pub fn take_grant_result(&mut self) -> GrantResult {
-        match std::mem::replace(&mut self.stage, BarrierState::Idle) {
+        match std::mem::replace(&mut self.state, BarrierState::Idle) {
             BarrierState::Grant {
                 answers,
                 reports,
-                asked,
+                options,
                 ..
             } if answers.missing == 0 => {
-                let mut gathered = GrantResult {
+                let mut grant_result = GrantResult {
                     reports: reports.into_values().collect(),
                     // No host answers for removed devices, so their views keep this value.
-                    views: vec![REMOVED; if asked.views { self.roster.devices() } else { 0 }],
+                    views: vec![REMOVED_VIEW; if options.views { self.roster.device_count() } else { 0 }],
                     ..GrantResult::default()
                 };
-                for (host, done) in answers.of.into_iter().enumerate() {
-                    let Some(done) = done else { continue };
-                    gathered.failures.extend(done.failures);
-                    gathered.totals += done.totals.unwrap_or_default();
-                    if asked.views {
-                        let first = self.roster.assignment(host).first.index();
+                for (position, result) in answers.by_host.into_iter().enumerate() {
+                    let Some(result) = result else { continue };
+                    grant_result.failures.extend(result.failures);
+                    grant_result.totals += result.totals.unwrap_or_default();
+                    if options.views {
+                        let first = self.roster.assignment(position).first.index();
                         // In range: `are_possible_views` has checked that there is one view for each device of the
                         // host.
-                        gathered.views[first..][..done.views.len()].copy_from_slice(&done.views);
+                        grant_result.views[first..][..result.views.len()].copy_from_slice(&result.views);
                     }
                 }
-                gathered
+                grant_result
             }
             BarrierState::Idle
             | BarrierState::Grant { .. }
@@ -404,8 +424,8 @@ impl Barrier {
     ///
     /// # Panics
     /// If no wake-up is complete.
-    pub fn take_outcome(&mut self) -> WakeOutcome {
-        match std::mem::replace(&mut self.stage, BarrierState::Idle) {
+    pub fn take_wake_outcome(&mut self) -> WakeOutcome {
+        match std::mem::replace(&mut self.state, BarrierState::Idle) {
             BarrierState::WakeUp {
                 outcome: Some(outcome), ..
             } => outcome,
@@ -423,9 +443,9 @@ impl Barrier {
     /// # Panics
     /// If they are not complete.
     pub fn take_ledgers(&mut self) -> Vec<(DeviceId, Ledger)> {
-        match std::mem::replace(&mut self.stage, BarrierState::Idle) {
+        match std::mem::replace(&mut self.state, BarrierState::Idle) {
             BarrierState::Ledgers { answers } if answers.missing == 0 => {
-                answers.of.into_iter().flatten().flatten().collect()
+                answers.by_host.into_iter().flatten().flatten().collect()
             }
             BarrierState::Idle
             | BarrierState::Grant { .. }
@@ -438,21 +458,23 @@ impl Barrier {
 
     /// The hosts that have not answered.
     pub fn missing_hosts(&self) -> Vec<HostId> {
-        let is_missing: Vec<bool> = match &self.stage {
+        let is_missing: Vec<bool> = match &self.state {
             BarrierState::Idle => Vec::new(),
             BarrierState::WakeUp { device, .. } => return self.roster.owner_of(*device).into_iter().collect(),
-            BarrierState::Grant { answers, .. } => answers.of.iter().map(Option::is_none).collect(),
-            BarrierState::Ledgers { answers } => answers.of.iter().map(Option::is_none).collect(),
+            BarrierState::Grant { answers, .. } => answers.by_host.iter().map(Option::is_none).collect(),
+            BarrierState::Ledgers { answers } => answers.by_host.iter().map(Option::is_none).collect(),
         };
         let missing = (0..)
             .zip(is_missing)
-            .filter(|(host, missing)| *missing && !self.roster.is_removed(*host));
-        missing.map(|(host, _)| self.roster.assignment(host).host).collect()
+            .filter(|(position, missing)| *missing && !self.roster.is_removed(*position));
+        missing
+            .map(|(position, _)| self.roster.assignment(position).host)
+            .collect()
     }
 
     /// Number of messages that were unexpected or impossible.
     pub const fn unexpected_messages(&self) -> u64 {
-        self.unexpected
+        self.unexpected_messages
     }
 }
 

@@ -1,4 +1,5 @@
-//! Client side of the policy port, for a process that decides for a run.
+//! Client side of the policy port, for a Rust process that decides for a run. `python/reveille/policy_client.py` is the
+//! same client in Python: a change of the protocol concerns both.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -10,15 +11,15 @@ use reveille_common::secret::Secret;
 
 use crate::policy::external::Decision;
 use crate::policy::external::wire::{
-    DecisionReply, DecisionRequest, Hello, HelloReply, OLDEST, PROTOCOL, RequestKind, WireHeader,
+    DecisionReply, DecisionRequest, Hello, HelloReply, OLDEST_PROTOCOL, PROTOCOL_VERSION, RequestKind, WireHeader,
 };
 use crate::server::state::now;
 
 /// Interval between checks of whether the base station is alive.
-const LOOK: Duration = Duration::from_millis(100);
+const CHECK_INTERVAL: Duration = Duration::from_millis(100);
 /// Longest absence of a base station that has not ended the run. Meanwhile this process may have been stopped, its link
 /// re-established, or the run resumed at the same address.
-const GONE: Duration = Duration::from_secs(30);
+const MAX_BS_ABSENCE: Duration = Duration::from_secs(30);
 
 /// A rule that answers the decision requests of a run.
 pub trait PolicyClient {
@@ -26,12 +27,12 @@ pub trait PolicyClient {
     fn hello_received(&mut self, _hello: &Hello) {}
 
     /// Decides. A repeated request is not passed on again, unless its answer was refused.
-    fn decide(&mut self, asked: &DecisionRequest) -> Decision;
+    fn decide(&mut self, request: &DecisionRequest) -> Decision;
 }
 
 impl<F: FnMut(&DecisionRequest) -> Decision> PolicyClient for F {
-    fn decide(&mut self, asked: &DecisionRequest) -> Decision {
-        self(asked)
+    fn decide(&mut self, request: &DecisionRequest) -> Decision {
+        self(request)
     }
 }
 
@@ -41,9 +42,9 @@ pub struct ClientIdentity {
     /// Its name, for logs and the terminal.
     pub name: String,
     /// The run's key, if the run has one.
-    pub key: Option<Secret>,
+    pub run_key: Option<Secret>,
     /// Encoding in which it wants its requests.
-    pub form: Encoding,
+    pub encoding: Encoding,
 }
 
 /// Decides for the run on `bus` until the run ends or its base station is absent for 30 s. Returns the number of
@@ -51,48 +52,44 @@ pub struct ClientIdentity {
 ///
 /// # Errors
 /// If the bus fails, no base station is found, or the base station refuses this process.
-pub async fn decide(
-    bus: &Bus,
-    introduction: &ClientIdentity,
-    decider: &mut impl PolicyClient,
-) -> Result<u64, BusError> {
-    let is_there = Arc::new(AtomicBool::new(false));
-    let there = Arc::clone(&is_there);
-    let _watched = bus.watch_alive(bus.keys().bs_alive(), move |_, alive| {
-        there.store(alive, Ordering::Relaxed);
+pub async fn decide(bus: &Bus, identity: &ClientIdentity, policy: &mut impl PolicyClient) -> Result<u64, BusError> {
+    let is_bs_alive = Arc::new(AtomicBool::new(false));
+    let bs_alive = Arc::clone(&is_bs_alive);
+    let _watched = bus.watch_alive(bus.keys().bs_liveliness(), move |_, alive| {
+        bs_alive.store(alive, Ordering::Relaxed);
     })?;
     let questions = bus.serve_policy_port()?;
-    let mut desk = ClientSession {
+    let mut session = ClientSession {
         id: format!("{:016x}", draw_nonce()?),
-        introduction,
+        identity,
         last: None,
         decided: 0,
         is_over: false,
     };
-    let mut seen = now();
-    while !desk.is_over {
-        if is_there.load(Ordering::Relaxed) {
-            seen = now();
-        } else if seen.elapsed() >= GONE {
-            return if desk.last.is_some() {
-                Ok(desk.decided)
+    let mut last_seen = now();
+    while !session.is_over {
+        if is_bs_alive.load(Ordering::Relaxed) {
+            last_seen = now();
+        } else if last_seen.elapsed() >= MAX_BS_ABSENCE {
+            return if session.last.is_some() {
+                Ok(session.decided)
             } else {
                 Err(bus.no_run_error().await)
             };
         }
-        match tokio::time::timeout(LOOK, questions.next()).await {
-            Ok(Some(question)) => desk.serve(&question, decider)?,
+        match tokio::time::timeout(CHECK_INTERVAL, questions.next()).await {
+            Ok(Some(question)) => session.answer_request(&question, policy)?,
             Ok(None) => break,
             Err(_) => {}
         }
     }
-    Ok(desk.decided)
+    Ok(session.decided)
 }
 
 /// State of a policy process between requests.
 struct ClientSession<'a> {
     id: String,
-    introduction: &'a ClientIdentity,
+    identity: &'a ClientIdentity,
     /// The header of the last request, and the answer in the encoding of that request.
     last: Option<(WireHeader, Vec<u8>)>,
     decided: u64,
@@ -101,75 +98,78 @@ struct ClientSession<'a> {
 }
 
 impl ClientSession<'_> {
-    fn serve(&mut self, question: &PolicyQuestion, decider: &mut impl PolicyClient) -> Result<(), BusError> {
-        let form = question.form;
-        let head: WireHeader = match form.decode(&question.payload) {
-            Ok(head) => head,
+    fn answer_request(&mut self, question: &PolicyQuestion, policy: &mut impl PolicyClient) -> Result<(), BusError> {
+        let encoding = question.encoding;
+        let header: WireHeader = match encoding.decode(&question.payload) {
+            Ok(header) => header,
             Err(why) => return question.reply_error(&format!("the question cannot be read: {why}")),
         };
-        if head.stage == RequestKind::Bye {
+        if header.stage == RequestKind::Bye {
             self.is_over = true;
             return Ok(());
         }
-        if head.stage == RequestKind::Hello {
-            return match form.decode::<Hello>(&question.payload) {
-                Ok(hello) => self.welcome(question, &hello, decider),
+        if header.stage == RequestKind::Hello {
+            return match encoding.decode::<Hello>(&question.payload) {
+                Ok(hello) => self.answer_hello(question, &hello, policy),
                 Err(why) => question.reply_error(&format!("the greeting cannot be decoded: {why}")),
             };
         }
-        let asked: DecisionRequest = match form.decode(&question.payload) {
-            Ok(asked) => asked,
+        let request: DecisionRequest = match encoding.decode(&question.payload) {
+            Ok(request) => request,
             Err(why) => return question.reply_error(&format!("the question cannot be read: {why}")),
         };
-        if asked.to != self.id {
+        if request.to != self.id {
             // The request is for another policy process.
             return Ok(());
         }
         match &self.last {
             // The request was repeated, since its answer was lost or late. A refused answer is decided again.
-            Some((last, answer)) if *last == head && asked.refused.is_none() => question.answer(answer.clone(), form),
+            Some((last, answer)) if *last == header && request.refused.is_none() => {
+                question.answer(answer.clone(), encoding)
+            }
             _ => {
-                let reply = DecisionReply::to(&head, &self.id, &self.key()).with(&decider.decide(&asked));
-                let answer = form.encode(&reply);
+                let reply = DecisionReply::for_request(&header, &self.id, &self.run_key())
+                    .with_decision(&policy.decide(&request));
+                let answer = encoding.encode(&reply);
                 // Kept before sending, so that a repetition of the request gets the same bytes.
-                self.last = Some((head, answer.clone()));
+                self.last = Some((header, answer.clone()));
                 self.decided += 1;
-                question.answer(answer, form)
+                question.answer(answer, encoding)
             }
         }
     }
 
-    fn key(&self) -> String {
-        self.introduction.key.map_or_else(String::new, |key| key.to_string())
+    fn run_key(&self) -> String {
+        self.identity.run_key.map_or_else(String::new, |key| key.to_string())
     }
 
-    fn welcome(
+    fn answer_hello(
         &self,
         question: &PolicyQuestion,
         hello: &Hello,
-        decider: &mut impl PolicyClient,
+        policy: &mut impl PolicyClient,
     ) -> Result<(), BusError> {
-        if hello.min > PROTOCOL || hello.max < OLDEST {
+        if hello.min > PROTOCOL_VERSION || hello.max < OLDEST_PROTOCOL {
             let (min, max) = (hello.min, hello.max);
             return question.reply_error(&format!(
-                "it speaks protocol {OLDEST} to {PROTOCOL}, the base station {min} to {max}"
+                "it speaks protocol {OLDEST_PROTOCOL} to {PROTOCOL_VERSION}, the base station {min} to {max}"
             ));
         }
         // The base station names the refused process in its next greeting, since it cannot reply to a reply.
         if let Some(refused) = hello.refused.as_ref().filter(|refused| refused.id == self.id) {
             return Err(BusError::Refused(refused.why.clone()));
         }
-        decider.hello_received(hello);
-        let welcome = HelloReply {
+        policy.hello_received(hello);
+        let reply = HelloReply {
             head: WireHeader {
-                protocol: PROTOCOL.min(hello.max),
+                protocol: PROTOCOL_VERSION.min(hello.max),
                 ..hello.head
             },
             id: self.id.clone(),
-            name: self.introduction.name.clone(),
-            key: self.key(),
-            form: self.introduction.form,
+            name: self.identity.name.clone(),
+            key: self.run_key(),
+            form: self.identity.encoding,
         };
-        question.answer(question.form.encode(&welcome), question.form)
+        question.answer(question.encoding.encode(&reply), question.encoding)
     }
 }

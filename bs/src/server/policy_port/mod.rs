@@ -1,5 +1,5 @@
 //! Decisions of a policy process over the bus, in the form of [`wire`](crate::policy::external::wire). The virtual
-//! clock waits until the process has answered.
+//! clock waits until the process has answered. [`client`] and `python/reveille/policy_client.py` are the other side.
 //!
 //! ```text
 //!               hello answered with the run's key
@@ -26,33 +26,33 @@ use super::config::{DecisionCounts, DecisionTimeout, OnUndecided, RunProgress};
 use super::error::BsError;
 use super::state::now;
 use crate::policy::external::wire::{
-    DecisionReply, DecisionRequest, Hello, HelloReply, OLDEST, PROTOCOL, Rejection, ReplyCredentials, RequestKind,
-    WireHeader,
+    DecisionReply, DecisionRequest, Hello, HelloReply, OLDEST_PROTOCOL, PROTOCOL_VERSION, Rejection, ReplyCredentials,
+    RequestKind, WireHeader,
 };
 use crate::policy::external::{Decision, DecisionContext, DecisionStage, PlanDecision};
 
 /// Interval between checks of the stop flag and the time limit during a wait.
-const LOOK: Duration = Duration::from_millis(100);
+const CHECK_INTERVAL: Duration = Duration::from_millis(100);
 /// Time to answer a greeting before it is sent again.
-const GREETING: Duration = Duration::from_secs(2);
+const HELLO_TIMEOUT: Duration = Duration::from_secs(2);
 /// Time to answer a request before it is sent again, since an answer can get lost with a link.
-const AGAIN: Duration = Duration::from_secs(30);
+const REQUEST_TIMEOUT: Duration = Duration::from_secs(30);
 /// Pause between two greetings while no process answers.
-const BETWEEN: Duration = Duration::from_millis(200);
+const HELLO_PAUSE: Duration = Duration::from_millis(200);
 /// Time without a decision after which a warning is logged.
-const SILENT: Duration = Duration::from_secs(5);
+const WARN_AFTER: Duration = Duration::from_secs(5);
 /// Invalid answers to one request after which it counts as undecided.
-const STRIKES: u32 = 3;
+const MAX_INVALID_ANSWERS: u32 = 3;
 /// Largest number of different warnings about other processes in a run.
-const WONDERS: usize = 20;
+const MAX_WARNINGS: usize = 20;
 /// Characters of such a warning that are logged.
-const WONDER: usize = 300;
+const MAX_WARNING_CHARS: usize = 300;
 /// Largest size of an answer: bytes for the whole, and additional bytes per device.
-const ANSWER: (usize, usize) = (4096, 64);
+const MAX_ANSWER_BYTES: (usize, usize) = (4096, 64);
 /// Time for policy processes to receive the end of the run.
-const FAREWELL: Duration = Duration::from_millis(500);
+const BYE_TIMEOUT: Duration = Duration::from_millis(500);
 /// Largest length of an id, and characters of a name that are shown.
-const NAME: usize = 64;
+const MAX_NAME_CHARS: usize = 64;
 
 /// Notifies the policy processes on `bus` that the run has ended, so that they exit. Waits at most 0.5 s for their
 /// replies.
@@ -60,14 +60,14 @@ const NAME: usize = 64;
 /// # Errors
 /// If the bus fails.
 pub async fn send_bye(bus: &Bus) -> Result<(), BusError> {
-    let head = WireHeader {
-        protocol: PROTOCOL,
+    let header = WireHeader {
+        protocol: PROTOCOL_VERSION,
         seq: 0,
         tti: 0,
         stage: RequestKind::Bye,
     };
-    let payload = (Encoding::Json.encode(&head), Encoding::Json);
-    let mut replies = bus.query_policy(payload, 0, FAREWELL).await?;
+    let payload = (Encoding::Json.encode(&header), Encoding::Json);
+    let mut replies = bus.query_policy(payload, 0, BYE_TIMEOUT).await?;
     while replies.next().await.is_some() {}
     Ok(())
 }
@@ -76,17 +76,17 @@ pub async fn send_bye(bus: &Bus) -> Result<(), BusError> {
 struct PolicyPeer {
     id: String,
     name: String,
-    form: Encoding,
+    encoding: Encoding,
 }
 
 /// A decision request that borrows nothing from the session.
-pub(super) struct Pending {
+pub(super) struct PendingDecision {
     stage: DecisionStage,
     tti: Tti,
     devices: u32,
-    asked: DecisionRequest,
+    request: DecisionRequest,
     /// The decision that applies if none arrives in time.
-    hold: Decision,
+    fallback: Decision,
 }
 
 /// Reason to end the wait for a decision.
@@ -111,36 +111,36 @@ enum PeerReply {
 }
 
 /// The policy port of a run, from which decisions come.
-pub(super) struct Port<'a> {
+pub(super) struct PolicyPort<'a> {
     bus: &'a Bus,
     key: Option<Secret>,
     run: String,
-    patience: Option<DecisionTimeout>,
-    partner: Option<PolicyPeer>,
+    timeout: Option<DecisionTimeout>,
+    peer: Option<PolicyPeer>,
     /// The greeting for policy processes, built at the first decision request.
     hello: Option<Hello>,
     /// Further replies to the last request, whose first valid reply counted, and the id of the process asked.
     extra_replies: Option<(Replies, String)>,
     /// The last warning about the policy process.
-    last_replies: String,
+    last_warning: String,
     /// Warnings about other processes at the port.
-    unexpected: BTreeSet<String>,
+    other_warnings: BTreeSet<String>,
     /// Counts of decisions so far.
     counts: DecisionCounts,
 }
 
-impl<'a> Port<'a> {
-    pub(super) fn new(bus: &'a Bus, key: Option<Secret>, patience: Option<DecisionTimeout>) -> Self {
+impl<'a> PolicyPort<'a> {
+    pub(super) fn new(bus: &'a Bus, key: Option<Secret>, timeout: Option<DecisionTimeout>) -> Self {
         Self {
             bus,
             key,
             run: bus.keys().run().to_string(),
-            patience,
-            partner: None,
+            timeout,
+            peer: None,
             hello: None,
             extra_replies: None,
-            last_replies: String::new(),
-            unexpected: BTreeSet::new(),
+            last_warning: String::new(),
+            other_warnings: BTreeSet::new(),
             counts: DecisionCounts::default(),
         }
     }
@@ -154,9 +154,13 @@ impl<'a> Port<'a> {
     ///
     /// # Errors
     /// If decisions come from the input log alone, and it has none for this request.
-    pub(super) fn lookup(&mut self, question: &DecisionContext<'_>, seq: u64) -> Result<Pending, BsError> {
-        let (stage, tti) = (question.stage, question.seen.now);
-        if self.patience.is_none() {
+    pub(super) fn prepare_request(
+        &mut self,
+        context: &DecisionContext<'_>,
+        seq: u64,
+    ) -> Result<PendingDecision, BsError> {
+        let (stage, tti) = (context.stage, context.seen.now);
+        if self.timeout.is_none() {
             return Err(BsError::CannotContinue(format!(
                 "inputs.log has no decision for TTI {tti}: the logged run ended there"
             )));
@@ -164,15 +168,15 @@ impl<'a> Port<'a> {
         let run = &self.run;
         // The greeting describes the deployment, which does not change during a run.
         self.hello
-            .get_or_insert_with(|| Hello::new(run.clone(), question.seen.known));
-        let to = self.partner.as_ref().map_or("", |partner| &partner.id);
-        let plan = question.seen.plan.clone();
-        Ok(Pending {
+            .get_or_insert_with(|| Hello::new(run.clone(), context.seen.known));
+        let peer_id = self.peer.as_ref().map_or("", |peer| &peer.id);
+        let plan = context.seen.plan.clone();
+        Ok(PendingDecision {
             stage,
             tti,
-            devices: question.woken.len() as u32,
-            asked: DecisionRequest::new(question, seq, to),
-            hold: match stage {
+            devices: context.woken.len() as u32,
+            request: DecisionRequest::new(context, seq, peer_id),
+            fallback: match stage {
                 DecisionStage::Plan => Decision::Plan(PlanDecision { plan, next: tti + 1 }),
                 DecisionStage::Wake => Decision::Wake(Vec::new()),
             },
@@ -183,35 +187,35 @@ impl<'a> Port<'a> {
     ///
     /// # Errors
     /// If the bus fails, or no decision arrives in time under [`OnUndecided::End`].
-    pub(super) async fn resolve(
+    pub(super) async fn obtain_decision(
         &mut self,
-        pending: Pending,
+        pending: PendingDecision,
         progress: &RunProgress,
     ) -> Result<Option<Decision>, BsError> {
-        let Pending {
+        let PendingDecision {
             stage,
             tti,
             devices,
-            mut asked,
-            hold,
+            mut request,
+            fallback,
         } = pending;
         // Second answers to the last request have had time to arrive since the first one counted.
-        self.count_spare();
-        let patience = self.patience.unwrap_or_default();
-        let mut wait = Wait::new(progress, patience.limit, tti);
-        let mut strikes = 0;
+        self.count_extra_answers();
+        let timeout = self.timeout.unwrap_or_default();
+        let mut wait = DecisionWait::new(progress, timeout.limit, tti);
+        let mut invalid_answers = 0;
         let why = loop {
             wait.peer_status = self.peer_status();
-            let tried = match &self.partner {
-                None => self.handshake(asked.head, &mut wait).await?.map_continue(|()| None),
-                Some(partner) => {
-                    asked.to.clone_from(&partner.id);
-                    self.ask(&asked, (stage, tti, devices), &mut wait)
+            let attempt = match &self.peer {
+                None => self.handshake(request.head, &mut wait).await?.map_continue(|()| None),
+                Some(peer) => {
+                    request.to.clone_from(&peer.id);
+                    self.send_request(&request, (stage, tti, devices), &mut wait)
                         .await?
                         .map_continue(Some)
                 }
             };
-            match tried {
+            match attempt {
                 ControlFlow::Break(WaitEnd::Stop) => return Ok(None),
                 ControlFlow::Break(WaitEnd::TimeUp) => break self.peer_status(),
                 ControlFlow::Continue(None) => {}
@@ -222,99 +226,100 @@ impl<'a> Port<'a> {
                 ControlFlow::Continue(Some(PeerReply::Timeout)) => {
                     // An unresponsive process may have exited, so the next attempt greets again and another process can
                     // take its place.
-                    let name = self.partner.take().map(|partner| partner.name).unwrap_or_default();
-                    let held = "the run is waiting until a policy process answers";
-                    self.complain(format!("{name} has not answered for TTI {tti}; {held}"));
-                    tokio::time::sleep(BETWEEN).await;
+                    let name = self.peer.take().map(|peer| peer.name).unwrap_or_default();
+                    let effect = "the run is waiting until a policy process answers";
+                    self.warn_about_peer(format!("{name} has not answered for TTI {tti}; {effect}"));
+                    tokio::time::sleep(HELLO_PAUSE).await;
                 }
                 ControlFlow::Continue(Some(PeerReply::Invalid(why))) => {
                     self.counts.refused += 1;
-                    strikes += 1;
+                    invalid_answers += 1;
                     tracing::warn!(%tti, "invalid answer: {why}");
-                    if strikes >= STRIKES {
-                        break format!("{strikes} invalid answers, the last one because: {why}");
+                    if invalid_answers >= MAX_INVALID_ANSWERS {
+                        break format!("{invalid_answers} invalid answers, the last one because: {why}");
                     }
-                    asked.refused = Some(why);
+                    request.refused = Some(why);
                 }
             }
         };
-        match patience.on_timeout {
+        match timeout.on_timeout {
             OnUndecided::End => Err(BsError::Undecided { tti, why }),
             OnUndecided::Hold => {
                 // One warning in a run: without a policy process every decision would add another.
                 if self.counts.held == 0 {
-                    let held = "the current plan stays, and no device is woken";
-                    tracing::warn!(%tti, "{why}; {held}; further cases are only counted");
+                    let effect = "the current plan stays, and no device is woken";
+                    tracing::warn!(%tti, "{why}; {effect}; further cases are only counted");
                 }
                 self.counts.held += 1;
-                Ok(Some(hold))
+                Ok(Some(fallback))
             }
         }
     }
 
     /// The reason to report for a decision that did not arrive in time.
     fn peer_status(&self) -> String {
-        match &self.partner {
-            Some(partner) => format!("{} has not decided", partner.name),
-            None => format!("no policy process answers at {}", self.bus.keys().policy()),
+        match &self.peer {
+            Some(peer) => format!("{} has not decided", peer.name),
+            None => format!("no policy process answers at {}", self.bus.keys().policy_port()),
         }
     }
 
     /// Sends a greeting and selects the first process that answers it correctly.
-    async fn handshake(&mut self, asked: WireHeader, wait: &mut Wait<'_>) -> WaitResult<()> {
+    async fn handshake(&mut self, request_header: WireHeader, wait: &mut DecisionWait<'_>) -> WaitResult<()> {
         let Some(hello) = &mut self.hello else {
             return Ok(ControlFlow::Continue(()));
         };
         // The greeting repeats the number and TTI of the request, so a late reply to an older greeting is recognised.
         hello.head = WireHeader {
             stage: RequestKind::Hello,
-            ..asked
+            ..request_header
         };
-        let (head, payload) = (hello.head, Encoding::Json.encode(hello));
+        let (header, payload) = (hello.head, Encoding::Json.encode(hello));
         let mut replies = self
             .bus
-            .query_policy((payload, Encoding::Json), ANSWER.0, GREETING)
+            .query_policy((payload, Encoding::Json), MAX_ANSWER_BYTES.0, HELLO_TIMEOUT)
             .await?;
         loop {
             let problem = match wait.next(&mut replies).await {
-                ControlFlow::Break(cut) => return Ok(ControlFlow::Break(cut)),
+                ControlFlow::Break(end) => return Ok(ControlFlow::Break(end)),
                 ControlFlow::Continue(None) => break,
                 ControlFlow::Continue(Some(PortReply::Refusal(why))) => why,
-                ControlFlow::Continue(Some(PortReply::Answer(bytes, form))) => match self.welcomed(&head, &bytes, form)
-                {
-                    Ok(partner) => {
-                        tracing::info!(tti = %head.tti, "{} decides", partner.name);
-                        if let Some(hello) = &mut self.hello {
-                            hello.refused = None;
+                ControlFlow::Continue(Some(PortReply::Answer(bytes, encoding))) => {
+                    match self.check_hello_reply(&header, &bytes, encoding) {
+                        Ok(peer) => {
+                            tracing::info!(tti = %header.tti, "{} decides", peer.name);
+                            if let Some(hello) = &mut self.hello {
+                                hello.refused = None;
+                            }
+                            self.peer = Some(peer);
+                            return Ok(ControlFlow::Continue(()));
                         }
-                        self.partner = Some(partner);
-                        return Ok(ControlFlow::Continue(()));
-                    }
-                    Err(why) => {
-                        // The reason goes into the next greeting, which needs an id to name the refused process.
-                        let id = form.decode(&bytes).map(|shown: ReplyCredentials| shown.id);
-                        if let (Ok(id), Some(hello)) = (id, &mut self.hello) {
-                            let why = why.clone();
-                            hello.refused = Some(Rejection { id, why });
+                        Err(why) => {
+                            // The reason goes into the next greeting, which needs an id to name the refused process.
+                            let id = encoding.decode(&bytes).map(|shown: ReplyCredentials| shown.id);
+                            if let (Ok(id), Some(hello)) = (id, &mut self.hello) {
+                                let why = why.clone();
+                                hello.refused = Some(Rejection { id, why });
+                            }
+                            why
                         }
-                        why
                     }
-                },
+                }
             };
-            self.wonder(&format!("refused a process at the policy port: {problem}"));
+            self.warn_about_other(&format!("refused a process at the policy port: {problem}"));
         }
-        wait.name();
+        wait.warn_if_long();
         // With no process at the port the replies can end immediately; without a pause this loop would spin.
-        tokio::time::sleep(BETWEEN).await;
+        tokio::time::sleep(HELLO_PAUSE).await;
         Ok(ControlFlow::Continue(()))
     }
 
-    fn welcomed(&self, greeting: &WireHeader, bytes: &[u8], form: Encoding) -> Result<PolicyPeer, String> {
-        let welcome: HelloReply = form.decode(bytes)?;
+    fn check_hello_reply(&self, greeting: &WireHeader, bytes: &[u8], encoding: Encoding) -> Result<PolicyPeer, String> {
+        let welcome: HelloReply = encoding.decode(bytes)?;
         let WireHeader { protocol, .. } = welcome.head;
-        if !(OLDEST..=PROTOCOL).contains(&protocol) {
+        if !(OLDEST_PROTOCOL..=PROTOCOL_VERSION).contains(&protocol) {
             return Err(format!(
-                "it speaks protocol {protocol}, this base station {OLDEST} to {PROTOCOL}"
+                "it speaks protocol {protocol}, this base station {OLDEST_PROTOCOL} to {PROTOCOL_VERSION}"
             ));
         }
         // A reply to an earlier greeting may arrive late, and its process may have exited.
@@ -322,14 +327,19 @@ impl<'a> Port<'a> {
         if echo(&welcome.head) != echo(greeting) {
             return Err("it answers another greeting".to_owned());
         }
-        if !self.is_ours(&welcome.key) {
+        if !self.shows_run_key(&welcome.key) {
             return Err("it does not show the run's key; use the key of the process that started the run".to_owned());
         }
-        if welcome.id.is_empty() || welcome.id.len() > NAME {
-            return Err(format!("its id must have 1 to {NAME} characters"));
+        if welcome.id.is_empty() || welcome.id.len() > MAX_NAME_CHARS {
+            return Err(format!("its id must have 1 to {MAX_NAME_CHARS} characters"));
         }
         // The name appears in logs and on the terminal, so another process must not control either.
-        let name: String = welcome.name.chars().filter(|c| !c.is_control()).take(NAME).collect();
+        let name: String = welcome
+            .name
+            .chars()
+            .filter(|c| !c.is_control())
+            .take(MAX_NAME_CHARS)
+            .collect();
         let name = if name.is_empty() {
             format!("process {}", welcome.id)
         } else {
@@ -338,158 +348,168 @@ impl<'a> Port<'a> {
         Ok(PolicyPeer {
             id: welcome.id,
             name,
-            form: welcome.form,
+            encoding: welcome.form,
         })
     }
 
-    fn is_ours(&self, shown: &str) -> bool {
+    fn shows_run_key(&self, shown: &str) -> bool {
         self.key.is_none_or(|key| shown.parse() == Ok(key))
     }
 
     /// Whether an answer shows this process id and the run's key.
-    fn is_from(&self, id: &str, bytes: &[u8], form: Encoding) -> bool {
-        form.decode(bytes)
-            .is_ok_and(|shown: ReplyCredentials| shown.id == id && self.is_ours(&shown.key))
+    fn is_from_peer(&self, id: &str, bytes: &[u8], encoding: Encoding) -> bool {
+        encoding
+            .decode(bytes)
+            .is_ok_and(|shown: ReplyCredentials| shown.id == id && self.shows_run_key(&shown.key))
     }
 
     /// Sends the request once.
-    async fn ask(
+    async fn send_request(
         &mut self,
-        asked: &DecisionRequest,
+        request: &DecisionRequest,
         (stage, tti, devices): (DecisionStage, Tti, u32),
-        wait: &mut Wait<'_>,
+        wait: &mut DecisionWait<'_>,
     ) -> WaitResult<PeerReply> {
-        let form = self.partner.as_ref().map_or(Encoding::Json, |partner| partner.form);
+        let encoding = self.peer.as_ref().map_or(Encoding::Json, |peer| peer.encoding);
         // The bound follows from the largest valid answer, so a hostile process cannot fill the memory.
-        let most = ANSWER.0 + ANSWER.1 * devices as usize;
-        let mut replies = self.bus.query_policy((form.encode(asked), form), most, AGAIN).await?;
+        let max_bytes = MAX_ANSWER_BYTES.0 + MAX_ANSWER_BYTES.1 * devices as usize;
+        let mut replies = self
+            .bus
+            .query_policy((encoding.encode(request), encoding), max_bytes, REQUEST_TIMEOUT)
+            .await?;
         loop {
             match wait.next(&mut replies).await {
-                ControlFlow::Break(cut) => return Ok(ControlFlow::Break(cut)),
+                ControlFlow::Break(end) => return Ok(ControlFlow::Break(end)),
                 ControlFlow::Continue(None) => return Ok(ControlFlow::Continue(PeerReply::Timeout)),
                 ControlFlow::Continue(Some(PortReply::Refusal(why))) => {
-                    self.wonder(&format!("a process at the policy port returned an error: {why}"));
+                    self.warn_about_other(&format!("a process at the policy port returned an error: {why}"));
                 }
                 // A reply without key and id can come from any client, so it does not count against the policy process.
-                ControlFlow::Continue(Some(PortReply::Answer(bytes, form)))
-                    if !self.is_from(&asked.to, &bytes, form) =>
+                ControlFlow::Continue(Some(PortReply::Answer(bytes, encoding)))
+                    if !self.is_from_peer(&request.to, &bytes, encoding) =>
                 {
                     let what = "that cannot be decoded, or does not show the run's key and the requested id";
-                    self.wonder(&format!("dropped an answer {what}"));
+                    self.warn_about_other(&format!("dropped an answer {what}"));
                 }
-                ControlFlow::Continue(Some(PortReply::Answer(bytes, form))) => {
-                    let reply: Result<DecisionReply, String> = form.decode(&bytes);
+                ControlFlow::Continue(Some(PortReply::Answer(bytes, encoding))) => {
+                    let reply: Result<DecisionReply, String> = encoding.decode(&bytes);
                     let answer = reply.and_then(|reply| {
                         let echo = (reply.seq, reply.tti, reply.stage);
-                        let own = (asked.head.seq, asked.head.tti, Some(asked.head.stage));
-                        if echo != own {
-                            return Err(format!("it is for {echo:?}, not for {own:?} (seq, tti, stage)"));
+                        let expected = (request.head.seq, request.head.tti, Some(request.head.stage));
+                        if echo != expected {
+                            return Err(format!("it is for {echo:?}, not for {expected:?} (seq, tti, stage)"));
                         }
-                        reply.answer(stage, tti, devices)
+                        reply.decode(stage, tti, devices)
                     });
-                    let told = match answer {
+                    let peer_reply = match answer {
                         Ok(answer) => {
                             // The replies stay open, so a second answer to this request can be counted before the next
                             // request.
-                            self.extra_replies = Some((replies, asked.to.clone()));
+                            self.extra_replies = Some((replies, request.to.clone()));
                             PeerReply::Decision(answer)
                         }
                         Err(why) => PeerReply::Invalid(why),
                     };
-                    return Ok(ControlFlow::Continue(told));
+                    return Ok(ControlFlow::Continue(peer_reply));
                 }
             }
         }
     }
 
     /// Counts further answers to the last request.
-    fn count_spare(&mut self) {
+    fn count_extra_answers(&mut self) {
         let Some((replies, id)) = self.extra_replies.take() else {
             return;
         };
-        let is_own = |heard: &PortReply| match heard {
-            PortReply::Answer(bytes, form) => self.is_from(&id, bytes, *form),
+        let is_from_same_peer = |reply: &PortReply| match reply {
+            PortReply::Answer(bytes, encoding) => self.is_from_peer(&id, bytes, *encoding),
             PortReply::Refusal(_) => false,
         };
-        let more = replies.drain().filter(is_own).count() as u64;
-        if more > 0 {
-            self.counts.refused += more;
-            self.complain("a decision request was answered twice; the first answer counts".to_owned());
+        let extra_answers = replies.drain().filter(is_from_same_peer).count() as u64;
+        if extra_answers > 0 {
+            self.counts.refused += extra_answers;
+            self.warn_about_peer("a decision request was answered twice; the first answer counts".to_owned());
         }
     }
 
     /// Logs a warning about the policy process, unless it repeats the last one.
-    fn complain(&mut self, what: String) {
-        if self.last_replies != what {
-            tracing::warn!("{what}");
-            self.last_replies = what;
+    fn warn_about_peer(&mut self, warning: String) {
+        if self.last_warning != warning {
+            tracing::warn!("{warning}");
+            self.last_warning = warning;
         }
     }
 
     /// Logs a warning about another process at the port, once per text. Such processes can neither fill the log or the
     /// memory nor suppress the warnings of the run itself.
-    fn wonder(&mut self, what: &str) {
-        let what: String = what.chars().filter(|c| !c.is_control()).take(WONDER).collect();
+    fn warn_about_other(&mut self, warning: &str) {
+        let warning: String = warning
+            .chars()
+            .filter(|c| !c.is_control())
+            .take(MAX_WARNING_CHARS)
+            .collect();
         // The set is bounded as well as the text, since a process can send new texts for ever.
-        if self.unexpected.len() == WONDERS || self.unexpected.contains(&what) {
+        if self.other_warnings.len() == MAX_WARNINGS || self.other_warnings.contains(&warning) {
             return;
         }
-        tracing::warn!("{what}");
-        self.unexpected.insert(what);
-        if self.unexpected.len() == WONDERS {
+        tracing::warn!("{warning}");
+        self.other_warnings.insert(warning);
+        if self.other_warnings.len() == MAX_WARNINGS {
             tracing::warn!("further errors of other processes at the policy port are not logged");
         }
     }
 }
 
 /// The wait for one decision.
-struct Wait<'a> {
+struct DecisionWait<'a> {
     progress: &'a RunProgress,
-    begun: Instant,
+    started: Instant,
     limit: Option<Duration>,
     tti: Tti,
     /// Description of the missing decision, for the warning.
     peer_status: String,
-    is_named: bool,
+    has_warned: bool,
 }
 
-impl<'a> Wait<'a> {
+impl<'a> DecisionWait<'a> {
     fn new(progress: &'a RunProgress, limit: Option<Duration>, tti: Tti) -> Self {
         Self {
             progress,
-            begun: now(),
+            started: now(),
             limit,
             tti,
             peer_status: String::new(),
-            is_named: false,
+            has_warned: false,
         }
     }
 
     /// Returns the next of `replies`; `None` if no more follow.
     async fn next(&mut self, replies: &mut Replies) -> ControlFlow<WaitEnd, Option<PortReply>> {
         loop {
-            if self.progress.stop.load(Ordering::Relaxed) {
+            if self.progress.stop_requested.load(Ordering::Relaxed) {
                 return ControlFlow::Break(WaitEnd::Stop);
             }
-            let waited = self.begun.elapsed();
+            let waited = self.started.elapsed();
             if self.limit.is_some_and(|limit| waited >= limit) {
                 return ControlFlow::Break(WaitEnd::TimeUp);
             }
             // The last check comes earlier, so that the wait does not exceed its limit by a whole interval.
-            let look = self.limit.map_or(LOOK, |limit| LOOK.min(limit.saturating_sub(waited)));
-            match tokio::time::timeout(look, replies.next()).await {
-                Ok(heard) => return ControlFlow::Continue(heard),
-                Err(_) => self.name(),
+            let interval = self
+                .limit
+                .map_or(CHECK_INTERVAL, |limit| CHECK_INTERVAL.min(limit.saturating_sub(waited)));
+            match tokio::time::timeout(interval, replies.next()).await {
+                Ok(reply) => return ControlFlow::Continue(reply),
+                Err(_) => self.warn_if_long(),
             }
         }
     }
 
     /// Logs one warning if the wait is long.
-    fn name(&mut self) {
-        if self.begun.elapsed() >= SILENT && !self.is_named {
-            self.is_named = true;
+    fn warn_if_long(&mut self) {
+        if self.started.elapsed() >= WARN_AFTER && !self.has_warned {
+            self.has_warned = true;
             let (tti, peer_status) = (self.tti, &self.peer_status);
-            tracing::warn!(%tti, "no decision for {} s: {peer_status}; the run is waiting", SILENT.as_secs());
+            tracing::warn!(%tti, "no decision for {} s: {peer_status}; the run is waiting", WARN_AFTER.as_secs());
         }
     }
 }

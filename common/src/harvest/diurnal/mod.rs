@@ -1,4 +1,4 @@
-//! Solar energy with day and night.
+//! The source `diurnal`: arrivals whose probability follows the sun of [`super::sun`] through day and night.
 
 use std::sync::Arc;
 
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::arrivals::{Arrivals, ArrivalsSetup, eq5_probability};
 use super::day_profile::DayProfile;
-use super::shared_tables::{CumulativeHazard, Sources, expected};
+use super::shared_tables::{CumulativeHazard, SharedSourceData, expected_energy};
 use super::sun::{Sky, Sun};
 use crate::declare::{FieldReader, FieldSink, Range, ScenarioError, Section, Visit, choice, choices, number, whole};
 use crate::ids::Tti;
@@ -15,9 +15,9 @@ use crate::units::Energy;
 
 /// Upper limit of an arrival's probability, exclusive: with a certain arrival, or one rounded to it, no gap can be
 /// drawn.
-const SURE: f64 = 1.0 - 1e-9;
-/// Most TTIs per day.
-pub(super) const MOST_TTIS: u32 = 100_000;
+const MAX_ARRIVAL_PROBABILITY: f64 = 1.0 - 1e-9;
+/// Maximum number of TTIs per day, which bounds the tables of a day.
+pub(super) const MAX_TTIS_PER_DAY: u32 = 100_000;
 
 choices! {
     /// Reference of the intensity λ.
@@ -53,7 +53,7 @@ crate::declare! {
         /// Solar time at the start of TTI 0.
         start_hour: f64 = number(Range::below(0.0, 24.0), 0.0).unit("hours"),
         /// Number of TTIs per day: 288 if a TTI represents five minutes.
-        ttis_per_day: u32 = whole(1, MOST_TTIS as u64, 288).unit("TTIs"),
+        ttis_per_day: u32 = whole(1, MAX_TTIS_PER_DAY as u64, 288).unit("TTIs"),
         /// Attenuation of sunlight by the atmosphere.
         sky: Sky = choice::<Sky>("vacuum"),
         /// Reference for which λτ·exp(-λτ) is the probability of an arrival in a TTI.
@@ -75,7 +75,7 @@ pub struct Diurnal {
     /// The base station's knowledge.
     pub known: DayKnowledge,
     /// The daily mean of irradiance, relative to a sun in the zenith.
-    mean: f64,
+    mean_irradiance: f64,
 }
 
 impl Diurnal {
@@ -84,13 +84,13 @@ impl Diurnal {
 
     /// Creates the source of these `arrivals` under `sun`.
     pub fn new(arrivals: Arrivals, sun: Sun, reference: IrradianceReference, known: DayKnowledge) -> Self {
-        let mean = sun.mean();
+        let mean_irradiance = sun.mean_irradiance();
         Self {
             arrivals,
             sun,
             reference,
             known,
-            mean,
+            mean_irradiance,
         }
     }
 
@@ -113,29 +113,31 @@ impl Diurnal {
             ttis_per_day,
             sky,
         };
-        let made = Self::new(arrivals, sun, reference, known);
-        let dark = format!("the sun does not rise in any TTI of day {day_of_year}");
+        let diurnal = Self::new(arrivals, sun, reference, known);
+        let no_sun = format!("the sun does not rise in any TTI of day {day_of_year}");
         match reference {
-            IrradianceReference::DailyMean if made.mean <= 0.0 => {
+            IrradianceReference::DailyMean if diurnal.mean_irradiance <= 0.0 => {
                 let allowed = format!(
-                    "{dark}, so λ cannot be the daily mean; set another harvest.diurnal.day_of_year, or \
+                    "{no_sun}, so λ cannot be the daily mean; set another harvest.diurnal.day_of_year, or \
                      harvest.diurnal.reference = \"zenith\""
                 );
                 return Err(reader.invalid_value("harvest.diurnal.latitude", latitude, allowed));
             }
-            IrradianceReference::Zenith if made.mean <= 0.0 => reader.warn(format!("no energy is harvested: {dark}")),
+            IrradianceReference::Zenith if diurnal.mean_irradiance <= 0.0 => {
+                reader.warn(format!("no energy is harvested: {no_sun}"))
+            }
             IrradianceReference::DailyMean | IrradianceReference::Zenith => {}
         }
         // No TTI of the day is brighter than noon, so this bounds all of them.
-        let noon = made.zenith(tau) * sun.noon();
-        if noon >= SURE {
+        let noon = diurnal.zenith_probability(tau) * sun.noon_irradiance();
+        if noon >= MAX_ARRIVAL_PROBABILITY {
             let allowed = format!(
                 "makes the arrival probability {noon:.3} per TTI at noon, and it must be below 1; set a smaller \
                  harvest.lambda, and a larger harvest.e_b for the same harvest"
             );
             return Err(reader.invalid_value("harvest.lambda", arrivals.lambda, allowed));
         }
-        Ok(made)
+        Ok(diurnal)
     }
 
     /// Passes every field to `sink`.
@@ -161,21 +163,21 @@ impl Diurnal {
     }
 
     /// The probability of an arrival with the sun at the zenith; can exceed 1 if λ refers to the daily mean.
-    fn zenith(&self, tau: f64) -> f64 {
+    fn zenith_probability(&self, tau: f64) -> f64 {
         let p = eq5_probability(self.arrivals.lambda, tau);
         match self.reference {
-            IrradianceReference::DailyMean => p / self.mean,
+            IrradianceReference::DailyMean => p / self.mean_irradiance,
             IrradianceReference::Zenith => p,
         }
     }
 
     /// The setup for TTIs of duration `tau`.
     pub(super) fn setup(&self, tau: f64) -> DiurnalSetup {
-        let zenith = self.zenith(tau);
+        let zenith = self.zenith_probability(tau);
         DiurnalSetup {
             sun: self.sun,
             zenith,
-            mean: zenith * self.mean,
+            mean: zenith * self.mean_irradiance,
             e_b: self.arrivals.e_b,
             known: self.known,
         }
@@ -210,18 +212,21 @@ impl DiurnalSetup {
         let is_a_day = (-90.0..=90.0).contains(&latitude)
             && (1..=365).contains(&day_of_year)
             && (0.0..24.0).contains(&start_hour)
-            && (1..=MOST_TTIS).contains(&ttis_per_day);
-        let noon = self.zenith * self.sun.noon();
-        is_a_day && self.zenith >= 0.0 && (0.0..SURE).contains(&noon) && (0.0..1.0).contains(&self.mean)
+            && (1..=MAX_TTIS_PER_DAY).contains(&ttis_per_day);
+        let noon = self.zenith * self.sun.noon_irradiance();
+        is_a_day
+            && self.zenith >= 0.0
+            && (0.0..MAX_ARRIVAL_PROBABILITY).contains(&noon)
+            && (0.0..1.0).contains(&self.mean)
     }
 
     /// The mean harvest per TTI.
     pub(super) fn mean(&self) -> Energy {
-        expected(self.mean, self.e_b)
+        expected_energy(self.mean, self.e_b)
     }
 
     /// The setup known before a run if only the mean is known: arrivals that are equally likely in all TTIs.
-    pub(super) fn expected(&self) -> Option<ArrivalsSetup> {
+    pub(super) fn arrivals_if_mean_known(&self) -> Option<ArrivalsSetup> {
         match self.known {
             DayKnowledge::Course => None,
             DayKnowledge::Mean => Some(ArrivalsSetup {
@@ -232,15 +237,15 @@ impl DiurnalSetup {
     }
 
     /// The expected energy by time of day, if it is known.
-    pub(super) fn course(&self) -> Option<DayProfile> {
+    pub(super) fn day_profile(&self) -> Option<DayProfile> {
         match self.known {
-            DayKnowledge::Course => Some(DayProfile::new(self.sun.times(self.zenith), self.e_b)),
+            DayKnowledge::Course => Some(DayProfile::new(self.sun.arrival_probabilities(self.zenith), self.e_b)),
             DayKnowledge::Mean => None,
         }
     }
 
     /// Creates the source. Also returns the TTI of its first arrival.
-    pub(super) fn source(&self, shared: &Sources, stream: Stream) -> (DiurnalSource, Tti) {
+    pub(super) fn source(&self, shared: &SharedSourceData, stream: Stream) -> (DiurnalSource, Tti) {
         let mut source = DiurnalSource {
             hazards: shared.hazards(&self.sun, self.zenith),
             stream,
@@ -271,7 +276,7 @@ impl DiurnalSource {
             return Tti::NEVER;
         }
         // An exponential draw of mean 1: the hazard up to the next arrival.
-        self.hazards.passed(from, -libm::log1p(-self.stream.unit()))
+        self.hazards.first_tti_beyond(from, -libm::log1p(-self.stream.unit()))
     }
 }
 

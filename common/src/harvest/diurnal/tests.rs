@@ -25,7 +25,7 @@ fn diurnal(lambda: f64, sun: Sun, reference: IrradianceReference) -> Diurnal {
 
 fn source(of: Diurnal, device: u32) -> HarvestSource {
     let setup = Harvest::Diurnal(of).setup(1.0, 0);
-    HarvestSource::new(&setup, &Sources::default(), 11, DeviceId(device))
+    HarvestSource::new(&setup, &SharedSourceData::default(), 11, DeviceId(device))
 }
 
 /// Counts the arrivals in each TTI of a day, over devices and days.
@@ -34,11 +34,11 @@ fn counted(of: Diurnal, devices: u32, days: u64) -> Vec<u64> {
     let mut counts = vec![0; ttis as usize];
     for device in 0..devices {
         let mut source = source(of, device);
-        while source.next() < Tti(days * ttis) {
-            let now = source.next();
+        while source.next_arrival() < Tti(days * ttis) {
+            let now = source.next_arrival();
             counts[(now.0 % ttis) as usize] += 1;
-            assert_eq!(source.take(), E_B);
-            assert!(source.next() > now);
+            assert_eq!(source.take_arrival(), E_B);
+            assert!(source.next_arrival() > now);
         }
     }
     counts
@@ -50,7 +50,7 @@ fn arrivals_follow_the_sun() {
         let of = diurnal(0.2, Sun { sky, ..sun(24) }, IrradianceReference::DailyMean);
         let (devices, days) = (200, 500);
         let trials = f64::from(devices) * days as f64;
-        let p: Vec<f64> = of.sun.times(of.zenith(1.0)).collect();
+        let p: Vec<f64> = of.sun.arrival_probabilities(of.zenith_probability(1.0)).collect();
         assert!(p.iter().filter(|&&p| p > 0.0).count() < 13, "a day of early spring");
         let mut squares = 0.0;
         for (slot, (&p, &count)) in p.iter().zip(&counted(of, devices, days)).enumerate() {
@@ -75,16 +75,16 @@ fn arrivals_follow_the_sun() {
 #[test]
 fn arrivals_of_one_tti_and_the_next_do_not_depend_on_each_other() {
     let of = diurnal(0.2, sun(24), IrradianceReference::DailyMean);
-    let p: Vec<f64> = of.sun.times(of.zenith(1.0)).collect();
+    let p: Vec<f64> = of.sun.arrival_probabilities(of.zenith_probability(1.0)).collect();
     let (mut pairs, mut expected) = (0_u64, 0.0);
     let days = 100_000;
     let mut source = source(of, 3);
     let mut last = Tti::NEVER;
-    while source.next() < Tti(24 * days) {
-        let now = source.next();
+    while source.next_arrival() < Tti(24 * days) {
+        let now = source.next_arrival();
         pairs += u64::from(last.0.wrapping_add(1) == now.0);
         last = now;
-        source.take();
+        source.take_arrival();
     }
     for slot in 0..24 {
         expected += days as f64 * p[slot] * p[(slot + 1) % 24];
@@ -113,18 +113,18 @@ fn the_daily_mean_is_that_of_eq5_and_under_the_zenith_the_integral() {
         let eq5 = Harvest::Eq5(of.arrivals).setup(1.0, 0).mean(&[]);
         assert_eq!(Harvest::Diurnal(of).setup(1.0, 0).mean(&[]), eq5);
         let zenith = diurnal(0.1, place, IrradianceReference::Zenith).setup(1.0);
-        assert!((zenith.mean - p * place.mean()).abs() < 1e-12, "{zenith:?}");
+        assert!((zenith.mean - p * place.mean_irradiance()).abs() < 1e-12, "{zenith:?}");
         assert!(zenith.zenith.to_bits() == p.to_bits() && zenith.is_valid());
         // The profile's sum over a day equals the mean of its TTIs.
-        let course = setup.course().expect("known");
-        let day = course.between(Tti(1000), Tti(1288)).units();
+        let course = setup.day_profile().expect("known");
+        let day = course.energy_between(Tti(1000), Tti(1288)).units();
         assert!((day - 288.0 * 5.0 * p).abs() < 1e-6, "{day}");
         assert_eq!(
             DiurnalSetup {
                 known: DayKnowledge::Mean,
                 ..setup
             }
-            .course(),
+            .day_profile(),
             None
         );
     }
@@ -138,7 +138,7 @@ fn nothing_comes_at_night_and_a_polar_night_has_no_end() {
         ..sun(288)
     };
     let dark = diurnal(0.3, place, IrradianceReference::Zenith);
-    assert_eq!(source(dark, 0).next(), Tti::NEVER);
+    assert_eq!(source(dark, 0).next_arrival(), Tti::NEVER);
     assert_eq!(Harvest::Diurnal(dark).setup(1.0, 0).mean(&[]), Energy::ZERO);
     let bright = diurnal(
         0.3,
@@ -158,14 +158,14 @@ fn nothing_comes_at_night_and_a_polar_night_has_no_end() {
         IrradianceReference::Zenith,
         DayKnowledge::Course,
     );
-    assert_eq!(source(nothing, 0).next(), Tti::NEVER);
+    assert_eq!(source(nothing, 0).next_arrival(), Tti::NEVER);
 }
 
 /// The TTI from the hazard table equals the result of stepping through the TTIs one by one.
 #[test]
 fn a_gap_is_that_of_one_tti_after_another() {
     let of = diurnal(0.2, sun(17), IrradianceReference::DailyMean);
-    let day: Vec<f64> = of.sun.times(of.zenith(1.0)).collect();
+    let day: Vec<f64> = of.sun.arrival_probabilities(of.zenith_probability(1.0)).collect();
     let hazards = CumulativeHazard::new(day.iter().copied());
     let mut stream = Stream::new(5, crate::rng::Purpose::Harvest, 0);
     for from in 0..400 {
@@ -179,15 +179,19 @@ fn a_gap_is_that_of_one_tti_after_another() {
             left -= hazard;
             k += 1;
         }
-        assert_eq!(hazards.passed(Tti(from), asked), Tti(k), "{asked} from {from}");
+        assert_eq!(
+            hazards.first_tti_beyond(Tti(from), asked),
+            Tti(k),
+            "{asked} from {from}"
+        );
     }
     // The end of a day counts as the first light of the next.
     let whole = day.iter().fold(0.0, |sum, p| sum - libm::log1p(-p));
     let first = day.iter().position(|&p| p > 0.0).expect("light") as u64;
     let last = day.iter().rposition(|&p| p > 0.0).expect("light") as u64;
     assert!(first == 0 || last < 16, "a night within the run of TTIs");
-    assert_eq!(hazards.passed(Tti(0), whole), Tti(17 + first));
-    assert_eq!(hazards.passed(Tti(0), 2.0 * whole), Tti(34 + first));
+    assert_eq!(hazards.first_tti_beyond(Tti(0), whole), Tti(17 + first));
+    assert_eq!(hazards.first_tti_beyond(Tti(0), 2.0 * whole), Tti(34 + first));
 }
 
 #[test]
@@ -217,7 +221,7 @@ fn a_setup_from_elsewhere_is_checked() {
             ..place
         },
         Sun {
-            ttis_per_day: MOST_TTIS + 1,
+            ttis_per_day: MAX_TTIS_PER_DAY + 1,
             ..place
         },
     ];

@@ -1,4 +1,5 @@
-//! `reveille analyse battery`.
+//! `reveille analyse battery`: the chain of Sec. III-B and Eq. (8) next to measured batteries. The calculation is in
+//! `study/src/analysis/battery/`.
 
 use std::process::ExitCode;
 
@@ -8,11 +9,11 @@ use reveille_common::scenario::{DeviceClass, Harvest};
 use reveille_study::analysis::battery::{BatteryComparison, BatteryStudy, SampleConfig, compare};
 use reveille_study::analysis::harvest::LambdaReading;
 
-use super::lists::{duties, energies, numbers, scenario};
+use super::lists::{build_scenario, parse_duties, parse_energies, parse_numbers};
 use super::sheet::{Findings, Sheet, SheetValue};
 use crate::cli::BatteryArgs;
 
-const CHAIN: &[&str] = &[
+const CHAIN_COLUMNS: &[&str] = &[
     "e_b",
     "duty",
     "activation",
@@ -23,7 +24,7 @@ const CHAIN: &[&str] = &[
     "residual",
     "ttis_to_steady",
 ];
-const AVAILABILITY: &[&str] = &[
+const AVAILABILITY_COLUMNS: &[&str] = &[
     "event",
     "e_b",
     "duty",
@@ -35,14 +36,14 @@ const AVAILABILITY: &[&str] = &[
     "eq8_sum_by_beta",
     "eq8_beta_as_named",
 ];
-const LEVELS: &[&str] = &["e_b", "duty", "activation", "battery_from", "chain", "measured"];
+const LEVEL_COLUMNS: &[&str] = &["e_b", "duty", "activation", "battery_from", "chain", "measured"];
 
 /// Solves the chain, measures the run and compares both.
 pub(super) fn run(args: &BatteryArgs) -> anyhow::Result<ExitCode> {
-    let scenario = scenario(&args.study, &[])?;
+    let scenario = build_scenario(&args.study, &[])?;
     let class = only_class(&scenario)?;
-    let (reading, lambda) = source(&class.harvest)?;
-    let base = |(t_on, t_drx), e_b, activation| BatteryStudy {
+    let (reading, lambda) = energy_source(&class.harvest)?;
+    let study_of = |(t_on, t_drx), e_b, activation| BatteryStudy {
         model: class.energy,
         reading,
         lambda,
@@ -58,16 +59,16 @@ pub(super) fn run(args: &BatteryArgs) -> anyhow::Result<ExitCode> {
             // The default share of a scenario.
             warm_up: args.ttis / 10,
         },
-        bin: args.bin,
+        bin_width: args.bin,
     };
-    let (duties, energies) = (duties(&args.duty)?, energies(&args.e_b)?);
-    let activations = numbers("--activation", &args.activation, "0,0.01")?;
-    let mut found = Vec::new();
+    let (duties, energies) = (parse_duties(&args.duty)?, parse_energies(&args.e_b)?);
+    let activations = parse_numbers("--activation", &args.activation, "0,0.01")?;
+    let mut comparisons = Vec::new();
     for &duty in &duties {
         for &activation in &activations {
             for &e_b in &energies {
-                let study = base(duty, e_b, activation);
-                found.push((study, compare(&study)?));
+                let study = study_of(duty, e_b, activation);
+                comparisons.push((study, compare(&study)?));
             }
         }
     }
@@ -80,8 +81,8 @@ pub(super) fn run(args: &BatteryArgs) -> anyhow::Result<ExitCode> {
             args.ttis,
             scenario.run.seed
         ),
-        sheets: sheets(&found, args),
-        notes: notes(&found, args.bin),
+        sheets: sheets(&comparisons, args),
+        notes: notes(&comparisons, args.bin),
     };
     findings.present(&args.study)
 }
@@ -96,7 +97,7 @@ fn only_class(scenario: &Scenario) -> anyhow::Result<&DeviceClass> {
     }
 }
 
-fn source(harvest: &Harvest) -> anyhow::Result<(LambdaReading, f64)> {
+fn energy_source(harvest: &Harvest) -> anyhow::Result<(LambdaReading, f64)> {
     let reading = LambdaReading::ALL
         .into_iter()
         .find(|reading| reading.kind() == harvest.kind());
@@ -116,19 +117,19 @@ fn sheets(found: &BatteryResults, args: &BatteryArgs) -> Vec<Sheet> {
             "Chain and machines: total variation over bins of {} units, mean battery.",
             args.bin
         ),
-        columns: CHAIN,
+        columns: CHAIN_COLUMNS,
         rows: found.iter().map(chain_row).collect(),
     };
     let availability = Sheet {
         name: "availability",
         title: "Pr(B ≥ E) at the end of a TTI, four ways.".to_owned(),
-        columns: AVAILABILITY,
+        columns: AVAILABILITY_COLUMNS,
         rows: found.iter().flat_map(availability_rows).collect(),
     };
     let levels = Sheet {
         name: "levels",
         title: "The distribution of the battery level.".to_owned(),
-        columns: LEVELS,
+        columns: LEVEL_COLUMNS,
         rows: found.iter().flat_map(level_rows).collect(),
     };
     if args.study.csv.is_some() && found.len() == 1 {
@@ -140,7 +141,7 @@ fn sheets(found: &BatteryResults, args: &BatteryArgs) -> Vec<Sheet> {
     }
 }
 
-fn key(study: &BatteryStudy) -> [SheetValue; 3] {
+fn key_cells(study: &BatteryStudy) -> [SheetValue; 3] {
     [
         study.e_b.units().into(),
         format!("{}/{}", study.t_on, study.t_drx).into(),
@@ -155,9 +156,9 @@ fn chain_row((study, found): &(BatteryStudy, BatteryComparison)) -> Vec<SheetVal
         found.measured_mean.mean.into(),
         found.measured_mean.half_width.into(),
         found.steady.residual.into(),
-        found.steady.ttis.into(),
+        found.steady.transition_count.into(),
     ];
-    key(study).into_iter().chain(values).collect()
+    key_cells(study).into_iter().chain(values).collect()
 }
 
 fn availability_rows((study, found): &(BatteryStudy, BatteryComparison)) -> Vec<Vec<SheetValue>> {
@@ -172,7 +173,11 @@ fn availability_rows((study, found): &(BatteryStudy, BatteryComparison)) -> Vec<
             a.eq8.sum_by_beta.into(),
             a.eq8.printed_beta.into(),
         ];
-        [name.into()].into_iter().chain(key(study)).chain(values).collect()
+        [name.into()]
+            .into_iter()
+            .chain(key_cells(study))
+            .chain(values)
+            .collect()
     })
     .collect()
 }
@@ -180,7 +185,7 @@ fn availability_rows((study, found): &(BatteryStudy, BatteryComparison)) -> Vec<
 fn level_rows((study, found): &(BatteryStudy, BatteryComparison)) -> Vec<Vec<SheetValue>> {
     let row = |&(from, chain, measured): &(f64, f64, f64)| {
         let values: [SheetValue; 3] = [from.into(), chain.into(), measured.into()];
-        key(study).into_iter().chain(values).collect()
+        key_cells(study).into_iter().chain(values).collect()
     };
     found.bins.iter().map(row).collect()
 }
@@ -191,7 +196,7 @@ fn notes(found: &BatteryResults, bin: f64) -> Vec<String> {
         "Largest total variation distance of chain and machines: {largest:.4}."
     )];
     if let Some((study, first)) = found.first() {
-        let per_unit = first.lattice.per_unit;
+        let per_unit = first.lattice.quanta_per_unit;
         notes.push(format!(
             "The chain counts in 1/{per_unit} of a unit; E_WuR is {} micro-units in the machines and {} such quanta in \
              the chain. Levels of both go to the nearest quantum, then into bins [0, {bin}), [{bin}, {}), … of units.",
@@ -240,15 +245,15 @@ fn above_one(study: &BatteryStudy, found: &BatteryComparison) -> Vec<String> {
 
 /// Finds two studies that differ only in E_B, where the printed sum falls while the chain's probability rises.
 fn falls_with_harvest((study, found): &(BatteryStudy, BatteryComparison), all: &BatteryResults) -> Option<String> {
-    let same = |other: &BatteryStudy| {
+    let same_settings = |other: &BatteryStudy| {
         (other.t_on, other.t_drx) == (study.t_on, study.t_drx)
             // Compared by bits, since both values come from one list of the command line.
             && other.activation.to_bits() == study.activation.to_bits()
     };
     all.iter()
-        .filter(|(other, _)| same(other) && other.e_b > study.e_b)
-        .find_map(|(other, more)| {
-            let pairs = found.availability.iter().zip(&more.availability);
+        .filter(|(other, _)| same_settings(other) && other.e_b > study.e_b)
+        .find_map(|(other, other_comparison)| {
+            let pairs = found.availability.iter().zip(&other_comparison.availability);
             pairs
             // A fall of less than 10⁻⁶ can be rounding.
             .filter(|(a, b)| b.eq8.sum < a.eq8.sum * (1.0 - 1e-6) && b.chain > a.chain)

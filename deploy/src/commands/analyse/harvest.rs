@@ -1,18 +1,20 @@
-//! `reveille analyse harvest`.
+//! `reveille analyse harvest`: harvested and net energy against λ, next to the thresholds that the paper states. The
+//! calculation is in `study/src/analysis/harvest.rs`.
 
 use std::process::ExitCode;
 
 use reveille_common::units::Energy;
 use reveille_lab::stats::Estimate;
 use reveille_study::analysis::harvest::{
-    HarvestPoint, HarvestStudy, LambdaReading, STATED, StatedThreshold, consumption, demand, measure, positive_net,
+    HarvestPoint, HarvestStudy, LambdaReading, STATED_THRESHOLDS, StatedThreshold, lambdas_with_positive_net, measure,
+    measure_consumption, measure_demand,
 };
 
-use super::lists::{energies, list_items, numbers, readings, scenario};
+use super::lists::{build_scenario, parse_energies, parse_numbers, parse_readings, split_list};
 use super::sheet::{Findings, Sheet, SheetValue};
 use crate::cli::HarvestArgs;
 
-const POINTS: &[&str] = &[
+const POINT_COLUMNS: &[&str] = &[
     "reading",
     "e_b",
     "lambda",
@@ -23,7 +25,7 @@ const POINTS: &[&str] = &[
     "net",
     "net_half_width",
 ];
-const CROSSINGS: &[&str] = &[
+const CROSSING_COLUMNS: &[&str] = &[
     "n",
     "policy",
     "consumption",
@@ -38,9 +40,9 @@ const CROSSINGS: &[&str] = &[
 
 /// Measures the curves and their crossings with the consumptions.
 pub(super) fn run(args: &HarvestArgs) -> anyhow::Result<ExitCode> {
-    let policies = list_items("--policies", &args.policies, "random,adjusted")?;
-    let (readings, energies) = (readings(&args.readings)?, energies(&args.e_b)?);
-    let base = scenario(
+    let policies = split_list("--policies", &args.policies, "random,adjusted")?;
+    let (readings, energies) = (parse_readings(&args.readings)?, parse_energies(&args.e_b)?);
+    let base = build_scenario(
         &args.study,
         &[
             ("--policies", "policy.name", policies.first().copied()),
@@ -50,7 +52,7 @@ pub(super) fn run(args: &HarvestArgs) -> anyhow::Result<ExitCode> {
     let study = HarvestStudy {
         scenario: base,
         readings: readings.clone(),
-        lambdas: numbers("--lambda", &args.lambda, "0.05,0.1,0.2")?,
+        lambdas: parse_numbers("--lambda", &args.lambda, "0.05,0.1,0.2")?,
         e_b: energies.clone(),
         seeds: args.seeds,
     };
@@ -68,16 +70,16 @@ pub(super) fn run(args: &HarvestArgs) -> anyhow::Result<ExitCode> {
             Sheet {
                 name: "points",
                 title: "Units per device and TTI; closed form E_B · Pr(arrival), runs ± 95 %.".to_owned(),
-                columns: POINTS,
-                rows: points.iter().map(point).collect(),
+                columns: POINT_COLUMNS,
+                rows: points.iter().map(point_row).collect(),
             },
             Sheet {
                 name: "crossings",
                 title: "λ between which the mean harvest exceeds a fixed consumption; `paper`: the λ that it states \
                     for these N, E_B."
                     .to_owned(),
-                columns: CROSSINGS,
-                rows: crossings(args, &policies, &readings, &energies)?,
+                columns: CROSSING_COLUMNS,
+                rows: crossing_rows(args, &policies, &readings, &energies)?,
             },
         ],
         notes: notes(&points),
@@ -85,7 +87,7 @@ pub(super) fn run(args: &HarvestArgs) -> anyhow::Result<ExitCode> {
     findings.present(&args.study)
 }
 
-fn point(p: &HarvestPoint) -> Vec<SheetValue> {
+fn point_row(p: &HarvestPoint) -> Vec<SheetValue> {
     vec![
         p.reading.name().into(),
         p.e_b.into(),
@@ -99,16 +101,16 @@ fn point(p: &HarvestPoint) -> Vec<SheetValue> {
     ]
 }
 
-fn crossings(
+fn crossing_rows(
     args: &HarvestArgs,
     policies: &[&str],
     readings: &[LambdaReading],
     energies: &[Energy],
 ) -> anyhow::Result<Vec<Vec<SheetValue>>> {
     let mut rows = Vec::new();
-    for devices in list_items("--devices", &args.devices, "10,100,250")? {
+    for devices in split_list("--devices", &args.devices, "10,100,250")? {
         for policy in policies {
-            let scenario = scenario(
+            let scenario = build_scenario(
                 &args.study,
                 &[
                     ("--devices", "devices", Some(devices)),
@@ -116,15 +118,16 @@ fn crossings(
                     ("--ttis", "ttis", args.ttis.as_deref()),
                 ],
             )?;
-            let spent = [
-                ("as in the scenario", consumption(&scenario, args.seeds)?),
-                ("never short", demand(&scenario, args.seeds)?),
+            let consumed = [
+                ("as in the scenario", measure_consumption(&scenario, args.seeds)?),
+                ("never short", measure_demand(&scenario, args.seeds)?),
             ];
-            for (kind, spent) in spent {
+            for (kind, consumed) in consumed {
                 for reading in readings {
                     for e_b in energies {
                         let key = [scenario.run.devices.into(), (*policy).into(), kind.into()];
-                        let row = crossing(&spent, *reading, e_b.units(), scenario.run.tau, scenario.run.devices);
+                        let row =
+                            crossing_cells(&consumed, *reading, e_b.units(), scenario.run.tau, scenario.run.devices);
                         rows.push(key.into_iter().chain(row).collect());
                     }
                 }
@@ -134,28 +137,28 @@ fn crossings(
     Ok(rows)
 }
 
-fn crossing(spent: &Estimate, reading: LambdaReading, e_b: f64, tau: f64, devices: u32) -> [SheetValue; 7] {
+fn crossing_cells(consumed: &Estimate, reading: LambdaReading, e_b: f64, tau: f64, devices: u32) -> [SheetValue; 7] {
     // If no λ brings this much, both ends are NaN, which a table shows as a dash.
-    let (from, to) = positive_net(reading, e_b, spent.mean, tau).unwrap_or((f64::NAN, f64::NAN));
+    let (from, to) = lambdas_with_positive_net(reading, e_b, consumed.mean, tau).unwrap_or((f64::NAN, f64::NAN));
     [
-        spent.mean.into(),
-        spent.half_width.into(),
+        consumed.mean.into(),
+        consumed.half_width.into(),
         e_b.into(),
         reading.name().into(),
         from.into(),
         to.into(),
-        stated(reading, devices, e_b).into(),
+        stated_threshold(reading, devices, e_b).into(),
     ]
 }
 
 /// Formats the threshold stated in the paper; "–" if no threshold applies to `reading`.
-fn stated(reading: LambdaReading, devices: u32, e_b: f64) -> String {
-    let same =
+fn stated_threshold(reading: LambdaReading, devices: u32, e_b: f64) -> String {
+    let applies =
         |s: &&StatedThreshold| reading == LambdaReading::Eq5 && s.devices == devices && (s.e_b - e_b).abs() < 1e-9;
-    match STATED.iter().find(same) {
+    match STATED_THRESHOLDS.iter().find(applies) {
         Some(s) => {
             let ends: Vec<String> = s.ends().map(|end| format!("{} ({})", end.lambda, end.policy)).collect();
-            format!("{}, {}", ends.join(" to "), s.source)
+            format!("{}, {}", ends.join(" to "), s.paper_figure)
         }
         None => "–".to_owned(),
     }

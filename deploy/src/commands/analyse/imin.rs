@@ -1,10 +1,10 @@
-//! `reveille analyse imin`.
+//! `reveille analyse imin`: the paper's estimate of E(I_min) next to its mean over deployments.
 
 use std::process::ExitCode;
 
 use reveille_study::analysis::imin::measure;
 
-use super::lists::{list_items, scenario};
+use super::lists::{build_scenario, split_list};
 use super::sheet::{Findings, Sheet};
 use crate::cli::IminArgs;
 
@@ -23,34 +23,34 @@ const COLUMNS: &[&str] = &[
 /// Measures E(I_min).
 pub(super) fn run(args: &IminArgs) -> anyhow::Result<ExitCode> {
     let mut rows = Vec::new();
-    let mut about = String::new();
-    for layout in list_items("--layouts", &args.layouts, "uniform,grid")? {
-        for devices in list_items("--devices", &args.devices, "10,50,250")? {
+    let mut set_up = String::new();
+    for layout in split_list("--layouts", &args.layouts, "uniform,grid")? {
+        for devices in split_list("--devices", &args.devices, "10,50,250")? {
             let fields = [
                 ("--layouts", "layout.kind", Some(layout)),
                 ("--devices", "devices", Some(devices)),
             ];
-            let scenario = scenario(&args.study, &fields)?;
-            let found = measure(&scenario, args.seeds)?;
+            let scenario = build_scenario(&args.study, &fields)?;
+            let result = measure(&scenario, args.seeds)?;
             rows.push(vec![
                 layout.into(),
                 scenario.run.devices.into(),
-                found.grid.into(),
-                found.measured.mean.into(),
-                found.measured.deviation.into(),
-                found.measured.half_width.into(),
-                found.range.0.into(),
-                found.range.1.into(),
-                (found.measured.runs as u64).into(),
+                result.square_grid.into(),
+                result.measured.mean.into(),
+                result.measured.deviation.into(),
+                result.measured.half_width.into(),
+                result.measured_range.0.into(),
+                result.measured_range.1.into(),
+                (result.measured.runs as u64).into(),
             ]);
-            about = format!(
+            set_up = format!(
                 "{} × {} m · η {} · {} deployments",
                 scenario.area.width, scenario.area.height, scenario.sensing.eta, args.seeds
             );
         }
     }
     let findings = Findings {
-        title: format!("E(I_min) over deployments · {about}"),
+        title: format!("E(I_min) over deployments · {set_up}"),
         sheets: vec![Sheet {
             name: "imin",
             title: "I_min = Ψ p(d*), d* the largest distance from a device to a vertex of its Voronoi cell; \

@@ -11,7 +11,7 @@ use crate::cli::StudyArgs;
 ///
 /// # Errors
 /// If the list is empty.
-pub(super) fn list_items<'a>(flag: &str, text: &'a str, example: &str) -> anyhow::Result<Vec<&'a str>> {
+pub(super) fn split_list<'a>(flag: &str, text: &'a str, example: &str) -> anyhow::Result<Vec<&'a str>> {
     let words: Vec<&str> = text.split(',').map(str::trim).filter(|word| !word.is_empty()).collect();
     if words.is_empty() {
         bail!(
@@ -26,45 +26,48 @@ pub(super) fn list_items<'a>(flag: &str, text: &'a str, example: &str) -> anyhow
 ///
 /// # Errors
 /// If the list is empty, or a word is not a finite number.
-pub(super) fn numbers(flag: &str, text: &str, example: &str) -> anyhow::Result<Vec<f64>> {
+pub(super) fn parse_numbers(flag: &str, text: &str, example: &str) -> anyhow::Result<Vec<f64>> {
     let read = |word: &str| match word.parse::<f64>() {
         Ok(number) if number.is_finite() => Ok(number),
         Ok(_) | Err(_) => bail!(
             "{flag} {text}: `{word}` is not a number; give numbers separated by commas, for example {flag} {example}"
         ),
     };
-    list_items(flag, text, example)?.into_iter().map(read).collect()
+    split_list(flag, text, example)?.into_iter().map(read).collect()
 }
 
 /// Parses the energies E_B of `--e-b`, units.
 ///
 /// # Errors
 /// If the list is empty, or a value is out of range.
-pub(super) fn energies(text: &str) -> anyhow::Result<Vec<Energy>> {
+pub(super) fn parse_energies(text: &str) -> anyhow::Result<Vec<Energy>> {
     let in_range = |units: f64| match Energy::from_units(units) {
         Some(energy) if energy > Energy::ZERO => Ok(energy),
         Some(_) | None => bail!("--e-b {text}: {units} must be above 0 and at most {MAX_UNITS} units an arrival"),
     };
-    numbers("--e-b", text, "1,5,10")?.into_iter().map(in_range).collect()
+    parse_numbers("--e-b", text, "1,5,10")?
+        .into_iter()
+        .map(in_range)
+        .collect()
 }
 
 /// Parses the readings of `--readings`.
 ///
 /// # Errors
 /// If the list is empty, or a reading is unknown.
-pub(super) fn readings(text: &str) -> anyhow::Result<Vec<LambdaReading>> {
+pub(super) fn parse_readings(text: &str) -> anyhow::Result<Vec<LambdaReading>> {
     let known = |word: &str| match LambdaReading::ALL.into_iter().find(|r| r.name() == word) {
         Some(reading) => Ok(reading),
         None => bail!("--readings {text}: `{word}` is not a reading of λ; must be eq5 or exp-minus-lambda"),
     };
-    list_items("--readings", text, "eq5")?.into_iter().map(known).collect()
+    split_list("--readings", text, "eq5")?.into_iter().map(known).collect()
 }
 
 /// Parses the duty cycles (t_on, t_DRX) of `--duty`.
 ///
 /// # Errors
 /// If the list is empty, or an entry is not of the form t_on/t_DRX.
-pub(super) fn duties(text: &str) -> anyhow::Result<Vec<(u32, u32)>> {
+pub(super) fn parse_duties(text: &str) -> anyhow::Result<Vec<(u32, u32)>> {
     let read = |word: &str| {
         let pair = word
             .split_once('/')
@@ -77,14 +80,14 @@ pub(super) fn duties(text: &str) -> anyhow::Result<Vec<(u32, u32)>> {
             None => bail!("--duty {text}: `{word}` must be t_on/t_DRX in TTIs, for example 1/8"),
         }
     };
-    list_items("--duty", text, "1/2,1/8")?.into_iter().map(read).collect()
+    split_list("--duty", text, "1/2,1/8")?.into_iter().map(read).collect()
 }
 
 /// Builds the scenario of `study` with `fields` on top. Each entry has the option, the field and the value.
 ///
 /// # Errors
 /// If the scenario is invalid; the message names the field and the option.
-pub(super) fn scenario(study: &StudyArgs, fields: &[(&str, &str, Option<&str>)]) -> anyhow::Result<Scenario> {
+pub(super) fn build_scenario(study: &StudyArgs, fields: &[(&str, &str, Option<&str>)]) -> anyhow::Result<Scenario> {
     let mut overrides: Vec<Override> = study
         .set
         .iter()
@@ -105,13 +108,13 @@ mod tests {
 
     #[test]
     fn lists_are_read() {
-        assert_eq!(numbers("--lambda", "0.1, 2,", "1").expect("numbers"), [0.1, 2.0]);
-        assert_eq!(duties("1/2, 3/3").expect("duties"), [(1, 2), (3, 3)]);
+        assert_eq!(parse_numbers("--lambda", "0.1, 2,", "1").expect("numbers"), [0.1, 2.0]);
+        assert_eq!(parse_duties("1/2, 3/3").expect("duties"), [(1, 2), (3, 3)]);
         assert_eq!(
-            readings("exp-minus-lambda").expect("a reading"),
+            parse_readings("exp-minus-lambda").expect("a reading"),
             [LambdaReading::ExpMinusLambda]
         );
-        assert_eq!(energies("0.5").expect("an energy"), [Energy::from_micro(500_000)]);
+        assert_eq!(parse_energies("0.5").expect("an energy"), [Energy::from_micro(500_000)]);
     }
 
     #[test]
@@ -121,15 +124,21 @@ mod tests {
             assert!(message.contains(part), "{message}");
         };
         refused(
-            numbers("--lambda", " ,", "0.1").map(drop),
+            parse_numbers("--lambda", " ,", "0.1").map(drop),
             "--lambda \" ,\": the list is empty",
         );
-        refused(numbers("--lambda", "0.1,x", "0.1").map(drop), "`x` is not a number");
-        refused(numbers("--lambda", "nan", "0.1").map(drop), "`nan` is not a number");
-        refused(duties("3/2").map(drop), "t_on = 3 must be at most t_DRX = 2");
-        refused(duties("0/0").map(drop), "t_DRX at least 1");
-        refused(duties("8").map(drop), "must be t_on/t_DRX");
-        refused(readings("eq6").map(drop), "must be eq5 or exp-minus-lambda");
-        refused(energies("0").map(drop), "must be above 0");
+        refused(
+            parse_numbers("--lambda", "0.1,x", "0.1").map(drop),
+            "`x` is not a number",
+        );
+        refused(
+            parse_numbers("--lambda", "nan", "0.1").map(drop),
+            "`nan` is not a number",
+        );
+        refused(parse_duties("3/2").map(drop), "t_on = 3 must be at most t_DRX = 2");
+        refused(parse_duties("0/0").map(drop), "t_DRX at least 1");
+        refused(parse_duties("8").map(drop), "must be t_on/t_DRX");
+        refused(parse_readings("eq6").map(drop), "must be eq5 or exp-minus-lambda");
+        refused(parse_energies("0").map(drop), "must be above 0");
     }
 }

@@ -1,4 +1,5 @@
-//! `reveille analyse`: the paper's analysis next to measurements of the emulator.
+//! `reveille analyse`: the paper's analysis next to measurements of the emulator, one file per study. `lists` reads the
+//! options, `study/src/analysis/` calculates, `sheet` prints.
 
 mod battery;
 mod harvest;

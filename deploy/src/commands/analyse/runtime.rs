@@ -3,14 +3,14 @@
 use std::process::ExitCode;
 
 use reveille_bs::scenario::Scenario;
-use reveille_study::analysis::runtime::{TimedWork, paper_claim, power_law};
+use reveille_study::analysis::runtime::{TimedWork, fit_power_law, paper_complexity};
 
-use super::lists::{list_items, scenario};
+use super::lists::{build_scenario, split_list};
 use super::sheet::{Findings, Sheet, SheetValue};
 use crate::cli::RuntimeArgs;
 use crate::runtime::{median, now};
 
-const TIMES: &[&str] = &[
+const TIME_COLUMNS: &[&str] = &[
     "policy",
     "n",
     "set_up_ms",
@@ -19,15 +19,15 @@ const TIMES: &[&str] = &[
     "wake_ups_per_decision",
     "plan_us",
 ];
-const FITS: &[&str] = &["policy", "what", "exponent", "half_width", "paper"];
+const FIT_COLUMNS: &[&str] = &["policy", "what", "exponent", "half_width", "paper"];
 
 /// The times of one policy with one N.
-struct Times {
+struct PolicyTimes {
     n: f64,
     set_up_s: f64,
     tti_s: f64,
     decision_s: f64,
-    wake_ups: f64,
+    wake_ups_per_decision: f64,
     /// Seconds for a sensing decision; NaN if a plan never changes.
     plan_s: f64,
 }
@@ -35,11 +35,11 @@ struct Times {
 /// Times every policy with every N, and fits power laws.
 pub(super) fn run(args: &RuntimeArgs) -> anyhow::Result<ExitCode> {
     let (mut rows, mut fits) = (Vec::new(), Vec::new());
-    for policy in list_items("--policies", &args.policies, "knn,random")? {
+    for policy in split_list("--policies", &args.policies, "knn,random")? {
         let mut times = Vec::new();
         let mut claim = "–";
-        for devices in list_items("--devices", &args.devices, "10,100,1000")? {
-            let scenario = scenario(
+        for devices in split_list("--devices", &args.devices, "10,100,1000")? {
+            let scenario = build_scenario(
                 &args.study,
                 &[
                     ("--policies", "policy.name", Some(policy)),
@@ -47,12 +47,12 @@ pub(super) fn run(args: &RuntimeArgs) -> anyhow::Result<ExitCode> {
                     ("--ttis", "ttis", Some(&args.ttis)),
                 ],
             )?;
-            claim = paper_claim(&scenario.policy);
+            claim = paper_complexity(&scenario.policy);
             let measured = measure(&scenario, args);
-            rows.push(row(policy, &measured));
+            rows.push(time_row(policy, &measured));
             times.push(measured);
         }
-        fits.extend(fit(policy, claim, &times));
+        fits.extend(fit_rows(policy, claim, &times));
     }
     let findings = Findings {
         title: format!(
@@ -63,7 +63,7 @@ pub(super) fn run(args: &RuntimeArgs) -> anyhow::Result<ExitCode> {
             Sheet {
                 name: "times",
                 title: "One core.".to_owned(),
-                columns: TIMES,
+                columns: TIME_COLUMNS,
                 rows,
             },
             Sheet {
@@ -71,7 +71,7 @@ pub(super) fn run(args: &RuntimeArgs) -> anyhow::Result<ExitCode> {
                 title: "time ∝ N^exponent, ± 95 % by least squares of the logarithms; `paper`: its worst case for \
                     configuring a policy."
                     .to_owned(),
-                columns: FITS,
+                columns: FIT_COLUMNS,
                 rows: fits,
             },
         ],
@@ -88,7 +88,7 @@ pub(super) fn run(args: &RuntimeArgs) -> anyhow::Result<ExitCode> {
     findings.present(&args.study)
 }
 
-fn measure(scenario: &Scenario, args: &RuntimeArgs) -> Times {
+fn measure(scenario: &Scenario, args: &RuntimeArgs) -> PolicyTimes {
     let (mut set_ups, mut runs, mut decisions, mut plans) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     let mut wake_ups = 0;
     for repetition in 0..args.repeat {
@@ -100,51 +100,57 @@ fn measure(scenario: &Scenario, args: &RuntimeArgs) -> Times {
         let started = now();
         TimedWork::run(run);
         runs.push(started.elapsed().as_secs_f64() / scenario.run.ttis as f64);
-        let mut decide = work.decide(args.events);
+        let mut decisions_work = work.prepare_decisions(args.events);
         let started = now();
-        wake_ups += decide.run();
+        wake_ups += decisions_work.decide_wake_ups();
         decisions.push(started.elapsed().as_secs_f64() / args.events as f64);
         let started = now();
-        let planned = decide.plan(args.events);
+        let planned = decisions_work.decide_plans(args.events);
         let seconds = started.elapsed().as_secs_f64() / args.events as f64;
         plans.push(planned.map_or(f64::NAN, |()| seconds));
     }
-    Times {
+    PolicyTimes {
         n: f64::from(scenario.run.devices),
         set_up_s: median(set_ups),
         tti_s: median(runs),
         decision_s: median(decisions),
         plan_s: median(plans),
-        wake_ups: wake_ups as f64 / (args.events * args.repeat) as f64,
+        wake_ups_per_decision: wake_ups as f64 / (args.events * args.repeat) as f64,
     }
 }
 
-fn row(policy: &str, times: &Times) -> Vec<SheetValue> {
+fn time_row(policy: &str, times: &PolicyTimes) -> Vec<SheetValue> {
     vec![
         policy.into(),
         (times.n as u64).into(),
         (times.set_up_s * 1e3).into(),
         (times.tti_s * 1e6).into(),
         (times.decision_s * 1e6).into(),
-        times.wake_ups.into(),
+        times.wake_ups_per_decision.into(),
         (times.plan_s * 1e6).into(),
     ]
 }
 
 /// One row for each kind of time; the exponent is NaN if none can be fitted.
-fn fit(policy: &str, claim: &str, times: &[Times]) -> Vec<Vec<SheetValue>> {
-    let fitted = |what: &str, time: fn(&Times) -> f64, claim: &str| {
+fn fit_rows(policy: &str, claim: &str, times: &[PolicyTimes]) -> Vec<Vec<SheetValue>> {
+    let fit_row = |time_kind: &str, time: fn(&PolicyTimes) -> f64, claim: &str| {
         let points: Vec<(f64, f64)> = times.iter().map(|t| (t.n, time(t))).collect();
-        let law = power_law(&points).map_or((f64::NAN, f64::NAN), |law| (law.exponent, law.half_width));
-        vec![policy.into(), what.into(), law.0.into(), law.1.into(), claim.into()]
+        let law = fit_power_law(&points).map_or((f64::NAN, f64::NAN), |law| (law.exponent, law.half_width));
+        vec![
+            policy.into(),
+            time_kind.into(),
+            law.0.into(),
+            law.1.into(),
+            claim.into(),
+        ]
     };
     let mut fits = vec![
-        fitted("set-up", |t| t.set_up_s, claim),
-        fitted("run, per TTI", |t| t.tti_s, "–"),
-        fitted("decision", |t| t.decision_s, "–"),
+        fit_row("set-up", |t| t.set_up_s, claim),
+        fit_row("run, per TTI", |t| t.tti_s, "–"),
+        fit_row("decision", |t| t.decision_s, "–"),
     ];
     if times.iter().all(|t| t.plan_s.is_finite()) {
-        fits.push(fitted("plan", |t| t.plan_s, "–"));
+        fits.push(fit_row("plan", |t| t.plan_s, "–"));
     }
     fits
 }

@@ -6,7 +6,7 @@ use anyhow::Context;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{CellAlignment, Table};
 use reveille_lab::io::put;
-use reveille_study::report::page_sections::wrapped;
+use reveille_study::report::page_sections::wrap_text;
 use serde_json::{Map, Value};
 
 use crate::cli::StudyArgs;
@@ -55,7 +55,7 @@ impl From<f64> for SheetValue {
 
 impl SheetValue {
     /// The value as text, with about four significant digits.
-    fn shown(&self) -> String {
+    fn display_text(&self) -> String {
         match self {
             Self::Text(text) => text.clone(),
             Self::Whole(n) => n.to_string(),
@@ -66,7 +66,7 @@ impl SheetValue {
     }
 
     /// The value with full precision for CSV; empty if undefined.
-    fn exact(&self) -> String {
+    fn csv_text(&self) -> String {
         match self {
             Self::Text(text) => text.clone(),
             Self::Whole(n) => n.to_string(),
@@ -105,7 +105,7 @@ impl Sheet {
             .load_style(UTF8_FULL_CONDENSED)
             .set_header(self.columns.iter().copied());
         for row in &self.rows {
-            table.add_row(row.iter().map(SheetValue::shown));
+            table.add_row(row.iter().map(SheetValue::display_text));
         }
         for column in 0..self.columns.len() {
             let is_number = |row: &Vec<SheetValue>| !matches!(row[column], SheetValue::Text(_));
@@ -130,7 +130,7 @@ impl Sheet {
         let mut writer = csv::Writer::from_writer(Vec::new());
         writer.write_record(self.columns)?;
         for row in &self.rows {
-            writer.write_record(row.iter().map(SheetValue::exact))?;
+            writer.write_record(row.iter().map(SheetValue::csv_text))?;
         }
         Ok(writer.into_inner()?)
     }
@@ -164,7 +164,7 @@ impl Findings {
             })?;
         }
         let text = if args.json { self.json()? } else { self.text() };
-        display::print(&text)?;
+        display::print_stdout(&text)?;
         Ok(ExitCode::SUCCESS)
     }
 
@@ -187,7 +187,7 @@ impl Findings {
             text.push('\n');
         }
         for note in &self.notes {
-            text += &wrapped(&format!("- {note}"), "  ");
+            text += &wrap_text(&format!("- {note}"), "  ");
         }
         text
     }

@@ -1,10 +1,10 @@
-//! `reveille analyse transitions`.
+//! `reveille analyse transitions`: the paper's P_m,n next to the frequencies in runs.
 
 use std::process::ExitCode;
 
 use reveille_study::analysis::transitions::{Transition, Transitions, measure};
 
-use super::lists::scenario;
+use super::lists::build_scenario;
 use super::sheet::{Findings, Sheet, SheetValue};
 use crate::cli::TransitionsArgs;
 
@@ -25,7 +25,7 @@ const COLUMNS: &[&str] = &[
 
 /// Counts transitions.
 pub(super) fn run(args: &TransitionsArgs) -> anyhow::Result<ExitCode> {
-    let scenario = scenario(
+    let scenario = build_scenario(
         &args.study,
         &[
             ("--devices", "devices", args.devices.as_deref()),
@@ -48,21 +48,21 @@ pub(super) fn run(args: &TransitionsArgs) -> anyhow::Result<ExitCode> {
             title: "Printed: mean and range over devices. Measured: share of the visits of S_m, ± 95 % between runs."
                 .to_owned(),
             columns: COLUMNS,
-            rows: found.transitions.iter().map(row).collect(),
+            rows: found.transitions.iter().map(transition_row).collect(),
         }],
         notes: notes(&found),
     };
     findings.present(&args.study)
 }
 
-fn row(t: &Transition) -> Vec<SheetValue> {
+fn transition_row(t: &Transition) -> Vec<SheetValue> {
     vec![
         format!("P_{},{}", t.from, t.to).into(),
         t.printed.into(),
         t.printed_range.0.into(),
         t.printed_range.1.into(),
-        (t.improper as u64).into(),
-        t.by_duty.unwrap_or(f64::NAN).into(),
+        (t.improper_count as u64).into(),
+        t.share_by_duty.unwrap_or(f64::NAN).into(),
         t.measured.mean.into(),
         t.measured.half_width.into(),
         t.wilson.0.into(),
@@ -83,7 +83,7 @@ fn notes(found: &Transitions) -> Vec<String> {
          TTI in which an event starts; P_4,2 assumes that the closest device has just reported."
             .to_owned(),
     ];
-    for t in found.transitions.iter().filter(|t| t.improper > 0) {
+    for t in found.transitions.iter().filter(|t| t.improper_count > 0) {
         let why = match (t.from, t.to) {
             (1 | 3, 1) => "it sums several conditional probabilities of the same event, and is 0/0 where t_on = t_DRX",
             (1 | 3, 4) => "it is the complement of a sum that is not a probability",
@@ -92,7 +92,7 @@ fn notes(found: &Transitions) -> Vec<String> {
         };
         notes.push(format!(
             "P_{},{} as printed is not a probability for {} of {} devices: {why}.",
-            t.from, t.to, t.improper, found.devices
+            t.from, t.to, t.improper_count, found.device_count
         ));
     }
     notes

@@ -15,30 +15,30 @@ use reveille_bs::observer::frames::FrameObserver;
 use reveille_bs::scenario::Scenario;
 use reveille_common::ids::Tti;
 use reveille_common::message::{ClockMessage, ClockStatus, Frame, Message};
-use reveille_lab::external_inputs::{ExternalInput, ExternalInputs, Parser};
+use reveille_lab::external_inputs::{ExternalInput, ExternalInputs, InputLogParser};
 use reveille_lab::preparation::prepare;
 use reveille_lab::run::{Run, RunOptions};
 
-use crate::signals::aside;
+use crate::signals::run_on_thread;
 
 /// Context of an error in the input log.
-const LOG: &str = "the input log of the run";
+const LOG_CONTEXT: &str = "the input log of the run";
 
 /// Passes on the replayed past of a run before the received frames.
 pub(crate) struct CatchUp {
     scenario: Scenario,
     /// The input log, as far as it was read.
-    log: Parser,
+    log: InputLogParser,
     /// Bytes read of the log.
-    read: u64,
+    bytes_read: u64,
     /// The replay, once it is needed.
     run: Option<Run>,
     /// The next TTI to pass on.
-    told: Tti,
+    next_tti: Tti,
     /// Returns whether to stop the replay.
     stop: Box<dyn Fn() -> bool + Send>,
     /// Whether the grant open at the connection continues: its frames may be incomplete and are not passed on.
-    is_within: bool,
+    is_in_open_grant: bool,
     is_over: bool,
 }
 
@@ -48,12 +48,12 @@ impl CatchUp {
     pub(crate) fn new(scenario: Scenario, stop: impl Fn() -> bool + Send + 'static) -> Self {
         Self {
             scenario,
-            log: Parser::default(),
-            read: 0,
+            log: InputLogParser::default(),
+            bytes_read: 0,
             run: None,
-            told: Tti::ZERO,
+            next_tti: Tti::ZERO,
             stop: Box::new(stop),
-            is_within: false,
+            is_in_open_grant: false,
             is_over: false,
         }
     }
@@ -64,32 +64,32 @@ impl CatchUp {
     }
 
     /// The offset of the first unread byte of the input log.
-    pub(crate) const fn read(&self) -> u64 {
-        self.read
+    pub(crate) const fn bytes_read(&self) -> u64 {
+        self.bytes_read
     }
 
     /// Adds the next part of the input log, up to its last whole line. Returns false if the log has not grown.
     ///
     /// # Errors
     /// If the part does not belong to a log of this run.
-    pub(crate) fn read_input_log(&mut self, more: &[u8]) -> anyhow::Result<bool> {
+    pub(crate) fn read_input_log(&mut self, part: &[u8]) -> anyhow::Result<bool> {
         let known = self.log.inputs();
         let (outages, decisions) = (known.outages.len(), known.decisions.len());
         // A part can end within a line, whose rest comes with the next part.
-        let whole = more.iter().rposition(|byte| *byte == b'\n').map_or(0, |last| last + 1);
-        let text = std::str::from_utf8(&more[..whole]).context(LOG)?;
-        let length = self.log.read(text, &self.scenario).context(LOG)?;
-        self.read += length as u64;
-        // A started replay lacks only the new inputs; `tell` passes on all others at its start.
+        let whole_bytes = part.iter().rposition(|byte| *byte == b'\n').map_or(0, |last| last + 1);
+        let text = std::str::from_utf8(&part[..whole_bytes]).context(LOG_CONTEXT)?;
+        let length = self.log.read(text, &self.scenario).context(LOG_CONTEXT)?;
+        self.bytes_read += length as u64;
+        // A started replay lacks only the new inputs; `replay_until` passes on all others at its start.
         if let Some(run) = &mut self.run {
             let ExternalInputs {
-                outages: all,
-                decisions: made,
+                outages: outages_now,
+                decisions: decisions_now,
             } = self.log.inputs();
-            all[outages..]
+            outages_now[outages..]
                 .iter()
                 .for_each(|outage| run.schedule_input(ExternalInput::Outage(*outage)));
-            let new = made[decisions..].iter().cloned();
+            let new = decisions_now[decisions..].iter().cloned();
             new.for_each(|decision| run.schedule_input(ExternalInput::Decision(decision)));
         }
         Ok(length > 0)
@@ -97,17 +97,17 @@ impl CatchUp {
 
     /// The next TTI to pass on, until the catch-up is complete.
     pub(crate) const fn replayed_until(&self) -> Tti {
-        self.told
+        self.next_tti
     }
 
     /// Passes on the TTIs that were closed when the clock had this `status`.
     ///
     /// # Errors
-    /// See [`Self::tell`].
-    pub(crate) fn catch_up(&mut self, status: &ClockStatus, take: impl FnMut(Frame)) -> anyhow::Result<()> {
+    /// See [`Self::replay_until`].
+    pub(crate) fn catch_up(&mut self, status: &ClockStatus, on_frame: impl FnMut(Frame)) -> anyhow::Result<()> {
         // While the clock runs, the TTI before the next one can still be open.
-        let in_work = u64::from(!status.paused);
-        self.replay_until(Tti(status.tti.0.saturating_sub(in_work)), take)?;
+        let open_ttis = u64::from(!status.paused);
+        self.replay_until(Tti(status.tti.0.saturating_sub(open_ttis)), on_frame)?;
         Ok(())
     }
 
@@ -115,13 +115,13 @@ impl CatchUp {
     ///
     /// # Errors
     /// If a decision in one of the TTIs is unknown.
-    fn replay_until(&mut self, end: Tti, mut take: impl FnMut(Frame)) -> anyhow::Result<bool> {
-        if end <= self.told {
+    fn replay_until(&mut self, end: Tti, mut on_frame: impl FnMut(Frame)) -> anyhow::Result<bool> {
+        if end <= self.next_tti {
             return Ok(true);
         }
         let run = match &mut self.run {
             Some(run) => run,
-            none => {
+            replay_slot => {
                 // One TTI at a time: a grant with lookahead could go beyond `end`.
                 let options = RunOptions {
                     lookahead: false,
@@ -129,55 +129,55 @@ impl CatchUp {
                 };
                 let scenario = self.scenario.clone();
                 // The preparation can contain a search that takes hours.
-                let Some(mut run) = aside(move || Run::new(&prepare(&scenario), options), &self.stop)? else {
+                let Some(mut run) = run_on_thread(move || Run::new(&prepare(&scenario), options), &self.stop)? else {
                     return Ok(false);
                 };
                 run.schedule_inputs(self.log.inputs());
-                none.insert(run)
+                replay_slot.insert(run)
             }
         };
-        let mut framed = FrameObserver::new(0, &mut take);
+        let mut frame_observer = FrameObserver::new(0, &mut on_frame);
         while run.cycle().next_tti() < end {
             if (self.stop)() {
                 return Ok(false);
             }
-            run.grant(&mut framed);
+            run.run_grant(&mut frame_observer);
             if let Some(tti) = run.missing_decision() {
                 bail!("the input log of the run has no decision for TTI {tti}");
             }
         }
-        self.told = end;
+        self.next_tti = end;
         Ok(true)
     }
 
     /// Takes a received frame and passes on everything before it first.
     ///
     /// # Errors
-    /// See [`Self::tell`].
-    pub(crate) fn push(&mut self, frame: Frame, mut take: impl FnMut(Frame)) -> anyhow::Result<()> {
+    /// See [`Self::replay_until`].
+    pub(crate) fn push(&mut self, frame: Frame, mut on_frame: impl FnMut(Frame)) -> anyhow::Result<()> {
         if self.is_over {
-            take(frame);
+            on_frame(frame);
             return Ok(());
         }
         // From this TTI on every frame was received, and all TTIs before it are closed.
-        let whole_from = match frame.message() {
+        let received_from = match frame.message() {
             // A plan is sent before the grant in which it takes effect.
-            Ok(Message::Plan(update)) if self.is_within || update.from == self.told => update.from,
-            Ok(Message::World(world)) if self.is_within => world.first,
+            Ok(Message::Plan(update)) if self.is_in_open_grant || update.from == self.next_tti => update.from,
+            Ok(Message::World(world)) if self.is_in_open_grant => world.first,
             Ok(Message::World(world)) => {
                 // The grant that was open at the connection: its plan may have been missed, so it is replayed.
-                if world.last >= self.told {
-                    self.is_within = self.replay_until(world.last, take)?;
+                if world.last >= self.next_tti {
+                    self.is_in_open_grant = self.replay_until(world.last, on_frame)?;
                 }
                 return Ok(());
             }
             Ok(Message::Clock(ClockMessage::CollectLedgers(end))) => end,
             Ok(_) | Err(_) => return Ok(()),
         };
-        if self.replay_until(whole_from, &mut take)? {
+        if self.replay_until(received_from, &mut on_frame)? {
             // The replay is not needed any more, and can be large.
             (self.is_over, self.run) = (true, None);
-            take(frame);
+            on_frame(frame);
         }
         Ok(())
     }
@@ -228,7 +228,7 @@ mod tests {
                 ..RunOptions::default()
             };
             let mut run = Run::new(&prepare(scenario), options);
-            run.schedule_inputs(&ExternalInputs::of_outages(outages));
+            run.schedule_inputs(&ExternalInputs::from_outages(outages));
             run.finish(&mut FrameObserver::new(0, |frame| frames.push(frame)));
             let gone = frames.iter().enumerate();
             let gone = gone.filter(|(_, frame)| frame.kind == MessageKind::Removed);
@@ -258,7 +258,7 @@ mod tests {
                 };
                 let decision = RecordedDecision {
                     tti,
-                    answer: answer.clone(),
+                    decision: answer.clone(),
                 };
                 inputs.push((frames.borrow().len(), ExternalInput::Decision(decision)));
                 match answer {
@@ -318,7 +318,7 @@ mod tests {
                     past.read_input_log(known(at)).expect("a log");
                     past.catch_up(&status, |frame| told.push(frame)).expect("it is over");
                     for (number, frame) in (at..).zip(&self.frames[at..]) {
-                        past.read_input_log(&known(number + 1)[past.read() as usize..])
+                        past.read_input_log(&known(number + 1)[past.bytes_read() as usize..])
                             .expect("a log");
                         past.push(frame.clone(), |frame| told.push(frame)).expect("it is over");
                     }

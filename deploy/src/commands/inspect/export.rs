@@ -1,4 +1,4 @@
-//! `reveille inspect export`: exports a recording to a format of other tools.
+//! `reveille inspect export`: writes a recording in a format of other tools. `view/src/export/` defines the formats.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -9,7 +9,7 @@ use anyhow::{Context, bail};
 use reveille_common::message::Frame;
 use reveille_lab::io::beside;
 use reveille_view::export::dissector;
-use reveille_view::export::pcapng::Packets;
+use reveille_view::export::pcapng::PacketWriter;
 use reveille_view::export::perfetto::PerfettoWriter;
 use reveille_view::export::table::{COLUMNS, MessageRow, MessageTableWriter};
 use reveille_view::filter::Filter;
@@ -17,39 +17,40 @@ use reveille_view::recording::RecordingError;
 
 use super::source::{RecordingFile, open};
 use crate::cli::{ExportArgs, ToArg};
-use crate::display::{count, note, print};
+use crate::display::{count_noun, note, print_stdout};
 use crate::exit::ExitReason;
-use crate::paths::is_same;
+use crate::paths::is_same_path;
 
 /// Writes the requested file.
 pub(super) fn run(args: &ExportArgs) -> anyhow::Result<ExitCode> {
     if let Some(path) = &args.dissector {
-        free(path, args.force)?;
-        std::fs::write(path, dissector::lua()).with_context(|| format!("cannot write {}", path.display()))?;
-        print(&format!("{}\n", path.display()))?;
+        check_not_taken(path, args.force)?;
+        std::fs::write(path, dissector::lua_script()).with_context(|| format!("cannot write {}", path.display()))?;
+        print_stdout(&format!("{}\n", path.display()))?;
     }
     let (Some(from), Some(to)) = (&args.file, args.to) else {
         return Ok(ExitReason::Done.into());
     };
     let path = args.out.clone().unwrap_or_else(|| from.with_extension(to.ending()));
     let mut recording = open(from)?;
-    free(&path, args.force)?;
-    // With --force, `free` accepts every file, the recording itself included.
+    check_not_taken(&path, args.force)?;
+    // With --force, `check_not_taken` accepts every file, the recording itself included.
     anyhow::ensure!(
-        !is_same(from, &path),
+        !is_same_path(from, &path),
         "--out {}: is the recording itself; name another file",
         path.display()
     );
     // Written to a part file: half an export looks whole, and the old file must stay until the new one is complete.
-    let cannot = || format!("cannot write {}", path.display());
-    let part = beside(&path, |part| File::create(part)).with_context(cannot)?;
+    let write_error = || format!("cannot write {}", path.display());
+    let part = beside(&path, |part| File::create(part)).with_context(write_error)?;
     let out_file = BufWriter::new(part.as_file());
-    let (frames, torn) = write(args, to, &mut recording, out_file).with_context(|| from.display().to_string())?;
+    let (frames, torn) =
+        write_format(args, to, &mut recording, out_file).with_context(|| from.display().to_string())?;
     part.persist(&path)
         .map_err(|refused| refused.error)
-        .with_context(cannot)?;
-    note!("{}", count(frames, "message"));
-    print(&format!("{}\n", path.display()))?;
+        .with_context(write_error)?;
+    note!("{}", count_noun(frames, "message"));
+    print_stdout(&format!("{}\n", path.display()))?;
     match torn {
         None => Ok(ExitReason::Done.into()),
         Some(error) => {
@@ -62,7 +63,7 @@ pub(super) fn run(args: &ExportArgs) -> anyhow::Result<ExitCode> {
 }
 
 /// Checks that `path` is free, or may be replaced.
-fn free(path: &Path, force: bool) -> anyhow::Result<()> {
+fn check_not_taken(path: &Path, force: bool) -> anyhow::Result<()> {
     if path.exists() && !force {
         bail!("{}: file exists; use --force to replace it", path.display());
     }
@@ -73,7 +74,7 @@ fn free(path: &Path, force: bool) -> anyhow::Result<()> {
 type ExportResult = (usize, Option<RecordingError>);
 
 /// Writes the messages in the format `to`, up to a tear.
-fn write(
+fn write_format(
     args: &ExportArgs,
     to: ToArg,
     recording: &mut RecordingFile,
@@ -81,8 +82,8 @@ fn write(
 ) -> anyhow::Result<ExportResult> {
     match to {
         ToArg::Pcapng => {
-            let mut packets = Packets::begin(out)?;
-            let frames = each(args, recording, |frame| Ok(packets.write(frame)?))?;
+            let mut packets = PacketWriter::begin(out)?;
+            let frames = for_each_frame(args, recording, |frame| Ok(packets.write(frame)?))?;
             packets.finish()?;
             Ok(frames)
         }
@@ -95,14 +96,14 @@ fn write(
             }
             let scenario = recording.bundle().load()?;
             let mut trace = PerfettoWriter::begin(out, recording.run(), &scenario, args.battery_every)?;
-            let frames = each(args, recording, |frame| Ok(trace.write(frame)?))?;
+            let frames = for_each_frame(args, recording, |frame| Ok(trace.write(frame)?))?;
             trace.finish()?;
             Ok(frames)
         }
         ToArg::Csv => {
             let mut rows = csv::Writer::from_writer(out);
             rows.write_record(COLUMNS)?;
-            let frames = each(args, recording, |frame| {
+            let frames = for_each_frame(args, recording, |frame| {
                 Ok(rows.write_record(MessageRow::new(frame).fields())?)
             })?;
             rows.flush()?;
@@ -110,7 +111,7 @@ fn write(
         }
         ToArg::Parquet => {
             let mut rows = MessageTableWriter::begin(out)?;
-            let frames = each(args, recording, |frame| Ok(rows.write(MessageRow::new(frame))?))?;
+            let frames = for_each_frame(args, recording, |frame| Ok(rows.write(MessageRow::new(frame))?))?;
             rows.finish()?.flush()?;
             Ok(frames)
         }
@@ -118,21 +119,21 @@ fn write(
 }
 
 /// Passes on the requested frames, up to a tear.
-fn each(
+fn for_each_frame(
     args: &ExportArgs,
     recording: &mut RecordingFile,
-    mut take: impl FnMut(&Frame) -> anyhow::Result<()>,
+    mut on_frame: impl FnMut(&Frame) -> anyhow::Result<()>,
 ) -> anyhow::Result<ExportResult> {
     let filter = Filter {
         ttis: Some(args.since.unwrap_or(0)..=args.until.unwrap_or(u64::MAX)),
         ..Filter::default()
     };
-    recording.seek(filter.first())?;
+    recording.seek(filter.first_tti())?;
     let mut frames = 0;
     loop {
         match recording.next_frame() {
             Ok(Some(frame)) if !filter.is_over(frame.tti) => {
-                take(&frame)?;
+                on_frame(&frame)?;
                 frames += 1;
             }
             Ok(_) => return Ok((frames, None)),

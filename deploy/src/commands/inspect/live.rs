@@ -1,4 +1,5 @@
-//! A live run, observed through the tap of its bus.
+//! A live run, observed through the tap of its bus, for `inspect` and the dashboard. The run never waits for this
+//! process: frames that it cannot take are dropped and counted.
 
 use std::io;
 use std::sync::Arc;
@@ -8,9 +9,10 @@ use anyhow::anyhow;
 use reveille_common::bus::{Bus, DeclarationGuard};
 use reveille_common::ids::Tti;
 use reveille_common::message::{
-    ClockCommand, ClockStatus, DescribeRequest, Frame, LogPart, Message, MessageKind, Query, ReadLog, TapBatch,
+    ClockCommand, ClockStatus, DescribeRequest, Frame, FrameBatch, InputLogPart, InputLogRequest, Message, MessageKind,
+    Query,
 };
-use reveille_view::recording::Bundle;
+use reveille_view::recording::ScenarioBundle;
 use tokio::sync::Notify;
 use tokio::sync::mpsc::Receiver;
 
@@ -19,13 +21,14 @@ use crate::cli::TargetArgs;
 use crate::display::note;
 use crate::exit::Interrupted;
 use crate::run_registry;
-use crate::signals::{Insistence, Manner, Signals};
+use crate::signals::{ForcedExit, SignalMode, Signals};
 
-const PATIENCE: Duration = Duration::from_secs(5);
+/// Longest wait for the connection and for each reply.
+const QUERY_TIMEOUT: Duration = Duration::from_secs(5);
 /// Batches of frames that can wait in the queue.
-const QUEUE: usize = 4_096;
+const MAX_QUEUED_BATCHES: usize = 4_096;
 /// Longest wait for each of the last frames of an ended run.
-const LAST: Duration = Duration::from_millis(300);
+const LAST_FRAME_TIMEOUT: Duration = Duration::from_millis(300);
 
 /// An observed run.
 pub(crate) struct Live {
@@ -36,17 +39,17 @@ pub(crate) struct Live {
     pub devices: u32,
     /// The clock's status at the connection.
     status: ClockStatus,
-    batches: Receiver<TapBatch>,
-    ended: Arc<Notify>,
+    batches: Receiver<FrameBatch>,
+    run_ended: Arc<Notify>,
     is_over: bool,
     signals: Signals,
-    insistence: Option<Insistence>,
+    forced_exit: Option<ForcedExit>,
     /// The TTI before which [`Self::follow`] has passed on everything.
     reached: Tti,
     /// The number of the next frame, once one has arrived.
-    expected: Option<u64>,
+    next_frame_number: Option<u64>,
     /// Frames dropped because this reader was too slow.
-    pub left_out: u64,
+    pub dropped_frames: u64,
     _declared: [DeclarationGuard; 2],
 }
 
@@ -56,23 +59,27 @@ impl Live {
     /// # Errors
     /// If there is no such run.
     pub(crate) async fn connect(target: &TargetArgs) -> anyhow::Result<Self> {
-        let found = run_registry::find(target)?;
-        let bus = Bus::connect(&found.endpoint, found.run, PATIENCE)
+        let address = run_registry::find(target)?;
+        let bus = Bus::connect(&address.endpoint, address.run, QUERY_TIMEOUT)
             .await?
-            .with_key(found.key);
-        if !bus.list_runs(PATIENCE).await?.contains(&bus.keys().run().to_string()) {
+            .with_key(address.key);
+        if !bus
+            .list_runs(QUERY_TIMEOUT)
+            .await?
+            .contains(&bus.keys().run().to_string())
+        {
             return Err(bus.no_run_error().await.into());
         }
-        let Some(status) = bus.query(&ClockCommand::Status, PATIENCE).await? else {
+        let Some(status) = bus.query(&ClockCommand::Status, QUERY_TIMEOUT).await? else {
             return Err(bus.no_run_error().await.into());
         };
-        let (send, batches) = tokio::sync::mpsc::channel(QUEUE);
-        let ended = Arc::new(Notify::new());
-        let bell = Arc::clone(&ended);
-        let watch = bus.watch_alive(bus.keys().bs_alive(), move |_, alive| {
+        let (send, batches) = tokio::sync::mpsc::channel(MAX_QUEUED_BATCHES);
+        let run_ended = Arc::new(Notify::new());
+        let end_notifier = Arc::clone(&run_ended);
+        let watch = bus.watch_alive(bus.keys().bs_liveliness(), move |_, alive| {
             if !alive {
-                // `notify_one` keeps a permit: the token can disappear before anything waits for the bell.
-                bell.notify_one();
+                // `notify_one` keeps a permit: the token can disappear before anything waits for it.
+                end_notifier.notify_one();
             }
         })?;
         let tap = bus.observe(move |batch| {
@@ -85,13 +92,13 @@ impl Live {
             status,
             bus,
             batches,
-            ended,
+            run_ended,
             is_over: false,
-            signals: Signals::install(Manner::Leaves)?,
-            insistence: None,
+            signals: Signals::install(SignalMode::HasNoResults)?,
+            forced_exit: None,
             reached: Tti::ZERO,
-            expected: None,
-            left_out: 0,
+            next_frame_number: None,
+            dropped_frames: 0,
             _declared: [watch, tap],
         })
     }
@@ -110,15 +117,21 @@ impl Live {
     ///
     /// # Errors
     /// If the thread cannot be started.
-    pub(crate) fn insist(&mut self) -> io::Result<()> {
-        self.insistence = Some(self.signals.insist(|| Interrupted::BARE.to_string())?);
+    pub(crate) fn force_exit_after_signal(&mut self) -> io::Result<()> {
+        self.forced_exit = Some(
+            self.signals
+                .force_exit_after_signal(|| Interrupted::WITHOUT_RESULTS.to_string())?,
+        );
         Ok(())
     }
 
     /// Queries the base station, until a signal comes.
-    async fn ask<Q: Query<Address = ()>>(&self, question: &Q) -> anyhow::Result<Option<Q::Reply>> {
-        let reply = self.signals.or(self.bus.query(question, PATIENCE)).await;
-        Ok(reply.ok_or(Interrupted::BARE)??)
+    async fn query_bs<Q: Query<Address = ()>>(&self, question: &Q) -> anyhow::Result<Option<Q::Reply>> {
+        let reply = self
+            .signals
+            .unless_interrupted(self.bus.query(question, QUERY_TIMEOUT))
+            .await;
+        Ok(reply.ok_or(Interrupted::WITHOUT_RESULTS)??)
     }
 
     /// Whether the run has ended.
@@ -135,8 +148,8 @@ impl Live {
     ///
     /// # Errors
     /// If the run has ended, or a signal comes.
-    pub(crate) async fn bundle(&self) -> anyhow::Result<Bundle> {
-        match self.ask(&DescribeRequest).await? {
+    pub(crate) async fn bundle(&self) -> anyhow::Result<ScenarioBundle> {
+        match self.query_bs(&DescribeRequest).await? {
             Some(description) => Ok(description.into()),
             None => Err(self.bus.no_run_error().await.into()),
         }
@@ -149,15 +162,15 @@ impl Live {
             tokio::select! {
                 // In this order: a signal ends the wait, and batches that have arrived come before the end of the run.
                 biased;
-                () = self.signals.first() => return None,
-                batch = self.batches.recv() => return batch.map(|batch| self.take(batch)),
-                () = self.ended.notified() => self.is_over = true,
+                () = self.signals.wait_for_first() => return None,
+                batch = self.batches.recv() => return batch.map(|batch| self.count_gap(batch)),
+                () = self.run_ended.notified() => self.is_over = true,
             }
         }
         // The end of the run becomes visible before its last batches arrive.
-        let last = tokio::time::timeout(LAST, self.batches.recv());
-        let last = self.signals.or(last).await?.ok().flatten();
-        last.map(|batch| self.take(batch))
+        let last = tokio::time::timeout(LAST_FRAME_TIMEOUT, self.batches.recv());
+        let last = self.signals.unless_interrupted(last).await?.ok().flatten();
+        last.map(|batch| self.count_gap(batch))
     }
 
     /// Checks that a followed run did not end before its last TTI.
@@ -177,63 +190,62 @@ impl Live {
     ///
     /// # Errors
     /// If the scenario of `bundle` is invalid, the run has ended, or a signal comes.
-    pub(crate) async fn past(&self, bundle: &Bundle) -> anyhow::Result<CatchUp> {
+    pub(crate) async fn past(&self, bundle: &ScenarioBundle) -> anyhow::Result<CatchUp> {
         let signals = self.signals.clone();
-        let mut past = CatchUp::new(bundle.load()?, move || signals.have_come());
-        if self.learn(&mut past).await? {
+        let mut past = CatchUp::new(bundle.load()?, move || signals.has_arrived());
+        if self.update_input_log(&mut past).await? {
             Ok(past)
         } else {
             Err(self.bus.no_run_error().await.into())
         }
     }
 
-    /// Passes every frame of the run to `take`, from TTI 0 on; frames of its `past` come without the emulation plane.
-    /// Stops when the run ends, a signal comes, or `take` returns false. Dropped messages are counted and reported
-    /// once.
+    /// Passes every frame of the run to `on_frame`, from TTI 0 on; frames of its `past` lack the emulation plane. Stops
+    /// when the run ends, a signal comes, or `on_frame` returns false. Dropped messages are counted and reported once.
     ///
     /// # Errors
     /// If the external inputs of the run cannot be read.
     pub(crate) async fn follow(
         &mut self,
         mut past: CatchUp,
-        mut take: impl FnMut(Frame) -> bool,
+        mut on_frame: impl FnMut(Frame) -> bool,
     ) -> anyhow::Result<()> {
         let mut reached = Tti::ZERO;
-        let mut take = |frame: Frame| {
+        let mut on_frame = |frame: Frame| {
             if frame.kind == MessageKind::World
                 && let Ok(Message::World(world)) = frame.message()
             {
                 reached = world.last + 1;
             }
-            take(frame)
+            on_frame(frame)
         };
-        let (mut goes_on, mut is_told, mut is_there) = (true, false, true);
+        let (mut wants_more, mut has_warned, mut is_running) = (true, false, true);
         // The replay can take long; `block_in_place` keeps other tasks going, such as the dashboard's.
-        tokio::task::block_in_place(|| past.catch_up(&self.status, |frame| goes_on &= take(frame)))?;
-        while goes_on && let Some((frames, _)) = self.next().await {
+        tokio::task::block_in_place(|| past.catch_up(&self.status, |frame| wants_more &= on_frame(frame)))?;
+        while wants_more && let Some((frames, _)) = self.next().await {
             // The tap also copies the query below: frames of other kinds must not trigger the next query.
             let is_due =
                 |frame: &Frame| matches!(frame.kind, MessageKind::Plan | MessageKind::World | MessageKind::Clock);
             if !past.is_over() && frames.iter().any(is_due) {
-                is_there = match self.learn(&mut past).await {
+                is_running = match self.update_input_log(&mut past).await {
                     Err(error) if error.is::<Interrupted>() => break,
                     learned => learned?,
                 };
             }
             tokio::task::block_in_place(|| {
                 let mut frames = frames.into_iter();
-                frames.try_for_each(|frame| past.push(frame, |frame| goes_on &= take(frame)))
+                frames.try_for_each(|frame| past.push(frame, |frame| wants_more &= on_frame(frame)))
             })
             .map_err(|error| {
-                if is_there {
+                if is_running {
                     return error;
                 }
                 anyhow!("the run ended before this observer had caught up; use `up --record` to record from TTI 0")
             })?;
-            if self.left_out > 0 && !is_told {
-                let (left_out, tti) = (self.left_out, past.replayed_until());
-                note!("{left_out} messages after TTI {tti} were dropped (reader too slow)");
-                is_told = true;
+            if self.dropped_frames > 0 && !has_warned {
+                let (dropped_frames, tti) = (self.dropped_frames, past.replayed_until());
+                note!("{dropped_frames} messages after TTI {tti} were dropped (reader too slow)");
+                has_warned = true;
             }
         }
         self.reached = reached;
@@ -244,32 +256,34 @@ impl Live {
     ///
     /// # Errors
     /// If the log cannot be read, or a signal comes.
-    async fn learn(&self, past: &mut CatchUp) -> anyhow::Result<bool> {
+    async fn update_input_log(&self, past: &mut CatchUp) -> anyhow::Result<bool> {
         loop {
-            let from = past.read();
-            let Some(part) = self.ask(&ReadLog { from }).await? else {
+            let from = past.bytes_read();
+            let Some(part) = self.query_bs(&InputLogRequest { from }).await? else {
                 return Ok(false);
             };
             let is_more = tokio::task::block_in_place(|| past.read_input_log(&part.bytes))?;
             // A part shorter than the limit ends the log. Inputs added meanwhile are read at the next grant.
-            if !is_more || (part.bytes.len() as u64) < LogPart::LONGEST {
+            if !is_more || (part.bytes.len() as u64) < InputLogPart::MAX_BYTES {
                 return Ok(true);
             }
         }
     }
 
-    fn take(&mut self, batch: TapBatch) -> (Vec<Frame>, u64) {
+    fn count_gap(&mut self, batch: FrameBatch) -> (Vec<Frame>, u64) {
         // Saturating: a batch whose numbers go back must not wrap the count.
-        let missing = batch.first.saturating_sub(self.expected.unwrap_or(batch.first));
-        self.left_out += missing;
-        self.expected = Some(batch.first.saturating_add(batch.frames.len() as u64));
+        let missing = batch
+            .first
+            .saturating_sub(self.next_frame_number.unwrap_or(batch.first));
+        self.dropped_frames += missing;
+        self.next_frame_number = Some(batch.first.saturating_add(batch.frames.len() as u64));
         (batch.frames, missing)
     }
 
     /// Closes the connection.
     pub(crate) async fn close(self) {
         // All output is written; closing the session may take longer than the grace.
-        drop(self.insistence);
+        drop(self.forced_exit);
         self.bus.close().await;
     }
 }

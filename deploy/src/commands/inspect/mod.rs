@@ -1,4 +1,5 @@
-//! `reveille inspect`: the messages of a live or recorded run.
+//! `reveille inspect`: the messages of a live or recorded run, one file per subcommand. `source` gives the frames,
+//! `live` connects to a run, and `catch_up` replays the TTIs before the connection. The dashboard uses these three too.
 
 mod catch_up;
 mod compare;

@@ -22,22 +22,22 @@ pub(super) async fn run(args: &InspectRecordArgs) -> anyhow::Result<ExitCode> {
     }
     let mut live = Live::connect(&args.target).await?;
     let bundle = live.bundle().await?;
-    let failed = |why: String| anyhow!("{}: {why}", path.display());
+    let recording_error = |why: String| anyhow!("{}: {why}", path.display());
     let past = live.past(&bundle).await?;
     // The file is created last, so that a failed connection leaves none.
-    let recorder = Recorder::start(path, &live.run, &bundle).map_err(failed)?;
+    let recorder = Recorder::start(path, &live.run, &bundle).map_err(recording_error)?;
     live.report_position();
-    let tape = recorder.handle();
+    let recorder_handle = recorder.handle();
     let started = crate::runtime::now();
     let record = |frame| {
-        tape.take(frame);
-        tape.failure().is_none()
+        recorder_handle.push(frame);
+        recorder_handle.failure().is_none()
     };
     let followed = live.follow(past, record).await;
-    drop(tape);
-    let (left_out, whole) = (live.left_out, live.report_early_end());
+    drop(recorder_handle);
+    let (dropped_frames, ended_whole) = (live.dropped_frames, live.report_early_end());
     // Closed before any error is returned, so that the frames so far can be read.
-    let recorded = recorder.finish(None).map_err(failed)?;
+    let recorded = recorder.finish(None).map_err(recording_error)?;
     followed?;
     live.close().await;
     note!(
@@ -47,12 +47,12 @@ pub(super) async fn run(args: &InspectRecordArgs) -> anyhow::Result<ExitCode> {
         recorded.bytes as f64 / 1e6,
         Instant::elapsed(&started).as_secs_f64()
     );
-    if left_out > 0 {
+    if dropped_frames > 0 {
         bail!(
-            "{}: {left_out} messages were dropped (reader too slow); use `up --record`, for which the run waits",
+            "{}: {dropped_frames} messages were dropped (reader too slow); use `up --record`, for which the run waits",
             path.display()
         );
     }
-    whole?;
+    ended_whole?;
     Ok(ExitReason::Done.into())
 }

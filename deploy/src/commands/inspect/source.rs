@@ -1,4 +1,4 @@
-//! Sources of frames: a live run or a recording.
+//! Sources of frames for `tail`, `stats` and the dashboard: a live run or a recording.
 
 use std::fs::File;
 use std::io::BufReader;
@@ -9,7 +9,7 @@ use reveille_bs::cycle::PreparedRun;
 use reveille_bs::scenario::Scenario;
 use reveille_common::ids::Tti;
 use reveille_common::message::Frame;
-use reveille_view::recording::{Bundle, RecordingReader, is_growing};
+use reveille_view::recording::{ScenarioBundle, RecordingReader, is_growing};
 
 use super::live::Live;
 use crate::cli::TargetArgs;
@@ -55,7 +55,7 @@ impl FrameSource {
             return Ok(Self::Recorded(Box::new(open(path)?), path.display().to_string()));
         }
         let mut live = Live::connect(target).await?;
-        live.insist()?;
+        live.force_exit_after_signal()?;
         Ok(Self::Live(Box::new(live)))
     }
 
@@ -63,7 +63,7 @@ impl FrameSource {
     ///
     /// # Errors
     /// If the run has ended.
-    pub(crate) async fn bundle(&self) -> anyhow::Result<Bundle> {
+    pub(crate) async fn bundle(&self) -> anyhow::Result<ScenarioBundle> {
         match self {
             Self::Live(live) => live.bundle().await,
             Self::Recorded(recording, _) => Ok(recording.bundle().clone()),
@@ -82,7 +82,7 @@ impl FrameSource {
     }
 
     /// Prints the position of a live run.
-    pub(crate) fn greet(&self) {
+    pub(crate) fn report_position(&self) {
         if let Self::Live(live) = self {
             live.report_position();
         }
@@ -106,8 +106,8 @@ impl FrameSource {
     pub(crate) fn closing_line(&self, shown: u64) -> String {
         match self {
             Self::Live(live) => {
-                let left_out = live.left_out;
-                format!("{shown} messages shown, {left_out} dropped (reader too slow)")
+                let dropped_frames = live.dropped_frames;
+                format!("{shown} messages shown, {dropped_frames} dropped (reader too slow)")
             }
             Self::Recorded(..) => format!("{shown} messages shown"),
         }
@@ -122,11 +122,11 @@ impl FrameSource {
 }
 
 /// The group of each device; `None` if the policy has no groups by position or needs pilot runs to form them.
-pub(crate) fn groups(scenario: &Scenario) -> Option<Vec<u32>> {
+pub(crate) fn device_groups(scenario: &Scenario) -> Option<Vec<u32>> {
     let prepared = PreparedRun::without_pilots(scenario);
-    if scenario.policy.settings().pilots().is_some() {
+    if scenario.policy.settings().pilot_search().is_some() {
         return None;
     }
     let known = prepared.knowledge();
-    prepared.policy(&known).groups().map(<[u32]>::to_vec)
+    prepared.policy(&known).device_groups().map(<[u32]>::to_vec)
 }

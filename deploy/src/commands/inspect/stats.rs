@@ -12,11 +12,11 @@ use serde_json::{Value, json};
 
 use super::source::FrameSource;
 use crate::cli::StatsArgs;
-use crate::display::{note, print};
+use crate::display::{note, print_stdout};
 use crate::exit::ExitReason;
 
 /// Time between two tables with `--watch`.
-const AGAIN: Duration = Duration::from_secs(1);
+const TABLE_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Counts until the run or recording ends, or a signal arrives.
 pub(super) async fn run(args: &StatsArgs) -> anyhow::Result<ExitCode> {
@@ -25,8 +25,8 @@ pub(super) async fn run(args: &StatsArgs) -> anyhow::Result<ExitCode> {
     if let Some(since) = args.since {
         source.seek(reveille_common::ids::Tti(since))?;
     }
-    source.greet();
-    let (mut traffic, mut shown) = (TrafficStats::default(), crate::runtime::now());
+    source.report_position();
+    let (mut traffic, mut last_shown) = (TrafficStats::default(), crate::runtime::now());
     let torn = loop {
         match source.next().await {
             Ok(Some((frames, _))) => {
@@ -41,24 +41,24 @@ pub(super) async fn run(args: &StatsArgs) -> anyhow::Result<ExitCode> {
             Ok(None) => break None,
             Err(error) => break Some(error),
         }
-        if args.watch && shown.elapsed() >= AGAIN {
+        if args.watch && last_shown.elapsed() >= TABLE_INTERVAL {
             // Control codes belong on a screen, not in a file.
             let clear = if std::io::stdout().is_terminal() {
                 "\u{1b}[2J\u{1b}[H"
             } else {
                 ""
             };
-            print(&format!("{clear}{}\n", format_stats(args, &traffic, devices)))?;
-            shown = crate::runtime::now();
+            print_stdout(&format!("{clear}{}\n", format_stats(args, &traffic, devices)))?;
+            last_shown = crate::runtime::now();
         }
     };
-    print(&format!("{}\n", format_stats(args, &traffic, devices)))?;
+    print_stdout(&format!("{}\n", format_stats(args, &traffic, devices)))?;
     if let FrameSource::Live(live) = &source
-        && live.left_out > 0
+        && live.dropped_frames > 0
     {
         note!(
             "{} messages were dropped and not counted (reader too slow)",
-            live.left_out
+            live.dropped_frames
         );
     }
     source.close().await;
@@ -67,17 +67,17 @@ pub(super) async fn run(args: &StatsArgs) -> anyhow::Result<ExitCode> {
 
 fn format_stats(args: &StatsArgs, traffic: &TrafficStats, devices: u32) -> String {
     if args.json {
-        json(traffic, devices, args.devices).to_string()
+        json_stats(traffic, devices, args.devices).to_string()
     } else {
-        text(traffic, devices, args.devices)
+        text_stats(traffic, devices, args.devices)
     }
 }
 
-fn json(traffic: &TrafficStats, devices: u32, by_device: bool) -> Value {
+fn json_stats(traffic: &TrafficStats, devices: u32, by_device: bool) -> Value {
     let kinds = traffic.kinds().map(|(kind, count)| {
         json!({ "kind": kind.name(), "plane": kind.plane().name(), "messages": count.messages, "bytes": count.bytes })
     });
-    let mut told = json!({
+    let mut output = json!({
         "n": devices,
         "ttis": traffic.ttis(),
         "kinds": kinds.collect::<Vec<_>>(),
@@ -90,12 +90,12 @@ fn json(traffic: &TrafficStats, devices: u32, by_device: bool) -> Value {
             let kinds = kinds.iter().map(|(kind, count)| (kind.name().to_owned(), json!(count)));
             json!({ "device": device, "kinds": kinds.collect::<serde_json::Map<_, _>>() })
         };
-        told["devices"] = traffic.devices().map(device).collect();
+        output["devices"] = traffic.devices().map(device).collect();
     }
-    told
+    output
 }
 
-fn text(traffic: &TrafficStats, devices: u32, by_device: bool) -> String {
+fn text_stats(traffic: &TrafficStats, devices: u32, by_device: bool) -> String {
     let ttis = traffic.ttis().max(1) as f64;
     let mut table = Table::new();
     let header = [
@@ -109,15 +109,15 @@ fn text(traffic: &TrafficStats, devices: u32, by_device: bool) -> String {
     ];
     table.load_style(UTF8_FULL_CONDENSED).set_header(header);
     let row = |name: &str, plane: &str, count: MessageCount| {
-        let each = count.bytes as f64 / ttis;
+        let bytes_per_tti = count.bytes as f64 / ttis;
         [
             name.to_owned(),
             plane.to_owned(),
             count.messages.to_string(),
             count.bytes.to_string(),
             format!("{:.3}", count.messages as f64 / ttis),
-            format!("{each:.2}"),
-            format!("{:.4}", each / f64::from(devices.max(1))),
+            format!("{bytes_per_tti:.2}"),
+            format!("{:.4}", bytes_per_tti / f64::from(devices.max(1))),
         ]
     };
     for (kind, count) in traffic.kinds() {
@@ -133,10 +133,10 @@ fn text(traffic: &TrafficStats, devices: u32, by_device: bool) -> String {
         || "no messages".to_owned(),
         |(first, last)| format!("TTIs {first} to {last}, {devices} devices"),
     );
-    let mut told = vec![format!("{span}\n{table}")];
+    let mut output = vec![format!("{span}\n{table}")];
     if let Some(share) = traffic.control_share() {
         let control = traffic.control();
-        told.push(format!(
+        output.push(format!(
             "control: {} plans and {} wake-ups, {:.2} bytes a TTI, {:.1} % of all bytes on the air",
             traffic.kind(MessageKind::Plan).messages,
             traffic.kind(MessageKind::Wake).messages,
@@ -145,12 +145,12 @@ fn text(traffic: &TrafficStats, devices: u32, by_device: bool) -> String {
         ));
     }
     if by_device {
-        told.push(of_devices(traffic).to_string());
+        output.push(device_table(traffic).to_string());
     }
-    told.join("\n")
+    output.join("\n")
 }
 
-fn of_devices(traffic: &TrafficStats) -> Table {
+fn device_table(traffic: &TrafficStats) -> Table {
     let mut table = Table::new();
     table.load_style(UTF8_FULL_CONDENSED).set_header([
         "device",
@@ -161,14 +161,14 @@ fn of_devices(traffic: &TrafficStats) -> Table {
         "failed",
     ]);
     for (device, kinds) in traffic.devices() {
-        let of = |kind| kinds.get(&kind).copied().unwrap_or_default();
+        let count_of = |kind| kinds.get(&kind).copied().unwrap_or_default();
         table.add_row([
             device.to_string(),
-            of(MessageKind::Wake).messages.to_string(),
-            of(MessageKind::Woken).messages.to_string(),
-            of(MessageKind::Report).messages.to_string(),
-            of(MessageKind::Report).bytes.to_string(),
-            of(MessageKind::Failed).messages.to_string(),
+            count_of(MessageKind::Wake).messages.to_string(),
+            count_of(MessageKind::Woken).messages.to_string(),
+            count_of(MessageKind::Report).messages.to_string(),
+            count_of(MessageKind::Report).bytes.to_string(),
+            count_of(MessageKind::Failed).messages.to_string(),
         ]);
     }
     for column in table.column_iter_mut() {

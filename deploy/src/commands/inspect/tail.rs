@@ -15,7 +15,7 @@ use reveille_view::frame_line::FrameLine;
 use reveille_view::wake_up_pairs::{PairStep, WakeUpExchange, WakeUpPairer};
 use serde_json::json;
 
-use super::source::{FrameSource, groups};
+use super::source::{FrameSource, device_groups};
 use crate::cli::{ColourArg, TailArgs};
 use crate::display::note;
 use crate::exit::ExitReason;
@@ -45,14 +45,14 @@ pub(super) async fn run(args: &TailArgs) -> anyhow::Result<ExitCode> {
         filter.devices = Some(vec![DeviceId(device)]);
     }
     if let (Some(cluster), Some(scenario)) = (args.cluster, &scenario) {
-        filter.devices = Some(of_cluster(scenario, cluster, filter.devices.as_deref())?);
+        filter.devices = Some(cluster_devices(scenario, cluster, filter.devices.as_deref())?);
     }
     let mut printer = Printer::new(args, filter, scenario.as_ref());
     // With --state the mirror needs every frame, so a recording is read from its start.
     if printer.mirror.is_none() {
-        source.seek(printer.filter.first())?;
+        source.seek(printer.filter.first_tti())?;
     }
-    source.greet();
+    source.report_position();
     let ended = printer.print(&mut source).await;
     note!("{}", source.closing_line(printer.printed));
     source.close().await;
@@ -71,34 +71,36 @@ fn filter(args: &TailArgs) -> Filter {
     }
 }
 
-/// The devices of a cluster of the policy of `scenario`, limited to `also` if given.
-fn of_cluster(scenario: &Scenario, cluster: u32, also: Option<&[DeviceId]>) -> anyhow::Result<Vec<DeviceId>> {
-    let Some(groups) = groups(scenario) else {
+/// The devices of a cluster of the policy of `scenario`, limited to `allowed` if given.
+fn cluster_devices(scenario: &Scenario, cluster: u32, allowed: Option<&[DeviceId]>) -> anyhow::Result<Vec<DeviceId>> {
+    let Some(groups) = device_groups(scenario) else {
         bail!(
             "--cluster: policy {} has no clusters that the scenario determines; leave it out",
             scenario.policy.name()
         );
     };
-    let most = groups.iter().max().copied().unwrap_or(0);
+    let last_cluster = groups.iter().max().copied().unwrap_or(0);
     anyhow::ensure!(
-        cluster <= most,
-        "--cluster {cluster}: the run has {} clusters, 0 to {most}",
-        most + 1
+        cluster <= last_cluster,
+        "--cluster {cluster}: the run has {} clusters, 0 to {last_cluster}",
+        last_cluster + 1
     );
     let ids = (0..).map(DeviceId).zip(&groups);
-    let own = ids.filter(|(_, group)| **group == cluster).map(|(id, _)| id);
-    Ok(own.filter(|id| also.is_none_or(|also| also.contains(id))).collect())
+    let members = ids.filter(|(_, group)| **group == cluster).map(|(id, _)| id);
+    Ok(members
+        .filter(|id| allowed.is_none_or(|allowed| allowed.contains(id)))
+        .collect())
 }
 
 /// Prints the frames that pass the filter.
 struct Printer<'a> {
     args: &'a TailArgs,
     filter: Filter,
-    join: Option<WakeUpPairer>,
+    pairer: Option<WakeUpPairer>,
     /// Tracks the states of devices, if requested.
     mirror: Option<DeviceMirror>,
     /// The state of the last woken device before its wake-up.
-    before_wake: Option<DeviceState>,
+    state_before_wake: Option<DeviceState>,
     has_colour: bool,
     printed: u64,
 }
@@ -107,8 +109,8 @@ impl<'a> Printer<'a> {
     fn new(args: &'a TailArgs, filter: Filter, scenario: Option<&Scenario>) -> Self {
         let is_wanted = |_: &&Scenario| !filter.states.is_empty();
         Self {
-            join: args.pair_wake_ups.then(WakeUpPairer::default),
-            before_wake: None,
+            pairer: args.pair_wake_ups.then(WakeUpPairer::default),
+            state_before_wake: None,
             mirror: scenario
                 .filter(is_wanted)
                 .map(|scenario| DeviceMirror::new(scenario, &Deployment::new(scenario))),
@@ -175,36 +177,38 @@ impl<'a> Printer<'a> {
             // Filters see the state before the message has its effect.
             state = frame.device().and_then(|device| mirror.state(device));
             if frame.kind == MessageKind::Wake {
-                self.before_wake = state;
+                self.state_before_wake = state;
             }
             if let Ok(message) = &line.message {
                 mirror.apply(frame, message)?;
             }
         }
         let step = self
-            .join
+            .pairer
             .as_mut()
-            .map_or(PairStep::Unpaired, |join| join.take(frame, &line.message));
-        if let PairStep::Paired(joined) = step {
-            // The filter treats the joined line as a wake-up, although its last frame is of another kind.
+            .map_or(PairStep::Unpaired, |pairer| pairer.push(frame, &line.message));
+        if let PairStep::Paired(exchange) = step {
+            // The filter treats the line of an exchange as a wake-up, although its last frame is of another kind.
             let wake = Frame {
                 kind: MessageKind::Wake,
                 ..frame.clone()
             };
-            let passes = self.filter.passes(&wake, line.message.as_ref().ok(), self.before_wake);
-            return Ok(passes.then(|| self.joined(&joined)));
+            let passes = self
+                .filter
+                .passes(&wake, line.message.as_ref().ok(), self.state_before_wake);
+            return Ok(passes.then(|| self.format_exchange(&exchange)));
         }
         let passes = step == PairStep::Unpaired && self.filter.passes(frame, line.message.as_ref().ok(), state);
-        Ok(passes.then(|| self.shown(frame.kind, &line)))
+        Ok(passes.then(|| self.format_line(frame.kind, &line)))
     }
 
-    fn joined(&self, joined: &WakeUpExchange) -> String {
+    fn format_exchange(&self, exchange: &WakeUpExchange) -> String {
         let WakeUpExchange {
             tti,
             device,
             outcome,
             bytes,
-        } = joined;
+        } = exchange;
         if self.args.json {
             let message = json!({ "tti": tti, "outcome": outcome });
             return json!({
@@ -212,19 +216,19 @@ impl<'a> Printer<'a> {
             })
             .to_string();
         }
-        self.painted(MessageKind::Wake, joined.to_string())
+        self.coloured(MessageKind::Wake, exchange.to_string())
     }
 
-    fn shown(&self, kind: MessageKind, line: &FrameLine<'_>) -> String {
+    fn format_line(&self, kind: MessageKind, line: &FrameLine<'_>) -> String {
         if self.args.json {
             line.to_json()
         } else {
-            self.painted(kind, line.to_string())
+            self.coloured(kind, line.to_string())
         }
     }
 
     /// Returns `text` in the colour of its kind.
-    fn painted(&self, kind: MessageKind, text: String) -> String {
+    fn coloured(&self, kind: MessageKind, text: String) -> String {
         let code = match (kind, kind.plane()) {
             (MessageKind::Wake, _) => "1;33",
             (MessageKind::Report, _) => "32",

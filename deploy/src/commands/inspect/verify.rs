@@ -1,4 +1,5 @@
-//! `reveille inspect verify`: recomputes the results of a recorded run from its messages alone.
+//! `reveille inspect verify`: recomputes the results of a recorded run from its messages alone, with
+//! `view/src/reconstruction.rs`, and compares them with the summary in the recording.
 
 use std::collections::BTreeMap;
 use std::fmt::Debug;
@@ -13,7 +14,7 @@ use serde::Deserialize;
 
 use super::source::open;
 use crate::cli::VerifyArgs;
-use crate::display::{count, print};
+use crate::display::{count_noun, print_stdout};
 use crate::exit::ExitReason;
 
 /// Verifies a recording.
@@ -22,7 +23,7 @@ pub(super) fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
     let mut recording = open(&args.file)?;
     let summary = recording.summary().map(str::to_owned);
     let scenario = recording.bundle().load().with_context(named)?;
-    let mut replay = Reconstruction::new(&scenario);
+    let mut reconstruction = Reconstruction::new(&scenario);
     let mut frames = 0;
     let torn = loop {
         match recording.next_frame() {
@@ -35,27 +36,27 @@ pub(super) fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
                     named(),
                     frame.tti
                 );
-                replay.apply(&frame).with_context(named)?;
+                reconstruction.apply(&frame).with_context(named)?;
                 frames += 1;
             }
             Ok(None) => break None,
             Err(error) => break Some(error),
         }
     };
-    let ttis = replay.ttis();
-    let own = replay.finish();
-    let said = format!(
+    let ttis = reconstruction.ttis_applied();
+    let recomputed = reconstruction.finish();
+    let consistency = format!(
         "{}: {}, TTIs 0 to {}, are consistent",
         named(),
-        count(frames, "message"),
+        count_noun(frames, "message"),
         ttis.saturating_sub(1)
     );
     if let Some(error) = torn {
-        print(&format!("{said}\n"))?;
+        print_stdout(&format!("{consistency}\n"))?;
         bail!("{}: {error}; the recording has no summary to compare with", named());
     }
     let Some(summary) = summary else {
-        print(&format!("{said}\ndigest of these TTIs {}\n", own.digest))?;
+        print_stdout(&format!("{consistency}\ndigest of these TTIs {}\n", recomputed.digest))?;
         let why = if ttis < scenario.run.ttis {
             format!("the run was interrupted before TTI {}", scenario.run.ttis)
         } else {
@@ -64,10 +65,10 @@ pub(super) fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
         bail!("{}: the recording has no summary to compare with: {why}", named());
     };
     let summary: ExpectedResults = serde_json::from_str(&summary).with_context(named)?;
-    let metrics = compare(&own, ttis, &summary).with_context(named)?;
-    print(&format!(
-        "{said}\ndigest {}, as in the summary\n{metrics} metrics and all totals, as in the summary\n",
-        own.digest
+    let metrics = compare(&recomputed, ttis, &summary).with_context(named)?;
+    print_stdout(&format!(
+        "{consistency}\ndigest {}, as in the summary\n{metrics} metrics and all totals, as in the summary\n",
+        recomputed.digest
     ))?;
     Ok(ExitReason::Done.into())
 }
@@ -82,23 +83,23 @@ struct ExpectedResults {
 }
 
 /// Compares the results from the messages with the summary. Returns the number of metrics.
-fn compare(own: &FinalScore, ttis: u64, told: &ExpectedResults) -> anyhow::Result<usize> {
-    fn same<T: PartialEq + Debug>(what: &str, own: &T, told: &T) -> anyhow::Result<()> {
+fn compare(recomputed: &FinalScore, ttis: u64, expected: &ExpectedResults) -> anyhow::Result<usize> {
+    fn check_equal<T: PartialEq + Debug>(name: &str, recomputed: &T, expected: &T) -> anyhow::Result<()> {
         anyhow::ensure!(
-            own == told,
-            "{what} is {own:?} according to the messages, but {told:?} in the summary"
+            recomputed == expected,
+            "{name} is {recomputed:?} according to the messages, but {expected:?} in the summary"
         );
         Ok(())
     }
-    same("ttis_done", &ttis, &told.ttis_done)?;
-    let rows = own.metrics.rows();
+    check_equal("ttis_done", &ttis, &expected.ttis_done)?;
+    let rows = recomputed.metrics.rows();
     for (name, value, _) in &rows {
         // JSON has no NaN: the summary holds null instead.
         let value = Some(*value).filter(|value| !value.is_nan());
-        same(name, &value, &told.metrics.get(*name).copied().flatten())?;
+        check_equal(name, &value, &expected.metrics.get(*name).copied().flatten())?;
     }
-    same("totals", &own.totals, &told.totals)?;
+    check_equal("totals", &recomputed.totals, &expected.totals)?;
     // The digest comes last: the comparisons before it name the difference.
-    same("digest", &own.digest.to_string(), &told.digest)?;
+    check_equal("digest", &recomputed.digest.to_string(), &expected.digest)?;
     Ok(rows.len())
 }

@@ -1,4 +1,5 @@
-//! `reveille sweep`: many runs in memory.
+//! `reveille sweep`: many runs in memory, one per combination of values and seed. `lab/src/sweep/` runs them and keeps
+//! the journal; this module chooses the folder and shows progress and results.
 
 mod progress;
 mod report;
@@ -10,72 +11,73 @@ use std::sync::Arc;
 
 use anyhow::bail;
 use reveille_common::io::Disk;
-use reveille_lab::sweep::{ReusableRuns, Shard, Sweep, SweepGrid, hash, seeds_in};
+use reveille_lab::sweep::{ReusableRuns, Shard, Sweep, SweepGrid, experiment_hash, read_seed_count};
 use reveille_lab::table::Table;
 
-use super::experiment::experiment;
+use super::experiment::build_experiment;
 use crate::cli::SweepArgs;
 use crate::display::{self, note};
 use crate::exit::Interrupted;
-use crate::signals::{Manner, Signals};
+use crate::signals::{SignalMode, Signals};
 use progress::SweepDisplay;
 use report::SweepSummary;
 
 /// Runs or resumes a sweep.
 pub(crate) fn run(args: &SweepArgs) -> anyhow::Result<ExitCode> {
-    let mut grid = SweepGrid::new(experiment(args.experiment.as_deref(), &args.grid)?, &Disk)?;
+    let mut grid = SweepGrid::new(build_experiment(args.experiment.as_deref(), &args.grid)?, &Disk)?;
     let shard = args.shard.unwrap_or(Shard::WHOLE);
     grid.check_shard(shard)?;
-    let folder = folder(args, &mut grid, shard);
-    warn(&grid);
+    let folder = sweep_folder(args, &mut grid, shard);
+    log_warnings(&grid);
     if args.dry_run {
-        display::print(&report::dry_run(args, &grid, shard, &folder)?)?;
+        display::print_stdout(&report::dry_run(args, &grid, shard, &folder)?)?;
         return Ok(ExitCode::SUCCESS);
     }
     let threads = threads(args)?;
-    let known = known(&args.reuse)?;
-    let signals = Signals::install(Manner::Keeps)?;
+    let reusable = reusable_runs(&args.reuse)?;
+    let signals = Signals::install(SignalMode::SavesResults)?;
     let mut sweep = Sweep::open(&grid, shard, &folder)?;
-    announce(args, &sweep, &folder);
+    report_found(args, &sweep, &folder);
     // Before the progress starts, since reused runs count as found.
-    let taken = sweep.reuse(&known)?;
-    if taken > 0 && !args.quiet {
-        note!("{} taken over by --reuse", display::count(taken, "run"));
+    let reused = sweep.reuse(&reusable)?;
+    if reused > 0 && !args.quiet {
+        note!("{} taken over by --reuse", display::count_noun(reused, "run"));
     }
-    let progress = SweepDisplay::start(&grid, shard, threads, sweep.found(), &signals, args.quiet);
+    let progress = SweepDisplay::start(&grid, shard, threads, sweep.known_runs(), &signals, args.quiet);
     let progress = Arc::new(progress);
-    let insistence = signals.insist(last_words(Arc::clone(&progress), sweep.found(), folder.clone()))?;
+    let forced_exit =
+        signals.force_exit_after_signal(exit_message(Arc::clone(&progress), sweep.known_runs(), folder.clone()))?;
     let started = crate::runtime::now();
-    let ended = sweep.run(threads, args.format.into(), &*progress);
-    drop(insistence);
+    let result = sweep.run(threads, args.format.into(), &*progress);
+    drop(forced_exit);
     let seconds = started.elapsed().as_secs_f64();
     let device_ttis = progress.finish();
-    let Some(finished) = ended? else {
-        bail!(interrupted(sweep.done(), &folder));
+    let Some(finished) = result? else {
+        bail!(interrupted(sweep.finished_runs(), &folder));
     };
     let report = SweepSummary {
         grid: &grid,
         finished: &finished,
         folder: &folder,
-        found: sweep.found(),
+        found: sweep.known_runs(),
         seconds,
         device_ttis,
         threads,
     };
     if args.json {
-        display::print(&report.to_json()?)?;
+        display::print_stdout(&report.to_json()?)?;
     } else if args.quiet {
-        display::print(&format!("{}\n", finished.path.display()))?;
+        display::print_stdout(&format!("{}\n", finished.path.display()))?;
     } else {
-        display::print(&report.to_text())?;
+        display::print_stdout(&report.to_text())?;
     }
     Ok(ExitCode::SUCCESS)
 }
 
 /// Reads the runs in the tables of `--reuse`.
-fn known(tables: &[PathBuf]) -> anyhow::Result<ReusableRuns> {
+fn reusable_runs(tables: &[PathBuf]) -> anyhow::Result<ReusableRuns> {
     let read = |given: &PathBuf| {
-        let path = crate::paths::table_of(given)?;
+        let path = crate::paths::resolve_table(given)?;
         let table = Table::read(&path)?;
         anyhow::Ok((path, table))
     };
@@ -84,7 +86,7 @@ fn known(tables: &[PathBuf]) -> anyhow::Result<ReusableRuns> {
 }
 
 /// Prints each distinct warning of all cells.
-fn warn(grid: &SweepGrid) {
+fn log_warnings(grid: &SweepGrid) {
     let warnings = grid.cells.iter().flat_map(|cell| &cell.warnings);
     for warning in warnings.collect::<BTreeSet<_>>() {
         tracing::warn!("{warning}");
@@ -93,10 +95,10 @@ fn warn(grid: &SweepGrid) {
 
 /// Returns the message for a sweep that does not end soon after a signal. A run in set-up does not check for signals,
 /// and a million devices or a search can make that long. Finished runs are in the journal.
-fn last_words(progress: Arc<SweepDisplay>, found: usize, folder: PathBuf) -> impl FnOnce() -> String {
+fn exit_message(progress: Arc<SweepDisplay>, found: usize, folder: PathBuf) -> impl FnOnce() -> String {
     move || {
         progress.finish();
-        let done = found + progress.runs();
+        let done = found + progress.finished_runs();
         interrupted(done, &folder).to_string()
     }
 }
@@ -104,25 +106,28 @@ fn last_words(progress: Arc<SweepDisplay>, found: usize, folder: PathBuf) -> imp
 /// The error of a sweep ended by a signal, with `done` finished runs in `folder`.
 fn interrupted(done: usize, folder: &Path) -> Interrupted {
     let are = if done == 1 { "is" } else { "are" };
-    let (done, folder) = (display::count(done, "finished run"), folder.display());
+    let (done, folder) = (display::count_noun(done, "finished run"), folder.display());
     let text = format!("interrupted; the {done} {are} kept in {folder}: give the same command again to resume");
     Interrupted(text.into())
 }
 
 /// Reports the content found in the folder on standard error: standard output is for results.
-fn announce(args: &SweepArgs, sweep: &Sweep<'_>, folder: &Path) {
+fn report_found(args: &SweepArgs, sweep: &Sweep<'_>, folder: &Path) {
     let folder = folder.display();
-    if sweep.dropped() > 0 {
-        let rows = display::count(sweep.dropped(), "row");
-        let (were, have) = if sweep.dropped() == 1 {
+    if sweep.dropped_lines() > 0 {
+        let rows = display::count_noun(sweep.dropped_lines(), "row");
+        let (were, have) = if sweep.dropped_lines() == 1 {
             ("was", "has")
         } else {
             ("were", "have")
         };
         tracing::warn!("{folder}/runs.journal: {rows} {were} damaged and {have} been removed; their runs are repeated");
     }
-    if sweep.found() > 0 && !args.quiet {
-        note!("{} found in {folder}", display::count(sweep.found(), "finished run"));
+    if sweep.known_runs() > 0 && !args.quiet {
+        note!(
+            "{} found in {folder}",
+            display::count_noun(sweep.known_runs(), "finished run")
+        );
     }
 }
 
@@ -135,36 +140,43 @@ fn threads(args: &SweepArgs) -> anyhow::Result<usize> {
 
 /// Returns the folder that the command line names. Otherwise it is the folder of the given experiment file if the sweep
 /// resumes there, or a folder named after the experiment.
-fn folder(args: &SweepArgs, grid: &mut SweepGrid, shard: Shard) -> PathBuf {
-    let own = args.experiment.as_deref().and_then(|file| {
+fn sweep_folder(args: &SweepArgs, grid: &mut SweepGrid, shard: Shard) -> PathBuf {
+    let experiment_folder = args.experiment.as_deref().and_then(|file| {
         let parent = file.parent().filter(|_| file.ends_with("experiment.toml"))?;
-        let own = if parent == Path::new("") {
+        let experiment_folder = if parent == Path::new("") {
             Path::new(".")
         } else {
             parent
         };
-        Some((own.to_owned(), seeds_in(grid, shard, own)?))
+        Some((
+            experiment_folder.to_owned(),
+            read_seed_count(grid, shard, experiment_folder)?,
+        ))
     });
-    let is_asked_for = |own: &Path| args.out.as_deref().is_none_or(|out| crate::paths::is_same(out, own));
-    if let Some((own, held)) = own.filter(|(own, _)| is_asked_for(own)) {
+    let is_requested = |own: &Path| {
+        args.out
+            .as_deref()
+            .is_none_or(|out| crate::paths::is_same_path(out, own))
+    };
+    if let Some((experiment_folder, journal_seeds)) = experiment_folder.filter(|(own, _)| is_requested(own)) {
         let seeds = &mut grid.experiment.seeds.count;
         if args.grid.seeds.is_none() {
             // A kill while seeds were added can leave an experiment.toml with fewer seeds than the journal.
-            *seeds = held.max(*seeds);
+            *seeds = journal_seeds.max(*seeds);
         }
         if args.out.is_none() {
             // Opening the journal refuses fewer seeds than it holds.
-            return own;
+            return experiment_folder;
         }
     }
     args.out.clone().unwrap_or_else(|| {
         // The hash covers the number of seeds: a short trial gets another folder and cannot block the full sweep.
-        let hash = hash(grid);
-        let share = if shard == Shard::WHOLE {
+        let hash = experiment_hash(grid);
+        let shard_suffix = if shard == Shard::WHOLE {
             String::new()
         } else {
             format!("-{}of{}", shard.index(), shard.count())
         };
-        Path::new("runs").join(format!("sweep-{}{share}", &hash[..12]))
+        Path::new("runs").join(format!("sweep-{}{shard_suffix}", &hash[..12]))
     })
 }

@@ -1,4 +1,4 @@
-//! The progress bar of a sweep.
+//! The progress bar of a sweep, fed by the threads of `lab/src/sweep/`.
 //!
 //! The remaining time is estimated from the finished runs of each cell. A cell without finished runs counts with its
 //! device-TTIs at the mean rate of the others.
@@ -16,7 +16,7 @@ use crate::display;
 use crate::signals::Signals;
 
 /// Least time between two redraws.
-const REDRAW: Duration = Duration::from_millis(100);
+const REDRAW_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Follows a sweep and shows its progress.
 pub(super) struct SweepDisplay {
@@ -25,10 +25,10 @@ pub(super) struct SweepDisplay {
     threads: usize,
     labels: Vec<String>,
     cells: Vec<CellTimes>,
-    current: AtomicUsize,
-    began: Instant,
-    under_way: Mutex<Vec<(ThreadId, Instant)>>,
-    drawn: Mutex<Instant>,
+    current_cell: AtomicUsize,
+    started_at: Instant,
+    run_starts: Mutex<Vec<(ThreadId, Instant)>>,
+    last_drawn: Mutex<Instant>,
     /// The warnings already printed, by cell.
     warned: Mutex<BTreeSet<(usize, String)>>,
 }
@@ -36,11 +36,11 @@ pub(super) struct SweepDisplay {
 /// The progress of one cell.
 struct CellTimes {
     /// Device-TTIs of one run.
-    cost: u64,
+    run_device_ttis: u64,
     planned: AtomicU64,
     done: AtomicU64,
     /// Total time of all finished runs, nanoseconds.
-    nanos: AtomicU64,
+    total_nanos: AtomicU64,
 }
 
 impl SweepDisplay {
@@ -54,12 +54,16 @@ impl SweepDisplay {
         hidden: bool,
     ) -> Self {
         let template = "{bar:24} {pos}/{len} runs  {msg}";
-        let bar = display::bar(grid.share(shard).saturating_sub(found as u64), template, hidden);
-        let tally = |cost| CellTimes {
-            cost,
+        let bar = display::new_bar(
+            grid.shard_run_count(shard).saturating_sub(found as u64),
+            template,
+            hidden,
+        );
+        let cell_times = |run_device_ttis| CellTimes {
+            run_device_ttis,
             planned: AtomicU64::new(0),
             done: AtomicU64::new(0),
-            nanos: AtomicU64::new(0),
+            total_nanos: AtomicU64::new(0),
         };
         let now = crate::runtime::now();
         Self {
@@ -67,11 +71,11 @@ impl SweepDisplay {
             signals: signals.clone(),
             threads,
             labels: grid.cells.iter().map(|cell| cell.label.clone()).collect(),
-            cells: grid.cells.iter().map(|cell| tally(cell.device_ttis())).collect(),
-            current: AtomicUsize::new(0),
-            began: now,
-            under_way: Mutex::new(Vec::with_capacity(threads)),
-            drawn: Mutex::new(now),
+            cells: grid.cells.iter().map(|cell| cell_times(cell.device_ttis())).collect(),
+            current_cell: AtomicUsize::new(0),
+            started_at: now,
+            run_starts: Mutex::new(Vec::with_capacity(threads)),
+            last_drawn: Mutex::new(now),
             warned: Mutex::default(),
         }
     }
@@ -81,12 +85,12 @@ impl SweepDisplay {
         self.bar.finish_and_clear();
         self.cells
             .iter()
-            .map(|cell| cell.cost.saturating_mul(cell.done.load(Ordering::Relaxed)))
+            .map(|cell| cell.run_device_ttis.saturating_mul(cell.done.load(Ordering::Relaxed)))
             .fold(0, u64::saturating_add)
     }
 
     /// The number of finished runs of this call.
-    pub(super) fn runs(&self) -> usize {
+    pub(super) fn finished_runs(&self) -> usize {
         let done: u64 = self.cells.iter().map(|cell| cell.done.load(Ordering::Relaxed)).sum();
         usize::try_from(done).unwrap_or(usize::MAX)
     }
@@ -94,57 +98,67 @@ impl SweepDisplay {
     fn draw(&self) {
         let now = crate::runtime::now();
         // A thread that finds another one drawing continues with its runs.
-        let Ok(mut drawn) = self.drawn.try_lock() else { return };
-        if now.duration_since(*drawn) < REDRAW {
+        let Ok(mut last_drawn) = self.last_drawn.try_lock() else {
+            return;
+        };
+        if now.duration_since(*last_drawn) < REDRAW_INTERVAL {
             return;
         }
-        *drawn = now;
-        let get = |value: &AtomicU64| value.load(Ordering::Relaxed);
+        *last_drawn = now;
+        let load = |value: &AtomicU64| value.load(Ordering::Relaxed);
         let (done, planned) = self.cells.iter().fold((0, 0), |(done, planned), cell| {
-            (done + get(&cell.done), planned + get(&cell.planned))
+            (done + load(&cell.done), planned + load(&cell.planned))
         });
         let work: f64 = self
             .cells
             .iter()
-            .map(|cell| cell.cost as f64 * get(&cell.done) as f64)
+            .map(|cell| cell.run_device_ttis as f64 * load(&cell.done) as f64)
             .sum();
-        let rate = work / now.duration_since(self.began).as_secs_f64();
+        let rate = work / now.duration_since(self.started_at).as_secs_f64();
         self.bar.set_length(planned);
         self.bar.set_position(done);
         self.bar.set_message(format!(
             "{:.0} M device-TTIs/s  {} left  {}",
             rate / 1e6,
-            HumanDuration(self.left()),
-            self.labels[self.current.load(Ordering::Relaxed)]
+            HumanDuration(self.remaining_time()),
+            self.labels[self.current_cell.load(Ordering::Relaxed)]
         ));
     }
 
     /// Estimates the remaining time.
-    fn left(&self) -> Duration {
-        let known = self.cells.iter().map(|cell| {
-            let (done, nanos) = (cell.done.load(Ordering::Relaxed), cell.nanos.load(Ordering::Relaxed));
-            (cell, done, nanos)
+    fn remaining_time(&self) -> Duration {
+        let cell_counts = self.cells.iter().map(|cell| {
+            let (done, total_nanos) = (
+                cell.done.load(Ordering::Relaxed),
+                cell.total_nanos.load(Ordering::Relaxed),
+            );
+            (cell, done, total_nanos)
         });
-        let known: Vec<_> = known.collect();
-        let (work, time) = known.iter().fold((0.0, 0.0), |(work, time), (cell, done, nanos)| {
-            (work + cell.cost as f64 * *done as f64, time + *nanos as f64)
-        });
+        let cell_counts: Vec<_> = cell_counts.collect();
+        let (work, time) = cell_counts
+            .iter()
+            .fold((0.0, 0.0), |(work, time), (cell, done, total_nanos)| {
+                (
+                    work + cell.run_device_ttis as f64 * *done as f64,
+                    time + *total_nanos as f64,
+                )
+            });
         // Without a finished run this is 0, not NaN.
         let mean = time / work.max(1.0);
-        let left: f64 = known
+        let remaining: f64 = cell_counts
             .iter()
-            .map(|&(cell, done, nanos)| {
-                let left = cell.planned.load(Ordering::Relaxed).saturating_sub(done) as f64;
-                let each = if done > 0 {
-                    nanos as f64 / done as f64
+            .map(|&(cell, done, total_nanos)| {
+                let remaining = cell.planned.load(Ordering::Relaxed).saturating_sub(done) as f64;
+                let nanos_per_run = if done > 0 {
+                    total_nanos as f64 / done as f64
                 } else {
-                    mean * cell.cost as f64
+                    mean * cell.run_device_ttis as f64
                 };
-                left * each
+                remaining * nanos_per_run
             })
             .sum();
         // Clamped, since `from_secs_f64` panics on a value that does not fit.
-        Duration::from_secs_f64((left / 1e9 / self.threads as f64).min(1e9))
+        Duration::from_secs_f64((remaining / 1e9 / self.threads as f64).min(1e9))
     }
 }
 
@@ -154,21 +168,21 @@ impl SweepProgress for SweepDisplay {
     }
 
     fn started(&self, cell: usize) {
-        self.current.store(cell, Ordering::Relaxed);
-        let mut under_way = self.under_way.lock().unwrap_or_else(PoisonError::into_inner);
-        under_way.push((std::thread::current().id(), crate::runtime::now()));
+        self.current_cell.store(cell, Ordering::Relaxed);
+        let mut run_starts = self.run_starts.lock().unwrap_or_else(PoisonError::into_inner);
+        run_starts.push((std::thread::current().id(), crate::runtime::now()));
     }
 
     fn finished(&self, cell: usize) {
-        let own = std::thread::current().id();
-        let mut under_way = self.under_way.lock().unwrap_or_else(PoisonError::into_inner);
+        let thread_id = std::thread::current().id();
+        let mut run_starts = self.run_starts.lock().unwrap_or_else(PoisonError::into_inner);
         // A thread makes one run at a time, so its id finds the start.
-        let at = under_way.iter().position(|(thread, _)| *thread == own);
-        let taken = at.map_or(Duration::ZERO, |at| under_way.swap_remove(at).1.elapsed());
+        let index = run_starts.iter().position(|(thread, _)| *thread == thread_id);
+        let run_time = index.map_or(Duration::ZERO, |index| run_starts.swap_remove(index).1.elapsed());
         // Released before `draw`, which writes to the terminal.
-        drop(under_way);
-        let nanos = u64::try_from(taken.as_nanos()).unwrap_or(u64::MAX);
-        self.cells[cell].nanos.fetch_add(nanos, Ordering::Relaxed);
+        drop(run_starts);
+        let total_nanos = u64::try_from(run_time.as_nanos()).unwrap_or(u64::MAX);
+        self.cells[cell].total_nanos.fetch_add(total_nanos, Ordering::Relaxed);
         self.cells[cell].done.fetch_add(1, Ordering::Relaxed);
         self.draw();
     }
@@ -182,6 +196,6 @@ impl SweepProgress for SweepDisplay {
     }
 
     fn stop(&self) -> bool {
-        self.signals.have_come()
+        self.signals.has_arrived()
     }
 }

@@ -13,10 +13,10 @@ use reveille_lab::table::SweptValue;
 use serde_json::{Map, Value as Json, json};
 
 use crate::cli::SweepArgs;
-use crate::display::count;
+use crate::display::count_noun;
 
 /// The metrics of the closing table and their short headings.
-const SHOWN: [(&str, &str); 6] = [
+const CLOSING_METRICS: [(&str, &str); 6] = [
     ("info_p1", "info (P1)"),
     ("detection_delay_ttis", "delay TTIs"),
     ("misdetection_pct", "missed %"),
@@ -47,36 +47,40 @@ impl SweepSummary<'_> {
     /// Formats a row per cell, and the path of the table of all runs.
     pub(super) fn to_text(&self) -> String {
         let names = SeriesNames::from_table(&self.finished.table);
-        let is_shown = |place: usize| names.name_column() != Some(place);
+        let is_shown = |column: usize| names.ranking_column() != Some(column);
         let swept = self.finished.table.schema.swept.iter().enumerate();
-        let swept = swept.filter(|(place, _)| is_shown(*place));
+        let swept = swept.filter(|(column, _)| is_shown(*column));
         let mut table = Table::new();
-        let mut head = vec![
+        let mut headings = vec![
             "preset".to_owned(),
             "policy".to_owned(),
             "N".to_owned(),
             "TTIs".to_owned(),
         ];
-        head.extend(swept.map(|(_, (name, _))| name.clone()));
-        head.push("runs".to_owned());
-        let fixed = head.len();
-        head.extend(SHOWN.iter().map(|(_, head)| (*head).to_owned()));
-        table.load_style(UTF8_FULL_CONDENSED).set_header(head);
-        let cells = stats::cells(&self.finished.table);
-        for cell in names.distinct(&cells) {
+        headings.extend(swept.map(|(_, (name, _))| name.clone()));
+        headings.push("runs".to_owned());
+        let label_columns = headings.len();
+        headings.extend(CLOSING_METRICS.iter().map(|(_, headings)| (*headings).to_owned()));
+        table.load_style(UTF8_FULL_CONDENSED).set_header(headings);
+        let cells = stats::group_by_cell(&self.finished.table);
+        for cell in names.distinct_cells(&cells) {
             let mut row = vec![
                 cell.preset.to_owned(),
                 names.name(cell.rows[0]),
                 cell.n.to_string(),
                 cell.ttis.to_string(),
             ];
-            let values = cell.swept.iter().enumerate().filter(|(place, _)| is_shown(*place));
+            let values = cell.swept.iter().enumerate().filter(|(column, _)| is_shown(*column));
             row.extend(values.map(|(_, value)| value.to_string()));
             row.push(cell.rows.len().to_string());
-            row.extend(SHOWN.iter().map(|(metric, _)| shown(cell.reading(metric))));
+            row.extend(
+                CLOSING_METRICS
+                    .iter()
+                    .map(|(metric, _)| format_estimate(cell.reading(metric))),
+            );
             table.add_row(row);
         }
-        for column in fixed - 1..fixed + SHOWN.len() {
+        for column in label_columns - 1..label_columns + CLOSING_METRICS.len() {
             if let Some(column) = table.column_mut(column) {
                 column.set_cell_alignment(CellAlignment::Right);
             }
@@ -87,14 +91,14 @@ impl SweepSummary<'_> {
              need more cases"
                 .to_owned(),
         ];
-        lines.extend(self.wide_text());
-        lines.push(self.speed());
+        lines.extend(self.format_wide_intervals());
+        lines.push(self.format_speed());
         lines.push(format!("one row per run in {}\n", self.finished.path.display()));
         lines.join("\n")
     }
 
     /// Formats the number of runs of this call and their speed.
-    fn speed(&self) -> String {
+    fn format_speed(&self) -> String {
         let rows = self.finished.table.rows.len();
         let found = match self.found {
             0 => String::new(),
@@ -104,26 +108,26 @@ impl SweepSummary<'_> {
         let rate = self.device_ttis as f64 / self.seconds.max(1e-9) / 1e6;
         format!(
             "{}{found} in {:.1} s on {}: {rate:.0} million device-TTIs/s",
-            count(rows, "run"),
+            count_noun(rows, "run"),
             self.seconds,
-            count(self.threads, "thread")
+            count_noun(self.threads, "thread")
         )
     }
 
     /// The cells whose intervals are wider than `until_ci` after all seeds: label, metric, width.
-    fn wide(&self) -> Vec<(&str, &str, f64)> {
+    fn wide_intervals(&self) -> Vec<(&str, &str, f64)> {
         let Some(until) = &self.grid.experiment.until_ci else {
             return Vec::new();
         };
         let cells = self.grid.cells.iter().zip(&self.finished.cells);
-        let wide = cells.filter_map(|(cell, CellSummary { widest, .. })| {
+        let wide_intervals = cells.filter_map(|(cell, CellSummary { widest, .. })| {
             let (metric, width) = widest.as_ref().filter(|(_, width)| *width > until.target)?;
             Some((cell.label.as_str(), metric.as_str(), *width))
         });
-        wide.collect()
+        wide_intervals.collect()
     }
 
-    fn wide_text(&self) -> Vec<String> {
+    fn format_wide_intervals(&self) -> Vec<String> {
         let line = |(label, metric, width): (&str, &str, f64)| {
             let width = if width.is_finite() {
                 format!("is {:.1} % of the mean", 100.0 * width)
@@ -133,7 +137,7 @@ impl SweepSummary<'_> {
             let seeds = self.grid.experiment.seeds.count;
             format!("{label}: --until-ci not reached with {seeds} seeds: the interval of {metric} {width}")
         };
-        self.wide().into_iter().map(line).collect()
+        self.wide_intervals().into_iter().map(line).collect()
     }
 
     /// Returns the report as JSON.
@@ -143,24 +147,26 @@ impl SweepSummary<'_> {
     pub(super) fn to_json(&self) -> anyhow::Result<String> {
         let schema = &self.finished.table.schema;
         let names = SeriesNames::from_table(&self.finished.table);
-        let cells: Vec<Json> = stats::cells(&self.finished.table)
+        let cells: Vec<Json> = stats::group_by_cell(&self.finished.table)
             .iter()
             .map(|cell| {
                 let metrics: Map<String, Json> = Metrics::ALL
                     .iter()
                     .map(|metric| metric.name)
-                    .map(|name| (name.to_owned(), cell.reading(name).map_or(Json::Null, reading)))
+                    .map(|name| (name.to_owned(), cell.reading(name).map_or(Json::Null, estimate_json)))
                     .collect();
                 let values = schema.swept.iter().zip(cell.swept.iter());
-                let swept: Map<String, Json> = values.map(|((name, _), value)| (name.clone(), plain(value))).collect();
+                let swept: Map<String, Json> = values
+                    .map(|((name, _), value)| (name.clone(), swept_json(value)))
+                    .collect();
                 json!({
                     "preset": cell.preset, "policy": cell.policy, "series": names.name(cell.rows[0]),
                     "n": cell.n, "ttis": cell.ttis, "swept": swept, "runs": cell.rows.len(), "metrics": metrics,
                 })
             })
             .collect();
-        let wide: Vec<Json> = self
-            .wide()
+        let wide_intervals: Vec<Json> = self
+            .wide_intervals()
             .into_iter()
             .map(|(label, metric, width)| json!({ "cell": label, "metric": metric, "relative_half_width": width }))
             .collect();
@@ -169,13 +175,13 @@ impl SweepSummary<'_> {
             "folder": self.folder, "table": self.finished.path,
             "runs": self.finished.table.rows.len(), "found": self.found,
             "threads": self.threads, "seconds": self.seconds, "device_ttis": self.device_ttis,
-            "cells": cells, "not_narrow": wide,
+            "cells": cells, "not_narrow": wide_intervals,
         });
         Ok(serde_json::to_string_pretty(&report)? + "\n")
     }
 }
 
-fn plain(value: &SweptValue) -> Json {
+fn swept_json(value: &SweptValue) -> Json {
     match value {
         SweptValue::Int(value) => json!(value),
         SweptValue::Float(value) => json!(value),
@@ -183,7 +189,7 @@ fn plain(value: &SweptValue) -> Json {
     }
 }
 
-fn reading(reading: MetricEstimate) -> Json {
+fn estimate_json(reading: MetricEstimate) -> Json {
     let Estimate {
         mean,
         deviation,
@@ -191,25 +197,25 @@ fn reading(reading: MetricEstimate) -> Json {
         runs,
     } = reading.estimate;
     json!({
-        "mean": mean, "deviation": deviation, "half_width": half_width, "runs": runs, "upper_bound": reading.upper,
-        "lower_bound": reading.lower,
+        "mean": mean, "deviation": deviation, "half_width": half_width, "runs": runs, "upper_bound": reading.upper_bound,
+        "lower_bound": reading.lower_bound,
     })
 }
 
 /// Formats a reading as `0.1473 ± 0.0012`, with the digits that the interval justifies; `0.013, < 0.040` if there is
 /// only a bound.
-fn shown(reading: Option<MetricEstimate>) -> String {
+fn format_estimate(reading: Option<MetricEstimate>) -> String {
     let Some(reading) = reading else {
         return "–".to_owned();
     };
     let Estimate { mean, half_width, .. } = reading.estimate;
     // Two significant digits of the uncertainty.
     let digits = |unsure: f64| (1.0 - unsure.log10().floor()).clamp(0.0, 6.0) as usize;
-    match reading.upper {
+    match reading.upper_bound {
         Some(upper) if mean == 0.0 => format!("0, < {upper:.*}", digits(upper)),
         Some(upper) => format!("{mean:.digits$}, < {upper:.digits$}", digits = digits(upper)),
-        None if reading.lower.is_some() => {
-            let lower = reading.lower.unwrap_or(mean);
+        None if reading.lower_bound.is_some() => {
+            let lower = reading.lower_bound.unwrap_or(mean);
             format!("{mean:.0}, > {lower:.*}", digits(mean - lower))
         }
         None if half_width == 0.0 && mean == 0.0 => "0".to_owned(),
@@ -226,7 +232,7 @@ fn shown(reading: Option<MetricEstimate>) -> String {
 /// Formats the grid and its cost.
 pub(super) fn dry_run(args: &SweepArgs, grid: &SweepGrid, shard: Shard, folder: &Path) -> anyhow::Result<String> {
     let seeds = grid.experiment.seeds;
-    let runs = grid.share(shard);
+    let runs = grid.shard_run_count(shard);
     // In 128 bits: seeds × TTIs × devices of a large grid can exceed 64.
     let device_ttis: u128 = grid
         .cells
@@ -245,17 +251,17 @@ pub(super) fn dry_run(args: &SweepArgs, grid: &SweepGrid, shard: Shard, folder: 
     }
     let mut lines = vec![grid.experiment.to_toml()];
     lines.extend(grid.cells.iter().map(|cell| format!("  {}", cell.label)));
-    let most = if grid.experiment.until_ci.is_some() {
+    let at_most = if grid.experiment.until_ci.is_some() {
         "at most "
     } else {
         ""
     };
     lines.push(format!(
-        "\n{} × {} from {}: {most}{}{}, {:.3} billion device-TTIs",
-        count(grid.cells.len(), "cell"),
-        count(seeds.count as usize, "seed"),
+        "\n{} × {} from {}: {at_most}{}{}, {:.3} billion device-TTIs",
+        count_noun(grid.cells.len(), "cell"),
+        count_noun(seeds.count as usize, "seed"),
         seeds.first,
-        count(runs as usize, "run"),
+        count_noun(runs as usize, "run"),
         if shard == Shard::WHOLE {
             String::new()
         } else {

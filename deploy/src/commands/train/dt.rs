@@ -11,7 +11,7 @@ use anyhow::bail;
 use reveille_bs::policy::dt::model::ModelShape;
 use reveille_bs::policy::dt::settings::DtSettings;
 use reveille_lab::io::replace;
-use reveille_lab::training::checkpoint;
+use reveille_lab::training::checkpoint_path;
 use reveille_lab::trajectories::Trajectories;
 use reveille_lab::transformer::{DtTrainingConfig, DtTrainingStatus, Trained, TransformerError, train};
 
@@ -19,11 +19,11 @@ use super::q_learning::interrupted;
 use crate::cli::DtArgs;
 use crate::commands::resolve_scenario::resolve;
 use crate::display::{self, note};
-use crate::paths::check_place;
-use crate::signals::{Manner, Signals};
+use crate::paths::check_output_path;
+use crate::signals::{SignalMode, Signals};
 
 /// Steps between two evaluations on the held-out data.
-const EVERY: u64 = 200;
+const EVALUATION_INTERVAL: u64 = 200;
 
 /// Environment variables for a fast training; a variable that is already set keeps its value.
 ///
@@ -37,7 +37,7 @@ const ENVIRONMENT: [(&str, &str); 3] = [
 
 /// Restarts the command once with [`ENVIRONMENT`], since allocator and framework read it when they start. If that
 /// fails, the training is slow.
-fn settle_in() {
+fn restart_with_environment() {
     let unset = || {
         ENVIRONMENT
             .into_iter()
@@ -46,87 +46,94 @@ fn settle_in() {
     if unset().next().is_some()
         && let Ok(program) = std::env::current_exe()
     {
-        let mut again = Command::new(program);
-        again.args(std::env::args_os().skip(1)).envs(unset());
-        let failed = again.exec();
+        let mut restarted = Command::new(program);
+        restarted.args(std::env::args_os().skip(1)).envs(unset());
+        let failed = restarted.exec();
         tracing::debug!(%failed, "cannot restart with the environment for training; training without it");
     }
 }
 
 /// Trains the requested model.
 pub(super) fn run(args: &DtArgs) -> anyhow::Result<ExitCode> {
-    settle_in();
-    let training = training(args)?;
+    restart_with_environment();
+    let training = training_config(args)?;
     if args.out.exists() && !args.force {
         bail!("{}: file exists; use --force to replace it", args.out.display());
     }
-    check_place(&args.out, "the model")?;
-    let (trajectories, about) = trajectories(args, &training)?;
-    let kept = checkpoint(&args.out);
-    let from = kept_bytes(&kept)?;
-    let signals = Signals::install(Manner::Keeps)?;
+    check_output_path(&args.out, "the model")?;
+    let (trajectories, about) = read_trajectories(args, &training)?;
+    let checkpoint_path = checkpoint_path(&args.out);
+    let checkpoint_bytes = read_checkpoint(&checkpoint_path)?;
+    let signals = Signals::install(SignalMode::SavesResults)?;
     let started = crate::runtime::now();
     let (mut unwritten, mut complete) = (None, true);
-    let mut goes_on = from.is_some();
-    let mut show = |now: DtTrainingStatus, bytes: &[u8]| {
+    let mut is_resumed = checkpoint_bytes.is_some();
+    let mut show = |status: DtTrainingStatus, bytes: &[u8]| {
         if !args.quiet {
-            if std::mem::take(&mut goes_on) {
-                note!("resuming from {}", kept.display());
+            if std::mem::take(&mut is_resumed) {
+                note!("resuming from {}", checkpoint_path.display());
             }
-            show(&now);
+            print_status(&status);
         }
-        unwritten = replace(&kept, bytes).err();
-        complete = unwritten.is_none() && !signals.have_come();
+        unwritten = replace(&checkpoint_path, bytes).err();
+        complete = unwritten.is_none() && !signals.has_arrived();
         complete
     };
-    let stop = || signals.have_come();
-    let trained = match train(trajectories, &training, &about, from.as_deref(), &mut show, &stop) {
+    let stop = || signals.has_arrived();
+    let trained = match train(
+        trajectories,
+        &training,
+        &about,
+        checkpoint_bytes.as_deref(),
+        &mut show,
+        &stop,
+    ) {
         Err(error @ TransformerError::Checkpoint(_)) => bail!(
             "{}: {error}; finish that training, remove the file, or use another --out",
-            kept.display()
+            checkpoint_path.display()
         ),
         trained => trained?,
     };
     // Stopped between two checkpoints: the steps since the last one are saved as well.
     if let Trained::Stopped(bytes) = &trained {
-        unwritten = replace(&kept, bytes).err();
+        unwritten = replace(&checkpoint_path, bytes).err();
     }
     if let Some(error) = unwritten {
-        bail!("{}: cannot write this file: {error}", kept.display());
+        bail!("{}: cannot write this file: {error}", checkpoint_path.display());
     }
     let bytes = match trained {
         Trained::Model(bytes) if complete => bytes,
-        Trained::Model(_) | Trained::Stopped(_) => bail!(interrupted(&kept)),
+        Trained::Model(_) | Trained::Stopped(_) => bail!(interrupted(&checkpoint_path)),
     };
     if let Err(error) = replace(&args.out, &bytes) {
         bail!("{}: cannot write this file: {error}", args.out.display());
     }
     // The finished model replaces the checkpoint.
-    let _ = std::fs::remove_file(&kept);
+    let _ = std::fs::remove_file(&checkpoint_path);
     if !args.quiet {
         note!("trained in {:.1} s", started.elapsed().as_secs_f64());
     }
-    display::print(&format!("{}\n", args.out.display()))?;
+    display::print_stdout(&format!("{}\n", args.out.display()))?;
     Ok(ExitCode::SUCCESS)
 }
 
 /// The bytes of the checkpoint, if it exists.
-fn kept_bytes(kept: &Path) -> anyhow::Result<Option<Vec<u8>>> {
-    match std::fs::read(kept) {
+fn read_checkpoint(checkpoint_path: &Path) -> anyhow::Result<Option<Vec<u8>>> {
+    match std::fs::read(checkpoint_path) {
         Ok(bytes) => Ok(Some(bytes)),
         Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
-        Err(error) => bail!("{}: {error}", kept.display()),
+        Err(error) => bail!("{}: {error}", checkpoint_path.display()),
     }
 }
 
-fn show(now: &DtTrainingStatus) {
-    let best = if now.is_best { "  best" } else { "" };
-    let score = &now.score;
+fn print_status(status: &DtTrainingStatus) {
+    let best = if status.is_best { "  best" } else { "" };
+    let score = &status.score;
     note!(
         "step {:>6}  loss {:>8.4}  held out: {:.4} nats, in order {:.1} % (by age {:.1} %), wake-ups {:.4} nats, price \
          off by {:.3}{best}",
-        now.step,
-        now.loss,
+        status.step,
+        status.loss,
         score.looks,
         100.0 * score.accuracy,
         100.0 * score.plain_accuracy,
@@ -135,7 +142,7 @@ fn show(now: &DtTrainingStatus) {
     );
 }
 
-fn training(args: &DtArgs) -> anyhow::Result<DtTrainingConfig> {
+fn training_config(args: &DtArgs) -> anyhow::Result<DtTrainingConfig> {
     if !(args.rate > 0.0 && args.rate <= 1.0) {
         bail!("--rate {}: must be above 0 and at most 1", args.rate);
     }
@@ -148,21 +155,21 @@ fn training(args: &DtArgs) -> anyhow::Result<DtTrainingConfig> {
         .expect("a scenario of the policy dt");
     Ok(DtTrainingConfig {
         shape: ModelShape {
-            has_space: !args.no_space,
+            attends_to_devices: !args.no_space,
             objective: args.objective(),
             ..settings.weights.shape()
         },
         steps: args.steps,
         batch: args.batch as usize,
         rate: args.rate,
-        every: EVERY,
+        every: EVALUATION_INTERVAL,
         patience: args.patience,
         seed: args.seed,
     })
 }
 
 /// Reads the trajectories and returns them with the metadata for the model's file.
-fn trajectories(
+fn read_trajectories(
     args: &DtArgs,
     training: &DtTrainingConfig,
 ) -> anyhow::Result<(Vec<Trajectories>, BTreeMap<String, String>)> {

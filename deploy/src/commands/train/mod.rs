@@ -16,14 +16,14 @@ pub(crate) fn run(command: &TrainCommand) -> anyhow::Result<ExitCode> {
         #[cfg(feature = "train-dt")]
         TrainCommand::Dt(args) => dt::run(args),
         #[cfg(not(feature = "train-dt"))]
-        TrainCommand::Dt(_) => Ok(needs_the_feature()),
+        TrainCommand::Dt(_) => Ok(report_missing_feature()),
         TrainCommand::Record(args) => record::run(args),
     }
 }
 
 /// Explains how to build with `reveille train dt`; exit code 2.
 #[cfg(not(feature = "train-dt"))]
-fn needs_the_feature() -> ExitCode {
+fn report_missing_feature() -> ExitCode {
     crate::display::note!(
         "reveille: this build cannot train dt, which needs the cargo feature train-dt (150 more crates); use `cargo \
          run --release --features train-dt -- train dt …`"

@@ -7,46 +7,46 @@ use anyhow::bail;
 use indicatif::ProgressBar;
 use reveille_bs::policy::q_learning::learned::{CurvePoint, TableSet};
 use reveille_lab::io::replace;
-use reveille_lab::training::{Trainer, TrainingError, TrainingProgress, checkpoint};
+use reveille_lab::training::{Trainer, TrainingError, TrainingProgress, checkpoint_path};
 
 use crate::cli::TrainArgs;
 use crate::commands::resolve_scenario::resolve;
 use crate::display::{self, note};
 use crate::exit::Interrupted;
-use crate::paths::check_place;
-use crate::signals::{Manner, Signals};
+use crate::paths::check_output_path;
+use crate::signals::{SignalMode, Signals};
 
 /// Trains the requested tables.
 pub(super) fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
     let scenario = resolve(&args.scenario()?)?;
     let training = args.episodes.training()?;
-    let mut largest = scenario.clone();
-    largest.run.devices = args.devices.iter().copied().max().unwrap_or(1).max(1);
-    if training.ttis > largest.longest() {
+    let mut largest_scenario = scenario.clone();
+    largest_scenario.run.devices = args.devices.iter().copied().max().unwrap_or(1).max(1);
+    if training.ttis > largest_scenario.max_ttis() {
         bail!(
             "--episode-ttis {}: must be at most {} with {} devices, or their sums of energy overflow",
             training.ttis,
-            largest.longest(),
-            largest.run.devices
+            largest_scenario.max_ttis(),
+            largest_scenario.run.devices
         );
     }
     let mut trainer = Trainer::new(&scenario, &args.devices, &args.windows, &training)?;
     if args.out.exists() && !args.force {
-        bail!(TrainingError::Taken(args.out.clone()));
+        bail!(TrainingError::FileExists(args.out.clone()));
     }
-    check_place(&args.out, "the tables")?;
-    let kept = checkpoint(&args.out);
-    if trainer.resume(&kept)? && !args.quiet {
+    check_output_path(&args.out, "the tables")?;
+    let checkpoint_path = checkpoint_path(&args.out);
+    if trainer.resume(&checkpoint_path)? && !args.quiet {
         note!(
             "{} episodes left, resuming from {}",
             trainer.episodes_left(),
-            kept.display()
+            checkpoint_path.display()
         );
     }
     let threads = args.episodes.threads()?;
-    let signals = Signals::install(Manner::Keeps)?;
-    let shown = TrainingDisplay {
-        bar: display::bar(
+    let signals = Signals::install(SignalMode::SavesResults)?;
+    let training_display = TrainingDisplay {
+        bar: display::new_bar(
             trainer.episodes_left(),
             "{bar:24} {pos}/{len} episodes  {msg}",
             args.quiet,
@@ -54,15 +54,15 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
         signals,
     };
     let started = crate::runtime::now();
-    let complete = trainer.train_keeping(threads, &kept, &shown)?;
-    shown.bar.finish_and_clear();
+    let complete = trainer.train_with_checkpoint(threads, &checkpoint_path, &training_display)?;
+    training_display.bar.finish_and_clear();
     if !complete {
-        bail!(interrupted(&kept));
+        bail!(interrupted(&checkpoint_path));
     }
     // Checked again: another process can have written the file during the training.
     if args.out.exists() && !args.force {
-        note!("the training so far is kept in {}", kept.display());
-        bail!(TrainingError::Taken(args.out.clone()));
+        note!("the training so far is kept in {}", checkpoint_path.display());
+        bail!(TrainingError::FileExists(args.out.clone()));
     }
     let learned = trainer.learned();
     replace(&args.out, learned.to_json().as_bytes()).map_err(|error| TrainingError::Write {
@@ -70,7 +70,7 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
         error,
     })?;
     // The finished tables replace the checkpoint.
-    let _ = std::fs::remove_file(&kept);
+    let _ = std::fs::remove_file(&checkpoint_path);
     if !args.quiet {
         for entry in &learned.entries {
             if let Some(CurvePoint {
@@ -80,7 +80,7 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
                 ..
             }) = entry.curve.last()
             {
-                display::print(&format!(
+                display::print_stdout(&format!(
                     "{:<12} N = {:<5} reward {reward:.4}  info (P1) {information:.4}  energy {energy:.4}\n",
                     entry.lookback.label(),
                     entry.devices
@@ -89,15 +89,16 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
         }
         note!("trained in {:.1} s", started.elapsed().as_secs_f64());
     }
-    display::print(&format!("{}\n", args.out.display()))?;
+    display::print_stdout(&format!("{}\n", args.out.display()))?;
     Ok(ExitCode::SUCCESS)
 }
 
-/// The error of a training ended by a signal, whose checkpoint would be `kept`.
-pub(super) fn interrupted(kept: &Path) -> Interrupted {
-    Interrupted(if kept.exists() {
-        let kept = kept.display();
-        format!("interrupted; the training so far is kept in {kept}: give the same command again to resume").into()
+/// The error of a training ended by a signal, whose checkpoint would be at `checkpoint_path`.
+pub(super) fn interrupted(checkpoint_path: &Path) -> Interrupted {
+    Interrupted(if checkpoint_path.exists() {
+        let checkpoint_path = checkpoint_path.display();
+        format!("interrupted; the training so far is kept in {checkpoint_path}: give the same command again to resume")
+            .into()
     } else {
         "interrupted before the first checkpoint".into()
     })
@@ -123,6 +124,6 @@ impl TrainingProgress for TrainingDisplay {
     }
 
     fn stop(&self) -> bool {
-        self.signals.have_come()
+        self.signals.has_arrived()
     }
 }

@@ -8,40 +8,40 @@ use anyhow::bail;
 use reveille_bs::scenario::load;
 use reveille_common::io::Disk;
 use reveille_lab::sweep::{Shard, SweepGrid};
-use reveille_lab::training::checkpoint;
+use reveille_lab::training::checkpoint_path;
 use reveille_lab::trajectories::{Chunk, HORIZON, RecordingConfig, Trajectories, record, record_from_scenario};
 
 use super::q_learning::interrupted;
 use crate::cli::RecordArgs;
-use crate::commands::experiment::experiment;
+use crate::commands::experiment::build_experiment;
 use crate::display::{self, note};
 use crate::folder_lock::{FolderStatus, status};
-use crate::paths::check_place;
-use crate::run_folder::{SCENARIO, SUMMARY};
-use crate::signals::{Manner, Signals};
+use crate::paths::check_output_path;
+use crate::run_folder::{SCENARIO_FILE, SUMMARY_FILE};
+use crate::signals::{SignalMode, Signals};
 
 /// Records the requested runs.
 pub(super) fn run(args: &RecordArgs) -> anyhow::Result<ExitCode> {
-    let recording = recording(args)?;
+    let recording = recording_config(args)?;
     if args.out.exists() && !args.force {
         bail!("{}: file exists; use --force to replace it", args.out.display());
     }
-    check_place(&args.out, "the trajectories")?;
-    let signals = Signals::install(Manner::Keeps)?;
+    check_output_path(&args.out, "the trajectories")?;
+    let signals = Signals::install(SignalMode::SavesResults)?;
     // Recordings have no checkpoints: an interrupted one starts from the beginning.
-    let ended = interrupted(&checkpoint(&args.out));
+    let exit_message = interrupted(&checkpoint_path(&args.out));
     // A run in set-up does not check for signals, and a search before it may take hours.
-    let insistence = signals.insist(move || ended.to_string())?;
-    let stop = || signals.have_come();
+    let forced_exit = signals.force_exit_after_signal(move || exit_message.to_string())?;
+    let stop = || signals.has_arrived();
     let trajectories = if args.from.is_empty() {
-        of_grid(args, &recording, &stop)?
+        record_grid(args, &recording, &stop)?
     } else {
-        of_folders(args, &recording, &stop)?
+        record_folders(args, &recording, &stop)?
     };
     // From here on the file is written, and must not be cut short.
-    drop(insistence);
+    drop(forced_exit);
     let Some(trajectories) = trajectories else {
-        bail!(interrupted(&checkpoint(&args.out)));
+        bail!(interrupted(&checkpoint_path(&args.out)));
     };
     if trajectories.chunks.is_empty() {
         bail!(
@@ -57,61 +57,65 @@ pub(super) fn run(args: &RecordArgs) -> anyhow::Result<ExitCode> {
         let rows: usize = trajectories.chunks.iter().map(Chunk::device_ttis).sum();
         note!(
             "{} of {rows} device-TTIs",
-            display::count(trajectories.chunks.len(), "chunk")
+            display::count_noun(trajectories.chunks.len(), "chunk")
         );
     }
-    display::print(&format!("{}\n", args.out.display()))?;
+    display::print_stdout(&format!("{}\n", args.out.display()))?;
     Ok(ExitCode::SUCCESS)
 }
 
 /// Records the runs of a grid.
-fn of_grid(
+fn record_grid(
     args: &RecordArgs,
     recording: &RecordingConfig,
     stop: &(dyn Fn() -> bool + Sync),
 ) -> anyhow::Result<Option<Trajectories>> {
-    let grid = SweepGrid::new(experiment(args.experiment.as_deref(), &args.grid)?, &Disk)?;
+    let grid = SweepGrid::new(build_experiment(args.experiment.as_deref(), &args.grid)?, &Disk)?;
     if grid.experiment.until_ci.is_some() {
         bail!("--until-ci: a recording always makes all runs; leave it out");
     }
-    let bar = display::bar(grid.share(Shard::WHOLE), "{bar:24} {pos}/{len} runs", args.quiet);
+    let bar = display::new_bar(
+        grid.shard_run_count(Shard::WHOLE),
+        "{bar:24} {pos}/{len} runs",
+        args.quiet,
+    );
     let trajectories = record(&grid, recording, stop, &|| bar.inc(1));
     bar.finish_and_clear();
     Ok(trajectories)
 }
 
 /// Records earlier runs from their folders.
-fn of_folders(
+fn record_folders(
     args: &RecordArgs,
     recording: &RecordingConfig,
     stop: &(dyn Fn() -> bool + Sync),
 ) -> anyhow::Result<Option<Trajectories>> {
     let (mut chunks, mut runs) = (Vec::new(), String::new());
     for (run, folder) in (0..).zip(&args.from) {
-        let path = folder.join(SCENARIO);
+        let path = folder.join(SCENARIO_FILE);
         if !path.exists() {
-            bail!("{}: not a run folder: {SCENARIO} is missing", folder.display());
+            bail!("{}: not a run folder: {SCENARIO_FILE} is missing", folder.display());
         }
         let scenario = load(&path.to_string_lossy(), &[])?.scenario;
-        let digest = digest(folder)?;
-        let Some((found, of_run)) = record_from_scenario(&scenario, run, recording, stop) else {
+        let digest = read_digest(folder)?;
+        let Some((recorded_digest, run_chunks)) = record_from_scenario(&scenario, run, recording, stop) else {
             return Ok(None);
         };
-        let Some(found) = found else {
+        let Some(recorded_digest) = recorded_digest else {
             bail!(
                 "{}: a run of genie, which decides by ground truth, cannot be learned from; use a run of another \
                  policy",
                 folder.display()
             );
         };
-        if found.to_string() != digest {
+        if recorded_digest.to_string() != digest {
             bail!(
-                "{}: the scenario has the digest {found}, but the summary has {digest}; use a complete, unchanged run \
-                 folder of this version",
+                "{}: the scenario has the digest {recorded_digest}, but the summary has {digest}; use a complete, \
+                 unchanged run folder of this version",
                 folder.display()
             );
         }
-        chunks.extend(of_run);
+        chunks.extend(run_chunks);
         let _ = writeln!(runs, "{digest}");
     }
     let about = vec![
@@ -122,9 +126,9 @@ fn of_folders(
 }
 
 /// Reads the digest from the summary of the run folder.
-fn digest(folder: &Path) -> anyhow::Result<String> {
-    let path = folder.join(SUMMARY);
-    let refuse = |why: String| anyhow::anyhow!("{}: {why}", path.display());
+fn read_digest(folder: &Path) -> anyhow::Result<String> {
+    let path = folder.join(SUMMARY_FILE);
+    let read_error = |why: String| anyhow::anyhow!("{}: {why}", path.display());
     match status(folder) {
         FolderStatus::Finished => {}
         FolderStatus::Running(_) => bail!(
@@ -137,13 +141,13 @@ fn digest(folder: &Path) -> anyhow::Result<String> {
             folder.display()
         ),
     }
-    let text = std::fs::read_to_string(&path).map_err(|error| refuse(error.to_string()))?;
-    let summary: serde_json::Value = serde_json::from_str(&text).map_err(|error| refuse(error.to_string()))?;
+    let text = std::fs::read_to_string(&path).map_err(|error| read_error(error.to_string()))?;
+    let summary: serde_json::Value = serde_json::from_str(&text).map_err(|error| read_error(error.to_string()))?;
     let digest = summary["digest"].as_str().map(str::to_owned);
-    digest.ok_or_else(|| refuse("the digest is missing".to_owned()))
+    digest.ok_or_else(|| read_error("the digest is missing".to_owned()))
 }
 
-fn recording(args: &RecordArgs) -> anyhow::Result<RecordingConfig> {
+fn recording_config(args: &RecordArgs) -> anyhow::Result<RecordingConfig> {
     if args.stride <= args.chunk {
         bail!(
             "--stride {}: must be more than --chunk {}, or chunks overlap",

@@ -1,4 +1,5 @@
 //! One request of the base station to a host, answered when the last of the devices concerned has added its part.
+//! Actors add their parts in any order; the host keeps the round, so that it can retransmit the answer.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -12,9 +13,9 @@ use reveille_common::totals::{DeviceTotals, Ledger};
 use crate::grant_follower::HostRequest;
 
 /// An answer that is being assembled.
-pub struct Round {
+pub struct AnswerRound {
     host: HostId,
-    question: HostRequest,
+    request: HostRequest,
     parts: Mutex<Parts>,
 }
 
@@ -22,7 +23,7 @@ pub struct Round {
 #[derive(Default)]
 struct Parts {
     /// The number of missing parts of devices, plus one for the host while it distributes the request.
-    pending: usize,
+    missing: usize,
     reports: Vec<Report>,
     failures: Vec<FailedTransmission>,
     totals: Option<DeviceTotals>,
@@ -54,14 +55,14 @@ impl Parts {
     }
 }
 
-impl Round {
+impl AnswerRound {
     /// Creates the answer to a request with `parts` parts of devices.
-    pub fn new(host: HostId, question: HostRequest, parts: usize) -> Self {
+    pub fn new(host: HostId, request: HostRequest, parts: usize) -> Self {
         Self {
             host,
-            question,
+            request,
             parts: Mutex::new(Parts {
-                pending: parts + 1,
+                missing: parts + 1,
                 ..Parts::default()
             }),
         }
@@ -69,49 +70,49 @@ impl Round {
 
     /// Adds one device's part, or the host's own. The last part sends the answer.
     pub fn add(&self, part: &DeviceAnswer, uplink: &Uplink) {
-        if let Some(answer) = self.take(part) {
-            uplink.answer(&answer);
+        if let Some(answer) = self.add_part(part) {
+            uplink.send_answer(&answer);
         }
     }
 
-    /// Resends all reports and the answer, for a base station that repeats its request. Does nothing while parts are
-    /// missing.
-    pub fn resend(&self, uplink: &Uplink) {
-        if let Some((reports, answer)) = self.whole() {
+    /// Retransmits all reports and the answer, for a base station that repeats its request. Does nothing while parts
+    /// are missing.
+    pub fn retransmit(&self, uplink: &Uplink) {
+        if let Some((reports, answer)) = self.completed() {
             // Reports come first, since the answer states how many precede it.
             for report in &reports {
-                uplink.report(report);
+                uplink.send_report(report);
             }
-            uplink.answer(&answer);
+            uplink.send_answer(&answer);
         }
     }
 
     /// Adds a part and returns the answer if it was the last one.
-    fn take(&self, part: &DeviceAnswer) -> Option<HostAnswer> {
+    fn add_part(&self, part: &DeviceAnswer) -> Option<HostAnswer> {
         let mut parts = self.lock();
         match part {
             DeviceAnswer::Reported(report) => parts.reports.push(*report),
             DeviceAnswer::Failed(failure) => parts.failures.push(*failure),
             DeviceAnswer::View(device, view) => parts.views.push((*device, *view)),
-            DeviceAnswer::Ledger(device, ledger) => match self.question {
+            DeviceAnswer::Ledger(device, ledger) => match self.request {
                 HostRequest::Grant(_) => parts.totals = Some(parts.totals.unwrap_or_default() + ledger.whole),
                 HostRequest::Ledgers => parts.ledgers.push((*device, **ledger)),
             },
             DeviceAnswer::Nothing => {}
         }
         // The last part builds the answer under the lock, so it is sent exactly once.
-        parts.pending -= 1;
-        (parts.pending == 0).then(|| self.answer(&parts))
+        parts.missing -= 1;
+        (parts.missing == 0).then(|| self.build_answer(&parts))
     }
 
     /// Returns all reports and the answer, once the last part is in.
-    fn whole(&self) -> Option<(Vec<Report>, HostAnswer)> {
+    fn completed(&self) -> Option<(Vec<Report>, HostAnswer)> {
         let parts = self.lock();
-        (parts.pending == 0).then(|| (parts.reports.clone(), self.answer(&parts)))
+        (parts.missing == 0).then(|| (parts.reports.clone(), self.build_answer(&parts)))
     }
 
-    fn answer(&self, parts: &Parts) -> HostAnswer {
-        match self.question {
+    fn build_answer(&self, parts: &Parts) -> HostAnswer {
+        match self.request {
             HostRequest::Grant(tti) => HostAnswer::GrantDone {
                 host: self.host,
                 tti,
@@ -151,18 +152,18 @@ impl Uplink {
     }
 
     /// Sends a device's report.
-    pub fn report(&self, report: &Report) {
-        complain(self.reports.publish(report));
+    pub fn send_report(&self, report: &Report) {
+        log_failure(self.reports.publish(report));
     }
 
     /// Sends the host's answer.
-    pub fn answer(&self, answer: &HostAnswer) {
-        complain(self.answers.publish(answer));
+    pub fn send_answer(&self, answer: &HostAnswer) {
+        log_failure(self.answers.publish(answer));
     }
 }
 
 /// Logs a failed message. A closed session means that the base station is lost, which the host detects separately.
-fn complain(sent: Result<(), BusError>) {
+fn log_failure(sent: Result<(), BusError>) {
     if let Err(error) = sent {
         tracing::debug!(%error, "a message was not sent");
     }

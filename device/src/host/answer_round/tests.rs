@@ -6,7 +6,7 @@ use reveille_common::state::{DeviceState, DeviceView};
 use reveille_common::totals::{DeviceTotals, Ledger};
 use reveille_common::units::Energy;
 
-use super::{DeviceAnswer, Round};
+use super::{AnswerRound, DeviceAnswer};
 use crate::grant_follower::HostRequest;
 
 const HOST: HostId = HostId(3);
@@ -48,36 +48,40 @@ fn done(reports: u32) -> HostAnswer {
 
 #[test]
 fn a_round_without_devices_is_answered_by_the_host_alone() {
-    let round = Round::new(HOST, HostRequest::Grant(TTI), 0);
-    assert_eq!(round.take(&DeviceAnswer::Nothing), Some(done(0)));
+    let round = AnswerRound::new(HOST, HostRequest::Grant(TTI), 0);
+    assert_eq!(round.add_part(&DeviceAnswer::Nothing), Some(done(0)));
 }
 
 #[test]
 fn the_last_part_answers_once() {
-    let round = Round::new(HOST, HostRequest::Grant(TTI), 2);
-    assert_eq!(round.take(&DeviceAnswer::Nothing), None, "the host has handed it out");
-    assert_eq!(round.take(&DeviceAnswer::Reported(report(1))), None);
-    assert_eq!(round.take(&DeviceAnswer::Reported(report(0))), Some(done(2)));
+    let round = AnswerRound::new(HOST, HostRequest::Grant(TTI), 2);
+    assert_eq!(
+        round.add_part(&DeviceAnswer::Nothing),
+        None,
+        "the host has handed it out"
+    );
+    assert_eq!(round.add_part(&DeviceAnswer::Reported(report(1))), None);
+    assert_eq!(round.add_part(&DeviceAnswer::Reported(report(0))), Some(done(2)));
 }
 
 #[test]
 fn a_device_may_finish_before_the_host_has_handed_the_question_out() {
-    let round = Round::new(HOST, HostRequest::Grant(TTI), 1);
-    assert_eq!(round.take(&DeviceAnswer::Reported(report(1))), None);
-    assert_eq!(round.take(&DeviceAnswer::Nothing), Some(done(1)));
+    let round = AnswerRound::new(HOST, HostRequest::Grant(TTI), 1);
+    assert_eq!(round.add_part(&DeviceAnswer::Reported(report(1))), None);
+    assert_eq!(round.add_part(&DeviceAnswer::Nothing), Some(done(1)));
 }
 
 #[test]
 fn a_round_is_repeated_only_when_it_is_whole_and_always_the_same() {
-    let round = Round::new(HOST, HostRequest::Grant(TTI), 2);
-    assert_eq!(round.whole(), None);
-    round.take(&DeviceAnswer::Reported(report(1)));
-    round.take(&DeviceAnswer::Nothing);
-    assert_eq!(round.whole(), None, "one device has still to do its part");
-    let answer = round.take(&DeviceAnswer::Reported(report(0))).expect("the answer");
+    let round = AnswerRound::new(HOST, HostRequest::Grant(TTI), 2);
+    assert_eq!(round.completed(), None);
+    round.add_part(&DeviceAnswer::Reported(report(1)));
+    round.add_part(&DeviceAnswer::Nothing);
+    assert_eq!(round.completed(), None, "one device has still to do its part");
+    let answer = round.add_part(&DeviceAnswer::Reported(report(0))).expect("the answer");
     let again = (vec![report(1), report(0)], answer);
-    assert_eq!(round.whole(), Some(again.clone()));
-    assert_eq!(round.whole(), Some(again));
+    assert_eq!(round.completed(), Some(again.clone()));
+    assert_eq!(round.completed(), Some(again));
 }
 
 #[test]
@@ -86,7 +90,7 @@ fn a_grant_gathers_failures_sums_and_levels() {
         device: DeviceId(4),
         drained: Energy::from_micro(2),
     };
-    let round = Round::new(HOST, HostRequest::Grant(TTI), 5);
+    let round = AnswerRound::new(HOST, HostRequest::Grant(TTI), 5);
     let view = |device: u32| DeviceView {
         state: DeviceState::Idle,
         battery: Energy::from_micro(u64::from(10 * device)),
@@ -99,7 +103,7 @@ fn a_grant_gathers_failures_sums_and_levels() {
         DeviceAnswer::Ledger(DeviceId(4), Box::new(ledger(3))),
         DeviceAnswer::Ledger(DeviceId(5), Box::new(ledger(8))),
     ] {
-        assert_eq!(round.take(&part), None);
+        assert_eq!(round.add_part(&part), None);
     }
     let expected = HostAnswer::GrantDone {
         host: HOST,
@@ -109,20 +113,20 @@ fn a_grant_gathers_failures_sums_and_levels() {
         totals: Some(totals(11)),
         views: Some(vec![view(4), view(5)]),
     };
-    assert_eq!(round.take(&DeviceAnswer::Nothing), Some(expected));
+    assert_eq!(round.add_part(&DeviceAnswer::Nothing), Some(expected));
 }
 
 #[test]
 fn ledgers_are_kept_by_device() {
-    let round = Round::new(HOST, HostRequest::Ledgers, 2);
-    round.take(&DeviceAnswer::Nothing);
-    round.take(&DeviceAnswer::Ledger(DeviceId(4), Box::new(ledger(3))));
+    let round = AnswerRound::new(HOST, HostRequest::Ledgers, 2);
+    round.add_part(&DeviceAnswer::Nothing);
+    round.add_part(&DeviceAnswer::Ledger(DeviceId(4), Box::new(ledger(3))));
     let expected = HostAnswer::Ledgers {
         host: HOST,
         ledgers: vec![(DeviceId(4), ledger(3)), (DeviceId(5), ledger(8))],
     };
     assert_eq!(
-        round.take(&DeviceAnswer::Ledger(DeviceId(5), Box::new(ledger(8)))),
+        round.add_part(&DeviceAnswer::Ledger(DeviceId(5), Box::new(ledger(8)))),
         Some(expected)
     );
 }

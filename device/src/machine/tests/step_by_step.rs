@@ -198,9 +198,9 @@ impl Plain {
 }
 
 /// The outcome of an event or a wake-up, without its information.
-type Came = Option<Result<(), u64>>;
+type ReferenceOutcome = Option<Result<(), u64>>;
 
-fn of_sensed(sensed: &SenseOutcome) -> Came {
+fn of_sensed(sensed: &SenseOutcome) -> ReferenceOutcome {
     match sensed {
         SenseOutcome::Nothing => None,
         SenseOutcome::Reported(_) => Some(Ok(())),
@@ -208,7 +208,7 @@ fn of_sensed(sensed: &SenseOutcome) -> Came {
     }
 }
 
-fn of_woken(woken: &WakeOutcome) -> Came {
+fn of_woken(woken: &WakeOutcome) -> ReferenceOutcome {
     match woken {
         WakeOutcome::Missed => None,
         WakeOutcome::Reported(_) => Some(Ok(())),
@@ -301,7 +301,7 @@ proptest! {
         prop_assert!(machine.ledger().is_valid());
     }
 
-    /// Spans longer than `LONGEST_SPAN`.
+    /// Spans longer than `MAX_SPAN_TTIS`.
     #[test]
     fn catching_up_with_many_ttis_is_doing_each(
         costs in any_costs(),

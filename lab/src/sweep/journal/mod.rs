@@ -5,7 +5,7 @@
 //! Torn and garbled lines are removed when the journal is opened; missing runs are repeated.
 //!
 //! The first line names the sweep and the seeds of each cell. To raise the seeds, a copy with another first line and
-//! all runs replaces the journal atomically.
+//! all runs replaces the journal atomically. A change of the lines or of the metrics' number needs a new `FORMAT`.
 
 mod io;
 
@@ -21,9 +21,10 @@ pub use io::Journal;
 /// The first word of a journal.
 const MAGIC: &str = "reveille-journal ";
 /// The version of the journal format.
-const FORM: &str = "2";
+const FORMAT: &str = "2";
 /// Limit of the first line, bytes.
-pub(super) const LONGEST_HEAD: u64 = 1024;
+pub(super) const MAX_HEADER_BYTES: u64 = 1024;
+
 /// The place of a run: its cell and the index of its seed, both from 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct RunIndex {
@@ -42,7 +43,7 @@ pub struct JournalEntry {
     pub metrics: [f64; Metrics::COUNT],
     /// The number of events that count.
     pub events: u64,
-    /// The run's fingerprint.
+    /// The run's digest.
     pub digest: Hash,
 }
 
@@ -66,23 +67,23 @@ pub(super) enum JournalHeader {
 }
 
 impl JournalHeader {
-    /// Parses `line` as the header of the sweep called `name`.
-    pub(super) fn parse(line: &[u8], name: &str) -> Option<Self> {
+    /// Parses `line` as the header of the sweep whose header begins with `prefix`.
+    pub(super) fn parse(line: &[u8], prefix: &str) -> Option<Self> {
         let text = std::str::from_utf8(line).ok()?;
         let Some(text) = text.strip_suffix('\n') else {
-            let seeds = text.strip_prefix(name).and_then(|rest| rest.strip_prefix(' '));
+            let seeds = text.strip_prefix(prefix).and_then(|rest| rest.strip_prefix(' '));
             let is_number = |seeds: &str| seeds.bytes().all(|byte| byte.is_ascii_digit());
-            // A first line cut off anywhere, in the name or in the number, belongs to this sweep.
-            let is_torn = name.starts_with(text) || seeds.is_some_and(is_number);
+            // A first line cut off anywhere, in the prefix or in the number, belongs to this sweep.
+            let is_torn = prefix.starts_with(text) || seeds.is_some_and(is_number);
             return is_torn.then_some(Self::Torn);
         };
-        let seeds = text.strip_prefix(name)?.strip_prefix(' ')?;
+        let seeds = text.strip_prefix(prefix)?.strip_prefix(' ')?;
         seeds.parse().ok().map(Self::Seeds)
     }
 }
 
 /// Explains why a journal of `held` seeds a cell cannot become one of `seeds`.
-pub(super) fn fewer(held: u64, seeds: u64) -> String {
+pub(super) fn too_many_seeds(held: u64, seeds: u64) -> String {
     format!(
         "holds the runs of {held} seeds a cell, more than the requested {seeds}; use --seeds {held} or more, or choose \
          another folder with --out"
@@ -90,31 +91,31 @@ pub(super) fn fewer(held: u64, seeds: u64) -> String {
 }
 
 /// Returns the start of the first line; the number of seeds follows.
-pub(super) fn name_of(identity: &str) -> String {
-    format!("{MAGIC}{FORM} {identity}")
+pub(super) fn header_prefix(identity: &str) -> String {
+    format!("{MAGIC}{FORMAT} {identity}")
 }
 
 /// Explains why a journal that begins with `line` does not belong to this sweep.
-pub(super) fn foreign(line: &[u8]) -> String {
+pub(super) fn foreign_journal(line: &[u8]) -> String {
     let line = String::from_utf8_lossy(line);
-    let form = line.strip_prefix(MAGIC).and_then(|rest| rest.split_whitespace().next());
-    match form {
-        Some(FORM) => {
+    let format = line.strip_prefix(MAGIC).and_then(|rest| rest.split_whitespace().next());
+    match format {
+        Some(FORMAT) => {
             "holds the runs of another experiment, shard or version of reveille (see experiment.toml there); \
              repeat its command to resume it, with the same first seed and at least as many seeds, or choose another \
              folder"
                 .to_owned()
         }
-        Some(form) if form.bytes().all(|byte| byte.is_ascii_digit()) => format!(
-            "holds a runs.journal of format {form}, but this version of reveille resumes format {FORM} only; use the \
-             version that began the sweep, or choose another folder"
+        Some(format) if format.bytes().all(|byte| byte.is_ascii_digit()) => format!(
+            "holds a runs.journal of format {format}, but this version of reveille resumes format {FORMAT} only; use \
+             the version that began the sweep, or choose another folder"
         ),
         Some(_) | None => "holds a runs.journal with a damaged first line; choose another folder".to_owned(),
     }
 }
 
 /// Returns the line of a run, including its line break.
-pub(super) fn line(job: RunIndex, entry: &JournalEntry) -> String {
+pub(super) fn encode_line(job: RunIndex, entry: &JournalEntry) -> String {
     let RunIndex { cell, seed } = job;
     let metrics = entry.metrics.map(|value| {
         if value.is_nan() {
@@ -129,10 +130,10 @@ pub(super) fn line(job: RunIndex, entry: &JournalEntry) -> String {
 }
 
 /// Parses the run of a line, if the line is complete.
-pub(super) fn parse(line: &[u8], cells: u64, seeds: u64) -> Option<(RunIndex, JournalEntry)> {
-    let (text, sum) = std::str::from_utf8(line).ok()?.strip_suffix('\n')?.rsplit_once(' ')?;
+pub(super) fn parse_line(line: &[u8], cells: u64, seeds: u64) -> Option<(RunIndex, JournalEntry)> {
+    let (text, checksum) = std::str::from_utf8(line).ok()?.strip_suffix('\n')?.rsplit_once(' ')?;
     // `from_str_radix` also accepts a sign and fewer digits, which the format excludes.
-    if sum.len() != 8 || u32::from_str_radix(sum, 16).ok()? != crc32fast::hash(text.as_bytes()) {
+    if checksum.len() != 8 || u32::from_str_radix(checksum, 16).ok()? != crc32fast::hash(text.as_bytes()) {
         return None;
     }
     let mut fields = text.split(' ');

@@ -2,7 +2,9 @@
 
 use std::sync::Arc;
 
-use reveille_bs::policy::q_learning::learned::{INFORMATIONS, REPORTS, SCORES, WakeTable, score_edge};
+use reveille_bs::policy::q_learning::learned::{
+    INFORMATION_BUCKETS, REPORT_BUCKETS, SCORE_BUCKETS, WakeTable, score_edge,
+};
 use reveille_bs::scenario::{Override, PolicyChoice, load};
 use reveille_common::deployment::Deployment;
 use reveille_common::geometry::Area;
@@ -53,7 +55,7 @@ fn evaluation(scenario: &Scenario, entry: &TableSet, seed: u64, ttis: u64) -> Sc
     };
     let settings = QLearningSettings {
         learn: false,
-        start: Arc::new(entry.clone()),
+        initial_tables: Arc::new(entry.clone()),
         ..settings.clone()
     };
     let mut evaluation = scenario.with_seed(seed);
@@ -63,7 +65,7 @@ fn evaluation(scenario: &Scenario, entry: &TableSet, seed: u64, ttis: u64) -> Sc
     evaluation
 }
 
-fn sensing_per_tti(outcome: &reveille_bs::cycle::Outcome) -> f64 {
+fn sensing_per_tti(outcome: &reveille_bs::cycle::RunOutcome) -> f64 {
     let fact = outcome.facts.iter().find(|(name, _)| *name == "sensing_per_tti");
     fact.expect("a fact of the policy").1
 }
@@ -157,7 +159,7 @@ fn with_energy_for_all_and_a_huge_reward_all_that_can_be_is_covered() {
             let mut run = Run::new(&PreparedRun::without_pilots(&one), RunOptions::default());
             let mut plans: Vec<Vec<bool>> = Vec::new();
             for k in 0..60_u64 {
-                run.grant(&mut ());
+                run.run_grant(&mut ());
                 assert_eq!(run.cycle().next_tti().0, k + 1, "it decides in every TTI");
                 let plan = run.cycle().plan();
                 let is_on = |j: u32| plan.duty_cycle(DeviceId(j)).is_on(reveille_common::ids::Tti(k));
@@ -186,12 +188,12 @@ fn while_learning(set: &[&str], ttis: u64) -> (Vec<usize>, TableSet) {
     let mut run = Run::new(&PreparedRun::without_pilots(&scenario), RunOptions::default());
     let mut sensing = Vec::new();
     for k in 0..ttis {
-        run.grant(&mut ());
+        run.run_grant(&mut ());
         let plan = run.cycle().plan();
         let is_on = |j: &u32| plan.duty_cycle(DeviceId(*j)).is_on(reveille_common::ids::Tti(k));
         sensing.push((0..40).filter(is_on).count());
     }
-    (sensing, left_by(&run.finish(&mut ())).expect("it learns"))
+    (sensing, tables_of(&run.finish(&mut ())).expect("it learns"))
 }
 
 #[test]
@@ -252,11 +254,11 @@ fn a_training_goes_on_from_any_checkpoint_as_if_nothing_had_been() {
         assert!(whole.train(2, &|_| Ok(()), &()).expect("no file"));
         let stop = AtEpisode(std::sync::atomic::AtomicU64::new(stream.below(18)));
         let mut cut = new();
-        assert!(!cut.train_keeping(1, &path, &stop).expect("a file") || !path.exists());
+        assert!(!cut.train_with_checkpoint(1, &path, &stop).expect("a file") || !path.exists());
         let mut rest = new();
         let resumed = rest.resume(&path).expect("a checkpoint of this training");
         assert_eq!(resumed, rest.episodes_left() < 18);
-        assert!(rest.train_keeping(1, &path, &()).expect("a file"));
+        assert!(rest.train_with_checkpoint(1, &path, &()).expect("a file"));
         assert!(rest.learned().to_json() == whole.learned().to_json());
         std::fs::remove_file(&path).expect("the checkpoint");
     }
@@ -293,8 +295,8 @@ fn waking_reward(entry: &TableSet, ranking: WakeUpRanking, wake: &WakeTable) -> 
 
 #[test]
 fn no_simple_rule_for_waking_is_better_than_the_shipped_tables() {
-    let shipped = LearnedTables::shipped_as("shipped").expect("tables");
-    let entry = shipped.closest(Lookback::Window(1), 60, 400.0).expect("an entry");
+    let shipped = LearnedTables::shipped_named("shipped").expect("tables");
+    let entry = shipped.closest_entry(Lookback::Window(1), 60, 400.0).expect("an entry");
     assert_eq!(entry.devices, 60);
     for ranking in [WakeUpRanking::P42, WakeUpRanking::Posterior] {
         let own = match ranking {
@@ -315,8 +317,8 @@ fn no_simple_rule_for_waking_is_better_than_the_shipped_tables() {
             (0.3, 4),
         ] {
             let mut rule = WakeTable::optimistic(-1.0);
-            for state in
-                (0..SCORES).flat_map(|s| (0..INFORMATIONS).flat_map(move |i| (0..REPORTS).map(move |r| [s, i, r])))
+            for state in (0..SCORE_BUCKETS)
+                .flat_map(|s| (0..INFORMATION_BUCKETS).flat_map(move |i| (0..REPORT_BUCKETS).map(move |r| [s, i, r])))
             {
                 let [bucket, _, before] = state;
                 if score_edge(bucket) >= score && before + 1 < reports {

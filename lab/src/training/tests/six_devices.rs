@@ -3,11 +3,11 @@
 
 use std::sync::Arc;
 
-use reveille_bs::policy::q_learning::duty::{Duty, DutyTerms};
+use reveille_bs::policy::q_learning::duty::{DutyLearner, DutyParameters};
 use reveille_bs::policy::q_learning::learned::{QTrainingConfig, TableSet, battery_bucket};
 use reveille_bs::policy::q_learning::settings::QLearningSettings;
 use reveille_bs::scenario::{EnergyModel, Override, Scenario, load};
-use reveille_common::geometry::{Area, FromFile, Layout, Point};
+use reveille_common::geometry::{Area, FileLayout, Layout, Point};
 use reveille_common::units::Energy;
 
 use crate::training::Trainer;
@@ -200,7 +200,7 @@ pub(super) fn scenario_of(area: Area, points: &[Point], set: &[&str]) -> Scenari
         .chain(set)
         .map(|text| Override::parse(text).expect("an override"));
     let mut scenario = load("paper", &set.collect::<Vec<_>>()).expect("a scenario").scenario;
-    scenario.layout = Layout::File(FromFile {
+    scenario.layout = Layout::File(FileLayout {
         path: "toy".into(),
         points: Arc::new(points.to_vec()),
         classes: None,
@@ -222,21 +222,21 @@ pub(super) fn train(scenario: &Scenario) -> TableSet {
 }
 
 /// The duty rule with the tables of `entry`, for the devices of `scenario` at `points`.
-pub(super) fn duty_of(scenario: &Scenario, entry: &TableSet, points: &[Point]) -> Duty {
+pub(super) fn duty_of(scenario: &Scenario, entry: &TableSet, points: &[Point]) -> DutyLearner {
     let settings = scenario
         .policy
         .settings()
         .downcast_ref::<QLearningSettings>()
         .expect("q-learning");
-    let terms = DutyTerms {
+    let terms = DutyParameters {
         weights: settings.weights,
         schedule: settings.schedule,
         alpha: scenario.events.alpha,
         lookback: settings.lookback,
-        lost: 0.0,
+        loss_probability: 0.0,
     };
     let energies = vec![scenario.classes[0].energy; points.len()];
-    Duty::new(
+    DutyLearner::new(
         entry.duty.clone(),
         terms,
         points,

@@ -14,9 +14,9 @@ use super::lattice::Lattice;
 use crate::analysis::AnalysisError;
 
 /// Residual below which a distribution counts as steady.
-const STEADY: f64 = 1e-11;
+const STEADY_RESIDUAL: f64 = 1e-11;
 /// Maximum number of transitions before the solver gives up.
-const MOST_TTIS: u64 = 4_000_000;
+const MAX_TRANSITIONS: u64 = 4_000_000;
 
 /// Input of the chain for one device.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,10 +37,10 @@ impl ChainInput {
     /// # Errors
     /// If a field is out of its range.
     pub fn check(&self) -> Result<(), AnalysisError> {
-        const LONGEST: u32 = 1 << 20;
+        const MAX_CYCLE_TTIS: u32 = 1 << 20;
         let Self { t_on, t_drx, .. } = *self;
-        if t_drx == 0 || t_drx > LONGEST {
-            let allowed = format!("must be a number of TTIs from 1 to {LONGEST}");
+        if t_drx == 0 || t_drx > MAX_CYCLE_TTIS {
+            let allowed = format!("must be a number of TTIs from 1 to {MAX_CYCLE_TTIS}");
             return Err(AnalysisError::invalid("t_DRX", &t_drx, allowed));
         }
         if t_on > t_drx {
@@ -65,95 +65,105 @@ pub struct SteadyState {
     /// Probability of each level at the end of a TTI, over all phases of the cycle, from empty to full.
     pub levels: Vec<f64>,
     /// Number of transitions until the steady state.
-    pub ttis: u64,
+    pub transition_count: u64,
     /// Σ |π P − π| over one cycle.
     pub residual: f64,
 }
 
 impl SteadyState {
     /// Probability of a level of at least `level`.
-    pub(crate) fn at_least(&self, level: usize) -> f64 {
+    pub(crate) fn probability_at_least(&self, level: usize) -> f64 {
         self.levels.iter().skip(level).sum()
     }
 }
 
-/// Computes the steady state of a battery on `lattice` under `drive`, by power iteration.
+/// Computes the steady state of a battery on `lattice` under `input`, by power iteration.
 ///
 /// # Errors
-/// If `drive` is out of range, or the chain mixes too slowly to be solved.
-pub(crate) fn steady_state(lattice: &Lattice, drive: &ChainInput) -> Result<SteadyState, AnalysisError> {
-    drive.check()?;
-    let steps = Steps {
-        on: transitions(lattice, drive, lattice.e_idle),
-        off: transitions(lattice, drive, lattice.e_wur),
-        drive: *drive,
+/// If `input` is out of range, or the chain mixes too slowly to be solved.
+pub(crate) fn steady_state(lattice: &Lattice, input: &ChainInput) -> Result<SteadyState, AnalysisError> {
+    input.check()?;
+    let steps = CycleMatrices {
+        on: transition_matrix(lattice, input, lattice.e_idle),
+        off: transition_matrix(lattice, input, lattice.e_wur),
+        input: *input,
     };
     let n = lattice.levels();
-    let mut now = DVector::from_element(n, 1.0 / n as f64);
-    let mut spare = DVector::zeros(n);
-    let mut ttis = 0;
+    let mut levels_now = DVector::from_element(n, 1.0 / n as f64);
+    let mut buffer = DVector::zeros(n);
+    let mut transition_count = 0;
     loop {
-        let before = now.clone();
-        steps.cycle(&mut now, &mut spare, |_| {});
-        ttis += u64::from(drive.t_drx);
+        let levels_before = levels_now.clone();
+        steps.advance_cycle(&mut levels_now, &mut buffer, |_| {});
+        transition_count += u64::from(input.t_drx);
         // Only whole cycles compare: within a cycle the distribution changes with the phase.
-        let residual = (&now - &before).lp_norm(1);
-        if residual <= STEADY {
+        let residual = (&levels_now - &levels_before).lp_norm(1);
+        if residual <= STEADY_RESIDUAL {
             // Averages over the phases of another cycle, since the levels of devices are counted at the end of every
             // TTI.
             let mut sum = DVector::zeros(n);
-            steps.cycle(&mut now, &mut spare, |end| sum += end);
-            let levels = sum / f64::from(drive.t_drx);
+            steps.advance_cycle(&mut levels_now, &mut buffer, |end| sum += end);
+            let levels = sum / f64::from(input.t_drx);
             return Ok(SteadyState {
                 levels: levels.iter().copied().collect(),
-                ttis,
+                transition_count,
                 residual,
             });
         }
-        if ttis > MOST_TTIS {
-            let allowed =
-                format!("of one cycle should be at most {STEADY:e} after {MOST_TTIS} TTIs; the chain mixes too slowly");
+        if transition_count > MAX_TRANSITIONS {
+            let allowed = format!(
+                "of one cycle should be at most {STEADY_RESIDUAL:e} after {MAX_TRANSITIONS} TTIs; the chain mixes too slowly"
+            );
             return Err(AnalysisError::invalid("residual", &residual, allowed));
         }
     }
 }
 
 /// Transition matrices of one cycle.
-struct Steps {
+struct CycleMatrices {
     on: CsrMatrix<f64>,
     off: CsrMatrix<f64>,
-    drive: ChainInput,
+    input: ChainInput,
 }
 
-impl Steps {
-    /// Advances the distribution `now` by one cycle, and passes it to `show` at the end of each TTI.
-    fn cycle(&self, now: &mut DVector<f64>, spare: &mut DVector<f64>, mut show: impl FnMut(&DVector<f64>)) {
-        for phase in 0..self.drive.t_drx {
-            let matrix = if phase < self.drive.t_on { &self.on } else { &self.off };
-            spmm_csr_dense(0.0, &mut *spare, 1.0, Op::NoOp(matrix), Op::NoOp(&*now));
-            std::mem::swap(now, spare);
-            show(now);
+impl CycleMatrices {
+    /// Advances the distribution `levels` by one cycle, and passes it to `visit` at the end of each TTI.
+    fn advance_cycle(
+        &self,
+        levels: &mut DVector<f64>,
+        buffer: &mut DVector<f64>,
+        mut visit: impl FnMut(&DVector<f64>),
+    ) {
+        for phase in 0..self.input.t_drx {
+            let matrix = if phase < self.input.t_on { &self.on } else { &self.off };
+            spmm_csr_dense(0.0, &mut *buffer, 1.0, Op::NoOp(matrix), Op::NoOp(&*levels));
+            std::mem::swap(levels, buffer);
+            visit(levels);
         }
     }
 }
 
 /// Builds the transposed transition matrix of a TTI that costs `cost` quanta: entry (l, k) is the probability of level
 /// l after k.
-pub(super) fn transitions(lattice: &Lattice, drive: &ChainInput, cost: usize) -> CsrMatrix<f64> {
+pub(super) fn transition_matrix(lattice: &Lattice, input: &ChainInput, cost: usize) -> CsrMatrix<f64> {
     let n = lattice.levels();
     let mut matrix = CooMatrix::new(n, n);
     for level in 0..n {
-        let filled = (level + lattice.e_b).min(lattice.e_max);
-        for (level_now, probability) in [(filled, drive.arrival), (level, 1.0 - drive.arrival)] {
+        let after_arrival = (level + lattice.e_b).min(lattice.e_max);
+        for (charged, probability) in [(after_arrival, input.arrival), (level, 1.0 - input.arrival)] {
             // A device that cannot pay for δ ends empty, and no detection or wake-up makes it active.
-            let Some(left) = level_now.checked_sub(cost) else {
+            let Some(remaining) = charged.checked_sub(cost) else {
                 matrix.push(0, level, probability);
                 continue;
             };
             // A transmission that the device cannot pay for empties the battery. Entries at the same place are summed
             // in the conversion below.
-            matrix.push(left.saturating_sub(lattice.e_tx), level, probability * drive.activation);
-            matrix.push(left, level, probability * (1.0 - drive.activation));
+            matrix.push(
+                remaining.saturating_sub(lattice.e_tx),
+                level,
+                probability * input.activation,
+            );
+            matrix.push(remaining, level, probability * (1.0 - input.activation));
         }
     }
     CsrMatrix::from(&matrix)
@@ -169,7 +179,7 @@ mod tests {
 
     fn lattice(e_max: usize, e_idle: usize, e_wur: usize, e_tx: usize, e_b: usize) -> Lattice {
         Lattice {
-            per_unit: 1,
+            quanta_per_unit: 1,
             e_max,
             e_idle,
             e_wur,
@@ -225,7 +235,7 @@ mod tests {
         // With at most 3 quanta, E_Tx = 5 is never paid: the arrivals since the last activation decide the level.
         let a = 0.4;
         let lattice = lattice(3, 1, 0, 5, 1);
-        let matrix = DMatrix::from(&transitions(&lattice, &drive(0, 1, a), 0));
+        let matrix = DMatrix::from(&transition_matrix(&lattice, &drive(0, 1, a), 0));
         let row = |to: usize| (0..4).map(|from| matrix[(to, from)]).collect::<Vec<f64>>();
         assert!(row(0).iter().skip(1).all(|&p| (p - a).abs() < 1e-15), "{matrix}");
         assert!((row(2)[1] - P * 0.6).abs() < 1e-15 && (row(3)[3] - 0.6).abs() < 1e-15);
@@ -235,7 +245,7 @@ mod tests {
     fn every_column_is_a_distribution() {
         let lattice = lattice(140, 14, 1, 40, 35);
         for cost in [lattice.e_idle, lattice.e_wur] {
-            let matrix = DMatrix::from(&transitions(&lattice, &drive(1, 4, 0.1), cost));
+            let matrix = DMatrix::from(&transition_matrix(&lattice, &drive(1, 4, 0.1), cost));
             for column in matrix.column_iter() {
                 assert!((column.sum() - 1.0).abs() < 1e-14 && column.min() >= 0.0);
             }
@@ -247,7 +257,7 @@ mod tests {
     fn a_dense_solver_agrees() {
         let lattice = lattice(84, 14, 1, 40, 35);
         let drive = drive(2, 5, 0.05);
-        let matrix = |cost| DMatrix::from(&transitions(&lattice, &drive, cost));
+        let matrix = |cost| DMatrix::from(&transition_matrix(&lattice, &drive, cost));
         let (on, off) = (matrix(lattice.e_idle), matrix(lattice.e_wur));
         let cycle = &off * &off * &off * &on * &on;
         let n = lattice.levels();
@@ -270,7 +280,7 @@ mod tests {
             .map(|(a, b)| (a - b / 5.0).abs())
             .sum();
         assert!(off_by < 1e-9, "{off_by}");
-        assert!(found.residual <= STEADY && (found.at_least(0) - 1.0).abs() < 1e-9);
+        assert!(found.residual <= STEADY_RESIDUAL && (found.probability_at_least(0) - 1.0).abs() < 1e-9);
     }
 
     /// The paper's system is R b = c with c all ones and R row-stochastic, followed by Σ b = 1. Its first rows already

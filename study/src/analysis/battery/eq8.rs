@@ -12,7 +12,7 @@ use statrs::function::beta::beta_reg;
 use statrs::function::gamma::ln_gamma;
 
 /// Largest M for which Eq. (8) is evaluated.
-const MOST_STATES: u64 = 1_000_000;
+const MAX_STATES: u64 = 1_000_000;
 
 /// Eq. (8) for one threshold and one P. All values are NaN if P is not a probability, which P_1,2 + P_4,2 need not be.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,7 +37,7 @@ impl Eq8 {
             };
         }
         Self {
-            sum: sum(e, states, activation),
+            sum: printed_sum(e, states, activation),
             sum_by_beta: sum_by_beta(e, states, activation),
             printed_beta: beta_reg(e + 1.0, e_max + 1.0, 1.0 - activation),
         }
@@ -46,12 +46,12 @@ impl Eq8 {
 
 /// Computes the number of the highest battery state, M = ⌈E_max/E_λ⌉ with E_λ = E_B exp(-λ); energies in units, `e_max`
 /// > 0.
-pub fn states(e_max: f64, e_b: f64, lambda: f64) -> u64 {
+pub fn highest_state(e_max: f64, e_b: f64, lambda: f64) -> u64 {
     (e_max / (e_b * libm::exp(-lambda))).ceil() as u64
 }
 
-fn sum(e: f64, states: u64, p: f64) -> f64 {
-    if e.fract() != 0.0 || e < 0.0 || states > MOST_STATES {
+fn printed_sum(e: f64, states: u64, p: f64) -> f64 {
+    if e.fract() != 0.0 || e < 0.0 || states > MAX_STATES {
         return f64::NAN;
     }
     let e = e as u64;
@@ -70,7 +70,7 @@ fn binomial_term(b: u64, e: u64, p: f64) -> f64 {
 
 fn sum_by_beta(e: f64, states: u64, p: f64) -> f64 {
     let b = states as f64 - e + 1.0;
-    if states > MOST_STATES {
+    if states > MAX_STATES {
         f64::NAN
     } else if b <= 0.0 {
         0.0
@@ -116,10 +116,10 @@ mod tests {
     fn it_is_not_a_probability() {
         // The sum tends to 1/P, here 5 and 2.
         assert!((Eq8::new(10.0, 100.0, 1000, 0.2).sum - 5.0).abs() < 1e-9);
-        let half = Eq8::new(10.0, 100.0, states(100.0, 1.0, 0.1), 0.5);
+        let half = Eq8::new(10.0, 100.0, highest_state(100.0, 1.0, 0.1), 0.5);
         assert!((half.sum - 2.0).abs() < 1e-9, "{half:?}");
         // A larger arrival makes the sum smaller.
-        let by_e_b = [1.0, 5.0, 10.0].map(|e_b| Eq8::new(10.0, 100.0, states(100.0, e_b, 0.1), 0.3).sum);
+        let by_e_b = [1.0, 5.0, 10.0].map(|e_b| Eq8::new(10.0, 100.0, highest_state(100.0, e_b, 0.1), 0.3).sum);
         assert!(by_e_b[0] > by_e_b[1] && by_e_b[1] > by_e_b[2], "{by_e_b:?}");
         // The function that the text names has another value.
         assert!((half.printed_beta - half.sum).abs() > 0.9);
@@ -139,9 +139,9 @@ mod tests {
             assert!(Eq8::new(10.0, 100.0, 111, p).sum.is_nan());
         }
         // A source that almost never yields anything: E_λ is nearly or exactly 0.
-        for endless in [states(100.0, 5.0, 40.0), states(100.0, 0.0, 0.1)] {
+        for endless in [highest_state(100.0, 5.0, 40.0), highest_state(100.0, 0.0, 0.1)] {
             assert!(Eq8::new(10.0, 100.0, endless, 0.1).sum.is_nan());
         }
-        assert_eq!(states(100.0, 5.0, 0.1), 23);
+        assert_eq!(highest_state(100.0, 5.0, 0.1), 23);
     }
 }

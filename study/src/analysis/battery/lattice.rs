@@ -1,4 +1,5 @@
-//! Lattice with a common quantum for all energies of a device, so that its battery has finitely many levels.
+//! Lattice with a common quantum for all energies of a device, so that its battery has finitely many levels: the states
+//! of [`super::chain`](super::steady_state), and the bins of measured levels.
 
 use reveille_common::scenario::EnergyModel;
 use reveille_common::units::{Energy, MICRO_PER_UNIT};
@@ -6,17 +7,17 @@ use reveille_common::units::{Energy, MICRO_PER_UNIT};
 use crate::analysis::AnalysisError;
 
 /// Resolution of the finest lattice tried, quanta a unit.
-const FINEST: u64 = 1000;
+const MAX_QUANTA_PER_UNIT: u64 = 1000;
 /// Maximum distance of an energy from whole quanta, quanta. E_WuR, 71 429 micro-units, is 6·10⁻⁶ off one fourteenth.
-const TOLERANCE: f64 = 1e-5;
+const MAX_ROUNDING_QUANTA: f64 = 1e-5;
 /// Maximum number of battery levels of a chain.
-const MOST_LEVELS: u64 = 200_000;
+const MAX_LEVELS: u64 = 200_000;
 
 /// The energies of a device in whole quanta.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Lattice {
     /// Quanta in a unit: 14 with the costs of Table II.
-    pub per_unit: u64,
+    pub quanta_per_unit: u64,
     /// `E_max`, quanta.
     pub e_max: usize,
     /// `E_idle`, quanta.
@@ -36,27 +37,31 @@ impl Lattice {
     /// If that needs more than 1000 quanta a unit, or the battery would have too many levels.
     pub fn new(model: &EnergyModel, e_b: Energy) -> Result<Self, AnalysisError> {
         let energies = [model.e_max, model.e_idle, model.e_wur, model.e_tx, e_b];
-        let fits = |per_unit: &u64| energies.iter().all(|&e| distance(e, *per_unit) <= TOLERANCE);
+        let fits = |per_unit: &u64| {
+            energies
+                .iter()
+                .all(|&e| rounding_error(e, *per_unit) <= MAX_ROUNDING_QUANTA)
+        };
         // Tries the coarsest first, since the work of the chain grows with the number of levels.
-        let Some(per_unit) = (1..=FINEST).find(fits) else {
+        let Some(per_unit) = (1..=MAX_QUANTA_PER_UNIT).find(fits) else {
             let value = energies.map(|e| e.units().to_string()).join(", ");
             let allowed = format!(
                 "E_max, E_idle, E_WuR, E_Tx and E_B must be multiples of a common quantum of 1/n unit, n up to \
-                 {FINEST}, for the battery to have few enough levels; round them, for example to hundredths of a unit"
+                 {MAX_QUANTA_PER_UNIT}, for the battery to have few enough levels; round them, for example to hundredths of a unit"
             );
             return Err(AnalysisError::invalid("energies (units)", &value, allowed));
         };
-        let [e_max, e_idle, e_wur, e_tx, e_b] = energies.map(|e| quanta(e, per_unit));
-        if e_max >= MOST_LEVELS {
+        let [e_max, e_idle, e_wur, e_tx, e_b] = energies.map(|e| to_quanta(e, per_unit));
+        if e_max >= MAX_LEVELS {
             let allowed = format!(
-                "with {per_unit} quanta per unit the battery has {} levels, but the chain takes at most {MOST_LEVELS}; \
+                "with {per_unit} quanta per unit the battery has {} levels, but the chain takes at most {MAX_LEVELS}; \
                  use a smaller battery or coarser costs",
                 e_max + 1
             );
             return Err(AnalysisError::invalid("energy.e_max", &model.e_max.units(), allowed));
         }
         Ok(Self {
-            per_unit,
+            quanta_per_unit: per_unit,
             e_max: e_max as usize,
             e_idle: e_idle as usize,
             e_wur: e_wur as usize,
@@ -72,18 +77,18 @@ impl Lattice {
 
     /// Level nearest to `energy`.
     pub fn level(&self, energy: Energy) -> usize {
-        (quanta(energy, self.per_unit) as usize).min(self.e_max)
+        (to_quanta(energy, self.quanta_per_unit) as usize).min(self.e_max)
     }
 }
 
 /// Converts `energy` to quanta, rounded to the nearest.
-fn quanta(energy: Energy, per_unit: u64) -> u64 {
+fn to_quanta(energy: Energy, per_unit: u64) -> u64 {
     (energy.micro() * per_unit + MICRO_PER_UNIT / 2) / MICRO_PER_UNIT
 }
 
 /// Distance of `energy` from a whole number of quanta, in quanta.
-fn distance(energy: Energy, per_unit: u64) -> f64 {
-    let whole = quanta(energy, per_unit) * MICRO_PER_UNIT;
+fn rounding_error(energy: Energy, per_unit: u64) -> f64 {
+    let whole = to_quanta(energy, per_unit) * MICRO_PER_UNIT;
     (energy.micro() * per_unit).abs_diff(whole) as f64 / MICRO_PER_UNIT as f64
 }
 
@@ -107,7 +112,7 @@ mod tests {
         let table_ii = model([100.0, 1.0, 1.0 / 14.0, 10.0]);
         let lattice = Lattice::new(&table_ii, Energy::from_micro(5_000_000)).expect("a lattice");
         let expected = Lattice {
-            per_unit: 14,
+            quanta_per_unit: 14,
             e_max: 1400,
             e_idle: 14,
             e_wur: 1,
@@ -118,7 +123,7 @@ mod tests {
         assert_eq!(lattice.level(Energy::from_micro(999_976)), 14);
         assert_eq!(lattice.level(Energy::from_micro(100_000_000)), 1400);
         let finer = Lattice::new(&table_ii, Energy::from_micro(2_500_000)).expect("a lattice");
-        assert_eq!((finer.per_unit, finer.e_b), (14, 35));
+        assert_eq!((finer.quanta_per_unit, finer.e_b), (14, 35));
     }
 
     #[test]

@@ -31,11 +31,11 @@ pub struct SampleConfig {
 }
 
 /// Counts the TTIs by battery level at their end, one vector for each device.
-pub(super) fn levels(
+pub(super) fn count_levels(
     model: &EnergyModel,
     e_b: Energy,
     lattice: &Lattice,
-    drive: &ChainInput,
+    input: &ChainInput,
     sample: &SampleConfig,
 ) -> Vec<Vec<u64>> {
     let setups: Vec<DeviceSetup> = (0..sample.devices)
@@ -43,41 +43,41 @@ pub(super) fn levels(
             id: DeviceId(id),
             position: Point::new(0.0, 0.0),
             energy: *model,
-            harvest: HarvestSetup::Arrivals(ArrivalsSetup { p: drive.arrival, e_b }),
+            harvest: HarvestSetup::Arrivals(ArrivalsSetup { p: input.arrival, e_b }),
         })
         .collect();
-    let world = Physics::new(
+    let physics = Physics::new(
         sample.seed,
         Tti::ZERO,
-        always_detects(),
+        sensing_without_misses(),
         RadioSettings::default(),
         &setups,
         Vec::new(),
     );
-    let count = |setup: &DeviceSetup| levels_of(setup, &world, lattice, drive, sample);
+    let count = |setup: &DeviceSetup| count_device_levels(setup, &physics, lattice, input, sample);
     setups.par_iter().map(count).collect()
 }
 
 /// Counts one device. An event at its position makes it active in S1, a wake-up in S4.
-fn levels_of(
+fn count_device_levels(
     setup: &DeviceSetup,
-    world: &Physics,
+    physics: &Physics,
     lattice: &Lattice,
-    drive: &ChainInput,
+    input: &ChainInput,
     sample: &SampleConfig,
 ) -> Vec<u64> {
     let mut counts = vec![0; lattice.levels()];
-    let mut machine = Machine::new(setup, world);
+    let mut machine = Machine::new(setup, physics);
     let duty = DutyCycle {
-        t_on: drive.t_on,
-        t_drx: drive.t_drx,
-        offset: setup.id.0 % drive.t_drx,
+        t_on: input.t_on,
+        t_drx: input.t_drx,
+        offset: setup.id.0 % input.t_drx,
     };
     machine.set_duty(Tti::ZERO, duty);
-    let gaps = Geometric::new(drive.activation);
+    let gaps = Geometric::new(input.activation);
     let mut stream = Stream::new(sample.seed, Purpose::EventGap, u64::from(setup.id.0));
     // Gaps start at 1, and the first activation may be due in TTI 0.
-    let mut active = gaps.draw(&mut stream).saturating_sub(1);
+    let mut next_activation = gaps.draw(&mut stream).saturating_sub(1);
     let stimulus = Stimulus {
         event: EventId(0),
         epicentre: setup.position,
@@ -85,13 +85,13 @@ fn levels_of(
     for k in 0..sample.warm_up + sample.ttis {
         let tti = Tti(k);
         machine.begin(tti);
-        if k == active {
+        if k == next_activation {
             // The gap is `u64::MAX` if the device never becomes active.
-            active = k.saturating_add(gaps.draw(&mut stream));
+            next_activation = k.saturating_add(gaps.draw(&mut stream));
             if duty.is_on(tti) {
-                machine.sense(tti, &stimulus, world);
+                machine.sense(tti, &stimulus, physics);
             } else {
-                machine.wake(tti, Some(&stimulus), world);
+                machine.wake(tti, Some(&stimulus), physics);
             }
         }
         if k >= sample.warm_up {
@@ -101,7 +101,7 @@ fn levels_of(
     counts
 }
 
-const fn always_detects() -> Sensing {
+const fn sensing_without_misses() -> Sensing {
     Sensing {
         kind: DetectionKind::Range,
         d_max: 1.0,

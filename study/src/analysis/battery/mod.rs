@@ -3,8 +3,8 @@
 //!
 //! The chain uses a lattice of whole quanta, one fourteenth of a unit with the costs of Table II. The machines count in
 //! micro-units, where E_WuR is 71 429, which is 6/14 of a micro-unit more than a quantum. Levels of both are rounded to
-//! the nearest quantum and then put into bins of [`BatteryStudy::bin`] units, `[0, bin)`, `[bin, 2 bin)`, …. So no bin
-//! border splits levels that are equal in the chain.
+//! the nearest quantum and then put into bins of [`BatteryStudy::bin_width`] units, so that no bin border splits
+//! levels that are equal in the chain.
 
 mod chain;
 mod eq8;
@@ -13,7 +13,7 @@ mod measured;
 
 pub(crate) use chain::steady_state;
 pub use chain::{ChainInput, SteadyState};
-pub use eq8::{Eq8, states};
+pub use eq8::{Eq8, highest_state};
 pub use lattice::Lattice;
 pub use measured::SampleConfig;
 
@@ -25,9 +25,9 @@ use super::harvest::LambdaReading;
 use reveille_lab::stats::Estimate;
 
 /// Minimum number of measured devices; intervals are taken between devices.
-const FEWEST_DEVICES: u32 = 2;
+const MIN_DEVICES: u32 = 2;
 /// Maximum number of measured device-TTIs.
-const MOST_DEVICE_TTIS: u64 = 100_000_000_000;
+const MAX_DEVICE_TTIS: u64 = 100_000_000_000;
 
 /// One battery under one duty cycle.
 #[derive(Clone, Copy, Debug)]
@@ -51,7 +51,7 @@ pub struct BatteryStudy {
     /// Sample to measure; at least 2 devices and one TTI.
     pub sample: SampleConfig,
     /// Width of a bin of the distributions, units, at least a quantum.
-    pub bin: f64,
+    pub bin_width: f64,
 }
 
 /// Pr(B ≥ E) by the chain, the machines and Eq. (8). Levels are taken at the end of a TTI.
@@ -95,22 +95,22 @@ pub struct BatteryComparison {
 pub fn compare(study: &BatteryStudy) -> Result<BatteryComparison, AnalysisError> {
     study.check()?;
     let lattice = Lattice::new(&study.model, study.e_b)?;
-    let drive = study.drive();
-    let steady = steady_state(&lattice, &drive)?;
-    let bins = Bins::new(&lattice, study.bin)?;
-    let devices = measured::levels(&study.model, study.e_b, &lattice, &drive, &study.sample);
-    let shares: Vec<Vec<f64>> = devices.iter().map(|counts| normalised(counts)).collect();
-    let pooled: Vec<f64> = (0..lattice.levels())
-        .map(|level| shares.iter().map(|one| one[level]).sum::<f64>() / shares.len() as f64)
+    let chain_input = study.chain_input();
+    let steady = steady_state(&lattice, &chain_input)?;
+    let bins = LevelBins::new(&lattice, study.bin_width)?;
+    let devices = measured::count_levels(&study.model, study.e_b, &lattice, &chain_input, &study.sample);
+    let shares: Vec<Vec<f64>> = devices.iter().map(|counts| shares_of_counts(counts)).collect();
+    let pooled_shares: Vec<f64> = (0..lattice.levels())
+        .map(|level| shares.iter().map(|device_shares| device_shares[level]).sum::<f64>() / shares.len() as f64)
         .collect();
-    let (by_chain, by_devices) = (bins.gather(&steady.levels), bins.gather(&pooled));
+    let (by_chain, by_devices) = (bins.sum_levels(&steady.levels), bins.sum_levels(&pooled_shares));
     let distance: f64 = by_chain.iter().zip(&by_devices).map(|(a, b)| (a - b).abs()).sum();
-    let edges = (0..by_chain.len()).map(|bin| bin as f64 * study.bin);
+    let edges = (0..by_chain.len()).map(|bin| bin as f64 * study.bin_width);
     let availability = |threshold: Energy| study.availability(&lattice, threshold, &steady, &shares);
-    let mean = |levels: &[f64]| mean_level(levels) / lattice.per_unit as f64;
+    let mean = |levels: &[f64]| mean_level(levels) / lattice.quanta_per_unit as f64;
     Ok(BatteryComparison {
         lattice,
-        arrival: drive.arrival,
+        arrival: chain_input.arrival,
         total_variation: distance / 2.0,
         bins: edges
             .zip(by_chain)
@@ -118,7 +118,7 @@ pub fn compare(study: &BatteryStudy) -> Result<BatteryComparison, AnalysisError>
             .map(|((edge, a), b)| (edge, a, b))
             .collect(),
         chain_mean: mean(&steady.levels),
-        measured_mean: Estimate::over(shares.iter().map(|one| mean(one))),
+        measured_mean: Estimate::from_values_or_nan(shares.iter().map(|device_shares| mean(device_shares))),
         availability: [study.model.e_tx, study.model.e_idle].map(availability),
         steady,
     })
@@ -126,7 +126,7 @@ pub fn compare(study: &BatteryStudy) -> Result<BatteryComparison, AnalysisError>
 
 impl BatteryStudy {
     /// Input of the chain for this study.
-    pub fn drive(&self) -> ChainInput {
+    pub fn chain_input(&self) -> ChainInput {
         ChainInput {
             t_on: self.t_on,
             t_drx: self.t_drx,
@@ -136,21 +136,21 @@ impl BatteryStudy {
     }
 
     fn check(&self) -> Result<(), AnalysisError> {
-        self.drive().check()?;
+        self.chain_input().check()?;
         if self.e_b == Energy::ZERO {
             return Err(AnalysisError::invalid("e-b", &0, "must be above 0 units"));
         }
         let SampleConfig {
             devices, ttis, warm_up, ..
         } = self.sample;
-        if devices < FEWEST_DEVICES {
-            let allowed = format!("must be at least {FEWEST_DEVICES}, because intervals are computed between devices");
+        if devices < MIN_DEVICES {
+            let allowed = format!("must be at least {MIN_DEVICES}, because intervals are computed between devices");
             return Err(AnalysisError::invalid("devices", &devices, allowed));
         }
         let all = ttis.saturating_add(warm_up).saturating_mul(u64::from(devices));
-        if ttis == 0 || all > MOST_DEVICE_TTIS {
+        if ttis == 0 || all > MAX_DEVICE_TTIS {
             let allowed = format!(
-                "must be at least 1, and with the warm-up and all devices at most {MOST_DEVICE_TTIS} device-TTIs"
+                "must be at least 1, and with the warm-up and all devices at most {MAX_DEVICE_TTIS} device-TTIs"
             );
             return Err(AnalysisError::invalid("ttis", &ttis, allowed));
         }
@@ -165,25 +165,25 @@ impl BatteryStudy {
         shares: &[Vec<f64>],
     ) -> Availability {
         let level = lattice.level(threshold);
-        let states = states(self.model.e_max.units(), self.e_b.units(), self.lambda);
+        let states = highest_state(self.model.e_max.units(), self.e_b.units(), self.lambda);
         Availability {
             threshold: threshold.units(),
-            chain: steady.at_least(level),
-            measured: Estimate::over(shares.iter().map(|one| one.iter().skip(level).sum())),
+            chain: steady.probability_at_least(level),
+            measured: Estimate::from_values_or_nan(shares.iter().map(|one| one.iter().skip(level).sum())),
             eq8: Eq8::new(threshold.units(), self.model.e_max.units(), states, self.activation),
         }
     }
 }
 
 /// Bins of a distribution of levels.
-struct Bins {
+struct LevelBins {
     /// Bin of each level.
-    of_level: Vec<usize>,
+    bin_of_level: Vec<usize>,
 }
 
-impl Bins {
+impl LevelBins {
     fn new(lattice: &Lattice, width: f64) -> Result<Self, AnalysisError> {
-        let quantum = 1.0 / lattice.per_unit as f64;
+        let quantum = 1.0 / lattice.quanta_per_unit as f64;
         let capacity = lattice.e_max as f64 * quantum;
         if !(width >= quantum && width <= capacity) {
             let allowed =
@@ -191,24 +191,24 @@ impl Bins {
             return Err(AnalysisError::invalid("bin", &width, allowed));
         }
         // Up to rounding, a level that is a multiple of the width begins a bin.
-        let bin = |level: usize| (level as f64 * quantum / width + 1e-9).floor() as usize;
+        let bin_of = |level: usize| (level as f64 * quantum / width + 1e-9).floor() as usize;
         Ok(Self {
-            of_level: (0..lattice.levels()).map(bin).collect(),
+            bin_of_level: (0..lattice.levels()).map(bin_of).collect(),
         })
     }
 
-    fn gather(&self, levels: &[f64]) -> Vec<f64> {
+    fn sum_levels(&self, levels: &[f64]) -> Vec<f64> {
         // Bins rise with levels, so the last level has the last bin.
-        let last = self.of_level.last().copied().unwrap_or_default();
+        let last = self.bin_of_level.last().copied().unwrap_or_default();
         let mut bins = vec![0.0; last + 1];
-        for (bin, probability) in self.of_level.iter().zip(levels) {
+        for (bin, probability) in self.bin_of_level.iter().zip(levels) {
             bins[*bin] += probability;
         }
         bins
     }
 }
 
-fn normalised(counts: &[u64]) -> Vec<f64> {
+fn shares_of_counts(counts: &[u64]) -> Vec<f64> {
     let all: u64 = counts.iter().sum();
     counts.iter().map(|&count| count as f64 / all as f64).collect()
 }
@@ -241,7 +241,7 @@ mod tests {
                 ttis: 150_000,
                 warm_up: 20_000,
             },
-            bin: 0.5,
+            bin_width: 0.5,
         }
     }
 
@@ -268,12 +268,12 @@ mod tests {
     #[test]
     fn bins_hold_what_the_levels_hold() {
         let lattice = Lattice::new(&study(5.0, 1, 2, 0.0).model, Energy::from_micro(5_000_000)).expect("a lattice");
-        let bins = Bins::new(&lattice, 0.5).expect("bins");
+        let bins = LevelBins::new(&lattice, 0.5).expect("bins");
         assert_eq!(
-            [0, 6, 7, 13, 14, 1399, 1400].map(|l| bins.of_level[l]),
+            [0, 6, 7, 13, 14, 1399, 1400].map(|l| bins.bin_of_level[l]),
             [0, 0, 1, 1, 2, 199, 200]
         );
-        assert!(Bins::new(&lattice, 0.01).is_err() && Bins::new(&lattice, f64::NAN).is_err());
+        assert!(LevelBins::new(&lattice, 0.01).is_err() && LevelBins::new(&lattice, f64::NAN).is_err());
     }
 
     #[test]
@@ -286,7 +286,7 @@ mod tests {
         };
         assert!(with(&|s| s.sample.devices = 1).contains("devices = 1"));
         assert!(with(&|s| s.sample.ttis = 0).contains("ttis = 0"));
-        assert!(with(&|s| s.bin = 1000.0).contains("bin = 1000"));
+        assert!(with(&|s| s.bin_width = 1000.0).contains("bin = 1000"));
         assert!(with(&|s| s.e_b = Energy::ZERO).contains("e-b = 0"));
         assert!(with(&|s| s.t_on = 3).contains("t_on = 3"));
         assert!(with(&|s| s.lambda = 0.0).contains("Pr(arrival) = 0"));

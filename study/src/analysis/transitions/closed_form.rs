@@ -1,4 +1,5 @@
-//! Closed forms of P_m,n (Sec. IV) for one device, as printed in the paper.
+//! Closed forms of P_m,n (Sec. IV) for one device, as printed in the paper, with the inputs of all devices of a
+//! deployment. Results are not corrected: they may leave [0, 1] or be NaN.
 
 use reveille_bs::beliefs::correlation::Correlation;
 use reveille_bs::bounds_cache::BoundsCache;
@@ -8,7 +9,7 @@ use reveille_common::harvest::Arrivals;
 use reveille_common::plan::DutyCycle;
 use reveille_common::scenario::{DeviceClass, assign_classes};
 
-use crate::analysis::battery::{Eq8, states};
+use crate::analysis::battery::{Eq8, highest_state};
 
 /// The transitions (m, n) of Fig. 4, in the order of all arrays here.
 pub const PAIRS: [(usize, usize); 10] = [
@@ -25,7 +26,7 @@ pub const PAIRS: [(usize, usize); 10] = [
 ];
 
 /// Rows and columns of the grid of epicentres for the means.
-const EPICENTRES: u32 = 24;
+const EPICENTRES_PER_SIDE: u32 = 24;
 
 /// Inputs of one device's closed forms, except α.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -41,7 +42,7 @@ pub struct ClosedFormTerms {
 }
 
 /// Evaluates the printed P_m,n of a device with `terms` for events of probability `alpha`, in the order of [`PAIRS`].
-pub fn printed(terms: &ClosedFormTerms, alpha: f64) -> [f64; PAIRS.len()] {
+pub fn evaluate_printed(terms: &ClosedFormTerms, alpha: f64) -> [f64; PAIRS.len()] {
     let (t_on, t_drx) = (terms.duty.t_on, terms.duty.t_drx);
     let p41 = f64::from(t_on) / f64::from(t_drx);
     let p12 = alpha * terms.mean_p;
@@ -74,25 +75,25 @@ fn duty_sum(t_on: u32, t_drx: u32, base: f64) -> f64 {
 
 /// Computes the terms of all devices at `positions` with the duty cycles `duties` and the device classes `classes`, in
 /// the order of ids.
-pub(super) fn terms(
+pub(super) fn device_terms(
     scenario: &Scenario,
     positions: &[Point],
     duties: &[DutyCycle],
     classes: &[&DeviceClass],
 ) -> Vec<ClosedFormTerms> {
-    let (mean_p, p42) = over_epicentres(scenario, positions);
+    let (mean_p, p42) = means_over_epicentres(scenario, positions);
     let all = duties.iter().zip(classes).zip(mean_p.iter().zip(&p42));
     all.map(|((&duty, class), (&mean_p, &p42))| ClosedFormTerms {
         duty,
         mean_p,
         p42,
-        p23: eq8(class, scenario.events.alpha * mean_p + p42),
+        p23: transmission_probability(class, scenario.events.alpha * mean_p + p42),
     })
     .collect()
 }
 
 /// Evaluates Eq. (8) for E_Tx; NaN for energy sources without λ and E_B.
-fn eq8(class: &DeviceClass, activation: f64) -> f64 {
+fn transmission_probability(class: &DeviceClass, activation: f64) -> f64 {
     let Some(Arrivals { lambda, e_b }) = class.harvest.arrivals() else {
         return f64::NAN;
     };
@@ -100,29 +101,29 @@ fn eq8(class: &DeviceClass, activation: f64) -> f64 {
     Eq8::new(
         class.energy.e_tx.units(),
         e_max,
-        states(e_max, e_b.units(), lambda),
+        highest_state(e_max, e_b.units(), lambda),
         activation,
     )
     .sum
 }
 
 /// Computes the means over epicentres of p(d_ij) and of P_4,2 for each device.
-fn over_epicentres(scenario: &Scenario, positions: &[Point]) -> (Vec<f64>, Vec<f64>) {
+fn means_over_epicentres(scenario: &Scenario, positions: &[Point]) -> (Vec<f64>, Vec<f64>) {
     let (sensing, correlation) = (
         &scenario.sensing,
         Correlation::new(&scenario.sensing, &BoundsCache::default()),
     );
     let mut mean_p = vec![0.0; positions.len()];
-    let (mut p42, mut reported) = (vec![0.0; positions.len()], vec![0_u32; positions.len()]);
-    for cell in 0..EPICENTRES * EPICENTRES {
-        let at = |index: u32, length: f64| (f64::from(index) + 0.5) / f64::from(EPICENTRES) * length;
+    let (mut p42, mut sample_counts) = (vec![0.0; positions.len()], vec![0_u32; positions.len()]);
+    for cell in 0..EPICENTRES_PER_SIDE * EPICENTRES_PER_SIDE {
+        let coordinate = |index: u32, length: f64| (f64::from(index) + 0.5) / f64::from(EPICENTRES_PER_SIDE) * length;
         let epicentre = Point::new(
-            at(cell % EPICENTRES, scenario.area.width),
-            at(cell / EPICENTRES, scenario.area.height),
+            coordinate(cell % EPICENTRES_PER_SIDE, scenario.area.width),
+            coordinate(cell / EPICENTRES_PER_SIDE, scenario.area.height),
         );
         let distances: Vec<f64> = positions.iter().map(|p| p.distance(epicentre)).collect();
         for (mean, &d) in mean_p.iter_mut().zip(&distances) {
-            *mean += sensing.p(d) / f64::from(EPICENTRES * EPICENTRES);
+            *mean += sensing.p(d) / f64::from(EPICENTRES_PER_SIDE * EPICENTRES_PER_SIDE);
         }
         // The reporter h of Eq. (9) is the device closest to the epicentre.
         let closest = (0..positions.len()).min_by(|&a, &b| distances[a].total_cmp(&distances[b]));
@@ -131,10 +132,10 @@ fn over_epicentres(scenario: &Scenario, positions: &[Point]) -> (Vec<f64>, Vec<f
         };
         for j in (0..positions.len()).filter(|&j| j != h) {
             p42[j] += correlation.p42(distances[h], positions[h].distance(positions[j]));
-            reported[j] += 1;
+            sample_counts[j] += 1;
         }
     }
-    for (sum, &n) in p42.iter_mut().zip(&reported) {
+    for (sum, &n) in p42.iter_mut().zip(&sample_counts) {
         // If a device is the closest one for every epicentre in range, it has no terms and its mean is 0.
         *sum /= f64::from(n.max(1));
     }
@@ -142,7 +143,7 @@ fn over_epicentres(scenario: &Scenario, positions: &[Point]) -> (Vec<f64>, Vec<f
 }
 
 /// Class of each device, in the order of ids.
-pub(super) fn classes(scenario: &Scenario) -> Vec<&DeviceClass> {
+pub(super) fn device_classes(scenario: &Scenario) -> Vec<&DeviceClass> {
     let assigned = assign_classes(scenario);
     assigned
         .into_iter()
@@ -172,23 +173,23 @@ mod tests {
     #[test]
     fn the_sums_of_eqs_12_and_13_by_hand() {
         // t_on = 3, t_DRX = 5, α = 1/2: Σ = 1/2 · 2/4 + 1/4 · 1/3 + 0, and without α 2/4 + 1/3.
-        let found = printed(&terms(3, 5, 0.2, 0.1, 0.9), 0.5);
+        let found = evaluate_printed(&terms(3, 5, 0.2, 0.1, 0.9), 0.5);
         let (p11, p31) = (0.25 + 1.0 / 12.0, 5.0 / 6.0);
         let expected = [p11, 0.1, 0.9 - p11, 0.9, 0.1, p31, 1.0 - p31, 0.6, 0.1, 0.3];
         close(&found, &expected);
         // By these formulas too, a device that spends single TTIs in S1 never stays there.
-        let knn = printed(&terms(1, 4, 0.2, 0.1, 0.9), 0.5);
+        let knn = evaluate_printed(&terms(1, 4, 0.2, 0.1, 0.9), 0.5);
         assert_eq!((knn[0], knn[5], knn[7]), (0.0, 0.0, 0.25));
     }
 
     #[test]
     fn printed_sums_leave_the_unit_interval() {
         // With a long t_on, nearly every term is nearly 1.
-        let long = printed(&terms(16, 17, 0.01, 0.0, 1.0), 0.01);
+        let long = evaluate_printed(&terms(16, 17, 0.01, 0.0, 1.0), 0.01);
         assert!(long[0] > 1.0 && long[2] < 0.0 && long[5] > 1.0, "{long:?}");
         // t_on = t_DRX, a device that always senses, gives 0/0.
-        assert!(printed(&terms(2, 2, 0.1, 0.1, 1.0), 0.1)[0].is_nan());
+        assert!(evaluate_printed(&terms(2, 2, 0.1, 0.1, 1.0), 0.1)[0].is_nan());
         // A short cycle and a close neighbour.
-        assert!(printed(&terms(1, 2, 0.1, 0.6, 1.0), 0.1)[9] < 0.0);
+        assert!(evaluate_printed(&terms(1, 2, 0.1, 0.6, 1.0), 0.1)[9] < 0.0);
     }
 }

@@ -36,7 +36,7 @@ impl TransitionCounts {
         }
     }
 
-    fn step(&mut self, from: usize, to: usize) {
+    fn count_transition(&mut self, from: usize, to: usize) {
         self.0[from - 1][to - 1] += 1;
     }
 }
@@ -48,35 +48,38 @@ const S4: usize = 4;
 
 /// Path of a device through one TTI.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Path {
-    first: usize,
+struct TtiPath {
+    first_state: usize,
     /// State that followed S2, if S2 was entered.
-    through_active: Option<usize>,
+    state_after_active: Option<usize>,
 }
 
-impl Path {
-    /// Derives the path of a device that ends a TTI in `state` and has `spent` in it, where δ = `on` cost `cost`.
-    fn new(state: DeviceState, on: bool, spent: Energy, cost: Energy) -> Self {
-        let started = if on { S1 } else { S4 };
-        let (first, through_active) = match state {
-            DeviceState::Idle | DeviceState::Sleep { powered: true } => (started, None),
-            DeviceState::Transmission => (started, Some(S3)),
+impl TtiPath {
+    /// Derives the path of a device that ends a TTI in `state` and has `spent` in it, where δ = `is_on` cost `cost`.
+    fn new(state: DeviceState, is_on: bool, spent: Energy, cost: Energy) -> Self {
+        let initial_state = if is_on { S1 } else { S4 };
+        let (first_state, state_after_active) = match state {
+            DeviceState::Idle | DeviceState::Sleep { powered: true } => (initial_state, None),
+            DeviceState::Transmission => (initial_state, Some(S3)),
             // A device that could not pay for δ has spent less than its cost; otherwise the transmission failed.
             DeviceState::Sleep { powered: false } if spent < cost => (S4, None),
-            DeviceState::Sleep { powered: false } => (started, Some(S4)),
+            DeviceState::Sleep { powered: false } => (initial_state, Some(S4)),
             DeviceState::Active => unreachable!("S2 is left within the TTI"),
         };
-        Self { first, through_active }
+        Self {
+            first_state,
+            state_after_active,
+        }
     }
 
-    fn last(self) -> usize {
-        self.through_active.unwrap_or(self.first)
+    fn last_state(self) -> usize {
+        self.state_after_active.unwrap_or(self.first_state)
     }
 }
 
 /// Counts the transitions of all devices in the measured part of a run of `scenario`. Also returns the duty cycles in
 /// its first TTI.
-pub(super) fn count(scenario: &Scenario, deployment: &Deployment) -> (TransitionCounts, Vec<DutyCycle>) {
+pub(super) fn count_run(scenario: &Scenario, deployment: &Deployment) -> (TransitionCounts, Vec<DutyCycle>) {
     let options = RunOptions {
         // Devices are counted after every TTI, so each grant covers one.
         lookahead: false,
@@ -85,30 +88,30 @@ pub(super) fn count(scenario: &Scenario, deployment: &Deployment) -> (Transition
     let mut run = start(scenario, options);
     let mut counts = TransitionCounts::default();
     let mut duties = Vec::new();
-    let mut before = vec![(S4, Energy::ZERO); deployment.devices.len()];
+    let mut previous = vec![(S4, Energy::ZERO); deployment.devices.len()];
     let first_measured = scenario.warm_up_end().0;
     for k in 0..scenario.run.ttis {
-        run.grant(&mut ());
+        run.run_grant(&mut ());
         let plan = run.cycle().plan();
-        let now: Vec<DutyCycle> = deployment.devices.iter().map(|d| plan.duty_cycle(d.id)).collect();
-        for (j, machine) in run.device_views().iter().enumerate() {
-            let (last, spent_before) = before[j];
+        let duties_now: Vec<DutyCycle> = deployment.devices.iter().map(|d| plan.duty_cycle(d.id)).collect();
+        for (j, machine) in run.advance_machines().iter().enumerate() {
+            let (last, spent_before) = previous[j];
             let spent = machine.totals().spent.total();
-            let (on, costs) = (now[j].is_on(Tti(k)), &deployment.devices[j].energy);
+            let (on, costs) = (duties_now[j].is_on(Tti(k)), &deployment.devices[j].energy);
             let cost = if on { costs.e_idle } else { costs.e_wur };
-            let path = Path::new(machine.state(), on, spent - spent_before, cost);
+            let path = TtiPath::new(machine.state(), on, spent - spent_before, cost);
             // The transition into the first measured TTI begins in the warm-up.
             if k > first_measured {
-                counts.step(last, path.first);
+                counts.count_transition(last, path.first_state);
             }
-            if let (true, Some(end)) = (k >= first_measured, path.through_active) {
-                counts.step(path.first, S2);
-                counts.step(S2, end);
+            if let (true, Some(end)) = (k >= first_measured, path.state_after_active) {
+                counts.count_transition(path.first_state, S2);
+                counts.count_transition(S2, end);
             }
-            before[j] = (path.last(), spent);
+            previous[j] = (path.last_state(), spent);
         }
         if k == 0 {
-            duties = now;
+            duties = duties_now;
         }
     }
     (counts, duties)
@@ -123,8 +126,8 @@ mod tests {
         let (idle, wur, none) = (Energy::from_micro(10), Energy::from_micro(3), Energy::ZERO);
         let dark = DeviceState::Sleep { powered: false };
         let path = |state, on, spent, cost| {
-            let path = Path::new(state, on, spent, cost);
-            (path.first, path.through_active)
+            let path = TtiPath::new(state, on, spent, cost);
+            (path.first_state, path.state_after_active)
         };
         assert_eq!(path(DeviceState::Idle, true, idle, idle), (S1, None));
         assert_eq!(path(DeviceState::Sleep { powered: true }, false, wur, wur), (S4, None));

@@ -14,18 +14,18 @@
 mod closed_form;
 mod measured;
 
-pub use closed_form::{ClosedFormTerms, PAIRS, printed};
+pub use closed_form::{ClosedFormTerms, PAIRS, evaluate_printed};
 pub use measured::TransitionCounts;
 
 use reveille_bs::scenario::Scenario;
 use reveille_common::deployment::Deployment;
 use reveille_common::plan::DutyCycle;
 
-use super::{AnalysisError, check_seeds, over_seeds};
+use super::{AnalysisError, check_seeds, map_seeds};
 use reveille_lab::stats::Estimate;
 
 /// Quantile of the normal distribution for a 95 % interval.
-const Z: f64 = 1.959_963_984_540_054;
+const NORMAL_QUANTILE_975: f64 = 1.959_963_984_540_054;
 
 /// One transition probability P_m,n.
 #[derive(Clone, Copy, Debug)]
@@ -39,9 +39,9 @@ pub struct Transition {
     /// Minimum and maximum of the printed form.
     pub printed_range: (f64, f64),
     /// Number of devices, over all deployments, for which the form is not a probability: below 0, above 1, or 0/0.
-    pub improper: usize,
+    pub improper_count: usize,
     /// Share of the visits if δ alone decides (no events, no failures), over all devices.
-    pub by_duty: Option<f64>,
+    pub share_by_duty: Option<f64>,
     /// Number of transitions S_m → S_n.
     pub count: u64,
     /// Number of visits of S_m.
@@ -58,7 +58,7 @@ pub struct Transitions {
     /// The transitions in the order of [`PAIRS`].
     pub transitions: Vec<Transition>,
     /// Number of devices over all deployments.
-    pub devices: usize,
+    pub device_count: usize,
 }
 
 /// Counts the transitions of `scenario` under `seeds` consecutive seeds from its own, and evaluates the printed forms
@@ -68,11 +68,11 @@ pub struct Transitions {
 /// If `seeds` is 0.
 pub fn measure(scenario: &Scenario, seeds: u64) -> Result<Transitions, AnalysisError> {
     check_seeds(seeds)?;
-    let runs = over_seeds(scenario, seeds, |one| {
+    let runs = map_seeds(scenario, seeds, |one| {
         let deployment = Deployment::new(one);
-        let (counts, duties) = measured::count(one, &deployment);
-        let terms = closed_form::terms(one, &deployment.positions(), &duties, &closed_form::classes(one));
-        let printed: Vec<_> = terms.iter().map(|t| printed(t, one.events.alpha)).collect();
+        let (counts, duties) = measured::count_run(one, &deployment);
+        let terms = closed_form::device_terms(one, &deployment.positions(), &duties, &closed_form::device_classes(one));
+        let printed: Vec<_> = terms.iter().map(|t| evaluate_printed(t, one.events.alpha)).collect();
         (counts, duties, printed)
     });
     let mut pooled = TransitionCounts::default();
@@ -90,23 +90,23 @@ pub fn measure(scenario: &Scenario, seeds: u64) -> Result<Transitions, AnalysisE
         Transition {
             from,
             to,
-            printed: Estimate::over(proper.clone()).mean,
+            printed: Estimate::from_values_or_nan(proper.clone()).mean,
             // `min` and `max` ignore NaN, so NaN remains only if the form is 0/0 for all devices.
             printed_range: (proper.clone().fold(f64::NAN, f64::min), proper.fold(f64::NAN, f64::max)),
-            improper: values.iter().filter(|v| !is_probability(**v)).count(),
-            by_duty: by_duty(&duties, from, to),
+            improper_count: values.iter().filter(|v| !is_probability(**v)).count(),
+            share_by_duty: share_by_duty(&duties, from, to),
             count,
             visits,
-            measured: Estimate::over(
+            measured: Estimate::from_values_or_nan(
                 runs.iter()
                     .map(|(counts, ..)| share(counts.count(from, to), counts.visits(from))),
             ),
-            wilson: wilson(count, visits),
+            wilson: wilson_interval(count, visits),
         }
     };
     Ok(Transitions {
         transitions: PAIRS.into_iter().enumerate().map(transition).collect(),
-        devices: duties.len(),
+        device_count: duties.len(),
     })
 }
 
@@ -117,18 +117,18 @@ fn is_probability(value: f64) -> bool {
 
 /// Share of the visits of S_from that lead to S_to if δ alone decides; `None` for states with transitions due to
 /// events.
-fn by_duty(duties: &[DutyCycle], from: usize, to: usize) -> Option<f64> {
+fn share_by_duty(duties: &[DutyCycle], from: usize, to: usize) -> Option<f64> {
     // In each cycle, a device that is neither always on nor always off has one change each way.
-    let (mut changes, mut on, mut off) = (0.0, 0.0, 0.0);
+    let (mut changes, mut ttis_on, mut ttis_off) = (0.0, 0.0, 0.0);
     for duty in duties {
         let (t_on, t_drx) = (f64::from(duty.t_on), f64::from(duty.t_drx));
         changes += f64::from(u8::from(duty.t_on > 0 && duty.t_on < duty.t_drx)) / t_drx;
-        on += t_on / t_drx;
-        off += 1.0 - t_on / t_drx;
+        ttis_on += t_on / t_drx;
+        ttis_off += 1.0 - t_on / t_drx;
     }
     let change = match (from, to) {
-        (1, 1 | 4) => changes / on,
-        (4, 1 | 4) => changes / off,
+        (1, 1 | 4) => changes / ttis_on,
+        (4, 1 | 4) => changes / ttis_off,
         _ => return None,
     };
     let value = if from == to { 1.0 - change } else { change };
@@ -140,10 +140,12 @@ fn share(count: u64, visits: u64) -> f64 {
 }
 
 /// Wilson's 95 % score interval of a binomial share.
-fn wilson(count: u64, visits: u64) -> (f64, f64) {
+fn wilson_interval(count: u64, visits: u64) -> (f64, f64) {
     let (n, p) = (visits as f64, share(count, visits));
-    let centre = (p + Z * Z / (2.0 * n)) / (1.0 + Z * Z / n);
-    let half = Z / (1.0 + Z * Z / n) * (p * (1.0 - p) / n + Z * Z / (4.0 * n * n)).sqrt();
+    let centre = (p + NORMAL_QUANTILE_975 * NORMAL_QUANTILE_975 / (2.0 * n))
+        / (1.0 + NORMAL_QUANTILE_975 * NORMAL_QUANTILE_975 / n);
+    let half = NORMAL_QUANTILE_975 / (1.0 + NORMAL_QUANTILE_975 * NORMAL_QUANTILE_975 / n)
+        * (p * (1.0 - p) / n + NORMAL_QUANTILE_975 * NORMAL_QUANTILE_975 / (4.0 * n * n)).sqrt();
     ((centre - half).max(0.0), (centre + half).min(1.0))
 }
 
@@ -189,7 +191,7 @@ mod tests {
         let found = study(&rich, 3);
         for (from, to) in [(1, 1), (1, 4), (4, 1), (4, 4)] {
             let transition = find(&found, from, to);
-            let expected = transition.by_duty.expect("δ decides");
+            let expected = transition.share_by_duty.expect("δ decides");
             assert!(
                 (share(transition.count, transition.visits) - expected).abs() < 2e-3,
                 "{transition:?}"
@@ -202,12 +204,12 @@ mod tests {
     #[test]
     fn wilson_intervals_are_the_textbooks() {
         // 8 of 10: interval 0.490 to 0.943.
-        let (low, high) = wilson(8, 10);
+        let (low, high) = wilson_interval(8, 10);
         assert!(
             (low - 0.490_162).abs() < 1e-6 && (high - 0.943_318).abs() < 1e-6,
             "{low} {high}"
         );
-        assert!(wilson(0, 50).0 < 1e-15 && wilson(50, 50).1 > 1.0 - 1e-15);
+        assert!(wilson_interval(0, 50).0 < 1e-15 && wilson_interval(50, 50).1 > 1.0 - 1e-15);
     }
 
     #[test]
@@ -217,6 +219,6 @@ mod tests {
         let p44 = find(&dense, 4, 4);
         assert!(p44.printed_range.0 <= p44.printed && p44.printed <= p44.printed_range.1);
         // One device has t_on = t_DRX = 2.
-        assert!(find(&dense, 1, 1).improper > 0 && find(&dense, 3, 1).improper > 0);
+        assert!(find(&dense, 1, 1).improper_count > 0 && find(&dense, 3, 1).improper_count > 0);
     }
 }

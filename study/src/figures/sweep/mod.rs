@@ -11,32 +11,32 @@ use std::fmt::Write as _;
 use reveille_common::score::Metrics;
 
 use self::points::{SweepPoint, points};
-use super::as_file;
 use super::chart::{Chart, ChartPoint, Interval, Series};
 use super::error::FigureError;
 use super::results::Results;
 use super::scale::Scale;
-use super::study::{csv_cell, csv_half, runs_in_words};
+use super::study::{csv_cell, csv_half_width, runs_in_words};
 use super::style::Style;
+use super::to_file_name;
 
 pub use self::points::{DEVICES, POLICY};
 
 /// Largest number of figures per request.
-const MOST_PICTURES: usize = 24;
+const MAX_FIGURES: usize = 24;
 /// Largest number of lines in a figure, unless the lines are policies.
-const MOST_LINES: usize = 6;
+const MAX_LINES: usize = 6;
 
 /// Specification of a sweep figure.
 #[derive(Clone, Debug)]
 pub struct SweepFigureSpec {
     /// Field along x.
-    pub x: String,
+    pub x_field: String,
     /// Metric along y.
-    pub y: String,
+    pub metric: String,
     /// Field with one line for each of its values.
-    pub by: String,
+    pub line_field: String,
     /// Filter: only runs with these values of these fields.
-    pub only: Vec<(String, String)>,
+    pub filter: Vec<(String, String)>,
     /// Whether x is logarithmic.
     pub is_log_x: bool,
     /// Whether y is logarithmic.
@@ -56,7 +56,7 @@ pub struct SweepFigure {
     /// The plotted data as CSV.
     pub csv: String,
     /// Lines without a value of the metric.
-    pub undefined: Vec<String>,
+    pub lines_without_value: Vec<String>,
 }
 
 impl SweepFigureSpec {
@@ -66,169 +66,176 @@ impl SweepFigureSpec {
     /// A field, value or metric does not exist, or the field along x has non-numeric values. Also returned for too many
     /// lines or figures.
     pub fn draw(&self, results: &Results) -> Result<Vec<SweepFigure>, FigureError> {
-        if Metrics::named(&self.y).is_none() {
+        if Metrics::find(&self.metric).is_none() {
             let known = Metrics::ALL.map(|metric| metric.name).join(", ");
-            return Err(FigureError::Metric {
-                name: self.y.clone(),
+            return Err(FigureError::UnknownMetric {
+                name: self.metric.clone(),
                 known,
             });
         }
-        let points = self.chosen(points(results, &self.by))?;
-        let facets = facets(&points, [&self.x, &self.by]);
+        let points = self.select_points(points(results, &self.line_field))?;
+        let facets = facet_fields(&points, [&self.x_field, &self.line_field]);
         let mut groups: Vec<(Facet, Vec<&SweepPoint<'_>>)> = Vec::new();
         for point in &points {
-            let own: Facet = facets
+            let own_facet: Facet = facets
                 .iter()
                 .map(|field| (field.clone(), point.value(field).unwrap_or("–").to_owned()))
                 .collect();
             let count = groups.len();
-            match groups.iter_mut().find(|(known, _)| *known == own) {
+            match groups.iter_mut().find(|(known, _)| *known == own_facet) {
                 Some((_, group)) => group.push(point),
-                None if count == MOST_PICTURES => return Err(self.too_many(&facets)),
-                None => groups.push((own, vec![point])),
+                None if count == MAX_FIGURES => return Err(self.too_many_figures(&facets)),
+                None => groups.push((own_facet, vec![point])),
             }
         }
-        let pictures = groups.into_iter().map(|(facet, group)| self.picture(facet, &group));
-        let pictures: Vec<SweepFigure> = pictures.collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect();
-        if pictures.is_empty() {
-            return Err(FigureError::Undefined { metric: self.y.clone() });
+        let figures = groups.into_iter().map(|(facet, group)| self.draw_facet(facet, &group));
+        let figures: Vec<SweepFigure> = figures.collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect();
+        if figures.is_empty() {
+            return Err(FigureError::Undefined {
+                metric: self.metric.clone(),
+            });
         }
-        Ok(pictures)
+        Ok(figures)
     }
 
     /// Returns the file name, without extension, of the figure with this `facet`.
-    pub fn name(&self, facet: &[(String, String)]) -> String {
-        let mut name = format!("sweep-{}-{}", self.y, self.x);
-        if self.by != POLICY {
-            let _ = write!(name, "-by-{}", self.by);
+    pub fn file_name(&self, facet: &[(String, String)]) -> String {
+        let mut name = format!("sweep-{}-{}", self.metric, self.x_field);
+        if self.line_field != POLICY {
+            let _ = write!(name, "-by-{}", self.line_field);
         }
         for (field, value) in facet {
             let _ = write!(name, "-{field}-{value}");
         }
-        as_file(&name)
+        to_file_name(&name)
     }
 
-    fn too_many(&self, facets: &[String]) -> FigureError {
-        FigureError::Facets {
-            most: MOST_PICTURES,
+    fn too_many_figures(&self, facets: &[String]) -> FigureError {
+        FigureError::TooManyFacets {
+            most: MAX_FIGURES,
             fields: facets.join(", "),
-            x: self.x.clone(),
-            by: self.by.clone(),
+            x: self.x_field.clone(),
+            by: self.line_field.clone(),
         }
     }
 
     /// Checks all fields and returns the points that pass the filter.
-    fn chosen<'r>(&self, points: Vec<SweepPoint<'r>>) -> Result<Vec<SweepPoint<'r>>, FigureError> {
-        let known = |field: &str| {
+    fn select_points<'r>(&self, points: Vec<SweepPoint<'r>>) -> Result<Vec<SweepPoint<'r>>, FigureError> {
+        let check_field = |field: &str| {
             let is_there = points.iter().any(|point| point.value(field).is_some());
-            is_there.then_some(()).ok_or_else(|| FigureError::Field {
+            is_there.then_some(()).ok_or_else(|| FigureError::UnknownField {
                 name: field.to_owned(),
                 known: fields(&points).join(", "),
             })
         };
-        known(&self.x)?;
-        known(&self.by)?;
-        if self.x == self.by {
-            return Err(FigureError::Twice { field: self.x.clone() });
+        check_field(&self.x_field)?;
+        check_field(&self.line_field)?;
+        if self.x_field == self.line_field {
+            return Err(FigureError::SameField {
+                field: self.x_field.clone(),
+            });
         }
-        for (field, wanted) in &self.only {
-            known(field)?;
-            if !points.iter().any(|point| is_value(point.value(field), wanted)) {
-                return Err(FigureError::Value {
+        for (field, value) in &self.filter {
+            check_field(field)?;
+            if !points.iter().any(|point| is_value(point.value(field), value)) {
+                return Err(FigureError::UnknownValue {
                     field: field.clone(),
-                    value: wanted.clone(),
+                    value: value.clone(),
                     known: values(&points, field).join(", "),
                 });
             }
         }
         let is_wanted = |point: &SweepPoint<'_>| {
-            let mut only = self.only.iter();
-            only.all(|(field, wanted)| is_value(point.value(field), wanted)) && point.value(&self.x).is_some()
+            let mut conditions = self.filter.iter();
+            conditions.all(|(field, value)| is_value(point.value(field), value)) && point.value(&self.x_field).is_some()
         };
         let points: Vec<SweepPoint<'r>> = points.into_iter().filter(is_wanted).collect();
         if points.is_empty() {
-            let only = self.only.iter().map(|(field, wanted)| format!("{field} = {wanted}"));
-            return Err(FigureError::Nothing {
-                x: self.x.clone(),
-                only: only.collect::<Vec<_>>().join(", "),
+            let conditions = self.filter.iter().map(|(field, value)| format!("{field} = {value}"));
+            return Err(FigureError::NoMatchingRun {
+                x: self.x_field.clone(),
+                only: conditions.collect::<Vec<_>>().join(", "),
             });
         }
-        if let Some(words) = points.iter().find(|point| point.number(&self.x).is_none()) {
-            return Err(FigureError::Words {
-                field: self.x.clone(),
-                value: words.value(&self.x).unwrap_or_default().to_owned(),
+        if let Some(non_numeric) = points.iter().find(|point| point.number(&self.x_field).is_none()) {
+            return Err(FigureError::NotNumeric {
+                field: self.x_field.clone(),
+                value: non_numeric.value(&self.x_field).unwrap_or_default().to_owned(),
             });
         }
         Ok(points)
     }
 
     /// Draws the figure of `points`; `None` if the metric is undefined in all of them.
-    fn picture(&self, facet: Facet, points: &[&SweepPoint<'_>]) -> Result<Option<SweepFigure>, FigureError> {
+    fn draw_facet(&self, facet: Facet, points: &[&SweepPoint<'_>]) -> Result<Option<SweepFigure>, FigureError> {
         let mut lines: Vec<(&str, Vec<(f64, &SweepPoint<'_>)>)> = Vec::new();
         for point in points {
-            let (name, x) = (point.value(&self.by).unwrap_or("–"), point.number(&self.x));
+            let (name, x) = (
+                point.value(&self.line_field).unwrap_or("–"),
+                point.number(&self.x_field),
+            );
             let Some(x) = x else { continue };
             match lines.iter_mut().find(|(known, _)| *known == name) {
                 Some((_, line)) => line.push((x, point)),
                 None => lines.push((name, vec![(x, point)])),
             }
         }
-        if self.by != POLICY && lines.len() > MOST_LINES {
-            return Err(FigureError::Lines {
-                field: self.by.clone(),
+        if self.line_field != POLICY && lines.len() > MAX_LINES {
+            return Err(FigureError::TooManyLines {
+                field: self.line_field.clone(),
                 count: lines.len(),
-                most: MOST_LINES,
+                most: MAX_LINES,
             });
         }
-        let (mut series, mut undefined) = (Vec::new(), Vec::new());
-        for (place, (name, line)) in lines.iter_mut().enumerate() {
+        let (mut series, mut without_value) = (Vec::new(), Vec::new());
+        for (index, (name, line)) in lines.iter_mut().enumerate() {
             line.sort_by(|a, b| a.0.total_cmp(&b.0));
-            let one = self.series(place, name, line);
-            if one.samples.is_empty() {
-                undefined.push((*name).to_owned());
+            let line_series = self.series(index, name, line);
+            if line_series.points.is_empty() {
+                without_value.push((*name).to_owned());
             } else {
-                series.push(one);
+                series.push(line_series);
             }
         }
         if series.is_empty() {
             return Ok(None);
         }
         let csv = self.csv(&facet, &lines);
-        let chart = self.chart(&facet, points, series, &undefined);
+        let chart = self.chart(&facet, points, series, &without_value);
         Ok(Some(SweepFigure {
             facet,
             chart,
             csv,
-            undefined,
+            lines_without_value: without_value,
         }))
     }
 
-    fn series(&self, place: usize, name: &str, line: &[(f64, &SweepPoint<'_>)]) -> Series {
-        let sample = |(x, point): &(f64, &SweepPoint<'_>)| {
-            let reading = point.reading(&self.y)?;
+    fn series(&self, palette_index: usize, name: &str, line: &[(f64, &SweepPoint<'_>)]) -> Series {
+        let point = |(x, point): &(f64, &SweepPoint<'_>)| {
+            let estimate = point.metric_estimate(&self.metric)?;
             Some(ChartPoint {
                 x: *x,
-                y: reading.estimate.mean,
-                half: reading.half_width(),
-                across: f64::NAN,
+                y: estimate.estimate.mean,
+                y_half_width: estimate.half_width(),
+                x_half_width: f64::NAN,
             })
         };
-        let is_of_policies = self.by == POLICY;
+        let is_of_policies = self.line_field == POLICY;
         Series {
             name: if is_of_policies {
                 name.to_owned()
             } else {
-                format!("{} {name}", self.by)
+                format!("{} {name}", self.line_field)
             },
             style: if is_of_policies {
                 Style::of_policy(name)
             } else {
-                Style::nth(place)
+                Style::from_palette(palette_index)
             },
-            joined: true,
-            marked: true,
+            is_joined: true,
+            has_markers: true,
             interval: Interval::Bars,
-            samples: line.iter().filter_map(sample).collect(),
+            points: line.iter().filter_map(point).collect(),
         }
     }
 
@@ -237,32 +244,39 @@ impl SweepFigureSpec {
         facet: &[(String, String)],
         points: &[&SweepPoint<'_>],
         series: Vec<Series>,
-        undefined: &[String],
+        without_value: &[String],
     ) -> Chart {
-        let samples = || series.iter().flat_map(|s| &s.samples);
-        let is_difference = Metrics::named(&self.y).is_some_and(|metric| metric.is_difference);
+        let all_points = || series.iter().flat_map(|s| &s.points);
+        let is_difference = Metrics::find(&self.metric).is_some_and(|metric| metric.is_difference);
         let ends = |s: &ChartPoint| {
-            let half = if s.half.is_finite() { s.half } else { 0.0 };
-            let low = s.y - half;
-            [if is_difference { low } else { low.max(s.y.min(0.0)) }, s.y + half]
-        };
-        let has_zero = samples().any(|s| s.y <= 0.0);
-        let axis = Metrics::axis(&self.y);
-        Chart {
-            title: format!("{} against {}", self.y, self.x),
-            x_label: self.x.clone(),
-            y_label: axis.to_owned(),
-            x: x_scale(samples().map(|s| s.x), self.is_log_x),
-            y: if self.is_log_y {
-                y_log(samples().flat_map(|s| [s.y, ends(s)[1]]), has_zero)
+            let half_width = if s.y_half_width.is_finite() {
+                s.y_half_width
             } else {
-                Scale::linear(samples().flat_map(ends), true)
+                0.0
+            };
+            let low = s.y - half_width;
+            [
+                if is_difference { low } else { low.max(s.y.min(0.0)) },
+                s.y + half_width,
+            ]
+        };
+        let has_zero = all_points().any(|s| s.y <= 0.0);
+        let axis = Metrics::axis_label(&self.metric);
+        Chart {
+            title: format!("{} against {}", self.metric, self.x_field),
+            x_label: self.x_field.clone(),
+            y_label: axis.to_owned(),
+            x: x_scale(all_points().map(|s| s.x), self.is_log_x),
+            y: if self.is_log_y {
+                log_y_scale(all_points().flat_map(|s| [s.y, ends(s)[1]]), has_zero)
+            } else {
+                Scale::linear(all_points().flat_map(ends), true)
             },
             marks: Vec::new(),
             spans: Vec::new(),
             notes: Vec::new(),
-            zero_below: self.is_log_y && has_zero,
-            caption: self.caption(facet, points, undefined, self.is_log_y && has_zero),
+            has_zero_at_border: self.is_log_y && has_zero,
+            caption: self.caption(facet, points, without_value, self.is_log_y && has_zero),
             series,
         }
     }
@@ -271,63 +285,70 @@ impl SweepFigureSpec {
         &self,
         facet: &[(String, String)],
         points: &[&SweepPoint<'_>],
-        undefined: &[String],
+        without_value: &[String],
         has_zero: bool,
     ) -> String {
-        let counts = || points.iter().map(|point| point.runs());
+        let counts = || points.iter().map(|point| point.run_count());
         let runs = runs_in_words((counts().min().unwrap_or(0), counts().max().unwrap_or(0)));
         let mut text = format!("{runs} per point, mean with its 95 % interval as band and bar.");
-        let told: Vec<String> = self.point_rows(facet, points);
-        if !told.is_empty() {
-            let _ = write!(text, " With {}.", told.join(", "));
+        let values: Vec<String> = self.common_values(facet, points);
+        if !values.is_empty() {
+            let _ = write!(text, " With {}.", values.join(", "));
         }
         if has_zero {
             text.push_str(" At the lower border: zero.");
         }
-        if !undefined.is_empty() {
-            let _ = write!(text, " Not defined for {}.", undefined.join(", "));
+        if !without_value.is_empty() {
+            let _ = write!(text, " Not defined for {}.", without_value.join(", "));
         }
         text
     }
 
     /// Returns the fields with equal values in all runs of a figure, as text: first the facet, then the others.
-    fn point_rows(&self, facet: &[(String, String)], points: &[&SweepPoint<'_>]) -> Vec<String> {
-        let mut told: Vec<String> = facet
+    fn common_values(&self, facet: &[(String, String)], points: &[&SweepPoint<'_>]) -> Vec<String> {
+        let mut texts: Vec<String> = facet
             .iter()
             .map(|(field, value)| format!("{field} = {value}"))
             .collect();
-        let Some(first) = points.first() else { return told };
+        let Some(first) = points.first() else { return texts };
         for (field, value) in &first.fields {
-            let is_told = [&self.x, &self.by].contains(&field) || facet.iter().any(|(known, _)| known == field);
-            if !is_told {
-                told.push(format!("{field} = {value}"));
+            let is_listed = [&self.x_field, &self.line_field].contains(&field)
+                || facet.iter().any(|(facet_field, _)| facet_field == field);
+            if !is_listed {
+                texts.push(format!("{field} = {value}"));
             }
         }
-        told
+        texts
     }
 
     fn csv(&self, facet: &[(String, String)], lines: &[(&str, Vec<(f64, &SweepPoint<'_>)>)]) -> String {
         let fields: Vec<String> = facet.iter().map(|(field, _)| csv_cell(field)).collect();
         let values: Vec<String> = facet.iter().map(|(_, value)| csv_cell(value)).collect();
-        let row = |cells: &[String], rest: &str| {
+        let row = |cells: &[String], last_cells: &str| {
             let mut row = cells.join(",");
             if !cells.is_empty() {
                 row.push(',');
             }
-            format!("{row}{rest}\n")
+            format!("{row}{last_cells}\n")
         };
         let head = format!(
             "{},{},metric,mean,half_width_95,runs",
-            csv_cell(&self.by),
-            csv_cell(&self.x)
+            csv_cell(&self.line_field),
+            csv_cell(&self.x_field)
         );
         let mut out = row(&fields, &head);
         for (name, line) in lines {
             for (x, point) in line {
-                if let Some(reading) = point.reading(&self.y) {
-                    let (mean, half) = (reading.estimate.mean, csv_half(reading.half_width()));
-                    let (name, runs) = (csv_cell(name), reading.estimate.runs);
-                    out.push_str(&row(&values, &format!("{name},{x},{},{mean},{half},{runs}", self.y)));
+                if let Some(metric_estimate) = point.metric_estimate(&self.metric) {
+                    let (mean, half_width) = (
+                        metric_estimate.estimate.mean,
+                        csv_half_width(metric_estimate.half_width()),
+                    );
+                    let (name, runs) = (csv_cell(name), metric_estimate.estimate.runs);
+                    out.push_str(&row(
+                        &values,
+                        &format!("{name},{x},{},{mean},{half_width},{runs}", self.metric),
+                    ));
                 }
             }
         }
@@ -335,19 +356,19 @@ impl SweepFigureSpec {
     }
 }
 
-/// Returns a note that explains why there are several `pictures`; `None` for a single one.
-pub fn several(pictures: &[SweepFigure]) -> Option<String> {
-    let [first, _, ..] = pictures else { return None };
+/// Returns a note that explains why there are several `figures`; `None` for a single one.
+pub fn note_on_several(figures: &[SweepFigure]) -> Option<String> {
+    let [first, _, ..] = figures else { return None };
     let fields: Vec<&str> = first.facet.iter().map(|(field, _)| field.as_str()).collect();
     Some(format!(
         "the runs also differ in {}: {} figures, one for each combination of values",
         fields.join(", "),
-        pictures.len()
+        figures.len()
     ))
 }
 
 /// Returns the canonical name of a field. `n` and `policy.name` are the names used in tables and scenarios.
-pub fn named(field: &str) -> &str {
+pub fn canonical_field(field: &str) -> &str {
     match field {
         "n" => DEVICES,
         "policy.name" => POLICY,
@@ -370,7 +391,7 @@ fn x_scale(values: impl Iterator<Item = f64> + Clone, is_log: bool) -> Scale {
 }
 
 /// Creates the scale of a logarithmic y axis, with an extra decade at the bottom if there are zero values.
-fn y_log(values: impl Iterator<Item = f64>, has_zero: bool) -> Scale {
+fn log_y_scale(values: impl Iterator<Item = f64>, has_zero: bool) -> Scale {
     let scale = Scale::log(values).unwrap_or(Scale::Log { from: 0.01, to: 1.0 });
     let (from, to) = scale.ends();
     Scale::Log {
@@ -413,7 +434,7 @@ fn values(points: &[SweepPoint<'_>], field: &str) -> Vec<String> {
 }
 
 /// Returns the fields in which `points` differ, except `drawn`.
-fn facets(points: &[SweepPoint<'_>], drawn: [&String; 2]) -> Vec<String> {
+fn facet_fields(points: &[SweepPoint<'_>], drawn: [&String; 2]) -> Vec<String> {
     let differs = |field: &String| {
         // The index is valid: `chosen` has rejected an empty list.
         let first = points[0].value(field);

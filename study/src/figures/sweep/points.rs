@@ -1,4 +1,4 @@
-//! Table cells as points with named fields.
+//! Cells of the merged tables as points with named fields, the input of [`super::SweepFigureSpec`].
 
 use reveille_lab::metric_estimate::MetricEstimate;
 
@@ -32,12 +32,12 @@ impl SweepPoint<'_> {
     }
 
     /// Returns the estimate of `metric` over the runs.
-    pub(super) fn reading(&self, metric: &str) -> Option<MetricEstimate> {
-        self.condition.reading(self.policy, self.n, metric)
+    pub(super) fn metric_estimate(&self, metric: &str) -> Option<MetricEstimate> {
+        self.condition.metric_estimate(self.policy, self.n, metric)
     }
 
     /// Number of runs.
-    pub(super) fn runs(&self) -> usize {
+    pub(super) fn run_count(&self) -> usize {
         self.condition.runs(self.policy, self.n).count()
     }
 }
@@ -53,7 +53,7 @@ pub(super) fn points<'r>(results: &'r Results, by: &str) -> Vec<SweepPoint<'r>> 
     let mut points = Vec::new();
     for condition in conditions {
         for policy in condition.policies() {
-            for n in condition.sizes(policy) {
+            for n in condition.device_counts(policy) {
                 points.push(SweepPoint {
                     condition,
                     policy,
@@ -75,8 +75,8 @@ fn fields(condition: &RunCondition, policy: &str, n: u32) -> Vec<(String, String
     ];
     let own = own.map(|(field, value)| (field.to_owned(), value)).into_iter();
     let table = condition
-        .changed_in
+        .changed_in_table
         .clone()
         .map(|table| ("changed as in".to_owned(), table));
-    own.chain(condition.changed().cloned()).chain(table).collect()
+    own.chain(condition.all_changes().cloned()).chain(table).collect()
 }

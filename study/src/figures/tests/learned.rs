@@ -1,12 +1,12 @@
 //! Tests of figures of learned tables, and of information against energy.
 
 use reveille_bs::policy::q_learning::learned::{
-    BATTERIES, CurvePoint, LearnedTables, Lookback, QTrainingConfig, QWeights, Schedule, TableSet, TrainingSite,
+    BATTERY_BUCKETS, CurvePoint, LearnedTables, Lookback, QTrainingConfig, QWeights, Schedule, TableSet, TrainingSite,
 };
 use reveille_common::declare::NoFiles;
 use reveille_common::scenario::WakeUpRanking;
 
-use super::super::heat::VisitCount;
+use super::super::heat::KnowledgeDegree;
 use super::super::{learning, pareto, q_table};
 use super::{FigureError, Results, check, fixtures, scenario};
 
@@ -62,7 +62,7 @@ fn learned(sizes: &[u32], episodes: u64) -> LearnedTables {
             epsilon: (0.1, 0.03),
             seed: 1,
         },
-        setting: TrainingSite::from_site(&scenario(&[]).site()),
+        site: TrainingSite::from_site(&scenario(&[]).site()),
         entries: sizes.iter().map(entry).collect(),
     }
 }
@@ -143,7 +143,7 @@ fn tables_are_drawn_whether_little_or_nothing_was_learned() {
     let mut all = vec![learned(&[10, 250], 2), learned(&[1_000_000], 2)];
     let mut nothing = learned(&[50], 0);
     nothing.entries[0] = untrained(50, &nothing.weights);
-    nothing.setting.numbers.clear();
+    nothing.site.numbers.clear();
     all.push(nothing);
     for learned in &all {
         for entry in &learned.entries {
@@ -158,7 +158,7 @@ fn tables_are_drawn_whether_little_or_nothing_was_learned() {
 #[test]
 fn a_cell_is_the_advantage_and_is_framed_where_the_policy_senses() {
     let learned = learned(&[10], 1);
-    let entry = q_table::entry("a.json", &learned, 10, None).expect("an entry");
+    let entry = q_table::find_entry("a.json", &learned, 10, None).expect("an entry");
     let map = q_table::duty_map(&learned, entry);
     // 10 · (area − 7.5): negative up to area 7.
     let row = &map.cells[5];
@@ -166,16 +166,19 @@ fn a_cell_is_the_advantage_and_is_framed_where_the_policy_senses() {
         (row[0].value + 75.0).abs() < 1e-9 && (row[15].value - 75.0).abs() < 1e-9,
         "{row:?}"
     );
-    let framed: Vec<bool> = row.iter().map(|cell| cell.framed).collect();
+    let framed: Vec<bool> = row.iter().map(|cell| cell.is_framed).collect();
     assert_eq!(framed, (0..16).map(|area| area > 7).collect::<Vec<_>>());
     assert!(
-        !map.cells[1][15].framed && map.cells[1][15].value > 0.0,
+        !map.cells[1][15].is_framed && map.cells[1][15].value > 0.0,
         "it cannot report"
     );
-    assert_eq!((map.count(VisitCount::Well), map.count(VisitCount::Half)), (16, 2));
-    assert_eq!(map.count(VisitCount::Never), BATTERIES * 16 - 18);
+    assert_eq!(
+        (map.count(KnowledgeDegree::Known), map.count(KnowledgeDegree::Partly)),
+        (16, 2)
+    );
+    assert_eq!(map.count(KnowledgeDegree::Unknown), BATTERY_BUCKETS * 16 - 18);
     let csv = q_table::duty_csv(&learned, entry);
-    assert_eq!(csv.lines().count(), 1 + BATTERIES * 16);
+    assert_eq!(csv.lines().count(), 1 + BATTERY_BUCKETS * 16);
     let own = csv.lines().find(|line| line.starts_with("5,")).expect("the row");
     assert!(own.ends_with(",20,3,-55,3,-75,-75,0"), "{own}");
     let wake = q_table::wake_csv(entry, WakeUpRanking::Posterior);
@@ -204,11 +207,11 @@ fn a_cell_is_the_advantage_and_is_framed_where_the_policy_senses() {
 #[test]
 fn an_n_without_tables_lists_the_available_ones() {
     let refused =
-        q_table::entry("a.json", &learned(&[10, 250], 1), 50, Some(Lookback::Window(4))).expect_err("no entry");
+        q_table::find_entry("a.json", &learned(&[10, 250], 1), 50, Some(Lookback::Window(4))).expect_err("no entry");
     assert!(matches!(refused, FigureError::NoEntry { devices: 50, .. }));
     let text = refused.to_string();
     assert!(text.contains("N = 50: a.json has tables for 10, 250 devices"), "{text}");
-    let other = q_table::entry("a.json", &learned(&[10], 1), 10, Some(Lookback::Window(2))).expect_err("no entry");
+    let other = q_table::find_entry("a.json", &learned(&[10], 1), 10, Some(Lookback::Window(2))).expect_err("no entry");
     let text = other.to_string();
     assert!(
         text.contains("no devices with a window of 2") && text.contains("for a window of 4"),
@@ -227,18 +230,21 @@ fn information_is_drawn_against_energy_with_intervals_in_both_directions() {
     ];
     let results = Results::new(&[fixtures::table("paper", "info_p1", &runs)], &NoFiles).expect("runs");
     let condition = &results.conditions[0];
-    let chart = pareto::INFORMATION.chart(&[condition]).expect("a picture");
+    let chart = pareto::INFORMATION_TRADE_OFF.chart(&[condition]).expect("a picture");
     check("pareto", &chart.scene());
     let names: Vec<&str> = chart.series.iter().map(|s| s.name.as_str()).collect();
     assert_eq!(names, ["knn", "q-learning"], "dt has no information");
-    let knn = &chart.series[0].samples;
+    let knn = &chart.series[0].points;
     assert!(
         (knn[0].y - 0.1).abs() < 1e-12 && (knn[1].y - 0.5).abs() < 1e-12,
         "in order of N: {knn:?}"
     );
     // t(2) = 4.302653, and 0.1 / √3.
-    assert!((knn[1].half - 4.302_653 * 0.1 / 3.0_f64.sqrt()).abs() < 1e-5, "{knn:?}");
-    assert!(knn[1].across.abs() < 1e-12 && chart.series[1].samples[0].across.is_nan());
+    assert!(
+        (knn[1].y_half_width - 4.302_653 * 0.1 / 3.0_f64.sqrt()).abs() < 1e-5,
+        "{knn:?}"
+    );
+    assert!(knn[1].x_half_width.abs() < 1e-12 && chart.series[1].points[0].x_half_width.is_nan());
     let notes: Vec<&str> = chart.notes.iter().map(|note| note.text.as_str()).collect();
     assert_eq!(notes, ["250", "250", "10"], "ends of lines, the last first");
     // Values that the paper states for both metrics: knn 0.145 and 0.4, q-learning 0.24 and 0.72.
@@ -249,11 +255,11 @@ fn information_is_drawn_against_energy_with_intervals_in_both_directions() {
         "{}",
         chart.caption
     );
-    let csv = pareto::INFORMATION.csv(&[condition]);
+    let csv = pareto::INFORMATION_TRADE_OFF.csv(&[condition]);
     assert_eq!(csv.lines().count(), 4);
     let none = fixtures::table("paper", "info_p1", &[("knn", 10, &[f64::NAN])]);
     assert!(
-        pareto::INFORMATION
+        pareto::INFORMATION_TRADE_OFF
             .chart(&[&Results::new(&[none], &NoFiles).expect("runs").conditions[0]])
             .is_none()
     );
@@ -267,7 +273,7 @@ fn each_setting_has_its_own_pareto_picture() {
     let captions = results
         .conditions
         .iter()
-        .filter_map(|condition| pareto::INFORMATION.chart(&[condition]))
+        .filter_map(|condition| pareto::INFORMATION_TRADE_OFF.chart(&[condition]))
         .map(|chart| chart.caption);
     let captions: Vec<String> = captions.collect();
     assert!(captions[0].starts_with("Preset paper;") && captions[1].starts_with("Preset paper-literal;"));
@@ -281,7 +287,7 @@ fn settings_drawn_together_have_a_line_for_each_policy_and_shared_runs_once() {
     ]
     .map(|runs| fixtures::table("paper", "info_p1", runs).1);
     let mut uniform = uniform;
-    uniform.about.experiment += "[set]\n\"layout.kind\" = \"uniform\"\n";
+    uniform.metadata.experiment += "[set]\n\"layout.kind\" = \"uniform\"\n";
     for row in &mut uniform.rows {
         let set = [
             "layout.kind=uniform",
@@ -300,10 +306,10 @@ fn settings_drawn_together_have_a_line_for_each_policy_and_shared_runs_once() {
     let literal = fixtures::table("paper-literal", "info_p1", &[("knn", 10, &[0.3])]);
     let tables = [("a".to_owned(), plain), ("b".to_owned(), uniform), literal];
     let results = Results::new(&tables, &NoFiles).expect("runs");
-    let groups = results.together();
+    let groups = results.by_preset_and_length();
     let labels: Vec<(&str, usize)> = groups.iter().map(|(label, all)| (label.as_str(), all.len())).collect();
     assert_eq!(labels, [("paper-together", 2), ("paper-literal-together", 1)]);
-    let chart = pareto::INFORMATION.chart(&groups[0].1).expect("a picture");
+    let chart = pareto::INFORMATION_TRADE_OFF.chart(&groups[0].1).expect("a picture");
     check("pareto-together", &chart.scene());
     let names: Vec<&str> = chart.series.iter().map(|s| s.name.as_str()).collect();
     assert_eq!(
@@ -313,7 +319,7 @@ fn settings_drawn_together_have_a_line_for_each_policy_and_shared_runs_once() {
     );
     let [_, a, b] = &chart.series[..] else { unreachable!() };
     assert!(a.style.paint == b.style.paint && a.style.marker != b.style.marker && a.style.dashes != b.style.dashes);
-    assert_eq!(pareto::INFORMATION.csv(&groups[0].1).lines().count(), 4);
+    assert_eq!(pareto::INFORMATION_TRADE_OFF.csv(&groups[0].1).lines().count(), 4);
     assert!(
         chart
             .caption

@@ -47,7 +47,7 @@ fn check(name: &str, scene: &Scene) {
         if let SceneItem::Text(text) = item {
             assert!(text.size >= 8.0, "{name}: {text:?} is too small");
             assert!(
-                super::font::has(&text.text, text.weight),
+                super::font::has_all_glyphs(&text.text, text.weight),
                 "{name}: {text:?} has letters without an outline"
             );
         }
@@ -92,10 +92,10 @@ fn every_figure_of_the_paper_is_drawn() {
         let scene = drawing.chart.scene();
         check(figure.name, &scene);
         assert_eq!(png::png(&scene), png::png(&scene), "{}", figure.name);
-        assert_eq!(drawing.undefined, ["adjusted"], "{}", figure.name);
+        assert_eq!(drawing.policies_without_value, ["adjusted"], "{}", figure.name);
         let names: Vec<&str> = drawing.chart.series.iter().map(|s| s.name.as_str()).collect();
         assert_eq!(names, ["knn", "random", "genie"]);
-        let genie = &drawing.chart.series[2].samples[0];
+        let genie = &drawing.chart.series[2].points[0];
         let mean = if figure.is_per_device { 0.225 } else { 2.25 };
         assert!(
             (genie.y - mean).abs() < 1e-12,
@@ -134,13 +134,13 @@ fn what_the_paper_states_is_marked_for_policies_that_were_run() {
             "{expected} in {values:?}"
         );
     }
-    let places: Vec<f64> = chart.marks.iter().filter(|m| m.x > 200.0).map(|m| m.aside).collect();
+    let places: Vec<f64> = chart.marks.iter().filter(|m| m.x > 200.0).map(|m| m.x_offset).collect();
     assert!(
         places.len() > 1 && places.windows(2).all(|pair| pair[1] - pair[0] > 2.0),
         "side by side: {places:?}"
     );
     assert!(
-        chart.marks.iter().all(|m| m.aside.abs() <= 4.0),
+        chart.marks.iter().all(|m| m.x_offset.abs() <= 4.0),
         "and near their N: {:?}",
         chart.marks
     );
@@ -199,7 +199,7 @@ fn harvest_and_net_are_drawn() {
     ]);
     let results = Results::new(&[fixtures::table("paper", "energy_per_device_tti", &runs)], &NoFiles).expect("runs");
     let condition = &results.conditions[0];
-    let points = energy::harvests("paper").expect("harvests");
+    let points = energy::measure_harvests("paper").expect("harvests");
     assert_eq!(points.len(), 27);
     let harvest = energy::harvest_chart(condition, &points);
     check("harvest", &harvest.scene());
@@ -216,7 +216,7 @@ fn harvest_and_net_are_drawn() {
     check("net", &net.scene());
     assert_eq!(net.marks.len(), 6);
     // Two runs of adjusted: t(1) = 12.706, and half of |0.31 - 0.30|.
-    let half = net.series[0].samples[0].half;
+    let half = net.series[0].points[0].y_half_width;
     assert!((half - 12.706 * 0.005).abs() < 1e-5, "{half}");
     let is_near = |a: f64, b: f64| (a - b).abs() < 1e-9;
     // Measured points lie on their line: the harvest of its E_B less 0.305, with the variances added.
@@ -226,10 +226,10 @@ fn harvest_and_net_are_drawn() {
         .expect("measured");
     let dots = net.series.iter().skip_while(|s| s.name != "adjusted, E_B = 5").nth(1);
     let dot = dots
-        .and_then(|s| s.samples.iter().find(|d| is_near(d.x, 0.1)))
+        .and_then(|s| s.points.iter().find(|d| is_near(d.x, 0.1)))
         .expect("a dot at λ = 0.1");
     assert!((dot.y - (of_five.harvested.mean - 0.305)).abs() < 1e-12);
-    assert!((dot.half.powi(2) - half.powi(2) - of_five.harvested.half_width.powi(2)).abs() < 1e-12);
+    assert!((dot.y_half_width.powi(2) - half.powi(2) - of_five.harvested.half_width.powi(2)).abs() < 1e-12);
     assert!(energy::harvest_csv(&points).lines().count() == 28 && energy::net_csv(&net).lines().count() > 100);
     // A consumption from one run has no interval, so the net energy has none either.
     let lone = results_of(&[("random", 100, &[0.2, 0.21]), ("adjusted", 100, &[0.3])]);
@@ -244,7 +244,7 @@ fn harvest_and_net_are_drawn() {
             .unwrap_or(policy);
         let is_known = policy == "random";
         assert!(
-            series.samples.iter().all(|s| s.half.is_finite() == is_known),
+            series.points.iter().all(|s| s.y_half_width.is_finite() == is_known),
             "{policy}"
         );
     }
@@ -282,7 +282,7 @@ fn deployments_and_timelines_are_drawn_for_every_policy() {
 #[test]
 fn an_event_without_a_report_can_be_drawn() {
     let scenario = scenario(&["policy.name=random", "devices=3", "ttis=300"]);
-    let all = super::run_walk::events(&scenario);
+    let all = super::run_walk::collect_events(&scenario);
     let unseen = all
         .iter()
         .find(|e| e.tally.reports == 0)
@@ -373,11 +373,11 @@ fn what_the_experiment_sets_is_named_by_field_and_value() {
     ]);
     let (name, mut table) = fixtures::table("paper", "mean_battery", &[("knn", 10, &[1.0])]);
     table.rows[0].scenario_hash = Hash(set.hash());
-    table.about.experiment = "scenario = \"paper\"\n\n[set]\n\"events.alpha\" = 0.3\n".to_owned();
+    table.metadata.experiment = "scenario = \"paper\"\n\n[set]\n\"events.alpha\" = 0.3\n".to_owned();
     let results = Results::new(&[(name, table)], &NoFiles).expect("runs");
     let condition = &results.conditions[0];
     assert_eq!(condition.label(), "paper, events.alpha = 0.3");
-    assert!(!condition.is_plain() && condition.scenario.as_ref() == Some(&set));
+    assert!(!condition.is_unchanged_preset() && condition.scenario.as_ref() == Some(&set));
     assert_eq!(results.file_labels(), ["paper-events.alpha-0.3"]);
 }
 
@@ -385,7 +385,7 @@ fn what_the_experiment_sets_is_named_by_field_and_value() {
 fn figures_are_chosen_by_name() {
     let names = |wanted: &[&str]| {
         let wanted: Vec<String> = wanted.iter().map(|w| (*w).to_owned()).collect();
-        study::chosen(&wanted, &energy::NAMES).map(|all| all.iter().map(|f| f.name).collect::<Vec<_>>())
+        study::select_figures(&wanted, &energy::NAMES).map(|all| all.iter().map(|f| f.name).collect::<Vec<_>>())
     };
     assert_eq!(names(&["energy", "information"]), Ok(vec!["information", "energy"]));
     assert_eq!(names(&[]).map(|all| all.len()), Ok(8));

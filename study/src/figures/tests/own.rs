@@ -31,10 +31,10 @@ fn table() -> (String, Table) {
 fn wish(x: &str, by: &str, only: &[(&str, &str)]) -> SweepFigureSpec {
     let owned = |(field, value): &(&str, &str)| ((*field).to_owned(), (*value).to_owned());
     SweepFigureSpec {
-        x: x.to_owned(),
-        y: "energy_per_device_tti".to_owned(),
-        by: by.to_owned(),
-        only: only.iter().map(owned).collect(),
+        x_field: x.to_owned(),
+        metric: "energy_per_device_tti".to_owned(),
+        line_field: by.to_owned(),
+        filter: only.iter().map(owned).collect(),
         is_log_x: false,
         is_log_y: false,
     }
@@ -55,12 +55,12 @@ fn a_metric_is_drawn_against_any_field_with_its_interval() {
     let names: Vec<&str> = chart.series.iter().map(|line| line.name.as_str()).collect();
     assert_eq!(names, ["knn", "random"]);
     for (line, more) in chart.series.iter().zip([0.0, 0.5]) {
-        let xs: Vec<f64> = line.samples.iter().map(|sample| sample.x).collect();
+        let xs: Vec<f64> = line.points.iter().map(|sample| sample.x).collect();
         assert_eq!(xs, [0.05, 0.1, 0.4], "rising");
-        for sample in &line.samples {
+        for sample in &line.points {
             assert!((sample.y - (10.0 * sample.x + 10.0 + more)).abs() < 1e-12);
             // Two values 0.2 apart: t(1) · 0.1414 / √2.
-            assert!((sample.half - 12.706_205 * 0.1).abs() < 1e-5, "{sample:?}");
+            assert!((sample.y_half_width - 12.706_205 * 0.1).abs() < 1e-5, "{sample:?}");
         }
     }
     assert!(chart.marks.is_empty() && chart.spans.is_empty());
@@ -88,8 +88,8 @@ fn other_fields_have_a_picture_for_each_of_their_values() {
     let facets: Vec<_> = pictures.iter().map(|picture| picture.facet.clone()).collect();
     let devices = |n: &str| vec![("devices".to_owned(), n.to_owned())];
     assert_eq!(facets, [devices("10"), devices("100")]);
-    assert!((pictures[0].chart.series[0].samples[0].y - 1.5).abs() < 1e-12);
-    assert!((pictures[1].chart.series[0].samples[0].y - 10.5).abs() < 1e-12);
+    assert!((pictures[0].chart.series[0].points[0].y - 1.5).abs() < 1e-12);
+    assert!((pictures[1].chart.series[0].points[0].y - 10.5).abs() < 1e-12);
     assert!(
         pictures[1].csv.contains("\n100,knn,0.05,energy_per_device_tti,10.5,"),
         "{}",
@@ -113,7 +113,7 @@ fn any_field_has_the_lines() {
         names,
         ["harvest.lambda 0.4", "harvest.lambda 0.05", "harvest.lambda 0.1"]
     );
-    let ys: Vec<f64> = picture.chart.series[1].samples.iter().map(|sample| sample.y).collect();
+    let ys: Vec<f64> = picture.chart.series[1].points.iter().map(|sample| sample.y).collect();
     assert!((ys[0] - 1.5).abs() < 1e-12 && (ys[1] - 10.5).abs() < 1e-12);
     assert_eq!(picture.chart.x.ends(), (10.0, 100.0));
     assert!(picture.chart.caption.contains("policy = knn"));
@@ -137,7 +137,7 @@ fn errors_of_invalid_requests_list_the_options() {
         &["harvest.lambda = 0.2", "0.4, 0.05, 0.1"],
     );
     let speed = SweepFigureSpec {
-        y: "speed".to_owned(),
+        metric: "speed".to_owned(),
         ..wish("devices", "policy", &[])
     };
     refused(speed, &["`speed`", "info_p1, info_per_event"]);
@@ -146,7 +146,7 @@ fn errors_of_invalid_requests_list_the_options() {
 #[test]
 fn a_number_is_chosen_however_it_is_written() {
     let pictures = draw(&wish("devices", "policy", &[("harvest.lambda", "0.40")])).expect("a picture");
-    assert!((pictures[0].chart.series[0].samples[0].y - 5.0).abs() < 1e-12);
+    assert!((pictures[0].chart.series[0].points[0].y - 5.0).abs() < 1e-12);
 }
 
 #[test]

@@ -34,23 +34,26 @@ fn rankings_are_series_of_one_picture() {
         panic!("{:?}", results.file_labels())
     };
     assert_eq!(condition.policies(), ["knn", "knn+posterior", "random"]);
-    assert_eq!((condition.label().as_str(), condition.is_plain()), ("paper", true));
+    assert_eq!(
+        (condition.label().as_str(), condition.is_unchanged_preset()),
+        ("paper", true)
+    );
     assert_eq!(condition.runs("random", 10).count(), 2);
     assert_eq!(results.by_ranking.len(), 2);
-    assert_eq!(condition.parts, [1, 0], "the paper's ranking first");
+    assert_eq!(condition.ranking_indices, [1, 0], "the paper's ranking first");
     let drawing = figure.draw(condition).expect("a figure");
     check("rankings", &drawing.chart.scene());
     let names: Vec<&str> = drawing.chart.series.iter().map(|s| s.name.as_str()).collect();
     assert_eq!(names, ["knn", "knn+posterior", "random"]);
     let [plain, ranked] = [&drawing.chart.series[0], &drawing.chart.series[1]];
-    assert!((plain.samples[0].y - 0.21).abs() < 1e-12 && (ranked.samples[0].y - 0.31).abs() < 1e-12);
+    assert!((plain.points[0].y - 0.21).abs() < 1e-12 && (ranked.points[0].y - 0.31).abs() < 1e-12);
     assert!(plain.style.paint == ranked.style.paint && plain.style.marker != ranked.style.marker);
     assert!(
         figure
             .csv(condition, &drawing)
             .contains("measured,paper,knn+posterior,10,info_p1,0.31")
     );
-    let pareto = pareto::INFORMATION.chart(&[condition]).expect("a picture");
+    let pareto = pareto::INFORMATION_TRADE_OFF.chart(&[condition]).expect("a picture");
     assert_eq!(pareto.series.len(), 3);
 }
 
@@ -61,7 +64,7 @@ fn tables_of_different_rankings_share_a_picture() {
     let ranked = [("knn", 10, text("posterior"), &[0.3, 0.32][..])];
     let (_, mut ranked) = fixtures::swept("paper", "info_p1", "bs.ranking", &ranked);
     ranked.schema.swept.clear();
-    ranked.about.experiment += "[set]\n\"bs.ranking\" = \"posterior\"\n";
+    ranked.metadata.experiment += "[set]\n\"bs.ranking\" = \"posterior\"\n";
     for row in &mut ranked.rows {
         row.swept = std::sync::Arc::from([]);
         row.digest = Hash([9; 32]);
@@ -87,17 +90,20 @@ fn settings_that_are_not_the_papers_have_neither_its_titles_nor_its_marks() {
     let figure = study::FIGURES[4];
     let table = fixtures::swept("paper", "energy_per_device_tti", "harvest.lambda", &runs);
     let results = Results::new(&[table], &NoFiles).expect("runs");
-    let points = energy::harvests("paper").expect("harvests");
+    let points = energy::measure_harvests("paper").expect("harvests");
     let [own, other] = &results.conditions[..] else {
         panic!("{:?}", results.file_labels())
     };
-    assert!(own.is_plain() && !other.is_plain(), "λ = 0.1 is the preset's");
+    assert!(
+        own.is_unchanged_preset() && !other.is_unchanged_preset(),
+        "λ = 0.1 is the preset's"
+    );
     for (condition, marked) in [(own, true), (other, false)] {
         let charts = [
             figure.draw(condition).expect("a figure").chart,
             energy::harvest_chart(condition, &points),
             energy::net_chart(condition, &points).expect("both were run"),
-            pareto::INFORMATION.chart(&[condition]).expect("a picture"),
+            pareto::INFORMATION_TRADE_OFF.chart(&[condition]).expect("a picture"),
         ];
         for chart in &charts {
             assert_eq!(chart.title.contains("Fig"), marked, "{}", chart.title);

@@ -16,9 +16,9 @@ fn delay_has_a_separate_picture_without_marks() {
     ];
     let results = Results::new(&[fixtures::table("paper", "detection_delay_ttis", &runs)], &NoFiles).expect("runs");
     let condition = &results.conditions[0];
-    let chart = pareto::DELAY.chart(&[condition]).expect("a picture");
+    let chart = pareto::DELAY_TRADE_OFF.chart(&[condition]).expect("a picture");
     check("delay", &chart.scene());
-    let knn: Vec<f64> = chart.series[0].samples.iter().map(|sample| sample.y).collect();
+    let knn: Vec<f64> = chart.series[0].points.iter().map(|sample| sample.y).collect();
     assert!(
         (knn[0] - 2.25).abs() < 1e-12 && (knn[1] - 0.15).abs() < 1e-12,
         "{knn:?}"
@@ -29,7 +29,7 @@ fn delay_has_a_separate_picture_without_marks() {
         chart.title
     );
     assert!(chart.caption.contains("Down and to the left"), "{}", chart.caption);
-    let csv = pareto::DELAY.csv(&[condition]);
+    let csv = pareto::DELAY_TRADE_OFF.csv(&[condition]);
     assert!(
         csv.contains(",detection_delay_ttis,delay_half_width_95,") && csv.lines().count() == 4,
         "{csv}"
@@ -46,13 +46,15 @@ fn the_energy_floor_is_at_the_information_of_the_genie() {
         ("genie", 10, &[0.1, 0.12]),
     ];
     let results = Results::new(&[fixtures::table("paper", "info_p1", &runs)], &NoFiles).expect("runs");
-    let chart = pareto::INFORMATION.chart(&[&results.conditions[0]]).expect("a picture");
+    let chart = pareto::INFORMATION_TRADE_OFF
+        .chart(&[&results.conditions[0]])
+        .expect("a picture");
     let floor = chart
         .series
         .iter()
         .find(|line| line.name == "energy floor")
         .expect("a floor");
-    let ys: Vec<f64> = floor.samples.iter().map(|sample| sample.y).collect();
+    let ys: Vec<f64> = floor.points.iter().map(|sample| sample.y).collect();
     // Ten devices cannot harvest enough for the floor.
     assert!(
         ys.len() == 2 && (ys[0] - 0.41).abs() < 1e-12 && (ys[1] - 0.61).abs() < 1e-12,
@@ -60,8 +62,8 @@ fn the_energy_floor_is_at_the_information_of_the_genie() {
     );
     // 16 of 100 sense, and about 14 of 250.
     let expected = (16.0 + 84.0 / 14.0 + 2.0) / 100.0;
-    assert!((floor.samples[0].x - expected).abs() < 1e-5, "{floor:?}");
-    assert!((0.12..0.14).contains(&floor.samples[1].x), "{floor:?}");
+    assert!((floor.points[0].x - expected).abs() < 1e-5, "{floor:?}");
+    assert!((0.12..0.14).contains(&floor.points[1].x), "{floor:?}");
     let notes: Vec<&str> = chart.notes.iter().map(|note| note.text.as_str()).collect();
     let hundreds = notes.iter().filter(|text| **text == "100").count();
     assert_eq!(hundreds, 2, "the genie's and the floor's: {notes:?}");
@@ -88,21 +90,21 @@ fn settings_of_a_knob_are_a_line_for_each_n() {
     }
     let results = Results::new(&[(name, table)], &NoFiles).expect("runs");
     let all: Vec<&RunCondition> = results.conditions.iter().collect();
-    let fronts = front::fronts(&all);
+    let fronts = front::draw_fronts(&all);
     let [front] = &fronts[..] else {
         panic!("{:?}", fronts.iter().map(|f| f.n).collect::<Vec<_>>())
     };
     assert_eq!(
-        (front.n, front.world.len()),
+        (front.n, front.other_changes.len()),
         (50, 0),
         "one setting at N = 10 is no line"
     );
     let names: Vec<&str> = front.chart.series.iter().map(|line| line.name.as_str()).collect();
     assert_eq!(names, ["random", "genie", "relaxed bound", "energy floor"]);
-    let ys: Vec<f64> = front.chart.series[0].samples.iter().map(|sample| sample.y).collect();
+    let ys: Vec<f64> = front.chart.series[0].points.iter().map(|sample| sample.y).collect();
     assert_eq!(ys.len(), 2);
     assert_eq!(
-        front.chart.series[1].samples.len(),
+        front.chart.series[1].points.len(),
         1,
         "the genie heeds no knob of random"
     );

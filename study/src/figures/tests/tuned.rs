@@ -35,7 +35,7 @@ fn history(pairs: &[WeightPair], of: impl Fn(WeightPair) -> f64) -> History {
 
 fn surface(ranges: &Ranges, of: impl Fn(WeightPair) -> f64) -> Surface {
     let middle = |i: u32| (f64::from(i) + 0.5) / 40.0;
-    let row = |j: u32| (0..40).map(|i| of(ranges.at([middle(i), middle(j)]))).collect();
+    let row = |j: u32| (0..40).map(|i| of(ranges.pair_at([middle(i), middle(j)]))).collect();
     Surface {
         rows: (0..40).map(row).collect(),
     }

@@ -1,21 +1,21 @@
-//! Our figures for a claim: its quantity at each N.
+//! Findings: our values of a claim's quantity at each N, with 95 % intervals. The rule in [`super`] judges them.
 
 use reveille_lab::metric_estimate::MetricEstimate;
-use reveille_lab::stats::{Moments, student_t};
+use reveille_lab::stats::{Moments, student_t_quantile};
 
 use crate::claims::{Claim, ClaimQuantity, ClaimTopic};
 use crate::figures::results::RunCondition;
 
 /// Largest value that counts as 0, as a share of the largest of the other policies' means.
-const ZERO: f64 = 0.01;
+const ZERO_SHARE: f64 = 0.01;
 
-/// Our figure at one N, with the policy in its comparison.
+/// Our value of a claim's quantity at one N, against one policy if the claim compares policies.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Finding {
     /// Number of devices N.
     pub n: u32,
-    /// The other policy of the comparison.
-    pub other: Option<&'static str>,
+    /// The compared policy; `None` for claims on one policy alone.
+    pub other_policy: Option<&'static str>,
     /// Quantity, computed from means.
     pub value: f64,
     /// Lower end of its 95 % interval; 0 if unknown.
@@ -23,17 +23,17 @@ pub struct Finding {
     /// Upper end of its 95 % interval; infinite if unknown.
     pub high: f64,
     /// Largest value that counts as 0.
-    pub zero: f64,
+    pub zero_limit: f64,
     /// Estimate of the metric, if the quantity is its mean.
-    pub reading: Option<MetricEstimate>,
+    pub metric_estimate: Option<MetricEstimate>,
 }
 
-/// Computes the figures for `claim` of `topic`, in ascending order of N.
+/// Computes the findings on `claim` of `topic`, in ascending order of N.
 pub(super) fn findings(topic: &ClaimTopic, claim: &Claim, condition: &RunCondition) -> Vec<Finding> {
     let runs = TopicRuns { topic, condition };
-    let sizes = condition.sizes(claim.policy).into_iter();
-    let sizes = sizes.filter(|n| claim.sites.holds(*n));
-    sizes.flat_map(|n| runs.at(claim, n)).collect()
+    let device_counts = condition.device_counts(claim.policy).into_iter();
+    let device_counts = device_counts.filter(|n| claim.device_counts.contains(*n));
+    device_counts.flat_map(|n| runs.findings_at(claim, n)).collect()
 }
 
 /// Runs of a condition, evaluated on the metric of a topic.
@@ -44,53 +44,53 @@ pub(super) struct TopicRuns<'a> {
 
 impl TopicRuns<'_> {
     /// Estimate of the metric over the runs of `policy` with `n` devices.
-    pub(super) fn reading(&self, policy: &str, n: u32) -> Option<MetricEstimate> {
-        let reading = self.condition.reading(policy, n, self.topic.metric)?;
+    pub(super) fn metric_estimate(&self, policy: &str, n: u32) -> Option<MetricEstimate> {
+        let estimate = self.condition.metric_estimate(policy, n, self.topic.metric)?;
         Some(if self.topic.is_per_device {
-            reading.divided_by(f64::from(n))
+            estimate.divided_by(f64::from(n))
         } else {
-            reading
+            estimate
         })
     }
 
-    fn at(&self, claim: &Claim, n: u32) -> Vec<Finding> {
-        let Some(own) = self.reading(claim.policy, n) else {
+    fn findings_at(&self, claim: &Claim, n: u32) -> Vec<Finding> {
+        let Some(own) = self.metric_estimate(claim.policy, n) else {
             return Vec::new();
         };
         let base = Finding {
             n,
-            other: None,
+            other_policy: None,
             value: own.estimate.mean,
             low: own.ends().0,
             high: own.ends().1,
-            zero: self.zero(claim.policy, n),
-            reading: None,
+            zero_limit: self.zero_limit(claim.policy, n),
+            metric_estimate: None,
         };
         match claim.quantity {
-            ClaimQuantity::Own => vec![Finding {
-                reading: Some(own),
+            ClaimQuantity::Mean => vec![Finding {
+                metric_estimate: Some(own),
                 ..base
             }],
             ClaimQuantity::Ratio(others) => {
-                let against = |other: &&'static str| {
-                    let theirs = self.reading(other, n)?;
-                    let pairs = self.pairs(claim.policy, other, n);
+                let ratio_to = |other: &&'static str| {
+                    let theirs = self.metric_estimate(other, n)?;
+                    let pairs = self.paired_values(claim.policy, other, n);
                     let [value, low, high] = ratio(&own, &theirs, &pairs);
                     Some(Finding {
-                        other: Some(other),
+                        other_policy: Some(other),
                         value,
                         low,
                         high,
                         ..base
                     })
                 };
-                others.iter().filter_map(against).collect()
+                others.iter().filter_map(ratio_to).collect()
             }
             ClaimQuantity::Gap(other) => {
-                let gap = self.reading(other, n).map(|theirs| {
-                    let [value, low, high] = gap(&own, &theirs, &self.pairs(claim.policy, other, n));
+                let gap = self.metric_estimate(other, n).map(|theirs| {
+                    let [value, low, high] = gap(&own, &theirs, &self.paired_values(claim.policy, other, n));
                     Finding {
-                        other: Some(other),
+                        other_policy: Some(other),
                         value,
                         low,
                         high,
@@ -100,7 +100,7 @@ impl TopicRuns<'_> {
                 gap.into_iter().collect()
             }
             ClaimQuantity::Growth(from) => {
-                let growth = self.reading(claim.policy, from).map(|start| {
+                let growth = self.metric_estimate(claim.policy, from).map(|start| {
                     // Not paired: runs with another N have other deployments, whatever their seeds.
                     let [value, low, high] = ratio(&own, &start, &[]);
                     Finding {
@@ -116,18 +116,18 @@ impl TopicRuns<'_> {
     }
 
     /// Largest value that counts as 0 for `policy` with `n` devices.
-    fn zero(&self, policy: &str, n: u32) -> f64 {
+    fn zero_limit(&self, policy: &str, n: u32) -> f64 {
         let others = self.condition.policies().into_iter().filter(|other| *other != policy);
-        let means = others.filter_map(|other| Some(self.reading(other, n)?.estimate.mean));
-        ZERO * means.fold(0.0, f64::max)
+        let means = others.filter_map(|other| Some(self.metric_estimate(other, n)?.estimate.mean));
+        ZERO_SHARE * means.fold(0.0, f64::max)
     }
 
     /// Values of both policies, run by run, if both were run with the same seeds.
-    fn pairs(&self, a: &str, b: &str, n: u32) -> Vec<(f64, f64)> {
-        let parts = if self.topic.is_per_device { f64::from(n) } else { 1.0 };
+    fn paired_values(&self, a: &str, b: &str, n: u32) -> Vec<(f64, f64)> {
+        let divisor = if self.topic.is_per_device { f64::from(n) } else { 1.0 };
         let values = |policy: &str| -> Vec<(u64, f64)> {
             let runs = self.condition.runs(policy, n);
-            let values = runs.filter_map(|row| Some((row.seed, row.metric(self.topic.metric)? / parts)));
+            let values = runs.filter_map(|row| Some((row.seed, row.metric(self.topic.metric)? / divisor)));
             values.collect()
         };
         let (a, b) = (values(a), values(b));
@@ -149,8 +149,8 @@ fn ratio(own: &MetricEstimate, theirs: &MetricEstimate, pairs: &[(f64, f64)]) ->
         (false, true) => f64::INFINITY,
         (_, false) => a / b,
     };
-    if let Some(half) = half_of(own, theirs, pairs, value).filter(|_| b > 0.0) {
-        return [value, (value - half / b).max(0.0), value + half / b];
+    if let Some(half_width) = paired_half_width(own, theirs, pairs, value).filter(|_| b > 0.0) {
+        return [value, (value - half_width / b).max(0.0), value + half_width / b];
     }
     let ((low, high), (least, most)) = (own.ends(), theirs.ends());
     let low = if most > 0.0 { low / most } else { 0.0 };
@@ -161,18 +161,18 @@ fn ratio(own: &MetricEstimate, theirs: &MetricEstimate, pairs: &[(f64, f64)]) ->
 /// Computes the distance between two means with its interval, as in [`ratio`].
 fn gap(own: &MetricEstimate, theirs: &MetricEstimate, pairs: &[(f64, f64)]) -> [f64; 3] {
     let value = (own.estimate.mean - theirs.estimate.mean).abs();
-    let half = half_of(own, theirs, pairs, 1.0).unwrap_or(own.half_width() + theirs.half_width());
-    if half.is_nan() {
+    let half_width = paired_half_width(own, theirs, pairs, 1.0).unwrap_or(own.half_width() + theirs.half_width());
+    if half_width.is_nan() {
         return [value, 0.0, f64::INFINITY];
     }
-    [value, (value - half).max(0.0), value + half]
+    [value, (value - half_width).max(0.0), value + half_width]
 }
 
 /// Half the interval of the mean of a − `factor` · b over `pairs`; `None` if the cases are too few or there are fewer
 /// than two pairs.
-fn half_of(own: &MetricEstimate, theirs: &MetricEstimate, pairs: &[(f64, f64)], factor: f64) -> Option<f64> {
+fn paired_half_width(own: &MetricEstimate, theirs: &MetricEstimate, pairs: &[(f64, f64)], factor: f64) -> Option<f64> {
     // With too few cases for an interval, the spread of the differences does not show their frequency.
-    let is_rare = |reading: &MetricEstimate| reading.upper.is_some() && reading.counted.is_some();
+    let is_rare = |estimate: &MetricEstimate| estimate.upper_bound.is_some() && estimate.case_counts.is_some();
     if pairs.len() < 2 || is_rare(own) || is_rare(theirs) {
         return None;
     }
@@ -181,7 +181,7 @@ fn half_of(own: &MetricEstimate, theirs: &MetricEstimate, pairs: &[(f64, f64)], 
         moments.add(a - factor * b);
     }
     let deviation = moments.estimate()?.deviation;
-    Some(student_t(pairs.len() - 1) * deviation / (pairs.len() as f64).sqrt())
+    Some(student_t_quantile(pairs.len() - 1) * deviation / (pairs.len() as f64).sqrt())
 }
 
 #[cfg(test)]
@@ -193,10 +193,10 @@ mod tests {
 
     fn reading(values: &[f64]) -> MetricEstimate {
         MetricEstimate {
-            estimate: Estimate::over(values.iter().copied()),
-            counted: None,
-            upper: None,
-            lower: None,
+            estimate: Estimate::from_values_or_nan(values.iter().copied()),
+            case_counts: None,
+            upper_bound: None,
+            lower_bound: None,
         }
     }
 
@@ -231,8 +231,8 @@ mod tests {
     #[test]
     fn a_ratio_to_zero_is_defined() {
         let none = MetricEstimate {
-            counted: Some(CaseCounts { cases: 0, events: 30 }),
-            upper: Some(0.1),
+            case_counts: Some(CaseCounts { cases: 0, events: 30 }),
+            upper_bound: Some(0.1),
             ..reading(&[0.0, 0.0])
         };
         let [value, low, high] = ratio(&none, &none, &[(0.0, 0.0); 2]);

@@ -1,15 +1,15 @@
-//! Fit of figures to a statement, and its certainty under their intervals.
+//! Fit of findings to a statement: rules 2 and 3 of [`super`], for the means and for all values in their intervals.
 
 use super::finding::Finding;
 use crate::claims::Statement;
 
 /// Maximum deviation from a stated value that still counts as equal, as a share of the value.
-const CLOSE: f64 = 0.05;
+const EQUAL_TOLERANCE: f64 = 0.05;
 /// Maximum deviation from a stated value or range that counts as near, as a share of it. Also the maximum deviation
 /// from the middle for a constant level.
-const TOLERANCE: f64 = 0.2;
+const NEAR_TOLERANCE: f64 = 0.2;
 /// Maximum step against a trend, as a share of the range of all means.
-const AGAINST: f64 = 0.1;
+const TREND_TOLERANCE: f64 = 0.1;
 /// Allowance for binary rounding at the limit of 20 %.
 const ROUNDING: f64 = 1e-9;
 
@@ -28,7 +28,7 @@ pub enum FitLevel {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Fit {
     /// Fit of the means.
-    pub tier: FitLevel,
+    pub of_means: FitLevel,
     /// Worst fit within the intervals.
     pub worst: FitLevel,
     /// Best fit within the intervals.
@@ -37,23 +37,26 @@ pub struct Fit {
 
 impl Fit {
     /// Computes the fit of `findings` to `statement`; `None` if there are too few findings.
-    pub fn of(statement: Statement, findings: &[Finding]) -> Option<Self> {
+    pub fn of_findings(statement: Statement, findings: &[Finding]) -> Option<Self> {
         if statement.range().is_some() {
-            return findings.iter().map(|one| Self::at(statement, one)).reduce(Self::and);
+            return findings
+                .iter()
+                .map(|finding| Self::at_one_n(statement, finding))
+                .reduce(Self::worse);
         }
         let mut others: Vec<Option<&str>> = Vec::new();
         for finding in findings {
-            if !others.contains(&finding.other) {
-                others.push(finding.other);
+            if !others.contains(&finding.other_policy) {
+                others.push(finding.other_policy);
             }
         }
         let rows = others.into_iter().map(|other| -> Vec<Finding> {
-            let own = findings.iter().filter(|finding| finding.other == other);
-            own.copied().collect()
+            let of_policy = findings.iter().filter(|finding| finding.other_policy == other);
+            of_policy.copied().collect()
         });
         rows.filter(|row| row.len() > 1)
-            .map(|row| Self::over(statement, &row))
-            .reduce(Self::and)
+            .map(|row| Self::over_all_n(statement, &row))
+            .reduce(Self::worse)
     }
 
     /// Whether the fit is the same throughout the intervals.
@@ -61,59 +64,60 @@ impl Fit {
         self.worst == self.best
     }
 
-    fn and(self, other: Self) -> Self {
+    /// Fit to both of two statements.
+    fn worse(self, other: Self) -> Self {
         Self {
-            tier: self.tier.min(other.tier),
+            of_means: self.of_means.min(other.of_means),
             worst: self.worst.min(other.worst),
             best: self.best.min(other.best),
         }
     }
 
-    /// Computes the fit to a statement on each N.
-    fn at(statement: Statement, finding: &Finding) -> Self {
+    /// Computes the fit of one finding to a statement on each N.
+    fn at_one_n(statement: Statement, finding: &Finding) -> Self {
         let Finding { value, low, high, .. } = *finding;
-        let of = |x: f64| tier(statement, x, finding.zero);
+        let fit = |x: f64| fit_level(statement, x, finding.zero_limit);
         // Each statement here is a range: the point of the interval nearest to the range fits best, and an end fits
         // worst.
         let (from, to) = statement.range().unwrap_or((f64::NEG_INFINITY, f64::INFINITY));
         let nearest = if low > to { low } else { from.max(low).min(high) };
         Self {
-            tier: of(value),
-            worst: of(low).min(of(high)),
-            best: of(nearest).max(of(low)).max(of(high)),
+            of_means: fit(value),
+            worst: fit(low).min(fit(high)),
+            best: fit(nearest).max(fit(low)).max(fit(high)),
         }
     }
 
     /// Computes the fit to a statement on several N together.
-    fn over(statement: Statement, row: &[Finding]) -> Self {
+    fn over_all_n(statement: Statement, row: &[Finding]) -> Self {
         match statement {
-            Statement::Largest(v) => Self::at(Statement::About(v), &extreme(row, f64::max)),
-            Statement::Smallest(v) => Self::at(Statement::About(v), &extreme(row, f64::min)),
-            Statement::Level => Self::level(row),
+            Statement::Largest(v) => Self::at_one_n(Statement::About(v), &extreme(row, f64::max)),
+            Statement::Smallest(v) => Self::at_one_n(Statement::About(v), &extreme(row, f64::min)),
+            Statement::Constant => Self::constancy(row),
             Statement::Falls => Self::trend(row, |x| x),
             Statement::Rises => Self::trend(row, |x| -x),
             Statement::About(_) | Statement::Between(..) | Statement::Below(_) | Statement::Above(_) => Self {
-                tier: FitLevel::No,
+                of_means: FitLevel::No,
                 worst: FitLevel::No,
                 best: FitLevel::No,
             },
         }
     }
 
-    fn level(row: &[Finding]) -> Self {
+    fn constancy(row: &[Finding]) -> Self {
         let over =
             |of: fn(&Finding) -> f64, pick: fn(f64, f64) -> f64, start: f64| row.iter().map(of).fold(start, pick);
         let largest = |of| over(of, f64::max, f64::NEG_INFINITY);
         let smallest = |of| over(of, f64::min, f64::INFINITY);
-        let zero = smallest(|f| f.zero);
+        let zero = smallest(|f| f.zero_limit);
         let is_level = |least: f64, most: f64| {
             // Half the range over the middle; multiplied out, since the middle may be 0.
-            let is_near = most.is_finite() && most - least <= (TOLERANCE + ROUNDING) * (most + least);
+            let is_near = most.is_finite() && most - least <= (NEAR_TOLERANCE + ROUNDING) * (most + least);
             most <= least || most <= zero || is_near
         };
         let fits = |yes| if yes { FitLevel::Yes } else { FitLevel::No };
         Self {
-            tier: fits(is_level(smallest(|f| f.value), largest(|f| f.value))),
+            of_means: fits(is_level(smallest(|f| f.value), largest(|f| f.value))),
             worst: fits(is_level(smallest(|f| f.low), largest(|f| f.high))),
             best: fits(is_level(smallest(|f| f.high), largest(|f| f.low))),
         }
@@ -127,82 +131,82 @@ impl Fit {
         };
         let values = || row.iter().map(|f| f.value);
         let range = values().fold(f64::NEG_INFINITY, f64::max) - values().fold(f64::INFINITY, f64::min);
-        let allowed = AGAINST * range + ROUNDING * range.abs();
-        // The largest rise from an earlier to a later finding, with `of` and `before` as their values.
-        let rise = |of: &dyn Fn(&Finding) -> f64, before: &dyn Fn(&Finding) -> f64| {
+        let allowed = TREND_TOLERANCE * range + ROUNDING * range.abs();
+        // The largest rise from an earlier to a later finding, by the given value of each.
+        let rise = |later_value: &dyn Fn(&Finding) -> f64, earlier_value: &dyn Fn(&Finding) -> f64| {
             let pairs = row
                 .iter()
                 .enumerate()
                 .flat_map(|(i, later)| row[..i].iter().map(move |earlier| (earlier, later)));
             pairs
-                .map(|(earlier, later)| of(later) - before(earlier))
+                .map(|(earlier, later)| later_value(later) - earlier_value(earlier))
                 .fold(f64::NEG_INFINITY, f64::max)
         };
         let (Some(first), Some(last)) = (row.first(), row.last()) else {
             return Self {
-                tier: FitLevel::No,
+                of_means: FitLevel::No,
                 worst: FitLevel::No,
                 best: FitLevel::No,
             };
         };
         let fits = |yes| if yes { FitLevel::Yes } else { FitLevel::No };
         let mean = |f: &Finding| sign(f.value);
-        let tier = fits(mean(last) < mean(first) && rise(&mean, &mean) <= allowed);
+        let of_means = fits(mean(last) < mean(first) && rise(&mean, &mean) <= allowed);
         let (low, high) = (|f: &Finding| ends(f).0, |f: &Finding| ends(f).1);
         Self {
-            tier,
-            // `allowed` follows from the means alone, so `worst` and `best` are clamped to their sides of `tier`.
-            worst: fits(high(last) < low(first) && rise(&high, &low) <= allowed).min(tier),
-            best: fits(low(last) < high(first) && rise(&low, &high) <= allowed).max(tier),
+            of_means,
+            // `allowed` follows from the means alone, so `worst` and `best` are clamped to their sides of `of_means`.
+            worst: fits(high(last) < low(first) && rise(&high, &low) <= allowed).min(of_means),
+            best: fits(low(last) < high(first) && rise(&low, &high) <= allowed).max(of_means),
         }
     }
 }
 
 /// Largest or smallest of `row`, with the range of values that it can have.
 fn extreme(row: &[Finding], pick: fn(f64, f64) -> f64) -> Finding {
-    let of = |part: fn(&Finding) -> f64| row.iter().map(part).reduce(pick).unwrap_or(f64::NAN);
-    let value = of(|f| f.value);
-    let own = row.iter().find(|f| f.value.total_cmp(&value).is_eq());
+    let pick_of = |value_of: fn(&Finding) -> f64| row.iter().map(value_of).reduce(pick).unwrap_or(f64::NAN);
+    let value = pick_of(|f| f.value);
+    let extreme = row.iter().find(|f| f.value.total_cmp(&value).is_eq());
     Finding {
         value,
-        low: of(|f| f.low),
-        high: of(|f| f.high),
-        ..*own.unwrap_or(&row[0])
+        low: pick_of(|f| f.low),
+        high: pick_of(|f| f.high),
+        ..*extreme.unwrap_or(&row[0])
     }
 }
 
-/// Computes the level of fit of `x`. Values up to `zero` count as 0.
-fn tier(statement: Statement, x: f64, zero: f64) -> FitLevel {
+/// Computes the level of fit of `x`. Values up to `zero_limit` count as 0.
+fn fit_level(statement: Statement, x: f64, zero_limit: f64) -> FitLevel {
     match statement {
-        Statement::About(0.0) => meets(x <= zero),
-        Statement::About(v) => near(x, v, v, CLOSE),
-        Statement::Between(low, high) => near(x, low, high, 0.0),
-        Statement::Below(v) => meets(x < v),
-        Statement::Above(v) => meets(x > v),
-        Statement::Largest(_) | Statement::Smallest(_) | Statement::Level | Statement::Falls | Statement::Rises => {
+        Statement::About(0.0) => fit_if(x <= zero_limit),
+        Statement::About(v) => fit_to_range(x, v, v, EQUAL_TOLERANCE),
+        Statement::Between(low, high) => fit_to_range(x, low, high, 0.0),
+        Statement::Below(v) => fit_if(x < v),
+        Statement::Above(v) => fit_if(x > v),
+        Statement::Largest(_) | Statement::Smallest(_) | Statement::Constant | Statement::Falls | Statement::Rises => {
             FitLevel::No
         }
     }
 }
 
 /// Computes the level of fit of `x` to the single stated value `stated`.
-pub fn about(x: f64, stated: f64) -> FitLevel {
-    near(x, stated, stated, CLOSE)
+pub fn fit_to_value(x: f64, stated: f64) -> FitLevel {
+    fit_to_range(x, stated, stated, EQUAL_TOLERANCE)
 }
 
-fn meets(yes: bool) -> FitLevel {
+fn fit_if(yes: bool) -> FitLevel {
     if yes { FitLevel::Yes } else { FitLevel::No }
 }
 
-/// Checks `x` against `low` to `high`, widened by `close` or by [`TOLERANCE`] as a share of each end.
-fn near(x: f64, low: f64, high: f64, close: f64) -> FitLevel {
-    let within = |room: f64| {
-        let room = room + ROUNDING;
-        (low - room * low.abs()..=high + room * high.abs()).contains(&x)
+/// Checks `x` against `low` to `high`, widened by `equal_tolerance` or by [`NEAR_TOLERANCE`] as a share of each end.
+fn fit_to_range(x: f64, low: f64, high: f64, equal_tolerance: f64) -> FitLevel {
+    let within = |tolerance: f64| {
+        let tolerance = tolerance + ROUNDING;
+        (low - tolerance * low.abs()..=high + tolerance * high.abs()).contains(&x)
     };
-    if within(close) {
+    if within(equal_tolerance) {
         FitLevel::Yes
-    } else if within(TOLERANCE) {
+    } else if within(NEAR_TOLERANCE) {
         FitLevel::Near
     } else {
         FitLevel::No

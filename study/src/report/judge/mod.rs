@@ -1,4 +1,5 @@
-//! The verdict on a claim.
+//! The verdict on a claim. [`super::notes`] states the rule for readers of the report, and `docs/figures-and-report.md`
+//! for users; change all three.
 //!
 //! 1. A policy without runs at a claim's N is *not run*. A statement on several N together needs runs at two of them.
 //! 2. A claim is *reproduced* if our mean is within 5 % of a stated value, in a stated range, or meets a bound
@@ -19,7 +20,7 @@ mod fit;
 mod order;
 
 pub use self::finding::Finding;
-pub use self::fit::{Fit, FitLevel, about};
+pub use self::fit::{Fit, FitLevel, fit_to_value};
 use crate::claims::{Claim, ClaimTopic};
 use crate::figures::results::RunCondition;
 
@@ -49,7 +50,7 @@ impl Verdict {
     ];
 
     /// Name of the verdict.
-    pub const fn words(self) -> &'static str {
+    pub const fn name(self) -> &'static str {
         match self {
             Self::Reproduced => "reproduced",
             Self::Near => "within 20 %",
@@ -66,11 +67,11 @@ pub struct Judgement {
     /// Verdict on the claim.
     pub verdict: Verdict,
     /// Whether the verdict holds throughout our intervals.
-    pub firm: bool,
-    /// Our figures, in ascending order of N, and at each N in the order of the compared policies.
+    pub is_firm: bool,
+    /// Our findings, in ascending order of N, and at each N in the order of the compared policies.
     pub findings: Vec<Finding>,
     /// Policies of the order comparison: N, the policy, and whether our order equals the paper's.
-    pub order: Vec<(u32, &'static str, bool)>,
+    pub order_checks: Vec<(u32, &'static str, bool)>,
 }
 
 /// Judges one claim of `topic` by the runs of `condition`.
@@ -78,41 +79,43 @@ pub fn judge(topic: &ClaimTopic, claim: &Claim, condition: &RunCondition) -> Jud
     let findings = finding::findings(topic, claim, condition);
     let mut judgement = Judgement {
         verdict: Verdict::NotRun,
-        firm: true,
+        is_firm: true,
         findings,
-        order: Vec::new(),
+        order_checks: Vec::new(),
     };
-    let Some(fit) = Fit::of(claim.statement, &judgement.findings) else {
+    let Some(fit) = Fit::of_findings(claim.statement, &judgement.findings) else {
         judgement.findings.clear();
         return judgement;
     };
-    if let Some(verdict) = verdict_of(fit.tier) {
+    if let Some(verdict) = verdict_of(fit.of_means) {
         judgement.verdict = verdict;
-        judgement.firm = fit.is_firm();
+        judgement.is_firm = fit.is_firm();
         return judgement;
     }
-    let compared = order::compared(topic, claim, condition, &judgement.findings);
-    let has_order = !compared.is_empty() && compared.iter().all(|pair| pair.as_stated);
+    let compared = order::compare_policies(topic, claim, condition, &judgement.findings);
+    let has_order = !compared.is_empty() && compared.iter().all(|pair| pair.is_as_stated);
     judgement.verdict = if has_order {
         Verdict::OrderReproduced
     } else {
         Verdict::NotReproduced
     };
     // An order needs all of its pairs, but a single firm pair against it refutes it.
-    let order_firm = if has_order {
-        compared.iter().all(|pair| pair.firm)
+    let is_order_firm = if has_order {
+        compared.iter().all(|pair| pair.is_firm)
     } else {
-        compared.is_empty() || compared.iter().any(|pair| pair.firm && !pair.as_stated)
+        compared.is_empty() || compared.iter().any(|pair| pair.is_firm && !pair.is_as_stated)
     };
-    judgement.firm = fit.is_firm() && order_firm;
+    judgement.is_firm = fit.is_firm() && is_order_firm;
     let pairs = compared.into_iter();
-    judgement.order = pairs.map(|pair| (pair.n, pair.other, pair.as_stated)).collect();
+    judgement.order_checks = pairs
+        .map(|pair| (pair.n, pair.other_policy, pair.is_as_stated))
+        .collect();
     judgement
 }
 
 /// Returns the verdict for a level of fit; `None` without a fit.
-pub(crate) const fn verdict_of(tier: FitLevel) -> Option<Verdict> {
-    match tier {
+pub(crate) const fn verdict_of(level: FitLevel) -> Option<Verdict> {
+    match level {
         FitLevel::Yes => Some(Verdict::Reproduced),
         FitLevel::Near => Some(Verdict::Near),
         FitLevel::No => None,

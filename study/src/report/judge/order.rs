@@ -1,4 +1,4 @@
-//! Order of the policies, in the paper and in our runs.
+//! Order of the policies in the paper and in our runs: rule 4 of [`super`].
 
 use super::finding::{Finding, TopicRuns};
 use crate::claims::{Claim, ClaimQuantity, ClaimTopic, DeviceCounts, Statement};
@@ -9,50 +9,54 @@ pub(super) struct PolicyPair {
     /// Number of devices N.
     pub n: u32,
     /// The other policy.
-    pub other: &'static str,
+    pub other_policy: &'static str,
     /// Whether the means have the order that the paper states.
-    pub as_stated: bool,
+    pub is_as_stated: bool,
     /// Whether the order holds for all values within both intervals.
-    pub firm: bool,
+    pub is_firm: bool,
 }
 
 /// Compares the policy of `claim` with the policies whose order to it the paper states, at each N that was run. A claim
 /// on the largest or smallest over N is compared only at that N in `findings`. Empty for claims on a change with N.
-pub(super) fn compared(
+pub(super) fn compare_policies(
     topic: &ClaimTopic,
     claim: &Claim,
     condition: &RunCondition,
     findings: &[Finding],
 ) -> Vec<PolicyPair> {
-    if is_of_one_alone(claim) {
+    if has_no_order(claim) {
         return Vec::new();
     }
     let by_value = |a: &&Finding, b: &&Finding| a.value.total_cmp(&b.value);
-    let at = match claim.statement {
+    let extreme = match claim.statement {
         Statement::Largest(_) => findings.iter().max_by(by_value),
         Statement::Smallest(_) => findings.iter().min_by(by_value),
         Statement::About(_)
         | Statement::Between(..)
         | Statement::Below(_)
         | Statement::Above(_)
-        | Statement::Level
+        | Statement::Constant
         | Statement::Falls
         | Statement::Rises => None,
     };
     let runs = TopicRuns { topic, condition };
     let mut pairs = Vec::new();
-    let sizes = condition.sizes(claim.policy).into_iter();
-    for n in sizes.filter(|n| claim.sites.holds(*n) && at.is_none_or(|at| at.n == *n)) {
-        for (other, is_lower) in rivals(topic, claim, n) {
-            let (Some(own), Some(theirs)) = (runs.reading(claim.policy, n), runs.reading(other, n)) else {
+    let device_counts = condition.device_counts(claim.policy).into_iter();
+    for n in device_counts.filter(|n| claim.device_counts.contains(*n) && extreme.is_none_or(|extreme| extreme.n == *n))
+    {
+        for (other_policy, is_lower) in policies_with_stated_order(topic, claim, n) {
+            let (Some(own), Some(theirs)) = (
+                runs.metric_estimate(claim.policy, n),
+                runs.metric_estimate(other_policy, n),
+            ) else {
                 continue;
             };
             let difference = own.estimate.mean - theirs.estimate.mean;
             pairs.push(PolicyPair {
                 n,
-                other,
-                as_stated: if is_lower { difference < 0.0 } else { difference > 0.0 },
-                firm: difference.abs() > own.half_width() + theirs.half_width(),
+                other_policy,
+                is_as_stated: if is_lower { difference < 0.0 } else { difference > 0.0 },
+                is_firm: difference.abs() > own.half_width() + theirs.half_width(),
             });
         }
     }
@@ -60,16 +64,19 @@ pub(super) fn compared(
 }
 
 /// Whether the claim has no order to judge apart from its own statement: a pure order, a change or a trend.
-fn is_of_one_alone(claim: &Claim) -> bool {
-    let is_order =
-        matches!(claim.quantity, ClaimQuantity::Ratio(_)) && side(claim.statement).is_none_or(|(_, own)| own);
+fn has_no_order(claim: &Claim) -> bool {
+    let is_order = matches!(claim.quantity, ClaimQuantity::Ratio(_))
+        && stated_side(claim.statement).is_none_or(|(_, is_only_side)| is_only_side);
     let is_change = matches!(claim.quantity, ClaimQuantity::Growth(_) | ClaimQuantity::Gap(_));
-    let is_trend = matches!(claim.statement, Statement::Level | Statement::Falls | Statement::Rises);
+    let is_trend = matches!(
+        claim.statement,
+        Statement::Constant | Statement::Falls | Statement::Rises
+    );
     is_order || is_change || is_trend
 }
 
 /// Whether a stated ratio is below 1, and whether the statement is only about that side; `None` for neither side.
-fn side(statement: Statement) -> Option<(bool, bool)> {
+fn stated_side(statement: Statement) -> Option<(bool, bool)> {
     match statement {
         Statement::Below(v) => (v <= 1.0).then_some((true, v >= 1.0)),
         Statement::Above(v) => (v >= 1.0).then_some((false, v <= 1.0)),
@@ -77,27 +84,28 @@ fn side(statement: Statement) -> Option<(bool, bool)> {
             ((v - 1.0).abs() > 0.0).then_some((v < 1.0, false))
         }
         Statement::Between(low, high) => (high < 1.0 || low > 1.0).then_some((high < 1.0, false)),
-        Statement::Level | Statement::Falls | Statement::Rises => None,
+        Statement::Constant | Statement::Falls | Statement::Rises => None,
     }
 }
 
 /// Lists the policies with a stated order to `claim`'s policy at `n`, and whether `claim`'s policy is the lower. The
 /// order follows from a stated order or ratio, or from ranges that all exclude each other. A claim on a ratio concerns
 /// only its own policies.
-fn rivals(topic: &ClaimTopic, claim: &Claim, n: u32) -> Vec<(&'static str, bool)> {
-    if let (ClaimQuantity::Ratio(others), Some((is_lower, _))) = (claim.quantity, side(claim.statement)) {
+fn policies_with_stated_order(topic: &ClaimTopic, claim: &Claim, n: u32) -> Vec<(&'static str, bool)> {
+    if let (ClaimQuantity::Ratio(others), Some((is_lower, _))) = (claim.quantity, stated_side(claim.statement)) {
         return others.iter().map(|other| (*other, is_lower)).collect();
     }
-    let mut rivals: Vec<(&'static str, bool)> = Vec::new();
+    let mut ordered: Vec<(&'static str, bool)> = Vec::new();
     let mut add = |other: &'static str, is_lower: bool| {
-        if !rivals.iter().any(|(known, _)| *known == other) {
-            rivals.push((other, is_lower));
+        if !ordered.iter().any(|(known, _)| *known == other) {
+            ordered.push((other, is_lower));
         }
     };
-    for other in topic.claims.iter().filter(|other| other.sites.holds(n)) {
+    for other in topic.claims.iter().filter(|other| other.device_counts.contains(n)) {
         // "Up to" refers to one N, which the paper does not name.
-        let is_here = other.statement.range().is_some();
-        let (ClaimQuantity::Ratio(bases), Some((is_lower, _)), true) = (other.quantity, side(other.statement), is_here)
+        let is_at_each_n = other.statement.range().is_some();
+        let (ClaimQuantity::Ratio(bases), Some((is_lower, _)), true) =
+            (other.quantity, stated_side(other.statement), is_at_each_n)
         else {
             continue;
         };
@@ -109,42 +117,47 @@ fn rivals(topic: &ClaimTopic, claim: &Claim, n: u32) -> Vec<(&'static str, bool)
             add(other.policy, !is_lower);
         }
     }
-    let own = ranges(topic, claim.policy, n);
+    let own = ranges_of_policy(topic, claim.policy, n);
     for other in topic.claims.iter().filter(|other| other.policy != claim.policy) {
-        let theirs = ranges(topic, other.policy, n);
+        let theirs = ranges_of_policy(topic, other.policy, n);
         let all = |apart: fn((f64, f64), (f64, f64)) -> bool| own.iter().all(|a| theirs.iter().all(|b| apart(*a, *b)));
         let (is_lower, is_higher) = (all(|a, b| a.1 < b.0), all(|a, b| b.1 < a.0));
         if !own.is_empty() && !theirs.is_empty() && is_lower != is_higher {
             add(other.policy, is_lower);
         }
     }
-    rivals
+    ordered
 }
 
 /// Ranges that the paper states for `policy` at `n`. Claims on exactly this N take precedence over claims on several N.
-fn ranges(topic: &ClaimTopic, policy: &str, n: u32) -> Vec<(f64, f64)> {
-    let own = || topic.claims.iter().filter(|c| c.policy == policy && c.sites.holds(n));
-    let stated = |claims: &mut dyn Iterator<Item = &'static Claim>| -> Vec<(f64, f64)> {
-        claims.flat_map(|claim| stated(topic, claim, n)).collect()
+fn ranges_of_policy(topic: &ClaimTopic, policy: &str, n: u32) -> Vec<(f64, f64)> {
+    let own = || {
+        topic
+            .claims
+            .iter()
+            .filter(|c| c.policy == policy && c.device_counts.contains(n))
     };
-    let here = stated(&mut own().filter(|c| c.sites == DeviceCounts::At(n)));
+    let stated = |claims: &mut dyn Iterator<Item = &'static Claim>| -> Vec<(f64, f64)> {
+        claims.flat_map(|claim| ranges_of_claim(topic, claim, n)).collect()
+    };
+    let here = stated(&mut own().filter(|c| c.device_counts == DeviceCounts::At(n)));
     if here.is_empty() { stated(&mut own()) } else { here }
 }
 
 /// Ranges that `claim` states for its policy at `n`; a ratio multiplies the ranges stated for the other policy.
-fn stated(topic: &ClaimTopic, claim: &Claim, n: u32) -> Vec<(f64, f64)> {
+fn ranges_of_claim(topic: &ClaimTopic, claim: &Claim, n: u32) -> Vec<(f64, f64)> {
     let Some((from, to)) = claim.statement.range() else {
         return Vec::new();
     };
     match claim.quantity {
-        ClaimQuantity::Own => vec![(from, to)],
+        ClaimQuantity::Mean => vec![(from, to)],
         // A bound on a ratio gives no figure for the policy itself.
         ClaimQuantity::Ratio(_) if !from.is_finite() || !to.is_finite() => Vec::new(),
         ClaimQuantity::Ratio(others) => {
             let bases = topic
                 .claims
                 .iter()
-                .filter(|c| c.quantity == ClaimQuantity::Own && c.sites.holds(n));
+                .filter(|c| c.quantity == ClaimQuantity::Mean && c.device_counts.contains(n));
             let bases = bases.filter(|c| others.contains(&c.policy));
             let ranges = bases.filter_map(|c| c.statement.range());
             let multiples = ranges.filter(|(low, high)| low.is_finite() && high.is_finite());

@@ -3,7 +3,7 @@
 use reveille_common::declare::NoFiles;
 
 use super::*;
-use crate::claims::ClaimQuantity::{Gap, Growth, Own, Ratio};
+use crate::claims::ClaimQuantity::{Gap, Growth, Mean, Ratio};
 use crate::claims::DeviceCounts::{At, Everywhere, Under};
 use crate::claims::{ClaimQuantity, DeviceCounts, FIG_8, Statement};
 use crate::figures::results::{Results, fixtures};
@@ -14,9 +14,9 @@ const fn topic(claims: &'static [Claim]) -> ClaimTopic {
     ClaimTopic {
         metric: METRIC,
         is_per_device: false,
-        about: "",
-        source: "",
-        reading: "",
+        metric_description: "",
+        paper_figure: "",
+        metric_reason: "",
         claims,
     }
 }
@@ -27,7 +27,7 @@ const fn claim(policy: &'static str, sites: DeviceCounts, quantity: ClaimQuantit
 
 /// Creates a claim on knn at N = 250.
 const fn one(statement: Statement) -> Claim {
-    claim("knn", At(250), Own, statement)
+    claim("knn", At(250), Mean, statement)
 }
 
 const fn about(v: f64) -> Claim {
@@ -42,7 +42,7 @@ fn judged(topic: &ClaimTopic, runs: &[(&str, u32, &[f64])]) -> Judgement {
 /// Judges the first of `claims` for runs with these values of the metric.
 fn verdict(claims: &'static [Claim], runs: &[(&str, u32, &[f64])]) -> (Verdict, bool) {
     let judgement = judged(&topic(claims), runs);
-    (judgement.verdict, judgement.firm)
+    (judgement.verdict, judgement.is_firm)
 }
 
 #[test]
@@ -123,10 +123,10 @@ fn a_verdict_is_firm_if_the_interval_stays_on_its_side() {
 fn order_counts_where_the_value_does_not_fit() {
     const THREE: &[Claim] = &[
         about(10.0),
-        claim("random", At(250), Own, Statement::About(20.0)),
-        claim("genie", At(250), Own, Statement::Below(3.0)),
+        claim("random", At(250), Mean, Statement::About(20.0)),
+        claim("genie", At(250), Mean, Statement::Below(3.0)),
     ];
-    const EQUALS: &[Claim] = &[about(10.0), claim("random", At(250), Own, Statement::About(10.0))];
+    const EQUALS: &[Claim] = &[about(10.0), claim("random", At(250), Mean, Statement::About(10.0))];
     let of = |knn, random, genie| {
         let runs: [(&str, u32, &[f64]); 3] = [
             ("knn", 250, &[knn; 2]),
@@ -171,7 +171,7 @@ fn a_ratio_takes_part_in_the_order_by_the_figure_it_stands_for() {
     const RATIO: &[Claim] = &[
         about(0.4),
         claim("random", At(250), Ratio(&["genie"]), Statement::About(0.25)),
-        claim("genie", At(250), Own, Statement::About(0.8)),
+        claim("genie", At(250), Mean, Statement::About(0.8)),
     ];
     let of = |knn: &[f64], random: &[f64]| {
         verdict(
@@ -192,8 +192,8 @@ fn a_ratio_takes_part_in_the_order_by_the_figure_it_stands_for() {
 fn an_order_is_firm_if_intervals_are_apart_or_one_pair_is_wrong() {
     const THREE: &[Claim] = &[
         about(10.0),
-        claim("random", At(250), Own, Statement::About(20.0)),
-        claim("genie", At(250), Own, Statement::About(1.0)),
+        claim("random", At(250), Mean, Statement::About(20.0)),
+        claim("genie", At(250), Mean, Statement::About(1.0)),
     ];
     let of = |random: &'static [f64], genie: &'static [f64]| {
         verdict(
@@ -295,8 +295,8 @@ fn up_to_means_the_largest_over_n() {
 
 #[test]
 fn what_falls_may_rise_by_a_tenth_of_its_range() {
-    const FALLS: &[Claim] = &[claim("knn", Everywhere, Own, Statement::Falls)];
-    const RISES: &[Claim] = &[claim("knn", Everywhere, Own, Statement::Rises)];
+    const FALLS: &[Claim] = &[claim("knn", Everywhere, Mean, Statement::Falls)];
+    const RISES: &[Claim] = &[claim("knn", Everywhere, Mean, Statement::Rises)];
     let of = |claims, values: [f64; 4]| {
         let [a, b, c, d] = values.map(|value| [value - 0.001, value + 0.001]);
         let runs: [(&str, u32, &[f64]); 4] = [("knn", 10, &a), ("knn", 50, &b), ("knn", 100, &c), ("knn", 250, &d)];
@@ -315,7 +315,7 @@ fn what_falls_may_rise_by_a_tenth_of_its_range() {
 
 #[test]
 fn what_is_level_stays_within_20_percent_of_the_middle() {
-    const LEVEL: &[Claim] = &[claim("knn", Everywhere, Own, Statement::Level)];
+    const LEVEL: &[Claim] = &[claim("knn", Everywhere, Mean, Statement::Constant)];
     let of = |low: f64, high: f64, genie: f64| {
         let (low, high) = ([low - 0.001, low + 0.001], [high - 0.001, high + 0.001]);
         let runs: [(&str, u32, &[f64]); 4] = [
@@ -379,7 +379,7 @@ fn a_metric_can_be_shared_out_among_the_devices() {
 
 #[test]
 fn a_claim_for_many_n_must_hold_at_each() {
-    const MANY: &[Claim] = &[claim("knn", Under(200), Own, Statement::Above(2.0))];
+    const MANY: &[Claim] = &[claim("knn", Under(200), Mean, Statement::Above(2.0))];
     let runs = |low: f64, high: f64| {
         verdict(
             MANY,
@@ -398,7 +398,7 @@ fn a_claim_for_many_n_must_hold_at_each() {
 
 #[test]
 fn policies_without_runs_are_named() {
-    const ABSENT: &[Claim] = &[claim("dt", At(250), Own, Statement::About(1.0))];
+    const ABSENT: &[Claim] = &[claim("dt", At(250), Mean, Statement::About(1.0))];
     let judgement = judged(&topic(ABSENT), &[("knn", 250, &[1.0])]);
     assert_eq!(judgement.verdict, Verdict::NotRun);
     assert!(judgement.findings.is_empty());

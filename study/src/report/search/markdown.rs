@@ -1,16 +1,18 @@
-//! The search as Markdown.
+//! The search as Markdown: a whole file ([`markdown`]), sections of a page ([`page_sections`]), and the ranking as
+//! cells for the terminal. Section names are marks in `docs/reproduction.md`.
 
 use std::fmt::Write as _;
 
 use super::super::judge::Verdict;
-use super::super::markdown::{cell, folded, lower, made};
-use super::super::notes::{absent, verdict};
-use super::super::page_sections::{PageSection, wrapped};
-use super::super::phrasing::number;
-use super::{ClaimSplit, RankedSetting, SettingSearch};
+use super::super::markdown::{demote_headings, escape_cell, origin_section, without_heading_wrapped};
+use super::super::notes::{describe_missing_runs, verdict_cell};
+use super::super::page_sections::{PageSection, wrap_text};
+use super::super::phrasing::format_number;
+use super::{ClaimCounts, ClaimHalf, RankedSetting, SettingSearch};
 
 /// Explanation of the ranking and of its limits.
-pub(crate) const RULE: &str = "Every claim has a number, in the order of the report. Settings are ranked by the claims \
+pub(crate) const RANKING_RULE: &str =
+    "Every claim has a number, in the order of the report. Settings are ranked by the claims \
     with even numbers alone: by how many are reproduced, then by how many are within 20 %. The claims with odd numbers \
     do not affect the rank; the number of them that a setting meets shows whether its rank is more than luck. Claims \
     that were not run do not count. Each verdict is independent of the other claims. Both halves come from the same \
@@ -19,57 +21,65 @@ pub(crate) const RULE: &str = "Every claim has a number, in the order of the rep
 /// Renders the whole page, with the first `count` settings and the presets.
 pub fn markdown(search: &SettingSearch<'_>, count: usize, command: &str) -> String {
     let mut out = String::from("# Which settings meet most of the paper's claims\n\n");
-    for line in summary(search).into_iter().chain(absent(&search.report)) {
+    for line in summary(search).into_iter().chain(describe_missing_runs(&search.report)) {
         let _ = writeln!(out, "- {line}");
     }
-    let _ = writeln!(out, "\n{RULE}\n\n## Settings\n");
-    out.push_str(&ranking(search, count));
-    out.push_str(&effects(search));
-    out.push_str(&unmet(search));
-    out.push_str(&verdicts(search));
-    out.push_str(&made(&search.report, command));
+    let _ = writeln!(out, "\n{RANKING_RULE}\n\n## Settings\n");
+    out.push_str(&ranking_table(search, count));
+    out.push_str(&effects_section(search));
+    out.push_str(&unmet_section(search));
+    out.push_str(&verdicts_section(search));
+    out.push_str(&origin_section(&search.report, command));
     out
 }
 
 /// Renders the search as sections of a page, with the first `count` settings and the presets.
-pub fn parts(search: &SettingSearch<'_>, count: usize, command: &str) -> Vec<PageSection> {
+pub fn page_sections(search: &SettingSearch<'_>, count: usize, command: &str) -> Vec<PageSection> {
     let untitled = |text: String| {
-        lower(
+        demote_headings(
             text.split_once("## ")
                 .and_then(|(_, rest)| rest.split_once('\n'))
                 .map_or("", |(_, body)| body),
         )
     };
     vec![
-        PageSection::list("search", summary(search).into_iter().chain(absent(&search.report))),
-        PageSection::new("search-rule", wrapped(RULE, "")),
-        PageSection::new("search-settings", ranking(search, count)),
-        PageSection::new("search-effects", untitled(effects(search))),
-        PageSection::new("search-unmet", untitled(unmet(search))),
-        PageSection::new("search-claims", untitled(verdicts(search))),
-        PageSection::new("search-made", folded(&made(&search.report, command))),
+        PageSection::list(
+            "search",
+            summary(search).into_iter().chain(describe_missing_runs(&search.report)),
+        ),
+        PageSection::new("search-rule", wrap_text(RANKING_RULE, "")),
+        PageSection::new("search-settings", ranking_table(search, count)),
+        PageSection::new("search-effects", untitled(effects_section(search))),
+        PageSection::new("search-unmet", untitled(unmet_section(search))),
+        PageSection::new("search-claims", untitled(verdicts_section(search))),
+        PageSection::new(
+            "search-made",
+            without_heading_wrapped(&origin_section(&search.report, command)),
+        ),
     ]
 }
 
 /// Summarises the search and its result, one sentence an item.
 pub fn summary(search: &SettingSearch<'_>) -> Vec<String> {
-    let [met, unmet, absent] = search.counts();
+    let ClaimCounts { met, unmet, not_run } = search.counts();
     let runs: usize = search.report.columns.iter().map(|c| c.condition.run_count()).sum();
-    let lines = &search.report.lines;
-    let halves = [ClaimSplit::Search, ClaimSplit::HeldOut].map(|half| {
-        let numbered = (1..).zip(lines).filter(|(number, _)| ClaimSplit::of(*number) == half);
-        numbered.filter(|(_, line)| line.is_run()).count()
+    let rows = &search.report.rows;
+    let halves = [ClaimHalf::Search, ClaimHalf::HeldOut].map(|half| {
+        let of_half = (1..)
+            .zip(rows)
+            .filter(|(number, _)| ClaimHalf::of_number(*number) == half);
+        of_half.filter(|(_, row)| row.has_runs()).count()
     });
     let mut sentences = vec![
         format!(
             "{} settings, {runs} runs; {} claims, of which {} were run: {} to search by, {} held out.",
             search.settings.len(),
-            lines.len(),
+            rows.len(),
             met + unmet,
             halves[0],
             halves[1]
         ),
-        format!("{met} claims are met by some setting, {unmet} by none, {absent} were not run."),
+        format!("{met} claims are met by some setting, {unmet} by none, {not_run} were not run."),
     ];
     if let Some(best) = search.settings.first() {
         sentences.push(format!(
@@ -79,21 +89,21 @@ pub fn summary(search: &SettingSearch<'_>) -> Vec<String> {
             best.search.judged,
             best.held_out.met,
             best.held_out.judged,
-            best.held_out_place,
+            best.held_out_rank,
             search.settings.len()
         ));
     }
-    if let Some(together) = search.correlation() {
+    if let Some(correlation) = search.correlation() {
         sentences.push(format!(
-            "Over all settings, the numbers of claims met in the two halves have a correlation of {together:.2}."
+            "Over all settings, the numbers of claims met in the two halves have a correlation of {correlation:.2}."
         ));
     }
     sentences
 }
 
 /// Headings of the ranking: its own columns, then the fields in which settings differ.
-pub fn heads(search: &SettingSearch<'_>) -> Vec<String> {
-    let own = [
+pub fn ranking_heads(search: &SettingSearch<'_>) -> Vec<String> {
+    let ranking = [
         "place",
         "met",
         "within 20 %",
@@ -103,26 +113,26 @@ pub fn heads(search: &SettingSearch<'_>) -> Vec<String> {
         "of",
         "place",
     ];
-    let own = own.map(str::to_owned).into_iter();
+    let ranking = ranking.map(str::to_owned).into_iter();
     let fields = search.fields().into_iter().map(str::to_owned);
-    own.chain(["setting".to_owned()]).chain(fields).collect()
+    ranking.chain(["setting".to_owned()]).chain(fields).collect()
 }
 
-/// Formats a row of the ranking, in the order of [`heads`].
-pub fn row(search: &SettingSearch<'_>, setting: &RankedSetting) -> Vec<String> {
-    let (chosen, checked) = (setting.search, setting.held_out);
+/// Formats a row of the ranking, in the order of [`ranking_heads`].
+pub fn ranking_row(search: &SettingSearch<'_>, setting: &RankedSetting) -> Vec<String> {
+    let (search_score, held_out_score) = (setting.search, setting.held_out);
     let numbers = [
-        setting.place,
-        chosen.met,
-        chosen.near,
-        chosen.judged,
-        checked.met,
-        checked.near,
-        checked.judged,
-        setting.held_out_place,
+        setting.rank,
+        search_score.met,
+        search_score.near,
+        search_score.judged,
+        held_out_score.met,
+        held_out_score.near,
+        held_out_score.judged,
+        setting.held_out_rank,
     ];
     let condition = search.report.columns[setting.column].condition;
-    let name = if condition.is_plain() {
+    let name = if condition.is_unchanged_preset() {
         condition.preset.clone()
     } else {
         String::new()
@@ -135,7 +145,7 @@ pub fn row(search: &SettingSearch<'_>, setting: &RankedSetting) -> Vec<String> {
 
 fn table(heads: &[String], rows: impl Iterator<Item = Vec<String>>) -> String {
     let line = |cells: &[String]| {
-        let cells: Vec<String> = cells.iter().map(|text| cell(text)).collect();
+        let cells: Vec<String> = cells.iter().map(|text| escape_cell(text)).collect();
         format!("| {} |\n", cells.join(" | "))
     };
     let mut out = line(heads);
@@ -144,9 +154,12 @@ fn table(heads: &[String], rows: impl Iterator<Item = Vec<String>>) -> String {
     out
 }
 
-fn ranking(search: &SettingSearch<'_>, count: usize) -> String {
-    let shown: Vec<&RankedSetting> = search.shown(count).collect();
-    let mut out = table(&heads(search), shown.iter().map(|setting| row(search, setting)));
+fn ranking_table(search: &SettingSearch<'_>, count: usize) -> String {
+    let shown: Vec<&RankedSetting> = search.settings_to_show(count).collect();
+    let mut out = table(
+        &ranking_heads(search),
+        shown.iter().map(|setting| ranking_row(search, setting)),
+    );
     match search.settings.len() - shown.len() {
         0 => {}
         1 => out.push_str("\nOne more setting is not shown.\n"),
@@ -157,7 +170,7 @@ fn ranking(search: &SettingSearch<'_>, count: usize) -> String {
     out
 }
 
-fn effects(search: &SettingSearch<'_>) -> String {
+fn effects_section(search: &SettingSearch<'_>) -> String {
     let effects = search.effects();
     if effects.is_empty() {
         return String::new();
@@ -175,10 +188,10 @@ fn effects(search: &SettingSearch<'_>) -> String {
         vec![
             format!("`{}`", effect.field),
             effect.value,
-            effect.settings.to_string(),
-            number(effect.search),
-            effect.best.to_string(),
-            number(effect.held_out),
+            effect.setting_count.to_string(),
+            format_number(effect.mean_met_search),
+            effect.most_met_search.to_string(),
+            format_number(effect.mean_met_held_out),
         ]
     });
     format!(
@@ -187,39 +200,39 @@ fn effects(search: &SettingSearch<'_>) -> String {
     )
 }
 
-fn unmet(search: &SettingSearch<'_>) -> String {
-    let unmet = search.unmet();
-    if unmet.is_empty() {
+fn unmet_section(search: &SettingSearch<'_>) -> String {
+    let claims = search.unmet();
+    if claims.is_empty() {
         return String::new();
     }
     let heads = [
         "claim", "figure", "policy", "N", "of", "stated", "closest", "verdict", "setting", "why",
     ];
     let heads = heads.map(str::to_owned);
-    let rows = unmet.into_iter().map(|unmet| {
-        let (line, closest) = (unmet.line, unmet.closest);
-        let ours = &line.ours[closest];
+    let rows = claims.into_iter().map(|claim| {
+        let (row, closest) = (claim.row, claim.closest);
+        let assessment = &row.assessments[closest];
         vec![
-            unmet.number.to_string(),
-            line.source.to_owned(),
-            line.policy.clone(),
-            line.sites.clone(),
-            line.about.clone(),
-            line.paper.clone(),
-            ours.found.clone(),
-            verdict(line, closest),
+            claim.number.to_string(),
+            row.paper_figure.to_owned(),
+            row.policy.clone(),
+            row.device_counts.clone(),
+            row.metric_description.clone(),
+            row.stated.clone(),
+            assessment.measured.clone(),
+            verdict_cell(row, closest),
             search.label(closest).to_owned(),
-            ours.why.clone(),
+            assessment.explanation.clone(),
         ]
     });
     format!("\n## Claims that no setting meets\n\n{}", table(&heads, rows))
 }
 
 /// Lists every claim, its half, the number of settings that meet it, and its verdicts under presets and best setting.
-fn verdicts(search: &SettingSearch<'_>) -> String {
+fn verdicts_section(search: &SettingSearch<'_>) -> String {
     let best = search.settings.first().map(|setting| setting.column);
-    // With a count of 0, `shown` yields only the presets.
-    let presets = search.shown(0).map(|setting| setting.column);
+    // With a count of 0, `settings_to_show` yields only the presets.
+    let presets = search.settings_to_show(0).map(|setting| setting.column);
     let mut columns: Vec<usize> = presets.collect();
     columns.sort_unstable();
     columns.extend(best.filter(|best| !columns.contains(best)));
@@ -235,29 +248,29 @@ fn verdicts(search: &SettingSearch<'_>) -> String {
     ];
     let mut heads: Vec<String> = heads.map(str::to_owned).to_vec();
     heads.extend(columns.iter().map(|column| search.label(*column).to_owned()));
-    let lines = (1..).zip(&search.report.lines).filter(|(_, line)| line.is_run());
-    let rows = lines.map(|(at, line)| {
-        let met = line
-            .ours
+    let numbered_rows = (1..).zip(&search.report.rows).filter(|(_, row)| row.has_runs());
+    let table_rows = numbered_rows.map(|(number, row)| {
+        let setting_count = row
+            .assessments
             .iter()
-            .filter(|ours| ours.verdict == Verdict::Reproduced)
+            .filter(|assessment| assessment.verdict == Verdict::Reproduced)
             .count();
-        let mut row = vec![
-            at.to_string(),
-            ClaimSplit::of(at).words().to_owned(),
-            line.source.to_owned(),
-            line.policy.clone(),
-            line.sites.clone(),
-            line.about.clone(),
-            line.paper.clone(),
-            met.to_string(),
+        let mut cells = vec![
+            number.to_string(),
+            ClaimHalf::of_number(number).name().to_owned(),
+            row.paper_figure.to_owned(),
+            row.policy.clone(),
+            row.device_counts.clone(),
+            row.metric_description.clone(),
+            row.stated.clone(),
+            setting_count.to_string(),
         ];
-        let found = |column: &usize| match verdict(line, *column) {
-            verdict if line.ours[*column].found.is_empty() => verdict,
-            verdict => format!("{verdict}: {}", line.ours[*column].found),
+        let verdict_and_value = |column: &usize| match verdict_cell(row, *column) {
+            verdict if row.assessments[*column].measured.is_empty() => verdict,
+            verdict => format!("{verdict}: {}", row.assessments[*column].measured),
         };
-        row.extend(columns.iter().map(found));
-        row
+        cells.extend(columns.iter().map(verdict_and_value));
+        cells
     });
-    format!("\n## Claim by claim\n\n{}", table(&heads, rows))
+    format!("\n## Claim by claim\n\n{}", table(&heads, table_rows))
 }

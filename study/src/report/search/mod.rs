@@ -1,10 +1,11 @@
 //! Search over the parameters that the paper leaves unstated, for the settings that meet most of its claims.
 //!
 //! Settings are the columns of a [`ClaimReport`], judged by the report's rule. Claims are numbered from 1 in the
-//! report's order, run or not. Even claims choose: settings rank by the number reproduced, then by the number within 20
-//! %. Odd claims check: they do not affect the ranking, so a setting chosen by luck does no better there than others.
-//! The verdicts *reproduced* and *within 20 %* never depend on another claim, so the halves are independent. A
-//! reproduced order does not count, since orders are derived from several claims.
+//! report's order, run or not. Claims with even numbers are the search half: settings rank by the number of them that
+//! are reproduced, then by the number within 20 %. Claims with odd numbers are held out: they do not affect the
+//! ranking, so a setting chosen by luck does no better there than others. A claim added in the middle moves all later
+//! claims to the other half. The verdicts *reproduced* and *within 20 %* never depend on another claim. A reproduced
+//! order does not count, since orders are derived from several claims.
 //!
 //! Limits: both halves come from the same runs, and claims of one sentence about several policies fall into both.
 
@@ -15,16 +16,16 @@ use super::{ClaimReport, ClaimRow, PRESETS};
 
 /// One half of the claims.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ClaimSplit {
-    /// Claims with even numbers, which rank the settings.
+pub enum ClaimHalf {
+    /// Claims with even numbers, by which settings rank.
     Search,
-    /// Claims with odd numbers, which check the ranking.
+    /// Claims with odd numbers, which do not affect the rank.
     HeldOut,
 }
 
-impl ClaimSplit {
+impl ClaimHalf {
     /// Returns the half of the claim with this number, from 1.
-    pub const fn of(number: usize) -> Self {
+    pub const fn of_number(number: usize) -> Self {
         if number.is_multiple_of(2) {
             Self::Search
         } else {
@@ -33,7 +34,7 @@ impl ClaimSplit {
     }
 
     /// Name of the half.
-    pub const fn words(self) -> &'static str {
+    pub const fn name(self) -> &'static str {
         match self {
             Self::Search => "search",
             Self::HeldOut => "held out",
@@ -43,7 +44,7 @@ impl ClaimSplit {
 
 /// Number of claims in a half that a setting meets.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct SplitScore {
+pub struct HalfScore {
     /// Claims reproduced.
     pub met: usize,
     /// Claims within 20 %.
@@ -52,25 +53,25 @@ pub struct SplitScore {
     pub judged: usize,
 }
 
-impl SplitScore {
-    /// Counts the score of column `column` over `half` of `lines`.
-    pub fn of(lines: &[ClaimRow], column: usize, half: ClaimSplit) -> Self {
-        let own = || {
+impl HalfScore {
+    /// Counts the score of column `column` over `half` of `rows`.
+    pub fn of_column(rows: &[ClaimRow], column: usize, half: ClaimHalf) -> Self {
+        let verdicts = || {
             let numbered = (1..)
-                .zip(lines)
-                .filter(move |(number, _)| ClaimSplit::of(*number) == half);
-            numbered.map(move |(_, line)| line.ours[column].verdict)
+                .zip(rows)
+                .filter(move |(number, _)| ClaimHalf::of_number(*number) == half);
+            numbered.map(move |(_, row)| row.assessments[column].verdict)
         };
-        let count = |wanted: Verdict| own().filter(|verdict| *verdict == wanted).count();
+        let count = |wanted: Verdict| verdicts().filter(|verdict| *verdict == wanted).count();
         Self {
             met: count(Verdict::Reproduced),
             near: count(Verdict::Near),
-            judged: own().filter(|verdict| *verdict != Verdict::NotRun).count(),
+            judged: verdicts().filter(|verdict| *verdict != Verdict::NotRun).count(),
         }
     }
 
     /// Sort key for the ranking.
-    const fn key(self) -> (usize, usize) {
+    const fn ranking_key(self) -> (usize, usize) {
         (self.met, self.near)
     }
 }
@@ -80,14 +81,14 @@ impl SplitScore {
 pub struct RankedSetting {
     /// Column in the report.
     pub column: usize,
-    /// Score by the claims that rank.
-    pub search: SplitScore,
-    /// Place by that score, from 1; equal scores share a place.
-    pub place: usize,
-    /// Score by the claims that check.
-    pub held_out: SplitScore,
-    /// Place by the checking score.
-    pub held_out_place: usize,
+    /// Score in the search half.
+    pub search: HalfScore,
+    /// Rank by that score, from 1; equal scores share a rank.
+    pub rank: usize,
+    /// Score in the held-out half.
+    pub held_out: HalfScore,
+    /// Rank by that score.
+    pub held_out_rank: usize,
 }
 
 /// A claim that no setting meets, with the closest setting.
@@ -96,8 +97,8 @@ pub(crate) struct UnmetClaim<'s> {
     /// Number of the claim.
     pub number: usize,
     /// The claim.
-    pub line: &'s ClaimRow,
-    /// Column of the closest setting, by [`super::Assessment::off`].
+    pub row: &'s ClaimRow,
+    /// Column of the closest setting, by [`super::Assessment::deviation`].
     pub closest: usize,
 }
 
@@ -109,13 +110,24 @@ pub(crate) struct FieldEffect {
     /// Value of the field.
     pub value: String,
     /// Number of settings with this value.
-    pub settings: usize,
+    pub setting_count: usize,
     /// Mean number of claims that they meet in the search half.
-    pub search: f64,
+    pub mean_met_search: f64,
     /// Largest number of claims that one of them meets in the search half.
-    pub best: usize,
+    pub most_met_search: usize,
     /// Mean number of claims that they meet in the held-out half.
-    pub held_out: f64,
+    pub mean_met_held_out: f64,
+}
+
+/// Numbers of claims over all settings.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ClaimCounts {
+    /// Claims that some setting meets.
+    pub met: usize,
+    /// Claims that were run and that no setting meets.
+    pub unmet: usize,
+    /// Claims without runs.
+    pub not_run: usize,
 }
 
 /// Result of the search.
@@ -123,38 +135,38 @@ pub(crate) struct FieldEffect {
 pub struct SettingSearch<'r> {
     /// All settings, and the claims.
     pub report: ClaimReport<'r>,
-    /// Settings, best first. Equal scores are in the order of the tables, presets first.
+    /// Settings, best first. Equal scores are in the order of the report's columns, which starts with the presets.
     pub settings: Vec<RankedSetting>,
 }
 
 impl<'r> SettingSearch<'r> {
     /// Ranks the settings of `report`.
     pub fn new(report: ClaimReport<'r>) -> Self {
-        let scores = |half: ClaimSplit| -> Vec<SplitScore> {
+        let scores = |half: ClaimHalf| -> Vec<HalfScore> {
             let columns = 0..report.columns.len();
             columns
-                .map(|column| SplitScore::of(&report.lines, column, half))
+                .map(|column| HalfScore::of_column(&report.rows, column, half))
                 .collect()
         };
-        let (search, held_out) = (scores(ClaimSplit::Search), scores(ClaimSplit::HeldOut));
+        let (search, held_out) = (scores(ClaimHalf::Search), scores(ClaimHalf::HeldOut));
         let mut settings: Vec<RankedSetting> = (0..report.columns.len())
             .map(|column| RankedSetting {
                 column,
                 search: search[column],
-                place: place(&search, column),
+                rank: rank(&search, column),
                 held_out: held_out[column],
-                held_out_place: place(&held_out, column),
+                held_out_rank: rank(&held_out, column),
             })
             .collect();
-        settings.sort_by_key(|setting| (setting.place, setting.column));
+        settings.sort_by_key(|setting| (setting.rank, setting.column));
         Self { report, settings }
     }
 
     /// Iterates over the settings to show: the first `count` of the ranking, and the presets at any rank.
-    pub fn shown(&self, count: usize) -> impl Iterator<Item = &RankedSetting> {
+    pub fn settings_to_show(&self, count: usize) -> impl Iterator<Item = &RankedSetting> {
         let is_preset = |setting: &RankedSetting| PRESETS.contains(&self.label(setting.column));
-        let all = self.settings.iter().enumerate();
-        let shown = all.filter(move |(at, setting)| *at < count || is_preset(setting));
+        let ranked = self.settings.iter().enumerate();
+        let shown = ranked.filter(move |(index, setting)| *index < count || is_preset(setting));
         shown.map(|(_, setting)| setting)
     }
 
@@ -165,26 +177,36 @@ impl<'r> SettingSearch<'r> {
 
     /// Lists the claims that were run under some setting but are met by none.
     pub(crate) fn unmet(&self) -> Vec<UnmetClaim<'_>> {
-        let lines = (1..).zip(&self.report.lines);
-        let is_met = |line: &ClaimRow| line.ours.iter().any(|ours| ours.verdict == Verdict::Reproduced);
-        let unmet = lines.filter(|(_, line)| line.is_run() && !is_met(line));
-        let closest = |line: &ClaimRow| {
-            let run = line.ours.iter().enumerate();
-            let run = run.filter(|(_, ours)| ours.verdict != Verdict::NotRun);
-            run.min_by(|a, b| a.1.off.total_cmp(&b.1.off)).map(|(column, _)| column)
+        let numbered = (1..).zip(&self.report.rows);
+        let is_met = |row: &ClaimRow| {
+            row.assessments
+                .iter()
+                .any(|assessment| assessment.verdict == Verdict::Reproduced)
         };
-        let unmet = unmet.filter_map(|(number, line)| {
-            let closest = closest(line)?;
-            Some(UnmetClaim { number, line, closest })
+        let unmet = numbered.filter(|(_, row)| row.has_runs() && !is_met(row));
+        let closest = |row: &ClaimRow| {
+            let judged = row.assessments.iter().enumerate();
+            let judged = judged.filter(|(_, assessment)| assessment.verdict != Verdict::NotRun);
+            judged
+                .min_by(|a, b| a.1.deviation.total_cmp(&b.1.deviation))
+                .map(|(column, _)| column)
+        };
+        let unmet = unmet.filter_map(|(number, row)| {
+            let closest = closest(row)?;
+            Some(UnmetClaim { number, row, closest })
         });
         unmet.collect()
     }
 
-    /// Counts the claims met by some setting, those met by none, and those not run.
-    pub fn counts(&self) -> [usize; 3] {
+    /// Counts the claims.
+    pub fn counts(&self) -> ClaimCounts {
         let unmet = self.unmet().len();
-        let absent = self.report.lines.iter().filter(|line| !line.is_run()).count();
-        [self.report.lines.len() - unmet - absent, unmet, absent]
+        let not_run = self.report.rows.iter().filter(|row| !row.has_runs()).count();
+        ClaimCounts {
+            met: self.report.rows.len() - unmet - not_run,
+            unmet,
+            not_run,
+        }
     }
 
     /// Computes Pearson's correlation, over all settings, between the numbers of claims met in the two halves, `[-1,
@@ -196,16 +218,27 @@ impl<'r> SettingSearch<'r> {
                 .map(|s| (s.search.met as f64, s.held_out.met as f64))
         };
         let count = self.settings.len() as f64;
-        let (a, b) = pairs().fold((0.0, 0.0), |(a, b), (x, y)| (a + x / count, b + y / count));
-        let of = |product: &dyn Fn(f64, f64) -> f64| pairs().map(|(x, y)| product(x - a, y - b)).sum::<f64>();
-        let spread = of(&|x, _| x * x) * of(&|_, y| y * y);
-        (spread > 0.0).then(|| of(&|x, y| x * y) / spread.sqrt())
+        let (mean_search, mean_held_out) = pairs().fold((0.0, 0.0), |(mean_search, mean_held_out), (x, y)| {
+            (mean_search + x / count, mean_held_out + y / count)
+        });
+        let co_moment = |product: &dyn Fn(f64, f64) -> f64| {
+            pairs()
+                .map(|(x, y)| product(x - mean_search, y - mean_held_out))
+                .sum::<f64>()
+        };
+        let variance_product = co_moment(&|x, _| x * x) * co_moment(&|_, y| y * y);
+        (variance_product > 0.0).then(|| co_moment(&|x, y| x * y) / variance_product.sqrt())
     }
 
     /// Names of the fields in which settings differ.
     pub fn fields(&self) -> Vec<&str> {
         let mut fields: Vec<&str> = Vec::new();
-        for (path, _) in self.report.columns.iter().flat_map(|column| column.condition.changed()) {
+        for (path, _) in self
+            .report
+            .columns
+            .iter()
+            .flat_map(|column| column.condition.all_changes())
+        {
             let is_known = fields.contains(&path.as_str());
             if !is_known && self.values(path).len() > 1 {
                 fields.push(path);
@@ -214,14 +247,14 @@ impl<'r> SettingSearch<'r> {
         fields
     }
 
-    /// Value of `field` in a column; `None` if it equals the preset's.
+    /// Value of `field` in a column; `None` for the value of the setting's own preset.
     pub fn value(&self, column: usize, field: &str) -> Option<&str> {
-        let mut changed = self.report.columns[column].condition.changed();
+        let mut changed = self.report.columns[column].condition.all_changes();
         let own = changed.find(|(path, _)| path == field);
         own.map(|(_, value)| value.as_str())
     }
 
-    /// Values of `field` over all settings, in the order of the tables; `None` is the presets' value.
+    /// Values of `field` over all settings, in the order of the columns; `None` is the value of a setting's own preset.
     fn values(&self, field: &str) -> Vec<Option<&str>> {
         let mut values = Vec::new();
         for column in 0..self.report.columns.len() {
@@ -233,22 +266,22 @@ impl<'r> SettingSearch<'r> {
         values
     }
 
-    /// Computes the effect of each value of each swept field.
+    /// Computes the effect of each value, other than the presets', of each swept field.
     pub(crate) fn effects(&self) -> Vec<FieldEffect> {
-        let of = |field: &str, value: &str| {
-            let has = |setting: &&RankedSetting| self.value(setting.column, field) == Some(value);
-            let own: Vec<&RankedSetting> = self.settings.iter().filter(has).collect();
-            let mean = |met: fn(&RankedSetting) -> usize| {
-                let sum: usize = own.iter().map(|setting| met(setting)).sum();
-                sum as f64 / own.len() as f64
+        let effect = |field: &str, value: &str| {
+            let has_value = |setting: &&RankedSetting| self.value(setting.column, field) == Some(value);
+            let with_value: Vec<&RankedSetting> = self.settings.iter().filter(has_value).collect();
+            let mean = |count: fn(&RankedSetting) -> usize| {
+                let sum: usize = with_value.iter().map(|setting| count(setting)).sum();
+                sum as f64 / with_value.len() as f64
             };
             FieldEffect {
                 field: field.to_owned(),
                 value: value.to_owned(),
-                settings: own.len(),
-                search: mean(|setting| setting.search.met),
-                best: own.iter().map(|setting| setting.search.met).max().unwrap_or(0),
-                held_out: mean(|setting| setting.held_out.met),
+                setting_count: with_value.len(),
+                mean_met_search: mean(|setting| setting.search.met),
+                most_met_search: with_value.iter().map(|setting| setting.search.met).max().unwrap_or(0),
+                mean_met_held_out: mean(|setting| setting.held_out.met),
             }
         };
         let fields = self.fields().into_iter();
@@ -258,13 +291,16 @@ impl<'r> SettingSearch<'r> {
                 .flatten()
                 .map(move |value| (field, value))
         });
-        pairs.map(|(field, value)| of(field, value)).collect()
+        pairs.map(|(field, value)| effect(field, value)).collect()
     }
 }
 
-/// Place of the score of `column` among `scores`, from 1.
-fn place(scores: &[SplitScore], column: usize) -> usize {
-    1 + scores.iter().filter(|score| score.key() > scores[column].key()).count()
+/// Rank of the score of `column` among `scores`, from 1.
+fn rank(scores: &[HalfScore], column: usize) -> usize {
+    1 + scores
+        .iter()
+        .filter(|score| score.ranking_key() > scores[column].ranking_key())
+        .count()
 }
 
 #[cfg(test)]

@@ -49,7 +49,7 @@ fn settings_that_meet_more_claims_come_first() {
     let results = results(&[(0.3, ELSEWHERE), (0.1, NEXT_TO_IT), (0.4, AS_STATED)]);
     let search = SettingSearch::new(ClaimReport::new(&results));
     assert_eq!(alphas(&search), ["0.4", "0.1", "0.3"]);
-    let places: Vec<usize> = search.settings.iter().map(|setting| setting.place).collect();
+    let places: Vec<usize> = search.settings.iter().map(|setting| setting.rank).collect();
     assert_eq!(places, [1, 2, 3]);
     let met: Vec<usize> = search.settings.iter().map(|setting| setting.search.met).collect();
     assert!(met[0] > met[1] && met[1] > met[2], "{met:?}");
@@ -61,32 +61,32 @@ fn a_score_counts_the_verdicts_of_its_half_by_number() {
     let search = SettingSearch::new(ClaimReport::new(&results));
     for setting in &search.settings {
         let (mut even, mut odd) = ([0; 3], [0; 3]);
-        for (index, line) in search.report.lines.iter().enumerate() {
+        for (index, line) in search.report.rows.iter().enumerate() {
             // The first claim has the number 1.
             let half = if index % 2 == 1 { &mut even } else { &mut odd };
-            match line.ours[setting.column].verdict {
+            match line.assessments[setting.column].verdict {
                 Verdict::Reproduced => (half[0], half[2]) = (half[0] + 1, half[2] + 1),
                 Verdict::Near => (half[1], half[2]) = (half[1] + 1, half[2] + 1),
                 Verdict::OrderReproduced | Verdict::NotReproduced => half[2] += 1,
                 Verdict::NotRun => {}
             }
         }
-        let SplitScore { met, near, judged } = setting.search;
+        let HalfScore { met, near, judged } = setting.search;
         assert_eq!([met, near, judged], even);
-        let SplitScore { met, near, judged } = setting.held_out;
+        let HalfScore { met, near, judged } = setting.held_out;
         assert_eq!([met, near, judged], odd);
         assert!(even[2] > 5 && odd[2] > 5, "both halves were run");
     }
 }
 
 /// Returns the ranking after the verdicts of one half are set to the worst.
-fn ranked_without(search: &SettingSearch<'_>, half: ClaimSplit) -> Vec<usize> {
+fn ranked_without(search: &SettingSearch<'_>, half: ClaimHalf) -> Vec<usize> {
     let mut report = search.report.clone();
-    for (number, line) in (1..).zip(&mut report.lines) {
-        if ClaimSplit::of(number) == half {
-            for ours in &mut line.ours {
+    for (number, line) in (1..).zip(&mut report.rows) {
+        if ClaimHalf::of_number(number) == half {
+            for ours in &mut line.assessments {
                 ours.verdict = Verdict::NotReproduced;
-                ours.off = f64::INFINITY;
+                ours.deviation = f64::INFINITY;
             }
         }
     }
@@ -99,10 +99,10 @@ fn the_held_out_half_does_not_affect_the_ranking() {
     let results = results(&[(0.3, ELSEWHERE), (0.1, NEXT_TO_IT), (0.4, AS_STATED)]);
     let search = SettingSearch::new(ClaimReport::new(&results));
     let ranked: Vec<usize> = search.settings.iter().map(|setting| setting.column).collect();
-    assert_eq!(ranked_without(&search, ClaimSplit::HeldOut), ranked);
+    assert_eq!(ranked_without(&search, ClaimHalf::HeldOut), ranked);
     let unranked: Vec<usize> = (0..search.settings.len()).collect();
     assert_eq!(
-        ranked_without(&search, ClaimSplit::Search),
+        ranked_without(&search, ClaimHalf::Search),
         unranked,
         "nothing else ranks"
     );
@@ -114,10 +114,10 @@ fn equal_scores_share_a_place_and_presets_are_always_shown() {
     // λ = 0.1 is the preset's; the two settings before it are better and equal.
     let results = results(&[(0.3, AS_STATED), (0.4, AS_STATED), (0.2, ELSEWHERE)]);
     let search = SettingSearch::new(ClaimReport::new(&results));
-    let places: Vec<usize> = search.settings.iter().map(|setting| setting.place).collect();
+    let places: Vec<usize> = search.settings.iter().map(|setting| setting.rank).collect();
     assert_eq!(places, [1, 1, 3]);
     assert_eq!(search.label(search.settings[2].column), "paper");
-    let shown: Vec<usize> = search.shown(1).map(|setting| setting.place).collect();
+    let shown: Vec<usize> = search.settings_to_show(1).map(|setting| setting.rank).collect();
     assert_eq!(shown, [1, 3], "the best and the preset");
     let page = markdown(&search, 1, "reveille report search a");
     assert!(page.contains("One more setting is not shown"), "{page}");
@@ -132,19 +132,22 @@ fn unmet_claims_have_the_closest_value() {
     let unmet = search.unmet();
     let own = unmet
         .iter()
-        .find(|unmet| unmet.line.policy == "random" && unmet.line.paper == "> 0.18");
+        .find(|unmet| unmet.row.policy == "random" && unmet.row.stated == "> 0.18");
     let own = own.expect("0.1 and 0.17 are not above 0.18");
     assert_eq!(search.value(own.closest, "events.alpha"), Some("0.4"));
-    assert!(own.line.ours[own.closest].found.starts_with("0.170"), "{own:?}");
-    assert!(search.report.lines[own.number - 1] == *own.line);
+    assert!(
+        own.row.assessments[own.closest].measured.starts_with("0.170"),
+        "{own:?}"
+    );
+    assert!(search.report.rows[own.number - 1] == *own.row);
     assert!(
         !unmet
             .iter()
-            .any(|unmet| unmet.line.paper == "≈ 0.145" && unmet.line.policy == "knn")
+            .any(|unmet| unmet.row.stated == "≈ 0.145" && unmet.row.policy == "knn")
     );
-    let [met, none, absent] = search.counts();
-    assert_eq!(met + none + absent, search.report.lines.len());
-    assert_eq!(none, unmet.len());
+    let counts = search.counts();
+    assert_eq!(counts.met + counts.unmet + counts.not_run, search.report.rows.len());
+    assert_eq!(counts.unmet, unmet.len());
     let page = markdown(&search, 20, "reveille report search a");
     assert!(
         page.contains(&format!("| {} | Fig. 8 | random | N = 250 |", own.number)),
@@ -161,13 +164,16 @@ fn a_value_has_the_mean_of_its_settings() {
         panic!("{effects:?}")
     };
     assert_eq!(
-        (first.field.as_str(), first.value.as_str(), first.settings),
+        (first.field.as_str(), first.value.as_str(), first.setting_count),
         ("events.alpha", "0.3", 1)
     );
     let best = &search.settings[0];
-    assert_eq!((second.value.as_str(), second.best), ("0.4", best.search.met));
-    assert!((second.search - best.search.met as f64).abs() < 1e-12);
-    assert!((second.held_out - best.held_out.met as f64).abs() < 1e-12);
+    assert_eq!(
+        (second.value.as_str(), second.most_met_search),
+        ("0.4", best.search.met)
+    );
+    assert!((second.mean_met_search - best.search.met as f64).abs() < 1e-12);
+    assert!((second.mean_met_held_out - best.held_out.met as f64).abs() < 1e-12);
 }
 
 #[test]
@@ -192,7 +198,7 @@ fn the_parts_of_a_page_hold_what_the_page_of_the_search_holds() {
     let results = results(&[(0.3, ELSEWHERE), (0.4, AS_STATED)]);
     let search = SettingSearch::new(ClaimReport::new(&results));
     let whole = markdown(&search, 5, "command");
-    for part in super::markdown::parts(&search, 5, "command") {
+    for part in super::markdown::page_sections(&search, 5, "command") {
         let rows = part.body.lines().filter(|line| line.starts_with("| "));
         assert!(rows.clone().all(|row| whole.contains(row)), "{}", part.name);
         assert!(

@@ -1,4 +1,5 @@
-//! Selection of the devices to put in S1, whose looks are worth more than they cost.
+//! Selection of the devices to put in S1, whose looks are worth more than they cost. `age-index`, `dt` and `q-learning`
+//! with ages plan by it. Ties and the order of evaluations are part of the result.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
@@ -11,7 +12,7 @@ use super::Ages;
 
 /// Number of rounds of replacing chosen devices. The first round brings most of the improvement, rounds after the
 /// second hardly any.
-const ROUNDS: usize = 2;
+const IMPROVEMENT_ROUNDS: usize = 2;
 
 /// Selects the sensing devices of one TTI at a time.
 #[derive(Clone, Debug)]
@@ -22,7 +23,7 @@ pub struct DeviceSelector {
     /// Candidates by [`key`].
     heap: BinaryHeap<u64>,
     /// Gain by device if no device was chosen.
-    alone: Vec<f64>,
+    gains_alone: Vec<f64>,
     is_chosen: Vec<bool>,
     /// Chosen devices in order; `None` for a device removed without a replacement.
     chosen: Vec<Option<u32>>,
@@ -36,7 +37,7 @@ impl DeviceSelector {
             d_max,
             positions: positions.to_vec(),
             heap: BinaryHeap::new(),
-            alone: vec![0.0; positions.len()],
+            gains_alone: vec![0.0; positions.len()],
             is_chosen: vec![false; positions.len()],
             chosen: Vec::new(),
         }
@@ -47,31 +48,31 @@ impl DeviceSelector {
     /// for devices that may not be chosen.
     ///
     /// A greedy pass first adds the device with the highest ratio of worth to price, as long as its worth exceeds its
-    /// price. Then each chosen device is removed in turn, `ROUNDS` times. Of this device and the others within d_max,
-    /// the one with the largest positive worth less price takes the place. Otherwise it stays empty.
+    /// price. Then each chosen device is removed in turn, `IMPROVEMENT_ROUNDS` times. Of this device and the others
+    /// within d_max, the one with the largest positive worth less price takes its slot. Otherwise the slot stays empty.
     pub fn choose(&mut self, ages: &mut Ages, prices: &[f64]) -> Vec<DeviceId> {
         self.is_chosen.fill(false);
         self.chosen.clear();
-        self.greedily(ages, prices);
-        self.improve(ages, prices);
+        self.choose_greedily(ages, prices);
+        self.replace_chosen(ages, prices);
         self.chosen.iter().flatten().map(|&j| DeviceId(j)).collect()
     }
 
     /// Chooses devices greedily. A worth never grows as others are chosen, so a candidate whose worth is unchanged is
     /// the best, and few candidates are evaluated twice.
-    fn greedily(&mut self, ages: &mut Ages, prices: &[f64]) {
+    fn choose_greedily(&mut self, ages: &mut Ages, prices: &[f64]) {
         // Reuses the memory of the heap. Building it from all keys takes linear time; pushing them one by one does not.
         let mut keys = std::mem::take(&mut self.heap).into_vec();
         keys.clear();
-        for ((alone, &price), j) in self.alone.iter_mut().zip(prices).zip(0..) {
-            *alone = ages.gain(j as usize);
-            keys.extend(key(*alone, price, j));
+        for ((gain_alone, &price), j) in self.gains_alone.iter_mut().zip(prices).zip(0..) {
+            *gain_alone = ages.gain(j as usize);
+            keys.extend(ratio_key(*gain_alone, price, j));
         }
         self.heap = BinaryHeap::from(keys);
         while let Some(mut best) = self.heap.peek_mut() {
             // The low half of a key is the inverted device number.
             let j = u32::MAX - *best as u32;
-            match key(ages.gain(j as usize), prices[j as usize], j) {
+            match ratio_key(ages.gain(j as usize), prices[j as usize], j) {
                 Some(now) if now == *best => {
                     PeekMut::pop(best);
                     ages.add(j as usize);
@@ -86,17 +87,18 @@ impl DeviceSelector {
         }
     }
 
-    fn improve(&mut self, ages: &mut Ages, prices: &[f64]) {
-        let places = self.chosen.len();
-        let mut unchanged = 0;
-        for turn in 0..ROUNDS * places {
-            if unchanged == places {
+    /// Replaces each chosen device in turn by the best device around it.
+    fn replace_chosen(&mut self, ages: &mut Ages, prices: &[f64]) {
+        let slot_count = self.chosen.len();
+        let mut unchanged_slots = 0;
+        for turn in 0..IMPROVEMENT_ROUNDS * slot_count {
+            if unchanged_slots == slot_count {
                 // Each has been tried since the last change, so another round would change nothing.
                 break;
             }
-            unchanged += 1;
-            let place = turn % places;
-            let Some(j) = self.chosen[place] else { continue };
+            unchanged_slots += 1;
+            let slot = turn % slot_count;
+            let Some(j) = self.chosen[slot] else { continue };
             ages.remove(j as usize);
             self.is_chosen[j as usize] = false;
             let best = self.best_around(ages, prices, j as usize);
@@ -105,31 +107,35 @@ impl DeviceSelector {
                 self.is_chosen[best as usize] = true;
             }
             if best != Some(j) {
-                unchanged = 0;
+                unchanged_slots = 0;
             }
-            self.chosen[place] = best;
+            self.chosen[slot] = best;
         }
     }
 
     /// Returns the device with the largest positive worth less price among device `j`, which was just removed, and the
     /// others within d_max. Ties go to j, then to the lowest number.
     fn best_around(&self, ages: &Ages, prices: &[f64], j: usize) -> Option<u32> {
-        let own = ages.gain(j) - prices[j];
-        let (mut most, mut best) = if own > 0.0 { (own, Some(j as u32)) } else { (0.0, None) };
-        let first = best;
+        let net_of_j = ages.gain(j) - prices[j];
+        let (mut best_net, mut best) = if net_of_j > 0.0 {
+            (net_of_j, Some(j as u32))
+        } else {
+            (0.0, None)
+        };
+        let initial_best = best;
         self.buckets.within(self.positions[j], self.d_max, |i, _| {
             // A device is never worth more than alone, so the bound spares most candidates an evaluation.
-            if i == j || self.is_chosen[i] || self.alone[i] - prices[i] < most {
+            if i == j || self.is_chosen[i] || self.gains_alone[i] - prices[i] < best_net {
                 return;
             }
             let net = ages.gain(i) - prices[i];
-            let is_better = match net.total_cmp(&most) {
+            let is_better = match net.total_cmp(&best_net) {
                 Ordering::Greater => true,
-                Ordering::Equal => best != first && best.is_some_and(|best| (i as u32) < best),
+                Ordering::Equal => best != initial_best && best.is_some_and(|best| (i as u32) < best),
                 Ordering::Less => false,
             };
             if is_better {
-                (most, best) = (net, Some(i as u32));
+                (best_net, best) = (net, Some(i as u32));
             }
         });
         best
@@ -139,7 +145,7 @@ impl DeviceSelector {
 /// Returns a key from the ratio of worth to price, in single precision, and the inverted device number. The largest key
 /// has the highest ratio, and among equal ratios the lowest number. `None` if the worth does not exceed the price.
 #[inline]
-fn key(worth: f64, price: f64, j: u32) -> Option<u64> {
+fn ratio_key(worth: f64, price: f64, j: u32) -> Option<u64> {
     (worth > price).then(|| {
         let ratio = (worth / price) as f32;
         // The bits of non-negative floating-point numbers have the order of the numbers.

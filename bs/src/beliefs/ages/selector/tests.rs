@@ -1,10 +1,10 @@
 //! Choices of devices against the best of all subsets.
 
-use reveille_common::geometry::{Layout, place};
+use reveille_common::geometry::{Layout, place_devices};
 use reveille_common::rng::{Purpose, Stream};
 use reveille_common::sensing::{DetectionKind, Fusion, Sensing};
 
-use super::super::index_table::worths;
+use super::super::index_table::age_worths;
 use super::*;
 
 const AREA: Area = Area {
@@ -21,8 +21,8 @@ fn grounds(kind: DetectionKind, n: u32, seed: u64) -> (Vec<Point>, Ages) {
         psi: 1.0,
         g: Fusion::Max,
     };
-    let positions = place(&Layout::Uniform, AREA, n, seed);
-    let ages = Ages::new(&positions, AREA, &sensing, worths());
+    let positions = place_devices(&Layout::Uniform, AREA, n, seed);
+    let ages = Ages::new(&positions, AREA, &sensing, age_worths());
     (positions, ages)
 }
 
@@ -93,7 +93,7 @@ fn a_device_that_others_have_made_superfluous_is_taken_out() {
         height: 0.4,
     };
     let positions = [Point::new(3.1, 0.2), Point::new(0.5, 0.2), Point::new(5.5, 0.2)];
-    let mut ages = Ages::new(&positions, area, &sensing, worths());
+    let mut ages = Ages::new(&positions, area, &sensing, age_worths());
     let cell = ages.gain(0);
     let chosen = DeviceSelector::new(&positions, area, 3.0).choose(&mut ages, &[0.2; 3]);
     let sees_all = (cell * ages.cell_surface() - area.surface()).abs() < 0.3;

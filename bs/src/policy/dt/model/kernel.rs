@@ -1,13 +1,14 @@
-//! Sums in a fixed order.
+//! The sums of the transformer's inference ([`super::infer`]), in a fixed order.
 //!
 //! Every output of a product is summed in the order of the inner dimension, with separate multiplications and
-//! additions. Its bits are therefore the same on every machine. Outputs are computed side by side, which the compiler
-//! turns into vector instructions of the chosen [`Width`]. Code must be inlined into [`Width::run`] to use them, so
-//! every function here is marked for inlining.
+//! additions. Its bits are therefore the same on every machine. They must stay so: the decisions of `dt` and the digest
+//! of a run depend on them. Outputs are computed side by side, which the compiler turns into vector instructions of the
+//! chosen [`VectorWidth`]. Code must be inlined into [`VectorWidth::run`] to use them, so every function here is marked
+//! for inlining.
 
 #![expect(
     clippy::inline_always,
-    reason = "what is not inlined there is not compiled for the instructions that Width::run chooses"
+    reason = "what is not inlined there is not compiled for the instructions that VectorWidth::run chooses"
 )]
 
 use pulp::Scalar;
@@ -16,15 +17,15 @@ use pulp::Simd as _;
 use pulp::x86::{V3, V4};
 
 /// Number of output columns that are computed side by side.
-const TILE: usize = 16;
+const TILE_COLUMNS: usize = 16;
 /// Number of output rows that share a load of the weights.
-const ROWS: usize = 6;
+const BLOCK_ROWS: usize = 6;
 
 /// Set of vector instructions. It changes the time of a sum but not its bits.
 #[derive(Clone, Copy, Debug)]
-pub enum Width {
+pub enum VectorWidth {
     /// Baseline instructions of the architecture.
-    Least(Scalar),
+    Baseline(Scalar),
     /// x86-64-v3: eight numbers per instruction.
     #[cfg(target_arch = "x86_64")]
     V3(V3),
@@ -33,16 +34,16 @@ pub enum Width {
     V4(V4),
 }
 
-impl Width {
+impl VectorWidth {
     /// Returns the sets that this CPU supports.
-    pub fn here() -> Vec<Self> {
-        let mut here = vec![Self::Least(Scalar)];
+    pub fn supported() -> Vec<Self> {
+        let mut supported = vec![Self::Baseline(Scalar)];
         #[cfg(target_arch = "x86_64")]
         {
-            here.extend(V3::try_new().map(Self::V3));
-            here.extend(V4::try_new().map(Self::V4));
+            supported.extend(V3::try_new().map(Self::V3));
+            supported.extend(V4::try_new().map(Self::V4));
         }
-        here
+        supported
     }
 
     /// Returns the set that is used, never v4. On some CPUs v4 is a few hundredths faster; where it lowers the clock,
@@ -52,14 +53,14 @@ impl Width {
         if let Some(v3) = V3::try_new() {
             return Self::V3(v3);
         }
-        Self::Least(Scalar)
+        Self::Baseline(Scalar)
     }
 
     /// Returns the result of `work`, which is compiled for these instructions where it is inlined.
     #[inline(always)]
     pub fn run<R>(self, work: impl FnOnce() -> R) -> R {
         match self {
-            Self::Least(least) => least.vectorize(work),
+            Self::Baseline(scalar) => scalar.vectorize(work),
             #[cfg(target_arch = "x86_64")]
             Self::V3(v3) => v3.vectorize(work),
             #[cfg(target_arch = "x86_64")]
@@ -74,9 +75,9 @@ pub(super) struct Linear {
     inputs: usize,
     outputs: usize,
     /// Weights by tile of outputs, `[tiles, inputs]`; the last tile is padded with zeros.
-    weight: Vec<[f32; TILE]>,
+    weight: Vec<[f32; TILE_COLUMNS]>,
     /// Bias by tile, `[tiles]`, padded with zeros.
-    bias: Vec<[f32; TILE]>,
+    bias: Vec<[f32; TILE_COLUMNS]>,
 }
 
 impl Linear {
@@ -87,68 +88,79 @@ impl Linear {
     pub(super) fn new(inputs: usize, weight: &[f32], bias: &[f32]) -> Self {
         let outputs = bias.len();
         assert_eq!(weight.len(), inputs * outputs, "a weight for each input and output");
-        let column = |start: usize| {
+        let tile = |start: usize| {
             let rows = weight.chunks(outputs);
-            rows.map(move |row| filled(&row[start..outputs.min(start + TILE)]))
+            rows.map(move |row| pad_to_tile(&row[start..outputs.min(start + TILE_COLUMNS)]))
         };
         Self {
             inputs,
             outputs,
-            weight: (0..outputs).step_by(TILE).flat_map(column).collect(),
-            bias: bias.chunks(TILE).map(filled).collect(),
+            weight: (0..outputs).step_by(TILE_COLUMNS).flat_map(tile).collect(),
+            bias: bias.chunks(TILE_COLUMNS).map(pad_to_tile).collect(),
         }
     }
 
     /// Creates a map without a bias.
-    pub(super) fn plain(inputs: usize, outputs: usize, weight: &[f32]) -> Self {
+    pub(super) fn without_bias(inputs: usize, outputs: usize, weight: &[f32]) -> Self {
         Self::new(inputs, weight, &vec![0.0; outputs])
     }
 
     /// Computes `out = x · weight + bias` for each row of `x`, `[rows, inputs]`; `out` is `[rows, outputs]`.
     #[inline(always)]
     pub(super) fn apply(&self, x: &[f32], out: &mut [f32]) {
-        let part = |of| HeadSlice { at: 0, width: of, of };
-        product(&self.weight, &self.bias, x, part(self.inputs), out, part(self.outputs));
+        let all = |columns| ColumnSlice {
+            start: 0,
+            width: columns,
+            stride: columns,
+        };
+        multiply(&self.weight, &self.bias, x, all(self.inputs), out, all(self.outputs));
     }
 }
 
-/// Columns of a matrix that belong to a head.
+/// Columns of a row-major matrix, for example those of one attention head.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct HeadSlice {
+pub(super) struct ColumnSlice {
     /// First column.
-    pub at: usize,
-    /// Number of columns of the head.
+    pub start: usize,
+    /// Number of columns in the slice.
     pub width: usize,
-    /// Number of columns of the matrix.
-    pub of: usize,
+    /// Number of columns of the whole matrix.
+    pub stride: usize,
 }
 
-/// Computes `out = x · weight + bias` tile by tile, for each row of a part of `x` and `out`.
+/// Computes `out = x · weight + bias` tile by tile, for each row of the columns `from` of `x` and `to` of `out`.
 #[inline(always)]
-fn product(weight: &[[f32; TILE]], bias: &[[f32; TILE]], x: &[f32], from: HeadSlice, out: &mut [f32], to: HeadSlice) {
-    let mut xs = x.chunks_exact(ROWS * from.of);
-    let mut outs = out.chunks_exact_mut(ROWS * to.of);
-    for (x, out) in xs.by_ref().zip(outs.by_ref()) {
-        block::<ROWS>(weight, bias, x, from, out, to);
-    }
-    let rest = xs.remainder().chunks_exact(from.of);
-    for (x, out) in rest.zip(outs.into_remainder().chunks_exact_mut(to.of)) {
-        block::<1>(weight, bias, x, from, out, to);
-    }
-}
-
-#[inline(always)]
-fn block<const R: usize>(
-    weight: &[[f32; TILE]],
-    bias: &[[f32; TILE]],
+fn multiply(
+    weight: &[[f32; TILE_COLUMNS]],
+    bias: &[[f32; TILE_COLUMNS]],
     x: &[f32],
-    from: HeadSlice,
+    from: ColumnSlice,
     out: &mut [f32],
-    to: HeadSlice,
+    to: ColumnSlice,
+) {
+    let mut xs = x.chunks_exact(BLOCK_ROWS * from.stride);
+    let mut outs = out.chunks_exact_mut(BLOCK_ROWS * to.stride);
+    for (x, out) in xs.by_ref().zip(outs.by_ref()) {
+        multiply_rows::<BLOCK_ROWS>(weight, bias, x, from, out, to);
+    }
+    let rest = xs.remainder().chunks_exact(from.stride);
+    for (x, out) in rest.zip(outs.into_remainder().chunks_exact_mut(to.stride)) {
+        multiply_rows::<1>(weight, bias, x, from, out, to);
+    }
+}
+
+#[inline(always)]
+fn multiply_rows<const R: usize>(
+    weight: &[[f32; TILE_COLUMNS]],
+    bias: &[[f32; TILE_COLUMNS]],
+    x: &[f32],
+    from: ColumnSlice,
+    out: &mut [f32],
+    to: ColumnSlice,
 ) {
     let inputs = from.width;
-    let rows: [&[f32]; R] = std::array::from_fn(|row| &x[row * from.of + from.at..][..inputs]);
-    for (at, (weights, bias)) in weight.chunks_exact(inputs).zip(bias).enumerate() {
+    let rows: [&[f32]; R] = std::array::from_fn(|row| &x[row * from.stride + from.start..][..inputs]);
+    for (tile, (weights, bias)) in weight.chunks_exact(inputs).zip(bias).enumerate() {
         // Each output is summed in the order of `i` for any R, so the rows of a remainder have the same bits.
         let mut sums = [*bias; R];
         for (i, weights) in weights.iter().enumerate() {
@@ -159,9 +171,9 @@ fn block<const R: usize>(
                 }
             }
         }
-        let start = at * TILE;
-        for (sums, out) in sums.iter().zip(out.chunks_exact_mut(to.of)) {
-            let out = &mut out[to.at..][..to.width][start..];
+        let start = tile * TILE_COLUMNS;
+        for (sums, out) in sums.iter().zip(out.chunks_exact_mut(to.stride)) {
+            let out = &mut out[to.start..][..to.width][start..];
             // The last tile is wider than the remaining outputs.
             if let Some(whole) = out.first_chunk_mut() {
                 *whole = *sums;
@@ -177,8 +189,8 @@ fn block<const R: usize>(
 #[derive(Clone, Debug)]
 pub(super) struct KeyValueSum {
     /// Sums by tile of values, `[tiles, d / heads]`.
-    sums: Vec<[f32; TILE]>,
-    zeros: Vec<[f32; TILE]>,
+    sums: Vec<[f32; TILE_COLUMNS]>,
+    zeros: Vec<[f32; TILE_COLUMNS]>,
     /// Sums of keys, `[d / heads]`.
     keys: Vec<f32>,
 }
@@ -186,49 +198,54 @@ pub(super) struct KeyValueSum {
 impl KeyValueSum {
     /// Creates the sums for heads of this width.
     pub(super) fn new(width: usize) -> Self {
-        let tiles = width.div_ceil(TILE);
+        let tiles = width.div_ceil(TILE_COLUMNS);
         Self {
-            sums: vec![[0.0; TILE]; tiles * width],
-            zeros: vec![[0.0; TILE]; tiles],
+            sums: vec![[0.0; TILE_COLUMNS]; tiles * width],
+            zeros: vec![[0.0; TILE_COLUMNS]; tiles],
             keys: vec![0.0; width],
         }
     }
 
-    /// Computes the sums over the columns `of` of `keys` and `values`, `[N, d]`.
+    /// Computes the sums over the columns `head` of `keys` and `values`, `[N, d]`.
     #[inline(always)]
-    pub(super) fn fill(&mut self, keys: &[f32], values: &[f32], of: HeadSlice) {
-        const AT_ONCE: usize = 4;
+    pub(super) fn sum_over_devices(&mut self, keys: &[f32], values: &[f32], head: ColumnSlice) {
+        const KEYS_PER_PASS: usize = 4;
         self.keys.fill(0.0);
-        for keys in keys.chunks_exact(of.of) {
-            add(&mut self.keys, &keys[of.at..][..of.width]);
+        for keys in keys.chunks_exact(head.stride) {
+            add(&mut self.keys, &keys[head.start..][..head.width]);
         }
-        for (tile, sums) in self.sums.chunks_exact_mut(of.width).enumerate() {
-            let start = tile * TILE;
-            for (four, sums) in sums.as_chunks_mut::<AT_ONCE>().0.iter_mut().enumerate() {
-                let mut held = [[0.0; TILE]; AT_ONCE];
-                for (keys, values) in keys.chunks_exact(of.of).zip(values.chunks_exact(of.of)) {
+        for (tile, sums) in self.sums.chunks_exact_mut(head.width).enumerate() {
+            let start = tile * TILE_COLUMNS;
+            for (pass, sums) in sums.as_chunks_mut::<KEYS_PER_PASS>().0.iter_mut().enumerate() {
+                let mut pass_sums = [[0.0; TILE_COLUMNS]; KEYS_PER_PASS];
+                for (keys, values) in keys.chunks_exact(head.stride).zip(values.chunks_exact(head.stride)) {
                     // The width of a head is a multiple of 4, see `ModelShape::is_valid`.
-                    let keys: &[f32; AT_ONCE] = keys[of.at + four * AT_ONCE..].first_chunk().expect("four features");
-                    let values = &values[of.at..][..of.width][start..];
-                    let values: [f32; TILE] = values.first_chunk().copied().unwrap_or_else(|| filled(values));
-                    for (held, key) in held.iter_mut().zip(keys) {
-                        for (sum, value) in held.iter_mut().zip(&values) {
+                    let keys = &keys[head.start + pass * KEYS_PER_PASS..];
+                    let keys: &[f32; KEYS_PER_PASS] = keys.first_chunk().expect("four features");
+                    let values = &values[head.start..][..head.width][start..];
+                    let values: [f32; TILE_COLUMNS] =
+                        values.first_chunk().copied().unwrap_or_else(|| pad_to_tile(values));
+                    for (key_sums, key) in pass_sums.iter_mut().zip(keys) {
+                        for (sum, value) in key_sums.iter_mut().zip(&values) {
                             *sum += key * value;
                         }
                     }
                 }
-                *sums = held;
+                *sums = pass_sums;
             }
         }
     }
 
     /// Computes for each of `queries` the mean of the values, weighted by the products of query and key.
     #[inline(always)]
-    pub(super) fn gather(&self, queries: &[f32], gathered: &mut [f32], of: HeadSlice) {
-        product(&self.sums, &self.zeros, queries, of, gathered, of);
-        for (query, gathered) in queries.chunks_exact(of.of).zip(gathered.chunks_exact_mut(of.of)) {
-            let inverse = 1.0 / dot(&query[of.at..][..of.width], &self.keys);
-            for gathered in gathered[of.at..][..of.width].as_chunks_mut::<4>().0 {
+    pub(super) fn gather(&self, queries: &[f32], gathered: &mut [f32], head: ColumnSlice) {
+        multiply(&self.sums, &self.zeros, queries, head, gathered, head);
+        for (query, gathered) in queries
+            .chunks_exact(head.stride)
+            .zip(gathered.chunks_exact_mut(head.stride))
+        {
+            let inverse = 1.0 / dot(&query[head.start..][..head.width], &self.keys);
+            for gathered in gathered[head.start..][..head.width].as_chunks_mut::<4>().0 {
                 for gathered in gathered {
                     *gathered *= inverse;
                 }
@@ -238,15 +255,15 @@ impl KeyValueSum {
 }
 
 /// Returns `row` padded with zeros.
-fn filled(row: &[f32]) -> [f32; TILE] {
-    let mut tile = [0.0; TILE];
+fn pad_to_tile(row: &[f32]) -> [f32; TILE_COLUMNS] {
+    let mut tile = [0.0; TILE_COLUMNS];
     tile[..row.len()].copy_from_slice(row);
     tile
 }
 
 /// Computes `out = x · scale / rms(x)` for each row. The row length is the length of `scale`, a multiple of four.
 #[inline(always)]
-pub(super) fn norm(x: &[f32], scale: &[f32], out: &mut [f32]) {
+pub(super) fn rms_norm(x: &[f32], scale: &[f32], out: &mut [f32]) {
     let width = scale.len();
     for (x, out) in x.chunks_exact(width).zip(out.chunks_exact_mut(width)) {
         let (x, _) = x.as_chunks::<4>();
@@ -268,9 +285,9 @@ pub(super) fn norm(x: &[f32], scale: &[f32], out: &mut [f32]) {
     }
 }
 
-/// Computes `out` as the sum of `shares · rows`; the row length is a multiple of four.
+/// Computes `out` as the sum of `shares · rows`, where the shares sum to 1; the row length is a multiple of four.
 #[inline(always)]
-pub(super) fn mean<'r>(out: &mut [f32], shares: &[f32], row: impl Fn(usize) -> &'r [f32]) {
+pub(super) fn weighted_mean<'r>(out: &mut [f32], shares: &[f32], row: impl Fn(usize) -> &'r [f32]) {
     let (out, _) = out.as_chunks_mut::<4>();
     out.fill([0.0; 4]);
     for (i, share) in shares.iter().enumerate() {
@@ -310,44 +327,44 @@ pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
             lanes[lane] += a[lane] * b[lane];
         }
     }
-    // A fixed order of lanes, as in `norm`.
+    // A fixed order of lanes, as in `rms_norm`.
     (lanes[0] + lanes[1]) + (lanes[2] + lanes[3])
 }
 
-/// Returns e^x within two units in the last place, for x up to 88; 0 below [`LEAST_EXPONENT`]. A polynomial allows many
+/// Returns e^x within two units in the last place, for x up to 88; 0 below [`MIN_EXPONENT`]. A polynomial allows many
 /// values to be computed side by side.
 #[inline(always)]
 pub(super) fn exp(x: f32) -> f32 {
-    let held = x.max(LEAST_EXPONENT);
+    let clamped = x.max(MIN_EXPONENT);
     // Adding 3·2²² rounds to a whole number, which is then in the lowest bits.
-    let rounded = held * std::f32::consts::LOG2_E + 12_582_912.0;
+    let rounded = clamped * std::f32::consts::LOG2_E + 12_582_912.0;
     let whole = rounded - 12_582_912.0;
     // ln 2 in two parts, the first with so few bits that its products are exact.
-    let rest = (held - whole * (355.0 / 512.0)) - whole * -2.121_944_4e-4;
+    let remainder = (clamped - whole * (355.0 / 512.0)) - whole * -2.121_944_4e-4;
     let series = [1.0 / 5040.0, 1.0 / 720.0, 1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0];
     let mut sum = series[0];
     for term in &series[1..] {
-        sum = sum * rest + term;
+        sum = sum * remainder + term;
     }
     // The whole number moves into the exponent bits, which are offset by 127.
     let power = f32::from_bits(rounded.to_bits().wrapping_add(127) << 23);
-    let value = (sum * rest + 1.0) * power;
-    if x < LEAST_EXPONENT { 0.0 } else { value }
+    let value = (sum * remainder + 1.0) * power;
+    if x < MIN_EXPONENT { 0.0 } else { value }
 }
 
 /// Replaces each row of `scores`, of length `width`, by shares that sum to 1. The shares are proportional to the
-/// exponentials of the first `known` scores; the others are 0.
+/// exponentials of the first `known_count` scores; the others are 0.
 #[inline(always)]
-pub(super) fn softmax(scores: &mut [f32], width: usize, known: usize) {
+pub(super) fn softmax(scores: &mut [f32], width: usize, known_count: usize) {
     for row in scores.chunks_exact_mut(width) {
-        let (known, rest) = row.split_at_mut(known);
+        let (known, rest) = row.split_at_mut(known_count);
         // Exponents relative to the largest score stay within the range of `exp`.
-        let mut most = f32::NEG_INFINITY;
+        let mut max_score = f32::NEG_INFINITY;
         for score in known.iter() {
-            most = most.max(*score);
+            max_score = max_score.max(*score);
         }
         for score in known {
-            *score -= most;
+            *score -= max_score;
         }
         // `exp` turns these into 0 in the same vector loop.
         rest.fill(f32::NEG_INFINITY);
@@ -356,7 +373,7 @@ pub(super) fn softmax(scores: &mut [f32], width: usize, known: usize) {
         *score = exp(*score);
     }
     for row in scores.chunks_exact_mut(width) {
-        let inverse = 1.0 / row[..known].iter().sum::<f32>();
+        let inverse = 1.0 / row[..known_count].iter().sum::<f32>();
         for score in row {
             *score *= inverse;
         }
@@ -364,7 +381,7 @@ pub(super) fn softmax(scores: &mut [f32], width: usize, known: usize) {
 }
 
 /// Exponent below which e^x is treated as 0.
-const LEAST_EXPONENT: f32 = -87.0;
+const MIN_EXPONENT: f32 = -87.0;
 
 #[cfg(test)]
 mod tests {
@@ -414,7 +431,7 @@ mod tests {
     fn norms_are_one_and_products_are_sums() {
         let (x, scale) = (numbers(64, 4), vec![1.0; 32]);
         let mut out = vec![0.0; 64];
-        norm(&x, &scale, &mut out);
+        rms_norm(&x, &scale, &mut out);
         for row in out.chunks(32) {
             let mean = row.iter().map(|x| f64::from(x * x)).sum::<f64>() / 32.0;
             assert!((mean - 1.0).abs() < 1e-3, "{mean}");

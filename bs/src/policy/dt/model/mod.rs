@@ -1,4 +1,6 @@
-//! Shape, weights and inference of the transformer.
+//! The transformer of the policy `dt`: its shape ([`ModelShape`]), its [`weights`] with their file, and its inference
+//! ([`infer`], with the arithmetic in `kernel`). `lab/src/transformer/` trains it. The names and sizes of the tensors
+//! ([`ModelShape::tensors`]) are the format of the weights file, such as `../shipped.safetensors`.
 
 pub mod infer;
 mod kernel;
@@ -6,21 +8,21 @@ pub mod weights;
 
 use super::tokens;
 
-pub use kernel::{NORM_EPSILON, Width};
+pub use kernel::{NORM_EPSILON, VectorWidth};
 
-/// Largest number of TTIs that a model can look back.
-pub(crate) const LONGEST_MEMORY: u64 = 64;
+/// Largest number of TTIs that a model can look back, including its own.
+pub(crate) const MAX_MEMORY: u64 = 64;
 /// Largest width of a model.
-pub(crate) const WIDEST: u64 = 256;
+pub(crate) const MAX_WIDTH: u64 = 256;
 /// Largest number of heads of a model.
-pub(crate) const MOST_HEADS: u64 = 16;
+pub(crate) const MAX_HEADS: u64 = 16;
 /// Width of the layers between attentions, in widths of the model.
 pub(crate) const EXPANSION: usize = 2;
 /// Width of the layer that turns a target into a price.
 pub(crate) const PRICE_WIDTH: usize = 16;
 /// Outputs per device. [`ModelObjective`] defines the first. The second is the logarithm of a ratio: the expected
 /// information of a wake-up of the device to the expectation without history.
-pub const HEADS: usize = 2;
+pub const OUTPUTS: usize = 2;
 
 /// Meaning of the first output of a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,32 +51,33 @@ impl ModelObjective {
 pub struct ModelShape {
     /// Number Z of TTIs that a decision attends to, including its own.
     pub memory: usize,
-    /// Width d of a token's embedding, a multiple of `heads` and of 4.
+    /// Width d of a token's embedding, a multiple of 4 · `heads`: the kernel processes the columns of a head four by
+    /// four.
     pub width: usize,
     /// Number of heads in each attention layer.
     pub heads: usize,
     /// Whether devices attend to each other.
-    pub has_space: bool,
+    pub attends_to_devices: bool,
     /// Meaning of the outputs, fixed by the training.
     pub objective: ModelObjective,
 }
 
 impl ModelShape {
-    /// The shape of the model that comes with the program.
-    pub const USUAL: Self = Self {
+    /// Shape of the model that comes with the program, and default of an untrained model.
+    pub const SHIPPED: Self = Self {
         memory: 8,
         width: 32,
         heads: 2,
-        has_space: true,
+        attends_to_devices: true,
         objective: ModelObjective::Events,
     };
 
     /// Returns whether a model can have this shape.
     pub fn is_valid(&self) -> bool {
-        let within = |value: usize, most: u64| value > 0 && value as u64 <= most;
-        within(self.memory, LONGEST_MEMORY)
-            && within(self.heads, MOST_HEADS)
-            && within(self.width, WIDEST)
+        let within = |value: usize, max: u64| value > 0 && value as u64 <= max;
+        within(self.memory, MAX_MEMORY)
+            && within(self.heads, MAX_HEADS)
+            && within(self.width, MAX_WIDTH)
             && self.width.is_multiple_of(4 * self.heads)
     }
 
@@ -83,11 +86,11 @@ impl ModelShape {
         self.width / self.heads
     }
 
-    /// Returns the names and sizes of all tensors, in order.
+    /// Returns the names and sizes of all tensors. Their order seeds the initial weights of a training.
     pub fn tensors(&self) -> Vec<(&'static str, Vec<usize>)> {
         let (d, wide) = (self.width, EXPANSION * self.width);
         let mut tensors = vec![
-            ("embed.weight", vec![tokens::COUNT, d]),
+            ("embed.weight", vec![tokens::FEATURE_COUNT, d]),
             ("embed.bias", vec![d]),
             ("time.norm", vec![d]),
             ("time.query", vec![d, d]),
@@ -101,7 +104,7 @@ impl ModelShape {
             ("time.mix.out.weight", vec![wide, d]),
             ("time.mix.out.bias", vec![d]),
         ];
-        if self.has_space {
+        if self.attends_to_devices {
             tensors.extend([
                 ("space.norm", vec![d]),
                 ("space.query", vec![d, d]),
@@ -117,8 +120,8 @@ impl ModelShape {
         }
         tensors.extend([
             ("head.norm", vec![d]),
-            ("head.weight", vec![d, HEADS]),
-            ("head.bias", vec![HEADS]),
+            ("head.weight", vec![d, OUTPUTS]),
+            ("head.bias", vec![OUTPUTS]),
             ("price.in.weight", vec![d + 1, PRICE_WIDTH]),
             ("price.in.bias", vec![PRICE_WIDTH]),
             ("price.out.weight", vec![PRICE_WIDTH, 1]),

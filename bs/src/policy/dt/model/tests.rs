@@ -8,11 +8,11 @@ use reveille_common::rng::{Purpose, Stream};
 use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensors};
 
-use super::super::tokens::COUNT;
-use super::infer::{Forward, LEAST_FEATURE, LIMIT};
-use super::kernel::{NORM_EPSILON, Width};
-use super::weights::{KEY, ModelError, ModelWeights, metadata};
-use super::{HEADS, ModelObjective, ModelShape};
+use super::super::tokens::FEATURE_COUNT;
+use super::infer::{ForwardPass, MIN_FEATURE, OUTPUT_LIMIT};
+use super::kernel::{NORM_EPSILON, VectorWidth};
+use super::weights::{METADATA_KEY, ModelError, ModelWeights, encode_metadata};
+use super::{ModelObjective, ModelShape, OUTPUTS};
 
 type Tensors = BTreeMap<&'static str, (Vec<usize>, Vec<f32>)>;
 
@@ -40,14 +40,18 @@ fn bytes(shape: ModelShape, tensors: &Tensors) -> Vec<u8> {
             TensorView::new(Dtype::F32, size.clone(), bytes).expect("a tensor"),
         )
     });
-    let about = [(KEY.to_owned(), metadata(shape, &BTreeMap::new()))];
+    let about = [(METADATA_KEY.to_owned(), encode_metadata(shape, &BTreeMap::new()))];
     safetensors::serialize(views, Some(about.into_iter().collect())).expect("a file")
 }
 
 fn tokens(n: usize, ttis: usize) -> Vec<Vec<f32>> {
     let mut stream = Stream::new(12, Purpose::Training, 0);
     (0..ttis)
-        .map(|_| (0..n * COUNT).map(|_| (2.0 * stream.unit() - 1.0) as f32).collect())
+        .map(|_| {
+            (0..n * FEATURE_COUNT)
+                .map(|_| (2.0 * stream.unit() - 1.0) as f32)
+                .collect()
+        })
         .collect()
 }
 
@@ -105,7 +109,7 @@ impl Reference<'_> {
             .iter()
             .rev()
             .take(memory)
-            .map(|tokens| self.embed(&tokens[j * COUNT..(j + 1) * COUNT]))
+            .map(|tokens| self.embed(&tokens[j * FEATURE_COUNT..(j + 1) * FEATURE_COUNT]))
             .collect();
         let normed: Vec<Vec<f64>> = states.iter().map(|state| self.norm(state, "time.norm")).collect();
         let query = self.linear(&normed[0], "time.query", None);
@@ -138,7 +142,7 @@ impl Reference<'_> {
         let normed: Vec<Vec<f64>> = states.iter().map(|state| self.norm(state, "space.norm")).collect();
         let feature = |x: Vec<f64>| {
             x.into_iter()
-                .map(|x| x.max(0.0) + f64::from(LEAST_FEATURE))
+                .map(|x| x.max(0.0) + f64::from(MIN_FEATURE))
                 .collect::<Vec<_>>()
         };
         let all = |name: &str| normed.iter().map(|x| self.linear(x, name, None)).collect::<Vec<_>>();
@@ -169,14 +173,14 @@ impl Reference<'_> {
     /// Returns the outputs of all devices and the price for `target` in the last of `ttis`.
     fn step(&self, ttis: &[Vec<f32>], n: usize, target: f64) -> (Vec<f64>, f64) {
         let mut states: Vec<Vec<f64>> = (0..n).map(|j| self.in_time(ttis, j)).collect();
-        if self.1.has_space {
+        if self.1.attends_to_devices {
             states = self.in_space(&states);
         }
         let last: Vec<Vec<f64>> = states.iter().map(|state| self.norm(state, "head.norm")).collect();
         let logs = last
             .iter()
             .flat_map(|state| self.linear(state, "head.weight", Some("head.bias")));
-        let logs = logs.map(|x| f64::from(LIMIT) * x / (1.0 + x.abs())).collect();
+        let logs = logs.map(|x| f64::from(OUTPUT_LIMIT) * x / (1.0 + x.abs())).collect();
         let mut pooled: Vec<f64> = (0..self.1.width)
             .map(|i| last.iter().map(|state| state[i]).sum::<f64>() / n as f64)
             .collect();
@@ -192,18 +196,19 @@ impl Reference<'_> {
 #[test]
 fn every_width_of_instructions_gives_the_same_bits() {
     let n = 53;
-    let weights = Arc::new(ModelWeights::read(&bytes(ModelShape::USUAL, &random(ModelShape::USUAL))).expect("a model"));
-    let run = |width: Width| -> Vec<u32> {
-        let mut forward = Forward::new(Arc::clone(&weights), n).with_width(width);
+    let weights =
+        Arc::new(ModelWeights::read(&bytes(ModelShape::SHIPPED, &random(ModelShape::SHIPPED))).expect("a model"));
+    let run = |width: VectorWidth| -> Vec<u32> {
+        let mut forward = ForwardPass::new(Arc::clone(&weights), n).with_vector_width(width);
         let step = |tokens: &Vec<f32>| {
             let mut numbers = forward.step(tokens).to_vec();
-            numbers.extend_from_slice(forward.attended());
-            numbers.push(forward.price(0.5));
+            numbers.extend_from_slice(forward.attention());
+            numbers.push(forward.log_price(0.5));
             numbers
         };
         tokens(n, 12).iter().flat_map(step).map(f32::to_bits).collect()
     };
-    let widths = Width::here();
+    let widths = VectorWidth::supported();
     println!("{widths:?}");
     let first = run(widths[0]);
     for width in &widths[1..] {
@@ -213,12 +218,12 @@ fn every_width_of_instructions_gives_the_same_bits() {
 
 #[test]
 fn a_step_is_the_sum_that_it_stands_for() {
-    let usual = ModelShape::USUAL;
+    let usual = ModelShape::SHIPPED;
     let shapes = [
         (4, 16, 2, true, 7),
         (1, 8, 1, true, 1),
         (8, 32, 4, false, 5),
-        (usual.memory, usual.width, usual.heads, usual.has_space, 9),
+        (usual.memory, usual.width, usual.heads, usual.attends_to_devices, 9),
         // Heads wider than a vector, and of a width that is not a multiple of one.
         (3, 40, 2, true, 6),
         (2, 72, 2, true, 3),
@@ -228,17 +233,17 @@ fn a_step_is_the_sum_that_it_stands_for() {
             memory,
             width,
             heads,
-            has_space,
+            attends_to_devices: has_space,
             objective: ModelObjective::Events,
         };
         let tensors = random(shape);
         let weights = Arc::new(ModelWeights::read(&bytes(shape, &tensors)).expect("a model"));
-        let mut forward = Forward::new(weights, n);
+        let mut forward = ForwardPass::new(weights, n);
         let ttis = tokens(n, 11);
         for k in 0..ttis.len() {
             let logs = forward.step(&ttis[k]).to_vec();
-            assert_eq!(logs.len(), n * HEADS);
-            let price = f64::from(forward.price(0.7));
+            assert_eq!(logs.len(), n * OUTPUTS);
+            let price = f64::from(forward.log_price(0.7));
             let (expected, expected_price) = Reference(&tensors, shape).step(&ttis[..=k], n, 0.7);
             for (log, expected) in logs.iter().zip(&expected) {
                 assert!(
@@ -247,7 +252,7 @@ fn a_step_is_the_sum_that_it_stands_for() {
                 );
             }
             assert!((price - expected_price).abs() < 1e-4, "{price}, not {expected_price}");
-            for shares in forward.attended().chunks(memory) {
+            for shares in forward.attention().chunks(memory) {
                 let (seen, unseen) = shares.split_at((k + 1).min(memory));
                 assert!((seen.iter().sum::<f32>() - 1.0).abs() < 1e-5 && unseen.iter().all(|share| *share == 0.0));
             }
@@ -269,13 +274,13 @@ fn the_model_of_the_program_names_no_place_of_a_machine() {
 
 #[test]
 fn devices_may_come_in_any_order() {
-    let shape = ModelShape::USUAL;
+    let shape = ModelShape::SHIPPED;
     let weights = Arc::new(ModelWeights::read(&bytes(shape, &random(shape))).expect("a model"));
-    let (mut one, mut other) = (Forward::new(Arc::clone(&weights), 6), Forward::new(weights, 6));
+    let (mut one, mut other) = (ForwardPass::new(Arc::clone(&weights), 6), ForwardPass::new(weights, 6));
     for tokens in tokens(6, 5) {
-        let turned: Vec<f32> = tokens.chunks(COUNT).rev().flatten().copied().collect();
+        let turned: Vec<f32> = tokens.chunks(FEATURE_COUNT).rev().flatten().copied().collect();
         let logs = one.step(&tokens).to_vec();
-        for (a, b) in logs.chunks(HEADS).rev().flatten().zip(other.step(&turned)) {
+        for (a, b) in logs.chunks(OUTPUTS).rev().flatten().zip(other.step(&turned)) {
             assert!((a - b).abs() < 1e-5, "{a} and {b}");
         }
     }
@@ -283,7 +288,7 @@ fn devices_may_come_in_any_order() {
 
 #[test]
 fn files_that_are_no_model_are_refused() {
-    let shape = ModelShape::USUAL;
+    let shape = ModelShape::SHIPPED;
     let whole = bytes(shape, &random(shape));
     assert!(ModelWeights::read(&whole).is_ok());
     for cut in [0, 7, 100, whole.len() / 2, whole.len() - 1] {

@@ -1,6 +1,8 @@
-//! The weights of a model, and the file that holds them.
+//! The weights of a model, and the file that holds them: read here for `policy.dt.model`, written by `reveille train
+//! dt` (`lab/src/transformer/`).
 //!
 //! A file has the safetensors format: named tensors of 32-bit floats, with a description of the training as metadata.
+//! Raise [`FORMAT_VERSION`] if the meaning of features or tensors changes.
 
 use std::collections::BTreeMap;
 
@@ -9,18 +11,18 @@ use sha2::{Digest, Sha256};
 
 use super::super::tokens::FEATURES;
 use super::kernel::Linear;
-use super::{EXPANSION, LONGEST_MEMORY, MOST_HEADS, ModelObjective, ModelShape, PRICE_WIDTH, WIDEST};
+use super::{EXPANSION, MAX_HEADS, MAX_MEMORY, MAX_WIDTH, ModelObjective, ModelShape, PRICE_WIDTH};
 
 /// Version of the file format, raised when the meaning of features or tensors changes.
-pub const VERSION: &str = "1";
+pub const FORMAT_VERSION: &str = "1";
 
 /// Only key of the metadata. Its value is a JSON object of strings, sorted by key, so that the contents determine the
 /// bytes of a file.
-pub const KEY: &str = "reveille.dt";
+pub const METADATA_KEY: &str = "reveille.dt";
 
 /// Keys of that object, in addition to the description of the training.
 mod keys {
-    /// See [`super::VERSION`].
+    /// See [`super::FORMAT_VERSION`].
     pub(super) const VERSION: &str = "version";
     /// The features of a token, joined by commas.
     pub(super) const FEATURES: &str = "features";
@@ -63,7 +65,7 @@ pub enum ModelError {
     NotFinite(String),
 }
 
-/// Feed-forward layer after an attention.
+/// Feed-forward layer after an attention: `mix` in the names of tensors.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct FeedForward {
     pub(super) norm: Vec<f32>,
@@ -79,7 +81,7 @@ pub struct AttentionLayer {
     pub(super) key: Linear,
     pub(super) value: Linear,
     pub(super) out: Linear,
-    pub(super) mix: FeedForward,
+    pub(super) feed_forward: FeedForward,
 }
 
 /// Weights of a model.
@@ -88,16 +90,16 @@ pub struct ModelWeights {
     pub(super) shape: ModelShape,
     pub(super) embed: Linear,
     pub(super) time: AttentionLayer,
-    /// By head and lag, `[heads, Z]`.
-    pub(super) lags: Vec<f32>,
+    /// Offset of the score of temporal attention by head and lag, `[heads, Z]`.
+    pub(super) lag_bias: Vec<f32>,
     pub(super) space: Option<AttentionLayer>,
-    pub(super) head_norm: Vec<f32>,
-    pub(super) head: Linear,
+    pub(super) output_norm: Vec<f32>,
+    pub(super) output: Linear,
     pub(super) price_inner: Linear,
     pub(super) price_outer: Linear,
     /// Metadata of the file.
-    pub about: BTreeMap<String, String>,
-    /// SHA-256 of the file.
+    pub metadata: BTreeMap<String, String>,
+    /// SHA-256 of the file; of the metadata for an untrained model.
     pub hash: [u8; 32],
 }
 
@@ -111,19 +113,19 @@ impl ModelWeights {
     /// The file is not a model of this program, is damaged, or holds values that are not finite.
     pub fn read(bytes: &[u8]) -> Result<Self, ModelError> {
         let format = |error: safetensors::SafeTensorError| ModelError::Format(error.to_string());
-        let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(format)?;
+        let (_, header) = SafeTensors::read_metadata(bytes).map_err(format)?;
         let file = SafeTensors::deserialize(bytes).map_err(format)?;
-        let texts = metadata.metadata().as_ref().and_then(|pairs| pairs.get(KEY));
-        // Metadata that is missing or unreadable becomes empty; `shape` then reports the missing version.
-        let about: BTreeMap<String, String> = texts
-            .and_then(|texts| serde_json::from_str(texts).ok())
+        let text = header.metadata().as_ref().and_then(|pairs| pairs.get(METADATA_KEY));
+        // Metadata that is missing or unreadable becomes empty; `decode_shape` then reports the missing version.
+        let metadata: BTreeMap<String, String> = text
+            .and_then(|text| serde_json::from_str(text).ok())
             .unwrap_or_default();
-        let shape = shape(&about)?;
+        let shape = decode_shape(&metadata)?;
         let wanted = shape.tensors();
         if let Some(name) = file
             .names()
             .iter()
-            .find(|name| wanted.iter().all(|(known, _)| known != *name))
+            .find(|name| wanted.iter().all(|(tensor, _)| tensor != *name))
         {
             return Err(ModelError::Tensor {
                 name: (*name).to_owned(),
@@ -133,9 +135,9 @@ impl ModelWeights {
         }
         let mut tensors = Tensors::new();
         for (name, size) in wanted {
-            tensors.insert(name, tensor(&file, name, &size)?);
+            tensors.insert(name, read_tensor(&file, name, &size)?);
         }
-        Ok(Self::assemble(shape, tensors, about, Sha256::digest(bytes).into()))
+        Ok(Self::assemble(shape, tensors, metadata, Sha256::digest(bytes).into()))
     }
 
     /// Creates an untrained model of `shape`. All weights are 0, so it expects events by age and α alone.
@@ -143,11 +145,11 @@ impl ModelWeights {
         let zeros = |(name, size): (&'static str, Vec<usize>)| (name, vec![0.0; size.iter().product()]);
         let tensors = shape.tensors().into_iter().map(zeros).collect();
         // An untrained model has no file, so its hash covers the metadata, which names the shape.
-        let text = metadata(shape, &BTreeMap::new());
+        let text = encode_metadata(shape, &BTreeMap::new());
         Self::assemble(shape, tensors, BTreeMap::new(), Sha256::digest(text).into())
     }
 
-    fn assemble(shape: ModelShape, mut tensors: Tensors, about: BTreeMap<String, String>, hash: [u8; 32]) -> Self {
+    fn assemble(shape: ModelShape, mut tensors: Tensors, metadata: BTreeMap<String, String>, hash: [u8; 32]) -> Self {
         let (d, wide) = (shape.width, EXPANSION * shape.width);
         let mut take = |name: &str| tensors.remove(name).expect("all tensors were read");
         let mut attention = |names: [&str; 10]| {
@@ -165,11 +167,11 @@ impl ModelWeights {
             ] = names;
             AttentionLayer {
                 norm: take(norm),
-                query: Linear::plain(d, d, &take(query)),
-                key: Linear::plain(d, d, &take(key)),
-                value: Linear::plain(d, d, &take(value)),
-                out: Linear::plain(d, d, &take(out)),
-                mix: FeedForward {
+                query: Linear::without_bias(d, d, &take(query)),
+                key: Linear::without_bias(d, d, &take(key)),
+                value: Linear::without_bias(d, d, &take(value)),
+                out: Linear::without_bias(d, d, &take(out)),
+                feed_forward: FeedForward {
                     norm: take(mix),
                     inner: Linear::new(d, &take(in_weight), &take(in_bias)),
                     outer: Linear::new(wide, &take(out_weight), &take(out_bias)),
@@ -188,7 +190,7 @@ impl ModelWeights {
             "time.mix.out.weight",
             "time.mix.out.bias",
         ]);
-        let space = shape.has_space.then(|| {
+        let space = shape.attends_to_devices.then(|| {
             attention([
                 "space.norm",
                 "space.query",
@@ -208,15 +210,15 @@ impl ModelWeights {
         };
         Self {
             embed: linear(FEATURES.len(), "embed.weight", "embed.bias"),
-            head: linear(d, "head.weight", "head.bias"),
+            output: linear(d, "head.weight", "head.bias"),
             price_inner: linear(d + 1, "price.in.weight", "price.in.bias"),
             price_outer: linear(PRICE_WIDTH, "price.out.weight", "price.out.bias"),
-            lags: take("time.bias"),
-            head_norm: take("head.norm"),
+            lag_bias: take("time.bias"),
+            output_norm: take("head.norm"),
             shape,
             time,
             space,
-            about,
+            metadata,
             hash,
         }
     }
@@ -227,32 +229,35 @@ impl ModelWeights {
     }
 }
 
-/// Returns the value of [`KEY`] for a model of this shape, where `about` describes the training.
-pub fn metadata(shape: ModelShape, about: &BTreeMap<String, String>) -> String {
+/// Returns the value of [`METADATA_KEY`] for a model of this shape, where `training` describes the training.
+pub fn encode_metadata(shape: ModelShape, training: &BTreeMap<String, String>) -> String {
     let ModelShape {
         memory,
         width,
         heads,
-        has_space,
+        attends_to_devices,
         objective,
     } = shape;
-    let own = [
-        (keys::VERSION, VERSION.to_owned()),
+    let entries = [
+        (keys::VERSION, FORMAT_VERSION.to_owned()),
         (keys::FEATURES, FEATURES.join(",")),
-        (keys::SHAPE, format!("{memory},{width},{heads},{}", u8::from(has_space))),
+        (
+            keys::SHAPE,
+            format!("{memory},{width},{heads},{}", u8::from(attends_to_devices)),
+        ),
         (keys::OBJECTIVE, objective.name().to_owned()),
     ];
-    let own = own.map(|(key, value)| (key.to_owned(), value));
-    // Own keys last, so that no key of `about` replaces them.
-    let all: BTreeMap<String, String> = about.clone().into_iter().chain(own).collect();
+    let entries = entries.map(|(key, value)| (key.to_owned(), value));
+    // These entries last, so that no key of `training` replaces them.
+    let all: BTreeMap<String, String> = training.clone().into_iter().chain(entries).collect();
     serde_json::to_string(&all).expect("texts can be written")
 }
 
-fn shape(about: &BTreeMap<String, String>) -> Result<ModelShape, ModelError> {
-    let found = |key: &'static str| about.get(key).map_or("nothing", String::as_str);
+fn decode_shape(metadata: &BTreeMap<String, String>) -> Result<ModelShape, ModelError> {
+    let found = |key: &'static str| metadata.get(key).map_or("nothing", String::as_str);
     // Weights of the embedding belong to features by position, so the list must be the same.
     for (key, wanted) in [
-        (keys::VERSION, VERSION.to_owned()),
+        (keys::VERSION, FORMAT_VERSION.to_owned()),
         (keys::FEATURES, FEATURES.join(",")),
     ] {
         if found(key) != wanted {
@@ -275,7 +280,7 @@ fn shape(about: &BTreeMap<String, String>) -> Result<ModelShape, ModelError> {
         key: keys::SHAPE,
         found: found(keys::SHAPE).to_owned(),
         wanted: format!(
-            "Z from 1 to {LONGEST_MEMORY}, d up to {WIDEST} and a multiple of 4 times the heads, up to {MOST_HEADS} \
+            "Z from 1 to {MAX_MEMORY}, d up to {MAX_WIDTH} and a multiple of 4 times the heads, up to {MAX_HEADS} \
              heads, and 0 or 1"
         ),
     };
@@ -283,20 +288,20 @@ fn shape(about: &BTreeMap<String, String>) -> Result<ModelShape, ModelError> {
         .split(',')
         .filter_map(|number| number.parse().ok())
         .collect();
-    let &[memory, width, heads, has_space @ 0..=1] = &numbers[..] else {
+    let &[memory, width, heads, attends_to_devices @ 0..=1] = &numbers[..] else {
         return Err(foreign());
     };
     let shape = ModelShape {
         memory,
         width,
         heads,
-        has_space: has_space == 1,
+        attends_to_devices: attends_to_devices == 1,
         objective,
     };
     if shape.is_valid() { Ok(shape) } else { Err(foreign()) }
 }
 
-fn tensor(file: &SafeTensors<'_>, name: &str, size: &[usize]) -> Result<Vec<f32>, ModelError> {
+fn read_tensor(file: &SafeTensors<'_>, name: &str, size: &[usize]) -> Result<Vec<f32>, ModelError> {
     let wrong = |found: String| ModelError::Tensor {
         name: name.to_owned(),
         found,

@@ -1,71 +1,72 @@
-//! Area state in which places have ages and count by them.
+//! Area state in which places have ages and count by them, for `policy.q-learning.ages`.
 
 use reveille_common::geometry::{Area, Point};
 use reveille_common::ids::DeviceId;
 use reveille_common::sensing::Sensing;
 
-use super::traits::{AreaState, CHARGES, Gain, discs};
+use super::traits::{AreaState, Gain, PASS_MIN_BUCKETS, area_in_discs};
 use crate::beliefs::ages::selector::DeviceSelector;
-use crate::beliefs::ages::{Ages, FREE, worths};
-use crate::policy::q_learning::learned::{ABLE, AREAS, BATTERIES, Lookback};
+use crate::beliefs::ages::{Ages, MIN_PRICE, age_worths};
+use crate::policy::q_learning::learned::{AREA_BUCKETS, BATTERY_BUCKETS, FIRST_ABLE_BUCKET, Lookback};
 
 /// Area state in which a device's gain is the sum of the age indices of its newly covered places. Devices are chosen as
 /// by `age-index`, at learned prices. The price of a battery bucket is the least gain for which sensing has an
 /// advantage with such a battery or a lower one.
 pub(super) struct AgedArea {
     ages: Ages,
-    choice: DeviceSelector,
+    selector: DeviceSelector,
     /// Cells of the area.
-    cells: f64,
+    cell_count: f64,
     /// Surface of the area, in sensing discs.
-    discs: f64,
+    area_in_discs: f64,
     /// Learned prices by battery bucket, in the unit of [`Ages::gain`]; infinite where sensing never has an advantage.
-    learned: [f64; BATTERIES],
+    bucket_prices: [f64; BATTERY_BUCKETS],
     /// Prices by device in this TTI.
     prices: Vec<f64>,
     /// The battery bucket of each device.
-    batteries: Vec<u8>,
+    battery_buckets: Vec<u8>,
     /// Whether a TTI has passed.
     has_begun: bool,
-    is_found: bool,
+    /// Whether an event was reported in the TTI of the last decision.
+    is_event_reported: bool,
 }
 
 impl AgedArea {
-    pub(super) fn new(lost: f64, positions: &[Point], area: Area, sensing: &Sensing) -> Self {
-        let ages = Ages::with_loss(lost, positions, area, sensing, worths());
+    pub(super) fn new(loss_probability: f64, positions: &[Point], area: Area, sensing: &Sensing) -> Self {
+        let ages = Ages::with_loss(loss_probability, positions, area, sensing, age_worths());
         Self {
-            choice: DeviceSelector::new(positions, area, sensing.d_max),
-            cells: area.surface() / ages.cell_surface(),
-            discs: discs(area, sensing),
+            selector: DeviceSelector::new(positions, area, sensing.d_max),
+            cell_count: area.surface() / ages.cell_surface(),
+            area_in_discs: area_in_discs(area, sensing),
             ages,
-            learned: [f64::INFINITY; BATTERIES],
+            bucket_prices: [f64::INFINITY; BATTERY_BUCKETS],
             prices: vec![f64::INFINITY; positions.len()],
-            batteries: vec![0; positions.len()],
+            battery_buckets: vec![0; positions.len()],
             has_begun: false,
-            is_found: false,
+            is_event_reported: false,
         }
     }
 }
 
 impl AreaState for AgedArea {
-    fn set_advantages(&mut self, advantages: &[[f64; AREAS]; BATTERIES]) {
+    fn set_advantages(&mut self, advantages: &[[f64; AREA_BUCKETS]; BATTERY_BUCKETS]) {
         // A fuller battery is never dearer: without a price, or with a higher one, a bucket takes the least lower
         // price.
-        let mut least = f64::INFINITY;
-        for (battery, row) in advantages.iter().enumerate().skip(usize::from(ABLE)) {
-            if let Some(begin) = Lookback::Ages.begin(row) {
-                least = least.min((begin / self.discs * self.cells).max(FREE));
+        let mut lowest_price = f64::INFINITY;
+        for (battery, row) in advantages.iter().enumerate().skip(usize::from(FIRST_ABLE_BUCKET)) {
+            if let Some(start) = Lookback::Ages.advantage_start(row) {
+                lowest_price = lowest_price.min((start / self.area_in_discs * self.cell_count).max(MIN_PRICE));
             }
-            self.learned[battery] = least;
+            self.bucket_prices[battery] = lowest_price;
         }
     }
 
-    fn begin(&mut self, batteries: &[u8]) {
+    fn begin_tti(&mut self, battery_buckets: &[u8]) {
         // The initial ages are already valid in the first TTI.
         if std::mem::replace(&mut self.has_begun, true) {
-            self.ages.advance(std::mem::take(&mut self.is_found));
+            self.ages.advance(std::mem::take(&mut self.is_event_reported));
         }
-        self.batteries.copy_from_slice(batteries);
+        self.battery_buckets.copy_from_slice(battery_buckets);
     }
 
     fn add(&mut self, j: usize) {
@@ -74,11 +75,11 @@ impl AreaState for AgedArea {
 
     fn choose(&mut self, is_free: &dyn Fn(usize) -> bool) -> Vec<DeviceId> {
         let mut chosen: Vec<DeviceId> = Vec::new();
-        for least in CHARGES {
-            for (j, (price, &battery)) in self.prices.iter_mut().zip(&self.batteries).enumerate() {
-                let may = battery >= least && is_free(j);
-                *price = if may {
-                    self.learned[usize::from(battery)]
+        for min_bucket in PASS_MIN_BUCKETS {
+            for (j, (price, &battery)) in self.prices.iter_mut().zip(&self.battery_buckets).enumerate() {
+                let may_choose = battery >= min_bucket && is_free(j);
+                *price = if may_choose {
+                    self.bucket_prices[usize::from(battery)]
                 } else {
                     f64::INFINITY
                 };
@@ -88,7 +89,7 @@ impl AreaState for AgedArea {
             for device in &chosen {
                 self.prices[device.index()] = f64::INFINITY;
             }
-            chosen.extend(self.choice.choose(&mut self.ages, &self.prices));
+            chosen.extend(self.selector.choose(&mut self.ages, &self.prices));
         }
         chosen
     }
@@ -105,37 +106,37 @@ impl AreaState for AgedArea {
     }
 
     fn gain(&self, j: usize) -> Gain {
-        let share = self.ages.gain(j) / self.cells;
+        let share = self.ages.gain(j) / self.cell_count;
         Gain {
             share,
-            bucket: Lookback::Ages.bucket(share * self.discs) as u8,
+            bucket: Lookback::Ages.bucket(share * self.area_in_discs) as u8,
         }
     }
 
-    fn left(&self) -> f64 {
-        self.ages.remaining() / self.cells
+    fn uncovered(&self) -> f64 {
+        self.ages.uncovered_worth() / self.cell_count
     }
 
     fn credits(&mut self, chosen: &[DeviceId], gains: &[Gain]) -> Vec<f64> {
-        let mut credits = vec![0.0; self.batteries.len()];
+        let mut credits = vec![0.0; self.battery_buckets.len()];
         for (device, gain) in chosen.iter().zip(gains) {
             credits[device.index()] = gain.share;
         }
         credits
     }
 
-    fn all(&self) -> f64 {
-        self.ages.all() / self.cells
+    fn coverable(&self) -> f64 {
+        self.ages.total_worth() / self.cell_count
     }
 
     /// Does nothing: the ages hold the choice and advance when the next TTI begins.
-    fn remember(&mut self, _: &[DeviceId]) {}
+    fn end_tti(&mut self, _: &[DeviceId]) {}
 
-    fn found(&mut self) {
-        self.is_found = true;
+    fn record_event(&mut self) {
+        self.is_event_reported = true;
     }
 
-    fn prior(&self, at: Point) -> f64 {
-        self.ages.age_at(at)
+    fn prior(&self, place: Point) -> f64 {
+        self.ages.age_at(place)
     }
 }

@@ -1,4 +1,5 @@
-//! State of the area and choice of the sensing devices, for coverage within a window or for places with ages.
+//! State of the area and choice of the sensing devices, for coverage within a window (`window`, with `selector`) or for
+//! places with ages (`ages`). The duty cycling sees both through [`AreaState`].
 
 mod ages;
 mod selector;
@@ -13,17 +14,17 @@ pub(super) use self::traits::{AreaState, Gain};
 use self::window::WindowedArea;
 use super::learned::Lookback;
 
-/// Creates the state for devices at `positions` of `area`. `lost` is the probability that no report arrives from a
-/// device that has detected an event.
+/// Creates the state for devices at `positions` of `area`. `loss_probability` is the probability that no report arrives
+/// from a device that has detected an event.
 pub(super) fn new(
     lookback: Lookback,
-    lost: f64,
+    loss_probability: f64,
     positions: &[Point],
     area: Area,
     sensing: &Sensing,
 ) -> Box<dyn AreaState> {
     match lookback {
         Lookback::Window(window) => Box::new(WindowedArea::new(window, positions, area, sensing)),
-        Lookback::Ages => Box::new(AgedArea::new(lost, positions, area, sensing)),
+        Lookback::Ages => Box::new(AgedArea::new(loss_probability, positions, area, sensing)),
     }
 }

@@ -1,19 +1,22 @@
-//! Sequential choice of the sensing devices.
+//! Sequential choice of the sensing devices of `q-learning`, for coverage within a window ([`super::window`]). All
+//! comparisons are of whole numbers, so the choice is the same on every machine; digests depend on it.
+//! `tests/src/reference/q_learning.rs` repeats it for comparison.
 
 use reveille_common::ids::DeviceId;
 
-use super::traits::{CHARGES, Gain};
+use super::traits::{Gain, PASS_MIN_BUCKETS};
 use crate::beliefs::coverage::{CellPosition, Coverage};
-use crate::policy::q_learning::learned::{ABLE, AREAS, BATTERIES, area_bucket};
+use crate::policy::q_learning::learned::{AREA_BUCKETS, BATTERY_BUCKETS, FIRST_ABLE_BUCKET, area_bucket};
 
 /// Largest device id within a key.
-const NUMBERS: u32 = (1 << 24) - 1;
+const MAX_ID: u32 = (1 << 24) - 1;
+
 /// Sequential choice among the devices for which sensing has an advantage.
 ///
-/// Open places are processed in the order of [`Coverage::blocks`]. For each, the devices that reach it with an
-/// advantage are compared. The one with the largest product of newly covered area and charge is chosen; its newly
-/// covered places are no longer open. The first pass considers devices at least half charged, the second all devices,
-/// after which none has an advantage. Earlier choices that later ones made superfluous are removed.
+/// Uncovered cells are processed block by block, in the order of [`Coverage::cells_in`]. For each, the devices that
+/// reach it with an advantage are compared. The one with the largest product of newly covered area and charge is
+/// chosen; its newly covered cells need no further device. The first pass considers devices at least half charged, the
+/// second all devices, after which none has an advantage. Earlier choices that later ones made superfluous are removed.
 ///
 /// Charge counts because advantages hardly differ between batteries in dense deployments. By area alone the same few
 /// devices would be chosen until they are empty, and then they could not be woken.
@@ -21,53 +24,53 @@ const NUMBERS: u32 = (1 << 24) - 1;
 pub(super) struct SequentialSelector {
     coverage: Coverage,
     /// Surface of the area, in sensing discs.
-    discs: f64,
+    area_in_discs: f64,
     /// By battery and area bucket, whether sensing is worth more than sleep.
-    is_worth_it: [[bool; AREAS]; BATTERIES],
+    is_worth_it: [[bool; AREA_BUCKETS]; BATTERY_BUCKETS],
     /// Area bucket by number of newly covered parts.
-    areas: Vec<u8>,
+    bucket_by_parts: Vec<u8>,
     /// By device, the parts that it covers if no other device senses.
-    own: Vec<u32>,
+    own_parts: Vec<u32>,
     /// The battery bucket of each device.
-    batteries: Vec<u8>,
+    battery_buckets: Vec<u8>,
     /// By device, an upper bound of its key. Gains never rise while others are added, so neither does a key.
-    bounds: Vec<u64>,
-    /// Devices that can cover a place of the current block and can still be chosen, in the order of ids.
-    near: Vec<u32>,
+    key_bounds: Vec<u64>,
+    /// Devices that can cover a cell of the current block and can still be chosen, in the order of ids.
+    block_devices: Vec<u32>,
 }
 
 impl SequentialSelector {
-    /// Creates a selector for the devices of `coverage`, none added yet, on an area of `discs` sensing discs.
-    pub(super) fn new(coverage: Coverage, discs: f64, devices: usize) -> Self {
-        let own: Vec<u32> = (0..devices).map(|j| coverage.parts(j)).collect();
-        let (most, all) = (own.iter().copied().max().unwrap_or(0), coverage.all_parts());
+    /// Creates a selector for the devices of `coverage`, none added yet, on an area of `area_in_discs` sensing discs.
+    pub(super) fn new(coverage: Coverage, area_in_discs: f64, devices: usize) -> Self {
+        let own_parts: Vec<u32> = (0..devices).map(|j| coverage.gain_in_parts(j)).collect();
+        let (max_parts, all_parts) = (own_parts.iter().copied().max().unwrap_or(0), coverage.total_parts());
         Self {
-            discs,
-            is_worth_it: [[false; AREAS]; BATTERIES],
-            areas: (0..=most)
-                .map(|parts| area_bucket(f64::from(parts) / all * discs) as u8)
+            area_in_discs,
+            is_worth_it: [[false; AREA_BUCKETS]; BATTERY_BUCKETS],
+            bucket_by_parts: (0..=max_parts)
+                .map(|parts| area_bucket(f64::from(parts) / all_parts * area_in_discs) as u8)
                 .collect(),
-            own,
-            batteries: vec![0; devices],
-            bounds: vec![0; devices],
-            near: Vec::with_capacity(devices),
+            own_parts,
+            battery_buckets: vec![0; devices],
+            key_bounds: vec![0; devices],
+            block_devices: Vec::with_capacity(devices),
             coverage,
         }
     }
 
     /// Sets the advantages for the choices that follow.
-    pub(super) fn set_advantages(&mut self, advantages: &[[f64; AREAS]; BATTERIES]) {
+    pub(super) fn set_advantages(&mut self, advantages: &[[f64; AREA_BUCKETS]; BATTERY_BUCKETS]) {
         self.is_worth_it = advantages.map(|row| row.map(|advantage| advantage > 0.0));
     }
 
     /// Begins a TTI with these battery buckets, in which only the devices in `covering` cover places.
-    pub(super) fn begin(&mut self, batteries: &[u8], covering: impl Iterator<Item = DeviceId>) {
-        self.batteries.copy_from_slice(batteries);
-        self.cover(covering);
+    pub(super) fn begin(&mut self, battery_buckets: &[u8], covering: impl Iterator<Item = DeviceId>) {
+        self.battery_buckets.copy_from_slice(battery_buckets);
+        self.set_covering(covering);
     }
 
     /// Resets the coverage to the devices in `covering`.
-    pub(super) fn cover(&mut self, covering: impl Iterator<Item = DeviceId>) {
+    pub(super) fn set_covering(&mut self, covering: impl Iterator<Item = DeviceId>) {
         self.coverage.clear();
         for device in covering {
             self.coverage.add(device.index());
@@ -84,7 +87,7 @@ impl SequentialSelector {
         let share = self.coverage.gain(j);
         Gain {
             share,
-            bucket: area_bucket(share * self.discs) as u8,
+            bucket: area_bucket(share * self.area_in_discs) as u8,
         }
     }
 
@@ -97,92 +100,100 @@ impl SequentialSelector {
     /// returns them in the order of choice.
     pub(super) fn choose(&mut self, is_free: impl Fn(usize) -> bool) -> Vec<DeviceId> {
         let mut chosen = Vec::new();
-        for least in CHARGES {
-            for j in 0..self.bounds.len() {
-                let may = is_free(j) && self.batteries[j] >= least && !self.coverage.has(j);
-                self.bounds[j] = if may { self.key(j, self.own[j]) } else { 0 };
+        for min_bucket in PASS_MIN_BUCKETS {
+            for j in 0..self.key_bounds.len() {
+                let may_choose = is_free(j) && self.battery_buckets[j] >= min_bucket && !self.coverage.contains(j);
+                self.key_bounds[j] = if may_choose { self.key(j, self.own_parts[j]) } else { 0 };
             }
-            self.look_after_all(&mut chosen);
+            self.cover_cells(&mut chosen);
         }
         chosen
     }
 
-    /// Adds devices to `chosen` until no candidate is left for any open place.
-    fn look_after_all(&mut self, chosen: &mut Vec<DeviceId>) {
-        for block in 0..self.coverage.blocks() {
-            if !self.coverage.has_open(block) {
+    /// Adds devices to `chosen` until no candidate is left for any uncovered cell.
+    fn cover_cells(&mut self, chosen: &mut Vec<DeviceId>) {
+        for block in 0..self.coverage.block_count() {
+            if !self.coverage.has_uncovered(block) {
                 continue;
             }
-            self.near.clear();
-            let may_be_chosen = |j: &&u32| self.bounds[**j as usize] > 0;
-            self.near.extend(self.coverage.near(block).iter().filter(may_be_chosen));
-            if self.near.is_empty() {
+            self.block_devices.clear();
+            let may_be_chosen = |j: &&u32| self.key_bounds[**j as usize] > 0;
+            self.block_devices
+                .extend(self.coverage.devices_reaching(block).iter().filter(may_be_chosen));
+            if self.block_devices.is_empty() {
                 continue;
             }
-            for i in 0..self.coverage.spots(block).len() {
-                let spot = self.coverage.spots(block)[i];
-                while self.coverage.is_open(spot)
-                    && let Some(j) = self.best(spot)
+            for i in 0..self.coverage.cells_in(block).len() {
+                let cell = self.coverage.cells_in(block)[i];
+                while self.coverage.is_uncovered(cell)
+                    && let Some(j) = self.choose_best(cell)
                 {
                     self.coverage.add(j as usize);
-                    self.bounds[j as usize] = 0;
+                    self.key_bounds[j as usize] = 0;
                     chosen.push(DeviceId(j));
                 }
             }
         }
     }
 
-    /// Returns the best device that reaches a place, if any has an advantage.
-    fn best(&mut self, spot: CellPosition) -> Option<u32> {
+    /// Returns the device with the largest key that reaches `cell`, if any has an advantage.
+    fn choose_best(&mut self, cell: CellPosition) -> Option<u32> {
         // The device with the highest bound is evaluated first, which rules out most others without evaluation.
         let mut first = (0, 0);
-        for &j in &self.near {
-            let bound = self.bounds[j as usize];
-            if bound > first.0 && self.coverage.reaches(j as usize, spot) {
+        for &j in &self.block_devices {
+            let bound = self.key_bounds[j as usize];
+            if bound > first.0 && self.coverage.reaches(j as usize, cell) {
                 first = (bound, j);
             }
         }
         if first.0 == 0 {
             return None;
         }
-        let (mut most, mut best) = (self.look(first.1), first.1);
-        for i in 0..self.near.len() {
-            let j = self.near[i];
-            if self.bounds[j as usize] > most && self.coverage.reaches(j as usize, spot) {
-                let key = self.look(j);
-                if key > most {
-                    (most, best) = (key, j);
+        let (mut best_key, mut best) = (self.update_key(first.1), first.1);
+        for i in 0..self.block_devices.len() {
+            let j = self.block_devices[i];
+            if self.key_bounds[j as usize] > best_key && self.coverage.reaches(j as usize, cell) {
+                let key = self.update_key(j);
+                if key > best_key {
+                    (best_key, best) = (key, j);
                 }
             }
         }
-        (most > 0).then_some(best)
+        (best_key > 0).then_some(best)
     }
 
     /// Recomputes the key of device `j`.
-    fn look(&mut self, j: u32) -> u64 {
-        let key = self.key(j as usize, self.coverage.parts(j as usize));
-        self.bounds[j as usize] = key;
+    fn update_key(&mut self, j: u32) -> u64 {
+        let key = self.key(j as usize, self.coverage.gain_in_parts(j as usize));
+        self.key_bounds[j as usize] = key;
         key
     }
 
     /// Removes superfluous devices from `chosen`, first the one whose removal loses the least coverage. Ties go to the
     /// device chosen last. `covering` returns the other devices that cover places.
-    pub(super) fn spare<I: Iterator<Item = DeviceId>>(&mut self, chosen: &mut Vec<DeviceId>, covering: impl Fn() -> I) {
+    pub(super) fn remove_superfluous<I: Iterator<Item = DeviceId>>(
+        &mut self,
+        chosen: &mut Vec<DeviceId>,
+        covering: impl Fn() -> I,
+    ) {
         loop {
-            let lost = |j: DeviceId| self.coverage.lost(j.index());
-            let is_spare = |j: DeviceId, parts: u32| self.key(j.index(), parts) == 0;
-            let of = |(turn, &j): (usize, &DeviceId)| lost(j).filter(|&parts| is_spare(j, parts)).map(|p| (p, turn));
+            let loss = |j: DeviceId| self.coverage.loss_in_parts(j.index());
+            let is_superfluous = |j: DeviceId, parts: u32| self.key(j.index(), parts) == 0;
+            let superfluous_loss = |(turn, &j): (usize, &DeviceId)| {
+                let parts = loss(j).filter(|&parts| is_superfluous(j, parts))?;
+                Some((parts, turn))
+            };
             // `min_by_key` takes the first of equals, which in reverse order is the device chosen last.
-            let spare = chosen
+            let least_useful = chosen
                 .iter()
                 .enumerate()
                 .rev()
-                .filter_map(of)
+                .filter_map(superfluous_loss)
                 .min_by_key(|(parts, _)| *parts);
-            let Some((_, turn)) = spare else { return };
+            let Some((_, turn)) = least_useful else { return };
             chosen.remove(turn);
             // Without that device others cover more places alone, so all losses are recomputed.
-            self.cover(covering().chain(chosen.iter().copied()));
+            self.set_covering(covering().chain(chosen.iter().copied()));
         }
     }
 
@@ -191,12 +202,12 @@ impl SequentialSelector {
     /// report, covers no new parts or has no advantage.
     #[inline]
     fn key(&self, j: usize, parts: u32) -> u64 {
-        let battery = self.batteries[j];
-        let is_worth_it = self.is_worth_it[usize::from(battery)][usize::from(self.areas[parts as usize])];
-        if battery < ABLE || !is_worth_it || parts == 0 {
+        let battery = self.battery_buckets[j];
+        let is_worth_it = self.is_worth_it[usize::from(battery)][usize::from(self.bucket_by_parts[parts as usize])];
+        if battery < FIRST_ABLE_BUCKET || !is_worth_it || parts == 0 {
             return 0;
         }
-        let charge = u64::from(battery - ABLE + 1);
-        (u64::from(parts) * charge) << 24 | u64::from(NUMBERS - j as u32)
+        let charge = u64::from(battery - FIRST_ABLE_BUCKET + 1);
+        (u64::from(parts) * charge) << 24 | u64::from(MAX_ID - j as u32)
     }
 }

@@ -1,25 +1,26 @@
-//! Interface between the duty cycling and the state of the area.
+//! Interface between the duty cycling ([`DutyLearner`](crate::policy::q_learning::duty::DutyLearner)) and the state of
+//! the area: [`AreaState`], with an implementation for windows and one for ages.
 
 use reveille_common::geometry::{Area, Point};
 use reveille_common::ids::DeviceId;
 use reveille_common::sensing::Sensing;
 
-use crate::policy::q_learning::learned::{ABLE, AREAS, BATTERIES};
+use crate::policy::q_learning::learned::{AREA_BUCKETS, BATTERY_BUCKETS, FIRST_ABLE_BUCKET};
 
 /// Least battery bucket of each pass of the choice: first at least half charged, then all able devices.
-pub(super) const CHARGES: [u8; 2] = [5, ABLE];
+pub(super) const PASS_MIN_BUCKETS: [u8; 2] = [5, FIRST_ABLE_BUCKET];
 
 /// State of the area and of the devices, carried from TTI to TTI.
 ///
-/// Calls in each TTI: [`AreaState::begin`], optionally [`AreaState::add`], then [`AreaState::choose`]. While learning,
-/// [`AreaState::gains`], [`AreaState::gain`], [`AreaState::left`] and [`AreaState::credits`] follow, in this order.
-/// [`AreaState::remember`] comes last.
+/// Calls in each TTI: [`AreaState::begin_tti`], optionally [`AreaState::add`], then [`AreaState::choose`]. While
+/// learning, [`AreaState::gains`], [`AreaState::gain`], [`AreaState::uncovered`] and [`AreaState::credits`] follow, in
+/// this order. [`AreaState::end_tti`] comes last.
 pub(crate) trait AreaState: Send {
     /// Sets the advantages for the choices that follow.
-    fn set_advantages(&mut self, advantages: &[[f64; AREAS]; BATTERIES]);
+    fn set_advantages(&mut self, advantages: &[[f64; AREA_BUCKETS]; BATTERY_BUCKETS]);
 
-    /// Begins a TTI with these battery buckets and no chosen device.
-    fn begin(&mut self, batteries: &[u8]);
+    /// Begins a TTI with the battery bucket of each device and no chosen device.
+    fn begin_tti(&mut self, battery_buckets: &[u8]);
 
     /// Adds device `j` to the chosen devices.
     fn add(&mut self, j: usize);
@@ -34,23 +35,23 @@ pub(crate) trait AreaState: Send {
     fn gain(&self, j: usize) -> Gain;
 
     /// Returns the uncovered part, in the unit of [`Gain::share`].
-    fn left(&self) -> f64;
+    fn uncovered(&self) -> f64;
 
     /// Returns, by device, the coverage credited to it, for `chosen` devices with `gains` in this order. The credits
-    /// and [`AreaState::left`] add up to [`AreaState::all`].
+    /// and [`AreaState::uncovered`] add up to [`AreaState::coverable`].
     fn credits(&mut self, chosen: &[DeviceId], gains: &[Gain]) -> Vec<f64>;
 
     /// Returns everything that can be covered in this TTI, in the unit of [`Gain::share`].
-    fn all(&self) -> f64;
+    fn coverable(&self) -> f64;
 
     /// Ends the TTI, in which the `chosen` devices sense.
-    fn remember(&mut self, chosen: &[DeviceId]);
+    fn end_tti(&mut self, chosen: &[DeviceId]);
 
     /// Records that an event was reported in the TTI of the last decision.
-    fn found(&mut self);
+    fn record_event(&mut self);
 
     /// Returns the relative likelihood that a reported event is at a place.
-    fn prior(&self, at: Point) -> f64;
+    fn prior(&self, place: Point) -> f64;
 }
 
 /// Part of the area that a device newly covers.
@@ -63,6 +64,6 @@ pub(crate) struct Gain {
 }
 
 /// Returns the surface of an area in sensing discs.
-pub(super) fn discs(area: Area, sensing: &Sensing) -> f64 {
+pub(super) fn area_in_discs(area: Area, sensing: &Sensing) -> f64 {
     area.surface() / (std::f64::consts::PI * sensing.d_max * sensing.d_max)
 }

@@ -1,8 +1,14 @@
-//! Duty cycling: sequential choice of sensing devices by a table, and learning of the table.
+//! Duty cycling of `q-learning`: sequential choice of the sensing devices by a table, and learning of the table.
+//!
+//! The policy decides with [`DutyLearner::choose`]; a run that learns calls [`DutyLearner::explore`] and, one TTI
+//! later, [`DutyLearner::learn`]. The shares of the reward follow the documentation of the parent module and must add
+//! up to r(k).
 
 use super::area_state;
 use super::area_state::{AreaState, Gain};
-use super::learned::{ABLE, DutyTable, Lookback, NODES, QWeights, Rates, Schedule, battery_bucket};
+use super::learned::{
+    DutyTable, FIRST_ABLE_BUCKET, LearningRates, Lookback, QWeights, Schedule, VALUE_NODES, battery_bucket,
+};
 use reveille_common::geometry::{Area, Point};
 use reveille_common::ids::DeviceId;
 use reveille_common::rng::Stream;
@@ -12,7 +18,7 @@ use reveille_common::units::Energy;
 
 /// Parameters of the duty-cycle learner.
 #[derive(Clone, Copy, Debug)]
-pub struct DutyTerms {
+pub struct DutyParameters {
     /// Weights; μ1 and ζ are used.
     pub weights: QWeights,
     /// Learning schedule.
@@ -22,79 +28,81 @@ pub struct DutyTerms {
     /// Duration for which a covered place counts as covered.
     pub lookback: Lookback,
     /// Probability that no report arrives from a device in S1 that has detected an event.
-    pub lost: f64,
+    pub loss_probability: f64,
 }
 
 /// The duty cycling of a deployment.
-pub struct Duty {
+pub struct DutyLearner {
     table: DutyTable,
     /// V of the table, made monotone.
-    values: [f64; NODES],
-    terms: DutyTerms,
-    rates: Rates,
+    values: [f64; VALUE_NODES],
+    parameters: DutyParameters,
+    rates: LearningRates,
     /// Contribution to N r(k) of a device that alone covers the whole area, until the area must be covered again.
-    worth: f64,
+    coverage_worth: f64,
     energies: Vec<EnergyModel>,
     /// The battery bucket of each device.
-    batteries: Vec<u8>,
-    ground: Box<dyn AreaState>,
+    battery_buckets: Vec<u8>,
+    area_state: Box<dyn AreaState>,
     /// Last decision, kept until it is learned from.
-    last: Option<Decision>,
+    last_decision: Option<DutyDecision>,
 }
 
 /// All shares of one decision.
 #[derive(Clone, Debug, Default)]
-struct Decision {
+struct DutyDecision {
     /// State, action and gain of each device.
-    shares: Vec<Share>,
-    /// By device, the coverage credited to it, in the unit of `all`.
+    shares: Vec<DeviceShare>,
+    /// By device, the coverage credited to it, in the unit of `coverable`.
     credits: Vec<f64>,
     /// U(k), the uncovered part.
-    unused: f64,
+    uncovered: f64,
     /// Total that can be covered: the area, or with ages its worth.
-    all: f64,
+    coverable: f64,
 }
 
 /// State in which a device decided, and its action.
 #[derive(Clone, Copy, Debug, Default)]
-struct Share {
+struct DeviceShare {
+    /// Battery bucket.
     battery: u8,
+    /// Bucket of the newly covered area.
     area: u8,
-    on: bool,
-    /// Newly covered part, actual or hypothetical, in the unit of [`Decision::all`].
+    is_sensing: bool,
+    /// Newly covered part, actual or hypothetical, in the unit of [`DutyDecision::coverable`].
     gain: f64,
     level: Energy,
 }
 
-impl Duty {
+impl DutyLearner {
     /// Creates a learner with `table` for devices at `positions` of `area`.
     pub fn new(
         table: DutyTable,
-        terms: DutyTerms,
+        parameters: DutyParameters,
         positions: &[Point],
         energies: Vec<EnergyModel>,
         area: Area,
         sensing: &Sensing,
     ) -> Self {
-        let DutyTerms {
+        let DutyParameters {
             weights,
             schedule,
             alpha,
             lookback,
-            lost,
-        } = terms;
+            loss_probability,
+        } = parameters;
         let mut duty = Self {
-            values: [0.0; NODES],
+            values: [0.0; VALUE_NODES],
             table,
-            worth: weights.covering(positions.len() as u32, alpha, lookback.window()),
+            coverage_worth: weights.covering_worth(positions.len() as u32, alpha, lookback.window()),
             rates: schedule.rates(),
-            terms,
-            batteries: vec![0; positions.len()],
-            ground: area_state::new(lookback, lost, positions, area, sensing),
+            parameters,
+            battery_buckets: vec![0; positions.len()],
+            area_state: area_state::new(lookback, loss_probability, positions, area, sensing),
             energies,
-            last: None,
+            last_decision: None,
         };
-        duty.refresh();
+        duty.update_derived();
         duty
     }
 
@@ -107,145 +115,158 @@ impl Duty {
     /// of ids.
     pub fn choose(&mut self, levels: &[Energy]) -> Vec<DeviceId> {
         self.begin(levels);
-        let chosen = self.ground.choose(&|_| true);
-        self.remember(chosen)
+        let chosen = self.area_state.choose(&|_| true);
+        self.end_tti(chosen)
     }
 
     /// Chooses as [`Self::choose`], but at random with probability `epsilon` per device, for [`Self::learn`].
     pub fn explore(&mut self, levels: &[Energy], epsilon: f64, stream: &mut Stream) -> Vec<DeviceId> {
         self.begin(levels);
-        let of = |(&level, &battery): (&Energy, &u8)| Share {
+        let undecided = |(&level, &battery): (&Energy, &u8)| DeviceShare {
             battery,
             level,
-            ..Share::default()
+            ..DeviceShare::default()
         };
-        let mut shares: Vec<Share> = levels.iter().zip(&self.batteries).map(of).collect();
-        let mut is_free: Vec<bool> = self.batteries.iter().map(|&battery| battery >= ABLE).collect();
+        let mut shares: Vec<DeviceShare> = levels.iter().zip(&self.battery_buckets).map(undecided).collect();
+        let is_able = |&battery: &u8| battery >= FIRST_ABLE_BUCKET;
+        let mut is_free: Vec<bool> = self.battery_buckets.iter().map(is_able).collect();
         let mut chosen = Vec::new();
         // Random decisions come first, so that the choice among the others accounts for what these devices cover.
         for (j, is_free) in is_free.iter_mut().enumerate() {
             if stream.unit() < epsilon && *is_free {
                 *is_free = false;
                 if stream.unit() < 0.5 {
-                    self.ground.add(j);
+                    self.area_state.add(j);
                     chosen.push(DeviceId(j as u32));
                 }
             }
         }
-        let others = self.ground.choose(&|j| is_free[j]);
+        let others = self.area_state.choose(&|j| is_free[j]);
         chosen.extend(others);
         // A chosen device decided given the devices chosen before it; the others decided given all chosen devices.
-        let gains = self.ground.gains(&chosen);
+        let gains = self.area_state.gains(&chosen);
         for (device, &gain) in chosen.iter().zip(&gains) {
             shares[device.index()].decide(true, gain);
         }
-        for (j, share) in shares.iter_mut().enumerate().filter(|(_, share)| !share.on) {
-            share.decide(false, self.ground.gain(j));
+        for (j, share) in shares.iter_mut().enumerate().filter(|(_, share)| !share.is_sensing) {
+            share.decide(false, self.area_state.gain(j));
         }
-        self.last = Some(Decision {
+        self.last_decision = Some(DutyDecision {
             shares,
-            unused: self.ground.left(),
-            all: self.ground.all(),
-            credits: self.ground.credits(&chosen, &gains),
+            uncovered: self.area_state.uncovered(),
+            coverable: self.area_state.coverable(),
+            credits: self.area_state.credits(&chosen, &gains),
         });
-        self.remember(chosen)
+        self.end_tti(chosen)
     }
 
     /// Learns from the last exploration; `levels` are the batteries after it.
     pub fn learn(&mut self, levels: &[Energy]) {
-        let Some(Decision { shares, .. }) = self.last.take() else {
+        let Some(DutyDecision { shares, .. }) = self.last_decision.take() else {
             return;
         };
-        let zeta = self.terms.weights.zeta;
+        let zeta = self.parameters.weights.zeta;
         for ((share, &after), energy) in shares.iter().zip(levels).zip(&self.energies) {
-            let Share { battery, area, on, .. } = *share;
+            let DeviceShare {
+                battery,
+                area,
+                is_sensing,
+                ..
+            } = *share;
             // N r_j of the module documentation, without the part that is the same for both actions.
-            let reward = if on { self.worth * share.gain } else { 1.0 };
+            let reward = if is_sensing {
+                self.coverage_worth * share.gain
+            } else {
+                1.0
+            };
             let [before, after] = [share.level, after].map(|level| value_at(&self.values, level, energy));
             let (battery, area) = (usize::from(battery), usize::from(area));
             let outcome = reward + zeta * after;
-            let value = self.table.outcome_mut(battery, area, on);
-            value.learn(outcome, self.rates);
-            let worth = value.value;
+            let whole_q = self.table.outcome_mut(battery, area, is_sensing);
+            whole_q.learn(outcome, self.rates);
+            let whole_q = whole_q.value;
             // ζV(before) is the same for both actions and would hide their difference while V is still being learned.
             self.table
-                .at_mut(battery, area, on)
+                .at_mut(battery, area, is_sensing)
                 .learn(outcome - zeta * before, self.rates);
             // V is the mean over all actions taken, including exploration as in SARSA, so it learns from the whole
-            // value.
-            let (node, part) = node_of(share.level, energy);
-            self.table.value[node].learn_a_share(worth, 1.0 - part, self.rates);
-            self.table.value[node + 1].learn_a_share(worth, part, self.rates);
+            // Q.
+            let (node, part) = locate_node(share.level, energy);
+            self.table.value[node].learn_weighted(whole_q, 1.0 - part, self.rates);
+            self.table.value[node + 1].learn_weighted(whole_q, part, self.rates);
         }
-        self.refresh();
+        self.update_derived();
     }
 
     /// Recomputes the values that are derived from the table.
-    fn refresh(&mut self) {
-        self.ground.set_advantages(&self.table.advantages());
+    fn update_derived(&mut self) {
+        self.area_state.set_advantages(&self.table.advantages());
         self.values = self.table.values();
     }
 
     /// Returns r(k) of the last exploration and the devices' shares of it, which add up to it.
     pub fn rewards(&self) -> Option<(f64, impl Iterator<Item = f64> + '_)> {
-        let Decision {
+        let DutyDecision {
             shares,
             credits,
-            unused: left,
-            all,
-        } = self.last.as_ref()?;
+            uncovered,
+            coverable,
+        } = self.last_decision.as_ref()?;
         let n = shares.len() as f64;
-        let on = shares.iter().filter(|share| share.on).count() as f64;
-        let weight = self.terms.alpha * self.terms.weights.mu1;
-        let of = move |(share, credit): (&Share, &f64)| {
-            let asleep = if share.on { 0.0 } else { 1.0 / n };
-            asleep + weight * (credit - all / n)
+        let sensing = shares.iter().filter(|share| share.is_sensing).count() as f64;
+        let weight = self.parameters.alpha * self.parameters.weights.mu1;
+        let share_of_reward = move |(share, credit): (&DeviceShare, &f64)| {
+            let asleep = if share.is_sensing { 0.0 } else { 1.0 / n };
+            asleep + weight * (credit - coverable / n)
         };
-        Some((1.0 - on / n - weight * left, shares.iter().zip(credits).map(of)))
+        Some((
+            1.0 - sensing / n - weight * uncovered,
+            shares.iter().zip(credits).map(share_of_reward),
+        ))
     }
 
     fn begin(&mut self, levels: &[Energy]) {
-        for ((bucket, &level), energy) in self.batteries.iter_mut().zip(levels).zip(&self.energies) {
+        for ((bucket, &level), energy) in self.battery_buckets.iter_mut().zip(levels).zip(&self.energies) {
             *bucket = battery_bucket(level, energy) as u8;
         }
-        self.ground.begin(&self.batteries);
+        self.area_state.begin_tti(&self.battery_buckets);
     }
 
     /// Records that an event was reported in the TTI of the last decision.
-    pub fn found(&mut self) {
-        self.ground.found();
+    pub fn record_event(&mut self) {
+        self.area_state.record_event();
     }
 
     /// Returns the relative likelihood that a reported event is at a place.
-    pub(crate) fn prior(&self, at: Point) -> f64 {
-        self.ground.prior(at)
+    pub(crate) fn prior(&self, place: Point) -> f64 {
+        self.area_state.prior(place)
     }
 
-    fn remember(&mut self, mut chosen: Vec<DeviceId>) -> Vec<DeviceId> {
-        self.ground.remember(&chosen);
+    fn end_tti(&mut self, mut chosen: Vec<DeviceId>) -> Vec<DeviceId> {
+        self.area_state.end_tti(&chosen);
         // The area state credits places in the order of choice; the plan needs ascending ids.
         chosen.sort_unstable();
         chosen
     }
 }
 
-impl Share {
+impl DeviceShare {
     /// Records the decision of the device and the part that it would newly cover.
-    fn decide(&mut self, on: bool, gain: Gain) {
-        (self.on, self.gain, self.area) = (on, gain.share, gain.bucket);
+    fn decide(&mut self, is_sensing: bool, gain: Gain) {
+        (self.is_sensing, self.gain, self.area) = (is_sensing, gain.share, gain.bucket);
     }
 }
 
-/// Returns the node below `level` and the relative distance to it, `[0, 1]`.
-fn node_of(level: Energy, energy: &EnergyModel) -> (usize, f64) {
-    let at = level.micro() as f64 / energy.e_max.micro() as f64 * (NODES - 1) as f64;
+/// Returns the node of V below `level` and the relative distance to it, `[0, 1]`.
+fn locate_node(level: Energy, energy: &EnergyModel) -> (usize, f64) {
+    let nodes = level.micro() as f64 / energy.e_max.micro() as f64 * (VALUE_NODES - 1) as f64;
     // A full battery is the end of the last interval.
-    let node = (at as usize).min(NODES - 2);
-    (node, (at - node as f64).min(1.0))
+    let node = (nodes as usize).min(VALUE_NODES - 2);
+    (node, (nodes - node as f64).min(1.0))
 }
 
-fn value_at(values: &[f64; NODES], level: Energy, energy: &EnergyModel) -> f64 {
-    let (node, part) = node_of(level, energy);
+fn value_at(values: &[f64; VALUE_NODES], level: Energy, energy: &EnergyModel) -> f64 {
+    let (node, part) = locate_node(level, energy);
     values[node] + part * (values[node + 1] - values[node])
 }
 

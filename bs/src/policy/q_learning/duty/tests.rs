@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use reveille_common::geometry::{Layout, place};
+use reveille_common::geometry::{Layout, place_devices};
 use reveille_common::rng::Purpose;
 use reveille_common::sensing::{DetectionKind, Fusion};
 
@@ -36,7 +36,7 @@ fn energy() -> EnergyModel {
 }
 
 /// Uncovered part of an area, computed cell by cell from the definition alone.
-struct Ground {
+struct UncoveredCells {
     kind: DetectionKind,
     sensing: Sensing,
     /// South-west corner and size of each cell.
@@ -44,7 +44,7 @@ struct Ground {
     positions: Vec<Point>,
 }
 
-impl Ground {
+impl UncoveredCells {
     fn new(area: Area, kind: DetectionKind, positions: &[Point]) -> Self {
         let sensing = sensing(kind);
         // Cells along d_max.
@@ -133,23 +133,23 @@ struct Case {
 
 impl Case {
     fn positions(&self) -> Vec<Point> {
-        place(&Layout::Uniform, self.area, self.devices, self.seed)
+        place_devices(&Layout::Uniform, self.area, self.devices, self.seed)
     }
 
-    fn learner(&self, table: DutyTable, weights: QWeights, alpha: f64) -> Duty {
+    fn learner(&self, table: DutyTable, weights: QWeights, alpha: f64) -> DutyLearner {
         self.learner_of(Lookback::Window(self.window), table, weights, alpha)
     }
 
-    fn learner_of(&self, lookback: Lookback, table: DutyTable, weights: QWeights, alpha: f64) -> Duty {
-        let terms = DutyTerms {
+    fn learner_of(&self, lookback: Lookback, table: DutyTable, weights: QWeights, alpha: f64) -> DutyLearner {
+        let terms = DutyParameters {
             schedule: Schedule::default(),
             weights,
             alpha,
             lookback,
-            lost: 0.0,
+            loss_probability: 0.0,
         };
         let energies = vec![energy(); self.devices as usize];
-        Duty::new(
+        DutyLearner::new(
             table,
             terms,
             &self.positions(),
@@ -188,7 +188,7 @@ fn the_shares_add_up_to_the_papers_reward_in_every_tti() {
         let (alpha, mu1) = (0.05 + stream.unit(), 20.0 * stream.unit());
         let weights = weights(mu1);
         let mut duty = case.learner(random_table(&mut stream), weights, alpha);
-        let ground = Ground::new(case.area, case.kind, &case.positions());
+        let ground = UncoveredCells::new(case.area, case.kind, &case.positions());
         let mut plans: Vec<Vec<usize>> = Vec::new();
         let mut gains: VecDeque<Vec<f64>> = VecDeque::new();
         for k in 0..30 {
@@ -224,8 +224,8 @@ fn the_shares_add_up_to_the_papers_reward_in_every_tti() {
             assert!((reward - sum).abs() < 1e-9, "{what}: shares {sum}, {reward}");
             // A choice promises in each TTI of the window at least its newly covered part; with a window of 1, exactly
             // it.
-            let last = duty.last.as_ref().expect("an exploration");
-            let own = |share: &Share| if share.on { share.gain } else { 0.0 };
+            let last = duty.last_decision.as_ref().expect("an exploration");
+            let own = |share: &DeviceShare| if share.is_sensing { share.gain } else { 0.0 };
             gains.push_back(last.shares.iter().map(own).collect());
             if gains.len() > case.window as usize {
                 gains.pop_front();
@@ -256,14 +256,14 @@ fn the_shares_add_up_to_the_papers_reward_in_every_tti() {
 }
 
 /// Places of an area and their ages, computed from docs/age-index.md alone.
-struct Places {
+struct PlaceAges {
     kind: DetectionKind,
     middles: Vec<Point>,
     ages: Vec<f64>,
     positions: Vec<Point>,
 }
 
-impl Places {
+impl PlaceAges {
     fn new(case: &Case) -> Self {
         let along = |length: f64| (7.5 * length / 4.0).ceil().max(1.0);
         let (columns, rows) = (along(case.area.width), along(case.area.height));
@@ -327,7 +327,7 @@ fn with_ages_the_shares_add_up_to_the_reward_by_what_places_are_worth() {
         let (alpha, mu1) = (0.05 + stream.unit(), 20.0 * stream.unit());
         let weights = weights(mu1);
         let mut duty = case.learner_of(Lookback::Ages, random_table(&mut stream), weights, alpha);
-        let mut places = Places::new(&case);
+        let mut places = PlaceAges::new(&case);
         for k in 0..30 {
             let levels = random_levels(case.devices as usize, &mut stream);
             let mut dice = Stream::new(case.seed, Purpose::Exploration, k);
@@ -354,7 +354,7 @@ fn with_ages_the_shares_add_up_to_the_reward_by_what_places_are_worth() {
             let is_found = stream.unit() < 0.1;
             places.pass(&plan, is_found);
             if is_found {
-                duty.found();
+                duty.record_event();
             }
             duty.learn(&random_levels(case.devices as usize, &mut stream));
         }

@@ -1,4 +1,6 @@
-//! File of learned tables: JSON with a format header and a checksum over its body.
+//! File of learned tables, written by `reveille train q-learning`: JSON with a format header and a checksum over its
+//! body. Values are rounded on writing and on reading, so that both sides hold the same bits. Raise [`VERSION`] when
+//! the fields or the meaning of the buckets ([`super::tables`]) change, and train the shipped tables again.
 
 use std::fmt::Write as _;
 use std::io;
@@ -10,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use super::{
-    DutyTable, LONGEST_WINDOW, LearnedTables, Lookback, QTrainingConfig, QWeights, Schedule, TableSet, TrainingSite,
+    DutyTable, LearnedTables, Lookback, MAX_WINDOW, QTrainingConfig, QWeights, Schedule, TableSet, TrainingSite,
     WakeTable,
 };
 
@@ -19,7 +21,7 @@ pub const FORMAT: &str = "reveille-q-table";
 /// Version of the file format that this program reads and writes.
 pub const VERSION: u32 = 3;
 /// Size of the longest file that is read, bytes.
-const LONGEST: u64 = 64 << 20;
+const MAX_FILE_BYTES: u64 = 64 << 20;
 
 /// Tables that come with the program, learned under the presets `paper` and `paper-literal`, for windows and ages.
 const SHIPPED: [(&str, &str); 4] = [
@@ -32,20 +34,20 @@ const SHIPPED: [(&str, &str); 4] = [
     ),
 ];
 /// Suffix of the names of tables for ages.
-const AGES: &str = "-ages";
+const AGES_SUFFIX: &str = "-ages";
 
-fn shipped(text: &str) -> LearnedTables {
+fn parse_shipped(text: &str) -> LearnedTables {
     LearnedTables::parse(text).expect("a test reads the shipped tables")
 }
 
 /// Reads the training site from the `text` of a file, without the tables themselves.
-fn setting_of(text: &str) -> TrainingSite {
+fn read_training_site(text: &str) -> TrainingSite {
     #[derive(Deserialize)]
     struct SettingRepr {
         setting: TrainingSite,
     }
-    let body = text.split_once(BODY).map_or("", |(_, body)| body);
-    let front = body.split_once(ENTRIES).map_or("", |(front, _)| front);
+    let body = text.split_once(BODY_START).map_or("", |(_, body)| body);
+    let front = body.split_once(ENTRIES_START).map_or("", |(front, _)| front);
     let front: SettingRepr = serde_json::from_str(&format!("{front}}}")).expect("a test reads the shipped tables");
     front.setting
 }
@@ -81,9 +83,9 @@ struct FileHeader {
 }
 
 /// Text at which the body begins.
-const BODY: &str = ",\"body\":";
+const BODY_START: &str = ",\"body\":";
 /// Text at which the entries, the last field of the body, begin.
-const ENTRIES: &str = ",\"entries\":[";
+const ENTRIES_START: &str = ",\"entries\":[";
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -102,17 +104,19 @@ struct FileBody {
 impl LearnedTables {
     /// Returns the shipped tables, for ages or for windows, that were learned on the site most similar to `setting`.
     pub fn shipped(setting: &TrainingSite, ages: bool) -> Self {
-        let of_kind = SHIPPED.into_iter().filter(|(name, _)| name.ends_with(AGES) == ages);
-        let differences = |(_, text): &(&str, &str)| setting_of(text).differences(setting).len();
-        shipped(of_kind.min_by_key(differences).unwrap_or(SHIPPED[0]).1)
+        let of_kind = SHIPPED
+            .into_iter()
+            .filter(|(name, _)| name.ends_with(AGES_SUFFIX) == ages);
+        let differences = |(_, text): &(&str, &str)| read_training_site(text).differences(setting).len();
+        parse_shipped(of_kind.min_by_key(differences).unwrap_or(SHIPPED[0]).1)
     }
 
     /// Returns the shipped tables called `name`: `shipped` or `shipped-paper` for the preset `paper`, or
     /// `shipped-paper-literal`. With the suffix `-ages` they are for ages.
-    pub fn shipped_as(name: &str) -> Option<Self> {
+    pub fn shipped_named(name: &str) -> Option<Self> {
         let name = if name == "shipped" { SHIPPED[0].0 } else { name };
-        let found = SHIPPED.into_iter().find(|(own, _)| *own == name)?;
-        Some(shipped(found.1))
+        let (_, text) = SHIPPED.into_iter().find(|(shipped, _)| *shipped == name)?;
+        Some(parse_shipped(text))
     }
 
     /// Reads the file at `path`.
@@ -120,7 +124,7 @@ impl LearnedTables {
     /// # Errors
     /// The file cannot be read, has another format or version, or is damaged.
     pub fn read(files: &dyn Files, path: &Path) -> Result<Self, LearnedError> {
-        let bytes = files.read(path, LONGEST).map_err(|error| match error {
+        let bytes = files.read(path, MAX_FILE_BYTES).map_err(|error| match error {
             FileError::Io(error) => LearnedError::Read(error),
             FileError::Folder => LearnedError::Read(io::ErrorKind::IsADirectory.into()),
             FileError::Special => LearnedError::Foreign("it is not a regular file".to_owned()),
@@ -140,7 +144,7 @@ impl LearnedTables {
         if !text.starts_with('{') || !text.contains(FORMAT) {
             return Err(foreign());
         }
-        let (head, body) = text.split_once(BODY).unwrap_or((text.trim_end(), ""));
+        let (head, body) = text.split_once(BODY_START).unwrap_or((text.trim_end(), ""));
         let head: FileHeader = serde_json::from_str(&format!("{}}}", head.trim_end_matches('}'))).map_err(damaged)?;
         if head.format != FORMAT {
             return Err(foreign());
@@ -165,7 +169,7 @@ impl LearnedTables {
             begun_from: body.begun_from,
             schedule: body.schedule,
             training: body.training,
-            setting: body.setting,
+            site: body.setting,
             entries: body.entries,
         };
         learned.check().map_err(LearnedError::Damaged)?;
@@ -189,15 +193,15 @@ impl LearnedTables {
             begun_from: self.begun_from.clone(),
             schedule: self.schedule,
             training: self.training.clone(),
-            setting: self.setting.clone(),
+            setting: self.site.clone(),
             entries,
         };
         let body = serde_json::to_string(&body).expect("numbers and words");
         let body = body
-            .replace(ENTRIES, &format!("{ENTRIES}\n"))
+            .replace(ENTRIES_START, &format!("{ENTRIES_START}\n"))
             .replace("},{\"devices\"", "},\n{\"devices\"");
-        let sum = sha256(&body);
-        format!("{{\"format\":\"{FORMAT}\",\"version\":{VERSION},\"sha256\":\"{sum}\"{BODY}{body}}}\n")
+        let checksum = sha256(&body);
+        format!("{{\"format\":\"{FORMAT}\",\"version\":{VERSION},\"sha256\":\"{checksum}\"{BODY_START}{body}}}\n")
     }
 
     /// Checks the conditions that a policy relies on.
@@ -230,13 +234,13 @@ impl LearnedTables {
                 wake_posterior,
                 ..
             } = entry;
-            if !(1..=LONGEST_WINDOW).contains(&lookback.window()) {
-                return Err(format!("it has an entry for {}", lookback.in_words()));
+            if !(1..=MAX_WINDOW).contains(&lookback.window()) {
+                return Err(format!("it has an entry for {}", lookback.describe()));
             }
             if *devices == 0 || !surface.is_finite() || *surface <= 0.0 {
                 return Err(format!("it has an entry for {devices} devices on {surface} m²"));
             }
-            if !duty.has_its_size() || ![wake_p42, wake_posterior].into_iter().all(WakeTable::has_its_size) {
+            if !duty.has_valid_size() || ![wake_p42, wake_posterior].into_iter().all(WakeTable::has_valid_size) {
                 return Err(format!("the entry for {devices} devices has a table of the wrong size"));
             }
             let mut cells = duty.cells().chain(&wake_p42.q).chain(&wake_posterior.q);
@@ -282,15 +286,15 @@ impl TableSet {
             // The learning curve does not affect decisions.
             curve: _,
         } = self;
-        let mut sum = Sha256::new();
-        sum.update(devices.to_le_bytes());
-        sum.update(surface.to_bits().to_le_bytes());
+        let mut hasher = Sha256::new();
+        hasher.update(devices.to_le_bytes());
+        hasher.update(surface.to_bits().to_le_bytes());
         let window = match lookback {
             Lookback::Window(window) => *window,
             // No window has length 0.
             Lookback::Ages => 0,
         };
-        sum.update(window.to_le_bytes());
+        hasher.update(window.to_le_bytes());
         for cell in q
             .iter()
             .chain(outcomes)
@@ -298,10 +302,10 @@ impl TableSet {
             .chain(&wake_p42.q)
             .chain(&wake_posterior.q)
         {
-            sum.update(cell.value.to_bits().to_le_bytes());
-            sum.update(cell.visits.to_le_bytes());
+            hasher.update(cell.value.to_bits().to_le_bytes());
+            hasher.update(cell.visits.to_le_bytes());
         }
-        sum.finalize().into()
+        hasher.finalize().into()
     }
 }
 
@@ -355,7 +359,7 @@ mod tests {
                 epsilon: (0.1, 0.03),
                 seed: 1,
             },
-            setting,
+            site: setting,
             entries,
         }
     }
@@ -406,7 +410,7 @@ mod tests {
             )
         };
         let text = learned().to_json();
-        let (_, body) = text.split_once(BODY).expect("a file");
+        let (_, body) = text.split_once(BODY_START).expect("a file");
         let body = body.trim_end().strip_suffix('}').expect("a file");
         assert!(LearnedTables::parse(&sealed(body)).is_ok());
         refused(&sealed(&body.replacen("[20.0,0]", "[null,0]", 1)), "damaged");
@@ -439,7 +443,7 @@ mod tests {
         let learned = learned();
         let of = |n: u32, surface: f64| {
             learned
-                .closest(Lookback::Window(1), n, surface)
+                .closest_entry(Lookback::Window(1), n, surface)
                 .map(|entry| entry.devices)
         };
         assert_eq!(
@@ -448,16 +452,16 @@ mod tests {
         );
         assert_eq!([of(4, 400.0), of(101, 400.0), of(1000, 4000.0)], [None, None, Some(50)]);
         assert_eq!(
-            [1, 4].map(|window| learned.range(Lookback::Window(window), 400.0)),
+            [1, 4].map(|window| learned.served_devices(Lookback::Window(window), 400.0)),
             [(5, 100), (10, 40)]
         );
         let of = |window: u32, n: u32| {
             learned
-                .closest(Lookback::Window(window), n, 400.0)
+                .closest_entry(Lookback::Window(window), n, 400.0)
                 .map(|entry| entry.devices)
         };
         assert_eq!([of(4, 40), of(4, 41), of(2, 20)], [Some(20), None, None]);
-        assert!(learned.closest(Lookback::Ages, 20, 400.0).is_none());
+        assert!(learned.closest_entry(Lookback::Ages, 20, 400.0).is_none());
         assert_eq!(learned.lookbacks(), [1, 4].map(Lookback::Window));
         assert_eq!(
             [1, 3, 5].map(|window| learned.nearest_window(window)),
@@ -467,13 +471,13 @@ mod tests {
 
     #[test]
     fn under_shipped_tables_for_ages_whoever_can_report_looks_at_old_places() {
-        for (_, text) in SHIPPED.into_iter().filter(|(name, _)| name.ends_with(AGES)) {
-            for entry in shipped(text).entries {
+        for (_, text) in SHIPPED.into_iter().filter(|(name, _)| name.ends_with(AGES_SUFFIX)) {
+            for entry in parse_shipped(text).entries {
                 let advantages = entry.duty.advantages();
-                let begins = advantages[2..].iter().map(|row| Lookback::Ages.begin(row));
+                let begins = advantages[2..].iter().map(|row| Lookback::Ages.advantage_start(row));
                 let begins: Vec<Option<f64>> = begins.collect();
                 // A quarter of a disc with places of the greatest age that counts; devices in corners cover no more.
-                let is_met = |begin: &&f64| **begin < 0.25 * Lookback::Ages.most();
+                let is_met = |begin: &&f64| **begin < 0.25 * Lookback::Ages.max_gain();
                 let met = begins.iter().flatten().filter(is_met).count();
                 assert!(met >= 3, "N = {}: {begins:?}", entry.devices);
             }
@@ -483,28 +487,28 @@ mod tests {
     #[test]
     fn the_shipped_tables_are_those_of_a_training_with_the_presets_as_they_are() {
         for (name, text) in SHIPPED {
-            let tables = shipped(text);
-            assert_eq!(setting_of(text), tables.setting);
+            let tables = parse_shipped(text);
+            assert_eq!(read_training_site(text), tables.site);
             let mut set = vec!["name=q-learning", "q-learning.learn=true", "q-learning.table=nothing"];
-            if name.ends_with(AGES) {
+            if name.ends_with(AGES_SUFFIX) {
                 assert_eq!(tables.lookbacks(), [Lookback::Ages]);
                 set.push("q-learning.ages=true");
             } else {
                 assert_eq!(tables.lookbacks(), [1, 2, 4].map(Lookback::Window));
             }
             for lookback in tables.lookbacks() {
-                let (least, most) = tables.range(lookback, 400.0);
+                let (least, most) = tables.served_devices(lookback, 400.0);
                 assert!(least == 5 && most >= 500, "{name}, window {lookback}");
             }
             let set: Vec<Override> = set
                 .iter()
                 .map(|set| Override::parse(&format!("policy.{set}")).expect("an override"))
                 .collect();
-            let preset = name.trim_start_matches("shipped-").trim_end_matches(AGES);
+            let preset = name.trim_start_matches("shipped-").trim_end_matches(AGES_SUFFIX);
             let mut scenario = load(preset, &set).expect("a preset").scenario;
             assert!(
                 TrainingSite::from_site(&scenario.site())
-                    .differences(&tables.setting)
+                    .differences(&tables.site)
                     .is_empty(),
                 "{preset}"
             );

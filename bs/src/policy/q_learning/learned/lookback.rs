@@ -1,4 +1,5 @@
-//! Lookback of learned tables.
+//! How long learned tables count a covered place as covered: [`Lookback`], a window in TTIs or ages. Its text and its
+//! order are part of the file of learned tables.
 
 use std::fmt;
 use std::fmt::Display;
@@ -6,17 +7,17 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use super::tables::{AREAS, area_edge, worth_edge};
+use super::tables::{AREA_BUCKETS, area_edge, worth_edge};
 use crate::beliefs::ages;
 
 /// Longest window for covering the area once, TTIs.
-pub const LONGEST_WINDOW: u32 = 1000;
+pub const MAX_WINDOW: u32 = 1000;
 
 /// Duration for which a covered place counts as covered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(try_from = "LookbackRepr", into = "LookbackRepr")]
 pub enum Lookback {
-    /// The place counts as covered for this many TTIs, `1 ..= `[`LONGEST_WINDOW`], the TTI of the sensing included.
+    /// The place counts as covered for this many TTIs, `1 ..= `[`MAX_WINDOW`], the TTI of the sensing included.
     Window(u32),
     /// The place returns to age 1 and grows older.
     Ages,
@@ -58,9 +59,9 @@ impl FromStr for Lookback {
         match word.trim() {
             "ages" => Ok(Self::Ages),
             number => match number.parse() {
-                Ok(window @ 1..=LONGEST_WINDOW) => Ok(Self::Window(window)),
+                Ok(window @ 1..=MAX_WINDOW) => Ok(Self::Window(window)),
                 _ => Err(format!(
-                    "must be a number of TTIs from 1 to {LONGEST_WINDOW}, or ages, not {word:?}"
+                    "must be a number of TTIs from 1 to {MAX_WINDOW}, or ages, not {word:?}"
                 )),
             },
         }
@@ -69,17 +70,19 @@ impl FromStr for Lookback {
 
 impl Lookback {
     /// Returns a phrase: "a window of 4 TTIs".
-    pub fn in_words(self) -> String {
+    pub fn describe(self) -> String {
         match self {
             Self::Window(window) => format!("a window of {window} TTIs"),
             Self::Ages => self.to_string(),
         }
     }
 
-    /// Returns the bucket of the newly covered part, `0 .. AREAS`; 0 is negligible. `share` is an area, or with ages
-    /// the sum of the worths of its places, as a share of a sensing disc of places of age 1.
+    /// Returns the bucket of the newly covered part, `0 .. AREA_BUCKETS`; 0 is negligible. `share` is an area, or with
+    /// ages the sum of the worths of its places, as a share of a sensing disc of places of age 1.
     pub fn bucket(self, share: f64) -> usize {
-        (0..AREAS - 1).take_while(|&bucket| share >= self.edge(bucket)).count()
+        (0..AREA_BUCKETS - 1)
+            .take_while(|&bucket| share >= self.edge(bucket))
+            .count()
     }
 
     /// Returns the end of the `bucket`-th of these buckets.
@@ -91,17 +94,17 @@ impl Lookback {
     }
 
     /// Returns the most that a device can cover, in that unit, if it detects every event within d_max.
-    pub const fn most(self) -> f64 {
+    pub const fn max_gain(self) -> f64 {
         match self {
             Self::Window(_) => 1.0,
-            Self::Ages => ages::MOST,
+            Self::Ages => ages::MAX_WORTH,
         }
     }
 
     /// Returns where the first bucket with an advantage of sensing starts, from the advantages of one battery bucket.
-    pub fn begin(self, advantages: &[f64; AREAS]) -> Option<f64> {
+    pub fn advantage_start(self, advantages: &[f64; AREA_BUCKETS]) -> Option<f64> {
         let first = advantages.iter().position(|&advantage| advantage > 0.0)?;
-        Some(first.checked_sub(1).map_or(0.0, |before| self.edge(before)))
+        Some(first.checked_sub(1).map_or(0.0, |previous| self.edge(previous)))
     }
 
     /// Returns the label in a table: "window 4".

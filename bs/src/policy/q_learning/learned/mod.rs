@@ -1,4 +1,6 @@
-//! Learned tables of the `q-learning` policy, and their file.
+//! Learned tables of the policy `q-learning`, and their file. The policy reads them ([`LearnedTables::closest_entry`]),
+//! `lab/src/training/` learns them, and `study/src/figures/q_table.rs` draws them. Types that derive `Serialize` are
+//! the format of the file ([`VERSION`]).
 //!
 //! The joint action of N devices is factorised (docs/q-learning.md). One table for duty cycling and one for each
 //! wake-up ranking serve all devices of a deployment. They depend on the density of devices and on the window within
@@ -10,11 +12,12 @@ mod lookback;
 mod tables;
 
 pub use file::{FORMAT, LearnedError, VERSION};
-pub use lookback::{LONGEST_WINDOW, Lookback};
+pub use lookback::{Lookback, MAX_WINDOW};
 pub(crate) use tables::area_bucket;
 pub use tables::{
-    ABLE, AREAS, BATTERIES, DutyTable, INFORMATIONS, NODES, QValue, REPORTS, Rates, SCORES, Schedule, WakeTable,
-    battery_bucket, information_bucket, score_bucket, score_edge,
+    AREA_BUCKETS, BATTERY_BUCKETS, DutyTable, FIRST_ABLE_BUCKET, INFORMATION_BUCKETS, LearningRates, QValue,
+    REPORT_BUCKETS, SCORE_BUCKETS, Schedule, VALUE_NODES, WakeTable, battery_bucket, information_bucket, score_bucket,
+    score_edge,
 };
 
 use std::fmt::Display;
@@ -24,7 +27,7 @@ use serde::{Deserialize, Serialize};
 use reveille_common::scenario::Site;
 
 /// Largest allowed ratio between the density of devices and the density of the nearest entry.
-const REACH: f64 = 2.0;
+const MAX_DENSITY_RATIO: f64 = 2.0;
 
 /// Weights for which tables are learned.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -41,9 +44,9 @@ pub struct QWeights {
 impl QWeights {
     /// Returns the worth of covering the whole area once, in units of N r(k): N α μ1 Σ ζ^i, i = 0 .. `window`. The area
     /// then counts as covered for `window` TTIs, and an event starts with probability `alpha`.
-    pub fn covering(&self, devices: u32, alpha: f64, window: u32) -> f64 {
-        let lasting = (0..window).fold(0.0, |sum, _| sum * self.zeta + 1.0);
-        f64::from(devices) * alpha * self.mu1 * lasting
+    pub fn covering_worth(&self, devices: u32, alpha: f64, window: u32) -> f64 {
+        let discounts = (0..window).fold(0.0, |sum, _| sum * self.zeta + 1.0);
+        f64::from(devices) * alpha * self.mu1 * discounts
     }
 }
 
@@ -72,7 +75,7 @@ impl TrainingSite {
         let is_lone = site.classes.len() == 1;
         for class in &site.classes {
             let energy = &class.energy;
-            let of = |name: &str, value: f64| {
+            let class_number = |name: &str, value: f64| {
                 if is_lone {
                     number(name, value)
                 } else {
@@ -80,14 +83,14 @@ impl TrainingSite {
                 }
             };
             numbers.extend([
-                of("energy.e_max", energy.e_max.units()),
-                of("energy.e_idle", energy.e_idle.units()),
-                of("energy.e_wur", energy.e_wur.units()),
-                of("energy.e_tx", energy.e_tx.units()),
-                of("mean harvest", class.mean_harvest.units()),
+                class_number("energy.e_max", energy.e_max.units()),
+                class_number("energy.e_idle", energy.e_idle.units()),
+                class_number("energy.e_wur", energy.e_wur.units()),
+                class_number("energy.e_tx", energy.e_tx.units()),
+                class_number("mean harvest", class.mean_harvest.units()),
             ]);
             if !is_lone {
-                numbers.push(of("share", class.share));
+                numbers.push(class_number("share", class.share));
             }
         }
         Self {
@@ -103,8 +106,8 @@ impl TrainingSite {
 
     /// Describes each difference from `here` in a phrase: "events.alpha 0.2, here 0.3".
     pub fn differences(&self, here: &Self) -> Vec<String> {
-        let words = differences(&self.words, &here.words, |own, here| own == here);
-        let is_close = |own: &f64, here: &f64| (own - here).abs() <= 1e-6 * own.abs().max(here.abs());
+        let words = differences(&self.words, &here.words, |trained, here| trained == here);
+        let is_close = |trained: &f64, here: &f64| (trained - here).abs() <= 1e-6 * trained.abs().max(here.abs());
         words
             .into_iter()
             .chain(differences(&self.numbers, &here.numbers, is_close))
@@ -112,21 +115,25 @@ impl TrainingSite {
     }
 }
 
-/// Describes each field that differs between `own` and `here` in a phrase.
-fn differences<T: Display>(own: &[(String, T)], here: &[(String, T)], is_same: impl Fn(&T, &T) -> bool) -> Vec<String> {
-    let in_other = |fields: &'_ [(String, T)], name: &str| fields.iter().position(|(other, _)| other == name);
-    let mut found = Vec::new();
-    for (name, value) in own {
-        match in_other(here, name).map(|at| &here[at].1) {
+/// Describes each field that differs between the sites of the training and of the run in a phrase.
+fn differences<T: Display>(
+    trained: &[(String, T)],
+    here: &[(String, T)],
+    is_same: impl Fn(&T, &T) -> bool,
+) -> Vec<String> {
+    let index_in = |fields: &'_ [(String, T)], name: &str| fields.iter().position(|(other, _)| other == name);
+    let mut phrases = Vec::new();
+    for (name, value) in trained {
+        match index_in(here, name).map(|index| &here[index].1) {
             Some(other) if is_same(value, other) => {}
-            Some(other) => found.push(format!("{name} {value}, here {other}")),
-            None => found.push(format!("{name} {value}, not known here")),
+            Some(other) => phrases.push(format!("{name} {value}, here {other}")),
+            None => phrases.push(format!("{name} {value}, not known here")),
         }
     }
-    for (name, value) in here.iter().filter(|(name, _)| in_other(own, name).is_none()) {
-        found.push(format!("{name} not known there, here {value}"));
+    for (name, value) in here.iter().filter(|(name, _)| index_in(trained, name).is_none()) {
+        phrases.push(format!("{name} not known there, here {value}"));
     }
-    found
+    phrases
 }
 
 /// One point of a learning curve.
@@ -170,12 +177,12 @@ impl TableSet {
     pub fn optimistic(site: &Site<'_>, weights: &QWeights, lookback: Lookback, optimism: f64) -> Self {
         let (devices, surface) = (site.devices, site.area.surface());
         let disc = std::f64::consts::PI * site.sensing.d_max * site.sensing.d_max;
-        let whole = optimism * weights.covering(devices, site.alpha, lookback.window()) * disc / surface;
+        let disc_worth = optimism * weights.covering_worth(devices, site.alpha, lookback.window()) * disc / surface;
         Self {
             devices,
             surface,
             lookback,
-            duty: DutyTable::optimistic(1.0 / (1.0 - weights.zeta), |area| whole * lookback.edge(area)),
+            duty: DutyTable::optimistic(1.0 / (1.0 - weights.zeta), |area| disc_worth * lookback.edge(area)),
             wake_p42: WakeTable::optimistic(optimism),
             wake_posterior: WakeTable::optimistic(optimism),
             curve: Vec::new(),
@@ -218,14 +225,14 @@ pub struct LearnedTables {
     /// Training configuration.
     pub training: QTrainingConfig,
     /// Site of the training.
-    pub setting: TrainingSite,
+    pub site: TrainingSite,
     /// Entries, at least one, sorted by window (ages last), then by density.
     pub entries: Vec<TableSet>,
 }
 
 impl LearnedTables {
     /// Describes the learned `entry`, for trainings and runs that start from it.
-    pub fn in_words(&self, entry: &TableSet) -> String {
+    pub fn describe(&self, entry: &TableSet) -> String {
         let QWeights { mu1, mu2, zeta } = self.weights;
         let ttis = entry.curve.last().map_or(0, |point| point.ttis);
         let before = self
@@ -235,12 +242,12 @@ impl LearnedTables {
         format!(
             "tables for N = {}, μ1 = {mu1}, μ2 = {mu2}, ζ = {zeta} and {}, learned in {ttis} TTIs{before}",
             entry.devices,
-            entry.lookback.in_words()
+            entry.lookback.describe()
         )
     }
 
     /// Whether the tables are a checkpoint of an unfinished training.
-    pub(crate) fn is_cut_short(&self) -> bool {
+    pub(crate) fn is_unfinished(&self) -> bool {
         let is_short = |entry: &TableSet| (entry.curve.len() as u64) < self.training.episodes;
         self.entries.iter().any(is_short)
     }
@@ -254,34 +261,42 @@ impl LearnedTables {
 
     /// Returns the window with tables that is nearest to `window` in ratio.
     pub(crate) fn nearest_window(&self, window: u32) -> Option<u32> {
-        let apart = |own: &u32| libm::log(f64::from(*own) / f64::from(window)).abs();
+        let log_distance = |trained: &u32| libm::log(f64::from(*trained) / f64::from(window)).abs();
         let windows = self
             .lookbacks()
             .into_iter()
             .filter(|lookback| *lookback != Lookback::Ages);
         windows
             .map(Lookback::window)
-            .min_by(|a, b| apart(a).total_cmp(&apart(b)))
+            .min_by(|a, b| log_distance(a).total_cmp(&log_distance(b)))
     }
 
-    fn of(&self, lookback: Lookback) -> impl Iterator<Item = &TableSet> {
+    fn entries_for(&self, lookback: Lookback) -> impl Iterator<Item = &TableSet> {
         self.entries.iter().filter(move |entry| entry.lookback == lookback)
     }
 
     /// Returns the entry for `lookback` nearest in density to `devices` on `surface` m², at most a factor of 2 away.
-    pub fn closest(&self, lookback: Lookback, devices: u32, surface: f64) -> Option<&TableSet> {
+    pub fn closest_entry(&self, lookback: Lookback, devices: u32, surface: f64) -> Option<&TableSet> {
         let density = f64::from(devices) / surface;
-        let apart = |entry: &TableSet| libm::log(entry.density() / density).abs();
-        let nearest = self.of(lookback).min_by(|a, b| apart(a).total_cmp(&apart(b)))?;
+        let log_distance = |entry: &TableSet| libm::log(entry.density() / density).abs();
+        let nearest = self
+            .entries_for(lookback)
+            .min_by(|a, b| log_distance(a).total_cmp(&log_distance(b)))?;
         // The slack accepts a density at exactly the limit despite rounding.
-        (apart(nearest) <= libm::log(REACH) + 1e-9).then_some(nearest)
+        (log_distance(nearest) <= libm::log(MAX_DENSITY_RATIO) + 1e-9).then_some(nearest)
     }
 
     /// Returns the least and the largest N on `surface` m² that the entries for `lookback` serve.
-    pub fn range(&self, lookback: Lookback, surface: f64) -> (u32, u32) {
-        let at = |entry: Option<&TableSet>| entry.map_or(0.0, TableSet::density) * surface;
-        let (least, most) = (at(self.of(lookback).next()), at(self.of(lookback).last()));
-        ((least / REACH).ceil().max(1.0) as u32, (most * REACH).floor() as u32)
+    pub fn served_devices(&self, lookback: Lookback, surface: f64) -> (u32, u32) {
+        let devices_of = |entry: Option<&TableSet>| entry.map_or(0.0, TableSet::density) * surface;
+        let (fewest, most) = (
+            devices_of(self.entries_for(lookback).next()),
+            devices_of(self.entries_for(lookback).last()),
+        );
+        (
+            (fewest / MAX_DENSITY_RATIO).ceil().max(1.0) as u32,
+            (most * MAX_DENSITY_RATIO).floor() as u32,
+        )
     }
 }
 
@@ -304,7 +319,7 @@ mod tests {
         for (mu1, zeta, window) in [(14.0, 0.95, 4), (2.0, 0.5, 1), (3.0, 0.0, 7), (1.0, 0.999, 1000)] {
             let weights = QWeights { mu1, mu2: 1.0, zeta };
             let expected = 250.0 * 0.2 * mu1 * (1.0 - libm::pow(zeta, f64::from(window))) / (1.0 - zeta);
-            let found = weights.covering(250, 0.2, window);
+            let found = weights.covering_worth(250, 0.2, window);
             assert!((found - expected).abs() < 1e-9 * expected, "{found} is not {expected}");
             let set = Override::parse("devices=250").expect("an override");
             let scenario = load("paper", &[set]).expect("a scenario").scenario;
@@ -312,8 +327,8 @@ mod tests {
                 let entry = TableSet::optimistic(&scenario.site(), &weights, Lookback::Window(window), optimism);
                 // A whole disc of 4 m radius on 20 m × 20 m, with α = 0.2.
                 let most = optimism * expected * std::f64::consts::PI * 16.0 / 400.0;
-                for battery in 0..BATTERIES {
-                    let [off, on] = [false, true].map(|delta| entry.duty.at(battery, AREAS - 1, delta).value);
+                for battery in 0..BATTERY_BUCKETS {
+                    let [off, on] = [false, true].map(|delta| entry.duty.at(battery, AREA_BUCKETS - 1, delta).value);
                     assert!(
                         (off - 1.0).abs() < 1e-12 && (on - most).abs() < 1e-9 * expected,
                         "{on}, not {most}"

@@ -1,4 +1,8 @@
-//! Tables over buckets of the state in which a decision is made.
+//! Tables of learned values over buckets of the state in which a decision is made, and the buckets themselves.
+//!
+//! The edges of the buckets, the order of the values and all types that derive `Serialize` belong to the file of
+//! learned tables: raise its [`VERSION`](super::VERSION) if they change. `tests/src/reference/q_learning.rs` repeats
+//! the buckets.
 
 use std::f64::consts::FRAC_1_SQRT_2;
 
@@ -10,27 +14,27 @@ use reveille_common::units::Energy;
 use crate::beliefs::ages;
 
 /// Number of battery buckets: too low to sense, too low to report, and six equal parts of the rest.
-pub const BATTERIES: usize = 8;
+pub const BATTERY_BUCKETS: usize = 8;
 /// First battery bucket in which a device can sense and report.
-pub const ABLE: u8 = 2;
+pub const FIRST_ABLE_BUCKET: u8 = 2;
 /// Number of buckets of the newly covered area.
-pub const AREAS: usize = 16;
+pub const AREA_BUCKETS: usize = 16;
 /// Number of nodes of the value as a function of the battery, evenly spaced over `0 ..= E_max`.
-pub const NODES: usize = 9;
+pub const VALUE_NODES: usize = 9;
 /// Number of buckets of a wake-up candidate's score.
-pub const SCORES: usize = 20;
+pub const SCORE_BUCKETS: usize = 20;
 /// Number of buckets of the gathered information.
-pub const INFORMATIONS: usize = 8;
+pub const INFORMATION_BUCKETS: usize = 8;
 /// Number of buckets of the reports so far: 1, 2, 3, more.
-pub const REPORTS: usize = 4;
+pub const REPORT_BUCKETS: usize = 4;
 
 /// Smallest area that counts, as a share of the sensing disc π·d_max².
-const LEAST_AREA: f64 = 0.0002;
+const MIN_AREA: f64 = 0.0002;
 /// End of the first bucket of areas that count, and ratio between successive ends after it.
-const FIRST_AREA: f64 = 0.005;
+const FIRST_AREA_END: f64 = 0.005;
 const AREA_RATIO: f64 = 1.45;
 /// Bucket that ends at the whole disc.
-const LAST_AREA: usize = AREAS - 1;
+const LAST_BUCKET: usize = AREA_BUCKETS - 1;
 
 /// One learned value.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -60,12 +64,12 @@ impl QValue {
     }
 
     /// Moves the value towards `target`, by less with each visit.
-    pub fn learn(&mut self, target: f64, rates: Rates) {
-        self.learn_a_share(target, 1.0, rates);
+    pub fn learn(&mut self, target: f64, rates: LearningRates) {
+        self.learn_weighted(target, 1.0, rates);
     }
 
     /// Moves the value towards `target`, with the learning rate scaled by `weight`, `[0, 1]`.
-    pub(crate) fn learn_a_share(&mut self, target: f64, weight: f64, rates: Rates) {
+    pub(crate) fn learn_weighted(&mut self, target: f64, weight: f64, rates: LearningRates) {
         self.visits = self.visits.saturating_add(1);
         self.value += weight * rates.at(self.visits) * (target - self.value);
     }
@@ -76,7 +80,7 @@ impl QValue {
 }
 
 /// Number of visits for which the initial value counts.
-const PRIOR: f64 = 4.0;
+const PRIOR_VISITS: f64 = 4.0;
 
 /// Learning schedule.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -93,44 +97,44 @@ pub struct Schedule {
 
 impl Default for Schedule {
     fn default() -> Self {
-        Self::USUAL
+        Self::DEFAULT
     }
 }
 
 impl Schedule {
     /// Default schedule.
-    pub const USUAL: Self = Self {
+    pub const DEFAULT: Self = Self {
         rate_decay: 0.7,
         rate_floor: 0.002,
         optimism: 1.0,
     };
 
     /// Returns the learning rates.
-    pub fn rates(&self) -> Rates {
+    pub fn rates(&self) -> LearningRates {
         // The visits n at which (n + 4)^−ω falls to the floor.
-        let flat = libm::pow(self.rate_floor, -1.0 / self.rate_decay) - PRIOR;
-        Rates {
+        let floor_visits = libm::pow(self.rate_floor, -1.0 / self.rate_decay) - PRIOR_VISITS;
+        LearningRates {
             decay: self.rate_decay,
             floor: self.rate_floor,
             // The cast saturates; no run makes as many visits.
-            flat: flat.ceil() as u32,
+            floor_visits: floor_visits.ceil() as u32,
         }
     }
 }
 
 /// Learning rates by visits.
 #[derive(Clone, Copy, Debug)]
-pub struct Rates {
+pub struct LearningRates {
     decay: f64,
     floor: f64,
     /// Number of visits from which the rate is at its floor.
-    flat: u32,
+    floor_visits: u32,
 }
 
-impl Rates {
+impl LearningRates {
     fn at(self, visits: u32) -> f64 {
-        if visits < self.flat {
-            libm::pow(f64::from(visits) + PRIOR, -self.decay).max(self.floor)
+        if visits < self.floor_visits {
+            libm::pow(f64::from(visits) + PRIOR_VISITS, -self.decay).max(self.floor)
         } else {
             self.floor
         }
@@ -142,66 +146,66 @@ impl Rates {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DutyTable {
-    /// Q(battery, area, δ) − ζV(battery), [`BATTERIES`] × [`AREAS`] × 2, in this order.
+    /// Q(battery, area, δ) − ζV(battery), [`BATTERY_BUCKETS`] × [`AREA_BUCKETS`] × 2, in this order.
     pub q: Vec<QValue>,
     /// Q(battery, area, δ), in the same order.
     pub outcomes: Vec<QValue>,
-    /// V at the [`NODES`] battery levels.
+    /// V at the [`VALUE_NODES`] battery levels.
     pub value: Vec<QValue>,
 }
 
 impl DutyTable {
     /// Creates the start, with V = `value` = 1/(1 − ζ), the value of sleeping forever. The reward of δ = 0 is 1. The
-    /// reward of δ = 1 is `most(bucket)` by area bucket, with no charge for the energy.
-    pub fn optimistic(value: f64, most: impl Fn(usize) -> f64) -> Self {
-        let rewards: [[f64; 2]; AREAS] = std::array::from_fn(|area| [1.0, most(area)]);
-        let of = |later: f64| -> Vec<QValue> {
+    /// reward of δ = 1 is `max_reward(bucket)` by area bucket, with no charge for the energy.
+    pub fn optimistic(value: f64, max_reward: impl Fn(usize) -> f64) -> Self {
+        let rewards: [[f64; 2]; AREA_BUCKETS] = std::array::from_fn(|area| [1.0, max_reward(area)]);
+        let with_later = |later: f64| -> Vec<QValue> {
             let by_area = rewards.as_flattened().iter().map(|reward| QValue::new(reward + later));
-            by_area.collect::<Vec<_>>().repeat(BATTERIES)
+            by_area.collect::<Vec<_>>().repeat(BATTERY_BUCKETS)
         };
         Self {
-            q: of(0.0),
-            outcomes: of(value - 1.0),
-            value: vec![QValue::new(value); NODES],
+            q: with_later(0.0),
+            outcomes: with_later(value - 1.0),
+            value: vec![QValue::new(value); VALUE_NODES],
         }
     }
 
     /// Returns Q − ζV of the action δ in a state.
     pub fn at(&self, battery: usize, area: usize, delta: bool) -> &QValue {
-        &self.q[(battery * AREAS + area) * 2 + usize::from(delta)]
+        &self.q[(battery * AREA_BUCKETS + area) * 2 + usize::from(delta)]
     }
 
     /// Returns a mutable reference to Q − ζV of the action δ in a state.
     pub fn at_mut(&mut self, battery: usize, area: usize, delta: bool) -> &mut QValue {
-        &mut self.q[(battery * AREAS + area) * 2 + usize::from(delta)]
+        &mut self.q[(battery * AREA_BUCKETS + area) * 2 + usize::from(delta)]
     }
 
     /// Returns a mutable reference to the whole Q of the action δ in a state.
     pub(crate) fn outcome_mut(&mut self, battery: usize, area: usize, delta: bool) -> &mut QValue {
-        &mut self.outcomes[(battery * AREAS + area) * 2 + usize::from(delta)]
+        &mut self.outcomes[(battery * AREA_BUCKETS + area) * 2 + usize::from(delta)]
     }
 
     /// Returns Q(s, 1) − Q(s, 0) by battery and area, made monotone in the area. The learned values are noisy, and a
     /// device that newly covers more is never worth less.
-    pub fn advantages(&self) -> [[f64; AREAS]; BATTERIES] {
+    pub fn advantages(&self) -> [[f64; AREA_BUCKETS]; BATTERY_BUCKETS] {
         std::array::from_fn(|battery| {
-            let mut advantages: [f64; AREAS] =
+            let mut advantages: [f64; AREA_BUCKETS] =
                 std::array::from_fn(|area| self.at(battery, area, true).value - self.at(battery, area, false).value);
-            let weights: [f64; AREAS] = std::array::from_fn(|area| {
+            let weights: [f64; AREA_BUCKETS] = std::array::from_fn(|area| {
                 let [on, off] = [true, false].map(|delta| f64::from(self.at(battery, area, delta).visits));
                 // A difference is only as certain as its rarer action.
                 1.0 + on.min(off)
             });
-            rise(&mut advantages, &weights);
+            make_monotone(&mut advantages, &weights);
             advantages
         })
     }
 
     /// Returns V at the nodes, made monotone in the battery.
-    pub fn values(&self) -> [f64; NODES] {
-        let mut values: [f64; NODES] = std::array::from_fn(|node| self.value[node].value);
-        let weights: [f64; NODES] = std::array::from_fn(|node| 1.0 + f64::from(self.value[node].visits));
-        rise(&mut values, &weights);
+    pub fn values(&self) -> [f64; VALUE_NODES] {
+        let mut values: [f64; VALUE_NODES] = std::array::from_fn(|node| self.value[node].value);
+        let weights: [f64; VALUE_NODES] = std::array::from_fn(|node| 1.0 + f64::from(self.value[node].visits));
+        make_monotone(&mut values, &weights);
         values
     }
 
@@ -209,9 +213,9 @@ impl DutyTable {
         self.q.iter().chain(&self.outcomes).chain(&self.value)
     }
 
-    pub(super) fn has_its_size(&self) -> bool {
-        let cells = BATTERIES * AREAS * 2;
-        self.q.len() == cells && self.outcomes.len() == cells && self.value.len() == NODES
+    pub(super) fn has_valid_size(&self) -> bool {
+        let cells = BATTERY_BUCKETS * AREA_BUCKETS * 2;
+        self.q.len() == cells && self.outcomes.len() == cells && self.value.len() == VALUE_NODES
     }
 
     pub(super) fn round(&mut self) {
@@ -221,22 +225,22 @@ impl DutyTable {
 }
 
 /// Replaces the values by the non-decreasing least-squares fit with these weights (pool adjacent violators).
-fn rise(values: &mut [f64], weights: &[f64]) {
+fn make_monotone(values: &mut [f64], weights: &[f64]) {
     // Blocks of equal value: (mean, weight, length).
     let mut blocks: Vec<(f64, f64, usize)> = Vec::with_capacity(values.len());
     for (&value, &weight) in values.iter().zip(weights) {
         let mut block = (value, weight, 1);
-        while let Some(&(mean, below, length)) = blocks.last().filter(|last| last.0 > block.0) {
+        while let Some(&(mean, weight, length)) = blocks.last().filter(|last| last.0 > block.0) {
             blocks.pop();
-            let sum = below + block.1;
-            block = ((mean * below + block.0 * block.1) / sum, sum, length + block.2);
+            let sum = weight + block.1;
+            block = ((mean * weight + block.0 * block.1) / sum, sum, length + block.2);
         }
         blocks.push(block);
     }
     let mut rest = values;
     for (mean, _, length) in blocks {
-        let (own, after) = rest.split_at_mut(length);
-        own.fill(mean);
+        let (block, after) = rest.split_at_mut(length);
+        block.fill(mean);
         rest = after;
     }
 }
@@ -245,7 +249,7 @@ fn rise(values: &mut [f64], weights: &[f64]) {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WakeTable {
-    /// Q(score, information, reports), [`SCORES`] × [`INFORMATIONS`] × [`REPORTS`], in this order.
+    /// Q(score, information, reports), [`SCORE_BUCKETS`] × [`INFORMATION_BUCKETS`] × [`REPORT_BUCKETS`], in this order.
     pub q: Vec<QValue>,
 }
 
@@ -253,31 +257,31 @@ impl WakeTable {
     /// Creates a table in which every value is `value`.
     pub fn optimistic(value: f64) -> Self {
         Self {
-            q: vec![QValue::new(value); SCORES * INFORMATIONS * REPORTS],
+            q: vec![QValue::new(value); SCORE_BUCKETS * INFORMATION_BUCKETS * REPORT_BUCKETS],
         }
     }
 
     /// Returns Q of waking in a state.
     pub fn at(&self, [score, information, reports]: [usize; 3]) -> &QValue {
-        &self.q[(score * INFORMATIONS + information) * REPORTS + reports]
+        &self.q[(score * INFORMATION_BUCKETS + information) * REPORT_BUCKETS + reports]
     }
 
     /// Returns a mutable reference to Q of waking in a state.
     pub fn at_mut(&mut self, [score, information, reports]: [usize; 3]) -> &mut QValue {
-        &mut self.q[(score * INFORMATIONS + information) * REPORTS + reports]
+        &mut self.q[(score * INFORMATION_BUCKETS + information) * REPORT_BUCKETS + reports]
     }
 
     /// Returns Q by score for these buckets of Î and reports, made monotone in the score. Rarely visited values are
     /// noise, and a better candidate is never worth less.
-    pub fn worths(&self, information: usize, reports: usize) -> [f64; SCORES] {
-        let cells: [&QValue; SCORES] = std::array::from_fn(|score| self.at([score, information, reports]));
+    pub fn monotone_q(&self, information: usize, reports: usize) -> [f64; SCORE_BUCKETS] {
+        let cells: [&QValue; SCORE_BUCKETS] = std::array::from_fn(|score| self.at([score, information, reports]));
         let mut worths = cells.map(|cell| cell.value);
-        rise(&mut worths, &cells.map(|cell| 1.0 + f64::from(cell.visits)));
+        make_monotone(&mut worths, &cells.map(|cell| 1.0 + f64::from(cell.visits)));
         worths
     }
 
-    pub(super) fn has_its_size(&self) -> bool {
-        self.q.len() == SCORES * INFORMATIONS * REPORTS
+    pub(super) fn has_valid_size(&self) -> bool {
+        self.q.len() == SCORE_BUCKETS * INFORMATION_BUCKETS * REPORT_BUCKETS
     }
 
     pub(super) fn round(&mut self) {
@@ -285,7 +289,7 @@ impl WakeTable {
     }
 }
 
-/// Returns the bucket of a battery level, `0 .. BATTERIES`: 0 cannot pay E_idle, 1 can sense but not report.
+/// Returns the bucket of a battery level, `0 .. BATTERY_BUCKETS`: 0 cannot pay E_idle, 1 can sense but not report.
 pub fn battery_bucket(level: Energy, energy: &EnergyModel) -> usize {
     let needed = energy.e_idle + energy.e_tx;
     if level < energy.e_idle {
@@ -295,44 +299,48 @@ pub fn battery_bucket(level: Energy, energy: &EnergyModel) -> usize {
     } else {
         // E_max can be exactly the energy that is needed.
         let span = energy.e_max.saturating_sub(needed).micro().max(1);
-        let parts = BATTERIES as u64 - 2;
+        let parts = BATTERY_BUCKETS as u64 - 2;
         let part = (level.saturating_sub(needed).micro() * parts / span).min(parts - 1);
         2 + part as usize
     }
 }
 
-/// Returns the bucket of a newly covered area, a share of the sensing disc, `0 .. AREAS`; 0 is negligible.
+/// Returns the bucket of a newly covered area, a share of the sensing disc, `0 .. AREA_BUCKETS`; 0 is negligible.
 pub(crate) fn area_bucket(share: f64) -> usize {
-    (0..AREAS - 1).take_while(|&bucket| share >= area_edge(bucket)).count()
+    (0..AREA_BUCKETS - 1)
+        .take_while(|&bucket| share >= area_edge(bucket))
+        .count()
 }
 
 /// Returns the end of the `bucket`-th bucket of areas, a share of the sensing disc.
 pub(crate) fn area_edge(bucket: usize) -> f64 {
     match bucket {
-        0 => LEAST_AREA,
-        LAST_AREA.. => 1.0,
-        _ => FIRST_AREA * (1..bucket).fold(1.0, |edge, _| edge * AREA_RATIO),
+        0 => MIN_AREA,
+        LAST_BUCKET.. => 1.0,
+        _ => FIRST_AREA_END * (1..bucket).fold(1.0, |edge, _| edge * AREA_RATIO),
     }
 }
 
 /// End of the first bucket of worth that is not negligible, and ratio between successive ends after it, for places with
 /// ages. The last bucket ends where all places have the greatest age that counts.
-const FIRST_WORTH: f64 = 0.2;
+const FIRST_WORTH_END: f64 = 0.2;
 const WORTH_RATIO: f64 = 1.6;
 
 /// Returns the end of the `bucket`-th bucket of worth with ages: the sum of the worths of places, as a share of a
 /// sensing disc of places of age 1.
 pub(super) fn worth_edge(bucket: usize) -> f64 {
     match bucket {
-        0 => LEAST_AREA,
-        LAST_AREA.. => ages::MOST,
-        _ => FIRST_WORTH * (1..bucket).fold(1.0, |edge, _| edge * WORTH_RATIO),
+        0 => MIN_AREA,
+        LAST_BUCKET.. => ages::MAX_WORTH,
+        _ => FIRST_WORTH_END * (1..bucket).fold(1.0, |edge, _| edge * WORTH_RATIO),
     }
 }
 
-/// Returns the bucket of a candidate's score, a share of Ψ, `0 .. SCORES`.
+/// Returns the bucket of a candidate's score, a share of Ψ, `0 .. SCORE_BUCKETS`.
 pub fn score_bucket(share: f64) -> usize {
-    (1..SCORES).take_while(|&bucket| share >= score_edge(bucket)).count()
+    (1..SCORE_BUCKETS)
+        .take_while(|&bucket| share >= score_edge(bucket))
+        .count()
 }
 
 /// Returns the start of the `bucket`-th bucket of scores, a share of Ψ. The first starts at 0, each other at 1/√2 of
@@ -341,7 +349,7 @@ pub fn score_edge(bucket: usize) -> f64 {
     if bucket == 0 {
         return 0.0;
     }
-    let roots = SCORES - bucket;
+    let roots = SCORE_BUCKETS - bucket;
     let halved = 1.0 / f64::from(1_u32 << (roots / 2));
     if roots.is_multiple_of(2) {
         halved
@@ -350,9 +358,9 @@ pub fn score_edge(bucket: usize) -> f64 {
     }
 }
 
-/// Returns the bucket of Î, a share of Ψ, `0 .. INFORMATIONS`.
+/// Returns the bucket of Î, a share of Ψ, `0 .. INFORMATION_BUCKETS`.
 pub fn information_bucket(share: f64) -> usize {
-    const EDGES: [f64; INFORMATIONS - 1] = [0.03, 0.08, 0.15, 0.25, 0.4, 0.55, 0.75];
+    const EDGES: [f64; INFORMATION_BUCKETS - 1] = [0.03, 0.08, 0.15, 0.25, 0.4, 0.55, 0.75];
     EDGES.iter().filter(|&&edge| share >= edge).count()
 }
 
@@ -377,9 +385,9 @@ mod tests {
         );
         assert_eq!(
             [0.0, 0.0001, 0.0003, 0.0051, 1.0].map(area_bucket),
-            [0, 0, 1, 2, AREAS - 1]
+            [0, 0, 1, 2, AREA_BUCKETS - 1]
         );
-        assert!((0..AREAS - 2).all(|b| area_edge(b) < area_edge(b + 1)) && area_edge(AREAS - 2) < 0.8);
+        assert!((0..AREA_BUCKETS - 2).all(|b| area_edge(b) < area_edge(b + 1)) && area_edge(AREA_BUCKETS - 2) < 0.8);
         assert_eq!(
             [1.0, 0.71, 0.7, 0.5, 0.49, 0.24, 1e-9, 0.0].map(score_bucket),
             [19, 19, 18, 18, 17, 15, 0, 0]
@@ -412,7 +420,7 @@ mod tests {
     #[test]
     fn advantages_and_values_never_fall() {
         let mut table = DutyTable::optimistic(20.0, |_| 1.0);
-        for area in 0..AREAS {
+        for area in 0..AREA_BUCKETS {
             table.at_mut(3, area, true).value = 1.0 + if area == 5 { 9.0 } else { area as f64 };
         }
         let row = table.advantages()[3];

@@ -1,11 +1,15 @@
-//! The file of a journal.
+//! The file of a journal: locked while it is open, repaired on opening, and synced to the disk at intervals. The parent
+//! module has the format of its lines.
 
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, BufRead, BufReader, BufWriter, Read as _, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-use super::{JournalEntry, JournalHeader, LONGEST_HEAD, RunIndex, RunStore, fewer, foreign, line, name_of, parse};
+use super::{
+    JournalEntry, JournalHeader, MAX_HEADER_BYTES, RunIndex, RunStore, encode_line, foreign_journal, header_prefix,
+    parse_line, too_many_seeds,
+};
 use crate::io::beside;
 use crate::sweep::error::SweepError;
 
@@ -20,11 +24,11 @@ pub struct Journal {
     path: PathBuf,
     file: File,
     /// The damaged file that `file` has replaced. It stays locked for processes that have opened it meanwhile.
-    replaced: Option<File>,
+    replaced_file: Option<File>,
     /// The number of bytes up to the end of the last complete line.
-    length: u64,
+    valid_bytes: u64,
     runs: BTreeMap<RunIndex, JournalEntry>,
-    dropped: usize,
+    dropped_lines: usize,
     unsynced_lines: u32,
     unsynced_device_ttis: u64,
 }
@@ -38,12 +42,12 @@ impl Journal {
     /// The message does not name the folder; the caller does.
     pub fn open(path: &Path, identity: &str, cells: u64, seeds: u64) -> Result<Self, String> {
         let options = OpenOptions::new().read(true).append(true).create(true).clone();
-        let file = options.open(path).map_err(|error| unusable(path, &error))?;
+        let file = options.open(path).map_err(|error| unusable_file(path, &error))?;
         match file.try_lock() {
             // Some network file systems cannot lock: there, two sweeps in one folder are not prevented.
             Ok(()) => {}
             Err(TryLockError::Error(error)) if error.kind() == io::ErrorKind::Unsupported => {}
-            Err(TryLockError::Error(error)) => return Err(unusable(path, &error)),
+            Err(TryLockError::Error(error)) => return Err(unusable_file(path, &error)),
             Err(TryLockError::WouldBlock) => {
                 return Err(
                     "another `reveille sweep` uses this folder; wait for its end, or choose another folder".to_owned(),
@@ -53,69 +57,69 @@ impl Journal {
         let mut journal = Self {
             path: path.to_owned(),
             file,
-            replaced: None,
-            length: 0,
+            replaced_file: None,
+            valid_bytes: 0,
             runs: BTreeMap::new(),
-            dropped: 0,
+            dropped_lines: 0,
             unsynced_lines: 0,
             unsynced_device_ttis: 0,
         };
-        journal.recover(&name_of(identity), cells, seeds)?;
+        journal.recover(&header_prefix(identity), cells, seeds)?;
         Ok(journal)
     }
 
     /// Returns the seeds per cell of the journal at `path`, if it belongs to the sweep named by `identity`.
-    pub fn seeds(path: &Path, identity: &str) -> Option<u64> {
+    pub fn read_seed_count(path: &Path, identity: &str) -> Option<u64> {
         let mut line = Vec::new();
         let file = File::open(path).ok()?;
         BufReader::new(file)
-            .take(LONGEST_HEAD)
+            .take(MAX_HEADER_BYTES)
             .read_until(b'\n', &mut line)
             .ok()?;
-        match JournalHeader::parse(&line, &name_of(identity))? {
+        match JournalHeader::parse(&line, &header_prefix(identity))? {
             JournalHeader::Torn => None,
             JournalHeader::Seeds(held) => Some(held),
         }
     }
 
     /// Reads the runs, removes torn and garbled lines from the file, and raises the seeds of its first line.
-    fn recover(&mut self, name: &str, cells: u64, seeds: u64) -> Result<(), String> {
-        let failed = |error: io::Error| unusable(&self.path, &error);
-        let header = format!("{name} {seeds}\n");
+    fn recover(&mut self, prefix: &str, cells: u64, seeds: u64) -> Result<(), String> {
+        let failed = |error: io::Error| unusable_file(&self.path, &error);
+        let header = format!("{prefix} {seeds}\n");
         let mut reader = BufReader::new(&self.file);
         let mut line = Vec::new();
-        let (mut whole, mut length, mut is_stale) = (0, 0, false);
+        let (mut valid_bytes, mut read_bytes, mut needs_rewrite) = (0, 0, false);
         while reader.read_until(b'\n', &mut line).map_err(failed)? > 0 {
-            length += line.len() as u64;
-            if whole == 0 {
-                match JournalHeader::parse(&line, name) {
-                    None => return Err(foreign(&line)),
-                    // `whole` is still 0, so the file is emptied and gets a new first line.
+            read_bytes += line.len() as u64;
+            if valid_bytes == 0 {
+                match JournalHeader::parse(&line, prefix) {
+                    None => return Err(foreign_journal(&line)),
+                    // `valid_bytes` is still 0, so the file is emptied and gets a new first line.
                     Some(JournalHeader::Torn) => break,
-                    Some(JournalHeader::Seeds(held)) if held > seeds => return Err(fewer(held, seeds)),
-                    Some(JournalHeader::Seeds(held)) => is_stale = held < seeds,
+                    Some(JournalHeader::Seeds(held)) if held > seeds => return Err(too_many_seeds(held, seeds)),
+                    Some(JournalHeader::Seeds(held)) => needs_rewrite = held < seeds,
                 }
-                whole = length;
-            } else if let Some((job, entry)) = parse(&line, cells, seeds) {
+                valid_bytes = read_bytes;
+            } else if let Some((job, entry)) = parse_line(&line, cells, seeds) {
                 self.runs.insert(job, entry);
-                whole = length;
+                valid_bytes = read_bytes;
             } else {
-                self.dropped += 1;
+                self.dropped_lines += 1;
                 // A torn last line is cut off by `set_len`; a garbled one with lines after it needs a new file.
-                is_stale |= line.ends_with(b"\n");
+                needs_rewrite |= line.ends_with(b"\n");
             }
             line.clear();
         }
-        if is_stale {
-            return self.rewrite(&header).map_err(|error| unusable(&self.path, &error));
+        if needs_rewrite {
+            return self.rewrite(&header).map_err(|error| unusable_file(&self.path, &error));
         }
-        self.file.set_len(whole).map_err(failed)?;
+        self.file.set_len(valid_bytes).map_err(failed)?;
         self.file.seek(SeekFrom::End(0)).map_err(failed)?;
-        if whole == 0 {
+        if valid_bytes == 0 {
             self.file.write_all(header.as_bytes()).map_err(failed)?;
-            whole = header.len() as u64;
+            valid_bytes = header.len() as u64;
         }
-        self.length = whole;
+        self.valid_bytes = valid_bytes;
         Ok(())
     }
 
@@ -132,20 +136,20 @@ impl Journal {
             file.set_len(0)?;
             Ok(file)
         })?;
-        let length = self.copy(part.as_file(), header)?;
+        let length = self.write_copy(part.as_file(), header)?;
         let file = part.persist(&self.path)?;
-        self.length = length;
-        self.replaced = Some(std::mem::replace(&mut self.file, file));
+        self.valid_bytes = length;
+        self.replaced_file = Some(std::mem::replace(&mut self.file, file));
         Ok(())
     }
 
     /// Writes `header` and the runs to `file` and syncs it to the disk. Returns the number of bytes.
-    fn copy(&self, file: &File, header: &str) -> io::Result<u64> {
+    fn write_copy(&self, file: &File, header: &str) -> io::Result<u64> {
         let mut writer = BufWriter::new(file);
         let mut length = header.len();
         writer.write_all(header.as_bytes())?;
         for (job, entry) in &self.runs {
-            let line = line(*job, entry);
+            let line = encode_line(*job, entry);
             writer.write_all(line.as_bytes())?;
             length += line.len();
         }
@@ -156,11 +160,11 @@ impl Journal {
     }
 
     /// The number of torn or garbled lines that were removed when the journal was opened.
-    pub fn dropped(&self) -> usize {
-        self.dropped
+    pub fn dropped_lines(&self) -> usize {
+        self.dropped_lines
     }
 
-    fn failed(&self, error: io::Error) -> SweepError {
+    fn write_error(&self, error: io::Error) -> SweepError {
         SweepError::Journal {
             path: self.path.clone(),
             recorded: self.runs.len(),
@@ -175,13 +179,13 @@ impl RunStore for Journal {
     }
 
     fn add(&mut self, job: RunIndex, entry: JournalEntry, device_ttis: u64) -> Result<(), SweepError> {
-        let line = line(job, &entry);
+        let line = encode_line(job, &entry);
         if let Err(error) = self.file.write_all(line.as_bytes()) {
             // Another thread may find space again: its line must not follow half of this one.
-            let _ = self.file.set_len(self.length);
-            return Err(self.failed(error));
+            let _ = self.file.set_len(self.valid_bytes);
+            return Err(self.write_error(error));
         }
-        self.length += line.len() as u64;
+        self.valid_bytes += line.len() as u64;
         self.runs.insert(job, entry);
         self.unsynced_lines += 1;
         self.unsynced_device_ttis = self.unsynced_device_ttis.saturating_add(device_ttis);
@@ -193,11 +197,11 @@ impl RunStore for Journal {
 
     fn sync(&mut self) -> Result<(), SweepError> {
         (self.unsynced_lines, self.unsynced_device_ttis) = (0, 0);
-        self.file.sync_data().map_err(|error| self.failed(error))
+        self.file.sync_data().map_err(|error| self.write_error(error))
     }
 }
 
-fn unusable(path: &Path, error: &io::Error) -> String {
+fn unusable_file(path: &Path, error: &io::Error) -> String {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     format!("its {name} cannot be used: {error}; free some space, correct the permissions, or choose another folder")
 }

@@ -7,9 +7,9 @@ use reveille_common::score::Metrics;
 use super::*;
 use crate::table::Hash;
 
-struct Place(PathBuf);
+struct TempJournal(PathBuf);
 
-impl Place {
+impl TempJournal {
     fn new(name: &str) -> Self {
         let path = std::env::temp_dir().join(format!("reveille-journal-{}-{name}", std::process::id()));
         let _ = fs::remove_file(&path);
@@ -21,7 +21,7 @@ impl Place {
     }
 }
 
-impl Drop for Place {
+impl Drop for TempJournal {
     fn drop(&mut self) {
         let _ = fs::remove_file(&self.0);
     }
@@ -45,8 +45,8 @@ const JOBS: [RunIndex; 3] = [
     RunIndex { cell: 1, seed: 3 },
 ];
 
-fn filled(name: &str) -> (Place, Vec<u8>) {
-    let place = Place::new(name);
+fn filled(name: &str) -> (TempJournal, Vec<u8>) {
+    let place = TempJournal::new(name);
     let mut journal = place.open();
     for (job, number) in JOBS.into_iter().zip(7..) {
         journal.add(job, entry(number), 1).expect("written");
@@ -57,14 +57,14 @@ fn filled(name: &str) -> (Place, Vec<u8>) {
 }
 
 fn same(a: &JournalEntry, b: &JournalEntry) -> bool {
-    line(JOBS[0], a) == line(JOBS[0], b) && a.metrics[1].to_bits() == b.metrics[1].to_bits()
+    encode_line(JOBS[0], a) == encode_line(JOBS[0], b) && a.metrics[1].to_bits() == b.metrics[1].to_bits()
 }
 
 #[test]
 fn runs_are_found_again_bit_for_bit() {
     let (place, _) = filled("whole");
     let journal = place.open();
-    assert_eq!((journal.runs().len(), journal.dropped()), (3, 0));
+    assert_eq!((journal.runs().len(), journal.dropped_lines()), (3, 0));
     for (job, number) in JOBS.into_iter().zip(7..) {
         assert!(same(&journal.runs()[&job], &entry(number)));
     }
@@ -86,7 +86,7 @@ fn a_journal_cut_anywhere_loses_the_torn_line_alone_and_goes_on() {
         drop(journal);
         let journal = place.open();
         assert!(same(&journal.runs()[&JOBS[2]], &entry(9)), "cut at {length}");
-        assert_eq!(journal.dropped(), 0, "cut at {length}");
+        assert_eq!(journal.dropped_lines(), 0, "cut at {length}");
     }
 }
 
@@ -100,12 +100,16 @@ fn a_garbled_line_is_dropped_and_no_other() {
         garbled[at] ^= 1;
         fs::write(&place.0, &garbled).expect("written");
         let journal = place.open();
-        assert_eq!((journal.runs().len(), journal.dropped()), (2, 1), "byte {at}");
+        assert_eq!((journal.runs().len(), journal.dropped_lines()), (2, 1), "byte {at}");
         let reason = Journal::open(&place.0, "me", 3, 5).expect_err("the new file is locked as well");
         assert!(reason.contains("another `reveille sweep`"), "{reason}");
         drop(journal);
         let mut journal = place.open();
-        assert_eq!((journal.runs().len(), journal.dropped()), (2, 0), "byte {at}, again");
+        assert_eq!(
+            (journal.runs().len(), journal.dropped_lines()),
+            (2, 0),
+            "byte {at}, again"
+        );
         journal.add(JOBS[0], entry(7), 1).expect("written");
         drop(journal);
         assert_eq!(place.open().runs().len(), 3, "byte {at}, repaired");
@@ -118,7 +122,7 @@ fn seeds_are_raised_with_all_runs_and_never_lowered() {
     // A truncated copy does no harm.
     fs::write(place.0.with_extension("part"), &bytes[..bytes.len() / 2]).expect("written");
     let journal = Journal::open(&place.0, "me", 3, 20).expect("more seeds");
-    assert_eq!((journal.runs().len(), journal.dropped()), (3, 0));
+    assert_eq!((journal.runs().len(), journal.dropped_lines()), (3, 0));
     let reason = Journal::open(&place.0, "me", 3, 20).expect_err("the new file is locked as well");
     assert!(reason.contains("another `reveille sweep`"), "{reason}");
     drop(journal);
