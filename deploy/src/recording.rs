@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use reveille_bs::scenario::Scenario;
-use reveille_view::recording::{self, ScenarioBundle, Recorder, RecorderHandle};
+use reveille_view::recording::{self, Recorder, RecorderHandle, ScenarioBundle};
 
 use crate::cli::OutputArgs;
 use crate::display::note;

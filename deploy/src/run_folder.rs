@@ -43,7 +43,7 @@ const LEARNED_FILE: &str = "learned.json";
 const DEVICES_FILE: &str = "devices.csv";
 const EVENTS_FILE: &str = "events.csv";
 const WINDOWS_FILE: &str = "windows.csv";
-/// Indices of the two tables in [`Tables`].
+/// Indices of the two tables in [`TableWriter`].
 const EVENTS_TABLE: usize = 0;
 const WINDOWS_TABLE: usize = 1;
 /// Part files that a run killed during a write may have left.

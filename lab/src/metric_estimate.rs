@@ -192,7 +192,10 @@ mod tests {
             assert!((bound - printed).abs() < 6e-4, "{cases}: {bound}");
         }
         let none = CaseCounts { cases: 0, events: 600 };
-        assert!((none.upper_bound_per_event() - 0.005).abs() < 1e-12, "the rule of three");
+        assert!(
+            (none.upper_bound_per_event() - 0.005).abs() < 1e-12,
+            "the rule of three"
+        );
     }
 
     #[test]

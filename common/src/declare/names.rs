@@ -54,7 +54,7 @@ fn replace_former_in(
         let is_list = scope == Scope::Top && path.is_empty() && former == declaration.list.name();
         match table.get_mut(former).map(Spanned::get_mut) {
             Some(DeValue::Table(inner)) => {
-                replace_former_in(inner, declaration, (scope, &join_path(path, former)), renamed)
+                replace_former_in(inner, declaration, (scope, &join_path(path, former)), renamed);
             }
             Some(DeValue::Array(items)) if is_list => {
                 for item in items.iter_mut() {

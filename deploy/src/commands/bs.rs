@@ -171,38 +171,30 @@ pub(crate) async fn serve_run(
         started,
         ..
     } = service;
+    let services = start_services(service, folder.path()).await.and_then(|services| {
+        let policy = service
+            .policy_source
+            .start(bus, service.settings.run_key, progress, output.quiet)?;
+        Ok((services, policy))
+    });
+    let (services, policy_process) = match services {
+        Ok(started) => started,
+        Err(error) => {
+            folder.fail(&error);
+            return Err(error);
+        }
+    };
     // The first two are held to the end of the run: dropping them withdraws the registration and the queries.
     let RunServices {
         registered: _registered,
         described: _described,
         watchers,
         feed_handle,
-    } = match start_services(service, folder.path()).await {
-        Ok(prepared) => prepared,
-        Err(error) => {
-            folder.fail(&error);
-            return Err(error);
-        }
-    };
-    let policy_process = match service
-        .policy_source
-        .start(bus, service.settings.run_key, progress, output.quiet)
-    {
-        Ok(policy_process) => policy_process,
-        Err(error) => {
-            folder.fail(&error);
-            return Err(error);
-        }
-    };
+    } = services;
     let path = folder.path().to_owned();
     // A recording that cannot be written ends the run at the end of a window.
-    let mut observer = (
-        &mut folder,
-        (
-            watchers.metrics_observer(),
-            StopWhen(watchers.recording_failure_check()),
-        ),
-    );
+    let recording_check = StopWhen(watchers.recording_failure_check());
+    let mut observer = (&mut folder, (watchers.metrics_observer(), recording_check));
     let (relay_signals, relay_progress) = ((*signals).clone(), Arc::clone(progress));
     // The set-up and the loop over TTIs check `stop`, not signals.
     let relay = tokio::spawn(async move {

@@ -177,14 +177,14 @@ impl HostShared {
         let host = self.credentials.pass.host;
         let plan_dispatcher = dispatcher.clone();
         guards.push(bus.subscribe(host, move |update: PlanUpdate| {
-            plan_dispatcher.dispatch(HostMessage::Plan(update))
+            plan_dispatcher.dispatch(HostMessage::Plan(update));
         })?);
         let wake_dispatcher = dispatcher.clone();
         guards.push(bus.subscribe_wake_ups(host, move |device, wake| {
-            wake_dispatcher.dispatch(HostMessage::Wake(device, wake))
+            wake_dispatcher.dispatch(HostMessage::Wake(device, wake));
         })?);
         guards.push(bus.subscribe(host, move |clock: ClockMessage| {
-            dispatcher.dispatch(HostMessage::Clock(clock))
+            dispatcher.dispatch(HostMessage::Clock(clock));
         })?);
         let this = Arc::clone(self);
         guards.push(bus.watch_alive(keys.bs_liveliness(), move |_, alive| this.on_bs_liveliness(alive))?);
@@ -242,7 +242,7 @@ impl HostShared {
             (HostStatus::Dismissed | HostStatus::RunFailed(_) | HostStatus::DeviceFailed, _)
             | (HostStatus::Running | HostStatus::BsBack, true) => {}
             (HostStatus::Running | HostStatus::BsMissing | HostStatus::BsBack, false) => {
-                *status = HostStatus::BsMissing
+                *status = HostStatus::BsMissing;
             }
             (HostStatus::BsMissing, true) => *status = HostStatus::BsBack,
         });

@@ -452,8 +452,15 @@ fn the_fewest_seeds_are_part_of_a_sweep_if_they_are_asked_for() {
             .to_string();
         assert!(message.contains("another experiment"), "{message}");
     }
-    assert_ne!(experiment_hash(&with("min_seeds = 5")), experiment_hash(&with("min_seeds = 6")));
-    assert_eq!(experiment_hash(&with("min_seeds = 30")), experiment_hash(&with("")), "the default");
+    assert_ne!(
+        experiment_hash(&with("min_seeds = 5")),
+        experiment_hash(&with("min_seeds = 6"))
+    );
+    assert_eq!(
+        experiment_hash(&with("min_seeds = 30")),
+        experiment_hash(&with("")),
+        "the default"
+    );
 }
 
 #[test]

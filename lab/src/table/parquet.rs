@@ -66,7 +66,7 @@ fn write_group(group: &mut GroupWriter<'_, Vec<u8>>, schema: &Schema, rows: &[Re
         match column_type {
             ColumnType::Int => group.write_required::<Int64Type>(values.map(int).collect::<Result<Vec<_>, _>>()?)?,
             ColumnType::Float => {
-                group.write_required::<DoubleType>(values.map(float).collect::<Result<Vec<_>, _>>()?)?
+                group.write_required::<DoubleType>(values.map(float).collect::<Result<Vec<_>, _>>()?)?;
             }
             ColumnType::Text => group.write_required::<ByteArrayType>(values.map(|value| text(value.to_string())))?,
         }

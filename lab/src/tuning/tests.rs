@@ -198,7 +198,11 @@ fn an_objective_is_what_it_says() {
     let balance = information / expected - 0.5 * spent / (30.0 * 2000.0) - 2.0 * missed;
     assert!((of(TuningObjective::Balance { energy: 0.5, miss: 2.0 }) - balance).abs() < 1e-12);
     assert!(missed > 0.0, "otherwise the last term has no effect");
-    assert!(TuningObjective::Information.value_of(&Metrics::default(), 0.1, 30).is_nan());
+    assert!(
+        TuningObjective::Information
+            .value_of(&Metrics::default(), 0.1, 30)
+            .is_nan()
+    );
 }
 
 #[test]

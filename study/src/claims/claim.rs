@@ -205,16 +205,14 @@ pub struct ClaimTopic {
 }
 
 /// Caveat for an information of 0.72 with 250 devices.
-pub(super) const CLOSEST_DEVICE: &str =
-    "Under g = max an event gives at most the information of its closest device. With 250 \
-    devices on 20 × 20 m the mean of that is 0.55 at random positions, 0.59 on a jittered grid, and 0.63 in the best \
-    possible layout, a lattice of regular hexagons.";
+pub(super) const CLOSEST_DEVICE: &str = "Under g = max an event gives at most the information of its closest device. \
+    With 250 devices on 20 × 20 m the mean of that is 0.55 at random positions, 0.59 on a jittered grid, and 0.63 in \
+    the best possible layout, a lattice of regular hexagons.";
 /// Caveat for the genie's 0.055 units.
 pub(super) const WUR_FLOOR: &str = "A device that always listens spends E_WuR = 1/14 = 0.0714 units in every TTI, so \
     0.055 is less than the consumption of the genie's sleeping devices alone.";
 /// Caveat for actions that devices under adjusted take too rarely here.
-pub(super) const RARE_SENSING: &str =
-    "From its grid, adjusted takes the duty cycle with the lowest consumption that \
+pub(super) const RARE_SENSING: &str = "From its grid, adjusted takes the duty cycle with the lowest consumption that \
     reaches I_min. With few devices I_min is almost 0, because p falls with the distance. The paper states neither its \
     grid nor the chosen cycle; its devices must sense more often.";
 /// Caveat for the trend of random with rising N.
@@ -222,19 +220,15 @@ pub(super) const FIXED_CYCLE: &str = "The duty cycles of Sec. VI, t_on of 1 or 2
     sense in 0.44 of all TTIs on average, for every N: about 0.48 units where the harvest allows it. This consumption \
     does not fall with N.";
 /// Caveat for the genie's 2 % with ten devices.
-pub(super) const AREA_OUT_OF_REACH: &str =
-    "Ten discs of d_max = 4 m cannot cover 20 × 20 m in any layout, which needs 4.36 m. At \
-    random positions they leave a third of the area out of reach, on a jittered grid a quarter. No wake-up can report \
-    an event there.";
+pub(super) const AREA_OUT_OF_REACH: &str = "Ten discs of d_max = 4 m cannot cover 20 × 20 m in any layout, which needs \
+    4.36 m. At random positions they leave a third of the area out of reach, on a jittered grid a quarter. No wake-up \
+    can report an event there.";
 /// Caveat for knn's misdetections with many devices.
-pub(super) const PARTIAL_COVERAGE: &str =
-    "One device of each cluster senses, about a dozen in all, so in any TTI part of the \
-    area is not covered.";
+pub(super) const PARTIAL_COVERAGE: &str = "One device of each cluster senses, about a dozen in all, so in any TTI part \
+    of the area is not covered.";
 /// Caveat for spending more than the harvest.
-pub(super) const HARVEST_LIMIT: &str =
-    "In the long run devices cannot spend more than they harvest, 0.45 units under Eq. \
-    (5) with λ = 0.1 and E_B = 5 as in the presets.";
+pub(super) const HARVEST_LIMIT: &str = "In the long run devices cannot spend more than they harvest, 0.45 units under \
+    Eq. (5) with λ = 0.1 and E_B = 5 as in the presets.";
 /// Caveat for one event in 100 000.
-pub(super) const TOO_FEW_EVENTS: &str =
-    "The genie's devices sleep until they are woken, so their batteries are nearly full. \
-    About 400 000 events are needed to distinguish one in 100 000 from none.";
+pub(super) const TOO_FEW_EVENTS: &str = "The genie's devices sleep until they are woken, so their batteries are nearly \
+    full. About 400 000 events are needed to distinguish one in 100 000 from none.";

@@ -8,9 +8,8 @@ use super::claim::{CLOSEST_DEVICE, Claim, ClaimTopic, RARE_SENSING};
 
 const END_OF_AXIS: &str = "\"Up to\" is read as the end of the axis, since information rises with N (1st sentence).";
 const NOT_NEAR: &str = "Not near is read as below 80 %, beyond the tolerance of this report.";
-const ABOVE_50_DEVICES: &str =
-    "Read for N > 50, as the 8th sentence states that all methods are alike up to there. The 7th \
-    sentence places q-learning and the genie higher.";
+const ABOVE_50_DEVICES: &str = "Read for N > 50, as the 8th sentence states that all methods are alike up to there. \
+    The 7th sentence places q-learning and the genie higher.";
 const ALL_METHODS: &str = "The sentence is about all methods together, without an N; read at the end of the axis.";
 
 /// Claims that compare the performance of policies.

@@ -6,9 +6,8 @@ use super::claim::DeviceCounts::{At, Everywhere};
 use super::claim::Statement::{About, Below, Falls, Rises};
 use super::claim::{Claim, ClaimTopic};
 
-const HALF_OF_EACH: &str =
-    "The sentence does not state half of which value; read as half of each of the others, one claim \
-    each.";
+const HALF_OF_EACH: &str = "The sentence does not state half of which value; read as half of each of the others, one \
+    claim each.";
 const THREE_HALVES: &str = "Half of adjusted's 17, of q-learning's 9.5 and of knn's less than 6 are 8.5, 4.75 and less \
     than 3: at most one of the three halves can hold.";
 

@@ -37,14 +37,12 @@ const COVER_AREA_SIDE: f64 = 20.0;
 const COVER_D_MAX: f64 = 4.0;
 
 /// Caption text about the floor.
-pub(crate) const FLOOR_CAPTION: &str =
-    "Energy floor: the least energy to observe the whole area in reach in every TTI (a \
-    minimum cover senses, all others listen, one report per event, full batteries), shown where the harvest reaches \
+pub(crate) const FLOOR_CAPTION: &str = "Energy floor: the least energy to observe the whole area in reach in every TTI \
+    (a minimum cover senses, all others listen, one report per event, full batteries), shown where the harvest reaches \
     it. A policy that observes less can spend less.";
 /// Caption text about the relaxed bound.
-pub(crate) const BOUND_CAPTION: &str =
-    "Relaxed bound: an estimate, not a proof, from 20 runs of a prototype. In each TTI \
-    the best set of a given number of devices senses, with two reports per event and no battery limits.";
+pub(crate) const BOUND_CAPTION: &str = "Relaxed bound: an estimate, not a proof, from 20 runs of a prototype. In each \
+    TTI the best set of a given number of devices senses, with two reports per event and no battery limits.";
 
 /// Returns the energy floor per device and TTI, units, for `n` devices under `scenario`. `None` without cover data:
 /// other areas, ranges, layouts or numbers of devices. Also `None` for probabilistic detection, events that are not

@@ -358,7 +358,12 @@ fn read_summary<R: Read + Seek>(source: &mut R, index: &Summary) -> Result<Optio
     };
     source.seek(SeekFrom::Start(entry.offset))?;
     // A corrupt index can claim any length.
-    let mut record = vec![0; usize::try_from(entry.length).unwrap_or(usize::MAX).min(MAX_RECORD_BYTES)];
+    let mut record = vec![
+        0;
+        usize::try_from(entry.length)
+            .unwrap_or(usize::MAX)
+            .min(MAX_RECORD_BYTES)
+    ];
     source.read_exact(&mut record)?;
     // The record follows an opcode and a length of eight bytes. A corrupt index can also claim no bytes at all.
     let (opcode, body) = (record.first().copied(), record.get(9..));

@@ -96,7 +96,9 @@ impl Recorder {
             }
             written
         };
-        let thread = std::thread::Builder::new().name("recorder".to_owned()).spawn(run_thread);
+        let thread = std::thread::Builder::new()
+            .name("recorder".to_owned())
+            .spawn(run_thread);
         Ok(Self {
             path: path.to_owned(),
             queue,

@@ -31,7 +31,7 @@ pub(crate) struct Prices {
     min_level: Vec<Energy>,
     e_max: Vec<Energy>,
     /// Price in this TTI, by device; infinite if the device may not sense.
-    prices: Vec<f64>,
+    current: Vec<f64>,
 }
 
 impl Prices {
@@ -53,7 +53,7 @@ impl Prices {
             full_battery_price: energies().map(|energy| price * relative_cost(energy)).collect(),
             min_level: energies().map(min_level).collect(),
             e_max: energies().map(|energy| energy.e_max).collect(),
-            prices: vec![f64::INFINITY; known.n()],
+            current: vec![f64::INFINITY; known.n()],
         }
     }
 
@@ -79,7 +79,7 @@ impl Prices {
         surcharge_levels: &[Energy],
         factor: impl Fn(usize) -> f64,
     ) -> &[f64] {
-        for (j, (price, &level)) in self.prices.iter_mut().zip(levels).enumerate() {
+        for (j, (price, &level)) in self.current.iter_mut().zip(levels).enumerate() {
             *price = if level < self.min_level[j] {
                 f64::INFINITY
             } else {
@@ -88,6 +88,6 @@ impl Prices {
                     .max(MIN_PRICE)
             };
         }
-        &self.prices
+        &self.current
     }
 }

@@ -124,7 +124,7 @@ impl Diurnal {
                 return Err(reader.invalid_value("harvest.diurnal.latitude", latitude, allowed));
             }
             IrradianceReference::Zenith if diurnal.mean_irradiance <= 0.0 => {
-                reader.warn(format!("no energy is harvested: {no_sun}"))
+                reader.warn(format!("no energy is harvested: {no_sun}"));
             }
             IrradianceReference::DailyMean | IrradianceReference::Zenith => {}
         }

@@ -9,7 +9,7 @@ use reveille_bs::cycle::PreparedRun;
 use reveille_bs::scenario::Scenario;
 use reveille_common::ids::Tti;
 use reveille_common::message::Frame;
-use reveille_view::recording::{ScenarioBundle, RecordingReader, is_growing};
+use reveille_view::recording::{RecordingReader, ScenarioBundle, is_growing};
 
 use super::live::Live;
 use crate::cli::TargetArgs;

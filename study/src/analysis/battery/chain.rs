@@ -112,7 +112,8 @@ pub(crate) fn steady_state(lattice: &Lattice, input: &ChainInput) -> Result<Stea
         }
         if transition_count > MAX_TRANSITIONS {
             let allowed = format!(
-                "of one cycle should be at most {STEADY_RESIDUAL:e} after {MAX_TRANSITIONS} TTIs; the chain mixes too slowly"
+                "of one cycle should be at most {STEADY_RESIDUAL:e} after {MAX_TRANSITIONS} TTIs; the chain mixes \
+                 too slowly"
             );
             return Err(AnalysisError::invalid("residual", &residual, allowed));
         }

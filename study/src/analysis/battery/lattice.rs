@@ -47,7 +47,8 @@ impl Lattice {
             let value = energies.map(|e| e.units().to_string()).join(", ");
             let allowed = format!(
                 "E_max, E_idle, E_WuR, E_Tx and E_B must be multiples of a common quantum of 1/n unit, n up to \
-                 {MAX_QUANTA_PER_UNIT}, for the battery to have few enough levels; round them, for example to hundredths of a unit"
+                 {MAX_QUANTA_PER_UNIT}, for the battery to have few enough levels; round them, for example to \
+                 hundredths of a unit"
             );
             return Err(AnalysisError::invalid("energies (units)", &value, allowed));
         };

@@ -11,12 +11,12 @@ use super::super::phrasing::format_number;
 use super::{ClaimCounts, ClaimHalf, RankedSetting, SettingSearch};
 
 /// Explanation of the ranking and of its limits.
-pub(crate) const RANKING_RULE: &str =
-    "Every claim has a number, in the order of the report. Settings are ranked by the claims \
-    with even numbers alone: by how many are reproduced, then by how many are within 20 %. The claims with odd numbers \
-    do not affect the rank; the number of them that a setting meets shows whether its rank is more than luck. Claims \
-    that were not run do not count. Each verdict is independent of the other claims. Both halves come from the same \
-    runs, and a sentence about several policies gives several claims, so the halves are not independent of each other.";
+pub(crate) const RANKING_RULE: &str = "Every claim has a number, in the order of the report. Settings are ranked by \
+    the claims with even numbers alone: by how many are reproduced, then by how many are within 20 %. The claims with \
+    odd numbers do not affect the rank; the number of them that a setting meets shows whether its rank is more than \
+    luck. Claims that were not run do not count. Each verdict is independent of the other claims. Both halves come \
+    from the same runs, and a sentence about several policies gives several claims, so the halves are not independent \
+    of each other.";
 
 /// Renders the whole page, with the first `count` settings and the presets.
 pub fn markdown(search: &SettingSearch<'_>, count: usize, command: &str) -> String {
