@@ -10,7 +10,7 @@
 //! | `…/emu/alive/{host}/{token}` | liveliness tokens of hosts |
 //! | `reveille/{run}/emu/bs` | the liveliness token of the BS |
 //! | `reveille/{run}/policy/v1` | decision requests, BS → policy process |
-//! | `reveille/{run}/tap` | [`TapBatch`](crate::message::TapBatch), BS → observers |
+//! | `reveille/{run}/tap` | [`FrameBatch`](crate::message::FrameBatch), BS → observers |
 //!
 //! Each host receives the secret with its assignment, and its own token. No wildcard of zenoh matches a part of a key
 //! that begins with `@`. Without the secret, a peer can neither name nor receive those keys; even with it, a host

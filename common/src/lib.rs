@@ -4,7 +4,7 @@
 //! - Physics: [`sensing`], [`harvest`], [`energy`], [`event`], [`radio`], [`geometry`], [`rng`].
 //! - Decisions and messages: [`plan`], [`message`], [`codec`], [`keys`], [`bus`].
 //! - Results: [`totals`], [`score`] with all metrics and the digest.
-//! - Fields and files: [`declare`] declares scenario fields; [`columns`], [`encoding`] for data, and `parquet`.
+//! - Fields and files: [`mod@declare`] declares scenario fields; [`columns`], [`encoding`] for data, and `parquet`.
 //!
 //! Everything except [`bus`], [`io`] and [`logging`] is pure: no clock, no entropy, no I/O. Start with [`scenario`].
 

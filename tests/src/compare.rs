@@ -78,7 +78,7 @@ pub fn trace(scenario: &Scenario) -> Vec<Vec<(ReferenceState, u64)>> {
     trace
 }
 
-/// Converts a device state to the reference's [`State`].
+/// Converts a device state to the reference's `ReferenceState`.
 ///
 /// # Panics
 /// If the state is S2, in which no device is at the end of a step.

@@ -165,7 +165,7 @@ pub(crate) fn exp_negative(x: f64) -> f64 {
     series * power
 }
 
-/// Largest exponent of [`decay`].
+/// Largest exponent of [`exp_negative`].
 const MAX_EXPONENT: f64 = 708.0;
 
 /// 1 / k! for k = 0, 1, …

@@ -1,7 +1,7 @@
 //! Scenarios with the policies of this program: [`reveille_common::scenario`] with the policy registry.
 //!
-//! [`load`] is the usual start. [`schema`] and [`reference`] describe all fields; docs/scenario.md is the output of
-//! [`reference`], so a change of a field or of head.md changes it too.
+//! [`load`] is the usual start. [`schema`] and [`reference()`] describe all fields; docs/scenario.md is the output of
+//! [`reference()`], so a change of a field or of head.md changes it too.
 
 use reveille_common::declare::Files;
 pub use reveille_common::scenario::*;

@@ -1,4 +1,4 @@
-//! The tokio shell of the base station on the bus. [`serve`] is the entry point of a run.
+//! The tokio shell of the base station on the bus. [`serve()`] is the entry point of a run.
 //!
 //! `subscriptions` receives all messages. `join` and [`admission`] assign devices to hosts. `run_loop` carries out the
 //! actions of the [`Session`](crate::session::Session), sends through `downlink` and waits at the [`barrier`].

@@ -19,7 +19,7 @@ pub struct Net {
 
 /// The outputs of a net for a batch.
 pub struct Outputs {
-    /// Logarithms by chunk, TTI, device and head, `[C, T, N, HEADS]`.
+    /// Logarithms by chunk, TTI, device and output, `[C, T, N, OUTPUTS]`.
     pub logs: Tensor,
     /// The logarithm of the price for each chunk and TTI, `[C, T]`.
     pub price: Tensor,

@@ -7,7 +7,7 @@ use reveille_common::harvest::{Arrivals, DayKnowledge, Diurnal, IrradianceRefere
 use reveille_common::rng::{Geometric, Purpose, Stream};
 use reveille_common::scenario::{Harvest, HarvestTrace, TraceColumns, TraceEnd};
 
-/// Energy source of one device. Call [`Source::arriving`] once for each TTI, in order.
+/// Energy source of one device. Call [`ReferenceSource::arriving`] once for each TTI, in order.
 #[derive(Clone, Debug)]
 pub(super) enum ReferenceSource {
     /// Arrivals with random gaps.

@@ -2,7 +2,7 @@
 //! scenario, positions, classes and random streams with the emulator.
 //!
 //! If its own integration rule for `P_4,2` cannot separate two candidates, it stops and reports the TTI
-//! ([`Run::ambiguous`]).
+//! ([`ReferenceRun::ambiguous`]).
 
 mod age_index;
 mod clusters;

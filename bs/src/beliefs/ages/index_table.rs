@@ -27,7 +27,7 @@ pub fn age_worths() -> AgeIndexTable {
     std::array::from_fn(|age| age_index(age as u8))
 }
 
-/// Returns the worth of `age`, as in [`worths`].
+/// Returns the worth of `age`, as in [`age_worths`].
 #[inline]
 pub(super) const fn age_index(age: u8) -> u8 {
     let age = if age < CONSTANT_WORTH_AGE {

@@ -1,5 +1,5 @@
-//! The verdict on a claim. [`super::notes`] states the rule for readers of the report, and `docs/figures-and-report.md`
-//! for users; change all three.
+//! The verdict on a claim. The module `notes` of the report states the rule for readers of the report, and
+//! `docs/figures-and-report.md` for users; change all three.
 //!
 //! 1. A policy without runs at a claim's N is *not run*. A statement on several N together needs runs at two of them.
 //! 2. A claim is *reproduced* if our mean is within 5 % of a stated value, in a stated range, or meets a bound

@@ -20,7 +20,7 @@ pub struct DeviceSelector {
     positions: Vec<Point>,
     buckets: Buckets,
     d_max: f64,
-    /// Candidates by [`key`].
+    /// Candidates by [`ratio_key`].
     heap: BinaryHeap<u64>,
     /// Gain by device if no device was chosen.
     gains_alone: Vec<f64>,
