@@ -1,7 +1,8 @@
 //! The observation that a policy receives in a TTI, with [`Knowledge`] as its part from before the first TTI.
 //!
 //! The [`BaseStation`](crate::base_station::BaseStation) makes one for each call of the policy. A field must not give
-//! ground truth; `tests/tests/knowledge_wall.rs` checks that unobservable changes of a run change no decision.
+//! ground truth, except for `batteries`, which are the true levels under `bs.battery_knowledge = "oracle"`.
+//! `tests/tests/knowledge_wall.rs` checks that unobservable changes of a run change no decision.
 
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::plan::Plan;

@@ -1,8 +1,11 @@
 //! The common types of the Reveille emulator, on which all its other crates build.
 //!
-//! - A run: [`scenario`] describes it, [`deployment`] places its devices, [`world`] holds its events.
-//! - Physics: [`sensing`], [`harvest`], [`energy`], [`event`], [`radio`], [`geometry`], [`rng`].
-//! - Decisions and messages: [`plan`], [`message`], [`codec`], [`keys`], [`bus`].
+//! - A run: [`scenario`] describes it, [`deployment`] places its devices, [`world`] holds its events. [`ids`] has the
+//!   numbers of devices, hosts and events, and model time.
+//! - Physics: [`sensing`], [`harvest`], [`energy`] in [`units`], [`state`] of a device, [`event`], [`radio`], both with
+//!   [`phases`], [`geometry`], [`rng`].
+//! - Decisions and messages: [`plan`], [`message`], [`codec`], [`bus`] with its key expressions in [`keys`], of which a
+//!   [`secret`] is a part.
 //! - Results: [`totals`], [`score`] with all metrics and the digest.
 //! - Fields and files: [`mod@declare`] declares scenario fields; [`columns`], [`encoding`] for data, and `parquet`.
 //!

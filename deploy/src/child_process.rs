@@ -139,13 +139,15 @@ pub(crate) fn spawn(arguments: &[String], key: Option<Secret>, threads: Threads)
         .spawn()?)
 }
 
-/// Restarts this process with one zenoh thread, unless the environment sets zenoh's threads. zenoh reads only the
-/// environment, which a process cannot change for itself. Returns if no restart is needed or the restart fails.
+/// Restarts this process with one zenoh thread, unless the environment sets zenoh's threads. zenoh takes the number
+/// from the environment only, and changing the environment of a running process needs unsafe code. Returns if no
+/// restart is needed or the restart fails.
 pub(crate) fn restart_with_one_zenoh_thread() {
     if has_thread_setting() {
         return;
     }
-    let mut arguments = std::env::args_os();
+    let (arguments, _) = crate::cli::former::replace_former_names(std::env::args_os());
+    let mut arguments = arguments.into_iter();
     let name = arguments.next();
     let Ok(program) = std::env::current_exe() else { return };
     let mut command = Command::new(&program);

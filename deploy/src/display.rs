@@ -106,7 +106,7 @@ impl RunProgressBar {
         let thread = std::thread::spawn(move || {
             let mut has_started = false;
             while !thread_done.load(Ordering::Relaxed) {
-                has_started = update(&thread_bar, &progress, devices, has_started);
+                has_started = update_bar(&thread_bar, &progress, devices, has_started);
                 // `drop` unparks the thread, so that the end does not wait for this pause.
                 std::thread::park_timeout(Duration::from_millis(100));
             }
@@ -131,7 +131,7 @@ impl Drop for RunProgressBar {
 }
 
 /// Shows the progress. Returns whether the first TTI has passed; `had_started` is the result of the last call.
-fn update(bar: &ProgressBar, progress: &RunProgress, devices: u32, had_started: bool) -> bool {
+fn update_bar(bar: &ProgressBar, progress: &RunProgress, devices: u32, had_started: bool) -> bool {
     let load = |value: &std::sync::atomic::AtomicU64| value.load(Ordering::Relaxed);
     let tti = load(&progress.next_tti);
     let paused = progress.is_paused.load(Ordering::Relaxed);

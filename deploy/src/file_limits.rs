@@ -31,7 +31,7 @@ pub(crate) fn ensure_for_station(processes: u32) -> anyhow::Result<()> {
     )
 }
 
-/// Ensures files for a base station with an unknown number of device processes, at most `devices`.
+/// Ensures files for a base station and one device process, and warns if fewer than `devices` could join.
 ///
 /// # Errors
 /// If the system limit does not even allow one device process.
@@ -41,8 +41,8 @@ pub(crate) fn ensure_for_unknown_processes(devices: u32) -> anyhow::Result<()> {
     let max_processes = raise_limit() - STATION_FILES;
     if max_processes < u64::from(devices) {
         tracing::warn!(
-            "this process may have {} files open, so at most {max_processes} device processes can join; raise the limit \
-             with `ulimit -n`",
+            "this process may have {} files open, so at most {max_processes} device processes can join; raise the \
+             limit with `ulimit -n`",
             raise_limit()
         );
     }

@@ -19,8 +19,8 @@ use crate::runtime::now;
 /// The file name of the log in a run folder.
 pub(crate) const INPUT_LOG_FILE: &str = "inputs.log";
 /// The error for a log with inputs that do not occur in the run.
-pub(crate) const MISMATCH: &str = "inputs.log names a removal or a decision that does not occur in this run; use the log \
-    of a run with this scenario";
+pub(crate) const MISMATCH: &str = "inputs.log names a removal or a decision that does not occur in this run; use the \
+    log of a run with this scenario";
 /// Time between two syncs of decisions to the disk.
 const SYNC_INTERVAL: Duration = Duration::from_secs(1);
 

@@ -1,4 +1,7 @@
-//! The run folder: what a run writes, and when. The names and contents are documented in `docs/results.md`.
+//! The run folder: the files that a run writes. The names and contents are documented in `docs/results.md`.
+//!
+//! A new file needs an entry in `remove_run`. It also needs one in `RunFolder::reopen` if it must not survive the start
+//! of a resumed run, and one in `PART_FILES` if `reveille_lab::io::replace` writes it.
 //!
 //! | file | content |
 //! |---|---|
@@ -47,7 +50,8 @@ const WINDOWS_FILE: &str = "windows.csv";
 const EVENTS_TABLE: usize = 0;
 const WINDOWS_TABLE: usize = 1;
 /// Part files that a run killed during a write may have left.
-const PART_FILES: [&str; 5] = [
+const PART_FILES: [&str; 6] = [
+    "inputs.log.part",
     "resume.json.part",
     "scenario.toml.part",
     "summary.json.part",
@@ -65,10 +69,12 @@ pub(crate) struct RunFolder {
 }
 
 impl RunFolder {
-    /// Creates the folder that `args` names, or the next free one under `runs/`, and marks it as running.
+    /// Creates the folder that `args` names, or the next free one under `runs/`, and marks it as running. With
+    /// `--resume` it reopens the folder of that run instead.
     ///
     /// # Errors
-    /// If the folder is not empty, a run is writing there, or it cannot be written to.
+    /// If the folder is not empty (with `--force`: and holds no run), the run to resume has finished, a run is writing
+    /// there, or it cannot be written to.
     pub(crate) fn create(args: &OutputArgs, scenario: &Scenario) -> anyhow::Result<Self> {
         // Read before the folder is emptied, since it can hold these files.
         let files = ScenarioFiles::read(scenario)?;
@@ -255,7 +261,7 @@ fn is_complete(path: &Path) -> bool {
 
 /// Locks a folder, and removes an earlier run from it with `force`.
 fn lock_and_clear(path: &Path, force: bool) -> anyhow::Result<FolderLock> {
-    // A folder without a run gets no RUNNING file.
+    // Refused before the lock is acquired, since acquiring it creates RUNNING.
     if !path.join(RUNNING_FILE).exists() {
         check_free(path, force, false)?;
     }

@@ -76,8 +76,8 @@ impl ScenarioFiles {
     pub(crate) fn bundle(&self, scenario: &Scenario) -> ScenarioBundle {
         let file = |file: &ScenarioFile| (format!("{FOLDER}/{}", file.name), file.bytes.clone());
         ScenarioBundle {
-            scenario: self.to_toml(scenario),
-            files: self.0.iter().map(file).collect(),
+            text: self.to_toml(scenario),
+            referenced_files: self.0.iter().map(file).collect(),
         }
     }
 

@@ -77,8 +77,11 @@ pub(crate) fn read_text(path: &Path) -> io::Result<String> {
 pub(crate) fn read_short(path: &Path, max_bytes: u64) -> io::Result<String> {
     // Checked before the file is opened: opening a pipe would block until another process writes to it.
     let metadata = fs::metadata(path)?;
-    if !metadata.is_file() || metadata.len() > max_bytes {
-        return Err(io::Error::other("it is not a file, or too long for an experiment"));
+    if !metadata.is_file() {
+        return Err(io::Error::other("it is not a file"));
+    }
+    if metadata.len() > max_bytes {
+        return Err(io::Error::other(format!("it has more than {max_bytes} bytes")));
     }
     read_text(path)
 }

@@ -20,8 +20,8 @@ const CASE_METRICS: [(&str, f64); 3] = [
 const SHARE_METRIC: &str = "misdetection_pct";
 /// The rule of three: without a case among n, 3/n is the 95 % upper bound.
 const RULE_OF_THREE: f64 = 3.0;
-/// The largest number of cases of a single run that counts as few.
-const MAX_FEW_CASES: u64 = 9;
+/// The largest number of cases that is few in a cell of one run, which has no interval.
+const MAX_FEW_CASES_OF_ONE_RUN: u64 = 9;
 
 /// Counts of cases and events.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -66,7 +66,7 @@ impl MetricEstimate {
         Some(Self {
             estimate,
             case_counts,
-            upper_bound: upper_bound(estimate, case_counts, count_bound).filter(|_| !is_difference),
+            upper_bound: bound_replacing_interval(estimate, case_counts, count_bound).filter(|_| !is_difference),
             lower_bound: case_counts
                 .filter(|_| metric == SHARE_METRIC)
                 .and_then(CaseCounts::lower_bound_pct),
@@ -133,14 +133,19 @@ impl CaseCounts {
     }
 }
 
-/// Returns the one-sided bound on a mean whose interval is not usable. `count_bound` follows from the number of cases.
-fn upper_bound(estimate: Estimate, case_counts: Option<CaseCounts>, count_bound: Option<f64>) -> Option<f64> {
+/// Returns the one-sided bound on a mean whose interval is not usable; `None` if the interval is usable. `count_bound`
+/// follows from the number of cases.
+fn bound_replacing_interval(
+    estimate: Estimate,
+    case_counts: Option<CaseCounts>,
+    count_bound: Option<f64>,
+) -> Option<f64> {
     let Estimate { mean, half_width, .. } = estimate;
     let case_counts = case_counts.filter(|counts| counts.events > 0);
     match case_counts {
         Some(CaseCounts { cases: 0, .. }) => count_bound,
         Some(CaseCounts {
-            cases: 1..=MAX_FEW_CASES,
+            cases: 1..=MAX_FEW_CASES_OF_ONE_RUN,
             ..
         }) if half_width.is_nan() => count_bound,
         // Clustered cases scatter more than Poisson's law. The spread of the runs shows it, so the wider bound counts.

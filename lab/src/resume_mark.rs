@@ -36,8 +36,8 @@ pub struct ResumeMark {
 /// A reason why a mark cannot be used for a run.
 #[derive(Debug, thiserror::Error)]
 pub enum ResumeMarkError {
-    /// The mark is truncated: the run may have been killed while writing it.
-    #[error("is truncated")]
+    /// The mark is truncated or damaged: the run may have been killed while writing it.
+    #[error("is truncated or damaged")]
     Torn(#[from] serde_json::Error),
     /// The mark has another format version or another digest version.
     #[error("was written by another version of reveille; use that version")]

@@ -76,12 +76,13 @@ impl SeriesNames {
         )
     }
 
-    /// The index of the swept column that the names contain, if any.
+    /// The index of the ranking among the swept columns; `None` unless the table holds several rankings.
     pub const fn ranking_column(self) -> Option<usize> {
         self.ranking_column
     }
 
-    /// Returns the cells without those that repeat the runs of another cell under another ranking.
+    /// Returns the cells, without those that differ from an earlier cell only in the ranking and have the same
+    /// outcomes.
     pub fn distinct_cells<'c, 't>(self, cells: &'c [CellRuns<'t>]) -> Vec<&'c CellRuns<'t>> {
         let Some(ranking_column) = self.ranking_column else {
             return cells.iter().collect();

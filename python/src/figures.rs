@@ -97,12 +97,12 @@ pub(crate) fn sweep_pictures(
     log: [bool; 2],
 ) -> PyResult<(Vec<PyFigure>, Option<String>)> {
     let spec = SweepFigureSpec {
-        x_field: canonical_field(&x).to_owned(),
+        x_field: canonical_field(&x),
         metric: y,
-        line_field: canonical_field(&by).to_owned(),
+        line_field: canonical_field(&by),
         filter: only
             .into_iter()
-            .map(|(field, value)| (canonical_field(&field).to_owned(), value))
+            .map(|(field, value)| (canonical_field(&field), value))
             .collect(),
         is_log_x: log[0],
         is_log_y: log[1],

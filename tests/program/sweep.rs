@@ -276,11 +276,11 @@ fn a_table_of_another_version_is_not_merged() {
     let text = fs::read_to_string(&side).expect("there");
     fs::write(
         &side,
-        text.replace("\"reveille.table\" = \"1\"", "\"reveille.table\" = \"2\""),
+        text.replace("\"reveille.table\" = \"2\"", "\"reveille.table\" = \"3\""),
     )
     .expect("written");
     let end = folder.run("merge s1 s2 --out m.csv");
-    assert_refused(&end, 1, &["s2/results.csv", "version 2", "reads version 1"]);
+    assert_refused(&end, 1, &["s2/results.csv", "version 3", "reads versions 1 to 2"]);
     fs::write(&side, text.replace(env!("CARGO_PKG_VERSION"), "0.0.9")).expect("written");
     assert_refused(&folder.run("merge s1 s2 --out m.csv"), 1, &["reveille 0.0.9"]);
     fs::write(&side, text).expect("written");

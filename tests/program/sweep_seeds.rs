@@ -90,21 +90,32 @@ fn a_table_with_fewer_seeds_is_not_reused() {
         sweep.signal(Signal::KILL);
         sweep.finish();
     }
-    let parts = ["s1: its sweep is not finished", "give its command again", "--partial"];
+    let parts = [
+        "s1: holds no complete table: its sweep is not finished",
+        "give its command again",
+        "--partial",
+    ];
     assert_refused(&folder.run("merge s1 s2 --out m.parquet"), 1, &parts);
     assert!(!folder.join("m.parquet").exists());
     for command in ["figures", "report"] {
         let end = folder.run(&format!("{command} whole --out c"));
-        assert_refused(&end, 1, &["whole: its sweep is not finished"]);
+        assert_refused(&end, 1, &["whole: holds no complete table: its sweep is not finished"]);
         let end = folder.run(&format!("{command} runtime --out c"));
-        assert_refused(&end, 1, &["runtime: the folder has no table of a sweep"]);
+        assert_refused(
+            &end,
+            1,
+            &["runtime: holds no complete table: it is not the folder of a sweep"],
+        );
     }
     assert!(!folder.join("c").exists());
     // State after a kill before the removal of the table.
     let path = folder.join("s2/experiment.toml");
     let text = fs::read_to_string(&path).expect("there");
     fs::write(&path, text.replace("count = 3", "count = 5")).expect("written");
-    let parts = ["s2: its experiment.toml asks for 5 seeds a cell, but results.parquet holds 3"];
+    let parts = [
+        "s2: holds no complete table: its experiment.toml asks for 5 seeds a cell",
+        "but results.parquet holds 3",
+    ];
     assert_refused(&folder.run("merge s2 --partial --out m.parquet"), 1, &parts);
 }
 

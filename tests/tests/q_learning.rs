@@ -86,7 +86,8 @@ proptest! {
         let mut stream = Stream::new(seed, Purpose::Training, 1);
         let table = table(&mut stream, bias);
         let energies = vec![energy(); devices as usize];
-        let mut duty = DutyLearner::new(table.clone(), terms(Lookback::Window(window)), &points, energies, area, &sensing);
+        let parameters = terms(Lookback::Window(window));
+        let mut duty = DutyLearner::new(table.clone(), parameters, &points, energies, area, &sensing);
         let mut reference = Sequential::new(&points, area, &sensing, energy(), window as usize);
         for k in 0..6 {
             let levels = levels(devices as usize, &mut stream);

@@ -38,6 +38,11 @@ pub fn declaration() -> Declaration {
     reveille_common::scenario::declaration(&registry::kinds())
 }
 
+/// Returns today's path of the scenario field at `path`, which may be a former path; any other text stays as it is.
+pub fn current_field(path: &str) -> String {
+    declaration().current_path(path)
+}
+
 /// Returns the JSON Schema of scenario files.
 pub fn schema() -> String {
     reveille_common::declare::json_schema(&declaration())

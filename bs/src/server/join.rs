@@ -190,7 +190,7 @@ impl ServerState {
             && let Some(assignment) = self.admission.assignment(host)
         {
             self.admission.revoke(lost.host);
-            self.barrier.roster().replace(lost.host, assignment);
+            self.barrier.roster_mut().replace(lost.host, assignment);
             self.warned_hosts.remove(&lost.host);
             // The new host resumes before the last grant, so the loop must retransmit that grant.
             self.needs_retransmit = true;
@@ -224,7 +224,7 @@ pub(super) async fn wait_for_all_devices(
                     devices = scenario.run.devices,
                     "all devices have joined"
                 );
-                state.barrier.roster().set_hosts(assignments);
+                state.barrier.roster_mut().set_hosts(assignments);
                 state.is_running = true;
                 return Ok(());
             }

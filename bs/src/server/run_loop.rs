@@ -107,7 +107,7 @@ pub(super) async fn run(
         outcome,
         joining_time,
         running_time,
-        hosts: state.barrier.roster().host_count(),
+        hosts: state.barrier.roster_mut().host_count(),
         grants: run_loop.grants,
         lateness: run_loop.lateness,
         malformed_payloads: run_loop.context.bus.malformed_payloads(),
@@ -264,7 +264,7 @@ impl RunLoop<'_> {
         {
             let mut state = self.context.shared.lock();
             state.next_tti = last + 1;
-            let options = GrantOptions { account, views };
+            let options = GrantOptions { totals: account, views };
             state.barrier.expect_grant(last, stimulus.is_some(), options);
         }
         self.context.bus.set_tti(last);
@@ -306,7 +306,7 @@ impl RunLoop<'_> {
         let host = {
             let mut state = self.context.shared.lock();
             state.barrier.expect_wake(tti, device);
-            state.barrier.roster().owner_of(device)
+            state.barrier.roster_mut().owner_of(device)
         };
         if let Some(host) = host {
             self.downlink.send_wake_up(host, device, order.message)?;
@@ -357,7 +357,7 @@ impl RunLoop<'_> {
             .store(event_totals.misdetected, Ordering::Relaxed);
         let hosts = {
             let mut state = self.context.shared.lock();
-            let with_devices = state.barrier.roster().active_host_count();
+            let with_devices = state.barrier.roster_mut().active_host_count();
             with_devices.saturating_sub(state.lost_hosts.assignments().count())
         };
         self.context
@@ -457,7 +457,7 @@ impl RunLoop<'_> {
         // Nothing is sent under the lock: a put waits while a link is congested, and callbacks of messages need the
         // lock.
         let mut state = self.context.shared.lock();
-        let roster = state.barrier.roster();
+        let roster = state.barrier.roster_mut();
         self.downlink.redirect_wake_ups(|device| roster.owner_of(device));
         state.publish_owners(self.context.progress);
         drop(state);
@@ -474,7 +474,7 @@ impl RunLoop<'_> {
         let end = self.session.next_tti();
         let (mut ledgers, lost_meanwhile, devices) = {
             let mut state = self.context.shared.lock();
-            let devices = state.barrier.roster().device_count() as u32;
+            let devices = state.barrier.roster_mut().device_count() as u32;
             let lost_meanwhile = std::mem::take(&mut state.pending_removals);
             (state.barrier.take_ledgers(), lost_meanwhile, devices)
         };

@@ -53,7 +53,7 @@ impl ServerState {
 
     /// Writes the assignments and names of all hosts to `progress`.
     pub(super) fn publish_owners(&mut self, progress: &RunProgress) {
-        let roster = self.barrier.roster();
+        let roster = self.barrier.roster_mut();
         let assignments = (0..roster.host_count())
             .filter(|position| !roster.is_removed(*position))
             .map(|position| roster.assignment(position))

@@ -51,7 +51,7 @@ impl Bus {
         ))
     }
 
-    /// Returns the names of the runs whose BS is alive behind this session.
+    /// Returns the names of the runs whose BS this session can reach.
     ///
     /// # Errors
     /// If zenoh refuses.
@@ -66,7 +66,7 @@ impl Bus {
         Ok(runs)
     }
 
-    /// Returns the number of this run's hosts that are alive behind this session.
+    /// Returns the number of this run's live hosts that this session can reach.
     ///
     /// # Errors
     /// If zenoh refuses.

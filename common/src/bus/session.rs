@@ -199,17 +199,15 @@ async fn open_listening(mut config: zenoh::Config, endpoint: &str) -> Result<(St
         set_option(&mut config, "listen/endpoints", &format!("[{resolved:?}]"))?;
         match open(config.clone()).await? {
             Ok(session) => return Ok((resolved, session)),
-            Err(error) => match resolve_listen_endpoint(&resolved) {
-                Err(_) if is_any_port && attempts < PORT_ATTEMPTS => {
-                    tracing::debug!(resolved, "another process took the port");
-                }
-                Err(taken) => return Err(taken),
-                Ok(_) => {
-                    // zenoh ends its errors with a full stop.
-                    let cause = error.to_string();
-                    return Err(BusError::Listen(resolved, cause.trim_end_matches('.').to_owned()));
-                }
-            },
+            Err(error) if is_any_port && attempts < PORT_ATTEMPTS => {
+                tracing::debug!(resolved, %error, "cannot listen on this port; trying another");
+            }
+            Err(error) => {
+                // The standard library names a taken port more clearly. zenoh ends its errors with a full stop.
+                resolve_listen_endpoint(&resolved)?;
+                let cause = error.to_string();
+                return Err(BusError::Listen(resolved, cause.trim_end_matches('.').to_owned()));
+            }
         }
     }
 }

@@ -101,6 +101,13 @@ impl Declaration {
             .find_map(|section| section.field(name).map(|field| (section, field)))
     }
 
+    /// Returns today's path of the field at the dotted path `path`, which may end in a former name of the field.
+    pub fn current_path(&self, path: &str) -> String {
+        let (section, name) = path.rsplit_once('.').unwrap_or(("", path));
+        let renamed = self.field_by_former_name(Scope::Top, section, name);
+        renamed.map_or_else(|| path.to_owned(), |field| super::join_path(section, field.name))
+    }
+
     /// Returns the field below the header `path` in `scope` that had the name `former`.
     pub(super) fn field_by_former_name(&self, scope: Scope, path: &str, former: &str) -> Option<&'static Field> {
         let mut fields = self
@@ -110,7 +117,7 @@ impl Declaration {
         fields.find(|field| field.former_name == Some(former))
     }
 
-    /// Returns the field at the full path `path` of the top level, with its section.
+    /// Returns the field with the dotted path `path` from the top level, and its section.
     pub fn field_by_path(&self, path: &str) -> Option<(&'static Section, &'static Field)> {
         let (section, name) = path.rsplit_once('.').unwrap_or(("", path));
         if section == self.list.name() {

@@ -109,7 +109,9 @@ pub(crate) fn did_you_mean<'c>(word: &str, candidates: impl IntoIterator<Item = 
     // The time grows with the length of the word, and a hostile file can hold a name of megabytes.
     const MAX_WORD_CHARS: usize = 64;
     let word: String = word.chars().take(MAX_WORD_CHARS).collect();
-    let limit = (word.chars().count() / 3).max(2);
+    // Two changes turn a word of three letters into almost any other.
+    let chars = word.chars().count();
+    let limit = if chars <= 3 { 1 } else { (chars / 3).max(2) };
     // Candidates can be full paths, but a typo concerns only their last part.
     let last_part = |c: &'c str| c.rsplit('.').next().unwrap_or(c);
     let nearest = candidates
@@ -156,6 +158,7 @@ mod tests {
             did_you_mean("d_max", ["ttis", "sensing.d_max"]),
             "; did you mean `sensing.d_max`?"
         );
+        assert_eq!(did_you_mean("rnd", ["knn", "random"]), "");
         assert_eq!(did_you_mean("colour", ["alpha", "duration"]), "");
     }
 }

@@ -169,7 +169,8 @@ fn condition_rules(declaration: &Declaration, scope: Scope) -> Json {
             for field in section.fields {
                 let path = section.path_of(field.name);
                 if let Some(other) = field.instead_of {
-                    let both = json!({ "allOf": [value_condition(&path, None), value_condition(&section.path_of(other), None)] });
+                    let conditions = [&path, &section.path_of(other)].map(|path| value_condition(path, None));
+                    let both = json!({ "allOf": conditions });
                     rules.push(json!({ "not": both }));
                 }
                 let condition = section.condition(field);

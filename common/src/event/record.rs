@@ -1,4 +1,7 @@
 //! The record of an ended event, for observers, the per-event table and the reference of the tests.
+//!
+//! [`EventUpdate`](crate::message::EventUpdate) carries it in the wire format, which encodes fields by position: a
+//! change of the fields or of their order raises [`WIRE_VERSION`](crate::codec::WIRE_VERSION).
 
 use serde::{Deserialize, Serialize};
 
@@ -17,7 +20,7 @@ pub struct EventRecord {
     pub start: Tti,
     /// Its last TTI.
     pub last: Tti,
-    /// Whether the metrics count it.
+    /// Whether the metrics count it: false if it starts in the warm-up.
     pub counted: bool,
     /// The devices' activity for it.
     pub tally: EventTally,

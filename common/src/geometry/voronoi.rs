@@ -7,7 +7,7 @@ use super::{Area, Point};
 ///
 /// Devices at the same place share a cell. Without devices the distance is infinite.
 pub fn farthest_cell_vertex(points: &[Point], area: Area) -> f64 {
-    let sites = distinct_sites(points);
+    let sites = sorted_distinct_sites(points);
     if sites.is_empty() {
         return f64::INFINITY;
     }
@@ -21,7 +21,7 @@ pub fn farthest_cell_vertex(points: &[Point], area: Area) -> f64 {
 /// The Voronoi cell of each of `points`, clipped to `area`: the corners of a convex polygon, anticlockwise seen with y
 /// upwards, in metres. Devices at the same place have the same cell.
 pub fn voronoi_cells(points: &[Point], area: Area) -> Vec<Vec<Point>> {
-    let sites = distinct_sites(points);
+    let sites = sorted_distinct_sites(points);
     let mut cell_of_site = vec![Vec::new(); sites.len()];
     let by_coordinates = |a: Point, b: Point| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y));
     let find = |p: Point| sites.binary_search_by(|site| by_coordinates(*site, p));
@@ -59,7 +59,7 @@ fn visit_cells(sites: &[Point], area: Area, mut visit: impl FnMut(Point, &[Point
 }
 
 /// Sorts `points` by their coordinates and removes duplicates.
-fn distinct_sites(points: &[Point]) -> Vec<Point> {
+fn sorted_distinct_sites(points: &[Point]) -> Vec<Point> {
     // Adding zero turns -0 into 0, which `total_cmp` would tell apart.
     let mut sites: Vec<_> = points.iter().map(|p| Point::new(p.x + 0.0, p.y + 0.0)).collect();
     sites.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));

@@ -1,4 +1,6 @@
-//! The sun's position over a place, and its irradiance.
+//! The sun's position over a place, and its irradiance, for the source `diurnal` and its tables in `shared_tables.rs`.
+//! All transcendental functions come from `libm`, and the order of operations is fixed, so that digests agree on all
+//! platforms.
 //!
 //! The formulas follow J. A. Duffie and W. A. Beckman, *Solar Engineering of Thermal Processes*, Sec. 1.6: the
 //! declination of P. I. Cooper (1969), Eq. (1.6.1a), the hour angle of solar time, the elevation by Eq. (1.6.5), and
@@ -82,7 +84,7 @@ impl Sun {
     /// Irradiance in the middle of each TTI of a day, from TTI 0 on, relative to a sun in the zenith, `[0, 1]`.
     pub fn irradiance_by_tti(&self) -> impl Iterator<Item = f64> + '_ {
         let ttis = f64::from(self.ttis_per_day);
-        // As in `Self::sine`, with the factors that are constant over a day computed once.
+        // As in `Self::elevation_sine`, with the factors that are constant over a day computed once.
         let (phi, delta) = (self.latitude.to_radians(), self.declination());
         let (constant, amplitude) = (libm::sin(phi) * libm::sin(delta), libm::cos(phi) * libm::cos(delta));
         (0..self.ttis_per_day).map(move |tti| {
@@ -93,9 +95,10 @@ impl Sun {
         })
     }
 
-    /// The probability of an arrival in each TTI of a day; `zenith` is the one for an irradiance of 1.
-    pub fn arrival_probabilities(&self, zenith: f64) -> impl Iterator<Item = f64> + '_ {
-        self.irradiance_by_tti().map(move |light| zenith * light)
+    /// The probability of an arrival in each TTI of a day; `zenith_probability` is the one for an irradiance of 1.
+    pub fn arrival_probabilities(&self, zenith_probability: f64) -> impl Iterator<Item = f64> + '_ {
+        self.irradiance_by_tti()
+            .map(move |irradiance| zenith_probability * irradiance)
     }
 
     /// Irradiance at noon, the upper bound of [`Self::irradiance_by_tti`].
@@ -165,7 +168,7 @@ mod tests {
                 "{latitude}° on {day}: {lit} minutes, not {expected}"
             );
         }
-        // Madison, 43° N, on 13 February: 10.4 hours (Duffie and Beckman, Example 1.6.3 has ω₀ for such a place).
+        // Madison, 43° N, on 13 February: 10.2 hours (Duffie and Beckman, Example 1.6.3 has ω₀ for such a place).
         let madison = 24.0 * sun(43.0, 44).daylight();
         assert!((madison - 10.3).abs() < 0.1, "{madison}");
         for latitude in [-80.0, -20.0, 0.0, 45.0] {
@@ -240,10 +243,10 @@ mod tests {
                     odd if odd % 2 == 1 => 4.0,
                     _ => 2.0,
                 };
-                let light = clear.elevation_sine(omega * f64::from(step) / f64::from(steps));
+                let sine = clear.elevation_sine(omega * f64::from(step) / f64::from(steps));
                 sum += weight
-                    * if light > 1e-9 {
-                        light * libm::exp(HAURWITZ_ATTENUATION - HAURWITZ_ATTENUATION / light)
+                    * if sine > 1e-9 {
+                        sine * libm::exp(HAURWITZ_ATTENUATION - HAURWITZ_ATTENUATION / sine)
                     } else {
                         0.0
                     };

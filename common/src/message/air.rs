@@ -11,8 +11,8 @@ use crate::radio::ChannelState;
 use crate::state::{DeviceState, DeviceView};
 use crate::units::Energy;
 
-/// The largest number of devices listed in one line of text.
-const MAX_LISTED_DEVICES: usize = 8;
+/// The largest number of devices that the text of a plan names.
+const MAX_DEVICES_SHOWN: usize = 8;
 
 /// Air, BS → all devices: the δ plan from a TTI on, sent when it changes and for synchronisation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -44,10 +44,10 @@ impl fmt::Display for PlanUpdate {
             Plan::Bits { .. } => write!(f, "{count} devices sense")?,
             Plan::Periodic(_) => write!(f, "{count} of {positions} devices sense first")?,
         }
-        for (nth, device) in on().take(MAX_LISTED_DEVICES).enumerate() {
+        for (nth, device) in on().take(MAX_DEVICES_SHOWN).enumerate() {
             write!(f, "{} {device}", if nth == 0 { ":" } else { "," })?;
         }
-        f.write_str(if count > MAX_LISTED_DEVICES { " …" } else { "" })
+        f.write_str(if count > MAX_DEVICES_SHOWN { " …" } else { "" })
     }
 }
 

@@ -12,7 +12,7 @@ const RENAMED_OPTIONS: [(&str, &str, &str); 7] = [
     ("device", "--patience", "--connect-timeout"),
     ("device", "--among", "--host-count"),
     ("inspect tail", "--join", "--pair-wake-ups"),
-    ("figures study", "--together", "--combine"),
+    ("figures", "--together", "--combine"),
 ];
 
 /// Returns the name of today for a value.
@@ -64,10 +64,22 @@ pub(crate) fn replace_former_names(args: impl IntoIterator<Item = OsString>) -> 
 
 /// Returns the positions of the arguments of `command`; empty if `args` call another command.
 fn argument_range(args: &[OsString], command: &str) -> std::ops::Range<usize> {
-    let words: Vec<&str> = command.split(' ').collect();
-    let is_called = |window: &[OsString]| window.iter().zip(&words).all(|(arg, word)| arg == word);
-    let position = args.windows(words.len()).position(is_called);
-    position.map_or(0..0, |at| at + words.len()..args.len())
+    // Options that hold for every command may stand before each word of it.
+    let is_global = |at: usize| {
+        let before = args.get(at - 1).is_some_and(|arg| arg == "--log-format");
+        before || args[at].to_str().is_some_and(|arg| arg.starts_with('-'))
+    };
+    let mut at = 1;
+    for word in command.split(' ') {
+        while at < args.len() && is_global(at) {
+            at += 1;
+        }
+        if args.get(at).is_none_or(|arg| arg != word) {
+            return 0..0;
+        }
+        at += 1;
+    }
+    at..args.len()
 }
 
 #[cfg(test)]
@@ -133,10 +145,21 @@ mod tests {
                 "reveille inspect tail --run deaf",
                 0,
             ),
+            ("reveille figures --together t", "reveille figures --combine t", 1),
             (
-                "reveille figures study --together t",
-                "reveille figures study --combine t",
+                "reveille train -v record --told",
+                "reveille train -v record --true-batteries",
                 1,
+            ),
+            (
+                "reveille --log-format json run --inputs a",
+                "reveille --log-format json run --input-log a",
+                1,
+            ),
+            (
+                "reveille up --policy-command run --inputs a",
+                "reveille up --policy-command run --inputs a",
+                0,
             ),
         ] {
             assert_eq!(replaced(line), (expected.to_owned(), count), "{line}");

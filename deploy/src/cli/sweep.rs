@@ -167,8 +167,8 @@ fn ci_metrics_help() -> String {
     let differences = Metrics::ALL.into_iter().filter(|metric| metric.is_difference);
     let differences: Vec<&str> = differences.map(|metric| metric.name).collect();
     format!(
-        "Metrics that --until-ci checks, separated by commas: {names} [default: all defined metrics except events \
-         and {}, whose mean can be 0]",
+        "Metrics that --until-ci checks, separated by commas: {names} [default: all defined metrics except events, \
+         and except {} because its mean can be 0]",
         differences.join(", ")
     )
 }

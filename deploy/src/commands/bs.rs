@@ -454,7 +454,7 @@ async fn start_services(service: &Service<'_>, folder: &Path) -> anyhow::Result<
             }
             if let Some(sink_feed) = &sink_feed {
                 // The run continues without its dashboard.
-                let _gone = sink_feed.take(frame.clone());
+                let _gone = sink_feed.send(frame.clone());
             }
         }));
     }

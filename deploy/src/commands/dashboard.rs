@@ -29,8 +29,8 @@ pub(crate) async fn run(args: &DashboardArgs) -> anyhow::Result<ExitCode> {
     Ok(ExitReason::Done.into())
 }
 
-/// Reads the whole recording at `path` and calls `on_frame` with every frame.
-fn read_recording(
+/// Returns a feed with the whole recording at `path`. Calls `on_frame` with every frame.
+fn feed_from_recording(
     path: &Path,
     compared: Option<ComparedRun>,
     mut on_frame: impl FnMut(&Frame),
@@ -39,20 +39,20 @@ fn read_recording(
     let mut recording = open(path)?;
     let scenario = recording.bundle().load().with_context(named)?;
     let feed = Feed::new(recording.run(), &scenario, device_groups(&scenario), false, compared);
-    let torn = loop {
+    let read_error = loop {
         match recording.next_frame() {
             Ok(Some(frame)) => {
                 on_frame(&frame);
-                feed.take(frame);
+                feed.apply(frame);
             }
             Ok(None) => break None,
             Err(error) => break Some(error),
         }
     };
-    if let Some(error) = torn {
+    if let Some(error) = read_error {
         let why = format!("{}: {error}; the messages before this point are shown", named());
         note!("{why}");
-        feed.mark_torn(why);
+        feed.mark_broken(why);
     }
     feed.end();
     Ok(feed)
@@ -62,9 +62,9 @@ fn read_recording(
 fn read_compared(path: Option<&Path>) -> anyhow::Result<Option<(ComparedRun, String)>> {
     let Some(path) = path else { return Ok(None) };
     let named = || format!("--compare {}", path.display());
-    let scenario = open(path).with_context(named)?.bundle().scenario.clone();
+    let scenario = open(path).with_context(named)?.bundle().text.clone();
     let mut comparison = RunComparison::default();
-    let feed = read_recording(path, None, |frame| comparison.push(RunSide::Other, frame)).with_context(named)?;
+    let feed = feed_from_recording(path, None, |frame| comparison.push(RunSide::Other, frame)).with_context(named)?;
     // A recording that was cut short cannot be compared beyond its end.
     if feed.is_whole() {
         comparison.end(RunSide::Other);
@@ -79,20 +79,21 @@ fn read_compared(path: Option<&Path>) -> anyhow::Result<Option<(ComparedRun, Str
 
 /// Adds the scenario differences between the recording and the scenario file `scenario`.
 fn add_scenario_differences(
-    other: Option<(ComparedRun, String)>,
+    compared: Option<(ComparedRun, String)>,
     scenario: &str,
 ) -> anyhow::Result<Option<ComparedRun>> {
-    let Some((compared, other)) = other else {
+    let Some((compared, compared_scenario)) = compared else {
         return Ok(None);
     };
-    let fields = compare_scenarios(scenario, &other).context("the scenario of the recording or of --compare")?;
+    let fields =
+        compare_scenarios(scenario, &compared_scenario).context("the scenario of the recording or of --compare")?;
     Ok(Some(ComparedRun { fields, ..compared }))
 }
 
 async fn serve_recording(path: &Path, args: &DashboardArgs) -> anyhow::Result<()> {
-    let scenario = open(path)?.bundle().scenario.clone();
-    let other = add_scenario_differences(read_compared(args.compare.as_deref())?, &scenario)?;
-    let feed = read_recording(path, other, |_| {})?;
+    let scenario = open(path)?.bundle().text.clone();
+    let compared = add_scenario_differences(read_compared(args.compare.as_deref())?, &scenario)?;
+    let feed = feed_from_recording(path, compared, |_| {})?;
     // Installed after the recording is read: until then the default action ends the program.
     let signals = Signals::install(SignalMode::HasNoResults)?;
     let dashboard = serve(&args.listen, feed, None).await?;
@@ -103,17 +104,18 @@ async fn serve_recording(path: &Path, args: &DashboardArgs) -> anyhow::Result<()
 
 async fn serve_live(args: &DashboardArgs) -> anyhow::Result<()> {
     // Read before connecting: frames that arrive during a long read could be lost.
-    let other = read_compared(args.compare.as_deref())?;
+    let compared = read_compared(args.compare.as_deref())?;
     let mut live = Live::connect(&args.target).await?;
     let bundle = live.bundle().await?;
-    let (scenario, other) = (bundle.load()?, add_scenario_differences(other, &bundle.scenario)?);
+    let scenario = bundle.load()?;
+    let compared = add_scenario_differences(compared, &bundle.text)?;
     let past = live.past(&bundle).await?;
     live.report_position();
-    let feed = Feed::new(&live.run, &scenario, device_groups(&scenario), true, other);
+    let feed = Feed::new(&live.run, &scenario, device_groups(&scenario), true, compared);
     let dashboard = serve(&args.listen, Arc::clone(&feed), Some(live.bus())).await?;
     note!("dashboard at {}; press Ctrl-C to end", dashboard.url);
     let feed_handle = feed.open()?;
-    live.follow(past, |frame| feed_handle.take(frame)).await?;
+    live.follow(past, |frame| feed_handle.send(frame)).await?;
     // Closes the feed, so that the page shows the end.
     drop(feed_handle);
     let signals = live.signals();

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
+use reveille_bs::scenario::current_field;
 use reveille_lab::sweep::{Experiment, ExperimentBuilder};
 use toml::Value;
 
@@ -56,7 +57,9 @@ fn options(args: &GridArgs) -> anyhow::Result<ExperimentBuilder> {
             bail!("--set {text}: must be FIELD=VALUE, such as sensing.d_max=5");
         };
         let option = format!("--set {}", text.trim());
-        draft.set.insert(path.trim().to_owned(), (parse_value(value), option));
+        draft
+            .set
+            .insert(current_field(path.trim()), (parse_value(value), option));
     }
     Ok(draft)
 }

@@ -320,11 +320,11 @@ fn draw_sweep(args: &SweepFigureArgs) -> anyhow::Result<ExitCode> {
     let results = read_tables(&args.tables)?;
     let only = args.only.iter();
     let spec = SweepFigureSpec {
-        x_field: canonical_field(&args.x).to_owned(),
+        x_field: canonical_field(&args.x),
         metric: args.y.clone(),
-        line_field: canonical_field(&args.by).to_owned(),
+        line_field: canonical_field(&args.by),
         filter: only
-            .map(|(field, value)| (canonical_field(field).to_owned(), value.clone()))
+            .map(|(field, value)| (canonical_field(field), value.clone()))
             .collect(),
         is_log_x: args.log.contains(&AxisArg::X),
         is_log_y: args.log.contains(&AxisArg::Y),

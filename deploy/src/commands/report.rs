@@ -14,7 +14,7 @@ use reveille_study::figures::scene::Scene;
 use reveille_study::figures::{energy, pareto, study, svg};
 use reveille_study::report::page::page;
 use reveille_study::report::page_sections::{PageSection, fill_page};
-use reveille_study::report::search::{SettingSearch, markdown};
+use reveille_study::report::search::{SettingRanking, markdown};
 use reveille_study::report::{ClaimReport, markdown as pages};
 
 use super::figure_files::{read_tables, write_file};
@@ -32,15 +32,15 @@ pub(crate) fn run(args: &ReportArgs) -> anyhow::Result<ExitCode> {
 /// Ranks the settings of the tables by the claims that they meet.
 fn search(args: &SearchArgs) -> anyhow::Result<ExitCode> {
     let results = read_tables(&args.tables)?;
-    let search = SettingSearch::new(ClaimReport::new(&results));
-    let headings = markdown::ranking_heads(&search);
+    let ranking = SettingRanking::new(ClaimReport::new(&results));
+    let headings = markdown::ranking_heads(&ranking);
     let mut table = Table::new();
     table.load_style(UTF8_FULL_CONDENSED).set_header(&headings);
-    for setting in search.settings_to_show(args.top) {
-        table.add_row(markdown::ranking_row(&search, setting));
+    for setting in ranking.settings_to_show(args.top) {
+        table.add_row(markdown::ranking_row(&ranking, setting));
     }
     display::print_stdout(&format!("{table}\n"))?;
-    for sentence in markdown::summary(&search) {
+    for sentence in markdown::summary(&ranking) {
         display::print_stdout(&format!("{sentence}\n"))?;
     }
     let command = format!(
@@ -49,11 +49,11 @@ fn search(args: &SearchArgs) -> anyhow::Result<ExitCode> {
         args.top,
         args.out.display()
     );
-    let page = markdown::markdown(&search, args.top, &command);
+    let page = markdown::markdown(&ranking, args.top, &command);
     write_file(&args.out, "search.md", page.as_bytes())?;
     insert_into_page(
         args.page.as_deref(),
-        &markdown::page_sections(&search, args.top, &command),
+        &markdown::page_sections(&ranking, args.top, &command),
     )?;
     Ok(ExitCode::SUCCESS)
 }

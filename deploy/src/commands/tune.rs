@@ -150,7 +150,7 @@ fn draw_pictures(history: &History, path: &Path, formats: &[ImageFormatArg]) -> 
             ImageFormatArg::Png => ("png", png::png(&scene)),
         };
         let file = path.with_extension(extension);
-        replace(&file, &bytes).map_err(|error| anyhow!("{}: cannot write this file: {error}", file.display()))?;
+        replace(&file, &bytes).map_err(|error| anyhow!("{}: cannot write the picture: {error}", file.display()))?;
         files.push(file);
     }
     Ok(files)

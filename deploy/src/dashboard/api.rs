@@ -200,7 +200,8 @@ fn no_compared_run() -> ApiError {
     )
 }
 
-pub(super) async fn other_tti(State(served): State<ApiState>, Path(tti): Path<u64>) -> ApiResult {
+/// Serves a TTI of the run that `--compare` names.
+pub(super) async fn compared_tti(State(served): State<ApiState>, Path(tti): Path<u64>) -> ApiResult {
     let value = served
         .read_feed(move |feed| feed.compared_feed().map(|other| other.tti_json(Tti(tti))))
         .await?;
@@ -210,7 +211,8 @@ pub(super) async fn other_tti(State(served): State<ApiState>, Path(tti): Path<u6
         .ok_or_else(|| ApiError(StatusCode::NOT_FOUND, format!("TTI {tti} is not in the other run")))
 }
 
-pub(super) async fn other_curves(State(served): State<ApiState>) -> ApiResult {
+/// Serves the curves of the run that `--compare` names.
+pub(super) async fn compared_curves(State(served): State<ApiState>) -> ApiResult {
     served
         .feed
         .compared_feed()
@@ -375,7 +377,7 @@ pub(super) async fn device(
     Ok(Json(json!({
         "device": device,
         "from": history[0].0,
-        "states": super::feed::states(&history.iter().map(|(_, view)| *view).collect::<Vec<_>>()),
+        "states": super::feed::state_codes(&history.iter().map(|(_, view)| *view).collect::<Vec<_>>()),
         "batteries": history.iter().map(|(_, view)| view.battery.units()).collect::<Vec<_>>(),
         "totals": totals.map(|totals| json!({
             "initial": totals.initial.units(),

@@ -1,4 +1,4 @@
-//! The dashboard's copy of a run: its history, the curves over it and its current state. One thread takes the frames;
+//! The dashboard's copy of a run: its history, the curves over it and its current state. One thread applies the frames;
 //! `api` reads from many requests. The JSON here is the page's data: a changed key needs a change in `page/*.js`.
 
 use std::collections::VecDeque;
@@ -25,14 +25,14 @@ use tokio::sync::Notify;
 const MAX_LIVE_TTIS: u64 = 100_000;
 /// Capacity of the frame queue.
 const QUEUE_CAPACITY: usize = 65_536;
-/// Longest wait for one frame.
-const FRAME_TIMEOUT: Duration = Duration::from_secs(1);
+/// Time after which the thread that waits for frames stops waiting and waits again.
+const POLL_INTERVAL: Duration = Duration::from_secs(1);
 /// Most points of a curve; beyond that, every other point is dropped.
 const MAX_CURVE_POINTS: usize = 800;
 /// Initial distance of two points in TTIs, in a run that is long enough.
 const FIRST_SPACING_TTIS: u64 = 10;
 /// Metrics that have a curve.
-const CURVES: [&str; 6] = [
+const CURVE_METRICS: [&str; 6] = [
     "info_p1",
     "misdetection_pct",
     "detection_delay_ttis",
@@ -47,7 +47,8 @@ const QUANTILES: [f64; 3] = [0.05, 0.5, 0.95];
 
 /// A run that many clients can view.
 pub(crate) struct Feed {
-    e_max: Energy,
+    /// The largest E_max of all devices.
+    largest_e_max: Energy,
     /// The part of the data that is constant during the run.
     about: Value,
     /// The group of each device, if the policy has groups.
@@ -59,7 +60,7 @@ pub(crate) struct Feed {
     compared: Option<ComparedRun>,
     /// Notified when new data has arrived.
     pub changed: Notify,
-    /// Whether the feed is complete.
+    /// Whether no more frames will come.
     is_over: AtomicBool,
 }
 
@@ -82,8 +83,8 @@ struct FeedState {
     /// TTIs between two points.
     spacing: u64,
     next_point: Tti,
-    /// The reason why the states no longer follow the run, if they do not.
-    failure: Option<String>,
+    /// The reason why the feed is broken: the states no longer follow the run. `None` if they do.
+    broken_reason: Option<String>,
     /// Outcomes so far of the current event.
     event_outcomes: Vec<String>,
     /// The last events with their outcomes, the latest first.
@@ -102,7 +103,7 @@ enum FeedItem {
 
 impl FeedHandle {
     /// Queues a frame and blocks while the queue is full. Returns false once the receiver has ended.
-    pub(crate) fn take(&self, frame: Frame) -> bool {
+    pub(crate) fn send(&self, frame: Frame) -> bool {
         self.0.send(FeedItem::Frame(frame)).is_ok()
     }
 
@@ -142,14 +143,14 @@ impl Feed {
             "cells": voronoi_cells(&positions, scenario.area),
             "groups": groups,
             "e_max": e_max,
-            "curves": CURVES,
+            "curves": CURVE_METRICS,
             "live": is_live,
             "compared": compared.is_some(),
         });
         let max_ttis = if is_live { MAX_LIVE_TTIS } else { u64::MAX };
-        let e_max = deployment.devices.iter().map(|device| device.energy.e_max).max();
+        let largest_e_max = deployment.devices.iter().map(|device| device.energy.e_max).max();
         Arc::new(Self {
-            e_max: e_max.unwrap_or(Energy::ZERO),
+            largest_e_max: largest_e_max.unwrap_or(Energy::ZERO),
             about,
             groups,
             state: Mutex::new(FeedState {
@@ -163,7 +164,7 @@ impl Feed {
                 // `add_curve_point` thins it out.
                 spacing: (scenario.run.ttis / MAX_CURVE_POINTS as u64).clamp(1, FIRST_SPACING_TTIS),
                 next_point: Tti::ZERO,
-                failure: None,
+                broken_reason: None,
                 event_outcomes: Vec::new(),
                 ticker: VecDeque::new(),
             }),
@@ -174,23 +175,24 @@ impl Feed {
         })
     }
 
-    /// Starts a thread that takes frames from the returned handle until the handle is dropped.
+    /// Starts a thread that applies the frames sent through the returned handle. It ends the feed at
+    /// [`FeedHandle::end`], or once all clones of the handle are dropped.
     ///
     /// # Errors
     /// If no thread can be started.
     pub(crate) fn open(self: &Arc<Self>) -> std::io::Result<FeedHandle> {
-        let (send, frames) = sync_channel(QUEUE_CAPACITY);
+        let (sender, frames) = sync_channel(QUEUE_CAPACITY);
         let (feed, mut batches) = (Arc::clone(self), BatchReceiver::new(frames));
-        let take = move || {
+        let receive_loop = move || {
             lower_priority();
             let mut is_over = false;
             loop {
-                match batches.next(FRAME_TIMEOUT) {
+                match batches.next(POLL_INTERVAL) {
                     Ok(batch) => {
                         let mut state = feed.lock();
                         for item in batch {
                             match item {
-                                FeedItem::Frame(frame) => state.take(frame),
+                                FeedItem::Frame(frame) => state.apply(frame),
                                 FeedItem::End => is_over = true,
                             }
                         }
@@ -205,18 +207,20 @@ impl Feed {
                 feed.changed.notify_waiters();
             }
         };
-        std::thread::Builder::new().name("dashboard".to_owned()).spawn(take)?;
-        Ok(FeedHandle(send))
+        std::thread::Builder::new()
+            .name("dashboard".to_owned())
+            .spawn(receive_loop)?;
+        Ok(FeedHandle(sender))
     }
 
-    /// Takes a frame.
-    pub(crate) fn take(&self, frame: Frame) {
-        self.lock().take(frame);
+    /// Applies a frame to the history, the curves and the counts.
+    pub(crate) fn apply(&self, frame: Frame) {
+        self.lock().apply(frame);
     }
 
-    /// Marks the rest of the run as unreadable, for the given reason.
-    pub(crate) fn mark_torn(&self, why: String) {
-        self.lock().failure = Some(why);
+    /// Marks the feed as broken, for the given reason: the rest of the run is unreadable.
+    pub(crate) fn mark_broken(&self, reason: String) {
+        self.lock().broken_reason = Some(reason);
     }
 
     /// Ends the feed.
@@ -252,7 +256,7 @@ impl Feed {
         now["first"] = json!(first);
         now["next"] = json!(next);
         now["over"] = json!(self.is_over.load(Ordering::Relaxed));
-        now["broken"] = json!(state.failure);
+        now["broken"] = json!(state.broken_reason);
         now["events"] = json!(events.events);
         now["missed"] = json!(events.misdetected);
         now["ticker"] = json!(state.ticker);
@@ -274,7 +278,7 @@ impl Feed {
             .collect();
         json!({
             "tti": tti,
-            "states": states(&snapshot.views),
+            "states": state_codes(&snapshot.views),
             "batteries": self.batteries(&snapshot.views),
             "on": snapshot.on.iter().map(|on| if *on { '1' } else { '0' }).collect::<String>(),
             "event": snapshot.event,
@@ -303,7 +307,8 @@ impl Feed {
         self.compared.as_ref().map(|compared| &*compared.feed)
     }
 
-    /// Returns the first difference from the compared run; `None` without a compared run.
+    /// Returns an object with the compared run's constant data, the fields of the scenarios that differ, the end of the
+    /// compared TTIs, and the first difference of each kind of message; `None` without a compared run.
     pub(crate) fn comparison_json(&self) -> Option<Value> {
         let ComparedRun { feed, fields, .. } = self.compared.as_ref()?;
         let state = self.lock();
@@ -349,7 +354,7 @@ impl Feed {
 
     /// The batteries, two hexadecimal digits per device: 00 to ff of the largest E_max.
     fn batteries(&self, views: &[DeviceView]) -> String {
-        let most = self.e_max.micro().max(1);
+        let most = self.largest_e_max.micro().max(1);
         // Rounded up, so that only an empty battery is 00.
         let level = |view: &DeviceView| format!("{:02x}", (view.battery.micro() * 255).div_ceil(most).min(255));
         views.iter().map(level).collect()
@@ -357,9 +362,9 @@ impl Feed {
 }
 
 impl FeedState {
-    fn take(&mut self, frame: Frame) {
+    fn apply(&mut self, frame: Frame) {
         self.traffic.count(&frame);
-        if self.failure.is_some() {
+        if self.broken_reason.is_some() {
             // Later frames do not follow from the last known states.
             return;
         }
@@ -368,7 +373,7 @@ impl FeedState {
             comparison.push(RunSide::This, &frame);
         }
         if let Err(error) = self.history.push(frame) {
-            self.failure = Some(format!(
+            self.broken_reason = Some(format!(
                 "device states are unknown from here on: {error}; restart the dashboard"
             ));
         }
@@ -404,7 +409,8 @@ impl FeedState {
         } else if let Message::Woken(woken) = message {
             let outcome = match woken.outcome {
                 WakeOutcome::Reported(_) => {
-                    // The frame of its report came first, and was recorded as a report without a wake-up.
+                    // The frame of its report came first, and was recorded as a report without a wake-up. The other
+                    // outcomes of a wake-up have no frame of their own.
                     self.event_outcomes.pop();
                     "woken"
                 }
@@ -439,15 +445,15 @@ impl FeedState {
         let mut batteries: Vec<Energy> = views.iter().map(|view| view.battery).collect();
         batteries.sort_unstable();
         let quantile = |share: f64| {
-            let at = (share * batteries.len().saturating_sub(1) as f64).round() as usize;
-            batteries.get(at).map(|level| level.units())
+            let index = (share * batteries.len().saturating_sub(1) as f64).round() as usize;
+            batteries.get(index).map(|level| level.units())
         };
         let metrics = self.history.now().metrics();
         let value = |name: &str| metrics.value(name).filter(|value| value.is_finite());
         let ttis = self.traffic.ttis().max(1) as f64;
         json!({
             "tti": next,
-            "metrics": CURVES.map(value),
+            "metrics": CURVE_METRICS.map(value),
             "batteries": QUANTILES.map(quantile),
             "control": self.traffic.control().bytes as f64 / ttis,
             "uplink": self.traffic.uplink().bytes as f64 / ttis,
@@ -455,14 +461,15 @@ impl FeedState {
     }
 }
 
-/// The states, one letter per device: `1` S1, `2` S2, `3` S3, `4` S4, `0` S4 without power for the wake-up radio.
-pub(super) fn states(views: &[DeviceView]) -> String {
-    let letter = |view: &DeviceView| match view.state {
+/// The codes of the states, one character per device: `1` S1, `2` S2, `3` S3, `4` S4, `0` S4 without power for the
+/// wake-up radio.
+pub(super) fn state_codes(views: &[DeviceView]) -> String {
+    let code = |view: &DeviceView| match view.state {
         DeviceState::Idle => '1',
         DeviceState::Active => '2',
         DeviceState::Transmission => '3',
         DeviceState::Sleep { powered: true } => '4',
         DeviceState::Sleep { powered: false } => '0',
     };
-    views.iter().map(letter).collect()
+    views.iter().map(code).collect()
 }

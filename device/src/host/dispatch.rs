@@ -1,9 +1,11 @@
-//! Choice of the thread that processes a host's messages, by the number of devices of the process.
+//! Choice of the thread that processes a host's messages, by the capacity of its process: the largest number of devices
+//! that it may run. `uses_worker` overrides this rule.
 //!
-//! A host with few devices processes a message on the thread that delivers it. This saves a thread switch per message,
-//! which is most of the cost of a quiet TTI. The same thread also empties the link's queue, because device processes
-//! give zenoh one thread. The host's output per message must therefore fit into the queue of 128 KiB. Otherwise the
-//! thread would wait for itself until the link times out. A host with many devices uses another thread.
+//! A host with a small capacity processes a message on the thread that delivers it. This saves a thread switch per
+//! message, which is most of the cost of a quiet TTI. The same thread also empties the link's queue, because device
+//! processes give zenoh one thread. The host's output per message must therefore fit into the queue of 128 KiB.
+//! Otherwise the thread would wait for itself until the link times out. A host with a large capacity uses another
+//! thread.
 
 use std::sync::Arc;
 
@@ -11,8 +13,8 @@ use reveille_common::ids::DeviceId;
 use reveille_common::message::{ClockMessage, PlanUpdate, WakeUp};
 use tokio::sync::mpsc::{UnboundedSender, unbounded_channel};
 
-/// Largest number of devices for which a host processes messages on the delivering thread. Their ledgers (at most 250 B
-/// each) or their reports, with keys, fill at most half of the link's queue.
+/// Largest capacity with which a host processes messages on the delivering thread. The ledgers of so many devices (at
+/// most 250 B each) or their reports, with keys, fill at most half of the link's queue.
 pub(super) const MAX_INLINE_DEVICES: u32 = 256;
 
 /// A message from the base station to a host.
@@ -35,11 +37,11 @@ pub(super) enum Dispatcher {
 }
 
 impl Dispatcher {
-    /// Creates the dispatcher of a host whose process runs up to `devices` devices, with `handle` for each message. It
-    /// uses another thread for more than [`MAX_INLINE_DEVICES`] devices or if `uses_worker` is set. Call it on the
-    /// process's own runtime.
-    pub(super) fn new(devices: u32, uses_worker: bool, handle: impl Fn(HostMessage) + Send + Sync + 'static) -> Self {
-        if devices <= MAX_INLINE_DEVICES && !uses_worker {
+    /// Creates the dispatcher of a host whose process has this `capacity`, with `handle` for each message. It uses
+    /// another thread for a capacity above [`MAX_INLINE_DEVICES`] or with `uses_worker`. This is set by `--untuned`,
+    /// and for takeovers if the total capacity of the process is above it. Call it on the process's own runtime.
+    pub(super) fn new(capacity: u32, uses_worker: bool, handle: impl Fn(HostMessage) + Send + Sync + 'static) -> Self {
+        if capacity <= MAX_INLINE_DEVICES && !uses_worker {
             return Self::Inline(Arc::new(handle));
         }
         // Unbounded, because zenoh's thread must not wait for the task.
@@ -73,38 +75,38 @@ mod tests {
 
     use super::*;
 
-    /// Returns TTIs 0 to 9 and the threads on which a host with `devices` devices handles them, in order of handling.
-    fn heard_by(devices: u32, uses_worker: bool) -> Vec<(Tti, ThreadId)> {
+    /// Returns the TTIs 0 to 9 of ten wake-ups, in the order in which a host handles them, each with its thread.
+    fn handled_messages(capacity: u32, uses_worker: bool) -> Vec<(Tti, ThreadId)> {
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(1)
             .build()
             .expect("a runtime");
-        let (sender, acts) = channel();
+        let (sender, handled) = channel();
         let _inside = runtime.enter();
-        let ear = Dispatcher::new(devices, uses_worker, move |heard| {
-            if let HostMessage::Wake(_, WakeUp { tti }) = heard {
+        let dispatcher = Dispatcher::new(capacity, uses_worker, move |message| {
+            if let HostMessage::Wake(_, WakeUp { tti }) = message {
                 sender.send((tti, thread::current().id())).expect("the test waits");
             }
         });
         for tti in 0..10 {
-            ear.dispatch(HostMessage::Wake(DeviceId(0), WakeUp { tti: Tti(tti) }));
+            dispatcher.dispatch(HostMessage::Wake(DeviceId(0), WakeUp { tti: Tti(tti) }));
         }
-        drop(ear);
-        acts.iter().collect()
+        drop(dispatcher);
+        handled.iter().collect()
     }
 
     #[test]
     fn few_devices_are_served_on_the_thread_that_delivers() {
         let own = thread::current().id();
         let expected: Vec<_> = (0..10).map(|tti| (Tti(tti), own)).collect();
-        assert_eq!(heard_by(MAX_INLINE_DEVICES, false), expected);
+        assert_eq!(handled_messages(MAX_INLINE_DEVICES, false), expected);
     }
 
     #[test]
     fn many_are_served_on_another_in_order() {
         let own = thread::current().id();
-        for (devices, uses_worker) in [(MAX_INLINE_DEVICES + 1, false), (1, true)] {
-            let (ttis, threads): (Vec<_>, Vec<_>) = heard_by(devices, uses_worker).into_iter().unzip();
+        for (capacity, uses_worker) in [(MAX_INLINE_DEVICES + 1, false), (1, true)] {
+            let (ttis, threads): (Vec<_>, Vec<_>) = handled_messages(capacity, uses_worker).into_iter().unzip();
             assert_eq!(ttis, (0..10).map(Tti).collect::<Vec<_>>());
             assert!(threads.iter().all(|&thread| thread != own));
         }

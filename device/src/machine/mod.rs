@@ -460,8 +460,8 @@ impl Machine {
         phase_after
     }
 
-    /// Does the same as [`Self::advance_span`], one TTI at a time, for spans in which the battery runs out or falls below
-    /// E_Tx.
+    /// Does the same as [`Self::advance_span`], one TTI at a time, for spans in which the battery runs out or falls
+    /// below E_Tx.
     fn advance_span_by_tti(&mut self, n: u64) {
         let EnergyModel {
             e_idle, e_wur, e_tx, ..

@@ -87,7 +87,7 @@ pub enum SweepError {
         error: TableError,
     },
     /// A folder holds no table with all its runs.
-    #[error("{}: {reason}", folder.display())]
+    #[error("{}: holds no complete table: {reason}", folder.display())]
     NoTable {
         /// The folder.
         folder: PathBuf,
@@ -95,7 +95,7 @@ pub enum SweepError {
         reason: String,
     },
     /// The tables are not the shards of one sweep.
-    #[error("{}: {reason}", path.display())]
+    #[error("{}: cannot be merged: {reason}", path.display())]
     Merge {
         /// The table that does not fit.
         path: PathBuf,

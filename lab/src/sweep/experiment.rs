@@ -76,7 +76,8 @@ impl Seeds {
 }
 
 /// The condition that ends a cell: the 95 % interval of each of these metrics is narrow. It is checked in the order of
-/// seeds, after `min_seeds` runs and then after every quarter more (at least ten).
+/// seeds, after `min_seeds` runs, and again whenever the number of runs has grown by a quarter, rounded up to a
+/// multiple of ten.
 ///
 /// A cell with an accidentally small spread ends too early, and every check is another opportunity for this. Intervals
 /// of cells that ended early therefore cover a little less than 95 %. A metric that is 0 in all runs is never narrow.
@@ -94,8 +95,8 @@ impl UntilCi {
     /// The default number of runs before the first check.
     pub(crate) const MIN_SEEDS: u64 = 30;
 
-    /// Returns all metrics that have a column, except differences: their mean may be 0, so a relative width has no
-    /// meaning.
+    /// Returns all metrics except `events` and differences. The mean of a difference may be 0, so a relative width has
+    /// no meaning.
     pub(crate) fn default_metrics() -> Vec<String> {
         let metrics = Metrics::ALL[..Metrics::COUNT].iter();
         let chosen = metrics.filter(|metric| !metric.is_difference);

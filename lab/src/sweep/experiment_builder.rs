@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use reveille_bs::scenario::declaration;
+use reveille_bs::scenario::{current_field, declaration};
 use reveille_common::score::Metrics;
 use serde::Deserialize;
 use toml::{Table, Value};
@@ -137,7 +137,9 @@ impl ExperimentBuilder {
             builder.add_axis(&origin, &path, values)?;
         }
         for (path, value) in flatten_table(raw.set) {
-            builder.set.insert(path, (value, format!("`set` of {name}")));
+            builder
+                .set
+                .insert(current_field(&path), (value, format!("`set` of {name}")));
         }
         Ok(builder)
     }
@@ -151,12 +153,13 @@ impl ExperimentBuilder {
             let allowed = format!("an empty list leaves no runs; give at least one value; set by {origin}");
             return Err(SweepError::invalid(path, "[]", allowed));
         }
+        let path = &current_field(path);
         let axis = SweepAxis {
-            path: path.to_owned(),
+            path: path.clone(),
             values,
             origin: origin.to_owned(),
         };
-        if let Some(before) = self.axes.insert(path.to_owned(), axis) {
+        if let Some(before) = self.axes.insert(path.clone(), axis) {
             let allowed = format!(
                 "is swept twice, by {} and by {origin}; list all values in one of them",
                 before.origin

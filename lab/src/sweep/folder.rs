@@ -287,7 +287,7 @@ pub fn find_table(folder: &Path) -> Result<PathBuf, SweepError> {
         return Err(refused(if folder.join(JOURNAL_FILE).exists() {
             "its sweep is not finished; give its command again to resume it".to_owned()
         } else {
-            "the folder has no table of a sweep; name the --out folder of `reveille sweep`".to_owned()
+            "it is not the folder of a sweep; name the --out folder of `reveille sweep`".to_owned()
         }));
     };
     let seeds = |draft: ExperimentBuilder| draft.build().map(|experiment| experiment.seeds.count);

@@ -34,7 +34,10 @@ pub fn merge(tables: Vec<(PathBuf, Table)>, partial: bool) -> Result<Table, Swee
     for (shard, path, table) in &shards[1..] {
         check_same_sweep(first_path, first, path, table)?;
         if shard.count() != first_shard.count() {
-            let reason = format!("is shard {shard}, but {} is shard {first_shard}", first_path.display());
+            let reason = format!(
+                "it is shard {shard}, but {} is shard {first_shard}",
+                first_path.display()
+            );
             return Err(merge_error(path, reason));
         }
     }
@@ -44,7 +47,7 @@ pub fn merge(tables: Vec<(PathBuf, Table)>, partial: bool) -> Result<Table, Swee
             continue;
         };
         if a == b {
-            let reason = format!("is shard {b}, which {} is too; name each shard once", path_a.display());
+            let reason = format!("it is shard {b}, and so is {}; name each shard once", path_a.display());
             return Err(merge_error(path_b, reason));
         }
     }
@@ -123,18 +126,18 @@ fn merge_error(path: &Path, reason: String) -> SweepError {
 
 fn shard_of(path: &Path, table: &Table) -> Result<Shard, SweepError> {
     if table.metadata.experiment.is_empty() {
-        let reason = "does not name its experiment; a CSV file needs its side-car NAME.csv.toml in the same folder";
+        let reason = "it does not name its experiment; a CSV file needs its side-car NAME.csv.toml in the same folder";
         return Err(merge_error(path, reason.to_owned()));
     }
     let Some(shard) = &table.metadata.shard else {
         return Err(merge_error(
             path,
-            "is the table of a whole sweep, not of a shard: there is nothing to merge".to_owned(),
+            "it is the table of a whole sweep, not of a shard".to_owned(),
         ));
     };
     shard.parse().map_err(|_| {
         let reason =
-            format!("holds shards {shard} and was merged with --partial; merge the tables of the shards themselves");
+            format!("it holds shards {shard} and was merged with --partial; merge the tables of the shards themselves");
         merge_error(path, reason)
     })
 }
@@ -161,7 +164,10 @@ fn check_same_sweep(first_path: &Path, first: &Table, path: &Path, table: &Table
     } else {
         return Ok(());
     };
-    let reason = format!("does not belong to the sweep of {}: {difference}", first_path.display());
+    let reason = format!(
+        "it does not belong to the sweep of {}: {difference}",
+        first_path.display()
+    );
     Err(merge_error(path, reason))
 }
 
@@ -174,7 +180,7 @@ fn check_complete(experiment: &Experiment, shard: Shard, path: &Path, table: &Ta
         .eq(table.rows.iter().map(|row| row.seed))
     {
         let (rows, runs) = (table.rows.len(), shard.run_count(cells, seeds.count));
-        let reason = format!("holds {rows} rows that are not the {runs} runs of shard {shard}; run the shard again");
+        let reason = format!("it holds {rows} rows that are not the {runs} runs of shard {shard}; run the shard again");
         return Err(merge_error(path, reason));
     }
     Ok(())
@@ -189,7 +195,7 @@ fn interleave_rows(
     let mut rows = Vec::with_capacity(tables.values().map(IntoIter::len).sum());
     for cell in 0..experiment.cell_count() {
         for seed in 0..experiment.seeds.count {
-            let table = tables.get_mut(&Shard::index_of_run(cell, seed, count));
+            let table = tables.get_mut(&Shard::shard_index_of_run(cell, seed, count));
             rows.extend(table.and_then(Iterator::next));
         }
     }

@@ -4,7 +4,7 @@
 //! [`Experiment`] from it, [`SweepGrid::new`] the cells with checked scenarios, and [`Sweep`] runs them in a folder.
 //! Results depend on the experiment alone: not on the number of threads, on interruptions, or on the shards.
 //!
-//! Every cell has the same seeds, so that policies are compared on the same deployments, events and harvests.
+//! Every cell has the same seeds, so that policies are compared on the same deployments, harvests and event places.
 
 mod error;
 mod executor;

@@ -30,15 +30,15 @@ impl Shard {
         self.count
     }
 
-    /// Returns the index of the shard, of `count`, with the run of a cell and a seed, both counted from 0.
-    pub const fn index_of_run(cell: u64, seed: u64, count: u64) -> u64 {
+    /// Returns the index, 1 to `shard_count`, of the shard that holds the run. `cell` and `seed` count from 0.
+    pub const fn shard_index_of_run(cell: u64, seed: u64, shard_count: u64) -> u64 {
         // Each term is reduced first: the sum of a cell and a seed could overflow.
-        (cell % count + seed % count) % count + 1
+        (cell % shard_count + seed % shard_count) % shard_count + 1
     }
 
     /// Returns whether the run of a cell and a seed, both counted from 0, belongs to the shard.
     pub const fn contains(self, cell: u64, seed: u64) -> bool {
-        Self::index_of_run(cell, seed, self.count) == self.index
+        Self::shard_index_of_run(cell, seed, self.count) == self.index
     }
 
     /// Returns the first of the shard's seeds of `cell`.

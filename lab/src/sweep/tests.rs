@@ -142,6 +142,14 @@ fn what_cannot_be_run_is_refused_with_its_field() {
             "devices = [10]\n[set]\ndevices = 5",
             "is set by `set` of e.toml and swept by",
         ),
+        (
+            "[set]\nradio.false_wake = 0.1\n[grid]\nradio.false_wake_up = [0.2]",
+            "radio.false_wake_up = 0.1: is set by",
+        ),
+        (
+            "[grid]\nradio.false_wake = [0.1]\nradio.false_wake_up = [0.2]",
+            "radio.false_wake_up = …: is swept twice",
+        ),
         ("[grid]\nseed = [1, 2]", "--first-seed"),
         ("devices = [10]\n[grid]\ndevices = [20]", "swept twice"),
         ("devices = 10\nttis", "line 2"),
@@ -308,7 +316,10 @@ fn tables_that_do_not_fit_are_not_merged() {
         assert!(message.contains(part), "{message}");
     };
     refused(table(&SMALL.replace("12", "13"), "2/2", "other"), "devices = [5, 13]");
-    refused(table(SMALL, "1/1", "whole"), "nothing to merge");
+    refused(
+        table(SMALL, "1/1", "whole"),
+        "cannot be merged: it is the table of a whole sweep",
+    );
     let second = table(SMALL, "2/2", "second");
     let mut version = second.clone();
     version.1.metadata.version = "9.9.9".to_owned();

@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use reveille_bs::scenario::current_field;
 use reveille_common::score::Metrics;
 
 use super::error::SchemaMismatch;
@@ -114,28 +115,25 @@ impl Schema {
         self.swept.iter().position(|(name, _)| name == path)
     }
 
-    /// Returns the names of the swept columns in `header`, after a check of all others.
-    pub(super) fn swept_among<'h>(header: &[&'h str]) -> Result<Vec<&'h str>, SchemaMismatch> {
+    /// Returns today's names of the swept columns in `header`, after a check of all others. Fields and metrics may have
+    /// the names of version 0.1.
+    pub(super) fn swept_among(header: &[&str]) -> Result<Vec<String>, SchemaMismatch> {
         let fixed = IDENTITY_COLUMNS.len() + Metrics::COUNT + TRAILING_COLUMNS.len();
         // Any CSV or Parquet file may be given, also one with fewer columns.
         let swept_count = header.len().checked_sub(fixed);
         let Some(swept_count) = swept_count else {
             return Err(columns_mismatch(&Self::default().names(), header));
         };
-        let names: Vec<&str> = header[IDENTITY_COLUMNS.len()..IDENTITY_COLUMNS.len() + swept_count].to_vec();
+        let (before, rest) = header.split_at(IDENTITY_COLUMNS.len());
+        let (swept, after) = rest.split_at(swept_count);
+        let names: Vec<String> = swept.iter().map(|name| current_field(name)).collect();
+        let found = before.iter().copied().chain(names.iter().map(String::as_str));
+        let found = found.chain(after.iter().map(|name| Metrics::current_name(name)));
         let schema = Self {
-            swept: names
-                .iter()
-                .map(|name| ((*name).to_owned(), ColumnType::Text))
-                .collect(),
+            swept: names.iter().map(|name| (name.clone(), ColumnType::Text)).collect(),
         };
         let expected = schema.names();
-        // Tables of version 0.1 have former names of metrics.
-        if expected
-            .iter()
-            .copied()
-            .eq(header.iter().map(|name| Metrics::current_name(name)))
-        {
+        if expected.iter().copied().eq(found) {
             Ok(names)
         } else {
             Err(columns_mismatch(&expected, header))

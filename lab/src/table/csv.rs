@@ -74,7 +74,7 @@ fn read_schema(
         )));
     }
     Ok(Schema {
-        swept: names.into_iter().map(str::to_owned).zip(types).collect(),
+        swept: names.into_iter().zip(types).collect(),
     })
 }
 

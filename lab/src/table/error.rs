@@ -3,8 +3,9 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// The version of the table format, raised when a column changes its meaning.
-pub(crate) const TABLE_VERSION: u32 = 1;
+/// The version of the table format, raised when a column changes its name or meaning. Version 1, with former names of
+/// metrics, is still read.
+pub(crate) const TABLE_VERSION: u32 = 2;
 
 /// A reason why a result table cannot be read or written.
 #[derive(Debug, thiserror::Error)]
@@ -41,7 +42,7 @@ pub enum TableError {
     },
     /// The table has another version.
     #[error(
-        "{}: is a result table of version {found}, written by reveille {by}; this reveille reads version \
+        "{}: is a result table of version {found}, written by reveille {by}; this reveille reads versions 1 to \
          {TABLE_VERSION}; use that release, or run the sweep again",
         path.display()
     )]

@@ -36,7 +36,7 @@ impl TableMetadata {
         let Some(version) = get(TABLE_VERSION_KEY) else {
             return Err(SchemaMismatch::NotOurs);
         };
-        if version != TABLE_VERSION.to_string() {
+        if !(1..=TABLE_VERSION).any(|readable| version == readable.to_string()) {
             return Err(SchemaMismatch::Version {
                 found: version.to_owned(),
                 by: get(VERSION).unwrap_or("unknown").to_owned(),

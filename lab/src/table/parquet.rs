@@ -100,6 +100,15 @@ fn type_error(value: &SweptValue, types: &str) -> ParquetError {
     ParquetError::General(format!("`{value}` is in a column of {types}"))
 }
 
+/// Whether both columns have the same type, whatever their names.
+fn has_same_type(expected: &Type, found: &Type) -> bool {
+    let (a, b) = (expected.get_basic_info(), found.get_basic_info());
+    found.is_primitive()
+        && expected.get_physical_type() == found.get_physical_type()
+        && a.repetition() == b.repetition()
+        && a.converted_type() == b.converted_type()
+}
+
 /// Decodes the table in `file`.
 pub(super) fn decode<F: ChunkReader + 'static>(file: F) -> Result<Table, SchemaMismatch> {
     guarded(|| read_table(&SerializedFileReader::new(file)?))
@@ -134,12 +143,12 @@ fn read_table(reader: &impl FileReader) -> Result<Table, SchemaMismatch> {
     let names = Schema::swept_among(&header)?;
     let first = IDENTITY_COLUMNS.len();
     let types = fields[first..first + names.len()].iter().map(|field| type_of(field));
-    let swept = names.into_iter().map(str::to_owned).zip(types).collect();
+    let swept = names.into_iter().zip(types).collect();
     let schema = Schema { swept };
     let expected = message_type(&schema)?;
     // The names are checked, so both have the same length. A type may still differ, as in a file of another program.
     let mut pairs = expected.get_fields().iter().zip(fields);
-    let differing = pairs.find(|(expected, found)| expected != found);
+    let differing = pairs.find(|(expected, found)| !has_same_type(expected, found));
     if let Some((column, _)) = differing {
         return Err(SchemaMismatch::Columns(format!(
             "the column `{}` has another type",

@@ -108,6 +108,7 @@ impl ResultRow {
         if name == "events" {
             return Some(self.events as f64);
         }
+        let name = Metrics::current_name(name);
         let index = Metrics::NAMES.iter().position(|metric| *metric == name)?;
         Some(self.metrics[index]).filter(|value| !value.is_nan())
     }

@@ -55,6 +55,25 @@ fn an_empty_table_and_one_of_many_groups_are_read() {
 }
 
 #[test]
+fn tables_with_former_names_are_read() {
+    let folder = TableTestFolder::new("former");
+    let path = folder.path("t.csv");
+    let table = fixtures::table();
+    table.write(&path, Format::Csv).expect("written");
+    for (file, current, former) in [
+        ("t.csv", "unpowered_pct", "dark_pct"),
+        ("t.csv", "removed_pct", "gone_pct"),
+        ("t.csv.toml", "\"reveille.table\" = \"2\"", "\"reveille.table\" = \"1\""),
+    ] {
+        let file = folder.path(file);
+        let text = fs::read_to_string(&file).expect("there");
+        assert!(text.contains(current), "{current}");
+        fs::write(&file, text.replace(current, former)).expect("written");
+    }
+    assert_eq!(Table::read(&path).expect("a table of version 1"), table);
+}
+
+#[test]
 fn other_versions_and_other_files_are_refused() {
     let folder = TableTestFolder::new("refused");
     let path = folder.path("t.csv");
@@ -62,7 +81,7 @@ fn other_versions_and_other_files_are_refused() {
     table.write(&path, Format::Csv).expect("written");
     let side = folder.path("t.csv.toml");
     let text = fs::read_to_string(&side).expect("there");
-    let newer = text.replace("\"reveille.table\" = \"1\"", "\"reveille.table\" = \"7\"");
+    let newer = text.replace("\"reveille.table\" = \"2\"", "\"reveille.table\" = \"7\"");
     assert_ne!(newer, text);
     fs::write(&side, newer).expect("written");
     let message = Table::read(&path).expect_err("another version").to_string();
@@ -144,9 +163,14 @@ fn a_parquet_file_of_another_version_is_refused() {
         writer.and_then(Writer::finish).expect("written");
         Table::read(&folder.path("other.parquet"))
     };
-    assert!(rewritten("1").expect("this version").rows.is_empty());
+    assert!(rewritten("2").expect("this version").rows.is_empty());
     let message = rewritten("7").expect_err("another version").to_string();
-    for part in ["other.parquet", "version 7", "by reveille 0.1.0", "reads version 1"] {
+    for part in [
+        "other.parquet",
+        "version 7",
+        "by reveille 0.1.0",
+        "reads versions 1 to 2",
+    ] {
         assert!(message.contains(part), "{message}");
     }
 }

@@ -29,19 +29,19 @@ impl Trainer {
         Ok(true)
     }
 
-    /// Trains as [`Trainer::train`] does, and writes the tables after each episode to the file `checkpoint`.
+    /// Trains as [`Trainer::train`] does, and writes the tables after each episode to the file `checkpoint_path`.
     ///
     /// # Errors
     /// If the checkpoint cannot be written or threads cannot be started.
-    pub fn train_with_checkpoint(
+    pub fn train_and_save(
         &mut self,
         threads: usize,
-        checkpoint: &Path,
+        checkpoint_path: &Path,
         observer: &impl TrainingProgress,
     ) -> Result<bool, TrainingError> {
         let save = |learned: &LearnedTables| {
-            replace(checkpoint, learned.to_json().as_bytes()).map_err(|error| TrainingError::Write {
-                path: checkpoint.to_owned(),
+            replace(checkpoint_path, learned.to_json().as_bytes()).map_err(|error| TrainingError::Write {
+                path: checkpoint_path.to_owned(),
                 error,
             })
         };

@@ -78,7 +78,7 @@ pub enum TrainingError {
         differences: String,
     },
     /// The checkpoint cannot be used.
-    #[error("{}: the checkpoint {error}, or remove it to start over", path.display())]
+    #[error("{}: the checkpoint cannot be used: {}; remove it to start over", path.display(), error.cause())]
     Checkpoint {
         /// The checkpoint.
         path: PathBuf,

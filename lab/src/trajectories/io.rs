@@ -13,7 +13,7 @@ impl Trajectories {
     /// # Errors
     /// If the file cannot be read or is not a file of trajectories.
     pub fn read(path: &Path) -> Result<(Self, Hash), TrajectoryError> {
-        from_bytes(read(path).map_err(TrajectoryError::Io)?)
+        from_bytes(read(path).map_err(TrajectoryError::Read)?)
     }
 
     /// Writes the trajectories to the Parquet file at `path`, in one step.
@@ -21,6 +21,6 @@ impl Trajectories {
     /// # Errors
     /// If the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), TrajectoryError> {
-        replace(path, &to_bytes(self)?).map_err(TrajectoryError::Io)
+        replace(path, &to_bytes(self)?).map_err(TrajectoryError::Write)
     }
 }

@@ -67,8 +67,8 @@ pub struct Chunk {
     pub devices: usize,
     /// The TTIs, in order.
     pub steps: Vec<TrajectoryStep>,
-    /// The returns by TTI: the mean of [`TrajectoryStep::covered_share`] over the next [`HORIZON`] TTIs, the current one
-    /// included.
+    /// The returns by TTI: the mean of [`TrajectoryStep::covered_share`] over the next [`HORIZON`] TTIs, the current
+    /// one included.
     pub returns: Vec<f32>,
 }
 

@@ -26,9 +26,12 @@ const ROWS_PER_GROUP: usize = 100_000;
 /// A reason why a file of trajectories cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum TrajectoryError {
-    /// The file cannot be read or written.
-    #[error("{0}")]
-    Io(#[source] std::io::Error),
+    /// The file cannot be read.
+    #[error("cannot be read: {0}")]
+    Read(#[source] std::io::Error),
+    /// The file cannot be written.
+    #[error("cannot be written: {0}")]
+    Write(#[source] std::io::Error),
     /// The file is not a Parquet file, or is damaged.
     #[error("is not a readable Parquet file ({0}); record one: reveille train record")]
     Format(String),

@@ -82,7 +82,7 @@ pub enum TransformerError {
     #[error("the loss is not finite after {0} steps: the training has failed; a lower --rate may help")]
     Diverged(u64),
     /// The framework has failed.
-    #[error("the training framework: {0}")]
+    #[error("the training framework failed: {0}")]
     Framework(#[from] candle_core::Error),
     /// Weights cannot be written, or a checkpoint cannot be read.
     #[error("{0}")]

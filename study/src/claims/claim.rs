@@ -50,7 +50,7 @@ pub enum ClaimQuantity {
     Mean,
     /// The mean divided by the mean of each of these policies; policies without runs are left out.
     Ratio(&'static [&'static str]),
-    /// Distance of the mean from the mean of this policy.
+    /// Absolute difference between the mean and the mean of this policy.
     Gap(&'static str),
     /// The mean divided by the policy's mean at this N.
     Growth(u32),

@@ -6,7 +6,8 @@ use super::claim::DeviceCounts::{At, Everywhere, Over};
 use super::claim::Statement::{About, Above, Below, Between, Falls, Smallest};
 use super::claim::{Claim, ClaimTopic, FIXED_CYCLE, HARVEST_LIMIT, RARE_SENSING, WUR_FLOOR};
 
-const END_OF_AXIS: &str = "Stated without an N; read at the end of the axis.";
+/// Interpretation of a sentence without an N.
+const READ_AT_END_OF_AXIS: &str = "Stated without an N; read at the end of the axis.";
 const UPPER_END: &str = "The upper end of the 2nd sentence's range, which the caption and the text of Fig. 13 give to \
     q-learning.";
 
@@ -37,7 +38,8 @@ pub(super) const ENERGY: ClaimTopic = ClaimTopic {
         Claim::new("knn", Everywhere, Ratio(&["random"]), Smallest(0.77), CONTRIBUTION)
             .also_at(CONCLUSIONS.sentence(6))
             .interpreted_as("Of the named methods, knn spends least in Fig. 8."),
-        Claim::new("knn", At(250), Ratio(&["random"]), Below(1.0), ABSTRACT.sentence(8)).interpreted_as(END_OF_AXIS),
+        Claim::new("knn", At(250), Ratio(&["random"]), Below(1.0), ABSTRACT.sentence(8))
+            .interpreted_as(READ_AT_END_OF_AXIS),
         Claim::new(
             "q-learning",
             At(250),
@@ -45,20 +47,22 @@ pub(super) const ENERGY: ClaimTopic = ClaimTopic {
             Below(1.0),
             ABSTRACT.sentence(8),
         )
-        .interpreted_as(END_OF_AXIS)
+        .interpreted_as(READ_AT_END_OF_AXIS)
         .contradicting(
             FIG_8.sentence(5),
             "There q-learning spends 0.24 units, and random, 29 % above knn's 0.145, about 0.187.",
         ),
-        Claim::new("dt", At(250), Ratio(&["random"]), Below(1.0), ABSTRACT.sentence(8)).interpreted_as(END_OF_AXIS),
+        Claim::new("dt", At(250), Ratio(&["random"]), Below(1.0), ABSTRACT.sentence(8))
+            .interpreted_as(READ_AT_END_OF_AXIS),
         Claim::new("q-learning", Everywhere, Mean, Falls, FIG_8.sentence(5)),
         Claim::new("q-learning", At(250), Mean, About(0.24), FIG_8.sentence(5)),
         Claim::new("adjusted", Everywhere, Mean, Falls, FIG_8.sentence(5)).with_caveat(RARE_SENSING),
         Claim::new("adjusted", At(250), Mean, About(0.32), FIG_8.sentence(5)).with_caveat(RARE_SENSING),
         Claim::new("knn", Over(180), Ratio(&["random"]), Below(1.0), FIG_8.sentence(6)),
-        Claim::new("dt", At(250), Ratio(&["q-learning"]), About(0.6), FIG_8.sentence(7)).interpreted_as(END_OF_AXIS),
+        Claim::new("dt", At(250), Ratio(&["q-learning"]), About(0.6), FIG_8.sentence(7))
+            .interpreted_as(READ_AT_END_OF_AXIS),
         Claim::new("dt", At(250), Ratio(&["knn"]), About(0.9), FIG_8.sentence(7))
-            .interpreted_as(END_OF_AXIS)
+            .interpreted_as(READ_AT_END_OF_AXIS)
             .contradicting(
                 FIG_8.sentence(5),
                 "40 % below q-learning's 0.24 is 0.144, and 10 % below knn's 0.145 is 0.131.",

@@ -6,7 +6,9 @@ use super::claim::DeviceCounts::{At, Everywhere, Over, UpTo};
 use super::claim::Statement::{About, Above, Below, Largest, Rises};
 use super::claim::{CLOSEST_DEVICE, Claim, ClaimTopic, RARE_SENSING};
 
-const END_OF_AXIS: &str = "\"Up to\" is read as the end of the axis, since information rises with N (1st sentence).";
+/// Interpretation of "up to" without an N.
+const UP_TO_IS_END_OF_AXIS: &str =
+    "\"Up to\" is read as the end of the axis, since information rises with N (1st sentence).";
 const NOT_NEAR: &str = "Not near is read as below 80 %, beyond the tolerance of this report.";
 const ABOVE_50_DEVICES: &str = "Read for N > 50, as the 8th sentence states that all methods are alike up to there. \
     The 7th sentence places q-learning and the genie higher.";
@@ -105,8 +107,8 @@ pub(super) const PER_EVENT: ClaimTopic = ClaimTopic {
         Claim::new("dt", Everywhere, Mean, Rises, FIG_7.sentence(1)),
         Claim::new("random", Everywhere, Mean, Rises, FIG_7.sentence(1)),
         Claim::new("genie", Everywhere, Mean, Rises, FIG_7.sentence(1)),
-        Claim::new("knn", At(250), Mean, About(0.4), FIG_7.sentence(4)).interpreted_as(END_OF_AXIS),
-        Claim::new("adjusted", At(250), Mean, About(0.4), FIG_7.sentence(4)).interpreted_as(END_OF_AXIS),
+        Claim::new("knn", At(250), Mean, About(0.4), FIG_7.sentence(4)).interpreted_as(UP_TO_IS_END_OF_AXIS),
+        Claim::new("adjusted", At(250), Mean, About(0.4), FIG_7.sentence(4)).interpreted_as(UP_TO_IS_END_OF_AXIS),
         Claim::new("q-learning", At(250), Mean, About(0.72), FIG_7.sentence(4)).with_caveat(CLOSEST_DEVICE),
         Claim::new("genie", At(250), Mean, About(0.72), FIG_7.sentence(4))
             .interpreted_as("Stated for q-learning, which is near the genie.")

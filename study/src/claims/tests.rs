@@ -214,15 +214,15 @@ fn a_contradiction_cites_an_existing_sentence() {
 }
 
 #[test]
-fn sites_end_at_their_bounds() {
+fn device_counts_end_at_their_bounds() {
     assert!(Under(200).contains(199) && !Under(200).contains(200));
     assert!(UpTo(50).contains(50) && !UpTo(50).contains(51));
     assert!(Over(180).contains(181) && !Over(180).contains(180));
     assert!(At(10).contains(10) && !At(10).contains(11));
-    for sites in [Under(200), UpTo(50), Everywhere, Over(180)] {
+    for device_counts in [Under(200), UpTo(50), Everywhere, Over(180)] {
         assert!(
-            !sites.contains(9) && !sites.contains(251),
-            "{sites:?} is within the paper's axis"
+            !device_counts.contains(9) && !device_counts.contains(251),
+            "{device_counts:?} is within the paper's axis"
         );
     }
 }

@@ -14,7 +14,8 @@ use super::style::{COLUMN_WIDTH, LEADING, LINE_WIDTH, MARGIN, MARKER_RADIUS, Sty
 const PLOT_HEIGHT: f64 = 158.0;
 /// Legend entry of the marks.
 const MARKS_LEGEND: &str = "hollow: stated in the paper";
-/// Largest horizontal offset of marks, points: only a few devices on the axis of N.
+/// Largest horizontal offset, in points, of the paper's marks that share an x. On the axis of N it is the width of a
+/// few devices.
 const MAX_MARK_OFFSET: f64 = 4.0;
 /// Opacity of grid lines.
 const GRID_OPACITY: f64 = 0.14;

@@ -38,7 +38,7 @@ pub struct ParetoFront {
 }
 
 /// Points of one policy, in ascending order of energy.
-struct FrontLine<'c> {
+struct PolicyLine<'c> {
     name: &'c str,
     settings: Vec<KnobSetting<'c>>,
 }
@@ -83,17 +83,17 @@ fn changes_without_knobs(condition: &RunCondition) -> FieldValues {
     let table = condition
         .changed_in_table
         .clone()
-        .map(|table| ("changed as in".to_owned(), table));
+        .map(|table| ("scenario changes".to_owned(), table));
     rest.chain(table).collect()
 }
 
 fn draw_front(n: u32, other_changes: &[(String, String)], group: &[&RunCondition]) -> Option<ParetoFront> {
-    let lines = front_lines(n, group);
+    let lines = policy_lines(n, group);
     if lines.iter().all(|line| line.settings.len() < 2) {
         return None;
     }
-    let mut series: Vec<Series> = lines.iter().map(FrontLine::series).collect();
-    let notes = lines.iter().flat_map(FrontLine::notes).collect();
+    let mut series: Vec<Series> = lines.iter().map(PolicyLine::series).collect();
+    let notes = lines.iter().flat_map(PolicyLine::notes).collect();
     let bound = bound_points(n, other_changes, group);
     let has_bound = !bound.is_empty();
     if has_bound {
@@ -132,8 +132,8 @@ fn draw_front(n: u32, other_changes: &[(String, String)], group: &[&RunCondition
 }
 
 /// Returns the lines at N, settings in ascending order of energy. Runs that several settings share count once.
-fn front_lines<'c>(n: u32, group: &[&'c RunCondition]) -> Vec<FrontLine<'c>> {
-    let mut lines: Vec<FrontLine<'c>> = Vec::new();
+fn policy_lines<'c>(n: u32, group: &[&'c RunCondition]) -> Vec<PolicyLine<'c>> {
+    let mut lines: Vec<PolicyLine<'c>> = Vec::new();
     for condition in group {
         for name in condition.policies() {
             let Some(sample) = point(P1_METRIC, condition, name, n) else {
@@ -145,7 +145,7 @@ fn front_lines<'c>(n: u32, group: &[&'c RunCondition]) -> Vec<FrontLine<'c>> {
                 point: sample,
             };
             match lines.iter_mut().find(|line| line.name == name) {
-                None => lines.push(FrontLine {
+                None => lines.push(PolicyLine {
                     name,
                     settings: vec![setting],
                 }),
@@ -177,7 +177,8 @@ fn knobs<'c>(condition: &'c RunCondition, name: &str) -> Vec<&'c str> {
     own.map(|(_, value)| value.as_str()).collect()
 }
 
-impl FrontLine<'_> {
+impl PolicyLine<'_> {
+    /// Returns the chart's series: the points of all settings, joined by a line.
     fn series(&self) -> Series {
         Series {
             name: self.name.to_owned(),
@@ -244,7 +245,7 @@ fn caption(
     text
 }
 
-fn csv(n: u32, lines: &[FrontLine<'_>]) -> String {
+fn csv(n: u32, lines: &[PolicyLine<'_>]) -> String {
     let mut out =
         format!("policy,setting,n,{ENERGY_METRIC},energy_half_width_95,{P1_METRIC},info_half_width_95,runs\n");
     for line in lines {

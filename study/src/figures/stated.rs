@@ -47,8 +47,9 @@ pub(super) fn stated_spans(claims: &[Claim], series: &[Series]) -> Vec<StatedSpa
 }
 
 /// Returns the value that `claim`, one of `claims`, states for the metric itself. A ratio to one other policy is
-/// multiplied by the value stated for that policy. `None` for trends, constant levels, extremes, gaps and growth, and
-/// for a ratio to several policies or to a bound.
+/// multiplied by the value stated for that policy. `None` for trends, constant levels, extremes, gaps and growth. For a
+/// ratio also `None` if it is not stated as one number, if it refers to several policies, or if no value or range is
+/// stated for the other policy at the same N.
 pub(super) fn stated_value(claim: &Claim, claims: &[Claim]) -> Option<StatedValue> {
     let scaled = |factor: f64, statement: Statement| match statement {
         Statement::About(v) => Some(StatedValue::Value(factor * v)),

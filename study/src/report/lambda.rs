@@ -9,7 +9,7 @@ use reveille_common::harvest::HarvestKind;
 
 use super::causes::NOT_RUN;
 use super::claim_rows::{Assessment, ClaimRow, ConditionColumn};
-use super::judge::{FitLevel, Verdict, fit_to_value, verdict_of};
+use super::judge::{AgreementLevel, Verdict, agreement_with_value, verdict_of};
 use super::phrasing::{format_exact, format_number, format_plus_minus};
 use crate::analysis::harvest::{
     LambdaReading, STATED_THRESHOLDS, StatedEnd, StatedThreshold, lambdas_with_positive_net,
@@ -166,22 +166,22 @@ fn judge_threshold((e_b, tau): (f64, f64), end: StatedEnd, spent: &Estimate) -> 
             deviation: f64::INFINITY,
         };
     };
-    let fit = fit_to_value(lambda, stated_lambda);
+    let agreement = agreement_with_value(lambda, stated_lambda);
     let measured = match (low, high) {
         _ if is_one_run => format_plus_minus(lambda, f64::NAN),
         (Some(low), Some(high)) => format_plus_minus(lambda, 0.5 * (high - low)),
         (Some(_) | None, None) | (None, Some(_)) => format!("{}, perhaps never", format_number(lambda)),
     };
     let is_firm = !is_one_run
-        && low
-            .zip(high)
-            .is_some_and(|(a, b)| fit_to_value(a, stated_lambda) == fit && fit_to_value(b, stated_lambda) == fit);
+        && low.zip(high).is_some_and(|(a, b)| {
+            agreement_with_value(a, stated_lambda) == agreement && agreement_with_value(b, stated_lambda) == agreement
+        });
     let doubt = if is_firm {
         ""
     } else {
         " Our interval crosses the limit of this verdict; more runs would decide."
     };
-    let explanation = if fit == FitLevel::Yes {
+    let explanation = if agreement == AgreementLevel::Yes {
         doubt.trim_start().to_owned()
     } else {
         let needed = e_b * LambdaReading::Eq5.probability(stated_lambda, tau);
@@ -193,10 +193,10 @@ fn judge_threshold((e_b, tau): (f64, f64), end: StatedEnd, spent: &Estimate) -> 
     };
     Assessment {
         measured,
-        verdict: verdict_of(fit).unwrap_or(Verdict::NotReproduced),
+        verdict: verdict_of(agreement).unwrap_or(Verdict::NotReproduced),
         is_firm,
         explanation,
-        deviation: if fit == FitLevel::Yes {
+        deviation: if agreement == AgreementLevel::Yes {
             0.0
         } else {
             libm::log(lambda / stated_lambda).abs()

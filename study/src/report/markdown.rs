@@ -1,6 +1,7 @@
 //! The report as Markdown: a whole file ([`markdown`]), or sections of a page ([`page_sections`]).
 //!
-//! Section names are marks in `docs/reproduction.md`. Every table row must have the columns of its head.
+//! Section names are marks in `docs/reproduction.md`: `why` has the explanations, `readings` the interpretations of the
+//! paper, and `made` the origin of the report. Every table row must have the columns of its head.
 
 use std::fmt::Write as _;
 
@@ -21,7 +22,7 @@ pub fn markdown(report: &ClaimReport<'_>, figures: &[(String, String)], command:
     out.push_str(&tally_table(report));
     for (figure, rows) in report.rows_by_figure() {
         out.push_str(&table_head(report, figure));
-        out.extend(rows.iter().map(|line| table_row(line)));
+        out.extend(rows.iter().map(|row| table_row(row)));
     }
     out.push_str(&why_section(report));
     for notes in remarks_on_paper(report) {
@@ -63,7 +64,7 @@ pub fn page_sections(report: &ClaimReport<'_>, command: &str) -> Vec<PageSection
         ),
         PageSection::list("contradictions", contradictions.items),
         PageSection::list("readings", interpretations.items),
-        PageSection::new("made", without_heading_wrapped(&origin_section(report, command))),
+        PageSection::new("made", remove_headings_and_wrap(&origin_section(report, command))),
     ]
 }
 
@@ -73,7 +74,7 @@ pub(super) fn demote_headings(text: &str) -> String {
 }
 
 /// Removes the second-level headings from the text of [`origin_section`], and wraps their lists to the page width.
-pub(super) fn without_heading_wrapped(text: &str) -> String {
+pub(super) fn remove_headings_and_wrap(text: &str) -> String {
     let lines = text.lines().filter(|line| !line.starts_with("## "));
     let wrap_item = |line: &str| match line.strip_prefix("- ") {
         Some(_) => wrap_text(line, "  "),

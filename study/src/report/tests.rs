@@ -22,12 +22,12 @@ fn results() -> Results {
     Results::new(&[fixtures::table("paper", "energy_per_device_tti", &runs)], &NoFiles).expect("runs")
 }
 
-fn line<'l>(report: &'l ClaimReport<'_>, source: &str, policy: &str, sites: &str) -> &'l ClaimRow {
+fn line<'l>(report: &'l ClaimReport<'_>, source: &str, policy: &str, device_counts: &str) -> &'l ClaimRow {
     let found = report
         .rows
         .iter()
-        .find(|l| l.paper_figure == source && l.policy == policy && l.device_counts == sites);
-    found.unwrap_or_else(|| panic!("{source} {policy} {sites}"))
+        .find(|l| l.paper_figure == source && l.policy == policy && l.device_counts == device_counts);
+    found.unwrap_or_else(|| panic!("{source} {policy} {device_counts}"))
 }
 
 /// Finds the row of a policy whose paper value is `paper`.
@@ -109,10 +109,10 @@ fn a_preset_is_shown_by_the_table_that_covers_most_claims() {
 fn the_lambda_of_a_consumption_solves_the_closed_form() {
     let results = results();
     let report = ClaimReport::new(&results);
-    let at = |sites: &str, e_b: &str, policy: &str| {
+    let at = |device_counts: &str, e_b: &str, policy: &str| {
         let own = |l: &&ClaimRow| {
             l.metric_description.ends_with(&format!("E_B = {e_b}"))
-                && l.device_counts == sites
+                && l.device_counts == device_counts
                 && l.policy.starts_with(policy)
         };
         report.rows.iter().find(own).expect("a claim").assessments[0].clone()
@@ -129,11 +129,11 @@ fn the_lambda_of_a_consumption_solves_the_closed_form() {
         five.measured.starts_with("0.0743") && five.verdict == Verdict::Near,
         "{five:?}"
     );
-    for (sites, policy, why) in [
+    for (device_counts, policy, why) in [
         ("N = 10", "q-learning, spends most", "no such runs"),
         ("N = 250", "dt, spends least", "no such runs"),
     ] {
-        let absent = at(sites, "1", policy);
+        let absent = at(device_counts, "1", policy);
         assert!(
             absent.verdict == Verdict::NotRun && absent.explanation.contains(why),
             "{absent:?}"
@@ -452,7 +452,7 @@ fn a_contradiction_in_the_paper_names_both_sentences() {
 }
 
 #[test]
-fn each_ranking_has_a_column_and_the_papers_is_that_of_the_preset() {
+fn each_ranking_has_a_column_and_the_preset_column_has_the_papers_ranking() {
     let ranking = |name: &str| SweptValue::Text(name.to_owned());
     let runs: [(&str, u32, SweptValue, &[f64]); 4] = [
         ("knn", 250, ranking("p42"), &[0.15, 0.151]),

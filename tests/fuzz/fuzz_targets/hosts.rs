@@ -112,7 +112,7 @@ impl HostRecords {
                 }
             }
             assert!(has_owner.iter().all(|is_owned| *is_owned));
-            self.barrier.roster().set_hosts(hosts);
+            self.barrier.roster_mut().set_hosts(hosts);
             self.is_running = true;
         }
     }
@@ -143,7 +143,7 @@ impl HostRecords {
             && let Some(assignment) = self.admission.assignment(host)
         {
             self.admission.revoke(lost.host);
-            self.barrier.roster().replace(lost.host, assignment);
+            self.barrier.roster_mut().replace(lost.host, assignment);
         }
     }
 

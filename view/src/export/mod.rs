@@ -2,7 +2,7 @@
 //!
 //! - [`pcapng`]: packets for Wireshark, which [`dissector`] teaches to read them.
 //! - [`perfetto`]: a trace of states, batteries and wake-ups, encoded by `protobuf`.
-//! - [`table`]: one row a message, as CSV or Parquet.
+//! - [`table`]: one row per message, as CSV or Parquet.
 
 pub mod dissector;
 pub mod pcapng;

@@ -1,8 +1,9 @@
 //! Export of messages as packets for Wireshark: pcapng (IETF draft-ietf-opsawg-pcapng), link type USER0, virtual time.
 //!
 //! A packet is a header and the payload as encoded. The header is little-endian. Its fields are the number of the kind
-//! (one byte, in the order of [`MessageKind::ALL`]), whether a number follows (one byte, 0 or 1), the number at the end
-//! of the key (four bytes) and the TTI (eight bytes). `dissector.lua` reads this header.
+//! (one byte, in the order of [`MessageKind::ALL`]), whether the key ends in a number (one byte, 0 or 1), this number
+//! or 0 (four bytes), and the TTI (eight bytes). `dissector.lua` in this folder reads the header, so both change
+//! together; a new kind needs no edit there, since `dissector.rs` generates its table of kinds.
 
 use core::time::Duration;
 use std::io::Write;
@@ -17,8 +18,8 @@ use crate::recording::NANOS_PER_TTI;
 
 /// Length of a packet header, bytes.
 const HEADER_BYTES: usize = 14;
-/// Resolution of time stamps: 10⁻⁹ s.
-const NANOSECONDS: u8 = 9;
+/// Negative decimal exponent of the resolution of time stamps: 10⁻⁹ s.
+const TIMESTAMP_RESOLUTION_EXPONENT: u8 = 9;
 
 /// Writer of packets.
 pub struct PacketWriter<W: Write>(PcapNgWriter<W>);
@@ -36,7 +37,7 @@ impl<W: Write> PacketWriter<W> {
             snaplen: 0,
             options: vec![
                 InterfaceDescriptionOption::IfName("reveille".into()),
-                InterfaceDescriptionOption::IfTsResol(NANOSECONDS),
+                InterfaceDescriptionOption::IfTsResol(TIMESTAMP_RESOLUTION_EXPONENT),
             ],
         })?;
         Ok(Self(writer))

@@ -12,27 +12,31 @@ use reveille_common::scenario::{self, ScenarioError};
 
 /// Name of the scenario file in a recording, and in messages about it.
 pub const SCENARIO_FILE: &str = "scenario.toml";
-/// Name of the summary in a recording.
-pub const SUMMARY_FILE: &str = "summary.json";
 
-/// A scenario, and its scenario files by paths relative to it.
+/// The text of a scenario, and the files that it refers to, by paths relative to it.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ScenarioBundle {
     /// Text of the scenario.
-    pub scenario: String,
-    /// Scenario files: path, with `/` between its parts, and bytes.
-    pub files: Vec<(String, Vec<u8>)>,
+    pub text: String,
+    /// Referenced files: path, with `/` between its parts, and bytes.
+    pub referenced_files: Vec<(String, Vec<u8>)>,
 }
 
 impl From<ScenarioDescription> for ScenarioBundle {
     fn from(ScenarioDescription { scenario, files }: ScenarioDescription) -> Self {
-        Self { scenario, files }
+        Self {
+            text: scenario,
+            referenced_files: files,
+        }
     }
 }
 
 impl From<ScenarioBundle> for ScenarioDescription {
-    fn from(ScenarioBundle { scenario, files }: ScenarioBundle) -> Self {
-        Self { scenario, files }
+    fn from(bundle: ScenarioBundle) -> Self {
+        Self {
+            scenario: bundle.text,
+            files: bundle.referenced_files,
+        }
     }
 }
 
@@ -43,7 +47,7 @@ impl ScenarioBundle {
     /// If the scenario is invalid or a file is missing.
     pub fn load(&self) -> Result<Scenario, ScenarioError> {
         let loaded = scenario::parse(
-            &self.scenario,
+            &self.text,
             SCENARIO_FILE,
             Path::new(""),
             &[],
@@ -55,7 +59,7 @@ impl ScenarioBundle {
 
     fn find(&self, path: &Path) -> Option<&[u8]> {
         let has_path = |(name, _): &&(String, Vec<u8>)| Path::new(name) == path;
-        self.files.iter().find(has_path).map(|(_, bytes)| &bytes[..])
+        self.referenced_files.iter().find(has_path).map(|(_, bytes)| &bytes[..])
     }
 }
 
@@ -74,7 +78,7 @@ impl Files for ScenarioBundle {
     }
 
     fn absolute(&self, path: &Path) -> io::Result<PathBuf> {
-        // Paths stay relative: they are the keys of `files`.
+        // Paths stay relative: they are the keys of `referenced_files`.
         Ok(path.to_owned())
     }
 }

@@ -13,11 +13,13 @@ mod writer;
 use reveille_common::ids::Tti;
 use reveille_common::message::MessageKind;
 
-pub use bundle::{SCENARIO_FILE, SUMMARY_FILE, ScenarioBundle};
+pub use bundle::{SCENARIO_FILE, ScenarioBundle};
 pub use reader::{RecordingError, RecordingReader};
 pub use recorder::{Recorder, RecorderHandle, RecordingStats, is_growing};
 pub use writer::RecordingWriter;
 
+/// Name of the summary in a recording.
+pub const SUMMARY_FILE: &str = "summary.json";
 /// Log time of one TTI, nanoseconds.
 pub(crate) const NANOS_PER_TTI: u64 = 1_000_000;
 

@@ -12,8 +12,8 @@ use reveille_common::codec::WIRE_VERSION;
 use reveille_common::ids::Tti;
 use reveille_common::message::Frame;
 
-use super::bundle::{SCENARIO_FILE, SUMMARY_FILE, ScenarioBundle};
-use super::{VERSION, log_time};
+use super::bundle::{SCENARIO_FILE, ScenarioBundle};
+use super::{SUMMARY_FILE, VERSION, log_time};
 use crate::frame_line::{LineError, from_json};
 
 /// Name of the metadata record that marks a container as a recording.
@@ -111,7 +111,7 @@ impl<R: Read + Seek> RecordingReader<R> {
             }
             Err(error) => return Err(error),
         };
-        if reader.metadata.is_empty() || reader.bundle.scenario.is_empty() {
+        if reader.metadata.is_empty() || reader.bundle.text.is_empty() {
             return Err(RecordingError::Foreign("it was not recorded by reveille".to_owned()));
         }
         Ok(reader)
@@ -255,9 +255,9 @@ impl<R: Read + Seek> RecordingReader<R> {
                     }
                     Record::Attachment { header, data, .. } => {
                         if header.name == SCENARIO_FILE {
-                            self.bundle.scenario = String::from_utf8_lossy(&data).into_owned();
+                            self.bundle.text = String::from_utf8_lossy(&data).into_owned();
                         } else if header.name != SUMMARY_FILE && self.frames == 0 {
-                            self.bundle.files.push((header.name, data.into_owned()));
+                            self.bundle.referenced_files.push((header.name, data.into_owned()));
                         }
                     }
                     // The end of the data; only the index follows.

@@ -48,8 +48,8 @@ fn small() -> (Scenario, Vec<Frame>) {
 
 fn recorded(scenario: &Scenario, frames: &[Frame], summary: Option<&str>) -> Vec<u8> {
     let bundle = ScenarioBundle {
-        scenario: scenario.to_toml(),
-        files: vec![("scenario-files/x.csv".to_owned(), vec![1, 2, 3])],
+        text: scenario.to_toml(),
+        referenced_files: vec![("scenario-files/x.csv".to_owned(), vec![1, 2, 3])],
     };
     let mut writer = RecordingWriter::begin(Cursor::new(Vec::new()), "r1", &bundle).expect("begun");
     for (nth, frame) in frames.iter().enumerate() {
@@ -140,7 +140,7 @@ fn a_recording_holds_everything() {
     assert_eq!((reader.run(), reader.summary()), ("r1", Some("{}")));
     assert_eq!(reader.len(), Some(frames.len() as u64));
     assert_eq!(
-        reader.bundle().files,
+        reader.bundle().referenced_files,
         [("scenario-files/x.csv".to_owned(), vec![1, 2, 3])]
     );
     assert_eq!(

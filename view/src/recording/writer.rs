@@ -11,8 +11,8 @@ use reveille_common::codec::WIRE_VERSION;
 use reveille_common::message::{Frame, MessageKind};
 use reveille_common::score::DIGEST_VERSION;
 
-use super::bundle::{SCENARIO_FILE, SUMMARY_FILE, ScenarioBundle};
-use super::{VERSION, log_time, reader, topic};
+use super::bundle::{SCENARIO_FILE, ScenarioBundle};
+use super::{SUMMARY_FILE, VERSION, log_time, reader, topic};
 use crate::frame_line::FrameLine;
 use crate::schemas::MessageSchemas;
 
@@ -53,8 +53,8 @@ impl<W: Write + Seek> RecordingWriter<W> {
             name: reader::METADATA.to_owned(),
             metadata: metadata.map(|(key, value)| (key.to_owned(), value)).into(),
         })?;
-        attach(&mut mcap, SCENARIO_FILE, "application/toml", bundle.scenario.as_bytes())?;
-        for (name, bytes) in &bundle.files {
+        attach(&mut mcap, SCENARIO_FILE, "application/toml", bundle.text.as_bytes())?;
+        for (name, bytes) in &bundle.referenced_files {
             attach(&mut mcap, name, "application/octet-stream", bytes)?;
         }
         let (schemas, mut channels) = (MessageSchemas::trace_all(), BTreeMap::new());

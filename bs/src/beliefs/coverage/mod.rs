@@ -14,7 +14,7 @@ use reveille_common::sensing::{DetectionKind, Sensing};
 use self::bits::CoverageBits;
 pub use self::blocks::CellPosition;
 use self::blocks::{Block, CellBlocks};
-use self::shares::{SHARES_PER_CELL, UncoveredShares};
+use self::shares::{QUANTA_PER_CELL, UncoveredShares};
 pub use self::union::CoverageUnion;
 use super::grid::{self, Raster};
 
@@ -34,11 +34,12 @@ pub fn count_cells(area: Area, sensing: &Sensing) -> f64 {
     grid::count_cells(area, sensing.d_max, cells_per_range(sensing.kind))
 }
 
-/// Parts of a cell, where it can be covered in part.
-const PARTS_PER_CELL: u32 = 64;
+/// Units per cell if detection is probabilistic, since cells are then covered in part; otherwise a unit is a cell.
+/// Gains and losses are compared in units.
+const UNITS_PER_PARTIAL_CELL: u32 = 64;
 
-/// Shares per part. A whole cell is one share short of 64 parts.
-const SHARES_PER_PART: u64 = (SHARES_PER_CELL as u64 + 1) / PARTS_PER_CELL as u64;
+/// Quanta per unit if detection is probabilistic. A cell has 64 · `QUANTA_PER_UNIT` − 1 quanta, the maximum of a `u16`.
+const QUANTA_PER_UNIT: u64 = (QUANTA_PER_CELL as u64 + 1) / UNITS_PER_PARTIAL_CELL as u64;
 
 /// The part of the area covered by the devices added so far.
 ///
@@ -105,40 +106,39 @@ impl Coverage {
         }
         let cells = match &self.model {
             CoverageModel::Range(bits) => f64::from(bits.gain(j)),
-            CoverageModel::Probabilistic(shares) => shares.gain(j) as f64 / f64::from(SHARES_PER_CELL),
+            CoverageModel::Probabilistic(shares) => shares.gain(j) as f64 / f64::from(QUANTA_PER_CELL),
         };
         cells / self.raster.cell_count() as f64
     }
 
-    /// Returns the gain in whole parts, rounded down, for comparisons: cells, or 64ths of a cell if detection is
-    /// probabilistic.
+    /// Returns the gain in units, rounded down, for comparisons.
     #[inline]
-    pub(crate) fn gain_in_parts(&self, j: usize) -> u32 {
+    pub(crate) fn gain_in_units(&self, j: usize) -> u32 {
         if self.is_added[j] {
             return 0;
         }
         match &self.model {
             CoverageModel::Range(bits) => bits.gain(j),
-            CoverageModel::Probabilistic(shares) => (shares.gain(j) / SHARES_PER_PART) as u32,
+            CoverageModel::Probabilistic(shares) => (shares.gain(j) / QUANTA_PER_UNIT) as u32,
         }
     }
 
-    /// Returns the number of parts that would be uncovered without the `j`-th device, which was added. `None` if
+    /// Returns the number of units that would be uncovered without the `j`-th device, which was added. `None` if
     /// detection is probabilistic, since all devices then cover cells in part and no device alone covers a cell.
-    pub(crate) fn loss_in_parts(&self, j: usize) -> Option<u32> {
+    pub(crate) fn loss_in_units(&self, j: usize) -> Option<u32> {
         match &self.model {
             CoverageModel::Range(bits) => Some(bits.loss(j)),
             CoverageModel::Probabilistic(_) => None,
         }
     }
 
-    /// Number of parts in the area.
-    pub(crate) fn total_parts(&self) -> f64 {
-        let parts_per_cell = match &self.model {
+    /// Number of units in the area.
+    pub(crate) fn total_units(&self) -> f64 {
+        let units_per_cell = match &self.model {
             CoverageModel::Range(_) => 1,
-            CoverageModel::Probabilistic(_) => PARTS_PER_CELL,
+            CoverageModel::Probabilistic(_) => UNITS_PER_PARTIAL_CELL,
         };
-        self.raster.cell_count() as f64 * f64::from(parts_per_cell)
+        self.raster.cell_count() as f64 * f64::from(units_per_cell)
     }
 
     /// Adds the `j`-th device.
@@ -163,7 +163,7 @@ impl Coverage {
         let cells = self.raster.cell_count() as f64;
         match &self.model {
             CoverageModel::Range(bits) => (cells - f64::from(bits.covered())) / cells,
-            CoverageModel::Probabilistic(shares) => shares.uncovered() as f64 / f64::from(SHARES_PER_CELL) / cells,
+            CoverageModel::Probabilistic(shares) => shares.uncovered() as f64 / f64::from(QUANTA_PER_CELL) / cells,
         }
     }
 
@@ -203,7 +203,7 @@ impl Coverage {
         &self.blocks.devices[first as usize..end as usize]
     }
 
-    /// Returns whether no added device covers `cell`. With probabilistic detection no cell is ever fully covered.
+    /// Returns whether no added device fully covers `cell`; always true if detection is probabilistic.
     #[inline]
     pub(crate) fn is_uncovered(&self, cell: CellPosition) -> bool {
         match &self.model {
@@ -212,7 +212,8 @@ impl Coverage {
         }
     }
 
-    /// Returns whether the `j`-th device covers `cell`, at least in part.
+    /// Returns whether the `j`-th device covers `cell`; always true if detection is probabilistic, since the one cell
+    /// of `CellBlocks::single` stands for the whole area.
     #[inline]
     pub(crate) fn reaches(&self, j: usize, cell: CellPosition) -> bool {
         match &self.model {
@@ -265,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn what_counts_as_covered_is_in_range_and_little_more_is_left_out() {
+    fn covered_cells_are_in_range_and_lose_little_of_it() {
         for (width, height) in AREAS {
             let area = Area { width, height };
             let points = place_devices(&Layout::Uniform, area, 8, 7);

@@ -10,18 +10,18 @@ use crate::beliefs::grid::Raster;
 /// Cells computed in parallel.
 const LANES: usize = 8;
 
-/// A whole cell, in shares of 1/65535. Whole numbers make the covered shares add up exactly.
-pub(super) const SHARES_PER_CELL: u16 = u16::MAX;
+/// Quanta in a cell. Covered and uncovered shares are whole numbers of quanta, so they add up exactly.
+pub(super) const QUANTA_PER_CELL: u16 = u16::MAX;
 
 /// The uncovered share of each cell.
 #[derive(Clone, Debug)]
 pub(super) struct UncoveredShares {
-    /// Uncovered shares of all cells, row by row, followed by padding for the last spans.
+    /// Uncovered quanta of each cell, row by row, followed by padding for the last spans.
     uncovered: Vec<u16>,
     cell_count: usize,
-    /// The rows of device j are `rows[starts[j] .. starts[j + 1]]`.
+    /// The rows of device j are `rows[row_starts[j] .. row_starts[j + 1]]`.
     row_starts: Vec<u32>,
-    rows: Vec<ShareSpan>,
+    rows: Vec<CellSpan>,
     /// p(d) of the cells of all spans, in order, in 65536ths.
     detected: Vec<u16>,
 }
@@ -29,14 +29,14 @@ pub(super) struct UncoveredShares {
 /// Cells of one grid row in which a device may detect an event, padded to a multiple of [`LANES`] with cells of p(d) =
 /// 0.
 #[derive(Clone, Copy, Debug)]
-struct ShareSpan {
+struct CellSpan {
     /// Index of the first cell, and of its p(d).
     first_cell: u32,
     detected: u32,
     length: u32,
 }
 
-impl ShareSpan {
+impl CellSpan {
     fn cells(self) -> std::ops::Range<usize> {
         self.first_cell as usize..(self.first_cell + self.length) as usize
     }
@@ -46,7 +46,7 @@ impl ShareSpan {
     }
 }
 
-/// Returns the part of the share `uncovered` that a device with detection probability `detected` covers, rounded down.
+/// Returns how many of the quanta `uncovered` a device with p(d) = `detected`/65536 covers, rounded down.
 #[inline]
 const fn covered(uncovered: u16, detected: u16) -> u16 {
     ((uncovered as u32 * detected as u32) >> 16) as u16
@@ -71,7 +71,7 @@ impl UncoveredShares {
                 }
                 let length = (detected.len() - begin).next_multiple_of(LANES);
                 detected.resize(begin + length, 0);
-                rows.extend(first.map(|column| ShareSpan {
+                rows.extend(first.map(|column| CellSpan {
                     first_cell: (row * raster.columns + column) as u32,
                     detected: begin as u32,
                     length: length as u32,
@@ -80,7 +80,7 @@ impl UncoveredShares {
             row_starts.push(rows.len() as u32);
         }
         Self {
-            uncovered: vec![SHARES_PER_CELL; raster.cell_count() + LANES],
+            uncovered: vec![QUANTA_PER_CELL; raster.cell_count() + LANES],
             cell_count: raster.cell_count(),
             row_starts,
             rows,
@@ -89,18 +89,18 @@ impl UncoveredShares {
     }
 
     pub(super) fn clear(&mut self) {
-        self.uncovered.fill(SHARES_PER_CELL);
+        self.uncovered.fill(QUANTA_PER_CELL);
     }
 
-    /// Returns the uncovered area, in 65535ths of a cell.
+    /// Returns the uncovered area in quanta.
     pub(super) fn uncovered(&self) -> u64 {
         self.uncovered[..self.cell_count]
             .iter()
-            .map(|&shares| u64::from(shares))
+            .map(|&quanta| u64::from(quanta))
             .sum()
     }
 
-    /// Returns the area that the `j`-th device would newly cover, in 65535ths of a cell.
+    /// Returns the area that the `j`-th device would newly cover, in quanta.
     pub(super) fn gain(&self, j: usize) -> u64 {
         let mut lanes = [0; LANES];
         for row in &self.rows[self.row_starts[j] as usize..self.row_starts[j + 1] as usize] {

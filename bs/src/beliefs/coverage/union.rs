@@ -5,7 +5,7 @@ use reveille_common::geometry::{Area, Point};
 use reveille_common::sensing::{DetectionKind, Sensing};
 
 use super::bits::{BitDisc, DISC_SIDE};
-use super::shares::{SHARES_PER_CELL, UncoveredShares};
+use super::shares::{QUANTA_PER_CELL, UncoveredShares};
 use super::{Raster, cells_per_range};
 
 /// The area that a set of devices covers, in the cells of `Coverage`.
@@ -49,7 +49,7 @@ impl CoverageUnion {
             UnionModel::Probabilistic(shares) => {
                 shares.clear();
                 devices.for_each(|j| shares.add(j));
-                shares.uncovered() as f64 / f64::from(SHARES_PER_CELL) / self.cell_count
+                shares.uncovered() as f64 / f64::from(QUANTA_PER_CELL) / self.cell_count
             }
         }
     }

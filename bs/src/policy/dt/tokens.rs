@@ -251,7 +251,7 @@ impl TokenBuilder {
         self.ages.advance(epicentre.is_some());
     }
 
-    /// Adds a received report.
+    /// Notes a reporter of this TTI; the place of the event follows from all of them when the TTI ends.
     pub(crate) fn add_report(&mut self, seen: &Observation<'_>, report: &Report) {
         let position = self.positions[report.device.index()];
         // A report without information comes from beyond d_max.

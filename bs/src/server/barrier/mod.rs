@@ -1,8 +1,9 @@
 //! The barrier of the run loop: waits for the answers of all hosts to a grant, for the outcome of a wake-up, or for the
 //! final ledgers.
 //!
-//! Answers are kept by host and TTI. An answer with impossible figures ([`Roster`]) is counted and dropped, and a
-//! repeated answer replaces the first one. A late answer, such as a duplicate after a retransmission, is dropped.
+//! One wait is open at a time, and keeps one answer by host. An answer with impossible figures ([`Roster`]) is counted
+//! and dropped. A repeated answer replaces the first one, but of repeated reports to a grant the first one stays. A
+//! late answer, such as a duplicate after a retransmission, is dropped.
 //! Reports and views are in the order of ids, whichever host answers first.
 
 use std::collections::BTreeMap;
@@ -41,7 +42,7 @@ struct HostResult {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct GrantOptions {
     /// Sums over the devices.
-    pub account: bool,
+    pub totals: bool,
     /// States and batteries.
     pub views: bool,
 }
@@ -82,7 +83,7 @@ enum BarrierState {
     Grant {
         tti: Tti,
         /// Whether devices may report.
-        has_stimulus: bool,
+        may_report: bool,
         /// The additional data in the answers.
         options: GrantOptions,
         answers: Answers<HostResult>,
@@ -100,7 +101,7 @@ enum BarrierState {
     },
 }
 
-/// The barrier at the end of each TTI.
+/// The barrier at the end of each grant, of each wake-up, and of the run for the ledgers.
 #[derive(Debug)]
 pub struct Barrier {
     roster: Roster,
@@ -121,18 +122,19 @@ impl Barrier {
         }
     }
 
-    /// The roster, which maps devices to hosts.
-    pub const fn roster(&mut self) -> &mut Roster {
+    /// The roster, which maps devices to hosts. The caller may set its hosts before the run and replace a lost one, but
+    /// [`Self::remove_host`] must remove them, since the open wait depends on it.
+    pub const fn roster_mut(&mut self) -> &mut Roster {
         &mut self.roster
     }
 
-    /// Starts to wait for the answers to a grant that ends with `tti`, with the data in `options`. Without a stimulus
-    /// no device can report.
-    pub fn expect_grant(&mut self, tti: Tti, has_stimulus: bool, options: GrantOptions) {
+    /// Starts to wait for the answers to a grant that ends with `tti`, with the data in `options`. `may_report` is
+    /// whether the grant has a stimulus: without one no device can report.
+    pub fn expect_grant(&mut self, tti: Tti, may_report: bool, options: GrantOptions) {
         self.granted = Some(tti);
         self.state = BarrierState::Grant {
             tti,
-            has_stimulus,
+            may_report,
             options,
             answers: Answers::new(&self.roster),
             announced_reports: 0,
@@ -159,7 +161,7 @@ impl Barrier {
     }
 
     /// Removes `host` with its devices. Its answer to an open grant no longer counts, and nothing more is expected from
-    /// it.
+    /// it. Without effect if it is removed already.
     pub fn remove_host(&mut self, host: HostId) {
         let Self { roster, state, .. } = self;
         let Some(position) = roster.position(host) else { return };
@@ -198,12 +200,12 @@ impl Barrier {
         let position = self.roster.position(host);
         let is_possible = position.is_some_and(|position| self.roster.owns(position, report.device))
             && self.roster.is_possible_report(&report);
-        let is_late = is_possible && self.was_granted(report.tti);
+        let is_for_granted_tti = is_possible && self.was_granted(report.tti);
         let is_about_grant = matches!(self.state, BarrierState::Grant { tti, .. } if tti == report.tti);
         match &mut self.state {
             BarrierState::Grant {
                 tti,
-                has_stimulus: true,
+                may_report: true,
                 reports,
                 ..
             } if is_possible && report.tti == *tti => {
@@ -221,7 +223,7 @@ impl Barrier {
             | BarrierState::Ledgers { .. } => {
                 // After a retransmission, duplicates about an earlier TTI are normal; only a report that was never
                 // asked for is a stray.
-                self.unexpected_messages += u64::from(!is_late || is_about_grant);
+                self.unexpected_messages += u64::from(!is_for_granted_tti || is_about_grant);
             }
         }
         self.is_complete()
@@ -234,7 +236,7 @@ impl Barrier {
 
     /// Takes in an answer from `host`. Returns whether the barrier is complete.
     pub fn receive_answer(&mut self, host: HostId, answer: HostAnswer) -> bool {
-        let is_late = match &answer {
+        let is_for_granted_tti = match &answer {
             HostAnswer::GrantDone { tti, .. } | HostAnswer::NotWoken { tti, .. } => self.was_granted(*tti),
             HostAnswer::Ledgers { .. } => false,
         };
@@ -244,7 +246,7 @@ impl Barrier {
             .position(host)
             .is_some_and(|position| self.store_answer(position, answer));
         // As for reports, a late duplicate is not counted, but an impossible answer to the open grant is.
-        if !is_stored && (is_open || !is_late) {
+        if !is_stored && (is_open || !is_for_granted_tti) {
             self.unexpected_messages += 1;
         }
         self.is_complete()
@@ -273,14 +275,14 @@ impl Barrier {
         }
     }
 
-    /// Keeps the answer of the host at position `host` if it is expected and possible. Returns whether it was kept.
-    fn store_answer(&mut self, host: usize, answer: HostAnswer) -> bool {
+    /// Keeps the answer of the host at `position` if it is expected and possible. Returns whether it was kept.
+    fn store_answer(&mut self, position: usize, answer: HostAnswer) -> bool {
         let Self { roster, state, .. } = self;
         match (state, answer) {
             (
                 BarrierState::Grant {
                     tti,
-                    has_stimulus,
+                    may_report,
                     options,
                     answers,
                     announced_reports,
@@ -297,16 +299,16 @@ impl Barrier {
             ) => {
                 let is_quiet = reports == 0 && failures.is_empty();
                 // Every field is checked before anything is kept, since a host may send any numbers.
-                let is_possible = roster.position(stated_host) == Some(host)
+                let is_possible = roster.position(stated_host) == Some(position)
                     && answered_tti == *tti
-                    && (*has_stimulus || is_quiet)
-                    && roster.is_possible_answer(host, reports, &failures)
-                    && totals.is_some() == options.account
+                    && (*may_report || is_quiet)
+                    && roster.is_possible_answer(position, reports, &failures)
+                    && totals.is_some() == options.totals
                     && views.is_some() == options.views
                     && views
                         .as_ref()
-                        .is_none_or(|views| roster.are_possible_views(host, views))
-                    && totals.is_none_or(|sums| roster.are_possible_totals(host, &sums));
+                        .is_none_or(|views| roster.are_possible_views(position, views))
+                    && totals.is_none_or(|sums| roster.are_possible_totals(position, &sums));
                 if is_possible {
                     let result = HostResult {
                         reports,
@@ -318,7 +320,7 @@ impl Barrier {
                     // The host may answer again after a retransmission, so its earlier number of reports is replaced,
                     // not added.
                     *announced_reports -= answers
-                        .replace_answer(host, result)
+                        .replace_answer(position, result)
                         .map_or(0, |previous| previous.reports as usize);
                 }
                 is_possible
@@ -333,7 +335,7 @@ impl Barrier {
             ) => {
                 let is_possible = answered_tti == *tti
                     && answered_device == *device
-                    && roster.owns(host, answered_device)
+                    && roster.owns(position, answered_device)
                     && roster.is_possible_outcome(answered_device, &answered_outcome);
                 if is_possible {
                     *outcome = Some(answered_outcome);
@@ -348,9 +350,9 @@ impl Barrier {
                 },
             ) => {
                 let is_possible =
-                    roster.position(stated_host) == Some(host) && roster.are_possible_ledgers(host, &ledgers);
+                    roster.position(stated_host) == Some(position) && roster.are_possible_ledgers(position, &ledgers);
                 if is_possible {
-                    answers.replace_answer(host, ledgers);
+                    answers.replace_answer(position, ledgers);
                 }
                 is_possible
             }
@@ -383,7 +385,7 @@ impl Barrier {
     /// Takes the answers to the grant.
     ///
     /// # Panics
-    /// If no grant is complete.
+    /// If no grant is open or a host has not answered it. Announced reports that are missing cause no panic.
     pub fn take_grant_result(&mut self) -> GrantResult {
         match std::mem::replace(&mut self.state, BarrierState::Idle) {
             BarrierState::Grant {
@@ -456,7 +458,8 @@ impl Barrier {
         }
     }
 
-    /// The hosts that have not answered.
+    /// The hosts that have not answered; for a wake-up the owner of the device, even after its outcome. A host that
+    /// owes only announced reports is not among them.
     pub fn missing_hosts(&self) -> Vec<HostId> {
         let is_missing: Vec<bool> = match &self.state {
             BarrierState::Idle => Vec::new(),

@@ -89,9 +89,9 @@ fn who_takes_over_says_the_same_once_more() {
     hear(&mut b, report(3, 5));
     let heir = Assignment {
         host: HostId(2),
-        ..b.roster().assignment(0)
+        ..b.roster_mut().assignment(0)
     };
-    b.roster().replace(HostId(0), heir);
+    b.roster_mut().replace(HostId(0), heir);
     assert!(!b.receive_answer(HostId(0), done(0, 5, 1)), "it has no say any more");
     assert!(!b.receive_report(HostId(2), report(3, 5)) && !b.receive_answer(HostId(2), done(2, 5, 1)));
     assert!(b.receive_answer(HostId(1), done(1, 5, 0)));

@@ -47,8 +47,10 @@ const MAX_INVALID_ANSWERS: u32 = 3;
 const MAX_WARNINGS: usize = 20;
 /// Characters of such a warning that are logged.
 const MAX_WARNING_CHARS: usize = 300;
-/// Largest size of an answer: bytes for the whole, and additional bytes per device.
-const MAX_ANSWER_BYTES: (usize, usize) = (4096, 64);
+/// Largest size of an answer without its devices.
+const MAX_ANSWER_BASE_BYTES: usize = 4096;
+/// Additional size of an answer for each device.
+const MAX_ANSWER_BYTES_PER_DEVICE: usize = 64;
 /// Time for policy processes to receive the end of the run.
 const BYE_TIMEOUT: Duration = Duration::from_millis(500);
 /// Largest length of an id, and characters of a name that are shown.
@@ -277,7 +279,7 @@ impl<'a> PolicyPort<'a> {
         let (header, payload) = (hello.head, Encoding::Json.encode(hello));
         let mut replies = self
             .bus
-            .query_policy((payload, Encoding::Json), MAX_ANSWER_BYTES.0, HELLO_TIMEOUT)
+            .query_policy((payload, Encoding::Json), MAX_ANSWER_BASE_BYTES, HELLO_TIMEOUT)
             .await?;
         loop {
             let problem = match wait.next(&mut replies).await {
@@ -372,7 +374,7 @@ impl<'a> PolicyPort<'a> {
     ) -> WaitResult<PeerReply> {
         let encoding = self.peer.as_ref().map_or(Encoding::Json, |peer| peer.encoding);
         // The bound follows from the largest valid answer, so a hostile process cannot fill the memory.
-        let max_bytes = MAX_ANSWER_BYTES.0 + MAX_ANSWER_BYTES.1 * devices as usize;
+        let max_bytes = MAX_ANSWER_BASE_BYTES + MAX_ANSWER_BYTES_PER_DEVICE * devices as usize;
         let mut replies = self
             .bus
             .query_policy((encoding.encode(request), encoding), max_bytes, REQUEST_TIMEOUT)

@@ -1,7 +1,7 @@
 //! Parsing of lists on the command line, and the scenarios built from them.
 
 use anyhow::bail;
-use reveille_bs::scenario::{Override, Scenario, load};
+use reveille_bs::scenario::{Loaded, Override, Scenario, load};
 use reveille_common::units::{Energy, MAX_UNITS};
 use reveille_study::analysis::harvest::LambdaReading;
 
@@ -99,7 +99,11 @@ pub(super) fn build_scenario(study: &StudyArgs, fields: &[(&str, &str, Option<&s
             overrides.push(Override::from_flag(flag, field, value)?);
         }
     }
-    Ok(load(&study.scenario, &overrides)?.scenario)
+    let Loaded { scenario, warnings } = load(&study.scenario, &overrides)?;
+    for warning in &warnings {
+        tracing::warn!("{warning}");
+    }
+    Ok(scenario)
 }
 
 #[cfg(test)]

@@ -18,7 +18,7 @@ const MAX_NAMED_DEVICES: usize = 12;
 pub(super) fn run(args: &CompareArgs) -> anyhow::Result<ExitCode> {
     let (mut this, mut other) = (open(&args.this)?, open(&args.other)?);
     let mut report = String::new();
-    for (field, this, other) in compare_scenarios(&this.bundle().scenario, &other.bundle().scenario)? {
+    for (field, this, other) in compare_scenarios(&this.bundle().text, &other.bundle().text)? {
         let _infallible = writeln!(
             report,
             "scenario: {field} is {this} in this recording, {other} in the other"

@@ -86,7 +86,7 @@ fn reusable_runs(tables: &[PathBuf]) -> anyhow::Result<ReusableRuns> {
 }
 
 /// Prints each distinct warning of all cells.
-fn log_warnings(grid: &SweepGrid) {
+pub(super) fn log_warnings(grid: &SweepGrid) {
     let warnings = grid.cells.iter().flat_map(|cell| &cell.warnings);
     for warning in warnings.collect::<BTreeSet<_>>() {
         tracing::warn!("{warning}");

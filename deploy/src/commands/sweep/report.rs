@@ -197,8 +197,8 @@ fn estimate_json(reading: MetricEstimate) -> Json {
         runs,
     } = reading.estimate;
     json!({
-        "mean": mean, "deviation": deviation, "half_width": half_width, "runs": runs, "upper_bound": reading.upper_bound,
-        "lower_bound": reading.lower_bound,
+        "mean": mean, "deviation": deviation, "half_width": half_width, "runs": runs,
+        "upper_bound": reading.upper_bound, "lower_bound": reading.lower_bound,
     })
 }
 

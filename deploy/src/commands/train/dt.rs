@@ -1,4 +1,7 @@
-//! `reveille train dt`: trains a decision transformer on recorded trajectories.
+//! `reveille train dt`: trains a decision transformer on recorded trajectories and writes the model to `--out`.
+//!
+//! Every evaluation and Ctrl-C save a checkpoint next to `--out`. The same command resumes from it, with the same
+//! result, and the finished model replaces it.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -22,7 +25,7 @@ use crate::display::{self, note};
 use crate::paths::check_output_path;
 use crate::signals::{SignalMode, Signals};
 
-/// Steps between two evaluations on the held-out data.
+/// Steps between two evaluations on the held-out data. Each one also writes the checkpoint.
 const EVALUATION_INTERVAL: u64 = 200;
 
 /// Environment variables for a fast training; a variable that is already set keeps its value.
@@ -61,31 +64,31 @@ pub(super) fn run(args: &DtArgs) -> anyhow::Result<ExitCode> {
         bail!("{}: file exists; use --force to replace it", args.out.display());
     }
     check_output_path(&args.out, "the model")?;
-    let (trajectories, about) = read_trajectories(args, &training)?;
+    let (trajectories, metadata) = read_trajectories(args, &training)?;
     let checkpoint_path = checkpoint_path(&args.out);
     let checkpoint_bytes = read_checkpoint(&checkpoint_path)?;
     let signals = Signals::install(SignalMode::SavesResults)?;
     let started = crate::runtime::now();
-    let (mut unwritten, mut complete) = (None, true);
+    let (mut write_error, mut may_continue) = (None, true);
     let mut is_resumed = checkpoint_bytes.is_some();
-    let mut show = |status: DtTrainingStatus, bytes: &[u8]| {
+    let mut on_checkpoint = |status: DtTrainingStatus, bytes: &[u8]| {
         if !args.quiet {
             if std::mem::take(&mut is_resumed) {
                 note!("resuming from {}", checkpoint_path.display());
             }
             print_status(&status);
         }
-        unwritten = replace(&checkpoint_path, bytes).err();
-        complete = unwritten.is_none() && !signals.has_arrived();
-        complete
+        write_error = replace(&checkpoint_path, bytes).err();
+        may_continue = write_error.is_none() && !signals.has_arrived();
+        may_continue
     };
     let stop = || signals.has_arrived();
     let trained = match train(
         trajectories,
         &training,
-        &about,
+        &metadata,
         checkpoint_bytes.as_deref(),
-        &mut show,
+        &mut on_checkpoint,
         &stop,
     ) {
         Err(error @ TransformerError::Checkpoint(_)) => bail!(
@@ -96,13 +99,14 @@ pub(super) fn run(args: &DtArgs) -> anyhow::Result<ExitCode> {
     };
     // Stopped between two checkpoints: the steps since the last one are saved as well.
     if let Trained::Stopped(bytes) = &trained {
-        unwritten = replace(&checkpoint_path, bytes).err();
+        write_error = replace(&checkpoint_path, bytes).err();
     }
-    if let Some(error) = unwritten {
+    if let Some(error) = write_error {
         bail!("{}: cannot write this file: {error}", checkpoint_path.display());
     }
     let bytes = match trained {
-        Trained::Model(bytes) if complete => bytes,
+        Trained::Model(bytes) if may_continue => bytes,
+        // An interrupted training also returns its best model so far. It is discarded: the checkpoint contains it.
         Trained::Model(_) | Trained::Stopped(_) => bail!(interrupted(&checkpoint_path)),
     };
     if let Err(error) = replace(&args.out, &bytes) {
@@ -126,6 +130,8 @@ fn read_checkpoint(checkpoint_path: &Path) -> anyhow::Result<Option<Vec<u8>>> {
     }
 }
 
+/// Prints an evaluation. "In order" is the share of pairs of looks, one that found an event and one that did not, whose
+/// expectations are in this order; "by age" is the same share for the baseline of age and α alone.
 fn print_status(status: &DtTrainingStatus) {
     let best = if status.is_best { "  best" } else { "" };
     let score = &status.score;
@@ -155,6 +161,7 @@ fn training_config(args: &DtArgs) -> anyhow::Result<DtTrainingConfig> {
         .expect("a scenario of the policy dt");
     Ok(DtTrainingConfig {
         shape: ModelShape {
+            // `--no-space` turns off the attention over space, which is between devices.
             attends_to_devices: !args.no_space,
             objective: args.objective(),
             ..settings.weights.shape()
@@ -173,7 +180,7 @@ fn read_trajectories(
     args: &DtArgs,
     training: &DtTrainingConfig,
 ) -> anyhow::Result<(Vec<Trajectories>, BTreeMap<String, String>)> {
-    let (mut all, mut about) = (Vec::new(), BTreeMap::new());
+    let (mut all, mut metadata) = (Vec::new(), BTreeMap::new());
     let mut data = String::new();
     for path in &args.trajectories {
         let (trajectories, hash) = match Trajectories::read(path) {
@@ -186,11 +193,13 @@ fn read_trajectories(
         }
         all.push(trajectories);
     }
-    about.insert("data".to_owned(), data);
-    about.insert("training".to_owned(), format!("{training:?}"));
-    about.insert(
+    metadata.insert("data".to_owned(), data);
+    // The metadata identify a checkpoint. A renamed field of the configuration thus makes old checkpoints unusable, and
+    // so does another version.
+    metadata.insert("training".to_owned(), format!("{training:?}"));
+    metadata.insert(
         "made_by".to_owned(),
         concat!("reveille ", env!("CARGO_PKG_VERSION")).to_owned(),
     );
-    Ok((all, about))
+    Ok((all, metadata))
 }

@@ -54,7 +54,7 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
         signals,
     };
     let started = crate::runtime::now();
-    let complete = trainer.train_with_checkpoint(threads, &checkpoint_path, &training_display)?;
+    let complete = trainer.train_and_save(threads, &checkpoint_path, &training_display)?;
     training_display.bar.finish_and_clear();
     if !complete {
         bail!(interrupted(&checkpoint_path));

@@ -14,6 +14,7 @@ use reveille_lab::trajectories::{Chunk, HORIZON, RecordingConfig, Trajectories, 
 use super::q_learning::interrupted;
 use crate::cli::RecordArgs;
 use crate::commands::experiment::build_experiment;
+use crate::commands::sweep::log_warnings;
 use crate::display::{self, note};
 use crate::folder_lock::{FolderStatus, status};
 use crate::paths::check_output_path;
@@ -71,6 +72,7 @@ fn record_grid(
     stop: &(dyn Fn() -> bool + Sync),
 ) -> anyhow::Result<Option<Trajectories>> {
     let grid = SweepGrid::new(build_experiment(args.experiment.as_deref(), &args.grid)?, &Disk)?;
+    log_warnings(&grid);
     if grid.experiment.until_ci.is_some() {
         bail!("--until-ci: a recording always makes all runs; leave it out");
     }

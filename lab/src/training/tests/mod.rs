@@ -254,11 +254,11 @@ fn a_training_goes_on_from_any_checkpoint_as_if_nothing_had_been() {
         assert!(whole.train(2, &|_| Ok(()), &()).expect("no file"));
         let stop = AtEpisode(std::sync::atomic::AtomicU64::new(stream.below(18)));
         let mut cut = new();
-        assert!(!cut.train_with_checkpoint(1, &path, &stop).expect("a file") || !path.exists());
+        assert!(!cut.train_and_save(1, &path, &stop).expect("a file") || !path.exists());
         let mut rest = new();
         let resumed = rest.resume(&path).expect("a checkpoint of this training");
         assert_eq!(resumed, rest.episodes_left() < 18);
-        assert!(rest.train_with_checkpoint(1, &path, &()).expect("a file"));
+        assert!(rest.train_and_save(1, &path, &()).expect("a file"));
         assert!(rest.learned().to_json() == whole.learned().to_json());
         std::fs::remove_file(&path).expect("the checkpoint");
     }

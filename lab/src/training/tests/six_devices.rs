@@ -116,9 +116,9 @@ impl Toy {
         passed
     }
 
-    /// Returns the mean over all battery vectors of the discounted sum of rewards, times 1 − ζ; for ζ = 1, the long-run
-    /// mean r(k). `policy` holds the action of each state; without it all actions are tried.
-    fn worth(&self, zeta: f64, policy: Option<&[usize]>) -> f64 {
+    /// Returns the mean over all battery vectors of the discounted sum of rewards, times 1 − `discount`; for a discount
+    /// of 1, the long-run mean r(k). `policy` holds the action of each state; without it all actions are tried.
+    fn value_of(&self, discount: f64, policy: Option<&[usize]>) -> f64 {
         let rewards = self.rewards();
         let (mut values, mut mean) = (vec![0.0; STATES], 0.0);
         for _ in 0..SWEEPS {
@@ -126,7 +126,7 @@ impl Toy {
             let after: Vec<f64> = (0..STATES)
                 .map(|state| {
                     let rewards = &rewards[empty(state)];
-                    let of = |action: usize| rewards[action] + zeta * later[action][state];
+                    let of = |action: usize| rewards[action] + discount * later[action][state];
                     match policy {
                         Some(policy) => of(policy[state]),
                         None => (0..ACTIONS).map(of).fold(f64::NEG_INFINITY, f64::max),
@@ -137,23 +137,23 @@ impl Toy {
             mean = added.clone().sum::<f64>() / STATES as f64;
             let (least, most) = added.fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(x), b.max(x)));
             values = after;
-            // The sum of all further additions lies within ζ/(1−ζ) times these two.
+            // The sum of all further additions lies within discount/(1 − discount) times these two.
             if most - least < SPAN {
                 let mean = values.iter().sum::<f64>() / STATES as f64;
-                return (1.0 - zeta) * mean + zeta * 0.5 * (least + most);
+                return (1.0 - discount) * mean + discount * 0.5 * (least + most);
             }
         }
-        assert!(zeta >= 1.0, "discounted values settle");
+        assert!(discount >= 1.0, "discounted values settle");
         // The policy's long-run value depends on the start: the mean over all starts.
         mean
     }
 
     fn discounted(&self, policy: Option<&[usize]>) -> f64 {
-        self.worth(ZETA, policy)
+        self.value_of(ZETA, policy)
     }
 
     fn mean(&self, policy: Option<&[usize]>) -> f64 {
-        self.worth(1.0, policy)
+        self.value_of(1.0, policy)
     }
 
     /// Returns the actions of a policy that only maximises the next r(k).

@@ -368,11 +368,11 @@ pub fn note_on_several(figures: &[SweepFigure]) -> Option<String> {
 }
 
 /// Returns the canonical name of a field. `n` and `policy.name` are the names used in tables and scenarios.
-pub fn canonical_field(field: &str) -> &str {
+pub fn canonical_field(field: &str) -> String {
     match field {
-        "n" => DEVICES,
-        "policy.name" => POLICY,
-        other => other,
+        "n" => DEVICES.to_owned(),
+        "policy.name" => POLICY.to_owned(),
+        other => reveille_bs::scenario::current_field(other),
     }
 }
 

@@ -77,6 +77,6 @@ fn fields(condition: &RunCondition, policy: &str, n: u32) -> Vec<(String, String
     let table = condition
         .changed_in_table
         .clone()
-        .map(|table| ("changed as in".to_owned(), table));
+        .map(|table| ("scenario changes".to_owned(), table));
     own.chain(condition.all_changes().cloned()).chain(table).collect()
 }

@@ -15,12 +15,12 @@
 //!
 //! A verdict is *firm* if it is the same for every value in our 95 % intervals.
 
+mod agreement;
 mod finding;
-mod fit;
 mod order;
 
+pub use self::agreement::{Agreement, AgreementLevel, agreement_with_value};
 pub use self::finding::Finding;
-pub use self::fit::{Fit, FitLevel, fit_to_value};
 use crate::claims::{Claim, ClaimTopic};
 use crate::figures::results::RunCondition;
 
@@ -83,13 +83,13 @@ pub fn judge(topic: &ClaimTopic, claim: &Claim, condition: &RunCondition) -> Jud
         findings,
         order_checks: Vec::new(),
     };
-    let Some(fit) = Fit::of_findings(claim.statement, &judgement.findings) else {
+    let Some(agreement) = Agreement::of_findings(claim.statement, &judgement.findings) else {
         judgement.findings.clear();
         return judgement;
     };
-    if let Some(verdict) = verdict_of(fit.of_means) {
+    if let Some(verdict) = verdict_of(agreement.of_means) {
         judgement.verdict = verdict;
-        judgement.is_firm = fit.is_firm();
+        judgement.is_firm = agreement.is_firm();
         return judgement;
     }
     let compared = order::compare_policies(topic, claim, condition, &judgement.findings);
@@ -105,7 +105,7 @@ pub fn judge(topic: &ClaimTopic, claim: &Claim, condition: &RunCondition) -> Jud
     } else {
         compared.is_empty() || compared.iter().any(|pair| pair.is_firm && !pair.is_as_stated)
     };
-    judgement.is_firm = fit.is_firm() && is_order_firm;
+    judgement.is_firm = agreement.is_firm() && is_order_firm;
     let pairs = compared.into_iter();
     judgement.order_checks = pairs
         .map(|pair| (pair.n, pair.other_policy, pair.is_as_stated))
@@ -113,12 +113,12 @@ pub fn judge(topic: &ClaimTopic, claim: &Claim, condition: &RunCondition) -> Jud
     judgement
 }
 
-/// Returns the verdict for a level of fit; `None` without a fit.
-pub(crate) const fn verdict_of(level: FitLevel) -> Option<Verdict> {
+/// Returns the verdict for a level of agreement; `None` without agreement.
+pub(crate) const fn verdict_of(level: AgreementLevel) -> Option<Verdict> {
     match level {
-        FitLevel::Yes => Some(Verdict::Reproduced),
-        FitLevel::Near => Some(Verdict::Near),
-        FitLevel::No => None,
+        AgreementLevel::Yes => Some(Verdict::Reproduced),
+        AgreementLevel::Near => Some(Verdict::Near),
+        AgreementLevel::No => None,
     }
 }
 

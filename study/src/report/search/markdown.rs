@@ -4,11 +4,11 @@
 use std::fmt::Write as _;
 
 use super::super::judge::Verdict;
-use super::super::markdown::{demote_headings, escape_cell, origin_section, without_heading_wrapped};
+use super::super::markdown::{demote_headings, escape_cell, origin_section, remove_headings_and_wrap};
 use super::super::notes::{describe_missing_runs, verdict_cell};
 use super::super::page_sections::{PageSection, wrap_text};
 use super::super::phrasing::format_number;
-use super::{ClaimCounts, ClaimHalf, RankedSetting, SettingSearch};
+use super::{ClaimCounts, ClaimHalf, RankedSetting, SettingRanking};
 
 /// Explanation of the ranking and of its limits.
 pub(crate) const RANKING_RULE: &str = "Every claim has a number, in the order of the report. Settings are ranked by \
@@ -19,22 +19,25 @@ pub(crate) const RANKING_RULE: &str = "Every claim has a number, in the order of
     of each other.";
 
 /// Renders the whole page, with the first `count` settings and the presets.
-pub fn markdown(search: &SettingSearch<'_>, count: usize, command: &str) -> String {
+pub fn markdown(ranking: &SettingRanking<'_>, count: usize, command: &str) -> String {
     let mut out = String::from("# Which settings meet most of the paper's claims\n\n");
-    for line in summary(search).into_iter().chain(describe_missing_runs(&search.report)) {
+    for line in summary(ranking)
+        .into_iter()
+        .chain(describe_missing_runs(&ranking.report))
+    {
         let _ = writeln!(out, "- {line}");
     }
     let _ = writeln!(out, "\n{RANKING_RULE}\n\n## Settings\n");
-    out.push_str(&ranking_table(search, count));
-    out.push_str(&effects_section(search));
-    out.push_str(&unmet_section(search));
-    out.push_str(&verdicts_section(search));
-    out.push_str(&origin_section(&search.report, command));
+    out.push_str(&ranking_table(ranking, count));
+    out.push_str(&effects_section(ranking));
+    out.push_str(&unmet_section(ranking));
+    out.push_str(&verdicts_section(ranking));
+    out.push_str(&origin_section(&ranking.report, command));
     out
 }
 
 /// Renders the search as sections of a page, with the first `count` settings and the presets.
-pub fn page_sections(search: &SettingSearch<'_>, count: usize, command: &str) -> Vec<PageSection> {
+pub fn page_sections(ranking: &SettingRanking<'_>, count: usize, command: &str) -> Vec<PageSection> {
     let untitled = |text: String| {
         demote_headings(
             text.split_once("## ")
@@ -45,25 +48,27 @@ pub fn page_sections(search: &SettingSearch<'_>, count: usize, command: &str) ->
     vec![
         PageSection::list(
             "search",
-            summary(search).into_iter().chain(describe_missing_runs(&search.report)),
+            summary(ranking)
+                .into_iter()
+                .chain(describe_missing_runs(&ranking.report)),
         ),
         PageSection::new("search-rule", wrap_text(RANKING_RULE, "")),
-        PageSection::new("search-settings", ranking_table(search, count)),
-        PageSection::new("search-effects", untitled(effects_section(search))),
-        PageSection::new("search-unmet", untitled(unmet_section(search))),
-        PageSection::new("search-claims", untitled(verdicts_section(search))),
+        PageSection::new("search-settings", ranking_table(ranking, count)),
+        PageSection::new("search-effects", untitled(effects_section(ranking))),
+        PageSection::new("search-unmet", untitled(unmet_section(ranking))),
+        PageSection::new("search-claims", untitled(verdicts_section(ranking))),
         PageSection::new(
             "search-made",
-            without_heading_wrapped(&origin_section(&search.report, command)),
+            remove_headings_and_wrap(&origin_section(&ranking.report, command)),
         ),
     ]
 }
 
 /// Summarises the search and its result, one sentence an item.
-pub fn summary(search: &SettingSearch<'_>) -> Vec<String> {
-    let ClaimCounts { met, unmet, not_run } = search.counts();
-    let runs: usize = search.report.columns.iter().map(|c| c.condition.run_count()).sum();
-    let rows = &search.report.rows;
+pub fn summary(ranking: &SettingRanking<'_>) -> Vec<String> {
+    let ClaimCounts { met, unmet, not_run } = ranking.counts();
+    let runs: usize = ranking.report.columns.iter().map(|c| c.condition.run_count()).sum();
+    let rows = &ranking.report.rows;
     let halves = [ClaimHalf::Search, ClaimHalf::HeldOut].map(|half| {
         let of_half = (1..)
             .zip(rows)
@@ -73,7 +78,7 @@ pub fn summary(search: &SettingSearch<'_>) -> Vec<String> {
     let mut sentences = vec![
         format!(
             "{} settings, {runs} runs; {} claims, of which {} were run: {} to search by, {} held out.",
-            search.settings.len(),
+            ranking.settings.len(),
             rows.len(),
             met + unmet,
             halves[0],
@@ -81,7 +86,7 @@ pub fn summary(search: &SettingSearch<'_>) -> Vec<String> {
         ),
         format!("{met} claims are met by some setting, {unmet} by none, {not_run} were not run."),
     ];
-    if let Some(best) = search.settings.first() {
+    if let Some(best) = ranking.settings.first() {
         sentences.push(format!(
             "The best of the search half meets {} of {} claims there and {} of {} of those held out, by which it has \
              place {} of {}.",
@@ -90,10 +95,10 @@ pub fn summary(search: &SettingSearch<'_>) -> Vec<String> {
             best.held_out.met,
             best.held_out.judged,
             best.held_out_rank,
-            search.settings.len()
+            ranking.settings.len()
         ));
     }
-    if let Some(correlation) = search.correlation() {
+    if let Some(correlation) = ranking.correlation() {
         sentences.push(format!(
             "Over all settings, the numbers of claims met in the two halves have a correlation of {correlation:.2}."
         ));
@@ -102,8 +107,8 @@ pub fn summary(search: &SettingSearch<'_>) -> Vec<String> {
 }
 
 /// Headings of the ranking: its own columns, then the fields in which settings differ.
-pub fn ranking_heads(search: &SettingSearch<'_>) -> Vec<String> {
-    let ranking = [
+pub fn ranking_heads(ranking: &SettingRanking<'_>) -> Vec<String> {
+    let ranking_columns = [
         "place",
         "met",
         "within 20 %",
@@ -113,13 +118,13 @@ pub fn ranking_heads(search: &SettingSearch<'_>) -> Vec<String> {
         "of",
         "place",
     ];
-    let ranking = ranking.map(str::to_owned).into_iter();
-    let fields = search.fields().into_iter().map(str::to_owned);
-    ranking.chain(["setting".to_owned()]).chain(fields).collect()
+    let ranking_columns = ranking_columns.map(str::to_owned).into_iter();
+    let fields = ranking.fields().into_iter().map(str::to_owned);
+    ranking_columns.chain(["setting".to_owned()]).chain(fields).collect()
 }
 
 /// Formats a row of the ranking, in the order of [`ranking_heads`].
-pub fn ranking_row(search: &SettingSearch<'_>, setting: &RankedSetting) -> Vec<String> {
+pub fn ranking_row(ranking: &SettingRanking<'_>, setting: &RankedSetting) -> Vec<String> {
     let (search_score, held_out_score) = (setting.search, setting.held_out);
     let numbers = [
         setting.rank,
@@ -131,14 +136,14 @@ pub fn ranking_row(search: &SettingSearch<'_>, setting: &RankedSetting) -> Vec<S
         held_out_score.judged,
         setting.held_out_rank,
     ];
-    let condition = search.report.columns[setting.column].condition;
+    let condition = ranking.report.columns[setting.column].condition;
     let name = if condition.is_unchanged_preset() {
         condition.preset.clone()
     } else {
         String::new()
     };
-    let fields = search.fields().into_iter();
-    let values = fields.map(|field| search.value(setting.column, field).unwrap_or("–").to_owned());
+    let fields = ranking.fields().into_iter();
+    let values = fields.map(|field| ranking.value(setting.column, field).unwrap_or("–").to_owned());
     let numbers = numbers.iter().map(ToString::to_string);
     numbers.chain([name]).chain(values).collect()
 }
@@ -154,13 +159,13 @@ fn table(heads: &[String], rows: impl Iterator<Item = Vec<String>>) -> String {
     out
 }
 
-fn ranking_table(search: &SettingSearch<'_>, count: usize) -> String {
-    let shown: Vec<&RankedSetting> = search.settings_to_show(count).collect();
+fn ranking_table(ranking: &SettingRanking<'_>, count: usize) -> String {
+    let shown: Vec<&RankedSetting> = ranking.settings_to_show(count).collect();
     let mut out = table(
-        &ranking_heads(search),
-        shown.iter().map(|setting| ranking_row(search, setting)),
+        &ranking_heads(ranking),
+        shown.iter().map(|setting| ranking_row(ranking, setting)),
     );
-    match search.settings.len() - shown.len() {
+    match ranking.settings.len() - shown.len() {
         0 => {}
         1 => out.push_str("\nOne more setting is not shown.\n"),
         rest => {
@@ -170,8 +175,8 @@ fn ranking_table(search: &SettingSearch<'_>, count: usize) -> String {
     out
 }
 
-fn effects_section(search: &SettingSearch<'_>) -> String {
-    let effects = search.effects();
+fn effects_section(ranking: &SettingRanking<'_>) -> String {
+    let effects = ranking.effects();
     if effects.is_empty() {
         return String::new();
     }
@@ -200,8 +205,8 @@ fn effects_section(search: &SettingSearch<'_>) -> String {
     )
 }
 
-fn unmet_section(search: &SettingSearch<'_>) -> String {
-    let claims = search.unmet();
+fn unmet_section(ranking: &SettingRanking<'_>) -> String {
+    let claims = ranking.unmet();
     if claims.is_empty() {
         return String::new();
     }
@@ -221,7 +226,7 @@ fn unmet_section(search: &SettingSearch<'_>) -> String {
             row.stated.clone(),
             assessment.measured.clone(),
             verdict_cell(row, closest),
-            search.label(closest).to_owned(),
+            ranking.label(closest).to_owned(),
             assessment.explanation.clone(),
         ]
     });
@@ -229,10 +234,10 @@ fn unmet_section(search: &SettingSearch<'_>) -> String {
 }
 
 /// Lists every claim, its half, the number of settings that meet it, and its verdicts under presets and best setting.
-fn verdicts_section(search: &SettingSearch<'_>) -> String {
-    let best = search.settings.first().map(|setting| setting.column);
+fn verdicts_section(ranking: &SettingRanking<'_>) -> String {
+    let best = ranking.settings.first().map(|setting| setting.column);
     // With a count of 0, `settings_to_show` yields only the presets.
-    let presets = search.settings_to_show(0).map(|setting| setting.column);
+    let presets = ranking.settings_to_show(0).map(|setting| setting.column);
     let mut columns: Vec<usize> = presets.collect();
     columns.sort_unstable();
     columns.extend(best.filter(|best| !columns.contains(best)));
@@ -247,8 +252,8 @@ fn verdicts_section(search: &SettingSearch<'_>) -> String {
         "settings that meet it",
     ];
     let mut heads: Vec<String> = heads.map(str::to_owned).to_vec();
-    heads.extend(columns.iter().map(|column| search.label(*column).to_owned()));
-    let numbered_rows = (1..).zip(&search.report.rows).filter(|(_, row)| row.has_runs());
+    heads.extend(columns.iter().map(|column| ranking.label(*column).to_owned()));
+    let numbered_rows = (1..).zip(&ranking.report.rows).filter(|(_, row)| row.has_runs());
     let table_rows = numbered_rows.map(|(number, row)| {
         let setting_count = row
             .assessments

@@ -130,16 +130,16 @@ pub struct ClaimCounts {
     pub not_run: usize,
 }
 
-/// Result of the search.
+/// The settings of a report, ranked by the search half.
 #[derive(Clone, Debug)]
-pub struct SettingSearch<'r> {
+pub struct SettingRanking<'r> {
     /// All settings, and the claims.
     pub report: ClaimReport<'r>,
     /// Settings, best first. Equal scores are in the order of the report's columns, which starts with the presets.
     pub settings: Vec<RankedSetting>,
 }
 
-impl<'r> SettingSearch<'r> {
+impl<'r> SettingRanking<'r> {
     /// Ranks the settings of `report`.
     pub fn new(report: ClaimReport<'r>) -> Self {
         let scores = |half: ClaimHalf| -> Vec<HalfScore> {
@@ -250,8 +250,8 @@ impl<'r> SettingSearch<'r> {
     /// Value of `field` in a column; `None` for the value of the setting's own preset.
     pub fn value(&self, column: usize, field: &str) -> Option<&str> {
         let mut changed = self.report.columns[column].condition.all_changes();
-        let own = changed.find(|(path, _)| path == field);
-        own.map(|(_, value)| value.as_str())
+        let change = changed.find(|(path, _)| path == field);
+        change.map(|(_, value)| value.as_str())
     }
 
     /// Values of `field` over all settings, in the order of the columns; `None` is the value of a setting's own preset.

@@ -36,32 +36,32 @@ fn results(settings: &[(f64, [f64; 4])]) -> Results {
     Results::new(&[swept(settings)], &NoFiles).expect("runs")
 }
 
-fn alphas(search: &SettingSearch<'_>) -> Vec<String> {
-    let values = search
+fn alphas(ranking: &SettingRanking<'_>) -> Vec<String> {
+    let values = ranking
         .settings
         .iter()
-        .map(|setting| search.value(setting.column, "events.alpha"));
+        .map(|setting| ranking.value(setting.column, "events.alpha"));
     values.map(|value| value.unwrap_or("–").to_owned()).collect()
 }
 
 #[test]
 fn settings_that_meet_more_claims_come_first() {
     let results = results(&[(0.3, ELSEWHERE), (0.1, NEXT_TO_IT), (0.4, AS_STATED)]);
-    let search = SettingSearch::new(ClaimReport::new(&results));
-    assert_eq!(alphas(&search), ["0.4", "0.1", "0.3"]);
-    let places: Vec<usize> = search.settings.iter().map(|setting| setting.rank).collect();
+    let ranking = SettingRanking::new(ClaimReport::new(&results));
+    assert_eq!(alphas(&ranking), ["0.4", "0.1", "0.3"]);
+    let places: Vec<usize> = ranking.settings.iter().map(|setting| setting.rank).collect();
     assert_eq!(places, [1, 2, 3]);
-    let met: Vec<usize> = search.settings.iter().map(|setting| setting.search.met).collect();
+    let met: Vec<usize> = ranking.settings.iter().map(|setting| setting.search.met).collect();
     assert!(met[0] > met[1] && met[1] > met[2], "{met:?}");
 }
 
 #[test]
 fn a_score_counts_the_verdicts_of_its_half_by_number() {
     let results = results(&[(0.3, ELSEWHERE), (0.4, AS_STATED)]);
-    let search = SettingSearch::new(ClaimReport::new(&results));
-    for setting in &search.settings {
+    let ranking = SettingRanking::new(ClaimReport::new(&results));
+    for setting in &ranking.settings {
         let (mut even, mut odd) = ([0; 3], [0; 3]);
-        for (index, line) in search.report.rows.iter().enumerate() {
+        for (index, line) in ranking.report.rows.iter().enumerate() {
             // The first claim has the number 1.
             let half = if index % 2 == 1 { &mut even } else { &mut odd };
             match line.assessments[setting.column].verdict {
@@ -80,8 +80,8 @@ fn a_score_counts_the_verdicts_of_its_half_by_number() {
 }
 
 /// Returns the ranking after the verdicts of one half are set to the worst.
-fn ranked_without(search: &SettingSearch<'_>, half: ClaimHalf) -> Vec<usize> {
-    let mut report = search.report.clone();
+fn ranked_without(ranking: &SettingRanking<'_>, half: ClaimHalf) -> Vec<usize> {
+    let mut report = ranking.report.clone();
     for (number, line) in (1..).zip(&mut report.rows) {
         if ClaimHalf::of_number(number) == half {
             for ours in &mut line.assessments {
@@ -90,19 +90,19 @@ fn ranked_without(search: &SettingSearch<'_>, half: ClaimHalf) -> Vec<usize> {
             }
         }
     }
-    let settings = SettingSearch::new(report).settings;
+    let settings = SettingRanking::new(report).settings;
     settings.into_iter().map(|setting| setting.column).collect()
 }
 
 #[test]
 fn the_held_out_half_does_not_affect_the_ranking() {
     let results = results(&[(0.3, ELSEWHERE), (0.1, NEXT_TO_IT), (0.4, AS_STATED)]);
-    let search = SettingSearch::new(ClaimReport::new(&results));
-    let ranked: Vec<usize> = search.settings.iter().map(|setting| setting.column).collect();
-    assert_eq!(ranked_without(&search, ClaimHalf::HeldOut), ranked);
-    let unranked: Vec<usize> = (0..search.settings.len()).collect();
+    let ranking = SettingRanking::new(ClaimReport::new(&results));
+    let ranked: Vec<usize> = ranking.settings.iter().map(|setting| setting.column).collect();
+    assert_eq!(ranked_without(&ranking, ClaimHalf::HeldOut), ranked);
+    let unranked: Vec<usize> = (0..ranking.settings.len()).collect();
     assert_eq!(
-        ranked_without(&search, ClaimHalf::Search),
+        ranked_without(&ranking, ClaimHalf::Search),
         unranked,
         "nothing else ranks"
     );
@@ -113,13 +113,13 @@ fn the_held_out_half_does_not_affect_the_ranking() {
 fn equal_scores_share_a_place_and_presets_are_always_shown() {
     // λ = 0.1 is the preset's; the two settings before it are better and equal.
     let results = results(&[(0.3, AS_STATED), (0.4, AS_STATED), (0.2, ELSEWHERE)]);
-    let search = SettingSearch::new(ClaimReport::new(&results));
-    let places: Vec<usize> = search.settings.iter().map(|setting| setting.rank).collect();
+    let ranking = SettingRanking::new(ClaimReport::new(&results));
+    let places: Vec<usize> = ranking.settings.iter().map(|setting| setting.rank).collect();
     assert_eq!(places, [1, 1, 3]);
-    assert_eq!(search.label(search.settings[2].column), "paper");
-    let shown: Vec<usize> = search.settings_to_show(1).map(|setting| setting.rank).collect();
+    assert_eq!(ranking.label(ranking.settings[2].column), "paper");
+    let shown: Vec<usize> = ranking.settings_to_show(1).map(|setting| setting.rank).collect();
     assert_eq!(shown, [1, 3], "the best and the preset");
-    let page = markdown(&search, 1, "reveille report search a");
+    let page = markdown(&ranking, 1, "reveille report search a");
     assert!(page.contains("One more setting is not shown"), "{page}");
 }
 
@@ -128,27 +128,27 @@ fn unmet_claims_have_the_closest_value() {
     let far = [0.5, 0.145, 0.34, 0.10];
     let near = [0.5, 0.145, 0.34, 0.17];
     let results = results(&[(0.3, far), (0.4, near)]);
-    let search = SettingSearch::new(ClaimReport::new(&results));
-    let unmet = search.unmet();
+    let ranking = SettingRanking::new(ClaimReport::new(&results));
+    let unmet = ranking.unmet();
     let own = unmet
         .iter()
         .find(|unmet| unmet.row.policy == "random" && unmet.row.stated == "> 0.18");
     let own = own.expect("0.1 and 0.17 are not above 0.18");
-    assert_eq!(search.value(own.closest, "events.alpha"), Some("0.4"));
+    assert_eq!(ranking.value(own.closest, "events.alpha"), Some("0.4"));
     assert!(
         own.row.assessments[own.closest].measured.starts_with("0.170"),
         "{own:?}"
     );
-    assert!(search.report.rows[own.number - 1] == *own.row);
+    assert!(ranking.report.rows[own.number - 1] == *own.row);
     assert!(
         !unmet
             .iter()
             .any(|unmet| unmet.row.stated == "≈ 0.145" && unmet.row.policy == "knn")
     );
-    let counts = search.counts();
-    assert_eq!(counts.met + counts.unmet + counts.not_run, search.report.rows.len());
+    let counts = ranking.counts();
+    assert_eq!(counts.met + counts.unmet + counts.not_run, ranking.report.rows.len());
     assert_eq!(counts.unmet, unmet.len());
-    let page = markdown(&search, 20, "reveille report search a");
+    let page = markdown(&ranking, 20, "reveille report search a");
     assert!(
         page.contains(&format!("| {} | Fig. 8 | random | N = 250 |", own.number)),
         "{page}"
@@ -158,8 +158,8 @@ fn unmet_claims_have_the_closest_value() {
 #[test]
 fn a_value_has_the_mean_of_its_settings() {
     let results = results(&[(0.3, ELSEWHERE), (0.4, AS_STATED)]);
-    let search = SettingSearch::new(ClaimReport::new(&results));
-    let effects = search.effects();
+    let ranking = SettingRanking::new(ClaimReport::new(&results));
+    let effects = ranking.effects();
     let [first, second] = &effects[..] else {
         panic!("{effects:?}")
     };
@@ -167,7 +167,7 @@ fn a_value_has_the_mean_of_its_settings() {
         (first.field.as_str(), first.value.as_str(), first.setting_count),
         ("events.alpha", "0.3", 1)
     );
-    let best = &search.settings[0];
+    let best = &ranking.settings[0];
     assert_eq!(
         (second.value.as_str(), second.most_met_search),
         ("0.4", best.search.met)
@@ -179,26 +179,26 @@ fn a_value_has_the_mean_of_its_settings() {
 #[test]
 fn halves_that_rise_together_correlate() {
     let results = results(&[(0.3, ELSEWHERE), (0.1, NEXT_TO_IT), (0.4, AS_STATED)]);
-    let mut search = SettingSearch::new(ClaimReport::new(&results));
+    let mut ranking = SettingRanking::new(ClaimReport::new(&results));
     let met = [(1, 2), (2, 4), (3, 9)];
-    for (setting, (chosen, checked)) in search.settings.iter_mut().zip(met) {
+    for (setting, (chosen, checked)) in ranking.settings.iter_mut().zip(met) {
         (setting.search.met, setting.held_out.met) = (chosen, checked);
     }
     // Deviations -1, 0, 1 and -3, -1, 4: 7 / √(2 · 26).
-    let found = search.correlation().expect("they differ");
+    let found = ranking.correlation().expect("they differ");
     assert!((found - 7.0 / 52.0_f64.sqrt()).abs() < 1e-12, "{found}");
-    for setting in &mut search.settings {
+    for setting in &mut ranking.settings {
         setting.held_out.met = 5;
     }
-    assert_eq!(search.correlation(), None);
+    assert_eq!(ranking.correlation(), None);
 }
 
 #[test]
 fn the_parts_of_a_page_hold_what_the_page_of_the_search_holds() {
     let results = results(&[(0.3, ELSEWHERE), (0.4, AS_STATED)]);
-    let search = SettingSearch::new(ClaimReport::new(&results));
-    let whole = markdown(&search, 5, "command");
-    for part in super::markdown::page_sections(&search, 5, "command") {
+    let ranking = SettingRanking::new(ClaimReport::new(&results));
+    let whole = markdown(&ranking, 5, "command");
+    for part in super::markdown::page_sections(&ranking, 5, "command") {
         let rows = part.body.lines().filter(|line| line.starts_with("| "));
         assert!(rows.clone().all(|row| whole.contains(row)), "{}", part.name);
         assert!(

@@ -1,14 +1,14 @@
 //! Forward pass of the model for one TTI. `lab/src/transformer/net.rs` trains the same computation, so change both. The
 //! bits of the result are the same for every [`VectorWidth`]; digests depend on them.
 //!
-//! A token attends to the last Z TTIs of its own device (paper, Eqs. (δ(k)2) and (δ(k)3)), whose keys and values are
-//! kept. Then the devices attend to each other. There the weight of a pair is the dot product of positive features of a
-//! key and a query, without an exponential (linear attention). The time thus grows with N and not with N². A TTI needs
-//! no allocation.
+//! A token attends to the last Z TTIs of its own device (Eqs. (`delta(k)2`) and (`delta(k)3`)), whose keys and values
+//! are kept. Then, if `attends_to_devices`, the devices attend to each other. There the weight of a pair is the dot
+//! product of positive features of a key and a query, without an exponential (linear attention). The time thus grows
+//! with N and not with N². A TTI needs no allocation.
 
 #![expect(
     clippy::inline_always,
-    reason = "what is not inlined there is not compiled for the instructions that VectorWidth::run chooses"
+    reason = "code that is not inlined into VectorWidth::run is not compiled for the instructions that it chooses"
 )]
 
 use std::sync::Arc;
@@ -43,7 +43,7 @@ pub struct ForwardPass {
     query: Vec<f32>,
     gathered: Vec<f32>,
     projected: Vec<f32>,
-    /// `[N, 2d]`.
+    /// `[N, EXPANSION · d]`.
     hidden: Vec<f32>,
     /// `[N, OUTPUTS]`.
     outputs: Vec<f32>,
@@ -60,18 +60,18 @@ impl ForwardPass {
     pub fn new(weights: Arc<ModelWeights>, devices: usize) -> Self {
         let shape = weights.shape;
         let (d, z) = (shape.width, shape.memory);
-        let tokens = || vec![0.0; devices * d];
+        let per_device_buffer = || vec![0.0; devices * d];
         Self {
             vector_width: VectorWidth::fastest(),
             devices,
             ttis_processed: 0,
             keys: vec![0.0; z * devices * d],
             values: vec![0.0; z * devices * d],
-            state: tokens(),
-            normalised: tokens(),
-            query: tokens(),
-            gathered: tokens(),
-            projected: tokens(),
+            state: per_device_buffer(),
+            normalised: per_device_buffer(),
+            query: per_device_buffer(),
+            gathered: per_device_buffer(),
+            projected: per_device_buffer(),
             hidden: vec![0.0; devices * d * EXPANSION],
             outputs: vec![0.0; devices * OUTPUTS],
             attention: vec![0.0; devices * shape.heads * z],
@@ -90,8 +90,8 @@ impl ForwardPass {
         }
     }
 
-    /// Processes the next TTI with these tokens, `[N, F]`. Returns the outputs of each device, `[N, OUTPUTS]`:
-    /// logarithms within ± [`OUTPUT_LIMIT`].
+    /// Processes the next TTI with these tokens, `[N, F]` for F = `tokens::FEATURE_COUNT`. Returns the outputs of each
+    /// device, `[N, OUTPUTS]`: logarithms within ± [`OUTPUT_LIMIT`].
     pub fn step(&mut self, tokens: &[f32]) -> &[f32] {
         let vector_width = self.vector_width;
         vector_width.run(

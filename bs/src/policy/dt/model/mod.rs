@@ -1,6 +1,7 @@
 //! The transformer of the policy `dt`: its shape ([`ModelShape`]), its [`weights`] with their file, and its inference
 //! ([`infer`], with the arithmetic in `kernel`). `lab/src/transformer/` trains it. The names and sizes of the tensors
-//! ([`ModelShape::tensors`]) are the format of the weights file, such as `../shipped.safetensors`.
+//! ([`ModelShape::tensors`]) are the format of the weights file, such as `../shipped.safetensors`. In the code, a
+//! *target* is the share of new events to find in their first TTI, and the *price* is the price θ of a TTI in S1.
 
 pub mod infer;
 mod kernel;
@@ -58,7 +59,7 @@ pub struct ModelShape {
     pub heads: usize,
     /// Whether devices attend to each other.
     pub attends_to_devices: bool,
-    /// Meaning of the outputs, fixed by the training.
+    /// Meaning of the first output, fixed by the training.
     pub objective: ModelObjective,
 }
 
@@ -86,7 +87,7 @@ impl ModelShape {
         self.width / self.heads
     }
 
-    /// Returns the names and sizes of all tensors. Their order seeds the initial weights of a training.
+    /// Returns the names and sizes of all tensors. The order determines which random numbers initialise which tensor.
     pub fn tensors(&self) -> Vec<(&'static str, Vec<usize>)> {
         let (d, wide) = (self.width, EXPANSION * self.width);
         let mut tensors = vec![

@@ -136,7 +136,7 @@ impl Reference<'_> {
     }
 
     /// Returns the states after devices have attended to each other, by the weight of every pair.
-    fn in_space(&self, states: &[Vec<f64>]) -> Vec<Vec<f64>> {
+    fn attend_across_devices(&self, states: &[Vec<f64>]) -> Vec<Vec<f64>> {
         let ModelShape { width, heads, .. } = self.1;
         let own = width / heads;
         let normed: Vec<Vec<f64>> = states.iter().map(|state| self.norm(state, "space.norm")).collect();
@@ -174,7 +174,7 @@ impl Reference<'_> {
     fn step(&self, ttis: &[Vec<f32>], n: usize, target: f64) -> (Vec<f64>, f64) {
         let mut states: Vec<Vec<f64>> = (0..n).map(|j| self.in_time(ttis, j)).collect();
         if self.1.attends_to_devices {
-            states = self.in_space(&states);
+            states = self.attend_across_devices(&states);
         }
         let last: Vec<Vec<f64>> = states.iter().map(|state| self.norm(state, "head.norm")).collect();
         let logs = last

@@ -27,10 +27,10 @@ pub(super) struct SequentialSelector {
     area_in_discs: f64,
     /// By battery and area bucket, whether sensing is worth more than sleep.
     is_worth_it: [[bool; AREA_BUCKETS]; BATTERY_BUCKETS],
-    /// Area bucket by number of newly covered parts.
-    bucket_by_parts: Vec<u8>,
-    /// By device, the parts that it covers if no other device senses.
-    own_parts: Vec<u32>,
+    /// Area bucket by number of newly covered units.
+    bucket_by_units: Vec<u8>,
+    /// By device, the units that it covers if no other device senses.
+    own_units: Vec<u32>,
     /// The battery bucket of each device.
     battery_buckets: Vec<u8>,
     /// By device, an upper bound of its key. Gains never rise while others are added, so neither does a key.
@@ -42,15 +42,15 @@ pub(super) struct SequentialSelector {
 impl SequentialSelector {
     /// Creates a selector for the devices of `coverage`, none added yet, on an area of `area_in_discs` sensing discs.
     pub(super) fn new(coverage: Coverage, area_in_discs: f64, devices: usize) -> Self {
-        let own_parts: Vec<u32> = (0..devices).map(|j| coverage.gain_in_parts(j)).collect();
-        let (max_parts, all_parts) = (own_parts.iter().copied().max().unwrap_or(0), coverage.total_parts());
+        let own_units: Vec<u32> = (0..devices).map(|j| coverage.gain_in_units(j)).collect();
+        let (max_units, total_units) = (own_units.iter().copied().max().unwrap_or(0), coverage.total_units());
         Self {
             area_in_discs,
             is_worth_it: [[false; AREA_BUCKETS]; BATTERY_BUCKETS],
-            bucket_by_parts: (0..=max_parts)
-                .map(|parts| area_bucket(f64::from(parts) / all_parts * area_in_discs) as u8)
+            bucket_by_units: (0..=max_units)
+                .map(|units| area_bucket(f64::from(units) / total_units * area_in_discs) as u8)
                 .collect(),
-            own_parts,
+            own_units,
             battery_buckets: vec![0; devices],
             key_bounds: vec![0; devices],
             block_devices: Vec::with_capacity(devices),
@@ -103,7 +103,7 @@ impl SequentialSelector {
         for min_bucket in PASS_MIN_BUCKETS {
             for j in 0..self.key_bounds.len() {
                 let may_choose = is_free(j) && self.battery_buckets[j] >= min_bucket && !self.coverage.contains(j);
-                self.key_bounds[j] = if may_choose { self.key(j, self.own_parts[j]) } else { 0 };
+                self.key_bounds[j] = if may_choose { self.key(j, self.own_units[j]) } else { 0 };
             }
             self.cover_cells(&mut chosen);
         }
@@ -164,7 +164,7 @@ impl SequentialSelector {
 
     /// Recomputes the key of device `j`.
     fn update_key(&mut self, j: u32) -> u64 {
-        let key = self.key(j as usize, self.coverage.gain_in_parts(j as usize));
+        let key = self.key(j as usize, self.coverage.gain_in_units(j as usize));
         self.key_bounds[j as usize] = key;
         key
     }
@@ -177,11 +177,11 @@ impl SequentialSelector {
         covering: impl Fn() -> I,
     ) {
         loop {
-            let loss = |j: DeviceId| self.coverage.loss_in_parts(j.index());
-            let is_superfluous = |j: DeviceId, parts: u32| self.key(j.index(), parts) == 0;
+            let loss = |j: DeviceId| self.coverage.loss_in_units(j.index());
+            let is_superfluous = |j: DeviceId, units: u32| self.key(j.index(), units) == 0;
             let superfluous_loss = |(turn, &j): (usize, &DeviceId)| {
-                let parts = loss(j).filter(|&parts| is_superfluous(j, parts))?;
-                Some((parts, turn))
+                let units = loss(j).filter(|&units| is_superfluous(j, units))?;
+                Some((units, turn))
             };
             // `min_by_key` takes the first of equals, which in reverse order is the device chosen last.
             let least_useful = chosen
@@ -189,7 +189,7 @@ impl SequentialSelector {
                 .enumerate()
                 .rev()
                 .filter_map(superfluous_loss)
-                .min_by_key(|(parts, _)| *parts);
+                .min_by_key(|(units, _)| *units);
             let Some((_, turn)) = least_useful else { return };
             chosen.remove(turn);
             // Without that device others cover more places alone, so all losses are recomputed.
@@ -197,17 +197,17 @@ impl SequentialSelector {
         }
     }
 
-    /// Returns the key: the newly covered parts times the charge in sixths, followed by the inverted id. The largest
+    /// Returns the key: the newly covered units times the charge in sixths, followed by the inverted id. The largest
     /// key has the largest product, and among equal products the lowest id. The key is 0 for a device that cannot
-    /// report, covers no new parts or has no advantage.
+    /// report, covers no new units or has no advantage.
     #[inline]
-    fn key(&self, j: usize, parts: u32) -> u64 {
+    fn key(&self, j: usize, units: u32) -> u64 {
         let battery = self.battery_buckets[j];
-        let is_worth_it = self.is_worth_it[usize::from(battery)][usize::from(self.bucket_by_parts[parts as usize])];
-        if battery < FIRST_ABLE_BUCKET || !is_worth_it || parts == 0 {
+        let is_worth_it = self.is_worth_it[usize::from(battery)][usize::from(self.bucket_by_units[units as usize])];
+        if battery < FIRST_ABLE_BUCKET || !is_worth_it || units == 0 {
             return 0;
         }
         let charge = u64::from(battery - FIRST_ABLE_BUCKET + 1);
-        (u64::from(parts) * charge) << 24 | u64::from(MAX_ID - j as u32)
+        (u64::from(units) * charge) << 24 | u64::from(MAX_ID - j as u32)
     }
 }

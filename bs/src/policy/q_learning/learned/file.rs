@@ -72,6 +72,20 @@ pub enum LearnedError {
     Damaged(String),
 }
 
+impl LearnedError {
+    /// Returns the cause, without the advice for a file that the user has named.
+    pub fn cause(&self) -> String {
+        match self {
+            Self::Read(error) => format!("it cannot be read: {error}"),
+            Self::Foreign(reason) => format!("it is not a file of learned tables: {reason}"),
+            Self::Version(version) => {
+                format!("it has version {version} of the format, and this program reads {VERSION}")
+            }
+            Self::Damaged(reason) => format!("it is damaged: {reason}"),
+        }
+    }
+}
+
 /// Header before the body.
 #[derive(Deserialize)]
 struct FileHeader {
@@ -252,7 +266,7 @@ impl LearnedTables {
         }
         // `LearnedTables::lookbacks` and `LearnedTables::range` rely on this order.
         let is_before = |a: &TableSet, b: &TableSet| {
-            a.lookback < b.lookback || a.lookback == b.lookback && a.density() < b.density()
+            a.lookback < b.lookback || a.lookback == b.lookback && a.device_density() < b.device_density()
         };
         if !self.entries.is_sorted_by(is_before) {
             return Err("its entries are not in the order of their windows and densities".to_owned());

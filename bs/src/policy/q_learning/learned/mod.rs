@@ -190,7 +190,7 @@ impl TableSet {
     }
 
     /// Devices per m².
-    pub fn density(&self) -> f64 {
+    pub fn device_density(&self) -> f64 {
         f64::from(self.devices) / self.surface
     }
 }
@@ -278,7 +278,7 @@ impl LearnedTables {
     /// Returns the entry for `lookback` nearest in density to `devices` on `surface` m², at most a factor of 2 away.
     pub fn closest_entry(&self, lookback: Lookback, devices: u32, surface: f64) -> Option<&TableSet> {
         let density = f64::from(devices) / surface;
-        let log_distance = |entry: &TableSet| libm::log(entry.density() / density).abs();
+        let log_distance = |entry: &TableSet| libm::log(entry.device_density() / density).abs();
         let nearest = self
             .entries_for(lookback)
             .min_by(|a, b| log_distance(a).total_cmp(&log_distance(b)))?;
@@ -288,7 +288,7 @@ impl LearnedTables {
 
     /// Returns the least and the largest N on `surface` m² that the entries for `lookback` serve.
     pub fn served_devices(&self, lookback: Lookback, surface: f64) -> (u32, u32) {
-        let devices_of = |entry: Option<&TableSet>| entry.map_or(0.0, TableSet::density) * surface;
+        let devices_of = |entry: Option<&TableSet>| entry.map_or(0.0, TableSet::device_density) * surface;
         let (fewest, most) = (
             devices_of(self.entries_for(lookback).next()),
             devices_of(self.entries_for(lookback).last()),

@@ -1,4 +1,5 @@
-//! Fit of findings to a statement: rules 2 and 3 of [`super`], for the means and for all values in their intervals.
+//! Agreement of findings with a statement: rules 2 and 3 of [`super`], for the means and for all values in their
+//! intervals.
 
 use super::finding::Finding;
 use crate::claims::Statement;
@@ -13,10 +14,10 @@ const TREND_TOLERANCE: f64 = 0.1;
 /// Allowance for binary rounding at the limit of 20 %.
 const ROUNDING: f64 = 1e-9;
 
-/// Level of a fit.
+/// Level of an agreement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum FitLevel {
-    /// No fit.
+pub enum AgreementLevel {
+    /// No agreement.
     No,
     /// Within 20 % of the statement.
     Near,
@@ -24,19 +25,19 @@ pub enum FitLevel {
     Yes,
 }
 
-/// Fit of the means, and the range of fits within their intervals.
+/// Agreement of the means, and the range of agreements within their intervals.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Fit {
-    /// Fit of the means.
-    pub of_means: FitLevel,
-    /// Worst fit within the intervals.
-    pub worst: FitLevel,
-    /// Best fit within the intervals.
-    pub best: FitLevel,
+pub struct Agreement {
+    /// Agreement of the means.
+    pub of_means: AgreementLevel,
+    /// Worst agreement within the intervals.
+    pub worst: AgreementLevel,
+    /// Best agreement within the intervals.
+    pub best: AgreementLevel,
 }
 
-impl Fit {
-    /// Computes the fit of `findings` to `statement`; `None` if there are too few findings.
+impl Agreement {
+    /// Computes the agreement of `findings` with `statement`; `None` if there are too few findings.
     pub fn of_findings(statement: Statement, findings: &[Finding]) -> Option<Self> {
         if statement.range().is_some() {
             return findings
@@ -59,12 +60,12 @@ impl Fit {
             .reduce(Self::worse)
     }
 
-    /// Whether the fit is the same throughout the intervals.
+    /// Whether the agreement is the same throughout the intervals.
     pub(crate) fn is_firm(self) -> bool {
         self.worst == self.best
     }
 
-    /// Fit to both of two statements.
+    /// Agreement with both of two statements.
     fn worse(self, other: Self) -> Self {
         Self {
             of_means: self.of_means.min(other.of_means),
@@ -73,22 +74,22 @@ impl Fit {
         }
     }
 
-    /// Computes the fit of one finding to a statement on each N.
+    /// Computes the agreement of one finding with a statement on each N.
     fn at_one_n(statement: Statement, finding: &Finding) -> Self {
         let Finding { value, low, high, .. } = *finding;
-        let fit = |x: f64| fit_level(statement, x, finding.zero_limit);
-        // Each statement here is a range: the point of the interval nearest to the range fits best, and an end fits
-        // worst.
+        let level = |x: f64| agreement_level(statement, x, finding.zero_limit);
+        // Each statement here is a range: the point of the interval nearest to the range agrees best, and an end
+        // agrees worst.
         let (from, to) = statement.range().unwrap_or((f64::NEG_INFINITY, f64::INFINITY));
         let nearest = if low > to { low } else { from.max(low).min(high) };
         Self {
-            of_means: fit(value),
-            worst: fit(low).min(fit(high)),
-            best: fit(nearest).max(fit(low)).max(fit(high)),
+            of_means: level(value),
+            worst: level(low).min(level(high)),
+            best: level(nearest).max(level(low)).max(level(high)),
         }
     }
 
-    /// Computes the fit to a statement on several N together.
+    /// Computes the agreement with a statement on several N together.
     fn over_all_n(statement: Statement, row: &[Finding]) -> Self {
         match statement {
             Statement::Largest(v) => Self::at_one_n(Statement::About(v), &extreme(row, f64::max)),
@@ -97,9 +98,9 @@ impl Fit {
             Statement::Falls => Self::trend(row, |x| x),
             Statement::Rises => Self::trend(row, |x| -x),
             Statement::About(_) | Statement::Between(..) | Statement::Below(_) | Statement::Above(_) => Self {
-                of_means: FitLevel::No,
-                worst: FitLevel::No,
-                best: FitLevel::No,
+                of_means: AgreementLevel::No,
+                worst: AgreementLevel::No,
+                best: AgreementLevel::No,
             },
         }
     }
@@ -115,15 +116,14 @@ impl Fit {
             let is_near = most.is_finite() && most - least <= (NEAR_TOLERANCE + ROUNDING) * (most + least);
             most <= least || most <= zero || is_near
         };
-        let fits = |yes| if yes { FitLevel::Yes } else { FitLevel::No };
         Self {
-            of_means: fits(is_level(smallest(|f| f.value), largest(|f| f.value))),
-            worst: fits(is_level(smallest(|f| f.low), largest(|f| f.high))),
-            best: fits(is_level(smallest(|f| f.high), largest(|f| f.low))),
+            of_means: agreement_if(is_level(smallest(|f| f.value), largest(|f| f.value))),
+            worst: agreement_if(is_level(smallest(|f| f.low), largest(|f| f.high))),
+            best: agreement_if(is_level(smallest(|f| f.high), largest(|f| f.low))),
         }
     }
 
-    /// Computes the fit to a falling trend from the first to the last, after `sign` is applied to the values.
+    /// Computes the agreement with a falling trend from the first to the last, after `sign` is applied to the values.
     fn trend(row: &[Finding], sign: fn(f64) -> f64) -> Self {
         let ends = |f: &Finding| {
             let (a, b) = (sign(f.low), sign(f.high));
@@ -144,20 +144,19 @@ impl Fit {
         };
         let (Some(first), Some(last)) = (row.first(), row.last()) else {
             return Self {
-                of_means: FitLevel::No,
-                worst: FitLevel::No,
-                best: FitLevel::No,
+                of_means: AgreementLevel::No,
+                worst: AgreementLevel::No,
+                best: AgreementLevel::No,
             };
         };
-        let fits = |yes| if yes { FitLevel::Yes } else { FitLevel::No };
         let mean = |f: &Finding| sign(f.value);
-        let of_means = fits(mean(last) < mean(first) && rise(&mean, &mean) <= allowed);
+        let of_means = agreement_if(mean(last) < mean(first) && rise(&mean, &mean) <= allowed);
         let (low, high) = (|f: &Finding| ends(f).0, |f: &Finding| ends(f).1);
         Self {
             of_means,
             // `allowed` follows from the means alone, so `worst` and `best` are clamped to their sides of `of_means`.
-            worst: fits(high(last) < low(first) && rise(&high, &low) <= allowed).min(of_means),
-            best: fits(low(last) < high(first) && rise(&low, &high) <= allowed).max(of_means),
+            worst: agreement_if(high(last) < low(first) && rise(&high, &low) <= allowed).min(of_means),
+            best: agreement_if(low(last) < high(first) && rise(&low, &high) <= allowed).max(of_means),
         }
     }
 }
@@ -175,40 +174,40 @@ fn extreme(row: &[Finding], pick: fn(f64, f64) -> f64) -> Finding {
     }
 }
 
-/// Computes the level of fit of `x`. Values up to `zero_limit` count as 0.
-fn fit_level(statement: Statement, x: f64, zero_limit: f64) -> FitLevel {
+/// Computes the level of agreement of `x`. Values up to `zero_limit` count as 0.
+fn agreement_level(statement: Statement, x: f64, zero_limit: f64) -> AgreementLevel {
     match statement {
-        Statement::About(0.0) => fit_if(x <= zero_limit),
-        Statement::About(v) => fit_to_range(x, v, v, EQUAL_TOLERANCE),
-        Statement::Between(low, high) => fit_to_range(x, low, high, 0.0),
-        Statement::Below(v) => fit_if(x < v),
-        Statement::Above(v) => fit_if(x > v),
+        Statement::About(0.0) => agreement_if(x <= zero_limit),
+        Statement::About(v) => agreement_with_range(x, v, v, EQUAL_TOLERANCE),
+        Statement::Between(low, high) => agreement_with_range(x, low, high, 0.0),
+        Statement::Below(v) => agreement_if(x < v),
+        Statement::Above(v) => agreement_if(x > v),
         Statement::Largest(_) | Statement::Smallest(_) | Statement::Constant | Statement::Falls | Statement::Rises => {
-            FitLevel::No
+            AgreementLevel::No
         }
     }
 }
 
-/// Computes the level of fit of `x` to the single stated value `stated`.
-pub fn fit_to_value(x: f64, stated: f64) -> FitLevel {
-    fit_to_range(x, stated, stated, EQUAL_TOLERANCE)
+/// Computes the level of agreement of `x` with the single stated value `stated`.
+pub fn agreement_with_value(x: f64, stated: f64) -> AgreementLevel {
+    agreement_with_range(x, stated, stated, EQUAL_TOLERANCE)
 }
 
-fn fit_if(yes: bool) -> FitLevel {
-    if yes { FitLevel::Yes } else { FitLevel::No }
+fn agreement_if(yes: bool) -> AgreementLevel {
+    if yes { AgreementLevel::Yes } else { AgreementLevel::No }
 }
 
 /// Checks `x` against `low` to `high`, widened by `equal_tolerance` or by [`NEAR_TOLERANCE`] as a share of each end.
-fn fit_to_range(x: f64, low: f64, high: f64, equal_tolerance: f64) -> FitLevel {
+fn agreement_with_range(x: f64, low: f64, high: f64, equal_tolerance: f64) -> AgreementLevel {
     let within = |tolerance: f64| {
         let tolerance = tolerance + ROUNDING;
         (low - tolerance * low.abs()..=high + tolerance * high.abs()).contains(&x)
     };
     if within(equal_tolerance) {
-        FitLevel::Yes
+        AgreementLevel::Yes
     } else if within(NEAR_TOLERANCE) {
-        FitLevel::Near
+        AgreementLevel::Near
     } else {
-        FitLevel::No
+        AgreementLevel::No
     }
 }
