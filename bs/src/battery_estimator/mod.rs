@@ -399,6 +399,9 @@ impl BatteryEstimator {
                 }
             });
         }
+        // A device within reach of several reporters lost one report, not one for each of them.
+        empty.sort_unstable();
+        empty.dedup();
         for device in empty {
             self.observe_no_report(device, k, plan, self.radio.no_report_probability());
         }

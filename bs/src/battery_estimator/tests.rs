@@ -200,6 +200,22 @@ fn who_must_have_seen_the_event_and_is_silent_is_empty() {
     assert_eq!(levels.levels()[on[0] as usize], before[on[0] as usize]);
 }
 
+/// With losses, one silence is one missing report, however many devices reported the event. It takes several to show an
+/// empty battery.
+#[test]
+fn a_silent_device_counts_once_per_tti_and_not_per_reporter() {
+    let plan = Plan::from_bits([true; 50]);
+    let known = known(&["area.width=3", "area.height=3", "radio.uplink_loss=0.3"]);
+    let mut levels = BatteryEstimator::new_estimated(&known);
+    let reports: Vec<Report> = (0..49).map(|j| report(j, libm::exp(-1.0), 33)).collect();
+    for k in 0..4 {
+        // 0.3³ is above 1 in 50, 0.3⁴ below.
+        assert_eq!(levels.levels()[49], known.devices[49].energy.initial, "TTI {k}");
+        levels.observe_reports(Tti(k), &plan, &reports);
+    }
+    assert_eq!(levels.levels()[49], Energy::ZERO);
+}
+
 /// A device that never answers is asked whenever its estimate allows a report; the gaps between the requests grow.
 #[test]
 fn a_device_that_is_found_empty_again_and_again_is_asked_ever_later() {
