@@ -356,14 +356,14 @@ fn empty_and_foreign_tables_are_refused_and_one_table_is_enough() {
         .collect();
     folder.write("empty.csv.toml", &empty);
     folder.write("later.csv", &text);
-    let later = side_car.replace("\"reveille.table\" = \"1\"", "\"reveille.table\" = \"2\"");
+    let later = side_car.replace("\"reveille.table\" = \"2\"", "\"reveille.table\" = \"3\"");
     assert_ne!(later, side_car);
     folder.write("later.csv.toml", &later);
     for command in ["figures", "report"] {
         let end = folder.run(&format!("{command} empty.csv --out out"));
         assert_refused(&end, 1, &["empty.csv", "no runs to draw", "reveille sweep"]);
         let end = folder.run(&format!("{command} paper/results.csv later.csv --out out"));
-        assert_refused(&end, 1, &["later.csv", "version 2"]);
+        assert_refused(&end, 1, &["later.csv", "version 3"]);
         assert!(!folder.join("out").exists());
     }
 }
