@@ -334,7 +334,7 @@ fn what_is_level_stays_within_20_percent_of_the_middle() {
 }
 
 #[test]
-fn a_falling_gap_closes_and_growth_is_relative_to_the_policys_first_value() {
+fn a_falling_gap_closes_and_growth_is_relative_to_the_first_value() {
     const CLOSES: &[Claim] = &[claim("knn", Everywhere, Gap("genie"), Statement::Falls)];
     const HALVES: &[Claim] = &[claim("knn", At(250), Growth(10), Statement::About(0.5))];
     let of = |claims, last: f64| {
