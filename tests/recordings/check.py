@@ -9,6 +9,7 @@ and pyarrow the table. The check names a missing program and ends with 1; --allo
 import argparse
 import csv
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -103,6 +104,11 @@ def mcap(run):
         validators[schema.name].validate(json.loads(message.data))
 
 
+def snake_case(name):
+    """Returns the dissector's name of a variant, such as `grant_done` for `GrantDone`."""
+    return re.sub(r"(?<=.)(?=[A-Z])", "_", name).lower()
+
+
 def flat(value, path):
     """Yields the numbers and texts among a message's fields, with their dissector names."""
     if isinstance(value, dict):
@@ -111,7 +117,7 @@ def flat(value, path):
                 continue
             if key[:1].isupper():
                 yield f"{path}.is", key
-                yield from flat(inner, f"{path}.{key.lower()}")
+                yield from flat(inner, f"{path}.{snake_case(key)}")
             else:
                 yield from flat(inner, f"{path}.{key}")
     elif isinstance(value, str) and value[:1].isupper():
