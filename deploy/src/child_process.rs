@@ -1,5 +1,5 @@
 //! Device processes as children of this process. No child outlives it, even if it is killed. `supervisor` starts and
-//! replaces those of `up`; benchmarks use [`Children`] and [`run_for_summary`].
+//! replaces the processes of `up`; benchmarks use [`Children`] and [`run_for_summary`].
 
 use std::os::unix::process::CommandExt;
 use std::process::{Child, Command, Stdio};

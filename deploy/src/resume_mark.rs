@@ -10,7 +10,7 @@ use anyhow::{Context, bail};
 use reveille_bs::observer::{Notification, Observer};
 use reveille_bs::scenario::Scenario;
 use reveille_common::score::WindowRecord;
-use reveille_lab::io::beside;
+use reveille_lab::io::open_part_file;
 use reveille_lab::resume_mark::{ResumeMark, ResumeMarkError, ResumeTracker};
 
 use crate::runtime::now;
@@ -93,7 +93,7 @@ impl ResumeMarkWriter {
 
     fn write(&self) -> std::io::Result<()> {
         // Not synced, since it is written often: a torn mark only means that a resumed run starts at TTI 0.
-        let mut file = beside(&self.path, |part| File::create(part))?;
+        let mut file = open_part_file(&self.path, |part| File::create(part))?;
         file.as_file_mut().write_all(self.tracker.mark().text().as_bytes())?;
         file.persist(&self.path)?;
         Ok(())

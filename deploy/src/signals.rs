@@ -21,7 +21,7 @@ const POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// Time from a signal to the end enforced by [`Signals::force_exit_after_signal`].
 const GRACE: Duration = Duration::from_secs(1);
 
-/// How a process reacts to its signals, in addition to recording the first.
+/// The reaction of a process to signals. Every process also records the first one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum SignalMode {
     /// A process with results to keep: announces its end at the first signal. The second ends it immediately.

@@ -13,7 +13,7 @@ use tempfile::{NamedTempFile, TempPath};
 ///
 /// # Errors
 /// If it cannot be opened.
-pub fn beside(path: &Path, open: impl FnOnce(&Path) -> io::Result<File>) -> io::Result<NamedTempFile> {
+pub fn open_part_file(path: &Path, open: impl FnOnce(&Path) -> io::Result<File>) -> io::Result<NamedTempFile> {
     // A fixed name: files with random names would accumulate in the folders of killed processes.
     let mut part = OsString::from(path);
     part.push(".part");
@@ -28,7 +28,7 @@ pub fn beside(path: &Path, open: impl FnOnce(&Path) -> io::Result<File>) -> io::
 /// # Errors
 /// If it cannot be written; an existing file at `path` is then unchanged.
 pub fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let mut file = beside(path, |part| File::create(part))?;
+    let mut file = open_part_file(path, |part| File::create(part))?;
     file.as_file_mut().write_all(bytes)?;
     // A rename can reach the disk before the data: without the sync, a power cut could leave an empty file.
     file.as_file().sync_all()?;
@@ -153,7 +153,7 @@ mod tests {
         let (path, part) = (folder.join("file"), folder.join("file.part"));
         fs::write(&part, "left over").expect("writable");
         replace(&path, b"new").expect("written");
-        drop(beside(&path, |part| File::create(part)).expect("opened"));
+        drop(open_part_file(&path, |part| File::create(part)).expect("opened"));
         assert_eq!(fs::read(&path).expect("there"), b"new");
         assert!(!part.exists());
         let mode = |path: &Path| fs::metadata(path).expect("there").permissions();

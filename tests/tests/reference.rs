@@ -49,8 +49,8 @@ proptest! {
     }
 }
 
-/// Where several devices report the event, the silence of one that missed its plan is one missing report and not
-/// several. Otherwise its battery counts as empty too early, and it is not woken.
+/// A device that missed its plan stays silent while several others report the event. Its silence is one missing
+/// report; counted once per reporter, its battery would count as empty too early, and no wake-up would follow.
 #[test]
 fn a_silent_device_counts_once_however_many_report() {
     let text = "devices = 9\nttis = 40\nseed = 35\n[area]\nwidth = 6.0\nheight = 6.0\n[events]\nalpha = 1.0\n\

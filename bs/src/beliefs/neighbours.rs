@@ -1,5 +1,5 @@
 //! Neighbours of each device in bands of distance. [`Ranking`](super::ranking::Ranking) evaluates candidates band by
-//! band; the bands are those of the grid of bounds in [`Correlation`](super::correlation::Correlation).
+//! band; the bands match the grid of bounds in [`Correlation`](super::correlation::Correlation).
 
 use reveille_common::geometry::{Area, Buckets, Point};
 use reveille_common::ids::DeviceId;

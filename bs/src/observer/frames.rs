@@ -1,6 +1,6 @@
 //! Encodes a run as frames: the messages on the air, and the ground truth that is never sent.
 //!
-//! The frames are byte-identical over the bus and in memory, since an audit compares those of a run with those of its
+//! The frames are byte-identical over the bus and in memory, since an audit compares the frames of a run with its
 //! replay. Each message that the score counts on the air appears once. Recordings and the tap of the bus carry them.
 
 use reveille_common::ids::Tti;

@@ -335,7 +335,7 @@ impl DeclarationGuard {
     }
 }
 
-/// How a topic sends messages.
+/// The sender of a topic.
 enum Delivery {
     /// By a publisher. zenoh informs it of all subscribers.
     Published(Publisher<'static>),

@@ -104,7 +104,7 @@ impl PolicyQuestion {
     /// Answers the request with an error message.
     ///
     /// # Errors
-    /// As [`Self::answer`].
+    /// The errors of [`Self::answer`].
     pub fn reply_error(&self, why: &str) -> Result<(), BusError> {
         Ok(self.query.reply_err(why).encoding(ZenohEncoding::TEXT_PLAIN).wait()?)
     }

@@ -89,7 +89,7 @@ impl Bus {
     /// hundreds of sessions open together, a query can get lost or arrive before zenoh knows the route to its server.
     ///
     /// # Errors
-    /// As [`Self::query`].
+    /// The errors of [`Self::query`].
     pub async fn query_until<Q>(
         &self,
         request: &Q,
@@ -125,7 +125,7 @@ impl Bus {
     /// Sends a query like [`Self::query`], with `secret` instead of the run's key.
     ///
     /// # Errors
-    /// As [`Self::query`]; [`BusError::Refused`] if the other side refuses.
+    /// The errors of [`Self::query`]; [`BusError::Refused`] if the other side refuses.
     pub(crate) async fn query_with_secret<Q>(
         &self,
         request: &Q,

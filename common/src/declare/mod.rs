@@ -1,4 +1,4 @@
-//! Fields of a configuration, each declared once. All scenario fields, those of policies included, use it.
+//! Fields of a configuration, each declared once. All scenario fields and all policy fields use it.
 //!
 //! A declaration holds a field's name, type, unit, default, help and source next to the Rust type of its value
 //! ([`crate::declare!`], [`crate::choices!`]). From the declarations the module derives the check of names and types,

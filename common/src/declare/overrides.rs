@@ -1,4 +1,4 @@
-//! Fields set on the command line, by `--set` or by an option of their own.
+//! Fields set on the command line, by `--set` or by a dedicated option.
 
 use std::str::FromStr;
 use std::sync::Arc;

@@ -1,5 +1,5 @@
-//! Reads the values of declared fields from the merged layers, and rejects invalid ones with their origin. A policy
-//! gets a reader of its own fields only.
+//! Reads the values of declared fields from the merged layers, and rejects invalid ones with their origin. The reader
+//! of a policy gives access to the fields of that policy only.
 
 use std::cell::RefCell;
 use std::fmt::Display;

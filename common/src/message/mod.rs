@@ -288,7 +288,7 @@ pub enum Access {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Addressee {
     /// No number: the kind has a single key.
-    Nobody,
+    Unaddressed,
     /// A device: the receiver of a wake-up, the sender of a report.
     Device,
     /// A host: the sender of an answer.
@@ -299,7 +299,7 @@ impl Addressee {
     /// The name of the number; empty without one.
     pub const fn name(self) -> &'static str {
         match self {
-            Self::Nobody => "",
+            Self::Unaddressed => "",
             Self::Device => "device",
             Self::Host => "host",
         }
@@ -316,7 +316,7 @@ pub trait Address: Copy {
 }
 
 impl Address for () {
-    const ADDRESSEE: Addressee = Addressee::Nobody;
+    const ADDRESSEE: Addressee = Addressee::Unaddressed;
 
     fn number(self) -> Option<u32> {
         None

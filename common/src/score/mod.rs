@@ -51,7 +51,7 @@ pub struct Score {
     e_tx: Vec<Energy>,
     d_max: f64,
     current: Option<OpenEvent>,
-    /// What devices did during the active event, in order; a device can have several entries.
+    /// Activities of devices during the active event, in order; a device can have several entries.
     activities: Vec<(DeviceId, EventActivity)>,
     events: EventTotals,
     missed: MissedEvents,

@@ -64,7 +64,7 @@ pub(crate) fn replace_former_names(args: impl IntoIterator<Item = OsString>) -> 
 
 /// Returns the positions of the arguments of `command`; empty if `args` call another command.
 fn argument_range(args: &[OsString], command: &str) -> std::ops::Range<usize> {
-    // Options that hold for every command may stand before each word of it.
+    // Global options may precede each word of the command.
     let is_global = |at: usize| {
         let before = args.get(at - 1).is_some_and(|arg| arg == "--log-format");
         before || args[at].to_str().is_some_and(|arg| arg.starts_with('-'))

@@ -1,5 +1,5 @@
-//! Parsers for values on the command line, and help texts that list registered names. A parser's error says which
-//! values are allowed.
+//! Parsers for values on the command line, and help texts that list registered names. The error of a parser
+//! lists the allowed values.
 
 use std::fmt::Display;
 use std::ops::RangeInclusive;

@@ -410,7 +410,7 @@ impl FeedState {
             let outcome = match woken.outcome {
                 WakeOutcome::Reported(_) => {
                     // The frame of its report came first, and was recorded as a report without a wake-up. The other
-                    // outcomes of a wake-up have no frame of their own.
+                    // outcomes of a wake-up have no separate frame.
                     self.event_outcomes.pop();
                     "woken"
                 }

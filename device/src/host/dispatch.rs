@@ -13,7 +13,7 @@ use reveille_common::ids::DeviceId;
 use reveille_common::message::{ClockMessage, PlanUpdate, WakeUp};
 use tokio::sync::mpsc::{UnboundedSender, unbounded_channel};
 
-/// Largest capacity with which a host processes messages on the delivering thread. The ledgers of so many devices (at
+/// Largest capacity with which a host processes messages on the delivering thread. The ledgers of 256 devices (at
 /// most 250 B each) or their reports, with keys, fill at most half of the link's queue.
 pub(super) const MAX_INLINE_DEVICES: u32 = 256;
 

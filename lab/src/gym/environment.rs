@@ -1,4 +1,4 @@
-//! One environment: a run that is stepped by actions and gives the rewards of Sec. V-B.
+//! One environment: a run that actions advance by steps, with the rewards of Sec. V-B.
 
 use std::sync::Arc;
 

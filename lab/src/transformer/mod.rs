@@ -1,7 +1,7 @@
 //! Training of the decision transformer (Sec. V-C): offline, from recorded trajectories alone. `reveille train dt`
 //! calls [`train`]; its output is a weights file that the policy `dt` loads.
 //!
-//! [`Net`] computes the forward pass of `bs/src/policy/dt/model` once more, differentiably: change both. The result
+//! [`Net`] is a differentiable copy of the forward pass in `bs/src/policy/dt/model`: change both. The result
 //! depends on the data, the options and the seed, not on the number of threads or on interruptions.
 
 mod checkpoint;

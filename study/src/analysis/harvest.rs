@@ -232,8 +232,8 @@ pub struct StatedThreshold {
 ///
 /// A single λ is assigned to the policy that spends least, because the text says that λ "could be as low as" it. At N =
 /// 10 it stands for 0.41 to 0.48 units. That is close to the 0.34 of `random` and far from the 0.83 at the upper end.
-/// For E_B of 5 and 10 the text on Fig. 14 names the lower λ first and calls it the upper bound; it is read the other
-/// way round.
+/// For E_B of 5 and 10 the text on Fig. 14 names the lower λ first and calls it the upper bound. Here the higher λ is
+/// the upper bound.
 pub const STATED_THRESHOLDS: [StatedThreshold; 9] = {
     /// Policies with the least and the most consumption, according to the paper.
     type Ends = (&'static str, &'static str);

@@ -3,9 +3,10 @@
 use reveille_common::geometry::{Area, Point};
 
 use super::cell_map;
+use super::font::{Weight, wrap_text};
 use super::path::VectorPath;
 use super::scene::{Anchor, Paint, Scene, Stroke, Text};
-use super::style::{COLUMN_WIDTH, LEADING, MARGIN, TEXT_SIZE};
+use super::style::{COLUMN_WIDTH, LEADING, MARGIN, TEXT_SIZE, TITLE_SIZE};
 
 /// Position of the area on the canvas.
 #[derive(Clone, Copy, Debug)]
@@ -77,4 +78,19 @@ impl AreaPlot {
         label.is_vertical = true;
         scene.text(label);
     }
+}
+
+/// Draws the title of `scene` in as many lines as it needs. Returns the y of the next line.
+pub fn draw_title(scene: &mut Scene) -> f64 {
+    let mut y = MARGIN + TITLE_SIZE;
+    for line in wrap_text(
+        &scene.title.clone(),
+        Weight::Bold,
+        TITLE_SIZE,
+        COLUMN_WIDTH - 2.0 * MARGIN,
+    ) {
+        scene.text(Text::new(line, (MARGIN, y), TITLE_SIZE).bold());
+        y += LEADING + 1.0;
+    }
+    y
 }

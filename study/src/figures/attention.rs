@@ -14,14 +14,14 @@ use reveille_common::geometry::{Point, voronoi_cells};
 use reveille_common::ids::Tti;
 use reveille_lab::trajectories::record_steps;
 
-use super::area_plot::AreaPlot;
+use super::area_plot::{AreaPlot, draw_title};
 use super::deployment::draw_epicentre;
 use super::error::FigureError;
 use super::font::{Weight, wrap_text};
 use super::heat::{HeatCell, HeatMap, KnowledgeDegree, RowLabels, colour, draw_ramp};
 use super::path::VectorPath;
 use super::scene::{Paint, Scene, Stroke, Text};
-use super::style::{BLUE, COLUMN_WIDTH, LEADING, MARGIN, TEXT_SIZE, TITLE_SIZE};
+use super::style::{BLUE, COLUMN_WIDTH, LEADING, MARGIN, TEXT_SIZE};
 
 /// Number of devices whose attention is shown by default.
 const DEFAULT_DEVICES: usize = 6;
@@ -166,16 +166,7 @@ pub fn scene(scenario: &Scenario, attention: &AttentionFigure) -> Scene {
         ModelObjective::Actions => "Choice",
     };
     scene.title = format!("{subject} of dt in TTI {}, N = {}", attention.tti, scenario.run.devices);
-    let mut y = MARGIN + TITLE_SIZE;
-    for line in wrap_text(
-        &scene.title.clone(),
-        Weight::Bold,
-        TITLE_SIZE,
-        COLUMN_WIDTH - 2.0 * MARGIN,
-    ) {
-        scene.text(Text::new(line, (MARGIN, y), TITLE_SIZE).bold());
-        y += LEADING + 1.0;
-    }
+    let mut y = draw_title(&mut scene);
     let plot = AreaPlot::new(scenario.area, y - 2.0);
     let largest = attention
         .log_expectations

@@ -11,14 +11,14 @@ use reveille_common::ids::DeviceId;
 use reveille_common::message::WakeOutcome;
 use reveille_common::state::DeviceState;
 
-use super::area_plot::AreaPlot;
+use super::area_plot::{AreaPlot, draw_title};
 use super::cell_map::{self, assign_tints};
 use super::error::FigureError;
 use super::font::{Weight, text_width, wrap_text};
 use super::path::VectorPath;
 use super::run_walk::{RunWalk, TtiOutcome, collect_events};
 use super::scene::{Anchor, Paint, Rgb, Scene, Stroke, Text};
-use super::style::{BLUE, COLUMN_WIDTH, GREEN, LEADING, MARGIN, TEXT_SIZE, TITLE_SIZE, VERMILION};
+use super::style::{BLUE, COLUMN_WIDTH, GREEN, LEADING, MARGIN, TEXT_SIZE, VERMILION};
 
 /// Largest number of devices in a figure.
 pub(crate) const MAX_DEVICES: u32 = 1000;
@@ -154,16 +154,7 @@ pub fn scene(scenario: &Scenario, event_scene: &EventScene) -> Scene {
         scenario.policy.name(),
         scenario.run.devices
     );
-    let mut y = MARGIN + TITLE_SIZE;
-    for line in wrap_text(
-        &scene.title.clone(),
-        Weight::Bold,
-        TITLE_SIZE,
-        COLUMN_WIDTH - 2.0 * MARGIN,
-    ) {
-        scene.text(Text::new(line, (MARGIN, y), TITLE_SIZE).bold());
-        y += LEADING + 1.0;
-    }
+    let mut y = draw_title(&mut scene);
     let ground = AreaPlot::new(scenario.area, y - 2.0);
     ground.draw_cells(&mut scene, event_scene);
     ground.draw_axes(&mut scene);

@@ -120,7 +120,7 @@ impl<'a> ReferenceVoting<'a> {
     }
 
     /// Recomputes the centroids as means and fills each empty cluster: it takes the device farthest from its centroid,
-    /// among clusters with more than one device. Distances are computed once for all.
+    /// among clusters with more than one device. All of them use the same distances.
     fn settle(&mut self) {
         self.recentre();
         let off = |voting: &Self, j: usize| squared(voting.points[j], voting.centroids[voting.of[j]]);

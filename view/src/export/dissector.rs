@@ -29,7 +29,7 @@ pub fn lua_script() -> String {
         let lua_form = script.format(schemas.type_of(*kind), name);
         // A report's payload holds the device, so the field with this path exists already.
         let path = format!("{name}.{whose}");
-        let has_own_field = kind.addressee() == Addressee::Nobody || script.fields.contains_key(&path);
+        let has_own_field = kind.addressee() == Addressee::Unaddressed || script.fields.contains_key(&path);
         if !has_own_field {
             script.add_field(&path, "uint32");
         }

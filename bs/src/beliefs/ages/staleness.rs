@@ -1,5 +1,5 @@
 //! Ages for devices that only record looks, without choosing devices ahead or removing them. The history of external
-//! policies (`policy/external/history.rs`) reads them as features, so values must be bit-equal to those of [`Ages`].
+//! policies (`policy/external/history.rs`) reads them as features, so values must be bit-equal to the ages in [`Ages`].
 //!
 //! An environment keeps these ages for each of its runs and reads all devices in each step. So they are small: three
 //! bytes per cell and 36 per device.

@@ -52,7 +52,7 @@ pub(crate) struct Coverage {
     blocks: CellBlocks,
     /// Devices already added. A device counts once: for one event it detects always or never.
     is_added: Vec<bool>,
-    /// The same devices as a list, for [`Self::clear`].
+    /// List of the added devices, for [`Self::clear`].
     added_devices: Vec<u32>,
 }
 
@@ -213,7 +213,7 @@ impl Coverage {
     }
 
     /// Returns whether the `j`-th device covers `cell`; always true if detection is probabilistic, since the one cell
-    /// of `CellBlocks::single` stands for the whole area.
+    /// of `CellBlocks::single` is the whole area.
     #[inline]
     pub(crate) fn reaches(&self, j: usize, cell: CellPosition) -> bool {
         match &self.model {

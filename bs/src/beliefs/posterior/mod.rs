@@ -49,7 +49,7 @@ pub struct EpicentreBelief {
     far_devices: Vec<Point>,
     /// By device: whether it has reported or was returned as a candidate for this event.
     is_excluded: Vec<bool>,
-    /// The same devices as a list.
+    /// List of the excluded devices.
     excluded: Vec<DeviceId>,
     /// cos φ and sin φ of the points on a ring.
     directions: Box<[(f64, f64)]>,

@@ -7,7 +7,7 @@ use std::process::ExitCode;
 
 use anyhow::{Context, bail};
 use reveille_common::message::Frame;
-use reveille_lab::io::beside;
+use reveille_lab::io::open_part_file;
 use reveille_view::export::dissector;
 use reveille_view::export::pcapng::PacketWriter;
 use reveille_view::export::perfetto::PerfettoWriter;
@@ -42,7 +42,7 @@ pub(super) fn run(args: &ExportArgs) -> anyhow::Result<ExitCode> {
     );
     // Written to a part file: half an export looks whole, and the old file must stay until the new one is complete.
     let write_error = || format!("cannot write {}", path.display());
-    let part = beside(&path, |part| File::create(part)).with_context(write_error)?;
+    let part = open_part_file(&path, |part| File::create(part)).with_context(write_error)?;
     let out_file = BufWriter::new(part.as_file());
     let (frames, torn) =
         write_format(args, to, &mut recording, out_file).with_context(|| from.display().to_string())?;

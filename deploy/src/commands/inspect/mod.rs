@@ -1,4 +1,4 @@
-//! `reveille inspect`: the messages of a live or recorded run, one file per subcommand. `source` gives the frames,
+//! `reveille inspect`: the messages of a live or recorded run, one file per subcommand. `source` provides the frames,
 //! `live` connects to a run, and `catch_up` replays the TTIs before the connection. The dashboard uses these three too.
 
 mod catch_up;

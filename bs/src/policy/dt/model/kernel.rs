@@ -117,7 +117,7 @@ impl Linear {
     }
 }
 
-/// Columns of a row-major matrix, for example those of one attention head.
+/// Columns of a row-major matrix, for example the columns of one attention head.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ColumnSlice {
     /// First column.

@@ -1,4 +1,4 @@
-//! How long learned tables count a covered place as covered: [`Lookback`], a window in TTIs or ages. Its text and its
+//! The time for which learned tables count a place as covered: [`Lookback`], a window in TTIs or ages. Its text and its
 //! order are part of the file of learned tables.
 
 use std::fmt;

@@ -10,7 +10,7 @@ use super::{
     JournalEntry, JournalHeader, MAX_HEADER_BYTES, RunIndex, RunStore, encode_line, foreign_journal, header_prefix,
     parse_line, too_many_seeds,
 };
-use crate::io::beside;
+use crate::io::open_part_file;
 use crate::sweep::error::SweepError;
 
 /// The number of lines between two syncs to the disk.
@@ -125,7 +125,7 @@ impl Journal {
 
     /// Replaces this journal by one with the recovered runs. Both files stay locked.
     fn rewrite(&mut self, header: &str) -> io::Result<()> {
-        let part = beside(&self.path, |part| {
+        let part = open_part_file(&self.path, |part| {
             let file = OpenOptions::new().read(true).append(true).create(true).open(part)?;
             match file.try_lock() {
                 Err(TryLockError::Error(error)) if error.kind() != io::ErrorKind::Unsupported => return Err(error),
