@@ -24,6 +24,7 @@ use reveille_common::message::{DeviceRemoval, FailedTransmission, PlanUpdate, Re
 use reveille_common::plan::Plan;
 use reveille_common::rng::PolicyStreams;
 use reveille_common::score::{DeviceRecord, Digest, FinalScore, Metrics, Score};
+use reveille_common::state::DeviceView;
 use reveille_common::totals::{EventTotals, Ledger, Totals};
 use reveille_common::units::Energy;
 use reveille_common::world::{World, WorldChange};
@@ -297,10 +298,15 @@ impl Cycle {
     pub(crate) fn complete_grant(
         &mut self,
         tti: Tti,
-        reports: &mut [Report],
-        failures: &mut [FailedTransmission],
+        answers: Gathered<'_>,
         observer: &mut impl Observer,
     ) -> CycleStep {
+        let Gathered {
+            reports,
+            failures,
+            unpowered,
+            views: _,
+        } = answers;
         // Answers arrive from the bus in any order. The digest, the score and the station need one order, by device.
         reports.sort_unstable_by_key(|report| report.device);
         failures.sort_unstable_by_key(|failure| failure.device);
@@ -309,6 +315,7 @@ impl Cycle {
             self.score.record_failed_transmission(failure);
             observer.notify(&Notification::ReportFailed { tti, failure });
         }
+        self.score.record_unpowered(unpowered);
         self.station.take_reports(tti, &reports[..arrived]);
         // `next_step` numbers the wake-ups of a TTI from 0; queued removals refer to these numbers.
         self.wake_up_count = 0;
@@ -448,6 +455,19 @@ impl Cycle {
         (self.is_open, self.next_tti) = (false, tti + 1);
         CycleStep::TtiClosed
     }
+}
+
+/// The answers of all devices to a grant.
+#[derive(Debug)]
+pub struct Gathered<'a> {
+    /// Reports, in any order; sorted by the call.
+    pub reports: &'a mut [Report],
+    /// Devices that detected the event and could not transmit, in any order; sorted by the call.
+    pub failures: &'a mut [FailedTransmission],
+    /// Number of devices with δ = 1 that would have detected the event, but could not pay for sensing.
+    pub unpowered: u64,
+    /// States and batteries of all devices at the end of the grant, in the order of ids, if the grant asks for them.
+    pub views: &'a [DeviceView],
 }
 
 /// Result of a run, complete or partial.

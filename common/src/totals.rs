@@ -7,6 +7,7 @@ use std::ops::{Add, AddAssign, Sub};
 
 use serde::{Deserialize, Serialize};
 
+use crate::event::MissCause;
 use crate::units::Energy;
 
 /// Number of parts per unit of information in the totals.
@@ -297,24 +298,59 @@ impl Spread {
     }
 }
 
-/// Missed counted events by cause: each missed event has exactly one cause.
+/// Missed counted events by [`MissCause`]. Each missed event has exactly one cause.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct MissedEvents {
-    /// No device is within `d_max` of the epicentre.
+    /// [`MissCause::OutOfReach`].
     pub out_of_reach: u64,
-    /// Devices reported the event, and all reports were lost.
-    pub lost: u64,
-    /// Devices detected the event, and none of them could pay for a report.
+    /// [`MissCause::Removed`].
+    pub removed: u64,
+    /// [`MissCause::Undetected`].
+    pub undetected: u64,
+    /// [`MissCause::Asleep`].
+    pub asleep: u64,
+    /// [`MissCause::Unpowered`].
+    pub unpowered: u64,
+    /// [`MissCause::WakeMissed`].
+    pub wake_missed: u64,
+    /// [`MissCause::NoEnergy`].
     pub no_energy: u64,
-    /// Devices are within `d_max`, but none detected the event before its end. They slept, could not pay for sensing,
-    /// or, with probabilistic detection, did not detect it.
-    pub not_sensing: u64,
+    /// [`MissCause::Lost`].
+    pub lost: u64,
 }
 
 impl MissedEvents {
+    /// Returns the number of events that were missed because of `cause`.
+    pub const fn by_cause(&self, cause: MissCause) -> u64 {
+        match cause {
+            MissCause::OutOfReach => self.out_of_reach,
+            MissCause::Removed => self.removed,
+            MissCause::Undetected => self.undetected,
+            MissCause::Asleep => self.asleep,
+            MissCause::Unpowered => self.unpowered,
+            MissCause::WakeMissed => self.wake_missed,
+            MissCause::NoEnergy => self.no_energy,
+            MissCause::Lost => self.lost,
+        }
+    }
+
+    /// Counts an event that was missed because of `cause`.
+    pub const fn count(&mut self, cause: MissCause) {
+        *match cause {
+            MissCause::OutOfReach => &mut self.out_of_reach,
+            MissCause::Removed => &mut self.removed,
+            MissCause::Undetected => &mut self.undetected,
+            MissCause::Asleep => &mut self.asleep,
+            MissCause::Unpowered => &mut self.unpowered,
+            MissCause::WakeMissed => &mut self.wake_missed,
+            MissCause::NoEnergy => &mut self.no_energy,
+            MissCause::Lost => &mut self.lost,
+        } += 1;
+    }
+
     /// Returns the number of missed events.
-    pub const fn events(&self) -> u64 {
-        self.out_of_reach + self.lost + self.no_energy + self.not_sensing
+    pub fn events(&self) -> u64 {
+        MissCause::ALL.into_iter().map(|cause| self.by_cause(cause)).sum()
     }
 }
 

@@ -2,6 +2,7 @@
 
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{CellAlignment, Table};
+use reveille_common::event::MissCause;
 use reveille_common::radio::RadioSettings;
 use reveille_common::score::{EventActivity, MetricGroup, Metrics};
 
@@ -169,14 +170,10 @@ fn format_facts(summary: &Summary<'_>) -> Option<String> {
 /// Formats the number of events and of missed events, with the share of each cause in all events.
 fn format_missed(summary: &Summary<'_>) -> String {
     let (events, missed) = (summary.totals.events, summary.totals.missed);
-    let causes = [
-        (missed.not_sensing, "no device in range sensed"),
-        (missed.lost, "every report was lost"),
-        (missed.no_energy, "no detecting device could pay for a report"),
-        (missed.out_of_reach, "no device within d_max"),
-    ];
-    let causes = causes.iter().filter(|(count, _)| *count > 0);
-    let causes: Vec<String> = causes
+    let counts = MissCause::ALL.map(|cause| (missed.by_cause(cause), cause.explanation()));
+    let causes: Vec<String> = counts
+        .iter()
+        .filter(|(count, _)| *count > 0)
         // A missed event was also counted, so `events` is above 0 here.
         .map(|(count, cause)| format!("{cause} {:.2} %", 100.0 * *count as f64 / events.events as f64))
         .collect();

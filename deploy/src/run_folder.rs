@@ -24,6 +24,8 @@ use anyhow::{Context, bail};
 use reveille_bs::cycle::RunOutcome;
 use reveille_bs::observer::{Notification, Observer};
 use reveille_bs::scenario::Scenario;
+use reveille_common::deployment::Deployment;
+use reveille_common::geometry::Buckets;
 use reveille_common::score::WindowRecord;
 use reveille_lab::io::replace;
 use reveille_lab::training::learned_tables_of;
@@ -65,6 +67,8 @@ pub(crate) struct RunFolder {
     /// The lock, until the run has ended.
     lock: Option<FolderLock>,
     tables: TableWriter,
+    /// The positions of the devices, in the order of ids.
+    positions: Buckets,
     devices: u32,
 }
 
@@ -93,6 +97,7 @@ impl RunFolder {
                 path,
                 lock: Some(lock),
                 tables,
+                positions: device_positions(scenario),
                 devices: scenario.run.devices,
             }),
             Err(error) => {
@@ -123,6 +128,7 @@ impl RunFolder {
             tables: begin_tables(path).with_context(write_error)?,
             path: path.to_owned(),
             lock: Some(lock),
+            positions: device_positions(scenario),
             devices: scenario.run.devices,
         })
     }
@@ -216,7 +222,8 @@ impl Drop for RunFolder {
 impl Observer for RunFolder {
     fn notify(&mut self, notification: &Notification<'_>) {
         if let Notification::EventEnded(event) = notification {
-            self.tables.add(EVENTS_TABLE, run_tables::event_row(event));
+            self.tables
+                .add(EVENTS_TABLE, run_tables::event_row(event, &self.positions));
         }
     }
 
@@ -242,6 +249,12 @@ fn write_first_files(
     replace(&path.join(SCENARIO_FILE), files.to_toml(scenario).as_bytes()).with_context(write_error)?;
     files.check(&path.join(SCENARIO_FILE), scenario)?;
     begin_tables(path).with_context(write_error)
+}
+
+/// Returns the positions of the devices of `scenario`, for searches by distance.
+fn device_positions(scenario: &Scenario) -> Buckets {
+    let positions = Deployment::new(scenario).positions();
+    Buckets::new(&positions, scenario.area, scenario.sensing.d_max)
 }
 
 /// Opens the tables that grow during the run.

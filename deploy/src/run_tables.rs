@@ -5,12 +5,13 @@
 
 use reveille_bs::scenario::Scenario;
 use reveille_common::event::EventRecord;
+use reveille_common::geometry::Buckets;
 use reveille_common::score::{DeviceRecord, EventActivity, Metrics, WindowRecord};
 use reveille_common::totals::{PICO_PER_INFORMATION, Totals};
 use reveille_common::units::{Energy, MICRO_PER_UNIT};
 
 /// The columns of `events.csv`.
-pub(crate) const EVENT_COLUMNS: [&str; 12] = [
+pub(crate) const EVENT_COLUMNS: [&str; 15] = [
     "event",
     "start_tti",
     "last_tti",
@@ -23,6 +24,9 @@ pub(crate) const EVENT_COLUMNS: [&str; 12] = [
     "information",
     "wrong_activations",
     "wasted_units",
+    "miss_cause",
+    "nearest_device",
+    "nearest_m",
 ];
 
 /// The columns of `devices.csv`.
@@ -71,9 +75,13 @@ const WINDOW_EVENTS: [&str; 6] = [
     "wrong_activations",
 ];
 
-/// The row of an event.
-pub(crate) fn event_row(record: &EventRecord) -> [String; EVENT_COLUMNS.len()] {
+/// The row of an event in a deployment with these device positions.
+pub(crate) fn event_row(record: &EventRecord, positions: &Buckets) -> [String; EVENT_COLUMNS.len()] {
     let tally = record.tally;
+    let nearest = positions.nearest(record.epicentre, 1);
+    let (distance, device) = nearest.first().map_or_else(Default::default, |(squared, device)| {
+        (squared.sqrt().to_string(), device.to_string())
+    });
     [
         record.event.0.to_string(),
         record.start.to_string(),
@@ -87,6 +95,11 @@ pub(crate) fn event_row(record: &EventRecord) -> [String; EVENT_COLUMNS.len()] {
         format_information(u128::from(tally.information_pico)),
         tally.wrong_activations.to_string(),
         format_units(tally.wasted),
+        record
+            .miss_cause
+            .map_or_else(String::new, |cause| cause.name().to_owned()),
+        device,
+        distance,
     ]
 }
 

@@ -13,7 +13,7 @@ use reveille_common::totals::Totals;
 use serde::Serialize;
 
 /// The version of the format of `summary.json`; raised when a field changes its meaning.
-const SUMMARY_VERSION: u32 = 3;
+const SUMMARY_VERSION: u32 = 4;
 
 /// `summary.json`.
 #[derive(Debug, Serialize)]

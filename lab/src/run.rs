@@ -318,10 +318,12 @@ impl Devices {
         self.reports.clear();
         self.failures.clear();
         self.views.clear();
+        let mut unpowered = 0;
         if let Some(stimulus) = &grant.stimulus {
             for device in detectors {
                 match self.machines[device.index()].sense(grant.last, stimulus, &self.physics) {
                     SenseOutcome::Nothing => {}
+                    SenseOutcome::Unpowered => unpowered += 1,
                     SenseOutcome::Reported(report) => self.reports.push(report),
                     SenseOutcome::Failed(failure) => self.failures.push(failure),
                 }
@@ -337,6 +339,7 @@ impl Devices {
         Gathered {
             reports: &mut self.reports,
             failures: &mut self.failures,
+            unpowered,
             views: &self.views,
         }
     }

@@ -120,13 +120,14 @@ fn serve(prepared: &PreparedRun, loss: Option<Loss>, stop: Tti) -> (RunOutcome, 
                         machines[j].set_duty(update.from, cycle);
                     });
                 }
-                let (mut reports, mut failures) = (Vec::new(), Vec::new());
+                let (mut reports, mut failures, mut unpowered) = (Vec::new(), Vec::new(), 0);
                 // Hosts answer in any order.
                 for machine in machines.iter_mut().rev() {
                     let sensed = tick.stimulus.map(|event| machine.sense(tick.last, &event, &physics));
                     match sensed {
                         Some(SenseOutcome::Reported(report)) => reports.push(report),
                         Some(SenseOutcome::Failed(failure)) => failures.push(failure),
+                        Some(SenseOutcome::Unpowered) => unpowered += 1,
                         Some(SenseOutcome::Nothing) | None => {}
                     }
                     machine.begin(tick.last);
@@ -136,6 +137,7 @@ fn serve(prepared: &PreparedRun, loss: Option<Loss>, stop: Tti) -> (RunOutcome, 
                 let gathered = Gathered {
                     reports: &mut reports,
                     failures: &mut failures,
+                    unpowered,
                     views: &views,
                 };
                 if let Some(sums) = sums {
@@ -254,6 +256,7 @@ fn a_result_that_no_action_asked_for_is_refused() {
     let none = Gathered {
         reports: &mut [],
         failures: &mut [],
+        unpowered: 0,
         views: &[],
     };
     session.apply_result(ActionResult::Gathered(none), &mut ());

@@ -45,6 +45,8 @@ pub struct DeviceMirror {
     /// Reports and failures still expected from devices with δ = 1 in the last TTI of the grant, in the order of ids.
     reports: VecDeque<Report>,
     failures: VecDeque<FailedTransmission>,
+    /// Devices that could not pay for sensing the event in that TTI.
+    unpowered: Vec<DeviceId>,
     /// Copies of the devices that sensed, and of the last woken device, from before that action. A removal restores
     /// them.
     before_sensing: Vec<Machine>,
@@ -80,6 +82,7 @@ impl DeviceMirror {
             grant: None,
             reports: VecDeque::new(),
             failures: VecDeque::new(),
+            unpowered: Vec::new(),
             before_sensing: Vec::new(),
             before_wake_up: None,
             open_wake_up: None,
@@ -100,6 +103,11 @@ impl DeviceMirror {
     /// Number of devices that missed the last plan.
     pub const fn missed_plans(&self) -> u64 {
         self.missed_plans
+    }
+
+    /// Number of devices that could not pay for sensing the event in the current TTI.
+    pub const fn unpowered(&self) -> u64 {
+        self.unpowered.len() as u64
     }
 
     /// Stimulus in the current TTI, if any device might react to it.
@@ -271,6 +279,7 @@ impl DeviceMirror {
             return Err("there is no plan yet".to_owned());
         }
         self.before_sensing.clear();
+        self.unpowered.clear();
         if let Some(stimulus) = &world.stimulus {
             for machine in &mut self.machines {
                 // Machines are lazy: a device that cannot sense catches up when it is next needed.
@@ -280,6 +289,10 @@ impl DeviceMirror {
                 let unsensed = machine.clone();
                 match machine.sense(world.last, stimulus, &self.physics) {
                     SenseOutcome::Nothing => continue,
+                    SenseOutcome::Unpowered => {
+                        self.unpowered.push(machine.id());
+                        continue;
+                    }
                     SenseOutcome::Reported(report) => self.reports.push_back(report),
                     SenseOutcome::Failed(failure) => self.failures.push_back(failure),
                 }
@@ -304,6 +317,7 @@ impl DeviceMirror {
             );
             self.reports.retain(|report| !outage.contains(report.device));
             self.failures.retain(|failure| !outage.contains(failure.device));
+            self.unpowered.retain(|device| !outage.contains(*device));
         }
         if let Some((device, outcome)) = &mut self.open_wake_up
             && outage.contains(*device)

@@ -64,6 +64,7 @@ impl Reconstruction {
             Err(_) if frame.kind.plane() == Plane::Air => return Ok(()),
             Err(error) => return Err(discrepancy(format!("malformed {}: {error}", frame.kind.name()))),
         };
+        self.count_unpowered(&message);
         // First, since `count_message` asks the mirror about missed plans and the open wake-up.
         self.mirror.apply(frame, &message)?;
         self.count_message(frame, message).map_err(discrepancy)
@@ -114,6 +115,16 @@ impl Reconstruction {
     /// Number of TTIs applied.
     pub fn ttis_applied(&self) -> u64 {
         self.mirror.current_tti().map_or(0, |last| last.0 + 1)
+    }
+
+    /// Counts the unpowered devices of the last grant before `message` ends its event or begins another grant. Only
+    /// then are its removals known.
+    fn count_unpowered(&mut self, message: &Message) {
+        let ends = matches!(message, Message::World(_) | Message::Event(EventUpdate::Ended(_)));
+        // An event that the world ends follows the next grant, which can have the stimulus of another event.
+        if ends && self.stimulus.is_some() && self.mirror.stimulus() == self.stimulus {
+            self.score.record_unpowered(self.mirror.unpowered());
+        }
     }
 
     fn count_message(&mut self, frame: &Frame, message: Message) -> Result<(), String> {
@@ -192,8 +203,8 @@ impl Reconstruction {
             Ok(())
         } else {
             Err(format!(
-                "the messages of event {} give {:?}, and its record says {:?}",
-                record.event.0, own.tally, record.tally
+                "the messages of event {} give {own:?}, and its record says {record:?}",
+                record.event.0
             ))
         }
     }

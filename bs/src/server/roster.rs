@@ -151,16 +151,22 @@ impl Roster {
         }
     }
 
-    /// Whether the host at `position` can have had this number of reports and these failures in one TTI.
-    pub(crate) fn is_possible_answer(&self, position: usize, reports: u32, failures: &[FailedTransmission]) -> bool {
+    /// Whether the host at `position` can have had this number of reports, these failures and this number of unpowered
+    /// devices in one TTI.
+    pub(crate) fn is_possible_answer(
+        &self,
+        position: usize,
+        reports: u32,
+        failures: &[FailedTransmission],
+        unpowered: u32,
+    ) -> bool {
         let assignment = self.assignments[position];
         let are_own_failures = failures
             .iter()
             .all(|f| self.owns(position, f.device) && self.is_possible_failure(f));
-        // The length is checked before the subtraction, which could otherwise underflow.
-        are_own_failures
-            && failures.len() <= assignment.count as usize
-            && reports <= assignment.count - failures.len() as u32
+        // A device has at most one of these outcomes. In 64 bits, because a host can send any numbers.
+        let outcomes = u64::from(reports) + u64::from(unpowered) + failures.len() as u64;
+        are_own_failures && outcomes <= u64::from(assignment.count)
     }
 
     /// Whether `sums` are possible totals for the devices of the host at `position`.

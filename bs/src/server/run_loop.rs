@@ -293,6 +293,7 @@ impl RunLoop<'_> {
         let result = ActionResult::Gathered(Gathered {
             reports: &mut gathered.reports,
             failures: &mut gathered.failures,
+            unpowered: gathered.unpowered,
             views: &gathered.views,
         });
         self.session.apply_result(result, observer);

@@ -17,9 +17,7 @@
 mod queue;
 
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::{
-    DeviceRemoval, FailedTransmission, GrantMessage, PlanUpdate, Report, ResumePoint, WakeOutcome,
-};
+use reveille_common::message::{DeviceRemoval, GrantMessage, PlanUpdate, ResumePoint, WakeOutcome};
 use reveille_common::score::WindowAccumulator;
 use reveille_common::state::{DeviceState, DeviceView};
 use reveille_common::totals::{DeviceTotals, EventTotals, Ledger};
@@ -27,6 +25,7 @@ use reveille_common::units::Energy;
 
 pub use self::queue::InputQueue;
 use crate::boundaries::Boundaries;
+pub use crate::cycle::Gathered;
 use crate::cycle::{Cycle, CycleStep, PreparedRun, RunOutcome, WakeOrder};
 use crate::observer::{Notification, Observer};
 use crate::policy::external::{Decision, DecisionContext, DecisionStage};
@@ -73,17 +72,6 @@ pub enum ActionResult<'a> {
     Gathered(Gathered<'a>),
     /// The outcome of the wake-up.
     Woken(WakeOutcome),
-}
-
-/// The answers of all devices to a grant.
-#[derive(Debug)]
-pub struct Gathered<'a> {
-    /// Reports, in any order; sorted by the call.
-    pub reports: &'a mut [Report],
-    /// Devices that detected the event and could not transmit, in any order; sorted by the call.
-    pub failures: &'a mut [FailedTransmission],
-    /// States and batteries of all devices at the end of the grant, in the order of ids, if the grant asks for them.
-    pub views: &'a [DeviceView],
 }
 
 /// The position of a run in the order of steps of a TTI.
@@ -343,10 +331,7 @@ impl Session {
         }
         self.views.clear();
         self.views.extend_from_slice(answers.views);
-        let (reports, failures) = (answers.reports, answers.failures);
-        let step = self
-            .cycle
-            .complete_grant(self.grant_message.last, reports, failures, observer);
+        let step = self.cycle.complete_grant(self.grant_message.last, answers, observer);
         self.apply_step(step, observer);
     }
 

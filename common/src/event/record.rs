@@ -5,6 +5,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::MissCause;
 use crate::geometry::Point;
 use crate::ids::{EventId, Tti};
 use crate::totals::EventTally;
@@ -24,6 +25,8 @@ pub struct EventRecord {
     pub counted: bool,
     /// The devices' activity for it.
     pub tally: EventTally,
+    /// Why no report arrived; `None` if one did.
+    pub miss_cause: Option<MissCause>,
 }
 
 impl EventRecord {
@@ -51,6 +54,7 @@ mod tests {
                     reports,
                     ..EventTally::default()
                 },
+                miss_cause: None,
             };
             record.delay()
         };

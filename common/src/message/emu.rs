@@ -272,6 +272,8 @@ pub enum HostAnswer {
         reports: u32,
         /// Devices that detected the event and could not transmit.
         failures: Vec<FailedTransmission>,
+        /// Number of devices with δ = 1 that would have detected the event, but could not pay for sensing.
+        unpowered: u32,
         /// Sums over the host's devices, if the grant asked for them.
         totals: Option<DeviceTotals>,
         /// States and batteries of its devices, in the order of ids, if the grant asked for them. Observers see both.

@@ -178,7 +178,7 @@ impl DigestBuilder {
             devices,
             ttis,
             events,
-            // These follow from the records that are hashed above.
+            // These follow from the records and ledgers that are hashed above.
             missed: _,
             losses: _,
             removed_ttis: _,

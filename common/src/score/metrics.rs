@@ -3,6 +3,7 @@
 
 use serde::Serialize;
 
+use crate::event::MissCause;
 use crate::totals::{DeviceTotals, EventTotals, PICO_PER_INFORMATION, RadioLosses, Totals};
 use crate::units::{Energy, MICRO_PER_UNIT};
 
@@ -79,6 +80,10 @@ impl MetricInputs<'_> {
             0 => f64::NAN,
             events => sum / events as f64,
         }
+    }
+
+    fn missed_pct(&self, cause: MissCause) -> f64 {
+        self.per_event(100.0 * self.totals.missed.by_cause(cause) as f64)
     }
 
     /// Returns `sum` per reported event.
@@ -193,6 +198,30 @@ metrics! {
         /// Events without a report at the BS, % of events.
         misdetection_pct: "% of events", "% of events" =
             |run| run.per_event(100.0 * run.totals.events.misdetected as f64);
+        /// Events missed because no device is within d_max, % of events.
+        missed_out_of_reach_pct: "% of events", "% of events out of reach" =
+            |run| run.missed_pct(MissCause::OutOfReach);
+        /// Events missed because all devices within d_max had been removed, % of events.
+        missed_removed_pct: "% of events", "% of events near removed devices" =
+            |run| run.missed_pct(MissCause::Removed);
+        /// Events missed because the probabilistic detection failed for every device within d_max, % of events.
+        missed_undetected_pct: "% of events", "% of events not detected" =
+            |run| run.missed_pct(MissCause::Undetected);
+        /// Events missed because all devices that would have detected them slept by plan, % of events.
+        missed_asleep_pct: "% of events", "% of events missed asleep" =
+            |run| run.missed_pct(MissCause::Asleep);
+        /// Events missed because no device with δ = 1 could pay for sensing, % of events.
+        missed_unpowered_pct: "% of events", "% of events missed without power" =
+            |run| run.missed_pct(MissCause::Unpowered);
+        /// Events missed because no woken device received its wake-up, % of events. Only an oracle wakes devices before
+        /// the first report.
+        missed_wake_missed_pct: "% of events", "% of events with missed wake-ups" =
+            |run| run.missed_pct(MissCause::WakeMissed);
+        /// Events missed because no device that detected them could pay for a report, % of events.
+        missed_no_energy_pct: "% of events", "% of events without energy for a report" =
+            |run| run.missed_pct(MissCause::NoEnergy);
+        /// Events missed because all reports were lost on the radio, % of events.
+        missed_lost_pct: "% of events", "% of events with lost reports" = |run| run.missed_pct(MissCause::Lost);
         /// Reports at the BS per event.
         reports_per_event: "reports/event", "reports per event" =
             |run| run.per_event(run.totals.events.reports as f64);
@@ -328,6 +357,18 @@ impl Metrics {
         ("unheard_wake_ups_pct", "missed_wake_ups_pct"),
         ("refining_ttis", "wake_up_span_ttis"),
         ("false_wakes_pct", "false_wake_ups_pct"),
+    ];
+
+    /// The metrics that result tables of versions 1 and 2 do not have.
+    pub const ADDED_IN_TABLE_3: [&str; MissCause::COUNT] = [
+        "missed_out_of_reach_pct",
+        "missed_removed_pct",
+        "missed_undetected_pct",
+        "missed_asleep_pct",
+        "missed_unpowered_pct",
+        "missed_wake_missed_pct",
+        "missed_no_energy_pct",
+        "missed_lost_pct",
     ];
 
     /// Returns today's name of the metric that once had this name; any other name stays as it is.

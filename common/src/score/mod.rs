@@ -17,10 +17,11 @@ pub use windows::{WindowAccumulator, WindowRecord};
 
 use crate::codec;
 use crate::deployment::Deployment;
-use crate::event::{ActiveEvent, EventRecord, Stimulus};
+use crate::event::{ActiveEvent, EventRecord, MissCause, Stimulus};
 use crate::ids::{DeviceId, Tti};
 use crate::message::{DeviceRemoval, FailedTransmission, PlanUpdate, Report, WakeOutcome};
 use crate::scenario::Scenario;
+use crate::sensing::Sensing;
 use crate::totals::{
     EventTally, EventTotals, Ledger, MessageTotals, MissedEvents, PICO_PER_INFORMATION, RadioLosses, Spread, Totals,
 };
@@ -33,6 +34,10 @@ struct OpenEvent {
     tally: EventTally,
     /// Whether a report about it was lost.
     has_lost_report: bool,
+    /// Whether a device with δ = 1 would have detected it, but could not pay for sensing.
+    has_unpowered_detector: bool,
+    /// Whether a woken device did not receive its wake-up.
+    has_missed_wake_up: bool,
     /// The TTI of its last wake-ups, and their number in that TTI.
     last_wake_ups: (Tti, u64),
     /// The number of those wake-ups up to the last one that brought a report.
@@ -49,7 +54,8 @@ pub struct Score {
     devices: Vec<DeviceRecord>,
     /// Cost of a report, by device.
     e_tx: Vec<Energy>,
-    d_max: f64,
+    seed: u64,
+    sensing: Sensing,
     current: Option<OpenEvent>,
     /// Activities of devices during the active event, in order; a device can have several entries.
     activities: Vec<(DeviceId, EventActivity)>,
@@ -95,7 +101,8 @@ impl Score {
             warm_up_end: scenario.warm_up_end(),
             devices: devices.collect(),
             e_tx: deployment.devices.iter().map(|d| d.energy.e_tx).collect(),
-            d_max: scenario.sensing.d_max,
+            seed: scenario.run.seed,
+            sensing: scenario.sensing.clone(),
             current: None,
             activities: Vec::new(),
             events: EventTotals::default(),
@@ -140,6 +147,8 @@ impl Score {
             event,
             tally: EventTally::default(),
             has_lost_report: false,
+            has_unpowered_detector: false,
+            has_missed_wake_up: false,
             last_wake_ups: (Tti::NEVER, 0),
             wake_ups_until_last_report: 0,
             late_wake_ups: 0,
@@ -164,6 +173,14 @@ impl Score {
     /// Records that a device with δ = 1 detected the event and could not transmit.
     pub fn record_failed_transmission(&mut self, failure: &FailedTransmission) {
         self.count_wrong_activation(failure.device, failure.drained);
+    }
+
+    /// Records that `devices` devices with δ = 1 would have detected the event in this TTI, but could not pay for
+    /// sensing.
+    pub const fn record_unpowered(&mut self, devices: u64) {
+        if let Some(current) = &mut self.current {
+            current.has_unpowered_detector |= devices > 0;
+        }
     }
 
     /// Records the removal of devices.
@@ -223,6 +240,7 @@ impl Score {
             }
             WakeOutcome::Missed => {
                 self.losses.missed_wake_ups += u64::from(is_measured);
+                self.open_event().has_missed_wake_up = true;
                 self.add_activity(device, EventActivity::MISSED_WAKE_UP);
             }
         }
@@ -238,14 +256,13 @@ impl Score {
     /// # Panics
     /// If no event is active.
     pub fn record_event_end(&mut self, last: Tti, information: f64) -> EventRecord {
+        let open = self.current.take().expect("an event is active");
         let OpenEvent {
             event,
             mut tally,
-            has_lost_report,
             wake_ups_until_last_report,
-            late_wake_ups,
             ..
-        } = self.current.take().expect("an event is active");
+        } = open;
         // Whole 10⁻¹² units: integer sums over events do not depend on their order.
         tally.information_pico = (information * PICO_PER_INFORMATION).round() as u64;
         self.digest.add_event_end(last, &tally);
@@ -259,17 +276,18 @@ impl Score {
             // An event belongs to the TTI in which it starts, even if it ends after the warm-up.
             counted: start >= self.warm_up_end,
             tally,
+            miss_cause: (tally.reports == 0).then(|| self.miss_cause(&open)),
         };
         if record.counted {
             let delay = record.delay();
             self.events.count(&tally, delay);
-            match delay {
-                Some(delay) => {
-                    self.delays.count(delay);
-                    // Wake-ups go out one latency apart, so answer n arrives n latencies after the first report.
-                    self.wake_up_span_ttis += wake_ups_until_last_report * self.wake_latency;
-                }
-                None => self.count_missed_event(&record, has_lost_report, late_wake_ups),
+            if let Some(delay) = delay {
+                self.delays.count(delay);
+                // Wake-ups go out one latency apart, so answer n arrives n latencies after the first report.
+                self.wake_up_span_ttis += wake_ups_until_last_report * self.wake_latency;
+            }
+            if let Some(cause) = record.miss_cause {
+                self.missed.count(cause);
             }
             // Added only here, because an event that is still open at the end of the run is not counted.
             for (device, activity) in &self.activities {
@@ -322,19 +340,37 @@ impl Score {
         }
     }
 
-    fn count_missed_event(&mut self, event: &EventRecord, has_lost_report: bool, late_wake_ups: u64) {
-        let is_within_d_max = |device: &DeviceRecord| device.position.distance(event.epicentre) <= self.d_max;
+    /// Returns the first condition for a report of `open` that no device met.
+    fn miss_cause(&self, open: &OpenEvent) -> MissCause {
         // Late wake-ups are wrong activations too; only the excess over them stands for devices that could not pay.
-        let cause = if has_lost_report {
-            &mut self.missed.lost
-        } else if event.tally.wrong_activations > late_wake_ups {
-            &mut self.missed.no_energy
-        } else if self.devices.iter().any(is_within_d_max) {
-            &mut self.missed.not_sensing
-        } else {
-            &mut self.missed.out_of_reach
-        };
-        *cause += 1;
+        if open.has_lost_report {
+            return MissCause::Lost;
+        } else if open.tally.wrong_activations > open.late_wake_ups {
+            return MissCause::NoEnergy;
+        } else if open.has_missed_wake_up {
+            return MissCause::WakeMissed;
+        } else if open.has_unpowered_detector {
+            return MissCause::Unpowered;
+        }
+        let ActiveEvent { stimulus, start, .. } = open.event;
+        let mut cause = MissCause::OutOfReach;
+        for device in &self.devices {
+            let d = device.position.distance(stimulus.epicentre);
+            if d > self.sensing.d_max {
+                continue;
+            }
+            let is_removed = |removal: &DeviceRemoval| removal.contains(device.device) && removal.tti < start;
+            if self.removals.iter().any(is_removed) {
+                if cause == MissCause::OutOfReach {
+                    cause = MissCause::Removed;
+                }
+            } else if self.sensing.detects(self.seed, stimulus.event, device.device, d) {
+                return MissCause::Asleep;
+            } else {
+                cause = MissCause::Undetected;
+            }
+        }
+        cause
     }
 
     fn open_event(&mut self) -> &mut OpenEvent {

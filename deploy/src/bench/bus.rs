@@ -100,6 +100,7 @@ fn message_sizes() -> Sizes {
         tti,
         reports: 0,
         failures: Vec::new(),
+        unpowered: 0,
         totals: None,
         views: None,
     };

@@ -45,8 +45,10 @@ const MAX_SPAN_TTIS: u64 = 1 << 13;
 /// The outcome of a stimulus for a device.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SenseOutcome {
-    /// No effect: not in S1, out of range, or not detected.
+    /// No effect: δ = 0, out of range, not detected, or removed.
     Nothing,
+    /// The device would have detected the event, but could not pay for S1.
+    Unpowered,
     /// S1 → S2 → S3.
     Reported(Report),
     /// S1 → S2 → S4.
@@ -346,17 +348,18 @@ impl Machine {
     /// Performs steps 4 and 5 of TTI `k`: senses `stimulus` and transmits. Begins TTI `k` if it has not begun.
     pub fn sense(&mut self, k: Tti, stimulus: &Stimulus, physics: &Physics) -> SenseOutcome {
         self.begin(k);
-        match self.state {
-            DeviceState::Idle => {
-                let d = self.position.distance(stimulus.epicentre);
-                if physics.sensing.detects(physics.seed, stimulus.event, self.id, d) {
-                    self.transmit(k, d, physics)
-                        .map_or_else(SenseOutcome::Failed, SenseOutcome::Reported)
-                } else {
-                    SenseOutcome::Nothing
-                }
-            }
-            DeviceState::Active | DeviceState::Transmission | DeviceState::Sleep { .. } => SenseOutcome::Nothing,
+        let d = self.position.distance(stimulus.epicentre);
+        let is_unpowered =
+            self.state == DeviceState::Sleep { powered: false } && self.duty.is_on(k) && !self.is_removed;
+        if !(self.state == DeviceState::Idle || is_unpowered)
+            || !physics.sensing.detects(physics.seed, stimulus.event, self.id, d)
+        {
+            SenseOutcome::Nothing
+        } else if is_unpowered {
+            SenseOutcome::Unpowered
+        } else {
+            self.transmit(k, d, physics)
+                .map_or_else(SenseOutcome::Failed, SenseOutcome::Reported)
         }
     }
 

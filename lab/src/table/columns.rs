@@ -114,29 +114,51 @@ impl Schema {
     pub fn position(&self, path: &str) -> Option<usize> {
         self.swept.iter().position(|(name, _)| name == path)
     }
+}
 
-    /// Returns today's names of the swept columns in `header`, after a check of all others. Fields and metrics may have
-    /// the names of version 0.1.
-    pub(super) fn swept_among(header: &[&str]) -> Result<Vec<String>, SchemaMismatch> {
-        let fixed = IDENTITY_COLUMNS.len() + Metrics::COUNT + TRAILING_COLUMNS.len();
-        // Any CSV or Parquet file may be given, also one with fewer columns.
-        let swept_count = header.len().checked_sub(fixed);
-        let Some(swept_count) = swept_count else {
-            return Err(columns_mismatch(&Self::default().names(), header));
+/// The columns of a file that can differ between versions and tables.
+pub(super) struct FileColumns {
+    /// Today's name of each swept column.
+    pub(super) swept: Vec<String>,
+    /// The index in [`Metrics::NAMES`] of each column of a metric.
+    pub(super) metrics: Vec<usize>,
+}
+
+impl FileColumns {
+    /// Finds the swept columns and the metrics in `header`, and checks all others. Fields and metrics may have the names
+    /// of version 0.1, and the metrics of version 3 may be absent.
+    pub(super) fn of_header(header: &[&str]) -> Result<Self, SchemaMismatch> {
+        let index_of = |name: &str| {
+            let name = Metrics::current_name(name);
+            Metrics::NAMES.iter().position(|metric| *metric == name)
         };
-        let (before, rest) = header.split_at(IDENTITY_COLUMNS.len());
-        let (swept, after) = rest.split_at(swept_count);
-        let names: Vec<String> = swept.iter().map(|name| current_field(name)).collect();
-        let found = before.iter().copied().chain(names.iter().map(String::as_str));
-        let found = found.chain(after.iter().map(|name| Metrics::current_name(name)));
-        let schema = Self {
-            swept: names.iter().map(|name| (name.clone(), ColumnType::Text)).collect(),
+        let mismatch = || columns_mismatch(&Schema::default().names(), header);
+        let first_metric = header
+            .iter()
+            .position(|name| index_of(name).is_some())
+            .ok_or_else(mismatch)?;
+        let (Some(after), Some(swept)) = (
+            header.len().checked_sub(TRAILING_COLUMNS.len()),
+            header.get(IDENTITY_COLUMNS.len()..first_metric),
+        ) else {
+            return Err(mismatch());
         };
-        let expected = schema.names();
-        if expected.iter().copied().eq(found) {
-            Ok(names)
+        let names = header.get(first_metric..after).ok_or_else(mismatch)?;
+        let metrics: Option<Vec<usize>> = names.iter().map(|name| index_of(name)).collect();
+        let metrics = metrics.ok_or_else(mismatch)?;
+        let is_present =
+            |(index, name): (usize, &&str)| metrics.contains(&index) || Metrics::ADDED_IN_TABLE_3.contains(name);
+        if header.starts_with(&IDENTITY_COLUMNS)
+            && header.ends_with(&TRAILING_COLUMNS)
+            && metrics.is_sorted_by(|a, b| a < b)
+            && Metrics::NAMES.iter().enumerate().all(is_present)
+        {
+            Ok(Self {
+                swept: swept.iter().map(|name| current_field(name)).collect(),
+                metrics,
+            })
         } else {
-            Err(columns_mismatch(&expected, header))
+            Err(mismatch())
         }
     }
 }
@@ -146,7 +168,9 @@ fn columns_mismatch(expected: &[&str], found: &[&str]) -> SchemaMismatch {
     if !found.contains(&IDENTITY_COLUMNS[0]) {
         return SchemaMismatch::NotOurs;
     }
-    let missing = expected.iter().find(|name| !found.contains(name));
+    let names: Vec<&str> = found.iter().map(|name| Metrics::current_name(name)).collect();
+    let is_missing = |name: &&&str| !names.contains(*name) && !Metrics::ADDED_IN_TABLE_3.contains(*name);
+    let missing = expected.iter().find(is_missing);
     SchemaMismatch::Columns(missing.map_or_else(
         || "its columns are in another order".to_owned(),
         |name| format!("it has no column `{name}`, or has columns of metrics that this version does not know"),

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use reveille_common::score::Metrics;
 
 use super::Table;
-use super::columns::{ColumnType, IDENTITY_COLUMNS, Schema, SweptValue};
+use super::columns::{ColumnType, FileColumns, IDENTITY_COLUMNS, Schema, SweptValue};
 use super::error::SchemaMismatch;
 use super::row::{LastText, ResultRow};
 use super::sidecar::Sidecar;
@@ -50,13 +50,12 @@ fn format_value(value: &SweptValue) -> String {
     }
 }
 
-/// Returns the swept columns, with the types in the sidecar or else guessed from the values.
+/// Returns the swept columns `names`, with the types in the sidecar or else guessed from the values.
 fn read_schema(
-    names: &[&str],
+    names: Vec<String>,
     sidecar_types: Option<Vec<ColumnType>>,
     records: &[csv::StringRecord],
 ) -> Result<Schema, SchemaMismatch> {
-    let names = Schema::swept_among(names)?;
     let types = sidecar_types.unwrap_or_else(|| {
         let column_type = |column: usize| {
             // The reader refuses rows of another length than the header, so the index is valid.
@@ -87,7 +86,8 @@ pub(super) fn decode(text: &str, sidecar: Sidecar) -> Result<Table, SchemaMismat
     let mut reader = csv::Reader::from_reader(text.as_bytes());
     let header = reader.headers().map_err(broken)?.clone();
     let records = reader.records().collect::<Result<Vec<_>, _>>().map_err(broken)?;
-    let schema = read_schema(&header.iter().collect::<Vec<_>>(), sidecar.column_types, &records)?;
+    let FileColumns { swept, metrics } = FileColumns::of_header(&header.iter().collect::<Vec<_>>())?;
+    let schema = read_schema(swept, sidecar.column_types, &records)?;
     if let Some(rows) = sidecar.row_count.filter(|rows| *rows != records.len()) {
         let found = records.len();
         return Err(SchemaMismatch::Broken(format!(
@@ -96,12 +96,16 @@ pub(super) fn decode(text: &str, sidecar: Sidecar) -> Result<Table, SchemaMismat
     }
     Ok(Table {
         metadata: sidecar.metadata,
-        rows: decode_rows(&schema, &records)?,
+        rows: decode_rows(&schema, &metrics, &records)?,
         schema,
     })
 }
 
-fn decode_rows(schema: &Schema, records: &[csv::StringRecord]) -> Result<Vec<ResultRow>, SchemaMismatch> {
+fn decode_rows(
+    schema: &Schema,
+    metric_columns: &[usize],
+    records: &[csv::StringRecord],
+) -> Result<Vec<ResultRow>, SchemaMismatch> {
     let (mut preset, mut policy, mut cell) = (LastText::default(), LastText::default(), Arc::from([]));
     let mut rows = Vec::with_capacity(records.len());
     for (number, record) in records.iter().enumerate() {
@@ -118,11 +122,12 @@ fn decode_rows(schema: &Schema, records: &[csv::StringRecord]) -> Result<Vec<Res
         }
         let first_metric = IDENTITY_COLUMNS.len() + schema.swept.len();
         let mut metrics = [f64::NAN; Metrics::COUNT];
-        for (index, slot) in metrics.iter_mut().enumerate() {
-            if !record[first_metric + index].is_empty() {
-                *slot = fields.get(first_metric + index)?;
+        for (column, metric) in (first_metric..).zip(metric_columns) {
+            if !record[column].is_empty() {
+                metrics[*metric] = fields.get(column)?;
             }
         }
+        let events = first_metric + metric_columns.len();
         let row = ResultRow {
             scenario_hash: fields.get(0)?,
             preset: preset.intern(&record[1]),
@@ -132,8 +137,8 @@ fn decode_rows(schema: &Schema, records: &[csv::StringRecord]) -> Result<Vec<Res
             seed: fields.get(5)?,
             swept: Arc::clone(&cell),
             metrics,
-            events: fields.get(first_metric + Metrics::COUNT)?,
-            digest: fields.get(first_metric + Metrics::COUNT + 1)?,
+            events: fields.get(events)?,
+            digest: fields.get(events + 1)?,
         };
         rows.push(row.check(number + 1)?);
     }

@@ -4,8 +4,8 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 /// The version of the table format, raised when a column changes its name or meaning. Version 1, with former names of
-/// metrics, is still read.
-pub(crate) const TABLE_VERSION: u32 = 2;
+/// metrics, and version 2, without the causes of missed events, are still read.
+pub(crate) const TABLE_VERSION: u32 = 3;
 
 /// A reason why a result table cannot be read or written.
 #[derive(Debug, thiserror::Error)]

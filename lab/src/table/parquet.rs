@@ -12,7 +12,7 @@ use reveille_common::parquet::{self, Column, GroupReader, GroupWriter, Writer};
 use reveille_common::score::Metrics;
 
 use super::Table;
-use super::columns::{ColumnType, IDENTITY_COLUMNS, Schema, SweptValue, TRAILING_COLUMNS};
+use super::columns::{ColumnType, FileColumns, IDENTITY_COLUMNS, Schema, SweptValue, TRAILING_COLUMNS};
 use super::error::SchemaMismatch;
 use super::metadata::TableMetadata;
 use super::row::{Hash, LastText, ResultRow};
@@ -28,14 +28,15 @@ pub(super) fn to_bytes(table: &Table) -> Result<Vec<u8>, String> {
 fn encode(table: &Table) -> Result<Vec<u8>, ParquetError> {
     let pairs = table.metadata.pairs().into_iter();
     let metadata = pairs.map(|(key, value)| (key.to_owned(), value));
-    let mut writer = Writer::begin(Vec::new(), message_type(&table.schema)?, metadata)?;
+    let mut writer = Writer::begin(Vec::new(), message_type(&table.schema, 0..Metrics::COUNT)?, metadata)?;
     for rows in table.rows.chunks(ROWS_PER_GROUP) {
         writer.write_row_group(|group| write_group(group, &table.schema, rows))?;
     }
     writer.finish()
 }
 
-fn message_type(schema: &Schema) -> Result<Type, ParquetError> {
+/// Returns the columns of a file with the swept fields of `schema` and the metrics at these indices.
+fn message_type(schema: &Schema, metrics: impl Iterator<Item = usize>) -> Result<Type, ParquetError> {
     let [hash, preset, policy, n, ttis, seed] = IDENTITY_COLUMNS;
     let [events, digest] = TRAILING_COLUMNS;
     let text = |name| Column::required(name, Physical::BYTE_ARRAY);
@@ -46,7 +47,7 @@ fn message_type(schema: &Schema) -> Result<Type, ParquetError> {
         ColumnType::Float => Column::required(name, Physical::DOUBLE),
         ColumnType::Text => text(name),
     }));
-    columns.extend(Metrics::NAMES.map(|name| Column::optional(name, Physical::DOUBLE)));
+    columns.extend(metrics.map(|metric| Column::optional(Metrics::NAMES[metric], Physical::DOUBLE)));
     columns.extend([int(events), text(digest)]);
     parquet::schema("runs", columns)
 }
@@ -140,12 +141,12 @@ fn read_table(reader: &impl FileReader) -> Result<Table, SchemaMismatch> {
     let metadata = read_metadata(reader)?;
     let fields = reader.metadata().file_metadata().schema().get_fields();
     let header: Vec<&str> = fields.iter().map(|field| field.name()).collect();
-    let names = Schema::swept_among(&header)?;
-    let first = IDENTITY_COLUMNS.len();
-    let types = fields[first..first + names.len()].iter().map(|field| type_of(field));
-    let swept = names.into_iter().zip(types).collect();
-    let schema = Schema { swept };
-    let expected = message_type(&schema)?;
+    let FileColumns { swept, metrics } = FileColumns::of_header(&header)?;
+    let types = fields[IDENTITY_COLUMNS.len()..].iter().map(|field| type_of(field));
+    let schema = Schema {
+        swept: swept.into_iter().zip(types).collect(),
+    };
+    let expected = message_type(&schema, metrics.iter().copied())?;
     // The names are checked, so both have the same length. A type may still differ, as in a file of another program.
     let mut pairs = expected.get_fields().iter().zip(fields);
     let differing = pairs.find(|(expected, found)| !has_same_type(expected, found));
@@ -157,7 +158,7 @@ fn read_table(reader: &impl FileReader) -> Result<Table, SchemaMismatch> {
     }
     let mut rows = Vec::new();
     for number in 0..reader.num_row_groups() {
-        read_group(&*reader.get_row_group(number)?, &schema, &mut rows)?;
+        read_group(&*reader.get_row_group(number)?, &schema, &metrics, &mut rows)?;
     }
     Ok(Table { metadata, schema, rows })
 }
@@ -208,7 +209,12 @@ fn swept(columns: &mut GroupReader<'_>, column_type: ColumnType) -> Result<Vec<S
     })
 }
 
-fn read_group(group: &dyn RowGroupReader, schema: &Schema, rows: &mut Vec<ResultRow>) -> Result<(), SchemaMismatch> {
+fn read_group(
+    group: &dyn RowGroupReader,
+    schema: &Schema,
+    metrics: &[usize],
+    rows: &mut Vec<ResultRow>,
+) -> Result<(), SchemaMismatch> {
     let mut columns = GroupReader::new(group);
     // In the order of `message_type`, which `read_table` has checked: the reader takes columns by position.
     let hash_column = hashes(&mut columns)?;
@@ -222,9 +228,10 @@ fn read_group(group: &dyn RowGroupReader, schema: &Schema, rows: &mut Vec<Result
     let swept_columns = swept_columns
         .map(|(_, column_type)| swept(&mut columns, *column_type))
         .collect::<Result<Vec<_>, _>>()?;
-    let metrics = (0..Metrics::COUNT)
-        .map(|_| columns.read_optional::<DoubleType>())
-        .collect::<Result<Vec<_>, _>>()?;
+    let metric_columns = metrics
+        .iter()
+        .map(|metric| Ok((*metric, columns.read_optional::<DoubleType>()?)))
+        .collect::<Result<Vec<_>, ParquetError>>()?;
     let events = columns.read_required::<Int64Type>()?;
     let digests = hashes(&mut columns)?;
     let non_negative = |value: i64, name: &str| {
@@ -238,6 +245,10 @@ fn read_group(group: &dyn RowGroupReader, schema: &Schema, rows: &mut Vec<Result
             cell = Arc::from(values);
         }
         let devices = u32::try_from(n[index]);
+        let mut metrics = [f64::NAN; Metrics::COUNT];
+        for (metric, values) in &metric_columns {
+            metrics[*metric] = values[index].unwrap_or(f64::NAN);
+        }
         let row = ResultRow {
             scenario_hash: hash_column[index],
             preset: preset.intern(&presets[index]),
@@ -246,7 +257,7 @@ fn read_group(group: &dyn RowGroupReader, schema: &Schema, rows: &mut Vec<Result
             ttis: non_negative(ttis[index], "ttis")?,
             seed: non_negative(seeds[index], "seed")?,
             swept: Arc::clone(&cell),
-            metrics: std::array::from_fn(|metric| metrics[metric][index].unwrap_or(f64::NAN)),
+            metrics,
             events: non_negative(events[index], "events")?,
             digest: digests[index],
         };

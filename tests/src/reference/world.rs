@@ -2,7 +2,7 @@
 
 use reveille_bs::scenario::Scenario;
 use reveille_common::deployment::Deployment;
-use reveille_common::event::EventRecord;
+use reveille_common::event::{EventRecord, MissCause};
 use reveille_common::geometry::Point;
 use reveille_common::ids::{EventId, Tti};
 use reveille_common::rng::{Purpose, unit_for_pair};
@@ -103,6 +103,9 @@ struct Event {
     information: f64,
     /// TTIs from the first report to the last.
     refined: u64,
+    /// Whether a device in range had δ = 1 without the energy to sense, did not receive a wake-up, could not pay for a
+    /// report, or sent a report that was lost.
+    obstacles: [bool; 4],
     /// Actions of devices for the event.
     acts: Vec<(usize, [u64; 4])>,
     /// Reporters of this TTI; the event ends in the TTI of its first report.
@@ -252,6 +255,7 @@ impl<'a> ReferenceWorld<'a> {
             tally: EventTally::default(),
             information: 0.0,
             refined: 0,
+            obstacles: [false; 4],
             acts: Vec::new(),
             reporters: Vec::new(),
         });
@@ -269,6 +273,12 @@ impl<'a> ReferenceWorld<'a> {
                     self.estimates[j].heard(k, self.devices[j].battery);
                     reported.push((j, d));
                 }
+            } else if self.devices[j].state == ReferenceState::Dark
+                && self.policy.senses(j, k)
+                && self.radio.is_informed(j)
+                && self.detects(j, d)
+            {
+                event.obstacles[0] = true;
             }
         }
         self.hear_silence(k, &reported);
@@ -348,6 +358,7 @@ impl<'a> ReferenceWorld<'a> {
                     false
                 }
             } else {
+                event.obstacles[1] = true;
                 self.missed_wake_ups += 1;
                 self.losses.missed_wake_ups += u64::from(k >= self.warm_up_end);
                 false
@@ -396,12 +407,14 @@ impl<'a> ReferenceWorld<'a> {
             event.tally.wasted += Energy::from_micro(gone);
         }
         if !paid {
+            event.obstacles[2] = true;
             self.devices[j].state = ReferenceState::Dark;
             return false;
         }
         self.devices[j].state = ReferenceState::Transmission;
         let is_measured = u64::from(k >= self.warm_up_end);
         if !arrives {
+            event.obstacles[3] = true;
             self.losses.reports += is_measured;
             return false;
         }
@@ -461,8 +474,37 @@ impl<'a> ReferenceWorld<'a> {
             last: Tti(k),
             counted: event.start >= self.warm_up_end,
             tally: event.tally,
+            miss_cause: self.miss_cause(&event),
         });
         self.coming.ended();
+    }
+
+    /// Returns the furthest obstacle that kept a report of `event` from the base station.
+    fn miss_cause(&self, event: &Event) -> Option<MissCause> {
+        if event.tally.reports > 0 {
+            return None;
+        }
+        let met = [
+            MissCause::Unpowered,
+            MissCause::WakeMissed,
+            MissCause::NoEnergy,
+            MissCause::Lost,
+        ];
+        if let Some(at) = event.obstacles.iter().rposition(|is_met| *is_met) {
+            return Some(met[at]);
+        }
+        let distances = self.positions.iter().map(|at| distance(*at, event.epicentre));
+        let near: Vec<(usize, f64)> = distances
+            .enumerate()
+            .filter(|(_, d)| *d <= self.scenario.sensing.d_max)
+            .collect();
+        Some(if near.is_empty() {
+            MissCause::OutOfReach
+        } else if near.iter().any(|(j, d)| self.detects(*j, *d)) {
+            MissCause::Asleep
+        } else {
+            MissCause::Undetected
+        })
     }
 
     /// Step 7: accounting.

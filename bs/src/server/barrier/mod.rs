@@ -23,6 +23,8 @@ pub struct GrantResult {
     pub reports: Vec<Report>,
     /// The devices that could not transmit.
     pub failures: Vec<FailedTransmission>,
+    /// Number of devices that could not pay for sensing the event.
+    pub unpowered: u64,
     /// Sums over all devices, if the grant asked for them.
     pub totals: DeviceTotals,
     /// States and batteries of all devices, in the order of ids, if the grant asked for them.
@@ -34,6 +36,7 @@ pub struct GrantResult {
 struct HostResult {
     reports: u32,
     failures: Vec<FailedTransmission>,
+    unpowered: u32,
     totals: Option<DeviceTotals>,
     views: Vec<DeviceView>,
 }
@@ -293,16 +296,17 @@ impl Barrier {
                     tti: answered_tti,
                     reports,
                     failures,
+                    unpowered,
                     totals,
                     views,
                 },
             ) => {
-                let is_quiet = reports == 0 && failures.is_empty();
+                let is_quiet = reports == 0 && failures.is_empty() && unpowered == 0;
                 // Every field is checked before anything is kept, since a host may send any numbers.
                 let is_possible = roster.position(stated_host) == Some(position)
                     && answered_tti == *tti
                     && (*may_report || is_quiet)
-                    && roster.is_possible_answer(position, reports, &failures)
+                    && roster.is_possible_answer(position, reports, &failures, unpowered)
                     && totals.is_some() == options.totals
                     && views.is_some() == options.views
                     && views
@@ -313,6 +317,7 @@ impl Barrier {
                     let result = HostResult {
                         reports,
                         failures,
+                        unpowered,
                         totals,
                         views: views.unwrap_or_default(),
                     };
@@ -403,6 +408,7 @@ impl Barrier {
                 for (position, result) in answers.by_host.into_iter().enumerate() {
                     let Some(result) = result else { continue };
                     grant_result.failures.extend(result.failures);
+                    grant_result.unpowered += u64::from(result.unpowered);
                     grant_result.totals += result.totals.unwrap_or_default();
                     if options.views {
                         let first = self.roster.assignment(position).first.index();

@@ -26,6 +26,7 @@ struct Parts {
     missing: usize,
     reports: Vec<Report>,
     failures: Vec<FailedTransmission>,
+    unpowered: u32,
     totals: Option<DeviceTotals>,
     views: Vec<(DeviceId, DeviceView)>,
     ledgers: Vec<(DeviceId, Ledger)>,
@@ -37,6 +38,8 @@ pub enum DeviceAnswer {
     Reported(Report),
     /// The device could not transmit.
     Failed(FailedTransmission),
+    /// The device could not pay for sensing.
+    Unpowered,
     /// A device with its state and battery.
     View(DeviceId, DeviceView),
     /// A device with its ledger.
@@ -93,6 +96,7 @@ impl AnswerRound {
         match part {
             DeviceAnswer::Reported(report) => parts.reports.push(*report),
             DeviceAnswer::Failed(failure) => parts.failures.push(*failure),
+            DeviceAnswer::Unpowered => parts.unpowered += 1,
             DeviceAnswer::View(device, view) => parts.views.push((*device, *view)),
             DeviceAnswer::Ledger(device, ledger) => match self.request {
                 HostRequest::Grant(_) => parts.totals = Some(parts.totals.unwrap_or_default() + ledger.whole),
@@ -118,6 +122,7 @@ impl AnswerRound {
                 tti,
                 reports: parts.reports.len() as u32,
                 failures: parts.failures.clone(),
+                unpowered: parts.unpowered,
                 totals: parts.totals,
                 views: parts.views(),
             },
