@@ -214,6 +214,7 @@ fn forgeries(keys: &Keys, pass: HostCredential, tti: u64) -> Vec<(String, Vec<u8
             device: DeviceId(0),
             drained: Energy::from_micro(drained),
         }],
+        unpowered: 0,
         totals: Some(DeviceTotals::default()),
         views: None,
     };

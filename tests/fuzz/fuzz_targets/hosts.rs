@@ -191,6 +191,7 @@ impl HostRecords {
                     tti,
                     reports: input.arbitrary()?,
                     failures: if input.arbitrary()? { vec![failure] } else { Vec::new() },
+                    unpowered: input.arbitrary()?,
                     totals: None,
                     views: None,
                 };
@@ -230,6 +231,7 @@ impl HostRecords {
                 tti,
                 reports: 0,
                 failures: Vec::new(),
+                unpowered: 0,
                 totals: None,
                 views: None,
             };
