@@ -32,8 +32,12 @@ impl VirtualClock {
     pub fn apply(&mut self, command: ClockCommand, next: Tti) {
         match command {
             ClockCommand::Pause => self.until = next,
-            // The number comes from an operator and may be any `u64`.
-            ClockCommand::Step(n) => self.until = next.saturating_add(n),
+            // A step before the previous one has ended extends it. The number comes from an operator and may be any
+            // `u64`.
+            ClockCommand::Step(n) => {
+                let stop = if self.until == Tti::NEVER { next } else { self.until.max(next) };
+                self.until = stop.saturating_add(n);
+            }
             ClockCommand::RunTo(k) if k >= next && k <= self.end => self.until = k,
             ClockCommand::Resume => self.until = Tti::NEVER,
             // An operator may send any `u64`; an unbounded pace could overflow the `Instant` at which a TTI is due.
@@ -91,6 +95,8 @@ mod tests {
         assert_eq!(clock.until(), Tti(7));
         clock.apply(ClockCommand::Step(3), Tti(7));
         assert_eq!(clock.until(), Tti(10));
+        clock.apply(ClockCommand::Step(5), Tti(9));
+        assert_eq!(clock.until(), Tti(15), "a second step adds to the first");
         clock.apply(ClockCommand::RunTo(Tti(50)), Tti(10));
         clock.apply(ClockCommand::Status, Tti(20));
         assert_eq!(clock.until(), Tti(50));
