@@ -6,6 +6,7 @@ It shares no code with the program: it only follows the definitions on the page 
 whole micro-units, so that sums by state must agree exactly.
 """
 
+import collections
 import csv
 import json
 import math
@@ -60,18 +61,23 @@ def of_events(rows: list[dict[str, str]], alpha: float, ttis: int) -> dict[str, 
     }
 
 
-def causes(rows: list[dict[str, str]], devices: list[dict[str, str]], d_max: float) -> dict[str, int]:
-    """Why counted events were missed, where the radio loses nothing."""
-    found = {"out_of_reach": 0, "lost": 0, "no_energy": 0, "not_sensing": 0}
+def causes(rows: list[dict[str, str]], devices: list[dict[str, str]], d_max: float) -> collections.Counter[str]:
+    """Numbers of missed counted events by cause, where the radio loses nothing."""
+    found: collections.Counter[str] = collections.Counter()
     places = [(float(device["x_m"]), float(device["y_m"])) for device in devices]
     for row in rows:
-        if row["counted"] != "1" or row["reports"] != "0":
-            continue
         at = float(row["x_m"]), float(row["y_m"])
-        nearest = min(math.dist(at, place) for place in places)
-        # A device that detects an event is within reach; one that cannot report it is a wrong activation.
-        cause = "out_of_reach" if nearest > d_max else "no_energy" if row["wrong_activations"] != "0" else "not_sensing"
-        found[cause] += 1
+        distances = [math.dist(at, place) for place in places]
+        assert math.isclose(float(row["nearest_m"]), min(distances), abs_tol=1e-9), row
+        assert math.isclose(distances[int(row["nearest_device"])], min(distances), abs_tol=1e-9), row
+        cause = row["miss_cause"]
+        assert (cause == "") == (row["reports"] != "0"), row
+        if cause:
+            assert (cause == "out_of_reach") == (min(distances) > d_max), row
+            # A device that detects an event and cannot report it is a wrong activation.
+            assert (cause == "no_energy") == (row["wrong_activations"] != "0"), row
+        if cause and row["counted"] == "1":
+            found[cause] += 1
     return found
 
 
@@ -134,9 +140,14 @@ def check(folder: Path) -> int:
         by_event = sum(int(row[of_all]) for row in events if row["counted"] == "1")
         if by_device != by_event:
             wrong.append(f"{folder}: {by_device} {own} of devices, {by_event} of events")
-    missed = causes(events, devices, scenario["sensing"]["d_max"])
-    if missed != summary["totals"]["missed"]:
-        wrong.append(f"{folder}: {summary['totals']['missed']} in the summary, and {missed} from the tables")
+    missed = dict(causes(events, devices, scenario["sensing"]["d_max"]))
+    stated = {cause: count for cause, count in summary["totals"]["missed"].items() if count}
+    if missed != stated:
+        wrong.append(f"{folder}: {stated} in the summary, and {missed} from the tables")
+    for cause, count in summary["totals"]["missed"].items():
+        share = ratio(100 * count, computed["events"])
+        if not same(summary["metrics"][f"missed_{cause}_pct"], share):
+            wrong.append(f"{folder}: missed_{cause}_pct is not {share}")
     # Exactly: the sums by state equal the totals.
     for state in STATES:
         by_device = sum(micro(row[f"{state}_units"]) for row in devices)
