@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use reveille_common::declare::quoted_list;
+use reveille_common::declare::{FORMER_NAME_NOTICE, quoted_list};
 use reveille_common::geometry::Layout;
 
 use super::*;
@@ -373,7 +373,7 @@ fn former_names_of_fields_are_accepted_with_a_warning() {
         let name = |field: &str| field.split('=').next().unwrap_or_default().to_owned();
         let expected = format!("{} is now called {} (set by --set {old})", name(old), name(new));
         assert!(
-            matches!(&warnings[..], [one] if one.starts_with(&expected)),
+            matches!(&warnings[..], [one] if one.starts_with(&expected) && one.ends_with(FORMER_NAME_NOTICE)),
             "{warnings:?}"
         );
         assert_eq!(hash(&former), hash(&current));
@@ -386,9 +386,19 @@ fn former_names_of_fields_are_accepted_with_a_warning() {
         "{:?}",
         file.warnings
     );
-    let twice = from("[radio]\nfalse_wake = 0.1\nfalse_wake_up = 0.2\n").expect_err("two values");
+}
+
+#[test]
+fn a_former_name_next_to_the_current_one_is_refused() {
+    let file = "[radio]\nfalse_wake = 0.1\nfalse_wake_up = 0.2\n";
+    let twice = parse(file, "my.toml", Path::new(""), &[]).expect_err("two values");
+    let expected = "radio.false_wake is the former name of radio.false_wake_up, and the file sets both: remove \
+                    radio.false_wake; set in my.toml, line 2";
+    assert_eq!(twice.to_string(), expected);
+    let option = set(&["radio={ false_wake = 0.1, false_wake_up = 0.2 }"]);
+    let twice = load("paper", &option).expect_err("two values").to_string();
     assert!(
-        twice.to_string().starts_with("unknown field `radio.false_wake`"),
+        twice.contains("and the option sets both: remove radio.false_wake; set by --set"),
         "{twice}"
     );
 }
