@@ -139,6 +139,8 @@ pub struct Experiment {
     pub seeds: Seeds,
     /// The condition that ends a cell; `None` to run all seeds.
     pub until_ci: Option<UntilCi>,
+    /// The warnings about former names of fields, each a sentence without its full stop.
+    pub warnings: Vec<String>,
 }
 
 impl Experiment {

@@ -27,7 +27,7 @@ pub struct GridCell {
     pub swept: Arc<[SweptValue]>,
     /// The scenario with the first seed.
     pub scenario: Scenario,
-    /// The warnings about the scenario, a sentence each without its stop.
+    /// The warnings about the experiment and the scenario, a sentence each without its stop.
     pub warnings: Vec<String>,
 }
 
@@ -225,6 +225,6 @@ fn build_cell(
         label,
         swept: Arc::from(swept),
         scenario: loaded.scenario,
-        warnings: loaded.warnings,
+        warnings: experiment.warnings.iter().cloned().chain(loaded.warnings).collect(),
     })
 }

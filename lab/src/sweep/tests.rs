@@ -4,6 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use reveille_common::declare::FORMER_NAME_NOTICE;
 use reveille_common::io::Disk;
 
 use super::*;
@@ -147,6 +148,10 @@ fn what_cannot_be_run_is_refused_with_its_field() {
             "radio.false_wake_up = 0.1: is set by",
         ),
         (
+            "[set]\nradio.false_wake = 0.1\nradio.false_wake_up = 0.2",
+            "radio.false_wake_up = 0.2: is set under its former and its current name by `set` of e.toml",
+        ),
+        (
             "[grid]\nradio.false_wake = [0.1]\nradio.false_wake_up = [0.2]",
             "radio.false_wake_up = …: is swept twice",
         ),
@@ -157,6 +162,26 @@ fn what_cannot_be_run_is_refused_with_its_field() {
         let message = grid(text).expect_err(text).to_string();
         assert!(message.contains(part), "{text}: {message}");
     }
+}
+
+#[test]
+fn former_names_of_fields_are_accepted_with_a_warning() {
+    let mut above = ExperimentBuilder::default();
+    let values = vec![toml::Value::Float(0.2)];
+    above.add_axis("--grid", "policy.dt.in_vain", values).expect("valid");
+    let file = draft("policies = [\"dt\"]\n[set]\nradio.false_wake = 0.1").expect("valid");
+    let experiment = above.with_defaults_from(file).build().expect("valid");
+    let [cell] = &SweepGrid::new(experiment, &Disk).expect("valid").cells[..] else {
+        panic!("one cell");
+    };
+    let expected = [
+        "radio.false_wake is now called radio.false_wake_up (set by `set` of e.toml); ",
+        "policy.dt.in_vain is now called policy.dt.miss_cost (set by --grid); ",
+    ];
+    assert_eq!(
+        cell.warnings,
+        expected.map(|start| format!("{start}{FORMER_NAME_NOTICE}"))
+    );
 }
 
 #[test]
