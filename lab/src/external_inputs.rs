@@ -2,7 +2,7 @@
 //!
 //! External inputs are removals of devices, whose process was lost under `--on-loss continue`, and decisions of a
 //! policy process. They and the scenario determine the run: replays and resumed runs read them from `inputs.log`. A
-//! change of the lines needs a new `VERSION`; logs of version 1 must still be read.
+//! change of the lines needs a new `VERSION`; logs of version 1, which has only removals, must still be read.
 
 use reveille_bs::policy::external::{Decision, PlanDecision, RecordedDecision};
 use reveille_bs::scenario::Scenario;
@@ -36,6 +36,12 @@ pub enum InputLogError {
     /// The log does not begin with the line that names its run.
     #[error("line {0}: the line that names the run must come first")]
     MissingFirstLine(usize),
+    /// A second line names a run.
+    #[error("line {0}: a second line names the run; use the unedited inputs.log of a run folder")]
+    SecondFirstLine(usize),
+    /// A log of version 1 holds a decision.
+    #[error("line {0}: a log of version 1 holds no decisions; use the unedited inputs.log of a run folder")]
+    DecisionInVersion1(usize),
     /// A removal is impossible in this run.
     #[error("line {0}: this run cannot have removed these devices at this point")]
     Outage(usize),
@@ -211,7 +217,8 @@ pub struct InputLogParser {
     inputs: ExternalInputs,
     /// The number of lines read.
     line_count: usize,
-    has_first_line: bool,
+    /// The version in the first line, once that line is read.
+    version: Option<u32>,
 }
 
 impl InputLogParser {
@@ -238,29 +245,36 @@ impl InputLogParser {
         let Self {
             inputs,
             line_count: line_number,
-            has_first_line,
+            version: log_version,
         } = self;
         let entry = serde_json::from_str(text).map_err(|error| line_error(*line_number, &error))?;
         let decision = match entry {
-            // Version 1 only has removals, in the same form, so it is accepted too.
+            InputLogLine::Inputs { .. } if log_version.is_some() => {
+                return Err(InputLogError::SecondFirstLine(*line_number));
+            }
             InputLogLine::Inputs { version, .. } if !(1..=VERSION).contains(&version) => {
                 return Err(InputLogError::Version);
             }
             InputLogLine::Inputs { scenario_hash, .. } if scenario_hash != scenario.hash_hex() => {
                 return Err(InputLogError::Scenario);
             }
-            InputLogLine::Inputs { .. } => {
-                *has_first_line = true;
+            InputLogLine::Inputs { version, .. } => {
+                *log_version = Some(version);
                 return Ok(());
             }
             // Everything below is checked against the scenario, which only the first line guarantees.
-            _ if !*has_first_line => return Err(InputLogError::MissingFirstLine(*line_number)),
+            _ if log_version.is_none() => return Err(InputLogError::MissingFirstLine(*line_number)),
             InputLogLine::Outage(outage) => {
                 if !is_possible_removal(&outage, &inputs.outages, scenario) {
                     return Err(InputLogError::Outage(*line_number));
                 }
                 inputs.outages.push(outage);
                 return Ok(());
+            }
+            InputLogLine::Sense { .. } | InputLogLine::Cycles { .. } | InputLogLine::Wake { .. }
+                if *log_version == Some(1) =>
+            {
+                return Err(InputLogError::DecisionInVersion1(*line_number));
             }
             InputLogLine::Sense { tti, devices, next } => existing_devices(&devices, scenario).map(|devices| {
                 let plan = Plan::from_devices(scenario.run.devices as usize, &devices);
@@ -471,6 +485,17 @@ mod tests {
         }
         let torn = first_line(&scenario) + &removal + "garbage";
         assert_eq!(parse(&torn, &scenario).expect("a log").outages, [outage(0, 1, 1)]);
+        let twice = first_line(&scenario) + &removal + &first_line(&scenario);
+        assert!(matches!(of(&twice), InputLogError::SecondFirstLine(3)));
+        let first = first_line_of(1, &scenario);
+        assert_eq!(
+            parse(&(first.clone() + &removal), &scenario).expect("a log").outages,
+            [outage(0, 1, 1)]
+        );
+        for decision in [plan(0, bits(3), 1), wake(0, &[1])] {
+            let with_decision = first.clone() + &removal + &line(&ExternalInput::Decision(decision));
+            assert!(matches!(of(&with_decision), InputLogError::DecisionInVersion1(3)));
+        }
         let other = |version| format!("{{\"inputs\":{{\"version\":{version},\"scenario_hash\":\"00\"}}}}\n");
         assert!(matches!(of(&other(VERSION)), InputLogError::Scenario));
         assert!(matches!(of(other(VERSION).trim_end()), InputLogError::Scenario));
