@@ -63,3 +63,23 @@ def test_nothing_that_is_unknown_is_seen():
     for a, b in zip(*seen, strict=True):
         for key in a:
             np.testing.assert_array_equal(a[key], b[key])
+
+
+def test_scenario_warnings_are_python_warnings():
+    former = {"radio.false_wake": 0.1}
+    text = "radio.false_wake is now called radio.false_wake_up"
+    small = {"devices": 9, "ttis": 20, "set": former}
+    calls = [
+        lambda: reveille.run("quick", policy="knn", **small),
+        lambda: reveille.run("quick", policy="knn", actions=True, **small),
+        lambda: reveille.sweep("quick", policies=["knn", "random"], devices=[9], ttis=[20], set=former),
+        lambda: reveille.timeline_figure("quick", first=0, length=10, **small),
+        lambda: ReveilleEnv("quick", **small),
+    ]
+    for call in calls:
+        with pytest.warns(FutureWarning, match=text) as issued:
+            call()
+        assert len(issued) == 1
+    with pytest.warns(UserWarning, match="has an effect only with") as issued:
+        reveille.run("quick", policy="knn", devices=9, ttis=20, set={"events.aftershocks.radius": 1})
+    assert issued[0].filename == __file__, "the warning names the line of the caller"
