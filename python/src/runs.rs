@@ -7,6 +7,7 @@
 )]
 
 use std::collections::BTreeSet;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, channel};
@@ -127,8 +128,11 @@ pub(crate) fn sweep(py: Python<'_>, text: &str, folder: PathBuf, threads: usize)
     let result = std::thread::scope(|scope| -> PyResult<Result<Option<PathBuf>, SweepError>> {
         let (sender, mut receiver) = channel();
         scope.spawn(move || {
+            // A panic that left the scope would reach Python as a `PanicException`, which `except Exception` misses.
+            let result = catch_unwind(AssertUnwindSafe(work));
+            let result = result.unwrap_or_else(|panic| Err(SweepError::from_panic(&*panic)));
             // The receiver outlives this thread: also after Ctrl-C the loop below waits for the message.
-            let _ = sender.send(work());
+            let _ = sender.send(result);
         });
         let mut interrupted = None;
         loop {
@@ -152,7 +156,14 @@ pub(crate) fn sweep(py: Python<'_>, text: &str, folder: PathBuf, threads: usize)
             }
         }
     })?;
+    let sweep_error = |error: SweepError| {
+        if matches!(error, SweepError::Panicked(_)) {
+            PyRuntimeError::new_err(error.to_string())
+        } else {
+            value_error(error)
+        }
+    };
     result
-        .map_err(value_error)?
+        .map_err(sweep_error)?
         .ok_or_else(|| PyRuntimeError::new_err("the sweep was stopped"))
 }

@@ -1,5 +1,6 @@
 //! Errors of sweeps, their folders and merges. Each message names the thing, the cause and the fix.
 
+use std::any::Any;
 use std::fmt::Display;
 use std::io;
 use std::path::PathBuf;
@@ -122,9 +123,19 @@ pub enum SweepError {
         /// The cause.
         reason: String,
     },
+    /// A thread of the sweep panicked; the text is the panic's message.
+    #[error("the sweep panicked, which is a bug in Reveille: {0}")]
+    Panicked(String),
 }
 
 impl SweepError {
+    /// Creates the error of a panic from its payload, as [`std::panic::catch_unwind`] returns it.
+    pub fn from_panic(payload: &(dyn Any + Send)) -> Self {
+        let text = payload.downcast_ref::<&str>().copied();
+        let text = text.or_else(|| payload.downcast_ref::<String>().map(String::as_str));
+        Self::Panicked(text.unwrap_or("without a message").to_owned())
+    }
+
     /// Creates the error of an invalid value; shows at most 60 characters of it.
     pub(super) fn invalid(field: impl Into<String>, value: impl Display, allowed: impl Into<String>) -> Self {
         let value = value.to_string();
@@ -137,6 +148,27 @@ impl SweepError {
                 value
             },
             allowed: allowed.into(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_panic_keeps_its_message() {
+        let payloads: [(Box<dyn Any + Send>, &str); 3] = [
+            (Box::new("fixed"), "fixed"),
+            (Box::new("formatted".to_owned()), "formatted"),
+            (Box::new(7), "without a message"),
+        ];
+        for (payload, message) in payloads {
+            let error = SweepError::from_panic(&*payload).to_string();
+            assert_eq!(
+                error,
+                format!("the sweep panicked, which is a bug in Reveille: {message}")
+            );
         }
     }
 }
