@@ -4,7 +4,6 @@
 use reveille_common::ids::Tti;
 use reveille_common::scenario::Scenario;
 
-/// The account boundaries of a run.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Boundaries {
     warm_up_end: Tti,

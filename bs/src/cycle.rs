@@ -77,7 +77,6 @@ pub struct Cycle {
     next_tti: Tti,
     /// Whether a grant is out and its last TTI is not closed.
     is_open: bool,
-    /// Wake-ups of the open TTI.
     wake_up_count: u32,
     /// The TTI of each device's last wake-up, in the order of ids; [`Tti::NEVER`] before the first.
     last_woken: Vec<Tti>,

@@ -241,7 +241,6 @@ impl GapTable {
     }
 }
 
-/// Returns the seed of a stream.
 fn stream_key(seed: u64, purpose: Purpose, id: u64) -> u64 {
     mix_bits(
         mix_bits(seed ^ (purpose as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15))

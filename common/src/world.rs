@@ -33,7 +33,6 @@ pub enum WorldChange {
     Missed(Tti),
 }
 
-/// The active event.
 #[derive(Clone, Copy, Debug)]
 struct CurrentEvent {
     event: ActiveEvent,

@@ -11,7 +11,6 @@ use reveille_common::message::DeviceRemoval;
 use reveille_common::plan::{DutyCycle, Plan};
 use serde::{Deserialize, Serialize};
 
-/// The version of the format.
 const VERSION: u32 = 2;
 
 /// A reason why a text is not an input log of a scenario.
@@ -102,7 +101,6 @@ impl ExternalInputs {
     }
 }
 
-/// A line of the log.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 enum InputLogLine {
@@ -310,7 +308,6 @@ fn line_error(line: usize, error: &serde_json::Error) -> InputLogError {
     InputLogError::Line { line, column, cause }
 }
 
-/// Returns these devices if all of them exist.
 fn existing_devices(devices: &[u32], scenario: &Scenario) -> Option<Vec<DeviceId>> {
     let all_exist = devices.iter().all(|device| *device < scenario.run.devices);
     all_exist.then(|| devices.iter().copied().map(DeviceId).collect())
@@ -326,7 +323,6 @@ fn valid_cycles(devices: &[[u32; 3]], scenario: &Scenario) -> Option<Vec<DutyCyc
     (cycles.len() == devices.len() && devices.len() == scenario.run.devices as usize).then_some(cycles)
 }
 
-/// Returns whether `outage` is possible after those in `before`.
 fn is_possible_removal(outage: &DeviceRemoval, before: &[DeviceRemoval], scenario: &Scenario) -> bool {
     let order = |outage: &DeviceRemoval| (outage.tti, outage.wake_ups);
     let is_next = before.last().is_none_or(|last| order(last) <= order(outage));
@@ -390,7 +386,6 @@ mod tests {
         }
     }
 
-    /// A plan of the right size, in which device `j` senses.
     fn bits(j: u32) -> Plan {
         let devices = load("quick", &[]).expect("a preset").scenario.run.devices;
         Plan::from_devices(devices as usize, &[DeviceId(j)])

@@ -18,11 +18,9 @@ use reveille_common::deployment::Deployment;
 
 use crate::run::{Run, RunOptions};
 
-/// An offset to the seed for the pilot runs.
 const PILOT_SEED_OFFSET: u64 = 0x5EED_0F91_1070_0500;
 /// The share of a pilot run that its metrics leave out.
 const PILOT_WARM_UP: f64 = 0.25;
-/// The largest number of cached searches.
 const MAX_CACHED_SEARCHES: usize = 1024;
 
 /// Prepares runs and caches their shared data. Sharing a preparer does not change results.

@@ -16,7 +16,6 @@ use sha2::{Digest as _, Sha256};
 
 use crate::replay::DigestFrames;
 
-/// The version of the format.
 const VERSION: u32 = 1;
 
 /// The progress of a run.

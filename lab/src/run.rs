@@ -43,7 +43,6 @@ pub struct Run {
     lookahead: bool,
 }
 
-/// The devices of a run.
 #[derive(Clone)]
 struct Devices {
     machines: Vec<Machine>,
@@ -213,7 +212,6 @@ impl Run {
         }
     }
 
-    /// Answers the pending decision request.
     pub(crate) fn apply_decision(&mut self, decision: Decision, observer: &mut impl Observer) {
         self.session.apply_result(ActionResult::Decided(decision), observer);
     }

@@ -7,7 +7,6 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use crate::table::{ResultRow, SweptValue, Table};
 
-/// The confidence of the intervals.
 pub(crate) const CONFIDENCE: f64 = 0.95;
 
 /// A mean with its confidence interval.

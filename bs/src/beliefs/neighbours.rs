@@ -35,7 +35,6 @@ impl Neighbours {
         }
     }
 
-    /// Returns the position of a device.
     pub(crate) fn position(&self, device: DeviceId) -> Point {
         self.positions[device.index()]
     }

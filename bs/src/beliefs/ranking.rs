@@ -68,7 +68,6 @@ impl Ranking {
         self.queue_band(reporter, 0);
     }
 
-    /// Excludes `device` for this event.
     pub(crate) fn exclude(&mut self, device: DeviceId) {
         self.last_returned_for[device.index()] = self.event_number;
     }

@@ -26,7 +26,6 @@ pub const GENIE: PolicyEntry = PolicyEntry {
     )
 };
 
-/// Builds the genie.
 #[derive(Debug)]
 struct GenieFactory;
 
@@ -47,7 +46,6 @@ pub struct Genie {
     device_count: usize,
     /// Whether the radio can lose the answer of a working device.
     is_lossy: bool,
-    /// Epicentre of the last event.
     epicentre: Point,
     /// Devices to wake for the new event, the next one at the end. Without radio losses it is the closest one, even if
     /// it cannot pay, as the bound requires.

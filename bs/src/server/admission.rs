@@ -68,7 +68,6 @@ impl HostEntry {
 #[derive(Clone, Debug)]
 pub struct Admission {
     devices: u32,
-    /// Free ranges (first, count).
     free_ranges: Vec<(u32, u32)>,
     hosts: Vec<HostEntry>,
 }

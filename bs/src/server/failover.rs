@@ -55,7 +55,6 @@ pub trait ReplaySource: Send + Sync {
 struct PendingTakeover {
     assignment: Assignment,
     lost_at: Instant,
-    /// The TTI for which a replay was requested.
     replay_tti: Option<Tti>,
     checkpoint: Option<Arc<HostCheckpoint>>,
     /// The new host that is to take over the devices and is not ready yet.

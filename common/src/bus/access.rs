@@ -24,9 +24,7 @@ pub(super) const PEER_LIMITS: [(&str, &str); 3] = [
 
 /// Kinds of messages that only the BS sends to hosts.
 const BS_TO_HOSTS: [MessageKind; 2] = [MessageKind::Clock, MessageKind::Plan];
-/// Kinds of messages that hosts send to the BS.
 const HOSTS_TO_BS: [MessageKind; 2] = [MessageKind::Report, MessageKind::Answer];
-/// Queries that the BS answers.
 const BS_QUERIES: [MessageKind; 5] = [
     MessageKind::Join,
     MessageKind::Ready,

@@ -125,7 +125,6 @@ impl PolicyQuestions {
     }
 }
 
-/// A future of the replies to a decision request.
 type PortQueryFuture<'b> = Pin<Box<dyn Future<Output = Result<Replies, BusError>> + Send + 'b>>;
 
 impl Bus {

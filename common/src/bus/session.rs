@@ -29,7 +29,6 @@ const PORT_ATTEMPTS: u32 = 10;
 /// the start.
 const CHECK_INTERVAL: Duration = Duration::from_millis(500);
 
-/// The settings of all sessions.
 const COMMON_SETTINGS: [(&str, &str); 6] = [
     ("scouting/multicast/enabled", "false"),
     ("scouting/gossip/enabled", "false"),
@@ -233,7 +232,6 @@ fn open_now(config: zenoh::Config) -> zenoh::Result<zenoh::Session> {
     zenoh::open(config).wait()
 }
 
-/// Returns the host and port of `endpoint`.
 fn parse_endpoint(endpoint: &str) -> Result<(&str, u16), BusError> {
     let refuse = |why| BusError::Endpoint(endpoint.to_owned(), why);
     let (protocol, address) = endpoint.split_once('/').ok_or_else(|| refuse("no protocol"))?;

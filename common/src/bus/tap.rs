@@ -25,7 +25,6 @@ use crate::message::{Frame, FrameBatch, MessageKind, Plane};
 
 /// Capacity of the queue of the tap's thread, in frames.
 const MAX_QUEUED_FRAMES: usize = 16_384;
-/// Maximum number of frames in a batch.
 const MAX_BATCH_FRAMES: usize = 512;
 /// Pause between two batches: with [`MAX_BATCH_FRAMES`] it limits the cost of observation to 100 000 frames a second.
 const BATCH_PAUSE: Duration = Duration::from_millis(5);
@@ -84,7 +83,6 @@ impl Tap {
         Ok(tap)
     }
 
-    /// Sets the TTI of the following frames.
     pub(super) fn set_tti(&self, tti: Tti) {
         self.tti.store(tti.0, Ordering::Relaxed);
     }

@@ -5,7 +5,6 @@ use csv::{ReaderBuilder, StringRecord, Trim};
 use super::data::{ColumnData, check_size, column_index};
 use crate::declare::truncate;
 
-/// Reads the columns `wanted` as numbers.
 pub(super) fn numbers(bytes: &[u8], wanted: &[String]) -> Result<ColumnData<f64>, String> {
     read(bytes, wanted, |text, name, line| match text.parse::<f64>() {
         Ok(value) if value.is_finite() => Ok(value),

@@ -137,7 +137,6 @@ impl NameCheck<'_, '_> {
         Ok(())
     }
 
-    /// Checks the list of tables.
     fn check_list(&self, value: &Spanned<DeValue<'_>>, shown_path: &str) -> Result<(), ScenarioError> {
         let DeValue::Array(items) = value.get_ref() else {
             return Err(self.invalid_value(
@@ -214,7 +213,6 @@ fn former_name(former: String, name: &str, origin: ValueOrigin) -> ScenarioError
     }
 }
 
-/// A value of the wrong type.
 struct TypeMismatch {
     span: Range<usize>,
     is_table: bool,
@@ -231,7 +229,6 @@ impl TypeMismatch {
     }
 }
 
-/// Checks that `value` has the type `field_type`.
 fn check_type(
     field_type: &FieldType,
     value: &Spanned<DeValue<'_>>,
@@ -261,7 +258,6 @@ fn check_type(
     }
 }
 
-/// Checks that `value` is a list whose items all have the type `field_type`.
 fn check_items(
     value: &Spanned<DeValue<'_>>,
     mismatch: impl Fn() -> TypeMismatch,

@@ -61,7 +61,6 @@ impl Override {
         Ok(parsed)
     }
 
-    /// Returns the value as TOML.
     pub(super) fn parse_value(&self) -> Result<Spanned<DeValue<'_>>, ScenarioError> {
         match DeValue::parse(&self.value) {
             Ok(value) => Ok(value),

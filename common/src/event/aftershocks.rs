@@ -17,7 +17,6 @@ crate::declare! {
     }
 }
 
-/// The epicentres of a run.
 #[derive(Clone, Debug)]
 pub(super) struct AftershockEpicentres {
     uniform: UniformEpicentres,

@@ -21,7 +21,6 @@ crate::declare! {
     }
 }
 
-/// The epicentres of a run.
 #[derive(Clone, Debug)]
 pub(super) struct HotSpotEpicentres {
     uniform: UniformEpicentres,
@@ -39,7 +38,6 @@ impl HotSpotEpicentres {
         }
     }
 
-    /// Draws the epicentre of `event`.
     pub(super) fn draw(&self, event: EventId) -> Point {
         let mut stream = Stream::new(self.uniform.seed, Purpose::Attraction, event.0);
         if stream.unit() >= self.settings.share {

@@ -106,7 +106,6 @@ pub(super) fn visit(panel: Option<&Panel>, sink: &mut dyn FieldSink) {
     }
 }
 
-/// The fields of a panel.
 pub(super) const SECTION: &Section = Panel::SECTION;
 
 #[cfg(test)]

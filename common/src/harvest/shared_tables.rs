@@ -33,7 +33,6 @@ impl SharedSourceData {
         }
     }
 
-    /// Adds a table of gaps between arrivals of probability `p`.
     pub(super) fn add_gaps(&mut self, p: f64) {
         // Shared by all devices with this probability, since a table costs 4096 logarithms.
         if self.gap_tables.iter().all(|&(known, _)| known != p.to_bits()) {

@@ -156,7 +156,6 @@ impl HarvestTrace {
         }
     }
 
-    /// Passes every field to `sink`.
     pub(super) fn visit(&self, sink: &mut dyn FieldSink) {
         // Omitted for recorded energy, so that the hashes of such scenarios do not depend on the field.
         if self.panel.is_some() {
@@ -192,7 +191,6 @@ impl HarvestTrace {
         panel::visit(self.panel.as_ref(), sink);
     }
 
-    /// The largest energy in a TTI.
     pub(super) fn max_per_tti(&self) -> Energy {
         self.values.iter().flatten().max().copied().unwrap_or_default()
     }
@@ -269,7 +267,6 @@ impl TraceSetup {
         traces.get(self.trace as usize)
     }
 
-    /// Whether the setup is valid for a device.
     pub(super) fn is_valid(&self, traces: &[Arc<Vec<Energy>>]) -> bool {
         self.ttis_per_row > 0 && self.find_rows(traces).is_some_and(|rows| !rows.is_empty())
     }
@@ -293,7 +290,6 @@ impl TraceSetup {
     }
 }
 
-/// The trace source of one device.
 #[derive(Clone, Debug)]
 pub(super) struct TraceSource {
     rows: Arc<Vec<Energy>>,

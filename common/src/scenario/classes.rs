@@ -8,7 +8,6 @@ use crate::energy::EnergyModel;
 use crate::geometry::Area;
 use crate::harvest::Harvest;
 
-/// Maximum number of device classes.
 pub(crate) const MAX_CLASSES: usize = 256;
 /// Tolerance for the difference between the sum of the classes' shares and 1.
 const SHARE_TOLERANCE: f64 = 1e-9;

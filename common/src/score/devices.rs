@@ -35,13 +35,11 @@ impl EventActivity {
         reports: 1,
         ..Self::NONE
     };
-    /// It was woken.
     pub(super) const WOKEN: Self = Self {
         wake_ups: 1,
         heard: 1,
         ..Self::NONE
     };
-    /// It was woken and reported.
     pub(super) const WOKEN_REPORT: Self = Self {
         reports: 1,
         ..Self::WOKEN

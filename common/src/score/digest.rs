@@ -250,7 +250,6 @@ impl DigestBuilder {
     }
 }
 
-/// Splits a number into its low and high 64 bits.
 const fn low_and_high(wide: u128) -> [u64; 2] {
     [wide as u64, (wide >> 64) as u64]
 }

@@ -59,7 +59,6 @@ pub struct Metric {
     pub is_difference: bool,
 }
 
-/// The inputs of the formulas.
 struct MetricInputs<'t> {
     alpha: f64,
     totals: &'t Totals,

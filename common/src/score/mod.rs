@@ -31,7 +31,6 @@ use crate::units::Energy;
 struct OpenEvent {
     event: ActiveEvent,
     tally: EventTally,
-    /// Whether a report about it was lost.
     has_lost_report: bool,
     /// The TTI of its last wake-ups, and their number in that TTI.
     last_wake_ups: (Tti, u64),

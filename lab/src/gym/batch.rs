@@ -32,7 +32,6 @@ pub struct BatchBuffers<'a> {
 /// The number of terms of a reward.
 pub const REWARD_TERMS: usize = 4;
 
-/// The output buffers of one environment.
 #[derive(Debug)]
 struct EnvBuffers<'a> {
     devices: &'a mut [f32],

@@ -13,7 +13,6 @@ use toml::{Table, Value};
 
 use super::error::SweepError;
 
-/// The largest number of seeds of a cell.
 const MAX_SEEDS: u64 = 10_000_000;
 /// The smallest number of runs between two checks of the intervals.
 const MIN_RUNS_BETWEEN_CHECKS: u64 = 10;

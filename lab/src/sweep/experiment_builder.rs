@@ -13,7 +13,6 @@ use toml::{Table, Value};
 use super::error::SweepError;
 use super::experiment::{Experiment, Seeds, SweepAxis, UntilCi, is_metric};
 
-/// The TOML form of an experiment.
 #[derive(Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields, expecting = "an experiment")]
 struct ExperimentFile {

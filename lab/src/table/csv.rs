@@ -140,7 +140,6 @@ fn decode_rows(schema: &Schema, records: &[csv::StringRecord]) -> Result<Vec<Res
     Ok(rows)
 }
 
-/// Guesses the type of a value.
 fn guess_type(text: &str) -> ColumnType {
     if text.parse::<i64>().is_ok() {
         ColumnType::Int

@@ -430,7 +430,6 @@ pub fn learned_tables_of(scenario: &Scenario, outcome: &RunOutcome) -> Option<Le
     })
 }
 
-/// Returns the tables at the end of the run with this `outcome`.
 fn tables_of(outcome: &RunOutcome) -> Option<TableSet> {
     outcome.learned.as_ref().and_then(LearnedState::get).cloned()
 }

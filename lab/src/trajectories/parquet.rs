@@ -83,7 +83,6 @@ fn schema() -> Result<Type, ParquetError> {
     parquet::schema("trajectories", columns)
 }
 
-/// Encodes the file of `trajectories`.
 pub(super) fn to_bytes(trajectories: &Trajectories) -> Result<Vec<u8>, TrajectoryError> {
     let version = (KEY.to_owned(), VERSION.to_owned());
     let about = std::iter::once(version).chain(trajectories.about.clone());

@@ -18,7 +18,6 @@ const TENSOR_PREFIXES: [&str; 3] = ["weight", "mean", "square"];
 const BEST: &str = "best";
 
 impl TrainerState {
-    /// Encodes a checkpoint.
     pub(super) fn to_checkpoint(
         &self,
         training: &DtTrainingConfig,

@@ -12,7 +12,6 @@ use reveille_common::rng::Stream;
 
 use crate::trajectories::{Chunk, Trajectories};
 
-/// The number of runs out of ten that are held out.
 const HELD_OUT_RUNS_OF_TEN: u32 = 1;
 
 /// The approximate number of device-TTIs of an evaluation on held-out data.
@@ -31,7 +30,6 @@ struct DatasetGroup {
     held_out: Vec<Chunk>,
 }
 
-/// A batch.
 pub(super) struct TrainingBatch {
     /// The training objective.
     pub objective: ModelObjective,
@@ -87,12 +85,10 @@ impl Data {
         }
     }
 
-    /// The number of training chunks.
     pub(super) fn training_chunk_count(&self) -> usize {
         self.groups.iter().map(|group| group.training.len()).sum()
     }
 
-    /// The number of held-out chunks.
     pub(super) fn held_out_chunk_count(&self) -> usize {
         self.groups.iter().map(|group| group.held_out.len()).sum()
     }
@@ -181,7 +177,6 @@ impl TrainingBatch {
         })
     }
 
-    /// Converts the batch to numbers of another type.
     #[cfg(test)]
     pub(super) fn to_type(&self, dtype: DType) -> Result<Self> {
         let convert = |tensor: &Tensor| tensor.to_dtype(dtype);

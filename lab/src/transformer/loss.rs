@@ -73,7 +73,6 @@ impl Sums {
     }
 }
 
-/// The divisors of the three parts of a loss.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LossDivisors {
     /// Expected number of events.
@@ -85,7 +84,6 @@ pub(super) struct LossDivisors {
 }
 
 impl LossDivisors {
-    /// Computes the divisors over all `batches`.
     pub(super) fn from_batches(batches: &[TrainingBatch]) -> Result<Self> {
         let total =
             |labels: fn(&TrainingBatch) -> &Tensor| batches.iter().map(|batch| sum(labels(batch))).sum::<Result<f64>>();
@@ -148,7 +146,6 @@ impl Scores {
         })
     }
 
-    /// Adds the scores of another batch.
     pub(super) fn add(&mut self, other: Self) {
         self.looks += other.looks;
         self.expected += other.expected;
@@ -159,7 +156,6 @@ impl Scores {
         self.scored_looks.extend(other.scored_looks);
     }
 
-    /// Returns the score over all batches.
     pub(super) fn score(&self) -> EvalScore {
         EvalScore {
             looks: self.looks / self.expected.max(1e-9),

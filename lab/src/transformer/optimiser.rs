@@ -8,7 +8,6 @@ use candle_core::{Result, Tensor, Var};
 const BETAS: (f64, f64) = (0.9, 0.999);
 /// Keeps divisors above 0.
 const EPSILON: f64 = 1e-8;
-/// The largest norm of a gradient.
 const MAX_GRADIENT_NORM: f64 = 1.0;
 /// Decay of weights, in learning rates.
 const WEIGHT_DECAY: f64 = 0.01;

@@ -26,7 +26,6 @@ const SHAPE: ModelShape = ModelShape {
     objective: ModelObjective::Events,
 };
 
-/// A net with random heads.
 fn net(shape: ModelShape, seed: u64) -> Net {
     let net = Net::new(shape, seed).expect("a net");
     for (id, (name, var)) in (100..).zip(net.vars()) {

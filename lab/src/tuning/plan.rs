@@ -24,9 +24,7 @@ use crate::training::{self, Trainer, TrainingError, TrainingProgress};
 const EVALUATION_SEED_OFFSET: u64 = 0xE7A1_5EED_0000_0000;
 /// The number of TTIs between two checks whether to stop.
 const TTIS_BETWEEN_STOP_CHECKS: u64 = 200;
-/// The largest number of evaluation runs of a pair.
 const MAX_RUNS: u64 = 10_000;
-/// The largest number of pairs in a design.
 const MAX_DESIGN_PAIRS: usize = 1000;
 
 /// Callbacks of a tuning. All threads call them.
@@ -226,7 +224,6 @@ impl TuningPlan {
         Ok(Some(trained))
     }
 
-    /// Returns the means over the `metrics` of the runs.
     fn average(&self, metrics: &[Metrics]) -> Result<Evaluation, TuningError> {
         let (alpha, devices) = (self.scenario.events.alpha, self.scenario.run.devices);
         let estimate = |value_of: &dyn Fn(&Metrics) -> f64| Estimate::from_values_or_nan(metrics.iter().map(value_of));
@@ -254,7 +251,6 @@ pub(crate) const fn evaluation_seed(seed: u64, index: u64) -> u64 {
         .wrapping_add(index)
 }
 
-/// Creates a pool of `threads` threads.
 pub(super) fn new_pool(threads: usize) -> Result<ThreadPool, TrainingError> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
     pool.map_err(|error| TrainingError::Threads {

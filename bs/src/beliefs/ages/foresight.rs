@@ -14,7 +14,6 @@ use crate::observation::Observation;
 #[derive(Clone, Debug)]
 pub(crate) struct Foresight {
     horizon_ttis: u64,
-    /// Expected level by device.
     expected_levels: Vec<Energy>,
 }
 

@@ -141,7 +141,6 @@ impl Coverage {
         self.raster.cell_count() as f64 * f64::from(units_per_cell)
     }
 
-    /// Adds the `j`-th device.
     pub(crate) fn add(&mut self, j: usize) {
         if std::mem::replace(&mut self.is_added[j], true) {
             return;
@@ -153,7 +152,6 @@ impl Coverage {
         }
     }
 
-    /// Returns whether the `j`-th device was added.
     pub(crate) fn contains(&self, j: usize) -> bool {
         self.is_added[j]
     }
@@ -173,7 +171,6 @@ impl Coverage {
         self.blocks.blocks.len()
     }
 
-    /// Returns whether a block has an uncovered cell.
     #[inline]
     pub(crate) fn has_uncovered(&self, block: usize) -> bool {
         let CoverageModel::Range(bits) = &self.model else {

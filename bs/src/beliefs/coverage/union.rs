@@ -11,7 +11,6 @@ use super::{Raster, cells_per_range};
 /// The area that a set of devices covers, in the cells of `Coverage`.
 #[derive(Clone, Debug)]
 pub struct CoverageUnion {
-    /// Number of cells of the area.
     cell_count: f64,
     model: UnionModel,
 }

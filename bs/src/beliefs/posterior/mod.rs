@@ -49,7 +49,6 @@ pub struct EpicentreBelief {
     far_devices: Vec<Point>,
     /// By device: whether it has reported or was returned as a candidate for this event.
     is_excluded: Vec<bool>,
-    /// List of the excluded devices.
     excluded: Vec<DeviceId>,
     /// cos φ and sin φ of the points on a ring.
     directions: Box<[(f64, f64)]>,
@@ -345,7 +344,6 @@ impl EpicentreBelief {
         }
     }
 
-    /// Returns the points on the ring around `centre` that lie in the area.
     fn ring_points(&self, centre: Point, d: f64) -> Vec<RingPoint> {
         let point_at = |(cosine, sine): &(f64, f64)| Point::new(centre.x + d * cosine, centre.y + d * sine);
         let all = self

@@ -54,7 +54,6 @@ pub fn pilot_results(settings: &AdjustedSettings, pilots: &PilotRuns) -> Vec<Pil
     results.collect()
 }
 
-/// Creates the pilot search over the grid.
 pub(super) fn pilot_search(settings: &AdjustedSettings) -> PilotSearch {
     let candidate = |(t_on, t_drx)| {
         let choice = DutyCycleChoice {

@@ -74,7 +74,6 @@ impl EventCounts {
     }
 }
 
-/// Constant properties of a device.
 #[derive(Clone, Copy, Debug)]
 struct DeviceConstants {
     /// Gain if every place had age 1, in the unit of [`Ages::gain`].
@@ -84,12 +83,10 @@ struct DeviceConstants {
     reach: f32,
     harvest: f32,
     neighbours: f32,
-    /// Least level with which it can sense.
     min_level: Energy,
     e_max: f32,
 }
 
-/// An event that was found.
 #[derive(Clone, Copy, Debug)]
 struct FoundEvent {
     /// Estimate of the epicentre.
@@ -107,7 +104,6 @@ pub(crate) struct TokenBuilder {
     constants: Vec<DeviceConstants>,
     near_counts: Vec<EventCounts>,
     all_counts: EventCounts,
-    /// The probability that an event starts in a TTI.
     event_probability: f32,
     density: f32,
     alpha: f32,
@@ -230,7 +226,6 @@ impl TokenBuilder {
         }
     }
 
-    /// Ends the TTI `tti` and counts its reports.
     fn advance(&mut self, tti: Tti) {
         let epicentre = weighted_centre(&self.reporters);
         self.reporters.clear();
@@ -278,7 +273,6 @@ impl TokenBuilder {
         &self.tokens
     }
 
-    /// Whether the battery of device `j` lets it sense.
     pub(crate) fn can_sense(&self, j: usize) -> bool {
         self.tokens[j * FEATURE_COUNT + CAN_SENSE] > 0.5
     }
@@ -290,7 +284,6 @@ impl TokenBuilder {
         constants.expected * mean_age(self.gains[j], constants.unit_gain)
     }
 
-    /// Ages of the places.
     pub(crate) const fn ages(&self) -> &Ages {
         &self.ages
     }
@@ -331,7 +324,6 @@ fn log_scale(ttis: u64) -> f32 {
     libm::logf(ttis.clamp(1, 4096) as f32) / 6.0
 }
 
-/// Returns the weighted centre of the reporters.
 fn weighted_centre(reporters: &[(Point, f64)]) -> Option<Point> {
     let weight: f64 = reporters.iter().map(|(_, weight)| weight).sum();
     let sum = |coordinate: fn(&Point) -> f64| {

@@ -49,7 +49,6 @@ pub struct External {
     woken: Vec<bool>,
     /// Devices that are still to be woken.
     wake_queue: VecDeque<DeviceId>,
-    /// Whether the wake-ups of this TTI have ended.
     are_wake_ups_done: bool,
     history: ReportHistory,
 }

@@ -29,7 +29,6 @@ use super::decision::{Decision, DecisionContext, DecisionStage, PlanDecision};
 use super::features::{DEVICE_FEATURES, Feature, GLOBAL_FEATURES};
 use crate::knowledge::Knowledge;
 
-/// Protocol version of this program.
 pub(crate) const PROTOCOL_VERSION: u32 = 1;
 /// Oldest protocol version that this program supports.
 pub(crate) const OLDEST_PROTOCOL: u32 = 1;

@@ -82,7 +82,6 @@ enum BarrierState {
     Idle,
     Grant {
         tti: Tti,
-        /// Whether devices may report.
         may_report: bool,
         /// The additional data in the answers.
         options: GrantOptions,
@@ -106,7 +105,6 @@ enum BarrierState {
 pub struct Barrier {
     roster: Roster,
     state: BarrierState,
-    /// The last TTI that was granted.
     granted: Option<Tti>,
     unexpected_messages: u64,
 }

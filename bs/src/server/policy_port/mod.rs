@@ -91,7 +91,6 @@ pub(super) struct PendingDecision {
     fallback: Decision,
 }
 
-/// Reason to end the wait for a decision.
 enum WaitEnd {
     /// The run is to stop.
     Stop,
@@ -123,11 +122,9 @@ pub(super) struct PolicyPort<'a> {
     hello: Option<Hello>,
     /// Further replies to the last request, whose first valid reply counted, and the id of the process asked.
     extra_replies: Option<(Replies, String)>,
-    /// The last warning about the policy process.
     last_warning: String,
     /// Warnings about other processes at the port.
     other_warnings: BTreeSet<String>,
-    /// Counts of decisions so far.
     counts: DecisionCounts,
 }
 
@@ -147,7 +144,6 @@ impl<'a> PolicyPort<'a> {
         }
     }
 
-    /// The counts of all decision requests.
     pub(super) const fn counts(&self) -> DecisionCounts {
         self.counts
     }
@@ -418,7 +414,6 @@ impl<'a> PolicyPort<'a> {
         }
     }
 
-    /// Counts further answers to the last request.
     fn count_extra_answers(&mut self) {
         let Some((replies, id)) = self.extra_replies.take() else {
             return;
@@ -462,7 +457,6 @@ impl<'a> PolicyPort<'a> {
     }
 }
 
-/// The wait for one decision.
 struct DecisionWait<'a> {
     progress: &'a RunProgress,
     started: Instant,
@@ -506,7 +500,6 @@ impl<'a> DecisionWait<'a> {
         }
     }
 
-    /// Logs one warning if the wait is long.
     fn warn_if_long(&mut self) {
         if self.started.elapsed() >= WARN_AFTER && !self.has_warned {
             self.has_warned = true;

@@ -71,7 +71,6 @@ fn arrivals_follow_the_sun() {
     }
 }
 
-/// Arrivals in consecutive TTIs are independent.
 #[test]
 fn arrivals_of_one_tti_and_the_next_do_not_depend_on_each_other() {
     let of = diurnal(0.2, sun(24), IrradianceReference::DailyMean);

@@ -82,7 +82,6 @@ impl Toy {
         1.0 - f64::from(action.count_ones()) / N as f64 - self.w * uncovered
     }
 
-    /// Returns the rewards by empty batteries and action.
     fn rewards(&self) -> Vec<[f64; ACTIONS]> {
         (0..ACTIONS)
             .map(|empty| std::array::from_fn(|action| self.reward(empty, action)))

@@ -14,7 +14,6 @@ const SETS: usize = 1 << N;
 /// E_max in units; E_idle is 1, an arrival brings 1.
 const E_MAX: usize = 4;
 const LEVELS: usize = E_MAX + 1;
-/// The number of battery vectors.
 const VECTORS: usize = LEVELS.pow(N as u32);
 const AREA: Area = Area {
     width: 9.0,
@@ -40,7 +39,6 @@ struct Small {
     points: Vec<Point>,
 }
 
-/// Returns the levels of a battery vector.
 fn levels(vector: usize) -> [usize; N] {
     std::array::from_fn(|j| vector / LEVELS.pow(j as u32) % LEVELS)
 }

@@ -196,7 +196,6 @@ pub(super) struct KeyValueSum {
 }
 
 impl KeyValueSum {
-    /// Creates the sums for heads of this width.
     pub(super) fn new(width: usize) -> Self {
         let tiles = width.div_ceil(TILE_COLUMNS);
         Self {
@@ -254,7 +253,6 @@ impl KeyValueSum {
     }
 }
 
-/// Returns `row` padded with zeros.
 fn pad_to_tile(row: &[f32]) -> [f32; TILE_COLUMNS] {
     let mut tile = [0.0; TILE_COLUMNS];
     tile[..row.len()].copy_from_slice(row);
@@ -302,7 +300,6 @@ pub(super) fn weighted_mean<'r>(out: &mut [f32], shares: &[f32], row: impl Fn(us
 /// Offset that keeps the norms of tokens finite.
 pub const NORM_EPSILON: f32 = 1e-5;
 
-/// `x += y`.
 #[inline(always)]
 pub(super) fn add(x: &mut [f32], y: &[f32]) {
     for (x, y) in x.iter_mut().zip(y) {

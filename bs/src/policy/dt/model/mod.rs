@@ -13,9 +13,7 @@ pub use kernel::{NORM_EPSILON, VectorWidth};
 
 /// Largest number of TTIs that a model can look back, including its own.
 pub(crate) const MAX_MEMORY: u64 = 64;
-/// Largest width of a model.
 pub(crate) const MAX_WIDTH: u64 = 256;
-/// Largest number of heads of a model.
 pub(crate) const MAX_HEADS: u64 = 16;
 /// Width of the layers between attentions, in widths of the model.
 pub(crate) const EXPANSION: usize = 2;

@@ -15,15 +15,12 @@ use crate::policy::q_learning::learned::{AREA_BUCKETS, BATTERY_BUCKETS, FIRST_AB
 pub(super) struct AgedArea {
     ages: Ages,
     selector: DeviceSelector,
-    /// Cells of the area.
     cell_count: f64,
     /// Surface of the area, in sensing discs.
     area_in_discs: f64,
     /// Learned prices by battery bucket, in the unit of [`Ages::gain`]; infinite where sensing never has an advantage.
     bucket_prices: [f64; BATTERY_BUCKETS],
-    /// Prices by device in this TTI.
     prices: Vec<f64>,
-    /// The battery bucket of each device.
     battery_buckets: Vec<u8>,
     /// Whether a TTI has passed.
     has_begun: bool,

@@ -16,13 +16,11 @@ pub(super) const PASS_MIN_BUCKETS: [u8; 2] = [5, FIRST_ABLE_BUCKET];
 /// learning, [`AreaState::gains`], [`AreaState::gain`], [`AreaState::uncovered`] and [`AreaState::credits`] follow, in
 /// this order. [`AreaState::end_tti`] comes last.
 pub(crate) trait AreaState: Send {
-    /// Sets the advantages for the choices that follow.
     fn set_advantages(&mut self, advantages: &[[f64; AREA_BUCKETS]; BATTERY_BUCKETS]);
 
     /// Begins a TTI with the battery bucket of each device and no chosen device.
     fn begin_tti(&mut self, battery_buckets: &[u8]);
 
-    /// Adds device `j` to the chosen devices.
     fn add(&mut self, j: usize);
 
     /// Chooses further devices among those that satisfy `is_free`. Returns them in the order of choice.

@@ -19,7 +19,6 @@ pub(super) struct WindowedArea {
     window: usize,
     /// Devices that sensed in each of the last `window` − 1 TTIs, the latest at the end.
     recent_sensing: VecDeque<Vec<DeviceId>>,
-    /// Devices added in this TTI.
     added: Vec<DeviceId>,
     /// Number of TTIs over which the choice must still be spread.
     spread_ttis: usize,

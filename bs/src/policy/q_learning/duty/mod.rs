@@ -41,14 +41,11 @@ pub struct DutyLearner {
     /// Contribution to N r(k) of a device that alone covers the whole area, until the area must be covered again.
     coverage_worth: f64,
     energies: Vec<EnergyModel>,
-    /// The battery bucket of each device.
     battery_buckets: Vec<u8>,
     area_state: Box<dyn AreaState>,
-    /// Last decision, kept until it is learned from.
     last_decision: Option<DutyDecision>,
 }
 
-/// All shares of one decision.
 #[derive(Clone, Debug, Default)]
 struct DutyDecision {
     /// State, action and gain of each device.
@@ -64,7 +61,6 @@ struct DutyDecision {
 /// State in which a device decided, and its action.
 #[derive(Clone, Copy, Debug, Default)]
 struct DeviceShare {
-    /// Battery bucket.
     battery: u8,
     /// Bucket of the newly covered area.
     area: u8,
@@ -198,7 +194,6 @@ impl DutyLearner {
         self.update_derived();
     }
 
-    /// Recomputes the values that are derived from the table.
     fn update_derived(&mut self) {
         self.area_state.set_advantages(&self.table.advantages());
         self.values = self.table.values();

@@ -99,7 +99,6 @@ impl UncoveredCells {
     }
 }
 
-/// A table in which each value is drawn at random.
 fn random_table(stream: &mut Stream) -> DutyTable {
     let mut table = DutyTable::optimistic(0.0, |_| 1.0);
     for cell in table.q.iter_mut().chain(&mut table.value) {

@@ -33,7 +33,6 @@ const SHIPPED: [(&str, &str); 4] = [
         include_str!("shipped-paper-literal-ages.json"),
     ),
 ];
-/// Suffix of the names of tables for ages.
 const AGES_SUFFIX: &str = "-ages";
 
 fn parse_shipped(text: &str) -> LearnedTables {
@@ -96,7 +95,6 @@ struct FileHeader {
     sha256: String,
 }
 
-/// Text at which the body begins.
 const BODY_START: &str = ",\"body\":";
 /// Text at which the entries, the last field of the body, begin.
 const ENTRIES_START: &str = ",\"entries\":[";
