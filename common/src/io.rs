@@ -47,12 +47,12 @@ impl Files for Disk {
 #[cfg(test)]
 pub(crate) fn assert_table(page: &str, name: &str, table: &str) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(page);
-    let [above, below] = [format!("<!-- {name} -->\n"), format!("<!-- /{name} -->")];
+    let [start_mark, end_mark] = [format!("<!-- {name} -->\n"), format!("<!-- /{name} -->")];
     let text = std::fs::read_to_string(&path).expect("the page");
-    let (before, rest) = text.split_once(&above).expect("the mark above the table");
-    let (held, after) = rest.split_once(&below).expect("the mark below the table");
-    if held != table {
-        let text = [before, &above, table, &below, after].concat();
+    let (text_before, rest) = text.split_once(&start_mark).expect("the mark above the table");
+    let (current_table, text_after) = rest.split_once(&end_mark).expect("the mark below the table");
+    if current_table != table {
+        let text = [text_before, &start_mark, table, &end_mark, text_after].concat();
         std::fs::write(&path, text).expect("writable");
         panic!("{page} was out of date and has been rewritten; commit it");
     }

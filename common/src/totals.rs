@@ -407,11 +407,11 @@ mod tests {
     }
 
     #[test]
-    fn a_ledger_closes_by_state_and_its_parts_fit() {
-        let good = ledger();
-        assert!(good.is_valid());
-        assert_eq!(good.measured.spent.total(), Energy::from_micro(50));
-        let breaks: [fn(&mut Ledger); 7] = [
+    fn an_unbalanced_or_inconsistent_ledger_is_invalid() {
+        let valid = ledger();
+        assert!(valid.is_valid());
+        assert_eq!(valid.measured.spent.total(), Energy::from_micro(50));
+        let mutations: [fn(&mut Ledger); 7] = [
             |ledger| ledger.whole.spent.sleep += Energy::from_micro(1),
             |ledger| ledger.measured.spent.report += Energy::from_micro(1),
             |ledger| ledger.measured.low_ttis = 4,
@@ -420,15 +420,15 @@ mod tests {
             |ledger| ledger.measured.false_wake_ups = 3,
             |ledger| ledger.whole.harvested = Energy::from_micro(u64::MAX),
         ];
-        for (number, spoil) in breaks.into_iter().enumerate() {
-            let mut bad = good;
-            spoil(&mut bad);
-            assert!(!bad.is_valid(), "{number}");
+        for (number, mutate) in mutations.into_iter().enumerate() {
+            let mut invalid = valid;
+            mutate(&mut invalid);
+            assert!(!invalid.is_valid(), "mutation {number}: {invalid:?}");
         }
     }
 
     #[test]
-    fn the_spread_is_that_of_the_devices() {
+    fn the_spread_contains_squares_and_the_worst_device() {
         let device = |spent: u64, low_ttis| DeviceTotals {
             spent: EnergyByState {
                 report: Energy::from_micro(spent),

@@ -184,7 +184,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_rise_along_the_queue_whoever_sees_a_message() {
+    fn frame_numbers_are_consecutive_in_the_queue_with_concurrent_senders() {
         let (queue, frames) = sync_channel(MAX_QUEUED_FRAMES);
         let tap = Tap {
             is_observed: AtomicBool::new(true),

@@ -130,28 +130,28 @@ mod tests {
     use super::*;
     use crate::parquet::{Column, Writer, schema};
 
-    /// A file of the columns `hour` (0, 1, 2) and `w` (0.5, 1.5, 2.5).
-    fn written() -> Vec<u8> {
+    /// Writes a file with the columns `hour` (0, 1, 2) and `w` (0.5, 1.5, 2.5).
+    fn write_file() -> Vec<u8> {
         let columns = [
             Column::required("hour", Physical::INT32),
             Column::required("w", Physical::DOUBLE),
         ];
-        let schema = schema("m", columns).expect("a schema");
-        let mut writer = Writer::begin(Vec::new(), schema, []).expect("begun");
-        let filled = writer.write_row_group(|group| {
+        let file_schema = schema("m", columns).expect("a schema");
+        let mut writer = Writer::begin(Vec::new(), file_schema, []).expect("begun");
+        let written = writer.write_row_group(|group| {
             group.write_required::<Int32Type>([0, 1, 2])?;
             group.write_required::<DoubleType>([0.5, 1.5, 2.5])
         });
-        filled.expect("written");
+        written.expect("written");
         writer.finish().expect("finished")
     }
 
     #[test]
-    fn columns_of_numbers_are_read() {
-        let bytes = written();
-        let read = |wanted: &[&str]| {
-            let wanted: Vec<String> = wanted.iter().map(|&name| name.to_owned()).collect();
-            numbers(&bytes, &wanted).map(|columns| columns.values)
+    fn columns_come_in_the_requested_order() {
+        let bytes = write_file();
+        let read = |names: &[&str]| {
+            let names: Vec<String> = names.iter().map(|&name| name.to_owned()).collect();
+            numbers(&bytes, &names).map(|columns| columns.values)
         };
         assert_eq!(read(&["w", "hour"]), Ok(vec![vec![0.5, 1.5, 2.5], vec![0.0, 1.0, 2.0]]));
         let missing = read(&["v"]).expect_err("no such column");
@@ -162,10 +162,10 @@ mod tests {
     }
 
     #[test]
-    fn cut_files_are_refused() {
-        let bytes = written();
+    fn truncated_files_are_refused() {
+        let bytes = write_file();
         for length in 0..bytes.len() {
-            numbers(&bytes[..length], &["w".to_owned()]).expect_err("cut off");
+            numbers(&bytes[..length], &["w".to_owned()]).expect_err("truncated");
         }
     }
 }

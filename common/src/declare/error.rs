@@ -160,7 +160,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_nearest_name_is_suggested() {
+    fn a_similar_name_is_suggested() {
         assert_eq!(
             did_you_mean("dmax", ["kind", "d_max", "eta"]),
             "; did you mean `d_max`?"

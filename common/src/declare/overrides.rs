@@ -99,7 +99,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_bare_word_is_a_string_and_a_number_a_number() {
+    fn a_bare_word_is_read_as_a_string_and_a_number_as_a_number() {
         let word = Override::parse("policy.name = genie").expect("valid");
         assert_eq!(word.path, ["policy", "name"]);
         assert_eq!(word.parse_value().expect("valid").get_ref().as_str(), Some("genie"));
@@ -109,14 +109,17 @@ mod tests {
 
     #[test]
     fn malformed_overrides_are_refused() {
-        for (text, part) in [
+        for (text, expected) in [
             ("d_max", "path.to.field=value"),
             ("=5", "not the path"),
             ("sensing..d_max=5", "not the path"),
             ("harvest.trace.columns=[\"a\"", "not valid TOML"),
         ] {
             let message = Override::parse(text).expect_err(text).to_string();
-            assert!(message.contains(part) && message.starts_with("--set "), "{message}");
+            assert!(
+                message.contains(expected) && message.starts_with("--set "),
+                "{text}: {message}"
+            );
         }
     }
 }

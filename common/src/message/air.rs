@@ -179,15 +179,15 @@ mod tests {
     use crate::plan::DutyCycle;
 
     #[test]
-    fn a_plan_says_who_senses() {
-        let line = |plan| PlanUpdate { from: Tti(5), plan }.to_string();
-        let chosen =
+    fn a_plan_update_is_shown_with_the_first_sensing_devices() {
+        let show = |plan| PlanUpdate { from: Tti(5), plan }.to_string();
+        let plan_of =
             |devices: &[u32]| Plan::from_devices(50, &devices.iter().copied().map(DeviceId).collect::<Vec<_>>());
-        assert_eq!(line(chosen(&[])), "δ from TTI 5: 0 devices sense");
-        assert_eq!(line(chosen(&[3, 7, 49])), "δ from TTI 5: 3 devices sense: 3, 7, 49");
+        assert_eq!(show(plan_of(&[])), "δ from TTI 5: 0 devices sense");
+        assert_eq!(show(plan_of(&[3, 7, 49])), "δ from TTI 5: 3 devices sense: 3, 7, 49");
         let many: Vec<u32> = (0..20).map(|j| 2 * j).collect();
         assert_eq!(
-            line(chosen(&many)),
+            show(plan_of(&many)),
             "δ from TTI 5: 20 devices sense: 0, 2, 4, 6, 8, 10, 12, 14 …"
         );
         let impossible = DutyCycle {
@@ -197,7 +197,7 @@ mod tests {
         };
         let cycles = vec![DutyCycle::SENSING, DutyCycle::ASLEEP, impossible];
         assert_eq!(
-            line(Plan::Periodic(cycles)),
+            show(Plan::Periodic(cycles)),
             "δ from TTI 5: periodic, 1 of 3 devices sense first: 0"
         );
     }

@@ -69,7 +69,7 @@ mod tests {
 
     #[test]
     #[should_panic(expected = "a policy may read only its own fields, not events.process")]
-    fn a_policy_cannot_be_set_from_the_event_process() {
+    fn a_policy_cannot_read_the_event_process() {
         let _unreachable = super::super::load("paper", &[], &[&PEEKING], &crate::io::Disk);
     }
 }

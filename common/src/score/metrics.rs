@@ -379,12 +379,12 @@ mod tests {
     use crate::io;
 
     #[test]
-    fn the_page_on_results_has_the_table_of_metrics() {
+    fn the_results_page_contains_the_table_of_metrics() {
         io::assert_table("docs/results.md", "metrics", &markdown_table());
     }
 
     #[test]
-    fn rows_hold_what_the_fields_of_their_names_do() {
+    fn rows_contain_the_fields_of_their_names() {
         let metrics = Metrics {
             info_p1: 2.0,
             mean_battery: 3.0,

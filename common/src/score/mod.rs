@@ -416,7 +416,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_percentile_is_that_of_the_sorted_list() {
+    fn percentiles_are_nearest_ranks() {
         let lists: [&[u64]; 5] = [
             &[],
             &[7],
@@ -424,13 +424,13 @@ mod tests {
             &[1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20],
             &[0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 9],
         ];
-        let found = lists.map(|list| {
+        let percentiles = lists.map(|list| {
             let mut delays = DelayHistogram::default();
             for &delay in list {
                 delays.count(delay);
             }
             delays.percentile(95)
         });
-        assert_eq!(found, [0, 7, 3, 19, 0]);
+        assert_eq!(percentiles, [0, 7, 3, 19, 0]);
     }
 }

@@ -58,7 +58,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ages_are_worth_the_triangular_numbers_up_to_a_byte() {
+    fn worths_are_triangular_numbers_up_to_the_largest_that_fits_a_byte() {
         let worths = age_worths();
         assert_eq!(worths[..5], [0, 1, 3, 6, 10]);
         assert_eq!(
@@ -68,7 +68,7 @@ mod tests {
     }
 
     #[test]
-    fn the_reach_is_what_a_device_sees_of_the_places_around_it() {
+    fn the_effective_area_is_the_integral_of_the_detection_probability() {
         for kind in [DetectionKind::Range, DetectionKind::Probabilistic] {
             let sensing = Sensing {
                 kind,
@@ -77,20 +77,20 @@ mod tests {
                 psi: 1.0,
                 g: Fusion::Max,
             };
-            // Rings one thousandth of a metre wide.
-            let ring = |i: u32| {
+            // Midpoint rule over rings one millimetre wide.
+            let ring_area = |i: u32| {
                 let d = (f64::from(i) + 0.5) * 1e-3;
-                let p = if kind == DetectionKind::Range {
+                let detection_probability = if kind == DetectionKind::Range {
                     1.0
                 } else {
                     libm::exp(-0.7 * d)
                 };
-                p * 2.0 * PI * d * 1e-3
+                detection_probability * 2.0 * PI * d * 1e-3
             };
-            let sum: f64 = (0..3000).map(ring).sum();
+            let expected: f64 = (0..3000).map(ring_area).sum();
             assert!(
-                (effective_area(&sensing) - sum).abs() < 1e-4,
-                "{kind:?}: {}, not {sum}",
+                (effective_area(&sensing) - expected).abs() < 1e-4,
+                "{kind:?}: {} m², not {expected}",
                 effective_area(&sensing)
             );
         }

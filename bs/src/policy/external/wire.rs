@@ -481,34 +481,34 @@ mod tests {
 
     use super::*;
 
-    const HEAD: WireHeader = WireHeader {
+    const HEADER: WireHeader = WireHeader {
         protocol: PROTOCOL_VERSION,
         seq: 9,
         tti: 7,
         stage: RequestKind::Plan,
     };
 
-    fn read(text: &str) -> Result<DecisionReply, String> {
+    fn read_reply(text: &str) -> Result<DecisionReply, String> {
         Encoding::Json.decode(text.as_bytes())
     }
 
     /// Decodes a reply with the fields in `text` and returns its decision at `stage` for five devices.
-    fn decided(stage: DecisionStage, text: &str) -> Result<Decision, String> {
-        let head = r#"{"protocol":1,"seq":9,"tti":7,"stage":"plan","id":"a","#;
-        read(&format!("{head}{text}}}")).and_then(|reply| reply.decode(stage, Tti(7), 5))
+    fn decode_decision(stage: DecisionStage, text: &str) -> Result<Decision, String> {
+        let start = r#"{"protocol":1,"seq":9,"tti":7,"stage":"plan","id":"a","#;
+        read_reply(&format!("{start}{text}}}")).and_then(|reply| reply.decode(stage, Tti(7), 5))
     }
 
     #[test]
-    fn a_plan_can_be_said_in_three_ways() {
-        let plan = |plan, next| Ok(Decision::Plan(PlanDecision { plan, next: Tti(next) }));
+    fn a_plan_has_three_forms() {
+        let expected = |plan, next| Ok(Decision::Plan(PlanDecision { plan, next: Tti(next) }));
         let bits = Plan::from_bits([false, true, false, false, true]);
         assert_eq!(
-            decided(DecisionStage::Plan, r#""action":[0,1,0,0,1]"#),
-            plan(bits.clone(), 8)
+            decode_decision(DecisionStage::Plan, r#""action":[0,1,0,0,1]"#),
+            expected(bits.clone(), 8)
         );
         assert_eq!(
-            decided(DecisionStage::Plan, r#""sense":[4,1],"next":30"#),
-            plan(bits, 30)
+            decode_decision(DecisionStage::Plan, r#""sense":[4,1],"next":30"#),
+            expected(bits, 30)
         );
         let cycle = |t_on, t_drx, offset| DutyCycle { t_on, t_drx, offset };
         let cycles = Plan::Periodic(vec![
@@ -519,20 +519,26 @@ mod tests {
             cycle(1, 1, 0),
         ]);
         let text = r#""cycles":[[1,4,3],[0,1,0],[2,2,1],[1,9,0],[1,1,0]]"#;
-        assert_eq!(decided(DecisionStage::Plan, text), plan(cycles, 8));
+        assert_eq!(decode_decision(DecisionStage::Plan, text), expected(cycles, 8));
     }
 
     #[test]
-    fn wake_ups_can_be_said_in_two() {
-        let wake = |ids: &[u32]| Ok(Decision::Wake(ids.iter().copied().map(DeviceId).collect()));
-        assert_eq!(decided(DecisionStage::Wake, r#""action":[0,1,0,0,1]"#), wake(&[1, 4]));
-        assert_eq!(decided(DecisionStage::Wake, r#""wake":[4,1]"#), wake(&[4, 1]));
-        assert_eq!(decided(DecisionStage::Wake, r#""wake":[]"#), wake(&[]));
+    fn wake_ups_have_two_forms() {
+        let expected = |ids: &[u32]| Ok(Decision::Wake(ids.iter().copied().map(DeviceId).collect()));
+        assert_eq!(
+            decode_decision(DecisionStage::Wake, r#""action":[0,1,0,0,1]"#),
+            expected(&[1, 4])
+        );
+        assert_eq!(
+            decode_decision(DecisionStage::Wake, r#""wake":[4,1]"#),
+            expected(&[4, 1])
+        );
+        assert_eq!(decode_decision(DecisionStage::Wake, r#""wake":[]"#), expected(&[]));
     }
 
     #[test]
-    fn what_decides_nothing_is_refused_with_what_is_wrong() {
-        let refused = [
+    fn an_invalid_reply_is_refused_with_the_reason() {
+        let replies = [
             (DecisionStage::Plan, r#""name":"x""#, "unknown field"),
             (DecisionStage::Plan, r#""next":9"#, "one of action, sense, cycles"),
             (DecisionStage::Plan, r#""sense":[],"action":[0,0,0,0,0]"#, "one of"),
@@ -555,14 +561,14 @@ mod tests {
                 "device 1 is [1, 0, 0]",
             ),
         ];
-        for (stage, text, why) in refused {
-            let present = decided(stage, text).expect_err(text);
-            assert!(present.contains(why), "{text}: {present}");
+        for (stage, text, reason) in replies {
+            let message = decode_decision(stage, text).expect_err(text);
+            assert!(message.contains(reason), "{text}: {message}");
         }
     }
 
     #[test]
-    fn what_is_decided_comes_back() {
+    fn a_decision_round_trips() {
         let decisions = [
             Decision::Plan(PlanDecision {
                 plan: Plan::from_bits([true, false, false, true, true]),
@@ -574,12 +580,12 @@ mod tests {
             }),
             Decision::Wake(vec![DeviceId(3), DeviceId(0)]),
         ];
-        for answer in decisions {
-            for form in [Encoding::Json, Encoding::Cbor] {
-                let reply = DecisionReply::for_request(&HEAD, "a", "").with_decision(&answer);
-                let read: DecisionReply = form.decode(&form.encode(&reply)).expect("an answer");
-                assert_eq!(read, reply);
-                assert_eq!(read.decode(answer.stage(), Tti(7), 5), Ok(answer.clone()));
+        for decision in decisions {
+            for encoding in [Encoding::Json, Encoding::Cbor] {
+                let reply = DecisionReply::for_request(&HEADER, "a", "").with_decision(&decision);
+                let decoded: DecisionReply = encoding.decode(&encoding.encode(&reply)).expect("a reply");
+                assert_eq!(decoded, reply);
+                assert_eq!(decoded.decode(decision.stage(), Tti(7), 5), Ok(decision.clone()));
             }
         }
     }

@@ -385,38 +385,42 @@ mod tests {
     use super::*;
     use reveille_common::rng::{Purpose, Stream};
 
-    fn numbers(count: usize, id: u64) -> Vec<f32> {
+    fn random_values(count: usize, id: u64) -> Vec<f32> {
         let mut stream = Stream::new(7, Purpose::Training, id);
         (0..count).map(|_| (2.0 * stream.unit() - 1.0) as f32).collect()
     }
 
     #[test]
-    fn a_linear_map_is_the_sum_of_products_by_rising_index() {
+    fn linear_adds_products_in_order_of_their_index() {
         for (rows, inputs, outputs) in [(1, 3, 1), (4, 20, 32), (7, 32, 64), (9, 5, 17)] {
-            let (x, weight) = (numbers(rows * inputs, 1), numbers(inputs * outputs, 2));
-            let bias = numbers(outputs, 3);
+            let (x, weight) = (random_values(rows * inputs, 1), random_values(inputs * outputs, 2));
+            let bias = random_values(outputs, 3);
             let mut out = vec![0.0; rows * outputs];
             Linear::new(inputs, &weight, &bias).apply(&x, &mut out);
             for row in 0..rows {
                 for column in 0..outputs {
-                    let mut sum = bias[column];
+                    let mut expected = bias[column];
                     for i in 0..inputs {
-                        sum += x[row * inputs + i] * weight[i * outputs + column];
+                        expected += x[row * inputs + i] * weight[i * outputs + column];
                     }
-                    assert_eq!(out[row * outputs + column].to_bits(), sum.to_bits());
+                    assert_eq!(
+                        out[row * outputs + column].to_bits(),
+                        expected.to_bits(),
+                        "{rows} rows of {inputs} to {outputs}: output {column} of row {row}"
+                    );
                 }
             }
         }
     }
 
     #[test]
-    fn exponentials_are_right() {
+    fn exp_is_accurate_to_single_precision() {
         for step in -87_000..=20_000 {
             let x = step as f32 / 1000.0;
             let exact = libm::exp(f64::from(x));
             assert!(
                 (f64::from(exp(x)) / exact - 1.0).abs() < 2.5e-7,
-                "{x}: {}, not {exact}",
+                "exp({x}) = {}, not {exact}",
                 exp(x)
             );
         }
@@ -425,15 +429,19 @@ mod tests {
     }
 
     #[test]
-    fn norms_are_one_and_products_are_sums() {
-        let (x, scale) = (numbers(64, 4), vec![1.0; 32]);
+    fn rms_norm_gives_mean_square_one_and_dot_adds_products() {
+        let (x, scale) = (random_values(64, 4), vec![1.0; 32]);
         let mut out = vec![0.0; 64];
         rms_norm(&x, &scale, &mut out);
         for row in out.chunks(32) {
-            let mean = row.iter().map(|x| f64::from(x * x)).sum::<f64>() / 32.0;
-            assert!((mean - 1.0).abs() < 1e-3, "{mean}");
+            let mean_square = row.iter().map(|x| f64::from(x * x)).sum::<f64>() / 32.0;
+            assert!((mean_square - 1.0).abs() < 1e-3, "mean square {mean_square}");
         }
-        let exact: f64 = x.iter().zip(&out).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum();
-        assert!((f64::from(dot(&x, &out)) - exact).abs() < 1e-4);
+        let expected: f64 = x.iter().zip(&out).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum();
+        assert!(
+            (f64::from(dot(&x, &out)) - expected).abs() < 1e-4,
+            "dot product {}, not {expected}",
+            dot(&x, &out)
+        );
     }
 }
