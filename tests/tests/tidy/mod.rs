@@ -8,7 +8,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-use tree::{CRATES, Crate, Mention, Module, SourceFile, root, sources};
+pub(super) use tree::root;
+use tree::{CRATES, Crate, Mention, Module, SourceFile, sources};
 
 /// Crates of the workspace that each crate may use in its code.
 const MAY_USE: [(&str, &[&str]); 9] = [

@@ -42,7 +42,7 @@ fn is_test(name: &str) -> bool {
 }
 
 /// Returns the root of the workspace.
-pub(super) fn root() -> PathBuf {
+pub(crate) fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
