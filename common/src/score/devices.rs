@@ -41,7 +41,6 @@ impl EventActivity {
         heard: 1,
         ..Self::NONE
     };
-    /// The activity of a device that was woken and reported.
     pub(super) const WOKEN_REPORT: Self = Self {
         reports: 1,
         ..Self::WOKEN
