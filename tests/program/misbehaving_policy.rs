@@ -6,7 +6,7 @@ use std::time::Duration;
 use reveille_bs::policy::external::Decision;
 use reveille_bs::policy::external::wire::{DecisionReply, DecisionRequest};
 use reveille_bs::server::policy_port::client::{self, ClientIdentity};
-use reveille_common::bus::{Bus, PolicyQuestion};
+use reveille_common::bus::{Bus, PortRequest};
 use reveille_common::encoding::Encoding;
 use reveille_common::secret::Secret;
 use reveille_tests::external_policy::{ExternallyDecidedRun, MisbehavingPolicy, answer, own, say};
@@ -16,7 +16,7 @@ use serde_json::{Value, json};
 /// Function that corrupts an answer.
 type CorruptReply = fn(&mut Value);
 /// Function that answers a decision request in some other way than with the given answer.
-type ReplyAction = fn(&PolicyQuestion, Value);
+type ReplyAction = fn(&PortRequest, Value);
 
 /// Strangers answer every query with more data than a client accepts.
 #[tokio::test(flavor = "multi_thread")]

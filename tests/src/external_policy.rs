@@ -6,7 +6,7 @@ use reveille_bs::policy::external::wire::{DecisionRequest, RequestKind};
 use reveille_bs::policy::external::{Decision, DecisionStage};
 
 use reveille_bs::server::policy_port::client::{self, ClientIdentity};
-use reveille_common::bus::{Bus, PolicyQuestion};
+use reveille_common::bus::{Bus, PortRequest};
 use reveille_common::encoding::Encoding;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::secret::Secret;
@@ -140,7 +140,7 @@ impl MisbehavingPolicy {
     ///
     /// # Panics
     /// If a request is not JSON, or the session is closed.
-    pub async fn serve(&self, mut act: impl FnMut(&PolicyQuestion, &Value) -> bool) {
+    pub async fn serve(&self, mut act: impl FnMut(&PortRequest, &Value) -> bool) {
         let questions = self.bus.serve_policy_port().expect("a queryable");
         while let Ok(Some(question)) = tokio::time::timeout(Duration::from_secs(3), questions.next()).await {
             let request: Value = serde_json::from_slice(&question.payload).expect("JSON");
@@ -172,7 +172,7 @@ impl MisbehavingPolicy {
 ///
 /// # Panics
 /// If the session is closed.
-pub fn say(question: &PolicyQuestion, answer: &Value) {
+pub fn say(question: &PortRequest, answer: &Value) {
     question
         .answer(answer.to_string().into_bytes(), Encoding::Json)
         .expect("answered");

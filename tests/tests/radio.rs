@@ -110,7 +110,7 @@ fn exactly_the_drawn_reports_and_wake_ups_are_lost() {
         reports.sort_unstable();
         for &(tti, device, is_lost) in &reports {
             assert_eq!(
-                air.channel_at(tti).loses_report(device),
+                air.losses_at(tti).loses_report(device),
                 is_lost,
                 "{policy}: report of device {device} in TTI {tti}"
             );
@@ -124,7 +124,7 @@ fn exactly_the_drawn_reports_and_wake_ups_are_lost() {
         );
         let mut air = Air::new(prepared.scenario.run.seed, &prepared.scenario.radio);
         for &(tti, device) in &observed.wake_ups {
-            let is_drawn_as_missed = air.channel_at(tti).misses_wake_up(device);
+            let is_drawn_as_missed = air.losses_at(tti).misses_wake_up(device);
             // An unpowered device misses wake-ups too.
             let is_missed = observed.missed_wake_ups.contains(&(tti, device));
             assert!(

@@ -82,8 +82,8 @@ const fn to_zenoh(encoding: Encoding) -> ZenohEncoding {
     }
 }
 
-/// A decision request that a policy process received.
-pub struct PolicyQuestion {
+/// A request that a policy process received on the policy port: a greeting, a decision request or a farewell.
+pub struct PortRequest {
     /// The payload of the request.
     pub payload: Vec<u8>,
     /// The encoding of the payload.
@@ -91,7 +91,7 @@ pub struct PolicyQuestion {
     query: Query,
 }
 
-impl PolicyQuestion {
+impl PortRequest {
     /// Answers the request.
     ///
     /// # Errors
@@ -110,14 +110,14 @@ impl PolicyQuestion {
     }
 }
 
-/// The decision requests that a policy process receives, in order of arrival.
-pub struct PolicyQuestions(Queryable<FifoChannelHandler<Query>>);
+/// The requests that a policy process receives, in order of arrival.
+pub struct PortRequests(Queryable<FifoChannelHandler<Query>>);
 
-impl PolicyQuestions {
+impl PortRequests {
     /// Returns the next request, or `None` once the session is closed.
-    pub async fn next(&self) -> Option<PolicyQuestion> {
+    pub async fn next(&self) -> Option<PortRequest> {
         let query = self.0.recv_async().await.ok()?;
-        Some(PolicyQuestion {
+        Some(PortRequest {
             payload: query.payload().map(|p| p.to_bytes().into_owned()).unwrap_or_default(),
             encoding: query.encoding().map_or(Encoding::Json, from_zenoh),
             query,
@@ -163,8 +163,8 @@ impl Bus {
     ///
     /// # Errors
     /// If zenoh refuses.
-    pub fn serve_policy_port(&self) -> Result<PolicyQuestions, BusError> {
-        Ok(PolicyQuestions(
+    pub fn serve_policy_port(&self) -> Result<PortRequests, BusError> {
+        Ok(PortRequests(
             self.session.declare_queryable(self.keys.policy_port()).wait()?,
         ))
     }

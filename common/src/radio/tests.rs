@@ -46,7 +46,7 @@ fn loss_shares(radio: &RadioSettings, ttis: u64) -> [f64; 3] {
     let plan = Plan::from_bits((0..50).map(|_| true));
     let mut lost = [0_u64; 3];
     for k in (0..ttis).map(Tti) {
-        let channel = air.channel_at(k);
+        let channel = air.losses_at(k);
         let mut received = 0;
         let missed_plans = air.deliver_plan(k, &plan, DeviceId(0), 50, |_, cycle| {
             received += u64::from(cycle.is_on(k));
@@ -140,14 +140,14 @@ fn bursts_do_not_depend_on_the_user_or_the_order_of_reads() {
         ..RadioSettings::default()
     };
     let mut every_tti = Air::new(3, &radio);
-    let channels: Vec<ChannelState> = (0..1000).map(|k| every_tti.channel_at(Tti(k))).collect();
+    let channels: Vec<AirLosses> = (0..1000).map(|k| every_tti.losses_at(Tti(k))).collect();
     let mut some_ttis = Air::new(3, &radio);
     for k in (0..1000).step_by(37) {
-        let channel = some_ttis.channel_at(Tti(k));
+        let channel = some_ttis.losses_at(Tti(k));
         assert_eq!(channel, channels[k as usize], "TTI {k}");
-        assert_eq!(channel, some_ttis.channel_at(Tti(k)), "TTI {k}, second read");
+        assert_eq!(channel, some_ttis.losses_at(Tti(k)), "TTI {k}, second read");
     }
-    let in_burst = |channel: &&ChannelState| channel.loses_report(DeviceId(0));
+    let in_burst = |channel: &&AirLosses| channel.loses_report(DeviceId(0));
     let change_count = channels
         .windows(2)
         .filter(|pair| in_burst(&&pair[0]) != in_burst(&&pair[1]))

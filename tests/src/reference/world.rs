@@ -381,7 +381,7 @@ impl<'a> ReferenceWorld<'a> {
         };
         event.activity.push((j, [0, 0, 0, 1]));
         event.tally.wrong_activations += 1;
-        event.tally.wasted += Energy::from_micro(spent);
+        event.tally.wasted_energy += Energy::from_micro(spent);
         self.losses.late += u64::from(k >= self.warm_up_end);
     }
 
@@ -399,7 +399,7 @@ impl<'a> ReferenceWorld<'a> {
             .push((j, [u64::from(arrives), 0, 0, u64::from(is_wrong_activation)]));
         if is_wrong_activation {
             event.tally.wrong_activations += 1;
-            event.tally.wasted += Energy::from_micro(spent);
+            event.tally.wasted_energy += Energy::from_micro(spent);
         }
         if !is_paid {
             self.devices[j].state = ReferenceState::Unpowered;
@@ -503,7 +503,7 @@ impl<'a> ReferenceWorld<'a> {
             totals.wake_ups += record.tally.wake_ups;
             totals.information_pico += u128::from(record.tally.information_pico);
             totals.wrong_activations += record.tally.wrong_activations;
-            totals.wasted += record.tally.wasted;
+            totals.wasted_energy += record.tally.wasted_energy;
         }
         let ledgers: Vec<Ledger> = self.devices.iter().map(Device::ledger).collect();
         ReferenceRun {

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use reveille_common::bus::{Bus, BusError, PolicyQuestion, draw_nonce};
+use reveille_common::bus::{Bus, BusError, PortRequest, draw_nonce};
 use reveille_common::encoding::Encoding;
 use reveille_common::secret::Secret;
 
@@ -23,7 +23,8 @@ const MAX_BS_ABSENCE: Duration = Duration::from_secs(30);
 
 /// A rule that answers the decision requests of a run.
 pub trait PolicyClient {
-    /// Receives the greeting of a run, before its first request or after a break.
+    /// Receives the base station's greeting, before the first decision request of a run and after a lost connection.
+    /// Does nothing by default.
     fn hello_received(&mut self, _hello: &Hello) {}
 
     /// Decides. A repeated request is not passed on again, unless its answer was refused.
@@ -58,7 +59,7 @@ pub async fn decide(bus: &Bus, identity: &ClientIdentity, policy: &mut impl Poli
     let _watched = bus.watch_alive(bus.keys().bs_liveliness(), move |_, alive| {
         bs_alive.store(alive, Ordering::Relaxed);
     })?;
-    let questions = bus.serve_policy_port()?;
+    let port_requests = bus.serve_policy_port()?;
     let mut session = ClientSession {
         id: format!("{:016x}", draw_nonce()?),
         identity,
@@ -77,13 +78,18 @@ pub async fn decide(bus: &Bus, identity: &ClientIdentity, policy: &mut impl Poli
                 Err(bus.no_run_error().await)
             };
         }
-        match tokio::time::timeout(CHECK_INTERVAL, questions.next()).await {
-            Ok(Some(question)) => session.answer_request(&question, policy)?,
+        match tokio::time::timeout(CHECK_INTERVAL, port_requests.next()).await {
+            Ok(Some(port_request)) => session.answer_request(&port_request, policy)?,
             Ok(None) => break,
             Err(_) => {}
         }
     }
     Ok(session.decided)
+}
+
+/// Returns the error for a request that cannot be decoded.
+fn unreadable(request: &str, why: &impl std::fmt::Display) -> String {
+    format!("the {request} cannot be decoded: {why}; use a policy client of the base station's version")
 }
 
 /// State of a policy process between requests.
@@ -98,25 +104,25 @@ struct ClientSession<'a> {
 }
 
 impl ClientSession<'_> {
-    fn answer_request(&mut self, question: &PolicyQuestion, policy: &mut impl PolicyClient) -> Result<(), BusError> {
-        let encoding = question.encoding;
-        let header: WireHeader = match encoding.decode(&question.payload) {
+    fn answer_request(&mut self, port_request: &PortRequest, policy: &mut impl PolicyClient) -> Result<(), BusError> {
+        let encoding = port_request.encoding;
+        let header: WireHeader = match encoding.decode(&port_request.payload) {
             Ok(header) => header,
-            Err(why) => return question.reply_error(&format!("the question cannot be read: {why}")),
+            Err(why) => return port_request.reply_error(&unreadable("decision request", &why)),
         };
         if header.stage == RequestKind::Bye {
             self.is_over = true;
             return Ok(());
         }
         if header.stage == RequestKind::Hello {
-            return match encoding.decode::<Hello>(&question.payload) {
-                Ok(hello) => self.answer_hello(question, &hello, policy),
-                Err(why) => question.reply_error(&format!("the greeting cannot be decoded: {why}")),
+            return match encoding.decode::<Hello>(&port_request.payload) {
+                Ok(hello) => self.answer_hello(port_request, &hello, policy),
+                Err(why) => port_request.reply_error(&unreadable("greeting", &why)),
             };
         }
-        let request: DecisionRequest = match encoding.decode(&question.payload) {
+        let request: DecisionRequest = match encoding.decode(&port_request.payload) {
             Ok(request) => request,
-            Err(why) => return question.reply_error(&format!("the question cannot be read: {why}")),
+            Err(why) => return port_request.reply_error(&unreadable("decision request", &why)),
         };
         if request.to != self.id {
             // The request is for another policy process.
@@ -125,7 +131,7 @@ impl ClientSession<'_> {
         match &self.last {
             // The request was repeated, since its answer was lost or late. A refused answer is decided again.
             Some((last, answer)) if *last == header && request.refused.is_none() => {
-                question.answer(answer.clone(), encoding)
+                port_request.answer(answer.clone(), encoding)
             }
             _ => {
                 let reply = DecisionReply::for_request(&header, &self.id, &self.run_key())
@@ -134,7 +140,7 @@ impl ClientSession<'_> {
                 // Kept before sending, so that a repetition of the request gets the same bytes.
                 self.last = Some((header, answer.clone()));
                 self.decided += 1;
-                question.answer(answer, encoding)
+                port_request.answer(answer, encoding)
             }
         }
     }
@@ -145,13 +151,13 @@ impl ClientSession<'_> {
 
     fn answer_hello(
         &self,
-        question: &PolicyQuestion,
+        port_request: &PortRequest,
         hello: &Hello,
         policy: &mut impl PolicyClient,
     ) -> Result<(), BusError> {
         if hello.min > PROTOCOL_VERSION || hello.max < OLDEST_PROTOCOL {
             let (min, max) = (hello.min, hello.max);
-            return question.reply_error(&format!(
+            return port_request.reply_error(&format!(
                 "it speaks protocol {OLDEST_PROTOCOL} to {PROTOCOL_VERSION}, the base station {min} to {max}"
             ));
         }
@@ -170,6 +176,6 @@ impl ClientSession<'_> {
             key: self.run_key(),
             form: self.identity.encoding,
         };
-        question.answer(question.encoding.encode(&reply), question.encoding)
+        port_request.answer(port_request.encoding.encode(&reply), port_request.encoding)
     }
 }

@@ -84,7 +84,7 @@ fn a_round_is_repeated_unchanged_after_its_completion_only() {
 fn a_grant_collects_failures_totals_and_views() {
     let failure = FailedTransmission {
         device: DeviceId(4),
-        drained: Energy::from_micro(2),
+        drained_energy: Energy::from_micro(2),
     };
     let round = AnswerRound::new(HOST, HostRequest::Grant(TTI), 5);
     let view = |device: u32| DeviceView {

@@ -232,7 +232,7 @@ fn s2_to_s4_if_e_tx_exceeds_the_battery_which_is_drained() {
     let (mut machine, physics) = device_without_harvest(109, true);
     let failure = FailedTransmission {
         device: DeviceId(7),
-        drained: micro(99),
+        drained_energy: micro(99),
     };
     assert_eq!(
         machine.sense(Tti(0), &event_at(NEAR), &physics),
@@ -294,7 +294,7 @@ fn a_wake_up_with_too_little_energy_for_a_report_drains_the_battery() {
     let (mut machine, physics) = device_without_harvest(100, false);
     let failure = FailedTransmission {
         device: DeviceId(7),
-        drained: micro(99),
+        drained_energy: micro(99),
     };
     assert_eq!(
         machine.wake(Tti(0), Some(&event_at(NEAR)), &physics),

@@ -211,7 +211,7 @@ fn outcome_of_sensing(sensed: &SenseOutcome) -> ReportOutcome {
     match sensed {
         SenseOutcome::Nothing => None,
         SenseOutcome::Reported(_) => Some(Ok(())),
-        SenseOutcome::Failed(failure) => Some(Err(failure.drained.micro())),
+        SenseOutcome::Failed(failure) => Some(Err(failure.drained_energy.micro())),
     }
 }
 
@@ -219,7 +219,7 @@ fn outcome_of_wake_up(woken: &WakeOutcome) -> ReportOutcome {
     match woken {
         WakeOutcome::Missed => None,
         WakeOutcome::Reported(_) => Some(Ok(())),
-        WakeOutcome::Failed(failure) => Some(Err(failure.drained.micro())),
+        WakeOutcome::Failed(failure) => Some(Err(failure.drained_energy.micro())),
         WakeOutcome::Lost(_) | WakeOutcome::Late { .. } => {
             panic!("the radio loses no report, and the wake-up was not late: {woken}")
         }
