@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use reveille_common::score::Metrics;
 
-use super::DeviceCounts::{At, Everywhere, Over, Under, UpTo};
+use super::DeviceCounts::{All, At, Over, Under, UpTo};
 use super::*;
 use crate::analysis::harvest::STATED_THRESHOLDS;
 
@@ -133,7 +133,7 @@ fn every_number_that_is_printed_is_claimed() {
         for n in *sizes {
             let is_of = |claim: &Claim| match claim.device_counts {
                 At(own) | Under(own) | UpTo(own) | Over(own) => own == *n,
-                Everywhere => false,
+                All => false,
             };
             let is_here = |claim: &Claim| [Some(claim.citation), claim.second_citation].contains(&place_of(place));
             assert!(
@@ -177,7 +177,7 @@ fn every_claim_names_a_metric_and_policies_that_exist() {
                 assert!(!others.contains(claim.policy), "{claim:?}");
             }
             ClaimQuantity::Gap(other) => assert!(is_known(other) && other != claim.policy, "{claim:?}"),
-            ClaimQuantity::Growth(n) => assert!(claim.device_counts != At(n) && Everywhere.contains(n), "{claim:?}"),
+            ClaimQuantity::Growth(n) => assert!(claim.device_counts != At(n) && All.contains(n), "{claim:?}"),
         }
         if let Some((low, high)) = claim.statement.range() {
             assert!(low <= high, "{claim:?}");
@@ -219,7 +219,7 @@ fn device_counts_end_at_their_bounds() {
     assert!(UpTo(50).contains(50) && !UpTo(50).contains(51));
     assert!(Over(180).contains(181) && !Over(180).contains(180));
     assert!(At(10).contains(10) && !At(10).contains(11));
-    for device_counts in [Under(200), UpTo(50), Everywhere, Over(180)] {
+    for device_counts in [Under(200), UpTo(50), All, Over(180)] {
         assert!(
             !device_counts.contains(9) && !device_counts.contains(251),
             "{device_counts:?} is within the paper's axis"

@@ -84,7 +84,7 @@ mod tests {
         };
         let findings: Vec<Finding> = (1..).zip(values).map(finding).collect();
         deviation(
-            &Claim::new("knn", DeviceCounts::Everywhere, ClaimQuantity::Mean, statement, FIG_8),
+            &Claim::new("knn", DeviceCounts::All, ClaimQuantity::Mean, statement, FIG_8),
             &findings,
         )
     }

@@ -192,7 +192,7 @@ mod tests {
     }
 
     fn claim(quantity: ClaimQuantity, statement: Statement) -> Claim {
-        Claim::new("knn", DeviceCounts::Everywhere, quantity, statement, FIG_8)
+        Claim::new("knn", DeviceCounts::All, quantity, statement, FIG_8)
     }
 
     #[test]

@@ -73,7 +73,7 @@ pub(super) fn format_device_counts(device_counts: DeviceCounts) -> String {
         DeviceCounts::Under(n) => format!("N < {n}"),
         DeviceCounts::UpTo(n) => format!("N ≤ {n}"),
         DeviceCounts::Over(n) => format!("N > {n}"),
-        DeviceCounts::Everywhere => "all N".to_owned(),
+        DeviceCounts::All => "all N".to_owned(),
     }
 }
 
@@ -193,9 +193,8 @@ mod tests {
 
     #[test]
     fn claims_read_naturally() {
-        let says = |quantity, statement| {
-            format_statement(&Claim::new("knn", DeviceCounts::Everywhere, quantity, statement, FIG_8))
-        };
+        let says =
+            |quantity, statement| format_statement(&Claim::new("knn", DeviceCounts::All, quantity, statement, FIG_8));
         for (statement, alone, compared) in [
             (Statement::About(0.4), "≈ 0.4", "0.4 × adjusted and random"),
             (Statement::About(1.0), "≈ 1", "about as adjusted and random"),

@@ -86,7 +86,7 @@ pub fn measure(scenario: &Scenario, seeds: u64) -> Result<Transitions, AnalysisE
             .flat_map(|(.., all)| all.iter().map(move |p| p[index]))
             .collect();
         let proper = values.iter().copied().filter(|v| !v.is_nan());
-        let (count, visits) = (pooled.count(from, to), pooled.visits(from));
+        let (count, visits) = (pooled.get(from, to), pooled.visits(from));
         Transition {
             from,
             to,
@@ -99,7 +99,7 @@ pub fn measure(scenario: &Scenario, seeds: u64) -> Result<Transitions, AnalysisE
             visits,
             measured: Estimate::from_values_or_nan(
                 runs.iter()
-                    .map(|(counts, ..)| share(counts.count(from, to), counts.visits(from))),
+                    .map(|(counts, ..)| share(counts.get(from, to), counts.visits(from))),
             ),
             wilson: wilson_interval(count, visits),
         }

@@ -4,7 +4,7 @@ use reveille_common::declare::NoFiles;
 
 use super::*;
 use crate::claims::ClaimQuantity::{Gap, Growth, Mean, Ratio};
-use crate::claims::DeviceCounts::{At, Everywhere, Under};
+use crate::claims::DeviceCounts::{All, At, Under};
 use crate::claims::{ClaimQuantity, DeviceCounts, FIG_8, Statement};
 use crate::figures::results::{Results, fixtures};
 
@@ -157,7 +157,7 @@ fn a_stated_order_counts_for_the_values_next_to_it() {
     // The paper gives no figure for random, only that it is above knn.
     const STATED: &[Claim] = &[
         about(10.0),
-        claim("random", Everywhere, Ratio(&["knn"]), Statement::Above(1.0)),
+        claim("random", All, Ratio(&["knn"]), Statement::Above(1.0)),
     ];
     let of = |random: f64| {
         let runs: [(&str, u32, &[f64]); 2] = [("knn", 250, &[50.0; 2]), ("random", 250, &[random; 2])];
@@ -234,12 +234,7 @@ fn a_ratio_is_of_our_own_means() {
 
 #[test]
 fn a_bound_on_a_ratio_holds_against_each_and_has_no_order_to_fall_back_to() {
-    const LESS: &[Claim] = &[claim(
-        "knn",
-        Everywhere,
-        Ratio(&["random", "genie"]),
-        Statement::Below(1.0),
-    )];
+    const LESS: &[Claim] = &[claim("knn", All, Ratio(&["random", "genie"]), Statement::Below(1.0))];
     const MORE: &[Claim] = &[claim("knn", At(250), Ratio(&["random"]), Statement::Above(1.29))];
     let of = |knn: f64| {
         let runs: [(&str, u32, &[f64]); 3] = [
@@ -265,8 +260,8 @@ fn runs_with_the_same_seeds_tell_an_order_that_their_spread_would_hide() {
 
 #[test]
 fn up_to_means_the_largest_over_n() {
-    const MOST: &[Claim] = &[claim("knn", Everywhere, Ratio(&["random"]), Statement::Largest(4.5))];
-    const LEAST: &[Claim] = &[claim("knn", Everywhere, Ratio(&["random"]), Statement::Smallest(0.5))];
+    const MOST: &[Claim] = &[claim("knn", All, Ratio(&["random"]), Statement::Largest(4.5))];
+    const LEAST: &[Claim] = &[claim("knn", All, Ratio(&["random"]), Statement::Smallest(0.5))];
     let of = |claims, ratios: [f64; 3]| {
         let [a, b, c] = ratios.map(|ratio| [10.0 * ratio; 2]);
         let runs: [(&str, u32, &[f64]); 6] = [
@@ -295,8 +290,8 @@ fn up_to_means_the_largest_over_n() {
 
 #[test]
 fn what_falls_may_rise_by_a_tenth_of_its_range() {
-    const FALLS: &[Claim] = &[claim("knn", Everywhere, Mean, Statement::Falls)];
-    const RISES: &[Claim] = &[claim("knn", Everywhere, Mean, Statement::Rises)];
+    const FALLS: &[Claim] = &[claim("knn", All, Mean, Statement::Falls)];
+    const RISES: &[Claim] = &[claim("knn", All, Mean, Statement::Rises)];
     let of = |claims, values: [f64; 4]| {
         let [a, b, c, d] = values.map(|value| [value - 0.001, value + 0.001]);
         let runs: [(&str, u32, &[f64]); 4] = [("knn", 10, &a), ("knn", 50, &b), ("knn", 100, &c), ("knn", 250, &d)];
@@ -315,7 +310,7 @@ fn what_falls_may_rise_by_a_tenth_of_its_range() {
 
 #[test]
 fn what_is_level_stays_within_20_percent_of_the_middle() {
-    const LEVEL: &[Claim] = &[claim("knn", Everywhere, Mean, Statement::Constant)];
+    const LEVEL: &[Claim] = &[claim("knn", All, Mean, Statement::Constant)];
     let of = |low: f64, high: f64, genie: f64| {
         let (low, high) = ([low - 0.001, low + 0.001], [high - 0.001, high + 0.001]);
         let runs: [(&str, u32, &[f64]); 4] = [
@@ -335,7 +330,7 @@ fn what_is_level_stays_within_20_percent_of_the_middle() {
 
 #[test]
 fn a_falling_gap_closes_and_growth_is_relative_to_the_first_value() {
-    const CLOSES: &[Claim] = &[claim("knn", Everywhere, Gap("genie"), Statement::Falls)];
+    const CLOSES: &[Claim] = &[claim("knn", All, Gap("genie"), Statement::Falls)];
     const HALVES: &[Claim] = &[claim("knn", At(250), Growth(10), Statement::About(0.5))];
     let of = |claims, last: f64| {
         let runs: [(&str, u32, &[f64]); 4] = [
