@@ -147,7 +147,7 @@ mod tests {
 
     use super::*;
 
-    fn scenario(overrides: &[&str]) -> Scenario {
+    fn scenario_with(overrides: &[&str]) -> Scenario {
         let overrides: Vec<Override> = overrides
             .iter()
             .map(|text| Override::parse(text).expect("an override"))
@@ -157,7 +157,7 @@ mod tests {
 
     #[test]
     fn the_pilot_search_covers_the_grid_and_takes_the_best() {
-        let scenario = scenario(&[
+        let scenario = scenario_with(&[
             "policy.name=adjusted",
             "devices=60",
             "policy.adjusted.t_on=[1,3,9]",
@@ -192,7 +192,7 @@ mod tests {
 
     #[test]
     fn a_pilot_has_another_seed_and_so_needs_the_deployment_of_the_run() {
-        let scenario = scenario(&["policy.name=adjusted", "devices=40"]);
+        let scenario = scenario_with(&["policy.name=adjusted", "devices=40"]);
         let pilot = pilot_scenario(&scenario, 2000);
         assert_ne!(pilot.run.seed, scenario.run.seed);
         assert_ne!(

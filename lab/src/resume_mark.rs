@@ -197,7 +197,7 @@ mod tests {
         }
     }
 
-    fn scenario(seed: &str) -> Scenario {
+    fn scenario_with_seed(seed: &str) -> Scenario {
         let set = [seed, "ttis=400"].map(|field| Override::parse(field).expect("an override"));
         load("quick", &set).expect("a preset").scenario
     }
@@ -212,7 +212,7 @@ mod tests {
 
     #[test]
     fn a_repeated_run_passes_its_mark_and_another_run_diverges() {
-        let scenario = scenario("seed=3");
+        let scenario = scenario_with_seed("seed=3");
         let mark = track_run(&scenario, 120, None).mark();
         assert_eq!((mark.tti, mark.window), (120, 10));
         let read = ResumeMark::parse(&mark.text(), &scenario).expect("a mark");
@@ -229,7 +229,7 @@ mod tests {
 
     #[test]
     fn an_invalid_mark_is_refused_with_the_reason() {
-        let own = scenario("seed=3");
+        let own = scenario_with_seed("seed=3");
         let mark = track_run(&own, 50, None).mark();
         let error_of = |change: fn(&mut ResumeMark)| {
             let mut mark = mark.clone();
@@ -244,7 +244,7 @@ mod tests {
         assert!(matches!(error_of(|mark| mark.tti = 401), ResumeMarkError::Tti(401)));
         assert!(matches!(error_of(|mark| mark.window = 0), ResumeMarkError::Window));
         assert!(matches!(
-            ResumeMark::parse(&mark.text(), &scenario("seed=4")),
+            ResumeMark::parse(&mark.text(), &scenario_with_seed("seed=4")),
             Err(ResumeMarkError::Scenario)
         ));
         let text = mark.text();

@@ -116,7 +116,7 @@ mod tests {
 
     use super::*;
 
-    fn frames() -> Vec<Frame> {
+    fn test_frames() -> Vec<Frame> {
         let report = |tti, device| Report {
             device: DeviceId(device),
             tti: Tti(tti),
@@ -139,7 +139,7 @@ mod tests {
 
     /// Returns the indices of the frames that pass.
     fn passing(filter: &Filter) -> Vec<usize> {
-        let frames = frames();
+        let frames = test_frames();
         // The wake-up in TTI 5 reached an unpowered device.
         let states = [DeviceState::Transmission, DeviceState::Sleep { powered: false }];
         let passes = |index: &usize| {

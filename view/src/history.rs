@@ -377,7 +377,7 @@ mod tests {
 
     use super::*;
 
-    fn scenario() -> Scenario {
+    fn test_scenario() -> Scenario {
         let set = [
             "devices=40",
             "ttis=2600",
@@ -426,7 +426,7 @@ mod tests {
 
     #[test]
     fn a_history_equals_the_states_of_a_run_by_single_ttis() {
-        let scenario = scenario();
+        let scenario = test_scenario();
         let mut collector = StateCollector::default();
         let options = RunOptions {
             lookahead: false,
@@ -462,7 +462,7 @@ mod tests {
 
     #[test]
     fn a_limited_history_keeps_the_last_ttis() {
-        let scenario = scenario();
+        let scenario = test_scenario();
         let (full, limited) = (history_of(&scenario, u64::MAX), history_of(&scenario, 700));
         let (first, end) = limited.available_ttis();
         assert!(

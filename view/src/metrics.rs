@@ -420,7 +420,7 @@ mod tests {
 
     use super::*;
 
-    fn scenario() -> Scenario {
+    fn test_scenario() -> Scenario {
         let set = ["devices=30", "ttis=500", "policy.name=knn", "events.alpha=0.4"];
         let set = set.map(|set| Override::parse(set).expect("an override"));
         load("paper", &set).expect("a scenario").scenario
@@ -443,7 +443,7 @@ mod tests {
 
     #[test]
     fn the_monitoring_page_lists_every_metric() {
-        let text = PrometheusMetrics::new("r", &scenario()).encode(ProcessStats::default(), false);
+        let text = PrometheusMetrics::new("r", &test_scenario()).encode(ProcessStats::default(), false);
         let table = metrics_table(&text);
         let page = include_str!("../../docs/monitoring.md");
         assert!(
@@ -454,7 +454,7 @@ mod tests {
 
     #[test]
     fn metrics_equal_the_totals_of_the_run() {
-        let scenario = scenario();
+        let scenario = test_scenario();
         let metrics = PrometheusMetrics::new("r", &scenario);
         let frame_metrics = Arc::clone(&metrics);
         let mut observers = (

@@ -13,7 +13,7 @@ use super::*;
 
 const DEVICES: usize = 24;
 
-fn overrides(policy: &str, set: &[&str]) -> Vec<Override> {
+fn overrides_of(policy: &str, set: &[&str]) -> Vec<Override> {
     let policy = format!("policy.name={policy}");
     let devices = format!("devices={DEVICES}");
     let always = [policy.as_str(), &devices, "ttis=400"];
@@ -22,7 +22,7 @@ fn overrides(policy: &str, set: &[&str]) -> Vec<Override> {
 }
 
 fn external_scenario(set: &[&str]) -> Scenario {
-    let overrides = overrides("external", set);
+    let overrides = overrides_of("external", set);
     reveille_common::scenario::load("paper", &overrides, &outside::kinds_with_external(), &Disk)
         .expect("a scenario")
         .scenario
@@ -72,7 +72,7 @@ impl OwnedBuffers {
 fn repeated_actions_of_a_policy_give_the_digest_of_its_run() {
     for set in [&[][..], &["bs.battery_knowledge=reported", "radio.uplink_loss=0.1"]] {
         for policy in ["age-index", "q-learning", "dt"] {
-            let scenario = load("paper", &overrides(policy, set)).expect("a scenario").scenario;
+            let scenario = load("paper", &overrides_of(policy, set)).expect("a scenario").scenario;
             let actions = record(&scenario, &external_scenario(set)).expect("no genie");
             assert_eq!(
                 actions.policy_outcome.digest, actions.environment_outcome.digest,
@@ -81,14 +81,14 @@ fn repeated_actions_of_a_policy_give_the_digest_of_its_run() {
             assert!(actions.stages.contains(&1) && actions.rows.len() == actions.stages.len() * DEVICES);
         }
         // A periodic plan is sent as bits: the outcome is equal, but more plans are sent.
-        let scenario = load("paper", &overrides("knn", set)).expect("a scenario").scenario;
+        let scenario = load("paper", &overrides_of("knn", set)).expect("a scenario").scenario;
         let actions = record(&scenario, &external_scenario(set)).expect("no genie");
         let [policy, environment] = [&actions.policy_outcome, &actions.environment_outcome];
         assert_ne!(policy.digest, environment.digest);
         assert_eq!(policy.totals.events, environment.totals.events);
         assert_eq!(policy.totals.energy, environment.totals.energy);
     }
-    let genie = load("paper", &overrides("genie", &[])).expect("a scenario").scenario;
+    let genie = load("paper", &overrides_of("genie", &[])).expect("a scenario").scenario;
     assert!(record(&genie, &external_scenario(&[])).is_none());
 }
 

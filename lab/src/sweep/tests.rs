@@ -54,7 +54,7 @@ fn parse_experiment(text: &str) -> Result<ExperimentBuilder, SweepError> {
     ExperimentBuilder::parse(text, "e.toml", Path::new(""))
 }
 
-fn grid(text: &str) -> Result<SweepGrid, SweepError> {
+fn parse_grid(text: &str) -> Result<SweepGrid, SweepError> {
     SweepGrid::new(parse_experiment(text)?.build()?, &Disk)
 }
 
@@ -79,7 +79,7 @@ fn run_sweep(grid: &SweepGrid, shard: &str, threads: usize, folder: &Path) -> (S
 
 #[test]
 fn cells_have_the_documented_order() {
-    let grid = grid(SMALL).expect("valid");
+    let grid = parse_grid(SMALL).expect("valid");
     let labels: Vec<&str> = grid.cells.iter().map(|cell| cell.label.as_str()).collect();
     assert_eq!(labels[0], "random, devices = 5, ttis = 300, harvest.lambda = 0.1");
     assert_eq!(labels[1], "random, devices = 5, ttis = 300, harvest.lambda = 1");
@@ -157,7 +157,7 @@ fn an_invalid_experiment_is_refused_with_the_field() {
         ("devices = [10]\n[grid]\ndevices = [20]", "swept twice"),
         ("devices = 10\nttis", "line 2"),
     ] {
-        let message = grid(text).expect_err(text).to_string();
+        let message = parse_grid(text).expect_err(text).to_string();
         assert!(message.contains(cause), "{text}: {message}");
     }
 }
@@ -182,7 +182,7 @@ fn options_of_the_command_line_replace_those_of_the_file() {
 #[test]
 fn rows_equal_single_runs() {
     let folder = SweepTestFolder::new("rows");
-    let grid = grid(SMALL).expect("valid");
+    let grid = parse_grid(SMALL).expect("valid");
     let (finished, _) = run_sweep(&grid, "1/1", 1, &folder.0);
     assert_eq!(finished.table.rows.len(), 56);
     let mut rows = finished.table.rows.iter();
@@ -213,7 +213,7 @@ fn threads_interruptions_and_shards_give_the_same_table() {
         SweepTestFolder::new("threads"),
         SweepTestFolder::new("interrupted"),
     );
-    let grid = grid(SMALL).expect("valid");
+    let grid = parse_grid(SMALL).expect("valid");
     let (_, expected) = run_sweep(&grid, "1/1", 1, &whole.0);
     assert!(run_sweep(&grid, "1/1", 2, &threaded.0).1 == expected, "two threads");
 
@@ -283,9 +283,9 @@ fn reused_runs_of_another_sweep_give_the_same_table() {
         SweepTestFolder::new("fresh"),
         SweepTestFolder::new("own"),
     );
-    let (known, _) = run_sweep(&grid(SMALL).expect("valid"), "1/1", 2, &first.0);
+    let (known, _) = run_sweep(&parse_grid(SMALL).expect("valid"), "1/1", 2, &first.0);
     // Half of its cells, more seeds, and a number of devices that it lacks.
-    let other = grid(
+    let other = parse_grid(
         "policies = [\"knn\"]\ndevices = [12, 20]\nttis = 300\nseeds = { first = 1, count = 10 }\n[grid]\n\
          harvest.lambda = [1, 0.1, 0.3]\n",
     );
@@ -320,7 +320,7 @@ fn reused_runs_of_another_sweep_give_the_same_table() {
 fn tables_of_different_sweeps_are_not_merged() {
     let folder = SweepTestFolder::new("mismatches");
     let table = |text: &str, shard: &str, name: &str| {
-        let (finished, _) = run_sweep(&grid(text).expect("valid"), shard, 1, &folder.0.join(name));
+        let (finished, _) = run_sweep(&parse_grid(text).expect("valid"), shard, 1, &folder.0.join(name));
         (finished.path, finished.table)
     };
     let first = table(SMALL, "1/2", "first");
@@ -355,7 +355,7 @@ fn csv_shards_with_text_of_digits_are_merged() {
          [grid]\nharvest.trace.column = [\"5\", \"abc\"]\n",
         toml::Value::String(trace.to_string_lossy().into_owned())
     );
-    let grid = grid(&text).expect("valid");
+    let grid = parse_grid(&text).expect("valid");
     let whole = run_sweep(&grid, "1/1", 1, &folder.0.join("whole")).0.table;
     let shards = |has_types: bool| -> Vec<(PathBuf, Table)> {
         let run_shard = |shard: &str| {
@@ -383,9 +383,9 @@ fn csv_shards_with_text_of_digits_are_merged() {
 #[test]
 fn a_folder_of_another_sweep_is_refused() {
     let folder = SweepTestFolder::new("foreign");
-    let small = grid(SMALL).expect("valid");
+    let small = parse_grid(SMALL).expect("valid");
     run_sweep(&small, "1/1", 1, &folder.0);
-    let other = grid(&SMALL.replace("300", "301")).expect("valid");
+    let other = parse_grid(&SMALL.replace("300", "301")).expect("valid");
     for (grid, shard) in [(&other, "1/1"), (&small, "1/2")] {
         let refused = Sweep::open(grid, shard.parse().expect("a shard"), &folder.0);
         let message = refused.expect_err("another").to_string();
@@ -403,7 +403,7 @@ fn a_folder_of_another_sweep_is_refused() {
 fn a_cell_stops_at_the_first_check_with_narrow_intervals() {
     let text = "policies = [\"knn\", \"genie\"]\ndevices = 12\nttis = 2000\nseeds = 200\nmin_seeds = 5\n\
                 until_ci = \"8%\"\nci_metrics = [\"energy_per_device_tti\", \"info_per_event\"]\n";
-    let grid = grid(text).expect("valid");
+    let grid = parse_grid(text).expect("valid");
     let (one_thread, two_threads, interrupted) = (
         SweepTestFolder::new("ci-1"),
         SweepTestFolder::new("ci-2"),
@@ -467,7 +467,7 @@ fn min_seeds_identify_a_sweep_unless_they_are_the_default() {
     let folder = SweepTestFolder::new("min-seeds");
     let grid_with = |min_seeds: &str| {
         let text = "devices = 4\nttis = 50\nuntil_ci = \"90%\"\nci_metrics = [\"events\"]\nseeds = 40\n";
-        grid(&format!("{text}{min_seeds}")).expect("valid")
+        parse_grid(&format!("{text}{min_seeds}")).expect("valid")
     };
     run_sweep(&grid_with("min_seeds = 5"), "1/1", 1, &folder.0);
     for other in ["min_seeds = 6", ""] {
@@ -490,7 +490,7 @@ fn min_seeds_identify_a_sweep_unless_they_are_the_default() {
 #[test]
 fn raising_the_seeds_removes_outdated_tables() {
     let folder = SweepTestFolder::new("stale");
-    let grid_with = |count: u64| grid(&SMALL.replace("count = 7", &format!("count = {count}"))).expect("valid");
+    let grid_with = |count: u64| parse_grid(&SMALL.replace("count = 7", &format!("count = {count}"))).expect("valid");
     let sweep_with = |count: u64, format: Format| {
         let grid = grid_with(count);
         let mut sweep = Sweep::open(&grid, Shard::WHOLE, &folder.0).expect("a folder");
@@ -533,7 +533,7 @@ fn raising_the_seeds_removes_outdated_tables() {
 #[test]
 fn shards_exclude_until_ci() {
     let folder = SweepTestFolder::new("ci-shard");
-    let grid = grid("until_ci = \"1%\"").expect("valid");
+    let grid = parse_grid("until_ci = \"1%\"").expect("valid");
     let message = Sweep::open(&grid, "1/2".parse().expect("a shard"), &folder.0)
         .expect_err("both")
         .to_string();

@@ -10,7 +10,7 @@ use super::parquet::{KEY, TrajectoryError, from_bytes, to_bytes};
 use super::*;
 use crate::sweep::ExperimentBuilder;
 
-fn grid(text: &str) -> SweepGrid {
+fn parse_grid(text: &str) -> SweepGrid {
     let draft = ExperimentBuilder::parse(text, "test", std::path::Path::new("")).expect("an experiment");
     SweepGrid::new(draft.build().expect("complete"), &NoFiles).expect("a grid")
 }
@@ -18,7 +18,7 @@ fn grid(text: &str) -> SweepGrid {
 fn record_runs(config: &RecordingConfig) -> Trajectories {
     let text = "scenario = \"paper\"\npolicies = [\"age-index\", \"knn\"]\ndevices = [30]\nttis = 300\n\
                 seeds = { first = 5, count = 2 }\n";
-    record(&grid(text), config, &|| false, &|| ()).expect("not stopped")
+    record(&parse_grid(text), config, &|| false, &|| ()).expect("not stopped")
 }
 
 fn config(explore: &[f64]) -> RecordingConfig {
@@ -93,7 +93,7 @@ fn a_recording_does_not_change_the_run() {
     let draft = "scenario = \"paper\"\npolicies = [\"random\", \"adjusted\", \"knn\", \"q-learning\", \"dt\"]\n\
                  devices = [80]\nttis = 800\nseeds = { first = 3, count = 1 }\n\
                  [set]\n\"harvest.e_b\" = 3.0\n[grid]\n\"bs.ranking\" = [\"p42\", \"posterior\"]\n";
-    let grid = grid(draft);
+    let grid = parse_grid(draft);
     let mut changed_runs = 0;
     for cell in &grid.cells {
         let scenario = cell.with_seed(3);

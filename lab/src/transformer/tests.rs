@@ -102,7 +102,7 @@ fn trajectories_of(chunks: Vec<Chunk>) -> Vec<Trajectories> {
     vec![Trajectories { about, chunks }]
 }
 
-fn config(steps: u64, every: u64) -> DtTrainingConfig {
+fn short_config(steps: u64, every: u64) -> DtTrainingConfig {
     DtTrainingConfig {
         shape: SHAPE,
         steps,
@@ -294,7 +294,7 @@ fn train_from(
 
 #[test]
 fn a_training_learns_the_data_and_resumes_to_the_same_bytes() {
-    let config = config(120, 40);
+    let config = short_config(120, 40);
     let train_to_end = |checkpoint: Option<&[u8]>| {
         train_from(checkpoint, &config, u64::MAX, &|| false).map(|(trained, last)| (into_model(trained), last))
     };
@@ -342,7 +342,7 @@ fn a_training_learns_the_data_and_resumes_to_the_same_bytes() {
 
 #[test]
 fn an_invalid_checkpoint_is_refused_with_the_reason() {
-    let own_config = config(2, 1);
+    let own_config = short_config(2, 1);
     let (trained, last_evaluation) = train_from(None, &own_config, u64::MAX, &|| false).expect("trained");
     let (model, (_, checkpoint)) = (into_model(trained), last_evaluation.expect("an evaluation"));
     let error_of =
@@ -381,7 +381,7 @@ fn the_text_of_a_configuration_is_fixed() {
         r#"{"batch":600,"every":40,"patience":10,"rate":0.01,"seed":1,"shape":{"attends_to_devices":true,"heads":2,"#,
         r#""memory":3,"objective":"events","width":8},"steps":120}"#
     );
-    assert_eq!(config(120, 40).to_json(), expected);
+    assert_eq!(short_config(120, 40).to_json(), expected);
 }
 
 /// The parts of a batch are summed in their order, on any number of threads.
@@ -397,7 +397,7 @@ fn the_result_is_the_same_on_any_number_of_threads() {
         pool.install(|| {
             train(
                 trajectories,
-                &config(12, 6),
+                &short_config(12, 6),
                 &BTreeMap::new(),
                 None,
                 &mut progress,

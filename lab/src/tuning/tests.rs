@@ -12,7 +12,7 @@ use super::plan::{evaluation_seed, new_pool};
 use super::*;
 use crate::preparation::run;
 
-fn scenario(overrides: &[&str]) -> Scenario {
+fn scenario_with(overrides: &[&str]) -> Scenario {
     let parse = |text: &&str| Override::parse(text).expect("an override");
     let base = [
         "policy.name=q-learning",
@@ -25,7 +25,7 @@ fn scenario(overrides: &[&str]) -> Scenario {
 
 fn small_plan() -> TuningPlan {
     TuningPlan {
-        scenario: scenario(&["devices=12"]),
+        scenario: scenario_with(&["devices=12"]),
         ranges: Ranges::new((0.5, 20.0), (1.0, 5.0)).expect("ranges"),
         objective: TuningObjective::Balance { energy: 1.0, miss: 1.0 },
         design: 3,
@@ -159,7 +159,7 @@ fn plans_out_of_range_are_refused() {
     assert_refused(&|p| p.design = 2, "design");
     // So many that the energy of a longer run exceeds the range of its counter.
     let with_many_devices =
-        |p: &mut TuningPlan| p.scenario = scenario(&["devices=1000000", "energy.e_max=10000", "ttis=100"]);
+        |p: &mut TuningPlan| p.scenario = scenario_with(&["devices=1000000", "energy.e_max=10000", "ttis=100"]);
     let and_many_devices = |change: fn(&mut TuningPlan)| {
         move |p: &mut TuningPlan| {
             with_many_devices(p);
@@ -194,7 +194,7 @@ fn plans_out_of_range_are_refused() {
 
 #[test]
 fn objectives_follow_from_the_totals_of_a_run() {
-    let scenario = scenario(&["devices=30", "ttis=2000", "warm_up=0"]);
+    let scenario = scenario_with(&["devices=30", "ttis=2000", "warm_up=0"]);
     let outcome = run(&scenario);
     let metrics: &Metrics = &outcome.metrics;
     let value_of = |objective: TuningObjective| objective.value_of(metrics, scenario.events.alpha, 30);
@@ -262,7 +262,7 @@ fn a_tuning_without_events_is_refused() {
     let plan = TuningPlan {
         ttis: 10,
         runs: 1,
-        scenario: scenario(&["devices=12", "events.alpha=0.000001"]),
+        scenario: scenario_with(&["devices=12", "events.alpha=0.000001"]),
         ..small_plan()
     };
     let error = plan.evaluate([5.0, 2.0], &new_pool(1).expect("a thread"), &());
@@ -309,11 +309,11 @@ fn the_history_of_another_tuning_is_refused() {
         }
     };
     assert_refused(
-        &|p| p.scenario = scenario(&["devices=13"]),
+        &|p| p.scenario = scenario_with(&["devices=13"]),
         "devices: 12 there, 13 here",
     );
     assert_refused(
-        &|p| p.scenario = scenario(&["devices=12", "harvest.lambda=0.2"]),
+        &|p| p.scenario = scenario_with(&["devices=12", "harvest.lambda=0.2"]),
         "scenario",
     );
     assert_refused(&|p| p.objective = TuningObjective::Information, "objective");

@@ -19,7 +19,7 @@ use super::*;
 use crate::device_mirror::Discrepancy;
 use crate::reconstruction::Reconstruction;
 
-fn scenario(set: &[&str]) -> Scenario {
+fn scenario_with(set: &[&str]) -> Scenario {
     let set: Vec<Override> = set
         .iter()
         .map(|set| Override::parse(set).expect("an override"))
@@ -44,7 +44,7 @@ fn reconstruct(scenario: &Scenario, frames: &[Frame]) -> Result<FinalScore, Disc
 
 /// Returns a short scenario and the frames of its run.
 fn small_run() -> (Scenario, Vec<Frame>) {
-    let scenario = scenario(&["devices=40", "ttis=400", "policy.name=knn", "events.alpha=0.4"]);
+    let scenario = scenario_with(&["devices=40", "ttis=400", "policy.name=knn", "events.alpha=0.4"]);
     let (frames, _) = run_with_frames(&scenario, true, 50);
     (scenario, frames)
 }
@@ -91,7 +91,7 @@ fn a_reconstruction_has_the_metrics_and_digest_of_the_run() {
                 format!("harvest.e_b={harvest}"),
                 format!("sensing.kind={kind}"),
             );
-            let scenario = scenario(&[&name, &n, &harvest, &kind, "ttis=600", "bs.sync_interval=9"]);
+            let scenario = scenario_with(&[&name, &n, &harvest, &kind, "ttis=600", "bs.sync_interval=9"]);
             for lookahead in [true, false] {
                 let (frames, outcome) = run_with_frames(&scenario, lookahead, 13);
                 let score = reconstruct(&scenario, &frames).expect("consistent frames");

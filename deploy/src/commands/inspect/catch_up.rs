@@ -200,7 +200,7 @@ mod tests {
 
     use super::*;
 
-    fn scenario(policy: &str) -> Scenario {
+    fn scenario_of_policy(policy: &str) -> Scenario {
         let set = [
             "devices=20",
             "ttis=240",
@@ -344,7 +344,7 @@ mod tests {
     #[test]
     fn a_late_observer_receives_the_whole_run() {
         for policy in ["knn", "age-index"] {
-            let scenario = scenario(policy);
+            let scenario = scenario_of_policy(policy);
             for lookahead in [true, false] {
                 ReceivedRun::new(&scenario, &[], lookahead).assert_complete_from_any_frame(&scenario);
             }
@@ -353,7 +353,7 @@ mod tests {
 
     #[test]
     fn a_late_observer_receives_removed_devices() {
-        let scenario = scenario("knn");
+        let scenario = scenario_of_policy("knn");
         let removal = |first, tti| DeviceRemoval {
             first: DeviceId(first),
             count: 5,
@@ -370,7 +370,7 @@ mod tests {
 
     #[test]
     fn a_late_observer_receives_external_decisions() {
-        let scenario = scenario("external");
+        let scenario = scenario_of_policy("external");
         for hold in [1, 30, 500] {
             ReceivedRun::with_decisions(&scenario, hold).assert_complete_from_any_frame(&scenario);
         }

@@ -18,7 +18,7 @@ use super::*;
 mod six_devices;
 mod three_devices;
 
-fn scenario(preset: &str, set: &[&str]) -> Scenario {
+fn scenario_with(preset: &str, set: &[&str]) -> Scenario {
     let always = [
         "policy.name=q-learning",
         "policy.q-learning.learn=true",
@@ -78,7 +78,7 @@ fn no_device_senses_without_a_reward_for_detection() {
         for devices in [10, 60] {
             for ages in [false, true] {
                 let set = ["policy.q-learning.mu1=0", &format!("policy.q-learning.ages={ages}")];
-                let scenario = scenario(preset, &set);
+                let scenario = scenario_with(preset, &set);
                 let entry = train_table(&scenario, devices, 6, 1000);
                 for seed in 1..=3 {
                     let outcome = crate::preparation::run(&evaluation_of(&scenario, &entry, seed, 1500));
@@ -92,7 +92,7 @@ fn no_device_senses_without_a_reward_for_detection() {
         }
     }
     // With a reward, training makes devices sense.
-    let scenario = scenario("paper", &["policy.q-learning.mu1=14"]);
+    let scenario = scenario_with("paper", &["policy.q-learning.mu1=14"]);
     let entry = train_table(&scenario, 10, 6, 1000);
     let sensing = sensing_per_tti(&crate::preparation::run(&evaluation_of(&scenario, &entry, 1, 1500)));
     assert!(sensing > 1.0, "{sensing} devices sense per TTI");
@@ -102,7 +102,7 @@ fn no_device_senses_without_a_reward_for_detection() {
 #[test]
 fn a_short_training_with_ages_performs_like_age_index() {
     let devices = 60;
-    let learner = scenario("paper", &["policy.q-learning.ages=true", "bs.ranking=posterior"]);
+    let learner = scenario_with("paper", &["policy.q-learning.ages=true", "bs.ranking=posterior"]);
     let entry = train_table(&learner, devices, 6, 1500);
     // Information and energy, over two seeds.
     let mean_results = |scenario_of: &dyn Fn(u64) -> Scenario| {
@@ -143,7 +143,7 @@ fn a_short_training_with_ages_performs_like_age_index() {
 fn devices_cover_all_that_they_can_with_enough_energy_and_reward() {
     const TTIS: u64 = 60;
     for (window, devices) in [(1, 30), (4, 30), (1, 80)] {
-        let scenario = scenario(
+        let scenario = scenario_with(
             "paper",
             &[
                 "policy.q-learning.mu1=100000",
@@ -201,7 +201,7 @@ fn run_learning(set: &[&str], ttis: u64) -> (Vec<usize>, TableSet) {
         .copied()
         .chain([ttis_field.as_str()])
         .collect();
-    let scenario = scenario("paper", &set);
+    let scenario = scenario_with("paper", &set);
     let mut run = Run::new(&PreparedRun::without_pilots(&scenario), RunOptions::default());
     let mut sensing = Vec::new();
     for k in 0..ttis {
@@ -262,7 +262,7 @@ fn a_training_resumes_from_any_checkpoint_with_the_same_result() {
             format!("events.alpha={}", stream.unit()),
         ];
         let set: Vec<&str> = set.iter().map(String::as_str).collect();
-        let scenario = scenario("paper", &set);
+        let scenario = scenario_with("paper", &set);
         let config = QTrainingConfig {
             epsilon: (0.9 * stream.unit(), 0.9 * stream.unit()),
             ..training_config(3, 60)
@@ -305,7 +305,7 @@ fn waking_reward(entry: &TableSet, ranking: WakeUpRanking, wake: &WakeTable) -> 
     const TTIS: u64 = 1500;
     let mut entry = entry.clone();
     (entry.wake_p42, entry.wake_posterior) = (wake.clone(), wake.clone());
-    let mut base = scenario("paper", &["policy.q-learning.mu2=1"]);
+    let mut base = scenario_with("paper", &["policy.q-learning.mu2=1"]);
     base.bs.ranking = ranking;
     let reward_of_run = |seed: u64| {
         let scenario = evaluation_of(&base, &entry, seed, TTIS);
