@@ -456,7 +456,7 @@ mod tests {
         assert!(transmissions > 20, "only {transmissions} transmissions");
         let expected: Vec<DeviceView> = collector.states[980..1120].iter().map(|views| views[7]).collect();
         let views = history.device_views(DeviceId(7), Tti(980), Tti(1120));
-        assert_eq!(hiviews.iter().map(|(_, view)| *view).collect::<Vec<_>>(), expected);
+        assert_eq!(views.iter().map(|(_, view)| *view).collect::<Vec<_>>(), expected);
         assert_eq!((views[0].0, views[139].0), (Tti(980), Tti(1119)));
     }
 

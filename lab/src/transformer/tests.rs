@@ -226,7 +226,7 @@ fn actions_of_teachers_are_learned_as_odds() {
             objective: ModelObjective::Actions,
             ..SHAPE
         },
-        ..config(80, 40)
+        ..short_config(80, 40)
     };
     let mut last_score = None;
     let mut progress = |status: DtTrainingStatus, _: &[u8]| {

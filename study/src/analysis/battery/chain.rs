@@ -309,14 +309,14 @@ mod tests {
             (
                 ChainInput {
                     arrival: 0.0,
-                    ..chain_input(1, 2, 0.0)
+                    ..input(1, 2, 0.0)
                 },
                 "Pr(arrival) = 0",
             ),
             (
                 ChainInput {
                     arrival: 1.0,
-                    ..chain_input(1, 2, 0.0)
+                    ..input(1, 2, 0.0)
                 },
                 "Pr(arrival) = 1",
             ),
