@@ -1,5 +1,5 @@
-//! Tests of [`Environment`], [`EnvBatch`] and [`record`]: steps are compared with a run of the policy whose actions they
-//! repeat, batches with single environments, and rewards with the formulas of the paper.
+//! Tests of [`Environment`], [`EnvBatch`] and [`record`]: steps are compared with a run of the policy whose actions
+//! they repeat, batches with single environments, and rewards with the formulas of the paper.
 
 use reveille_bs::policy::external::{DEVICE_FEATURES, DecisionStage, GLOBAL_FEATURES};
 use reveille_bs::policy::outside;

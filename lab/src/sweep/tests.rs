@@ -1,5 +1,5 @@
-//! Tests of experiments ([`ExperimentBuilder`], [`SweepGrid`]) and of [`Sweep`]: rows are compared with single runs, and
-//! the tables of threads, interruptions and shards with the table of one uninterrupted sweep.
+//! Tests of experiments ([`ExperimentBuilder`], [`SweepGrid`]) and of [`Sweep`]: rows are compared with single runs,
+//! and the tables of threads, interruptions and shards with the table of one uninterrupted sweep.
 
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -1,4 +1,5 @@
-//! Tests of [`Table::read`] and [`Table::write`] in both formats: round trips, older and newer versions, and damaged files.
+//! Tests of [`Table::read`] and [`Table::write`] in both formats: round trips, older and newer versions, and damaged
+//! files.
 
 use std::fs;
 use std::path::PathBuf;

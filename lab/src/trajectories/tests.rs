@@ -1,5 +1,5 @@
-//! Tests of [`record`] and of trajectory files. Recorded steps are compared with each other and with the reward formula of
-//! the paper, recorded runs with unrecorded ones, and files with the trajectories from which they were written.
+//! Tests of [`record`] and of trajectory files. Recorded steps are compared with each other and with the reward formula
+//! of the paper, recorded runs with unrecorded ones, and files with the trajectories from which they were written.
 
 use ::parquet::basic::Type as Physical;
 use reveille_bs::policy::dt::tokens::{FEATURE_COUNT, FEATURES};

@@ -17,7 +17,8 @@ use super::{DtTrainingConfig, TensorByName, TrainerState, TransformerError};
 /// The only key of the metadata. Its text has a line with [`FORMAT_VERSION`], a line with the counters, and the
 /// [`identity`] of the training.
 const METADATA_KEY: &str = "reveille.dt-training";
-/// The version of the format; change it with any change of tensors, counters or identity. Version 1 was not in the text.
+/// The version of the format; change it with any change of tensors, counters or identity. Version 1 was not in the
+/// text.
 const FORMAT_VERSION: &str = "2";
 /// The prefixes of the tensors: weights, running means of their gradients, and running means of the squared gradients.
 const TENSOR_PREFIXES: [&str; 3] = ["weight", "mean", "square"];

@@ -1,6 +1,6 @@
-//! Tests of [`train`] and [`Net`]. The outputs of a net are compared with the inference of the policy `dt`, its gradients
-//! with finite differences of the loss, and scores with the values that follow from how the data is drawn. Not checked:
-//! the quality of a model trained on recorded runs.
+//! Tests of [`train`] and [`Net`]. The outputs of a net are compared with the inference of the policy `dt`, its
+//! gradients with finite differences of the loss, and scores with the values that follow from how the data is drawn.
+//! Not checked: the quality of a model trained on recorded runs.
 
 use std::cell::Cell;
 use std::collections::BTreeMap;

@@ -1,5 +1,5 @@
-//! Tests of [`Tuner`] and its parts: ranges, designs, plans, objectives (compared with the totals of a run), evaluations
-//! and history files. With the feature `tune`, the optimiser is tested on a function with a known maximum.
+//! Tests of [`Tuner`] and its parts: ranges, designs, plans, objectives (compared with the totals of a run),
+//! evaluations and history files. With the feature `tune`, the optimiser is tested on a function with a known maximum.
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicUsize, Ordering};

@@ -77,8 +77,8 @@ fn all_claims() -> impl Iterator<Item = (&'static ClaimTopic, &'static Claim)> {
     TOPICS.iter().flat_map(claims_of)
 }
 
-/// Returns whether a claim's `value` represents the `printed` number: the number itself, a change in per cent, a share, or a
-/// factor for a gain in per cent.
+/// Returns whether a claim's `value` represents the `printed` number: the number itself, a change in per cent, a share,
+/// or a factor for a gain in per cent.
 fn represents(value: f64, printed: f64) -> bool {
     let forms = [printed, 1.0 - printed / 100.0, 1.0 + printed / 100.0, printed / 100.0];
     forms.iter().any(|form| (form - value).abs() < 1e-12)

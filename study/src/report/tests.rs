@@ -1,5 +1,5 @@
-//! Tests of [`ClaimReport`] and its pages, on small tables with values chosen around the paper's. The judgement of single
-//! claims is tested in `judge`.
+//! Tests of [`ClaimReport`] and its pages, on small tables with values chosen around the paper's. The judgement of
+//! single claims is tested in `judge`.
 
 use reveille_bs::scenario::{Override, load};
 use reveille_common::declare::NoFiles;

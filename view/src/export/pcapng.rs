@@ -5,8 +5,8 @@
 //! this number or 0 (four bytes), and the TTI (eight bytes). `dissector.lua` in this folder reads the header, so both
 //! change together.
 //!
-//! The order of [`MessageKind::ALL`] is thus a file format: an old file is dissected correctly only by a script with the
-//! same numbers. Kinds may be appended, since `dissector.rs` generates the script's table of kinds; they may not be
+//! The order of [`MessageKind::ALL`] is thus a file format: an old file is dissected correctly only by a script with
+//! the same numbers. Kinds may be appended, since `dissector.rs` generates the script's table of kinds; they may not be
 //! moved or removed.
 
 use core::time::Duration;

@@ -1,6 +1,6 @@
-//! Tests of [`Trainer`] and of the tables that it returns: cases with a known best policy, the fields of a scenario that
-//! apply during learning, and resuming from checkpoints. [`six_devices`] and [`three_devices`] compare a learner with the
-//! exact optimum of small networks. Not checked: the results on the scale of the paper.
+//! Tests of [`Trainer`] and of the tables that it returns: cases with a known best policy, the fields of a scenario
+//! that apply during learning, and resuming from checkpoints. [`six_devices`] and [`three_devices`] compare a learner
+//! with the exact optimum of small networks. Not checked: the results on the scale of the paper.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -191,7 +191,8 @@ fn devices_cover_all_that_they_can_with_enough_energy_and_reward() {
     }
 }
 
-/// Returns the number of sensing devices, of 40, in each of the first `ttis` TTIs of learning, and the tables at the end.
+/// Returns the number of sensing devices, of 40, in each of the first `ttis` TTIs of learning, and the tables at the
+/// end.
 fn run_learning(set: &[&str], ttis: u64) -> (Vec<usize>, TableSet) {
     let with_energy = ["energy.e_idle=0.001", "energy.e_wur=0.0001", "devices=40"];
     let ttis_field = format!("ttis={ttis}");

@@ -93,8 +93,8 @@ impl SixDevices {
             .collect()
     }
 
-    /// Returns the expectation of `values` one TTI later, by action and state. It is computed one device at a time, because
-    /// harvests are independent.
+    /// Returns the expectation of `values` one TTI later, by action and state. It is computed one device at a time,
+    /// because harvests are independent.
     fn expected_next(&self, values: Vec<f64>) -> Vec<Vec<f64>> {
         let mut by_action = vec![values];
         for device in 0..N {
@@ -196,8 +196,8 @@ impl SixDevices {
     }
 }
 
-/// Returns the scenario of a network with devices at `points` in `area` under `q-learning` from empty tables, with the fields in `set`.
-/// E_idle is 1, an arrival brings 1, the wake-up radio is free.
+/// Returns the scenario of a network with devices at `points` in `area` under `q-learning` from empty tables, with the
+/// fields in `set`. E_idle is 1, an arrival brings 1, the wake-up radio is free.
 pub(super) fn scenario_of(area: Area, points: &[Point], set: &[&str]) -> Scenario {
     let always = [
         &format!("devices={}", points.len()),
@@ -261,8 +261,8 @@ pub(super) fn duty_of(scenario: &Scenario, entry: &TableSet, points: &[Point]) -
     )
 }
 
-/// Returns the share of `area` without a device of `points` within d_max = 4 m, in cells of d_max/15 as in the learner. A
-/// device covers a cell if it covers the four corners.
+/// Returns the share of `area` without a device of `points` within d_max = 4 m, in cells of d_max/15 as in the learner.
+/// A device covers a cell if it covers the four corners.
 pub(super) fn uncovered_share(area: Area, points: &[Point]) -> f64 {
     let [columns, rows] = [area.width, area.height].map(|length| (length / 4.0 * 15.0).ceil() as u32);
     let (width, height) = (area.width / f64::from(columns), area.height / f64::from(rows));

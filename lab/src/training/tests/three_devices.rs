@@ -1,6 +1,6 @@
 //! Compares the tables of a learner with the exact optimum for a network of three devices, with two features that
-//! [`super::six_devices`] lacks: reports that cost energy, and looks that count for two TTIs. Value iteration covers all
-//! battery vectors, all sets of last sensing devices and all 2^3 actions. The learner then plays the same network.
+//! [`super::six_devices`] lacks: reports that cost energy, and looks that count for two TTIs. Value iteration covers
+//! all battery vectors, all sets of last sensing devices and all 2^3 actions. The learner then plays the same network.
 
 use reveille_bs::scenario::Scenario;
 use reveille_common::geometry::{Area, Point};
@@ -71,8 +71,8 @@ impl ThreeDevices {
             let sensing: Vec<Point> = (0..N).filter(|j| set >> j & 1 == 1).map(|j| points[j]).collect();
             uncovered_share(AREA, &sensing)
         };
-        // By inclusion and exclusion: the share without a device outside a subset is the share where at most the devices
-        // of the subset detect.
+        // By inclusion and exclusion: the share without a device outside a subset is the share where at most the
+        // devices of the subset detect.
         let detecting = std::array::from_fn(|set: usize| {
             let subsets = (0..SETS).filter(|subset| subset & !set == 0);
             let sign = |subset: usize| {

@@ -223,8 +223,8 @@ mod tests {
     fn three_levels_equal_a_calculation_by_hand() {
         // Always in S1: an arrival of 2 pays for this TTI and the next, unless the next has its own arrival.
         assert_steady_state(&lattice_of(2, 1, 0, 9, 2), &input(1, 1, 0.0), &[1.0 - P, P, 0.0]);
-        // Never in S1, no cost except E_Tx = 1: births with P (1 − a), deaths with (1 − P) a, from the full battery with
-        // a.
+        // Never in S1, no cost except E_Tx = 1: births with P (1 − a), deaths with (1 − P) a, from the full battery
+        // with a.
         let a = 0.2;
         let (up, down) = (P * (1.0 - a), (1.0 - P) * a);
         let weights = [1.0, up / down, up / down * up / a];

@@ -55,8 +55,8 @@ struct TtiPath {
 }
 
 impl TtiPath {
-    /// Derives the path of a device from its `state` at the end of a TTI and the energy `spent` in the TTI. `cost` is the
-    /// energy of S1 if δ = 1 (`is_on`), and of the wake-up radio otherwise.
+    /// Derives the path of a device from its `state` at the end of a TTI and the energy `spent` in the TTI. `cost` is
+    /// the energy of S1 if δ = 1 (`is_on`), and of the wake-up radio otherwise.
     fn new(state: DeviceState, is_on: bool, spent: Energy, cost: Energy) -> Self {
         let initial_state = if is_on { S1 } else { S4 };
         let (first_state, state_after_active) = match state {

@@ -1,5 +1,5 @@
-//! Tests of figures of q-learning's tables and learning curves, and of information against energy. Cells are compared with
-//! the values that the tables are filled with.
+//! Tests of figures of q-learning's tables and learning curves, and of information against energy. Cells are compared
+//! with the values that the tables are filled with.
 
 use reveille_bs::policy::q_learning::learned::{
     BATTERY_BUCKETS, CurvePoint, LearnedTables, Lookback, QTrainingConfig, QWeights, Schedule, TableSet, TrainingSite,

@@ -1,5 +1,5 @@
-//! Tests of [`SweepFigureSpec`]: figures of any metric against any field of a sweep. Values are compared with the formula
-//! that fills the table.
+//! Tests of [`SweepFigureSpec`]: figures of any metric against any field of a sweep. Values are compared with the
+//! formula that fills the table.
 
 use reveille_common::declare::NoFiles;
 use reveille_lab::table::{SweptValue, Table};

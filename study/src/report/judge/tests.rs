@@ -1,5 +1,5 @@
-//! Tests of [`judge`] at the limits of each verdict. A table holds the tested values in [`METRIC`]; the paper's claims are
-//! not used.
+//! Tests of [`judge`] at the limits of each verdict. A table holds the tested values in [`METRIC`]; the paper's claims
+//! are not used.
 
 use reveille_common::declare::NoFiles;
 

@@ -1,5 +1,5 @@
-//! Tests of [`SettingRanking`] on sweeps of α whose order of settings is known: energies as in the paper, close to it and
-//! far from it.
+//! Tests of [`SettingRanking`] on sweeps of α whose order of settings is known: energies as in the paper, close to it
+//! and far from it.
 
 use reveille_common::declare::NoFiles;
 use reveille_lab::table::{SweptValue, Table};

@@ -1,5 +1,5 @@
-//! Tests of [`Journal::open`] and [`Journal::add`]: journals that are truncated, damaged, locked, of another sweep, or of
-//! fewer seeds.
+//! Tests of [`Journal::open`] and [`Journal::add`]: journals that are truncated, damaged, locked, of another sweep, or
+//! of fewer seeds.
 
 use std::fs;
 
