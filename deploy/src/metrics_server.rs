@@ -123,10 +123,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn another_name_for_this_machine_is_refused() {
-        let at: SocketAddr = "127.0.0.1:9464".parse().expect("an address");
+    fn a_foreign_host_name_is_refused_on_a_local_address() {
+        let local: SocketAddr = "127.0.0.1:9464".parse().expect("an address");
         for host in ["localhost", "localhost:9464", "127.0.0.1:9464", "[::1]:9464"] {
-            assert!(is_allowed_host(Some(host), at), "{host}");
+            assert!(is_allowed_host(Some(host), local), "{host}");
         }
         for host in [
             "evil.example",
@@ -135,10 +135,10 @@ mod tests {
             "",
             "127.0.0.1.evil.example:80",
         ] {
-            assert!(!is_allowed_host(Some(host), at), "{host}");
+            assert!(!is_allowed_host(Some(host), local), "{host}");
         }
-        assert!(!is_allowed_host(None, at));
-        let open: SocketAddr = "0.0.0.0:9464".parse().expect("an address");
-        assert!(is_allowed_host(Some("testbed:9464"), open));
+        assert!(!is_allowed_host(None, local));
+        let public: SocketAddr = "0.0.0.0:9464".parse().expect("an address");
+        assert!(is_allowed_host(Some("testbed:9464"), public));
     }
 }

@@ -363,65 +363,66 @@ mod tests {
     }
 
     /// Writes a log of these inputs with a truncated last line, and parses it.
-    fn written_and_read(inputs: &[ExternalInput]) -> Result<ExternalInputs, InputLogError> {
+    fn write_and_parse(inputs: &[ExternalInput]) -> Result<ExternalInputs, InputLogError> {
         let scenario = load("quick", &[]).expect("a preset").scenario;
         let lines: String = inputs.iter().map(line).collect();
         parse(&format!("{}{lines}{{\"outage\":", first_line(&scenario)), &scenario)
     }
 
-    fn plan(tti: u64, plan: Plan, next: u64) -> RecordedDecision {
+    fn plan_decision(tti: u64, plan: Plan, next: u64) -> RecordedDecision {
         let next = Tti(next);
-        let answer = Decision::Plan(PlanDecision { plan, next });
+        let decision = Decision::Plan(PlanDecision { plan, next });
         RecordedDecision {
             tti: Tti(tti),
-            decision: answer,
+            decision,
         }
     }
 
-    fn wake(tti: u64, devices: &[u32]) -> RecordedDecision {
-        let answer = Decision::Wake(devices.iter().copied().map(DeviceId).collect());
+    fn wake_decision(tti: u64, devices: &[u32]) -> RecordedDecision {
+        let decision = Decision::Wake(devices.iter().copied().map(DeviceId).collect());
         RecordedDecision {
             tti: Tti(tti),
-            decision: answer,
+            decision,
         }
     }
 
-    fn bits(j: u32) -> Plan {
+    /// Returns a plan of the right size, in which device `j` senses.
+    fn plan_of_one(j: u32) -> Plan {
         let devices = load("quick", &[]).expect("a preset").scenario.run.devices;
         Plan::from_devices(devices as usize, &[DeviceId(j)])
     }
 
     #[test]
-    fn a_log_is_read_up_to_its_last_whole_line() {
+    fn a_log_round_trips_up_to_its_last_complete_line() {
         let devices = load("quick", &[]).expect("a preset").scenario.run.devices as usize;
         let inputs = ExternalInputs {
             outages: vec![outage(3, 2, 5), outage(0, 3, 5), outage(9, 1, 80)],
             decisions: vec![
-                plan(0, bits(3), 1),
-                wake(0, &[7, 2]),
-                wake(0, &[]),
-                plan(1, Plan::Periodic(vec![DutyCycle::SENSING; devices]), u64::MAX),
-                wake(60, &[1]),
+                plan_decision(0, plan_of_one(3), 1),
+                wake_decision(0, &[7, 2]),
+                wake_decision(0, &[]),
+                plan_decision(1, Plan::Periodic(vec![DutyCycle::SENSING; devices]), u64::MAX),
+                wake_decision(60, &[1]),
             ],
         };
         let all: Vec<ExternalInput> = inputs.iter().collect();
-        assert_eq!(written_and_read(&all).expect("a log"), inputs);
+        assert_eq!(write_and_parse(&all).expect("a log"), inputs);
         let scenario = load("quick", &[]).expect("a preset").scenario;
         let text = first_line(&scenario) + &all.iter().map(line).collect::<String>();
-        for length in [1, 7, 60, 4000] {
+        for piece_bytes in [1, 7, 60, 4000] {
             let (mut parser, mut read, mut end) = (InputLogParser::default(), 0, 0);
             while read < text.len() {
-                end = text.len().min(end + length);
+                end = text.len().min(end + piece_bytes);
                 read += parser.read(&text[read..end], &scenario).expect("a log");
             }
-            assert_eq!(parser.inputs(), &inputs, "{length} bytes at a time");
+            assert_eq!(parser.inputs(), &inputs, "{piece_bytes} bytes at a time");
         }
-        assert_eq!(written_and_read(&[]).expect("a log"), ExternalInputs::default());
+        assert_eq!(write_and_parse(&[]).expect("a log"), ExternalInputs::default());
     }
 
     #[test]
-    fn what_cannot_have_come_is_refused() {
-        let impossible = [
+    fn an_impossible_log_is_refused_with_the_reason() {
+        let impossible_outages = [
             vec![outage(0, 0, 5)],
             vec![outage(3, 2, 5), outage(0, 0, 6)],
             vec![outage(u32::MAX, 2, 5)],
@@ -429,71 +430,74 @@ mod tests {
             vec![outage(3, 2, 5), outage(4, 1, 9)],
             vec![outage(3, 2, 5), outage(0, 1, 4)],
         ];
-        for outages in impossible {
+        for outages in impossible_outages {
             let outages: Vec<ExternalInput> = outages.into_iter().map(ExternalInput::Outage).collect();
-            let refused = written_and_read(&outages).expect_err("impossible");
+            let refused = write_and_parse(&outages).expect_err("impossible");
             assert!(matches!(refused, InputLogError::Outage(_)), "{refused}");
         }
-        let first = || plan(0, bits(3), 1);
-        let impossible = [
-            vec![plan(1, bits(3), 2)],
-            vec![wake(0, &[1])],
-            vec![first(), plan(0, bits(3), 1)],
-            vec![first(), plan(1, bits(3), 1)],
-            vec![first(), wake(1, &[1]), plan(1, bits(3), 2)],
-            vec![first(), wake(0, &[u32::MAX])],
-            vec![first(), plan(1, Plan::Periodic(vec![DutyCycle::SENSING]), 2)],
-            vec![first(), plan(u64::MAX, bits(3), 2)],
+        let first = || plan_decision(0, plan_of_one(3), 1);
+        let impossible_decisions = [
+            vec![plan_decision(1, plan_of_one(3), 2)],
+            vec![wake_decision(0, &[1])],
+            vec![first(), plan_decision(0, plan_of_one(3), 1)],
+            vec![first(), plan_decision(1, plan_of_one(3), 1)],
+            vec![first(), wake_decision(1, &[1]), plan_decision(1, plan_of_one(3), 2)],
+            vec![first(), wake_decision(0, &[u32::MAX])],
+            vec![first(), plan_decision(1, Plan::Periodic(vec![DutyCycle::SENSING]), 2)],
+            vec![first(), plan_decision(u64::MAX, plan_of_one(3), 2)],
         ];
-        for decisions in impossible {
+        for decisions in impossible_decisions {
             let decisions: Vec<ExternalInput> = decisions.into_iter().map(ExternalInput::Decision).collect();
-            let refused = written_and_read(&decisions).expect_err("impossible");
+            let refused = write_and_parse(&decisions).expect_err("impossible");
             assert!(matches!(refused, InputLogError::Decision(_)), "{refused}");
         }
         let scenario = load("quick", &[]).expect("a preset").scenario;
-        let of = |text: &str| parse(text, &scenario).expect_err("no log of this run");
+        let error_of = |text: &str| parse(text, &scenario).expect_err("no log of this run");
         assert_eq!(
-            of("{\"wake\":{\"tti\":true}}\n").to_string(),
+            error_of("{\"wake\":{\"tti\":true}}\n").to_string(),
             "line 1, column 19: invalid input log entry: invalid type: boolean `true`, expected u64; use the \
              inputs.log of a run folder"
         );
         assert!(matches!(
-            of(&line(&ExternalInput::Outage(outage(0, 1, 1)))),
+            error_of(&line(&ExternalInput::Outage(outage(0, 1, 1)))),
             InputLogError::MissingFirstLine(1)
         ));
-        // Without a newline only the start of a first line is a log that a kill has cut short.
+        // Without a newline, only the start of a first line is the log of a killed run.
         for text in ["garbage", "\0\u{1}", "{\"inputs\":{\"version\":2}}", " "] {
-            let refused = of(text);
+            let refused = error_of(text);
             assert!(
                 matches!(refused, InputLogError::Line { line: 1, .. }),
                 "{text:?}: {refused}"
             );
         }
         let removal = line(&ExternalInput::Outage(outage(0, 1, 1)));
-        assert!(matches!(of(removal.trim_end()), InputLogError::MissingFirstLine(1)));
+        assert!(matches!(
+            error_of(removal.trim_end()),
+            InputLogError::MissingFirstLine(1)
+        ));
         for version in 1..=VERSION {
             let first = first_line_of(version, &scenario);
             for length in [0, 1, 9, first.len() - 1, first.len()] {
-                let inputs = parse(&first[..length], &scenario).expect("a log that was cut short");
+                let inputs = parse(&first[..length], &scenario).expect("a truncated log");
                 assert_eq!(inputs, ExternalInputs::default(), "{length} bytes");
             }
         }
         let torn = first_line(&scenario) + &removal + "garbage";
         assert_eq!(parse(&torn, &scenario).expect("a log").outages, [outage(0, 1, 1)]);
         let twice = first_line(&scenario) + &removal + &first_line(&scenario);
-        assert!(matches!(of(&twice), InputLogError::SecondFirstLine(3)));
+        assert!(matches!(error_of(&twice), InputLogError::SecondFirstLine(3)));
         let first = first_line_of(1, &scenario);
         assert_eq!(
             parse(&(first.clone() + &removal), &scenario).expect("a log").outages,
             [outage(0, 1, 1)]
         );
-        for decision in [plan(0, bits(3), 1), wake(0, &[1])] {
+        for decision in [plan(0, plan_of_one(3), 1), wake(0, &[1])] {
             let with_decision = first.clone() + &removal + &line(&ExternalInput::Decision(decision));
-            assert!(matches!(of(&with_decision), InputLogError::DecisionInVersion1(3)));
+            assert!(matches!(error_of(&with_decision), InputLogError::DecisionInVersion1(3)));
         }
         let other = |version| format!("{{\"inputs\":{{\"version\":{version},\"scenario_hash\":\"00\"}}}}\n");
-        assert!(matches!(of(&other(VERSION)), InputLogError::Scenario));
-        assert!(matches!(of(other(VERSION).trim_end()), InputLogError::Scenario));
-        assert!(matches!(of(&other(VERSION + 1)), InputLogError::Version));
+        assert!(matches!(error_of(&other(VERSION)), InputLogError::Scenario));
+        assert!(matches!(error_of(other(VERSION).trim_end()), InputLogError::Scenario));
+        assert!(matches!(error_of(&other(VERSION + 1)), InputLogError::Version));
     }
 }

@@ -87,13 +87,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn former_names_are_replaced_in_their_command_alone() {
-        let replaced = |line: &str| {
+    fn old_names_are_replaced_only_in_their_command() {
+        let replace = |line: &str| {
             let (args, warnings) = replace_former_names(line.split(' ').map(OsString::from));
             let args: Vec<_> = args.iter().map(|arg| arg.to_str().expect("text")).collect();
             (args.join(" "), warnings.len())
         };
-        for (line, expected, count) in [
+        for (line, expected, warning_count) in [
             ("reveille -v run --inputs a.log", "reveille -v run --input-log a.log", 1),
             (
                 "reveille run --inputs=a.log -n 3",
@@ -162,7 +162,7 @@ mod tests {
                 0,
             ),
         ] {
-            assert_eq!(replaced(line), (expected.to_owned(), count), "{line}");
+            assert_eq!(replace(line), (expected.to_owned(), warning_count), "{line}");
         }
     }
 }

@@ -132,14 +132,14 @@ mod tests {
         for (text, number) in [("1", 1), (" 12 ", 12), ("+3", 3)] {
             assert_eq!(parse(text), Ok(number), "{text:?}");
         }
-        for bad in ["", "many", "0", "13", "-1", "1.5", "99999999999999999999"] {
-            let refusal = parse(bad).expect_err(bad);
-            assert_eq!(refusal, "must be a whole number from 1 to 12", "{bad:?}");
+        for invalid in ["", "many", "0", "13", "-1", "1.5", "99999999999999999999"] {
+            let refusal = parse(invalid).expect_err(invalid);
+            assert_eq!(refusal, "must be a whole number from 1 to 12", "{invalid:?}");
         }
     }
 
     #[test]
-    fn a_range_that_the_command_checks_is_named() {
+    fn any_whole_names_the_range_but_does_not_check_it() {
         let parse = any_whole(1..=12_u32);
         assert_eq!((parse("0"), parse("13")), (Ok(0), Ok(13)));
         let refusal = Err("must be a whole number from 1 to 12".to_owned());
@@ -159,7 +159,7 @@ mod tests {
         ] {
             assert_eq!(parse_duration(text), Ok(Duration::from_micros(micros)), "{text}");
         }
-        for bad in [
+        for invalid in [
             "",
             "10",
             "ms",
@@ -171,13 +171,13 @@ mod tests {
             "1000001s",
             "99999999999999999999s",
         ] {
-            let refusal = parse_duration(bad).expect_err(bad);
-            assert!(refusal.contains("1m30s"), "{refusal}");
+            let refusal = parse_duration(invalid).expect_err(invalid);
+            assert!(refusal.contains("1m30s"), "{invalid:?}: {refusal}");
         }
     }
 
     #[test]
-    fn a_pace_is_read_as_it_is_printed() {
+    fn a_pace_round_trips() {
         for text in ["max", "4ms", "1m 30s 500us"] {
             assert_eq!(parse_pace(text).map(|pace| pace.to_string()), Ok(text.to_owned()));
         }

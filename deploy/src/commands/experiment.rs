@@ -86,7 +86,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn values_are_toml_or_bare_words() {
+    fn values_are_toml_or_plain_text() {
         assert_eq!(parse_value("10"), Value::Integer(10));
         assert_eq!(parse_value(" 0.5"), Value::Float(0.5));
         assert_eq!(parse_value("knn"), Value::String("knn".to_owned()));

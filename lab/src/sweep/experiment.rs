@@ -277,7 +277,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_field_that_names_a_file_is_placed_and_no_other() {
+    fn only_fields_that_name_a_file_get_the_folder() {
+        // Other fields also have the values `file` and `table`.
         let text = r#"
             layout = { kind = "file", file = "points.csv" }
             policy = { name = "q-learning", q-learning = { table = "own.json" } }
@@ -297,8 +298,8 @@ mod tests {
             Some("there/sun.csv")
         );
         assert_eq!(value["class"][0]["name"].as_str(), Some("file"));
-        let mut word = Value::Table("policy.q-learning.table = \"shipped\"".parse().expect("TOML"));
-        resolve_file_paths(&declaration(), "", &mut word, Path::new("there"));
-        assert_eq!(word["policy"]["q-learning"]["table"].as_str(), Some("shipped"));
+        let mut shipped = Value::Table("policy.q-learning.table = \"shipped\"".parse().expect("TOML"));
+        resolve_file_paths(&declaration(), "", &mut shipped, Path::new("there"));
+        assert_eq!(shipped["policy"]["q-learning"]["table"].as_str(), Some("shipped"));
     }
 }

@@ -345,7 +345,7 @@ mod tests {
 
     use super::*;
 
-    fn scenario(overrides: &[&str]) -> Scenario {
+    fn scenario_with(overrides: &[&str]) -> Scenario {
         let parse = |text: &&str| Override::parse(text).expect("an override");
         let overrides: Vec<Override> = overrides.iter().map(parse).collect();
         load("paper", &overrides).expect("a scenario").scenario
@@ -355,40 +355,40 @@ mod tests {
         Energy::from_units(units).expect("in range")
     }
 
-    fn study(lambdas: &[f64], e_b: &[f64]) -> HarvestStudy {
+    fn harvest_study(lambdas: &[f64], e_b: &[f64]) -> HarvestStudy {
         HarvestStudy {
-            scenario: scenario(&["devices=40", "ttis=2000", "policy.name=random"]),
+            scenario: scenario_with(&["devices=40", "ttis=2000", "policy.name=random"]),
             readings: LambdaReading::ALL.to_vec(),
             lambdas: lambdas.to_vec(),
-            e_b: e_b.iter().map(|&e| units(e)).collect(),
+            e_b: e_b.iter().map(|&value| units(value)).collect(),
             seeds: 6,
         }
     }
 
     #[test]
-    fn runs_harvest_as_the_closed_form() {
-        let points = measure(&study(&[0.0, 0.05, 1.0, 3.0], &[1.0, 10.0])).expect("a study");
+    fn measured_harvests_equal_the_closed_form() {
+        let points = measure(&harvest_study(&[0.0, 0.05, 1.0, 3.0], &[1.0, 10.0])).expect("a study");
         assert_eq!(points.len(), 16);
         for point in points {
-            // Arrivals in the 40 · 1800 · 6 trials have a binomial spread.
+            // Arrivals in the 40 devices · 1800 TTIs · 6 seeds have a binomial spread.
             let p = point.closed_form / point.e_b;
             let spread = point.e_b * (p * (1.0 - p) / (40.0 * 1800.0 * 6.0)).sqrt();
-            let off = (point.harvested.mean - point.closed_form).abs();
-            assert!(off <= 4.0 * spread + 1e-12, "{point:?}");
-            let ledger = point.harvested.mean - point.spent.mean - point.net.mean;
-            assert!(ledger.abs() < 1e-9, "{point:?}");
+            let difference = (point.harvested.mean - point.closed_form).abs();
+            assert!(difference <= 4.0 * spread + 1e-12, "{point:?}");
+            let residual = point.harvested.mean - point.spent.mean - point.net.mean;
+            assert!(residual.abs() < 1e-9, "{point:?}");
         }
     }
 
     #[test]
-    fn the_probability_is_the_printed_one() {
+    fn arrival_probabilities_equal_printed_values() {
         // exp(-1/2) and exp(-1/4) from a printed table.
         assert!((LambdaReading::Eq5.probability(0.25, 2.0) - 0.5 * 0.606_530_659_7).abs() < 1e-10);
         assert!((LambdaReading::ExpMinusLambda.probability(0.25, 2.0) - 0.778_800_783_1).abs() < 1e-10);
     }
 
     #[test]
-    fn net_energy_is_positive_between_two_lambdas() {
+    fn net_energy_is_positive_in_a_range_of_lambda() {
         // The maximum of Eq. (5), at λ = 1, gives E_B / e.
         let e = std::f64::consts::E;
         assert_eq!(
@@ -397,13 +397,16 @@ mod tests {
         );
         for (e_b, spent, tau) in [(1.0, 0.2, 1.0), (5.0, 0.25, 1.0), (10.0, 3.0, 0.5)] {
             let (from, to) = lambdas_with_positive_net(LambdaReading::Eq5, e_b, spent, tau).expect("a range");
-            assert!(from < 1.0 / tau && to > 1.0 / tau, "{from} {to}");
-            for edge in [from, to] {
-                assert!((e_b * LambdaReading::Eq5.probability(edge, tau) - spent).abs() < 1e-9);
+            assert!(from < 1.0 / tau && to > 1.0 / tau, "range {from} to {to}");
+            for limit in [from, to] {
+                assert!((e_b * LambdaReading::Eq5.probability(limit, tau) - spent).abs() < 1e-9);
             }
         }
         let (from, to) = lambdas_with_positive_net(LambdaReading::ExpMinusLambda, 5.0, 0.25, 1.0).expect("a range");
-        assert!(from == 0.0 && (to - libm::log(20.0)).abs() < 1e-12, "{from} {to}");
+        assert!(
+            from == 0.0 && (to - libm::log(20.0)).abs() < 1e-12,
+            "range {from} to {to}"
+        );
         assert_eq!(
             lambdas_with_positive_net(LambdaReading::ExpMinusLambda, 1.0, 2.0, 1.0),
             None
@@ -411,44 +414,47 @@ mod tests {
     }
 
     #[test]
-    fn demand_is_what_full_batteries_would_spend() {
+    fn demand_is_the_consumption_with_full_batteries() {
         // Without events the genie's devices stay in S4.
-        let genie = scenario(&["devices=10", "ttis=1000", "policy.name=genie", "events.alpha=1e-9"]);
+        let genie = scenario_with(&["devices=10", "ttis=1000", "policy.name=genie", "events.alpha=1e-9"]);
         let spent = measure_demand(&genie, 2).expect("runs").mean;
-        assert!((spent - 0.071_429).abs() < 1e-12, "{spent}");
-        let random = scenario(&["devices=100", "ttis=1000", "policy.name=random", "harvest.e_b=0.1"]);
-        let (short, full) = (
+        assert!((spent - 0.071_429).abs() < 1e-12, "demand {spent}");
+        let random = scenario_with(&["devices=100", "ttis=1000", "policy.name=random", "harvest.e_b=0.1"]);
+        let (consumption, demand) = (
             measure_consumption(&random, 3).expect("runs"),
             measure_demand(&random, 3).expect("runs"),
         );
-        assert!(short.mean < 0.2 && full.mean > 0.4, "{short:?} {full:?}");
+        assert!(
+            consumption.mean < 0.2 && demand.mean > 0.4,
+            "consumption {consumption:?}, demand {demand:?}"
+        );
     }
 
     #[test]
     fn invalid_studies_are_refused() {
-        for (study, part) in [
-            (study(&[], &[1.0]), "lambda: the list is empty"),
-            (study(&[0.1], &[]), "e-b: the list is empty"),
-            (study(&[0.1], &[0.0]), "e-b = 0"),
-            (study(&[0.1, -1.0], &[1.0]), "lambda = -1"),
-            (study(&[f64::NAN], &[1.0]), "lambda = NaN"),
+        for (study, cause) in [
+            (harvest_study(&[], &[1.0]), "lambda: the list is empty"),
+            (harvest_study(&[0.1], &[]), "e-b: the list is empty"),
+            (harvest_study(&[0.1], &[0.0]), "e-b = 0"),
+            (harvest_study(&[0.1, -1.0], &[1.0]), "lambda = -1"),
+            (harvest_study(&[f64::NAN], &[1.0]), "lambda = NaN"),
             (
                 HarvestStudy {
                     seeds: 0,
-                    ..study(&[0.1], &[1.0])
+                    ..harvest_study(&[0.1], &[1.0])
                 },
                 "seeds = 0",
             ),
             (
                 HarvestStudy {
                     readings: vec![],
-                    ..study(&[0.1], &[1.0])
+                    ..harvest_study(&[0.1], &[1.0])
                 },
                 "reading: the list is empty",
             ),
         ] {
-            let message = measure(&study).expect_err(part).to_string();
-            assert!(message.contains(part), "{message}");
+            let message = measure(&study).expect_err(cause).to_string();
+            assert!(message.contains(cause), "{message}");
         }
     }
 }

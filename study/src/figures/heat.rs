@@ -398,26 +398,31 @@ mod tests {
     use super::*;
 
     #[test]
-    fn colours_grow_lighter_throughout_and_are_neutral_at_zero() {
-        let all: Vec<f64> = (-100..=100).map(|i| luminance(blend(f64::from(i) / 100.0))).collect();
-        assert!(all.windows(2).all(|pair| pair[0] <= pair[1]), "{all:?}");
+    fn colours_get_lighter_with_the_value_and_are_grey_at_0() {
+        let luminances: Vec<f64> = (-100..=100).map(|i| luminance(blend(f64::from(i) / 100.0))).collect();
+        assert!(luminances.windows(2).all(|pair| pair[0] <= pair[1]), "{luminances:?}");
         let Rgb(r, g, b) = colour(0.0, 5.0);
         assert!(r == g && g == b);
         assert_eq!([colour(-9.0, 5.0), colour(9.0, 5.0)], [RAMP[0], RAMP[4]]);
-        assert_eq!(colour(1.25, 5.0), blend(0.5), "a quarter of the largest is halfway");
+        assert_eq!(
+            colour(1.25, 5.0),
+            blend(0.5),
+            "colours follow the square root of the share"
+        );
         assert_eq!(colour(3.0, 0.0), blend(0.0));
     }
 
     #[test]
     fn numbers_are_legible_on_every_colour() {
+        // 4.5 is the minimum of the accessibility guidelines (WCAG, level AA).
         for i in -100..=100 {
-            let ground = blend(f64::from(i) / 100.0);
-            let Paint::Colour(text) = contrast_colour(ground) else {
-                panic!("a colour that stays")
+            let background = blend(f64::from(i) / 100.0);
+            let Paint::Colour(text) = contrast_colour(background) else {
+                panic!("not a fixed colour")
             };
-            let (a, b) = (luminance(ground), luminance(text));
+            let (a, b) = (luminance(background), luminance(text));
             let contrast = (a.max(b) + 0.05) / (a.min(b) + 0.05);
-            assert!(contrast >= 4.5, "{contrast} at {i}");
+            assert!(contrast >= 4.5, "contrast {contrast} at {i} %");
         }
     }
 

@@ -492,33 +492,33 @@ mod tests {
     use super::*;
 
     /// Checks that values just inside both limits of each bucket fall in that bucket.
-    fn agree(ends: &[f64], bucket: impl Fn(f64) -> usize) {
-        for (at, pair) in ends.windows(2).enumerate() {
-            let inside = 1e-4 * (pair[1] - pair[0]);
+    fn assert_limits(limits: &[f64], bucket: impl Fn(f64) -> usize) {
+        for (index, pair) in limits.windows(2).enumerate() {
+            let margin = 1e-4 * (pair[1] - pair[0]);
             assert_eq!(
-                [bucket(pair[0] + inside), bucket(pair[1] - inside)],
-                [at, at],
-                "{pair:?}"
+                [bucket(pair[0] + margin), bucket(pair[1] - margin)],
+                [index, index],
+                "bucket {index}, limits {pair:?}"
             );
         }
     }
 
     #[test]
-    fn the_ends_drawn_are_those_of_the_buckets() {
-        agree(&INFORMATION_LIMITS, information_bucket);
-        agree(&score_limits(), score_bucket);
+    fn drawn_limits_are_the_limits_of_the_buckets() {
+        assert_limits(&INFORMATION_LIMITS, information_bucket);
+        assert_limits(&score_limits(), score_bucket);
         for lookback in [Lookback::Window(1), Lookback::Ages] {
-            agree(&area_limits(lookback), |share| lookback.bucket(share));
+            assert_limits(&area_limits(lookback), |share| lookback.bucket(share));
         }
         let energy = load("paper", &[]).expect("a preset").scenario.classes[0].energy;
-        let ends = battery_limits([energy.e_max, energy.e_idle, energy.e_tx].map(Energy::units));
-        agree(&ends, |x| {
-            battery_bucket(Energy::from_units(x).expect("an energy"), &energy)
+        let limits = battery_limits([energy.e_max, energy.e_idle, energy.e_tx].map(Energy::units));
+        assert_limits(&limits, |level| {
+            battery_bucket(Energy::from_units(level).expect("an energy"), &energy)
         });
     }
 
     #[test]
-    fn ends_are_written_short() {
+    fn limits_are_shortened() {
         let values = [0.0, 0.02, 0.5, 0.725, 1.524, 9.96, 25.833, 100.0, 0.010_053];
         assert_eq!(
             values.map(format_short),
