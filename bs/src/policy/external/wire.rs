@@ -345,10 +345,11 @@ pub struct DecisionReply {
 }
 
 impl DecisionReply {
-    /// Creates an empty reply to the request with this `head`.
+    /// Creates a reply without a decision to the request with this `head`, in the newest protocol version that both
+    /// sides support.
     pub fn for_request(head: &WireHeader, id: &str, key: &str) -> Self {
         Self {
-            protocol: PROTOCOL_VERSION,
+            protocol: head.protocol.min(PROTOCOL_VERSION),
             seq: head.seq,
             tti: head.tti,
             stage: Some(head.stage),
@@ -582,6 +583,17 @@ mod tests {
                 assert_eq!(read, reply);
                 assert_eq!(read.decode(answer.stage(), Tti(7), 5), Ok(answer.clone()));
             }
+        }
+    }
+
+    #[test]
+    fn a_reply_has_the_newest_protocol_version_of_both_sides() {
+        for (base_station, expected) in [(0, 0), (PROTOCOL_VERSION + 1, PROTOCOL_VERSION)] {
+            let head = WireHeader {
+                protocol: base_station,
+                ..HEAD
+            };
+            assert_eq!(DecisionReply::for_request(&head, "a", "").protocol, expected);
         }
     }
 }
