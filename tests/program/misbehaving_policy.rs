@@ -6,7 +6,7 @@ use std::time::Duration;
 use reveille_bs::policy::external::Decision;
 use reveille_bs::policy::external::wire::{DecisionReply, DecisionRequest};
 use reveille_bs::server::policy_port::client::{self, ClientIdentity};
-use reveille_common::bus::{Bus, PolicyQuestion};
+use reveille_common::bus::{Bus, PortRequest};
 use reveille_common::encoding::Encoding;
 use reveille_common::secret::Secret;
 use reveille_tests::external_policy::{ExternallyDecidedRun, MisbehavingPolicy, answer, own, say};
@@ -16,7 +16,7 @@ use serde_json::{Value, json};
 /// Function that corrupts an answer.
 type CorruptReply = fn(&mut Value);
 /// Function that answers a decision request in some other way than with the given answer.
-type ReplyAction = fn(&PolicyQuestion, Value);
+type ReplyAction = fn(&PortRequest, Value);
 
 /// Strangers answer every query with more data than a client accepts.
 #[tokio::test(flavor = "multi_thread")]
@@ -29,7 +29,7 @@ async fn a_flood_of_answers_changes_no_result() {
         let (long, short) = (vec![b'['; 300_000], vec![b'['; 500]);
         while let Some(question) = questions.next().await {
             for payload in [&long, &short].into_iter().cycle().take(100) {
-                let _gone = question.answer(payload.clone(), Encoding::Json).is_err();
+                let _gone = question.reply(payload.clone(), Encoding::Json).is_err();
             }
             let _gone = question.reply_error("flooded").is_err();
         }
@@ -93,7 +93,7 @@ async fn invalid_decisions_are_reported_and_end_the_run_or_are_dropped() {
     // The sender of these answers is unknown: a stranger could otherwise end the run with them.
     let strange: [(&str, ReplyAction); 3] = [
         ("dropped an answer", |question, _| {
-            question.answer(b"{".to_vec(), Encoding::Json).expect("answered");
+            question.reply(b"{".to_vec(), Encoding::Json).expect("answered");
         }),
         ("dropped an answer", |question, mut answer| {
             answer["id"] = json!("another");
@@ -156,7 +156,7 @@ async fn a_late_answer_does_not_answer_another_request() {
                 std::thread::sleep(Duration::from_millis(900));
             }
             // No query waits for a late answer.
-            let late = question.answer(rogue.idle(asked).to_string().into_bytes(), Encoding::Json);
+            let late = question.reply(rogue.idle(asked).to_string().into_bytes(), Encoding::Json);
             let _nobody_waits = late.is_err();
             asked["tti"] != 399
         })
@@ -180,7 +180,7 @@ async fn a_policy_without_the_key_decides_nothing() {
         encoding: Encoding::Json,
     };
     let mut strange = |_: &DecisionRequest| Decision::Wake(Vec::new());
-    let greeting = client::decide(&bus, &stranger, &mut strange);
+    let greeting = client::serve_decisions(&bus, &stranger, &mut strange);
     let said = async {
         while !run.process.stderr().contains("does not show the run's key") {
             tokio::time::sleep(Duration::from_millis(20)).await;
@@ -206,7 +206,7 @@ async fn a_policy_without_the_key_decides_nothing() {
                 ..DecisionReply::for_request(&asked.head, &asked.to, "")
             };
             let _gone = question
-                .answer(question.encoding.encode(&forged), question.encoding)
+                .reply(question.encoding.encode(&forged), question.encoding)
                 .is_err();
         }
     };

@@ -81,7 +81,7 @@ async fn killed_processes_change_no_result() {
     // The first policy process leaves at an arbitrary point midway.
     let (bus, own_name) = (run.bus().await, introduction("the first"));
     let mut first = |asked: &DecisionRequest| answer(&transcript, asked);
-    let first = client::decide(&bus, &own_name, &mut first);
+    let first = client::serve_decisions(&bus, &own_name, &mut first);
     let gone = tokio::time::timeout(Duration::from_millis(700), first).await;
     assert!(gone.is_err(), "the run must be longer");
     bus.close().await;

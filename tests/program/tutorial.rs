@@ -126,12 +126,12 @@ fn decide(link: &TcpStream) {
         let mut reply = DecisionReply::for_request(&asked.head, "", "");
         (reply.sense, reply.wake) = (devices("sense"), devices("wake"));
         let n = u32::try_from(asked.action_mask.0.len()).expect("few devices");
-        reply.decode(stage, Tti(asked.head.tti), n).expect("a valid decision")
+        reply.decision(stage, Tti(asked.head.tti), n).expect("a valid decision")
     };
     let runtime = tokio::runtime::Runtime::new().expect("a runtime");
     let decided = runtime.block_on(async {
         let bus = Bus::connect(&endpoint, run.parse().expect("a run name"), PATIENCE).await;
-        client::decide(&bus.expect("it listens"), &introduction, &mut policy).await
+        client::serve_decisions(&bus.expect("it listens"), &introduction, &mut policy).await
     });
     decided.expect("the bus continues");
 }

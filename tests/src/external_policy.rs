@@ -6,7 +6,7 @@ use reveille_bs::policy::external::wire::{DecisionRequest, RequestKind};
 use reveille_bs::policy::external::{Decision, DecisionStage};
 use reveille_bs::scenario::{Override, load};
 use reveille_bs::server::policy_port::client::{self, ClientIdentity};
-use reveille_common::bus::{Bus, PolicyQuestion};
+use reveille_common::bus::{Bus, PortRequest};
 use reveille_common::encoding::Encoding;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::secret::Secret;
@@ -112,7 +112,7 @@ impl ExternallyDecidedRun {
             run_key: Some(self.key()),
             encoding: form,
         };
-        let decided = client::decide(&self.bus().await, &introduction, &mut decide).await;
+        let decided = client::serve_decisions(&self.bus().await, &introduction, &mut decide).await;
         decided.expect("the bus is open")
     }
 
@@ -143,7 +143,7 @@ impl MisbehavingPolicy {
     ///
     /// # Panics
     /// If a request is not JSON.
-    pub async fn serve(&self, mut act: impl FnMut(&PolicyQuestion, &Value) -> bool) {
+    pub async fn serve(&self, mut act: impl FnMut(&PortRequest, &Value) -> bool) {
         let questions = self.bus.serve_policy_port().expect("a queryable");
         while let Ok(Some(question)) = tokio::time::timeout(Duration::from_secs(3), questions.next()).await {
             let asked: Value = serde_json::from_slice(&question.payload).expect("JSON");
@@ -153,7 +153,7 @@ impl MisbehavingPolicy {
                     "id": self.id, "name": "a rogue", "key": self.key,
                 });
                 question
-                    .answer(welcome.to_string().into_bytes(), Encoding::Json)
+                    .reply(welcome.to_string().into_bytes(), Encoding::Json)
                     .expect("answered");
             } else if !act(&question, &asked) {
                 return;
@@ -177,8 +177,8 @@ impl MisbehavingPolicy {
 ///
 /// # Panics
 /// If the session is closed.
-pub fn say(question: &PolicyQuestion, answer: &Value) {
+pub fn say(question: &PortRequest, answer: &Value) {
     question
-        .answer(answer.to_string().into_bytes(), Encoding::Json)
+        .reply(answer.to_string().into_bytes(), Encoding::Json)
         .expect("answered");
 }

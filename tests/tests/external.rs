@@ -52,7 +52,7 @@ fn replayed(scenario: &Scenario, first: &CommandTranscript, options: RunOptions,
     let mut stepping = stepping(scenario, own_world(scenario), options);
     let mut given = 0_usize;
     while let Some(question) = stepping.pending_decision() {
-        let k = question.seen.now;
+        let k = question.observation.now;
         match question.stage {
             DecisionStage::Plan => {
                 given = 0;
@@ -131,7 +131,7 @@ fn an_unlimited_plan_is_not_requested_again() {
     let mut stepping = stepping(&scenario, own_world(&scenario), RunOptions::default());
     let mut plans = 0;
     while let Some(question) = stepping.pending_decision() {
-        let k = question.seen.now;
+        let k = question.observation.now;
         match question.stage {
             DecisionStage::Plan => {
                 plans += 1;
@@ -150,8 +150,8 @@ fn an_unlimited_plan_is_not_requested_again() {
 
 /// Returns the full content of a decision request as text.
 fn said(question: &DecisionContext<'_>) -> String {
-    let seen = &question.seen;
-    let n = question.seen.known.n() as u32;
+    let seen = &question.observation;
+    let n = question.observation.known.n() as u32;
     let each = |j| {
         let j = DeviceId(j);
         (seen.can_report(j), question.may_wake(j), seen.is_asleep(j))
@@ -161,7 +161,7 @@ fn said(question: &DecisionContext<'_>) -> String {
     let mut rows = vec![0.0; n as usize * DEVICE_FEATURES.len()];
     let (mut row, mut mask) = ([0.0; GLOBAL_FEATURES.len()], vec![0; n as usize]);
     question.write_devices(&mut rows);
-    question.write_global(&mut row);
+    question.write_globals(&mut row);
     question.write_mask(&mut mask);
     let numbers = (rows, row, mask);
     // The decision request in its bus form.
@@ -179,7 +179,7 @@ fn drawn(stepping: &mut SteppedRun<CommandTranscript>, stream: &mut Stream) -> V
     let mut heard = Vec::new();
     while let Some(question) = stepping.pending_decision() {
         heard.push(said(&question));
-        let (n, k) = (question.seen.known.n() as u64, question.seen.now);
+        let (n, k) = (question.observation.known.n() as u64, question.observation.now);
         match question.stage {
             DecisionStage::Plan => stepping.decide(PlanDecision {
                 plan: Plan::from_bits((0..n).map(|_| stream.below(12) == 0)),
@@ -201,14 +201,14 @@ fn impossible_wake_ups_are_dropped() {
     let mut stepping = stepping(&scenario, own_world(&scenario), RunOptions::default());
     let mut rounds = 0;
     while let Some(question) = stepping.pending_decision() {
-        let n = question.seen.known.n() as u32;
+        let n = question.observation.known.n() as u32;
         let all: Vec<DeviceId> = (0..n).map(DeviceId).collect();
         match question.stage {
             DecisionStage::Plan => {
                 assert!(all.iter().all(|j| !question.may_wake(*j)));
                 // A plan with one bit too many, or with an invalid cycle.
-                let odd = question.seen.now.0 % 2 == 1;
-                let one = (question.seen.now.0 % u64::from(n)) as usize;
+                let odd = question.observation.now.0 % 2 == 1;
+                let one = (question.observation.now.0 % u64::from(n)) as usize;
                 let plan = if odd {
                     Plan::from_bits((0..n as usize + 9).map(|j| j >= n as usize || j == one || j + 1 == one))
                 } else {
@@ -225,9 +225,13 @@ fn impossible_wake_ups_are_dropped() {
                 stepping.decide(PlanDecision { plan, next });
             }
             DecisionStage::Wake => {
-                let k = question.seen.now;
+                let k = question.observation.now;
                 let before = stepping.observer().wake_ups.get(&k.0).cloned().unwrap_or_default();
-                let on: Vec<DeviceId> = all.iter().copied().filter(|j| !question.seen.is_asleep(*j)).collect();
+                let on: Vec<DeviceId> = all
+                    .iter()
+                    .copied()
+                    .filter(|j| !question.observation.is_asleep(*j))
+                    .collect();
                 assert!(question.heard.iter().all(|report| report.tti == k));
                 let own = all.iter().copied().filter(|j| question.may_wake(*j));
                 let two: Vec<DeviceId> = own.take(2).collect();
@@ -268,7 +272,7 @@ fn a_run_stands_where_its_log_ends() {
         let mut stepping = stepping(&scenario, own_world(&scenario), RunOptions::default());
         let (mut stream, mut all) = (Stream::new(9, Purpose::Training, 0), ExternalInputs::default());
         while let Some(question) = stepping.pending_decision() {
-            let (tti, n) = (question.seen.now, question.seen.known.n() as u64);
+            let (tti, n) = (question.observation.now, question.observation.known.n() as u64);
             let answer = match question.stage {
                 DecisionStage::Plan => Decision::Plan(PlanDecision {
                     plan: Plan::from_bits((0..n).map(|_| stream.below(9) == 0)),
@@ -318,7 +322,7 @@ fn a_branch_continues_independently() {
         let mut trunk = stepping(&scenario, own_world(&scenario), RunOptions::default());
         for _ in 0..answers {
             let question = trunk.pending_decision().expect("a question");
-            let (k, n) = (question.seen.now, question.seen.known.n() as u64);
+            let (k, n) = (question.observation.now, question.observation.known.n() as u64);
             match question.stage {
                 DecisionStage::Plan => trunk.decide(PlanDecision {
                     plan: Plan::from_bits((0..n).map(|j| (j + k.0) % 9 == 0)),

@@ -35,7 +35,7 @@ use crate::message::{Frame, FrameBatch, MessageKind, Payload, Plane, WakeUp};
 use crate::secret::{HostCredential, Secret};
 
 pub use error::BusError;
-pub use policy_port::{PolicyQuestion, PolicyQuestions, PortReply, Replies};
+pub use policy_port::{PortReply, PortRequest, PortRequests, Replies};
 pub use raw::RawTopic;
 pub use session::{draw_nonce, draw_secret, resolve_listen_endpoint, scaled_timeout};
 pub use tap::{FrameSink, Tap};

@@ -142,7 +142,11 @@ fn rewards_are_those_of_the_paper() {
     let mut environment = Environment::new(EpisodeTemplate::new(&scenario), RewardWeights { mu1: 3.0, mu2: 5.0 });
     let mut wakes = 0;
     while let Some(question) = environment.pending_decision() {
-        let (stage, before, k) = (question.stage, question.seen.information, question.seen.now.0 % 4);
+        let (stage, before, k) = (
+            question.stage,
+            question.observation.information,
+            question.observation.now.0 % 4,
+        );
         let free: Vec<usize> = (0..24)
             .filter(|j| question.may_wake(reveille_common::ids::DeviceId(*j as u32)))
             .collect();
@@ -156,14 +160,14 @@ fn rewards_are_those_of_the_paper() {
         }
         // The other devices, which cannot be woken, cost nothing.
         let two = &free[..free.len().min(6)];
-        let now = question.seen.now;
+        let now = question.observation.now;
         let step = environment.step(|j| two.contains(&j) || !free.contains(&j));
         assert!((step.woken + two.len() as f64 / 24.0).abs() < 1e-12);
         if let Some(question) = environment
             .pending_decision()
-            .filter(|question| question.seen.now == now)
+            .filter(|question| question.observation.now == now)
         {
-            let gained = (question.seen.information - before) / 2.0;
+            let gained = (question.observation.information - before) / 2.0;
             assert!((step.information - 5.0 * gained).abs() < 1e-9, "{step:?} {gained}");
             wakes += i32::from(gained > 0.0);
         }

@@ -34,7 +34,7 @@ fn answer(form: Encoding, bytes: &[u8]) {
     };
     let tti = Tti(reply.tti.min(u64::MAX / 2));
     for stage in [DecisionStage::Plan, DecisionStage::Wake] {
-        let answer = match reply.decode(stage, tti, DEVICES) {
+        let answer = match reply.decision(stage, tti, DEVICES) {
             Ok(answer) => answer,
             Err(why) => {
                 assert!(!why.trim().is_empty());
@@ -56,7 +56,7 @@ fn answer(form: Encoding, bytes: &[u8]) {
         };
         let said = DecisionReply::for_request(&head, &reply.id, &reply.key).with_decision(&answer);
         let heard: DecisionReply = form.decode(&form.encode(&said)).expect("an answer");
-        assert_eq!(heard.decode(stage, tti, DEVICES), Ok(answer));
+        assert_eq!(heard.decision(stage, tti, DEVICES), Ok(answer));
     }
 }
 
