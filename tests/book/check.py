@@ -13,7 +13,7 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 DOCS = Path(__file__).resolve().parent.parent.parent / "docs"
-# Pages that mdBook adds: the same text again, or links relative to the site.
+# Pages that mdBook adds: they repeat text, or have links relative to the site.
 ADDED = {"404.html", "print.html", "toc.html"}
 
 
@@ -42,8 +42,8 @@ def fault(book: Path, pages: dict[Path, Page], page: Path, link: str) -> str | N
     target = (page.parent / unquote(parts.path)).resolve() if parts.path else page
     if not target.is_relative_to(book):
         source = (DOCS / page.relative_to(book).parent / unquote(parts.path)).resolve()
-        found = source.exists() or source.with_suffix(".md").exists()
-        return None if found else "no such file in the repository"
+        exists = source.exists() or source.with_suffix(".md").exists()
+        return None if exists else "no such file in the repository"
     if not target.exists():
         return "no such page or file in the book"
     if parts.fragment and target in pages and unquote(parts.fragment) not in pages[target].anchors:

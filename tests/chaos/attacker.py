@@ -15,7 +15,7 @@ from pathlib import Path
 import zenoh
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "untrusted_clients"))
-from bus import COMMANDS, WELCOME, WIRE, check_wire, keys_of, session  # noqa: E402
+from bus import COMMANDS, WELCOME, WIRE, check_wire, keys_of, open_session  # noqa: E402
 
 # Bytes of an oversized message.
 HUGE = 20 << 20
@@ -31,7 +31,7 @@ def put(peer, key, payload):
 
 def noise(endpoint, run, rng):
     """Sends noise, and copies of the messages that observers see, on every key."""
-    peer = session(endpoint)
+    peer = open_session(endpoint)
     copies = []
     peer.declare_subscriber(f"reveille/{run}/tap", lambda s: copies.append(s.payload.to_bytes()))
     keys = keys_of(run)
@@ -51,7 +51,7 @@ def huge(endpoint, run, rng):
     yield
     while True:
         try:
-            peer = session(endpoint)
+            peer = open_session(endpoint)
             put(peer, rng.choice(keys), bytes(HUGE))
             time.sleep(0.3)
             peer.close()
@@ -61,7 +61,7 @@ def huge(endpoint, run, rng):
 
 def tokens(endpoint, run, rng):
     """Holds the tokens of hosts and of the base station, and answers in its place."""
-    peer = session(endpoint)
+    peer = open_session(endpoint)
     names = [f"alive/{host}" for host in range(12)] + [f"alive/{host}/{'0' * 32}" for host in range(4)] + ["bs"]
     held = []
     for name in names:
@@ -79,7 +79,7 @@ def tokens(endpoint, run, rng):
 
 def clock(endpoint, run, rng):
     """Sends commands without the key, and forged clock messages."""
-    peer = session(endpoint)
+    peer = open_session(endpoint)
     check_wire(peer, run)
     yield
     while True:
@@ -100,7 +100,7 @@ def stalled(endpoint, run, rng):
     """Subscribes to everything and stops reading."""
     script = (
         "import sys; sys.path.insert(0, sys.argv[3]); import os, signal, attacker\n"
-        "peer = attacker.session(sys.argv[1])\n"
+        "peer = attacker.open_session(sys.argv[1])\n"
         "held = [peer.declare_subscriber(key, lambda s: None) for key in ['**', f'reveille/{sys.argv[2]}/tap']]\n"
         "print('subscribed', flush=True)\n"
         "os.kill(os.getpid(), signal.SIGSTOP)\n"

@@ -1,4 +1,4 @@
-"""Checks metrics with a real Prometheus: promtool reports no problem, and the scraped values equal the run's results.
+"""Checks the metrics of `reveille up` with Prometheus: promtool reports no problem, and the values fit the run's summary.
 
     python tests/monitoring/check.py target/release/reveille
 
@@ -61,35 +61,36 @@ def check(reveille, here):
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )
-        query = lambda text: ask(port, text)
+        query = lambda text: query_prometheus(port, text)
         wait(lambda: query("reveille_ttis_total") > 0)
         assert query("reveille_hosts_alive") == 2
         assert query("sum(reveille_devices)") == 40
         assert query("reveille_devices_with_battery{at_most='100'}") == 40
         # A pace of 2 ms allows 500 TTIs a second.
         wait(lambda: 100 < query("rate(reveille_ttis_total[4s])") < 600)
-        # Reads the last metrics before the end of the run more often than Prometheus does.
-        last, before = None, 0
+        # Reads the last metrics before the end of the run, more often than Prometheus does.
+        last, ttis_before = None, 0
         while run.poll() is None:
             try:
                 last = get(url) or last
-            except urllib.error.URLError:
+            except (urllib.error.URLError, ConnectionError):
+                # The run ends during the request.
                 pass
             if last:
-                now = value(last, "reveille_ttis_total")
-                assert now >= before, "a counter fell"
-                before = now
+                ttis = value(last, "reveille_ttis_total")
+                assert ttis >= ttis_before, f"the counter fell from {ttis_before} to {ttis}"
+                ttis_before = ttis
             time.sleep(0.05)
         out, err = run.communicate()
         assert run.returncode == 0, err
         summary = json.loads(out)
-        scraped = query(f"last_over_time(reveille_ttis_total[1m])")
-        assert 1000 < scraped <= TTIS, scraped
-        missing = TTIS - value(last, "reveille_ttis_total")
-        assert 0 <= missing < 300, missing
+        scraped_ttis = query("last_over_time(reveille_ttis_total[1m])")
+        assert 1000 < scraped_ttis <= TTIS, scraped_ttis
+        missing_ttis = TTIS - value(last, "reveille_ttis_total")
+        assert 0 <= missing_ttis < 300, f"{missing_ttis} TTIs after the last metrics"
         events = summary["totals"]["events"]["events"]
-        assert events - missing <= value(last, "reveille_events_total") <= events
-        print(f"{len(text.splitlines())} lines of metrics, {scraped:.0f} of {TTIS} TTIs scraped, equal to the summary")
+        assert events - missing_ttis <= value(last, "reveille_events_total") <= events
+        print(f"{len(text.splitlines())} lines of metrics, {scraped_ttis:.0f} of {TTIS} TTIs scraped, the last values fit the summary")
     finally:
         for process in (run, server):
             if process and process.poll() is None:
@@ -98,14 +99,14 @@ def check(reveille, here):
 
 
 def free_port():
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return one.getsockname()[1]
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        return listener.getsockname()[1]
 
 
 def get(url, **headers):
-    with urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=5) as answer:
-        return answer.read().decode()
+    with urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=5) as response:
+        return response.read().decode()
 
 
 def status(url, **headers):
@@ -116,23 +117,23 @@ def status(url, **headers):
     return 200
 
 
-def ask(port, text):
+def query_prometheus(port, text):
     query = urllib.parse.urlencode({"query": text})
-    found = json.loads(get(f"http://127.0.0.1:{port}/api/v1/query?{query}"))["data"]["result"]
-    return float(found[0]["value"][1]) if found else 0.0
+    results = json.loads(get(f"http://127.0.0.1:{port}/api/v1/query?{query}"))["data"]["result"]
+    return float(results[0]["value"][1]) if results else 0.0
 
 
-def value(text, name):
-    return next(float(line.split()[1]) for line in text.splitlines() if line.startswith(name + " "))
+def value(metrics, name):
+    return next(float(line.split()[1]) for line in metrics.splitlines() if line.startswith(name + " "))
 
 
-def wait(look, patience=30):
-    end = time.monotonic() + patience
-    while time.monotonic() < end:
+def wait(poll, patience=30):
+    deadline = time.monotonic() + patience
+    while time.monotonic() < deadline:
         try:
-            found = look()
-            if found:
-                return found
+            value = poll()
+            if value:
+                return value
         except (urllib.error.URLError, ConnectionError):
             pass
         time.sleep(0.1)

@@ -19,7 +19,7 @@ TOLERANCE = 1e-9
 
 
 def micro(text: str) -> int:
-    """Units as written in a table, in whole micro-units."""
+    """Converts units, as written in a table, to whole micro-units."""
     scaled = Decimal(text) * 1_000_000
     assert scaled == int(scaled), f"{text}: not a whole number of micro-units"
     return int(scaled)
@@ -34,11 +34,11 @@ def nearest_rank(values: list[int], percent: int) -> float:
     return ordered[-(-len(ordered) * percent // 100) - 1] if ordered else math.nan
 
 
-def of_events(rows: list[dict[str, str]], alpha: float, ttis: int) -> dict[str, float]:
+def event_metrics(rows: list[dict[str, str]], alpha: float, ttis: int) -> dict[str, float]:
     counted = [row for row in rows if row["counted"] == "1"]
-    seen = [row for row in counted if row["reports"] != "0"]
-    delays = [int(row["last_tti"]) - int(row["start_tti"]) for row in seen]
-    for row, delay in zip(seen, delays):
+    detected = [row for row in counted if row["reports"] != "0"]
+    delays = [int(row["last_tti"]) - int(row["start_tti"]) for row in detected]
+    for row, delay in zip(detected, delays):
         assert int(row["delay_ttis"]) == delay, row
     assert all(row["delay_ttis"] == "" for row in counted if row["reports"] == "0"), "a missed event with a delay"
 
@@ -52,7 +52,7 @@ def of_events(rows: list[dict[str, str]], alpha: float, ttis: int) -> dict[str, 
         "info_per_event": ratio(total("information"), events),
         "detection_delay_ttis": ratio(sum(delays), len(delays)),
         "detection_delay_p95_ttis": nearest_rank(delays, 95),
-        "misdetection_pct": ratio(100 * (events - len(seen)), events),
+        "misdetection_pct": ratio(100 * (events - len(detected)), events),
         "reports_per_event": ratio(total("reports"), events),
         "wake_ups_per_event": ratio(total("wake_ups"), events),
         "wrong_activations_per_event": ratio(total("wrong_activations"), events),
@@ -60,29 +60,29 @@ def of_events(rows: list[dict[str, str]], alpha: float, ttis: int) -> dict[str, 
     }
 
 
-def causes(rows: list[dict[str, str]], devices: list[dict[str, str]], d_max: float) -> dict[str, int]:
-    """Why counted events were missed, where the radio loses nothing."""
-    found = {"out_of_reach": 0, "lost": 0, "no_energy": 0, "not_sensing": 0}
-    places = [(float(device["x_m"]), float(device["y_m"])) for device in devices]
+def misdetection_causes(rows: list[dict[str, str]], devices: list[dict[str, str]], d_max: float) -> dict[str, int]:
+    """Counts the misdetections by cause, where the radio loses nothing."""
+    counts = {"out_of_reach": 0, "lost": 0, "no_energy": 0, "not_sensing": 0}
+    positions = [(float(device["x_m"]), float(device["y_m"])) for device in devices]
     for row in rows:
         if row["counted"] != "1" or row["reports"] != "0":
             continue
-        at = float(row["x_m"]), float(row["y_m"])
-        nearest = min(math.dist(at, place) for place in places)
+        epicentre = float(row["x_m"]), float(row["y_m"])
+        nearest = min(math.dist(epicentre, position) for position in positions)
         # A device that detects an event is within reach; one that cannot report it is a wrong activation.
         cause = "out_of_reach" if nearest > d_max else "no_energy" if row["wrong_activations"] != "0" else "not_sensing"
-        found[cause] += 1
-    return found
+        counts[cause] += 1
+    return counts
 
 
-def of_devices(rows: list[dict[str, str]], ttis: int) -> dict[str, float]:
+def device_metrics(rows: list[dict[str, str]], ttis: int) -> dict[str, float]:
     n = len(rows)
     spent = []
     for row in rows:
         by_state = [micro(row[f"{state}_units"]) for state in STATES]
-        into = micro(row["start_battery"]) + micro(row["harvested_units"])
-        out = sum(by_state) + micro(row["overflow_units"]) + micro(row["final_battery"])
-        assert into == out, f"device {row['device']}: {into} micro-units came in, {out} went out or are left"
+        received = micro(row["start_battery"]) + micro(row["harvested_units"])
+        used = sum(by_state) + micro(row["overflow_units"]) + micro(row["final_battery"])
+        assert received == used, f"device {row['device']}: {received} micro-units received, {used} spent, lost or left"
         assert int(row["longest_outage_ttis"]) <= int(row["failed_ttis"]) + int(row["unpowered_ttis"]) <= ttis, row
         spent.append(sum(by_state))
 
@@ -95,7 +95,7 @@ def of_devices(rows: list[dict[str, str]], ttis: int) -> dict[str, float]:
     return {
         "energy_per_device_tti": sum(spent) / 1e6 / n / ttis,
         **{f"energy_{state}_per_device_tti": units(f"{state}_units") for state in STATES},
-        "fairness_energy": ratio(sum(spent) ** 2, n * sum(one * one for one in spent)),
+        "fairness_energy": ratio(sum(spent) ** 2, n * sum(energy * energy for energy in spent)),
         "harvested_per_device_tti": units("harvested_units"),
         "net_per_device_tti": units("harvested_units") - sum(spent) / 1e6 / n / ttis,
         "overflow_per_device_tti": units("overflow_units"),
@@ -106,10 +106,10 @@ def of_devices(rows: list[dict[str, str]], ttis: int) -> dict[str, float]:
     }
 
 
-def same(shown: float | None, computed: float) -> bool:
-    if shown is None or math.isnan(computed):
-        return shown is None and math.isnan(computed)
-    return abs(shown - computed) <= TOLERANCE * max(1.0, abs(computed))
+def is_equal(reported: float | None, computed: float) -> bool:
+    if reported is None or math.isnan(computed):
+        return reported is None and math.isnan(computed)
+    return abs(reported - computed) <= TOLERANCE * max(1.0, abs(computed))
 
 
 def check(folder: Path) -> int:
@@ -118,26 +118,26 @@ def check(folder: Path) -> int:
     events = list(csv.DictReader((folder / "events.csv").open()))
     devices = list(csv.DictReader((folder / "devices.csv").open()))
     ttis = summary["ttis_done"] - math.floor(scenario["ttis"] * scenario["warm_up"])
-    assert len(devices) == scenario["devices"], "a row a device"
-    # The phases of bursts are drawn; of the other processes α is a setting.
+    assert len(devices) == scenario["devices"], "devices.csv needs one row per device"
+    # Bursts draw their phases, and the summary holds the resulting α; for other processes α is a field.
     is_drawn = scenario["events"].get("process", "uniform") == "bursts"
     alpha = summary["start_probability"] if is_drawn else scenario["events"]["alpha"]
-    computed = of_events(events, alpha, ttis) | of_devices(devices, ttis)
+    computed = event_metrics(events, alpha, ttis) | device_metrics(devices, ttis)
     wrong = [
         f"{folder}: {name} is {summary['metrics'][name]} in the summary and {value} from the tables"
         for name, value in computed.items()
-        if not same(summary["metrics"][name], value)
+        if not is_equal(summary["metrics"][name], value)
     ]
-    # The acts of all devices add up to the tallies of the events.
-    for own, of_all in (("reports", "reports"), ("wake_ups", "wake_ups"), ("wrong_activations", "wrong_activations")):
-        by_device = sum(int(row[own]) for row in devices)
-        by_event = sum(int(row[of_all]) for row in events if row["counted"] == "1")
+    # The counts of all devices add up to the counts of the events.
+    for column in ("reports", "wake_ups", "wrong_activations"):
+        by_device = sum(int(row[column]) for row in devices)
+        by_event = sum(int(row[column]) for row in events if row["counted"] == "1")
         if by_device != by_event:
-            wrong.append(f"{folder}: {by_device} {own} of devices, {by_event} of events")
-    missed = causes(events, devices, scenario["sensing"]["d_max"])
+            wrong.append(f"{folder}: {by_device} {column} of devices, {by_event} of events")
+    missed = misdetection_causes(events, devices, scenario["sensing"]["d_max"])
     if missed != summary["totals"]["missed"]:
         wrong.append(f"{folder}: {summary['totals']['missed']} in the summary, and {missed} from the tables")
-    # Exactly: the sums by state equal the totals.
+    # The sums by state equal the totals exactly.
     for state in STATES:
         by_device = sum(micro(row[f"{state}_units"]) for row in devices)
         if by_device != summary["totals"]["energy"]["spent"][state]:

@@ -1,4 +1,4 @@
-"""Reads recordings and exports with third-party programs; the result must equal `reveille inspect tail --json`.
+"""Reads recordings and exports with third-party programs; the messages must equal those of `inspect tail --json`.
 
     python tests/recordings/check.py target/release/reveille
 
@@ -35,15 +35,15 @@ def main():
             for check in CHECKS:
                 try:
                     check(run)
-                except Missing as what:
-                    missing.append(str(what))
-            print(f"{command}: {len(run.lines)} messages, the same everywhere")
+                except Missing as program:
+                    missing.append(str(program))
+            print(f"{command}: {len(run.lines)} messages, equal in every format")
     if missing:
         print("not checked:", ", ".join(sorted(set(missing))))
         sys.exit(0 if args.allow_missing else 1)
 
 
-# Policies that send few and many plans, devices that fail, states; in memory and over the bus.
+# Few and many plans, depleted devices and state messages, over the bus and in memory.
 RUNS = [
     "up -p knn -n 30 -k 1500 -P 3 --record-states 100",
     "run -p age-index -n 60 -k 800 --set harvest.e_b=2",
@@ -51,7 +51,7 @@ RUNS = [
 
 
 class Missing(Exception):
-    pass
+    """A program or package that is not installed."""
 
 
 class Run:
@@ -62,8 +62,8 @@ class Run:
         self.file = here / "run.mcap"
         self.call(*command.split(), "--quiet", "--out", "out", "--record", str(self.file))
         self.call("inspect", "verify", str(self.file))
-        shown = self.call("inspect", "tail", "--from", str(self.file), "--json")
-        self.lines = [json.loads(line) for line in shown.splitlines()]
+        output = self.call("inspect", "tail", "--from", str(self.file), "--json")
+        self.lines = [json.loads(line) for line in output.splitlines()]
         assert len(self.lines) > 1000, len(self.lines)
 
     def call(self, *args):
@@ -71,13 +71,13 @@ class Run:
         assert done.returncode == 0, (args, done.stderr)
         return done.stdout
 
-    def export(self, to):
-        path = self.here / f"run.{to}"
-        self.call("inspect", "export", str(self.file), "--to", to, "--out", str(path))
+    def export(self, file_format):
+        path = self.here / f"run.{file_format}"
+        self.call("inspect", "export", str(self.file), "--to", file_format, "--out", str(path))
         return path
 
 
-def mcap(run):
+def check_mcap(run):
     try:
         from mcap.reader import make_reader
     except ImportError:
@@ -109,7 +109,7 @@ def snake_case(name):
     return re.sub(r"(?<=.)(?=[A-Z])", "_", name).lower()
 
 
-def flat(value, path):
+def flatten(value, path):
     """Yields the numbers and texts among a message's fields, with their dissector names."""
     if isinstance(value, dict):
         for key, inner in value.items():
@@ -117,16 +117,16 @@ def flat(value, path):
                 continue
             if key[:1].isupper():
                 yield f"{path}.is", key
-                yield from flat(inner, f"{path}.{snake_case(key)}")
+                yield from flatten(inner, f"{path}.{snake_case(key)}")
             else:
-                yield from flat(inner, f"{path}.{key}")
+                yield from flatten(inner, f"{path}.{key}")
     elif isinstance(value, str) and value[:1].isupper():
         yield f"{path}.is", value
     elif isinstance(value, (int, float, str)):
         yield path, value
 
 
-def tshark(run):
+def check_pcapng(run):
     if not shutil.which("tshark"):
         raise Missing("tshark")
     lua = run.here / "reveille.lua"
@@ -136,14 +136,14 @@ def tshark(run):
     assert done.returncode == 0, done.stderr
     packets = [json.loads(line) for line in done.stdout.splitlines() if '"timestamp"' in line]
     assert len(packets) == len(run.lines), (len(packets), len(run.lines))
-    compared = 0
+    compared_values = 0
     for packet, line in zip(packets, run.lines):
-        own = packet["layers"]["reveille"]
-        get = lambda path: own.get("reveille_reveille_" + path.replace(".", "_"))
-        assert get("kind") == line["kind"] and int(get("tti")) == line["tti"], (own, line)
-        assert int(get("bytes")) == line["bytes"] and "_ws_malformed" not in str(own), own
+        fields = packet["layers"]["reveille"]
+        get = lambda path: fields.get("reveille_reveille_" + path.replace(".", "_"))
+        assert get("kind") == line["kind"] and int(get("tti")) == line["tti"], (fields, line)
+        assert int(get("bytes")) == line["bytes"] and "_ws_malformed" not in str(fields), fields
         expected = {}
-        for path, value in flat(line["message"], line["kind"]):
+        for path, value in flatten(line["message"], line["kind"]):
             expected.setdefault(path, []).append(value)
         for path, values in expected.items():
             shown = get(path)
@@ -151,16 +151,16 @@ def tshark(run):
             # Numbers of more than 64 bits are texts in another base.
             if path.endswith("_sum") or path.endswith("_pico"):
                 continue
-            for one, value in zip(shown, values):
-                compared += 1
+            for found, value in zip(shown, values):
+                compared_values += 1
                 if isinstance(value, bool):
-                    assert str(one).lower() in (str(value).lower(), str(int(value))), (path, one, value)
+                    assert str(found).lower() in (str(value).lower(), str(int(value))), (path, found, value)
                 elif isinstance(value, (int, float)):
                     # tshark shows six digits of a number.
-                    assert abs(float(one) - value) <= 1e-5 * max(1.0, abs(value)), (path, one, value)
+                    assert abs(float(found) - value) <= 1e-5 * max(1.0, abs(value)), (path, found, value)
                 else:
-                    assert one == value, (path, one, value)
-    assert compared > 3 * len(run.lines), compared
+                    assert found == value, (path, found, value)
+    assert compared_values > 3 * len(run.lines), f"only {compared_values} values compared"
     device = next(line["number"] for line in run.lines if line["kind"] == "report")
     filtered = subprocess.run(
         [*command[:5], "-Y", f"reveille.report.device == {device}", "-T", "fields", "-e", "reveille.tti"],
@@ -170,7 +170,7 @@ def tshark(run):
     assert [int(tti) for tti in filtered.stdout.split()] == expected
 
 
-def perfetto(run):
+def check_perfetto(run):
     try:
         from perfetto.protos.perfetto.trace import perfetto_trace_pb2 as pb
     except ImportError:
@@ -180,7 +180,6 @@ def perfetto(run):
     assert trace.ParseFromString(data) in (None, len(data))
     assert trace.SerializeToString() == data, "a field that the schema does not know"
     tracks, open_slices, slices, starts, ends = {}, Counter(), Counter(), set(), set()
-    last = 0
     for packet in trace.packet:
         if packet.HasField("track_descriptor"):
             tracks[packet.track_descriptor.uuid] = packet.track_descriptor
@@ -195,21 +194,19 @@ def perfetto(run):
         assert 0 <= open_slices[event.track_uuid] <= 1, event
         starts.update(event.flow_ids)
         ends.update(event.terminating_flow_ids)
-        last = max(last, packet.timestamp)
     devices = [track for track in tracks.values() if track.name.startswith("device ")]
-    told = [json.loads(text) for text in [json.dumps(line) for line in run.lines]]
-    wakes = sum(line["kind"] == "wake" for line in told)
+    wakes = sum(line["kind"] == "wake" for line in run.lines)
     assert len(starts) == wakes and starts == ends, (len(starts), wakes)
     # A slice of S3 covers every TTI in which a device reported; consecutive reports share a slice.
     for device, track in enumerate(devices):
-        ttis = sorted({line["tti"] for line in told if line["kind"] == "report" and line["number"] == device})
-        runs = sum(tti - 1 not in ttis for tti in ttis)
-        assert slices[track.uuid, "S3 transmission"] == runs, (device, runs)
+        ttis = sorted({line["tti"] for line in run.lines if line["kind"] == "report" and line["number"] == device})
+        expected_slices = sum(tti - 1 not in ttis for tti in ttis)
+        assert slices[track.uuid, "S3 transmission"] == expected_slices, (device, expected_slices)
     # Events still active at the end of the run have open slices.
     assert sum(open_slices.values()) <= 1, open_slices
 
 
-def table(run):
+def check_tables(run):
     with open(run.export("csv"), newline="") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == len(run.lines)
@@ -230,7 +227,7 @@ def table(run):
         assert information == (line["message"]["information"] if line["kind"] == "report" else None)
 
 
-CHECKS = [mcap, tshark, perfetto, table]
+CHECKS = [check_mcap, check_pcapng, check_perfetto, check_tables]
 
 if __name__ == "__main__":
     main()

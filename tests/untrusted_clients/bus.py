@@ -13,7 +13,7 @@ STATUS = bytes([WIRE, 5])
 WELCOME = bytes([WIRE, 0])
 
 
-def session(endpoint):
+def open_session(endpoint):
     """Opens a client session."""
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
@@ -29,12 +29,12 @@ def keys_of(run):
     emu = ["clock", "clock/0", "clock/*", "answer/0", "answer/0/0", "alive/0", "bs"]
     emu += ["join", "ready", "control", "describe", "log"]
     prefixes = [f"reveille/{run}", f"reveille/{run}/@", f"reveille/{run}/@{'0' * 32}"]
-    own = [f"{prefix}/air/{key}" for prefix in prefixes for key in air]
-    own += [f"{prefix}/emu/{key}" for prefix in prefixes for key in emu]
-    return own + [f"reveille/{run}/tap", f"reveille/{run}/**", f"reveille/{run}/*/air/wake/*/*", "**"]
+    known = [f"{prefix}/air/{key}" for prefix in prefixes for key in air]
+    known += [f"{prefix}/emu/{key}" for prefix in prefixes for key in emu]
+    return known + [f"reveille/{run}/tap", f"reveille/{run}/**", f"reveille/{run}/*/air/wake/*/*", "**"]
 
 
-def check_wire(peer, run):
+def check_wire(client, run):
     """Checks the wire version with a request; under another version every attack is only noise."""
-    replies = list(peer.get(f"reveille/{run}/emu/control", payload=STATUS, timeout=5.0))
+    replies = list(client.get(f"reveille/{run}/emu/control", payload=STATUS, timeout=5.0))
     assert replies and all(reply.ok for reply in replies), f"the wire's version is not {WIRE}: {replies}"
