@@ -106,7 +106,7 @@ impl Run {
     /// The TTI of the pending decision, if that decision is not queued. At [`DecisionStage::Wake`] the TTI is open, and
     /// the run has no outcome.
     pub fn missing_decision(&self) -> Option<Tti> {
-        self.session.pending_decision().map(|request| request.seen.now)
+        self.session.pending_decision().map(|request| request.observation.now)
     }
 
     /// The devices, in the order of ids.

@@ -230,6 +230,29 @@ def test_a_repeated_question_is_answered_without_a_second_decision():
         ask(seq=1)
 
 
+def test_a_repeated_request_gets_the_first_reply_in_the_encoding_of_the_repetition():
+    import cbor2
+
+    decisions = iter([[1, 0], [0, 1]])
+    client = PolicyClient(lambda _: next(decisions))
+    hello = {"protocol": 1, "min": 1, "max": 1, "seq": 0, "tti": 0, "stage": "hello"}
+    known = json.loads(client.answer(json.dumps(hello).encode(), "json", ""))["id"]
+    request = {"protocol": 1, "seq": 0, "tti": 0, "stage": "plan", "to": known, "device": [[0.5]] * 2}
+    request |= {"globals": [[0.25]], "action_mask": [2, 2], "heard": []}
+    assert cbor2.loads(client.answer(cbor2.dumps(request), "cbor", ""))["action"] == b"\1\0"
+    assert json.loads(client.answer(json.dumps(request).encode(), "json", ""))["action"] == [1, 0]
+
+
+def test_a_reply_has_the_newest_protocol_version_of_both_sides():
+    client = PolicyClient(lambda _: [0, 0])
+    hello = {"protocol": 1, "min": 1, "max": 1, "seq": 0, "tti": 0, "stage": "hello"}
+    known = json.loads(client.answer(json.dumps(hello).encode(), "json", ""))["id"]
+    for seq, (base_station, expected) in enumerate([(0, 0), (2, 1)]):
+        request = {"protocol": base_station, "seq": seq, "tti": 0, "stage": "plan", "to": known, "device": [[0.5]] * 2}
+        request |= {"globals": [[0.25]], "action_mask": [2, 2], "heard": []}
+        assert json.loads(client.answer(json.dumps(request).encode(), "json", ""))["protocol"] == expected
+
+
 @pytest.mark.parametrize("decision", [None, [1], [0, 0.1], [float("nan"), 0], [0, 2], "01", [0, 1, 0]])
 def test_an_invalid_decision_is_an_error_of_the_policy(decision):
     client = PolicyClient(lambda _: decision)

@@ -13,7 +13,7 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 DOCS = Path(__file__).resolve().parent.parent.parent / "docs"
-# Pages that mdBook adds: the same text again, or links relative to the site.
+# Pages that mdBook adds: they repeat text, or have links relative to the site.
 ADDED = {"404.html", "print.html", "toc.html"}
 
 

@@ -105,7 +105,7 @@ fn decide(link: &TcpStream) {
     };
     let target: [String; 3] = serde_json::from_value(receive()).expect("a target");
     let [endpoint, run, key] = target;
-    let introduction = ClientIdentity {
+    let identity = ClientIdentity {
         name: "the tutorial".to_owned(),
         run_key: Some(key.parse().expect("a key")),
         encoding: Encoding::Json,
@@ -126,14 +126,14 @@ fn decide(link: &TcpStream) {
         let mut reply = DecisionReply::for_request(&asked.head, "", "");
         (reply.sense, reply.wake) = (devices("sense"), devices("wake"));
         let n = u32::try_from(asked.action_mask.0.len()).expect("few devices");
-        reply.decode(stage, Tti(asked.head.tti), n).expect("a valid decision")
+        reply.decision(stage, Tti(asked.head.tti), n).expect("a valid decision")
     };
     let runtime = tokio::runtime::Runtime::new().expect("a runtime");
-    let decided = runtime.block_on(async {
+    let decision_count = runtime.block_on(async {
         let bus = Bus::connect(&endpoint, run.parse().expect("a run name"), PATIENCE).await;
-        client::decide(&bus.expect("it listens"), &introduction, &mut policy).await
+        client::serve_decisions(&bus.expect("it listens"), &identity, &mut policy).await
     });
-    decided.expect("the bus continues");
+    decision_count.expect("the bus is open");
 }
 
 /// The reader's terminal: a folder with the program and the stand-in on its search paths.

@@ -212,7 +212,7 @@ impl RunLoop<'_> {
             .session
             .pending_decision()
             .expect("the session requests a decision");
-        let tti = request.seen.now;
+        let tti = request.observation.now;
         if let Some(queued) = self.session.input_queue().next_decision() {
             return Err(BsError::CannotContinue(format!(
                 "inputs.log has a decision for TTI {queued}, but TTI {tti} needs one; use the inputs.log of this run"

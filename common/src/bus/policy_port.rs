@@ -82,7 +82,7 @@ const fn to_zenoh(encoding: Encoding) -> ZenohEncoding {
     }
 }
 
-/// A request that a policy process received on the policy port: a greeting, a decision request or a farewell.
+/// A request of the BS that a policy process received.
 pub struct PortRequest {
     /// The payload of the request.
     pub payload: Vec<u8>,
@@ -92,19 +92,19 @@ pub struct PortRequest {
 }
 
 impl PortRequest {
-    /// Answers the request.
+    /// Replies to the request.
     ///
     /// # Errors
     /// If zenoh refuses, for example because the session is closed.
-    pub fn answer(&self, payload: Vec<u8>, encoding: Encoding) -> Result<(), BusError> {
+    pub fn reply(&self, payload: Vec<u8>, encoding: Encoding) -> Result<(), BusError> {
         let reply = self.query.reply(self.query.key_expr().clone(), payload);
         Ok(reply.encoding(to_zenoh(encoding)).wait()?)
     }
 
-    /// Answers the request with an error message.
+    /// Replies to the request with an error message.
     ///
     /// # Errors
-    /// The errors of [`Self::answer`].
+    /// The errors of [`Self::reply`].
     pub fn reply_error(&self, why: &str) -> Result<(), BusError> {
         Ok(self.query.reply_err(why).encoding(ZenohEncoding::TEXT_PLAIN).wait()?)
     }
@@ -125,6 +125,7 @@ impl PortRequests {
     }
 }
 
+/// A future of the replies to a decision request.
 type PortQueryFuture<'b> = Pin<Box<dyn Future<Output = Result<Replies, BusError>> + Send + 'b>>;
 
 impl Bus {
@@ -159,7 +160,7 @@ impl Bus {
         })
     }
 
-    /// Serves the policy port: decision requests of the BS arrive at this session.
+    /// Serves the policy port: requests of the BS arrive at this session.
     ///
     /// # Errors
     /// If zenoh refuses.

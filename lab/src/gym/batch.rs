@@ -81,7 +81,7 @@ impl EnvBuffers<'_> {
         *self.ended = environment.pending_decision().is_none();
         let request = environment.decision_context();
         request.write_devices(self.devices);
-        request.write_global(self.global);
+        request.write_globals(self.global);
         request.write_mask(self.mask);
         *self.stage = i64::from(request.stage == DecisionStage::Wake);
     }

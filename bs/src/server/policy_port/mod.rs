@@ -26,8 +26,8 @@ use super::config::{DecisionCounts, DecisionTimeout, OnUndecided, RunProgress};
 use super::error::BsError;
 use super::state::now;
 use crate::policy::external::wire::{
-    DecisionReply, DecisionRequest, Hello, HelloReply, OLDEST_PROTOCOL, PROTOCOL_VERSION, Rejection, ReplyCredentials,
-    RequestKind, WireHeader,
+    DecisionReply, DecisionRequest, Hello, HelloReply, OLDEST_PROTOCOL, PROTOCOL_VERSION, RefusedProcess,
+    ReplyCredentials, RequestKind, WireHeader,
 };
 use crate::policy::external::{Decision, DecisionContext, DecisionStage, PlanDecision};
 
@@ -157,7 +157,7 @@ impl<'a> PolicyPort<'a> {
         context: &DecisionContext<'_>,
         seq: u64,
     ) -> Result<PendingDecision, BsError> {
-        let (stage, tti) = (context.stage, context.seen.now);
+        let (stage, tti) = (context.stage, context.observation.now);
         if self.timeout.is_none() {
             return Err(BsError::CannotContinue(format!(
                 "inputs.log has no decision for TTI {tti}: the logged run ended there"
@@ -166,13 +166,13 @@ impl<'a> PolicyPort<'a> {
         let run = &self.run;
         // The greeting describes the deployment, which does not change during a run.
         self.hello
-            .get_or_insert_with(|| Hello::new(run.clone(), context.seen.known));
+            .get_or_insert_with(|| Hello::new(run.clone(), context.observation.known));
         let peer_id = self.peer.as_ref().map_or("", |peer| &peer.id);
-        let plan = context.seen.plan.clone();
+        let plan = context.observation.plan.clone();
         Ok(PendingDecision {
             stage,
             tti,
-            devices: context.woken.len() as u32,
+            devices: context.device_count() as u32,
             request: DecisionRequest::new(context, seq, peer_id),
             fallback: match stage {
                 DecisionStage::Plan => Decision::Plan(PlanDecision { plan, next: tti + 1 }),
@@ -297,7 +297,7 @@ impl<'a> PolicyPort<'a> {
                             let id = encoding.decode(&bytes).map(|shown: ReplyCredentials| shown.id);
                             if let (Ok(id), Some(hello)) = (id, &mut self.hello) {
                                 let why = why.clone();
-                                hello.refused = Some(Rejection { id, why });
+                                hello.refused = Some(RefusedProcess { id, why });
                             }
                             why
                         }
@@ -397,7 +397,7 @@ impl<'a> PolicyPort<'a> {
                         if echo != expected {
                             return Err(format!("it is for {echo:?}, not for {expected:?} (seq, tti, stage)"));
                         }
-                        reply.decode(stage, tti, devices)
+                        reply.decision(stage, tti, devices)
                     });
                     let peer_reply = match answer {
                         Ok(answer) => {
