@@ -216,8 +216,8 @@ fn a_missing_n_or_window_lists_the_available_ones() {
     assert!(matches!(missing_n, FigureError::NoEntry { devices: 50, .. }));
     let text = missing_n.to_string();
     assert!(text.contains("N = 50: a.json has tables for 10, 250 devices"), "{text}");
-    let missing_window =
-        q_table::find_table_set("a.json", &learned_tables(&[10], 1), 10, Some(Lookback::Window(2))).expect_err("no entry");
+    let missing_window = q_table::find_table_set("a.json", &learned_tables(&[10], 1), 10, Some(Lookback::Window(2)))
+        .expect_err("no entry");
     let text = missing_window.to_string();
     assert!(
         text.contains("no devices with a window of 2") && text.contains("for a window of 4"),
