@@ -19,7 +19,8 @@ use crate::transcript::CommandTranscript;
 /// Options of a scenario with a short run.
 pub const SMALL: &str = "-n 30 -k 400";
 
-/// Runs `policy` in memory, on the scenario of [`SMALL`] with `fields` overridden, and returns its transcript and digest.
+/// Runs `policy` in memory, on the scenario of [`SMALL`] with `fields` overridden, and returns its transcript and
+/// digest.
 ///
 /// # Panics
 /// If the scenario is invalid.

@@ -73,7 +73,7 @@ impl PtyCommand {
         Self {
             child: child.expect("setsid is installed"),
             reader: Some(std::thread::spawn(move || {
-                read(master, &shared_output, &shared_is_closed)
+                read(master, &shared_output, &shared_is_closed);
             })),
             output,
             is_closed,

@@ -138,7 +138,8 @@ fn a_search_without_events_warns() {
 fn pilot_runs_know_only_the_mean_of_a_trace() {
     let folder = TestFolder::new();
     let rows = |energy_in_row: fn(u32) -> f64| -> String {
-        (0..2000).map(|row| format!("{}\n", energy_in_row(row))).collect()
+        let rows = (0..2000).map(|row| format!("{}\n", energy_in_row(row)));
+        rows.collect::<Vec<_>>().concat()
     };
     folder.write(
         "early.csv",

@@ -1,5 +1,5 @@
-//! The audit (`lab::replay::Replay::compare`): the frames of an unchanged run pass, and a changed frame is reported with
-//! its TTI and sender. The thread that audits a run on the bus is tested in `tests/program/`.
+//! The audit (`lab::replay::Replay::compare`): the frames of an unchanged run pass, and a changed frame is reported
+//! with its TTI and sender. The thread that audits a run on the bus is tested in `tests/program/`.
 
 use reveille_bs::cycle::PreparedRun;
 use reveille_bs::observer::{Notification, Observer};
@@ -94,7 +94,7 @@ fn a_false_battery_level_is_reported_with_its_device() {
     };
     let battery = &mut states.views[device.index()].battery;
     let true_units = battery.units();
-    *battery = *battery + Energy::from_micro(2_000_000);
+    *battery += Energy::from_micro(2_000_000);
     frames[index] = Frame::new::<DeviceStates>(tti, (), &states);
     let divergence = audit(&prepared, &frames, 50).expect_err("a false battery level");
     assert_eq!((divergence.tti, divergence.device), (tti, Some(device)));

@@ -1,5 +1,5 @@
-//! The event process `bursts`: the lengths of its phases, its start times and its mean start probability, against closed
-//! forms.
+//! The event process `bursts`: the lengths of its phases, its start times and its mean start probability, against
+//! closed forms.
 
 use reveille_common::event::EventProcess;
 use reveille_common::ids::{MAX_TTIS, Tti};

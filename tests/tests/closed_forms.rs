@@ -1,5 +1,5 @@
-//! Information under `genie`, harvested energy and I_min, against closed forms and numerical integrals. Seeds are fixed,
-//! so the tests are deterministic.
+//! Information under `genie`, harvested energy and I_min, against closed forms and numerical integrals. Seeds are
+//! fixed, so the tests are deterministic.
 
 use reveille_bs::beliefs::ranking::i_min;
 use reveille_bs::scenario::Scenario;
@@ -9,8 +9,8 @@ use reveille_lab::preparation::run;
 use reveille_tests::scenarios::scenario;
 
 /// Settings with which every battery is full at every event.
-const FULL_BATTERIES: &str = "[energy]\ne_max = 1000.0\ninitial = 1000.0\n[harvest]\nkind = \"exp-minus-lambda\"\nlambda = 0.0\n\
-                              e_b = 1000.0\n";
+const FULL_BATTERIES: &str = "[energy]\ne_max = 1000.0\ninitial = 1000.0\n[harvest]\n\
+                              kind = \"exp-minus-lambda\"\nlambda = 0.0\ne_b = 1000.0\n";
 
 /// Rounding error of a distance, m.
 const ROUNDING: f64 = 1e-9;

@@ -1,5 +1,5 @@
-//! The policy `dt`: with an untrained model it decides like `age-index`, on which it is built; the shape of its model is
-//! checked. The decisions of trained models are not checked here.
+//! The policy `dt`: with an untrained model it decides like `age-index`, on which it is built; the shape of its model
+//! is checked. The decisions of trained models are not checked here.
 
 use reveille_bs::policy::dt::settings::DtSettings;
 use reveille_bs::scenario::{Scenario, load};

@@ -1,5 +1,6 @@
-//! External decisions in memory (`SteppedRun`): a run answered with the decisions of a built-in policy equals the run of
-//! that policy. Invalid wake-ups, truncated input logs and forks are tested too; the bus is tested in `tests/program/`.
+//! External decisions in memory (`SteppedRun`): a run answered with the decisions of a built-in policy equals the run
+//! of that policy. Invalid wake-ups, truncated input logs and forks are tested too; the bus is tested in
+//! `tests/program/`.
 
 use reveille_bs::cycle::PreparedRun;
 use reveille_bs::policy::external::wire::{DecisionRequest, Hello};
@@ -238,8 +239,8 @@ fn invalid_wake_ups_and_plans_are_corrected() {
                 let valid: Vec<DeviceId> = wakeable.take(2).collect();
                 let is_valid = |j: &DeviceId| !awake.contains(j) && !woken_before.contains(j);
                 assert!(!valid.is_empty() && valid.iter().all(is_valid));
-                // Devices that are in S1, do not exist or are already woken, and valid ones twice. After 4 wake-ups only
-                // invalid ones, so that the wake-ups end.
+                // Devices that are in S1, do not exist or are already woken, and valid ones twice. After 4 wake-ups
+                // only invalid ones, so that the wake-ups end.
                 let unknown = [DeviceId(n), DeviceId(u32::MAX)];
                 let invalid: Vec<DeviceId> = [&awake, &unknown[..], &woken_before].concat();
                 let (answer, expected_wake_ups) = if woken_before.len() < 4 {

@@ -1,5 +1,6 @@
-//! A policy cannot see ground truth: a change that no base station can observe changes no plan, wake-up or belief of any
-//! policy of the registry. The exception is `genie`, which receives events. Hidden battery levels are not varied here.
+//! A policy cannot see ground truth: a change that no base station can observe changes no plan, wake-up or belief of
+//! any policy of the registry. The exception is `genie`, which receives events. Hidden battery levels are not varied
+//! here.
 
 use reveille_bs::cycle::PreparedRun;
 use reveille_bs::observer::{Notification, Observer};

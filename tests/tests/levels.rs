@@ -1,6 +1,6 @@
 //! Battery estimates from reported levels (`bs.battery_knowledge = reported`) under `q-learning`, whose harvest stops
-//! unexpectedly. The base station has to infer that from missing reports. The estimates themselves are compared with the
-//! reference implementation in `reference.rs`.
+//! unexpectedly. The base station has to infer that from missing reports. The estimates themselves are compared with
+//! the reference implementation in `reference.rs`.
 
 use reveille_bs::observer::{Notification, Observer};
 use reveille_common::ids::{DeviceId, Tti};

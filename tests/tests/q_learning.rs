@@ -45,8 +45,8 @@ fn duty_parameters(lookback: Lookback) -> DutyParameters {
     }
 }
 
-/// Draws a table in which the advantage of sensing rises with the covered area. It is near 0 for a low `bias`, and almost
-/// always positive for a high one.
+/// Draws a table in which the advantage of sensing rises with the covered area. It is near 0 for a low `bias`, and
+/// almost always positive for a high one.
 fn draw_table(stream: &mut Stream, bias: f64) -> DutyTable {
     let mut table = DutyTable::optimistic(0.0, |_| 1.0);
     for (index, entry) in table.q.iter_mut().enumerate() {
@@ -102,7 +102,7 @@ proptest! {
     }
 }
 
-/// Uses the shipped tables and as many devices as the paper.
+/// Uses the shipped tables with their usual numbers of devices.
 #[test]
 fn the_choice_with_shipped_tables_equals_the_choice_of_the_reference() {
     let mut sensing_devices = 0;

@@ -162,8 +162,8 @@ fn count_broadcasts(scenario: &Scenario) -> u64 {
     (warm_up_end(scenario)..scenario.run.ttis).filter(is_due).count() as u64
 }
 
-/// Checks that the metrics equal their definitions applied to the reference run. The bytes in the metrics of traffic are
-/// the emulator's.
+/// Checks that the metrics equal their definitions applied to the reference run. The bytes in the metrics of traffic
+/// are the emulator's.
 fn check_metrics(
     scenario: &Scenario,
     run: &ReferenceRun,

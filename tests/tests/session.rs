@@ -124,10 +124,8 @@ fn serve(prepared: &PreparedRun, loss: Option<HostLoss>, stop: Tti) -> (RunOutco
                 let (mut reports, mut failures) = (Vec::new(), Vec::new());
                 // Hosts answer in any order.
                 for machine in machines.iter_mut().rev() {
-                    let outcome = grant
-                        .stimulus
-                        .map(|stimulus| machine.sense(grant.last, &stimulus, &physics));
-                    match outcome {
+                    let sense = |stimulus| machine.sense(grant.last, &stimulus, &physics);
+                    match grant.stimulus.map(sense) {
                         Some(SenseOutcome::Reported(report)) => reports.push(report),
                         Some(SenseOutcome::Failed(failure)) => failures.push(failure),
                         Some(SenseOutcome::Nothing) | None => {}
@@ -156,8 +154,7 @@ fn serve(prepared: &PreparedRun, loss: Option<HostLoss>, stop: Tti) -> (RunOutco
                         machines[device.index()].remove(order.tti);
                     }
                     assert_eq!(remove(&mut session, lost_devices.clone(), &mut recorder), 1);
-                    let repeated_removals = remove(&mut session, lost_devices, &mut recorder);
-                    assert_eq!(repeated_removals, 0, "a device is removed once");
+                    assert_eq!(remove(&mut session, lost_devices, &mut recorder), 0, "removed twice");
                 }
                 let machine = &mut machines[order.device.index()];
                 let outcome = machine.wake(order.tti, order.stimulus.as_ref(), &physics);

@@ -1,5 +1,5 @@
-//! The policy `patrol` of docs/writing-a-policy.md, compiled and run exactly as printed there, and the errors for policies
-//! that wake devices wrongly.
+//! The policy `patrol` of docs/writing-a-policy.md, compiled and run exactly as printed there, and the errors for
+//! policies that wake devices wrongly.
 
 use std::path::Path;
 

@@ -32,7 +32,7 @@ struct HostRecords {
     /// Credentials of all hosts that were ever admitted.
     credentials: Vec<HostCredential>,
     is_running: bool,
-    /// Whether the run waits_for_lost_hosts for lost hosts or continues without their devices.
+    /// Otherwise the run continues without the devices of lost hosts.
     waits_for_lost_hosts: bool,
     now: Instant,
     tti: u64,

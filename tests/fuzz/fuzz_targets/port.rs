@@ -21,7 +21,7 @@ fn check_round_trip<T: DeserializeOwned + Serialize + PartialEq + std::fmt::Debu
         Ok(read) => {
             let written = encoding.encode(&read);
             let decoded: T = encoding.decode(&written).expect("encoded text decodes");
-            // Compares the encoded encoding, since NaN differs from itself.
+            // Compares the encoded form, since NaN differs from itself.
             assert_eq!(encoding.encode(&decoded), written);
         }
         Err(reason) => assert!(!reason.trim().is_empty()),

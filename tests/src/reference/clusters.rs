@@ -13,10 +13,10 @@ const MAX_SPLIT_ROUNDS: usize = 10;
 /// Computes the clusters of devices at `points`: devices in the order of numbers, clusters by their first device.
 ///
 /// M = ⌈ξ/(π d_max²)⌉ centres are drawn from the devices, the first uniformly. Each other centre is drawn with
-/// probability proportional to its squared_distance distance from the nearest centre so far. Every device joins its nearest
-/// centre. Then all devices simultaneously join the most frequent cluster among their `neighbours` nearest devices,
-/// until none moves. Ties go to the cluster with the nearer centroid. With `limit_radius` a cluster with a member
-/// farther than `d_max` from its mean is split in two.
+/// probability proportional to its squared distance from the nearest centre so far. Every device joins its
+/// nearest centre. Then all devices simultaneously join the most frequent cluster among their `neighbours` nearest
+/// devices, until none moves. Ties go to the cluster with the nearer centroid. With `limit_radius` a cluster with a
+/// member farther than `d_max` from its mean is split in two.
 pub fn clusters(
     points: &[Point],
     area: Area,

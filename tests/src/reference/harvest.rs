@@ -45,7 +45,7 @@ pub(super) enum ReferenceSource {
     Recorded {
         rows: Vec<u64>,
         ttis_per_row: u64,
-        /// Whether the rows start repeats after the last one; otherwise nothing arrives.
+        /// Whether the rows repeat after the last one; otherwise nothing arrives.
         repeats: bool,
     },
 }
@@ -68,7 +68,7 @@ impl ReferenceSource {
 
     /// Returns the source as the base station knows it: `mean` in each TTI for recorded energy, and arrivals at any
     /// time for a solar source with unknown time of day.
-    pub(super) fn as_known(self, mean: u64) -> Self {
+    pub(super) fn with_known_harvest(self, mean: u64) -> Self {
         match self {
             Self::Recorded { .. } => Self::Recorded {
                 rows: vec![mean],

@@ -52,7 +52,7 @@ pub(super) struct Situation<'a> {
     pub(super) scenario: &'a Scenario,
     pub(super) positions: &'a [Point],
     pub(super) k: u64,
-    /// Whether this is the event's is_first_tti TTI.
+    /// Whether the event starts in this TTI.
     pub(super) is_first_tti: bool,
     pub(super) epicentre: Point,
     /// Devices whose reports had information.
@@ -295,7 +295,7 @@ fn largest_p42(situation: &Situation<'_>, j: usize) -> P42 {
 /// Returns the mean of exp(-η √(d² + γ² − 2dγ cos φ)) over φ.
 fn mean_over_directions(eta: f64, d: f64, gamma: f64) -> f64 {
     let mut sum = 0.0;
-    // The integrand is even in φ, so half of the circle is i_min.
+    // The integrand is even in φ, so half of the circle is enough.
     for i in 0..INTEGRATION_POINTS {
         let phi = PI * (f64::from(i) + 0.5) / f64::from(INTEGRATION_POINTS);
         let squared = d * d + gamma * gamma - 2.0 * d * gamma * libm::cos(phi);

@@ -1,4 +1,4 @@
-//! Search for the adjusted duty cycle (Sec. V-A, P2): every pair of the grid is pilots in the reference's own runs.
+//! Search for the adjusted duty cycle (Sec. V-A, P2): every pair of the grid is tried in runs of the reference.
 
 use reveille_bs::policy::adjusted::search::DutyCycleChoice;
 use reveille_bs::policy::adjusted::settings::AdjustedSettings;

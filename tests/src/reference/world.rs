@@ -40,7 +40,7 @@ pub struct ReferenceRun {
     pub losses: RadioLosses,
     /// TTIs from the first report to the last, summed over the counted events.
     pub wake_up_span_ttis: u64,
-    /// Reports that arrived_reports in measured TTIs.
+    /// Reports that arrived in measured TTIs.
     pub arrived_reports: u64,
     /// Wake-ups that a device did not receive, in all TTIs.
     pub missed_wake_ups: u64,
@@ -156,7 +156,7 @@ impl<'a> ReferenceWorld<'a> {
             let source = if deployment.plays_traces {
                 source
             } else {
-                source.as_known(mean_harvest)
+                source.with_known_harvest(mean_harvest)
             };
             devices.push(Device::new(settings.energy, source));
         }
