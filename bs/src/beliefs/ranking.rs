@@ -17,14 +17,15 @@ pub fn i_min(points: &[Point], area: Area, sensing: &Sensing) -> f64 {
     sensing.psi * sensing.p(farthest_cell_vertex(points, area))
 }
 
-/// Wake-up candidates of one event at a time, in descending order of `P_4,2` = max over the event's reporters h of
-/// Pr(`S_j` = S3 | `S_h` = S3). Ties are broken by device number.
+/// Wake-up candidates of one event at a time, in descending order of `P_4,2`. For device j, `P_4,2` is the largest
+/// Pr(`S_j` = S3 | `S_h` = S3) over the event's reporters h. Ties are broken by device number.
 ///
 /// [`Ranking::start_event`] begins an event, `Ranking::add_reporter` adds a report, and [`Ranking::next_candidate`]
 /// returns the next candidate to wake. Reports may be added between two candidates.
 ///
-/// Most integrals are never computed. Candidates wait in whole bands of distance from a reporter under a cheap upper
-/// bound. A band is evaluated only when no known candidate reaches its bound.
+/// Each probability is an integral, and most of the integrals are never computed. The queue holds whole bands of
+/// candidates at similar distances from a reporter, with an upper bound of their probabilities that costs little. A
+/// band is evaluated only when no evaluated candidate reaches its bound.
 #[derive(Clone, Debug)]
 pub struct Ranking {
     correlation: Correlation,

@@ -322,7 +322,7 @@ impl<'a> FieldReader<'a> {
         }
     }
 
-    /// Returns the error for a file, named at `path`, that cannot be used.
+    /// Returns the error that `file` cannot be used. The field at `path` names the file.
     pub fn file_error(&self, path: &str, file: PathBuf, reason: impl Into<String>) -> ScenarioError {
         let (field, origin) = self.locate(path);
         ScenarioError::InvalidFile {

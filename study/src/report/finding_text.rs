@@ -35,7 +35,7 @@ pub(super) fn describe_findings(claim: &Claim, findings: &[Finding]) -> String {
     }
 }
 
-/// Describes the finding that is `before` all others, with its N.
+/// Describes the finding that comes before all others by `is_before`, with its N.
 fn describe_extreme(claim: &Claim, findings: &[Finding], is_before: impl Fn(&Finding, &Finding) -> bool) -> String {
     let first = findings
         .iter()
@@ -45,11 +45,11 @@ fn describe_extreme(claim: &Claim, findings: &[Finding], is_before: impl Fn(&Fin
     })
 }
 
-/// Describes values that are 0 at all N, with their widest bound.
+/// Describes values that are 0 at all N, with the largest of their upper bounds.
 fn describe_zeros(findings: &[Finding]) -> String {
     let bounds = findings.iter().filter_map(|f| f.metric_estimate?.upper_bound);
-    let widest = bounds.reduce(f64::max);
-    widest.map_or_else(
+    let largest_bound = bounds.reduce(f64::max);
+    largest_bound.map_or_else(
         || "0 at each N".to_owned(),
         |bound| format!("0 at each N, < {}", format_number(bound)),
     )

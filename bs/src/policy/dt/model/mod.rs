@@ -71,7 +71,7 @@ impl ModelShape {
         objective: ModelObjective::Events,
     };
 
-    /// Returns whether a model can have this shape.
+    /// Returns whether each size is above 0 and within its limit, and the width is a multiple of 4 · `heads`.
     pub fn is_valid(&self) -> bool {
         let within = |value: usize, max: u64| value > 0 && value as u64 <= max;
         within(self.memory, MAX_MEMORY)
