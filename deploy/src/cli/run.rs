@@ -77,8 +77,8 @@ pub(crate) struct OutputArgs {
     #[arg(long, requires = "out")]
     pub force: bool,
 
-    /// Resume the killed, interrupted or failed run in FOLDER. The scenario is read from the folder. The run is
-    /// replayed in memory up to its last resume mark, at most one second before the run ended.
+    /// Resume the killed, interrupted or failed run in FOLDER, with the scenario in the folder. The run first replays
+    /// in memory up to its last resume mark, which is at most one second older than its end, and continues from there.
     #[arg(long, value_name = "FOLDER", conflicts_with_all = ["out", "force"])]
     pub resume: Option<PathBuf>,
 
