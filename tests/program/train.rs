@@ -232,7 +232,7 @@ fn tables_that_cannot_be_used_are_refused() {
                 let (before, _) = body.split_once("\"entries\":[").expect("entries");
                 format!("{before}\"entries\":[]}}")
             }),
-            &["damaged", "no entries", train],
+            &["damaged", "no tables", train],
         ),
     ];
     for (name, content, parts) in &cases {

@@ -322,7 +322,11 @@ impl Bus {
     fn count_malformed(&self, key: &str, error: &CodecError) {
         // Logged only once, because a broken peer could otherwise fill the log.
         if self.malformed_payloads.fetch_add(1, Ordering::Relaxed) == 0 {
-            tracing::warn!(key, %error, "dropped a malformed payload; further ones are only counted");
+            tracing::warn!(
+                key, %error,
+                "dropped a malformed payload; use the same version of reveille in all processes (later cases are not \
+                 logged)"
+            );
         }
     }
 }

@@ -50,8 +50,8 @@ impl Panel {
         // Relative, since the rounding of the quotient grows with it.
         if tti_count < 1.0 || (ttis - tti_count).abs() > ROUNDING_TOLERANCE * tti_count.max(1.0) {
             return Err(format!(
-                "its {rows} rows of {row} s cover {ttis:.3} TTIs of {} s, not a whole number; set \
-                 harvest.trace.panel.tti_seconds or row_seconds, or use another number of rows",
+                "its {rows} rows of {row} s cover {ttis:.3} TTIs of {} s, not a whole number of TTIs; \
+                 change harvest.trace.panel.tti_seconds or row_seconds, or the number of rows",
                 self.tti_seconds
             ));
         }

@@ -220,8 +220,8 @@ impl TrainArgs {
         if self.windows.contains(&Lookback::Ages) {
             if self.windows.iter().any(|lookback| *lookback != Lookback::Ages) {
                 bail!(
-                    "--windows: tables for ages and for windows are learned for other weights; train those for ages \
-                     with --windows ages and another --out"
+                    "--windows: ages and windows need different weights and cannot be trained together; train ages \
+                     separately, with --windows ages and another --out"
                 );
             }
             set.push("policy.q-learning.ages=true".to_owned());

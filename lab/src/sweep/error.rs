@@ -31,14 +31,14 @@ pub enum SweepError {
         reason: String,
     },
     /// A value of the experiment is invalid.
-    #[error("{field} = {value}: {allowed}")]
+    #[error("{field} = {value}: {requirement}")]
     Invalid {
         /// The option or field.
         field: String,
         /// The value.
         value: String,
-        /// The allowed values and the fix.
-        allowed: String,
+        /// The requirement on the value, and the fix.
+        requirement: String,
     },
     /// The scenario of a cell is invalid.
     #[error("the cell {cell}: {error}")]
@@ -137,7 +137,7 @@ impl SweepError {
     }
 
     /// Creates the error of an invalid value; shows at most 60 characters of it.
-    pub(super) fn invalid(field: impl Into<String>, value: impl Display, allowed: impl Into<String>) -> Self {
+    pub(super) fn invalid(field: impl Into<String>, value: impl Display, requirement: impl Into<String>) -> Self {
         let value = value.to_string();
         let shown: String = value.chars().take(60).collect();
         Self::Invalid {
@@ -147,7 +147,7 @@ impl SweepError {
             } else {
                 value
             },
-            allowed: allowed.into(),
+            requirement: requirement.into(),
         }
     }
 }

@@ -157,7 +157,7 @@ fn device_step<'c>(row: &StepRef<'c>) -> &'c DeviceStep {
 pub(super) fn from_bytes(bytes: Vec<u8>) -> Result<(Trajectories, Hash), TrajectoryError> {
     let hash = Hash(Sha256::digest(&bytes).into());
     let decoded = parquet::catch_decoder_panic(|| decode(Bytes::from(bytes)));
-    let decoded = decoded.unwrap_or_else(|| Err(TrajectoryError::Format("the decoder failed".to_owned())));
+    let decoded = decoded.unwrap_or_else(|| Err(TrajectoryError::Format("its content is corrupt".to_owned())));
     decoded.map(|trajectories| (trajectories, hash))
 }
 

@@ -115,7 +115,7 @@ pub fn measure(study: &HarvestStudy) -> Result<Vec<HarvestPoint>, AnalysisError>
 
 impl HarvestStudy {
     fn check(&self) -> Result<(), AnalysisError> {
-        let empty_list = |what, example| Err(AnalysisError::EmptyList { what, example });
+        let empty_list = |list, example| Err(AnalysisError::EmptyList { list, example });
         if self.readings.is_empty() {
             return empty_list("reading", "eq5");
         }
@@ -235,11 +235,11 @@ pub struct StatedThreshold {
 /// For E_B of 5 and 10 the text on Fig. 14 names the lower λ first and calls it the upper bound. Here the higher λ is
 /// the upper bound.
 pub const STATED_THRESHOLDS: [StatedThreshold; 9] = {
-    /// Policies with the least and the most consumption, according to the paper.
-    type Ends = (&'static str, &'static str);
-    const AT_10: Ends = ("random", "q-learning");
-    const AT_100: Ends = ("random", "adjusted");
-    const AT_250: Ends = ("dt", "adjusted");
+    /// The policies with the least and the most consumption at an N, according to the paper.
+    type LeastAndMost = (&'static str, &'static str);
+    const POLICIES_AT_N_10: LeastAndMost = ("random", "q-learning");
+    const POLICIES_AT_N_100: LeastAndMost = ("random", "adjusted");
+    const POLICIES_AT_N_250: LeastAndMost = ("dt", "adjusted");
     const ABOVE_ANY_HARVEST: Contradiction = Contradiction {
         other_citation: FIG_8.sentence(2),
         reason: "Under Eq. (5) the harvest with E_B = 1 is at most E_B/e = 0.368 units, but the method with the \
@@ -252,7 +252,7 @@ pub const STATED_THRESHOLDS: [StatedThreshold; 9] = {
     };
     const fn both(
         devices: u32,
-        (least, most): Ends,
+        (least, most): LeastAndMost,
         e_b: f64,
         least_lambda: f64,
         most_lambda: f64,
@@ -266,7 +266,13 @@ pub const STATED_THRESHOLDS: [StatedThreshold; 9] = {
             ..one(devices, (least, most), e_b, least_lambda, citation)
         }
     }
-    const fn one(devices: u32, (policy, _): Ends, e_b: f64, lambda: f64, citation: Citation) -> StatedThreshold {
+    const fn one(
+        devices: u32,
+        (policy, _): LeastAndMost,
+        e_b: f64,
+        lambda: f64,
+        citation: Citation,
+    ) -> StatedThreshold {
         StatedThreshold {
             devices,
             e_b,
@@ -284,18 +290,21 @@ pub const STATED_THRESHOLDS: [StatedThreshold; 9] = {
         }
     }
     [
-        contradicted(both(10, AT_10, 1.0, 0.4, 0.9, FIG_13.sentence(6)), ABOVE_ANY_HARVEST),
-        one(10, AT_10, 5.0, 0.09, FIG_13.sentence(7)),
-        one(10, AT_10, 10.0, 0.05, FIG_13.sentence(7)),
         contradicted(
-            both(100, AT_100, 1.0, 0.23, 0.38, FIG_14.sentence(4)),
+            both(10, POLICIES_AT_N_10, 1.0, 0.4, 0.9, FIG_13.sentence(6)),
+            ABOVE_ANY_HARVEST,
+        ),
+        one(10, POLICIES_AT_N_10, 5.0, 0.09, FIG_13.sentence(7)),
+        one(10, POLICIES_AT_N_10, 10.0, 0.05, FIG_13.sentence(7)),
+        contradicted(
+            both(100, POLICIES_AT_N_100, 1.0, 0.23, 0.38, FIG_14.sentence(4)),
             DIFFERENT_CONSUMPTIONS,
         ),
-        both(100, AT_100, 5.0, 0.052, 0.096, FIG_14.sentence(5)),
-        both(100, AT_100, 10.0, 0.023, 0.048, FIG_14.sentence(5)),
-        both(250, AT_250, 1.0, 0.15, 0.3, FIG_13.sentence(6)),
-        one(250, AT_250, 5.0, 0.05, FIG_13.sentence(7)),
-        one(250, AT_250, 10.0, 0.02, FIG_13.sentence(7)),
+        both(100, POLICIES_AT_N_100, 5.0, 0.052, 0.096, FIG_14.sentence(5)),
+        both(100, POLICIES_AT_N_100, 10.0, 0.023, 0.048, FIG_14.sentence(5)),
+        both(250, POLICIES_AT_N_250, 1.0, 0.15, 0.3, FIG_13.sentence(6)),
+        one(250, POLICIES_AT_N_250, 5.0, 0.05, FIG_13.sentence(7)),
+        one(250, POLICIES_AT_N_250, 10.0, 0.02, FIG_13.sentence(7)),
     ]
 };
 

@@ -220,7 +220,10 @@ impl LearnedTables {
     fn check(&self) -> Result<(), String> {
         let QWeights { mu1, mu2, zeta } = self.weights;
         if ![mu1, mu2].iter().all(|mu| mu.is_finite() && *mu >= 0.0) || !(0.0..1.0).contains(&zeta) {
-            return Err(format!("its weights are mu1 {mu1}, mu2 {mu2}, zeta {zeta}"));
+            return Err(format!(
+                "its weights are out of range: mu1 {mu1}, mu2 {mu2}, zeta {zeta}; mu1 and mu2 must be at least 0, and \
+                 zeta at least 0 and below 1"
+            ));
         }
         let Schedule {
             rate_decay,
@@ -230,11 +233,12 @@ impl LearnedTables {
         let is_rate = |rate: f64| rate > 0.0 && rate <= 1.0;
         if !is_rate(rate_decay) || !is_rate(rate_floor) || !optimism.is_finite() || optimism < 0.0 {
             return Err(format!(
-                "its schedule is rate_decay {rate_decay}, rate_floor {rate_floor}, optimism {optimism}"
+                "its schedule is out of range: rate_decay {rate_decay}, rate_floor {rate_floor}, optimism {optimism}; \
+                 both rates must be above 0 and at most 1, and optimism at least 0"
             ));
         }
         if self.entries.is_empty() {
-            return Err("it has no entries".to_owned());
+            return Err("it has no tables".to_owned());
         }
         for entry in &self.entries {
             let TableSet {
@@ -247,18 +251,23 @@ impl LearnedTables {
                 ..
             } = entry;
             if !(1..=MAX_WINDOW).contains(&lookback.window()) {
-                return Err(format!("it has an entry for {}", lookback.describe()));
+                return Err(format!(
+                    "it has tables for {}; a window must be from 1 to {MAX_WINDOW} TTIs",
+                    lookback.describe()
+                ));
             }
             if *devices == 0 || !surface.is_finite() || *surface <= 0.0 {
-                return Err(format!("it has an entry for {devices} devices on {surface} m²"));
+                return Err(format!(
+                    "it has tables for {devices} devices on {surface} m²; both numbers must be above 0"
+                ));
             }
             if !duty.has_valid_size() || ![wake_p42, wake_posterior].into_iter().all(WakeTable::has_valid_size) {
-                return Err(format!("the entry for {devices} devices has a table of the wrong size"));
+                return Err(format!("a table for {devices} devices has the wrong size"));
             }
             let mut cells = duty.cells().chain(&wake_p42.q).chain(&wake_posterior.q);
             if cells.any(|cell| !cell.value.is_finite()) {
                 return Err(format!(
-                    "the entry for {devices} devices holds a value that is not a number"
+                    "a table for {devices} devices holds a value that is not a number"
                 ));
             }
         }
@@ -267,7 +276,7 @@ impl LearnedTables {
             a.lookback < b.lookback || a.lookback == b.lookback && a.device_density() < b.device_density()
         };
         if !self.entries.is_sorted_by(is_before) {
-            return Err("its entries are not in the order of their windows and densities".to_owned());
+            return Err("its tables are not in the order of their windows and densities".to_owned());
         }
         Ok(())
     }
