@@ -266,7 +266,7 @@ fn draw_learning(args: &LearningArgs) -> anyhow::Result<ExitCode> {
 
 fn draw_q_table(args: &QTableArgs) -> anyhow::Result<ExitCode> {
     let (file, learned) = (args.file.display().to_string(), read_learned(&args.file)?);
-    let entry = |devices: &u32| q_table::find_entry(&file, &learned, *devices, args.window);
+    let entry = |devices: &u32| q_table::find_table_set(&file, &learned, *devices, args.window);
     let entries = args.devices.iter().map(entry).collect::<Result<Vec<&TableSet>, _>>()?;
     for entry in entries {
         let window = args.window.map_or_else(String::new, |window| format!("-w{window}"));

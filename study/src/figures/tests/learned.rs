@@ -158,7 +158,7 @@ fn tables_are_drawn_whether_little_or_nothing_was_learned() {
 #[test]
 fn a_cell_is_the_advantage_and_is_framed_where_the_policy_senses() {
     let learned = learned(&[10], 1);
-    let entry = q_table::find_entry("a.json", &learned, 10, None).expect("an entry");
+    let entry = q_table::find_table_set("a.json", &learned, 10, None).expect("an entry");
     let map = q_table::duty_map(&learned, entry);
     // 10 · (area − 7.5): negative up to area 7.
     let row = &map.cells[5];
@@ -173,7 +173,10 @@ fn a_cell_is_the_advantage_and_is_framed_where_the_policy_senses() {
         "it cannot report"
     );
     assert_eq!(
-        (map.count(KnowledgeDegree::Known), map.count(KnowledgeDegree::Partly)),
+        (
+            map.count(KnowledgeDegree::Known),
+            map.count(KnowledgeDegree::PartlyKnown)
+        ),
         (16, 2)
     );
     assert_eq!(map.count(KnowledgeDegree::Unknown), BATTERY_BUCKETS * 16 - 18);
@@ -206,12 +209,13 @@ fn a_cell_is_the_advantage_and_is_framed_where_the_policy_senses() {
 
 #[test]
 fn an_n_without_tables_lists_the_available_ones() {
-    let refused =
-        q_table::find_entry("a.json", &learned(&[10, 250], 1), 50, Some(Lookback::Window(4))).expect_err("no entry");
+    let refused = q_table::find_table_set("a.json", &learned(&[10, 250], 1), 50, Some(Lookback::Window(4)))
+        .expect_err("no entry");
     assert!(matches!(refused, FigureError::NoEntry { devices: 50, .. }));
     let text = refused.to_string();
     assert!(text.contains("N = 50: a.json has tables for 10, 250 devices"), "{text}");
-    let other = q_table::find_entry("a.json", &learned(&[10], 1), 10, Some(Lookback::Window(2))).expect_err("no entry");
+    let other =
+        q_table::find_table_set("a.json", &learned(&[10], 1), 10, Some(Lookback::Window(2))).expect_err("no entry");
     let text = other.to_string();
     assert!(
         text.contains("no devices with a window of 2") && text.contains("for a window of 4"),
