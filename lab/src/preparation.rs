@@ -140,7 +140,7 @@ mod tests {
 
     use super::*;
     use reveille_bs::beliefs::ranking::i_min;
-    use reveille_bs::policy::adjusted::search::{DutyCycleChoice, pilot_results};
+    use reveille_bs::policy::adjusted::search::{DutyCycleChoice, collect_pilot_results};
 
     use reveille_bs::policy::adjusted::settings::AdjustedSettings;
     use reveille_bs::policy::factory::PolicyFactory;
@@ -170,7 +170,7 @@ mod tests {
             .downcast_ref::<AdjustedSettings>()
             .expect("adjusted");
         let pilots = settings.pilot_search().expect("a search");
-        let all = pilot_results(settings, &pilot_runs(&prepared, &pilots));
+        let all = collect_pilot_results(settings, &pilot_runs(&prepared, &pilots));
         let pairs: Vec<(u32, u32)> = all.iter().map(|c| (c.t_on, c.t_drx)).collect();
         assert_eq!(pairs, [(1, 2), (1, 8), (3, 8)]);
         let found = prepared.pilot_choice.as_ref().expect("found");

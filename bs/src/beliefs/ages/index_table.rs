@@ -11,12 +11,12 @@ pub(crate) const MAX_AGE: usize = u8::MAX as usize;
 /// Worth of a look at a cell by age, from age 0 to `MAX_AGE`; at most 255, and non-decreasing.
 pub type AgeIndexTable = [u8; MAX_AGE + 1];
 
-/// Age from which on the worth is constant, TTIs: the last whose worth, 22 · 23/2 = 253, fits a byte. Few events last
-/// longer, and places that no device covers affect no choice.
-const CONSTANT_WORTH_AGE: u8 = 22;
+/// Age in TTIs from which on the worth no longer grows: the last whose worth, 22 · 23/2 = 253, fits a byte. Few events
+/// last longer, and places that no device covers affect no choice.
+const SATURATION_AGE: u8 = 22;
 
-/// Worth of a sensing area whose places are all of age `CONSTANT_WORTH_AGE` or more: the largest worth of a look.
-pub const MAX_WORTH: f64 = age_index(CONSTANT_WORTH_AGE) as f64;
+/// Worth of a sensing area whose places are all of age `SATURATION_AGE` or more: the largest worth of a look.
+pub const MAX_WORTH: f64 = age_index(SATURATION_AGE) as f64;
 
 /// Stands for a price of 0, so that ratios to it are finite.
 pub const MIN_PRICE: f64 = 1e-30;
@@ -30,11 +30,7 @@ pub fn age_worths() -> AgeIndexTable {
 /// Returns the worth of `age`, as in [`age_worths`].
 #[inline]
 pub(super) const fn age_index(age: u8) -> u8 {
-    let age = if age < CONSTANT_WORTH_AGE {
-        age
-    } else {
-        CONSTANT_WORTH_AGE
-    } as u16;
+    let age = if age < SATURATION_AGE { age } else { SATURATION_AGE } as u16;
     (age * (age + 1) / 2) as u8
 }
 

@@ -194,8 +194,8 @@ impl Coverage {
         &self.blocks.cells[first as usize..end as usize]
     }
 
-    /// Returns the devices that can cover a cell of a block, in ascending order.
-    pub(crate) fn devices_reaching(&self, block: usize) -> &[u32] {
+    /// Returns the devices that can cover at least one cell of `block`, in ascending order.
+    pub(crate) fn devices_covering_block(&self, block: usize) -> &[u32] {
         let (first, end) = self.blocks.blocks[block].devices;
         &self.blocks.devices[first as usize..end as usize]
     }

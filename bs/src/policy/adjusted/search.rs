@@ -42,8 +42,8 @@ pub struct DutyCycleChoice {
     pub device_ttis: u64,
 }
 
-/// Returns the duty cycles of the grid with the results of their pilot runs, in the order of the grid.
-pub fn pilot_results(settings: &AdjustedSettings, pilots: &PilotRuns) -> Vec<PilotResult> {
+/// Returns the duty cycles of the grid with the results of their finished pilot runs, in the order of the grid.
+pub fn collect_pilot_results(settings: &AdjustedSettings, pilots: &PilotRuns) -> Vec<PilotResult> {
     let pairs = settings.pairs().zip(&pilots.metrics);
     let results = pairs.map(|((t_on, t_drx), metrics)| PilotResult {
         t_on,
@@ -84,7 +84,8 @@ pub(super) fn pilot_search(settings: &AdjustedSettings) -> PilotSearch {
 
 fn choose_cycle(settings: &AdjustedSettings, known: &Knowledge, pilots: &PilotRuns) -> DutyCycleChoice {
     let threshold = i_min(&known.positions(), known.area, &known.sensing);
-    let (best, reaches_i_min) = choose(&pilot_results(settings, pilots), threshold).expect("the grid holds a pair");
+    let (best, reaches_i_min) =
+        choose(&collect_pilot_results(settings, pilots), threshold).expect("the grid holds a pair");
     DutyCycleChoice {
         t_on: best.t_on,
         t_drx: best.t_drx,

@@ -105,7 +105,7 @@ pub(crate) struct TokenBuilder {
     near_counts: Vec<EventCounts>,
     all_counts: EventCounts,
     event_probability: f32,
-    density: f32,
+    log_density: f32,
     alpha: f32,
     /// By device, the TTI in which it sensed last, counted from 1; 0 for never.
     last_sensed: Vec<u64>,
@@ -122,7 +122,8 @@ pub(crate) struct TokenBuilder {
 }
 
 impl TokenBuilder {
-    /// Creates the state before the first TTI for the devices in `known`; device j can sense from level `needed(j)` on.
+    /// Creates the state before the first TTI for the devices in `known`; device j can sense from level `min_level(j)`
+    /// on.
     pub(crate) fn new(known: &Knowledge, min_level: impl Fn(usize) -> Energy) -> Self {
         let (positions, d_max, n) = (known.positions(), known.sensing.d_max, known.n());
         let ages = Ages::with_loss(
@@ -156,7 +157,7 @@ impl TokenBuilder {
             near_counts: vec![EventCounts::default(); n],
             all_counts: EventCounts::default(),
             event_probability: known.alpha as f32,
-            density: density(known.area, &known.sensing, n),
+            log_density: log_density(known.area, &known.sensing, n),
             alpha: libm::logf(known.alpha as f32) / 5.0,
             last_sensed: vec![0; n],
             reporters: Vec::new(),
@@ -182,7 +183,7 @@ impl TokenBuilder {
         // Before the first event the time is as long as `log_scale` allows.
         let since = last.map_or(u64::MAX, |found| seen.now.0 - found.tti.0);
         let shared = GlobalFeatures {
-            density: self.density,
+            log_density: self.log_density,
             alpha: self.alpha,
             all: [0, 1, 2].map(|scale| self.all_counts.surprise(scale)),
             found: f32::from(u8::from(is_found)),
@@ -207,7 +208,7 @@ impl TokenBuilder {
                 libm::logf(mean_age(self.gains[j], constants.unit_gain)),
                 log_scale(idle),
                 constants.reach,
-                shared.density,
+                shared.log_density,
                 shared.alpha,
                 constants.harvest,
                 near_counts.surprise(0),
@@ -296,7 +297,7 @@ impl TokenBuilder {
 
 /// Features that are the same for all devices.
 struct GlobalFeatures {
-    density: f32,
+    log_density: f32,
     alpha: f32,
     all: [f32; TIME_CONSTANTS.len()],
     found: f32,
@@ -304,8 +305,8 @@ struct GlobalFeatures {
     delay: f32,
 }
 
-/// Returns the mean number of devices within reach of a place, on a logarithmic scale.
-fn density(area: Area, sensing: &Sensing, n: usize) -> f32 {
+/// Returns the logarithm of the mean number of devices within reach of a place, divided by 5.
+fn log_density(area: Area, sensing: &Sensing, n: usize) -> f32 {
     libm::logf((n as f64 * ages::effective_area(sensing) / area.surface()) as f32) / 5.0
 }
 

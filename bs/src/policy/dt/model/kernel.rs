@@ -128,38 +128,40 @@ pub(super) struct ColumnSlice {
     pub stride: usize,
 }
 
-/// Computes `out = x · weight + bias` tile by tile, for each row of the columns `from` of `x` and `to` of `out`.
+/// Computes `out = x · weight + bias` tile by tile, for each row. Reads only `x_columns` of `x` and writes only
+/// `out_columns` of `out`.
 #[inline(always)]
 fn multiply(
     weight: &[[f32; TILE_COLUMNS]],
     bias: &[[f32; TILE_COLUMNS]],
     x: &[f32],
-    from: ColumnSlice,
+    x_columns: ColumnSlice,
     out: &mut [f32],
-    to: ColumnSlice,
+    out_columns: ColumnSlice,
 ) {
-    let mut xs = x.chunks_exact(BLOCK_ROWS * from.stride);
-    let mut outs = out.chunks_exact_mut(BLOCK_ROWS * to.stride);
+    let mut xs = x.chunks_exact(BLOCK_ROWS * x_columns.stride);
+    let mut outs = out.chunks_exact_mut(BLOCK_ROWS * out_columns.stride);
     for (x, out) in xs.by_ref().zip(outs.by_ref()) {
-        multiply_rows::<BLOCK_ROWS>(weight, bias, x, from, out, to);
+        multiply_rows::<BLOCK_ROWS>(weight, bias, x, x_columns, out, out_columns);
     }
-    let rest = xs.remainder().chunks_exact(from.stride);
-    for (x, out) in rest.zip(outs.into_remainder().chunks_exact_mut(to.stride)) {
-        multiply_rows::<1>(weight, bias, x, from, out, to);
+    let rest = xs.remainder().chunks_exact(x_columns.stride);
+    for (x, out) in rest.zip(outs.into_remainder().chunks_exact_mut(out_columns.stride)) {
+        multiply_rows::<1>(weight, bias, x, x_columns, out, out_columns);
     }
 }
 
+/// Does the work of [`multiply`] for exactly `R` rows.
 #[inline(always)]
 fn multiply_rows<const R: usize>(
     weight: &[[f32; TILE_COLUMNS]],
     bias: &[[f32; TILE_COLUMNS]],
     x: &[f32],
-    from: ColumnSlice,
+    x_columns: ColumnSlice,
     out: &mut [f32],
-    to: ColumnSlice,
+    out_columns: ColumnSlice,
 ) {
-    let inputs = from.width;
-    let rows: [&[f32]; R] = std::array::from_fn(|row| &x[row * from.stride + from.start..][..inputs]);
+    let inputs = x_columns.width;
+    let rows: [&[f32]; R] = std::array::from_fn(|row| &x[row * x_columns.stride + x_columns.start..][..inputs]);
     for (tile, (weights, bias)) in weight.chunks_exact(inputs).zip(bias).enumerate() {
         // Each output is summed in the order of `i` for any R, so the rows of a remainder have the same bits.
         let mut sums = [*bias; R];
@@ -172,8 +174,8 @@ fn multiply_rows<const R: usize>(
             }
         }
         let start = tile * TILE_COLUMNS;
-        for (sums, out) in sums.iter().zip(out.chunks_exact_mut(to.stride)) {
-            let out = &mut out[to.start..][..to.width][start..];
+        for (sums, out) in sums.iter().zip(out.chunks_exact_mut(out_columns.stride)) {
+            let out = &mut out[out_columns.start..][..out_columns.width][start..];
             // The last tile is wider than the remaining outputs.
             if let Some(whole) = out.first_chunk_mut() {
                 *whole = *sums;

@@ -114,7 +114,7 @@ impl SequentialSelector {
             self.block_devices.clear();
             let may_be_chosen = |j: &&u32| self.key_bounds[**j as usize] > 0;
             self.block_devices
-                .extend(self.coverage.devices_reaching(block).iter().filter(may_be_chosen));
+                .extend(self.coverage.devices_covering_block(block).iter().filter(may_be_chosen));
             if self.block_devices.is_empty() {
                 continue;
             }

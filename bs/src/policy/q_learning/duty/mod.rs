@@ -111,7 +111,7 @@ impl DutyLearner {
     /// of ids.
     pub fn choose(&mut self, levels: &[Energy]) -> Vec<DeviceId> {
         self.begin(levels);
-        let chosen = self.area_state.choose(&|_| true);
+        let chosen = self.area_state.choose_devices(&|_| true);
         self.end_tti(chosen)
     }
 
@@ -137,7 +137,7 @@ impl DutyLearner {
                 }
             }
         }
-        let others = self.area_state.choose(&|j| is_free[j]);
+        let others = self.area_state.choose_devices(&|j| is_free[j]);
         chosen.extend(others);
         // A chosen device decided given the devices chosen before it; the others decided given all chosen devices.
         let gains = self.area_state.gains(&chosen);
@@ -149,8 +149,8 @@ impl DutyLearner {
         }
         self.last_decision = Some(DutyDecision {
             shares,
-            uncovered: self.area_state.uncovered(),
-            coverable: self.area_state.coverable(),
+            uncovered: self.area_state.uncovered_gain(),
+            coverable: self.area_state.coverable_gain(),
             credits: self.area_state.credits(&chosen, &gains),
         });
         self.end_tti(chosen)
