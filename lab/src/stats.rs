@@ -96,14 +96,14 @@ impl Moments {
         Some(Estimate {
             mean: self.mean,
             deviation,
-            half_width: student_t_quantile(self.runs - 1) * deviation / (self.runs as f64).sqrt(),
+            half_width: student_t_quantile_95(self.runs - 1) * deviation / (self.runs as f64).sqrt(),
             runs: self.runs,
         })
     }
 }
 
 /// The two-sided 95 % quantile of Student's t with these degrees of freedom; NaN for none.
-pub fn student_t_quantile(degrees_of_freedom: usize) -> f64 {
+pub fn student_t_quantile_95(degrees_of_freedom: usize) -> f64 {
     // Two-sided: 2.5 % lie above the interval, so the quantile is taken at 0.975.
     StudentsT::new(0.0, 1.0, degrees_of_freedom as f64)
         .map_or(f64::NAN, |t| t.inverse_cdf(f64::midpoint(1.0, CONFIDENCE)))
@@ -180,12 +180,12 @@ mod tests {
     fn quantiles_are_those_of_the_printed_tables() {
         for (freedom, printed) in PRINTED {
             assert!(
-                (student_t_quantile(freedom) - printed).abs() < 6e-4,
+                (student_t_quantile_95(freedom) - printed).abs() < 6e-4,
                 "{freedom}: {}",
-                student_t_quantile(freedom)
+                student_t_quantile_95(freedom)
             );
         }
-        assert!(student_t_quantile(0).is_nan());
+        assert!(student_t_quantile_95(0).is_nan());
     }
 
     #[test]

@@ -178,7 +178,7 @@ impl Experiment {
         // The parent of a bare file name is the empty path, which has no absolute form; `.` has one.
         let folder = files.absolute(&path.parent().unwrap_or(Path::new("")).join("."))?;
         let mut scenario = Value::Table(table);
-        prepend_folder(&declaration(), "", &mut scenario, &folder);
+        resolve_file_paths(&declaration(), "", &mut scenario, &folder);
         Ok(Some(scenario.as_table().map(Table::to_string).unwrap_or_default()))
     }
 
@@ -248,21 +248,21 @@ fn is_file_field(fields: &Declaration, path: &str, value: &str) -> bool {
     }
 }
 
-/// Prepends `folder` to the relative files in the field or table at `path`.
-fn prepend_folder(fields: &Declaration, path: &str, value: &mut Value, folder: &Path) {
+/// Resolves the relative paths of files against `folder`, in `value`: the field or table at `path`.
+fn resolve_file_paths(fields: &Declaration, path: &str, value: &mut Value, folder: &Path) {
     match value {
         Value::String(file) if is_file_field(fields, path, file) => {
             *file = folder.join(&*file).to_string_lossy().into_owned();
         }
         Value::Table(inner) => {
             for (name, value) in inner {
-                prepend_folder(fields, &join_path(path, name), value, folder);
+                resolve_file_paths(fields, &join_path(path, name), value, folder);
             }
         }
         // Only the items of a list of tables; the values of an axis stay unchanged.
         Value::Array(items) => {
             let tables = items.iter_mut().filter(|item| item.is_table());
-            tables.for_each(|item| prepend_folder(fields, path, item, folder));
+            tables.for_each(|item| resolve_file_paths(fields, path, item, folder));
         }
         Value::String(_) | Value::Integer(_) | Value::Float(_) | Value::Boolean(_) | Value::Datetime(_) => {}
     }
@@ -288,7 +288,7 @@ mod tests {
             name = "table"
         "#;
         let mut value = Value::Table(text.parse().expect("TOML"));
-        prepend_folder(&declaration(), "", &mut value, Path::new("there"));
+        resolve_file_paths(&declaration(), "", &mut value, Path::new("there"));
         assert_eq!(value["layout"]["file"].as_str(), Some("there/points.csv"));
         assert_eq!(value["layout"]["kind"].as_str(), Some("file"));
         assert_eq!(value["policy"]["q-learning"]["table"].as_str(), Some("there/own.json"));
@@ -298,7 +298,7 @@ mod tests {
         );
         assert_eq!(value["class"][0]["name"].as_str(), Some("file"));
         let mut word = Value::Table("policy.q-learning.table = \"shipped\"".parse().expect("TOML"));
-        prepend_folder(&declaration(), "", &mut word, Path::new("there"));
+        resolve_file_paths(&declaration(), "", &mut word, Path::new("there"));
         assert_eq!(word["policy"]["q-learning"]["table"].as_str(), Some("shipped"));
     }
 }

@@ -459,7 +459,7 @@ fn a_cell_stops_at_the_first_look_at_which_it_is_narrow() {
                 let count = values.len() as f64;
                 let mean = values.iter().sum::<f64>() / count;
                 let variance = values.iter().map(|value| (value - mean) * (value - mean)).sum::<f64>() / (count - 1.0);
-                stats::student_t_quantile(values.len() - 1) * (variance / count).sqrt() / mean <= 0.08
+                stats::student_t_quantile_95(values.len() - 1) * (variance / count).sqrt() / mean <= 0.08
             })
         };
         let first = looks

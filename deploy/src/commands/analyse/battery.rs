@@ -156,7 +156,7 @@ fn chain_row((study, found): &(BatteryStudy, BatteryComparison)) -> Vec<SheetVal
         found.measured_mean.mean.into(),
         found.measured_mean.half_width.into(),
         found.steady.residual.into(),
-        found.steady.transition_count.into(),
+        found.steady.transitions_to_steady_state.into(),
     ];
     key_cells(study).into_iter().chain(values).collect()
 }

@@ -64,8 +64,8 @@ impl ChainInput {
 pub struct SteadyState {
     /// Probability of each level at the end of a TTI, over all phases of the cycle, from empty to full.
     pub levels: Vec<f64>,
-    /// Number of transitions until the steady state.
-    pub transition_count: u64,
+    /// Number of transitions, one per TTI, that the iteration needed to reach the steady state.
+    pub transitions_to_steady_state: u64,
     /// Σ |π P − π| over one cycle.
     pub residual: f64,
 }
@@ -91,11 +91,11 @@ pub(crate) fn steady_state(lattice: &Lattice, input: &ChainInput) -> Result<Stea
     let n = lattice.levels();
     let mut levels_now = DVector::from_element(n, 1.0 / n as f64);
     let mut buffer = DVector::zeros(n);
-    let mut transition_count = 0;
+    let mut transitions_to_steady_state = 0;
     loop {
         let levels_before = levels_now.clone();
         steps.advance_cycle(&mut levels_now, &mut buffer, |_| {});
-        transition_count += u64::from(input.t_drx);
+        transitions_to_steady_state += u64::from(input.t_drx);
         // Only whole cycles compare: within a cycle the distribution changes with the phase.
         let residual = (&levels_now - &levels_before).lp_norm(1);
         if residual <= STEADY_RESIDUAL {
@@ -106,11 +106,11 @@ pub(crate) fn steady_state(lattice: &Lattice, input: &ChainInput) -> Result<Stea
             let levels = sum / f64::from(input.t_drx);
             return Ok(SteadyState {
                 levels: levels.iter().copied().collect(),
-                transition_count,
+                transitions_to_steady_state,
                 residual,
             });
         }
-        if transition_count > MAX_TRANSITIONS {
+        if transitions_to_steady_state > MAX_TRANSITIONS {
             let allowed = format!(
                 "of one cycle should be at most {STEADY_RESIDUAL:e} after {MAX_TRANSITIONS} TTIs; the chain mixes \
                  too slowly"

@@ -1,7 +1,7 @@
 //! Findings: our values of a claim's quantity at each N, with 95 % intervals. The rule in [`super`] judges them.
 
 use reveille_lab::metric_estimate::MetricEstimate;
-use reveille_lab::stats::{Moments, student_t_quantile};
+use reveille_lab::stats::{Moments, student_t_quantile_95};
 
 use crate::claims::{Claim, ClaimQuantity, ClaimTopic};
 use crate::figures::results::RunCondition;
@@ -181,7 +181,7 @@ fn paired_half_width(own: &MetricEstimate, theirs: &MetricEstimate, pairs: &[(f6
         moments.add(a - factor * b);
     }
     let deviation = moments.estimate()?.deviation;
-    Some(student_t_quantile(pairs.len() - 1) * deviation / (pairs.len() as f64).sqrt())
+    Some(student_t_quantile_95(pairs.len() - 1) * deviation / (pairs.len() as f64).sqrt())
 }
 
 #[cfg(test)]
