@@ -15,8 +15,8 @@ use crate::cli::StatsArgs;
 use crate::display::{note, print_stdout};
 use crate::exit::ExitReason;
 
-/// Time between two tables with `--watch`.
-const TABLE_INTERVAL: Duration = Duration::from_secs(1);
+/// Time between two tables with `--watch`; without it there is only the table at the end.
+const WATCH_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Counts until the run or recording ends, or a signal arrives.
 pub(super) async fn run(args: &StatsArgs) -> anyhow::Result<ExitCode> {
@@ -41,7 +41,7 @@ pub(super) async fn run(args: &StatsArgs) -> anyhow::Result<ExitCode> {
             Ok(None) => break None,
             Err(error) => break Some(error),
         }
-        if args.watch && last_shown.elapsed() >= TABLE_INTERVAL {
+        if args.watch && last_shown.elapsed() >= WATCH_INTERVAL {
             // Control codes belong on a screen, not in a file.
             let clear = if std::io::stdout().is_terminal() {
                 "\u{1b}[2J\u{1b}[H"
