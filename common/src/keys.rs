@@ -59,21 +59,25 @@ impl fmt::Display for RunName {
 #[derive(Clone, Debug)]
 pub struct Keys {
     run: RunName,
-    /// The secret part of members' keys. Without it, as for observers, those keys match no real key.
-    secret: Option<Secret>,
+    /// The secret part of the keys that only members may use. Without it, as for observers, those keys match no real
+    /// key.
+    member_secret: Option<Secret>,
 }
 
 impl Keys {
     /// Returns the keys of `run` for a client that is not a member.
     pub const fn new(run: RunName) -> Self {
-        Self { run, secret: None }
+        Self {
+            run,
+            member_secret: None,
+        }
     }
 
     /// Returns the keys of `run` for its members.
     pub const fn for_members(run: RunName, secret: Secret) -> Self {
         Self {
             run,
-            secret: Some(secret),
+            member_secret: Some(secret),
         }
     }
 
@@ -83,8 +87,8 @@ impl Keys {
     }
 
     /// The run's secret, if these keys are a member's.
-    pub const fn secret(&self) -> Option<Secret> {
-        self.secret
+    pub const fn member_secret(&self) -> Option<Secret> {
+        self.member_secret
     }
 
     /// Returns the key of a kind that has only one, or the prefix of a kind with several keys.
@@ -157,7 +161,7 @@ impl Keys {
     }
 
     fn member_prefix(&self) -> String {
-        match self.secret {
+        match self.member_secret {
             Some(secret) => format!("reveille/{}/@{secret}", self.run),
             // A member's key has the secret behind the `@`, so this one matches none.
             None => format!("reveille/{}/@", self.run),

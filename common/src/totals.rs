@@ -197,7 +197,8 @@ pub struct EventTally {
     /// Devices that entered S2 and could not transmit, and woken devices farther than `d_max` from the epicentre.
     pub wrong_activations: u64,
     /// Energy that the wrong activations spent or lost.
-    pub wasted: Energy,
+    #[serde(rename = "wasted")]
+    pub wasted_energy: Energy,
 }
 
 impl EventTally {
@@ -224,8 +225,9 @@ pub struct EventTotals {
     pub information_pico: u128,
     /// Wrong activations.
     pub wrong_activations: u64,
-    /// Energy wasted by the wrong activations.
-    pub wasted: Energy,
+    /// Energy that the wrong activations spent or lost.
+    #[serde(rename = "wasted")]
+    pub wasted_energy: Energy,
 }
 
 impl EventTotals {
@@ -238,7 +240,7 @@ impl EventTotals {
         self.wake_ups += event.wake_ups;
         self.information_pico += u128::from(event.information_pico);
         self.wrong_activations += event.wrong_activations;
-        self.wasted += event.wasted;
+        self.wasted_energy += event.wasted_energy;
     }
 }
 
@@ -253,7 +255,7 @@ impl Sub for EventTotals {
             wake_ups: self.wake_ups - before.wake_ups,
             information_pico: self.information_pico - before.information_pico,
             wrong_activations: self.wrong_activations - before.wrong_activations,
-            wasted: self.wasted - before.wasted,
+            wasted_energy: self.wasted_energy - before.wasted_energy,
         }
     }
 }

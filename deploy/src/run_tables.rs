@@ -86,7 +86,7 @@ pub(crate) fn event_row(record: &EventRecord) -> [String; EVENT_COLUMNS.len()] {
         tally.wake_ups.to_string(),
         format_information(u128::from(tally.information_pico)),
         tally.wrong_activations.to_string(),
-        format_units(tally.wasted),
+        format_units(tally.wasted_energy),
     ]
 }
 

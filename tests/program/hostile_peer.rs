@@ -212,7 +212,7 @@ fn forgeries(keys: &Keys, pass: HostCredential, tti: u64) -> Vec<(String, Vec<u8
         reports,
         failures: vec![FailedTransmission {
             device: DeviceId(0),
-            drained: Energy::from_micro(drained),
+            drained_energy: Energy::from_micro(drained),
         }],
         totals: Some(DeviceTotals::default()),
         views: None,

@@ -103,7 +103,7 @@ fn reports_and_wake_ups_are_lost_as_they_are_drawn() {
         all.sort_unstable();
         for &(tti, device, is_lost) in &all {
             assert_eq!(
-                air.channel_at(tti).loses_report(device),
+                air.losses_at(tti).loses_report(device),
                 is_lost,
                 "{policy}: device {device} in TTI {tti}"
             );
@@ -117,7 +117,7 @@ fn reports_and_wake_ups_are_lost_as_they_are_drawn() {
         );
         let mut air = Air::new(prepared.scenario.run.seed, &prepared.scenario.radio);
         for &(tti, device) in &seen.wake_ups {
-            let is_missed = air.channel_at(tti).misses_wake_up(device);
+            let is_missed = air.losses_at(tti).misses_wake_up(device);
             let is_unheard = seen.missed_wake_ups.contains(&(tti, device));
             assert!(is_unheard || !is_missed, "{policy}: device {device} heard in TTI {tti}");
         }

@@ -94,7 +94,10 @@ fn random_scenarios_cover_every_case() {
         add("counted events", run.totals.events);
         add("misdetected", run.totals.misdetected);
         // For energies and device-TTIs, counts the runs with any: a single run may have millions.
-        add("runs that waste energy", u64::from(run.totals.wasted.micro() > 0));
+        add(
+            "runs that waste energy",
+            u64::from(run.totals.wasted_energy.micro() > 0),
+        );
         add("runs that overflow", u64::from(run.measured.overflow.micro() > 0));
         add("runs with low batteries", u64::from(run.measured.low_ttis > 0));
         add("runs with batteries to spare", u64::from(run.measured.low_ttis == 0));
@@ -239,7 +242,7 @@ fn information(counted: &[&EventRecord], seen: &[&&EventRecord], expected_events
         ),
         (
             "wasted_energy_per_event",
-            sum(&|record| record.tally.wasted.micro() as f64 * 1e-6) / events,
+            sum(&|record| record.tally.wasted_energy.micro() as f64 * 1e-6) / events,
         ),
     ]
 }

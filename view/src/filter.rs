@@ -126,7 +126,7 @@ mod tests {
         let failed = WakeUpResult {
             outcome: WakeOutcome::Failed(FailedTransmission {
                 device: DeviceId(2),
-                drained: Energy::ZERO,
+                drained_energy: Energy::ZERO,
             }),
         };
         vec![

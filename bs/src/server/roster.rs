@@ -134,7 +134,7 @@ impl Roster {
     pub(crate) fn is_possible_failure(&self, failure: &FailedTransmission) -> bool {
         self.setup(failure.device)
             // A device fails only when it holds less than E_Tx, and it loses its whole level.
-            .is_some_and(|setup| failure.drained < setup.energy.e_tx)
+            .is_some_and(|setup| failure.drained_energy < setup.energy.e_tx)
     }
 
     /// Whether `outcome` is possible for a wake-up of `device` that led to no report.
@@ -300,7 +300,7 @@ pub(crate) mod tests {
         );
         let failure = |device, drained| FailedTransmission {
             device: DeviceId(device),
-            drained: Energy::from_micro(drained),
+            drained_energy: Energy::from_micro(drained),
         };
         assert!(roster.is_possible_answer(0, 4, &[failure(4, 9_999_999)]));
         assert!(

@@ -8,8 +8,8 @@ use toml::de::DeValue;
 
 use super::error::ScenarioError;
 
-/// Maximum depth of nested sections in a path; no field is as deep.
-const MAX_PATH_DEPTH: usize = 8;
+/// Maximum number of names in the path of a field, its own included. No field has as many.
+const MAX_PATH_NAMES: usize = 8;
 
 /// A field set on the command line, which overrides the preset and the scenario file.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -47,7 +47,7 @@ impl Override {
 
     fn with_label(flag: &str, label: &str, path: &str, value: &str) -> Result<Self, ScenarioError> {
         let names: Vec<String> = path.split('.').map(|name| name.trim().to_owned()).collect();
-        if names.iter().any(String::is_empty) || names.len() > MAX_PATH_DEPTH {
+        if names.iter().any(String::is_empty) || names.len() > MAX_PATH_NAMES {
             let reason = format!("`{}` is not the path of a field", path.trim());
             return Err(malformed(flag, &format!("{path}={value}"), reason));
         }

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::Concerns;
 use crate::ids::{DeviceId, Tti};
 use crate::plan::Plan;
-use crate::radio::ChannelState;
+use crate::radio::AirLosses;
 use crate::state::{DeviceState, DeviceView};
 use crate::units::Energy;
 
@@ -70,7 +70,8 @@ pub struct FailedTransmission {
     /// The device.
     pub device: DeviceId,
     /// Energy that was left in its battery and is now lost.
-    pub drained: Energy,
+    #[serde(rename = "drained")]
+    pub drained_energy: Energy,
 }
 
 impl Concerns for Report {
@@ -131,7 +132,7 @@ impl fmt::Display for WakeOutcome {
             Self::Failed(failure) => write!(
                 f,
                 "woke but could not pay for a report; {:.2} units lost",
-                failure.drained.units()
+                failure.drained_energy.units()
             ),
             Self::Missed => f.write_str("did not receive it"),
             Self::Lost(report) => write!(f, "reported, but the report was lost: {report}"),
@@ -143,7 +144,7 @@ impl fmt::Display for WakeOutcome {
 impl WakeOutcome {
     /// Returns the outcome after the air has delivered or lost the device's report, if it sent one.
     #[must_use]
-    pub fn after_uplink(self, air: &ChannelState) -> Self {
+    pub fn after_uplink(self, air: &AirLosses) -> Self {
         match self {
             // The draw is keyed by device and TTI, so the BS and an observer find the same loss without a message.
             Self::Reported(report) if air.loses_report(report.device) => Self::Lost(report),

@@ -97,7 +97,7 @@ impl Concerns for FailedReport {
 
 impl fmt::Display for FailedReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let lost = self.failure.drained.units();
+        let lost = self.failure.drained_energy.units();
         write!(
             f,
             "detected the event but could not pay for a report; {lost:.2} units lost"

@@ -12,7 +12,7 @@
 mod air;
 mod bursts;
 
-pub use air::{Air, ChannelState, FalseWakeUps};
+pub use air::{Air, AirLosses, FalseWakeUps};
 pub use bursts::{Interference, InterferenceBursts};
 
 use serde::{Deserialize, Serialize};

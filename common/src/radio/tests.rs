@@ -41,7 +41,7 @@ fn shares(radio: &RadioSettings, ttis: u64) -> [f64; 3] {
     let plan = Plan::from_bits((0..50).map(|_| true));
     let mut lost = [0_u64; 3];
     for k in (0..ttis).map(Tti) {
-        let now = air.channel_at(k);
+        let now = air.losses_at(k);
         let mut received = 0;
         let missed = air.deliver_plan(k, &plan, DeviceId(0), 50, |_, cycle| {
             received += u64::from(cycle.is_on(k));
@@ -120,14 +120,14 @@ fn a_burst_is_the_same_whoever_asks_and_when() {
         ..RadioSettings::default()
     };
     let mut often = Air::new(3, &radio);
-    let each: Vec<ChannelState> = (0..1000).map(|k| often.channel_at(Tti(k))).collect();
+    let each: Vec<AirLosses> = (0..1000).map(|k| often.losses_at(Tti(k))).collect();
     let mut seldom = Air::new(3, &radio);
     for k in (0..1000).step_by(37) {
-        let now = seldom.channel_at(Tti(k));
+        let now = seldom.losses_at(Tti(k));
         assert_eq!(now, each[k as usize], "TTI {k}");
-        assert_eq!(now, seldom.channel_at(Tti(k)), "asked again");
+        assert_eq!(now, seldom.losses_at(Tti(k)), "asked again");
     }
-    let in_burst = |now: &&ChannelState| now.loses_report(DeviceId(0));
+    let in_burst = |now: &&AirLosses| now.loses_report(DeviceId(0));
     let changes = each
         .windows(2)
         .filter(|two| in_burst(&&two[0]) != in_burst(&&two[1]))

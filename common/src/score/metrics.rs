@@ -204,7 +204,7 @@ metrics! {
             |run| run.per_event(run.totals.events.wrong_activations as f64);
         /// Energy spent by wrong activations, per event.
         wasted_energy_per_event: "units/event", "units per event" =
-            |run| run.per_event(run.totals.events.wasted.units());
+            |run| run.per_event(run.totals.events.wasted_energy.units());
     }
     Energy {
         /// Energy spent, mean over devices and TTIs; the sum of the next three metrics.

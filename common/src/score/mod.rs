@@ -162,7 +162,7 @@ impl Score {
 
     /// Records that a device with δ = 1 detected the event and could not transmit.
     pub fn record_failed_transmission(&mut self, failure: &FailedTransmission) {
-        self.count_wrong_activation(failure.device, failure.drained);
+        self.count_wrong_activation(failure.device, failure.drained_energy);
     }
 
     /// Records the removal of devices.
@@ -212,7 +212,7 @@ impl Score {
             }
             WakeOutcome::Failed(failure) => {
                 self.add_activity(device, EventActivity::WOKEN);
-                self.count_wrong_activation(device, failure.drained);
+                self.count_wrong_activation(device, failure.drained_energy);
             }
             WakeOutcome::Late { spent, .. } => {
                 self.losses.late += u64::from(is_measured);
@@ -355,7 +355,7 @@ impl Score {
     fn count_wrong_activation(&mut self, device: DeviceId, wasted: Energy) {
         let tally = &mut self.open_event().tally;
         tally.wrong_activations += 1;
-        tally.wasted += wasted;
+        tally.wasted_energy += wasted;
         self.add_activity(device, EventActivity::WRONG_ACTIVATION);
     }
 

@@ -141,7 +141,8 @@ impl TimedDecisions {
         let mut wake_ups = 0;
         for (tti, stimulus, reports) in events_with_reports {
             if let Some(oracle) = policy.oracle() {
-                wake_ups += u64::from(oracle.reveal_event(stimulus));
+                oracle.reveal_event(stimulus);
+                wake_ups += u64::from(oracle.needs_wake_up());
                 continue;
             }
             if reports.is_empty() {

@@ -173,7 +173,7 @@ impl HostRecords {
         let battery = Energy::from_micro(input.arbitrary::<u32>()?.into());
         let failure = FailedTransmission {
             device,
-            drained: battery,
+            drained_energy: battery,
         };
         match input.int_in_range(0..=4)? {
             0 => {

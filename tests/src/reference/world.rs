@@ -376,7 +376,7 @@ impl<'a> ReferenceWorld<'a> {
         };
         event.acts.push((j, [0, 0, 0, 1]));
         event.tally.wrong_activations += 1;
-        event.tally.wasted += Energy::from_micro(gone);
+        event.tally.wasted_energy += Energy::from_micro(gone);
         self.losses.late += u64::from(k >= self.warm_up_end);
     }
 
@@ -393,7 +393,7 @@ impl<'a> ReferenceWorld<'a> {
             .push((j, [u64::from(arrives), 0, 0, u64::from(!paid || !within)]));
         if !paid || !within {
             event.tally.wrong_activations += 1;
-            event.tally.wasted += Energy::from_micro(gone);
+            event.tally.wasted_energy += Energy::from_micro(gone);
         }
         if !paid {
             self.devices[j].state = ReferenceState::Dark;
@@ -497,7 +497,7 @@ impl<'a> ReferenceWorld<'a> {
             totals.wake_ups += record.tally.wake_ups;
             totals.information_pico += u128::from(record.tally.information_pico);
             totals.wrong_activations += record.tally.wrong_activations;
-            totals.wasted += record.tally.wasted;
+            totals.wasted_energy += record.tally.wasted_energy;
         }
         let ledgers: Vec<Ledger> = self.devices.iter().map(Device::ledger).collect();
         ReferenceRun {

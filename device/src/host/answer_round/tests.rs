@@ -88,7 +88,7 @@ fn a_round_is_repeated_only_when_it_is_whole_and_always_the_same() {
 fn a_grant_gathers_failures_sums_and_levels() {
     let failure = FailedTransmission {
         device: DeviceId(4),
-        drained: Energy::from_micro(2),
+        drained_energy: Energy::from_micro(2),
     };
     let round = AnswerRound::new(HOST, HostRequest::Grant(TTI), 5);
     let view = |device: u32| DeviceView {

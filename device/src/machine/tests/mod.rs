@@ -218,7 +218,7 @@ fn s2_to_s4_where_e_tx_cannot_be_paid_drains_the_battery() {
     let (mut machine, world) = dry(109, true);
     let failure = FailedTransmission {
         device: DeviceId(7),
-        drained: micro(99),
+        drained_energy: micro(99),
     };
     assert_eq!(
         machine.sense(Tti(0), &event(NEAR), &world),
@@ -274,7 +274,7 @@ fn a_wake_up_that_cannot_be_paid_drains_the_battery() {
     let (mut machine, world) = dry(100, false);
     let failure = FailedTransmission {
         device: DeviceId(7),
-        drained: micro(99),
+        drained_energy: micro(99),
     };
     assert_eq!(
         machine.wake(Tti(0), Some(&event(NEAR)), &world),

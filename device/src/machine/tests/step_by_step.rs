@@ -204,7 +204,7 @@ fn of_sensed(sensed: &SenseOutcome) -> ReferenceOutcome {
     match sensed {
         SenseOutcome::Nothing => None,
         SenseOutcome::Reported(_) => Some(Ok(())),
-        SenseOutcome::Failed(failure) => Some(Err(failure.drained.micro())),
+        SenseOutcome::Failed(failure) => Some(Err(failure.drained_energy.micro())),
     }
 }
 
@@ -212,7 +212,7 @@ fn of_woken(woken: &WakeOutcome) -> ReferenceOutcome {
     match woken {
         WakeOutcome::Missed => None,
         WakeOutcome::Reported(_) => Some(Ok(())),
-        WakeOutcome::Failed(failure) => Some(Err(failure.drained.micro())),
+        WakeOutcome::Failed(failure) => Some(Err(failure.drained_energy.micro())),
         WakeOutcome::Lost(_) | WakeOutcome::Late { .. } => panic!("nothing is lost, and it was not late: {woken}"),
     }
 }
