@@ -184,7 +184,7 @@ mod tests {
     use crate::preparation::prepare;
     use crate::run::{Run, RunOptions};
 
-    /// Passes the notifications of a run to the tracker, also those of windows.
+    /// An observer that passes the notifications of a run to the tracker and asks for windows.
     struct TrackingObserver(ResumeTracker);
 
     impl Observer for TrackingObserver {

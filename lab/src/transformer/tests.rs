@@ -39,7 +39,7 @@ const SENSING_SHARE: f64 = 0.7;
 /// Returns a net whose outputs vary: the weights of the heads are 0 in a new net.
 fn noisy_net(shape: ModelShape, seed: u64) -> Net {
     let net = Net::new(shape, seed).expect("a net");
-    // Ids above those of the streams that `Net::new` draws from.
+    // Ids above the ids of the streams that `Net::new` draws from.
     for (stream_id, (name, var)) in (100..).zip(net.vars()) {
         let mut stream = Stream::new(seed, Purpose::Training, stream_id);
         let values: Vec<f32> = (0..var.elem_count())

@@ -137,7 +137,7 @@ fn a_design_contains_the_start_and_covers_the_ranges() {
     for i in 0..2 {
         let mut fifths: Vec<usize> = pairs[1..]
             .iter()
-            .map(|p| (ranges.position(*p)[i] * 5.0) as usize)
+            .map(|pair| (ranges.position(*pair)[i] * 5.0) as usize)
             .collect();
         fifths.sort_unstable();
         assert_eq!(fifths, [0, 1, 2, 3, 4], "one pair in each fifth of a range");
@@ -156,34 +156,34 @@ fn plans_out_of_range_are_refused() {
         assert!(error.contains(cause), "{error}");
     };
     assert!(small_plan().check().is_ok());
-    assert_refused(&|p| p.design = 2, "design");
-    // So many that the energy of a longer run exceeds the range of its counter.
+    assert_refused(&|plan| plan.design = 2, "design");
+    // The energy of a longer run of this number of devices would exceed the range of its counter.
     let with_many_devices =
-        |p: &mut TuningPlan| p.scenario = scenario_with(&["devices=1000000", "energy.e_max=10000", "ttis=100"]);
+        |plan: &mut TuningPlan| plan.scenario = scenario_with(&["devices=1000000", "energy.e_max=10000", "ttis=100"]);
     let and_many_devices = |change: fn(&mut TuningPlan)| {
-        move |p: &mut TuningPlan| {
-            with_many_devices(p);
-            change(p);
+        move |plan: &mut TuningPlan| {
+            with_many_devices(plan);
+            change(plan);
         }
     };
     assert_refused(
-        &and_many_devices(|p| p.ttis = 2000),
+        &and_many_devices(|plan| plan.ttis = 2000),
         "ttis = 2000: must be at most 1844",
     );
     assert_refused(
-        &and_many_devices(|p| p.training.ttis = 2000),
+        &and_many_devices(|plan| plan.training.ttis = 2000),
         "episode-ttis = 2000: must be at most 1844",
     );
-    assert_refused(&|p| p.runs = 0, "seeds");
-    assert_refused(&|p| p.ttis = 3, "ttis");
-    assert_refused(&|p| p.training.episodes = 0, "episodes");
+    assert_refused(&|plan| plan.runs = 0, "seeds");
+    assert_refused(&|plan| plan.ttis = 3, "ttis");
+    assert_refused(&|plan| plan.training.episodes = 0, "episodes");
     assert_refused(
-        &|p| p.scenario = load("paper", &[]).expect("a preset").scenario,
+        &|plan| plan.scenario = load("paper", &[]).expect("a preset").scenario,
         "only q-learning",
     );
     assert_refused(
-        &|p| {
-            p.objective = TuningObjective::Balance {
+        &|plan| {
+            plan.objective = TuningObjective::Balance {
                 energy: f64::NAN,
                 miss: 1.0,
             };
@@ -309,17 +309,17 @@ fn the_history_of_another_tuning_is_refused() {
         }
     };
     assert_refused(
-        &|p| p.scenario = scenario_with(&["devices=13"]),
+        &|plan| plan.scenario = scenario_with(&["devices=13"]),
         "devices: 12 there, 13 here",
     );
     assert_refused(
-        &|p| p.scenario = scenario_with(&["devices=12", "harvest.lambda=0.2"]),
+        &|plan| plan.scenario = scenario_with(&["devices=12", "harvest.lambda=0.2"]),
         "scenario",
     );
-    assert_refused(&|p| p.objective = TuningObjective::Information, "objective");
-    assert_refused(&|p| p.ranges.mu2 = (1.0, 6.0), "mu2");
-    assert_refused(&|p| p.runs = 4, "evaluation");
-    assert_refused(&|p| p.training.ttis = 101, "training");
+    assert_refused(&|plan| plan.objective = TuningObjective::Information, "objective");
+    assert_refused(&|plan| plan.ranges.mu2 = (1.0, 6.0), "mu2");
+    assert_refused(&|plan| plan.runs = 4, "evaluation");
+    assert_refused(&|plan| plan.training.ttis = 101, "training");
     let other_pairs = file.text().replacen("\n1,", "\n1,1", 1);
     std::fs::write(&file.0, other_pairs).expect("writable");
     assert_refused(&|_| {}, "other pairs");
@@ -344,8 +344,13 @@ fn a_history_round_trips_and_damaged_ones_are_refused() {
     }
     let text = history.to_csv();
     let (read, is_torn) = History::parse(&text).expect("ours");
-    let weight_bits =
-        |history: &History| -> Vec<[u64; 2]> { history.points.iter().map(|p| p.weights.map(f64::to_bits)).collect() };
+    let weight_bits = |history: &History| -> Vec<[u64; 2]> {
+        history
+            .points
+            .iter()
+            .map(|plan| plan.weights.map(f64::to_bits))
+            .collect()
+    };
     assert_eq!(
         (weight_bits(&read), is_torn, read.to_csv()),
         (weight_bits(&history), false, text.clone())
@@ -428,8 +433,9 @@ mod optimiser {
     #[test]
     fn proposals_are_the_same_twice_and_in_any_pool() {
         let points = climb(1, 3);
-        let bits =
-            |points: &[(WeightPair, f64)]| -> Vec<[u64; 2]> { points.iter().map(|p| p.0.map(f64::to_bits)).collect() };
+        let bits = |points: &[(WeightPair, f64)]| -> Vec<[u64; 2]> {
+            points.iter().map(|plan| plan.0.map(f64::to_bits)).collect()
+        };
         assert_eq!(bits(&points), bits(&climb(1, 3)));
         let on_three_threads = new_pool(3).expect("threads").install(|| climb(1, 3));
         assert_eq!(bits(&points), bits(&on_three_threads));

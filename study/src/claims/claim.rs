@@ -205,7 +205,7 @@ pub struct ClaimTopic {
 }
 
 // The numbers in the caveats hold for d_max, η, Ψ, energies and harvest of the presets `paper` and `paper-literal`. The
-// tests of this module recompute those of the hexagons and the fixed cycles.
+// tests of this module recompute the numbers of the hexagons and the fixed cycles.
 
 /// Caveat for the 0.72 of q-learning and the genie with 250 devices, Fig. 7.
 pub(super) const CLOSEST_DEVICE: &str = "Under g = max an event gives at most the information of its closest device. \

@@ -12,7 +12,7 @@ use super::*;
 use crate::figures::results::{Results, fixtures};
 use reveille_lab::table::SweptValue;
 
-/// Returns runs of three policies with energies near those of Fig. 8.
+/// Returns runs of three policies with energies near the values of Fig. 8.
 fn small_results() -> Results {
     let runs: [(&str, u32, &[f64]); 5] = [
         ("knn", 10, &[0.5, 0.52]),
@@ -45,7 +45,7 @@ fn row_with_value<'l>(report: &'l ClaimReport<'_>, paper_figure: &str, policy: &
 fn each_claim_has_a_verdict_under_each_preset() {
     let results = small_results();
     let report = ClaimReport::new(&results);
-    let labels: Vec<&str> = report.columns.iter().map(|c| c.label.as_str()).collect();
+    let labels: Vec<&str> = report.columns.iter().map(|column| column.label.as_str()).collect();
     assert_eq!(labels, ["paper"], "no table of paper-literal");
     assert_eq!(report.missing_presets().collect::<Vec<_>>(), ["paper-literal"]);
     let claims: usize = TOPICS.iter().map(|topic| topic.claims.len()).sum();

@@ -340,12 +340,11 @@ fn no_simple_wake_up_rule_exceeds_the_shipped_tables() {
             (0.3, 4),
         ] {
             let mut rule = WakeTable::optimistic(-1.0);
-            for state in (0..SCORE_BUCKETS)
-                .flat_map(|s| (0..INFORMATION_BUCKETS).flat_map(move |i| (0..REPORT_BUCKETS).map(move |r| [s, i, r])))
-            {
-                let [score_bucket, _, reports_before] = state;
-                if score_edge(score_bucket) >= score && reports_before + 1 < reports {
-                    rule.at_mut(state).value = 1.0;
+            for score_bucket in (0..SCORE_BUCKETS).filter(|bucket| score_edge(*bucket) >= score) {
+                for information_bucket in 0..INFORMATION_BUCKETS {
+                    for reports_before in (0..REPORT_BUCKETS).filter(|before| before + 1 < reports) {
+                        rule.at_mut([score_bucket, information_bucket, reports_before]).value = 1.0;
+                    }
                 }
             }
             let reward = waking_reward(entry, ranking, &rule);

@@ -27,7 +27,7 @@ const SWEEPS: usize = 500;
 /// The largest final distance between the least and the largest addition of a sweep.
 const SPAN: f64 = 1e-5;
 
-/// A network whose only energy costs are those of sensing.
+/// A network in which only sensing costs energy.
 struct SixDevices {
     /// The probability of an arrival.
     p: f64,

@@ -287,11 +287,11 @@ mod tests {
             change(&mut invalid);
             compare(&invalid).expect_err("refused").to_string()
         };
-        assert!(error_with(&|s| s.sample.devices = 1).contains("devices = 1"));
-        assert!(error_with(&|s| s.sample.ttis = 0).contains("ttis = 0"));
-        assert!(error_with(&|s| s.bin_width = 1000.0).contains("bin = 1000"));
-        assert!(error_with(&|s| s.e_b = Energy::ZERO).contains("e-b = 0"));
-        assert!(error_with(&|s| s.t_on = 3).contains("t_on = 3"));
-        assert!(error_with(&|s| s.lambda = 0.0).contains("Pr(arrival) = 0"));
+        assert!(error_with(&|study| study.sample.devices = 1).contains("devices = 1"));
+        assert!(error_with(&|study| study.sample.ttis = 0).contains("ttis = 0"));
+        assert!(error_with(&|study| study.bin_width = 1000.0).contains("bin = 1000"));
+        assert!(error_with(&|study| study.e_b = Energy::ZERO).contains("e-b = 0"));
+        assert!(error_with(&|study| study.t_on = 3).contains("t_on = 3"));
+        assert!(error_with(&|study| study.lambda = 0.0).contains("Pr(arrival) = 0"));
     }
 }

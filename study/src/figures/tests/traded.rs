@@ -92,7 +92,7 @@ fn the_values_of_a_field_form_a_line_for_each_n() {
     let conditions: Vec<&RunCondition> = results.conditions.iter().collect();
     let fronts = front::draw_fronts(&conditions);
     let [front] = &fronts[..] else {
-        panic!("{:?}", fronts.iter().map(|f| f.n).collect::<Vec<_>>())
+        panic!("{:?}", fronts.iter().map(|front| front.n).collect::<Vec<_>>())
     };
     assert_eq!(
         (front.n, front.other_changes.len()),
