@@ -43,9 +43,10 @@ impl DashboardPage {
             .find(|(name, _)| *name == "Host")
             .map_or(&self.address[..], |(_, host)| host);
         let other_headers = headers.iter().filter(|(name, _)| *name != "Host");
-        let header_lines: String = other_headers
+        let header_lines: Vec<String> = other_headers
             .map(|(name, value)| format!("{name}: {value}\r\n"))
             .collect();
+        let header_lines = header_lines.concat();
         write!(
             stream,
             "{method} {path} HTTP/1.0\r\nHost: {host}\r\nContent-Length: 0\r\n{header_lines}\r\n"

@@ -117,7 +117,7 @@ fn invalid_payloads() -> Vec<Vec<u8>> {
         with_version(&[&[0, 0, 253][..], &[255; 8]].concat()),
         with_version(&[0; 200]),
         with_version(&noise),
-        with_version(&[1; 1 << 16]),
+        with_version(&vec![1; 1 << 16]),
     ]
 }
 

@@ -34,7 +34,8 @@ async fn external_decisions_of_a_policy_give_its_digest() {
     ];
     for (policy, fields, encoding, mode) in cases {
         let (transcript, digest) = own(policy, fields);
-        let set: String = fields.iter().map(|field| format!(" --set {field}")).collect();
+        let set: Vec<String> = fields.iter().map(|field| format!(" --set {field}")).collect();
+        let set = set.concat();
         let run = ExternallyDecidedRun::start(&format!("{mode} --audit on{set}"));
         let answer_count = run.decide(encoding, |asked| answer(&transcript, asked)).await;
         let (folder, end) = run.finish();

@@ -1,6 +1,6 @@
 //! The asynchronous part of the base station: connects the [`Session`](crate::session::Session), which decides without
-//! I/O, to the bus. [`serve()`] runs it: [`RunSpec`] describes the run, [`ServerConfig`] the settings that do not change
-//! its outcome.
+//! I/O, to the bus. [`serve()`] runs it: [`RunSpec`] describes the run, [`ServerConfig`] the settings that do not
+//! change its outcome.
 //!
 //! `subscriptions` receives all messages and checks credentials; `state` is what its callbacks share with the rest.
 //! `join` and [`admission`] assign devices to hosts. `run_loop` carries out the actions of the session, sends through

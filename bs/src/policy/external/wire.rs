@@ -19,8 +19,8 @@
 //!
 //! Virtual time stops between a request and its reply. The base station can repeat a request, for example after a lost
 //! link. A repeated request has the same `seq`, and a process with internal state must repeat its first reply. A reply
-//! that echoes another request is refused. Unknown fields are an error in a decision reply. A process must ignore unknown
-//! fields in a request, since later versions of Reveille add some.
+//! that echoes another request is refused. Unknown fields are an error in a decision reply. A process must ignore
+//! unknown fields in a request, since later versions of Reveille add some.
 
 use reveille_common::encoding::{Encoding, FloatRows, Octets};
 use reveille_common::ids::{DeviceId, Tti};
@@ -315,8 +315,8 @@ pub struct ReplyCredentials {
     pub key: String,
 }
 
-/// Reply to a decision request. Exactly one of `action`, `sense`, `cycles` and `wake` holds the decision. A device that a
-/// list names twice counts once.
+/// Reply to a decision request. Exactly one of `action`, `sense`, `cycles` and `wake` holds the decision. A device that
+/// is named twice counts once.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 // Repeats the fields of `WireHeader` and `ReplyCredentials`: serde cannot flatten and also deny unknown fields.
 #[serde(deny_unknown_fields)]

@@ -1,6 +1,6 @@
 //! Client side of the policy port, for a Rust process that decides for a run. On the bus the base station asks and this
-//! process replies, so the "client" serves. `python/reveille/policy_client.py` is the same client in Python: a change of
-//! the protocol concerns both.
+//! process replies, so the "client" serves. `python/reveille/policy_client.py` is the same client in Python: a change
+//! of the protocol concerns both.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -133,8 +133,8 @@ impl ClientSession<'_> {
         }
     }
 
-    /// Returns the reply to the decision request in `payload`, in the same encoding; `None` if the request is for another
-    /// policy process.
+    /// Returns the reply to the decision request in `payload`, in the same encoding; `None` if the request is for
+    /// another policy process.
     ///
     /// # Errors
     /// Describes the error in `payload`.
