@@ -491,7 +491,7 @@ mod tests {
             parse(&(first.clone() + &removal), &scenario).expect("a log").outages,
             [outage(0, 1, 1)]
         );
-        for decision in [plan(0, plan_of_one(3), 1), wake(0, &[1])] {
+        for decision in [plan_decision(0, plan_of_one(3), 1), wake_decision(0, &[1])] {
             let with_decision = first.clone() + &removal + &line(&ExternalInput::Decision(decision));
             assert!(matches!(error_of(&with_decision), InputLogError::DecisionInVersion1(3)));
         }

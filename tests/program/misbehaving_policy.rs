@@ -9,7 +9,7 @@ use reveille_bs::server::policy_port::client::{self, ClientIdentity};
 use reveille_common::bus::{Bus, PortRequest};
 use reveille_common::encoding::Encoding;
 use reveille_common::secret::Secret;
-use reveille_tests::external_policy::{ExternallyDecidedRun, MisbehavingPolicy, answer, own, say};
+use reveille_tests::external_policy::{ExternallyDecidedRun, MisbehavingPolicy, answer, own, send_reply};
 use reveille_tests::process::PATIENCE;
 use serde_json::{Value, json};
 
@@ -49,7 +49,7 @@ async fn a_repeated_answer_counts_once() {
     rogue
         .serve(|question, asked| {
             for _ in 0..2 {
-                say(question, &rogue.idle(asked));
+                send_reply(question, &rogue.idle(asked));
             }
             asked["tti"] != 399
         })
@@ -77,7 +77,7 @@ async fn invalid_answers_end_the_run_or_are_dropped() {
             .serve(|question, asked| {
                 let mut answer = rogue.idle(asked);
                 corrupt(&mut answer);
-                say(question, &answer);
+                send_reply(question, &answer);
                 refusals_received += u32::from(asked["refused"].is_string());
                 true
             })
@@ -98,7 +98,7 @@ async fn invalid_answers_end_the_run_or_are_dropped() {
         }),
         ("dropped an answer", |question, mut answer| {
             answer["id"] = json!("another");
-            say(question, &answer);
+            send_reply(question, &answer);
         }),
         ("returned an error: no time", |question, _| {
             question.reply_error("no time").expect("answered");
@@ -129,7 +129,7 @@ async fn invalid_answers_end_the_run_or_are_dropped() {
                 answer["id"] = json!("rogue");
                 answer["next"] = json!(3);
             }
-            say(question, &answer);
+            send_reply(question, &answer);
             asked["tti"] != 399
         })
         .await;

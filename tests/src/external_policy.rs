@@ -109,7 +109,7 @@ impl ExternallyDecidedRun {
             run_key: Some(self.key()),
             encoding,
         };
-        let answer_count = client::decide(&self.bus().await, &identity, &mut decide).await;
+        let answer_count = client::serve_decisions(&self.bus().await, &identity, &mut decide).await;
         answer_count.expect("the bus is open")
     }
 
@@ -150,7 +150,7 @@ impl MisbehavingPolicy {
                     "protocol": 1, "seq": request["seq"], "tti": request["tti"], "stage": "hello",
                     "id": self.id, "name": "a rogue", "key": self.key,
                 });
-                say(&question, &hello_reply);
+                send_reply(&question, &hello_reply);
             } else if !act(&question, &request) {
                 return;
             }
@@ -169,12 +169,12 @@ impl MisbehavingPolicy {
     }
 }
 
-/// Answers `question` in JSON.
+/// Replies to `request` in JSON.
 ///
 /// # Panics
 /// If the session is closed.
-pub fn say(question: &PortRequest, answer: &Value) {
-    question
-        .answer(answer.to_string().into_bytes(), Encoding::Json)
-        .expect("answered");
+pub fn send_reply(request: &PortRequest, reply: &Value) {
+    request
+        .reply(reply.to_string().into_bytes(), Encoding::Json)
+        .expect("an open session");
 }

@@ -65,7 +65,7 @@ fn digest_with_decisions(
     let mut run = step(scenario, options);
     let mut answered = 0_usize;
     while let Some(request) = run.pending_decision() {
-        let k = request.seen.now;
+        let k = request.observation.now;
         match request.stage {
             DecisionStage::Plan => {
                 answered = 0;
@@ -136,7 +136,7 @@ fn an_unlimited_plan_is_not_requested_again() {
     let mut run = step(&external(&[]), RunOptions::default());
     let mut plan_requests = 0;
     while let Some(request) = run.pending_decision() {
-        match transcript.answer(request.stage, request.seen.now, |j| request.may_wake(j)) {
+        match transcript.answer(request.stage, request.observation.now, |j| request.may_wake(j)) {
             Decision::Plan(PlanDecision { plan, .. }) => {
                 plan_requests += 1;
                 let next = Tti::NEVER;
@@ -150,8 +150,8 @@ fn an_unlimited_plan_is_not_requested_again() {
 
 /// Returns the full content of a decision request as text.
 fn request_text(request: &DecisionContext<'_>) -> String {
-    let seen = &request.seen;
-    let n = request.seen.known.n() as u32;
+    let seen = &request.observation;
+    let n = request.observation.known.n() as u32;
     let device_knowledge = |j| {
         let j = DeviceId(j);
         (seen.can_report(j), request.may_wake(j), seen.is_asleep(j))
@@ -161,7 +161,7 @@ fn request_text(request: &DecisionContext<'_>) -> String {
     let mut device_features = vec![0.0; n as usize * DEVICE_FEATURES.len()];
     let (mut global_features, mut mask) = ([0.0; GLOBAL_FEATURES.len()], vec![0; n as usize]);
     request.write_devices(&mut device_features);
-    request.write_global(&mut global_features);
+    request.write_globals(&mut global_features);
     request.write_mask(&mut mask);
     let features = (device_features, global_features, mask);
     let hello = Hello::new("run".to_owned(), seen.known);
@@ -178,7 +178,7 @@ fn answer_randomly(run: &mut SteppedRun<CommandTranscript>, stream: &mut Stream)
     let mut requests = Vec::new();
     while let Some(request) = run.pending_decision() {
         requests.push(request_text(&request));
-        let (n, k) = (request.seen.known.n() as u64, request.seen.now);
+        let (n, k) = (request.observation.known.n() as u64, request.observation.now);
         match request.stage {
             DecisionStage::Plan => run.decide(PlanDecision {
                 plan: Plan::from_bits((0..n).map(|_| stream.below(12) == 0)),
@@ -201,14 +201,14 @@ fn invalid_wake_ups_and_plans_are_corrected() {
     let mut run = step(&scenario, RunOptions::default());
     let mut wake_answers = 0;
     while let Some(request) = run.pending_decision() {
-        let n = request.seen.known.n() as u32;
+        let n = request.observation.known.n() as u32;
         let all_devices: Vec<DeviceId> = (0..n).map(DeviceId).collect();
         match request.stage {
             DecisionStage::Plan => {
                 assert!(all_devices.iter().all(|j| !request.may_wake(*j)));
                 // Plans for devices that do not exist, every second one with invalid cycles. One or two devices sense.
-                let is_odd = request.seen.now.0 % 2 == 1;
-                let sensing_device = (request.seen.now.0 % u64::from(n)) as usize;
+                let is_odd = request.observation.now.0 % 2 == 1;
+                let sensing_device = (request.observation.now.0 % u64::from(n)) as usize;
                 let plan = if is_odd {
                     let is_on = |j| j >= n as usize || j == sensing_device || j + 1 == sensing_device;
                     Plan::from_bits((0..n as usize + 9).map(is_on))
@@ -227,12 +227,12 @@ fn invalid_wake_ups_and_plans_are_corrected() {
                 run.decide(PlanDecision { plan, next });
             }
             DecisionStage::Wake => {
-                let k = request.seen.now;
+                let k = request.observation.now;
                 let woken_before = run.observer().wake_ups_in(k).to_vec();
                 let awake: Vec<DeviceId> = all_devices
                     .iter()
                     .copied()
-                    .filter(|j| !request.seen.is_asleep(*j))
+                    .filter(|j| !request.observation.is_asleep(*j))
                     .collect();
                 assert!(request.heard.iter().all(|report| report.tti == k));
                 let wakeable = all_devices.iter().copied().filter(|j| request.may_wake(*j));
@@ -278,7 +278,7 @@ fn a_run_stops_at_the_first_decision_missing_in_its_input_log() {
         let mut run = step(&scenario, RunOptions::default());
         let (mut stream, mut decisions) = (Stream::new(9, Purpose::Training, 0), Vec::new());
         while let Some(request) = run.pending_decision() {
-            let (tti, n) = (request.seen.now, request.seen.known.n() as u64);
+            let (tti, n) = (request.observation.now, request.observation.known.n() as u64);
             let decision = match request.stage {
                 DecisionStage::Plan => Decision::Plan(PlanDecision {
                     plan: Plan::from_bits((0..n).map(|_| stream.below(9) == 0)),
@@ -329,7 +329,7 @@ fn a_fork_continues_independently() {
         let mut run = step(&scenario, RunOptions::default());
         for _ in 0..answers {
             let request = run.pending_decision().expect("a request");
-            let (k, n) = (request.seen.now, request.seen.known.n() as u64);
+            let (k, n) = (request.observation.now, request.observation.known.n() as u64);
             match request.stage {
                 DecisionStage::Plan => run.decide(PlanDecision {
                     plan: Plan::from_bits((0..n).map(|j| (j + k.0) % 9 == 0)),

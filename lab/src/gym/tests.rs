@@ -157,7 +157,7 @@ fn rewards_follow_the_formulas_of_the_paper() {
     let mut environment = Environment::new(EpisodeTemplate::new(&scenario), RewardWeights { mu1: 3.0, mu2: 5.0 });
     let mut gains = 0;
     while let Some(question) = environment.pending_decision() {
-        let (now, information_before) = (question.seen.now, question.seen.information);
+        let (now, information_before) = (question.observation.now, question.observation.information);
         let wakeable: Vec<usize> = (0..DEVICES)
             .filter(|j| question.may_wake(DeviceId(*j as u32)))
             .collect();
@@ -176,9 +176,9 @@ fn rewards_follow_the_formulas_of_the_paper() {
         // Without a further question in this TTI, the information after the wake-ups is not known.
         if let Some(question) = environment
             .pending_decision()
-            .filter(|question| question.seen.now == now)
+            .filter(|question| question.observation.now == now)
         {
-            let gain = (question.seen.information - information_before) / 2.0;
+            let gain = (question.observation.information - information_before) / 2.0;
             assert!(
                 (step.information - 5.0 * gain).abs() < 1e-9,
                 "gain {gain}, step {step:?}"

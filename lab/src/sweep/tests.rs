@@ -172,7 +172,7 @@ fn former_names_of_fields_are_accepted_with_a_warning() {
     let mut above = ExperimentBuilder::default();
     let values = vec![toml::Value::Float(0.2)];
     above.add_axis("--grid", "policy.dt.in_vain", values).expect("valid");
-    let file = draft("policies = [\"dt\"]\n[set]\nradio.false_wake = 0.1").expect("valid");
+    let file = parse_experiment("policies = [\"dt\"]\n[set]\nradio.false_wake = 0.1").expect("valid");
     let experiment = above.with_defaults_from(file).build().expect("valid");
     let [cell] = &SweepGrid::new(experiment, &Disk).expect("valid").cells[..] else {
         panic!("one cell");
