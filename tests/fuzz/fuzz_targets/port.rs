@@ -36,7 +36,7 @@ fn check_decision(encoding: Encoding, bytes: &[u8]) {
     // The first TTI after it must exist.
     let tti = Tti(reply.tti.min(u64::MAX / 2));
     for stage in [DecisionStage::Plan, DecisionStage::Wake] {
-        let decision = match reply.decode(stage, tti, DEVICES) {
+        let decision = match reply.decision(stage, tti, DEVICES) {
             Ok(decision) => decision,
             Err(reason) => {
                 assert!(!reason.trim().is_empty());
@@ -60,7 +60,7 @@ fn check_decision(encoding: Encoding, bytes: &[u8]) {
         let received: DecisionReply = encoding
             .decode(&encoding.encode(&sent))
             .expect("an encoded reply decodes");
-        assert_eq!(received.decode(stage, tti, DEVICES), Ok(decision));
+        assert_eq!(received.decision(stage, tti, DEVICES), Ok(decision));
     }
 }
 

@@ -245,7 +245,7 @@ mod tests {
             let mut run = SteppedRun::new(scenario, FrameObserver::new(0, |frame| frames.borrow_mut().push(frame)));
             let (mut stream, mut inputs) = (Stream::new(3, Purpose::Training, 0), Vec::new());
             while let Some(question) = run.pending_decision() {
-                let (tti, n) = (question.seen.now, question.seen.known.n() as u64);
+                let (tti, n) = (question.observation.now, question.observation.known.n() as u64);
                 let mut random_device = || DeviceId(stream.below(n) as u32);
                 let decision = match question.stage {
                     DecisionStage::Plan => Decision::Plan(PlanDecision {
