@@ -32,8 +32,8 @@ struct BusSample {
 pub(super) fn run(args: &BusBenchArgs) -> anyhow::Result<ExitCode> {
     let (sizes, seconds) = (message_sizes(), args.time.as_secs_f64());
     display::print_stdout(&format!(
-        "preset paper, knn; a tick of {} B, an answer of {} B; medians of {} repetitions of {} s\n",
-        sizes.tick, sizes.answer, args.repeat, seconds
+        "preset paper, knn; a grant of {} B, an answer of {} B; medians of {} repetitions of {} s\n",
+        sizes.grant, sizes.answer, args.repeat, seconds
     ))?;
     display::print_stdout(
         "TTIs (rounds) per second; `ratio`: emulator without lookahead / bare zenoh barrier; `tuning`: emulator \
@@ -85,7 +85,7 @@ pub(super) fn run(args: &BusBenchArgs) -> anyhow::Result<ExitCode> {
 fn message_sizes() -> Sizes {
     // A TTI in the middle of a run: the encoding of small numbers is shorter.
     let tti = Tti(5_000);
-    let tick = ClockMessage::Grant(GrantMessage {
+    let grant = ClockMessage::Grant(GrantMessage {
         first: tti,
         last: tti,
         stimulus: None,
@@ -104,7 +104,7 @@ fn message_sizes() -> Sizes {
         views: None,
     };
     Sizes {
-        tick: codec::encode(&tick).len(),
+        grant: codec::encode(&grant).len(),
         answer: codec::encode(&answer).len(),
     }
 }
