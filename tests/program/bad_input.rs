@@ -193,6 +193,36 @@ fn a_usage_error_has_exit_code_2() {
         ("device --connect tcp/127.0.0.1:1", "--run"),
         ("device --connect tcp/127.0.0.1:1 --run x --count 0", "--count"),
         ("inspect tail --kind gossip", "--kind"),
+        (
+            "inspect tail --since 10 --until 5",
+            "--since 10 is larger than --until 5",
+        ),
+        (
+            "inspect stats --since 10 --until 5",
+            "--since 10 is larger than --until 5",
+        ),
+        (
+            "inspect export run.mcap --to csv --since 1 --until 0",
+            "--since 1 is larger than --until 0",
+        ),
+        ("tune --mu1 20,0.5", "20 is larger than 0.5"),
+        (
+            "run --pace 10ms",
+            "`--pace` is an option of `up` and `bs`; `run` runs without a clock",
+        ),
+        (
+            "bs --run x --processes 3",
+            "`--processes` is an option of `up`; `bs` waits for processes",
+        ),
+        (
+            "figures sweep a --x devices --y info",
+            "a similar value exists: 'info_p1'",
+        ),
+        ("figures a --only energi", "a similar value exists: 'energy'"),
+        (
+            "sweep --until-ci 1% --ci-metrics info_p",
+            "a similar value exists: 'info_p1'",
+        ),
         ("clock backwards", "backwards"),
         ("nonsense", "nonsense"),
     ] {
@@ -211,6 +241,28 @@ fn a_port_in_use_is_reported() {
         assert_refused(&end, 1, &["cannot listen on", &endpoint, "in use", "--listen"]);
         assert!(folder.list("runs").is_empty() && !folder.join("out").exists(), "{end}");
     }
+}
+
+#[test]
+fn a_port_in_use_of_a_watcher_has_alternatives() {
+    let folder = TestFolder::new();
+    let taken = TcpListener::bind("127.0.0.1:0").expect("a free port");
+    let address = taken.local_addr().expect("bound");
+    for (command, option) in [
+        ("run", "--metrics"),
+        ("up", "--metrics"),
+        ("up", "--dashboard"),
+        ("dashboard", "--listen"),
+    ] {
+        let cause = format!("{option} {address}: the port is in use; choose another port");
+        let free = format!("{option} 127.0.0.1:0");
+        assert_refused(
+            &folder.run(&format!("{command} {option} {address}")),
+            1,
+            &[&cause, &free],
+        );
+    }
+    assert_untouched(&folder, &[]);
 }
 
 #[test]
@@ -323,8 +375,15 @@ fn a_folder_that_holds_no_run_is_never_replaced() {
 fn a_folder_without_write_access_is_named() {
     let folder = TestFolder::new();
     folder.write("file", "");
-    let end = folder.run("run -s quick --out file");
-    assert_refused(&end, 1, &["file"]);
+    for command in [
+        "run -s quick",
+        "run -s quick --force",
+        "up -s quick",
+        "sweep --seeds 1 -k 100",
+    ] {
+        let end = folder.run(&format!("{command} --out file"));
+        assert_refused(&end, 1, &["--out file: is a file, not a folder; name a folder"]);
+    }
     let end = folder.run("up -s quick --out file/below");
     assert_refused(&end, 1, &["file/below"]);
     // Root can write everywhere except in a place like this one.
@@ -417,6 +476,33 @@ fn an_invalid_input_log_is_refused() {
             assert_refused(&end, 1, &["some.log", reason]);
             assert_untouched(&folder, &["some.log"]);
         }
+    }
+}
+
+#[test]
+fn a_folder_without_decisions_is_refused_with_the_cause() {
+    let folder = TestFolder::new();
+    assert!(folder.run("run -s quick -q --out built-in").is_success());
+    let end = folder.run("up -s quick -p external --policy-command false -P 1 --out failed");
+    assert_eq!(end.code(), Some(1), "{end}");
+    fs::create_dir(folder.join("empty")).expect("writable");
+    for (path, cause) in [
+        ("nowhere", "no such file or folder"),
+        ("empty", "the folder holds no run"),
+        ("built-in", "the folder holds no inputs.log"),
+        (
+            "failed",
+            "the folder holds no inputs.log: the run failed (the policy process `false` ended with",
+        ),
+    ] {
+        let end = folder.run(&format!("run --policy replay={path} --out out"));
+        let cause = format!("reveille: --policy replay={path}: {cause}");
+        assert_refused(
+            &end,
+            1,
+            &[&cause, "; name the inputs.log of a run with --policy external"],
+        );
+        assert!(folder.list("out").is_empty(), "{path}");
     }
 }
 

@@ -95,9 +95,9 @@ fn files_that_are_not_result_tables_are_refused() {
     let end = folder.run("figures junk.parquet --only energy,speed");
     assert_refused(
         &end,
-        1,
+        2,
         &[
-            "figure `speed`",
+            "'speed' for '--only",
             "information, information-per-event, energy, misdetection",
             "harvest, net, pareto, delay, front",
         ],
@@ -296,10 +296,23 @@ fn a_user_sweep_is_drawn_against_its_field() {
         assert!(!folder.join("c").exists(), "{args} left files");
     };
     refused("--x colour", &["`colour`", "devices, ttis, harvest.lambda"]);
-    refused("--x harvest.lambda --y speed", &["`speed`", "info_p1"]);
+    refused(
+        "--x harvest.lamda",
+        &["`harvest.lamda`", "did you mean `harvest.lambda`?"],
+    );
+    refused(
+        "--x harvest.lambda --by device",
+        &["`device`", "did you mean `devices`?"],
+    );
     refused("--x harvest.lambda --where n=20", &["devices = 20", "10, 100"]);
-    let end = folder.run("figures sweep mine --x harvest.lambda --where devices");
-    assert_eq!(end.code(), Some(2), "{end}");
+    for (args, parts) in [
+        ("--where devices", &["FIELD=VALUE"][..]),
+        ("--y speed", &["'speed'", "info_p1"]),
+        ("--y info", &["a similar value exists: 'info_p1'"]),
+    ] {
+        let end = folder.run(&format!("figures sweep mine --x harvest.lambda {args}"));
+        assert_refused(&end, 2, parts);
+    }
 }
 
 #[test]

@@ -399,10 +399,25 @@ fn invalid_policy_options_are_refused_before_a_folder_exists() {
             format!("up {SMALL} --policy replay=missing.log --on-undecided hold"),
             "missing.log",
         ),
-        ("sweep --policies external --seeds 1".to_owned(), "external"),
+        (
+            "sweep --policies knn,external --seeds 1".to_owned(),
+            "--policies: policy external needs a policy process, and runs in memory have none; start each run with \
+             `reveille up --policy external",
+        ),
+        (
+            "train record --set policy.name=external --seeds 1".to_owned(),
+            "--set policy.name=external: policy external needs a policy process",
+        ),
+        (
+            "sweep --policies replay=empty.log --seeds 1".to_owned(),
+            "use `reveille run --policy replay=empty.log`",
+        ),
         (format!("figures timeline {SMALL} -p external"), "policy external: only"),
         (format!("run {SMALL} --policy replay="), "name the inputs.log of a run"),
-        (format!("run {SMALL} --policy replay=runtime"), "runtime/inputs.log"),
+        (
+            format!("run {SMALL} --policy replay=runtime"),
+            "the folder holds no run",
+        ),
         (
             format!("run {SMALL} --policy replay=empty.log"),
             "the input log is empty",

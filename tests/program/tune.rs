@@ -90,9 +90,9 @@ mod with_the_feature {
         let folder = TestFolder::new();
         folder.write("foreign.csv", "a,b\n1,2\n");
         for (args, code, part) in [
-            ("--mu1 20,0.5", 1, "mu1 = 20,0.5"),
+            ("--mu1 20,0.5", 2, "20 is larger than 0.5"),
             ("--mu2 0,5", 1, "mu2 = 0,5"),
-            ("--mu2 1", 1, "--mu2: must be the smallest and the largest"),
+            ("--mu2 1", 2, "must be two numbers, the smaller one first"),
             ("--design 2", 1, "design = 2"),
             ("-n 0", 1, "devices"),
             ("-n many", 1, "devices"),

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 use reveille_bs::policy::registry;
+use reveille_common::ids::MAX_DEVICES;
 
 use super::examples::examples;
 use super::parse::{any_whole, parse_number, policy_help, whole};
@@ -123,14 +124,14 @@ pub(crate) struct BatteryArgs {
     #[arg(long, default_value = "0,0.01,0.05", allow_hyphen_values = true)]
     pub activation: String,
     /// Number of simulated devices whose battery levels are measured.
-    #[arg(long, short = 'n', default_value_t = 16, value_parser = whole(0..=u32::MAX), allow_negative_numbers = true)]
+    #[arg(long, short = 'n', default_value_t = 16, value_parser = whole(2..=MAX_DEVICES), allow_negative_numbers = true)]
     pub devices: u32,
     /// Measured TTIs per device, after a warm-up of a tenth of this number.
     #[arg(
         long,
         short = 'k',
         default_value_t = 1_000_000,
-        value_parser = whole(0..=u64::MAX),
+        value_parser = whole(1..=u64::MAX),
         allow_negative_numbers = true
     )]
     pub ttis: u64,

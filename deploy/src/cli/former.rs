@@ -50,11 +50,9 @@ pub(crate) fn replace_former_names(args: impl IntoIterator<Item = OsString>) -> 
             let value = text.strip_prefix(option).and_then(|rest| rest.strip_prefix('='));
             let value = value.or_else(|| (args[at - 1] == option).then_some(text));
             let Some(list) = value else { continue };
-            let current: Vec<&str> = list.split(',').map(current_name).collect();
-            let renamed = list
-                .split(',')
-                .zip(&current)
-                .filter(|(former, current)| former != *current);
+            let items = || list.split(',').map(str::trim);
+            let current: Vec<&str> = items().map(current_name).collect();
+            let renamed = items().zip(&current).filter(|(former, current)| former != *current);
             warnings.extend(renamed.map(|(former, current)| warning(former, current)));
             args[at] = format!("{}{}", &text[..text.len() - list.len()], current.join(",")).into();
         }

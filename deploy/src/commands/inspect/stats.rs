@@ -10,6 +10,7 @@ use reveille_common::message::{MessageKind, Plane};
 use reveille_view::traffic::{MessageCount, TrafficStats};
 use serde_json::{Value, json};
 
+use super::check_tti_range;
 use super::source::FrameSource;
 use crate::cli::StatsArgs;
 use crate::display::{note, print_stdout};
@@ -20,6 +21,7 @@ const WATCH_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Counts until the run or recording ends, or a signal arrives.
 pub(super) async fn run(args: &StatsArgs) -> anyhow::Result<ExitCode> {
+    check_tti_range(args.since, args.until)?;
     let mut source = FrameSource::open(args.from.as_deref(), &args.target).await?;
     let devices = source.bundle().await?.load()?.run.devices;
     if let Some(since) = args.since {
