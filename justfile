@@ -3,6 +3,9 @@
 # Tools that `just tools` installs. Programs elsewhere on the path take precedence.
 export PATH := env("PATH") + ":" + justfile_directory() / "target/venv/bin"
 
+# Recipes receive their arguments as "$1", "$2" and so on, which keeps quoted spaces.
+set positional-arguments
+
 # List the recipes.
 default:
     @just --list
@@ -20,7 +23,7 @@ full:
 
 # Start a base station and device processes, and show the run.
 up *arguments:
-    cargo run --release --locked -- up {{ arguments }}
+    cargo run --release --locked -- up "$@"
 
 # Build the documentation of the code, in target/doc.
 doc:

@@ -25,7 +25,6 @@ pub struct BaseStation {
     policy: Box<dyn Policy>,
     /// Whether the policy receives ground truth.
     has_oracle: bool,
-    /// Whether the policy is `external`.
     is_external: bool,
     /// TTI in which the policy decides next.
     next_decision: Tti,
@@ -160,13 +159,11 @@ impl BaseStation {
         self.external_and_view().0.set_plan(decision);
     }
 
-    /// Sets the wake-ups of an external policy in TTI `tti`.
     pub(crate) fn set_wake_ups(&mut self, tti: Tti, devices: &[DeviceId]) {
         let (external, view) = self.external_and_view();
         external.set_wake_ups(&view.observation(tti), devices);
     }
 
-    /// Returns the external policy and the data of its observations.
     fn external_and_view(&mut self) -> (&mut External, &PolicyView) {
         let policy: &mut dyn Any = &mut *self.policy;
         let external = policy.downcast_mut();
@@ -315,7 +312,6 @@ impl BaseStation {
     }
 }
 
-/// Returns `policy` if an external program decides for it.
 fn downcast_external(policy: &dyn Policy) -> Option<&External> {
     let policy: &dyn Any = policy;
     policy.downcast_ref()

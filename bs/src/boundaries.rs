@@ -4,7 +4,6 @@
 use reveille_common::ids::Tti;
 use reveille_common::scenario::Scenario;
 
-/// The account boundaries of a run.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Boundaries {
     warm_up_end: Tti,
@@ -46,7 +45,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn boundaries_are_found_one_after_another() {
+    fn boundaries_come_in_order() {
         let boundaries = Boundaries {
             warm_up_end: Tti(25),
             end: Tti(95),
@@ -59,11 +58,11 @@ mod tests {
             found.push(k.0);
         }
         assert_eq!(found, [20, 25, 40, 60, 80, 95]);
-        let whole = Boundaries {
+        let without_windows = Boundaries {
             window: u64::MAX,
             warm_up_end: Tti::ZERO,
             end: Tti(7),
         };
-        assert_eq!(whole.next_boundary(Tti::ZERO), Tti(7));
+        assert_eq!(without_windows.next_boundary(Tti::ZERO), Tti(7));
     }
 }

@@ -25,7 +25,6 @@ pub(crate) struct Band {
     pub(crate) bound: f64,
 }
 
-/// Maximum number of cached grids.
 const MAX_GRIDS: usize = 32;
 
 /// The bits of η and d_max, which determine the grid of a sensing model.

@@ -78,7 +78,6 @@ pub struct Cycle {
     next_tti: Tti,
     /// Whether a grant is out and its last TTI is not closed.
     is_open: bool,
-    /// Wake-ups of the open TTI.
     wake_up_count: u32,
     /// The TTI of each device's last wake-up, in the order of ids; [`Tti::NEVER`] before the first.
     last_woken: Vec<Tti>,
@@ -201,8 +200,11 @@ impl Cycle {
         })
     }
 
-    /// Grants TTIs from [`Self::next_tti`] to before `horizon`. Also returns the plans sent in them, TTI by TTI: a new
-    /// plan, or the current plan again for synchronisation.
+    /// Grants TTIs from [`Self::next_tti`] on, all before `horizon`. The grant ends earlier at the first TTI in which a
+    /// device can detect an event, and before a TTI whose plan must still be decided.
+    ///
+    /// Also returns the plans sent in the granted TTIs, TTI by TTI: a new plan, or the current plan again for
+    /// synchronisation.
     ///
     /// # Panics
     /// If the last grant is still open, `horizon` is not after the next TTI, or [`Self::needs_plan`].
@@ -326,7 +328,7 @@ impl Cycle {
     /// Returns their number.
     fn transmit_reports(&mut self, tti: Tti, reports: &mut [Report], observer: &mut impl Observer) -> usize {
         // The base station never sees a lost report, so the score and the observer must count it here.
-        let air = self.world.channel_at(tti);
+        let air = self.world.losses_at(tti);
         let mut arrived = 0;
         for i in 0..reports.len() {
             let report = reports[i];
@@ -363,7 +365,7 @@ impl Cycle {
     ) -> CycleStep {
         let WakeOrder { tti, device, .. } = *order;
         // Only the radio model determines whether the report was lost on the way; the device does not know.
-        let outcome = &outcome.after_uplink(&self.world.channel_at(tti));
+        let outcome = &outcome.after_uplink(&self.world.losses_at(tti));
         // `is_far` needs an open event. There is one, since the world closes it only after the last wake-up.
         self.score
             .record_wake_up_outcome(tti, device, outcome, self.world.is_beyond_d_max(device));

@@ -97,22 +97,30 @@ mod tests {
     use crate::message::WakeUp;
 
     #[test]
-    fn a_message_comes_back_and_has_the_stated_length() {
+    fn a_message_round_trips_and_encoded_len_is_exact() {
+        // 250 is the largest integer that takes one byte.
         for tti in [0, 250, 251, 70_000, u64::MAX] {
             let wake = WakeUp { tti: Tti(tti) };
             let payload = encode(&wake);
             assert_eq!(decode::<WakeUp>(&payload).expect("valid"), wake);
-            assert_eq!(encoded_len(&wake), payload.len() as u64);
+            assert_eq!(encoded_len(&wake), payload.len() as u64, "TTI {tti}");
         }
     }
 
     #[test]
-    fn other_payloads_are_refused() {
-        let good = encode(&WakeUp { tti: Tti(3) });
-        let longer = [&good[..], &[0]].concat();
+    fn invalid_payloads_are_refused() {
+        let other_version = WIRE_VERSION + 1;
+        let valid = encode(&WakeUp { tti: Tti(3) });
+        let with_trailing_byte = [&valid[..], &[0]].concat();
         assert!(matches!(decode::<WakeUp>(&[]), Err(CodecError::Empty)));
-        assert!(matches!(decode::<WakeUp>(&[9, 3]), Err(CodecError::Version(9))));
-        assert!(matches!(decode::<WakeUp>(&good[..1]), Err(CodecError::Malformed(_))));
-        assert!(matches!(decode::<WakeUp>(&longer), Err(CodecError::Trailing(1))));
+        assert!(matches!(
+            decode::<WakeUp>(&[other_version, 3]),
+            Err(CodecError::Version(version)) if version == other_version
+        ));
+        assert!(matches!(decode::<WakeUp>(&valid[..1]), Err(CodecError::Malformed(_))));
+        assert!(matches!(
+            decode::<WakeUp>(&with_trailing_byte),
+            Err(CodecError::Trailing(1))
+        ));
     }
 }

@@ -164,7 +164,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rows_and_octets_come_back_in_either_form() {
+    fn rows_and_octets_round_trip_in_both_encodings() {
         let rows = FloatRows {
             width: 3,
             values: vec![0.1, -1.5, 1.0 / 3.0, f32::MIN_POSITIVE, 0.0, 7e12],
@@ -177,27 +177,35 @@ mod tests {
             Ok((rows.clone(), octets.clone()))
         );
         let cbor = Encoding::Cbor.encode(&(&rows, &octets));
-        let (one_row, again) = Encoding::Cbor.decode::<(FloatRows, Octets)>(&cbor).expect("both");
-        assert_eq!((one_row.values, one_row.width, again), (rows.values, 6, octets));
-        // In an array each of the numbers from 24 to 0 takes one or two bytes; the byte string is shorter.
-        assert!(cbor.len() < json.len());
+        // CBOR holds the rows as one byte string, without their width.
+        let (decoded_rows, decoded_octets) = Encoding::Cbor.decode::<(FloatRows, Octets)>(&cbor).expect("both");
+        assert_eq!(
+            (decoded_rows.values, decoded_rows.width, decoded_octets),
+            (rows.values, 6, octets)
+        );
+        assert!(
+            cbor.len() < json.len(),
+            "{} bytes of CBOR, {} of JSON",
+            cbor.len(),
+            json.len()
+        );
     }
 
     #[test]
-    fn what_is_none_is_refused() {
-        for bad in ["[[1],[1,2]]", "[1]", "{}", "[[\"a\"]]", "[[1]"] {
-            assert!(Encoding::Json.decode::<FloatRows>(bad.as_bytes()).is_err(), "{bad}");
+    fn invalid_values_are_refused() {
+        for text in ["[[1],[1,2]]", "[1]", "{}", "[[\"a\"]]", "[[1]"] {
+            assert!(Encoding::Json.decode::<FloatRows>(text.as_bytes()).is_err(), "{text}");
         }
-        for bad in ["[256]", "[-1]", "[1.5]", "\"a\"", "[1] 2"] {
-            assert!(Encoding::Json.decode::<Octets>(bad.as_bytes()).is_err(), "{bad}");
+        for text in ["[256]", "[-1]", "[1.5]", "\"a\"", "[1] 2"] {
+            assert!(Encoding::Json.decode::<Octets>(text.as_bytes()).is_err(), "{text}");
         }
         assert!(
             Encoding::Cbor.decode::<FloatRows>(&[0x43, 0, 0, 0]).is_err(),
-            "three bytes"
+            "a number has four bytes"
         );
         assert!(
             Encoding::Cbor.decode::<Octets>(&[0x41, 7, 7]).is_err(),
-            "a byte too many"
+            "a byte follows the octets"
         );
         assert!(Encoding::Cbor.decode::<Octets>(&[0xff]).is_err());
     }

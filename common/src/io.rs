@@ -24,8 +24,13 @@ impl Files for Disk {
             return Err(FileError::TooLong { length, max_bytes });
         }
         let mut bytes = Vec::with_capacity(length as usize);
-        // Limited a second time, because the file may have grown since its length was read.
-        std::fs::File::open(path)?.take(max_bytes).read_to_end(&mut bytes)?;
+        // Limited a second time, because the file may grow while it is read. One byte more than allowed shows this.
+        let file = std::fs::File::open(path)?;
+        file.take(max_bytes.saturating_add(1)).read_to_end(&mut bytes)?;
+        let length = bytes.len() as u64;
+        if length > max_bytes {
+            return Err(FileError::TooLong { length, max_bytes });
+        }
         Ok(bytes)
     }
 
@@ -42,13 +47,45 @@ impl Files for Disk {
 #[cfg(test)]
 pub(crate) fn assert_table(page: &str, name: &str, table: &str) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(page);
-    let [above, below] = [format!("<!-- {name} -->\n"), format!("<!-- /{name} -->")];
+    let [start_mark, end_mark] = [format!("<!-- {name} -->\n"), format!("<!-- /{name} -->")];
     let text = std::fs::read_to_string(&path).expect("the page");
-    let (before, rest) = text.split_once(&above).expect("the mark above the table");
-    let (held, after) = rest.split_once(&below).expect("the mark below the table");
-    if held != table {
-        let text = [before, &above, table, &below, after].concat();
+    let (text_before, rest) = text.split_once(&start_mark).expect("the mark above the table");
+    let (current_table, text_after) = rest.split_once(&end_mark).expect("the mark below the table");
+    if current_table != table {
+        let text = [text_before, &start_mark, table, &end_mark, text_after].concat();
         std::fs::write(&path, text).expect("writable");
         panic!("{page} was out of date and has been rewritten; commit it");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_that_grows_beyond_the_limit_is_refused() {
+        // Files in /proc state a length of 0, as a file does that grows after its length was read.
+        let growing = Path::new("/proc/self/status");
+        assert_eq!(std::fs::metadata(growing).expect("a file").len(), 0);
+        for max_bytes in [0, 10] {
+            let refused = Disk.read(growing, max_bytes).expect_err("longer");
+            assert!(
+                matches!(refused, FileError::TooLong { length, .. } if length == max_bytes + 1),
+                "{refused}"
+            );
+        }
+        let whole = Disk.read(growing, u64::MAX).expect("short enough");
+        assert!(whole.starts_with(b"Name:"), "{whole:?}");
+    }
+
+    #[test]
+    fn folders_and_special_files_are_refused_with_different_reasons() {
+        let refused = |path: &str| {
+            Disk.read(Path::new(path), 100)
+                .expect_err("no regular file")
+                .to_string()
+        };
+        assert_eq!(refused("/"), "is a folder; name a file");
+        assert_eq!(refused("/dev/null"), "is a pipe or a device; name a regular file");
     }
 }

@@ -59,21 +59,25 @@ impl fmt::Display for RunName {
 #[derive(Clone, Debug)]
 pub struct Keys {
     run: RunName,
-    /// The secret part of members' keys. Without it, as for observers, those keys match no real key.
-    secret: Option<Secret>,
+    /// The secret part of the keys that only members may use. Without it, as for observers, those keys match no real
+    /// key.
+    member_secret: Option<Secret>,
 }
 
 impl Keys {
     /// Returns the keys of `run` for a client that is not a member.
     pub const fn new(run: RunName) -> Self {
-        Self { run, secret: None }
+        Self {
+            run,
+            member_secret: None,
+        }
     }
 
     /// Returns the keys of `run` for its members.
     pub const fn for_members(run: RunName, secret: Secret) -> Self {
         Self {
             run,
-            secret: Some(secret),
+            member_secret: Some(secret),
         }
     }
 
@@ -83,8 +87,8 @@ impl Keys {
     }
 
     /// The run's secret, if these keys are a member's.
-    pub const fn secret(&self) -> Option<Secret> {
-        self.secret
+    pub const fn member_secret(&self) -> Option<Secret> {
+        self.member_secret
     }
 
     /// Returns the key of a kind that has only one, or the prefix of a kind with several keys.
@@ -157,7 +161,7 @@ impl Keys {
     }
 
     fn member_prefix(&self) -> String {
-        match self.secret {
+        match self.member_secret {
             Some(secret) => format!("reveille/{}/@{secret}", self.run),
             // A member's key has the secret behind the `@`, so this one matches none.
             None => format!("reveille/{}/@", self.run),
@@ -188,7 +192,7 @@ mod tests {
 
     const SECRET: Secret = Secret::new([0xab; 16]);
 
-    fn pass() -> HostCredential {
+    fn credential() -> HostCredential {
         HostCredential {
             host: HostId(2),
             token: Secret::new([0x01; 16]),
@@ -196,15 +200,15 @@ mod tests {
     }
 
     #[test]
-    fn run_names_cannot_break_out_of_their_key() {
-        for bad in ["", "a/b", "*", "a b", "é", &"x".repeat(65), "a$", "-x", "@x"] {
-            assert!(bad.parse::<RunName>().is_err(), "{bad:?}");
+    fn run_names_contain_no_syntax_of_keys() {
+        for name in ["", "a/b", "*", "a b", "é", &"x".repeat(65), "a$", "-x", "@x"] {
+            assert!(name.parse::<RunName>().is_err(), "{name:?}");
         }
         assert!("Run-7_b".parse::<RunName>().is_ok());
     }
 
     #[test]
-    fn members_have_keys_that_no_wildcard_matches() {
+    fn member_keys_contain_the_secret_as_a_verbatim_chunk() {
         let keys = Keys::for_members("r1".parse().expect("valid"), SECRET);
         let secret = "ab".repeat(16);
         let token = "01".repeat(16);
@@ -224,20 +228,23 @@ mod tests {
             format!("reveille/r1/@{secret}/air/wake/2/17")
         );
         assert_eq!(
-            keys.uplink(MessageKind::Report, pass()),
+            keys.uplink(MessageKind::Report, credential()),
             format!("reveille/r1/@{secret}/air/report/2/{token}")
         );
         assert_eq!(keys.base_key(MessageKind::Join), "reveille/r1/emu/join");
-        let stranger = Keys::new("r1".parse().expect("valid"));
-        assert_eq!(stranger.base_key(MessageKind::Join), keys.base_key(MessageKind::Join));
-        assert_eq!(stranger.base_key(MessageKind::Clock), "reveille/r1/@/emu/clock");
+        let outsider = Keys::new("r1".parse().expect("valid"));
+        assert_eq!(outsider.base_key(MessageKind::Join), keys.base_key(MessageKind::Join));
+        assert_eq!(outsider.base_key(MessageKind::Clock), "reveille/r1/@/emu/clock");
     }
 
     #[test]
-    fn a_pass_is_read_off_the_keys_that_carry_it() {
+    fn a_credential_is_read_from_the_keys_that_contain_it() {
         let keys = Keys::for_members("r1".parse().expect("valid"), SECRET);
-        for key in [keys.uplink(MessageKind::Answer, pass()), keys.host_liveliness(pass())] {
-            assert_eq!(HostCredential::from_key(&key), Some(pass()), "{key}");
+        for key in [
+            keys.uplink(MessageKind::Answer, credential()),
+            keys.host_liveliness(credential()),
+        ] {
+            assert_eq!(HostCredential::from_key(&key), Some(credential()), "{key}");
         }
         for other in ["", "2", "x/2/3", "reveille/r1/emu/answer/2/0101", "-2/01", "*/*"] {
             assert_eq!(HostCredential::from_key(other), None, "{other}");
@@ -245,12 +252,16 @@ mod tests {
     }
 
     #[test]
-    fn keys_are_classified() {
+    fn keys_are_classified_by_kind_and_host() {
         let keys = Keys::for_members("r1".parse().expect("valid"), SECRET);
         for &kind in MessageKind::ALL {
-            assert_eq!(classify(&keys.base_key(kind)), Some((kind, None)));
-            assert_eq!(classify(&keys.to_all_hosts(kind)), Some((kind, None)));
-            assert_eq!(classify(&keys.uplink(kind, pass())), Some((kind, Some(2))));
+            assert_eq!(classify(&keys.base_key(kind)), Some((kind, None)), "{kind:?}");
+            assert_eq!(classify(&keys.to_all_hosts(kind)), Some((kind, None)), "{kind:?}");
+            assert_eq!(
+                classify(&keys.uplink(kind, credential())),
+                Some((kind, Some(2))),
+                "{kind:?}"
+            );
         }
         assert_eq!(classify("reveille/r1/air/clock"), None);
         assert_eq!(classify("reveille"), None);

@@ -17,9 +17,7 @@ pub struct Phase {
 #[derive(Clone, Debug)]
 pub struct Phases {
     stream: Stream,
-    /// The length of a busy phase.
     busy_ttis: Geometric,
-    /// The length of a quiet phase.
     quiet_ttis: Geometric,
     phase: Phase,
 }

@@ -197,7 +197,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn bits_come_back() {
+    fn bits_become_duty_cycles() {
         let delta = [true, false, false, true, true, false, true, false, false, true];
         let plan = Plan::from_bits(delta);
         for (j, on) in delta.into_iter().enumerate() {
@@ -208,10 +208,10 @@ mod tests {
 
     proptest! {
         #[test]
-        fn closed_forms_agree_with_counting(
-            t_drx in 1u32..40, on in 0u32..40, off in 0u32..40, from in 0u64..200, n in 0u64..300
+        fn closed_forms_equal_counts(
+            t_drx in 1u32..40, t_on in 0u32..40, offset in 0u32..40, from in 0u64..200, n in 0u64..300
         ) {
-            let cycle = DutyCycle { t_on: on.min(t_drx), t_drx, offset: off % t_drx };
+            let cycle = DutyCycle { t_on: t_on.min(t_drx), t_drx, offset: offset % t_drx };
             let on_ttis: Vec<u64> = (0..n).filter(|i| cycle.is_on(Tti(from + i))).collect();
             let remaining: u64 = on_ttis.iter().map(|i| n - i).sum();
             let span = cycle.sum_over_span(cycle.phase(Tti(from)), n as u32);

@@ -241,7 +241,6 @@ impl GapTable {
     }
 }
 
-/// Returns the seed of a stream.
 fn stream_key(seed: u64, purpose: Purpose, id: u64) -> u64 {
     mix_bits(
         mix_bits(seed ^ (purpose as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15))
@@ -277,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn certain_and_impossible_successes() {
+    fn certain_success_has_gap_one_and_impossible_success_none() {
         let mut stream = Stream::new(1, Purpose::Harvest, 0);
         for _ in 0..1000 {
             assert_eq!(Geometric::new(1.0).draw(&mut stream), 1);
@@ -286,12 +285,17 @@ mod tests {
     }
 
     #[test]
-    fn a_table_draws_what_its_law_draws() {
+    fn a_gap_table_draws_the_same_as_its_law() {
         for p in [0.0, 1e-12, 1e-4, 0.090_483_741_8, 0.5, 0.97, 1.0] {
             let (law, table) = (Geometric::new(p), GapTable::new(Geometric::new(p)));
-            let (mut one, mut other) = (Stream::new(8, Purpose::Harvest, 1), Stream::new(8, Purpose::Harvest, 1));
+            let (mut stream, mut same_stream) =
+                (Stream::new(8, Purpose::Harvest, 1), Stream::new(8, Purpose::Harvest, 1));
             for draw in 0..300_000 {
-                assert_eq!(table.draw(&mut one), law.draw(&mut other), "p {p}, draw {draw}");
+                assert_eq!(
+                    table.draw(&mut stream),
+                    law.draw(&mut same_stream),
+                    "p {p}, draw {draw}"
+                );
             }
         }
     }
@@ -299,16 +303,19 @@ mod tests {
     #[test]
     fn neighbouring_streams_are_uncorrelated() {
         let n = 20_000;
-        let first = |id: u64| Stream::new(5, Purpose::Epicentre, id).unit();
-        let mean = (0..n).map(first).sum::<f64>() / n as f64;
-        let lag = (0..n).map(|i| (first(i) - 0.5) * (first(i + 1) - 0.5)).sum::<f64>() / n as f64;
+        let first_draw = |id: u64| Stream::new(5, Purpose::Epicentre, id).unit();
+        let mean = (0..n).map(first_draw).sum::<f64>() / n as f64;
+        let covariance = (0..n)
+            .map(|i| (first_draw(i) - 0.5) * (first_draw(i + 1) - 0.5))
+            .sum::<f64>()
+            / n as f64;
         assert!((mean - 0.5).abs() < 0.01, "mean {mean}");
-        assert!(lag.abs() < 0.003, "covariance {lag}");
-        let pairs = (0..n)
+        assert!(covariance.abs() < 0.003, "covariance {covariance}");
+        let pair_mean = (0..n)
             .map(|i| unit_for_pair(5, Purpose::Detection, i, i ^ 1))
             .sum::<f64>()
             / n as f64;
-        assert!((pairs - 0.5).abs() < 0.01, "mean of pairs {pairs}");
+        assert!((pair_mean - 0.5).abs() < 0.01, "mean of pairs {pair_mean}");
     }
 
     #[test]
@@ -318,6 +325,9 @@ mod tests {
         for _ in 0..70_000 {
             counts[stream.below(7) as usize] += 1;
         }
-        assert!(counts.iter().all(|&c| (9_600..10_400).contains(&c)), "{counts:?}");
+        assert!(
+            counts.iter().all(|&c| (9_600..10_400).contains(&c)),
+            "draws by value: {counts:?}"
+        );
     }
 }

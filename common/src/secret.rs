@@ -91,17 +91,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_secret_is_read_as_it_is_written_and_not_given_away() {
+    fn a_secret_round_trips_as_text_and_debug_output_hides_it() {
         let secret = Secret::new(std::array::from_fn(|i| (i * 17) as u8));
         let text = secret.to_string();
         assert_eq!(text, "00112233445566778899aabbccddeeff");
         assert_eq!(text.parse(), Ok(secret));
-        for at in 0..16 {
+        for byte in 0..16 {
             let mut other = secret;
-            other.0[at] ^= 1;
-            assert_ne!(other, secret, "byte {at}");
+            other.0[byte] ^= 1;
+            assert_ne!(other, secret, "byte {byte}");
         }
-        for bad in [
+        for invalid in [
             "",
             "00",
             &text[1..],
@@ -109,7 +109,7 @@ mod tests {
             "0011223344556677889 aabbccddeef",
             "+011223344556677889aabbccddeeff",
         ] {
-            assert_eq!(bad.parse::<Secret>(), Err(SecretError), "{bad}");
+            assert_eq!(invalid.parse::<Secret>(), Err(SecretError), "{invalid}");
         }
         assert!(!format!("{secret:?}").contains("11"));
     }

@@ -121,7 +121,7 @@ impl Sensing {
 mod tests {
     use super::*;
 
-    fn paper() -> Sensing {
+    fn paper_sensing() -> Sensing {
         Sensing {
             kind: DetectionKind::Range,
             d_max: 4.0,
@@ -132,46 +132,48 @@ mod tests {
     }
 
     #[test]
-    fn p_at_d_max_is_the_papers_0_018() {
-        assert!((paper().p(4.0) - 0.018_315_638_888_734_18).abs() < 1e-16);
+    fn p_at_d_max_is_0_018_as_in_the_paper() {
+        assert!((paper_sensing().p(4.0) - 0.018_315_638_888_734_18).abs() < 1e-16);
     }
 
     #[test]
-    fn a_report_tells_its_distance() {
+    fn the_distance_is_recovered_from_the_information() {
         for d in [0.0, 0.3, 1.7, 3.999, 4.0] {
-            let back = paper().distance(paper().information(d)).expect("within range");
-            assert!((back - d).abs() < 1e-12, "{d} came back as {back}");
+            let distance = paper_sensing()
+                .distance(paper_sensing().information(d))
+                .expect("within range");
+            assert!((distance - d).abs() < 1e-12, "{distance} m, not {d}");
         }
-        assert_eq!(paper().distance(paper().information(4.1)), None);
+        assert_eq!(paper_sensing().distance(paper_sensing().information(4.1)), None);
     }
 
     #[test]
-    fn probabilistic_detection_follows_p() {
+    fn detections_have_the_probability_p() {
         let sensing = Sensing {
             kind: DetectionKind::Probabilistic,
-            ..paper()
+            ..paper_sensing()
         };
         let n = 100_000;
-        let hits = (0..n)
+        let share = (0..n)
             .filter(|&i| sensing.detects(3, EventId(i), DeviceId(4), 1.0))
             .count() as f64
             / n as f64;
         let p = sensing.p(1.0);
         assert!(
-            (hits - p).abs() < 4.0 * (p * (1.0 - p) / n as f64).sqrt(),
-            "{hits} against {p}"
+            (share - p).abs() < 4.0 * (p * (1.0 - p) / n as f64).sqrt(),
+            "a share of {share} is detected, not {p}"
         );
         assert!((0..n).all(|i| !sensing.detects(3, EventId(i), DeviceId(4), 4.01)));
     }
 
     #[test]
     fn fusion_takes_the_maximum_or_a_capped_sum() {
-        let sum = Sensing {
+        let saturating = Sensing {
             g: Fusion::SumSaturation,
-            ..paper()
+            ..paper_sensing()
         };
-        assert!((paper().fuse(0.4, 0.3) - 0.4).abs() < f64::EPSILON);
-        assert!((sum.fuse(0.4, 0.3) - 0.7).abs() < 1e-15);
-        assert!((sum.fuse(0.8, 0.3) - 1.0).abs() < f64::EPSILON);
+        assert!((paper_sensing().fuse(0.4, 0.3) - 0.4).abs() < f64::EPSILON);
+        assert!((saturating.fuse(0.4, 0.3) - 0.7).abs() < 1e-15);
+        assert!((saturating.fuse(0.8, 0.3) - 1.0).abs() < f64::EPSILON);
     }
 }

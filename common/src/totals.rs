@@ -198,7 +198,8 @@ pub struct EventTally {
     /// Devices that entered S2 and could not transmit, and woken devices farther than `d_max` from the epicentre.
     pub wrong_activations: u64,
     /// Energy that the wrong activations spent or lost.
-    pub wasted: Energy,
+    #[serde(rename = "wasted")]
+    pub wasted_energy: Energy,
 }
 
 impl EventTally {
@@ -225,8 +226,9 @@ pub struct EventTotals {
     pub information_pico: u128,
     /// Wrong activations.
     pub wrong_activations: u64,
-    /// Energy wasted by the wrong activations.
-    pub wasted: Energy,
+    /// Energy that the wrong activations spent or lost.
+    #[serde(rename = "wasted")]
+    pub wasted_energy: Energy,
 }
 
 impl EventTotals {
@@ -239,7 +241,7 @@ impl EventTotals {
         self.wake_ups += event.wake_ups;
         self.information_pico += u128::from(event.information_pico);
         self.wrong_activations += event.wrong_activations;
-        self.wasted += event.wasted;
+        self.wasted_energy += event.wasted_energy;
     }
 }
 
@@ -254,7 +256,7 @@ impl Sub for EventTotals {
             wake_ups: self.wake_ups - before.wake_ups,
             information_pico: self.information_pico - before.information_pico,
             wrong_activations: self.wrong_activations - before.wrong_activations,
-            wasted: self.wasted - before.wasted,
+            wasted_energy: self.wasted_energy - before.wasted_energy,
         }
     }
 }
@@ -443,11 +445,11 @@ mod tests {
     }
 
     #[test]
-    fn a_ledger_closes_by_state_and_its_parts_fit() {
-        let good = ledger();
-        assert!(good.is_valid());
-        assert_eq!(good.measured.spent.total(), Energy::from_micro(50));
-        let breaks: [fn(&mut Ledger); 7] = [
+    fn an_unbalanced_or_inconsistent_ledger_is_invalid() {
+        let valid = ledger();
+        assert!(valid.is_valid());
+        assert_eq!(valid.measured.spent.total(), Energy::from_micro(50));
+        let mutations: [fn(&mut Ledger); 7] = [
             |ledger| ledger.whole.spent.sleep += Energy::from_micro(1),
             |ledger| ledger.measured.spent.report += Energy::from_micro(1),
             |ledger| ledger.measured.low_ttis = 4,
@@ -456,15 +458,15 @@ mod tests {
             |ledger| ledger.measured.false_wake_ups = 3,
             |ledger| ledger.whole.harvested = Energy::from_micro(u64::MAX),
         ];
-        for (number, spoil) in breaks.into_iter().enumerate() {
-            let mut bad = good;
-            spoil(&mut bad);
-            assert!(!bad.is_valid(), "{number}");
+        for (number, mutate) in mutations.into_iter().enumerate() {
+            let mut invalid = valid;
+            mutate(&mut invalid);
+            assert!(!invalid.is_valid(), "mutation {number}: {invalid:?}");
         }
     }
 
     #[test]
-    fn the_spread_is_that_of_the_devices() {
+    fn the_spread_contains_squares_and_the_worst_device() {
         let device = |spent: u64, low_ttis| DeviceTotals {
             spent: EnergyByState {
                 report: Energy::from_micro(spent),

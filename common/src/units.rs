@@ -144,16 +144,16 @@ mod tests {
 
     #[test]
     #[should_panic(expected = "does not fit in 64 bits")]
-    fn a_sum_that_does_not_fit_is_no_other_number() {
+    fn an_overflowing_sum_panics() {
         let half = Energy::from_micro(1 << 63);
         assert_eq!(half.times(1) + Energy::ZERO, half);
         let _ = [half, half].into_iter().sum::<Energy>();
     }
 
     #[test]
-    fn amounts_outside_the_range_are_refused() {
-        for bad in [-1e-9, MAX_UNITS + 1.0, f64::NAN, f64::INFINITY] {
-            assert_eq!(Energy::from_units(bad), None, "{bad}");
+    fn invalid_units_are_refused() {
+        for units in [-1e-9, MAX_UNITS + 1.0, f64::NAN, f64::INFINITY] {
+            assert_eq!(Energy::from_units(units), None, "{units} units");
         }
     }
 }

@@ -9,14 +9,17 @@ use crate::event::{ActiveEvent, EventProcess, Stimulus};
 use crate::geometry::{Buckets, Point};
 use crate::ids::{DeviceId, Tti};
 use crate::plan::{DutyCycle, Plan};
-use crate::radio::{Air, ChannelState};
+use crate::radio::{Air, AirLosses};
 use crate::scenario::Scenario;
 use crate::sensing::Sensing;
 
 /// A receiver of every event at its start, which no real base station can be: the genie.
 pub trait Oracle {
-    /// Receives an event that has started. Returns whether a device must be woken for it in this TTI.
-    fn reveal_event(&mut self, stimulus: &Stimulus) -> bool;
+    /// Receives an event that has started.
+    fn reveal_event(&mut self, stimulus: &Stimulus);
+
+    /// Returns whether a device must be woken in the TTI in which the revealed event started.
+    fn needs_wake_up(&self) -> bool;
 
     /// Returns whether a device must be woken again, after no report of the event has arrived up to this TTI.
     fn needs_another_wake_up(&mut self) -> bool {
@@ -33,7 +36,6 @@ pub enum WorldChange {
     Missed(Tti),
 }
 
-/// The active event.
 #[derive(Clone, Copy, Debug)]
 struct CurrentEvent {
     event: ActiveEvent,
@@ -60,7 +62,8 @@ pub struct World {
 }
 
 impl World {
-    /// Creates the world of `scenario` before TTI 0, with its devices as in `deployment`.
+    /// Creates the world of `scenario` before TTI 0: its events, the losses on the air, and the positions of the
+    /// devices in `deployment`.
     pub fn new<P>(scenario: &Scenario<P>, deployment: &Deployment) -> Self {
         Self::with_events(
             scenario,
@@ -106,9 +109,9 @@ impl World {
             .deliver_plan(from, plan, DeviceId(0), devices, |j, cycle| received_cycles[j] = cycle)
     }
 
-    /// Returns the state of the air in TTI `k`, which must not precede the TTI of the last call.
-    pub fn channel_at(&mut self, k: Tti) -> ChannelState {
-        self.air.channel_at(k)
+    /// Returns the losses on the air in TTI `k`, which must not precede the TTI of the last call.
+    pub fn losses_at(&mut self, k: Tti) -> AirLosses {
+        self.air.losses_at(k)
     }
 
     /// Advances the world from TTI `k` to the first TTI before `horizon` in which a device may react to an event under
@@ -224,7 +227,8 @@ impl World {
         potential_detectors.clear();
         let needs_wake_up = if let Some(oracle) = oracle {
             // The list stays empty: under a policy with an oracle no device senses.
-            oracle.reveal_event(&event.stimulus)
+            oracle.reveal_event(&event.stimulus);
+            oracle.needs_wake_up()
         } else {
             buckets.within(epicentre, sensing.d_max, |j, d| {
                 let device = DeviceId(j as u32);

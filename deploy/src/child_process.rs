@@ -236,10 +236,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn shares_are_even_and_complete() {
-        let all = |devices, processes| split_devices(devices, processes).collect::<Vec<_>>();
-        assert_eq!(all(50, 4), [13, 13, 12, 12]);
-        assert_eq!(all(3, 8), [1, 1, 1]);
-        assert_eq!(all(7, 1), [7]);
+    fn devices_are_split_evenly_and_completely() {
+        let shares = |devices, processes| split_devices(devices, processes).collect::<Vec<_>>();
+        assert_eq!(shares(50, 4), [13, 13, 12, 12]);
+        assert_eq!(shares(3, 8), [1, 1, 1]);
+        assert_eq!(shares(7, 1), [7]);
     }
 }

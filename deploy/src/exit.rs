@@ -1,5 +1,5 @@
-//! The exit codes of `reveille`, their lines in `--help`, and the error of a command ended by a signal. `main` turns
-//! the error of a command into its code. Scripts rely on the numbers.
+//! The exit codes of `reveille`, their lines in `--help`, and the errors of commands that have a code other than 1.
+//! `main` turns the error of a command into its code. Scripts rely on the numbers.
 
 use std::borrow::Cow;
 use std::fmt;
@@ -30,6 +30,8 @@ impl ExitReason {
         let is_bs_interruption = error.downcast_ref::<BsError>().is_some_and(BsError::is_interruption);
         if is_bs_interruption || error.is::<Interrupted>() {
             Self::Interrupted
+        } else if error.is::<InvalidUsage>() {
+            Self::Usage
         } else {
             Self::Failed
         }
@@ -85,6 +87,18 @@ impl From<ExitReason> for ExitCode {
         Self::from(exit.code())
     }
 }
+
+/// The error of a command line whose options contradict each other. Its text names the options.
+#[derive(Debug)]
+pub(crate) struct InvalidUsage(pub String);
+
+impl fmt::Display for InvalidUsage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl std::error::Error for InvalidUsage {}
 
 /// The part of `--help` that lists the exit codes.
 pub(crate) fn exit_codes_help() -> String {

@@ -154,11 +154,12 @@ fn is_file_at(file: &File, path: &Path) -> bool {
 mod tests {
     use super::*;
 
+    /// A temporary folder that is removed on drop.
     struct LockTestFolder(PathBuf);
 
     impl LockTestFolder {
         fn new(name: &str) -> Self {
-            let path = std::env::temp_dir().join(format!("reveille-claim-{name}-{}", std::process::id()));
+            let path = std::env::temp_dir().join(format!("reveille-lock-{name}-{}", std::process::id()));
             let _ = fs::remove_dir_all(&path);
             Self(path)
         }
@@ -171,47 +172,52 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_is_claimed_once_at_a_time() {
-        let place = LockTestFolder::new("once");
-        assert_eq!(status(&place.0), FolderStatus::Finished);
-        let mut claim = FolderLock::acquire(&place.0).expect("free");
-        assert!(!claim.was_killed());
-        claim.mark_running().expect("writable");
-        let own = std::process::id();
-        assert_eq!(status(&place.0), FolderStatus::Running(Some(own)));
-        let why = FolderLock::acquire(&place.0).err().expect("claimed").to_string();
+    fn a_locked_folder_is_refused() {
+        let folder = LockTestFolder::new("once");
+        assert_eq!(status(&folder.0), FolderStatus::Finished);
+        let mut lock = FolderLock::acquire(&folder.0).expect("free");
+        assert!(!lock.was_killed());
+        lock.mark_running().expect("writable");
+        let pid = std::process::id();
+        assert_eq!(status(&folder.0), FolderStatus::Running(Some(pid)));
+        let message = FolderLock::acquire(&folder.0).err().expect("locked").to_string();
         assert!(
-            why.contains(&format!("(pid {own})")) && why.contains("--force"),
-            "{why}"
+            message.contains(&format!("(pid {pid})")) && message.contains("--force"),
+            "{message}"
         );
-        claim.release().expect("removable");
-        assert_eq!(status(&place.0), FolderStatus::Finished);
-        FolderLock::acquire(&place.0).expect("free again").abandon();
-        assert_eq!(fs::read_dir(&place.0).expect("there").count(), 0);
+        lock.release().expect("removable");
+        assert_eq!(status(&folder.0), FolderStatus::Finished);
+        FolderLock::acquire(&folder.0).expect("free again").abandon();
+        assert_eq!(fs::read_dir(&folder.0).expect("there").count(), 0);
     }
 
     #[test]
-    fn the_mark_of_a_killed_run_is_not_a_lock() {
-        let place = LockTestFolder::new("killed");
-        let mut claim = FolderLock::acquire(&place.0).expect("free");
-        claim.mark_running().expect("writable");
-        drop(claim);
-        assert_eq!(status(&place.0), FolderStatus::Killed);
-        let next = FolderLock::acquire(&place.0).expect("the run was killed");
-        assert!(next.was_killed());
-        next.abandon();
-        assert_eq!(status(&place.0), FolderStatus::Killed, "the mark stays");
+    fn a_folder_of_a_killed_run_can_be_locked() {
+        let folder = LockTestFolder::new("killed");
+        let mut lock = FolderLock::acquire(&folder.0).expect("free");
+        lock.mark_running().expect("writable");
+        drop(lock);
+        assert_eq!(status(&folder.0), FolderStatus::Killed);
+        let next_lock = FolderLock::acquire(&folder.0).expect("the run was killed");
+        assert!(next_lock.was_killed());
+        next_lock.abandon();
+        assert_eq!(
+            status(&folder.0),
+            FolderStatus::Killed,
+            "the mark of the killed run is kept"
+        );
     }
 
     #[test]
-    fn a_lock_on_a_removed_file_does_not_count() {
-        let place = LockTestFolder::new("gone");
-        let claim = FolderLock::acquire(&place.0).expect("free");
-        let late = File::open(place.0.join(RUNNING_FILE)).expect("there");
-        claim.release().expect("removable");
-        late.try_lock().expect("its lock is free");
-        assert!(!is_file_at(&late, &place.0.join(RUNNING_FILE)));
-        FolderLock::acquire(&place.0)
+    fn a_lock_on_a_removed_file_is_detected() {
+        let folder = LockTestFolder::new("removed");
+        let lock = FolderLock::acquire(&folder.0).expect("free");
+        // Another process can open the file before it is removed, and lock it after.
+        let late_file = File::open(folder.0.join(RUNNING_FILE)).expect("there");
+        lock.release().expect("removable");
+        late_file.try_lock().expect("its lock is free");
+        assert!(!is_file_at(&late_file, &folder.0.join(RUNNING_FILE)));
+        FolderLock::acquire(&folder.0)
             .expect("free")
             .release()
             .expect("removable");

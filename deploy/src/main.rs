@@ -42,15 +42,16 @@ mod terminal;
 
 use std::process::ExitCode;
 
-use clap::Parser;
+use clap::{CommandFactory, Parser};
 
+use cli::misplaced::explain_misplaced;
 use cli::{Cli, Command};
 use display::note;
 use runtime::drive;
 
 fn main() -> ExitCode {
     let (args, renamed) = cli::former::replace_former_names(std::env::args_os());
-    let cli = Cli::parse_from(args);
+    let cli = Cli::try_parse_from(&args).unwrap_or_else(|error| explain_misplaced(error, Cli::command(), &args).exit());
     reveille_common::logging::init(cli.verbose, cli.log_format.into(), display::LogWriter);
     for warning in renamed {
         tracing::warn!("{warning}");

@@ -4,7 +4,7 @@
 use std::net::SocketAddr;
 use std::sync::Arc;
 
-use anyhow::Context;
+use anyhow::anyhow;
 use axum::Router;
 use axum::extract::{Request, State};
 use axum::http::{StatusCode, header};
@@ -36,8 +36,18 @@ struct MetricsState {
 /// If it cannot.
 pub(crate) fn check_can_listen(option: &str, address: &str) -> anyhow::Result<()> {
     let bound = std::net::TcpListener::bind(address);
-    let hint = "must be ADDRESS:PORT of this machine, such as 127.0.0.1:9464, with a free port or port 0";
-    bound.map(drop).with_context(|| format!("{option} {address}: {hint}"))
+    bound.map(drop).map_err(|error| listen_error(option, address, &error))
+}
+
+/// The error of a server that cannot listen at `address`, which was given by `option`.
+pub(crate) fn listen_error(option: &str, address: &str, error: &std::io::Error) -> anyhow::Error {
+    if error.kind() == std::io::ErrorKind::AddrInUse {
+        // An address in use has been resolved, so it has a port.
+        let host = address.rsplit_once(':').map_or(address, |(host, _)| host);
+        anyhow!("{option} {address}: the port is in use; choose another port, or {option} {host}:0 for any free port")
+    } else {
+        anyhow!("{option} {address}: {error}; give ADDRESS:PORT of this machine, such as 127.0.0.1:9464")
+    }
 }
 
 /// Serves `metrics` at `address` until the program ends. `process_stats` returns the statistics of the processes.
@@ -49,9 +59,9 @@ pub(crate) async fn serve(
     metrics: Arc<PrometheusMetrics>,
     process_stats: Arc<ProcessProbe>,
 ) -> anyhow::Result<()> {
-    let named = || format!("--metrics {address}");
-    let listener = TcpListener::bind(address).await.with_context(named)?;
-    let local_address = listener.local_addr().with_context(named)?;
+    let named = |error| listen_error("--metrics", address, &error);
+    let listener = TcpListener::bind(address).await.map_err(named)?;
+    let local_address = listener.local_addr().map_err(named)?;
     note!("metrics at http://{local_address}/metrics");
     let state = MetricsState {
         metrics,
@@ -123,10 +133,29 @@ mod tests {
     use super::*;
 
     #[test]
-    fn another_name_for_this_machine_is_refused() {
-        let at: SocketAddr = "127.0.0.1:9464".parse().expect("an address");
+    fn a_port_in_use_has_alternatives() {
+        let taken = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");
+        let address = taken.local_addr().expect("bound").to_string();
+        let refusal = check_can_listen("--metrics", &address).expect_err("in use").to_string();
+        let start = format!("--metrics {address}: the port is in use; ");
+        assert!(refusal.starts_with(&start), "{refusal}");
+        assert!(refusal.contains("--metrics 127.0.0.1:0 for any free port"), "{refusal}");
+        for address in ["127.0.0.1", "nowhere.invalid:0"] {
+            let refusal = check_can_listen("--metrics", address)
+                .expect_err("no address")
+                .to_string();
+            assert!(
+                refusal.ends_with("; give ADDRESS:PORT of this machine, such as 127.0.0.1:9464"),
+                "{refusal}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_foreign_host_name_is_refused_on_a_local_address() {
+        let local: SocketAddr = "127.0.0.1:9464".parse().expect("an address");
         for host in ["localhost", "localhost:9464", "127.0.0.1:9464", "[::1]:9464"] {
-            assert!(is_allowed_host(Some(host), at), "{host}");
+            assert!(is_allowed_host(Some(host), local), "{host}");
         }
         for host in [
             "evil.example",
@@ -135,10 +164,10 @@ mod tests {
             "",
             "127.0.0.1.evil.example:80",
         ] {
-            assert!(!is_allowed_host(Some(host), at), "{host}");
+            assert!(!is_allowed_host(Some(host), local), "{host}");
         }
-        assert!(!is_allowed_host(None, at));
-        let open: SocketAddr = "0.0.0.0:9464".parse().expect("an address");
-        assert!(is_allowed_host(Some("testbed:9464"), open));
+        assert!(!is_allowed_host(None, local));
+        let public: SocketAddr = "0.0.0.0:9464".parse().expect("an address");
+        assert!(is_allowed_host(Some("testbed:9464"), public));
     }
 }

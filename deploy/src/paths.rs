@@ -22,6 +22,15 @@ pub(crate) fn is_same_path(a: &Path, b: &Path) -> bool {
     }
 }
 
+/// Returns an error if `path`, given by `option`, is a file and therefore cannot be a folder.
+pub(crate) fn check_output_folder(option: &str, path: &Path) -> anyhow::Result<()> {
+    // A link to a missing folder has no metadata; its use returns the error.
+    if path.metadata().is_ok_and(|found| !found.is_dir()) {
+        bail!("{option} {}: is a file, not a folder; name a folder", path.display());
+    }
+    Ok(())
+}
+
 /// Returns an error, before any work is done, if a file for `what` cannot be written at `path`.
 pub(crate) fn check_output_path(path: &Path, what: &str) -> anyhow::Result<()> {
     if path.is_dir() {

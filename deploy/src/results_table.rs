@@ -223,8 +223,8 @@ mod tests {
     use super::*;
     use crate::summary::Timing;
 
-    /// Runs `quick` with these overrides, and returns its scenario and results in both forms.
-    fn results(set: &[&str]) -> (Scenario, [String; 2]) {
+    /// Runs `quick` with these overrides, and returns its scenario, main results and all results.
+    fn run_quick(set: &[&str]) -> (Scenario, [String; 2]) {
         let overrides: Vec<Override> = set
             .iter()
             .map(|text| Override::parse(text).expect("FIELD=VALUE"))
@@ -242,7 +242,7 @@ mod tests {
     }
 
     /// Returns the names in the first column of the first table of `text`, without titles.
-    fn names(text: &str) -> Vec<&str> {
+    fn metric_names(text: &str) -> Vec<&str> {
         let table = text.lines().skip(1).take_while(|line| !line.starts_with('└'));
         let cells = table.filter_map(|line| line.split(['│', '┆']).nth(1));
         let names = cells.map(str::trim).filter(|name| Metrics::find(name).is_some());
@@ -250,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn tables_name_metrics_that_exist() {
+    fn tables_contain_existing_metrics() {
         let impairments = IMPAIRMENTS.iter().map(|(name, _)| *name);
         for name in MAIN_METRICS.into_iter().chain(impairments).chain([REMOVED_METRIC]) {
             assert!(Metrics::ALL.iter().any(|metric| metric.name == name), "{name}");
@@ -258,16 +258,16 @@ mod tests {
     }
 
     #[test]
-    fn a_run_shows_ten_metrics_and_all_on_request() {
-        let (_, [main, all]) = results(&[]);
-        assert_eq!(names(&main), MAIN_METRICS);
-        let shown = names(&all);
+    fn results_have_the_main_metrics_and_all_on_request() {
+        let (_, [main, all]) = run_quick(&[]);
+        assert_eq!(metric_names(&main), MAIN_METRICS);
+        let shown = metric_names(&all);
         assert_eq!(shown[..MAIN_METRICS.len()], MAIN_METRICS);
         let inactive = IMPAIRMENTS.map(|(name, _)| name);
         for metric in &Metrics::ALL {
-            let times = shown.iter().filter(|name| **name == metric.name).count();
+            let occurrences = shown.iter().filter(|name| **name == metric.name).count();
             let expected = usize::from(!inactive.contains(&metric.name) && metric.name != REMOVED_METRIC);
-            assert_eq!(times, expected, "{}: {all}", metric.name);
+            assert_eq!(occurrences, expected, "{}: {all}", metric.name);
         }
         for part in [" events missed", " TTIs/s", "digest "] {
             assert!(main.contains(part) && all.contains(part), "no {part:?}: {main}");
@@ -275,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn an_impairment_of_the_scenario_has_its_rows() {
+    fn a_radio_impairment_adds_its_rows() {
         for (set, rows) in [
             (&["radio.uplink_loss=0.1"][..], &["lost_reports_pct"][..]),
             (&["radio.plan_loss=0.1"], &["missed_plans_pct"]),
@@ -289,10 +289,10 @@ mod tests {
                 &["lost_reports_pct", "missed_plans_pct"],
             ),
         ] {
-            let (scenario, [main, all]) = results(set);
+            let (scenario, [main, all]) = run_quick(set);
             assert!(!scenario.radio.is_perfect(), "{set:?}");
-            assert_eq!(names(&main), MAIN_METRICS, "{set:?}");
-            let shown = names(&all);
+            assert_eq!(metric_names(&main), MAIN_METRICS, "{set:?}");
+            let shown = metric_names(&all);
             for (name, _) in IMPAIRMENTS {
                 assert_eq!(shown.contains(&name), rows.contains(&name), "{set:?}: {name}: {all}");
             }

@@ -33,6 +33,7 @@ use reveille_lab::training::learned_tables_of;
 use crate::cli::OutputArgs;
 use crate::folder_lock::{FolderLock, RUNNING_FILE};
 use crate::input_log::INPUT_LOG_FILE;
+use crate::paths::check_output_folder;
 use crate::resume_mark::RESUME_MARK_FILE;
 use crate::run_tables;
 use crate::scenario_files::{self, ScenarioFiles};
@@ -86,6 +87,7 @@ impl RunFolder {
             return Self::reopen(path, scenario);
         }
         let (path, mut lock) = if let Some(path) = &args.out {
+            check_output_folder("--out", path)?;
             (path.clone(), lock_and_clear(path, args.force)?)
         } else {
             let path = create_free_folder(scenario)?;
@@ -315,6 +317,12 @@ fn remove_files(path: &Path, names: impl Iterator<Item = &'static str>) -> anyho
         }
     }
     Ok(())
+}
+
+/// Returns the first line of the reason why the run in `folder` failed; `None` without a failed run.
+pub(crate) fn failure(folder: &Path) -> Option<String> {
+    let text = fs::read_to_string(folder.join(FAILED_FILE)).ok()?;
+    text.lines().next().map(str::to_owned)
 }
 
 /// Returns an error for a folder with content, unless it holds a run that may be replaced.

@@ -94,7 +94,7 @@ pub(crate) fn event_row(record: &EventRecord, positions: &Buckets) -> [String; E
         tally.wake_ups.to_string(),
         format_information(u128::from(tally.information_pico)),
         tally.wrong_activations.to_string(),
-        format_units(tally.wasted),
+        format_units(tally.wasted_energy),
         record
             .miss_cause
             .map_or_else(String::new, |cause| cause.name().to_owned()),
@@ -184,7 +184,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn energies_are_written_exactly() {
+    fn energies_are_written_in_units_to_the_microunit() {
         let texts = [0, 1, 999_999, 1_000_000, 12_345_678_901].map(|micro| format_units(Energy::from_micro(micro)));
         assert_eq!(texts, ["0.000000", "0.000001", "0.999999", "1.000000", "12345.678901"]);
     }

@@ -142,7 +142,7 @@ pub(crate) fn run_on_thread<T: Send + 'static>(
 fn react(mode: SignalMode, signal: i32, is_first: bool) {
     match mode {
         SignalMode::SavesResults if is_first => {
-            tracing::warn!("interrupted; saving the results so far (repeat the signal to end immediately)");
+            tracing::warn!("interrupted; saving the results so far (a second signal ends the program without saving)");
         }
         // A terminal that closes sends SIGHUP more than once: from the kernel, and from its shell.
         SignalMode::SavesResults | SignalMode::HasNoResults if !is_first && signal != SIGHUP => {

@@ -40,7 +40,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_more_starts_than_the_machine_can_take() {
+    fn starts_are_limited_by_the_processes_that_have_not_joined() {
         let limiter = StartLimiter::for_cores(2);
         assert_eq!(limiter.allowed_starts(1000, 0, 0), 32);
         assert_eq!(limiter.allowed_starts(968, 32, 0), 0);
@@ -50,12 +50,12 @@ mod tests {
         assert_eq!(
             limiter.allowed_starts(7, 30, 33),
             7,
-            "ended processes can still be counted"
+            "more joined than living: ended processes are still counted as joined"
         );
     }
 
     #[test]
-    fn all_processes_start_even_if_slow() {
+    fn all_processes_start_if_they_join_one_by_one() {
         let limiter = StartLimiter::for_cores(1);
         let (mut waiting, mut living, mut joined, mut most_starting) = (1000, 0, 0, 0);
         while joined < 1000 {

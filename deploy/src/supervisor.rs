@@ -283,10 +283,11 @@ impl SupervisorThread {
             // At most 1.6 s: MAX_SHORT_LIVES bounds the exponent.
             FIRST_PAUSE * 2_u32.pow(slot.short_lives - 1)
         };
-        note!(
-            "{why}; starting another process{}",
-            if pause > FIRST_PAUSE { " in a while" } else { "" }
-        );
+        if pause > FIRST_PAUSE {
+            note!("{why}; starting another process in {:.1} s", pause.as_secs_f64());
+        } else {
+            note!("{why}; starting another process");
+        }
         slot.restart_at = Some(now() + pause);
     }
 

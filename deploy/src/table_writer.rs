@@ -167,7 +167,7 @@ impl<W: Write> Write for LineBuffered<W> {
 mod tests {
     use super::*;
 
-    /// Keeps the bytes of each write.
+    /// A file that keeps the bytes of each write.
     #[derive(Default)]
     struct Writes(Vec<Vec<u8>>);
 
@@ -183,30 +183,31 @@ mod tests {
     }
 
     #[test]
-    fn rows_are_written_whole() {
-        let mut whole = LineBuffered::new(Writes::default());
-        let row = [b"1,2,3\n".repeat(100), b"4,".to_vec()].concat();
+    fn writes_contain_only_complete_rows() {
+        let mut buffered = LineBuffered::new(Writes::default());
+        // 100 rows and the start of the next.
+        let rows = [b"1,2,3\n".repeat(100), b"4,".to_vec()].concat();
         for _ in 0..400 {
-            whole.write_all(&row).expect("taken");
+            buffered.write_all(&rows).expect("taken");
         }
-        assert!(whole.held.len() < MAX_HELD_BYTES);
-        whole.flush().expect("written");
-        assert_eq!(whole.held, b"4,", "half a row waits for its other half");
-        whole.write_all(b"5\n").expect("taken");
-        whole.flush().expect("written");
-        let writes = &whole.file.0;
-        assert!(writes.len() > 3, "they do not wait for the end");
-        let whole_rows = |bytes: &Vec<u8>| bytes.is_empty() || bytes.ends_with(b"\n");
-        assert!(writes.iter().all(whole_rows));
-        let all = [row.repeat(400), b"5\n".to_vec()].concat();
-        assert_eq!(writes.concat(), all);
+        assert!(buffered.held.len() < MAX_HELD_BYTES);
+        buffered.flush().expect("written");
+        assert_eq!(buffered.held, b"4,", "an incomplete row is held back");
+        buffered.write_all(b"5\n").expect("taken");
+        buffered.flush().expect("written");
+        let writes = &buffered.file.0;
+        assert!(writes.len() > 3, "rows are written before the flush");
+        let has_complete_rows = |bytes: &Vec<u8>| bytes.is_empty() || bytes.ends_with(b"\n");
+        assert!(writes.iter().all(has_complete_rows));
+        let expected = [rows.repeat(400), b"5\n".to_vec()].concat();
+        assert_eq!(writes.concat(), expected);
     }
 
-    /// Refuses the first write, like a full disk, and keeps later ones.
+    /// A file that refuses the first write, like a full disk, and keeps later ones.
     #[derive(Default)]
     struct FullOnce {
         has_refused: bool,
-        kept: Vec<u8>,
+        bytes: Vec<u8>,
     }
 
     impl Write for FullOnce {
@@ -214,7 +215,7 @@ mod tests {
             if !std::mem::replace(&mut self.has_refused, true) {
                 return Err(io::ErrorKind::StorageFull.into());
             }
-            self.kept.extend_from_slice(bytes);
+            self.bytes.extend_from_slice(bytes);
             Ok(bytes.len())
         }
 
@@ -225,13 +226,13 @@ mod tests {
 
     #[test]
     fn bytes_of_a_failed_write_are_written_once() {
-        let mut whole = LineBuffered::new(FullOnce::default());
+        let mut buffered = LineBuffered::new(FullOnce::default());
         let rows = b"1,2,3\n".repeat(MAX_HELD_BYTES);
-        whole.write_all(&rows).expect("held");
-        whole.write_all(b"4,5,6\n").expect_err("the disk is full");
+        buffered.write_all(&rows).expect("held");
+        buffered.write_all(b"4,5,6\n").expect_err("the disk is full");
         // The CSV writer keeps the bytes of a failed write and passes them again.
-        whole.write_all(b"4,5,6\n").expect("there is room now");
-        whole.flush().expect("written");
-        assert_eq!(whole.file.kept, [rows.as_slice(), b"4,5,6\n"].concat());
+        buffered.write_all(b"4,5,6\n").expect("there is room now");
+        buffered.flush().expect("written");
+        assert_eq!(buffered.file.bytes, [rows.as_slice(), b"4,5,6\n"].concat());
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! External inputs are removals of devices, whose process was lost under `--on-loss continue`, and decisions of a
 //! policy process. They and the scenario determine the run: replays and resumed runs read them from `inputs.log`. A
-//! change of the lines needs a new `VERSION`; logs of version 1 must still be read.
+//! change of the lines needs a new `VERSION`; logs of version 1, which has only removals, must still be read.
 
 use reveille_bs::policy::external::{Decision, PlanDecision, RecordedDecision};
 use reveille_bs::scenario::Scenario;
@@ -11,7 +11,6 @@ use reveille_common::message::DeviceRemoval;
 use reveille_common::plan::{DutyCycle, Plan};
 use serde::{Deserialize, Serialize};
 
-/// The version of the format.
 const VERSION: u32 = 2;
 
 /// A reason why a text is not an input log of a scenario.
@@ -36,6 +35,12 @@ pub enum InputLogError {
     /// The log does not begin with the line that names its run.
     #[error("line {0}: the line that names the run must come first")]
     MissingFirstLine(usize),
+    /// A second line names a run.
+    #[error("line {0}: a second line names the run; use the unedited inputs.log of a run folder")]
+    SecondFirstLine(usize),
+    /// A log of version 1 holds a decision.
+    #[error("line {0}: a log of version 1 holds no decisions; use the unedited inputs.log of a run folder")]
+    DecisionInVersion1(usize),
     /// A removal is impossible in this run.
     #[error("line {0}: this run cannot have removed these devices at this point")]
     Outage(usize),
@@ -96,7 +101,6 @@ impl ExternalInputs {
     }
 }
 
-/// A line of the log.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 enum InputLogLine {
@@ -211,7 +215,8 @@ pub struct InputLogParser {
     inputs: ExternalInputs,
     /// The number of lines read.
     line_count: usize,
-    has_first_line: bool,
+    /// The version in the first line, once that line is read.
+    version: Option<u32>,
 }
 
 impl InputLogParser {
@@ -238,29 +243,36 @@ impl InputLogParser {
         let Self {
             inputs,
             line_count: line_number,
-            has_first_line,
+            version: log_version,
         } = self;
         let entry = serde_json::from_str(text).map_err(|error| line_error(*line_number, &error))?;
         let decision = match entry {
-            // Version 1 only has removals, in the same form, so it is accepted too.
+            InputLogLine::Inputs { .. } if log_version.is_some() => {
+                return Err(InputLogError::SecondFirstLine(*line_number));
+            }
             InputLogLine::Inputs { version, .. } if !(1..=VERSION).contains(&version) => {
                 return Err(InputLogError::Version);
             }
             InputLogLine::Inputs { scenario_hash, .. } if scenario_hash != scenario.hash_hex() => {
                 return Err(InputLogError::Scenario);
             }
-            InputLogLine::Inputs { .. } => {
-                *has_first_line = true;
+            InputLogLine::Inputs { version, .. } => {
+                *log_version = Some(version);
                 return Ok(());
             }
             // Everything below is checked against the scenario, which only the first line guarantees.
-            _ if !*has_first_line => return Err(InputLogError::MissingFirstLine(*line_number)),
+            _ if log_version.is_none() => return Err(InputLogError::MissingFirstLine(*line_number)),
             InputLogLine::Outage(outage) => {
                 if !is_possible_removal(&outage, &inputs.outages, scenario) {
                     return Err(InputLogError::Outage(*line_number));
                 }
                 inputs.outages.push(outage);
                 return Ok(());
+            }
+            InputLogLine::Sense { .. } | InputLogLine::Cycles { .. } | InputLogLine::Wake { .. }
+                if *log_version == Some(1) =>
+            {
+                return Err(InputLogError::DecisionInVersion1(*line_number));
             }
             InputLogLine::Sense { tti, devices, next } => existing_devices(&devices, scenario).map(|devices| {
                 let plan = Plan::from_devices(scenario.run.devices as usize, &devices);
@@ -296,7 +308,6 @@ fn line_error(line: usize, error: &serde_json::Error) -> InputLogError {
     InputLogError::Line { line, column, cause }
 }
 
-/// Returns these devices if all of them exist.
 fn existing_devices(devices: &[u32], scenario: &Scenario) -> Option<Vec<DeviceId>> {
     let all_exist = devices.iter().all(|device| *device < scenario.run.devices);
     all_exist.then(|| devices.iter().copied().map(DeviceId).collect())
@@ -312,7 +323,6 @@ fn valid_cycles(devices: &[[u32; 3]], scenario: &Scenario) -> Option<Vec<DutyCyc
     (cycles.len() == devices.len() && devices.len() == scenario.run.devices as usize).then_some(cycles)
 }
 
-/// Returns whether `outage` is possible after those in `before`.
 fn is_possible_removal(outage: &DeviceRemoval, before: &[DeviceRemoval], scenario: &Scenario) -> bool {
     let order = |outage: &DeviceRemoval| (outage.tti, outage.wake_ups);
     let is_next = before.last().is_none_or(|last| order(last) <= order(outage));
@@ -353,66 +363,66 @@ mod tests {
     }
 
     /// Writes a log of these inputs with a truncated last line, and parses it.
-    fn written_and_read(inputs: &[ExternalInput]) -> Result<ExternalInputs, InputLogError> {
+    fn write_and_parse(inputs: &[ExternalInput]) -> Result<ExternalInputs, InputLogError> {
         let scenario = load("quick", &[]).expect("a preset").scenario;
         let lines: String = inputs.iter().map(line).collect();
         parse(&format!("{}{lines}{{\"outage\":", first_line(&scenario)), &scenario)
     }
 
-    fn plan(tti: u64, plan: Plan, next: u64) -> RecordedDecision {
+    fn plan_decision(tti: u64, plan: Plan, next: u64) -> RecordedDecision {
         let next = Tti(next);
-        let answer = Decision::Plan(PlanDecision { plan, next });
+        let decision = Decision::Plan(PlanDecision { plan, next });
         RecordedDecision {
             tti: Tti(tti),
-            decision: answer,
+            decision,
         }
     }
 
-    fn wake(tti: u64, devices: &[u32]) -> RecordedDecision {
-        let answer = Decision::Wake(devices.iter().copied().map(DeviceId).collect());
+    fn wake_decision(tti: u64, devices: &[u32]) -> RecordedDecision {
+        let decision = Decision::Wake(devices.iter().copied().map(DeviceId).collect());
         RecordedDecision {
             tti: Tti(tti),
-            decision: answer,
+            decision,
         }
     }
 
-    /// A plan of the right size, in which device `j` senses.
-    fn bits(j: u32) -> Plan {
+    /// Returns a plan of the right size, in which device `j` senses.
+    fn plan_of_one(j: u32) -> Plan {
         let devices = load("quick", &[]).expect("a preset").scenario.run.devices;
         Plan::from_devices(devices as usize, &[DeviceId(j)])
     }
 
     #[test]
-    fn a_log_is_read_up_to_its_last_whole_line() {
+    fn a_log_round_trips_up_to_its_last_complete_line() {
         let devices = load("quick", &[]).expect("a preset").scenario.run.devices as usize;
         let inputs = ExternalInputs {
             outages: vec![outage(3, 2, 5), outage(0, 3, 5), outage(9, 1, 80)],
             decisions: vec![
-                plan(0, bits(3), 1),
-                wake(0, &[7, 2]),
-                wake(0, &[]),
-                plan(1, Plan::Periodic(vec![DutyCycle::SENSING; devices]), u64::MAX),
-                wake(60, &[1]),
+                plan_decision(0, plan_of_one(3), 1),
+                wake_decision(0, &[7, 2]),
+                wake_decision(0, &[]),
+                plan_decision(1, Plan::Periodic(vec![DutyCycle::SENSING; devices]), u64::MAX),
+                wake_decision(60, &[1]),
             ],
         };
         let all: Vec<ExternalInput> = inputs.iter().collect();
-        assert_eq!(written_and_read(&all).expect("a log"), inputs);
+        assert_eq!(write_and_parse(&all).expect("a log"), inputs);
         let scenario = load("quick", &[]).expect("a preset").scenario;
         let text = first_line(&scenario) + &all.iter().map(line).collect::<String>();
-        for length in [1, 7, 60, 4000] {
+        for piece_bytes in [1, 7, 60, 4000] {
             let (mut parser, mut read, mut end) = (InputLogParser::default(), 0, 0);
             while read < text.len() {
-                end = text.len().min(end + length);
+                end = text.len().min(end + piece_bytes);
                 read += parser.read(&text[read..end], &scenario).expect("a log");
             }
-            assert_eq!(parser.inputs(), &inputs, "{length} bytes at a time");
+            assert_eq!(parser.inputs(), &inputs, "{piece_bytes} bytes at a time");
         }
-        assert_eq!(written_and_read(&[]).expect("a log"), ExternalInputs::default());
+        assert_eq!(write_and_parse(&[]).expect("a log"), ExternalInputs::default());
     }
 
     #[test]
-    fn what_cannot_have_come_is_refused() {
-        let impossible = [
+    fn an_impossible_log_is_refused_with_the_reason() {
+        let impossible_outages = [
             vec![outage(0, 0, 5)],
             vec![outage(3, 2, 5), outage(0, 0, 6)],
             vec![outage(u32::MAX, 2, 5)],
@@ -420,60 +430,74 @@ mod tests {
             vec![outage(3, 2, 5), outage(4, 1, 9)],
             vec![outage(3, 2, 5), outage(0, 1, 4)],
         ];
-        for outages in impossible {
+        for outages in impossible_outages {
             let outages: Vec<ExternalInput> = outages.into_iter().map(ExternalInput::Outage).collect();
-            let refused = written_and_read(&outages).expect_err("impossible");
+            let refused = write_and_parse(&outages).expect_err("impossible");
             assert!(matches!(refused, InputLogError::Outage(_)), "{refused}");
         }
-        let first = || plan(0, bits(3), 1);
-        let impossible = [
-            vec![plan(1, bits(3), 2)],
-            vec![wake(0, &[1])],
-            vec![first(), plan(0, bits(3), 1)],
-            vec![first(), plan(1, bits(3), 1)],
-            vec![first(), wake(1, &[1]), plan(1, bits(3), 2)],
-            vec![first(), wake(0, &[u32::MAX])],
-            vec![first(), plan(1, Plan::Periodic(vec![DutyCycle::SENSING]), 2)],
-            vec![first(), plan(u64::MAX, bits(3), 2)],
+        let first = || plan_decision(0, plan_of_one(3), 1);
+        let impossible_decisions = [
+            vec![plan_decision(1, plan_of_one(3), 2)],
+            vec![wake_decision(0, &[1])],
+            vec![first(), plan_decision(0, plan_of_one(3), 1)],
+            vec![first(), plan_decision(1, plan_of_one(3), 1)],
+            vec![first(), wake_decision(1, &[1]), plan_decision(1, plan_of_one(3), 2)],
+            vec![first(), wake_decision(0, &[u32::MAX])],
+            vec![first(), plan_decision(1, Plan::Periodic(vec![DutyCycle::SENSING]), 2)],
+            vec![first(), plan_decision(u64::MAX, plan_of_one(3), 2)],
         ];
-        for decisions in impossible {
+        for decisions in impossible_decisions {
             let decisions: Vec<ExternalInput> = decisions.into_iter().map(ExternalInput::Decision).collect();
-            let refused = written_and_read(&decisions).expect_err("impossible");
+            let refused = write_and_parse(&decisions).expect_err("impossible");
             assert!(matches!(refused, InputLogError::Decision(_)), "{refused}");
         }
         let scenario = load("quick", &[]).expect("a preset").scenario;
-        let of = |text: &str| parse(text, &scenario).expect_err("no log of this run");
+        let error_of = |text: &str| parse(text, &scenario).expect_err("no log of this run");
         assert_eq!(
-            of("{\"wake\":{\"tti\":true}}\n").to_string(),
+            error_of("{\"wake\":{\"tti\":true}}\n").to_string(),
             "line 1, column 19: invalid input log entry: invalid type: boolean `true`, expected u64; use the \
              inputs.log of a run folder"
         );
         assert!(matches!(
-            of(&line(&ExternalInput::Outage(outage(0, 1, 1)))),
+            error_of(&line(&ExternalInput::Outage(outage(0, 1, 1)))),
             InputLogError::MissingFirstLine(1)
         ));
-        // Without a newline only the start of a first line is a log that a kill has cut short.
+        // Without a newline, only the start of a first line is the log of a killed run.
         for text in ["garbage", "\0\u{1}", "{\"inputs\":{\"version\":2}}", " "] {
-            let refused = of(text);
+            let refused = error_of(text);
             assert!(
                 matches!(refused, InputLogError::Line { line: 1, .. }),
                 "{text:?}: {refused}"
             );
         }
         let removal = line(&ExternalInput::Outage(outage(0, 1, 1)));
-        assert!(matches!(of(removal.trim_end()), InputLogError::MissingFirstLine(1)));
+        assert!(matches!(
+            error_of(removal.trim_end()),
+            InputLogError::MissingFirstLine(1)
+        ));
         for version in 1..=VERSION {
             let first = first_line_of(version, &scenario);
             for length in [0, 1, 9, first.len() - 1, first.len()] {
-                let inputs = parse(&first[..length], &scenario).expect("a log that was cut short");
+                let inputs = parse(&first[..length], &scenario).expect("a truncated log");
                 assert_eq!(inputs, ExternalInputs::default(), "{length} bytes");
             }
         }
         let torn = first_line(&scenario) + &removal + "garbage";
         assert_eq!(parse(&torn, &scenario).expect("a log").outages, [outage(0, 1, 1)]);
+        let twice = first_line(&scenario) + &removal + &first_line(&scenario);
+        assert!(matches!(error_of(&twice), InputLogError::SecondFirstLine(3)));
+        let first = first_line_of(1, &scenario);
+        assert_eq!(
+            parse(&(first.clone() + &removal), &scenario).expect("a log").outages,
+            [outage(0, 1, 1)]
+        );
+        for decision in [plan_decision(0, plan_of_one(3), 1), wake_decision(0, &[1])] {
+            let with_decision = first.clone() + &removal + &line(&ExternalInput::Decision(decision));
+            assert!(matches!(error_of(&with_decision), InputLogError::DecisionInVersion1(3)));
+        }
         let other = |version| format!("{{\"inputs\":{{\"version\":{version},\"scenario_hash\":\"00\"}}}}\n");
-        assert!(matches!(of(&other(VERSION)), InputLogError::Scenario));
-        assert!(matches!(of(other(VERSION).trim_end()), InputLogError::Scenario));
-        assert!(matches!(of(&other(VERSION + 1)), InputLogError::Version));
+        assert!(matches!(error_of(&other(VERSION)), InputLogError::Scenario));
+        assert!(matches!(error_of(other(VERSION).trim_end()), InputLogError::Scenario));
+        assert!(matches!(error_of(&other(VERSION + 1)), InputLogError::Version));
     }
 }

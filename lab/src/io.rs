@@ -43,11 +43,11 @@ pub fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
 }
 
 /// Writes `bytes` to a path given by the user. A file is replaced as by [`replace`]. A link, a device or a pipe, such
-/// as `/dev/stdout`, is written to, because a rename would put a file in its place.
+/// as `/dev/stdout`, is written to, because a rename would write_output a file in its place.
 ///
 /// # Errors
 /// If the bytes cannot be written.
-pub fn put(path: &Path, bytes: &[u8]) -> io::Result<()> {
+pub fn write_output(path: &Path, bytes: &[u8]) -> io::Result<()> {
     match fs::symlink_metadata(path) {
         Ok(metadata) if !metadata.is_file() => fs::write(path, bytes),
         Ok(_) | Err(_) => replace(path, bytes),
@@ -127,26 +127,31 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_file_is_replaced_and_a_link_is_followed() {
-        let folder = std::env::temp_dir().join(format!("reveille-put-{}", std::process::id()));
+    fn write_output_replaces_a_file_and_follows_a_link() {
+        let folder = std::env::temp_dir().join(format!("reveille-output-{}", std::process::id()));
         let _ = fs::remove_dir_all(&folder);
         fs::create_dir_all(&folder).expect("writable");
-        let [file, before, link] = ["file", "before", "link"].map(|name| folder.join(name));
-        put(&file, b"first").expect("written");
-        fs::hard_link(&file, &before).expect("possible");
-        put(&file, b"second").expect("replaced");
+        // `old` is a second name for the first file: a replaced file does not change it.
+        let [file, old, link] = ["file", "old", "link"].map(|name| folder.join(name));
+        write_output(&file, b"first").expect("written");
+        fs::hard_link(&file, &old).expect("possible");
+        write_output(&file, b"second").expect("replaced");
         symlink(&file, &link).expect("possible");
         let read = |path: &Path| fs::read_to_string(path).expect("there");
-        assert_eq!((read(&before).as_str(), read(&file).as_str()), ("first", "second"));
-        put(&link, b"third").expect("written");
+        assert_eq!((read(&old).as_str(), read(&file).as_str()), ("first", "second"));
+        write_output(&link, b"third").expect("written");
         assert!(link.is_symlink());
         assert_eq!(read(&file), "third");
-        assert_eq!(fs::read_dir(&folder).expect("there").count(), 3, "nothing is left over");
+        assert_eq!(
+            fs::read_dir(&folder).expect("there").count(),
+            3,
+            "no temporary file is left"
+        );
         fs::remove_dir_all(&folder).expect("ours");
     }
 
     #[test]
-    fn a_file_that_takes_no_place_is_removed_and_what_is_left_over_is_written_over() {
+    fn a_part_file_is_overwritten_if_present_and_removed_if_unused() {
         let folder = std::env::temp_dir().join(format!("reveille-part-{}", std::process::id()));
         let _ = fs::remove_dir_all(&folder);
         fs::create_dir_all(&folder).expect("writable");
@@ -159,7 +164,7 @@ mod tests {
         let mode = |path: &Path| fs::metadata(path).expect("there").permissions();
         let plain = folder.join("plain");
         fs::write(&plain, "").expect("writable");
-        assert_eq!(mode(&path), mode(&plain), "as any file of this user");
+        assert_eq!(mode(&path), mode(&plain), "the permissions of other new files");
         fs::remove_dir_all(&folder).expect("ours");
     }
 }

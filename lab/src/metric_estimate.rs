@@ -172,15 +172,15 @@ mod tests {
     use crate::table::fixtures;
 
     /// Estimates `metric` from runs with these values and 1000 events each.
-    fn reading(metric: &str, values: &[f64]) -> MetricEstimate {
-        let at = Metrics::NAMES
+    fn estimate_of(metric: &str, values: &[f64]) -> MetricEstimate {
+        let index = Metrics::NAMES
             .iter()
             .position(|name| *name == metric)
             .expect("a metric");
-        let first = fixtures::table().rows.remove(0);
+        let template = fixtures::table().rows.remove(0);
         let row = |value: &f64| {
-            let mut row = first.clone();
-            row.metrics[at] = *value;
+            let mut row = template.clone();
+            row.metrics[index] = *value;
             row.events = 1000;
             row
         };
@@ -190,85 +190,91 @@ mod tests {
     }
 
     #[test]
-    fn bounds_on_counts_are_those_of_printed_tables() {
+    fn bounds_on_counts_equal_printed_tables() {
         // One-sided 95 % limits of a Poisson mean.
         for (cases, printed) in [(1, 4.744), (2, 6.296), (3, 7.754), (10, 16.962)] {
             let bound = CaseCounts { cases, events: 1000 }.upper_bound_per_event() * 1000.0;
-            assert!((bound - printed).abs() < 6e-4, "{cases}: {bound}");
+            assert!(
+                (bound - printed).abs() < 6e-4,
+                "{cases} cases: bound {bound}, table {printed}"
+            );
         }
         let none = CaseCounts { cases: 0, events: 600 };
         assert!(
             (none.upper_bound_per_event() - 0.005).abs() < 1e-12,
-            "the rule of three"
+            "3 divided by the number of events: the rule of three"
         );
     }
 
     #[test]
-    fn without_a_case_there_is_a_bound_and_no_interval_of_width_zero() {
-        let none = reading("misdetection_pct", &[0.0, 0.0, 0.0]);
+    fn no_case_gives_a_bound_instead_of_an_interval_of_width_0() {
+        let none = estimate_of("misdetection_pct", &[0.0, 0.0, 0.0]);
         assert_eq!(none.case_counts, Some(CaseCounts { cases: 0, events: 3000 }));
         assert_eq!((none.upper_bound, none.ends()), (Some(0.1), (0.0, 0.1)));
         assert!((none.half_width() - 0.1).abs() < 1e-15);
-        let one_run = reading("wrong_activations_per_event", &[0.0]);
+        let one_run = estimate_of("wrong_activations_per_event", &[0.0]);
         assert_eq!(one_run.upper_bound, Some(0.003));
-        let no_count = reading("low_energy_pct", &[0.0, 0.0]);
+        let uncounted = estimate_of("low_energy_pct", &[0.0, 0.0]);
         assert_eq!(
-            (no_count.upper_bound, no_count.half_width()),
+            (uncounted.upper_bound, uncounted.half_width()),
             (None, 0.0),
-            "nothing was counted"
+            "the metric counts no cases"
         );
     }
 
     #[test]
-    fn where_all_is_missed_the_bound_is_below() {
-        let all = reading("misdetection_pct", &[100.0, 100.0]);
+    fn a_share_of_100_percent_has_a_lower_bound() {
+        let all = estimate_of("misdetection_pct", &[100.0, 100.0]);
         let (lower, mean) = all.ends();
         assert!(all.upper_bound.is_none() && all.lower_bound == Some(lower));
         assert!((lower - 99.85).abs() < 1e-9 && (mean - 100.0).abs() < 1e-12, "{all:?}");
         assert!((all.half_width() - 0.15).abs() < 1e-9);
-        let each = reading("wake_ups_per_event", &[1.0, 1.0]);
-        assert_eq!(each.lower_bound, None, "there may be more than one an event");
+        let one_per_event = estimate_of("wake_ups_per_event", &[1.0, 1.0]);
+        assert_eq!(one_per_event.lower_bound, None, "an event can have several");
     }
 
     #[test]
-    fn few_cases_give_a_bound_that_holds_for_heaps_too() {
-        // 0, 0 and 4 of 1000: mean 4/30 %, deviation 0.23094, t(2) = 4.302653.
-        let few = reading("misdetection_pct", &[0.0, 0.0, 0.4]);
+    fn few_cases_give_the_wider_of_two_bounds() {
+        // All cases in one run: 0, 0 and 4 of 1000 have mean 4/30 % and deviation 0.23094; t(2) = 4.302653.
+        let few = estimate_of("misdetection_pct", &[0.0, 0.0, 0.4]);
         assert_eq!(few.case_counts, Some(CaseCounts { cases: 4, events: 3000 }));
-        let of_runs = 0.4 / 3.0 + 4.302_653 * 0.4 / 3.0;
-        assert!((few.upper_bound.expect("a bound") - of_runs).abs() < 1e-6, "{few:?}");
+        let bound_of_runs = 0.4 / 3.0 + 4.302_653 * 0.4 / 3.0;
+        assert!(
+            (few.upper_bound.expect("a bound") - bound_of_runs).abs() < 1e-6,
+            "{few:?}"
+        );
         // 1 of 1000 in each of 2 of 300 runs: the bound of the count is the wider one.
         let mut rare = vec![0.0; 298];
         rare.extend([0.1, 0.1]);
-        let rare = reading("misdetection_pct", &rare);
+        let rare = estimate_of("misdetection_pct", &rare);
         assert!(
             (rare.upper_bound.expect("a bound") - 100.0 * 6.296 / 300_000.0).abs() < 1e-6,
             "{rare:?}"
         );
-        let lone = reading("misdetection_pct", &[0.3]);
-        assert!((lone.upper_bound.expect("a bound") - 100.0 * 7.754 / 1000.0).abs() < 1e-4);
-        assert_eq!(lone.ends().0.to_bits(), 0.0_f64.to_bits());
+        let one_run = estimate_of("misdetection_pct", &[0.3]);
+        assert!((one_run.upper_bound.expect("a bound") - 100.0 * 7.754 / 1000.0).abs() < 1e-4);
+        assert_eq!(one_run.ends().0.to_bits(), 0.0_f64.to_bits());
     }
 
     #[test]
-    fn an_interval_above_zero_stays_what_it_is() {
-        let known = reading("misdetection_pct", &[30.0, 31.0, 32.0]);
-        assert_eq!(known.upper_bound, None);
-        assert_eq!(known.ends(), known.estimate.interval());
-        let one_run = reading("misdetection_pct", &[33.0]);
+    fn an_interval_above_0_is_not_changed() {
+        let many_cases = estimate_of("misdetection_pct", &[30.0, 31.0, 32.0]);
+        assert_eq!(many_cases.upper_bound, None);
+        assert_eq!(many_cases.ends(), many_cases.estimate.interval());
+        let one_run = estimate_of("misdetection_pct", &[33.0]);
         assert_eq!((one_run.upper_bound, one_run.ends()), (None, (0.0, f64::INFINITY)));
-        let below = reading("net_per_device_tti", &[0.01, -0.01, 0.02]);
-        assert_eq!(below.upper_bound, None, "a difference may be negative");
-        let wide = reading("low_energy_pct", &[0.0, 0.03]);
+        let difference = estimate_of("net_per_device_tti", &[0.01, -0.01, 0.02]);
+        assert_eq!(difference.upper_bound, None, "a difference may be negative");
+        let wide = estimate_of("low_energy_pct", &[0.0, 0.03]);
         assert!((wide.upper_bound.expect("a bound") - (0.015 + 12.706_205 * 0.015)).abs() < 1e-6);
     }
 
     #[test]
-    fn a_reading_can_be_shared_out() {
-        let wasted = reading("wasted_energy_per_event", &[10.0, 12.0]).divided_by(4.0);
+    fn an_estimate_is_divided_with_its_bounds() {
+        let wasted = estimate_of("wasted_energy_per_event", &[10.0, 12.0]).divided_by(4.0);
         assert!((wasted.estimate.mean - 2.75).abs() < 1e-12);
         assert!((wasted.half_width() - 12.706_205 / 4.0).abs() < 1e-5);
-        let rare = reading("wasted_energy_per_event", &[0.0, 2.0]);
+        let rare = estimate_of("wasted_energy_per_event", &[0.0, 2.0]);
         assert_eq!(
             rare.divided_by(2.0).upper_bound,
             rare.upper_bound.map(|upper| upper / 2.0)
@@ -276,10 +282,13 @@ mod tests {
     }
 
     #[test]
-    fn a_cell_tells_of_its_runs() {
+    fn a_cell_estimates_metrics_from_its_runs() {
         let table = fixtures::table();
         let cells = group_by_cell(&table);
-        assert_eq!(cells[0].reading("info_per_event"), None, "in neither run");
-        assert_eq!(cells[0].reading("info_p1").map(|r| r.estimate.runs), Some(2));
+        assert_eq!(cells[0].reading("info_per_event"), None, "undefined in both runs");
+        assert_eq!(
+            cells[0].reading("info_p1").map(|estimate| estimate.estimate.runs),
+            Some(2)
+        );
     }
 }

@@ -18,11 +18,9 @@ use reveille_common::deployment::Deployment;
 
 use crate::run::{Run, RunOptions};
 
-/// An offset to the seed for the pilot runs.
 const PILOT_SEED_OFFSET: u64 = 0x5EED_0F91_1070_0500;
 /// The share of a pilot run that its metrics leave out.
 const PILOT_WARM_UP: f64 = 0.25;
-/// The largest number of cached searches.
 const MAX_CACHED_SEARCHES: usize = 1024;
 
 /// Prepares runs and caches their shared data. Sharing a preparer does not change results.
@@ -139,26 +137,25 @@ fn pilot_scenario(scenario: &Scenario, ttis: u64) -> Scenario {
 
 #[cfg(test)]
 mod tests {
-
-    use super::*;
     use reveille_bs::beliefs::ranking::i_min;
-    use reveille_bs::policy::adjusted::search::{DutyCycleChoice, pilot_results};
-
+    use reveille_bs::policy::adjusted::search::{DutyCycleChoice, collect_pilot_results};
     use reveille_bs::policy::adjusted::settings::AdjustedSettings;
     use reveille_bs::policy::factory::PolicyFactory;
     use reveille_bs::scenario::{Override, load};
 
-    fn scenario(overrides: &[&str]) -> Scenario {
+    use super::*;
+
+    fn scenario_with(overrides: &[&str]) -> Scenario {
         let overrides: Vec<Override> = overrides
             .iter()
-            .map(|o| Override::parse(o).expect("an override"))
+            .map(|text| Override::parse(text).expect("an override"))
             .collect();
         load("paper", &overrides).expect("a scenario").scenario
     }
 
     #[test]
-    fn the_search_covers_the_grid_and_takes_the_best() {
-        let scenario = scenario(&[
+    fn the_pilot_search_covers_the_grid_and_takes_the_best() {
+        let scenario = scenario_with(&[
             "policy.name=adjusted",
             "devices=60",
             "policy.adjusted.t_on=[1,3,9]",
@@ -172,30 +169,33 @@ mod tests {
             .downcast_ref::<AdjustedSettings>()
             .expect("adjusted");
         let pilots = settings.pilot_search().expect("a search");
-        let all = pilot_results(settings, &pilot_runs(&prepared, &pilots));
-        let pairs: Vec<(u32, u32)> = all.iter().map(|c| (c.t_on, c.t_drx)).collect();
+        let results = collect_pilot_results(settings, &pilot_runs(&prepared, &pilots));
+        let pairs: Vec<(u32, u32)> = results.iter().map(|result| (result.t_on, result.t_drx)).collect();
+        // Only pairs with t_on < t_drx.
         assert_eq!(pairs, [(1, 2), (1, 8), (3, 8)]);
-        let found = prepared.pilot_choice.as_ref().expect("found");
-        let choice: &DutyCycleChoice = found.downcast_ref().expect("a duty cycle");
+        let chosen = prepared.pilot_choice.as_ref().expect("a choice");
+        let choice: &DutyCycleChoice = chosen.downcast_ref().expect("a duty cycle");
         let positions = prepared.deployment.positions();
         let threshold = i_min(&positions, scenario.area, &scenario.sensing);
-        let reaching = all.iter().filter(|c| c.information >= threshold);
-        let least = reaching.map(|c| c.energy).fold(f64::INFINITY, f64::min);
-        let own = all.iter().find(|c| (c.t_on, c.t_drx) == (choice.t_on, choice.t_drx));
-        assert!((own.expect("of the grid").energy - least).abs() < 1e-15);
+        let reaching_threshold = results.iter().filter(|result| result.information >= threshold);
+        let least_energy = reaching_threshold
+            .map(|result| result.energy)
+            .fold(f64::INFINITY, f64::min);
+        let chosen_result = results
+            .iter()
+            .find(|result| (result.t_on, result.t_drx) == (choice.t_on, choice.t_drx));
+        assert!((chosen_result.expect("a pair of the grid").energy - least_energy).abs() < 1e-15);
         assert_eq!((choice.searched_pairs, choice.device_ttis), (3, 3 * 60 * 800));
     }
 
     #[test]
-    fn the_pilot_stands_on_the_same_ground_and_sees_other_events() {
-        let scenario = scenario(&["policy.name=adjusted", "devices=40"]);
+    fn a_pilot_has_another_seed_and_so_needs_the_deployment_of_the_run() {
+        let scenario = scenario_with(&["policy.name=adjusted", "devices=40"]);
         let pilot = pilot_scenario(&scenario, 2000);
         assert_ne!(pilot.run.seed, scenario.run.seed);
-        let (a, b) = (Deployment::new(&scenario), Deployment::new(&pilot));
         assert_ne!(
-            a.positions(),
-            b.positions(),
-            "which is why the run is given its deployment"
+            Deployment::new(&pilot).positions(),
+            Deployment::new(&scenario).positions()
         );
     }
 }

@@ -89,7 +89,6 @@ struct UncomparedFrames {
     encoder: DigestFrames,
     /// The frames for which the run has no counterpart yet.
     queue: VecDeque<Frame>,
-    /// The number of frames that were equal in both.
     equal_frames: u64,
     /// The number of compared frames that the replay still has to repeat after a restart.
     frames_to_skip: u64,
@@ -230,7 +229,6 @@ impl Replay {
     }
 }
 
-/// Creates a run before TTI 0.
 fn start_run(prepared: &PreparedRun, inputs: &ExternalInputs) -> Run {
     let mut run = Run::new(prepared, RunOptions::default());
     run.schedule_inputs(inputs);

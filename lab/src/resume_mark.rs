@@ -16,7 +16,6 @@ use sha2::{Digest as _, Sha256};
 
 use crate::replay::DigestFrames;
 
-/// The version of the format.
 const VERSION: u32 = 1;
 
 /// The progress of a run.
@@ -184,9 +183,10 @@ mod tests {
     use crate::preparation::prepare;
     use crate::run::{Run, RunOptions};
 
-    struct Following(ResumeTracker);
+    /// An observer that passes the notifications of a run to the tracker and asks for windows.
+    struct TrackingObserver(ResumeTracker);
 
-    impl Observer for Following {
+    impl Observer for TrackingObserver {
         fn notify(&mut self, notification: &Notification<'_>) {
             self.0.notify(notification);
         }
@@ -196,62 +196,61 @@ mod tests {
         }
     }
 
-    fn scenario(seed: &str) -> Scenario {
+    fn scenario_with_seed(seed: &str) -> Scenario {
         let set = [seed, "ttis=400"].map(|field| Override::parse(field).expect("an override"));
         load("quick", &set).expect("a preset").scenario
     }
 
-    /// Returns the tracker of a run that is advanced to TTI `to`.
-    fn followed(scenario: &Scenario, to: u64, expected: Option<ResumeMark>) -> ResumeTracker {
-        let mut way = Following(ResumeTracker::new(scenario, 10, expected));
-        Run::new(&prepare(scenario), RunOptions::default()).advance(Tti(to), &mut way);
-        way.0.finish_replay();
-        way.0
+    /// Returns the tracker of a run that is advanced to TTI `end`.
+    fn track_run(scenario: &Scenario, end: u64, expected: Option<ResumeMark>) -> ResumeTracker {
+        let mut observer = TrackingObserver(ResumeTracker::new(scenario, 10, expected));
+        Run::new(&prepare(scenario), RunOptions::default()).advance(Tti(end), &mut observer);
+        observer.0.finish_replay();
+        observer.0
     }
 
     #[test]
-    fn a_run_that_is_done_again_comes_by_its_mark_and_no_other_does() {
-        let scenario = scenario("seed=3");
-        let mark = followed(&scenario, 120, None).mark();
+    fn a_repeated_run_passes_its_mark_and_another_run_diverges() {
+        let scenario = scenario_with_seed("seed=3");
+        let mark = track_run(&scenario, 120, None).mark();
         assert_eq!((mark.tti, mark.window), (120, 10));
         let read = ResumeMark::parse(&mark.text(), &scenario).expect("a mark");
-        let again = followed(&scenario, 300, Some(read));
+        let again = track_run(&scenario, 300, Some(read));
         assert!(!again.is_mark_ahead() && !again.has_diverged());
-        let ahead = followed(&scenario, 100, Some(mark.clone()));
+        let ahead = track_run(&scenario, 100, Some(mark.clone()));
         assert!(ahead.is_mark_ahead() && !ahead.has_diverged());
-        let other = ResumeMark {
-            fingerprint: followed(&scenario, 200, None).mark().fingerprint,
+        let other_fingerprint = ResumeMark {
+            fingerprint: track_run(&scenario, 200, None).mark().fingerprint,
             ..mark
         };
-        assert!(followed(&scenario, 300, Some(other)).has_diverged());
+        assert!(track_run(&scenario, 300, Some(other_fingerprint)).has_diverged());
     }
 
     #[test]
-    fn marks_of_other_runs_and_torn_ones_are_refused() {
-        let own = scenario("seed=3");
-        let mark = followed(&own, 50, None).mark();
-        let of = |mark: &ResumeMark| ResumeMark::parse(&mark.text(), &own).expect_err("of no use");
-        let changed = |change: fn(&mut ResumeMark)| {
+    fn an_invalid_mark_is_refused_with_the_reason() {
+        let own = scenario_with_seed("seed=3");
+        let mark = track_run(&own, 50, None).mark();
+        let error_of = |change: fn(&mut ResumeMark)| {
             let mut mark = mark.clone();
             change(&mut mark);
-            of(&mark)
+            ResumeMark::parse(&mark.text(), &own).expect_err("an invalid mark")
         };
-        assert!(matches!(changed(|mark| mark.version += 1), ResumeMarkError::Version));
+        assert!(matches!(error_of(|mark| mark.version += 1), ResumeMarkError::Version));
         assert!(matches!(
-            changed(|mark| mark.digest_version += 1),
+            error_of(|mark| mark.digest_version += 1),
             ResumeMarkError::Version
         ));
-        assert!(matches!(changed(|mark| mark.tti = 401), ResumeMarkError::Tti(401)));
-        assert!(matches!(changed(|mark| mark.window = 0), ResumeMarkError::Window));
+        assert!(matches!(error_of(|mark| mark.tti = 401), ResumeMarkError::Tti(401)));
+        assert!(matches!(error_of(|mark| mark.window = 0), ResumeMarkError::Window));
         assert!(matches!(
-            ResumeMark::parse(&mark.text(), &scenario("seed=4")),
+            ResumeMark::parse(&mark.text(), &scenario_with_seed("seed=4")),
             Err(ResumeMarkError::Scenario)
         ));
         let text = mark.text();
         for end in 0..text.len() {
             assert!(
                 matches!(ResumeMark::parse(&text[..end], &own), Err(ResumeMarkError::Torn(_))),
-                "{end}"
+                "{end} bytes"
             );
         }
     }

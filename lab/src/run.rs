@@ -43,7 +43,6 @@ pub struct Run {
     lookahead: bool,
 }
 
-/// The devices of a run.
 #[derive(Clone)]
 struct Devices {
     machines: Vec<Machine>,
@@ -107,7 +106,7 @@ impl Run {
     /// The TTI of the pending decision, if that decision is not queued. At [`DecisionStage::Wake`] the TTI is open, and
     /// the run has no outcome.
     pub fn missing_decision(&self) -> Option<Tti> {
-        self.session.pending_decision().map(|request| request.seen.now)
+        self.session.pending_decision().map(|request| request.observation.now)
     }
 
     /// The devices, in the order of ids.
@@ -213,7 +212,6 @@ impl Run {
         }
     }
 
-    /// Answers the pending decision request.
     pub(crate) fn apply_decision(&mut self, decision: Decision, observer: &mut impl Observer) {
         self.session.apply_result(ActionResult::Decided(decision), observer);
     }

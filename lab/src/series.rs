@@ -128,15 +128,16 @@ mod tests {
     use crate::stats::group_by_cell;
     use crate::table::{ColumnType, Hash, SweptValue, fixtures};
 
-    fn table(runs: &[(&str, &str, u8)]) -> Table {
+    /// Returns a table of runs with these policies, rankings and digests.
+    fn table_of(runs: &[(&str, &str, u8)]) -> Table {
         let mut table = fixtures::table();
-        let first = table.rows[0].clone();
+        let template = table.rows[0].clone();
         table.schema.swept = vec![
             ("harvest.lambda".to_owned(), ColumnType::Float),
             (RANKING.to_owned(), ColumnType::Text),
         ];
         let row = |(policy, ranking, digest): &(&str, &str, u8)| {
-            let mut row = first.clone();
+            let mut row = template.clone();
             row.policy = Arc::from(*policy);
             row.swept = Arc::from([SweptValue::Float(0.1), SweptValue::Text((*ranking).to_owned())]);
             row.digest = Hash([*digest; 32]);
@@ -147,8 +148,8 @@ mod tests {
     }
 
     #[test]
-    fn a_ranking_is_told_of_policies_that_rank_where_there_are_several() {
-        let several = table(&[
+    fn names_contain_the_ranking_if_a_table_has_several() {
+        let two_rankings = table_of(&[
             ("knn", "p42", 1),
             ("knn", "posterior", 2),
             ("random", "posterior", 3),
@@ -156,40 +157,42 @@ mod tests {
             ("dt", "posterior", 5),
             ("age-index", "posterior", 6),
         ]);
-        let names = SeriesNames::from_table(&several);
-        let told: Vec<String> = several.rows.iter().map(|row| names.name(row)).collect();
-        assert_eq!(told, ["knn", "knn+posterior", "random", "genie", "dt", "age-index"]);
+        let names = SeriesNames::from_table(&two_rankings);
+        let labels: Vec<String> = two_rankings.rows.iter().map(|row| names.name(row)).collect();
+        assert_eq!(labels, ["knn", "knn+posterior", "random", "genie", "dt", "age-index"]);
         assert_eq!(names.ranking_column(), Some(1));
         assert_eq!(policy("knn+posterior"), ("knn", true));
         assert_eq!(policy("q-learning"), ("q-learning", false));
-        let one = table(&[("knn", "posterior", 2), ("random", "posterior", 3)]);
+        let one_ranking = table_of(&[("knn", "posterior", 2), ("random", "posterior", 3)]);
         assert_eq!(
             (
-                SeriesNames::from_table(&one).name(&one.rows[0]).as_str(),
-                SeriesNames::from_table(&one).ranking_column()
+                SeriesNames::from_table(&one_ranking)
+                    .name(&one_ranking.rows[0])
+                    .as_str(),
+                SeriesNames::from_table(&one_ranking).ranking_column()
             ),
             ("knn", None)
         );
-        let none = fixtures::table();
-        assert_eq!(SeriesNames::from_table(&none).name(&none.rows[0]), "knn");
+        let no_ranking = fixtures::table();
+        assert_eq!(SeriesNames::from_table(&no_ranking).name(&no_ranking.rows[0]), "knn");
     }
 
     #[test]
-    fn runs_that_heed_no_ranking_count_once() {
-        let several = table(&[
+    fn cells_of_policies_without_a_ranking_count_once() {
+        let table = table_of(&[
             ("knn", "p42", 1),
             ("random", "p42", 3),
             ("knn", "posterior", 2),
             ("random", "posterior", 3),
             ("dt", "posterior", 3),
         ]);
-        let all = group_by_cell(&several);
-        let names = SeriesNames::from_table(&several);
-        let kept: Vec<String> = names
-            .distinct_cells(&all)
+        let cells = group_by_cell(&table);
+        let names = SeriesNames::from_table(&table);
+        let labels: Vec<String> = names
+            .distinct_cells(&cells)
             .iter()
             .map(|cell| names.name(cell.rows[0]))
             .collect();
-        assert_eq!(kept, ["knn", "random", "knn+posterior", "dt"]);
+        assert_eq!(labels, ["knn", "random", "knn+posterior", "dt"]);
     }
 }

@@ -7,7 +7,6 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use crate::table::{ResultRow, SweptValue, Table};
 
-/// The confidence of the intervals.
 pub(crate) const CONFIDENCE: f64 = 0.95;
 
 /// A mean with its confidence interval.
@@ -97,14 +96,14 @@ impl Moments {
         Some(Estimate {
             mean: self.mean,
             deviation,
-            half_width: student_t_quantile(self.runs - 1) * deviation / (self.runs as f64).sqrt(),
+            half_width: student_t_quantile_95(self.runs - 1) * deviation / (self.runs as f64).sqrt(),
             runs: self.runs,
         })
     }
 }
 
 /// The two-sided 95 % quantile of Student's t with these degrees of freedom; NaN for none.
-pub fn student_t_quantile(degrees_of_freedom: usize) -> f64 {
+pub fn student_t_quantile_95(degrees_of_freedom: usize) -> f64 {
     // Two-sided: 2.5 % lie above the interval, so the quantile is taken at 0.975.
     StudentsT::new(0.0, 1.0, degrees_of_freedom as f64)
         .map_or(f64::NAN, |t| t.inverse_cdf(f64::midpoint(1.0, CONFIDENCE)))
@@ -167,8 +166,8 @@ mod tests {
     use super::*;
     use crate::table::fixtures;
 
-    /// Two-sided 95 % quantiles from printed tables.
-    const PRINTED: [(usize, f64); 6] = [
+    /// Two-sided 95 % quantiles of Student's t from printed tables, by degrees of freedom.
+    const PRINTED_QUANTILES: [(usize, f64); 6] = [
         (1, 12.706),
         (2, 4.303),
         (9, 2.262),
@@ -178,26 +177,27 @@ mod tests {
     ];
 
     #[test]
-    fn quantiles_are_those_of_the_printed_tables() {
-        for (freedom, printed) in PRINTED {
+    fn quantiles_equal_printed_tables() {
+        for (freedom, printed) in PRINTED_QUANTILES {
+            let quantile = student_t_quantile_95(freedom);
+            // Half of the last printed digit, and a little more for its rounding.
             assert!(
-                (student_t_quantile(freedom) - printed).abs() < 6e-4,
-                "{freedom}: {}",
-                student_t_quantile(freedom)
+                (quantile - printed).abs() < 6e-4,
+                "{freedom} degrees of freedom: {quantile}, table {printed}"
             );
         }
-        assert!(student_t_quantile(0).is_nan());
+        assert!(student_t_quantile_95(0).is_nan());
     }
 
     #[test]
-    fn an_estimate_is_that_of_the_schoolbook() {
+    fn an_estimate_equals_a_calculation_by_hand() {
         // Mean 5, squared differences 9+1+1+1+0+0+4+16 = 32, so the variance is 32/7; t(7) = 2.3646.
-        let e = Estimate::from_values([2.0, 4.0, 4.0, 4.0, 5.0, 5.0, 7.0, 9.0]).expect("values");
+        let estimate = Estimate::from_values([2.0, 4.0, 4.0, 4.0, 5.0, 5.0, 7.0, 9.0]).expect("values");
         let deviation = (32.0f64 / 7.0).sqrt();
-        assert!((e.mean - 5.0).abs() < 1e-12 && (e.deviation - deviation).abs() < 1e-12);
-        assert!((e.half_width - 2.364_624_25 * deviation / 8f64.sqrt()).abs() < 1e-7);
-        assert!((e.relative_half_width() - e.half_width / 5.0).abs() < 1e-15);
-        assert_eq!(e.runs, 8);
+        assert!((estimate.mean - 5.0).abs() < 1e-12 && (estimate.deviation - deviation).abs() < 1e-12);
+        assert!((estimate.half_width - 2.364_624_25 * deviation / 8f64.sqrt()).abs() < 1e-7);
+        assert!((estimate.relative_half_width() - estimate.half_width / 5.0).abs() < 1e-15);
+        assert_eq!(estimate.runs, 8);
     }
 
     #[test]
@@ -206,34 +206,38 @@ mod tests {
         let one = Estimate::from_values([3.0, f64::NAN]).expect("one value");
         assert_eq!((one.mean, one.runs), (3.0, 1));
         assert!(one.half_width.is_nan() && one.relative_half_width().is_infinite());
-        let same = Estimate::from_values([2.0, 2.0, 2.0]).expect("values");
-        assert!(same.relative_half_width() == 0.0, "three times the same is known well");
-        let nothing = Estimate::from_values([0.0, 0.0, 0.0]).expect("values");
+        let equal = Estimate::from_values([2.0, 2.0, 2.0]).expect("values");
+        assert!(equal.relative_half_width() == 0.0, "equal values");
+        let zeros = Estimate::from_values([0.0, 0.0, 0.0]).expect("values");
         assert!(
-            nothing.relative_half_width().is_infinite(),
-            "three times nothing is not"
+            zeros.relative_half_width().is_infinite(),
+            "no relative width of a mean of 0"
         );
     }
 
     #[test]
-    fn an_interval_is_as_wide_as_it_says() {
+    fn an_interval_has_its_half_width_on_both_sides() {
         let estimate = Estimate::from_values_or_nan([1.0, f64::NAN, 2.0, 3.0]);
-        let half = 4.302_653 / 3.0_f64.sqrt();
+        // t(2) times the deviation of 1.
+        let half_width = 4.302_653 / 3.0_f64.sqrt();
         let (low, high) = estimate.interval();
-        assert!((low - (2.0 - half)).abs() < 1e-5 && (high - (2.0 + half)).abs() < 1e-5);
+        assert!((low - (2.0 - half_width)).abs() < 1e-5 && (high - (2.0 + half_width)).abs() < 1e-5);
         assert!(estimate.covers(4.4) && !estimate.covers(4.5));
         assert!(Estimate::from_values_or_nan([]).mean.is_nan() && !Estimate::from_values_or_nan([4.0]).covers(4.0));
     }
 
     #[test]
-    fn a_cell_holds_what_differs_in_the_seed_alone() {
+    fn a_cell_groups_runs_that_differ_only_in_the_seed() {
         let table = fixtures::table();
         let cells = group_by_cell(&table);
-        let counts: Vec<(&str, u32, usize)> = cells.iter().map(|c| (c.policy, c.n, c.rows.len())).collect();
+        let counts: Vec<(&str, u32, usize)> = cells
+            .iter()
+            .map(|cell| (cell.policy, cell.n, cell.rows.len()))
+            .collect();
         assert_eq!(counts, [("knn", 10, 2), ("knn", 50, 2), ("random", 10, 1)]);
         let estimate = cells[0].estimate("info_p1").expect("defined");
         assert_eq!((estimate.mean, estimate.runs), (1.5, 2));
-        assert_eq!(cells[0].estimate("info_per_event"), None, "in neither run");
+        assert_eq!(cells[0].estimate("info_per_event"), None, "undefined in both runs");
         assert_eq!(cells[0].estimate("colour"), None);
         assert!(cells[1].estimate("events").is_some());
     }

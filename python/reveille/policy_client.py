@@ -175,7 +175,7 @@ class PolicyClient:
         #: Number of decisions made.
         self.decided = 0
         self._id = secrets.token_hex(8)
-        self._last: tuple[tuple[Any, ...], bytes] | None = None
+        self._last: tuple[tuple[Any, ...], dict[str, Any]] | None = None
         self._is_over = False
 
     def serve(
@@ -283,6 +283,7 @@ class PolicyClient:
             if not hmac.compare_digest(str(question["to"]), self._id):
                 return None
             echo = {name: question[name] for name in ("seq", "tti", "stage")}
+            protocol = min(PROTOCOL, question["protocol"])
             asked = self._read(question)
         except ProtocolError:
             raise
@@ -290,14 +291,15 @@ class PolicyClient:
             raise ProtocolError(f"invalid decision request: {type(error).__name__}: {error}") from error
         head = tuple(echo.values())
         if self._last is not None and self._last[0] == head and asked.refused is None:
-            return self._last[1]
+            return _encode(self._last[1], form)
         if asked.refused is not None:
             warnings.warn(f"the decision for TTI {asked.tti} was refused: {asked.refused}", stacklevel=2)
         decision = self.policy(asked if self.whole else asked.observation)
-        reply = {"protocol": PROTOCOL, **echo, "id": self._id, "key": key, **_said(decision, form, len(asked.observation["action_mask"]))}
-        self.decided += 1
+        fields = _said(decision, len(asked.observation["action_mask"]))
+        reply = {"protocol": protocol, **echo, "id": self._id, "key": key, **fields}
         answer = _encode(reply, form)
-        self._last = (head, answer)
+        self.decided += 1
+        self._last = (head, reply)
         return answer
 
     def _welcome(self, hello: dict[str, Any], key: str) -> dict[str, Any]:
@@ -340,24 +342,23 @@ def _numbers(rows: Any) -> NDArray[np.float32]:
     return np.asarray(rows, np.float32)
 
 
-def _said(decision: Decision, form: str, devices: int) -> dict[str, Any]:
+def _said(decision: Decision, devices: int) -> dict[str, Any]:
     if isinstance(decision, Mapping):
         unknown = set(decision) - {"action", "sense", "cycles", "wake", "next"}
         if unknown:
             raise ValueError(f"decision: unknown keys {sorted(unknown)}; use action, sense, cycles, wake and next")
         said = {name: np.asarray(value).tolist() for name, value in decision.items() if name != "action"}
-        return said | (_bits(decision["action"], form, devices) if "action" in decision else {})
-    return _bits(decision, form, devices)
+        return said | (_bits(decision["action"], devices) if "action" in decision else {})
+    return _bits(decision, devices)
 
 
-def _bits(action: Any, form: str, devices: int) -> dict[str, Any]:
+def _bits(action: Any, devices: int) -> dict[str, Any]:
     bits = np.asarray(action).reshape(-1)
     if bits.dtype.kind not in "biuf" or not np.isin(bits, (0, 1)).all():
         raise ValueError(f"decision {action!r}: must be zeros and ones, one for each device")
     if len(bits) != devices:
         raise ValueError(f"decision: {len(bits)} numbers for {devices} devices; give one for each device")
-    bits = bits.astype(np.uint8)
-    return {"action": bits.tobytes() if form == "cbor" else bits.tolist()}
+    return {"action": bits.astype(np.uint8).tolist()}
 
 
 def _encode(message: dict[str, Any], form: str) -> bytes:
@@ -365,7 +366,8 @@ def _encode(message: dict[str, Any], form: str) -> bytes:
         return json.dumps(message).encode()
     import cbor2
 
-    return cbor2.dumps(message)
+    # In CBOR the bits of an action are a byte string.
+    return cbor2.dumps(message | {"action": bytes(message["action"])} if "action" in message else message)
 
 
 def _decode(payload: bytes, form: str) -> dict[str, Any]:

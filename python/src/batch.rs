@@ -128,7 +128,7 @@ impl PyEnvBatch {
                 "a batch needs at least one environment and one thread",
             ));
         }
-        let scenario = read_external(&source, &set)?;
+        let scenario = read_external(py, &source, &set)?;
         let weights = RewardWeights { mu1, mu2 };
         let scenarios: Vec<Scenario> = seeds.iter().map(|seed| scenario.with_seed(*seed)).collect();
         let inner = py.detach(|| gym::EnvBatch::new(&scenarios, weights, threads));
@@ -147,7 +147,7 @@ impl PyEnvBatch {
     /// Restarts the environments `which` with these seeds. `set` overrides fields in addition to the earlier overrides.
     fn reset(&self, py: Python<'_>, which: Vec<usize>, seeds: Vec<u64>, set: Vec<String>) -> PyResult<()> {
         let set: Vec<String> = self.set.iter().cloned().chain(set).collect();
-        let scenario = read_external(&self.source, &set)?;
+        let scenario = read_external(py, &self.source, &set)?;
         let (all, devices) = {
             let inner = self.lock();
             (inner.len(), inner.devices())

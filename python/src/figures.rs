@@ -131,8 +131,8 @@ pub(crate) fn sweep_pictures(
 }
 
 /// Reads a scenario whose run can be drawn.
-fn read_drawable(source: &str, set: &[String]) -> PyResult<Scenario> {
-    let scenario = read(source, set)?;
+fn read_drawable(py: Python<'_>, source: &str, set: &[String]) -> PyResult<Scenario> {
+    let scenario = read(py, source, set)?;
     if registry::named(scenario.policy.name()).is_none() {
         return Err(value_error(
             "policy external: an environment makes its decisions; choose a built-in policy",
@@ -150,7 +150,7 @@ pub(crate) fn deployment_picture(
     set: Vec<String>,
     event: Option<u64>,
 ) -> PyResult<PyFigure> {
-    let scenario = read_drawable(source, &set)?;
+    let scenario = read_drawable(py, source, &set)?;
     py.detach(|| {
         let event_scene = EventScene::from_scenario(&scenario, event).map_err(value_error)?;
         let name = deployment::file_name(&scenario, &event_scene);
@@ -169,7 +169,7 @@ pub(crate) fn timeline_picture(
     first: Option<u64>,
     length: u64,
 ) -> PyResult<PyFigure> {
-    let scenario = read_drawable(source, &set)?;
+    let scenario = read_drawable(py, source, &set)?;
     py.detach(|| {
         let first = first.unwrap_or(scenario.warm_up_end().0);
         let timeline_data = Timeline::from_scenario(&scenario, &devices, first, length).map_err(value_error)?;

@@ -6,6 +6,8 @@
     reason = "arguments from Python are converted for the call"
 )]
 
+use std::collections::BTreeSet;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, channel};
@@ -25,7 +27,7 @@ use reveille_lab::run::{Run, RunOptions};
 use reveille_lab::sweep::{ExperimentBuilder, Shard, Sweep, SweepError, SweepGrid, SweepProgress};
 use reveille_lab::table::Format;
 
-use crate::scenarios::{read, read_external, value_error};
+use crate::scenarios::{read, read_external_silently, value_error, warn};
 
 /// Time between two checks for Ctrl-C.
 const SIGNAL_CHECK_INTERVAL: Duration = Duration::from_millis(100);
@@ -67,7 +69,7 @@ pub(crate) fn features() -> [Vec<(&'static str, &'static str)>; 2] {
 /// Runs a scenario and returns its outcome.
 #[pyfunction]
 pub(crate) fn run<'py>(py: Python<'py>, source: &str, set: Vec<String>) -> PyResult<Bound<'py, PyDict>> {
-    let scenario = read(source, &set)?;
+    let scenario = read(py, source, &set)?;
     if registry::named(scenario.policy.name()).is_none() {
         return Err(value_error(
             "policy external: an environment makes its decisions; choose a built-in policy",
@@ -80,7 +82,7 @@ pub(crate) fn run<'py>(py: Python<'py>, source: &str, set: Vec<String>) -> PyRes
 /// Runs a scenario and returns its outcome, with the actions that repeat the run in an environment.
 #[pyfunction]
 pub(crate) fn watched<'py>(py: Python<'py>, source: &str, set: Vec<String>) -> PyResult<Bound<'py, PyDict>> {
-    let (scenario, external_scenario) = (read(source, &set)?, read_external(source, &set)?);
+    let (scenario, external_scenario) = (read(py, source, &set)?, read_external_silently(source, &set)?);
     if registry::named(scenario.policy.name()).is_none() {
         return Err(value_error(
             "policy external: an environment makes its decisions; choose a built-in policy",
@@ -115,6 +117,8 @@ impl SweepProgress for PySweepProgress<'_> {
 pub(crate) fn sweep(py: Python<'_>, text: &str, folder: PathBuf, threads: usize) -> PyResult<PathBuf> {
     let draft = ExperimentBuilder::parse(text, "the experiment", Path::new("")).map_err(value_error)?;
     let grid = SweepGrid::new(draft.build().map_err(value_error)?, &Disk).map_err(value_error)?;
+    let warnings: BTreeSet<&String> = grid.cells.iter().flat_map(|cell| &cell.warnings).collect();
+    warn(py, warnings)?;
     let stop = AtomicBool::new(false);
     let work = || -> Result<Option<PathBuf>, SweepError> {
         let mut sweep = Sweep::open(&grid, Shard::WHOLE, &folder)?;
@@ -124,8 +128,11 @@ pub(crate) fn sweep(py: Python<'_>, text: &str, folder: PathBuf, threads: usize)
     let result = std::thread::scope(|scope| -> PyResult<Result<Option<PathBuf>, SweepError>> {
         let (sender, mut receiver) = channel();
         scope.spawn(move || {
+            // A panic that left the scope would reach Python as a `PanicException`, which `except Exception` misses.
+            let result = catch_unwind(AssertUnwindSafe(work));
+            let result = result.unwrap_or_else(|panic| Err(SweepError::from_panic(&*panic)));
             // The receiver outlives this thread: also after Ctrl-C the loop below waits for the message.
-            let _ = sender.send(work());
+            let _ = sender.send(result);
         });
         let mut interrupted = None;
         loop {
@@ -149,7 +156,14 @@ pub(crate) fn sweep(py: Python<'_>, text: &str, folder: PathBuf, threads: usize)
             }
         }
     })?;
+    let sweep_error = |error: SweepError| {
+        if matches!(error, SweepError::Panicked(_)) {
+            PyRuntimeError::new_err(error.to_string())
+        } else {
+            value_error(error)
+        }
+    };
     result
-        .map_err(value_error)?
+        .map_err(sweep_error)?
         .ok_or_else(|| PyRuntimeError::new_err("the sweep was stopped"))
 }

@@ -1,11 +1,13 @@
 //! Reading of scenarios for Python.
 
+use std::ffi::CString;
 use std::fmt::Display;
 
-use pyo3::PyErr;
-use pyo3::exceptions::PyValueError;
+use pyo3::exceptions::{PyFutureWarning, PyUserWarning, PyValueError};
+use pyo3::prelude::*;
 use reveille_bs::policy::outside;
-use reveille_bs::scenario::Scenario;
+use reveille_bs::scenario::{Loaded, Scenario};
+use reveille_common::declare::FORMER_NAME_NOTICE;
 use reveille_common::io::Disk;
 use reveille_common::scenario::{Override, load};
 
@@ -14,16 +16,47 @@ pub(crate) fn value_error(error: impl Display) -> PyErr {
     PyValueError::new_err(error.to_string())
 }
 
-/// Reads the scenario `source` with the overrides `set`, each `path=value` with a TOML value.
-pub(crate) fn read(source: &str, set: &[String]) -> Result<Scenario, PyErr> {
-    let overrides = set.iter().map(|set| Override::parse(set));
-    let overrides: Vec<Override> = overrides.collect::<Result<_, _>>().map_err(value_error)?;
-    let loaded = load(source, &overrides, &outside::kinds_with_external(), &Disk).map_err(value_error)?;
+/// Reads the scenario `source` with the overrides `set`, each `path=value` with a TOML value. Issues its warnings.
+pub(crate) fn read(py: Python<'_>, source: &str, set: &[String]) -> PyResult<Scenario> {
+    let loaded = load_silently(source, set)?;
+    warn(py, &loaded.warnings)?;
     Ok(loaded.scenario)
 }
 
 /// Reads a scenario like [`read`], with the policy `external`.
-pub(crate) fn read_external(source: &str, set: &[String]) -> Result<Scenario, PyErr> {
-    let set: Vec<String> = set.iter().cloned().chain(["policy.name=external".to_owned()]).collect();
-    read(source, &set)
+pub(crate) fn read_external(py: Python<'_>, source: &str, set: &[String]) -> PyResult<Scenario> {
+    read(py, source, &with_external(set))
+}
+
+/// Reads a scenario like [`read_external`], without its warnings.
+pub(crate) fn read_external_silently(source: &str, set: &[String]) -> PyResult<Scenario> {
+    Ok(load_silently(source, &with_external(set))?.scenario)
+}
+
+fn load_silently(source: &str, set: &[String]) -> PyResult<Loaded> {
+    let overrides = set.iter().map(|set| Override::parse(set));
+    let overrides: Vec<Override> = overrides.collect::<Result<_, _>>().map_err(value_error)?;
+    load(source, &overrides, &outside::kinds_with_external(), &Disk).map_err(value_error)
+}
+
+fn with_external(set: &[String]) -> Vec<String> {
+    set.iter().cloned().chain(["policy.name=external".to_owned()]).collect()
+}
+
+/// Issues warnings about a scenario: a `FutureWarning` for a former name, a `UserWarning` for all else.
+///
+/// # Errors
+/// If a filter turns a warning into an exception.
+pub(crate) fn warn<'w>(py: Python<'_>, warnings: impl IntoIterator<Item = &'w String>) -> PyResult<()> {
+    // The frame that called a function of the package.
+    const STACK_LEVEL: i32 = 2;
+    for warning in warnings {
+        let category = if warning.ends_with(FORMER_NAME_NOTICE) {
+            py.get_type::<PyFutureWarning>()
+        } else {
+            py.get_type::<PyUserWarning>()
+        };
+        PyErr::warn(py, &category, &CString::new(warning.as_str())?, STACK_LEVEL)?;
+    }
+    Ok(())
 }

@@ -1,4 +1,4 @@
-"""The environment for Gymnasium."""
+"""Tests of `ReveilleEnv`: Gymnasium's checker, and comparisons with the policies whose actions are repeated."""
 
 import gymnasium as gym
 import numpy as np
@@ -12,29 +12,29 @@ SMALL = {"devices": 12, "ttis": 60}
 
 
 def play(env, seed, actions=None, steps=10**9):
-    """Plays a run with drawn actions; returns all of its outputs and its last info."""
+    """Plays a run with random actions. Returns its observations and rewards, and its last info."""
     rng = np.random.default_rng(seed)
     obs, info = env.reset(seed=seed)
-    seen = [obs]
+    steps_seen = [obs]
     while steps > 0:
         action = (rng.random(env.action_space.n) < 0.15).astype(np.int8)
         obs, reward, terminated, truncated, info = env.step(action)
-        seen.append((obs, reward))
+        steps_seen.append((obs, reward))
         assert not terminated
         assert reward == pytest.approx(sum(info[part] for part in ("asleep", "missed", "information", "woken")))
         steps -= 1
         if truncated:
             break
-    return seen, info
+    return steps_seen, info
 
 
 @pytest.mark.parametrize("knowledge", ["oracle", "reported"])
 @pytest.mark.filterwarnings("error")
-def test_gymnasiums_checker_accepts_it(knowledge):
+def test_the_checker_of_gymnasium_accepts_the_environment(knowledge):
     check_env(gym.make("Reveille-v0", battery_knowledge=knowledge, **SMALL).unwrapped)
 
 
-def test_it_is_made_by_name_and_masks_sample():
+def test_make_creates_the_environment_and_masks_restrict_samples():
     env = gym.make("Reveille-v0", scenario="paper", devices=50, ttis=300, battery_knowledge="reported")
     obs, _ = env.reset(seed=3)
     stages = set()
@@ -50,68 +50,70 @@ def test_it_is_made_by_name_and_masks_sample():
     assert len(info["digest"]) == 64 and info["metrics"]["events"] > 10
 
 
-def test_a_seed_is_a_run_and_an_unseeded_reset_another():
+def test_a_seed_repeats_the_run_and_an_unseeded_reset_changes_it():
     first, second = ReveilleEnv(**SMALL), ReveilleEnv(**SMALL)
-    (a, end_a), (b, end_b) = play(first, 5), play(second, 5)
-    assert data_equivalence(a, b, exact=True) and end_a["digest"] == end_b["digest"]
-    (_, again), (_, other) = first.reset(), second.reset()
-    assert again["seed"] == other["seed"] != 5
-    assert play(first, 6)[1]["digest"] != end_a["digest"]
+    (first_steps, first_info), (second_steps, second_info) = play(first, 5), play(second, 5)
+    assert data_equivalence(first_steps, second_steps, exact=True)
+    assert first_info["digest"] == second_info["digest"]
+    (_, first_reset), (_, second_reset) = first.reset(), second.reset()
+    assert first_reset["seed"] == second_reset["seed"] != 5
+    assert play(first, 6)[1]["digest"] != first_info["digest"]
 
 
 @pytest.mark.parametrize("policy", ["age-index", "dt", "q-learning"])
 @pytest.mark.parametrize("knowledge", ["oracle", "reported"])
-def test_the_actions_of_a_policy_give_its_digest(policy, knowledge):
+def test_repeated_actions_of_a_policy_give_its_digest(policy, knowledge):
     settings = {"devices": 30, "ttis": 500, "battery_knowledge": knowledge}
-    own = reveille.run(policy=policy, seed=7, actions=True, **settings)
+    run = reveille.run(policy=policy, seed=7, actions=True, **settings)
     env = ReveilleEnv(**settings)
     env.reset(seed=7)
-    for action in own["actions"]:
+    for action in run["actions"]:
         _, _, _, truncated, info = env.step(action)
-    assert truncated and info["digest"] == own["digest"] == reveille.run(policy=policy, seed=7, **settings)["digest"]
-    np.testing.assert_equal(info["metrics"]["info_p1"], own["metrics"]["info_p1"])
+    assert truncated and info["digest"] == run["digest"] == reveille.run(policy=policy, seed=7, **settings)["digest"]
+    np.testing.assert_equal(info["metrics"]["info_p1"], run["metrics"]["info_p1"])
 
 
-def test_one_other_action_gives_another_digest():
-    own = reveille.run(policy="age-index", seed=7, actions=True, devices=30, ttis=200)
+def test_a_changed_action_gives_another_digest():
+    run = reveille.run(policy="age-index", seed=7, actions=True, devices=30, ttis=200)
     env = ReveilleEnv(devices=30, ttis=200)
     env.reset(seed=7)
-    own["actions"][100, 3] ^= 1
-    for action in own["actions"]:
+    run["actions"][100, 3] ^= 1
+    for action in run["actions"]:
         _, _, _, truncated, info = env.step(action)
         if truncated:
             break
-    assert info.get("digest") != own["digest"]
+    assert info.get("digest") != run["digest"]
 
 
-def test_snapshots_are_restored():
+def test_a_restored_snapshot_continues_the_same_run():
     env = ReveilleEnv(**SMALL)
     play(env, 4, steps=30)
     snapshot = env.snapshot()
     rng = np.random.default_rng(1)
     actions = rng.integers(0, 2, (200, 12)).astype(np.int8)
 
-    def go_on(env):
-        ends = []
+    def continue_run(env):
+        steps = []
         for action in actions:
             obs, reward, _, truncated, info = env.step(action)
-            ends.append((obs, reward))
+            steps.append((obs, reward))
             if truncated:
-                return ends, info["digest"]
-        raise AssertionError("no end")
+                return steps, info["digest"]
+        raise AssertionError("the run does not end")
 
-    first = go_on(env)
+    original = continue_run(env)
     env.restore(snapshot)
     other = ReveilleEnv(**SMALL)
     other.restore(snapshot)
-    second, third = go_on(env), go_on(other)
-    assert first[1] == second[1] == third[1]
-    assert data_equivalence(first[0], second[0], exact=True) and data_equivalence(first[0], third[0], exact=True)
+    restored, copied = continue_run(env), continue_run(other)
+    assert original[1] == restored[1] == copied[1]
+    assert data_equivalence(original[0], restored[0], exact=True)
+    assert data_equivalence(original[0], copied[0], exact=True)
     with pytest.raises(ValueError, match="another number of devices"):
         ReveilleEnv(devices=13, ttis=60).restore(snapshot)
 
 
-def test_illegal_wake_ups_are_dropped_and_cost_nothing():
+def test_wake_ups_outside_the_mask_are_dropped_without_cost():
     env = ReveilleEnv(devices=12, ttis=400)
     obs, _ = env.reset(seed=2)
     dropped = 0
@@ -129,29 +131,29 @@ def test_illegal_wake_ups_are_dropped_and_cost_nothing():
     assert dropped > 10 and info["metrics"]["wake_ups_per_event"] == 0
 
 
-def test_observations_stay_in_their_space_and_arrays_are_the_callers():
+def test_observations_are_in_their_space_and_not_overwritten():
     env = ReveilleEnv(devices=15, ttis=200, set={"harvest.kind": "diurnal"})
-    seen, _ = play(env, 9)
-    assert all(obs in env.observation_space for obs, *_ in seen[1:])
-    before = seen[1][0]["device"].copy()
+    steps, _ = play(env, 9)
+    assert all(obs in env.observation_space for obs, *_ in steps[1:])
+    copy = steps[1][0]["device"].copy()
     env.reset(seed=1)
-    np.testing.assert_array_equal(before, seen[1][0]["device"])
+    np.testing.assert_array_equal(copy, steps[1][0]["device"])
 
 
 def test_options_set_fields_of_an_episode():
     env = ReveilleEnv(devices=15, ttis=100)
-    _, plain = play(env, 3)
+    _, default_info = play(env, 3)
     env.reset(seed=3, options={"set": {"harvest.lambda": 0.9, "ttis": 50}})
     for _ in range(1000):
         *_, truncated, info = env.step(np.zeros(15, dtype=np.int8))
         if truncated:
             break
     assert info["ttis_done"] == 50
-    assert play(env, 3)[1]["digest"] == plain["digest"]
+    assert play(env, 3)[1]["digest"] == default_info["digest"]
 
 
 @pytest.mark.parametrize(
-    ("make", "says"),
+    ("call", "message"),
     [
         (lambda: ReveilleEnv("papyrus"), "papyrus"),
         (lambda: ReveilleEnv(devices=0), "devices = 0"),
@@ -161,18 +163,18 @@ def test_options_set_fields_of_an_episode():
         (lambda: ReveilleEnv(render_mode="human"), "render_mode"),
         (lambda: ReveilleEnv(**SMALL).reset(options={"seet": 1}), "seet"),
         (lambda: ReveilleEnv(**SMALL).reset(options={"set": {"devices": 13}}), "12 devices"),
-        (lambda: _stepped(np.zeros(11)), r"\(1, 12\)"),
+        (lambda: _step(np.zeros(11)), r"\(1, 12\)"),
         (lambda: reveille.run(policy="external"), "external"),
         (lambda: reveille.run(policy="genie", actions=True), "genie"),
         (lambda: reveille.run(set={"ttis": "long"}), "ttis"),
     ],
 )
-def test_errors_name_the_cause(make, says):
-    with pytest.raises(ValueError, match=says):
-        make()
+def test_errors_name_the_cause(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()
 
 
-def _stepped(action):
+def _step(action):
     env = ReveilleEnv(**SMALL)
     env.reset(seed=1)
     env.step(action)

@@ -1,4 +1,6 @@
-"""Trajectories in Parquet files and in Minari datasets."""
+"""Tests of `record_trajectories`, `Trajectories` and `to_minari`: recorded episodes are compared with an environment
+that repeats their actions.
+"""
 
 import gymnasium as gym
 import numpy as np
@@ -13,8 +15,8 @@ from reveille.environment import PARTS, ReveilleEnv
 SMALL = {"devices": 14, "ttis": 150, "battery_knowledge": "reported"}
 
 
-class Drawn:
-    """A policy that draws actions, the same for the same seed."""
+class RandomPolicy:
+    """A policy with random actions that depend only on the seed."""
 
     def reset(self, seed):
         self.rng = np.random.default_rng(seed)
@@ -24,8 +26,8 @@ class Drawn:
         return self.rng.random(len(observation["action_mask"])) < 0.2
 
 
-def replayed(env, seed, actions):
-    """Steps the actions of an episode again; returns all outputs and the last info."""
+def repeat_episode(env, seed, actions):
+    """Repeats the actions of an episode. Returns its observations, rewards, parts of rewards, and last info."""
     obs, info = env.reset(seed=seed)
     seen, rewards, parts = [obs], [], []
     for action in actions:
@@ -37,15 +39,16 @@ def replayed(env, seed, actions):
     return seen, np.array(rewards), np.array(parts), info
 
 
-@pytest.mark.parametrize("policy", ["age-index", "knn", Drawn()])
-def test_an_episode_read_back_and_stepped_again_is_the_recorded(policy, tmp_path):
-    told = reveille.record_trajectories(tmp_path / "t.parquet", policy, seeds=3, first_seed=5, mu1=3.0, **SMALL)
-    assert len(told) == 3 and told.policy == (policy if isinstance(policy, str) else "Drawn")
-    assert [info.seed for info in told.episodes] == [5, 6, 7]
-    again = reveille.Trajectories(tmp_path / "t.parquet")
-    env = again.environment()
-    for episode in again:
-        seen, rewards, parts, last = replayed(env, episode.info.seed, episode.actions)
+@pytest.mark.parametrize("policy", ["age-index", "knn", RandomPolicy()])
+def test_a_recorded_episode_equals_its_repetition(policy, tmp_path):
+    path = tmp_path / "t.parquet"
+    recorded_file = reveille.record_trajectories(path, policy, seeds=3, first_seed=5, mu1=3.0, **SMALL)
+    assert len(recorded_file) == 3 and recorded_file.policy == (policy if isinstance(policy, str) else "RandomPolicy")
+    assert [info.seed for info in recorded_file.episodes] == [5, 6, 7]
+    read_file = reveille.Trajectories(path)
+    env = read_file.environment()
+    for episode in read_file:
+        seen, rewards, parts, last = repeat_episode(env, episode.info.seed, episode.actions)
         assert last["digest"] == episode.info.digest and len(episode.actions) == episode.info.steps
         for key, values in episode.observations.items():
             np.testing.assert_array_equal(values, np.stack([obs[key] for obs in seen]))
@@ -57,18 +60,18 @@ def test_an_episode_read_back_and_stepped_again_is_the_recorded(policy, tmp_path
         assert episode.ttis[0] == 0 and episode.ttis[-1] == 150 and (np.diff(episode.ttis) >= 0).all()
         assert episode.info.metrics["events"] == last["metrics"]["events"]
     if policy == "age-index":
-        own = reveille.run(policy=policy, seed=6, **SMALL)
-        assert again.episodes[1].digest == again.episodes[1].policy_digest == own["digest"]
+        run = reveille.run(policy=policy, seed=6, **SMALL)
+        assert read_file.episodes[1].digest == read_file.episodes[1].policy_digest == run["digest"]
     if policy == "knn":
-        assert again.episodes[1].digest != again.episodes[1].policy_digest
-        assert again.episodes[1].policy_digest == reveille.run(policy=policy, seed=6, **SMALL)["digest"]
+        assert read_file.episodes[1].digest != read_file.episodes[1].policy_digest
+        assert read_file.episodes[1].policy_digest == reveille.run(policy=policy, seed=6, **SMALL)["digest"]
 
 
-def test_a_file_is_read_without_the_package(tmp_path):
+def test_a_file_has_the_documented_columns(tmp_path):
     path = tmp_path / "t.parquet"
-    told = reveille.record_trajectories(path, "age-index", seeds=2, **SMALL)
+    recorded_file = reveille.record_trajectories(path, "age-index", seeds=2, **SMALL)
     table = parquet.read_table(path)
-    assert table.num_rows == sum(info.steps + 1 for info in told.episodes)
+    assert table.num_rows == sum(info.steps + 1 for info in recorded_file.episodes)
     n, f, g = 14, len(reveille.DEVICE_FEATURES), len(reveille.GLOBAL_FEATURES)
     types = {field.name: field.type for field in table.schema}
     assert types["device"] == pa.list_(pa.float32(), n * f) and types["globals"] == pa.list_(pa.float32(), g)
@@ -79,55 +82,55 @@ def test_a_file_is_read_without_the_package(tmp_path):
     row = table.slice(0, 1).to_pylist()[0]
     assert row["step"] == 0 and row["stage"] == 0 and len(row["action"]) == n and set(row["action"]) <= {0, 1}
     metadata = parquet.read_metadata(path).metadata
-    assert b"reveille.version" in metadata and told.version in metadata[b"reveille.version"].decode()
-    assert told.device_features == tuple(feature.name for feature in reveille.DEVICE_FEATURES)
-    assert told.global_features == tuple(feature.name for feature in reveille.GLOBAL_FEATURES)
+    assert b"reveille.version" in metadata and recorded_file.version in metadata[b"reveille.version"].decode()
+    assert recorded_file.device_features == tuple(feature.name for feature in reveille.DEVICE_FEATURES)
+    assert recorded_file.global_features == tuple(feature.name for feature in reveille.GLOBAL_FEATURES)
 
 
-def test_the_scenario_of_a_file_is_whole(tmp_path):
+def test_a_file_contains_its_complete_scenario(tmp_path):
     settings = {**SMALL, "set": {"harvest.lambda": np.float64(0.3), "events.alpha": 0.1}}
-    told = reveille.record_trajectories(tmp_path / "t.parquet", Drawn(), **settings)
+    recorded_file = reveille.record_trajectories(tmp_path / "t.parquet", RandomPolicy(), **settings)
     scenario = tmp_path / "scenario.toml"
-    scenario.write_text(told.scenario, encoding="utf-8")
-    episode = told[0]
-    *_, last = replayed(ReveilleEnv(str(scenario)), episode.info.seed, episode.actions)
+    scenario.write_text(recorded_file.scenario, encoding="utf-8")
+    episode = recorded_file[0]
+    *_, last = repeat_episode(ReveilleEnv(str(scenario)), episode.info.seed, episode.actions)
     assert last["digest"] == episode.info.digest
-    *_, last = replayed(gym.make("Reveille-v0", **told.settings), episode.info.seed, episode.actions)
+    *_, last = repeat_episode(gym.make("Reveille-v0", **recorded_file.settings), episode.info.seed, episode.actions)
     assert last["digest"] == episode.info.digest
 
 
-def test_no_more_than_a_row_group_is_held(tmp_path, monkeypatch):
+def test_row_groups_have_a_size_limit_and_do_not_change_the_data(tmp_path, monkeypatch):
     path = tmp_path / "t.parquet"
-    whole = reveille.record_trajectories(path, Drawn(), seeds=2, **SMALL)
+    one_group = reveille.record_trajectories(path, RandomPolicy(), seeds=2, **SMALL)
     monkeypatch.setattr(trajectories, "GROUP_ROWS", 40)
-    parts = reveille.record_trajectories(tmp_path / "parts.parquet", Drawn(), seeds=2, **SMALL)
-    file = parquet.ParquetFile(parts.path)
-    sizes = [file.metadata.row_group(at).num_rows for at in range(file.num_row_groups)]
+    several_groups = reveille.record_trajectories(tmp_path / "groups.parquet", RandomPolicy(), seeds=2, **SMALL)
+    file = parquet.ParquetFile(several_groups.path)
+    sizes = [file.metadata.row_group(index).num_rows for index in range(file.num_row_groups)]
     assert max(sizes) == 40 and len(sizes) >= 8
-    for info in parts.episodes:
+    for info in several_groups.episodes:
         first, count = info.groups
         assert sum(sizes[first : first + count]) == info.steps + 1
-    assert parquet.read_table(path).equals(parquet.read_table(parts.path))
-    for a, b in zip(whole, parts, strict=True):
-        np.testing.assert_array_equal(a.actions, b.actions)
-        np.testing.assert_array_equal(a.observations["device"], b.observations["device"])
+    assert parquet.read_table(path).equals(parquet.read_table(several_groups.path))
+    for expected, episode in zip(one_group, several_groups, strict=True):
+        np.testing.assert_array_equal(expected.actions, episode.actions)
+        np.testing.assert_array_equal(expected.observations["device"], episode.observations["device"])
 
 
 def test_failed_writes_keep_existing_files(tmp_path):
     path = tmp_path / "t.parquet"
-    told = reveille.record_trajectories(path, Drawn(), **SMALL)
+    recorded_file = reveille.record_trajectories(path, RandomPolicy(), **SMALL)
 
-    def fails(observation):
+    def failing_policy(observation):
         raise ArithmeticError("no action")
 
     with pytest.raises(ArithmeticError):
-        reveille.record_trajectories(path, fails, **SMALL)
-    assert reveille.Trajectories(path).episodes == told.episodes
+        reveille.record_trajectories(path, failing_policy, **SMALL)
+    assert reveille.Trajectories(path).episodes == recorded_file.episodes
     assert [file.name for file in tmp_path.iterdir()] == ["t.parquet"]
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "message"),
     [
         ({"policy": "genie"}, "genie"),
         ({"policy": "kn"}, "kn"),
@@ -137,35 +140,39 @@ def test_failed_writes_keep_existing_files(tmp_path):
         ({"policy": lambda _: np.zeros(13)}, r"\(1, 14\)|14"),
     ],
 )
-def test_errors_name_the_cause(change, says, tmp_path):
-    with pytest.raises(ValueError, match=says):
+def test_errors_name_the_cause(change, message, tmp_path):
+    with pytest.raises(ValueError, match=message):
         reveille.record_trajectories(tmp_path / "t.parquet", **{"policy": "random", **SMALL, **change})
     assert not list(tmp_path.iterdir())
 
 
-def test_a_file_of_something_else_is_refused(tmp_path):
+def test_another_parquet_file_is_refused(tmp_path):
     path = tmp_path / "other.parquet"
     parquet.write_table(pa.table({"a": [1]}), path)
     with pytest.raises(ValueError, match="not a trajectory file"):
         reveille.Trajectories(path)
 
 
-def test_minari_gives_the_episodes_in_the_spaces_of_the_environment(tmp_path, monkeypatch):
+def test_a_minari_dataset_has_the_episodes_and_spaces(tmp_path, monkeypatch):
     import minari
 
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
-    told = reveille.record_trajectories(tmp_path / "t.parquet", "age-index", seeds=3, **SMALL)
-    made = reveille.to_minari(
-        told, "reveille/age-index-v0", author="Author", author_email="author@example.org", code_permalink="none"
+    recorded_file = reveille.record_trajectories(tmp_path / "t.parquet", "age-index", seeds=3, **SMALL)
+    created = reveille.to_minari(
+        recorded_file,
+        "reveille/age-index-v0",
+        author="Author",
+        author_email="author@example.org",
+        code_permalink="none",
     )
-    assert made.total_episodes == 3
+    assert created.total_episodes == 3
     dataset = minari.load_dataset("reveille/age-index-v0")
-    own = ReveilleEnv(**SMALL)
-    assert dataset.observation_space == own.observation_space and dataset.action_space == own.action_space
-    assert dataset.total_steps == sum(info.steps for info in told.episodes)
+    single = ReveilleEnv(**SMALL)
+    assert dataset.observation_space == single.observation_space and dataset.action_space == single.action_space
+    assert dataset.total_steps == sum(info.steps for info in recorded_file.episodes)
     env = dataset.recover_environment()
     metadata = dataset.storage.get_episode_metadata(range(3))
-    for episode, recorded, known in zip(dataset.iterate_episodes(), told, metadata, strict=True):
+    for episode, recorded, known in zip(dataset.iterate_episodes(), recorded_file, metadata, strict=True):
         info = recorded.info
         assert known["digest"] == info.digest and known["seed"] == info.seed
         assert known["metrics"]["info_p1"] == info.metrics["info_p1"]
@@ -175,14 +182,14 @@ def test_minari_gives_the_episodes_in_the_spaces_of_the_environment(tmp_path, mo
         first = {key: values[0] for key, values in episode.observations.items()}
         assert first in dataset.observation_space and episode.actions[0] in dataset.action_space
         np.testing.assert_array_equal(episode.infos["tti"], recorded.ttis)
-        seen, rewards, _, last = replayed(env, info.seed, episode.actions)
+        seen, rewards, _, last = repeat_episode(env, info.seed, episode.actions)
         np.testing.assert_array_equal(episode.rewards, rewards)
         assert last["digest"] == info.digest
     with pytest.raises(ValueError, match="already exists"):
-        reveille.to_minari(told.path, "reveille/age-index-v0")
+        reveille.to_minari(recorded_file.path, "reveille/age-index-v0")
 
 
-def test_a_scenario_file_that_has_changed_is_noticed(tmp_path):
+def test_a_changed_scenario_file_is_refused(tmp_path):
     scenario = tmp_path / "own.toml"
     scenario.write_text('preset = "quick"\n[harvest]\nlambda = 0.3\n')
     recorded = reveille.record_trajectories(

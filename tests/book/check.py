@@ -13,7 +13,7 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 DOCS = Path(__file__).resolve().parent.parent.parent / "docs"
-# Pages that mdBook adds: the same text again, or links relative to the site.
+# Pages that mdBook adds: they repeat text, or have links relative to the site.
 ADDED = {"404.html", "print.html", "toc.html"}
 
 
@@ -34,16 +34,17 @@ class Page(HTMLParser):
                 self.links.append(value or "")
 
 
-def fault(book: Path, pages: dict[Path, Page], page: Path, link: str) -> str | None:
+def find_fault(book: Path, pages: dict[Path, Page], page: Path, link: str) -> str | None:
     """Returns the reason why a link of `page` is broken, if it is."""
     parts = urlsplit(link)
     if parts.scheme or parts.netloc:
         return None
     target = (page.parent / unquote(parts.path)).resolve() if parts.path else page
     if not target.is_relative_to(book):
+        # mdBook writes links to pages outside the book as .html.
         source = (DOCS / page.relative_to(book).parent / unquote(parts.path)).resolve()
-        found = source.exists() or source.with_suffix(".md").exists()
-        return None if found else "no such file in the repository"
+        exists = source.exists() or source.with_suffix(".md").exists()
+        return None if exists else "no such file in the repository"
     if not target.exists():
         return "no such page or file in the book"
     if parts.fragment and target in pages and unquote(parts.fragment) not in pages[target].anchors:
@@ -54,15 +55,15 @@ def fault(book: Path, pages: dict[Path, Page], page: Path, link: str) -> str | N
 def main() -> int:
     book = Path(sys.argv[1]).resolve()
     pages = {path: Page(path) for path in sorted(book.rglob("*.html")) if path.name not in ADDED}
-    count = 0
+    link_count = 0
     faults = []
     for path, page in pages.items():
-        count += len(page.links)
+        link_count += len(page.links)
         for link in page.links:
-            if cause := fault(book, pages, path, link):
+            if cause := find_fault(book, pages, path, link):
                 faults.append(f"{path.relative_to(book)}: {link}: {cause}")
-    print("\n".join([*faults, f"{len(pages)} pages, {count} links, {len(faults)} broken"]))
-    return 1 if faults or not count else 0
+    print("\n".join([*faults, f"{len(pages)} pages, {link_count} links, {len(faults)} broken"]))
+    return 1 if faults or not link_count else 0
 
 
 if __name__ == "__main__":

@@ -13,12 +13,12 @@ import bus_runs
 import sandbox
 import subprocesses
 import scenario
-from subprocesses import Failure, Ground
+from subprocesses import Failure, Workspace
 
 # Seconds that a case may take in addition to its faults.
 PATIENCE = 150
-# Probability of a further fault, and the most faults of a case.
-MORE, MOST = 0.45, 4
+# Probability of a further fault, and the largest number of faults of a case.
+FURTHER_FAULT_PROBABILITY, MAX_FAULTS = 0.45, 4
 
 
 @dataclass
@@ -49,7 +49,7 @@ class Outcome:
     plan: Plan
     seconds: float = 0.0
     hits: dict = field(default_factory=dict)
-    late: dict = field(default_factory=dict)
+    too_late: dict = field(default_factory=dict)
     losses: list = field(default_factory=list)
     longest: float = 0.0
     resumes: list = field(default_factory=list)
@@ -63,8 +63,8 @@ class Outcome:
     def __str__(self):
         hit = sum(self.hits.values())
         words = [f"{self.seconds:5.1f} s", f"{hit} hit"]
-        if self.late:
-            words.append(f"{sum(self.late.values())} too late")
+        if self.too_late:
+            words.append(f"{sum(self.too_late.values())} too late")
         if self.losses:
             words.append(f"{len(self.losses)} taken over in {max(self.losses):.2f} s")
         if self.resumes:
@@ -75,38 +75,38 @@ class Outcome:
 
 def draw(seed, kinds):
     """Draws the case of a seed, with faults of `kinds` only, at least one."""
-    chance = random.Random(f"chaos {seed}")
-    first = chance.choice(kinds)
-    is_up = first not in faults.HAND or (first in faults.UP and chance.random() < 0.65)
+    rng = random.Random(f"chaos {seed}")
+    first = rng.choice(kinds)
+    is_up = first not in faults.HAND or (first in faults.UP and rng.random() < 0.65)
     possible = [kind for kind in (faults.UP if is_up else faults.HAND) if kind in kinds]
     chosen = [first]
-    while len(chosen) < MOST and chance.random() < MORE:
-        chosen.append(chance.choice(possible))
+    while len(chosen) < MAX_FAULTS and rng.random() < FURTHER_FAULT_PROBABILITY:
+        chosen.append(rng.choice(possible))
     # A shell can be killed only once, and an attacker stays until the end.
     for single in ("launcher", "strangers"):
         while chosen.count(single) > 1:
             chosen.remove(single)
-    drawn = [faults.draw(chance, kind) for kind in chosen]
-    # A run that was held then runs faster until it is back on its pace.
-    held = sum(fault.how.get("for", 0) for fault in drawn)
-    length = 1.5 + held + sum(fault.after for fault in drawn) + chance.uniform(0.5, 2)
+    drawn = [faults.draw(rng, kind) for kind in chosen]
+    # A held run catches up with its pace afterwards, so it must be longer by the time of the faults.
+    fault_seconds = sum(fault.params.get("for", 0) for fault in drawn)
+    length = 1.5 + fault_seconds + sum(fault.after for fault in drawn) + rng.uniform(0.5, 2)
     return Plan(
         seed=seed,
-        scenario=scenario.draw(chance, length),
+        scenario=scenario.draw(rng, length),
         is_up=is_up,
-        processes=chance.randint(1, 10),
+        processes=rng.randint(1, 10),
         faults=drawn,
-        options=["--audit", chance.choice(["auto", "on"])],
-        patience=chance.choice([10, 30, 90]),
+        options=["--audit", rng.choice(["auto", "on"])],
+        patience=rng.choice([10, 30, 90]),
     )
 
 
-def game_of(plan, ground):
+def make_run(plan, workspace):
     """Returns the run of a plan, not yet started, or None if this machine does not support it."""
-    name = f"chaos-{ground.folder.name}"
+    name = f"chaos-{workspace.folder.name}"
     if plan.has("disk"):
         # Room for the rows of windows, and little more.
-        disk = sandbox.small_disk(ground, "disk", 512 + plan.scenario.ttis // 10)
+        disk = sandbox.small_disk(workspace, "disk", 512 + plan.scenario.ttis // 10)
         out = "disk/out"
         if disk is None:
             return None
@@ -114,49 +114,49 @@ def game_of(plan, ground):
         out = "out"
     if plan.is_up:
         shell = plan.has("launcher")
-        return bus_runs.Up(ground, plan.scenario, name, plan.processes, plan.options, out, shell)
-    link = sandbox.Link(ground) if plan.has("partition") else None
-    return bus_runs.Hand(ground, plan.scenario, name, plan.processes, plan.options, out, plan.patience, link)
+        return bus_runs.UpRun(workspace, plan.scenario, name, plan.processes, plan.options, out, shell)
+    link = sandbox.Link(workspace) if plan.has("partition") else None
+    return bus_runs.ManualRun(workspace, plan.scenario, name, plan.processes, plan.options, out, plan.patience, link)
 
 
 def play(reveille, plan, keep_failed=True):
     """Plays a case and returns its outcome, or None if this machine does not support it."""
     folder = Path(tempfile.mkdtemp(prefix="chaos-")).resolve()
-    held = sum(fault.how.get("for", 0) for fault in plan.faults)
-    ground = Ground(reveille, folder, PATIENCE + held + plan.scenario.seconds())
+    fault_seconds = sum(fault.params.get("for", 0) for fault in plan.faults)
+    workspace = Workspace(reveille, folder, PATIENCE + fault_seconds + plan.scenario.seconds())
     outcome = Outcome(plan, folder=str(folder))
-    began = time.monotonic()
+    started = time.monotonic()
     try:
-        game = game_of(plan, ground)
-        if game is None:
+        bus_run = make_run(plan, workspace)
+        if bus_run is None:
             return None
-        through(plan, game, outcome, subprocesses.oracle(reveille, plan.scenario, folder))
+        play_plan(plan, bus_run, outcome, subprocesses.digest_in_memory(reveille, plan.scenario, folder))
     except (Failure, subprocess.SubprocessError) as failure:
         outcome.failure = str(failure)
     finally:
-        ground.close()
-        outcome.seconds = time.monotonic() - began
+        workspace.close()
+        outcome.seconds = time.monotonic() - started
         if not (outcome.failure and keep_failed):
             shutil.rmtree(folder, ignore_errors=True)
     return outcome
 
 
-def through(plan, game, outcome, expected):
-    """Plays a run from its first TTI to its last and applies the faults between."""
-    chance = random.Random(f"strikes {plan.seed}")
-    ground = game.ground
-    game.begin()
+def play_plan(plan, bus_run, outcome, expected):
+    """Runs a plan with its faults, and checks digest, audit and attackers."""
+    rng = random.Random(f"strikes {plan.seed}")
+    workspace = bus_run.workspace
+    bus_run.begin()
     for fault in plan.faults:
-        ground.rest(fault.after)
-        is_possible = not game.is_over()
-        hit = faults.strike(fault, game, chance) if is_possible else False
-        count = outcome.hits if hit else outcome.late
+        workspace.rest(fault.after)
+        is_possible = not bus_run.is_over()
+        hit = faults.inject(fault, bus_run, rng) if is_possible else False
+        count = outcome.hits if hit else outcome.too_late
         count[fault.kind] = count.get(fault.kind, 0) + (int(hit) or 1)
-    summary = game.finish()
-    ground.assert_sane()
-    outcome.losses, outcome.resumes = game.losses(), game.resumes
+    summary = bus_run.finish()
+    workspace.assert_sane()
+    outcome.losses, outcome.resumes = bus_run.takeover_times(), bus_run.resumes
     outcome.longest = summary["timing"]["longest_loss_s"]
-    for process in ground.processes:
+    for process in workspace.processes:
         if "OBEYED" in process.out():
             raise Failure(f"the run obeyed an untrusted client: {process.out()}")
     if summary["digest"] != expected:

@@ -1,4 +1,7 @@
-"""Machines that lack disk space, rights, files, ports or a steady clock. Errors must be clear and prompt."""
+"""Machines that lack disk space, rights, files, ports or a steady clock.
+
+A command must be refused promptly with the cause, or continue; a run resumes with the digest of the run in memory.
+"""
 
 import os
 import random
@@ -13,17 +16,17 @@ import bus_runs
 import sandbox
 import subprocesses
 import scenario
-from subprocesses import Failure, Ground
+from subprocesses import Failure, Workspace
 
-PLAYED = scenario.Scenario("q-learning", 40, 2000, 21, 2)
+SCENARIO = scenario.Scenario("q-learning", 40, 2000, 21, 2)
 SHORT = ["-n", "20", "-k", "400", "--json"]
 # Seconds within which a command must refuse to start.
-SOON = 5
+REFUSAL_LIMIT = 5
 # User and group id of an unprivileged user.
-UNPRIVILEGED = 65534
+NOBODY = 65534
 
 # Moves the wall clock back an hour, forward a day, and back to 2001 during the life of a process.
-JUMPS = r"""
+JUMPING_CLOCK = r"""
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <sys/time.h>
@@ -59,172 +62,172 @@ time_t time(time_t *t) {
 """
 
 
-class Cannot(Exception):
-    """A condition that this machine cannot provide."""
+class Unsupported(Exception):
+    """A condition that this machine cannot create."""
 
 
-def refused(ground, args, parts, prefix=(), soon=SOON, lines=1):
+def check_refusal(workspace, args, parts, prefix=(), limit=REFUSAL_LIMIT, lines=1):
     """Checks that a command fails promptly with an error that contains all `parts`; returns the seconds it took."""
-    began = time.monotonic()
-    process = ground.start(args, prefix=prefix)
+    started = time.monotonic()
+    process = workspace.start(args, prefix=prefix)
     what = f"the refusal of {' '.join(map(str, args))}"
-    ground.wait(what, lambda: process.poll() is not None, within=4 * soon + 20)
-    took, said = time.monotonic() - began, process.err()
-    lack = [part for part in parts if part not in said]
-    if process.poll() != 1 or lack or "panicked" in said or "reveille: " not in said:
-        raise Failure(f"{what} is code {process.poll()}, without {lack}: {said[-2000:]}")
-    if lines and len(said.strip().splitlines()) > lines:
-        raise Failure(f"{what} has more than {lines} lines: {said[-2000:]}")
-    if took > soon:
-        raise Failure(f"{what} took {took:.1f} s: {said[-2000:]}")
+    workspace.wait(what, lambda: process.poll() is not None, within=4 * limit + 20)
+    took, stderr = time.monotonic() - started, process.err()
+    missing = [part for part in parts if part not in stderr]
+    if process.poll() != 1 or missing or "panicked" in stderr or "reveille: " not in stderr:
+        raise Failure(f"{what} is code {process.poll()}, without {missing}: {stderr[-2000:]}")
+    if lines and len(stderr.strip().splitlines()) > lines:
+        raise Failure(f"{what} has more than {lines} lines: {stderr[-2000:]}")
+    if took > limit:
+        raise Failure(f"{what} took {took:.1f} s: {stderr[-2000:]}")
     return took
 
 
-def played(ground, out="out", **how):
-    """Returns a run of the scenario, not yet started."""
-    return bus_runs.Up(ground, PLAYED, f"chaos-{ground.folder.name}", how.pop("processes", 4), out=out, **how)
+def new_run(workspace, out="out", **how):
+    """Returns a run of `SCENARIO`, not yet started."""
+    return bus_runs.UpRun(workspace, SCENARIO, f"chaos-{workspace.folder.name}", how.pop("processes", 4), out=out, **how)
 
 
-def ends_equal(game, expected):
+def check_digest(bus_run, expected):
     """Checks that the run ends with the digest of the run in memory."""
-    summary = game.finish()
-    game.ground.assert_sane()
+    summary = bus_run.finish()
+    bus_run.workspace.assert_sane()
     if summary["digest"] != expected:
         raise Failure(f"the digest is {summary['digest']} instead of {expected}")
 
 
-def full_disk(ground, expected):
-    disk = sandbox.small_disk(ground, "disk", 512)
+def full_disk(workspace, expected):
+    disk = sandbox.small_disk(workspace, "disk", 512)
     if disk is None:
-        raise Cannot("a small disk needs root")
-    game = played(ground, "disk/out")
-    game.begin()
-    ground.rest(1.2)
-    began = time.monotonic()
-    if not faults.strike_disk({}, game, random):
+        raise Unsupported("a small disk needs root")
+    bus_run = new_run(workspace, "disk/out")
+    bus_run.begin()
+    workspace.rest(1.2)
+    started = time.monotonic()
+    if not faults.inject_disk({}, bus_run, random):
         raise Failure("the run ended before the disk was full")
-    took = time.monotonic() - began
-    ends_equal(game, expected)
+    took = time.monotonic() - started
+    check_digest(bus_run, expected)
     ballast = sandbox.fill(disk)
-    before = refused(ground, ["up", *SHORT, "--out", disk / "other"], ["No space left on device"])
+    before = check_refusal(workspace, ["up", *SHORT, "--out", disk / "other"], ["No space left on device"])
     ballast.unlink()
-    end = ground.call(["up", *SHORT, "--out", disk / "other"])
+    end = workspace.call(["up", *SHORT, "--out", disk / "other"])
     if end.returncode != 0:
         raise Failure(f"the refused run blocks another run: {end.stderr}")
     return f"ended and resumed in {took:.2f} s; refused before the run in {before:.2f} s"
 
 
-def read_only(ground, expected):
-    disk = sandbox.small_disk(ground, "disk", 4096)
+def read_only(workspace, expected):
+    disk = sandbox.small_disk(workspace, "disk", 4096)
     if disk is None:
-        raise Cannot("a small disk needs root")
+        raise Unsupported("a small disk needs root")
     sandbox.must("mount", "-o", "remount,ro", str(disk))
     took = []
     for command in ("run", "up", "bs --run=chaos-ro --listen tcp/127.0.0.1:0"):
         args = [*command.split(), *SHORT, "--out", disk / "other"]
-        took.append(refused(ground, args, ["Read-only file system", "disk/other"]))
+        took.append(check_refusal(workspace, args, ["Read-only file system", "disk/other"]))
     # Resumes a killed run whose folder has become read-only.
     sandbox.must("mount", "-o", "remount,rw", str(disk))
-    game = played(ground, "disk/out")
-    game.begin()
-    ground.rest(1.5)
-    game.kill_station()
+    bus_run = new_run(workspace, "disk/out")
+    bus_run.begin()
+    workspace.rest(1.5)
+    bus_run.kill_station()
     sandbox.must("mount", "-o", "remount,ro", str(disk))
-    took.append(refused(ground, ["up", "--resume", game.out], ["Read-only file system", "disk/out"]))
+    took.append(check_refusal(workspace, ["up", "--resume", bus_run.out], ["Read-only file system", "disk/out"]))
     sandbox.must("mount", "-o", "remount,rw", str(disk))
-    game.resume_and_wait("a read-only folder")
-    ends_equal(game, expected)
+    bus_run.resume_and_wait("a read-only folder")
+    check_digest(bus_run, expected)
     return f"refused in {max(took):.2f} s, resumed when the folder was writable"
 
 
-def no_rights(ground, _):
+def no_rights(workspace, _):
     if os.geteuid() != 0 or not shutil.which("setpriv"):
-        raise Cannot("another user needs root and setpriv")
-    ground.folder.chmod(0o755)
-    mine = ground.folder / "mine"
+        raise Unsupported("another user needs root and setpriv")
+    workspace.folder.chmod(0o755)
+    mine = workspace.folder / "mine"
     mine.mkdir(mode=0o755)
-    prefix = ["setpriv", f"--reuid={UNPRIVILEGED}", f"--regid={UNPRIVILEGED}", "--clear-groups"]
-    if not sandbox.can(*prefix, str(ground.reveille), "--version"):
-        raise Cannot("another user cannot run the program in its folder")
+    prefix = ["setpriv", f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups"]
+    if not sandbox.can(*prefix, str(workspace.reveille), "--version"):
+        raise Unsupported("another user cannot run the program in its folder")
     args = ["up", *SHORT, "--out", mine / "out"]
-    took = refused(ground, args, ["Permission denied", "mine/out"], prefix)
+    took = check_refusal(workspace, args, ["Permission denied", "mine/out"], prefix)
     return f"refused in {took:.2f} s"
 
 
-def clock(ground, expected):
-    source, library = ground.folder / "jumps.c", ground.folder / "jumps.so"
-    source.write_text(JUMPS)
+def clock(workspace, expected):
+    source, library = workspace.folder / "jumps.c", workspace.folder / "jumps.so"
+    source.write_text(JUMPING_CLOCK)
     if not sandbox.can("cc", "-shared", "-fPIC", "-o", str(library), str(source), "-ldl"):
-        raise Cannot("a jumping clock needs a C compiler")
-    ground.env["LD_PRELOAD"] = str(library)
-    shown = ground.start([], command=["python3", "-c", "import time; time.sleep(6); print(time.localtime().tm_year)"])
-    ground.wait("the date", lambda: shown.poll() is not None)
-    if int(shown.out() or 0) > 2010:
-        raise Cannot(f"the clock does not jump: {shown.out()}")
-    game = played(ground)
-    game.begin()
-    ground.rest(3)
-    subprocesses.send(game.hosts()[0], signal.SIGKILL)
-    ground.rest(0.5)
-    game.kill_station()
-    took = game.resume_and_wait("SIGKILL with a jumping clock")
-    ends_equal(game, expected)
-    timing = subprocesses.read_summary(game.out)["timing"]
+        raise Unsupported("a jumping clock needs a C compiler")
+    workspace.env["LD_PRELOAD"] = str(library)
+    year_printer = workspace.start([], command=["python3", "-c", "import time; time.sleep(6); print(time.localtime().tm_year)"])
+    workspace.wait("the date", lambda: year_printer.poll() is not None)
+    if int(year_printer.out() or 0) > 2010:
+        raise Unsupported(f"the clock does not jump: {year_printer.out()}")
+    bus_run = new_run(workspace)
+    bus_run.begin()
+    workspace.rest(3)
+    subprocesses.send(bus_run.hosts()[0], signal.SIGKILL)
+    workspace.rest(0.5)
+    bus_run.kill_station()
+    took = bus_run.resume_and_wait("SIGKILL with a jumping clock")
+    check_digest(bus_run, expected)
+    timing = subprocesses.read_summary(bus_run.out)["timing"]
     if not 0 < timing["run_s"] < 120:
         raise Failure(f"the summary states a run time of {timing['run_s']} s")
-    ground.env.pop("LD_PRELOAD")
+    workspace.env.pop("LD_PRELOAD")
     return f"clock an hour back, a day forward and in 2001: taken over, and resumed in {took:.2f} s"
 
 
-def few_files(ground, _):
+def few_files(workspace, _):
     def limited(files):
         return ["sh", "-c", f'ulimit -n {files}; exec "$@"', "sh"]
 
-    fifty = ["up", "-n", "50", "-k", "400", "-P", "50", "--out", "out"]
+    fifty_processes = ["up", "-n", "50", "-k", "400", "-P", "50", "--out", "out"]
     took = [
-        refused(ground, fifty, ["64 files", "ulimit -n 98"], limited(64)),
-        refused(ground, ["up", *SHORT, "--out", "out"], ["24 files", "ulimit -n 52"], limited(24)),
-        refused(ground, ["bs", *SHORT, "--run=x", "--out", "out"], ["24 files"], limited(24)),
-        refused(ground, ["device", "--run=x", "--connect", "tcp/127.0.0.1:9"], ["24 files"], limited(24)),
+        check_refusal(workspace, fifty_processes, ["64 files", "ulimit -n 98"], limited(64)),
+        check_refusal(workspace, ["up", *SHORT, "--out", "out"], ["24 files", "ulimit -n 52"], limited(24)),
+        check_refusal(workspace, ["bs", *SHORT, "--run=x", "--out", "out"], ["24 files"], limited(24)),
+        check_refusal(workspace, ["device", "--run=x", "--connect", "tcp/127.0.0.1:9"], ["24 files"], limited(24)),
     ]
-    if (ground.folder / "out").exists():
+    if (workspace.folder / "out").exists():
         raise Failure("a refused run left a folder")
     return f"64 and 24 refused in {max(took):.2f} s"
 
 
-def no_ports(ground, expected):
+def no_ports(workspace, expected):
     if not sandbox.has_networks():
-        raise Cannot("a network namespace needs root and iproute2")
+        raise Unsupported("a network namespace needs root and iproute2")
     # Four ports in all: the base station takes one, and each device process takes one.
-    space = sandbox.Namespace(ground, [("ipv4.ip_local_port_range", "40000 40003")])
-    args = ["up", *PLAYED.args(), "-P", "10", "--out", ground.folder / "out"]
-    took = refused(ground, args, ["port"], space.prefix(), soon=12, lines=0)
-    said = ground.processes[-1].err()
-    if not any("no free port" in line for line in said.splitlines()):
-        raise Failure(f"the error does not name the cause: {said}")
-    if not (ground.folder / "out/FAILED").exists():
+    namespace = sandbox.Namespace(workspace, [("ipv4.ip_local_port_range", "40000 40003")])
+    args = ["up", *SCENARIO.args(), "-P", "10", "--out", workspace.folder / "out"]
+    took = check_refusal(workspace, args, ["port"], namespace.prefix(), limit=12, lines=0)
+    stderr = workspace.processes[-1].err()
+    if not any("no free port" in line for line in stderr.splitlines()):
+        raise Failure(f"the error does not name the cause: {stderr}")
+    if not (workspace.folder / "out/FAILED").exists():
         raise Failure("the file FAILED is missing")
-    space.inside("sh", "-c", "echo '40000 41000' > /proc/sys/net/ipv4/ip_local_port_range")
-    again = ground.start(["up", "--resume", ground.folder / "out", "-P", "10", "--json"], prefix=space.prefix())
-    ground.wait("the run without ports", lambda: again.poll() is not None, within=60)
-    summary = subprocesses.read_summary(ground.folder / "out")
-    if again.poll() != 0 or not summary or summary["digest"] != expected:
-        raise Failure(f"the resumed run ended with {again.poll()}: {again.err()}")
+    namespace.inside("sh", "-c", "echo '40000 41000' > /proc/sys/net/ipv4/ip_local_port_range")
+    resumed = workspace.start(["up", "--resume", workspace.folder / "out", "-P", "10", "--json"], prefix=namespace.prefix())
+    workspace.wait("the run without ports", lambda: resumed.poll() is not None, within=60)
+    summary = subprocesses.read_summary(workspace.folder / "out")
+    if resumed.poll() != 0 or not summary or summary["digest"] != expected:
+        raise Failure(f"the resumed run ended with {resumed.poll()}: {resumed.err()}")
     return f"refused in {took:.2f} s, resumed with ports"
 
 
-def foreign_registry(ground, expected):
+def foreign_registry(workspace, expected):
     if os.geteuid() != 0:
-        raise Cannot("a folder of another user needs root")
-    registry = ground.folder / "reveille"
+        raise Unsupported("a folder of another user needs root")
+    registry = workspace.folder / "reveille"
     registry.mkdir(mode=0o700)
     (registry / "trap.json").write_text('{"run":"trap","endpoint":"tcp/127.0.0.1:9","pid":1,"key":null}')
     for path in (registry, registry / "trap.json"):
-        os.chown(path, UNPRIVILEGED, UNPRIVILEGED)
-    took = refused(ground, ["clock", "status"], ["belongs to another user"])
-    out = ground.folder / "out"
-    up = ground.start(["up", *PLAYED.args(), "--out", out, "--json"])
-    ground.wait("the end of the run", lambda: up.poll() is not None, within=60)
+        os.chown(path, NOBODY, NOBODY)
+    took = check_refusal(workspace, ["clock", "status"], ["belongs to another user"])
+    out = workspace.folder / "out"
+    up = workspace.start(["up", *SCENARIO.args(), "--out", out, "--json"])
+    workspace.wait("the end of the run", lambda: up.poll() is not None, within=60)
     summary = subprocesses.read_summary(out)
     if up.poll() != 0 or not summary or summary["digest"] != expected:
         raise Failure(f"the run ended with {up.poll()}: {up.err()}")
@@ -251,18 +254,18 @@ def check(args):
     is_well = True
     for name in args.only.split(",") if args.only else list(PARTS):
         folder = Path(tempfile.mkdtemp(prefix="chaos-")).resolve()
-        ground = Ground(args.reveille, folder, 150)
+        workspace = Workspace(args.reveille, folder, 150)
         failed = False
         try:
-            said = PARTS[name](ground, subprocesses.oracle(args.reveille, PLAYED, folder))
-        except Cannot as why:
-            said = f"skipped: {why}"
+            result = PARTS[name](workspace, subprocesses.digest_in_memory(args.reveille, SCENARIO, folder))
+        except Unsupported as why:
+            result = f"skipped: {why}"
         except Failure as failure:
             failed, is_well = True, False
-            said = f"FAILED: {failure}\n    files: {folder}"
+            result = f"FAILED: {failure}\n    files: {folder}"
         finally:
-            ground.close()
+            workspace.close()
             if not failed:
                 shutil.rmtree(folder, ignore_errors=True)
-        print(f"{name}: {said}", flush=True)
+        print(f"{name}: {result}", flush=True)
     return is_well

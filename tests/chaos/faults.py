@@ -7,13 +7,13 @@ from pathlib import Path
 
 import sandbox
 import subprocesses
-from bus_runs import ENDED_WITHIN
+from bus_runs import END_LIMIT
 from subprocesses import Failure
 
 SIGNALS = {"SIGTERM": signal.SIGTERM, "SIGHUP": signal.SIGHUP, "Ctrl-C": signal.SIGINT}
 ATTACKS = ["noise", "huge", "tokens", "clock", "stalled"]
 
-# The kinds of faults possible under `up`, and with device processes started by hand.
+# The kinds of faults possible under `up`, and with separately started device processes.
 UP = ["hosts", "station", "everything", "joining", "held", "freeze", "signal", "launcher", "strangers", "disk"]
 HAND = ["hosts", "station", "everything", "joining", "held", "freeze", "signal", "partition", "strangers"]
 KINDS = [*UP, "partition"]
@@ -21,162 +21,162 @@ KINDS = [*UP, "partition"]
 
 @dataclass
 class Fault:
-    """A fault, and its delay in seconds after the fault before it."""
+    """A fault with its parameters, and its delay in seconds after the fault before it."""
 
     kind: str
     after: float
-    how: dict = field(default_factory=dict)
+    params: dict = field(default_factory=dict)
 
     def __str__(self):
-        how = " ".join(str(value) for value in self.how.values() if value != "")
-        return f"{self.kind} {how}".strip()
+        params = " ".join(str(value) for value in self.params.values() if value != "")
+        return f"{self.kind} {params}".strip()
 
 
-def draw(random, kind):
+def draw(rng, kind):
     """Draws the parameters of a fault."""
-    how = {}
+    params = {}
     match kind:
         case "hosts":
-            how = {"killed": random.randint(1, 5), "within": round(random.choice([0.0, random.uniform(0, 1.5)]), 2)}
+            params = {"killed": rng.randint(1, 5), "within": round(rng.choice([0.0, rng.uniform(0, 1.5)]), 2)}
         case "joining":
-            how["killed"] = "+".join(random.choice(["host", "station"]) for _ in range(random.randint(1, 4)))
+            params["killed"] = "+".join(rng.choice(["host", "station"]) for _ in range(rng.randint(1, 4)))
         case "freeze":
-            how["process"] = random.choice(["host", "station"])
+            params["process"] = rng.choice(["host", "station"])
             # 35 s is more than the 30 s after which an unresponsive host counts as lost.
-            how["for"] = 35.0 if random.random() < 0.03 else round(random.uniform(1, 8), 1)
-            how["then"] = random.choice(["", "overlapping"])
+            params["for"] = 35.0 if rng.random() < 0.03 else round(rng.uniform(1, 8), 1)
+            params["then"] = rng.choice(["", "overlapping"])
         case "signal" | "held":
-            how["by"] = random.choice(sorted(SIGNALS))
+            params["by"] = rng.choice(sorted(SIGNALS))
         case "partition":
-            how["for"] = 15.0 if random.random() < 0.1 else round(random.uniform(0.3, 6), 1)
-            how["then"] = random.choice(["", "overlapping"])
+            params["for"] = 15.0 if rng.random() < 0.1 else round(rng.uniform(0.3, 6), 1)
+            params["then"] = rng.choice(["", "overlapping"])
         case "strangers":
-            how["doing"] = "+".join(random.sample(ATTACKS, random.randint(1, len(ATTACKS))))
-    return Fault(kind, round(random.uniform(0.2, 1.6), 2), how)
+            params["doing"] = "+".join(rng.sample(ATTACKS, rng.randint(1, len(ATTACKS))))
+    return Fault(kind, round(rng.uniform(0.2, 1.6), 2), params)
 
 
-def strike(fault, game, random):
+def inject(fault, bus_run, rng):
     """Applies a fault and resumes the run if it ended. Returns whether the fault hit a run in progress."""
-    return globals()[f"strike_{fault.kind}"](fault.how, game, random)
+    return globals()[f"inject_{fault.kind}"](fault.params, bus_run, rng)
 
 
-def strike_hosts(how, game, random):
+def inject_hosts(params, bus_run, rng):
     """Kills device processes with SIGKILL, together or in sequence."""
-    struck = set()
-    for number in range(how["killed"]):
+    killed = set()
+    for number in range(params["killed"]):
         if number:
-            game.ground.rest(how["within"] / how["killed"])
+            bus_run.workspace.rest(params["within"] / params["killed"])
         # A killed process can look alive for a moment.
-        hosts = [pid for pid in game.hosts() if pid not in struck]
-        if hosts and game.is_running():
-            chosen = random.choice(hosts)
-            struck.add(chosen)
+        hosts = [pid for pid in bus_run.hosts() if pid not in killed]
+        if hosts and bus_run.is_running():
+            chosen = rng.choice(hosts)
+            killed.add(chosen)
             subprocesses.send(chosen, signal.SIGKILL)
-    return len(struck)
+    return len(killed)
 
 
-def strike_station(_, game, random):
+def inject_station(_, bus_run, rng):
     """Kills the base station with SIGKILL."""
-    hit = game.is_running()
-    game.kill_station()
-    return resume_if_ended(game, "SIGKILL of the base station") and hit
+    hit = bus_run.is_running()
+    bus_run.kill_station()
+    return resume_if_ended(bus_run, "SIGKILL of the base station") and hit
 
 
-def strike_everything(_, game, random):
+def inject_everything(_, bus_run, rng):
     """Kills all processes with SIGKILL."""
-    hit = game.is_running()
-    game.kill_everything()
-    return resume_if_ended(game, "SIGKILL of everything") and hit
+    hit = bus_run.is_running()
+    bus_run.kill_everything()
+    return resume_if_ended(bus_run, "SIGKILL of everything") and hit
 
 
-def strike_joining(how, game, random):
+def inject_joining(params, bus_run, rng):
     """Kills everything with SIGKILL, and kills more processes while the run resumes."""
-    hit = game.is_running()
-    game.kill_everything()
-    if is_complete(game):
+    hit = bus_run.is_running()
+    bus_run.kill_everything()
+    if is_complete(bus_run):
         return False
-    game.resume()
-    for process in how["killed"].split("+"):
-        game.ground.rest(random.uniform(0, 0.5))
-        hosts = game.hosts()
+    bus_run.resume()
+    for process in params["killed"].split("+"):
+        bus_run.workspace.rest(rng.uniform(0, 0.5))
+        hosts = bus_run.hosts()
         if process == "host" and hosts:
-            subprocesses.send(random.choice(hosts), signal.SIGKILL)
+            subprocesses.send(rng.choice(hosts), signal.SIGKILL)
             hit += 1
         elif process == "station":
-            game.kill_station()
-            if is_complete(game):
+            bus_run.kill_station()
+            if is_complete(bus_run):
                 return hit
-            game.resume()
+            bus_run.resume()
             hit += 1
-    game.wait_until_running("the run to resume while processes are killed")
+    bus_run.wait_until_running("the run to resume while processes are killed")
     return hit
 
 
-def is_complete(game):
+def is_complete(bus_run):
     """Whether the run is complete, so that there is nothing to resume."""
-    summary = subprocesses.read_summary(game.out)
+    summary = subprocesses.read_summary(bus_run.out)
     return summary is not None and summary["status"] == "complete"
 
 
-def resume_if_ended(game, why):
+def resume_if_ended(bus_run, why):
     """Resumes an ended run. Returns false if the run was complete."""
-    if is_complete(game):
+    if is_complete(bus_run):
         return False
-    game.resume_and_wait(why)
+    bus_run.resume_and_wait(why)
     return True
 
 
-def strike_freeze(how, game, random):
+def inject_freeze(params, bus_run, rng):
     """Freezes a process with SIGSTOP and continues it later with SIGCONT."""
-    hosts = game.hosts()
-    pid = game.station.pid if how["process"] == "station" or not hosts else random.choice(hosts)
-    hit = game.is_running()
+    hosts = bus_run.hosts()
+    pid = bus_run.base_station.pid if params["process"] == "station" or not hosts else rng.choice(hosts)
+    hit = bus_run.is_running()
     subprocesses.send(pid, signal.SIGSTOP)
-    last(how, game, lambda: subprocesses.send(pid, signal.SIGCONT))
+    end_later(params, bus_run, lambda: subprocesses.send(pid, signal.SIGCONT))
     return hit
 
 
-def last(how, game, end):
-    """Lets a fault last. The next fault follows its end, or overlaps it if `then` is set."""
-    game.ground.later(how["for"], end)
-    if not how["then"]:
+def end_later(params, bus_run, end):
+    """Calls `end` after the duration of the fault. The next fault follows then, or overlaps it if `then` is set."""
+    bus_run.workspace.schedule(params["for"], end)
+    if not params["then"]:
         # The margin ensures that the fault is over.
-        game.ground.rest(how["for"] + 2 * subprocesses.LOOK)
+        bus_run.workspace.rest(params["for"] + 2 * subprocesses.POLL_INTERVAL)
 
 
-def strike_signal(how, game, random):
+def inject_signal(params, bus_run, rng):
     """Sends a signal that requests the end of the run, then resumes the run."""
-    hit = game.is_running()
-    if not game.request_end(SIGNALS[how["by"]], how["by"]):
+    hit = bus_run.is_running()
+    if not bus_run.request_end(SIGNALS[params["by"]], params["by"]):
         return False
-    return resume_if_ended(game, how["by"]) and hit
+    return resume_if_ended(bus_run, params["by"]) and hit
 
 
-def strike_held(how, game, random):
+def inject_held(params, bus_run, rng):
     """Sends a signal that requests the end while the run is waiting for a frozen device process."""
-    hosts, station = game.hosts(), game.station
-    if not hosts or not game.is_running():
+    hosts, base_station = bus_run.hosts(), bus_run.base_station
+    if not hosts or not bus_run.is_running():
         return False
-    before = station.err().count("the run is waiting")
-    pid = random.choice(hosts)
+    waits_before = base_station.err().count("the run is waiting")
+    pid = rng.choice(hosts)
     subprocesses.send(pid, signal.SIGSTOP)
 
-    def held():
-        return station.err().count("the run is waiting") > before or game.is_over()
+    def is_waiting():
+        return base_station.err().count("the run is waiting") > waits_before or bus_run.is_over()
 
-    game.ground.wait("the clock to be held for a frozen process", held, within=ENDED_WITHIN)
-    hit = not game.is_over()
+    bus_run.workspace.wait("the clock to be held for a frozen process", is_waiting, within=END_LIMIT)
+    hit = not bus_run.is_over()
     # The run ends in the middle of a TTI.
-    is_told = game.request_end(SIGNALS[how["by"]], how["by"])
+    is_interrupted = bus_run.request_end(SIGNALS[params["by"]], params["by"])
     # The process continues only now, since the clock must be held when the signal arrives.
     subprocesses.send(pid, signal.SIGCONT)
-    return is_told and resume_if_ended(game, how["by"]) and hit
+    return is_interrupted and resume_if_ended(bus_run, params["by"]) and hit
 
 
-def strike_launcher(_, game, random):
+def inject_launcher(_, bus_run, rng):
     """Kills the shell that started the run with SIGKILL; the run continues."""
-    hit = game.is_running()
-    shell = game.station.shell
+    hit = bus_run.is_running()
+    shell = bus_run.base_station.shell
     if shell is None or shell.poll() is not None:
         return False
     subprocesses.send(shell.pid, signal.SIGKILL)
@@ -184,45 +184,45 @@ def strike_launcher(_, game, random):
     return hit
 
 
-def strike_partition(how, game, random):
+def inject_partition(params, bus_run, rng):
     """Cuts a link and restores it later."""
-    hit = game.is_running()
-    game.link.cut()
-    last(how, game, game.link.restore)
+    hit = bus_run.is_running()
+    bus_run.link.cut()
+    end_later(params, bus_run, bus_run.link.restore)
     return hit
 
 
-def strike_strangers(how, game, random):
+def inject_strangers(params, bus_run, rng):
     """Attacks the run from a foreign zenoh client until the run ends."""
     script = Path(__file__).with_name("attacker.py")
-    began = game.is_running()
-    seed = random.randint(0, 10**6)
-    command = [sys.executable, script, game.endpoint, game.name, how["doing"], seed]
-    stranger = game.ground.start([], command=command)
+    was_running = bus_run.is_running()
+    seed = rng.randint(0, 10**6)
+    command = [sys.executable, script, bus_run.endpoint, bus_run.name, params["doing"], seed]
+    attacker = bus_run.workspace.start([], command=command)
 
-    def there():
-        return "there" in stranger.out() or stranger.poll() is not None
+    def is_ready():
+        return "ready" in attacker.out() or attacker.poll() is not None
 
     # The run may end before the attacker has connected.
-    game.ground.wait("the untrusted client to connect", lambda: there() or game.is_over(), within=30)
-    if stranger.poll() not in (None, 0) and not game.is_over():
-        raise Failure(f"the untrusted client could not connect: {stranger.err()[-1000:]}")
-    return began and not game.is_over()
+    bus_run.workspace.wait("the untrusted client to connect", lambda: is_ready() or bus_run.is_over(), within=30)
+    if attacker.poll() not in (None, 0) and not bus_run.is_over():
+        raise Failure(f"the untrusted client could not connect: {attacker.err()[-1000:]}")
+    return was_running and not bus_run.is_over()
 
 
-def strike_disk(_, game, random):
+def inject_disk(_, bus_run, rng):
     """Fills the disk: the run ends with an error, and resumes after space is freed."""
-    hit = game.is_running()
-    ballast = sandbox.fill(game.out.parent)
+    hit = bus_run.is_running()
+    ballast = sandbox.fill(bus_run.out.parent)
     try:
-        game.ground.wait("the end on a full disk", lambda: game.station.poll() is not None, within=ENDED_WITHIN)
+        bus_run.workspace.wait("the end on a full disk", lambda: bus_run.base_station.poll() is not None, within=END_LIMIT)
     finally:
         ballast.unlink()
-    code, said = game.station.poll(), game.station.err()
+    code, stderr = bus_run.base_station.poll(), bus_run.base_station.err()
     if code == 0:
         return False
-    if code != 1 or "No space left on device" not in said:
-        raise Failure(f"on a full disk the run ended with {code}: {said[-2000:]}")
-    if not (game.out / "FAILED").exists():
-        raise Failure(f"after a full disk FAILED is missing: {sorted(path.name for path in game.out.iterdir())}")
-    return resume_if_ended(game, "a full disk") and hit
+    if code != 1 or "No space left on device" not in stderr:
+        raise Failure(f"on a full disk the run ended with {code}: {stderr[-2000:]}")
+    if not (bus_run.out / "FAILED").exists():
+        raise Failure(f"after a full disk FAILED is missing: {sorted(path.name for path in bus_run.out.iterdir())}")
+    return resume_if_ended(bus_run, "a full disk") and hit

@@ -105,15 +105,15 @@ def play_all(args, plans):
             show(cases.play(args.reveille, plan))
         return outcomes
     with concurrent.futures.ThreadPoolExecutor(args.jobs) as pool:
-        going = set()
+        running = set()
         for plan in plans:
-            going.add(pool.submit(cases.play, args.reveille, plan))
-            if len(going) >= args.jobs:
-                done, going = concurrent.futures.wait(going, return_when=concurrent.futures.FIRST_COMPLETED)
-                for one in done:
-                    show(one.result())
-        for one in concurrent.futures.as_completed(going):
-            show(one.result())
+            running.add(pool.submit(cases.play, args.reveille, plan))
+            if len(running) >= args.jobs:
+                done, running = concurrent.futures.wait(running, return_when=concurrent.futures.FIRST_COMPLETED)
+                for future in done:
+                    show(future.result())
+        for future in concurrent.futures.as_completed(running):
+            show(future.result())
     return outcomes
 
 
@@ -134,26 +134,26 @@ def spread(seconds):
     return f"{len(seconds)}, median {statistics.median(seconds):.2f} s, worst {max(seconds):.2f} s"
 
 
-def conclude(args, outcomes, took):
+def conclude(args, outcomes, seconds):
     """Prints the totals. Returns whether all cases passed and a fault hit a run."""
     failed = [outcome for outcome in outcomes if outcome.failure]
-    print(f"\n{len(outcomes)} runs in {took:.0f} s; digests equal: {len(outcomes) - len(failed)} of {len(outcomes)}")
+    print(f"\n{len(outcomes)} runs in {seconds:.0f} s; digests equal: {len(outcomes) - len(failed)} of {len(outcomes)}")
     print(f"faults that hit a run: {total(outcome.hits for outcome in outcomes)}")
-    print(f"faults that came too late: {total(outcome.late for outcome in outcomes)}")
-    well = [outcome for outcome in outcomes if not outcome.failure]
-    print(f"devices taken over after kills: {spread([s for o in well if not o.is_held() for s in o.losses])}")
-    print(f"longest_loss_s of those runs: {spread([o.longest for o in well if o.longest and not o.is_held()])}")
-    print(f"runs resumed: {spread([s for o in well if not o.is_held() for s in o.resumes])}")
-    held = [outcome for outcome in well if outcome.is_held()]
+    print(f"faults that came too late: {total(outcome.too_late for outcome in outcomes)}")
+    passed = [outcome for outcome in outcomes if not outcome.failure]
+    print(f"devices taken over after kills: {spread([s for o in passed if not o.is_held() for s in o.losses])}")
+    print(f"longest_loss_s of those runs: {spread([o.longest for o in passed if o.longest and not o.is_held()])}")
+    print(f"runs resumed: {spread([s for o in passed if not o.is_held() for s in o.resumes])}")
+    held = [outcome for outcome in passed if outcome.is_held()]
     print("runs that were also frozen, disconnected or attacked:")
     print(f"    longest losses: {spread([outcome.longest for outcome in held if outcome.longest])}")
     print(f"    resumed: {spread([seconds for outcome in held for seconds in outcome.resumes])}")
     for outcome in failed:
         print(f"FAILED: seed {outcome.plan.seed}: {replay(args, outcome.plan)}")
-    is_struck = any(outcome.hits for outcome in outcomes)
-    if not is_struck:
+    is_hit = any(outcome.hits for outcome in outcomes)
+    if not is_hit:
         print("FAILED: no fault hit a run")
-    return is_struck and not failed
+    return is_hit and not failed
 
 
 def main():

@@ -25,13 +25,13 @@ def _number():
     return next(_numbers)
 
 
-def small_disk(ground, name, kilobytes):
+def small_disk(workspace, name, kilobytes):
     """Mounts a small file system in the case's folder; returns None where that is not possible."""
-    path = ground.folder / name
+    path = workspace.folder / name
     path.mkdir()
     if not can("mount", "-t", "tmpfs", "-o", f"size={kilobytes}k", "none", str(path)):
         return None
-    ground.undo.append(lambda: can("umount", "-l", str(path)))
+    workspace.cleanups.append(lambda: can("umount", "-l", str(path)))
     return path
 
 
@@ -51,10 +51,10 @@ def fill(path):
 class Namespace:
     """A network namespace with a loopback interface."""
 
-    def __init__(self, ground, settings=()):
+    def __init__(self, workspace, settings=()):
         self.name = f"chaos-{os.getpid()}-{_number()}"
         must("ip", "netns", "add", self.name)
-        ground.undo.append(lambda: can("ip", "netns", "del", self.name))
+        workspace.cleanups.append(lambda: can("ip", "netns", "del", self.name))
         self.inside("ip", "link", "set", "lo", "up")
         for key, value in settings:
             self.inside("sh", "-c", f"echo '{value}' > /proc/sys/net/{key.replace('.', '/')}")
@@ -71,8 +71,8 @@ class Namespace:
 class Link(Namespace):
     """A network namespace behind a virtual cable that can be cut."""
 
-    def __init__(self, ground):
-        super().__init__(ground)
+    def __init__(self, workspace):
+        super().__init__(workspace)
         number = (os.getpid() * 61 + _number()) % 16000
         high, low = 64 + number // 250 % 64, number % 250 + 1
         self.address = f"100.{high}.{low}.1"
@@ -80,7 +80,7 @@ class Link(Namespace):
         self.cable = f"cha{number}"
         far = f"chb{number}"
         must("ip", "link", "add", self.cable, "type", "veth", "peer", "name", far)
-        ground.undo.append(lambda: can("ip", "link", "del", self.cable))
+        workspace.cleanups.append(lambda: can("ip", "link", "del", self.cable))
         must("ip", "link", "set", far, "netns", self.name)
         must("ip", "addr", "add", f"{self.address}/30", "dev", self.cable)
         must("ip", "link", "set", self.cable, "up")

@@ -1,7 +1,8 @@
-"""Random scenarios."""
+"""Scenarios of the runs, and how they are drawn."""
 
 from dataclasses import dataclass
 
+# Policies with their further options.
 POLICIES = {
     "knn": [],
     "q-learning": ["--set", "policy.q-learning.learn=true"],
@@ -38,13 +39,13 @@ class Scenario:
         return f"{self.policy} N {self.devices} K {self.ttis} seed {self.seed} pace {pace}"
 
 
-def draw(random, seconds, policy=None, devices=None, paces=(0, 2, 3)):
+def draw(rng, seconds, policy=None, devices=None, paces=(0, 2, 3)):
     """Draws a scenario that lasts about the given number of seconds."""
-    policy = policy or random.choice(sorted(POLICIES))
-    devices = devices or random.randint(20, 60)
-    pace = random.choice(paces)
+    policy = policy or rng.choice(sorted(POLICIES))
+    devices = devices or rng.randint(20, 60)
+    pace = rng.choice(paces)
     if pace and policy == "dt":
         # The transformer takes longer to decide.
         pace += 1
     ttis = seconds * 1000 / pace if pace else seconds * FAST[policy]
-    return Scenario(policy, devices, max(200, int(ttis)), random.randint(1, 10**6), pace)
+    return Scenario(policy, devices, max(200, int(ttis)), rng.randint(1, 10**6), pace)

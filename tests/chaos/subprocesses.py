@@ -11,9 +11,9 @@ import time
 from pathlib import Path
 
 # Polling interval in seconds.
-LOOK = 0.02
+POLL_INTERVAL = 0.02
 # Seconds after which no process of an ended run may remain.
-GONE = 2.0
+EXIT_LIMIT = 2.0
 
 # Set to end the whole test program.
 stop = threading.Event()
@@ -23,11 +23,11 @@ _starting = threading.Lock()
 
 
 class Failure(Exception):
-    """A promise of the program that a case found broken."""
+    """A property of the program that a case found violated."""
 
 
 class Hung(Failure):
-    """A condition that did not occur in time."""
+    """A condition that did not become true in time."""
 
 
 def adopt_orphans():
@@ -36,7 +36,7 @@ def adopt_orphans():
     ctypes.CDLL(None, use_errno=True).prctl(36, 1, 0, 0, 0)
 
 
-def table():
+def process_table():
     """Returns the state and the parent of each process of the machine."""
     found = {}
     for name in filter(str.isdigit, os.listdir("/proc")):
@@ -51,25 +51,25 @@ def table():
 
 def children(pid):
     """Returns the living children of a process."""
-    return sorted(child for child, (state, parent) in table().items() if parent == pid and state not in "ZX")
+    return sorted(child for child, (state, parent) in process_table().items() if parent == pid and state not in "ZX")
 
 
-def named(run):
+def processes_of(run):
     """Returns the living processes whose command line names the run."""
     found = []
-    for pid, (state, _) in table().items():
+    for pid, (state, _) in process_table().items():
         try:
-            line = Path(f"/proc/{pid}/cmdline").read_bytes().decode(errors="replace").split("\0")
+            arguments = Path(f"/proc/{pid}/cmdline").read_bytes().decode(errors="replace").split("\0")
         except OSError:
             continue
-        if state not in "ZX" and f"--run={run}" in line:
+        if state not in "ZX" and f"--run={run}" in arguments:
             found.append(pid)
     return sorted(found)
 
 
 def reap():
     """Reaps orphans that have ended."""
-    for pid, (state, parent) in table().items():
+    for pid, (state, parent) in process_table().items():
         # Popen waits for its own children: a wait here would take their exit codes.
         if state == "Z" and parent == os.getpid() and pid not in STARTED:
             try:
@@ -80,7 +80,7 @@ def reap():
 
 def kill_group(leader):
     """Kills the remaining processes of the session with this leader, which this program started."""
-    for pid, (state, _) in table().items():
+    for pid, (state, _) in process_table().items():
         try:
             is_member = state not in "ZX" and os.getsid(pid) == leader
         except OSError:
@@ -89,10 +89,10 @@ def kill_group(leader):
             send(pid, signal.SIGKILL)
 
 
-def send(pid, number):
+def send(pid, signum):
     """Sends a signal to a process that may have ended already."""
     try:
-        os.kill(pid, number)
+        os.kill(pid, signum)
     except ProcessLookupError:
         pass
 
@@ -127,7 +127,7 @@ class Process:
         # The shell needs a moment to start the command, whose pid is the one to watch.
         while shell and self.pid == self.popen.pid and self.popen.poll() is None:
             self.pid = next(iter(children(self.popen.pid)), self.pid)
-            time.sleep(LOOK / 4)
+            time.sleep(POLL_INTERVAL / 4)
 
     def poll(self):
         """Returns the exit code, negative for a signal, or None while the process lives."""
@@ -157,9 +157,9 @@ class Process:
             send(self.pid, signal.SIGKILL)
         if self.shell is not None and self.shell.poll() is None:
             send(self.shell.pid, signal.SIGKILL)
-        until = time.monotonic() + 10
-        while self.poll() is None and time.monotonic() < until:
-            time.sleep(LOOK)
+        deadline = time.monotonic() + 10
+        while self.poll() is None and time.monotonic() < deadline:
+            time.sleep(POLL_INTERVAL)
         if self.shell is not None:
             self.shell.wait()
 
@@ -172,7 +172,7 @@ class Process:
         return self.out_path.read_text(errors="replace")
 
 
-class Ground:
+class Workspace:
     """The folder and environment of a case, the program under test, and the deadline."""
 
     def __init__(self, reveille, folder, patience):
@@ -180,16 +180,16 @@ class Ground:
         self.folder = folder
         self.env = dict(os.environ, XDG_RUNTIME_DIR=str(folder))
         self.env.pop("RUST_LOG", None)
-        self.until = time.monotonic() + patience
+        self.deadline = time.monotonic() + patience
         # `extend` never moves the deadline beyond this.
-        self.last = time.monotonic() + 8 * patience
+        self.latest_deadline = time.monotonic() + 8 * patience
         self.patience = patience
         self.processes = []
-        # Called at each poll: restarts device processes that were started by hand.
-        self.tending = lambda: None
+        # Called at each poll: restarts device processes that were started separately.
+        self.on_poll = lambda: None
         # Pending actions with their times, such as the end of a lasting fault.
-        self.due = []
-        self.undo = []
+        self.pending = []
+        self.cleanups = []
 
     def start(self, args, shell=False, prefix=(), command=None, cwd=None, env=None):
         """Starts `reveille ARGS`, or another command."""
@@ -213,53 +213,53 @@ class Ground:
 
     def extend(self, seconds):
         """Moves the deadline to at least `seconds` from now, but not beyond the last one."""
-        self.until = max(self.until, min(time.monotonic() + seconds, self.last))
+        self.deadline = max(self.deadline, min(time.monotonic() + seconds, self.latest_deadline))
 
-    def later(self, seconds, act):
+    def schedule(self, seconds, act):
         """Schedules `act`, which runs even while the test waits for something else."""
-        self.due.append((time.monotonic() + seconds, act))
+        self.pending.append((time.monotonic() + seconds, act))
 
-    def look_after(self):
+    def run_due_actions(self):
         """Runs the pending actions that are due."""
         if stop.is_set():
             raise KeyboardInterrupt
         now = time.monotonic()
-        for one in [one for one in self.due if one[0] <= now]:
-            self.due.remove(one)
-            one[1]()
-        self.tending()
+        for entry in [entry for entry in self.pending if entry[0] <= now]:
+            self.pending.remove(entry)
+            entry[1]()
+        self.on_poll()
 
-    def still(self):
-        """Returns the seconds until the last pending action."""
-        return max([0.0, *(at - time.monotonic() for at, _ in self.due)])
+    def pending_seconds(self):
+        """Returns the seconds until the last pending action, 0 without one."""
+        return max([0.0, *(at - time.monotonic() for at, _ in self.pending)])
 
-    def wait(self, what, look, within=None):
+    def wait(self, what, condition, within=None):
         """Polls `look` until it returns a true value, and returns that value."""
         # Faults that are still due can delay the result.
-        within = within and within + self.still()
-        began = time.monotonic()
+        within = within and within + self.pending_seconds()
+        started = time.monotonic()
         while True:
-            seen = look()
-            if seen:
-                return seen
-            waited = time.monotonic() - began
-            if time.monotonic() >= self.until or (within and waited >= within):
-                raise Hung(f"waited {waited:.0f} s for {what}; {self.tails()}")
-            self.look_after()
-            time.sleep(LOOK)
+            value = condition()
+            if value:
+                return value
+            waited = time.monotonic() - started
+            if time.monotonic() >= self.deadline or (within and waited >= within):
+                raise Hung(f"waited {waited:.0f} s for {what}; {self.describe_output()}")
+            self.run_due_actions()
+            time.sleep(POLL_INTERVAL)
 
     def rest(self, seconds):
         """Waits for a time while pending actions continue to run."""
-        until = time.monotonic() + seconds
-        while time.monotonic() < until:
-            self.look_after()
-            time.sleep(max(0, min(LOOK, until - time.monotonic())))
+        deadline = time.monotonic() + seconds
+        while time.monotonic() < deadline:
+            self.run_due_actions()
+            time.sleep(max(0, min(POLL_INTERVAL, deadline - time.monotonic())))
 
-    def tails(self):
-        """Returns the end of the standard error of the living processes, or of the last one to end."""
+    def describe_output(self):
+        """Returns the end of the standard error of the living processes, or of the last started one."""
         alive = [process for process in self.processes if process.poll() is None] or self.processes[-1:]
-        said = [f"{process.name} (pid {process.pid}): {process.err().strip()[-600:] or 'silent'}" for process in alive]
-        return "last words: " + "\n    ".join(said)
+        outputs = [f"{process.name} (pid {process.pid}): {process.err().strip()[-600:] or 'silent'}" for process in alive]
+        return "last output: " + "\n    ".join(outputs)
 
     def assert_sane(self):
         """Fails if a process panicked."""
@@ -273,9 +273,9 @@ class Ground:
             send(process.pid, signal.SIGCONT)
             process.kill()
             kill_group(process.popen.pid)
-        for undo in reversed(self.undo):
-            undo()
-        self.undo.clear()
+        for clean_up in reversed(self.cleanups):
+            clean_up()
+        self.cleanups.clear()
         reap()
 
 
@@ -287,14 +287,14 @@ def read_summary(folder):
         return None
 
 
-def losses(text):
+def takeover_times(text):
     """Parses a base station's log: seconds until another process took over, for each lost host."""
     return [float(seconds) for seconds in re.findall(r"run again after ([\d.]+) s", text)]
 
 
-def oracle(reveille, scenario, folder):
-    """Returns the digest of the same run in memory."""
-    out = folder / "oracle"
+def digest_in_memory(reveille, scenario, folder):
+    """Returns the digest of the same scenario in `reveille run`."""
+    out = folder / "in-memory"
     command = [str(reveille), "run", *scenario.args(), "--json", "--quiet", "--out", str(out)]
     end = subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL, timeout=300)
     if end.returncode != 0:

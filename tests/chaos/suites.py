@@ -31,21 +31,21 @@ def kills(args):
     seed = args.seed
     for part in parts:
         for _ in range(args.runs if args.runs is not None else KILLS[part]):
-            yield killed(seed, part)
+            yield draw_kills(seed, part)
             seed += 1
 
 
-def killed(seed, part):
+def draw_kills(seed, part):
     """Draws a run of 50 devices in 10 processes with kills of one part."""
-    chance = random.Random(f"{part} {seed}")
+    rng = random.Random(f"{part} {seed}")
     policy = sorted(scenario.POLICIES)[seed % len(scenario.POLICIES)]
-    drawn = scenario.draw(chance, SECONDS, policy, DEVICES, (2, 3))
+    drawn = scenario.draw(rng, SECONDS, policy, DEVICES, (2, 3))
     if part == "hosts":
-        moments = sorted(chance.uniform(0.1, 0.9 * SECONDS) for _ in range(chance.randint(1, 5)))
+        moments = sorted(rng.uniform(0.1, 0.9 * SECONDS) for _ in range(rng.randint(1, 5)))
         gaps = [after - before for before, after in zip([0, *moments], moments)]
-        strikes = [faults.Fault("hosts", round(gap, 2), {"killed": 1, "within": 0}) for gap in gaps]
+        drawn_faults = [faults.Fault("hosts", round(gap, 2), {"killed": 1, "within": 0}) for gap in gaps]
     else:
-        strikes = [faults.Fault(part, round(chance.uniform(0.1, 0.9 * SECONDS), 2))]
+        drawn_faults = [faults.Fault(part, round(rng.uniform(0.1, 0.9 * SECONDS), 2))]
     # Only device processes started by hand outlive their base station.
     is_up = part == "hosts" or seed % 2 == 0
-    return Plan(seed, drawn, is_up, PROCESSES, strikes, ["--audit", "on"])
+    return Plan(seed, drawn, is_up, PROCESSES, drawn_faults, ["--audit", "on"])

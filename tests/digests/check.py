@@ -37,7 +37,7 @@ EVENTS = {
     "bursts": "--set events.process=bursts --set events.duration_kind=geometric",
     "join-sum": "--set sensing.g=sum-saturation --set events.alpha=0.5",
 }
-FAULTS = {
+RADIO_FAULTS = {
     "wake-miss": "--set radio.wake_miss=0.3",
     "false-wake": "--set radio.false_wake_up=0.05",
     "uplink-loss": "--set radio.uplink_loss=0.3",
@@ -46,7 +46,7 @@ FAULTS = {
     "all-faults": "--set radio.wake_miss=0.2 --set radio.false_wake_up=0.02 --set radio.uplink_loss=0.2 "
     "--set radio.plan_loss=0.2 --set radio.wake_latency=1 --set radio.interference=bursts --set bs.sync_interval=37",
 }
-BATTERIES = {
+ENERGY = {
     "reported": "--set bs.battery_knowledge=reported",
     "posterior": "--set bs.ranking=posterior",
     "scarce": "--set harvest.e_b=1 --set energy.initial=0",
@@ -71,32 +71,32 @@ SETTINGS = {
 }
 # Devices lost before they could sense: the first device, the number of devices, the TTI.
 OUTAGES = [(3, 5, 100), (20, 6, 400)]
-# Runs with the logged decisions of the files next to this script, which a program drew once.
-DECIDED = {
+# Runs with the logged decisions of the files next to this script, which were drawn at random once.
+LOGGED_DECISIONS = {
     "bits": "-n 20 -k 300",
     "cycles": "-n 20 -k 300 --set bs.battery_knowledge=reported",
-    "faults": f"-n 20 -k 300 {FAULTS['all-faults']}",
+    "faults": f"-n 20 -k 300 {RADIO_FAULTS['all-faults']}",
 }
-FOLDERS = ["two-classes", "day-and-night", "rush-hours", "solar", "solar-panel"]
+SCENARIO_FILES = ["two-classes", "day-and-night", "rush-hours", "solar", "solar-panel"]
 SMALL = "-n 30 -k 600"
 
 
-def cases():
-    """Returns the name and command of each run that ends without interference."""
+def uninterrupted_runs():
+    """Yields the name and command of each run that ends without interference."""
     for policy in POLICIES:
         for name, options in PRESETS.items():
             yield f"{policy}/{name}", f"run -p {policy} {options}"
-        for name, options in {**EVENTS, **FAULTS, **BATTERIES}.items():
+        for name, options in {**EVENTS, **RADIO_FAULTS, **ENERGY}.items():
             yield f"{policy}/{name}", f"run -p {policy} {SMALL} {options}"
     for name, options in SETTINGS.items():
         yield f"settings/{name}", f"run {SMALL} {options}"
-    for name in FOLDERS:
+    for name in SCENARIO_FILES:
         yield f"file/{name}", f"run -s {SCENARIOS / name}.toml -k 600"
     for count, processes in [(250, 1), (250, 4), (30, 0), (30, 1), (30, 20)]:
         yield f"bus/knn-n{count}-P{processes}", f"up -p knn -n {count} -k 300 -P {processes}"
     for policy in ["q-learning", "genie", "age-index"]:
-        yield f"bus/{policy}-faults", f"up -p {policy} {SMALL} -P 4 {FAULTS['all-faults']}"
-    for name, options in DECIDED.items():
+        yield f"bus/{policy}-faults", f"up -p {policy} {SMALL} -P 4 {RADIO_FAULTS['all-faults']}"
+    for name, options in LOGGED_DECISIONS.items():
         yield f"external/{name}", f"run {options} -p replay={HERE / name}.log"
     yield "many/knn", "run -p knn -n 2500 -k 300"
     yield "many/random", "run -p random -n 2500 -k 300"
@@ -104,23 +104,24 @@ def cases():
 
 
 class Failed(Exception):
-    pass
+    """A run did not end with a summary."""
 
 
 def summary(reveille, command, folder):
-    line = [reveille, *shlex.split(command), "--json", "--quiet"]
+    """Runs `command` in `folder` and returns its summary."""
+    arguments = [reveille, *shlex.split(command), "--json", "--quiet"]
     if "--out" not in command and "--resume" not in command:
-        line += ["--out", str(Path(folder) / "run")]
+        arguments += ["--out", str(Path(folder) / "run")]
     try:
-        done = subprocess.run(line, cwd=folder, capture_output=True, text=True, timeout=PATIENCE)
+        process = subprocess.run(arguments, cwd=folder, capture_output=True, text=True, timeout=PATIENCE)
     except subprocess.TimeoutExpired:
         raise Failed(f"no end within {PATIENCE} s") from None
-    if done.returncode:
-        raise Failed(f"exit code {done.returncode}: {done.stderr.strip()[-600:]}")
-    return json.loads(done.stdout)
+    if process.returncode:
+        raise Failed(f"exit code {process.returncode}: {process.stderr.strip()[-600:]}")
+    return json.loads(process.stdout)
 
 
-def ended(reveille, command):
+def uninterrupted(reveille, command):
     """Returns the digest of a run that ends without interference, with a fingerprint of its CSV tables."""
     with tempfile.TemporaryDirectory() as folder:
         digest = summary(reveille, command, folder)["digest"]
@@ -132,9 +133,9 @@ def ended(reveille, command):
 
 def with_outages(reveille, command):
     """Returns the digest of a run that loses devices between TTIs and, if a policy wakes devices, before an event's
-    last wake-up."""
+    last wake-up; and the number of outages."""
     with tempfile.TemporaryDirectory() as folder:
-        run_id = summary(reveille, command, folder)["scenario_hash"]
+        scenario_hash = summary(reveille, command, folder)["scenario_hash"]
         outages = [(first, count, tti, None) for first, count, tti in OUTAGES]
         with Path(folder, "run", "events.csv").open(newline="") as table:
             for event in csv.DictReader(table):
@@ -145,20 +146,21 @@ def with_outages(reveille, command):
                     outages.insert(0, (12, 2, tti, wake_ups - 1))
                     break
         names = ["first", "count", "tti", "wake_ups"]
-        entries = [{"inputs": {"version": 2, "scenario_hash": run_id}}]
+        entries = [{"inputs": {"version": 2, "scenario_hash": scenario_hash}}]
         entries += [{"outage": dict(zip(names, outage))} for outage in outages]
         log = Path(folder, "outages.log")
         log.write_text("".join(json.dumps(entry) + "\n" for entry in entries))
-        return summary(reveille, f"{command} --input-log {log} --out {folder}/lost", folder)["digest"], str(len(outages))
+        digest = summary(reveille, f"{command} --input-log {log} --out {folder}/lost", folder)["digest"]
+        return digest, str(len(outages))
 
 
 def resumed(reveille, command):
     """Returns the digest of a run whose processes are killed halfway and which then resumes on the bus."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "run"
-        line = [reveille, *shlex.split(command), "--pace", "1ms", "--quiet", "--out", str(out)]
+        arguments = [reveille, *shlex.split(command), "--pace", "1ms", "--quiet", "--out", str(out)]
         first = subprocess.Popen(
-            line, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+            arguments, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
         )
         deadline = time.monotonic() + PATIENCE
         while not (out / "resume.json").exists():
@@ -167,18 +169,20 @@ def resumed(reveille, command):
             time.sleep(0.05)
         os.killpg(first.pid, signal.SIGKILL)
         first.wait()
-        verb = shlex.split(command)[0]
-        return summary(reveille, f"{verb} --resume {out}", folder)["digest"], "-"
+        subcommand = shlex.split(command)[0]
+        # The third column holds a fingerprint of tables, which this run does not compare.
+        return summary(reveille, f"{subcommand} --resume {out}", folder)["digest"], "-"
 
 
 def runs():
-    for name, command in cases():
-        yield name, ended, command
+    """Yields the name of each run, the function that runs it, and its command."""
+    for name, command in uninterrupted_runs():
+        yield name, uninterrupted, command
     for policy in POLICIES:
         yield f"outages/{policy}", with_outages, f"run -p {policy} {SMALL}"
-        yield f"outages/{policy}-faults", with_outages, f"run -p {policy} {SMALL} {FAULTS['all-faults']}"
+        yield f"outages/{policy}-faults", with_outages, f"run -p {policy} {SMALL} {RADIO_FAULTS['all-faults']}"
     for policy in ["knn", "q-learning", "age-index"]:
-        yield f"resumed/{policy}", resumed, f"up -p {policy} -n 30 -k 4000 -P 3 {FAULTS['all-faults']}"
+        yield f"resumed/{policy}", resumed, f"up -p {policy} -n 30 -k 4000 -P 3 {RADIO_FAULTS['all-faults']}"
 
 
 def main():
@@ -196,44 +200,45 @@ def main():
     if not chosen:
         parser.error(f"--only {args.only}: no run matches this pattern")
 
-    def one(run):
-        name, how, command = run
+    def row(run):
+        name, digest_of, command = run
         try:
-            return name, *how(reveille, command)
-        except Failed as why:
-            return name, "failed", str(why)
+            return name, *digest_of(reveille, command)
+        except Failed as reason:
+            return name, "failed", str(reason)
 
     started = time.monotonic()
     with concurrent.futures.ThreadPoolExecutor(os.cpu_count()) as pool:
-        found = list(pool.map(one, chosen))
-    failed = [(name, why) for name, digest, why in found if digest == "failed"]
-    for name, why in failed:
-        print(f"{name}: {why}", file=sys.stderr)
+        rows = list(pool.map(row, chosen))
+    failed = [(name, reason) for name, digest, reason in rows if digest == "failed"]
+    for name, reason in failed:
+        print(f"{name}: {reason}", file=sys.stderr)
     if args.record:
         if failed:
             sys.exit(1)
         with RECORDED.open("w", newline="") as file:
             table = csv.writer(file, delimiter="\t", lineterminator="\n")
             table.writerow(["run", "digest", "tables"])
-            table.writerows(found)
-        print(f"{len(found)} digests written to {RECORDED}")
+            table.writerows(rows)
+        print(f"{len(rows)} digests written to {RECORDED}")
         return
     with RECORDED.open(newline="") as file:
-        expected = {run: rest for run, *rest in csv.reader(file, delimiter="\t")}
-    wrong = 0
-    for name, *now in found:
-        before = expected.get(name)
-        if before != now:
-            wrong += 1
-            reason = f"recorded {' '.join(before)}, now {' '.join(now)}" if before else "no recorded digest"
+        recorded_by_name = {name: values for name, *values in csv.reader(file, delimiter="\t")}
+    faults = 0
+    for name, *values in rows:
+        recorded = recorded_by_name.get(name)
+        if recorded != values:
+            faults += 1
+            reason = f"recorded {' '.join(recorded)}, now {' '.join(values)}" if recorded else "no recorded digest"
             print(f"{name}: {reason}", file=sys.stderr)
-    surplus = expected.keys() - {"run"} - {run[0] for run in runs()}
-    if surplus:
-        wrong += len(surplus)
-        print(f"{RECORDED}: unused digests of removed runs: {', '.join(sorted(surplus))}", file=sys.stderr)
-    matching = sum(expected.get(name) == now for name, *now in found)
-    print(f"{matching} of {len(found)} digests as recorded, in {time.monotonic() - started:.0f} s")
-    sys.exit(1 if wrong else 0)
+    # "run" is the header of the column.
+    unused = recorded_by_name.keys() - {"run"} - {name for name, _, _ in runs()}
+    if unused:
+        faults += len(unused)
+        print(f"{RECORDED}: unused digests of removed runs: {', '.join(sorted(unused))}", file=sys.stderr)
+    matching = sum(recorded_by_name.get(name) == values for name, *values in rows)
+    print(f"{matching} of {len(rows)} digests as recorded, in {time.monotonic() - started:.0f} s")
+    sys.exit(1 if faults else 0)
 
 
 if __name__ == "__main__":

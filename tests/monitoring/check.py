@@ -1,4 +1,5 @@
-"""Checks metrics with a real Prometheus: promtool reports no problem, and the scraped values equal the run's results.
+"""Checks the metrics of a run (`--metrics`) with Prometheus: promtool reports no problem, and the values that the server
+scrapes agree with the run's summary. Only a few of the metrics are compared.
 
     python tests/monitoring/check.py target/release/reveille
 
@@ -19,6 +20,7 @@ import urllib.request
 from pathlib import Path
 
 TTIS = 4000
+DEVICES = 40
 
 
 def main():
@@ -32,14 +34,14 @@ def main():
         check(args.reveille.resolve(), Path(folder))
 
 
-def check(reveille, here):
+def check(reveille, folder):
     address = f"127.0.0.1:{free_port()}"
-    command = f"up -p knn -n 40 -k {TTIS} -P 2 --pace 2ms --json --out out --window 100 --metrics {address}"
-    run = subprocess.Popen([reveille, *command.split()], cwd=here, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    command = f"up -p knn -n {DEVICES} -k {TTIS} -P 2 --pace 2ms --json --out out --window 100 --metrics {address}"
+    run = subprocess.Popen([reveille, *command.split()], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     server = None
     try:
         url = f"http://{address}/metrics"
-        text = wait(lambda: get(url))
+        text = wait_for(lambda: get(url))
         lint = subprocess.run(["promtool", "check", "metrics"], input=text, capture_output=True, text=True)
         assert lint.returncode == 0 and not lint.stderr.strip(), lint.stderr
         assert get(url, Accept="application/openmetrics-text").endswith("# EOF\n")
@@ -47,49 +49,50 @@ def check(reveille, here):
         assert get(url.replace("/metrics", "/")).startswith("# HELP"), "the redirect to /metrics"
         assert status(url.replace("/metrics", "/other")) == 404
         port = free_port()
-        (here / "prometheus.yml").write_text(
+        (folder / "prometheus.yml").write_text(
             "global: { scrape_interval: 1s }\n"
             f"scrape_configs: [{{ job_name: reveille, static_configs: [{{ targets: ['{address}'] }}] }}]\n"
         )
         server = subprocess.Popen(
             [
                 "prometheus",
-                f"--config.file={here / 'prometheus.yml'}",
-                f"--storage.tsdb.path={here / 'data'}",
+                f"--config.file={folder / 'prometheus.yml'}",
+                f"--storage.tsdb.path={folder / 'data'}",
                 f"--web.listen-address=127.0.0.1:{port}",
             ],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )
-        query = lambda text: ask(port, text)
-        wait(lambda: query("reveille_ttis_total") > 0)
+        query = lambda expression: query_prometheus(port, expression)
+        wait_for(lambda: query("reveille_ttis_total") > 0)
         assert query("reveille_hosts_alive") == 2
-        assert query("sum(reveille_devices)") == 40
-        assert query("reveille_devices_with_battery{at_most='100'}") == 40
+        assert query("sum(reveille_devices)") == DEVICES
+        assert query("reveille_devices_with_battery{at_most='100'}") == DEVICES
         # A pace of 2 ms allows 500 TTIs a second.
-        wait(lambda: 100 < query("rate(reveille_ttis_total[4s])") < 600)
+        wait_for(lambda: 100 < query("rate(reveille_ttis_total[4s])") < 600)
         # Reads the last metrics before the end of the run more often than Prometheus does.
-        last, before = None, 0
+        last_text, last_ttis = None, 0
         while run.poll() is None:
             try:
-                last = get(url) or last
+                last_text = get(url) or last_text
             except urllib.error.URLError:
                 pass
-            if last:
-                now = value(last, "reveille_ttis_total")
-                assert now >= before, "a counter fell"
-                before = now
+            if last_text:
+                ttis = value(last_text, "reveille_ttis_total")
+                assert ttis >= last_ttis, f"the counter of TTIs fell from {last_ttis} to {ttis}"
+                last_ttis = ttis
             time.sleep(0.05)
-        out, err = run.communicate()
-        assert run.returncode == 0, err
-        summary = json.loads(out)
-        scraped = query(f"last_over_time(reveille_ttis_total[1m])")
-        assert 1000 < scraped <= TTIS, scraped
-        missing = TTIS - value(last, "reveille_ttis_total")
-        assert 0 <= missing < 300, missing
+        stdout, stderr = run.communicate()
+        assert run.returncode == 0, stderr
+        summary = json.loads(stdout)
+        scraped_ttis = query(f"last_over_time(reveille_ttis_total[1m])")
+        assert 1000 < scraped_ttis <= TTIS, f"{scraped_ttis} TTIs scraped"
+        # TTIs after the last read; at most one event starts in each of them.
+        unread_ttis = TTIS - value(last_text, "reveille_ttis_total")
+        assert 0 <= unread_ttis < 300, f"{unread_ttis} TTIs after the last read"
         events = summary["totals"]["events"]["events"]
-        assert events - missing <= value(last, "reveille_events_total") <= events
-        print(f"{len(text.splitlines())} lines of metrics, {scraped:.0f} of {TTIS} TTIs scraped, equal to the summary")
+        assert events - unread_ttis <= value(last_text, "reveille_events_total") <= events
+        print(f"{len(text.splitlines())} lines of metrics, {scraped_ttis:.0f} of {TTIS} TTIs scraped, as in the summary")
     finally:
         for process in (run, server):
             if process and process.poll() is None:
@@ -98,14 +101,14 @@ def check(reveille, here):
 
 
 def free_port():
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return one.getsockname()[1]
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        return listener.getsockname()[1]
 
 
 def get(url, **headers):
-    with urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=5) as answer:
-        return answer.read().decode()
+    with urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=5) as response:
+        return response.read().decode()
 
 
 def status(url, **headers):
@@ -116,23 +119,26 @@ def status(url, **headers):
     return 200
 
 
-def ask(port, text):
-    query = urllib.parse.urlencode({"query": text})
-    found = json.loads(get(f"http://127.0.0.1:{port}/api/v1/query?{query}"))["data"]["result"]
-    return float(found[0]["value"][1]) if found else 0.0
+def query_prometheus(port, expression):
+    """Returns the first value of the expression's result; 0 without a result."""
+    query = urllib.parse.urlencode({"query": expression})
+    result = json.loads(get(f"http://127.0.0.1:{port}/api/v1/query?{query}"))["data"]["result"]
+    return float(result[0]["value"][1]) if result else 0.0
 
 
 def value(text, name):
+    """Returns the value of a metric without labels in the text of `/metrics`."""
     return next(float(line.split()[1]) for line in text.splitlines() if line.startswith(name + " "))
 
 
-def wait(look, patience=30):
-    end = time.monotonic() + patience
-    while time.monotonic() < end:
+def wait_for(poll, patience=30):
+    """Returns the first result of `poll` that is true."""
+    deadline = time.monotonic() + patience
+    while time.monotonic() < deadline:
         try:
-            found = look()
-            if found:
-                return found
+            result = poll()
+            if result:
+                return result
         except (urllib.error.URLError, ConnectionError):
             pass
         time.sleep(0.1)

@@ -1,4 +1,6 @@
-//! `reveille analyse`: its output matches the machines, and it refuses inputs that it cannot study with a suggestion.
+//! The command `reveille analyse`: the battery chain against simulated devices; I_min, crossings of the harvest and
+//! run-time exponents against closed forms computed here; CSV files and refusals. `tests/tests/analysis.rs` tests the
+//! analysis itself.
 
 use std::fs;
 use std::os::unix::fs::symlink;
@@ -28,35 +30,36 @@ fn assert_no_finding(end: &FinishedProcess, code: i32, parts: &[&str]) {
 }
 
 #[test]
-fn the_battery_chain_agrees_with_the_machines() {
+fn the_battery_chain_agrees_with_simulated_devices() {
     let folder = TestFolder::new();
-    let found = analyse(
+    let findings = analyse(
         &folder,
         "battery --duty 1/2,1/8 --e-b 1,5,10 --activation 0,0.02 --devices 8 --ttis 100000",
     );
-    assert_eq!(rows(&found, "chain").len(), 12);
-    for row in rows(&found, "chain") {
+    // Two duty cycles, three mean harvests and two activation probabilities.
+    assert_eq!(rows(&findings, "chain").len(), 12);
+    for row in rows(&findings, "chain") {
         assert!(number(row, "total_variation") <= 0.02, "{row}");
         assert!(number(row, "residual") <= 1e-10, "{row}");
     }
-    for row in rows(&found, "availability") {
+    for row in rows(&findings, "availability") {
         assert!((number(row, "chain") - number(row, "measured")).abs() <= 0.02, "{row}");
         assert!(
             (number(row, "eq8_printed") - number(row, "eq8_sum_by_beta")).abs() <= 1e-9,
             "{row}"
         );
     }
-    let notes = found["notes"].to_string();
+    let notes = findings["notes"].to_string();
     assert!(notes.contains("falls with a larger harvest"), "{notes}");
 }
 
 #[test]
-fn the_distribution_of_one_battery_goes_to_csv() {
+fn the_distribution_of_one_battery_is_written_to_csv() {
     let folder = TestFolder::new();
     let end = folder
         .run("analyse battery --duty 1/4 --e-b 5 --activation 0 --devices 4 --ttis 20000 --bin 10 --csv levels.csv");
     assert!(end.is_success(), "{end}");
-    let text = std::fs::read_to_string(folder.join("levels.csv")).expect("written");
+    let text = fs::read_to_string(folder.join("levels.csv")).expect("written");
     let lines: Vec<&str> = text.lines().collect();
     assert_eq!(lines[0], "e_b,duty,activation,battery_from,chain,measured");
     let share = |line: &&str| {
@@ -66,69 +69,74 @@ fn the_distribution_of_one_battery_goes_to_csv() {
             .expect("a number")
     };
     let sum: f64 = lines[1..].iter().map(share).sum();
+    // The header, ten bins of 10 units and the bin of E_max = 100.
     assert!(lines.len() == 12 && (sum - 1.0).abs() < 1e-9, "{text}");
 }
 
 #[test]
-fn transitions_name_forms_that_are_not_probabilities() {
+fn transitions_note_printed_forms_that_are_not_probabilities() {
     let folder = TestFolder::new();
-    let found = analyse(
+    let findings = analyse(
         &folder,
         "transitions --policy random --devices 100 --ttis 400 --seeds 3",
     );
-    assert_eq!(rows(&found, "transitions").len(), 10);
-    let of_s1: f64 = rows(&found, "transitions")
+    assert_eq!(rows(&findings, "transitions").len(), 10);
+    let s1_probability_sum: f64 = rows(&findings, "transitions")
         .iter()
         .filter(|row| row["transition"].as_str().is_some_and(|name| name.starts_with("P_1,")))
         .map(|row| number(row, "count") / number(row, "visits"))
         .sum();
-    assert!((of_s1 - 1.0).abs() < 1e-12);
-    let notes = found["notes"].to_string();
+    assert!((s1_probability_sum - 1.0).abs() < 1e-12, "{s1_probability_sum}");
+    let notes = findings["notes"].to_string();
     assert!(notes.contains("P_1,1 as printed is not a probability for"), "{notes}");
 }
 
 #[test]
-fn the_grid_has_the_papers_i_min() {
+fn i_min_on_a_grid_equals_the_papers_formula() {
     let folder = TestFolder::new();
-    let found = analyse(&folder, "imin --layouts grid,uniform --devices 25,100 --seeds 20");
-    for row in rows(&found, "imin") {
-        let off = number(row, "mean") - number(row, "grid_formula");
+    let findings = analyse(&folder, "imin --layouts grid,uniform --devices 25,100 --seeds 20");
+    for row in rows(&findings, "imin") {
+        let deviation = number(row, "mean") - number(row, "grid_formula");
         if row["layout"] == "grid" {
-            assert!(off.abs() < 1e-12, "{row}");
+            assert!(deviation.abs() < 1e-12, "{row}");
         } else {
-            assert!(off < 0.0 && number(row, "sd") > 0.0, "{row}");
+            assert!(deviation < 0.0 && number(row, "sd") > 0.0, "{row}");
         }
     }
 }
 
 #[test]
 #[expect(clippy::disallowed_methods, reason = "checked to nine digits, not to the last bit")]
-fn harvest_crosses_the_consumption_where_its_closed_form_does() {
+fn crossings_of_harvest_and_consumption_equal_the_closed_form() {
     let folder = TestFolder::new();
-    let found = analyse(
+    let findings = analyse(
         &folder,
         "harvest --lambda 0.1 --policies random --devices 10 --seeds 3 --ttis 500 --readings eq5",
     );
-    assert_eq!(rows(&found, "points").len(), 3);
-    for row in rows(&found, "crossings") {
-        if let Some(from) = row["net_positive_from"].as_f64() {
-            let harvest = number(row, "e_b") * from * (-from).exp();
-            assert!((harvest - number(row, "units")).abs() < 1e-9, "{row}");
+    assert_eq!(rows(&findings, "points").len(), 3);
+    for row in rows(&findings, "crossings") {
+        if let Some(lambda) = row["net_positive_from"].as_f64() {
+            let harvest = number(row, "e_b") * lambda * (-lambda).exp();
+            assert!(
+                (harvest - number(row, "units")).abs() < 1e-9,
+                "harvest {harvest}: {row}"
+            );
         }
     }
 }
 
 #[test]
 #[expect(clippy::disallowed_methods, reason = "checked to nine digits, not to the last bit")]
-fn run_times_come_with_exponents() {
+fn run_time_exponents_equal_the_least_squares_slope() {
     let folder = TestFolder::new();
-    let found = analyse(
+    let findings = analyse(
         &folder,
         "runtime --policies knn,random,q-learning --devices 10,40,160 --ttis 200 --events 50 --repeat 2",
     );
-    // Only q-learning plans in every TTI.
-    assert_eq!((rows(&found, "times").len(), rows(&found, "fits").len()), (9, 10));
-    for row in rows(&found, "fits") {
+    // Three policies with three sizes; three kinds of time for each policy, and for q-learning, which alone plans in
+    // every TTI, the time of a plan.
+    assert_eq!((rows(&findings, "times").len(), rows(&findings, "fits").len()), (9, 10));
+    for row in rows(&findings, "fits") {
         let column = match row["what"].as_str().expect("a word") {
             "set-up" => "set_up_ms",
             "run, per TTI" => "run_us_per_tti",
@@ -136,40 +144,44 @@ fn run_times_come_with_exponents() {
             "plan" => "plan_us",
             other => panic!("no column has the time of {other}"),
         };
-        let times: Vec<f64> = rows(&found, "times")
+        let times: Vec<f64> = rows(&findings, "times")
             .iter()
             .filter(|times| times["policy"] == row["policy"])
             .map(|times| number(times, column))
             .collect();
         // For three points with four times as many devices each, the least-squares slope equals the slope from the
         // first to the last.
-        let expected = (times[2] / times[0]).ln() / 16f64.ln();
+        let exponent = (times[2] / times[0]).ln() / 16f64.ln();
         assert!(
-            (number(row, "exponent") - expected).abs() < 1e-9,
-            "{row}, not {expected}"
+            (number(row, "exponent") - exponent).abs() < 1e-9,
+            "{row}, expected exponent {exponent}"
         );
         // Deviation of the middle point, with the 97.5 % point of Student's t for one degree of freedom.
-        let bend = (times[1] * times[1] / (times[0] * times[2])).ln() / 6f64.sqrt();
-        let half_width = 12.706 * bend.abs() / (2f64.sqrt() * 4f64.ln());
-        let found = number(row, "half_width");
+        let curvature = (times[1] * times[1] / (times[0] * times[2])).ln() / 6f64.sqrt();
+        let expected_half_width = 12.706 * curvature.abs() / (2f64.sqrt() * 4f64.ln());
+        let half_width = number(row, "half_width");
         assert!(
-            (found - half_width).abs() < 1e-3 * half_width + 1e-12,
-            "{row}, not {half_width}"
+            (half_width - expected_half_width).abs() < 1e-3 * expected_half_width + 1e-12,
+            "{row}, expected half-width {expected_half_width}"
         );
     }
 }
 
 #[test]
-fn a_sheet_replaces_a_file_and_goes_through_a_link() {
+fn a_csv_file_replaces_a_file_and_follows_a_link() {
     let folder = TestFolder::new();
-    let write = |name: &str| folder.run(&format!("analyse imin --devices 10 --csv {name}"));
+    let write_csv = |name: &str| folder.run(&format!("analyse imin --devices 10 --csv {name}"));
     folder.write("sheet.csv", "before");
     fs::hard_link(folder.join("sheet.csv"), folder.join("before.csv")).expect("possible");
-    assert!(write("sheet.csv").is_success());
+    assert!(write_csv("sheet.csv").is_success());
     let read = |name: &str| fs::read_to_string(folder.join(name)).expect("there");
-    assert_eq!(read("before.csv"), "before", "the old file was written into");
+    assert_eq!(
+        read("before.csv"),
+        "before",
+        "the old file was not replaced but overwritten"
+    );
     symlink("/dev/stdout", folder.join("shown.csv")).expect("possible");
-    let end = write("shown.csv");
+    let end = write_csv("shown.csv");
     assert!(end.is_success() && end.stdout.starts_with(&read("sheet.csv")), "{end}");
     assert!(folder.join("shown.csv").is_symlink());
 }

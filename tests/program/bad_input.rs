@@ -1,27 +1,26 @@
-//! Invalid input: one paragraph with the fault, the place and the allowed values, a failing exit code, and no run
-//! folder.
+//! Invalid input of `run`, `up`, `bs`, `device`, `clock` and `inspect`: one paragraph with the fault, the place and the
+//! allowed values, a failing exit code, and no run folder. Also unusual input that is valid.
 
 use std::fs;
 use std::net::TcpListener;
 use std::os::unix::fs::PermissionsExt;
 use std::process::Stdio;
 
-use reveille_tests::process::{
-    FinishedProcess, Process, SummaryJson, TestFolder, assert_refused, free_endpoint, unique_run,
-};
+use reveille_tests::process::{Process, SummaryJson, TestFolder, assert_refused, free_endpoint, unique_run};
 use rustix::process::Signal;
 
-/// Checks that the folder contains only the test's own files.
-fn assert_untouched(folder: &TestFolder, before: &[&str]) {
-    let now: Vec<String> = folder.list(".").into_iter().filter(|name| name != "runtime").collect();
-    assert_eq!(now, before);
+/// Checks that the folder contains only the test's own `files`.
+fn assert_untouched(folder: &TestFolder, files: &[&str]) {
+    let left: Vec<String> = folder.list(".").into_iter().filter(|name| name != "runtime").collect();
+    assert_eq!(left, files, "files in the folder");
 }
 
-/// Runs each command that takes a scenario and checks that all refuse it alike and leave no files.
-fn refused(folder: &TestFolder, scenario: &str, before: &[&str], parts: &[&str]) {
+/// Checks that every command that takes a scenario refuses it, with all of `parts` in the message, and leaves only
+/// `files`.
+fn refused(folder: &TestFolder, scenario: &str, files: &[&str], parts: &[&str]) {
     for command in ["run", "up", "up -P 0 --out out", "bs --run x --listen tcp/127.0.0.1:0"] {
         assert_refused(&folder.run(&format!("{command} {scenario}")), 1, parts);
-        assert_untouched(folder, before);
+        assert_untouched(folder, files);
     }
 }
 
@@ -59,7 +58,7 @@ fn a_negative_energy_is_refused() {
 }
 
 #[test]
-fn negative_numbers_name_the_allowed_range() {
+fn a_negative_number_is_refused_with_the_allowed_range() {
     let folder = TestFolder::new();
     refused(
         &folder,
@@ -72,7 +71,7 @@ fn negative_numbers_name_the_allowed_range() {
 }
 
 #[test]
-fn no_devices_are_refused() {
+fn zero_devices_are_refused() {
     refused(
         &TestFolder::new(),
         "-n 0",
@@ -82,7 +81,7 @@ fn no_devices_are_refused() {
 }
 
 #[test]
-fn a_reach_beyond_the_area_is_refused() {
+fn a_d_max_beyond_the_area_is_refused() {
     refused(
         &TestFolder::new(),
         "--set sensing.d_max=1000",
@@ -107,7 +106,7 @@ fn a_missing_trace_file_is_named() {
 }
 
 #[test]
-fn a_broken_row_of_a_trace_is_named() {
+fn an_invalid_row_of_a_trace_is_named() {
     let folder = TestFolder::new();
     folder.write(
         "my.toml",
@@ -179,7 +178,7 @@ fn too_many_processes_are_refused() {
 }
 
 #[test]
-fn wrong_usage_is_code_2() {
+fn a_usage_error_has_exit_code_2() {
     let folder = TestFolder::new();
     for (args, part) in [
         ("up --pace soon", "--pace"),
@@ -194,6 +193,36 @@ fn wrong_usage_is_code_2() {
         ("device --connect tcp/127.0.0.1:1", "--run"),
         ("device --connect tcp/127.0.0.1:1 --run x --count 0", "--count"),
         ("inspect tail --kind gossip", "--kind"),
+        (
+            "inspect tail --since 10 --until 5",
+            "--since 10 is larger than --until 5",
+        ),
+        (
+            "inspect stats --since 10 --until 5",
+            "--since 10 is larger than --until 5",
+        ),
+        (
+            "inspect export run.mcap --to csv --since 1 --until 0",
+            "--since 1 is larger than --until 0",
+        ),
+        ("tune --mu1 20,0.5", "20 is larger than 0.5"),
+        (
+            "run --pace 10ms",
+            "`--pace` is an option of `up` and `bs`; `run` runs without a clock",
+        ),
+        (
+            "bs --run x --processes 3",
+            "`--processes` is an option of `up`; `bs` waits for processes",
+        ),
+        (
+            "figures sweep a --x devices --y info",
+            "a similar value exists: 'info_p1'",
+        ),
+        ("figures a --only energi", "a similar value exists: 'energy'"),
+        (
+            "sweep --until-ci 1% --ci-metrics info_p",
+            "a similar value exists: 'info_p1'",
+        ),
         ("clock backwards", "backwards"),
         ("nonsense", "nonsense"),
     ] {
@@ -210,8 +239,30 @@ fn a_port_in_use_is_reported() {
     for command in ["up", "up --out out", "bs --run x"] {
         let end = folder.run(&format!("{command} -n 30 --listen {endpoint}"));
         assert_refused(&end, 1, &["cannot listen on", &endpoint, "in use", "--listen"]);
-        assert!(folder.list("runs").is_empty() && folder.list("out").is_empty(), "{end}");
+        assert!(folder.list("runs").is_empty() && !folder.join("out").exists(), "{end}");
     }
+}
+
+#[test]
+fn a_port_in_use_of_a_watcher_has_alternatives() {
+    let folder = TestFolder::new();
+    let taken = TcpListener::bind("127.0.0.1:0").expect("a free port");
+    let address = taken.local_addr().expect("bound");
+    for (command, option) in [
+        ("run", "--metrics"),
+        ("up", "--metrics"),
+        ("up", "--dashboard"),
+        ("dashboard", "--listen"),
+    ] {
+        let cause = format!("{option} {address}: the port is in use; choose another port");
+        let free = format!("{option} 127.0.0.1:0");
+        assert_refused(
+            &folder.run(&format!("{command} {option} {address}")),
+            1,
+            &[&cause, &free],
+        );
+    }
+    assert_untouched(&folder, &[]);
 }
 
 #[test]
@@ -278,21 +329,18 @@ fn two_runs_on_this_machine_need_a_name() {
 }
 
 #[test]
-fn too_few_devices_end_the_wait() {
+fn too_few_joined_devices_end_the_run() {
     let (folder, run, endpoint) = (TestFolder::new(), unique_run("few"), free_endpoint());
     let bs = folder.waiting_bs(&run, &endpoint, "--join-timeout 1s --out out");
-    assert_refused_after_hint(&bs.finish(), "only 0 of 30 devices joined within 1 s");
+    let end = bs.finish();
+    assert_eq!(end.code(), Some(1), "{end}");
+    assert!(end.stderr.contains("only 0 of 30 devices joined within 1 s"), "{end}");
     assert!(folder.list("out").contains(&"FAILED".to_owned()));
     assert!(!folder.list("out").contains(&"RUNNING".to_owned()));
 }
 
-fn assert_refused_after_hint(end: &FinishedProcess, part: &str) {
-    assert_eq!(end.code(), Some(1), "{end}");
-    assert!(end.stderr.contains(part), "{end}");
-}
-
 #[test]
-fn one_device_too_many_is_refused_where_it_cannot_stand_by() {
+fn a_surplus_device_is_refused_under_on_loss_end() {
     let (folder, run, endpoint) = (TestFolder::new(), unique_run("full"), free_endpoint());
     let _bs = folder.waiting_bs(&run, &endpoint, "--paused --on-loss end");
     let host = folder.start(&format!("-v device --connect {endpoint} --run {run} --count 30"));
@@ -302,7 +350,7 @@ fn one_device_too_many_is_refused_where_it_cannot_stand_by() {
 }
 
 #[test]
-fn a_folder_with_other_files_is_kept() {
+fn a_folder_that_holds_no_run_is_never_replaced() {
     let folder = TestFolder::new();
     fs::create_dir(folder.join("mine")).expect("writable");
     folder.write("mine/thesis.tex", "precious");
@@ -327,8 +375,15 @@ fn a_folder_with_other_files_is_kept() {
 fn a_folder_without_write_access_is_named() {
     let folder = TestFolder::new();
     folder.write("file", "");
-    let end = folder.run("run -s quick --out file");
-    assert_refused(&end, 1, &["file"]);
+    for command in [
+        "run -s quick",
+        "run -s quick --force",
+        "up -s quick",
+        "sweep --seeds 1 -k 100",
+    ] {
+        let end = folder.run(&format!("{command} --out file"));
+        assert_refused(&end, 1, &["--out file: is a file, not a folder; name a folder"]);
+    }
     let end = folder.run("up -s quick --out file/below");
     assert_refused(&end, 1, &["file/below"]);
     // Root can write everywhere except in a place like this one.
@@ -367,19 +422,19 @@ fn a_device_process_that_tries_to_connect_can_be_interrupted() {
 #[test]
 fn a_setting_without_effect_is_refused() {
     let folder = TestFolder::new();
-    for (setting, counts_with) in [
+    for (setting, needed_setting) in [
         ("harvest.off_mean=3", "harvest.kind = \"mpp\""),
         ("harvest.trace.file=\"sun.csv\"", "harvest.kind = \"trace\""),
         ("layout.file=\"spots.csv\"", "layout.kind = \"file\""),
     ] {
         let field = setting.split('=').next().expect("a field");
         let end = folder.run(&format!("run --set {setting} --quiet"));
-        assert_refused(&end, 1, &[field, counts_with, "--set"]);
+        assert_refused(&end, 1, &[field, needed_setting, "--set"]);
     }
 }
 
 #[test]
-fn run_to_refuses_the_past_and_beyond_the_end() {
+fn run_to_refuses_ttis_in_the_past_or_beyond_the_end() {
     let (folder, run) = (TestFolder::new(), unique_run("past"));
     let _up = folder.start(&format!("up -P 1 -n 3 -k 100 --run {run} --paused --out out"));
     folder.wait_for_tti(&run, 0);
@@ -425,6 +480,33 @@ fn an_invalid_input_log_is_refused() {
 }
 
 #[test]
+fn a_folder_without_decisions_is_refused_with_the_cause() {
+    let folder = TestFolder::new();
+    assert!(folder.run("run -s quick -q --out built-in").is_success());
+    let end = folder.run("up -s quick -p external --policy-command false -P 1 --out failed");
+    assert_eq!(end.code(), Some(1), "{end}");
+    fs::create_dir(folder.join("empty")).expect("writable");
+    for (path, cause) in [
+        ("nowhere", "no such file or folder"),
+        ("empty", "the folder holds no run"),
+        ("built-in", "the folder holds no inputs.log"),
+        (
+            "failed",
+            "the folder holds no inputs.log: the run failed (the policy process `false` ended with",
+        ),
+    ] {
+        let end = folder.run(&format!("run --policy replay={path} --out out"));
+        let cause = format!("reveille: --policy replay={path}: {cause}");
+        assert_refused(
+            &end,
+            1,
+            &[&cause, "; name the inputs.log of a run with --policy external"],
+        );
+        assert!(folder.list("out").is_empty(), "{path}");
+    }
+}
+
+#[test]
 fn a_run_folder_can_have_any_name() {
     let folder = TestFolder::new();
     for out in [".hidden", "./-x", "äpfel", "…"] {
@@ -445,9 +527,9 @@ fn an_unregistered_run_continues() {
 }
 
 #[test]
-fn an_unread_error_is_still_an_error() {
+fn an_unread_error_keeps_its_exit_code() {
     let folder = TestFolder::new();
-    // Printed by the command itself, and by the log, whose warning comes first.
+    // The first command prints an error itself, the second a warning through the log.
     folder.write("spots.csv", "x,y\n1,1\n2,2\n");
     for (args, code) in [
         ("run -s nosuch", 1),

@@ -1,4 +1,5 @@
-//! Closed terminals and unread output: the command ends cleanly or continues, and leaves no process behind.
+//! Closed terminals, unread output, ignored and stopping signals: `up`, `bs`, `device`, `run`, `sweep` and `train
+//! record` end cleanly or continue with the digest of an undisturbed run, and leave no process behind.
 
 use std::fs;
 use std::process::{Command, ExitStatus};
@@ -22,16 +23,16 @@ fn assert_no_process_left(run: &str) {
     });
 }
 
-/// Closes the window of a command, as a terminal and its shell do, and waits for its end.
-fn closed(window: &mut PtyCommand) -> ExitStatus {
-    let pid = window.pid();
-    window.close();
-    // Both the shell and the kernel send SIGHUP to the commands.
+/// Closes the terminal of a command, as a terminal emulator and its shell do, and waits for the command to end.
+fn close_terminal(command: &mut PtyCommand) -> ExitStatus {
+    let pid = command.pid();
+    command.close();
+    // Both the shell and the kernel send SIGHUP, so that a command can receive several.
     for _ in 0..3 {
         send_signal(pid, Signal::HUP);
         std::thread::sleep(Duration::from_millis(5));
     }
-    window.finish_within(SOON)
+    command.finish_within(SOON)
 }
 
 /// Checks the summary of a run that a closed terminal has ended.
@@ -48,74 +49,74 @@ fn assert_interrupted(folder: &TestFolder, end: ExitStatus) {
 }
 
 #[test]
-fn a_closed_terminal_ends_up_with_partial_results() {
-    let (folder, run) = (TestFolder::new(), unique_run("window"));
+fn up_in_a_closed_terminal_ends_with_partial_results() {
+    let (folder, run) = (TestFolder::new(), unique_run("terminal"));
     let mut up = PtyCommand::start(&folder.command(&format!("up -P 4 {LONG} --out out --run {run}")), true);
     up.wait_for("TTIs/s");
     assert_eq!(hosts_of(&run).len(), 4);
-    let end = closed(&mut up);
+    let end = close_terminal(&mut up);
     assert_interrupted(&folder, end);
     assert_no_process_left(&run);
 }
 
 #[test]
-fn a_closed_terminal_ends_bs_and_device_with_partial_results() {
-    let (folder, run, endpoint) = (TestFolder::new(), unique_run("windows"), free_endpoint());
+fn bs_and_device_in_closed_terminals_end_with_partial_results() {
+    let (folder, run, endpoint) = (TestFolder::new(), unique_run("terminals"), free_endpoint());
     let bs = format!("bs {LONG} --out out --run {run} --listen {endpoint}");
     let mut bs = PtyCommand::start(&folder.command(&bs), true);
     bs.wait_for("waiting for 30 devices");
     let device = format!("device --connect {endpoint} --run {run} --count 30");
     let mut device = PtyCommand::start(&folder.command(&device), true);
     bs.wait_for("TTIs/s");
-    let end = closed(&mut bs);
+    let end = close_terminal(&mut bs);
     assert_interrupted(&folder, end);
     assert!(device.finish_within(SOON).success(), "{}", device.shown());
 
     // A device process alone: it has nothing to save.
     let device = format!("device --connect {} --run {run} --count 30", free_endpoint());
     let mut device = PtyCommand::start(&folder.command(&device), true);
-    wait_for_hang_up(device.pid());
-    assert_eq!(closed(&mut device).code(), Some(130));
+    wait_for_sighup_handler(device.pid());
+    assert_eq!(close_terminal(&mut device).code(), Some(130));
 }
 
 /// Waits until a process has a SIGHUP handler.
-fn wait_for_hang_up(pid: u32) {
-    wait_until("the process to take a signal", PATIENCE, || {
+fn wait_for_sighup_handler(pid: u32) {
+    wait_until("the process to handle SIGHUP", PATIENCE, || {
         let status = fs::read_to_string(format!("/proc/{pid}/status")).ok()?;
-        let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:"))?;
-        let caught = u64::from_str_radix(caught.trim(), 16).ok()?;
-        (caught >> (Signal::HUP.as_raw() - 1) & 1 == 1).then_some(())
+        let caught_hex = status.lines().find_map(|line| line.strip_prefix("SigCgt:"))?;
+        let caught_signals = u64::from_str_radix(caught_hex.trim(), 16).ok()?;
+        (caught_signals >> (Signal::HUP.as_raw() - 1) & 1 == 1).then_some(())
     });
 }
 
 #[test]
-fn a_closed_terminal_ends_a_run_in_memory_with_partial_results() {
+fn run_in_a_closed_terminal_ends_with_partial_results() {
     let folder = TestFolder::new();
     let run = "run -n 50 -k 1000000000 --window 10000 --out out";
     let mut run = PtyCommand::start(&folder.command(run), true);
     run.wait_for("TTIs/s");
-    let end = closed(&mut run);
+    let end = close_terminal(&mut run);
     assert_interrupted(&folder, end);
 }
 
 #[test]
-fn a_closed_terminal_ends_a_sweep_and_a_recording() {
+fn sweep_and_record_in_closed_terminals_are_interrupted() {
     let folder = TestFolder::new();
     let sweep = "sweep --devices 20 --ttis 5000 --seeds 900000 --out s";
     let mut sweep = PtyCommand::start(&folder.command(sweep), true);
     sweep.wait_for("runs");
-    assert_eq!(closed(&mut sweep).code(), Some(130));
+    assert_eq!(close_terminal(&mut sweep).code(), Some(130));
     assert!(folder.join("s/runs.journal").exists());
     let record = "train record -p knn -n 20 -k 5000 --seeds 900000 --chunk 12 --stride 40 --out c.parquet";
     let mut record = PtyCommand::start(&folder.command(record), true);
     record.wait_for("runs");
-    assert_eq!(closed(&mut record).code(), Some(130));
+    assert_eq!(close_terminal(&mut record).code(), Some(130));
     assert!(!folder.join("c.parquet").exists());
 }
 
 #[test]
-fn a_run_without_a_signal_continues_without_its_terminal() {
-    let (folder, run) = (TestFolder::new(), unique_run("untold"));
+fn a_run_that_receives_no_sighup_outlives_its_terminal() {
+    let (folder, run) = (TestFolder::new(), unique_run("nosignal"));
     let expected = folder.summary("run -n 30 -k 900");
     // With messages, so that it writes to the terminal after the terminal has closed.
     let up = format!("-vv up -P 2 -n 30 -k 900 --pace 3ms --out out --run {run}");
@@ -139,7 +140,7 @@ fn a_run_with_unread_output_continues() {
          3>&1 | true",
         program = reveille_tests::process::reveille().display()
     );
-    assert!(sh(&folder, &line).finish().is_success());
+    assert!(start_shell(&folder, &line).finish().is_success());
     let code = wait_until("the run to end", PATIENCE, || {
         fs::read_to_string(folder.join("code"))
             .ok()
@@ -151,14 +152,14 @@ fn a_run_with_unread_output_continues() {
 }
 
 #[test]
-fn nohup_is_respected() {
+fn an_ignored_sighup_stays_ignored() {
     let (folder, run) = (TestFolder::new(), unique_run("nohup"));
     let program = reveille_tests::process::reveille().display();
     let line = format!("trap '' HUP; exec {program} up -P 2 {LONG} --out out --run {run}");
-    let up = sh(&folder, &line);
-    let at = folder.wait_for_tti(&run, 10);
+    let up = start_shell(&folder, &line);
+    let tti = folder.wait_for_tti(&run, 10);
     up.signal(Signal::HUP);
-    folder.wait_for_tti(&run, at + 50);
+    folder.wait_for_tti(&run, tti + 50);
     up.signal(Signal::TERM);
     let end = up.finish();
     assert_eq!(end.code(), Some(130), "{end}");
@@ -166,7 +167,7 @@ fn nohup_is_respected() {
 }
 
 #[test]
-fn a_stopped_run_continues_unchanged() {
+fn a_run_continued_after_sigstop_has_the_same_digest() {
     let folder = TestFolder::new();
     let args = "-n 50 -k 400000 --window 1000";
     let expected = folder.summary(&format!("run {args}"));
@@ -183,8 +184,8 @@ fn a_stopped_run_continues_unchanged() {
     assert_eq!(run.finish().summary().digest(), expected.digest());
 }
 
-/// Starts a shell in `folder`.
-fn sh(folder: &TestFolder, line: &str) -> Process {
+/// Runs a line of shell in `folder`.
+fn start_shell(folder: &TestFolder, line: &str) -> Process {
     let mut command = Command::new("sh");
     command
         .args(["-c", line])

@@ -1,4 +1,5 @@
-//! The HTTP interface of the dashboard: its answers and its access checks.
+//! The HTTP interface of `reveille dashboard` and `--dashboard`: answers about live and recorded runs, clock commands,
+//! access checks. `tests/browser/` tests the page itself.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
@@ -8,6 +9,9 @@ use reveille_tests::process::{PATIENCE, Process, TestFolder, assert_refused, now
 use rustix::process::Signal;
 use serde_json::Value;
 
+/// Largest number of messages in one answer, `MAX_MESSAGES` in `deploy/src/dashboard/api.rs`.
+const PAGE_LIMIT: usize = 1000;
+
 /// Address and token of a running dashboard.
 struct DashboardPage {
     address: String,
@@ -15,11 +19,11 @@ struct DashboardPage {
 }
 
 impl DashboardPage {
-    /// Reads the dashboard's address from `process` once it is printed.
-    fn of(process: &Process) -> Self {
+    /// Reads the dashboard's address and token from the output of `process` once they are printed.
+    fn from_output_of(process: &Process) -> Self {
         process.wait_for_stderr("http://");
-        let said = process.stderr();
-        let url = said
+        let stderr = process.stderr();
+        let url = stderr
             .split("http://")
             .nth(1)
             .and_then(|rest| rest.split([';', '\n']).next())
@@ -32,23 +36,25 @@ impl DashboardPage {
     }
 
     /// Sends a request with these additional headers; returns the status and the body.
-    fn ask(&self, method: &str, path: &str, headers: &[(&str, &str)]) -> (u16, String) {
+    fn request(&self, method: &str, path: &str, headers: &[(&str, &str)]) -> (u16, String) {
         let mut stream = TcpStream::connect(&self.address).expect("a link");
         let host = headers
             .iter()
             .find(|(name, _)| *name == "Host")
             .map_or(&self.address[..], |(_, host)| host);
-        let others = headers.iter().filter(|(name, _)| *name != "Host");
-        let others: Vec<String> = others.map(|(name, value)| format!("{name}: {value}\r\n")).collect();
-        let others = others.concat();
+        let other_headers = headers.iter().filter(|(name, _)| *name != "Host");
+        let header_lines: Vec<String> = other_headers
+            .map(|(name, value)| format!("{name}: {value}\r\n"))
+            .collect();
+        let header_lines = header_lines.concat();
         write!(
             stream,
-            "{method} {path} HTTP/1.0\r\nHost: {host}\r\nContent-Length: 0\r\n{others}\r\n"
+            "{method} {path} HTTP/1.0\r\nHost: {host}\r\nContent-Length: 0\r\n{header_lines}\r\n"
         )
         .expect("sent");
-        let mut answer = String::new();
-        stream.read_to_string(&mut answer).expect("an answer");
-        let (head, body) = answer.split_once("\r\n\r\n").expect("a body");
+        let mut response = String::new();
+        stream.read_to_string(&mut response).expect("a response");
+        let (head, body) = response.split_once("\r\n\r\n").expect("a body");
         let status = head
             .split(' ')
             .nth(1)
@@ -57,16 +63,16 @@ impl DashboardPage {
         (status, body.to_owned())
     }
 
-    /// Requests `path` and returns the answer.
+    /// Requests `path` and returns its JSON.
     fn get(&self, path: &str) -> Value {
-        let (status, body) = self.ask("GET", path, &[]);
+        let (status, body) = self.request("GET", path, &[]);
         assert_eq!(status, 200, "{path}: {body}");
         serde_json::from_str(&body).expect("JSON")
     }
 
-    /// Sends a clock command.
-    fn drive(&self, command: &str) -> Value {
-        let (status, body) = self.ask(
+    /// Sends a clock command and returns the answer.
+    fn clock(&self, command: &str) -> Value {
+        let (status, body) = self.request(
             "POST",
             &format!("/api/clock/{command}"),
             &[("x-reveille-token", &self.token)],
@@ -77,40 +83,40 @@ impl DashboardPage {
 }
 
 #[test]
-fn a_run_is_followed_paused_and_stepped() {
+fn the_dashboard_follows_pauses_and_steps_a_run() {
     let (folder, run) = (TestFolder::new(), unique_run("dash"));
     let up = folder.start(&format!(
         "up -p knn -n 20 -k 400 -P 2 --paused --run {run} --quiet --out o --dashboard 127.0.0.1:0 --set \
          events.alpha=0.4"
     ));
-    let page = DashboardPage::of(&up);
+    let page = DashboardPage::from_output_of(&up);
     folder.wait_for_tti(&run, 0);
-    let about = page.get("/api/run");
-    assert_eq!((&about["devices"], &about["policy"]), (&20.into(), &"knn".into()));
-    assert_eq!(about["cells"].as_array().map(Vec::len), Some(20));
-    assert_eq!(about["controls"], true);
-    let status = page.drive("run-to?n=150");
+    let run_info = page.get("/api/run");
+    assert_eq!((&run_info["devices"], &run_info["policy"]), (&20.into(), &"knn".into()));
+    assert_eq!(run_info["cells"].as_array().map(Vec::len), Some(20));
+    assert_eq!(run_info["controls"], true);
+    let status = page.clock("run-to?n=150");
     assert_eq!(status["status"]["until"], 150);
     wait_until("TTI 150", PATIENCE, || {
         (page.get("/api/now")["next"] == 150).then_some(())
     });
     let token = ("x-reveille-token", &page.token[..]);
-    for outside in ["149", "401"] {
-        let (status, body) = page.ask("POST", &format!("/api/clock/run-to?n={outside}"), &[token]);
+    for tti in ["149", "401"] {
+        let (status, body) = page.request("POST", &format!("/api/clock/run-to?n={tti}"), &[token]);
         assert!(status == 400 && body.contains("150"), "{status}: {body}");
     }
-    page.drive("step?n=1");
+    page.clock("step?n=1");
     wait_until("TTI 151", PATIENCE, || {
         (page.get("/api/now")["next"] == 151).then_some(())
     });
-    let moment = page.get("/api/tti/100");
-    assert_eq!(moment["states"].as_str().map(str::len), Some(20));
-    assert_eq!(page.ask("GET", "/api/tti/151", &[]).0, 404);
+    let tti_state = page.get("/api/tti/100");
+    assert_eq!(tti_state["states"].as_str().map(str::len), Some(20));
+    assert_eq!(page.request("GET", "/api/tti/151", &[]).0, 404);
     let reports = page.get("/api/messages?kind=report&until=150");
     let first = &reports[0];
-    let shown = page.get(&format!("/api/tti/{}", first["tti"]));
-    let whose = format!("device {}", shown["reported"][0]);
-    assert_eq!(first["whose"], whose.as_str());
+    let tti_view = page.get(&format!("/api/tti/{}", first["tti"]));
+    let reporter = format!("device {}", tti_view["reported"][0]);
+    assert_eq!(first["whose"], reporter.as_str());
     let message = page.get(&format!("/api/message/{}", first["id"]));
     assert_eq!(message["message"]["kind"], "report");
     assert_eq!(
@@ -119,19 +125,19 @@ fn a_run_is_followed_paused_and_stepped() {
     );
     let history = page.get("/api/device/3?from=20&end=120");
     assert_eq!(history["batteries"].as_array().map(Vec::len), Some(100));
-    // At another pace 20 TTIs take at least 200 ms.
-    let paced = page.drive("pace?n=10000");
+    // At 10 ms per TTI, 20 TTIs take at least 200 ms; the margin covers the TTI that was due already.
+    let paced = page.clock("pace?n=10000");
     assert_eq!(paced["status"]["pace"]["RealTime"], 10_000, "{paced}");
     let start = now();
-    page.drive("step?n=20");
+    page.clock("step?n=20");
     wait_until("TTI 171", PATIENCE, || {
         (page.get("/api/now")["next"] == 171).then_some(())
     });
     assert!(start.elapsed() > Duration::from_millis(180), "{:?}", start.elapsed());
     assert!(folder.clock(&run, "status").contains("a TTI every 10ms"));
     // A pause does not wait for a TTI that is due in a minute.
-    page.drive("pace?n=60000000");
-    page.drive("resume");
+    page.clock("pace?n=60000000");
+    page.clock("resume");
     wait_until("TTI 172", PATIENCE, || {
         (page.get("/api/now")["next"] == 172).then_some(())
     });
@@ -139,31 +145,31 @@ fn a_run_is_followed_paused_and_stepped() {
     assert!(folder.clock(&run, "pause").starts_with("paused before TTI 172 "));
     assert!(start.elapsed() < Duration::from_secs(30), "{:?}", start.elapsed());
     assert!(!folder.clock(&run, "pace max").contains("every"));
-    page.drive("resume");
+    page.clock("resume");
     assert!(up.finish().is_success());
 }
 
 #[test]
-fn device_ledgers_close_and_filters_equal_those_of_tail() {
+fn device_ledgers_balance_and_filters_equal_those_of_tail() {
     let folder = TestFolder::new();
     let run = "run -p knn -n 60 -k 700 --set events.alpha=0.5 --set harvest.e_b=3 --record r.mcap --quiet --out o";
     assert!(folder.run(run).is_success());
-    let shown = folder.start("dashboard --from r.mcap --listen 127.0.0.1:0");
-    let page = DashboardPage::of(&shown);
+    let dashboard = folder.start("dashboard --from r.mcap --listen 127.0.0.1:0");
+    let page = DashboardPage::from_output_of(&dashboard);
     for tti in [0, 1, 137, 500, 699] {
         let device = page.get(&format!("/api/device/4?from={tti}&end={}&at={tti}", tti + 1));
-        let of = |name: &str| device["totals"][name].as_f64().expect(name);
-        let spent = of("sensing") + of("sleep") + of("report");
-        let left = of("initial") + of("harvested") - spent - of("overflow");
-        assert!((left - of("battery")).abs() < 1e-6, "TTI {tti}: {device}");
+        let total = |name: &str| device["totals"][name].as_f64().expect(name);
+        let spent = total("sensing") + total("sleep") + total("report");
+        let balance = total("initial") + total("harvested") - spent - total("overflow");
+        assert!((balance - total("battery")).abs() < 1e-6, "TTI {tti}: {device}");
         assert_eq!(device["batteries"][0], device["totals"]["battery"], "TTI {tti}");
     }
-    let tailed = |args: &str| {
+    let count_in_tail = |args: &str| {
         let end = folder.run(&format!("inspect tail --from r.mcap --json {args}"));
         assert!(end.is_success(), "{end}");
         end.stdout.lines().count()
     };
-    let listed = |query: &str| {
+    let count_on_page = |query: &str| {
         page.get(&format!("/api/messages?{query}"))
             .as_array()
             .expect("a list")
@@ -178,13 +184,13 @@ fn device_ledgers_close_and_filters_equal_those_of_tail() {
         ("--kind report --cluster 0", "kind=report&cluster=0"),
         ("--plane truth --device 4 --until 600", "plane=truth&device=4&until=600"),
     ] {
-        let count = tailed(args);
-        assert!(count > 0 && count < 1000, "{args}: {count}");
-        assert_eq!(listed(query), count, "{args}");
+        let count = count_in_tail(args);
+        assert!(count > 0 && count < PAGE_LIMIT, "{args}: {count} messages");
+        assert_eq!(count_on_page(query), count, "{args}");
     }
     for query in ["cluster=99", "state=S9", "plane=air&kind=clock"] {
         assert_eq!(
-            page.ask("GET", &format!("/api/messages?{query}"), &[]).0,
+            page.request("GET", &format!("/api/messages?{query}"), &[]).0,
             400,
             "{query}"
         );
@@ -198,29 +204,29 @@ fn a_run_killed_while_observed_is_shown_to_its_end() {
         "up -p knn -n 10 -k 1000000 -P 1 --run {run} --quiet --out o --pace 5ms"
     ));
     folder.wait_for_tti(&run, 1);
-    let watching = folder.start(&format!("dashboard --run {run} --listen 127.0.0.1:0"));
-    let page = DashboardPage::of(&watching);
+    let dashboard = folder.start(&format!("dashboard --run {run} --listen 127.0.0.1:0"));
+    let page = DashboardPage::from_output_of(&dashboard);
     // A second dashboard at the same port is refused; at another port it is not.
-    let again = folder.run(&format!("dashboard --run {run} --listen {}", page.address));
-    assert_refused(&again, 1, &["--listen", &page.address, "free port"]);
-    let second = folder.start(&format!("dashboard --run {run} --listen 127.0.0.1:0"));
-    let other = DashboardPage::of(&second);
-    let seen = wait_until("some TTIs", PATIENCE, || {
+    let same_port = folder.run(&format!("dashboard --run {run} --listen {}", page.address));
+    assert_refused(&same_port, 1, &["--listen", &page.address, "free port"]);
+    let second_dashboard = folder.start(&format!("dashboard --run {run} --listen 127.0.0.1:0"));
+    let second_page = DashboardPage::from_output_of(&second_dashboard);
+    let tti_before = wait_until("some TTIs", PATIENCE, || {
         page.get("/api/now")["next"].as_u64().filter(|next| *next > 50)
     });
     up.signal(Signal::KILL);
-    for (page, watching) in [(&page, &watching), (&other, &second)] {
-        watching.wait_for_stderr("; its messages are shown until");
+    for (page, dashboard) in [(&page, &dashboard), (&second_page, &second_dashboard)] {
+        dashboard.wait_for_stderr("; its messages are shown until");
         wait_until("the end", PATIENCE, || {
             (page.get("/api/now")["over"] == true).then_some(())
         });
         let next = page.get("/api/now")["next"].as_u64().expect("a TTI");
-        assert!(next >= seen, "{next}");
-        let (status, body) = page.ask("POST", "/api/clock/pause", &[("x-reveille-token", &page.token)]);
+        assert!(next >= tti_before, "{next}");
+        let (status, body) = page.request("POST", "/api/clock/pause", &[("x-reveille-token", &page.token)]);
         assert!(status == 410 || status == 502, "{status}: {body}");
     }
-    second.signal(Signal::INT);
-    assert!(second.finish().is_success());
+    second_dashboard.signal(Signal::INT);
+    assert!(second_dashboard.finish().is_success());
 }
 
 #[test]
@@ -249,12 +255,12 @@ fn two_runs_are_compared_side_by_side() {
             .starts_with("scenario: seed is 1 in this recording, 2 in the other\nfirst difference: plan in TTI 0"),
         "{differ}"
     );
-    let all = folder.bytes("one.mcap");
-    std::fs::write(folder.join("torn.mcap"), &all[..all.len() / 2]).expect("written");
+    let bytes = folder.bytes("one.mcap");
+    std::fs::write(folder.join("cut.mcap"), &bytes[..bytes.len() / 2]).expect("written");
     assert_refused(
-        &folder.run("inspect compare one.mcap torn.mcap"),
+        &folder.run("inspect compare one.mcap cut.mcap"),
         1,
-        &["torn.mcap", "truncated", "up to this point"],
+        &["cut.mcap", "truncated", "up to this point"],
     );
     assert_refused(&folder.run("inspect compare one.mcap none.mcap"), 1, &["none.mcap"]);
     assert_refused(
@@ -263,20 +269,23 @@ fn two_runs_are_compared_side_by_side() {
         &["--compare one/summary.json", "not a recording"],
     );
 
-    let shown = folder.start("dashboard --from one.mcap --compare two.mcap --listen 127.0.0.1:0");
-    let page = DashboardPage::of(&shown);
-    let told = page.get("/api/compare");
-    assert_eq!(told["fields"], serde_json::json!([["seed", "1", "2"]]));
+    let dashboard = folder.start("dashboard --from one.mcap --compare two.mcap --listen 127.0.0.1:0");
+    let page = DashboardPage::from_output_of(&dashboard);
+    let comparison = page.get("/api/compare");
+    assert_eq!(comparison["fields"], serde_json::json!([["seed", "1", "2"]]));
     assert_eq!(
-        (&told["differences"][0]["kind"], &told["differences"][0]["tti"]),
+        (
+            &comparison["differences"][0]["kind"],
+            &comparison["differences"][0]["tti"]
+        ),
         (&"plan".into(), &0.into())
     );
-    assert_eq!(told["compared"], 400);
+    assert_eq!(comparison["compared"], 400);
     assert_eq!(
         page.get("/api/other/tti/399")["states"].as_str().map(str::len),
         Some(25)
     );
-    assert_eq!(page.ask("GET", "/api/other/tti/400", &[]).0, 404);
+    assert_eq!(page.request("GET", "/api/other/tti/400", &[]).0, 404);
     assert!(
         page.get("/api/other/curves")
             .as_array()
@@ -289,18 +298,18 @@ fn two_runs_are_compared_side_by_side() {
         "up -p age-index -n 25 -k 400 -P 2 --paused --run {name} --quiet --out live"
     ));
     folder.wait_for_tti(&name, 0);
-    let watching = folder.start(&format!(
+    let dashboard = folder.start(&format!(
         "dashboard --run {name} --compare one.mcap --listen 127.0.0.1:0"
     ));
-    let page = DashboardPage::of(&watching);
+    let page = DashboardPage::from_output_of(&dashboard);
     folder.clock(&name, "resume");
     assert!(up.finish().is_success());
     wait_until("the end", PATIENCE, || {
         (page.get("/api/now")["over"] == true).then_some(())
     });
-    let told = page.get("/api/compare");
+    let comparison = page.get("/api/compare");
     assert_eq!(
-        (&told["differences"], &told["compared"]),
+        (&comparison["differences"], &comparison["compared"]),
         (&serde_json::json!([]), &400.into())
     );
 }
@@ -312,53 +321,57 @@ fn untrusted_clients_are_refused() {
     let up = folder.start(&format!(
         "up -n 5 -k 60 -P 1 --paused --run {run} --quiet --out o --dashboard 127.0.0.1:0"
     ));
-    let page = DashboardPage::of(&up);
+    let page = DashboardPage::from_output_of(&up);
     folder.wait_for_tti(&run, 0);
     let token = ("x-reveille-token", &page.token[..]);
-    let mut wrong = page.token.clone();
-    wrong.replace_range(0..1, if wrong.starts_with('0') { "1" } else { "0" });
+    let mut wrong_token = page.token.clone();
+    wrong_token.replace_range(0..1, if wrong_token.starts_with('0') { "1" } else { "0" });
     for (headers, status) in [
         (vec![], 401),
-        (vec![("x-reveille-token", &wrong[..])], 401),
+        (vec![("x-reveille-token", &wrong_token[..])], 401),
         (vec![token, ("Origin", "http://evil.example")], 403),
         (vec![token, ("Origin", "null")], 403),
         (vec![token, ("Host", "evil.example")], 421),
         (vec![token, ("Sec-Fetch-Site", "cross-site")], 403),
     ] {
-        let (found, body) = page.ask("POST", "/api/clock/resume", &headers);
-        assert_eq!(found, status, "{headers:?}: {body}");
+        let (actual, body) = page.request("POST", "/api/clock/resume", &headers);
+        assert_eq!(actual, status, "{headers:?}: {body}");
     }
-    assert_eq!(page.ask("GET", "/api/clock/resume", &[token]).0, 405);
-    assert_eq!(page.ask("POST", "/api/clock/leap", &[token]).0, 400);
-    assert_eq!(page.ask("GET", "/api/now", &[("Host", "evil.example")]).0, 421);
-    assert_eq!(page.ask("GET", "/api/messages?kind=nothing", &[]).0, 400);
-    assert_eq!(page.ask("GET", "/../Cargo.toml", &[]).0, 404);
+    assert_eq!(page.request("GET", "/api/clock/resume", &[token]).0, 405);
+    assert_eq!(page.request("POST", "/api/clock/leap", &[token]).0, 400);
+    assert_eq!(page.request("GET", "/api/now", &[("Host", "evil.example")]).0, 421);
+    assert_eq!(page.request("GET", "/api/messages?kind=nothing", &[]).0, 400);
+    assert_eq!(page.request("GET", "/../Cargo.toml", &[]).0, 404);
     assert!(
         page.get("/api/clock")["text"]
             .as_str()
             .is_some_and(|text| text.starts_with("paused before TTI 0"))
     );
-    let own = format!("http://{}", page.address);
-    assert_eq!(page.ask("POST", "/api/clock/resume", &[token, ("Origin", &own)]).0, 200);
+    let own_origin = format!("http://{}", page.address);
+    assert_eq!(
+        page.request("POST", "/api/clock/resume", &[token, ("Origin", &own_origin)])
+            .0,
+        200
+    );
     assert!(up.finish().is_success());
 }
 
 #[test]
-fn a_browser_that_never_reads_delays_no_run() {
+fn a_client_that_never_reads_does_not_delay_the_run() {
     let folder = TestFolder::new();
     let up = folder.start("up -p random -n 20 -k 20000 -P 1 --quiet --out o --dashboard 127.0.0.1:0");
-    let page = DashboardPage::of(&up);
+    let page = DashboardPage::from_output_of(&up);
     // Clients send requests, and some never read the answers.
-    let silent: Vec<TcpStream> = (0..50)
+    let clients: Vec<TcpStream> = (0..50)
         .map(|_| {
             let mut stream = TcpStream::connect(&page.address).expect("a link");
             write!(stream, "GET /api/live HTTP/1.1\r\nHost: {}\r\n\r\n", page.address).expect("sent");
             stream
         })
         .collect();
-    let mut lines = BufReader::new(&silent[0]).lines();
-    let told = lines.find_map(|line| line.ok()?.strip_prefix("data: ").map(str::to_owned));
-    assert!(told.is_some_and(|told| told.contains("\"states\"")));
+    let mut lines = BufReader::new(&clients[0]).lines();
+    let update = lines.find_map(|line| line.ok()?.strip_prefix("data: ").map(str::to_owned));
+    assert!(update.is_some_and(|update| update.contains("\"states\"")));
     assert!(up.finish_within(Duration::from_mins(2)).is_success());
 }
 
@@ -370,11 +383,14 @@ fn a_recording_is_shown_without_a_clock() {
             .run("run -p knn -n 20 -k 300 --record r.mcap --quiet --out o")
             .is_success()
     );
-    let shown = folder.start("dashboard --from r.mcap --listen 127.0.0.1:0");
-    let page = DashboardPage::of(&shown);
-    let about = page.get("/api/run");
-    assert_eq!((&about["live"], &about["controls"]), (&false.into(), &false.into()));
-    assert!(about["groups"].as_array().is_some_and(|groups| groups.len() == 20));
+    let dashboard = folder.start("dashboard --from r.mcap --listen 127.0.0.1:0");
+    let page = DashboardPage::from_output_of(&dashboard);
+    let run_info = page.get("/api/run");
+    assert_eq!(
+        (&run_info["live"], &run_info["controls"]),
+        (&false.into(), &false.into())
+    );
+    assert!(run_info["groups"].as_array().is_some_and(|groups| groups.len() == 20));
     let now = page.get("/api/now");
     assert_eq!((&now["next"], &now["over"]), (&300.into(), &true.into()));
     assert!(
@@ -382,10 +398,10 @@ fn a_recording_is_shown_without_a_clock() {
             .as_array()
             .is_some_and(|points| points.len() > 100)
     );
-    let (status, body) = page.ask("POST", "/api/clock/pause", &[("x-reveille-token", &page.token)]);
+    let (status, body) = page.request("POST", "/api/clock/pause", &[("x-reveille-token", &page.token)]);
     assert!(status == 409 && body.contains("no clock"), "{status}: {body}");
-    shown.signal(Signal::INT);
-    assert!(shown.finish().is_success());
+    dashboard.signal(Signal::INT);
+    assert!(dashboard.finish().is_success());
     assert_refused(
         &folder.run("dashboard --from o --listen 127.0.0.1:0"),
         1,

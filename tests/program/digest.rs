@@ -1,5 +1,5 @@
-//! One scenario and seed give one digest, in memory or over the bus, in one process or many. Lookahead, pace, pauses,
-//! steps and observers do not change it.
+//! One scenario and seed give one digest with `run`, `up` and `bs`, in one process or many. Lookahead, window, pace,
+//! pauses, steps, the assignment of devices and observers do not change it; policies, presets, seeds and fields do.
 
 use std::fmt::Write as _;
 
@@ -9,8 +9,8 @@ use reveille_tests::process::{PATIENCE, Process, TestFolder, free_endpoint, uniq
 /// Thirty devices, and enough TTIs for reports, failures and wake-ups.
 const SMALL: &str = "-n 30 -k 400";
 
-/// Ways to drive a run that must give the same result.
-const WAYS: [&str; 9] = [
+/// Commands that must give the same digest.
+const COMMANDS: [&str; 9] = [
     "run",
     "run --no-lookahead",
     "up -P 0",
@@ -22,11 +22,11 @@ const WAYS: [&str; 9] = [
     "up -P 30",
 ];
 
-/// Four ways, for variations of a policy that is tested in all ways.
-const FEW_WAYS: [&str; 4] = ["run", "up -P 0", "up -P 4", "up -P 3 --no-lookahead --window 7"];
+/// Four of them, for variations of a policy that is tested with all.
+const FEW_COMMANDS: [&str; 4] = ["run", "up -P 0", "up -P 4", "up -P 3 --no-lookahead --window 7"];
 
 /// Settings that exercise other code paths of a policy or the world, in addition to the ranking of wake-ups.
-const FURTHER: [(&str, &str); 8] = [
+const FURTHER_SETTINGS: [(&str, &str); 8] = [
     (
         "q-learning",
         "--set bs.battery_knowledge=reported --set bs.ranking=posterior",
@@ -56,8 +56,8 @@ const FURTHER: [(&str, &str); 8] = [
     ),
 ];
 
-/// All radio failures together.
-const FAILING: &str = "--set radio.wake_miss=0.3 --set radio.false_wake_up=0.02 --set radio.uplink_loss=0.2 \
+/// All radio faults together.
+const RADIO_FAULTS: &str = "--set radio.wake_miss=0.3 --set radio.false_wake_up=0.02 --set radio.uplink_loss=0.2 \
                        --set radio.plan_loss=0.2 --set radio.wake_latency=1 --set radio.interference=bursts \
                        --set bs.sync_interval=37";
 
@@ -65,31 +65,31 @@ fn digest(args: &str) -> String {
     TestFolder::new().summary(args).digest().to_owned()
 }
 
-/// Checks that all `ways` to drive one policy on one preset give one digest, and returns it.
-fn agreed(preset: &str, policy: &str, ways: &[&str]) -> String {
+/// Checks that all `commands` give one digest for `preset` with `policy`, which may include options, and returns it.
+fn common_digest(preset: &str, policy: &str, commands: &[&str]) -> String {
     let scenario = format!("-s {preset} -p {policy} {SMALL}");
     let folder = TestFolder::new();
-    let mut seen = String::new();
+    let mut table = String::new();
     let mut digests = Vec::new();
-    for way in ways {
-        let summary = folder.summary(&format!("{way} {scenario}"));
+    for command in commands {
+        let summary = folder.summary(&format!("{command} {scenario}"));
         assert!(
             summary.number("totals.events.events") > 0,
-            "the scenario shows something"
+            "{command} {scenario}: no events"
         );
-        let _infallible = writeln!(seen, "{}  {way}", summary.digest());
+        let _infallible = writeln!(table, "{}  {command}", summary.digest());
         digests.push(summary.digest().to_owned());
     }
     digests.dedup();
-    assert_eq!(digests.len(), 1, "{scenario}\n{seen}");
+    assert_eq!(digests.len(), 1, "{scenario}\n{table}");
     digests.remove(0)
 }
 
-/// Checks all ways for the policies whose index in the registry modulo 2 is `remainder`, and that other scenarios have
-/// other digests.
-fn all_ways_agree_on_half(remainder: usize) {
-    for policy in registry::names().skip(remainder).step_by(2) {
-        let expected = agreed("paper", policy, &WAYS);
+/// Checks all commands for every second policy of the registry, from index `first` on. Other scenarios must have other
+/// digests.
+fn check_every_second_policy(first: usize) {
+    for policy in registry::names().skip(first).step_by(2) {
+        let expected = common_digest("paper", policy, &COMMANDS);
         for other in ["--seed 2", "--set harvest.lambda=0.11", "--set events.alpha=0.21"] {
             let changed = digest(&format!("run -s paper -p {policy} {SMALL} {other}"));
             assert_ne!(changed, expected, "{policy} {other}");
@@ -98,45 +98,45 @@ fn all_ways_agree_on_half(remainder: usize) {
 }
 
 #[test]
-fn all_modes_agree_on_paper() {
-    all_ways_agree_on_half(0);
+fn all_commands_agree_on_paper_for_even_policies() {
+    check_every_second_policy(0);
 }
 
 // A separate test, so that two threads share the work.
 #[test]
-fn all_modes_agree_on_paper_with_learning() {
-    all_ways_agree_on_half(1);
+fn all_commands_agree_on_paper_for_odd_policies() {
+    check_every_second_policy(1);
 }
 
 #[test]
-fn modes_agree_on_paper_literal() {
+fn commands_agree_on_paper_literal() {
     for policy in registry::names() {
-        agreed("paper-literal", policy, &FEW_WAYS);
+        common_digest("paper-literal", policy, &FEW_COMMANDS);
     }
 }
 
 #[test]
-fn modes_agree_on_the_other_ranking() {
+fn commands_agree_on_the_posterior_ranking() {
     for policy in POLICIES.iter().filter(|policy| policy.wakes) {
-        agreed(
+        common_digest(
             "paper",
             &format!("{} --set bs.ranking=posterior", policy.name),
-            &FEW_WAYS,
+            &FEW_COMMANDS,
         );
     }
 }
 
 #[test]
-fn modes_agree_on_further_settings() {
-    for (policy, settings) in FURTHER {
-        assert!(registry::named(policy).is_some(), "FURTHER names {policy}");
-        agreed("paper", &format!("{policy} {settings}"), &FEW_WAYS);
+fn commands_agree_on_further_settings() {
+    for (policy, settings) in FURTHER_SETTINGS {
+        assert!(registry::named(policy).is_some(), "unknown policy {policy}");
+        common_digest("paper", &format!("{policy} {settings}"), &FEW_COMMANDS);
     }
 }
 
 /// Checks classes assigned by number, place and share with solar harvest, and a trace of irradiance.
 #[test]
-fn modes_agree_on_classes_and_panels() {
+fn commands_agree_on_classes_and_panels() {
     let scenarios = concat!(env!("CARGO_MANIFEST_DIR"), "/../deploy/scenarios");
     let mut digests = Vec::new();
     for (name, policy) in [
@@ -144,35 +144,40 @@ fn modes_agree_on_classes_and_panels() {
         ("day-and-night", "q-learning"),
         ("solar-panel", "knn --set harvest.trace.panel.tti_seconds=300"),
     ] {
-        digests.push(agreed(&format!("{scenarios}/{name}.toml"), policy, &FEW_WAYS));
+        digests.push(common_digest(
+            &format!("{scenarios}/{name}.toml"),
+            policy,
+            &FEW_COMMANDS,
+        ));
     }
+    digests.sort();
     digests.dedup();
-    assert_eq!(digests.len(), 3);
+    assert_eq!(digests.len(), 3, "distinct digests");
 }
 
 #[test]
-fn modes_agree_on_radio_faults() {
+fn commands_agree_on_radio_faults() {
     for policy in registry::names() {
-        let failing = agreed("paper", &format!("{policy} {FAILING}"), &FEW_WAYS);
-        assert_ne!(failing, digest(&format!("run -p {policy} {SMALL}")), "{policy}");
+        let with_faults = common_digest("paper", &format!("{policy} {RADIO_FAULTS}"), &FEW_COMMANDS);
+        assert_ne!(with_faults, digest(&format!("run -p {policy} {SMALL}")), "{policy}");
     }
-    agreed("paper", &format!("knn {FAILING}"), &WAYS);
+    common_digest("paper", &format!("knn {RADIO_FAULTS}"), &COMMANDS);
 }
 
 #[test]
-fn policies_and_presets_differ() {
-    let each = |preset: &'static str| {
+fn policies_and_presets_have_different_digests() {
+    let digests_of = |preset: &'static str| {
         registry::names().map(move |policy| digest(&format!("run -s {preset} -p {policy} {SMALL}")))
     };
-    let mut digests: Vec<String> = ["paper", "paper-literal"].into_iter().flat_map(each).collect();
+    let mut digests: Vec<String> = ["paper", "paper-literal"].into_iter().flat_map(digests_of).collect();
     let count = digests.len();
     digests.sort();
     digests.dedup();
-    assert_eq!(digests.len(), count);
+    assert_eq!(digests.len(), count, "distinct digests");
 }
 
 /// Runs a base station and two device processes, with `counts` in join order, and returns the digest.
-fn by_hand(counts: [u32; 2]) -> String {
+fn digest_of_two_hosts(counts: [u32; 2]) -> String {
     let (folder, run, endpoint) = (TestFolder::new(), unique_run("hand"), free_endpoint());
     let bs = folder.start(&format!("bs {SMALL} --run {run} --listen {endpoint} --json"));
     bs.wait_for_stderr("waiting for 30 devices");
@@ -192,20 +197,20 @@ fn by_hand(counts: [u32; 2]) -> String {
 }
 
 #[test]
-fn the_assignment_of_devices_does_not_matter() {
+fn the_assignment_of_devices_does_not_change_the_digest() {
     let expected = digest(&format!("run {SMALL}"));
-    assert_eq!(by_hand([7, 23]), expected, "7 and 23");
-    assert_eq!(by_hand([23, 7]), expected, "23 and 7");
+    assert_eq!(digest_of_two_hosts([7, 23]), expected, "7 and 23");
+    assert_eq!(digest_of_two_hosts([23, 7]), expected, "23 and 7");
 }
 
 #[test]
-fn pace_does_not_matter() {
+fn the_pace_does_not_change_the_digest() {
     let expected = digest(&format!("run {SMALL}"));
     assert_eq!(digest(&format!("up -P 4 {SMALL} --pace 1ms")), expected);
 }
 
 #[test]
-fn pausing_and_stepping_do_not_matter() {
+fn pauses_and_steps_do_not_change_the_digest() {
     let expected = digest(&format!("run {SMALL}"));
     let (folder, run) = (TestFolder::new(), unique_run("stepped"));
     let up = folder.start(&format!("up -P 4 {SMALL} --paused --run {run} --json"));
@@ -223,14 +228,14 @@ fn pausing_and_stepping_do_not_matter() {
 }
 
 #[test]
-fn an_observer_does_not_matter() {
+fn an_observer_does_not_change_the_digest() {
     let expected = digest(&format!("run {SMALL}"));
     let (folder, run) = (TestFolder::new(), unique_run("watched"));
     let up = folder.start(&format!("up -P 4 {SMALL} --paused --no-lookahead --run {run} --json"));
     folder.wait_for_tti(&run, 0);
     let tail = folder.start(&format!("inspect tail --json --run {run}"));
     // Steps until the observer shows a grant, which proves that it receives frames.
-    wait_until("the spectator to see something", PATIENCE, || {
+    wait_until("the observer to show a grant", PATIENCE, || {
         folder.clock(&run, "step");
         tail.stdout().contains("Grant").then_some(())
     });

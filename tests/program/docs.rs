@@ -233,18 +233,38 @@ fn links_and_anchors_are_read_as_on_the_site() {
 #[test]
 fn the_contents_list_every_page_under_its_kind() {
     let contents = fs::read_to_string(root().join("docs/SUMMARY.md")).expect("the contents");
-    let kinds: Vec<&str> = contents.lines().filter_map(|line| line.strip_prefix("# ")).collect();
+    // The first part is the text before the title.
+    let groups = contents.split("# ").skip(1).map(|group| {
+        let (kind, pages) = group.split_once('\n').unwrap_or((group, ""));
+        (kind, links(pages))
+    });
+    let groups: Vec<(&str, Vec<String>)> = groups.collect();
+    let kinds: Vec<&str> = groups.iter().map(|(kind, _)| *kind).collect();
     assert_eq!(
         kinds,
         ["Reveille", "Tutorial", "How-to guides", "Reference", "Explanation"]
     );
-    let mut listed = links(&contents);
-    listed.sort();
-    let mut pages: Vec<String> = pages()
-        .iter()
-        .filter_map(|page| page.file_name()?.to_str().map(str::to_owned))
-        .filter(|name| !["README.md", "SUMMARY.md"].contains(&name.as_str()))
-        .collect();
-    pages.sort();
-    assert_eq!(listed, pages, "docs/SUMMARY.md lists each page once");
+    for page in pages() {
+        let name = page.file_name().and_then(|name| name.to_str()).expect("a name");
+        if ["README.md", "SUMMARY.md"].contains(&name) {
+            continue;
+        }
+        let of_page = groups.iter().flat_map(|(kind, listed)| {
+            let own = listed.iter().filter(|listed| *listed == name);
+            own.map(|_| *kind)
+        });
+        let of_page: Vec<&str> = of_page.collect();
+        let is_of_one_kind = of_page.len() == 1 && of_page[0] != "Reveille";
+        assert!(
+            is_of_one_kind,
+            "docs/{name} must be under one kind of page, not {of_page:?}"
+        );
+    }
+    let listed: usize = groups.iter().map(|(_, listed)| listed.len()).sum();
+    // README.md is not in docs/, and the contents do not list themselves.
+    assert_eq!(
+        listed,
+        pages().len() - 2,
+        "docs/SUMMARY.md lists pages that do not exist"
+    );
 }

@@ -1,4 +1,5 @@
-//! The decision transformer on the command line: recordings, trainings, models, and clear errors for invalid files.
+//! The commands `train record` and `train dt`, and `run -p dt` with a model file: reproducible recordings and models,
+//! also after a kill, and refusals of invalid files. `lab/src/transformer/` tests the training itself.
 
 use std::fs;
 
@@ -9,7 +10,7 @@ const RECORD: &str =
     "train record -p age-index,knn -n 12 -k 400 --seeds 6 --set events.process=bursts --chunk 12 --stride 40";
 
 #[test]
-fn recordings_are_reproducible_and_invalid_ones_are_refused() {
+fn recordings_are_reproducible_and_invalid_requests_are_refused() {
     let folder = TestFolder::new();
     for out in ["a.parquet", "b.parquet"] {
         let end = folder.run(&format!("{RECORD} --out {out}"));
@@ -51,16 +52,16 @@ fn recordings_are_reproducible_and_invalid_ones_are_refused() {
 }
 
 #[test]
-fn a_run_of_the_emulator_is_recorded_from_its_folder() {
+fn a_run_over_the_bus_is_recorded_from_its_folder() {
     let folder = TestFolder::new();
     let end = folder.run("up -p knn -n 12 -k 300 --processes 2 --quiet --out live");
     assert!(end.is_success(), "{end}");
     let record = "train record --from live --chunk 12 --stride 40";
     let end = folder.run(&format!("{record} --out live.parquet"));
     assert!(end.is_success(), "{end}");
-    let end = folder.run("up -p genie -n 12 -k 60 --processes 1 --quiet --out seer");
+    let end = folder.run("up -p genie -n 12 -k 60 --processes 1 --quiet --out genie");
     assert!(end.is_success(), "{end}");
-    assert_refused(&folder.run("train record --from seer --out c.parquet"), 1, &["genie"]);
+    assert_refused(&folder.run("train record --from genie --out c.parquet"), 1, &["genie"]);
     // With other settings or a digest that differs from the run's.
     assert_refused(
         &folder.run(&format!("{record} -n 50 --out c.parquet")),
@@ -84,22 +85,30 @@ fn a_run_of_the_emulator_is_recorded_from_its_folder() {
 #[test]
 fn invalid_models_are_refused() {
     let folder = TestFolder::new();
-    let whole = include_bytes!("../../bs/src/policy/dt/shipped.safetensors");
-    fs::write(folder.join("good.safetensors"), whole).expect("written");
-    fs::write(folder.join("cut.safetensors"), &whole[..whole.len() / 2]).expect("written");
+    let shipped = include_bytes!("../../bs/src/policy/dt/shipped.safetensors");
+    fs::write(folder.join("good.safetensors"), shipped).expect("written");
+    fs::write(folder.join("cut.safetensors"), &shipped[..shipped.len() / 2]).expect("written");
     folder.write("empty.safetensors", "");
     folder.write("text.safetensors", "these are no weights");
-    let run = |model: &str| {
+    let run_with_model = |model: &str| {
         folder.run(&format!(
             "run -n 10 -k 50 -p dt --set policy.dt.model={model}.safetensors"
         ))
     };
-    let good = run("good");
-    assert!(good.is_success(), "{good}");
-    for bad in ["cut", "empty", "text"] {
-        assert_refused(&run(bad), 1, &[bad, "policy.dt.model", "reveille train dt"]);
+    let end = run_with_model("good");
+    assert!(end.is_success(), "{end}");
+    for name in ["cut", "empty", "text"] {
+        assert_refused(
+            &run_with_model(name),
+            1,
+            &[name, "policy.dt.model", "reveille train dt"],
+        );
     }
-    assert_refused(&run("missing"), 1, &["missing.safetensors", "cannot be read"]);
+    assert_refused(
+        &run_with_model("missing"),
+        1,
+        &["missing.safetensors", "cannot be read"],
+    );
 }
 
 #[cfg(not(feature = "train-dt"))]
@@ -120,7 +129,8 @@ mod transformer {
     const TRAIN: &str = "train dt a.parquet --steps 600 --batch 600 --patience 99 --set policy.dt.width=8 \
         --set policy.dt.heads=1 --set policy.dt.memory=3";
 
-    fn recorded() -> TestFolder {
+    /// Returns a folder with the recording `a.parquet`.
+    fn folder_with_recording() -> TestFolder {
         let folder = TestFolder::new();
         let end = folder.run(&format!("{RECORD} --out a.parquet"));
         assert!(end.is_success(), "{end}");
@@ -128,14 +138,14 @@ mod transformer {
     }
 
     #[test]
-    fn a_training_ends_in_the_same_bytes_after_a_kill_and_its_model_runs() {
-        let folder = recorded();
+    fn an_interrupted_training_ends_with_the_same_model_which_runs() {
+        let folder = folder_with_recording();
         let end = folder.run(&format!("{TRAIN} --out whole.safetensors"));
         assert!(end.is_success() && end.stderr.contains("held out"), "{end}");
         for (signal, code) in [(Signal::KILL, None), (Signal::INT, Some(130))] {
             let training = folder.start(&format!("{TRAIN} --out killed.safetensors"));
             let before = fs::read(folder.join("killed.safetensors.checkpoint")).unwrap_or_default();
-            wait_until("another look", PATIENCE, || {
+            wait_until("a new checkpoint", PATIENCE, || {
                 let now = fs::read(folder.join("killed.safetensors.checkpoint")).unwrap_or_default();
                 (now != before || folder.join("killed.safetensors").exists()).then_some(())
             });
@@ -160,7 +170,7 @@ mod transformer {
 
     #[test]
     fn invalid_trajectories_are_refused() {
-        let folder = recorded();
+        let folder = folder_with_recording();
         let whole = folder.bytes("a.parquet");
         fs::write(folder.join("cut.parquet"), &whole[..whole.len() / 2]).expect("written");
         folder.write("text.parquet", "these are no columns");

@@ -1,5 +1,5 @@
-//! `reveille figures` and `reveille report`: complete, reproducible pictures and pages, and clear errors when there is
-//! nothing to draw.
+//! The commands `figures`, `report` and `report search`: complete pictures and pages, the same bytes from the same
+//! input, and refusals. `study/src/figures/` and `study/src/report/` test the contents.
 
 use std::fs;
 use std::path::Path;
@@ -7,7 +7,7 @@ use std::process::Command;
 
 use reveille_tests::process::{PATIENCE, Process, TestFolder, assert_refused, reveille};
 
-/// Writes a small result table `name` in `folder`.
+/// Runs a small sweep into the subfolder `name`.
 fn sweep(folder: &TestFolder, name: &str, options: &str) {
     let end = folder.run(&format!(
         "sweep --policies knn,adjusted,random,genie --devices 10,100 --seeds 2 --ttis 300 --quiet \
@@ -19,12 +19,12 @@ fn sweep(folder: &TestFolder, name: &str, options: &str) {
 /// Checks that the folders `a` and `b` hold the same file `name`.
 #[track_caller]
 fn assert_same(folder: &TestFolder, name: &str) {
-    let [a, b] = ["a", "b"].map(|of| folder.bytes(&format!("{of}/{name}")));
+    let [a, b] = ["a", "b"].map(|out| folder.bytes(&format!("{out}/{name}")));
     assert!(a == b, "{name} differs");
 }
 
 #[test]
-fn pictures_of_a_deployment_and_a_timeline_are_the_same_twice() {
+fn pictures_of_one_run_are_reproducible() {
     let folder = TestFolder::new();
     for out in ["a", "b"] {
         for picture in [
@@ -48,7 +48,7 @@ fn invalid_figure_requests_are_refused() {
     let folder = TestFolder::new();
     let refused = |args: &str, parts: &[&str]| {
         assert_refused(&folder.run(&format!("figures {args} --out out")), 1, parts);
-        assert!(!folder.join("out").exists(), "{args} left something");
+        assert!(!folder.join("out").exists(), "{args} left files");
     };
     refused(
         "deployment -k 100 --event 999",
@@ -79,14 +79,14 @@ fn invalid_figure_requests_are_refused() {
 }
 
 #[test]
-fn files_that_are_not_tables_are_refused() {
+fn files_that_are_not_result_tables_are_refused() {
     let folder = TestFolder::new();
     folder.write("junk.parquet", "PAR1 not a table PAR1");
     folder.write("junk.csv", "a,b\n1,2\n");
     for command in ["figures", "report"] {
         let refused = |args: &str, parts: &[&str]| {
             assert_refused(&folder.run(&format!("{command} {args} --out out")), 1, parts);
-            assert!(!folder.join("out").exists(), "{command} {args} left something");
+            assert!(!folder.join("out").exists(), "{command} {args} left files");
         };
         refused("nowhere.parquet", &["nowhere.parquet"]);
         refused("junk.parquet", &["junk.parquet"]);
@@ -95,9 +95,9 @@ fn files_that_are_not_tables_are_refused() {
     let end = folder.run("figures junk.parquet --only energy,speed");
     assert_refused(
         &end,
-        1,
+        2,
         &[
-            "figure `speed`",
+            "'speed' for '--only",
             "information, information-per-event, energy, misdetection",
             "harvest, net, pareto, delay, front",
         ],
@@ -107,7 +107,7 @@ fn files_that_are_not_tables_are_refused() {
 }
 
 #[test]
-fn learned_tables_become_pictures_the_same_twice() {
+fn pictures_of_learned_tables_are_reproducible() {
     let folder = TestFolder::new();
     let end = folder.run("train q-learning --out mine.json -n 10,30 --episodes 2 --episode-ttis 300 --quiet");
     assert_eq!(end.code(), Some(0), "{end}");
@@ -154,7 +154,7 @@ fn invalid_or_incomplete_learned_tables_are_refused() {
     folder.write("junk.json", "{\"rows\": []}");
     let refused = |args: &str, parts: &[&str]| {
         assert_refused(&folder.run(&format!("figures {args} --out out")), 1, parts);
-        assert!(!folder.join("out").exists(), "{args} left something");
+        assert!(!folder.join("out").exists(), "{args} left files");
     };
     for command in ["learning", "q-table -n 10"] {
         refused(
@@ -185,7 +185,7 @@ fn invalid_or_incomplete_learned_tables_are_refused() {
 }
 
 #[test]
-fn a_sweep_becomes_figures_and_a_report_the_same_twice() {
+fn figures_and_report_of_a_sweep_are_complete_and_figures_are_reproducible() {
     let folder = TestFolder::new();
     sweep(&folder, "paper", "--scenario paper");
     sweep(&folder, "literal", "--scenario paper-literal");
@@ -217,7 +217,7 @@ fn a_sweep_becomes_figures_and_a_report_the_same_twice() {
         assert_eq!(end.code(), Some(0), "{end}");
     }
     let html = String::from_utf8(folder.bytes("report/report.html")).expect("text");
-    assert_eq!(html.matches("<svg").count(), 24, "twelve figures for each preset");
+    assert_eq!(html.matches("<svg").count(), 24, "two presets with twelve figures each");
     assert!(!html.contains("src=") && html.contains("Not run and left out below") && html.contains("seeds 1 to 2"));
     let markdown = String::from_utf8(folder.bytes("report/report.md")).expect("text");
     for file in folder.list("report").iter().filter(|name| name.contains(".svg")) {
@@ -226,7 +226,7 @@ fn a_sweep_becomes_figures_and_a_report_the_same_twice() {
 }
 
 #[test]
-fn settings_are_ranked_the_same_twice_and_every_one_is_judged() {
+fn a_search_judges_every_setting_reproducibly() {
     let folder = TestFolder::new();
     sweep(&folder, "unstated", "--grid events.alpha=0.1,0.2,0.4");
     sweep(&folder, "literal", "--scenario paper-literal");
@@ -235,12 +235,15 @@ fn settings_are_ranked_the_same_twice_and_every_one_is_judged() {
         assert_eq!(end.code(), Some(0), "{end}");
         end.stdout
     };
-    let first = search("a");
+    let ranking = search("a");
     assert!(
-        first.contains("4 settings, 64 runs") && first.contains("events.alpha"),
-        "{first}"
+        ranking.contains("4 settings, 64 runs") && ranking.contains("events.alpha"),
+        "{ranking}"
     );
-    assert_eq!(first.replace("a/search.md", ""), search("b").replace("b/search.md", ""));
+    assert_eq!(
+        ranking.replace("a/search.md", ""),
+        search("b").replace("b/search.md", "")
+    );
     let pages = ["a", "b"].map(|out| String::from_utf8(folder.bytes(&format!("{out}/search.md"))).expect("text"));
     assert_eq!(pages[0].replace("--out a", ""), pages[1].replace("--out b", ""));
     for part in [
@@ -272,7 +275,7 @@ fn settings_are_ranked_the_same_twice_and_every_one_is_judged() {
 }
 
 #[test]
-fn a_custom_sweep_is_drawn_against_its_field() {
+fn a_user_sweep_is_drawn_against_its_field() {
     let folder = TestFolder::new();
     sweep(&folder, "mine", "--grid harvest.lambda=0.05,0.1");
     for out in ["a", "b"] {
@@ -290,31 +293,44 @@ fn a_custom_sweep_is_drawn_against_its_field() {
     }
     let refused = |args: &str, parts: &[&str]| {
         assert_refused(&folder.run(&format!("figures sweep mine {args} --out c")), 1, parts);
-        assert!(!folder.join("c").exists(), "{args} left something");
+        assert!(!folder.join("c").exists(), "{args} left files");
     };
     refused("--x colour", &["`colour`", "devices, ttis, harvest.lambda"]);
-    refused("--x harvest.lambda --y speed", &["`speed`", "info_p1"]);
+    refused(
+        "--x harvest.lamda",
+        &["`harvest.lamda`", "did you mean `harvest.lambda`?"],
+    );
+    refused(
+        "--x harvest.lambda --by device",
+        &["`device`", "did you mean `devices`?"],
+    );
     refused("--x harvest.lambda --where n=20", &["devices = 20", "10, 100"]);
-    let end = folder.run("figures sweep mine --x harvest.lambda --where devices");
-    assert_eq!(end.code(), Some(2), "{end}");
+    for (args, parts) in [
+        ("--where devices", &["FIELD=VALUE"][..]),
+        ("--y speed", &["'speed'", "info_p1"]),
+        ("--y info", &["a similar value exists: 'info_p1'"]),
+    ] {
+        let end = folder.run(&format!("figures sweep mine --x harvest.lambda {args}"));
+        assert_refused(&end, 2, parts);
+    }
 }
 
 #[test]
 fn a_picture_replaces_an_earlier_one() {
     let folder = TestFolder::new();
-    let draw = "figures timeline --devices 5 --ttis 300 --show 3 --length 50 --format svg --out out";
-    assert_eq!(folder.run(draw).code(), Some(0));
+    let command = "figures timeline --devices 5 --ttis 300 --show 3 --length 50 --format svg --out out";
+    assert_eq!(folder.run(command).code(), Some(0));
     let name = folder.list("out").pop().expect("a picture");
-    let (picture, before) = (folder.join(&format!("out/{name}")), folder.join("before.svg"));
+    let (picture, old_link) = (folder.join(&format!("out/{name}")), folder.join("before.svg"));
     fs::write(&picture, "before").expect("ours");
-    fs::hard_link(&picture, &before).expect("possible");
-    assert_eq!(folder.run(draw).code(), Some(0));
-    assert_eq!(fs::read_to_string(&before).expect("there"), "before");
+    fs::hard_link(&picture, &old_link).expect("possible");
+    assert_eq!(folder.run(command).code(), Some(0));
+    assert_eq!(fs::read_to_string(&old_link).expect("there"), "before");
     assert_eq!(folder.list("out"), [name]);
 }
 
 #[test]
-fn tables_with_equal_names_give_separate_pictures() {
+fn tables_with_equal_file_names_give_separate_pictures() {
     let folder = TestFolder::new();
     folder.write("mine.toml", "preset = \"paper\"\nevents.alpha = 0.4\n");
     folder.write("other.toml", "preset = \"paper\"\nevents.alpha = 0.5\n");
@@ -328,7 +344,7 @@ fn tables_with_equal_names_give_separate_pictures() {
 }
 
 #[test]
-fn empty_and_foreign_tables_are_refused_and_one_table_is_enough() {
+fn a_report_needs_one_table_and_refuses_empty_and_newer_ones() {
     let folder = TestFolder::new();
     sweep(&folder, "paper", "--format csv --set events.alpha=0.3");
     let end = folder.run("report paper/results.csv --out report");
@@ -347,18 +363,18 @@ fn empty_and_foreign_tables_are_refused_and_one_table_is_enough() {
     let side_car = String::from_utf8(folder.bytes("paper/results.csv.toml")).expect("text");
     let header = text.lines().next().expect("a header");
     folder.write("empty.csv", &format!("{header}\n"));
-    let empty: String = side_car
+    let empty_side_car: String = side_car
         .lines()
         .map(|line| match line.split_once(" = ") {
             Some(("\"reveille.rows\"", _)) => "\"reveille.rows\" = \"0\"\n".to_owned(),
             Some(_) | None => format!("{line}\n"),
         })
         .collect();
-    folder.write("empty.csv.toml", &empty);
+    folder.write("empty.csv.toml", &empty_side_car);
     folder.write("later.csv", &text);
-    let later = side_car.replace("\"reveille.table\" = \"2\"", "\"reveille.table\" = \"3\"");
-    assert_ne!(later, side_car);
-    folder.write("later.csv.toml", &later);
+    let later_side_car = side_car.replace("\"reveille.table\" = \"2\"", "\"reveille.table\" = \"3\"");
+    assert_ne!(later_side_car, side_car);
+    folder.write("later.csv.toml", &later_side_car);
     for command in ["figures", "report"] {
         let end = folder.run(&format!("{command} empty.csv --out out"));
         assert_refused(&end, 1, &["empty.csv", "no runs to draw", "reveille sweep"]);
@@ -369,7 +385,7 @@ fn empty_and_foreign_tables_are_refused_and_one_table_is_enough() {
 }
 
 #[test]
-fn the_pictures_of_the_pages_can_be_drawn_again() {
+fn the_script_of_the_pages_draws_every_picture() {
     let folder = TestFolder::new();
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/figures/make.sh");
     let mut command = Command::new("bash");
@@ -378,7 +394,7 @@ fn the_pictures_of_the_pages_can_be_drawn_again() {
         .arg(reveille())
         .arg(folder.join("pictures"))
         .args(["1000", "2"]);
-    // The command makes about three hundred runs, on machines that run other tests at the same time.
+    // The script makes about three hundred runs, on machines that run other tests at the same time.
     let end = Process::start(&mut command).finish_within(PATIENCE * 5);
     assert_eq!(end.code(), Some(0), "{end}");
     for name in [

@@ -1,5 +1,6 @@
-//! Misbehaving peers: their messages are refused or counted, and change nothing. These peers were admitted as hosts and
-//! know the run's secret; strangers do not get that far.
+//! Hostile peers that were admitted as hosts and know the run's secret: garbage, forged messages, other versions,
+//! missing keys. The base station refuses or counts the messages, and the digest equals the digest of `reveille run`.
+//! `tests/untrusted_clients/` tests clients without the secret.
 
 use std::time::Duration;
 
@@ -19,8 +20,8 @@ use reveille_common::totals::{DeviceTotals, Ledger};
 use reveille_common::units::Energy;
 use reveille_tests::process::{PATIENCE, Process, SummaryJson, TestFolder, ask, free_endpoint, unique_run};
 
-/// Opens a bus session for a misbehaving peer.
-async fn peer(endpoint: &str, run: &str) -> Bus {
+/// Opens a bus session for a hostile peer.
+async fn connect_peer(endpoint: &str, run: &str) -> Bus {
     let run = run.parse().expect("a run name");
     Bus::connect(endpoint, run, PATIENCE)
         .await
@@ -29,13 +30,13 @@ async fn peer(endpoint: &str, run: &str) -> Bus {
 
 /// Creates a peer that was admitted, received the run's secret, and left before the run began. It knows all keys, but
 /// its credential is no longer valid.
-async fn turncoat(endpoint: &str, run: &str) -> (Bus, HostCredential) {
-    let bus = peer(endpoint, run).await;
+async fn revoked_host(endpoint: &str, run: &str) -> (Bus, HostCredential) {
+    let bus = connect_peer(endpoint, run).await;
     let request = JoinRequest {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         count: 1,
         nonce: 99,
-        name: "a turncoat".to_owned(),
+        name: "a revoked host".to_owned(),
     };
     let reply = ask(&bus, &request).await.expect("a reply");
     let JoinReply::Welcome(assignment) = reply else {
@@ -47,13 +48,18 @@ async fn turncoat(endpoint: &str, run: &str) -> (Bus, HostCredential) {
     (bus, pass)
 }
 
-/// Starts a paused run of 30 devices with two device processes, and a turncoat.
-async fn testbed(folder: &TestFolder, run: &str, ttis: u32) -> (Process, [Process; 2], Bus, HostCredential) {
+/// Starts a paused run of 30 devices with two device processes. Returns the base station, the device processes, and the
+/// session and credential of a [`revoked_host`].
+async fn start_run_with_revoked_host(
+    folder: &TestFolder,
+    run: &str,
+    ttis: u32,
+) -> (Process, [Process; 2], Bus, HostCredential) {
     let endpoint = free_endpoint();
     let pace = "--pace 3ms --paused --out out";
     let bs = folder.start(&format!("bs -n 30 -k {ttis} {pace} --run {run} --listen {endpoint}"));
     bs.wait_for_stderr("waiting for 30 devices");
-    let (bus, pass) = turncoat(&endpoint, run).await;
+    let (bus, pass) = revoked_host(&endpoint, run).await;
     bs.wait_for_stderr("left before the run began");
     let hosts = [15, 15].map(|count| {
         let host = folder.start(&format!("device --connect {endpoint} --run {run} --count {count}"));
@@ -65,10 +71,10 @@ async fn testbed(folder: &TestFolder, run: &str, ttis: u32) -> (Process, [Proces
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
-async fn another_version_is_refused_with_an_error() {
+async fn a_join_request_of_another_version_or_format_is_refused() {
     let (folder, run, endpoint) = (TestFolder::new(), unique_run("version"), free_endpoint());
     let _bs = folder.waiting_bs(&run, &endpoint, "");
-    let bus = peer(&endpoint, &run).await;
+    let bus = connect_peer(&endpoint, &run).await;
     let request = JoinRequest {
         version: "0.0.9".to_owned(),
         count: 1,
@@ -92,53 +98,57 @@ async fn another_version_is_refused_with_an_error() {
     bus.close().await;
 }
 
-/// Returns payloads that are not valid messages: empty, wrong wire version, truncated, too long, endless lengths,
-/// noise.
-fn garbage() -> Vec<Vec<u8>> {
+/// Returns payloads that are not valid messages: empty, of another wire version, truncated, too long, with a length
+/// beyond the end, and noise.
+fn invalid_payloads() -> Vec<Vec<u8>> {
+    // The high bytes of multiples of Knuth's hash constant look random.
     let noise: Vec<u8> = (0..4096_u32)
         .map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8)
         .collect();
+    let with_version = |body: &[u8]| [&[codec::WIRE_VERSION][..], body].concat();
     vec![
         vec![],
         vec![0],
         vec![2, 0, 0],
         vec![255; 64],
-        vec![1],
-        vec![1, 255, 255, 255, 255],
-        [&[1, 0, 0, 253][..], &[255; 8]].concat(),
-        [&[1][..], &[0; 200]].concat(),
-        [&[1][..], &noise].concat(),
-        vec![1; 1 << 16],
+        vec![codec::WIRE_VERSION],
+        with_version(&[255; 4]),
+        // 253 announces an integer of eight bytes, such as the length of a list: here 2^64 - 1.
+        with_version(&[&[0, 0, 253][..], &[255; 8]].concat()),
+        with_version(&[0; 200]),
+        with_version(&noise),
+        with_version(&vec![1; 1 << 16]),
     ]
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
-async fn garbage_on_every_key_changes_nothing() {
-    let (folder, run) = (TestFolder::new(), unique_run("garbage"));
+async fn invalid_payloads_on_every_key_change_nothing() {
+    let (folder, run) = (TestFolder::new(), unique_run("invalid"));
     let expected = folder.summary("run -n 30 -k 1200");
-    let (bs, hosts, bus, pass) = testbed(&folder, &run, 1200).await;
+    let (bs, hosts, bus, pass) = start_run_with_revoked_host(&folder, &run, 1200).await;
     let tail = folder.start(&format!("inspect tail --run {run}"));
     let keys = bus.keys();
-    let mut all: Vec<String> = MessageKind::ALL.iter().map(|&kind| keys.base_key(kind)).collect();
+    let mut all_keys: Vec<String> = MessageKind::ALL.iter().map(|&kind| keys.base_key(kind)).collect();
+    // Devices and hosts that exist and that do not.
     for j in [0, 7, 29, 30, u32::MAX] {
-        let other = HostCredential {
+        let credential = HostCredential {
             host: HostId(j),
             ..pass
         };
-        all.push(keys.wake(HostId(1), DeviceId(j)));
-        all.extend([MessageKind::Report, MessageKind::Answer].map(|kind| keys.uplink(kind, other)));
+        all_keys.push(keys.wake(HostId(1), DeviceId(j)));
+        all_keys.extend([MessageKind::Report, MessageKind::Answer].map(|kind| keys.uplink(kind, credential)));
     }
-    all.extend([MessageKind::Clock, MessageKind::Plan].map(|kind| keys.to_all_hosts(kind)));
-    all.extend([format!("{}/x/y", keys.base_key(MessageKind::Answer)), keys.tap()]);
+    all_keys.extend([MessageKind::Clock, MessageKind::Plan].map(|kind| keys.to_all_hosts(kind)));
+    all_keys.extend([format!("{}/x/y", keys.base_key(MessageKind::Answer)), keys.tap()]);
     folder.clock(&run, "resume");
-    for payload in garbage() {
-        for key in &all {
+    for payload in invalid_payloads() {
+        for key in &all_keys {
             bus.put_raw(key, payload.clone()).expect("sent");
         }
         for kind in [MessageKind::Join, MessageKind::Ready, MessageKind::Control] {
-            let question = codec::encode(&(&payload, "and more"));
+            let request = codec::encode(&(&payload, "and more"));
             let reply = bus
-                .query_raw_without_secret(keys.base_key(kind), question, Duration::from_secs(5))
+                .query_raw_without_secret(keys.base_key(kind), request, Duration::from_secs(5))
                 .await;
             assert!(reply.is_err(), "{kind:?}");
         }
@@ -161,7 +171,7 @@ async fn garbage_on_every_key_changes_nothing() {
     }
 }
 
-/// Returns clock messages that decode but are impossible.
+/// Returns clock messages that decode but cannot follow TTI `tti`.
 fn forged_clock(tti: u64) -> [ClockMessage; 5] {
     let grant = |first, last| {
         let stimulus = Some(Stimulus {
@@ -189,16 +199,16 @@ fn forged_clock(tti: u64) -> [ClockMessage; 5] {
     ]
 }
 
-/// Returns messages that decode but are impossible, each with its key.
-fn forgeries(keys: &Keys, pass: HostCredential, tti: u64) -> Vec<(String, Vec<u8>)> {
-    let endless = DutyCycle {
+/// Returns messages that decode but that no host would send or receive in TTI `tti`, each with its key.
+fn forged_messages(keys: &Keys, pass: HostCredential, tti: u64) -> Vec<(String, Vec<u8>)> {
+    let overlong_cycle = DutyCycle {
         t_on: u32::MAX,
         t_drx: u32::MAX,
         offset: 0,
     };
     let plan = PlanUpdate {
         from: Tti(0),
-        plan: Plan::Periodic(vec![endless; 30]),
+        plan: Plan::Periodic(vec![overlong_cycle; 30]),
     };
     let report = |device, information| Report {
         device: DeviceId(device),
@@ -206,40 +216,40 @@ fn forgeries(keys: &Keys, pass: HostCredential, tti: u64) -> Vec<(String, Vec<u8
         information,
         battery: Energy::ZERO,
     };
-    let done = |host, reports, drained| HostAnswer::GrantDone {
+    let grant_done = |host, reports, drained| HostAnswer::GrantDone {
         host: HostId(host),
         tti: Tti(tti),
         reports,
         failures: vec![FailedTransmission {
             device: DeviceId(0),
-            drained: Energy::from_micro(drained),
+            drained_energy: Energy::from_micro(drained),
         }],
         unpowered: 0,
         totals: Some(DeviceTotals::default()),
         views: None,
     };
     let ledgers = vec![(DeviceId(0), Ledger::default())];
-    let last = HostAnswer::Ledgers {
+    let final_ledgers = HostAnswer::Ledgers {
         host: HostId(0),
         ledgers,
     };
-    let downlinks = |kind| {
+    let downlink_keys = |kind| {
         [
             keys.to_all_hosts(kind),
             keys.to_all_hosts_at(kind, HostId(1)),
             keys.base_key(kind),
         ]
     };
-    let mut all: Vec<(String, Vec<u8>)> = Vec::new();
-    for key in downlinks(MessageKind::Clock) {
-        all.extend(forged_clock(tti).map(|clock| (key.clone(), codec::encode(&clock))));
+    let mut messages: Vec<(String, Vec<u8>)> = Vec::new();
+    for key in downlink_keys(MessageKind::Clock) {
+        messages.extend(forged_clock(tti).map(|clock| (key.clone(), codec::encode(&clock))));
     }
-    all.extend(downlinks(MessageKind::Plan).map(|key| (key, codec::encode(&plan))));
-    for when in [tti, u64::MAX] {
-        let wake = codec::encode(&WakeUp { tti: Tti(when) });
-        all.extend([1, 2].map(|host| (keys.wake(HostId(host), DeviceId(0)), wake.clone())));
+    messages.extend(downlink_keys(MessageKind::Plan).map(|key| (key, codec::encode(&plan))));
+    for wake_tti in [tti, u64::MAX] {
+        let wake_up = codec::encode(&WakeUp { tti: Tti(wake_tti) });
+        messages.extend([1, 2].map(|host| (keys.wake(HostId(host), DeviceId(0)), wake_up.clone())));
     }
-    let own = |host| HostCredential {
+    let with_host = |host| HostCredential {
         host: HostId(host),
         ..pass
     };
@@ -249,18 +259,24 @@ fn forgeries(keys: &Keys, pass: HostCredential, tti: u64) -> Vec<(String, Vec<u8
         (2, report(3, f64::NAN)),
         (0, report(3, 0.7)),
     ] {
-        all.push((keys.uplink(MessageKind::Report, own(host)), codec::encode(&report)));
+        messages.push((
+            keys.uplink(MessageKind::Report, with_host(host)),
+            codec::encode(&report),
+        ));
     }
-    for (key, answer) in [
-        (1, done(1, 1000, 1)),
-        (1, done(1, 0, 0)),
-        (9, done(9, 0, 1)),
-        (0, done(0, 0, u64::MAX)),
-        (0, last),
+    for (host, answer) in [
+        (1, grant_done(1, 1000, 1)),
+        (1, grant_done(1, 0, 0)),
+        (9, grant_done(9, 0, 1)),
+        (0, grant_done(0, 0, u64::MAX)),
+        (0, final_ledgers),
     ] {
-        all.push((keys.uplink(MessageKind::Answer, own(key)), codec::encode(&answer)));
+        messages.push((
+            keys.uplink(MessageKind::Answer, with_host(host)),
+            codec::encode(&answer),
+        ));
     }
-    all
+    messages
 }
 
 /// Messages for the open TTI from a peer that knows all keys but has no valid credential change nothing.
@@ -268,10 +284,10 @@ fn forgeries(keys: &Keys, pass: HostCredential, tti: u64) -> Vec<(String, Vec<u8
 async fn forged_messages_change_nothing() {
     let (folder, run) = (TestFolder::new(), unique_run("forged"));
     let expected = folder.summary("run -n 30 -k 600");
-    let (bs, hosts, bus, pass) = testbed(&folder, &run, 600).await;
+    let (bs, hosts, bus, pass) = start_run_with_revoked_host(&folder, &run, 600).await;
     folder.clock(&run, "resume");
     for tti in 0..600 {
-        for (key, payload) in forgeries(bus.keys(), pass, tti) {
+        for (key, payload) in forged_messages(bus.keys(), pass, tti) {
             bus.put_raw(&key, payload).expect("sent");
         }
         tokio::time::sleep(Duration::from_millis(2)).await;
@@ -288,18 +304,20 @@ async fn forged_messages_change_nothing() {
 
 /// A client without the run's key can neither stop its clock nor run its devices.
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
-async fn without_the_key_clients_cannot_command_or_join() {
+async fn a_client_without_the_key_cannot_command_or_join() {
     let (folder, run, endpoint) = (TestFolder::new(), unique_run("keyless"), free_endpoint());
     let up = folder.start(&format!(
         "up -P 2 -n 30 -k 300 --pace 3ms --paused --run {run} --listen {endpoint} --out out"
     ));
     folder.wait_for_tti(&run, 0);
-    let bus = peer(&endpoint, &run).await;
-    let status = ask(&bus, &ClockCommand::Status).await.expect("anyone may look");
+    let bus = connect_peer(&endpoint, &run).await;
+    let status = ask(&bus, &ClockCommand::Status)
+        .await
+        .expect("any client may read the status");
     assert!(status.paused);
     for key in [None, Some(Secret::new([0; 16]))] {
-        let refused = ask(&bus.with_key(key), &ClockCommand::Resume).await;
-        let why = refused.expect_err("no client may").to_string();
+        let reply = ask(&bus.with_key(key), &ClockCommand::Resume).await;
+        let why = reply.expect_err("a command without the run's key").to_string();
         assert!(why.contains("needs the run's key"), "{why}");
     }
     let request = JoinRequest {

@@ -1,4 +1,5 @@
-//! Observing a run and driving its clock: each message is shown once, and every refusal states its reason.
+//! The commands `inspect tail` and `clock` on a running base station, and the reports of lost hosts: each message is
+//! shown once, `--wait` waits, and a refusal states its reason. `recording.rs` tests recordings.
 
 use std::time::Duration;
 
@@ -9,22 +10,22 @@ use rustix::process::Signal;
 use serde_json::Value;
 
 /// Starts a run of 60 TTIs that is paused before the first.
-fn paused(folder: &TestFolder, run: &str, args: &str) -> Process {
+fn start_paused_run(folder: &TestFolder, run: &str, args: &str) -> Process {
     let up = folder.start(&format!("up -k 60 --paused --run {run} --quiet --out out {args}"));
     folder.wait_for_tti(run, 0);
     up
 }
 
 /// Starts an observer of `run` and waits until it has connected.
-fn tail(folder: &TestFolder, run: &str, args: &str) -> Process {
+fn start_tail(folder: &TestFolder, run: &str, args: &str) -> Process {
     let tail = folder.start(&format!("inspect tail --run {run} {args}"));
     tail.wait_for_stderr("connected to run");
     tail
 }
 
-/// Parses the messages that an observer with `--json` has shown, without operator messages.
-fn messages(shown: &str) -> Vec<Value> {
-    let lines = shown
+/// Parses the output of an observer with `--json`, without operator messages.
+fn parse_messages(stdout: &str) -> Vec<Value> {
+    let lines = stdout
         .lines()
         .map(|line| serde_json::from_str(line).expect("a line is JSON"));
     lines.filter(|message: &Value| message["kind"] != "control").collect()
@@ -32,16 +33,16 @@ fn messages(shown: &str) -> Vec<Value> {
 
 /// Returns the messages that an observer shows for TTIs 20 to 49 of a run with this many processes. The observer's
 /// copies do not delay the end of the run.
-fn shown(processes: u32) -> Vec<Value> {
+fn shown_messages(processes: u32) -> Vec<Value> {
     let (folder, run) = (TestFolder::new(), unique_run("shown"));
-    let up = paused(
+    let up = start_paused_run(
         &folder,
         &run,
         &format!("-P {processes} -n 30 --set bs.sync_interval=5 --pace 5ms --set events.alpha=0.3"),
     );
-    let tail = tail(&folder, &run, "--json");
+    let tail = start_tail(&folder, &run, "--json");
     let mut step = 0;
-    wait_until("the spectator to see something", PATIENCE, || {
+    wait_until("the observer to show a clock message", PATIENCE, || {
         step += 1;
         folder.clock(&run, "step --wait");
         tail.stdout().contains("\"clock\"").then_some(())
@@ -51,25 +52,25 @@ fn shown(processes: u32) -> Vec<Value> {
     let tail = tail.finish();
     assert!(tail.is_success(), "{tail}");
     assert!(tail.stderr.contains(" 0 dropped"), "{tail}");
-    let since = |message: &Value| message["tti"].as_u64().is_some_and(|tti| (20..50).contains(&tti));
-    assert!(step < 20, "the spectator saw nothing before TTI {step}");
-    messages(&tail.stdout).into_iter().filter(since).collect()
+    let is_in_range = |message: &Value| message["tti"].as_u64().is_some_and(|tti| (20..50).contains(&tti));
+    assert!(step < 20, "the observer showed nothing before TTI {step}");
+    parse_messages(&tail.stdout).into_iter().filter(is_in_range).collect()
 }
 
 #[test]
-fn devices_in_the_base_stations_process_are_shown_once() {
-    let seen = |processes| {
-        let count = |kind: &str, of: &[Value]| of.iter().filter(|message| message["kind"] == kind).count();
-        let all = shown(processes);
-        ["plan", "wake", "report", "clock", "answer"].map(|kind| count(kind, &all))
+fn messages_in_the_base_stations_process_are_shown_once() {
+    let message_counts = |processes| {
+        let messages = shown_messages(processes);
+        let count = |kind: &str| messages.iter().filter(|message| message["kind"] == kind).count();
+        ["plan", "wake", "report", "clock", "answer"].map(count)
     };
-    let [plans, wakes, reports, clock, answers] = seen(1);
+    let [plans, wakes, reports, clock, answers] = message_counts(1);
     assert!(
         reports > 0 && plans > 0,
         "{plans} plans, {wakes} wake-ups, {reports} reports"
     );
     assert_eq!(
-        seen(0),
+        message_counts(0),
         [plans, wakes, reports, clock, answers],
         "as with one device process"
     );
@@ -78,19 +79,20 @@ fn devices_in_the_base_stations_process_are_shown_once() {
 #[test]
 fn a_paused_run_prints_its_position_and_owners() {
     let (folder, run) = (TestFolder::new(), unique_run("greet"));
-    let up = paused(
+    let up = start_paused_run(
         &folder,
         &run,
         "-P 1 -n 30 --set bs.sync_interval=5 --set events.alpha=0.3",
     );
-    let tail = tail(&folder, &run, "");
+    let tail = start_tail(&folder, &run, "");
     let greeting = format!("connected to run {run}: paused before TTI 0 of 60\n");
     assert!(tail.stderr().contains(&greeting), "{}", tail.stderr());
     wait_until("a report and an answer", PATIENCE, || {
         folder.run(&format!("clock --run {run} step --wait"));
         let text = tail.stdout();
-        let line = |kind: &str, whose: &str| text.lines().any(|line| line.contains(kind) && line.contains(whose));
-        (line(" report ", " device ") && line(" answer ", " host 0 ") && line(" plan ", " devices sense")).then_some(())
+        let has_line = |kind: &str, part: &str| text.lines().any(|line| line.contains(kind) && line.contains(part));
+        (has_line(" report ", " device ") && has_line(" answer ", " host 0 ") && has_line(" plan ", " devices sense"))
+            .then_some(())
     });
     folder.run(&format!("clock --run {run} resume"));
     assert!(up.finish().is_success());
@@ -99,7 +101,7 @@ fn a_paused_run_prints_its_position_and_owners() {
 #[test]
 fn filters_without_matches_are_refused() {
     let (folder, run) = (TestFolder::new(), unique_run("filters"));
-    let up = paused(&folder, &run, "-P 1 -n 5");
+    let up = start_paused_run(&folder, &run, "-P 1 -n 5");
     let end = folder.run(&format!("inspect tail --run {run} --device 99"));
     assert_refused(&end, 1, &["--device 99", "5 devices", "0 to 4"]);
     let end = folder.run(&format!("inspect tail --run {run} --plane air --kind plan,clock"));
@@ -126,9 +128,9 @@ fn help_lists_the_kinds_with_their_direction_and_the_exit_codes() {
 }
 
 #[test]
-fn a_waiting_clock_command_returns_when_it_is_done() {
+fn a_clock_command_with_wait_returns_when_it_is_done() {
     let (folder, run) = (TestFolder::new(), unique_run("wait"));
-    let up = paused(&folder, &run, "-P 1 -n 5 --pace 20ms");
+    let up = start_paused_run(&folder, &run, "-P 1 -n 5 --pace 20ms");
     assert_eq!(
         folder.clock(&run, "step 3 --wait"),
         "paused before TTI 3 of 60, a TTI every 20ms\n"
@@ -137,23 +139,23 @@ fn a_waiting_clock_command_returns_when_it_is_done() {
         folder.clock(&run, "run-to 9 --wait"),
         "paused before TTI 9 of 60, a TTI every 20ms\n"
     );
-    let said = folder.clock(&run, "step 3");
+    let status = folder.clock(&run, "step 3");
     assert_eq!(
-        said,
+        status,
         "running at TTI 9 of 60, to stop before TTI 12, a TTI every 20ms\n"
     );
     folder.clock(&run, "resume");
-    let said = folder.clock(&run, "pause");
-    assert!(said.starts_with("paused before TTI "), "{said}");
-    let said = folder.clock(&run, "step 1000 --wait");
-    assert!(said.starts_with("finished"), "{said}");
+    let status = folder.clock(&run, "pause");
+    assert!(status.starts_with("paused before TTI "), "{status}");
+    let status = folder.clock(&run, "step 1000 --wait");
+    assert!(status.starts_with("finished"), "{status}");
     assert!(up.finish().is_success());
 }
 
 #[test]
-fn a_waiting_clock_command_reports_an_early_end() {
+fn a_clock_command_with_wait_reports_an_early_end() {
     let (folder, run) = (TestFolder::new(), unique_run("cut"));
-    let up = paused(&folder, &run, "-P 1 -n 5 --pace 200ms");
+    let up = start_paused_run(&folder, &run, "-P 1 -n 5 --pace 200ms");
     let clock = folder.start(&format!("clock --run {run} run-to 59 --wait"));
     folder.wait_for_tti(&run, 2);
     up.signal(Signal::INT);
@@ -162,10 +164,10 @@ fn a_waiting_clock_command_reports_an_early_end() {
 }
 
 #[test]
-fn a_held_clock_names_the_missing_hosts() {
+fn the_status_of_a_waiting_run_names_the_lost_hosts() {
     let (folder, run, endpoint) = (TestFolder::new(), unique_run("held"), free_endpoint());
-    let drive = "-n 50 -k 6000 --pace 5ms --on-loss wait --quiet --out out";
-    let bs = folder.start(&format!("bs {drive} --run {run} --listen {endpoint}"));
+    let options = "-n 50 -k 6000 --pace 5ms --on-loss wait --quiet --out out";
+    let bs = folder.start(&format!("bs {options} --run {run} --listen {endpoint}"));
     let [_first, second] = [0, 1].map(|_| {
         let host = folder.start(&format!("-v device --connect {endpoint} --run {run} --count 25"));
         host.wait_for_stderr("joined");
@@ -174,17 +176,17 @@ fn a_held_clock_names_the_missing_hosts() {
     folder.wait_for_tti(&run, 10);
     second.signal(Signal::KILL);
     bs.wait_for_stderr("the run is waiting");
-    let said = folder.clock(&run, "status");
-    assert!(said.starts_with("waiting at TTI "), "{said}");
-    assert!(said.contains(": lost host 1 (devices 25 to 49)"), "{said}");
-    let few = folder.start(&format!("-v device --connect {endpoint} --run {run} --count 24"));
-    few.wait_for_stderr("lost hosts left 25 devices");
+    let status = folder.clock(&run, "status");
+    assert!(status.starts_with("waiting at TTI "), "{status}");
+    assert!(status.contains(": lost host 1 (devices 25 to 49)"), "{status}");
+    let small_host = folder.start(&format!("-v device --connect {endpoint} --run {run} --count 24"));
+    small_host.wait_for_stderr("lost hosts left 25 devices");
     bs.signal(Signal::INT);
     assert_eq!(bs.finish().code(), Some(130));
 }
 
 #[test]
-fn the_devices_of_a_failed_run_report_the_cause() {
+fn the_device_processes_of_a_failed_run_report_the_cause() {
     let (folder, run, endpoint) = (TestFolder::new(), unique_run("failed"), free_endpoint());
     let bs = folder.start(&format!(
         "bs -n 5 -k 6000 --pace 5ms --on-loss end --quiet --out out --run {run} --listen {endpoint}"
@@ -235,8 +237,8 @@ fn options_without_effect_are_refused_or_reported() {
         end.is_success() && end.stderr.contains("--no-lookahead has no effect"),
         "{end}"
     );
-    let quick = folder
+    let end = folder
         .start("up -P 0 -n 5 -k 60 --quiet")
         .finish_within(Duration::from_mins(1));
-    assert!(quick.is_success() && quick.stderr.is_empty(), "{quick}");
+    assert!(end.is_success() && end.stderr.is_empty(), "{end}");
 }

@@ -1,4 +1,5 @@
-//! Ctrl-C and SIGTERM for runs and sweeps in memory: a prompt end with exit code 130, and no finished work is lost.
+//! SIGINT and SIGTERM during the preparation of `run`, `up`, `bs` and `sweep`, and during a sweep: a prompt end with
+//! exit code 130, and no finished work is lost. `process_faults.rs` and `signals.rs` test signals at other times.
 
 use std::fs;
 use std::time::Duration;
@@ -12,9 +13,9 @@ const SEARCH: &str = "--devices 200 --set policy.adjusted.pilot_ttis=900000000";
 const SOON: Duration = Duration::from_secs(10);
 
 #[test]
-fn ctrl_c_ends_a_sweep_and_names_how_to_resume() {
+fn an_interrupted_sweep_states_how_to_resume() {
     let folder = TestFolder::new();
-    // A run of hours is aborted midway.
+    // One run takes hours.
     let endless = "sweep --devices 100 --ttis 1000000000 --seeds 2 --out s";
     for signal in [Signal::INT, Signal::TERM] {
         let sweep = folder.start(endless);
@@ -34,7 +35,7 @@ fn ctrl_c_ends_a_sweep_and_names_how_to_resume() {
 }
 
 #[test]
-fn a_run_in_preparation_ends_immediately() {
+fn a_run_in_preparation_ends_promptly() {
     let folder = TestFolder::new();
     for (out, signal) in [("a", Signal::INT), ("b", Signal::TERM)] {
         let run = folder.start(&format!("run --policy adjusted {SEARCH} --out {out}"));
@@ -51,13 +52,13 @@ fn a_run_in_preparation_ends_immediately() {
         );
         let files = folder.list(out);
         assert!(!files.iter().any(|name| name == "RUNNING"), "{files:?}");
-        let why = fs::read_to_string(folder.join(&format!("{out}/FAILED"))).expect("a mark");
+        let why = fs::read_to_string(folder.join(&format!("{out}/FAILED"))).expect("a reason");
         assert!(why.contains("interrupted"), "{why}");
     }
 }
 
 #[test]
-fn a_base_station_in_preparation_ends_immediately_with_its_devices() {
+fn a_base_station_in_preparation_ends_promptly_with_its_device_processes() {
     let folder = TestFolder::new();
     for (command, hosts) in [
         ("up --processes 2", 2),
@@ -85,25 +86,26 @@ fn a_base_station_in_preparation_ends_immediately_with_its_devices() {
             assert_eq!(hosts_of(&run), [0_u32; 0], "{command}: device processes remain");
             let files = folder.list(&run);
             assert!(!files.iter().any(|name| name == "RUNNING"), "{command}: {files:?}");
-            let why = fs::read_to_string(folder.join(&format!("{run}/FAILED"))).expect("a mark");
+            let why = fs::read_to_string(folder.join(&format!("{run}/FAILED"))).expect("a reason");
             assert!(why.contains("interrupted"), "{command}: {why}");
         }
     }
 }
 
 #[test]
-fn a_sweep_in_preparation_ends_soon_and_keeps_finished_runs() {
+fn a_sweep_in_preparation_ends_promptly_and_keeps_finished_runs() {
     let folder = TestFolder::new();
     let args = format!("sweep --policies genie,adjusted --ttis 200 --seeds 3 --threads 2 {SEARCH} --out s");
     let sweep = folder.start(&args);
-    let runs = || fs::read_to_string(folder.join("s/runs.journal")).map_or(0, |text| text.matches('\n').count());
-    wait_until("the runs of genie", PATIENCE, || (runs() == 1 + 3).then_some(()));
+    wait_until("the three runs of genie", PATIENCE, || {
+        (folder.journal_lines("s") == 3).then_some(())
+    });
     sweep.wait_for_work();
     sweep.signal(Signal::INT);
     let end = sweep.finish_within(SOON);
     assert_eq!(end.code(), Some(130), "{end}");
-    let said = "reveille: interrupted; the 3 finished runs are kept in s: give the same command again";
-    assert!(end.stderr.contains(said), "{end}");
+    let message = "reveille: interrupted; the 3 finished runs are kept in s: give the same command again";
+    assert!(end.stderr.contains(message), "{end}");
     let again = folder.start(&args);
     again.wait_for_stderr("3 finished runs found in s");
 }

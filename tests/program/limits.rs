@@ -1,7 +1,7 @@
-//! System limits: a run uses as much as the limits allow, and reports an insufficient limit before it begins.
+//! Limits of open files, ports and disk space: a run works within the limit that an error suggests, and reports an
+//! insufficient one before it begins or with its cause.
 
 use std::fs;
-use std::net::TcpListener;
 use std::process::Command;
 use std::time::Duration;
 
@@ -10,16 +10,16 @@ use reveille_tests::process::{
     FinishedProcess, Process, SummaryJson, TestFolder, assert_refused, free_endpoint, reveille, unique_run,
 };
 
-/// Time limit for a refusal on a busy machine; it replaces a timeout of thirty seconds.
-const AT_ONCE: Duration = Duration::from_secs(10);
+/// Time limit for a refusal on a busy machine, well below the timeout of thirty seconds for a connection.
+const REFUSAL_LIMIT: Duration = Duration::from_secs(10);
 
-/// Time limit for restarts of device processes that end immediately, with a margin for a busy machine.
-const NOT_LATER: Duration = Duration::from_secs(20);
+/// Time limit for the restarts of device processes that end immediately, with a margin for a busy machine.
+const RESTART_LIMIT: Duration = Duration::from_secs(20);
 
-/// Starts `reveille ARGS` with a hard limit of `files` open files and a soft limit of `now`.
-fn limited(folder: &TestFolder, files: u32, now: u32, args: &str) -> Process {
+/// Starts `reveille ARGS` with these hard and soft limits of open files.
+fn start_limited(folder: &TestFolder, hard: u32, soft: u32, args: &str) -> Process {
     let line = format!(
-        "ulimit -Sn {now}; ulimit -Hn {files}; exec {} {args}",
+        "ulimit -Sn {soft}; ulimit -Hn {hard}; exec {} {args}",
         reveille().display()
     );
     let mut command = Command::new("sh");
@@ -31,34 +31,34 @@ fn limited(folder: &TestFolder, files: u32, now: u32, args: &str) -> Process {
     Process::start(&mut command)
 }
 
-/// Checks that a command is refused before it creates a run folder.
-fn refused(folder: &TestFolder, files: u32, args: &str, parts: &[&str]) {
-    let end = limited(folder, files, files, args).finish_within(AT_ONCE);
+/// Checks that a command is refused under a limit of `files` open files, before it creates a run folder.
+fn assert_files_refused(folder: &TestFolder, files: u32, args: &str, parts: &[&str]) {
+    let end = start_limited(folder, files, files, args).finish_within(REFUSAL_LIMIT);
     assert_refused(&end, 1, parts);
     let left: Vec<String> = folder.list(".").into_iter().filter(|name| name != "runtime").collect();
-    assert_eq!(left, [""; 0]);
+    assert_eq!(left, [""; 0], "files of a refused run");
 }
 
 #[test]
 fn too_few_files_are_refused_before_the_run() {
     let folder = TestFolder::new();
-    let said = |files: u32| format!("may have {files} files open");
-    refused(
+    let limit_message = |files: u32| format!("may have {files} files open");
+    assert_files_refused(
         &folder,
         64,
         "up -n 50 -P 50",
         &[
-            &said(64),
+            &limit_message(64),
             "50 device processes needs 98",
             "ulimit -n 98",
             "at most 16 device processes",
         ],
     );
-    refused(&folder, 24, "up -P 4", &[&said(24), "ulimit -n 52"]);
+    assert_files_refused(&folder, 24, "up -P 4", &[&limit_message(24), "ulimit -n 52"]);
     let bs = format!("bs --run x --listen {}", free_endpoint());
-    refused(&folder, 24, &bs, &[&said(24), "ulimit -n 49"]);
+    assert_files_refused(&folder, 24, &bs, &[&limit_message(24), "ulimit -n 49"]);
     let device = format!("device --run x --count 1 --connect {}", free_endpoint());
-    refused(&folder, 24, &device, &[&said(24), "a device process needs 32"]);
+    assert_files_refused(&folder, 24, &device, &[&limit_message(24), "a device process needs 32"]);
 }
 
 #[test]
@@ -68,7 +68,7 @@ fn the_suggested_file_limit_is_enough() {
     // The hard limit is as needed and the soft limit is half of it: the run raises its soft limit.
     for (processes, files) in [(16, 64), (4, 52), (0, 48)] {
         let run = unique_run("few");
-        let up = limited(
+        let up = start_limited(
             &folder,
             files,
             files / 2,
@@ -77,7 +77,7 @@ fn the_suggested_file_limit_is_enough() {
         assert_eq!(up.finish().summary().digest(), expected.digest());
     }
     let (run, endpoint) = (unique_run("hand"), free_endpoint());
-    let bs = limited(
+    let bs = start_limited(
         &folder,
         49,
         24,
@@ -85,13 +85,13 @@ fn the_suggested_file_limit_is_enough() {
     );
     bs.wait_for_stderr("at most 1 device processes can join;");
     let device = format!("device --run {run} --count 50 --connect {endpoint}");
-    let device = limited(&folder, 32, 16, &device).finish();
+    let device = start_limited(&folder, 32, 16, &device).finish();
     assert!(device.is_success(), "{device}");
     assert_eq!(bs.finish().summary().digest(), expected.digest());
 }
 
-/// Checks a refusal that leaves no run folder `out`, or one that states why the run failed.
-fn assert_clear(folder: &TestFolder, end: &FinishedProcess, parts: &[&str]) {
+/// Checks a refusal that leaves no run folder `out`, or one that is marked as failed.
+fn assert_refused_without_run(folder: &TestFolder, end: &FinishedProcess, parts: &[&str]) {
     assert_refused(end, 1, parts);
     let left = folder.list("out");
     assert!(
@@ -101,19 +101,7 @@ fn assert_clear(folder: &TestFolder, end: &FinishedProcess, parts: &[&str]) {
 }
 
 #[test]
-fn a_used_port_is_named_before_the_run() {
-    let folder = TestFolder::new();
-    let taken = TcpListener::bind("127.0.0.1:0").expect("a free port");
-    let endpoint = format!("tcp/{}", taken.local_addr().expect("bound"));
-    for command in ["up -P 1", "bs --run x"] {
-        let end = folder.run(&format!("{command} -n 5 -k 50 --out out --listen {endpoint}"));
-        assert_clear(&folder, &end, &["cannot listen on", &endpoint]);
-        assert!(!folder.join("out").exists());
-    }
-}
-
-#[test]
-fn a_lack_of_ports_is_reported_soon() {
+fn a_lack_of_ports_is_reported_promptly() {
     let folder = TestFolder::new();
     // One port for the base station, and some for the first device processes.
     let Some(network) = FewPorts::make(&unique_run("ports"), 4) else {
@@ -125,7 +113,7 @@ fn a_lack_of_ports_is_reported_soon() {
         .current_dir(folder.path())
         .env("XDG_RUNTIME_DIR", folder.join("runtime"))
         .env_remove("RUST_LOG");
-    let end = Process::start(&mut up).finish_within(NOT_LATER);
+    let end = Process::start(&mut up).finish_within(RESTART_LIMIT);
     assert_eq!(end.code(), Some(1), "{end}");
     assert!(
         end.stderr.contains("cannot connect to tcp/127.0.0.1:") && end.stderr.contains("no free port"),
@@ -146,7 +134,7 @@ fn a_read_only_folder_is_named() {
     };
     for command in ["run", "up -P 1", "bs --run x --listen tcp/127.0.0.1:0"] {
         let end = folder.run(&format!("{command} -n 5 -k 50 --out disk/out"));
-        assert_clear(&folder, &end, &["disk/out", "Read-only file system"]);
+        assert_refused_without_run(&folder, &end, &["disk/out", "Read-only file system"]);
     }
 }
 
@@ -155,7 +143,7 @@ fn a_run_on_a_full_disk_reports_it_and_can_be_replaced() {
     let folder = TestFolder::new();
     let path = folder.join("disk");
     let Some(_disk) = Mount::small(&path) else {
-        skipped("a small tmpfs cannot be mounted here (it takes root)");
+        skipped("cannot mount a small tmpfs here (root is needed)");
         return;
     };
     let expected = folder.summary("run -n 20 -k 400");
@@ -179,10 +167,11 @@ fn a_run_on_a_full_disk_reports_it_and_can_be_replaced() {
     }
     // Without space for the first files, the run leaves nothing that blocks the next run.
     fs::remove_dir_all(folder.join("disk/out")).expect("removable");
+    // More than the 256 kB of the disk.
     let full = fs::write(folder.join("disk/ballast"), vec![0; 300 * 1024]);
     assert!(full.is_err(), "the disk has more space than requested");
     let end = folder.run("run -n 20 -k 400 --out disk/out");
-    assert_clear(&folder, &end, &["disk/out", "No space left on device"]);
+    assert_refused_without_run(&folder, &end, &["disk/out", "No space left on device"]);
     fs::remove_file(folder.join("disk/ballast")).expect("removable");
     let again = folder.summary("run -n 20 -k 400 --out disk/out");
     assert_eq!(again.digest(), expected.digest());

@@ -1,5 +1,5 @@
-//! Many processes, and processes with many devices: the digest of a run in memory, a clean end, and no process left
-//! behind.
+//! Runs in many processes, and in processes with many devices: the digest equals the digest of `reveille run`, and no
+//! process is left. Also the number of zenoh threads in device processes.
 
 use std::fs;
 
@@ -10,8 +10,8 @@ const MANY: u32 = 120;
 /// Number of devices whose ledgers, from two processes, exceed the queue of a link.
 const HEAVY: u32 = 3000;
 
-/// Compares a run of `scenario` over the bus in `processes` processes, without warnings, with a run in memory.
-fn clean(scenario: &str, processes: u32) {
+/// Checks that `up` with this many processes gives the digest of `run`, without warnings or rejected messages.
+fn assert_clean_run(scenario: &str, processes: u32) {
     let folder = TestFolder::new();
     let expected = folder.summary(&format!("run {scenario}"));
     let run = unique_run("many");
@@ -31,74 +31,75 @@ fn clean(scenario: &str, processes: u32) {
 }
 
 #[test]
-fn many_processes_with_a_device_each() {
-    clean(&format!("-n {MANY} -k 150"), MANY);
+fn many_processes_run_one_device_each() {
+    assert_clean_run(&format!("-n {MANY} -k 150"), MANY);
 }
 
 #[test]
-fn processes_with_many_devices_each() {
-    clean(&format!("-n {HEAVY} -k 60 -p random"), 2);
+fn two_processes_run_many_devices_each() {
+    assert_clean_run(&format!("-n {HEAVY} -k 60 -p random"), 2);
 }
 
-/// Many devices report an event in the same TTI.
+/// Under `age-index` many devices report an event in the same TTI.
 #[test]
-fn many_simultaneous_reports_from_one_process() {
-    clean(
+fn one_process_sends_many_simultaneous_reports() {
+    assert_clean_run(
         &format!("-n {HEAVY} -k 60 -p age-index --set bs.battery_knowledge=reported"),
         1,
     );
 }
 
 /// Returns the zenoh thread setting in the environment of a process.
-fn threads_said(pid: u32) -> Option<String> {
+fn zenoh_setting(pid: u32) -> Option<String> {
     let environment = fs::read(format!("/proc/{pid}/environ")).unwrap_or_default();
     let variables = environment.split(|&byte| byte == 0).map(String::from_utf8_lossy);
-    let mut said = variables.filter_map(|variable| Some(variable.strip_prefix("ZENOH_RUNTIME=")?.to_owned()));
-    said.next()
+    let mut settings = variables.filter_map(|variable| Some(variable.strip_prefix("ZENOH_RUNTIME=")?.to_owned()));
+    settings.next()
 }
 
-/// Starts a run with two device processes, which continues until dropped, and returns their thread settings.
-fn threads_of_hosts(folder: &TestFolder, said: Option<&str>, args: &str) -> (Process, Vec<Option<String>>) {
+/// Starts a run with two device processes and this setting in its own environment. Returns the run, which continues
+/// until dropped, and the settings of the device processes.
+fn zenoh_settings_of_hosts(folder: &TestFolder, setting: Option<&str>, args: &str) -> (Process, Vec<Option<String>>) {
     let run = unique_run("threads");
     let mut command = folder.command(&format!(
         "up -n 4 -P 2 -k 100000 --pace 5ms --run {run} --out {run} {args}"
     ));
     command.env_remove("ZENOH_RUNTIME");
-    if let Some(said) = said {
-        command.env("ZENOH_RUNTIME", said);
+    if let Some(setting) = setting {
+        command.env("ZENOH_RUNTIME", setting);
     }
     let up = Process::start(&mut command);
     folder.wait_for_tti(&run, 2);
     let hosts = hosts_of(&run);
     assert_eq!(hosts.len(), 2);
-    (up, hosts.into_iter().map(threads_said).collect())
+    (up, hosts.into_iter().map(zenoh_setting).collect())
 }
 
 #[test]
-fn zenoh_has_one_thread_in_device_processes_by_default() {
+fn device_processes_have_one_zenoh_thread_by_default() {
     let folder = TestFolder::new();
-    let (_up, threads) = threads_of_hosts(&folder, None, "");
-    for said in threads {
-        let said = said.expect("one thread");
+    let (_up, settings) = zenoh_settings_of_hosts(&folder, None, "");
+    for setting in settings {
+        let setting = setting.expect("one thread");
         assert!(
-            said.contains("app:(worker_threads:1)") && said.contains("rx:(handover:app)"),
-            "{said}"
+            setting.contains("app:(worker_threads:1)") && setting.contains("rx:(handover:app)"),
+            "{setting}"
         );
     }
-    let own = "(rx:(worker_threads:3))";
-    let (_up, threads) = threads_of_hosts(&folder, Some(own), "");
-    assert_eq!(threads, [Some(own.to_owned()), Some(own.to_owned())]);
-    let (_up, threads) = threads_of_hosts(&folder, None, "--untuned");
-    assert_eq!(threads, [None, None]);
+    let own_setting = "(rx:(worker_threads:3))";
+    let (_up, settings) = zenoh_settings_of_hosts(&folder, Some(own_setting), "");
+    assert_eq!(settings, [Some(own_setting.to_owned()), Some(own_setting.to_owned())]);
+    let (_up, settings) = zenoh_settings_of_hosts(&folder, None, "--untuned");
+    assert_eq!(settings, [None, None]);
 }
 
 #[test]
-fn a_device_process_by_hand_has_one_thread_for_zenoh_too() {
+fn a_manually_started_device_process_has_one_zenoh_thread() {
     let (folder, run, endpoint) = (TestFolder::new(), unique_run("hand"), free_endpoint());
     let mut command = folder.command(&format!("device --run={run} --connect {endpoint}"));
     command.env_remove("ZENOH_RUNTIME");
     let device = Process::start(&mut command);
-    let said = wait_until("the process to restart", PATIENCE, || threads_said(device.pid()));
-    assert!(said.contains("rx:(handover:app)"), "{said}");
+    let setting = wait_until("the process to restart", PATIENCE, || zenoh_setting(device.pid()));
+    assert!(setting.contains("rx:(handover:app)"), "{setting}");
     assert_eq!(hosts_of(&run), [device.pid()]);
 }

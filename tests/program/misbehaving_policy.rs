@@ -1,55 +1,55 @@
-//! Policy processes that answer twice, late, with nonsense, too much, or for another process. The run reports it and
-//! waits or ends as configured, and nothing hangs.
+//! Policy processes that reply twice, late, with invalid decisions, too much, or for another process. The run reports
+//! it, ends or keeps the plan as configured, and its logged decisions give its digest again.
 
 use std::time::Duration;
 
 use reveille_bs::policy::external::Decision;
 use reveille_bs::policy::external::wire::{DecisionReply, DecisionRequest};
 use reveille_bs::server::policy_port::client::{self, ClientIdentity};
-use reveille_common::bus::{Bus, PolicyQuestion};
+use reveille_common::bus::{Bus, PortRequest};
 use reveille_common::encoding::Encoding;
 use reveille_common::secret::Secret;
-use reveille_tests::external_policy::{ExternallyDecidedRun, MisbehavingPolicy, answer, own, say};
+use reveille_tests::external_policy::{ExternallyDecidedRun, MisbehavingPolicy, answer, own, send_reply};
 use reveille_tests::process::PATIENCE;
 use serde_json::{Value, json};
 
-/// Function that corrupts an answer.
+/// Makes a valid answer invalid.
 type CorruptReply = fn(&mut Value);
-/// Function that answers a decision request in some other way than with the given answer.
-type ReplyAction = fn(&PolicyQuestion, Value);
+/// Answers a decision request in another way than with the given answer.
+type ReplyAction = fn(&PortRequest, Value);
 
-/// Strangers answer every query with more data than a client accepts.
+/// An untrusted client answers every request a hundred times, with more bytes than are accepted or invalid JSON.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_flood_of_answers_changes_no_result() {
     let (transcript, digest) = own("age-index", &[]);
     let run = ExternallyDecidedRun::start("-P 2");
     let flood = run.bus().await;
-    let questions = flood.serve_policy_port().expect("a queryable");
+    let requests = flood.serve_policy_port().expect("a queryable");
     let flooding = tokio::spawn(async move {
         let (long, short) = (vec![b'['; 300_000], vec![b'['; 500]);
-        while let Some(question) = questions.next().await {
+        while let Some(request) = requests.next().await {
             for payload in [&long, &short].into_iter().cycle().take(100) {
-                let _gone = question.answer(payload.clone(), Encoding::Json).is_err();
+                let _run_ended = request.reply(payload.clone(), Encoding::Json).is_err();
             }
-            let _gone = question.reply_error("flooded").is_err();
+            let _run_ended = request.reply_error("flooded").is_err();
         }
     });
-    let decided = run.decide(Encoding::Cbor, |asked| answer(&transcript, asked)).await;
+    let answer_count = run.decide(Encoding::Cbor, |asked| answer(&transcript, asked)).await;
     flooding.abort();
     let (_, end) = run.finish();
-    assert!(end.is_success() && decided >= 400, "{decided}: {end}");
+    assert!(end.is_success() && answer_count >= 400, "{answer_count}: {end}");
     assert_eq!(end.summary().digest(), digest);
     assert!(end.stderr.lines().count() < 40, "{end}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_answer_that_comes_twice_counts_once() {
+async fn a_repeated_answer_counts_once() {
     let run = ExternallyDecidedRun::start("-P 2");
     let rogue = MisbehavingPolicy::at(&run).await;
     rogue
         .serve(|question, asked| {
             for _ in 0..2 {
-                say(question, &rogue.idle(asked));
+                send_reply(question, &rogue.idle(asked));
             }
             asked["tti"] != 399
         })
@@ -60,8 +60,8 @@ async fn an_answer_that_comes_twice_counts_once() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn invalid_decisions_are_reported_and_end_the_run_or_are_dropped() {
-    let nonsense: [(&str, CorruptReply); 6] = [
+async fn invalid_answers_end_the_run_or_are_dropped() {
+    let invalid_answers: [(&str, CorruptReply); 6] = [
         ("no device 30", |answer| answer["sense"] = json!([30])),
         ("one of", |answer| answer["action"] = json!([0])),
         ("unknown field", |answer| answer["senses"] = json!([1])),
@@ -69,16 +69,16 @@ async fn invalid_decisions_are_reported_and_end_the_run_or_are_dropped() {
         ("(seq, tti, stage)", |answer| answer["tti"] = json!(7)),
         ("(seq, tti, stage)", |answer| answer["stage"] = json!("wake")),
     ];
-    for (why, spoil) in nonsense {
+    for (why, corrupt) in invalid_answers {
         let run = ExternallyDecidedRun::start("-P 0");
         let rogue = MisbehavingPolicy::at(&run).await;
-        let mut told = 0;
+        let mut refusals_received = 0;
         rogue
             .serve(|question, asked| {
                 let mut answer = rogue.idle(asked);
-                spoil(&mut answer);
-                say(question, &answer);
-                told += u32::from(asked["refused"].is_string());
+                corrupt(&mut answer);
+                send_reply(question, &answer);
+                refusals_received += u32::from(asked["refused"].is_string());
                 true
             })
             .await;
@@ -88,22 +88,23 @@ async fn invalid_decisions_are_reported_and_end_the_run_or_are_dropped() {
             end.stderr.contains("3 invalid answers") && end.stderr.contains(why),
             "{end}"
         );
-        assert_eq!(told, 2, "the policy receives the errors");
+        // The third invalid answer ends the run, without another request.
+        assert_eq!(refusals_received, 2, "reasons that the policy received");
     }
-    // The sender of these answers is unknown: a stranger could otherwise end the run with them.
-    let strange: [(&str, ReplyAction); 3] = [
+    // Any client could have sent these answers, so they must not count as invalid and end the run.
+    let unattributed: [(&str, ReplyAction); 3] = [
         ("dropped an answer", |question, _| {
-            question.answer(b"{".to_vec(), Encoding::Json).expect("answered");
+            question.reply(b"{".to_vec(), Encoding::Json).expect("answered");
         }),
         ("dropped an answer", |question, mut answer| {
             answer["id"] = json!("another");
-            say(question, &answer);
+            send_reply(question, &answer);
         }),
         ("returned an error: no time", |question, _| {
             question.reply_error("no time").expect("answered");
         }),
     ];
-    for (why, act) in strange {
+    for (why, act) in unattributed {
         let run = ExternallyDecidedRun::start("-P 0 --decision-timeout 1s");
         let rogue = MisbehavingPolicy::at(&run).await;
         rogue
@@ -128,36 +129,34 @@ async fn invalid_decisions_are_reported_and_end_the_run_or_are_dropped() {
                 answer["id"] = json!("rogue");
                 answer["next"] = json!(3);
             }
-            say(question, &answer);
+            send_reply(question, &answer);
             asked["tti"] != 399
         })
         .await;
     let (folder, end) = run.finish();
     assert!(end.is_success(), "{end}");
     let summary = end.summary();
-    let counted = |name: &str| summary.number(&format!("timing.{name}"));
-    assert!(
-        counted("decisions_held") >= 1 && counted("decisions_refused") >= 3,
-        "{end}"
-    );
-    let kept = folder.summary("run --policy replay=out/inputs.log");
-    assert_eq!(kept.digest(), summary.digest());
+    let count = |name: &str| summary.number(&format!("timing.{name}"));
+    assert!(count("decisions_held") >= 1 && count("decisions_refused") >= 3, "{end}");
+    let replayed = folder.summary("run --policy replay=out/inputs.log");
+    assert_eq!(replayed.digest(), summary.digest());
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_late_answer_does_not_answer_another_request() {
+async fn a_late_answer_does_not_count_for_another_request() {
     let run = ExternallyDecidedRun::start("-P 2 --decision-timeout 300ms --on-undecided hold");
     let rogue = MisbehavingPolicy::at(&run).await;
-    let mut slept = 0;
+    let mut has_slept = false;
     rogue
         .serve(|question, asked| {
-            if asked["tti"] == 60 && slept < 1 {
-                slept += 1;
+            if asked["tti"] == 60 && !has_slept {
+                has_slept = true;
                 std::thread::sleep(Duration::from_millis(900));
             }
-            // No query waits for a late answer.
-            let late = question.answer(rogue.idle(asked).to_string().into_bytes(), Encoding::Json);
-            let _nobody_waits = late.is_err();
+            // The query of a late answer has timed out, so its reply may fail.
+            let _timed_out = question
+                .reply(rogue.idle(asked).to_string().into_bytes(), Encoding::Json)
+                .is_err();
             asked["tti"] != 399
         })
         .await;
@@ -165,56 +164,59 @@ async fn a_late_answer_does_not_answer_another_request() {
     assert!(end.is_success(), "{end}");
     let summary = end.summary();
     assert!(summary.number("timing.decisions_held") >= 1, "{end}");
-    let kept = folder.summary("run --policy replay=out/inputs.log");
-    assert_eq!(kept.digest(), summary.digest());
+    let replayed = folder.summary("run --policy replay=out/inputs.log");
+    assert_eq!(replayed.digest(), summary.digest());
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_policy_without_the_key_decides_nothing() {
+async fn a_policy_process_without_the_key_cannot_decide() {
     let (transcript, digest) = own("age-index", &[]);
     let run = ExternallyDecidedRun::start("-P 2 --pace 2ms");
     let bus = run.bus().await;
-    let stranger = ClientIdentity {
+    let keyless_identity = ClientIdentity {
         name: "a stranger".to_owned(),
         run_key: Some(Secret::new([7; 16])),
         encoding: Encoding::Json,
     };
-    let mut strange = |_: &DecisionRequest| Decision::Wake(Vec::new());
-    let greeting = client::decide(&bus, &stranger, &mut strange);
-    let said = async {
+    let mut keyless_policy = |_: &DecisionRequest| Decision::Wake(Vec::new());
+    let keyless_client = client::serve_decisions(&bus, &keyless_identity, &mut keyless_policy);
+    let warning_logged = async {
         while !run.process.stderr().contains("does not show the run's key") {
             tokio::time::sleep(Duration::from_millis(20)).await;
         }
     };
-    let (refused, ()) = tokio::join!(greeting, said);
+    let (refused, ()) = tokio::join!(keyless_client, warning_logged);
     let refused = refused.expect_err("the client gets an error").to_string();
     assert!(refused.contains("does not show the run's key"), "{refused}");
-    // The forger stays, and answers requests that are for others.
-    let id = std::sync::Mutex::new(String::new());
+    // A forger answers the requests to another process, whose id it reads from them.
+    let forged_id = std::sync::Mutex::new(String::new());
     let forger = Bus::connect(&run.endpoint, run.run.parse().expect("a name"), PATIENCE)
         .await
         .expect("it listens");
-    let questions = forger.serve_policy_port().expect("a queryable");
+    let requests = forger.serve_policy_port().expect("a queryable");
     let forging = async {
-        while let Some(question) = questions.next().await {
-            let Ok(asked) = question.encoding.decode::<DecisionRequest>(&question.payload) else {
+        while let Some(request) = requests.next().await {
+            let Ok(asked) = request.encoding.decode::<DecisionRequest>(&request.payload) else {
                 continue;
             };
-            id.lock().expect("one thread").clone_from(&asked.to);
+            forged_id.lock().expect("one thread").clone_from(&asked.to);
             let forged = DecisionReply {
                 wake: Some(Vec::new()),
                 ..DecisionReply::for_request(&asked.head, &asked.to, "")
             };
-            let _gone = question
-                .answer(question.encoding.encode(&forged), question.encoding)
+            let _run_ended = request
+                .reply(request.encoding.encode(&forged), request.encoding)
                 .is_err();
         }
     };
     tokio::select! {
-        decided = run.decide(Encoding::Json, |asked| answer(&transcript, asked)) => assert!(decided >= 400),
+        answer_count = run.decide(Encoding::Json, |asked| answer(&transcript, asked)) => assert!(answer_count >= 400),
         () = forging => panic!("the forger's session has ended"),
     }
-    assert!(!id.lock().expect("one thread").is_empty(), "he heard questions");
+    assert!(
+        !forged_id.lock().expect("one thread").is_empty(),
+        "the forger received no request"
+    );
     let (_, end) = run.finish();
     assert!(end.is_success(), "{end}");
     assert_eq!(end.summary().digest(), digest);

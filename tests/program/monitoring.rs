@@ -1,4 +1,5 @@
-//! Prometheus metrics of a run: they do not affect the run, and an unusable address is reported before it begins.
+//! Prometheus metrics (`--metrics`) of `run` and `up`: they do not change the digest, are served to this machine only,
+//! and an unusable address is refused before the run. `tests/monitoring/` reads them with Prometheus.
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
@@ -19,13 +20,15 @@ fn get(address: &str, path: &str, host: &str) -> String {
 }
 
 #[test]
-fn observed_runs_have_the_same_digest() {
+fn metrics_and_recording_do_not_change_the_digest() {
     let folder = TestFolder::new();
     let plain = folder.run("run -p knn -n 30 -k 600 --quiet --out a");
     assert!(plain.is_success(), "{plain}");
-    for (nth, command) in ["run", "up -P 2", "up -P 0 --no-lookahead"].into_iter().enumerate() {
-        let watch = format!("--record {nth}.mcap --record-states 7 --metrics 127.0.0.1:0");
-        let end = folder.run(&format!("{command} -p knn -n 30 -k 600 --quiet --out w{nth} {watch}"));
+    for (index, command) in ["run", "up -P 2", "up -P 0 --no-lookahead"].into_iter().enumerate() {
+        let observers = format!("--record {index}.mcap --record-states 7 --metrics 127.0.0.1:0");
+        let end = folder.run(&format!(
+            "{command} -p knn -n 30 -k 600 --quiet --out w{index} {observers}"
+        ));
         assert!(end.is_success() && end.stdout == plain.stdout, "{end}");
     }
 }
@@ -37,8 +40,8 @@ fn metrics_are_served_only_to_this_machine() {
         "up -P 1 -n 10 -k 60 --paused --run {run} --quiet --out o --metrics 127.0.0.1:0"
     ));
     up.wait_for_stderr("/metrics");
-    let said = up.stderr();
-    let address = said
+    let stderr = up.stderr();
+    let address = stderr
         .split("http://")
         .nth(1)
         .and_then(|rest| rest.split('/').next())
@@ -57,10 +60,10 @@ fn metrics_are_served_only_to_this_machine() {
 }
 
 #[test]
-fn an_address_that_cannot_be_listened_on_is_refused() {
+fn an_unusable_address_is_refused_before_the_run() {
     let folder = TestFolder::new();
-    let taken = TcpListener::bind("127.0.0.1:0").expect("a port");
-    let address = taken.local_addr().expect("bound");
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
+    let address = listener.local_addr().expect("bound");
     for command in ["run", "up -P 1"] {
         let end = folder.run(&format!("{command} -n 5 -k 60 --quiet --metrics {address}"));
         assert_refused(&end, 1, &[&format!("--metrics {address}"), "in use"]);

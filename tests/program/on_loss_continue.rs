@@ -1,14 +1,15 @@
-//! `--on-loss continue`: a killed process becomes a stored device removal, so the run can be repeated.
+//! `up --on-loss continue`: a killed device process becomes a logged removal of its devices. The audit is complete, and
+//! `run --input-log` gives the digest and tables again, also after a resume.
 
 use reveille_tests::process::{PATIENCE, SummaryJson, TestFolder, hosts_of, send_signal, unique_run, wait_until};
 use rustix::process::Signal;
 
 #[test]
-fn a_run_continues_without_a_killed_process() {
+fn a_run_without_killed_processes_can_be_repeated() {
     let (folder, run) = (TestFolder::new(), unique_run("outage"));
     // Sums are requested in every TTI, and for some TTIs only part of them arrives.
     let scenario = "-n 24 -k 900 -p knn --window 1";
-    let whole = folder.summary(&format!("run {scenario}"));
+    let undisturbed = folder.summary(&format!("run {scenario}"));
     let up = folder.start(&format!(
         "up {scenario} -P 4 --pace 4ms --on-loss continue --audit on --out out --record out.mcap --run {run} --json"
     ));
@@ -16,7 +17,7 @@ fn a_run_continues_without_a_killed_process() {
         let tti = folder.wait_for_tti(&run, 10);
         let hosts = hosts_of(&run);
         send_signal(hosts[1], Signal::KILL);
-        wait_until("one process less", PATIENCE, || {
+        wait_until("the process to end", PATIENCE, || {
             (hosts_of(&run).len() == left).then_some(())
         });
         folder.wait_for_tti(&run, tti + 60);
@@ -26,20 +27,19 @@ fn a_run_continues_without_a_killed_process() {
     assert!(end.stderr.contains("the run continues without its devices"), "{end}");
     let summary = end.summary();
     assert_eq!((summary.status(), summary.text("audit")), ("complete", "complete"));
-    assert_ne!(summary.digest(), whole.digest());
-    let left_out = "\"removed_pct\": 0.0";
-    assert!(!end.stdout.contains(left_out), "{end}");
+    assert_ne!(summary.digest(), undisturbed.digest());
+    assert!(!end.stdout.contains("\"removed_pct\": 0.0"), "{end}");
     let read = |name: &str| String::from_utf8(folder.bytes(name)).expect("text");
     let log = read("out/inputs.log");
     assert_eq!(
         log.lines().filter(|line| line.contains("\"count\":6")).count(),
         2,
-        "{log}"
+        "two removals of 24 / 4 devices: {log}"
     );
 
     let again = folder.summary(&format!("run {scenario} --input-log out/inputs.log --out again"));
     assert_eq!(again.digest(), summary.digest());
-    assert_eq!(read("again/inputs.log"), log, "the folder is whole");
+    assert_eq!(read("again/inputs.log"), log, "the input log of the repeated run");
     for table in ["events.csv", "devices.csv", "windows.csv"] {
         assert_eq!(
             read(&format!("again/{table}")),
@@ -50,16 +50,16 @@ fn a_run_continues_without_a_killed_process() {
     let verified = folder.run("inspect verify out.mcap");
     assert!(verified.is_success(), "{verified}");
 
-    let other = folder.run(&format!("run {scenario} --seed 2 --input-log out/inputs.log"));
+    let other_seed = folder.run(&format!("run {scenario} --seed 2 --input-log out/inputs.log"));
     assert!(
-        other.code() == Some(1) && other.stderr.contains("another scenario or seed"),
-        "{other}"
+        other_seed.code() == Some(1) && other_seed.stderr.contains("another scenario or seed"),
+        "{other_seed}"
     );
-    std::fs::write(folder.join("torn.log"), "no log\n").expect("writable");
-    let torn = folder.run(&format!("run {scenario} --input-log torn.log"));
+    std::fs::write(folder.join("invalid.log"), "no log\n").expect("writable");
+    let invalid = folder.run(&format!("run {scenario} --input-log invalid.log"));
     assert!(
-        torn.code() == Some(1) && torn.stderr.contains("line 1, column "),
-        "{torn}"
+        invalid.code() == Some(1) && invalid.stderr.contains("line 1, column "),
+        "{invalid}"
     );
 }
 
@@ -71,10 +71,10 @@ fn a_killed_run_with_removed_devices_resumes() {
     ));
     folder.wait_for_tti(&run, 10);
     send_signal(hosts_of(&run)[0], Signal::KILL);
-    wait_until("an outage", PATIENCE, || {
+    wait_until("the log of the removal", PATIENCE, || {
         folder.list("out").contains(&"inputs.log".to_owned()).then_some(())
     });
-    wait_until("a mark", PATIENCE, || {
+    wait_until("a resume mark", PATIENCE, || {
         folder.list("out").contains(&"resume.json".to_owned()).then_some(())
     });
     up.signal(Signal::KILL);
@@ -86,7 +86,7 @@ fn a_killed_run_with_removed_devices_resumes() {
     ));
     let tti = folder.wait_for_tti(&run, 10);
     send_signal(hosts_of(&run)[0], Signal::KILL);
-    wait_until("one process less", PATIENCE, || {
+    wait_until("the process to end", PATIENCE, || {
         (hosts_of(&run).len() == 1).then_some(())
     });
     folder.wait_for_tti(&run, tti + 60);
@@ -95,6 +95,6 @@ fn a_killed_run_with_removed_devices_resumes() {
     let summary = SummaryJson::read(&folder.join("out"));
     let again = folder.summary("run -n 20 -k 1500 -p age-index --input-log out/inputs.log");
     assert_eq!((summary.digest(), summary.status()), (again.digest(), "complete"));
-    let gone = summary.metric("removed_pct");
-    assert!(gone > 0.0 && gone < 100.0, "{gone}");
+    let removed_pct = summary.metric("removed_pct");
+    assert!(removed_pct > 0.0 && removed_pct < 100.0, "{removed_pct} %");
 }

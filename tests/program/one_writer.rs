@@ -1,4 +1,5 @@
-//! A run folder or recording has one writer: active output is never replaced, output of a killed run can be.
+//! A run folder or recording has one writer: no command replaces the output of an active run, `--force` replaces the
+//! output of a killed one, and a folder without a run stays unchanged.
 
 use std::fs;
 
@@ -8,7 +9,7 @@ use reveille_tests::process::{
 use rustix::process::Signal;
 
 /// Starts `up` with two device processes in the folder `out`, and waits past its first TTIs.
-fn alive(folder: &TestFolder, run: &str, args: &str) -> Process {
+fn start_run(folder: &TestFolder, run: &str, args: &str) -> Process {
     let up = folder.start(&format!(
         "up -P 2 -n 30 -k 12000 --pace 5ms --out out --run {run} {args}"
     ));
@@ -17,16 +18,16 @@ fn alive(folder: &TestFolder, run: &str, args: &str) -> Process {
 }
 
 /// Waits until no device process of `run` is left.
-fn gone(run: &str) {
+fn assert_no_process_left(run: &str) {
     wait_until("the device processes to end", PATIENCE, || {
         hosts_of(run).is_empty().then_some(())
     });
 }
 
 #[test]
-fn a_running_run_is_never_replaced() {
+fn an_active_run_is_never_replaced() {
     let (folder, run) = (TestFolder::new(), unique_run("writer"));
-    let up = alive(&folder, &run, "");
+    let up = start_run(&folder, &run, "");
     let scenario = folder.bytes("out/scenario.toml");
     let pid = format!("(pid {})", up.pid());
     for command in ["run", "up -P 0", "bs --run other --listen tcp/127.0.0.1:0"] {
@@ -51,13 +52,13 @@ fn a_running_run_is_never_replaced() {
 }
 
 #[test]
-fn killed_and_running_runs_are_distinguished() {
+fn a_killed_run_is_replaced_only_with_force() {
     let (folder, run) = (TestFolder::new(), unique_run("stale"));
     let expected = folder.summary("run -n 7 -k 50");
-    let up = alive(&folder, &run, "");
+    let up = start_run(&folder, &run, "");
     up.signal(Signal::KILL);
     up.finish();
-    gone(&run);
+    assert_no_process_left(&run);
     assert!(folder.list("out").contains(&"RUNNING".to_owned()));
     let end = folder.run("run -n 7 -k 50 --out out");
     assert_refused(&end, 1, &["--out out", "killed run", "--force"]);
@@ -65,7 +66,7 @@ fn killed_and_running_runs_are_distinguished() {
     assert_refused(&record, 1, &["out", "killed"]);
     assert!(
         folder.list("out").contains(&"RUNNING".to_owned()),
-        "it is left as it was"
+        "the refused commands left the folder unchanged"
     );
     let replaced = folder.summary("up -P 2 -n 7 -k 50 --out out --force");
     assert_eq!(replaced.digest(), expected.digest());
@@ -82,7 +83,7 @@ fn killed_and_running_runs_are_distinguished() {
 }
 
 #[test]
-fn of_simultaneous_runs_one_gets_the_folder() {
+fn of_simultaneous_runs_one_writes_the_folder() {
     let folder = TestFolder::new();
     for force in [false, true] {
         let args = |seed: u64| {
@@ -93,20 +94,21 @@ fn of_simultaneous_runs_one_gets_the_folder() {
         };
         let runs: Vec<Process> = (1..=6).map(|seed| folder.start(&args(seed))).collect();
         let ends: Vec<FinishedProcess> = runs.into_iter().map(Process::finish).collect();
-        let (won, lost): (Vec<&FinishedProcess>, Vec<&FinishedProcess>) = ends.iter().partition(|end| end.is_success());
-        for end in lost {
+        let (winners, losers): (Vec<&FinishedProcess>, Vec<&FinishedProcess>) =
+            ends.iter().partition(|end| end.is_success());
+        for end in losers {
             assert_refused(end, 1, &["--out new"]);
         }
         // With --force a later run may replace one that has ended.
-        assert!(if force { !won.is_empty() } else { won.len() == 1 }, "{ends:?}");
+        assert!(if force { !winners.is_empty() } else { winners.len() == 1 }, "{ends:?}");
         let kept = SummaryJson::read(&folder.join("new"));
-        assert!(won.iter().any(|end| end.summary().digest() == kept.digest()));
+        assert!(winners.iter().any(|end| end.summary().digest() == kept.digest()));
         assert!(!folder.list("new").contains(&"RUNNING".to_owned()));
         let text = String::from_utf8(folder.bytes("new/scenario.toml")).expect("text");
         let seed = kept.number("seed");
         assert!(
             text.contains(&format!("seed = {seed}")),
-            "one run's scenario, another's summary: {text}"
+            "the summary has seed {seed}, the scenario another: {text}"
         );
         fs::remove_dir_all(folder.join("new")).expect("removable");
         fs::create_dir(folder.join("new")).expect("possible");
@@ -117,8 +119,8 @@ fn of_simultaneous_runs_one_gets_the_folder() {
 fn a_folder_without_a_run_stays_unchanged() {
     let folder = TestFolder::new();
     fs::create_dir(folder.join("mine")).expect("possible");
-    folder.write("mine/letter", "dear");
-    for mark in [None, Some("to the sea")] {
+    folder.write("mine/letter.txt", "a text");
+    for mark in [None, Some("a text")] {
         if let Some(mark) = mark {
             folder.write("mine/RUNNING", mark);
         }
@@ -129,13 +131,13 @@ fn a_folder_without_a_run_stays_unchanged() {
             assert_eq!(folder.list("mine"), before);
         }
     }
-    assert_eq!(folder.bytes("mine/RUNNING"), b"to the sea");
+    assert_eq!(folder.bytes("mine/RUNNING"), b"a text");
 }
 
 #[test]
-fn a_growing_recording_is_never_replaced() {
-    let (folder, run) = (TestFolder::new(), unique_run("tape"));
-    let up = alive(&folder, &run, "--record r.mcap");
+fn an_active_recording_is_never_replaced() {
+    let (folder, run) = (TestFolder::new(), unique_run("recording"));
+    let up = start_run(&folder, &run, "--record r.mcap");
     let end = folder.run("run -n 7 -k 50 --out other --record r.mcap --force");
     assert_refused(&end, 1, &["--record r.mcap", "is recording", "--force never"]);
     assert!(!folder.join("other").exists());
@@ -156,34 +158,35 @@ fn a_growing_recording_is_never_replaced() {
 }
 
 #[test]
-fn a_killed_run_keeps_complete_rows_up_to_the_last_second() {
+fn a_killed_run_keeps_complete_rows_up_to_its_last_seconds() {
     let (folder, run) = (TestFolder::new(), unique_run("rows"));
     let up = folder.start(&format!(
         "up -P 2 -n 30 -k 12000 --pace 5ms --window 10 --set events.alpha=0.2 --out out --run {run}"
     ));
     folder.wait_for_tti(&run, 10);
-    let began = now();
-    let at = folder.wait_for_tti(&run, 400);
+    let started = now();
+    let reached = folder.wait_for_tti(&run, 400);
     // Rows are flushed once a second, and the machine may be busy.
-    let rows = |name: &str| {
+    let row_count = |name: &str| {
         let text = String::from_utf8(folder.bytes(&format!("out/{name}"))).expect("text");
-        assert!(text.ends_with('\n'), "half a row: {text}");
+        assert!(text.ends_with('\n'), "incomplete row: {text}");
         let columns = text.lines().next().expect("a header").split(',').count();
         assert!(text.lines().all(|line| line.split(',').count() == columns), "{text}");
         text.lines().count() - 1
     };
     wait_until("the rows to be written during the run", PATIENCE, || {
-        (rows("windows.csv") as u64 >= at / 10).then_some(())
+        (row_count("windows.csv") as u64 >= reached / 10).then_some(())
     });
     let tti = folder.wait_for_tti(&run, 0);
+    // The run has 12 000 TTIs.
     assert!(
         tti < 11_000,
-        "only at the end, {:?} after the beginning",
-        began.elapsed()
+        "rows were written only near the end, {:?} after the start",
+        started.elapsed()
     );
     up.signal(Signal::KILL);
     up.finish();
-    assert!(rows("windows.csv") as u64 >= at / 10);
-    assert!(rows("events.csv") > 5);
-    gone(&run);
+    assert!(row_count("windows.csv") as u64 >= reached / 10);
+    assert!(row_count("events.csv") > 5);
+    assert_no_process_left(&run);
 }

@@ -1,5 +1,6 @@
-//! External decisions over the bus: a built-in policy's decisions give its digest even if processes are killed or join
-//! late. A run without a policy process reports it.
+//! External decisions over the bus: a policy process that repeats the decisions of a built-in policy gives its digest,
+//! also with killed processes, a resume and late observers. Runs without a policy process, and policy commands.
+//! `misbehaving_policy.rs` tests invalid replies.
 
 use std::time::Duration;
 
@@ -21,7 +22,7 @@ use reveille_tests::process::{
 use rustix::process::Signal;
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_decisions_of_a_policy_give_its_digest() {
+async fn external_decisions_of_a_policy_give_its_digest() {
     let reported = ["bs.battery_knowledge=reported", "bs.ranking=posterior"];
     let lossy = ["radio.uplink_loss=0.2", "radio.plan_loss=0.1", "radio.wake_latency=1"];
     let cases: [(&str, &[&str], Encoding, &str); 5] = [
@@ -31,12 +32,12 @@ async fn the_decisions_of_a_policy_give_its_digest() {
         ("random", &[], Encoding::Json, "-P 0 --on-loss end"),
         ("dt", &reported, Encoding::Cbor, "-P 30 --window 7"),
     ];
-    for (policy, set, form, way) in cases {
-        let (transcript, digest) = own(policy, set);
-        let set: Vec<String> = set.iter().map(|set| format!(" --set {set}")).collect();
+    for (policy, fields, encoding, mode) in cases {
+        let (transcript, digest) = own(policy, fields);
+        let set: Vec<String> = fields.iter().map(|field| format!(" --set {field}")).collect();
         let set = set.concat();
-        let run = ExternallyDecidedRun::start(&format!("{way} --audit on{set}"));
-        let decided = run.decide(form, |asked| answer(&transcript, asked)).await;
+        let run = ExternallyDecidedRun::start(&format!("{mode} --audit on{set}"));
+        let answer_count = run.decide(encoding, |asked| answer(&transcript, asked)).await;
         let (folder, end) = run.finish();
         assert!(end.is_success(), "{policy}: {end}");
         let summary = end.summary();
@@ -46,17 +47,17 @@ async fn the_decisions_of_a_policy_give_its_digest() {
             "{policy}: {end}"
         );
         assert!(
-            (summary.number("timing.decisions"), decided) >= (400, 400),
-            "{policy}: {decided}"
+            (summary.number("timing.decisions"), answer_count) >= (400, 400),
+            "{policy}: {answer_count} answers"
         );
 
-        // Without a policy process, in memory and on the bus, by folder or by scenario.
-        let kept = "--policy replay=out/inputs.log";
+        // Replays in memory and on the bus, with the scenario of the folder or of the options.
+        let replay = "--policy replay=out/inputs.log";
         for command in [
-            format!("run {kept}"),
-            format!("run {kept} --no-lookahead"),
-            format!("run {SMALL}{set} {kept}"),
-            format!("up -P 2 {kept}"),
+            format!("run {replay}"),
+            format!("run {replay} --no-lookahead"),
+            format!("run {SMALL}{set} {replay}"),
+            format!("up -P 2 {replay}"),
         ] {
             let again = folder.summary(&command);
             assert_eq!(
@@ -69,30 +70,30 @@ async fn the_decisions_of_a_policy_give_its_digest() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn killed_processes_change_no_result() {
+async fn killed_policy_and_device_processes_do_not_change_the_digest() {
     let (transcript, digest) = own("age-index", &[]);
     let run = ExternallyDecidedRun::start("-P 4 --pace 4ms --audit on");
     let key = run.key();
-    let introduction = |name: &str| ClientIdentity {
+    let identity = |name: &str| ClientIdentity {
         name: name.to_owned(),
         run_key: Some(key),
         encoding: Encoding::Cbor,
     };
-    // The first policy process leaves at an arbitrary point midway.
-    let (bus, own_name) = (run.bus().await, introduction("the first"));
-    let mut first = |asked: &DecisionRequest| answer(&transcript, asked);
-    let first = client::decide(&bus, &own_name, &mut first);
-    let gone = tokio::time::timeout(Duration::from_millis(700), first).await;
-    assert!(gone.is_err(), "the run must be longer");
+    // The first policy process stops at an arbitrary point midway.
+    let (bus, first_identity) = (run.bus().await, identity("the first"));
+    let mut first_policy = |asked: &DecisionRequest| answer(&transcript, asked);
+    let first_client = client::serve_decisions(&bus, &first_identity, &mut first_policy);
+    let stopped = tokio::time::timeout(Duration::from_millis(700), first_client).await;
+    assert!(stopped.is_err(), "the run ended within 700 ms");
     bus.close().await;
-    let victim = hosts_of(&run.run)[1];
-    let decider = run.decide(Encoding::Json, |asked| {
+    let killed_host = hosts_of(&run.run)[1];
+    run.decide(Encoding::Json, |asked| {
         if asked.head.tti == 350 {
-            send_signal(victim, Signal::KILL);
+            send_signal(killed_host, Signal::KILL);
         }
         answer(&transcript, asked)
-    });
-    decider.await;
+    })
+    .await;
     let (_, end) = run.finish();
     assert!(end.is_success(), "{end}");
     assert_eq!(
@@ -107,61 +108,58 @@ async fn killed_processes_change_no_result() {
 async fn a_resumed_base_station_requests_only_new_decisions() {
     let (transcript, digest) = own("q-learning", &[]);
     let run = ExternallyDecidedRun::start("-P 2 --pace 8ms");
-    let asked_before = {
-        let (folder, name) = (run.folder.path().to_owned(), run.run.clone());
-        let decider = run.decide(Encoding::Cbor, |asked| {
+    let answers_before = run
+        .decide(Encoding::Cbor, |asked| {
             if asked.head.tti == 300 {
                 send_signal(run.process.pid(), Signal::KILL);
             }
             answer(&transcript, asked)
-        });
-        let asked = decider.await;
-        assert!(folder.join("out/resume.json").is_file(), "{name}: a mark");
-        asked
-    };
+        })
+        .await;
     let (folder, _) = run.finish();
+    assert!(folder.join("out/resume.json").is_file(), "no resume mark");
     let lines = String::from_utf8(folder.bytes("out/inputs.log"))
         .expect("text")
         .lines()
         .count() as u64;
-    assert!(lines >= asked_before, "{lines} lines of {asked_before} decisions");
-    let again = ExternallyDecidedRun::start_in(folder, "up --resume out -P 3 --audit on");
-    let mut first = None;
-    again
+    assert!(lines >= answers_before, "{lines} lines after {answers_before} answers");
+    let resumed = ExternallyDecidedRun::start_in(folder, "up --resume out -P 3 --audit on");
+    let mut first_seq = None;
+    resumed
         .decide(Encoding::Cbor, |asked| {
-            first.get_or_insert(asked.head.seq);
+            first_seq.get_or_insert(asked.head.seq);
             answer(&transcript, asked)
         })
         .await;
-    let (folder, end) = again.finish();
+    let (folder, end) = resumed.finish();
     assert!(end.is_success(), "{end}");
     assert_eq!(SummaryJson::read(&folder.join("out")).digest(), digest);
-    // The request during which it was killed may not have arrived.
+    // The last answers before the kill may not have arrived.
     assert!(
-        first.is_some_and(|first| first + 3 >= asked_before),
-        "{first:?} after {asked_before}"
+        first_seq.is_some_and(|seq| seq + 3 >= answers_before),
+        "resumed at request {first_seq:?} after {answers_before} answers"
     );
-    let kept = folder.summary("run --policy replay=out/inputs.log");
-    assert_eq!(kept.digest(), digest);
+    let replayed = folder.summary("run --policy replay=out/inputs.log");
+    assert_eq!(replayed.digest(), digest);
 }
 
-/// A recording that begins late and one by the run itself are both complete.
+/// A recording that another process begins late equals the recording of the run itself.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_run_that_is_joined_late_is_whole() {
+async fn a_late_recording_is_complete() {
     let (transcript, digest) = own("age-index", &["bs.sync_interval=1000"]);
     let run = ExternallyDecidedRun::start("-P 2 --pace 3ms --record whole.mcap --set bs.sync_interval=1000");
     let mut late = None;
     run.decide(Encoding::Json, |asked| {
         if asked.head.tti == 150 && late.is_none() {
             let record = run.folder.start(&format!("inspect record late.mcap --run {}", run.run));
-            // The clock stands until the request is answered.
+            // Virtual time stops until the request is answered.
             record.wait_for_stderr("connected to run");
             late = Some(record);
         }
         answer(&transcript, asked)
     })
     .await;
-    let recorded = late.expect("it was asked").finish();
+    let recorded = late.expect("a request in TTI 150").finish();
     assert!(recorded.is_success(), "{recorded}");
     let (folder, end) = run.finish();
     assert!(end.is_success(), "{end}");
@@ -172,28 +170,26 @@ async fn a_run_that_is_joined_late_is_whole() {
     assert!(verified.is_success() && verified.stdout.contains(&digest), "{verified}");
 }
 
-/// The input log is larger than one transfer.
+/// An observer that joins late receives an input log longer than one transfer.
 #[test]
-fn a_run_with_a_long_log_is_joined_late() {
+fn a_late_recording_of_a_run_with_a_long_input_log_is_complete() {
     let (folder, run) = (TestFolder::new(), unique_run("long"));
     let set = ["policy.name=external", "devices=1000", "ttis=240"];
     let set = set.map(|set| Override::parse(set).expect("an override"));
     let scenario = load("paper", &set, &outside::kinds_with_external(), &Disk)
         .expect("a scenario")
         .scenario;
-    let asleep = |offset: u64| DutyCycle {
+    // No device ever senses, and the different offsets make the log long.
+    let sleeping = |offset: u64| DutyCycle {
         t_on: 0,
         t_drx: DutyCycle::MAX_T_DRX,
         offset: (offset % u64::from(DutyCycle::MAX_T_DRX)) as u32,
     };
     let plans = (0..scenario.run.ttis).map(|k| {
-        let cycles = (0..1000).map(|j| asleep((k * 1000 + j) * 7_919_777)).collect();
+        let cycles = (0..1000).map(|j| sleeping((k * 1000 + j) * 7_919_777)).collect();
         let (plan, next) = (Plan::Periodic(cycles), Tti(k + 1));
-        let answer = Decision::Plan(PlanDecision { plan, next });
-        line(&ExternalInput::Decision(RecordedDecision {
-            tti: Tti(k),
-            decision: answer,
-        }))
+        let decision = Decision::Plan(PlanDecision { plan, next });
+        line(&ExternalInput::Decision(RecordedDecision { tti: Tti(k), decision }))
     });
     let log = first_line(&scenario) + &plans.collect::<String>();
     assert!(log.len() as u64 > InputLogPart::MAX_BYTES, "{} bytes", log.len());
@@ -215,7 +211,7 @@ fn a_run_with_a_long_log_is_joined_late() {
 
 /// The base station is killed in a TTI with lost devices and undecided wake-ups.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_run_killed_during_wake_ups_resumes_before_them() {
+async fn a_run_killed_with_undecided_wake_ups_resumes_before_them() {
     let (transcript, _) = own("age-index", &[]);
     let run = ExternallyDecidedRun::start("-P 3 --pace 4ms --on-loss continue");
     run.key();
@@ -226,18 +222,18 @@ async fn a_run_killed_during_wake_ups_resumes_before_them() {
         if is_wake && tti > 100 && lost_in.is_none() {
             lost_in = Some(tti);
             send_signal(hosts_of(&name)[0], Signal::KILL);
-            wait_until("one process less", PATIENCE, || {
+            wait_until("the process to end", PATIENCE, || {
                 (hosts_of(&name).len() == 2).then_some(())
             });
             std::thread::sleep(Duration::from_millis(300));
-            // Devices of other hosts, so that another request follows.
-            let own = asked
+            // The last device belongs to another host, so that another request follows.
+            let device = asked
                 .action_mask
                 .0
                 .iter()
                 .rposition(|bit| *bit == 2)
                 .expect("a device sleeps");
-            return Decision::Wake(vec![DeviceId(own as u32)]);
+            return Decision::Wake(vec![DeviceId(device as u32)]);
         }
         if lost_in.is_some() {
             send_signal(bs, Signal::KILL);
@@ -246,22 +242,22 @@ async fn a_run_killed_during_wake_ups_resumes_before_them() {
     })
     .await;
     let (folder, _) = run.finish();
-    let again = ExternallyDecidedRun::start_in(folder, "up --resume out -P 3 --audit on --on-loss continue");
-    again.decide(Encoding::Cbor, |asked| answer(&transcript, asked)).await;
-    let (folder, end) = again.finish();
+    let resumed = ExternallyDecidedRun::start_in(folder, "up --resume out -P 3 --audit on --on-loss continue");
+    resumed.decide(Encoding::Cbor, |asked| answer(&transcript, asked)).await;
+    let (folder, end) = resumed.finish();
     assert!(end.is_success(), "{end}");
     let summary = SummaryJson::read(&folder.join("out"));
-    let kept = folder.summary("run --policy replay=out");
-    assert_eq!((summary.digest(), summary.status()), (kept.digest(), "complete"));
+    let replayed = folder.summary("run --policy replay=out");
+    assert_eq!((summary.digest(), summary.status()), (replayed.digest(), "complete"));
 
-    // With a truncated log no decision is invented.
+    // A replay of a truncated log ends with an error.
     let log = String::from_utf8(folder.bytes("out/inputs.log")).expect("text");
     for lines in [2, 60, 101] {
-        let torn: Vec<&str> = log.lines().take(lines).chain([""]).collect();
-        folder.write("torn.log", &torn.join("\n"));
+        let cut_lines: Vec<&str> = log.lines().take(lines).chain([""]).collect();
+        folder.write("cut.log", &cut_lines.join("\n"));
         for command in ["run", "up -P 1"] {
-            let scenario = "--scenario out/scenario.toml --policy replay=torn.log";
-            let end = folder.run(&format!("{command} {scenario} --out torn --force"));
+            let scenario = "--scenario out/scenario.toml --policy replay=cut.log";
+            let end = folder.run(&format!("{command} {scenario} --out cut --force"));
             assert!(
                 end.code() == Some(1) && end.stderr.contains("for TTI"),
                 "{command}: {end}"
@@ -271,7 +267,7 @@ async fn a_run_killed_during_wake_ups_resumes_before_them() {
 }
 
 #[test]
-fn a_missing_policy_process_is_named_and_waited_for() {
+fn a_missing_policy_process_is_reported_and_waited_for() {
     let run = ExternallyDecidedRun::start("-P 1 --decision-timeout 1s");
     let (_, end) = run.finish();
     assert!(
@@ -279,8 +275,8 @@ fn a_missing_policy_process_is_named_and_waited_for() {
         "{end}"
     );
 
-    let two = "up -n 30 -k 2 -p external --out out -P 1 --decision-timeout 1s --on-undecided hold";
-    let run = ExternallyDecidedRun::start_in(TestFolder::new(), two);
+    let two_ttis = "up -n 30 -k 2 -p external --out out -P 1 --decision-timeout 1s --on-undecided hold";
+    let run = ExternallyDecidedRun::start_in(TestFolder::new(), two_ttis);
     let (_, end) = run.finish();
     assert!(
         end.is_success() && end.summary().number("timing.decisions_held") >= 2,
@@ -306,24 +302,21 @@ fn a_policy_command_and_its_run_end_together() {
     let folder = TestFolder::new();
     let script = folder.write(
         "policy.sh",
-        "echo told \"$REVEILLE_RUN\" >&2\ntest -n \"$REVEILLE_KEY\" || exit 3\nexit 4\n",
+        "echo policy of \"$REVEILLE_RUN\" >&2\ntest -n \"$REVEILLE_KEY\" || exit 3\nexit 4\n",
     );
-    let command = |name: &str, policy: &str| {
-        let mut command = folder.command(&format!("up {SMALL} -p external -P 2 --out {name} --run {name}"));
-        command.args(["--policy-command", policy]);
-        Process::start(&mut command)
-    };
-    let end = command("ends", &format!("sh {}", script.display())).finish();
-    assert!(end.code() == Some(1) && end.stderr.contains("told ends"), "{end}");
+    let mut up = folder.command(&format!("up {SMALL} -p external -P 2 --out ends --run ends"));
+    up.args(["--policy-command", &format!("sh {}", script.display())]);
+    let end = Process::start(&mut up).finish();
+    assert!(end.code() == Some(1) && end.stderr.contains("policy of ends"), "{end}");
     assert!(
         end.stderr.contains("the policy process") && end.stderr.contains("exit status: 4"),
         "{end}"
     );
     // A silent policy command ends with the run.
-    let (run, own) = sleeper(&folder, "sleeps", "exec sleep 1000");
+    let (run, policy) = start_with_silent_policy(&folder, "sleeps", "exec sleep 1000");
     run.signal(Signal::INT);
     assert_eq!(run.finish().code(), Some(130));
-    assert!(!lives(own), "{own} lives on");
+    assert!(!lives(policy), "process {policy} is still alive");
 }
 
 /// Neither a policy command that ignores signals nor its children outlive a killed base station.
@@ -331,10 +324,10 @@ fn a_policy_command_and_its_run_end_together() {
 fn a_policy_command_does_not_outlive_its_base_station() {
     let folder = TestFolder::new();
     let stubborn = "trap '' TERM INT HUP; sleep 1000 & echo $! > child; wait";
-    for (name, signal) in [("killed", Signal::KILL), ("hurried", Signal::INT)] {
-        let (run, own) = sleeper(&folder, name, stubborn);
-        let child = pid_in(&folder, "child");
-        assert!(lives(own) && lives(child));
+    for (name, signal) in [("killed", Signal::KILL), ("interrupted", Signal::INT)] {
+        let (run, policy) = start_with_silent_policy(&folder, name, stubborn);
+        let child = read_pid(&folder, "child");
+        assert!(lives(policy) && lives(child));
         run.signal(signal);
         if signal == Signal::INT {
             run.wait_for_stderr("repeat the signal to end immediately");
@@ -342,7 +335,7 @@ fn a_policy_command_does_not_outlive_its_base_station() {
         }
         assert!(!run.finish().is_success());
         wait_until("the command and its child to end", PATIENCE, || {
-            (!lives(own) && !lives(child)).then_some(())
+            (!lives(policy) && !lives(child)).then_some(())
         });
     }
 }
@@ -351,34 +344,37 @@ fn a_policy_command_does_not_outlive_its_base_station() {
 #[test]
 fn processes_of_a_policy_command_get_sigterm_before_sigkill() {
     let folder = TestFolder::new();
-    let child = folder.write(
+    let script = folder.write(
         "policy.sh",
         "trap 'sleep 0.4; echo done > saved; exit' TERM\necho $$ > child\nwhile :; do sleep 0.05; done\n",
     );
-    let (run, own) = sleeper(&folder, "piped", &format!("sh {} | cat", child.display()));
-    let child = pid_in(&folder, "child");
+    let command = format!("sh {} | cat", script.display());
+    let (run, policy) = start_with_silent_policy(&folder, "piped", &command);
+    let child = read_pid(&folder, "child");
     run.signal(Signal::KILL);
     run.finish();
     wait_until("the command and its child to end", PATIENCE, || {
-        (!lives(own) && !lives(child)).then_some(())
+        (!lives(policy) && !lives(child)).then_some(())
     });
     assert!(folder.list("").contains(&"saved".to_owned()));
 }
 
 /// Starts a run with a policy command that never decides; returns the run and the command's pid.
-fn sleeper(folder: &TestFolder, name: &str, command: &str) -> (Process, u32) {
-    let _none_before = std::fs::remove_file(folder.join("pid")).is_err();
-    let _none_before = std::fs::remove_file(folder.join("child")).is_err();
+fn start_with_silent_policy(folder: &TestFolder, name: &str, command: &str) -> (Process, u32) {
+    // A file of an earlier run would be read before the new one is written.
+    for file in ["pid", "child"] {
+        let _missing = std::fs::remove_file(folder.join(file)).is_err();
+    }
     let mut up = folder.command(&format!("up {SMALL} -p external -P 2 --out {name} --run {name}"));
     up.args(["--policy-command", &format!("echo $$ > pid; {command}")]);
     let run = Process::start(&mut up);
-    let own = pid_in(folder, "pid");
+    let policy = read_pid(folder, "pid");
     run.wait_for_handlers();
-    (run, own)
+    (run, policy)
 }
 
 /// Reads the pid that a command has written to a file.
-fn pid_in(folder: &TestFolder, file: &str) -> u32 {
+fn read_pid(folder: &TestFolder, file: &str) -> u32 {
     wait_until("the command to run", PATIENCE, || {
         std::fs::read_to_string(folder.join(file)).ok()?.trim().parse().ok()
     })
@@ -388,7 +384,7 @@ fn pid_in(folder: &TestFolder, file: &str) -> u32 {
 fn invalid_policy_options_are_refused_before_a_folder_exists() {
     let folder = TestFolder::new();
     folder.write("empty.log", "");
-    let refused = [
+    let cases = [
         (format!("run {SMALL} -p external"), "reveille up"),
         (
             format!("up {SMALL} -p knn --policy-command true"),
@@ -403,16 +399,31 @@ fn invalid_policy_options_are_refused_before_a_folder_exists() {
             format!("up {SMALL} --policy replay=missing.log --on-undecided hold"),
             "missing.log",
         ),
-        ("sweep --policies external --seeds 1".to_owned(), "external"),
+        (
+            "sweep --policies knn,external --seeds 1".to_owned(),
+            "--policies: policy external needs a policy process, and runs in memory have none; start each run with \
+             `reveille up --policy external",
+        ),
+        (
+            "train record --set policy.name=external --seeds 1".to_owned(),
+            "--set policy.name=external: policy external needs a policy process",
+        ),
+        (
+            "sweep --policies replay=empty.log --seeds 1".to_owned(),
+            "use `reveille run --policy replay=empty.log`",
+        ),
         (format!("figures timeline {SMALL} -p external"), "policy external: only"),
         (format!("run {SMALL} --policy replay="), "name the inputs.log of a run"),
-        (format!("run {SMALL} --policy replay=runtime"), "runtime/inputs.log"),
+        (
+            format!("run {SMALL} --policy replay=runtime"),
+            "the folder holds no run",
+        ),
         (
             format!("run {SMALL} --policy replay=empty.log"),
             "the input log is empty",
         ),
     ];
-    for (command, why) in refused {
+    for (command, why) in cases {
         let end = folder.run(&format!("{command} --out out"));
         assert!(
             matches!(end.code(), Some(1 | 2)) && end.stderr.contains(why),

@@ -1,4 +1,6 @@
-//! Lost, frozen and interrupted processes: a clear report, a clean end, and nothing left behind.
+//! Killed, frozen and interrupted base stations and device processes under `--on-loss end` and `wait`: the error names
+//! the lost host, partial results are kept, a thawed process continues with the digest of `reveille run`, and no
+//! process is left.
 
 use std::time::{Duration, Instant};
 
@@ -14,10 +16,10 @@ use rustix::process::Signal;
 const LONG: &str = "-n 30 -k 12000 --pace 5ms";
 
 /// Time limit to detect a killed device process: two seconds, doubled for a busy machine.
-const NOTICE: Duration = Duration::from_secs(4);
+const DETECTION_LIMIT: Duration = Duration::from_secs(4);
 
 /// Checks the end of a run that lost a process.
-fn assert_lost(end: &FinishedProcess, since: Instant, within: Duration) {
+fn assert_lost(end: &FinishedProcess, since: Instant, limit: Duration) {
     let took = since.elapsed();
     assert_eq!(end.code(), Some(1), "{end}");
     for part in ["lost host", "with devices ", " at TTI "] {
@@ -32,7 +34,7 @@ fn assert_lost(end: &FinishedProcess, since: Instant, within: Duration) {
         1,
         "{end}"
     );
-    assert!(took < within, "noticed only after {took:?}");
+    assert!(took < limit, "detected only after {took:?}");
 }
 
 /// Waits until no device process of `run` is left.
@@ -52,22 +54,22 @@ fn up_mid_run(folder: &TestFolder, run: &str, args: &str) -> (Process, Vec<u32>)
 }
 
 #[test]
-fn a_killed_device_process_of_up_is_noticed() {
+fn a_killed_device_process_ends_up() {
     let (folder, run) = (TestFolder::new(), unique_run("kill"));
     let (up, hosts) = up_mid_run(&folder, &run, &format!("{LONG} --on-loss end"));
     let since = now();
     send_signal(hosts[2], Signal::KILL);
     let end = up.finish();
-    assert_lost(&end, since, NOTICE);
+    assert_lost(&end, since, DETECTION_LIMIT);
     assert_no_process_left(&run);
     assert_eq!(
         folder.list("out"),
         ["FAILED", "events.csv", "resume.json", "scenario.toml", "windows.csv"]
     );
     let why = std::fs::read_to_string(folder.join("out/FAILED")).expect("readable");
-    for said in [&why, &end.stderr] {
+    for message in [&why, &end.stderr] {
         let pid = format!("with pid {} ended with signal: 9 (SIGKILL): lost host ", hosts[2]);
-        assert!(said.contains(&pid) && !said.contains("--on-loss"), "{said}");
+        assert!(message.contains(&pid) && !message.contains("--on-loss"), "{message}");
     }
 }
 
@@ -88,13 +90,13 @@ fn by_hand_mid_run(folder: &TestFolder, run: &str, args: &str) -> (Process, [Pro
 }
 
 #[test]
-fn a_killed_device_process_of_bs_is_noticed_and_named() {
-    let (folder, run) = (TestFolder::new(), unique_run("killhand"));
+fn a_killed_device_process_ends_bs_and_is_named() {
+    let (folder, run) = (TestFolder::new(), unique_run("killbs"));
     let (bs, [first, second]) = by_hand_mid_run(&folder, &run, &format!("{LONG} --on-loss end"));
     let since = now();
     first.signal(Signal::KILL);
     let end = bs.finish();
-    assert_lost(&end, since, NOTICE);
+    assert_lost(&end, since, DETECTION_LIMIT);
     assert!(end.stderr.contains("host 0 with devices 0 to 9 "), "{end}");
     let second = second.finish();
     assert_eq!(second.code(), Some(1), "the other hosts fail too: {second}");
@@ -102,7 +104,7 @@ fn a_killed_device_process_of_bs_is_noticed_and_named() {
 }
 
 #[test]
-fn a_frozen_device_process_is_lost_after_the_lease() {
+fn a_frozen_device_process_is_lost_after_its_lease() {
     let (folder, run) = (TestFolder::new(), unique_run("freeze"));
     let (up, hosts) = up_mid_run(&folder, &run, &format!("{LONG} --on-loss end"));
     let since = now();
@@ -113,18 +115,22 @@ fn a_frozen_device_process_is_lost_after_the_lease() {
     assert_no_process_left(&run);
 }
 
-/// Freezes a device process of a run for longer than the lease, then lets it continue.
-fn thawed(scenario: &str) {
+/// Freezes a device process for longer than its lease, lets it continue, and checks the digest.
+fn check_thawed_process(scenario: &str) {
     let folder = TestFolder::new();
     let expected = folder.summary(&format!("run {scenario}"));
     let run = unique_run("thaw");
     let (up, hosts) = up_mid_run(&folder, &run, &format!("{scenario} --pace 5ms --on-loss wait --json"));
     send_signal(hosts[1], Signal::STOP);
     up.wait_for_stderr("the run is waiting");
-    let held = folder.wait_for_tti(&run, 0);
+    let waiting_tti = folder.wait_for_tti(&run, 0);
     // Longer than the detection of a loss takes: four seconds in total.
     std::thread::sleep(Duration::from_secs(2));
-    assert_eq!(folder.wait_for_tti(&run, 0), held, "the run is waiting");
+    assert_eq!(
+        folder.wait_for_tti(&run, 0),
+        waiting_tti,
+        "the clock of the waiting run"
+    );
     send_signal(hosts[1], Signal::CONT);
     let end = up.finish();
     assert!(end.stderr.contains("is back"), "{end}");
@@ -136,12 +142,12 @@ fn thawed(scenario: &str) {
 
 #[test]
 fn a_thawed_device_process_continues_with_knn() {
-    thawed("-n 30 -k 800 -p knn");
+    check_thawed_process("-n 30 -k 800 -p knn");
 }
 
 #[test]
 fn a_thawed_device_process_continues_with_random() {
-    thawed("-n 30 -k 800 -p random");
+    check_thawed_process("-n 30 -k 800 -p random");
 }
 
 /// Kills the remaining device processes of a run on drop, in case the test fails.
@@ -159,7 +165,7 @@ impl Drop for ProcessReaper {
 fn no_device_process_outlives_a_killed_up() {
     let (folder, run) = (TestFolder::new(), unique_run("orphans"));
     let (up, hosts) = up_mid_run(&folder, &run, LONG);
-    let _none_left = ProcessReaper(run.clone());
+    let _reaper = ProcessReaper(run.clone());
     // A frozen process cannot exit: the kernel has to kill it.
     send_signal(hosts[0], Signal::STOP);
     up.signal(Signal::KILL);
@@ -168,13 +174,13 @@ fn no_device_process_outlives_a_killed_up() {
     assert_no_process_left(&run);
     assert!(
         folder.list("out").contains(&"RUNNING".to_owned()),
-        "the mark says that the run was killed"
+        "the file RUNNING of the killed run"
     );
     assert!(!folder.list("out").contains(&"summary.json".to_owned()));
 }
 
-/// Interrupts a run midway with `signal`.
-fn interrupted(signal: Signal, by_hand: bool) {
+/// Interrupts a run midway with `signal` and checks its partial results.
+fn check_interrupted_run(signal: Signal, by_hand: bool) {
     let (folder, run) = (TestFolder::new(), unique_run("interrupt"));
     let (process, hosts) = if by_hand {
         let (bs, hosts) = by_hand_mid_run(&folder, &run, LONG);
@@ -204,26 +210,22 @@ fn interrupted(signal: Signal, by_hand: bool) {
         assert!(host.is_success(), "{host}");
     }
     assert_no_process_left(&run);
-    assert_eq!(
-        folder.list("runtime/reveille"),
-        [""; 0],
-        "no run is registered any more"
-    );
+    assert_eq!(folder.list("runtime/reveille"), [""; 0], "registered runs");
 }
 
 #[test]
 fn sigint_ends_up_with_partial_results() {
-    interrupted(Signal::INT, false);
+    check_interrupted_run(Signal::INT, false);
 }
 
 #[test]
 fn sigterm_ends_up_with_partial_results() {
-    interrupted(Signal::TERM, false);
+    check_interrupted_run(Signal::TERM, false);
 }
 
 #[test]
 fn sigint_ends_bs_with_partial_results() {
-    interrupted(Signal::INT, true);
+    check_interrupted_run(Signal::INT, true);
 }
 
 #[test]
@@ -255,7 +257,7 @@ fn a_base_station_that_waits_for_devices_can_be_interrupted() {
 }
 
 #[test]
-fn device_processes_notice_a_killed_base_station() {
+fn device_processes_of_a_killed_base_station_end() {
     let (folder, run) = (TestFolder::new(), unique_run("headless"));
     let (bs, hosts) = by_hand_mid_run(&folder, &run, LONG);
     bs.signal(Signal::KILL);
@@ -270,7 +272,7 @@ fn device_processes_notice_a_killed_base_station() {
     }
 }
 
-/// A message lost with a broken link is retransmitted, after the plan that precedes it.
+/// A broken link can lose a grant and the plan before it, so both are retransmitted in order.
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn an_unanswered_grant_is_repeated_with_its_plan() {
     let (folder, run, endpoint) = (TestFolder::new(), unique_run("silent"), free_endpoint());
@@ -291,27 +293,27 @@ async fn an_unanswered_grant_is_repeated_with_its_plan() {
     let membership = assignment.membership;
     let pass = membership.pass;
     let bus = bus.with_secret(membership.secret);
-    let (send, heard) = std::sync::mpsc::channel();
-    let plans = send.clone();
+    let (grant_sender, messages) = std::sync::mpsc::channel();
+    let plan_sender = grant_sender.clone();
     let _plan = bus
         .subscribe(pass.host, move |_: PlanUpdate| {
-            let _deaf = plans.send("plan");
+            let _closed = plan_sender.send("plan");
         })
         .expect("subscribed");
     let _clock = bus
         .subscribe(pass.host, move |_: ClockMessage| {
-            let _deaf = send.send("grant");
+            let _closed = grant_sender.send("grant");
         })
         .expect("subscribed");
     let _alive = bus.declare_alive(bus.keys().host_liveliness(pass)).expect("declared");
     let ready = Ready { host: pass.host };
-    let known = bus
+    let is_accepted = bus
         .query_until(&ready, Some(pass.token), PATIENCE)
         .await
         .expect("a reply");
-    assert_eq!(known, Some(true));
+    assert_eq!(is_accepted, Some(true));
     let order: Vec<&str> = (0..4)
-        .map(|_| heard.recv_timeout(PATIENCE).expect("the BS asks again"))
+        .map(|_| messages.recv_timeout(PATIENCE).expect("the BS retransmits"))
         .collect();
     assert_eq!(order, ["plan", "grant", "plan", "grant"]);
     drop(bs);

@@ -1,4 +1,5 @@
-//! Recomputes the metrics from the tables of the run folder with a program in another language.
+//! Compares the metrics of runs with `tests/recompute/recompute.py`, which computes them from the tables of the run
+//! folder and shares no code with the program.
 
 use std::path::Path;
 use std::process::Command;
@@ -6,11 +7,11 @@ use std::process::Command;
 use reveille_tests::machine::missing;
 use reveille_tests::process::TestFolder;
 
-/// Returns the recomputed scenarios: all policies, depleted devices, device classes, and very few events.
-fn runs() -> Vec<String> {
+/// Returns the options of the runs: all policies, then depleted devices, few events, bursts and a run without warm-up.
+fn run_options() -> Vec<String> {
     let policies = reveille_bs::policy::registry::names();
-    let plain = policies.map(|policy| format!("-p {policy} -n 30 -k 1500"));
-    let special = [
+    let all_policies = policies.map(|policy| format!("-p {policy} -n 30 -k 1500"));
+    let special_cases = [
         "-s paper-literal -p knn -n 40 -k 1500 --set harvest.e_b=1",
         "-p adjusted -n 12 -k 900 --set energy.initial=0 --set policy.adjusted.pilot_ttis=400",
         "-p knn -n 20 -k 1200 --set energy.e_tx=45 --set bs.ranking=posterior",
@@ -18,28 +19,32 @@ fn runs() -> Vec<String> {
         "-p knn -n 25 -k 1500 --set events.process=bursts --set events.duration_kind=geometric",
         "-p random -n 7 -k 400 --set warm_up=0",
     ];
-    plain.chain(special.map(str::to_owned)).collect()
+    all_policies.chain(special_cases.map(str::to_owned)).collect()
 }
 
 #[test]
-fn metrics_follow_from_the_tables() {
+fn metrics_equal_a_recomputation_from_the_tables() {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/recompute/recompute.py");
     let has_python = Command::new("python3").args(["-c", "import tomllib"]).status();
     if !has_python.is_ok_and(|status| status.success()) {
         return missing("metrics are not recomputed: python3 3.11 or later is missing");
     }
     let folder = TestFolder::new();
-    let runs = runs();
+    let all_options = run_options();
     let mut check = Command::new("python3");
     check.arg(script);
-    for (number, args) in runs.iter().enumerate() {
+    for (number, args) in all_options.iter().enumerate() {
         let end = folder.run(&format!("run {args} --quiet --out run{number}"));
         assert!(end.is_success(), "{args}: {end}");
         check.arg(folder.join(&format!("run{number}")));
     }
-    let told = check.output().expect("python3 starts");
-    let text = String::from_utf8_lossy(&told.stdout);
-    let complaint = String::from_utf8_lossy(&told.stderr);
-    assert!(told.status.success(), "{text}\n{complaint}");
-    assert_eq!(text.matches("metrics are the same").count(), runs.len(), "{text}");
+    let output = check.output().expect("python3 starts");
+    let text = String::from_utf8_lossy(&output.stdout);
+    let error = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{text}\n{error}");
+    assert_eq!(
+        text.matches("metrics are the same").count(),
+        all_options.len(),
+        "{text}"
+    );
 }

@@ -1,4 +1,6 @@
-//! Recordings of every kind of run: complete, truncated and foreign. Their reconstruction matches the run.
+//! Recordings (`--record`, `inspect record`) of runs in memory and over the bus, complete and truncated: `inspect
+//! verify` reconstructs the digest, `tail` filters and `stats` counts as computed here. `tests/recordings/` reads
+//! recordings with other programs.
 
 use std::fs;
 use std::time::Duration;
@@ -7,8 +9,8 @@ use reveille_tests::process::{TestFolder, assert_refused, unique_run};
 use rustix::process::Signal;
 use serde_json::Value;
 
-/// Returns the messages that `tail --json` shows for a recording.
-fn shown(folder: &TestFolder, args: &str) -> Vec<Value> {
+/// Returns the messages that `tail --json` shows for a recording; `args` begins with its file.
+fn shown_messages(folder: &TestFolder, args: &str) -> Vec<Value> {
     let end = folder.run(&format!("inspect tail --json --from {args}"));
     assert!(end.is_success(), "{end}");
     end.stdout
@@ -17,16 +19,16 @@ fn shown(folder: &TestFolder, args: &str) -> Vec<Value> {
         .collect()
 }
 
-/// Returns how many messages `tail` shows for a truncated recording.
-fn shown_of_torn(folder: &TestFolder, file: &str) -> usize {
+/// Counts the messages that `tail` shows for a truncated recording.
+fn count_in_truncated(folder: &TestFolder, file: &str) -> usize {
     let end = folder.run(&format!("inspect tail --json --from {file}"));
     assert_eq!(end.code(), Some(1), "{end}");
     end.stdout.lines().count()
 }
 
-/// The sums of squares exceed 64 bits.
+/// In this run sums of squares exceed 64 bits.
 #[test]
-fn a_long_run_is_verified_too() {
+fn a_long_run_is_verified() {
     let folder = TestFolder::new();
     let end = folder.run("run -p knn -n 50 -k 10000 --record r.mcap --quiet --out o");
     assert!(end.is_success(), "{end}");
@@ -35,18 +37,19 @@ fn a_long_run_is_verified_too() {
 }
 
 #[test]
-fn memory_and_bus_record_the_same_air_and_truth() {
-    are_the_same("-p knn -n 20 -k 400 --set events.alpha=0.4 --record-states 60 --quiet");
+fn memory_and_bus_record_the_same_messages() {
+    assert_same_recordings("-p knn -n 20 -k 400 --set events.alpha=0.4 --record-states 60 --quiet");
     // Also with lost messages, which the recordings contain.
-    are_the_same(
+    assert_same_recordings(
         "-p knn -n 20 -k 400 --set events.alpha=0.4 --record-states 60 --quiet --set radio.wake_miss=0.2 \
          --set radio.uplink_loss=0.3 --set radio.false_wake_up=0.02 --set radio.plan_loss=0.3 \
          --set radio.wake_latency=1 --set bs.sync_interval=50",
     );
 }
 
-/// Checks that the run with these options is recorded alike however it is driven, and can be verified.
-fn are_the_same(run: &str) {
+/// Checks that `run` and `up` with these options record the same `air` and `truth` messages, and that their recordings
+/// can be verified.
+fn assert_same_recordings(run: &str) {
     let folder = TestFolder::new();
     let mut digests = Vec::new();
     for (name, command) in [("m", "run"), ("b", "up -P 3"), ("o", "up -P 0 --no-lookahead")] {
@@ -58,7 +61,7 @@ fn are_the_same(run: &str) {
     }
     assert!(digests.windows(2).all(|pair| pair[0] == pair[1]));
     for plane in ["air", "truth"] {
-        let [memory, bus] = ["m", "b"].map(|name| shown(&folder, &format!("{name}.mcap --plane {plane}")));
+        let [memory, bus] = ["m", "b"].map(|name| shown_messages(&folder, &format!("{name}.mcap --plane {plane}")));
         assert!(
             memory == bus && memory.len() > 20,
             "{plane}: {} and {}",
@@ -66,63 +69,67 @@ fn are_the_same(run: &str) {
             bus.len()
         );
     }
-    let one_by_one = shown(&folder, "o.mcap --plane air");
+    let without_lookahead = shown_messages(&folder, "o.mcap --plane air");
     assert!(
-        one_by_one == shown(&folder, "m.mcap --plane air"),
-        "with and without lookahead"
+        without_lookahead == shown_messages(&folder, "m.mcap --plane air"),
+        "the messages differ with and without lookahead"
     );
-    assert!(shown(&folder, "m.mcap --plane emu").is_empty());
-    assert!(shown(&folder, "b.mcap --kind clock").len() > 20);
+    assert!(shown_messages(&folder, "m.mcap --plane emu").is_empty());
+    assert!(shown_messages(&folder, "b.mcap --kind clock").len() > 20);
 }
 
 #[test]
-fn filters_and_joined_wake_ups_show_the_right_messages() {
+fn tail_filters_messages_and_pairs_wake_ups() {
     let folder = TestFolder::new();
     let end = folder
         .run("run -p knn -n 60 -k 600 --set events.alpha=0.5 --set harvest.e_b=3 --record r.mcap --quiet --out o");
     assert!(end.is_success(), "{end}");
-    let all = shown(&folder, "r.mcap");
-    let some = |args: &str, passes: &dyn Fn(&Value) -> bool| {
-        let own: Vec<Value> = all.iter().filter(|line| passes(line)).cloned().collect();
+    let all = shown_messages(&folder, "r.mcap");
+    let assert_filtered = |args: &str, passes: &dyn Fn(&Value) -> bool| {
+        let expected: Vec<Value> = all.iter().filter(|line| passes(line)).cloned().collect();
         assert!(
-            !own.is_empty() && shown(&folder, &format!("r.mcap {args}")) == own,
+            !expected.is_empty() && shown_messages(&folder, &format!("r.mcap {args}")) == expected,
             "{args}"
         );
     };
     let tti = |line: &Value| line["tti"].as_u64().expect("a TTI");
-    some("--since 100 --until 199", &|line| (100..200).contains(&tti(line)));
-    some("--kind report", &|line| line["kind"] == "report");
+    assert_filtered("--since 100 --until 199", &|line| (100..200).contains(&tti(line)));
+    assert_filtered("--kind report", &|line| line["kind"] == "report");
     let reporter = all.iter().find(|line| line["kind"] == "report").expect("a report")["number"].clone();
-    some(&format!("--kind report --device {reporter}"), &|line| {
+    assert_filtered(&format!("--kind report --device {reporter}"), &|line| {
         line["kind"] == "report" && line["number"] == reporter
     });
-    assert_eq!(shown(&folder, "r.mcap -c 7"), all[..7]);
+    assert_eq!(shown_messages(&folder, "r.mcap -c 7"), all[..7]);
     let wakes = all.iter().filter(|line| line["kind"] == "wake").count();
-    let joined = shown(&folder, "r.mcap --pair-wake-ups --kind wake");
-    assert_eq!(joined.len(), wakes);
-    assert!(joined.iter().all(|line| !line["message"]["outcome"].is_null()));
+    let paired = shown_messages(&folder, "r.mcap --pair-wake-ups --kind wake");
+    assert_eq!(paired.len(), wakes);
+    assert!(paired.iter().all(|line| !line["message"]["outcome"].is_null()));
     // Exactly the unpowered devices do not receive wake-ups.
     let missed = |line: &&Value| line["kind"] == "woken" && line["message"]["outcome"] == "Missed";
-    let unpowered = shown(&folder, "r.mcap --state unpowered --kind wake");
+    let unpowered = shown_messages(&folder, "r.mcap --state unpowered --kind wake");
     assert_eq!(unpowered.len(), all.iter().filter(missed).count());
     // A device that is woken was asleep before, and its line shows the outcome.
-    assert_eq!(shown(&folder, "r.mcap --pair-wake-ups --state S4 --kind wake"), joined);
-    // Every device is in one cluster.
+    assert_eq!(
+        shown_messages(&folder, "r.mcap --pair-wake-ups --state S4 --kind wake"),
+        paired
+    );
+    // Every device is in exactly one cluster, so all clusters together have all reports. The refusal counts them.
     let clusters = folder.run("inspect tail --from r.mcap --cluster 999");
     assert_refused(&clusters, 1, &["--cluster 999", "clusters, 0 to"]);
-    let count: usize = clusters
+    let cluster_count: usize = clusters
         .stderr
         .split("the run has ")
         .nth(1)
         .and_then(|rest| rest.split(' ').next()?.parse().ok())
         .expect("a number");
-    let reports = |cluster: usize| shown(&folder, &format!("r.mcap --kind report --cluster {cluster}")).len();
-    let of_all = all.iter().filter(|line| line["kind"] == "report").count();
-    assert_eq!((0..count).map(reports).sum::<usize>(), of_all);
+    let reports_in =
+        |cluster: usize| shown_messages(&folder, &format!("r.mcap --kind report --cluster {cluster}")).len();
+    let report_count = all.iter().filter(|line| line["kind"] == "report").count();
+    assert_eq!((0..cluster_count).map(reports_in).sum::<usize>(), report_count);
 }
 
 #[test]
-fn statistics_equal_messages_and_summary() {
+fn statistics_equal_the_summary() {
     let folder = TestFolder::new();
     let end = folder.run("run -p age-index -n 40 -k 500 --set warm_up=0 --record r.mcap --json --out o");
     let summary: Value = serde_json::from_str(&end.stdout).unwrap_or_else(|_| panic!("{end}"));
@@ -143,14 +150,14 @@ fn statistics_equal_messages_and_summary() {
 }
 
 #[test]
-fn a_killed_run_leaves_a_recording_up_to_the_tear() {
-    let (folder, run) = (TestFolder::new(), unique_run("torn"));
+fn a_killed_run_leaves_a_readable_recording() {
+    let (folder, run) = (TestFolder::new(), unique_run("truncated"));
     let up = folder.start(&format!(
         "up -P 1 -n 30 -k 100000 --run {run} --record r.mcap --quiet --out o"
     ));
     folder.wait_for_tti(&run, 3000);
     up.signal(Signal::KILL);
-    let _killed = up.finish();
+    up.finish();
     let end = folder.run("inspect verify r.mcap");
     assert_eq!(end.code(), Some(1), "{end}");
     assert!(
@@ -186,7 +193,7 @@ fn invalid_recordings_are_refused() {
         1,
         &["nowhere/r.mcap"],
     );
-    folder.write("text.mcap", "this is a text and no recording at all");
+    folder.write("text.mcap", "a text");
     folder.write("empty.mcap", "");
     let bytes = folder.bytes("r.mcap");
     fs::write(folder.join("cut.mcap"), &bytes[..bytes.len() / 3]).expect("written");
@@ -203,7 +210,7 @@ fn invalid_recordings_are_refused() {
     }
     // The readable part is exported in full. An existing file is replaced only when the new one is complete.
     let rows = String::from_utf8_lossy(&folder.bytes("cut.csv")).lines().count();
-    assert_eq!(rows, 1 + shown_of_torn(&folder, "cut.mcap"));
+    assert_eq!(rows, 1 + count_in_truncated(&folder, "cut.mcap"));
     let end = folder.run("inspect export r.mcap --to csv --out r.mcap --force");
     assert_refused(&end, 1, &["r.mcap: is the recording itself"]);
     assert_eq!(folder.bytes("r.mcap"), bytes);
@@ -231,8 +238,8 @@ fn invalid_recordings_are_refused() {
 }
 
 #[test]
-fn a_run_is_recorded_by_another_process() {
-    let (folder, run) = (TestFolder::new(), unique_run("outside"));
+fn observers_that_join_early_and_late_record_the_same_run() {
+    let (folder, run) = (TestFolder::new(), unique_run("observed"));
     let up = folder.start(&format!("up -P 1 -n 20 -k 300 --paused --run {run} --quiet --out o"));
     folder.wait_for_tti(&run, 0);
     let start = |file: &str| {
@@ -241,7 +248,7 @@ fn a_run_is_recorded_by_another_process() {
         std::thread::sleep(Duration::from_millis(500));
         record
     };
-    // The state before the second observer joined follows from the scenario.
+    // The second observer computes the state before it joined from the scenario.
     let early = start("early.mcap");
     folder.clock(&run, "run-to 137 --wait");
     let late = start("late.mcap");
@@ -257,32 +264,32 @@ fn a_run_is_recorded_by_another_process() {
         assert!(end.stdout.contains(&digest), "{end}");
         assert_refused(&end, 1, &["no summary"]);
     }
-    assert!(shown(&folder, "late.mcap --plane air") == shown(&folder, "early.mcap --plane air"));
+    assert!(shown_messages(&folder, "late.mcap --plane air") == shown_messages(&folder, "early.mcap --plane air"));
 }
 
 #[test]
-fn exports_are_written_whole() {
+fn exports_contain_every_message() {
     let folder = TestFolder::new();
     assert!(
         folder
             .run("run -n 20 -k 300 --record r.mcap --quiet --out o")
             .is_success()
     );
-    let messages = shown(&folder, "r.mcap").len();
-    for (to, ending) in [
+    let messages = shown_messages(&folder, "r.mcap").len();
+    for (format, ending) in [
         ("pcapng", "pcapng"),
         ("perfetto", "perfetto-trace"),
         ("csv", "csv"),
         ("parquet", "parquet"),
     ] {
-        let end = folder.run(&format!("inspect export r.mcap --to {to}"));
+        let end = folder.run(&format!("inspect export r.mcap --to {format}"));
         assert!(
             end.is_success() && end.stderr.contains(&format!("{messages} messages")),
             "{end}"
         );
         assert!(folder.bytes(&format!("r.{ending}")).len() > 1000);
         assert_refused(
-            &folder.run(&format!("inspect export r.mcap --to {to}")),
+            &folder.run(&format!("inspect export r.mcap --to {format}")),
             1,
             &["--force"],
         );

@@ -1,4 +1,5 @@
-//! The registry of runs on this machine is trusted only if no other user can write to it. No other user can read it.
+//! The registry of runs on this machine, a folder below `XDG_RUNTIME_DIR`: its entries are private, and it is trusted
+//! only if no other user can write to it.
 
 use std::fs::{self, Permissions};
 use std::os::unix::fs::{PermissionsExt, chown, symlink};
@@ -7,15 +8,15 @@ use reveille_tests::machine::skipped;
 use reveille_tests::process::{PATIENCE, Process, TestFolder, assert_refused, free_endpoint, unique_run, wait_until};
 use rustix::process::{Signal, getuid};
 
-/// Folder of the registry entries.
+/// Folder of the registry entries, in the folder of a test.
 const REGISTRY: &str = "runtime/reveille";
-/// User id of another user.
-const UNPRIVILEGED: u32 = 65_534;
+/// Id of the user `nobody`.
+const NOBODY: u32 = 65_534;
 
 /// Returns the permissions of an entry in the folder.
 fn mode(folder: &TestFolder, name: &str) -> u32 {
-    let found = fs::symlink_metadata(folder.join(name)).expect("there");
-    found.permissions().mode() & 0o777
+    let metadata = fs::symlink_metadata(folder.join(name)).expect("there");
+    metadata.permissions().mode() & 0o777
 }
 
 #[test]
@@ -42,19 +43,19 @@ fn entries_are_private() {
     assert_eq!(bs.finish().code(), Some(130));
 }
 
-/// Checks that a run continues without the registry and warns, and that `clock` does not trust its contents and changes
-/// nothing.
+/// Checks that `clock` and `inspect` refuse the registry because of `why`, and that a run warns, continues and does not
+/// write to it.
 fn assert_not_trusted(folder: &TestFolder, why: &str) {
-    let (run, endpoint) = (unique_run("doubt"), free_endpoint());
+    let (run, endpoint) = (unique_run("untrusted"), free_endpoint());
     // An entry of a live process: this one.
     let entry = format!(
         r#"{{"run":"{run}","endpoint":"{endpoint}","pid":{}}}"#,
         std::process::id()
     );
-    let planted = format!("{REGISTRY}/{run}-1.json");
+    let entry_path = format!("{REGISTRY}/{run}-1.json");
     let is_folder = folder.join(REGISTRY).is_dir();
     if is_folder {
-        folder.write(&planted, &entry);
+        folder.write(&entry_path, &entry);
     }
     for command in ["clock status", "inspect tail --count 1"] {
         let end = folder.run(&format!("{command} --run {run}"));
@@ -68,12 +69,12 @@ fn assert_not_trusted(folder: &TestFolder, why: &str) {
     }
     assert_eq!(folder.list(REGISTRY), before);
     if is_folder {
-        fs::remove_file(folder.join(&planted)).expect("ours");
+        fs::remove_file(folder.join(&entry_path)).expect("ours");
     }
 }
 
 #[test]
-fn a_folder_open_to_others_is_not_trusted() {
+fn a_registry_open_to_others_is_not_trusted() {
     let folder = TestFolder::new();
     fs::create_dir(folder.join(REGISTRY)).expect("possible");
     for mode in [0o755, 0o770, 0o1777] {
@@ -86,7 +87,7 @@ fn a_folder_open_to_others_is_not_trusted() {
 }
 
 #[test]
-fn a_link_in_its_place_is_not_followed() {
+fn a_link_or_file_as_registry_is_not_trusted() {
     let folder = TestFolder::new();
     fs::create_dir(folder.join("elsewhere")).expect("possible");
     fs::set_permissions(folder.join("elsewhere"), Permissions::from_mode(0o700)).expect("ours");
@@ -102,20 +103,20 @@ fn a_link_in_its_place_is_not_followed() {
 }
 
 #[test]
-fn the_folder_of_another_user_is_not_trusted() {
+fn a_registry_of_another_user_is_not_trusted() {
     if !getuid().is_root() {
-        skipped("to give a folder to another user takes root");
+        skipped("cannot give a folder to another user here (root is needed)");
         return;
     }
     let folder = TestFolder::new();
     fs::create_dir(folder.join(REGISTRY)).expect("possible");
     fs::set_permissions(folder.join(REGISTRY), Permissions::from_mode(0o700)).expect("ours");
-    chown(folder.join(REGISTRY), Some(UNPRIVILEGED), Some(UNPRIVILEGED)).expect("root may");
+    chown(folder.join(REGISTRY), Some(NOBODY), Some(NOBODY)).expect("root may");
     assert_not_trusted(&folder, "another user (65534, you are 0)");
 }
 
 #[test]
-fn a_relative_folder_is_not_used() {
+fn a_relative_runtime_folder_is_not_used() {
     let (folder, run) = (TestFolder::new(), unique_run("relative"));
     let mut command = folder.command(&format!("up -P 0 -n 5 -k 100 --quiet --run {run} --out out"));
     command.env("XDG_RUNTIME_DIR", "runtime").env("TMPDIR", folder.path());

@@ -1,11 +1,12 @@
-//! A run folder is self-contained: it can be moved and run again after the scenario's files are removed.
+//! A run folder keeps the files of its scenario: it can be moved, and run again with the same digest after the original
+//! files are removed.
 
 use std::fs;
 
-use reveille_tests::process::TestFolder;
+use reveille_tests::process::{SummaryJson, TestFolder};
 
-/// Writes a scenario whose layout, traces and tables are files, two of them with the same name.
-fn with_files(folder: &TestFolder) {
+/// Writes the scenario `my.toml`, whose layout, traces and tables are files, two of them with the same name.
+fn write_scenario_with_files(folder: &TestFolder) {
     for name in ["a", "b"] {
         fs::create_dir(folder.join(name)).expect("a folder");
     }
@@ -28,9 +29,9 @@ fn with_files(folder: &TestFolder) {
 }
 
 #[test]
-fn a_run_folder_that_was_moved_can_be_run_again() {
+fn a_moved_run_folder_can_be_run_again() {
     let folder = TestFolder::new();
-    with_files(&folder);
+    write_scenario_with_files(&folder);
     let first = folder.summary("run -s my.toml --out first");
     let text = String::from_utf8(folder.bytes("first/scenario.toml")).expect("text");
     assert!(!text.contains(&folder.path().display().to_string()), "{text}");
@@ -38,19 +39,19 @@ fn a_run_folder_that_was_moved_can_be_run_again() {
         folder.list("first/scenario-files"),
         ["energy-2.csv", "energy.csv", "points.csv", "table.json"]
     );
-    for gone in ["a", "b"] {
-        fs::remove_dir_all(folder.join(gone)).expect("a folder");
+    for name in ["a", "b"] {
+        fs::remove_dir_all(folder.join(name)).expect("a folder");
     }
-    for gone in ["points.csv", "table.json", "my.toml"] {
-        fs::remove_file(folder.join(gone)).expect("a file");
+    for name in ["points.csv", "table.json", "my.toml"] {
+        fs::remove_file(folder.join(name)).expect("a file");
     }
     fs::create_dir(folder.join("elsewhere")).expect("a folder");
     fs::rename(folder.join("first"), folder.join("elsewhere/moved")).expect("a move");
     let again = folder.summary("run -s elsewhere/moved/scenario.toml --out again");
     assert_eq!(again.digest(), first.digest());
-    // In its own folder: the run replaces the files that it reads.
-    let own = folder.summary("up -P 0 -s elsewhere/moved/scenario.toml --out elsewhere/moved --force");
-    assert_eq!(own.digest(), first.digest());
+    // In the run folder itself: the run replaces the files that it reads.
+    let in_place = folder.summary("up -P 0 -s elsewhere/moved/scenario.toml --out elsewhere/moved --force");
+    assert_eq!(in_place.digest(), first.digest());
     assert_eq!(folder.list("elsewhere/moved/scenario-files").len(), 4);
     // A run without files replaces a run with files.
     let plain = folder.summary("run -n 5 -k 50 --out again --force");
@@ -58,14 +59,14 @@ fn a_run_folder_that_was_moved_can_be_run_again() {
     assert!(!folder.join("again/scenario-files").exists());
 }
 
-/// Uses a model of the decision transformer, and traces in the formats of sweep tables.
+/// The trace is a column of a result table.
 #[test]
-fn models_and_traces_of_other_forms_are_kept_as_well() {
+fn a_run_folder_keeps_models_and_parquet_traces() {
     let folder = TestFolder::new();
     let shipped = concat!(env!("CARGO_MANIFEST_DIR"), "/../bs/src/policy/dt/shipped.safetensors");
     fs::copy(shipped, folder.join("model.safetensors")).expect("it is shipped");
-    let swept = folder.run("sweep -n 5 --ttis 100 --seeds 8 --quiet --out s");
-    assert!(swept.is_success(), "{swept}");
+    let sweep = folder.run("sweep -n 5 --ttis 100 --seeds 8 --quiet --out s");
+    assert!(sweep.is_success(), "{sweep}");
     fs::rename(folder.join("s/results.parquet"), folder.join("sun.parquet")).expect("a table");
     folder.write(
         "my.toml",
@@ -77,17 +78,16 @@ fn models_and_traces_of_other_forms_are_kept_as_well() {
         folder.list("first/scenario-files"),
         ["model.safetensors", "sun.parquet"]
     );
-    for gone in ["model.safetensors", "sun.parquet", "my.toml"] {
-        fs::remove_file(folder.join(gone)).expect("a file");
+    for name in ["model.safetensors", "sun.parquet", "my.toml"] {
+        fs::remove_file(folder.join(name)).expect("a file");
     }
     fs::create_dir(folder.join("elsewhere")).expect("a folder");
     fs::rename(folder.join("first"), folder.join("elsewhere/moved")).expect("a move");
     let again = folder.summary("run -s elsewhere/moved/scenario.toml --out again");
     assert_eq!(again.digest(), first.digest());
-    let hash = |name: &str| {
-        let text = String::from_utf8(folder.bytes(&format!("{name}/summary.json"))).expect("text");
-        let hash = text.lines().find(|line| line.contains("scenario_hash"));
-        hash.expect("a hash").to_owned()
+    let scenario_hash = |name: &str| {
+        let summary = SummaryJson::read(&folder.join(name));
+        summary.text("scenario_hash").to_owned()
     };
-    assert_eq!(hash("again"), hash("elsewhere/moved"));
+    assert_eq!(scenario_hash("again"), scenario_hash("elsewhere/moved"));
 }

@@ -1,4 +1,6 @@
-//! One signal, at any moment, ends every long-running command, which leaves nothing behind.
+//! SIGINT or SIGTERM at drawn moments of every long-running command, with all cores busy: the command ends with its
+//! documented code and leaves no process, registry entry or mark of an active run. `interrupt.rs` tests preparations
+//! with chosen moments.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -16,21 +18,21 @@ use reveille_tests::process::{FinishedProcess, PATIENCE, Process, TestFolder, fr
 use rustix::process::Signal;
 
 /// Number of signals sent to each command, each to a new process.
-const MOMENTS: usize = 50;
+const SIGNALS_PER_COMMAND: usize = 50;
 /// Latest time of a signal after the start. Half of the signals come in the first quarter.
-const LATEST: Duration = Duration::from_millis(1500);
+const MAX_DELAY: Duration = Duration::from_millis(1500);
 /// Processes under test in parallel.
-const PARALLEL: usize = 12;
+const WORKERS: usize = 12;
 /// Threads that keep the cores busy during the test.
-const BUSY: usize = 3;
+const SPINNING_THREADS: usize = 3;
 /// Environment variable that marks a process under test and its children.
-const MARK: &str = "REVEILLE_TEST_MARK";
+const MARK_VARIABLE: &str = "REVEILLE_TEST_MARK";
 /// Options of a run over the bus that takes an hour.
 const LONG: &str = "-n 6 -k 1000000 --pace 4ms";
 /// Options of a search before a run that takes hours.
 const SEARCH: &str = "-p adjusted -n 200 --set policy.adjusted.pilot_ttis=900000000";
-/// Output after which a command has installed its handlers.
-const ANNOUNCED: [&str; 3] = ["waiting for ", "connected to run", "dashboard at"];
+/// Output that a command prints after it has installed its handlers.
+const HANDLERS_INSTALLED: [&str; 3] = ["waiting for ", "connected to run", "dashboard at"];
 
 /// Expected exit of a command after a signal, once its handlers are installed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -68,14 +70,14 @@ fn ignores_interrupts() -> bool {
     mask >> (Signal::INT.as_raw() - 1) & 1 == 1
 }
 
-/// Sends signals to processes of each of the `cases` in `folder`.
-fn assert_all_end(folder: &TestFolder, cases: &[Case]) {
+/// Sends [`SIGNALS_PER_COMMAND`] signals to each of the `cases`, and prints how often each command ended in which way.
+fn check_signals(folder: &TestFolder, cases: &[Case]) {
     let (is_over, next) = (AtomicBool::new(false), AtomicUsize::new(0));
     let (is_over, next) = (&is_over, &next);
-    let interrupts = !ignores_interrupts();
+    let can_interrupt = !ignores_interrupts();
     let ends = Mutex::new(BTreeMap::<(&str, String), usize>::new());
     thread::scope(|scope| {
-        for _ in 0..BUSY {
+        for _ in 0..SPINNING_THREADS {
             scope.spawn(|| {
                 while !is_over.load(Ordering::Relaxed) {
                     spin_loop();
@@ -84,33 +86,34 @@ fn assert_all_end(folder: &TestFolder, cases: &[Case]) {
         }
         let work = || {
             while let number = next.fetch_add(1, Ordering::Relaxed)
-                && number < MOMENTS * cases.len()
+                && number < SIGNALS_PER_COMMAND * cases.len()
             {
                 let (round, case) = (number / cases.len(), &cases[number % cases.len()]);
-                let signal = if interrupts && round % 2 == 0 {
+                let signal = if can_interrupt && round % 2 == 0 {
                     Signal::INT
                 } else {
                     Signal::TERM
                 };
-                let end = assert_ends(folder, case, number, signal);
+                let end = check_signal(folder, case, number, signal);
                 let mut ends = ends.lock().unwrap_or_else(PoisonError::into_inner);
                 *ends.entry((&case.args, end)).or_default() += 1;
             }
         };
-        let workers: Vec<_> = (0..PARALLEL).map(|_| scope.spawn(work)).collect();
-        let all: Vec<_> = workers.into_iter().map(thread::ScopedJoinHandle::join).collect();
+        let workers: Vec<_> = (0..WORKERS).map(|_| scope.spawn(work)).collect();
+        let results: Vec<_> = workers.into_iter().map(thread::ScopedJoinHandle::join).collect();
         is_over.store(true, Ordering::Relaxed);
-        assert!(all.iter().all(Result::is_ok), "see above");
+        assert!(results.iter().all(Result::is_ok), "a command failed, as printed above");
     });
     for ((args, end), count) in ends.into_inner().unwrap_or_else(PoisonError::into_inner) {
         println!("{count:>3} {end}: {args}");
     }
 }
 
-/// Starts process `number` for `case`, sends it `signal` at a moment drawn for it, and checks its end.
-fn assert_ends(folder: &TestFolder, case: &Case, number: usize, signal: Signal) -> String {
+/// Starts process `number` for `case`, sends it `signal` at a drawn moment, checks its end and returns its status.
+fn check_signal(folder: &TestFolder, case: &Case, number: usize, signal: Signal) -> String {
+    // An arbitrary seed, so that every execution draws the same moments.
     let mut stream = Stream::new(28, Purpose::Training, number as u64);
-    let moment = LATEST.mul_f64(stream.unit().powi(2));
+    let delay = MAX_DELAY.mul_f64(stream.unit().powi(2));
     let out = format!("out{number}");
     let is_resumed = case.args.contains("--resume");
     if is_resumed {
@@ -118,20 +121,23 @@ fn assert_ends(folder: &TestFolder, case: &Case, number: usize, signal: Signal) 
     }
     let mut command = folder.command(&case.args.replace("OUT", &out));
     let mark = folder.join(&out);
-    let process = Process::start(command.env(MARK, &mark));
+    let process = Process::start(command.env(MARK_VARIABLE, &mark));
     let pid = process.pid();
-    thread::sleep(moment);
+    thread::sleep(delay);
     process.signal(signal);
     let end = process.finish();
-    let what = format!("{}: {signal:?} after {moment:?}: {end}", case.args);
-    let own: Vec<String> = folder.list(".").into_iter().filter(|name| is_of(name, &out)).collect();
+    let what = format!("{}: {signal:?} after {delay:?}: {end}", case.args);
+    let left: Vec<String> = folder.list(".").into_iter().filter(|name| is_of(name, &out)).collect();
     match (case.ending, end.code()) {
         (Interrupted, Some(130)) | (Shown, Some(0 | 130)) | (ByDefault, Some(0)) => {}
         (Interrupted | Shown | ByDefault, None) => {
             assert_eq!(end.status.signal(), Some(signal.as_raw()), "{what}");
             if case.ending != ByDefault {
-                assert!(own.is_empty() || is_resumed, "{own:?} is left: {what}");
-                assert!(!ANNOUNCED.iter().any(|said| end.stderr.contains(said)), "{what}");
+                assert!(left.is_empty() || is_resumed, "files {left:?} remain: {what}");
+                assert!(
+                    !HANDLERS_INSTALLED.iter().any(|text| end.stderr.contains(text)),
+                    "{what}"
+                );
             }
         }
         (Interrupted | Shown | ByDefault, Some(_)) => panic!("{what}"),
@@ -139,16 +145,16 @@ fn assert_ends(folder: &TestFolder, case: &Case, number: usize, signal: Signal) 
     let files = folder.list(&out);
     assert!(
         end.code().is_none() || !files.iter().any(|file| file == "RUNNING"),
-        "{files:?}: {what}"
+        "files {files:?}: {what}"
     );
     let registered = folder.list("runtime/reveille");
     let entry = format!("-{pid}.json");
     assert!(
         !registered.iter().any(|name| name.ends_with(&entry)),
-        "{registered:?}: {what}"
+        "registry {registered:?}: {what}"
     );
     wait_until(&format!("the end of all its processes: {what}"), PATIENCE, || {
-        marked(&mark).is_empty().then_some(())
+        marked_processes(&mark).is_empty().then_some(())
     });
     end.status.to_string()
 }
@@ -160,12 +166,14 @@ fn is_of(name: &str, out: &str) -> bool {
 }
 
 /// Returns the live processes that carry `mark`.
-fn marked(mark: &Path) -> Vec<String> {
-    let mark = format!("{MARK}={}", mark.display());
+fn marked_processes(mark: &Path) -> Vec<String> {
+    let mark = format!("{MARK_VARIABLE}={}", mark.display());
     let processes = fs::read_dir("/proc").into_iter().flatten().flatten();
     let is_marked = |path: &Path| {
         let environment = fs::read(path.join("environ")).unwrap_or_default();
-        environment.split(|byte| *byte == 0).any(|set| set == mark.as_bytes())
+        environment
+            .split(|byte| *byte == 0)
+            .any(|variable| variable == mark.as_bytes())
     };
     let marked = processes.filter(|process| is_marked(&process.path()));
     marked
@@ -182,13 +190,14 @@ fn copy(folder: &TestFolder, from: &str, to: &str) {
     }
 }
 
+/// Runs `reveille ARGS`, whose output the tested commands read.
 fn prepare(folder: &TestFolder, args: &str) {
     let end: FinishedProcess = folder.run(args);
     assert!(end.is_success(), "{args}: {end}");
 }
 
 #[test]
-fn a_signal_at_any_moment_ends_a_command_that_makes_a_run() {
+fn signals_end_commands_that_make_runs() {
     let folder = TestFolder::new();
     folder.write("idle", "#!/bin/sh\nsleep 1000\n");
     fs::set_permissions(folder.join("idle"), fs::Permissions::from_mode(0o700)).expect("ours");
@@ -218,11 +227,11 @@ fn a_signal_at_any_moment_ends_a_command_that_makes_a_run() {
         Case::new("bench bus --processes 2 --time 1s", ByDefault),
         Case::new("bench scale -n 20 -k 100000", ByDefault),
     ];
-    assert_all_end(&folder, &cases);
+    check_signals(&folder, &cases);
 }
 
 #[test]
-fn a_signal_at_any_moment_ends_a_command_that_joins_or_shows_a_run() {
+fn signals_end_commands_that_join_or_show_runs() {
     let (folder, run, endpoint) = (TestFolder::new(), unique_run("shown"), free_endpoint());
     prepare(
         &folder,
@@ -260,7 +269,7 @@ fn a_signal_at_any_moment_ends_a_command_that_joins_or_shows_a_run() {
         Case::new("report table --out OUT", ByDefault),
         Case::new("analyse harvest --seeds 2", ByDefault),
     ];
-    assert_all_end(&folder, &cases);
+    check_signals(&folder, &cases);
     bs.signal(Signal::TERM);
     assert_eq!(bs.finish().code(), Some(130));
     device.finish();
@@ -268,19 +277,19 @@ fn a_signal_at_any_moment_ends_a_command_that_joins_or_shows_a_run() {
 
 #[cfg(feature = "tune")]
 #[test]
-fn a_signal_at_any_moment_ends_a_tuning() {
+fn signals_end_a_tuning() {
     let folder = TestFolder::new();
     let tune = "tune -n 8 --design 3 --episodes 100 --episode-ttis 1000 --seeds 2 --ttis 1000 --out OUT.csv";
-    assert_all_end(&folder, &[Case::new(tune, Interrupted)]);
+    check_signals(&folder, &[Case::new(tune, Interrupted)]);
 }
 
 #[cfg(feature = "train-dt")]
 #[test]
-fn a_signal_at_any_moment_ends_a_training_of_the_transformer() {
+fn signals_end_a_training_of_the_transformer() {
     let folder = TestFolder::new();
     let record = "train record -p age-index,knn -n 12 -k 400 --seeds 6 --set events.process=bursts";
     prepare(&folder, &format!("{record} --chunk 12 --stride 40 --out a.parquet"));
     let train = "train dt a.parquet --steps 100000 --batch 600 --patience 1000 --set policy.dt.width=8 \
                  --set policy.dt.heads=1 --set policy.dt.memory=3 --out OUT.safetensors";
-    assert_all_end(&folder, &[Case::new(train, Interrupted)]);
+    check_signals(&folder, &[Case::new(train, Interrupted)]);
 }

@@ -1,5 +1,5 @@
-//! Number of seeds of a sweep: as few as give the wanted precision. With more seeds in the same folder, the sweep ends
-//! as if started with them and loses no finished run.
+//! The number of seeds of `sweep`: `--until-ci` takes as few as give the wanted precision. A sweep that is given more
+//! seeds ends with the table of a sweep that started with them, and loses no finished run to kills or a full disk.
 
 use std::fs;
 use std::time::Duration;
@@ -13,8 +13,8 @@ use serde_json::Value;
 const GRID: &str = "--policies knn,random,adjusted,genie --devices 8,20 --ttis 600 --first-seed 5 \
     --set policy.adjusted.pilot_ttis=100 --set policy.adjusted.t_on=[1,2] --set policy.adjusted.t_drx=[2,8]";
 
-/// Runs `reveille sweep ARGS --out OUT`; returns the bytes of its table and the number of runs found.
-fn swept(folder: &TestFolder, args: &str, out: &str) -> (Vec<u8>, u64) {
+/// Runs `reveille sweep ARGS --out OUT`. Returns the bytes of its table and the number of finished runs that it found.
+fn sweep_table(folder: &TestFolder, args: &str, out: &str) -> (Vec<u8>, u64) {
     let end = folder.run(&format!("sweep {args} --out {out} --json"));
     assert!(end.is_success(), "{end}");
     let report: Value = serde_json::from_str(&end.stdout).expect("JSON");
@@ -23,62 +23,65 @@ fn swept(folder: &TestFolder, args: &str, out: &str) -> (Vec<u8>, u64) {
 }
 
 #[test]
-fn more_seeds_end_as_a_fresh_sweep() {
+fn a_sweep_with_added_seeds_equals_a_fresh_sweep() {
     let folder = TestFolder::new();
-    let (expected, _) = swept(&folder, &format!("{GRID} --seeds 12"), "fresh");
-    swept(&folder, &format!("{GRID} --seeds 3"), "s");
-    let (_, found) = swept(&folder, "s/experiment.toml --seeds 7", "s");
+    let (expected, _) = sweep_table(&folder, &format!("{GRID} --seeds 12"), "fresh");
+    sweep_table(&folder, &format!("{GRID} --seeds 3"), "s");
+    let (_, found) = sweep_table(&folder, "s/experiment.toml --seeds 7", "s");
     assert_eq!(found, 4 * 2 * 3);
-    let (table, found) = swept(&folder, &format!("{GRID} --seeds 12"), "s");
+    let (table, found) = sweep_table(&folder, &format!("{GRID} --seeds 12"), "s");
     assert_eq!(found, 4 * 2 * 7);
     assert!(table == expected, "the table of a sweep with more seeds differs");
-    let text = |out: &str| fs::read_to_string(folder.join(&format!("{out}/experiment.toml"))).expect("there");
-    assert_eq!(text("s"), text("fresh"));
+    let experiment = |out: &str| fs::read_to_string(folder.join(&format!("{out}/experiment.toml"))).expect("there");
+    assert_eq!(experiment("s"), experiment("fresh"));
 }
 
-/// Runs `reveille sweep ARGS --json` without `--out`; returns the runs, the runs found, and the folder.
-fn swept_by_default(folder: &TestFolder, args: &str) -> (u64, u64, String) {
+/// Runs `reveille sweep ARGS --json` without `--out`. Returns the numbers of runs and of runs found, and the folder.
+fn sweep_without_out(folder: &TestFolder, args: &str) -> (u64, u64, String) {
     let end = folder.run(&format!("sweep {args} --json"));
     assert!(end.is_success(), "{end}");
     let report: Value = serde_json::from_str(&end.stdout).expect("JSON");
     let number = |name: &str| report[name].as_u64().expect("a number");
-    let place = report["folder"].as_str().expect("a path").to_owned();
-    (number("runs"), number("found"), place)
+    let out = report["folder"].as_str().expect("a path").to_owned();
+    (number("runs"), number("found"), out)
 }
 
 #[test]
 fn an_unnamed_sweep_can_be_extended() {
     let folder = TestFolder::new();
     let args = "--devices 5 --ttis 50";
-    let (_, _, long) = swept_by_default(&folder, &format!("{args} --seeds 5"));
-    let (runs, found, short) = swept_by_default(&folder, &format!("{args} --seeds 2"));
-    assert!(long != short && (runs, found) == (2, 0), "{long}, {short}");
-    let again = swept_by_default(&folder, &format!("{args} --seeds 2"));
-    assert_eq!(again, (2, 2, short.clone()));
-    // With its own experiment file the sweep continues in its folder; the number of seeds cannot be lowered.
-    let more = swept_by_default(&folder, &format!("{short}/experiment.toml --seeds 4"));
-    assert_eq!(more, (4, 2, short.clone()));
-    let fewer = folder.run(&format!("sweep {short}/experiment.toml --seeds 3"));
-    assert_refused(&fewer, 1, &[&short, "4 seeds a cell"]);
-    let (_, found, place) = swept_by_default(&folder, &format!("{short}/experiment.toml --ttis 60"));
+    let (_, _, five_seeds) = sweep_without_out(&folder, &format!("{args} --seeds 5"));
+    let (runs, found, two_seeds) = sweep_without_out(&folder, &format!("{args} --seeds 2"));
     assert!(
-        found == 0 && place != short,
-        "another experiment gets a separate folder: {place}"
+        five_seeds != two_seeds && (runs, found) == (2, 0),
+        "{five_seeds}, {two_seeds}: {runs} runs, {found} found"
+    );
+    let again = sweep_without_out(&folder, &format!("{args} --seeds 2"));
+    assert_eq!(again, (2, 2, two_seeds.clone()));
+    // With its own experiment file the sweep continues in its folder; the number of seeds cannot be lowered.
+    let more = sweep_without_out(&folder, &format!("{two_seeds}/experiment.toml --seeds 4"));
+    assert_eq!(more, (4, 2, two_seeds.clone()));
+    let fewer = folder.run(&format!("sweep {two_seeds}/experiment.toml --seeds 3"));
+    assert_refused(&fewer, 1, &[&two_seeds, "4 seeds a cell"]);
+    let (_, found, other) = sweep_without_out(&folder, &format!("{two_seeds}/experiment.toml --ttis 60"));
+    assert!(
+        found == 0 && other != two_seeds,
+        "another experiment gets a separate folder: {other}"
     );
     assert_eq!(folder.list("runs").len(), 3);
 }
 
 #[test]
-fn a_table_with_fewer_seeds_is_not_reused() {
+fn an_unfinished_table_with_more_seeds_is_not_used() {
     let folder = TestFolder::new();
     for index in 1..=2 {
-        swept(
+        sweep_table(
             &folder,
             &format!("{GRID} --seeds 3 --shard {index}/2"),
             &format!("s{index}"),
         );
     }
-    swept(&folder, &format!("{GRID} --seeds 3"), "whole");
+    sweep_table(&folder, &format!("{GRID} --seeds 3"), "whole");
     assert!(folder.run("figures whole --only energy --out a").is_success());
     assert!(folder.run("report whole --out b").is_success());
     for (args, out) in [("--shard 1/2", "s1"), ("", "whole")] {
@@ -120,50 +123,54 @@ fn a_table_with_fewer_seeds_is_not_reused() {
 }
 
 #[test]
-fn a_kill_between_the_journal_and_the_experiment_is_harmless() {
+fn a_kill_between_the_writes_of_journal_and_experiment_loses_no_run() {
     let folder = TestFolder::new();
-    let (expected, _) = swept(&folder, &format!("{GRID} --seeds 4"), "fresh");
+    let (expected, _) = sweep_table(&folder, &format!("{GRID} --seeds 4"), "fresh");
     for changed in ["runs.journal", "experiment.toml"] {
-        for by in ["s/experiment.toml", &format!("{GRID} --seeds 4")] {
-            swept(&folder, &format!("{GRID} --seeds 2"), "s");
+        for args in ["s/experiment.toml", &format!("{GRID} --seeds 4")] {
+            sweep_table(&folder, &format!("{GRID} --seeds 2"), "s");
             let files = ["runs.journal", "experiment.toml", "results.parquet"].map(|name| {
                 let path = folder.join(&format!("s/{name}"));
                 (name, path.clone(), fs::read(path).expect("there"))
             });
-            // Restores everything else.
-            swept(&folder, &format!("{GRID} --seeds 4"), "s");
+            // As after a kill: only one of the files has the new number of seeds.
+            sweep_table(&folder, &format!("{GRID} --seeds 4"), "s");
             for (name, path, before) in &files {
                 if *name != changed {
                     fs::write(path, before).expect("written");
                 }
             }
-            let (table, found) = swept(&folder, by, "s");
-            assert!(table == expected, "{changed} was raised, {by}");
-            let runs = if changed == "runs.journal" { 4 } else { 2 };
-            assert_eq!(found, 4 * 2 * runs, "{changed} was raised, {by}");
+            let (table, found) = sweep_table(&folder, args, "s");
+            assert!(table == expected, "{changed} has more seeds, resumed by {args}");
+            let seeds_found = if changed == "runs.journal" { 4 } else { 2 };
+            assert_eq!(
+                found,
+                4 * 2 * seeds_found,
+                "{changed} has more seeds, resumed by {args}"
+            );
             fs::remove_dir_all(folder.join("s")).expect("ours");
         }
     }
 }
 
 #[test]
-fn a_full_disk_while_seeds_are_raised_leaves_the_folder_as_it_was() {
+fn a_full_disk_while_seeds_are_added_leaves_the_folder_unchanged() {
     let folder = TestFolder::new();
-    let (expected, _) = swept(&folder, &format!("{GRID} --seeds 12"), "fresh");
+    let (expected, _) = sweep_table(&folder, &format!("{GRID} --seeds 12"), "fresh");
     let path = folder.join("disk");
     let Some(_disk) = Mount::small(&path) else {
-        skipped("a small tmpfs cannot be mounted here (it takes root)");
+        skipped("cannot mount a small tmpfs here (root is needed)");
         return;
     };
-    swept(&folder, &format!("{GRID} --seeds 10"), "disk/s");
+    sweep_table(&folder, &format!("{GRID} --seeds 10"), "disk/s");
     let (names, ballast) = (folder.list("disk/s"), path.join("ballast"));
-    let read = || {
+    let contents = || {
         names
             .clone()
             .into_iter()
             .map(|name| fs::read(path.join("s").join(name)).expect("there"))
     };
-    let before: Vec<Vec<u8>> = read().collect();
+    let before: Vec<Vec<u8>> = contents().collect();
     let full = fs::write(&ballast, vec![0; 256 * 1024]);
     assert!(full.is_err(), "the disk has more space than requested");
     let end = folder.run(&format!("sweep {GRID} --seeds 12 --out disk/s"));
@@ -177,17 +184,17 @@ fn a_full_disk_while_seeds_are_raised_leaves_the_folder_as_it_was() {
             "free some space",
         ],
     );
-    assert_eq!(folder.list("disk/s"), names, "no new files");
-    assert!(read().eq(before), "the folder has changed");
+    assert_eq!(folder.list("disk/s"), names, "files of the sweep");
+    assert!(contents().eq(before), "the folder has changed");
     fs::remove_file(ballast).expect("there");
-    let (table, found) = swept(&folder, &format!("{GRID} --seeds 12"), "disk/s");
+    let (table, found) = sweep_table(&folder, &format!("{GRID} --seeds 12"), "disk/s");
     assert!(table == expected && found == 4 * 2 * 10);
 }
 
 #[test]
-fn fewer_seeds_and_another_first_one_are_refused() {
+fn fewer_seeds_and_another_first_seed_are_refused() {
     let folder = TestFolder::new();
-    let (expected, _) = swept(&folder, &format!("{GRID} --seeds 4"), "s");
+    let (expected, _) = sweep_table(&folder, &format!("{GRID} --seeds 4"), "s");
     let journal = || fs::read(folder.join("s/runs.journal")).expect("there");
     let before = journal();
     for (args, parts) in [
@@ -207,23 +214,26 @@ fn fewer_seeds_and_another_first_one_are_refused() {
         assert_refused(&folder.run(&format!("sweep {args} --out s")), 1, parts);
         assert!(journal() == before, "{args}: the journal has changed");
     }
-    let (table, found) = swept(&folder, &format!("{GRID} --seeds 4"), "s");
+    let (table, found) = sweep_table(&folder, &format!("{GRID} --seeds 4"), "s");
     assert!(table == expected && found == 4 * 2 * 4);
 }
 
 #[test]
-fn a_cell_stops_when_it_is_narrow_enough() {
+fn a_cell_stops_at_the_wanted_precision() {
     let folder = TestFolder::new();
     let args = "--policies genie --devices 20 --ttis 2000 --seeds 400 --until-ci 5% --ci-metrics energy_per_device_tti";
     let end = folder.run(&format!("sweep {args} --json --out s"));
     let report: Value = serde_json::from_str(&end.stdout).expect("JSON");
     let cell = &report["cells"][0];
-    let (mean, half) = (
+    let (mean, half_width) = (
         &cell["metrics"]["energy_per_device_tti"]["mean"],
         &cell["metrics"]["energy_per_device_tti"]["half_width"],
     );
-    let width = half.as_f64().expect("a number") / mean.as_f64().expect("a number");
-    assert!(width <= 0.05 && cell["runs"].as_u64() < Some(400), "{report}");
+    let relative_half_width = half_width.as_f64().expect("a number") / mean.as_f64().expect("a number");
+    assert!(
+        relative_half_width <= 0.05 && cell["runs"].as_u64() < Some(400),
+        "{report}"
+    );
     assert_eq!(report["not_narrow"], Value::Array(Vec::new()));
 
     // Every device can detect every event and has enough energy: no run has a misdetection.
@@ -233,22 +243,25 @@ fn a_cell_stops_when_it_is_narrow_enough() {
     let report: Value = serde_json::from_str(&end.stdout).expect("JSON");
     let cell = &report["cells"][0];
     assert_eq!(cell["metrics"]["misdetection_pct"]["mean"], 0.0, "{report}");
-    assert_eq!(cell["runs"], 12, "without misses their rate is unknown");
-    let wide = &report["not_narrow"][0];
     assert_eq!(
-        (&wide["metric"], &wide["relative_half_width"]),
+        cell["runs"], 12,
+        "without misdetections their rate is not bounded, so all seeds run"
+    );
+    let wide_metric = &report["not_narrow"][0];
+    assert_eq!(
+        (&wide_metric["metric"], &wide_metric["relative_half_width"]),
         (&"misdetection_pct".into(), &Value::Null)
     );
 }
 
 #[test]
-fn a_cell_that_was_not_narrow_continues_with_more_seeds() {
+fn a_cell_below_the_precision_continues_with_more_seeds() {
     let folder = TestFolder::new();
     // With 20 seeds the first check is at 20, with 200 at 30.
     let args = "--policies genie,knn --devices 20 --ttis 500 --until-ci 8% --ci-metrics info_per_event";
-    let (expected, _) = swept(&folder, &format!("{args} --seeds 200"), "fresh");
-    swept(&folder, &format!("{args} --seeds 20"), "s");
-    let (table, found) = swept(&folder, &format!("{args} --seeds 200"), "s");
+    let (expected, _) = sweep_table(&folder, &format!("{args} --seeds 200"), "fresh");
+    sweep_table(&folder, &format!("{args} --seeds 20"), "s");
+    let (table, found) = sweep_table(&folder, &format!("{args} --seeds 200"), "s");
     assert_eq!(found, 2 * 20);
     assert!(table == expected);
 }
@@ -256,18 +269,18 @@ fn a_cell_that_was_not_narrow_continues_with_more_seeds() {
 #[test]
 fn shards_with_more_seeds_equal_a_fresh_sweep() {
     let folder = TestFolder::new();
-    let (expected, _) = swept(&folder, &format!("{GRID} --seeds 7"), "fresh");
-    let mut all = 0;
+    let (expected, _) = sweep_table(&folder, &format!("{GRID} --seeds 7"), "fresh");
+    let mut total_found = 0;
     for index in 1..=3 {
         let (shard, out) = (format!("--shard {index}/3"), format!("s{index}"));
-        swept(&folder, &format!("{GRID} --seeds 5 {shard}"), &out);
+        sweep_table(&folder, &format!("{GRID} --seeds 5 {shard}"), &out);
         let lines = folder.journal_lines(&out);
-        assert!((12..=14).contains(&lines), "a third of 40 runs, or so: {lines}");
-        let (_, found) = swept(&folder, &format!("{GRID} --seeds 7 {shard}"), &out);
+        assert!((12..=14).contains(&lines), "{lines} runs in a third of 40");
+        let (_, found) = sweep_table(&folder, &format!("{GRID} --seeds 7 {shard}"), &out);
         assert_eq!(found as usize, lines, "a run stays in its shard");
-        all += found;
+        total_found += found;
     }
-    assert_eq!(all, 4 * 2 * 5);
+    assert_eq!(total_found, 4 * 2 * 5);
     let merged = folder.run("merge s1 s2 s3 --out merged.parquet");
     assert!(merged.is_success(), "{merged}");
     assert!(fs::read(folder.join("merged.parquet")).expect("a table") == expected);
@@ -276,10 +289,10 @@ fn shards_with_more_seeds_equal_a_fresh_sweep() {
 #[test]
 fn a_kill_while_seeds_are_added_loses_no_run() {
     let folder = TestFolder::new();
-    let (expected, _) = swept(&folder, &format!("{GRID} --seeds 40"), "fresh");
-    swept(&folder, &format!("{GRID} --seeds 20"), "s");
+    let (expected, _) = sweep_table(&folder, &format!("{GRID} --seeds 40"), "fresh");
+    sweep_table(&folder, &format!("{GRID} --seeds 20"), "s");
     let journal = folder.join("s/runs.journal");
-    let head = || {
+    let first_line = || {
         fs::read_to_string(&journal)
             .expect("there")
             .lines()
@@ -287,23 +300,25 @@ fn a_kill_while_seeds_are_added_loses_no_run() {
             .map(str::to_owned)
     };
     let mut found = folder.journal_lines("s");
-    for more in 1..=10_u64 {
-        let before = head();
-        let sweep = folder.start(&format!("sweep {GRID} --seeds {} --threads 2 --out s", 20 + more));
+    for kill in 1..=10_u64 {
+        let before = first_line();
+        let sweep = folder.start(&format!("sweep {GRID} --seeds {} --threads 2 --out s", 20 + kill));
         // In half of the cases immediately after the journal is replaced, otherwise slightly before or after.
-        if more % 2 == 0 {
-            wait_until("the seeds to be raised", PATIENCE, || (head() != before).then_some(()));
+        if kill % 2 == 0 {
+            wait_until("the new number of seeds in the journal", PATIENCE, || {
+                (first_line() != before).then_some(())
+            });
         } else {
-            std::thread::sleep(Duration::from_micros(1500 * more));
+            std::thread::sleep(Duration::from_micros(1500 * kill));
         }
         sweep.signal(Signal::KILL);
         sweep.finish();
         let lines = folder.journal_lines("s");
-        println!("kill {more}: {lines} runs after {found}");
+        println!("kill {kill}: {lines} runs after {found}");
         assert!(lines >= found, "finished runs were lost");
         found = lines;
     }
-    let (table, again) = swept(&folder, &format!("{GRID} --seeds 40"), "s");
-    assert_eq!(again as usize, found, "all runs of the journal are taken over");
+    let (table, again) = sweep_table(&folder, &format!("{GRID} --seeds 40"), "s");
+    assert_eq!(again as usize, found, "runs found in the journal");
     assert!(table == expected);
 }

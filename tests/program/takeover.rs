@@ -1,4 +1,5 @@
-//! Killed processes cost time but no result: other hosts take over, and a run can be resumed.
+//! Takeover of a killed process's devices by other hosts, and resumed base stations (`up --resume`, `bs --resume`): the
+//! digest and tables equal an undisturbed run, and a changed folder is refused.
 
 use std::time::Duration;
 
@@ -7,11 +8,11 @@ use reveille_tests::process::{
 };
 use rustix::process::Signal;
 
-/// Kills device processes of `up` in order, and expects the digest of an undisturbed run.
-fn killed_and_taken_over(scenario: &str, kills: usize) {
+/// Kills this many device processes of `up` in order, and checks the digest.
+fn check_takeovers(scenario: &str, kills: usize) {
     let folder = TestFolder::new();
     let expected = folder.summary(&format!("run {scenario}"));
-    let run = unique_run("heir");
+    let run = unique_run("takeover");
     let up = folder.start(&format!(
         "up -P 4 --out out --run {run} {scenario} --pace 4ms --audit on --json"
     ));
@@ -20,8 +21,8 @@ fn killed_and_taken_over(scenario: &str, kills: usize) {
         let hosts = wait_until("four device processes", PATIENCE, || {
             Some(hosts_of(&run)).filter(|hosts| hosts.len() == 4)
         });
-        send_signal(hosts[kill % 4], Signal::KILL);
         let killed = hosts[kill % 4];
+        send_signal(killed, Signal::KILL);
         wait_until("another process", PATIENCE, || {
             let hosts = hosts_of(&run);
             (hosts.len() == 4 && !hosts.contains(&killed)).then_some(())
@@ -39,17 +40,17 @@ fn killed_and_taken_over(scenario: &str, kills: usize) {
 }
 
 #[test]
-fn devices_of_a_killed_process_are_taken_over_knn() {
-    killed_and_taken_over("-n 30 -k 1500 -p knn", 3);
+fn devices_of_a_killed_process_are_taken_over_with_knn() {
+    check_takeovers("-n 30 -k 1500 -p knn", 3);
 }
 
 #[test]
-fn devices_of_a_killed_process_are_taken_over_learning() {
-    killed_and_taken_over("-n 30 -k 900 -p q-learning --learn", 2);
+fn devices_of_a_killed_process_are_taken_over_with_learning() {
+    check_takeovers("-n 30 -k 900 -p q-learning --learn", 2);
 }
 
 #[test]
-fn a_process_with_room_takes_over() {
+fn a_process_with_spare_capacity_takes_over() {
     let (folder, run, endpoint) = (TestFolder::new(), unique_run("room"), free_endpoint());
     let scenario = "-n 30 -k 1200";
     let expected = folder.summary(&format!("run {scenario}"));
@@ -60,17 +61,17 @@ fn a_process_with_room_takes_over() {
     let device = |count: u32| folder.start(&format!("device --connect {endpoint} --run {run} --count {count}"));
     let first = device(10);
     first.wait_for_stderr("joined");
-    let roomy = device(40);
-    roomy.wait_for_stderr("joined");
+    let large_host = device(40);
+    large_host.wait_for_stderr("joined");
     folder.wait_for_tti(&run, 20);
     first.signal(Signal::KILL);
     bs.wait_for_stderr("run again after");
-    let spare = device(5);
-    spare.wait_for_stderr("standing by");
+    let standby = device(5);
+    standby.wait_for_stderr("standing by");
     let end = bs.finish();
     assert!(end.is_success(), "{end}");
     assert_eq!(SummaryJson::read(&folder.join("out")).digest(), expected.digest());
-    for process in [roomy, spare] {
+    for process in [large_host, standby] {
         let end = process.finish();
         assert!(end.is_success(), "{end}");
     }
@@ -78,7 +79,7 @@ fn a_process_with_room_takes_over() {
 
 /// Kills the base station midway, and resumes the run with the device processes that are still alive.
 #[test]
-fn a_killed_base_station_resumes_with_its_living_hosts() {
+fn a_killed_base_station_resumes_with_its_live_hosts() {
     let (folder, run, endpoint) = (TestFolder::new(), unique_run("resume"), free_endpoint());
     let scenario = "-n 30 -k 1500 -p q-learning --learn";
     let expected = folder.summary(&format!("run {scenario}"));
@@ -90,37 +91,36 @@ fn a_killed_base_station_resumes_with_its_living_hosts() {
         host.wait_for_stderr("joined");
         host
     });
-    wait_until("a mark", PATIENCE, || {
+    wait_until("a resume mark", PATIENCE, || {
         folder.list("out").contains(&"resume.json".to_owned()).then_some(())
     });
-    let reached = folder.wait_for_tti(&run, 1);
+    folder.wait_for_tti(&run, 1);
     bs.signal(Signal::KILL);
     bs.finish();
     let bs = folder.start(&format!("bs --resume out {serve}"));
     bs.wait_for_stderr("replaying the run up to TTI");
     let end = bs.finish();
     assert!(end.is_success(), "{end}");
-    assert!(reached > 0);
     let summary = SummaryJson::read(&folder.join("out"));
     assert_eq!((summary.digest(), summary.status()), (expected.digest(), "complete"));
     for host in hosts {
         let end = host.finish();
         assert!(end.is_success(), "{end}");
     }
-    let again = folder.run(&format!("bs --resume out {serve}"));
+    let second_resume = folder.run(&format!("bs --resume out {serve}"));
     assert!(
-        again.code() == Some(1) && again.stderr.contains("has finished"),
-        "{again}"
+        second_resume.code() == Some(1) && second_resume.stderr.contains("has finished"),
+        "{second_resume}"
     );
 }
 
-/// Checks that a fully killed or interrupted run ends like an undisturbed run after a resume.
-fn taken_up(command: &str, signal: Signal) {
+/// Ends a run of `command` with `signal`, and checks that its resume gives the digest and tables of an undisturbed run.
+fn check_resumed_run(command: &str, signal: Signal) {
     let folder = TestFolder::new();
     let scenario = "-n 40 -k 60000 -p knn --window 7000";
     let expected = folder.summary(&format!("run {scenario} --out whole"));
     let run = folder.start(&format!("{command} {scenario} --no-lookahead --out out"));
-    wait_until("a mark", PATIENCE, || {
+    wait_until("a resume mark", PATIENCE, || {
         folder.list("out").contains(&"resume.json".to_owned()).then_some(())
     });
     run.signal(signal);
@@ -138,31 +138,31 @@ fn taken_up(command: &str, signal: Signal) {
 }
 
 #[test]
-fn a_completely_killed_run_resumes() {
-    taken_up("up -P 2", Signal::KILL);
+fn a_killed_run_resumes() {
+    check_resumed_run("up -P 2", Signal::KILL);
 }
 
 #[test]
 fn an_interrupted_run_resumes() {
-    taken_up("up -P 2", Signal::TERM);
+    check_resumed_run("up -P 2", Signal::TERM);
 }
 
 /// A run interrupted while it waits ends in the middle of a TTI. It is resumed from its state before that TTI.
 #[test]
 fn a_run_interrupted_while_waiting_resumes() {
     let (folder, run, endpoint) = (TestFolder::new(), unique_run("held"), free_endpoint());
-    // A plan in each TTI, so that the open TTI already has a message.
+    // This policy sends a plan in each TTI, so that the open TTI already has a message.
     let scenario = "-n 20 -k 800 -p random";
     let expected = folder.summary(&format!("run {scenario}"));
     let serve = format!("--pace 3ms --run {run} --listen {endpoint}");
-    let host = || {
+    let start_host = || {
         let host = folder.start(&format!("device --connect {endpoint} --run {run} --count 20"));
         host.wait_for_stderr("joined");
         host
     };
     let bs = folder.start(&format!("bs {scenario} --out out {serve}"));
     bs.wait_for_stderr("waiting for 20 devices");
-    let killed = host();
+    let killed = start_host();
     folder.wait_for_tti(&run, 20);
     killed.signal(Signal::KILL);
     bs.wait_for_stderr("the run is waiting");
@@ -171,18 +171,18 @@ fn a_run_interrupted_while_waiting_resumes() {
     assert_eq!(end.code(), Some(130), "{end}");
     let bs = folder.start(&format!("bs --resume out {serve}"));
     bs.wait_for_stderr("waiting for 20 devices");
-    let heir = host();
+    let successor = start_host();
     let end = bs.finish();
     assert!(end.is_success(), "{end}");
     assert_eq!(SummaryJson::read(&folder.join("out")).digest(), expected.digest());
-    assert!(heir.finish().is_success());
+    assert!(successor.finish().is_success());
 }
 
 #[test]
-fn a_changed_folder_is_not_resumed() {
+fn a_changed_or_unsuitable_folder_is_not_resumed() {
     let folder = TestFolder::new();
     let run = folder.start("up -P 2 -n 40 -k 60000 --no-lookahead --out out");
-    wait_until("a mark", PATIENCE, || {
+    wait_until("a resume mark", PATIENCE, || {
         folder.list("out").contains(&"resume.json".to_owned()).then_some(())
     });
     run.signal(Signal::KILL);
@@ -190,10 +190,10 @@ fn a_changed_folder_is_not_resumed() {
     let path = folder.join("out/resume.json");
     let text = std::fs::read_to_string(&path).expect("readable");
     let (before, fingerprint) = text.rsplit_once("\"fingerprint\":\"").expect("a fingerprint");
-    let turned = if fingerprint.starts_with('0') { '1' } else { '0' };
+    let changed_digit = if fingerprint.starts_with('0') { '1' } else { '0' };
     std::fs::write(
         &path,
-        format!("{before}\"fingerprint\":\"{turned}{}", &fingerprint[1..]),
+        format!("{before}\"fingerprint\":\"{changed_digit}{}", &fingerprint[1..]),
     )
     .expect("writable");
     let end = folder.run("up -P 2 --resume out");

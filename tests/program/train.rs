@@ -1,5 +1,5 @@
-//! Training from the user's view: the same file despite interruptions, no overwriting without --force, and clear errors
-//! for invalid files.
+//! The command `train q-learning` and the use of its tables: the same bytes with any threads and after kills, no
+//! overwriting without `--force`, and refusals of invalid files and options.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -15,12 +15,13 @@ const TRAINING: &str = "train q-learning --quiet --devices 8,15,30 --windows 1,3
 /// Options of a training that takes hours.
 const ENDLESS: &str = "train q-learning --quiet --devices 20 --episodes 100000 --episode-ttis 300";
 
+/// Reads a file; empty if it does not exist.
 fn bytes(folder: &TestFolder, name: &str) -> Vec<u8> {
     fs::read(folder.join(name)).unwrap_or_default()
 }
 
-/// Writes tables for 10 and 50 devices after minimal training.
-fn table(folder: &TestFolder) -> String {
+/// Trains tables for 10 and 50 devices minimally into `good.json`, and returns their text.
+fn train_minimal_tables(folder: &TestFolder) -> String {
     let args = "train q-learning --quiet --devices 10,50 --episodes 1 --episode-ttis 50 --out good.json";
     let end = folder.run(args);
     assert!(end.is_success(), "{end}");
@@ -28,7 +29,7 @@ fn table(folder: &TestFolder) -> String {
 }
 
 #[test]
-fn threads_and_kills_leave_the_same_bytes() {
+fn threads_and_kills_do_not_change_the_tables() {
     let folder = TestFolder::new();
     let end = folder.run(&format!("{TRAINING} --threads 1 --out one.json"));
     assert!(end.is_success(), "{end}");
@@ -38,24 +39,24 @@ fn threads_and_kills_leave_the_same_bytes() {
     assert!(end.is_success(), "{end}");
     assert!(bytes(&folder, "two.json") == expected, "2 threads");
 
-    let mut killed = 0;
-    // A different delay each time, shorter than an episode or about as long.
-    for (threads, wait) in [(1, 3), (2, 21), (2, 60), (1, 37), (1, 0)] {
+    let mut kills = 0;
+    // Delays in ms, from 0 to about the length of an episode.
+    for (threads, delay) in [(1, 3), (2, 21), (2, 60), (1, 37), (1, 0)] {
         let before = bytes(&folder, "cut.json.checkpoint");
         let training = folder.start(&format!("{TRAINING} --threads {threads} --out cut.json"));
         let is_done = || folder.join("cut.json").exists();
         wait_until("an episode", PATIENCE, || {
             (is_done() || bytes(&folder, "cut.json.checkpoint") != before).then_some(())
         });
-        std::thread::sleep(Duration::from_millis(wait));
+        std::thread::sleep(Duration::from_millis(delay));
         training.signal(Signal::KILL);
-        let _killed = training.finish();
+        training.finish();
         if is_done() {
             break;
         }
-        killed += 1;
+        kills += 1;
     }
-    assert!(killed >= 3, "only {killed} kills");
+    assert!(kills >= 3, "only {kills} kills");
     if !folder.join("cut.json").exists() {
         let end = folder.run(
             &TRAINING
@@ -68,12 +69,12 @@ fn threads_and_kills_leave_the_same_bytes() {
             "{end}"
         );
     }
-    assert!(bytes(&folder, "cut.json") == expected, "killed");
+    assert!(bytes(&folder, "cut.json") == expected, "after kills");
     assert_eq!(folder.list("."), ["cut.json", "one.json", "runtime", "two.json"]);
 }
 
 #[test]
-fn an_existing_file_is_kept() {
+fn an_existing_file_is_replaced_only_with_force() {
     let folder = TestFolder::new();
     folder.write("mine.json", "mine");
     let args = "train q-learning --quiet --devices 5 --episodes 1 --episode-ttis 20 --out mine.json";
@@ -87,7 +88,7 @@ fn an_existing_file_is_kept() {
 }
 
 #[test]
-fn ctrl_c_keeps_the_training() {
+fn an_interrupted_training_keeps_its_checkpoint() {
     let folder = TestFolder::new();
     for signal in [Signal::INT, Signal::TERM] {
         let before = bytes(&folder, "t.json.checkpoint");
@@ -153,14 +154,17 @@ fn the_checkpoint_of_another_training_is_refused() {
         ENDLESS.replace("--devices 20", "--devices 20,21")
     ));
     assert_refused(&end, 1, &["t.json.checkpoint", "numbers of devices"]);
-    assert!(bytes(&folder, "t.json.checkpoint") == kept, "it is left alone");
+    assert!(
+        bytes(&folder, "t.json.checkpoint") == kept,
+        "the checkpoint has changed"
+    );
     fs::write(folder.join("t.json.checkpoint"), &kept[..kept.len() / 2]).expect("a test's folder");
     let end = folder.run(&format!("{ENDLESS} --out t.json"));
     assert_refused(&end, 1, &["t.json.checkpoint", "damaged"]);
 }
 
-/// Returns the file with a changed body and a matching checksum.
-fn sealed(text: &str, change: impl Fn(&str) -> String) -> String {
+/// Applies `change` to the body of a table file, and writes a matching checksum.
+fn with_changed_body(text: &str, change: impl Fn(&str) -> String) -> String {
     let (_, rest) = text.split_once(",\"body\":").expect("a body");
     let body = rest.trim_end().strip_suffix('}').expect("an end");
     let changed = change(body);
@@ -172,9 +176,9 @@ fn sealed(text: &str, change: impl Fn(&str) -> String) -> String {
     format!("{{\"format\":\"reveille-q-table\",\"version\":3,\"sha256\":\"{sum}\",\"body\":{changed}}}\n")
 }
 
-/// Replaces the first value of the file's first table.
-fn with_value(text: &str, value: &str) -> String {
-    sealed(text, |body| {
+/// Replaces the first value of the first table.
+fn with_first_value(text: &str, value: &str) -> String {
+    with_changed_body(text, |body| {
         let (before, after) = body.split_once("\"q\":[[").expect("a table");
         let (_, after) = after.split_once(',').expect("a cell");
         format!("{before}\"q\":[[{value},{after}")
@@ -182,23 +186,23 @@ fn with_value(text: &str, value: &str) -> String {
 }
 
 #[test]
-fn tables_that_cannot_be_used_are_refused() {
+fn invalid_table_files_are_refused() {
     let folder = TestFolder::new();
-    let text = table(&folder);
+    let text = train_minimal_tables(&folder);
     assert!(
-        sealed(&text, str::to_owned) == text,
-        "the file is sealed as this test does it"
+        with_changed_body(&text, str::to_owned) == text,
+        "this test and the program write files alike"
     );
-    let use_it = |name: &str, more: &str| {
+    let run_with_table = |name: &str| {
         folder.run(&format!(
-            "run -n 20 -k 60 --policy q-learning --out run --force --set policy.q-learning.table={name} {more}"
+            "run -n 20 -k 60 --policy q-learning --out run --force --set policy.q-learning.table={name}"
         ))
     };
-    let end = use_it("good.json", "");
+    let end = run_with_table("good.json");
     assert!(end.is_success(), "{end}");
-    folder.write("same.json", &with_value(&text, "20.5"));
-    let end = use_it("same.json", "");
-    assert!(end.is_success(), "a value may be another: {end}");
+    folder.write("other-value.json", &with_first_value(&text, "20.5"));
+    let end = run_with_table("other-value.json");
+    assert!(end.is_success(), "another valid value: {end}");
     fs::remove_dir_all(folder.join("run")).expect("the run");
 
     let train = "reveille train q-learning";
@@ -222,48 +226,48 @@ fn tables_that_cannot_be_used_are_refused() {
             "{\"devices\": 50}\n".to_owned(),
             &["not a file of learned tables", train],
         ),
-        ("nan", with_value(&text, "NaN"), &["damaged", train]),
-        ("null", with_value(&text, "null"), &["damaged", train]),
-        ("infinite", with_value(&text, "1e999"), &["damaged", train]),
+        ("nan", with_first_value(&text, "NaN"), &["damaged", train]),
+        ("null", with_first_value(&text, "null"), &["damaged", train]),
+        ("infinite", with_first_value(&text, "1e999"), &["damaged", train]),
         ("changed", text.replacen("[1", "[2", 1), &["damaged", "checksum", train]),
         (
             "no-entry",
-            sealed(&text, |body| {
+            with_changed_body(&text, |body| {
                 let (before, _) = body.split_once("\"entries\":[").expect("entries");
                 format!("{before}\"entries\":[]}}")
             }),
-            &["damaged", "no entries", train],
+            &["damaged", "no tables", train],
         ),
     ];
     for (name, content, parts) in &cases {
         let name = format!("{name}.json");
         folder.write(&name, content);
-        let end = use_it(&name, "");
+        let end = run_with_table(&name);
         assert_refused(&end, 1, &["policy.q-learning.table", &name]);
         assert_refused(&end, 1, parts);
     }
     fs::write(folder.join("bytes.json"), [0xFF, 0xFE, 0, 1, 2]).expect("a test's folder");
-    let end = use_it("bytes.json", "");
+    let end = run_with_table("bytes.json");
     assert_refused(
         &end,
         1,
         &["policy.q-learning.table", "bytes.json", "not a file of learned tables"],
     );
-    let end = use_it("nowhere.json", "");
+    let end = run_with_table("nowhere.json");
     assert_refused(
         &end,
         1,
         &["policy.q-learning.table", "nowhere.json", "No such file", train],
     );
-    let end = use_it(".", "");
+    let end = run_with_table(".");
     assert_refused(&end, 1, &["policy.q-learning.table", "cannot be read"]);
-    assert!(!folder.join("run").exists(), "no run was begun");
+    assert!(!folder.join("run").exists(), "a refused run left a folder");
 }
 
 #[test]
 fn a_table_for_other_densities_or_weights_is_refused() {
     let folder = TestFolder::new();
-    table(&folder);
+    train_minimal_tables(&folder);
     let base = "run -k 60 --policy q-learning --set policy.q-learning.table=good.json --out run";
     for n in [700, 101, 4] {
         let end = folder.run(&format!("{base} -n {n}"));
@@ -278,31 +282,31 @@ fn a_table_for_other_densities_or_weights_is_refused() {
         let end = folder.run(&format!("{base} -n 20 --set policy.q-learning.{name}={value}"));
         let field = format!("policy.q-learning.{name}");
         assert_refused(&end, 1, &[&field, value, "reveille train q-learning"]);
-        let more = if name == "window" {
+        let reasons = if name == "window" {
             ["which has tables for policy.q-learning.window = 1;", "--windows 3"]
         } else {
             ["its table was learned", "policy.q-learning.learn = true"]
         };
-        assert_refused(&end, 1, &more);
-        assert!(!folder.join("run").exists(), "no run was begun");
+        assert_refused(&end, 1, &reasons);
+        assert!(!folder.join("run").exists(), "a refused run left a folder");
         let out = format!("learns-{name}");
         let end = folder.run(&format!(
             "run -k 60 -n 20 --policy q-learning --set policy.q-learning.table=good.json --set {field}={value} \
              --set policy.q-learning.learn=true --out {out}"
         ));
-        assert!(end.is_success(), "a policy that learns may weigh otherwise: {end}");
-        // The result names the tables that the training started from.
+        assert!(end.is_success(), "a policy that learns may have other weights: {end}");
+        // The written tables name the tables that they started from.
         let learned = fs::read_to_string(folder.join(&format!("{out}/learned.json"))).expect("a table");
-        let from = "\"begun_from\":\"tables for N = 10, μ1 = 14, μ2 = 1, ζ = 0.95 and a window of 1 TTIs, \
+        let origin = "\"begun_from\":\"tables for N = 10, μ1 = 14, μ2 = 1, ζ = 0.95 and a window of 1 TTIs, \
             learned in 50 TTIs\"";
-        assert!(learned.contains(from), "{learned:.600}");
+        assert!(learned.contains(origin), "{learned:.600}");
     }
     let end = folder.run("run -k 60 -n 20 --policy q-learning --set policy.q-learning.table=nothing --out run");
     assert_refused(&end, 1, &["policy.q-learning.table", "learn = true"]);
 }
 
 #[test]
-fn a_missing_window_lists_the_available_ones() {
+fn a_window_without_tables_lists_the_available_ones() {
     let folder = TestFolder::new();
     let run = |set: &str| folder.run(&format!("run -n 20 -k 60 --policy q-learning {set} --out run --force"));
     for window in [1, 2, 4] {
@@ -315,8 +319,8 @@ fn a_missing_window_lists_the_available_ones() {
     // The operator should learn a fact that no base station can know: three of four events end before a device senses.
     let end = run("--set policy.q-learning.window=4 --set events.duration=1");
     assert!(end.is_success(), "{end}");
-    let told = ["policy.q-learning.window = 4", "events last 1 TTI: up to 75 %"];
-    assert!(told.iter().all(|part| end.stderr.contains(part)), "{end}");
+    let warning = ["policy.q-learning.window = 4", "events last 1 TTI: up to 75 %"];
+    assert!(warning.iter().all(|part| end.stderr.contains(part)), "{end}");
     let end = run("--set events.alpha=0.3");
     assert!(end.stderr.contains("events.alpha 0.2, here 0.3"), "{end}");
     let end = run("--set policy.q-learning.window=3");
@@ -389,7 +393,7 @@ fn a_missing_window_lists_the_available_ones() {
 }
 
 #[test]
-fn unknown_rankings_and_knowledge_list_the_available_ones() {
+fn an_unknown_ranking_or_knowledge_lists_the_available_ones() {
     let folder = TestFolder::new();
     for (field, known) in [
         ("bs.ranking", ["p42", "posterior"]),
@@ -406,17 +410,16 @@ fn unknown_rankings_and_knowledge_list_the_available_ones() {
             assert!(end.is_success(), "{end}");
         }
     }
-    assert!(!folder.join("run").exists(), "no run was begun");
+    assert!(!folder.join("run").exists(), "a refused run left a folder");
 }
 
 #[test]
 fn invalid_options_are_refused_before_training() {
     let folder = TestFolder::new();
     for (args, parts) in [
-        ("--devices 0", &["devices = [0]", "from 1 to 1000000"][..]),
         (
             "--devices 5 --windows 1 --set policy.q-learning.window=2",
-            &["policy.q-learning.window=2", "from --windows"],
+            &["policy.q-learning.window=2", "from --windows"][..],
         ),
         ("--devices 5 --episodes 0", &["episodes = 0", "at least 1"]),
         ("--devices 5 --episode-ttis 9", &["episode-ttis = 9", "at least 10"]),

@@ -1,4 +1,5 @@
-//! `reveille tune`: the same history despite interruptions, and clear errors.
+//! The command `tune`: the same history with any threads and after kills, its pictures and JSON, and refusals. Without
+//! the cargo feature it names the build command.
 
 #[cfg(not(feature = "tune"))]
 #[test]
@@ -23,18 +24,19 @@ mod with_the_feature {
     /// Options of a small tuning.
     const TUNE: &str = "tune -n 12 --design 3 --iterations 2 --episodes 2 --episode-ttis 200 --seeds 2 --ttis 1000";
 
+    /// Reads a file; empty if it does not exist.
     fn text(folder: &TestFolder, name: &str) -> String {
         fs::read_to_string(folder.join(name)).unwrap_or_default()
     }
 
     /// Counts the finished points in a history.
-    fn points(folder: &TestFolder, name: &str) -> usize {
+    fn point_count(folder: &TestFolder, name: &str) -> usize {
         let is_point = |line: &&str| line.starts_with(|c: char| c.is_ascii_digit());
         text(folder, name).lines().filter(is_point).count()
     }
 
     #[test]
-    fn a_tuning_ends_the_same_with_any_threads_and_after_kills() {
+    fn threads_and_kills_do_not_change_the_history() {
         let folder = TestFolder::new();
         let end = folder.run(&format!("{TUNE} --out whole.csv --threads 1"));
         assert!(end.is_success(), "{end}");
@@ -45,34 +47,34 @@ mod with_the_feature {
         ] {
             assert!(end.stdout.contains(part), "no {part}: {end}");
         }
-        assert_eq!(points(&folder, "whole.csv"), 5);
-        // Long enough to be killed midway.
-        let slow = format!("{TUNE} --threads 2 --out killed.csv");
+        // Three points of the design and two iterations.
+        assert_eq!(point_count(&folder, "whole.csv"), 5);
+        let resumable = format!("{TUNE} --threads 2 --out killed.csv");
         for (signal, code) in [(Signal::KILL, None), (Signal::INT, Some(130))] {
-            let found = points(&folder, "killed.csv");
-            let tuning = folder.start(&slow);
+            let found = point_count(&folder, "killed.csv");
+            let tuning = folder.start(&resumable);
             wait_until("a point", PATIENCE, || {
-                (points(&folder, "killed.csv") > found.min(4)).then_some(())
+                (point_count(&folder, "killed.csv") > found.min(4)).then_some(())
             });
             tuning.signal(signal);
             let end = tuning.finish();
             // On a fast machine the tuning may have ended before the signal.
             assert!(end.code() == code || end.is_success(), "{end}");
         }
-        let end = folder.run(&format!("{slow} --json"));
+        let end = folder.run(&format!("{resumable} --json"));
         assert!(end.is_success(), "{end}");
         assert!(end.stderr.contains("finished points found in killed.csv"), "{end}");
         for ending in ["csv", "svg", "png"] {
             let bytes = |name: &str| fs::read(folder.join(&format!("{name}.{ending}"))).expect("written");
             let (whole, killed) = (bytes("whole"), bytes("killed"));
             // The picture contains its file name.
-            assert!(ending == "svg" || whole == killed, "{ending}");
+            assert!(ending == "svg" || whole == killed, "the {ending} file differs");
         }
         let json: Value = serde_json::from_str(&end.stdout).expect("JSON");
         assert_eq!(json["points"].as_array().map(Vec::len), Some(5));
         let objective = |value: &Value| value["objective"].as_f64().expect("a number");
-        let all = json["points"].as_array().expect("points").iter().map(objective);
-        assert!((objective(&json["best"]) - all.fold(f64::NEG_INFINITY, f64::max)).abs() < 1e-15);
+        let objectives = json["points"].as_array().expect("points").iter().map(objective);
+        assert!((objective(&json["best"]) - objectives.fold(f64::NEG_INFINITY, f64::max)).abs() < 1e-15);
         assert_refused(
             &folder.run(&format!("{TUNE} --seed 2 --out whole.csv")),
             1,
@@ -88,9 +90,9 @@ mod with_the_feature {
         let folder = TestFolder::new();
         folder.write("foreign.csv", "a,b\n1,2\n");
         for (args, code, part) in [
-            ("--mu1 20,0.5", 1, "mu1 = 20,0.5"),
+            ("--mu1 20,0.5", 2, "20 is larger than 0.5"),
             ("--mu2 0,5", 1, "mu2 = 0,5"),
-            ("--mu2 1", 1, "--mu2: must be the smallest and the largest"),
+            ("--mu2 1", 2, "must be two numbers, the smaller one first"),
             ("--design 2", 1, "design = 2"),
             ("-n 0", 1, "devices"),
             ("-n many", 1, "devices"),

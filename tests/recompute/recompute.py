@@ -2,8 +2,8 @@
 """Recomputes the metrics of run folders from events.csv, devices.csv and scenario.toml alone, and compares them with
 summary.json. Standard library only; Python 3.11 or later. Usage: recompute.py FOLDER...
 
-It shares no code with the program: it only follows the definitions on the page about results. Energies are added as
-whole micro-units, so that sums by state must agree exactly.
+It shares no code with the program: it follows the definitions in docs/results.md. Energies are added as whole
+micro-units, so that sums by state must be exactly equal. Runs whose radio loses messages are not supported.
 """
 
 import collections
@@ -35,11 +35,11 @@ def nearest_rank(values: list[int], percent: int) -> float:
     return ordered[-(-len(ordered) * percent // 100) - 1] if ordered else math.nan
 
 
-def of_events(rows: list[dict[str, str]], alpha: float, ttis: int) -> dict[str, float]:
+def event_metrics(rows: list[dict[str, str]], alpha: float, ttis: int) -> dict[str, float]:
     counted = [row for row in rows if row["counted"] == "1"]
-    seen = [row for row in counted if row["reports"] != "0"]
-    delays = [int(row["last_tti"]) - int(row["start_tti"]) for row in seen]
-    for row, delay in zip(seen, delays):
+    reported = [row for row in counted if row["reports"] != "0"]
+    delays = [int(row["last_tti"]) - int(row["start_tti"]) for row in reported]
+    for row, delay in zip(reported, delays):
         assert int(row["delay_ttis"]) == delay, row
     assert all(row["delay_ttis"] == "" for row in counted if row["reports"] == "0"), "a missed event with a delay"
 
@@ -53,7 +53,7 @@ def of_events(rows: list[dict[str, str]], alpha: float, ttis: int) -> dict[str, 
         "info_per_event": ratio(total("information"), events),
         "detection_delay_ttis": ratio(sum(delays), len(delays)),
         "detection_delay_p95_ttis": nearest_rank(delays, 95),
-        "misdetection_pct": ratio(100 * (events - len(seen)), events),
+        "misdetection_pct": ratio(100 * (events - len(reported)), events),
         "reports_per_event": ratio(total("reports"), events),
         "wake_ups_per_event": ratio(total("wake_ups"), events),
         "wrong_activations_per_event": ratio(total("wrong_activations"), events),
@@ -61,13 +61,13 @@ def of_events(rows: list[dict[str, str]], alpha: float, ttis: int) -> dict[str, 
     }
 
 
-def causes(rows: list[dict[str, str]], devices: list[dict[str, str]], d_max: float) -> collections.Counter[str]:
+def count_causes(rows: list[dict[str, str]], devices: list[dict[str, str]], d_max: float) -> collections.Counter[str]:
     """Numbers of missed counted events by cause, where the radio loses nothing."""
-    found: collections.Counter[str] = collections.Counter()
-    places = [(float(device["x_m"]), float(device["y_m"])) for device in devices]
+    counts: collections.Counter[str] = collections.Counter()
+    positions = [(float(device["x_m"]), float(device["y_m"])) for device in devices]
     for row in rows:
-        at = float(row["x_m"]), float(row["y_m"])
-        distances = [math.dist(at, place) for place in places]
+        epicentre = float(row["x_m"]), float(row["y_m"])
+        distances = [math.dist(epicentre, position) for position in positions]
         assert math.isclose(float(row["nearest_m"]), min(distances), abs_tol=1e-9), row
         assert math.isclose(distances[int(row["nearest_device"])], min(distances), abs_tol=1e-9), row
         cause = row["miss_cause"]
@@ -77,18 +77,18 @@ def causes(rows: list[dict[str, str]], devices: list[dict[str, str]], d_max: flo
             # A device that detects an event and cannot report it is a wrong activation.
             assert (cause == "no_energy") == (row["wrong_activations"] != "0"), row
         if cause and row["counted"] == "1":
-            found[cause] += 1
-    return found
+            counts[cause] += 1
+    return counts
 
 
-def of_devices(rows: list[dict[str, str]], ttis: int) -> dict[str, float]:
+def device_metrics(rows: list[dict[str, str]], ttis: int) -> dict[str, float]:
     n = len(rows)
     spent = []
     for row in rows:
         by_state = [micro(row[f"{state}_units"]) for state in STATES]
-        into = micro(row["start_battery"]) + micro(row["harvested_units"])
-        out = sum(by_state) + micro(row["overflow_units"]) + micro(row["final_battery"])
-        assert into == out, f"device {row['device']}: {into} micro-units came in, {out} went out or are left"
+        gained = micro(row["start_battery"]) + micro(row["harvested_units"])
+        used = sum(by_state) + micro(row["overflow_units"]) + micro(row["final_battery"])
+        assert gained == used, f"device {row['device']}: {gained} micro-units gained, {used} spent, lost or left"
         assert int(row["longest_outage_ttis"]) <= int(row["failed_ttis"]) + int(row["unpowered_ttis"]) <= ttis, row
         spent.append(sum(by_state))
 
@@ -101,7 +101,7 @@ def of_devices(rows: list[dict[str, str]], ttis: int) -> dict[str, float]:
     return {
         "energy_per_device_tti": sum(spent) / 1e6 / n / ttis,
         **{f"energy_{state}_per_device_tti": units(f"{state}_units") for state in STATES},
-        "fairness_energy": ratio(sum(spent) ** 2, n * sum(one * one for one in spent)),
+        "fairness_energy": ratio(sum(spent) ** 2, n * sum(energy * energy for energy in spent)),
         "harvested_per_device_tti": units("harvested_units"),
         "net_per_device_tti": units("harvested_units") - sum(spent) / 1e6 / n / ttis,
         "overflow_per_device_tti": units("overflow_units"),
@@ -112,10 +112,11 @@ def of_devices(rows: list[dict[str, str]], ttis: int) -> dict[str, float]:
     }
 
 
-def same(shown: float | None, computed: float) -> bool:
-    if shown is None or math.isnan(computed):
-        return shown is None and math.isnan(computed)
-    return abs(shown - computed) <= TOLERANCE * max(1.0, abs(computed))
+def is_equal(printed: float | None, computed: float) -> bool:
+    """Compares with a value of the summary, which has null for a metric without a value."""
+    if printed is None or math.isnan(computed):
+        return printed is None and math.isnan(computed)
+    return abs(printed - computed) <= TOLERANCE * max(1.0, abs(computed))
 
 
 def check(folder: Path) -> int:
@@ -124,37 +125,39 @@ def check(folder: Path) -> int:
     events = list(csv.DictReader((folder / "events.csv").open()))
     devices = list(csv.DictReader((folder / "devices.csv").open()))
     ttis = summary["ttis_done"] - math.floor(scenario["ttis"] * scenario["warm_up"])
-    assert len(devices) == scenario["devices"], "a row a device"
-    # The phases of bursts are drawn; of the other processes α is a setting.
+    assert len(devices) == scenario["devices"], f"{len(devices)} rows for {scenario['devices']} devices"
+    # The phases of bursts are drawn; the other processes have a constant α.
     is_drawn = scenario["events"].get("process", "uniform") == "bursts"
     alpha = summary["start_probability"] if is_drawn else scenario["events"]["alpha"]
-    computed = of_events(events, alpha, ttis) | of_devices(devices, ttis)
-    wrong = [
+    computed = event_metrics(events, alpha, ttis) | device_metrics(devices, ttis)
+    differences = [
         f"{folder}: {name} is {summary['metrics'][name]} in the summary and {value} from the tables"
         for name, value in computed.items()
-        if not same(summary["metrics"][name], value)
+        if not is_equal(summary["metrics"][name], value)
     ]
-    # The acts of all devices add up to the tallies of the events.
-    for own, of_all in (("reports", "reports"), ("wake_ups", "wake_ups"), ("wrong_activations", "wrong_activations")):
-        by_device = sum(int(row[own]) for row in devices)
-        by_event = sum(int(row[of_all]) for row in events if row["counted"] == "1")
+    for column in ("reports", "wake_ups", "wrong_activations"):
+        by_device = sum(int(row[column]) for row in devices)
+        by_event = sum(int(row[column]) for row in events if row["counted"] == "1")
         if by_device != by_event:
-            wrong.append(f"{folder}: {by_device} {own} of devices, {by_event} of events")
-    missed = dict(causes(events, devices, scenario["sensing"]["d_max"]))
+            differences.append(f"{folder}: {by_device} {column} of devices, {by_event} of events")
+    missed = dict(count_causes(events, devices, scenario["sensing"]["d_max"]))
     stated = {cause: count for cause, count in summary["totals"]["missed"].items() if count}
     if missed != stated:
-        wrong.append(f"{folder}: {stated} in the summary, and {missed} from the tables")
+        differences.append(f"{folder}: {stated} in the summary, and {missed} from the tables")
     for cause, count in summary["totals"]["missed"].items():
         share = ratio(100 * count, computed["events"])
-        if not same(summary["metrics"][f"missed_{cause}_pct"], share):
-            wrong.append(f"{folder}: missed_{cause}_pct is not {share}")
-    # Exactly: the sums by state equal the totals.
+        if not is_equal(summary["metrics"][f"missed_{cause}_pct"], share):
+            differences.append(f"{folder}: missed_{cause}_pct is not {share}")
+    # Sums by state equal the totals exactly.
     for state in STATES:
-        by_device = sum(micro(row[f"{state}_units"]) for row in devices)
-        if by_device != summary["totals"]["energy"]["spent"][state]:
-            wrong.append(f"{folder}: {by_device} micro-units spent on {state} by the table")
-    print("\n".join(wrong) if wrong else f"{folder}: {len(computed)} metrics are the same")
-    return len(wrong)
+        from_table = sum(micro(row[f"{state}_units"]) for row in devices)
+        total = summary["totals"]["energy"]["spent"][state]
+        if from_table != total:
+            differences.append(
+                f"{folder}: energy spent on {state} is {total} in the summary and {from_table} from the table, micro-units"
+            )
+    print("\n".join(differences) if differences else f"{folder}: {len(computed)} metrics are the same")
+    return len(differences)
 
 
 if __name__ == "__main__":

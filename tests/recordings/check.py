@@ -1,9 +1,9 @@
-"""Reads recordings and exports with third-party programs; the result must equal `reveille inspect tail --json`.
+"""Reads recordings and exports with third-party programs; the messages must equal `reveille inspect tail --json`.
 
     python tests/recordings/check.py target/release/reveille
 
 `mcap` from PyPI reads the recording, tshark with the dissector the packets, the schema of Perfetto from PyPI the trace,
-and pyarrow the table. The check names a missing program and ends with 1; --allow-missing skips it.
+and pyarrow the table. Without one of these programs the exit code is 1; --allow-missing skips its check.
 """
 
 import argparse
@@ -29,15 +29,15 @@ def main():
     missing = []
     with tempfile.TemporaryDirectory() as folder:
         for number, command in enumerate(RUNS):
-            here = Path(folder) / str(number)
-            here.mkdir()
-            run = Run(reveille, here, command)
+            run_folder = Path(folder) / str(number)
+            run_folder.mkdir()
+            run = Run(reveille, run_folder, command)
             for check in CHECKS:
                 try:
                     check(run)
-                except Missing as what:
-                    missing.append(str(what))
-            print(f"{command}: {len(run.lines)} messages, the same everywhere")
+                except Missing as program:
+                    missing.append(str(program))
+            print(f"{command}: {len(run.lines)} messages, equal in all checked formats")
     if missing:
         print("not checked:", ", ".join(sorted(set(missing))))
         sys.exit(0 if args.allow_missing else 1)
@@ -51,33 +51,33 @@ RUNS = [
 
 
 class Missing(Exception):
-    pass
+    """A program that a check needs is not installed."""
 
 
 class Run:
     """A recorded run with its exports and its `tail --json` output."""
 
-    def __init__(self, reveille, here, command):
-        self.reveille, self.here = reveille, here
-        self.file = here / "run.mcap"
+    def __init__(self, reveille, folder, command):
+        self.reveille, self.folder = reveille, folder
+        self.file = folder / "run.mcap"
         self.call(*command.split(), "--quiet", "--out", "out", "--record", str(self.file))
         self.call("inspect", "verify", str(self.file))
-        shown = self.call("inspect", "tail", "--from", str(self.file), "--json")
-        self.lines = [json.loads(line) for line in shown.splitlines()]
-        assert len(self.lines) > 1000, len(self.lines)
+        tail = self.call("inspect", "tail", "--from", str(self.file), "--json")
+        self.lines = [json.loads(line) for line in tail.splitlines()]
+        assert len(self.lines) > 1000, f"only {len(self.lines)} messages"
 
     def call(self, *args):
-        done = subprocess.run([self.reveille, *args], cwd=self.here, capture_output=True, text=True)
-        assert done.returncode == 0, (args, done.stderr)
-        return done.stdout
+        process = subprocess.run([self.reveille, *args], cwd=self.folder, capture_output=True, text=True)
+        assert process.returncode == 0, (args, process.stderr)
+        return process.stdout
 
-    def export(self, to):
-        path = self.here / f"run.{to}"
-        self.call("inspect", "export", str(self.file), "--to", to, "--out", str(path))
+    def export(self, form):
+        path = self.folder / f"run.{form}"
+        self.call("inspect", "export", str(self.file), "--to", form, "--out", str(path))
         return path
 
 
-def mcap(run):
+def check_mcap(run):
     try:
         from mcap.reader import make_reader
     except ImportError:
@@ -85,8 +85,8 @@ def mcap(run):
     with open(run.file, "rb") as file:
         reader = make_reader(file)
         assert reader.get_summary().statistics.message_count == len(run.lines)
-        names = {attachment.name for attachment in reader.iter_attachments()}
-        assert {"scenario.toml", "summary.json"} <= names, names
+        attachments = {attachment.name for attachment in reader.iter_attachments()}
+        assert {"scenario.toml", "summary.json"} <= attachments, attachments
         # File order, since several messages have the same log time.
         messages = list(reader.iter_messages(log_time_order=False))
     assert [json.loads(message.data) for _, _, message in messages] == run.lines
@@ -109,68 +109,70 @@ def snake_case(name):
     return re.sub(r"(?<=.)(?=[A-Z])", "_", name).lower()
 
 
-def flat(value, path):
-    """Yields the numbers and texts among a message's fields, with their dissector names."""
+def flatten(value, path):
+    """Yields the dissector names and values of the numbers and texts among a message's fields."""
     if isinstance(value, dict):
         for key, inner in value.items():
             if inner is None:
                 continue
+            # Only names of variants begin with a capital.
             if key[:1].isupper():
                 yield f"{path}.is", key
-                yield from flat(inner, f"{path}.{snake_case(key)}")
+                yield from flatten(inner, f"{path}.{snake_case(key)}")
             else:
-                yield from flat(inner, f"{path}.{key}")
+                yield from flatten(inner, f"{path}.{key}")
     elif isinstance(value, str) and value[:1].isupper():
         yield f"{path}.is", value
     elif isinstance(value, (int, float, str)):
         yield path, value
 
 
-def tshark(run):
+def check_pcapng(run):
     if not shutil.which("tshark"):
         raise Missing("tshark")
-    lua = run.here / "reveille.lua"
-    run.call("inspect", "export", "--dissector", str(lua))
-    command = ["tshark", "-X", f"lua_script:{lua}", "-r", str(run.export("pcapng")), "-T", "ek"]
-    done = subprocess.run(command, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    packets = [json.loads(line) for line in done.stdout.splitlines() if '"timestamp"' in line]
+    dissector = run.folder / "reveille.lua"
+    run.call("inspect", "export", "--dissector", str(dissector))
+    command = ["tshark", "-X", f"lua_script:{dissector}", "-r", str(run.export("pcapng"))]
+    process = subprocess.run([*command, "-T", "ek"], capture_output=True, text=True)
+    assert process.returncode == 0, process.stderr
+    packets = [json.loads(line) for line in process.stdout.splitlines() if '"timestamp"' in line]
     assert len(packets) == len(run.lines), (len(packets), len(run.lines))
-    compared = 0
+    compared_values = 0
     for packet, line in zip(packets, run.lines):
-        own = packet["layers"]["reveille"]
-        get = lambda path: own.get("reveille_reveille_" + path.replace(".", "_"))
-        assert get("kind") == line["kind"] and int(get("tti")) == line["tti"], (own, line)
-        assert int(get("bytes")) == line["bytes"] and "_ws_malformed" not in str(own), own
-        expected = {}
-        for path, value in flat(line["message"], line["kind"]):
-            expected.setdefault(path, []).append(value)
-        for path, values in expected.items():
-            shown = get(path)
-            shown = shown if isinstance(shown, list) else [shown]
+        layer = packet["layers"]["reveille"]
+        get = lambda path: layer.get("reveille_reveille_" + path.replace(".", "_"))
+        assert get("kind") == line["kind"] and int(get("tti")) == line["tti"], (layer, line)
+        assert int(get("bytes")) == line["bytes"] and "_ws_malformed" not in str(layer), layer
+        expected_values = {}
+        for path, value in flatten(line["message"], line["kind"]):
+            expected_values.setdefault(path, []).append(value)
+        for path, values in expected_values.items():
+            shown_values = get(path)
+            shown_values = shown_values if isinstance(shown_values, list) else [shown_values]
             # Numbers of more than 64 bits are texts in another base.
             if path.endswith("_sum") or path.endswith("_pico"):
                 continue
-            for one, value in zip(shown, values):
-                compared += 1
+            for shown, value in zip(shown_values, values):
+                compared_values += 1
                 if isinstance(value, bool):
-                    assert str(one).lower() in (str(value).lower(), str(int(value))), (path, one, value)
+                    assert str(shown).lower() in (str(value).lower(), str(int(value))), (path, shown, value)
                 elif isinstance(value, (int, float)):
                     # tshark shows six digits of a number.
-                    assert abs(float(one) - value) <= 1e-5 * max(1.0, abs(value)), (path, one, value)
+                    assert abs(float(shown) - value) <= 1e-5 * max(1.0, abs(value)), (path, shown, value)
                 else:
-                    assert one == value, (path, one, value)
-    assert compared > 3 * len(run.lines), compared
+                    assert shown == value, (path, shown, value)
+    assert compared_values > 3 * len(run.lines), f"only {compared_values} values compared"
+    # A display filter on a field of the dissector.
     device = next(line["number"] for line in run.lines if line["kind"] == "report")
     filtered = subprocess.run(
-        [*command[:5], "-Y", f"reveille.report.device == {device}", "-T", "fields", "-e", "reveille.tti"],
+        [*command, "-Y", f"reveille.report.device == {device}", "-T", "fields", "-e", "reveille.tti"],
         capture_output=True, text=True,
     )
-    expected = [line["tti"] for line in run.lines if line["kind"] == "report" and line["number"] == device]
-    assert [int(tti) for tti in filtered.stdout.split()] == expected
+    expected_ttis = [line["tti"] for line in run.lines if line["kind"] == "report" and line["number"] == device]
+    assert [int(tti) for tti in filtered.stdout.split()] == expected_ttis
 
 
-def perfetto(run):
+def check_perfetto(run):
     try:
         from perfetto.protos.perfetto.trace import perfetto_trace_pb2 as pb
     except ImportError:
@@ -179,8 +181,7 @@ def perfetto(run):
     data = run.export("perfetto").read_bytes()
     assert trace.ParseFromString(data) in (None, len(data))
     assert trace.SerializeToString() == data, "a field that the schema does not know"
-    tracks, open_slices, slices, starts, ends = {}, Counter(), Counter(), set(), set()
-    last = 0
+    tracks, open_slices, slices, flow_starts, flow_ends = {}, Counter(), Counter(), set(), set()
     for packet in trace.packet:
         if packet.HasField("track_descriptor"):
             tracks[packet.track_descriptor.uuid] = packet.track_descriptor
@@ -193,23 +194,21 @@ def perfetto(run):
         elif event.type == pb.TrackEvent.TYPE_SLICE_END:
             open_slices[event.track_uuid] -= 1
         assert 0 <= open_slices[event.track_uuid] <= 1, event
-        starts.update(event.flow_ids)
-        ends.update(event.terminating_flow_ids)
-        last = max(last, packet.timestamp)
-    devices = [track for track in tracks.values() if track.name.startswith("device ")]
-    told = [json.loads(text) for text in [json.dumps(line) for line in run.lines]]
-    wakes = sum(line["kind"] == "wake" for line in told)
-    assert len(starts) == wakes and starts == ends, (len(starts), wakes)
+        flow_starts.update(event.flow_ids)
+        flow_ends.update(event.terminating_flow_ids)
+    device_tracks = [track for track in tracks.values() if track.name.startswith("device ")]
+    wake_ups = sum(line["kind"] == "wake" for line in run.lines)
+    assert len(flow_starts) == wake_ups and flow_starts == flow_ends, (len(flow_starts), wake_ups)
     # A slice of S3 covers every TTI in which a device reported; consecutive reports share a slice.
-    for device, track in enumerate(devices):
-        ttis = sorted({line["tti"] for line in told if line["kind"] == "report" and line["number"] == device})
-        runs = sum(tti - 1 not in ttis for tti in ttis)
-        assert slices[track.uuid, "S3 transmission"] == runs, (device, runs)
+    for device, track in enumerate(device_tracks):
+        ttis = {line["tti"] for line in run.lines if line["kind"] == "report" and line["number"] == device}
+        expected_slices = sum(tti - 1 not in ttis for tti in ttis)
+        assert slices[track.uuid, "S3 transmission"] == expected_slices, (device, expected_slices)
     # Events still active at the end of the run have open slices.
     assert sum(open_slices.values()) <= 1, open_slices
 
 
-def table(run):
+def check_tables(run):
     with open(run.export("csv"), newline="") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == len(run.lines)
@@ -230,7 +229,7 @@ def table(run):
         assert information == (line["message"]["information"] if line["kind"] == "report" else None)
 
 
-CHECKS = [mcap, tshark, perfetto, table]
+CHECKS = [check_mcap, check_pcapng, check_perfetto, check_tables]
 
 if __name__ == "__main__":
     main()

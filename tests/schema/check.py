@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""Checks the JSON Schema of scenario files with a validator that is not ours.
+"""Checks the JSON Schema of scenario files with the validator of the package jsonschema.
 
     pip install jsonschema
     reveille scenario schema --out reveille.schema.json
     tests/schema/check.py reveille.schema.json
 
-The shipped scenarios, the presets and what `reveille scenario show` prints have to pass, each file in `broken/` has to be
-refused. `--reveille PROGRAM` adds the scenarios that the program prints. The exit code is 1 if anything is otherwise.
+The shipped scenarios and the presets must be valid, each file in `broken/` must be invalid. `--reveille PROGRAM` adds
+the output of `reveille scenario show` for each preset. The exit code is 1 if a file has the other result.
 """
 
 import argparse
@@ -31,31 +31,32 @@ def main() -> int:
     Draft202012Validator.check_schema(schema)
     validator = Draft202012Validator(schema)
 
-    def problem(text: str) -> str | None:
+    def first_error(text: str) -> str | None:
         first = next(iter(validator.iter_errors(tomllib.loads(text))), None)
         return first and f"{first.json_path}: {first.message}"
 
-    good = {
+    valid = {
         str(path.relative_to(ROOT)): path.read_text(encoding="utf-8")
         for folder in ("deploy/scenarios", "common/src/scenario/presets")
         for path in sorted((ROOT / folder).glob("*.toml"))
     }
     if args.reveille:
         for preset in ("paper", "paper-literal", "quick"):
-            show = [args.reveille, "scenario", "show", preset]
-            good[f"scenario show {preset}"] = subprocess.run(show, check=True, capture_output=True, text=True).stdout
+            command = [args.reveille, "scenario", "show", preset]
+            valid[f"scenario show {preset}"] = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     broken = {path.name: path.read_text(encoding="utf-8") for path in sorted((HERE / "broken").glob("*.toml"))}
     failures = 0
-    for name, text in good.items():
-        found = problem(text)
-        failures += found is not None
-        print(f"{'ok     ' if found is None else 'REFUSED'} {name}{f': {found}' if found else ''}")
+    for name, text in valid.items():
+        error = first_error(text)
+        failures += error is not None
+        print(f"{'valid  ' if error is None else 'INVALID'} {name}{f': {error}' if error else ''}")
     for name, text in broken.items():
-        found = problem(text)
-        failures += found is None
-        print(f"{'refused' if found else 'PASSED '} broken/{name}{f': {found}' if found else ''}")
-    print(f"{len(good)} good and {len(broken)} broken files, {failures} not as they should be")
-    return 1 if failures or not good or len(broken) < 10 else 0
+        error = first_error(text)
+        failures += error is None
+        print(f"{'invalid' if error else 'VALID  '} broken/{name}{f': {error}' if error else ''}")
+    print(f"{len(valid)} valid and {len(broken)} broken files, {failures} with the wrong result")
+    # A missing folder must not pass.
+    return 1 if failures or not valid or len(broken) < 10 else 0
 
 
 if __name__ == "__main__":

@@ -13,14 +13,20 @@ use reveille_lab::run::RunOptions;
 
 use crate::reference::ReferenceState;
 
+/// Options for one TTI per grant.
+pub const ONE_TTI_PER_GRANT: RunOptions = RunOptions {
+    lookahead: false,
+    window: u64::MAX,
+};
+
 /// Observer that keeps every ended event.
 #[derive(Clone, Debug, Default)]
-pub struct Collected {
+pub struct EventCollector {
     /// Recorded events, in order.
     pub events: Vec<EventRecord>,
 }
 
-impl Observer for Collected {
+impl Observer for EventCollector {
     fn notify(&mut self, notification: &Notification<'_>) {
         if let Notification::EventEnded(event) = notification {
             self.events.push(**event);
@@ -30,10 +36,10 @@ impl Observer for Collected {
 
 /// Returns the outcome and the ended events of the whole run.
 pub fn outcome(scenario: &Scenario, lookahead: bool, window: u64) -> (RunOutcome, Vec<EventRecord>) {
-    let mut collected = Collected::default();
+    let mut collector = EventCollector::default();
     let options = RunOptions { lookahead, window };
-    let outcome = start(scenario, options).finish(&mut collected);
-    (outcome, collected.events)
+    let outcome = start(scenario, options).finish(&mut collector);
+    (outcome, collector.events)
 }
 
 /// Returns the ledger of each device at the end of the run.
@@ -48,32 +54,28 @@ pub fn ledgers(scenario: &Scenario, lookahead: bool) -> Vec<Ledger> {
     while run.cycle().next_tti() < Tti(scenario.run.ttis) {
         run.run_grant(&mut ());
     }
-    let settled = |machine: &Machine| {
+    let ledger_at_end = |machine: &Machine| {
         // Advances a copy: the run advances its own machines later.
         let mut machine = machine.clone();
         machine.advance_to(Tti(scenario.run.ttis));
         machine.ledger()
     };
-    run.machines().iter().map(settled).collect()
+    run.machines().iter().map(ledger_at_end).collect()
 }
 
-/// Returns state and battery of each device at the end of each TTI.
+/// Returns the state and the battery, micro-units, of each device at the end of each TTI.
 pub fn trace(scenario: &Scenario) -> Vec<Vec<(ReferenceState, u64)>> {
-    let options = RunOptions {
-        lookahead: false,
-        ..RunOptions::default()
-    };
-    let mut run = start(scenario, options);
+    let mut run = start(scenario, ONE_TTI_PER_GRANT);
     let mut trace = Vec::new();
     for k in (0..scenario.run.ttis).map(Tti) {
         run.run_grant(&mut ());
-        let now = |machine: &Machine| {
+        let state_and_battery = |machine: &Machine| {
             // Advances a copy: the run advances its own machines later.
             let mut machine = machine.clone();
             machine.begin(k);
-            (translated(machine.state()), machine.battery().micro())
+            (reference_state(machine.state()), machine.battery().micro())
         };
-        trace.push(run.machines().iter().map(now).collect());
+        trace.push(run.machines().iter().map(state_and_battery).collect());
     }
     trace
 }
@@ -82,12 +84,12 @@ pub fn trace(scenario: &Scenario) -> Vec<Vec<(ReferenceState, u64)>> {
 ///
 /// # Panics
 /// If the state is S2, in which no device is at the end of a step.
-pub fn translated(state: DeviceState) -> ReferenceState {
+pub fn reference_state(state: DeviceState) -> ReferenceState {
     match state {
         DeviceState::Idle => ReferenceState::Idle,
         DeviceState::Transmission => ReferenceState::Transmission,
         DeviceState::Sleep { powered: true } => ReferenceState::Asleep,
-        DeviceState::Sleep { powered: false } => ReferenceState::Dark,
+        DeviceState::Sleep { powered: false } => ReferenceState::Unpowered,
         DeviceState::Active => panic!("S2 is left within the TTI"),
     }
 }

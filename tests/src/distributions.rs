@@ -4,18 +4,18 @@ use reveille_bs::scenario::Scenario;
 use reveille_common::event::{ActiveEvent, EventProcess};
 use reveille_common::ids::{MAX_TTIS, Tti};
 
-/// Largest accepted deviation of a mean, in standard errors.
-pub const BOUND: f64 = 4.5;
+/// Largest accepted deviation of a mean, in standard errors. A correct sample deviates more in 7 of a million tests.
+pub const MAX_STANDARD_ERRORS: f64 = 4.5;
 
 /// Draws the first `n` events of `scenario`, none of them reported.
-pub fn drawn(scenario: &Scenario, n: usize) -> Vec<ActiveEvent> {
+pub fn draw_events(scenario: &Scenario, n: usize) -> Vec<ActiveEvent> {
     let mut process = EventProcess::new(scenario.run.seed, scenario.area, &scenario.events, Tti(MAX_TTIS));
-    let mut next = || {
+    let mut draw_event = || {
         let event = process.start();
         process.end(event.last);
         event
     };
-    (0..n).map(|_| next()).collect()
+    (0..n).map(|_| draw_event()).collect()
 }
 
 /// Checks that the mean of `values` is `expected`, using the sample's own standard error.
@@ -23,7 +23,7 @@ pub fn drawn(scenario: &Scenario, n: usize) -> Vec<ActiveEvent> {
 /// # Panics
 /// If the mean differs or the sample is too small.
 #[track_caller]
-pub fn mean_is(what: &str, values: impl IntoIterator<Item = f64>, expected: f64) {
+pub fn assert_mean(what: &str, values: impl IntoIterator<Item = f64>, expected: f64) {
     let (mut n, mut sum, mut squares) = (0.0, 0.0, 0.0);
     for value in values {
         n += 1.0;
@@ -31,12 +31,12 @@ pub fn mean_is(what: &str, values: impl IntoIterator<Item = f64>, expected: f64)
         squares += (value - expected) * (value - expected);
     }
     assert!(n >= 300.0, "{what}: only {n} values");
-    let (off, error) = (sum / n, (squares / n / n).sqrt());
+    let (deviation, error) = (sum / n, (squares / n / n).sqrt());
     assert!(
-        off.abs() <= BOUND * error,
-        "{what}: {} of {n} values, expected {expected}, {:.1} standard errors off",
-        off + expected,
-        off.abs() / error
+        deviation.abs() <= MAX_STANDARD_ERRORS * error,
+        "{what}: mean {} of {n} values, expected {expected}, {:.1} standard errors off",
+        deviation + expected,
+        deviation.abs() / error
     );
 }
 
@@ -45,7 +45,7 @@ pub fn mean_is(what: &str, values: impl IntoIterator<Item = f64>, expected: f64)
 /// # Panics
 /// If the share differs or the sample is too small.
 #[track_caller]
-pub fn share_is(what: &str, hits: impl IntoIterator<Item = bool>, expected: f64) {
+pub fn assert_share(what: &str, hits: impl IntoIterator<Item = bool>, expected: f64) {
     let (mut n, mut count) = (0.0, 0.0);
     for is_hit in hits {
         n += 1.0;
@@ -55,29 +55,32 @@ pub fn share_is(what: &str, hits: impl IntoIterator<Item = bool>, expected: f64)
     assert!(n * expected * (1.0 - expected) >= 20.0, "{what}: only {n} values");
     let share = count / n;
     assert!(
-        (share - expected).abs() <= BOUND * error,
-        "{what}: {share} of {n}, expected {expected}, {:.1} standard errors off",
+        (share - expected).abs() <= MAX_STANDARD_ERRORS * error,
+        "{what}: share {share} of {n} values, expected {expected}, {:.1} standard errors off",
         (share - expected).abs() / error
     );
 }
 
-/// Checks the `counts` of cells against their `probabilities` with a χ² test.
+/// Checks the `counts` of bins against their `probabilities` with a χ² test.
 ///
 /// # Panics
 /// If the counts do not fit or the sample is too small.
 #[track_caller]
-pub fn cells_are(what: &str, counts: &[f64], probabilities: &[f64]) {
+pub fn assert_bin_counts(what: &str, counts: &[f64], probabilities: &[f64]) {
     let n: f64 = counts.iter().sum();
-    let whole: f64 = probabilities.iter().sum();
-    assert!((whole - 1.0).abs() < 1e-9, "{what}: cells of {whole} in all");
+    let total: f64 = probabilities.iter().sum();
+    assert!(
+        (total - 1.0).abs() < 1e-9,
+        "{what}: the probabilities add up to {total}"
+    );
     let terms = counts.iter().zip(probabilities).map(|(count, p)| {
-        assert!(n * p > 20.0, "{what}: too few in a cell of {p}");
+        assert!(n * p > 20.0, "{what}: only {} values expected in a bin", n * p);
         (count - n * p) * (count - n * p) / (n * p)
     });
     // χ² has the mean `freedom` and the variance 2 · `freedom`.
-    let (chi, freedom) = (terms.sum::<f64>(), counts.len() as f64 - 1.0);
+    let (chi_squared, freedom) = (terms.sum::<f64>(), counts.len() as f64 - 1.0);
     assert!(
-        chi <= freedom + BOUND * (2.0 * freedom).sqrt(),
-        "{what}: χ² is {chi}, of {freedom} degrees of freedom; {counts:?}"
+        chi_squared <= freedom + MAX_STANDARD_ERRORS * (2.0 * freedom).sqrt(),
+        "{what}: χ² is {chi_squared} with {freedom} degrees of freedom; counts {counts:?}"
     );
 }

@@ -4,45 +4,42 @@ use std::time::Duration;
 
 use reveille_bs::policy::external::wire::{DecisionRequest, RequestKind};
 use reveille_bs::policy::external::{Decision, DecisionStage};
-use reveille_bs::scenario::{Override, load};
+
 use reveille_bs::server::policy_port::client::{self, ClientIdentity};
-use reveille_common::bus::{Bus, PolicyQuestion};
+use reveille_common::bus::{Bus, PortRequest};
 use reveille_common::encoding::Encoding;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::secret::Secret;
 use serde_json::{Value, json};
 
 use crate::process::{FinishedProcess, PATIENCE, Process, TestFolder, free_endpoint, unique_run, wait_until};
+use crate::scenarios::paper;
 use crate::transcript::CommandTranscript;
 
-/// Options of a scenario whose run takes a moment.
+/// Options of a scenario with a short run.
 pub const SMALL: &str = "-n 30 -k 400";
 
-/// Runs `policy` on the scenario of [`SMALL`] in memory and returns its transcript and digest.
+/// Runs `policy` in memory, on the scenario of [`SMALL`] with `fields` overridden, and returns its transcript and
+/// digest.
 ///
 /// # Panics
 /// If the scenario is invalid.
-pub fn own(policy: &str, set: &[&str]) -> (CommandTranscript, String) {
+pub fn own(policy: &str, fields: &[&str]) -> (CommandTranscript, String) {
     let policy = format!("policy.name={policy}");
-    let always = [policy.as_str(), "devices=30", "ttis=400"];
-    let all = always
-        .iter()
-        .chain(set)
-        .map(|set| Override::parse(set).expect("an override"));
-    let (transcript, digest) =
-        CommandTranscript::of(&load("paper", &all.collect::<Vec<_>>()).expect("a scenario").scenario);
+    let fields = [&[policy.as_str(), "devices=30", "ttis=400"], fields].concat();
+    let (transcript, digest) = CommandTranscript::of(&paper(&fields));
     (transcript, digest.to_string())
 }
 
 /// Looks up the answer to a decision request in `transcript`.
-pub fn answer(transcript: &CommandTranscript, asked: &DecisionRequest) -> Decision {
-    let stage = match asked.head.stage {
+pub fn answer(transcript: &CommandTranscript, request: &DecisionRequest) -> Decision {
+    let stage = match request.head.stage {
         RequestKind::Wake => DecisionStage::Wake,
         RequestKind::Plan | RequestKind::Hello | RequestKind::Bye => DecisionStage::Plan,
     };
-    transcript.answer(stage, Tti(asked.head.tti), |DeviceId(j)| {
+    transcript.answer(stage, Tti(request.head.tti), |DeviceId(j)| {
         // 2 marks a device that can still be woken; the transcript holds all wake-ups of the TTI.
-        asked.action_mask.0[j as usize] == 2
+        request.action_mask.0[j as usize] == 2
     })
 }
 
@@ -106,14 +103,14 @@ impl ExternallyDecidedRun {
     ///
     /// # Panics
     /// If the bus fails.
-    pub async fn decide(&self, form: Encoding, mut decide: impl FnMut(&DecisionRequest) -> Decision) -> u64 {
-        let introduction = ClientIdentity {
+    pub async fn decide(&self, encoding: Encoding, mut decide: impl FnMut(&DecisionRequest) -> Decision) -> u64 {
+        let identity = ClientIdentity {
             name: "the test".to_owned(),
             run_key: Some(self.key()),
-            encoding: form,
+            encoding,
         };
-        let decided = client::decide(&self.bus().await, &introduction, &mut decide).await;
-        decided.expect("the bus is open")
+        let answer_count = client::serve_decisions(&self.bus().await, &identity, &mut decide).await;
+        answer_count.expect("the bus is open")
     }
 
     /// Waits for the end of the process.
@@ -139,33 +136,32 @@ impl MisbehavingPolicy {
         }
     }
 
-    /// Answers the greeting and passes other requests to `act`, until it returns false or no request arrives for 3 s.
+    /// Answers the hello request and passes other requests to `act`, until it returns false or no request arrives for
+    /// 3 s.
     ///
     /// # Panics
-    /// If a request is not JSON.
-    pub async fn serve(&self, mut act: impl FnMut(&PolicyQuestion, &Value) -> bool) {
+    /// If a request is not JSON, or the session is closed.
+    pub async fn serve(&self, mut act: impl FnMut(&PortRequest, &Value) -> bool) {
         let questions = self.bus.serve_policy_port().expect("a queryable");
         while let Ok(Some(question)) = tokio::time::timeout(Duration::from_secs(3), questions.next()).await {
-            let asked: Value = serde_json::from_slice(&question.payload).expect("JSON");
-            if asked["stage"] == "hello" {
-                let welcome = json!({
-                    "protocol": 1, "seq": asked["seq"], "tti": asked["tti"], "stage": "hello",
+            let request: Value = serde_json::from_slice(&question.payload).expect("JSON");
+            if request["stage"] == "hello" {
+                let hello_reply = json!({
+                    "protocol": 1, "seq": request["seq"], "tti": request["tti"], "stage": "hello",
                     "id": self.id, "name": "a rogue", "key": self.key,
                 });
-                question
-                    .answer(welcome.to_string().into_bytes(), Encoding::Json)
-                    .expect("answered");
-            } else if !act(&question, &asked) {
+                send_reply(&question, &hello_reply);
+            } else if !act(&question, &request) {
                 return;
             }
         }
     }
 
     /// Returns the answer in which no device senses and none is woken.
-    pub fn idle(&self, asked: &Value) -> Value {
-        let decision = if asked["stage"] == "plan" { "sense" } else { "wake" };
+    pub fn idle(&self, request: &Value) -> Value {
+        let decision = if request["stage"] == "plan" { "sense" } else { "wake" };
         let mut answer = json!({
-            "protocol": 1, "seq": asked["seq"], "tti": asked["tti"], "stage": asked["stage"],
+            "protocol": 1, "seq": request["seq"], "tti": request["tti"], "stage": request["stage"],
             "id": self.id, "key": self.key,
         });
         answer[decision] = json!([]);
@@ -173,12 +169,12 @@ impl MisbehavingPolicy {
     }
 }
 
-/// Answers `question` in JSON.
+/// Replies to `request` in JSON.
 ///
 /// # Panics
 /// If the session is closed.
-pub fn say(question: &PolicyQuestion, answer: &Value) {
-    question
-        .answer(answer.to_string().into_bytes(), Encoding::Json)
-        .expect("answered");
+pub fn send_reply(request: &PortRequest, reply: &Value) {
+    request
+        .reply(reply.to_string().into_bytes(), Encoding::Json)
+        .expect("an open session");
 }

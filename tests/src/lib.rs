@@ -4,7 +4,7 @@
 //! code. [`scenarios`] generates random scenarios for property tests. [`compare`] runs the emulator for comparison with
 //! the reference. [`distributions`] tests samples against their distribution. [`process`] starts the real program and
 //! observes it. [`terminal`] starts it in a terminal that can be closed. [`machine`] makes full disks and small
-//! networks, and reports skipped checks. [`transcript`] records the commands of a policy, and [`external_policy`]
+//! networks, and reports skipped checks. [`transcript`] records the decisions of a policy, and [`external_policy`]
 //! replays them.
 
 pub mod compare;

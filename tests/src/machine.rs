@@ -1,4 +1,4 @@
-//! Disks and networks with limits, and a report of checks that cannot run on this machine.
+//! Disks and networks with limits, and reports of checks that cannot run on this machine.
 
 use std::fs;
 use std::io::Write;
@@ -23,7 +23,7 @@ impl<'f> Mount<'f> {
         fs::create_dir_all(path).ok()?;
         let mut mount = Command::new("mount");
         mount.args(["-t", "tmpfs", "-o", options, "none"]).arg(path);
-        is_done(&mut mount).then_some(Self(path))
+        succeeds(&mut mount).then_some(Self(path))
     }
 }
 
@@ -40,15 +40,15 @@ pub struct FewPorts(String);
 impl FewPorts {
     /// Creates a namespace with `ports` ephemeral ports; `None` without root rights.
     pub fn make(name: &str, ports: u32) -> Option<Self> {
-        if !is_done(Command::new("ip").args(["netns", "add", name])) {
+        if !succeeds(Command::new("ip").args(["netns", "add", name])) {
             return None;
         }
-        let network = Self(name.to_owned());
-        let range = format!(
+        let namespace = Self(name.to_owned());
+        let set_up = format!(
             "ip link set lo up && echo 40000 {} > /proc/sys/net/ipv4/ip_local_port_range",
             40_000 + ports - 1
         );
-        is_done(network.command(Path::new("sh")).args(["-c", &range])).then_some(network)
+        succeeds(namespace.command(Path::new("sh")).args(["-c", &set_up])).then_some(namespace)
     }
 
     /// Returns a command that runs `program` in the namespace.
@@ -65,20 +65,23 @@ impl Drop for FewPorts {
     }
 }
 
-fn is_done(command: &mut Command) -> bool {
-    command.output().is_ok_and(|end| end.status.success())
+fn succeeds(command: &mut Command) -> bool {
+    command.output().is_ok_and(|output| output.status.success())
 }
 
-/// Prints that a check is skipped, and `why`. Does not use `eprintln!`, whose output a passing test hides.
-pub fn skipped(why: &str) {
-    let _unread = writeln!(std::io::stderr(), "SKIPPED: {why}").is_err();
+/// Prints that a check is skipped, and the reason. Does not use `eprintln!`, whose output a passing test hides.
+pub fn skipped(reason: &str) {
+    let _unread = writeln!(std::io::stderr(), "SKIPPED: {reason}").is_err();
 }
 
-/// Prints that a check is skipped, and `why`; fails in continuous integration, where every check must run.
+/// Prints that a check is skipped, and the reason; fails in continuous integration, where every check must run.
 ///
 /// # Panics
 /// If the variable `CI` is `true`.
-pub fn missing(why: &str) {
-    skipped(why);
-    assert!(std::env::var_os("CI").is_none_or(|ci| ci != "true"), "CI=true: {why}");
+pub fn missing(reason: &str) {
+    skipped(reason);
+    assert!(
+        std::env::var_os("CI").is_none_or(|ci| ci != "true"),
+        "CI=true: {reason}"
+    );
 }

@@ -17,10 +17,10 @@ use serde_json::Value;
 pub const PATIENCE: Duration = Duration::from_mins(2);
 
 /// CPU time after which a process counts as working, in hundredths of a second.
-const WORK: u64 = 20;
+const WORKING_TICKS: u64 = 20;
 
 /// Interval between two checks of a condition.
-const LOOK: Duration = Duration::from_millis(10);
+const POLL_INTERVAL: Duration = Duration::from_millis(10);
 
 /// Returns the program under test: the path in the variable `REVEILLE`, or else the binary next to the running test.
 /// The tests that use it belong to the package of the command (`tests/program/`), so cargo has built it before they
@@ -38,7 +38,7 @@ fn next_to_test() -> PathBuf {
     let program = test
         .ancestors()
         .nth(2)
-        .expect("tests lie in target/PROFILE/deps")
+        .expect("tests are in target/PROFILE/deps")
         .join("reveille");
     assert!(
         program.exists(),
@@ -121,9 +121,9 @@ impl TestFolder {
     /// # Panics
     /// If the command fails.
     pub fn clock(&self, run: &str, action: &str) -> String {
-        let said = self.run(&format!("clock --run {run} {action}"));
-        assert!(said.is_success(), "clock {action}: {said}");
-        said.stdout
+        let clock = self.run(&format!("clock --run {run} {action}"));
+        assert!(clock.is_success(), "clock {action}: {clock}");
+        clock.stdout
     }
 
     /// Waits until the devices of `run` have joined and its TTI is at least `tti`; returns the current TTI.
@@ -132,12 +132,12 @@ impl TestFolder {
     /// If the run does not reach `tti` in time.
     pub fn wait_for_tti(&self, run: &str, tti: u64) -> u64 {
         wait_until(&format!("run {run} to pass TTI {tti}"), PATIENCE, || {
-            let said = self.run(&format!("clock --run {run} status")).stdout;
-            let words: Vec<&str> = said.split_whitespace().collect();
-            let at = words.iter().position(|&word| word == "TTI")? + 1;
+            let status = self.run(&format!("clock --run {run} status")).stdout;
+            let mut words = status.split_whitespace().skip_while(|&word| word != "TTI");
             // The status also shows TTI 0 before the devices have joined.
-            let has_begun = !said.starts_with("joining");
-            words.get(at)?.parse().ok().filter(|&now| has_begun && now >= tti)
+            let has_begun = !status.starts_with("joining");
+            let current = words.nth(1)?.parse().ok();
+            current.filter(|&current| has_begun && current >= tti)
         })
     }
 
@@ -207,16 +207,16 @@ struct Output {
 
 impl Output {
     /// Collects all output of `source` on another thread.
-    fn gather(mut source: impl Read + Send + 'static) -> Self {
+    fn collect(mut source: impl Read + Send + 'static) -> Self {
         let output = Self::default();
-        let filled = output.clone();
+        let shared = output.clone();
         // A full pipe would block the process under test.
         std::thread::spawn(move || {
-            let mut part = [0; 4096];
-            while let Ok(n @ 1..) = source.read(&mut part) {
-                filled.lock().extend_from_slice(&part[..n]);
+            let mut buffer = [0; 4096];
+            while let Ok(n @ 1..) = source.read(&mut buffer) {
+                shared.lock().extend_from_slice(&buffer[..n]);
             }
-            filled.is_closed.store(true, Ordering::Release);
+            shared.is_closed.store(true, Ordering::Release);
         });
         output
     }
@@ -257,8 +257,8 @@ impl Process {
             .stdout(Stdio::piped())
             .stderr(Stdio::piped());
         let mut child = command.spawn().expect("the program can be started");
-        let stdout = Output::gather(child.stdout.take().expect("piped"));
-        let stderr = Output::gather(child.stderr.take().expect("piped"));
+        let stdout = Output::collect(child.stdout.take().expect("piped"));
+        let stderr = Output::collect(child.stderr.take().expect("piped"));
         Self { child, stdout, stderr }
     }
 
@@ -297,30 +297,30 @@ impl Process {
     /// # Panics
     /// If the condition is not met in time.
     pub fn wait_for_handlers(&self) {
-        wait_until("the process to take a signal", PATIENCE, || {
+        wait_until("the process to handle signals", PATIENCE, || {
             let status = fs::read_to_string(format!("/proc/{}/status", self.pid())).ok()?;
-            let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:"))?;
-            let caught = u64::from_str_radix(caught.trim(), 16).ok()?;
+            let caught_hex = status.lines().find_map(|line| line.strip_prefix("SigCgt:"))?;
+            let caught_signals = u64::from_str_radix(caught_hex.trim(), 16).ok()?;
             let bit = Signal::INT.as_raw() - 1;
-            (caught >> bit & 1 == 1).then_some(())
+            (caught_signals >> bit & 1 == 1).then_some(())
         });
     }
 
-    /// Waits until the process has used CPU time for a while, which shows that it has started its work.
+    /// Waits until the process has used 0.2 s of CPU time, which shows that it has started its work.
     ///
     /// # Panics
     /// If the condition is not met in time.
     pub fn wait_for_work(&self) {
-        let before = self.ticks();
+        let before = self.cpu_ticks();
         wait_until("the process to work", PATIENCE, || {
-            (self.ticks() >= before + WORK).then_some(())
+            (self.cpu_ticks() >= before + WORKING_TICKS).then_some(())
         });
     }
 
     /// CPU time used by the process, in hundredths of a second.
-    fn ticks(&self) -> u64 {
+    fn cpu_ticks(&self) -> u64 {
         let line = fs::read_to_string(format!("/proc/{}/stat", self.pid())).unwrap_or_default();
-        // The process name before it can contain spaces and parentheses.
+        // The process name before these fields can contain spaces and parentheses.
         let fields = line.rsplit_once(')').map_or("", |(_, fields)| fields);
         // utime and stime, fields 14 and 15 of the whole line.
         let times = fields.split_whitespace().skip(11).take(2);
@@ -344,7 +344,7 @@ impl Process {
         let status = loop {
             match self.child.try_wait().expect("the child can be polled") {
                 Some(status) => break status,
-                None if now() < deadline => std::thread::sleep(LOOK),
+                None if now() < deadline => std::thread::sleep(POLL_INTERVAL),
                 None => panic!(
                     "process {} has not ended within {patience:?}; its standard error: {}",
                     self.pid(),
@@ -409,7 +409,8 @@ impl std::fmt::Display for FinishedProcess {
     }
 }
 
-/// Checks a refusal: the exit code, and one paragraph that contains all of `parts`.
+/// Checks that the process ended with this exit code and an error that contains all of `parts`. With exit code 1, which
+/// is not a usage error, the message has to be one paragraph.
 ///
 /// # Panics
 /// If the process ended in any other way.
@@ -461,7 +462,7 @@ impl SummaryJson {
     /// If the value is missing.
     pub fn text(&self, path: &str) -> &str {
         let value = path.split('.').fold(&self.0, |value, name| &value[name]);
-        value.as_str().unwrap_or_else(|| panic!("{path} is no text: {value}"))
+        value.as_str().unwrap_or_else(|| panic!("{path} is not text: {value}"))
     }
 
     /// Whole number at a path such as `timing.malformed_messages`.
@@ -481,22 +482,24 @@ impl SummaryJson {
     /// If the value is missing.
     pub fn metric(&self, name: &str) -> f64 {
         let value = &self.0["metrics"][name];
-        value.as_f64().unwrap_or_else(|| panic!("{name} is no number: {value}"))
+        value
+            .as_f64()
+            .unwrap_or_else(|| panic!("{name} is not a number: {value}"))
     }
 }
 
-/// Waits until `look` returns a value.
+/// Waits until `poll` returns a value.
 ///
 /// # Panics
-/// If `look` returns no value within `patience`; `what` names the awaited condition.
-pub fn wait_until<T>(what: &str, patience: Duration, mut look: impl FnMut() -> Option<T>) -> T {
+/// If `poll` returns no value within `patience`; `what` names the awaited condition.
+pub fn wait_until<T>(what: &str, patience: Duration, mut poll: impl FnMut() -> Option<T>) -> T {
     let deadline = now() + patience;
     loop {
-        if let Some(seen) = look() {
-            return seen;
+        if let Some(value) = poll() {
+            return value;
         }
         assert!(now() < deadline, "waited {patience:?} for {what}");
-        std::thread::sleep(LOOK);
+        std::thread::sleep(POLL_INTERVAL);
     }
 }
 
@@ -514,7 +517,7 @@ pub async fn ask<Q: Query<Address = ()>>(bus: &Bus, request: &Q) -> Result<Q::Re
             return Ok(reply);
         }
         assert!(now() < deadline, "waited {PATIENCE:?} for an answer");
-        tokio::time::sleep(LOOK).await;
+        tokio::time::sleep(POLL_INTERVAL).await;
     }
 }
 
@@ -539,12 +542,12 @@ pub fn lives(pid: u32) -> bool {
 pub fn hosts_of(run: &str) -> Vec<u32> {
     let processes = fs::read_dir("/proc").into_iter().flatten().flatten();
     let pids = processes.filter_map(|entry| entry.file_name().to_str()?.parse::<u32>().ok());
-    let mut hosts: Vec<u32> = pids.filter(|&pid| carries(pid, run)).collect();
+    let mut hosts: Vec<u32> = pids.filter(|&pid| is_host_of(pid, run)).collect();
     hosts.sort_unstable();
     hosts
 }
 
-fn carries(pid: u32, run: &str) -> bool {
+fn is_host_of(pid: u32, run: &str) -> bool {
     let line = fs::read(format!("/proc/{pid}/cmdline")).unwrap_or_default();
     let args: Vec<&[u8]> = line.split(|&byte| byte == 0).collect();
     args.get(1) == Some(&&b"device"[..]) && args.contains(&format!("--run={run}").as_bytes())
@@ -565,11 +568,11 @@ pub fn unique_run(name: &str) -> String {
 pub fn free_endpoint() -> String {
     const PORTS: std::ops::Range<u16> = 12_000..32_000;
     static NUMBER: AtomicU32 = AtomicU32::new(0);
-    // Test programs that run at the same time start at different ports.
+    // Test programs with consecutive process ids start 101 ports apart.
     let start = std::process::id().wrapping_mul(101);
-    let size = PORTS.len() as u32;
-    (0..size)
-        .map(|_| start.wrapping_add(NUMBER.fetch_add(1, Ordering::Relaxed)) % size)
+    let port_count = PORTS.len() as u32;
+    (0..port_count)
+        .map(|_| start.wrapping_add(NUMBER.fetch_add(1, Ordering::Relaxed)) % port_count)
         .map(|offset| format!("127.0.0.1:{}", u32::from(PORTS.start) + offset))
         .find(|address| std::net::TcpListener::bind(address).is_ok())
         .map(|address| format!("tcp/{address}"))

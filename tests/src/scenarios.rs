@@ -1,72 +1,98 @@
-//! Random small scenarios as TOML text, which the emulator loads like any scenario file.
+//! Random small scenarios as TOML text, which the emulator loads like any scenario file, and the preset `paper` with
+//! given fields.
 
 use std::fmt::Write as _;
 use std::path::Path;
 
 use proptest::prelude::*;
-use reveille_bs::scenario::{Loaded, Scenario, parse};
+use reveille_bs::scenario::{Loaded, Override, Scenario, load, parse};
 
 /// Folder of the files that random scenarios name. `energy.csv` holds units per TTI. `points.csv` is a layout within
 /// the smallest random area and has two devices at the same place.
 const FILES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/data");
+
+/// Parses overrides of the form `field=value`.
+///
+/// # Panics
+/// If one of them is not an override.
+pub fn overrides(fields: &[&str]) -> Vec<Override> {
+    let parsed = fields.iter().map(|field| Override::parse(field));
+    parsed.map(|result| result.expect("an override")).collect()
+}
+
+/// Loads the preset `paper` with `fields` overridden, each of the form `field=value`.
+///
+/// # Panics
+/// If a field or a value is invalid.
+pub fn paper(fields: &[&str]) -> Scenario {
+    let loaded = load("paper", &overrides(fields));
+    loaded.unwrap_or_else(|error| panic!("{fields:?}: {error}")).scenario
+}
 
 /// Parses a scenario from `text`, which may name files of this package's `data` folder.
 ///
 /// # Panics
 /// If `text` is not a valid scenario.
 pub fn scenario(text: &str) -> Scenario {
-    loaded(text).scenario
+    scenario_with_warnings(text).scenario
 }
 
 /// Parses a scenario like [`scenario`] and returns it with its warnings.
 ///
 /// # Panics
 /// If `text` is not a valid scenario.
-pub fn loaded(text: &str) -> Loaded {
+pub fn scenario_with_warnings(text: &str) -> Loaded {
     parse(text, "test", Path::new(FILES), &[]).unwrap_or_else(|error| panic!("{error}\n{text}"))
 }
 
 /// Generates any small scenario.
 pub fn small() -> impl Strategy<Value = String> {
-    (shape(), world(), events(), radio(), policy(), energy_and_harvest()).prop_map(
-        |(shape, world, events, radio, policy, energy)| format!("{shape}{world}{events}{radio}{policy}{energy}"),
-    )
+    let sections = (
+        run_fields(),
+        deployment(),
+        events(),
+        radio(),
+        policy(),
+        energy_and_harvest(),
+    );
+    sections.prop_map(|(run, deployment, events, radio, policy, energy)| {
+        format!("{run}{deployment}{events}{radio}{policy}{energy}")
+    })
 }
 
 /// Generates a small scenario with the policy `name`, one of the policies that [`small`] uses.
 pub fn under(name: &'static str) -> impl Strategy<Value = String> {
-    (shape(), world(), events(), policy(), energy_and_harvest()).prop_map(
-        move |(shape, world, events, policy, energy)| {
-            let rest = policy.split_once('\n').and_then(|(_, rest)| rest.split_once('\n'));
-            let rest = rest.map_or("", |(_, rest)| rest);
-            format!("{shape}{world}{events}[policy]\nname = \"{name}\"\n{rest}{energy}")
+    (run_fields(), deployment(), events(), policy(), energy_and_harvest()).prop_map(
+        move |(run, deployment, events, policy, energy)| {
+            // The first two lines are `[policy]` and the drawn name.
+            let settings = policy.splitn(3, '\n').nth(2).unwrap_or_default();
+            format!("{run}{deployment}{events}[policy]\nname = \"{name}\"\n{settings}{energy}")
         },
     )
 }
 
 /// Generates a small scenario with any policy, including policies without a second implementation.
 pub fn any_policy() -> impl Strategy<Value = String> {
-    prop_oneof![3 => small().boxed(), 1 => learning().boxed()]
+    prop_oneof![3 => small().boxed(), 1 => with_q_learning().boxed()]
 }
 
 /// Generates a small scenario with so much energy that no action can fail for lack of it.
 pub fn rich() -> impl Strategy<Value = String> {
-    (shape(), world(), events(), policy()).prop_map(|(shape, world, events, policy)| {
-        format!("{shape}{world}{events}{policy}[energy]\ne_max = 10000.0\ninitial = 10000.0\n")
+    (run_fields(), deployment(), events(), policy()).prop_map(|(run, deployment, events, policy)| {
+        format!("{run}{deployment}{events}{policy}[energy]\ne_max = 10000.0\ninitial = 10000.0\n")
     })
 }
 
 /// Generates a scenario in which `knn` often wakes several devices: they are close together and most can answer.
 pub fn crowded() -> impl Strategy<Value = String> {
-    let size = (6..=30u32, 1..=80u64, any::<u64>());
-    let space = (4.0..9.0f64, 4.0..9.0f64, 1.2..3.5f64, 0.2..1.2f64);
+    let size = (6..=30u32, 1..=80u64, seed());
+    let lengths = (4.0..9.0f64, 4.0..9.0f64, 1.2..3.5f64, 0.2..1.2f64);
     let layout = prop_oneof![Just("uniform"), Just("jittered-grid"), Just("poisson-disk")];
     let fusion = prop_oneof![3 => Just("max"), 1 => Just("sum-saturation")];
     let knn = (1..=6u32, any::<bool>());
     let initial = prop_oneof![Just(2.0), Just(50.0), Just(1000.0)];
-    (size, space, layout, fusion, knn, initial).prop_map(
+    (size, lengths, layout, fusion, knn, initial).prop_map(
         |((devices, ttis, seed), (width, height, d_max, eta), layout, fusion, (neighbours, limit), initial)| {
-            let seed = seed >> 1;
             format!(
                 "devices = {devices}\nttis = {ttis}\nseed = {seed}\n[area]\nwidth = {width:?}\nheight = {height:?}\n\
                  [layout]\nkind = \"{layout}\"\n[sensing]\nd_max = {d_max:?}\neta = {eta:?}\ng = \"{fusion}\"\n\
@@ -77,21 +103,27 @@ pub fn crowded() -> impl Strategy<Value = String> {
     )
 }
 
-fn shape() -> impl Strategy<Value = String> {
+/// Generates a seed. Numbers in TOML are signed, so that it has 63 bits.
+fn seed() -> impl Strategy<Value = u64> {
+    any::<u64>().prop_map(|bits| bits >> 1)
+}
+
+/// Generates the fields of the run and the section `[bs]`.
+fn run_fields() -> impl Strategy<Value = String> {
     let warm_up = prop_oneof![Just(0.0), 0.0..0.5f64];
     let tau = prop_oneof![4 => Just(1.0), 1 => 0.25..2.0f64];
-    (1..=12u32, 1..=200u64, any::<u64>(), warm_up, tau, 1..=60u64).prop_map(
-        |(devices, ttis, seed, warm_up, tau, sync)| {
-            let seed = seed >> 1;
+    (1..=12u32, 1..=200u64, seed(), warm_up, tau, 1..=60u64).prop_map(
+        |(devices, ttis, seed, warm_up, tau, sync_interval)| {
             format!(
                 "devices = {devices}\nttis = {ttis}\nseed = {seed}\nwarm_up = {warm_up:?}\ntau = {tau:?}\n\
-                 [bs]\nsync_interval = {sync}\n"
+                 [bs]\nsync_interval = {sync_interval}\n"
             )
         },
     )
 }
 
-fn world() -> impl Strategy<Value = String> {
+/// Generates the sections `[area]`, `[layout]` and `[sensing]`.
+fn deployment() -> impl Strategy<Value = String> {
     let layout = prop_oneof![
         Just("kind = \"uniform\""),
         Just("kind = \"jittered-grid\""),
@@ -123,20 +155,21 @@ fn world() -> impl Strategy<Value = String> {
 
 fn events() -> impl Strategy<Value = String> {
     let alpha = prop_oneof![1 => Just(1.0), 4 => 0.02..0.9f64];
-    let kind = prop_oneof![Just("fixed"), Just("geometric")];
-    (alpha, 1..=6u64, kind, process()).prop_map(|(alpha, duration, kind, (process, fields))| {
+    let duration_kind = prop_oneof![Just("fixed"), Just("geometric")];
+    (alpha, 1..=6u64, duration_kind, event_process()).prop_map(|(alpha, duration, duration_kind, (process, fields))| {
         format!(
             "[events]\nprocess = \"{process}\"\nalpha = {alpha:?}\nduration = {duration}\n\
-             duration_kind = \"{kind}\"\n[events.{process}]\n{fields}"
+             duration_kind = \"{duration_kind}\"\n[events.{process}]\n{fields}"
         )
+        // This process has no fields of its own.
         .replace("[events.uniform]\n", "")
     })
 }
 
 /// Generates the name of an event process and its fields.
-fn process() -> impl Strategy<Value = (&'static str, String)> {
+fn event_process() -> impl Strategy<Value = (&'static str, String)> {
     let share = || prop_oneof![1 => Just(0.0), 1 => Just(1.0), 3 => 0.1..0.9f64];
-    let metres = |most: f64| prop_oneof![1 => Just(0.0), 4 => 0.1..most, 1 => Just(most)];
+    let metres = |max: f64| prop_oneof![1 => Just(0.0), 4 => 0.1..max, 1 => Just(max)];
     let hot_spots = (1..=4u32, share(), metres(2.0)).prop_map(|(places, share, sigma)| {
         let fields = format!("places = {places}\nshare = {share:?}\nsigma = {sigma:?}\n");
         ("hot-spots", fields)
@@ -146,42 +179,52 @@ fn process() -> impl Strategy<Value = (&'static str, String)> {
         let fields = format!("probability = {probability:?}\nradius = {radius:?}\n");
         ("aftershocks", fields)
     });
-    let busy = prop_oneof![1 => Just(1.0), 3 => 0.3..0.95f64];
-    let quiet = prop_oneof![1 => Just(0.0), 3 => 0.01..0.3f64, 1 => Just(1.0)];
-    let ttis = || prop_oneof![1 => Just(1.0), 4 => 1.0..25.0f64];
-    let bursts = (busy, quiet, ttis(), ttis()).prop_map(|(busy, quiet, long, seldom)| {
-        let fields =
-            format!("busy_alpha = {busy:?}\nquiet_alpha = {quiet:?}\nbusy_ttis = {long:?}\nquiet_ttis = {seldom:?}\n");
-        ("bursts", fields)
-    });
+    let busy_alpha = prop_oneof![1 => Just(1.0), 3 => 0.3..0.95f64];
+    let quiet_alpha = prop_oneof![1 => Just(0.0), 3 => 0.01..0.3f64, 1 => Just(1.0)];
+    let bursts = (busy_alpha, quiet_alpha, mean_phase_ttis(), mean_phase_ttis()).prop_map(
+        |(busy_alpha, quiet_alpha, busy_ttis, quiet_ttis)| {
+            let fields = format!(
+                "busy_alpha = {busy_alpha:?}\nquiet_alpha = {quiet_alpha:?}\nbusy_ttis = {busy_ttis:?}\n\
+                 quiet_ttis = {quiet_ttis:?}\n"
+            );
+            ("bursts", fields)
+        },
+    );
     let uniform = Just(("uniform", String::new()));
     prop_oneof![uniform, hot_spots, aftershocks, bursts]
+}
+
+/// Generates the mean length of a phase of events or interference, TTIs.
+fn mean_phase_ttis() -> impl Strategy<Value = f64> {
+    prop_oneof![1 => Just(1.0), 4 => 1.0..25.0f64]
 }
 
 /// Generates a radio section; about half of the radios never fail, the others fail in some ways.
 fn radio() -> impl Strategy<Value = String> {
     let p = || prop_oneof![3 => Just(0.0), 3 => 0.0..0.5f64, 1 => Just(1.0)];
-    let ttis = || prop_oneof![1 => Just(1.0), 4 => 1.0..25.0f64];
-    let bursts = proptest::option::weighted(0.3, (ttis(), ttis(), prop_oneof![Just(1.0), 0.0..1.0f64]));
-    let failing = (p(), p(), p(), p(), bursts, 0..4u32).prop_map(|(wake, startled, uplink, plan, bursts, latency)| {
-        let bursts = bursts.map_or_else(String::new, |(burst, quiet, loss)| {
+    let burst_loss = prop_oneof![Just(1.0), 0.0..1.0f64];
+    let bursts = proptest::option::weighted(0.3, (mean_phase_ttis(), mean_phase_ttis(), burst_loss));
+    let failing = (p(), p(), p(), p(), bursts, 0..4u32).prop_map(
+        |(wake_miss, false_wake_up, uplink_loss, plan_loss, bursts, wake_latency)| {
+            let bursts = bursts.map_or_else(String::new, |(burst_ttis, quiet_ttis, loss)| {
+                format!(
+                    "interference = \"bursts\"\n[radio.bursts]\nburst_ttis = {burst_ttis:?}\n\
+                     quiet_ttis = {quiet_ttis:?}\nloss = {loss:?}\n"
+                )
+            });
             format!(
-                "interference = \"bursts\"\n[radio.bursts]\nburst_ttis = {burst:?}\nquiet_ttis = {quiet:?}\n\
-                 loss = {loss:?}\n"
+                "[radio]\nwake_miss = {wake_miss:?}\nfalse_wake_up = {false_wake_up:?}\nuplink_loss = {uplink_loss:?}\n\
+                 plan_loss = {plan_loss:?}\nwake_latency = {wake_latency}\n{bursts}"
             )
-        });
-        format!(
-            "[radio]\nwake_miss = {wake:?}\nfalse_wake = {startled:?}\nuplink_loss = {uplink:?}\n\
-             plan_loss = {plan:?}\nwake_latency = {latency}\n{bursts}"
-        )
-    });
+        },
+    );
     prop_oneof![Just(String::new()), failing]
 }
 
 fn policy() -> impl Strategy<Value = String> {
     let name = prop_oneof![2 => Just("knn"), 1 => Just("random"), 1 => Just("genie"), 2 => Just("adjusted")];
-    let cycles = proptest::collection::vec(1..=9u32, 1..=2);
-    (name, 1..=6u32, any::<bool>(), cycles).prop_map(|(name, neighbours, limit, t_drx)| {
+    let t_drx = proptest::collection::vec(1..=9u32, 1..=2);
+    (name, 1..=6u32, any::<bool>(), t_drx).prop_map(|(name, neighbours, limit, t_drx)| {
         format!(
             "[policy]\nname = \"{name}\"\n[policy.knn]\nneighbours = {neighbours}\nlimit_radius = {limit}\n\
              [policy.adjusted]\nt_on = [1, 3]\nt_drx = {t_drx:?}\npilot_ttis = 40\n\
@@ -191,16 +234,16 @@ fn policy() -> impl Strategy<Value = String> {
 }
 
 /// Generates a small scenario with `q-learning` and optimistic initial values.
-fn learning() -> impl Strategy<Value = String> {
+fn with_q_learning() -> impl Strategy<Value = String> {
     let ranking = prop_oneof![Just("p42"), Just("posterior")];
     let knowledge = prop_oneof![Just("oracle"), Just("reported")];
     let settings = (ranking, knowledge, 1..=6u32, 0.0..60.0f64);
-    (shape(), world(), events(), energy_and_harvest(), settings).prop_map(
-        |(shape, world, events, energy, (ranking, knowledge, window, mu1))| {
+    (run_fields(), deployment(), events(), energy_and_harvest(), settings).prop_map(
+        |(run, deployment, events, energy, (ranking, knowledge, window, mu1))| {
             let bs = format!("[bs]\nranking = \"{ranking}\"\nbattery_knowledge = \"{knowledge}\"\n");
-            let shape = shape.replace("[bs]\n", &bs);
+            let run = run.replace("[bs]\n", &bs);
             format!(
-                "{shape}{world}{events}[policy]\nname = \"q-learning\"\n[policy.q-learning]\ntable = \"nothing\"\n\
+                "{run}{deployment}{events}[policy]\nname = \"q-learning\"\n[policy.q-learning]\ntable = \"nothing\"\n\
                  learn = true\nwindow = {window}\nmu1 = {mu1:?}\nepsilon = 0.2\n{energy}"
             )
         },
@@ -217,58 +260,60 @@ fn energy_and_harvest() -> impl Strategy<Value = String> {
     );
     let classes = proptest::collection::vec(class, 0..=3);
     // A class inherits the fields that it omits, and `column` excludes `columns`: all classes use the same one.
-    (energy(), harvest(), any::<bool>(), classes).prop_map(|(energy, harvest, shared, classes)| {
-        let mut text = format!("[energy]\n{energy}{}", harvest.text("harvest", shared));
-        let total: f64 = classes.iter().map(|(weight, ..)| weight).sum();
+    (energy(), harvest(), any::<bool>(), classes).prop_map(|(energy, harvest, shares_column, classes)| {
+        let mut text = format!("[energy]\n{energy}{}", harvest.text("harvest", shares_column));
+        let total_weight: f64 = classes.iter().map(|(weight, ..)| weight).sum();
         for (i, (weight, energy, harvest)) in classes.into_iter().enumerate() {
-            let share = weight / total;
-            writeln!(text, "[[class]]\nname = \"c{i}\"\nshare = {share:?}").expect("text takes it");
+            let share = weight / total_weight;
+            writeln!(text, "[[class]]\nname = \"c{i}\"\nshare = {share:?}").expect("a String can be written");
             if let Some(energy) = energy {
-                write!(text, "[class.energy]\n{energy}").expect("text takes it");
+                write!(text, "[class.energy]\n{energy}").expect("a String can be written");
             }
             if let Some(harvest) = harvest {
-                text.push_str(&harvest.text("class.harvest", shared));
+                text.push_str(&harvest.text("class.harvest", shares_column));
             }
         }
         text
     })
 }
 
-/// Generates energies as shares of `E_max`, from 0 to 1, with micro-units that do not divide one another.
+/// Generates the fields of `[energy]`: shares of `E_max` from 0 to 1, with micro-units that do not divide one another.
 fn energy() -> impl Strategy<Value = String> {
     let e_max = prop_oneof![Just(100.0), 0.5..30.0f64, Just(0.000_001)];
-    let cheap = || prop_oneof![1 => Just(0.0), 3 => 0.0..0.05f64, 1 => 0.0..=1.0f64];
-    let dear = prop_oneof![1 => Just(0.0), 4 => 0.02..0.4f64, 1 => 0.0..=1.0f64, 1 => Just(1.0)];
+    let cost_per_tti = || prop_oneof![1 => Just(0.0), 3 => 0.0..0.05f64, 1 => 0.0..=1.0f64];
+    let report_cost = prop_oneof![1 => Just(0.0), 4 => 0.02..0.4f64, 1 => 0.0..=1.0f64, 1 => Just(1.0)];
     let initial = prop_oneof![1 => Just(0.0), 2 => 0.0..=1.0f64, 1 => Just(1.0)];
-    (e_max, cheap(), cheap(), dear, initial).prop_map(|(e_max, idle, wur, tx, initial)| {
+    (e_max, cost_per_tti(), cost_per_tti(), report_cost, initial).prop_map(|(e_max, e_idle, e_wur, e_tx, initial)| {
         // Shares round down and E_max rounds up, so that no share exceeds E_max.
-        let part = |share: f64| (share * e_max * 1e6).floor() / 1e6;
-        let (e_max, idle, wur) = ((e_max * 1e6).ceil() / 1e6, part(idle), part(wur));
-        let (tx, initial) = (part(tx), part(initial));
-        format!("e_max = {e_max:?}\ne_idle = {idle:?}\ne_wur = {wur:?}\ne_tx = {tx:?}\ninitial = {initial:?}\n")
+        let [e_idle, e_wur, e_tx, initial] =
+            [e_idle, e_wur, e_tx, initial].map(|share| (share * e_max * 1e6).floor() / 1e6);
+        let e_max = (e_max * 1e6).ceil() / 1e6;
+        format!("e_max = {e_max:?}\ne_idle = {e_idle:?}\ne_wur = {e_wur:?}\ne_tx = {e_tx:?}\ninitial = {initial:?}\n")
     })
 }
 
 /// Parts of a `[harvest]` section.
 #[derive(Clone, Debug)]
-struct HarvestLines {
+struct HarvestSection {
     source: String,
     /// Fields of recorded energy only.
     trace: Option<String>,
+    /// `column` for all devices.
     column: &'static str,
+    /// `columns`, of which each device gets one.
     columns: &'static str,
 }
 
-impl HarvestLines {
-    fn text(&self, section: &str, shared: bool) -> String {
-        let column = if shared { self.column } else { self.columns };
+impl HarvestSection {
+    fn text(&self, section: &str, shares_column: bool) -> String {
+        let column = if shares_column { self.column } else { self.columns };
         let trace = self.trace.as_ref();
         let trace = trace.map_or_else(String::new, |trace| format!("[{section}.trace]\n{trace}{column}\n"));
         format!("[{section}]\n{}{trace}", self.source)
     }
 }
 
-fn harvest() -> impl Strategy<Value = HarvestLines> {
+fn harvest() -> impl Strategy<Value = HarvestSection> {
     let kind = prop_oneof![
         3 => Just("eq5"),
         1 => Just("exp-minus-lambda"),
@@ -283,29 +328,30 @@ fn harvest() -> impl Strategy<Value = HarvestLines> {
     ];
     let e_b = prop_oneof![1 => Just(0.0), 4 => 0.0..8.0f64, 1 => 0.0..60.0f64];
     let end = prop_oneof![Just("cycle"), Just("stop")];
-    let off = proptest::option::of(0.1..20.0f64);
+    let off_mean = proptest::option::of(0.1..20.0f64);
     let trace = (1..=4u64, end, 0.0..2.0f64);
-    (kind, column, columns, e_b, 0.02..3.0f64, off, trace, day()).prop_map(
-        |(kind, column, columns, e_b, lambda, off, (per_row, end, scale), (day, is_mean))| {
-            let lambda = if kind == "diurnal" && is_mean {
+    (kind, column, columns, e_b, 0.02..3.0f64, off_mean, trace, day()).prop_map(
+        |(kind, column, columns, e_b, lambda, off_mean, (ttis_per_row, end, scale), (day, is_daily_mean))| {
+            // Noon is far above the daily mean; its arrival probability must not exceed 1.
+            let lambda = if kind == "diurnal" && is_daily_mean {
                 lambda / 30.0
             } else {
                 lambda
             };
             let mut source = format!("kind = \"{kind}\"\n");
             if kind != "trace" {
-                writeln!(source, "lambda = {lambda:?}\ne_b = {e_b:?}").expect("text takes it");
+                writeln!(source, "lambda = {lambda:?}\ne_b = {e_b:?}").expect("a String can be written");
             }
             if kind == "diurnal" {
                 source.push_str(&day);
             }
-            if let Some(off) = off.filter(|_| kind == "mpp") {
-                writeln!(source, "off_mean = {off:?}").expect("text takes it");
+            if let Some(off_mean) = off_mean.filter(|_| kind == "mpp") {
+                writeln!(source, "off_mean = {off_mean:?}").expect("a String can be written");
             }
             let trace = (kind == "trace").then(|| {
-                format!("file = \"energy.csv\"\nttis_per_row = {per_row}\nend = \"{end}\"\nscale = {scale:?}\n")
+                format!("file = \"energy.csv\"\nttis_per_row = {ttis_per_row}\nend = \"{end}\"\nscale = {scale:?}\n")
             });
-            HarvestLines {
+            HarvestSection {
                 source,
                 trace,
                 column,
@@ -315,26 +361,26 @@ fn harvest() -> impl Strategy<Value = HarvestLines> {
     )
 }
 
-/// Generates the fields of a day of at most 60 TTIs, and whether λ refers to the daily mean.
+/// Generates the fields `diurnal.*` for a day of at most 60 TTIs, and whether λ refers to the daily mean.
 fn day() -> impl Strategy<Value = (String, bool)> {
     let sky = prop_oneof![Just("vacuum"), Just("clear")];
     let known = prop_oneof![3 => Just("course"), 1 => Just("mean")];
     let latitude = prop_oneof![4 => -45.0..45.0f64, 1 => -90.0..90.0f64];
     (latitude, 1..=365u32, 0.0..24.0f64, 2..=60u32, sky, known, any::<bool>()).prop_map(
-        |(latitude, day, hour, ttis, sky, known, is_mean)| {
-            // Otherwise the arrival probability at noon could exceed 1, since noon is far above the mean.
-            let is_mean = is_mean && latitude.abs() < 45.0 && ttis >= 12;
-            let reference = if is_mean { "daily-mean" } else { "zenith" };
+        |(latitude, day_of_year, start_hour, ttis_per_day, sky, known, is_daily_mean)| {
+            // In short or polar days, noon is even farther above the daily mean.
+            let is_daily_mean = is_daily_mean && latitude.abs() < 45.0 && ttis_per_day >= 12;
+            let reference = if is_daily_mean { "daily-mean" } else { "zenith" };
             let fields = [
                 format!("diurnal.latitude = {latitude:?}"),
-                format!("diurnal.day_of_year = {day}"),
-                format!("diurnal.start_hour = {hour:?}"),
-                format!("diurnal.ttis_per_day = {ttis}"),
+                format!("diurnal.day_of_year = {day_of_year}"),
+                format!("diurnal.start_hour = {start_hour:?}"),
+                format!("diurnal.ttis_per_day = {ttis_per_day}"),
                 format!("diurnal.sky = \"{sky}\""),
                 format!("diurnal.known = \"{known}\""),
                 format!("diurnal.reference = \"{reference}\"\n"),
             ];
-            (fields.join("\n"), is_mean)
+            (fields.join("\n"), is_daily_mean)
         },
     )
 }

@@ -18,58 +18,64 @@ use crate::process::{PATIENCE, now, wait_until};
 /// Command in its own terminal; killed on drop.
 pub struct PtyCommand {
     child: Child,
-    shown: Arc<Mutex<Vec<u8>>>,
+    output: Arc<Mutex<Vec<u8>>>,
     is_closed: Arc<AtomicBool>,
     /// Thread that reads from the terminal and thereby keeps it open.
     reader: Option<JoinHandle<()>>,
 }
 
 impl PtyCommand {
-    /// Starts `command` in a new terminal. With `is_told` it receives SIGHUP when the terminal closes, as from a shell;
-    /// otherwise only its writes fail.
+    /// Starts `command` in a new terminal. With `gets_sighup` it receives SIGHUP when the terminal closes, as from a
+    /// shell; otherwise only its writes fail.
     ///
     /// # Panics
     /// If no terminal is available.
-    pub fn start(command: &Command, is_told: bool) -> Self {
+    pub fn start(command: &Command, gets_sighup: bool) -> Self {
         // Neither end may become the controlling terminal of the test.
         let flags = OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC;
-        let master = openpt(flags).expect("there are terminals");
+        let master = openpt(flags).expect("a terminal is available");
         grantpt(&master).expect("the terminal is ours");
         unlockpt(&master).expect("the terminal is ours");
         let name = ptsname(&master, Vec::new()).expect("a terminal has a name");
-        let slave = OpenOptions::new()
+        let terminal = OpenOptions::new()
             .read(true)
             .write(true)
             .custom_flags(OFlags::NOCTTY.bits().cast_signed())
             .open(name.to_str().expect("a path"))
             .expect("the terminal can be opened");
-        let copy = || Stdio::from(slave.try_clone().expect("a file can be opened twice"));
-        let mut under = Command::new("setsid");
+        let terminal_handle = || Stdio::from(terminal.try_clone().expect("a file can be opened twice"));
+        let mut setsid = Command::new("setsid");
         // SIGHUP goes to the session whose controlling terminal is closed.
-        if is_told {
-            under.arg("--ctty");
+        if gets_sighup {
+            setsid.arg("--ctty");
         }
-        under
+        setsid
             .arg(command.get_program())
             .args(command.get_args())
             // Without TERM, or on a dumb terminal, the program draws no bars.
             .env("TERM", "xterm");
         for (name, value) in command.get_envs() {
             match value {
-                Some(value) => under.env(name, value),
-                None => under.env_remove(name),
+                Some(value) => setsid.env(name, value),
+                None => setsid.env_remove(name),
             };
         }
         if let Some(folder) = command.get_current_dir() {
-            under.current_dir(folder);
+            setsid.current_dir(folder);
         }
-        let child = under.stdin(copy()).stdout(copy()).stderr(copy()).spawn();
-        let (shown, is_closed) = (Arc::default(), Arc::default());
-        let (filled, closed) = (Arc::clone(&shown), Arc::clone(&is_closed));
+        let child = setsid
+            .stdin(terminal_handle())
+            .stdout(terminal_handle())
+            .stderr(terminal_handle())
+            .spawn();
+        let (output, is_closed) = (Arc::default(), Arc::default());
+        let (shared_output, shared_is_closed) = (Arc::clone(&output), Arc::clone(&is_closed));
         Self {
-            child: child.expect("setsid is there"),
-            reader: Some(std::thread::spawn(move || read(master, &filled, &closed))),
-            shown,
+            child: child.expect("setsid is installed"),
+            reader: Some(std::thread::spawn(move || {
+                read(master, &shared_output, &shared_is_closed);
+            })),
+            output,
             is_closed,
         }
     }
@@ -81,8 +87,8 @@ impl PtyCommand {
 
     /// Raw output of the command in the terminal so far.
     pub fn shown(&self) -> String {
-        let shown = self.shown.lock().unwrap_or_else(PoisonError::into_inner);
-        String::from_utf8_lossy(&shown).into_owned()
+        let output = self.output.lock().unwrap_or_else(PoisonError::into_inner);
+        String::from_utf8_lossy(&output).into_owned()
     }
 
     /// Waits until the terminal shows `text`.
@@ -132,16 +138,16 @@ impl Drop for PtyCommand {
 }
 
 /// Collects terminal output until `is_closed` is set. The terminal closes when this function returns.
-fn read(master: OwnedFd, shown: &Mutex<Vec<u8>>, is_closed: &AtomicBool) {
+fn read(master: OwnedFd, output: &Mutex<Vec<u8>>, is_closed: &AtomicBool) {
     // A read that blocks would keep the terminal open after `close`.
     rustix::fs::fcntl_setfl(&master, OFlags::NONBLOCK).expect("the flag can be set");
-    let (mut master, mut part) = (File::from(master), [0; 4096]);
+    let (mut master, mut buffer) = (File::from(master), [0; 4096]);
     while !is_closed.load(Ordering::Acquire) {
-        match master.read(&mut part) {
-            Ok(n) => shown
+        match master.read(&mut buffer) {
+            Ok(n) => output
                 .lock()
                 .unwrap_or_else(PoisonError::into_inner)
-                .extend_from_slice(&part[..n]),
+                .extend_from_slice(&buffer[..n]),
             // Nothing new, or the command has ended.
             Err(_) => std::thread::sleep(Duration::from_millis(5)),
         }

@@ -1,4 +1,4 @@
-//! Records the commands of a base station, so that an external policy can repeat them.
+//! Records the plans and wake-ups of a base station, so that an external policy can repeat them.
 
 use std::collections::BTreeMap;
 
@@ -12,7 +12,7 @@ use reveille_common::score::Digest;
 use reveille_lab::preparation::prepare;
 use reveille_lab::run::{Run, RunOptions};
 
-/// Commands of a base station and events of one run.
+/// Plans and wake-ups of a base station, and events of one run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CommandTranscript {
     /// Plan sent in each TTI.
@@ -62,16 +62,21 @@ impl CommandTranscript {
         plan.clone()
     }
 
-    /// Returns the decision of TTI `k`: a plan for this TTI only, or all wake-ups for which `left` holds.
-    pub fn answer(&self, stage: DecisionStage, k: Tti, left: impl Fn(DeviceId) -> bool) -> Decision {
+    /// Returns the devices woken in TTI `k`, in order.
+    pub fn wake_ups_in(&self, k: Tti) -> &[DeviceId] {
+        self.wake_ups.get(&k.0).map_or(&[], Vec::as_slice)
+    }
+
+    /// Returns the decision of TTI `k`: a plan for this TTI only, or the wake-ups of all devices that `may_wake`.
+    pub fn answer(&self, stage: DecisionStage, k: Tti, may_wake: impl Fn(DeviceId) -> bool) -> Decision {
         match stage {
             DecisionStage::Plan => Decision::Plan(PlanDecision {
                 plan: self.plan_at(k),
                 next: k + 1,
             }),
             DecisionStage::Wake => {
-                let all = self.wake_ups.get(&k.0).map_or(&[][..], Vec::as_slice);
-                Decision::Wake(all.iter().copied().filter(|device| left(*device)).collect())
+                let devices = self.wake_ups_in(k).iter().copied();
+                Decision::Wake(devices.filter(|device| may_wake(*device)).collect())
             }
         }
     }

@@ -1,4 +1,5 @@
-//! Adjusted duty cycling (Sec. V-A, first approach): the knowledge of its search, its choice, and coverage gaps.
+//! The policy `adjusted` (Sec. V-A, first approach): its search for a duty cycle against the search of the reference
+//! implementation, the length of its pilot runs, and the coverage of its plans.
 
 use std::any::Any;
 use std::collections::BTreeMap;
@@ -7,7 +8,7 @@ use proptest::strategy::{Strategy, ValueTree};
 use proptest::test_runner::TestRunner;
 use reveille_bs::cycle::RunOutcome;
 use reveille_bs::policy::adjusted::search::DutyCycleChoice;
-use reveille_bs::scenario::{Override, Scenario, load};
+use reveille_bs::scenario::Scenario;
 use reveille_common::deployment::Deployment;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_lab::preparation::{prepare, run};
@@ -15,25 +16,23 @@ use reveille_lab::run::{Run, RunOptions};
 use reveille_tests::process::TestFolder;
 use reveille_tests::{reference, scenarios};
 
-fn scenario(set: &[&str]) -> Scenario {
-    let set = ["policy.name=adjusted"].iter().chain(set);
-    let overrides: Vec<Override> = set.map(|set| Override::parse(set).expect("an override")).collect();
-    load("paper", &overrides).expect("a scenario").scenario
+fn scenario(fields: &[&str]) -> Scenario {
+    scenarios::paper(&[&["policy.name=adjusted"], fields].concat())
 }
 
 fn facts(outcome: &RunOutcome) -> BTreeMap<&'static str, f64> {
     outcome.facts.iter().copied().collect()
 }
 
-fn found(scenario: &Scenario) -> DutyCycleChoice {
-    let found = prepare(scenario).pilot_choice.expect("a search");
-    let found: &dyn Any = &*found;
-    *found.downcast_ref().expect("a duty cycle")
+fn search(scenario: &Scenario) -> DutyCycleChoice {
+    let choice = prepare(scenario).pilot_choice.expect("a search");
+    let choice: &dyn Any = &*choice;
+    *choice.downcast_ref().expect("a duty cycle")
 }
 
-/// Offsets by number would put a column of a 16 × 16 grid in S1 and leave all else uncovered for a TTI.
+/// Offsets in the order of ids would put a column of a 16 × 16 grid in S1 and leave all else uncovered for a TTI.
 #[test]
-fn on_a_grid_a_stripe_of_sensing_devices_leaves_no_gap() {
+fn sensing_devices_of_a_grid_cover_the_area_in_every_tti() {
     for layout in ["grid", "hex", "jittered-grid"] {
         let layout = format!("layout.kind={layout}");
         let outcome = run(&scenario(&[
@@ -43,54 +42,58 @@ fn on_a_grid_a_stripe_of_sensing_devices_leaves_no_gap() {
             "policy.adjusted.t_on=[1]",
             "policy.adjusted.t_drx=[16]",
         ]));
-        let missed = outcome.metrics.misdetection_pct;
-        assert!(missed < 3.0, "{layout}: {missed} % missed");
+        let misdetection_pct = outcome.metrics.misdetection_pct;
+        assert!(misdetection_pct < 3.0, "{layout}: misdetection {misdetection_pct} %");
     }
 }
 
 #[test]
 fn the_duty_cycle_sets_the_number_of_sensing_devices() {
     for (devices, t_on, t_drx) in [(250, 1, 16), (100, 2, 8), (7, 1, 16)] {
-        let set = [
+        let fields = [
             format!("devices={devices}"),
             format!("policy.adjusted.t_on=[{t_on}]"),
             format!("policy.adjusted.t_drx=[{t_drx}]"),
             "policy.adjusted.pilot_ttis=40".to_owned(),
         ];
-        let set: Vec<&str> = set.iter().map(String::as_str).collect();
-        let of = |seed: &str| {
-            let scenario = scenario(&[&set[..], &[seed]].concat());
+        let fields: Vec<&str> = fields.iter().map(String::as_str).collect();
+        let sensing_devices_by_tti = |seed: &str| {
+            let scenario = scenario(&[&fields[..], &[seed]].concat());
             let mut run = Run::new(&prepare(&scenario), RunOptions::default());
             run.run_grant(&mut ());
             let plan = run.cycle().plan().clone();
-            let sensing = |k| {
+            let sensing_devices = |k| {
                 (0..devices)
                     .filter(|&j| plan.duty_cycle(DeviceId(j)).is_on(Tti(k)))
                     .collect()
             };
-            (0..t_drx).map(sensing).collect::<Vec<Vec<u32>>>()
+            (0..t_drx).map(sensing_devices).collect::<Vec<Vec<u32>>>()
         };
-        let sensing = of("seed=1");
-        // Each phase of the cycle has N/t_DRX devices, plus or minus one.
-        let share = u64::from(devices) / t_drx;
-        for now in &sensing {
-            let n = now.len() as u64;
+        let first_cycle = sensing_devices_by_tti("seed=1");
+        // Each phase of the cycle has N/t_DRX devices, rounded down or up.
+        let devices_per_phase = u64::from(devices) / t_drx;
+        for sensing_devices in &first_cycle {
+            let n = sensing_devices.len() as u64;
             assert!(
-                (t_on * share..=t_on * (share + 1)).contains(&n),
-                "{n} of {devices} sense"
+                (t_on * devices_per_phase..=t_on * (devices_per_phase + 1)).contains(&n),
+                "{n} of {devices} devices sense"
             );
         }
         for j in 0..devices {
-            let times = sensing.iter().filter(|now| now.contains(&j)).count() as u64;
-            assert_eq!(times, t_on, "device {j}");
+            let sensing_ttis = first_cycle.iter().filter(|devices| devices.contains(&j)).count() as u64;
+            assert_eq!(sensing_ttis, t_on, "TTIs in S1 of device {j}");
         }
-        assert_eq!(sensing, of("seed=1"));
-        assert_ne!(sensing, of("seed=2"), "the order is drawn");
+        assert_eq!(first_cycle, sensing_devices_by_tti("seed=1"));
+        assert_ne!(
+            first_cycle,
+            sensing_devices_by_tti("seed=2"),
+            "the order of devices is drawn from the seed"
+        );
     }
 }
 
 #[test]
-fn pilots_run_until_they_hold_events_to_judge_by() {
+fn pilot_runs_are_extended_until_they_have_enough_events() {
     let outcome = run(&scenario(&["devices=100", "ttis=400", "events.alpha=0.002"]));
     let facts = facts(&outcome);
     assert!(facts["pilot_events"] >= 30.0, "{facts:?}");
@@ -100,9 +103,9 @@ fn pilots_run_until_they_hold_events_to_judge_by() {
     );
     assert!(facts["reaches_i_min"] > 0.0, "{facts:?}");
     // With many events the pilot runs are not extended.
-    let often = self::facts(&run(&scenario(&["devices=100", "ttis=400"])));
-    assert!(often["pilot_events"] >= 30.0, "{often:?}");
-    assert!((often["pilot_ttis"] - 2000.0).abs() < 0.5, "{often:?}");
+    let facts = self::facts(&run(&scenario(&["devices=100", "ttis=400"])));
+    assert!(facts["pilot_events"] >= 30.0, "{facts:?}");
+    assert!((facts["pilot_ttis"] - 2000.0).abs() < 0.5, "{facts:?}");
 }
 
 #[test]
@@ -124,21 +127,19 @@ fn a_search_without_events_warns() {
     let facts = facts(&outcome);
     assert!(facts["pilot_events"] < 30.0, "{facts:?}");
     assert!((facts["pilot_ttis"] - 3000.0).abs() < 0.5, "{facts:?}");
-    // Without events the search knows only the energy that the pairs spend.
+    // Without events the search compares only the energy that the pairs spend.
     assert!(facts["pilot_events"] < 0.5, "{facts:?}");
     assert_eq!((facts["t_on"] as u32, facts["t_drx"] as u32), (1, 32), "{facts:?}");
     assert!(prepare(&scenario(&["devices=50", "ttis=400"])).warnings.is_empty());
 }
 
-/// Equal energy at other times: a search that knows only the mean finds the same pair.
+/// The traces have equal energy at different times, so that a search that knows only the mean finds the same pair.
 #[test]
-fn pilots_know_the_mean_of_a_trace_and_not_its_future() {
+fn pilot_runs_know_only_the_mean_of_a_trace() {
     let folder = TestFolder::new();
-    let rows = |of: fn(u32) -> f64| {
-        (0..2000)
-            .map(|row| format!("{}\n", of(row)))
-            .collect::<Vec<_>>()
-            .concat()
+    let rows = |energy_in_row: fn(u32) -> f64| -> String {
+        let rows = (0..2000).map(|row| format!("{}\n", energy_in_row(row)));
+        rows.collect::<Vec<_>>().concat()
     };
     folder.write(
         "early.csv",
@@ -148,32 +149,31 @@ fn pilots_know_the_mean_of_a_trace_and_not_its_future() {
         "late.csv",
         &format!("e\n{}", rows(|row| if row < 1800 { 0.0 } else { 4.0 })),
     );
-    let of = |file: &str| {
+    let search_with_trace = |file: &str| {
         let file = format!("harvest.trace.file={}", folder.join(file).display());
-        found(&scenario(&[
+        search(&scenario(&[
             "devices=60",
             "harvest.kind=trace",
             "harvest.trace.column=e",
             file.as_str(),
         ]))
     };
-    let (early, late) = (of("early.csv"), of("late.csv"));
-    assert_eq!(early, late, "the same mean");
+    let (early, late) = (search_with_trace("early.csv"), search_with_trace("late.csv"));
+    assert_eq!(early, late, "traces with the same mean");
     // In each TTI an arrival of the trace's mean.
-    let constant = found(&scenario(&[
+    let constant = search(&scenario(&[
         "devices=60",
         "harvest.kind=exp-minus-lambda",
         "harvest.lambda=0",
         "harvest.e_b=0.4",
     ]));
-    assert_eq!(early, constant);
+    assert_eq!(early, constant, "a constant harvest of this mean");
 }
 
-/// Compares the emulator's search with a search in runs of the second implementation.
 #[test]
-fn the_search_takes_the_pair_that_the_second_implementation_takes() {
+fn the_search_chooses_the_pair_of_the_reference() {
     let mut runner = TestRunner::deterministic();
-    let (mut same, mut of_many, mut reaching) = (0, 0, 0);
+    let (mut compared, mut with_several_pairs, mut reaching_i_min) = (0, 0, 0);
     for _ in 0..80 {
         let text = scenarios::under("adjusted")
             .new_tree(&mut runner)
@@ -181,17 +181,21 @@ fn the_search_takes_the_pair_that_the_second_implementation_takes() {
             .current();
         let scenario = scenarios::scenario(&text);
         let positions = Deployment::new(&scenario).positions();
-        let Some(expected) = reference::own_search(&scenario, &positions) else {
+        let Some(expected_pair) = reference::reference_search(&scenario, &positions) else {
             continue;
         };
-        let choice = found(&scenario);
-        assert_eq!((u64::from(choice.t_on), u64::from(choice.t_drx)), expected, "{text}");
-        same += 1;
-        of_many += u64::from(choice.searched_pairs > 1);
-        reaching += u64::from(choice.reaches_i_min);
+        let choice = search(&scenario);
+        assert_eq!(
+            (u64::from(choice.t_on), u64::from(choice.t_drx)),
+            expected_pair,
+            "{text}"
+        );
+        compared += 1;
+        with_several_pairs += u64::from(choice.searched_pairs > 1);
+        reaching_i_min += u64::from(choice.reaches_i_min);
     }
     assert!(
-        same >= 30 && of_many >= 20 && reaching >= 10,
-        "{same} decided, {of_many} of several, {reaching} reach"
+        compared >= 30 && with_several_pairs >= 20 && reaching_i_min >= 10,
+        "{compared} compared, {with_several_pairs} with several pairs, {reaching_i_min} reach I_min"
     );
 }

@@ -1,4 +1,5 @@
-//! The analysis counts the same transitions in the machines as the reference implementation.
+//! The state transitions that `study::analysis::transitions` measures, against counts in runs of the reference
+//! implementation. The probabilities derived from the counts are not checked here.
 
 use proptest::prelude::*;
 use proptest::test_runner::Config;
@@ -10,33 +11,34 @@ use reveille_study::analysis::transitions::measure;
 use reveille_tests::reference::ReferenceState;
 use reveille_tests::{reference, scenarios};
 
-/// Counts transitions by (m, n) in the measured TTIs of a reference run in which every action can be paid.
-fn brute(scenario: &Scenario, run: &reference::ReferenceRun) -> [[u64; 5]; 5] {
-    let mut first = start(scenario, RunOptions::default());
-    first.run_grant(&mut ());
-    let plan = first.cycle().plan().clone();
-    let from = scenario.warm_up_end().0;
+/// Counts transitions from state m to state n, at `[m][n]`, in the measured TTIs of a reference run in which every
+/// action can be paid.
+fn count_transitions(scenario: &Scenario, run: &reference::ReferenceRun) -> [[u64; 5]; 5] {
+    // The policies of these scenarios send one plan, which holds for the whole run.
+    let mut emulated_run = start(scenario, RunOptions::default());
+    emulated_run.run_grant(&mut ());
+    let plan = emulated_run.cycle().plan().clone();
     let mut counts = [[0; 5]; 5];
     for j in 0..scenario.run.devices {
-        let mut last: Option<usize> = None;
-        for k in from..scenario.run.ttis {
-            let start = if plan.duty_cycle(DeviceId(j)).is_on(Tti(k)) {
+        let mut last_state: Option<usize> = None;
+        for k in scenario.warm_up_end().0..scenario.run.ttis {
+            let first_state = if plan.duty_cycle(DeviceId(j)).is_on(Tti(k)) {
                 1
             } else {
                 4
             };
-            if let Some(last) = last {
-                counts[last][start] += 1;
+            if let Some(last_state) = last_state {
+                counts[last_state][first_state] += 1;
             }
             let (state, _) = run.trace[k as usize][j as usize];
-            last = Some(match state {
-                ReferenceState::Idle | ReferenceState::Asleep => start,
+            last_state = Some(match state {
+                ReferenceState::Idle | ReferenceState::Asleep => first_state,
                 ReferenceState::Transmission => {
-                    counts[start][2] += 1;
+                    counts[first_state][2] += 1;
                     counts[2][3] += 1;
                     3
                 }
-                ReferenceState::Dark => panic!("TTI {k}, device {j}: an action failed"),
+                ReferenceState::Unpowered => panic!("TTI {k}, device {j}: an action failed"),
             });
         }
     }
@@ -47,30 +49,31 @@ proptest! {
     #![proptest_config(Config { cases: 150, failure_persistence: None, ..Config::default() })]
 
     #[test]
-    fn transitions_are_those_of_the_reference(text in scenarios::rich()) {
+    fn transitions_equal_the_transitions_of_the_reference(text in scenarios::rich()) {
         let scenario = scenarios::scenario(&text);
         let expected = reference::simulate(&scenario);
         if expected.ambiguous.is_some() {
             return Err(TestCaseError::reject("too close to call"));
         }
-        let counts = brute(&scenario, &expected);
+        let counts = count_transitions(&scenario, &expected);
         for t in measure(&scenario, 1).expect("a study").transitions {
-            prop_assert_eq!(t.count, counts[t.from][t.to], "P_{},{}\n{}", t.from, t.to, text);
+            prop_assert_eq!(t.count, counts[t.from][t.to], "transitions S{} → S{}\n{}", t.from, t.to, text);
         }
     }
 
     #[test]
-    fn transmissions_are_those_of_the_reference(text in scenarios::small()) {
+    fn transmissions_equal_the_transmissions_of_the_reference(text in scenarios::small()) {
         let scenario = scenarios::scenario(&text);
         let expected = reference::simulate(&scenario);
         if expected.ambiguous.is_some() {
             return Err(TestCaseError::reject("too close to call"));
         }
-        let measured = &expected.trace[scenario.warm_up_end().0 as usize..];
-        let sent = measured.iter().flatten().filter(|(state, _)| *state == ReferenceState::Transmission).count();
-        let found = measure(&scenario, 1).expect("a study").transitions;
-        let count = |m, n| found.iter().find(|t| (t.from, t.to) == (m, n)).map_or(0, |t| t.count);
-        prop_assert_eq!(count(2, 3), sent as u64, "{}", text);
+        let measured_trace = &expected.trace[scenario.warm_up_end().0 as usize..];
+        let is_transmission = |(state, _): &&(ReferenceState, u64)| *state == ReferenceState::Transmission;
+        let transmissions = measured_trace.iter().flatten().filter(is_transmission).count();
+        let transitions = measure(&scenario, 1).expect("a study").transitions;
+        let count = |m, n| transitions.iter().find(|t| (t.from, t.to) == (m, n)).map_or(0, |t| t.count);
+        prop_assert_eq!(count(2, 3), transmissions as u64, "{}", text);
         prop_assert_eq!(count(1, 2) + count(4, 2), count(2, 3) + count(2, 4), "{}", text);
     }
 }

@@ -1,9 +1,8 @@
-//! The audit compares the records of a run with a replay: equal records pass, and a divergence is reported with its TTI
-//! and sender.
+//! The audit (`lab::replay::Replay::compare`): the frames of an unchanged run pass, and a changed frame is reported
+//! with its TTI and sender. The thread that audits a run on the bus is tested in `tests/program/`.
 
 use reveille_bs::cycle::PreparedRun;
 use reveille_bs::observer::{Notification, Observer};
-use reveille_bs::scenario::{Override, load};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{DeviceStates, Frame, Message, MessageKind, Report};
 use reveille_common::units::Energy;
@@ -11,30 +10,29 @@ use reveille_lab::external_inputs::ExternalInputs;
 use reveille_lab::preparation::prepare;
 use reveille_lab::replay::{DigestFrames, Divergence, Replay};
 use reveille_lab::run::{Run, RunOptions};
+use reveille_tests::scenarios::paper;
 
 const TTIS: u64 = 600;
 
 fn prepared(policy: &str, knowledge: &str) -> PreparedRun {
-    let set = [
-        format!("ttis={TTIS}"),
-        format!("policy.name={policy}"),
-        format!("bs.battery_knowledge={knowledge}"),
-    ];
-    let set = set.map(|set| Override::parse(&set).expect("an override"));
-    prepare(&load("paper", &set).expect("a scenario").scenario)
+    prepare(&paper(&[
+        &format!("ttis={TTIS}"),
+        &format!("policy.name={policy}"),
+        &format!("bs.battery_knowledge={knowledge}"),
+    ]))
 }
 
-/// Records of a run, as the base station passes them to the audit.
+/// Frames of a run, as the base station passes them to the audit.
 #[derive(Default)]
-struct RecordedNotes {
-    noting: DigestFrames,
+struct FrameRecorder {
+    encoder: DigestFrames,
     frames: Vec<Frame>,
 }
 
-impl Observer for RecordedNotes {
+impl Observer for FrameRecorder {
     fn notify(&mut self, notification: &Notification<'_>) {
-        let Self { noting, frames } = self;
-        noting.encode(notification, |frame| frames.push(frame));
+        let Self { encoder, frames } = self;
+        encoder.encode(notification, |frame| frames.push(frame));
     }
 
     fn batteries_revealed(&mut self, tti: Tti, batteries: &[Energy]) {
@@ -42,84 +40,94 @@ impl Observer for RecordedNotes {
     }
 }
 
-fn noted(prepared: &PreparedRun) -> Vec<Frame> {
-    let mut notes = RecordedNotes::default();
-    Run::new(prepared, RunOptions::default()).finish(&mut notes);
-    notes.frames
+fn record_frames(prepared: &PreparedRun) -> Vec<Frame> {
+    let mut recorder = FrameRecorder::default();
+    Run::new(prepared, RunOptions::default()).finish(&mut recorder);
+    recorder.frames
 }
 
-/// Returns the result of a replay that follows these records, `step` TTIs at a time.
-fn audited(prepared: &PreparedRun, frames: &[Frame], step: u64) -> Result<(), Divergence> {
-    let mut shadow = Replay::new(prepared, &ExternalInputs::default(), Tti::ZERO);
+/// Audits `frames`, `step` TTIs at a time.
+fn audit(prepared: &PreparedRun, frames: &[Frame], step: u64) -> Result<(), Divergence> {
+    let mut replay = Replay::new(prepared, &ExternalInputs::default(), Tti::ZERO);
     let mut rest = frames;
     for k in (step..=TTIS).step_by(step as usize) {
-        let before = rest.iter().take_while(|frame| frame.tti < Tti(k)).count();
-        let (now, later) = rest.split_at(before);
-        shadow.compare(Tti(k), now)?;
-        assert_eq!(shadow.compared_until(), Tti(k));
-        rest = later;
+        let frame_count = rest.iter().take_while(|frame| frame.tti < Tti(k)).count();
+        let (step_frames, later_frames) = rest.split_at(frame_count);
+        replay.compare(Tti(k), step_frames)?;
+        assert_eq!(replay.compared_until(), Tti(k));
+        rest = later_frames;
     }
     assert!(rest.is_empty());
     Ok(())
 }
 
 #[test]
-fn an_honest_run_is_whole() {
+fn an_unchanged_run_passes_the_audit() {
     for (policy, knowledge) in [("knn", "reported"), ("age-index", "oracle"), ("q-learning", "oracle")] {
         let prepared = prepared(policy, knowledge);
-        let frames = noted(&prepared);
-        let told = frames.iter().filter(|frame| frame.kind == MessageKind::States).count() as u64;
+        let frames = record_frames(&prepared);
+        let states_frames = frames.iter().filter(|frame| frame.kind == MessageKind::States).count() as u64;
         // Before the first TTI no batteries are passed to the policy.
-        assert_eq!(told, if knowledge == "oracle" { TTIS - 1 } else { 0 }, "{policy}");
+        let expected_frames = if knowledge == "oracle" { TTIS - 1 } else { 0 };
+        assert_eq!(states_frames, expected_frames, "{policy}");
         for step in [1, 50, TTIS] {
-            assert_eq!(audited(&prepared, &frames, step), Ok(()), "{policy}, by {step}");
+            assert_eq!(
+                audit(&prepared, &frames, step),
+                Ok(()),
+                "{policy}, {step} TTIs at a time"
+            );
         }
     }
 }
 
 #[test]
-fn a_host_with_a_false_battery_is_named() {
+fn a_false_battery_level_is_reported_with_its_device() {
+    let (tti, device) = (Tti(321), DeviceId(17));
     let prepared = prepared("q-learning", "oracle");
-    let mut frames = noted(&prepared);
-    let at = frames
+    let mut frames = record_frames(&prepared);
+    let index = frames
         .iter()
-        .position(|frame| frame.kind == MessageKind::States && frame.tti == Tti(321));
-    let at = at.expect("each TTI has battery levels");
-    let Ok(Message::States(mut states)) = frames[at].message() else {
-        panic!("no batteries");
+        .position(|frame| frame.kind == MessageKind::States && frame.tti == tti);
+    let index = index.expect("each TTI has battery levels");
+    let Ok(Message::States(mut states)) = frames[index].message() else {
+        panic!("no states");
     };
-    let honest = states.views[17].battery;
-    states.views[17].battery = honest + Energy::from_micro(2_000_000);
-    let held = honest.units();
-    frames[at] = Frame::new::<DeviceStates>(Tti(321), (), &states);
-    let found = audited(&prepared, &frames, 50).expect_err("a lie");
-    assert_eq!((found.tti, found.device), (Tti(321), Some(DeviceId(17))));
-    let said = format!(
-        "{:.2} units in the battery of device 17, and the replay {held:.2}",
-        held + 2.0
+    let battery = &mut states.views[device.index()].battery;
+    let true_units = battery.units();
+    *battery += Energy::from_micro(2_000_000);
+    frames[index] = Frame::new::<DeviceStates>(tti, (), &states);
+    let divergence = audit(&prepared, &frames, 50).expect_err("a false battery level");
+    assert_eq!((divergence.tti, divergence.device), (tti, Some(device)));
+    let expected_text = format!(
+        "{:.2} units in the battery of device 17, and the replay {true_units:.2}",
+        true_units + 2.0
     );
-    assert!(found.description.contains(&said), "{}", found.description);
+    assert!(
+        divergence.description.contains(&expected_text),
+        "{}",
+        divergence.description
+    );
 }
 
 #[test]
-fn a_host_with_a_false_report_is_named() {
+fn a_false_or_missing_report_is_reported_with_its_tti() {
     let prepared = prepared("knn", "reported");
-    let mut frames = noted(&prepared);
-    let at = frames
+    let mut frames = record_frames(&prepared);
+    let index = frames
         .iter()
         .position(|frame| frame.kind == MessageKind::Report && frame.tti > Tti(200));
-    let at = at.expect("reports");
-    let Ok(Message::Report(report)) = frames[at].message() else {
+    let index = index.expect("reports");
+    let Ok(Message::Report(report)) = frames[index].message() else {
         panic!("no report");
     };
-    let lie = Report {
+    let false_report = Report {
         battery: Energy::from_micro(report.battery.micro() / 2),
         ..report
     };
-    frames[at] = Frame::new(report.tti, report.device, &lie);
-    let found = audited(&prepared, &frames, 50).expect_err("a lie");
-    assert_eq!((found.tti, found.device), (report.tti, Some(report.device)));
-    // A missing report is a divergence as well.
-    frames.remove(at);
-    assert_eq!(audited(&prepared, &frames, 50).expect_err("a silence").tti, report.tti);
+    frames[index] = Frame::new(report.tti, report.device, &false_report);
+    let divergence = audit(&prepared, &frames, 50).expect_err("a false report");
+    assert_eq!((divergence.tti, divergence.device), (report.tti, Some(report.device)));
+    frames.remove(index);
+    let divergence = audit(&prepared, &frames, 50).expect_err("a missing report");
+    assert_eq!(divergence.tti, report.tti);
 }

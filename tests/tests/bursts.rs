@@ -1,72 +1,79 @@
-//! Start times of events in bursts, against closed forms.
+//! The event process `bursts`: the lengths of its phases, its start times and its mean start probability, against
+//! closed forms.
 
 use reveille_common::event::EventProcess;
 use reveille_common::ids::{MAX_TTIS, Tti};
 use reveille_common::rng::{Purpose, Stream};
 use reveille_tests::compare;
-use reveille_tests::distributions::{BOUND, drawn, share_is};
+use reveille_tests::distributions::{MAX_STANDARD_ERRORS, assert_share, draw_events};
 use reveille_tests::scenarios::scenario;
 
 const BURSTS: &str = "ttis = 1000000\n[events]\nprocess = \"bursts\"\n";
 
-/// Returns whether each of the first `ttis` TTIs is busy; events start in all busy TTIs and in no others.
-fn busy(fields: &str, seed: u64, ttis: u64) -> Vec<bool> {
-    let certain = "busy_alpha = 1.0\nquiet_alpha = 0.0\n";
-    let scenario = scenario(&format!("seed = {seed}\n{BURSTS}[events.bursts]\n{certain}{fields}"));
-    let alpha = |k: u64| {
+/// Returns whether each of the first `ttis` TTIs is busy.
+fn busy_ttis(fields: &str, seed: u64, ttis: u64) -> Vec<bool> {
+    // With these probabilities events start in all busy TTIs and in no others.
+    let alphas = "busy_alpha = 1.0\nquiet_alpha = 0.0\n";
+    let scenario = scenario(&format!("seed = {seed}\n{BURSTS}[events.bursts]\n{alphas}{fields}"));
+    let is_busy = |k: u64| {
         let alpha = scenario.events.mean_start_probability(seed, Tti(k), Tti(k + 1));
-        assert!([0.0, 1.0].contains(&alpha), "{alpha}");
+        assert!([0.0, 1.0].contains(&alpha), "α {alpha}");
         alpha > 0.5
     };
-    (0..ttis).map(alpha).collect()
+    (0..ttis).map(is_busy).collect()
 }
 
 #[test]
-fn phases_end_after_each_of_their_ttis_with_the_same_probability() {
+fn phases_have_geometric_lengths() {
     let fields = "busy_ttis = 8.0\nquiet_ttis = 30.5\n";
     // (is busy, TTIs since the start of the phase, whether it ends now), for phases whose start was observed.
-    let mut seen = Vec::new();
+    let mut observations = Vec::new();
     for seed in 0..12 {
-        let phases = busy(fields, seed, 6000);
+        let phases = busy_ttis(fields, seed, 6000);
         let mut age = None;
         for pair in phases.windows(2) {
             let ends = pair[0] != pair[1];
             if let Some(age) = age {
-                seen.push((pair[0], age, ends));
+                observations.push((pair[0], age, ends));
             }
             age = if ends { Some(1) } else { age.map(|age| age + 1) };
         }
     }
     for (is_busy, mean) in [(true, 8.0), (false, 30.5)] {
         for ages in [1..=1, 2..=7, 8..=30, 31..=1000] {
+            // Few busy phases get older.
             if is_busy && *ages.start() > 8 {
                 continue;
             }
-            let now = seen
+            let of_these_ages = observations
                 .iter()
                 .filter(|(busy, age, _)| *busy == is_busy && ages.contains(age));
-            share_is(
-                &format!("end at an age of {ages:?}"),
-                now.map(|(_, _, ends)| *ends),
+            assert_share(
+                &format!("phases with the mean {mean} that end at an age of {ages:?}"),
+                of_these_ages.map(|(_, _, ends)| *ends),
                 1.0 / mean,
             );
         }
     }
     // Each TTI is a separate phase.
-    let single = busy("busy_ttis = 1.0\nquiet_ttis = 1.0\n", 3, 500);
-    assert!(single.windows(2).all(|pair| pair[0] != pair[1]));
+    let single_tti_phases = busy_ttis("busy_ttis = 1.0\nquiet_ttis = 1.0\n", 3, 500);
+    assert!(single_tti_phases.windows(2).all(|pair| pair[0] != pair[1]));
 }
 
 #[test]
-fn a_run_begins_as_if_the_phases_had_always_been_there() {
+fn phases_are_stationary_from_the_first_tti() {
     let fields = "busy_ttis = 20.0\nquiet_ttis = 60.0\n";
-    let runs: Vec<Vec<bool>> = (0..4000).map(|seed| busy(fields, seed, 60)).collect();
+    let runs: Vec<Vec<bool>> = (0..4000).map(|seed| busy_ttis(fields, seed, 60)).collect();
     for k in [0, 1, 7, 25, 59] {
-        share_is(&format!("busy in TTI {k}"), runs.iter().map(|run| run[k]), 0.25);
+        assert_share(&format!("busy in TTI {k}"), runs.iter().map(|run| run[k]), 0.25);
     }
     for (is_busy, mean) in [(true, 20.0), (false, 60.0)] {
-        let first = runs.iter().filter(|run| run[0] == is_busy);
-        share_is("end of the first TTI", first.map(|run| run[1] != is_busy), 1.0 / mean);
+        let runs_of_phase = runs.iter().filter(|run| run[0] == is_busy);
+        assert_share(
+            "phases that end after TTI 0",
+            runs_of_phase.map(|run| run[1] != is_busy),
+            1.0 / mean,
+        );
     }
 }
 
@@ -78,15 +85,15 @@ fn events_start_with_the_probability_of_the_phase() {
              busy_alpha = {busy_alpha:?}\nquiet_alpha = {quiet_alpha:?}\nbusy_ttis = 9.0\nquiet_ttis = 14.0\n"
         );
         let ttis = 12_000;
-        let phases = busy("busy_ttis = 9.0\nquiet_ttis = 14.0\n", 21, ttis);
+        let phases = busy_ttis("busy_ttis = 9.0\nquiet_ttis = 14.0\n", 21, ttis);
         let scenario = scenario(&text);
         let mut process = EventProcess::new(scenario.run.seed, scenario.area, &scenario.events, Tti(ttis));
         // (TTI without an active event, whether an event starts)
-        let mut free = Vec::new();
+        let mut idle_ttis = Vec::new();
         let mut k = 0;
         while k < ttis {
             let starts = process.next_start() == Tti(k);
-            free.push((k as usize, starts));
+            idle_ttis.push((k as usize, starts));
             if starts {
                 let event = process.start();
                 process.end(event.last);
@@ -95,44 +102,54 @@ fn events_start_with_the_probability_of_the_phase() {
             assert!(process.next_start() > Tti(k));
             k += 1;
         }
-        let is_first = |k: usize| k > 0 && phases[k] != phases[k - 1];
+        let is_first_of_phase = |k: usize| k > 0 && phases[k] != phases[k - 1];
         for (is_busy, alpha) in [(true, busy_alpha), (false, quiet_alpha)] {
-            let of = |when: &dyn Fn(usize) -> bool| -> Vec<bool> {
-                let now = free.iter().filter(|(k, _)| phases[*k] == is_busy && when(*k));
-                now.map(|(_, starts)| *starts).collect()
+            let starts_in = |is_included: &dyn Fn(usize) -> bool| -> Vec<bool> {
+                let included = idle_ttis
+                    .iter()
+                    .filter(|(k, _)| phases[*k] == is_busy && is_included(*k));
+                included.map(|(_, starts)| *starts).collect()
             };
-            let what = format!("α {alpha}, busy {is_busy}");
-            let (all, first, later) = (of(&|_| true), of(&is_first), of(&|k| !is_first(k)));
+            let what = format!("starts, α {alpha}, busy {is_busy}");
+            let starts_in_first = starts_in(&is_first_of_phase);
+            let starts_in_later = starts_in(&|k| !is_first_of_phase(k));
+            let starts = starts_in(&|_| true);
             if [0.0, 1.0].contains(&alpha) {
+                let is_certain = alpha > 0.5;
                 assert!(
-                    all.iter().all(|starts| *starts == (alpha > 0.5)) && all.len() > 100,
+                    starts.iter().all(|starts| *starts == is_certain) && starts.len() > 100,
                     "{what}"
                 );
                 continue;
             }
-            share_is(&what, all, alpha);
-            share_is(&format!("{what}, after the first TTI of a phase"), later, alpha);
+            assert_share(&what, starts, alpha);
+            assert_share(
+                &format!("{what}, after the first TTI of a phase"),
+                starts_in_later,
+                alpha,
+            );
+            // The sample is too small for a lower probability.
             if alpha > 0.04 {
-                share_is(&format!("{what}, in the first TTI of a phase"), first, alpha);
+                assert_share(&format!("{what}, in the first TTI of a phase"), starts_in_first, alpha);
             }
         }
     }
 }
 
 #[test]
-fn bursts_of_two_phases_alike_are_no_bursts() {
+fn bursts_with_equal_phases_equal_uniform_events() {
     for alpha in [1.0, 0.35, 0.01] {
         let uniform = scenario(&format!("seed = 31\nevents.alpha = {alpha:?}\n"));
         let bursts = scenario(&format!(
             "seed = 31\n[events]\nprocess = \"bursts\"\n[events.bursts]\nbusy_alpha = {alpha:?}\n\
              quiet_alpha = {alpha:?}\nbusy_ttis = 3.0\nquiet_ttis = 7.0\n"
         ));
-        assert_eq!(drawn(&uniform, 5000), drawn(&bursts, 5000), "α {alpha}");
+        assert_eq!(draw_events(&uniform, 5000), draw_events(&bursts, 5000), "α {alpha}");
     }
 }
 
 #[test]
-fn impossible_events_are_not_waited_for() {
+fn a_run_with_a_negligible_start_probability_ends_without_events() {
     let scenario = scenario(
         "seed = 1\nttis = 500\n[events]\nprocess = \"bursts\"\n[events.bursts]\nbusy_alpha = 1e-300\n\
          quiet_alpha = 0.0\nbusy_ttis = 1.0\nquiet_ttis = 1.0\n",
@@ -142,45 +159,46 @@ fn impossible_events_are_not_waited_for() {
 }
 
 #[test]
-fn the_mean_start_probability_is_that_of_the_ttis_counted_one_by_one() {
+fn the_mean_start_probability_is_the_mean_over_its_ttis() {
     let (busy_alpha, quiet_alpha) = (0.8, 0.02);
     let scenario = scenario(&format!("seed = 41\n{BURSTS}"));
     let events = &scenario.events;
-    let phases = busy("", 41, 3000);
+    let phases = busy_ttis("", 41, 3000);
     let mut stream = Stream::new(1, Purpose::Epicentre, 0);
     for _ in 0..300 {
         let (a, b) = (stream.below(3000), stream.below(3001));
         let (first, end) = (a.min(b), a.max(b));
-        let found = events.mean_start_probability(41, Tti(first), Tti(end));
+        let mean = events.mean_start_probability(41, Tti(first), Tti(end));
         if first == end {
-            assert_eq!(found.to_bits(), events.alpha.to_bits());
+            assert_eq!(mean.to_bits(), events.alpha.to_bits());
             continue;
         }
         let mut sum = 0.0;
         for k in first..end {
             sum += if phases[k as usize] { busy_alpha } else { quiet_alpha };
         }
-        let counted = sum / (end - first) as f64;
+        let expected_mean = sum / (end - first) as f64;
         assert!(
-            (found - counted).abs() < 1e-12,
-            "{first} to {end}: {found}, not {counted}"
+            (mean - expected_mean).abs() < 1e-12,
+            "TTIs {first} to {end}: mean {mean}, expected {expected_mean}"
         );
     }
-    // The long-run mean is α. The variance is the variance of the time share of one of two phases.
+    // The long-run mean is α. The variance is the variance of the time share of one of two phases, whose default means
+    // are 40 and 160 TTIs.
     let ttis = 2_000_000.0;
-    let (busy_share, memory) = (0.2, 1.0 - 1.0 / 40.0 - 1.0 / 160.0);
-    let variance = busy_share * (1.0 - busy_share) * (1.0 + memory) / (1.0 - memory) / ttis;
-    let found = events.mean_start_probability(41, Tti(0), Tti(ttis as u64));
+    let (busy_share, correlation) = (0.2, 1.0 - 1.0 / 40.0 - 1.0 / 160.0);
+    let variance = busy_share * (1.0 - busy_share) * (1.0 + correlation) / (1.0 - correlation) / ttis;
+    let mean = events.mean_start_probability(41, Tti(0), Tti(ttis as u64));
     let error = (busy_alpha - quiet_alpha) * f64::sqrt(variance);
-    assert!((events.alpha - 0.176).abs() < 1e-15, "{}", events.alpha);
+    assert!((events.alpha - 0.176).abs() < 1e-15, "α {}", events.alpha);
     assert!(
-        (found - events.alpha).abs() < BOUND * error && error < 0.01,
-        "{found} ± {error}"
+        (mean - events.alpha).abs() < MAX_STANDARD_ERRORS * error && error < 0.01,
+        "mean {mean}, standard error {error}"
     );
 }
 
 #[test]
-fn where_the_probability_does_not_change_its_mean_is_alpha_to_the_last_bit() {
+fn the_mean_of_a_constant_start_probability_is_exactly_alpha() {
     for process in ["uniform", "hot-spots", "aftershocks"] {
         for alpha in [0.1, 0.2, 1.0 / 3.0] {
             let scenario = scenario(&format!("[events]\nprocess = \"{process}\"\nalpha = {alpha:?}\n"));

@@ -1,32 +1,30 @@
 //! Device classes: each field of energy and harvest affects only the devices of its class, in the base station's
-//! knowledge, the ledgers and the digest. Devices get the class that the scenario assigns.
+//! knowledge, the ledgers and the digest. The assignment of devices to classes is checked against the scenario's text.
 
 use std::path::Path;
 
 use reveille_bs::cycle::PreparedRun;
-use reveille_bs::scenario::{Loaded, Override, Scenario, parse};
+use reveille_bs::knowledge::Knowledge;
+use reveille_bs::scenario::{Loaded, Scenario, parse};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::scenario::assign_classes;
 use reveille_common::score::Digest;
 use reveille_lab::preparation::prepare;
 use reveille_lab::run::{Run, RunOptions};
 use reveille_tests::compare;
+use reveille_tests::scenarios::overrides;
 
 /// Ten devices of class `few`, the others of class `rest`.
-const TWO: &str = "preset = \"paper\"\ndevices = 40\nttis = 1500\nwarm_up = 0\npolicy.name = \"random\"\n\
-                   [[class]]\nname = \"few\"\ndevices = [0, 3, 5, 8, 13, 20, 21, 34, 38, 39]\n\
-                   [[class]]\nname = \"rest\"\nshare = 1\n";
+const TWO_CLASSES: &str = "preset = \"paper\"\ndevices = 40\nttis = 1500\nwarm_up = 0\npolicy.name = \"random\"\n\
+                           [[class]]\nname = \"few\"\ndevices = [0, 3, 5, 8, 13, 20, 21, 34, 38, 39]\n\
+                           [[class]]\nname = \"rest\"\nshare = 1\n";
 
-fn load(text: &str, set: &[&str]) -> Scenario {
-    loaded(text, set).scenario
+fn load(text: &str, fields: &[&str]) -> Scenario {
+    load_with_warnings(text, fields).scenario
 }
 
-fn loaded(text: &str, set: &[&str]) -> Loaded {
-    let set: Vec<Override> = set
-        .iter()
-        .map(|set| Override::parse(set).expect("an override"))
-        .collect();
-    parse(text, "test", Path::new(""), &set).unwrap_or_else(|error| panic!("{error}"))
+fn load_with_warnings(text: &str, fields: &[&str]) -> Loaded {
+    parse(text, "test", Path::new(""), &overrides(fields)).unwrap_or_else(|error| panic!("{error}"))
 }
 
 fn digest(prepared: &PreparedRun) -> Digest {
@@ -34,9 +32,9 @@ fn digest(prepared: &PreparedRun) -> Digest {
 }
 
 #[test]
-fn every_override_acts_on_its_class_alone() {
-    let plain = prepare(&load(TWO, &[]));
-    let (before, known) = (digest(&plain), plain.knowledge());
+fn a_field_of_a_class_affects_only_its_devices() {
+    let plain = prepare(&load(TWO_CLASSES, &[]));
+    let (plain_digest, plain_knowledge) = (digest(&plain), plain.knowledge());
     for field in [
         "energy.e_max=60",
         "energy.e_idle=1.5",
@@ -49,26 +47,27 @@ fn every_override_acts_on_its_class_alone() {
         "harvest.kind=mpp",
         "harvest.kind=diurnal",
     ] {
-        let changed = prepare(&load(TWO, &[&format!("class.few.{field}")]));
+        let changed = prepare(&load(TWO_CLASSES, &[&format!("class.few.{field}")]));
         assert_ne!(changed.scenario.hash(), plain.scenario.hash(), "{field}");
-        assert_ne!(digest(&changed), before, "{field}");
-        let others = changed.knowledge();
-        for (j, (device, other)) in (0..).zip(known.devices.iter().zip(&others.devices)) {
-            let is_known =
-                |of: &reveille_bs::knowledge::Knowledge| of.expected_harvest(DeviceId(j), Tti(100), Tti(150));
-            let is_same = (device.energy, device.mean_harvest) == (other.energy, other.mean_harvest)
-                && is_known(&known) == is_known(&others);
+        assert_ne!(digest(&changed), plain_digest, "{field}");
+        let changed_knowledge = changed.knowledge();
+        let devices = plain_knowledge.devices.iter().zip(&changed_knowledge.devices);
+        for (j, (plain_device, changed_device)) in (0..).zip(devices) {
+            let expected_harvest = |knowledge: &Knowledge| knowledge.expected_harvest(DeviceId(j), Tti(100), Tti(150));
+            let is_same = plain_device.energy == changed_device.energy
+                && plain_device.mean_harvest == changed_device.mean_harvest
+                && expected_harvest(&plain_knowledge) == expected_harvest(&changed_knowledge);
             // mpp is on for the same share of time as eq5; only its draws differ.
-            let differs = device.class == 0 && field != "harvest.kind=mpp";
+            let differs = plain_device.class == 0 && field != "harvest.kind=mpp";
             assert_eq!(is_same, !differs, "{field}, device {j}");
         }
     }
 }
 
-/// Compares the ledgers of two classes that share no setting.
+/// Compares the ledgers of two classes that share no setting with their costs, in micro-units.
 #[test]
-fn each_class_is_billed_by_its_own_costs() {
-    let set = [
+fn devices_pay_the_costs_of_their_class() {
+    let fields = [
         "class.few.energy.e_max=40",
         "class.few.energy.e_idle=0.25",
         "class.few.energy.e_wur=0.03",
@@ -78,36 +77,34 @@ fn each_class_is_billed_by_its_own_costs() {
         "class.few.harvest.e_b=7",
         "energy.e_idle=0.5",
     ];
-    let scenario = load(TWO, &set);
+    let scenario = load(TWO_CLASSES, &fields);
     let (classes, ledgers) = (assign_classes(&scenario), compare::ledgers(&scenario, true));
     let (mut reports, mut overflow) = ([0; 2], [0; 2]);
     for (j, (ledger, &class)) in ledgers.iter().zip(&classes).enumerate() {
-        let (class, sums) = (usize::from(class), ledger.whole);
+        let (class, totals) = (usize::from(class), ledger.whole);
         let [e_max, e_idle, e_wur, e_tx, initial, e_b] = [
             [40_000_000, 250_000, 30_000, 3_000_000, 30_000_000, 7_000_000],
             [100_000_000, 500_000, 71_429, 10_000_000, 50_000_000, 5_000_000],
         ][class];
-        assert_eq!(sums.initial.micro(), initial, "device {j}");
-        assert_eq!(sums.harvested.micro() % e_b, 0, "device {j}");
-        assert!(sums.battery.micro() <= e_max, "device {j}");
-        overflow[class] += sums.overflow.micro();
-        if sums.failed_ttis + sums.unpowered_ttis > 0 {
+        assert_eq!(totals.initial.micro(), initial, "device {j}");
+        assert_eq!(totals.harvested.micro() % e_b, 0, "device {j}");
+        assert!(totals.battery.micro() <= e_max, "device {j}");
+        overflow[class] += totals.overflow.micro();
+        // A failed action costs the remaining charge, not the full cost.
+        if totals.failed_ttis + totals.unpowered_ttis > 0 {
             continue;
         }
-        let asleep = scenario.run.ttis - sums.sensing_ttis;
-        assert_eq!(sums.spent.sensing.micro(), e_idle * sums.sensing_ttis, "device {j}");
-        assert_eq!(sums.spent.sleep.micro(), e_wur * asleep, "device {j}");
-        reports[class] += sums.spent.report.micro() / e_tx;
+        let sleeping_ttis = scenario.run.ttis - totals.sensing_ttis;
+        assert_eq!(totals.spent.sensing.micro(), e_idle * totals.sensing_ttis, "device {j}");
+        assert_eq!(totals.spent.sleep.micro(), e_wur * sleeping_ttis, "device {j}");
+        reports[class] += totals.spent.report.micro() / e_tx;
     }
     assert!(reports.iter().all(|&reports| reports > 10), "{reports:?}");
-    assert!(
-        overflow[0] > 0,
-        "a small battery under much sun overflows: {overflow:?}"
-    );
+    assert!(overflow[0] > 0, "no overflow of a small battery: {overflow:?}");
 }
 
 #[test]
-fn devices_are_of_the_class_that_names_them_or_their_place_and_the_rest_by_share() {
+fn classes_select_devices_by_id_then_zone_then_share() {
     let text = "preset = \"paper\"\ndevices = 200\n\
                 [[class]]\nname = \"west\"\neast = 8\n\
                 [[class]]\nname = \"south\"\nnorth = 5.0\nwest = 2\n\
@@ -117,34 +114,37 @@ fn devices_are_of_the_class_that_names_them_or_their_place_and_the_rest_by_share
     let prepared = prepare(&scenario);
     let (classes, mut counts) = (assign_classes(&scenario), [0_usize; 5]);
     for (j, (device, &class)) in prepared.knowledge().devices.iter().zip(&classes).enumerate() {
-        let at = device.position;
-        let expected = match j {
+        let position = device.position;
+        let selected_class = match j {
             7 | 100 => Some(2),
-            _ if at.x <= 8.0 => Some(0),
-            _ if at.y <= 5.0 => Some(1),
+            _ if position.x <= 8.0 => Some(0),
+            _ if position.y <= 5.0 => Some(1),
             _ => None,
         };
         assert!(
-            expected.map_or(class == 3 || class == 4, |of| of == class),
-            "device {j} at {at:?}: {class}"
+            selected_class.map_or(class == 3 || class == 4, |selected| selected == class),
+            "device {j} at {position:?} has class {class}"
         );
         counts[usize::from(class)] += 1;
     }
-    let left = counts[3] + counts[4];
-    assert!((counts[3] as f64 - 0.75 * left as f64).abs() < 1.0, "{counts:?}");
+    let devices_by_share = counts[3] + counts[4];
+    assert!(
+        (counts[3] as f64 - 0.75 * devices_by_share as f64).abs() < 1.0,
+        "{counts:?}"
+    );
     assert!(counts.iter().all(|&count| count > 0), "{counts:?}");
     for (class, &count) in scenario.classes.iter().zip(&counts) {
         assert!((class.share - count as f64 / 200.0).abs() < 1e-12, "{}", class.name);
     }
-    let again = load(&scenario.to_toml(), &[]);
-    assert_eq!(again, scenario);
-    assert_eq!(again.hash(), scenario.hash());
+    let reloaded = load(&scenario.to_toml(), &[]);
+    assert_eq!(reloaded, scenario);
+    assert_eq!(reloaded.hash(), scenario.hash());
 }
 
 #[test]
-fn errors_of_members_name_a_fix() {
+fn an_invalid_selection_of_devices_is_refused_with_the_reason() {
     let class = |name: &str, fields: &str| format!("[[class]]\nname = \"{name}\"\n{fields}\n");
-    let message = |text: &str| {
+    let error_message = |text: &str| {
         let text = format!("devices = 10\n{text}");
         parse(&text, "my.toml", Path::new(""), &[])
             .expect_err("not valid")
@@ -179,10 +179,10 @@ fn errors_of_members_name_a_fix() {
             "must add up to 1, not to 0.5",
         ),
     ] {
-        let found = message(&text);
-        assert!(found.contains(expected), "{found}, not {expected}");
+        let message = error_message(&text);
+        assert!(message.contains(expected), "{message:?} does not contain {expected:?}");
     }
-    let empty_class = loaded(
+    let empty_class = load_with_warnings(
         "devices = 10\n[[class]]\nname = \"a\"\nnorth = 0\n[[class]]\nname = \"b\"\nshare = 1\n",
         &[],
     );

@@ -1,4 +1,5 @@
-//! Whole runs against closed forms. Seeds are fixed: each result either is within three standard errors or is not.
+//! Information under `genie`, harvested energy and I_min, against closed forms and numerical integrals. Seeds are
+//! fixed, so the tests are deterministic.
 
 use reveille_bs::beliefs::ranking::i_min;
 use reveille_bs::scenario::Scenario;
@@ -8,61 +9,66 @@ use reveille_lab::preparation::run;
 use reveille_tests::scenarios::scenario;
 
 /// Settings with which every battery is full at every event.
-const RICH: &str = "[energy]\ne_max = 1000.0\ninitial = 1000.0\n[harvest]\nkind = \"exp-minus-lambda\"\nlambda = 0.0\n\
-                    e_b = 1000.0\n";
+const FULL_BATTERIES: &str = "[energy]\ne_max = 1000.0\ninitial = 1000.0\n[harvest]\n\
+                              kind = \"exp-minus-lambda\"\nlambda = 0.0\ne_b = 1000.0\n";
 
-/// Cells along each side in integrals over the area.
-const CELLS: u32 = 600;
+/// Rounding error of a distance, m.
+const ROUNDING: f64 = 1e-9;
+
+/// Squares along each side in integrals over the area.
+const CELLS_PER_SIDE: u32 = 600;
 
 #[test]
-fn the_genies_information_is_that_of_the_closest_device() {
+fn the_genie_receives_the_information_of_the_closest_device() {
     for (layout, devices, seed) in [("uniform", 12, 3), ("jittered-grid", 40, 4), ("poisson-disk", 25, 5)] {
         let scenario = scenario(&format!(
             "devices = {devices}\nttis = 60000\nseed = {seed}\nlayout.kind = \"{layout}\"\npolicy.name = \"genie\"\n\
              events.alpha = 0.7\nevents.duration = 2\narea.width = 18.0\narea.height = 15.0\nsensing.d_max = 2.5\n\
-             sensing.eta = 0.8\nsensing.psi = 1.5\n{RICH}"
+             sensing.eta = 0.8\nsensing.psi = 1.5\n{FULL_BATTERIES}"
         ));
-        let (mean, variance, out_of_range) = closest_over_area(&scenario);
+        let (mean, variance, out_of_range) = integrate_closest_information(&scenario);
         let outcome = run(&scenario);
         let n = outcome.metrics.events as f64;
         assert!(n > 20_000.0, "{n} events");
-        near(layout, outcome.metrics.info_per_event, mean, (variance / n).sqrt());
+        let metrics = &outcome.metrics;
+        assert_near(layout, metrics.info_per_event, mean, (variance / n).sqrt());
         let error = (out_of_range * (1.0 - out_of_range) / n).sqrt();
-        near(layout, outcome.metrics.misdetection_pct / 100.0, out_of_range, error);
-        near(layout, outcome.metrics.wake_ups_per_event, 1.0 - out_of_range, error);
+        assert_near(layout, metrics.misdetection_pct / 100.0, out_of_range, error);
+        assert_near(layout, metrics.wake_ups_per_event, 1.0 - out_of_range, error);
         assert_eq!(outcome.totals.events.wrong_activations, 0, "{layout}");
     }
 }
 
 /// Returns mean and variance of the closest device's information over the area, and the share of the area without
 /// information.
-fn closest_over_area(scenario: &Scenario) -> (f64, f64, f64) {
+fn integrate_closest_information(scenario: &Scenario) -> (f64, f64, f64) {
     let positions = Deployment::new(scenario).positions();
-    let (mut sum, mut squares, mut outside) = (0.0, 0.0, 0.0);
+    let (mut sum, mut squares, mut out_of_range) = (0.0, 0.0, 0.0);
     for point in midpoints(scenario.area) {
-        let d = closest(&positions, point);
+        let d = distance_to_closest(&positions, point);
         if d <= scenario.sensing.d_max {
             let information = scenario.sensing.psi * libm::exp(-scenario.sensing.eta * d);
             sum += information;
             squares += information * information;
         } else {
-            outside += 1.0;
+            out_of_range += 1.0;
         }
     }
-    let cells = f64::from(CELLS * CELLS);
-    let mean = sum / cells;
-    (mean, squares / cells - mean * mean, outside / cells)
+    let points = f64::from(CELLS_PER_SIDE * CELLS_PER_SIDE);
+    let mean = sum / points;
+    (mean, squares / points - mean * mean, out_of_range / points)
 }
 
+/// Returns the midpoints of the squares of the area.
 fn midpoints(area: Area) -> impl Iterator<Item = Point> {
-    let middle = |i: u32| (f64::from(i) + 0.5) / f64::from(CELLS);
-    (0..CELLS * CELLS).map(move |i| Point {
-        x: middle(i / CELLS) * area.width,
-        y: middle(i % CELLS) * area.height,
+    let middle = |i: u32| (f64::from(i) + 0.5) / f64::from(CELLS_PER_SIDE);
+    (0..CELLS_PER_SIDE * CELLS_PER_SIDE).map(move |i| Point {
+        x: middle(i / CELLS_PER_SIDE) * area.width,
+        y: middle(i % CELLS_PER_SIDE) * area.height,
     })
 }
 
-fn closest(positions: &[Point], from: Point) -> f64 {
+fn distance_to_closest(positions: &[Point], from: Point) -> f64 {
     let mut least = f64::INFINITY;
     for p in positions {
         least = least.min((p.x - from.x) * (p.x - from.x) + (p.y - from.y) * (p.y - from.y));
@@ -71,7 +77,7 @@ fn closest(positions: &[Point], from: Point) -> f64 {
 }
 
 #[test]
-fn arrivals_have_the_mean_of_their_law() {
+fn harvested_energy_has_the_mean_of_its_law() {
     let (devices, ttis, e_b) = (60.0, 20_000.0, 2.5);
     for (kind, lambda, tau, off_mean) in [
         ("eq5", 0.1, 1.0, None),
@@ -90,11 +96,11 @@ fn arrivals_have_the_mean_of_their_law() {
         ));
         let rate: f64 = lambda * tau;
         // Share of TTIs with an arrival, and correlation of consecutive TTIs.
-        let (share, memory) = match (kind, off_mean) {
+        let (share, correlation) = match (kind, off_mean) {
             ("exp-minus-lambda", _) => (libm::exp(-lambda), 0.0),
             ("mpp", Some(mean)) => {
-                let back = 1.0 / mean;
-                (back / (back + lambda), libm::exp(-(back + lambda) * tau))
+                let on_rate = 1.0 / mean;
+                (on_rate / (on_rate + lambda), libm::exp(-(on_rate + lambda) * tau))
             }
             ("mpp", None) => {
                 // By default the on share is the share of Eq. (5), which fixes the ratio of on and off rates.
@@ -103,20 +109,20 @@ fn arrivals_have_the_mean_of_their_law() {
             }
             _ => (rate * libm::exp(-rate), 0.0),
         };
-        let variance = share * (1.0 - share) * (1.0 + memory) / (1.0 - memory);
+        let variance = share * (1.0 - share) * (1.0 + correlation) / (1.0 - correlation);
         let error = e_b * (variance / (devices * ttis)).sqrt();
         let harvested = run(&scenario).metrics.harvested_per_device_tti;
-        near(&format!("{kind} λ {lambda}"), harvested, e_b * share, error);
+        assert_near(&format!("{kind} λ {lambda}"), harvested, e_b * share, error);
     }
 }
 
 #[test]
-fn recorded_energy_arrives_to_the_last_micro_unit() {
+fn recorded_energy_arrives_exactly() {
     // Two devices. The columns of the test file are halved, and half a micro-unit rounds up. `rain` is 0, 0.000001, 40,
     // 0, 0 units, `wind` 1.5, 0, 0.333334, 2, 0, `sun` 0, 3.25, 12.5, 0, 0.7. A row lasts 4 TTIs, the file 20.
     let (rain, wind) = (4 * (1 + 20_000_000), 4 * (750_000 + 166_667 + 1_000_000));
     let sun = 4 * (1_625_000 + 6_250_000 + 350_000);
-    for (end, ttis, columns, expected) in [
+    for (end, ttis, columns, expected_micro) in [
         ("stop", 40, "column = \"sun\"", 2 * sun),
         ("cycle", 40, "column = \"rain\"", 2 * 2 * rain),
         ("stop", 40, "column = \"rain\"", 2 * rain),
@@ -128,12 +134,12 @@ fn recorded_energy_arrives_to_the_last_micro_unit() {
              file = \"energy.csv\"\nttis_per_row = 4\nscale = 0.5\nend = \"{end}\"\n"
         ));
         let harvested = run(&scenario).totals.energy.harvested.micro();
-        assert_eq!(harvested, expected, "{end}, {ttis} TTIs, {columns}");
+        assert_eq!(harvested, expected_micro, "{end}, {ttis} TTIs, {columns}");
     }
 }
 
 #[test]
-fn the_least_information_of_a_grid_is_that_at_the_corner_of_a_cell() {
+fn i_min_of_a_grid_is_the_information_from_the_corner_of_a_square() {
     for (side, per_row, eta, psi) in [
         (20.0f64, 1u32, 0.3, 1.0),
         (20.0, 5, 1.0, 0.1),
@@ -145,21 +151,21 @@ fn the_least_information_of_a_grid_is_that_at_the_corner_of_a_cell() {
             "devices = {n}\nlayout.kind = \"grid\"\narea.width = {side:?}\narea.height = {side:?}\n\
              sensing.eta = {eta:?}\nsensing.psi = {psi:?}\n"
         ));
-        let found = i_min(
+        let least_information = i_min(
             &Deployment::new(&scenario).positions(),
             scenario.area,
             &scenario.sensing,
         );
         let expected = psi * libm::exp(-eta * (side * side / (2.0 * f64::from(n))).sqrt());
         assert!(
-            (found / expected - 1.0).abs() < 1e-12,
-            "{n} devices: {found}, not {expected}"
+            (least_information / expected - 1.0).abs() < 1e-12,
+            "{n} devices: I_min {least_information}, expected {expected}"
         );
     }
 }
 
 #[test]
-fn the_least_information_is_that_of_the_point_farthest_from_all_devices() {
+fn i_min_is_the_information_from_the_point_farthest_from_all_devices() {
     for layout in ["uniform", "jittered-grid", "poisson-disk", "hex"] {
         for devices in [1, 2, 3, 10, 60] {
             let scenario = scenario(&format!(
@@ -167,24 +173,25 @@ fn the_least_information_is_that_of_the_point_farthest_from_all_devices() {
             ));
             let positions = Deployment::new(&scenario).positions();
             let farthest = midpoints(scenario.area)
-                .map(|point| closest(&positions, point))
+                .map(|point| distance_to_closest(&positions, point))
                 .fold(0.0, f64::max);
-            let cell = scenario.area.diagonal() / f64::from(CELLS);
+            let cell_diagonal = scenario.area.diagonal() / f64::from(CELLS_PER_SIDE);
+            // With Ψ = 1, I_min = exp(−ηd).
             let d = -libm::log(i_min(&positions, scenario.area, &scenario.sensing)) / scenario.sensing.eta;
-            // Moving changes a distance by at most the way, and midpoints are within half a cell diagonal.
+            // Every point is at most half a diagonal from a midpoint, so the distances differ by at most that.
             assert!(
-                (farthest - 1e-9..=farthest + cell / 2.0 + 1e-9).contains(&d),
-                "{layout} {devices}: {d}, {farthest}"
+                (farthest - ROUNDING..=farthest + cell_diagonal / 2.0 + ROUNDING).contains(&d),
+                "{layout} {devices}: distance {d} from I_min, {farthest} of the farthest midpoint"
             );
         }
     }
 }
 
-/// Checks that `found` is within three standard errors of `expected`.
-fn near(what: &str, found: f64, expected: f64, error: f64) {
-    let errors = (found - expected).abs() / error;
+/// Checks that `measured` is within three standard errors of `expected`.
+fn assert_near(what: &str, measured: f64, expected: f64, standard_error: f64) {
+    let deviation = (measured - expected).abs() / standard_error;
     assert!(
-        errors <= 3.0,
-        "{what}: {found}, {errors:.1} standard errors from {expected}"
+        deviation <= 3.0,
+        "{what}: measured {measured}, expected {expected}, {deviation:.1} standard errors off"
     );
 }

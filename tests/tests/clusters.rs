@@ -1,4 +1,4 @@
-//! Clusters and `I_min` against a second, exhaustive implementation.
+//! The clusters of `knn` (`Clusters::form`) and `i_min` against the reference implementation, which is exhaustive.
 
 use proptest::prelude::*;
 use proptest::test_runner::Config;
@@ -24,8 +24,14 @@ fn areas() -> impl Strategy<Value = Area> {
     (4.0..30.0f64, 4.0..30.0f64).prop_map(|(width, height)| Area { width, height })
 }
 
-fn emulated(points: &[Point], area: Area, d_max: f64, voting: ClusterSettings, start: Stream) -> Vec<Vec<usize>> {
-    let members = Clusters::form(points, area, d_max, voting, start).members;
+fn emulated_clusters(
+    points: &[Point],
+    area: Area,
+    d_max: f64,
+    settings: ClusterSettings,
+    stream: Stream,
+) -> Vec<Vec<usize>> {
+    let members = Clusters::form(points, area, d_max, settings, stream).members;
     members
         .into_iter()
         .map(|cluster| cluster.into_iter().map(DeviceId::index).collect())
@@ -36,56 +42,62 @@ proptest! {
     #![proptest_config(Config { cases: 400, failure_persistence: None, ..Config::default() })]
 
     #[test]
-    fn clusters_are_those_of_the_description(
+    fn clusters_equal_the_clusters_of_the_reference(
         layout in layouts(), area in areas(), n in 1..=130u32, seed: u64, neighbours in 1..=9u32, limit_radius: bool,
         d_max in 1.0..12.0f64,
     ) {
         let points = place_devices(&layout, area, n, seed);
-        let start = || Stream::new(seed, Purpose::Clusters, 0);
-        let found = emulated(&points, area, d_max, ClusterSettings { neighbours, limit_radius }, start());
-        let expected = reference::clusters(&points, area, d_max, (neighbours as usize, limit_radius), start());
-        prop_assert_eq!(found, expected);
+        let stream = || Stream::new(seed, Purpose::Clusters, 0);
+        let clusters = emulated_clusters(&points, area, d_max, ClusterSettings { neighbours, limit_radius }, stream());
+        let expected = reference::clusters(&points, area, d_max, (neighbours as usize, limit_radius), stream());
+        prop_assert_eq!(clusters, expected);
     }
 
     #[test]
-    fn clusters_of_devices_that_stand_together_are_those_of_the_description(
+    fn clusters_of_devices_at_equal_positions_equal_the_clusters_of_the_reference(
         places in prop::collection::vec((0u8..5, 0u8..4), 1..60), neighbours in 1..70u32, limit_radius: bool, seed: u64,
     ) {
         let points: Vec<Point> = places.iter().map(|&(x, y)| Point::new(f64::from(x), f64::from(y))).collect();
         let area = Area { width: 20.0, height: 20.0 };
-        let start = || Stream::new(seed, Purpose::Clusters, 0);
-        let found = emulated(&points, area, 1.5, ClusterSettings { neighbours, limit_radius }, start());
-        let expected = reference::clusters(&points, area, 1.5, (neighbours as usize, limit_radius), start());
-        prop_assert_eq!(found, expected);
+        let stream = || Stream::new(seed, Purpose::Clusters, 0);
+        let clusters = emulated_clusters(&points, area, 1.5, ClusterSettings { neighbours, limit_radius }, stream());
+        let expected = reference::clusters(&points, area, 1.5, (neighbours as usize, limit_radius), stream());
+        prop_assert_eq!(clusters, expected);
     }
 
     #[test]
-    fn i_min_is_that_of_the_worst_place(
+    fn i_min_equals_the_least_information_of_the_reference(
         layout in layouts(), area in areas(), n in 1..=40u32, seed: u64, eta in 0.05..2.0f64, psi in 0.1..5.0f64,
     ) {
         let points = place_devices(&layout, area, n, seed);
         let sensing = Sensing { kind: DetectionKind::Range, d_max: 4.0, eta, psi, g: Fusion::Max };
-        let (found, expected) = (i_min(&points, area, &sensing), reference::least_information(&points, area, &sensing));
-        prop_assert!((found / expected - 1.0).abs() < 1e-9, "{} and {}", found, expected);
+        let expected = reference::least_information(&points, area, &sensing);
+        let least_information = i_min(&points, area, &sensing);
+        prop_assert!(
+            (least_information / expected - 1.0).abs() < 1e-9, "I_min {}, expected {}", least_information, expected
+        );
     }
 }
 
-/// The random deployments cover all cases: clusters are split, start empty, and move.
+/// The comparison with random deployments covers clusters that are split, and devices that move between clusters.
 #[test]
-fn random_deployments_make_clusters_of_all_kinds() {
+fn clusters_of_random_deployments_are_split_and_change() {
     let area = Area {
         width: 20.0,
         height: 20.0,
     };
-    let (mut split, mut moved) = (0, 0);
+    let (mut split_deployments, mut changed_deployments) = (0, 0);
     for seed in 0..40 {
         let points = place_devices(&Layout::Uniform, area, 60, seed);
-        let start = || Stream::new(seed, Purpose::Clusters, 0);
-        let whole = reference::clusters(&points, area, 4.0, (5, false), start());
-        let parts = reference::clusters(&points, area, 4.0, (5, true), start());
-        let unmoved = reference::clusters(&points, area, 4.0, (0, false), start());
-        split += usize::from(parts.len() > whole.len());
-        moved += usize::from(unmoved != whole);
+        let stream = || Stream::new(seed, Purpose::Clusters, 0);
+        let unlimited = reference::clusters(&points, area, 4.0, (5, false), stream());
+        let limited = reference::clusters(&points, area, 4.0, (5, true), stream());
+        let without_votes = reference::clusters(&points, area, 4.0, (0, false), stream());
+        split_deployments += usize::from(limited.len() > unlimited.len());
+        changed_deployments += usize::from(without_votes != unlimited);
     }
-    assert!(split > 30 && moved > 30, "{split} split, {moved} moved");
+    assert!(
+        split_deployments > 30 && changed_deployments > 30,
+        "deployments: {split_deployments} with split clusters, {changed_deployments} with changed clusters"
+    );
 }

@@ -1,5 +1,6 @@
-//! External decisions: runs that wait at a decision request, answered with a built-in policy's decisions and with
-//! nonsense.
+//! External decisions in memory (`SteppedRun`): a run answered with the decisions of a built-in policy equals the run
+//! of that policy. Invalid wake-ups, truncated input logs and forks are tested too; the bus is tested in
+//! `tests/program/`.
 
 use reveille_bs::cycle::PreparedRun;
 use reveille_bs::policy::external::wire::{DecisionRequest, Hello};
@@ -8,6 +9,7 @@ use reveille_bs::policy::external::{
 };
 use reveille_bs::policy::{outside, registry};
 use reveille_bs::scenario::{Override, Scenario, load};
+use reveille_common::deployment::Deployment;
 use reveille_common::encoding::Encoding;
 use reveille_common::event::{EventProcess, ScriptedEvent};
 use reveille_common::geometry::Point;
@@ -20,56 +22,67 @@ use reveille_common::world::World;
 use reveille_lab::external_inputs::ExternalInputs;
 use reveille_lab::run::{Run, RunOptions};
 use reveille_lab::stepped_run::SteppedRun;
+use reveille_tests::compare::ONE_TTI_PER_GRANT;
+use reveille_tests::scenarios;
 use reveille_tests::transcript::CommandTranscript;
 
-fn overrides(policy: &str, set: &[&str]) -> Vec<Override> {
+fn overrides(policy: &str, fields: &[&str]) -> Vec<Override> {
     let policy = format!("policy.name={policy}");
-    let always = [policy.as_str(), "devices=40", "ttis=1200"];
-    let all = always.iter().chain(set);
-    all.map(|set| Override::parse(set).expect("an override")).collect()
+    scenarios::overrides(&[&[policy.as_str(), "devices=40", "ttis=1200"], fields].concat())
 }
 
-/// Creates the scenario with an external policy.
-fn external(set: &[&str]) -> Scenario {
-    let overrides = overrides("external", set);
+/// Creates a scenario with a built-in policy.
+fn built_in(policy: &str, fields: &[&str]) -> Scenario {
+    load("paper", &overrides(policy, fields)).expect("a scenario").scenario
+}
+
+/// Creates a scenario with an external policy.
+fn external(fields: &[&str]) -> Scenario {
+    let overrides = overrides("external", fields);
     reveille_common::scenario::load("paper", &overrides, &outside::kinds_with_external(), &Disk)
         .expect("a scenario")
         .scenario
 }
 
-fn stepping(scenario: &Scenario, world: World, options: RunOptions) -> SteppedRun<CommandTranscript> {
+fn step_in_world(scenario: &Scenario, world: World, options: RunOptions) -> SteppedRun<CommandTranscript> {
     let prepared = PreparedRun::without_pilots(scenario);
     SteppedRun::with_world(&prepared, world, options, CommandTranscript::default())
 }
 
-fn own_world(scenario: &Scenario) -> World {
-    let prepared = PreparedRun::without_pilots(scenario);
-    World::new(scenario, &prepared.deployment)
+/// Creates a run with the events of the scenario.
+fn step(scenario: &Scenario, options: RunOptions) -> SteppedRun<CommandTranscript> {
+    let world = World::new(scenario, &Deployment::new(scenario));
+    step_in_world(scenario, world, options)
 }
 
-/// Returns the digest of a run answered with the decisions of `first`, `at_a_time` wake-ups per answer or all together.
-fn replayed(scenario: &Scenario, first: &CommandTranscript, options: RunOptions, at_a_time: usize) -> Digest {
-    let mut stepping = stepping(scenario, own_world(scenario), options);
-    let mut given = 0_usize;
-    while let Some(question) = stepping.pending_decision() {
-        let k = question.seen.now;
-        match question.stage {
+/// Returns the digest of a run answered with the decisions of `transcript`, at most `max_wake_ups` wake-ups per answer.
+fn digest_with_decisions(
+    scenario: &Scenario,
+    transcript: &CommandTranscript,
+    options: RunOptions,
+    max_wake_ups: usize,
+) -> Digest {
+    let mut run = step(scenario, options);
+    let mut answered = 0_usize;
+    while let Some(request) = run.pending_decision() {
+        let k = request.observation.now;
+        match request.stage {
             DecisionStage::Plan => {
-                given = 0;
-                stepping.decide(PlanDecision {
-                    plan: first.plan_at(k),
+                answered = 0;
+                run.decide(PlanDecision {
+                    plan: transcript.plan_at(k),
                     next: k + 1,
                 });
             }
             DecisionStage::Wake => {
-                let all = first.wake_ups.get(&k.0).map_or(&[][..], Vec::as_slice);
-                let until = all.len().min(given.saturating_add(at_a_time));
-                stepping.wake(&all[given..until]);
-                given = until;
+                let wake_ups = transcript.wake_ups_in(k);
+                let end = wake_ups.len().min(answered.saturating_add(max_wake_ups));
+                run.wake(&wake_ups[answered..end]);
+                answered = end;
             }
         }
     }
-    let (outcome, _) = stepping.finish();
+    let (outcome, _) = run.finish();
     assert!(outcome.is_complete);
     outcome.digest
 }
@@ -88,223 +101,221 @@ fn external_decisions_of_a_policy_give_its_digest() {
         &["sensing.kind=probabilistic", "sensing.eta=0.5", "harvest.lambda=0.02"],
         &lossy,
     ];
-    let mut wake_ups = 0;
-    for (policy, set) in registry::names()
+    let mut ttis_with_wake_ups = 0;
+    for (policy, fields) in registry::names()
         .filter(|name| *name != "genie")
-        .flat_map(|name| settings.map(|set| (name, set)))
+        .flat_map(|name| settings.map(|fields| (name, fields)))
     {
-        let set: Vec<&str> = match policy {
-            "adjusted" => set
-                .iter()
-                .copied()
-                .chain(["policy.adjusted.pilot_ttis=300", "policy.adjusted.t_drx=[8]"])
-                .collect(),
-            _ => set.to_vec(),
+        // A short search.
+        let policy_fields: &[&str] = match policy {
+            "adjusted" => &["policy.adjusted.pilot_ttis=300", "policy.adjusted.t_drx=[8]"],
+            _ => &[],
         };
-        let own = load("paper", &overrides(policy, &set)).expect("a scenario").scenario;
-        let (first, own_digest) = CommandTranscript::of(&own);
-        wake_ups += first.wake_ups.len();
-        let set: Vec<&str> = set.into_iter().filter(|set| !set.starts_with("policy.")).collect();
-        let scenario = external(&set);
-        let one_by_one = RunOptions {
-            lookahead: false,
-            ..RunOptions::default()
-        };
-        for (options, at_a_time) in [
+        let (transcript, expected_digest) = CommandTranscript::of(&built_in(policy, &[fields, policy_fields].concat()));
+        ttis_with_wake_ups += transcript.wake_ups.len();
+        let scenario = external(fields);
+        for (options, max_wake_ups) in [
             (RunOptions::default(), usize::MAX),
-            (one_by_one, 1),
+            (ONE_TTI_PER_GRANT, 1),
             (RunOptions::default(), 2),
         ] {
-            let digest = replayed(&scenario, &first, options, at_a_time);
-            assert_eq!(digest, own_digest, "{policy} {set:?} {options:?} {at_a_time}");
+            let digest = digest_with_decisions(&scenario, &transcript, options, max_wake_ups);
+            assert_eq!(
+                digest, expected_digest,
+                "{policy} {fields:?} {options:?}, {max_wake_ups} wake-ups per answer"
+            );
         }
     }
-    assert!(wake_ups > 200, "{wake_ups} TTIs with wake-ups");
+    assert!(ttis_with_wake_ups > 200, "{ttis_with_wake_ups} TTIs with wake-ups");
 }
 
-/// A plan that stays valid is requested once, and the run is the same.
+/// A plan without an end is requested once, and the run is the same.
 #[test]
 fn an_unlimited_plan_is_not_requested_again() {
-    let scenario = external(&[]);
-    let own = load("paper", &overrides("knn", &[])).expect("a scenario").scenario;
-    let (first, digest) = CommandTranscript::of(&own);
-    let mut stepping = stepping(&scenario, own_world(&scenario), RunOptions::default());
-    let mut plans = 0;
-    while let Some(question) = stepping.pending_decision() {
-        let k = question.seen.now;
-        match question.stage {
-            DecisionStage::Plan => {
-                plans += 1;
-                let (plan, next) = (first.plan_at(k), Tti::NEVER);
-                stepping.decide(PlanDecision { plan, next });
+    let (transcript, expected_digest) = CommandTranscript::of(&built_in("knn", &[]));
+    let mut run = step(&external(&[]), RunOptions::default());
+    let mut plan_requests = 0;
+    while let Some(request) = run.pending_decision() {
+        match transcript.answer(request.stage, request.observation.now, |j| request.may_wake(j)) {
+            Decision::Plan(PlanDecision { plan, .. }) => {
+                plan_requests += 1;
+                let next = Tti::NEVER;
+                run.decide(PlanDecision { plan, next });
             }
-            DecisionStage::Wake => {
-                let all: Vec<DeviceId> = first.wake_ups.get(&k.0).cloned().unwrap_or_default();
-                let left: Vec<DeviceId> = all.into_iter().filter(|j| question.may_wake(*j)).collect();
-                stepping.wake(&left);
-            }
+            Decision::Wake(devices) => run.wake(&devices),
         }
     }
-    assert_eq!((plans, stepping.finish().0.digest), (1, digest));
+    assert_eq!((plan_requests, run.finish().0.digest), (1, expected_digest));
 }
 
 /// Returns the full content of a decision request as text.
-fn said(question: &DecisionContext<'_>) -> String {
-    let seen = &question.seen;
-    let n = question.seen.known.n() as u32;
-    let each = |j| {
+fn request_text(request: &DecisionContext<'_>) -> String {
+    let seen = &request.observation;
+    let n = request.observation.known.n() as u32;
+    let device_knowledge = |j| {
         let j = DeviceId(j);
-        (seen.can_report(j), question.may_wake(j), seen.is_asleep(j))
+        (seen.can_report(j), request.may_wake(j), seen.is_asleep(j))
     };
-    let devices: Vec<(bool, bool, bool)> = (0..n).map(each).collect();
-    let at = (seen.now, question.stage, seen.plan, seen.information);
-    let mut rows = vec![0.0; n as usize * DEVICE_FEATURES.len()];
-    let (mut row, mut mask) = ([0.0; GLOBAL_FEATURES.len()], vec![0; n as usize]);
-    question.write_devices(&mut rows);
-    question.write_global(&mut row);
-    question.write_mask(&mut mask);
-    let numbers = (rows, row, mask);
-    // The decision request in its bus form.
-    let known = Hello::new("run".to_owned(), seen.known);
-    let asked = (DecisionRequest::new(question, 0, "client"), known);
-    let asked = String::from_utf8(Encoding::Json.encode(&asked)).expect("JSON");
+    let devices: Vec<(bool, bool, bool)> = (0..n).map(device_knowledge).collect();
+    let state = (seen.now, request.stage, seen.plan, seen.information);
+    let mut device_features = vec![0.0; n as usize * DEVICE_FEATURES.len()];
+    let (mut global_features, mut mask) = ([0.0; GLOBAL_FEATURES.len()], vec![0; n as usize]);
+    request.write_devices(&mut device_features);
+    request.write_globals(&mut global_features);
+    request.write_mask(&mut mask);
+    let features = (device_features, global_features, mask);
+    let hello = Hello::new("run".to_owned(), seen.known);
+    let messages = (DecisionRequest::new(request, 0, "client"), hello);
+    let messages = String::from_utf8(Encoding::Json.encode(&messages)).expect("JSON");
     format!(
-        "{asked} {at:?} {:?} {:?} {:?} {devices:?} {numbers:?}",
-        seen.batteries, question.heard, question.woken
+        "{messages} {state:?} {:?} {:?} {:?} {devices:?} {features:?}",
+        seen.batteries, request.heard, request.woken
     )
 }
 
-/// Answers with random draws that depend only on the earlier requests.
-fn drawn(stepping: &mut SteppedRun<CommandTranscript>, stream: &mut Stream) -> Vec<String> {
-    let mut heard = Vec::new();
-    while let Some(question) = stepping.pending_decision() {
-        heard.push(said(&question));
-        let (n, k) = (question.seen.known.n() as u64, question.seen.now);
-        match question.stage {
-            DecisionStage::Plan => stepping.decide(PlanDecision {
+/// Answers with random draws, whose number depends only on the earlier requests, and returns the requests.
+fn answer_randomly(run: &mut SteppedRun<CommandTranscript>, stream: &mut Stream) -> Vec<String> {
+    let mut requests = Vec::new();
+    while let Some(request) = run.pending_decision() {
+        requests.push(request_text(&request));
+        let (n, k) = (request.observation.known.n() as u64, request.observation.now);
+        match request.stage {
+            DecisionStage::Plan => run.decide(PlanDecision {
                 plan: Plan::from_bits((0..n).map(|_| stream.below(12) == 0)),
                 next: k + 1 + stream.below(3),
             }),
             DecisionStage::Wake => {
                 let count = stream.below(4);
+                // The last 5 ids do not exist.
                 let devices: Vec<DeviceId> = (0..count).map(|_| DeviceId(stream.below(n + 5) as u32)).collect();
-                stepping.wake(&devices);
+                run.wake(&devices);
             }
         }
     }
-    heard
+    requests
 }
 
 #[test]
-fn impossible_wake_ups_are_dropped() {
+fn invalid_wake_ups_and_plans_are_corrected() {
     let scenario = external(&["ttis=400"]);
-    let mut stepping = stepping(&scenario, own_world(&scenario), RunOptions::default());
-    let mut rounds = 0;
-    while let Some(question) = stepping.pending_decision() {
-        let n = question.seen.known.n() as u32;
-        let all: Vec<DeviceId> = (0..n).map(DeviceId).collect();
-        match question.stage {
+    let mut run = step(&scenario, RunOptions::default());
+    let mut wake_answers = 0;
+    while let Some(request) = run.pending_decision() {
+        let n = request.observation.known.n() as u32;
+        let all_devices: Vec<DeviceId> = (0..n).map(DeviceId).collect();
+        match request.stage {
             DecisionStage::Plan => {
-                assert!(all.iter().all(|j| !question.may_wake(*j)));
-                // A plan with one bit too many, or with an invalid cycle.
-                let odd = question.seen.now.0 % 2 == 1;
-                let one = (question.seen.now.0 % u64::from(n)) as usize;
-                let plan = if odd {
-                    Plan::from_bits((0..n as usize + 9).map(|j| j >= n as usize || j == one || j + 1 == one))
+                assert!(all_devices.iter().all(|j| !request.may_wake(*j)));
+                // Plans for devices that do not exist, every second one with invalid cycles. One or two devices sense.
+                let is_odd = request.observation.now.0 % 2 == 1;
+                let sensing_device = (request.observation.now.0 % u64::from(n)) as usize;
+                let plan = if is_odd {
+                    let is_on = |j| j >= n as usize || j == sensing_device || j + 1 == sensing_device;
+                    Plan::from_bits((0..n as usize + 9).map(is_on))
                 } else {
-                    let none = DutyCycle {
+                    let invalid_cycle = DutyCycle {
                         t_on: 5,
                         t_drx: 0,
                         offset: 1,
                     };
-                    let mut cycles = vec![none; n as usize + 2];
-                    cycles[one] = DutyCycle::SENSING;
+                    let mut cycles = vec![invalid_cycle; n as usize + 2];
+                    cycles[sensing_device] = DutyCycle::SENSING;
                     Plan::Periodic(cycles)
                 };
+                // A TTI in the past.
                 let next = Tti::ZERO;
-                stepping.decide(PlanDecision { plan, next });
+                run.decide(PlanDecision { plan, next });
             }
             DecisionStage::Wake => {
-                let k = question.seen.now;
-                let before = stepping.observer().wake_ups.get(&k.0).cloned().unwrap_or_default();
-                let on: Vec<DeviceId> = all.iter().copied().filter(|j| !question.seen.is_asleep(*j)).collect();
-                assert!(question.heard.iter().all(|report| report.tti == k));
-                let own = all.iter().copied().filter(|j| question.may_wake(*j));
-                let two: Vec<DeviceId> = own.take(2).collect();
-                assert!(!two.is_empty() && two.iter().all(|j| !on.contains(j) && !before.contains(j)));
-                // Devices in S1, out of range or already woken, each of them twice.
-                let beyond = [DeviceId(n), DeviceId(u32::MAX)];
-                let nonsense: Vec<DeviceId> = [&on, &beyond[..], &before].concat();
-                let answer = match before.len() {
-                    0..4 => [&nonsense, &two[..], &two[..]].concat(),
-                    _ => nonsense,
-                };
-                let expected = if before.len() < 4 {
-                    [&before[..], &two].concat()
+                let k = request.observation.now;
+                let woken_before = run.observer().wake_ups_in(k).to_vec();
+                let awake: Vec<DeviceId> = all_devices
+                    .iter()
+                    .copied()
+                    .filter(|j| !request.observation.is_asleep(*j))
+                    .collect();
+                assert!(request.heard.iter().all(|report| report.tti == k));
+                let wakeable = all_devices.iter().copied().filter(|j| request.may_wake(*j));
+                let valid: Vec<DeviceId> = wakeable.take(2).collect();
+                let is_valid = |j: &DeviceId| !awake.contains(j) && !woken_before.contains(j);
+                assert!(!valid.is_empty() && valid.iter().all(is_valid));
+                // Devices that are in S1, do not exist or are already woken, and valid ones twice. After 4 wake-ups
+                // only invalid ones, so that the wake-ups end.
+                let unknown = [DeviceId(n), DeviceId(u32::MAX)];
+                let invalid: Vec<DeviceId> = [&awake, &unknown[..], &woken_before].concat();
+                let (answer, expected_wake_ups) = if woken_before.len() < 4 {
+                    (
+                        [&invalid, &valid[..], &valid[..]].concat(),
+                        [&woken_before[..], &valid].concat(),
+                    )
                 } else {
-                    before
+                    (invalid, woken_before)
                 };
-                stepping.wake(&answer);
-                let after = stepping.observer().wake_ups.get(&k.0).cloned().unwrap_or_default();
-                assert_eq!(after, expected);
-                rounds += 1;
+                run.wake(&answer);
+                assert_eq!(run.observer().wake_ups_in(k), expected_wake_ups);
+                wake_answers += 1;
             }
         }
     }
-    let (outcome, transcript) = stepping.finish();
-    assert!(rounds > 30, "{rounds} rounds");
+    let (outcome, transcript) = run.finish();
+    assert!(wake_answers > 30, "{wake_answers} answers with wake-ups");
     assert!(outcome.is_complete && transcript.plans.len() == 400);
     for (k, plan) in transcript.plans {
-        let on = (0..60).filter(|&j| plan.duty_cycle(DeviceId(j)).is_on(Tti(k))).count();
-        assert!((1..=2).contains(&on), "TTI {k}: {on}");
+        // Includes ids that do not exist.
+        let sensing_devices = (0..60).filter(|&j| plan.duty_cycle(DeviceId(j)).is_on(Tti(k))).count();
+        assert!(
+            (1..=2).contains(&sensing_devices),
+            "TTI {k}: {sensing_devices} devices sense"
+        );
     }
 }
 
-/// A truncated input log is reported at the missing decision, also within a TTI; no decision is invented.
+/// A missing decision is reported within a TTI too; no decision is invented.
 #[test]
-fn a_run_stands_where_its_log_ends() {
-    for hold in [1, 40] {
+fn a_run_stops_at_the_first_decision_missing_in_its_input_log() {
+    for plan_ttis in [1, 40] {
         let scenario = external(&["ttis=300"]);
-        let mut stepping = stepping(&scenario, own_world(&scenario), RunOptions::default());
-        let (mut stream, mut all) = (Stream::new(9, Purpose::Training, 0), ExternalInputs::default());
-        while let Some(question) = stepping.pending_decision() {
-            let (tti, n) = (question.seen.now, question.seen.known.n() as u64);
-            let answer = match question.stage {
+        let mut run = step(&scenario, RunOptions::default());
+        let (mut stream, mut decisions) = (Stream::new(9, Purpose::Training, 0), Vec::new());
+        while let Some(request) = run.pending_decision() {
+            let (tti, n) = (request.observation.now, request.observation.known.n() as u64);
+            let decision = match request.stage {
                 DecisionStage::Plan => Decision::Plan(PlanDecision {
                     plan: Plan::from_bits((0..n).map(|_| stream.below(9) == 0)),
-                    next: tti + hold,
+                    next: tti + plan_ttis,
                 }),
                 DecisionStage::Wake => {
                     Decision::Wake((0..stream.below(3)).map(|_| DeviceId(stream.below(n) as u32)).collect())
                 }
             };
-            match answer.clone() {
-                Decision::Plan(decision) => stepping.decide(decision),
-                Decision::Wake(devices) => stepping.wake(&devices),
+            match decision.clone() {
+                Decision::Plan(decision) => run.decide(decision),
+                Decision::Wake(devices) => run.wake(&devices),
             }
-            all.decisions.push(RecordedDecision { tti, decision: answer });
+            decisions.push(RecordedDecision { tti, decision });
         }
-        let digest = stepping.finish().0.digest;
+        let digest = run.finish().0.digest;
         let prepared = PreparedRun::without_pilots(&scenario);
         let end = Tti(scenario.run.ttis);
-        let wakes = |at: usize| all.decisions.get(at).map(|next| next.decision.stage()) == Some(DecisionStage::Wake);
-        assert!((0..all.decisions.len()).filter(|at| wakes(*at)).count() > 20);
-        for length in 0..=all.decisions.len() {
+        let is_wake_decision =
+            |index: usize| decisions.get(index).map(|recorded| recorded.decision.stage()) == Some(DecisionStage::Wake);
+        assert!((0..decisions.len()).filter(|index| is_wake_decision(*index)).count() > 20);
+        for length in 0..=decisions.len() {
             let mut run = Run::new(&prepared, RunOptions::default());
             run.schedule_inputs(&ExternalInputs {
-                decisions: all.decisions[..length].to_vec(),
+                decisions: decisions[..length].to_vec(),
                 ..ExternalInputs::default()
             });
-            let goes_on = run.advance(end, &mut ());
-            let next = all.decisions.get(length).map(|next| next.tti);
+            let has_ended = run.advance(end, &mut ());
+            let missing_tti = decisions.get(length).map(|recorded| recorded.tti);
             assert_eq!(
-                (run.missing_decision(), goes_on),
-                (next, next.is_none()),
-                "{length} of {}",
-                all.decisions.len()
+                (run.missing_decision(), has_ended),
+                (missing_tti, missing_tti.is_none()),
+                "with {length} of {} decisions",
+                decisions.len()
             );
-            assert_eq!(run.cycle().is_open(), wakes(length));
-            if next.is_none() {
+            assert_eq!(run.cycle().is_open(), is_wake_decision(length));
+            if missing_tti.is_none() {
                 assert_eq!(run.finish(&mut ()).digest, digest);
             }
         }
@@ -312,36 +323,36 @@ fn a_run_stands_where_its_log_ends() {
 }
 
 #[test]
-fn a_branch_continues_independently() {
+fn a_fork_continues_independently() {
     let scenario = external(&["ttis=300", "bs.battery_knowledge=reported"]);
     for answers in [120, 121, 122, 123, 124] {
-        let mut trunk = stepping(&scenario, own_world(&scenario), RunOptions::default());
+        let mut run = step(&scenario, RunOptions::default());
         for _ in 0..answers {
-            let question = trunk.pending_decision().expect("a question");
-            let (k, n) = (question.seen.now, question.seen.known.n() as u64);
-            match question.stage {
-                DecisionStage::Plan => trunk.decide(PlanDecision {
+            let request = run.pending_decision().expect("a request");
+            let (k, n) = (request.observation.now, request.observation.known.n() as u64);
+            match request.stage {
+                DecisionStage::Plan => run.decide(PlanDecision {
                     plan: Plan::from_bits((0..n).map(|j| (j + k.0) % 9 == 0)),
                     next: k + 1,
                 }),
-                DecisionStage::Wake => trunk.wake(&[DeviceId((k.0 % n) as u32)]),
+                DecisionStage::Wake => run.wake(&[DeviceId((k.0 % n) as u32)]),
             }
         }
-        let branches = [1, 1, 2].map(|seed| {
-            let mut branch = trunk.fork();
-            let heard = drawn(&mut branch, &mut Stream::new(seed, Purpose::Training, 0));
-            (heard, branch.finish().0.digest)
+        let forks = [1, 1, 2].map(|seed| {
+            let mut fork = run.fork();
+            let requests = answer_randomly(&mut fork, &mut Stream::new(seed, Purpose::Training, 0));
+            (requests, fork.finish().0.digest)
         });
-        let heard = drawn(&mut trunk, &mut Stream::new(1, Purpose::Training, 0));
-        let own = (heard, trunk.finish().0.digest);
-        assert_eq!(branches[0], own);
-        assert_eq!(branches[1], own);
-        assert_ne!(branches[2], own);
+        let requests = answer_randomly(&mut run, &mut Stream::new(1, Purpose::Training, 0));
+        let original = (requests, run.finish().0.digest);
+        assert_eq!(forks[0], original);
+        assert_eq!(forks[1], original);
+        assert_ne!(forks[2], original);
     }
 }
 
 /// Generates events every few TTIs at random places.
-fn script(scenario: &Scenario) -> Vec<ScriptedEvent> {
+fn draw_script(scenario: &Scenario) -> Vec<ScriptedEvent> {
     let mut stream = Stream::new(77, Purpose::Epicentre, 0);
     let event = |i: u64| ScriptedEvent {
         start: Tti(6 * i + stream.below(3)),
@@ -362,57 +373,57 @@ fn the_position_of_an_unreported_event_changes_no_request() {
         let play = |script: &[ScriptedEvent]| {
             let process = EventProcess::scripted(script.to_vec());
             let world = World::with_events(&scenario, &prepared.deployment, process);
-            let mut stepping = stepping(&scenario, world, RunOptions::default());
-            let heard = drawn(&mut stepping, &mut Stream::new(5, Purpose::Training, 0));
-            (heard, stepping.finish().1)
+            let mut run = step_in_world(&scenario, world, RunOptions::default());
+            let requests = answer_randomly(&mut run, &mut Stream::new(5, Purpose::Training, 0));
+            (requests, run.finish().1)
         };
-        let script = script(&scenario);
-        let (heard, transcript) = play(&script);
+        let script = draw_script(&scenario);
+        let (requests, transcript) = play(&script);
         let is_unseen = |at: Point, event: &ScriptedEvent| {
             let devices = prepared.deployment.devices.iter();
-            let near = devices.filter(|j| j.position.distance(at) <= scenario.sensing.d_max);
-            let near: Vec<DeviceId> = near.map(|j| j.id).collect();
+            let in_range = devices.filter(|device| device.position.distance(at) <= scenario.sensing.d_max);
+            let in_range: Vec<DeviceId> = in_range.map(|device| device.id).collect();
             let mut ttis = (event.start.0..event.start.0 + event.duration).map(Tti);
             ttis.all(|k| {
                 let plan = transcript.plan_at(k);
-                !near.iter().any(|j| plan.duty_cycle(*j).is_on(k))
+                !in_range.iter().any(|j| plan.duty_cycle(*j).is_on(k))
             })
         };
-        let (mut moved, mut count) = (script.clone(), 0);
+        let (mut moved_script, mut moved_events) = (script.clone(), 0);
         let mut stream = Stream::new(78, Purpose::Epicentre, 0);
-        for (event, record) in moved.iter_mut().zip(&transcript.events) {
+        for (event, record) in moved_script.iter_mut().zip(&transcript.events) {
             if record.tally.reports > 0 || !is_unseen(event.epicentre, event) {
                 continue;
             }
             let (width, height) = (scenario.area.width, scenario.area.height);
             let mut places = (0..300).map(|_| Point::new(stream.unit() * width, stream.unit() * height));
-            let elsewhere = |at: &Point| at.distance(event.epicentre) > 1.0 && is_unseen(*at, event);
-            if let Some(place) = places.find(elsewhere) {
+            let is_other_unseen_place = |at: &Point| at.distance(event.epicentre) > 1.0 && is_unseen(*at, event);
+            if let Some(place) = places.find(is_other_unseen_place) {
                 event.epicentre = place;
-                count += 1;
+                moved_events += 1;
             }
         }
-        assert!(count >= 5, "only {count} events could be moved");
-        let (again, second) = play(&moved);
+        assert!(moved_events >= 5, "only {moved_events} events could be moved");
+        let (requests_when_moved, transcript_when_moved) = play(&moved_script);
         assert!(
-            heard == again,
-            "{knowledge}: {count} unseen events were moved, and a question tells"
+            requests == requests_when_moved,
+            "{knowledge}: {moved_events} unseen events were moved, and a request differs"
         );
-        assert_ne!(transcript.events, second.events);
-        // The check detects a visible event.
-        let seen = transcript
+        assert_ne!(transcript.events, transcript_when_moved.events);
+        // A reported event that moves does change a request.
+        let reported = transcript
             .events
             .iter()
             .position(|event| event.tally.reports > 0)
-            .expect("seen");
-        moved[seen].epicentre = Point::new(0.01, 0.01);
-        assert!(heard != play(&moved).0);
+            .expect("a reported event");
+        moved_script[reported].epicentre = Point::new(0.01, 0.01);
+        assert!(requests != play(&moved_script).0);
     }
 }
 
-/// The external policy cannot be run by name only.
+/// Without a policy process the external policy cannot run.
 #[test]
-fn the_external_policy_is_not_listed() {
+fn the_external_policy_is_not_in_the_registry() {
     assert!(registry::names().all(|name| name != "external"));
     let error = load("paper", &overrides("external", &[]))
         .expect_err("no policy process can answer")

@@ -1,10 +1,10 @@
-//! A policy cannot see ground truth. A change that no base station can observe changes no plan and no wake-up. The
-//! genie is the exception: it receives events.
+//! A policy cannot see ground truth: a change that no base station can observe changes no plan, wake-up or belief of
+//! any policy of the registry. The exception is `genie`, which receives events. Hidden battery levels are not varied
+//! here.
 
 use reveille_bs::cycle::PreparedRun;
 use reveille_bs::observer::{Notification, Observer};
 use reveille_bs::policy::registry;
-use reveille_bs::scenario::{Override, load};
 use reveille_common::event::{EventProcess, EventRecord, ScriptedEvent};
 use reveille_common::geometry::Point;
 use reveille_common::ids::{DeviceId, Tti};
@@ -14,8 +14,9 @@ use reveille_common::rng::{Purpose, Stream};
 use reveille_common::world::World;
 use reveille_lab::preparation::prepare;
 use reveille_lab::run::{Run, RunOptions};
+use reveille_tests::scenarios::paper;
 
-/// Commands of a base station in a run, and its beliefs about events.
+/// Plans and wake-ups of a base station in a run, and its beliefs about events.
 #[derive(Debug, Default, PartialEq)]
 struct DecisionTranscript {
     plans: Vec<(Tti, Plan)>,
@@ -56,25 +57,19 @@ impl Observer for DecisionObserver {
 fn play(prepared: &PreparedRun, script: &[ScriptedEvent]) -> DecisionObserver {
     let process = EventProcess::scripted(script.to_vec());
     let world = World::with_events(&prepared.scenario, &prepared.deployment, process);
-    let mut watch = DecisionObserver::default();
-    Run::with_world(prepared, world, RunOptions::default()).finish(&mut watch);
-    watch
+    let mut observer = DecisionObserver::default();
+    Run::with_world(prepared, world, RunOptions::default()).finish(&mut observer);
+    observer
 }
 
-fn prepared(policy: &str, set: &[&str]) -> PreparedRun {
-    let mut overrides = vec![Override::from_flag("--policy", "policy.name", policy).expect("an override")];
-    let always = ["devices=40", "ttis=1500", "events.duration=3"];
-    overrides.extend(
-        always
-            .iter()
-            .chain(set)
-            .map(|set| Override::parse(set).expect("an override")),
-    );
-    prepare(&load("paper", &overrides).expect("a scenario").scenario)
+fn prepared(policy: &str, fields: &[&str]) -> PreparedRun {
+    let policy = format!("policy.name={policy}");
+    let common_fields = [policy.as_str(), "devices=40", "ttis=1500", "events.duration=3"];
+    prepare(&paper(&[&common_fields, fields].concat()))
 }
 
 /// Generates events every few TTIs at random places, with gaps in which some can be extended.
-fn script(prepared: &PreparedRun) -> Vec<ScriptedEvent> {
+fn draw_script(prepared: &PreparedRun) -> Vec<ScriptedEvent> {
     let mut stream = Stream::new(77, Purpose::Epicentre, 0);
     let (width, height) = (prepared.scenario.area.width, prepared.scenario.area.height);
     (0..prepared.scenario.run.ttis / 8)
@@ -97,16 +92,16 @@ fn is_unseen(
 ) -> bool {
     let d_max = prepared.scenario.sensing.d_max;
     (start.0..start.0 + duration).map(Tti).all(|k| {
-        let at = transcript.plans.partition_point(|(from, _)| *from <= k);
-        let plan = &transcript.plans[at - 1].1;
+        let sent_plans = transcript.plans.partition_point(|(from, _)| *from <= k);
+        let plan = &transcript.plans[sent_plans - 1].1;
         let devices = prepared.deployment.devices.iter();
-        let mut near = devices.filter(|device| device.position.distance(epicentre) <= d_max);
-        !near.any(|device| plan.duty_cycle(device.id).is_on(k))
+        let mut in_range = devices.filter(|device| device.position.distance(epicentre) <= d_max);
+        !in_range.any(|device| plan.duty_cycle(device.id).is_on(k))
     })
 }
 
-/// Returns the lists of settings to test `policy` with.
-fn settings(policy: &str) -> Vec<&'static [&'static str]> {
+/// Returns the fields of each scenario in which `policy` is tested. They let some events pass unseen.
+fn fields_of_scenarios(policy: &str) -> Vec<&'static [&'static str]> {
     match policy {
         // Part of the area is out of range, so that some events can be moved.
         "knn" => vec![
@@ -172,16 +167,15 @@ fn settings(policy: &str) -> Vec<&'static [&'static str]> {
     }
 }
 
-/// The base station knows α and nothing else about events.
 #[test]
-fn the_event_process_does_not_pass_the_wall() {
-    let known = |set: &[&str]| {
-        let prepared = prepared("knn", set);
+fn a_base_station_knows_only_alpha_of_the_event_process() {
+    let knowledge_and_site = |fields: &[&str]| {
+        let prepared = prepared("knn", fields);
         let site = format!("{:?}", prepared.scenario.site());
         (format!("{:?}", prepared.knowledge()), site)
     };
     let alpha = "events.alpha=0.25";
-    let (knowledge, site) = known(&[alpha]);
+    let (knowledge, site) = knowledge_and_site(&[alpha]);
     assert!(knowledge.contains("alpha: 0.25") && site.contains("alpha: 0.25"));
     for process in [
         &["events.process=hot-spots", "events.hot-spots.sigma=0.5"][..],
@@ -196,107 +190,114 @@ fn the_event_process_does_not_pass_the_wall() {
             "events.bursts.quiet_ttis=10",
         ],
     ] {
-        let set: Vec<&str> = process.iter().copied().chain([alpha]).collect();
-        assert_eq!(known(&set), (knowledge.clone(), site.clone()), "{process:?}");
+        let fields = [process, &[alpha]].concat();
+        assert_eq!(
+            knowledge_and_site(&fields),
+            (knowledge.clone(), site.clone()),
+            "{process:?}"
+        );
     }
-    assert_ne!(known(&["events.alpha=0.26"]), (knowledge, site));
+    assert_ne!(knowledge_and_site(&["events.alpha=0.26"]), (knowledge, site));
 }
 
-/// Ground truth has one interface, which only the genie uses.
+/// Ground truth has one interface, which only `genie` uses.
 #[test]
 fn only_the_genie_can_access_ground_truth() {
     for policy in registry::POLICIES {
-        let prepared = prepared(policy.name, settings(policy.name)[0]);
-        let has_door = prepared.policy(&prepared.knowledge()).oracle().is_some();
-        assert_eq!(has_door, policy.name == "genie", "{}", policy.name);
-        assert_eq!(has_door, policy.is_bound, "{}", policy.name);
+        let prepared = prepared(policy.name, fields_of_scenarios(policy.name)[0]);
+        let has_oracle = prepared.policy(&prepared.knowledge()).oracle().is_some();
+        assert_eq!(has_oracle, policy.name == "genie", "{}", policy.name);
+        assert_eq!(has_oracle, policy.is_bound, "{}", policy.name);
     }
 }
 
-/// Returns every policy of the registry except the genie, which receives events.
-fn policies() -> Vec<PreparedRun> {
+/// Returns the runs of all policies of the registry except `genie`, which receives events.
+fn prepared_runs() -> Vec<PreparedRun> {
     let names = registry::names().filter(|name| *name != "genie");
     names
-        .flat_map(|name| settings(name).into_iter().map(move |set| prepared(name, set)))
+        .flat_map(|name| {
+            let scenarios = fields_of_scenarios(name).into_iter();
+            scenarios.map(move |fields| prepared(name, fields))
+        })
         .collect()
 }
 
 /// Runs `script` and checks that a policy that can wake devices does, since the test is vacuous otherwise.
-fn first(prepared: &PreparedRun, script: &[ScriptedEvent]) -> DecisionObserver {
-    let watch = play(prepared, script);
+fn play_with_wake_ups(prepared: &PreparedRun, script: &[ScriptedEvent]) -> DecisionObserver {
+    let observed = play(prepared, script);
     let name = prepared.scenario.policy.name();
     let can_wake = registry::named(name).expect("a policy").wakes;
-    let count = watch.transcript.wake_ups.len();
+    let count = observed.transcript.wake_ups.len();
     assert_eq!(
         count > 0,
         can_wake,
-        "{name}: {count} wake-ups; give it other settings above"
+        "{name}: {count} wake-ups; change its fields_of_scenarios"
     );
-    watch
+    observed
 }
 
 #[test]
 fn the_position_of_an_unreported_event_changes_no_decision() {
-    for prepared in policies() {
+    for prepared in prepared_runs() {
         let name = prepared.scenario.policy.name();
-        let script = script(&prepared);
-        let first = first(&prepared, &script);
+        let script = draw_script(&prepared);
+        let original = play_with_wake_ups(&prepared, &script);
         let mut stream = Stream::new(78, Purpose::Epicentre, 0);
         let (width, height) = (prepared.scenario.area.width, prepared.scenario.area.height);
-        let mut moved = script.clone();
-        let mut count = 0;
-        for (event, record) in moved.iter_mut().zip(&first.events) {
-            let unseen = |at| is_unseen(&prepared, &first.transcript, at, event.start, event.duration);
-            if record.tally.reports > 0 || !unseen(event.epicentre) {
+        let mut moved_script = script.clone();
+        let mut moved_events = 0;
+        for (event, record) in moved_script.iter_mut().zip(&original.events) {
+            let is_unseen_at = |at| is_unseen(&prepared, &original.transcript, at, event.start, event.duration);
+            if record.tally.reports > 0 || !is_unseen_at(event.epicentre) {
                 continue;
             }
             let mut places = (0..400).map(|_| Point::new(stream.unit() * width, stream.unit() * height));
-            if let Some(place) = places.find(|&at| at.distance(event.epicentre) > 1.0 && unseen(at)) {
+            if let Some(place) = places.find(|&at| at.distance(event.epicentre) > 1.0 && is_unseen_at(at)) {
                 event.epicentre = place;
-                count += 1;
+                moved_events += 1;
             }
         }
-        assert!(count >= 5, "{name}: only {count} events could be moved");
-        let second = play(&prepared, &moved);
+        assert!(moved_events >= 5, "{name}: only {moved_events} events could be moved");
+        let changed = play(&prepared, &moved_script);
         assert!(
-            first.transcript == second.transcript,
-            "{name}: {count} unseen events were moved, and it knew"
+            original.transcript == changed.transcript,
+            "{name}: {moved_events} unseen events were moved, and a decision differs"
         );
-        assert!(
-            first
-                .events
-                .iter()
-                .zip(&second.events)
-                .any(|(a, b)| a.epicentre != b.epicentre)
-        );
+        let mut pairs = original.events.iter().zip(&changed.events);
+        assert!(pairs.any(|(before, after)| before.epicentre != after.epicentre));
     }
 }
 
 #[test]
 fn the_duration_of_an_unreported_event_changes_no_decision() {
-    for prepared in policies() {
+    for prepared in prepared_runs() {
         let name = prepared.scenario.policy.name();
-        let script = script(&prepared);
-        let first = first(&prepared, &script);
-        let mut changed = script.clone();
-        let mut count = 0;
-        for (event, record) in changed.iter_mut().zip(&first.events) {
-            let unseen = |duration| is_unseen(&prepared, &first.transcript, event.epicentre, event.start, duration);
-            if record.tally.reports > 0 || !unseen(event.duration) {
+        let script = draw_script(&prepared);
+        let original = play_with_wake_ups(&prepared, &script);
+        let mut changed_script = script.clone();
+        let mut changed_events = 0;
+        for (event, record) in changed_script.iter_mut().zip(&original.events) {
+            let is_unseen_for =
+                |duration| is_unseen(&prepared, &original.transcript, event.epicentre, event.start, duration);
+            if record.tally.reports > 0 || !is_unseen_for(event.duration) {
                 continue;
             }
-            let others = (1..=5).rev().filter(|other| *other != event.duration);
-            if let Some(other) = others.into_iter().find(|other| unseen(*other)) {
-                event.duration = other;
-                count += 1;
+            let mut other_durations = (1..=5).rev().filter(|other| *other != event.duration);
+            if let Some(duration) = other_durations.find(|duration| is_unseen_for(*duration)) {
+                event.duration = duration;
+                changed_events += 1;
             }
         }
-        assert!(count >= 5, "{name}: only {count} events could be changed");
-        let second = play(&prepared, &changed);
         assert!(
-            first.transcript == second.transcript,
-            "{name}: {count} unseen events were changed, and it knew"
+            changed_events >= 5,
+            "{name}: the duration of only {changed_events} events could be changed"
         );
-        assert!(first.events.iter().zip(&second.events).any(|(a, b)| a.last != b.last));
+        let changed = play(&prepared, &changed_script);
+        assert!(
+            original.transcript == changed.transcript,
+            "{name}: the durations of {changed_events} unseen events were changed, and a decision differs"
+        );
+        let mut pairs = original.events.iter().zip(&changed.events);
+        assert!(pairs.any(|(before, after)| before.last != after.last));
     }
 }

@@ -1,31 +1,37 @@
-//! Battery estimates of a base station that gets only reported levels (`bs.battery_knowledge = reported`). It cannot
-//! know that expected energy no longer arrives, but it can detect that.
+//! Battery estimates from reported levels (`bs.battery_knowledge = reported`) under `q-learning`, whose harvest stops
+//! unexpectedly. The base station has to infer that from missing reports. The estimates themselves are compared with
+//! the reference implementation in `reference.rs`.
 
 use reveille_bs::observer::{Notification, Observer};
-use reveille_bs::scenario::{Override, load};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::plan::Plan;
 use reveille_lab::preparation::start;
-use reveille_lab::run::RunOptions;
+use reveille_tests::compare::ONE_TTI_PER_GRANT;
 use reveille_tests::process::TestFolder;
+use reveille_tests::scenarios::paper;
 
-/// Number of sensing devices in each TTI, and the ended events with whether they were reported.
+const DEVICES: u32 = 40;
+const TTIS: usize = 12_000;
+
 struct SensingObserver {
-    devices: u32,
     plan: Plan,
-    sensing: Vec<usize>,
+    /// Number of devices with δ = 1 in each TTI.
+    sensing_devices: Vec<usize>,
+    /// Start of each ended event, and whether it was reported.
     events: Vec<(Tti, bool)>,
 }
 
 impl SensingObserver {
-    fn sensing_in(&self, ttis: std::ops::Range<usize>) -> f64 {
+    fn mean_sensing_devices(&self, ttis: std::ops::Range<usize>) -> f64 {
         let n = ttis.len() as f64;
-        self.sensing[ttis].iter().sum::<usize>() as f64 / n
+        self.sensing_devices[ttis].iter().sum::<usize>() as f64 / n
     }
 
-    fn reported_from(&self, first: u64) -> f64 {
-        let late = self.events.iter().filter(|(start, _)| start.0 >= first);
-        late.clone().filter(|(_, reported)| *reported).count() as f64 / late.count() as f64
+    /// Returns the share of reported events among the events that start in TTI `first` or later.
+    fn reported_share_from(&self, first: u64) -> f64 {
+        let late_events = self.events.iter().filter(|(start, _)| start.0 >= first);
+        let reported = late_events.clone().filter(|(_, is_reported)| *is_reported);
+        reported.count() as f64 / late_events.count() as f64
     }
 }
 
@@ -36,7 +42,7 @@ impl Observer for SensingObserver {
             Notification::EventEnded(event) => self.events.push((event.start, event.tally.reports > 0)),
             Notification::TtiClosed(k) => {
                 let is_on = |j: &u32| self.plan.duty_cycle(DeviceId(*j)).is_on(*k);
-                self.sensing.push((0..self.devices).filter(is_on).count());
+                self.sensing_devices.push((0..DEVICES).filter(is_on).count());
             }
             Notification::TtisGranted(_)
             | Notification::EventStarted(_)
@@ -52,58 +58,54 @@ impl Observer for SensingObserver {
     }
 }
 
-/// Runs 40 devices under `q-learning` with harvest `rows`, units per TTI.
-fn watch(folder: &TestFolder, knowledge: &str, rows: impl Iterator<Item = u32>) -> SensingObserver {
+/// Runs `q-learning` with harvest `rows`, units per TTI; nothing arrives after the last row.
+fn run(folder: &TestFolder, knowledge: &str, rows: impl Iterator<Item = u32>) -> SensingObserver {
     let rows: Vec<String> = rows.map(|units| units.to_string()).collect();
     let file = folder.write("energy.csv", &format!("e\n{}\n", rows.join("\n")));
-    let file = format!("harvest.trace.file={}", file.display());
-    let knowledge = format!("bs.battery_knowledge={knowledge}");
-    let set = [
+    let scenario = paper(&[
         "policy.name=q-learning",
-        "devices=40",
-        "ttis=12000",
+        &format!("devices={DEVICES}"),
+        &format!("ttis={TTIS}"),
         "harvest.kind=trace",
         "harvest.trace.column=e",
         "harvest.trace.end=stop",
-        file.as_str(),
-        knowledge.as_str(),
-    ];
-    let overrides: Vec<Override> = set
-        .iter()
-        .map(|set| Override::parse(set).expect("an override"))
-        .collect();
-    let mut watch = SensingObserver {
-        devices: 40,
+        &format!("harvest.trace.file={}", file.display()),
+        &format!("bs.battery_knowledge={knowledge}"),
+    ]);
+    let mut observer = SensingObserver {
         plan: Plan::from_bits([]),
-        sensing: Vec::new(),
+        sensing_devices: Vec::new(),
         events: Vec::new(),
     };
-    let one_by_one = RunOptions {
-        lookahead: false,
-        ..RunOptions::default()
-    };
-    start(&load("paper", &overrides).expect("a scenario").scenario, one_by_one).finish(&mut watch);
-    assert_eq!(watch.sensing.len(), 12_000);
-    watch
+    start(&scenario, ONE_TTI_PER_GRANT).finish(&mut observer);
+    assert_eq!(observer.sensing_devices.len(), TTIS);
+    observer
 }
 
 #[test]
-fn devices_without_harvest_are_woken_ever_less_often() {
+fn devices_without_harvest_are_planned_ever_less_often() {
     let folder = TestFolder::new();
-    let ended = watch(&folder, "reported", std::iter::repeat_n(2, 200));
-    let thousands: Vec<f64> = (0..12).map(|i| ended.sensing_in(1000 * i..1000 * (i + 1))).collect();
-    assert!(thousands[0] > 3.0, "{thousands:?}");
-    assert!(thousands[11] < 0.5, "still asked after 12000 TTIs: {thousands:?}");
-    let (early, late): (f64, f64) = (thousands[2..7].iter().sum(), thousands[7..].iter().sum());
-    assert!(late < 0.5 * early, "{thousands:?}");
+    let observed = run(&folder, "reported", std::iter::repeat_n(2, 200));
+    let means: Vec<f64> = (0..12)
+        .map(|i| observed.mean_sensing_devices(1000 * i..1000 * (i + 1)))
+        .collect();
+    assert!(means[0] > 3.0, "{means:?}");
+    assert!(means[11] < 0.5, "still planned after 12000 TTIs: {means:?}");
+    let (early, late): (f64, f64) = (means[2..7].iter().sum(), means[7..].iter().sum());
+    assert!(late < 0.5 * early, "{means:?}");
 }
 
 #[test]
-fn devices_that_charge_again_are_woken_again() {
+fn events_are_reported_again_after_a_pause_of_the_harvest() {
     let folder = TestFolder::new();
     // A night of 600 TTIs, then day to the end.
-    let rows = || (0..12_000).map(|k| if (200..800).contains(&k) { 0 } else { 2 });
-    let [known, estimated] = ["oracle", "reported"].map(|knowledge| watch(&folder, knowledge, rows()));
-    let (most, found) = (known.reported_from(6000), estimated.reported_from(6000));
-    assert!(most > 0.5 && found > 0.9 * most, "{found}, with true levels {most}");
+    let rows = || (0..TTIS).map(|k| if (200..800).contains(&k) { 0 } else { 2 });
+    let [with_true_levels, with_estimates] = ["oracle", "reported"].map(|knowledge| {
+        let observed = run(&folder, knowledge, rows());
+        observed.reported_share_from(6000)
+    });
+    assert!(
+        with_true_levels > 0.5 && with_estimates > 0.9 * with_true_levels,
+        "reported share {with_estimates} with estimates, {with_true_levels} with true levels"
+    );
 }

@@ -1,11 +1,10 @@
-//! Checks that links in pages have existing targets.
+//! Checks that links in Markdown pages lead to existing files and headings. Links to web pages are not checked; the
+//! links of the built book are checked in `tests/book/`.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
-fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
-}
+use crate::tidy::root;
 
 /// Returns the pages in the root folder, and all pages in and below the documentation folders.
 fn pages() -> Vec<PathBuf> {
@@ -20,19 +19,19 @@ fn pages() -> Vec<PathBuf> {
         "deploy/scenarios",
         "tests/fuzz",
     ] {
-        let is_in = |page: &PathBuf| page.parent() == Some(&root().join(folder));
-        assert!(pages.iter().any(is_in), "no page of {folder} was found");
+        let is_in_folder = |page: &PathBuf| page.parent() == Some(&root().join(folder));
+        assert!(pages.iter().any(is_in_folder), "no page of {folder} was found");
     }
     pages
 }
 
-/// Returns the pages in `folder`; with `deep` also in subfolders, except build output.
-fn pages_in(folder: &Path, deep: bool) -> Vec<PathBuf> {
+/// Returns the pages in `folder`; with `is_recursive` also in subfolders, except build output.
+fn pages_in(folder: &Path, is_recursive: bool) -> Vec<PathBuf> {
     let mut pages = Vec::new();
     for entry in fs::read_dir(folder).expect("a folder") {
         let path = entry.expect("an entry").path();
-        if deep && path.is_dir() && !path.ends_with("target") {
-            pages.extend(pages_in(&path, deep));
+        if is_recursive && path.is_dir() && !path.ends_with("target") {
+            pages.extend(pages_in(&path, is_recursive));
         } else if path.extension().is_some_and(|e| e == "md") {
             pages.push(path);
         }
@@ -42,20 +41,21 @@ fn pages_in(folder: &Path, deep: bool) -> Vec<PathBuf> {
 }
 
 /// Returns the text without code, in which `](` is not a link.
-fn prose(text: &str) -> String {
+fn without_code(text: &str) -> String {
+    // Every second part is outside code.
     let outside_blocks: String = text.split("```").step_by(2).collect();
     outside_blocks.split('`').step_by(2).collect()
 }
 
 /// Returns the targets of all links in a page, including pictures.
 fn targets(text: &str) -> Vec<String> {
-    let text = prose(text);
-    let ends = text
+    let text = without_code(text);
+    let markdown_targets = text
         .split("](")
         .skip(1)
         .filter_map(|rest| rest.split([')', ' ']).next());
-    let sources = text.split("src=\"").skip(1).filter_map(|rest| rest.split('"').next());
-    ends.chain(sources).map(str::to_owned).collect()
+    let html_targets = text.split("src=\"").skip(1).filter_map(|rest| rest.split('"').next());
+    markdown_targets.chain(html_targets).map(str::to_owned).collect()
 }
 
 /// Returns the anchor of a heading: lower case, spaces as hyphens, without punctuation.
@@ -67,30 +67,31 @@ fn anchor(heading: &str) -> String {
         .collect()
 }
 
-/// Protects: readers, from broken links. Checks only links within the tree.
+/// Protects: readers, from broken links.
 #[test]
-fn links_lead_somewhere() {
-    let (mut seen, mut broken) = (0, Vec::new());
+fn links_have_existing_targets() {
+    let (mut link_count, mut broken) = (0, Vec::new());
     for page in pages() {
         let text = fs::read_to_string(&page).expect("a page");
         for target in targets(&text).into_iter().filter(|target| !target.contains("://")) {
-            seen += 1;
-            let (path, place) = target.split_once('#').unwrap_or((&target, ""));
-            let to = if path.is_empty() {
+            link_count += 1;
+            let (path, fragment) = target.split_once('#').unwrap_or((&target, ""));
+            let target_path = if path.is_empty() {
                 page.clone()
             } else {
                 page.parent().expect("a folder").join(path)
             };
-            let has_place = || {
-                let text = fs::read_to_string(&to).unwrap_or_default();
-                text.lines().any(|line| line.starts_with('#') && anchor(line) == place)
+            let has_heading = || {
+                let text = fs::read_to_string(&target_path).unwrap_or_default();
+                text.lines()
+                    .any(|line| line.starts_with('#') && anchor(line) == fragment)
             };
-            if !to.exists() || (!place.is_empty() && !has_place()) {
+            if !target_path.exists() || (!fragment.is_empty() && !has_heading()) {
                 let page = page.strip_prefix(root()).unwrap_or(&page);
                 broken.push(format!("{}: {target}", page.display()));
             }
         }
     }
-    assert!(seen > 5, "only {seen} links were found");
-    assert!(broken.is_empty(), "links that lead nowhere:\n  {}", broken.join("\n  "));
+    assert!(link_count > 5, "only {link_count} links were found");
+    assert!(broken.is_empty(), "broken links:\n  {}", broken.join("\n  "));
 }

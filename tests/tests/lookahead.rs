@@ -1,25 +1,24 @@
-//! Lookahead: the number of TTIs in a grant does not change the result.
+//! Lookahead (`RunOptions::lookahead`): it saves grants and does not change the outcome. Random scenarios are compared
+//! in `ledger.rs`.
 
 use reveille_bs::cycle::{PreparedRun, RunOutcome};
-use reveille_bs::scenario::{Override, load};
 use reveille_lab::preparation::prepare;
 use reveille_lab::run::{Run, RunOptions};
+use reveille_tests::scenarios::paper;
 
 const TTIS: u64 = 1500;
 
 fn prepared(policy: &str, knowledge: &str) -> PreparedRun {
-    let set = [
-        "devices=30".to_owned(),
-        format!("ttis={TTIS}"),
-        format!("policy.name={policy}"),
-        format!("bs.battery_knowledge={knowledge}"),
-    ];
-    let set = set.map(|set| Override::parse(&set).expect("an override"));
-    prepare(&load("paper", &set).expect("a scenario").scenario)
+    prepare(&paper(&[
+        "devices=30",
+        &format!("ttis={TTIS}"),
+        &format!("policy.name={policy}"),
+        &format!("bs.battery_knowledge={knowledge}"),
+    ]))
 }
 
 /// Returns the number of grants and the outcome of the run.
-fn grants(prepared: &PreparedRun, lookahead: bool) -> (u64, RunOutcome) {
+fn count_grants(prepared: &PreparedRun, lookahead: bool) -> (u64, RunOutcome) {
     let mut run = Run::new(
         prepared,
         RunOptions {
@@ -35,25 +34,25 @@ fn grants(prepared: &PreparedRun, lookahead: bool) -> (u64, RunOutcome) {
     (grants, run.finish(&mut ()))
 }
 
-/// Grants at most once per TTI in which a device may detect an event, and once per end of a window.
+/// A grant is needed at most once per TTI in which a device may detect an event, and once per end of a window.
 #[test]
-fn a_policy_that_decides_in_every_tti_decides_ahead() {
+fn lookahead_saves_grants_and_changes_no_outcome() {
     for policy in ["age-index", "q-learning", "random", "dt", "knn"] {
         let prepared = prepared(policy, "reported");
-        let (ahead, outcome) = grants(&prepared, true);
-        let (plain, same) = grants(&prepared, false);
-        assert_eq!(outcome, same, "{policy}");
-        assert_eq!(plain, TTIS, "{policy}");
-        // At α = 0.2 at most one event starts in five TTIs. A device may detect it only in some of its TTIs.
-        assert!(ahead < TTIS / 2, "{policy}: {ahead} grants");
+        let (grants, outcome) = count_grants(&prepared, true);
+        let (grants_without_lookahead, outcome_without_lookahead) = count_grants(&prepared, false);
+        assert_eq!(outcome, outcome_without_lookahead, "{policy}");
+        assert_eq!(grants_without_lookahead, TTIS, "{policy}");
+        // With α = 0.2 an event starts in at most every fifth TTI, and devices may detect it only in some of its TTIs.
+        assert!(grants < TTIS / 2, "{policy}: {grants} grants");
     }
 }
 
 /// A policy that receives true battery levels has to wait for them.
 #[test]
-fn true_batteries_are_not_predicted() {
+fn true_battery_levels_prevent_lookahead() {
     let prepared = prepared("q-learning", "oracle");
-    let (ahead, outcome) = grants(&prepared, true);
-    assert_eq!(ahead, TTIS);
-    assert_eq!(outcome, grants(&prepared, false).1);
+    let (grants, outcome) = count_grants(&prepared, true);
+    assert_eq!(grants, TTIS);
+    assert_eq!(outcome, count_grants(&prepared, false).1);
 }

@@ -1,5 +1,5 @@
-//! An observer sees the same in memory and over the bus: every plan, grant, report, failure, wake-up, outcome, close
-//! and state, in the same order.
+//! An observer receives the same notifications, in the same order, from a run in memory and from a run over the bus.
+//! The host processes run in this process; frames and recordings are not checked here.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -8,7 +8,6 @@ use reveille_bs::cycle::PreparedRun;
 use reveille_bs::observer::{Notification, Observer};
 use reveille_bs::policy::factory::PolicyEntry;
 use reveille_bs::policy::registry::POLICIES;
-use reveille_bs::scenario::{Override, load};
 use reveille_bs::server::{OnLoss, RunProgress, RunSpec, ServerConfig, dismiss_hosts, serve};
 use reveille_bs::session::Session;
 use reveille_common::bus::Bus;
@@ -16,24 +15,25 @@ use reveille_common::message::Pace;
 use reveille_device::host::{HostConfig, run_host};
 use reveille_lab::preparation::prepare;
 use reveille_lab::run::{Run, RunOptions};
+use reveille_tests::scenarios::paper;
 
 const PATIENCE: Duration = Duration::from_secs(20);
 
-/// Records every notification, and requests the states after every fifth grant.
+/// Records every notification, and requests the states in every fifth TTI.
 #[derive(Default)]
-struct Record {
+struct NotificationRecorder {
     lines: Vec<String>,
-    closed: u64,
+    closed_ttis: u64,
 }
 
-impl Observer for Record {
+impl Observer for NotificationRecorder {
     fn notify(&mut self, notification: &Notification<'_>) {
-        self.closed += u64::from(matches!(notification, Notification::TtiClosed(_)));
+        self.closed_ttis += u64::from(matches!(notification, Notification::TtiClosed(_)));
         self.lines.push(format!("{notification:?}"));
     }
 
     fn wants_states(&self) -> bool {
-        self.closed.is_multiple_of(5)
+        self.closed_ttis.is_multiple_of(5)
     }
 
     fn wants_beliefs(&self) -> bool {
@@ -41,25 +41,17 @@ impl Observer for Record {
     }
 }
 
-fn prepared(set: &[&str]) -> PreparedRun {
-    let overrides: Vec<Override> = set
-        .iter()
-        .map(|set| Override::parse(set).expect("an override"))
-        .collect();
-    prepare(&load("paper", &overrides).expect("a scenario").scenario)
-}
-
-fn in_memory(prepared: &PreparedRun, lookahead: bool) -> Vec<String> {
+fn notifications_in_memory(prepared: &PreparedRun, lookahead: bool) -> Vec<String> {
     let options = RunOptions {
         lookahead,
         ..RunOptions::default()
     };
-    let mut record = Record::default();
-    Run::new(prepared, options).finish(&mut record);
-    record.lines
+    let mut recorder = NotificationRecorder::default();
+    Run::new(prepared, options).finish(&mut recorder);
+    recorder.lines
 }
 
-async fn over_the_bus(prepared: &PreparedRun, lookahead: bool, hosts: u32) -> Vec<String> {
+async fn notifications_over_bus(prepared: &PreparedRun, lookahead: bool, hosts: u32) -> Vec<String> {
     let run = "observer-test";
     let bus = Bus::listen("tcp/127.0.0.1:0", run.parse().expect("a name"))
         .await
@@ -68,10 +60,10 @@ async fn over_the_bus(prepared: &PreparedRun, lookahead: bool, hosts: u32) -> Ve
     for host in 0..hosts {
         let endpoint = bus.endpoint().to_owned();
         tokio::spawn(async move {
-            let own = Bus::connect(&endpoint, run.parse().expect("a name"), PATIENCE)
+            let host_bus = Bus::connect(&endpoint, run.parse().expect("a name"), PATIENCE)
                 .await
                 .expect("a link");
-            let offer = HostConfig {
+            let config = HostConfig {
                 max_devices: devices.div_ceil(hosts),
                 name: format!("host {host} of a test"),
                 key: None,
@@ -79,10 +71,10 @@ async fn over_the_bus(prepared: &PreparedRun, lookahead: bool, hosts: u32) -> Ve
                 stands_by: false,
                 uses_worker: false,
             };
-            run_host(&own, offer, &|_| {}).await
+            run_host(&host_bus, config, &|_| {}).await
         });
     }
-    let settings = ServerConfig {
+    let config = ServerConfig {
         lookahead,
         pace: Pace::Max,
         on_loss: OnLoss::End,
@@ -93,37 +85,37 @@ async fn over_the_bus(prepared: &PreparedRun, lookahead: bool, hosts: u32) -> Ve
         run_key: None,
         join_needs_key: false,
     };
-    let course = RunSpec {
+    let spec = RunSpec {
         prepared,
-        session: Session::new(prepared, settings.window_ttis),
+        session: Session::new(prepared, config.window_ttis),
         checkpoint: None,
         replay: None,
         decision_timeout: None,
     };
-    let mut record = Record::default();
+    let mut recorder = NotificationRecorder::default();
     let progress = Arc::new(RunProgress::default());
-    serve(&bus, course, &settings, &progress, &mut record)
+    serve(&bus, spec, &config, &progress, &mut recorder)
         .await
         .expect("a run");
     dismiss_hosts(&bus, None).expect("a bus");
-    record.lines
+    recorder.lines
 }
 
 /// Prepares a run of `policy`, with short pilot runs if the policy makes them.
-fn settings(policy: &PolicyEntry, others: &[&str]) -> PreparedRun {
+fn prepare_policy(policy: &PolicyEntry, other_fields: &[&str]) -> PreparedRun {
     let name = format!("policy.name={}", policy.name);
-    let mut set = vec![name.as_str()];
+    let mut fields = vec![name.as_str()];
     if policy.name == "adjusted" {
-        set.push("policy.adjusted.pilot_ttis=200");
+        fields.push("policy.adjusted.pilot_ttis=200");
     }
-    set.extend(others);
-    prepared(&set)
+    fields.extend(other_fields);
+    prepare(&paper(&fields))
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn memory_and_bus_show_the_same() {
+async fn notifications_in_memory_and_over_the_bus_are_equal() {
     // Batteries run low and the levels are not known, so that wake-ups fail or are not received.
-    let poor = [
+    let scarce_energy = [
         "devices=40",
         "ttis=400",
         "harvest.lambda=0.03",
@@ -131,15 +123,15 @@ async fn memory_and_bus_show_the_same() {
         "events.alpha=0.4",
         "bs.battery_knowledge=reported",
     ];
-    let looking_ahead = POLICIES.iter().map(|policy| (policy, true));
-    let plain = POLICIES.iter().take(1).map(|policy| (policy, false));
-    for (policy, lookahead) in looking_ahead.chain(plain) {
+    let with_lookahead = POLICIES.iter().map(|policy| (policy, true));
+    let without_lookahead = POLICIES.iter().take(1).map(|policy| (policy, false));
+    for (policy, lookahead) in with_lookahead.chain(without_lookahead) {
         let name = policy.name;
-        let prepared = settings(policy, &poor);
-        let memory = in_memory(&prepared, lookahead);
-        let bus = over_the_bus(&prepared, lookahead, 3).await;
-        for (line, (expected, found)) in memory.iter().zip(&bus).enumerate() {
-            assert_eq!(expected, found, "{name}: the {line}th notification");
+        let prepared = prepare_policy(policy, &scarce_energy);
+        let memory = notifications_in_memory(&prepared, lookahead);
+        let bus = notifications_over_bus(&prepared, lookahead, 3).await;
+        for (index, (in_memory, over_bus)) in memory.iter().zip(&bus).enumerate() {
+            assert_eq!(in_memory, over_bus, "{name}: notification {index}");
         }
         assert_eq!(memory.len(), bus.len(), "{name}");
         let count = |kind: &str| memory.iter().filter(|line| line.starts_with(kind)).count();
@@ -160,13 +152,13 @@ async fn memory_and_bus_show_the_same() {
 }
 
 #[test]
-fn an_observer_changes_nothing() {
+fn an_observer_does_not_change_the_outcome() {
     for policy in POLICIES {
-        let prepared = settings(policy, &["devices=30", "ttis=800"]);
-        let plain = Run::new(&prepared, RunOptions::default()).finish(&mut ());
-        let mut both = (Record::default(), Record::default());
-        let seen = Run::new(&prepared, RunOptions::default()).finish(&mut both);
-        assert_eq!(plain, seen);
-        assert_eq!(both.0.lines, both.1.lines);
+        let prepared = prepare_policy(policy, &["devices=30", "ttis=800"]);
+        let unobserved = Run::new(&prepared, RunOptions::default()).finish(&mut ());
+        let mut recorders = (NotificationRecorder::default(), NotificationRecorder::default());
+        let observed = Run::new(&prepared, RunOptions::default()).finish(&mut recorders);
+        assert_eq!(unobserved, observed);
+        assert_eq!(recorders.0.lines, recorders.1.lines);
     }
 }

@@ -1,17 +1,21 @@
-//! Choice of sensing devices under `q-learning`, compared with the second implementation.
+//! The choice of sensing devices under `q-learning` (`DutyLearner`) against the reference implementation, with a window
+//! and with ages. Learning and wake-ups are not checked here.
 
 use proptest::prelude::*;
 use reveille_bs::policy::q_learning::duty::{DutyLearner, DutyParameters};
 use reveille_bs::policy::q_learning::learned::{AREA_BUCKETS, DutyTable, Lookback, QWeights, Schedule};
 use reveille_bs::policy::q_learning::settings::QLearningSettings;
-use reveille_bs::scenario::{EnergyModel, Override, load};
+use reveille_bs::scenario::EnergyModel;
 use reveille_common::geometry::{Area, Layout, place_devices};
+use reveille_common::ids::DeviceId;
 use reveille_common::rng::{Purpose, Stream};
 use reveille_common::sensing::{DetectionKind, Fusion, Sensing};
 use reveille_common::units::Energy;
-use reveille_tests::reference::{ReferenceAgeIndex, Sequential, choose_by_ages};
+use reveille_tests::reference::{ReferenceAgeIndex, ReferenceDutySelector, choose_by_ages};
+use reveille_tests::scenarios::paper;
 
-const GROUNDS: [(f64, f64); 4] = [(20.0, 20.0), (31.0, 7.3), (3.0, 1.0), (9.0, 14.0)];
+/// Width and height of areas, m.
+const AREAS: [(f64, f64); 4] = [(20.0, 20.0), (31.0, 7.3), (3.0, 1.0), (9.0, 14.0)];
 
 fn units(x: f64) -> Energy {
     Energy::from_units(x).expect("an energy")
@@ -27,7 +31,7 @@ fn energy() -> EnergyModel {
     }
 }
 
-fn terms(lookback: Lookback) -> DutyParameters {
+fn duty_parameters(lookback: Lookback) -> DutyParameters {
     DutyParameters {
         schedule: Schedule::default(),
         weights: QWeights {
@@ -41,42 +45,43 @@ fn terms(lookback: Lookback) -> DutyParameters {
     }
 }
 
-/// Returns a table with random values. The value of sensing rises with the covered area; in some tables it is near 0,
-/// in some almost always positive.
-fn table(stream: &mut Stream, bias: f64) -> DutyTable {
+/// Draws a table in which the advantage of sensing rises with the covered area. It is near 0 for a low `bias`, and
+/// almost always positive for a high one.
+fn draw_table(stream: &mut Stream, bias: f64) -> DutyTable {
     let mut table = DutyTable::optimistic(0.0, |_| 1.0);
-    for (index, cell) in table.q.iter_mut().enumerate() {
-        cell.value = 20.0 + 4.0 * (stream.unit() - 0.5);
-        cell.visits = stream.below(5000) as u32;
+    for (index, entry) in table.q.iter_mut().enumerate() {
+        entry.value = 20.0 + 4.0 * (stream.unit() - 0.5);
+        entry.visits = stream.below(5000) as u32;
+        // Every second entry is for sensing.
         if index % 2 == 1 {
-            cell.value += bias + (index / 2 % AREA_BUCKETS) as f64 * 0.2;
+            entry.value += bias + (index / 2 % AREA_BUCKETS) as f64 * 0.2;
         }
     }
     table
 }
 
-/// Returns random battery levels; one device in five cannot sense.
-fn levels(devices: usize, stream: &mut Stream) -> Vec<Energy> {
+/// Draws battery levels; one device in five cannot sense.
+fn draw_levels(devices: usize, stream: &mut Stream) -> Vec<Energy> {
     let level = |u: f64| units(if u < 0.2 { 50.0 * u } else { 100.0 * u });
     (0..devices).map(|_| level(stream.unit())).collect()
 }
 
-fn numbers(chosen: &[reveille_common::ids::DeviceId]) -> Vec<usize> {
-    chosen.iter().map(|device| device.index()).collect()
+fn indices(devices: &[DeviceId]) -> Vec<usize> {
+    devices.iter().map(|device| device.index()).collect()
 }
 
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(300) })]
 
     #[test]
-    fn the_choice_is_that_of_the_second_implementation(
-        chance in prop::bool::weighted(0.3), window in prop::sample::select(vec![1_u32, 2, 4]),
-        ground in 0_usize..4, devices in 1_u32..40, seed: u64, bias in -2.5..1.0_f64,
+    fn the_choice_equals_the_choice_of_the_reference(
+        is_probabilistic in prop::bool::weighted(0.3), window in prop::sample::select(vec![1_u32, 2, 4]),
+        area_index in 0_usize..4, devices in 1_u32..40, seed: u64, bias in -2.5..1.0_f64,
     ) {
-        let (width, height) = GROUNDS[ground];
+        let (width, height) = AREAS[area_index];
         let area = Area { width, height };
         let sensing = Sensing {
-            kind: if chance { DetectionKind::Probabilistic } else { DetectionKind::Range },
+            kind: if is_probabilistic { DetectionKind::Probabilistic } else { DetectionKind::Range },
             d_max: 4.0,
             eta: 0.3,
             psi: 1.0,
@@ -84,31 +89,29 @@ proptest! {
         };
         let points = place_devices(&Layout::Uniform, area, devices, seed);
         let mut stream = Stream::new(seed, Purpose::Training, 1);
-        let table = table(&mut stream, bias);
+        let table = draw_table(&mut stream, bias);
         let energies = vec![energy(); devices as usize];
-        let parameters = terms(Lookback::Window(window));
-        let mut duty = DutyLearner::new(table.clone(), parameters, &points, energies, area, &sensing);
-        let mut reference = Sequential::new(&points, area, &sensing, energy(), window as usize);
+        let parameters = duty_parameters(Lookback::Window(window));
+        let mut learner = DutyLearner::new(table.clone(), parameters, &points, energies, area, &sensing);
+        let mut reference = ReferenceDutySelector::new(&points, area, &sensing, energy(), window as usize);
         for k in 0..6 {
-            let levels = levels(devices as usize, &mut stream);
-            let chosen = numbers(&duty.choose(&levels));
+            let levels = draw_levels(devices as usize, &mut stream);
+            let chosen = indices(&learner.choose(&levels));
             prop_assert_eq!(chosen, reference.choose(&table, &levels), "TTI {}, {:?}", k, sensing.kind);
         }
     }
 }
 
-/// Uses the shipped tables, at full size.
+/// Uses the shipped tables with their usual numbers of devices.
 #[test]
-fn shipped_tables_choose_as_the_second_implementation_does() {
+fn the_choice_with_shipped_tables_equals_the_choice_of_the_reference() {
     let mut sensing_devices = 0;
     for (window, devices) in [(1, 250), (2, 100), (4, 100)] {
-        let set = [
-            "policy.name=q-learning".to_owned(),
-            format!("devices={devices}"),
-            format!("policy.q-learning.window={window}"),
-        ];
-        let set = set.map(|text| Override::parse(&text).expect("an override"));
-        let scenario = load("paper", &set).expect("a scenario").scenario;
+        let scenario = paper(&[
+            "policy.name=q-learning",
+            &format!("devices={devices}"),
+            &format!("policy.q-learning.window={window}"),
+        ]);
         let settings = scenario
             .policy
             .settings()
@@ -118,19 +121,13 @@ fn shipped_tables_choose_as_the_second_implementation_does() {
         let points = place_devices(&scenario.layout, area, devices, 9);
         let table = settings.initial_tables.duty.clone();
         let energies = vec![energy; devices as usize];
-        let mut duty = DutyLearner::new(
-            table.clone(),
-            terms(Lookback::Window(window)),
-            &points,
-            energies,
-            area,
-            sensing,
-        );
-        let mut reference = Sequential::new(&points, area, sensing, energy, window as usize);
+        let parameters = duty_parameters(Lookback::Window(window));
+        let mut learner = DutyLearner::new(table.clone(), parameters, &points, energies, area, sensing);
+        let mut reference = ReferenceDutySelector::new(&points, area, sensing, energy, window as usize);
         let mut stream = Stream::new(u64::from(window), Purpose::Training, 1);
         for k in 0..2 * window {
-            let levels = levels(devices as usize, &mut stream);
-            let chosen = numbers(&duty.choose(&levels));
+            let levels = draw_levels(devices as usize, &mut stream);
+            let chosen = indices(&learner.choose(&levels));
             sensing_devices += chosen.len();
             assert_eq!(chosen, reference.choose(&table, &levels), "window {window}, TTI {k}");
         }
@@ -138,54 +135,56 @@ fn shipped_tables_choose_as_the_second_implementation_does() {
     assert!(sensing_devices > 60, "only {sensing_devices} sensing devices");
 }
 
-/// Uses ages, computed from the rule, the table and plain sums over places.
 #[test]
-fn with_ages_the_choice_is_that_of_the_second_implementation() {
-    let mut compared = [0; 2];
+fn the_choice_with_ages_equals_the_choice_of_the_reference() {
+    let [mut compared, mut undecided] = [0; 2];
     for seed in 0..60_u64 {
         let kind = ["range", "probabilistic"][usize::from(seed % 3 == 0)];
-        let (width, height) = [GROUNDS[0], GROUNDS[1], GROUNDS[3]][seed as usize % 3];
-        let set = [
-            "policy.name=q-learning".to_owned(),
-            format!("sensing.kind={kind}"),
-            format!("area.width={width}"),
-            format!("area.height={height}"),
-            "sensing.eta=0.3".to_owned(),
-        ];
-        let set = set.map(|text| Override::parse(&text).expect("an override"));
-        let scenario = load("paper", &set).expect("a scenario").scenario;
+        let (width, height) = [AREAS[0], AREAS[1], AREAS[3]][seed as usize % 3];
+        let scenario = paper(&[
+            "policy.name=q-learning",
+            &format!("sensing.kind={kind}"),
+            &format!("area.width={width}"),
+            &format!("area.height={height}"),
+            "sensing.eta=0.3",
+        ]);
         let mut stream = Stream::new(seed, Purpose::Training, 2);
         let devices = 2 + stream.below(30) as u32;
         let points = place_devices(&Layout::Uniform, scenario.area, devices, seed);
         let energies = vec![energy(); devices as usize];
         let bias = 4.0 * stream.unit() - 3.0;
-        let table = table(&mut stream, bias);
-        let lookback = terms(Lookback::Ages);
-        let mut duty = DutyLearner::new(
+        let table = draw_table(&mut stream, bias);
+        let mut learner = DutyLearner::new(
             table.clone(),
-            lookback,
+            duty_parameters(Lookback::Ages),
             &points,
             energies.clone(),
             scenario.area,
             &scenario.sensing,
         );
-        let Some(mut places) = ReferenceAgeIndex::new(&scenario, &points, energies, 1.0) else {
+        // The price has no effect here: `choose_by_ages` uses the table.
+        let Some(mut reference) = ReferenceAgeIndex::new(&scenario, &points, energies, 1.0) else {
             continue;
         };
         for k in 0..10 {
-            let levels = levels(devices as usize, &mut stream);
-            let chosen = numbers(&duty.choose(&levels));
-            let expected = choose_by_ages(&places, &table, &energy(), &levels);
-            compared[usize::from(expected.is_none())] += 1;
-            if let Some(expected) = expected {
-                assert_eq!(chosen, expected, "seed {seed}, TTI {k}, {kind}");
+            let levels = draw_levels(devices as usize, &mut stream);
+            let chosen = indices(&learner.choose(&levels));
+            match choose_by_ages(&reference, &table, &energy(), &levels) {
+                Some(expected) => {
+                    assert_eq!(chosen, expected, "seed {seed}, TTI {k}, {kind}");
+                    compared += 1;
+                }
+                None => undecided += 1,
             }
-            let is_found = stream.unit() < 0.2;
-            places.pass(&chosen, is_found);
-            if is_found {
-                duty.record_event();
+            let is_event_reported = stream.unit() < 0.2;
+            reference.advance(&chosen, is_event_reported);
+            if is_event_reported {
+                learner.record_event();
             }
         }
     }
-    assert!(compared[0] > 400 && compared[1] < 60, "{compared:?}");
+    assert!(
+        compared > 400 && undecided < 60,
+        "{compared} TTIs compared, {undecided} too close to call"
+    );
 }

@@ -1,13 +1,12 @@
-//! An unreliable radio: its effects, who can know of them, and the metric of each failure.
-
-use std::collections::BTreeMap;
+//! An unreliable radio: lost messages against the draws of `Air`, their effects on events, plans and energy, the
+//! metric of each failure, and decisions that must not depend on lost reports. The draws themselves are compared with
+//! the reference implementation in `reference.rs`.
 
 use reveille_bs::base_station::BaseStation;
-use reveille_bs::cycle::{Cycle, PreparedRun};
+use reveille_bs::cycle::{Cycle, PreparedRun, RunOutcome};
 use reveille_bs::knowledge::Knowledge;
 use reveille_bs::observer::{Notification, Observer};
 use reveille_bs::policy::registry;
-use reveille_bs::scenario::{Override, load};
 use reveille_common::event::{EventProcess, ScriptedEvent};
 use reveille_common::geometry::Point;
 use reveille_common::ids::{DeviceId, Tti};
@@ -18,53 +17,57 @@ use reveille_common::world::World;
 use reveille_device::machine::Machine;
 use reveille_lab::preparation::prepare;
 use reveille_lab::run::{Run, RunOptions};
+use reveille_tests::compare::ONE_TTI_PER_GRANT;
+use reveille_tests::scenarios::paper;
 
-fn prepared(set: &[&str]) -> PreparedRun {
-    let parse = |set: &&str| Override::parse(set).expect("an override");
-    let overrides: Vec<Override> = set.iter().map(parse).collect();
-    prepare(&load("paper", &overrides).expect("a scenario").scenario)
+/// E_idle of the preset `paper`, micro-units.
+const E_IDLE: u64 = 1_000_000;
+
+fn prepared(fields: &[&str]) -> PreparedRun {
+    prepare(&paper(fields))
 }
 
-/// Decisions of a base station and their outcomes.
+/// Decisions of a base station and the messages that arrived or were lost.
 #[derive(Clone, Debug, Default, PartialEq)]
 struct RadioObserver {
     plans: Vec<(Tti, Plan)>,
     wake_ups: Vec<(Tti, DeviceId)>,
-    /// By kind of notification: the count, and the last TTI.
-    seen: BTreeMap<&'static str, u64>,
-    /// TTIs and senders of reports: arrived, lost.
-    reports: [Vec<(Tti, DeviceId)>; 2],
+    /// TTIs and senders of reports that arrived.
+    arrived_reports: Vec<(Tti, DeviceId)>,
+    /// TTIs and senders of reports that were lost.
+    lost_reports: Vec<(Tti, DeviceId)>,
     /// TTIs and devices of wake-ups that were not received.
     missed_wake_ups: Vec<(Tti, DeviceId)>,
     /// Events: whether each was reported, and the number of its lost reports.
     events: Vec<(bool, u64)>,
-    lost: u64,
+    /// Lost reports of the current event.
+    lost_in_event: u64,
+}
+
+impl RadioObserver {
+    fn lose_report(&mut self, tti: Tti, device: DeviceId) {
+        self.lost_in_event += 1;
+        self.lost_reports.push((tti, device));
+    }
 }
 
 impl Observer for RadioObserver {
     fn notify(&mut self, notification: &Notification<'_>) {
         match notification {
             Notification::PlanSent { update, .. } => self.plans.push((update.from, update.plan.clone())),
-            Notification::ReportReceived(report) => self.reports[0].push((report.tti, report.device)),
-            Notification::ReportLost(report) => {
-                self.lost += 1;
-                self.reports[1].push((report.tti, report.device));
-            }
+            Notification::ReportReceived(report) => self.arrived_reports.push((report.tti, report.device)),
+            Notification::ReportLost(report) => self.lose_report(report.tti, report.device),
             Notification::WakeUpSent { tti, device, .. } => self.wake_ups.push((*tti, *device)),
             Notification::WakeUpCompleted { tti, device, outcome } => match outcome {
-                WakeOutcome::Reported(_) => self.reports[0].push((*tti, *device)),
-                WakeOutcome::Lost(_) => {
-                    self.lost += 1;
-                    self.reports[1].push((*tti, *device));
-                }
+                WakeOutcome::Reported(_) => self.arrived_reports.push((*tti, *device)),
+                WakeOutcome::Lost(_) => self.lose_report(*tti, *device),
                 WakeOutcome::Missed => self.missed_wake_ups.push((*tti, *device)),
-                WakeOutcome::Late { .. } => *self.seen.entry("late").or_default() += 1,
-                WakeOutcome::Failed(_) => *self.seen.entry("failed").or_default() += 1,
+                WakeOutcome::Late { .. } | WakeOutcome::Failed(_) => {}
             },
-            Notification::EventStarted(_) => self.lost = 0,
-            Notification::EventEnded(record) => self.events.push((record.tally.reports > 0, self.lost)),
-            Notification::ReportFailed { .. } => *self.seen.entry("failed").or_default() += 1,
-            Notification::TtisGranted(_)
+            Notification::EventStarted(_) => self.lost_in_event = 0,
+            Notification::EventEnded(record) => self.events.push((record.tally.reports > 0, self.lost_in_event)),
+            Notification::ReportFailed { .. }
+            | Notification::TtisGranted(_)
             | Notification::DevicesRemoved(_)
             | Notification::BeliefUpdated { .. }
             | Notification::TtiClosed(_)
@@ -73,15 +76,18 @@ impl Observer for RadioObserver {
     }
 }
 
-fn watch(prepared: &PreparedRun) -> RadioObserver {
-    let mut watch = RadioObserver::default();
-    Run::new(prepared, RunOptions::default()).finish(&mut watch);
-    watch
+fn observe(prepared: &PreparedRun) -> RadioObserver {
+    let mut observer = RadioObserver::default();
+    Run::new(prepared, RunOptions::default()).finish(&mut observer);
+    observer
 }
 
-/// Exactly the drawn messages are lost, under every policy.
+fn finish(prepared: &PreparedRun) -> RunOutcome {
+    Run::new(prepared, RunOptions::default()).finish(&mut ())
+}
+
 #[test]
-fn reports_and_wake_ups_are_lost_as_they_are_drawn() {
+fn exactly_the_drawn_reports_and_wake_ups_are_lost() {
     for policy in registry::names() {
         let name = format!("policy.name={policy}");
         let prepared = prepared(&[
@@ -94,197 +100,203 @@ fn reports_and_wake_ups_are_lost_as_they_are_drawn() {
             "radio.bursts.loss=0.6",
             "bs.sync_interval=20",
         ]);
-        let seen = watch(&prepared);
+        let observed = observe(&prepared);
         let mut air = Air::new(prepared.scenario.run.seed, &prepared.scenario.radio);
-        let mut all: Vec<(Tti, DeviceId, bool)> = Vec::new();
-        for (place, reports) in seen.reports.iter().enumerate() {
-            all.extend(reports.iter().map(|&(tti, device)| (tti, device, place == 1)));
-        }
-        all.sort_unstable();
-        for &(tti, device, is_lost) in &all {
+        let with_loss = |is_lost| move |&(tti, device): &(Tti, DeviceId)| (tti, device, is_lost);
+        let arrived_reports = observed.arrived_reports.iter().map(with_loss(false));
+        let lost_reports = observed.lost_reports.iter().map(with_loss(true));
+        let mut reports: Vec<(Tti, DeviceId, bool)> = arrived_reports.chain(lost_reports).collect();
+        // `Air` never goes back in time.
+        reports.sort_unstable();
+        for &(tti, device, is_lost) in &reports {
             assert_eq!(
-                air.channel_at(tti).loses_report(device),
+                air.losses_at(tti).loses_report(device),
                 is_lost,
-                "{policy}: device {device} in TTI {tti}"
+                "{policy}: report of device {device} in TTI {tti}"
             );
         }
-        let lost = seen.reports[1].len() as f64 / all.len() as f64;
+        let lost_share = observed.lost_reports.len() as f64 / reports.len() as f64;
         // The share exceeds the loss rate between bursts, since an event lasts longer while its reports are lost.
         assert!(
-            all.len() > 60 && (0.2..0.6).contains(&lost),
-            "{policy}: {lost} of {}",
-            all.len()
+            reports.len() > 60 && (0.2..0.6).contains(&lost_share),
+            "{policy}: lost share {lost_share} of {} reports",
+            reports.len()
         );
         let mut air = Air::new(prepared.scenario.run.seed, &prepared.scenario.radio);
-        for &(tti, device) in &seen.wake_ups {
-            let is_missed = air.channel_at(tti).misses_wake_up(device);
-            let is_unheard = seen.missed_wake_ups.contains(&(tti, device));
-            assert!(is_unheard || !is_missed, "{policy}: device {device} heard in TTI {tti}");
+        for &(tti, device) in &observed.wake_ups {
+            let is_drawn_as_missed = air.losses_at(tti).misses_wake_up(device);
+            // An unpowered device misses wake-ups too.
+            let is_missed = observed.missed_wake_ups.contains(&(tti, device));
+            assert!(
+                is_missed || !is_drawn_as_missed,
+                "{policy}: device {device} received a lost wake-up in TTI {tti}"
+            );
         }
     }
 }
 
-/// If every report is lost, none arrives, and each event that can be missed is missed.
 #[test]
-fn events_whose_reports_are_all_lost_stay_open_and_are_missed() {
+fn events_are_missed_if_every_report_is_lost() {
     let prepared = prepared(&["ttis=2000", "radio.uplink_loss=1", "energy.initial=100"]);
-    let seen = watch(&prepared);
-    assert!(seen.events.iter().all(|(is_reported, _)| !is_reported));
-    let most = seen.events.iter().map(|(_, lost)| *lost).max();
+    let observed = observe(&prepared);
+    assert!(observed.events.iter().all(|(is_reported, _)| !is_reported));
+    assert!(observed.arrived_reports.is_empty() && observed.wake_ups.is_empty());
     // A device in S1 in several TTIs of an event reports in each of them.
+    let max_lost_reports = observed.events.iter().map(|(_, lost)| *lost).max();
     assert!(
-        most > Some(4) && seen.reports[0].is_empty() && seen.wake_ups.is_empty(),
-        "{most:?}"
+        max_lost_reports > Some(4),
+        "{max_lost_reports:?} lost reports of an event"
     );
-    let outcome = Run::new(&prepared, RunOptions::default()).finish(&mut ());
+    let outcome = finish(&prepared);
     let missed = outcome.totals.missed;
-    let [missed_pct, lost_pct] = [outcome.metrics.misdetection_pct, outcome.metrics.lost_reports_pct];
-    assert!((missed_pct - 100.0).abs() < 1e-12 && (lost_pct - 100.0).abs() < 1e-12);
+    let [misdetection_pct, lost_pct] = [outcome.metrics.misdetection_pct, outcome.metrics.lost_reports_pct];
+    assert!(
+        (misdetection_pct - 100.0).abs() < 1e-12,
+        "misdetection {misdetection_pct} %"
+    );
+    assert!((lost_pct - 100.0).abs() < 1e-12, "lost reports {lost_pct} %");
     assert_eq!(missed.events(), outcome.totals.events.events);
     assert!(missed.lost > 20 * missed.no_energy.max(1), "{missed:?}");
 }
 
-/// If the first report is lost, a later report ends the event.
 #[test]
 fn an_event_is_reported_after_a_report_was_lost() {
     let prepared = prepared(&["ttis=3000", "radio.uplink_loss=0.5", "events.duration=6"]);
-    let seen = watch(&prepared);
-    let late = seen
+    let observed = observe(&prepared);
+    let late_events = observed
         .events
         .iter()
         .filter(|(is_reported, lost)| *is_reported && *lost > 0)
         .count();
-    assert!(late > 50, "{late}");
+    assert!(late_events > 50, "{late_events} events reported after a lost report");
 }
 
-/// A device that misses plans keeps the previous one, with and without lookahead.
+/// Holds with and without lookahead.
 #[test]
-fn devices_that_miss_plans_keep_the_old_one() {
+fn devices_that_miss_a_plan_keep_the_previous_one() {
     for policy in ["knn", "age-index", "q-learning"] {
         let name = format!("policy.name={policy}");
-        let set = [&*name, "ttis=1500", "radio.plan_loss=0.4", "bs.sync_interval=200"];
-        let prepared = prepared(&set);
+        let prepared = prepared(&[&*name, "ttis=1500", "radio.plan_loss=0.4", "bs.sync_interval=200"]);
         let mut run = Run::new(&prepared, RunOptions::default());
-        let mut watch = RadioObserver::default();
+        let mut observer = RadioObserver::default();
         let mut air = Air::new(prepared.scenario.run.seed, &prepared.scenario.radio);
-        let mut heard: Vec<_> = run.machines().iter().map(Machine::duty).collect();
-        let mut differing = 0_u64;
+        let mut received_duties: Vec<_> = run.machines().iter().map(Machine::duty).collect();
+        let mut outdated_duties = 0_u64;
         while run.cycle().next_tti() < Tti(1500) {
-            let before = watch.plans.len();
-            run.run_grant(&mut watch);
-            for (from, plan) in &watch.plans[before..] {
-                let devices = heard.len();
-                air.deliver_plan(*from, plan, DeviceId(0), devices, |j, cycle| heard[j] = cycle);
+            let earlier_plans = observer.plans.len();
+            run.run_grant(&mut observer);
+            for (from, plan) in &observer.plans[earlier_plans..] {
+                let devices = received_duties.len();
+                air.deliver_plan(*from, plan, DeviceId(0), devices, |j, duty| received_duties[j] = duty);
             }
-            for (machine, duty) in run.machines().iter().zip(&heard) {
+            for (machine, duty) in run.machines().iter().zip(&received_duties) {
                 assert_eq!(machine.duty(), *duty, "{policy}: device {}", machine.id());
-                differing += u64::from(*duty != run.cycle().plan().duty_cycle(machine.id()));
+                outdated_duties += u64::from(*duty != run.cycle().plan().duty_cycle(machine.id()));
             }
         }
-        assert!(differing > 0, "{policy}");
-        let one_by_one = RunOptions {
-            lookahead: false,
-            ..RunOptions::default()
-        };
-        let digests = [RunOptions::default(), one_by_one].map(|how| Run::new(&prepared, how).finish(&mut ()).digest);
+        assert!(outdated_duties > 0, "{policy}: every device has the current plan");
+        let digests = [RunOptions::default(), ONE_TTI_PER_GRANT]
+            .map(|options| Run::new(&prepared, options).finish(&mut ()).digest);
         assert_eq!(digests[0], digests[1], "{policy}");
     }
 }
 
-/// Knowledge wall: a lost message has the same effect as a message never sent, whatever its content.
+/// A lost message has the same effect as a message that was never sent, whatever its content.
 #[test]
-fn a_base_station_does_not_learn_lost_reports() {
+fn the_content_of_lost_reports_changes_no_decision() {
     for policy in registry::names().filter(|policy| *policy != "genie") {
         let name = format!("policy.name={policy}");
-        let set = [
+        let prepared = prepared(&[
             &*name,
             "ttis=600",
             "radio.uplink_loss=1",
             "bs.battery_knowledge=reported",
-        ];
-        let prepared = prepared(&set);
-        let play = |places: &dyn Fn(u64) -> Point| {
+        ]);
+        let play = |epicentre: &dyn Fn(u64) -> Point| {
             let script = (0..70).map(|i| ScriptedEvent {
                 start: Tti(8 * i),
                 duration: 4,
-                epicentre: places(i),
+                epicentre: epicentre(i),
             });
             let process = EventProcess::scripted(script.collect());
             let world = World::with_events(&prepared.scenario, &prepared.deployment, process);
             // A base station that assumes a perfect radio: one that knew of the losses would not plan any sensing.
-            let known = Knowledge {
+            let knowledge = Knowledge {
                 radio: RadioLossRates::default(),
                 ..prepared.knowledge()
             };
-            let policy = prepared.policy(&known);
-            let cycle = Cycle::with_station(&prepared, world, BaseStation::new(known, policy));
-            let mut watch = RadioObserver::default();
-            Run::with_cycle(&prepared, cycle, RunOptions::default()).finish(&mut watch);
-            watch
+            let policy = prepared.policy(&knowledge);
+            let cycle = Cycle::with_station(&prepared, world, BaseStation::new(knowledge, policy));
+            let mut observer = RadioObserver::default();
+            Run::with_cycle(&prepared, cycle, RunOptions::default()).finish(&mut observer);
+            observer
         };
-        let one = play(&|i| Point::new(1.0 + (i % 19) as f64, 10.0));
-        let other = play(&|i| Point::new(10.0, 19.0 - (i % 19) as f64));
-        assert!(one.reports[1].len() > 20 && one.reports != other.reports, "{policy}");
-        assert_eq!((one.plans, one.wake_ups), (other.plans, other.wake_ups), "{policy}");
+        let eastwards = play(&|i| Point::new(1.0 + (i % 19) as f64, 10.0));
+        let southwards = play(&|i| Point::new(10.0, 19.0 - (i % 19) as f64));
+        assert!(eastwards.lost_reports.len() > 20, "{policy}");
+        assert_ne!(eastwards.lost_reports, southwards.lost_reports, "{policy}");
+        assert_eq!(eastwards.arrived_reports, southwards.arrived_reports, "{policy}");
+        assert_eq!(eastwards.plans, southwards.plans, "{policy}");
+        assert_eq!(eastwards.wake_ups, southwards.wake_ups, "{policy}");
     }
 }
 
 /// Each kind of failure shows in its own metric, and only there.
 #[test]
 fn every_failure_has_its_metric() {
-    let names = [
-        "lost_reports_pct",
-        "missed_wake_ups_pct",
-        "missed_plans_pct",
-        "false_wake_ups_pct",
+    let failures = [
+        ("radio.uplink_loss=0.2", "lost_reports_pct"),
+        ("radio.wake_miss=0.2", "missed_wake_ups_pct"),
+        ("radio.plan_loss=0.2", "missed_plans_pct"),
+        ("radio.false_wake_up=0.2", "false_wake_ups_pct"),
     ];
-    let fields = ["uplink_loss=0.2", "wake_miss=0.2", "plan_loss=0.2", "false_wake_up=0.2"];
-    // Batteries never run out, so a wake-up without an answer was missed by the radio.
-    let always = [
-        "ttis=4000",
-        "energy.e_max=10000",
-        "energy.initial=10000",
-        "bs.sync_interval=3",
-        // Many wake-ups.
-        "policy.name=genie",
-    ];
-    for (at, field) in fields.iter().enumerate() {
-        let field = format!("radio.{field}");
-        let mut set = always.to_vec();
-        set.push(&field);
-        let metrics = Run::new(&prepared(&set), RunOptions::default()).finish(&mut ()).metrics;
-        for (place, name) in names.iter().enumerate() {
-            let value = metrics.value(name).expect("a metric");
-            if place == at {
-                assert!((value - 20.0).abs() < 6.0, "{field}: {name} {value}");
+    for (field, own_metric) in failures {
+        let metrics = finish(&prepared(&[
+            "ttis=4000",
+            // Batteries never run out, so a wake-up without an answer was missed by the radio.
+            "energy.e_max=10000",
+            "energy.initial=10000",
+            "bs.sync_interval=3",
+            // Many wake-ups.
+            "policy.name=genie",
+            field,
+        ]))
+        .metrics;
+        for (_, metric) in failures {
+            let value = metrics.value(metric).expect("a metric");
+            if metric == own_metric {
+                // The smallest sample has some hundred messages, and a standard error of about 2 %.
+                assert!((value - 20.0).abs() < 6.0, "{field}: {metric} {value}");
             } else {
-                assert!(value.abs() < 1e-12, "{field}: {name} {value}");
+                assert!(value.abs() < 1e-12, "{field}: {metric} {value}");
             }
         }
     }
 }
 
-/// Wake-ups of the current event: its start, and for each wake-up the TTI sent and its outcome.
+/// Wake-ups of a run, and those of the current TTI.
 #[derive(Default)]
 struct WakeUpTimes {
-    start: Tti,
+    event_start: Tti,
+    /// TTIs in which the wake-ups of the current TTI were sent.
     sent: Vec<Tti>,
-    /// TTIs from the event's start until the device was awake, and the outcome.
-    came: Vec<(u64, WakeOutcome)>,
+    /// TTIs from the start of the event until the device was awake, and the outcome.
+    delays: Vec<(u64, WakeOutcome)>,
     latency: u64,
 }
 
 impl Observer for WakeUpTimes {
     fn notify(&mut self, notification: &Notification<'_>) {
         match notification {
-            Notification::EventStarted(event) => self.start = event.start,
+            Notification::EventStarted(event) => self.event_start = event.start,
             Notification::WakeUpSent { tti, sent, .. } => {
-                assert_eq!(sent.0, tti.0 + self.sent.len() as u64 * self.latency, "in sequence");
+                let expected_tti = tti.0 + self.sent.len() as u64 * self.latency;
+                assert_eq!(sent.0, expected_tti, "TTI of wake-up {}", self.sent.len());
                 self.sent.push(*sent);
             }
             Notification::WakeUpCompleted { outcome, .. } => {
-                let awake = self.sent[self.sent.len() - 1].0 + self.latency;
-                self.came.push((awake - self.start.0, **outcome));
+                let awake_from = self.sent[self.sent.len() - 1].0 + self.latency;
+                self.delays.push((awake_from - self.event_start.0, **outcome));
             }
             Notification::TtiClosed(_) => self.sent.clear(),
             Notification::PlanSent { .. }
@@ -300,7 +312,7 @@ impl Observer for WakeUpTimes {
     }
 }
 
-/// An event of 6 TTIs that was reported in its first TTI is found only by devices awake at most 5 TTIs later.
+/// An event of 6 TTIs is detected only by devices that are awake at most 5 TTIs after its start.
 #[test]
 fn a_device_that_wakes_after_the_event_detects_nothing() {
     for (policy, latency) in [
@@ -310,77 +322,68 @@ fn a_device_that_wakes_after_the_event_detects_nothing() {
         ("genie", 2),
         ("genie", 6),
     ] {
-        let (name, latency_set) = (format!("policy.name={policy}"), format!("radio.wake_latency={latency}"));
         let prepared = prepared(&[
-            &name,
-            &latency_set,
+            &format!("policy.name={policy}"),
+            &format!("radio.wake_latency={latency}"),
             "ttis=3000",
             "events.duration=6",
             "energy.initial=100",
         ]);
-        let mut calls = WakeUpTimes {
+        let mut wake_ups = WakeUpTimes {
             latency,
             ..WakeUpTimes::default()
         };
-        let outcome = Run::new(&prepared, RunOptions::default()).finish(&mut calls);
+        let outcome = Run::new(&prepared, RunOptions::default()).finish(&mut wake_ups);
         let (mut in_time, mut late) = (0, 0);
-        for (after, came) in &calls.came {
-            match came {
+        for (delay, outcome) in &wake_ups.delays {
+            match outcome {
                 WakeOutcome::Late { spent, powered } => {
                     late += 1;
-                    assert!(
-                        *after > 5 && (!powered || spent.micro() == 1_000_000),
-                        "{policy}: {after} TTIs, {came}"
-                    );
+                    assert!(*delay > 5, "{policy}: {outcome} after {delay} TTIs");
+                    assert!(!powered || spent.micro() == E_IDLE, "{policy}: {outcome}");
                 }
                 WakeOutcome::Reported(_) | WakeOutcome::Failed(_) | WakeOutcome::Lost(_) => {
                     in_time += 1;
-                    assert!(*after <= 5, "{policy}: {after} TTIs, {came}");
+                    assert!(*delay <= 5, "{policy}: {outcome} after {delay} TTIs");
                 }
                 WakeOutcome::Missed => {}
             }
         }
-        assert!(
-            late > 50 || (policy, latency) == ("genie", 2),
-            "{policy}, {latency}: {late} of {in_time}"
-        );
-        assert_eq!(in_time == 0, latency > 5, "{policy}, {latency}: {in_time}");
-        assert_eq!(
-            outcome.totals.energy.false_wake_ups > 0,
-            late > 0,
-            "the ledger counts a false wake-up"
-        );
+        let case = format!("{policy}, latency {latency}: {late} wake-ups late, {in_time} in time");
+        // With perfect reports, `genie` wakes one device at the start of an event.
+        assert!(late > 50 || (policy, latency) == ("genie", 2), "{case}");
+        assert_eq!(in_time == 0, latency > 5, "{case}");
+        // The ledger counts a late wake-up as a false one.
+        assert_eq!(outcome.totals.energy.false_wake_ups > 0, late > 0, "{case}");
         if policy == "genie" {
-            let missed = outcome.metrics.misdetection_pct;
+            let misdetection_pct = outcome.metrics.misdetection_pct;
             assert_eq!(
-                missed > 99.0,
+                misdetection_pct > 99.0,
                 latency > 5,
-                "{missed} % missed with a latency of {latency}"
+                "{case}, misdetection {misdetection_pct} %"
             );
         }
     }
 }
 
-/// Each false wake-up costs E_idle, in S4.
 #[test]
-fn false_wakes_are_paid_for_in_s4() {
-    let rich = [
-        "ttis=2000",
-        "energy.e_max=10000",
-        "energy.initial=10000",
-        "policy.name=genie",
-    ];
-    let total = |extra: &[&str]| {
-        let set: Vec<&str> = rich.iter().chain(extra).copied().collect();
-        Run::new(&prepared(&set), RunOptions::default())
-            .finish(&mut ())
-            .totals
-            .energy
+fn each_false_wake_up_costs_e_idle_in_s4() {
+    let energy = |false_wake_up: f64| {
+        finish(&prepared(&[
+            "ttis=2000",
+            "energy.e_max=10000",
+            "energy.initial=10000",
+            "policy.name=genie",
+            &format!("radio.false_wake_up={false_wake_up:?}"),
+        ]))
+        .totals
+        .energy
     };
-    let (plain, startled) = (total(&[]), total(&["radio.false_wake_up=0.1"]));
-    assert_eq!(startled.spent.sensing, plain.spent.sensing);
-    let extra = startled.spent.sleep - plain.spent.sleep;
-    assert_eq!(extra.micro(), startled.false_wake_ups * 1_000_000, "E_idle is 1 unit");
-    let share = startled.false_wake_ups as f64 / (50.0 * 1800.0);
-    assert!((share - 0.1).abs() < 0.005, "{share}");
+    let (without, with) = (energy(0.0), energy(0.1));
+    assert_eq!(with.spent.sensing, without.spent.sensing);
+    let additional = with.spent.sleep - without.spent.sleep;
+    assert_eq!(additional.micro(), with.false_wake_ups * E_IDLE);
+    // All 50 devices sleep in the 1800 measured TTIs.
+    let share = with.false_wake_ups as f64 / (50.0 * 1800.0);
+    assert!((share - 0.1).abs() < 0.005, "false wake-ups in a share {share} of TTIs");
 }

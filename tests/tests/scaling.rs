@@ -1,32 +1,34 @@
-//! Ψ is a unit: a run whose reports are worth three times as much, or a tenth, has the same commands and scaled
-//! information (Eq. (1)).
+//! Ψ is a unit of information (Eq. (1)): with another Ψ, a run has the same plans, wake-ups and energy, and its
+//! information scales.
 
 use reveille_bs::cycle::RunOutcome;
 use reveille_bs::observer::{Notification, Observer};
-use reveille_bs::scenario::{Override, load};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::plan::Plan;
 use reveille_common::totals::PICO_PER_INFORMATION;
 use reveille_lab::preparation::start;
 use reveille_lab::run::RunOptions;
+use reveille_tests::scenarios::paper;
 
-/// Commands, and senders and information of reports.
+/// Plans, wake-ups and information of a run.
 #[derive(Default)]
-struct ScaledRun {
+struct InformationObserver {
     plans: Vec<(Tti, Plan)>,
     wake_ups: Vec<(Tti, DeviceId)>,
+    /// Information of each report, with its TTI and sender.
     reports: Vec<(Tti, DeviceId, f64)>,
-    ended: Vec<f64>,
+    /// Information of each ended event.
+    events: Vec<f64>,
 }
 
-impl Observer for ScaledRun {
+impl Observer for InformationObserver {
     fn notify(&mut self, notification: &Notification<'_>) {
         match notification {
             Notification::PlanSent { update, .. } => self.plans.push((update.from, update.plan.clone())),
             Notification::WakeUpSent { tti, device, .. } => self.wake_ups.push((*tti, *device)),
             Notification::ReportReceived(report) => self.reports.push((report.tti, report.device, report.information)),
             Notification::EventEnded(event) => {
-                self.ended
+                self.events
                     .push(event.tally.information_pico as f64 / PICO_PER_INFORMATION);
             }
             Notification::TtisGranted(_)
@@ -42,17 +44,12 @@ impl Observer for ScaledRun {
     }
 }
 
-fn run(set: &[&str], psi: f64) -> (RunOutcome, ScaledRun) {
+fn run(fields: &[&str], psi: f64) -> (RunOutcome, InformationObserver) {
     let psi = format!("sensing.psi={psi:?}");
-    let set = set.iter().copied().chain([psi.as_str()]);
-    let overrides: Vec<Override> = set.map(|set| Override::parse(set).expect("an override")).collect();
-    let mut heard = ScaledRun::default();
-    let outcome = start(
-        &load("paper", &overrides).expect("a scenario").scenario,
-        RunOptions::default(),
-    )
-    .finish(&mut heard);
-    (outcome, heard)
+    let scenario = paper(&[fields, &[psi.as_str()]].concat());
+    let mut observer = InformationObserver::default();
+    let outcome = start(&scenario, RunOptions::default()).finish(&mut observer);
+    (outcome, observer)
 }
 
 #[test]
@@ -69,55 +66,58 @@ fn a_run_scales_with_psi() {
         &["policy.name=q-learning"],
         &["policy.name=random"],
     ];
-    let mut woken = 0;
-    for (policy, ranking, g) in policies.iter().flat_map(|policy| {
-        let kinds = [
-            ("p42", "max"),
-            ("posterior", "max"),
-            ("p42", "sum-saturation"),
-            ("posterior", "sum-saturation"),
-        ];
-        kinds.map(|(ranking, g)| (*policy, ranking, g))
-    }) {
-        let (ranking, g) = (format!("bs.ranking={ranking}"), format!("sensing.g={g}"));
-        let others = ["devices=120", "ttis=1500", "layout.kind=uniform", "events.alpha=0.3"];
-        let set: Vec<&str> = policy
-            .iter()
-            .copied()
-            .chain(others)
-            .chain([ranking.as_str(), g.as_str()])
-            .collect();
-        let (outcome, one) = run(&set, 1.0);
+    let rankings_and_fusions = [
+        ["bs.ranking=p42", "sensing.g=max"],
+        ["bs.ranking=posterior", "sensing.g=max"],
+        ["bs.ranking=p42", "sensing.g=sum-saturation"],
+        ["bs.ranking=posterior", "sensing.g=sum-saturation"],
+    ];
+    let common_fields = ["devices=120", "ttis=1500", "layout.kind=uniform", "events.alpha=0.3"];
+    let mut wake_up_count = 0;
+    for (policy, ranking_and_fusion) in policies
+        .iter()
+        .flat_map(|policy| rankings_and_fusions.map(|fields| (*policy, fields)))
+    {
+        let fields = [policy, &common_fields, &ranking_and_fusion].concat();
+        let (unit_outcome, unit) = run(&fields, 1.0);
         for psi in [0.1, 3.0] {
-            let (scaled, other) = run(&set, psi);
-            assert_eq!(one.plans, other.plans, "plans, Ψ = {psi}, {set:?}");
-            assert_eq!(one.wake_ups, other.wake_ups, "wake-ups, Ψ = {psi}, {set:?}");
-            assert_eq!(one.reports.len(), other.reports.len(), "reports, Ψ = {psi}, {set:?}");
-            for ((k, j, unit), (other_k, other_j, information)) in one.reports.iter().zip(&other.reports) {
-                assert_eq!((k, j), (other_k, other_j), "reports, Ψ = {psi}, {set:?}");
+            let case = format!("Ψ = {psi}, {fields:?}");
+            let (scaled_outcome, scaled) = run(&fields, psi);
+            assert_eq!(unit.plans, scaled.plans, "plans, {case}");
+            assert_eq!(unit.wake_ups, scaled.wake_ups, "wake-ups, {case}");
+            assert_eq!(unit.reports.len(), scaled.reports.len(), "reports, {case}");
+            for ((unit_tti, unit_device, unit_information), (tti, device, information)) in
+                unit.reports.iter().zip(&scaled.reports)
+            {
+                assert_eq!((unit_tti, unit_device), (tti, device), "reports, {case}");
                 assert!(
-                    (psi * unit - information).abs() < 1e-12 * psi,
-                    "{psi}: {unit} and {information}"
+                    (psi * unit_information - information).abs() < 1e-12 * psi,
+                    "report with {unit_information} for Ψ = 1 has {information}, {case}"
                 );
             }
-            for (unit, information) in one.ended.iter().zip(&other.ended) {
+            for (unit_information, information) in unit.events.iter().zip(&scaled.events) {
+                // Information of events is rounded to 1e-12.
                 assert!(
-                    (psi * unit - information).abs() < 1e-11,
-                    "{psi}: {unit} and {information}"
+                    (psi * unit_information - information).abs() < 1e-11,
+                    "event with {unit_information} for Ψ = 1 has {information}, {case}"
                 );
             }
-            assert_eq!(outcome.totals.energy, scaled.totals.energy, "Ψ = {psi}, {set:?}");
-            assert!((psi * outcome.metrics.info_p1 - scaled.metrics.info_p1).abs() < 1e-9);
-            for ((name, fact), (other_name, scaled)) in outcome.facts.iter().zip(&scaled.facts) {
-                let expected = if *name == "i_min" { psi * fact } else { *fact };
+            assert_eq!(unit_outcome.totals.energy, scaled_outcome.totals.energy, "{case}");
+            let [unit_p1, scaled_p1] = [&unit_outcome, &scaled_outcome].map(|outcome| outcome.metrics.info_p1);
+            assert!(
+                (psi * unit_p1 - scaled_p1).abs() < 1e-9,
+                "P1 {unit_p1} for Ψ = 1, {scaled_p1}, {case}"
+            );
+            for ((unit_name, unit_fact), (name, fact)) in unit_outcome.facts.iter().zip(&scaled_outcome.facts) {
+                assert_eq!(unit_name, name);
+                let expected = if *name == "i_min" { psi * unit_fact } else { *unit_fact };
                 assert!(
-                    (expected - scaled).abs() < 1e-12,
-                    "{name}, Ψ = {psi}: {fact} and {scaled}"
+                    (expected - fact).abs() < 1e-12,
+                    "{name} {fact}, expected {expected}, {case}"
                 );
-                assert_eq!(name, other_name);
             }
         }
-        woken += one.wake_ups.len();
+        wake_up_count += unit.wake_ups.len();
     }
-    assert!(woken > 3000, "{woken} wake-ups hardly tell");
+    assert!(wake_up_count > 3000, "only {wake_up_count} wake-ups");
 }

@@ -1,10 +1,10 @@
-//! The session as seen by a shell, beyond runs in memory and on the bus.
+//! `Session` driven by a test shell that behaves like the shell on the bus, against the run in memory: late totals,
+//! repeated actions, hosts lost during a wake-up, and results that fit no action.
 
 use std::cell::Cell;
 
 use reveille_bs::cycle::{PreparedRun, RunOutcome};
 use reveille_bs::observer::{Notification, Observer};
-use reveille_bs::scenario::{Override, load};
 use reveille_bs::session::{Action, ActionResult, Gathered, Session};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::DeviceRemoval;
@@ -16,24 +16,26 @@ use reveille_device::machine::{Machine, Physics, SenseOutcome};
 use reveille_lab::external_inputs::ExternalInputs;
 use reveille_lab::preparation::prepare;
 use reveille_lab::run::{Run, RunOptions};
+use reveille_tests::scenarios::paper;
 
+/// Length of a window, TTIs.
 const WINDOW: u64 = 7;
 
-/// Windows of a run, and the reported states.
+/// Windows, states and removals of a run.
 #[derive(Debug, Default, PartialEq)]
-struct Seen {
+struct RunRecorder {
     windows: Vec<WindowRecord>,
     states: Vec<Vec<DeviceView>>,
-    outages: Vec<DeviceRemoval>,
+    removals: Vec<DeviceRemoval>,
 }
 
-impl Observer for Seen {
+impl Observer for RunRecorder {
     fn notify(&mut self, notification: &Notification<'_>) {
         if let Notification::DeviceStates(views) = notification {
             self.states.push(views.to_vec());
         }
-        if let Notification::DevicesRemoved(outage) = notification {
-            self.outages.push(**outage);
+        if let Notification::DevicesRemoved(removal) = notification {
+            self.removals.push(**removal);
         }
     }
 
@@ -48,30 +50,29 @@ impl Observer for Seen {
 }
 
 fn prepared(policy: &str) -> PreparedRun {
-    let set = [
+    prepare(&paper(&[
         "devices=60",
         "ttis=500",
         "radio.plan_loss=0.2",
         "radio.uplink_loss=0.2",
         "radio.wake_latency=1",
         &format!("policy.name={policy}"),
-    ];
-    let set = set.map(|set| Override::parse(set).expect("an override"));
-    prepare(&load("paper", &set).expect("a scenario").scenario)
+    ]))
 }
 
-/// Loss of a host after the request for the outcome of the wake-up with this number in this TTI.
+/// Loss of a host while the outcome of a wake-up is due.
 #[derive(Clone, Copy)]
-struct Loss {
+struct HostLoss {
     first: DeviceId,
     count: u32,
     tti: Tti,
+    /// Number of the wake-up in its TTI, from 0.
     wake_up: u32,
 }
 
-/// Drives a run like the shell on the bus: it requests every action twice, and sums travel with the next grant. Hosts
-/// are lost while an answer is due. It stops before the first grant from TTI `stop` on.
-fn serve(prepared: &PreparedRun, loss: Option<Loss>, stop: Tti) -> (RunOutcome, Seen) {
+/// Drives a run like the shell on the bus: it requests every action twice, and the totals of a window arrive with the
+/// answers to the next grant. It stops before the first grant from TTI `stop` on.
+fn serve(prepared: &PreparedRun, loss: Option<HostLoss>, stop: Tti) -> (RunOutcome, RunRecorder) {
     let (scenario, deployment) = (&prepared.scenario, &prepared.deployment);
     let physics = Physics::new(
         scenario.run.seed,
@@ -85,163 +86,166 @@ fn serve(prepared: &PreparedRun, loss: Option<Loss>, stop: Tti) -> (RunOutcome, 
     let mut machines: Vec<Machine> = setups.map(|setup| Machine::new(setup, &physics)).collect();
     let mut air = Air::new(scenario.run.seed, &scenario.radio);
     let mut session = Session::new(prepared, WINDOW);
-    let mut seen = Seen::default();
-    let settle = |machines: &mut [Machine], k| machines.iter_mut().for_each(|machine| machine.advance_to(k));
-    let finish = |session: Session, mut machines: Vec<Machine>, mut seen: Seen| {
-        settle(&mut machines, session.next_tti());
+    let mut recorder = RunRecorder::default();
+    let advance = |machines: &mut [Machine], k| machines.iter_mut().for_each(|machine| machine.advance_to(k));
+    let finish = |session: Session, mut machines: Vec<Machine>, mut recorder: RunRecorder| {
+        advance(&mut machines, session.next_tti());
         let ledgers: Vec<_> = machines.iter().map(Machine::ledger).collect();
-        (session.finish(&ledgers, &mut seen), seen)
+        (session.finish(&ledgers, &mut recorder), recorder)
     };
     loop {
-        let action = session.next_action(Tti::NEVER, &mut seen);
+        let action = session.next_action(Tti::NEVER, &mut recorder);
         if let Action::Gather | Action::Wake(_) | Action::CollectTotals(_) | Action::Finish(_) = action {
-            let again = session.next_action(Tti::NEVER, &mut seen);
-            assert_eq!(format!("{action:?}"), format!("{again:?}"));
+            let repeated = session.next_action(Tti::NEVER, &mut recorder);
+            assert_eq!(format!("{action:?}"), format!("{repeated:?}"));
         }
         match action {
             Action::CollectTotals(k) => {
-                session.apply_result(ActionResult::TotalsFollow, &mut seen);
+                session.apply_result(ActionResult::TotalsFollow, &mut recorder);
                 if k >= stop {
-                    return finish(session, machines, seen);
+                    return finish(session, machines, recorder);
                 }
             }
             Action::RequestDecision(stage) => panic!("no external policy decides: {stage:?}"),
             Action::TtiClosed => panic!("no decision is queued"),
-            Action::Remove(outage) => panic!("no removal is queued: {outage:?}"),
+            Action::Remove(removal) => panic!("no removal is queued: {removal:?}"),
             Action::Grant(updates) => {
-                let tick = *session.grant_message();
-                let sums = tick.account.then(|| {
-                    settle(&mut machines, tick.first);
+                let grant = *session.grant_message();
+                let totals = grant.account.then(|| {
+                    advance(&mut machines, grant.first);
                     machines.iter().map(Machine::totals).sum::<DeviceTotals>()
                 });
                 for update in &updates {
                     let count = machines.len();
-                    air.deliver_plan(update.from, &update.plan, DeviceId(0), count, |j, cycle| {
-                        machines[j].set_duty(update.from, cycle);
+                    air.deliver_plan(update.from, &update.plan, DeviceId(0), count, |j, duty| {
+                        machines[j].set_duty(update.from, duty);
                     });
                 }
                 let (mut reports, mut failures, mut unpowered) = (Vec::new(), Vec::new(), 0);
                 // Hosts answer in any order.
                 for machine in machines.iter_mut().rev() {
-                    let sensed = tick.stimulus.map(|event| machine.sense(tick.last, &event, &physics));
-                    match sensed {
+                    let sense = |stimulus| machine.sense(grant.last, &stimulus, &physics);
+                    match grant.stimulus.map(sense) {
                         Some(SenseOutcome::Reported(report)) => reports.push(report),
                         Some(SenseOutcome::Failed(failure)) => failures.push(failure),
                         Some(SenseOutcome::Unpowered) => unpowered += 1,
                         Some(SenseOutcome::Nothing) | None => {}
                     }
-                    machine.begin(tick.last);
+                    machine.begin(grant.last);
                 }
                 let views: Vec<DeviceView> = machines.iter().map(Machine::view).collect();
-                assert!(tick.views, "the observer wants states");
+                assert!(grant.views, "the observer wants states");
                 let gathered = Gathered {
                     reports: &mut reports,
                     failures: &mut failures,
                     unpowered,
                     views: &views,
                 };
-                if let Some(sums) = sums {
-                    session.apply_result(ActionResult::Totals(sums), &mut seen);
+                if let Some(totals) = totals {
+                    session.apply_result(ActionResult::Totals(totals), &mut recorder);
                 }
-                session.apply_result(ActionResult::Gathered(gathered), &mut seen);
+                session.apply_result(ActionResult::Gathered(gathered), &mut recorder);
             }
             Action::Gather => unreachable!("the answers came with the grant"),
             Action::Wake(order) => {
-                if let Some(Loss { first, count, .. }) =
+                if let Some(HostLoss { first, count, .. }) =
                     loss.filter(|loss| (loss.tti, loss.wake_up) == (order.tti, order.number))
                 {
-                    let lost = (first.0..first.0 + count).map(DeviceId);
-                    for device in lost.clone() {
+                    let lost_devices = (first.0..first.0 + count).map(DeviceId);
+                    for device in lost_devices.clone() {
                         machines[device.index()].remove(order.tti);
                     }
-                    assert_eq!(remove(&mut session, lost.clone(), &mut seen), 1);
-                    assert_eq!(remove(&mut session, lost, &mut seen), 0, "a device is removed once");
+                    assert_eq!(remove(&mut session, lost_devices.clone(), &mut recorder), 1);
+                    assert_eq!(remove(&mut session, lost_devices, &mut recorder), 0, "removed twice");
                 }
                 let machine = &mut machines[order.device.index()];
                 let outcome = machine.wake(order.tti, order.stimulus.as_ref(), &physics);
-                session.apply_result(ActionResult::Woken(outcome), &mut seen);
+                session.apply_result(ActionResult::Woken(outcome), &mut recorder);
             }
-            Action::Finish(_) => return finish(session, machines, seen),
+            Action::Finish(_) => return finish(session, machines, recorder),
         }
     }
 }
 
 /// Removes `devices`, and returns how many removals are stored for them.
-fn remove(session: &mut Session, devices: impl Iterator<Item = DeviceId>, seen: &mut Seen) -> u32 {
-    let kept = Cell::new(0);
-    let keep = |_: &DeviceRemoval| -> Result<(), ()> {
-        kept.set(kept.get() + 1);
+fn remove(session: &mut Session, devices: impl Iterator<Item = DeviceId>, recorder: &mut RunRecorder) -> u32 {
+    let stored = Cell::new(0);
+    let store = |_: &DeviceRemoval| -> Result<(), ()> {
+        stored.set(stored.get() + 1);
         Ok(())
     };
-    session.remove_devices(devices, seen, keep).expect("it is kept");
-    kept.get()
+    session
+        .remove_devices(devices, recorder, store)
+        .expect("the removal is stored");
+    stored.get()
 }
 
-/// Runs `prepared` with the removals `outages` in memory, where sums are collected before the grant.
-fn run(prepared: &PreparedRun, outages: &[DeviceRemoval]) -> (RunOutcome, Seen) {
+/// Runs `prepared` with `removals` in memory, where totals are collected before the grant.
+fn run(prepared: &PreparedRun, removals: &[DeviceRemoval]) -> (RunOutcome, RunRecorder) {
     let options = RunOptions {
         window: WINDOW,
         ..RunOptions::default()
     };
-    let mut seen = Seen::default();
+    let mut recorder = RunRecorder::default();
     let mut run = Run::new(prepared, options);
-    run.schedule_inputs(&ExternalInputs::from_outages(outages));
-    let outcome = run.finish(&mut seen);
-    (outcome, seen)
+    run.schedule_inputs(&ExternalInputs::from_outages(removals));
+    let outcome = run.finish(&mut recorder);
+    (outcome, recorder)
 }
 
 #[test]
-fn late_sums_and_repeated_requests_change_nothing() {
+fn late_totals_and_repeated_actions_change_no_result() {
     for policy in ["knn", "q-learning", "age-index", "genie", "random"] {
         let prepared = prepared(policy);
-        let served = serve(&prepared, None, Tti::NEVER);
-        assert!(served.1.windows.len() > 25, "{policy}: {}", served.1.windows.len());
-        assert_eq!(served, run(&prepared, &[]), "{policy}");
+        let (outcome, recorded) = serve(&prepared, None, Tti::NEVER);
+        let windows = recorded.windows.len();
+        assert!(windows > 25, "{policy}: {windows} windows");
+        assert_eq!((outcome, recorded), run(&prepared, &[]), "{policy}");
     }
 }
 
 #[test]
-fn a_run_that_stops_while_sums_are_on_their_way_has_its_last_window() {
+fn a_run_that_stops_before_late_totals_arrive_has_its_last_window() {
     let prepared = prepared("knn");
-    let (_, whole) = run(&prepared, &[]);
+    let (_, complete) = run(&prepared, &[]);
     let stop = Tti(20 * WINDOW);
-    let (outcome, seen) = serve(&prepared, None, stop);
+    let (outcome, stopped) = serve(&prepared, None, stop);
     assert_eq!(outcome.ttis_done, stop.0);
-    assert_eq!(seen.windows.last().map(|window| window.end), Some(stop));
-    assert_eq!(seen.windows, whole.windows[..seen.windows.len()]);
+    assert_eq!(stopped.windows.last().map(|window| window.end), Some(stop));
+    assert_eq!(stopped.windows, complete.windows[..stopped.windows.len()]);
 }
 
 #[test]
-fn a_host_lost_during_a_wake_up_is_the_queued_removal() {
+fn a_host_lost_during_a_wake_up_equals_a_scheduled_removal() {
     let prepared = prepared("knn");
-    let mut orders = Orders::default();
-    Run::new(&prepared, RunOptions::default()).finish(&mut orders);
-    // The second wake-up of a TTI, so that the number counts.
-    let two = orders.0.windows(2).find(|two| two[0].0 == two[1].0);
-    let (tti, device) = two.expect("a TTI with two wake-ups")[1];
-    let loss = Loss {
+    let mut recorder = WakeUpRecorder::default();
+    Run::new(&prepared, RunOptions::default()).finish(&mut recorder);
+    // The second wake-up of a TTI, so that its number has an effect.
+    let pair = recorder.0.windows(2).find(|pair| pair[0].0 == pair[1].0);
+    let (tti, device) = pair.expect("a TTI with two wake-ups")[1];
+    let loss = HostLoss {
         first: DeviceId(device.0.saturating_sub(2)),
         count: 4,
         tti,
         wake_up: 1,
     };
-    let served = serve(&prepared, Some(loss), Tti::NEVER);
-    let outage = DeviceRemoval {
+    let (outcome, recorded) = serve(&prepared, Some(loss), Tti::NEVER);
+    let removal = DeviceRemoval {
         first: loss.first,
         count: loss.count,
         tti,
         wake_ups: Some(1),
     };
-    assert_eq!(served.1.outages, [outage]);
-    assert_eq!(served, run(&prepared, &[outage]));
-    assert_ne!(served.0.digest, run(&prepared, &[]).0.digest);
+    assert_eq!(recorded.removals, [removal]);
+    assert_ne!(outcome.digest, run(&prepared, &[]).0.digest);
+    assert_eq!((outcome, recorded), run(&prepared, &[removal]));
 }
 
-/// The wake-ups of a run.
+/// TTIs and devices of the wake-ups of a run.
 #[derive(Default)]
-struct Orders(Vec<(Tti, DeviceId)>);
+struct WakeUpRecorder(Vec<(Tti, DeviceId)>);
 
-impl Observer for Orders {
+impl Observer for WakeUpRecorder {
     fn notify(&mut self, notification: &Notification<'_>) {
         if let Notification::WakeUpSent { tti, device, .. } = notification {
             self.0.push((*tti, *device));
@@ -251,13 +255,13 @@ impl Observer for Orders {
 
 #[test]
 #[should_panic(expected = "no action of phase Between has reports as its result")]
-fn a_result_that_no_action_asked_for_is_refused() {
+fn a_result_that_fits_no_action_is_refused() {
     let mut session = Session::new(&prepared("knn"), u64::MAX);
-    let none = Gathered {
+    let no_answers = Gathered {
         reports: &mut [],
         failures: &mut [],
         unpowered: 0,
         views: &[],
     };
-    session.apply_result(ActionResult::Gathered(none), &mut ());
+    session.apply_result(ActionResult::Gathered(no_answers), &mut ());
 }

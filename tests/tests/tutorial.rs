@@ -1,4 +1,5 @@
-//! Compiles and runs the policy code of docs/writing-a-policy.md exactly as printed there.
+//! The policy `patrol` of docs/writing-a-policy.md, compiled and run exactly as printed there, and the errors for
+//! policies that wake devices wrongly.
 
 use std::path::Path;
 
@@ -6,9 +7,9 @@ use reveille_bs::cycle::PreparedRun;
 use reveille_bs::policy::prelude::*;
 use reveille_bs::policy::registry::{self, POLICIES};
 use reveille_common::io::Disk;
-use reveille_common::scenario::{Override, ScenarioError, load};
-use reveille_lab::preparation::run as run_here;
+use reveille_common::scenario::{ScenarioError, load};
 use reveille_lab::run::{Run, RunOptions};
+use reveille_tests::scenarios::overrides;
 
 #[path = "../../docs/patrol.rs"]
 #[expect(unreachable_pub, reason = "the page shows a policy of a separate crate")]
@@ -16,13 +17,8 @@ mod patrol;
 
 use patrol::PATROL;
 
-fn prepared(set: &[&str]) -> Result<PreparedRun, ScenarioError> {
-    let always = ["devices=60", "ttis=2000", "policy.name=patrol"];
-    let overrides: Vec<Override> = always
-        .iter()
-        .chain(set)
-        .map(|set| Override::parse(set).expect("an override"))
-        .collect();
+fn prepare(fields: &[&str]) -> Result<PreparedRun, ScenarioError> {
+    let overrides = overrides(&[&["devices=60", "ttis=2000", "policy.name=patrol"], fields].concat());
     let mut kinds = registry::kinds();
     kinds.extend([&PATROL, &STUCK]);
     let scenario = load("paper", &overrides, &kinds, &Disk)?.scenario;
@@ -46,8 +42,8 @@ fn the_page_shows_the_code_that_is_tested() {
 }
 
 #[test]
-fn it_runs_alike_with_and_without_lookahead_and_wakes_its_helpers() {
-    let prepared = prepared(&[]).expect("a scenario");
+fn patrol_wakes_devices_and_has_one_outcome_with_and_without_lookahead() {
+    let prepared = prepare(&[]).expect("a scenario");
     let outcome = |lookahead| {
         let options = RunOptions {
             lookahead,
@@ -55,55 +51,51 @@ fn it_runs_alike_with_and_without_lookahead_and_wakes_its_helpers() {
         };
         Run::new(&prepared, options).finish(&mut ())
     };
-    let with = outcome(true);
-    assert_eq!(with, outcome(false));
+    let with_lookahead = outcome(true);
+    assert_eq!(with_lookahead, outcome(false));
+    // It wakes at most two devices per event.
+    let wake_ups_per_event = with_lookahead.metrics.wake_ups_per_event;
     assert!(
-        with.metrics.wake_ups_per_event > 0.5 && with.metrics.wake_ups_per_event <= 2.0,
-        "{:?}",
-        with.metrics
+        wake_ups_per_event > 0.5 && wake_ups_per_event <= 2.0,
+        "{wake_ups_per_event} wake-ups per event"
     );
-    assert_eq!(with.facts, [("sensing_share", 0.125)]);
+    assert_eq!(with_lookahead.facts, [("sensing_share", 0.125)]);
 }
 
 #[test]
-fn more_devices_that_sense_see_more_events() {
-    let missed = |every: u32| {
+fn patrol_misses_fewer_events_with_more_sensing_devices() {
+    let misdetection_pct = |every: u32| {
         // Enough energy for every device.
         let every = format!("policy.patrol.every={every}");
-        let prepared = prepared(&[&every, "harvest.lambda=0.5", "harvest.e_b=50"]).expect("a scenario");
+        let prepared = prepare(&[&every, "harvest.lambda=0.5", "harvest.e_b=50"]).expect("a scenario");
         Run::new(&prepared, RunOptions::default())
             .finish(&mut ())
             .metrics
             .misdetection_pct
     };
-    assert!(missed(2) < missed(8) && missed(8) < missed(64));
+    let by_period = [2, 8, 64].map(misdetection_pct);
+    assert!(by_period.is_sorted_by(|more, fewer| more < fewer), "{by_period:?}");
 }
 
 #[test]
-fn its_settings_are_checked_like_any_others() {
-    let error = prepared(&["policy.patrol.every=0"])
+fn invalid_settings_of_patrol_are_refused_with_the_reason() {
+    let error = prepare(&["policy.patrol.every=0"])
         .expect_err("a cycle of no TTI")
         .to_string();
     assert!(
         error.contains("policy.patrol.every = 0") && error.contains("at least 1"),
         "{error}"
     );
-    let error = prepared(&["policy.patrol.evry=3"])
+    let error = prepare(&["policy.patrol.evry=3"])
         .expect_err("no such field")
         .to_string();
     assert!(error.contains("did you mean `every`"), "{error}");
     // The program's own registry does not contain the policy.
     assert!(POLICIES.iter().all(|policy| policy.name != PATROL.name));
-    let random = Override::parse("policy.name=random").expect("an override");
-    run_here(
-        &reveille_bs::scenario::load("quick", &[random])
-            .expect("a scenario")
-            .scenario,
-    );
 }
 
 declare! {
-    /// Wakes one device without end.
+    /// Wakes one device again and again.
     #[derive(Clone, Copy, Debug)]
     struct StuckSettings in "policy.stuck" {
         /// The device.
@@ -133,13 +125,13 @@ impl Policy for StuckSettings {
 #[test]
 #[should_panic(expected = "at most once per TTI")]
 fn a_policy_that_wakes_a_device_twice_in_a_tti_is_refused() {
-    let prepared = prepared(&["policy.name=stuck"]).expect("a scenario");
+    let prepared = prepare(&["policy.name=stuck"]).expect("a scenario");
     Run::new(&prepared, RunOptions::default()).finish(&mut ());
 }
 
 #[test]
 #[should_panic(expected = "does not exist")]
 fn a_policy_that_wakes_an_unknown_device_is_refused() {
-    let prepared = prepared(&["policy.name=stuck", "policy.stuck.device=60"]).expect("a scenario");
+    let prepared = prepare(&["policy.name=stuck", "policy.stuck.device=60"]).expect("a scenario");
     Run::new(&prepared, RunOptions::default()).finish(&mut ());
 }

@@ -1,4 +1,4 @@
-"""Messages and keys that a foreign zenoh client can use on the bus of a run."""
+"""Messages and keys that a zenoh client without a run's key can use on its bus."""
 
 import json
 
@@ -24,14 +24,14 @@ def session(endpoint):
 
 
 def keys_of(run):
-    """Returns keys that a foreign client can guess."""
+    """Returns keys that such a client can guess."""
     air = ["plan", "plan/0", "plan/*", "wake/0", "wake/0/0", "report/0", "report/0/0"]
     emu = ["clock", "clock/0", "clock/*", "answer/0", "answer/0/0", "alive/0", "bs"]
     emu += ["join", "ready", "control", "describe", "log"]
     prefixes = [f"reveille/{run}", f"reveille/{run}/@", f"reveille/{run}/@{'0' * 32}"]
-    own = [f"{prefix}/air/{key}" for prefix in prefixes for key in air]
-    own += [f"{prefix}/emu/{key}" for prefix in prefixes for key in emu]
-    return own + [f"reveille/{run}/tap", f"reveille/{run}/**", f"reveille/{run}/*/air/wake/*/*", "**"]
+    keys = [f"{prefix}/air/{key}" for prefix in prefixes for key in air]
+    keys += [f"{prefix}/emu/{key}" for prefix in prefixes for key in emu]
+    return keys + [f"reveille/{run}/tap", f"reveille/{run}/**", f"reveille/{run}/*/air/wake/*/*", "**"]
 
 
 def check_wire(peer, run):

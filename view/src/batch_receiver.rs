@@ -58,7 +58,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn all_items_come_in_their_order() {
+    fn all_items_arrive_in_order() {
+        // Fewer places than items, so that the sender waits at times.
         let (send, items) = sync_channel(4_096);
         let sender = std::thread::spawn(move || {
             for item in 0..20_000 {
@@ -66,20 +67,20 @@ mod tests {
             }
         });
         let mut batches = BatchReceiver::new(items);
-        let mut all = Vec::new();
+        let mut received = Vec::new();
         let end = loop {
             match batches.next(Duration::from_secs(20)) {
-                Ok(batch) => all.extend(batch),
+                Ok(batch) => received.extend(batch),
                 Err(end) => break end,
             }
         };
         sender.join().expect("sent");
         assert_eq!(end, RecvTimeoutError::Disconnected);
-        assert!(all.into_iter().eq(0..20_000));
+        assert!(received.into_iter().eq(0..20_000));
     }
 
     #[test]
-    fn silence_is_told() {
+    fn a_timeout_and_a_lost_sender_are_reported() {
         let (send, items) = sync_channel::<u8>(1);
         let mut batches = BatchReceiver::new(items);
         assert_eq!(batches.next(Duration::from_millis(1)), Err(RecvTimeoutError::Timeout));

@@ -274,6 +274,7 @@ mod tests {
 
     use super::*;
 
+    /// Returns the frames of a run of 30 devices and 300 TTIs with the fields in `set`.
     fn frames(set: &[&str], lookahead: bool) -> Vec<Frame> {
         let set = ["devices=30", "ttis=300", "policy.name=age-index"].iter().chain(set);
         let set: Vec<Override> = set.map(|set| Override::parse(set).expect("an override")).collect();
@@ -288,11 +289,11 @@ mod tests {
     }
 
     /// Compares all frames of both runs, feeding `stride` frames of each side at a time.
-    fn compared(this: &[Frame], other: &[Frame], stride: usize) -> RunComparison {
+    fn compare_all(this: &[Frame], other: &[Frame], stride: usize) -> RunComparison {
         let mut comparison = RunComparison::default();
-        for at in (0..this.len().max(other.len())).step_by(stride) {
+        for start in (0..this.len().max(other.len())).step_by(stride) {
             for (side, frames) in [(RunSide::This, this), (RunSide::Other, other)] {
-                for frame in frames.iter().skip(at).take(stride) {
+                for frame in frames.iter().skip(start).take(stride) {
                     comparison.push(side, frame);
                 }
             }
@@ -305,17 +306,19 @@ mod tests {
     /// Finds the first TTI and kind that differ by searching all frames of each TTI.
     fn brute_force(this: &[Frame], other: &[Frame]) -> Option<(Tti, MessageKind)> {
         (0..300).map(Tti).find_map(|tti| {
-            let of = |frames: &[Frame], kind| -> Vec<Frame> {
-                let own = frames.iter().filter(|frame| frame.tti == tti && frame.kind == kind);
-                own.cloned().collect()
+            let of_kind = |frames: &[Frame], kind| -> Vec<Frame> {
+                let selected = frames.iter().filter(|frame| frame.tti == tti && frame.kind == kind);
+                selected.cloned().collect()
             };
-            let kind = COMPARED.into_iter().find(|kind| of(this, *kind) != of(other, *kind));
+            let kind = COMPARED
+                .into_iter()
+                .find(|kind| of_kind(this, *kind) != of_kind(other, *kind));
             kind.map(|kind| (tti, kind))
         })
     }
 
     #[test]
-    fn the_first_difference_is_that_of_a_look_at_every_tti() {
+    fn the_first_difference_equals_a_brute_force_search() {
         let this = frames(&[], true);
         for set in [
             &["seed=2"][..],
@@ -325,18 +328,21 @@ mod tests {
             &["policy.name=random"],
         ] {
             let other = frames(set, true);
-            let expected = brute_force(&this, &other).expect("they differ");
+            let expected = brute_force(&this, &other).expect("a difference");
             for stride in [1, 7, 1_000_000] {
-                let comparison = compared(&this, &other, stride);
+                let comparison = compare_all(&this, &other, stride);
                 // The result must not depend on which run is `this`.
-                let mirrored = compared(&other, &this, stride);
-                let kinds = |of: &RunComparison| -> Vec<(Tti, MessageKind)> {
-                    of.differences().into_iter().map(|one| (one.tti, one.kind)).collect()
+                let mirrored = compare_all(&other, &this, stride);
+                let positions = |comparison: &RunComparison| -> Vec<(Tti, MessageKind)> {
+                    let differences = comparison.differences().into_iter();
+                    differences
+                        .map(|difference| (difference.tti, difference.kind))
+                        .collect()
                 };
-                assert_eq!(kinds(&comparison), kinds(&mirrored), "{set:?}, {stride}");
+                assert_eq!(positions(&comparison), positions(&mirrored), "{set:?}, stride {stride}");
                 let differences = comparison.differences();
-                let first = differences.first().expect("they differ");
-                assert_eq!((first.tti, first.kind), expected, "{set:?}, {stride}");
+                let first = differences.first().expect("a difference");
+                assert_eq!((first.tti, first.kind), expected, "{set:?}, stride {stride}");
                 assert_ne!(first.this, first.other, "{set:?}");
                 assert_eq!(comparison.compared_until(), Tti::NEVER);
             }
@@ -344,54 +350,57 @@ mod tests {
     }
 
     #[test]
-    fn the_same_run_is_the_same_with_and_without_lookahead() {
+    fn lookahead_makes_no_difference() {
         let set = ["policy.name=knn"];
         let (this, other) = (frames(&set, true), frames(&set, false));
-        assert_ne!(this.len(), other.len(), "other grants");
-        assert!(compared(&this, &other, 5).differences().is_empty());
+        assert_ne!(this.len(), other.len(), "lookahead changes the grants");
+        assert!(compare_all(&this, &other, 5).differences().is_empty());
     }
 
     #[test]
-    fn a_changed_message_is_found_and_named() {
+    fn a_missing_message_is_the_only_difference() {
         let this = frames(&[], true);
         for kind in COMPARED {
-            let Some(at) = this.iter().rposition(|frame| frame.kind == kind) else {
-                let is_rare = matches!(kind, MessageKind::Lost | MessageKind::Failed | MessageKind::Removed);
-                assert!(is_rare, "{kind:?}");
+            let Some(index) = this.iter().rposition(|frame| frame.kind == kind) else {
+                let is_fault = matches!(kind, MessageKind::Lost | MessageKind::Failed | MessageKind::Removed);
+                assert!(is_fault, "the run has no {kind:?}");
                 continue;
             };
             let mut other = this.clone();
-            other.remove(at);
-            let comparison = compared(&this, &other, 3);
-            let [only] = comparison.differences()[..] else {
+            other.remove(index);
+            let comparison = compare_all(&this, &other, 3);
+            let [difference] = comparison.differences()[..] else {
                 panic!("{kind:?}: {:?}", comparison.differences());
             };
-            assert_eq!((only.tti, only.kind), (this[at].tti, kind));
+            assert_eq!((difference.tti, difference.kind), (this[index].tti, kind));
             assert_eq!(
-                (only.this.as_ref(), only.describe(RunSide::Other)),
-                (Some(&this[at]), "nothing".to_owned())
+                (difference.this.as_ref(), difference.describe(RunSide::Other)),
+                (Some(&this[index]), "nothing".to_owned())
             );
         }
     }
 
     #[test]
-    fn plans_name_the_devices_that_they_differ_in() {
+    fn a_difference_of_plans_lists_the_devices() {
         let (this, other) = (frames(&[], true), frames(&["policy.age-index.price=0.5"], true));
-        let comparison = compared(&this, &other, 1);
+        let comparison = compare_all(&this, &other, 1);
         let first = comparison.differences()[0];
         assert_eq!(first.kind, MessageKind::Plan);
-        let of = |frame: &Option<Frame>| match frame.as_ref().expect("a plan").message() {
+        let plan_of = |frame: &Option<Frame>| match frame.as_ref().expect("a plan").message() {
             Ok(Message::Plan(update)) => update.plan,
-            _ => panic!("no plan"),
+            _ => panic!("not a plan"),
         };
-        let (one, two) = (of(&first.this), of(&first.other));
-        let own =
-            |j: &u32| one.duty_cycle(DeviceId(*j)).is_on(first.tti) != two.duty_cycle(DeviceId(*j)).is_on(first.tti);
-        assert_eq!(first.devices(), (0..30).filter(own).map(DeviceId).collect::<Vec<_>>());
+        let (this, other) = (plan_of(&first.this), plan_of(&first.other));
+        let differs =
+            |j: &u32| this.duty_cycle(DeviceId(*j)).is_on(first.tti) != other.duty_cycle(DeviceId(*j)).is_on(first.tti);
+        assert_eq!(
+            first.devices(),
+            (0..30).filter(differs).map(DeviceId).collect::<Vec<_>>()
+        );
     }
 
     #[test]
-    fn scenarios_differ_in_fields() {
+    fn scenarios_are_compared_by_field() {
         let (this, other) = ("seed = 1\n[a.b]\nc = [1]\nd = 'x'", "seed = 2\n[a.b]\nc = [1]");
         let expected = [("a.b.d", "\"x\"", "none"), ("seed", "1", "2")];
         let expected = expected.map(|(name, this, other)| (name.to_owned(), this.to_owned(), other.to_owned()));

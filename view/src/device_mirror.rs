@@ -365,7 +365,7 @@ impl DeviceMirror {
         if own != *report {
             return Err(format!("device {} reported: {own}; not: {report}", own.device));
         }
-        if self.air.channel_at(report.tti).loses_report(own.device) == is_lost {
+        if self.air.losses_at(report.tti).loses_report(own.device) == is_lost {
             Ok(())
         } else {
             let correction = if is_lost { "arrived" } else { "was lost" };
@@ -379,7 +379,7 @@ impl DeviceMirror {
         let device = number.map(DeviceId).ok_or("a wake-up without a device")?;
         let machine = self.machines.get_mut(device.index());
         let machine = machine.ok_or_else(|| format!("a wake-up for device {device}, which does not exist"))?;
-        let air = self.air.channel_at(world.last);
+        let air = self.air.losses_at(world.last);
         self.before_wake_up = Some(machine.clone());
         let stimulus = (!self.radio.is_late(wake.tti, world.until)).then_some(&stimulus);
         let outcome = machine.wake(world.last, stimulus, &self.physics).after_uplink(&air);

@@ -116,7 +116,7 @@ mod tests {
 
     use super::*;
 
-    fn frames() -> Vec<Frame> {
+    fn test_frames() -> Vec<Frame> {
         let report = |tti, device| Report {
             device: DeviceId(device),
             tti: Tti(tti),
@@ -126,7 +126,7 @@ mod tests {
         let failed = WakeUpResult {
             outcome: WakeOutcome::Failed(FailedTransmission {
                 device: DeviceId(2),
-                drained: Energy::ZERO,
+                drained_energy: Energy::ZERO,
             }),
         };
         vec![
@@ -137,67 +137,70 @@ mod tests {
         ]
     }
 
-    /// Indices of the frames that pass.
+    /// Returns the indices of the frames that pass.
     fn passing(filter: &Filter) -> Vec<usize> {
-        let frames = frames();
-        // The second wake-up found the device unpowered.
+        let frames = test_frames();
+        // The wake-up in TTI 5 reached an unpowered device.
         let states = [DeviceState::Transmission, DeviceState::Sleep { powered: false }];
-        let state = |at: usize| states[usize::from(frames[at].tti == Tti(5))];
-        let passes = |at: &usize| filter.passes(&frames[*at], frames[*at].message().ok().as_ref(), Some(state(*at)));
+        let passes = |index: &usize| {
+            let frame = &frames[*index];
+            let state = states[usize::from(frame.tti == Tti(5))];
+            filter.passes(frame, frame.message().ok().as_ref(), Some(state))
+        };
         (0..frames.len()).filter(passes).collect()
     }
 
     #[test]
-    fn each_filter_lets_its_own_through() {
-        let all = Filter::default();
-        assert_eq!(passing(&all), [0, 1, 2, 3]);
+    fn a_filter_passes_the_frames_that_match_all_its_fields() {
+        let unrestricted = Filter::default();
+        assert_eq!(passing(&unrestricted), [0, 1, 2, 3]);
         let cases = [
             (
                 Filter {
                     plane: Some(Plane::Truth),
-                    ..all.clone()
+                    ..unrestricted.clone()
                 },
                 vec![2],
             ),
             (
                 Filter {
                     kinds: vec![MessageKind::Report],
-                    ..all.clone()
+                    ..unrestricted.clone()
                 },
                 vec![0, 3],
             ),
             (
                 Filter {
                     devices: Some(vec![DeviceId(2)]),
-                    ..all.clone()
+                    ..unrestricted.clone()
                 },
                 vec![1, 2, 3],
             ),
             (
                 Filter {
                     devices: Some(Vec::new()),
-                    ..all.clone()
+                    ..unrestricted.clone()
                 },
                 vec![],
             ),
             (
                 Filter {
                     ttis: Some(5..=8),
-                    ..all.clone()
+                    ..unrestricted.clone()
                 },
                 vec![1, 2],
             ),
             (
                 Filter {
                     states: vec![StateName::Unpowered],
-                    ..all.clone()
+                    ..unrestricted.clone()
                 },
                 vec![1, 2],
             ),
             (
                 Filter {
                     states: vec![StateName::S1, StateName::S4],
-                    ..all.clone()
+                    ..unrestricted.clone()
                 },
                 vec![1, 2],
             ),
@@ -205,7 +208,7 @@ mod tests {
                 Filter {
                     states: vec![StateName::S3],
                     ttis: Some(0..=4),
-                    ..all.clone()
+                    ..unrestricted.clone()
                 },
                 vec![0],
             ),
@@ -213,11 +216,11 @@ mod tests {
         for (filter, expected) in cases {
             assert_eq!(passing(&filter), expected, "{filter:?}");
         }
-        let early = Filter {
+        let with_end = Filter {
             ttis: Some(2..=8),
-            ..all
+            ..unrestricted
         };
-        assert!(!early.is_over(Tti(8)) && early.is_over(Tti(9)) && early.first_tti() == Tti(2));
+        assert!(!with_end.is_over(Tti(8)) && with_end.is_over(Tti(9)) && with_end.first_tti() == Tti(2));
     }
 
     #[test]
@@ -227,10 +230,10 @@ mod tests {
             kinds: vec![MessageKind::Wake, MessageKind::Clock],
             ..Filter::default()
         };
-        let refused = filter.check().expect_err("refused");
+        let message = filter.check().expect_err("refused");
         assert!(
-            refused.contains("--plane air") && refused.contains("--kind clock"),
-            "{refused}"
+            message.contains("--plane air") && message.contains("--kind clock"),
+            "{message}"
         );
     }
 }

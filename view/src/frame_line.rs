@@ -175,7 +175,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_frame_comes_back_from_its_line() {
+    fn a_frame_round_trips() {
         let tti = Tti(7);
         let report = Report {
             device: DeviceId(3),
@@ -188,26 +188,26 @@ mod tests {
             tti,
             outcome: WakeOutcome::Missed,
         };
-        let broken = Frame {
+        let malformed = Frame {
             payload: vec![3, 255, 0, 16],
             ..Frame::new(tti, DeviceId(9), &WakeUp { tti })
         };
         for frame in [
             Frame::new(tti, DeviceId(3), &report),
             Frame::new(tti, HostId(0), &answer),
-            broken,
+            malformed,
         ] {
             assert_eq!(from_json(&FrameLine::new(&frame).to_json()).expect("a frame"), frame);
         }
     }
 
     #[test]
-    fn what_is_no_frame_is_refused() {
+    fn an_invalid_line_is_refused() {
         let line = |plane: &str, kind: &str, message: &str| {
             format!(r#"{{"tti":1,"plane":"{plane}","kind":"{kind}","number":null,"bytes":2,"message":{message}}}"#)
         };
         assert!(from_json(&line("air", "wake", r#"{"tti":1}"#)).is_ok());
-        for bad in [
+        for invalid in [
             line("emu", "wake", r#"{"tti":1}"#),
             line("air", "wake", "{}"),
             line("air", "wake", r#"{"malformed":"x","payload":"0g"}"#),
@@ -215,7 +215,7 @@ mod tests {
             "{}".to_owned(),
             String::new(),
         ] {
-            assert!(from_json(&bad).is_err(), "{bad}");
+            assert!(from_json(&invalid).is_err(), "{invalid}");
         }
     }
 }

@@ -377,7 +377,7 @@ mod tests {
 
     use super::*;
 
-    fn scenario() -> Scenario {
+    fn test_scenario() -> Scenario {
         let set = [
             "devices=40",
             "ttis=2600",
@@ -389,30 +389,31 @@ mod tests {
         load("paper", &set).expect("a scenario").scenario
     }
 
-    fn story(scenario: &Scenario, max_ttis: u64) -> RunHistory {
-        let mut story = RunHistory::new(scenario, max_ttis);
-        let take = |frame| story.push(frame).expect("it fits");
-        Run::new(&prepare(scenario), RunOptions::default()).finish(&mut FrameObserver::new(0, take));
-        story
+    /// Returns the history of a whole run that keeps at most about `max_ttis`.
+    fn history_of(scenario: &Scenario, max_ttis: u64) -> RunHistory {
+        let mut history = RunHistory::new(scenario, max_ttis);
+        let push = |frame| history.push(frame).expect("a consistent frame");
+        Run::new(&prepare(scenario), RunOptions::default()).finish(&mut FrameObserver::new(0, push));
+        history
     }
 
-    /// Collects the states and messages of every TTI from a run that is stepped TTI by TTI.
+    /// Collects the states and counts the messages of every TTI.
     #[derive(Default)]
     struct StateCollector {
         states: Vec<Vec<DeviceView>>,
         reports: Vec<usize>,
-        wakes: Vec<usize>,
+        wake_ups: Vec<usize>,
     }
 
     impl Observer for StateCollector {
         fn notify(&mut self, notification: &Notification<'_>) {
             if let Notification::TtisGranted(_) = notification {
                 self.reports.push(0);
-                self.wakes.push(0);
+                self.wake_ups.push(0);
             } else if let Notification::ReportReceived(_) = notification {
                 *self.reports.last_mut().expect("a TTI") += 1;
             } else if let Notification::WakeUpSent { .. } = notification {
-                *self.wakes.last_mut().expect("a TTI") += 1;
+                *self.wake_ups.last_mut().expect("a TTI") += 1;
             } else if let Notification::DeviceStates(views) = notification {
                 self.states.push(views.to_vec());
             }
@@ -424,23 +425,24 @@ mod tests {
     }
 
     #[test]
-    fn every_tti_can_be_looked_at_again() {
-        let scenario = scenario();
-        let mut witness = StateCollector::default();
+    fn a_history_equals_the_states_of_a_run_by_single_ttis() {
+        let scenario = test_scenario();
+        let mut collector = StateCollector::default();
         let options = RunOptions {
             lookahead: false,
             ..RunOptions::default()
         };
-        Run::new(&prepare(&scenario), options).finish(&mut witness);
-        let story = story(&scenario, u64::MAX);
-        assert_eq!(story.available_ttis(), (Tti(0), Tti(2600)));
-        assert_eq!(story.snapshot_at(Tti(2600)), None);
-        let mut sent = 0;
+        Run::new(&prepare(&scenario), options).finish(&mut collector);
+        let history = history_of(&scenario, u64::MAX);
+        assert_eq!(history.available_ttis(), (Tti(0), Tti(2600)));
+        assert_eq!(history.snapshot_at(Tti(2600)), None);
+        let mut transmissions = 0;
+        // A sample of TTIs, with some neighbours.
         for k in (0..2600).filter(|k| k % 7 == 0 || k % 500 < 3) {
-            let tti_snapshot = story.snapshot_at(Tti(k)).expect("snapshot");
-            assert_eq!(tti_snapshot.views, witness.states[k as usize], "TTI {k}");
-            assert_eq!(tti_snapshot.reported.len(), witness.reports[k as usize], "TTI {k}");
-            assert_eq!(tti_snapshot.woken.len(), witness.wakes[k as usize], "TTI {k}");
+            let tti_snapshot = history.snapshot_at(Tti(k)).expect("snapshot");
+            assert_eq!(tti_snapshot.views, collector.states[k as usize], "TTI {k}");
+            assert_eq!(tti_snapshot.reported.len(), collector.reports[k as usize], "TTI {k}");
+            assert_eq!(tti_snapshot.woken.len(), collector.wake_ups[k as usize], "TTI {k}");
             assert!(
                 tti_snapshot.reported.is_empty() || tti_snapshot.event.is_some(),
                 "TTI {k}"
@@ -449,36 +451,36 @@ mod tests {
                 .views
                 .iter()
                 .filter(|view| view.state == DeviceState::Transmission);
-            sent += transmitting.count();
+            transmissions += transmitting.count();
         }
-        assert!(sent > 20, "{sent}");
-        let own: Vec<DeviceView> = witness.states[980..1120].iter().map(|views| views[7]).collect();
-        let history = story.device_views(DeviceId(7), Tti(980), Tti(1120));
-        assert_eq!(history.iter().map(|(_, view)| *view).collect::<Vec<_>>(), own);
-        assert_eq!((history[0].0, history[139].0), (Tti(980), Tti(1119)));
+        assert!(transmissions > 20, "only {transmissions} transmissions");
+        let expected: Vec<DeviceView> = collector.states[980..1120].iter().map(|views| views[7]).collect();
+        let views = history.device_views(DeviceId(7), Tti(980), Tti(1120));
+        assert_eq!(views.iter().map(|(_, view)| *view).collect::<Vec<_>>(), expected);
+        assert_eq!((views[0].0, views[139].0), (Tti(980), Tti(1119)));
     }
 
     #[test]
-    fn what_is_far_back_is_forgotten() {
-        let scenario = scenario();
-        let (whole, short) = (story(&scenario, u64::MAX), story(&scenario, 700));
-        let (first, end) = short.available_ttis();
+    fn a_limited_history_keeps_the_last_ttis() {
+        let scenario = test_scenario();
+        let (full, limited) = (history_of(&scenario, u64::MAX), history_of(&scenario, 700));
+        let (first, end) = limited.available_ttis();
         assert!(
             end == Tti(2600) && (700..1800).contains(&(end - first)),
-            "{first} to {end}"
+            "available TTIs: {first} to {end}"
         );
-        assert!(short.frames.len() < whole.frames.len() / 2);
-        assert_eq!(short.snapshot_at(Tti(first.0 - 1)), None);
+        assert!(limited.frames.len() < full.frames.len() / 2);
+        assert_eq!(limited.snapshot_at(Tti(first.0 - 1)), None);
         for k in (first.0..2600).step_by(41) {
-            assert_eq!(short.snapshot_at(Tti(k)), whole.snapshot_at(Tti(k)), "TTI {k}");
+            assert_eq!(limited.snapshot_at(Tti(k)), full.snapshot_at(Tti(k)), "TTI {k}");
         }
         let filter = Filter {
             ttis: Some(2000..=2010),
             ..Filter::default()
         };
-        assert_eq!(short.frames(&filter, 1000), whole.frames(&filter, 1000));
-        let (number, frame) = short.frames(&filter, 1)[0];
-        assert_eq!(short.frame(number), Some(frame));
-        assert_eq!(short.frame(0), None);
+        assert_eq!(limited.frames(&filter, 1000), full.frames(&filter, 1000));
+        let (number, frame) = limited.frames(&filter, 1)[0];
+        assert_eq!(limited.frame(number), Some(frame));
+        assert_eq!(limited.frame(0), None);
     }
 }

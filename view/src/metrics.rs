@@ -420,18 +420,21 @@ mod tests {
 
     use super::*;
 
-    fn scenario() -> Scenario {
+    fn test_scenario() -> Scenario {
         let set = ["devices=30", "ttis=500", "policy.name=knn", "events.alpha=0.4"];
         let set = set.map(|set| Override::parse(set).expect("an override"));
         load("paper", &set).expect("a scenario").scenario
     }
 
-    /// Name, type and help of every metric.
-    fn markdown(text: &str) -> String {
+    /// Returns a table of the name, type and help of every metric.
+    fn metrics_table(text: &str) -> String {
         let row = |line: &str| {
             let (name, help) = line.strip_prefix("# HELP ")?.split_once(' ')?;
-            let of = format!("# TYPE {name} ");
-            let kind = text.lines().find_map(|line| line.strip_prefix(&of)).expect("a type");
+            let prefix = format!("# TYPE {name} ");
+            let kind = text
+                .lines()
+                .find_map(|line| line.strip_prefix(&prefix))
+                .expect("a type");
             Some(format!("| `{name}` | {kind} | {help} |\n"))
         };
         let rows: String = text.lines().filter_map(row).collect();
@@ -439,23 +442,23 @@ mod tests {
     }
 
     #[test]
-    fn the_page_on_monitoring_has_every_metric() {
-        let text = PrometheusMetrics::new("r", &scenario()).encode(ProcessStats::default(), false);
-        let table = markdown(&text);
+    fn the_monitoring_page_lists_every_metric() {
+        let text = PrometheusMetrics::new("r", &test_scenario()).encode(ProcessStats::default(), false);
+        let table = metrics_table(&text);
         let page = include_str!("../../docs/monitoring.md");
         assert!(
             page.contains(&format!("<!-- metrics -->\n{table}<!-- /metrics -->")),
-            "the table is now:\n{table}"
+            "update the table in docs/monitoring.md:\n{table}"
         );
     }
 
     #[test]
-    fn metrics_are_those_of_the_run() {
-        let scenario = scenario();
+    fn metrics_equal_the_totals_of_the_run() {
+        let scenario = test_scenario();
         let metrics = PrometheusMetrics::new("r", &scenario);
-        let counted = Arc::clone(&metrics);
+        let frame_metrics = Arc::clone(&metrics);
         let mut observers = (
-            FrameObserver::new(0, move |frame| counted.count_frame(&frame)),
+            FrameObserver::new(0, move |frame| frame_metrics.count_frame(&frame)),
             MetricsObserver(Arc::clone(&metrics)),
         );
         let options = RunOptions {
@@ -476,39 +479,42 @@ mod tests {
                 .unwrap_or_else(|| panic!("{name}: {text}"));
             line.trim().parse().expect("a number")
         };
-        let close = |a: f64, b: f64| assert!((a - b).abs() <= 1e-6 * b.abs().max(1.0), "{a}, not {b}");
+        let assert_close = |metric: f64, expected: f64| {
+            let is_close = (metric - expected).abs() <= 1e-6 * expected.abs().max(1.0);
+            assert!(is_close, "metric {metric}, expected {expected}");
+        };
         let events = outcome.totals.events;
-        close(value("reveille_events_total "), events.events as f64);
-        close(value("reveille_events_missed_total "), events.misdetected as f64);
-        close(value("reveille_event_delay_ttis_sum "), events.delay_ttis as f64);
-        close(
+        assert_close(value("reveille_events_total "), events.events as f64);
+        assert_close(value("reveille_events_missed_total "), events.misdetected as f64);
+        assert_close(value("reveille_event_delay_ttis_sum "), events.delay_ttis as f64);
+        assert_close(
             value("reveille_information_total "),
             events.information_pico as f64 / 1e12,
         );
-        close(value("reveille_ttis_total "), 500.0);
-        close(value("reveille_next_tti "), 500.0);
-        close(value("reveille_hosts_alive "), 3.0);
-        close(value("reveille_observer_messages_left_out_total "), 7.0);
-        let of = |state: &str| value(&format!("reveille_devices{{state=\"{state}\"}} "));
-        close(["S1", "S3", "S4", "S4 unpowered"].map(of).iter().sum(), 30.0);
+        assert_close(value("reveille_ttis_total "), 500.0);
+        assert_close(value("reveille_next_tti "), 500.0);
+        assert_close(value("reveille_hosts_alive "), 3.0);
+        assert_close(value("reveille_observer_messages_left_out_total "), 7.0);
+        let devices_in = |state: &str| value(&format!("reveille_devices{{state=\"{state}\"}} "));
+        assert_close(["S1", "S3", "S4", "S4 unpowered"].map(devices_in).iter().sum(), 30.0);
         let spent: EnergyByState = outcome
             .devices
             .iter()
             .map(|device| device.ledger.whole.spent)
             .fold(EnergyByState::default(), |a, b| a + b);
-        let of = |state: &str| value(&format!("reveille_energy_spent_units_total{{state=\"{state}\"}} "));
-        close(of("sensing"), spent.sensing.units());
-        close(of("report"), spent.report.units());
+        let energy_spent_in = |state: &str| value(&format!("reveille_energy_spent_units_total{{state=\"{state}\"}} "));
+        assert_close(energy_spent_in("sensing"), spent.sensing.units());
+        assert_close(energy_spent_in("report"), spent.report.units());
         // Counters never fall, and a second request does not count an increment again.
-        let again = metrics.encode(process, false);
+        let second_request = metrics.encode(process, false);
         assert!(
-            again.contains("reveille_observer_messages_left_out_total 7\n"),
-            "{again}"
+            second_request.contains("reveille_observer_messages_left_out_total 7\n"),
+            "{second_request}"
         );
-        let open = metrics.encode(process, true);
+        let open_metrics = metrics.encode(process, true);
         assert!(
-            open.ends_with("# EOF\n") && open.contains("# TYPE reveille_ttis counter\n"),
-            "{open}"
+            open_metrics.ends_with("# EOF\n") && open_metrics.contains("# TYPE reveille_ttis counter\n"),
+            "{open_metrics}"
         );
     }
 }

@@ -177,14 +177,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_kind_has_a_form() {
-        let forms = MessageSchemas::trace_all();
+    fn every_kind_has_a_schema() {
+        let schemas = MessageSchemas::trace_all();
         for kind in MessageKind::ALL {
-            let schema = forms.json_schema(*kind);
+            let schema = schemas.json_schema(*kind);
             assert_eq!(schema["properties"]["kind"]["const"], kind.name());
             assert!(schema["properties"]["message"]["anyOf"][0].is_object(), "{schema}");
         }
-        let report = &forms.json_schema(MessageKind::Report)["properties"]["message"]["anyOf"][0];
+        let report = &schemas.json_schema(MessageKind::Report)["properties"]["message"]["anyOf"][0];
         let names: Vec<&str> = report["required"]
             .as_array()
             .expect("fields")

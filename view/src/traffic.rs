@@ -146,19 +146,24 @@ mod tests {
         for frame in &frames {
             traffic.count(frame);
         }
-        let bytes = |of: &[usize]| of.iter().map(|at| frames[*at].payload.len() as u64).sum::<u64>();
-        let count = |of: &[usize]| MessageCount {
-            messages: of.len() as u64,
-            bytes: bytes(of),
+        let bytes = |indices: &[usize]| {
+            indices
+                .iter()
+                .map(|index| frames[*index].payload.len() as u64)
+                .sum::<u64>()
+        };
+        let count = |indices: &[usize]| MessageCount {
+            messages: indices.len() as u64,
+            bytes: bytes(indices),
         };
         assert_eq!(traffic.ttis(), 10);
         assert_eq!(traffic.control(), count(&[0, 2]));
         assert_eq!(traffic.uplink(), count(&[1, 3, 4]));
         assert_eq!(traffic.plane(Plane::Air), count(&[0, 1, 2, 3, 4]));
         assert_eq!(traffic.plane(Plane::Emu), MessageCount::default());
-        let share = bytes(&[0, 2]) as f64 / bytes(&[0, 1, 2, 3, 4]) as f64;
-        assert!((traffic.control_share().expect("there is traffic") - share).abs() < 1e-12);
-        let second: Vec<_> = traffic
+        let control_share = bytes(&[0, 2]) as f64 / bytes(&[0, 1, 2, 3, 4]) as f64;
+        assert!((traffic.control_share().expect("messages") - control_share).abs() < 1e-12);
+        let device_2: Vec<_> = traffic
             .devices()
             .nth(1)
             .expect("two devices")
@@ -166,7 +171,7 @@ mod tests {
             .values()
             .copied()
             .collect();
-        assert_eq!(second, [count(&[2]), count(&[3])]);
+        assert_eq!(device_2, [count(&[2]), count(&[3])]);
         assert_eq!(TrafficStats::default().control_share(), None);
     }
 }

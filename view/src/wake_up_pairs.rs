@@ -91,7 +91,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_wake_up_comes_with_its_outcome() {
+    fn a_wake_up_is_paired_with_its_outcome() {
         let (tti, device) = (Tti(8), DeviceId(5));
         let report = |device| Report {
             device,
@@ -107,10 +107,10 @@ mod tests {
             Frame::new(tti, device, &WakeUpResult { outcome }),
             Frame::new(tti, device, &report(device)),
         ];
-        let mut join = WakeUpPairer::default();
-        let steps = frames.each_ref().map(|frame| join.push(frame, &frame.message()));
+        let mut pairer = WakeUpPairer::default();
+        let steps = frames.each_ref().map(|frame| pairer.push(frame, &frame.message()));
         let bytes = frames[1].payload.len() + frames[2].payload.len();
-        let joined = WakeUpExchange {
+        let exchange = WakeUpExchange {
             tti,
             device,
             outcome,
@@ -122,11 +122,11 @@ mod tests {
                 PairStep::Unpaired,
                 PairStep::Pending,
                 PairStep::Pending,
-                PairStep::Paired(joined),
+                PairStep::Paired(exchange),
                 PairStep::Unpaired
             ]
         );
-        let text = joined.to_string();
+        let text = exchange.to_string();
         assert!(
             text.contains("wake    device 5") && text.contains("reported: I 0.2500"),
             "{text}"

@@ -37,7 +37,6 @@ const MAX_EXPECTED_REPORTS: f64 = 8.0;
 const MIN_SILENCE_LIKELIHOOD: f64 = 0.02;
 /// Circles within d_max for the integral over the sensing range of a device.
 const CIRCLES: u32 = 16;
-/// Points on each of these circles.
 const POINTS_PER_CIRCLE: u32 = 32;
 /// Margin that absorbs rounding when a device is sure to be in range of an event, metres per metre of d_max.
 const ROUNDING_MARGIN: f64 = 1e-9;
@@ -45,9 +44,7 @@ const ROUNDING_MARGIN: f64 = 1e-9;
 /// Battery level of every device, given as ground truth or estimated.
 #[derive(Clone, Debug)]
 pub struct BatteryEstimator {
-    /// Whether the policy receives the true levels before each decision.
     uses_true_levels: bool,
-    /// Level by device.
     levels: Vec<Energy>,
     /// Other state by device.
     estimates: Vec<BatteryEstimate>,

@@ -1,315 +1,337 @@
-//! Battery estimates against closed forms, and against levels carried forward one TTI at a time.
+//! Tests of [`BatteryEstimator`]: harvest and costs against closed forms, one step over many TTIs against single steps,
+//! and the number of missing reports that shows an empty battery.
 
 use std::f64::consts::PI;
 
 use reveille_common::deployment::Deployment;
 
-use crate::scenario::{Override, load};
-
 use super::*;
+use crate::scenario::tests::load_paper;
 
-fn known(set: &[&str]) -> Knowledge {
-    let set = ["bs.battery_knowledge=reported"].iter().chain(set);
-    let overrides: Vec<Override> = set.map(|set| Override::parse(set).expect("an override")).collect();
-    let scenario = load("paper", &overrides).expect("a preset").scenario;
+/// Returns the knowledge of a base station in the preset `paper` (50 devices), where batteries are only reported.
+fn load_knowledge(fields: &[&str]) -> Knowledge {
+    let scenario = load_paper(&[&["bs.battery_knowledge=reported"], fields].concat());
     Knowledge::from_scenario(&scenario, &Deployment::new(&scenario), Arc::default())
 }
 
-fn report(device: u32, information: f64, units: u64) -> Report {
+fn report(device: u32, information: f64, battery_units: u64) -> Report {
     Report {
         device: DeviceId(device),
         tti: Tti(0),
         information,
-        battery: Energy::from_micro(1_000_000 * units),
+        battery: Energy::from_micro(1_000_000 * battery_units),
     }
 }
 
 #[test]
-fn estimates_follow_what_was_commanded_and_heard() {
-    let mut levels = BatteryEstimator::new(&known(&[]));
+fn estimates_follow_plans_reports_and_missing_answers() {
+    let mut estimator = BatteryEstimator::new(&load_knowledge(&[]));
     let plan = Plan::from_bits((0..50).map(|j| j == 3));
     for k in 0..10 {
-        levels.advance(Tti(k + 1), &plan);
+        estimator.advance(Tti(k + 1), &plan);
     }
-    // eq5: λτ·exp(−λτ)·E_B = 0.1·e^-0.1·5.
-    let harvest = 0.5 * libm::exp(-0.1);
-    let expected = |cost: f64| 50.0 + 10.0 * (harvest - cost);
-    assert!((levels.levels()[3].units() - expected(1.0)).abs() < 1e-4);
-    assert!((levels.levels()[4].units() - expected(1.0 / 14.0)).abs() < 1e-4);
-    levels.observe_level(DeviceId(4), Tti(9), Energy::from_micro(7));
-    levels.observe_no_answer(DeviceId(5), Tti(9), &plan);
-    assert_eq!(levels.levels()[4..6], [Energy::from_micro(7), Energy::ZERO]);
-    assert!(!levels.needs_true_levels());
+    // Mean harvest per TTI, eq. 5: λτ·exp(−λτ)·E_B = 0.1·e^-0.1·5.
+    let mean_harvest = 0.5 * libm::exp(-0.1);
+    let expected_level = |cost: f64| 50.0 + 10.0 * (mean_harvest - cost);
+    assert!((estimator.levels()[3].units() - expected_level(1.0)).abs() < 1e-4);
+    assert!((estimator.levels()[4].units() - expected_level(1.0 / 14.0)).abs() < 1e-4);
+    estimator.observe_level(DeviceId(4), Tti(9), Energy::from_micro(7));
+    estimator.observe_no_answer(DeviceId(5), Tti(9), &plan);
+    assert_eq!(estimator.levels()[4..6], [Energy::from_micro(7), Energy::ZERO]);
+    assert!(!estimator.needs_true_levels());
 }
 
-/// One estimate over many TTIs equals estimates TTI by TTI, until the level reaches 0 or E_max.
+/// The large battery never reaches 0 or E_max, where the two would differ.
 #[test]
-fn an_estimate_over_many_ttis_is_the_sum_of_them() {
-    let known = known(&["energy.e_max=10000", "energy.initial=5000"]);
+fn one_step_over_many_ttis_equals_single_steps() {
+    let known = load_knowledge(&["energy.e_max=10000", "energy.initial=5000"]);
     let cycle = |j: u32| DutyCycle {
         t_on: 1 + j % 3,
         t_drx: 3 + j % 7,
         offset: j % 3,
     };
     let plan = Plan::Periodic((0..50).map(cycle).collect());
-    let (mut stepped, mut at_once) = (
+    let (mut stepped, mut jumped) = (
         BatteryEstimator::new_estimated(&known),
         BatteryEstimator::new_estimated(&known),
     );
     for k in 0..1000 {
         stepped.advance(Tti(k + 1), &plan);
     }
-    at_once.advance(Tti(1000), &plan);
-    assert_eq!(stepped.levels(), at_once.levels());
-    let by_hand = |j: u32| {
-        let on = (0..1000).filter(|k| (k + j % 3) % (3 + j % 7) < 1 + j % 3).count() as u64;
-        5_000_000_000 + 1000 * 452_419 - on * 1_000_000 - (1000 - on) * 71_429
+    jumped.advance(Tti(1000), &plan);
+    assert_eq!(stepped.levels(), jumped.levels());
+    // 0.1·e^-0.1·5 units of harvest in each TTI, 1 unit for a TTI in S1 and 1/14 for one in S4.
+    let expected_micro = |j: u32| {
+        let on_ttis = (0..1000).filter(|k| (k + j % 3) % (3 + j % 7) < 1 + j % 3).count() as u64;
+        5_000_000_000 + 1000 * 452_419 - on_ttis * 1_000_000 - (1000 - on_ttis) * 71_429
     };
-    for (level, j) in at_once.levels().iter().zip(0..) {
-        assert_eq!(level.micro(), by_hand(j), "device {j}");
+    for (level, j) in jumped.levels().iter().zip(0..) {
+        assert_eq!(level.micro(), expected_micro(j), "device {j}");
     }
 }
 
-/// Day and night of 24 TTIs, light from TTI 6 to 17.
-const DAY: [&str; 4] = [
+/// Days of 24 TTIs at an equinox, light from TTI 6 to 17.
+const EQUINOX_DAYS: [&str; 4] = [
     "harvest.kind=diurnal",
     "harvest.diurnal.ttis_per_day=24",
     "harvest.diurnal.latitude=40",
     "harvest.diurnal.day_of_year=82",
 ];
 
-/// The estimate follows the expected sunlight of each TTI: the level of a sleeping device falls at night and rises by
-/// day.
+/// If only the mean harvest is known, the level of a sleeping device rises steadily instead.
 #[test]
-fn estimates_follow_the_time_of_the_day_where_it_is_known() {
+fn diurnal_estimates_follow_the_sun_if_its_course_is_known() {
     let asleep = Plan::from_bits([false; 50]);
-    let by_tti = |set: &[&str]| {
-        let mut levels = BatteryEstimator::new(&known(&[&DAY, set].concat()));
-        let each = (0..48).map(|k| {
-            levels.advance(Tti(k + 1), &asleep);
-            levels.levels()[7].units()
+    let levels_by_tti = |set: &[&str]| {
+        let mut estimator = BatteryEstimator::new(&load_knowledge(&[&EQUINOX_DAYS, set].concat()));
+        let levels = (0..48).map(|k| {
+            estimator.advance(Tti(k + 1), &asleep);
+            estimator.levels()[7].units()
         });
-        each.collect::<Vec<f64>>()
+        levels.collect::<Vec<f64>>()
     };
-    let (known, mean_only) = (by_tti(&[]), by_tti(&["harvest.diurnal.known=mean"]));
+    let (known_course, mean_only) = (levels_by_tti(&[]), levels_by_tti(&["harvest.diurnal.known=mean"]));
     // The sine of the elevation at an equinox, scaled by the mean of its positive half, 1/π.
-    let p = 0.1 * libm::exp(-0.1);
-    let mut expected = 50.0;
-    for (k, (&level, &flat)) in known.iter().zip(&mean_only).enumerate() {
+    let arrival_probability = 0.1 * libm::exp(-0.1);
+    let mut expected_level = 50.0;
+    for (k, (&level, &level_by_mean)) in known_course.iter().zip(&mean_only).enumerate() {
         let sine = -libm::cos(TAU * ((k % 24) as f64 + 0.5) / 24.0);
-        expected += 5.0 * p * PI * sine.max(0.0) - 1.0 / 14.0;
-        assert!((level - expected).abs() < 0.15, "TTI {k}: {level}, not {expected}");
-        let steady = 50.0 + (k + 1) as f64 * (5.0 * p - 1.0 / 14.0);
-        assert!((flat - steady).abs() < 1e-3, "TTI {k}: {flat}, not {steady}");
+        expected_level += 5.0 * arrival_probability * PI * sine.max(0.0) - 1.0 / 14.0;
+        // The closed form takes the middle of each TTI of an exact equinox, so it is approximate.
+        assert!(
+            (level - expected_level).abs() < 0.15,
+            "TTI {k}: {level}, not {expected_level}"
+        );
+        let expected_by_mean = 50.0 + (k + 1) as f64 * (5.0 * arrival_probability - 1.0 / 14.0);
+        assert!(
+            (level_by_mean - expected_by_mean).abs() < 1e-3,
+            "TTI {k}: {level_by_mean}, not {expected_by_mean}"
+        );
     }
     assert!(
-        known[5] < 50.0 && mean_only[5] > 52.0,
-        "{} and {}",
-        known[5],
+        known_course[5] < 50.0 && mean_only[5] > 52.0,
+        "at dawn: {} units with the course known, {} with the mean only",
+        known_course[5],
         mean_only[5]
     );
-    assert!((known[47] - mean_only[47]).abs() < 1e-3, "whole days");
+    assert!(
+        (known_course[47] - mean_only[47]).abs() < 1e-3,
+        "both agree after whole days"
+    );
 }
 
-/// One estimate over several days equals estimates TTI by TTI, with a full battery every day.
+/// The battery is full every evening, so one sum of harvest and cost over all days would be wrong.
 #[test]
-fn days_and_nights_are_carried_one_by_one() {
+fn one_step_over_several_days_equals_single_steps() {
     let set = [
-        &DAY[..],
+        &EQUINOX_DAYS[..],
         &["harvest.e_b=25", "energy.e_idle=1.5", "bs.battery_knowledge=reported"],
     ]
     .concat();
-    let known = known(&set);
+    let known = load_knowledge(&set);
     let cycle = |j: u32| DutyCycle {
         t_on: u32::from(j.is_multiple_of(2)),
         t_drx: 1,
         offset: 0,
     };
     let plan = Plan::Periodic((0..50).map(cycle).collect());
-    let (mut stepped, mut at_once) = (
+    let (mut stepped, mut jumped) = (
         BatteryEstimator::new_estimated(&known),
         BatteryEstimator::new_estimated(&known),
     );
     for k in 0..24 * 9 + 3 {
         stepped.advance(Tti(k + 1), &plan);
     }
-    at_once.advance(Tti(24 * 9 + 3), &plan);
+    jumped.advance(Tti(24 * 9 + 3), &plan);
     // Full at dusk, then nine TTIs of night: 13.5 units for devices in S1.
-    for (j, (once, step)) in at_once.levels().iter().zip(stepped.levels()).enumerate() {
-        let spent = if j % 2 == 0 { 13.5 } else { 9.0 / 14.0 };
-        assert!((once.units() - (100.0 - spent)).abs() < 4.0, "device {j}: {once}");
+    for (j, (jumped_level, stepped_level)) in jumped.levels().iter().zip(stepped.levels()).enumerate() {
+        let night_cost = if j % 2 == 0 { 13.5 } else { 9.0 / 14.0 };
         assert!(
-            (once.units() - step.units()).abs() < 4.0,
-            "device {j}: {once} and {step}"
+            (jumped_level.units() - (100.0 - night_cost)).abs() < 4.0,
+            "device {j}: {jumped_level}, night cost {night_cost} units"
+        );
+        assert!(
+            (jumped_level.units() - stepped_level.units()).abs() < 4.0,
+            "device {j}: {jumped_level} in one step, {stepped_level} in single steps"
         );
     }
 }
 
 #[test]
-fn a_battery_that_is_full_or_empty_stays_within_its_ends() {
-    let known = known(&["harvest.lambda=1", "harvest.e_b=5"]);
-    let mut levels = BatteryEstimator::new(&known);
+fn estimates_stay_between_zero_and_e_max() {
+    let rich = load_knowledge(&["harvest.lambda=1", "harvest.e_b=5"]);
+    let mut estimator = BatteryEstimator::new(&rich);
     let asleep = Plan::from_bits([false; 50]);
     for k in 0..200 {
-        levels.advance(Tti(k + 1), &asleep);
+        estimator.advance(Tti(k + 1), &asleep);
     }
     // A full battery ends each TTI below E_max by the cost of that TTI.
-    assert_eq!(levels.levels()[0].micro(), 100_000_000 - 71_429);
-    let poor = super::tests::known(&["harvest.lambda=0"]);
-    let (mut levels, on) = (BatteryEstimator::new(&poor), Plan::from_bits([true; 50]));
+    assert_eq!(estimator.levels()[0].micro(), 100_000_000 - 71_429);
+    let poor = load_knowledge(&["harvest.lambda=0"]);
+    let (mut estimator, all_sensing) = (BatteryEstimator::new(&poor), Plan::from_bits([true; 50]));
     for k in 0..200 {
-        levels.advance(Tti(k + 1), &on);
+        estimator.advance(Tti(k + 1), &all_sensing);
     }
-    assert_eq!(levels.levels()[0], Energy::ZERO);
+    assert_eq!(estimator.levels()[0], Energy::ZERO);
 }
 
 #[test]
-fn who_must_have_seen_the_event_and_is_silent_is_empty() {
+fn a_device_surely_in_range_without_a_report_is_empty() {
     let plan = Plan::from_bits((0..50).map(|j| j % 2 == 0));
-    let known = known(&["devices=50", "area.width=9", "area.height=9"]);
+    let known = load_knowledge(&["devices=50", "area.width=9", "area.height=9"]);
     // The event is 1.2 m from device 0, so it is within 4 m of every device within 2.8 m of device 0.
-    let first = report(0, libm::exp(-1.2), 33);
-    let second = |j: u32| report(j, libm::exp(-3.9), 21);
-    let near: Vec<u32> = (1..50)
+    let first_report = report(0, libm::exp(-1.2), 33);
+    let second_report = |j: u32| report(j, libm::exp(-3.9), 21);
+    let surely_in_range: Vec<u32> = (1..50)
         .filter(|&j| known.devices[j as usize].position.distance(known.devices[0].position) <= 2.8)
         .collect();
-    let on: Vec<u32> = near.iter().copied().filter(|j| j % 2 == 0).collect();
+    let sensing_in_range: Vec<u32> = surely_in_range.iter().copied().filter(|j| j % 2 == 0).collect();
     assert!(
-        on.len() > 1 && on.len() < near.len(),
-        "{on:?} of {near:?}: choose another device"
+        sensing_in_range.len() > 1 && sensing_in_range.len() < surely_in_range.len(),
+        "the case needs several sensing and some sleeping devices in range: {sensing_in_range:?} of {surely_in_range:?}"
     );
-    let mut levels = BatteryEstimator::new(&known);
-    levels.advance(Tti(1), &plan);
-    let before = levels.levels().to_vec();
-    levels.observe_reports(Tti(0), &plan, &[first, second(on[0])]);
+    let mut estimator = BatteryEstimator::new(&known);
+    estimator.advance(Tti(1), &plan);
+    let levels_before = estimator.levels().to_vec();
+    estimator.observe_reports(Tti(0), &plan, &[first_report, second_report(sensing_in_range[0])]);
     for j in 0..50 {
         let expected = match j {
             0 => Energy::from_micro(33_000_000),
-            j if j == on[0] => Energy::from_micro(21_000_000),
-            j if on.contains(&j) => Energy::ZERO,
-            j => before[j as usize],
+            j if j == sensing_in_range[0] => Energy::from_micro(21_000_000),
+            j if sensing_in_range.contains(&j) => Energy::ZERO,
+            j => levels_before[j as usize],
         };
-        assert_eq!(levels.levels()[j as usize], expected, "device {j}");
+        assert_eq!(estimator.levels()[j as usize], expected, "device {j}");
     }
     // With probabilistic detection, one silent device shows little.
-    let mut chance = known.clone();
-    chance.sensing.kind = DetectionKind::Probabilistic;
-    let mut levels = BatteryEstimator::new(&chance);
-    levels.advance(Tti(1), &plan);
-    levels.observe_reports(Tti(0), &plan, &[first]);
-    assert_eq!(levels.levels()[on[0] as usize], before[on[0] as usize]);
+    let mut probabilistic = known.clone();
+    probabilistic.sensing.kind = DetectionKind::Probabilistic;
+    let mut estimator = BatteryEstimator::new(&probabilistic);
+    estimator.advance(Tti(1), &plan);
+    estimator.observe_reports(Tti(0), &plan, &[first_report]);
+    assert_eq!(
+        estimator.levels()[sensing_in_range[0] as usize],
+        levels_before[sensing_in_range[0] as usize]
+    );
 }
 
-/// With losses, one silence is one missing report, however many devices reported the event. It takes several to show an
-/// empty battery.
+/// With losses, several missing reports are needed to show an empty battery.
 #[test]
-fn a_silent_device_counts_once_per_tti_and_not_per_reporter() {
+fn silence_counts_once_per_tti_and_not_per_reporter() {
     let plan = Plan::from_bits([true; 50]);
-    let known = known(&["area.width=3", "area.height=3", "radio.uplink_loss=0.3"]);
-    let mut levels = BatteryEstimator::new_estimated(&known);
+    let known = load_knowledge(&["area.width=3", "area.height=3", "radio.uplink_loss=0.3"]);
+    let mut estimator = BatteryEstimator::new_estimated(&known);
     let reports: Vec<Report> = (0..49).map(|j| report(j, libm::exp(-1.0), 33)).collect();
     for k in 0..4 {
-        // 0.3³ is above 1 in 50, 0.3⁴ below.
-        assert_eq!(levels.levels()[49], known.devices[49].energy.initial, "TTI {k}");
-        levels.observe_reports(Tti(k), &plan, &reports);
+        // 0.3³ is above `MIN_SILENCE_LIKELIHOOD`, 0.3⁴ below.
+        assert_eq!(estimator.levels()[49], known.devices[49].energy.initial, "TTI {k}");
+        estimator.observe_reports(Tti(k), &plan, &reports);
     }
-    assert_eq!(levels.levels()[49], Energy::ZERO);
+    assert_eq!(estimator.levels()[49], Energy::ZERO);
 }
 
-/// A device that never answers is asked whenever its estimate allows a report; the gaps between the requests grow.
+/// The device is woken whenever its estimate allows a report.
 #[test]
-fn a_device_that_is_found_empty_again_and_again_is_asked_ever_later() {
-    let known = known(&[]);
-    let (mut levels, asleep) = (BatteryEstimator::new_estimated(&known), Plan::from_bits([false; 50]));
+fn gaps_between_requests_to_a_device_that_never_answers_grow() {
+    let known = load_knowledge(&[]);
+    let (mut estimator, asleep) = (BatteryEstimator::new_estimated(&known), Plan::from_bits([false; 50]));
     let device = DeviceId(7);
-    let mut asked = Vec::new();
+    let mut requests = Vec::new();
     for k in 0..5000 {
-        if levels.can_report(device, Tti(k), &asleep) {
-            levels.observe_no_answer(device, Tti(k), &asleep);
-            asked.push(k);
+        if estimator.can_report(device, Tti(k), &asleep) {
+            estimator.observe_no_answer(device, Tti(k), &asleep);
+            requests.push(k);
         }
     }
-    let gaps: Vec<u64> = asked.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    // 10 units at 0.4524 − 0.0714 per TTI take 27 TTIs. From the second finding on, 11 units take the time since the
+    let gaps: Vec<u64> = requests.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    // 10 units at 0.4524 − 0.0714 per TTI take 27 TTIs. From the second failure on, 11 units take the time since the
     // first.
-    assert_eq!(gaps[..2], [27, 27], "{gaps:?}");
-    for (gap, found) in gaps.iter().zip(&asked).skip(2) {
-        let passed = (found - asked[0]) as f64;
-        assert!((*gap as f64 - 10.0 / 11.0 * passed).abs() <= 1.0, "{gaps:?}");
+    assert_eq!(gaps[..2], [27, 27], "gaps {gaps:?}");
+    for (gap, request) in gaps.iter().zip(&requests).skip(2) {
+        let since_first_request = (request - requests[0]) as f64;
+        assert!(
+            (*gap as f64 - 10.0 / 11.0 * since_first_request).abs() <= 1.0,
+            "gaps {gaps:?}"
+        );
     }
-    assert!(asked.len() < 12, "{asked:?}");
+    assert!(requests.len() < 12, "requests in TTIs {requests:?}");
     // A report resets the doubt.
-    levels.observe_level(device, Tti(4999), Energy::ZERO);
-    let next = (5000..6000).find(|&k| levels.can_report(device, Tti(k), &asleep));
-    assert_eq!(next, Some(4999 + 27));
+    estimator.observe_level(device, Tti(4999), Energy::ZERO);
+    let next_request = (5000..6000).find(|&k| estimator.can_report(device, Tti(k), &asleep));
+    assert_eq!(next_request, Some(4999 + 27));
 }
 
-/// A level that passes the check without the plan also passes the exact computation with the plan.
+/// `can_surely_report` saves the exact computation with the plan, so it may only succeed where that one does.
 #[test]
-fn a_device_can_report_if_what_is_carried_pays_for_it() {
-    let (mut sure, mut others) = (0, [0; 2]);
+fn can_report_equals_the_exact_computation() {
+    // Cases that need the exact computation are counted by its result.
+    let (mut surely_count, mut uncertain_counts) = (0, [0; 2]);
     for set in [
         ["harvest.lambda=0.1", "energy.e_idle=1", "energy.e_max=100"],
         ["harvest.lambda=1", "energy.e_idle=0.01", "energy.e_max=100"],
         ["harvest.lambda=0", "energy.e_idle=1.5", "energy.e_max=30"],
         ["harvest.lambda=1", "energy.e_idle=5", "energy.e_max=13"],
     ] {
-        let known = known(&set);
+        let known = load_knowledge(&set);
         let cycle = |j: u32| DutyCycle {
             t_on: 1 + j % 3,
             t_drx: 3 + j % 7,
             offset: j % 3,
         };
         let plan = Plan::Periodic((0..50).map(cycle).collect());
-        let mut levels = BatteryEstimator::new_estimated(&known);
+        let mut estimator = BatteryEstimator::new_estimated(&known);
         for k in 0..300 {
             for j in 0..50 {
-                let (device, level) = (DeviceId(j), levels.levels[j as usize]);
-                let pays = levels.estimate_at(device, &plan, Tti(k + 1)).0 >= known.devices[j as usize].energy.e_tx;
+                let (device, level) = (DeviceId(j), estimator.levels[j as usize]);
+                let is_payable =
+                    estimator.estimate_at(device, &plan, Tti(k + 1)).0 >= known.devices[j as usize].energy.e_tx;
                 assert_eq!(
-                    levels.can_report(device, Tti(k), &plan),
-                    pays,
+                    estimator.can_report(device, Tti(k), &plan),
+                    is_payable,
                     "{set:?}, TTI {k}, device {j}"
                 );
-                let is_well = levels.estimates[j as usize].can_surely_report(level, Tti(k + 1));
-                sure += usize::from(is_well);
-                others[usize::from(pays)] += usize::from(!is_well);
+                let is_sure = estimator.estimates[j as usize].can_surely_report(level, Tti(k + 1));
+                surely_count += usize::from(is_sure);
+                uncertain_counts[usize::from(is_payable)] += usize::from(!is_sure);
                 match (k + u64::from(j)) % 37 {
-                    0 => levels.observe_no_answer(device, Tti(k), &plan),
-                    1 => levels.observe_level(device, Tti(k), Energy::from_micro(u64::from(j) * 2_000_000)),
+                    0 => estimator.observe_no_answer(device, Tti(k), &plan),
+                    1 => estimator.observe_level(device, Tti(k), Energy::from_micro(u64::from(j) * 2_000_000)),
                     _ => {}
                 }
             }
         }
     }
     assert!(
-        sure > 5000 && others[0] > 5000 && others[1] > 1000,
-        "{sure}, {others:?}"
+        surely_count > 5000 && uncertain_counts[0] > 5000 && uncertain_counts[1] > 1000,
+        "too few cases: {surely_count} sure, {uncertain_counts:?} uncertain"
     );
 }
 
 /// Returns the number of TTIs after which `device`, the only one in S1, counts as empty.
-fn silent_for(known: &Knowledge, device: u32) -> f64 {
-    let mut levels = BatteryEstimator::new(known);
+fn ttis_until_empty(known: &Knowledge, device: u32) -> f64 {
+    let mut estimator = BatteryEstimator::new(known);
     let plan = Plan::from_bits((0..50).map(|j| j == device));
     for k in 0..10_000 {
-        levels.advance(Tti(k + 1), &plan);
-        if levels.levels()[device as usize] == Energy::ZERO {
-            assert!(levels.levels()[2] > Energy::ZERO, "a sleeping device is not asked");
+        estimator.advance(Tti(k + 1), &plan);
+        if estimator.levels()[device as usize] == Energy::ZERO {
+            assert!(
+                estimator.levels()[2] > Energy::ZERO,
+                "a sleeping device is not expected to report"
+            );
             return (k + 1) as f64;
         }
     }
-    panic!("it is never found out");
+    panic!("device {device} never counts as empty");
 }
 
 #[test]
-fn a_device_that_senses_for_long_without_a_report_is_taken_to_be_empty() {
+fn long_sensing_without_a_report_shows_an_empty_battery() {
     // An event in every second TTI. In the middle of the area, the full sensing area of π 4² of the 400 m² counts.
-    let mut known = known(&["events.alpha=0.5", "harvest.lambda=1", "harvest.e_b=5"]);
+    let mut known = load_knowledge(&["events.alpha=0.5", "harvest.lambda=1", "harvest.e_b=5"]);
     known.devices[0].position = Point::new(10.0, 10.0);
     known.devices[1].position = Point::new(0.0, 0.0);
-    for (kind, share) in [
-        (DetectionKind::Range, std::f64::consts::PI * 16.0 / 400.0),
+    for (kind, detection_share) in [
+        (DetectionKind::Range, PI * 16.0 / 400.0),
         // 2π ∫ r exp(−r) dr from 0 to 4.
         (
             DetectionKind::Probabilistic,
@@ -317,86 +339,112 @@ fn a_device_that_senses_for_long_without_a_report_is_taken_to_be_empty() {
         ),
     ] {
         known.sensing.kind = kind;
-        let expected = 8.0 / (0.5 * share);
-        let [middle, corner] = [0, 1].map(|device| silent_for(&known, device));
+        let expected_ttis = MAX_EXPECTED_REPORTS / (0.5 * detection_share);
+        let [middle, corner] = [0, 1].map(|device| ttis_until_empty(&known, device));
         assert!(
-            (middle / expected - 1.0).abs() < 0.02,
-            "{kind:?}: {middle}, not {expected}"
+            (middle / expected_ttis - 1.0).abs() < 0.02,
+            "{kind:?}: {middle} TTIs in the middle, not {expected_ttis}"
         );
-        // In the corner, a quarter of the sensing area is inside the area.
-        assert!((corner / (4.0 * expected) - 1.0).abs() < 0.15, "{kind:?}: {corner}");
+        // In the corner, a quarter of the sensing area is inside the area. Few of the points on each
+        // circle decide it, so the tolerance is larger.
+        assert!(
+            (corner / (4.0 * expected_ttis) - 1.0).abs() < 0.15,
+            "{kind:?}: {corner} TTIs in the corner, not 4 · {expected_ttis}"
+        );
     }
 }
 
 #[test]
-fn a_device_among_others_that_report_is_found_out_by_itself() {
-    let mut known = known(&["events.alpha=0.5", "harvest.lambda=1", "harvest.e_b=5"]);
+fn a_silent_device_is_detected_among_reporting_ones() {
+    let mut known = load_knowledge(&["events.alpha=0.5", "harvest.lambda=1", "harvest.e_b=5"]);
     known.devices[0].position = Point::new(10.0, 10.0);
-    let mut levels = BatteryEstimator::new(&known);
+    let mut estimator = BatteryEstimator::new(&known);
     let plan = Plan::from_bits((0..50).map(|j| j < 2));
-    let expected = 8.0 / (0.5 * std::f64::consts::PI * 16.0 / 400.0);
-    let mut found = None;
+    let expected_ttis = MAX_EXPECTED_REPORTS / (0.5 * PI * 16.0 / 400.0);
+    let mut empty_after = None;
     for k in 0..1000 {
-        levels.advance(Tti(k + 1), &plan);
+        estimator.advance(Tti(k + 1), &plan);
         if k % 50 == 0 {
-            levels.observe_level(DeviceId(1), Tti(k), Energy::from_micro(60_000_000));
+            estimator.observe_level(DeviceId(1), Tti(k), Energy::from_micro(60_000_000));
         }
-        assert!(levels.levels()[1] > Energy::ZERO);
-        if found.is_none() && levels.levels()[0] == Energy::ZERO {
-            found = Some((k + 1) as f64);
+        assert!(estimator.levels()[1] > Energy::ZERO);
+        if empty_after.is_none() && estimator.levels()[0] == Energy::ZERO {
+            empty_after = Some((k + 1) as f64);
         }
     }
-    let found = found.expect("it is found out");
-    assert!((found / expected - 1.0).abs() < 0.02, "{found}, not {expected}");
+    let empty_after = empty_after.expect("device 0 counts as empty");
+    assert!(
+        (empty_after / expected_ttis - 1.0).abs() < 0.02,
+        "empty after {empty_after} TTIs, not {expected_ttis}"
+    );
 }
 
 #[test]
-fn a_class_of_which_nobody_is_heard_is_taken_to_charge_ever_slower() {
-    let known = known(&["events.alpha=0.5", "harvest.lambda=1", "harvest.e_b=5"]);
-    let mut levels = BatteryEstimator::new(&known);
-    let need = Energy::from_micro(11_000_000);
+fn a_class_without_reports_is_assumed_to_charge_more_slowly() {
+    let known = load_knowledge(&["events.alpha=0.5", "harvest.lambda=1", "harvest.e_b=5"]);
+    let mut estimator = BatteryEstimator::new(&known);
+    // A report and a TTI in S1.
+    let min_level = Energy::from_micro(11_000_000);
     // Imitates a policy: the first four charged devices sense.
-    let (mut asked, mut last) = (Vec::new(), 0);
+    let (mut sensing_counts, mut last_sensing_tti) = (Vec::new(), 0);
     for k in 0..40_000 {
-        let able = (0..50).filter(|&j: &u32| levels.levels()[j as usize] >= need).take(4);
-        let chosen: Vec<DeviceId> = able.map(DeviceId).collect();
-        asked.push(chosen.len());
-        last = if chosen.is_empty() { last } else { k };
-        levels.advance(Tti(k + 1), &Plan::from_devices(50, &chosen));
+        let charged = (0..50)
+            .filter(|&j: &u32| estimator.levels()[j as usize] >= min_level)
+            .take(4);
+        let sensing_devices: Vec<DeviceId> = charged.map(DeviceId).collect();
+        sensing_counts.push(sensing_devices.len());
+        last_sensing_tti = if sensing_devices.is_empty() {
+            last_sensing_tti
+        } else {
+            k
+        };
+        estimator.advance(Tti(k + 1), &Plan::from_devices(50, &sensing_devices));
     }
-    let in_window = |from: usize, to: usize| asked[from..to].iter().sum::<usize>() as f64 / (to - from) as f64;
-    assert!(in_window(0, 300) > 3.9, "{}", in_window(0, 300));
-    assert!(in_window(20_000, 40_000) < 0.2, "{}", in_window(20_000, 40_000));
+    let mean_sensing_count =
+        |from: usize, to: usize| sensing_counts[from..to].iter().sum::<usize>() as f64 / (to - from) as f64;
+    assert!(
+        mean_sensing_count(0, 300) > 3.9,
+        "at first: {}",
+        mean_sensing_count(0, 300)
+    );
+    assert!(
+        mean_sensing_count(20_000, 40_000) < 0.2,
+        "in the end: {}",
+        mean_sensing_count(20_000, 40_000)
+    );
     // One report of the class restores normal charging estimates for all its devices.
     let asleep = Plan::from_bits([false; 50]);
-    levels.observe_level(DeviceId(3), Tti(40_000), Energy::from_micro(20_000_000));
+    estimator.observe_level(DeviceId(3), Tti(40_000), Energy::from_micro(20_000_000));
     for k in 40_001..40_020 {
-        levels.advance(Tti(k + 1), &asleep);
+        estimator.advance(Tti(k + 1), &asleep);
     }
     // 5 e⁻¹ − 1/14 units in each of 19 TTIs.
     assert!(
-        levels.levels().iter().all(|level| *level >= need),
-        "{:?}",
-        levels.levels()
+        estimator.levels().iter().all(|level| *level >= min_level),
+        "levels after a report: {:?}",
+        estimator.levels()
     );
-    assert!(last > 20_000, "{last}: they are never asked again");
+    assert!(
+        last_sensing_tti > 20_000,
+        "no device senses after TTI {last_sensing_tti}"
+    );
 }
 
 #[test]
-fn levels_that_are_told_are_not_estimated() {
-    let mut known = known(&[]);
+fn known_levels_are_not_estimated() {
+    let mut known = load_knowledge(&[]);
     known.bs.battery_knowledge = BatteryKnowledge::Oracle;
-    let mut levels = BatteryEstimator::new(&known);
+    let mut estimator = BatteryEstimator::new(&known);
     let plan = Plan::from_bits((0..50).map(|j| j == 1));
-    levels.set_true_levels((0..50).map(|j| Energy::from_micro(10_000_000 + 50_000 * j)));
-    let before = levels.levels().to_vec();
-    levels.advance(Tti(1), &plan);
-    assert_eq!(levels.levels(), before);
+    estimator.set_true_levels((0..50).map(|j| Energy::from_micro(10_000_000 + 50_000 * j)));
+    let levels_before = estimator.levels().to_vec();
+    estimator.advance(Tti(1), &plan);
+    assert_eq!(estimator.levels(), levels_before);
     // These are levels before the TTI is paid, so a report needs E_Tx plus E_WuR or E_idle.
-    let able: Vec<u32> = (0..50)
-        .filter(|&j| levels.can_report(DeviceId(j), Tti(1), &plan))
+    let reporting_devices: Vec<u32> = (0..50)
+        .filter(|&j| estimator.can_report(DeviceId(j), Tti(1), &plan))
         .collect();
-    assert_eq!(able, (2..50).collect::<Vec<u32>>());
-    levels.set_true_levels((0..50).map(|_| Energy::from_micro(11_000_000)));
-    assert!(levels.can_report(DeviceId(1), Tti(1), &plan));
+    assert_eq!(reporting_devices, (2..50).collect::<Vec<u32>>());
+    estimator.set_true_levels((0..50).map(|_| Energy::from_micro(11_000_000)));
+    assert!(estimator.can_report(DeviceId(1), Tti(1), &plan));
 }

@@ -227,22 +227,39 @@ mod tests {
         }
     }
 
-    /// Computes the mean by adaptive Simpson integration over the full circle, with the cosine rule as in the paper.
-    fn reference(sensing: &Sensing, d: f64, gamma: f64) -> f64 {
-        let f = |phi: f64| {
+    /// Computes `P_4,2` by adaptive Simpson integration over the full circle, with the cosine rule as in the paper.
+    fn integrated_p42(sensing: &Sensing, d: f64, gamma: f64) -> f64 {
+        let detection_probability = |phi: f64| {
             let squared = d * d + gamma * gamma - 2.0 * d * gamma * libm::cos(phi);
             libm::exp(-sensing.eta * squared.max(0.0).sqrt())
         };
         // Unequal widths, so that no symmetry of the integrand distorts the error estimate.
         let cuts = [0.0, 0.01, 0.1, 0.7, 2.1, PI, 4.0, 5.3, 6.0, 6.25, 2.0 * PI];
-        let pieces = cuts.windows(2).map(|w| {
+        let integrals = cuts.windows(2).map(|w| {
             let (a, b) = (w[0], w[1]);
-            adaptive(&f, [a, b], [f(a), f(0.5 * (a + b)), f(b)], 1e-10, 40)
+            adaptive_simpson(
+                &detection_probability,
+                [a, b],
+                [
+                    detection_probability(a),
+                    detection_probability(0.5 * (a + b)),
+                    detection_probability(b),
+                ],
+                1e-10,
+                40,
+            )
         });
-        pieces.sum::<f64>() / (2.0 * PI)
+        integrals.sum::<f64>() / (2.0 * PI)
     }
 
-    fn adaptive(f: &impl Fn(f64) -> f64, [a, b]: [f64; 2], [fa, fm, fb]: [f64; 3], tolerance: f64, depth: u32) -> f64 {
+    /// Integrates `f` from a to b, given its values at a, in the middle and at b.
+    fn adaptive_simpson(
+        f: &impl Fn(f64) -> f64,
+        [a, b]: [f64; 2],
+        [fa, fm, fb]: [f64; 3],
+        tolerance: f64,
+        depth: u32,
+    ) -> f64 {
         let (m, h) = (0.5 * (a + b), b - a);
         let (left, right) = (f(0.5 * (a + m)), f(0.5 * (m + b)));
         let whole = h / 6.0 * (fa + 4.0 * fm + fb);
@@ -250,38 +267,39 @@ mod tests {
         if depth == 0 || (halves - whole).abs() < 15.0 * tolerance {
             return halves + (halves - whole) / 15.0;
         }
-        adaptive(f, [a, m], [fa, left, fm], 0.5 * tolerance, depth - 1)
-            + adaptive(f, [m, b], [fm, right, fb], 0.5 * tolerance, depth - 1)
+        adaptive_simpson(f, [a, m], [fa, left, fm], 0.5 * tolerance, depth - 1)
+            + adaptive_simpson(f, [m, b], [fm, right, fb], 0.5 * tolerance, depth - 1)
     }
 
-    /// Returns the largest error over a grid, random points, and points near γ = d, where the integrand has a kink.
+    /// Returns the largest error with its d and γ, over a grid, random points, and points near γ = d, where the
+    /// integrand has a kink.
     fn worst_error(eta: f64, d_max: f64) -> (f64, f64, f64) {
         let (model, mut worst) = (sensing(eta, d_max), (0.0, 0.0, 0.0));
         let correlation = Correlation::new(&model, &BoundsCache::default());
-        let mut check = |d: f64, gamma: f64| {
-            let error = (correlation.p42(d, gamma) - reference(&model, d, gamma)).abs();
+        let mut update = |d: f64, gamma: f64| {
+            let error = (correlation.p42(d, gamma) - integrated_p42(&model, d, gamma)).abs();
             if error > worst.0 {
                 worst = (error, d, gamma);
             }
         };
         for i in 0..=20 {
             for j in 0..=40 {
-                check(d_max * f64::from(i) / 20.0, d_max * f64::from(j) / 20.0);
+                update(d_max * f64::from(i) / 20.0, d_max * f64::from(j) / 20.0);
             }
         }
         let mut stream = Stream::new(4, Purpose::Epicentre, 0);
         for _ in 0..1000 {
             let d = d_max * stream.unit();
-            check(d, 2.0 * d_max * stream.unit());
+            update(d, 2.0 * d_max * stream.unit());
             let gap = d_max * libm::pow(10.0, -6.0 * stream.unit());
-            check(d, d + gap);
-            check(d, (d - gap).max(0.0));
+            update(d, d + gap);
+            update(d, (d - gap).max(0.0));
         }
         worst
     }
 
     #[test]
-    fn the_error_of_p42_is_below_a_millionth() {
+    fn the_error_of_p42_is_below_one_millionth() {
         for (eta, d_max) in [
             (1.0, 4.0),
             (1.0, 8.0),
@@ -300,25 +318,26 @@ mod tests {
     }
 
     #[test]
-    fn decay_is_the_exponential() {
+    fn exp_negative_equals_the_exponential_function() {
         for i in 0..=70_000 {
             let x = f64::from(i) / 100.0 + f64::from(i % 7) * 1e-4;
             let exact = libm::exp(-x);
-            assert!((exp_negative(x) / exact - 1.0).abs() < 4e-16 * (1.0 + x), "{x}");
+            assert!((exp_negative(x) / exact - 1.0).abs() < 4e-16 * (1.0 + x), "exp(-{x})");
         }
         assert_eq!(exp_negative(0.0).to_bits(), 1.0_f64.to_bits());
+        // Larger arguments count as 708, below which the result is a normal double.
         assert_eq!(exp_negative(2100.0).to_bits(), exp_negative(708.0).to_bits());
     }
 
     #[test]
-    fn without_a_direction_p42_is_p() {
+    fn p42_equals_p_at_distance_zero() {
         let model = sensing(1.0, 4.0);
         let correlation = Correlation::new(&model, &BoundsCache::default());
         for distance in [0.0, 1e-9, 0.7, 4.0, 8.0] {
             assert!((correlation.p42(0.0, distance) - model.p(distance)).abs() < f64::EPSILON);
             assert!((correlation.p42(distance, 0.0) - model.p(distance)).abs() < f64::EPSILON);
         }
-        // Compares the quadrature itself, right next to the special case.
+        // Next to the special case, the quadrature itself is used.
         assert!((correlation.p42(1e-12, 2.0) - model.p(2.0)).abs() < 1e-11);
     }
 
@@ -329,25 +348,28 @@ mod tests {
         let mut stream = Stream::new(5, Purpose::Epicentre, 0);
         for _ in 0..10_000 {
             let (d, gamma) = (4.0 * stream.unit(), 8.0 * stream.unit());
-            let mean = correlation.p42(d, gamma);
-            assert!(mean >= model.p(d + gamma), "{d}, {gamma}");
+            let p42 = correlation.p42(d, gamma);
+            assert!(p42 >= model.p(d + gamma), "d = {d}, γ = {gamma}: {p42}");
             let (points_per_metre, columns) = correlation.bands_per_metre_and_count();
             let column = (gamma * points_per_metre + 0.5) as usize;
-            assert!(column < columns, "{gamma}");
+            assert!(column < columns, "γ = {gamma}: column {column} of {columns}");
             let band = correlation.bands(d).iter().find(|band| band.column == column);
             assert!(
-                mean <= band.map_or(correlation.threshold(), |band| band.bound),
-                "{d}, {gamma}"
+                p42 <= band.map_or(correlation.threshold(), |band| band.bound),
+                "d = {d}, γ = {gamma}: {p42}"
             );
         }
     }
 
     #[test]
-    fn the_quadrature_is_exact_for_polynomials() {
+    fn gauss_legendre_is_exact_for_polynomials() {
         for count in [1_u32, 2, 5, 16, 33] {
-            let rule: Vec<_> = gauss_legendre(count as usize).collect();
+            let points_and_weights: Vec<_> = gauss_legendre(count as usize).collect();
             for power in 0..2 * count {
-                let sum: f64 = rule.iter().map(|&(t, w)| w * libm::pow(t, f64::from(power))).sum();
+                let sum: f64 = points_and_weights
+                    .iter()
+                    .map(|&(t, w)| w * libm::pow(t, f64::from(power)))
+                    .sum();
                 let exact = if power % 2 == 0 {
                     2.0 / f64::from(power + 1)
                 } else {

@@ -49,7 +49,6 @@ impl InformationTarget {
         self.candidates.belief()
     }
 
-    /// Adds the answer of a woken device.
     pub(crate) fn add_wake_up_answer(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
         if let Some(report) = report.filter(|_| !self.is_reached(seen)) {
             self.candidates.add_report(seen, report);

@@ -35,7 +35,6 @@ impl Neighbours {
         }
     }
 
-    /// Returns the position of a device.
     pub(crate) fn position(&self, device: DeviceId) -> Point {
         self.positions[device.index()]
     }
@@ -88,7 +87,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_neighbour_is_in_the_band_of_its_distance_and_no_other() {
+    fn each_band_contains_the_devices_at_its_distances() {
         let area = Area {
             width: 20.0,
             height: 10.0,

@@ -17,14 +17,15 @@ pub fn i_min(points: &[Point], area: Area, sensing: &Sensing) -> f64 {
     sensing.psi * sensing.p(farthest_cell_vertex(points, area))
 }
 
-/// Wake-up candidates of one event at a time, in descending order of `P_4,2` = max over the event's reporters h of
-/// Pr(`S_j` = S3 | `S_h` = S3). Ties are broken by device number.
+/// Wake-up candidates of one event at a time, in descending order of `P_4,2`. For device j, `P_4,2` is the largest
+/// Pr(`S_j` = S3 | `S_h` = S3) over the event's reporters h. Ties are broken by device number.
 ///
 /// [`Ranking::start_event`] begins an event, `Ranking::add_reporter` adds a report, and [`Ranking::next_candidate`]
 /// returns the next candidate to wake. Reports may be added between two candidates.
 ///
-/// Most integrals are never computed. Candidates wait in whole bands of distance from a reporter under a cheap upper
-/// bound. A band is evaluated only when no known candidate reaches its bound.
+/// Each probability is an integral, and most of the integrals are never computed. The queue holds whole bands of
+/// candidates at similar distances from a reporter, with an upper bound of their probabilities that costs little. A
+/// band is evaluated only when no evaluated candidate reaches its bound.
 #[derive(Clone, Debug)]
 pub struct Ranking {
     correlation: Correlation,
@@ -68,7 +69,6 @@ impl Ranking {
         self.queue_band(reporter, 0);
     }
 
-    /// Excludes `device` for this event.
     pub(crate) fn exclude(&mut self, device: DeviceId) {
         self.last_returned_for[device.index()] = self.event_number;
     }
@@ -218,7 +218,7 @@ mod tests {
         height: 20.0,
     };
 
-    fn paper() -> Sensing {
+    fn paper_sensing() -> Sensing {
         Sensing {
             kind: DetectionKind::Range,
             d_max: 4.0,
@@ -228,14 +228,19 @@ mod tests {
         }
     }
 
-    fn all(ranking: &mut Ranking) -> Vec<u32> {
+    /// Returns all remaining candidates in order.
+    fn drain(ranking: &mut Ranking) -> Vec<u32> {
         std::iter::from_fn(|| ranking.next_candidate(|_| true))
             .map(|(j, _)| j.0)
             .collect()
     }
 
-    fn ranking(points: &[Point]) -> Ranking {
-        Ranking::new(points, AREA, Correlation::new(&paper(), &BoundsCache::default()))
+    fn paper_ranking(points: &[Point]) -> Ranking {
+        Ranking::new(
+            points,
+            AREA,
+            Correlation::new(&paper_sensing(), &BoundsCache::default()),
+        )
     }
 
     /// Points of the midpoint rule for the definition.
@@ -282,7 +287,7 @@ mod tests {
             }
         }
 
-        fn report(&mut self, reporter: DeviceId, d: f64) {
+        fn add_reporter(&mut self, reporter: DeviceId, d: f64) {
             for (j, best) in self.best.iter_mut().enumerate() {
                 let gamma = self.points[reporter.index()].distance(self.points[j]);
                 let log = log_p42(self.sensing, d, gamma);
@@ -297,42 +302,42 @@ mod tests {
         /// number.
         fn check(&self, next: Option<(DeviceId, f64)>, free: impl Fn(DeviceId) -> bool, error: f64, case: &str) {
             let floor = -self.sensing.eta * self.sensing.d_max;
-            let all = (0..self.points.len() as u32).map(DeviceId).filter(|&j| free(j));
-            let of = |j: DeviceId| self.best[j.index()].filter(|(log, ..)| *log >= floor - error);
-            let found = all
+            let candidates = (0..self.points.len() as u32).map(DeviceId).filter(|&j| free(j));
+            let best_of = |j: DeviceId| self.best[j.index()].filter(|(log, ..)| *log >= floor - error);
+            let max_log = candidates
                 .clone()
-                .filter_map(of)
+                .filter_map(best_of)
                 .map(|(log, ..)| log)
                 .fold(f64::NEG_INFINITY, f64::max);
             let Some((next, probability)) = next else {
                 assert!(
-                    found < floor + error,
-                    "{case}: no candidate returned, and one has exp({found})"
+                    max_log < floor + error,
+                    "{case}: no candidate returned, and one has probability exp({max_log})"
                 );
                 return;
             };
             assert!(free(next), "{case}: {next} is not a candidate");
-            let Some((log, reporter, gamma)) = of(next) else {
+            let Some((log, reporter, gamma)) = best_of(next) else {
                 panic!("{case}: {next} is below p(d_max)");
             };
             assert!(
-                log >= found - 2.0 * error,
-                "{case}: {next} has exp({log}), another exp({found})"
+                log >= max_log - 2.0 * error,
+                "{case}: {next} has probability exp({log}), another exp({max_log})"
             );
             assert!(
                 (libm::log(probability) - log).abs() < error,
-                "{case}: {probability}, not exp({log})"
+                "{case}: probability {probability}, not exp({log})"
             );
-            let is_alike = |j: DeviceId| {
-                of(j).is_some_and(|(_, other, distance)| other == reporter && (distance - gamma).abs() < 1e-12)
+            let is_equal_by_symmetry = |j: DeviceId| {
+                best_of(j).is_some_and(|(_, other, distance)| other == reporter && (distance - gamma).abs() < 1e-12)
             };
-            let first = all.into_iter().find(|&j| is_alike(j));
-            assert_eq!(first, Some(next), "{case}: they stand alike");
+            let first = candidates.into_iter().find(|&j| is_equal_by_symmetry(j));
+            assert_eq!(first, Some(next), "{case}: the lowest number of equal devices");
         }
     }
 
     /// Compares [`Ranking`] with the definition for three events on random points.
-    fn compare((sensing, correlation): (&Sensing, &Correlation), case: u64, stream: &mut Stream) {
+    fn compare_with_definition((sensing, correlation): (&Sensing, &Correlation), case: u64, stream: &mut Stream) {
         let decay = sensing.eta * sensing.d_max;
         // The quadrature error is below one millionth. For the steepest decays only the last digits near the smallest
         // doubles remain.
@@ -342,53 +347,54 @@ mod tests {
         let points = place_devices(&layout, AREA, 1 + (case % 90) as u32, case);
         let mut ranking = Ranking::new(&points, AREA, correlation.clone());
         for _event in 0..3 {
-            let may = |j: DeviceId| !(u64::from(j.0) + case).is_multiple_of(5);
-            let mut given = Vec::new();
+            let is_candidate = |j: DeviceId| !(u64::from(j.0) + case).is_multiple_of(5);
+            let mut returned = Vec::new();
             let mut definition = RankingDefinition::new(sensing, &points);
             ranking.start_event();
-            let next = |given: &mut Vec<DeviceId>, ranking: &mut Ranking, definition: &RankingDefinition<'_>| {
-                let next = ranking.next_candidate(may);
-                let case = format!("case {case}, {layout:?}, decay {decay}");
-                definition.check(next, |j| may(j) && !given.contains(&j), error, &case);
-                given.extend(next.map(|(j, _)| j));
-                next.is_some()
-            };
+            let check_next =
+                |returned: &mut Vec<DeviceId>, ranking: &mut Ranking, definition: &RankingDefinition<'_>| {
+                    let next = ranking.next_candidate(is_candidate);
+                    let case = format!("case {case}, {layout:?}, decay {decay}");
+                    definition.check(next, |j| is_candidate(j) && !returned.contains(&j), error, &case);
+                    returned.extend(next.map(|(j, _)| j));
+                    next.is_some()
+                };
             for _report in 0..=stream.below(4) {
                 let reporter = DeviceId(stream.below(points.len() as u64) as u32);
                 let d = [0.0, 1.0, 4.0, 4.0 * stream.unit()][stream.below(4) as usize];
                 ranking.add_reporter(reporter, d);
-                definition.report(reporter, d);
+                definition.add_reporter(reporter, d);
                 for _ in 0..stream.below(3) {
-                    next(&mut given, &mut ranking, &definition);
+                    check_next(&mut returned, &mut ranking, &definition);
                 }
             }
-            while next(&mut given, &mut ranking, &definition) {}
+            while check_next(&mut returned, &mut ranking, &definition) {}
         }
     }
 
     #[test]
-    fn gives_the_order_of_a_full_sort_also_between_reports() {
+    fn the_order_equals_a_full_sort_also_between_reports() {
         let mut stream = Stream::new(6, Purpose::Epicentre, 0);
-        let correlation = Correlation::new(&paper(), &BoundsCache::default());
+        let correlation = Correlation::new(&paper_sensing(), &BoundsCache::default());
         for case in 0..200 {
-            compare((&paper(), &correlation), case, &mut stream);
+            compare_with_definition((&paper_sensing(), &correlation), case, &mut stream);
         }
     }
 
     #[test]
-    fn a_steep_decay_keeps_the_order() {
+    fn the_order_equals_a_full_sort_at_steep_decays() {
         let mut stream = Stream::new(7, Purpose::Epicentre, 0);
         for eta in [2.0, 5.5, 10.0, 37.5, 75.0, 175.0] {
-            let steep = Sensing { eta, ..paper() };
+            let steep = Sensing { eta, ..paper_sensing() };
             let correlation = Correlation::new(&steep, &BoundsCache::default());
             for case in 0..24 {
-                compare((&steep, &correlation), case, &mut stream);
+                compare_with_definition((&steep, &correlation), case, &mut stream);
             }
         }
     }
 
     #[test]
-    fn ties_go_to_the_lower_number_and_the_range_is_closed() {
+    fn ties_go_to_the_lowest_id_and_devices_at_d_max_are_candidates() {
         let at = |x: f64, y: f64| Point::new(10.0 + x, 10.0 + y);
         let points = [
             at(0.0, 4.0),
@@ -399,16 +405,16 @@ mod tests {
             at(1.0, 0.0),
             at(0.0, 0.0),
         ];
-        let mut ranking = ranking(&points);
+        let mut ranking = paper_ranking(&points);
         ranking.start_event();
         ranking.add_reporter(DeviceId(6), 0.0);
-        assert_eq!(all(&mut ranking), [6, 2, 3, 5, 0, 1]);
+        assert_eq!(drain(&mut ranking), [6, 2, 3, 5, 0, 1]);
         ranking.start_event();
         assert_eq!(ranking.next_candidate(|_| true), None);
     }
 
     #[test]
-    fn devices_that_stand_alike_come_in_the_order_of_their_numbers() {
+    fn symmetric_devices_come_in_the_order_of_their_ids() {
         // Four corners around the middle; their distances differ only by rounding.
         let points: Vec<Point> = [(0.1, 0.1), (0.3, 0.3), (0.3, 0.1), (0.1, 0.3), (0.1 + 0.1, 0.2)]
             .map(|(x, y)| Point::new(x, y))
@@ -416,9 +422,9 @@ mod tests {
         let distances: Vec<u64> = points[..4].iter().map(|p| p.distance(points[4]).to_bits()).collect();
         assert!(
             distances.iter().any(|&d| d != distances[0]),
-            "the case has lost its point"
+            "the case needs distances that differ by rounding"
         );
-        let mut ranking = ranking(&points);
+        let mut ranking = paper_ranking(&points);
         ranking.start_event();
         ranking.add_reporter(DeviceId(4), 1.0);
         let corners = std::iter::from_fn(|| ranking.next_candidate(|j| j.0 < 4)).map(|(j, _)| j.0);
@@ -426,12 +432,15 @@ mod tests {
     }
 
     #[test]
-    fn i_min_of_a_grid_is_the_papers() {
+    fn i_min_of_a_grid_equals_the_closed_form() {
         for side in [1_u32, 3, 10, 15] {
             let n = side * side;
             let points = place_devices(&Layout::Grid, AREA, n, 0);
-            let expected = paper().p((AREA.surface() / (2.0 * f64::from(n))).sqrt());
-            assert!((i_min(&points, AREA, &paper()) - expected).abs() < 1e-9, "N = {n}");
+            let expected = paper_sensing().p((AREA.surface() / (2.0 * f64::from(n))).sqrt());
+            assert!(
+                (i_min(&points, AREA, &paper_sensing()) - expected).abs() < 1e-9,
+                "N = {n}"
+            );
         }
     }
 }

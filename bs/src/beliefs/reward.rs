@@ -22,8 +22,8 @@ pub struct CoverageReward {
 }
 
 impl CoverageReward {
-    /// Computes the terms for the devices in S1, those with a true value in `on`, by device id. `union` covers all
-    /// devices.
+    /// Computes the terms for the devices in S1, those with a true value in `on`, by device id. `union` holds
+    /// the positions of all devices, those in S4 included.
     pub fn new(union: &mut CoverageUnion, on: &[bool]) -> Self {
         let devices_on = || on.iter().enumerate().filter(|(_, on)| **on).map(|(j, _)| j);
         Self {
@@ -38,13 +38,14 @@ impl CoverageReward {
     }
 }
 
-/// Creates the coverage model for [`CoverageReward`].
+/// Creates the model of the area that a set of devices covers. [`CoverageReward::new`] takes its uncovered share as a
+/// term of the reward.
 pub fn coverage_union(known: &Knowledge) -> CoverageUnion {
     CoverageUnion::new(&known.positions(), known.area, &known.sensing)
 }
 
 /// Returns the terms of r*(k) for `woken` wake-ups out of `n` devices: their value, and their cost, ≤ 0. The wake-ups
-/// raise Î by `brought`, as a share of Ψ. The terms of a TTI add up to r*(k).
+/// raise Î by `gained_share`, as a share of Ψ. The terms of a TTI add up to r*(k).
 pub fn wake_up_terms(mu2: f64, gained_share: f64, woken: u32, n: usize) -> [f64; 2] {
     [mu2 * gained_share, -f64::from(woken) / n as f64]
 }

@@ -81,7 +81,7 @@ pub struct FrameObserver<F> {
 
 impl<F: FnMut(Frame)> FrameObserver<F> {
     /// Creates an observer that passes frames to `emit`. It also passes the device states at the end of a grant, every
-    /// `states_every` TTIs or a little later if a grant is longer; 0 for never.
+    /// `state_interval` TTIs or a little later if a grant is longer; 0 for never.
     pub fn new(state_interval: u64, emit: F) -> Self {
         Self {
             frames: Frames::default(),

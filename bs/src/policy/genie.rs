@@ -26,12 +26,11 @@ pub const GENIE: PolicyEntry = PolicyEntry {
     )
 };
 
-/// Builds the genie.
 #[derive(Debug)]
 struct GenieFactory;
 
 impl Visit for GenieFactory {
-    fn visit(&self, _: &mut dyn FieldSink) {}
+    fn visit(&self, _sink: &mut dyn FieldSink) {}
 }
 
 impl PolicyFactory for GenieFactory {
@@ -47,7 +46,6 @@ pub struct Genie {
     device_count: usize,
     /// Whether the radio can lose the answer of a working device.
     is_lossy: bool,
-    /// Epicentre of the last event.
     epicentre: Point,
     /// Devices to wake for the new event, the next one at the end. Without radio losses it is the closest one, even if
     /// it cannot pay, as the bound requires.
@@ -90,20 +88,20 @@ impl Genie {
 
 impl Policy for Genie {
     /// Returns a plan in which all devices sleep.
-    fn decide(&mut self, _: &Observation<'_>) -> Plan {
+    fn decide(&mut self, _seen: &Observation<'_>) -> Plan {
         Plan::from_bits((0..self.device_count).map(|_| false))
     }
 
-    fn next_decision(&self, _: Tti) -> Tti {
+    fn next_decision(&self, _now: Tti) -> Tti {
         Tti::NEVER
     }
 
-    fn next_wake_up(&mut self, _: &Observation<'_>) -> Option<DeviceId> {
+    fn next_wake_up(&mut self, _seen: &Observation<'_>) -> Option<DeviceId> {
         self.wake_queue.pop()
     }
 
     /// Ends the wake-ups after one report of the event.
-    fn wake_up_answered(&mut self, _: &Observation<'_>, report: Option<&Report>) {
+    fn wake_up_answered(&mut self, _seen: &Observation<'_>, report: Option<&Report>) {
         if report.is_some() {
             self.wake_queue.clear();
         }
@@ -120,13 +118,16 @@ impl Policy for Genie {
 }
 
 impl Oracle for Genie {
-    fn reveal_event(&mut self, stimulus: &Stimulus) -> bool {
+    fn reveal_event(&mut self, stimulus: &Stimulus) {
         self.epicentre = stimulus.epicentre;
         self.wake_queue = if self.is_lossy {
             self.devices_around(stimulus.epicentre)
         } else {
             self.closest_device(stimulus.epicentre).into_iter().collect()
         };
+    }
+
+    fn needs_wake_up(&self) -> bool {
         !self.wake_queue.is_empty()
     }
 

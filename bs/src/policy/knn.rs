@@ -60,7 +60,7 @@ impl Policy for Knn {
         Some(&self.clusters.cluster_of)
     }
 
-    fn next_decision(&self, _: Tti) -> Tti {
+    fn next_decision(&self, _now: Tti) -> Tti {
         Tti::NEVER
     }
 

@@ -42,11 +42,11 @@ impl Random {
 }
 
 impl Policy for Random {
-    fn decide(&mut self, _: &Observation<'_>) -> Plan {
+    fn decide(&mut self, _seen: &Observation<'_>) -> Plan {
         Plan::Periodic(self.cycles.clone())
     }
 
-    fn next_decision(&self, _: Tti) -> Tti {
+    fn next_decision(&self, _now: Tti) -> Tti {
         Tti::NEVER
     }
 

@@ -38,7 +38,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_name_is_taken_once() {
+    fn names_are_unique_and_sections_are_named_after_their_policy() {
         for (index, policy) in POLICIES.iter().enumerate() {
             assert!(
                 POLICIES[..index].iter().all(|other| other.name != policy.name),

@@ -11,7 +11,7 @@ use crate::policy::registry;
 
 mod disk;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 pub use disk::{load, load_with_external, parse};
 

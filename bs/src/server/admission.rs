@@ -68,7 +68,6 @@ impl HostEntry {
 #[derive(Clone, Debug)]
 pub struct Admission {
     devices: u32,
-    /// Free ranges (first, count).
     free_ranges: Vec<(u32, u32)>,
     hosts: Vec<HostEntry>,
 }
@@ -214,11 +213,11 @@ impl Admission {
 }
 
 #[cfg(test)]
-#[expect(clippy::disallowed_methods, reason = "the tests need some moment")]
+#[expect(clippy::disallowed_methods, reason = "the tests need an instant")]
 mod tests {
     use super::*;
 
-    fn newcomer(nonce: u64, count: u32) -> JoiningHost {
+    fn joining_host(nonce: u64, count: u32) -> JoiningHost {
         JoiningHost {
             nonce,
             token: Secret::new([nonce as u8; 16]),
@@ -228,81 +227,91 @@ mod tests {
         }
     }
 
-    fn pass(places: Assignment, nonce: u64) -> HostCredential {
+    fn credential(assignment: Assignment, nonce: u64) -> HostCredential {
         HostCredential {
-            host: places.host,
+            host: assignment.host,
             token: Secret::new([nonce as u8; 16]),
         }
     }
 
     #[test]
-    fn places_are_given_once_and_again_to_the_same_asker() {
+    fn devices_are_assigned_once_and_a_repeated_request_gets_the_same_assignment() {
         let mut admission = Admission::new(10);
-        let a = admission.admit(newcomer(1, 4)).expect("free");
-        let b = admission.admit(newcomer(2, 100)).expect("free");
+        let a = admission.admit(joining_host(1, 4)).expect("free");
+        let b = admission.admit(joining_host(2, 100)).expect("free");
         assert_eq!((a.first, a.count, b.first, b.count), (DeviceId(0), 4, DeviceId(4), 6));
         assert_eq!(admission.find_by_nonce(1), Some((a, Secret::new([1; 16]))));
         assert_eq!(
-            (admission.find_by_nonce(3), admission.admit(newcomer(3, 1))),
+            (admission.find_by_nonce(3), admission.admit(joining_host(3, 1))),
             (None, None)
         );
-        for (places, nonce) in [(a, 1), (b, 2)] {
-            assert!(admission.mark_ready(pass(places, nonce)));
-            assert_eq!(admission.assignments_if_all_active(), None, "a token is missing");
-            let before = admission.active_hosts();
-            admission.set_alive(places.host, true);
-            assert_eq!((admission.active_hosts(), admission.assigned_hosts()), (before + 1, 2));
+        for (assignment, nonce) in [(a, 1), (b, 2)] {
+            assert!(admission.mark_ready(credential(assignment, nonce)));
+            assert_eq!(
+                admission.assignments_if_all_active(),
+                None,
+                "no host or only one is active"
+            );
+            let active_before = admission.active_hosts();
+            admission.set_alive(assignment.host, true);
+            assert_eq!(
+                (admission.active_hosts(), admission.assigned_hosts()),
+                (active_before + 1, 2)
+            );
         }
         assert_eq!(admission.assignments_if_all_active(), Some(vec![a, b]));
     }
 
     #[test]
-    fn nobody_speaks_for_another_host() {
+    fn a_credential_is_valid_only_for_its_own_host() {
         let mut admission = Admission::new(10);
         let (a, b) = (
-            admission.admit(newcomer(1, 5)).expect("free"),
-            admission.admit(newcomer(2, 5)).expect("free"),
+            admission.admit(joining_host(1, 5)).expect("free"),
+            admission.admit(joining_host(2, 5)).expect("free"),
         );
-        assert!(!admission.mark_ready(pass(a, 2)) && !admission.is_valid(pass(b, 1)));
+        assert!(!admission.mark_ready(credential(a, 2)) && !admission.is_valid(credential(b, 1)));
         let unknown = Assignment { host: HostId(9), ..a };
-        assert!(!admission.mark_ready(pass(unknown, 1)));
-        assert!(admission.is_valid(pass(a, 1)));
+        assert!(!admission.mark_ready(credential(unknown, 1)));
+        assert!(admission.is_valid(credential(a, 1)));
     }
 
     #[test]
-    fn a_host_that_never_becomes_ready_is_late() {
+    fn a_host_that_never_becomes_ready_is_overdue() {
         let mut admission = Admission::new(10);
-        let a = admission.admit(newcomer(1, 5)).expect("free");
-        let b = admission.admit(newcomer(2, 5)).expect("free");
-        admission.mark_ready(pass(a, 1));
-        let patience = Duration::from_secs(20);
+        let a = admission.admit(joining_host(1, 5)).expect("free");
+        let b = admission.admit(joining_host(2, 5)).expect("free");
+        admission.mark_ready(credential(a, 1));
+        let timeout = Duration::from_secs(20);
         let now = Instant::now();
-        assert_eq!(admission.overdue_hosts(now, patience), []);
-        assert_eq!(admission.overdue_hosts(now + patience + patience, patience), [b.host]);
+        assert_eq!(admission.overdue_hosts(now, timeout), []);
+        assert_eq!(admission.overdue_hosts(now + timeout + timeout, timeout), [b.host]);
     }
 
     #[test]
-    fn a_host_that_leaves_early_frees_its_places() {
+    fn a_host_that_leaves_before_it_is_ready_frees_its_devices() {
         let mut admission = Admission::new(10);
-        let a = admission.admit(newcomer(1, 6)).expect("free");
-        admission.admit(newcomer(2, 4));
+        let a = admission.admit(joining_host(1, 6)).expect("free");
+        admission.admit(joining_host(2, 4));
         assert_eq!(admission.free_host(a.host), Some(a));
         assert_eq!(admission.free_host(a.host), None);
-        assert!(!admission.mark_ready(pass(a, 1)));
+        assert!(!admission.mark_ready(credential(a, 1)));
         assert_eq!(admission.assigned_devices(), 4);
-        let again = admission.admit(newcomer(3, 6)).expect("free");
-        assert_eq!((again.first, again.count, again.host), (a.first, 6, HostId(2)));
+        let reassigned = admission.admit(joining_host(3, 6)).expect("free");
+        assert_eq!(
+            (reassigned.first, reassigned.count, reassigned.host),
+            (a.first, 6, HostId(2))
+        );
     }
 
     #[test]
-    fn who_takes_over_is_another_host_with_the_same_devices() {
+    fn a_takeover_assigns_the_same_devices_to_a_new_host() {
         let mut admission = Admission::new(10);
-        let a = admission.admit(newcomer(1, 10)).expect("free");
-        assert!(admission.mark_ready(pass(a, 1)));
-        let b = admission.take_over(newcomer(2, 40), a);
+        let a = admission.admit(joining_host(1, 10)).expect("free");
+        assert!(admission.mark_ready(credential(a, 1)));
+        let b = admission.take_over(joining_host(2, 40), a);
         assert_eq!((b.first, b.count, b.host), (a.first, a.count, HostId(1)));
         admission.revoke(a.host);
-        assert!(!admission.is_valid(pass(a, 1)) && admission.is_valid(pass(b, 2)));
+        assert!(!admission.is_valid(credential(a, 1)) && admission.is_valid(credential(b, 2)));
         assert_eq!(admission.host_name(b.host), "host 2");
     }
 }

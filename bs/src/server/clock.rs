@@ -88,7 +88,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn commands_move_the_stop() {
+    fn commands_set_the_stop_and_the_pace() {
         let mut clock = VirtualClock::new(Tti(100), Pace::Max);
         assert_eq!((clock.until(), clock.end()), (Tti::NEVER, Tti(100)));
         clock.apply(ClockCommand::Pause, Tti(7));
@@ -102,7 +102,7 @@ mod tests {
         assert_eq!(clock.until(), Tti(50));
         for outside in [Tti(19), Tti(101)] {
             clock.apply(ClockCommand::RunTo(outside), Tti(20));
-            assert_eq!(clock.until(), Tti(50), "{outside}");
+            assert_eq!(clock.until(), Tti(50), "run to {outside}");
         }
         clock.apply(ClockCommand::Resume, Tti(50));
         assert_eq!((clock.until(), clock.pace()), (Tti::NEVER, Pace::Max));

@@ -39,7 +39,6 @@ impl<'a> Downlink<'a> {
         self.wake_ups.clear();
     }
 
-    /// Sends a plan.
     pub(super) fn send_plan(&mut self, update: PlanUpdate) -> Result<(), BusError> {
         self.plan_topic.publish(&update)?;
         self.plans.push(update);
@@ -58,7 +57,6 @@ impl<'a> Downlink<'a> {
         Ok(())
     }
 
-    /// Sends a wake-up to `device`, which `host` runs.
     pub(super) fn send_wake_up(&mut self, host: HostId, device: DeviceId, wake: WakeUp) -> Result<(), BusError> {
         self.wake_ups.push((host, device, wake));
         self.bus.send_wake_up(host, device, &wake)
@@ -72,7 +70,6 @@ impl<'a> Downlink<'a> {
         }
     }
 
-    /// Retransmits every message of the open grant.
     pub(super) fn retransmit(&self) -> Result<(), BusError> {
         // In the order of the first sending: a host applies a grant only with its plan, and a wake-up only after its
         // grant.

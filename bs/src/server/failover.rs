@@ -55,7 +55,6 @@ pub trait ReplaySource: Send + Sync {
 struct PendingTakeover {
     assignment: Assignment,
     lost_at: Instant,
-    /// The TTI for which a replay was requested.
     replay_tti: Option<Tti>,
     checkpoint: Option<Arc<HostCheckpoint>>,
     /// The new host that is to take over the devices and is not ready yet.
@@ -198,13 +197,13 @@ impl LostHosts {
 }
 
 #[cfg(test)]
-#[expect(clippy::disallowed_methods, reason = "the tests need some moment")]
+#[expect(clippy::disallowed_methods, reason = "the tests need an instant")]
 mod tests {
     use reveille_common::message::ResumePoint;
 
     use super::*;
 
-    fn places(host: u32, first: u32, count: u32) -> Assignment {
+    fn assignment(host: u32, first: u32, count: u32) -> Assignment {
         Assignment {
             host: HostId(host),
             first: DeviceId(first),
@@ -212,7 +211,7 @@ mod tests {
         }
     }
 
-    fn resumption() -> HostCheckpoint {
+    fn checkpoint() -> HostCheckpoint {
         HostCheckpoint {
             at: ResumePoint {
                 next: Tti(7),
@@ -223,46 +222,61 @@ mod tests {
     }
 
     #[test]
-    fn a_newcomer_gets_what_fits_once_it_is_known() {
-        let mut losses = LostHosts::default();
+    fn a_new_host_takes_over_the_largest_assignment_that_fits_once_its_checkpoint_is_known() {
+        let mut lost_hosts = LostHosts::default();
         let now = Instant::now();
-        assert!(losses.add(places(0, 0, 5), now) && losses.add(places(1, 5, 9), now));
-        assert!(!losses.add(places(0, 0, 5), now), "that was known");
-        assert_eq!(losses.request_replays(Tti(7)).len(), 2);
-        assert!(losses.request_replays(Tti(7)).is_empty() && losses.find_takeover(20).is_none());
-        losses.set_checkpoint(HostId(0), resumption());
-        losses.set_checkpoint(HostId(1), resumption());
-        assert_eq!(losses.find_takeover(4).map(|(places, _)| places), None);
-        assert_eq!(losses.find_takeover(8).map(|(places, _)| places), Some(places(0, 0, 5)));
-        assert_eq!(losses.find_takeover(9).map(|(places, _)| places), Some(places(1, 5, 9)));
-        losses.reserve(HostId(1), HostId(2));
-        assert_eq!(losses.find_takeover(9).map(|(places, _)| places), Some(places(0, 0, 5)));
-        losses.cancel_reservation(HostId(2));
-        assert_eq!(losses.find_takeover(9).map(|(places, _)| places), Some(places(1, 5, 9)));
-        losses.reserve(HostId(1), HostId(3));
+        assert!(lost_hosts.add(assignment(0, 0, 5), now) && lost_hosts.add(assignment(1, 5, 9), now));
+        assert!(!lost_hosts.add(assignment(0, 0, 5), now), "a loss counts once");
+        assert_eq!(lost_hosts.request_replays(Tti(7)).len(), 2);
+        assert!(lost_hosts.request_replays(Tti(7)).is_empty() && lost_hosts.find_takeover(20).is_none());
+        lost_hosts.set_checkpoint(HostId(0), checkpoint());
+        lost_hosts.set_checkpoint(HostId(1), checkpoint());
+        assert_eq!(lost_hosts.find_takeover(4).map(|(found, _)| found), None);
+        assert_eq!(
+            lost_hosts.find_takeover(8).map(|(found, _)| found),
+            Some(assignment(0, 0, 5))
+        );
+        assert_eq!(
+            lost_hosts.find_takeover(9).map(|(found, _)| found),
+            Some(assignment(1, 5, 9))
+        );
+        lost_hosts.reserve(HostId(1), HostId(2));
+        assert_eq!(
+            lost_hosts.find_takeover(9).map(|(found, _)| found),
+            Some(assignment(0, 0, 5))
+        );
+        lost_hosts.cancel_reservation(HostId(2));
+        assert_eq!(
+            lost_hosts.find_takeover(9).map(|(found, _)| found),
+            Some(assignment(1, 5, 9))
+        );
+        lost_hosts.reserve(HostId(1), HostId(3));
         let second = Duration::from_secs(1);
         assert_eq!(
-            losses.complete_takeover(HostId(3), now + second),
-            Some((places(1, 5, 9), second))
+            lost_hosts.complete_takeover(HostId(3), now + second),
+            Some((assignment(1, 5, 9), second))
         );
-        assert_eq!(losses.assignments().collect::<Vec<_>>(), [places(0, 0, 5)]);
-        assert_eq!(losses.recovery_times(), [second]);
+        assert_eq!(lost_hosts.assignments().collect::<Vec<_>>(), [assignment(0, 0, 5)]);
+        assert_eq!(lost_hosts.recovery_times(), [second]);
     }
 
     #[test]
-    fn a_host_that_is_back_keeps_its_devices() {
-        let mut losses = LostHosts::default();
+    fn a_host_that_returns_keeps_its_devices() {
+        let mut lost_hosts = LostHosts::default();
         let now = Instant::now();
-        losses.add(places(0, 0, 5), now);
-        losses.request_replays(Tti(7));
-        losses.set_checkpoint(HostId(0), resumption());
-        losses.reserve(HostId(0), HostId(1));
-        assert_eq!(losses.end_loss(HostId(0), now), Some(Some(HostId(1))));
-        assert_eq!(losses.end_loss(HostId(0), now), None);
-        assert!(losses.is_empty() && losses.complete_takeover(HostId(1), now).is_none());
-        losses.add(places(0, 0, 5), now);
-        losses.request_replays(Tti(9));
-        losses.set_checkpoint(HostId(0), resumption());
-        assert!(losses.find_takeover(9).is_none(), "that was for the first loss");
+        lost_hosts.add(assignment(0, 0, 5), now);
+        lost_hosts.request_replays(Tti(7));
+        lost_hosts.set_checkpoint(HostId(0), checkpoint());
+        lost_hosts.reserve(HostId(0), HostId(1));
+        assert_eq!(lost_hosts.end_loss(HostId(0), now), Some(Some(HostId(1))));
+        assert_eq!(lost_hosts.end_loss(HostId(0), now), None);
+        assert!(lost_hosts.is_empty() && lost_hosts.complete_takeover(HostId(1), now).is_none());
+        lost_hosts.add(assignment(0, 0, 5), now);
+        lost_hosts.request_replays(Tti(9));
+        lost_hosts.set_checkpoint(HostId(0), checkpoint());
+        assert!(
+            lost_hosts.find_takeover(9).is_none(),
+            "the checkpoint belongs to the first loss"
+        );
     }
 }

@@ -25,7 +25,6 @@ const CHECK_INTERVAL: Duration = Duration::from_millis(100);
 /// Time for a joined host to become ready, in a run with few hosts.
 const READY_TIMEOUT: Duration = Duration::from_secs(20);
 
-/// Answers join requests.
 pub(super) struct JoinHandler {
     pub(super) shared: Arc<SharedState>,
     pub(super) scenario: Scenario,
@@ -164,7 +163,6 @@ impl ServerState {
         }
     }
 
-    /// Removes a lost host and its devices from the run.
     pub(super) fn remove_host(&mut self, assignment: Assignment) {
         self.lost_hosts.drop_host(assignment.host);
         self.admission.revoke(assignment.host);

@@ -1,10 +1,15 @@
-//! The tokio shell of the base station on the bus. [`serve()`] is the entry point of a run.
+//! The asynchronous part of the base station: connects the [`Session`](crate::session::Session), which decides without
+//! I/O, to the bus. [`serve()`] runs it: [`RunSpec`] describes the run, [`ServerConfig`] the settings that do not
+//! change its outcome.
 //!
-//! `subscriptions` receives all messages. `join` and [`admission`] assign devices to hosts. `run_loop` carries out the
-//! actions of the [`Session`](crate::session::Session), sends through `downlink` and waits at the [`barrier`].
+//! `subscriptions` receives all messages and checks credentials; `state` is what its callbacks share with the rest.
+//! `join` and [`admission`] assign devices to hosts. `run_loop` carries out the actions of the session, sends through
+//! `downlink` and waits at the [`barrier`], under the [`clock`]. [`roster`] checks received values.
 //! `failure_detection`, [`failover`] and `removed_hosts` handle lost hosts; [`policy_port`] obtains external decisions.
-//! The records of hosts ([`admission`], [`barrier`], [`clock`], [`failover`], [`roster`]) need no bus and exist without
-//! the feature `host`.
+//! `config` and `error` declare the settings, outcome and errors of a run, and `serve` its entry points.
+//!
+//! The cargo feature `host` adds the modules that need tokio and zenoh. `lab`, `view`, `study`, the Python package and
+//! the fuzz targets build without it, and get the other modules: the records of hosts, and `config`.
 
 pub mod admission;
 pub mod barrier;

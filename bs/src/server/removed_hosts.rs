@@ -11,7 +11,6 @@ use super::admission::Assignment;
 use super::error::BsError;
 use super::failover::ReplaySource;
 
-/// A removed host, with the energy totals of its devices.
 struct RemovedHost {
     assignment: Assignment,
     /// The TTI in which its devices were removed, unless they were removed before.

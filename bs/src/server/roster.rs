@@ -134,7 +134,7 @@ impl Roster {
     pub(crate) fn is_possible_failure(&self, failure: &FailedTransmission) -> bool {
         self.setup(failure.device)
             // A device fails only when it holds less than E_Tx, and it loses its whole level.
-            .is_some_and(|setup| failure.drained < setup.energy.e_tx)
+            .is_some_and(|setup| failure.drained_energy < setup.energy.e_tx)
     }
 
     /// Whether `outcome` is possible for a wake-up of `device` that led to no report.
@@ -230,7 +230,7 @@ pub(crate) mod tests {
     use super::*;
 
     /// Ten devices with 50 of 100 units, five on each of the hosts 0 and 1.
-    pub(crate) fn roster() -> Roster {
+    pub(crate) fn two_host_roster() -> Roster {
         let units = |n: u64| Energy::from_micro(n * 1_000_000);
         let energy = EnergyModel {
             e_max: units(100),
@@ -247,12 +247,12 @@ pub(crate) mod tests {
             harvest,
         };
         let mut roster = Roster::new((0..10).map(device).collect(), 1.0);
-        let places = |host, first| Assignment {
+        let assignment = |host, first| Assignment {
             host: HostId(host),
             first: DeviceId(first),
             count: 5,
         };
-        roster.set_hosts(vec![places(0, 0), places(1, 5)]);
+        roster.set_hosts(vec![assignment(0, 0), assignment(1, 5)]);
         roster
     }
 
@@ -270,22 +270,22 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn ledgers_are_whole_and_close() {
-        let roster = roster();
-        let own: Vec<_> = (5..10).rev().map(|id| (DeviceId(id), ledger())).collect();
-        assert!(roster.are_possible_ledgers(1, &own));
-        assert!(!roster.are_possible_ledgers(0, &own), "another host's");
-        assert!(!roster.are_possible_ledgers(1, &own[1..]), "one is missing");
-        let mut false_one = own.clone();
-        false_one[2].1.whole.spent.sleep = Energy::from_micro(1);
-        assert!(!roster.are_possible_ledgers(1, &false_one), "one does not close");
-        let sums: DeviceTotals = own.iter().map(|(_, ledger)| ledger.whole).sum();
+    fn ledgers_must_be_complete_and_balanced() {
+        let roster = two_host_roster();
+        let ledgers: Vec<_> = (5..10).rev().map(|id| (DeviceId(id), ledger())).collect();
+        assert!(roster.are_possible_ledgers(1, &ledgers));
+        assert!(!roster.are_possible_ledgers(0, &ledgers), "devices of another host");
+        assert!(!roster.are_possible_ledgers(1, &ledgers[1..]), "one is missing");
+        let mut unbalanced = ledgers.clone();
+        unbalanced[2].1.whole.spent.sleep = Energy::from_micro(1);
+        assert!(!roster.are_possible_ledgers(1, &unbalanced), "one is not balanced");
+        let sums: DeviceTotals = ledgers.iter().map(|(_, ledger)| ledger.whole).sum();
         assert!(roster.are_possible_totals(1, &sums) && !roster.are_possible_totals(1, &ledger().whole));
     }
 
     #[test]
-    fn impossible_reports_and_failures_are_known() {
-        let roster = roster();
+    fn impossible_reports_and_failures_are_detected() {
+        let roster = two_host_roster();
         let report = |device, information, battery| Report {
             device: DeviceId(device),
             tti: reveille_common::ids::Tti(1),
@@ -293,7 +293,7 @@ pub(crate) mod tests {
             battery: Energy::from_micro(battery),
         };
         assert!(roster.is_possible_report(&report(9, 1.0, 100_000_000)));
-        let bad = [
+        let impossible = [
             (10, 0.5, 0),
             (0, 1.5, 0),
             (0, f64::NAN, 0),
@@ -301,25 +301,26 @@ pub(crate) mod tests {
             (0, 0.5, 100_000_001),
         ];
         assert!(
-            bad.iter()
+            impossible
+                .iter()
                 .all(|&(device, i, battery)| !roster.is_possible_report(&report(device, i, battery)))
         );
         let failure = |device, drained| FailedTransmission {
             device: DeviceId(device),
-            drained: Energy::from_micro(drained),
+            drained_energy: Energy::from_micro(drained),
         };
         assert!(roster.is_possible_answer(0, 4, &[failure(4, 9_999_999)]));
         assert!(
             !roster.is_possible_answer(0, 5, &[failure(4, 0)]),
-            "more than it carries"
+            "more reports and failures than devices"
         );
         assert!(
             !roster.is_possible_answer(0, 0, &[failure(5, 0)]),
-            "another host's device"
+            "a device of another host"
         );
         assert!(
             !roster.is_possible_failure(&failure(0, 10_000_000)),
-            "it could have paid"
+            "the battery would have paid for the report"
         );
     }
 }

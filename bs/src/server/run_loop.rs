@@ -39,7 +39,6 @@ pub(super) const UNRESPONSIVE_AFTER: Duration = Duration::from_secs(5);
 /// Time without an answer after which a host counts as lost, even if its token exists.
 pub(super) const LOST_AFTER: Duration = Duration::from_secs(30);
 
-/// Shared context of the run loop.
 pub(super) struct LoopContext<'a> {
     pub(super) bus: &'a Bus,
     pub(super) settings: &'a ServerConfig,
@@ -49,7 +48,6 @@ pub(super) struct LoopContext<'a> {
     pub(super) port: PolicyPort<'a>,
 }
 
-/// The loop over TTIs.
 pub(super) struct RunLoop<'a> {
     downlink: Downlink<'a>,
     pub(super) context: LoopContext<'a>,
@@ -214,7 +212,7 @@ impl RunLoop<'_> {
             .session
             .pending_decision()
             .expect("the session requests a decision");
-        let tti = request.seen.now;
+        let tti = request.observation.now;
         if let Some(queued) = self.session.input_queue().next_decision() {
             return Err(BsError::CannotContinue(format!(
                 "inputs.log has a decision for TTI {queued}, but TTI {tti} needs one; use the inputs.log of this run"
@@ -245,7 +243,6 @@ impl RunLoop<'_> {
         Ok(())
     }
 
-    /// Sends a grant with its plans.
     fn send_grant(&mut self, updates: Vec<PlanUpdate>) -> Result<(), BsError> {
         self.downlink.drop_messages();
         for update in updates {
@@ -275,7 +272,6 @@ impl RunLoop<'_> {
         Ok(())
     }
 
-    /// Waits for the answers to a grant.
     async fn gather_answers(&mut self, observer: &mut impl Observer) -> Result<(), BsError> {
         self.wait_for_answers().await?;
         let GrantMessage {

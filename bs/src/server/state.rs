@@ -27,11 +27,9 @@ pub(super) struct ServerState {
     pub(super) next_tti: Tti,
     /// Whether the loop is paused before `next_tti`, with every earlier TTI closed.
     pub(super) is_paused: bool,
-    /// Lost hosts and the takeovers of their devices.
     pub(super) lost_hosts: LostHosts,
     /// Assignments of lost hosts whose devices the run loop has yet to remove.
     pub(super) pending_removals: Vec<Assignment>,
-    /// Lost hosts for which a warning was logged.
     pub(super) warned_hosts: BTreeSet<HostId>,
     /// Whether a host has returned or taken over, so that the last grant must be retransmitted.
     pub(super) needs_retransmit: bool,

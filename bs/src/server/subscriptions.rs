@@ -24,7 +24,7 @@ pub(super) fn declare(
 ) -> Result<Vec<DeclarationGuard>, BusError> {
     let keys = bus.keys();
     let bus_secret = keys
-        .secret()
+        .member_secret()
         .ok_or_else(|| BusError::Refused("this session does not belong to a base station".to_owned()))?;
     let mut guards = Vec::new();
     let shared_state = Arc::clone(shared);

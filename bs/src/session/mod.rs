@@ -30,7 +30,6 @@ use crate::cycle::{Cycle, CycleStep, PreparedRun, RunOutcome, WakeOrder};
 use crate::observer::{Notification, Observer};
 use crate::policy::external::{Decision, DecisionContext, DecisionStage};
 
-/// The view of a removed device.
 pub(crate) const REMOVED_VIEW: DeviceView = DeviceView {
     state: DeviceState::Sleep { powered: false },
     battery: Energy::ZERO,
@@ -92,7 +91,6 @@ enum Phase {
 /// Sums of a window that travel with the answers to a grant.
 #[derive(Clone, Copy, Debug)]
 struct LateTotals {
-    /// The end of the window.
     window_end: Tti,
     /// Counted events up to there.
     events: EventTotals,
@@ -109,7 +107,6 @@ pub struct Session {
     phase: Phase,
     /// The last grant.
     grant_message: GrantMessage,
-    /// The TTI from which the current plan holds.
     plan_from: Option<Tti>,
     /// The position before the last grant, open or closed.
     resume_point: ResumePoint,
@@ -347,7 +344,6 @@ impl Session {
         self.apply_step(step, observer);
     }
 
-    /// Panics since the phase has no such `result`.
     #[cold]
     fn panic_unexpected(&self, result: &str) -> ! {
         panic!("no action of phase {:?} has {result} as its result", self.phase)

@@ -24,9 +24,7 @@ pub(super) const PEER_LIMITS: [(&str, &str); 3] = [
 
 /// Kinds of messages that only the BS sends to hosts.
 const BS_TO_HOSTS: [MessageKind; 2] = [MessageKind::Clock, MessageKind::Plan];
-/// Kinds of messages that hosts send to the BS.
 const HOSTS_TO_BS: [MessageKind; 2] = [MessageKind::Report, MessageKind::Answer];
-/// Queries that the BS answers.
 const BS_QUERIES: [MessageKind; 5] = [
     MessageKind::Join,
     MessageKind::Ready,
@@ -88,16 +86,17 @@ mod tests {
     use crate::message::{Access, Plane};
 
     #[test]
-    fn every_kind_that_crosses_the_bus_has_its_rule() {
-        let listed: Vec<MessageKind> = BS_TO_HOSTS
+    fn every_kind_that_crosses_the_bus_has_an_access_rule() {
+        let kinds_with_rules: Vec<MessageKind> = BS_TO_HOSTS
             .iter()
             .chain(&HOSTS_TO_BS)
             .chain(&BS_QUERIES)
             .copied()
             .collect();
         for &kind in MessageKind::ALL {
-            let is_ruled = listed.contains(&kind) || kind == MessageKind::Wake;
-            assert_eq!(is_ruled, kind.plane() != Plane::Truth, "{kind:?}");
+            // Wake-ups have a rule of their own, since each is sent to one host.
+            let has_rule = kinds_with_rules.contains(&kind) || kind == MessageKind::Wake;
+            assert_eq!(has_rule, kind.plane() != Plane::Truth, "{kind:?}");
             let is_query = kind.access() == Access::Anyone || kind == MessageKind::Ready;
             assert_eq!(is_query, BS_QUERIES.contains(&kind), "{kind:?}");
         }

@@ -13,7 +13,6 @@ use crate::keys::Keys;
 
 /// A callback that receives each token that appears or disappears.
 type TokenHandler = dyn Fn(&str, bool) + Send + Sync;
-/// A future of the keys of liveliness tokens.
 type TokensFuture<'b> = Pin<Box<dyn Future<Output = Result<Vec<Option<String>>, BusError>> + Send + 'b>>;
 
 impl Bus {

@@ -35,7 +35,7 @@ use crate::message::{Frame, FrameBatch, MessageKind, Payload, Plane, WakeUp};
 use crate::secret::{HostCredential, Secret};
 
 pub use error::BusError;
-pub use policy_port::{PolicyQuestion, PolicyQuestions, PortReply, Replies};
+pub use policy_port::{PortReply, PortRequest, PortRequests, Replies};
 pub use raw::RawTopic;
 pub use session::{draw_nonce, draw_secret, resolve_listen_endpoint, scaled_timeout};
 pub use tap::{FrameSink, Tap};
@@ -322,7 +322,11 @@ impl Bus {
     fn count_malformed(&self, key: &str, error: &CodecError) {
         // Logged only once, because a broken peer could otherwise fill the log.
         if self.malformed_payloads.fetch_add(1, Ordering::Relaxed) == 0 {
-            tracing::warn!(key, %error, "dropped a malformed payload; further ones are only counted");
+            tracing::warn!(
+                key, %error,
+                "dropped a malformed payload; use the same version of reveille in all processes (later cases are not \
+                 logged)"
+            );
         }
     }
 }

@@ -82,8 +82,8 @@ const fn to_zenoh(encoding: Encoding) -> ZenohEncoding {
     }
 }
 
-/// A decision request that a policy process received.
-pub struct PolicyQuestion {
+/// A request of the BS that a policy process received.
+pub struct PortRequest {
     /// The payload of the request.
     pub payload: Vec<u8>,
     /// The encoding of the payload.
@@ -91,33 +91,33 @@ pub struct PolicyQuestion {
     query: Query,
 }
 
-impl PolicyQuestion {
-    /// Answers the request.
+impl PortRequest {
+    /// Replies to the request.
     ///
     /// # Errors
     /// If zenoh refuses, for example because the session is closed.
-    pub fn answer(&self, payload: Vec<u8>, encoding: Encoding) -> Result<(), BusError> {
+    pub fn reply(&self, payload: Vec<u8>, encoding: Encoding) -> Result<(), BusError> {
         let reply = self.query.reply(self.query.key_expr().clone(), payload);
         Ok(reply.encoding(to_zenoh(encoding)).wait()?)
     }
 
-    /// Answers the request with an error message.
+    /// Replies to the request with an error message.
     ///
     /// # Errors
-    /// The errors of [`Self::answer`].
+    /// The errors of [`Self::reply`].
     pub fn reply_error(&self, why: &str) -> Result<(), BusError> {
         Ok(self.query.reply_err(why).encoding(ZenohEncoding::TEXT_PLAIN).wait()?)
     }
 }
 
-/// The decision requests that a policy process receives, in order of arrival.
-pub struct PolicyQuestions(Queryable<FifoChannelHandler<Query>>);
+/// The requests that a policy process receives, in order of arrival.
+pub struct PortRequests(Queryable<FifoChannelHandler<Query>>);
 
-impl PolicyQuestions {
+impl PortRequests {
     /// Returns the next request, or `None` once the session is closed.
-    pub async fn next(&self) -> Option<PolicyQuestion> {
+    pub async fn next(&self) -> Option<PortRequest> {
         let query = self.0.recv_async().await.ok()?;
-        Some(PolicyQuestion {
+        Some(PortRequest {
             payload: query.payload().map(|p| p.to_bytes().into_owned()).unwrap_or_default(),
             encoding: query.encoding().map_or(Encoding::Json, from_zenoh),
             query,
@@ -160,12 +160,12 @@ impl Bus {
         })
     }
 
-    /// Serves the policy port: decision requests of the BS arrive at this session.
+    /// Serves the policy port: requests of the BS arrive at this session.
     ///
     /// # Errors
     /// If zenoh refuses.
-    pub fn serve_policy_port(&self) -> Result<PolicyQuestions, BusError> {
-        Ok(PolicyQuestions(
+    pub fn serve_policy_port(&self) -> Result<PortRequests, BusError> {
+        Ok(PortRequests(
             self.session.declare_queryable(self.keys.policy_port()).wait()?,
         ))
     }

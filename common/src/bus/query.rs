@@ -14,10 +14,8 @@ use crate::secret::Secret;
 
 /// Timeout of one attempt of a repeated query.
 const ATTEMPT_TIMEOUT: Duration = Duration::from_secs(2);
-/// Pause between two attempts.
 const ATTEMPT_PAUSE: Duration = Duration::from_millis(200);
 
-/// The error reply to a malformed request.
 const MALFORMED: &str = "the request cannot be decoded";
 
 /// Encodes the reply to an encoded request and the secret sent with it; `Err` holds the reason of a refusal.

@@ -29,7 +29,6 @@ const PORT_ATTEMPTS: u32 = 10;
 /// the start.
 const CHECK_INTERVAL: Duration = Duration::from_millis(500);
 
-/// The settings of all sessions.
 const COMMON_SETTINGS: [(&str, &str); 6] = [
     ("scouting/multicast/enabled", "false"),
     ("scouting/gossip/enabled", "false"),
@@ -233,7 +232,6 @@ fn open_now(config: zenoh::Config) -> zenoh::Result<zenoh::Session> {
     zenoh::open(config).wait()
 }
 
-/// Returns the host and port of `endpoint`.
 fn parse_endpoint(endpoint: &str) -> Result<(&str, u16), BusError> {
     let refuse = |why| BusError::Endpoint(endpoint.to_owned(), why);
     let (protocol, address) = endpoint.split_once('/').ok_or_else(|| refuse("no protocol"))?;
@@ -269,13 +267,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn endpoints_are_checked() {
+    fn invalid_endpoints_are_refused() {
         assert_eq!(
             parse_endpoint("tcp/127.0.0.1:7447").expect("valid"),
             ("127.0.0.1", 7447)
         );
         assert_eq!(parse_endpoint("tcp/[::1]:0").expect("valid"), ("[::1]", 0));
-        for bad in [
+        for endpoint in [
             "",
             "tcp",
             "tcp/",
@@ -288,24 +286,27 @@ mod tests {
             "tcp/a/b:1",
             "tcp/a:1,tcp/b:1",
         ] {
-            assert!(matches!(parse_endpoint(bad), Err(BusError::Endpoint(..))), "{bad}");
+            assert!(
+                matches!(parse_endpoint(endpoint), Err(BusError::Endpoint(..))),
+                "{endpoint}"
+            );
         }
     }
 
     #[test]
-    fn where_many_share_a_machine_all_takes_longer() {
+    fn timeouts_grow_with_the_number_of_processes() {
         for (processes, seconds) in [(0, 2), (1, 2), (100, 2), (250, 5), (1000, 20)] {
             assert_eq!(
                 scaled_timeout(LEASE, processes),
                 Duration::from_secs(seconds),
-                "{processes}"
+                "{processes} processes"
             );
         }
         assert!(scaled_timeout(LEASE, u32::MAX) > Duration::from_hours(1));
     }
 
     #[test]
-    fn a_free_port_is_found_and_a_taken_one_refused() {
+    fn port_zero_becomes_a_free_port_and_a_port_in_use_is_refused() {
         let taken = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");
         let endpoint = format!("tcp/{}", taken.local_addr().expect("bound"));
         assert!(matches!(resolve_listen_endpoint(&endpoint), Err(BusError::Listen(..))));

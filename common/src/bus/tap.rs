@@ -25,7 +25,6 @@ use crate::message::{Frame, FrameBatch, MessageKind, Plane};
 
 /// Capacity of the queue of the tap's thread, in frames.
 const MAX_QUEUED_FRAMES: usize = 16_384;
-/// Maximum number of frames in a batch.
 const MAX_BATCH_FRAMES: usize = 512;
 /// Pause between two batches: with [`MAX_BATCH_FRAMES`] it limits the cost of observation to 100 000 frames a second.
 const BATCH_PAUSE: Duration = Duration::from_millis(5);
@@ -84,7 +83,6 @@ impl Tap {
         Ok(tap)
     }
 
-    /// Sets the TTI of the following frames.
     pub(super) fn set_tti(&self, tti: Tti) {
         self.tti.store(tti.0, Ordering::Relaxed);
     }
@@ -186,7 +184,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_rise_along_the_queue_whoever_sees_a_message() {
+    fn frame_numbers_are_consecutive_in_the_queue_with_concurrent_senders() {
         let (queue, frames) = sync_channel(MAX_QUEUED_FRAMES);
         let tap = Tap {
             is_observed: AtomicBool::new(true),

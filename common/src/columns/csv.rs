@@ -5,7 +5,6 @@ use csv::{ReaderBuilder, StringRecord, Trim};
 use super::data::{ColumnData, check_size, column_index};
 use crate::declare::truncate;
 
-/// Reads the columns `wanted` as numbers.
 pub(super) fn numbers(bytes: &[u8], wanted: &[String]) -> Result<ColumnData<f64>, String> {
     read(bytes, wanted, |text, name, line| match text.parse::<f64>() {
         Ok(value) if value.is_finite() => Ok(value),
@@ -106,35 +105,35 @@ impl<'b> LineCounter<'b> {
 mod tests {
     use super::*;
 
-    fn values(text: &str, wanted: &[&str]) -> Result<Vec<Vec<f64>>, String> {
-        let wanted: Vec<String> = wanted.iter().map(|&name| name.to_owned()).collect();
-        numbers(text.as_bytes(), &wanted).map(|columns| columns.values)
+    fn read_values(text: &str, names: &[&str]) -> Result<Vec<Vec<f64>>, String> {
+        let names: Vec<String> = names.iter().map(|&name| name.to_owned()).collect();
+        numbers(text.as_bytes(), &names).map(|columns| columns.values)
     }
 
     #[test]
-    fn columns_come_in_the_order_asked_for() {
+    fn columns_come_in_the_requested_order() {
         assert_eq!(
-            values("a, b\n1, 2\n3, 4.5\n", &["b", "a"]),
+            read_values("a, b\n1, 2\n3, 4.5\n", &["b", "a"]),
             Ok(vec![vec![2.0, 4.5], vec![1.0, 3.0]])
         );
     }
 
     #[test]
-    fn texts_are_there_or_not() {
-        let found = texts(b"x,class\n1, weak \n\n2,strong\n", "class")
+    fn a_column_of_texts_is_optional() {
+        let classes = texts(b"x,class\n1, weak \n\n2,strong\n", "class")
             .expect("a file")
             .expect("a column");
-        assert_eq!(found.values, [["weak", "strong"]]);
+        assert_eq!(classes.values, [["weak", "strong"]]);
         assert_eq!(
-            (found.describe_row(0), found.describe_row(1)),
+            (classes.describe_row(0), classes.describe_row(1)),
             ("line 2".to_owned(), "line 4".to_owned())
         );
         assert_eq!(texts(b"x,y\n1,2\n", "class"), Ok(None));
     }
 
     #[test]
-    fn broken_files_name_the_line_or_the_columns() {
-        for (text, part) in [
+    fn errors_name_the_line_or_the_columns() {
+        for (text, expected) in [
             ("a,b\n1,2\n", "its columns are `a`, `b`"),
             ("x,y\n1,2\n3,oops\n", "line 3, column `y`: \"oops\""),
             ("x,y\n\n1,2\n\n3,oops\n", "line 5, column `y`: \"oops\""),
@@ -142,8 +141,8 @@ mod tests {
             ("x,y\n1,nan\n", "line 2, column `y`"),
             ("x,y,x\n1,2,3\n", "has more than one column `x`"),
         ] {
-            let reason = values(text, &["x", "y"]).expect_err(text);
-            assert!(reason.contains(part), "{reason}");
+            let reason = read_values(text, &["x", "y"]).expect_err(text);
+            assert!(reason.contains(expected), "{text:?}: {reason}");
         }
     }
 }

@@ -20,7 +20,7 @@ impl<T> ColumnData<T> {
         }
     }
 
-    /// The number of rows.
+    /// The number of rows, the same in every column.
     pub fn len(&self) -> usize {
         self.values.first().map_or(0, Vec::len)
     }

@@ -1,5 +1,6 @@
 //! Columns of Parquet files; errors name the row.
 
+use ::parquet::errors::ParquetError;
 use ::parquet::file::reader::{FileReader, SerializedFileReader};
 use ::parquet::record::Field;
 use ::parquet::schema::types::Type;
@@ -9,7 +10,9 @@ use super::data::{ColumnData, check_size, column_index};
 
 /// Reads the columns `wanted` of a flat Parquet file as numbers.
 pub(super) fn numbers(bytes: &[u8], wanted: &[String]) -> Result<ColumnData<f64>, String> {
-    guarded(bytes, wanted, |field| number(field).ok_or("is not a number"))
+    guarded(bytes, |reader| {
+        read(reader, wanted, |field| number(field).ok_or("is not a number"))
+    })
 }
 
 /// Reads the column `wanted` as text; `None` without such a column.
@@ -21,29 +24,34 @@ pub(super) fn texts(bytes: &[u8], wanted: &str) -> Result<Option<ColumnData<Stri
             Err("is not a text")
         }
     };
-    match guarded(bytes, &[wanted.to_owned()], text) {
-        Ok(columns) => Ok(Some(columns)),
-        Err(reason) if reason.starts_with("has no column") => Ok(None),
-        Err(reason) => Err(reason),
-    }
+    guarded(bytes, |reader| {
+        let fields = reader.metadata().file_metadata().schema().get_fields();
+        if !fields.iter().any(|field| field.name() == wanted) {
+            return Ok(None);
+        }
+        read(reader, &[wanted.to_owned()], text).map(Some)
+    })
 }
 
+/// Opens the file `bytes` for `decode`, and returns an error if the decoder panics.
 fn guarded<T>(
     bytes: &[u8],
-    wanted: &[String],
-    cell: impl Fn(&Field) -> Result<T, &'static str>,
-) -> Result<ColumnData<T>, String> {
-    crate::parquet::catch_decoder_panic(|| read(Bytes::copy_from_slice(bytes), wanted, cell))
+    decode: impl FnOnce(&SerializedFileReader<Bytes>) -> Result<T, String>,
+) -> Result<T, String> {
+    let opened = || SerializedFileReader::new(Bytes::copy_from_slice(bytes)).map_err(|error| broken(&error));
+    crate::parquet::catch_decoder_panic(|| decode(&opened()?))
         .unwrap_or_else(|| Err("is a corrupt Parquet file".to_owned()))
 }
 
+fn broken(error: &ParquetError) -> String {
+    format!("is not a readable Parquet file: {error}")
+}
+
 fn read<T>(
-    bytes: Bytes,
+    reader: &SerializedFileReader<Bytes>,
     wanted: &[String],
     cell: impl Fn(&Field) -> Result<T, &'static str>,
 ) -> Result<ColumnData<T>, String> {
-    let broken = |error: ::parquet::errors::ParquetError| format!("is not a readable Parquet file: {error}");
-    let reader = SerializedFileReader::new(bytes).map_err(broken)?;
     let metadata = reader.metadata().file_metadata();
     let schema = metadata.schema();
     let fields = schema.get_fields();
@@ -62,9 +70,10 @@ fn read<T>(
     let projection = Type::group_type_builder(schema.name())
         .with_fields(wanted_fields)
         .build()
-        .map_err(broken)?;
+        .map_err(|error| broken(&error))?;
     let mut columns: Vec<Vec<T>> = wanted.iter().map(|_| Vec::new()).collect();
-    for (row, record) in reader.get_row_iter(Some(projection)).map_err(broken)?.enumerate() {
+    let records = reader.get_row_iter(Some(projection)).map_err(|error| broken(&error))?;
+    for (row, record) in records.enumerate() {
         let record = record.map_err(|error| format!("row {}: {error}", row + 1))?;
         check_size(row + 1, wanted.len())?;
         for (column, name) in columns.iter_mut().zip(wanted) {
@@ -121,40 +130,42 @@ mod tests {
     use super::*;
     use crate::parquet::{Column, Writer, schema};
 
-    /// A file of the columns `hour` (0, 1, 2) and `w` (0.5, 1.5, 2.5).
-    fn written() -> Vec<u8> {
+    /// Writes a file with the columns `hour` (0, 1, 2) and `w` (0.5, 1.5, 2.5).
+    fn write_file() -> Vec<u8> {
         let columns = [
             Column::required("hour", Physical::INT32),
             Column::required("w", Physical::DOUBLE),
         ];
-        let schema = schema("m", columns).expect("a schema");
-        let mut writer = Writer::begin(Vec::new(), schema, []).expect("begun");
-        let filled = writer.write_row_group(|group| {
+        let file_schema = schema("m", columns).expect("a schema");
+        let mut writer = Writer::begin(Vec::new(), file_schema, []).expect("begun");
+        let written = writer.write_row_group(|group| {
             group.write_required::<Int32Type>([0, 1, 2])?;
             group.write_required::<DoubleType>([0.5, 1.5, 2.5])
         });
-        filled.expect("written");
+        written.expect("written");
         writer.finish().expect("finished")
     }
 
     #[test]
-    fn columns_of_numbers_are_read() {
-        let bytes = written();
-        let read = |wanted: &[&str]| {
-            let wanted: Vec<String> = wanted.iter().map(|&name| name.to_owned()).collect();
-            numbers(&bytes, &wanted).map(|columns| columns.values)
+    fn columns_come_in_the_requested_order() {
+        let bytes = write_file();
+        let read = |names: &[&str]| {
+            let names: Vec<String> = names.iter().map(|&name| name.to_owned()).collect();
+            numbers(&bytes, &names).map(|columns| columns.values)
         };
         assert_eq!(read(&["w", "hour"]), Ok(vec![vec![0.5, 1.5, 2.5], vec![0.0, 1.0, 2.0]]));
         let missing = read(&["v"]).expect_err("no such column");
         assert!(missing.contains("its columns are `hour`, `w`"), "{missing}");
         assert_eq!(texts(&bytes, "class"), Ok(None));
+        let no_text = texts(&bytes, "hour").expect_err("a column of numbers");
+        assert_eq!(no_text, "row 1, column `hour`: is not a text");
     }
 
     #[test]
-    fn cut_files_are_refused() {
-        let bytes = written();
+    fn truncated_files_are_refused() {
+        let bytes = write_file();
         for length in 0..bytes.len() {
-            numbers(&bytes[..length], &["w".to_owned()]).expect_err("cut off");
+            numbers(&bytes[..length], &["w".to_owned()]).expect_err("truncated");
         }
     }
 }

@@ -60,6 +60,18 @@ pub enum ScenarioError {
         /// The origin of the value.
         origin: ValueOrigin,
     },
+    /// A layer sets a field under both its former name and its name of today.
+    #[error("{former} is the former name of {current}, and {layer} sets both: remove {former}; {origin}")]
+    FormerName {
+        /// The full path under the former name.
+        former: String,
+        /// The full path of today.
+        current: String,
+        /// "the file" or "the option".
+        layer: &'static str,
+        /// The origin of the value under the former name.
+        origin: ValueOrigin,
+    },
     /// A value has the wrong type or is out of its range.
     #[error("{field} = {value}: {allowed}; {origin}")]
     Invalid {
@@ -148,7 +160,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_nearest_name_is_suggested() {
+    fn a_similar_name_is_suggested() {
         assert_eq!(
             did_you_mean("dmax", ["kind", "d_max", "eta"]),
             "; did you mean `d_max`?"

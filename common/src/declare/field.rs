@@ -4,7 +4,7 @@ use std::fmt;
 
 use super::choice::{Alternative, ChoiceType};
 use super::value::FieldValue;
-use crate::units::MAX_UNITS;
+use crate::units::{Energy, MAX_UNITS};
 
 /// A range of numbers.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -98,6 +98,12 @@ pub const PROBABILITY: Range = Range::closed(0.0, 1.0);
 /// A share or probability that may be 1 but not 0.
 pub const ABOVE_ZERO: Range = Range::above(0.0, 1.0);
 
+/// Returns the range of a field of the type [`FieldType::Energy`], in units.
+pub(super) fn energy_range(is_positive: bool) -> Range {
+    let min = Energy::from_micro(u64::from(is_positive));
+    Range::closed(min.units(), MAX_UNITS)
+}
+
 /// The type of a field with its bounds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum FieldType {
@@ -146,8 +152,7 @@ impl FieldType {
         match self {
             Self::Whole { min, max } => format!("at least {min} and at most {max}"),
             Self::Number(range) => range.to_string(),
-            Self::Energy { is_positive: false } => format!("at least 0 and at most {MAX_UNITS} units"),
-            Self::Energy { is_positive: true } => format!("at least 0.000001 and at most {MAX_UNITS} units"),
+            Self::Energy { is_positive } => format!("{} units", energy_range(*is_positive)),
             Self::Wholes { min, max, max_len } => {
                 format!("a list of 1 to {max_len} whole numbers from {min} to {max}")
             }
@@ -326,7 +331,7 @@ pub const fn number(range: Range, default: f64) -> Field {
 pub const fn energy(default: f64) -> Field {
     Field::new(
         FieldType::Energy { is_positive: false },
-        FieldDefault::Value(FieldValue::Energy(crate::units::Energy::from_default(default))),
+        FieldDefault::Value(FieldValue::Energy(Energy::from_default(default))),
     )
 }
 

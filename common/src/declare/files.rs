@@ -10,15 +10,15 @@ pub enum FileError {
     #[error("cannot be read: {0}")]
     Io(#[from] io::Error),
     /// The path names a folder.
-    #[error("is not a file")]
+    #[error("is a folder; name a file")]
     Folder,
     /// The path names a pipe or a device, which may never end.
-    #[error("is not a file")]
+    #[error("is a pipe or a device; name a regular file")]
     Special,
     /// The file is longer than the limit.
     #[error("is larger than {max_bytes} bytes")]
     TooLong {
-        /// Its length in bytes.
+        /// Its length in bytes; of a file that grows while it is read, the length read so far.
         length: u64,
         /// The limit in bytes.
         max_bytes: u64,

@@ -14,7 +14,6 @@ pub struct ScenarioHasher {
     hasher: Sha256,
     /// The name of the current list item, which prefixes its paths; empty at the top level.
     item_name: String,
-    /// The path of the field that is not hashed.
     omitted_path: &'static str,
 }
 

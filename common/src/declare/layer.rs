@@ -19,7 +19,6 @@ pub struct Layer<'a> {
     pub(super) table: DeTable<'a>,
     pub(super) text: &'a str,
     pub(super) origin: LayerOrigin,
-    /// The item to which the layer applies.
     pub(super) item_name: Option<&'a str>,
 }
 
@@ -93,7 +92,6 @@ pub(super) fn owned_key<'a>(name: &str) -> Spanned<std::borrow::Cow<'a, str>> {
     Spanned::new(0..0, std::borrow::Cow::Owned(name.to_owned()))
 }
 
-/// Creates a table with one entry.
 pub(super) fn single_entry<'a>(name: &str, value: Spanned<DeValue<'a>>) -> DeTable<'a> {
     std::iter::once((owned_key(name), value)).collect()
 }

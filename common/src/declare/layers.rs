@@ -120,7 +120,6 @@ fn overlay<'a>(declaration: &Declaration, location: (Scope, &str), base: &mut De
     }
 }
 
-/// Records the origin of everything in `table`, for paths that begin with `prefix`.
 fn record_origins(table: &DeTable<'_>, prefix: &str, origin: &LayerOrigin, origins: &mut ValueOrigins) {
     for (name, value) in table {
         let path = format!("{prefix}{}", name.get_ref());
@@ -183,7 +182,6 @@ fn item_name<'t>(item: &'t DeTable<'_>) -> &'t str {
         .unwrap_or_default()
 }
 
-/// Returns the tables of `list`.
 fn items_mut<'t, 'a>(
     table: &'t mut DeTable<'a>,
     list: &str,

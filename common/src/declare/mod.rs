@@ -40,6 +40,7 @@ pub use files::{FileError, Files, NoFiles};
 pub use fingerprint::ScenarioHasher;
 pub use layer::{Layer, MAX_TEXT_BYTES};
 pub use layers::{Layers, Merged};
+pub use names::{FORMER_NAME_NOTICE, former_name_warning};
 pub use origins::{LayerOrigin, ValueOrigin, ValueOrigins};
 pub use overrides::Override;
 pub use reader::{FieldReader, FileContext, Settings};

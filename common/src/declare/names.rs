@@ -1,5 +1,6 @@
 //! The check of a layer's names and types against the declaration. The reader checks ranges later, after the merge.
 
+use std::fmt::Display;
 use std::ops::Range;
 
 use toml::Spanned;
@@ -11,9 +12,18 @@ use super::error::{ScenarioError, did_you_mean, quoted_list, truncate};
 use super::field::FieldType;
 use super::join_path;
 use super::layer::Layer;
+use super::origins::ValueOrigin;
+
+/// The end of each warning about a former name.
+pub const FORMER_NAME_NOTICE: &str = "the former name will be removed in a later version";
+
+/// Returns the warning about the path `former` of the field that is now at `current`, for example "set by --set …".
+pub fn former_name_warning(former: &str, current: &str, origin: impl Display) -> String {
+    format!("{former} is now called {current} ({origin}); {FORMER_NAME_NOTICE}")
+}
 
 /// Replaces the former names of fields in `layer` by their names of today, and adds a warning for each. A former name
-/// next to the name of today stays, so that the check rejects it.
+/// next to the name of today stays, so that [`check_layer`] rejects it.
 pub(super) fn replace_former(layer: &mut Layer<'_>, declaration: &Declaration, warnings: &mut Vec<String>) {
     let (scope, origin) = (
         layer.item_name.map_or(Scope::Top, |_| Scope::Item),
@@ -21,10 +31,11 @@ pub(super) fn replace_former(layer: &mut Layer<'_>, declaration: &Declaration, w
     );
     let mut renamed = Vec::new();
     replace_former_in(&mut layer.table, declaration, (scope, ""), &mut renamed);
-    warnings.extend(renamed.into_iter().map(|(former, name, offset)| {
-        let origin = origin.origin_at(offset);
-        format!("{former} is now called {name} ({origin}); the former name will be removed in a later version")
-    }));
+    warnings.extend(
+        renamed
+            .into_iter()
+            .map(|(former, name, offset)| former_name_warning(&former, &name, origin.origin_at(offset))),
+    );
 }
 
 /// Replaces former names in the table at a path; `renamed` receives both paths and the offset of each.
@@ -115,13 +126,17 @@ impl NameCheck<'_, '_> {
                 } else {
                     name.span()
                 };
-                return Err(self.unknown_field(known, shown_path, span.start, scope, path));
+                let origin = self.layer.origin.origin_at(span.start);
+                return Err(match self.declaration.field_by_former_name(scope, path, known) {
+                    // `replace_former` leaves a former name only next to the name of today.
+                    Some(field) => former_name(shown_path, field.name, origin),
+                    None => self.unknown_field(known, shown_path, origin, scope, path),
+                });
             }
         }
         Ok(())
     }
 
-    /// Checks the list of tables.
     fn check_list(&self, value: &Spanned<DeValue<'_>>, shown_path: &str) -> Result<(), ScenarioError> {
         let DeValue::Array(items) = value.get_ref() else {
             return Err(self.invalid_value(
@@ -140,7 +155,7 @@ impl NameCheck<'_, '_> {
         Ok(())
     }
 
-    fn unknown_field(&self, name: &str, shown: String, offset: usize, scope: Scope, path: &str) -> ScenarioError {
+    fn unknown_field(&self, name: &str, shown: String, origin: ValueOrigin, scope: Scope, path: &str) -> ScenarioError {
         let sections = self.declaration.sections_at(scope, path);
         let own = sections
             .iter()
@@ -163,7 +178,7 @@ impl NameCheck<'_, '_> {
             field: shown,
             hint,
             valid: quoted_list(valid.iter().copied()),
-            origin: self.layer.origin.origin_at(offset),
+            origin,
         }
     }
 
@@ -184,7 +199,20 @@ impl NameCheck<'_, '_> {
     }
 }
 
-/// A value of the wrong type.
+/// Returns the error for the former name at `former` of a field that the layer also sets as `name`.
+fn former_name(former: String, name: &str, origin: ValueOrigin) -> ScenarioError {
+    let section = former.rsplit_once('.').map_or("", |(section, _)| section);
+    ScenarioError::FormerName {
+        current: join_path(section, name),
+        former,
+        layer: match origin {
+            ValueOrigin::Flag(_) => "the option",
+            ValueOrigin::File { .. } | ValueOrigin::Preset(_) | ValueOrigin::Unset => "the file",
+        },
+        origin,
+    }
+}
+
 struct TypeMismatch {
     span: Range<usize>,
     is_table: bool,
@@ -201,7 +229,6 @@ impl TypeMismatch {
     }
 }
 
-/// Checks that `value` has the type `field_type`.
 fn check_type(
     field_type: &FieldType,
     value: &Spanned<DeValue<'_>>,
@@ -231,7 +258,6 @@ fn check_type(
     }
 }
 
-/// Checks that `value` is a list whose items all have the type `field_type`.
 fn check_items(
     value: &Spanned<DeValue<'_>>,
     mismatch: impl Fn() -> TypeMismatch,

@@ -8,8 +8,8 @@ use toml::de::DeValue;
 
 use super::error::ScenarioError;
 
-/// Maximum depth of nested sections in a path; no field is as deep.
-const MAX_PATH_DEPTH: usize = 8;
+/// Maximum number of names in the path of a field, its own included. No field has as many.
+const MAX_PATH_NAMES: usize = 8;
 
 /// A field set on the command line, which overrides the preset and the scenario file.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -47,7 +47,7 @@ impl Override {
 
     fn with_label(flag: &str, label: &str, path: &str, value: &str) -> Result<Self, ScenarioError> {
         let names: Vec<String> = path.split('.').map(|name| name.trim().to_owned()).collect();
-        if names.iter().any(String::is_empty) || names.len() > MAX_PATH_DEPTH {
+        if names.iter().any(String::is_empty) || names.len() > MAX_PATH_NAMES {
             let reason = format!("`{}` is not the path of a field", path.trim());
             return Err(malformed(flag, &format!("{path}={value}"), reason));
         }
@@ -61,7 +61,6 @@ impl Override {
         Ok(parsed)
     }
 
-    /// Returns the value as TOML.
     pub(super) fn parse_value(&self) -> Result<Spanned<DeValue<'_>>, ScenarioError> {
         match DeValue::parse(&self.value) {
             Ok(value) => Ok(value),
@@ -100,7 +99,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_bare_word_is_a_string_and_a_number_a_number() {
+    fn a_bare_word_is_read_as_a_string_and_a_number_as_a_number() {
         let word = Override::parse("policy.name = genie").expect("valid");
         assert_eq!(word.path, ["policy", "name"]);
         assert_eq!(word.parse_value().expect("valid").get_ref().as_str(), Some("genie"));
@@ -110,14 +109,17 @@ mod tests {
 
     #[test]
     fn malformed_overrides_are_refused() {
-        for (text, part) in [
+        for (text, expected) in [
             ("d_max", "path.to.field=value"),
             ("=5", "not the path"),
             ("sensing..d_max=5", "not the path"),
             ("harvest.trace.columns=[\"a\"", "not valid TOML"),
         ] {
             let message = Override::parse(text).expect_err(text).to_string();
-            assert!(message.contains(part) && message.starts_with("--set "), "{message}");
+            assert!(
+                message.contains(expected) && message.starts_with("--set "),
+                "{text}: {message}"
+            );
         }
     }
 }

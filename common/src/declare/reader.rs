@@ -91,7 +91,6 @@ impl<'a> FieldReader<'a> {
             .collect()
     }
 
-    /// Returns this reader with `name` for the item in messages.
     #[must_use]
     pub(crate) fn with_name(self, name: &str) -> Self {
         let item = self.item.map(|(index, _)| (index, name.to_owned()));
@@ -323,7 +322,7 @@ impl<'a> FieldReader<'a> {
         }
     }
 
-    /// Returns the error for a file, named at `path`, that cannot be used.
+    /// Returns the error that `file` cannot be used. The field at `path` names the file.
     pub fn file_error(&self, path: &str, file: PathBuf, reason: impl Into<String>) -> ScenarioError {
         let (field, origin) = self.locate(path);
         ScenarioError::InvalidFile {
@@ -440,13 +439,11 @@ impl<'a> FieldReader<'a> {
     }
 }
 
-/// Returns the elements of a list.
 fn elements<'v>(value: &'v DeValue<'v>) -> impl Iterator<Item = &'v DeValue<'v>> {
     let list = value.as_array().into_iter().flat_map(|list| list.iter());
     list.map(toml::Spanned::get_ref)
 }
 
-/// Formats a value for a message.
 fn format_value(value: &DeValue<'_>) -> String {
     match value {
         DeValue::String(text) => format!("\"{}\"", text.escape_debug()),

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use toml::de::{DeTable, DeValue};
 
 use super::declaration::Declaration;
-use super::field::{Field, FieldDefault, FieldType, Section};
+use super::field::{Field, FieldDefault, FieldType, Section, energy_range};
 use super::join_path;
 use super::toml_page::format_toml;
 
@@ -114,8 +114,10 @@ fn describe_range(field: &Field) -> String {
         FieldType::Whole { min, max: u64::MAX } => format!("at least {min}"),
         FieldType::Whole { min, max } => format!("{min} to {max}"),
         FieldType::Number(range) => range.interval(),
-        FieldType::Energy { is_positive: false } => "0 to 10000".to_owned(),
-        FieldType::Energy { is_positive: true } => "0.000001 to 10000".to_owned(),
+        FieldType::Energy { is_positive } => {
+            let ((min, _), (max, _)) = energy_range(is_positive).ends();
+            format!("{min} to {max}")
+        }
         FieldType::Wholes { min, max, max_len } => format!("1 to {max_len} of them, each {min} to {max}"),
         FieldType::Texts => "at least one".to_owned(),
         FieldType::Switch
@@ -161,6 +163,28 @@ fn collect_values(table: &DeTable<'_>, path: &str, text: &str, changes: &mut Vec
         } else {
             let written = text.get(value.span()).unwrap_or_default();
             changes.push(format!("`{path} = {written}`"));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::declare::{energy, positive_energy};
+    use crate::units::Energy;
+
+    #[test]
+    fn the_range_of_an_energy_is_what_its_type_accepts() {
+        for (field, smallest) in [(energy(1.0), 0), (positive_energy(1.0), 1)] {
+            let range = describe_range(&field);
+            let ends: Vec<f64> = range.split(" to ").map(|end| end.parse().expect("a number")).collect();
+            assert_eq!(
+                Energy::from_units(ends[0]),
+                Some(Energy::from_micro(smallest)),
+                "{range}"
+            );
+            let accepts = |units| Energy::from_units(units).is_some();
+            assert!(accepts(ends[1]) && !accepts(ends[1] + 1.0), "{range}");
         }
     }
 }

@@ -160,8 +160,11 @@ fn value_condition(path: &str, then: Option<Json>) -> Json {
     }
 }
 
-/// Returns the rules that connect fields with settings. A field without a default has an effect only under its
-/// condition, and is required there. At the top level the condition must be set; an item may inherit it.
+/// Returns the rules for fields that exclude each other, and for fields whose condition allows an effect only for some
+/// values of another field.
+///
+/// At the top level, the other field must be set to one of these values. In an item of the list, such as a class, the
+/// other field may be missing, since the item inherits the value of the top level.
 fn condition_rules(declaration: &Declaration, scope: Scope) -> Json {
     let mut rules = Vec::new();
     for header in declaration.headers() {

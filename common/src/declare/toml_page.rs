@@ -10,7 +10,6 @@ use crate::units::{Energy, MICRO_PER_UNIT};
 /// All active fields with their values. Two pages are equal if their fields, values and file contents are equal.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TomlPage {
-    /// The names of the list items, in order.
     items: Vec<String>,
     lines: Vec<PageLine>,
 }
@@ -19,7 +18,6 @@ pub struct TomlPage {
 struct PageLine {
     /// The number of the item to which the line belongs, from 1; 0 for the top level.
     item_number: usize,
-    /// The full path of the field.
     path: String,
     /// The value as TOML.
     value: String,
@@ -181,7 +179,6 @@ fn field_comment(
     parts.join("; ")
 }
 
-/// Formats a value as in a file.
 pub(super) fn format_toml(value: &FieldValue<'_>) -> String {
     let text = |text: &str| toml::Value::String(text.to_owned()).to_string();
     match *value {

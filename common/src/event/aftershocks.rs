@@ -17,7 +17,6 @@ crate::declare! {
     }
 }
 
-/// The epicentres of a run.
 #[derive(Clone, Debug)]
 pub(super) struct AftershockEpicentres {
     uniform: UniformEpicentres,
@@ -74,23 +73,21 @@ mod tests {
     use super::*;
 
     #[test]
-    fn any_radius_and_any_centre_give_a_point_of_the_area() {
+    fn points_are_in_the_area_and_within_the_radius_for_any_centre() {
         let mut stream = Stream::new(3, Purpose::Attraction, 0);
-        for area in [(20.0, 20.0), (1e-3, 1e6), (1e6, 1e-300), (1e-300, 1e-300)] {
-            let area = Area {
-                width: area.0,
-                height: area.1,
-            };
+        for (width, height) in [(20.0, 20.0), (1e-3, 1e6), (1e6, 1e-300), (1e-300, 1e-300)] {
+            let area = Area { width, height };
             for (x, y) in [(0.0, 0.0), (1.0, 1.0), (0.5, 0.0), (0.3, 0.9)] {
                 let centre = Point::new(x * area.width, y * area.height);
                 for radius in [0.0, 1e-320, 1e-16, 1e-15, 0.7, 2.0, 19.0, 30.0, 1e6] {
                     for _ in 0..200 {
                         let point = draw_near(centre, radius, area, &mut stream);
-                        let slack = 1e-15 * (centre.x + centre.y);
+                        // Rounding of the coordinates.
+                        let tolerance = 1e-15 * (centre.x + centre.y);
                         assert!(area.contains(point), "{point:?} in {area:?}");
                         assert!(
-                            point.distance(centre) <= radius * (1.0 + 1e-12) + slack,
-                            "{point:?}, {radius} from {centre:?} in {area:?}"
+                            point.distance(centre) <= radius * (1.0 + 1e-12) + tolerance,
+                            "{point:?}, more than {radius} from {centre:?} in {area:?}"
                         );
                     }
                 }

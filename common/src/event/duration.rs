@@ -73,16 +73,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn events_that_are_over_before_a_look_are_counted() {
+    fn missed_share_equals_the_share_of_drawn_events() {
         for kind in [DurationKind::Fixed, DurationKind::Geometric] {
             for (mean, every) in [(1, 1), (4, 1), (4, 4), (4, 2), (1, 2), (2, 4), (3, 10), (20, 7)] {
                 let events = 200_000;
-                let is_over = |event: &u64| kind.draw(mean, 5, EventId(*event)) <= event % every;
-                let counted = (0..events).filter(is_over).count() as f64 / events as f64;
-                let found = kind.missed_share(mean, every);
+                // The event has to last through `event % every` TTIs until a device senses.
+                let is_missed = |event: &u64| kind.draw(mean, 5, EventId(*event)) <= event % every;
+                let expected = (0..events).filter(is_missed).count() as f64 / events as f64;
+                let share = kind.missed_share(mean, every);
                 assert!(
-                    (found - counted).abs() < 0.005,
-                    "{kind:?} {mean} {every}: {found}, counted {counted}"
+                    (share - expected).abs() < 0.005,
+                    "{kind:?}, mean {mean}, sensed every {every} TTIs: {share}, not {expected}"
                 );
             }
         }

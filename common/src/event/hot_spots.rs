@@ -21,7 +21,6 @@ crate::declare! {
     }
 }
 
-/// The epicentres of a run.
 #[derive(Clone, Debug)]
 pub(super) struct HotSpotEpicentres {
     uniform: UniformEpicentres,
@@ -39,7 +38,6 @@ impl HotSpotEpicentres {
         }
     }
 
-    /// Draws the epicentre of `event`.
     pub(super) fn draw(&self, event: EventId) -> Point {
         let mut stream = Stream::new(self.uniform.seed, Purpose::Attraction, event.0);
         if stream.unit() >= self.settings.share {
@@ -76,8 +74,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn folding_mirrors_at_both_edges() {
-        for (x, folded_x) in [
+    fn reflect_mirrors_at_both_edges() {
+        for (x, expected) in [
             (0.0, 0.0),
             (3.0, 3.0),
             (20.0, 20.0),
@@ -90,12 +88,16 @@ mod tests {
             (60.5, 19.5),
             (-61.0, 19.0),
         ] {
-            assert_eq!(reflect(x, 20.0).to_bits(), f64::to_bits(folded_x), "{x}");
+            assert_eq!(
+                reflect(x, 20.0).to_bits(),
+                f64::to_bits(expected),
+                "{x} on a side of 20"
+            );
         }
         for side in [1e-300, 1e-9, 0.1, 20.0, 1e6] {
             for x in [1e-320, 0.3, 7.7, 1e5, 1e15, 1e300] {
                 for x in [x, -x] {
-                    assert!((0.0..=side).contains(&reflect(x, side)), "{x} in {side}");
+                    assert!((0.0..=side).contains(&reflect(x, side)), "{x} on a side of {side}");
                 }
             }
         }

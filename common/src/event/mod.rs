@@ -69,14 +69,12 @@ pub struct ScriptedEvent {
     pub epicentre: Point,
 }
 
-/// The source of events.
 #[derive(Clone, Debug)]
 enum EventSource {
     Drawn(Box<RandomEvents>),
     Script(Vec<ScriptedEvent>),
 }
 
-/// Events drawn at random.
 #[derive(Clone, Debug)]
 struct RandomEvents {
     seed: u64,

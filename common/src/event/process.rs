@@ -48,7 +48,6 @@ pub enum ProcessSettings {
 }
 
 impl ProcessSettings {
-    /// Builds the process in `reader`.
     pub(super) fn from_fields(reader: &FieldReader<'_>) -> Result<Self, ScenarioError> {
         Ok(match ProcessFields::read(reader)?.process {
             ProcessKind::Uniform => Self::Uniform,
@@ -68,7 +67,6 @@ impl ProcessSettings {
         }
     }
 
-    /// Passes the fields of this kind to `sink`.
     pub(super) fn visit(&self, sink: &mut dyn FieldSink) {
         match self {
             Self::Uniform => {}
@@ -114,7 +112,6 @@ impl ProcessSettings {
     }
 }
 
-/// The starts of events.
 #[derive(Clone, Debug)]
 pub(super) enum Starts {
     Steady(SteadyStarts),
@@ -132,7 +129,6 @@ impl Starts {
     }
 }
 
-/// The epicentres of events.
 #[derive(Clone, Debug)]
 pub(super) enum Epicentres {
     Uniform(UniformEpicentres),

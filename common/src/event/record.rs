@@ -42,7 +42,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_delay_is_that_of_the_first_report() {
+    fn the_delay_counts_ttis_from_the_start_to_the_first_report() {
         let delay = |start, last, reports| {
             let record = EventRecord {
                 event: EventId(0),
@@ -62,6 +62,6 @@ mod tests {
             (delay(5, 5, 1), delay(5, 8, 3), delay(5, 8, 0)),
             (Some(0), Some(3), None)
         );
-        assert_eq!(delay(8, 5, 1), Some(0), "a record that cannot be");
+        assert_eq!(delay(8, 5, 1), Some(0), "an impossible record does not overflow");
     }
 }

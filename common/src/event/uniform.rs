@@ -5,7 +5,6 @@ use crate::geometry::{Area, Point};
 use crate::ids::{EventId, Tti};
 use crate::rng::{Geometric, Purpose, Stream};
 
-/// Epicentres distributed uniformly on the area.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct UniformEpicentres {
     pub(super) seed: u64,
@@ -13,7 +12,6 @@ pub(super) struct UniformEpicentres {
 }
 
 impl UniformEpicentres {
-    /// Draws the epicentre of `event`.
     pub(super) fn draw(&self, event: EventId) -> Point {
         let mut stream = Stream::new(self.seed, Purpose::Epicentre, event.0);
         self.draw_point(&mut stream)

@@ -116,37 +116,39 @@ mod tests {
     use super::*;
     use crate::rng::{Purpose, Stream};
 
-    fn draw(stream: &mut Stream, area: Area) -> Point {
+    fn draw_point(stream: &mut Stream, area: Area) -> Point {
         Point::new(stream.unit() * area.width, stream.unit() * area.height)
     }
 
-    fn found(buckets: &Buckets, centre: Point, radius: f64) -> Vec<(usize, f64)> {
-        let mut found = Vec::new();
-        buckets.within(centre, radius, |index, distance| found.push((index, distance)));
-        found.sort_by_key(|&(index, _)| index);
-        found
+    /// Returns the points within `radius` with their distances, by index.
+    fn find_within(buckets: &Buckets, centre: Point, radius: f64) -> Vec<(usize, f64)> {
+        let mut within = Vec::new();
+        buckets.within(centre, radius, |index, distance| within.push((index, distance)));
+        within.sort_by_key(|&(index, _)| index);
+        within
     }
 
-    fn expected(points: &[Point], centre: Point, radius: f64) -> Vec<(usize, f64)> {
+    /// Finds the same points by a full scan.
+    fn scan_within(points: &[Point], centre: Point, radius: f64) -> Vec<(usize, f64)> {
         let distances = points.iter().map(|p| centre.distance(*p)).enumerate();
         distances.filter(|&(_, d)| d <= radius).collect()
     }
 
     #[test]
-    fn finds_what_a_full_scan_finds() {
+    fn within_equals_a_full_scan() {
         let mut stream = Stream::new(1, Purpose::Epicentre, 0);
         for (width, height) in [(20.0, 20.0), (100.0, 3.0), (0.5, 70.0), (1e6, 1e-6)] {
             let area = Area { width, height };
             for n in [0, 1, 2, 17, 400] {
-                let points: Vec<_> = (0..n).map(|_| draw(&mut stream, area)).collect();
-                for built_for in [1e-3, 4.0, 1000.0] {
-                    let buckets = Buckets::new(&points, area, built_for);
+                let points: Vec<_> = (0..n).map(|_| draw_point(&mut stream, area)).collect();
+                for bucket_radius in [1e-3, 4.0, 1000.0] {
+                    let buckets = Buckets::new(&points, area, bucket_radius);
                     for radius in [0.0, 0.3, 4.0, 25.0, 1e7] {
-                        let centre = draw(&mut stream, area);
+                        let centre = draw_point(&mut stream, area);
                         assert_eq!(
-                            found(&buckets, centre, radius),
-                            expected(&points, centre, radius),
-                            "{n} points on {width} x {height}, radius {radius}"
+                            find_within(&buckets, centre, radius),
+                            scan_within(&points, centre, radius),
+                            "{n} points on {width} m x {height} m, buckets for {bucket_radius} m, radius {radius} m"
                         );
                     }
                 }
@@ -155,16 +157,16 @@ mod tests {
     }
 
     #[test]
-    fn the_nearest_are_those_of_a_full_sort() {
+    fn nearest_equals_a_full_sort() {
         let mut stream = Stream::new(2, Purpose::Epicentre, 0);
         for (width, height) in [(20.0, 20.0), (100.0, 3.0), (1e6, 1e-6)] {
             let area = Area { width, height };
             for n in [0, 1, 3, 200] {
                 // Each point occurs twice, so that there are equal distances.
-                let drawn: Vec<_> = (0..n).map(|_| draw(&mut stream, area)).collect();
+                let drawn: Vec<_> = (0..n).map(|_| draw_point(&mut stream, area)).collect();
                 let points = [drawn.clone(), drawn].concat();
                 let buckets = Buckets::new(&points, area, 0.0);
-                for centre in [draw(&mut stream, area), Point::default()] {
+                for centre in [draw_point(&mut stream, area), Point::default()] {
                     let mut sorted: Vec<_> = (0..)
                         .zip(&points)
                         .map(|(i, p)| (centre.distance_squared(*p), i))
@@ -172,7 +174,11 @@ mod tests {
                     sorted.sort_by(|a, b| a.partial_cmp(b).expect("numbers"));
                     for k in [0, 1, 2, 7, 1000] {
                         let expected = &sorted[..k.min(sorted.len())];
-                        assert_eq!(buckets.nearest(centre, k), expected, "{k} of {n} on {width} x {height}");
+                        assert_eq!(
+                            buckets.nearest(centre, k),
+                            expected,
+                            "{k} nearest of {n} on {width} m x {height} m"
+                        );
                     }
                 }
             }
@@ -180,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn points_at_exactly_the_radius_and_on_cell_borders_are_found() {
+    fn points_at_the_radius_and_on_bucket_borders_are_found() {
         let area = Area {
             width: 20.0,
             height: 20.0,
@@ -191,7 +197,11 @@ mod tests {
         let buckets = Buckets::new(&points, area, 4.0);
         for &centre in &points {
             for radius in [1.0, 4.0, 5.0] {
-                assert_eq!(found(&buckets, centre, radius), expected(&points, centre, radius));
+                assert_eq!(
+                    find_within(&buckets, centre, radius),
+                    scan_within(&points, centre, radius),
+                    "{centre:?}, radius {radius} m"
+                );
             }
         }
     }

@@ -7,7 +7,6 @@ use super::{Area, Point};
 use crate::columns::{self, ColumnData, MAX_FILE_BYTES};
 use crate::declare::{FieldReader, FieldSink, FieldValue, ScenarioError, Section, did_you_mean, quoted_list, truncate};
 
-/// The field that names the file.
 const FILE_FIELD: &str = "layout.file";
 
 /// A layout from a file.

@@ -290,14 +290,14 @@ mod tests {
     const RANDOM: [Layout; 3] = [Layout::Uniform, Layout::JitteredGrid, Layout::PoissonDisk];
     const REGULAR: [Layout; 2] = [Layout::Grid, Layout::Hex];
 
-    fn closest_pair(points: &[Point]) -> f64 {
-        let mut closest = f64::INFINITY;
+    fn smallest_distance(points: &[Point]) -> f64 {
+        let mut smallest = f64::INFINITY;
         for (i, a) in points.iter().enumerate() {
             for b in &points[..i] {
-                closest = closest.min(a.distance(*b));
+                smallest = smallest.min(a.distance(*b));
             }
         }
-        closest
+        smallest
     }
 
     #[test]
@@ -307,16 +307,16 @@ mod tests {
                 for n in (0..60).chain([250, 1000]) {
                     let points = place_devices(layout, area, n, 5);
                     assert_eq!(points.len(), n as usize, "{layout:?}");
-                    assert!(points.iter().all(|&p| area.contains(p)), "{layout:?} of {n}");
-                    assert_eq!(points, place_devices(layout, area, n, 5), "{layout:?} of {n}");
-                    assert!(n < 2 || closest_pair(&points) > 0.0, "{layout:?} of {n}");
+                    assert!(points.iter().all(|&p| area.contains(p)), "{layout:?}, {n} devices");
+                    assert_eq!(points, place_devices(layout, area, n, 5), "{layout:?}, {n} devices");
+                    assert!(n < 2 || smallest_distance(&points) > 0.0, "{layout:?}, {n} devices");
                 }
             }
         }
     }
 
     #[test]
-    fn the_seed_matters_to_random_layouts_only() {
+    fn only_random_layouts_depend_on_the_seed() {
         for layout in &RANDOM {
             assert_ne!(
                 place_devices(layout, SQUARE, 30, 1),
@@ -336,59 +336,71 @@ mod tests {
     #[test]
     fn uniform_positions_fill_the_area_evenly() {
         let points = place_devices(&Layout::Uniform, FLAT, 40_000, 9);
+        // Eight rectangles of 12.5 m by 4 m, with 5000 expected in each.
         let mut counts = [0_u32; 8];
         for p in &points {
             counts[(p.x / 12.5) as usize + 4 * (p.y / 4.0) as usize] += 1;
         }
-        assert!(counts.iter().all(|&c| (4_700..5_300).contains(&c)), "{counts:?}");
+        assert!(
+            counts.iter().all(|&c| (4_700..5_300).contains(&c)),
+            "devices by rectangle: {counts:?}"
+        );
     }
 
     #[test]
-    fn a_cell_of_the_jittered_grid_holds_at_most_one_device() {
+    fn a_jittered_grid_cell_contains_at_most_one_device() {
         for area in [SQUARE, FLAT] {
             for (n, side) in [(1, 1), (2, 2), (10, 4), (16, 4), (17, 5), (250, 16), (256, 16)] {
-                let mut taken = vec![0; side * side];
+                let mut counts = vec![0; side * side];
                 for p in place_devices(&Layout::JitteredGrid, area, n, 3) {
                     let column = (p.x / area.width * side as f64) as usize;
                     let row = (p.y / area.height * side as f64) as usize;
-                    taken[row * side + column] += 1;
+                    counts[row * side + column] += 1;
                 }
-                assert!(taken.iter().all(|&t| t <= 1), "N = {n}: {taken:?}");
+                assert!(counts.iter().all(|&t| t <= 1), "N = {n}: devices by cell {counts:?}");
             }
         }
     }
 
     #[test]
-    fn jittered_cells_are_drawn_at_random() {
-        let mut first = [0_u32; 16];
+    fn the_cell_of_a_jittered_grid_is_uniformly_random() {
+        // The cell of the first of 10 devices, of 16 cells.
+        let mut counts = [0_u32; 16];
         for seed in 0..8000 {
             let p = place_devices(&Layout::JitteredGrid, SQUARE, 10, seed)[0];
-            first[(p.x / 5.0) as usize + 4 * (p.y / 5.0) as usize] += 1;
+            counts[(p.x / 5.0) as usize + 4 * (p.y / 5.0) as usize] += 1;
         }
-        assert!(first.iter().all(|&c| (400..600).contains(&c)), "{first:?}");
+        assert!(
+            counts.iter().all(|&c| (400..600).contains(&c)),
+            "first devices by cell: {counts:?}"
+        );
     }
 
     #[test]
     fn poisson_disks_keep_their_distance() {
         for (area, n) in [(SQUARE, 10), (SQUARE, 250), (FLAT, 100), (SQUARE, 2000)] {
-            let densest = (2.0 * area.surface() / (3.0_f64.sqrt() * f64::from(n))).sqrt();
-            let closest = closest_pair(&place_devices(&Layout::PoissonDisk, area, n, 8));
-            assert!(closest > 0.65 * densest, "N = {n}: {closest} of {densest}");
+            // The distance in the densest packing.
+            let hexagonal_pitch = (2.0 * area.surface() / (3.0_f64.sqrt() * f64::from(n))).sqrt();
+            let smallest = smallest_distance(&place_devices(&Layout::PoissonDisk, area, n, 8));
+            assert!(
+                smallest > 0.65 * hexagonal_pitch,
+                "N = {n}: distance {smallest} m, of {hexagonal_pitch} m at most"
+            );
         }
         let strip = Area {
             width: 1e6,
             height: 1e-6,
         };
-        assert!(closest_pair(&place_devices(&Layout::PoissonDisk, strip, 100, 8)) > 5_000.0);
+        assert!(smallest_distance(&place_devices(&Layout::PoissonDisk, strip, 100, 8)) > 5_000.0);
     }
 
     #[test]
-    fn a_hundred_thousand_poisson_disks_come_to_an_end() {
+    fn a_hundred_thousand_poisson_disks_are_placed() {
         assert_eq!(place_devices(&Layout::PoissonDisk, FLAT, 100_000, 1).len(), 100_000);
     }
 
     #[test]
-    fn a_square_number_makes_a_perfect_grid() {
+    fn a_square_number_forms_a_perfect_grid() {
         let points = place_devices(&Layout::Grid, SQUARE, 25, 0);
         for (i, p) in points.iter().enumerate() {
             let (column, row) = (i % 5, i / 5);
@@ -398,7 +410,7 @@ mod tests {
     }
 
     #[test]
-    fn hex_neighbours_are_about_equally_far() {
+    fn hex_neighbours_are_about_equally_far_apart() {
         let points = place_devices(&Layout::Hex, SQUARE, 17 * 14, 0);
         let pitch = (2.0 * SQUARE.surface() / (3.0_f64.sqrt() * 17.0 * 14.0)).sqrt();
         let inner = points
@@ -409,14 +421,14 @@ mod tests {
             distances.sort_by(f64::total_cmp);
             assert!(
                 distances[1] > 0.95 * pitch && distances[6] < 1.05 * pitch,
-                "{:?}",
+                "pitch {pitch} m, distances {:?}",
                 &distances[..8]
             );
         }
     }
 
     #[test]
-    fn a_file_gives_its_first_points() {
+    fn a_file_layout_uses_its_first_points() {
         let points: Vec<_> = (0..9).map(|i| Point::new(f64::from(i), 1.0)).collect();
         let layout = Layout::File(FileLayout {
             path: "devices.csv".into(),

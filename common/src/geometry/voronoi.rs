@@ -125,9 +125,9 @@ mod tests {
         height: 20.0,
     };
 
-    /// Computes d* from first principles: candidate vertices are all crossings of two border lines (bisectors of any
-    /// two sites and the area's sides). Crossings in the area without a closer site count.
-    fn from_every_crossing(points: &[Point], area: Area) -> f64 {
+    /// Computes [`farthest_cell_vertex`] by definition: candidates are all crossings of two border lines (bisectors of
+    /// any two sites and the area's sides). Crossings in the area without a closer site count.
+    fn farthest_crossing(points: &[Point], area: Area) -> f64 {
         let (w, h) = (area.width, area.height);
         let mut farthest = 0.0_f64;
         for (j, &site) in points.iter().enumerate() {
@@ -141,12 +141,12 @@ mod tests {
             }
             for (k, &(a, b, c)) in lines.iter().enumerate() {
                 for &(d, e, f) in &lines[..k] {
-                    let det = a * e - b * d;
-                    let v = Point::new((c * e - b * f) / det, (a * f - c * d) / det);
+                    let determinant = a * e - b * d;
+                    let v = Point::new((c * e - b * f) / determinant, (a * f - c * d) / determinant);
                     let inside = v.x >= -1e-9 && v.x <= w + 1e-9 && v.y >= -1e-9 && v.y <= h + 1e-9;
-                    let reach = v.distance(site);
-                    if det != 0.0 && inside && points.iter().all(|p| p.distance(v) >= reach - 1e-9) {
-                        farthest = farthest.max(reach);
+                    let distance = v.distance(site);
+                    if determinant != 0.0 && inside && points.iter().all(|p| p.distance(v) >= distance - 1e-9) {
+                        farthest = farthest.max(distance);
                     }
                 }
             }
@@ -154,27 +154,30 @@ mod tests {
         farthest
     }
 
-    fn check(points: &[Point], area: Area, what: &str) {
-        let (fast, slow) = (farthest_cell_vertex(points, area), from_every_crossing(points, area));
+    fn compare_with_definition(points: &[Point], area: Area, case: &str) {
+        let (distance, expected) = (farthest_cell_vertex(points, area), farthest_crossing(points, area));
         assert!(
-            (fast - slow).abs() < 1e-6,
-            "{what}: {fast} against {slow} for {points:?}"
+            (distance - expected).abs() < 1e-6,
+            "{case}: {distance} m, not {expected}, for {points:?}"
         );
     }
 
     #[test]
-    fn a_perfect_grid_has_the_half_diagonal_of_its_cells() {
+    fn a_perfect_grid_gives_half_the_diagonal_of_its_cells() {
         for side in [1_u32, 2, 3, 4, 5, 7, 10, 15, 16, 31, 100] {
             let n = side * side;
             let points = place_devices(&Layout::Grid, SQUARE, n, 0);
             let expected = (SQUARE.surface() / (2.0 * f64::from(n))).sqrt();
-            let found = farthest_cell_vertex(&points, SQUARE);
-            assert!((found - expected).abs() < 1e-9, "N = {n}: {found}, not {expected}");
+            let distance = farthest_cell_vertex(&points, SQUARE);
+            assert!(
+                (distance - expected).abs() < 1e-9,
+                "N = {n}: {distance}, not {expected}"
+            );
         }
     }
 
     #[test]
-    fn random_sites_agree_with_the_definition() {
+    fn uniform_sites_equal_the_definition() {
         let mut stream = Stream::new(11, Purpose::Layout, 9);
         let flat = Area {
             width: 30.0,
@@ -185,12 +188,12 @@ mod tests {
             let points: Vec<_> = (0..n)
                 .map(|_| Point::new(stream.unit() * area.width, stream.unit() * area.height))
                 .collect();
-            check(&points, area, "uniform");
+            compare_with_definition(&points, area, "uniform");
         }
     }
 
     #[test]
-    fn sites_in_a_line_on_edges_and_on_a_lattice_agree_with_the_definition() {
+    fn sites_on_lines_edges_and_a_lattice_equal_the_definition() {
         let mut stream = Stream::new(12, Purpose::Layout, 9);
         for case in 0..300 {
             let n = 1 + case % 9;
@@ -199,9 +202,9 @@ mod tests {
                 .map(|_| stream.unit() * 19.0)
                 .map(|x| Point::new(x, slope * x + offset))
                 .collect();
-            check(&line, SQUARE, "line");
-            let upright: Vec<_> = line.iter().map(|p| Point::new(7.0, p.x)).collect();
-            check(&upright, SQUARE, "upright line");
+            compare_with_definition(&line, SQUARE, "line");
+            let vertical_line: Vec<_> = line.iter().map(|p| Point::new(7.0, p.x)).collect();
+            compare_with_definition(&vertical_line, SQUARE, "vertical line");
             let edges: Vec<_> = (0..n)
                 .map(|_| (stream.below(4), stream.unit() * 20.0))
                 .map(|(side, t)| match side {
@@ -211,61 +214,72 @@ mod tests {
                     _ => Point::new(20.0, t),
                 })
                 .collect();
-            check(&edges, SQUARE, "edges");
+            compare_with_definition(&edges, SQUARE, "edges");
             let lattice: Vec<_> = (0..n)
                 .map(|_| Point::new(stream.below(5) as f64 * 5.0, stream.below(5) as f64 * 5.0))
                 .collect();
-            check(&lattice, SQUARE, "lattice with duplicates");
+            compare_with_definition(&lattice, SQUARE, "lattice with duplicates");
             let scale = [1e-15, 1e-12, 1e-9][case % 3];
             let mut nudge = |t: f64| (t + scale * (stream.unit() - 0.5)).clamp(0.0, 20.0);
             let nudged: Vec<_> = lattice.iter().map(|p| Point::new(nudge(p.x), nudge(p.y))).collect();
-            let (found, exact) = (
+            let (distance, expected) = (
                 farthest_cell_vertex(&nudged, SQUARE),
-                from_every_crossing(&lattice, SQUARE),
+                farthest_crossing(&lattice, SQUARE),
             );
             assert!(
-                (found - exact).abs() < 1e-6,
-                "nudged: {found} against {exact} for {nudged:?}"
+                (distance - expected).abs() < 1e-6,
+                "nudged lattice: {distance} m, not {expected}, for {nudged:?}"
             );
         }
     }
 
     #[test]
-    fn no_place_is_farther_from_its_closest_site() {
+    fn no_place_is_farther_from_its_closest_site_than_the_farthest_vertex() {
         let mut stream = Stream::new(13, Purpose::Epicentre, 0);
         for seed in 0..20 {
             let points = place_devices(&Layout::Uniform, SQUARE, 250, seed);
             let bound = farthest_cell_vertex(&points, SQUARE);
-            let mut reached = 0.0_f64;
+            let mut farthest = 0.0_f64;
             for _ in 0..20_000 {
-                let v = Point::new(stream.unit() * 20.0, stream.unit() * 20.0);
-                let closest = points.iter().map(|p| p.distance(v)).fold(f64::INFINITY, f64::min);
-                reached = reached.max(closest);
+                let place = Point::new(stream.unit() * 20.0, stream.unit() * 20.0);
+                let closest = points.iter().map(|p| p.distance(place)).fold(f64::INFINITY, f64::min);
+                farthest = farthest.max(closest);
             }
-            assert!(reached <= bound && reached > 0.93 * bound, "{reached} of {bound}");
+            assert!(
+                farthest <= bound && farthest > 0.93 * bound,
+                "seed {seed}: a place at {farthest} m, the farthest vertex at {bound} m"
+            );
         }
     }
 
     #[test]
-    fn cells_cover_the_area_and_hold_what_is_closest_to_their_device() {
+    fn cells_cover_the_area_and_contain_the_places_closest_to_their_device() {
         let mut stream = Stream::new(14, Purpose::Epicentre, 0);
         for (seed, n) in [(1, 1), (2, 2), (3, 60), (4, 250)] {
             let points = place_devices(&Layout::Uniform, SQUARE, n, seed);
             let cells = voronoi_cells(&points, SQUARE);
-            let doubled = |cell: &[Point]| -> f64 {
+            // The shoelace formula.
+            let doubled_area = |cell: &[Point]| -> f64 {
                 let next = cell.iter().cycle().skip(1);
                 cell.iter().zip(next).map(|(a, b)| a.x * b.y - b.x * a.y).sum()
             };
-            let surface: f64 = cells.iter().map(|cell| 0.5 * doubled(cell)).sum();
-            assert!((surface - SQUARE.surface()).abs() < 1e-6, "{surface}");
+            let surface: f64 = cells.iter().map(|cell| 0.5 * doubled_area(cell)).sum();
+            assert!(
+                (surface - SQUARE.surface()).abs() < 1e-6,
+                "{n} devices: cells of {surface} m² in total"
+            );
             for _ in 0..2_000 {
-                let v = Point::new(stream.unit() * 20.0, stream.unit() * 20.0);
+                let place = Point::new(stream.unit() * 20.0, stream.unit() * 20.0);
                 let closest =
-                    (0..points.len()).min_by(|a, b| points[*a].distance(v).total_cmp(&points[*b].distance(v)));
+                    (0..points.len()).min_by(|a, b| points[*a].distance(place).total_cmp(&points[*b].distance(place)));
                 let cell = &cells[closest.expect("devices")];
                 let next = cell.iter().cycle().skip(1);
-                let inside = |(a, b): (&Point, &Point)| (b.x - a.x) * (v.y - a.y) - (b.y - a.y) * (v.x - a.x) > -1e-6;
-                assert!(cell.iter().zip(next).all(inside), "{v:?} in {cell:?}");
+                let is_left_of_edge =
+                    |(a, b): (&Point, &Point)| (b.x - a.x) * (place.y - a.y) - (b.y - a.y) * (place.x - a.x) > -1e-6;
+                assert!(
+                    cell.iter().zip(next).all(is_left_of_edge),
+                    "{place:?} is outside {cell:?}"
+                );
             }
         }
         let twins = [Point::new(3.0, 4.0), Point::new(3.0, 4.0)];
@@ -277,20 +291,20 @@ mod tests {
     }
 
     #[test]
-    fn near_and_exact_duplicates_do_not_matter() {
+    fn near_and_exact_duplicates_change_nothing() {
         let points = place_devices(&Layout::JitteredGrid, SQUARE, 40, 3);
-        let alone = farthest_cell_vertex(&points, SQUARE);
+        let without_twins = farthest_cell_vertex(&points, SQUARE);
         for gap in [0.0, 1e-15, 1e-13, 1e-10, 1e-7] {
             let twins = points.iter().map(|p| Point::new(p.x + gap, p.y - gap));
             let both: Vec<_> = points.iter().copied().chain(twins).collect();
-            let found = farthest_cell_vertex(&both, SQUARE);
+            let distance = farthest_cell_vertex(&both, SQUARE);
             assert!(
-                (found - alone).abs() <= 2.0 * gap + 1e-9,
-                "gap {gap}: {found}, not {alone}"
+                (distance - without_twins).abs() <= 2.0 * gap + 1e-9,
+                "gap {gap}: {distance} m, not {without_twins}"
             );
         }
-        let same = vec![Point::new(0.0, 0.0); 50];
-        assert!((farthest_cell_vertex(&same, SQUARE) - SQUARE.diagonal()).abs() < 1e-12);
+        let coincident = vec![Point::new(0.0, 0.0); 50];
+        assert!((farthest_cell_vertex(&coincident, SQUARE) - SQUARE.diagonal()).abs() < 1e-12);
         assert!(farthest_cell_vertex(&[], SQUARE).is_infinite());
     }
 }

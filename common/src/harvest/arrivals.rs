@@ -56,7 +56,6 @@ pub struct ArrivalsSetup {
 }
 
 impl ArrivalsSetup {
-    /// Whether the setup is valid for a device.
     pub(super) fn is_valid(&self) -> bool {
         (0.0..=1.0).contains(&self.p)
     }
@@ -81,7 +80,6 @@ impl ArrivalsSetup {
     }
 }
 
-/// The source of independent arrivals of one device.
 #[derive(Clone, Debug)]
 pub(super) struct ArrivalsSource {
     gaps: Arc<GapTable>,

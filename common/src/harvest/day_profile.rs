@@ -66,25 +66,26 @@ impl DayProfile {
 mod tests {
     use super::*;
 
-    const DAY: [f64; 5] = [0.0, 0.25, 0.5, 0.3, 0.0];
+    /// Probability of an arrival in each TTI of a day.
+    const PROBABILITIES: [f64; 5] = [0.0, 0.25, 0.5, 0.3, 0.0];
 
     #[test]
-    fn what_is_expected_adds_up() {
-        let course = DayProfile::new(DAY.into_iter(), Energy::from_micro(1000));
-        let by_hand = |from: u64, end: u64| -> u64 {
-            let of = [0, 250, 500, 300, 0];
-            (from..end).map(|k| of[(k % 5) as usize]).sum()
+    fn energy_between_adds_up_the_ttis_without_loss() {
+        let profile = DayProfile::new(PROBABILITIES.into_iter(), Energy::from_micro(1000));
+        let expected_micro = |from: u64, end: u64| -> u64 {
+            let micro_by_tti = [0, 250, 500, 300, 0];
+            (from..end).map(|k| micro_by_tti[(k % 5) as usize]).sum()
         };
         for from in 0..13 {
             for end in from..23 {
                 assert_eq!(
-                    course.energy_between(Tti(from), Tti(end)).micro(),
-                    by_hand(from, end),
-                    "{from} to {end}"
+                    profile.energy_between(Tti(from), Tti(end)).micro(),
+                    expected_micro(from, end),
+                    "TTIs {from} to {end}"
                 );
             }
         }
-        assert_eq!(course.energy_between(Tti(7), Tti(3)), Energy::ZERO);
+        assert_eq!(profile.energy_between(Tti(7), Tti(3)), Energy::ZERO);
         // A third of a micro-unit per TTI is not lost.
         let thirds = DayProfile::new([1.0 / 3.0; 3].into_iter(), Energy::from_micro(1));
         let sum: u64 = (0..300)
@@ -94,11 +95,11 @@ mod tests {
     }
 
     #[test]
-    fn days_turn_with_the_first_and_after_the_last_light() {
-        let course = DayProfile::new(DAY.into_iter(), Energy::from_micro(1000));
-        let turns: Vec<u64> = (0..11).map(|k| course.next_switch_after(Tti(k)).0).collect();
-        assert_eq!(turns, [1, 4, 4, 4, 6, 6, 9, 9, 9, 11, 11]);
-        let always = DayProfile::new([0.5; 4].into_iter(), Energy::from_micro(1000));
-        assert_eq!(always.next_switch_after(Tti(2)), Tti::NEVER);
+    fn switches_are_at_the_first_light_and_after_the_last() {
+        let profile = DayProfile::new(PROBABILITIES.into_iter(), Energy::from_micro(1000));
+        let switches: Vec<u64> = (0..11).map(|k| profile.next_switch_after(Tti(k)).0).collect();
+        assert_eq!(switches, [1, 4, 4, 4, 6, 6, 9, 9, 9, 11, 11]);
+        let always_light = DayProfile::new([0.5; 4].into_iter(), Energy::from_micro(1000));
+        assert_eq!(always_light.next_switch_after(Tti(2)), Tti::NEVER);
     }
 }

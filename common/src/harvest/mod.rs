@@ -339,7 +339,7 @@ mod tests {
 
     const E_B: Energy = Energy::from_micro(5_000_000);
 
-    fn source(harvest: &Harvest, device: u32) -> HarvestSource {
+    fn source_of(harvest: &Harvest, device: u32) -> HarvestSource {
         HarvestSource::new(
             &harvest.setup(1.0, 0),
             &SharedSourceData::default(),
@@ -348,22 +348,23 @@ mod tests {
         )
     }
 
-    fn arrivals(source: &mut HarvestSource, ttis: u64) -> u64 {
-        let mut n = 0;
+    /// Counts the arrivals in the first `ttis` TTIs.
+    fn count_arrivals(source: &mut HarvestSource, ttis: u64) -> u64 {
+        let mut count = 0;
         while source.next_arrival() < Tti(ttis) {
-            let before = source.next_arrival();
+            let arrival = source.next_arrival();
             assert_eq!(source.take_arrival(), E_B);
-            assert!(source.next_arrival() > before);
-            n += 1;
+            assert!(source.next_arrival() > arrival);
+            count += 1;
         }
-        n
+        count
     }
 
-    /// Mean arrivals per TTI over independent devices, and its standard error.
-    fn measure(harvest: &Harvest) -> (f64, f64) {
+    /// Returns the mean number of arrivals per TTI over independent devices, and its standard error.
+    fn measure_rate(harvest: &Harvest) -> (f64, f64) {
         let (devices, ttis) = (400, 5_000);
         let rates: Vec<f64> = (0..devices)
-            .map(|d| arrivals(&mut source(harvest, d), ttis) as f64 / ttis as f64)
+            .map(|d| count_arrivals(&mut source_of(harvest, d), ttis) as f64 / ttis as f64)
             .collect();
         let mean = rates.iter().sum::<f64>() / rates.len() as f64;
         let variance = rates.iter().map(|r| (r - mean).powi(2)).sum::<f64>() / (rates.len() - 1) as f64;
@@ -371,7 +372,7 @@ mod tests {
     }
 
     #[test]
-    fn means_follow_the_closed_forms() {
+    fn rates_equal_the_closed_forms() {
         let lambda = 0.3;
         let cases = [
             (Harvest::Eq5(Arrivals { lambda, e_b: E_B }), lambda * libm::exp(-lambda)),
@@ -389,18 +390,18 @@ mod tests {
             ),
         ];
         for (harvest, expected) in cases {
-            let (mean, error) = measure(&harvest);
+            let (mean, error) = measure_rate(&harvest);
             assert!(
                 (mean - expected).abs() < 3.0 * error,
-                "{harvest:?}: {mean} ± {error}, expected {expected}"
+                "{harvest:?}: {mean} ± {error}, not {expected}"
             );
         }
     }
 
     #[test]
-    fn on_runs_of_mpp_are_as_long_as_its_chain_says() {
+    fn the_mean_run_of_mpp_equals_that_of_its_chain() {
         let (lambda, off_mean) = (0.05, 10.0);
-        let mut s = source(
+        let mut source = source_of(
             &Harvest::Mpp(OnOff {
                 lambda,
                 e_b: E_B,
@@ -408,29 +409,29 @@ mod tests {
             }),
             1,
         );
-        let (mut runs, mut length, mut last) = (0u64, 0u64, Tti::NEVER);
-        while s.next_arrival() < Tti(400_000) {
-            let now = s.next_arrival();
-            s.take_arrival();
-            length += 1;
-            runs += u64::from(last == Tti::NEVER || now != last + 1);
+        let (mut run_count, mut on_ttis, mut last) = (0u64, 0u64, Tti::NEVER);
+        while source.next_arrival() < Tti(400_000) {
+            let now = source.next_arrival();
+            source.take_arrival();
+            on_ttis += 1;
+            run_count += u64::from(last == Tti::NEVER || now != last + 1);
             last = now;
         }
         // A run ends after each of its TTIs with the probability that the sampled chain leaves "on".
         let rate = lambda + 1.0 / off_mean;
-        let leave = (1.0 - (1.0 / off_mean) / rate) * (1.0 - libm::exp(-rate));
-        let mean = length as f64 / runs as f64;
+        let leave_probability = (1.0 - (1.0 / off_mean) / rate) * (1.0 - libm::exp(-rate));
+        let mean_run = on_ttis as f64 / run_count as f64;
         assert!(
-            (mean * leave - 1.0).abs() < 4.0 / (runs as f64).sqrt(),
-            "mean run {mean}, expected {}",
-            1.0 / leave
+            (mean_run * leave_probability - 1.0).abs() < 4.0 / (run_count as f64).sqrt(),
+            "mean run of {mean_run} TTIs, not {}",
+            1.0 / leave_probability
         );
     }
 
     #[test]
-    fn a_trace_cycles_or_stops_and_skips_zeros() {
+    fn a_trace_cycles_or_stops_and_zeros_are_no_arrivals() {
         let rows = Arc::new([0, 3, 0, 4].map(Energy::from_micro).to_vec());
-        let make = |end, ttis_per_row| {
+        let trace_source = |end, ttis_per_row| {
             HarvestSource::new(
                 &HarvestSetup::Trace(TraceSetup {
                     trace: 0,
@@ -442,18 +443,24 @@ mod tests {
                 DeviceId(0),
             )
         };
-        let collect = |mut s: HarvestSource, ttis: u64| {
-            let mut seen = Vec::new();
-            while s.next_arrival() < Tti(ttis) {
-                let k = s.next_arrival().0;
-                seen.push((k, s.take_arrival().micro()));
+        let collect_arrivals = |mut source: HarvestSource, ttis: u64| {
+            let mut arrivals = Vec::new();
+            while source.next_arrival() < Tti(ttis) {
+                let k = source.next_arrival().0;
+                arrivals.push((k, source.take_arrival().micro()));
             }
-            seen
+            arrivals
         };
-        assert_eq!(collect(make(TraceEnd::Cycle, 1), 9), [(1, 3), (3, 4), (5, 3), (7, 4)]);
-        assert_eq!(collect(make(TraceEnd::Stop, 1), 9), [(1, 3), (3, 4)]);
-        assert_eq!(collect(make(TraceEnd::Stop, 2), 99), [(2, 3), (3, 3), (6, 4), (7, 4)]);
-        let dark = HarvestSource::new(
+        assert_eq!(
+            collect_arrivals(trace_source(TraceEnd::Cycle, 1), 9),
+            [(1, 3), (3, 4), (5, 3), (7, 4)]
+        );
+        assert_eq!(collect_arrivals(trace_source(TraceEnd::Stop, 1), 9), [(1, 3), (3, 4)]);
+        assert_eq!(
+            collect_arrivals(trace_source(TraceEnd::Stop, 2), 99),
+            [(2, 3), (3, 3), (6, 4), (7, 4)]
+        );
+        let without_energy = HarvestSource::new(
             &HarvestSetup::Trace(TraceSetup {
                 trace: 0,
                 ttis_per_row: 1,
@@ -463,6 +470,6 @@ mod tests {
             0,
             DeviceId(0),
         );
-        assert_eq!(dark.next_arrival(), Tti::NEVER);
+        assert_eq!(without_energy.next_arrival(), Tti::NEVER);
     }
 }

@@ -54,7 +54,6 @@ impl OnOff {
         Ok(Self { lambda, e_b, off_mean })
     }
 
-    /// Passes every field to `sink`.
     pub(super) fn visit(&self, sink: &mut dyn FieldSink) {
         let Self { lambda, e_b, off_mean } = *self;
         Arrivals { lambda, e_b }.visit(sink);
@@ -107,7 +106,6 @@ pub struct OnOffSetup {
 }
 
 impl OnOffSetup {
-    /// Whether the setup is valid for a device.
     pub(super) fn is_valid(&self) -> bool {
         let Self {
             on_share, p_off, p_on, ..
@@ -142,14 +140,12 @@ impl OnOffSetup {
     }
 }
 
-/// The on/off source of one device.
 #[derive(Clone, Debug)]
 pub(super) struct OnOffSource {
     /// The length of an on-period in TTIs.
     on_duration: Geometric,
     /// The length of an off-period in TTIs.
     off_duration: Geometric,
-    /// The last TTI of the current on-period.
     last_on: Tti,
     stream: Stream,
     e_b: Energy,

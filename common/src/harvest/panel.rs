@@ -50,8 +50,8 @@ impl Panel {
         // Relative, since the rounding of the quotient grows with it.
         if tti_count < 1.0 || (ttis - tti_count).abs() > ROUNDING_TOLERANCE * tti_count.max(1.0) {
             return Err(format!(
-                "its {rows} rows of {row} s cover {ttis:.3} TTIs of {} s, not a whole number; set \
-                 harvest.trace.panel.tti_seconds or row_seconds, or use another number of rows",
+                "its {rows} rows of {row} s cover {ttis:.3} TTIs of {} s, not a whole number of TTIs; \
+                 change harvest.trace.panel.tti_seconds or row_seconds, or the number of rows",
                 self.tti_seconds
             ));
         }
@@ -106,7 +106,6 @@ pub(super) fn visit(panel: Option<&Panel>, sink: &mut dyn FieldSink) {
     }
 }
 
-/// The fields of a panel.
 pub(super) const SECTION: &Section = Panel::SECTION;
 
 #[cfg(test)]
@@ -122,111 +121,116 @@ mod tests {
         row_seconds: 4.0,
     };
 
-    fn units(panel: &Panel, rows: &[f64], stops: bool) -> Vec<f64> {
+    fn units_by_tti(panel: &Panel, rows: &[f64], stops: bool) -> Vec<f64> {
         let energies = panel.energies(rows, stops).expect("valid");
         energies.iter().map(|energy| energy.units()).collect()
     }
 
     #[test]
-    fn watts_come_to_units_by_area_efficiency_and_time() {
+    fn irradiance_is_converted_by_area_efficiency_unit_and_time() {
         assert!((PANEL.units_per_second() - 1.0).abs() < 1e-12);
-        assert_eq!(units(&PANEL, &[7.0, 7.0], false), [7.0; 8]);
-        let slower = Panel {
+        assert_eq!(units_by_tti(&PANEL, &[7.0, 7.0], false), [7.0; 8]);
+        let longer_ttis = Panel {
             tti_seconds: 8.0,
             unit_mj: 2.0,
             ..PANEL
         };
-        assert_eq!(units(&slower, &[7.0, 7.0], false), [28.0]);
+        assert_eq!(units_by_tti(&longer_ttis, &[7.0, 7.0], false), [28.0]);
     }
 
     #[test]
-    fn between_rows_goes_a_straight_line() {
+    fn irradiance_is_interpolated_linearly_between_rows() {
         // 0 at 0 s, 8 at 4 s; then back to 0 at 8 s, or constant at 8.
         assert_eq!(
-            units(&PANEL, &[0.0, 8.0], false),
+            units_by_tti(&PANEL, &[0.0, 8.0], false),
             [1.0, 3.0, 5.0, 7.0, 7.0, 5.0, 3.0, 1.0]
         );
         assert_eq!(
-            units(&PANEL, &[0.0, 8.0], true),
+            units_by_tti(&PANEL, &[0.0, 8.0], true),
             [1.0, 3.0, 5.0, 7.0, 8.0, 8.0, 8.0, 8.0]
         );
-        let odd = Panel {
+        let unaligned = Panel {
             tti_seconds: 8.0 / 3.0,
             ..PANEL
         };
         // The triangle of 32 in thirds: (8/3)²·2/2 for each outer third, and the rest in the middle.
         let outer = (8.0_f64 / 3.0).powi(2);
-        for (found, expected) in units(&odd, &[0.0, 8.0], false)
-            .iter()
-            .zip([outer, 32.0 - 2.0 * outer, outer])
+        for (found, expected) in
+            units_by_tti(&unaligned, &[0.0, 8.0], false)
+                .iter()
+                .zip([outer, 32.0 - 2.0 * outer, outer])
         {
-            assert!((found - expected).abs() < 1e-5, "{found}, not {expected}");
+            assert!((found - expected).abs() < 1e-5, "{found} units, not {expected}");
         }
     }
 
-    /// Compares each energy with the sum of many narrow strips, and the total to the micro-unit.
+    /// The reference is the midpoint rule; the total must be exact to the micro-unit.
     #[test]
-    fn energy_is_the_integral_and_none_is_lost_by_rounding() {
+    fn energies_equal_the_integral_and_rounding_loses_nothing() {
         let rows: Vec<f64> = (0..48).map(|i| f64::from((i * 37) % 11) * 1.7e-6).collect();
         for (stops, tti_seconds) in [(false, 0.4), (true, 0.75), (false, 6.0), (true, 32.0)] {
             let panel = Panel { tti_seconds, ..PANEL };
             let energies = panel.energies(&rows, stops).expect("valid");
-            let at = |second: f64| {
+            let irradiance_at = |second: f64| {
                 let (i, part) = ((second / 4.0) as usize, (second / 4.0).fract());
-                let of = |i: usize| match (rows.get(i), stops) {
-                    (Some(&row), _) => row,
+                let row = |i: usize| match (rows.get(i), stops) {
+                    (Some(&value), _) => value,
                     (None, true) => rows[47],
                     (None, false) => rows[0],
                 };
-                of(i) + part * (of(i + 1) - of(i))
+                row(i) + part * (row(i + 1) - row(i))
             };
-            let strip = |from: f64, end: f64| {
+            let integral = |from: f64, end: f64| {
                 let width = (end - from) / 400.0;
                 (0..400)
-                    .map(|s| width * at(from + (f64::from(s) + 0.5) * width))
+                    .map(|i| width * irradiance_at(from + (f64::from(i) + 0.5) * width))
                     .sum::<f64>()
             };
             let mut total = 0.0;
             for (tti, energy) in energies.iter().enumerate() {
                 let from = tti as f64 * tti_seconds;
-                let expected = 1e6 * strip(from, from + tti_seconds);
+                let expected = 1e6 * integral(from, from + tti_seconds);
                 total += expected;
                 assert!(
                     (energy.micro() as f64 - expected).abs() <= 1.1,
-                    "{tti}: {energy:?}, not {expected}"
+                    "TTI {tti} of {tti_seconds} s: {energy:?}, not {expected} micro-units"
                 );
             }
             let sum: u64 = energies.iter().map(|energy| energy.micro()).sum();
-            assert!((sum as f64 - total).abs() <= 1.0, "{sum}, not {total}");
+            assert!(
+                (sum as f64 - total).abs() <= 1.0,
+                "TTIs of {tti_seconds} s: {sum} micro-units in total, not {total}"
+            );
         }
     }
 
     #[test]
-    fn errors_say_what_to_do() {
+    fn errors_name_the_cause_and_the_fix() {
         let reason = |panel: Panel| panel.energies(&[1e5; 3], false).expect_err("not valid");
-        let odd = reason(Panel {
+        let not_whole = reason(Panel {
             tti_seconds: 5.0,
             ..PANEL
         });
         assert!(
-            odd.starts_with("its 3 rows of 4 s cover 2.400 TTIs of 5 s, not a whole number"),
-            "{odd}"
+            not_whole.starts_with("its 3 rows of 4 s cover 2.400 TTIs of 5 s, not a whole number"),
+            "{not_whole}"
         );
-        let much = reason(Panel {
+        let too_much_energy = reason(Panel {
             tti_seconds: 12.0,
             ..PANEL
         });
         assert!(
-            much.contains("1200000.0 units") && much.ends_with("a larger harvest.trace.panel.unit_mj"),
-            "{much}"
+            too_much_energy.contains("1200000.0 units")
+                && too_much_energy.ends_with("a larger harvest.trace.panel.unit_mj"),
+            "{too_much_energy}"
         );
-        let many = reason(Panel {
+        let too_many_ttis = reason(Panel {
             tti_seconds: 1e-6,
             ..PANEL
         });
         assert!(
-            many.contains("12000000 TTIs") && many.contains("longer harvest.trace.panel.tti_seconds"),
-            "{many}"
+            too_many_ttis.contains("12000000 TTIs") && too_many_ttis.contains("longer harvest.trace.panel.tti_seconds"),
+            "{too_many_ttis}"
         );
     }
 }

@@ -13,15 +13,30 @@ pub(super) fn expected_energy(p: f64, e_b: Energy) -> Energy {
     Energy::from_micro((p * e_b.micro() as f64).round() as u64)
 }
 
-/// Data shared by the sources of a run: recorded energy, tables to draw gaps from, and hazards of days.
+/// Data shared by the energy sources of a run: recorded energy, tables to draw gaps from, and hazards of days.
 #[derive(Clone, Debug, Default)]
 pub struct SharedSourceData {
     /// Recorded energy per TTI, one row per trace.
     pub(super) traces: Vec<Arc<Vec<Energy>>>,
-    /// The gap tables, by the bits of the probability of an arrival.
-    gap_tables: Vec<(u64, Arc<GapTable>)>,
-    /// The hazards of a day, by sun and probability of an arrival with the sun in the zenith.
-    day_hazards: Vec<(Sun, f64, Arc<CumulativeHazard>)>,
+    gap_tables: Vec<SharedGapTable>,
+    day_hazards: Vec<SharedDayHazards>,
+}
+
+/// A table to draw the gaps between arrivals from.
+#[derive(Clone, Debug)]
+struct SharedGapTable {
+    /// The probability of an arrival in a TTI.
+    arrival_probability: f64,
+    table: Arc<GapTable>,
+}
+
+/// The hazards of a day.
+#[derive(Clone, Debug)]
+struct SharedDayHazards {
+    sun: Sun,
+    /// The probability of an arrival in a TTI with the sun in the zenith.
+    zenith_probability: f64,
+    hazards: Arc<CumulativeHazard>,
 }
 
 impl SharedSourceData {
@@ -33,33 +48,31 @@ impl SharedSourceData {
         }
     }
 
-    /// Adds a table of gaps between arrivals of probability `p`.
     pub(super) fn add_gaps(&mut self, p: f64) {
         // Shared by all devices with this probability, since a table costs 4096 logarithms.
-        if self.gap_tables.iter().all(|&(known, _)| known != p.to_bits()) {
-            self.gap_tables
-                .push((p.to_bits(), Arc::new(GapTable::new(Geometric::new(p)))));
+        if self.find_gap_table(p).is_none() {
+            self.gap_tables.push(SharedGapTable {
+                arrival_probability: p,
+                table: Arc::new(GapTable::new(Geometric::new(p))),
+            });
         }
     }
 
     /// Adds the hazards of a day under `sun`, where `zenith` is the probability of an arrival for an irradiance of 1.
     pub(super) fn add_hazards(&mut self, sun: &Sun, zenith: f64) {
         if self.find_hazards(sun, zenith).is_none() {
-            self.day_hazards.push((
-                *sun,
-                zenith,
-                Arc::new(CumulativeHazard::new(sun.arrival_probabilities(zenith))),
-            ));
+            self.day_hazards.push(SharedDayHazards {
+                sun: *sun,
+                zenith_probability: zenith,
+                hazards: Arc::new(CumulativeHazard::new(sun.arrival_probabilities(zenith))),
+            });
         }
     }
 
     /// The gaps between arrivals of probability `p`, from a shared table if available.
     pub(super) fn gap_table(&self, p: f64) -> Arc<GapTable> {
-        let known = self.gap_tables.iter().find(|(bits, _)| *bits == p.to_bits());
-        known.map_or_else(
-            || Arc::new(GapTable::new(Geometric::new(p))),
-            |(_, table)| Arc::clone(table),
-        )
+        self.find_gap_table(p)
+            .map_or_else(|| Arc::new(GapTable::new(Geometric::new(p))), Arc::clone)
     }
 
     /// The hazards of a day under `sun`, shared if available.
@@ -71,11 +84,15 @@ impl SharedSourceData {
         )
     }
 
+    fn find_gap_table(&self, p: f64) -> Option<&Arc<GapTable>> {
+        let is_same = |known: &&SharedGapTable| known.arrival_probability.to_bits() == p.to_bits();
+        self.gap_tables.iter().find(is_same).map(|known| &known.table)
+    }
+
     fn find_hazards(&self, sun: &Sun, zenith: f64) -> Option<&Arc<CumulativeHazard>> {
-        let is_same = |(known, known_zenith, _): &&(Sun, f64, Arc<CumulativeHazard>)| {
-            known == sun && known_zenith.to_bits() == zenith.to_bits()
-        };
-        self.day_hazards.iter().find(is_same).map(|(_, _, hazards)| hazards)
+        let is_same =
+            |known: &&SharedDayHazards| known.sun == *sun && known.zenith_probability.to_bits() == zenith.to_bits();
+        self.day_hazards.iter().find(is_same).map(|known| &known.hazards)
     }
 }
 

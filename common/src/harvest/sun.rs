@@ -118,7 +118,7 @@ mod tests {
 
     use super::*;
 
-    fn sun(latitude: f64, day_of_year: u32) -> Sun {
+    fn sun_at(latitude: f64, day_of_year: u32) -> Sun {
         Sun {
             latitude,
             day_of_year,
@@ -134,9 +134,9 @@ mod tests {
     const MIDWINTER: u32 = 355;
 
     #[test]
-    fn the_declination_is_that_of_the_book() {
+    fn the_declination_equals_published_values() {
         // Duffie and Beckman, Table 1.6.1: the recommended average days of the months.
-        for (day, degrees) in [
+        for (day, expected) in [
             (17, -20.9),
             (47, -13.0),
             (75, -2.4),
@@ -144,14 +144,17 @@ mod tests {
             (162, 23.1),
             (344, -23.0),
         ] {
-            let found = sun(0.0, day).declination().to_degrees();
-            assert!((found - degrees).abs() < 0.06, "day {day}: {found}, not {degrees}");
+            let declination = sun_at(0.0, day).declination().to_degrees();
+            assert!(
+                (declination - expected).abs() < 0.06,
+                "day {day}: {declination}°, not {expected}°"
+            );
         }
-        assert!(sun(0.0, EQUINOX).declination().abs() < 1e-12);
+        assert!(sun_at(0.0, EQUINOX).declination().abs() < 1e-12);
     }
 
     #[test]
-    fn days_are_as_long_as_the_formula_says() {
+    fn the_length_of_a_day_equals_the_formula() {
         for (latitude, day) in [
             (0.0, 1),
             (36.1, 185),
@@ -160,28 +163,28 @@ mod tests {
             (65.0, MIDSUMMER),
             (-60.0, 300),
         ] {
-            let sun = sun(latitude, day);
-            let lit = sun.irradiance_by_tti().filter(|&light| light > 0.0).count();
-            let expected = 1440.0 * sun.daylight();
+            let sun = sun_at(latitude, day);
+            let lit_minutes = sun.irradiance_by_tti().filter(|&irradiance| irradiance > 0.0).count();
+            let expected_minutes = 1440.0 * sun.daylight();
             assert!(
-                (lit as f64 - expected).abs() <= 2.0,
-                "{latitude}° on {day}: {lit} minutes, not {expected}"
+                (lit_minutes as f64 - expected_minutes).abs() <= 2.0,
+                "latitude {latitude}°, day {day}: {lit_minutes} minutes, not {expected_minutes}"
             );
         }
         // Madison, 43° N, on 13 February: 10.2 hours (Duffie and Beckman, Example 1.6.3 has ω₀ for such a place).
-        let madison = 24.0 * sun(43.0, 44).daylight();
-        assert!((madison - 10.3).abs() < 0.1, "{madison}");
+        let madison_hours = 24.0 * sun_at(43.0, 44).daylight();
+        assert!((madison_hours - 10.3).abs() < 0.1, "{madison_hours} hours");
         for latitude in [-80.0, -20.0, 0.0, 45.0] {
             assert!(
-                (sun(latitude, EQUINOX).daylight() - 0.5).abs() < 1e-9,
-                "twelve hours everywhere"
+                (sun_at(latitude, EQUINOX).daylight() - 0.5).abs() < 1e-9,
+                "half the day at latitude {latitude}°"
             );
         }
     }
 
     #[test]
-    fn beyond_the_circle_it_is_day_or_night() {
-        for (latitude, day, lit) in [
+    fn polar_days_and_nights_last_all_day() {
+        for (latitude, day, daylight) in [
             (78.0, MIDSUMMER, 1.0),
             (78.0, MIDWINTER, 0.0),
             (-78.0, MIDWINTER, 1.0),
@@ -189,30 +192,41 @@ mod tests {
             (90.0, MIDSUMMER, 1.0),
             (-90.0, MIDSUMMER, 0.0),
         ] {
-            let sun = sun(latitude, day);
-            assert_eq!(sun.daylight().to_bits(), f64::to_bits(lit), "{latitude}° on {day}");
-            let found = sun.irradiance_by_tti().filter(|&light| light > 0.0).count();
-            assert_eq!(found, if lit > 0.0 { 1440 } else { 0 }, "{latitude}° on {day}");
+            let sun = sun_at(latitude, day);
+            assert_eq!(
+                sun.daylight().to_bits(),
+                f64::to_bits(daylight),
+                "latitude {latitude}°, day {day}"
+            );
+            let lit_minutes = sun.irradiance_by_tti().filter(|&irradiance| irradiance > 0.0).count();
+            assert_eq!(
+                lit_minutes,
+                if daylight > 0.0 { 1440 } else { 0 },
+                "latitude {latitude}°, day {day}"
+            );
         }
     }
 
     #[test]
-    fn a_day_is_the_same_before_and_after_noon() {
+    fn a_day_is_symmetric_around_noon_and_shifted_by_the_start_hour() {
         for sky in [Sky::Vacuum, Sky::Clear] {
-            let sun = Sun { sky, ..sun(40.0, 100) };
+            let sun = Sun {
+                sky,
+                ..sun_at(40.0, 100)
+            };
             let day: Vec<f64> = sun.irradiance_by_tti().collect();
             for (morning, evening) in day.iter().zip(day.iter().rev()) {
                 assert!((morning - evening).abs() < 1e-12);
             }
-            let most = day.iter().copied().fold(0.0, f64::max);
+            let max_irradiance = day.iter().copied().fold(0.0, f64::max);
             assert!(
-                most <= sun.noon_irradiance() && most > 0.9999 * sun.noon_irradiance(),
-                "{most}"
+                max_irradiance <= sun.noon_irradiance() && max_irradiance > 0.9999 * sun.noon_irradiance(),
+                "largest irradiance {max_irradiance}"
             );
             // A run that begins at another hour has the same day, shifted.
-            let later = Sun { start_hour: 6.0, ..sun };
-            for (at, light) in later.irradiance_by_tti().enumerate() {
-                assert!((light - day[(at + 360) % 1440]).abs() < 1e-12);
+            let shifted = Sun { start_hour: 6.0, ..sun };
+            for (minute, irradiance) in shifted.irradiance_by_tti().enumerate() {
+                assert!((irradiance - day[(minute + 360) % 1440]).abs() < 1e-12);
             }
         }
     }
@@ -220,15 +234,15 @@ mod tests {
     /// Compares the daily mean of irradiance with its closed form (Duffie and Beckman, Eq. (1.10.3)), and for a clear
     /// sky with Simpson's rule.
     #[test]
-    fn the_daily_mean_is_the_integral() {
+    fn the_daily_mean_equals_the_integral() {
         for (latitude, day) in [(0.0, 81), (36.1, 185), (52.5, 355), (70.0, 172), (-40.0, 10)] {
-            let vacuum = sun(latitude, day);
+            let vacuum = sun_at(latitude, day);
             let (phi, delta, omega) = (latitude.to_radians(), vacuum.declination(), PI * vacuum.daylight());
-            let closed =
+            let closed_form =
                 (omega * libm::sin(phi) * libm::sin(delta) + libm::cos(phi) * libm::cos(delta) * libm::sin(omega)) / PI;
             assert!(
-                (vacuum.mean_irradiance() - closed).abs() < 1e-5,
-                "{latitude}° on {day}: {} not {closed}",
+                (vacuum.mean_irradiance() - closed_form).abs() < 1e-5,
+                "vacuum, latitude {latitude}°, day {day}: {}, not {closed_form}",
                 vacuum.mean_irradiance()
             );
             let clear = Sun {
@@ -254,7 +268,7 @@ mod tests {
             let integral = sum * omega / (3.0 * f64::from(steps)) / PI;
             assert!(
                 (clear.mean_irradiance() - integral).abs() < 1e-5,
-                "{latitude}° on {day}: {} not {integral}",
+                "clear sky, latitude {latitude}°, day {day}: {}, not {integral}",
                 clear.mean_irradiance()
             );
             assert!(clear.mean_irradiance() < vacuum.mean_irradiance());

@@ -156,7 +156,6 @@ impl HarvestTrace {
         }
     }
 
-    /// Passes every field to `sink`.
     pub(super) fn visit(&self, sink: &mut dyn FieldSink) {
         // Omitted for recorded energy, so that the hashes of such scenarios do not depend on the field.
         if self.panel.is_some() {
@@ -192,7 +191,6 @@ impl HarvestTrace {
         panel::visit(self.panel.as_ref(), sink);
     }
 
-    /// The largest energy in a TTI.
     pub(super) fn max_per_tti(&self) -> Energy {
         self.values.iter().flatten().max().copied().unwrap_or_default()
     }
@@ -269,7 +267,6 @@ impl TraceSetup {
         traces.get(self.trace as usize)
     }
 
-    /// Whether the setup is valid for a device.
     pub(super) fn is_valid(&self, traces: &[Arc<Vec<Energy>>]) -> bool {
         self.ttis_per_row > 0 && self.find_rows(traces).is_some_and(|rows| !rows.is_empty())
     }
@@ -293,7 +290,6 @@ impl TraceSetup {
     }
 }
 
-/// The trace source of one device.
 #[derive(Clone, Debug)]
 pub(super) struct TraceSource {
     rows: Arc<Vec<Energy>>,
@@ -328,18 +324,18 @@ mod tests {
 
     use super::*;
 
-    fn column(text: &str) -> ColumnData<f64> {
+    fn ghi_column(text: &str) -> ColumnData<f64> {
         columns::read_numbers(Path::new("t.csv"), text.as_bytes(), &["ghi".to_owned()]).expect("a column")
     }
 
     #[test]
     fn values_are_scaled_to_micro_units() {
-        let values = scale_to_energy(&column("ghi\n0\n500\n"), &["ghi".to_owned()], 0.002).expect("valid");
+        let values = scale_to_energy(&ghi_column("ghi\n0\n500\n"), &["ghi".to_owned()], 0.002).expect("valid");
         assert_eq!(values, [[Energy::ZERO, Energy::from_micro(1_000_000)]]);
     }
 
     #[test]
-    fn a_sensor_that_is_off_at_night_is_named() {
+    fn a_negative_irradiance_is_refused_with_its_line() {
         let panel = Panel {
             area_cm2: 10.0,
             efficiency: 0.1,
@@ -349,19 +345,19 @@ mod tests {
         };
         let names = ["ghi".to_owned()];
         let reason =
-            convert_irradiance(&panel, &column("ghi\n1\n-3\n"), &names, TraceEnd::Cycle).expect_err("negative");
+            convert_irradiance(&panel, &ghi_column("ghi\n1\n-3\n"), &names, TraceEnd::Cycle).expect_err("negative");
         assert!(
             reason.starts_with("line 3, column `ghi`: the irradiance -3 W/m² must be"),
             "{reason}"
         );
         // 10 cm² at a tenth: 1 W/m² is 0.1 mJ a second.
-        let rows = convert_irradiance(&panel, &column("ghi\n2\n2\n"), &names, TraceEnd::Stop).expect("valid");
+        let rows = convert_irradiance(&panel, &ghi_column("ghi\n2\n2\n"), &names, TraceEnd::Stop).expect("valid");
         assert_eq!(rows, [[Energy::from_micro(12_000_000); 2]]);
     }
 
     #[test]
-    fn a_negative_value_is_named() {
-        let reason = scale_to_energy(&column("ghi\n1\n-3\n"), &["ghi".to_owned()], 1.0).expect_err("negative");
+    fn a_negative_value_is_refused_with_its_line() {
+        let reason = scale_to_energy(&ghi_column("ghi\n1\n-3\n"), &["ghi".to_owned()], 1.0).expect_err("negative");
         assert!(reason.starts_with("line 3, column `ghi`: -3 times"), "{reason}");
     }
 }

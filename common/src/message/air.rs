@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::Concerns;
 use crate::ids::{DeviceId, Tti};
 use crate::plan::Plan;
-use crate::radio::ChannelState;
+use crate::radio::AirLosses;
 use crate::state::{DeviceState, DeviceView};
 use crate::units::Energy;
 
@@ -70,7 +70,8 @@ pub struct FailedTransmission {
     /// The device.
     pub device: DeviceId,
     /// Energy that was left in its battery and is now lost.
-    pub drained: Energy,
+    #[serde(rename = "drained")]
+    pub drained_energy: Energy,
 }
 
 impl Concerns for Report {
@@ -131,7 +132,7 @@ impl fmt::Display for WakeOutcome {
             Self::Failed(failure) => write!(
                 f,
                 "woke but could not pay for a report; {:.2} units lost",
-                failure.drained.units()
+                failure.drained_energy.units()
             ),
             Self::Missed => f.write_str("did not receive it"),
             Self::Lost(report) => write!(f, "reported, but the report was lost: {report}"),
@@ -143,7 +144,7 @@ impl fmt::Display for WakeOutcome {
 impl WakeOutcome {
     /// Returns the outcome after the air has delivered or lost the device's report, if it sent one.
     #[must_use]
-    pub fn after_uplink(self, air: &ChannelState) -> Self {
+    pub fn after_uplink(self, air: &AirLosses) -> Self {
         match self {
             // The draw is keyed by device and TTI, so the BS and an observer find the same loss without a message.
             Self::Reported(report) if air.loses_report(report.device) => Self::Lost(report),
@@ -179,15 +180,15 @@ mod tests {
     use crate::plan::DutyCycle;
 
     #[test]
-    fn a_plan_says_who_senses() {
-        let line = |plan| PlanUpdate { from: Tti(5), plan }.to_string();
-        let chosen =
+    fn a_plan_update_is_shown_with_the_first_sensing_devices() {
+        let show = |plan| PlanUpdate { from: Tti(5), plan }.to_string();
+        let plan_of =
             |devices: &[u32]| Plan::from_devices(50, &devices.iter().copied().map(DeviceId).collect::<Vec<_>>());
-        assert_eq!(line(chosen(&[])), "δ from TTI 5: 0 devices sense");
-        assert_eq!(line(chosen(&[3, 7, 49])), "δ from TTI 5: 3 devices sense: 3, 7, 49");
+        assert_eq!(show(plan_of(&[])), "δ from TTI 5: 0 devices sense");
+        assert_eq!(show(plan_of(&[3, 7, 49])), "δ from TTI 5: 3 devices sense: 3, 7, 49");
         let many: Vec<u32> = (0..20).map(|j| 2 * j).collect();
         assert_eq!(
-            line(chosen(&many)),
+            show(plan_of(&many)),
             "δ from TTI 5: 20 devices sense: 0, 2, 4, 6, 8, 10, 12, 14 …"
         );
         let impossible = DutyCycle {
@@ -197,7 +198,7 @@ mod tests {
         };
         let cycles = vec![DutyCycle::SENSING, DutyCycle::ASLEEP, impossible];
         assert_eq!(
-            line(Plan::Periodic(cycles)),
+            show(Plan::Periodic(cycles)),
             "δ from TTI 5: periodic, 1 of 3 devices sense first: 0"
         );
     }

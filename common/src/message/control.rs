@@ -136,7 +136,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_status_says_what_the_clock_does() {
+    fn a_status_is_shown_with_the_state_of_the_clock() {
         let running = ClockStatus {
             tti: Tti(12),
             ttis: 400,
@@ -191,8 +191,8 @@ mod tests {
                 "joining before TTI 0 of 400; then paused",
             ),
         ];
-        for (status, text) in cases {
-            assert_eq!(status.to_string(), text);
+        for (status, expected) in cases {
+            assert_eq!(status.to_string(), expected);
         }
     }
 }

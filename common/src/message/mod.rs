@@ -377,12 +377,12 @@ mod tests {
     use crate::units::Energy;
 
     #[test]
-    fn the_page_on_inspecting_has_the_table_of_kinds() {
+    fn the_inspecting_page_contains_the_table_of_kinds() {
         io::assert_table("docs/inspecting.md", "kinds", &kinds_as_markdown());
     }
 
     #[test]
-    fn a_message_of_any_kind_is_decoded_by_its_kind() {
+    fn a_message_is_decoded_by_its_kind() {
         let report = Report {
             device: DeviceId(3),
             tti: Tti(5),
@@ -400,10 +400,10 @@ mod tests {
 
     #[test]
     fn only_queries_have_replies() {
-        let yes = codec::encode(&true);
-        let with_reply = MessageKind::ALL
+        let payload = codec::encode(&true);
+        let kinds_with_reply = MessageKind::ALL
             .iter()
-            .filter(|&&kind| Reply::decode(kind, &yes).is_some());
+            .filter(|&&kind| Reply::decode(kind, &payload).is_some());
         let queries = [
             MessageKind::Join,
             MessageKind::Ready,
@@ -411,10 +411,10 @@ mod tests {
             MessageKind::Describe,
             MessageKind::Log,
         ];
-        assert!(with_reply.eq(&queries));
-        let reply = Reply::decode(MessageKind::Ready, &yes)
+        assert!(kinds_with_reply.eq(&queries));
+        let reply = Reply::decode(MessageKind::Ready, &payload)
             .expect("a query")
             .expect("a reply");
-        assert_eq!((reply.encode(), reply), (yes, Reply::Ready(true)));
+        assert_eq!((reply.encode(), reply), (payload, Reply::Ready(true)));
     }
 }

@@ -97,7 +97,7 @@ impl Concerns for FailedReport {
 
 impl fmt::Display for FailedReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let lost = self.failure.drained.units();
+        let lost = self.failure.drained_energy.units();
         write!(
             f,
             "detected the event but could not pay for a report; {lost:.2} units lost"
@@ -288,33 +288,36 @@ mod tests {
     use super::*;
 
     #[test]
-    fn devices_that_follow_one_another_go_together() {
-        let went = |devices: &[u32]| -> Vec<(u32, u32)> {
-            let outages = DeviceRemoval::from_devices(devices.iter().copied().map(DeviceId), Tti(4), Some(2));
+    fn consecutive_devices_form_one_removal() {
+        let removed_ranges = |devices: &[u32]| -> Vec<(u32, u32)> {
+            let removals = DeviceRemoval::from_devices(devices.iter().copied().map(DeviceId), Tti(4), Some(2));
             assert!(
-                outages
+                removals
                     .iter()
-                    .all(|outage| (outage.tti, outage.wake_ups) == (Tti(4), Some(2)))
+                    .all(|removal| (removal.tti, removal.wake_ups) == (Tti(4), Some(2)))
             );
-            outages.iter().map(|outage| (outage.first.0, outage.last().0)).collect()
+            removals
+                .iter()
+                .map(|removal| (removal.first.0, removal.last().0))
+                .collect()
         };
-        assert_eq!(went(&[]), []);
-        assert_eq!(went(&[0, 1, 2]), [(0, 2)]);
-        assert_eq!(went(&[3, 5, 6, 9]), [(3, 3), (5, 6), (9, 9)]);
+        assert_eq!(removed_ranges(&[]), []);
+        assert_eq!(removed_ranges(&[0, 1, 2]), [(0, 2)]);
+        assert_eq!(removed_ranges(&[3, 5, 6, 9]), [(3, 3), (5, 6), (9, 9)]);
     }
 
     #[test]
-    fn one_that_cannot_be_is_told_in_words() {
+    fn an_impossible_removal_is_invalid_and_can_be_shown() {
         for (first, count) in [(0, 0), (u32::MAX, u32::MAX), (7, 0)] {
-            let outage = DeviceRemoval {
+            let removal = DeviceRemoval {
                 first: DeviceId(first),
                 count,
                 tti: Tti(1),
                 wake_ups: None,
             };
             assert!(
-                !outage.is_valid(u32::MAX) && outage.to_string().contains("removed"),
-                "{outage}"
+                !removal.is_valid(u32::MAX) && removal.to_string().contains("removed"),
+                "{removal}"
             );
         }
     }

@@ -7,7 +7,7 @@ use crate::phases::Phases;
 use crate::plan::{DutyCycle, Plan};
 use crate::rng::{Geometric, Purpose, Stream, unit_for_pair};
 
-/// The air of a run, TTI by TTI.
+/// The losses on the air of a run, TTI by TTI.
 #[derive(Clone, Debug)]
 pub struct Air {
     seed: u64,
@@ -15,9 +15,10 @@ pub struct Air {
     burst_phases: Option<Phases>,
 }
 
-/// The air in one TTI. Repeated queries for a device give the same result.
+/// The losses on the air in one TTI: their probabilities, and the draw for each device. Repeated queries for a device
+/// give the same result.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ChannelState {
+pub struct AirLosses {
     seed: u64,
     tti: Tti,
     wake_miss: f64,
@@ -35,8 +36,8 @@ impl Air {
         }
     }
 
-    /// The air in TTI `k` of a run; `k` must not decrease between calls.
-    pub fn channel_at(&mut self, k: Tti) -> ChannelState {
+    /// Returns the losses in TTI `k` of a run; `k` must not decrease between calls.
+    pub fn losses_at(&mut self, k: Tti) -> AirLosses {
         let RadioSettings {
             wake_miss,
             uplink_loss,
@@ -50,7 +51,7 @@ impl Air {
             .is_some_and(|phases| phases.phase_at(k).is_busy);
         // During a burst each loss has at least the probability `loss`; a higher one in the settings is kept.
         let burst_loss = bursts.filter(|_| is_burst).map_or(0.0, |bursts| bursts.loss);
-        ChannelState {
+        AirLosses {
             seed: self.seed,
             tti: k,
             wake_miss: wake_miss.max(burst_loss),
@@ -76,11 +77,11 @@ impl Air {
         count: usize,
         mut receive: impl FnMut(usize, DutyCycle),
     ) -> u64 {
-        let channel = self.channel_at(from);
+        let losses = self.losses_at(from);
         let mut missed = 0;
         // Each draw is keyed by device and TTI, so a host that delivers only to its own devices finds the same losses.
         for (j, device) in (first.0..).map(DeviceId).enumerate().take(count) {
-            if channel.is_lost(Purpose::PlanLoss, device, channel.plan_loss) {
+            if losses.is_lost(Purpose::PlanLoss, device, losses.plan_loss) {
                 missed += 1;
             } else {
                 receive(j, plan.duty_cycle(device));
@@ -90,7 +91,7 @@ impl Air {
     }
 }
 
-impl ChannelState {
+impl AirLosses {
     /// Whether the powered wake-up radio of `device` misses a wake-up.
     pub fn misses_wake_up(&self, device: DeviceId) -> bool {
         self.is_lost(Purpose::WakeMiss, device, self.wake_miss)

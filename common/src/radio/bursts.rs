@@ -49,7 +49,7 @@ impl InterferenceBursts {
             quiet_ttis,
             loss,
         } = *self;
-        // Mean lengths are the weights: they are the long-run shares of time. `max` as in `Air::channel_at`.
+        // Mean lengths are the weights: they are the long-run shares of time. `max` as in `Air::losses_at`.
         (burst_ttis * loss.max(p) + quiet_ttis * p) / (burst_ttis + quiet_ttis)
     }
 

@@ -12,7 +12,7 @@
 mod air;
 mod bursts;
 
-pub use air::{Air, ChannelState, FalseWakeUps};
+pub use air::{Air, AirLosses, FalseWakeUps};
 pub use bursts::{Interference, InterferenceBursts};
 
 use serde::{Deserialize, Serialize};
@@ -20,7 +20,6 @@ use serde::{Deserialize, Serialize};
 use crate::declare::{FieldReader, FieldSink, PROBABILITY, ScenarioError, Section, Visit, choice, number, whole};
 use crate::ids::Tti;
 
-/// Longest wake-up latency of a device, in TTIs.
 const MAX_WAKE_LATENCY_TTIS: u64 = 1_000_000;
 
 crate::declare! {

@@ -103,7 +103,7 @@ mod tests {
     use super::*;
     use crate::scenario::testing::load;
 
-    fn with_shares(devices: u32, shares: &[f64]) -> Scenario<()> {
+    fn scenario_with_shares(devices: u32, shares: &[f64]) -> Scenario<()> {
         let mut scenario = load("paper", &[]).expect("a preset").with_policy(());
         scenario.run.devices = devices;
         let class = scenario.classes[0].clone();
@@ -127,21 +127,21 @@ mod tests {
             (7, vec![1.0], vec![7]),
         ] {
             assert_eq!(
-                class_counts(&with_shares(devices, &shares), devices as usize),
+                class_counts(&scenario_with_shares(devices, &shares), devices as usize),
                 counts,
-                "{devices} {shares:?}"
+                "{devices} devices, shares {shares:?}"
             );
         }
     }
 
     #[test]
-    fn the_seed_decides_who_is_in_which_class() {
-        let mut scenario = with_shares(100, &[0.3, 0.7]);
+    fn the_seed_determines_the_members_of_classes() {
+        let mut scenario = scenario_with_shares(100, &[0.3, 0.7]);
         let first = assign_classes(&scenario);
         assert_eq!(first, assign_classes(&scenario));
         assert_eq!(first.iter().filter(|&&class| class == 0).count(), 30);
         scenario.run.seed += 1;
         assert_ne!(first, assign_classes(&scenario));
-        assert_eq!(assign_classes(&with_shares(5, &[1.0])), [0; 5]);
+        assert_eq!(assign_classes(&scenario_with_shares(5, &[1.0])), [0; 5]);
     }
 }

@@ -8,7 +8,6 @@ use crate::energy::EnergyModel;
 use crate::geometry::Area;
 use crate::harvest::Harvest;
 
-/// Maximum number of device classes.
 pub(crate) const MAX_CLASSES: usize = 256;
 /// Tolerance for the difference between the sum of the classes' shares and 1.
 const SHARE_TOLERANCE: f64 = 1e-9;
@@ -54,13 +53,13 @@ impl DeviceClass {
             return Err(reader.invalid_value("class", found, format!("must be at most {MAX_CLASSES}")));
         }
         let mut names = BTreeSet::new();
-        let (mut classes, mut have_members) = (Vec::new(), Vec::new());
+        let (mut classes, mut specify_members) = (Vec::new(), Vec::new());
         for item in items {
-            let (class, has_members) = Self::from_fields(item, &mut names, tau, area)?;
+            let (class, specifies_members) = Self::from_fields(item, &mut names, tau, area)?;
             classes.push(class);
-            have_members.push(has_members);
+            specify_members.push(specifies_members);
         }
-        Ok((classes, have_members))
+        Ok((classes, specify_members))
     }
 
     fn from_fields(
@@ -91,7 +90,7 @@ impl DeviceClass {
         }
         item.reject_unused_fields()?;
         let members = Members::from_fields(&item, &ClassFields::read(&item)?, area)?;
-        let has_members = members.is_some();
+        let specifies_members = members.is_some();
         let class = Self {
             name,
             // Set once the members of all classes are known.
@@ -100,7 +99,7 @@ impl DeviceClass {
             energy: EnergyModel::from_fields(&item)?,
             harvest: Harvest::from_fields(&item, tau)?,
         };
-        Ok((class, has_members))
+        Ok((class, specifies_members))
     }
 
     /// Passes every field of `classes` to `sink`. The only class of a scenario without classes uses the top level.
@@ -117,17 +116,17 @@ impl DeviceClass {
     }
 }
 
-/// Checks how the classes share the devices. If `by_layout` is set, the layout's file names the class of each device
-/// and decides. Otherwise every class must specify its members (its flag in `have_members`), and the shares must add up
-/// to 1.
+/// Checks that the members of all classes are determined. With `is_set_by_layout`, the layout's file names the class of
+/// each device, and all classes get [`Members::Layout`]. Otherwise every class must specify its members in its own
+/// fields (its flag in `specify_members`), and the shares must add up to 1.
 pub(super) fn check_shares(
     reader: &FieldReader<'_>,
     classes: &mut [DeviceClass],
-    have_members: &[bool],
-    by_layout: bool,
+    specify_members: &[bool],
+    is_set_by_layout: bool,
 ) -> Result<(), ScenarioError> {
-    if by_layout {
-        if have_members.contains(&true) {
+    if is_set_by_layout {
+        if specify_members.contains(&true) {
             reader.warn(
                 "class.share, class.devices and zones have no effect: the column `class` of layout.file assigns the \
                  classes",
@@ -138,8 +137,8 @@ pub(super) fn check_shares(
         }
         return Ok(());
     }
-    for ((item, class), has_members) in reader.items().into_iter().zip(classes.iter()).zip(have_members) {
-        if !has_members {
+    for ((item, class), specifies_members) in reader.items().into_iter().zip(classes.iter()).zip(specify_members) {
+        if !specifies_members {
             return Err(item.with_name(&class.name).missing_value("class.share", "class.name"));
         }
     }

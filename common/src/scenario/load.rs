@@ -107,7 +107,6 @@ fn resolve<K: PolicyKind>(
     validate(preset.name, &declaration, &merged, policies, file_context)
 }
 
-/// Merges `preset`, the file and the command line.
 fn merge_layers<'a>(
     declaration: &'a Declaration,
     preset: &Preset,
@@ -126,7 +125,6 @@ fn preset_names() -> impl Iterator<Item = &'static str> + Clone {
     PRESETS.iter().map(|preset| preset.name)
 }
 
-/// Reads the text of a scenario file.
 fn read_text(path: &Path, source: &str, files: &dyn Files) -> Result<String, ScenarioError> {
     let refused = |error: io::Error| ScenarioError::Read {
         path: path.to_owned(),

@@ -52,7 +52,6 @@ pub struct LoadedScenario<P> {
 }
 
 impl<P> Scenario<P> {
-    /// Returns this scenario with the policy `policy`.
     pub(super) fn with_policy<Q>(self, policy: Q) -> Scenario<Q> {
         Scenario {
             run: self.run,

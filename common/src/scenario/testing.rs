@@ -5,17 +5,17 @@ use std::sync::Arc;
 use super::{Override, PolicyChoice, PolicyKind, Scenario, ScenarioError, Site};
 use crate::declare::{FieldReader, FieldSink, Section, Visit};
 
-/// A policy without settings.
+/// A policy for tests that has no settings and stands for any policy.
 #[derive(Debug)]
-pub(crate) struct Idle {
-    /// Accesses the scenario's fields when the settings are read.
+pub(crate) struct StubPolicy {
+    /// Called when the settings are read; a test can access fields of the scenario here.
     read: fn(&FieldReader<'_>) -> Result<(), ScenarioError>,
 }
 
-/// A policy that reads no fields.
-static IDLE: Idle = Idle { read: |_| Ok(()) };
+/// The stub that reads no fields.
+static STUB: StubPolicy = StubPolicy { read: |_| Ok(()) };
 
-/// The empty settings of [`Idle`].
+/// The empty settings of [`StubPolicy`].
 #[derive(Debug)]
 pub(crate) struct NoSettings;
 
@@ -23,7 +23,7 @@ impl Visit for NoSettings {
     fn visit(&self, _: &mut dyn FieldSink) {}
 }
 
-impl PolicyKind for Idle {
+impl PolicyKind for StubPolicy {
     type Settings = NoSettings;
 
     fn name(&self) -> &'static str {
@@ -52,9 +52,9 @@ impl PolicyKind for Idle {
     }
 }
 
-/// Loads a scenario as [`super::load`] does, with [`Idle`] as the only policy.
-pub(crate) fn load(source: &str, overrides: &[Override]) -> Result<Scenario<PolicyChoice<Idle>>, ScenarioError> {
-    super::load(source, overrides, &[&IDLE], &crate::io::Disk).map(|loaded| loaded.scenario)
+/// Loads a scenario as [`super::load`] does, with [`StubPolicy`] as the only policy.
+pub(crate) fn load(source: &str, overrides: &[Override]) -> Result<Scenario<PolicyChoice<StubPolicy>>, ScenarioError> {
+    super::load(source, overrides, &[&STUB], &crate::io::Disk).map(|loaded| loaded.scenario)
 }
 
 #[cfg(test)]
@@ -63,13 +63,13 @@ mod tests {
     use crate::event::event_settings::EventSettings;
 
     /// A policy that reads the event process, which is forbidden.
-    static PEEKING: Idle = Idle {
+    static PEEKING: StubPolicy = StubPolicy {
         read: |reader| EventSettings::from_fields(reader).map(drop),
     };
 
     #[test]
     #[should_panic(expected = "a policy may read only its own fields, not events.process")]
-    fn a_policy_cannot_be_set_from_the_event_process() {
+    fn a_policy_cannot_read_the_event_process() {
         let _unreachable = super::super::load("paper", &[], &[&PEEKING], &crate::io::Disk);
     }
 }

@@ -36,7 +36,7 @@ pub(super) fn validate<K: PolicyKind>(
     let events = EventSettings::from_fields(reader)?;
     let radio = RadioSettings::from_fields(reader)?;
     let bs = BsSettings::read(reader)?;
-    let (mut classes, have_members) = DeviceClass::read_all(reader, run.tau, area)?;
+    let (mut classes, specify_members) = DeviceClass::read_all(reader, run.tau, area)?;
     let has_classes = !reader.items().is_empty();
     let names: Vec<&str> = classes
         .iter()
@@ -44,7 +44,7 @@ pub(super) fn validate<K: PolicyKind>(
         .map(|class| class.name.as_str())
         .collect();
     let layout = Layout::from_fields(reader, area, run.devices, &names)?;
-    check_shares(reader, &mut classes, &have_members, layout.classes().is_some())?;
+    check_shares(reader, &mut classes, &specify_members, layout.classes().is_some())?;
     let name = PolicyName::read(reader)?.name;
     let Some(&kind) = policies.iter().find(|policy| policy.name() == name) else {
         return Err(reader.invalid_value("policy.name", name, "must be the name of a policy"));

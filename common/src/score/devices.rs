@@ -30,28 +30,28 @@ impl EventActivity {
         heard: 0,
         wrong_activations: 0,
     };
-    /// It reported without a wake-up.
+    /// The activity of a device that reported without a wake-up.
     pub(super) const REPORT: Self = Self {
         reports: 1,
         ..Self::NONE
     };
-    /// It was woken.
+    /// The activity of a device that was woken and did not report.
     pub(super) const WOKEN: Self = Self {
         wake_ups: 1,
         heard: 1,
         ..Self::NONE
     };
-    /// It was woken and reported.
     pub(super) const WOKEN_REPORT: Self = Self {
         reports: 1,
         ..Self::WOKEN
     };
-    /// A wake-up to it was not received.
+    /// The activity of a device that did not receive a wake-up.
     pub(super) const MISSED_WAKE_UP: Self = Self {
         wake_ups: 1,
         ..Self::NONE
     };
-    /// It was activated wrongly.
+    /// The activity of a device that became active without effect: it could not pay for a report, or was woken beyond
+    /// `d_max`.
     pub(super) const WRONG_ACTIVATION: Self = Self {
         wrong_activations: 1,
         ..Self::NONE

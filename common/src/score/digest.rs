@@ -75,7 +75,7 @@ impl DigestBuilder {
             wake_ups,
             information_pico,
             wrong_activations,
-            wasted,
+            wasted_energy,
         } = *tally;
         self.hash_words(
             b'e',
@@ -85,7 +85,7 @@ impl DigestBuilder {
                 wake_ups,
                 information_pico,
                 wrong_activations,
-                wasted.micro(),
+                wasted_energy.micro(),
             ],
         );
     }
@@ -130,7 +130,7 @@ impl DigestBuilder {
     pub fn add_wake_up(&mut self, tti: Tti, device: DeviceId, outcome: &WakeOutcome) {
         let (kind, drained) = match outcome {
             WakeOutcome::Reported(_) => (0, Energy::ZERO),
-            WakeOutcome::Failed(failure) => (1, failure.drained),
+            WakeOutcome::Failed(failure) => (1, failure.drained_energy),
             WakeOutcome::Missed => (2, Energy::ZERO),
             WakeOutcome::Lost(_) => (3, Energy::ZERO),
             WakeOutcome::Late { spent, .. } => (4, *spent),
@@ -197,14 +197,17 @@ impl DigestBuilder {
             wake_ups,
             information_pico,
             wrong_activations,
-            wasted,
+            wasted_energy,
         } = *events;
         self.hash_words(
             b'T',
             [*devices, *ttis, events, misdetected, delay_ttis, *delay_p95_ttis],
         );
         let [low, high] = low_and_high(information_pico);
-        self.hash_words(b't', [reports, wake_ups, low, high, wrong_activations, wasted.micro()]);
+        self.hash_words(
+            b't',
+            [reports, wake_ups, low, high, wrong_activations, wasted_energy.micro()],
+        );
         // Numbers of messages, not bytes: the digest does not depend on the encoding.
         self.hash_words(b'C', [control.messages, uplink.messages]);
         self.hash_totals(b'S', energy);
@@ -250,7 +253,6 @@ impl DigestBuilder {
     }
 }
 
-/// Splits a number into its low and high 64 bits.
 const fn low_and_high(wide: u128) -> [u64; 2] {
     [wide as u64, (wide >> 64) as u64]
 }

@@ -60,7 +60,6 @@ pub struct Metric {
     pub is_difference: bool,
 }
 
-/// The inputs of the formulas.
 struct MetricInputs<'t> {
     alpha: f64,
     totals: &'t Totals,
@@ -234,7 +233,7 @@ metrics! {
             |run| run.per_event(run.totals.events.wrong_activations as f64);
         /// Energy spent by wrong activations, per event.
         wasted_energy_per_event: "units/event", "units per event" =
-            |run| run.per_event(run.totals.events.wasted.units());
+            |run| run.per_event(run.totals.events.wasted_energy.units());
     }
     Energy {
         /// Energy spent, mean over devices and TTIs; the sum of the next three metrics.
@@ -421,12 +420,12 @@ mod tests {
     use crate::io;
 
     #[test]
-    fn the_page_on_results_has_the_table_of_metrics() {
+    fn the_results_page_contains_the_table_of_metrics() {
         io::assert_table("docs/results.md", "metrics", &markdown_table());
     }
 
     #[test]
-    fn rows_hold_what_the_fields_of_their_names_do() {
+    fn rows_contain_the_fields_of_their_names() {
         let metrics = Metrics {
             info_p1: 2.0,
             mean_battery: 3.0,

@@ -32,7 +32,6 @@ use crate::units::Energy;
 struct OpenEvent {
     event: ActiveEvent,
     tally: EventTally,
-    /// Whether a report about it was lost.
     has_lost_report: bool,
     /// Whether a device with δ = 1 would have detected it, but could not pay for sensing.
     has_unpowered_detector: bool,
@@ -172,7 +171,7 @@ impl Score {
 
     /// Records that a device with δ = 1 detected the event and could not transmit.
     pub fn record_failed_transmission(&mut self, failure: &FailedTransmission) {
-        self.count_wrong_activation(failure.device, failure.drained);
+        self.count_wrong_activation(failure.device, failure.drained_energy);
     }
 
     /// Records that `devices` devices with δ = 1 would have detected the event in this TTI, but could not pay for
@@ -230,7 +229,7 @@ impl Score {
             }
             WakeOutcome::Failed(failure) => {
                 self.add_activity(device, EventActivity::WOKEN);
-                self.count_wrong_activation(device, failure.drained);
+                self.count_wrong_activation(device, failure.drained_energy);
             }
             WakeOutcome::Late { spent, .. } => {
                 self.losses.late += u64::from(is_measured);
@@ -392,7 +391,7 @@ impl Score {
     fn count_wrong_activation(&mut self, device: DeviceId, wasted: Energy) {
         let tally = &mut self.open_event().tally;
         tally.wrong_activations += 1;
-        tally.wasted += wasted;
+        tally.wasted_energy += wasted;
         self.add_activity(device, EventActivity::WRONG_ACTIVATION);
     }
 
@@ -453,7 +452,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_percentile_is_that_of_the_sorted_list() {
+    fn percentiles_are_nearest_ranks() {
         let lists: [&[u64]; 5] = [
             &[],
             &[7],
@@ -461,13 +460,13 @@ mod tests {
             &[1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20],
             &[0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 9],
         ];
-        let found = lists.map(|list| {
+        let percentiles = lists.map(|list| {
             let mut delays = DelayHistogram::default();
             for &delay in list {
                 delays.count(delay);
             }
             delays.percentile(95)
         });
-        assert_eq!(found, [0, 7, 3, 19, 0]);
+        assert_eq!(percentiles, [0, 7, 3, 19, 0]);
     }
 }

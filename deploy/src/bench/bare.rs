@@ -13,17 +13,17 @@ use super::barrier::{self, BareBarrier};
 use crate::child_process::Children;
 use crate::runtime::{now, runtime};
 
-/// Bytes of a tick and of an answer.
+/// Sizes in bytes of the messages of a quiet TTI.
 #[derive(Clone, Copy)]
-pub(super) struct Sizes {
-    /// BS → hosts.
-    pub tick: usize,
-    /// Host → BS.
+pub(super) struct QuietTtiSizes {
+    /// Size of a grant, BS → hosts.
+    pub grant: usize,
+    /// Size of an answer, host → BS.
     pub answer: usize,
 }
 
 /// Measures the rounds per second of a bare zenoh barrier over `hosts` processes.
-pub(super) fn zenoh(hosts: u32, sizes: Sizes, seconds: f64) -> anyhow::Result<f64> {
+pub(super) fn zenoh(hosts: u32, sizes: QuietTtiSizes, seconds: f64) -> anyhow::Result<f64> {
     let runtime = runtime(2)?;
     runtime.block_on(async {
         // Without access rules: the baseline is zenoh alone.
@@ -31,8 +31,8 @@ pub(super) fn zenoh(hosts: u32, sizes: Sizes, seconds: f64) -> anyhow::Result<f6
         let barrier = BareBarrier::new(&bus)?;
         let alive = bus.declare_alive(bus.keys().bs_liveliness())?;
         let children = start_hosts("zenoh", bus.endpoint(), hosts, sizes)?;
-        let tick = vec![0; sizes.tick];
-        // A host shows its token after it has subscribed: once all tokens are seen, no tick is lost.
+        let grant = vec![0; sizes.grant];
+        // A host shows its token after it has subscribed: once all tokens are seen, no grant is lost.
         let started = now();
         while bus.count_alive_hosts().await? < hosts {
             anyhow::ensure!(
@@ -40,7 +40,7 @@ pub(super) fn zenoh(hosts: u32, sizes: Sizes, seconds: f64) -> anyhow::Result<f6
                 "the hosts of the bare barrier did not join within a minute"
             );
         }
-        let rate = measure_rate(seconds, || barrier.round(&tick, hosts as usize))?;
+        let rate = measure_rate(seconds, || barrier.round(&grant, hosts as usize))?;
         // The hosts watch this token and leave when it disappears.
         drop(alive);
         children.wait();
@@ -49,7 +49,7 @@ pub(super) fn zenoh(hosts: u32, sizes: Sizes, seconds: f64) -> anyhow::Result<f6
 }
 
 /// Measures the rounds per second of a barrier over `hosts` unix sockets.
-pub(super) fn unix(hosts: u32, sizes: Sizes, seconds: f64) -> anyhow::Result<f64> {
+pub(super) fn unix(hosts: u32, sizes: QuietTtiSizes, seconds: f64) -> anyhow::Result<f64> {
     let path = std::env::temp_dir().join(format!("reveille-bench-{}.sock", std::process::id()));
     // A killed benchmark with the same pid may have left a socket here, which `bind` refuses to replace.
     let _stale = std::fs::remove_file(&path);
@@ -58,11 +58,11 @@ pub(super) fn unix(hosts: u32, sizes: Sizes, seconds: f64) -> anyhow::Result<f64
     let mut links = (0..hosts)
         .map(|_| listener.accept().map(|(link, _)| link))
         .collect::<std::io::Result<Vec<UnixStream>>>()?;
-    let (tick, mut answer) = (vec![0; sizes.tick], vec![0; sizes.answer]);
+    let (grant, mut answer) = (vec![0; sizes.grant], vec![0; sizes.answer]);
     let rate = measure_rate(seconds, || {
-        // All ticks go out before the first answer is read: the hosts must work at the same time, as in the emulator.
+        // All grants go out before the first answer is read: the hosts must work at the same time, as in the emulator.
         for link in &mut links {
-            link.write_all(&tick)?;
+            link.write_all(&grant)?;
         }
         for link in &mut links {
             link.read_exact(&mut answer)?;
@@ -87,15 +87,15 @@ pub(super) fn host(kind: &str, endpoint: &str, sizes: (usize, usize), number: u3
         })?;
     } else {
         let mut link = UnixStream::connect(endpoint)?;
-        let (mut tick, answer) = (vec![0; sizes.0], vec![0; sizes.1]);
-        while link.read_exact(&mut tick).is_ok() && link.write_all(&answer).is_ok() {}
+        let (mut grant, answer) = (vec![0; sizes.0], vec![0; sizes.1]);
+        while link.read_exact(&mut grant).is_ok() && link.write_all(&answer).is_ok() {}
     }
     Ok(ExitCode::SUCCESS)
 }
 
-fn start_hosts(kind: &str, endpoint: &str, hosts: u32, sizes: Sizes) -> anyhow::Result<Children> {
+fn start_hosts(kind: &str, endpoint: &str, hosts: u32, sizes: QuietTtiSizes) -> anyhow::Result<Children> {
     let (sizes, parent) = (
-        format!("{},{}", sizes.tick, sizes.answer),
+        format!("{},{}", sizes.grant, sizes.answer),
         std::process::id().to_string(),
     );
     Children::spawn((0..hosts).map(|number| {

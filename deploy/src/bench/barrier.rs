@@ -1,7 +1,7 @@
 //! A bare barrier over zenoh, the baseline of `reveille bench bus`.
 //!
 //! It uses the same sessions and message sizes as the emulator, without model or codec. The base station publishes a
-//! tick, every host answers from zenoh's callback, and the next tick follows when all have answered.
+//! grant, every host answers from zenoh's callback, and the next grant follows when all have answered.
 
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
@@ -11,12 +11,12 @@ use reveille_common::bus::{Bus, BusError, DeclarationGuard, RawTopic};
 use reveille_common::ids::HostId;
 use reveille_common::secret::{HostCredential, Secret};
 
-/// Time after which a tick counts as lost.
+/// Time after which a grant counts as lost.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// The base station's side of a bare barrier.
 pub(super) struct BareBarrier {
-    ticks: RawTopic,
+    grants: RawTopic,
     /// Hosts that have not answered, and the signal that all have.
     unanswered: Arc<(Mutex<usize>, Condvar)>,
     _answers: DeclarationGuard,
@@ -38,22 +38,22 @@ impl BareBarrier {
             }
         })?;
         Ok(Self {
-            ticks: bus.publisher_raw(key(bus, "tick"))?,
+            grants: bus.publisher_raw(key(bus, "grant"))?,
             unanswered,
             _answers: answers,
         })
     }
 
-    /// Runs one round: publishes `tick` and waits for `hosts` answers.
+    /// Runs one round: publishes `grant` and waits for `hosts` answers.
     ///
     /// # Errors
     /// If an answer is missing.
-    pub(super) fn round(&self, tick: &[u8], hosts: usize) -> anyhow::Result<()> {
+    pub(super) fn round(&self, grant: &[u8], hosts: usize) -> anyhow::Result<()> {
         let (lock, all) = &*self.unanswered;
-        // Set before the tick goes out, since answers can arrive before `put` returns. Unlocked during `put`: the
+        // Set before the grant goes out, since answers can arrive before `put` returns. Unlocked during `put`: the
         // callback takes the lock.
         *lock.lock().unwrap_or_else(PoisonError::into_inner) = hosts;
-        self.ticks.put(tick)?;
+        self.grants.put(grant)?;
         let unanswered = lock.lock().unwrap_or_else(PoisonError::into_inner);
         let (unanswered, _) = all
             .wait_timeout_while(unanswered, ANSWER_TIMEOUT, |unanswered| *unanswered > 0)
@@ -63,14 +63,14 @@ impl BareBarrier {
     }
 }
 
-/// Runs a host: answers every tick with `answer` bytes until the base station ends.
+/// Runs a host: answers every grant with `answer` bytes until the base station ends.
 ///
 /// # Errors
 /// If zenoh refuses.
 pub(super) async fn host(bus: &Bus, number: u32, answer: usize) -> Result<(), BusError> {
     let answers = bus.publisher_raw(key(bus, &format!("answer/{number}")))?;
     let payload = vec![0_u8; answer];
-    let _ticks = bus.subscribe_raw(key(bus, "tick"), move |_| {
+    let _grants = bus.subscribe_raw(key(bus, "grant"), move |_| {
         // A failed send means that the base station has ended; `_watch` notices that too.
         let _gone = answers.put(&payload).is_err();
     })?;
@@ -78,7 +78,7 @@ pub(super) async fn host(bus: &Bus, number: u32, answer: usize) -> Result<(), Bu
         host: HostId(number),
         token: Secret::new([0; 16]),
     };
-    // The token comes last: the base station sends the first tick as soon as it sees the tokens of all hosts.
+    // The token comes last: the base station sends the first grant as soon as it sees the tokens of all hosts.
     let _here = bus.declare_alive(bus.keys().host_liveliness(credential))?;
     let gone = Arc::new(tokio::sync::Notify::new());
     let gone_notifier = Arc::clone(&gone);

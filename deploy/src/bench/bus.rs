@@ -7,7 +7,7 @@ use reveille_common::ids::{HostId, Tti};
 use reveille_common::message::{ClockMessage, GrantMessage, HostAnswer};
 use serde_json::Value;
 
-use super::bare::{self, Sizes};
+use super::bare::{self, QuietTtiSizes};
 use crate::child_process::run_for_summary;
 use crate::cli::BusBenchArgs;
 use crate::display;
@@ -30,10 +30,10 @@ struct BusSample {
 
 /// Runs the benchmark, one row for each number of processes.
 pub(super) fn run(args: &BusBenchArgs) -> anyhow::Result<ExitCode> {
-    let (sizes, seconds) = (message_sizes(), args.time.as_secs_f64());
+    let (sizes, seconds) = (quiet_tti_sizes(), args.time.as_secs_f64());
     display::print_stdout(&format!(
-        "preset paper, knn; a tick of {} B, an answer of {} B; medians of {} repetitions of {} s\n",
-        sizes.tick, sizes.answer, args.repeat, seconds
+        "preset paper, knn; a grant of {} B, an answer of {} B; medians of {} repetitions of {} s\n",
+        sizes.grant, sizes.answer, args.repeat, seconds
     ))?;
     display::print_stdout(
         "TTIs (rounds) per second; `ratio`: emulator without lookahead / bare zenoh barrier; `tuning`: emulator \
@@ -81,11 +81,11 @@ pub(super) fn run(args: &BusBenchArgs) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// The message sizes of a quiet TTI.
-fn message_sizes() -> Sizes {
+/// Returns the sizes of the grant and of an answer in a quiet TTI.
+fn quiet_tti_sizes() -> QuietTtiSizes {
     // A TTI in the middle of a run: the encoding of small numbers is shorter.
     let tti = Tti(5_000);
-    let tick = ClockMessage::Grant(GrantMessage {
+    let grant = ClockMessage::Grant(GrantMessage {
         first: tti,
         last: tti,
         stimulus: None,
@@ -104,13 +104,13 @@ fn message_sizes() -> Sizes {
         totals: None,
         views: None,
     };
-    Sizes {
-        tick: codec::encode(&tick).len(),
+    QuietTtiSizes {
+        grant: codec::encode(&grant).len(),
         answer: codec::encode(&answer).len(),
     }
 }
 
-fn measure(processes: u32, devices: u32, sizes: Sizes, seconds: f64) -> anyhow::Result<BusSample> {
+fn measure(processes: u32, devices: u32, sizes: QuietTtiSizes, seconds: f64) -> anyhow::Result<BusSample> {
     let bare = bare::zenoh(processes, sizes, seconds)?;
     // The emulator reaches most of the bare rate, so the run takes about `seconds`.
     let ttis = ((bare * seconds * 0.8) as u64).clamp(500, 1_000_000);

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 use reveille_bs::policy::registry;
+use reveille_common::ids::MAX_DEVICES;
 
 use super::examples::examples;
 use super::parse::{any_whole, parse_number, policy_help, whole};
@@ -11,7 +12,7 @@ use super::parse::{any_whole, parse_number, policy_help, whole};
 /// Subcommands of `reveille analyse`.
 #[derive(Subcommand)]
 pub(crate) enum AnalyseCommand {
-    /// Compare the paper's probabilities of state changes with their frequencies in runs
+    /// Compare the paper's probabilities of changes between the device states S1 to S4 with their frequencies in runs
     ///
     /// The probabilities P_m,n are in Sec. IV. A frequency is the share of visits to state S_m whose next state is S_n,
     /// over all devices and measured TTIs.
@@ -85,7 +86,8 @@ pub(crate) struct StudyArgs {
     pub csv: Option<PathBuf>,
 }
 
-/// Arguments of `reveille analyse transitions`.
+/// Arguments of `reveille analyse transitions`: one N, one policy and one length for all runs, which differ in their
+/// seeds.
 #[derive(Args)]
 pub(crate) struct TransitionsArgs {
     /// Study options.
@@ -105,7 +107,8 @@ pub(crate) struct TransitionsArgs {
     pub seeds: u64,
 }
 
-/// Arguments of `reveille analyse battery`.
+/// Arguments of `reveille analyse battery`: lists of duty cycles, energies and probabilities, of which every
+/// combination is studied.
 #[derive(Args)]
 pub(crate) struct BatteryArgs {
     /// Study options.
@@ -120,15 +123,15 @@ pub(crate) struct BatteryArgs {
     /// Probabilities P_1,2 + P_4,2 that a device must transmit in a TTI, separated by commas.
     #[arg(long, default_value = "0,0.01,0.05", allow_hyphen_values = true)]
     pub activation: String,
-    /// Number of measured devices.
-    #[arg(long, short = 'n', default_value_t = 16, value_parser = whole(0..=u32::MAX), allow_negative_numbers = true)]
+    /// Number of simulated devices whose battery levels are measured.
+    #[arg(long, short = 'n', default_value_t = 16, value_parser = whole(2..=MAX_DEVICES), allow_negative_numbers = true)]
     pub devices: u32,
     /// Measured TTIs per device, after a warm-up of a tenth of this number.
     #[arg(
         long,
         short = 'k',
         default_value_t = 1_000_000,
-        value_parser = whole(0..=u64::MAX),
+        value_parser = whole(1..=u64::MAX),
         allow_negative_numbers = true
     )]
     pub ttis: u64,
@@ -137,7 +140,7 @@ pub(crate) struct BatteryArgs {
     pub bin: f64,
 }
 
-/// Arguments of `reveille analyse imin`.
+/// Arguments of `reveille analyse imin`: lists of N and layouts, of which every combination is studied.
 #[derive(Args)]
 pub(crate) struct IminArgs {
     /// Study options.

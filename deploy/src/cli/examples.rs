@@ -17,19 +17,19 @@ mod tests {
 
     use crate::cli::Cli;
 
-    /// Columns of a terminal in which no example is broken into two lines.
-    const COLUMNS: usize = 100;
+    /// Most characters of an example, so that a terminal of this width does not wrap it.
+    const MAX_COLUMNS: usize = 100;
     /// Most words in the first sentence of a command's help.
-    const WORDS: usize = 25;
+    const MAX_WORDS: usize = 25;
 
-    /// Returns every visible command with the words that call it, the program itself first.
+    /// Returns every visible command with the words that call it, the program first.
     fn commands() -> Vec<(Vec<String>, Command)> {
-        fn add(words: &[String], command: &Command, to: &mut Vec<(Vec<String>, Command)>) {
-            to.push((words.to_vec(), command.clone()));
-            let visible = command.get_subcommands().filter(|below| !below.is_hide_set());
-            for below in visible {
-                let words = [words, &[below.get_name().to_owned()]].concat();
-                add(&words, below, to);
+        fn add(words: &[String], command: &Command, commands: &mut Vec<(Vec<String>, Command)>) {
+            commands.push((words.to_vec(), command.clone()));
+            let visible = command.get_subcommands().filter(|subcommand| !subcommand.is_hide_set());
+            for subcommand in visible {
+                let words = [words, &[subcommand.get_name().to_owned()]].concat();
+                add(&words, subcommand, commands);
             }
         }
         let mut commands = Vec::new();
@@ -52,10 +52,10 @@ mod tests {
             let about = command.get_about().map(ToString::to_string).unwrap_or_default();
             assert!(about.starts_with(char::is_uppercase), "{words}: {about:?}");
             let sentence = about.trim_end_matches('.');
-            let is_one = !sentence.contains(". ") && !sentence.contains('\n');
-            assert!(is_one, "{words}: more than a sentence: {about:?}");
+            let is_one_sentence = !sentence.contains(". ") && !sentence.contains('\n');
+            assert!(is_one_sentence, "{words}: more than one sentence: {about:?}");
             let length = sentence.split_whitespace().count();
-            assert!(length <= WORDS, "{words}: {length} words: {about:?}");
+            assert!(length <= MAX_WORDS, "{words}: {length} words: {about:?}");
             // `--help` shows the long form, which must start in the same way.
             let long = command
                 .get_long_about()
@@ -75,15 +75,18 @@ mod tests {
             for example in &examples {
                 let line = example.strip_prefix("  ").unwrap_or_default();
                 assert!(line.starts_with("reveille "), "{words}: {example:?}");
-                assert!(example.chars().count() <= COLUMNS, "{words}: {example:?}");
+                assert!(example.chars().count() <= MAX_COLUMNS, "{words}: {example:?}");
                 // The words are split as in a shell only if they have neither quotes nor comments.
                 assert!(!line.contains(['\'', '"', '#', '\\']), "{words}: {example:?}");
                 if let Err(error) = Cli::command().try_get_matches_from(line.split_whitespace()) {
                     panic!("{words}: {line}: {error}");
                 }
             }
-            let is_about = |example: &String| example.trim_start().starts_with(&words);
-            assert!(examples.iter().any(is_about), "{words}: no example of it: {examples:?}");
+            let calls_command = |example: &String| example.trim_start().starts_with(&words);
+            assert!(
+                examples.iter().any(calls_command),
+                "{words}: no example of this command: {examples:?}"
+            );
         }
     }
 
@@ -104,25 +107,26 @@ mod tests {
     }
 
     #[test]
-    fn each_number_option_says_which_numbers_are_allowed() {
-        let mut seen = 0;
+    fn an_invalid_number_is_refused_with_the_allowed_numbers() {
+        let mut option_count = 0;
         for (words, command) in commands() {
             let numbers = command
                 .get_arguments()
                 .filter(|arg| is_number(arg) && !arg.is_hide_set());
             for arg in numbers {
-                seen += 1;
+                option_count += 1;
                 let option = arg.get_long().map(|long| format!("--{long}"));
-                let given = |bad: &str| match &option {
-                    Some(option) => format!("{option}={bad}"),
-                    None => bad.to_owned(),
+                let no_number = match &option {
+                    Some(option) => format!("{option}=many"),
+                    None => "many".to_owned(),
                 };
-                let line: Vec<String> = words.iter().cloned().chain([given("many")]).collect();
+                let line: Vec<String> = words.iter().cloned().chain([no_number]).collect();
                 let refusal = Cli::command().try_get_matches_from(&line).map(drop);
                 let refusal = refusal.expect_err("no number").to_string();
-                let is_clear = ["must be a whole number from ", "must be a number"];
-                let is_clear = is_clear.iter().any(|text| refusal.contains(text));
-                assert!(is_clear, "{}: {refusal}", line.join(" "));
+                let allowed = ["must be a whole number from ", "must be a number"];
+                let names_allowed = allowed.iter().any(|text| refusal.contains(text));
+                assert!(names_allowed, "{}: {refusal}", line.join(" "));
+                // A negative number must not be read as an option.
                 let negative = option.into_iter().chain(["-5".to_owned()]);
                 let line: Vec<String> = words.iter().cloned().chain(negative).collect();
                 let refusal = Cli::command().try_get_matches_from(&line).map(drop);
@@ -134,6 +138,6 @@ mod tests {
                 );
             }
         }
-        assert!(seen > 40, "only {seen} number options");
+        assert!(option_count > 40, "only {option_count} number options");
     }
 }

@@ -2,14 +2,15 @@
 
 use std::path::PathBuf;
 
-use clap::builder::PossibleValuesParser;
+use clap::builder::{EnumValueParser, PossibleValuesParser, StringValueParser};
 use clap::{Args, Subcommand, ValueEnum};
 use reveille_bs::policy::q_learning::learned::Lookback;
-use reveille_study::figures::robustness;
+use reveille_common::ids::MAX_DEVICES;
+use reveille_study::figures::{energy, front, pareto, robustness, study};
 
 use super::ScenarioArgs;
 use super::examples::examples;
-use super::parse::{any_whole, parse_field, whole};
+use super::parse::{any_whole, metric_parser, parse_field, trimmed, whole};
 
 /// Folder and formats of the pictures.
 #[derive(Args, Clone, Debug)]
@@ -18,7 +19,12 @@ pub(crate) struct FigureOutputArgs {
     #[arg(long, short, default_value = "figures")]
     pub out: PathBuf,
     /// File formats, separated by commas. PNG files have 300 dots per inch.
-    #[arg(long, value_enum, value_delimiter = ',', default_value = "svg,png")]
+    #[arg(
+        long,
+        value_delimiter = ',',
+        default_value = "svg,png",
+        value_parser = trimmed(EnumValueParser::<ImageFormatArg>::new())
+    )]
     pub format: Vec<ImageFormatArg>,
 }
 
@@ -43,7 +49,13 @@ pub(crate) struct FiguresArgs {
     pub tables: Vec<PathBuf>,
     /// Only these figures, separated by commas, of: information, information-per-event, energy, misdetection,
     /// low-energy, battery, wrong, wasted, harvest, net, pareto, delay, front [default: all].
-    #[arg(long, value_delimiter = ',', value_name = "FIGURE")]
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "FIGURE",
+        hide_possible_values = true,
+        value_parser = trimmed(PossibleValuesParser::new(figure_names()))
+    )]
     pub only: Vec<String>,
     /// Draw pareto and delay once per preset and run length, with one line per policy and setting. This suits
     /// q-learning with tables for several weights, for example. Other figures are always drawn per setting.
@@ -122,7 +134,13 @@ pub(crate) struct SweepFigureArgs {
     #[arg(long, value_name = "FIELD")]
     pub x: String,
     /// Metric on the y axis, such as energy_per_device_tti; docs/results.md lists all metrics.
-    #[arg(long, value_name = "METRIC", default_value = "info_p1")]
+    #[arg(
+        long,
+        value_name = "METRIC",
+        default_value = "info_p1",
+        hide_possible_values = true,
+        value_parser = metric_parser()
+    )]
     pub y: String,
     /// Field with one line per value.
     #[arg(long, value_name = "FIELD", default_value = "policy")]
@@ -131,7 +149,7 @@ pub(crate) struct SweepFigureArgs {
     #[arg(long = "where", value_name = "FIELD=VALUE", value_parser = parse_field)]
     pub only: Vec<(String, String)>,
     /// Logarithmic axes, separated by commas.
-    #[arg(long, value_enum, value_delimiter = ',', value_name = "AXIS")]
+    #[arg(long, value_delimiter = ',', value_name = "AXIS", value_parser = trimmed(EnumValueParser::<AxisArg>::new()))]
     pub log: Vec<AxisArg>,
     /// Picture options.
     #[command(flatten)]
@@ -173,7 +191,7 @@ pub(crate) struct QTableArgs {
         value_delimiter = ',',
         required = true,
         value_name = "N",
-        value_parser = whole(0..=u32::MAX),
+        value_parser = whole(1..=MAX_DEVICES),
         allow_negative_numbers = true
     )]
     pub devices: Vec<u32>,
@@ -242,10 +260,15 @@ pub(crate) struct RobustnessArgs {
     #[command(flatten)]
     pub scenario: ScenarioArgs,
     /// Policies to compare, separated by commas [default: all].
-    #[arg(long, value_delimiter = ',', value_name = "POLICY")]
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "POLICY",
+        value_parser = trimmed(StringValueParser::new())
+    )]
     pub policies: Vec<String>,
     /// Only these radio impairments, separated by commas [default: all].
-    #[arg(long, value_delimiter = ',', value_name = "IMPAIRMENT", value_parser = impairments())]
+    #[arg(long, value_delimiter = ',', value_name = "IMPAIRMENT", value_parser = trimmed(impairments()))]
     pub only: Vec<String>,
     /// Runs per policy and level, with consecutive seeds.
     #[arg(long, default_value_t = 5, value_parser = whole(1..=10_000_u64), allow_negative_numbers = true)]
@@ -253,6 +276,18 @@ pub(crate) struct RobustnessArgs {
     /// Picture options.
     #[command(flatten)]
     pub pictures: FigureOutputArgs,
+}
+
+/// The names of the figures over a whole study that `study::FIGURES` does not list.
+pub(crate) fn other_figures() -> [&'static str; 5] {
+    let ([harvest, net], [pareto, delay]) = (energy::NAMES, pareto::TRADE_OFFS.map(|trade| trade.name));
+    [harvest, net, pareto, delay, front::NAME]
+}
+
+/// Returns the names of all figures that `reveille figures` draws without a subcommand.
+fn figure_names() -> Vec<&'static str> {
+    let names = study::FIGURES.iter().map(|figure| figure.name);
+    names.chain(other_figures()).collect()
 }
 
 /// Returns a parser for the names of radio impairments.

@@ -50,11 +50,9 @@ pub(crate) fn replace_former_names(args: impl IntoIterator<Item = OsString>) -> 
             let value = text.strip_prefix(option).and_then(|rest| rest.strip_prefix('='));
             let value = value.or_else(|| (args[at - 1] == option).then_some(text));
             let Some(list) = value else { continue };
-            let current: Vec<&str> = list.split(',').map(current_name).collect();
-            let renamed = list
-                .split(',')
-                .zip(&current)
-                .filter(|(former, current)| former != *current);
+            let items = || list.split(',').map(str::trim);
+            let current: Vec<&str> = items().map(current_name).collect();
+            let renamed = items().zip(&current).filter(|(former, current)| former != *current);
             warnings.extend(renamed.map(|(former, current)| warning(former, current)));
             args[at] = format!("{}{}", &text[..text.len() - list.len()], current.join(",")).into();
         }
@@ -87,13 +85,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn former_names_are_replaced_in_their_command_alone() {
-        let replaced = |line: &str| {
+    fn old_names_are_replaced_only_in_their_command() {
+        let replace = |line: &str| {
             let (args, warnings) = replace_former_names(line.split(' ').map(OsString::from));
             let args: Vec<_> = args.iter().map(|arg| arg.to_str().expect("text")).collect();
             (args.join(" "), warnings.len())
         };
-        for (line, expected, count) in [
+        for (line, expected, warning_count) in [
             ("reveille -v run --inputs a.log", "reveille -v run --input-log a.log", 1),
             (
                 "reveille run --inputs=a.log -n 3",
@@ -162,7 +160,7 @@ mod tests {
                 0,
             ),
         ] {
-            assert_eq!(replaced(line), (expected.to_owned(), count), "{line}");
+            assert_eq!(replace(line), (expected.to_owned(), warning_count), "{line}");
         }
     }
 }

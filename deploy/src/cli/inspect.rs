@@ -8,7 +8,7 @@ use reveille_view::filter::StateName;
 
 use super::TargetArgs;
 use super::examples::examples;
-use super::parse::{kind_parser, state_parser, whole};
+use super::parse::{kind_parser, state_parser, trimmed, whole};
 
 /// Subcommands of `reveille inspect`.
 #[derive(Subcommand)]
@@ -83,7 +83,7 @@ pub(crate) struct TailArgs {
     #[arg(long, value_enum)]
     pub plane: Option<PlaneArg>,
     /// Only messages of these kinds, separated by commas.
-    #[arg(long, value_parser = kind_parser(), value_delimiter = ',')]
+    #[arg(long, value_parser = trimmed(kind_parser()), value_delimiter = ',')]
     pub kind: Vec<MessageKind>,
     /// Only messages to, from or about this device, and messages to all devices.
     #[arg(long, value_parser = whole(0..=u32::MAX), allow_negative_numbers = true)]
@@ -92,7 +92,7 @@ pub(crate) struct TailArgs {
     #[arg(long, value_parser = whole(0..=u32::MAX), allow_negative_numbers = true)]
     pub cluster: Option<u32>,
     /// Only messages of devices that were in one of these states before the message, separated by commas.
-    #[arg(long, value_parser = state_parser(), value_delimiter = ',')]
+    #[arg(long, value_parser = trimmed(state_parser()), value_delimiter = ',')]
     pub state: Vec<StateName>,
     /// Only messages from this TTI on.
     #[arg(long, value_name = "TTI", value_parser = whole(0..=u64::MAX), allow_negative_numbers = true)]

@@ -6,10 +6,13 @@ mod examples;
 mod figures;
 pub(crate) mod former;
 mod inspect;
+pub(crate) mod misplaced;
 mod parse;
 mod report;
 mod run;
 mod sweep;
+#[cfg(test)]
+mod tests;
 mod tools;
 mod train;
 mod tune;
@@ -22,12 +25,13 @@ use examples::examples;
 pub(crate) use analyse::{AnalyseCommand, BatteryArgs, HarvestArgs, IminArgs, RuntimeArgs, StudyArgs, TransitionsArgs};
 pub(crate) use figures::{
     AttentionArgs, AxisArg, DeploymentArgs, FigureOutputArgs, FiguresArgs, FiguresCommand, ImageFormatArg,
-    LearningArgs, QTableArgs, RankingArg, RobustnessArgs, SweepFigureArgs, TimelineArgs,
+    LearningArgs, QTableArgs, RankingArg, RobustnessArgs, SweepFigureArgs, TimelineArgs, other_figures,
 };
 pub(crate) use inspect::{
     ColourArg, CompareArgs, DashboardArgs, ExportArgs, InspectCommand, InspectRecordArgs, StatsArgs, TailArgs, ToArg,
     VerifyArgs,
 };
+pub(crate) use parse::nearest_name;
 pub(crate) use report::{ReportArgs, ReportCommand, SearchArgs};
 pub(crate) use run::{
     AuditArg, BsArgs, DeviceArgs, DriveArgs, ExternalPolicyArgs, OnLossArg, OnUndecidedArg, OutputArgs,
@@ -209,17 +213,5 @@ impl From<LogFormatArg> for LogFormat {
             LogFormatArg::Text => Self::Text,
             LogFormatArg::Json => Self::Json,
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use clap::CommandFactory;
-
-    use super::*;
-
-    #[test]
-    fn the_command_line_is_consistent() {
-        Cli::command().debug_assert();
     }
 }

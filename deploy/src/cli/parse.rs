@@ -1,14 +1,18 @@
 //! Parsers for values on the command line, and help texts that list registered names. The error of a parser
 //! lists the allowed values.
 
+use std::ffi::OsStr;
 use std::fmt::Display;
 use std::ops::RangeInclusive;
 use std::str::FromStr;
 use std::time::Duration;
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use clap::error::{ContextKind, ContextValue};
+use clap::{Arg, Command};
 use reveille_bs::policy::registry;
 use reveille_common::message::{MessageKind, Pace};
+use reveille_common::score::Metrics;
 use reveille_view::filter::StateName;
 
 /// The durations that are accepted.
@@ -38,12 +42,62 @@ pub(super) fn policies_help() -> String {
     )
 }
 
-/// Parses the sizes of a tick and of an answer of `bench bare-host`, bytes.
+/// Parses the sizes of a grant and of an answer of `bench bare-host`, bytes.
 pub(super) fn parse_sizes(text: &str) -> Result<(usize, usize), String> {
-    let pair = text
-        .split_once(',')
-        .and_then(|(tick, answer)| Some((tick.parse().ok()?, answer.parse().ok()?)));
-    pair.ok_or_else(|| "must be TICK,ANSWER in bytes, such as 40,24".to_owned())
+    parse_pair(text).ok_or_else(|| "must be GRANT,ANSWER in bytes, such as 40,24".to_owned())
+}
+
+/// Parses the ends of a range of numbers.
+pub(super) fn parse_range(text: &str) -> Result<(f64, f64), String> {
+    match parse_pair(text) {
+        Some((from, to)) if from > to => Err(format!("{from} is larger than {to}; give the smaller number first")),
+        Some(ends) => Ok(ends),
+        None => Err("must be two numbers, the smaller one first, such as 1,5".to_owned()),
+    }
+}
+
+/// Parses two numbers with a comma between them.
+fn parse_pair<T: FromStr>(text: &str) -> Option<(T, T)> {
+    let (first, second) = text.split_once(',')?;
+    Some((first.trim().parse().ok()?, second.trim().parse().ok()?))
+}
+
+/// A parser that ignores white space around the value: the items of `knn, random` have some.
+#[derive(Clone, Debug)]
+pub(super) struct Trimmed<P>(P);
+
+/// Returns the parser of options that take a list, whose items `parser` parses.
+pub(super) const fn trimmed<P: TypedValueParser>(parser: P) -> Trimmed<P> {
+    Trimmed(parser)
+}
+
+impl<P: TypedValueParser> TypedValueParser for Trimmed<P> {
+    type Value = P::Value;
+
+    fn parse_ref(&self, command: &Command, arg: Option<&Arg>, value: &OsStr) -> Result<P::Value, clap::Error> {
+        // Text that is not UTF-8 is refused by the parser itself.
+        let value = value.to_str().map_or(value, |text| OsStr::new(text.trim()));
+        self.0.parse_ref(command, arg, value)
+    }
+
+    fn possible_values(&self) -> Option<Box<dyn Iterator<Item = PossibleValue> + '_>> {
+        self.0.possible_values()
+    }
+}
+
+/// Returns the candidate that is most similar to `word`, if any is similar.
+pub(crate) fn nearest_name(word: &str, candidates: impl Iterator<Item = &'static str>) -> Option<String> {
+    let parser = PossibleValuesParser::new(candidates);
+    let refusal = parser.parse_ref(&Command::new(""), None, OsStr::new(word)).err()?;
+    let Some(ContextValue::String(nearest)) = refusal.get(ContextKind::SuggestedValue) else {
+        return None;
+    };
+    Some(nearest.clone())
+}
+
+/// Parses the name of a metric.
+pub(super) fn metric_parser() -> impl TypedValueParser<Value = String> {
+    trimmed(PossibleValuesParser::new(Metrics::ALL.map(|metric| metric.name)))
 }
 
 /// Parses the name of a message kind; `--help` lists all kinds.
@@ -132,18 +186,45 @@ mod tests {
         for (text, number) in [("1", 1), (" 12 ", 12), ("+3", 3)] {
             assert_eq!(parse(text), Ok(number), "{text:?}");
         }
-        for bad in ["", "many", "0", "13", "-1", "1.5", "99999999999999999999"] {
-            let refusal = parse(bad).expect_err(bad);
-            assert_eq!(refusal, "must be a whole number from 1 to 12", "{bad:?}");
+        for invalid in ["", "many", "0", "13", "-1", "1.5", "99999999999999999999"] {
+            let refusal = parse(invalid).expect_err(invalid);
+            assert_eq!(refusal, "must be a whole number from 1 to 12", "{invalid:?}");
         }
     }
 
     #[test]
-    fn a_range_that_the_command_checks_is_named() {
+    fn any_whole_names_the_range_but_does_not_check_it() {
         let parse = any_whole(1..=12_u32);
         assert_eq!((parse("0"), parse("13")), (Ok(0), Ok(13)));
         let refusal = Err("must be a whole number from 1 to 12".to_owned());
         assert_eq!((parse("many"), parse("-1")), (refusal.clone(), refusal));
+    }
+
+    #[test]
+    fn the_nearest_name_is_suggested() {
+        let known = ["harvest.lambda", "devices", "policy"];
+        let nearest = |word| nearest_name(word, known.into_iter());
+        assert_eq!(nearest("harvest.lamda").as_deref(), Some("harvest.lambda"));
+        assert_eq!(nearest("device").as_deref(), Some("devices"));
+        assert_eq!(nearest("xyz"), None);
+    }
+
+    #[test]
+    fn the_smaller_end_of_a_range_comes_first() {
+        assert_eq!(
+            (parse_range("1,5"), parse_range(" 2, 2 ")),
+            (Ok((1.0, 5.0)), Ok((2.0, 2.0)))
+        );
+        let refusal = parse_range("5,1").expect_err("in the wrong order");
+        assert_eq!(refusal, "5 is larger than 1; give the smaller number first");
+        for bad in ["", "1", "1,many", "1,2,3"] {
+            assert!(
+                parse_range(bad).is_err_and(|refusal| refusal.contains("two numbers")),
+                "{bad:?}"
+            );
+        }
+        assert_eq!(parse_sizes("40,24"), Ok((40, 24)));
+        assert!(parse_sizes("40").is_err_and(|refusal| refusal.contains("GRANT,ANSWER")));
     }
 
     #[test]
@@ -159,7 +240,7 @@ mod tests {
         ] {
             assert_eq!(parse_duration(text), Ok(Duration::from_micros(micros)), "{text}");
         }
-        for bad in [
+        for invalid in [
             "",
             "10",
             "ms",
@@ -171,13 +252,13 @@ mod tests {
             "1000001s",
             "99999999999999999999s",
         ] {
-            let refusal = parse_duration(bad).expect_err(bad);
-            assert!(refusal.contains("1m30s"), "{refusal}");
+            let refusal = parse_duration(invalid).expect_err(invalid);
+            assert!(refusal.contains("1m30s"), "{invalid:?}: {refusal}");
         }
     }
 
     #[test]
-    fn a_pace_is_read_as_it_is_printed() {
+    fn a_pace_round_trips() {
         for text in ["max", "4ms", "1m 30s 500us"] {
             assert_eq!(parse_pace(text).map(|pace| pace.to_string()), Ok(text.to_owned()));
         }

@@ -44,7 +44,7 @@ pub(crate) struct SearchArgs {
     /// Result tables of `reveille sweep`, or the folders of finished sweeps; every setting in them is judged.
     #[arg(required = true, value_name = "TABLE")]
     pub tables: Vec<PathBuf>,
-    /// Number of settings to show; the presets are always shown.
+    /// Number of settings to list, from the best on; the presets are always listed.
     #[arg(long, default_value = "20", value_parser = whole(1..=usize::MAX), allow_negative_numbers = true)]
     pub top: usize,
     /// Folder for search.md; created if missing.

@@ -77,8 +77,8 @@ pub(crate) struct OutputArgs {
     #[arg(long, requires = "out")]
     pub force: bool,
 
-    /// Resume the killed, interrupted or failed run in FOLDER. The scenario is read from the folder. The run is
-    /// replayed in memory up to its last resume mark, at most one second before the run ended.
+    /// Resume the killed, interrupted or failed run in FOLDER, with the scenario in the folder. The run first replays
+    /// in memory up to its last resume mark, which is at most one second older than its end, and continues from there.
     #[arg(long, value_name = "FOLDER", conflicts_with_all = ["out", "force"])]
     pub resume: Option<PathBuf>,
 
@@ -118,7 +118,7 @@ pub(crate) struct OutputArgs {
     pub window: Option<u64>,
 
     /// Parent process; the run ends when the parent ends.
-    #[arg(long, hide = true)]
+    #[arg(long, hide = true, value_parser = whole(1..=i32::MAX), allow_negative_numbers = true)]
     pub parent: Option<i32>,
 }
 
@@ -236,8 +236,8 @@ pub(crate) struct UpArgs {
     /// Clock, audit and dashboard options.
     #[command(flatten)]
     pub drive: DriveArgs,
-    /// Number of device processes. 0 runs all devices in this process; N (the number of devices) uses one process per
-    /// device [default: 4].
+    /// Number of device processes. 0 runs all devices in the base-station process; N (the number of devices) uses one
+    /// process per device [default: 4, or N if that is less].
     #[arg(long, short = 'P', value_parser = whole(0..=u32::MAX), allow_negative_numbers = true)]
     pub processes: Option<u32>,
     /// Run name on the bus [default: the name of the run folder].
@@ -296,10 +296,16 @@ pub(crate) struct DeviceArgs {
     #[arg(long, value_name = "FILE")]
     pub key_file: Option<PathBuf>,
     /// Parent process; this process ends when the parent ends.
-    #[arg(long, hide = true)]
+    #[arg(long, hide = true, value_parser = whole(1..=i32::MAX), allow_negative_numbers = true)]
     pub parent: Option<i32>,
     /// Number of device processes on this machine, including this one.
-    #[arg(long, hide = true, default_value_t = 1)]
+    #[arg(
+        long,
+        hide = true,
+        default_value_t = 1,
+        value_parser = whole(1..=u32::MAX),
+        allow_negative_numbers = true
+    )]
     pub host_count: u32,
     /// Disable device-process tuning (for benchmarks).
     #[arg(long, hide = true)]
@@ -310,7 +316,7 @@ pub(crate) struct DeviceArgs {
 #[derive(Args)]
 pub(crate) struct PolicyProcessArgs {
     /// Parent process; the command is stopped when the parent ends.
-    #[arg(long)]
+    #[arg(long, value_parser = whole(1..=i32::MAX), allow_negative_numbers = true)]
     pub parent: i32,
     /// Shell command to run.
     pub command: String,

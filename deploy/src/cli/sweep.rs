@@ -2,12 +2,16 @@
 
 use std::path::PathBuf;
 
+use clap::builder::StringValueParser;
 use clap::{Args, ValueEnum};
 use reveille_common::score::Metrics;
 use reveille_lab::sweep::Shard;
 use reveille_lab::table::Format;
 
-use super::parse::{policies_help, whole};
+use super::parse::{metric_parser, policies_help, trimmed, whole};
+
+/// Largest number of seeds of a cell.
+const MAX_SEEDS: u64 = 10_000_000;
 
 /// Arguments of `reveille sweep`.
 #[derive(Args)]
@@ -69,7 +73,14 @@ pub(crate) struct GridArgs {
     pub scenario: Option<String>,
 
     /// Registered policies.
-    #[arg(long, short, value_delimiter = ',', help_heading = "Grid", help = policies_help())]
+    #[arg(
+        long,
+        short,
+        value_delimiter = ',',
+        help_heading = "Grid",
+        help = policies_help(),
+        value_parser = trimmed(StringValueParser::new())
+    )]
     pub policies: Option<Vec<String>>,
 
     /// Numbers of devices N, separated by commas [default: the scenario's].
@@ -78,7 +89,8 @@ pub(crate) struct GridArgs {
         short = 'n',
         value_delimiter = ',',
         allow_hyphen_values = true,
-        help_heading = "Grid"
+        help_heading = "Grid",
+        value_parser = trimmed(StringValueParser::new())
     )]
     pub devices: Option<Vec<String>>,
 
@@ -88,7 +100,8 @@ pub(crate) struct GridArgs {
         short = 'k',
         value_delimiter = ',',
         allow_hyphen_values = true,
-        help_heading = "Grid"
+        help_heading = "Grid",
+        value_parser = trimmed(StringValueParser::new())
     )]
     pub ttis: Option<Vec<String>>,
 
@@ -101,7 +114,7 @@ pub(crate) struct GridArgs {
     pub set: Vec<String>,
 
     /// Number of seeds, the same in every cell; the maximum with --until-ci [default: 100].
-    #[arg(long, value_parser = whole(0..=u64::MAX), allow_negative_numbers = true, help_heading = "Seeds")]
+    #[arg(long, value_parser = whole(1..=MAX_SEEDS), allow_negative_numbers = true, help_heading = "Seeds")]
     pub seeds: Option<u64>,
 
     /// First seed; the other seeds follow consecutively [default: 1].
@@ -115,11 +128,19 @@ pub(crate) struct GridArgs {
     pub until_ci: Option<String>,
 
     /// Metrics that --until-ci checks, separated by commas.
-    #[arg(long, value_delimiter = ',', value_name = "METRIC,…", help_heading = "Seeds", help = ci_metrics_help())]
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "METRIC,…",
+        help_heading = "Seeds",
+        help = ci_metrics_help(),
+        hide_possible_values = true,
+        value_parser = metric_parser()
+    )]
     pub ci_metrics: Option<Vec<String>>,
 
     /// Runs per cell before the first check of --until-ci, at most --seeds [default: 30].
-    #[arg(long, value_parser = whole(0..=u64::MAX), allow_negative_numbers = true, help_heading = "Seeds")]
+    #[arg(long, value_parser = whole(2..=MAX_SEEDS), allow_negative_numbers = true, help_heading = "Seeds")]
     pub min_seeds: Option<u64>,
 }
 

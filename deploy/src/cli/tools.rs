@@ -3,14 +3,15 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
+use clap::builder::StringValueParser;
 use clap::{Args, Subcommand};
 use reveille_bs::policy::registry;
-use reveille_common::ids::Tti;
+use reveille_common::ids::{MAX_DEVICES, MAX_TTIS, Tti};
 use reveille_common::keys::RunName;
 use reveille_common::message::{ClockCommand, Pace};
 
 use super::examples::examples;
-use super::parse::{parse_duration, parse_pace, parse_sizes, whole};
+use super::parse::{parse_duration, parse_pace, parse_sizes, trimmed, whole};
 
 /// Subcommands of `reveille scenario`.
 #[derive(Subcommand)]
@@ -185,11 +186,13 @@ pub(crate) enum BenchCommand {
         /// Endpoint or socket path.
         at: String,
         /// Sizes of a grant and of its answer, in bytes.
-        #[arg(value_parser = parse_sizes)]
+        #[arg(value_name = "GRANT,ANSWER", value_parser = parse_sizes)]
         sizes: (usize, usize),
         /// Number of the host.
+        #[arg(value_parser = whole(0..=u32::MAX), allow_negative_numbers = true)]
         number: u32,
         /// Parent process; this process ends when the parent ends.
+        #[arg(value_parser = whole(1..=i32::MAX), allow_negative_numbers = true)]
         parent: i32,
     },
 }
@@ -223,7 +226,7 @@ pub(crate) struct ScaleBenchArgs {
         short = 'n',
         value_delimiter = ',',
         default_value = "10,100,1000,10000",
-        value_parser = whole(1..=u32::MAX),
+        value_parser = whole(1..=MAX_DEVICES),
         allow_negative_numbers = true
     )]
     pub devices: Vec<u32>,
@@ -238,7 +241,7 @@ pub(crate) struct ScaleBenchArgs {
         long,
         short = 'k',
         default_value_t = 1_000,
-        value_parser = whole(0..=u64::MAX),
+        value_parser = whole(1..=MAX_TTIS),
         allow_negative_numbers = true
     )]
     pub ttis: u64,
@@ -257,7 +260,7 @@ pub(crate) struct WatchBenchArgs {
     #[arg(long, short, default_value = "knn")]
     pub policy: String,
     /// Number of devices.
-    #[arg(long, short = 'n', default_value_t = 250, value_parser = whole(0..=u32::MAX), allow_negative_numbers = true)]
+    #[arg(long, short = 'n', default_value_t = 250, value_parser = whole(1..=MAX_DEVICES), allow_negative_numbers = true)]
     pub devices: u32,
     /// Number of device processes.
     #[arg(long, short = 'P', default_value_t = 10, value_parser = whole(1..=u32::MAX), allow_negative_numbers = true)]
@@ -267,7 +270,7 @@ pub(crate) struct WatchBenchArgs {
         long,
         short = 'k',
         default_value_t = 40_000,
-        value_parser = whole(0..=u64::MAX),
+        value_parser = whole(1..=MAX_TTIS),
         allow_negative_numbers = true
     )]
     pub ttis: u64,
@@ -287,15 +290,20 @@ pub(crate) struct MemoryBenchArgs {
         long,
         value_delimiter = ',',
         default_value = "10,50,250,2500",
-        value_parser = whole(0..=u32::MAX),
+        value_parser = whole(1..=MAX_DEVICES),
         allow_negative_numbers = true
     )]
     pub devices: Vec<u32>,
     /// Policies to measure.
-    #[arg(long, value_delimiter = ',', default_values_t = registry::names().map(str::to_owned))]
+    #[arg(
+        long,
+        value_delimiter = ',',
+        default_values_t = registry::names().map(str::to_owned),
+        value_parser = trimmed(StringValueParser::new())
+    )]
     pub policies: Vec<String>,
     /// Length of each run in TTIs.
-    #[arg(long, default_value_t = 100_000, value_parser = whole(0..=u64::MAX), allow_negative_numbers = true)]
+    #[arg(long, default_value_t = 100_000, value_parser = whole(1..=MAX_TTIS), allow_negative_numbers = true)]
     pub ttis: u64,
     /// Scale the area with the number of devices, to keep the density of 250 devices on the preset's area.
     #[arg(long)]

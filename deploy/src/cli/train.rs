@@ -1,14 +1,16 @@
 //! Options of `reveille train`.
 
 use std::path::PathBuf;
+use std::str::FromStr;
 
 use anyhow::bail;
 use clap::{Args, Subcommand};
 use reveille_bs::policy::dt::model::ModelObjective;
 use reveille_bs::policy::q_learning::learned::{Lookback, QTrainingConfig};
+use reveille_common::ids::MAX_DEVICES;
 
 use super::examples::examples;
-use super::parse::{any_whole, parse_number, whole};
+use super::parse::{any_whole, parse_number, trimmed, whole};
 use super::run::ScenarioArgs;
 use super::sweep::GridArgs;
 
@@ -116,7 +118,7 @@ pub(crate) struct RecordArgs {
         long,
         default_value_t = 100,
         value_name = "TTIS",
-        value_parser = whole(0..=u32::MAX),
+        value_parser = whole(2..=u32::MAX),
         allow_negative_numbers = true
     )]
     pub stride: u32,
@@ -161,13 +163,13 @@ pub(crate) struct TrainArgs {
         short = 'n',
         value_delimiter = ',',
         default_value = "10,20,40,60,80,100,130,160,200,250",
-        value_parser = whole(0..=u32::MAX),
+        value_parser = whole(1..=MAX_DEVICES),
         allow_negative_numbers = true
     )]
     pub devices: Vec<u32>,
     /// Windows to train for, separated by commas. A window is the number of TTIs in which the area must be covered
     /// once; "ages" uses the ages of places instead [default: the scenario's policy.q-learning.window, or ages].
-    #[arg(long, short, value_delimiter = ',')]
+    #[arg(long, short, value_delimiter = ',', value_parser = trimmed(Lookback::from_str))]
     pub windows: Vec<Lookback>,
     #[command(flatten)]
     pub episodes: EpisodeArgs,
@@ -220,8 +222,8 @@ impl TrainArgs {
         if self.windows.contains(&Lookback::Ages) {
             if self.windows.iter().any(|lookback| *lookback != Lookback::Ages) {
                 bail!(
-                    "--windows: tables for ages and for windows are learned for other weights; train those for ages \
-                     with --windows ages and another --out"
+                    "--windows: ages and windows need different weights and cannot be trained together; train ages \
+                     separately, with --windows ages and another --out"
                 );
             }
             set.push("policy.q-learning.ages=true".to_owned());

@@ -2,12 +2,13 @@
 
 use std::path::PathBuf;
 
+use clap::builder::EnumValueParser;
 use clap::{Args, ValueEnum};
 
 use super::ImageFormatArg;
 #[cfg(feature = "tune")]
 use super::ScenarioArgs;
-use super::parse::{any_whole, parse_number, whole};
+use super::parse::{any_whole, parse_number, parse_range, trimmed, whole};
 use super::train::EpisodeArgs;
 
 /// Arguments of `reveille tune`.
@@ -48,25 +49,21 @@ pub(crate) struct TuneArgs {
     /// Minimum and maximum of μ1.
     #[arg(
         long,
-        value_delimiter = ',',
-        num_args = 1,
         default_value = "0.5,20",
         value_name = "FROM,TO",
-        value_parser = parse_number,
+        value_parser = parse_range,
         allow_negative_numbers = true
     )]
-    pub mu1: Vec<f64>,
+    pub mu1: (f64, f64),
     /// Minimum and maximum of μ2.
     #[arg(
         long,
-        value_delimiter = ',',
-        num_args = 1,
         default_value = "1,5",
         value_name = "FROM,TO",
-        value_parser = parse_number,
+        value_parser = parse_range,
         allow_negative_numbers = true
     )]
-    pub mu2: Vec<f64>,
+    pub mu2: (f64, f64),
     /// Number of initial pairs of weights, at least 3, spread over the ranges. The first is the scenario's pair if it
     /// is within the ranges.
     #[arg(
@@ -105,7 +102,12 @@ pub(crate) struct TuneArgs {
     #[arg(long, value_name = "HISTORY")]
     pub picture_only: Option<PathBuf>,
     /// File formats of the picture, separated by commas.
-    #[arg(long, value_enum, value_delimiter = ',', default_value = "svg,png")]
+    #[arg(
+        long,
+        value_delimiter = ',',
+        default_value = "svg,png",
+        value_parser = trimmed(EnumValueParser::<ImageFormatArg>::new())
+    )]
     pub format: Vec<ImageFormatArg>,
     /// Print the result as JSON.
     #[arg(long)]

@@ -3,10 +3,12 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
+use reveille_bs::policy::outside;
 use reveille_bs::scenario::current_field;
 use reveille_lab::sweep::{Experiment, ExperimentBuilder};
 use toml::Value;
 
+use super::resolve_scenario::REPLAY_PREFIX;
 use crate::cli::GridArgs;
 
 /// Loads the optional experiment `file` and applies the options.
@@ -15,7 +17,29 @@ pub(super) fn build_experiment(file: Option<&Path>, args: &GridArgs) -> anyhow::
         Some(path) => ExperimentBuilder::load(path)?,
         None => ExperimentBuilder::default(),
     };
-    Ok(options(args)?.with_defaults_from(file).build()?)
+    let experiment = options(args)?.with_defaults_from(file).build()?;
+    check_policies(&experiment)?;
+    Ok(experiment)
+}
+
+/// Returns an error for a policy that only a single run can have.
+fn check_policies(experiment: &Experiment) -> anyhow::Result<()> {
+    let axes = experiment.axes.iter();
+    let swept = axes.flat_map(|axis| axis.values.iter().map(|value| (&axis.path, value, &axis.origin)));
+    let set = experiment.set.iter().map(|(path, value, origin)| (path, value, origin));
+    for (_, value, origin) in swept.chain(set).filter(|(path, ..)| *path == "policy.name") {
+        let name = value.as_str().unwrap_or_default();
+        if name == outside::EXTERNAL_NAME {
+            bail!(
+                "{origin}: policy external needs a policy process, and runs in memory have none; start each run with \
+                 `reveille up --policy external --seed SEED`, or step environments in a Python program"
+            );
+        }
+        if name.starts_with(REPLAY_PREFIX) {
+            bail!("{origin}: {name} repeats the decisions of one run; use `reveille run --policy {name}`");
+        }
+    }
+    Ok(())
 }
 
 fn options(args: &GridArgs) -> anyhow::Result<ExperimentBuilder> {
@@ -86,7 +110,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn values_are_toml_or_bare_words() {
+    fn values_are_toml_or_plain_text() {
         assert_eq!(parse_value("10"), Value::Integer(10));
         assert_eq!(parse_value(" 0.5"), Value::Float(0.5));
         assert_eq!(parse_value("knn"), Value::String("knn".to_owned()));

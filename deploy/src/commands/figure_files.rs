@@ -13,7 +13,7 @@ use reveille_study::figures::{png, svg};
 
 use crate::cli::{FigureOutputArgs, ImageFormatArg};
 use crate::display;
-use crate::paths::resolve_table;
+use crate::paths::{check_output_folder, resolve_table};
 
 /// Reads the tables and combines them.
 pub(super) fn read_tables(paths: &[PathBuf]) -> anyhow::Result<Results> {
@@ -39,6 +39,7 @@ pub(super) fn write_picture(args: &FigureOutputArgs, name: &str, scene: &Scene) 
 
 /// Writes a file to `folder`, which is created if needed, and prints its path.
 pub(super) fn write_file(folder: &Path, name: &str, bytes: &[u8]) -> anyhow::Result<()> {
+    check_output_folder("--out", folder)?;
     fs::create_dir_all(folder).with_context(|| format!("{}: cannot create this folder", folder.display()))?;
     let path = folder.join(name);
     replace(&path, bytes).with_context(|| format!("{}: cannot write this file", path.display()))?;

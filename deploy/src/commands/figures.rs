@@ -16,14 +16,14 @@ use reveille_study::figures::results::{Results, RunCondition};
 use reveille_study::figures::sweep::{SweepFigureSpec, canonical_field, note_on_several};
 use reveille_study::figures::timeline::Timeline;
 use reveille_study::figures::{
-    deployment, energy, front, learning, pareto, q_table, robustness, study, timeline, to_file_name,
+    FigureError, deployment, energy, front, learning, pareto, q_table, robustness, study, timeline, to_file_name,
 };
 
 use super::figure_files::{read_tables, write_file, write_picture};
 use super::resolve_scenario::resolve;
 use crate::cli::{
     AttentionArgs, AxisArg, DeploymentArgs, FiguresArgs, FiguresCommand, LearningArgs, QTableArgs, RankingArg,
-    RobustnessArgs, SweepFigureArgs, TimelineArgs,
+    RobustnessArgs, SweepFigureArgs, TimelineArgs, nearest_name, other_figures,
 };
 use crate::display::note;
 
@@ -42,9 +42,7 @@ pub(crate) fn run(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
 }
 
 fn draw_study(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
-    let [harvest, net] = energy::NAMES;
-    let [pareto, delay] = pareto::TRADE_OFFS.map(|trade| trade.name);
-    let chosen = study::select_figures(&args.only, &[harvest, net, pareto, delay, front::NAME])?;
+    let chosen = study::select_figures(&args.only, &other_figures())?;
     let results = read_tables(&args.tables)?;
     for (condition, label) in results.conditions.iter().zip(results.file_labels()) {
         for figure in &chosen {
@@ -266,7 +264,7 @@ fn draw_learning(args: &LearningArgs) -> anyhow::Result<ExitCode> {
 
 fn draw_q_table(args: &QTableArgs) -> anyhow::Result<ExitCode> {
     let (file, learned) = (args.file.display().to_string(), read_learned(&args.file)?);
-    let entry = |devices: &u32| q_table::find_entry(&file, &learned, *devices, args.window);
+    let entry = |devices: &u32| q_table::find_table_set(&file, &learned, *devices, args.window);
     let entries = args.devices.iter().map(entry).collect::<Result<Vec<&TableSet>, _>>()?;
     for entry in entries {
         let window = args.window.map_or_else(String::new, |window| format!("-w{window}"));
@@ -315,6 +313,17 @@ fn file_stem(path: &Path) -> String {
     stem.unwrap_or_default()
 }
 
+/// Adds the nearest known field to the error about an unknown one.
+fn with_suggestion(error: FigureError) -> anyhow::Error {
+    let FigureError::UnknownField { name, known } = &error else {
+        return error.into();
+    };
+    // clap keeps only static names; the program ends after this error.
+    let hint = nearest_name(name, known.clone().leak().split(", "));
+    let hint = hint.map_or_else(String::new, |nearest| format!("; did you mean `{nearest}`?"));
+    anyhow!("{error}{hint}")
+}
+
 /// Draws a metric against a field, with a picture for each combination of the other fields.
 fn draw_sweep(args: &SweepFigureArgs) -> anyhow::Result<ExitCode> {
     let results = read_tables(&args.tables)?;
@@ -329,7 +338,7 @@ fn draw_sweep(args: &SweepFigureArgs) -> anyhow::Result<ExitCode> {
         is_log_x: args.log.contains(&AxisArg::X),
         is_log_y: args.log.contains(&AxisArg::Y),
     };
-    let pictures = spec.draw(&results)?;
+    let pictures = spec.draw(&results).map_err(with_suggestion)?;
     let first_field = pictures.first().and_then(|picture| picture.facet.first());
     if let (Some(differences), Some((field, value))) = (note_on_several(&pictures), first_field) {
         note!("{differences}; use --where to choose, for example --where {field}={value}");

@@ -1,19 +1,19 @@
 //! Resolution of the command line to a scenario: preset or file, options, `--set`, `--policy replay=FILE`, `--resume`.
 //! All commands that run or draw a scenario use it.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use anyhow::Context;
+use anyhow::anyhow;
 use reveille_bs::policy::{outside, registry};
 use reveille_bs::scenario::{Loaded, Override, Scenario, ScenarioError, load, load_with_external};
-use reveille_lab::external_inputs::ExternalInputs;
+use reveille_lab::external_inputs::{ExternalInputs, InputLogError};
 
 use crate::cli::{OutputArgs, ScenarioArgs};
 use crate::input_log::{self, INPUT_LOG_FILE};
-use crate::run_folder::SCENARIO_FILE;
+use crate::run_folder::{self, SCENARIO_FILE};
 
 /// The prefix of `--policy` for decisions from a log.
-const REPLAY_PREFIX: &str = "replay=";
+pub(super) const REPLAY_PREFIX: &str = "replay=";
 
 /// Returns the scenario of a run, from the folder that it resumes in or from the command line. Also returns the
 /// decisions of `--policy replay=FILE`, if given.
@@ -45,39 +45,64 @@ fn resolve_new(args: &ScenarioArgs) -> anyhow::Result<(Scenario, Option<External
         .policy
         .as_ref()
         .and_then(|policy| policy.strip_prefix(REPLAY_PREFIX));
-    let Some(log_path) = log_path.map(PathBuf::from) else {
+    let Some(given_path) = log_path.map(Path::new) else {
         return Ok((resolve_with_loader(args, load_with_external)?, None));
     };
-    anyhow::ensure!(
-        !log_path.as_os_str().is_empty(),
-        "--policy {REPLAY_PREFIX}: the file is missing; name the {INPUT_LOG_FILE} of a run, or its folder"
-    );
-    let log_path = if log_path.is_dir() {
-        log_path.join(INPUT_LOG_FILE)
-    } else {
-        log_path
-    };
+    let log_path = find_replay_log(given_path)?;
     let mut args = ScenarioArgs {
         policy: None,
         ..args.clone()
     };
     // Without other options the scenario is the one in the log's run folder.
     let own_scenario = log_path.with_file_name(SCENARIO_FILE);
-    if !args.is_given() && own_scenario.is_file() {
+    let has_options = args.is_given();
+    if !has_options && own_scenario.is_file() {
         args.scenario = own_scenario.to_string_lossy().into_owned();
     }
     // Set after `is_given`, for which only the user's own options count.
     args.policy = Some(outside::EXTERNAL_NAME.to_owned());
     let scenario = resolve_with_loader(&args, load_with_external)?;
-    let inputs = input_log::read_nonempty(&log_path, &scenario).with_context(|| {
-        let hint = if own_scenario.is_file() {
-            "; leave out the other scenario options to use the scenario in its folder"
-        } else {
-            ""
+    let inputs = input_log::read_nonempty(&log_path, &scenario).map_err(|error| {
+        let hint = match error.downcast_ref() {
+            Some(InputLogError::Scenario) if has_options && own_scenario.is_file() => {
+                "; leave out the other scenario options to use the scenario in the folder of the log"
+            }
+            Some(InputLogError::Scenario) => "; use the scenario and seed of the logged run",
+            _ => "",
         };
-        format!("--policy {REPLAY_PREFIX}{}{hint}", log_path.display())
+        anyhow!("--policy {REPLAY_PREFIX}{}: {error:#}{hint}", given_path.display())
     })?;
     Ok((scenario, Some(inputs)))
+}
+
+/// Returns the input log that `--policy replay=PATH` names, a file or the log in a run folder.
+fn find_replay_log(path: &Path) -> anyhow::Result<PathBuf> {
+    let refuse = |cause: &str| {
+        let advice = format!("name the {INPUT_LOG_FILE} of a run with --policy external, or its folder");
+        Err(anyhow!("--policy {REPLAY_PREFIX}{}: {cause}; {advice}", path.display()))
+    };
+    if path.as_os_str().is_empty() {
+        return refuse("the file is missing");
+    }
+    // Links count even if they are dangling: reading them returns the cause.
+    if path.symlink_metadata().is_err() {
+        return refuse("no such file or folder");
+    }
+    let log_path = path.join(INPUT_LOG_FILE);
+    if !path.is_dir() {
+        return Ok(path.to_owned());
+    }
+    if log_path.symlink_metadata().is_ok() {
+        return Ok(log_path);
+    }
+    if !path.join(SCENARIO_FILE).is_file() {
+        return refuse("the folder holds no run");
+    }
+    let failure = run_folder::failure(path).map(|reason| format!(": the run failed ({reason})"));
+    refuse(&format!(
+        "the folder holds no {INPUT_LOG_FILE}{}",
+        failure.unwrap_or_default()
+    ))
 }
 
 /// Returns the command line's scenario, with a policy of this program.

@@ -81,13 +81,7 @@ pub(crate) fn run(args: &TuneArgs) -> anyhow::Result<ExitCode> {
 
 /// Checks the command line and returns the tuning plan.
 fn plan(args: &TuneArgs) -> anyhow::Result<TuningPlan> {
-    let range_ends = |name: &str, weights: &[f64]| match weights {
-        &[from, to] => Ok((from, to)),
-        _ => Err(anyhow!(
-            "--{name}: must be the smallest and the largest weight, for example 1,5"
-        )),
-    };
-    let ranges = Ranges::new(range_ends("mu1", &args.mu1)?, range_ends("mu2", &args.mu2)?)?;
+    let ranges = Ranges::new(args.mu1, args.mu2)?;
     let plan = TuningPlan {
         scenario: resolve(&args.scenario()?)?,
         ranges,

@@ -40,7 +40,7 @@ const CURVE_METRICS: [&str; 6] = [
     "energy_sleep_per_device_tti",
     "energy_report_per_device_tti",
 ];
-/// Number of listed events.
+/// Maximum number of events in the list of the latest events.
 const MAX_TICKER_EVENTS: usize = 6;
 /// Battery quantiles that have a curve.
 const QUANTILES: [f64; 3] = [0.05, 0.5, 0.95];

@@ -21,6 +21,7 @@ use tokio::net::TcpListener;
 
 use self::api::{ApiState, check_request};
 use self::feed::Feed;
+use crate::metrics_server::listen_error;
 
 /// The files of the page: path, type, content.
 const PAGE: [(&str, &str, &str); 6] = [
@@ -55,9 +56,9 @@ pub(crate) struct Dashboard {
 /// # Errors
 /// If it cannot listen there.
 pub(crate) async fn serve(address: &str, feed: Arc<Feed>, bus: Option<Bus>) -> anyhow::Result<Dashboard> {
-    let named = || format!("--dashboard {address}");
-    let listener = TcpListener::bind(address).await.with_context(named)?;
-    let local_address: SocketAddr = listener.local_addr().with_context(named)?;
+    let named = |error| listen_error("--dashboard", address, &error);
+    let listener = TcpListener::bind(address).await.map_err(named)?;
+    let local_address: SocketAddr = listener.local_addr().map_err(named)?;
     let token = draw_token().context("cannot generate a token")?;
     // Browsers send no fragment to a server, so the token stays out of logs.
     let url = format!("http://{local_address}/#{token}");

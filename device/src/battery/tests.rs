@@ -1,4 +1,4 @@
-//! The battery alone, in micro-units that can be added up by hand.
+//! Tests of [`Battery`] without a device, against sums in plain integers.
 
 use proptest::prelude::*;
 use reveille_common::scenario::EnergyModel;
@@ -10,7 +10,7 @@ const fn micro(n: u64) -> Energy {
     Energy::from_micro(n)
 }
 
-fn battery(initial: u64, capacity: u64) -> Battery {
+fn battery_with(initial: u64, capacity: u64) -> Battery {
     Battery::new(&EnergyModel {
         e_max: micro(capacity),
         e_idle: micro(1),
@@ -21,26 +21,26 @@ fn battery(initial: u64, capacity: u64) -> Battery {
 }
 
 #[test]
-fn a_harvest_fills_up_to_the_capacity_and_the_rest_is_overflow() {
-    let mut battery = battery(5, 10);
+fn a_harvest_beyond_the_capacity_overflows() {
+    let mut battery = battery_with(5, 10);
     battery.harvest(micro(3));
     assert_eq!((battery.level(), battery.overflow()), (micro(8), micro(0)));
     battery.harvest(micro(7));
     assert_eq!((battery.level(), battery.overflow()), (micro(10), micro(5)));
-    assert_eq!(battery.harvested(), micro(10), "what overflows was harvested too");
+    assert_eq!(battery.harvested(), micro(10), "the overflow counts as harvested");
 }
 
 #[test]
-fn an_action_that_can_be_paid_costs_its_price() {
-    let mut battery = battery(5, 10);
-    assert_eq!(battery.pay(micro(5)), Ok(()), "the last micro-unit counts");
+fn a_payable_action_costs_its_price() {
+    let mut battery = battery_with(5, 10);
+    assert_eq!(battery.pay(micro(5)), Ok(()), "the level equals the price");
     assert_eq!(battery.level(), micro(0));
-    assert_eq!(battery.pay(micro(0)), Ok(()), "what costs nothing works on nothing");
+    assert_eq!(battery.pay(micro(0)), Ok(()), "a price of 0 with an empty battery");
 }
 
 #[test]
-fn an_action_that_cannot_be_paid_empties_the_battery() {
-    let mut battery = battery(5, 10);
+fn an_unpayable_action_empties_the_battery() {
+    let mut battery = battery_with(5, 10);
     assert_eq!(battery.pay(micro(6)), Err(micro(5)));
     assert_eq!(battery.level(), micro(0));
     assert_eq!(battery.pay(micro(1)), Err(micro(0)));
@@ -48,14 +48,17 @@ fn an_action_that_cannot_be_paid_empties_the_battery() {
 
 #[test]
 #[should_panic(expected = "at most E_max")]
-fn a_battery_does_not_start_fuller_than_full() {
-    battery(11, 10);
+fn an_initial_level_above_the_capacity_panics() {
+    battery_with(11, 10);
 }
 
 proptest! {
     #[test]
-    fn nothing_gets_lost(initial in 0..=50_u64, steps in prop::collection::vec((any::<bool>(), 0..40_u64), 0..60)) {
-        let mut battery = battery(initial, 50);
+    fn the_ledger_is_balanced(
+        initial in 0..=50_u64,
+        steps in prop::collection::vec((any::<bool>(), 0..40_u64), 0..60),
+    ) {
+        let mut battery = battery_with(initial, 50);
         let (mut level, mut harvested, mut spent, mut overflow) = (initial, 0, 0, 0);
         for (is_harvest, energy) in steps {
             if is_harvest {

@@ -75,17 +75,19 @@ mod tests {
 
     use super::*;
 
-    /// Returns the TTIs 0 to 9 of ten wake-ups, in the order in which a host handles them, each with its thread.
-    fn handled_messages(capacity: u32, uses_worker: bool) -> Vec<(Tti, ThreadId)> {
+    /// Dispatches wake-ups of TTIs 0 to 9. Returns their TTIs in the order of handling, each with its thread.
+    fn handle_ten_messages(capacity: u32, uses_worker: bool) -> Vec<(Tti, ThreadId)> {
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(1)
             .build()
             .expect("a runtime");
         let (sender, handled) = channel();
-        let _inside = runtime.enter();
+        let _guard = runtime.enter();
         let dispatcher = Dispatcher::new(capacity, uses_worker, move |message| {
             if let HostMessage::Wake(_, WakeUp { tti }) = message {
-                sender.send((tti, thread::current().id())).expect("the test waits");
+                sender
+                    .send((tti, thread::current().id()))
+                    .expect("the receiver is open");
             }
         });
         for tti in 0..10 {
@@ -96,19 +98,22 @@ mod tests {
     }
 
     #[test]
-    fn few_devices_are_served_on_the_thread_that_delivers() {
-        let own = thread::current().id();
-        let expected: Vec<_> = (0..10).map(|tti| (Tti(tti), own)).collect();
-        assert_eq!(handled_messages(MAX_INLINE_DEVICES, false), expected);
+    fn few_devices_are_handled_on_the_receiving_thread() {
+        let this_thread = thread::current().id();
+        let expected: Vec<_> = (0..10).map(|tti| (Tti(tti), this_thread)).collect();
+        assert_eq!(handle_ten_messages(MAX_INLINE_DEVICES, false), expected);
     }
 
     #[test]
-    fn many_are_served_on_another_in_order() {
-        let own = thread::current().id();
+    fn many_devices_are_handled_on_another_thread_in_order() {
+        let this_thread = thread::current().id();
         for (capacity, uses_worker) in [(MAX_INLINE_DEVICES + 1, false), (1, true)] {
-            let (ttis, threads): (Vec<_>, Vec<_>) = handled_messages(capacity, uses_worker).into_iter().unzip();
+            let (ttis, threads): (Vec<_>, Vec<_>) = handle_ten_messages(capacity, uses_worker).into_iter().unzip();
             assert_eq!(ttis, (0..10).map(Tti).collect::<Vec<_>>());
-            assert!(threads.iter().all(|&thread| thread != own));
+            assert!(
+                threads.iter().all(|&thread| thread != this_thread),
+                "capacity {capacity}"
+            );
         }
     }
 }

@@ -417,7 +417,7 @@ impl Machine {
                 self.state = DeviceState::Sleep { powered: false };
                 Err(FailedTransmission {
                     device: self.id,
-                    drained,
+                    drained_energy: drained,
                 })
             }
         }
@@ -519,7 +519,7 @@ impl WakeUpRadio {
 
     /// Returns whether the device misses a wake-up signal in TTI `k`, which must not precede the last call's TTI.
     pub(crate) fn misses_wake_up(&mut self, k: Tti) -> bool {
-        self.air.channel_at(k).misses_wake_up(self.device)
+        self.air.losses_at(k).misses_wake_up(self.device)
     }
 }
 

@@ -32,7 +32,6 @@ pub struct BatchBuffers<'a> {
 /// The number of terms of a reward.
 pub const REWARD_TERMS: usize = 4;
 
-/// The output buffers of one environment.
 #[derive(Debug)]
 struct EnvBuffers<'a> {
     devices: &'a mut [f32],
@@ -82,7 +81,7 @@ impl EnvBuffers<'_> {
         *self.ended = environment.pending_decision().is_none();
         let request = environment.decision_context();
         request.write_devices(self.devices);
-        request.write_global(self.global);
+        request.write_globals(self.global);
         request.write_mask(self.mask);
         *self.stage = i64::from(request.stage == DecisionStage::Wake);
     }

@@ -70,7 +70,7 @@ pub fn record(scenario: &Scenario, external_scenario: &Scenario) -> Option<Recor
     let (mut rows, mut stages) = (Vec::new(), Vec::new());
     let mut woken_devices = 0;
     while let Some(request) = environment.pending_decision() {
-        let (now, n) = (request.seen.now, request.seen.known.n());
+        let (now, n) = (request.observation.now, request.observation.known.n());
         let action: Vec<bool> = match request.stage {
             DecisionStage::Plan => {
                 woken_devices = 0;

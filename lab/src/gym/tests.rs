@@ -1,23 +1,28 @@
-//! Environments against runs of the policies whose actions they repeat.
+//! Tests of [`Environment`], [`EnvBatch`] and [`record`]: steps are compared with a run of the policy whose actions
+//! they repeat, batches with single environments, and rewards with the formulas of the paper.
 
-use reveille_bs::policy::external::{DEVICE_FEATURES, GLOBAL_FEATURES};
+use reveille_bs::policy::external::{DEVICE_FEATURES, DecisionStage, GLOBAL_FEATURES};
 use reveille_bs::policy::outside;
 use reveille_bs::scenario::{Override, Scenario, load};
+use reveille_common::ids::DeviceId;
 use reveille_common::io::Disk;
 use reveille_common::rng::{Purpose, Stream};
 
 use super::batch::REWARD_TERMS;
 use super::*;
 
-fn overrides(policy: &str, set: &[&str]) -> Vec<Override> {
+const DEVICES: usize = 24;
+
+fn overrides_of(policy: &str, set: &[&str]) -> Vec<Override> {
     let policy = format!("policy.name={policy}");
-    let always = [policy.as_str(), "devices=24", "ttis=400"];
+    let devices = format!("devices={DEVICES}");
+    let always = [policy.as_str(), &devices, "ttis=400"];
     let all = always.iter().chain(set);
     all.map(|set| Override::parse(set).expect("an override")).collect()
 }
 
-fn external(set: &[&str]) -> Scenario {
-    let overrides = overrides("external", set);
+fn external_scenario(set: &[&str]) -> Scenario {
+    let overrides = overrides_of("external", set);
     reveille_common::scenario::load("paper", &overrides, &outside::kinds_with_external(), &Disk)
         .expect("a scenario")
         .scenario
@@ -64,109 +69,122 @@ impl OwnedBuffers {
 }
 
 #[test]
-fn what_a_policy_does_is_done_by_steps_with_its_digest() {
+fn repeated_actions_of_a_policy_give_the_digest_of_its_run() {
     for set in [&[][..], &["bs.battery_knowledge=reported", "radio.uplink_loss=0.1"]] {
         for policy in ["age-index", "q-learning", "dt"] {
-            let own = load("paper", &overrides(policy, set)).expect("a scenario").scenario;
-            let actions = record(&own, &external(set)).expect("no genie");
+            let scenario = load("paper", &overrides_of(policy, set)).expect("a scenario").scenario;
+            let actions = record(&scenario, &external_scenario(set)).expect("no genie");
             assert_eq!(
                 actions.policy_outcome.digest, actions.environment_outcome.digest,
                 "{policy}"
             );
-            assert!(actions.stages.contains(&1) && actions.rows.len() == actions.stages.len() * 24);
+            assert!(actions.stages.contains(&1) && actions.rows.len() == actions.stages.len() * DEVICES);
         }
         // A periodic plan is sent as bits: the outcome is equal, but more plans are sent.
-        let own = load("paper", &overrides("knn", set)).expect("a scenario").scenario;
-        let actions = record(&own, &external(set)).expect("no genie");
-        let [own, stepped] = [&actions.policy_outcome, &actions.environment_outcome];
-        assert_ne!(own.digest, stepped.digest);
-        assert_eq!(own.totals.events, stepped.totals.events);
-        assert_eq!(own.totals.energy, stepped.totals.energy);
+        let scenario = load("paper", &overrides_of("knn", set)).expect("a scenario").scenario;
+        let actions = record(&scenario, &external_scenario(set)).expect("no genie");
+        let [policy, environment] = [&actions.policy_outcome, &actions.environment_outcome];
+        assert_ne!(policy.digest, environment.digest);
+        assert_eq!(policy.totals.events, environment.totals.events);
+        assert_eq!(policy.totals.energy, environment.totals.energy);
     }
-    let genie = load("paper", &overrides("genie", &[])).expect("a scenario").scenario;
-    assert!(record(&genie, &external(&[])).is_none());
+    let genie = load("paper", &overrides_of("genie", &[])).expect("a scenario").scenario;
+    assert!(record(&genie, &external_scenario(&[])).is_none());
 }
 
 #[test]
-fn a_batch_on_threads_shows_what_each_environment_shows_alone() {
-    let scenarios: Vec<Scenario> = (0..5)
-        .map(|seed| external(&[&format!("seed={seed}"), "ttis=60"]))
+fn a_batch_on_threads_equals_single_environments() {
+    const ENVIRONMENTS: usize = 5;
+    let scenarios: Vec<Scenario> = (0..ENVIRONMENTS)
+        .map(|seed| external_scenario(&[&format!("seed={seed}"), "ttis=60"]))
         .collect();
-    let mut whole = EnvBatch::new(&scenarios, RewardWeights::default(), 3).expect("threads");
-    let mut alone: Vec<EnvBatch> = scenarios
+    let mut batch = EnvBatch::new(&scenarios, RewardWeights::default(), 3).expect("threads");
+    let mut singles: Vec<EnvBatch> = scenarios
         .iter()
         .map(|scenario| EnvBatch::new(std::slice::from_ref(scenario), RewardWeights::default(), 1).expect("no threads"))
         .collect();
-    let (mut all, mut one) = (OwnedBuffers::new(5, 24), OwnedBuffers::new(1, 24));
+    let mut all = OwnedBuffers::new(ENVIRONMENTS, DEVICES);
+    let mut one = OwnedBuffers::new(1, DEVICES);
     let mut stream = Stream::new(3, Purpose::Training, 0);
-    let (mut stages, mut ends) = (0, 0);
+    let (mut wake_stages, mut ended_episodes) = (0, 0);
     for _ in 0..100 {
-        let actions: Vec<i8> = (0..5 * 24).map(|_| i8::from(stream.below(6) == 0)).collect();
-        whole.step(&actions, &[false; 5], all.views());
-        for (at, batch) in alone.iter_mut().enumerate() {
-            batch.step(&actions[at * 24..][..24], &[false], one.views());
-            assert_eq!(
-                one.devices,
-                all.devices[at * 24 * DEVICE_FEATURES.len()..][..24 * DEVICE_FEATURES.len()]
-            );
+        let actions: Vec<i8> = (0..ENVIRONMENTS * DEVICES)
+            .map(|_| i8::from(stream.below(6) == 0))
+            .collect();
+        batch.step(&actions, &[false; ENVIRONMENTS], all.views());
+        for (index, single) in singles.iter_mut().enumerate() {
+            single.step(&actions[index * DEVICES..][..DEVICES], &[false], one.views());
+            let device_values = DEVICES * DEVICE_FEATURES.len();
+            assert_eq!(one.devices, all.devices[index * device_values..][..device_values]);
             assert_eq!(
                 one.global,
-                all.global[at * GLOBAL_FEATURES.len()..][..GLOBAL_FEATURES.len()]
+                all.global[index * GLOBAL_FEATURES.len()..][..GLOBAL_FEATURES.len()]
             );
             assert_eq!(
                 (one.stage[0], one.ttis[0], one.ended[0]),
-                (all.stage[at], all.ttis[at], all.ended[at])
+                (all.stage[index], all.ttis[index], all.ended[index])
             );
-            assert_eq!(one.reward[0].to_bits(), all.reward[at].to_bits());
+            assert_eq!(one.reward[0].to_bits(), all.reward[index].to_bits());
             assert!((one.reward[0] - one.parts.iter().sum::<f64>()).abs() < 1e-12);
-            assert_eq!(one.mask, all.mask[at * 24..][..24]);
-            let unit = one.devices.iter().chain(&one.global);
+            assert_eq!(one.mask, all.mask[index * DEVICES..][..DEVICES]);
+            let mut features = one.devices.iter().chain(&one.global);
             assert!(
-                unit.clone().all(|value| (0.0..=1.0).contains(value)),
-                "{:?}",
-                one.devices
+                features.all(|value| (0.0..=1.0).contains(value)),
+                "device features {:?}, global features {:?}",
+                one.devices,
+                one.global
             );
-            (stages, ends) = (stages + one.stage[0], ends + i32::from(one.ended[0]));
+            wake_stages += one.stage[0];
+            ended_episodes += i32::from(one.ended[0]);
         }
     }
-    assert!(stages > 10 && ends > 5, "{stages} {ends}");
-    for (at, batch) in alone.iter().enumerate() {
-        assert_eq!(whole.environments()[at].outcome(), batch.environments()[0].outcome());
+    assert!(
+        wake_stages > 10 && ended_episodes > 5,
+        "too few cases: {wake_stages} wake stages, {ended_episodes} ended episodes"
+    );
+    for (index, single) in singles.iter().enumerate() {
+        assert_eq!(
+            batch.environments()[index].outcome(),
+            single.environments()[0].outcome()
+        );
     }
 }
 
 /// r* is the gain in Î, minus 1/N for each device.
 #[test]
-fn rewards_are_those_of_the_paper() {
-    let scenario = external(&["sensing.psi=2", "ttis=2000"]);
+fn rewards_follow_the_formulas_of_the_paper() {
+    let scenario = external_scenario(&["sensing.psi=2", "ttis=2000"]);
     let mut environment = Environment::new(EpisodeTemplate::new(&scenario), RewardWeights { mu1: 3.0, mu2: 5.0 });
-    let mut wakes = 0;
+    let mut gains = 0;
     while let Some(question) = environment.pending_decision() {
-        let (stage, before, k) = (question.stage, question.seen.information, question.seen.now.0 % 4);
-        let free: Vec<usize> = (0..24)
-            .filter(|j| question.may_wake(reveille_common::ids::DeviceId(*j as u32)))
+        let (now, information_before) = (question.observation.now, question.observation.information);
+        let wakeable: Vec<usize> = (0..DEVICES)
+            .filter(|j| question.may_wake(DeviceId(*j as u32)))
             .collect();
-        if stage == reveille_bs::policy::external::DecisionStage::Plan {
-            let step = environment.step(|j| j as u64 % 4 == k);
-            assert!(
-                (step.asleep - 0.75).abs() < 1e-12 && step.missed < 0.0 && step.missed >= -3.0 * scenario.events.alpha
-            );
+        if question.stage == DecisionStage::Plan {
+            // A quarter of the devices senses.
+            let step = environment.step(|j| j as u64 % 4 == now.0 % 4);
+            assert!((step.asleep - 0.75).abs() < 1e-12);
+            assert!(step.missed < 0.0 && step.missed >= -3.0 * scenario.events.alpha);
             assert_eq!((step.information, step.woken), (0.0, 0.0));
             continue;
         }
-        // The other devices, which cannot be woken, cost nothing.
-        let two = &free[..free.len().min(6)];
-        let now = question.seen.now;
-        let step = environment.step(|j| two.contains(&j) || !free.contains(&j));
-        assert!((step.woken + two.len() as f64 / 24.0).abs() < 1e-12);
+        // Devices that cannot be woken cost nothing.
+        let woken = &wakeable[..wakeable.len().min(6)];
+        let step = environment.step(|j| woken.contains(&j) || !wakeable.contains(&j));
+        assert!((step.woken + woken.len() as f64 / DEVICES as f64).abs() < 1e-12);
+        // Without a further question in this TTI, the information after the wake-ups is not known.
         if let Some(question) = environment
             .pending_decision()
-            .filter(|question| question.seen.now == now)
+            .filter(|question| question.observation.now == now)
         {
-            let gained = (question.seen.information - before) / 2.0;
-            assert!((step.information - 5.0 * gained).abs() < 1e-9, "{step:?} {gained}");
-            wakes += i32::from(gained > 0.0);
+            let gain = (question.observation.information - information_before) / 2.0;
+            assert!(
+                (step.information - 5.0 * gain).abs() < 1e-9,
+                "gain {gain}, step {step:?}"
+            );
+            gains += i32::from(gain > 0.0);
         }
     }
-    assert!(wakes > 2, "{wakes}");
+    assert!(gains > 2, "only {gains} wake-ups with a gain");
 }

@@ -1,5 +1,6 @@
 //! Errors of sweeps, their folders and merges. Each message names the thing, the cause and the fix.
 
+use std::any::Any;
 use std::fmt::Display;
 use std::io;
 use std::path::PathBuf;
@@ -30,14 +31,14 @@ pub enum SweepError {
         reason: String,
     },
     /// A value of the experiment is invalid.
-    #[error("{field} = {value}: {allowed}")]
+    #[error("{field} = {value}: {requirement}")]
     Invalid {
         /// The option or field.
         field: String,
         /// The value.
         value: String,
-        /// The allowed values and the fix.
-        allowed: String,
+        /// The requirement on the value, and the fix.
+        requirement: String,
     },
     /// The scenario of a cell is invalid.
     #[error("the cell {cell}: {error}")]
@@ -122,11 +123,21 @@ pub enum SweepError {
         /// The cause.
         reason: String,
     },
+    /// A thread of the sweep panicked; the text is the panic's message.
+    #[error("the sweep panicked, which is a bug in Reveille: {0}")]
+    Panicked(String),
 }
 
 impl SweepError {
+    /// Creates the error of a panic from its payload, as [`std::panic::catch_unwind`] returns it.
+    pub fn from_panic(payload: &(dyn Any + Send)) -> Self {
+        let text = payload.downcast_ref::<&str>().copied();
+        let text = text.or_else(|| payload.downcast_ref::<String>().map(String::as_str));
+        Self::Panicked(text.unwrap_or("without a message").to_owned())
+    }
+
     /// Creates the error of an invalid value; shows at most 60 characters of it.
-    pub(super) fn invalid(field: impl Into<String>, value: impl Display, allowed: impl Into<String>) -> Self {
+    pub(super) fn invalid(field: impl Into<String>, value: impl Display, requirement: impl Into<String>) -> Self {
         let value = value.to_string();
         let shown: String = value.chars().take(60).collect();
         Self::Invalid {
@@ -136,7 +147,28 @@ impl SweepError {
             } else {
                 value
             },
-            allowed: allowed.into(),
+            requirement: requirement.into(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_panic_keeps_its_message() {
+        let payloads: [(Box<dyn Any + Send>, &str); 3] = [
+            (Box::new("fixed"), "fixed"),
+            (Box::new("formatted".to_owned()), "formatted"),
+            (Box::new(7), "without a message"),
+        ];
+        for (payload, message) in payloads {
+            let error = SweepError::from_panic(&*payload).to_string();
+            assert_eq!(
+                error,
+                format!("the sweep panicked, which is a bug in Reveille: {message}")
+            );
         }
     }
 }

@@ -96,7 +96,6 @@ pub(super) fn execute_missing(
     Ok(Some(summaries.collect()))
 }
 
-/// The resources shared by all runs of a sweep.
 struct SweepWorkers {
     pool: rayon::ThreadPool,
     preparer: RunPreparer,
@@ -150,7 +149,6 @@ fn execute_wave(
     }
 }
 
-/// A reason why a wave ends early.
 enum WaveEnd {
     Stopped,
     Failed(SweepError),
@@ -183,11 +181,9 @@ fn execute_run(
     outcome.is_complete.then(|| JournalEntry::from(&row))
 }
 
-/// The progress of a cell.
 struct CellProgress {
     /// The number of runs at the next check; of a done cell, the number of runs that count.
     next_check: u64,
-    /// The number of runs in `moments`.
     added_runs: u64,
     moments: Vec<Moments>,
     widest: Option<(String, f64)>,

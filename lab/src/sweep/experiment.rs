@@ -13,7 +13,6 @@ use toml::{Table, Value};
 
 use super::error::SweepError;
 
-/// The largest number of seeds of a cell.
 const MAX_SEEDS: u64 = 10_000_000;
 /// The smallest number of runs between two checks of the intervals.
 const MIN_RUNS_BETWEEN_CHECKS: u64 = 10;
@@ -139,6 +138,8 @@ pub struct Experiment {
     pub seeds: Seeds,
     /// The condition that ends a cell; `None` to run all seeds.
     pub until_ci: Option<UntilCi>,
+    /// The warnings about former names of fields, each a sentence without its full stop.
+    pub warnings: Vec<String>,
 }
 
 impl Experiment {
@@ -177,7 +178,7 @@ impl Experiment {
         // The parent of a bare file name is the empty path, which has no absolute form; `.` has one.
         let folder = files.absolute(&path.parent().unwrap_or(Path::new("")).join("."))?;
         let mut scenario = Value::Table(table);
-        prepend_folder(&declaration(), "", &mut scenario, &folder);
+        resolve_file_paths(&declaration(), "", &mut scenario, &folder);
         Ok(Some(scenario.as_table().map(Table::to_string).unwrap_or_default()))
     }
 
@@ -247,21 +248,21 @@ fn is_file_field(fields: &Declaration, path: &str, value: &str) -> bool {
     }
 }
 
-/// Prepends `folder` to the relative files in the field or table at `path`.
-fn prepend_folder(fields: &Declaration, path: &str, value: &mut Value, folder: &Path) {
+/// Resolves the relative paths of files against `folder`, in `value`: the field or table at `path`.
+fn resolve_file_paths(fields: &Declaration, path: &str, value: &mut Value, folder: &Path) {
     match value {
         Value::String(file) if is_file_field(fields, path, file) => {
             *file = folder.join(&*file).to_string_lossy().into_owned();
         }
         Value::Table(inner) => {
             for (name, value) in inner {
-                prepend_folder(fields, &join_path(path, name), value, folder);
+                resolve_file_paths(fields, &join_path(path, name), value, folder);
             }
         }
         // Only the items of a list of tables; the values of an axis stay unchanged.
         Value::Array(items) => {
             let tables = items.iter_mut().filter(|item| item.is_table());
-            tables.for_each(|item| prepend_folder(fields, path, item, folder));
+            tables.for_each(|item| resolve_file_paths(fields, path, item, folder));
         }
         Value::String(_) | Value::Integer(_) | Value::Float(_) | Value::Boolean(_) | Value::Datetime(_) => {}
     }
@@ -276,7 +277,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_field_that_names_a_file_is_placed_and_no_other() {
+    fn only_fields_that_name_a_file_get_the_folder() {
+        // Other fields also have the values `file` and `table`.
         let text = r#"
             layout = { kind = "file", file = "points.csv" }
             policy = { name = "q-learning", q-learning = { table = "own.json" } }
@@ -287,7 +289,7 @@ mod tests {
             name = "table"
         "#;
         let mut value = Value::Table(text.parse().expect("TOML"));
-        prepend_folder(&declaration(), "", &mut value, Path::new("there"));
+        resolve_file_paths(&declaration(), "", &mut value, Path::new("there"));
         assert_eq!(value["layout"]["file"].as_str(), Some("there/points.csv"));
         assert_eq!(value["layout"]["kind"].as_str(), Some("file"));
         assert_eq!(value["policy"]["q-learning"]["table"].as_str(), Some("there/own.json"));
@@ -296,8 +298,8 @@ mod tests {
             Some("there/sun.csv")
         );
         assert_eq!(value["class"][0]["name"].as_str(), Some("file"));
-        let mut word = Value::Table("policy.q-learning.table = \"shipped\"".parse().expect("TOML"));
-        prepend_folder(&declaration(), "", &mut word, Path::new("there"));
-        assert_eq!(word["policy"]["q-learning"]["table"].as_str(), Some("shipped"));
+        let mut shipped = Value::Table("policy.q-learning.table = \"shipped\"".parse().expect("TOML"));
+        resolve_file_paths(&declaration(), "", &mut shipped, Path::new("there"));
+        assert_eq!(shipped["policy"]["q-learning"]["table"].as_str(), Some("shipped"));
     }
 }

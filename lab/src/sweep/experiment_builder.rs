@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use reveille_bs::scenario::{current_field, declaration};
+use reveille_common::declare::former_name_warning;
 use reveille_common::score::Metrics;
 use serde::Deserialize;
 use toml::{Table, Value};
@@ -12,7 +13,6 @@ use toml::{Table, Value};
 use super::error::SweepError;
 use super::experiment::{Experiment, Seeds, SweepAxis, UntilCi, is_metric};
 
-/// The TOML form of an experiment.
 #[derive(Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields, expecting = "an experiment")]
 struct ExperimentFile {
@@ -82,6 +82,8 @@ pub struct ExperimentBuilder {
     pub ci_metrics: Option<Vec<String>>,
     /// The smallest number of seeds of a cell [default: 30].
     pub min_seeds: Option<u64>,
+    /// The warnings about former names of fields.
+    pub warnings: Vec<String>,
 }
 
 impl ExperimentBuilder {
@@ -137,9 +139,14 @@ impl ExperimentBuilder {
             builder.add_axis(&origin, &path, values)?;
         }
         for (path, value) in flatten_table(raw.set) {
-            builder
-                .set
-                .insert(current_field(&path), (value, format!("`set` of {name}")));
+            let origin = format!("`set` of {name}");
+            let current = builder.rename(&path, &origin);
+            if builder.set.contains_key(&current) {
+                let allowed =
+                    format!("is set under its former and its current name by {origin}; remove the former name");
+                return Err(SweepError::invalid(current, &value, allowed));
+            }
+            builder.set.insert(current, (value, origin));
         }
         Ok(builder)
     }
@@ -153,7 +160,7 @@ impl ExperimentBuilder {
             let allowed = format!("an empty list leaves no runs; give at least one value; set by {origin}");
             return Err(SweepError::invalid(path, "[]", allowed));
         }
-        let path = &current_field(path);
+        let path = &self.rename(path, origin);
         let axis = SweepAxis {
             path: path.clone(),
             values,
@@ -169,12 +176,23 @@ impl ExperimentBuilder {
         Ok(())
     }
 
+    /// Returns today's path of the field at `path`, and warns about a former path.
+    fn rename(&mut self, path: &str, origin: &str) -> String {
+        let current = current_field(path);
+        if current != path {
+            let origin = format!("set by {origin}");
+            self.warnings.push(former_name_warning(path, &current, origin));
+        }
+        current
+    }
+
     /// Returns this builder with its missing values filled from `defaults`.
     #[must_use]
     pub fn with_defaults_from(self, defaults: Self) -> Self {
-        let (mut set, mut axes) = (defaults.set, defaults.axes);
+        let (mut set, mut axes, mut warnings) = (defaults.set, defaults.axes, defaults.warnings);
         set.extend(self.set);
         axes.extend(self.axes);
+        warnings.extend(self.warnings);
         // The folder and the copy belong to their scenario, so the three are taken together.
         let (scenario, base_dir, scenario_copy) = match self.scenario {
             Some(own) => (Some(own), self.base_dir, self.scenario_copy),
@@ -191,6 +209,7 @@ impl ExperimentBuilder {
             until_ci: self.until_ci.or(defaults.until_ci),
             ci_metrics: self.ci_metrics.or(defaults.ci_metrics),
             min_seeds: self.min_seeds.or(defaults.min_seeds),
+            warnings,
         }
     }
 
@@ -233,6 +252,7 @@ impl ExperimentBuilder {
             axes,
             seeds,
             until_ci,
+            warnings: self.warnings,
         })
     }
 }

@@ -194,7 +194,6 @@ impl<'g> Sweep<'g> {
         Ok(Some(SweepResult { table, path, cells }))
     }
 
-    /// Returns the table of the runs that count.
     fn build_table(&self, summaries: &[CellSummary]) -> Table {
         let mut rows = Vec::with_capacity(self.journal.runs().len());
         for (number, (cell, summary)) in self.grid.cells.iter().zip(summaries).enumerate() {
@@ -255,7 +254,6 @@ fn write_if_changed(path: &Path, text: &str) -> std::io::Result<()> {
     replace(path, text.as_bytes())
 }
 
-/// Returns the path of the table of the sweep in `folder`.
 fn table_path(folder: &Path, format: Format) -> PathBuf {
     folder.join(format!("{TABLE_STEM}.{}", format.extension()))
 }
@@ -374,7 +372,6 @@ impl ReusableRuns {
         self.0.is_empty()
     }
 
-    /// Returns the run whose scenario has this `hash`.
     pub(super) fn find(&self, hash: Hash) -> Option<&JournalEntry> {
         self.0.get(&hash)
     }

@@ -13,7 +13,6 @@ use super::experiment::{Experiment, SweepAxis};
 use super::shard::Shard;
 use crate::table::{ColumnType, Hash, Schema, SweptValue};
 
-/// The largest number of cells of a grid.
 const MAX_CELLS: u64 = 100_000;
 /// The largest number of runs of a sweep, which are kept in memory.
 const MAX_RUNS: u64 = 100_000_000;
@@ -27,7 +26,7 @@ pub struct GridCell {
     pub swept: Arc<[SweptValue]>,
     /// The scenario with the first seed.
     pub scenario: Scenario,
-    /// The warnings about the scenario, a sentence each without its stop.
+    /// The warnings about the experiment and the scenario, a sentence each without its stop.
     pub warnings: Vec<String>,
 }
 
@@ -124,7 +123,6 @@ impl SweepGrid {
     }
 }
 
-/// Checks that the experiment is not too large.
 pub(super) fn check_size(experiment: &Experiment) -> Result<(), SweepError> {
     let (cells, seeds) = (experiment.cell_count(), experiment.seeds.count);
     if cells > MAX_CELLS {
@@ -225,6 +223,6 @@ fn build_cell(
         label,
         swept: Arc::from(swept),
         scenario: loaded.scenario,
-        warnings: loaded.warnings,
+        warnings: experiment.warnings.iter().cloned().chain(loaded.warnings).collect(),
     })
 }

@@ -88,7 +88,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn shares_are_even_and_name_their_runs() {
+    fn shards_are_even_and_list_their_runs() {
         for (cells, seeds, count) in [
             (8, 7, 5),
             (40, 1000, 8),
@@ -100,15 +100,15 @@ mod tests {
             let mut sizes = Vec::new();
             for index in 1..=count {
                 let shard = Shard { index, count };
-                let all = (0..cells).flat_map(|cell| (0..seeds).map(move |seed| (cell, seed)));
-                let own: Vec<(u64, u64)> = all.filter(|(cell, seed)| shard.contains(*cell, *seed)).collect();
-                let named = (0..cells).flat_map(|cell| shard.seed_indices(cell, seeds).map(move |seed| (cell, seed)));
-                assert_eq!(named.collect::<Vec<_>>(), own, "{shard}");
-                assert_eq!(shard.run_count(cells, seeds), own.len() as u64, "{shard}");
+                let runs = (0..cells).flat_map(|cell| (0..seeds).map(move |seed| (cell, seed)));
+                let contained: Vec<(u64, u64)> = runs.filter(|(cell, seed)| shard.contains(*cell, *seed)).collect();
+                let listed = (0..cells).flat_map(|cell| shard.seed_indices(cell, seeds).map(move |seed| (cell, seed)));
+                assert_eq!(listed.collect::<Vec<_>>(), contained, "{shard}");
+                assert_eq!(shard.run_count(cells, seeds), contained.len() as u64, "{shard}");
                 // The numbers of runs per cell differ by at most one.
-                let of_cell = |cell| own.iter().filter(|(other, _)| *other == cell).count() as u64;
-                assert!((0..cells).all(|cell| (seeds / count..=seeds.div_ceil(count)).contains(&of_cell(cell))));
-                sizes.push(own.len() as u64);
+                let runs_in_cell = |cell| contained.iter().filter(|(other, _)| *other == cell).count() as u64;
+                assert!((0..cells).all(|cell| (seeds / count..=seeds.div_ceil(count)).contains(&runs_in_cell(cell))));
+                sizes.push(contained.len() as u64);
             }
             assert_eq!(sizes.iter().sum::<u64>(), cells * seeds);
             let spread = sizes.iter().max().expect("some") - sizes.iter().min().expect("some");
@@ -117,15 +117,15 @@ mod tests {
     }
 
     #[test]
-    fn shares_are_read_and_every_run_is_in_one() {
+    fn every_run_is_in_one_shard_and_invalid_shards_are_refused() {
         let shards: Vec<Shard> = (1..=3).map(|i| format!("{i}/3").parse().expect("valid")).collect();
         for (cell, seed) in (0..7).flat_map(|cell| (0..11).map(move |seed| (cell, seed))) {
             assert_eq!(shards.iter().filter(|shard| shard.contains(cell, seed)).count(), 1);
         }
         assert_eq!(shards[1].to_string(), "2/3");
-        for bad in ["5/4", "0/3", "1/0", "", "2", "a/b", "-1/2", "1/2/3", "1/100001"] {
-            let reason = bad.parse::<Shard>().expect_err(bad);
-            assert!(reason.contains("1 ≤ i ≤ n"), "{reason}");
+        for invalid in ["5/4", "0/3", "1/0", "", "2", "a/b", "-1/2", "1/2/3", "1/100001"] {
+            let reason = invalid.parse::<Shard>().expect_err(invalid);
+            assert!(reason.contains("1 ≤ i ≤ n"), "{invalid}: {reason}");
         }
     }
 }

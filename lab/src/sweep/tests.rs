@@ -1,9 +1,11 @@
-//! Reading, expanding, running and merging experiments.
+//! Tests of experiments ([`ExperimentBuilder`], [`SweepGrid`]) and of [`Sweep`]: rows are compared with single runs,
+//! and the tables of threads, interruptions and shards with the table of one uninterrupted sweep.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use reveille_common::declare::FORMER_NAME_NOTICE;
 use reveille_common::io::Disk;
 
 use super::*;
@@ -29,10 +31,10 @@ impl Drop for SweepTestFolder {
     }
 }
 
-/// Stops after some runs have started.
-struct Until(AtomicU64);
+/// Stops after this number of started runs.
+struct StopAfterRuns(AtomicU64);
 
-impl SweepProgress for Until {
+impl SweepProgress for StopAfterRuns {
     fn planned(&self, _: usize, _: u64) {}
     fn started(&self, _: usize) {
         let _ = self
@@ -45,18 +47,19 @@ impl SweepProgress for Until {
     }
 }
 
-fn never() -> Until {
-    Until(AtomicU64::new(u64::MAX))
+fn never_stop() -> StopAfterRuns {
+    StopAfterRuns(AtomicU64::new(u64::MAX))
 }
 
-fn draft(text: &str) -> Result<ExperimentBuilder, SweepError> {
+fn parse_experiment(text: &str) -> Result<ExperimentBuilder, SweepError> {
     ExperimentBuilder::parse(text, "e.toml", Path::new(""))
 }
 
-fn grid(text: &str) -> Result<SweepGrid, SweepError> {
-    SweepGrid::new(draft(text)?.build()?, &Disk)
+fn parse_grid(text: &str) -> Result<SweepGrid, SweepError> {
+    SweepGrid::new(parse_experiment(text)?.build()?, &Disk)
 }
 
+/// The experiment of most tests: 8 cells with 7 seeds each.
 const SMALL: &str = r#"
 policies = ["random", "knn"]
 devices = [5, 12]
@@ -66,17 +69,18 @@ seeds = { first = 3, count = 7 }
 harvest.lambda = [0.1, 1]
 "#;
 
-fn swept(grid: &SweepGrid, shard: &str, threads: usize, folder: &Path) -> (SweepResult, Vec<u8>) {
+/// Runs a shard of `grid`. Returns its result and the bytes of its table.
+fn run_sweep(grid: &SweepGrid, shard: &str, threads: usize, folder: &Path) -> (SweepResult, Vec<u8>) {
     let mut sweep = Sweep::open(grid, shard.parse().expect("a shard"), folder).expect("a folder");
-    let ended = sweep.run(threads, Format::Parquet, &never());
+    let ended = sweep.run(threads, Format::Parquet, &never_stop());
     let finished = ended.expect("no failure").expect("not stopped");
     let bytes = fs::read(&finished.path).expect("written");
     (finished, bytes)
 }
 
 #[test]
-fn cells_come_in_the_order_of_the_contract() {
-    let grid = grid(SMALL).expect("valid");
+fn cells_have_the_documented_order() {
+    let grid = parse_grid(SMALL).expect("valid");
     let labels: Vec<&str> = grid.cells.iter().map(|cell| cell.label.as_str()).collect();
     assert_eq!(labels[0], "random, devices = 5, ttis = 300, harvest.lambda = 0.1");
     assert_eq!(labels[1], "random, devices = 5, ttis = 300, harvest.lambda = 1");
@@ -89,28 +93,28 @@ fn cells_come_in_the_order_of_the_contract() {
 }
 
 #[test]
-fn an_experiment_reads_back_from_its_own_text() {
-    let more = format!(
+fn an_experiment_round_trips() {
+    let with_optional_fields = format!(
         "until_ci = \"2 %\"\nci_metrics = [\"events\"]\n{SMALL}[set]\nsensing.d_max = 5\n\"class.a.b\" = [1, 2]\n"
     );
     for text in [
         SMALL,
-        &more,
+        &with_optional_fields,
         "until_ci = \"100%\"",
         "until_ci = 0.01\nmin_seeds = 5\nseeds = 5",
     ] {
-        let experiment = draft(text).expect("valid").build().expect("valid");
-        let own = experiment.to_toml();
-        let again = draft(&own).expect("valid").build().expect("valid");
-        assert_eq!(again.to_toml(), own);
-        assert_eq!(again.axes.len(), experiment.axes.len());
-        assert_eq!((again.seeds, again.until_ci), (experiment.seeds, experiment.until_ci));
+        let experiment = parse_experiment(text).expect("valid").build().expect("valid");
+        let written = experiment.to_toml();
+        let read = parse_experiment(&written).expect("valid").build().expect("valid");
+        assert_eq!(read.to_toml(), written);
+        assert_eq!(read.axes.len(), experiment.axes.len());
+        assert_eq!((read.seeds, read.until_ci), (experiment.seeds, experiment.until_ci));
     }
 }
 
 #[test]
-fn what_cannot_be_run_is_refused_with_its_field() {
-    for (text, part) in [
+fn an_invalid_experiment_is_refused_with_the_field() {
+    for (text, cause) in [
         ("polices = [\"knn\"]", "line 1: unknown field `polices`"),
         ("\n[grid]\nharvest.lamda = [1]", "harvest.lamda"),
         ("devices = []", "an empty list leaves no runs"),
@@ -147,6 +151,10 @@ fn what_cannot_be_run_is_refused_with_its_field() {
             "radio.false_wake_up = 0.1: is set by",
         ),
         (
+            "[set]\nradio.false_wake = 0.1\nradio.false_wake_up = 0.2",
+            "radio.false_wake_up = 0.2: is set under its former and its current name by `set` of e.toml",
+        ),
+        (
             "[grid]\nradio.false_wake = [0.1]\nradio.false_wake_up = [0.2]",
             "radio.false_wake_up = …: is swept twice",
         ),
@@ -154,22 +162,42 @@ fn what_cannot_be_run_is_refused_with_its_field() {
         ("devices = [10]\n[grid]\ndevices = [20]", "swept twice"),
         ("devices = 10\nttis", "line 2"),
     ] {
-        let message = grid(text).expect_err(text).to_string();
-        assert!(message.contains(part), "{text}: {message}");
+        let message = parse_grid(text).expect_err(text).to_string();
+        assert!(message.contains(cause), "{text}: {message}");
     }
 }
 
 #[test]
-fn the_command_line_wins_over_the_file() {
-    let mut above = ExperimentBuilder {
+fn former_names_of_fields_are_accepted_with_a_warning() {
+    let mut above = ExperimentBuilder::default();
+    let values = vec![toml::Value::Float(0.2)];
+    above.add_axis("--grid", "policy.dt.in_vain", values).expect("valid");
+    let file = parse_experiment("policies = [\"dt\"]\n[set]\nradio.false_wake = 0.1").expect("valid");
+    let experiment = above.with_defaults_from(file).build().expect("valid");
+    let [cell] = &SweepGrid::new(experiment, &Disk).expect("valid").cells[..] else {
+        panic!("one cell");
+    };
+    let expected = [
+        "radio.false_wake is now called radio.false_wake_up (set by `set` of e.toml); ",
+        "policy.dt.in_vain is now called policy.dt.miss_cost (set by --grid); ",
+    ];
+    assert_eq!(
+        cell.warnings,
+        expected.map(|start| format!("{start}{FORMER_NAME_NOTICE}"))
+    );
+}
+
+#[test]
+fn options_of_the_command_line_replace_those_of_the_file() {
+    let mut options = ExperimentBuilder {
         seed_count: Some(2),
         ..ExperimentBuilder::default()
     };
-    above
+    options
         .add_axis("--devices", "devices", vec![toml::Value::Integer(9)])
         .expect("valid");
-    let experiment = above
-        .with_defaults_from(draft(SMALL).expect("valid"))
+    let experiment = options
+        .with_defaults_from(parse_experiment(SMALL).expect("valid"))
         .build()
         .expect("valid");
     assert_eq!(experiment.seeds, Seeds { first: 3, count: 2 });
@@ -177,10 +205,10 @@ fn the_command_line_wins_over_the_file() {
 }
 
 #[test]
-fn rows_are_those_of_single_runs() {
+fn rows_equal_single_runs() {
     let folder = SweepTestFolder::new("rows");
-    let grid = grid(SMALL).expect("valid");
-    let (finished, _) = swept(&grid, "1/1", 1, &folder.0);
+    let grid = parse_grid(SMALL).expect("valid");
+    let (finished, _) = run_sweep(&grid, "1/1", 1, &folder.0);
     assert_eq!(finished.table.rows.len(), 56);
     let mut rows = finished.table.rows.iter();
     for cell in &grid.cells {
@@ -203,48 +231,54 @@ fn rows_are_those_of_single_runs() {
 }
 
 #[test]
-fn threads_interruptions_and_shards_change_nothing() {
-    let (whole, threaded, cut) = (
+fn threads_interruptions_and_shards_give_the_same_table() {
+    const RUNS_PER_ROUND: u64 = 7;
+    let (whole, threaded, interrupted) = (
         SweepTestFolder::new("whole"),
         SweepTestFolder::new("threads"),
         SweepTestFolder::new("interrupted"),
     );
-    let grid = grid(SMALL).expect("valid");
-    let (_, expected) = swept(&grid, "1/1", 1, &whole.0);
-    assert!(swept(&grid, "1/1", 2, &threaded.0).1 == expected, "two threads");
+    let grid = parse_grid(SMALL).expect("valid");
+    let (_, expected) = run_sweep(&grid, "1/1", 1, &whole.0);
+    assert!(run_sweep(&grid, "1/1", 2, &threaded.0).1 == expected, "two threads");
 
-    let mut found = 0;
-    for round in 0.. {
-        let mut sweep = Sweep::open(&grid, Shard::WHOLE, &cut.0).expect("a folder");
-        assert!(sweep.known_runs() >= found, "runs were lost");
-        found = sweep.known_runs();
+    let mut known_runs = 0;
+    for round in 0_u64.. {
+        let mut sweep = Sweep::open(&grid, Shard::WHOLE, &interrupted.0).expect("a folder");
+        assert!(sweep.known_runs() >= known_runs, "runs were lost");
+        known_runs = sweep.known_runs();
         let ended = sweep
-            .run(2, Format::Parquet, &Until(AtomicU64::new(7)))
+            .run(2, Format::Parquet, &StopAfterRuns(AtomicU64::new(RUNS_PER_ROUND)))
             .expect("no failure");
-        assert_eq!(ended.is_some(), cut.0.join("results.parquet").exists(), "round {round}");
+        assert_eq!(
+            ended.is_some(),
+            interrupted.0.join("results.parquet").exists(),
+            "round {round}"
+        );
         if ended.is_some() {
-            assert!(round >= 56 / 7, "it was never interrupted");
+            assert!(round >= 56 / RUNS_PER_ROUND, "the sweep was not interrupted");
             break;
         }
     }
     assert!(
-        fs::read(cut.0.join("results.parquet")).expect("finished") == expected,
+        fs::read(interrupted.0.join("results.parquet")).expect("finished") == expected,
         "interrupted"
     );
 
     let shards = SweepTestFolder::new("shards");
-    let tables = |of: &[u64], count: u64| -> Vec<(PathBuf, Table)> {
-        let one = |index: &u64| {
+    let tables = |indices: &[u64], count: u64| -> Vec<(PathBuf, Table)> {
+        let run_shard = |index: &u64| {
             let folder = shards.0.join(format!("{index}-{count}"));
-            let (finished, _) = swept(&grid, &format!("{index}/{count}"), 1, &folder);
+            let (finished, _) = run_sweep(&grid, &format!("{index}/{count}"), 1, &folder);
             (finished.path.clone(), Table::read(&finished.path).expect("readable"))
         };
-        of.iter().map(one).collect()
+        indices.iter().map(run_shard).collect()
     };
     for count in [2, 3, 5] {
-        let mut order: Vec<u64> = (1..=count).collect();
-        order.rotate_left(1);
-        let merged = merge(tables(&order, count), false).expect("whole");
+        // Not in their order.
+        let mut indices: Vec<u64> = (1..=count).collect();
+        indices.rotate_left(1);
+        let merged = merge(tables(&indices, count), false).expect("whole");
         let path = shards.0.join("merged.parquet");
         merged.write(&path, Format::Parquet).expect("written");
         assert!(fs::read(&path).expect("there") == expected, "{count} shards");
@@ -257,6 +291,7 @@ fn threads_interruptions_and_shards_change_nothing() {
     let partial = merge(tables(&[1, 4], 5), true).expect("partial");
     assert_eq!(
         (partial.rows.len(), partial.metadata.shard.as_deref()),
+        // 11 of the 56 runs each.
         (11 + 11, Some("1,4/5"))
     );
     let twice = merge(tables(&[2, 2], 2), true).expect_err("twice").to_string();
@@ -267,73 +302,76 @@ fn threads_interruptions_and_shards_change_nothing() {
 }
 
 #[test]
-fn runs_of_another_sweep_are_taken_over_and_change_nothing() {
-    let (first, fresh, own) = (
+fn reused_runs_of_another_sweep_give_the_same_table() {
+    let (first, without_reuse, with_reuse) = (
         SweepTestFolder::new("first"),
         SweepTestFolder::new("fresh"),
         SweepTestFolder::new("own"),
     );
-    let (made, _) = swept(&grid(SMALL).expect("valid"), "1/1", 2, &first.0);
+    let (known, _) = run_sweep(&parse_grid(SMALL).expect("valid"), "1/1", 2, &first.0);
     // Half of its cells, more seeds, and a number of devices that it lacks.
-    let other = grid(
+    let other = parse_grid(
         "policies = [\"knn\"]\ndevices = [12, 20]\nttis = 300\nseeds = { first = 1, count = 10 }\n[grid]\n\
          harvest.lambda = [1, 0.1, 0.3]\n",
     );
     let other = other.expect("valid");
-    let (_, expected) = swept(&other, "1/1", 2, &fresh.0);
+    let (_, expected) = run_sweep(&other, "1/1", 2, &without_reuse.0);
 
-    let mut known = vec![(made.path, made.table)];
-    let mut sweep = Sweep::open(&other, Shard::WHOLE, &own.0).expect("a folder");
-    let taken = sweep.reuse(&ReusableRuns::from_tables(&known).expect("of this version"));
+    let mut known_tables = vec![(known.path, known.table)];
+    let mut sweep = Sweep::open(&other, Shard::WHOLE, &with_reuse.0).expect("a folder");
+    let reused = sweep.reuse(&ReusableRuns::from_tables(&known_tables).expect("of this version"));
     // Seeds 3 to 9 with both rates for 12 devices.
-    assert_eq!((taken.expect("written"), sweep.known_runs()), (14, 14));
+    assert_eq!((reused.expect("written"), sweep.known_runs()), (14, 14));
     assert_eq!(
         sweep
-            .reuse(&ReusableRuns::from_tables(&known).expect("the same"))
+            .reuse(&ReusableRuns::from_tables(&known_tables).expect("the same"))
             .expect("written"),
         0
     );
     drop(sweep);
-    assert!(swept(&other, "1/1", 2, &own.0).1 == expected, "the table differs");
+    assert!(
+        run_sweep(&other, "1/1", 2, &with_reuse.0).1 == expected,
+        "the table differs"
+    );
 
-    known[0].1.metadata.version = "0.0.1".to_owned();
-    let refused = ReusableRuns::from_tables(&known)
+    known_tables[0].1.metadata.version = "0.0.1".to_owned();
+    let refused = ReusableRuns::from_tables(&known_tables)
         .expect_err("another version")
         .to_string();
     assert!(refused.contains("--reuse") && refused.contains("0.0.1"), "{refused}");
 }
 
 #[test]
-fn tables_that_do_not_fit_are_not_merged() {
-    let folder = SweepTestFolder::new("misfits");
+fn tables_of_different_sweeps_are_not_merged() {
+    let folder = SweepTestFolder::new("mismatches");
     let table = |text: &str, shard: &str, name: &str| {
-        let (finished, _) = swept(&grid(text).expect("valid"), shard, 1, &folder.0.join(name));
+        let (finished, _) = run_sweep(&parse_grid(text).expect("valid"), shard, 1, &folder.0.join(name));
         (finished.path, finished.table)
     };
     let first = table(SMALL, "1/2", "first");
-    let refused = |other: (PathBuf, Table), part: &str| {
-        let message = merge(vec![first.clone(), other], false).expect_err(part).to_string();
-        assert!(message.contains(part), "{message}");
+    let assert_refused = |other: (PathBuf, Table), cause: &str| {
+        let message = merge(vec![first.clone(), other], false).expect_err(cause).to_string();
+        assert!(message.contains(cause), "{message}");
     };
-    refused(table(&SMALL.replace("12", "13"), "2/2", "other"), "devices = [5, 13]");
-    refused(
+    assert_refused(table(&SMALL.replace("12", "13"), "2/2", "other"), "devices = [5, 13]");
+    assert_refused(
         table(SMALL, "1/1", "whole"),
         "cannot be merged: it is the table of a whole sweep",
     );
     let second = table(SMALL, "2/2", "second");
-    let mut version = second.clone();
-    version.1.metadata.version = "9.9.9".to_owned();
-    refused(version, "reveille 9.9.9");
-    let mut scenario = second.clone();
-    scenario.1.metadata.grid = "0".repeat(64);
-    refused(scenario, "scenario files or traces");
-    let mut short = second;
-    short.1.rows.pop();
-    refused(short, "27 rows that are not the 28 runs");
+    let mut other_version = second.clone();
+    other_version.1.metadata.version = "9.9.9".to_owned();
+    assert_refused(other_version, "reveille 9.9.9");
+    let mut other_files = second.clone();
+    other_files.1.metadata.grid = "0".repeat(64);
+    assert_refused(other_files, "scenario files or traces");
+    let mut incomplete = second;
+    incomplete.1.rows.pop();
+    assert_refused(incomplete, "27 rows that are not the 28 runs");
 }
 
 #[test]
-fn csv_shards_whose_text_looks_like_numbers_are_merged() {
+fn csv_shards_with_text_of_digits_are_merged() {
     let folder = SweepTestFolder::new("kinds");
     let trace = folder.0.join("t.csv");
     fs::write(&trace, "5,abc\n1,2\n2,1\n").expect("writable");
@@ -342,37 +380,37 @@ fn csv_shards_whose_text_looks_like_numbers_are_merged() {
          [grid]\nharvest.trace.column = [\"5\", \"abc\"]\n",
         toml::Value::String(trace.to_string_lossy().into_owned())
     );
-    let grid = grid(&text).expect("valid");
-    let whole = swept(&grid, "1/1", 1, &folder.0.join("whole")).0.table;
-    let shards = |is_told: bool| -> Vec<(PathBuf, Table)> {
-        let one = |shard: &str| {
-            let table = swept(&grid, shard, 1, &folder.0.join(shard)).0.table;
+    let grid = parse_grid(&text).expect("valid");
+    let whole = run_sweep(&grid, "1/1", 1, &folder.0.join("whole")).0.table;
+    let shards = |has_types: bool| -> Vec<(PathBuf, Table)> {
+        let run_shard = |shard: &str| {
+            let table = run_sweep(&grid, shard, 1, &folder.0.join(shard)).0.table;
             let path = folder.0.join(shard).join("results.csv");
             table.write(&path, Format::Csv).expect("written");
-            if !is_told {
-                let side = folder.0.join(shard).join("results.csv.toml");
-                let lines = fs::read_to_string(&side).expect("there");
-                let kept = lines.lines().filter(|line| !line.contains("reveille.kinds"));
-                fs::write(&side, kept.collect::<Vec<_>>().join("\n")).expect("written");
+            if !has_types {
+                let sidecar = folder.0.join(shard).join("results.csv.toml");
+                let lines = fs::read_to_string(&sidecar).expect("there");
+                let other_lines = lines.lines().filter(|line| !line.contains("reveille.kinds"));
+                fs::write(&sidecar, other_lines.collect::<Vec<_>>().join("\n")).expect("written");
             }
             (path.clone(), Table::read(&path).expect("readable"))
         };
-        ["1/2", "2/2"].map(one).into()
+        ["1/2", "2/2"].map(run_shard).into()
     };
-    for is_told in [true, false] {
-        let merged = merge(shards(is_told), false).expect("whole");
-        assert_eq!(merged, whole, "kinds told: {is_told}");
+    for has_types in [true, false] {
+        let merged = merge(shards(has_types), false).expect("whole");
+        assert_eq!(merged, whole, "column types in the side-car: {has_types}");
         let path = folder.0.join("merged.parquet");
-        merged.write(&path, Format::Parquet).expect("one kind for all");
+        merged.write(&path, Format::Parquet).expect("one type per column");
     }
 }
 
 #[test]
 fn a_folder_of_another_sweep_is_refused() {
     let folder = SweepTestFolder::new("foreign");
-    let small = grid(SMALL).expect("valid");
-    swept(&small, "1/1", 1, &folder.0);
-    let other = grid(&SMALL.replace("300", "301")).expect("valid");
+    let small = parse_grid(SMALL).expect("valid");
+    run_sweep(&small, "1/1", 1, &folder.0);
+    let other = parse_grid(&SMALL.replace("300", "301")).expect("valid");
     for (grid, shard) in [(&other, "1/1"), (&small, "1/2")] {
         let refused = Sweep::open(grid, shard.parse().expect("a shard"), &folder.0);
         let message = refused.expect_err("another").to_string();
@@ -387,21 +425,21 @@ fn a_folder_of_another_sweep_is_refused() {
 }
 
 #[test]
-fn a_cell_stops_at_the_first_look_at_which_it_is_narrow() {
+fn a_cell_stops_at_the_first_check_with_narrow_intervals() {
     let text = "policies = [\"knn\", \"genie\"]\ndevices = 12\nttis = 2000\nseeds = 200\nmin_seeds = 5\n\
                 until_ci = \"8%\"\nci_metrics = [\"energy_per_device_tti\", \"info_per_event\"]\n";
-    let grid = grid(text).expect("valid");
-    let (one, two, cut) = (
+    let grid = parse_grid(text).expect("valid");
+    let (one_thread, two_threads, interrupted) = (
         SweepTestFolder::new("ci-1"),
         SweepTestFolder::new("ci-2"),
         SweepTestFolder::new("ci-cut"),
     );
-    let (finished, expected) = swept(&grid, "1/1", 1, &one.0);
-    assert!(swept(&grid, "1/1", 2, &two.0).1 == expected, "two threads");
+    let (finished, expected) = run_sweep(&grid, "1/1", 1, &one_thread.0);
+    assert!(run_sweep(&grid, "1/1", 2, &two_threads.0).1 == expected, "two threads");
     loop {
-        let mut sweep = Sweep::open(&grid, Shard::WHOLE, &cut.0).expect("a folder");
+        let mut sweep = Sweep::open(&grid, Shard::WHOLE, &interrupted.0).expect("a folder");
         if sweep
-            .run(2, Format::Parquet, &Until(AtomicU64::new(9)))
+            .run(2, Format::Parquet, &StopAfterRuns(AtomicU64::new(9)))
             .expect("no failure")
             .is_some()
         {
@@ -409,21 +447,21 @@ fn a_cell_stops_at_the_first_look_at_which_it_is_narrow() {
         }
     }
     assert!(
-        fs::read(cut.0.join("results.parquet")).expect("finished") == expected,
+        fs::read(interrupted.0.join("results.parquet")).expect("finished") == expected,
         "interrupted"
     );
 
-    // The expected decision: all prefixes at the checks, with the two-pass formulas.
-    let looks = [5u64, 15, 25, 35, 45, 65, 85, 115, 145, 185, 200];
+    // The expected decision: the intervals of the first runs at each check, with the two-pass formulas.
+    let checks = [5u64, 15, 25, 35, 45, 65, 85, 115, 145, 185, 200];
     let until = grid.experiment.until_ci.as_ref().expect("set");
-    let steps: Vec<u64> = std::iter::successors(Some(5), |&runs| Some(until.next_check(runs, 200)))
-        .take(11)
+    let own_checks: Vec<u64> = std::iter::successors(Some(5), |&runs| Some(until.next_check(runs, 200)))
+        .take(checks.len())
         .collect();
-    assert_eq!(steps, looks);
+    assert_eq!(own_checks, checks);
     let cells = stats::group_by_cell(&finished.table);
     for (cell, end) in cells.iter().zip(&finished.cells) {
         assert_eq!(cell.rows.len() as u64, end.runs);
-        let narrow = |runs: u64| {
+        let is_narrow = |runs: u64| {
             until.metrics.iter().all(|name| {
                 let values: Vec<f64> = cell
                     .rows
@@ -434,93 +472,93 @@ fn a_cell_stops_at_the_first_look_at_which_it_is_narrow() {
                 let count = values.len() as f64;
                 let mean = values.iter().sum::<f64>() / count;
                 let variance = values.iter().map(|value| (value - mean) * (value - mean)).sum::<f64>() / (count - 1.0);
-                stats::student_t_quantile(values.len() - 1) * (variance / count).sqrt() / mean <= 0.08
+                stats::student_t_quantile_95(values.len() - 1) * (variance / count).sqrt() / mean <= 0.08
             })
         };
-        let first = looks
+        let expected_runs = checks
             .into_iter()
-            .find(|&runs| runs == 200 || (runs <= end.runs && narrow(runs)));
-        assert_eq!(first, Some(end.runs), "{}", cell.policy);
+            .find(|&runs| runs == 200 || (runs <= end.runs && is_narrow(runs)));
+        assert_eq!(expected_runs, Some(end.runs), "{}", cell.policy);
     }
     assert!(
         finished.cells[0].runs < 200 && finished.cells[0].runs > 5,
-        "{:?}",
+        "the cell ran all seeds or no more than the fewest: {:?}",
         finished.cells
     );
 }
 
 #[test]
-fn the_fewest_seeds_are_part_of_a_sweep_if_they_are_asked_for() {
+fn min_seeds_identify_a_sweep_unless_they_are_the_default() {
     let folder = SweepTestFolder::new("min-seeds");
-    let with = |min_seeds: &str| {
+    let grid_with = |min_seeds: &str| {
         let text = "devices = 4\nttis = 50\nuntil_ci = \"90%\"\nci_metrics = [\"events\"]\nseeds = 40\n";
-        grid(&format!("{text}{min_seeds}")).expect("valid")
+        parse_grid(&format!("{text}{min_seeds}")).expect("valid")
     };
-    swept(&with("min_seeds = 5"), "1/1", 1, &folder.0);
+    run_sweep(&grid_with("min_seeds = 5"), "1/1", 1, &folder.0);
     for other in ["min_seeds = 6", ""] {
-        let message = Sweep::open(&with(other), Shard::WHOLE, &folder.0)
+        let message = Sweep::open(&grid_with(other), Shard::WHOLE, &folder.0)
             .expect_err(other)
             .to_string();
         assert!(message.contains("another experiment"), "{message}");
     }
     assert_ne!(
-        experiment_hash(&with("min_seeds = 5")),
-        experiment_hash(&with("min_seeds = 6"))
+        experiment_hash(&grid_with("min_seeds = 5")),
+        experiment_hash(&grid_with("min_seeds = 6"))
     );
     assert_eq!(
-        experiment_hash(&with("min_seeds = 30")),
-        experiment_hash(&with("")),
+        experiment_hash(&grid_with("min_seeds = 30")),
+        experiment_hash(&grid_with("")),
         "the default"
     );
 }
 
 #[test]
-fn a_raised_folder_loses_its_old_table_and_no_other() {
+fn raising_the_seeds_removes_outdated_tables() {
     let folder = SweepTestFolder::new("stale");
-    let with = |count: u64| grid(&SMALL.replace("count = 7", &format!("count = {count}"))).expect("valid");
-    let of = |count: u64, format: Format| {
-        let grid = with(count);
+    let grid_with = |count: u64| parse_grid(&SMALL.replace("count = 7", &format!("count = {count}"))).expect("valid");
+    let sweep_with = |count: u64, format: Format| {
+        let grid = grid_with(count);
         let mut sweep = Sweep::open(&grid, Shard::WHOLE, &folder.0).expect("a folder");
         sweep
-            .run(1, format, &never())
+            .run(1, format, &never_stop())
             .expect("no failure")
             .expect("not stopped");
     };
-    of(2, Format::Parquet);
-    of(2, Format::Csv);
-    let tables = ["results.csv", "results.csv.toml", "results.parquet"];
-    let there = || tables.map(|name| folder.0.join(name).exists());
-    assert_eq!(there(), [true; 3], "tables of the same seeds");
-    let one = with(1);
-    let fewer = Sweep::open(&one, Shard::WHOLE, &folder.0)
+    sweep_with(2, Format::Parquet);
+    sweep_with(2, Format::Csv);
+    let names = ["results.csv", "results.csv.toml", "results.parquet"];
+    let exist = || names.map(|name| folder.0.join(name).exists());
+    assert_eq!(exist(), [true; 3], "tables of the same seeds");
+    let fewer_seeds = grid_with(1);
+    let message = Sweep::open(&fewer_seeds, Shard::WHOLE, &folder.0)
         .expect_err("fewer")
         .to_string();
-    assert!(fewer.contains("2 seeds a cell"), "{fewer}");
-    assert_eq!(there(), [true; 3], "nothing was raised");
+    assert!(message.contains("2 seeds a cell"), "{message}");
+    assert_eq!(exist(), [true; 3], "nothing was raised");
     assert!(find_table(&folder.0).is_ok());
-    drop(Sweep::open(&with(3), Shard::WHOLE, &folder.0).expect("a folder"));
-    assert_eq!(there(), [false; 3], "the journal lacks runs");
-    let missing = find_table(&folder.0).expect_err("no table").to_string();
-    assert!(missing.contains("its sweep is not finished"), "{missing}");
-    of(3, Format::Csv);
-    assert_eq!(there(), [true, true, false]);
+    drop(Sweep::open(&grid_with(3), Shard::WHOLE, &folder.0).expect("a folder"));
+    assert_eq!(exist(), [false; 3], "the journal lacks runs");
+    let message = find_table(&folder.0).expect_err("no table").to_string();
+    assert!(message.contains("its sweep is not finished"), "{message}");
+    sweep_with(3, Format::Csv);
+    assert_eq!(exist(), [true, true, false]);
     assert_eq!(find_table(&folder.0).expect("a table"), folder.0.join("results.csv"));
 
     // A table with fewer seeds than the experiment next to it is refused.
     let path = folder.0.join("experiment.toml");
     let text = fs::read_to_string(&path).expect("there");
     fs::write(&path, text.replace("count = 3", "count = 4")).expect("written");
-    let refused = find_table(&folder.0).expect_err("other seeds").to_string();
+    let message = find_table(&folder.0).expect_err("other seeds").to_string();
     assert!(
-        refused.contains("asks for 4 seeds a cell, but results.csv holds 3"),
-        "{refused}"
+        message.contains("asks for 4 seeds a cell, but results.csv holds 3"),
+        "{message}"
     );
 }
 
 #[test]
-fn shards_cannot_tell_when_a_cell_has_enough() {
+fn shards_exclude_until_ci() {
     let folder = SweepTestFolder::new("ci-shard");
-    let grid = grid("until_ci = \"1%\"").expect("valid");
+    let grid = parse_grid("until_ci = \"1%\"").expect("valid");
     let message = Sweep::open(&grid, "1/2".parse().expect("a shard"), &folder.0)
         .expect_err("both")
         .to_string();

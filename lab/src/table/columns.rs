@@ -79,7 +79,6 @@ impl ColumnType {
         }
     }
 
-    /// Returns the type with this name.
     pub(super) fn named(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|column_type| column_type.name() == name)
     }

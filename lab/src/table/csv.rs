@@ -145,7 +145,6 @@ fn decode_rows(
     Ok(rows)
 }
 
-/// Guesses the type of a value.
 fn guess_type(text: &str) -> ColumnType {
     if text.parse::<i64>().is_ok() {
         ColumnType::Int

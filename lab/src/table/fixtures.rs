@@ -1,4 +1,4 @@
-//! A small table for tests.
+//! A small result table for tests.
 
 use std::sync::Arc;
 
@@ -6,15 +6,16 @@ use reveille_common::score::Metrics;
 
 use super::{ColumnType, Hash, ResultRow, Schema, SweptValue, Table, TableMetadata};
 
-/// Five runs of three cells; `info_per_event` is undefined in the first two.
+/// Returns five runs of three cells. `info_per_event` is undefined in the first two. Other metrics differ by run and by
+/// metric, so that a swapped column shows.
 pub(crate) fn table() -> Table {
-    let row = |policy: &str, n, seed, lambda: f64, kind: &str| {
+    let row = |policy: &str, n, seed, lambda: f64, sensing: &str| {
         let mut metrics = [0.0; Metrics::COUNT];
-        for ((at, value), name) in metrics.iter_mut().enumerate().zip(Metrics::NAMES) {
+        for ((index, value), name) in metrics.iter_mut().enumerate().zip(Metrics::NAMES) {
             *value = match name {
                 "info_p1" => seed as f64,
                 "info_per_event" if n == 10 && policy == "knn" => f64::NAN,
-                _ => seed as f64 * (0.1 + at as f64 / 3.0),
+                _ => seed as f64 * (0.1 + index as f64 / 3.0),
             };
         }
         ResultRow {
@@ -27,14 +28,13 @@ pub(crate) fn table() -> Table {
             swept: Arc::from([
                 SweptValue::Float(lambda),
                 SweptValue::Int(4),
-                SweptValue::Text(kind.to_owned()),
+                SweptValue::Text(sensing.to_owned()),
             ]),
             metrics,
             events: 100 + seed,
             digest: Hash([0xA0 + seed as u8; 32]),
         }
     };
-    let path = |name: &str| name.to_owned();
     Table {
         metadata: TableMetadata {
             version: "0.1.0".to_owned(),
@@ -44,9 +44,9 @@ pub(crate) fn table() -> Table {
         },
         schema: Schema {
             swept: vec![
-                (path("harvest.lambda"), ColumnType::Float),
-                (path("events.duration"), ColumnType::Int),
-                (path("sensing.kind"), ColumnType::Text),
+                ("harvest.lambda".to_owned(), ColumnType::Float),
+                ("events.duration".to_owned(), ColumnType::Int),
+                ("sensing.kind".to_owned(), ColumnType::Text),
             ],
         },
         rows: vec![

@@ -20,7 +20,6 @@ use super::row::{Hash, LastText, ResultRow};
 /// The number of rows in a row group, which bounds the memory of readers.
 const ROWS_PER_GROUP: usize = 65_536;
 
-/// Encodes the file of `table`.
 pub(super) fn to_bytes(table: &Table) -> Result<Vec<u8>, String> {
     encode(table).map_err(|error| error.to_string())
 }
@@ -80,7 +79,6 @@ fn write_group(group: &mut GroupWriter<'_, Vec<u8>>, schema: &Schema, rows: &[Re
     group.write_required::<ByteArrayType>(rows.iter().map(|row| text(row.digest.to_string())))
 }
 
-/// Returns the value in a column of whole numbers.
 fn int(value: &SweptValue) -> Result<i64, ParquetError> {
     match value {
         SweptValue::Int(value) => Ok(*value),
@@ -110,18 +108,16 @@ fn has_same_type(expected: &Type, found: &Type) -> bool {
         && a.converted_type() == b.converted_type()
 }
 
-/// Decodes the table in `file`.
 pub(super) fn decode<F: ChunkReader + 'static>(file: F) -> Result<Table, SchemaMismatch> {
     guarded(|| read_table(&SerializedFileReader::new(file)?))
 }
 
-/// Decodes the metadata of the table in `file`.
 pub(super) fn decode_metadata<F: ChunkReader + 'static>(file: F) -> Result<TableMetadata, SchemaMismatch> {
     guarded(|| read_metadata(&SerializedFileReader::new(file)?))
 }
 
 fn guarded<T>(decode: impl FnOnce() -> Result<T, SchemaMismatch>) -> Result<T, SchemaMismatch> {
-    let decoder_failed = || Err(SchemaMismatch::Broken("the Parquet decoder failed".to_owned()));
+    let decoder_failed = || Err(SchemaMismatch::Broken("its Parquet content is corrupt".to_owned()));
     parquet::catch_decoder_panic(decode).unwrap_or_else(decoder_failed)
 }
 

@@ -10,14 +10,12 @@ use super::columns::ColumnType;
 use super::error::SchemaMismatch;
 use super::metadata::{self, TableMetadata};
 
-/// Returns the path of the sidecar of the CSV file at `csv`.
 pub(super) fn sidecar_path(csv: &Path) -> PathBuf {
     let mut name = OsString::from(csv);
     name.push(".toml");
     PathBuf::from(name)
 }
 
-/// Returns the text of the sidecar of `table`.
 pub(super) fn to_text(table: &Table) -> String {
     let types: Vec<&str> = table
         .schema
@@ -44,7 +42,6 @@ pub(super) struct Sidecar {
     pub(super) row_count: Option<usize>,
 }
 
-/// Parses the text of a sidecar.
 pub(super) fn parse(text: &str) -> Result<Sidecar, SchemaMismatch> {
     let pairs: BTreeMap<String, String> =
         toml::from_str(text).map_err(|error| SchemaMismatch::Broken(format!("its side-car: {}", error.message())))?;

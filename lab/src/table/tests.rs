@@ -1,4 +1,5 @@
-//! Tables written, read back, and broken.
+//! Tests of [`Table::read`] and [`Table::write`] in both formats: round trips, older and newer versions, and damaged
+//! files.
 
 use std::fs;
 use std::path::PathBuf;
@@ -27,28 +28,29 @@ impl Drop for TableTestFolder {
 }
 
 #[test]
-fn both_formats_give_back_what_was_written() {
+fn tables_round_trip_in_both_formats() {
     let folder = TableTestFolder::new("formats");
     let table = fixtures::table();
     for name in ["t.parquet", "t.csv"] {
         let path = folder.path(name);
         table.write(&path, Format::from_path(&path)).expect("written");
         assert_eq!(Table::read(&path).expect("read"), table, "{name}");
-        let first = fs::read(&path).expect("there");
+        let first_bytes = fs::read(&path).expect("there");
         table.write(&path, Format::from_path(&path)).expect("written");
-        assert_eq!(fs::read(&path).expect("there"), first, "the same bytes again");
+        assert_eq!(fs::read(&path).expect("there"), first_bytes, "{name}, written again");
     }
     assert!(!folder.path("t.parquet.part").exists());
 }
 
 #[test]
-fn an_empty_table_and_one_of_many_groups_are_read() {
+fn empty_and_large_tables_round_trip() {
     let folder = TableTestFolder::new("sizes");
     let path = folder.path("t.parquet");
     let mut table = fixtures::table();
     let rows = std::mem::take(&mut table.rows);
     table.write(&path, Format::Parquet).expect("written");
     assert_eq!(Table::read(&path).expect("read"), table);
+    // More rows than fit into one row group of the file.
     table.rows = rows.iter().cycle().take(150_001).cloned().collect();
     table.write(&path, Format::Parquet).expect("written");
     assert!(Table::read(&path).expect("read") == table);
@@ -60,35 +62,35 @@ fn tables_with_former_names_are_read() {
     let path = folder.path("t.csv");
     let table = fixtures::table();
     table.write(&path, Format::Csv).expect("written");
-    for (file, current, former) in [
+    for (file, new_name, old_name) in [
         ("t.csv", "unpowered_pct", "dark_pct"),
         ("t.csv", "removed_pct", "gone_pct"),
         ("t.csv.toml", "\"reveille.table\" = \"2\"", "\"reveille.table\" = \"1\""),
     ] {
         let file = folder.path(file);
         let text = fs::read_to_string(&file).expect("there");
-        assert!(text.contains(current), "{current}");
-        fs::write(&file, text.replace(current, former)).expect("written");
+        assert!(text.contains(new_name), "{new_name}");
+        fs::write(&file, text.replace(new_name, old_name)).expect("written");
     }
     assert_eq!(Table::read(&path).expect("a table of version 1"), table);
 }
 
 #[test]
-fn other_versions_and_other_files_are_refused() {
+fn invalid_files_are_refused_with_the_reason() {
     let folder = TableTestFolder::new("refused");
     let path = folder.path("t.csv");
     let table = fixtures::table();
     table.write(&path, Format::Csv).expect("written");
-    let side = folder.path("t.csv.toml");
-    let text = fs::read_to_string(&side).expect("there");
+    let sidecar = folder.path("t.csv.toml");
+    let text = fs::read_to_string(&sidecar).expect("a side-car");
     let newer = text.replace("\"reveille.table\" = \"2\"", "\"reveille.table\" = \"7\"");
     assert_ne!(newer, text);
-    fs::write(&side, newer).expect("written");
+    fs::write(&sidecar, newer).expect("written");
     let message = Table::read(&path).expect_err("another version").to_string();
     assert!(message.contains("version 7") && message.contains("t.csv"), "{message}");
-    fs::remove_file(&side).expect("there");
+    fs::remove_file(&sidecar).expect("a side-car");
     assert_eq!(Table::read(&path).expect("no side-car is needed").rows, table.rows);
-    for (from, to, part) in [
+    for (from, to, cause) in [
         (
             "\"reveille.rows\" = \"5\"",
             "\"reveille.rows\" = \"6\"",
@@ -99,20 +101,20 @@ fn other_versions_and_other_files_are_refused() {
     ] {
         let changed = text.replace(from, to);
         assert_ne!(changed, text);
-        fs::write(&side, changed).expect("written");
+        fs::write(&sidecar, changed).expect("written");
         let message = Table::read(&path).expect_err(to).to_string();
-        assert!(message.contains(part), "{message}");
+        assert!(message.contains(cause), "{message}");
     }
-    fs::remove_file(&side).expect("there");
+    fs::remove_file(&sidecar).expect("a side-car");
 
-    for (text, part) in [
+    for (text, cause) in [
         ("a,b\n1,2\n", "not a result table"),
         ("", "cut off"),
         ("scenario_hash,preset\n", "no column `policy`"),
     ] {
         fs::write(&path, text).expect("written");
         let message = Table::read(&path).expect_err(text).to_string();
-        assert!(message.contains(part), "{text:?}: {message}");
+        assert!(message.contains(cause), "{text:?}: {message}");
     }
     let message = Table::read(&folder.path("none.parquet"))
         .expect_err("not there")
@@ -121,7 +123,7 @@ fn other_versions_and_other_files_are_refused() {
 }
 
 #[test]
-fn text_that_looks_like_numbers_stays_text() {
+fn text_of_digits_stays_text() {
     let folder = TableTestFolder::new("kinds");
     let mut table = fixtures::table();
     for row in &mut table.rows {
@@ -151,20 +153,20 @@ fn a_parquet_file_of_another_version_is_refused() {
     let folder = TableTestFolder::new("parquet-version");
     let path = folder.path("t.parquet");
     fixtures::table().write(&path, Format::Parquet).expect("written");
-    let rewritten = |version: &str| {
+    let read_with_version = |version: &str| {
         let reader = SerializedFileReader::new(fs::File::open(&path).expect("there")).expect("Parquet");
         let metadata = reader.metadata().file_metadata();
-        let other = fs::File::create(folder.path("other.parquet")).expect("writable");
+        let file = fs::File::create(folder.path("other.parquet")).expect("writable");
         let pairs = metadata.key_value_metadata().expect("ours").iter().map(|pair| {
             let value = pair.value.clone().filter(|_| pair.key != metadata::TABLE_VERSION_KEY);
             (pair.key.clone(), value.unwrap_or_else(|| version.to_owned()))
         });
-        let writer = Writer::begin(other, metadata.schema().clone(), pairs);
+        let writer = Writer::begin(file, metadata.schema().clone(), pairs);
         writer.and_then(Writer::finish).expect("written");
         Table::read(&folder.path("other.parquet"))
     };
-    assert!(rewritten("2").expect("this version").rows.is_empty());
-    let message = rewritten("7").expect_err("another version").to_string();
+    assert!(read_with_version("2").expect("this version").rows.is_empty());
+    let message = read_with_version("7").expect_err("another version").to_string();
     for part in [
         "other.parquet",
         "version 7",
@@ -176,8 +178,8 @@ fn a_parquet_file_of_another_version_is_refused() {
 }
 
 #[test]
-fn a_cut_file_is_refused_at_every_length() {
-    let folder = TableTestFolder::new("cut");
+fn a_truncated_file_is_refused_at_every_length() {
+    let folder = TableTestFolder::new("truncated");
     for name in ["t.parquet", "t.csv"] {
         let path = folder.path(name);
         fixtures::table()
@@ -188,14 +190,14 @@ fn a_cut_file_is_refused_at_every_length() {
             fs::write(&path, &bytes[..length]).expect("written");
             match Table::read(&path) {
                 Err(_) => {}
-                Ok(_) => panic!("{name} at {length} of {}", bytes.len()),
+                Ok(_) => panic!("{name}: {length} of {} bytes were accepted", bytes.len()),
             }
         }
     }
 }
 
 #[test]
-fn what_cannot_be_written_leaves_the_old_file() {
+fn a_write_into_a_missing_folder_names_the_file() {
     let folder = TableTestFolder::new("write");
     let message = fixtures::table()
         .write(&folder.path("no/such/t.parquet"), Format::Parquet)

@@ -43,14 +43,14 @@ pub enum TrainingError {
     #[error("policy.name = {0}: only q-learning has tables to train")]
     Policy(String),
     /// A value is out of range.
-    #[error("{name} = {value}: {allowed}")]
+    #[error("{option} = {value}: {requirement}")]
     Invalid {
-        /// The name of the value.
-        name: &'static str,
+        /// The option.
+        option: &'static str,
         /// The value.
         value: String,
-        /// The allowed range.
-        allowed: &'static str,
+        /// The requirement on the value: `must be …`.
+        requirement: &'static str,
     },
     /// A list of numbers is empty, or one of them is out of range.
     #[error("{name} = {numbers:?}: must be a list of numbers from 1 to {max}")]
@@ -141,10 +141,10 @@ impl Trainer {
         let Some(settings) = scenario.policy.settings().downcast_ref::<QLearningSettings>() else {
             return Err(TrainingError::Policy(scenario.policy.name().to_owned()));
         };
-        let invalid = |name, value: &dyn std::fmt::Display, allowed| TrainingError::Invalid {
-            name,
+        let invalid = |option, value: &dyn std::fmt::Display, requirement| TrainingError::Invalid {
+            option,
             value: value.to_string(),
-            allowed,
+            requirement,
         };
         let devices = sorted_numbers("devices", devices, MAX_DEVICES)?;
         let mut lookbacks = lookbacks.to_vec();
@@ -152,7 +152,7 @@ impl Trainer {
             lookbacks.push(settings.lookback);
         }
         if let Some(bad) = lookbacks.iter().find(|one| !(1..=MAX_WINDOW).contains(&one.window())) {
-            return Err(invalid("windows", bad, "must be from 1 to 1000"));
+            return Err(invalid("windows", bad, "must be from 1 to 1000 TTIs"));
         }
         lookbacks.sort_unstable();
         lookbacks.dedup();
@@ -163,14 +163,10 @@ impl Trainer {
             ..
         } = training;
         if !(1..=100_000).contains(episodes) {
-            return Err(invalid("episodes", episodes, "must be at least 1 and at most 100000"));
+            return Err(invalid("episodes", episodes, "must be from 1 to 100000"));
         }
         if !(10..=100_000_000).contains(ttis) {
-            return Err(invalid(
-                "episode-ttis",
-                ttis,
-                "must be at least 10 and at most 100000000",
-            ));
+            return Err(invalid("episode-ttis", ttis, "must be from 10 to 100000000 TTIs"));
         }
         if let Some(bad) = [epsilon.0, epsilon.1].iter().find(|e| !(0.0..1.0).contains(*e)) {
             return Err(invalid("epsilon", bad, "must be at least 0 and less than 1"));
@@ -430,7 +426,6 @@ pub fn learned_tables_of(scenario: &Scenario, outcome: &RunOutcome) -> Option<Le
     })
 }
 
-/// Returns the tables at the end of the run with this `outcome`.
 fn tables_of(outcome: &RunOutcome) -> Option<TableSet> {
     outcome.learned.as_ref().and_then(LearnedState::get).cloned()
 }

@@ -83,7 +83,6 @@ fn schema() -> Result<Type, ParquetError> {
     parquet::schema("trajectories", columns)
 }
 
-/// Encodes the file of `trajectories`.
 pub(super) fn to_bytes(trajectories: &Trajectories) -> Result<Vec<u8>, TrajectoryError> {
     let version = (KEY.to_owned(), VERSION.to_owned());
     let about = std::iter::once(version).chain(trajectories.about.clone());
@@ -158,7 +157,7 @@ fn device_step<'c>(row: &StepRef<'c>) -> &'c DeviceStep {
 pub(super) fn from_bytes(bytes: Vec<u8>) -> Result<(Trajectories, Hash), TrajectoryError> {
     let hash = Hash(Sha256::digest(&bytes).into());
     let decoded = parquet::catch_decoder_panic(|| decode(Bytes::from(bytes)));
-    let decoded = decoded.unwrap_or_else(|| Err(TrajectoryError::Format("the decoder failed".to_owned())));
+    let decoded = decoded.unwrap_or_else(|| Err(TrajectoryError::Format("its content is corrupt".to_owned())));
     decoded.map(|trajectories| (trajectories, hash))
 }
 

@@ -1,4 +1,5 @@
-//! Recordings match the run, and files hold all of it.
+//! Tests of [`record`] and of trajectory files. Recorded steps are compared with each other and with the reward formula
+//! of the paper, recorded runs with unrecorded ones, and files with the trajectories from which they were written.
 
 use ::parquet::basic::Type as Physical;
 use reveille_bs::policy::dt::tokens::{FEATURE_COUNT, FEATURES};
@@ -9,21 +10,18 @@ use super::parquet::{KEY, TrajectoryError, from_bytes, to_bytes};
 use super::*;
 use crate::sweep::ExperimentBuilder;
 
-fn grid(text: &str) -> SweepGrid {
+fn parse_grid(text: &str) -> SweepGrid {
     let draft = ExperimentBuilder::parse(text, "test", std::path::Path::new("")).expect("an experiment");
     SweepGrid::new(draft.build().expect("complete"), &NoFiles).expect("a grid")
 }
 
-fn recorded(recording: &RecordingConfig) -> Trajectories {
+fn record_runs(config: &RecordingConfig) -> Trajectories {
     let text = "scenario = \"paper\"\npolicies = [\"age-index\", \"knn\"]\ndevices = [30]\nttis = 300\n\
                 seeds = { first = 5, count = 2 }\n";
-    record(&grid(text), recording, &|| false, &|| ()).expect("not stopped")
+    record(&parse_grid(text), config, &|| false, &|| ()).expect("not stopped")
 }
 
-/// A corruption of recorded data.
-type CorruptChunk = fn(&mut Chunk);
-
-fn recording(explore: &[f64]) -> RecordingConfig {
+fn config(explore: &[f64]) -> RecordingConfig {
     RecordingConfig {
         length: 6,
         stride: 50,
@@ -33,88 +31,98 @@ fn recording(explore: &[f64]) -> RecordingConfig {
 }
 
 #[test]
-fn chunks_are_whole_and_what_they_say_fits_together() {
-    let trajectories = recorded(&recording(&[0.0, 0.3]));
+fn chunks_are_complete_and_consistent() {
+    let trajectories = record_runs(&config(&[0.0, 0.3]));
     // Four runs of six chunks; the last begins at TTI 250.
     assert_eq!(trajectories.chunks.len(), 24);
-    let (mut found, mut woken, mut explored) = (0, 0, 0);
+    let (mut detections, mut wake_ups, mut explored_chunks) = (0, 0, 0);
     for chunk in &trajectories.chunks {
         assert_eq!((chunk.devices, chunk.steps.len(), chunk.returns.len()), (30, 6, 6));
         assert_eq!(chunk.price.is_some(), &*chunk.policy == "age-index");
-        for (step, after) in chunk.steps.iter().zip(&chunk.steps[1..]) {
-            assert_eq!(after.tti, step.tti + 1);
-            let names = |name: &str| FEATURES.iter().position(|known| *known == name).expect("a feature");
-            let (is_found, idle) = (names("found"), names("idle"));
-            let reporters = step.devices.iter().filter(|look| look.has_reported_first).count();
-            for (j, look) in step.devices.iter().enumerate() {
+        for (step, next_step) in chunk.steps.iter().zip(&chunk.steps[1..]) {
+            assert_eq!(next_step.tti, step.tti + 1);
+            let feature_index = |name: &str| FEATURES.iter().position(|known| *known == name).expect("a feature");
+            let (found, idle) = (feature_index("found"), feature_index("idle"));
+            let reporters = step.devices.iter().filter(|device| device.has_reported_first).count();
+            for (j, device) in step.devices.iter().enumerate() {
                 assert!(
-                    !look.has_reported_first || look.is_sensing,
-                    "who reports first has looked"
+                    !device.has_reported_first || device.is_sensing,
+                    "device {j} reported first without sensing"
                 );
-                let next = &after.tokens[j * FEATURE_COUNT..(j + 1) * FEATURE_COUNT];
+                let next_token = &next_step.tokens[j * FEATURE_COUNT..(j + 1) * FEATURE_COUNT];
                 // In the next TTI the base station knows that an event was found, and which devices have just sensed.
-                assert_eq!(next[is_found] > 0.5, reporters > 0);
-                assert_eq!(next[idle] == 0.0, look.is_sensing, "TTI {:?}, device {j}", step.tti);
-                woken += usize::from(look.wake_up.is_some());
+                assert_eq!(next_token[found] > 0.5, reporters > 0);
+                assert_eq!(
+                    next_token[idle] == 0.0,
+                    device.is_sensing,
+                    "TTI {:?}, device {j}",
+                    step.tti
+                );
+                wake_ups += usize::from(device.wake_up.is_some());
             }
-            let asleep = step.devices.iter().filter(|look| !look.is_sensing).count() as f32 / 30.0;
+            let asleep = step.devices.iter().filter(|device| !device.is_sensing).count() as f32 / 30.0;
             // r(k) = mean over sleeping devices − αμ1·uncovered (Sec. V-B), α = 0.2 and μ1 = 14.
             assert!(
                 (step.reward - (asleep - 2.8 * (1.0 - step.covered_share))).abs() < 1e-4,
                 "{step:?}"
             );
-            found += usize::from(reporters > 0);
+            detections += usize::from(reporters > 0);
         }
-        explored += usize::from(chunk.run % 2 == 1);
+        // Runs use the two probabilities in turn.
+        explored_chunks += usize::from(chunk.run % 2 == 1);
     }
-    assert!(found > 5 && woken > 3 && explored == 12, "{found} found, {woken} woken");
+    assert_eq!(explored_chunks, 12);
+    assert!(
+        detections > 5 && wake_ups > 3,
+        "too few cases: {detections} detections, {wake_ups} wake-ups"
+    );
 }
 
 #[test]
-fn files_hold_all_of_it_and_the_same_runs_give_the_same_bytes() {
-    let trajectories = recorded(&recording(&[0.1]));
+fn trajectories_round_trip_and_the_same_runs_give_the_same_bytes() {
+    let trajectories = record_runs(&config(&[0.1]));
     let bytes = to_bytes(&trajectories).expect("bytes");
-    assert_eq!(bytes, to_bytes(&recorded(&recording(&[0.1]))).expect("bytes"));
+    assert_eq!(bytes, to_bytes(&record_runs(&config(&[0.1]))).expect("bytes"));
     let (read, _) = from_bytes(bytes).expect("a file");
     assert_eq!(read, trajectories);
 }
 
-/// A recorded policy decides as in an unrecorded run, even if it may not see the recorded batteries.
+/// A policy that does not see the recorded batteries decides as in an unrecorded run.
 #[test]
-fn what_is_recorded_is_the_run() {
+fn a_recording_does_not_change_the_run() {
     let draft = "scenario = \"paper\"\npolicies = [\"random\", \"adjusted\", \"knn\", \"q-learning\", \"dt\"]\n\
                  devices = [80]\nttis = 800\nseeds = { first = 3, count = 1 }\n\
                  [set]\n\"harvest.e_b\" = 3.0\n[grid]\n\"bs.ranking\" = [\"p42\", \"posterior\"]\n";
-    let grid = grid(draft);
-    let mut others = 0;
+    let grid = parse_grid(draft);
+    let mut changed_runs = 0;
     for cell in &grid.cells {
         let scenario = cell.with_seed(3);
         let outcome = Run::new(&RunPreparer::default().prepare(&scenario), RunOptions::default()).finish(&mut ());
-        let digest = |told: bool| {
-            let recording = RecordingConfig {
-                true_batteries: told,
-                ..recording(&[0.0])
+        let recorded_digest = |true_batteries: bool| {
+            let config = RecordingConfig {
+                true_batteries,
+                ..self::config(&[0.0])
             };
-            let again = record_from_scenario(&scenario, 0, &recording, &|| false).expect("not stopped");
-            again.0.expect("no genie")
+            let recorded = record_from_scenario(&scenario, 0, &config, &|| false).expect("not stopped");
+            recorded.0.expect("not a genie")
         };
-        assert_eq!(digest(false), outcome.digest, "{}", scenario.policy.name());
-        others += usize::from(digest(true) != outcome.digest);
+        assert_eq!(recorded_digest(false), outcome.digest, "{}", scenario.policy.name());
+        changed_runs += usize::from(recorded_digest(true) != outcome.digest);
     }
-    assert!(others > 0, "knowing batteries never helps");
+    assert!(changed_runs > 0, "true batteries have no effect");
 }
 
 #[test]
-fn files_that_hold_something_else_are_refused() {
-    let trajectories = recorded(&recording(&[0.0]));
+fn invalid_files_are_refused_with_the_reason() {
+    let trajectories = record_runs(&config(&[0.0]));
     let bytes = to_bytes(&trajectories).expect("bytes");
-    for cut in [0, 10, bytes.len() / 2, bytes.len() - 3] {
+    for length in [0, 10, bytes.len() / 2, bytes.len() - 3] {
         assert!(
-            matches!(from_bytes(bytes[..cut].to_vec()), Err(TrajectoryError::Format(_))),
-            "{cut} bytes"
+            matches!(from_bytes(bytes[..length].to_vec()), Err(TrajectoryError::Format(_))),
+            "{length} bytes"
         );
     }
-    let breaks: [(&str, CorruptChunk); 4] = [
+    let corruptions: [(&str, Corruption); 4] = [
         (FEATURES[3], |chunk| chunk.steps[0].tokens[FEATURE_COUNT + 3] = f32::NAN),
         ("wake_reward is", |chunk| chunk.steps[0].wake_reward = f32::INFINITY),
         ("wake_brought is", |chunk| {
@@ -122,26 +130,36 @@ fn files_that_hold_something_else_are_refused() {
         }),
         ("price is", |chunk| chunk.price = Some(f32::INFINITY)),
     ];
-    for (said, spoil) in breaks {
-        let mut broken = trajectories.clone();
-        spoil(&mut broken.chunks[0]);
-        let refused = from_bytes(to_bytes(&broken).expect("bytes"))
-            .expect_err(said)
+    for (cause, corrupt) in corruptions {
+        let mut corrupted = trajectories.clone();
+        corrupt(&mut corrupted.chunks[0]);
+        let message = from_bytes(to_bytes(&corrupted).expect("bytes"))
+            .expect_err(cause)
             .to_string();
-        let row = if said == "price is" { "row 0 " } else { "row " };
-        assert!(refused.contains(said) && refused.contains(row), "{refused}");
+        // The price is a property of the chunk, so its first row is named.
+        let row = if cause == "price is" { "row 0 " } else { "row " };
+        assert!(message.contains(cause) && message.contains(row), "{message}");
     }
-    assert!(matches!(from_bytes(other(None)), Err(TrajectoryError::Foreign(_))));
-    assert!(matches!(from_bytes(other(Some("0"))), Err(TrajectoryError::Foreign(_))));
-    let missing = from_bytes(other(Some("1"))).expect_err("refused").to_string();
+    assert!(matches!(
+        from_bytes(foreign_file(None)),
+        Err(TrajectoryError::Foreign(_))
+    ));
+    assert!(matches!(
+        from_bytes(foreign_file(Some("0"))),
+        Err(TrajectoryError::Foreign(_))
+    ));
+    let missing = from_bytes(foreign_file(Some("1"))).expect_err("refused").to_string();
     assert!(
         missing.contains("run is missing") && missing.contains("train record"),
         "{missing}"
     );
 }
 
-/// A Parquet file with another column, labelled with `version`.
-fn other(version: Option<&str>) -> Vec<u8> {
+/// Corrupts a recorded chunk.
+type Corruption = fn(&mut Chunk);
+
+/// Returns a Parquet file with another column, labelled with `version`.
+fn foreign_file(version: Option<&str>) -> Vec<u8> {
     let schema = schema("other", [Column::required("x", Physical::INT32)]).expect("a schema");
     let about = version.map(|version| (KEY.to_owned(), version.to_owned()));
     let writer = Writer::begin(Vec::new(), schema, about);

@@ -1,5 +1,9 @@
-//! Checkpoints of a training, from which it resumes with an identical result: a safetensors file with the weights, the
-//! optimiser's state, the best model and the counters.
+//! Checkpoints of a training of `dt`, from which it resumes with an identical result: a safetensors file with the
+//! weights, the optimiser's state, the best model and the counters.
+//!
+//! No random stream is stored: each step draws from its own stream, made from the seed and the number of the step. A
+//! checkpoint can be resumed only with the same [`FORMAT_VERSION`], configuration and model information; there is no
+//! conversion of older files.
 
 use std::collections::BTreeMap;
 
@@ -8,24 +12,35 @@ use reveille_bs::policy::dt::model::weights::encode_metadata;
 use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensors};
 
-use super::{ByWeight, DtTrainingConfig, TrainerState, TransformerError};
+use super::{DtTrainingConfig, TensorByName, TrainerState, TransformerError};
 
-/// The only key of the metadata.
-const KEY: &str = "reveille.dt-training";
+/// The only key of the metadata. Its text has a line with [`FORMAT_VERSION`], a line with the counters, and the
+/// [`identity`] of the training.
+const METADATA_KEY: &str = "reveille.dt-training";
+/// The version of the format; change it with any change of tensors, counters or identity. Version 1 was not in the
+/// text.
+const FORMAT_VERSION: &str = "2";
 /// The prefixes of the tensors: weights, running means of their gradients, and running means of the squared gradients.
 const TENSOR_PREFIXES: [&str; 3] = ["weight", "mean", "square"];
-/// The name of the best model's file.
-const BEST: &str = "best";
+/// The name of a tensor of bytes that holds the file of the best model.
+const BEST_MODEL: &str = "best";
+
+/// A tensor of the file.
+struct NamedTensor {
+    name: String,
+    dtype: Dtype,
+    shape: Vec<usize>,
+    data: Vec<u8>,
+}
 
 impl TrainerState {
-    /// Encodes a checkpoint.
     pub(super) fn to_checkpoint(
         &self,
-        training: &DtTrainingConfig,
-        about: &BTreeMap<String, String>,
+        config: &DtTrainingConfig,
+        model_info: &BTreeMap<String, String>,
     ) -> Result<Vec<u8>, TransformerError> {
-        let mut values: Vec<(String, Dtype, Vec<usize>, Vec<u8>)> = Vec::new();
-        for (name, size) in self.net.shape().tensors() {
+        let mut tensors: Vec<NamedTensor> = Vec::new();
+        for (name, tensor_shape) in self.net.shape().tensors() {
             let tensors_of_weight = [
                 self.net.vars()[name].as_tensor(),
                 &self.optimiser.means[name],
@@ -33,68 +48,80 @@ impl TrainerState {
             ];
             for (prefix, tensor) in TENSOR_PREFIXES.iter().zip(tensors_of_weight) {
                 let numbers: Vec<f32> = tensor.flatten_all()?.to_vec1()?;
-                let bytes = numbers.into_iter().flat_map(f32::to_le_bytes).collect();
-                values.push((format!("{prefix}.{name}"), Dtype::F32, size.clone(), bytes));
+                tensors.push(NamedTensor {
+                    name: format!("{prefix}.{name}"),
+                    dtype: Dtype::F32,
+                    shape: tensor_shape.clone(),
+                    data: numbers.into_iter().flat_map(f32::to_le_bytes).collect(),
+                });
             }
         }
         if let Some(best) = &self.best {
-            values.push((BEST.to_owned(), Dtype::U8, vec![best.len()], best.clone()));
+            tensors.push(NamedTensor {
+                name: BEST_MODEL.to_owned(),
+                dtype: Dtype::U8,
+                shape: vec![best.len()],
+                data: best.clone(),
+            });
         }
-        let mut tensors = Vec::new();
-        for (name, dtype, size, bytes) in &values {
-            tensors.push((name, TensorView::new(*dtype, size.clone(), bytes)?));
+        let mut views = Vec::new();
+        for tensor in &tensors {
+            let view = TensorView::new(tensor.dtype, tensor.shape.clone(), &tensor.data)?;
+            views.push((&tensor.name, view));
         }
-        let counts = [
+        let counters = [
             self.optimiser.steps,
             self.evaluations_since_best,
-            // As bits, because it is infinite before the first evaluation.
+            // As bits, so that it is exact and fits with the integers.
             self.best_loss.to_bits(),
         ];
-        let text = format!(
-            "{}\n{}",
-            counts.map(|count| count.to_string()).join(" "),
-            identity(training, about)
-        );
-        let metadata = [(KEY.to_owned(), text)].into_iter().collect();
-        Ok(safetensors::serialize(tensors, Some(metadata))?)
+        let counters = counters.map(|counter| counter.to_string()).join(" ");
+        let text = format!("{FORMAT_VERSION}\n{counters}\n{}", identity(config, model_info));
+        let metadata = [(METADATA_KEY.to_owned(), text)].into_iter().collect();
+        Ok(safetensors::serialize(views, Some(metadata))?)
     }
 
     /// Restores the state from the bytes of a checkpoint of this training.
     ///
     /// # Errors
-    /// If they are damaged, or belong to another training.
+    /// If they are damaged, have another format version, or belong to another training.
     pub(super) fn from_checkpoint(
         bytes: &[u8],
-        training: &DtTrainingConfig,
-        about: &BTreeMap<String, String>,
+        config: &DtTrainingConfig,
+        model_info: &BTreeMap<String, String>,
     ) -> Result<Self, TransformerError> {
-        let damaged = || TransformerError::Checkpoint("is not a checkpoint, or is damaged".to_owned());
+        let refuse = |cause: &str| TransformerError::Checkpoint(cause.to_owned());
+        let damaged = || refuse("this is not the checkpoint of a training of dt, or it is damaged");
+        // Both, because `SafeTensors` checks the tensors but does not give access to the metadata.
         let (_, header) = SafeTensors::read_metadata(bytes).map_err(|_| damaged())?;
         let file = SafeTensors::deserialize(bytes).map_err(|_| damaged())?;
-        let text = header.metadata().as_ref().and_then(|pairs| pairs.get(KEY));
-        let (counts, saved_identity) = text.and_then(|text| text.split_once('\n')).ok_or_else(damaged)?;
-        if saved_identity != identity(training, about) {
-            return Err(TransformerError::Checkpoint(
-                "is the checkpoint of another training, from other data or with other options".to_owned(),
+        let metadata = header.metadata().as_ref();
+        let text = metadata.and_then(|pairs| pairs.get(METADATA_KEY)).ok_or_else(damaged)?;
+        let Some((FORMAT_VERSION, text)) = text.split_once('\n') else {
+            return Err(refuse("this checkpoint has the format of another version of Reveille"));
+        };
+        let (counters, saved_identity) = text.split_once('\n').ok_or_else(damaged)?;
+        if saved_identity != identity(config, model_info) {
+            return Err(refuse(
+                "this is the checkpoint of another training, from other data or with other options",
             ));
         }
-        let counts: Vec<u64> = counts.split(' ').filter_map(|count| count.parse().ok()).collect();
-        // Unreadable text is dropped above, so damage changes the number of counts.
-        let &[steps, evaluations_since_best, best_loss] = &counts[..] else {
+        let counters: Result<Vec<u64>, _> = counters.split(' ').map(str::parse).collect();
+        let &[steps, evaluations_since_best, best_loss] = &counters.map_err(|_| damaged())?[..] else {
             return Err(damaged());
         };
-        let mut state = Self::new(training)?;
-        let mut maps = [ByWeight::new(), ByWeight::new(), ByWeight::new()];
-        for (name, size) in training.shape.tensors() {
+        let mut state = Self::new(config)?;
+        let mut maps = [TensorByName::new(), TensorByName::new(), TensorByName::new()];
+        for (name, tensor_shape) in config.shape.tensors() {
             for (prefix, map) in TENSOR_PREFIXES.iter().zip(&mut maps) {
                 let view = file.tensor(&format!("{prefix}.{name}")).map_err(|_| damaged())?;
-                // The tensors have the size of the shape, so no bytes are left over below.
-                if view.dtype() != Dtype::F32 || view.shape() != size {
+                if view.dtype() != Dtype::F32 || view.shape() != tensor_shape {
                     return Err(damaged());
                 }
-                let (bytes, _) = view.data().as_chunks::<4>();
-                let numbers: Vec<f32> = bytes.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
-                map.insert(name, Tensor::from_vec(numbers, size.clone(), &Device::Cpu)?);
+                // The file was checked to have 4 bytes for each F32, so the remainder is empty.
+                let (words, _) = view.data().as_chunks::<4>();
+                let numbers: Vec<f32> = words.iter().map(|word| f32::from_le_bytes(*word)).collect();
+                map.insert(name, Tensor::from_vec(numbers, tensor_shape.clone(), &Device::Cpu)?);
             }
         }
         let [weights, means, squares] = maps;
@@ -104,7 +131,8 @@ impl TrainerState {
         state.optimiser.steps = steps;
         state.optimiser.means = means;
         state.optimiser.squares = squares;
-        state.best = file.tensor(BEST).ok().map(|best| best.data().to_vec());
+        // Absent before the first evaluation.
+        state.best = file.tensor(BEST_MODEL).ok().map(|best| best.data().to_vec());
         state.best_loss = f64::from_bits(best_loss);
         state.evaluations_since_best = evaluations_since_best;
         Ok(state)
@@ -112,6 +140,6 @@ impl TrainerState {
 }
 
 /// Returns the parameters that a checkpoint must share with the training that resumes from it.
-fn identity(training: &DtTrainingConfig, about: &BTreeMap<String, String>) -> String {
-    format!("{training:?}\n{}", encode_metadata(training.shape, about))
+fn identity(config: &DtTrainingConfig, model_info: &BTreeMap<String, String>) -> String {
+    format!("{}\n{}", config.to_json(), encode_metadata(config.shape, model_info))
 }

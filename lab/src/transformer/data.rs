@@ -1,5 +1,8 @@
-//! Recorded chunks, split into training and held-out data, and the batches drawn from them. The draws are part of the
-//! result: a resumed training must draw the same batches.
+//! Recorded chunks for the training of the policy `dt`, split into training and held-out data, and the batches drawn
+//! from them. A chunk is a span of consecutive TTIs of one run.
+//!
+//! The order of groups (N, length), of chunks and of calls to `stream` is part of the result: a resumed training must
+//! draw the same batches.
 
 use std::collections::BTreeMap;
 
@@ -12,14 +15,14 @@ use reveille_common::rng::Stream;
 
 use crate::trajectories::{Chunk, Trajectories};
 
-/// The number of runs out of ten that are held out.
-const HELD_OUT_RUNS_OF_TEN: u32 = 1;
+/// One run in this many is held out.
+const HELD_OUT_PERIOD: u32 = 10;
 
 /// The approximate number of device-TTIs of an evaluation on held-out data.
 const EVALUATION_DEVICE_TTIS: usize = 500_000;
 
 /// Training chunks, and held-out chunks of other runs, each by N and length.
-pub(super) struct Data {
+pub(super) struct Dataset {
     groups: Vec<DatasetGroup>,
     /// The device-TTIs of each group's training chunks, which weight its draws.
     weights: Vec<f64>,
@@ -31,33 +34,49 @@ struct DatasetGroup {
     held_out: Vec<Chunk>,
 }
 
-/// A batch.
+/// A batch of C chunks with N devices and T TTIs; F features per token.
 pub(super) struct TrainingBatch {
     /// The training objective.
     pub objective: ModelObjective,
     /// The features of the tokens, `[C, T, N, F]`.
     pub tokens: Tensor,
-    /// The target returns, `[C, T]`, as for `prices` and `priced`.
+    /// The target returns, `[C, T]`.
     pub targets: Tensor,
-    /// The logarithm of the teacher's price; 0 without a price.
+    /// The logarithm of the price θ of the policy that recorded the chunk, `[C, T]`; 0 without a price.
     pub prices: Tensor,
-    /// 1 for a TTI with a price to learn, else 0.
-    pub priced: Tensor,
-    /// The labels, `[C, T, N]` each: events expected from devices that looked, events found, the expected gain of
-    /// wake-ups, and their gain. For a model that learns actions, the first two are 1 for devices that could sense
-    /// and for devices that sensed.
+    /// 1 for a TTI with a price to learn, else 0, `[C, T]`.
+    pub has_price: Tensor,
+    /// `[C, T, N]`. For [`ModelObjective::Events`]: the events that a sensing device is expected to find, given only α.
+    /// For [`ModelObjective::Actions`]: 1 for a device that could sense. Otherwise 0.
     pub expected: Tensor,
+    /// `[C, T, N]`. For [`ModelObjective::Events`]: 1 for a sensing device with a first report of an event. For
+    /// [`ModelObjective::Actions`]: 1 for a device that sensed. Otherwise 0.
     pub found: Tensor,
-    pub wake_expected: Tensor,
-    pub wake_brought: Tensor,
+    /// The expected information gain of waking the device, in Ψ, `[C, T, N]`; 0 without a wake-up.
+    pub wake_expected_gain: Tensor,
+    /// The actual information gain of the wake-up, in Ψ, `[C, T, N]`; 0 without a wake-up.
+    pub wake_gain: Tensor,
 }
 
-impl Data {
-    /// Groups the chunks of `trajectories` and holds out one run of ten. Runs of a grid that differ in their settings
-    /// alone share seeds and events. The held-out data then has other batteries and decisions in the same worlds.
+/// The values of a [`TrainingBatch`] before they become tensors, in the order of its dimensions.
+#[derive(Default)]
+struct BatchValues {
+    tokens: Vec<f32>,
+    targets: Vec<f32>,
+    prices: Vec<f32>,
+    has_price: Vec<f32>,
+    expected: Vec<f32>,
+    found: Vec<f32>,
+    wake_expected_gain: Vec<f32>,
+    wake_gain: Vec<f32>,
+}
+
+impl Dataset {
+    /// Groups the chunks of `trajectories` and holds out one run in [`HELD_OUT_PERIOD`]. A held-out run is not always a
+    /// new world: runs of a grid that differ only in their settings share seeds and events.
     pub(super) fn new(trajectories: Vec<Trajectories>) -> Self {
         let mut groups: BTreeMap<(usize, usize), DatasetGroup> = BTreeMap::new();
-        for (file, recorded) in trajectories.into_iter().enumerate() {
+        for (file_index, recorded) in trajectories.into_iter().enumerate() {
             for chunk in recorded.chunks {
                 // A batch is one tensor, so its chunks must have the same N and length.
                 let key = (chunk.devices, chunk.steps.len());
@@ -65,9 +84,10 @@ impl Data {
                     training: Vec::new(),
                     held_out: Vec::new(),
                 });
-                // Whole runs: chunks of one run share its deployment and events. The number of the file shifts the
-                // choice, so that files with few runs are held out in turn.
-                let is_held_out = (chunk.run + file as u32) % 10 < HELD_OUT_RUNS_OF_TEN;
+                // Whole runs: chunks of one run share its deployment and events, so a model that has learned one
+                // would score too well on another. The index of the file shifts the choice, so that files with fewer
+                // runs than the period do not all hold out their first.
+                let is_held_out = (chunk.run + file_index as u32).is_multiple_of(HELD_OUT_PERIOD);
                 if is_held_out {
                     &mut group.held_out
                 } else {
@@ -87,17 +107,18 @@ impl Data {
         }
     }
 
-    /// The number of training chunks.
     pub(super) fn training_chunk_count(&self) -> usize {
         self.groups.iter().map(|group| group.training.len()).sum()
     }
 
-    /// The number of held-out chunks.
     pub(super) fn held_out_chunk_count(&self) -> usize {
         self.groups.iter().map(|group| group.held_out.len()).sum()
     }
 
     /// Draws chunks with the same N and length, of about `device_ttis` in all, from `stream`.
+    ///
+    /// # Panics
+    /// If there is no training chunk.
     pub(super) fn draw(&self, device_ttis: usize, stream: &mut Stream) -> Vec<&Chunk> {
         let total: f64 = self.weights.iter().sum();
         let mut remaining = stream.unit() * total;
@@ -131,69 +152,69 @@ impl Data {
 }
 
 impl TrainingBatch {
-    /// Creates a batch of `chunks`, all with the same N and length, for a model of `shape`. TTIs before the Z-th of a
-    /// chunk do not count, unless the run starts with the chunk: their history is unknown.
+    /// Creates a batch of `chunks`, all with the same N and length, for a model of `shape`. Unless a chunk starts its
+    /// run, its first `shape.memory − 1` TTIs have no weight, because the model would attend to TTIs before the chunk.
     pub(super) fn from_chunks(chunks: &[&Chunk], shape: ModelShape) -> Result<Self> {
         let (c, t, n) = (chunks.len(), chunks[0].steps.len(), chunks[0].devices);
-        let mut tokens = Vec::with_capacity(c * t * n * FEATURE_COUNT);
-        let mut flat: [Vec<f32>; 7] = std::array::from_fn(|_| Vec::with_capacity(c * t * n));
-        let [targets, prices, priced, expected, found, wake_expected, wake_brought] = &mut flat;
+        let mut values = BatchValues::default();
         for chunk in chunks {
-            let is_start = chunk.steps[0].tti.0 == 0;
+            let starts_run = chunk.steps[0].tti.0 == 0;
             for (index, step) in chunk.steps.iter().enumerate() {
-                let counts = is_start || index + 1 >= shape.memory.min(t);
-                tokens.extend_from_slice(&step.tokens);
-                targets.push(chunk.returns[index]);
-                let price = chunk.price.filter(|price| counts && *price > 0.0);
-                prices.push(price.map_or(0.0, libm::logf));
-                priced.push(f32::from(u8::from(price.is_some())));
-                for (look, token) in step.devices.iter().zip(step.tokens.as_chunks::<FEATURE_COUNT>().0) {
-                    let (weight, is_hit) = match shape.objective {
-                        ModelObjective::Events if look.is_sensing => (look.expected_events, look.has_reported_first),
-                        ModelObjective::Actions if token[CAN_SENSE] > 0.5 => (1.0, look.is_sensing),
+                // In a chunk shorter than the memory, the last TTI has weight.
+                let has_weight = starts_run || index + 1 >= shape.memory.min(t);
+                values.tokens.extend_from_slice(&step.tokens);
+                values.targets.push(chunk.returns[index]);
+                let price = chunk.price.filter(|price| has_weight && *price > 0.0);
+                // `libm` returns the same bits on every platform, unlike `f32::ln`.
+                values.prices.push(price.map_or(0.0, libm::logf));
+                values.has_price.push(f32::from(u8::from(price.is_some())));
+                for (device, token) in step.devices.iter().zip(step.tokens.as_chunks::<FEATURE_COUNT>().0) {
+                    let (expected, is_found) = match shape.objective {
+                        ModelObjective::Events if device.is_sensing => {
+                            (device.expected_events, device.has_reported_first)
+                        }
+                        ModelObjective::Actions if token[CAN_SENSE] > 0.5 => (1.0, device.is_sensing),
                         ModelObjective::Events | ModelObjective::Actions => (0.0, false),
                     };
-                    let weight = if counts { weight.max(0.0) } else { 0.0 };
-                    expected.push(weight);
-                    found.push(f32::from(u8::from(weight > 0.0 && is_hit)));
-                    let (expected_gain, gain) = look
+                    let expected = if has_weight { expected.max(0.0) } else { 0.0 };
+                    values.expected.push(expected);
+                    values.found.push(f32::from(u8::from(expected > 0.0 && is_found)));
+                    let (expected_gain, gain) = device
                         .wake_up
-                        .filter(|(expected_gain, _)| counts && *expected_gain > 0.0)
+                        .filter(|(expected_gain, _)| has_weight && *expected_gain > 0.0)
                         .unwrap_or_default();
-                    wake_expected.push(expected_gain);
-                    wake_brought.push(gain);
+                    values.wake_expected_gain.push(expected_gain);
+                    values.wake_gain.push(gain);
                 }
             }
         }
-        let [targets, prices, priced, expected, found, wake_expected, wake_brought] = flat;
         let by_tti = |values: Vec<f32>| Tensor::from_vec(values, (c, t), &Device::Cpu);
         let by_device = |values: Vec<f32>| Tensor::from_vec(values, (c, t, n), &Device::Cpu);
         Ok(Self {
-            tokens: Tensor::from_vec(tokens, (c, t, n, FEATURE_COUNT), &Device::Cpu)?,
-            targets: by_tti(targets)?,
-            prices: by_tti(prices)?,
-            priced: by_tti(priced)?,
-            expected: by_device(expected)?,
-            found: by_device(found)?,
-            wake_expected: by_device(wake_expected)?,
-            wake_brought: by_device(wake_brought)?,
+            tokens: Tensor::from_vec(values.tokens, (c, t, n, FEATURE_COUNT), &Device::Cpu)?,
+            targets: by_tti(values.targets)?,
+            prices: by_tti(values.prices)?,
+            has_price: by_tti(values.has_price)?,
+            expected: by_device(values.expected)?,
+            found: by_device(values.found)?,
+            wake_expected_gain: by_device(values.wake_expected_gain)?,
+            wake_gain: by_device(values.wake_gain)?,
             objective: shape.objective,
         })
     }
 
-    /// Converts the batch to numbers of another type.
     #[cfg(test)]
-    pub(super) fn to_type(&self, dtype: DType) -> Result<Self> {
+    pub(super) fn to_dtype(&self, dtype: DType) -> Result<Self> {
         let convert = |tensor: &Tensor| tensor.to_dtype(dtype);
         Ok(Self {
             tokens: convert(&self.tokens)?,
             targets: convert(&self.targets)?,
             prices: convert(&self.prices)?,
-            priced: convert(&self.priced)?,
+            has_price: convert(&self.has_price)?,
             expected: convert(&self.expected)?,
             found: convert(&self.found)?,
-            wake_expected: convert(&self.wake_expected)?,
-            wake_brought: convert(&self.wake_brought)?,
+            wake_expected_gain: convert(&self.wake_expected_gain)?,
+            wake_gain: convert(&self.wake_gain)?,
             objective: self.objective,
         })
     }

@@ -3,7 +3,7 @@
 //! Events found by a look are Poisson with mean λ = λ₀·e^m: λ₀ is the expectation without history, m the net's output.
 //! The negative log likelihood of y events is λ − y·m, up to a constant. The gain of a wake-up uses the same formula as
 //! a quasi-likelihood, which is least at the correct mean. For a net that learns the actions of teachers, m are
-//! log-odds. The likelihood is then the one of each device's action.
+//! log-odds, and the likelihood is the probability of each device's action.
 
 use candle_core::{DType, Result, Tensor};
 use reveille_bs::policy::dt::model::ModelObjective;
@@ -24,7 +24,7 @@ pub(super) struct Sums {
     /// Sum of squared errors of ln θ.
     pub prices: Tensor,
     /// Number of TTIs with a price.
-    pub priced: f64,
+    pub priced_ttis: f64,
 }
 
 fn sum(tensor: &Tensor) -> Result<f64> {
@@ -55,10 +55,10 @@ impl Sums {
         Ok(Self {
             looks: look_loss(&batch.expected, &batch.found, &head(0)?)?,
             expected: sum(&batch.expected)?,
-            wakes: likelihood(&batch.wake_expected, &batch.wake_brought, &head(1)?)?,
-            expected_gain: sum(&batch.wake_expected)?,
-            prices: (error * &batch.priced)?.sum_all()?,
-            priced: sum(&batch.priced)?,
+            wakes: likelihood(&batch.wake_expected_gain, &batch.wake_gain, &head(1)?)?,
+            expected_gain: sum(&batch.wake_expected_gain)?,
+            prices: (error * &batch.has_price)?.sum_all()?,
+            priced_ttis: sum(&batch.has_price)?,
         })
     }
 
@@ -69,11 +69,10 @@ impl Sums {
         let ratio = |sum: &Tensor, divisor: f64| sum / divisor.max(1.0);
         let looks = ratio(&self.looks, divisors.expected)?;
         let wakes = ratio(&self.wakes, divisors.expected_gain)?;
-        (looks + (wakes + ratio(&self.prices, divisors.priced)?)?)?.sum_all()
+        (looks + (wakes + ratio(&self.prices, divisors.priced_ttis)?)?)?.sum_all()
     }
 }
 
-/// The divisors of the three parts of a loss.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LossDivisors {
     /// Expected number of events.
@@ -81,18 +80,17 @@ pub(super) struct LossDivisors {
     /// Expected gain of wake-ups, in Ψ.
     pub expected_gain: f64,
     /// Number of TTIs with a price.
-    pub priced: f64,
+    pub priced_ttis: f64,
 }
 
 impl LossDivisors {
-    /// Computes the divisors over all `batches`.
     pub(super) fn from_batches(batches: &[TrainingBatch]) -> Result<Self> {
         let total =
             |labels: fn(&TrainingBatch) -> &Tensor| batches.iter().map(|batch| sum(labels(batch))).sum::<Result<f64>>();
         Ok(Self {
             expected: total(|batch| &batch.expected)?,
-            expected_gain: total(|batch| &batch.wake_expected)?,
-            priced: total(|batch| &batch.priced)?,
+            expected_gain: total(|batch| &batch.wake_expected_gain)?,
+            priced_ttis: total(|batch| &batch.has_price)?,
         })
     }
 }
@@ -120,7 +118,7 @@ pub(super) struct Scores {
     wakes: f64,
     expected_gain: f64,
     prices: f64,
-    priced: f64,
+    priced_ttis: f64,
     /// The looks, each with its expectation without and with history, and whether it found an event.
     scored_looks: Vec<(f32, f32, bool)>,
 }
@@ -141,32 +139,30 @@ impl Scores {
             wakes: -sum(&sums.wakes)?,
             expected_gain: sums.expected_gain,
             prices: sum(&sums.prices)?,
-            priced: sums.priced,
+            priced_ttis: sums.priced_ttis,
             scored_looks: looks
                 .map(|((expected, log), found)| (expected, expected * libm::expf(log), found > 0.5))
                 .collect(),
         })
     }
 
-    /// Adds the scores of another batch.
     pub(super) fn add(&mut self, other: Self) {
         self.looks += other.looks;
         self.expected += other.expected;
         self.wakes += other.wakes;
         self.expected_gain += other.expected_gain;
         self.prices += other.prices;
-        self.priced += other.priced;
+        self.priced_ttis += other.priced_ttis;
         self.scored_looks.extend(other.scored_looks);
     }
 
-    /// Returns the score over all batches.
     pub(super) fn score(&self) -> EvalScore {
         EvalScore {
             looks: self.looks / self.expected.max(1e-9),
             wakes: self.wakes / self.expected_gain.max(1e-9),
             accuracy: accuracy(self.scored_looks.iter().map(|(_, with, found)| (*with, *found))),
             plain_accuracy: accuracy(self.scored_looks.iter().map(|(without, _, found)| (*without, *found))),
-            price_error: (self.prices / self.priced.max(1.0)).sqrt(),
+            price_error: (self.prices / self.priced_ttis.max(1.0)).sqrt(),
         }
     }
 }

@@ -19,19 +19,18 @@ use reveille_common::rng::{Purpose, Stream};
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
 
-use self::data::{Data, TrainingBatch};
+use self::data::{Dataset, TrainingBatch};
 pub use self::loss::EvalScore;
 use self::loss::{LossDivisors, Scores, Sums};
 pub use self::net::{Net, Outputs};
-use self::optimiser::{AdamW, ByWeight};
+use self::optimiser::{AdamW, TensorByName};
 use crate::trajectories::{Chunk, Trajectories};
 
 /// The number of parts of a batch, each drawn separately and computed on a separate thread if available. The result
 /// depends on this number, and not on the number of threads.
 const BATCH_PARTS: usize = 4;
 
-/// The parameters of a training. Their `Debug` text identifies a training in its checkpoints: a renamed field refuses
-/// older checkpoints.
+/// The parameters of a training. [`DtTrainingConfig::to_json`] identifies a training in its checkpoints.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DtTrainingConfig {
     /// The shape of the model.
@@ -48,6 +47,47 @@ pub struct DtTrainingConfig {
     pub patience: u64,
     /// The seed of weights and batches.
     pub seed: u64,
+}
+
+impl DtTrainingConfig {
+    /// Returns the parameters as JSON. The text is part of checkpoints and of the metadata of models: its keys must not
+    /// follow a renamed field, and with a new key no older checkpoint can be resumed.
+    pub fn to_json(&self) -> String {
+        // In full, so that a new field cannot be forgotten.
+        let Self {
+            shape,
+            steps,
+            batch,
+            rate,
+            every,
+            patience,
+            seed,
+        } = self;
+        let ModelShape {
+            memory,
+            width,
+            heads,
+            attends_to_devices,
+            objective,
+        } = shape;
+        // In alphabetical order, with which serde_json writes the same text whether or not it preserves the order.
+        serde_json::json!({
+            "batch": batch,
+            "every": every,
+            "patience": patience,
+            "rate": rate,
+            "seed": seed,
+            "shape": {
+                "attends_to_devices": attends_to_devices,
+                "heads": heads,
+                "memory": memory,
+                "objective": objective.name(),
+                "width": width,
+            },
+            "steps": steps,
+        })
+        .to_string()
+    }
 }
 
 /// The progress of a training.
@@ -87,7 +127,7 @@ pub enum TransformerError {
     /// Weights cannot be written, or a checkpoint cannot be read.
     #[error("{0}")]
     Format(#[from] safetensors::SafeTensorError),
-    /// The checkpoint is damaged, or belongs to another training.
+    /// The checkpoint is damaged, has another format version, or belongs to another training.
     #[error("{0}")]
     Checkpoint(String),
 }
@@ -102,21 +142,21 @@ struct TrainerState {
     evaluations_since_best: u64,
 }
 
-/// Trains a model from `trajectories`. `about` goes into the metadata of its file. `progress` receives each evaluation
-/// on the held-out data with the bytes of a checkpoint, and returns whether to continue; `stop` is asked before each
-/// step. With a `checkpoint` the training resumes, and returns the same bytes as an uninterrupted one.
+/// Trains a model from `trajectories`. `model_info` goes into the metadata of its file. `progress` receives each
+/// evaluation on the held-out data with the bytes of a checkpoint, and returns whether to continue; `stop` is asked
+/// before each step. With a `checkpoint` the training resumes, and returns the same bytes as an uninterrupted one.
 ///
 /// # Errors
 /// See [`TransformerError`].
 pub fn train(
     trajectories: Vec<Trajectories>,
-    training: &DtTrainingConfig,
-    about: &BTreeMap<String, String>,
+    config: &DtTrainingConfig,
+    model_info: &BTreeMap<String, String>,
     checkpoint: Option<&[u8]>,
     progress: &mut dyn FnMut(DtTrainingStatus, &[u8]) -> bool,
     stop: &dyn Fn() -> bool,
 ) -> Result<Trained, TransformerError> {
-    let data = Data::new(trajectories);
+    let data = Dataset::new(trajectories);
     if data.training_chunk_count() == 0 || data.held_out_chunk_count() == 0 {
         return Err(TransformerError::Data(format!(
             "there are {} chunks for training and {} of other runs for evaluation, both needed; record more runs",
@@ -125,22 +165,22 @@ pub fn train(
         )));
     }
     let mut state = match checkpoint {
-        Some(bytes) => TrainerState::from_checkpoint(bytes, training, about)?,
-        None => TrainerState::new(training)?,
+        Some(bytes) => TrainerState::from_checkpoint(bytes, config, model_info)?,
+        None => TrainerState::new(config)?,
     };
     let (mut loss_sum, mut step_count) = (0.0, 0.0);
-    while state.optimiser.steps < training.steps && state.evaluations_since_best < training.patience {
+    while state.optimiser.steps < config.steps && state.evaluations_since_best < config.patience {
         // Before the step, not after it: a checkpoint between a step and its evaluation would skip the evaluation.
         if stop() {
-            return state.to_checkpoint(training, about).map(Trained::Stopped);
+            return state.to_checkpoint(config, model_info).map(Trained::Stopped);
         }
-        loss_sum += state.step(&data, training)?;
+        loss_sum += state.step(&data, config)?;
         step_count += 1.0;
         let step = state.optimiser.steps;
-        if !step.is_multiple_of(training.every) && step != training.steps {
+        if !step.is_multiple_of(config.every) && step != config.steps {
             continue;
         }
-        let score = evaluate(&state.net, &data, training)?;
+        let score = evaluate(&state.net, &data, config)?;
         // The price head makes no decisions, so it does not choose the best model.
         let held_out_loss = -score.looks - score.wakes;
         if !held_out_loss.is_finite() {
@@ -148,7 +188,7 @@ pub fn train(
         }
         let is_best = held_out_loss < state.best_loss;
         if is_best {
-            (state.best, state.best_loss) = (Some(encode_file(&state.net, about)?), held_out_loss);
+            (state.best, state.best_loss) = (Some(encode_file(&state.net, model_info)?), held_out_loss);
             state.evaluations_since_best = 0;
         } else {
             state.evaluations_since_best += 1;
@@ -160,19 +200,19 @@ pub fn train(
             is_best,
         };
         (loss_sum, step_count) = (0.0, 0.0);
-        if !progress(status, &state.to_checkpoint(training, about)?) {
+        if !progress(status, &state.to_checkpoint(config, model_info)?) {
             break;
         }
     }
     state
         .best
-        .map_or_else(|| encode_file(&state.net, about), Ok)
+        .map_or_else(|| encode_file(&state.net, model_info), Ok)
         .map(Trained::Model)
 }
 
 impl TrainerState {
-    fn new(training: &DtTrainingConfig) -> Result<Self, TransformerError> {
-        let net = Net::new(training.shape, training.seed)?;
+    fn new(config: &DtTrainingConfig) -> Result<Self, TransformerError> {
+        let net = Net::new(config.shape, config.seed)?;
         Ok(Self {
             optimiser: AdamW::new(net.vars())?,
             net,
@@ -183,22 +223,22 @@ impl TrainerState {
     }
 
     /// Performs one optimiser step and returns the loss before it.
-    fn step(&mut self, data: &Data, training: &DtTrainingConfig) -> Result<f64, TransformerError> {
+    fn step(&mut self, data: &Dataset, config: &DtTrainingConfig) -> Result<f64, TransformerError> {
         let step = self.optimiser.steps;
         // A stream for each step: a resumed training draws the same batches. The constant separates it from the streams
         // of the weights.
-        let mut stream = Stream::new(training.seed ^ 0xDA7A, Purpose::Training, step);
+        let mut stream = Stream::new(config.seed ^ 0xDA7A, Purpose::Training, step);
         let draw = |_| {
-            let chunks = data.draw(training.batch / BATCH_PARTS, &mut stream);
-            TrainingBatch::from_chunks(&chunks, training.shape)
+            let chunks = data.draw(config.batch / BATCH_PARTS, &mut stream);
+            TrainingBatch::from_chunks(&chunks, config.shape)
         };
         let batches: Vec<TrainingBatch> = (0..BATCH_PARTS).map(draw).collect::<Result<_, _>>()?;
         let divisors = LossDivisors::from_batches(&batches)?;
-        let loss_of_part = |batch: &TrainingBatch| -> candle_core::Result<(f64, ByWeight)> {
+        let loss_of_part = |batch: &TrainingBatch| -> candle_core::Result<(f64, TensorByName)> {
             let outputs = self.net.forward(&batch.tokens, &batch.targets)?;
             let loss = Sums::from_outputs(batch, &outputs)?.loss(divisors)?;
             let gradients = loss.backward()?;
-            let mut by_weight = ByWeight::new();
+            let mut by_weight = TensorByName::new();
             for (name, var) in self.net.vars() {
                 // Some operations of the framework have no backward pass and cut off gradients without an error.
                 let Some(gradient) = gradients.get(var.as_tensor()) else {
@@ -208,7 +248,7 @@ impl TrainerState {
             }
             Ok((f64::from(loss.to_scalar::<f32>()?), by_weight))
         };
-        let parts: Vec<(f64, ByWeight)> = batches.par_iter().map(loss_of_part).collect::<Result<_, _>>()?;
+        let parts: Vec<(f64, TensorByName)> = batches.par_iter().map(loss_of_part).collect::<Result<_, _>>()?;
         // Added in the order of the parts: floating-point sums must not depend on the threads.
         let mut parts = parts.into_iter();
         let (mut loss, mut gradients) = parts.next().expect("several parts");
@@ -221,8 +261,8 @@ impl TrainerState {
         if !loss.is_finite() {
             return Err(TransformerError::Diverged(step));
         }
-        let progress = step as f64 / training.steps as f64;
-        let rate = training.rate * (0.505 + 0.495 * libm::cos(std::f64::consts::PI * progress));
+        let progress = step as f64 / config.steps as f64;
+        let rate = config.rate * (0.505 + 0.495 * libm::cos(std::f64::consts::PI * progress));
         // The rate rises over the first 50 steps.
         let rate = rate * (0.02 * (step + 1) as f64).min(1.0);
         self.optimiser.step(self.net.vars(), &gradients, rate)?;
@@ -230,12 +270,12 @@ impl TrainerState {
     }
 }
 
-fn evaluate(net: &Net, data: &Data, training: &DtTrainingConfig) -> Result<EvalScore, TransformerError> {
+fn evaluate(net: &Net, data: &Dataset, config: &DtTrainingConfig) -> Result<EvalScore, TransformerError> {
     let score_batch = |chunks: Vec<&Chunk>| {
-        let batch = TrainingBatch::from_chunks(&chunks, training.shape)?;
+        let batch = TrainingBatch::from_chunks(&chunks, config.shape)?;
         Scores::from_outputs(&batch, &net.forward(&batch.tokens, &batch.targets)?)
     };
-    let batches = data.held_out_batches(training.batch / BATCH_PARTS);
+    let batches = data.held_out_batches(config.batch / BATCH_PARTS);
     let parts: Vec<Scores> = batches.into_par_iter().map(score_batch).collect::<Result<_, _>>()?;
     let mut scores = Scores::default();
     for part in parts {
@@ -244,11 +284,11 @@ fn evaluate(net: &Net, data: &Data, training: &DtTrainingConfig) -> Result<EvalS
     Ok(scores.score())
 }
 
-/// Returns the bytes of a file with the weights of `net`, with `about` in its metadata.
+/// Returns the bytes of a file with the weights of `net`, with `model_info` in its metadata.
 ///
 /// # Errors
 /// If the framework or the format fails.
-pub fn encode_file(net: &Net, about: &BTreeMap<String, String>) -> Result<Vec<u8>, TransformerError> {
+pub fn encode_file(net: &Net, model_info: &BTreeMap<String, String>) -> Result<Vec<u8>, TransformerError> {
     let shape = net.shape();
     let mut values = Vec::new();
     for (name, size) in shape.tensors() {
@@ -260,7 +300,7 @@ pub fn encode_file(net: &Net, about: &BTreeMap<String, String>) -> Result<Vec<u8
         tensors.push((*name, TensorView::new(Dtype::F32, size.clone(), bytes)?));
     }
     // Only one key: the order of several would be random.
-    let metadata = [(METADATA_KEY.to_owned(), encode_metadata(shape, about))]
+    let metadata = [(METADATA_KEY.to_owned(), encode_metadata(shape, model_info))]
         .into_iter()
         .collect();
     Ok(safetensors::serialize(tensors, Some(metadata))?)

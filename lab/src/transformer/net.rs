@@ -6,10 +6,8 @@ use std::collections::BTreeMap;
 use candle_core::{D, DType, Device, Result, Tensor, Var};
 use candle_nn::ops::softmax;
 use reveille_bs::policy::dt::model::infer::{MIN_FEATURE, OUTPUT_LIMIT};
-use reveille_bs::policy::dt::model::{ModelShape, OUTPUTS};
+use reveille_bs::policy::dt::model::{ModelShape, NORM_EPSILON, OUTPUTS};
 use reveille_common::rng::{Purpose, Stream};
-
-use reveille_bs::policy::dt::model::NORM_EPSILON;
 
 /// The trainable weights of a model.
 pub struct Net {
@@ -53,7 +51,7 @@ impl Net {
 
     /// Converts the weights to numbers of another type.
     #[cfg(test)]
-    pub(super) fn to_type(&self, dtype: DType) -> Result<Self> {
+    pub(super) fn to_dtype(&self, dtype: DType) -> Result<Self> {
         let var = |(name, var): (&&'static str, &Var)| -> Result<_> {
             Ok((*name, Var::from_tensor(&var.as_tensor().to_dtype(dtype)?)?))
         };

@@ -8,22 +8,21 @@ use candle_core::{Result, Tensor, Var};
 const BETAS: (f64, f64) = (0.9, 0.999);
 /// Keeps divisors above 0.
 const EPSILON: f64 = 1e-8;
-/// The largest norm of a gradient.
 const MAX_GRADIENT_NORM: f64 = 1.0;
 /// Decay of weights, in learning rates.
 const WEIGHT_DECAY: f64 = 0.01;
 
-/// A tensor for each weight.
-pub(super) type ByWeight = BTreeMap<&'static str, Tensor>;
+/// A tensor for each weight, by the name of the weight.
+pub(super) type TensorByName = BTreeMap<&'static str, Tensor>;
 
 /// The running means of each weight's gradient, and of its square.
 pub(super) struct AdamW {
     /// The number of completed steps.
     pub steps: u64,
     /// The mean gradients by weight.
-    pub means: ByWeight,
+    pub means: TensorByName,
     /// The mean squared gradients by weight.
-    pub squares: ByWeight,
+    pub squares: TensorByName,
 }
 
 impl AdamW {
@@ -45,7 +44,12 @@ impl AdamW {
     ///
     /// # Errors
     /// If the framework fails.
-    pub(super) fn step(&mut self, vars: &BTreeMap<&'static str, Var>, gradients: &ByWeight, rate: f64) -> Result<()> {
+    pub(super) fn step(
+        &mut self,
+        vars: &BTreeMap<&'static str, Var>,
+        gradients: &TensorByName,
+        rate: f64,
+    ) -> Result<()> {
         let mut squared_norm = 0.0;
         // One norm over all weights, in the order of their names: the clip keeps the direction of the step.
         for gradient in gradients.values() {

@@ -1,4 +1,6 @@
-//! The trained net equals the deployed one, its gradient is right, and training recovers known structure.
+//! Tests of [`train`] and [`Net`]. The outputs of a net are compared with the inference of the policy `dt`, its
+//! gradients with finite differences of the loss, and scores with the values that follow from how the data is drawn.
+//! Not checked: the quality of a model trained on recorded runs.
 
 use std::cell::Cell;
 use std::collections::BTreeMap;
@@ -26,11 +28,20 @@ const SHAPE: ModelShape = ModelShape {
     objective: ModelObjective::Events,
 };
 
-/// A net with random heads.
-fn net(shape: ModelShape, seed: u64) -> Net {
+const DEVICES: usize = 6;
+
+/// The probability that a device that looks is expected to find an event.
+const EXPECTED_EVENTS: f32 = 0.2;
+
+/// The probability that a device senses.
+const SENSING_SHARE: f64 = 0.7;
+
+/// Returns a net whose outputs vary: the weights of the heads are 0 in a new net.
+fn noisy_net(shape: ModelShape, seed: u64) -> Net {
     let net = Net::new(shape, seed).expect("a net");
-    for (id, (name, var)) in (100..).zip(net.vars()) {
-        let mut stream = Stream::new(seed, Purpose::Training, id);
+    // Ids above the ids of the streams that `Net::new` draws from.
+    for (stream_id, (name, var)) in (100..).zip(net.vars()) {
+        let mut stream = Stream::new(seed, Purpose::Training, stream_id);
         let values: Vec<f32> = (0..var.elem_count())
             .map(|_| (0.6 * (stream.unit() - 0.5)) as f32)
             .collect();
@@ -40,29 +51,30 @@ fn net(shape: ModelShape, seed: u64) -> Net {
     net
 }
 
-/// Chunks in which a device finds `e^m` times the expected number of events if its first feature is above 0, and `e^-m`
-/// times otherwise.
-fn chunks(count: u32, m: f32) -> Vec<Chunk> {
-    let (devices, ttis) = (6, 5);
-    let chunk = |run: u32| {
+/// Returns chunks of 5 TTIs in which a device finds `e^m` times the expected number of events if its first feature is
+/// above 0, and `e^-m` times otherwise. Wake-ups bring half of the expected gain.
+fn random_chunks(count: u32, m: f32) -> Vec<Chunk> {
+    let ttis = 5;
+    let random_chunk = |run: u32| {
         let mut stream = Stream::new(u64::from(run), Purpose::Training, 1);
-        let mut step = |k: u64| {
-            let tokens: Vec<f32> = (0..devices * FEATURE_COUNT)
+        let mut random_step = |k: u64| {
+            let tokens: Vec<f32> = (0..DEVICES * FEATURE_COUNT)
                 .map(|_| (2.0 * stream.unit() - 1.0) as f32)
                 .collect();
-            let look = |j: usize| {
-                let more = if tokens[j * FEATURE_COUNT] > 0.0 { m } else { -m };
-                let hoped = 0.2 + 0.3 * stream.unit() as f32;
+            let random_device = |j: usize| {
+                let log_ratio = if tokens[j * FEATURE_COUNT] > 0.0 { m } else { -m };
+                let expected_gain = 0.2 + 0.3 * stream.unit() as f32;
                 DeviceStep {
-                    expected_events: 0.2,
-                    is_sensing: stream.unit() < 0.7,
-                    has_reported_first: stream.unit() < f64::from(0.2 * libm::expf(more)),
-                    wake_up: (stream.unit() < 0.3).then_some((hoped, 0.5 * hoped)),
+                    expected_events: EXPECTED_EVENTS,
+                    is_sensing: stream.unit() < SENSING_SHARE,
+                    has_reported_first: stream.unit() < f64::from(EXPECTED_EVENTS * libm::expf(log_ratio)),
+                    wake_up: (stream.unit() < 0.3).then_some((expected_gain, 0.5 * expected_gain)),
                 }
             };
             TrajectoryStep {
+                // Above 0: the chunk does not start its run.
                 tti: Tti(100 + k),
-                devices: (0..devices).map(look).collect(),
+                devices: (0..DEVICES).map(random_device).collect(),
                 tokens,
                 covered_share: 0.5,
                 reward: 0.0,
@@ -73,16 +85,45 @@ fn chunks(count: u32, m: f32) -> Vec<Chunk> {
             run,
             policy: "age-index".into(),
             price: Some(0.35),
-            devices,
-            steps: (0..ttis).map(&mut step).collect(),
+            devices: DEVICES,
+            steps: (0..ttis).map(&mut random_step).collect(),
             returns: vec![0.8; ttis as usize],
         }
     };
-    (0..count).map(chunk).collect()
+    (0..count).map(random_chunk).collect()
+}
+
+fn batch_of(chunks: &[Chunk], shape: ModelShape) -> TrainingBatch {
+    TrainingBatch::from_chunks(&chunks.iter().collect::<Vec<_>>(), shape).expect("a batch")
+}
+
+fn trajectories_of(chunks: Vec<Chunk>) -> Vec<Trajectories> {
+    let about = Vec::new();
+    vec![Trajectories { about, chunks }]
+}
+
+fn short_config(steps: u64, every: u64) -> DtTrainingConfig {
+    DtTrainingConfig {
+        shape: SHAPE,
+        steps,
+        batch: 600,
+        rate: 0.01,
+        every,
+        patience: 10,
+        seed: 1,
+    }
+}
+
+/// Returns the file of a training that reached its end.
+fn into_model(trained: Trained) -> Vec<u8> {
+    match trained {
+        Trained::Model(bytes) => bytes,
+        Trained::Stopped(_) => panic!("the training was stopped"),
+    }
 }
 
 #[test]
-fn what_is_learned_is_what_runs() {
+fn a_net_returns_the_outputs_of_the_policy() {
     let wide = ModelShape {
         width: 40,
         ..ModelShape::SHIPPED
@@ -91,128 +132,121 @@ fn what_is_learned_is_what_runs() {
 }
 
 fn compare_outputs(shape: ModelShape) {
-    let net = net(shape, 3);
+    let net = noisy_net(shape, 3);
     let bytes = encode_file(&net, &BTreeMap::new()).expect("a file");
     let weights = Arc::new(ModelWeights::read(&bytes).expect("a model"));
-    let chunks = chunks(2, 0.5);
-    let batch = TrainingBatch::from_chunks(&chunks.iter().collect::<Vec<_>>(), shape).expect("a batch");
+    let chunks = random_chunks(2, 0.5);
+    let batch = batch_of(&chunks, shape);
     let outputs = net.forward(&batch.tokens, &batch.targets).expect("outputs");
     let (logs, prices) = (outputs.logs.flatten_all(), outputs.price.flatten_all());
     let logs: Vec<f32> = logs.and_then(|logs| logs.to_vec1()).expect("numbers");
     let prices: Vec<f32> = prices.and_then(|prices| prices.to_vec1()).expect("numbers");
-    let (mut logs, mut prices) = (logs.chunks(6 * OUTPUTS), prices.into_iter());
+    let (mut logs_by_tti, mut prices) = (logs.chunks(DEVICES * OUTPUTS), prices.into_iter());
     for chunk in &chunks {
         let mut forward = ForwardPass::new(Arc::clone(&weights), chunk.devices);
         for (step, target) in chunk.steps.iter().zip(&chunk.returns) {
-            let own = forward.step(&step.tokens).to_vec();
-            for (a, b) in own.iter().zip(logs.next().expect("a TTI")) {
-                assert!((a - b).abs() < 1e-5, "{a} here, {b} in training");
+            let policy_logs = forward.step(&step.tokens).to_vec();
+            for (policy, net) in policy_logs.iter().zip(logs_by_tti.next().expect("a TTI")) {
+                assert!((policy - net).abs() < 1e-5, "logarithm: policy {policy}, net {net}");
             }
-            let (a, b) = (forward.log_price(*target), prices.next().expect("a TTI"));
-            assert!((a - b).abs() < 1e-5, "{a} here, {b} in training");
+            let (policy, net) = (forward.log_price(*target), prices.next().expect("a TTI"));
+            assert!((policy - net).abs() < 1e-5, "price: policy {policy}, net {net}");
         }
     }
 }
 
 #[test]
-fn the_gradient_of_each_weight_is_the_slope_of_the_loss() {
+fn each_gradient_is_the_slope_of_the_loss() {
     ModelObjective::ALL.into_iter().for_each(compare_gradients);
 }
 
 fn compare_gradients(objective: ModelObjective) {
     // In double precision, so that steps are short compared with the distance to the kink of a relu.
-    let net = net(SHAPE, 4);
-    let net = net.to_type(DType::F64).expect("a net");
+    let net = noisy_net(SHAPE, 4).to_dtype(DType::F64).expect("a net");
     // The features that the price head reads must not learn from it, so the other weights are checked without prices.
-    let priced = chunks(3, 0.5);
-    let mut others = priced.clone();
-    for chunk in &mut others {
+    let priced = random_chunks(3, 0.5);
+    let mut unpriced = priced.clone();
+    for chunk in &mut unpriced {
         chunk.price = None;
     }
-    let batch = |chunks: &[Chunk]| {
-        let shape = ModelShape { objective, ..SHAPE };
-        let batch = TrainingBatch::from_chunks(&chunks.iter().collect::<Vec<_>>(), shape);
-        batch.and_then(|batch| batch.to_type(DType::F64)).expect("a batch")
-    };
-    let batches = [batch(&others), batch(&priced)];
-    let loss = |batch: &TrainingBatch| {
+    let shape = ModelShape { objective, ..SHAPE };
+    let [unpriced, priced] =
+        [unpriced, priced].map(|chunks| batch_of(&chunks, shape).to_dtype(DType::F64).expect("a batch"));
+    let loss_of = |batch: &TrainingBatch| {
         let outputs = net.forward(&batch.tokens, &batch.targets).expect("outputs");
-        let whole = LossDivisors::from_batches(std::slice::from_ref(batch)).expect("sums");
+        let divisors = LossDivisors::from_batches(std::slice::from_ref(batch)).expect("sums");
         Sums::from_outputs(batch, &outputs)
-            .and_then(|sums| sums.loss(whole))
+            .and_then(|sums| sums.loss(divisors))
             .expect("a loss")
     };
     for (name, var) in net.vars() {
-        let batch = &batches[usize::from(name.starts_with("price"))];
-        let gradients = loss(batch).backward().expect("gradients");
+        let batch = if name.starts_with("price") { &priced } else { &unpriced };
+        let gradients = loss_of(batch).backward().expect("gradients");
         let gradient = gradients.get(var.as_tensor()).expect(name).flatten_all().expect(name);
         let gradient: Vec<f64> = gradient.to_vec1().expect(name);
         let values: Vec<f64> = var.flatten_all().and_then(|values| values.to_vec1()).expect(name);
-        let moved = |at: usize, by: f64| {
+        let loss_with_shift = |index: usize, shift: f64| {
             let mut values = values.clone();
-            values[at] += by;
+            values[index] += shift;
             var.set(&Tensor::from_vec(values, var.shape(), &Device::Cpu).expect(name))
                 .expect(name);
-            loss(batch).to_scalar::<f64>().expect("a number")
+            loss_of(batch).to_scalar::<f64>().expect("a number")
         };
         let step = 1e-7;
-        for at in (0..values.len()).step_by(values.len().div_ceil(12)) {
-            let slope = (moved(at, step) - moved(at, -step)) / (2.0 * step);
-            let slack = 1e-4 * slope.abs() + 1e-6;
+        // About 12 values of each weight, to save time.
+        for index in (0..values.len()).step_by(values.len().div_ceil(12)) {
+            let slope = (loss_with_shift(index, step) - loss_with_shift(index, -step)) / (2.0 * step);
+            let tolerance = 1e-4 * slope.abs() + 1e-6;
             assert!(
-                (gradient[at] - slope).abs() < slack,
-                "{name} {at}: {}, not {slope}",
-                gradient[at]
+                (gradient[index] - slope).abs() < tolerance,
+                "{name}, value {index}: gradient {}, slope {slope}",
+                gradient[index]
             );
         }
-        moved(0, 0.0);
-        assert!(gradient.iter().any(|one| one.abs() > 1e-4), "{name} is never reached");
+        // Restores the weight.
+        loss_with_shift(0, 0.0);
+        assert!(
+            gradient.iter().any(|partial| partial.abs() > 1e-4),
+            "{name}: the gradient is 0"
+        );
     }
 }
 
-/// The held-out gain of learned actions equals knowing how often a device senses: 7 times of 10 here.
+/// The held-out gain of learned actions equals knowing how often a device senses.
 #[test]
 fn actions_of_teachers_are_learned_as_odds() {
-    let mut chunks = chunks(300, 0.0);
-    for look in chunks.iter_mut().flat_map(|chunk| &mut chunk.steps) {
-        for token in look.tokens.as_chunks_mut::<FEATURE_COUNT>().0 {
+    let mut chunks = random_chunks(300, 0.0);
+    for step in chunks.iter_mut().flat_map(|chunk| &mut chunk.steps) {
+        for token in step.tokens.as_chunks_mut::<FEATURE_COUNT>().0 {
             token[CAN_SENSE] = f32::from(u8::from(token[CAN_SENSE] > -0.5));
         }
     }
-    let training = DtTrainingConfig {
+    let config = DtTrainingConfig {
         shape: ModelShape {
             objective: ModelObjective::Actions,
             ..SHAPE
         },
-        steps: 80,
-        batch: 600,
-        rate: 0.01,
-        every: 40,
-        patience: 10,
-        seed: 1,
+        ..short_config(80, 40)
     };
-    let about = Vec::new();
-    let mut score = None;
-    let mut show = |progress: DtTrainingStatus, _: &[u8]| {
-        score = Some(progress.score);
+    let mut last_score = None;
+    let mut progress = |status: DtTrainingStatus, _: &[u8]| {
+        last_score = Some(status.score);
         true
     };
-    let trajectories = vec![Trajectories { about, chunks }];
-    let trained = train(trajectories, &training, &BTreeMap::new(), None, &mut show, &|| false);
-    let bytes = model(trained.expect("trained"));
+    let trajectories = trajectories_of(chunks);
+    let trained = train(trajectories, &config, &BTreeMap::new(), None, &mut progress, &|| false);
+    let bytes = into_model(trained.expect("trained"));
     let model = ModelWeights::read(&bytes).expect("a model");
     assert_eq!(model.shape().objective, ModelObjective::Actions);
-    let worth = 0.7 * libm::log(1.4) + 0.3 * libm::log(0.6);
-    let score = score.expect("a look");
-    assert!((score.looks - worth).abs() < 0.25 * worth, "{score:?}, not {worth}");
-}
-
-/// The file of a training that reached its end.
-fn model(trained: Trained) -> Vec<u8> {
-    match trained {
-        Trained::Model(bytes) => bytes,
-        Trained::Stopped(_) => panic!("it was not stopped"),
-    }
+    // In nats per device, over the odds of 1 to 1 of a net without history.
+    let expected_gain =
+        SENSING_SHARE * libm::log(2.0 * SENSING_SHARE) + (1.0 - SENSING_SHARE) * libm::log(2.0 * (1.0 - SENSING_SHARE));
+    let score = last_score.expect("an evaluation");
+    assert!(
+        (score.looks - expected_gain).abs() < 0.25 * expected_gain,
+        "gain {}, expected {expected_gain}",
+        score.looks
+    );
 }
 
 #[test]
@@ -226,116 +260,152 @@ fn accuracy_is_the_share_of_pairs_in_order() {
         (0.2, false),
         (0.3, false),
     ];
-    let (mut right, mut pairs) = (0.0, 0.0);
-    for (a, _) in numbers.iter().filter(|(_, found)| *found) {
-        for (b, _) in numbers.iter().filter(|(_, found)| !*found) {
-            right += 0.5 * (f64::from(u8::from(a > b)) + f64::from(u8::from(a >= b)));
+    let (mut ordered_pairs, mut pairs) = (0.0, 0.0);
+    for (hit, _) in numbers.iter().filter(|(_, found)| *found) {
+        for (miss, _) in numbers.iter().filter(|(_, found)| !*found) {
+            // 1 if greater, 0.5 if equal.
+            ordered_pairs += 0.5 * (f64::from(u8::from(hit > miss)) + f64::from(u8::from(hit >= miss)));
             pairs += 1.0;
         }
     }
-    assert!((loss::accuracy(numbers.into_iter()) - right / pairs).abs() < 1e-12);
+    assert!((loss::accuracy(numbers.into_iter()) - ordered_pairs / pairs).abs() < 1e-12);
     assert!((loss::accuracy([(1.0, true)].into_iter()) - 0.5).abs() < 1e-12);
 }
 
+/// The score and the checkpoint of the last evaluation.
+type LastEvaluation = Option<(EvalScore, Vec<u8>)>;
+
+/// Trains on random chunks with m = 0.7 until `last_step` or until `stop`, from `checkpoint` if given.
+fn train_from(
+    checkpoint: Option<&[u8]>,
+    config: &DtTrainingConfig,
+    last_step: u64,
+    stop: &dyn Fn() -> bool,
+) -> Result<(Trained, LastEvaluation), TransformerError> {
+    let model_info = BTreeMap::from([("data".to_owned(), "a test".to_owned())]);
+    let mut last_evaluation = None;
+    let mut progress = |status: DtTrainingStatus, checkpoint: &[u8]| {
+        last_evaluation = Some((status.score, checkpoint.to_vec()));
+        status.step < last_step
+    };
+    let trajectories = trajectories_of(random_chunks(400, 0.7));
+    train(trajectories, config, &model_info, checkpoint, &mut progress, stop).map(|trained| (trained, last_evaluation))
+}
+
 #[test]
-fn a_training_finds_what_is_there_and_goes_on_to_the_same_bytes() {
-    let training = DtTrainingConfig {
-        shape: SHAPE,
-        steps: 120,
-        batch: 600,
-        rate: 0.01,
-        every: 40,
-        patience: 10,
-        seed: 1,
+fn a_training_learns_the_data_and_resumes_to_the_same_bytes() {
+    let config = short_config(120, 40);
+    let train_to_end = |checkpoint: Option<&[u8]>| {
+        train_from(checkpoint, &config, u64::MAX, &|| false).map(|(trained, last)| (into_model(trained), last))
     };
-    let trajectories = || {
-        vec![Trajectories {
-            about: Vec::new(),
-            chunks: chunks(400, 0.7),
-        }]
-    };
-    let about = BTreeMap::from([("data".to_owned(), "a test".to_owned())]);
-    let stopped = |from: Option<&[u8]>, most: u64, stop: &dyn Fn() -> bool| {
-        let mut last = None;
-        let mut show = |progress: DtTrainingStatus, checkpoint: &[u8]| {
-            last = Some((progress.score, checkpoint.to_vec()));
-            progress.step < most
-        };
-        super::train(trajectories(), &training, &about, from, &mut show, stop).map(|trained| (trained, last))
-    };
-    let train =
-        |from: Option<&[u8]>, most: u64| stopped(from, most, &|| false).map(|(trained, last)| (model(trained), last));
-    let (bytes, last) = train(None, 1000).expect("trained");
-    let (score, _) = last.expect("a look");
+    let (bytes, last_evaluation) = train_to_end(None).expect("trained");
+    let (score, _) = last_evaluation.expect("an evaluation");
     assert_eq!(ModelWeights::read(&bytes).expect("a model").metadata["data"], "a test");
     // Interrupted after the first evaluation, and resumed.
-    let (_, last) = train(None, 40).expect("cut short");
-    let (_, kept) = last.expect("a look");
-    assert_eq!(bytes, train(Some(&kept), 1000).expect("trained").0);
+    let (_, last_evaluation) = train_from(None, &config, 40, &|| false).expect("interrupted");
+    let (_, checkpoint) = last_evaluation.expect("an evaluation");
+    assert_eq!(bytes, train_to_end(Some(&checkpoint)).expect("trained").0);
     // Stopped between two evaluations, and right after one.
     for steps in [17_u64, 40, 57] {
-        let left = Cell::new(steps);
-        let stop = || left.replace(left.get().saturating_sub(1)) == 0;
-        let Ok((Trained::Stopped(kept), _)) = stopped(None, 1000, &stop) else {
-            panic!("it was not stopped before step {steps}");
+        let steps_left = Cell::new(steps);
+        let stop = || steps_left.replace(steps_left.get().saturating_sub(1)) == 0;
+        let Ok((Trained::Stopped(checkpoint), _)) = train_from(None, &config, u64::MAX, &stop) else {
+            panic!("the training was not stopped before step {steps}");
         };
         assert_eq!(
             bytes,
-            train(Some(&kept), 1000).expect("trained").0,
+            train_to_end(Some(&checkpoint)).expect("trained").0,
             "stopped before step {steps}"
         );
     }
-    for bad in [&kept[..kept.len() - 1], &bytes[..], b""] {
-        assert!(matches!(train(Some(bad), 1000), Err(TransformerError::Checkpoint(_))));
-    }
-    let other = DtTrainingConfig {
-        seed: 2,
-        ..training.clone()
-    };
-    let refused = super::train(trajectories(), &other, &about, Some(&kept), &mut |_, _| true, &|| false);
-    assert!(refused.expect_err("another training").to_string().contains("another"));
     // With half of the tokens on each side, knowing the side is worth m·sinh m − (cosh m − 1) nats per expected event.
-    let worth = 0.7 * libm::sinh(0.7) - (libm::cosh(0.7) - 1.0);
+    let expected_gain = 0.7 * libm::sinh(0.7) - (libm::cosh(0.7) - 1.0);
     assert!(
-        score.looks > 0.6 * worth && score.looks < 1.4 * worth,
-        "{score:?}, not {worth}"
+        score.looks > 0.6 * expected_gain && score.looks < 1.4 * expected_gain,
+        "gain of looks: {}, expected {expected_gain}",
+        score.looks
     );
     // All wake-ups bring half of the expected gain: ln 2/2 − 1/2 + 1 nats less 1/2.
-    let halved = 0.5 - 0.5 * std::f64::consts::LN_2;
-    assert!((score.wakes - halved).abs() < 0.05, "{score:?}, not {halved}");
-    assert!(score.price_error < 0.1, "{score:?}");
+    let expected_wake_gain = 0.5 - 0.5 * std::f64::consts::LN_2;
+    assert!(
+        (score.wakes - expected_wake_gain).abs() < 0.05,
+        "gain of wake-ups: {}, expected {expected_wake_gain}",
+        score.wakes
+    );
+    assert!(score.price_error < 0.1, "price error: {}", score.price_error);
     // The side of a token is informative; the mean from age and α is equal for all tokens.
     assert!(
         score.accuracy > 0.55 && (score.plain_accuracy - 0.5).abs() < 1e-9,
-        "{score:?}"
+        "accuracy: {score:?}"
     );
+}
+
+#[test]
+fn an_invalid_checkpoint_is_refused_with_the_reason() {
+    let own_config = short_config(2, 1);
+    let (trained, last_evaluation) = train_from(None, &own_config, u64::MAX, &|| false).expect("trained");
+    let (model, (_, checkpoint)) = (into_model(trained), last_evaluation.expect("an evaluation"));
+    let error_of =
+        |checkpoint: &[u8], config: &DtTrainingConfig| match train_from(Some(checkpoint), config, 2, &|| false) {
+            Err(TransformerError::Checkpoint(cause)) => cause,
+            other => panic!("{:?}", other.map(|_| "accepted")),
+        };
+    for damaged in [&checkpoint[..checkpoint.len() - 1], &model[..], b""] {
+        assert!(error_of(damaged, &own_config).contains("damaged"));
+    }
+    // Replaces a text of the header by another of the same length.
+    let edited = |from: &str, to: &str| {
+        assert_eq!(from.len(), to.len());
+        let at = checkpoint
+            .windows(from.len())
+            .position(|bytes| bytes == from.as_bytes());
+        let at = at.unwrap_or_else(|| panic!("no {from:?} in the checkpoint"));
+        let mut bytes = checkpoint.clone();
+        bytes[at..at + to.len()].copy_from_slice(to.as_bytes());
+        bytes
+    };
+    // Line ends are escaped in the header. The first counter is the 2 steps.
+    assert!(error_of(&edited(r#"training":"2\n"#, r#"training":"1\n"#), &own_config).contains("another version"));
+    assert!(error_of(&edited(r"2\n2 ", r"2\nx "), &own_config).contains("damaged"));
+    let other_config = DtTrainingConfig {
+        seed: 2,
+        ..own_config.clone()
+    };
+    assert!(error_of(&checkpoint, &other_config).contains("another training"));
+}
+
+/// The text is part of files: with another text, no checkpoint of an earlier build can be resumed.
+#[test]
+fn the_text_of_a_configuration_is_fixed() {
+    let expected = concat!(
+        r#"{"batch":600,"every":40,"patience":10,"rate":0.01,"seed":1,"shape":{"attends_to_devices":true,"heads":2,"#,
+        r#""memory":3,"objective":"events","width":8},"steps":120}"#
+    );
+    assert_eq!(short_config(120, 40).to_json(), expected);
 }
 
 /// The parts of a batch are summed in their order, on any number of threads.
 #[test]
-fn threads_do_not_show() {
-    let training = DtTrainingConfig {
-        shape: SHAPE,
-        steps: 12,
-        batch: 600,
-        rate: 0.01,
-        every: 6,
-        patience: 10,
-        seed: 1,
-    };
-    let model = |threads: usize| {
+fn the_result_is_the_same_on_any_number_of_threads() {
+    let train_on = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(threads)
             .build()
             .expect("threads");
-        let trajectories = vec![Trajectories {
-            about: Vec::new(),
-            chunks: chunks(40, 0.7),
-        }];
-        let mut go_on = |_: DtTrainingStatus, _: &[u8]| true;
-        pool.install(|| super::train(trajectories, &training, &BTreeMap::new(), None, &mut go_on, &|| false))
-            .expect("a model")
+        let trajectories = trajectories_of(random_chunks(40, 0.7));
+        let mut progress = |_: DtTrainingStatus, _: &[u8]| true;
+        pool.install(|| {
+            train(
+                trajectories,
+                &short_config(12, 6),
+                &BTreeMap::new(),
+                None,
+                &mut progress,
+                &|| false,
+            )
+        })
+        .expect("a model")
     };
-    let one = model(1);
-    assert!(one == model(3) && one == model(4));
+    let on_one_thread = train_on(1);
+    assert!(on_one_thread == train_on(3) && on_one_thread == train_on(4));
 }

@@ -73,7 +73,7 @@ impl Proposer for Bayes {
             [u, v] if u.is_finite() && v.is_finite() => Ok(ranges.pair_at([u.clamp(0.0, 1.0), v.clamp(0.0, 1.0)])),
             _ => Err(TuningError::Model {
                 part: "optimiser",
-                reason: format!("it proposes {position:?}"),
+                reason: format!("the proposed pair {position:?} is not two finite numbers; repeat with another --seed"),
             }),
         }
     }

@@ -8,14 +8,14 @@ use crate::training::TrainingError;
 #[derive(Debug, thiserror::Error)]
 pub enum TuningError {
     /// A value is out of range.
-    #[error("{name} = {value}: {allowed}")]
+    #[error("{option} = {value}: {requirement}")]
     Invalid {
-        /// The name of the value.
-        name: &'static str,
+        /// The option.
+        option: &'static str,
         /// The value.
         value: String,
-        /// The allowed range.
-        allowed: String,
+        /// The requirement on the value: `must be …`.
+        requirement: String,
     },
     /// The tables of a pair cannot be trained.
     #[error(transparent)]

@@ -6,10 +6,8 @@ use std::fmt::Write as _;
 use super::evaluation::{Evaluation, TuningPoint};
 use super::ranges::WeightPair;
 
-/// The first line of a history.
 const FIRST_LINE: &str = "# reveille tuning 1";
 
-/// The column names.
 fn columns() -> String {
     format!("number,mu1,mu2,{}", Evaluation::NAMES.join(","))
 }
@@ -32,7 +30,6 @@ impl History {
         }
     }
 
-    /// Returns the pairs with their objectives.
     pub(crate) fn objectives(&self) -> Vec<(WeightPair, f64)> {
         let points = self.points.iter();
         points
@@ -126,7 +123,6 @@ impl History {
     }
 }
 
-/// Parses `line` as the point `number`.
 fn parse_point(number: usize, line: &str) -> Option<TuningPoint> {
     let (written_number, rest) = line.split_once(',')?;
     let values: Vec<f64> = rest

@@ -24,9 +24,7 @@ use crate::training::{self, Trainer, TrainingError, TrainingProgress};
 const EVALUATION_SEED_OFFSET: u64 = 0xE7A1_5EED_0000_0000;
 /// The number of TTIs between two checks whether to stop.
 const TTIS_BETWEEN_STOP_CHECKS: u64 = 200;
-/// The largest number of evaluation runs of a pair.
 const MAX_RUNS: u64 = 10_000;
-/// The largest number of pairs in a design.
 const MAX_DESIGN_PAIRS: usize = 1000;
 
 /// Callbacks of a tuning. All threads call them.
@@ -76,33 +74,34 @@ impl TuningPlan {
     pub fn check(&self) -> Result<(), TuningError> {
         // The trainer only serves to check the policy and the training parameters.
         Trainer::new(&self.scenario, &[self.scenario.run.devices], &[], &self.training)?;
-        let invalid = |name, value: &dyn std::fmt::Display, allowed: &str| {
+        let invalid = |option, value: &dyn std::fmt::Display, requirement: &str| {
             Err(TuningError::Invalid {
-                name,
+                option,
                 value: value.to_string(),
-                allowed: allowed.to_owned(),
+                requirement: requirement.to_owned(),
             })
         };
         if !(MIN_DESIGN_PAIRS..=MAX_DESIGN_PAIRS).contains(&self.design) {
-            return invalid("design", &self.design, "must be at least 3 and at most 1000");
+            return invalid("design", &self.design, "must be from 3 to 1000");
         }
         if !(1..=MAX_RUNS).contains(&self.runs) {
-            return invalid("seeds", &self.runs, "must be at least 1 and at most 10000");
+            return invalid("seeds", &self.runs, "must be from 1 to 10000");
         }
         if !(10..=MAX_TTIS).contains(&self.ttis) {
-            return invalid("ttis", &self.ttis, "must be at least 10 and at most 1000000000");
+            return invalid("ttis", &self.ttis, "must be from 10 to 1000000000 TTIs");
         }
         let longest = self.scenario.max_ttis();
-        for (name, ttis) in [("ttis", self.ttis), ("episode-ttis", self.training.ttis)] {
+        for (option, ttis) in [("ttis", self.ttis), ("episode-ttis", self.training.ttis)] {
             if ttis > longest {
-                let allowed = format!("must be at most {longest} with this many devices, or sums of energy overflow");
-                return invalid(name, &ttis, &allowed);
+                let requirement =
+                    format!("must be at most {longest} with this many devices, or sums of energy overflow");
+                return invalid(option, &ttis, &requirement);
             }
         }
         if let TuningObjective::Balance { energy, miss } = self.objective {
-            for (name, weight) in [("energy-weight", energy), ("miss-weight", miss)] {
+            for (option, weight) in [("energy-weight", energy), ("miss-weight", miss)] {
                 if !(0.0..=1e6).contains(&weight) {
-                    return invalid(name, &weight, "must be at least 0 and at most 1000000");
+                    return invalid(option, &weight, "must be from 0 to 1000000");
                 }
             }
         }
@@ -226,7 +225,6 @@ impl TuningPlan {
         Ok(Some(trained))
     }
 
-    /// Returns the means over the `metrics` of the runs.
     fn average(&self, metrics: &[Metrics]) -> Result<Evaluation, TuningError> {
         let (alpha, devices) = (self.scenario.events.alpha, self.scenario.run.devices);
         let estimate = |value_of: &dyn Fn(&Metrics) -> f64| Estimate::from_values_or_nan(metrics.iter().map(value_of));
@@ -254,7 +252,6 @@ pub(crate) const fn evaluation_seed(seed: u64, index: u64) -> u64 {
         .wrapping_add(index)
 }
 
-/// Creates a pool of `threads` threads.
 pub(super) fn new_pool(threads: usize) -> Result<ThreadPool, TrainingError> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
     pool.map_err(|error| TrainingError::Threads {

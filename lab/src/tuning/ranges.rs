@@ -35,12 +35,12 @@ impl Ranges {
     /// # Errors
     /// If a limit is not above 0 or is too large, or the first is not below the second.
     pub fn new(mu1: (f64, f64), mu2: (f64, f64)) -> Result<Self, TuningError> {
-        for (name, (from, to)) in [("mu1", mu1), ("mu2", mu2)] {
+        for (option, (from, to)) in [("mu1", mu1), ("mu2", mu2)] {
             if !(from > 0.0 && from < to && to <= MAX_WEIGHT) {
                 return Err(TuningError::Invalid {
-                    name,
+                    option,
                     value: format!("{from},{to}"),
-                    allowed: "must be two weights above 0 and at most 1000000, the lesser first".to_owned(),
+                    requirement: "must be two weights above 0 and at most 1000000, the lesser first".to_owned(),
                 });
             }
         }

@@ -1,4 +1,5 @@
-//! Short tunings, and their state after an interruption.
+//! Tests of [`Tuner`] and its parts: ranges, designs, plans, objectives (compared with the totals of a run),
+//! evaluations and history files. With the feature `tune`, the optimiser is tested on a function with a known maximum.
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -11,7 +12,7 @@ use super::plan::{evaluation_seed, new_pool};
 use super::*;
 use crate::preparation::run;
 
-fn scenario(overrides: &[&str]) -> Scenario {
+fn scenario_with(overrides: &[&str]) -> Scenario {
     let parse = |text: &&str| Override::parse(text).expect("an override");
     let base = [
         "policy.name=q-learning",
@@ -22,9 +23,9 @@ fn scenario(overrides: &[&str]) -> Scenario {
     load("paper", &overrides).expect("a scenario").scenario
 }
 
-fn plan() -> TuningPlan {
+fn small_plan() -> TuningPlan {
     TuningPlan {
-        scenario: scenario(&["devices=12"]),
+        scenario: scenario_with(&["devices=12"]),
         ranges: Ranges::new((0.5, 20.0), (1.0, 5.0)).expect("ranges"),
         objective: TuningObjective::Balance { energy: 1.0, miss: 1.0 },
         design: 3,
@@ -39,10 +40,10 @@ fn plan() -> TuningPlan {
     }
 }
 
-/// A file of one test.
-struct File(PathBuf);
+/// The path of a history file that is removed on drop.
+struct HistoryFile(PathBuf);
 
-impl File {
+impl HistoryFile {
     fn new(name: &str) -> Self {
         let name = format!("reveille-tuning-{name}-{}.csv", std::process::id());
         let path = std::env::temp_dir().join(name);
@@ -55,38 +56,48 @@ impl File {
     }
 }
 
-impl Drop for File {
+impl Drop for HistoryFile {
     fn drop(&mut self) {
         let _ = std::fs::remove_file(&self.0);
     }
 }
 
-/// A proposer that depends on all points: it proposes a pair between the best and the last one.
-struct Between;
+/// A proposer whose result depends on the best and the last point: a pair between them.
+struct BetweenBestAndLast;
 
-impl Proposer for Between {
+impl Proposer for BetweenBestAndLast {
     fn propose(&self, ranges: &Ranges, points: &[(WeightPair, f64)]) -> Result<WeightPair, TuningError> {
         let best = points.iter().max_by(|a, b| a.1.total_cmp(&b.1)).expect("points").0;
-        let (a, b) = (ranges.position(best), ranges.position(points[points.len() - 1].0));
-        Ok(ranges.pair_at([0.6 * a[0] + 0.4 * b[0], 0.5 * a[1] + 0.5 * b[1]]))
+        let (best, last) = (ranges.position(best), ranges.position(points[points.len() - 1].0));
+        Ok(ranges.pair_at([0.6 * best[0] + 0.4 * last[0], 0.5 * best[1] + 0.5 * last[1]]))
     }
 }
 
-/// Stops in the point with this number.
-struct StopIn(usize, AtomicUsize);
+/// Stops during the evaluation of a point.
+struct StopInPoint {
+    number: usize,
+    current: AtomicUsize,
+}
 
-impl TuningProgress for StopIn {
+impl StopInPoint {
+    fn new(number: usize) -> Self {
+        let current = AtomicUsize::new(0);
+        Self { number, current }
+    }
+}
+
+impl TuningProgress for StopInPoint {
     fn begun(&self, number: usize, _: WeightPair) {
-        self.1.store(number, Ordering::Relaxed);
+        self.current.store(number, Ordering::Relaxed);
     }
 
     fn stop(&self) -> bool {
-        self.1.load(Ordering::Relaxed) >= self.0
+        self.current.load(Ordering::Relaxed) >= self.number
     }
 }
 
 #[test]
-fn ranges_are_logarithmic_and_checked() {
+fn ranges_are_logarithmic_and_invalid_ones_are_refused() {
     let ranges = Ranges::new((0.5, 50.0), (1.0, 4.0)).expect("ranges");
     let [mu1, mu2] = ranges.pair_at([0.5, 0.5]);
     assert!((mu1 - 5.0).abs() < 1e-12 && (mu2 - 2.0).abs() < 1e-12);
@@ -117,8 +128,8 @@ fn ranges_are_logarithmic_and_checked() {
 }
 
 #[test]
-fn a_design_has_the_start_and_fills_the_ranges() {
-    let ranges = plan().ranges;
+fn a_design_contains_the_start_and_covers_the_ranges() {
+    let ranges = small_plan().ranges;
     let pairs = design(&ranges, [14.0, 1.6], 6, 1);
     assert_eq!((pairs.len(), pairs[0]), (6, [14.0, 1.6]));
     assert_eq!(pairs, design(&ranges, [14.0, 1.6], 6, 1));
@@ -126,48 +137,53 @@ fn a_design_has_the_start_and_fills_the_ranges() {
     for i in 0..2 {
         let mut fifths: Vec<usize> = pairs[1..]
             .iter()
-            .map(|p| (ranges.position(*p)[i] * 5.0) as usize)
+            .map(|pair| (ranges.position(*pair)[i] * 5.0) as usize)
             .collect();
         fifths.sort_unstable();
-        assert_eq!(fifths, [0, 1, 2, 3, 4], "one in each fifth");
+        assert_eq!(fifths, [0, 1, 2, 3, 4], "one pair in each fifth of a range");
     }
-    let without = design(&ranges, [100.0, 1.6], 6, 1);
-    assert_eq!(without.len(), 6);
-    assert!(without.iter().all(|pair| ranges.contains(*pair)));
+    let with_start_outside = design(&ranges, [100.0, 1.6], 6, 1);
+    assert_eq!(with_start_outside.len(), 6);
+    assert!(with_start_outside.iter().all(|pair| ranges.contains(*pair)));
 }
 
 #[test]
 fn plans_out_of_range_are_refused() {
-    let refused = |change: &dyn Fn(&mut TuningPlan), part: &str| {
-        let mut plan = plan();
+    let assert_refused = |change: &dyn Fn(&mut TuningPlan), cause: &str| {
+        let mut plan = small_plan();
         change(&mut plan);
-        let error = plan.check().expect_err(part).to_string();
-        assert!(error.contains(part), "{error}");
+        let error = plan.check().expect_err(cause).to_string();
+        assert!(error.contains(cause), "{error}");
     };
-    assert!(plan().check().is_ok());
-    refused(&|p| p.design = 2, "design");
-    let many = |p: &mut TuningPlan| p.scenario = scenario(&["devices=1000000", "energy.e_max=10000", "ttis=100"]);
-    let long = |of: fn(&mut TuningPlan)| {
-        move |p: &mut TuningPlan| {
-            many(p);
-            of(p);
+    assert!(small_plan().check().is_ok());
+    assert_refused(&|plan| plan.design = 2, "design");
+    // The energy of a longer run of this number of devices would exceed the range of its counter.
+    let with_many_devices =
+        |plan: &mut TuningPlan| plan.scenario = scenario_with(&["devices=1000000", "energy.e_max=10000", "ttis=100"]);
+    let and_many_devices = |change: fn(&mut TuningPlan)| {
+        move |plan: &mut TuningPlan| {
+            with_many_devices(plan);
+            change(plan);
         }
     };
-    refused(&long(|p| p.ttis = 2000), "ttis = 2000: must be at most 1844");
-    refused(
-        &long(|p| p.training.ttis = 2000),
+    assert_refused(
+        &and_many_devices(|plan| plan.ttis = 2000),
+        "ttis = 2000: must be at most 1844",
+    );
+    assert_refused(
+        &and_many_devices(|plan| plan.training.ttis = 2000),
         "episode-ttis = 2000: must be at most 1844",
     );
-    refused(&|p| p.runs = 0, "seeds");
-    refused(&|p| p.ttis = 3, "ttis");
-    refused(&|p| p.training.episodes = 0, "episodes");
-    refused(
-        &|p| p.scenario = load("paper", &[]).expect("a preset").scenario,
+    assert_refused(&|plan| plan.runs = 0, "seeds");
+    assert_refused(&|plan| plan.ttis = 3, "ttis");
+    assert_refused(&|plan| plan.training.episodes = 0, "episodes");
+    assert_refused(
+        &|plan| plan.scenario = load("paper", &[]).expect("a preset").scenario,
         "only q-learning",
     );
-    refused(
-        &|p| {
-            p.objective = TuningObjective::Balance {
+    assert_refused(
+        &|plan| {
+            plan.objective = TuningObjective::Balance {
                 energy: f64::NAN,
                 miss: 1.0,
             };
@@ -177,27 +193,27 @@ fn plans_out_of_range_are_refused() {
 }
 
 #[test]
-fn an_objective_is_what_it_says() {
-    let (outcome, scenario) = {
-        let scenario = scenario(&["devices=30", "ttis=2000", "warm_up=0"]);
-        (run(&scenario), scenario)
-    };
+fn objectives_follow_from_the_totals_of_a_run() {
+    let scenario = scenario_with(&["devices=30", "ttis=2000", "warm_up=0"]);
+    let outcome = run(&scenario);
     let metrics: &Metrics = &outcome.metrics;
-    let of = |objective: TuningObjective| objective.value_of(metrics, scenario.events.alpha, 30);
-    // From the totals instead of the metrics.
+    let value_of = |objective: TuningObjective| objective.value_of(metrics, scenario.events.alpha, 30);
     let totals = &outcome.totals;
     let events = totals.events.events as f64;
     let information = totals.events.information_pico as f64 / 1e12;
     let spent = totals.energy.spent.total().units();
     // The objective of P1: all 2000 TTIs are measured, with α expected events each.
-    let expected = scenario.events.alpha * 2000.0;
-    assert!((of(TuningObjective::Information) - information / expected).abs() < 1e-12);
-    assert!((expected - events).abs() > 10.0, "or it might be per event");
-    assert!((of(TuningObjective::Efficiency) - information / spent).abs() < 1e-9 * information / spent);
-    let missed = totals.events.misdetected as f64 / events;
-    let balance = information / expected - 0.5 * spent / (30.0 * 2000.0) - 2.0 * missed;
-    assert!((of(TuningObjective::Balance { energy: 0.5, miss: 2.0 }) - balance).abs() < 1e-12);
-    assert!(missed > 0.0, "otherwise the last term has no effect");
+    let expected_events = scenario.events.alpha * 2000.0;
+    assert!((value_of(TuningObjective::Information) - information / expected_events).abs() < 1e-12);
+    assert!(
+        (expected_events - events).abs() > 10.0,
+        "the number of events must differ from its expectation"
+    );
+    assert!((value_of(TuningObjective::Efficiency) - information / spent).abs() < 1e-9 * information / spent);
+    let missed_share = totals.events.misdetected as f64 / events;
+    let balance = information / expected_events - 0.5 * spent / (30.0 * 2000.0) - 2.0 * missed_share;
+    assert!((value_of(TuningObjective::Balance { energy: 0.5, miss: 2.0 }) - balance).abs() < 1e-12);
+    assert!(missed_share > 0.0, "no event was missed");
     assert!(
         TuningObjective::Information
             .value_of(&Metrics::default(), 0.1, 30)
@@ -206,110 +222,113 @@ fn an_objective_is_what_it_says() {
 }
 
 #[test]
-fn no_evaluation_has_a_seed_of_a_training() {
+fn evaluations_and_trainings_use_different_seeds() {
     for seed in [0, 1, 2, 77, u64::MAX] {
-        let first = evaluation_seed(seed, 0);
+        let first_evaluation_seed = evaluation_seed(seed, 0);
         for (n, episode) in [(1, 0), (100, 11), (1_000_000, 99_999)] {
-            let training = crate::training::EPISODE_SEED_OFFSET
+            let training_seed = crate::training::EPISODE_SEED_OFFSET
                 .wrapping_add(seed.wrapping_mul(0x1_0000_0001))
                 .wrapping_add(n << 20)
                 .wrapping_add(episode);
-            // The two ranges of seeds do not overlap for any index.
-            assert!(training.wrapping_sub(first) > 10_000_000_000);
-            assert!(first.wrapping_sub(training) > 10_000_000_000);
+            // Far more than the evaluations or episodes of any tuning.
+            assert!(training_seed.wrapping_sub(first_evaluation_seed) > 10_000_000_000);
+            assert!(first_evaluation_seed.wrapping_sub(training_seed) > 10_000_000_000);
         }
     }
 }
 
 #[test]
-fn a_pair_comes_to_the_same_twice_and_with_any_number_of_threads() {
-    let plan = plan();
+fn an_evaluation_is_the_same_twice_and_on_any_number_of_threads() {
+    let plan = small_plan();
     let evaluate = |weights: WeightPair, threads: usize| {
         let pool = new_pool(threads).expect("threads");
-        let found = plan.evaluate(weights, &pool, &()).expect("evaluated");
-        found.expect("it is not stopped")
+        let result = plan.evaluate(weights, &pool, &()).expect("evaluated");
+        result.expect("not stopped")
     };
-    let once = evaluate([5.0, 2.0], 1);
-    assert_eq!(once, evaluate([5.0, 2.0], 1));
-    assert_eq!(once, evaluate([5.0, 2.0], 2));
-    assert_ne!(once, evaluate([0.6, 2.0], 2));
-    assert!(once.information > 0.0 && once.energy > 0.0 && once.objective_half > 0.0);
-    let balance = once.information - once.energy - once.misdetection_pct / 100.0;
-    assert!((once.objective - balance).abs() < 1e-12, "means add up");
+    let evaluation = evaluate([5.0, 2.0], 1);
+    assert_eq!(evaluation, evaluate([5.0, 2.0], 1));
+    assert_eq!(evaluation, evaluate([5.0, 2.0], 2));
+    assert_ne!(evaluation, evaluate([0.6, 2.0], 2));
+    assert!(evaluation.information > 0.0 && evaluation.energy > 0.0 && evaluation.objective_half > 0.0);
+    let balance = evaluation.information - evaluation.energy - evaluation.misdetection_pct / 100.0;
+    assert!(
+        (evaluation.objective - balance).abs() < 1e-12,
+        "the objective differs from the one of the means"
+    );
 }
 
 #[test]
-fn a_tuning_without_events_says_so() {
+fn a_tuning_without_events_is_refused() {
     let plan = TuningPlan {
         ttis: 10,
         runs: 1,
-        scenario: scenario(&["devices=12", "events.alpha=0.000001"]),
-        ..plan()
+        scenario: scenario_with(&["devices=12", "events.alpha=0.000001"]),
+        ..small_plan()
     };
     let error = plan.evaluate([5.0, 2.0], &new_pool(1).expect("a thread"), &());
     assert!(matches!(error, Err(TuningError::NoEvent { ttis: 10 })), "{error:?}");
 }
 
 #[test]
-fn a_tuning_that_is_cut_short_comes_to_the_same_end() {
-    let (whole, cut) = (File::new("whole"), File::new("cut"));
-    let mut tuner = Tuner::open(plan(), &whole.0, false).expect("new");
-    assert!(tuner.run(3, 1, &Between, &()).expect("run"));
+fn an_interrupted_tuning_resumes_to_the_same_result() {
+    let (uninterrupted, interrupted) = (HistoryFile::new("uninterrupted"), HistoryFile::new("interrupted"));
+    let mut tuner = Tuner::open(small_plan(), &uninterrupted.0, false).expect("new");
+    assert!(tuner.run(3, 1, &BetweenBestAndLast, &()).expect("run"));
     assert_eq!((tuner.history().points.len(), tuner.pairs_left(3)), (6, 0));
     for stop in [1, 4] {
-        let mut part = Tuner::open(plan(), &cut.0, false).expect("new or found");
-        let ended = part.run(3, 2, &Between, &StopIn(stop, AtomicUsize::new(0)));
-        assert!(!ended.expect("run"), "stopped in point {stop}");
-        assert_eq!(part.history().points.len(), stop);
+        let mut stopped = Tuner::open(small_plan(), &interrupted.0, false).expect("new or found");
+        let is_finished = stopped.run(3, 2, &BetweenBestAndLast, &StopInPoint::new(stop));
+        assert!(!is_finished.expect("run"), "stopped in point {stop}");
+        assert_eq!(stopped.history().points.len(), stop);
         // A torn file: the point in progress is lost, the points before it are not.
-        std::fs::write(&cut.0, cut.text() + &format!("{stop},1.5,2.")).expect("writable");
+        std::fs::write(&interrupted.0, interrupted.text() + &format!("{stop},1.5,2.")).expect("writable");
     }
-    let mut rest = Tuner::open(plan(), &cut.0, false).expect("found");
-    assert!(rest.is_torn());
-    assert!(rest.run(3, 1, &Between, &()).expect("run"));
-    assert_eq!(cut.text(), whole.text());
-    let longer = Tuner::open(plan(), &whole.0, false).expect("found");
+    let mut resumed = Tuner::open(small_plan(), &interrupted.0, false).expect("found");
+    assert!(resumed.is_torn());
+    assert!(resumed.run(3, 1, &BetweenBestAndLast, &()).expect("run"));
+    assert_eq!(interrupted.text(), uninterrupted.text());
+    let longer = Tuner::open(small_plan(), &uninterrupted.0, false).expect("found");
     assert_eq!(
         (longer.pairs_left(3), longer.pairs_left(5)),
         (0, 2),
-        "more iterations resume it"
+        "pairs left with 3 and with 5 iterations"
     );
 }
 
 #[test]
 fn the_history_of_another_tuning_is_refused() {
-    let file = File::new("foreign");
-    let mut tuner = Tuner::open(plan(), &file.0, false).expect("new");
-    assert!(tuner.run(0, 1, &Between, &()).expect("run"));
-    let refused = |change: &dyn Fn(&mut TuningPlan), part: &str| {
-        let mut plan = plan();
+    let file = HistoryFile::new("foreign");
+    let mut tuner = Tuner::open(small_plan(), &file.0, false).expect("new");
+    assert!(tuner.run(0, 1, &BetweenBestAndLast, &()).expect("run"));
+    let assert_refused = |change: &dyn Fn(&mut TuningPlan), cause: &str| {
+        let mut plan = small_plan();
         change(&mut plan);
         match Tuner::open(plan, &file.0, false) {
-            Err(error @ TuningError::Foreign { .. }) => assert!(error.to_string().contains(part), "{error}"),
-            other => panic!("{part}: {other:?}"),
+            Err(error @ TuningError::Foreign { .. }) => assert!(error.to_string().contains(cause), "{error}"),
+            other => panic!("{cause}: {other:?}"),
         }
     };
-    refused(
-        &|p| p.scenario = scenario(&["devices=13"]),
+    assert_refused(
+        &|plan| plan.scenario = scenario_with(&["devices=13"]),
         "devices: 12 there, 13 here",
     );
-    refused(
-        &|p| p.scenario = scenario(&["devices=12", "harvest.lambda=0.2"]),
+    assert_refused(
+        &|plan| plan.scenario = scenario_with(&["devices=12", "harvest.lambda=0.2"]),
         "scenario",
     );
-    refused(&|p| p.objective = TuningObjective::Information, "objective");
-    refused(&|p| p.ranges.mu2 = (1.0, 6.0), "mu2");
-    refused(&|p| p.runs = 4, "evaluation");
-    refused(&|p| p.training.ttis = 101, "training");
-    let other = file.text().replacen("\n1,", "\n1,1", 1);
-    std::fs::write(&file.0, other).expect("writable");
-    refused(&|_| {}, "other pairs");
-    let restarted = Tuner::open(plan(), &file.0, true).expect("forced");
+    assert_refused(&|plan| plan.objective = TuningObjective::Information, "objective");
+    assert_refused(&|plan| plan.ranges.mu2 = (1.0, 6.0), "mu2");
+    assert_refused(&|plan| plan.runs = 4, "evaluation");
+    assert_refused(&|plan| plan.training.ttis = 101, "training");
+    let other_pairs = file.text().replacen("\n1,", "\n1,1", 1);
+    std::fs::write(&file.0, other_pairs).expect("writable");
+    assert_refused(&|_| {}, "other pairs");
+    let restarted = Tuner::open(small_plan(), &file.0, true).expect("forced");
     assert_eq!(restarted.pairs_left(0), 3);
 }
 
 #[test]
-fn a_history_is_read_as_it_was_written() {
+fn a_history_round_trips_and_damaged_ones_are_refused() {
     let evaluation = Evaluation {
         objective: -1.0 / 3.0,
         objective_half: f64::NAN,
@@ -324,27 +343,41 @@ fn a_history_is_read_as_it_was_written() {
         history.points.push(TuningPoint { weights, evaluation });
     }
     let text = history.to_csv();
-    let (read, torn) = History::parse(&text).expect("ours");
-    let bits = |h: &History| -> Vec<[u64; 2]> { h.points.iter().map(|p| p.weights.map(f64::to_bits)).collect() };
+    let (read, is_torn) = History::parse(&text).expect("ours");
+    let weight_bits = |history: &History| -> Vec<[u64; 2]> {
+        history
+            .points
+            .iter()
+            .map(|plan| plan.weights.map(f64::to_bits))
+            .collect()
+    };
     assert_eq!(
-        (bits(&read), torn, read.to_csv()),
-        (bits(&history), false, text.clone())
+        (weight_bits(&read), is_torn, read.to_csv()),
+        (weight_bits(&history), false, text.clone())
     );
     assert_eq!((read.range("mu1"), read.range("mu2")), (Some((0.5, 20.0)), None));
-    for end in 1..text.lines().last().expect("a line").len() {
-        let (torn, is_torn) = History::parse(&text[..text.len() - end]).expect("ours");
-        assert_eq!((torn.points.len(), is_torn), (1, true), "{end}");
+    for dropped_bytes in 1..text.lines().last().expect("a line").len() {
+        let (torn, is_torn) = History::parse(&text[..text.len() - dropped_bytes]).expect("ours");
+        assert_eq!(
+            (torn.points.len(), is_torn),
+            (1, true),
+            "without the last {dropped_bytes} bytes"
+        );
     }
     for bad in ["", "number,mu1\n", "a\nb\n", "# reveille tuning 1\nnumber\n"] {
         assert!(History::parse(bad).is_err(), "{bad:?}");
     }
-    let with = |from: &str, to: &str| History::parse(&text.replacen(from, to, 1));
-    assert!(with("\n0,", "\n7,").is_err() && with(",20,", ",x,").is_err() && with(",20,", ",").is_err());
-    assert!(with(",20,", ",NaN,").is_err());
+    let parse_edited = |from: &str, to: &str| History::parse(&text.replacen(from, to, 1));
+    assert!(
+        parse_edited("\n0,", "\n7,").is_err()
+            && parse_edited(",20,", ",x,").is_err()
+            && parse_edited(",20,", ",").is_err()
+    );
+    assert!(parse_edited(",20,", ",NaN,").is_err());
 }
 
 #[test]
-fn the_best_come_first_and_of_equals_the_earlier() {
+fn points_are_ranked_by_objective_and_then_by_number() {
     let mut history = History::new(Vec::new());
     for objective in [0.1, 0.5, -1.0, 0.5] {
         let evaluation = Evaluation {
@@ -369,14 +402,15 @@ mod optimiser {
     use super::super::bayes::{Bayes, surface};
     use super::*;
 
-    /// A hill with its top at μ1 = 6, μ2 = 2.
+    /// An objective with its maximum of 0.4 at μ1 = 6, μ2 = 2.
     fn hill([mu1, mu2]: WeightPair) -> f64 {
         let (x, y) = (libm::log(mu1 / 6.0), libm::log(mu2 / 2.0));
         0.4 - 0.05 * x * x - 0.3 * y * y - 0.03 * x * y
     }
 
+    /// Returns the points of a design and of further `iterations` of the optimiser on the hill.
     fn climb(seed: u64, iterations: usize) -> Vec<(WeightPair, f64)> {
-        let ranges = plan().ranges;
+        let ranges = small_plan().ranges;
         let value = |pair: WeightPair| (pair, hill(pair));
         let mut points: Vec<(WeightPair, f64)> = design(&ranges, [14.0, 1.6], 6, seed).into_iter().map(value).collect();
         for _ in 0..iterations {
@@ -386,30 +420,30 @@ mod optimiser {
         points
     }
 
-    /// Within ten proposals the optimiser gets within 2 % of the hill's height below the top. At random this takes
-    /// hundreds: such pairs are less than 1 % of the ranges.
+    /// Such pairs are less than 1 % of the ranges: a random search would need hundreds of proposals.
     #[test]
-    fn it_finds_the_top_of_a_hill() {
+    fn the_optimiser_finds_the_maximum() {
         for seed in [1, 2, 3] {
             let points = climb(seed, 10);
             let best = points.iter().map(|(_, value)| *value).fold(f64::NEG_INFINITY, f64::max);
-            assert!(best > 0.4 - 0.002, "seed {seed}: {best} {points:?}");
+            assert!(best > 0.4 - 0.002, "seed {seed}: best {best}, points {points:?}");
         }
     }
 
     #[test]
-    fn it_proposes_the_same_twice_and_in_any_pool() {
-        let once = climb(1, 3);
-        let bits =
-            |points: &[(WeightPair, f64)]| -> Vec<[u64; 2]> { points.iter().map(|p| p.0.map(f64::to_bits)).collect() };
-        assert_eq!(bits(&once), bits(&climb(1, 3)));
-        let many = new_pool(3).expect("threads").install(|| climb(1, 3));
-        assert_eq!(bits(&once), bits(&many));
+    fn proposals_are_the_same_twice_and_in_any_pool() {
+        let points = climb(1, 3);
+        let bits = |points: &[(WeightPair, f64)]| -> Vec<[u64; 2]> {
+            points.iter().map(|plan| plan.0.map(f64::to_bits)).collect()
+        };
+        assert_eq!(bits(&points), bits(&climb(1, 3)));
+        let on_three_threads = new_pool(3).expect("threads").install(|| climb(1, 3));
+        assert_eq!(bits(&points), bits(&on_three_threads));
     }
 
     #[test]
-    fn a_surface_goes_through_points_without_noise() {
-        let ranges = plan().ranges;
+    fn a_surface_interpolates_points_without_noise() {
+        let ranges = small_plan().ranges;
         let mut history = History::new(Vec::new());
         for (weights, objective) in climb(1, 4) {
             let evaluation = Evaluation {
@@ -426,11 +460,12 @@ mod optimiser {
         let surface = surface(&ranges, &history).expect("a surface");
         assert_eq!((surface.rows.len(), surface.rows[0].len()), (40, 40));
         for point in &history.points {
-            let [u, v] = ranges
+            let [column, row] = ranges
                 .position(point.weights)
                 .map(|share| ((share * 40.0) as usize).min(39));
-            let off = surface.rows[v][u] - hill(ranges.pair_at([(u as f64 + 0.5) / 40.0, (v as f64 + 0.5) / 40.0]));
-            assert!(off.abs() < 0.01, "{:?}: {off}", point.weights);
+            let error = surface.rows[row][column]
+                - hill(ranges.pair_at([(column as f64 + 0.5) / 40.0, (row as f64 + 0.5) / 40.0]));
+            assert!(error.abs() < 0.01, "{:?}: error {error}", point.weights);
         }
     }
 }

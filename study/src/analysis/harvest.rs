@@ -115,7 +115,7 @@ pub fn measure(study: &HarvestStudy) -> Result<Vec<HarvestPoint>, AnalysisError>
 
 impl HarvestStudy {
     fn check(&self) -> Result<(), AnalysisError> {
-        let empty_list = |what, example| Err(AnalysisError::EmptyList { what, example });
+        let empty_list = |list, example| Err(AnalysisError::EmptyList { list, example });
         if self.readings.is_empty() {
             return empty_list("reading", "eq5");
         }
@@ -235,11 +235,11 @@ pub struct StatedThreshold {
 /// For E_B of 5 and 10 the text on Fig. 14 names the lower λ first and calls it the upper bound. Here the higher λ is
 /// the upper bound.
 pub const STATED_THRESHOLDS: [StatedThreshold; 9] = {
-    /// Policies with the least and the most consumption, according to the paper.
-    type Ends = (&'static str, &'static str);
-    const AT_10: Ends = ("random", "q-learning");
-    const AT_100: Ends = ("random", "adjusted");
-    const AT_250: Ends = ("dt", "adjusted");
+    /// The policies with the least and the most consumption at an N, according to the paper.
+    type LeastAndMost = (&'static str, &'static str);
+    const POLICIES_AT_N_10: LeastAndMost = ("random", "q-learning");
+    const POLICIES_AT_N_100: LeastAndMost = ("random", "adjusted");
+    const POLICIES_AT_N_250: LeastAndMost = ("dt", "adjusted");
     const ABOVE_ANY_HARVEST: Contradiction = Contradiction {
         other_citation: FIG_8.sentence(2),
         reason: "Under Eq. (5) the harvest with E_B = 1 is at most E_B/e = 0.368 units, but the method with the \
@@ -252,7 +252,7 @@ pub const STATED_THRESHOLDS: [StatedThreshold; 9] = {
     };
     const fn both(
         devices: u32,
-        (least, most): Ends,
+        (least, most): LeastAndMost,
         e_b: f64,
         least_lambda: f64,
         most_lambda: f64,
@@ -266,7 +266,13 @@ pub const STATED_THRESHOLDS: [StatedThreshold; 9] = {
             ..one(devices, (least, most), e_b, least_lambda, citation)
         }
     }
-    const fn one(devices: u32, (policy, _): Ends, e_b: f64, lambda: f64, citation: Citation) -> StatedThreshold {
+    const fn one(
+        devices: u32,
+        (policy, _): LeastAndMost,
+        e_b: f64,
+        lambda: f64,
+        citation: Citation,
+    ) -> StatedThreshold {
         StatedThreshold {
             devices,
             e_b,
@@ -284,18 +290,21 @@ pub const STATED_THRESHOLDS: [StatedThreshold; 9] = {
         }
     }
     [
-        contradicted(both(10, AT_10, 1.0, 0.4, 0.9, FIG_13.sentence(6)), ABOVE_ANY_HARVEST),
-        one(10, AT_10, 5.0, 0.09, FIG_13.sentence(7)),
-        one(10, AT_10, 10.0, 0.05, FIG_13.sentence(7)),
         contradicted(
-            both(100, AT_100, 1.0, 0.23, 0.38, FIG_14.sentence(4)),
+            both(10, POLICIES_AT_N_10, 1.0, 0.4, 0.9, FIG_13.sentence(6)),
+            ABOVE_ANY_HARVEST,
+        ),
+        one(10, POLICIES_AT_N_10, 5.0, 0.09, FIG_13.sentence(7)),
+        one(10, POLICIES_AT_N_10, 10.0, 0.05, FIG_13.sentence(7)),
+        contradicted(
+            both(100, POLICIES_AT_N_100, 1.0, 0.23, 0.38, FIG_14.sentence(4)),
             DIFFERENT_CONSUMPTIONS,
         ),
-        both(100, AT_100, 5.0, 0.052, 0.096, FIG_14.sentence(5)),
-        both(100, AT_100, 10.0, 0.023, 0.048, FIG_14.sentence(5)),
-        both(250, AT_250, 1.0, 0.15, 0.3, FIG_13.sentence(6)),
-        one(250, AT_250, 5.0, 0.05, FIG_13.sentence(7)),
-        one(250, AT_250, 10.0, 0.02, FIG_13.sentence(7)),
+        both(100, POLICIES_AT_N_100, 5.0, 0.052, 0.096, FIG_14.sentence(5)),
+        both(100, POLICIES_AT_N_100, 10.0, 0.023, 0.048, FIG_14.sentence(5)),
+        both(250, POLICIES_AT_N_250, 1.0, 0.15, 0.3, FIG_13.sentence(6)),
+        one(250, POLICIES_AT_N_250, 5.0, 0.05, FIG_13.sentence(7)),
+        one(250, POLICIES_AT_N_250, 10.0, 0.02, FIG_13.sentence(7)),
     ]
 };
 
@@ -336,7 +345,7 @@ mod tests {
 
     use super::*;
 
-    fn scenario(overrides: &[&str]) -> Scenario {
+    fn scenario_with(overrides: &[&str]) -> Scenario {
         let parse = |text: &&str| Override::parse(text).expect("an override");
         let overrides: Vec<Override> = overrides.iter().map(parse).collect();
         load("paper", &overrides).expect("a scenario").scenario
@@ -346,40 +355,40 @@ mod tests {
         Energy::from_units(units).expect("in range")
     }
 
-    fn study(lambdas: &[f64], e_b: &[f64]) -> HarvestStudy {
+    fn harvest_study(lambdas: &[f64], e_b: &[f64]) -> HarvestStudy {
         HarvestStudy {
-            scenario: scenario(&["devices=40", "ttis=2000", "policy.name=random"]),
+            scenario: scenario_with(&["devices=40", "ttis=2000", "policy.name=random"]),
             readings: LambdaReading::ALL.to_vec(),
             lambdas: lambdas.to_vec(),
-            e_b: e_b.iter().map(|&e| units(e)).collect(),
+            e_b: e_b.iter().map(|&value| units(value)).collect(),
             seeds: 6,
         }
     }
 
     #[test]
-    fn runs_harvest_as_the_closed_form() {
-        let points = measure(&study(&[0.0, 0.05, 1.0, 3.0], &[1.0, 10.0])).expect("a study");
+    fn measured_harvests_equal_the_closed_form() {
+        let points = measure(&harvest_study(&[0.0, 0.05, 1.0, 3.0], &[1.0, 10.0])).expect("a study");
         assert_eq!(points.len(), 16);
         for point in points {
-            // Arrivals in the 40 · 1800 · 6 trials have a binomial spread.
+            // Arrivals in the 40 devices · 1800 TTIs · 6 seeds have a binomial spread.
             let p = point.closed_form / point.e_b;
             let spread = point.e_b * (p * (1.0 - p) / (40.0 * 1800.0 * 6.0)).sqrt();
-            let off = (point.harvested.mean - point.closed_form).abs();
-            assert!(off <= 4.0 * spread + 1e-12, "{point:?}");
-            let ledger = point.harvested.mean - point.spent.mean - point.net.mean;
-            assert!(ledger.abs() < 1e-9, "{point:?}");
+            let difference = (point.harvested.mean - point.closed_form).abs();
+            assert!(difference <= 4.0 * spread + 1e-12, "{point:?}");
+            let residual = point.harvested.mean - point.spent.mean - point.net.mean;
+            assert!(residual.abs() < 1e-9, "{point:?}");
         }
     }
 
     #[test]
-    fn the_probability_is_the_printed_one() {
+    fn arrival_probabilities_equal_printed_values() {
         // exp(-1/2) and exp(-1/4) from a printed table.
         assert!((LambdaReading::Eq5.probability(0.25, 2.0) - 0.5 * 0.606_530_659_7).abs() < 1e-10);
         assert!((LambdaReading::ExpMinusLambda.probability(0.25, 2.0) - 0.778_800_783_1).abs() < 1e-10);
     }
 
     #[test]
-    fn net_energy_is_positive_between_two_lambdas() {
+    fn net_energy_is_positive_in_a_range_of_lambda() {
         // The maximum of Eq. (5), at λ = 1, gives E_B / e.
         let e = std::f64::consts::E;
         assert_eq!(
@@ -388,13 +397,16 @@ mod tests {
         );
         for (e_b, spent, tau) in [(1.0, 0.2, 1.0), (5.0, 0.25, 1.0), (10.0, 3.0, 0.5)] {
             let (from, to) = lambdas_with_positive_net(LambdaReading::Eq5, e_b, spent, tau).expect("a range");
-            assert!(from < 1.0 / tau && to > 1.0 / tau, "{from} {to}");
-            for edge in [from, to] {
-                assert!((e_b * LambdaReading::Eq5.probability(edge, tau) - spent).abs() < 1e-9);
+            assert!(from < 1.0 / tau && to > 1.0 / tau, "range {from} to {to}");
+            for limit in [from, to] {
+                assert!((e_b * LambdaReading::Eq5.probability(limit, tau) - spent).abs() < 1e-9);
             }
         }
         let (from, to) = lambdas_with_positive_net(LambdaReading::ExpMinusLambda, 5.0, 0.25, 1.0).expect("a range");
-        assert!(from == 0.0 && (to - libm::log(20.0)).abs() < 1e-12, "{from} {to}");
+        assert!(
+            from == 0.0 && (to - libm::log(20.0)).abs() < 1e-12,
+            "range {from} to {to}"
+        );
         assert_eq!(
             lambdas_with_positive_net(LambdaReading::ExpMinusLambda, 1.0, 2.0, 1.0),
             None
@@ -402,44 +414,47 @@ mod tests {
     }
 
     #[test]
-    fn demand_is_what_full_batteries_would_spend() {
+    fn demand_is_the_consumption_with_full_batteries() {
         // Without events the genie's devices stay in S4.
-        let genie = scenario(&["devices=10", "ttis=1000", "policy.name=genie", "events.alpha=1e-9"]);
+        let genie = scenario_with(&["devices=10", "ttis=1000", "policy.name=genie", "events.alpha=1e-9"]);
         let spent = measure_demand(&genie, 2).expect("runs").mean;
-        assert!((spent - 0.071_429).abs() < 1e-12, "{spent}");
-        let random = scenario(&["devices=100", "ttis=1000", "policy.name=random", "harvest.e_b=0.1"]);
-        let (short, full) = (
+        assert!((spent - 0.071_429).abs() < 1e-12, "demand {spent}");
+        let random = scenario_with(&["devices=100", "ttis=1000", "policy.name=random", "harvest.e_b=0.1"]);
+        let (consumption, demand) = (
             measure_consumption(&random, 3).expect("runs"),
             measure_demand(&random, 3).expect("runs"),
         );
-        assert!(short.mean < 0.2 && full.mean > 0.4, "{short:?} {full:?}");
+        assert!(
+            consumption.mean < 0.2 && demand.mean > 0.4,
+            "consumption {consumption:?}, demand {demand:?}"
+        );
     }
 
     #[test]
     fn invalid_studies_are_refused() {
-        for (study, part) in [
-            (study(&[], &[1.0]), "lambda: the list is empty"),
-            (study(&[0.1], &[]), "e-b: the list is empty"),
-            (study(&[0.1], &[0.0]), "e-b = 0"),
-            (study(&[0.1, -1.0], &[1.0]), "lambda = -1"),
-            (study(&[f64::NAN], &[1.0]), "lambda = NaN"),
+        for (study, cause) in [
+            (harvest_study(&[], &[1.0]), "lambda: the list is empty"),
+            (harvest_study(&[0.1], &[]), "e-b: the list is empty"),
+            (harvest_study(&[0.1], &[0.0]), "e-b = 0"),
+            (harvest_study(&[0.1, -1.0], &[1.0]), "lambda = -1"),
+            (harvest_study(&[f64::NAN], &[1.0]), "lambda = NaN"),
             (
                 HarvestStudy {
                     seeds: 0,
-                    ..study(&[0.1], &[1.0])
+                    ..harvest_study(&[0.1], &[1.0])
                 },
                 "seeds = 0",
             ),
             (
                 HarvestStudy {
                     readings: vec![],
-                    ..study(&[0.1], &[1.0])
+                    ..harvest_study(&[0.1], &[1.0])
                 },
                 "reading: the list is empty",
             ),
         ] {
-            let message = measure(&study).expect_err(part).to_string();
-            assert!(message.contains(part), "{message}");
+            let message = measure(&study).expect_err(cause).to_string();
+            assert!(message.contains(cause), "{message}");
         }
     }
 }

@@ -45,27 +45,27 @@ mod tests {
 
     use super::*;
 
-    fn study(overrides: &[&str]) -> IMinComparison {
+    fn compare_with(overrides: &[&str]) -> IMinComparison {
         let parse = |text: &&str| Override::parse(text).expect("an override");
         let overrides: Vec<Override> = overrides.iter().map(parse).collect();
         measure(&load("paper", &overrides).expect("a scenario").scenario, 40).expect("a study")
     }
 
     #[test]
-    fn a_square_grid_is_eq_e_info1_and_random_layouts_do_worse() {
-        let grid = study(&["layout.kind=grid", "devices=100"]);
+    fn a_square_grid_has_the_closed_form_and_random_layouts_less() {
+        let grid = compare_with(&["layout.kind=grid", "devices=100"]);
         assert!(
             (grid.measured.mean - grid.square_grid).abs() < 1e-12 && grid.measured.deviation < 1e-12,
             "{grid:?}"
         );
-        // √(400 / 200) = √2 m.
+        // exp(-√2): the farthest place is √(400 / 200) = √2 m away.
         assert!((grid.square_grid - 0.243_116_734).abs() < 1e-9);
         for layout in [
             "layout.kind=uniform",
             "layout.kind=jittered-grid",
             "layout.kind=poisson-disk",
         ] {
-            let random = study(&[layout, "devices=100"]);
+            let random = compare_with(&[layout, "devices=100"]);
             assert!(
                 random.measured.mean + random.measured.half_width < random.square_grid,
                 "{layout}: {random:?}"
@@ -78,14 +78,17 @@ mod tests {
     }
 
     #[test]
-    fn one_device_sees_the_farthest_corner() {
-        let alone = study(&[
+    fn with_one_device_the_farthest_corner_decides() {
+        let one_device = compare_with(&[
             "layout.kind=grid",
             "devices=1",
             "area.width=6",
             "area.height=8",
             "sensing.d_max=4",
         ]);
-        assert!((alone.measured.mean - libm::exp(-5.0)).abs() < 1e-12, "{alone:?}");
+        assert!(
+            (one_device.measured.mean - libm::exp(-5.0)).abs() < 1e-12,
+            "{one_device:?}"
+        );
     }
 }

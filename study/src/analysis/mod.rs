@@ -23,32 +23,32 @@ use reveille_bs::scenario::Scenario;
 #[derive(Debug, thiserror::Error)]
 pub enum AnalysisError {
     /// A list of values to study is empty.
-    #[error("{what}: the list is empty, so there is nothing to study; give at least one value, for example {example}")]
+    #[error("{list}: the list is empty, so there is nothing to study; give at least one value, for example {example}")]
     EmptyList {
         /// Name of the list.
-        what: &'static str,
+        list: &'static str,
         /// Example of a valid list.
         example: &'static str,
     },
     /// A value is out of its range.
-    #[error("{what} = {value}: {allowed}")]
+    #[error("{quantity} = {value}: {requirement}")]
     InvalidValue {
         /// Name of the quantity.
-        what: &'static str,
+        quantity: &'static str,
         /// Invalid value.
         value: String,
-        /// Allowed values and the fix.
-        allowed: String,
+        /// The requirement on the value: `must be …`.
+        requirement: String,
     },
 }
 
 impl AnalysisError {
-    /// Creates the error for an invalid `value` of `what`.
-    pub(crate) fn invalid(what: &'static str, value: &impl ToString, allowed: impl Into<String>) -> Self {
+    /// Creates the error for an invalid `value` of `quantity`.
+    pub(crate) fn invalid(quantity: &'static str, value: &impl ToString, requirement: impl Into<String>) -> Self {
         Self::InvalidValue {
-            what,
+            quantity,
             value: value.to_string(),
-            allowed: allowed.into(),
+            requirement: requirement.into(),
         }
     }
 }

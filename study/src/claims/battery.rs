@@ -2,7 +2,7 @@
 
 use super::citation::FIGS_10_11;
 use super::claim::ClaimQuantity::{Growth, Mean};
-use super::claim::DeviceCounts::{At, Everywhere};
+use super::claim::DeviceCounts::{All, At};
 use super::claim::Statement::{About, Above, Between, Constant, Falls, Rises};
 use super::claim::{Claim, ClaimTopic, RARE_SENSING};
 
@@ -16,22 +16,15 @@ pub(super) const LOW_ENERGY: ClaimTopic = ClaimTopic {
     paper_figure: "Fig. 10",
     metric_reason: "",
     claims: &[
-        Claim::new("random", Everywhere, Mean, Constant, FIGS_10_11.sentence(3)).interpreted_as(SAME_OVER_N),
-        Claim::new("genie", Everywhere, Mean, Constant, FIGS_10_11.sentence(3)).interpreted_as(SAME_OVER_N),
-        Claim::new("knn", Everywhere, Mean, Falls, FIGS_10_11.sentence(4)),
-        Claim::new("q-learning", Everywhere, Mean, Falls, FIGS_10_11.sentence(4)),
+        Claim::new("random", All, Mean, Constant, FIGS_10_11.sentence(3)).interpreted_as(SAME_OVER_N),
+        Claim::new("genie", All, Mean, Constant, FIGS_10_11.sentence(3)).interpreted_as(SAME_OVER_N),
+        Claim::new("knn", All, Mean, Falls, FIGS_10_11.sentence(4)),
+        Claim::new("q-learning", All, Mean, Falls, FIGS_10_11.sentence(4)),
         Claim::new("knn", At(10), Mean, About(67.0), FIGS_10_11.sentence(4)),
         Claim::new("q-learning", At(10), Mean, About(67.0), FIGS_10_11.sentence(4)),
         Claim::new("knn", At(250), Mean, Between(8.0, 13.0), FIGS_10_11.sentence(4)),
         Claim::new("q-learning", At(250), Mean, Between(8.0, 13.0), FIGS_10_11.sentence(4)),
-        Claim::new(
-            "adjusted",
-            Everywhere,
-            Mean,
-            Between(30.0, 45.0),
-            FIGS_10_11.sentence(6),
-        )
-        .with_caveat(RARE_SENSING),
+        Claim::new("adjusted", All, Mean, Between(30.0, 45.0), FIGS_10_11.sentence(6)).with_caveat(RARE_SENSING),
         Claim::new("dt", At(250), Growth(10), About(0.5), FIGS_10_11.sentence(7)).interpreted_as(
             "\"Also decrease\" is read as a fall over N, as the 4th sentence states for knn and q-learning: to half of \
              the value at N = 10. Half of the value of q-learning would be another reading.",
@@ -47,23 +40,16 @@ pub(super) const MEAN_BATTERY: ClaimTopic = ClaimTopic {
     paper_figure: "Fig. 11",
     metric_reason: "",
     claims: &[
-        Claim::new("random", Everywhere, Mean, Constant, FIGS_10_11.sentence(3)).interpreted_as(SAME_OVER_N),
-        Claim::new("genie", Everywhere, Mean, Constant, FIGS_10_11.sentence(3)).interpreted_as(SAME_OVER_N),
-        Claim::new("knn", Everywhere, Mean, Rises, FIGS_10_11.sentence(5)),
-        Claim::new("q-learning", Everywhere, Mean, Rises, FIGS_10_11.sentence(5)),
+        Claim::new("random", All, Mean, Constant, FIGS_10_11.sentence(3)).interpreted_as(SAME_OVER_N),
+        Claim::new("genie", All, Mean, Constant, FIGS_10_11.sentence(3)).interpreted_as(SAME_OVER_N),
+        Claim::new("knn", All, Mean, Rises, FIGS_10_11.sentence(5)),
+        Claim::new("q-learning", All, Mean, Rises, FIGS_10_11.sentence(5)),
         Claim::new("knn", At(10), Mean, About(10.0), FIGS_10_11.sentence(5)),
         Claim::new("q-learning", At(10), Mean, About(10.0), FIGS_10_11.sentence(5)),
         Claim::new("knn", At(250), Mean, Between(72.0, 86.0), FIGS_10_11.sentence(5)),
         Claim::new("q-learning", At(250), Mean, Between(72.0, 86.0), FIGS_10_11.sentence(5)),
-        Claim::new(
-            "adjusted",
-            Everywhere,
-            Mean,
-            Between(31.0, 54.0),
-            FIGS_10_11.sentence(6),
-        )
-        .with_caveat(RARE_SENSING),
-        Claim::new("dt", Everywhere, Mean, Above(40.0), FIGS_10_11.sentence(7)),
+        Claim::new("adjusted", All, Mean, Between(31.0, 54.0), FIGS_10_11.sentence(6)).with_caveat(RARE_SENSING),
+        Claim::new("dt", All, Mean, Above(40.0), FIGS_10_11.sentence(7)),
         Claim::new("dt", At(250), Mean, About(88.0), FIGS_10_11.sentence(7)),
     ],
 };

@@ -1,7 +1,6 @@
-//! The types of a claim: a [`Statement`] on a [`ClaimQuantity`] of one policy, for some numbers of devices, and the
-//! caveats that several figures share. The neighbouring modules hold the claims themselves, one module a figure.
-
-use Statement::{Above, Below, Between};
+//! The types of a claim of the paper, which `reveille report` compares with runs, and the caveats that several figures
+//! share. A [`Claim`] is a [`Statement`] on a [`ClaimQuantity`] of one policy, for some numbers of devices. The
+//! neighbouring modules hold the claims themselves, one module for each figure.
 
 use super::citation::Citation;
 
@@ -20,25 +19,25 @@ pub enum DeviceCounts {
     /// All N above this.
     Over(u32),
     /// All N.
-    Everywhere,
+    All,
 }
 
 impl DeviceCounts {
     /// Smallest and largest N.
-    pub const fn ends(self) -> (u32, u32) {
+    pub const fn range(self) -> (u32, u32) {
         let (smallest, largest) = PAPER_N_RANGE;
         match self {
             Self::At(n) => (n, n),
             Self::Under(n) => (smallest, n - 1),
             Self::UpTo(n) => (smallest, n),
             Self::Over(n) => (n + 1, largest),
-            Self::Everywhere => PAPER_N_RANGE,
+            Self::All => PAPER_N_RANGE,
         }
     }
 
     /// Whether the claim covers `n` devices.
     pub const fn contains(self, n: u32) -> bool {
-        let (from, to) = self.ends();
+        let (from, to) = self.range();
         from <= n && n <= to
     }
 }
@@ -48,7 +47,8 @@ impl DeviceCounts {
 pub enum ClaimQuantity {
     /// Mean of the metric.
     Mean,
-    /// The mean divided by the mean of each of these policies; policies without runs are left out.
+    /// The mean divided by the mean of each of these policies: every ratio must satisfy the statement. Policies without
+    /// runs are left out.
     Ratio(&'static [&'static str]),
     /// Absolute difference between the mean and the mean of this policy.
     Gap(&'static str),
@@ -59,7 +59,7 @@ pub enum ClaimQuantity {
 /// Statement on the quantity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Statement {
-    /// About this value, at each N.
+    /// About this value, at each N; [`report::judge`](crate::report::judge) sets the tolerance.
     About(f64),
     /// Within a range, at each N.
     Between(f64, f64),
@@ -85,9 +85,9 @@ impl Statement {
     pub const fn range(self) -> Option<(f64, f64)> {
         match self {
             Self::About(v) => Some((v, v)),
-            Between(low, high) => Some((low, high)),
-            Below(v) => Some((f64::NEG_INFINITY, v)),
-            Above(v) => Some((v, f64::INFINITY)),
+            Self::Between(low, high) => Some((low, high)),
+            Self::Below(v) => Some((f64::NEG_INFINITY, v)),
+            Self::Above(v) => Some((v, f64::INFINITY)),
             Self::Largest(_) | Self::Smallest(_) | Self::Constant | Self::Falls | Self::Rises => None,
         }
     }
@@ -95,8 +95,8 @@ impl Statement {
     /// Values named in the statement.
     pub fn values(self) -> Vec<f64> {
         match self {
-            Self::About(v) | Below(v) | Above(v) | Self::Largest(v) | Self::Smallest(v) => vec![v],
-            Between(low, high) => vec![low, high],
+            Self::About(v) | Self::Below(v) | Self::Above(v) | Self::Largest(v) | Self::Smallest(v) => vec![v],
+            Self::Between(low, high) => vec![low, high],
             Self::Constant | Self::Falls | Self::Rises => Vec::new(),
         }
     }
@@ -204,31 +204,34 @@ pub struct ClaimTopic {
     pub claims: &'static [Claim],
 }
 
-/// Caveat for an information of 0.72 with 250 devices.
+// The numbers in the caveats hold for d_max, η, Ψ, energies and harvest of the presets `paper` and `paper-literal`. The
+// tests of this module recompute the numbers of the hexagons and the fixed cycles.
+
+/// Caveat for the 0.72 of q-learning and the genie with 250 devices, Fig. 7.
 pub(super) const CLOSEST_DEVICE: &str = "Under g = max an event gives at most the information of its closest device. \
     With 250 devices on 20 × 20 m the mean of that is 0.55 at random positions, 0.59 on a jittered grid, and 0.63 in \
     the best possible layout, a lattice of regular hexagons.";
-/// Caveat for the genie's 0.055 units.
+/// Caveat for the genie's 0.055 units, Fig. 8.
 pub(super) const WUR_FLOOR: &str = "A device that always listens spends E_WuR = 1/14 = 0.0714 units in every TTI, so \
     0.055 is less than the consumption of the genie's sleeping devices alone.";
-/// Caveat for actions that devices under adjusted take too rarely here.
+/// Caveat for claims on adjusted, Figs. 7 to 11: its devices sense too rarely here.
 pub(super) const RARE_SENSING: &str = "From its grid, adjusted takes the duty cycle with the lowest consumption that \
     reaches I_min. With few devices I_min is almost 0, because p falls with the distance. The paper states neither its \
     grid nor the chosen cycle; its devices must sense more often.";
-/// Caveat for the trend of random with rising N.
+/// Caveat for the trend of random with rising N, Fig. 8.
 pub(super) const FIXED_CYCLE: &str = "The duty cycles of Sec. VI, t_on of 1 or 2 in t_DRX of 2, 4 or 8, make a device \
     sense in 0.44 of all TTIs on average, for every N: about 0.48 units where the harvest allows it. This consumption \
     does not fall with N.";
-/// Caveat for the genie's 2 % with ten devices.
-pub(super) const AREA_OUT_OF_REACH: &str = "Ten discs of d_max = 4 m cannot cover 20 × 20 m in any layout, which needs \
-    4.36 m. At random positions they leave a third of the area out of reach, on a jittered grid a quarter. No wake-up \
-    can report an event there.";
-/// Caveat for knn's misdetections with many devices.
+/// Caveat for the genie's 2 % of misdetections with ten devices, Fig. 9.
+pub(super) const AREA_OUT_OF_REACH: &str = "Ten discs of d_max = 4 m cannot cover 20 × 20 m in any layout; that needs \
+    d_max ≥ 4.36 m. At random positions they leave a third of the area out of reach, on a jittered grid a quarter. No \
+    wake-up can report an event there.";
+/// Caveat for knn's misdetections with 250 devices, Fig. 9.
 pub(super) const PARTIAL_COVERAGE: &str = "One device of each cluster senses, about a dozen in all, so in any TTI part \
     of the area is not covered.";
-/// Caveat for spending more than the harvest.
+/// Caveat for the 0.83 units of q-learning with ten devices, which exceed the harvest, Fig. 8.
 pub(super) const HARVEST_LIMIT: &str = "In the long run devices cannot spend more than they harvest, 0.45 units under \
     Eq. (5) with λ = 0.1 and E_B = 5 as in the presets.";
-/// Caveat for one event in 100 000.
+/// Caveat for the genie's misdetection of one event in 100 000, Fig. 9.
 pub(super) const TOO_FEW_EVENTS: &str = "The genie's devices sleep until they are woken, so their batteries are nearly \
     full. About 400 000 events are needed to distinguish one in 100 000 from none.";

@@ -2,7 +2,7 @@
 
 use super::citation::{ABSTRACT, CONCLUSIONS, CONTRIBUTION, FIG_8, FIG_13, FIG_14, PARAMETERS};
 use super::claim::ClaimQuantity::{Gap, Mean, Ratio};
-use super::claim::DeviceCounts::{At, Everywhere, Over};
+use super::claim::DeviceCounts::{All, At, Over};
 use super::claim::Statement::{About, Above, Below, Between, Falls, Smallest};
 use super::claim::{Claim, ClaimTopic, FIXED_CYCLE, HARVEST_LIMIT, RARE_SENSING, WUR_FLOOR};
 
@@ -28,14 +28,14 @@ pub(super) const ENERGY: ClaimTopic = ClaimTopic {
             .interpreted_as(UPPER_END)
             .with_caveat(HARVEST_LIMIT),
         Claim::new("random", At(10), Mean, About(0.34), FIG_8.sentence(2)),
-        Claim::new("knn", Everywhere, Mean, Falls, FIG_8.sentence(3)),
+        Claim::new("knn", All, Mean, Falls, FIG_8.sentence(3)),
         Claim::new("knn", At(250), Mean, About(0.145), FIG_8.sentence(3)),
         Claim::new("random", At(250), Mean, Above(0.18), FIG_8.sentence(4)),
         Claim::new("random", At(250), Ratio(&["knn"]), Above(1.29), FIG_8.sentence(4)).contradicting(
             FIG_8.sentence(3),
             "0.18 is 24 % more than 0.145. For 29 %, random would have to spend more than 0.187.",
         ),
-        Claim::new("knn", Everywhere, Ratio(&["random"]), Smallest(0.77), CONTRIBUTION)
+        Claim::new("knn", All, Ratio(&["random"]), Smallest(0.77), CONTRIBUTION)
             .also_at(CONCLUSIONS.sentence(6))
             .interpreted_as("Of the named methods, knn spends least in Fig. 8."),
         Claim::new("knn", At(250), Ratio(&["random"]), Below(1.0), ABSTRACT.sentence(8))
@@ -54,9 +54,9 @@ pub(super) const ENERGY: ClaimTopic = ClaimTopic {
         ),
         Claim::new("dt", At(250), Ratio(&["random"]), Below(1.0), ABSTRACT.sentence(8))
             .interpreted_as(READ_AT_END_OF_AXIS),
-        Claim::new("q-learning", Everywhere, Mean, Falls, FIG_8.sentence(5)),
+        Claim::new("q-learning", All, Mean, Falls, FIG_8.sentence(5)),
         Claim::new("q-learning", At(250), Mean, About(0.24), FIG_8.sentence(5)),
-        Claim::new("adjusted", Everywhere, Mean, Falls, FIG_8.sentence(5)).with_caveat(RARE_SENSING),
+        Claim::new("adjusted", All, Mean, Falls, FIG_8.sentence(5)).with_caveat(RARE_SENSING),
         Claim::new("adjusted", At(250), Mean, About(0.32), FIG_8.sentence(5)).with_caveat(RARE_SENSING),
         Claim::new("knn", Over(180), Ratio(&["random"]), Below(1.0), FIG_8.sentence(6)),
         Claim::new("dt", At(250), Ratio(&["q-learning"]), About(0.6), FIG_8.sentence(7))
@@ -67,10 +67,10 @@ pub(super) const ENERGY: ClaimTopic = ClaimTopic {
                 FIG_8.sentence(5),
                 "40 % below q-learning's 0.24 is 0.144, and 10 % below knn's 0.145 is 0.131.",
             ),
-        Claim::new("knn", Everywhere, Gap("genie"), Falls, FIG_8.sentence(8)),
-        Claim::new("adjusted", Everywhere, Gap("genie"), Falls, FIG_8.sentence(8)).with_caveat(RARE_SENSING),
-        Claim::new("q-learning", Everywhere, Gap("genie"), Falls, FIG_8.sentence(8)),
-        Claim::new("dt", Everywhere, Gap("genie"), Falls, FIG_8.sentence(8)),
+        Claim::new("knn", All, Gap("genie"), Falls, FIG_8.sentence(8)),
+        Claim::new("adjusted", All, Gap("genie"), Falls, FIG_8.sentence(8)).with_caveat(RARE_SENSING),
+        Claim::new("q-learning", All, Gap("genie"), Falls, FIG_8.sentence(8)),
+        Claim::new("dt", All, Gap("genie"), Falls, FIG_8.sentence(8)),
         Claim::new("genie", At(250), Mean, About(0.055), FIG_8.sentence(9))
             .with_caveat(WUR_FLOOR)
             .contradicting(

@@ -2,7 +2,7 @@
 
 use super::citation::{ABSTRACT, BENCHMARKS, CONCLUSIONS, CONTRIBUTION, FIG_7};
 use super::claim::ClaimQuantity::{Mean, Ratio};
-use super::claim::DeviceCounts::{At, Everywhere, Over, UpTo};
+use super::claim::DeviceCounts::{All, At, Over, UpTo};
 use super::claim::Statement::{About, Above, Below, Largest, Rises};
 use super::claim::{CLOSEST_DEVICE, Claim, ClaimTopic, RARE_SENSING};
 
@@ -24,29 +24,16 @@ pub(super) const P1_OBJECTIVE: ClaimTopic = ClaimTopic {
         expected number of events αK. A late detection leaves less time for other events. It therefore lowers this \
         objective, but not the information per event.",
     claims: &[
-        Claim::new(
-            "adjusted",
-            Everywhere,
-            Ratio(&["random"]),
-            Above(1.0),
-            FIG_7.sentence(3),
-        )
-        .with_caveat(RARE_SENSING),
-        Claim::new("knn", Everywhere, Ratio(&["random"]), Above(1.0), FIG_7.sentence(3)),
-        Claim::new(
-            "q-learning",
-            Everywhere,
-            Ratio(&["random"]),
-            Above(1.0),
-            FIG_7.sentence(3),
-        ),
-        Claim::new("dt", Everywhere, Ratio(&["random"]), Above(1.0), FIG_7.sentence(3)),
+        Claim::new("adjusted", All, Ratio(&["random"]), Above(1.0), FIG_7.sentence(3)).with_caveat(RARE_SENSING),
+        Claim::new("knn", All, Ratio(&["random"]), Above(1.0), FIG_7.sentence(3)),
+        Claim::new("q-learning", All, Ratio(&["random"]), Above(1.0), FIG_7.sentence(3)),
+        Claim::new("dt", All, Ratio(&["random"]), Above(1.0), FIG_7.sentence(3)),
         Claim::new("q-learning", At(250), Ratio(&["genie"]), About(1.0), FIG_7.sentence(4))
             .also_at(CONCLUSIONS.sentence(6)),
-        Claim::new("q-learning", Everywhere, Ratio(&["genie"]), Rises, ABSTRACT.sentence(9)),
+        Claim::new("q-learning", All, Ratio(&["genie"]), Rises, ABSTRACT.sentence(9)),
         Claim::new(
             "genie",
-            Everywhere,
+            All,
             Ratio(&["knn", "adjusted", "q-learning", "dt", "random"]),
             Above(1.0),
             BENCHMARKS.sentence(6),
@@ -101,12 +88,12 @@ pub(super) const PER_EVENT: ClaimTopic = ClaimTopic {
         paper's model, events do not depend on the base station, so this metric and the objective of P1 have the same \
         mean.",
     claims: &[
-        Claim::new("knn", Everywhere, Mean, Rises, FIG_7.sentence(1)),
-        Claim::new("adjusted", Everywhere, Mean, Rises, FIG_7.sentence(1)),
-        Claim::new("q-learning", Everywhere, Mean, Rises, FIG_7.sentence(1)),
-        Claim::new("dt", Everywhere, Mean, Rises, FIG_7.sentence(1)),
-        Claim::new("random", Everywhere, Mean, Rises, FIG_7.sentence(1)),
-        Claim::new("genie", Everywhere, Mean, Rises, FIG_7.sentence(1)),
+        Claim::new("knn", All, Mean, Rises, FIG_7.sentence(1)),
+        Claim::new("adjusted", All, Mean, Rises, FIG_7.sentence(1)),
+        Claim::new("q-learning", All, Mean, Rises, FIG_7.sentence(1)),
+        Claim::new("dt", All, Mean, Rises, FIG_7.sentence(1)),
+        Claim::new("random", All, Mean, Rises, FIG_7.sentence(1)),
+        Claim::new("genie", All, Mean, Rises, FIG_7.sentence(1)),
         Claim::new("knn", At(250), Mean, About(0.4), FIG_7.sentence(4)).interpreted_as(UP_TO_IS_END_OF_AXIS),
         Claim::new("adjusted", At(250), Mean, About(0.4), FIG_7.sentence(4)).interpreted_as(UP_TO_IS_END_OF_AXIS),
         Claim::new("q-learning", At(250), Mean, About(0.72), FIG_7.sentence(4)).with_caveat(CLOSEST_DEVICE),
@@ -115,12 +102,12 @@ pub(super) const PER_EVENT: ClaimTopic = ClaimTopic {
             .with_caveat(CLOSEST_DEVICE),
         Claim::new(
             "genie",
-            Everywhere,
+            All,
             Ratio(&["knn", "adjusted", "q-learning", "dt", "random"]),
             Above(1.0),
             FIG_7.sentence(5),
         ),
-        Claim::new("q-learning", Everywhere, Ratio(&["random"]), Largest(4.5), CONTRIBUTION)
+        Claim::new("q-learning", All, Ratio(&["random"]), Largest(4.5), CONTRIBUTION)
             .also_at(CONCLUSIONS.sentence(6))
             .interpreted_as(
                 "The largest ratio over N among all methods; in Fig. 7 this is q-learning. \"4.5 times more\" is read \

@@ -2,7 +2,7 @@
 
 use super::citation::FIG_9;
 use super::claim::ClaimQuantity::{Mean, Ratio};
-use super::claim::DeviceCounts::{At, Everywhere, Under};
+use super::claim::DeviceCounts::{All, At, Under};
 use super::claim::Statement::{About, Above, Below, Constant, Falls, Largest};
 use super::claim::{AREA_OUT_OF_REACH, Claim, ClaimTopic, PARTIAL_COVERAGE, RARE_SENSING, TOO_FEW_EVENTS};
 
@@ -14,12 +14,12 @@ pub(super) const MISDETECTIONS: ClaimTopic = ClaimTopic {
     paper_figure: "Fig. 9",
     metric_reason: "",
     claims: &[
-        Claim::new("knn", Everywhere, Mean, Falls, FIG_9.sentence(2)),
-        Claim::new("adjusted", Everywhere, Mean, Falls, FIG_9.sentence(2)),
-        Claim::new("q-learning", Everywhere, Mean, Falls, FIG_9.sentence(2)),
-        Claim::new("dt", Everywhere, Mean, Falls, FIG_9.sentence(2)),
-        Claim::new("random", Everywhere, Mean, Falls, FIG_9.sentence(2)),
-        Claim::new("genie", Everywhere, Mean, Falls, FIG_9.sentence(2)),
+        Claim::new("knn", All, Mean, Falls, FIG_9.sentence(2)),
+        Claim::new("adjusted", All, Mean, Falls, FIG_9.sentence(2)),
+        Claim::new("q-learning", All, Mean, Falls, FIG_9.sentence(2)),
+        Claim::new("dt", All, Mean, Falls, FIG_9.sentence(2)),
+        Claim::new("random", All, Mean, Falls, FIG_9.sentence(2)),
+        Claim::new("genie", All, Mean, Falls, FIG_9.sentence(2)),
         Claim::new("knn", At(10), Mean, About(33.0), FIG_9.sentence(3)),
         Claim::new("adjusted", At(10), Mean, About(58.0), FIG_9.sentence(3)).with_caveat(RARE_SENSING),
         Claim::new("random", At(10), Mean, About(77.0), FIG_9.sentence(3)),
@@ -28,38 +28,26 @@ pub(super) const MISDETECTIONS: ClaimTopic = ClaimTopic {
         Claim::new("random", At(250), Mean, About(7.0), FIG_9.sentence(5)),
         Claim::new(
             "knn",
-            Everywhere,
+            All,
             Ratio(&["adjusted", "random"]),
             Below(1.0),
             FIG_9.sentence(6),
         ),
         Claim::new(
             "q-learning",
-            Everywhere,
+            All,
             Ratio(&["adjusted", "random"]),
             Below(1.0),
             FIG_9.sentence(6),
         ),
-        Claim::new(
-            "dt",
-            Everywhere,
-            Ratio(&["adjusted", "random"]),
-            Below(1.0),
-            FIG_9.sentence(6),
-        ),
-        Claim::new(
-            "random",
-            Everywhere,
-            Ratio(&["adjusted"]),
-            Largest(3.0),
-            FIG_9.sentence(7),
-        )
-        .interpreted_as("Better by up to 200 % is read as up to three times as many events missed by random.")
-        .with_caveat(RARE_SENSING),
+        Claim::new("dt", All, Ratio(&["adjusted", "random"]), Below(1.0), FIG_9.sentence(6)),
+        Claim::new("random", All, Ratio(&["adjusted"]), Largest(3.0), FIG_9.sentence(7))
+            .interpreted_as("Better by up to 200 % is read as up to three times as many events missed by random.")
+            .with_caveat(RARE_SENSING),
         Claim::new("adjusted", Under(200), Mean, Above(2.0), FIG_9.sentence(7)),
         Claim::new("genie", At(10), Mean, About(2.0), FIG_9.sentence(8)).with_caveat(AREA_OUT_OF_REACH),
         Claim::new("genie", At(250), Mean, About(0.003), FIG_9.sentence(8)),
-        Claim::new("genie", Everywhere, Mean, Above(0.001), FIG_9.sentence(11)).interpreted_as(
+        Claim::new("genie", All, Mean, Above(0.001), FIG_9.sentence(11)).interpreted_as(
             "A lower bound is read as a bound on the genie's misdetections, the subject of the \
                 sentence.",
         ),
@@ -75,7 +63,7 @@ pub(super) const GENIE_WITHOUT_ENERGY: ClaimTopic = ClaimTopic {
     metric_reason: "The genie wakes the closest device alone, and only one within d_max, so that its wrong activations \
         are the devices that detect and lack the energy to transmit. 0.001 % of events is 0.00001 an event.",
     claims: &[
-        Claim::new("genie", Everywhere, Mean, About(0.00001), FIG_9.sentence(11)).with_caveat(TOO_FEW_EVENTS),
-        Claim::new("genie", Everywhere, Mean, Constant, FIG_9.sentence(11)),
+        Claim::new("genie", All, Mean, About(0.00001), FIG_9.sentence(11)).with_caveat(TOO_FEW_EVENTS),
+        Claim::new("genie", All, Mean, Constant, FIG_9.sentence(11)),
     ],
 };

@@ -1,10 +1,11 @@
-//! Comparison of the claims with the numbers and sentences printed in the paper.
+//! Tests of [`TOPICS`]: the claims are compared with the numbers and sentences printed in the paper, the numbers of
+//! caveats with independent calculations. Not checked: whether a claim is understood correctly.
 
 use std::collections::BTreeSet;
 
 use reveille_common::score::Metrics;
 
-use super::DeviceCounts::{At, Everywhere, Over, Under, UpTo};
+use super::DeviceCounts::{All, At, Over, Under, UpTo};
 use super::*;
 use crate::analysis::harvest::STATED_THRESHOLDS;
 
@@ -71,99 +72,101 @@ const PRINTED: &[(&str, &[f64], &[u32])] = &[
 /// Numbers that we chose for words in a sentence: as much as, and not near.
 const WORDS: [f64; 2] = [1.0, 0.8];
 
-fn claims() -> impl Iterator<Item = (&'static ClaimTopic, &'static Claim)> {
-    let of = |topic: &'static ClaimTopic| topic.claims.iter().map(move |claim| (topic, claim));
-    TOPICS.iter().flat_map(of)
+fn all_claims() -> impl Iterator<Item = (&'static ClaimTopic, &'static Claim)> {
+    let claims_of = |topic: &'static ClaimTopic| topic.claims.iter().map(move |claim| (topic, claim));
+    TOPICS.iter().flat_map(claims_of)
 }
 
-/// Whether a claim's `value` represents the `printed` number: the number itself, a change in per cent, a share, or a
-/// factor for a gain in per cent.
-fn is_of(value: f64, printed: f64) -> bool {
+/// Returns whether a claim's `value` represents the `printed` number: the number itself, a change in per cent, a share,
+/// or a factor for a gain in per cent.
+fn represents(value: f64, printed: f64) -> bool {
     let forms = [printed, 1.0 - printed / 100.0, 1.0 + printed / 100.0, printed / 100.0];
     forms.iter().any(|form| (form - value).abs() < 1e-12)
 }
 
-/// Numbers that claims take from the sentence at `place`.
-fn taken(place: &str) -> Vec<f64> {
-    let is_here = |claim: &Claim| {
-        claim.citation.to_string() == place || claim.second_citation.is_some_and(|again| again.to_string() == place)
+/// Returns the numbers that claims take from the sentence at `place`.
+fn numbers_claimed(place: &str) -> Vec<f64> {
+    let is_cited = |claim: &Claim| {
+        claim.citation.to_string() == place || claim.second_citation.is_some_and(|second| second.to_string() == place)
     };
-    let own = claims().filter(|(_, claim)| is_here(claim));
-    let own = own.flat_map(|(_, claim)| claim.statement.values());
+    let claims = all_claims().filter(|(_, claim)| is_cited(claim));
+    let numbers = claims.flat_map(|(_, claim)| claim.statement.values());
     let lambdas = STATED_THRESHOLDS
         .iter()
         .filter(|stated| stated.citation.to_string() == place);
     let lambdas = lambdas.flat_map(|stated| stated.ends().map(|end| end.lambda));
-    own.chain(lambdas).collect()
+    numbers.chain(lambdas).collect()
 }
 
 #[test]
-fn every_number_of_a_claim_is_printed_in_its_sentence() {
-    let numbers = |place: &str| {
-        let found = PRINTED.iter().find(|(known, ..)| *known == place);
-        found
-            .unwrap_or_else(|| panic!("{place} is not in the table of what is printed"))
-            .1
+fn each_number_of_a_claim_is_printed_in_its_sentence() {
+    let printed_numbers = |place: &str| {
+        let sentence = PRINTED.iter().find(|(printed_place, ..)| *printed_place == place);
+        sentence.unwrap_or_else(|| panic!("{place} is not in PRINTED")).1
     };
-    for (_, claim) in claims() {
-        let printed = numbers(&claim.citation.to_string());
+    for (_, claim) in all_claims() {
+        let printed = printed_numbers(&claim.citation.to_string());
         for value in claim.statement.values() {
             let is_word = matches!(claim.quantity, ClaimQuantity::Ratio(_)) && WORDS.contains(&value);
-            assert!(is_word || printed.iter().any(|p| is_of(value, *p)), "{claim:?}");
+            assert!(
+                is_word || printed.iter().any(|number| represents(value, *number)),
+                "{claim:?}"
+            );
         }
         // A statement made at two places has its number in at least one of them.
-        claim.second_citation.map(|again| numbers(&again.to_string()));
+        claim.second_citation.map(|second| printed_numbers(&second.to_string()));
     }
     for stated in &STATED_THRESHOLDS {
-        let printed = numbers(&stated.citation.to_string());
+        let printed = printed_numbers(&stated.citation.to_string());
         assert!(stated.ends().all(|end| printed.contains(&end.lambda)), "{stated:?}");
     }
 }
 
 #[test]
-fn every_number_that_is_printed_is_claimed() {
+fn each_printed_number_is_in_a_claim() {
     for (place, numbers, sizes) in PRINTED {
-        let taken = taken(place);
+        let claimed = numbers_claimed(place);
         for number in *numbers {
             assert!(
-                taken.iter().any(|v| is_of(*v, *number)),
-                "{place}: nothing is made of {number}"
+                claimed.iter().any(|value| represents(*value, *number)),
+                "{place}: no claim has the number {number}"
             );
         }
         for n in *sizes {
-            let is_of = |claim: &Claim| match claim.device_counts {
-                At(own) | Under(own) | UpTo(own) | Over(own) => own == *n,
-                Everywhere => false,
+            let names_n = |claim: &Claim| match claim.device_counts {
+                At(limit) | Under(limit) | UpTo(limit) | Over(limit) => limit == *n,
+                All => false,
             };
-            let is_here = |claim: &Claim| [Some(claim.citation), claim.second_citation].contains(&place_of(place));
+            let is_cited = |claim: &Claim| [Some(claim.citation), claim.second_citation].contains(&place_of(place));
             assert!(
-                claims().any(|(_, claim)| is_of(claim) && is_here(claim)),
+                all_claims().any(|(_, claim)| names_n(claim) && is_cited(claim)),
                 "{place}: no claim for N = {n}"
             );
         }
     }
 }
 
-/// The place whose text form is `text`.
+/// Returns the cited place whose text form is `text`.
 fn place_of(text: &str) -> Option<Citation> {
-    let all = claims()
+    let places = all_claims()
         .flat_map(|(_, claim)| [Some(claim.citation), claim.second_citation])
         .flatten();
-    all.chain(STATED_THRESHOLDS.iter().map(|stated| stated.citation))
+    places
+        .chain(STATED_THRESHOLDS.iter().map(|stated| stated.citation))
         .find(|place| place.to_string() == text)
 }
 
 #[test]
-fn every_sentence_with_results_has_a_claim() {
+fn each_sentence_with_results_has_a_claim() {
     for (place, ..) in PRINTED {
         assert!(place_of(place).is_some(), "{place}");
     }
 }
 
 #[test]
-fn every_claim_names_a_metric_and_policies_that_exist() {
+fn claims_name_existing_metrics_and_policies() {
     let is_known = |policy: &str| POLICIES.contains(&policy);
-    for (topic, claim) in claims() {
+    for (topic, claim) in all_claims() {
         assert!(Metrics::NAMES.contains(&topic.metric), "{}", topic.metric);
         assert!(is_known(claim.policy), "{claim:?}");
         match claim.quantity {
@@ -177,7 +180,7 @@ fn every_claim_names_a_metric_and_policies_that_exist() {
                 assert!(!others.contains(claim.policy), "{claim:?}");
             }
             ClaimQuantity::Gap(other) => assert!(is_known(other) && other != claim.policy, "{claim:?}"),
-            ClaimQuantity::Growth(n) => assert!(claim.device_counts != At(n) && Everywhere.contains(n), "{claim:?}"),
+            ClaimQuantity::Growth(n) => assert!(claim.device_counts != At(n) && All.contains(n), "{claim:?}"),
         }
         if let Some((low, high)) = claim.statement.range() {
             assert!(low <= high, "{claim:?}");
@@ -186,30 +189,27 @@ fn every_claim_names_a_metric_and_policies_that_exist() {
 }
 
 #[test]
-fn no_claim_is_made_twice() {
+fn claims_are_distinct() {
     for topic in TOPICS {
-        for (i, a) in topic.claims.iter().enumerate() {
-            let same = |b: &Claim| {
-                (a.policy, a.device_counts, a.quantity, a.statement)
-                    == (b.policy, b.device_counts, b.quantity, b.statement)
+        for (i, claim) in topic.claims.iter().enumerate() {
+            let is_same = |other: &Claim| {
+                (claim.policy, claim.device_counts, claim.quantity, claim.statement)
+                    == (other.policy, other.device_counts, other.quantity, other.statement)
             };
-            assert!(!topic.claims[..i].iter().any(same), "{}: {a:?}", topic.metric);
+            assert!(!topic.claims[..i].iter().any(is_same), "{}: {claim:?}", topic.metric);
         }
     }
 }
 
 #[test]
 fn a_contradiction_cites_an_existing_sentence() {
-    for (_, claim) in claims() {
-        let Some(Contradiction {
-            other_citation: with, ..
-        }) = claim.contradicts
-        else {
+    for (_, claim) in all_claims() {
+        let Some(Contradiction { other_citation, .. }) = claim.contradicts else {
             continue;
         };
-        let is_there = PRINTED.iter().any(|(place, ..)| *place == with.to_string());
-        assert!(is_there || with == citation::PARAMETERS, "{claim:?}");
-        assert!(with != claim.citation, "{claim:?}");
+        let is_printed = PRINTED.iter().any(|(place, ..)| *place == other_citation.to_string());
+        assert!(is_printed || other_citation == citation::PARAMETERS, "{claim:?}");
+        assert!(other_citation != claim.citation, "{claim:?}");
     }
 }
 
@@ -219,16 +219,16 @@ fn device_counts_end_at_their_bounds() {
     assert!(UpTo(50).contains(50) && !UpTo(50).contains(51));
     assert!(Over(180).contains(181) && !Over(180).contains(180));
     assert!(At(10).contains(10) && !At(10).contains(11));
-    for device_counts in [Under(200), UpTo(50), Everywhere, Over(180)] {
+    for device_counts in [Under(200), UpTo(50), All, Over(180)] {
         assert!(
             !device_counts.contains(9) && !device_counts.contains(251),
-            "{device_counts:?} is within the paper's axis"
+            "{device_counts:?} exceeds the axis of the paper's figures"
         );
     }
 }
 
 #[test]
-fn a_citation_reads_naturally() {
+fn citations_have_ordinals() {
     let place = |n| FIG_8.sentence(n).to_string();
     for (n, ordinal) in [
         (1, "1st"),
@@ -243,25 +243,29 @@ fn a_citation_reads_naturally() {
     assert_eq!(FIG_8.to_string(), "Sec. VI-A, on Fig. 8");
 }
 
-/// Checks the numbers in caveats by independent integrals.
 #[test]
-fn numbers_of_caveats_hold() {
+fn numbers_in_caveats_equal_independent_calculations() {
     // A regular hexagon of 400 / 250 m²: its apothem is √(area / 2√3), and ∫ r e^-r dr from 0 to R is 1 − (1 + R) e^-R.
     let area = 400.0 / 250.0;
     let apothem = libm::sqrt(area / (2.0 * libm::sqrt(3.0)));
     let steps = 10_000;
-    let mean = (0..steps).map(|i| {
+    let integrals = (0..steps).map(|i| {
         let angle = std::f64::consts::FRAC_PI_6 * (f64::from(i) + 0.5) / f64::from(steps);
         let reach = apothem / libm::cos(angle);
         1.0 - (1.0 + reach) * libm::exp(-reach)
     });
-    let sum: f64 = mean.sum();
-    let hexagons = 12.0 * std::f64::consts::FRAC_PI_6 * sum / f64::from(steps) / area;
-    assert!((hexagons - 0.63).abs() < 0.005, "{hexagons}");
+    let sum: f64 = integrals.sum();
+    let mean_information = 12.0 * std::f64::consts::FRAC_PI_6 * sum / f64::from(steps) / area;
+    assert!(
+        (mean_information - 0.63).abs() < 0.005,
+        "mean information {mean_information}"
+    );
     // t_on of 1 or 2 in t_DRX of 2, 4 or 8, sensing at 1 unit and sleeping at 1/14.
     let shares = [1.0, 2.0].map(|on| [2.0, 4.0, 8.0].map(|cycle| on / cycle));
-    let share = shares.as_flattened().iter().sum::<f64>() / 6.0;
-    assert!((share - 0.44).abs() < 0.005 && (share + (1.0 - share) / 14.0 - 0.48).abs() < 0.005);
+    let sensing_share = shares.as_flattened().iter().sum::<f64>() / 6.0;
+    assert!(
+        (sensing_share - 0.44).abs() < 0.005 && (sensing_share + (1.0 - sensing_share) / 14.0 - 0.48).abs() < 0.005
+    );
     // The contradictions' arithmetic.
     let near = |a: f64, b: f64| (a - b).abs() < 0.0005;
     assert!(near(0.18 / 0.145, 1.241) && near(1.29 * 0.145, 0.187) && near(0.6 * 0.24, 0.144));

@@ -2,7 +2,7 @@
 
 use super::citation::{FIG_9, FIG_12};
 use super::claim::ClaimQuantity::{Mean, Ratio};
-use super::claim::DeviceCounts::{At, Everywhere};
+use super::claim::DeviceCounts::{All, At};
 use super::claim::Statement::{About, Below, Falls, Rises};
 use super::claim::{Claim, ClaimTopic};
 
@@ -19,10 +19,10 @@ pub(super) const ACTIVATIONS: ClaimTopic = ClaimTopic {
     paper_figure: "Fig. 12a",
     metric_reason: "",
     claims: &[
-        Claim::new("knn", Everywhere, Mean, Rises, FIG_12.sentence(5)),
-        Claim::new("adjusted", Everywhere, Mean, Rises, FIG_12.sentence(5)),
-        Claim::new("q-learning", Everywhere, Mean, Rises, FIG_12.sentence(5)),
-        Claim::new("dt", Everywhere, Mean, Rises, FIG_12.sentence(5)),
+        Claim::new("knn", All, Mean, Rises, FIG_12.sentence(5)),
+        Claim::new("adjusted", All, Mean, Rises, FIG_12.sentence(5)),
+        Claim::new("q-learning", All, Mean, Rises, FIG_12.sentence(5)),
+        Claim::new("dt", All, Mean, Rises, FIG_12.sentence(5)),
         Claim::new("adjusted", At(250), Mean, About(17.0), FIG_12.sentence(6)),
         Claim::new("q-learning", At(250), Mean, About(9.5), FIG_12.sentence(6)),
         Claim::new("knn", At(250), Mean, Below(6.0), FIG_12.sentence(6)),
@@ -54,15 +54,15 @@ pub(super) const WASTED: ClaimTopic = ClaimTopic {
     metric_reason: "The text states the wasted energy per IoTD, like the consumption: the energy wasted per event, \
         divided by N.",
     claims: &[
-        Claim::new("genie", Everywhere, Mean, About(0.0), FIG_12.sentence(4)).contradicting(
+        Claim::new("genie", All, Mean, About(0.0), FIG_12.sentence(4)).contradicting(
             FIG_9.sentence(11),
             "There the closest device lacks the energy to transmit at 0.001 % of events, which wastes its remaining \
              energy.",
         ),
-        Claim::new("knn", Everywhere, Mean, Falls, FIG_12.sentence(5)),
-        Claim::new("adjusted", Everywhere, Mean, Falls, FIG_12.sentence(5)),
-        Claim::new("q-learning", Everywhere, Mean, Falls, FIG_12.sentence(5)),
-        Claim::new("dt", Everywhere, Mean, Falls, FIG_12.sentence(5)),
-        Claim::new("dt", Everywhere, Mean, Below(1.5), FIG_12.sentence(7)),
+        Claim::new("knn", All, Mean, Falls, FIG_12.sentence(5)),
+        Claim::new("adjusted", All, Mean, Falls, FIG_12.sentence(5)),
+        Claim::new("q-learning", All, Mean, Falls, FIG_12.sentence(5)),
+        Claim::new("dt", All, Mean, Falls, FIG_12.sentence(5)),
+        Claim::new("dt", All, Mean, Below(1.5), FIG_12.sentence(7)),
     ],
 };

@@ -18,7 +18,7 @@ use super::area_plot::{AreaPlot, draw_title};
 use super::deployment::draw_epicentre;
 use super::error::FigureError;
 use super::font::{Weight, wrap_text};
-use super::heat::{HeatCell, HeatMap, KnowledgeDegree, RowLabels, colour, draw_ramp};
+use super::heat::{HeatCell, HeatMap, KnowledgeDegree, RowLabels, colour, draw_colour_scale};
 use super::path::VectorPath;
 use super::scene::{Paint, Scene, Stroke, Text};
 use super::style::{BLUE, COLUMN_WIDTH, LEADING, MARGIN, TEXT_SIZE};
@@ -194,7 +194,7 @@ pub fn scene(scenario: &Scenario, attention: &AttentionFigure) -> Scene {
         }
     }
     y = plot.bottom() + 2.0 * LEADING + 8.0;
-    y = draw_ramp(&mut scene, (MARGIN, y), largest) + 8.0;
+    y = draw_colour_scale(&mut scene, (MARGIN, y), largest) + 8.0;
     for head in 0..attention.shape.heads {
         let heat = attention.heat_map(head);
         y = heat.draw(&mut scene, (MARGIN, y), (COLUMN_WIDTH - 2.0 * MARGIN, ROW_HEIGHT), 1.0) + LEADING;

@@ -84,45 +84,48 @@ mod tests {
 
     use super::*;
 
-    const SQUARE: Area = Area {
+    const AREA: Area = Area {
         width: 20.0,
         height: 20.0,
     };
 
     #[test]
-    fn a_grid_has_the_neighbours_of_a_chess_board() {
-        let points = place_devices(&Layout::Grid, SQUARE, 9, 0);
-        let cells = voronoi_cells(&points, SQUARE);
+    fn a_grid_has_horizontal_and_vertical_neighbours() {
+        let points = place_devices(&Layout::Grid, AREA, 9, 0);
+        let cells = voronoi_cells(&points, AREA);
         let pairs = adjacent_devices(&points, &cells);
         assert_eq!(pairs.len(), 24, "12 borders, both ways");
-        let at = |x: f64, y: f64| {
-            let by = |j: &usize| points[*j].distance(Point::new(x, y));
-            (0..9).min_by(|a, b| by(a).total_cmp(&by(b))).expect("nine devices")
+        let device_near = |x: f64, y: f64| {
+            let distance = |j: &usize| points[*j].distance(Point::new(x, y));
+            (0..9)
+                .min_by(|a, b| distance(a).total_cmp(&distance(b)))
+                .expect("nine devices")
         };
-        let (corner, side, centre) = (at(3.0, 3.0), at(10.0, 3.0), at(10.0, 10.0));
+        let (corner, side, centre) = (device_near(3.0, 3.0), device_near(10.0, 3.0), device_near(10.0, 10.0));
         assert!(pairs.contains(&(corner, side)) && pairs.contains(&(side, centre)));
         assert!(!pairs.contains(&(corner, centre)), "they share only a corner");
-        let halves: Vec<u32> = points.iter().map(|p| u32::from(p.x > 7.0)).collect();
-        let lines = cluster_borders(&points, &cells, &halves);
+        let clusters: Vec<u32> = points.iter().map(|point| u32::from(point.x > 7.0)).collect();
+        let lines = cluster_borders(&points, &cells, &clusters);
         let length: f64 = lines.iter().map(|(a, b)| a.distance(*b)).sum();
         assert!((length - 20.0).abs() < 1e-6, "one line across the area");
     }
 
     #[test]
-    fn the_edge_of_the_area_is_no_border() {
+    fn the_edge_of_the_area_is_not_a_border() {
         let points = [Point::new(9.5, 10.0), Point::new(10.5, 10.0)];
-        let lines = cluster_borders(&points, &voronoi_cells(&points, SQUARE), &[0, 1]);
+        let lines = cluster_borders(&points, &voronoi_cells(&points, AREA), &[0, 1]);
         assert_eq!(lines.len(), 1, "{lines:?}");
         assert!((lines[0].0.distance(lines[0].1) - 20.0).abs() < 1e-9);
     }
 
     #[test]
-    fn touching_clusters_have_different_tints() {
-        let points = place_devices(&Layout::Uniform, SQUARE, 120, 5);
-        let cells = voronoi_cells(&points, SQUARE);
+    fn adjacent_clusters_have_different_tints() {
+        let points = place_devices(&Layout::Uniform, AREA, 120, 5);
+        let cells = voronoi_cells(&points, AREA);
         let pairs = adjacent_devices(&points, &cells);
-        let of: Vec<u32> = (0..120).collect();
-        let tints = assign_tints(&pairs, &of, 6);
+        // Each device is its own cluster.
+        let clusters: Vec<u32> = (0..120).collect();
+        let tints = assign_tints(&pairs, &clusters, 6);
         assert!(pairs.iter().all(|(a, b)| tints[*a] != tints[*b]));
     }
 }

@@ -45,55 +45,60 @@ pub(super) fn contour_segments(rows: &[Vec<f64>], level: f64) -> Vec<(UnitPoint,
 mod tests {
     use super::*;
 
-    fn grid(of: impl Fn(f64, f64) -> f64) -> Vec<Vec<f64>> {
+    /// Returns the values of `function` in the middles of 40 × 40 cells of the unit square.
+    fn grid(function: impl Fn(f64, f64) -> f64) -> Vec<Vec<f64>> {
         let middle = |i: u32| (f64::from(i) + 0.5) / 40.0;
         (0..40)
-            .map(|j| (0..40).map(|i| of(middle(i), middle(j))).collect())
+            .map(|j| (0..40).map(|i| function(middle(i), middle(j))).collect())
             .collect()
     }
 
-    fn length(segments: &[(UnitPoint, UnitPoint)]) -> f64 {
-        let one = |(a, b): &(UnitPoint, UnitPoint)| ((a.0 - b.0) * (a.0 - b.0) + (a.1 - b.1) * (a.1 - b.1)).sqrt();
-        segments.iter().map(one).sum()
+    fn total_length(segments: &[(UnitPoint, UnitPoint)]) -> f64 {
+        let segment_length =
+            |(a, b): &(UnitPoint, UnitPoint)| ((a.0 - b.0) * (a.0 - b.0) + (a.1 - b.1) * (a.1 - b.1)).sqrt();
+        segments.iter().map(segment_length).sum()
     }
 
     #[test]
-    fn the_line_of_a_cone_is_a_circle() {
+    fn the_contour_of_a_cone_is_a_circle() {
         let cone = grid(|x, y| ((x - 0.5) * (x - 0.5) + (y - 0.5) * (y - 0.5)).sqrt());
-        let found = contour_segments(&cone, 0.3);
+        let segments = contour_segments(&cone, 0.3);
         assert!(
-            (length(&found) - 0.6 * std::f64::consts::PI).abs() < 0.01,
-            "{}",
-            length(&found)
+            (total_length(&segments) - 0.6 * std::f64::consts::PI).abs() < 0.01,
+            "length {}",
+            total_length(&segments)
         );
-        for (a, _) in &found {
-            let reach = ((a.0 - 0.5) * (a.0 - 0.5) + (a.1 - 0.5) * (a.1 - 0.5)).sqrt();
-            assert!((reach - 0.3).abs() < 0.002, "{reach}");
+        for (a, _) in &segments {
+            let radius = ((a.0 - 0.5) * (a.0 - 0.5) + (a.1 - 0.5) * (a.1 - 0.5)).sqrt();
+            assert!((radius - 0.3).abs() < 0.002, "radius {radius}");
         }
         assert!(contour_segments(&cone, 2.0).is_empty() && contour_segments(&[], 0.0).is_empty());
     }
 
     #[test]
-    fn the_line_of_a_plane_goes_from_edge_to_edge() {
-        let found = contour_segments(&grid(|x, _| x), 0.4);
-        assert!((length(&found) - 1.0).abs() < 1e-9, "{}", length(&found));
+    fn the_contour_of_a_plane_reaches_from_edge_to_edge() {
+        let segments = contour_segments(&grid(|x, _| x), 0.4);
         assert!(
-            found
+            (total_length(&segments) - 1.0).abs() < 1e-9,
+            "length {}",
+            total_length(&segments)
+        );
+        assert!(
+            segments
                 .iter()
                 .all(|(a, b)| (a.0 - 0.4).abs() < 1e-9 && (b.0 - 0.4).abs() < 1e-9)
         );
     }
 
     #[test]
-    fn lines_do_not_cross_at_a_saddle() {
+    fn contours_do_not_cross_at_a_saddle() {
         // The middle (0.5) is above the level, so the high corners are connected.
         let saddle = vec![vec![1.0, 0.0], vec![0.0, 1.0]];
-        let found = contour_segments(&saddle, 0.4);
-        let between = |t: &UnitPoint| t.0 + t.1;
-        // Each piece lies wholly on one side of the diagonal through the high corners.
-        for (a, b) in found {
+        let segments = contour_segments(&saddle, 0.4);
+        // Each segment lies on one side of the diagonal through the high corners.
+        for (a, b) in segments {
             let side = |p: &UnitPoint| p.1 - p.0;
-            assert!(side(&a) * side(&b) > 0.0, "{a:?} {b:?} {}", between(&a));
+            assert!(side(&a) * side(&b) > 0.0, "{a:?} to {b:?}");
         }
     }
 }

@@ -143,7 +143,7 @@ mod tests {
 
     use super::*;
 
-    fn scenario(set: &[&str]) -> Scenario {
+    fn scenario_with(set: &[&str]) -> Scenario {
         let set: Vec<Override> = set
             .iter()
             .map(|text| Override::parse(text).expect("an override"))
@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn every_row_of_the_data_is_whole() {
+    fn each_row_of_the_data_is_complete() {
         let columns = [COVER_CSV, BOUND_CSV].map(|table| table.lines().next().expect("a head").split(',').count());
         assert_eq!(columns, [7, 4]);
         for (table, columns) in [COVER_CSV, BOUND_CSV].into_iter().zip(columns) {
@@ -170,43 +170,52 @@ mod tests {
         for layout in [Layout::JitteredGrid, Layout::Uniform] {
             for n in [10, 20, 40, 50, 60, 80, 100, 130, 160, 200, 250] {
                 let (cover, reach) = least_cover(&layout, n).expect("a cover");
-                assert!(reach > 0.0 && reach <= 1.0 && cover <= f64::from(n), "{cover} {reach}");
+                assert!(
+                    reach > 0.0 && reach <= 1.0 && cover <= f64::from(n),
+                    "N = {n}: cover {cover}, reach {reach}"
+                );
                 // Discs of 16π m² cannot cover more than their area.
-                assert!(cover * 16.0 * std::f64::consts::PI >= reach * 400.0, "{cover} {reach}");
+                assert!(
+                    cover * 16.0 * std::f64::consts::PI >= reach * 400.0,
+                    "N = {n}: cover {cover}, reach {reach}"
+                );
             }
         }
     }
 
     #[test]
-    fn the_floor_is_what_cover_listeners_and_one_report_an_event_cost() {
+    fn the_floor_is_the_cost_of_cover_listening_and_reports() {
         let (cover, reach) = least_cover(&Layout::JitteredGrid, 10).expect("a cover");
         assert!(
             (cover - 10.0).abs() < 1e-12 && (0.7..0.8).contains(&reach),
-            "{cover} {reach}"
+            "cover {cover}, reach {reach}"
         );
         // All ten sense. An event starts 5 TTIs after the last on average; one out of reach adds 3 TTIs.
         let expected = 1.0 + reach * 10.0 / (5.0 + 3.0 * (1.0 - reach)) / 10.0;
-        let found = energy_floor(&scenario(&[]), 10).expect("a floor");
-        assert!((found - expected).abs() < 1e-12, "{found} {expected}");
-        // Events of one TTI block nothing.
-        let short = energy_floor(&scenario(&["events.duration=1"]), 10).expect("a floor");
-        assert!((short - (1.0 + 0.2 * reach)).abs() < 1e-12, "{short}");
-    }
-
-    #[test]
-    fn with_many_devices_most_listen() {
-        let (cover, reach) = least_cover(&Layout::JitteredGrid, 250).expect("a cover");
-        let found = energy_floor(&scenario(&["energy.e_wur=0"]), 250).expect("a floor");
-        assert!((found - (cover + 2.0 * reach) / 250.0).abs() < 1e-9, "{found}");
-        let listening = energy_floor(&scenario(&[]), 250).expect("a floor") - found;
+        let floor = energy_floor(&scenario_with(&[]), 10).expect("a floor");
+        assert!((floor - expected).abs() < 1e-12, "floor {floor}, expected {expected}");
+        // Events of one TTI do not delay the next event.
+        let short_events = energy_floor(&scenario_with(&["events.duration=1"]), 10).expect("a floor");
         assert!(
-            (listening - 0.071_429 * (250.0 - cover) / 250.0).abs() < 1e-9,
-            "{listening}"
+            (short_events - (1.0 + 0.2 * reach)).abs() < 1e-12,
+            "floor {short_events}"
         );
     }
 
     #[test]
-    fn there_is_no_floor_where_no_cover_is_known() {
+    fn listening_costs_e_wur_per_device_outside_the_cover() {
+        let (cover, reach) = least_cover(&Layout::JitteredGrid, 250).expect("a cover");
+        let floor = energy_floor(&scenario_with(&["energy.e_wur=0"]), 250).expect("a floor");
+        assert!((floor - (cover + 2.0 * reach) / 250.0).abs() < 1e-9, "floor {floor}");
+        let listening = energy_floor(&scenario_with(&[]), 250).expect("a floor") - floor;
+        assert!(
+            (listening - 0.071_429 * (250.0 - cover) / 250.0).abs() < 1e-9,
+            "cost of listening {listening}"
+        );
+    }
+
+    #[test]
+    fn without_a_known_cover_there_is_no_floor() {
         for set in [
             "sensing.d_max=5",
             "sensing.kind=probabilistic",
@@ -214,17 +223,17 @@ mod tests {
             "area.width=30",
             "events.process=bursts",
         ] {
-            assert_eq!(energy_floor(&scenario(&[set]), 50), None, "{set}");
+            assert_eq!(energy_floor(&scenario_with(&[set]), 50), None, "{set}");
         }
-        assert_eq!(energy_floor(&scenario(&[]), 51), None);
+        assert_eq!(energy_floor(&scenario_with(&[]), 51), None);
         assert_eq!(
-            floor_within_harvest(&scenario(&[]), 10),
+            floor_within_harvest(&scenario_with(&[]), 10),
             None,
-            "a unit and more, and 0.45 are harvested"
+            "the floor is above 1 unit, the harvest is 0.45"
         );
         assert_eq!(
-            floor_within_harvest(&scenario(&[]), 250),
-            energy_floor(&scenario(&[]), 250)
+            floor_within_harvest(&scenario_with(&[]), 250),
+            energy_floor(&scenario_with(&[]), 250)
         );
         assert!(
             relaxed_bounds(&Layout::Uniform, 250).is_empty() && relaxed_bounds(&Layout::JitteredGrid, 250).len() == 3

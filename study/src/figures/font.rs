@@ -121,7 +121,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_letters_of_the_model_are_there() {
+    fn the_font_has_the_symbols_of_the_paper() {
         for weight in [Weight::Regular, Weight::Bold] {
             assert!(has_all_glyphs(
                 "αβγδληξτφΨΣÎ≥≤≈±×·−–…°², Pr(S₃|S₁) 0123456789 %",
@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn lines_keep_to_their_length_and_lose_no_word() {
+    fn wrapped_lines_keep_all_words_within_the_width() {
         let text = "knn, random and genie over 1000 runs of 10 000 TTIs each, mean and 95 % interval of the mean";
         let lines = wrap_text(text, Weight::Regular, 8.0, 120.0);
         assert!(lines.len() > 2);

@@ -29,14 +29,14 @@ const CORNER_SIZE: f64 = 4.5;
 /// Width of the line around framed cells, points.
 const FRAME_WIDTH: f64 = 1.8;
 
-/// Degree to which a value is known.
+/// Degree to which the value of a cell is known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum KnowledgeDegree {
-    /// Unknown: the cell was never visited.
+    /// There is no value: for example, learning never visited the cell. Drawn with hatching.
     Unknown,
-    /// Partly known: one of two actions was never tried.
-    Partly,
-    /// Known: the cell was visited.
+    /// One of the two actions behind the value was never tried. Drawn with a mark in the corner.
+    PartlyKnown,
+    /// The value is known.
     Known,
 }
 
@@ -95,11 +95,11 @@ impl HeatMap {
     }
 
     /// Returns the number of cells that are known to this degree.
-    pub(crate) fn count(&self, known: KnowledgeDegree) -> usize {
+    pub(crate) fn count(&self, degree: KnowledgeDegree) -> usize {
         self.cells
             .iter()
             .flatten()
-            .filter(|cell| cell.knowledge == known)
+            .filter(|cell| cell.knowledge == degree)
             .count()
     }
 
@@ -143,10 +143,10 @@ impl HeatGrid<'_> {
         let corners = self.corners(row, column);
         match cell.knowledge {
             KnowledgeDegree::Unknown => draw_hatching(scene, corners),
-            KnowledgeDegree::Partly | KnowledgeDegree::Known => {
+            KnowledgeDegree::PartlyKnown | KnowledgeDegree::Known => {
                 let colour = colour(cell.value, largest);
                 scene.area(VectorPath::rectangle(corners), Paint::Colour(colour), 1.0);
-                if cell.knowledge == KnowledgeDegree::Partly {
+                if cell.knowledge == KnowledgeDegree::PartlyKnown {
                     draw_corner_mark(scene, corners, contrast_colour(colour));
                 }
                 let at = (
@@ -253,28 +253,28 @@ impl HeatGrid<'_> {
     }
 }
 
-/// Length and height of the colour scale in the key, points.
-const RAMP_WIDTH: f64 = 132.0;
-const RAMP_HEIGHT: f64 = 9.0;
+/// Length and height of the colour scale in the key, points; number of its colours.
+const COLOUR_SCALE_WIDTH: f64 = 132.0;
+const COLOUR_SCALE_HEIGHT: f64 = 9.0;
+const COLOUR_COUNT: u32 = 66;
 
 /// Draws the colour scale up to ±`largest` from `at` to the right. Returns the y below it.
-pub(crate) fn draw_ramp(scene: &mut Scene, at: (f64, f64), largest: f64) -> f64 {
-    const STEPS: u32 = 66;
+pub(crate) fn draw_colour_scale(scene: &mut Scene, at: (f64, f64), largest: f64) -> f64 {
     let (left, top) = (at.0 + 13.0, at.1);
-    for i in 0..STEPS {
-        let place = |i: u32| left + RAMP_WIDTH * f64::from(i) / f64::from(STEPS);
-        let share = 2.0 * (f64::from(i) + 0.5) / f64::from(STEPS) - 1.0;
-        // The steps overlap slightly to avoid gaps between them.
-        let end = (place(i + 1) + 0.3).min(left + RAMP_WIDTH);
+    for i in 0..COLOUR_COUNT {
+        let place = |i: u32| left + COLOUR_SCALE_WIDTH * f64::from(i) / f64::from(COLOUR_COUNT);
+        let share = 2.0 * (f64::from(i) + 0.5) / f64::from(COLOUR_COUNT) - 1.0;
+        // The colours overlap slightly to avoid gaps between them.
+        let end = (place(i + 1) + 0.3).min(left + COLOUR_SCALE_WIDTH);
         let paint = Paint::Colour(blend(share));
         scene.area(
-            VectorPath::rectangle([place(i), top, end, top + RAMP_HEIGHT]),
+            VectorPath::rectangle([place(i), top, end, top + COLOUR_SCALE_HEIGHT]),
             paint,
             1.0,
         );
     }
     scene.line(
-        VectorPath::rectangle([left, top, left + RAMP_WIDTH, top + RAMP_HEIGHT]),
+        VectorPath::rectangle([left, top, left + COLOUR_SCALE_WIDTH, top + COLOUR_SCALE_HEIGHT]),
         Stroke::solid(Paint::Ink, 0.5),
     );
     // The colours follow the square root, so a quarter of the largest value is halfway.
@@ -285,25 +285,25 @@ pub(crate) fn draw_ramp(scene: &mut Scene, at: (f64, f64), largest: f64) -> f64 
         (0.5, 0.25 * largest),
         (1.0, largest),
     ] {
-        let x = left + 0.5 * RAMP_WIDTH * (1.0 + share);
+        let x = left + 0.5 * COLOUR_SCALE_WIDTH * (1.0 + share);
         scene.line(
-            VectorPath::segment((x, top + RAMP_HEIGHT), (x, top + RAMP_HEIGHT + 2.0)),
+            VectorPath::segment((x, top + COLOUR_SCALE_HEIGHT), (x, top + COLOUR_SCALE_HEIGHT + 2.0)),
             Stroke::solid(Paint::Ink, 0.5),
         );
-        let text = Text::new(number(value), (x, top + RAMP_HEIGHT + LEADING), TEXT_SIZE);
+        let text = Text::new(number(value), (x, top + COLOUR_SCALE_HEIGHT + LEADING), TEXT_SIZE);
         scene.text(text.anchored(Anchor::Middle));
     }
-    top + RAMP_HEIGHT + LEADING + 0.24 * TEXT_SIZE
+    top + COLOUR_SCALE_HEIGHT + LEADING + 0.24 * TEXT_SIZE
 }
 
 /// Draws the key: the colour scale and the meaning of marks. `framed` describes the cells within the bold line, `half`
 /// the partly known cells, if any. Returns the y below the key.
 pub fn draw_key(scene: &mut Scene, at: (f64, f64), largest: f64, framed: &str, half: Option<&str>) -> f64 {
-    let below = draw_ramp(scene, at, largest);
+    let below = draw_colour_scale(scene, at, largest);
     let top = at.1;
-    let mut x = at.0 + 13.0 + RAMP_WIDTH + 22.0;
-    let base = top + RAMP_HEIGHT - 1.5;
-    let swatch = |x: f64| [x, top - 0.5, x + 15.0, top + RAMP_HEIGHT + 0.5];
+    let mut x = at.0 + 13.0 + COLOUR_SCALE_WIDTH + 22.0;
+    let base = top + COLOUR_SCALE_HEIGHT - 1.5;
+    let swatch = |x: f64| [x, top - 0.5, x + 15.0, top + COLOUR_SCALE_HEIGHT + 0.5];
     let entry = |scene: &mut Scene, x: &mut f64, words: &str| {
         scene.text(Text::new(words, (*x + 19.0, base), TEXT_SIZE));
         *x += 19.0 + text_width(words, Weight::Regular, TEXT_SIZE) + 11.0;
@@ -398,26 +398,31 @@ mod tests {
     use super::*;
 
     #[test]
-    fn colours_grow_lighter_throughout_and_are_neutral_at_zero() {
-        let all: Vec<f64> = (-100..=100).map(|i| luminance(blend(f64::from(i) / 100.0))).collect();
-        assert!(all.windows(2).all(|pair| pair[0] <= pair[1]), "{all:?}");
+    fn colours_get_lighter_with_the_value_and_are_grey_at_0() {
+        let luminances: Vec<f64> = (-100..=100).map(|i| luminance(blend(f64::from(i) / 100.0))).collect();
+        assert!(luminances.windows(2).all(|pair| pair[0] <= pair[1]), "{luminances:?}");
         let Rgb(r, g, b) = colour(0.0, 5.0);
         assert!(r == g && g == b);
         assert_eq!([colour(-9.0, 5.0), colour(9.0, 5.0)], [RAMP[0], RAMP[4]]);
-        assert_eq!(colour(1.25, 5.0), blend(0.5), "a quarter of the largest is halfway");
+        assert_eq!(
+            colour(1.25, 5.0),
+            blend(0.5),
+            "colours follow the square root of the share"
+        );
         assert_eq!(colour(3.0, 0.0), blend(0.0));
     }
 
     #[test]
     fn numbers_are_legible_on_every_colour() {
+        // 4.5 is the minimum of the accessibility guidelines (WCAG, level AA).
         for i in -100..=100 {
-            let ground = blend(f64::from(i) / 100.0);
-            let Paint::Colour(text) = contrast_colour(ground) else {
-                panic!("a colour that stays")
+            let background = blend(f64::from(i) / 100.0);
+            let Paint::Colour(text) = contrast_colour(background) else {
+                panic!("not a fixed colour")
             };
-            let (a, b) = (luminance(ground), luminance(text));
+            let (a, b) = (luminance(background), luminance(text));
             let contrast = (a.max(b) + 0.05) / (a.min(b) + 0.05);
-            assert!(contrast >= 4.5, "{contrast} at {i}");
+            assert!(contrast >= 4.5, "contrast {contrast} at {i} %");
         }
     }
 

@@ -109,22 +109,26 @@ mod tests {
     const FRAME: Rect = [0.0, 0.0, 100.0, 100.0];
 
     #[test]
-    fn notes_keep_clear_of_each_other_of_markers_and_of_the_border() {
+    fn notes_do_not_overlap_notes_markers_or_the_border() {
         let points: Vec<(f64, f64)> = (0..10).map(|i| (50.0 + 0.5 * f64::from(i), 50.0)).collect();
-        let notes: Vec<_> = points.iter().map(|p| (*p, "250")).collect();
+        let notes: Vec<_> = points.iter().map(|point| (*point, "250")).collect();
         let markers = points.iter().map(|point| (*point, MARKER_RADIUS)).collect();
         let obstacles = Obstacles {
             markers,
             ..Obstacles::default()
         };
-        let settled = place_notes(&notes, &obstacles, FRAME);
-        assert!((2..10).contains(&settled.len()), "{settled:?}");
-        for (i, a) in settled.iter().enumerate() {
-            assert!(settled[..i].iter().all(|b| !boxes_overlap(&a.bounds(), &b.bounds())));
+        let placed = place_notes(&notes, &obstacles, FRAME);
+        assert!((2..10).contains(&placed.len()), "{placed:?}");
+        for (i, note) in placed.iter().enumerate() {
+            assert!(
+                placed[..i]
+                    .iter()
+                    .all(|other| !boxes_overlap(&note.bounds(), &other.bounds()))
+            );
             for (x, y) in &points {
                 assert!(
-                    !boxes_overlap(&a.bounds(), &[x - 1.0, y - 1.0, x + 1.0, y + 1.0]),
-                    "{a:?}"
+                    !boxes_overlap(&note.bounds(), &[x - 1.0, y - 1.0, x + 1.0, y + 1.0]),
+                    "{note:?}"
                 );
             }
         }
@@ -135,31 +139,34 @@ mod tests {
 
     #[test]
     fn the_first_note_has_the_best_place() {
-        let settled = place_notes(
+        let placed = place_notes(
             &[((50.0, 50.0), "10"), ((50.0, 50.0), "20")],
             &Obstacles::default(),
             FRAME,
         );
-        assert_eq!(settled[0].text, "10");
-        assert!(settled[0].bounds()[0] > 50.0 && settled[1].bounds()[2] < 50.0);
+        assert_eq!(placed[0].text, "10");
+        assert!(placed[0].bounds()[0] > 50.0 && placed[1].bounds()[2] < 50.0);
     }
 
     #[test]
-    fn lines_are_crossed_only_where_there_is_no_other_room() {
+    fn notes_cross_lines_only_without_other_space() {
         let to_the_right = [(50.0, 50.0), (100.0, 50.0)];
         let obstacles = |lines: &[[(f64, f64); 2]]| Obstacles {
             markers: vec![((50.0, 50.0), MARKER_RADIUS)],
             lines: lines.to_vec(),
         };
-        let settled = place_notes(&[((50.0, 50.0), "10")], &obstacles(&[to_the_right]), FRAME);
-        assert!(settled[0].bounds()[2] < 50.0, "{settled:?}");
+        let placed = place_notes(&[((50.0, 50.0), "10")], &obstacles(&[to_the_right]), FRAME);
+        assert!(placed[0].bounds()[2] < 50.0, "{placed:?}");
         // Lines so close that every side is crossed.
-        let all: Vec<_> = (0..100).map(|y| [(0.0, f64::from(y)), (100.0, f64::from(y))]).collect();
-        assert_eq!(place_notes(&[((50.0, 50.0), "10")], &obstacles(&all), FRAME).len(), 1);
+        let everywhere: Vec<_> = (0..100).map(|y| [(0.0, f64::from(y)), (100.0, f64::from(y))]).collect();
+        assert_eq!(
+            place_notes(&[((50.0, 50.0), "10")], &obstacles(&everywhere), FRAME).len(),
+            1
+        );
     }
 
     #[test]
-    fn a_line_crosses_a_box_that_it_goes_through() {
+    fn a_line_through_a_box_or_inside_it_crosses_it() {
         let corners = [10.0, 10.0, 20.0, 20.0];
         for (line, expected) in [
             ([(0.0, 0.0), (30.0, 30.0)], true),

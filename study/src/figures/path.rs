@@ -138,39 +138,39 @@ mod tests {
     use super::*;
 
     #[test]
-    fn corners_lie_on_the_circle() {
+    fn corners_of_a_polygon_lie_on_its_circles() {
         for n in 3..8 {
             for (inner, corners) in [(1.0, n), (0.5, 2 * n)] {
                 let VectorPath(steps) = VectorPath::polygon((3.0, 4.0), 2.0, n, 0.3, inner);
-                let reach = |step: &PathStep| match *step {
+                let radius = |step: &PathStep| match *step {
                     PathStep::Move(x, y) | PathStep::Line(x, y) => {
                         ((x - 3.0) * (x - 3.0) + (y - 4.0) * (y - 4.0)).sqrt()
                     }
                     PathStep::Quad(..) | PathStep::Cubic(..) | PathStep::Close => panic!("{step:?}"),
                 };
-                let reaches: Vec<f64> = steps[..steps.len() - 1].iter().map(reach).collect();
-                assert_eq!(reaches.len(), corners as usize);
-                assert!((reaches[0] - 2.0).abs() < 1e-12);
-                assert!((reaches[1] - 2.0 * inner).abs() < 1e-12);
+                let radii: Vec<f64> = steps[..steps.len() - 1].iter().map(radius).collect();
+                assert_eq!(radii.len(), corners as usize);
+                assert!((radii[0] - 2.0).abs() < 1e-12);
+                assert!((radii[1] - 2.0 * inner).abs() < 1e-12);
             }
         }
     }
 
     #[test]
-    fn a_moved_path_has_its_form() {
-        let here = VectorPath::circle((1.0, 2.0), 1.5).bounds();
+    fn a_shifted_path_keeps_its_form() {
+        let bounds = VectorPath::circle((1.0, 2.0), 1.5).bounds();
         let mut path = VectorPath(vec![PathStep::Quad(1.0, -3.0, 2.0, 9.0)]);
         path.extend(VectorPath::circle((1.0, 2.0), 1.5));
-        let there = path.clone().shifted((10.0, -5.0));
-        assert_eq!(there.0[0], PathStep::Quad(11.0, -8.0, 12.0, 4.0));
-        let moved = VectorPath(there.0[1..].to_vec()).bounds();
-        let expected = [here[0] + 10.0, here[1] - 5.0, here[2] + 10.0, here[3] - 5.0];
-        assert!(moved.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12));
-        assert_eq!(path.0.len(), there.0.len());
+        let shifted = path.clone().shifted((10.0, -5.0));
+        assert_eq!(shifted.0[0], PathStep::Quad(11.0, -8.0, 12.0, 4.0));
+        let shifted_bounds = VectorPath(shifted.0[1..].to_vec()).bounds();
+        let expected = [bounds[0] + 10.0, bounds[1] - 5.0, bounds[2] + 10.0, bounds[3] - 5.0];
+        assert!(shifted_bounds.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12));
+        assert_eq!(path.0.len(), shifted.0.len());
     }
 
     #[test]
-    fn a_nan_is_noticed() {
+    fn bounds_contain_nan_if_a_point_does() {
         let path = VectorPath::polyline([(1.0, 1.0), (f64::NAN, 2.0)], false);
         assert!(path.bounds()[0].is_nan());
         let bounds = VectorPath::circle((1.0, 2.0), 1.0).bounds();

@@ -29,12 +29,12 @@ const INFORMATION_LIMITS: [f64; INFORMATION_BUCKETS + 1] = [0.0, 0.03, 0.08, 0.1
 /// First battery bucket in which a device can sense and report.
 const FIRST_ABLE_BUCKET: usize = learned::FIRST_ABLE_BUCKET as usize;
 
-/// Finds the entry of `learned`, read from `file`, for `devices` devices and `window`. The default is the shortest
-/// window in the file.
+/// Finds the tables for `devices` devices and `window` in `learned`, which was read from `file`. The default is the
+/// shortest window in the file.
 ///
 /// # Errors
-/// The file has no such entry.
-pub fn find_entry<'l>(
+/// The file has no such tables.
+pub fn find_table_set<'l>(
     file: &str,
     learned: &'l LearnedTables,
     devices: u32,
@@ -42,12 +42,12 @@ pub fn find_entry<'l>(
 ) -> Result<&'l TableSet, FigureError> {
     let windows = learned.lookbacks();
     let shortest = windows.first().copied().unwrap_or(Lookback::Window(1));
-    let mut of_window = learned.entries.iter();
+    let mut sets = learned.entries.iter();
     let chosen_window = window.unwrap_or(shortest);
-    let entry = of_window.find(|entry| entry.lookback == chosen_window && entry.devices == devices);
-    entry.ok_or_else(|| {
-        let entries_of_window = learned.entries.iter().filter(|entry| entry.lookback == chosen_window);
-        let device_counts: Vec<String> = entries_of_window.map(|entry| entry.devices.to_string()).collect();
+    let found = sets.find(|set| set.lookback == chosen_window && set.devices == devices);
+    found.ok_or_else(|| {
+        let sets_of_window = learned.entries.iter().filter(|set| set.lookback == chosen_window);
+        let device_counts: Vec<String> = sets_of_window.map(|set| set.devices.to_string()).collect();
         let windows: Vec<String> = windows.iter().map(|lookback| lookback.describe()).collect();
         FigureError::NoEntry {
             devices,
@@ -122,17 +122,17 @@ fn format_short(value: f64) -> String {
     }
 }
 
-/// Creates the heat map of the duty table of `entry`.
-pub(crate) fn duty_map(learned: &LearnedTables, entry: &TableSet) -> HeatMap {
+/// Creates the heat map of the duty table of `set`.
+pub(crate) fn duty_map(learned: &LearnedTables, set: &TableSet) -> HeatMap {
     // The policy decides by the monotone advantages, not by the learned numbers in the cells.
-    let advantages = entry.duty.advantages();
+    let advantages = set.duty.advantages();
     let cell = |battery: usize, area: usize| {
-        let [on, off] = [true, false].map(|delta| entry.duty.at(battery, area, delta));
+        let [on, off] = [true, false].map(|delta| set.duty.at(battery, area, delta));
         HeatCell {
             value: on.value - off.value,
             knowledge: match (on.visits, off.visits) {
                 (0, 0) => KnowledgeDegree::Unknown,
-                (0, _) | (_, 0) => KnowledgeDegree::Partly,
+                (0, _) | (_, 0) => KnowledgeDegree::PartlyKnown,
                 (_, _) => KnowledgeDegree::Known,
             },
             // Below `FIRST_ABLE_BUCKET` the policy lets no device sense, whatever the table holds.
@@ -158,7 +158,7 @@ pub(crate) fn duty_map(learned: &LearnedTables, entry: &TableSet) -> HeatMap {
     let column_limits = |unit: &str, whole: f64| {
         (
             unit.to_owned(),
-            area_limits(entry.lookback)
+            area_limits(set.lookback)
                 .map(|limit| format_short(whole * limit))
                 .to_vec(),
         )
@@ -168,7 +168,7 @@ pub(crate) fn duty_map(learned: &LearnedTables, entry: &TableSet) -> HeatMap {
         columns.push(column_limits("m²", PI * d_max * d_max));
     }
     HeatMap {
-        x_label: match entry.lookback {
+        x_label: match set.lookback {
             Lookback::Window(_) => "area that the device would newly cover, share of its sensing disc",
             Lookback::Ages => "area that the device would newly cover, weighted by age, share of its disc at age 1",
         }
@@ -182,32 +182,32 @@ pub(crate) fn duty_map(learned: &LearnedTables, entry: &TableSet) -> HeatMap {
     }
 }
 
-/// Draws the duty table of `entry`: advantages, with V below them.
-pub fn duty_scene(learned: &LearnedTables, entry: &TableSet) -> Scene {
-    let what = match entry.lookback {
+/// Draws the duty table of `set`: advantages, with V below them.
+pub fn duty_scene(learned: &LearnedTables, set: &TableSet) -> Scene {
+    let what = match set.lookback {
         Lookback::Window(_) => "the area that it would newly cover",
         Lookback::Ages => "the area that it would newly cover, weighted by age",
     };
-    let title = format!("Value of sensing with N = {}: Q(s, 1) − Q(s, 0)", entry.devices);
-    let map = duty_map(learned, entry);
+    let title = format!("Value of sensing with N = {}: Q(s, 1) − Q(s, 0)", set.devices);
+    let map = duty_map(learned, set);
     let text = format!(
         "A cell is a state s of a device: its battery, and {what}. The number is the gain from sensing in the next TTI \
          (δ = 1) over sleeping, in units of N r(k). Within the bold line the policy lets devices sense, in order of \
          gain: there the battery is enough to sense and report, and the advantage is positive after smoothing (never \
          falling with the area). Colours follow the square root of the number. {}{}",
-        if map.count(KnowledgeDegree::Partly) > 0 {
+        if map.count(KnowledgeDegree::PartlyKnown) > 0 {
             "An action that was never tried keeps its initial value, the immediate reward; such a number is a guess. "
         } else {
             ""
         },
-        describe_training_of_entry(learned, entry)
+        describe_training_of_set(learned, set)
     );
     let (mut scene, y) = titled_scene(title, text.clone());
     let largest = map.largest_magnitude();
     let mut y = map.draw(&mut scene, (MARGIN, y), (PAGE_WIDTH - 2.0 * MARGIN, DUTY_ROW), largest);
-    let half = (map.count(KnowledgeDegree::Partly) > 0).then_some("one action never tried");
+    let half = (map.count(KnowledgeDegree::PartlyKnown) > 0).then_some("one action never tried");
     y = draw_key(&mut scene, (MARGIN, y), largest, "senses", half) + 8.0;
-    let value = value_chart(learned, entry).scene();
+    let value = value_chart(learned, set).scene();
     let lower = value.height;
     scene.add_scene(value, (0.0, y));
     let (left, mut line_y) = (0.5 * (PAGE_WIDTH + PANEL_GAP), y + MARGIN + TITLE_SIZE);
@@ -229,7 +229,7 @@ fn titled_scene(title: String, description: String) -> (Scene, f64) {
 }
 
 /// Creates the chart of V against the battery.
-fn value_chart(learned: &LearnedTables, entry: &TableSet) -> Chart {
+fn value_chart(learned: &LearnedTables, set: &TableSet) -> Chart {
     let e_max = training_energies(learned).map(|[e_max, ..]| e_max);
     let point = |node: usize, y: f64| ChartPoint {
         x: e_max.unwrap_or(1.0) * node as f64 / (VALUE_NODES - 1) as f64,
@@ -237,9 +237,9 @@ fn value_chart(learned: &LearnedTables, entry: &TableSet) -> Chart {
         y_half_width: f64::NAN,
         x_half_width: f64::NAN,
     };
-    let smoothed: Vec<ChartPoint> = (0..).zip(entry.duty.values()).map(|(node, y)| point(node, y)).collect();
+    let smoothed: Vec<ChartPoint> = (0..).zip(set.duty.values()).map(|(node, y)| point(node, y)).collect();
     let visited = |(_, cell): &(usize, &QValue)| cell.visits > 0;
-    let learned_points = entry.duty.value.iter().enumerate().filter(visited);
+    let learned_points = set.duty.value.iter().enumerate().filter(visited);
     let learned_points: Vec<ChartPoint> = learned_points.map(|(node, cell)| point(node, cell.value)).collect();
     let ys = smoothed.iter().chain(&learned_points).map(|s| s.y);
     let (y, x) = (
@@ -277,12 +277,12 @@ fn value_chart(learned: &LearnedTables, entry: &TableSet) -> Chart {
     }
 }
 
-/// Describes the training of `entry` in two sentences.
-fn describe_training_of_entry(learned: &LearnedTables, entry: &TableSet) -> String {
-    let (n, surface) = (entry.devices, entry.surface);
+/// Describes the training of `set` in two sentences.
+fn describe_training_of_set(learned: &LearnedTables, set: &TableSet) -> String {
+    let (n, surface) = (set.devices, set.surface);
     format!(
         "{} {}",
-        describe_training(learned, &[entry.lookback], &format!("with N = {n} on {surface} m²")),
+        describe_training(learned, &[set.lookback], &format!("with N = {n} on {surface} m²")),
         describe_setting(learned)
     )
 }
@@ -326,23 +326,23 @@ pub(super) fn describe_setting(learned: &LearnedTables) -> String {
 }
 
 /// Formats the plotted data of the duty table as CSV.
-pub fn duty_csv(learned: &LearnedTables, entry: &TableSet) -> String {
+pub fn duty_csv(learned: &LearnedTables, set: &TableSet) -> String {
     let mut out = String::from(
         "bucket,battery_from,battery_to,area_from,area_to,q_sleep,visits_sleep,q_sense,visits_sense,\
          advantage,used,senses\n",
     );
     let (areas, batteries) = (
-        area_limits(entry.lookback),
+        area_limits(set.lookback),
         training_energies(learned).map(battery_limits),
     );
-    let advantages = entry.duty.advantages();
-    for (battery, cells) in duty_map(learned, entry).cells.iter().enumerate() {
+    let advantages = set.duty.advantages();
+    for (battery, cells) in duty_map(learned, set).cells.iter().enumerate() {
         let range = batteries.map_or_else(
             || ",".to_owned(),
             |limits| format!("{},{}", limits[battery], limits[battery + 1]),
         );
         for (area, cell) in cells.iter().enumerate() {
-            let [off, on] = [false, true].map(|delta| entry.duty.at(battery, area, delta));
+            let [off, on] = [false, true].map(|delta| set.duty.at(battery, area, delta));
             let _ = writeln!(
                 out,
                 "{battery},{range},{},{},{},{},{},{},{},{},{}",
@@ -362,21 +362,21 @@ pub fn duty_csv(learned: &LearnedTables, entry: &TableSet) -> String {
 }
 
 /// Formats V as CSV.
-pub fn value_csv(learned: &LearnedTables, entry: &TableSet) -> String {
+pub fn value_csv(learned: &LearnedTables, set: &TableSet) -> String {
     let mut out = String::from("battery,value,visits,used\n");
     let e_max = training_energies(learned).map_or(1.0, |[e_max, ..]| e_max);
-    for (node, (cell, smoothed)) in entry.duty.value.iter().zip(entry.duty.values()).enumerate() {
+    for (node, (cell, smoothed)) in set.duty.value.iter().zip(set.duty.values()).enumerate() {
         let level = e_max * node as f64 / (VALUE_NODES - 1) as f64;
         let _ = writeln!(out, "{level},{},{},{smoothed}", cell.value, cell.visits);
     }
     out
 }
 
-/// Returns the wake-up table of `entry` for one ranking.
-pub const fn wake_table(entry: &TableSet, ranking: WakeUpRanking) -> &WakeTable {
+/// Returns the wake-up table of `set` for one ranking.
+pub const fn wake_table(set: &TableSet, ranking: WakeUpRanking) -> &WakeTable {
     match ranking {
-        WakeUpRanking::P42 => &entry.wake_p42,
-        WakeUpRanking::Posterior => &entry.wake_posterior,
+        WakeUpRanking::P42 => &set.wake_p42,
+        WakeUpRanking::Posterior => &set.wake_posterior,
     }
 }
 
@@ -416,17 +416,17 @@ fn wake_map(table: &WakeTable, reports: usize) -> HeatMap {
     }
 }
 
-/// Draws a wake-up table of `entry`, with a panel for each number of reports.
-pub fn wake_scene(learned: &LearnedTables, entry: &TableSet, ranking: WakeUpRanking) -> Scene {
-    let (table, name) = (wake_table(entry, ranking), ranking.name());
-    let title = format!("Value of a wake-up with N = {}, ranking {name}: Q", entry.devices);
+/// Draws the wake-up table of `set` for `ranking`, with a panel for each number of reports.
+pub fn wake_scene(learned: &LearnedTables, set: &TableSet, ranking: WakeUpRanking) -> Scene {
+    let (table, name) = (wake_table(set, ranking), ranking.name());
+    let title = format!("Value of a wake-up with N = {}, ranking {name}: Q", set.devices);
     let text = format!(
         "A cell is the BS's knowledge about an event: the score of the best candidate (rows, as a share of Ψ), the \
          information so far (columns) and the reports so far (panels). The number is the value of waking, in units of \
          N r*(k); the value of stopping is 0. Within the bold line the policy does not wake: there the number is not \
          positive after smoothing (never falling with the score). Cells that were never visited keep the optimistic \
          initial value. Colours follow the square root of the number, with one scale for all panels. {}",
-        describe_training_of_entry(learned, entry)
+        describe_training_of_set(learned, set)
     );
     let (mut scene, top) = titled_scene(title, text.clone());
     let maps: Vec<HeatMap> = (0..REPORT_BUCKETS).map(|reports| wake_map(table, reports)).collect();
@@ -457,9 +457,9 @@ pub fn wake_scene(learned: &LearnedTables, entry: &TableSet, ranking: WakeUpRank
 }
 
 /// Formats the plotted data of a wake-up table as CSV.
-pub fn wake_csv(entry: &TableSet, ranking: WakeUpRanking) -> String {
+pub fn wake_csv(set: &TableSet, ranking: WakeUpRanking) -> String {
     let mut out = String::from("reports,score_from,score_to,information_from,information_to,q,visits,used,wakes\n");
-    let (table, scores) = (wake_table(entry, ranking), score_limits());
+    let (table, scores) = (wake_table(set, ranking), score_limits());
     for reports in 0..REPORT_BUCKETS {
         for score in 0..SCORE_BUCKETS {
             for information in 0..INFORMATION_BUCKETS {
@@ -492,33 +492,33 @@ mod tests {
     use super::*;
 
     /// Checks that values just inside both limits of each bucket fall in that bucket.
-    fn agree(ends: &[f64], bucket: impl Fn(f64) -> usize) {
-        for (at, pair) in ends.windows(2).enumerate() {
-            let inside = 1e-4 * (pair[1] - pair[0]);
+    fn assert_limits(limits: &[f64], bucket: impl Fn(f64) -> usize) {
+        for (index, pair) in limits.windows(2).enumerate() {
+            let margin = 1e-4 * (pair[1] - pair[0]);
             assert_eq!(
-                [bucket(pair[0] + inside), bucket(pair[1] - inside)],
-                [at, at],
-                "{pair:?}"
+                [bucket(pair[0] + margin), bucket(pair[1] - margin)],
+                [index, index],
+                "bucket {index}, limits {pair:?}"
             );
         }
     }
 
     #[test]
-    fn the_ends_drawn_are_those_of_the_buckets() {
-        agree(&INFORMATION_LIMITS, information_bucket);
-        agree(&score_limits(), score_bucket);
+    fn drawn_limits_are_the_limits_of_the_buckets() {
+        assert_limits(&INFORMATION_LIMITS, information_bucket);
+        assert_limits(&score_limits(), score_bucket);
         for lookback in [Lookback::Window(1), Lookback::Ages] {
-            agree(&area_limits(lookback), |share| lookback.bucket(share));
+            assert_limits(&area_limits(lookback), |share| lookback.bucket(share));
         }
         let energy = load("paper", &[]).expect("a preset").scenario.classes[0].energy;
-        let ends = battery_limits([energy.e_max, energy.e_idle, energy.e_tx].map(Energy::units));
-        agree(&ends, |x| {
-            battery_bucket(Energy::from_units(x).expect("an energy"), &energy)
+        let limits = battery_limits([energy.e_max, energy.e_idle, energy.e_tx].map(Energy::units));
+        assert_limits(&limits, |level| {
+            battery_bucket(Energy::from_units(level).expect("an energy"), &energy)
         });
     }
 
     #[test]
-    fn ends_are_written_short() {
+    fn limits_are_shortened() {
         let values = [0.0, 0.02, 0.5, 0.725, 1.524, 9.96, 25.833, 100.0, 0.010_053];
         assert_eq!(
             values.map(format_short),

@@ -472,20 +472,13 @@ pub(crate) mod fixtures {
                 rows.push(run((preset, &[]), (policy, *n, seed), (metric, *value)));
             }
         }
-        let about = TableMetadata {
+        let metadata = TableMetadata {
             version: "0.1.0".to_owned(),
             experiment: format!("preset = \"{preset}\"\n"),
             ..TableMetadata::default()
         };
         let schema = Schema::default();
-        (
-            format!("{preset}.parquet"),
-            Table {
-                metadata: about,
-                schema,
-                rows,
-            },
-        )
+        (format!("{preset}.parquet"), Table { metadata, schema, rows })
     }
 
     /// Creates a table of runs under `preset` that sweeps `path`: for each policy, N and field value, one value of
@@ -513,22 +506,25 @@ pub(crate) mod fixtures {
         (name, Table { schema, rows, ..table })
     }
 
+    /// Creates a run of 2000 TTIs with 300 events. The digest depends only on the seed.
     fn run(
         (preset, set): (&str, &[&str]),
         (policy, n, seed): (&str, u32, u64),
         (metric, value): (&str, f64),
     ) -> ResultRow {
         let overrides = [format!("devices={n}"), "ttis=2000".to_owned(), format!("seed={seed}")];
-        // Policies that cannot be run yet can still be drawn.
+        // Policies that do not exist can still be drawn.
         let is_known = reveille_bs::policy::registry::named(policy).is_some();
-        let policy_is = is_known.then(|| format!("policy.name={policy}"));
+        let policy_field = is_known.then(|| format!("policy.name={policy}"));
         let set = set.iter().map(|text| (*text).to_owned());
-        let overrides = overrides.into_iter().chain(policy_is).chain(set);
-        let overrides: Vec<Override> = overrides.map(|o| Override::parse(&o).expect("an override")).collect();
+        let overrides = overrides.into_iter().chain(policy_field).chain(set);
+        let overrides: Vec<Override> = overrides
+            .map(|text| Override::parse(&text).expect("an override"))
+            .collect();
         let scenario = load(preset, &overrides).expect("a scenario").scenario;
         let mut metrics = [0.0; Metrics::COUNT];
-        for (at, (slot, name)) in metrics.iter_mut().zip(Metrics::NAMES).enumerate() {
-            *slot = if name == metric { value } else { 1.0 + at as f64 };
+        for (index, (slot, name)) in metrics.iter_mut().zip(Metrics::NAMES).enumerate() {
+            *slot = if name == metric { value } else { 1.0 + index as f64 };
         }
         ResultRow {
             scenario_hash: Hash(scenario.hash()),

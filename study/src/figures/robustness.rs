@@ -303,8 +303,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_policy_has_a_point_at_every_level_of_everything() {
-        let of = |policy: &str| {
+    fn each_policy_has_a_point_at_each_level_and_impairments_have_an_effect() {
+        let scenario_of = |policy: &str| {
             let set = [
                 format!("policy.name={policy}"),
                 "devices=12".to_owned(),
@@ -314,20 +314,21 @@ mod tests {
             let set = set.map(|field| Override::parse(&field).expect("an override"));
             load("paper", &set).expect("a scenario").scenario
         };
-        let scenarios = [of("random"), of("genie")];
-        let all: Vec<&Impairment> = IMPAIRMENTS.iter().collect();
-        let points = measure(&scenarios, &all, 2);
+        let scenarios = [scenario_of("random"), scenario_of("genie")];
+        let impairments: Vec<&Impairment> = IMPAIRMENTS.iter().collect();
+        let points = measure(&scenarios, &impairments, 2);
         let levels: usize = IMPAIRMENTS.iter().map(|impairment| impairment.levels.len()).sum();
         assert_eq!(points.len(), 2 * levels);
         let perfect: Vec<&RobustnessPoint> = points.iter().filter(|point| point.level <= 0.0).collect();
+        // Without an impairment, all runs of a policy are equal.
         for point in &perfect {
             assert_eq!(
                 point.run_metrics,
                 perfect[usize::from(point.policy == "genie")].run_metrics
             );
         }
-        // Each impairment's largest level, against level 0, shows in its own metric.
-        let shown = [
+        // Each impairment raises this metric, from level 0 to its largest level.
+        let affected = [
             "missed_wake_ups_pct",
             "false_wake_ups_pct",
             "lost_reports_pct",
@@ -335,18 +336,20 @@ mod tests {
             "late_wake_ups_pct",
             "misdetection_pct",
         ];
-        for (impairment, metric) in all.into_iter().zip(shown) {
-            let own = points
+        for (impairment, metric) in impairments.into_iter().zip(affected) {
+            let of_genie = points
                 .iter()
                 .filter(|point| point.impairment.name == impairment.name && point.policy == "genie");
-            let values: Vec<f64> = own.filter_map(|point| Some(point.estimate(metric)?.mean)).collect();
+            let values: Vec<f64> = of_genie
+                .filter_map(|point| Some(point.estimate(metric)?.mean))
+                .collect();
             let levels = impairment.levels.len();
             assert!(
                 values.len() == levels && values[levels - 1] > values[0] + 2.0,
                 "{metric}: {values:?}"
             );
-            for drawn in METRICS {
-                let chart = chart(&points, impairment, drawn, &scenarios[0]);
+            for metric in METRICS {
+                let chart = chart(&points, impairment, metric, &scenarios[0]);
                 assert_eq!(chart.series.len(), 2);
                 assert!(chart.series.iter().all(|line| line.points.len() == levels));
                 assert!(

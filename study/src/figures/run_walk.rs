@@ -123,35 +123,35 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_walk_equals_the_run_and_its_ledgers() {
-        let overrides = ["devices=30", "ttis=400", "warm_up=0"].map(|o| Override::parse(o).expect("an override"));
+    fn a_walk_has_the_totals_of_the_run() {
+        let overrides = ["devices=30", "ttis=400", "warm_up=0"].map(|text| Override::parse(text).expect("an override"));
         let scenario = load("paper", &overrides).expect("a scenario").scenario;
         let outcome = start(&scenario, RunOptions::default()).finish(&mut ());
         let mut walk = RunWalk::new(&scenario);
-        let (mut reports, mut wake_ups, mut battery, mut low) = (0, 0, 0_u128, 0);
+        let (mut reports, mut wake_ups, mut battery_sum, mut low_ttis) = (0, 0, 0_u128, 0);
         for _ in 0..400 {
-            let (k, happened) = walk.step();
-            let from_wake_ups = happened
+            let (k, notifications) = walk.step();
+            let from_wake_ups = notifications
                 .wake_ups
                 .iter()
-                .filter(|(_, o)| matches!(o, WakeOutcome::Reported(_)));
-            reports += (happened.reports.len() + from_wake_ups.count()) as u64;
-            wake_ups += happened.wake_ups.len() as u64;
+                .filter(|(_, outcome)| matches!(outcome, WakeOutcome::Reported(_)));
+            reports += (notifications.reports.len() + from_wake_ups.count()) as u64;
+            wake_ups += notifications.wake_ups.len() as u64;
             for j in 0..30 {
                 let (state, level) = walk.state_and_battery(DeviceId(j), k);
-                battery += u128::from(level.micro());
-                low += u64::from(level < Energy::from_micro(10_000_000));
+                battery_sum += u128::from(level.micro());
+                low_ttis += u64::from(level < Energy::from_micro(10_000_000));
                 assert_eq!(
-                    happened.reports.iter().any(|r| r.device == DeviceId(j)),
+                    notifications.reports.iter().any(|report| report.device == DeviceId(j)),
                     state == DeviceState::Transmission && walk.is_on(DeviceId(j), k)
                 );
             }
         }
-        assert_eq!(battery, outcome.totals.energy.battery_sum);
-        assert_eq!(low, outcome.totals.energy.low_ttis);
-        let all = collect_events(&scenario);
-        assert_eq!(all.len() as u64, outcome.totals.events.events);
-        assert_eq!(all.iter().map(|e| e.tally.reports).sum::<u64>(), reports);
-        assert_eq!(all.iter().map(|e| e.tally.wake_ups).sum::<u64>(), wake_ups);
+        assert_eq!(battery_sum, outcome.totals.energy.battery_sum);
+        assert_eq!(low_ttis, outcome.totals.energy.low_ttis);
+        let events = collect_events(&scenario);
+        assert_eq!(events.len() as u64, outcome.totals.events.events);
+        assert_eq!(events.iter().map(|event| event.tally.reports).sum::<u64>(), reports);
+        assert_eq!(events.iter().map(|event| event.tally.wake_ups).sum::<u64>(), wake_ups);
     }
 }

@@ -32,7 +32,7 @@ pub(super) fn stated_spans(claims: &[Claim], series: &[Series]) -> Vec<StatedSpa
     let ns = || series.iter().flat_map(|s| &s.points).map(|s| s.x);
     let (smallest_n, largest_n) = (ns().fold(f64::INFINITY, f64::min), ns().fold(0.0, f64::max));
     let span = |claim: &Claim| {
-        let (from, to) = claim.device_counts.ends();
+        let (from, to) = claim.device_counts.range();
         let line = series.iter().find(|s| s.name == claim.policy)?;
         Some(StatedSpan {
             from: smallest_n.max(f64::from(from)),

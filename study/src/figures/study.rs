@@ -105,7 +105,7 @@ pub struct Drawing {
 }
 
 impl Figure {
-    /// Draws the figure for the runs of `condition`; `None` if the metric is undefined in all of them.
+    /// Draws the runs of `condition`, with a line for each policy. `None` if no run has a value of the metric.
     pub fn draw(&self, condition: &RunCondition) -> Option<Drawing> {
         let mut series = Vec::new();
         let mut without_value = Vec::new();

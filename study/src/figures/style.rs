@@ -222,15 +222,15 @@ mod tests {
 
     use super::*;
 
-    fn listed() -> impl Iterator<Item = Style> {
+    fn policy_styles() -> impl Iterator<Item = Style> {
         POLICIES.into_iter().map(|(_, style)| style)
     }
 
     #[test]
-    fn no_two_looks_share_a_colour_a_marker_or_dashes() {
-        let looks: Vec<Style> = listed().chain(FREE_STYLES).collect();
-        for (i, a) in looks.iter().enumerate() {
-            for b in &looks[..i] {
+    fn styles_differ_in_colour_marker_and_dashes() {
+        let styles: Vec<Style> = policy_styles().chain(FREE_STYLES).collect();
+        for (i, a) in styles.iter().enumerate() {
+            for b in &styles[..i] {
                 assert_ne!(a.paint, b.paint);
                 assert_ne!(a.marker, b.marker);
                 assert_ne!(a.dashes, b.dashes);
@@ -239,35 +239,41 @@ mod tests {
     }
 
     #[test]
-    fn no_two_policies_look_alike() {
+    fn policies_have_distinct_styles() {
         let names: Vec<&str> = registry::names().chain([outside::EXTERNAL_NAME]).collect();
         for (i, a) in names.iter().enumerate() {
             for b in &names[..i] {
                 assert_ne!(Style::of_policy(a), Style::of_policy(b), "{a}, {b}");
             }
         }
-        assert!(listed().all(|style| style != Style::of_policy("another")));
+        assert!(policy_styles().all(|style| style != Style::of_policy("another")));
         assert!(
             POLICIES.iter().all(|(name, _)| names.contains(name)),
-            "a look of no policy"
+            "a style of an unknown policy"
         );
     }
 
     #[test]
-    fn a_policy_with_another_ranking_has_its_colour_and_another_marker_and_dashes() {
+    fn another_ranking_keeps_the_colour_and_changes_marker_and_dashes() {
         for policy in ["knn", "adjusted", "q-learning", "dt", "another"] {
-            let (own, ranked) = (
+            let (p42, posterior) = (
                 Style::of_policy(policy),
                 Style::of_policy(&format!("{policy}+posterior")),
             );
-            assert_eq!(own.paint, ranked.paint);
-            assert!(own.marker != ranked.marker && own.dashes != ranked.dashes, "{policy}");
+            assert_eq!(p42.paint, posterior.paint);
+            assert!(
+                p42.marker != posterior.marker && p42.dashes != posterior.dashes,
+                "{policy}"
+            );
         }
     }
 
     #[test]
-    fn dashes_come_in_pairs() {
-        for style in listed().chain(FREE_STYLES).chain((0..6).map(Style::from_palette)) {
+    fn dashes_and_gaps_are_paired() {
+        for style in policy_styles()
+            .chain(FREE_STYLES)
+            .chain((0..6).map(Style::from_palette))
+        {
             assert!(style.dashes.len().is_multiple_of(2));
         }
     }

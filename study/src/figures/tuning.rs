@@ -408,10 +408,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ticks_fit_any_ends() {
+    fn ticks_are_round_between_any_ends() {
         let labels = |from: f64, to: f64| -> Vec<String> {
-            let all = ticks(Scale::Log { from, to });
-            all.into_iter().map(|t| t.label).filter(|l| !l.is_empty()).collect()
+            let ticks = super::ticks(Scale::Log { from, to });
+            ticks
+                .into_iter()
+                .map(|tick| tick.label)
+                .filter(|label| !label.is_empty())
+                .collect()
         };
         assert_eq!(labels(0.5, 20.0), ["0.5", "1", "2", "5", "10", "20"]);
         assert_eq!(labels(1.0, 5.0), ["1", "2", "3", "4", "5"]);

@@ -10,6 +10,18 @@ use crate::figures::results::RunCondition;
 /// Share of devices with low energy, %, from which on batteries count as a cause.
 const LOW_ENERGY_CAUSE_PCT: f64 = 50.0;
 
+/// Metrics that empty batteries lower.
+const LOWERED_BY_LOW_ENERGY: [&str; 4] = ["info_p1", "info_per_event", "energy_per_device_tti", "mean_battery"];
+
+/// Metrics that empty batteries raise.
+const RAISED_BY_LOW_ENERGY: [&str; 2] = [MISDETECTION, "wrong_activations_per_event"];
+
+/// The metric of missed events.
+const MISDETECTION: &str = "misdetection_pct";
+
+/// The metric of devices with low energy.
+const LOW_ENERGY: &str = "low_energy_pct";
+
 /// Explains the verdict on `claim`; empty without a known cause.
 pub(super) fn explain(topic: &ClaimTopic, claim: &Claim, judgement: &Judgement, condition: &RunCondition) -> String {
     let mut reasons: Vec<String> = Vec::new();
@@ -89,13 +101,13 @@ fn known_causes(topic: &ClaimTopic, claim: &Claim, judgement: &Judgement, condit
         judgement.findings.iter().find(|f| f.value > high),
     );
     // Empty batteries explain too little information or energy and too many misses, never the opposite.
-    let hit_by_low_energy = match topic.metric {
-        "info_p1" | "info_per_event" | "energy_per_device_tti" | "mean_battery" => is_under,
-        "misdetection_pct" | "wrong_activations_per_event" => is_over,
-        _ => None,
+    let hit_by_low_energy = if LOWERED_BY_LOW_ENERGY.contains(&topic.metric) {
+        is_under
+    } else {
+        is_over.filter(|_| RAISED_BY_LOW_ENERGY.contains(&topic.metric))
     };
     let low_energy =
-        hit_by_low_energy.and_then(|f| Some((f.n, condition.estimate(claim.policy, f.n, "low_energy_pct")?.mean)));
+        hit_by_low_energy.and_then(|f| Some((f.n, condition.estimate(claim.policy, f.n, LOW_ENERGY)?.mean)));
     if let Some((n, share)) = low_energy.filter(|(_, share)| *share >= LOW_ENERGY_CAUSE_PCT) {
         reasons.push(format!(
             "Batteries are empty: at N = {n}, {} % of the devices are below E_Tx at the end of a TTI.",
@@ -108,7 +120,7 @@ fn known_causes(topic: &ClaimTopic, claim: &Claim, judgement: &Judgement, condit
         Some(longest) => Some(format!("up to {longest} TTIs")),
         None => Some(format!("{} TTIs on average", events.duration)),
     });
-    let is_missed = topic.metric == "misdetection_pct" && claim.quantity == ClaimQuantity::Mean && is_under.is_some();
+    let is_missed = topic.metric == MISDETECTION && claim.quantity == ClaimQuantity::Mean && is_under.is_some();
     if let Some(duration) = duration.filter(|_| is_missed) {
         reasons.push(format!(
             "An event lasts {duration} here and is missed only if none of them brings a report."
@@ -119,3 +131,21 @@ fn known_causes(topic: &ClaimTopic, claim: &Claim, judgement: &Judgement, condit
 
 /// Cause for a policy without runs.
 pub(super) const NOT_RUN: &str = "The tables hold no such runs.";
+
+#[cfg(test)]
+mod tests {
+    use reveille_common::score::Metrics;
+
+    use super::*;
+
+    #[test]
+    fn causes_name_metrics_that_exist() {
+        let named = LOWERED_BY_LOW_ENERGY
+            .iter()
+            .chain(&RAISED_BY_LOW_ENERGY)
+            .chain([&LOW_ENERGY]);
+        for name in named {
+            assert!(Metrics::NAMES.contains(name), "{name}");
+        }
+    }
+}

@@ -72,7 +72,7 @@ mod tests {
     use super::*;
     use crate::claims::{ClaimQuantity, DeviceCounts, FIG_8};
 
-    fn of(statement: Statement, values: &[f64]) -> f64 {
+    fn deviation_of(statement: Statement, values: &[f64]) -> f64 {
         let finding = |(n, value): (u32, &f64)| Finding {
             n,
             other_policy: None,
@@ -84,13 +84,13 @@ mod tests {
         };
         let findings: Vec<Finding> = (1..).zip(values).map(finding).collect();
         deviation(
-            &Claim::new("knn", DeviceCounts::Everywhere, ClaimQuantity::Mean, statement, FIG_8),
+            &Claim::new("knn", DeviceCounts::All, ClaimQuantity::Mean, statement, FIG_8),
             &findings,
         )
     }
 
     #[test]
-    fn the_worst_factor_counts() {
+    fn the_deviation_is_the_largest_over_the_findings() {
         let (two, four) = (std::f64::consts::LN_2, 2.0 * std::f64::consts::LN_2);
         for (statement, values, expected) in [
             (Statement::About(10.0), vec![10.0], 0.0),
@@ -113,9 +113,12 @@ mod tests {
             (Statement::Rises, vec![5.0, 1.0, 3.0], 1.0),
             (Statement::Rises, vec![], f64::INFINITY),
         ] {
-            let found = of(statement, &values);
-            let is_same = found.total_cmp(&expected).is_eq() || (found - expected).abs() < 1e-12;
-            assert!(is_same, "{statement:?} of {values:?}: {found} for {expected}");
+            let deviation = deviation_of(statement, &values);
+            let is_same = deviation.total_cmp(&expected).is_eq() || (deviation - expected).abs() < 1e-12;
+            assert!(
+                is_same,
+                "{statement:?} for {values:?}: {deviation}, expected {expected}"
+            );
         }
     }
 }

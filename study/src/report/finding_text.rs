@@ -35,7 +35,7 @@ pub(super) fn describe_findings(claim: &Claim, findings: &[Finding]) -> String {
     }
 }
 
-/// Describes the finding that is `before` all others, with its N.
+/// Describes the finding that comes before all others by `is_before`, with its N.
 fn describe_extreme(claim: &Claim, findings: &[Finding], is_before: impl Fn(&Finding, &Finding) -> bool) -> String {
     let first = findings
         .iter()
@@ -45,11 +45,11 @@ fn describe_extreme(claim: &Claim, findings: &[Finding], is_before: impl Fn(&Fin
     })
 }
 
-/// Describes values that are 0 at all N, with their widest bound.
+/// Describes values that are 0 at all N, with the largest of their upper bounds.
 fn describe_zeros(findings: &[Finding]) -> String {
     let bounds = findings.iter().filter_map(|f| f.metric_estimate?.upper_bound);
-    let widest = bounds.reduce(f64::max);
-    widest.map_or_else(
+    let largest_bound = bounds.reduce(f64::max);
+    largest_bound.map_or_else(
         || "0 at each N".to_owned(),
         |bound| format!("0 at each N, < {}", format_number(bound)),
     )
@@ -192,36 +192,36 @@ mod tests {
     }
 
     fn claim(quantity: ClaimQuantity, statement: Statement) -> Claim {
-        Claim::new("knn", DeviceCounts::Everywhere, quantity, statement, FIG_8)
+        Claim::new("knn", DeviceCounts::All, quantity, statement, FIG_8)
     }
 
     #[test]
-    fn the_distance_is_the_largest() {
+    fn the_deviation_is_the_largest_over_n() {
         let range = claim(ClaimQuantity::Mean, Statement::Between(30.0, 45.0));
-        let text = describe_deviation(&range, &[finding(10, 60.0), finding(250, 90.0)]).expect("a distance");
+        let text = describe_deviation(&range, &[finding(10, 60.0), finding(250, 90.0)]).expect("a deviation");
         assert_eq!(text, "At N = 250 ours is 2.00 times the nearer end of the range.");
         let value = claim(ClaimQuantity::Mean, Statement::About(10.0));
-        let text = describe_deviation(&value, &[finding(10, 5.0)]).expect("a distance");
+        let text = describe_deviation(&value, &[finding(10, 5.0)]).expect("a deviation");
         assert_eq!(text, "Ours is 0.500 times the paper's.");
         assert_eq!(describe_deviation(&value, &[finding(10, 0.0)]), None);
     }
 
     #[test]
-    fn a_failed_order_names_its_places() {
+    fn a_violated_bound_names_its_n() {
         let below = claim(ClaimQuantity::Ratio(&["random"]), Statement::Below(1.0));
         let text = describe_deviation(&below, &[finding(10, 0.5), finding(50, 1.25), finding(250, 2.0)]);
         assert_eq!(
-            text.expect("a distance"),
+            text.expect("a deviation"),
             "It does not hold at N = 50 (1.25 × random) and N = 250 (2.00 × random)."
         );
         assert_eq!(describe_deviation(&below, &[finding(10, 0.5)]), None);
     }
 
     #[test]
-    fn a_trend_names_its_largest_step_against() {
+    fn a_violated_trend_names_its_largest_opposite_step() {
         let falls = claim(ClaimQuantity::Mean, Statement::Falls);
         let row = [finding(10, 5.0), finding(50, 2.0), finding(100, 3.0), finding(250, 4.5)];
-        let text = describe_deviation(&falls, &row).expect("a distance");
+        let text = describe_deviation(&falls, &row).expect("a deviation");
         assert_eq!(
             text,
             "The largest step against it is from 2.00 at N = 50 to 4.50 at N = 250."
@@ -230,27 +230,33 @@ mod tests {
         let rises = claim(ClaimQuantity::Mean, Statement::Rises);
         assert!(
             describe_deviation(&rises, &row)
-                .expect("a distance")
+                .expect("a deviation")
                 .contains("from 5.00 at N = 10 to 2.00")
         );
     }
 
     #[test]
-    fn findings_have_an_interval_or_ends() {
-        let most = claim(ClaimQuantity::Ratio(&["random"]), Statement::Largest(4.5));
+    fn findings_have_an_interval_or_the_values_at_both_ends() {
+        let largest = claim(ClaimQuantity::Ratio(&["random"]), Statement::Largest(4.5));
         let row = [finding(10, 1.0), finding(50, 4.0), finding(250, 2.0)];
-        assert_eq!(describe_findings(&most, &row), "4.00 × random (3.60 to 4.40), N = 50");
+        assert_eq!(
+            describe_findings(&largest, &row),
+            "4.00 × random (3.60 to 4.40), N = 50"
+        );
         let above = claim(ClaimQuantity::Ratio(&["random"]), Statement::Above(1.0));
         assert_eq!(
             describe_findings(&above, &row),
             "1.00 × random (N = 10) to 4.00 × random (N = 50)"
         );
-        let open = Finding {
+        let without_interval = Finding {
             low: 0.0,
             high: f64::INFINITY,
             ..finding(10, 2.0)
         };
-        assert_eq!(describe_findings(&above, &[open]), "2.00 × random (no interval)");
+        assert_eq!(
+            describe_findings(&above, &[without_interval]),
+            "2.00 × random (no interval)"
+        );
         assert_eq!(describe_findings(&above, &[]), "");
     }
 }

@@ -209,23 +209,23 @@ mod tests {
     use super::*;
 
     #[test]
-    fn one_run_decides_nothing() {
+    fn one_run_gives_no_firm_verdict() {
         let end = StatedEnd {
             lambda: 0.1,
             policy: "knn",
         };
         // Under Eq. (5), some λ harvests 0.2 units and no λ harvests 5 units.
         for spent in [0.2, 5.0] {
-            let ours = |spent: &[f64]| {
+            let judge_with = |spent: &[f64]| {
                 judge_threshold(
                     (5.0, 1.0),
                     end,
                     &Estimate::from_values(spent.iter().copied()).expect("a run"),
                 )
             };
-            let (one, two) = (ours(&[spent]), ours(&[spent, spent * 1.001]));
-            assert!(!one.is_firm && two.is_firm, "{one:?} {two:?}");
-            assert!(!one.measured.contains('±'), "{one:?}");
+            let (one_run, two_runs) = (judge_with(&[spent]), judge_with(&[spent, spent * 1.001]));
+            assert!(!one_run.is_firm && two_runs.is_firm, "{one_run:?} {two_runs:?}");
+            assert!(!one_run.measured.contains('±'), "{one_run:?}");
         }
     }
 }

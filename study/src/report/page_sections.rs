@@ -110,39 +110,42 @@ mod tests {
         kept\n<!-- /report z -->\n";
 
     #[test]
-    fn a_part_is_between_its_marks_and_the_rest_stays() {
-        let parts = [
+    fn a_section_replaces_the_text_between_its_marks() {
+        let sections = [
             PageSection::new("a", "| new |\n".to_owned()),
             PageSection::new("b", "nowhere".to_owned()),
         ];
-        let filled = fill_page(PAGE, &parts).expect("marks");
+        let filled = fill_page(PAGE, &sections).expect("marks");
         let expected = PAGE.replace("old\n", "\n| new |\n\n");
         assert_eq!(filled, expected);
         assert_eq!(
-            fill_page(&filled, &parts).expect("marks"),
+            fill_page(&filled, &sections).expect("marks"),
             filled,
             "filling twice changes nothing"
         );
     }
 
     #[test]
-    fn unknown_marks_are_errors() {
-        let parts = [
+    fn missing_marks_are_errors() {
+        let sections = [
             PageSection::new("a", String::new()),
             PageSection::new("b", String::new()),
         ];
-        let open = fill_page("text\n<!-- report a -->\n", &parts)
+        let no_end_mark = fill_page("text\n<!-- report a -->\n", &sections)
             .expect_err("no end")
             .to_string();
-        assert!(open.contains("line 2") && open.contains("<!-- /report a -->"), "{open}");
-        let none = fill_page("text\n<!-- report z -->\n<!-- /report z -->\n", &parts)
+        assert!(
+            no_end_mark.contains("line 2") && no_end_mark.contains("<!-- /report a -->"),
+            "{no_end_mark}"
+        );
+        let no_mark = fill_page("text\n<!-- report z -->\n<!-- /report z -->\n", &sections)
             .expect_err("no mark")
             .to_string();
-        assert!(none.contains("use a, b"), "{none}");
+        assert!(no_mark.contains("use a, b"), "{no_mark}");
     }
 
     #[test]
-    fn lists_are_no_wider_than_a_page() {
+    fn list_items_are_wrapped_at_spaces() {
         let item = "w-ord ".repeat(55);
         let PageSection { body, .. } = PageSection::list("a", [item.trim().to_owned(), "short".to_owned()]);
         assert!(body.lines().all(|line| line.chars().count() <= MAX_COLUMNS), "{body}");

@@ -73,7 +73,7 @@ pub(super) fn format_device_counts(device_counts: DeviceCounts) -> String {
         DeviceCounts::Under(n) => format!("N < {n}"),
         DeviceCounts::UpTo(n) => format!("N ≤ {n}"),
         DeviceCounts::Over(n) => format!("N > {n}"),
-        DeviceCounts::Everywhere => "all N".to_owned(),
+        DeviceCounts::All => "all N".to_owned(),
     }
 }
 
@@ -144,7 +144,7 @@ mod tests {
     use crate::claims::FIG_8;
 
     #[test]
-    fn three_digits_count() {
+    fn numbers_have_three_significant_digits() {
         for (x, text) in [
             (0.0, "0"),
             (0.146_23, "0.146"),
@@ -169,34 +169,36 @@ mod tests {
 
     #[test]
     fn values_near_zero_have_a_bound_instead_of_an_interval() {
-        let reading = |values: &[f64], cases: Option<u64>, upper| MetricEstimate {
+        let estimate_of = |values: &[f64], cases: Option<u64>, upper| MetricEstimate {
             estimate: Estimate::from_values_or_nan(values.iter().copied()),
             case_counts: cases.map(|cases| CaseCounts { cases, events: 600 }),
             upper_bound: upper,
             lower_bound: None,
         };
         assert_eq!(
-            format_estimate(&reading(&[0.0; 2], Some(0), Some(0.5))),
+            format_estimate(&estimate_of(&[0.0; 2], Some(0), Some(0.5))),
             "0 in 600 events, < 0.500"
         );
         assert_eq!(
-            format_estimate(&reading(&[0.0, 0.2], Some(1), Some(0.79))),
+            format_estimate(&estimate_of(&[0.0, 0.2], Some(1), Some(0.79))),
             "0.100, 1 in 600 events, < 0.790"
         );
         assert_eq!(
-            format_estimate(&reading(&[0.0, 0.026], None, Some(0.04))),
+            format_estimate(&estimate_of(&[0.0, 0.026], None, Some(0.04))),
             "0.0130, < 0.0400"
         );
-        assert_eq!(format_estimate(&reading(&[0.0; 2], None, None)), "0 in every run");
-        assert_eq!(format_estimate(&reading(&[0.3, 0.5], Some(99), None)), "0.400 ± 1.271");
+        assert_eq!(format_estimate(&estimate_of(&[0.0; 2], None, None)), "0 in every run");
+        assert_eq!(
+            format_estimate(&estimate_of(&[0.3, 0.5], Some(99), None)),
+            "0.400 ± 1.271"
+        );
     }
 
     #[test]
-    fn claims_read_naturally() {
-        let says = |quantity, statement| {
-            format_statement(&Claim::new("knn", DeviceCounts::Everywhere, quantity, statement, FIG_8))
-        };
-        for (statement, alone, compared) in [
+    fn claims_are_phrased_by_statement_and_quantity() {
+        let phrase =
+            |quantity, statement| format_statement(&Claim::new("knn", DeviceCounts::All, quantity, statement, FIG_8));
+        for (statement, of_mean, of_ratio) in [
             (Statement::About(0.4), "≈ 0.4", "0.4 × adjusted and random"),
             (Statement::About(1.0), "≈ 1", "about as adjusted and random"),
             (Statement::Below(1.0), "< 1", "less than adjusted and random"),
@@ -218,15 +220,18 @@ mod tests {
                 "share of adjusted and random falls with N",
             ),
         ] {
-            assert_eq!(says(ClaimQuantity::Mean, statement), alone);
-            assert_eq!(says(ClaimQuantity::Ratio(&["adjusted", "random"]), statement), compared);
+            assert_eq!(phrase(ClaimQuantity::Mean, statement), of_mean);
+            assert_eq!(
+                phrase(ClaimQuantity::Ratio(&["adjusted", "random"]), statement),
+                of_ratio
+            );
         }
         assert_eq!(
-            says(ClaimQuantity::Gap("genie"), Statement::Falls),
+            phrase(ClaimQuantity::Gap("genie"), Statement::Falls),
             "gap to genie falls with N"
         );
         assert_eq!(
-            says(ClaimQuantity::Growth(10), Statement::About(0.5)),
+            phrase(ClaimQuantity::Growth(10), Statement::About(0.5)),
             "0.5 × its own at N = 10"
         );
         assert_eq!(join_names(&["a", "b", "c"]), "a, b and c");

@@ -7,22 +7,23 @@
 use libfuzzer_sys::fuzz_target;
 use reveille_common::codec;
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::{Message, MessageKind, PlanUpdate, Reply, FrameBatch};
+use reveille_common::message::{FrameBatch, Message, MessageKind, PlanUpdate, Reply};
 
 /// Checks that a message decodes from its own wire form, has the stated length and can be printed.
 ///
 /// Compares wire forms, not values: a NaN differs from itself, but its bits do not.
-fn use_message(message: &Message) {
+fn check_message(message: &Message) {
     let wire = message.encode();
     assert_eq!(message.encoded_len(), wire.len() as u64, "the stated length");
-    let again = Message::decode(message.kind(), &wire).expect("an encoded message decodes");
-    assert_eq!(again.encode(), wire, "the same wire form");
+    let decoded = Message::decode(message.kind(), &wire).expect("an encoded message decodes");
+    assert_eq!(decoded.encode(), wire, "the same wire form");
     assert!(!message.to_string().is_empty());
+    // Any answer is right, but no message may panic.
     message.concerns(Some(1), DeviceId(1));
 }
 
 /// Checks that a decoded plan can be queried for any device and any TTI.
-fn use_plan(update: &PlanUpdate) {
+fn check_plan(update: &PlanUpdate) {
     for device in [0, 1, 7, 8, 1_000, u32::MAX].map(DeviceId) {
         let duty = update.plan.duty_cycle(device);
         assert!(duty.is_valid(), "{duty:?}");
@@ -41,26 +42,26 @@ fuzz_target!(|data: &[u8]| {
         0 => {
             let message = Message::decode(kind, payload);
             if let Ok(message) = &message {
-                use_message(message);
+                check_message(message);
             }
             if let Ok(Message::Plan(update)) = &message {
-                use_plan(update);
+                check_plan(update);
             }
         }
         1 => {
             if let Some(Ok(reply)) = Reply::decode(kind, payload) {
                 let wire = reply.encode();
-                let again = Reply::decode(kind, &wire)
+                let decoded = Reply::decode(kind, &wire)
                     .expect("a query")
-                    .expect("an encoded message decodes");
-                assert_eq!(again.encode(), wire, "the same wire form");
+                    .expect("an encoded reply decodes");
+                assert_eq!(decoded.encode(), wire, "the same wire form");
             }
         }
         _ => {
             if let Ok(batch) = codec::decode::<FrameBatch>(payload) {
                 let wire = codec::encode(&batch);
-                let again: FrameBatch = codec::decode(&wire).expect("an encoded message decodes");
-                assert_eq!(again, batch);
+                let decoded: FrameBatch = codec::decode(&wire).expect("an encoded batch decodes");
+                assert_eq!(decoded, batch);
             }
         }
     }

@@ -21,33 +21,34 @@ use reveille_view::reconstruction::Reconstruction;
 use reveille_view::recording::RecordingReader;
 
 /// Returns the path of an in-memory file that only this process uses.
-fn path(name: &str) -> PathBuf {
+fn memory_path(name: &str) -> PathBuf {
     Path::new("/dev/shm").join(format!("reveille-fuzz-{}-{name}", process::id()))
 }
 
-fn put(name: &str, bytes: &[u8]) -> PathBuf {
-    let path = path(name);
+fn write_in_memory(name: &str, bytes: &[u8]) -> PathBuf {
+    let path = memory_path(name);
     fs::write(&path, bytes).expect("memory to write to");
     path
 }
 
-/// Checks that a readable table survives a write and a second read unchanged.
-fn table(name: &str, format: Format, bytes: &[u8]) {
-    match Table::read(&put(name, bytes)) {
+/// Checks that a readable table keeps the number of its rows in a write and a second read.
+fn check_table(name: &str, format: Format, bytes: &[u8]) {
+    match Table::read(&write_in_memory(name, bytes)) {
         Ok(table) => {
-            let again = path(&format!("again-{name}"));
-            table.write(&again, format).expect("a read table can be written");
-            let again = Table::read(&again).expect("a written table can be read");
-            assert_eq!(again.rows.len(), table.rows.len());
+            let copy_path = memory_path(&format!("again-{name}"));
+            table.write(&copy_path, format).expect("a read table can be written");
+            let copy = Table::read(&copy_path).expect("a written table can be read");
+            assert_eq!(copy.rows.len(), table.rows.len());
         }
         Err(error) => assert!(!error.to_string().trim().is_empty()),
     }
 }
 
 /// Checks that a journal keeps its complete lines and permanently drops the rest.
-fn journal(lines: &[u8]) {
-    let path = path("runs.journal");
-    let _gone = fs::remove_file(&path);
+fn check_journal(lines: &[u8]) {
+    let path = memory_path("runs.journal");
+    // The file is left over from the previous input, except for the first one.
+    let _result = fs::remove_file(&path);
     drop(Journal::open(&path, "sweep", 4, 8).expect("a new journal"));
     let mut bytes = fs::read(&path).expect("its first line");
     bytes.extend_from_slice(lines);
@@ -56,13 +57,14 @@ fn journal(lines: &[u8]) {
         // Compare debug output, since NaN differs from itself.
         let kept = format!("{:?}", opened.runs());
         drop(opened);
-        let again = Journal::open(&path, "sweep", 4, 8).expect("the journal was repaired");
-        assert_eq!((again.dropped_lines(), format!("{:?}", again.runs())), (0, kept));
+        let reopened = Journal::open(&path, "sweep", 4, 8).expect("the journal was repaired");
+        assert_eq!((reopened.dropped_lines(), format!("{:?}", reopened.runs())), (0, kept));
     }
 }
 
-/// Reads a recording to its end or to the point where it is truncated.
-fn recording(bytes: &[u8]) {
+/// Reads a recording to its end or to the point where it is truncated. Reconstructs the run up to the first frame that
+/// does not fit.
+fn check_recording(bytes: &[u8]) {
     let mut reader = match RecordingReader::open(Cursor::new(bytes)) {
         Ok(reader) => reader,
         Err(error) => {
@@ -70,16 +72,17 @@ fn recording(bytes: &[u8]) {
             return;
         }
     };
-    let mut replay = reader
+    let mut reconstruction = reader
         .bundle()
         .load()
         .ok()
+        // A larger scenario would make the input slow.
         .filter(|scenario| scenario.run.devices <= 64)
-        .map(|s| Reconstruction::new(&s));
+        .map(|scenario| Reconstruction::new(&scenario));
     let mut fits = true;
     while let Ok(Some(frame)) = reader.next_frame() {
-        if let Some(replay) = replay.as_mut().filter(|_| fits) {
-            fits = replay.apply(&frame).is_ok();
+        if let Some(reconstruction) = reconstruction.as_mut().filter(|_| fits) {
+            fits = reconstruction.apply(&frame).is_ok();
         }
     }
 }
@@ -89,8 +92,8 @@ fn scenario() -> &'static Scenario {
     SCENARIO.get_or_init(|| load("quick", &[]).expect("a preset").scenario)
 }
 
-/// Checks that a readable resume mark is written unchanged and does not match another run.
-fn mark(text: &str) {
+/// Checks that a readable resume mark is written unchanged and lies within the run.
+fn check_mark(text: &str) {
     match ResumeMark::parse(text, scenario()) {
         Ok(mark) => {
             assert_eq!(
@@ -104,13 +107,13 @@ fn mark(text: &str) {
 }
 
 /// Checks that a readable input log is written unchanged and that a run accepts its inputs.
-fn log(text: &str) {
+fn check_input_log(text: &str) {
     match external_inputs::parse(text, scenario()) {
-        Ok(all) => {
-            let lines: String = all.iter().map(|input| external_inputs::line(&input)).collect();
-            let again = external_inputs::parse(&(external_inputs::first_line(scenario()) + &lines), scenario());
-            assert_eq!(again.expect("written text can be read"), all);
-            for outage in all.outages {
+        Ok(inputs) => {
+            let lines: String = inputs.iter().map(|input| external_inputs::line(&input)).collect();
+            let reread = external_inputs::parse(&(external_inputs::first_line(scenario()) + &lines), scenario());
+            assert_eq!(reread.expect("written text can be read"), inputs);
+            for outage in inputs.outages {
                 assert!(outage.is_valid(scenario().run.devices) && outage.tti.0 < scenario().run.ttis);
             }
         }
@@ -123,27 +126,27 @@ fuzz_target!(|data: &[u8]| {
         return;
     };
     match choice % 7 {
-        0 => journal(rest),
+        0 => check_journal(rest),
         1 => {
-            // Table, then its sidecar.
-            let cut = rest.iter().position(|byte| *byte == 0).unwrap_or(rest.len());
-            let (rows, about) = rest.split_at(cut);
-            put("results.csv.toml", about.get(1..).unwrap_or_default());
-            table("results.csv", Format::Csv, rows);
+            // A zero byte separates the table from its sidecar.
+            let table_end = rest.iter().position(|byte| *byte == 0).unwrap_or(rest.len());
+            let (rows, sidecar) = rest.split_at(table_end);
+            write_in_memory("results.csv.toml", sidecar.get(1..).unwrap_or_default());
+            check_table("results.csv", Format::Csv, rows);
         }
-        2 => table("results.parquet", Format::Parquet, rest),
+        2 => check_table("results.parquet", Format::Parquet, rest),
         3 => {
-            if let Err(error) = Trajectories::read(&put("trajectories.parquet", rest)) {
+            if let Err(error) = Trajectories::read(&write_in_memory("trajectories.parquet", rest)) {
                 assert!(!error.to_string().trim().is_empty());
             }
         }
-        4 => mark(&String::from_utf8_lossy(rest)),
+        4 => check_mark(&String::from_utf8_lossy(rest)),
         5 => {
             // With and without the first line, which names the run.
             let text = String::from_utf8_lossy(rest);
-            log(&text);
-            log(&(external_inputs::first_line(scenario()) + &text));
+            check_input_log(&text);
+            check_input_log(&(external_inputs::first_line(scenario()) + &text));
         }
-        _ => recording(rest),
+        _ => check_recording(rest),
     }
 });

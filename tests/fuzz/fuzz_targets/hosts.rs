@@ -1,5 +1,6 @@
-//! Fuzzes the base station's host records: hosts join, get ready, leave, return, answer requested and other messages,
-//! and are replaced or removed. The base station does not panic and completes a barrier only with all answers.
+//! Fuzzes the base station's host records (`Admission`, `Barrier`, `LostHosts` and `Roster` in `bs/src/server/`): hosts
+//! join, get ready, leave, return, send expected and unexpected messages, and are replaced or removed. The records do
+//! not panic, no device has two hosts, and a barrier is complete only with all answers.
 
 #![no_main]
 
@@ -28,42 +29,44 @@ struct HostRecords {
     admission: Admission,
     barrier: Barrier,
     lost_hosts: LostHosts,
-    passes: Vec<HostCredential>,
+    /// Credentials of all hosts that were ever admitted.
+    credentials: Vec<HostCredential>,
     is_running: bool,
-    /// Whether the run waits for lost hosts or continues without their devices.
-    waits: bool,
+    /// Otherwise the run continues without the devices of lost hosts.
+    waits_for_lost_hosts: bool,
     now: Instant,
     tti: u64,
 }
 
-/// Barrier that the fuzz target expects to be open.
+/// Request whose answers the barrier collects.
 #[derive(Clone, Copy, PartialEq)]
-enum Open {
-    Nothing,
+enum OpenRequest {
+    None,
     Grant,
     Wake,
     Ledgers,
 }
 
 impl HostRecords {
-    fn new(waits: bool) -> Self {
-        let set = Override::parse(&format!("devices={DEVICES}")).expect("an override");
-        let scenario = load("quick", &[set]).expect("a preset").scenario;
+    fn new(waits_for_lost_hosts: bool) -> Self {
+        let device_count = Override::parse(&format!("devices={DEVICES}")).expect("an override");
+        let scenario = load("quick", &[device_count]).expect("a preset").scenario;
         let deployment = Deployment::new(&scenario);
         Self {
             admission: Admission::new(DEVICES),
             barrier: Barrier::new(Roster::new(deployment.devices, scenario.sensing.psi)),
             lost_hosts: LostHosts::default(),
-            passes: Vec::new(),
+            credentials: Vec::new(),
             is_running: false,
-            waits,
+            waits_for_lost_hosts,
             now: Instant::now(),
             tti: 0,
         }
     }
 
-    fn newcomer(&self, input: &mut Unstructured<'_>) -> Result<JoiningHost> {
+    fn draw_newcomer(&self, input: &mut Unstructured<'_>) -> Result<JoiningHost> {
         Ok(JoiningHost {
+            // Few values, so that join requests are repeated.
             nonce: u64::from(input.arbitrary::<u8>()?),
             token: Secret::new(input.arbitrary()?),
             name: "a host".to_owned(),
@@ -72,23 +75,29 @@ impl HostRecords {
         })
     }
 
+    /// Draws one of the credentials; `None` before the first admission.
+    fn draw_credential(&self, input: &mut Unstructured<'_>) -> Result<Option<HostCredential>> {
+        let index: usize = input.arbitrary()?;
+        Ok(self.credentials.get(index % self.credentials.len().max(1)).copied())
+    }
+
     fn add_credential(&mut self, assignment: Assignment, token: Secret) {
-        let pass = HostCredential {
+        let credential = HostCredential {
             host: assignment.host,
             token,
         };
-        assert!(self.admission.is_valid(pass));
-        self.passes.push(pass);
+        assert!(self.admission.is_valid(credential));
+        self.credentials.push(credential);
     }
 
     fn join(&mut self, input: &mut Unstructured<'_>) -> Result<()> {
-        let newcomer = self.newcomer(input)?;
+        let newcomer = self.draw_newcomer(input)?;
         let token = newcomer.token;
         if self.admission.find_by_nonce(newcomer.nonce).is_some() {
             return Ok(());
         }
         if self.is_running {
-            if !self.waits {
+            if !self.waits_for_lost_hosts {
                 return Ok(());
             }
             if let Some((lost, _)) = self.lost_hosts.find_takeover(newcomer.count) {
@@ -103,41 +112,45 @@ impl HostRecords {
     }
 
     /// Starts the run when all hosts are ready.
-    fn begin(&mut self) {
-        if let Some(hosts) = self.admission.assignments_if_all_active().filter(|_| !self.is_running) {
+    fn start_run(&mut self) {
+        if let Some(assignments) = self.admission.assignments_if_all_active().filter(|_| !self.is_running) {
             let mut has_owner = vec![false; DEVICES as usize];
-            for assignment in &hosts {
+            for assignment in &assignments {
                 for device in assignment.first.0..=assignment.last().0 {
-                    assert!(!std::mem::replace(&mut has_owner[device as usize], true), "two hosts own a device");
+                    assert!(!has_owner[device as usize], "two hosts own device {device}");
+                    has_owner[device as usize] = true;
                 }
             }
-            assert!(has_owner.iter().all(|is_owned| *is_owned));
-            self.barrier.roster_mut().set_hosts(hosts);
+            assert!(has_owner.iter().all(|is_owned| *is_owned), "a device has no host");
+            self.barrier.roster_mut().set_hosts(assignments);
             self.is_running = true;
         }
     }
 
-    fn alive(&mut self, pass: HostCredential, is_alive: bool) {
-        if !self.admission.is_valid(pass) {
+    /// Handles the appearance or disappearance of a host's liveliness token.
+    fn set_alive(&mut self, credential: HostCredential, is_alive: bool) {
+        if !self.admission.is_valid(credential) {
             return;
         }
-        self.admission.set_alive(pass.host, is_alive);
+        let host = credential.host;
+        self.admission.set_alive(host, is_alive);
         if is_alive {
-            if let Some(newcomer) = self.lost_hosts.end_loss(pass.host, self.now).flatten() {
+            if let Some(newcomer) = self.lost_hosts.end_loss(host, self.now).flatten() {
                 self.admission.revoke(newcomer);
             }
-            self.fill(pass.host);
+            self.complete_takeover(host);
         } else if !self.is_running {
-            self.admission.free_host(pass.host);
-        } else if self.lost_hosts.reservation_of(pass.host).is_some() {
-            self.lost_hosts.cancel_reservation(pass.host);
-            self.admission.revoke(pass.host);
-        } else if let Some(assignment) = self.admission.assignment(pass.host) {
+            self.admission.free_host(host);
+        } else if self.lost_hosts.reservation_of(host).is_some() {
+            self.lost_hosts.cancel_reservation(host);
+            self.admission.revoke(host);
+        } else if let Some(assignment) = self.admission.assignment(host) {
             self.lost_hosts.add(assignment, self.now);
         }
     }
 
-    fn fill(&mut self, host: HostId) {
+    /// Gives the devices of a lost host to `host`, if they are reserved for it and it is active.
+    fn complete_takeover(&mut self, host: HostId) {
         if self.admission.is_active(host)
             && let Some((lost, _)) = self.lost_hosts.complete_takeover(host, self.now)
             && let Some(assignment) = self.admission.assignment(host)
@@ -149,31 +162,34 @@ impl HostRecords {
 
     /// Continues the run without the devices of lost hosts.
     fn remove_lost_hosts(&mut self) {
-        let lost: Vec<Assignment> = self.lost_hosts.assignments().collect();
-        for assignment in lost {
+        let lost_assignments: Vec<Assignment> = self.lost_hosts.assignments().collect();
+        for assignment in lost_assignments {
             self.lost_hosts.drop_host(assignment.host);
             self.admission.revoke(assignment.host);
             self.barrier.remove_host(assignment.host);
         }
     }
 
-    fn restore(&mut self) {
+    /// Provides the checkpoints of lost hosts, as a replay would.
+    fn restore_checkpoints(&mut self) {
         let next = Tti(self.tti);
         for assignment in self.lost_hosts.request_replays(next) {
             let devices = vec![DeviceCheckpoint(Vec::new()); assignment.count as usize];
             let at = ResumePoint { next, plan_from: None };
-            self.lost_hosts.set_checkpoint(assignment.host, HostCheckpoint { at, devices });
+            self.lost_hosts
+                .set_checkpoint(assignment.host, HostCheckpoint { at, devices });
         }
     }
 
     fn receive_message(&mut self, input: &mut Unstructured<'_>) -> Result<()> {
+        // Also hosts, a device and TTIs that do not exist.
         let host = HostId(input.int_in_range(0..=20)?);
         let device = DeviceId(input.int_in_range(0..=DEVICES)?);
         let tti = Tti(self.tti.saturating_sub(input.int_in_range(0..=2)?));
         let battery = Energy::from_micro(input.arbitrary::<u32>()?.into());
         let failure = FailedTransmission {
             device,
-            drained: battery,
+            drained_energy: battery,
         };
         match input.int_in_range(0..=4)? {
             0 => {
@@ -206,7 +222,8 @@ impl HostRecords {
                         powered: input.arbitrary()?,
                     },
                 };
-                self.barrier.receive_answer(host, HostAnswer::NotWoken { device, tti, outcome });
+                self.barrier
+                    .receive_answer(host, HostAnswer::NotWoken { device, tti, outcome });
             }
             3 => {
                 let ledgers = Vec::new();
@@ -242,61 +259,64 @@ impl HostRecords {
 
 fn play(input: &mut Unstructured<'_>) -> Result<()> {
     let mut records = HostRecords::new(input.arbitrary()?);
-    let mut open = Open::Nothing;
+    let mut open = OpenRequest::None;
     while !input.is_empty() {
         records.now += Duration::from_millis(100);
-        let pass = |records: &HostRecords, at: usize| records.passes.get(at % records.passes.len().max(1)).copied();
         match input.int_in_range(0..=11)? {
             0 => records.join(input)?,
             1 => {
-                if let Some(pass) = pass(&records, input.arbitrary()?)
-                    && records.admission.mark_ready(pass)
+                if let Some(credential) = records.draw_credential(input)?
+                    && records.admission.mark_ready(credential)
                 {
-                    records.fill(pass.host);
+                    records.complete_takeover(credential.host);
                 }
             }
             2 | 3 => {
-                if let Some(pass) = pass(&records, input.arbitrary()?) {
-                    records.alive(pass, input.ratio(3, 4)?);
+                if let Some(credential) = records.draw_credential(input)? {
+                    records.set_alive(credential, input.ratio(3, 4)?);
                 }
             }
-            4 => records.begin(),
-            5 if !records.waits => records.remove_lost_hosts(),
-            6 if records.waits => records.restore(),
-            7 if records.is_running && open == Open::Nothing => {
+            4 => records.start_run(),
+            5 if !records.waits_for_lost_hosts => records.remove_lost_hosts(),
+            6 if records.waits_for_lost_hosts => records.restore_checkpoints(),
+            7 if records.is_running && open == OpenRequest::None => {
                 records.tti += 1;
                 records
                     .barrier
                     .expect_grant(Tti(records.tti), input.arbitrary()?, GrantOptions::default());
-                open = Open::Grant;
+                open = OpenRequest::Grant;
             }
-            8 if records.is_running && open == Open::Nothing => {
+            8 if records.is_running && open == OpenRequest::None => {
                 let device = DeviceId(input.int_in_range(0..=DEVICES - 1)?);
                 records.barrier.expect_wake(Tti(records.tti), device);
-                open = Open::Wake;
+                open = OpenRequest::Wake;
             }
-            9 if records.is_running && open == Open::Nothing => {
+            9 if records.is_running && open == OpenRequest::None => {
                 records.barrier.expect_ledgers();
-                open = Open::Ledgers;
+                open = OpenRequest::Ledgers;
             }
             10 => {
-                if open == Open::Grant {
+                if open == OpenRequest::Grant {
                     records.answer_quietly();
                 }
             }
             _ => records.receive_message(input)?,
         }
-        let missing = records.barrier.missing_hosts();
-        let is_early = records.barrier.is_complete() && open != Open::Wake && !missing.is_empty();
-        assert!(!is_early, "{missing:?} have not answered");
+        let missing_hosts = records.barrier.missing_hosts();
+        // For a wake-up, `missing_hosts` names the owner of the device even after its outcome.
+        let is_early = records.barrier.is_complete() && open != OpenRequest::Wake && !missing_hosts.is_empty();
+        assert!(
+            !is_early,
+            "the barrier is complete without the answers of {missing_hosts:?}"
+        );
         if records.barrier.is_complete() {
             match open {
-                Open::Nothing => {}
-                Open::Grant => drop(records.barrier.take_grant_result()),
-                Open::Wake => drop(records.barrier.take_wake_outcome()),
-                Open::Ledgers => drop(records.barrier.take_ledgers()),
+                OpenRequest::None => {}
+                OpenRequest::Grant => drop(records.barrier.take_grant_result()),
+                OpenRequest::Wake => drop(records.barrier.take_wake_outcome()),
+                OpenRequest::Ledgers => drop(records.barrier.take_ledgers()),
             }
-            open = Open::Nothing;
+            open = OpenRequest::None;
         }
     }
     Ok(())
@@ -304,5 +324,5 @@ fn play(input: &mut Unstructured<'_>) -> Result<()> {
 
 fuzz_target!(|data: &[u8]| {
     // Running out of fuzzer input ends the case.
-    let _done = play(&mut Unstructured::new(data));
+    let _result = play(&mut Unstructured::new(data));
 });

@@ -9,12 +9,13 @@ use reveille_bs::policy::dt::model::weights::ModelWeights;
 use reveille_bs::policy::q_learning::learned::{FORMAT, LearnedTables, VERSION};
 use sha2::{Digest as _, Sha256};
 
-fn tables(text: &str) {
+/// Checks that tables are refused with an error, or written and read again unchanged.
+fn check_tables(text: &str) {
     match LearnedTables::parse(text) {
         Ok(learned) => {
             let written = learned.to_json();
-            let again = LearnedTables::parse(&written).expect("written tables can be read");
-            assert_eq!(again.to_json(), written);
+            let reread = LearnedTables::parse(&written).expect("written tables can be read");
+            assert_eq!(reread.to_json(), written);
         }
         Err(error) => assert!(!error.to_string().trim().is_empty()),
     }
@@ -32,9 +33,9 @@ fuzz_target!(|data: &[u8]| {
     }
     let Ok(text) = std::str::from_utf8(rest) else { return };
     if choice % 3 == 0 {
-        return tables(text);
+        return check_tables(text);
     }
-    let sum: String = Sha256::digest(text).iter().map(|byte| format!("{byte:02x}")).collect();
-    let head = format!("{{\"format\":\"{FORMAT}\",\"version\":{VERSION},\"sha256\":\"{sum}\"");
-    tables(&format!("{head},\"body\":{text}}}\n"));
+    let checksum: String = Sha256::digest(text).iter().map(|byte| format!("{byte:02x}")).collect();
+    let header = format!("{{\"format\":\"{FORMAT}\",\"version\":{VERSION},\"sha256\":\"{checksum}\"");
+    check_tables(&format!("{header},\"body\":{text}}}\n"));
 });

@@ -15,11 +15,11 @@ use reveille_bs::scenario::{Loaded, Override, PRESETS, Scenario, ScenarioError, 
 const NOWHERE: &str = "/nonexistent/reveille-fuzz";
 
 /// Returns the full text of `preset` with one line replaced by `text`, a typical editing mistake.
-fn mutated(preset: &str, line: u8, text: &str) -> String {
-    let whole = load(preset, &[]).expect("presets load").scenario.to_toml();
-    let mut lines: Vec<&str> = whole.lines().collect();
-    let at = usize::from(line) % lines.len();
-    lines[at] = text;
+fn preset_with_line(preset: &str, line: u8, text: &str) -> String {
+    let preset_text = load(preset, &[]).expect("presets load").scenario.to_toml();
+    let mut lines: Vec<&str> = preset_text.lines().collect();
+    let index = usize::from(line) % lines.len();
+    lines[index] = text;
     lines.join("\n")
 }
 
@@ -34,9 +34,9 @@ fn check_error(error: &ScenarioError) {
 fn check_scenario(scenario: &Scenario) {
     let text = scenario.to_toml();
     match parse(&text, "written", Path::new(NOWHERE), &[]) {
-        Ok(Loaded { scenario: again, .. }) => {
-            assert_eq!(again.hash_hex(), scenario.hash_hex(), "{text}");
-            assert_eq!(&again, scenario, "{text}");
+        Ok(Loaded { scenario: reloaded, .. }) => {
+            assert_eq!(reloaded.hash_hex(), scenario.hash_hex(), "{text}");
+            assert_eq!(&reloaded, scenario, "{text}");
         }
         Err(error) => panic!("{error}\n{text}"),
     }
@@ -47,17 +47,18 @@ fuzz_target!(|data: &[u8]| {
         return;
     };
     let Ok(text) = std::str::from_utf8(rest) else { return };
-    let (sets, lines): (Vec<&str>, Vec<&str>) = text.split('\n').partition(|line| line.starts_with("--set "));
+    let (flags, lines): (Vec<&str>, Vec<&str>) = text.split('\n').partition(|line| line.starts_with("--set "));
     let mut overrides = Vec::new();
-    for set in sets.into_iter().take(8) {
-        match Override::parse(&set["--set ".len()..]) {
-            Ok(given) => overrides.push(given),
+    // Further overrides would only make the input slow.
+    for flag in flags.into_iter().take(8) {
+        match Override::parse(&flag["--set ".len()..]) {
+            Ok(parsed) => overrides.push(parsed),
             Err(error) => check_error(&error),
         }
     }
     let body = lines.join("\n");
     let text = match mode % 8 {
-        preset @ 0..=2 => mutated(PRESETS[usize::from(preset)].name, mode / 8, &body),
+        preset @ 0..=2 => preset_with_line(PRESETS[usize::from(preset)].name, mode / 8, &body),
         _ => body,
     };
     match parse(&text, "fuzzed", Path::new(NOWHERE), &overrides) {

@@ -12,19 +12,28 @@ use super::clusters::distance;
 
 /// Relative tolerance: values per price closer than this, or a value this close to its price, can change order with the
 /// order of summation.
-const CLOSE: f64 = 1e-6;
+const TOLERANCE: f64 = 1e-6;
+
+/// Largest age, in TTIs.
+const MAX_AGE: f64 = 255.0;
+/// Age from which a place is not worth more, in TTIs.
+const MAX_VALUED_AGE: f64 = 22.0;
+
+/// Rounding error of a distance, metres.
+const ROUNDING: f64 = 1e-9;
 
 /// Places of an area with their ages, and the devices that cover them.
 #[derive(Clone, Debug)]
 pub struct ReferenceAgeIndex {
     /// Probability that a device detects an event at a place, by device and place.
-    sees: Vec<Vec<f64>>,
+    detection: Vec<Vec<f64>>,
     ages: Vec<f64>,
     positions: Vec<Point>,
     energies: Vec<EnergyModel>,
     d_max: f64,
     /// Price of a TTI in S1, in places of age 1.
     price: f64,
+    /// Number of places in a sensing disc.
     disc: f64,
 }
 
@@ -33,8 +42,8 @@ impl ReferenceAgeIndex {
     /// decides whether a place is within a device's range.
     pub fn new(scenario: &Scenario, positions: &[Point], energies: Vec<EnergyModel>, price: f64) -> Option<Self> {
         let (area, sensing) = (scenario.area, &scenario.sensing);
-        let along = |length: f64| (7.5 * length / sensing.d_max).ceil().max(1.0);
-        let (columns, rows) = (along(area.width), along(area.height));
+        let place_count = |length: f64| (7.5 * length / sensing.d_max).ceil().max(1.0);
+        let (columns, rows) = (place_count(area.width), place_count(area.height));
         let mut places = Vec::new();
         for row in 0..rows as u32 {
             for column in 0..columns as u32 {
@@ -42,12 +51,12 @@ impl ReferenceAgeIndex {
                 places.push(Point::new(x, area.height * (f64::from(row) + 0.5) / rows));
             }
         }
-        let mut sees = Vec::new();
+        let mut detection = Vec::new();
         for position in positions {
             let mut row = Vec::new();
             for place in &places {
                 let d = distance(*position, *place);
-                if (d - sensing.d_max).abs() < 1e-9 {
+                if (d - sensing.d_max).abs() < ROUNDING {
                     return None;
                 }
                 row.push(match sensing.kind {
@@ -56,66 +65,79 @@ impl ReferenceAgeIndex {
                     DetectionKind::Probabilistic => libm::exp(-sensing.eta * d),
                 });
             }
-            sees.push(row);
+            detection.push(row);
         }
-        let reach = match sensing.kind {
+        // Integral of the detection probability over a sensing disc.
+        let covered_area = match sensing.kind {
             DetectionKind::Range => PI * sensing.d_max.powi(2),
             DetectionKind::Probabilistic => {
                 let x = sensing.eta * sensing.d_max;
                 2.0 * PI / sensing.eta.powi(2) * (1.0 - (1.0 + x) * libm::exp(-x))
             }
         };
-        let place = area.width * area.height / (columns * rows);
+        let place_area = area.width * area.height / (columns * rows);
         Some(Self {
-            sees,
+            detection,
             ages: vec![1.0; places.len()],
             positions: positions.to_vec(),
             energies,
             d_max: sensing.d_max,
-            price: price * reach / place,
-            disc: PI * sensing.d_max.powi(2) / place,
+            price: price * covered_area / place_area,
+            disc: PI * sensing.d_max.powi(2) / place_area,
         })
     }
 
-    /// Advances the ages by a TTI in which the devices of `looking` sensed.
-    pub fn pass(&mut self, looking: &[usize], is_found: bool) {
+    /// Advances the ages by a TTI in which `sensing_devices` sensed; a reported event resets all ages.
+    pub fn advance(&mut self, sensing_devices: &[usize], is_event_reported: bool) {
         for place in 0..self.ages.len() {
-            let missed: f64 = looking.iter().map(|&j| 1.0 - self.sees[j][place]).product();
-            let old = if is_found { 0.0 } else { self.ages[place] * missed };
-            self.ages[place] = (old + 1.0).min(255.0);
+            let missed: f64 = sensing_devices
+                .iter()
+                .map(|&j| 1.0 - self.detection[j][place])
+                .product();
+            let unseen_age = if is_event_reported {
+                0.0
+            } else {
+                self.ages[place] * missed
+            };
+            self.ages[place] = (unseen_age + 1.0).min(MAX_AGE);
         }
     }
 
     /// Returns the price of each device at these levels, micro-units; infinite for a device that may not sense.
     fn prices(&self, levels: &[u64]) -> Vec<f64> {
-        let extra = |energy: &EnergyModel| energy.e_idle.micro().saturating_sub(energy.e_wur.micro()) as f64;
-        let all: f64 = self.energies.iter().map(extra).sum();
-        let mean = all / self.energies.len() as f64;
-        let of = |(energy, &level): (&EnergyModel, &u64)| {
+        let sensing_cost = |energy: &EnergyModel| energy.e_idle.micro().saturating_sub(energy.e_wur.micro()) as f64;
+        let total_cost: f64 = self.energies.iter().map(sensing_cost).sum();
+        let mean_cost = total_cost / self.energies.len() as f64;
+        let price_of = |(energy, &level): (&EnergyModel, &u64)| {
             let e_max = energy.e_max.micro() as f64;
             let reserve = (0.03 * e_max).floor() as u64;
             if level < energy.e_idle.micro() + energy.e_tx.micro() + reserve {
                 return f64::INFINITY;
             }
-            let cost = if mean > 0.0 { extra(energy) / mean } else { 0.0 };
-            let price = self.price * cost * (1.0 + 3.0 * (1.0 - level as f64 / e_max).powi(2));
+            let relative_cost = if mean_cost > 0.0 {
+                sensing_cost(energy) / mean_cost
+            } else {
+                0.0
+            };
+            let price = self.price * relative_cost * (1.0 + 3.0 * (1.0 - level as f64 / e_max).powi(2));
             price.max(1e-30)
         };
-        self.energies.iter().zip(levels).map(of).collect()
+        self.energies.iter().zip(levels).map(price_of).collect()
     }
 
     /// Returns the value that sensing by `j` adds to sensing by `others`.
-    fn worth(&self, j: usize, others: &[usize]) -> f64 {
-        let index = |age: f64| {
-            let age = age.min(22.0);
+    fn added_value(&self, j: usize, others: &[usize]) -> f64 {
+        let value_of_age = |age: f64| {
+            let age = age.min(MAX_VALUED_AGE);
             age * (age + 1.0) / 2.0
         };
         let mut sum = 0.0;
         for (place, &age) in self.ages.iter().enumerate() {
+            // Between whole ages, the value is interpolated.
             let below = age.floor();
-            let of_age = index(below) + (age - below) * (index(below + 1.0) - index(below));
-            let missed: f64 = others.iter().map(|&other| 1.0 - self.sees[other][place]).product();
-            sum += of_age * missed * self.sees[j][place];
+            let value = value_of_age(below) + (age - below) * (value_of_age(below + 1.0) - value_of_age(below));
+            let missed: f64 = others.iter().map(|&other| 1.0 - self.detection[other][place]).product();
+            sum += value * missed * self.detection[j][place];
         }
         sum
     }
@@ -134,17 +156,19 @@ impl ReferenceAgeIndex {
 
     /// Chooses sensing devices at these prices in addition to `set`, in order of choice; `None` if too close to call.
     pub fn choose_at(&self, prices: &[f64], set: &[usize]) -> Option<Vec<usize>> {
-        let mut chosen = self.one_after_the_other(prices, set)?;
-        for turn in 0..2 * chosen.len() {
-            let place = turn % chosen.len();
-            let Some(j) = chosen[place].take() else { continue };
+        let mut chosen = self.choose_greedily(prices, set)?;
+        // Two rounds in which each chosen device may be replaced.
+        for step in 0..2 * chosen.len() {
+            let position = step % chosen.len();
+            let Some(j) = chosen[position].take() else { continue };
             let others: Vec<usize> = chosen.iter().flatten().chain(set).copied().collect();
-            chosen[place] = self.best_instead(j, &others, prices)?;
+            chosen[position] = self.best_replacement(j, &others, prices)?;
         }
         Some(chosen.into_iter().flatten().collect())
     }
 
-    fn one_after_the_other(&self, prices: &[f64], set: &[usize]) -> Option<Vec<Option<usize>>> {
+    /// Chooses one device after another, each with the largest value per price among the devices worth their price.
+    fn choose_greedily(&self, prices: &[f64], set: &[usize]) -> Option<Vec<Option<usize>>> {
         let mut chosen: Vec<usize> = Vec::new();
         loop {
             let mut ratios = Vec::new();
@@ -152,20 +176,20 @@ impl ReferenceAgeIndex {
                 if chosen.contains(&j) || price.is_infinite() {
                     continue;
                 }
-                let worth = self.worth(j, &[&chosen, set].concat());
-                if (worth - price).abs() < CLOSE * price.max(CLOSE) && worth > 0.0 {
+                let value = self.added_value(j, &[&chosen, set].concat());
+                if (value - price).abs() < TOLERANCE * price.max(TOLERANCE) && value > 0.0 {
                     return None;
                 }
-                if worth > price {
-                    ratios.push((worth / price, j));
+                if value > price {
+                    ratios.push((value / price, j));
                 }
             }
             // Largest ratio first; ties go to the lowest number.
             ratios.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-            let Some(&(most, best)) = ratios.first() else {
+            let Some(&(largest, best)) = ratios.first() else {
                 return Some(chosen.into_iter().map(Some).collect());
             };
-            if is_close(most, ratios.get(1).map(|second| second.0)) {
+            if is_close(largest, ratios.get(1).map(|second| second.0)) {
                 return None;
             }
             chosen.push(best);
@@ -175,7 +199,7 @@ impl ReferenceAgeIndex {
     /// Returns the option with the largest net value among `j`, the devices within d_max of it outside `others`, and no
     /// device.
     #[expect(clippy::option_option, reason = "too close to call, or no device")]
-    fn best_instead(&self, j: usize, others: &[usize], prices: &[f64]) -> Option<Option<usize>> {
+    fn best_replacement(&self, j: usize, others: &[usize], prices: &[f64]) -> Option<Option<usize>> {
         // On equal net value the first wins: no device, then j, then the lowest number.
         let mut nets = vec![(0.0, 0, None)];
         for (i, price) in prices.iter().enumerate() {
@@ -183,21 +207,21 @@ impl ReferenceAgeIndex {
             if others.contains(&i) || !is_near || price.is_infinite() {
                 continue;
             }
-            let net = self.worth(i, others) - price;
+            let net = self.added_value(i, others) - price;
             nets.push((net, if i == j { 1 } else { 2 + i }, Some(i)));
         }
         nets.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-        let (most, _, best) = nets[0];
+        let (largest, _, best) = nets[0];
         let second = nets.get(1).map(|second| second.0);
-        (!is_close(most, second)).then_some(best)
+        (!is_close(largest, second)).then_some(best)
     }
 }
 
-/// Whether another order of summation could make `second` larger than `most`. Exactly equal values are not close: they
-/// come from sums of whole numbers, which are equal in any order.
-fn is_close(most: f64, second: Option<f64>) -> bool {
+/// Whether another order of summation could make `second` larger than `largest`. Exactly equal values are not close:
+/// they come from sums of whole numbers, which are equal in any order.
+fn is_close(largest: f64, second: Option<f64>) -> bool {
     second.is_some_and(|second| {
-        let gap = most - second;
-        gap != 0.0 && gap < CLOSE * most.abs().max(CLOSE)
+        let gap = largest - second;
+        gap != 0.0 && gap < TOLERANCE * largest.abs().max(TOLERANCE)
     })
 }

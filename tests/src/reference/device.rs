@@ -6,6 +6,13 @@ use reveille_common::units::Energy;
 
 use super::harvest::ReferenceSource;
 
+/// Position of S1 in the energy by state.
+pub(super) const S1: usize = 0;
+/// Position of S4 in the energy by state.
+pub(super) const S4: usize = 1;
+/// Position of S3 in the energy by state; it includes the energy spent in S2.
+pub(super) const S3: usize = 2;
+
 /// State of a device at the end of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReferenceState {
@@ -16,7 +23,7 @@ pub enum ReferenceState {
     /// S4 with a powered wake-up radio.
     Asleep,
     /// S4, unpowered after an action that the battery could not pay.
-    Dark,
+    Unpowered,
 }
 
 /// One device and its ledger, micro-units.
@@ -27,7 +34,7 @@ pub(super) struct Device {
     pub(super) state: ReferenceState,
     pub(super) battery: u64,
     pub(super) harvested: u64,
-    /// Spent energy by state: S1, S4, S2 to S3.
+    /// Spent energy by state: [`S1`], [`S4`], [`S3`].
     spent: [u64; 3],
     pub(super) overflow: u64,
     pub(super) battery_sum: u128,
@@ -38,8 +45,7 @@ pub(super) struct Device {
     pub(super) false_wake_ups: u64,
     /// Consecutive TTIs without power: current and longest.
     pub(super) outage: [u64; 2],
-    /// Totals at the start of the measured part.
-    pub(super) before: Option<DeviceTotals>,
+    pub(super) totals_at_warm_up_end: Option<DeviceTotals>,
 }
 
 impl Device {
@@ -59,29 +65,31 @@ impl Device {
             unpowered_ttis: 0,
             false_wake_ups: 0,
             outage: [0; 2],
-            before: None,
+            totals_at_warm_up_end: None,
         }
     }
 
     /// Pays `cost`, or loses the remaining charge. Returns the energy that left the battery, and whether it was enough.
     pub(super) fn pay(&mut self, cost: Energy, state: usize) -> (u64, bool) {
-        let enough = self.battery >= cost.micro();
-        let gone = if enough { cost.micro() } else { self.battery };
-        self.battery -= gone;
-        self.spent[state] += gone;
-        (gone, enough)
+        let is_enough = self.battery >= cost.micro();
+        let spent = if is_enough { cost.micro() } else { self.battery };
+        self.battery -= spent;
+        self.spent[state] += spent;
+        (spent, is_enough)
     }
 
     pub(super) fn ledger(&self) -> Ledger {
-        let whole = self.sums();
+        let whole = self.totals();
         Ledger {
             whole,
-            measured: self.before.map_or_else(DeviceTotals::default, |before| whole - before),
+            measured: self
+                .totals_at_warm_up_end
+                .map_or_else(DeviceTotals::default, |warm_up| whole - warm_up),
             longest_outage: self.outage[1],
         }
     }
 
-    pub(super) fn sums(&self) -> DeviceTotals {
+    pub(super) fn totals(&self) -> DeviceTotals {
         let [sensing, sleep, report] = self.spent.map(Energy::from_micro);
         DeviceTotals {
             initial: self.costs.initial,

@@ -13,11 +13,12 @@ pub(super) struct ReferenceEstimate {
     /// Last known level, and the first TTI after it.
     level: u64,
     from: u64,
-    /// First TTI of unexpected silence since the last report, and the delay from it to the latest such TTI.
-    since: Option<u64>,
-    outage: u64,
+    /// First TTI of unexpected silence since the last report.
+    silent_since: Option<u64>,
+    /// TTIs from the first unexpected silence to the latest.
+    silence_span: u64,
     /// Probability that radio losses alone explain the missing reports.
-    luck: f64,
+    loss_probability: f64,
 }
 
 impl ReferenceEstimate {
@@ -29,9 +30,9 @@ impl ReferenceEstimate {
             mean,
             is_day,
             from: 0,
-            since: None,
-            outage: 0,
-            luck: 1.0,
+            silent_since: None,
+            silence_span: 0,
+            loss_probability: 1.0,
         }
     }
 
@@ -47,25 +48,26 @@ impl ReferenceEstimate {
                 self.costs.e_wur.micro()
             }
         };
-        let up = |k: u64| self.is_day[k as usize % self.is_day.len()];
+        let is_up = |k: u64| self.is_day[k as usize % self.is_day.len()];
         let (mut level, mut first) = (self.level, self.from);
         // Sums over one day or one night at a time.
         while first <= k {
-            let (mut came, mut went, mut last) = (0, 0, first);
+            let (mut income, mut spent, mut last) = (0, 0, first);
             loop {
-                came += self.mean[last as usize % self.mean.len()];
-                went += cost(last);
-                if last == k || up(last) != up(last + 1) {
+                income += self.mean[last as usize % self.mean.len()];
+                spent += cost(last);
+                if last == k || is_up(last) != is_up(last + 1) {
                     break;
                 }
                 last += 1;
             }
-            level = if came <= went {
-                level.saturating_sub(went - came)
+            level = if income <= spent {
+                level.saturating_sub(spent - income)
             } else {
+                // In its silence the device gained less than `needed`, which limits the gain per TTI.
                 let needed = self.costs.e_tx.micro() + self.costs.e_idle.micro();
-                let most = (needed * (last + 1 - first)).checked_div(self.outage);
-                level + (came - went).min(most.unwrap_or(u64::MAX))
+                let max_gain = (needed * (last + 1 - first)).checked_div(self.silence_span);
+                level + (income - spent).min(max_gain.unwrap_or(u64::MAX))
             };
             level = level.min(self.costs.e_max.micro().saturating_sub(cost(last)));
             first = last + 1;
@@ -74,28 +76,27 @@ impl ReferenceEstimate {
     }
 
     /// Whether the device can pay for a report at the end of TTI `k`.
-    pub(super) fn is_able(&self, k: u64, senses: impl Fn(u64) -> bool) -> bool {
+    pub(super) fn can_report(&self, k: u64, senses: impl Fn(u64) -> bool) -> bool {
         self.level(k, senses) >= self.costs.e_tx.micro()
     }
 
     /// Records that the device reported `level` in TTI `k`.
-    pub(super) fn heard(&mut self, k: u64, level: u64) {
-        (self.level, self.from, self.since, self.outage) = (level, k + 1, None, 0);
-        self.luck = 1.0;
+    pub(super) fn record_report(&mut self, k: u64, level: u64) {
+        (self.level, self.from, self.silent_since, self.silence_span) = (level, k + 1, None, 0);
+        self.loss_probability = 1.0;
     }
 
     /// Records a missing report in TTI `k`, in which a powered device must have reported. The radio alone loses it with
     /// probability `lost`. Once the joint probability is at most 1/50, the battery counts as empty.
-    pub(super) fn silent(&mut self, k: u64, lost: f64, senses: impl Fn(u64) -> bool) {
-        self.luck *= lost;
-        if self.luck > 0.02 {
+    pub(super) fn record_silence(&mut self, k: u64, lost: f64, senses: impl Fn(u64) -> bool) {
+        self.loss_probability *= lost;
+        if self.loss_probability > 0.02 {
             return;
         }
-        self.luck = 1.0;
+        self.loss_probability = 1.0;
         let level = self.level(k, senses);
         if level > 0 && level >= self.costs.e_tx.micro() {
-            let since = *self.since.get_or_insert(k);
-            self.outage = k - since;
+            self.silence_span = k - *self.silent_since.get_or_insert(k);
         }
         (self.level, self.from) = (0, k + 1);
     }

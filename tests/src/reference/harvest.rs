@@ -13,16 +13,18 @@ pub(super) enum ReferenceSource {
     /// Arrivals with random gaps.
     Arrivals {
         stream: Stream,
-        law: Geometric,
+        gap_law: Geometric,
+        /// TTI of the next arrival.
         next: u64,
         e_b: u64,
     },
     /// Alternating on and off periods.
     OnOff {
         stream: Stream,
-        on_run: Geometric,
-        off_run: Geometric,
-        on: bool,
+        on_law: Geometric,
+        off_law: Geometric,
+        is_on: bool,
+        /// TTIs until the period ends.
         left: u64,
         e_b: u64,
     },
@@ -31,7 +33,8 @@ pub(super) enum ReferenceSource {
         /// State of the stream before the first draw.
         unused: Stream,
         stream: Stream,
-        is_known: bool,
+        /// Whether the base station knows the time of day.
+        is_day_known: bool,
         /// Probability of an arrival in each TTI of a day.
         day: Vec<f64>,
         /// Remaining sum of −ln(1 − p) until the next arrival.
@@ -42,7 +45,8 @@ pub(super) enum ReferenceSource {
     Recorded {
         rows: Vec<u64>,
         ttis_per_row: u64,
-        again: bool,
+        /// Whether the rows repeat after the last one; otherwise nothing arrives.
+        repeats: bool,
     },
 }
 
@@ -62,18 +66,18 @@ impl ReferenceSource {
         }
     }
 
-    /// Replaces recorded energy by `mean` in each TTI. For a solar source with unknown time of day, arrivals come at
-    /// any time.
-    pub(super) fn by_its_mean(self, mean: u64) -> Self {
+    /// Returns the source as the base station knows it: `mean` in each TTI for recorded energy, and arrivals at any
+    /// time for a solar source with unknown time of day.
+    pub(super) fn with_known_harvest(self, mean: u64) -> Self {
         match self {
             Self::Recorded { .. } => Self::Recorded {
                 rows: vec![mean],
                 ttis_per_row: 1,
-                again: true,
+                repeats: true,
             },
             Self::Sunny {
                 unused,
-                is_known: false,
+                is_day_known: false,
                 day,
                 e_b,
                 ..
@@ -85,27 +89,36 @@ impl ReferenceSource {
     /// Returns the micro-units that arrive in TTI `k`.
     pub(super) fn arriving(&mut self, k: u64) -> u64 {
         match self {
-            Self::Arrivals { stream, law, next, e_b } => {
+            Self::Arrivals {
+                stream,
+                gap_law,
+                next,
+                e_b,
+            } => {
                 if k != *next {
                     return 0;
                 }
-                *next = k.saturating_add(law.draw(stream));
+                *next = k.saturating_add(gap_law.draw(stream));
                 *e_b
             }
             Self::OnOff {
                 stream,
-                on_run,
-                off_run,
-                on,
+                on_law,
+                off_law,
+                is_on,
                 left,
                 e_b,
             } => {
                 if *left == 0 {
-                    *on = !*on;
-                    *left = if *on { on_run.draw(stream) } else { off_run.draw(stream) };
+                    *is_on = !*is_on;
+                    *left = if *is_on {
+                        on_law.draw(stream)
+                    } else {
+                        off_law.draw(stream)
+                    };
                 }
                 *left -= 1;
-                if *on { *e_b } else { 0 }
+                if *is_on { *e_b } else { 0 }
             }
             Self::Sunny {
                 stream, day, left, e_b, ..
@@ -121,10 +134,10 @@ impl ReferenceSource {
             Self::Recorded {
                 rows,
                 ttis_per_row,
-                again,
+                repeats,
             } => {
                 let row = (k / *ttis_per_row) as usize;
-                if *again {
+                if *repeats {
                     rows[row % rows.len()]
                 } else {
                     rows.get(row).copied().unwrap_or(0)
@@ -135,21 +148,21 @@ impl ReferenceSource {
 }
 
 /// Returns the mean harvest per TTI of the `nth` device of its class, whole micro-units.
-pub(super) fn mean(harvest: &Harvest, tau: f64, nth: usize) -> u64 {
-    let share_of = |share: f64, e_b: u64| (share * e_b as f64).round() as u64;
+pub(super) fn mean_harvest(harvest: &Harvest, tau: f64, nth: usize) -> u64 {
+    let expected_energy = |probability: f64, e_b: u64| (probability * e_b as f64).round() as u64;
     match harvest {
         Harvest::Eq5(Arrivals { lambda, e_b }) => {
             let rate = lambda * tau;
-            share_of(rate * libm::exp(-rate), e_b.micro())
+            expected_energy(rate * libm::exp(-rate), e_b.micro())
         }
-        Harvest::ExpMinusLambda(Arrivals { lambda, e_b }) => share_of(libm::exp(-lambda), e_b.micro()),
+        Harvest::ExpMinusLambda(Arrivals { lambda, e_b }) => expected_energy(libm::exp(-lambda), e_b.micro()),
         Harvest::Mpp(OnOff { lambda, e_b, off_mean }) => {
-            let back = 1.0 / off_mean;
-            share_of(back / (lambda + back), e_b.micro())
+            let on_rate = 1.0 / off_mean;
+            expected_energy(on_rate / (lambda + on_rate), e_b.micro())
         }
         Harvest::Diurnal(diurnal) => {
-            let day = sunny_day(diurnal, tau);
-            share_of(day.iter().sum::<f64>() / day.len() as f64, diurnal.arrivals.e_b.micro())
+            let day = arrival_probabilities(diurnal, tau);
+            expected_energy(day.iter().sum::<f64>() / day.len() as f64, diurnal.arrivals.e_b.micro())
         }
         Harvest::Trace(trace) => {
             let column = &trace.values[column(trace, nth)];
@@ -164,15 +177,15 @@ pub(super) fn expected_day(harvest: &Harvest, tau: f64) -> Option<Vec<u64>> {
     let Harvest::Diurnal(diurnal) = harvest else {
         return None;
     };
-    let mut sum = 0.0;
+    let mut expected_arrivals = 0.0;
     // Differences of rounded sums, so that a day adds up to its rounded total.
-    let sums = sunny_day(diurnal, tau).into_iter().map(|p| {
-        sum += p;
-        (sum * diurnal.arrivals.e_b.micro() as f64).round() as u64
+    let sums = arrival_probabilities(diurnal, tau).into_iter().map(|p| {
+        expected_arrivals += p;
+        (expected_arrivals * diurnal.arrivals.e_b.micro() as f64).round() as u64
     });
     let sums: Vec<u64> = std::iter::once(0).chain(sums).collect();
-    let each = sums.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    (diurnal.known == DayKnowledge::Course).then_some(each)
+    let energy_by_tti = sums.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    (diurnal.known == DayKnowledge::Course).then_some(energy_by_tti)
 }
 
 /// Whether the sun is up in the `k`th TTI.
@@ -180,11 +193,11 @@ pub(super) fn is_day(harvest: &Harvest, k: u64) -> bool {
     let Harvest::Diurnal(Diurnal { sun, .. }) = harvest else {
         return true;
     };
-    brightness(sun, k) > 0.0
+    irradiance(sun, k) > 0.0
 }
 
 /// Probability of an arrival in each TTI of a day.
-fn sunny_day(diurnal: &Diurnal, tau: f64) -> Vec<f64> {
+fn arrival_probabilities(diurnal: &Diurnal, tau: f64) -> Vec<f64> {
     let Diurnal {
         arrivals,
         sun,
@@ -193,28 +206,31 @@ fn sunny_day(diurnal: &Diurnal, tau: f64) -> Vec<f64> {
     } = diurnal;
     let rate = arrivals.lambda * tau;
     let p = rate * libm::exp(-rate);
-    let light: Vec<f64> = (0..u64::from(sun.ttis_per_day)).map(|k| brightness(sun, k)).collect();
-    let unit = match reference {
-        IrradianceReference::DailyMean => light.iter().sum::<f64>() / light.len() as f64,
+    let day: Vec<f64> = (0..u64::from(sun.ttis_per_day)).map(|k| irradiance(sun, k)).collect();
+    let reference_irradiance = match reference {
+        IrradianceReference::DailyMean => day.iter().sum::<f64>() / day.len() as f64,
         IrradianceReference::Zenith => 1.0,
     };
-    light.into_iter().map(|light| p / unit * light).collect()
+    day.into_iter()
+        .map(|irradiance| p / reference_irradiance * irradiance)
+        .collect()
 }
 
 /// Returns the irradiance in the middle of the `k`th TTI, 1 with the sun in the zenith. It is the dot product of the
 /// directions of the sun and of the observer's zenith.
-fn brightness(sun: &Sun, k: u64) -> f64 {
+fn irradiance(sun: &Sun, k: u64) -> f64 {
     // Solar time in the middle of the TTI.
     let hours = sun.start_hour + 24.0 * ((k % u64::from(sun.ttis_per_day)) as f64 + 0.5) / f64::from(sun.ttis_per_day);
-    let (lat, hour) = (sun.latitude * PI / 180.0, (hours - 12.0) * PI / 12.0);
-    let tilt = 23.45 * PI / 180.0 * libm::sin(2.0 * PI * f64::from(284 + sun.day_of_year) / 365.0);
-    let zenith = [libm::cos(lat), 0.0, libm::sin(lat)];
-    let towards = [
-        libm::cos(tilt) * libm::cos(hour),
-        libm::cos(tilt) * libm::sin(hour),
-        libm::sin(tilt),
+    let (latitude, hour_angle) = (sun.latitude * PI / 180.0, (hours - 12.0) * PI / 12.0);
+    // Cooper's formula.
+    let declination = 23.45 * PI / 180.0 * libm::sin(2.0 * PI * f64::from(284 + sun.day_of_year) / 365.0);
+    let zenith = [libm::cos(latitude), 0.0, libm::sin(latitude)];
+    let sun_direction = [
+        libm::cos(declination) * libm::cos(hour_angle),
+        libm::cos(declination) * libm::sin(hour_angle),
+        libm::sin(declination),
     ];
-    let sine: f64 = zenith.iter().zip(towards).map(|(a, b)| a * b).sum();
+    let sine: f64 = zenith.iter().zip(sun_direction).map(|(a, b)| a * b).sum();
     match sun.sky {
         _ if sine <= 0.0 => 0.0,
         Sky::Vacuum => sine,
@@ -225,7 +241,7 @@ fn brightness(sun: &Sun, k: u64) -> f64 {
 
 fn sunny(mut stream: Stream, diurnal: &Diurnal, tau: f64) -> ReferenceSource {
     let e_b = diurnal.arrivals.e_b.micro();
-    let mut day = sunny_day(diurnal, tau);
+    let mut day = arrival_probabilities(diurnal, tau);
     if e_b == 0 {
         day.fill(0.0);
     }
@@ -234,7 +250,7 @@ fn sunny(mut stream: Stream, diurnal: &Diurnal, tau: f64) -> ReferenceSource {
     ReferenceSource::Sunny {
         unused,
         stream,
-        is_known: diurnal.known == DayKnowledge::Course,
+        is_day_known: diurnal.known == DayKnowledge::Course,
         day,
         left,
         e_b,
@@ -242,25 +258,31 @@ fn sunny(mut stream: Stream, diurnal: &Diurnal, tau: f64) -> ReferenceSource {
 }
 
 fn arrivals(mut stream: Stream, p: f64, e_b: u64) -> ReferenceSource {
-    let law = Geometric::new(if e_b == 0 { 0.0 } else { p });
+    let gap_law = Geometric::new(if e_b == 0 { 0.0 } else { p });
     // A gap of 1 means an arrival in TTI 0.
-    let next = law.draw(&mut stream) - 1;
-    ReferenceSource::Arrivals { stream, law, next, e_b }
+    let next = gap_law.draw(&mut stream) - 1;
+    ReferenceSource::Arrivals {
+        stream,
+        gap_law,
+        next,
+        e_b,
+    }
 }
 
 /// Creates a source that leaves "on" at rate `stop` and "off" at rate `start`, sampled every `tau`.
 fn on_off(mut stream: Stream, stop: f64, start: f64, tau: f64, e_b: u64) -> ReferenceSource {
-    let both = stop + start;
-    let moved = -libm::expm1(-both * tau);
-    let on_run = Geometric::new(stop / both * moved);
-    let off_run = Geometric::new(start / both * moved);
-    let on = stream.unit() < start / both;
-    let left = if on { on_run } else { off_run }.draw(&mut stream);
+    let total_rate = stop + start;
+    // Share of the equilibrium that is reached in a TTI.
+    let relaxation = -libm::expm1(-total_rate * tau);
+    let on_law = Geometric::new(stop / total_rate * relaxation);
+    let off_law = Geometric::new(start / total_rate * relaxation);
+    let is_on = stream.unit() < start / total_rate;
+    let left = if is_on { on_law } else { off_law }.draw(&mut stream);
     ReferenceSource::OnOff {
         stream,
-        on_run,
-        off_run,
-        on,
+        on_law,
+        off_law,
+        is_on,
         left,
         e_b,
     }
@@ -281,6 +303,6 @@ fn recorded(trace: &HarvestTrace, nth: usize) -> ReferenceSource {
             .map(|energy| energy.micro())
             .collect(),
         ttis_per_row: trace.ttis_per_row,
-        again: trace.end == TraceEnd::Cycle,
+        repeats: trace.end == TraceEnd::Cycle,
     }
 }

@@ -20,26 +20,30 @@ pub fn least_information(points: &[Point], area: Area, sensing: &Sensing) -> f64
     ];
     for (i, &a) in points.iter().enumerate() {
         for (j, &b) in points.iter().enumerate().take(i) {
-            places.extend(on_the_border(a, b, area));
-            places.extend(points[..j].iter().filter_map(|&c| equally_far(a, b, c)));
+            places.extend(equidistant_on_border(a, b, area));
+            places.extend(points[..j].iter().filter_map(|&c| equidistant(a, b, c)));
         }
     }
     let is_inside = |p: &&Point| {
         (-ROUNDING..=area.width + ROUNDING).contains(&p.x) && (-ROUNDING..=area.height + ROUNDING).contains(&p.y)
     };
-    let nearest = |p: &Point| {
+    let distance_to_nearest = |p: &Point| {
         points
             .iter()
             .map(|&device| distance(device, *p))
             .fold(f64::INFINITY, f64::min)
     };
-    let farthest = places.iter().filter(is_inside).map(nearest).fold(0.0, f64::max);
+    let farthest = places
+        .iter()
+        .filter(is_inside)
+        .map(distance_to_nearest)
+        .fold(0.0, f64::max);
     sensing.psi * libm::exp(-sensing.eta * farthest)
 }
 
 /// Returns the intersections of the perpendicular bisector of `a` and `b` with the border lines.
-fn on_the_border(a: Point, b: Point, area: Area) -> Vec<Point> {
-    // |p − a|² = |p − b|² is n·p = c.
+fn equidistant_on_border(a: Point, b: Point, area: Area) -> Vec<Point> {
+    // The bisector |p − a|² = |p − b|² is the line n·p = c.
     let (nx, ny) = (2.0 * (b.x - a.x), 2.0 * (b.y - a.y));
     let c = b.x * b.x + b.y * b.y - a.x * a.x - a.y * a.y;
     let mut places = Vec::new();
@@ -54,10 +58,11 @@ fn on_the_border(a: Point, b: Point, area: Area) -> Vec<Point> {
 }
 
 /// Returns the place equally far from three devices; `None` if they are collinear.
-fn equally_far(a: Point, b: Point, c: Point) -> Option<Point> {
+fn equidistant(a: Point, b: Point, c: Point) -> Option<Point> {
     let (bx, by, cx, cy) = (b.x - a.x, b.y - a.y, c.x - a.x, c.y - a.y);
-    let twice = 2.0 * (bx * cy - by * cx);
+    // Formula of the circumcentre; the divisor is 0 if the devices are collinear.
+    let divisor = 2.0 * (bx * cy - by * cx);
     let (bb, cc) = (bx * bx + by * by, cx * cx + cy * cy);
-    let place = Point::new(a.x + (cy * bb - by * cc) / twice, a.y + (bx * cc - cx * bb) / twice);
+    let place = Point::new(a.x + (cy * bb - by * cc) / divisor, a.y + (bx * cc - cx * bb) / divisor);
     (place.x.is_finite() && place.y.is_finite()).then_some(place)
 }

@@ -25,22 +25,22 @@ pub use clusters::clusters;
 pub use device::ReferenceState;
 pub use i_min::least_information;
 pub use policy::ReferencePolicy;
-pub use q_learning::{Sequential, choose_by_ages};
-pub use search::own_search;
+pub use q_learning::{ReferenceDutySelector, choose_by_ages};
+pub use search::reference_search;
 pub use world::ReferenceRun;
 use world::{ReferenceDeployment, play};
 
 /// Runs `scenario` on the reference implementation.
 pub fn simulate(scenario: &Scenario) -> ReferenceRun {
-    let ground = ReferenceDeployment::of(scenario);
-    let policy = policy_of(scenario, &ground.positions);
-    play(scenario, &ground, policy)
+    let deployment = ReferenceDeployment::of(scenario);
+    let policy = build_policy(scenario, &deployment.positions);
+    play(scenario, &deployment, policy)
 }
 
 /// Creates the policy of `scenario` for devices at `positions`, including the search that `adjusted` needs.
-pub fn policy_of(scenario: &Scenario, positions: &[Point]) -> ReferencePolicy {
+pub fn build_policy(scenario: &Scenario, positions: &[Point]) -> ReferencePolicy {
     match scenario.policy.name() {
-        "adjusted" => ReferencePolicy::adjusted(scenario, positions, search::search(scenario, positions)),
+        "adjusted" => ReferencePolicy::adjusted(scenario, positions, search::search_or_emulated(scenario, positions)),
         _ => ReferencePolicy::new(scenario, positions),
     }
 }

@@ -11,13 +11,13 @@ use super::clusters::{clusters, distance};
 use super::i_min::least_information;
 
 /// Points of the midpoint rule for the mean over φ.
-const POINTS: u32 = 2048;
+const INTEGRATION_POINTS: u32 = 2048;
 /// Two values of `P_4,2` closer than this can change order with the integration rule.
-const CLOSE_P: f64 = 1e-6;
+const P42_TOLERANCE: f64 = 1e-6;
 /// An Î closer than this to `I_min` can fall on either side of it.
-const CLOSE_INFORMATION: f64 = 1e-9;
+const INFORMATION_TOLERANCE: f64 = 1e-9;
 
-/// Policy with its choices.
+/// Policy with the decisions that it draws before the run.
 #[derive(Clone, Debug)]
 pub enum ReferencePolicy {
     /// Clusters whose devices sense in turn.
@@ -25,12 +25,12 @@ pub enum ReferencePolicy {
         /// Devices of each cluster, in order of id.
         members: Vec<Vec<usize>>,
         /// `I_min`.
-        enough: f64,
+        i_min: f64,
     },
     /// One staggered duty cycle; every device is a wake-up candidate.
     Adjusted {
         /// Position of each device in the order of offsets.
-        turns: Vec<u64>,
+        offsets: Vec<u64>,
         /// `t_on`.
         t_on: u64,
         /// `t_DRX`.
@@ -38,11 +38,11 @@ pub enum ReferencePolicy {
         /// All devices as one cluster.
         everyone: Vec<Vec<usize>>,
         /// `I_min`.
-        enough: f64,
+        i_min: f64,
     },
     /// (`t_on`, `t_DRX`, offset) of each device.
     Random(Vec<(u64, u64, u64)>),
-    /// All devices sleep; the closest is woken.
+    /// All devices sleep; the device closest to the event is woken.
     Genie,
 }
 
@@ -52,8 +52,8 @@ pub(super) struct Situation<'a> {
     pub(super) scenario: &'a Scenario,
     pub(super) positions: &'a [Point],
     pub(super) k: u64,
-    /// Whether this is the event's first TTI.
-    pub(super) first: bool,
+    /// Whether the event starts in this TTI.
+    pub(super) is_first_tti: bool,
     pub(super) epicentre: Point,
     /// Devices whose reports had information.
     pub(super) reporters: &'a [Reporter],
@@ -62,9 +62,9 @@ pub(super) struct Situation<'a> {
     /// Devices woken in this TTI.
     pub(super) woken: &'a [usize],
     /// By device, whether it can pay for a report, as known to the base station.
-    pub(super) able: &'a [bool],
+    pub(super) can_report: &'a [bool],
     /// Whether a powered device can fail to answer a wake-up.
-    pub(super) lossy: bool,
+    pub(super) answers_can_be_lost: bool,
 }
 
 /// Device that has reported its distance from the event.
@@ -117,27 +117,27 @@ impl ReferencePolicy {
                 );
                 Self::Knn {
                     members,
-                    enough: least_information(positions, scenario.area, &scenario.sensing),
+                    i_min: least_information(positions, scenario.area, &scenario.sensing),
                 }
             }
-            other => panic!("{other} has no second implementation here, or must be searched for first"),
+            other => panic!("{other} has no second implementation here, or must be searched for is_first_tti"),
         }
     }
 
     /// Creates adjusted duty cycling with this pair and offsets from the seed of `scenario`.
     pub(super) fn adjusted(scenario: &Scenario, positions: &[Point], (t_on, t_drx): (u64, u64)) -> Self {
         // Fisher–Yates shuffle, from the last element.
-        let mut turns: Vec<u64> = (0..positions.len() as u64).collect();
+        let mut offsets: Vec<u64> = (0..positions.len() as u64).collect();
         let mut stream = Stream::new(scenario.run.seed, Purpose::Offsets, 0);
-        for last in (1..turns.len()).rev() {
-            turns.swap(last, stream.below(last as u64 + 1) as usize);
+        for last in (1..offsets.len()).rev() {
+            offsets.swap(last, stream.below(last as u64 + 1) as usize);
         }
         Self::Adjusted {
-            turns,
+            offsets,
             t_on,
             t_drx,
             everyone: vec![(0..positions.len()).collect()],
-            enough: least_information(positions, scenario.area, &scenario.sensing),
+            i_min: least_information(positions, scenario.area, &scenario.sensing),
         }
     }
 
@@ -154,7 +154,9 @@ impl ReferencePolicy {
                 let (t_on, t_drx, offset) = cycles[device];
                 (k + offset) % t_drx < t_on
             }
-            Self::Adjusted { turns, t_on, t_drx, .. } => (k + turns[device]) % t_drx < *t_on,
+            Self::Adjusted {
+                offsets, t_on, t_drx, ..
+            } => (k + offsets[device]) % t_drx < *t_on,
             Self::Knn { members, .. } => {
                 let cluster = &members[cluster_of(members, device)];
                 cluster[(k % cluster.len() as u64) as usize] == device
@@ -176,56 +178,64 @@ impl ReferencePolicy {
     }
 
     /// Chooses the next device to wake.
-    pub(super) fn choose(&self, seen: &Situation<'_>) -> WakeUpChoice {
+    pub(super) fn choose(&self, situation: &Situation<'_>) -> WakeUpChoice {
         match self {
-            Self::Genie if seen.first && seen.woken.is_empty() || (seen.lossy && seen.reporters.is_empty()) => {
-                closest(seen).map_or(WakeUpChoice::Stop, WakeUpChoice::Wake)
+            Self::Genie
+                if situation.is_first_tti && situation.woken.is_empty()
+                    || (situation.answers_can_be_lost && situation.reporters.is_empty()) =>
+            {
+                closest(situation).map_or(WakeUpChoice::Stop, WakeUpChoice::Wake)
             }
             Self::Random(_) | Self::Genie => WakeUpChoice::Stop,
-            Self::Adjusted { everyone, enough, .. } => self.most_correlated(seen, everyone, *enough),
-            Self::Knn { members, enough } => self.most_correlated(seen, members, *enough),
+            Self::Adjusted { everyone, i_min, .. } => self.most_correlated(situation, everyone, *i_min),
+            Self::Knn { members, i_min } => self.most_correlated(situation, members, *i_min),
         }
     }
 
-    fn most_correlated(&self, seen: &Situation<'_>, members: &[Vec<usize>], enough: f64) -> WakeUpChoice {
-        if seen.reporters.is_empty() {
+    fn most_correlated(&self, situation: &Situation<'_>, members: &[Vec<usize>], i_min: f64) -> WakeUpChoice {
+        if situation.reporters.is_empty() {
             return WakeUpChoice::Stop;
         }
-        if (seen.information - enough).abs() < CLOSE_INFORMATION {
+        if (situation.information - i_min).abs() < INFORMATION_TOLERANCE {
             return WakeUpChoice::Ambiguous;
         }
-        if seen.information >= enough {
+        if situation.information >= i_min {
             return WakeUpChoice::Stop;
         }
-        let floor = libm::exp(-seen.scenario.sensing.eta * seen.scenario.sensing.d_max);
-        let heard: Vec<usize> = seen.reporters.iter().map(|h| cluster_of(members, h.device)).collect();
-        let mut best: Option<(ReporterCorrelation, usize)> = None;
+        let least_p42 = libm::exp(-situation.scenario.sensing.eta * situation.scenario.sensing.d_max);
+        let reporting_clusters: Vec<usize> = situation
+            .reporters
+            .iter()
+            .map(|h| cluster_of(members, h.device))
+            .collect();
+        let mut best: Option<(P42, usize)> = None;
         let mut candidates = Vec::new();
-        for j in 0..seen.positions.len() {
-            if self.senses(j, seen.k) || seen.woken.contains(&j) || !heard.contains(&cluster_of(members, j)) {
+        for j in 0..situation.positions.len() {
+            let is_candidate = !self.senses(j, situation.k)
+                && !situation.woken.contains(&j)
+                && reporting_clusters.contains(&cluster_of(members, j))
+                && situation.can_report[j];
+            if !is_candidate {
                 continue;
             }
-            if !seen.able[j] {
-                continue;
-            }
-            let likelihood = p42(seen, j);
-            if (likelihood.value - floor).abs() < CLOSE_P {
+            let p42 = largest_p42(situation, j);
+            if (p42.value - least_p42).abs() < P42_TOLERANCE {
                 return WakeUpChoice::Ambiguous;
             }
-            if likelihood.value >= floor {
-                candidates.push(likelihood);
-                if best.is_none_or(|(most, _)| likelihood.value > most.value) {
-                    best = Some((likelihood, j));
+            if p42.value >= least_p42 {
+                candidates.push(p42);
+                if best.is_none_or(|(largest, _)| p42.value > largest.value) {
+                    best = Some((p42, j));
                 }
             }
         }
-        let Some((most, device)) = best else {
+        let Some((largest, device)) = best else {
             return WakeUpChoice::Stop;
         };
         // An exact tie goes to the lower id under any integration rule.
         if candidates
             .iter()
-            .any(|&other| other != most && most.value - other.value < CLOSE_P)
+            .any(|&other| other != largest && largest.value - other.value < P42_TOLERANCE)
         {
             return WakeUpChoice::Ambiguous;
         }
@@ -241,55 +251,56 @@ fn cluster_of(members: &[Vec<usize>], device: usize) -> usize {
 }
 
 /// Returns the device closest to the epicentre that was not yet woken, if it is within sensing range.
-fn closest(seen: &Situation<'_>) -> Option<usize> {
+fn closest(situation: &Situation<'_>) -> Option<usize> {
     let mut best: Option<(f64, usize)> = None;
-    for (j, position) in seen.positions.iter().enumerate() {
-        let d = distance(*position, seen.epicentre);
-        if !seen.woken.contains(&j) && best.is_none_or(|(least, _)| d < least) {
+    for (j, position) in situation.positions.iter().enumerate() {
+        let d = distance(*position, situation.epicentre);
+        if !situation.woken.contains(&j) && best.is_none_or(|(least, _)| d < least) {
             best = Some((d, j));
         }
     }
-    best.filter(|&(d, _)| d <= seen.scenario.sensing.d_max).map(|(_, j)| j)
+    best.filter(|&(d, _)| d <= situation.scenario.sensing.d_max)
+        .map(|(_, j)| j)
 }
 
-/// `P_4,2` of a device, and its origin. Devices with the same origin have exactly the same value under every
-/// integration rule.
+/// `P_4,2` of a device, with the reporter and the distance γ from which it follows. Devices with the same reporter and
+/// distance have exactly the same value under every integration rule.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct ReporterCorrelation {
+struct P42 {
     value: f64,
     reporter: usize,
     gamma: f64,
 }
 
 /// Returns the largest Pr(`S_j` = S3 | `S_h` = S3) over the reporters h.
-fn p42(seen: &Situation<'_>, j: usize) -> ReporterCorrelation {
-    let mut most = ReporterCorrelation {
+fn largest_p42(situation: &Situation<'_>, j: usize) -> P42 {
+    let mut largest = P42 {
         value: 0.0,
         reporter: 0,
         gamma: 0.0,
     };
-    for reporter in seen.reporters {
+    for reporter in situation.reporters {
         let (gamma, value) = reporter.correlation[j];
-        if value > most.value {
-            most = ReporterCorrelation {
+        if value > largest.value {
+            largest = P42 {
                 value,
                 reporter: reporter.device,
                 gamma,
             };
         }
     }
-    most
+    largest
 }
 
 /// Returns the mean of exp(-η √(d² + γ² − 2dγ cos φ)) over φ.
 fn mean_over_directions(eta: f64, d: f64, gamma: f64) -> f64 {
     let mut sum = 0.0;
     // The integrand is even in φ, so half of the circle is enough.
-    for i in 0..POINTS {
-        let phi = PI * (f64::from(i) + 0.5) / f64::from(POINTS);
+    for i in 0..INTEGRATION_POINTS {
+        let phi = PI * (f64::from(i) + 0.5) / f64::from(INTEGRATION_POINTS);
         let squared = d * d + gamma * gamma - 2.0 * d * gamma * libm::cos(phi);
         // Rounding can make the square negative where d = γ and φ is small.
         sum += libm::exp(-eta * squared.max(0.0).sqrt());
     }
-    sum / f64::from(POINTS)
+    sum / f64::from(INTEGRATION_POINTS)
 }

@@ -14,9 +14,13 @@ use super::clusters::distance;
 
 /// Cells along the side of a block.
 const BLOCK: usize = 4;
+/// First battery bucket in which a device can pay for a TTI in S1 and a report.
+const FIRST_ABLE_BUCKET: usize = 2;
+/// Least battery bucket of a sensing device in each round of the choice: at least half charged, then any able device.
+const LEAST_BUCKETS: [usize; 2] = [5, FIRST_ABLE_BUCKET];
 
-/// Deployment whose devices are chosen sequentially.
-pub struct Sequential {
+/// Second implementation of the choice with a look-back window.
+pub struct ReferenceDutySelector {
     sensing: Sensing,
     energy: EnergyModel,
     /// Rows and columns of cells.
@@ -26,28 +30,28 @@ pub struct Sequential {
     /// Cells in the order in which they are covered.
     order: Vec<usize>,
     /// Size of the area in sensing discs.
-    discs: f64,
+    area_in_discs: f64,
+    /// Number of TTIs in which the devices must cover the area once.
     window: usize,
     /// Devices that sensed in each TTI so far.
     past: Vec<Vec<usize>>,
 }
 
-impl Sequential {
-    /// Creates the deployment of devices with the battery and costs of `energy` at `positions` of `area`. The
-    /// devices must cover the area once in `window` TTIs.
+impl ReferenceDutySelector {
+    /// Creates the selector for devices with the battery and costs of `energy` at `positions` of `area`.
     pub fn new(positions: &[Point], area: Area, sensing: &Sensing, energy: EnergyModel, window: usize) -> Self {
-        let is_sure = sensing.kind == DetectionKind::Range;
-        let fine = if is_sure { 15.0 } else { 10.0 };
-        let count = |length: f64| (fine * length / sensing.d_max).ceil().max(1.0) as usize;
+        let is_certain = sensing.kind == DetectionKind::Range;
+        let cells_per_d_max = if is_certain { 15.0 } else { 10.0 };
+        let count = |length: f64| (cells_per_d_max * length / sensing.d_max).ceil().max(1.0) as usize;
         let size = (count(area.height), count(area.width));
         let (height, width) = (area.height / size.0 as f64, area.width / size.1 as f64);
         let share = |cell: usize, p: Point| {
             let (row, column) = ((cell / size.1) as f64, (cell % size.1) as f64);
             let at = |up: f64, right: f64| Point::new((column + right) * width, (row + up) * height);
-            if is_sure {
+            if is_certain {
                 let corners = [at(0.0, 0.0), at(0.0, 1.0), at(1.0, 0.0), at(1.0, 1.0)];
-                let within = |corner: &Point| distance(*corner, p) <= sensing.d_max;
-                return f64::from(u8::from(corners.iter().all(within)));
+                let is_in_range = |corner: &Point| distance(*corner, p) <= sensing.d_max;
+                return f64::from(u8::from(corners.iter().all(is_in_range)));
             }
             match distance(at(0.5, 0.5), p) {
                 d if d <= sensing.d_max => libm::exp(-sensing.eta * d),
@@ -60,57 +64,64 @@ impl Sequential {
             shares: (0..cells)
                 .map(|cell| positions.iter().map(|&p| share(cell, p)).collect())
                 .collect(),
-            order: in_order(size, reach),
+            order: cover_order(size, reach),
             sensing: sensing.clone(),
             energy,
             size,
-            discs: area.width * area.height / (PI * sensing.d_max * sensing.d_max),
+            area_in_discs: area.width * area.height / (PI * sensing.d_max * sensing.d_max),
             window,
             past: Vec::new(),
         }
     }
 
-    fn is_sure(&self) -> bool {
+    /// Whether a device detects every event within d_max.
+    fn is_certain(&self) -> bool {
         self.sensing.kind == DetectionKind::Range
     }
 
     /// Returns the cells that `device` covers and `others` do not; 64ths of a cell with probabilistic detection.
-    fn newly(&self, others: &[usize], device: usize) -> u32 {
+    fn newly_covered(&self, others: &[usize], device: usize) -> u32 {
         if others.contains(&device) {
             return 0;
         }
-        if self.is_sure() {
-            let is_new = |of: &&Vec<f64>| of[device] > 0.0 && others.iter().all(|&j| of[j] <= 0.0);
+        if self.is_certain() {
+            let is_new = |cell: &&Vec<f64>| cell[device] > 0.0 && others.iter().all(|&j| cell[j] <= 0.0);
             return self.shares.iter().filter(is_new).count() as u32;
         }
         // A cell has 65535 shares. Each device takes its part of the remaining shares, in 65536ths and rounded down.
         let part = |share: f64| (share * 65536.0).round().min(65535.0) as u64;
-        let newly = |of: &Vec<f64>| {
-            let left = others.iter().fold(65535, |left, &j| left - left * part(of[j]) / 65536);
-            left * part(of[device]) / 65536
+        let newly_covered = |cell: &Vec<f64>| {
+            let left = others
+                .iter()
+                .fold(65535, |left, &j| left - left * part(cell[j]) / 65536);
+            left * part(cell[device]) / 65536
         };
-        let sum: u64 = self.shares.iter().map(newly).sum();
+        let sum: u64 = self.shares.iter().map(newly_covered).sum();
+        // 1024 of 65536 shares are a 64th of a cell.
         (sum / 1024) as u32
     }
 
-    /// Whether sensing has a higher value than sleep for a device with this charge and this newly covered area.
-    fn is_worth_it(&self, advantages: &[Vec<f64>], battery: usize, parts: u32) -> bool {
-        let all = (self.size.0 * self.size.1) as f64 * if self.is_sure() { 1.0 } else { 64.0 };
-        let share = f64::from(parts) / all * self.discs;
-        let edge = |bucket: u32| match bucket {
+    /// Whether sensing has a higher value than sleep for a device in this battery bucket with this newly covered area.
+    fn is_worth_sensing(&self, advantages: &[Vec<f64>], battery: usize, newly_covered: u32) -> bool {
+        let all = (self.size.0 * self.size.1) as f64 * if self.is_certain() { 1.0 } else { 64.0 };
+        let discs = f64::from(newly_covered) / all * self.area_in_discs;
+        let upper_edge = |bucket: u32| match bucket {
             0 => 0.0002,
             _ => 0.005 * 1.45_f64.powi(bucket.cast_signed() - 1),
         };
         let bucket = (0..AREA_BUCKETS as u32 - 1)
-            .filter(|&bucket| share >= edge(bucket))
+            .filter(|&bucket| discs >= upper_edge(bucket))
             .count();
-        parts > 0 && battery >= 2 && advantages[battery][bucket] > 0.0
+        newly_covered > 0 && battery >= FIRST_ABLE_BUCKET && advantages[battery][bucket] > 0.0
     }
 
     /// Chooses the sensing devices of the next TTI, in the order of numbers.
     pub fn choose(&mut self, table: &DutyTable, levels: &[Energy]) -> Vec<usize> {
         let advantages = advantages(table);
-        let batteries: Vec<usize> = levels.iter().map(|&level| battery(&self.energy, level)).collect();
+        let batteries: Vec<usize> = levels
+            .iter()
+            .map(|&level| battery_bucket(&self.energy, level))
+            .collect();
         let from = self.past.len().saturating_sub(self.window - 1);
         // Shares are rounded, so the order of devices matters; a device counts once.
         let mut before: Vec<usize> = Vec::new();
@@ -120,64 +131,72 @@ impl Sequential {
             }
         }
         let mut chosen: Vec<usize> = Vec::new();
-        for least in [5, 2] {
+        for least_bucket in LEAST_BUCKETS {
             for &place in &self.order {
                 loop {
                     let covering = [&before[..], &chosen].concat();
                     let is_covered = covering.iter().any(|&j| self.shares[place][j] > 0.0);
-                    if is_covered && self.is_sure() {
+                    if is_covered && self.is_certain() {
                         break;
                     }
                     let mut best: Option<(u64, usize)> = None;
                     for (j, &battery) in batteries.iter().enumerate() {
-                        let reaches = !self.is_sure() || self.shares[place][j] > 0.0;
-                        if battery < least || !reaches {
+                        let reaches = !self.is_certain() || self.shares[place][j] > 0.0;
+                        if battery < least_bucket || !reaches {
                             continue;
                         }
-                        let parts = self.newly(&covering, j);
-                        let weighed = u64::from(parts) * (battery as u64 - 1);
-                        let is_better = best.is_none_or(|(most, _)| weighed > most);
-                        if self.is_worth_it(&advantages, battery, parts) && is_better {
-                            best = Some((weighed, j));
+                        let newly_covered = self.newly_covered(&covering, j);
+                        let weight = u64::from(newly_covered) * (battery as u64 - 1);
+                        let is_better = best.is_none_or(|(largest, _)| weight > largest);
+                        if self.is_worth_sensing(&advantages, battery, newly_covered) && is_better {
+                            best = Some((weight, j));
                         }
                     }
                     let Some((_, j)) = best else { break };
                     chosen.push(j);
                 }
-                if !self.is_sure() {
+                if !self.is_certain() {
                     // With probabilistic detection all places form one group.
                     break;
                 }
             }
         }
-        self.spare(&advantages, &batteries, &before, &mut chosen);
-        let left = self.window.saturating_sub(self.past.len()).max(1);
-        let mut plan: Vec<usize> = (0..chosen.len()).step_by(left).map(|turn| chosen[turn]).collect();
+        self.remove_superfluous(&advantages, &batteries, &before, &mut chosen);
+        // In its first TTIs the run fills the window gradually.
+        let missing_ttis = self.window.saturating_sub(self.past.len()).max(1);
+        let mut plan: Vec<usize> = chosen.iter().copied().step_by(missing_ttis).collect();
         self.past.push(plan.clone());
         plan.sort_unstable();
         plan
     }
 
     /// Removes devices that are not worth sensing given all others, the least useful first.
-    fn spare(&self, advantages: &[Vec<f64>], batteries: &[usize], before: &[usize], chosen: &mut Vec<usize>) {
-        while self.is_sure() {
-            let mut least: Option<(u32, usize)> = None;
-            for (turn, &j) in chosen.iter().enumerate() {
+    fn remove_superfluous(
+        &self,
+        advantages: &[Vec<f64>],
+        batteries: &[usize],
+        before: &[usize],
+        chosen: &mut Vec<usize>,
+    ) {
+        while self.is_certain() {
+            let mut least_useful: Option<(u32, usize)> = None;
+            for (position, &j) in chosen.iter().enumerate() {
                 let others_chosen = chosen.iter().copied().filter(|&other| other != j);
                 let others: Vec<usize> = before.iter().copied().chain(others_chosen).collect();
-                let parts = self.newly(&others, j);
-                if !self.is_worth_it(advantages, batteries[j], parts) && least.is_none_or(|(few, _)| parts <= few) {
-                    least = Some((parts, turn));
+                let newly_covered = self.newly_covered(&others, j);
+                let is_less_useful = least_useful.is_none_or(|(least, _)| newly_covered <= least);
+                if !self.is_worth_sensing(advantages, batteries[j], newly_covered) && is_less_useful {
+                    least_useful = Some((newly_covered, position));
                 }
             }
-            let Some((_, turn)) = least else { return };
-            chosen.remove(turn);
+            let Some((_, position)) = least_useful else { return };
+            chosen.remove(position);
         }
     }
 }
 
 /// Returns the battery bucket: two buckets for levels too low to sense and report, then sixths.
-fn battery(energy: &EnergyModel, level: Energy) -> usize {
+fn battery_bucket(energy: &EnergyModel, level: Energy) -> usize {
     let EnergyModel {
         e_max, e_idle, e_tx, ..
     } = *energy;
@@ -186,7 +205,7 @@ fn battery(energy: &EnergyModel, level: Energy) -> usize {
         return usize::from(level >= e_idle);
     }
     let sixths = (level.micro() - needed) * 6 / (e_max.micro() - needed);
-    2 + sixths.min(5) as usize
+    FIRST_ABLE_BUCKET + sixths.min(5) as usize
 }
 
 /// Chooses the sensing devices by the ages of `places`, in order of number; `None` if too close to call. A device's
@@ -198,24 +217,30 @@ pub fn choose_by_ages(
     levels: &[Energy],
 ) -> Option<Vec<usize>> {
     let advantages = advantages(table);
-    let first = |battery: usize| (0..AREA_BUCKETS as u32).find(|&bucket| advantages[battery][bucket as usize] > 0.0);
-    let own = |battery: usize| match first(battery) {
+    let first_bucket =
+        |battery: usize| (0..AREA_BUCKETS as u32).find(|&bucket| advantages[battery][bucket as usize] > 0.0);
+    let lower_edge = |battery: usize| match first_bucket(battery) {
         Some(0) => 1e-30,
         Some(1) => 0.0002 * places.disc(),
         Some(bucket) => 0.2 * 1.6_f64.powi(bucket.cast_signed() - 2) * places.disc(),
         None => f64::INFINITY,
     };
-    let price = |battery: usize| (2..=battery).map(own).fold(f64::INFINITY, f64::min);
-    let batteries: Vec<usize> = levels.iter().map(|&level| battery(energy, level)).collect();
+    // A fuller battery never has a higher price.
+    let price = |battery: usize| {
+        (FIRST_ABLE_BUCKET..=battery)
+            .map(lower_edge)
+            .fold(f64::INFINITY, f64::min)
+    };
+    let batteries: Vec<usize> = levels.iter().map(|&level| battery_bucket(energy, level)).collect();
     let mut chosen = Vec::new();
-    for least in [5, 2] {
-        let of = |(j, &battery): (usize, &usize)| {
-            let may = battery >= least && !chosen.contains(&j);
-            if may { price(battery) } else { f64::INFINITY }
+    for least_bucket in LEAST_BUCKETS {
+        let price_of = |(j, &battery): (usize, &usize)| {
+            let may_sense = battery >= least_bucket && !chosen.contains(&j);
+            if may_sense { price(battery) } else { f64::INFINITY }
         };
-        let prices: Vec<f64> = batteries.iter().enumerate().map(of).collect();
-        let more = places.choose_at(&prices, &chosen)?;
-        chosen.extend(more);
+        let prices: Vec<f64> = batteries.iter().enumerate().map(price_of).collect();
+        let additional = places.choose_at(&prices, &chosen)?;
+        chosen.extend(additional);
     }
     chosen.sort_unstable();
     Some(chosen)
@@ -223,37 +248,42 @@ pub fn choose_by_ages(
 
 /// Returns the cells by block and, within a block, in ascending order of room. Room is the part in the area of the
 /// square of side 2·d_max around a cell. The room of a block is the room of its middle cell. `reach` is d_max in cells.
-fn in_order((rows, columns): (usize, usize), reach: usize) -> Vec<usize> {
-    let side = |at: usize, count: usize| reach + reach.min(at).min(count - 1 - at);
+fn cover_order((rows, columns): (usize, usize), reach: usize) -> Vec<usize> {
+    let side = |index: usize, count: usize| reach + reach.min(index).min(count - 1 - index);
     let room = |row: usize, column: usize| side(row, rows) * side(column, columns);
-    let middle = |at: usize, count: usize| (at / BLOCK * BLOCK + BLOCK / 2).min(count - 1);
+    let block_middle = |index: usize, count: usize| (index / BLOCK * BLOCK + BLOCK / 2).min(count - 1);
     let rank = |cell: &usize| {
         let (row, column) = (cell / columns, cell % columns);
-        let of_block = room(middle(row, rows), middle(column, columns));
-        (of_block, row / BLOCK, column / BLOCK, room(row, column), row, column)
+        let block_room = room(block_middle(row, rows), block_middle(column, columns));
+        (block_room, row / BLOCK, column / BLOCK, room(row, column), row, column)
     };
     let mut cells: Vec<usize> = (0..rows * columns).collect();
     cells.sort_by_key(rank);
     cells
 }
 
-/// Returns Q(s, 1) − Q(s, 0) by battery and area, made non-decreasing in the area with the max-min formula of isotonic
-/// regression. Weights are 1 + the visits of the less tried action.
+/// Returns Q(s, 1) − Q(s, 0) by battery and area bucket, made non-decreasing in the area with the max-min formula of
+/// isotonic regression. Weights are 1 + the visits of the less tried action.
 fn advantages(table: &DutyTable) -> Vec<Vec<f64>> {
-    let of_battery = |battery: usize| {
-        let of = |area: usize| {
-            let [on, off] = [true, false].map(|delta| table.at(battery, area, delta));
+    let advantages_at = |battery: usize| {
+        let advantage_and_weight = |bucket: usize| {
+            let [on, off] = [true, false].map(|delta| table.at(battery, bucket, delta));
             (on.value - off.value, 1.0 + f64::from(on.visits.min(off.visits)))
         };
-        let raw: Vec<(f64, f64)> = (0..AREA_BUCKETS).map(of).collect();
+        let raw: Vec<(f64, f64)> = (0..AREA_BUCKETS).map(advantage_and_weight).collect();
         let mean = |from: usize, to: usize| {
             let weight: f64 = raw[from..=to].iter().map(|(_, weight)| weight).sum();
             raw[from..=to].iter().map(|(value, weight)| value * weight).sum::<f64>() / weight
         };
-        let least_from =
-            |from: usize, area: usize| (area..AREA_BUCKETS).map(|to| mean(from, to)).fold(f64::MAX, f64::min);
-        let at = |area: usize| (0..=area).map(|from| least_from(from, area)).fold(f64::MIN, f64::max);
-        (0..AREA_BUCKETS).map(at).collect()
+        let least_mean = |from: usize, bucket: usize| {
+            let means = (bucket..AREA_BUCKETS).map(|to| mean(from, to));
+            means.fold(f64::MAX, f64::min)
+        };
+        let max_min = |bucket: usize| {
+            let minima = (0..=bucket).map(|from| least_mean(from, bucket));
+            minima.fold(f64::MIN, f64::max)
+        };
+        (0..AREA_BUCKETS).map(max_min).collect()
     };
-    (0..BATTERY_BUCKETS).map(of_battery).collect()
+    (0..BATTERY_BUCKETS).map(advantages_at).collect()
 }

@@ -9,12 +9,12 @@ use reveille_common::rng::{Geometric, Purpose, Stream, unit_for_pair};
 pub(super) struct ReferenceRadio {
     seed: u64,
     settings: radio::RadioSettings,
-    link: RadioLossRates,
+    loss_rates: RadioLossRates,
     interference: Option<InterferencePhases>,
     /// By device, its random stream and the TTIs until its next false wake-up.
-    startling: Vec<(Stream, u64)>,
+    false_wake_ups: Vec<(Stream, u64)>,
     /// By device, whether a plan has reached it. All plans are equal.
-    informed: Vec<bool>,
+    has_plan: Vec<bool>,
     k: u64,
 }
 
@@ -24,6 +24,7 @@ struct InterferencePhases {
     bursts: InterferenceBursts,
     stream: Stream,
     is_burst: bool,
+    /// TTIs until the phase ends.
     left: u64,
 }
 
@@ -31,17 +32,17 @@ impl InterferencePhases {
     fn new(bursts: InterferenceBursts, seed: u64) -> Self {
         let mut stream = Stream::new(seed, Purpose::InterferencePhases, 0);
         let is_burst = stream.unit() < bursts.burst_ttis / (bursts.burst_ttis + bursts.quiet_ttis);
-        let mut made = Self {
+        let mut phases = Self {
             bursts,
             stream,
             is_burst,
             left: 0,
         };
-        made.left = made.length();
-        made
+        phases.left = phases.draw_length();
+        phases
     }
 
-    fn length(&mut self) -> u64 {
+    fn draw_length(&mut self) -> u64 {
         let mean = if self.is_burst {
             self.bursts.burst_ttis
         } else {
@@ -53,7 +54,7 @@ impl InterferencePhases {
     fn next_tti(&mut self) {
         if self.left == 0 {
             self.is_burst = !self.is_burst;
-            self.left = self.length();
+            self.left = self.draw_length();
         }
         self.left -= 1;
     }
@@ -62,19 +63,19 @@ impl InterferencePhases {
 impl ReferenceRadio {
     pub(super) fn new(scenario: &Scenario, devices: usize) -> Self {
         let (seed, settings) = (scenario.run.seed, scenario.radio);
-        let law = Geometric::new(settings.false_wake_up);
-        let startling = (0..devices as u64).map(|id| {
+        let gap_law = Geometric::new(settings.false_wake_up);
+        let false_wake_ups = (0..devices as u64).map(|id| {
             let mut stream = Stream::new(seed, Purpose::FalseWakes, id);
-            let gap = law.draw(&mut stream);
+            let gap = gap_law.draw(&mut stream);
             (stream, gap)
         });
         Self {
             seed,
             settings,
-            link: link(&settings),
+            loss_rates: mean_loss_rates(&settings),
             interference: settings.bursts.map(|bursts| InterferencePhases::new(bursts, seed)),
-            startling: startling.collect(),
-            informed: vec![false; devices],
+            false_wake_ups: false_wake_ups.collect(),
+            has_plan: vec![false; devices],
             k: 0,
         }
     }
@@ -86,23 +87,23 @@ impl ReferenceRadio {
             interference.next_tti();
         }
         let mut missed = 0;
-        for j in (0..self.informed.len()).filter(|_| is_sent) {
+        for j in (0..self.has_plan.len()).filter(|_| is_sent) {
             if self.is_lost(Purpose::PlanLoss, j, self.settings.plan_loss) {
                 missed += 1;
             } else {
-                self.informed[j] = true;
+                self.has_plan[j] = true;
             }
         }
         missed
     }
 
-    pub(super) fn is_informed(&self, j: usize) -> bool {
-        self.informed[j]
+    pub(super) fn has_plan(&self, j: usize) -> bool {
+        self.has_plan[j]
     }
 
     /// Whether a false wake-up occurs for device `j` in this TTI, if it sleeps. Call once per TTI.
-    pub(super) fn startles(&mut self, j: usize) -> bool {
-        let (stream, left) = &mut self.startling[j];
+    pub(super) fn has_false_wake_up(&mut self, j: usize) -> bool {
+        let (stream, left) = &mut self.false_wake_ups[j];
         // A gap is at least 1, so this does not wrap.
         *left -= 1;
         let is_now = *left == 0;
@@ -121,25 +122,26 @@ impl ReferenceRadio {
     }
 
     /// Probability that plan loss or uplink loss prevents the report of a device that is planned to sense.
-    pub(super) fn silence(&self) -> f64 {
-        1.0 - (1.0 - self.link.plan_loss) * (1.0 - self.link.uplink_loss)
+    pub(super) fn silence_probability(&self) -> f64 {
+        1.0 - (1.0 - self.loss_rates.plan_loss) * (1.0 - self.loss_rates.uplink_loss)
     }
 
     /// Probability that a missed wake-up or uplink loss prevents the report of a woken device.
-    pub(super) fn no_answer(&self) -> f64 {
-        1.0 - (1.0 - self.link.wake_miss) * (1.0 - self.link.uplink_loss)
+    pub(super) fn no_answer_probability(&self) -> f64 {
+        1.0 - (1.0 - self.loss_rates.wake_miss) * (1.0 - self.loss_rates.uplink_loss)
     }
 
-    fn is_lost(&self, purpose: Purpose, j: usize, otherwise: f64) -> bool {
+    /// Whether a message of device `j` is lost, which has the probability `quiet_loss` between bursts.
+    fn is_lost(&self, purpose: Purpose, j: usize, quiet_loss: f64) -> bool {
         // A burst never makes a loss less likely.
-        let burst = self.interference.as_ref().filter(|now| now.is_burst);
-        let p = burst.map_or(otherwise, |now| now.bursts.loss.max(otherwise));
+        let burst = self.interference.as_ref().filter(|phases| phases.is_burst);
+        let p = burst.map_or(quiet_loss, |phases| phases.bursts.loss.max(quiet_loss));
         unit_for_pair(self.seed, purpose, j as u64, self.k) < p
     }
 }
 
 /// Returns the mean loss probabilities over bursts and gaps.
-fn link(settings: &radio::RadioSettings) -> RadioLossRates {
+fn mean_loss_rates(settings: &radio::RadioSettings) -> RadioLossRates {
     let mean = |p: f64| match settings.bursts {
         None => p,
         Some(InterferenceBursts {

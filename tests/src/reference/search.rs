@@ -1,4 +1,4 @@
-//! Search for the adjusted duty cycle (Sec. V-A, P2): every pair of the grid is tried in the reference's own runs.
+//! Search for the adjusted duty cycle (Sec. V-A, P2): every pair of the grid is tried in runs of the reference.
 
 use reveille_bs::policy::adjusted::search::DutyCycleChoice;
 use reveille_bs::policy::adjusted::settings::AdjustedSettings;
@@ -11,31 +11,32 @@ use super::i_min::least_information;
 use super::policy::ReferencePolicy;
 use super::world::{ReferenceDeployment, play};
 
-/// Difference between the seeds of pilot runs and the run.
-const OTHER_SEED: u64 = 0x5EED_0F91_1070_0500;
+/// Difference between the seeds of pilot runs and the run, as in the emulator.
+const PILOT_SEED_OFFSET: u64 = 0x5EED_0F91_1070_0500;
 /// Information values closer than this can change order with the order of summation.
-const CLOSE: f64 = 1e-9;
+const TOLERANCE: f64 = 1e-9;
 
-/// Result of a pair.
-struct SearchTrial {
+/// Pilot run of a pair.
+struct PilotResult {
     pair: (u64, u64),
     /// Information per event; `None` without events.
     information: Option<f64>,
+    /// Energy spent in the measured part, micro-units.
     spent: u64,
     events: u64,
 }
 
 /// Returns the pair (t_on, t_DRX) of the search, or the emulator's pair if a pilot run is too close to call.
-pub(super) fn search(scenario: &Scenario, positions: &[Point]) -> (u64, u64) {
-    own_search(scenario, positions).unwrap_or_else(|| {
-        let found = prepare(scenario).pilot_choice.expect("the search finds a pair");
-        let choice: &DutyCycleChoice = found.downcast_ref().expect("a pair");
+pub(super) fn search_or_emulated(scenario: &Scenario, positions: &[Point]) -> (u64, u64) {
+    reference_search(scenario, positions).unwrap_or_else(|| {
+        let emulated = prepare(scenario).pilot_choice.expect("the search finds a pair");
+        let choice: &DutyCycleChoice = emulated.downcast_ref().expect("a pair");
         (u64::from(choice.t_on), u64::from(choice.t_drx))
     })
 }
 
 /// Runs the search on the reference only; `None` if too close to call.
-pub fn own_search(scenario: &Scenario, positions: &[Point]) -> Option<(u64, u64)> {
+pub fn reference_search(scenario: &Scenario, positions: &[Point]) -> Option<(u64, u64)> {
     let settings = scenario
         .policy
         .settings()
@@ -49,7 +50,7 @@ pub fn own_search(scenario: &Scenario, positions: &[Point]) -> Option<(u64, u64)
             }
         }
     }
-    let ground = ReferenceDeployment {
+    let deployment = ReferenceDeployment {
         positions: positions.to_vec(),
         classes: assign_classes(scenario),
         plays_traces: false,
@@ -57,66 +58,68 @@ pub fn own_search(scenario: &Scenario, positions: &[Point]) -> Option<(u64, u64)
     let mut ttis = settings.pilot_ttis;
     let limit = settings.pilot_limit.max(ttis);
     loop {
-        let mut pilot = scenario.with_seed(scenario.run.seed.wrapping_add(OTHER_SEED));
-        pilot.run.ttis = ttis;
+        let mut pilot_scenario = scenario.with_seed(scenario.run.seed.wrapping_add(PILOT_SEED_OFFSET));
+        pilot_scenario.run.ttis = ttis;
         // Same warm-up share as in the emulator's pilot runs.
-        pilot.run.warm_up = 0.25;
-        let mut tried = Vec::new();
+        pilot_scenario.run.warm_up = 0.25;
+        let mut pilots = Vec::new();
         for &pair in &pairs {
             // The offsets come from the run itself, not from the pilot.
-            let run = play(&pilot, &ground, ReferencePolicy::adjusted(scenario, positions, pair));
+            let policy = ReferencePolicy::adjusted(scenario, positions, pair);
+            let run = play(&pilot_scenario, &deployment, policy);
             if run.ambiguous.is_some() {
                 return None;
             }
             let events = run.totals.events;
-            tried.push(SearchTrial {
+            pilots.push(PilotResult {
                 pair,
                 information: (events > 0).then(|| run.totals.information_pico as f64 * 1e-12 / events as f64),
                 spent: run.measured.spent.total().micro(),
                 events,
             });
         }
-        if ttis == limit || tried.iter().all(|one| one.events >= settings.pilot_events) {
-            return best(&tried, least_information(positions, scenario.area, &scenario.sensing));
+        if ttis == limit || pilots.iter().all(|pilot| pilot.events >= settings.pilot_events) {
+            return best_pair(&pilots, least_information(positions, scenario.area, &scenario.sensing));
         }
         ttis = (2 * ttis).min(limit);
     }
 }
 
-/// Returns the cheapest pair that reaches `enough`, or else the pair with the most information, or else the cheapest.
-fn best(tried: &[SearchTrial], enough: f64) -> Option<(u64, u64)> {
-    let cheapest = |of: &dyn Fn(&SearchTrial) -> bool| {
-        let mut best: Option<&SearchTrial> = None;
-        for one in tried.iter().filter(|one| of(one)) {
-            if best.is_none_or(|best| one.spent < best.spent) {
-                best = Some(one);
+/// Returns the cheapest pair that reaches `i_min`, or else the pair with the most information, or else the cheapest.
+/// `None` if too close to call.
+fn best_pair(pilots: &[PilotResult], i_min: f64) -> Option<(u64, u64)> {
+    let cheapest = |is_eligible: &dyn Fn(&PilotResult) -> bool| {
+        let mut cheapest: Option<&PilotResult> = None;
+        for pilot in pilots.iter().filter(|pilot| is_eligible(pilot)) {
+            if cheapest.is_none_or(|cheapest| pilot.spent < cheapest.spent) {
+                cheapest = Some(pilot);
             }
         }
-        best.map(|one| one.pair)
+        cheapest.map(|pilot| pilot.pair)
     };
-    let known: Vec<f64> = tried.iter().filter_map(|one| one.information).collect();
-    if known.iter().any(|information| (information - enough).abs() < CLOSE) {
+    let information: Vec<f64> = pilots.iter().filter_map(|pilot| pilot.information).collect();
+    if information.iter().any(|value| (value - i_min).abs() < TOLERANCE) {
         return None;
     }
-    let reaches = |one: &SearchTrial| one.information.is_some_and(|information| information >= enough);
-    if let Some(pair) = cheapest(&reaches) {
+    let reaches_i_min = |pilot: &PilotResult| pilot.information.is_some_and(|value| value >= i_min);
+    if let Some(pair) = cheapest(&reaches_i_min) {
         return Some(pair);
     }
-    let most = known.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    let mut of_most = tried
+    let most = information.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let mut leaders = pilots
         .iter()
-        .filter(|one| one.information.is_some_and(|i| i > most - CLOSE));
-    match (of_most.next(), of_most.next()) {
+        .filter(|pilot| pilot.information.is_some_and(|value| value > most - TOLERANCE));
+    match (leaders.next(), leaders.next()) {
         (None, _) => cheapest(&|_| true),
-        (Some(one), None) => Some(one.pair),
+        (Some(leader), None) => Some(leader.pair),
         // Several pairs share the first place, exactly or nearly. Only an exact tie survives another order of
         // summation.
         (Some(first), Some(_)) => {
-            let same = tried.iter().filter_map(|one| one.information);
-            let is_clear = same
-                .filter(|i| *i > most - CLOSE)
-                .all(|i| i.to_bits() == most.to_bits());
-            is_clear.then_some(first.pair)
+            let is_exact_tie = information
+                .iter()
+                .filter(|value| **value > most - TOLERANCE)
+                .all(|value| value.to_bits() == most.to_bits());
+            is_exact_tie.then_some(first.pair)
         }
     }
 }

@@ -12,10 +12,10 @@ use reveille_common::totals::{DeviceTotals, EventTally, EventTotals, Ledger, Rad
 use reveille_common::units::Energy;
 
 use super::clusters::distance;
-use super::device::{Device, ReferenceState};
+use super::device::{Device, ReferenceState, S1, S3, S4};
 use super::estimate::ReferenceEstimate;
 use super::events::ReferenceEvents;
-use super::harvest::{ReferenceSource, expected_day, is_day, mean};
+use super::harvest::{ReferenceSource, expected_day, is_day, mean_harvest};
 use super::policy::{ReferencePolicy, Reporter, Situation, WakeUpChoice};
 use super::radio::ReferenceRadio;
 
@@ -26,8 +26,8 @@ pub struct ReferenceRun {
     pub events: Vec<EventRecord>,
     /// Ledgers by device.
     pub ledgers: Vec<Ledger>,
-    /// By device, actions for counted events: reports, wake-ups sent, wake-ups received, wrong activations.
-    pub acts: Vec<[u64; 4]>,
+    /// By device, counts over the counted events: reports, wake-ups sent, wake-ups received, wrong activations.
+    pub activity: Vec<[u64; 4]>,
     /// Sum of the ledgers over the measured part.
     pub measured: DeviceTotals,
     /// Sums over the counted events.
@@ -41,14 +41,14 @@ pub struct ReferenceRun {
     /// TTIs from the first report to the last, summed over the counted events.
     pub wake_up_span_ttis: u64,
     /// Reports that arrived in measured TTIs.
-    pub arrived: u64,
+    pub arrived_reports: u64,
     /// Wake-ups that a device did not receive, in all TTIs.
     pub missed_wake_ups: u64,
-    /// Wake-up decisions that took a device in S4 to be unable to report.
-    pub spared: u64,
+    /// TTIs with wake-up decisions that excluded a device in S4, estimated as unable to report.
+    pub exclusions: u64,
     /// State and battery of each device at the end of each TTI.
     pub trace: Vec<Vec<(ReferenceState, u64)>>,
-    /// TTI in which a decision was too close to call; results from there on are undefined.
+    /// TTI in which a decision was too close to call: rounding could change it. Results from there on are undefined.
     pub ambiguous: Option<u64>,
 }
 
@@ -57,7 +57,7 @@ pub struct ReferenceRun {
 pub(super) struct ReferenceDeployment {
     pub(super) positions: Vec<Point>,
     pub(super) classes: Vec<u16>,
-    /// Whether traces are played; otherwise their mean arrives in each TTI.
+    /// Whether harvest traces are played; otherwise their mean arrives in each TTI.
     pub(super) plays_traces: bool,
 }
 
@@ -71,9 +71,9 @@ impl ReferenceDeployment {
     }
 }
 
-/// Runs `scenario` on `ground` with `policy`.
-pub(super) fn play(scenario: &Scenario, ground: &ReferenceDeployment, policy: ReferencePolicy) -> ReferenceRun {
-    let mut world = ReferenceWorld::new(scenario, ground, policy);
+/// Runs `scenario` on `deployment` with `policy`.
+pub(super) fn play(scenario: &Scenario, deployment: &ReferenceDeployment, policy: ReferencePolicy) -> ReferenceRun {
+    let mut world = ReferenceWorld::new(scenario, deployment, policy);
     for k in 0..scenario.run.ttis {
         if k == world.warm_up_end {
             world.begin_measuring();
@@ -102,12 +102,12 @@ struct Event {
     tally: EventTally,
     information: f64,
     /// TTIs from the first report to the last.
-    refined: u64,
+    wake_up_span: u64,
     /// Whether a device in range had δ = 1 without the energy to sense, did not receive a wake-up, could not pay for a
     /// report, or sent a report that was lost.
     obstacles: [bool; 4],
-    /// Actions of devices for the event.
-    acts: Vec<(usize, [u64; 4])>,
+    /// Contributions of devices to [`ReferenceRun::activity`].
+    activity: Vec<(usize, [u64; 4])>,
     /// Reporters of this TTI; the event ends in the TTI of its first report.
     reporters: Vec<Reporter>,
 }
@@ -121,67 +121,67 @@ struct ReferenceWorld<'a> {
     estimates: Vec<ReferenceEstimate>,
     warm_up_end: u64,
     event: Option<Event>,
-    coming: ReferenceEvents<'a>,
+    process: ReferenceEvents<'a>,
     radio: ReferenceRadio,
     /// Sum and number of the start probabilities in the measured part.
     start_probability: (f64, f64),
     events: Vec<EventRecord>,
-    acts: Vec<[u64; 4]>,
+    activity: Vec<[u64; 4]>,
     wake_ups: u64,
     losses: RadioLosses,
     wake_up_span_ttis: u64,
-    arrived: u64,
+    arrived_reports: u64,
     missed_wake_ups: u64,
-    spared: u64,
+    exclusions: u64,
     trace: Vec<Vec<(ReferenceState, u64)>>,
     ambiguous: Option<u64>,
 }
 
 impl<'a> ReferenceWorld<'a> {
-    fn new(scenario: &'a Scenario, ground: &ReferenceDeployment, policy: ReferencePolicy) -> Self {
-        let mut of_class = vec![0; scenario.classes.len()];
+    fn new(scenario: &'a Scenario, deployment: &ReferenceDeployment, policy: ReferencePolicy) -> Self {
+        let mut devices_of_class = vec![0; scenario.classes.len()];
         let (mut devices, mut estimates) = (Vec::new(), Vec::new());
-        for (id, &class) in ground.classes.iter().enumerate() {
+        for (id, &class) in deployment.classes.iter().enumerate() {
             let class = usize::from(class);
-            let kind = &scenario.classes[class];
-            let (seed, nth) = (scenario.run.seed, of_class[class]);
-            of_class[class] += 1;
-            let mean = mean(&kind.harvest, scenario.run.tau, nth);
-            let (day, is_lit) = match expected_day(&kind.harvest, scenario.run.tau) {
+            let settings = &scenario.classes[class];
+            let (seed, nth) = (scenario.run.seed, devices_of_class[class]);
+            devices_of_class[class] += 1;
+            let mean_harvest = mean_harvest(&settings.harvest, scenario.run.tau, nth);
+            let (expected_harvest, is_daylight) = match expected_day(&settings.harvest, scenario.run.tau) {
                 Some(day) => {
-                    let is_lit = (0..day.len() as u64).map(|k| is_day(&kind.harvest, k)).collect();
-                    (day, is_lit)
+                    let is_daylight = (0..day.len() as u64).map(|k| is_day(&settings.harvest, k)).collect();
+                    (day, is_daylight)
                 }
-                None => (vec![mean], vec![true]),
+                None => (vec![mean_harvest], vec![true]),
             };
-            estimates.push(ReferenceEstimate::new(kind.energy, day, is_lit));
-            let source = ReferenceSource::new(&kind.harvest, scenario.run.tau, seed, id as u64, nth);
-            let source = if ground.plays_traces {
+            estimates.push(ReferenceEstimate::new(settings.energy, expected_harvest, is_daylight));
+            let source = ReferenceSource::new(&settings.harvest, scenario.run.tau, seed, id as u64, nth);
+            let source = if deployment.plays_traces {
                 source
             } else {
-                source.by_its_mean(mean)
+                source.with_known_harvest(mean_harvest)
             };
-            devices.push(Device::new(kind.energy, source));
+            devices.push(Device::new(settings.energy, source));
         }
         Self {
             policy,
             estimates,
-            acts: vec![[0; 4]; ground.positions.len()],
+            activity: vec![[0; 4]; deployment.positions.len()],
             scenario,
-            positions: ground.positions.clone(),
+            positions: deployment.positions.clone(),
             devices,
             warm_up_end: (scenario.run.ttis as f64 * scenario.run.warm_up).floor() as u64,
             event: None,
-            coming: ReferenceEvents::new(scenario),
-            radio: ReferenceRadio::new(scenario, ground.positions.len()),
+            process: ReferenceEvents::new(scenario),
+            radio: ReferenceRadio::new(scenario, deployment.positions.len()),
             start_probability: (0.0, 0.0),
             events: Vec::new(),
             wake_ups: 0,
             losses: RadioLosses::default(),
             wake_up_span_ttis: 0,
-            arrived: 0,
+            arrived_reports: 0,
             missed_wake_ups: 0,
-            spared: 0,
+            exclusions: 0,
             trace: Vec::new(),
             ambiguous: None,
         }
@@ -189,11 +189,11 @@ impl<'a> ReferenceWorld<'a> {
 
     /// Before step 1: transmits the plan.
     fn begin(&mut self, k: u64) {
-        let is_sent = k.is_multiple_of(self.scenario.bs.sync_interval);
-        let missed = self.radio.begin(k, is_sent);
+        let is_plan_sent = k.is_multiple_of(self.scenario.bs.sync_interval);
+        let missed_plans = self.radio.begin(k, is_plan_sent);
         if k >= self.warm_up_end {
-            self.losses.plans += if is_sent { self.devices.len() as u64 } else { 0 };
-            self.losses.missed_plans += missed;
+            self.losses.plans += if is_plan_sent { self.devices.len() as u64 } else { 0 };
+            self.losses.missed_plans += missed_plans;
         }
     }
 
@@ -212,26 +212,31 @@ impl<'a> ReferenceWorld<'a> {
     /// Step 2: duty cycles.
     fn apply_duty(&mut self, k: u64) {
         for (j, device) in self.devices.iter_mut().enumerate() {
-            let paid;
-            let then = if self.policy.senses(j, k) && self.radio.is_informed(j) {
-                (_, paid) = device.pay(device.costs.e_idle, 0);
+            let is_paid;
+            let commanded_state = if self.policy.senses(j, k) && self.radio.has_plan(j) {
+                (_, is_paid) = device.pay(device.costs.e_idle, S1);
                 device.sensing_ttis += 1;
-                device.failed_ttis += u64::from(!paid);
+                device.failed_ttis += u64::from(!is_paid);
                 ReferenceState::Idle
             } else {
-                (_, paid) = device.pay(device.costs.e_wur, 1);
-                device.unpowered_ttis += u64::from(!paid);
+                (_, is_paid) = device.pay(device.costs.e_wur, S4);
+                device.unpowered_ttis += u64::from(!is_paid);
                 ReferenceState::Asleep
             };
-            let [now, most] = device.outage;
-            let now = if paid { 0 } else { now + 1 };
-            device.outage = [now, most.max(now)];
-            device.state = if paid { then } else { ReferenceState::Dark };
-            // `startles` comes first in the condition: it counts down in every TTI, whatever the state.
-            if self.radio.startles(j) && device.state == ReferenceState::Asleep {
+            let [current, longest] = device.outage;
+            let current = if is_paid { 0 } else { current + 1 };
+            device.outage = [current, longest.max(current)];
+            device.state = if is_paid {
+                commanded_state
+            } else {
+                ReferenceState::Unpowered
+            };
+            // `has_false_wake_up` comes first in the condition: it counts down in every TTI, whatever the state.
+            if self.radio.has_false_wake_up(j) && device.state == ReferenceState::Asleep {
                 device.false_wake_ups += 1;
-                if !device.pay(device.costs.e_idle, 1).1 {
-                    device.state = ReferenceState::Dark;
+                let (_, is_paid) = device.pay(device.costs.e_idle, S4);
+                if !is_paid {
+                    device.state = ReferenceState::Unpowered;
                 }
             }
         }
@@ -239,24 +244,24 @@ impl<'a> ReferenceWorld<'a> {
 
     /// Step 3: start of an event.
     fn start_event(&mut self, k: u64) {
-        let alpha = self.coming.next_tti();
+        let alpha = self.process.next_tti();
         if k >= self.warm_up_end {
             self.start_probability.0 += alpha;
             self.start_probability.1 += 1.0;
         }
-        if self.event.is_some() || !self.coming.starts() {
+        if self.event.is_some() || !self.process.starts() {
             return;
         }
-        let (epicentre, duration) = self.coming.event();
+        let (epicentre, duration) = self.process.draw_event();
         self.event = Some(Event {
             epicentre,
             start: k,
             duration,
             tally: EventTally::default(),
             information: 0.0,
-            refined: 0,
+            wake_up_span: 0,
             obstacles: [false; 4],
-            acts: Vec::new(),
+            activity: Vec::new(),
             reporters: Vec::new(),
         });
     }
@@ -264,16 +269,16 @@ impl<'a> ReferenceWorld<'a> {
     /// Steps 4 and 5: sensing and reports.
     fn sense(&mut self, k: u64) {
         let Some(mut event) = self.event.take() else { return };
-        let mut reported = Vec::new();
+        let mut reporters = Vec::new();
         for j in 0..self.devices.len() {
             let d = distance(self.positions[j], event.epicentre);
             if self.devices[j].state == ReferenceState::Idle && self.detects(j, d) {
                 debug_assert!(self.policy.senses(j, k));
                 if self.transmit(j, k, &mut event) {
-                    self.estimates[j].heard(k, self.devices[j].battery);
-                    reported.push((j, d));
+                    self.estimates[j].record_report(k, self.devices[j].battery);
+                    reporters.push((j, d));
                 }
-            } else if self.devices[j].state == ReferenceState::Dark
+            } else if self.devices[j].state == ReferenceState::Unpowered
                 && self.policy.senses(j, k)
                 && self.radio.is_informed(j)
                 && self.detects(j, d)
@@ -281,27 +286,27 @@ impl<'a> ReferenceWorld<'a> {
                 event.obstacles[0] = true;
             }
         }
-        self.hear_silence(k, &reported);
+        self.record_silence(k, &reporters);
         self.event = Some(event);
     }
 
     /// Learns from missing reports if detection is certain within d_max. A device planned to sense would have reported
     /// if it is within d_max of every point on the ring around a reporter.
-    fn hear_silence(&mut self, k: u64, reported: &[(usize, f64)]) {
+    fn record_silence(&mut self, k: u64, reporters: &[(usize, f64)]) {
         let sensing = &self.scenario.sensing;
         if sensing.kind != DetectionKind::Range {
             return;
         }
         for j in 0..self.devices.len() {
-            let is_sure = |&(h, d): &(usize, f64)| {
+            let covers_ring = |&(h, d): &(usize, f64)| {
                 // The emulator's rounding margin: both must agree at the edge of the range.
                 distance(self.positions[h], self.positions[j]) <= sensing.d_max * (1.0 - 1e-9) - d
             };
-            let has_reported = reported.iter().any(|&(h, _)| h == j);
-            if self.policy.senses(j, k) && !has_reported && reported.iter().any(is_sure) {
+            let has_reported = reporters.iter().any(|&(h, _)| h == j);
+            if self.policy.senses(j, k) && !has_reported && reporters.iter().any(covers_ring) {
                 let policy = &self.policy;
-                let lost = self.radio.silence();
-                self.estimates[j].silent(k, lost, |k| policy.senses(j, k));
+                let loss_probability = self.radio.silence_probability();
+                self.estimates[j].record_silence(k, loss_probability, |k| policy.senses(j, k));
             }
         }
     }
@@ -312,27 +317,27 @@ impl<'a> ReferenceWorld<'a> {
             return true;
         };
         let mut woken = Vec::new();
-        let able: Vec<bool> = if self.policy.ranks() && !event.reporters.is_empty() {
-            let is_able =
-                |(j, estimate): (usize, &ReferenceEstimate)| estimate.is_able(k, |k| self.policy.senses(j, k));
-            self.estimates.iter().enumerate().map(is_able).collect()
+        let can_report: Vec<bool> = if self.policy.ranks() && !event.reporters.is_empty() {
+            let can_report =
+                |(j, estimate): (usize, &ReferenceEstimate)| estimate.can_report(k, |k| self.policy.senses(j, k));
+            self.estimates.iter().enumerate().map(can_report).collect()
         } else {
             vec![true; self.devices.len()]
         };
-        let is_spared = |(j, able): (usize, &bool)| !able && !self.policy.senses(j, k);
-        self.spared += u64::from(able.iter().enumerate().any(is_spared));
+        let is_excluded = |(j, can_report): (usize, &bool)| !can_report && !self.policy.senses(j, k);
+        self.exclusions += u64::from(can_report.iter().enumerate().any(is_excluded));
         loop {
             let choice = self.policy.choose(&Situation {
                 scenario: self.scenario,
                 positions: &self.positions,
                 k,
-                first: k == event.start,
+                is_first_tti: k == event.start,
                 epicentre: event.epicentre,
                 reporters: &event.reporters,
                 information: event.information,
                 woken: &woken,
-                able: &able,
-                lossy: self.radio.no_answer() > 0.0,
+                can_report: &can_report,
+                answers_can_be_lost: self.radio.no_answer_probability() > 0.0,
             });
             let j = match choice {
                 WakeUpChoice::Wake(j) => j,
@@ -342,17 +347,17 @@ impl<'a> ReferenceWorld<'a> {
             woken.push(j);
             event.tally.wake_ups += 1;
             self.wake_ups += u64::from(k >= self.warm_up_end);
-            let heard = self.devices[j].state == ReferenceState::Asleep && !self.radio.misses_wake_up(j);
-            event.acts.push((j, [0, 1, u64::from(heard), 0]));
+            let is_received = self.devices[j].state == ReferenceState::Asleep && !self.radio.misses_wake_up(j);
+            event.activity.push((j, [0, 1, u64::from(is_received), 0]));
             // Wake-ups for an event are sent in order, each after the latency of the previous one.
-            let awake = k + woken.len() as u64 * self.scenario.radio.wake_latency;
-            let is_over = awake >= event.start.saturating_add(event.duration);
-            let has_reported = if heard && is_over {
+            let awake_from = k + woken.len() as u64 * self.scenario.radio.wake_latency;
+            let is_over = awake_from >= event.start.saturating_add(event.duration);
+            let has_reported = if is_received && is_over {
                 self.wake_too_late(j, k, &mut event);
                 false
-            } else if heard {
+            } else if is_received {
                 if self.transmit(j, k, &mut event) {
-                    event.refined = awake - k;
+                    event.wake_up_span = awake_from - k;
                     true
                 } else {
                     false
@@ -364,11 +369,11 @@ impl<'a> ReferenceWorld<'a> {
                 false
             };
             if has_reported {
-                self.estimates[j].heard(k, self.devices[j].battery);
+                self.estimates[j].record_report(k, self.devices[j].battery);
             } else {
                 let policy = &self.policy;
-                let lost = self.radio.no_answer();
-                self.estimates[j].silent(k, lost, |k| policy.senses(j, k));
+                let loss_probability = self.radio.no_answer_probability();
+                self.estimates[j].record_silence(k, loss_probability, |k| policy.senses(j, k));
             }
         }
         self.event = Some(event);
@@ -379,15 +384,15 @@ impl<'a> ReferenceWorld<'a> {
     fn wake_too_late(&mut self, j: usize, k: u64, event: &mut Event) {
         let device = &mut self.devices[j];
         device.false_wake_ups += 1;
-        let (gone, paid) = device.pay(device.costs.e_idle, 1);
-        device.state = if paid {
+        let (spent, is_paid) = device.pay(device.costs.e_idle, S4);
+        device.state = if is_paid {
             ReferenceState::Asleep
         } else {
-            ReferenceState::Dark
+            ReferenceState::Unpowered
         };
-        event.acts.push((j, [0, 0, 0, 1]));
+        event.activity.push((j, [0, 0, 0, 1]));
         event.tally.wrong_activations += 1;
-        event.tally.wasted += Energy::from_micro(gone);
+        event.tally.wasted_energy += Energy::from_micro(spent);
         self.losses.late += u64::from(k >= self.warm_up_end);
     }
 
@@ -395,20 +400,21 @@ impl<'a> ReferenceWorld<'a> {
     fn transmit(&mut self, j: usize, k: u64, event: &mut Event) -> bool {
         let sensing = &self.scenario.sensing;
         let d = distance(self.positions[j], event.epicentre);
-        let within = d <= sensing.d_max;
+        let is_in_range = d <= sensing.d_max;
         let e_tx = self.devices[j].costs.e_tx;
-        let (gone, paid) = self.devices[j].pay(e_tx, 2);
-        let arrives = paid && !self.radio.loses_report(j);
+        let (spent, is_paid) = self.devices[j].pay(e_tx, S3);
+        let arrives = is_paid && !self.radio.loses_report(j);
+        let is_wrong_activation = !is_paid || !is_in_range;
         event
-            .acts
-            .push((j, [u64::from(arrives), 0, 0, u64::from(!paid || !within)]));
-        if !paid || !within {
+            .activity
+            .push((j, [u64::from(arrives), 0, 0, u64::from(is_wrong_activation)]));
+        if is_wrong_activation {
             event.tally.wrong_activations += 1;
-            event.tally.wasted += Energy::from_micro(gone);
+            event.tally.wasted_energy += Energy::from_micro(spent);
         }
-        if !paid {
+        if !is_paid {
             event.obstacles[2] = true;
-            self.devices[j].state = ReferenceState::Dark;
+            self.devices[j].state = ReferenceState::Unpowered;
             return false;
         }
         self.devices[j].state = ReferenceState::Transmission;
@@ -418,13 +424,13 @@ impl<'a> ReferenceWorld<'a> {
             self.losses.reports += is_measured;
             return false;
         }
-        self.arrived += is_measured;
+        self.arrived_reports += is_measured;
         event.tally.reports += 1;
-        if within {
-            let report = sensing.psi * libm::exp(-sensing.eta * d);
+        if is_in_range {
+            let information = sensing.psi * libm::exp(-sensing.eta * d);
             event.information = match sensing.g {
-                Fusion::Max => event.information.max(report),
-                Fusion::SumSaturation => (event.information + report).min(sensing.psi),
+                Fusion::Max => event.information.max(information),
+                Fusion::SumSaturation => (event.information + information).min(sensing.psi),
             };
             let reporter = self.policy.reporter(self.scenario, &self.positions, j, d);
             event.reporters.push(reporter);
@@ -443,7 +449,7 @@ impl<'a> ReferenceWorld<'a> {
                 let draw = unit_for_pair(
                     self.scenario.run.seed,
                     Purpose::Detection,
-                    self.coming.number(),
+                    self.process.number(),
                     j as u64,
                 );
                 draw < libm::exp(-sensing.eta * d)
@@ -459,16 +465,16 @@ impl<'a> ReferenceWorld<'a> {
             return;
         }
         if event.start >= self.warm_up_end {
-            self.wake_up_span_ttis += event.refined;
-            for (j, acts) in event.acts.drain(..) {
-                let sums = self.acts[j].iter_mut().zip(acts);
-                sums.for_each(|(sum, act)| *sum += act);
+            self.wake_up_span_ttis += event.wake_up_span;
+            for (j, contribution) in event.activity.drain(..) {
+                let sums = self.activity[j].iter_mut().zip(contribution);
+                sums.for_each(|(sum, count)| *sum += count);
             }
         }
         // The emulator sums information in whole units of 10⁻¹².
         event.tally.information_pico = (event.information * 1e12).round() as u64;
         self.events.push(EventRecord {
-            event: EventId(self.coming.number()),
+            event: EventId(self.process.number()),
             epicentre: event.epicentre,
             start: Tti(event.start),
             last: Tti(k),
@@ -476,7 +482,7 @@ impl<'a> ReferenceWorld<'a> {
             tally: event.tally,
             miss_cause: self.miss_cause(&event),
         });
-        self.coming.ended();
+        self.process.end_event();
     }
 
     /// Returns the furthest obstacle that kept a report of `event` from the base station.
@@ -520,7 +526,7 @@ impl<'a> ReferenceWorld<'a> {
 
     fn begin_measuring(&mut self) {
         for device in &mut self.devices {
-            device.before = Some(device.sums());
+            device.totals_at_warm_up_end = Some(device.totals());
             device.outage = [0; 2];
         }
     }
@@ -539,14 +545,14 @@ impl<'a> ReferenceWorld<'a> {
             totals.wake_ups += record.tally.wake_ups;
             totals.information_pico += u128::from(record.tally.information_pico);
             totals.wrong_activations += record.tally.wrong_activations;
-            totals.wasted += record.tally.wasted;
+            totals.wasted_energy += record.tally.wasted_energy;
         }
         let ledgers: Vec<Ledger> = self.devices.iter().map(Device::ledger).collect();
         ReferenceRun {
             measured: ledgers.iter().map(|ledger| ledger.measured).sum(),
             ledgers,
             events: self.events,
-            acts: self.acts,
+            activity: self.activity,
             totals,
             start_probability: self.start_probability.0 / self.start_probability.1,
             wake_ups: self.wake_ups,
@@ -555,9 +561,9 @@ impl<'a> ReferenceWorld<'a> {
                 ..self.losses
             },
             wake_up_span_ttis: self.wake_up_span_ttis,
-            arrived: self.arrived,
+            arrived_reports: self.arrived_reports,
             missed_wake_ups: self.missed_wake_ups,
-            spared: self.spared,
+            exclusions: self.exclusions,
             trace: self.trace,
             ambiguous: self.ambiguous,
         }

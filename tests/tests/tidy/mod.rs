@@ -1,5 +1,6 @@
-//! Checks the rules of ARCHITECTURE.md: allowed dependencies, forbidden names in pure code, and limits on the length of
-//! files and lines.
+//! Checks the source tree against the rules of ARCHITECTURE.md: dependencies of crates, folders and files, forbidden
+//! names in pure code, the length of files and lines, and versions. It reads source text only; clippy and rustfmt check
+//! the rest.
 
 mod tree;
 
@@ -8,7 +9,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-use tree::{CRATES, Crate, Mention, Module, SourceFile, root, sources};
+pub(super) use tree::root;
+use tree::{CRATES, Crate, Mention, Module, SourceFile, sources};
 
 /// Crates of the workspace that each crate may use in its code.
 const MAY_USE: [(&str, &[&str]); 9] = [
@@ -23,8 +25,8 @@ const MAY_USE: [(&str, &[&str]); 9] = [
     ("python", &["common", "bs", "lab", "study"]),
 ];
 
-/// Layers of `common`: a module may use modules of its line and of the lines above it. A file or folder directly in
-/// `common/src` is a module here.
+/// Layers of `common`, from the lowest: a module may use modules of its line and of the lines above it. A file or
+/// folder directly in `common/src` is a module here.
 const LAYERS_OF_COMMON: [&[&str]; 13] = [
     &["codec", "encoding", "units"],
     &["ids", "totals"],
@@ -99,8 +101,8 @@ const PATH_METHODS: [&str; 10] = [
     "try_exists",
 ];
 
-/// Methods with these names that do not belong to `Path`: the metadata of bytes that are already in memory.
-const OTHER_METHODS: [(&str, &str); 6] = [
+/// Files with methods of these names that do not belong to `Path`: the metadata of bytes that are already in memory.
+const IN_MEMORY_METHODS: [(&str, &str); 6] = [
     ("common/src/columns/parquet.rs", "metadata"),
     ("common/src/parquet.rs", "metadata"),
     ("lab/src/table/parquet.rs", "metadata"),
@@ -110,7 +112,7 @@ const OTHER_METHODS: [(&str, &str); 6] = [
 ];
 
 /// Types that make a `static` global state, through which one run could affect the next.
-const CHANGEABLE: [&str; 10] = [
+const MUTABLE_TYPES: [&str; 10] = [
     "Mutex",
     "RwLock",
     "OnceLock",
@@ -123,73 +125,80 @@ const CHANGEABLE: [&str; 10] = [
     "mut",
 ];
 
-/// Violations of a rule: names of files or the like, each with its faults.
-type Offenders = BTreeSet<(String, String)>;
+const MAX_LINES_OF_CODE: usize = 500;
+/// Maximum length of a line, as in `rustfmt.toml`.
+const MAX_COLUMNS: usize = 120;
 
-/// Checks that there are no violations of a rule.
+/// Violations of a rule: the name of a file or page, and its fault.
+type Violations = BTreeSet<(String, String)>;
+
+/// Checks that there are no violations of `rule`.
 #[track_caller]
-fn assert_none(rule: &str, offenders: &Offenders) {
-    let report: Vec<String> = offenders.iter().map(|(name, what)| format!("{name}: {what}")).collect();
-    assert!(report.is_empty(), "{rule}\n  {}", report.join("\n  "));
+fn assert_none(rule: &str, violations: &Violations) {
+    let report: Vec<String> = violations
+        .iter()
+        .map(|(name, fault)| format!("{name}: {fault}"))
+        .collect();
+    assert!(report.is_empty(), "violated rule: {rule}\n  {}", report.join("\n  "));
 }
 
 /// Returns every crate with its modules.
 fn crates() -> &'static [(&'static str, Crate)] {
-    static READ: OnceLock<Vec<(&'static str, Crate)>> = OnceLock::new();
-    READ.get_or_init(|| {
+    static CRATES_READ: OnceLock<Vec<(&'static str, Crate)>> = OnceLock::new();
+    CRATES_READ.get_or_init(|| {
         let sources = sources();
         CRATES.map(|member| (member, Crate::read(member, &sources))).into()
     })
 }
 
-/// Returns the part of a crate that contains a file: its folder or file directly in `src`.
-fn part(file: &str) -> &str {
-    place(file).first().copied().unwrap_or("lib")
+/// Returns the module directly in `src` that contains a file.
+fn top_module(file: &str) -> &str {
+    module_path(file).first().copied().unwrap_or("lib")
 }
 
-/// Returns the folders that contain a file, and the file: `["policy", "knn"]` for both `bs/src/policy/knn/mod.rs` and
+/// Returns the path of a file's module: `["policy", "knn"]` for both `bs/src/policy/knn/mod.rs` and
 /// `bs/src/policy/knn.rs`.
-fn place(file: &str) -> Vec<&str> {
+fn module_path(file: &str) -> Vec<&str> {
     let inner = file.split_once("/src/").map_or(file, |(_, inner)| inner);
-    let mut place: Vec<&str> = inner.trim_end_matches(".rs").split('/').collect();
-    place.pop_if(|last| ["mod", "lib", "main"].contains(last));
-    place
+    let mut path: Vec<&str> = inner.trim_end_matches(".rs").split('/').collect();
+    path.pop_if(|last| ["mod", "lib", "main"].contains(last));
+    path
 }
 
 /// Protects: a file can be understood, tested and moved with its dependencies and without its dependants.
 #[test]
-fn no_circle_of_files() {
-    let mut found = Offenders::new();
+fn files_use_each_other_without_cycles() {
+    let mut violations = Violations::new();
     for (_, tree) in crates() {
         let graph: Graph = tree
             .uses()
             .into_iter()
             .map(|(file, uses)| (file, uses.into_keys().collect()))
             .collect();
-        found.extend(circles(&graph));
+        violations.extend(cycles(&graph));
     }
-    assert_none("files use each other in a circle", &found);
+    assert_none("files do not use each other in a cycle", &violations);
 }
 
 /// Returns the dependencies within each folder: between the files and folders directly in it and its own file
 /// (`mod.rs`).
-fn folders(tree: &Crate) -> BTreeMap<Vec<String>, Graph> {
+fn dependencies_by_folder(tree: &Crate) -> BTreeMap<Vec<String>, Graph> {
     let mut folders: BTreeMap<Vec<String>, Graph> = BTreeMap::new();
     for (file, uses) in tree.uses() {
-        let own = place(&file);
+        let user_path = module_path(&file);
         for used in uses.keys() {
-            let other = place(used);
-            let shared = own.iter().zip(&other).take_while(|(a, b)| a == b).count();
-            let within = |file: &str, place: &[&str]| match place.get(shared) {
-                Some(_) => format!("{}/src/{}", tree.member, place[..=shared].join("/")),
+            let used_path = module_path(used);
+            let shared = user_path.iter().zip(&used_path).take_while(|(a, b)| a == b).count();
+            let entry_of_folder = |file: &str, path: &[&str]| match path.get(shared) {
+                Some(_) => format!("{}/src/{}", tree.member, path[..=shared].join("/")),
                 None => file.to_owned(),
             };
-            let folder = own[..shared].iter().map(|&name| name.to_owned()).collect();
+            let folder = user_path[..shared].iter().map(|&name| name.to_owned()).collect();
             let graph = folders.entry(folder).or_default();
             graph
-                .entry(within(&file, &own))
+                .entry(entry_of_folder(&file, &user_path))
                 .or_default()
-                .insert(within(used, &other));
+                .insert(entry_of_folder(used, &used_path));
         }
     }
     folders
@@ -197,17 +206,19 @@ fn folders(tree: &Crate) -> BTreeMap<Vec<String>, Graph> {
 
 /// Protects: the folders of a crate and their contents have an order in which they can be read.
 #[test]
-fn no_circle_of_folders() {
-    let graphs = crates().iter().flat_map(|(_, tree)| folders(tree).into_values());
-    let found = graphs.flat_map(|graph| circles(&graph)).collect();
-    assert_none("folders use each other in a circle", &found);
+fn folders_use_each_other_without_cycles() {
+    let graphs = crates()
+        .iter()
+        .flat_map(|(_, tree)| dependencies_by_folder(tree).into_values());
+    let violations = graphs.flat_map(|graph| cycles(&graph)).collect();
+    assert_none("folders do not use each other in a cycle", &violations);
 }
 
 /// Protects: the order of the crates. A device must not depend on the base station, nor a model on the command that
 /// runs it.
 #[test]
-fn no_crate_is_used_from_below() {
-    let mut found = Offenders::new();
+fn crates_use_only_lower_crates() {
+    let mut violations = Violations::new();
     for (member, tree) in crates() {
         let (_, lower) = MAY_USE.iter().find(|(name, _)| name == member).expect("a crate");
         let is_allowed = |name: &str| {
@@ -218,47 +229,51 @@ fn no_crate_is_used_from_below() {
         };
         for module in tree.modules.values() {
             for mention in module.mentions.iter().filter(|mention| !is_allowed(&mention.words[0])) {
-                found.insert((module.file.clone(), mention.words.join("::")));
+                violations.insert((module.file.clone(), mention.words.join("::")));
             }
         }
         let manifest = fs::read_to_string(root().join(member).join("Cargo.toml")).expect("a manifest");
         let manifest: toml::Table = manifest.parse().expect("TOML");
         let dependencies = manifest["dependencies"].as_table().expect("a table");
         for name in dependencies.keys().filter(|name| !is_allowed(name)) {
-            found.insert((format!("{member}/Cargo.toml"), name.clone()));
+            violations.insert((format!("{member}/Cargo.toml"), name.clone()));
         }
     }
-    assert_none("a crate uses one above it", &found);
+    assert_none("a crate uses only crates below it", &violations);
 }
 
 /// Protects: the vocabulary builds up from units to messages, so each part can be read after only the parts before it.
 #[test]
-fn common_keeps_to_its_layers() {
+fn modules_of_common_use_only_lower_layers() {
     let sources = sources();
-    let level = |part: &str| {
+    let layer_index = |module: &str| {
         LAYERS_OF_COMMON
             .iter()
-            .position(|layer| layer.contains(&part))
-            .unwrap_or_else(|| panic!("common/src/{part} is missing in LAYERS_OF_COMMON"))
+            .position(|layer| layer.contains(&module))
+            .unwrap_or_else(|| panic!("common/src/{module} is missing in LAYERS_OF_COMMON"))
     };
-    let mut found = Offenders::new();
+    let mut violations = Violations::new();
     let (_, tree) = crates()
         .iter()
         .find(|(member, _)| *member == "common")
         .expect("a crate");
-    for (file, uses) in tree.uses().into_iter().filter(|(file, _)| part(file) != "lib") {
-        let own = level(part(&file));
+    for (file, uses) in tree.uses().into_iter().filter(|(file, _)| top_module(file) != "lib") {
+        let own_layer = layer_index(top_module(&file));
         for (used, path) in uses {
-            if part(&used) == "lib" || level(part(&used)) > own {
-                found.insert((file.clone(), format!("uses {path}, which is in a layer above")));
+            let used_module = top_module(&used);
+            if used_module == "lib" || layer_index(used_module) > own_layer {
+                violations.insert((file.clone(), format!("uses {path}, which is in a layer above")));
             }
         }
     }
-    assert_none("common has an order", &found);
-    for part in LAYERS_OF_COMMON.iter().flat_map(|layer| layer.iter()) {
-        let names = [format!("common/src/{part}.rs"), format!("common/src/{part}/mod.rs")];
-        let is_there = sources.iter().any(|source| names.contains(&source.name));
-        assert!(is_there, "LAYERS_OF_COMMON names {part}, which does not exist");
+    assert_none(
+        "a module of common uses only its layer and the layers below",
+        &violations,
+    );
+    for module in LAYERS_OF_COMMON.iter().flat_map(|layer| layer.iter()) {
+        let names = [format!("common/src/{module}.rs"), format!("common/src/{module}/mod.rs")];
+        let exists = sources.iter().any(|source| names.contains(&source.name));
+        assert!(exists, "LAYERS_OF_COMMON names {module}, which does not exist");
     }
 }
 
@@ -279,36 +294,37 @@ fn pure_modules() -> impl Iterator<Item = (&'static Crate, &'static [String], &'
 /// Protects: one scenario and seed give one digest, however the run is driven. Code that reads files, clocks or
 /// entropy, or waits for others, could make two runs differ.
 #[test]
-fn pure_code_does_no_io() {
-    let mut found = Offenders::new();
+fn pure_code_performs_no_io() {
+    let mut violations = Violations::new();
     for (tree, path, module) in pure_modules() {
         for mention in &module.mentions {
-            let words = tree.written_out(path, &mention.words);
-            let written = words.join("::");
-            let is_below = |shell: &str| {
-                written
-                    .strip_prefix(shell)
-                    .is_some_and(|r| r.is_empty() || r.starts_with("::"))
+            let words = tree.expand_imports(path, &mention.words);
+            let full_path = words.join("::");
+            let is_below = |shell_path: &str| {
+                full_path
+                    .strip_prefix(shell_path)
+                    .is_some_and(|rest| rest.is_empty() || rest.starts_with("::"))
             };
-            let asks_the_disk = match words.as_slice() {
+            let accesses_disk = match words.as_slice() {
                 [.., owner, method] => {
                     ["Path", "PathBuf"].contains(&owner.as_str()) && PATH_METHODS.contains(&method.as_str())
                 }
                 _ => false,
             };
             // A single word is a variable or an imported name.
-            if mention.words.len() > 1 && (asks_the_disk || SHELL_PATHS.iter().any(|shell| is_below(shell))) {
-                found.insert((module.file.clone(), format!("names {written}")));
+            let is_forbidden = accesses_disk || SHELL_PATHS.iter().any(|shell_path| is_below(shell_path));
+            if mention.words.len() > 1 && is_forbidden {
+                violations.insert((module.file.clone(), format!("names {full_path}")));
             }
         }
         for method in module.calls.iter().map(String::as_str) {
-            let is_another = OTHER_METHODS.contains(&(module.file.as_str(), method));
-            if PATH_METHODS.contains(&method) && !is_another {
-                found.insert((module.file.clone(), format!("calls .{method}()")));
+            let is_in_memory = IN_MEMORY_METHODS.contains(&(module.file.as_str(), method));
+            if PATH_METHODS.contains(&method) && !is_in_memory {
+                violations.insert((module.file.clone(), format!("calls .{method}()")));
             }
         }
     }
-    assert_none("pure code does no input or output", &found);
+    assert_none("pure code performs no input or output", &violations);
     for shell in SHELLS {
         assert!(
             root().join(shell).exists(),
@@ -321,24 +337,29 @@ fn pure_code_does_no_io() {
 /// items of its shell; the check finds modules that use such items.
 #[test]
 fn pure_code_uses_no_shell() {
-    let mut found = Offenders::new();
+    let mut violations = Violations::new();
     for (tree, path, module) in pure_modules() {
-        let is_own = |mention: &&Mention| !tree.hands_on(path, mention);
-        for mention in module.mentions.iter().filter(is_own) {
+        let is_use = |mention: &&Mention| !tree.is_re_export(path, mention);
+        for mention in module.mentions.iter().filter(is_use) {
             if let Some(file) = declaring_file(tree, path, mention).filter(|file| is_shell(file)) {
                 let name = mention.words.join("::");
-                found.insert((module.file.clone(), format!("names {name}, which is of {file}")));
+                violations.insert((
+                    module.file.clone(),
+                    format!("names {name}, which is declared in {file}"),
+                ));
             }
         }
     }
-    assert_none("pure code uses no shell", &found);
+    assert_none("pure code uses no shell", &violations);
 }
 
 /// Returns the file of this workspace that declares the target of `mention` in the module at `path`.
 fn declaring_file(tree: &Crate, path: &[String], mention: &Mention) -> Option<String> {
-    let words = tree.written_out(path, &mention.words);
-    let of = |member: &str| format!("reveille_{member}");
-    match crates().iter().find(|(member, _)| of(member) == words[0]) {
+    let words = tree.expand_imports(path, &mention.words);
+    match crates()
+        .iter()
+        .find(|(member, _)| words[0] == format!("reveille_{member}"))
+    {
         Some((_, other)) => other.file_at(&words[1..]),
         None => tree.file_of(path, &mention.words),
     }
@@ -347,101 +368,102 @@ fn declaring_file(tree: &Crate, path: &[String], mention: &Mention) -> Option<St
 /// Protects: a run depends on its arguments, not on earlier runs in the same process.
 #[test]
 fn pure_code_has_no_global_state() {
-    let mut found = Offenders::new();
+    let mut violations = Violations::new();
     for (_, _, module) in pure_modules() {
-        for written in &module.statics {
-            let words = || written.split(' ');
-            if words().any(|word| CHANGEABLE.contains(&word) || word.starts_with("Atomic")) {
-                found.insert((module.file.clone(), format!("has a static of type {written}")));
+        for type_names in &module.statics {
+            let is_mutable = |name: &str| MUTABLE_TYPES.contains(&name) || name.starts_with("Atomic");
+            if type_names.split(' ').any(is_mutable) {
+                violations.insert((module.file.clone(), format!("has a static of type {type_names}")));
             }
         }
     }
-    assert_none("pure code has no global state", &found);
+    assert_none("pure code has no global state", &violations);
 }
 
 /// Protects: bincode, which is unmaintained, and zenoh can each be replaced in one place.
 #[test]
 fn bincode_and_zenoh_are_used_in_one_module() {
-    let mut found = Offenders::new();
+    let mut violations = Violations::new();
     for (_, tree) in crates() {
         for module in tree.modules.values() {
             for mention in &module.mentions {
-                let door = match mention.words[0].as_str() {
+                let only_user = match mention.words[0].as_str() {
                     "bincode" => "common/src/codec.rs",
                     "zenoh" => "common/src/bus/",
                     _ => continue,
                 };
-                if !module.file.starts_with(door) {
-                    found.insert((module.file.clone(), format!("names {}", mention.words.join("::"))));
+                if !module.file.starts_with(only_user) {
+                    violations.insert((module.file.clone(), format!("names {}", mention.words.join("::"))));
                 }
             }
         }
     }
-    assert_none("bincode and zenoh have one door each", &found);
+    assert_none("bincode and zenoh are each used in one module", &violations);
 }
 
 /// Protects: a file is short enough for a reader to keep in mind. Clippy limits the length of functions
 /// (`too-many-lines-threshold`).
 #[test]
 fn files_have_a_limited_length() {
-    let mut found = Offenders::new();
+    let mut violations = Violations::new();
     for source in sources().iter().filter(|source| !source.is_test()) {
         let lines = source.code().len();
-        if lines > 500 {
-            found.insert((
-                source.name.clone(),
-                format!("{lines} lines of code: is it still one room?"),
-            ));
+        if lines > MAX_LINES_OF_CODE {
+            violations.insert((source.name.clone(), format!("{lines} lines of code")));
         }
     }
-    assert_none("a file has at most 500 lines without tests and comments", &found);
+    let rule = format!("a file has at most {MAX_LINES_OF_CODE} lines without tests and comments");
+    assert_none(&rule, &violations);
 }
 
 /// Protects: two files fit side by side on a screen. rustfmt wraps only code.
 #[test]
-fn lines_fit_on_a_screen() {
-    let mut found = Offenders::new();
+fn lines_have_a_limited_length() {
+    let mut violations = Violations::new();
     for source in sources() {
-        let numbered = (1..).zip(source.text.lines());
-        for (number, line) in numbered.filter(|(_, line)| line.chars().count() > 120) {
+        for (number, line) in (1..).zip(source.text.lines()) {
             let columns = line.chars().count();
-            found.insert((source.name.clone(), format!("line {number} has {columns} columns")));
+            if columns > MAX_COLUMNS {
+                violations.insert((source.name.clone(), format!("line {number} has {columns} columns")));
+            }
         }
     }
-    assert_none("a line has at most 120 columns, comments too", &found);
+    let rule = format!("a line has at most {MAX_COLUMNS} columns, comments too");
+    assert_none(&rule, &violations);
 }
 
 /// Protects: sources cite the paper or a reason, never a document that readers do not have.
 #[test]
 fn no_unavailable_document_is_cited() {
-    let mut found = Offenders::new();
-    let word = ["MO", "DEL"].concat();
+    let mut violations = Violations::new();
+    // In two parts, so that this file does not contain it.
+    let document = ["MO", "DEL"].concat();
     for source in sources() {
-        let is_part = |c: char| c.is_alphanumeric() || c == '_';
-        let names = |line: &str| line.split(|c| !is_part(c)).any(|found| found == word);
-        for (number, _) in (1..).zip(source.text.lines()).filter(|(_, line)| names(line)) {
-            found.insert((
+        let is_part_of_word = |c: char| c.is_alphanumeric() || c == '_';
+        let cites = |line: &str| line.split(|c| !is_part_of_word(c)).any(|word| word == document);
+        for (number, _) in (1..).zip(source.text.lines()).filter(|(_, line)| cites(line)) {
+            violations.insert((
                 source.name.clone(),
-                format!("line {number} says {word}: which section, or why?"),
+                format!("line {number} cites {document}; cite the paper or give the reason"),
             ));
         }
     }
-    assert_none("sources cite available documents", &found);
+    assert_none("sources cite available documents", &violations);
 }
 
 /// Protects: the tree builds and runs wherever it is cloned.
 #[test]
-fn no_path_of_a_machine_is_named() {
-    let mut found = Offenders::new();
+fn no_path_of_one_machine_is_named() {
+    let mut violations = Violations::new();
     for source in sources() {
         for folder in ["home", "root", "work"] {
             let path = format!("/{folder}/");
             for (number, _) in (1..).zip(source.text.lines()).filter(|(_, line)| line.contains(&path)) {
-                found.insert((source.name.clone(), format!("line {number} names {path}")));
+                violations.insert((source.name.clone(), format!("line {number} names {path}")));
             }
         }
     }
-    assert_none("no source names a folder of one machine", &found);
+    assert_none("no source names a folder of one machine", &violations);
 }
 
 /// Returns the files that a source declares as modules: `name.rs` or `name/mod.rs`, of which clippy allows one.
@@ -464,48 +486,47 @@ fn declared_files(source: &SourceFile) -> Vec<String> {
 fn every_file_is_a_module() {
     let sources = sources();
     let declared: BTreeSet<String> = sources.iter().flat_map(declared_files).collect();
-    // A page includes docs/patrol.rs, and each fuzz target is a program.
+    // docs/patrol.rs is included by its path, and each fuzz target is a program.
     let is_root = |name: &str| {
         let is_elsewhere = name.starts_with("docs/") || name.starts_with("tests/fuzz/");
         is_elsewhere || name.ends_with("/lib.rs") || name.ends_with("/main.rs")
     };
-    let left_out = sources
+    let undeclared = sources
         .iter()
         .filter(|source| !is_root(&source.name) && !declared.contains(&source.name));
-    let found = left_out
-        .map(|source| (source.name.clone(), "is no module of its crate".to_owned()))
+    let violations = undeclared
+        .map(|source| (source.name.clone(), "is not a module of its crate".to_owned()))
         .collect();
-    assert_none("every file is named by a `mod` line", &found);
+    assert_none("a `mod` line names every file", &violations);
 }
 
-/// Protects: readers of pages, from placeholders of figures that were never filled in.
+/// Protects: readers of pages, from placeholders of numbers that were never filled in.
 #[test]
-fn no_page_has_a_gap_to_be_filled_in() {
-    let pages = fs::read_dir(root().join("docs")).expect("docs");
-    let pages = pages.map(|entry| entry.expect("an entry").path());
-    let tops = ["README.md", "CHANGELOG.md", "ARCHITECTURE.md"].map(|name| root().join(name));
-    let mut found = Offenders::new();
-    let is_gap = |word: &str| word.len() > 1 && word.chars().all(|c| c.is_ascii_uppercase() || c == '_');
-    let (mut seen, is_page) = (0, |path: &PathBuf| {
-        path.extension().is_some_and(|ending| ending == "md")
-    });
-    for path in pages.chain(tops).filter(is_page) {
+fn no_page_has_an_unfilled_placeholder() {
+    let entries = fs::read_dir(root().join("docs")).expect("docs");
+    let files_of_docs = entries.map(|entry| entry.expect("an entry").path());
+    let pages_of_root = ["README.md", "CHANGELOG.md", "ARCHITECTURE.md"].map(|name| root().join(name));
+    let mut violations = Violations::new();
+    let is_placeholder = |word: &str| word.len() > 1 && word.chars().all(|c| c.is_ascii_uppercase() || c == '_');
+    let is_page = |path: &PathBuf| path.extension().is_some_and(|extension| extension == "md");
+    let mut page_count = 0;
+    for path in files_of_docs.chain(pages_of_root).filter(is_page) {
         let text = fs::read_to_string(&path).expect("a page");
-        seen += 1;
-        // The name of a figure stands between two of these signs.
-        for word in text.split('@').skip(1).filter(|word| is_gap(word)) {
-            found.insert((path.display().to_string(), format!("@{word}@")));
+        page_count += 1;
+        // A placeholder is the name of a figure between two of these signs.
+        for word in text.split('@').skip(1).filter(|word| is_placeholder(word)) {
+            violations.insert((path.display().to_string(), format!("@{word}@")));
         }
     }
-    assert!(seen > 10, "{seen} pages");
-    assert_none("pages have no gaps", &found);
+    assert!(page_count > 10, "only {page_count} pages were found");
+    assert_none("pages have no placeholders", &violations);
 }
 
 /// Protects: releases, from a file that still names another version of Reveille or of Rust.
 #[test]
 fn versions_agree() {
     let (version, rust) = (env!("CARGO_PKG_VERSION"), env!("CARGO_PKG_RUST_VERSION"));
-    let mut found = Offenders::new();
+    let mut violations = Violations::new();
     for (file, expected) in [
         ("CHANGELOG.md", format!("\n## {version} (")),
         ("CITATION.cff", format!("\nversion: {version}\n")),
@@ -518,21 +539,22 @@ fn versions_agree() {
     ] {
         let text = fs::read_to_string(root().join(file)).expect("a file of the repository");
         if !text.contains(&expected) {
-            found.insert((file.to_owned(), format!("does not contain {expected:?}")));
+            violations.insert((file.to_owned(), format!("does not contain {expected:?}")));
         }
     }
-    assert_none("all files name the versions of Cargo.toml", &found);
+    assert_none("all files name the versions of Cargo.toml", &violations);
 }
 
 /// Protects: ARCHITECTURE.md, which newcomers use to find the file for a change.
 #[test]
 fn the_code_map_names_real_files() {
     let text = fs::read_to_string(root().join("ARCHITECTURE.md")).expect("ARCHITECTURE.md");
+    // Names without a folder are relative to the folder of an earlier name.
     let mut folder = String::new();
-    let mut found = Offenders::new();
+    let mut violations = Violations::new();
     for line in text.lines().filter(|line| line.starts_with("| ")) {
         for word in line.split('`').skip(1).step_by(2) {
-            if let Some((first, _)) = word
+            if let Some((parent, _)) = word
                 .trim_end_matches('/')
                 .rsplit_once('/')
                 .filter(|_| root().join(word).exists())
@@ -540,47 +562,48 @@ fn the_code_map_names_real_files() {
                 folder = if word.ends_with('/') {
                     word.to_owned()
                 } else {
-                    first.to_owned()
+                    parent.to_owned()
                 };
             }
             let exists = Path::new(&folder).ancestors().any(|above| {
                 root().join(above).join(word).exists() || root().join(above).join(format!("{word}.rs")).exists()
             });
             if !exists {
-                found.insert((word.to_owned(), "does not exist".to_owned()));
+                violations.insert((word.to_owned(), "does not exist".to_owned()));
             }
         }
     }
-    assert_none("ARCHITECTURE.md names existing files", &found);
+    assert_none("ARCHITECTURE.md names existing files", &violations);
 }
 
 /// Dependency graph: files or folders, each with its dependencies.
 pub(super) type Graph = BTreeMap<String, BTreeSet<String>>;
 
 /// Returns every name that can be reached from itself, with a shortest cycle: `a → b → a`.
-pub(super) fn circles(graph: &Graph) -> BTreeMap<String, String> {
-    let with_way = |name: &String| way_back(graph, name).map(|way| (name.clone(), way.join(" → ")));
-    graph.keys().filter_map(with_way).collect()
+pub(super) fn cycles(graph: &Graph) -> BTreeMap<String, String> {
+    let name_and_cycle = |name: &String| shortest_cycle(graph, name).map(|cycle| (name.clone(), cycle.join(" → ")));
+    graph.keys().filter_map(name_and_cycle).collect()
 }
 
-fn way_back(graph: &Graph, start: &str) -> Option<Vec<String>> {
+/// Searches breadth-first for a cycle from `start` back to it.
+fn shortest_cycle(graph: &Graph, start: &str) -> Option<Vec<String>> {
     let mut reached_from: BTreeMap<&str, &str> = BTreeMap::new();
-    let mut waiting = VecDeque::from([start]);
-    while let Some(at) = waiting.pop_front() {
-        for next in graph.get(at).into_iter().flatten() {
+    let mut queue = VecDeque::from([start]);
+    while let Some(current) = queue.pop_front() {
+        for next in graph.get(current).into_iter().flatten() {
             if next == start {
-                let mut way = vec![start.to_owned(), at.to_owned()];
-                let mut step = at;
+                let mut cycle = vec![start.to_owned(), current.to_owned()];
+                let mut step = current;
                 while step != start {
                     step = reached_from[step];
-                    way.push(step.to_owned());
+                    cycle.push(step.to_owned());
                 }
-                way.reverse();
-                return Some(way);
+                cycle.reverse();
+                return Some(cycle);
             }
             if !reached_from.contains_key(next.as_str()) {
-                reached_from.insert(next, at);
-                waiting.push_back(next);
+                reached_from.insert(next, current);
+                queue.push_back(next);
             }
         }
     }

@@ -13,7 +13,7 @@ pub(super) const CRATES: [&str; 9] = [
     "common", "device", "bs", "lab", "study", "view", "deploy", "tests", "python",
 ];
 
-/// Source file.
+/// Source file with its text.
 pub(super) struct SourceFile {
     /// Path from the root of the workspace, such as `common/src/plan.rs`.
     pub name: String,
@@ -42,42 +42,43 @@ fn is_test(name: &str) -> bool {
 }
 
 /// Returns the root of the workspace.
-pub(super) fn root() -> PathBuf {
+pub(crate) fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
 /// Returns all Rust files of the tree, ordered by name, including files outside the workspace.
 pub(super) fn sources() -> Vec<SourceFile> {
-    let mut found = Vec::new();
+    let mut sources = Vec::new();
     for folder in ["docs", "tests/fuzz/fuzz_targets"] {
-        let before = found.len();
-        collect(&root().join(folder), folder, &mut found);
-        assert!(found.len() > before, "{folder} holds no source");
+        let count_before = sources.len();
+        collect(&root().join(folder), folder, &mut sources);
+        assert!(sources.len() > count_before, "{folder} has no source file");
     }
     for member in CRATES {
         for folder in ["src", "tests", "program"] {
             collect(
                 &root().join(member).join(folder),
                 &format!("{member}/{folder}"),
-                &mut found,
+                &mut sources,
             );
         }
     }
-    found.sort_by(|a, b| a.name.cmp(&b.name));
-    assert!(found.len() > 100, "only {} source files were found", found.len());
-    found
+    sources.sort_by(|a, b| a.name.cmp(&b.name));
+    assert!(sources.len() > 100, "only {} source files were found", sources.len());
+    sources
 }
 
-fn collect(folder: &Path, name: &str, found: &mut Vec<SourceFile>) {
+/// Adds the Rust files in and below `folder`, whose path from the root of the workspace is `name`.
+fn collect(folder: &Path, name: &str, sources: &mut Vec<SourceFile>) {
     let Ok(entries) = fs::read_dir(folder) else { return };
     for entry in entries {
         let path = entry.expect("an entry").path();
         let name = format!("{name}/{}", path.file_name().expect("a name").to_string_lossy());
         if path.is_dir() {
-            collect(&path, &name, found);
+            collect(&path, &name, sources);
         } else if path.extension().is_some_and(|e| e == "rs") {
             let text = fs::read_to_string(&path).expect("UTF-8");
-            found.push(SourceFile { name, text });
+            sources.push(SourceFile { name, text });
         }
     }
 }
@@ -99,7 +100,7 @@ enum MentionRole {
     /// In a `use`.
     Import,
     /// In a `pub use`, which re-exports it.
-    HandedOn,
+    ReExport,
 }
 
 /// Module of a file, or inline module in braces. Tests are left out.
@@ -133,16 +134,21 @@ pub(super) struct Crate {
     pub modules: BTreeMap<Vec<String>, Module>,
 }
 
+/// Maximum number of imports that are followed to the target of a path.
+const MAX_IMPORT_DEPTH: u32 = 16;
+
 /// Target of a path.
 enum Target {
+    /// Path of a module.
     Module(Vec<String>),
+    /// File that declares an item.
     Item(String),
 }
 
 impl Crate {
     /// Reads the modules of `member`.
     pub(super) fn read(member: &str, sources: &[SourceFile]) -> Self {
-        let (mut modules, mut for_tests) = (BTreeMap::new(), Vec::new());
+        let (mut modules, mut test_modules) = (BTreeMap::new(), Vec::new());
         let prefix = format!("{member}/src/");
         for source in sources.iter().filter(|source| !source.is_test()) {
             let Some(inner) = source.name.strip_prefix(&prefix) else {
@@ -157,22 +163,22 @@ impl Crate {
                 file: &source.name,
                 path,
                 modules: &mut modules,
-                for_tests: &mut for_tests,
+                test_modules: &mut test_modules,
             };
             reader.module();
             reader.visit_file(&file);
         }
         assert!(modules.contains_key(&Vec::new()), "{member} has a root");
-        let is_for_tests = |path: &Vec<String>| for_tests.iter().any(|module| path.starts_with(module));
-        modules.retain(|path, _| !is_for_tests(path));
+        let is_test_only = |path: &Vec<String>| test_modules.iter().any(|module| path.starts_with(module));
+        modules.retain(|path, _| !is_test_only(path));
         let member = member.to_owned();
         let mut tree = Self { member, modules };
-        tree.know_children();
+        tree.add_children();
         tree
     }
 
-    /// Only modules of non-test files count as children.
-    fn know_children(&mut self) {
+    /// Records the child modules of each module. Only modules of non-test files count.
+    fn add_children(&mut self) {
         let paths: Vec<Vec<String>> = self.modules.keys().cloned().collect();
         for path in paths {
             if let Some((name, above)) = path.split_last()
@@ -190,15 +196,15 @@ impl Crate {
     pub(super) fn uses(&self) -> BTreeMap<String, BTreeMap<String, String>> {
         let mut uses: BTreeMap<String, BTreeMap<String, String>> = BTreeMap::new();
         for (path, module) in &self.modules {
-            let found = uses.entry(module.file.clone()).or_default();
+            let used_files = uses.entry(module.file.clone()).or_default();
             for mention in &module.mentions {
-                if self.hands_on(path, mention) {
+                if self.is_re_export(path, mention) {
                     continue;
                 }
                 if let Some(file) = self.file_of(path, &mention.words)
                     && file != module.file
                 {
-                    found.entry(file).or_insert_with(|| mention.words.join("::"));
+                    used_files.entry(file).or_insert_with(|| mention.words.join("::"));
                 }
             }
         }
@@ -206,14 +212,14 @@ impl Crate {
     }
 
     /// Whether `mention` in the module at `path` is a `pub use` of something below it.
-    pub(super) fn hands_on(&self, path: &[String], mention: &Mention) -> bool {
+    pub(super) fn is_re_export(&self, path: &[String], mention: &Mention) -> bool {
         let first = mention.words.iter().find(|&word| word != "self");
         let is_below = first.is_some_and(|first| self.modules[path].children.contains(first));
-        mention.role == MentionRole::HandedOn && is_below
+        mention.role == MentionRole::ReExport && is_below
     }
 
     /// Returns `words` in the module at `path` with imports expanded: `std::path::absolute` for `path::absolute`.
-    pub(super) fn written_out(&self, path: &[String], words: &[String]) -> Vec<String> {
+    pub(super) fn expand_imports(&self, path: &[String], words: &[String]) -> Vec<String> {
         match self.modules[path].imports.get(&words[0]) {
             Some(import) => import.iter().chain(&words[1..]).cloned().collect(),
             None => words.to_vec(),
@@ -240,6 +246,7 @@ impl Crate {
         }
     }
 
+    /// Finds the target of `words` in the module at `path`. `depth` counts the imports followed so far.
     fn resolve(&self, path: &[String], words: &[String], depth: u32) -> Option<Target> {
         let (first, rest) = words.split_first()?;
         match first.as_str() {
@@ -262,6 +269,7 @@ impl Crate {
         }
     }
 
+    /// Finds the target of `words`, which start in the namespace of the module at `at`.
     fn walk(&self, at: Vec<String>, words: &[String], depth: u32) -> Option<Target> {
         let module = self.modules.get(&at)?;
         let Some((first, rest)) = words.split_first() else {
@@ -272,7 +280,8 @@ impl Crate {
             below.push(first.clone());
             return self.walk(below, rest, depth);
         }
-        if module.items.contains(first) || depth > 16 {
+        // Imports can refer to each other without end.
+        if module.items.contains(first) || depth > MAX_IMPORT_DEPTH {
             return Some(Target::Item(module.file.clone()));
         }
         if let Some(import) = module.imports.get(first) {
@@ -299,7 +308,7 @@ struct SourceReader<'a> {
     path: Vec<String>,
     modules: &'a mut BTreeMap<Vec<String>, Module>,
     /// Modules in separate files that are only for tests.
-    for_tests: &'a mut Vec<Vec<String>>,
+    test_modules: &'a mut Vec<Vec<String>>,
 }
 
 impl SourceReader<'_> {
@@ -351,24 +360,25 @@ impl SourceReader<'_> {
         for token in tokens {
             match token {
                 TokenTree::Ident(word) => {
+                    // Only `::` joins two words.
                     if colons != 2 {
-                        self.end_of_path(&mut words);
+                        self.finish_path(&mut words);
                     }
                     words.push(word.to_string());
                     colons = 0;
                 }
                 TokenTree::Punct(mark) if mark.as_char() == ':' => colons += 1,
                 TokenTree::Group(group) => {
-                    self.end_of_path(&mut words);
+                    self.finish_path(&mut words);
                     self.tokens(group.stream());
                 }
-                TokenTree::Punct(_) | TokenTree::Literal(_) => self.end_of_path(&mut words),
+                TokenTree::Punct(_) | TokenTree::Literal(_) => self.finish_path(&mut words),
             }
         }
-        self.end_of_path(&mut words);
+        self.finish_path(&mut words);
     }
 
-    fn end_of_path(&mut self, words: &mut Vec<String>) {
+    fn finish_path(&mut self, words: &mut Vec<String>) {
         let words = std::mem::take(words);
         if words.len() > 1 {
             self.mention(words, MentionRole::Code);
@@ -376,7 +386,7 @@ impl SourceReader<'_> {
     }
 }
 
-fn is_for_tests(attributes: &[syn::Attribute]) -> bool {
+fn is_test_only(attributes: &[syn::Attribute]) -> bool {
     attributes.iter().any(|attribute| {
         let list = attribute.meta.require_list();
         attribute.path().is_ident("cfg") && list.is_ok_and(|list| list.tokens.to_string() == "test")
@@ -403,7 +413,7 @@ fn attributes(item: &syn::Item) -> &[syn::Attribute] {
 
 /// Returns the name that an item declares, if any.
 #[expect(clippy::wildcard_enum_match_arm, reason = "an enum of syn, which may grow")]
-fn declared(item: &syn::Item) -> Option<String> {
+fn declared_name(item: &syn::Item) -> Option<String> {
     match item {
         syn::Item::Const(item) => Some(item.ident.to_string()),
         syn::Item::Enum(item) => Some(item.ident.to_string()),
@@ -418,18 +428,18 @@ fn declared(item: &syn::Item) -> Option<String> {
 
 impl<'ast> Visit<'ast> for SourceReader<'_> {
     fn visit_item(&mut self, item: &'ast syn::Item) {
-        if is_for_tests(attributes(item)) {
+        if is_test_only(attributes(item)) {
             if let syn::Item::Mod(module) = item {
                 let mut path = self.path.clone();
                 path.push(module.ident.to_string());
-                self.for_tests.push(path);
+                self.test_modules.push(path);
             }
             return;
         }
         if let syn::Item::Macro(syn::ItemMacro { ident: Some(name), .. }) = item {
             self.module().macros.insert(name.to_string());
         }
-        if let Some(name) = declared(item) {
+        if let Some(name) = declared_name(item) {
             self.module().items.insert(name);
         }
         visit::visit_item(self, item);
@@ -450,7 +460,7 @@ impl<'ast> Visit<'ast> for SourceReader<'_> {
         let role = if matches!(item.vis, syn::Visibility::Inherited) {
             MentionRole::Import
         } else {
-            MentionRole::HandedOn
+            MentionRole::ReExport
         };
         self.import(&item.tree, Vec::new(), role);
     }

@@ -154,7 +154,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_kind_is_dissected() {
+    fn the_script_names_every_kind_and_field() {
         let script = lua_script();
         for kind in MessageKind::ALL {
             assert!(script.contains(&format!("name = {:?}", kind.name())), "{}", kind.name());
@@ -167,6 +167,6 @@ mod tests {
         ] {
             assert!(script.contains(&format!("\"reveille.{field}\"")), "{field}");
         }
-        assert!(!script.contains("--@"), "everything is filled in");
+        assert!(!script.contains("--@"), "a place holder is left");
     }
 }

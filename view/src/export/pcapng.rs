@@ -1,9 +1,13 @@
 //! Export of messages as packets for Wireshark: pcapng (IETF draft-ietf-opsawg-pcapng), link type USER0, virtual time.
 //!
 //! A packet is a header and the payload as encoded. The header is little-endian. Its fields are the number of the kind
-//! (one byte, in the order of [`MessageKind::ALL`]), whether the key ends in a number (one byte, 0 or 1), this number
-//! or 0 (four bytes), and the TTI (eight bytes). `dissector.lua` in this folder reads the header, so both change
-//! together; a new kind needs no edit there, since `dissector.rs` generates its table of kinds.
+//! (one byte, in the order of [`MessageKind::ALL`]), whether the message's bus key ends in a number (one byte, 0 or 1),
+//! this number or 0 (four bytes), and the TTI (eight bytes). `dissector.lua` in this folder reads the header, so both
+//! change together.
+//!
+//! The order of [`MessageKind::ALL`] is thus a file format: an old file is dissected correctly only by a script with
+//! the same numbers. Kinds may be appended, since `dissector.rs` generates the script's table of kinds; they may not be
+//! moved or removed.
 
 use core::time::Duration;
 use std::io::Write;
@@ -95,21 +99,26 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_packet_is_a_header_and_the_payload_at_its_virtual_time() {
-        let frame = Frame::new(Tti(5_000_000), DeviceId(7), &WakeUp { tti: Tti(5_000_000) });
-        let mut packets = PacketWriter::begin(Vec::new()).expect("begun");
-        packets.write(&frame).expect("written");
-        let bytes = packets.finish().expect("finished");
+    fn a_packet_has_a_header_the_payload_and_its_virtual_time() {
+        // Nanoseconds of this TTI exceed 32 bits.
+        const TTI: u64 = 5_000_000;
+        let frame = Frame::new(Tti(TTI), DeviceId(7), &WakeUp { tti: Tti(TTI) });
+        let mut writer = PacketWriter::begin(Vec::new()).expect("begun");
+        writer.write(&frame).expect("written");
+        let bytes = writer.finish().expect("finished");
         let mut reader = PcapNgReader::new(&bytes[..]).expect("a section");
         let interface = reader.next_block().expect("a block").expect("whole").into_owned();
         assert_eq!(
-            interface.into_interface_description().map(|found| found.linktype),
+            interface
+                .into_interface_description()
+                .map(|interface| interface.linktype),
             Some(DataLink::USER0)
         );
         let packet = reader.next_block().expect("a block").expect("whole").into_owned();
         let packet = packet.into_enhanced_packet().expect("a packet");
-        assert_eq!(packet.timestamp.as_nanos(), 5_000_000 * 1_000_000);
+        assert_eq!(packet.timestamp.as_nanos(), u128::from(TTI * NANOS_PER_TTI));
         assert_eq!(packet.data[..6], [kind_number(MessageKind::Wake), 1, 7, 0, 0, 0]);
+        assert_eq!(packet.data[6..HEADER_BYTES], TTI.to_le_bytes());
         assert_eq!(packet.data[HEADER_BYTES..], frame.payload);
         assert!(reader.next_block().is_none());
     }

@@ -77,7 +77,7 @@ mod tests {
 
     /// Examples from the Protocol Buffers encoding guide.
     #[test]
-    fn fields_are_written_as_the_guide_says() {
+    fn fields_are_encoded_as_in_the_guide() {
         assert_eq!(Proto::new().number(1, 150).into_bytes(), [0x08, 0x96, 0x01]);
         assert_eq!(Proto::new().text(2, "testing").into_bytes(), b"\x12\x07testing");
         let inner = Proto::new().number(1, 150);

@@ -46,7 +46,6 @@ impl Cells {
         self.raster.cell_width * self.raster.cell_height
     }
 
-    /// Number of rows and of columns of the area.
     pub(super) const fn shape(&self) -> [usize; 2] {
         [self.raster.rows, self.raster.columns]
     }
@@ -79,7 +78,6 @@ impl Cells {
         index_along(point.y, cell_height, rows) * self.stride() + index_along(point.x, cell_width, columns)
     }
 
-    /// Returns the middle of the cell in `row` and `column`.
     pub(super) fn middle(&self, row: usize, column: usize) -> Point {
         let Raster {
             cell_width,

@@ -66,7 +66,6 @@ pub(super) struct CertainAges {
     uncovered_worths: Vec<u8>,
     /// Number of chosen devices that cover each cell.
     cover_counts: Vec<u16>,
-    /// Indices of the cells in the area.
     area_cells: Vec<u32>,
 }
 

@@ -14,7 +14,6 @@ use crate::observation::Observation;
 #[derive(Clone, Debug)]
 pub(crate) struct Foresight {
     horizon_ttis: u64,
-    /// Expected level by device.
     expected_levels: Vec<Energy>,
 }
 
@@ -51,22 +50,18 @@ mod tests {
 
     use super::*;
     use crate::beliefs::ages::price::Prices;
-    use crate::scenario::{Override, load};
+    use crate::scenario::tests::load_paper;
 
-    fn known(set: &[&str]) -> Knowledge {
-        let overrides: Vec<Override> = set
-            .iter()
-            .map(|set| Override::parse(set).expect("an override"))
-            .collect();
-        let scenario = load("paper", &overrides).expect("a scenario").scenario;
+    fn load_knowledge(fields: &[&str]) -> Knowledge {
+        let scenario = load_paper(fields);
         Knowledge::from_scenario(&scenario, &Deployment::new(&scenario), Arc::default())
     }
 
-    /// Returns the expected level, in units, `ttis` TTIs after TTI `now` with `level` units.
-    fn ahead(known: &Knowledge, level: u64, now: u64, ttis: u64) -> f64 {
+    /// Returns the expected level, in units, `horizon_ttis` after TTI `now` with `level` units.
+    fn expected_level(known: &Knowledge, level: u64, now: u64, horizon_ttis: u64) -> f64 {
         let plan = Plan::from_bits((0..known.n()).map(|_| false));
         let batteries = vec![Energy::from_micro(level * 1_000_000); known.n()];
-        let seen = Observation {
+        let observation = Observation {
             now: Tti(now),
             known,
             plan: &plan,
@@ -74,64 +69,73 @@ mod tests {
             batteries: &batteries,
             battery_estimator: None,
         };
-        let mut foresight = Foresight::new(known, ttis);
-        let found = foresight.expected_levels(&seen);
-        assert!(found.iter().all(|other| *other == found[0]), "one class");
-        found[0].units()
+        let mut foresight = Foresight::new(known, horizon_ttis);
+        let levels = foresight.expected_levels(&observation);
+        assert!(
+            levels.iter().all(|level| *level == levels[0]),
+            "equal devices have equal levels"
+        );
+        levels[0].units()
     }
 
     #[test]
-    fn a_steady_source_brings_its_mean_and_sleep_costs() {
-        let known = known(&["devices=9"]);
-        let net = 0.5 * libm::exp(-0.1) - 1.0 / 14.0;
-        assert!((ahead(&known, 20, 77, 50) - (20.0 + 50.0 * net)).abs() < 1e-4);
+    fn a_steady_source_yields_its_mean_less_the_cost_of_sleep() {
+        let known = load_knowledge(&["devices=9"]);
+        let net_gain = 0.5 * libm::exp(-0.1) - 1.0 / 14.0;
+        assert!((expected_level(&known, 20, 77, 50) - (20.0 + 50.0 * net_gain)).abs() < 1e-4);
         assert_eq!(
-            ahead(&known, 95, 77, 50).to_bits(),
+            expected_level(&known, 95, 77, 50).to_bits(),
             100.0_f64.to_bits(),
-            "no more than it holds"
+            "at most E_max"
         );
-        let dark = super::tests::known(&["devices=9", "harvest.lambda=0"]);
+        let without_harvest = load_knowledge(&["devices=9", "harvest.lambda=0"]);
         assert_eq!(
-            ahead(&dark, 2, 0, 50).to_bits(),
+            expected_level(&without_harvest, 2, 0, 50).to_bits(),
             0.0_f64.to_bits(),
-            "no less than empty"
+            "at least 0"
         );
     }
 
     /// A day of 100 TTIs at an equinox, light from TTI 25 to 74.
     #[test]
-    fn what_comes_depends_on_the_time_of_the_day() {
+    fn expected_harvest_depends_on_the_time_of_day() {
         let day = ["devices=9", "harvest.kind=diurnal", "harvest.diurnal.ttis_per_day=100"];
-        let known = known(&day);
-        let (whole, asleep) = (100.0 * 0.5 * libm::exp(-0.1), 1.0 / 14.0);
-        for (now, ttis, share) in [
+        let known = load_knowledge(&day);
+        let (harvest_per_day, sleep_cost) = (100.0 * 0.5 * libm::exp(-0.1), 1.0 / 14.0);
+        for (now, horizon_ttis, day_share) in [
             (0, 25_u32, 0.0),
             (25, 50, 1.0),
             (25, 25, 0.5),
             (80, 45, 0.0),
             (200, 75, 1.0),
         ] {
-            let expected = 20.0 + share * whole - f64::from(ttis) * asleep;
-            let found = ahead(&known, 20, now, u64::from(ttis));
+            let expected = 20.0 + day_share * harvest_per_day - f64::from(horizon_ttis) * sleep_cost;
+            let level = expected_level(&known, 20, now, u64::from(horizon_ttis));
             assert!(
-                (found - expected).abs() < 0.05,
-                "{ttis} from {now}: {found}, not {expected}"
+                (level - expected).abs() < 0.05,
+                "{horizon_ttis} TTIs from TTI {now}: {level}, not {expected}"
             );
         }
-        let mean = super::tests::known(&[&day[..], &["harvest.diurnal.known=mean"]].concat());
-        assert!((ahead(&mean, 20, 0, 25) - (20.0 + 25.0 * (whole / 100.0 - asleep))).abs() < 1e-4);
+        let mean_only = load_knowledge(&[&day[..], &["harvest.diurnal.known=mean"]].concat());
+        assert!(
+            (expected_level(&mean_only, 20, 0, 25) - (20.0 + 25.0 * (harvest_per_day / 100.0 - sleep_cost))).abs()
+                < 1e-4
+        );
     }
 
     #[test]
-    fn dearness_goes_by_what_is_expected_and_who_may_sense_by_what_is_there() {
-        let known = known(&["devices=3"]);
+    fn surcharges_follow_expected_levels_and_permissions_current_ones() {
+        let known = load_knowledge(&["devices=3"]);
         let units = |levels: [u64; 3]| levels.map(|level| Energy::from_micro(level * 1_000_000));
-        let (now, later) = (units([50, 50, 5]), units([100, 0, 100]));
+        let (current, expected) = (units([50, 50, 5]), units([100, 0, 100]));
         let mut prices = Prices::new(&known, 2.0);
-        assert_eq!(prices.for_expected_levels(&now, &later), [2.0, 8.0, f64::INFINITY]);
         assert_eq!(
-            prices.for_expected_levels(&now, &now),
-            Prices::new(&known, 2.0).for_levels(&now)
+            prices.for_expected_levels(&current, &expected),
+            [2.0, 8.0, f64::INFINITY]
+        );
+        assert_eq!(
+            prices.for_expected_levels(&current, &current),
+            Prices::new(&known, 2.0).for_levels(&current)
         );
     }
 }

@@ -11,12 +11,12 @@ pub(crate) const MAX_AGE: usize = u8::MAX as usize;
 /// Worth of a look at a cell by age, from age 0 to `MAX_AGE`; at most 255, and non-decreasing.
 pub type AgeIndexTable = [u8; MAX_AGE + 1];
 
-/// Age from which on the worth is constant, TTIs: the last whose worth, 22 · 23/2 = 253, fits a byte. Few events last
-/// longer, and places that no device covers affect no choice.
-const CONSTANT_WORTH_AGE: u8 = 22;
+/// Age in TTIs from which on the worth no longer grows: the last whose worth, 22 · 23/2 = 253, fits a byte. Few events
+/// last longer, and places that no device covers affect no choice.
+const SATURATION_AGE: u8 = 22;
 
-/// Worth of a sensing area whose places are all of age `CONSTANT_WORTH_AGE` or more: the largest worth of a look.
-pub const MAX_WORTH: f64 = age_index(CONSTANT_WORTH_AGE) as f64;
+/// Worth of a sensing area whose places are all of age `SATURATION_AGE` or more: the largest worth of a look.
+pub const MAX_WORTH: f64 = age_index(SATURATION_AGE) as f64;
 
 /// Stands for a price of 0, so that ratios to it are finite.
 pub const MIN_PRICE: f64 = 1e-30;
@@ -30,11 +30,7 @@ pub fn age_worths() -> AgeIndexTable {
 /// Returns the worth of `age`, as in [`age_worths`].
 #[inline]
 pub(super) const fn age_index(age: u8) -> u8 {
-    let age = if age < CONSTANT_WORTH_AGE {
-        age
-    } else {
-        CONSTANT_WORTH_AGE
-    } as u16;
+    let age = if age < SATURATION_AGE { age } else { SATURATION_AGE } as u16;
     (age * (age + 1) / 2) as u8
 }
 
@@ -58,7 +54,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ages_are_worth_the_triangular_numbers_up_to_a_byte() {
+    fn worths_are_triangular_numbers_up_to_the_largest_that_fits_a_byte() {
         let worths = age_worths();
         assert_eq!(worths[..5], [0, 1, 3, 6, 10]);
         assert_eq!(
@@ -68,7 +64,7 @@ mod tests {
     }
 
     #[test]
-    fn the_reach_is_what_a_device_sees_of_the_places_around_it() {
+    fn the_effective_area_is_the_integral_of_the_detection_probability() {
         for kind in [DetectionKind::Range, DetectionKind::Probabilistic] {
             let sensing = Sensing {
                 kind,
@@ -77,20 +73,20 @@ mod tests {
                 psi: 1.0,
                 g: Fusion::Max,
             };
-            // Rings one thousandth of a metre wide.
-            let ring = |i: u32| {
+            // Midpoint rule over rings one millimetre wide.
+            let ring_area = |i: u32| {
                 let d = (f64::from(i) + 0.5) * 1e-3;
-                let p = if kind == DetectionKind::Range {
+                let detection_probability = if kind == DetectionKind::Range {
                     1.0
                 } else {
                     libm::exp(-0.7 * d)
                 };
-                p * 2.0 * PI * d * 1e-3
+                detection_probability * 2.0 * PI * d * 1e-3
             };
-            let sum: f64 = (0..3000).map(ring).sum();
+            let expected: f64 = (0..3000).map(ring_area).sum();
             assert!(
-                (effective_area(&sensing) - sum).abs() < 1e-4,
-                "{kind:?}: {}, not {sum}",
+                (effective_area(&sensing) - expected).abs() < 1e-4,
+                "{kind:?}: {} m², not {expected}",
                 effective_area(&sensing)
             );
         }

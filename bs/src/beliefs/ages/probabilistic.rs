@@ -33,7 +33,6 @@ pub(super) struct ProbabilisticAges {
     log_missed: Vec<u64>,
     /// Probability by cell that no chosen device detects an event there.
     missed: Vec<f64>,
-    /// Indices of the cells in the area.
     area_cells: Vec<usize>,
 }
 

@@ -233,10 +233,10 @@ mod tests {
 
     use super::*;
 
-    /// Random looks, in areas of fewer cells than a square and of many.
+    /// Random looks, in areas with fewer rows or columns than a square and in large ones.
     #[test]
-    fn it_is_what_ages_say_after_the_same_looks() {
-        for (kind, lost) in [
+    fn staleness_equals_ratios_of_gains_in_ages_bit_by_bit() {
+        for (kind, loss_probability) in [
             (DetectionKind::Range, 0.0),
             (DetectionKind::Range, 0.3),
             (DetectionKind::Probabilistic, 0.0),
@@ -252,22 +252,27 @@ mod tests {
                 let area = Area { width, height };
                 let positions = place_devices(&Layout::Uniform, area, 25, 3);
                 let mut stream = Stream::new(9, Purpose::Epicentre, 0);
-                let mut ages = Ages::with_loss(lost, &positions, area, &sensing, age_worths());
-                let mut staleness = Staleness::with_loss(lost, &positions, area, &sensing);
+                let mut ages = Ages::with_loss(loss_probability, &positions, area, &sensing, age_worths());
+                let mut staleness = Staleness::with_loss(loss_probability, &positions, area, &sensing);
                 let fresh_worths: Vec<f64> = (0..25).map(|j| ages.gain(j)).collect();
-                let all_fresh = ages.total_worth();
+                let fresh_total = ages.total_worth();
                 for _ in 0..300 {
-                    for (j, fresh) in fresh_worths.iter().enumerate() {
-                        let expected = if *fresh > 0.0 { ages.gain(j) / fresh } else { 1.0 };
+                    for (j, fresh_worth) in fresh_worths.iter().enumerate() {
+                        let expected = if *fresh_worth > 0.0 {
+                            ages.gain(j) / fresh_worth
+                        } else {
+                            1.0
+                        };
                         assert_eq!(
                             staleness.staleness(j).to_bits(),
                             expected.to_bits(),
-                            "{kind:?} {width} {j}"
+                            "{kind:?}, loss {loss_probability}, {width} m wide, device {j}"
                         );
                     }
                     assert_eq!(
                         staleness.area_staleness().to_bits(),
-                        (ages.total_worth() / all_fresh).to_bits()
+                        (ages.total_worth() / fresh_total).to_bits(),
+                        "{kind:?}, loss {loss_probability}, {width} m wide"
                     );
                     for j in (0..25).filter(|_| stream.unit() < 0.06) {
                         ages.add(j);

@@ -1,4 +1,5 @@
-//! Ages and worths of cells against their definition, computed from all devices and cells.
+//! Tests of [`Ages`]: the age of each cell, and the gain of letting a device sense, against a slow computation over all
+//! devices and cells from the definition.
 
 use reveille_common::geometry::{Layout, place_devices};
 use reveille_common::rng::{Purpose, Stream};
@@ -6,77 +7,107 @@ use reveille_common::sensing::Fusion;
 
 use super::*;
 
+const D_MAX: f64 = 4.0;
+const ETA: f64 = 0.4;
+const KINDS: [DetectionKind; 2] = [DetectionKind::Range, DetectionKind::Probabilistic];
+/// Width and height of areas with fewer rows or columns than a sensing square, and of large ones, m.
+const AREAS: [(f64, f64); 5] = [(20.0, 20.0), (31.0, 7.3), (3.0, 1.0), (9.1, 8.6), (70.0, 12.0)];
+/// Largest triangular number that fits a byte.
+const WORTH_CAP: u8 = 253;
+
 fn sensing(kind: DetectionKind) -> Sensing {
     Sensing {
         kind,
-        d_max: 4.0,
-        eta: 0.4,
+        d_max: D_MAX,
+        eta: ETA,
         psi: 1.0,
         g: Fusion::Max,
     }
 }
 
-const AREAS: [(f64, f64); 5] = [(20.0, 20.0), (31.0, 7.3), (3.0, 1.0), (9.1, 8.6), (70.0, 12.0)];
-
-/// a(a + 1)/2 up to the limit of a byte.
-fn triangle() -> AgeIndexTable {
-    std::array::from_fn(|age| (age * (age + 1) / 2).min(253) as u8)
+/// Returns the worth a(a + 1)/2 of each age, at most `WORTH_CAP`.
+fn triangular_worths() -> AgeIndexTable {
+    std::array::from_fn(|age| (age * (age + 1) / 2).min(usize::from(WORTH_CAP)) as u8)
 }
 
-/// Returns each cell with its middle.
-fn middles(ages: &Ages) -> Vec<(usize, Point)> {
+/// Returns the middle of each cell.
+fn cell_middles(ages: &Ages) -> Vec<Point> {
     let cells = &ages.cells;
-    let of = |cell: usize| cells.middle(cell / cells.stride(), cell % cells.stride());
-    cells.all().map(|cell| (cell, of(cell))).collect()
+    let middle_of = |cell: usize| cells.middle(cell / cells.stride(), cell % cells.stride());
+    cells.all().map(middle_of).collect()
 }
 
-/// Keeps ages and worths by definition, cell by cell, and compares them in random choices.
+/// Returns the probability that a device at `position` detects an event at `place`.
+fn detection_probability(kind: DetectionKind, position: Point, place: Point) -> f64 {
+    match position.distance(place) {
+        d if d > D_MAX => 0.0,
+        _ if kind == DetectionKind::Range => 1.0,
+        d => libm::exp(-ETA * d),
+    }
+}
+
+/// Returns the worth of `age`, interpolated between whole ages.
+fn worth(age: f64) -> f64 {
+    let worth_at = |age: f64| (age * (age + 1.0) / 2.0).min(f64::from(WORTH_CAP));
+    worth_at(age.floor()) * (1.0 - age.fract()) + worth_at(age.floor() + 1.0) * age.fract()
+}
+
+/// Lets random devices sense in each TTI.
 #[test]
-fn ages_and_worths_are_those_of_the_definition() {
-    for kind in [DetectionKind::Range, DetectionKind::Probabilistic] {
-        for (area, (width, height)) in AREAS.into_iter().enumerate() {
-            let area_of = Area { width, height };
-            let points = place_devices(&Layout::Uniform, area_of, 30, 5);
-            let sensing = sensing(kind);
-            let mut ages = Ages::new(&points, area_of, &sensing, triangle());
-            let cells = middles(&ages);
-            let mut expected = vec![1.0_f64; cells.len()];
-            let mut stream = Stream::new(area as u64, Purpose::Epicentre, 0);
+fn ages_and_gains_equal_their_definition() {
+    const DEVICES: usize = 30;
+    for kind in KINDS {
+        for (seed, (width, height)) in (0..).zip(AREAS) {
+            let area = Area { width, height };
+            let points = place_devices(&Layout::Uniform, area, DEVICES as u32, 5);
+            let mut ages = Ages::new(&points, area, &sensing(kind), triangular_worths());
+            let places = cell_middles(&ages);
+            let mut expected_ages = vec![1.0_f64; places.len()];
+            let mut stream = Stream::new(seed, Purpose::Epicentre, 0);
             for k in 0..60 {
-                let chosen: Vec<usize> = (0..30).filter(|_| stream.unit() < 0.07).collect();
-                let finds = |at: Point, j: usize| match points[j].distance(at) {
-                    d if d > 4.0 => 0.0,
-                    _ if kind == DetectionKind::Range => 1.0,
-                    d => libm::exp(-0.4 * d),
+                let sensing_devices: Vec<usize> = (0..DEVICES).filter(|_| stream.unit() < 0.07).collect();
+                let detects = |place: Point, j: usize| detection_probability(kind, points[j], place);
+                let miss_probability = |place: Point| {
+                    sensing_devices
+                        .iter()
+                        .map(|&j| 1.0 - detects(place, j))
+                        .product::<f64>()
                 };
-                let missed = |at: Point| chosen.iter().map(|&j| 1.0 - finds(at, j)).product::<f64>();
-                // Adds and removes a device in between, in any order.
-                let detour = (k * 7) % 30;
-                if !chosen.contains(&detour) {
-                    ages.add(detour);
+                // Another device is added first and removed last, which must not change the result.
+                let temporary = Some((k * 7) % DEVICES).filter(|j| !sensing_devices.contains(j));
+                if let Some(j) = temporary {
+                    ages.add(j);
                 }
-                chosen.iter().rev().for_each(|&j| ages.add(j));
-                if !chosen.contains(&detour) {
-                    ages.remove(detour);
+                sensing_devices.iter().rev().for_each(|&j| ages.add(j));
+                if let Some(j) = temporary {
+                    ages.remove(j);
                 }
-                let worth = |age: f64| {
-                    let of = |age: f64| (age * (age + 1.0) / 2.0).min(253.0);
-                    of(age.floor()) * (1.0 - age.fract()) + of(age.floor() + 1.0) * age.fract()
-                };
-                for j in (0..30).filter(|j| !chosen.contains(j)) {
-                    let of = |(i, &(_, at)): (usize, &(usize, Point))| worth(expected[i]) * missed(at) * finds(at, j);
-                    let sum: f64 = cells.iter().enumerate().map(of).sum();
-                    let told = ages.gain(j);
+                for j in (0..DEVICES).filter(|j| !sensing_devices.contains(j)) {
+                    let expected_gain_of_cell =
+                        |(&age, &place): (&f64, &Point)| worth(age) * miss_probability(place) * detects(place, j);
+                    let expected_gain: f64 = expected_ages.iter().zip(&places).map(expected_gain_of_cell).sum();
+                    let gain = ages.gain(j);
+                    // The ages round logarithms of probabilities to 2⁻³², and a gain sums over up to 256 cells.
                     assert!(
-                        (told - sum).abs() < 1e-6 * sum.max(1.0),
-                        "{kind:?} {width} {k} {j}: {told} {sum}"
+                        (gain - expected_gain).abs() < 1e-6 * expected_gain.max(1.0),
+                        "{kind:?}, {width} m wide, TTI {k}, device {j}: gain {gain}, not {expected_gain}"
                     );
                 }
-                let is_found = k % 23 == 22;
-                ages.advance(is_found);
-                for (age, &(_, at)) in expected.iter_mut().zip(&cells) {
-                    *age = if is_found { 1.0 } else { *age * missed(at) + 1.0 };
-                    assert!((ages.age_at(at) - *age).abs() < 1e-6, "{kind:?} {width} {k}");
+                let event_found = k % 23 == 22;
+                for (age, &place) in expected_ages.iter_mut().zip(&places) {
+                    *age = if event_found {
+                        1.0
+                    } else {
+                        *age * miss_probability(place) + 1.0
+                    };
+                }
+                ages.advance(event_found);
+                for (&expected_age, &place) in expected_ages.iter().zip(&places) {
+                    let age = ages.age_at(place);
+                    assert!(
+                        (age - expected_age).abs() < 1e-6,
+                        "{kind:?}, {width} m wide, TTI {k}, {place:?}: age {age}, not {expected_age}"
+                    );
                 }
             }
         }
@@ -84,67 +115,72 @@ fn ages_and_worths_are_those_of_the_definition() {
 }
 
 #[test]
-fn a_place_that_nobody_sees_gets_old_and_no_older() {
+fn an_unseen_place_ages_up_to_the_maximum() {
     let area = Area {
         width: 40.0,
         height: 8.0,
     };
-    let mut ages = Ages::new(
-        &[Point::new(2.0, 4.0)],
-        area,
-        &sensing(DetectionKind::Range),
-        triangle(),
-    );
-    for k in 1..400_u32 {
-        assert!((ages.age_at(Point::new(39.0, 1.0)) - f64::from(k.min(255))).abs() < 1e-12);
-        assert!((ages.age_at(Point::new(2.5, 4.5)) - 1.0).abs() < 1e-12);
+    let device = Point::new(2.0, 4.0);
+    let (seen, unseen) = (Point::new(2.5, 4.5), Point::new(39.0, 1.0));
+    let mut ages = Ages::new(&[device], area, &sensing(DetectionKind::Range), triangular_worths());
+    // With certain detection ages are whole numbers, so they are exact.
+    let age_at = |ages: &Ages, place: Point| ages.age_at(place).to_bits();
+    for k in 1..400_usize {
+        let expected_age = k.min(index_table::MAX_AGE) as f64;
+        assert_eq!(age_at(&ages, unseen), expected_age.to_bits(), "unseen place, TTI {k}");
+        assert_eq!(age_at(&ages, seen), 1.0_f64.to_bits(), "seen place, TTI {k}");
         ages.add(0);
         ages.advance(false);
     }
     ages.advance(true);
-    assert!(
-        (ages.age_at(Point::new(39.0, 1.0)) - 1.0).abs() < 1e-12,
-        "an event was found"
-    );
+    assert_eq!(age_at(&ages, unseen), 1.0_f64.to_bits(), "after an event was found");
 }
 
 #[test]
-fn the_cells_that_count_are_those_within_reach() {
+fn the_gain_covers_exactly_the_area_in_range() {
+    const DRAWS: u32 = 20_000;
     for (width, height) in AREAS {
         let area = Area { width, height };
         let points = place_devices(&Layout::Uniform, area, 12, 9);
-        let mut one = [0; index_table::MAX_AGE + 1];
-        one[1] = 1;
-        let ages = Ages::new(&points, area, &sensing(DetectionKind::Range), one);
+        // Only age 1 is worth 1, so the gain is the number of cells in range.
+        let mut only_age_one = [0; index_table::MAX_AGE + 1];
+        only_age_one[1] = 1;
+        let ages = Ages::new(&points, area, &sensing(DetectionKind::Range), only_age_one);
         let mut stream = Stream::new(2, Purpose::Epicentre, 0);
-        for (j, p) in points.iter().enumerate() {
-            // The share of the area in range, by random draws.
-            let draw = |_: &u32| Point::new(width * stream.unit(), height * stream.unit()).distance(*p) <= 4.0;
-            let share = (0..20_000).filter(draw).count() as f64 / 20_000.0;
-            let counted = ages.gain(j) * ages.cell_surface() / area.surface();
-            assert!((counted - share).abs() < 0.02, "{width} {j}: {counted}, not {share}");
+        for (j, point) in points.iter().enumerate() {
+            let mut draw_place = || Point::new(width * stream.unit(), height * stream.unit());
+            let in_range = (0..DRAWS).filter(|_| draw_place().distance(*point) <= D_MAX).count();
+            let expected_share = in_range as f64 / f64::from(DRAWS);
+            let share = ages.gain(j) * ages.cell_surface() / area.surface();
+            // The error of the draws is about 0.004, and the border of the range is made of whole cells.
+            assert!(
+                (share - expected_share).abs() < 0.02,
+                "{width} m wide, device {j}: {share} of the area, not {expected_share}"
+            );
         }
     }
 }
 
 #[test]
-fn taking_all_back_leaves_what_was_there() {
-    for kind in [DetectionKind::Range, DetectionKind::Probabilistic] {
+fn removing_or_clearing_all_devices_restores_the_gains() {
+    const DEVICES: usize = 300;
+    for kind in KINDS {
         let area = Area {
             width: 20.0,
             height: 20.0,
         };
-        let points = place_devices(&Layout::Uniform, area, 300, 2);
-        let mut ages = Ages::new(&points, area, &sensing(kind), triangle());
+        let points = place_devices(&Layout::Uniform, area, DEVICES as u32, 2);
+        let mut ages = Ages::new(&points, area, &sensing(kind), triangular_worths());
         (0..4).for_each(|_| ages.advance(false));
-        let before: Vec<f64> = (0..300).map(|j| ages.gain(j)).collect();
-        let same = |ages: &Ages| (0..300).all(|j| (ages.gain(j) - before[j]).abs() < 1e-6);
-        (0..300).for_each(|j| ages.add(j));
-        assert!(!same(&ages));
-        (0..300).for_each(|j| ages.remove(j));
-        assert!(same(&ages), "{kind:?}");
-        (0..300).for_each(|j| ages.add(j));
+        let initial_gains: Vec<f64> = (0..DEVICES).map(|j| ages.gain(j)).collect();
+        // Exactly, since the ages add logarithms of probabilities as whole numbers.
+        let is_restored = |ages: &Ages| (0..DEVICES).all(|j| ages.gain(j).to_bits() == initial_gains[j].to_bits());
+        (0..DEVICES).for_each(|j| ages.add(j));
+        assert!(!is_restored(&ages), "{kind:?}: adding all devices changes no gain");
+        (0..DEVICES).for_each(|j| ages.remove(j));
+        assert!(is_restored(&ages), "{kind:?}: after removing all devices");
+        (0..DEVICES).for_each(|j| ages.add(j));
         ages.clear();
-        assert!(same(&ages), "{kind:?}");
+        assert!(is_restored(&ages), "{kind:?}: after clearing the choice");
     }
 }

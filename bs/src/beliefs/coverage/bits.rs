@@ -22,7 +22,6 @@ pub(super) struct CoverageBits {
     /// Cells that at least two added devices cover.
     covered_twice: Vec<u64>,
     discs: Vec<BitDisc>,
-    /// Number of covered cells.
     covered_count: u32,
 }
 

@@ -5,7 +5,6 @@ use reveille_common::geometry::Point;
 
 use crate::beliefs::grid::Raster;
 
-/// Cells along the side of a block.
 const BLOCK_SIDE: usize = 4;
 
 /// The cells that devices can cover, in blocks of neighbours, the most confined blocks first. Few devices reach a

@@ -141,7 +141,6 @@ impl Coverage {
         self.raster.cell_count() as f64 * f64::from(units_per_cell)
     }
 
-    /// Adds the `j`-th device.
     pub(crate) fn add(&mut self, j: usize) {
         if std::mem::replace(&mut self.is_added[j], true) {
             return;
@@ -153,7 +152,6 @@ impl Coverage {
         }
     }
 
-    /// Returns whether the `j`-th device was added.
     pub(crate) fn contains(&self, j: usize) -> bool {
         self.is_added[j]
     }
@@ -173,7 +171,6 @@ impl Coverage {
         self.blocks.blocks.len()
     }
 
-    /// Returns whether a block has an uncovered cell.
     #[inline]
     pub(crate) fn has_uncovered(&self, block: usize) -> bool {
         let CoverageModel::Range(bits) = &self.model else {
@@ -197,8 +194,8 @@ impl Coverage {
         &self.blocks.cells[first as usize..end as usize]
     }
 
-    /// Returns the devices that can cover a cell of a block, in ascending order.
-    pub(crate) fn devices_reaching(&self, block: usize) -> &[u32] {
+    /// Returns the devices that can cover at least one cell of `block`, in ascending order.
+    pub(crate) fn devices_covering_block(&self, block: usize) -> &[u32] {
         let (first, end) = self.blocks.blocks[block].devices;
         &self.blocks.devices[first as usize..end as usize]
     }
@@ -244,20 +241,23 @@ mod tests {
     const AREAS: [(f64, f64); 4] = [(20.0, 20.0), (31.0, 7.3), (3.0, 1.0), (70.0, 12.0)];
 
     #[test]
-    fn gains_add_up_to_what_is_covered() {
+    fn gains_add_up_to_the_covered_share() {
         for kind in [DetectionKind::Range, DetectionKind::Probabilistic] {
             for (width, height) in AREAS {
                 let area = Area { width, height };
                 let points = place_devices(&Layout::Uniform, area, 40, 5);
                 let mut coverage = Coverage::new(&points, area, &sensing(kind));
-                let mut sum = 0.0;
+                let mut covered = 0.0;
                 assert!((coverage.uncovered() - 1.0).abs() < 1e-12);
                 for j in 0..40 {
-                    sum += coverage.gain(j);
+                    covered += coverage.gain(j);
                     coverage.add(j);
-                    assert!((coverage.uncovered() - (1.0 - sum)).abs() < 1e-9, "{kind:?} {width}");
-                    let again = coverage.gain(j);
-                    assert!(again == 0.0, "{again}");
+                    assert!(
+                        (coverage.uncovered() - (1.0 - covered)).abs() < 1e-9,
+                        "{kind:?}, {width} m wide, device {j}: covered {covered}"
+                    );
+                    let repeated_gain = coverage.gain(j);
+                    assert!(repeated_gain == 0.0, "device {j} gains {repeated_gain} twice");
                 }
                 coverage.clear();
                 assert!((coverage.uncovered() - 1.0).abs() < 1e-12);
@@ -266,35 +266,45 @@ mod tests {
     }
 
     #[test]
-    fn covered_cells_are_in_range_and_lose_little_of_it() {
+    fn covered_cells_are_in_range_and_cover_most_of_it() {
         for (width, height) in AREAS {
             let area = Area { width, height };
             let points = place_devices(&Layout::Uniform, area, 8, 7);
             let mut coverage = Coverage::new(&points, area, &sensing(DetectionKind::Range));
             (0..8).for_each(|j| coverage.add(j));
             let mut stream = Stream::new(1, Purpose::Epicentre, 0);
-            let (draws, mut reached, mut counted) = (40_000, 0, 0);
+            let (draws, mut in_range, mut covered) = (40_000, 0, 0);
             let CoverageModel::Range(bits) = &coverage.model else {
-                panic!("range")
+                panic!("certain detection needs the range model")
             };
-            let counts = |row: u32, column: u32| (0..8).any(|j| bits.reaches(j, row, column));
+            let is_in_any_disc = |row: u32, column: u32| (0..8).any(|j| bits.reaches(j, row, column));
             for _ in 0..draws {
-                let p = Point::new(stream.unit() * width, stream.unit() * height);
+                let place = Point::new(stream.unit() * width, stream.unit() * height);
                 let raster = &coverage.raster;
-                let (row, column) = ((p.y / raster.cell_height) as usize, (p.x / raster.cell_width) as usize);
-                let is_counted = bits.uncovered_from(row as u32, column as u32) & 1 == 0;
-                assert_eq!(is_counted, counts(row as u32, column as u32));
-                let is_reached = points.iter().any(|q| q.distance(p) <= 4.0);
-                assert!(is_reached || !is_counted, "{p:?} counts as covered");
-                reached += u32::from(is_reached);
-                counted += u32::from(is_counted);
+                let (row, column) = (
+                    (place.y / raster.cell_height) as usize,
+                    (place.x / raster.cell_width) as usize,
+                );
+                let is_covered = bits.uncovered_from(row as u32, column as u32) & 1 == 0;
+                assert_eq!(is_covered, is_in_any_disc(row as u32, column as u32));
+                let is_in_range = points.iter().any(|device| device.distance(place) <= 4.0);
+                assert!(
+                    is_in_range || !is_covered,
+                    "{place:?} is covered, and no device is within d_max"
+                );
+                in_range += u32::from(is_in_range);
+                covered += u32::from(is_covered);
             }
             assert!(
-                f64::from(counted) > 0.87 * f64::from(reached),
-                "{counted} of {reached}, {width} m"
+                f64::from(covered) > 0.87 * f64::from(in_range),
+                "{width} m wide: {covered} of {in_range} places in range are covered"
             );
-            let share = f64::from(counted) / f64::from(draws);
-            assert!((1.0 - coverage.uncovered() - share).abs() < 0.02, "{share}");
+            let covered_share = f64::from(covered) / f64::from(draws);
+            assert!(
+                (1.0 - coverage.uncovered() - covered_share).abs() < 0.02,
+                "{width} m wide: {covered_share} of the places, not {}",
+                1.0 - coverage.uncovered()
+            );
         }
     }
 }

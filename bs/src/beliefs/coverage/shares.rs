@@ -10,7 +10,8 @@ use crate::beliefs::grid::Raster;
 /// Cells computed in parallel.
 const LANES: usize = 8;
 
-/// Quanta in a cell. Covered and uncovered shares are whole numbers of quanta, so they add up exactly.
+/// Number of quanta, equal small parts, in a cell. Covered and uncovered shares are whole numbers of quanta, so they
+/// add up exactly.
 pub(super) const QUANTA_PER_CELL: u16 = u16::MAX;
 
 /// The uncovered share of each cell.
@@ -46,9 +47,10 @@ impl CellSpan {
     }
 }
 
-/// Returns how many of the quanta `uncovered` a device with p(d) = `detected`/65536 covers, rounded down.
+/// Returns the quanta that a device newly covers in a cell with `uncovered` quanta, rounded down. The device detects an
+/// event in the cell with probability `detected`/65536.
 #[inline]
-const fn covered(uncovered: u16, detected: u16) -> u16 {
+const fn newly_covered(uncovered: u16, detected: u16) -> u16 {
     ((uncovered as u32 * detected as u32) >> 16) as u16
 }
 
@@ -108,7 +110,7 @@ impl UncoveredShares {
             let (detected, _) = self.detected[row.detected()].as_chunks::<LANES>();
             for (uncovered, detected) in uncovered.iter().zip(detected) {
                 for lane in 0..LANES {
-                    lanes[lane] += u32::from(covered(uncovered[lane], detected[lane]));
+                    lanes[lane] += u32::from(newly_covered(uncovered[lane], detected[lane]));
                 }
             }
         }
@@ -119,8 +121,8 @@ impl UncoveredShares {
         for row in &self.rows[self.row_starts[j] as usize..self.row_starts[j + 1] as usize] {
             let uncovered = &mut self.uncovered[row.cells()];
             for (uncovered, &detected) in uncovered.iter_mut().zip(&self.detected[row.detected()]) {
-                // No underflow: `detected` is below 2¹⁶, so the product shifted by 16 bits is at most `missed`.
-                *uncovered -= covered(*uncovered, detected);
+                // No underflow: `detected` is below 2¹⁶, so the product shifted by 16 bits is at most `uncovered`.
+                *uncovered -= newly_covered(*uncovered, detected);
             }
         }
     }

@@ -11,7 +11,6 @@ use super::{Raster, cells_per_range};
 /// The area that a set of devices covers, in the cells of `Coverage`.
 #[derive(Clone, Debug)]
 pub struct CoverageUnion {
-    /// Number of cells of the area.
     cell_count: f64,
     model: UnionModel,
 }
@@ -108,7 +107,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn it_is_what_coverage_says() {
+    fn the_union_equals_coverage_bit_by_bit() {
         for kind in [DetectionKind::Range, DetectionKind::Probabilistic] {
             for (width, height) in [(20.0, 20.0), (31.0, 7.3), (3.0, 1.0), (70.0, 12.0), (5.0, 60.0)] {
                 let sensing = Sensing {
@@ -123,17 +122,17 @@ mod tests {
                 let mut stream = Stream::new(2, Purpose::Epicentre, 0);
                 let mut union = CoverageUnion::new(&positions, area, &sensing);
                 let mut coverage = Coverage::new(&positions, area, &sensing);
-                for share in [0.0, 0.02, 0.1, 0.5, 1.0] {
-                    let devices: Vec<usize> = (0..60).filter(|_| stream.unit() < share).collect();
+                for device_share in [0.0, 0.02, 0.1, 0.5, 1.0] {
+                    let devices: Vec<usize> = (0..60).filter(|_| stream.unit() < device_share).collect();
                     coverage.clear();
                     for &j in &devices {
                         coverage.add(j);
                     }
-                    let found = union.uncovered(devices.into_iter());
+                    let uncovered = union.uncovered(devices.into_iter());
                     assert_eq!(
-                        found.to_bits(),
+                        uncovered.to_bits(),
                         coverage.uncovered().to_bits(),
-                        "{kind:?} {width} {share}"
+                        "{kind:?}, {width} m wide, {device_share} of the devices"
                     );
                 }
             }

@@ -19,12 +19,12 @@ use super::correlation::exp_negative;
 const POINTS_PER_RING: usize = 512;
 /// Largest number of likely points, and of unlikely points, that are kept after that.
 const MAX_POINTS_PER_CLASS: usize = 32;
-/// Weight of a point in range of a device that should have detected an event there but did not report. The device may
-/// have failed.
-const SILENCE_WEIGHT: f64 = 0.02;
-/// Weight of a point in range of a woken device that found the event beyond d_max. It is not 0, so that points still
-/// differ if all are ruled out.
-const RULED_OUT_WEIGHT: f64 = 1e-12;
+/// Factor on the likelihood of a point in range of a device that should have detected an event there but did not
+/// report. The device may have failed.
+const SILENCE_FACTOR: f64 = 0.02;
+/// Factor on the likelihood of a point in range of a woken device whose report placed the event beyond d_max. The
+/// factor is not 0, so that points still differ if all are ruled out.
+const RULED_OUT_FACTOR: f64 = 1e-12;
 /// Largest distance from a ring at which a point counts as on it, metres per metre of d_max.
 const RING_TOLERANCE: f64 = 1e-6;
 
@@ -34,8 +34,8 @@ pub struct EpicentreBelief {
     sensing: Sensing,
     /// Cost of a failed wake-up, in units of information.
     miss_cost: f64,
-    /// Weight of a point in range of a silent device: [`SILENCE_WEIGHT`], or more if the radio loses reports.
-    silence_weight: f64,
+    /// Factor for a point in range of a silent device: [`SILENCE_FACTOR`], or more if the radio loses reports.
+    silence_factor: f64,
     area: Area,
     positions: Vec<Point>,
     buckets: Buckets,
@@ -49,7 +49,6 @@ pub struct EpicentreBelief {
     far_devices: Vec<Point>,
     /// By device: whether it has reported or was returned as a candidate for this event.
     is_excluded: Vec<bool>,
-    /// List of the excluded devices.
     excluded: Vec<DeviceId>,
     /// cos φ and sin φ of the points on a ring.
     directions: Box<[(f64, f64)]>,
@@ -111,7 +110,7 @@ impl EpicentreBelief {
         Self {
             sensing: sensing.clone(),
             miss_cost: 0.0,
-            silence_weight: SILENCE_WEIGHT,
+            silence_factor: SILENCE_FACTOR,
             area,
             buckets: Buckets::new(positions, area, sensing.d_max),
             is_excluded: vec![false; positions.len()],
@@ -137,7 +136,7 @@ impl EpicentreBelief {
     pub(crate) fn with_loss(self, loss_probability: f64) -> Self {
         Self {
             // The device failed, or it worked and the radio lost its report.
-            silence_weight: SILENCE_WEIGHT + (1.0 - SILENCE_WEIGHT) * loss_probability,
+            silence_factor: SILENCE_FACTOR + (1.0 - SILENCE_FACTOR) * loss_probability,
             ..self
         }
     }
@@ -175,7 +174,7 @@ impl EpicentreBelief {
         let position = self.positions[device.index()];
         for point in &mut self.points {
             if point.position.distance(position) <= self.sensing.d_max {
-                point.likelihood = point.likelihood.times(RULED_OUT_WEIGHT);
+                point.likelihood = point.likelihood.times(RULED_OUT_FACTOR);
             }
         }
         // Kept, since a later report creates new points, which must be ruled out as well.
@@ -279,7 +278,7 @@ impl EpicentreBelief {
                 best = Some((score, gain, device));
             }
         };
-        let reach = self.reach(information);
+        let reach = self.max_useful_distance(information);
         // With two points left, far fewer devices are near them than near the ring. A device found twice changes
         // nothing.
         if self.points.len() <= 2 {
@@ -310,8 +309,8 @@ impl EpicentreBelief {
         self.points.iter().map(likely).collect()
     }
 
-    /// Returns the largest distance from the event at which a device can add to `information`, metres.
-    fn reach(&self, information: f64) -> f64 {
+    /// Returns the largest distance from the event at which a report can still add to `information`, metres.
+    fn max_useful_distance(&self, information: f64) -> f64 {
         let Sensing { d_max, .. } = self.sensing;
         let can_add = |d: f64| self.sensing.fuse(information, self.sensing.information(d)) > information;
         match self.sensing.distance(information) {
@@ -345,7 +344,6 @@ impl EpicentreBelief {
         }
     }
 
-    /// Returns the points on the ring around `centre` that lie in the area.
     fn ring_points(&self, centre: Point, d: f64) -> Vec<RingPoint> {
         let point_at = |(cosine, sine): &(f64, f64)| Point::new(centre.x + d * cosine, centre.y + d * sine);
         let all = self
@@ -413,8 +411,8 @@ impl EpicentreBelief {
                 return 1.0;
             }
             match self.sensing.kind {
-                DetectionKind::Range => self.silence_weight,
-                DetectionKind::Probabilistic => 1.0 - (1.0 - self.silence_weight) * self.sensing.p(d),
+                DetectionKind::Range => self.silence_factor,
+                DetectionKind::Probabilistic => 1.0 - (1.0 - self.silence_factor) * self.sensing.p(d),
             }
         };
         let ruled_out = self
@@ -425,13 +423,13 @@ impl EpicentreBelief {
             .silent_devices
             .iter()
             .map(factor_of)
-            .chain(ruled_out.map(|_| RULED_OUT_WEIGHT));
+            .chain(ruled_out.map(|_| RULED_OUT_FACTOR));
         factors.fold(ScaledLikelihood::CERTAIN.times(prior), ScaledLikelihood::times)
     }
 }
 
-/// Returns the prior of an event that is equally likely everywhere.
-pub fn uniform_prior(_: Point) -> f64 {
+/// Returns the relative prior density of the epicentre at a point: the same everywhere.
+pub fn uniform_prior(_point: Point) -> f64 {
     1.0
 }
 

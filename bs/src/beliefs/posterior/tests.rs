@@ -1,4 +1,5 @@
-//! The belief over the epicentre against sums over the points of the plane.
+//! Tests of [`EpicentreBelief`]: its points, weights and candidates against sums over the points of a ring, as
+//! docs/q-learning.md defines them.
 
 use reveille_common::geometry::{Layout, place_devices};
 use reveille_common::rng::{Purpose, Stream};
@@ -6,15 +7,16 @@ use reveille_common::sensing::Fusion;
 
 use super::*;
 
+const D_MAX: f64 = 4.0;
 const AREA: Area = Area {
     width: 20.0,
     height: 20.0,
 };
 
-fn sensing(g: Fusion) -> Sensing {
+fn sensing_with(g: Fusion) -> Sensing {
     Sensing {
         kind: DetectionKind::Range,
-        d_max: 4.0,
+        d_max: D_MAX,
         eta: 1.0,
         psi: 1.0,
         g,
@@ -22,51 +24,56 @@ fn sensing(g: Fusion) -> Sensing {
 }
 
 #[test]
-fn three_reports_find_the_event_and_then_the_closest_device() {
+fn three_reports_locate_the_event_and_its_closest_device() {
     let mut stream = Stream::new(3, Purpose::Epicentre, 0);
     for seed in 0..200 {
         let points = place_devices(&Layout::Uniform, AREA, 60, seed);
         let event = Point::new(20.0 * stream.unit(), 20.0 * stream.unit());
-        let mut near: Vec<usize> = (0..60).filter(|&j| points[j].distance(event) <= 4.0).collect();
-        if near.len() < 5 {
+        let mut in_range: Vec<usize> = (0..60).filter(|&j| points[j].distance(event) <= D_MAX).collect();
+        if in_range.len() < 5 {
             continue;
         }
-        let closest = *near
+        let closest = *in_range
             .iter()
             .min_by(|&&a, &&b| points[a].distance(event).total_cmp(&points[b].distance(event)))
             .expect("a device");
-        near.retain(|&j| j != closest);
-        let sensing = sensing(Fusion::Max);
+        in_range.retain(|&j| j != closest);
+        let sensing = sensing_with(Fusion::Max);
         let mut belief = EpicentreBelief::new(&points, AREA, &sensing);
         belief.start_event();
         let mut information: f64 = 0.0;
-        for &j in near.iter().rev().take(3) {
+        for &j in in_range.iter().rev().take(3) {
             let d = points[j].distance(event);
             belief.add_reporter(DeviceId(j as u32), d, uniform_prior);
             information = information.max(sensing.p(d));
         }
         assert!(
             belief.points.iter().any(|p| p.position.distance(event) < 1e-5),
-            "{seed}: {:?}",
+            "seed {seed}: no point at the event: {:?}",
             belief.points
         );
         let (next, gain) = belief.next_candidate(information, |_| true).expect("a device adds");
-        assert_eq!(next.index(), closest, "{seed}");
-        let expected = sensing.p(points[closest].distance(event)) - information;
+        assert_eq!(next.index(), closest, "seed {seed}");
+        let expected_gain = sensing.p(points[closest].distance(event)) - information;
         assert!(
-            belief.points.len() > 1 || (gain - expected).abs() < 1e-5,
-            "{gain} {expected}"
+            belief.points.len() > 1 || (gain - expected_gain).abs() < 1e-5,
+            "seed {seed}: gain {gain}, not {expected_gain}"
         );
     }
 }
 
-/// The belief after a first report by plain sums, as docs/q-learning.md defines it. Each point on the reporter's ring
-/// is weighted by the silence of the other devices in S1.
+/// Probability that a device reports an event that it detects: one in fifty fails to do so.
+const REPORT_PROBABILITY: f64 = 0.98;
+
+/// The belief after a first report by plain sums. Each point on the reporter's ring is weighted by the silence of the
+/// other devices in S1.
 struct BeliefDefinition<'a> {
     points: &'a [Point],
     sensing: &'a Sensing,
     reporter: usize,
+    /// Distance of the epicentre from the reporter, m.
     d: f64,
+    /// Devices in S1 that did not report.
     silent: Vec<usize>,
     /// Relative density of the epicentre before any report.
     prior: fn(Point) -> f64,
@@ -96,65 +103,77 @@ impl<'a> BeliefDefinition<'a> {
         places.map(|at| (at, self.weight(at))).collect()
     }
 
-    /// Returns the weight of a point: one in fifty devices that should report an event at `at` fails to do so.
+    /// Returns the weight of the point `at`.
     fn weight(&self, at: Point) -> f64 {
-        let of = |&k: &usize| {
-            let gap = self.points[k].distance(at);
-            let detects = match self.sensing.kind {
-                _ if gap > self.sensing.d_max => 0.0,
+        let silence_probability = |&k: &usize| {
+            let distance = self.points[k].distance(at);
+            let detection_probability = match self.sensing.kind {
+                _ if distance > self.sensing.d_max => 0.0,
                 DetectionKind::Range => 1.0,
-                DetectionKind::Probabilistic => libm::exp(-self.sensing.eta * gap),
+                DetectionKind::Probabilistic => libm::exp(-self.sensing.eta * distance),
             };
-            1.0 - 0.98 * detects
+            1.0 - REPORT_PROBABILITY * detection_probability
         };
-        (self.prior)(at) * self.silent.iter().map(of).product::<f64>()
+        (self.prior)(at) * self.silent.iter().map(silence_probability).product::<f64>()
     }
 
     /// Returns the probability that device `j` is farther than d_max from the event.
-    fn missed(&self, places: &[(Point, f64)], j: usize) -> f64 {
-        let sum_of = |is_in: &dyn Fn(Point) -> bool| {
-            let weights = places.iter().filter(|(at, _)| is_in(*at)).map(|(_, weight)| weight);
+    fn miss_probability(&self, places: &[(Point, f64)], j: usize) -> f64 {
+        let total_weight = |is_counted: &dyn Fn(Point) -> bool| {
+            let weights = places
+                .iter()
+                .filter(|(at, _)| is_counted(*at))
+                .map(|(_, weight)| weight);
             weights.sum::<f64>()
         };
         let (position, d_max) = (self.points[j], self.sensing.d_max);
-        sum_of(&|at| position.distance(at) > d_max) / sum_of(&|_| true)
+        total_weight(&|at| position.distance(at) > d_max) / total_weight(&|_| true)
     }
 
     /// Returns the expected gain of a report of device `j` above `information`.
-    fn gain(&self, places: &[(Point, f64)], j: usize, information: f64) -> f64 {
-        let (mut gain, mut sum) = (0.0, 0.0);
+    fn expected_gain(&self, places: &[(Point, f64)], j: usize, information: f64) -> f64 {
+        let (mut gain, mut total_weight) = (0.0, 0.0);
         for &(at, weight) in places {
-            let gap = self.points[j].distance(at);
-            let report = if gap > self.sensing.d_max {
+            let distance = self.points[j].distance(at);
+            let report = if distance > self.sensing.d_max {
                 0.0
             } else {
-                self.sensing.psi * libm::exp(-self.sensing.eta * gap)
+                self.sensing.psi * libm::exp(-self.sensing.eta * distance)
             };
             let fused = match self.sensing.g {
                 Fusion::Max => report.max(information),
                 Fusion::SumSaturation => (information + report).min(self.sensing.psi),
             };
             gain += weight * (fused - information);
-            sum += weight;
+            total_weight += weight;
         }
-        gain / sum
+        gain / total_weight
     }
 }
 
-/// Deployments with a first report: every kind of detection and of g, reporters in the middle and at the edge.
+/// Seeds of deployments with a first report: every kind of detection and of g, reporters in the middle and at the edge.
 fn first_reports() -> impl Iterator<Item = (u64, Sensing, u32, f64)> {
     let kinds = [DetectionKind::Range, DetectionKind::Probabilistic];
-    let reports = [(5, 3.0), (60, 1.2), (119, 4.0), (33, 0.5)];
+    let reporters_and_distances = [(5, 3.0), (60, 1.2), (119, D_MAX), (33, 0.5)];
     (0..4_u64).flat_map(move |case| {
         let g = [Fusion::Max, Fusion::SumSaturation][case as usize % 2];
         let kind = kinds[case as usize / 2];
-        reports.map(|(h, d)| (case + 1, Sensing { kind, ..sensing(g) }, h, d))
+        reporters_and_distances.map(|(h, d)| {
+            (
+                case + 1,
+                Sensing {
+                    kind,
+                    ..sensing_with(g)
+                },
+                h,
+                d,
+            )
+        })
     })
 }
 
-/// Without silent devices all points of the ring are equally likely, and each counts.
 #[test]
-fn without_silence_gains_are_plain_sums_over_the_ring() {
+fn without_silent_devices_gains_are_plain_sums_over_the_ring() {
     for (case, sensing, h, d) in first_reports() {
         let points = place_devices(&Layout::JitteredGrid, AREA, 120, case);
         let mut belief = EpicentreBelief::new(&points, AREA, &sensing);
@@ -162,53 +181,70 @@ fn without_silence_gains_are_plain_sums_over_the_ring() {
         belief.add_reporter(DeviceId(h), d, uniform_prior);
         let definition = BeliefDefinition::alone(&points, &sensing, h, d);
         let (places, information) = (definition.places(512), sensing.p(d));
-        let mut left: Vec<usize> = (0..120).filter(|&j| j != h as usize).collect();
+        let mut remaining: Vec<usize> = (0..120).filter(|&j| j != h as usize).collect();
         // Devices come in descending order of gain, until no device adds anything.
         while let Some((next, gain)) = belief.next_candidate(information, |_| true) {
-            let gains = left.iter().map(|&j| definition.gain(&places, j, information));
-            let most = gains.fold(0.0, f64::max);
-            let own = definition.gain(&places, next.index(), information);
-            assert!((gain - own).abs() < 1e-12, "{case} {h}: {next} has {own}, not {gain}");
-            assert!(own > most - 1e-12, "{case} {h}: {next} has {own}, another {most}");
-            left.retain(|&j| j != next.index());
+            let gains = remaining
+                .iter()
+                .map(|&j| definition.expected_gain(&places, j, information));
+            let max_gain = gains.fold(0.0, f64::max);
+            let expected_gain = definition.expected_gain(&places, next.index(), information);
+            assert!(
+                (gain - expected_gain).abs() < 1e-12,
+                "case {case}, reporter {h}: {next} has gain {gain}, not {expected_gain}"
+            );
+            assert!(
+                expected_gain > max_gain - 1e-12,
+                "case {case}, reporter {h}: {next} has gain {expected_gain}, another {max_gain}"
+            );
+            remaining.retain(|&j| j != next.index());
         }
-        for &j in &left {
-            let gain = definition.gain(&places, j, information);
-            assert!(gain < 1e-12, "{case} {h}: {j} would add {gain}, and is left");
+        for &j in &remaining {
+            let gain = definition.expected_gain(&places, j, information);
+            assert!(
+                gain < 1e-12,
+                "case {case}, reporter {h}: device {j} was not returned, and has gain {gain}"
+            );
         }
     }
 }
 
 /// A cost of failed wake-ups orders devices by gain less cost; the gains themselves do not change.
 #[test]
-fn a_loss_in_vain_changes_the_order_and_no_gain() {
-    let (loss, mut is_changed) = (0.3, false);
+fn a_miss_cost_changes_the_order_but_no_gain() {
+    let (miss_cost, mut is_changed) = (0.3, false);
     for (case, sensing, h, d) in first_reports() {
         let points = place_devices(&Layout::JitteredGrid, AREA, 120, case);
-        let mut belief = EpicentreBelief::new(&points, AREA, &sensing).with_miss_cost(loss);
+        let mut belief = EpicentreBelief::new(&points, AREA, &sensing).with_miss_cost(miss_cost);
         belief.start_event();
         belief.add_reporter(DeviceId(h), d, uniform_prior);
         let definition = BeliefDefinition::alone(&points, &sensing, h, d);
         let (places, information) = (definition.places(512), sensing.p(d));
-        let gain = |j: usize| definition.gain(&places, j, information);
-        let score = |j: usize| gain(j) - loss * definition.missed(&places, j);
-        let others = || (0..120).filter(|&j| j != h as usize && gain(j) > 1e-9);
-        let Some((next, told)) = belief.next_candidate(information, |_| true) else {
-            assert_eq!(others().next(), None, "{case} {h}: no device");
+        let expected_gain = |j: usize| definition.expected_gain(&places, j, information);
+        let score = |j: usize| expected_gain(j) - miss_cost * definition.miss_probability(&places, j);
+        let others = || (0..120).filter(|&j| j != h as usize && expected_gain(j) > 1e-9);
+        let Some((next, gain)) = belief.next_candidate(information, |_| true) else {
+            assert_eq!(others().next(), None, "case {case}, reporter {h}: no device");
             continue;
         };
         let best = others().map(score).fold(f64::NEG_INFINITY, f64::max);
-        assert!(score(next.index()) > best - 1e-12, "{case} {h}: {next}");
-        assert!((told - gain(next.index())).abs() < 1e-12, "{case} {h}: {told}");
-        is_changed |= others().map(gain).fold(0.0, f64::max) > told + 1e-9;
+        assert!(
+            score(next.index()) > best - 1e-12,
+            "case {case}, reporter {h}: {next} is not the best by gain less cost"
+        );
+        assert!(
+            (gain - expected_gain(next.index())).abs() < 1e-12,
+            "case {case}, reporter {h}: gain {gain}"
+        );
+        is_changed |= others().map(expected_gain).fold(0.0, f64::max) > gain + 1e-9;
     }
-    assert!(is_changed, "nowhere is another the surest");
+    assert!(is_changed, "no case has a different order without the cost");
 }
 
-/// The weights match the definition. The few points kept give an unbiased gain with a small error.
+/// The few points kept give an unbiased gain with a small error.
 #[test]
-fn silence_weighs_the_places_of_the_ring() {
-    let (mut errors, mut squares, mut count) = (0.0, 0.0, 0.0);
+fn silence_weights_the_points_of_the_ring() {
+    let (mut error_sum, mut square_sum, mut count) = (0.0, 0.0, 0.0);
     for (case, sensing, h, d) in first_reports() {
         for seed in 0..15 {
             let points = place_devices(&Layout::JitteredGrid, AREA, 120, 100 * case + seed);
@@ -226,89 +262,106 @@ fn silence_weighs_the_places_of_the_ring() {
             belief.start_event();
             belief.add_reporter(DeviceId(h), d, definition.prior);
             for place in &belief.points {
-                assert!(place.weight.to_bits() == 1f64.to_bits(), "before the silence is heard");
+                assert!(
+                    place.weight.to_bits() == 1f64.to_bits(),
+                    "all points weigh 1 before the silence"
+                );
             }
             belief.observe_silence(is_on, definition.prior);
             // A kept point stands for its neighbours, so its weight is a multiple of the weight in the definition.
             assert!(belief.points.len() <= 2 * MAX_POINTS_PER_CLASS);
             for place in &belief.points {
-                let share = place.weight / definition.weight(place.position);
+                let multiple = place.weight / definition.weight(place.position);
                 assert!(
-                    (share - share.round()).abs() < 1e-9 && (1.0..17.0).contains(&share.round()),
-                    "{case} {h} {seed}: {place:?} weighs {share} times its due weight"
+                    (multiple - multiple.round()).abs() < 1e-9 && (1.0..17.0).contains(&multiple.round()),
+                    "case {case}, reporter {h}, seed {seed}: {place:?} has {multiple} times its weight by definition"
                 );
             }
             let information = sensing.p(d);
-            let (fine, all) = (definition.places(5_000), 0..120_usize);
-            let free = all.filter(|&j| j != h as usize && !is_on(DeviceId(j as u32)));
-            let most = free.map(|j| definition.gain(&fine, j, information)).fold(0.0, f64::max);
+            let fine_points = definition.places(5_000);
+            let free = (0..120_usize).filter(|&j| j != h as usize && !is_on(DeviceId(j as u32)));
+            let max_gain = free
+                .map(|j| definition.expected_gain(&fine_points, j, information))
+                .fold(0.0, f64::max);
             let Some((next, gain)) = belief.next_candidate(information, |j| !is_on(j)) else {
-                assert!(most < 1e-3, "{case} {h} {seed}: none selected, and one adds {most}");
+                assert!(
+                    max_gain < 1e-3,
+                    "case {case}, reporter {h}, seed {seed}: no candidate, and a device has gain {max_gain}"
+                );
                 continue;
             };
-            let own = definition.gain(&fine, next.index(), information);
-            assert!(own > 0.9 * most, "{case} {h} {seed}: {next} has {own}, another {most}");
-            if most > 1e-3 {
-                errors += gain / own - 1.0;
-                squares += (gain / own - 1.0) * (gain / own - 1.0);
+            let expected_gain = definition.expected_gain(&fine_points, next.index(), information);
+            assert!(
+                expected_gain > 0.9 * max_gain,
+                "case {case}, reporter {h}, seed {seed}: {next} has gain {expected_gain}, another {max_gain}"
+            );
+            if max_gain > 1e-3 {
+                error_sum += gain / expected_gain - 1.0;
+                square_sum += (gain / expected_gain - 1.0) * (gain / expected_gain - 1.0);
                 count += 1.0;
             }
         }
     }
-    let (mean, spread) = (errors / count, (squares / count).sqrt());
-
+    let (mean, root_mean_square) = (error_sum / count, (square_sum / count).sqrt());
     assert!(
-        count > 200.0 && mean.abs() < 0.005 && spread < 0.03,
-        "{mean} ± {spread} of {count}"
+        count > 200.0 && mean.abs() < 0.005 && root_mean_square < 0.03,
+        "relative error of gains: mean {mean}, root mean square {root_mean_square}, over {count} cases"
     );
 }
 
 #[test]
-fn devices_at_one_place_tell_the_same_and_a_third_report_finds_the_event() {
+fn coincident_devices_add_no_point_and_a_third_report_locates_the_event() {
     let mut points = place_devices(&Layout::Uniform, AREA, 40, 9);
     let event = Point::new(9.0, 9.0);
     points[0] = Point::new(7.0, 9.5);
     points[1] = points[0];
     points[2] = Point::new(10.0, 7.0);
     points[3] = Point::new(10.5, 11.0);
-    let mut belief = EpicentreBelief::new(&points, AREA, &sensing(Fusion::Max));
+    let mut belief = EpicentreBelief::new(&points, AREA, &sensing_with(Fusion::Max));
     belief.start_event();
-    for (j, places) in [(0, 512), (1, 512), (2, 2), (3, 1)] {
+    for (j, point_count) in [(0, 512), (1, 512), (2, 2), (3, 1)] {
         belief.add_reporter(DeviceId(j), points[j as usize].distance(event), uniform_prior);
-        assert_eq!(belief.points.len(), places, "after {j}");
+        assert_eq!(belief.points.len(), point_count, "after the report of device {j}");
     }
     assert!(belief.points[0].position.distance(event) < 1e-5);
 }
 
 #[test]
-fn a_device_that_was_woken_in_vain_rules_its_reach_out() {
+fn a_failed_wake_up_excludes_the_area_in_range_of_the_device() {
     let points = [Point::new(10.0, 10.0), Point::new(12.5, 10.0), Point::new(10.0, 13.0)];
     for kind in [DetectionKind::Range, DetectionKind::Probabilistic] {
         let sensing = Sensing {
             kind,
-            ..sensing(Fusion::Max)
+            ..sensing_with(Fusion::Max)
         };
         let mut belief = EpicentreBelief::new(&points, AREA, &sensing);
         belief.start_event();
         belief.add_reporter(DeviceId(0), 3.0, uniform_prior);
         belief.add_far_reporter(DeviceId(1));
+        // In range of the woken device, and beyond.
         let weights = |belief: &EpicentreBelief| -> [f64; 2] {
-            let of = |near: bool| {
-                let own = belief
+            let weight_of = |near: bool| {
+                let selected = belief
                     .points
                     .iter()
-                    .filter(|p| (p.position.distance(points[1]) <= 4.0) == near);
-                own.map(|place| place.weight).sum()
+                    .filter(|p| (p.position.distance(points[1]) <= D_MAX) == near);
+                selected.map(|place| place.weight).sum()
             };
-            [of(true), of(false)]
+            [weight_of(true), weight_of(false)]
         };
         let [near, far] = weights(&belief);
-        assert!(near < 1e-9 * far && far > 0.0, "{kind:?}: {near} {far}");
+        assert!(
+            near < 1e-9 * far && far > 0.0,
+            "{kind:?}: weight {near} in range, {far} beyond"
+        );
         // A second ring that leaves two points: one within that range, one outside.
         let left = Point::new(10.0 - 3.0 * 0.8, 10.0 + 3.0 * 0.6);
         belief.add_reporter(DeviceId(2), points[2].distance(left), uniform_prior);
         let [near, far] = weights(&belief);
-        assert!(belief.points.len() == 2 && near < 1e-9 * far, "{kind:?}: {near} {far}");
+        assert!(
+            belief.points.len() == 2 && near < 1e-9 * far,
+            "{kind:?}: weight {near} in range, {far} beyond"
+        );
     }
 }
 
@@ -318,7 +371,7 @@ fn silence_of_hundreds_does_not_end_the_wake_ups() {
     for kind in [DetectionKind::Range, DetectionKind::Probabilistic] {
         let sensing = Sensing {
             kind,
-            ..sensing(Fusion::Max)
+            ..sensing_with(Fusion::Max)
         };
         let points = place_devices(&Layout::Uniform, AREA, 12_000, 5);
         let mut belief = EpicentreBelief::new(&points, AREA, &sensing);
@@ -330,7 +383,7 @@ fn silence_of_hundreds_does_not_end_the_wake_ups() {
         let (next, gain) = belief
             .next_candidate(sensing.p(d), |j| !is_on(j))
             .expect("a device adds");
-        // The definition, with logarithms.
+        // The definition, with logarithms: products of so many small factors underflow.
         let centre = points[reporter.index()];
         let places: Vec<Point> = (0..POINTS_PER_RING)
             .map(direction)
@@ -339,69 +392,80 @@ fn silence_of_hundreds_does_not_end_the_wake_ups() {
             .collect();
         let log_weight = |at: &Point| -> f64 {
             let silent = (0..12_000).map(DeviceId).filter(|&j| j != reporter && is_on(j));
-            let near = silent
+            let distances_in_range = silent
                 .map(|j| points[j.index()].distance(*at))
-                .filter(|&gap| gap <= 4.0);
-            let heard = |gap: f64| match kind {
+                .filter(|&gap| gap <= D_MAX);
+            let detection_probability = |gap: f64| match kind {
                 DetectionKind::Range => 1.0,
                 DetectionKind::Probabilistic => sensing.p(gap),
             };
-            near.map(|gap| libm::log(1.0 - 0.98 * heard(gap))).sum()
+            distances_in_range
+                .map(|gap| libm::log(1.0 - REPORT_PROBABILITY * detection_probability(gap)))
+                .sum()
         };
-        let logs: Vec<f64> = places.iter().map(log_weight).collect();
-        let most = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        let weights: Vec<f64> = logs.iter().map(|log| libm::exp(log - most)).collect();
-        let own = points[next.index()];
-        let mean = |of: &dyn Fn(&Point) -> f64| {
-            let sum: f64 = weights.iter().zip(&places).map(|(weight, at)| weight * of(at)).sum();
+        let log_weights: Vec<f64> = places.iter().map(log_weight).collect();
+        let max_log_weight = log_weights.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let weights: Vec<f64> = log_weights.iter().map(|log| libm::exp(log - max_log_weight)).collect();
+        let next_position = points[next.index()];
+        let mean = |value: &dyn Fn(&Point) -> f64| {
+            let sum: f64 = weights.iter().zip(&places).map(|(weight, at)| weight * value(at)).sum();
             sum / weights.iter().sum::<f64>()
         };
-        let expected = mean(&|at| (sensing.information(at.distance(own)) - sensing.p(d)).max(0.0));
+        let expected_gain = mean(&|at| (sensing.information(at.distance(next_position)) - sensing.p(d)).max(0.0));
         // Few points stand for all; with probabilistic detection all weights differ widely, so the error is larger.
-        let off = match kind {
+        let tolerance = match kind {
             DetectionKind::Range => 0.02,
             DetectionKind::Probabilistic => 0.5,
         };
         assert!(
-            expected > 0.0 && (gain / expected - 1.0).abs() < off,
-            "{kind:?}: {gain}, not {expected}"
+            expected_gain > 0.0 && (gain / expected_gain - 1.0).abs() < tolerance,
+            "{kind:?}: gain {gain}, not {expected_gain}"
         );
         // A second report leaves two points, and both must be kept.
         let second = DeviceId(9);
         let event = places[weights.iter().position(|&weight| weight >= 1.0).expect("a largest")];
-        let apart = |at: &&Point| at.distance(event);
-        let other = *places
+        let distance_from_event = |at: &&Point| at.distance(event);
+        let farthest = *places
             .iter()
-            .max_by(|a, b| apart(a).total_cmp(&apart(b)))
+            .max_by(|a, b| distance_from_event(a).total_cmp(&distance_from_event(b)))
             .expect("a place");
-        for at in [event, other] {
+        for at in [event, farthest] {
             belief.start_event();
             belief.add_reporter(reporter, d, uniform_prior);
             belief.observe_silence(is_on, uniform_prior);
             belief.add_reporter(second, points[9].distance(at), uniform_prior);
             belief.add_reporter(DeviceId(11), points[11].distance(at), uniform_prior);
-            let found = belief
+            let candidate = belief
                 .next_candidate(sensing.p(d), |j| !is_on(j))
                 .expect("a device adds");
-            assert!(points[found.0.index()].distance(at) < 0.5, "{kind:?}: {found:?}");
+            assert!(
+                points[candidate.0.index()].distance(at) < 0.5,
+                "{kind:?}: {candidate:?} is not next to the event at {at:?}"
+            );
         }
     }
 }
 
 #[test]
-fn nobody_is_given_out_twice_in_an_event() {
+fn no_device_is_returned_twice_in_an_event() {
     let points = place_devices(&Layout::Grid, AREA, 100, 1);
-    let mut belief = EpicentreBelief::new(&points, AREA, &sensing(Fusion::SumSaturation));
+    let mut belief = EpicentreBelief::new(&points, AREA, &sensing_with(Fusion::SumSaturation));
     for _ in 0..2 {
         belief.start_event();
-        assert!(belief.next_candidate(0.0, |_| true).is_none(), "nothing is known");
+        assert!(
+            belief.next_candidate(0.0, |_| true).is_none(),
+            "no candidate before a report"
+        );
         belief.add_reporter(DeviceId(44), 2.0, uniform_prior);
-        let mut given: Vec<u32> = std::iter::from_fn(|| belief.next_candidate(0.0, |_| true))
+        let mut returned: Vec<u32> = std::iter::from_fn(|| belief.next_candidate(0.0, |_| true))
             .map(|(j, _)| j.0)
             .collect();
-        let count = given.len();
-        given.sort_unstable();
-        given.dedup();
-        assert!(given.len() == count && count > 20 && !given.contains(&44), "{given:?}");
+        let count = returned.len();
+        returned.sort_unstable();
+        returned.dedup();
+        assert!(
+            returned.len() == count && count > 20 && !returned.contains(&44),
+            "returned {returned:?}"
+        );
     }
 }

@@ -48,7 +48,7 @@ impl Adjusted {
 }
 
 impl Policy for Adjusted {
-    fn decide(&mut self, _: &Observation<'_>) -> Plan {
+    fn decide(&mut self, _seen: &Observation<'_>) -> Plan {
         let DutyCycleChoice { t_on, t_drx, .. } = self.choice;
         let cycle = |turn: &u32| DutyCycle {
             t_on,
@@ -58,7 +58,7 @@ impl Policy for Adjusted {
         Plan::Periodic(self.turns.iter().map(cycle).collect())
     }
 
-    fn next_decision(&self, _: Tti) -> Tti {
+    fn next_decision(&self, _now: Tti) -> Tti {
         Tti::NEVER
     }
 
@@ -115,7 +115,7 @@ pub(crate) const ADJUSTED: PolicyEntry = PolicyEntry {
 impl PolicyFactory for AdjustedSettings {
     /// # Panics
     /// Always: the search in pilot runs returns the factory to build with.
-    fn build(&self, _: &Knowledge) -> Box<dyn Policy> {
+    fn build(&self, _known: &Knowledge) -> Box<dyn Policy> {
         panic!("the duty cycle is searched before a run")
     }
 
@@ -132,7 +132,7 @@ impl PolicyFactory for AdjustedSettings {
 
 impl Visit for DutyCycleChoice {
     /// Visits nothing: a result of the search is not a setting.
-    fn visit(&self, _: &mut dyn FieldSink) {}
+    fn visit(&self, _sink: &mut dyn FieldSink) {}
 }
 
 impl PolicyFactory for DutyCycleChoice {

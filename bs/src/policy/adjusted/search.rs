@@ -42,8 +42,8 @@ pub struct DutyCycleChoice {
     pub device_ttis: u64,
 }
 
-/// Returns the duty cycles of the grid with the results of their pilot runs, in the order of the grid.
-pub fn pilot_results(settings: &AdjustedSettings, pilots: &PilotRuns) -> Vec<PilotResult> {
+/// Returns the duty cycles of the grid with the results of their finished pilot runs, in the order of the grid.
+pub fn collect_pilot_results(settings: &AdjustedSettings, pilots: &PilotRuns) -> Vec<PilotResult> {
     let pairs = settings.pairs().zip(&pilots.metrics);
     let results = pairs.map(|((t_on, t_drx), metrics)| PilotResult {
         t_on,
@@ -54,7 +54,6 @@ pub fn pilot_results(settings: &AdjustedSettings, pilots: &PilotRuns) -> Vec<Pil
     results.collect()
 }
 
-/// Creates the pilot search over the grid.
 pub(super) fn pilot_search(settings: &AdjustedSettings) -> PilotSearch {
     let candidate = |(t_on, t_drx)| {
         let choice = DutyCycleChoice {
@@ -85,7 +84,8 @@ pub(super) fn pilot_search(settings: &AdjustedSettings) -> PilotSearch {
 
 fn choose_cycle(settings: &AdjustedSettings, known: &Knowledge, pilots: &PilotRuns) -> DutyCycleChoice {
     let threshold = i_min(&known.positions(), known.area, &known.sensing);
-    let (best, reaches_i_min) = choose(&pilot_results(settings, pilots), threshold).expect("the grid holds a pair");
+    let (best, reaches_i_min) =
+        choose(&collect_pilot_results(settings, pilots), threshold).expect("the grid holds a pair");
     DutyCycleChoice {
         t_on: best.t_on,
         t_drx: best.t_drx,
@@ -129,29 +129,30 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_choice_is_the_cheapest_that_reaches_i_min_or_else_the_best() {
-        let trial = |t_on, information, energy| PilotResult {
+    fn the_choice_is_the_cheapest_that_reaches_i_min_or_else_the_most_informative() {
+        let result = |t_on, information, energy| PilotResult {
             t_on,
             t_drx: 9,
             information,
             energy,
         };
-        let all = [
-            trial(1, 0.2, 0.5),
-            trial(2, 0.4, 0.3),
-            trial(3, 0.6, 0.4),
-            trial(4, 0.6, 0.4),
-            trial(5, f64::NAN, 0.1),
+        let results = [
+            result(1, 0.2, 0.5),
+            result(2, 0.4, 0.3),
+            result(3, 0.6, 0.4),
+            result(4, 0.6, 0.4),
+            result(5, f64::NAN, 0.1),
         ];
-        let chosen = |i_min| choose(&all, i_min).map(|(trial, reaches)| (trial.t_on, reaches));
-        assert_eq!(chosen(0.3), Some((2, true)));
-        assert_eq!(chosen(0.1), Some((2, true)));
-        assert_eq!(chosen(0.5), Some((3, true)));
-        assert_eq!(chosen(0.7), Some((3, false)));
+        let choice = |i_min| choose(&results, i_min).map(|(result, reaches)| (result.t_on, reaches));
+        assert_eq!(choice(0.3), Some((2, true)));
+        assert_eq!(choice(0.1), Some((2, true)));
+        assert_eq!(choice(0.5), Some((3, true)));
+        assert_eq!(choice(0.7), Some((3, false)));
         assert_eq!(choose(&[], 0.1), None);
-        // Among pairs without events, the first of those with the least consumption.
-        let unknown = [(1, 0.4), (2, 0.3), (3, 0.5), (4, 0.3)].map(|(t_on, energy)| trial(t_on, f64::NAN, energy));
-        let chosen = choose(&unknown, 0.1).map(|(trial, reaches)| (trial.t_on, reaches));
+        // Without any event, the first of the pairs with the least consumption.
+        let without_events =
+            [(1, 0.4), (2, 0.3), (3, 0.5), (4, 0.3)].map(|(t_on, energy)| result(t_on, f64::NAN, energy));
+        let chosen = choose(&without_events, 0.1).map(|(result, reaches)| (result.t_on, reaches));
         assert_eq!(chosen, Some((2, false)));
     }
 }

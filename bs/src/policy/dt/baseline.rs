@@ -43,7 +43,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_usual_counts_with_a_full_battery_alone() {
+    fn the_usual_expectation_applies_in_full_only_with_a_full_battery() {
         let energy = Energy::from_micro;
         let mut baseline = ExpectationBaseline::new(2);
         assert_eq!(
@@ -54,12 +54,17 @@ mod tests {
             baseline.price_factor(0, 4.0, energy(100), energy(100));
             baseline.price_factor(1, 0.5, energy(100), energy(100));
         }
-        let close = |factor: f64, expected: f64| assert!((factor - expected).abs() < 0.01, "{factor}, not {expected}");
-        close(baseline.price_factor(0, 4.0, energy(100), energy(100)), 0.25);
-        close(baseline.price_factor(0, 4.0, energy(75), energy(100)), 0.5);
-        close(baseline.price_factor(0, 4.0, energy(20), energy(100)), 1.0);
-        close(baseline.price_factor(0, 8.0, energy(0), energy(100)), 0.5);
-        close(baseline.price_factor(1, 0.5, energy(100), energy(100)), 2.0);
-        close(baseline.price_factor(1, 0.5, energy(50), energy(100)), 1.0);
+        let assert_close = |factor: f64, expected: f64| {
+            assert!(
+                (factor - expected).abs() < 0.01,
+                "price factor {factor}, not {expected}"
+            );
+        };
+        assert_close(baseline.price_factor(0, 4.0, energy(100), energy(100)), 0.25);
+        assert_close(baseline.price_factor(0, 4.0, energy(75), energy(100)), 0.5);
+        assert_close(baseline.price_factor(0, 4.0, energy(20), energy(100)), 1.0);
+        assert_close(baseline.price_factor(0, 8.0, energy(0), energy(100)), 0.5);
+        assert_close(baseline.price_factor(1, 0.5, energy(100), energy(100)), 2.0);
+        assert_close(baseline.price_factor(1, 0.5, energy(50), energy(100)), 1.0);
     }
 }

@@ -121,7 +121,6 @@ impl RequestedShape {
     }
 }
 
-/// Returns the model that comes with the program.
 fn shipped_model() -> ModelWeights {
     ModelWeights::read(include_bytes!("shipped.safetensors")).expect("the model of this program")
 }

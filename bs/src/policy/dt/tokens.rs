@@ -74,7 +74,6 @@ impl EventCounts {
     }
 }
 
-/// Constant properties of a device.
 #[derive(Clone, Copy, Debug)]
 struct DeviceConstants {
     /// Gain if every place had age 1, in the unit of [`Ages::gain`].
@@ -84,12 +83,10 @@ struct DeviceConstants {
     reach: f32,
     harvest: f32,
     neighbours: f32,
-    /// Least level with which it can sense.
     min_level: Energy,
     e_max: f32,
 }
 
-/// An event that was found.
 #[derive(Clone, Copy, Debug)]
 struct FoundEvent {
     /// Estimate of the epicentre.
@@ -107,9 +104,8 @@ pub(crate) struct TokenBuilder {
     constants: Vec<DeviceConstants>,
     near_counts: Vec<EventCounts>,
     all_counts: EventCounts,
-    /// The probability that an event starts in a TTI.
     event_probability: f32,
-    density: f32,
+    log_density: f32,
     alpha: f32,
     /// By device, the TTI in which it sensed last, counted from 1; 0 for never.
     last_sensed: Vec<u64>,
@@ -126,7 +122,8 @@ pub(crate) struct TokenBuilder {
 }
 
 impl TokenBuilder {
-    /// Creates the state before the first TTI for the devices in `known`; device j can sense from level `needed(j)` on.
+    /// Creates the state before the first TTI for the devices in `known`; device j can sense from level `min_level(j)`
+    /// on.
     pub(crate) fn new(known: &Knowledge, min_level: impl Fn(usize) -> Energy) -> Self {
         let (positions, d_max, n) = (known.positions(), known.sensing.d_max, known.n());
         let ages = Ages::with_loss(
@@ -160,7 +157,7 @@ impl TokenBuilder {
             near_counts: vec![EventCounts::default(); n],
             all_counts: EventCounts::default(),
             event_probability: known.alpha as f32,
-            density: density(known.area, &known.sensing, n),
+            log_density: log_density(known.area, &known.sensing, n),
             alpha: libm::logf(known.alpha as f32) / 5.0,
             last_sensed: vec![0; n],
             reporters: Vec::new(),
@@ -186,7 +183,7 @@ impl TokenBuilder {
         // Before the first event the time is as long as `log_scale` allows.
         let since = last.map_or(u64::MAX, |found| seen.now.0 - found.tti.0);
         let shared = GlobalFeatures {
-            density: self.density,
+            log_density: self.log_density,
             alpha: self.alpha,
             all: [0, 1, 2].map(|scale| self.all_counts.surprise(scale)),
             found: f32::from(u8::from(is_found)),
@@ -211,7 +208,7 @@ impl TokenBuilder {
                 libm::logf(mean_age(self.gains[j], constants.unit_gain)),
                 log_scale(idle),
                 constants.reach,
-                shared.density,
+                shared.log_density,
                 shared.alpha,
                 constants.harvest,
                 near_counts.surprise(0),
@@ -230,7 +227,6 @@ impl TokenBuilder {
         }
     }
 
-    /// Ends the TTI `tti` and counts its reports.
     fn advance(&mut self, tti: Tti) {
         let epicentre = weighted_centre(&self.reporters);
         self.reporters.clear();
@@ -278,7 +274,6 @@ impl TokenBuilder {
         &self.tokens
     }
 
-    /// Whether the battery of device `j` lets it sense.
     pub(crate) fn can_sense(&self, j: usize) -> bool {
         self.tokens[j * FEATURE_COUNT + CAN_SENSE] > 0.5
     }
@@ -290,7 +285,6 @@ impl TokenBuilder {
         constants.expected * mean_age(self.gains[j], constants.unit_gain)
     }
 
-    /// Ages of the places.
     pub(crate) const fn ages(&self) -> &Ages {
         &self.ages
     }
@@ -303,7 +297,7 @@ impl TokenBuilder {
 
 /// Features that are the same for all devices.
 struct GlobalFeatures {
-    density: f32,
+    log_density: f32,
     alpha: f32,
     all: [f32; TIME_CONSTANTS.len()],
     found: f32,
@@ -311,8 +305,8 @@ struct GlobalFeatures {
     delay: f32,
 }
 
-/// Returns the mean number of devices within reach of a place, on a logarithmic scale.
-fn density(area: Area, sensing: &Sensing, n: usize) -> f32 {
+/// Returns the logarithm of the mean number of devices within reach of a place, divided by 5.
+fn log_density(area: Area, sensing: &Sensing, n: usize) -> f32 {
     libm::logf((n as f64 * ages::effective_area(sensing) / area.surface()) as f32) / 5.0
 }
 
@@ -331,7 +325,6 @@ fn log_scale(ttis: u64) -> f32 {
     libm::logf(ttis.clamp(1, 4096) as f32) / 6.0
 }
 
-/// Returns the weighted centre of the reporters.
 fn weighted_centre(reporters: &[(Point, f64)]) -> Option<Point> {
     let weight: f64 = reporters.iter().map(|(_, weight)| weight).sum();
     let sum = |coordinate: fn(&Point) -> f64| {

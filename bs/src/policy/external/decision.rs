@@ -25,7 +25,7 @@ pub struct DecisionContext<'a> {
     pub stage: DecisionStage,
     /// Observation of a policy. At [`DecisionStage::Plan`], [`Observation::now`] is the coming TTI and
     /// [`Observation::plan`] the plan of the previous one.
-    pub seen: Observation<'a>,
+    pub observation: Observation<'a>,
     /// Reports of the last TTI with reports, in order of arrival. At [`DecisionStage::Wake`] that is this TTI.
     pub heard: &'a [Report],
     /// By device, whether it was woken in the TTI of [`Self::heard`], with or without an answer.
@@ -35,12 +35,17 @@ pub struct DecisionContext<'a> {
 }
 
 impl DecisionContext<'_> {
+    /// Returns N.
+    pub const fn device_count(&self) -> usize {
+        self.woken.len()
+    }
+
     /// Returns whether a decision can wake `device`: at [`DecisionStage::Wake`], if the device exists, sleeps in this
     /// TTI and has not been woken in it yet.
     pub fn may_wake(&self, device: DeviceId) -> bool {
         match self.stage {
             DecisionStage::Plan => false,
-            DecisionStage::Wake => may_wake(&self.seen, self.woken, device),
+            DecisionStage::Wake => may_wake(&self.observation, self.woken, device),
         }
     }
 }

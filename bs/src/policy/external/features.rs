@@ -112,8 +112,8 @@ impl DecisionContext<'_> {
     /// Returns whether δ = 1: in this TTI at [`DecisionStage::Wake`], in the last at [`DecisionStage::Plan`].
     #[inline]
     fn is_sensing(&self, device: DeviceId) -> bool {
-        let plan = self.seen.plan;
-        match (self.stage, self.seen.now) {
+        let plan = self.observation.plan;
+        match (self.stage, self.observation.now) {
             (DecisionStage::Wake, now) => plan.is_on(device, now),
             (DecisionStage::Plan, Tti(0)) => false,
             (DecisionStage::Plan, Tti(now)) => plan.is_on(device, Tti(now - 1)),
@@ -122,7 +122,7 @@ impl DecisionContext<'_> {
 
     #[inline]
     fn battery(&self, device: usize) -> f64 {
-        (self.seen.batteries[device].units() / self.history.static_features(device).e_max).min(1.0)
+        (self.observation.batteries[device].units() / self.history.static_features(device).e_max).min(1.0)
     }
 
     /// Returns the expected harvest of `device` in this TTI, scaled as [`StaticFeatures::harvest`].
@@ -132,7 +132,7 @@ impl DecisionContext<'_> {
         if constants.is_steady {
             return constants.harvest;
         }
-        let (known, now) = (self.seen.known, self.seen.now);
+        let (known, now) = (self.observation.known, self.observation.now);
         let expected_harvest = known.expected_harvest(DeviceId(device as u32), now, now + 1);
         harvest_share(expected_harvest, known.devices[device].energy.e_idle) as f32
     }
@@ -142,8 +142,8 @@ impl DecisionContext<'_> {
     /// # Panics
     /// If the length of `rows` is not N times the number of features.
     pub fn write_devices(&self, rows: &mut [f32]) {
-        let (seen, history) = (&self.seen, self.history);
-        let (n, psi) = (seen.known.n(), seen.known.sensing.psi);
+        let (observation, history) = (&self.observation, self.history);
+        let (n, psi) = (observation.known.n(), observation.known.sensing.psi);
         assert_eq!(rows.len(), n * DEVICE_FEATURES.len(), "a row for each device");
         let is_wake_stage = self.stage == DecisionStage::Wake;
         for (j, row) in rows.chunks_exact_mut(DEVICE_FEATURES.len()).enumerate() {
@@ -157,14 +157,14 @@ impl DecisionContext<'_> {
                 constants.relative_position[0],
                 constants.relative_position[1],
                 self.battery(j) as f32,
-                flag(seen.can_report(device)),
+                flag(observation.can_report(device)),
                 flag(self.is_sensing(device)),
                 flag(self.may_wake(device)),
                 flag(is_wake_stage && self.woken[j]),
                 information,
                 nearness,
-                bounded_time(history.since_sensing(j, seen.now), HALF_TTIS) as f32,
-                bounded_time(history.since_report(j, seen.now), REPORT_HALF_TTIS) as f32,
+                bounded_time(history.since_sensing(j, observation.now), HALF_TTIS) as f32,
+                bounded_time(history.since_report(j, observation.now), REPORT_HALF_TTIS) as f32,
                 bounded_staleness(history.staleness(j)) as f32,
                 constants.neighbours,
                 constants.harvest,
@@ -178,8 +178,8 @@ impl DecisionContext<'_> {
     ///
     /// # Panics
     /// If `row` has another length.
-    pub fn write_global(&self, row: &mut [f32]) {
-        let (seen, history, known) = (&self.seen, self.history, self.seen.known);
+    pub fn write_globals(&self, row: &mut [f32]) {
+        let (observation, history, known) = (&self.observation, self.history, self.observation.known);
         assert_eq!(row.len(), GLOBAL_FEATURES.len(), "a place for each feature");
         let (n, psi) = (known.n() as f64, known.sensing.psi);
         let devices = || (0..known.n() as u32).map(DeviceId);
@@ -192,7 +192,7 @@ impl DecisionContext<'_> {
             ),
         };
         let values: [f64; GLOBAL_FEATURES.len()] = [
-            seen.information / psi,
+            observation.information / psi,
             history.i_min() / psi,
             known.alpha,
             (libm::log(n) / 10.0).min(1.0),
@@ -200,7 +200,7 @@ impl DecisionContext<'_> {
             reports / (reports + 1.0),
             share(woken),
             (0..known.n()).map(|j| self.battery(j)).sum::<f64>() / n,
-            bounded_time(history.since_any_report(seen.now), HALF_TTIS),
+            bounded_time(history.since_any_report(observation.now), HALF_TTIS),
             bounded_staleness(history.area_staleness()),
         ];
         for (feature, value) in row.iter_mut().zip(values) {
@@ -208,12 +208,12 @@ impl DecisionContext<'_> {
         }
     }
 
-    /// Writes the allowed actions by device id into `mask`: 2 if both are allowed, 0 if an action would be dropped.
+    /// Writes into `mask`, by device id, 2 if the decision may name the device, or 0 if that would have no effect.
     ///
     /// # Panics
     /// If the length of `mask` is not N.
     pub fn write_mask(&self, mask: &mut [i8]) {
-        assert_eq!(mask.len(), self.woken.len(), "a place for each device");
+        assert_eq!(mask.len(), self.device_count(), "a place for each device");
         for (j, allowed) in (0..).zip(mask) {
             let is_free = match self.stage {
                 DecisionStage::Plan => true,

@@ -49,7 +49,6 @@ pub struct External {
     woken: Vec<bool>,
     /// Devices that are still to be woken.
     wake_queue: VecDeque<DeviceId>,
-    /// Whether the wake-ups of this TTI have ended.
     are_wake_ups_done: bool,
     history: ReportHistory,
 }
@@ -83,11 +82,11 @@ impl External {
             && devices.any(|j| decision::may_wake(seen, &self.woken, j))
     }
 
-    /// Returns the decision context of `stage` for the observation `seen`.
-    pub fn context<'a>(&'a self, stage: DecisionStage, seen: Observation<'a>) -> DecisionContext<'a> {
+    /// Returns the decision context of `stage` for the given observation.
+    pub fn context<'a>(&'a self, stage: DecisionStage, observation: Observation<'a>) -> DecisionContext<'a> {
         DecisionContext {
             stage,
-            seen,
+            observation,
             heard: &self.heard,
             woken: &self.woken,
             history: &self.history,

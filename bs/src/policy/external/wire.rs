@@ -1,26 +1,28 @@
 //! Messages of the policy port, between `bs/src/server/policy_port/` and a policy process
-//! (`python/reveille/policy_client.py`), in an [`Encoding`](reveille_common::encoding::Encoding) that any language can
-//! read. Names and meanings of the fields are the protocol: raise `PROTOCOL_VERSION` if they change.
+//! (`python/reveille/policy_client.py`), in JSON or CBOR ([`Encoding`]). Field names here are names on the wire.
 //!
 //! ```text
-//!   BS                                                    policy process
-//!    │ hello: protocol min..max, run, K, N, features, known       │
+//!   BS                                                     policy process
+//!    │ hello: min, max, run, ttis, features, known                │
 //!    ├───────────────────────────────────────────────────────────►│
-//!    │                       id, name, key, protocol, form        │
+//!    │                                        id, name, key, form │
 //!    │◄───────────────────────────────────────────────────────────┤
-//!    │ plan | wake: seq, tti, to (the id), device, globals, mask  │
+//!    │ plan | wake: to, device, globals, action_mask, heard       │
 //!    ├───────────────────────────────────────────────────────────►│
-//!    │         the same seq, tti and stage; id, key; the decision │
+//!    │      id, key, and action | sense | cycles | wake; next     │
 //!    │◄───────────────────────────────────────────────────────────┤
 //!    │ bye: the run is over                                       │
 //!    ├───────────────────────────────────────────────────────────►│
 //! ```
+//! The diagram is abridged: every message also has the fields of [`WireHeader`], and `features` stands for
+//! `device_features` and `global_features`.
+//!
 //! Virtual time stops between a request and its reply. The base station can repeat a request, for example after a lost
 //! link. A repeated request has the same `seq`, and a process with internal state must repeat its first reply. A reply
-//! that echoes another request is not accepted. Unknown fields are an error in a reply. A process must ignore unknown
-//! fields in a request, since later versions add some.
+//! that echoes another request is refused. Unknown fields are an error in a decision reply. A process must ignore
+//! unknown fields in a request, since later versions of Reveille add some.
 
-use reveille_common::encoding::{FloatRows, Octets};
+use reveille_common::encoding::{Encoding, FloatRows, Octets};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::plan::{DutyCycle, Plan};
 use serde::{Deserialize, Serialize};
@@ -29,16 +31,18 @@ use super::decision::{Decision, DecisionContext, DecisionStage, PlanDecision};
 use super::features::{DEVICE_FEATURES, Feature, GLOBAL_FEATURES};
 use crate::knowledge::Knowledge;
 
-/// Protocol version of this program.
+/// Protocol version of this program. Raise it for a new field of a decision reply, which an older base station refuses;
+/// for a field that is renamed or changes its meaning; and for a new or moved feature column, since trained models rely
+/// on the columns. A new field of a request needs no new version.
 pub(crate) const PROTOCOL_VERSION: u32 = 1;
 /// Oldest protocol version that this program supports.
 pub(crate) const OLDEST_PROTOCOL: u32 = 1;
 
-/// Kind of a request.
+/// Kind of a request, called `stage` on the wire.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum RequestKind {
-    /// Greeting, which asks a policy process to identify itself.
+    /// Asks a policy process to identify itself.
     Hello,
     /// [`DecisionStage::Plan`].
     Plan,
@@ -57,10 +61,10 @@ impl From<DecisionStage> for RequestKind {
     }
 }
 
-/// Common header of all messages. It is decoded and checked before the rest.
+/// Common header of all messages. A policy process decodes it first, to find the kind of request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct WireHeader {
-    /// Protocol version of the sender.
+    /// Newest protocol version of the sender; in a reply, the version of the reply.
     pub protocol: u32,
     /// Number of the decision in the run, from 0; a reply echoes it.
     pub seq: u64,
@@ -73,7 +77,7 @@ pub struct WireHeader {
 /// Name and meaning of a feature.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FeatureInfo {
-    /// Its name.
+    /// Name of the feature.
     pub name: String,
     /// Meaning of the feature.
     pub about: String,
@@ -95,15 +99,15 @@ pub struct DeviceInfo {
     pub x: f64,
     /// Position along the height, m.
     pub y: f64,
-    /// `E_max`.
+    /// Capacity `E_max` of the battery.
     pub e_max: f64,
-    /// `E_idle`.
+    /// Energy `E_idle` of a TTI in S1.
     pub e_idle: f64,
-    /// `E_WuR`.
+    /// Energy `E_WuR` of a TTI in S4.
     pub e_wur: f64,
-    /// `E_Tx`.
+    /// Energy `E_Tx` of a report.
     pub e_tx: f64,
-    /// Its mean harvest in a TTI.
+    /// Mean harvest in a TTI.
     pub mean_harvest: f64,
 }
 
@@ -114,11 +118,11 @@ pub struct SiteInfo {
     pub width: f64,
     /// Height of the area, m.
     pub height: f64,
-    /// α.
+    /// Probability α that an event starts in a TTI in which none is active.
     pub alpha: f64,
-    /// Ψ.
+    /// Largest information Ψ of a report.
     pub psi: f64,
-    /// The distance beyond which no device detects an event, m.
+    /// Distance beyond which no device detects an event, m.
     pub d_max: f64,
     /// The devices, in the order of ids.
     pub devices: Vec<DeviceInfo>,
@@ -168,22 +172,22 @@ pub struct Hello {
     pub global_features: Vec<FeatureInfo>,
     /// Knowledge before TTI 0.
     pub known: SiteInfo,
-    /// Process that answered the last greeting but was rejected, with the reason.
+    /// Process that replied to the last hello but was refused.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub refused: Option<Rejection>,
+    pub refused: Option<RefusedProcess>,
 }
 
-/// Policy process that was rejected.
+/// Policy process that the base station refused.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Rejection {
+pub struct RefusedProcess {
     /// Id of the process.
     pub id: String,
-    /// Reason for the rejection.
+    /// Reason for the refusal.
     pub why: String,
 }
 
 impl Hello {
-    /// Creates the greeting of the base station of `run`, sent before the first decision.
+    /// Creates the hello of the base station of `run`, sent before the first decision.
     pub fn new(run: String, known: &Knowledge) -> Self {
         Self {
             head: WireHeader {
@@ -219,9 +223,9 @@ pub struct HelloReply {
     /// The run's key.
     #[serde(default)]
     pub key: String,
-    /// Encoding in which the process wants its requests.
+    /// Encoding in which the process wants its requests. Only the wire calls it `form`.
     #[serde(default)]
-    pub form: reveille_common::encoding::Encoding,
+    pub form: Encoding,
 }
 
 /// A received report.
@@ -243,15 +247,15 @@ pub struct DecisionRequest {
     pub head: WireHeader,
     /// Id of the process that must decide.
     pub to: String,
-    /// A row for each device, in the order of ids, with the features of [`Hello::device_features`].
+    /// One row per device, in the order of ids, with the features of [`Hello::device_features`].
     pub device: FloatRows,
     /// A row with the features of [`Hello::global_features`].
     pub globals: FloatRows,
-    /// Allowed actions by device: 2 if both 0 and 1 are allowed, 0 if the device's action would be dropped.
+    /// By device, as in a Gymnasium mask: 2 if the action may be 0 or 1, 0 if a 1 would have no effect.
     pub action_mask: Octets,
     /// At [`RequestKind::Wake`], the reports of this TTI in order of arrival; otherwise empty.
     pub heard: Vec<ReportInfo>,
-    /// Reason why the last reply to this request was rejected.
+    /// Reason why the last reply to this request was refused.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub refused: Option<String>,
 }
@@ -259,11 +263,11 @@ pub struct DecisionRequest {
 impl DecisionRequest {
     /// Encodes `context` as decision request `seq` to process `to`.
     pub fn new(context: &DecisionContext<'_>, seq: u64, to: &str) -> Self {
-        let n = context.woken.len();
+        let n = context.device_count();
         let mut device = vec![0.0; n * DEVICE_FEATURES.len()];
         let (mut globals, mut mask) = (vec![0.0; GLOBAL_FEATURES.len()], vec![0; n]);
         context.write_devices(&mut device);
-        context.write_global(&mut globals);
+        context.write_globals(&mut globals);
         context.write_mask(&mut mask);
         // At `DecisionStage::Plan` the context still holds the reports of an earlier TTI.
         let heard = match context.stage {
@@ -274,7 +278,7 @@ impl DecisionRequest {
             head: WireHeader {
                 protocol: PROTOCOL_VERSION,
                 seq,
-                tti: context.seen.now.0,
+                tti: context.observation.now.0,
                 stage: context.stage.into(),
             },
             to: to.to_owned(),
@@ -300,7 +304,8 @@ impl DecisionRequest {
     }
 }
 
-/// Credentials in a reply. They are decoded and checked before the rest.
+/// Credentials in a reply. The base station checks them before it decodes the rest of a decision reply, so that replies
+/// of other processes do not count as invalid.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 pub struct ReplyCredentials {
     /// The id of the process.
@@ -310,11 +315,13 @@ pub struct ReplyCredentials {
     pub key: String,
 }
 
-/// Reply to a decision request. Exactly one of `action`, `sense`, `cycles` and `wake` holds the decision.
+/// Reply to a decision request. Exactly one of `action`, `sense`, `cycles` and `wake` holds the decision. A device that
+/// is named twice counts once.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+// Repeats the fields of `WireHeader` and `ReplyCredentials`: serde cannot flatten and also deny unknown fields.
 #[serde(deny_unknown_fields)]
 pub struct DecisionReply {
-    /// Protocol version of the process.
+    /// Protocol version of the reply.
     pub protocol: u32,
     /// Sequence number of the request.
     pub seq: u64,
@@ -345,10 +352,11 @@ pub struct DecisionReply {
 }
 
 impl DecisionReply {
-    /// Creates an empty reply to the request with this `head`.
+    /// Creates a reply without a decision to the request with this `head`, in the newest protocol version that both
+    /// sides support.
     pub fn for_request(head: &WireHeader, id: &str, key: &str) -> Self {
         Self {
-            protocol: PROTOCOL_VERSION,
+            protocol: head.protocol.min(PROTOCOL_VERSION),
             seq: head.seq,
             tti: head.tti,
             stage: Some(head.stage),
@@ -358,10 +366,10 @@ impl DecisionReply {
         }
     }
 
-    /// Returns the reply with the decision in `answer`.
+    /// Returns the reply with this decision.
     #[must_use]
-    pub fn with_decision(self, answer: &Decision) -> Self {
-        match answer {
+    pub fn with_decision(self, decision: &Decision) -> Self {
+        match decision {
             Decision::Plan(PlanDecision { plan, next }) => {
                 let next = (next.0 > self.tti + 1).then_some(next.0);
                 match plan {
@@ -383,11 +391,12 @@ impl DecisionReply {
         }
     }
 
-    /// Returns the decision at `stage` in TTI `tti`, for N = `devices`.
+    /// Returns the decision at `stage` in TTI `tti`, for N = `devices`. The caller checks that the reply echoes the
+    /// request and shows the credentials of the process.
     ///
     /// # Errors
     /// The reply holds no valid decision. The message is worded for the author of the process.
-    pub fn decode(&self, stage: DecisionStage, tti: Tti, devices: u32) -> Result<Decision, String> {
+    pub fn decision(&self, stage: DecisionStage, tti: Tti, devices: u32) -> Result<Decision, String> {
         if !(OLDEST_PROTOCOL..=PROTOCOL_VERSION).contains(&self.protocol) {
             let version = self.protocol;
             return Err(format!(
@@ -422,7 +431,7 @@ impl DecisionReply {
                 if next <= tti {
                     return Err(format!("next is {next}, and must be after TTI {tti}"));
                 }
-                let plan = self.plan(devices)?;
+                let plan = self.to_plan(devices)?;
                 Ok(Decision::Plan(PlanDecision { plan, next }))
             }
             DecisionStage::Wake if self.next.is_some() => Err("next is valid only with a plan".to_owned()),
@@ -433,7 +442,7 @@ impl DecisionReply {
         }
     }
 
-    fn plan(&self, devices: u32) -> Result<Plan, String> {
+    fn to_plan(&self, devices: u32) -> Result<Plan, String> {
         if let Some(cycles) = &self.cycles {
             if cycles.len() != devices as usize {
                 return Err(format!("{} cycles for {devices} devices", cycles.len()));
@@ -442,16 +451,18 @@ impl DecisionReply {
                 let cycle = DutyCycle { t_on, t_drx, offset };
                 // A period of 0, which a process can send, would divide by zero in `DutyCycle::phase`.
                 cycle.is_valid().then_some(cycle).ok_or_else(|| {
-                    format!("the cycle of device {j} is [{t_on}, {t_drx}, {offset}]: t_on ≤ t_drx, offset < t_drx")
+                    let max = DutyCycle::MAX_T_DRX;
+                    let rule = format!("t_drx from 1 to {max}, t_on ≤ t_drx and offset < t_drx");
+                    format!("the cycle of device {j} is [{t_on}, {t_drx}, {offset}], and must have {rule}")
                 })
             });
             return Ok(Plan::Periodic(cycles.collect::<Result<_, _>>()?));
         }
-        let on = match &self.sense {
+        let sensing = match &self.sense {
             Some(sense) => check_ids(sense, devices)?,
             None => ids_with_one(self.action.as_ref(), devices)?,
         };
-        Ok(Plan::from_devices(devices as usize, &on))
+        Ok(Plan::from_devices(devices as usize, &sensing))
     }
 }
 
@@ -478,8 +489,6 @@ fn ids_with_one(action: Option<&Octets>, devices: u32) -> Result<Vec<DeviceId>, 
 
 #[cfg(test)]
 mod tests {
-    use reveille_common::encoding::Encoding;
-
     use super::*;
 
     const HEAD: WireHeader = WireHeader {
@@ -489,27 +498,24 @@ mod tests {
         stage: RequestKind::Plan,
     };
 
-    fn read(text: &str) -> Result<DecisionReply, String> {
-        Encoding::Json.decode(text.as_bytes())
-    }
-
-    /// Decodes a reply with the fields in `text` and returns its decision at `stage` for five devices.
-    fn decided(stage: DecisionStage, text: &str) -> Result<Decision, String> {
+    /// Decodes a reply with these JSON fields and returns its decision at `stage` for five devices.
+    fn decode_decision(stage: DecisionStage, fields: &str) -> Result<Decision, String> {
         let head = r#"{"protocol":1,"seq":9,"tti":7,"stage":"plan","id":"a","#;
-        read(&format!("{head}{text}}}")).and_then(|reply| reply.decode(stage, Tti(7), 5))
+        let reply: DecisionReply = Encoding::Json.decode(format!("{head}{fields}}}").as_bytes())?;
+        reply.decision(stage, Tti(7), 5)
     }
 
     #[test]
-    fn a_plan_can_be_said_in_three_ways() {
-        let plan = |plan, next| Ok(Decision::Plan(PlanDecision { plan, next: Tti(next) }));
+    fn a_plan_has_three_forms() {
+        let plan_decision = |plan, next| Ok(Decision::Plan(PlanDecision { plan, next: Tti(next) }));
         let bits = Plan::from_bits([false, true, false, false, true]);
         assert_eq!(
-            decided(DecisionStage::Plan, r#""action":[0,1,0,0,1]"#),
-            plan(bits.clone(), 8)
+            decode_decision(DecisionStage::Plan, r#""action":[0,1,0,0,1]"#),
+            plan_decision(bits.clone(), 8)
         );
         assert_eq!(
-            decided(DecisionStage::Plan, r#""sense":[4,1],"next":30"#),
-            plan(bits, 30)
+            decode_decision(DecisionStage::Plan, r#""sense":[4,1],"next":30"#),
+            plan_decision(bits, 30)
         );
         let cycle = |t_on, t_drx, offset| DutyCycle { t_on, t_drx, offset };
         let cycles = Plan::Periodic(vec![
@@ -519,21 +525,27 @@ mod tests {
             cycle(1, 9, 0),
             cycle(1, 1, 0),
         ]);
-        let text = r#""cycles":[[1,4,3],[0,1,0],[2,2,1],[1,9,0],[1,1,0]]"#;
-        assert_eq!(decided(DecisionStage::Plan, text), plan(cycles, 8));
+        let fields = r#""cycles":[[1,4,3],[0,1,0],[2,2,1],[1,9,0],[1,1,0]]"#;
+        assert_eq!(decode_decision(DecisionStage::Plan, fields), plan_decision(cycles, 8));
     }
 
     #[test]
-    fn wake_ups_can_be_said_in_two() {
-        let wake = |ids: &[u32]| Ok(Decision::Wake(ids.iter().copied().map(DeviceId).collect()));
-        assert_eq!(decided(DecisionStage::Wake, r#""action":[0,1,0,0,1]"#), wake(&[1, 4]));
-        assert_eq!(decided(DecisionStage::Wake, r#""wake":[4,1]"#), wake(&[4, 1]));
-        assert_eq!(decided(DecisionStage::Wake, r#""wake":[]"#), wake(&[]));
+    fn wake_ups_have_two_forms() {
+        let wake_decision = |ids: &[u32]| Ok(Decision::Wake(ids.iter().copied().map(DeviceId).collect()));
+        assert_eq!(
+            decode_decision(DecisionStage::Wake, r#""action":[0,1,0,0,1]"#),
+            wake_decision(&[1, 4])
+        );
+        assert_eq!(
+            decode_decision(DecisionStage::Wake, r#""wake":[4,1]"#),
+            wake_decision(&[4, 1])
+        );
+        assert_eq!(decode_decision(DecisionStage::Wake, r#""wake":[]"#), wake_decision(&[]));
     }
 
     #[test]
-    fn what_decides_nothing_is_refused_with_what_is_wrong() {
-        let refused = [
+    fn an_invalid_decision_is_refused_with_the_reason() {
+        let cases = [
             (DecisionStage::Plan, r#""name":"x""#, "unknown field"),
             (DecisionStage::Plan, r#""next":9"#, "one of action, sense, cycles"),
             (DecisionStage::Plan, r#""sense":[],"action":[0,0,0,0,0]"#, "one of"),
@@ -556,14 +568,14 @@ mod tests {
                 "device 1 is [1, 0, 0]",
             ),
         ];
-        for (stage, text, why) in refused {
-            let present = decided(stage, text).expect_err(text);
-            assert!(present.contains(why), "{text}: {present}");
+        for (stage, fields, reason) in cases {
+            let error = decode_decision(stage, fields).expect_err(fields);
+            assert!(error.contains(reason), "{fields}: error {error:?}, expected {reason:?}");
         }
     }
 
     #[test]
-    fn what_is_decided_comes_back() {
+    fn a_decision_round_trips() {
         let decisions = [
             Decision::Plan(PlanDecision {
                 plan: Plan::from_bits([true, false, false, true, true]),
@@ -575,13 +587,24 @@ mod tests {
             }),
             Decision::Wake(vec![DeviceId(3), DeviceId(0)]),
         ];
-        for answer in decisions {
-            for form in [Encoding::Json, Encoding::Cbor] {
-                let reply = DecisionReply::for_request(&HEAD, "a", "").with_decision(&answer);
-                let read: DecisionReply = form.decode(&form.encode(&reply)).expect("an answer");
-                assert_eq!(read, reply);
-                assert_eq!(read.decode(answer.stage(), Tti(7), 5), Ok(answer.clone()));
+        for decision in decisions {
+            for encoding in [Encoding::Json, Encoding::Cbor] {
+                let reply = DecisionReply::for_request(&HEAD, "a", "").with_decision(&decision);
+                let decoded: DecisionReply = encoding.decode(&encoding.encode(&reply)).expect("a reply");
+                assert_eq!(decoded, reply);
+                assert_eq!(decoded.decision(decision.stage(), Tti(7), 5), Ok(decision.clone()));
             }
+        }
+    }
+
+    #[test]
+    fn a_reply_has_the_newest_protocol_version_of_both_sides() {
+        for (base_station, expected) in [(0, 0), (PROTOCOL_VERSION + 1, PROTOCOL_VERSION)] {
+            let head = WireHeader {
+                protocol: base_station,
+                ..HEAD
+            };
+            assert_eq!(DecisionReply::for_request(&head, "a", "").protocol, expected);
         }
     }
 }

@@ -73,7 +73,6 @@ declare! {
 }
 
 impl Fields {
-    /// Returns the lookback that the fields select.
     const fn lookback(&self) -> Lookback {
         if self.ages {
             Lookback::Ages
@@ -96,7 +95,6 @@ impl Fields {
     }
 }
 
-/// Default weights for windows.
 const DEFAULT_WEIGHTS: QWeights = QWeights {
     mu1: 14.0,
     mu2: 1.0,

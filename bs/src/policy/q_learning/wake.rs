@@ -101,9 +101,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_rewards_add_up_to_the_papers_in_every_event() {
+    fn rewards_add_up_to_the_reward_of_the_paper_in_every_event() {
         let mut stream = Stream::new(4, Purpose::Training, 0);
-        let mut woken = 0;
+        let mut wake_up_count = 0;
         for event in 0..500 {
             let devices = 1 + stream.below(250) as u32;
             let psi = 0.5 + stream.unit();
@@ -123,7 +123,8 @@ mod tests {
                 mu2: 5.0 * stream.unit(),
                 zeta: 0.9,
             };
-            let mut wake = WakeLearner::new(WakeTable::optimistic(1.0), &weights, &Schedule::default(), devices, psi);
+            let mut learner =
+                WakeLearner::new(WakeTable::optimistic(1.0), &weights, &Schedule::default(), devices, psi);
             // The information of the first report is not due to a wake-up.
             let mut distances = vec![4.0 * stream.unit()];
             let information = |distances: &[f64]| {
@@ -133,76 +134,85 @@ mod tests {
                     Fusion::SumSaturation => reports.sum::<f64>().min(psi),
                 }
             };
-            let start = information(&distances);
-            assert!(wake.record_answer(start).abs() < 1e-12, "no device was woken");
-            let (mut sum, wakes) = (0.0, stream.below(20));
-            let mut seen = start;
-            for _ in 0..wakes {
-                let state = wake.state(psi * stream.unit(), seen, distances.len());
-                wake.record_wake_up(state, seen);
+            let first_information = information(&distances);
+            assert!(
+                learner.record_answer(first_information).abs() < 1e-12,
+                "no device was woken"
+            );
+            let (mut reward_sum, wake_ups) = (0.0, stream.below(20));
+            let mut received = first_information;
+            for _ in 0..wake_ups {
+                let state = learner.state(psi * stream.unit(), received, distances.len());
+                learner.record_wake_up(state, received);
                 // One in three fails: the device is too far away, or its battery is empty.
                 if stream.unit() < 0.67 {
                     distances.push(4.0 * stream.unit());
                 }
-                seen = distances[1..]
-                    .iter()
-                    .fold(start, |so_far, &d| sensing.fuse(so_far, sensing.information(d)));
-                sum += wake.record_answer(seen);
-                wake.learn(None);
+                received = distances[1..].iter().fold(first_information, |information, &d| {
+                    sensing.fuse(information, sensing.information(d))
+                });
+                reward_sum += learner.record_answer(received);
+                learner.learn(None);
             }
             let n = f64::from(devices);
-            let expected = n * (weights.mu2 * (information(&distances) - start) - wakes as f64 / n);
-            assert!((sum - expected).abs() < 1e-9 * n, "{event}: {sum}, not {expected}");
-            woken += wakes;
+            let expected = n * (weights.mu2 * (information(&distances) - first_information) - wake_ups as f64 / n);
+            assert!(
+                (reward_sum - expected).abs() < 1e-9 * n,
+                "event {event}: rewards add up to {reward_sum}, not {expected}"
+            );
+            wake_up_count += wake_ups;
         }
-        assert!(woken > 3000, "{woken}");
+        assert!(wake_up_count > 3000, "too few cases: {wake_up_count} wake-ups");
     }
 
     #[test]
-    fn a_wake_up_is_learned_with_what_may_follow() {
+    fn the_value_of_a_wake_up_includes_that_of_the_next_state() {
         let weights = QWeights {
             mu1: 1.0,
             mu2: 2.0,
             zeta: 0.9,
         };
         let mut wake = WakeLearner::new(WakeTable::optimistic(1.0), &weights, &Schedule::default(), 50, 1.0);
-        let (good, bad) = ([19, 0, 0], [0, 7, 3]);
+        let (valuable_state, worthless_state) = ([19, 0, 0], [0, 7, 3]);
         wake.monotone_q[0][0][19] = 5.0;
         wake.monotone_q[7][3][0] = -5.0;
         // Stopping is worth 0, so the next step is never worth less.
-        for (next, rest) in [(Some(good), 5.0), (Some(bad), 0.0), (None, 0.0)] {
+        for (next, next_value) in [(Some(valuable_state), 5.0), (Some(worthless_state), 0.0), (None, 0.0)] {
             let mut wake = wake.clone();
             let state = wake.state(0.3, 0.1, 1);
-            let before = wake.table().at(state).value;
+            let value_before = wake.table().at(state).value;
             wake.record_wake_up(state, 0.1);
             let reward = wake.record_answer(0.4);
             assert!((reward - 29.0).abs() < 1e-9, "50·2·0.3 − 1");
             wake.learn(next);
             // The first visit's rate is 5^-0.7.
-            let expected = before + libm::pow(5.0, -0.7) * (29.0 + rest - before);
+            let expected = value_before + libm::pow(5.0, -0.7) * (29.0 + next_value - value_before);
             assert!((wake.table().at(state).value - expected).abs() < 1e-9);
             wake.learn(next);
-            assert!((wake.table().at(state).value - expected).abs() < 1e-9, "learned once");
+            assert!(
+                (wake.table().at(state).value - expected).abs() < 1e-9,
+                "a reward is learned once"
+            );
         }
     }
 
     #[test]
-    fn a_better_candidate_is_woken_wherever_a_worse_one_is() {
+    fn a_candidate_better_than_a_woken_one_is_woken() {
         let weights = QWeights {
             mu1: 1.0,
             mu2: 2.0,
             zeta: 0.9,
         };
         let mut table = WakeTable::optimistic(1.0);
-        // Often visited and worthless, among cells without visits.
+        // Values with many visits, among others without visits.
         *table.at_mut([4, 2, 1]) = (-3.0, 500).into();
         *table.at_mut([17, 2, 1]) = (6.0, 500).into();
         let mut wake = WakeLearner::new(table, &weights, &Schedule::default(), 50, 1.0);
-        let woken = |wake: &WakeLearner| {
+        let woken_scores = |wake: &WakeLearner| {
             let scores = (0..SCORE_BUCKETS).filter(|&s| wake.is_worth_it([s, 2, 1]));
             scores.collect::<Vec<_>>()
         };
-        assert_eq!(woken(&wake), (5..SCORE_BUCKETS).collect::<Vec<_>>());
+        assert_eq!(woken_scores(&wake), (5..SCORE_BUCKETS).collect::<Vec<_>>());
         assert!((0..SCORE_BUCKETS).all(|s| wake.is_worth_it([s, 2, 0]) && wake.is_worth_it([s, 3, 1])));
         // The learned value applies from the next candidate on.
         for _ in 0..40 {
@@ -210,15 +220,16 @@ mod tests {
             wake.record_answer(-0.4);
             wake.learn(None);
         }
-        let last = wake.table().at([19, 2, 1]).value;
-        assert!(last < -30.0, "{last}");
-        let worths = wake.table().monotone_q(2, 1);
-        let pooled = (501.0 * 6.0 + 1.0 + 41.0 * last) / 543.0;
+        let last_value = wake.table().at([19, 2, 1]).value;
+        assert!(last_value < -30.0, "value after the failures: {last_value}");
+        let values = wake.table().monotone_q(2, 1);
+        // The mean of the three highest scores, weighted by visits + 1.
+        let pooled_value = (501.0 * 6.0 + 1.0 + 41.0 * last_value) / 543.0;
         assert!(
-            worths[17..].iter().all(|worth| (worth - pooled).abs() < 1e-9),
-            "{worths:?}"
+            values[17..].iter().all(|value| (value - pooled_value).abs() < 1e-9),
+            "not pooled to {pooled_value}: {values:?}"
         );
-        let mut used = worths.iter().zip(&wake.monotone_q[2][1]);
-        assert!(used.all(|(known, used)| (known - used).abs() < 1e-12));
+        let mut used = values.iter().zip(&wake.monotone_q[2][1]);
+        assert!(used.all(|(learned, used)| (learned - used).abs() < 1e-12));
     }
 }

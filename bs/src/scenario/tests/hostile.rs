@@ -1,27 +1,27 @@
-//! Hostile and random texts: they are refused in bounded time, and accepted texts survive a round trip.
+//! Tests of loading hostile and random texts: no panic, bounded time and messages, and accepted texts round-trip.
 
 use proptest::prelude::*;
 
 use super::*;
 
 #[test]
-fn hostile_texts_are_refused_in_time() {
-    let deep = |piece: &str, end: &str| format!("{}{end}", piece.repeat(100_000));
+fn hostile_texts_are_refused_with_a_short_message() {
+    let nested = |piece: &str, end: &str| format!("{}{end}", piece.repeat(100_000));
     for text in [
-        deep("a.", "a = 1"),
-        deep("area.", "a = 1"),
-        format!("area = {}", deep("[", "")),
-        format!("[{}]", deep("policy.", "knn")),
+        nested("a.", "a = 1"),
+        nested("area.", "a = 1"),
+        format!("area = {}", nested("[", "")),
+        format!("[{}]", nested("policy.", "knn")),
         "[[class]]\nharvest.trace.columns=[]\n".repeat(25_000),
         "\n".repeat(2_000_000),
     ] {
-        let message = from(&text).expect_err("hostile").to_string();
+        let message = load_text(&text).expect_err("hostile").to_string();
         assert!(message.len() < 1000, "{message}");
     }
 }
 
 /// Generates a preset's text with one piece replaced.
-fn mutated() -> impl Strategy<Value = String> {
+fn mutated_preset() -> impl Strategy<Value = String> {
     let paper = load("paper", &[]).expect("a preset").scenario.to_toml();
     let source = format!("{paper}\n[[class]]\nname = \"a\"\nshare = 1\n");
     let length = source.chars().count();
@@ -31,31 +31,30 @@ fn mutated() -> impl Strategy<Value = String> {
     })
 }
 
-/// Checks that the scenario survives a round trip.
-fn there_and_back(scenario: &Scenario) -> Result<(), TestCaseError> {
+fn check_round_trip(scenario: &Scenario) -> Result<(), TestCaseError> {
     let text = scenario.to_toml();
-    let again = from(&text).map_err(|error| TestCaseError::fail(format!("{error}\n{text}")))?;
-    prop_assert_eq!(&again, scenario, "{}", text);
-    prop_assert_eq!(again.hash(), scenario.hash());
+    let reloaded = load_text(&text).map_err(|error| TestCaseError::fail(format!("{error}\n{text}")))?;
+    prop_assert_eq!(&reloaded, scenario, "{}", text);
+    prop_assert_eq!(reloaded.hash(), scenario.hash());
     Ok(())
 }
 
 proptest! {
     #[test]
     fn arbitrary_text_never_panics(text in any::<String>()) {
-        let _ = from(&text);
+        let _ = load_text(&text);
         let _ = Override::parse(&text).map(|given| load("quick", &[given]));
     }
 
     #[test]
-    fn a_mutated_preset_never_panics(text in mutated()) {
-        if let Ok(scenario) = from(&text) {
-            there_and_back(&scenario)?;
+    fn a_mutated_preset_never_panics(text in mutated_preset()) {
+        if let Ok(scenario) = load_text(&text) {
+            check_round_trip(&scenario)?;
         }
     }
 
     #[test]
-    fn to_toml_loads_back(
+    fn a_generated_scenario_round_trips(
         (devices, seed, tau) in (1u32..=1000, any::<u64>(), 1e-3..1e3f64),
         (e_max, lambda, e_b, share) in (10.0..1e4f64, 1e-3..10.0f64, 0.0..1e4f64, 0.01..0.99f64),
         kind in prop::sample::select(vec!["eq5", "exp-minus-lambda", "mpp"]),
@@ -72,8 +71,8 @@ proptest! {
             toml::Value::String(name),
             1.0 - share,
         );
-        let scenario = from(&text).map_err(|error| TestCaseError::fail(format!("{error}\n{text}")))?;
+        let scenario = load_text(&text).map_err(|error| TestCaseError::fail(format!("{error}\n{text}")))?;
         prop_assert_eq!(scenario.run.seed, seed);
-        there_and_back(&scenario)?;
+        check_round_trip(&scenario)?;
     }
 }

@@ -1,17 +1,17 @@
-//! Errors and warnings for invalid scenarios: field, value, allowed values and place.
+//! Tests of the errors for invalid scenarios and of the warnings: field, value, allowed values and place.
 
 use std::path::Path;
 
-use reveille_common::declare::quoted_list;
+use reveille_common::declare::{FORMER_NAME_NOTICE, quoted_list};
 use reveille_common::geometry::Layout;
 
 use super::*;
 
 #[test]
 fn messages_name_field_value_range_and_line() {
-    let diagonal = from("\n\n[sensing]\nd_max = 50\n").expect_err("too far").to_string();
+    let error = load_text("\n\n[sensing]\nd_max = 50\n").expect_err("too far");
     assert_eq!(
-        diagonal,
+        error.to_string(),
         "sensing.d_max = 50: must be greater than 0 and at most 28.28 (the area's diagonal in metres); set in my.toml, \
          line 4"
     );
@@ -93,17 +93,17 @@ fn messages_name_field_value_range_and_line() {
         ),
         ("seed = = 1", "my.toml, line 1: not valid TOML", ""),
     ] {
-        let message = from(text).expect_err(text).to_string();
+        let message = load_text(text).expect_err(text).to_string();
         assert!(message.starts_with(start), "{text}: {message}");
         assert!(message.contains(end), "{text}: {message}");
-        assert!(!message.contains('\n'), "one paragraph: {message}");
+        assert!(!message.contains('\n'), "{text}: several lines: {message}");
     }
 }
 
 #[test]
-fn pilot_runs_are_bounded_like_runs() {
+fn pilot_runs_have_the_limits_of_runs() {
     let text = "devices = 1_000_000\nttis = 1000\npolicy.name = \"adjusted\"\npolicy.adjusted.pilot_ttis = 1_000_000";
-    let message = from(text).expect_err("too long").to_string();
+    let message = load_text(text).expect_err("too long").to_string();
     let expected = "policy.adjusted.pilot_ttis = 1000000: must be at most 184467 with 1000000 devices that hold or \
                     harvest up to 100 units";
     assert!(
@@ -113,8 +113,8 @@ fn pilot_runs_are_bounded_like_runs() {
 }
 
 #[test]
-fn a_menu_of_duty_cycles_fits_together() {
-    let message = from("policy.name = \"random\"\npolicy.random.t_on = [1, 4]").expect_err("too long");
+fn t_on_must_not_exceed_the_shortest_t_drx() {
+    let message = load_text("policy.name = \"random\"\npolicy.random.t_on = [1, 4]").expect_err("too long");
     assert_eq!(
         message.to_string(),
         "policy.random.t_on = [1, 4]: must not exceed 2, the shortest of policy.random.t_drx; set in my.toml, line 2"
@@ -122,31 +122,31 @@ fn a_menu_of_duty_cycles_fits_together() {
 }
 
 #[test]
-fn class_messages_name_the_class() {
-    let two = |extra: &str| format!("[[class]]\nname = \"a\"\nshare = 0.5\n[[class]]\nname = \"b\"\n{extra}\n");
-    for (text, part) in [
+fn messages_on_a_class_name_the_class() {
+    let two_classes = |extra: &str| format!("[[class]]\nname = \"a\"\nshare = 0.5\n[[class]]\nname = \"b\"\n{extra}\n");
+    for (text, expected) in [
         (
-            two("share = 0.4"),
+            two_classes("share = 0.4"),
             "class = shares 0.5 + 0.4: the shares of all classes must add up to 1, not to 0.9",
         ),
         (
-            two(""),
+            two_classes(""),
             "class.b.share: required because of class.b.name, set in my.toml, line 5",
         ),
         (
-            two("share = 0.5\nenergy.e_tx = 200"),
+            two_classes("share = 0.5\nenergy.e_tx = 200"),
             "class.b.energy.e_tx = 200: must be at most 100 units",
         ),
         (
-            two("share = 0.5\nenergy.e_max = 5"),
+            two_classes("share = 0.5\nenergy.e_max = 5"),
             "energy.e_tx = 10: must be at most 5 units (class.b.energy.e_max)",
         ),
         (
-            two("share = 0.5\nenergy.e_tx = \"x\""),
+            two_classes("share = 0.5\nenergy.e_tx = \"x\""),
             "class.b.energy.e_tx = \"x\": must be a number; set in my.toml, line 7",
         ),
         (
-            two("share = 0.5\nenergy.etx = 2"),
+            two_classes("share = 0.5\nenergy.etx = 2"),
             "unknown field `class.b.energy.etx`; did you mean `e",
         ),
         (
@@ -162,14 +162,14 @@ fn class_messages_name_the_class() {
             "class.1.name: required for every class (set in my.toml, line 2)",
         ),
     ] {
-        let message = from(&text).expect_err(&text).to_string();
-        assert!(message.contains(part), "{message}");
+        let message = load_text(&text).expect_err(&text).to_string();
+        assert!(message.contains(expected), "{text}: {message}");
     }
 }
 
 #[test]
-fn tables_in_the_wrong_place_are_explained() {
-    let message = |text: &str| from(text).expect_err("it must not be").to_string();
+fn tables_in_place_of_values_are_refused() {
+    let message = |text: &str| load_text(text).expect_err(text).to_string();
     let number = message("[devices]\nn = 3");
     assert!(number.starts_with("devices = {…}: must be"), "{number}");
     let list = message("[class.a]\nshare = 1");
@@ -178,16 +178,18 @@ fn tables_in_the_wrong_place_are_explained() {
 }
 
 #[test]
-fn unknown_fields_come_with_a_suggestion() {
-    let settings = from("[policy.genie]\nx = 1\n").expect_err("it has none").to_string();
+fn unknown_fields_are_refused_with_a_suggestion() {
+    let without_fields = load_text("[policy.genie]\nx = 1\n")
+        .expect_err("genie has no fields")
+        .to_string();
     assert!(
-        settings.starts_with("unknown field `policy.genie`; the policy `genie` has no fields; set in my.toml"),
-        "{settings}"
+        without_fields.starts_with("unknown field `policy.genie`; the policy `genie` has no fields; set in my.toml"),
+        "{without_fields}"
     );
     let folder = load(env!("CARGO_MANIFEST_DIR"), &[]).expect_err("a folder");
     assert!(
         std::error::Error::source(&folder).is_none(),
-        "said once, in the message"
+        "the message already contains the source"
     );
     for (text, message) in [
         (
@@ -201,18 +203,18 @@ fn unknown_fields_come_with_a_suggestion() {
              are `process`, `alpha`, `duration`, `duration_kind`, `hot-spots`, `aftershocks`, `bursts`",
         ),
     ] {
-        assert_eq!(from(text).expect_err(text).to_string(), message);
+        assert_eq!(load_text(text).expect_err(text).to_string(), message);
     }
-    let top = from("seed = 1\nd_max = 3").expect_err("wrong section").to_string();
+    let wrong_section = load_text("seed = 1\nd_max = 3").expect_err("wrong section").to_string();
     assert!(
-        top.starts_with("unknown field `d_max`; did you mean `sensing.d_max`?; set in my.toml, line 2"),
-        "{top}"
+        wrong_section.starts_with("unknown field `d_max`; did you mean `sensing.d_max`?; set in my.toml, line 2"),
+        "{wrong_section}"
     );
 }
 
 #[test]
-fn overrides_are_checked_like_files() {
-    for (text, part) in [
+fn overrides_are_checked_as_files_are() {
+    for (text, expected) in [
         (
             "sensing.d_max=50",
             "(the area's diagonal in metres); set by --set sensing.d_max=50",
@@ -236,18 +238,18 @@ fn overrides_are_checked_like_files() {
             "class = x: must be the name of a class; there are (none); set by --set",
         ),
     ] {
-        let message = load("paper", &set(&[text])).expect_err(text).to_string();
-        assert!(message.contains(part), "{message}");
+        let message = load("paper", &overrides(&[text])).expect_err(text).to_string();
+        assert!(message.contains(expected), "{message}");
     }
-    let flag = Override::from_flag("--devices", "devices", "0").expect("well-formed");
-    let message = load("paper", &[flag]).expect_err("no devices").to_string();
+    let from_flag = Override::from_flag("--devices", "devices", "0").expect("well-formed");
+    let message = load("paper", &[from_flag]).expect_err("no devices").to_string();
     assert!(message.ends_with("; set by --devices"), "{message}");
-    let unknown = load("qiuck", &[]).expect_err("no such file").to_string();
-    assert!(unknown.contains("did you mean `quick`?"), "{unknown}");
+    let unknown_preset = load("qiuck", &[]).expect_err("no such file").to_string();
+    assert!(unknown_preset.contains("did you mean `quick`?"), "{unknown_preset}");
 }
 
 #[test]
-fn data_files_are_checked_row_by_row() {
+fn errors_in_data_files_name_row_and_column() {
     let files = [
         ("p.csv", "x,y\n1,2\n3,4\n"),
         ("out.csv", "x,y\n1,2\n30,4\n"),
@@ -255,12 +257,12 @@ fn data_files_are_checked_row_by_row() {
         ("empty.csv", "hour,w\n"),
         ("t.parquet", "PAR1"),
     ];
-    let folder = folder("rows", &files);
+    let folder = create_folder("rows", &files);
     let layout = |file: &str| format!("devices = 2\n[layout]\nkind = \"file\"\nfile = \"{file}\"\n");
     let trace = |file: &str, column: &str| {
         format!("[harvest]\nkind = \"trace\"\ntrace.file = \"{file}\"\ntrace.column = \"{column}\"\n")
     };
-    for (text, part) in [
+    for (text, expected) in [
         (
             layout("p.csv").replace('2', "3"),
             "p.csv\": has 2 points, too few for 3 devices; set in my.toml, line 4",
@@ -285,45 +287,47 @@ fn data_files_are_checked_row_by_row() {
         ),
     ] {
         let message = parse(&text, "my.toml", &folder, &[]).expect_err(&text).to_string();
-        assert!(message.contains(part), "{message}");
+        assert!(message.contains(expected), "{message}");
     }
-    let placed = parse(&layout("p.csv"), "my.toml", &folder, &[])
+    let scenario = parse(&layout("p.csv"), "my.toml", &folder, &[])
         .expect("valid")
         .scenario;
-    assert!(matches!(&placed.layout, Layout::File(file) if file.points.len() == 2));
-    assert_eq!(from(&placed.to_toml()).expect("valid"), placed);
+    assert!(matches!(&scenario.layout, Layout::File(file) if file.points.len() == 2));
+    assert_eq!(load_text(&scenario.to_toml()).expect("valid"), scenario);
     std::fs::remove_dir_all(folder).expect("its own folder");
 }
 
 #[test]
-fn what_has_no_effect_is_warned_of() {
+fn fields_without_effect_are_warned_of() {
     let classes = "[[class]]\nname = \"a\"\nshare = 0.5\nharvest.lambda = 0.3\n\
                    [[class]]\nname = \"b\"\nshare = 0.5\nharvest.lambda = 0.2\n";
-    let lambda = set(&["harvest.lambda=0.7"]);
-    let silent = parse(classes, "t", Path::new(""), &lambda).expect("valid").warnings;
-    assert_eq!(silent.len(), 1, "{silent:?}");
+    let lambda = overrides(&["harvest.lambda=0.7"]);
+    let warnings = parse(classes, "t", Path::new(""), &lambda).expect("valid").warnings;
+    assert_eq!(warnings.len(), 1, "{warnings:?}");
     assert!(
-        silent[0].starts_with("harvest.lambda = 0.7 has no effect on any class"),
-        "{silent:?}"
+        warnings[0].starts_with("harvest.lambda = 0.7 has no effect on any class"),
+        "{warnings:?}"
     );
-    assert!(silent[0].ends_with("set by --set harvest.lambda=0.7"), "{silent:?}");
-    let one = classes.replace("harvest.lambda = 0.2\n", "");
+    assert!(warnings[0].ends_with("set by --set harvest.lambda=0.7"), "{warnings:?}");
+    let one_class = classes.replace("harvest.lambda = 0.2\n", "");
     assert!(
-        parse(&one, "t", Path::new(""), &lambda)
+        parse(&one_class, "t", Path::new(""), &lambda)
             .expect("valid")
             .warnings
             .is_empty()
     );
-    let scale = load("paper", &set(&["harvest.trace.scale=2"])).expect("valid").warnings;
+    let scale_warnings = load("paper", &overrides(&["harvest.trace.scale=2"]))
+        .expect("valid")
+        .warnings;
     assert!(
-        scale[0].contains("has an effect only with harvest.kind = \"trace\""),
-        "{scale:?}"
+        scale_warnings[0].contains("has an effect only with harvest.kind = \"trace\""),
+        "{scale_warnings:?}"
     );
-    let solar = examples().join("solar.toml");
-    let solar = load(solar.to_str().expect("UTF-8"), &lambda).expect("valid").warnings;
+    let solar = examples_folder().join("solar.toml");
+    let solar_warnings = load(solar.to_str().expect("UTF-8"), &lambda).expect("valid").warnings;
     assert!(
-        solar[0].starts_with("harvest.lambda = 0.7 has an effect only with"),
-        "{solar:?}"
+        solar_warnings[0].starts_with("harvest.lambda = 0.7 has an effect only with"),
+        "{solar_warnings:?}"
     );
     let without_effect = [
         (
@@ -347,11 +351,11 @@ fn what_has_no_effect_is_warned_of() {
             "only with events.process = \"aftershocks\"",
         ),
     ];
-    for (process, field, part) in without_effect {
+    for (process, field, expected) in without_effect {
         let process = format!("events.process={process}");
-        let warnings = load("paper", &set(&[&process, field])).expect("valid").warnings;
+        let warnings = load("paper", &overrides(&[&process, field])).expect("valid").warnings;
         assert!(
-            matches!(&warnings[..], [one] if one.contains(part)),
+            matches!(&warnings[..], [warning] if warning.contains(expected)),
             "{process} {field}: {warnings:?}"
         );
     }
@@ -361,24 +365,28 @@ fn what_has_no_effect_is_warned_of() {
 }
 
 #[test]
-fn former_names_of_fields_are_accepted_with_a_warning() {
+fn former_field_names_are_accepted_with_a_warning() {
     let dt = "policy.name=dt";
-    let hash = |fields: &[&str]| load("paper", &set(fields)).expect("valid").scenario.hash();
+    let hash = |fields: &[&str]| load("paper", &overrides(fields)).expect("valid").scenario.hash();
     for (former, current) in [
         (vec!["radio.false_wake=0.1"], vec!["radio.false_wake_up=0.1"]),
         (vec![dt, "policy.dt.in_vain=0.2"], vec![dt, "policy.dt.miss_cost=0.2"]),
     ] {
-        let warnings = load("paper", &set(&former)).expect("valid").warnings;
-        let (old, new) = (former.last().expect("one"), current.last().expect("one"));
+        let warnings = load("paper", &overrides(&former)).expect("valid").warnings;
+        let (former_override, current_override) = (former.last().expect("one"), current.last().expect("one"));
         let name = |field: &str| field.split('=').next().unwrap_or_default().to_owned();
-        let expected = format!("{} is now called {} (set by --set {old})", name(old), name(new));
+        let expected = format!(
+            "{} is now called {} (set by --set {former_override})",
+            name(former_override),
+            name(current_override)
+        );
         assert!(
-            matches!(&warnings[..], [one] if one.starts_with(&expected)),
+            matches!(&warnings[..], [warning] if warning.starts_with(&expected) && warning.ends_with(FORMER_NAME_NOTICE)),
             "{warnings:?}"
         );
         assert_eq!(hash(&former), hash(&current));
-        let both: Vec<&str> = former.iter().chain(&current).copied().collect();
-        assert_eq!(hash(&both), hash(&current), "the later override applies");
+        let former_then_current: Vec<&str> = former.iter().chain(&current).copied().collect();
+        assert_eq!(hash(&former_then_current), hash(&current), "the later override applies");
     }
     let file = parse("[radio]\nfalse_wake = 0.1\n", "my.toml", Path::new(""), &[]).expect("valid");
     assert!(
@@ -386,9 +394,19 @@ fn former_names_of_fields_are_accepted_with_a_warning() {
         "{:?}",
         file.warnings
     );
-    let twice = from("[radio]\nfalse_wake = 0.1\nfalse_wake_up = 0.2\n").expect_err("two values");
+}
+
+#[test]
+fn a_former_name_next_to_the_current_one_is_refused() {
+    let file = "[radio]\nfalse_wake = 0.1\nfalse_wake_up = 0.2\n";
+    let twice = parse(file, "my.toml", Path::new(""), &[]).expect_err("two values");
+    let expected = "radio.false_wake is the former name of radio.false_wake_up, and the file sets both: remove \
+                    radio.false_wake; set in my.toml, line 2";
+    assert_eq!(twice.to_string(), expected);
+    let option = overrides(&["radio={ false_wake = 0.1, false_wake_up = 0.2 }"]);
+    let twice = load("paper", &option).expect_err("two values").to_string();
     assert!(
-        twice.to_string().starts_with("unknown field `radio.false_wake`"),
+        twice.contains("and the option sets both: remove radio.false_wake; set by --set"),
         "{twice}"
     );
 }

@@ -1,4 +1,5 @@
-//! Complete scenarios: presets, precedence, classes and the inputs of the hash.
+//! Tests of loading complete scenarios: presets, precedence, classes, files, and the fields that the hash covers.
+//! `messages` and `hostile` load invalid scenarios; `pages` tests generated pages.
 
 mod hostile;
 mod messages;
@@ -6,30 +7,38 @@ mod pages;
 
 use std::path::{Path, PathBuf};
 
-use super::*;
 use reveille_common::event::{DurationKind, EventBursts, ProcessSettings};
 use reveille_common::geometry::Layout;
 use reveille_common::harvest::OnOff;
 use reveille_common::sensing::DetectionKind;
 use reveille_common::units::Energy;
 
-fn set(texts: &[&str]) -> Vec<Override> {
-    texts
+use super::*;
+
+/// Parses overrides such as `devices=9`.
+pub(crate) fn overrides(fields: &[&str]) -> Vec<Override> {
+    fields
         .iter()
-        .map(|text| Override::parse(text).expect("well-formed"))
+        .map(|field| Override::parse(field).expect("well-formed"))
         .collect()
 }
 
-fn from(text: &str) -> Result<Scenario, ScenarioError> {
+/// Loads the preset `paper` with `fields` overridden.
+pub(crate) fn load_paper(fields: &[&str]) -> Scenario {
+    load("paper", &overrides(fields)).expect("a valid scenario").scenario
+}
+
+/// Loads a scenario from the text of a file `my.toml`.
+fn load_text(text: &str) -> Result<Scenario, ScenarioError> {
     parse(text, "my.toml", Path::new("/nonexistent"), &[]).map(|loaded| loaded.scenario)
 }
 
-fn examples() -> PathBuf {
+fn examples_folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../deploy/scenarios")
 }
 
-/// A temporary folder for the data files of one test.
-fn folder(name: &str, files: &[(&str, &str)]) -> PathBuf {
+/// Creates a temporary folder with the data files of one test.
+fn create_folder(name: &str, files: &[(&str, &str)]) -> PathBuf {
     let folder = std::env::temp_dir().join(format!("reveille-scenario-{}-{name}", std::process::id()));
     std::fs::create_dir_all(&folder).expect("a folder");
     for (file, text) in files {
@@ -39,8 +48,8 @@ fn folder(name: &str, files: &[(&str, &str)]) -> PathBuf {
 }
 
 #[test]
-fn the_paper_preset_is_table_ii() {
-    let scenario = load("paper", &[]).expect("a preset").scenario;
+fn the_paper_preset_has_the_values_of_table_ii() {
+    let scenario = load_paper(&[]);
     let energy = scenario.classes[0].energy;
     assert_eq!(energy.e_wur, Energy::from_micro(71_429));
     assert_eq!(energy.initial, Energy::from_micro(50_000_000));
@@ -72,18 +81,18 @@ fn every_preset_loads_under_its_name() {
 }
 
 #[test]
-fn later_layers_win() {
+fn later_layers_take_precedence() {
     let text = "preset = \"quick\"\nseed = 7\n[sensing]\nd_max = 5\n";
     let scenario = parse(
         text,
         "my.toml",
         Path::new(""),
-        &set(&["sensing.d_max=6", "sensing.d_max=6.5"]),
+        &overrides(&["sensing.d_max=6", "sensing.d_max=6.5"]),
     );
     let scenario = scenario.expect("valid").scenario;
     assert_eq!((scenario.run.devices, scenario.run.seed), (20, 7));
     assert!((scenario.sensing.d_max - 6.5).abs() < f64::EPSILON);
-    let quick = load("paper", &set(&["preset=quick"])).expect("valid").scenario;
+    let quick = load_paper(&["preset=quick"]);
     assert_eq!((quick.run.preset.as_str(), quick.run.devices), ("quick", 20));
 }
 
@@ -95,7 +104,7 @@ fn a_class_inherits_field_by_field() {
         text,
         "t",
         Path::new(""),
-        &set(&["class.b.energy.e_max=80", "energy.e_wur=0.5"]),
+        &overrides(&["class.b.energy.e_max=80", "energy.e_wur=0.5"]),
     );
     let classes = scenario.expect("valid").scenario.classes;
     let both = |field: fn(&EnergyModel) -> Energy| [0, 1].map(|i: usize| field(&classes[i].energy).micro());
@@ -111,7 +120,7 @@ fn a_class_inherits_field_by_field() {
 }
 
 #[test]
-fn the_examples_load_and_come_back() {
+fn the_examples_load_and_round_trip() {
     for name in [
         "solar.toml",
         "solar-panel.toml",
@@ -119,24 +128,24 @@ fn the_examples_load_and_come_back() {
         "two-classes.toml",
         "rush-hours.toml",
     ] {
-        let path = examples().join(name);
+        let path = examples_folder().join(name);
         let scenario = load(path.to_str().expect("UTF-8"), &[]).expect(name).scenario;
-        let again = from(&scenario.to_toml()).expect(name);
-        assert_eq!(scenario, again, "{}", scenario.to_toml());
-        assert_eq!(scenario.hash(), again.hash());
+        let reloaded = load_text(&scenario.to_toml()).expect(name);
+        assert_eq!(scenario, reloaded, "{}", scenario.to_toml());
+        assert_eq!(scenario.hash(), reloaded.hash());
     }
-    let solar = load(examples().join("solar.toml").to_str().expect("UTF-8"), &[])
+    let solar_scenario = load(examples_folder().join("solar.toml").to_str().expect("UTF-8"), &[])
         .expect("valid")
         .scenario;
-    let Harvest::Trace(trace) = &solar.classes[0].harvest else {
-        panic!("{:?}", solar.classes[0].harvest);
+    let Harvest::Trace(trace) = &solar_scenario.classes[0].harvest else {
+        panic!("{:?}", solar_scenario.classes[0].harvest);
     };
     assert_eq!((trace.values.len(), trace.values[0].len()), (1, 14 * 24));
 }
 
 #[test]
 fn alpha_of_bursts_is_the_mean_of_both_phases() {
-    let path = examples().join("rush-hours.toml");
+    let path = examples_folder().join("rush-hours.toml");
     let events = load(path.to_str().expect("UTF-8"), &[]).expect("valid").scenario.events;
     let ProcessSettings::Bursts(EventBursts {
         busy_alpha,
@@ -151,17 +160,17 @@ fn alpha_of_bursts_is_the_mean_of_both_phases() {
         (events.alpha - (busy_alpha + 4.0 * quiet_alpha) / 5.0).abs() < 1e-15,
         "{events:?}"
     );
-    let usual = load("paper", &set(&["events.process=bursts"]))
+    let with_defaults = load("paper", &overrides(&["events.process=bursts"]))
         .expect("valid")
         .scenario
         .events;
-    assert!((usual.alpha - 0.176).abs() < 1e-15, "{usual:?}");
+    assert!((with_defaults.alpha - 0.176).abs() < 1e-15, "{with_defaults:?}");
 }
 
 #[test]
 fn an_override_replaces_the_shared_column() {
-    let path = examples().join("solar.toml");
-    let columns = set(&[
+    let path = examples_folder().join("solar.toml");
+    let columns = overrides(&[
         "harvest.trace.columns=[\"hour\", \"ghi_w_m2\"]",
         "harvest.trace.scale=0.001",
     ]);
@@ -170,18 +179,17 @@ fn an_override_replaces_the_shared_column() {
         panic!("{:?}", scenario.classes[0].harvest);
     };
     assert_eq!(trace.values.len(), 2);
-    assert_eq!(from(&scenario.to_toml()).expect("valid"), scenario);
+    assert_eq!(load_text(&scenario.to_toml()).expect("valid"), scenario);
 }
 
 #[test]
-fn the_hash_follows_what_decides_a_run_and_nothing_else() {
-    let paper = |overrides: &[&str]| load("paper", &set(overrides)).expect("valid").scenario;
-    let hash = |overrides: &[&str]| paper(overrides).hash_hex();
-    let quick = load("quick", &set(&["devices=50", "ttis=10000"]))
+fn the_hash_covers_exactly_the_fields_that_affect_a_run() {
+    let hash = |fields: &[&str]| load_paper(fields).hash_hex();
+    let quick = load("quick", &overrides(&["devices=50", "ttis=10000"]))
         .expect("valid")
         .scenario;
     assert_eq!(hash(&[]), quick.hash_hex());
-    assert_ne!(paper(&[]), quick, "the name of the preset differs");
+    assert_ne!(load_paper(&[]), quick, "the name of the preset differs");
     for changed in [
         "seed=2",
         "energy.e_wur=0.071428",
@@ -206,62 +214,62 @@ fn the_hash_follows_what_decides_a_run_and_nothing_else() {
     }
     let bursts = "events.process=bursts";
     assert_eq!(hash(&[bursts]), hash(&[bursts, "events.alpha=0.9"]));
-    let folder = folder(
+    let folder = create_folder(
         "hash",
         &[("a.csv", "w\n1\n2\n"), ("b.csv", "w\n1\n2\n"), ("c.csv", "w\n1\n3\n")],
     );
-    let traced = |file: &str| {
+    let hash_of_trace = |file: &str| {
         let text = format!("[harvest]\nkind = \"trace\"\ntrace = {{ file = \"{file}\", column = \"w\" }}");
         parse(&text, "my.toml", &folder, &[]).expect("valid").scenario.hash()
     };
-    assert_eq!(traced("a.csv"), traced("b.csv"));
-    assert_ne!(traced("a.csv"), traced("c.csv"));
+    assert_eq!(hash_of_trace("a.csv"), hash_of_trace("b.csv"));
+    assert_ne!(hash_of_trace("a.csv"), hash_of_trace("c.csv"));
     std::fs::remove_dir_all(&folder).expect("its own folder");
 }
 
 #[test]
-fn a_layout_file_may_say_the_class_of_each_device() {
-    let good = "x,y,class\n1,2,weak\n3,4,strong\n5,6,weak\n";
+fn a_layout_file_can_set_the_class_of_each_device() {
+    let layout_with_classes = "x,y,class\n1,2,weak\n3,4,strong\n5,6,weak\n";
     let files = [
-        ("good.csv", good),
+        ("good.csv", layout_with_classes),
         ("bad.csv", "x,y,class\n1,2,weak\n3,4,stron\n"),
         ("plain.csv", "x,y\n1,2\n3,4\n"),
     ];
-    let folder = folder("classes", &files);
+    let folder = create_folder("classes", &files);
     let text = |file: &str, share: &str| {
         format!(
             "devices = 2\nlayout.kind = \"file\"\nlayout.file = \"{file}\"\n[[class]]\nname = \"strong\"\n{share}\n\
              [[class]]\nname = \"weak\"\n{share}\n"
         )
     };
-    let load = |file: &str, share: &str| parse(&text(file, share), "my.toml", &folder, &[]);
+    let load_layout = |file: &str, share: &str| parse(&text(file, share), "my.toml", &folder, &[]);
     let Loaded {
         scenario: placed,
         warnings,
-    } = load("good.csv", "").expect("valid");
+    } = load_layout("good.csv", "").expect("valid");
     assert_eq!(assign_classes(&placed), [1, 0]);
     assert!((placed.classes[0].share - 0.5).abs() < 1e-12);
     assert_eq!(warnings.len(), 1, "{warnings:?}");
     assert!(warnings[0].contains("good.csv has 3 positions; the first 2 are used"));
-    assert_eq!(from(&placed.to_toml()).expect("valid"), placed);
-    let shared = load("good.csv", "share = 0.5").expect("valid");
+    assert_eq!(load_text(&placed.to_toml()).expect("valid"), placed);
+    let with_shares = load_layout("good.csv", "share = 0.5").expect("valid");
     assert!(
-        shared
+        with_shares
             .warnings
             .iter()
             .any(|w| w.starts_with("class.share, class.devices and zones have no effect"))
     );
-    assert_eq!(shared.scenario.hash(), placed.hash());
-    let unknown = load("bad.csv", "").expect_err("no such class").to_string();
+    assert_eq!(with_shares.scenario.hash(), placed.hash());
+    let unknown_class = load_layout("bad.csv", "").expect_err("no such class").to_string();
     assert!(
-        unknown.contains("line 3, column `class`: the scenario has no class \"stron\"")
-            && unknown.contains("did you mean `strong`?"),
-        "{unknown}"
+        unknown_class.contains("line 3, column `class`: the scenario has no class \"stron\"")
+            && unknown_class.contains("did you mean `strong`?"),
+        "{unknown_class}"
     );
-    let missing = load("plain.csv", "").expect_err("no shares").to_string();
+    let missing_shares = load_layout("plain.csv", "").expect_err("no shares").to_string();
     assert!(
-        missing.contains("class.strong.share: required because of class.strong.name"),
-        "{missing}"
+        missing_shares.contains("class.strong.share: required because of class.strong.name"),
+        "{missing_shares}"
     );
     std::fs::remove_dir_all(&folder).expect("its own folder");
 }

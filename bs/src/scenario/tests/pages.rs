@@ -1,4 +1,4 @@
-//! Output generated from the declarations: reference page, schema, complete scenario file, fuzz dictionary.
+//! Tests of output generated from the declarations: reference page, schema, complete scenario file, fuzz dictionary.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -18,7 +18,7 @@ fn the_reference_page_is_current() {
 }
 
 #[test]
-fn schema_and_full_page_have_every_field() {
+fn the_schema_and_the_complete_file_contain_every_field() {
     let schema: serde_json::Value = serde_json::from_str(&schema()).expect("JSON");
     let page = load("paper", &[])
         .expect("a preset")
@@ -28,13 +28,13 @@ fn schema_and_full_page_have_every_field() {
         let pointer = path
             .split('.')
             .fold(String::new(), |at, name| format!("{at}/properties/{name}"));
-        assert!(schema.pointer(&pointer).is_some(), "{path}");
+        assert!(schema.pointer(&pointer).is_some(), "{path} is not in the schema");
         let name = path.rsplit('.').next().expect("a name");
-        let has_it = |line: &str| line.trim_start_matches("# ").starts_with(&format!("{name} = "));
-        assert!(page.lines().any(has_it), "{path}");
+        let sets_field = |line: &str| line.trim_start_matches("# ").starts_with(&format!("{name} = "));
+        assert!(page.lines().any(sets_field), "{path} is not in the complete file");
     }
     assert_eq!(
-        from(&page).expect("what is shown loads"),
+        load_text(&page).expect("the complete file loads"),
         load("paper", &[]).expect("a preset").scenario
     );
     let lambda = schema
@@ -46,23 +46,22 @@ fn schema_and_full_page_have_every_field() {
 }
 
 #[test]
-fn words_of_the_fuzz_dictionary_are_those_of_the_declaration() {
+fn the_fuzz_dictionary_contains_exactly_the_declared_words() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/fuzz/scenario.dict");
     let dictionary = std::fs::read_to_string(path).expect("the dictionary");
     let tail = "# Syntax and values, which no declaration has.\n";
     let (head, _) = dictionary.split_once(tail).expect("a tail");
-    let held: Vec<&str> = head.lines().filter(|line| !line.starts_with('#')).collect();
-
-    let declaration = declaration();
-    let mut words: BTreeSet<&str> = declaration.registered.iter().map(|policy| policy.name).collect();
-    words.extend(declaration.presets.iter().map(|preset| preset.name));
-    words.extend(declaration.sections.iter().flat_map(|section| section.path.split('.')));
-    words.insert(declaration.list.name());
-    let own = std::iter::once(&declaration.list.section);
-    for field in declaration
+    let dictionary_words: Vec<&str> = head.lines().filter(|line| !line.starts_with('#')).collect();
+    let declared = declaration();
+    let mut words: BTreeSet<&str> = declared.registered.iter().map(|policy| policy.name).collect();
+    words.extend(declared.presets.iter().map(|preset| preset.name));
+    words.extend(declared.sections.iter().flat_map(|section| section.path.split('.')));
+    words.insert(declared.list.name());
+    let list_section = std::iter::once(&declared.list.section);
+    for field in declared
         .sections
         .iter()
-        .chain(own)
+        .chain(list_section)
         .flat_map(|section| section.fields)
     {
         words.insert(field.name);
@@ -75,5 +74,8 @@ fn words_of_the_fuzz_dictionary_are_those_of_the_declaration() {
         .filter(|word| !word.is_empty())
         .map(|word| format!("\"{word}\""))
         .collect();
-    assert_eq!(held, expected, "words of tests/fuzz/scenario.dict, in their order");
+    assert_eq!(
+        dictionary_words, expected,
+        "words of tests/fuzz/scenario.dict, in their order"
+    );
 }

@@ -85,7 +85,6 @@ enum BarrierState {
     Idle,
     Grant {
         tti: Tti,
-        /// Whether devices may report.
         may_report: bool,
         /// The additional data in the answers.
         options: GrantOptions,
@@ -109,7 +108,6 @@ enum BarrierState {
 pub struct Barrier {
     roster: Roster,
     state: BarrierState,
-    /// The last TTI that was granted.
     granted: Option<Tti>,
     unexpected_messages: u64,
 }

@@ -1,4 +1,4 @@
-//! Tests of the expected hosts and of the answers that the barrier accepts.
+//! Tests of [`Barrier`]: the hosts that it waits for, and the answers and reports that it accepts, without a bus.
 
 use reveille_common::ids::{DeviceId, HostId, Tti};
 use reveille_common::message::{HostAnswer, Report, WakeOutcome};
@@ -6,9 +6,9 @@ use reveille_common::units::Energy;
 
 use super::*;
 use crate::server::admission::Assignment;
-use crate::server::roster::tests::roster;
+use crate::server::roster::tests::two_host_roster;
 
-fn done(host: u32, tti: u64, reports: u32) -> HostAnswer {
+fn grant_done(host: u32, tti: u64, reports: u32) -> HostAnswer {
     HostAnswer::GrantDone {
         host: HostId(host),
         tti: Tti(tti),
@@ -28,76 +28,119 @@ fn report(device: u32, tti: u64) -> Report {
     }
 }
 
-/// Two hosts with five devices each, waiting for TTI 5.
-fn barrier(stimulus: bool) -> Barrier {
-    let mut barrier = Barrier::new(roster());
-    barrier.expect_grant(Tti(5), stimulus, GrantOptions::default());
+/// Two hosts with five devices each, waiting for the answers to TTI 5. An event is active there if `is_event_active`.
+fn waiting_barrier(is_event_active: bool) -> Barrier {
+    let mut barrier = Barrier::new(two_host_roster());
+    barrier.expect_grant(Tti(5), is_event_active, GrantOptions::default());
     barrier
 }
 
-fn hear(b: &mut Barrier, report: Report) -> bool {
-    b.receive_report(HostId(report.device.0 / 5), report)
+/// Passes on a report from the host of its device.
+fn receive_from_own_host(barrier: &mut Barrier, report: Report) -> bool {
+    barrier.receive_report(HostId(report.device.0 / 5), report)
 }
 
 #[test]
 fn a_grant_waits_for_every_host_and_every_report() {
-    let mut b = barrier(true);
-    assert!(!b.receive_answer(HostId(0), done(0, 5, 2)));
-    assert!(!b.receive_answer(HostId(0), done(0, 5, 2)), "the same answer twice");
-    assert!(!b.receive_answer(HostId(7), done(7, 5, 0)), "an unknown host");
-    assert!(!b.receive_answer(HostId(1), done(0, 5, 0)), "in another's name");
+    let mut barrier = waiting_barrier(true);
+    assert!(!barrier.receive_answer(HostId(0), grant_done(0, 5, 2)));
     assert!(
-        !b.receive_answer(HostId(1), done(1, 4, 0)),
+        !barrier.receive_answer(HostId(0), grant_done(0, 5, 2)),
+        "the same answer twice"
+    );
+    assert!(
+        !barrier.receive_answer(HostId(7), grant_done(7, 5, 0)),
+        "an unknown host"
+    );
+    assert!(
+        !barrier.receive_answer(HostId(1), grant_done(0, 5, 0)),
+        "in the name of another host"
+    );
+    assert!(
+        !barrier.receive_answer(HostId(1), grant_done(1, 4, 0)),
         "an answer to another grant"
     );
-    assert!(!b.receive_answer(HostId(1), done(1, 5, 6)), "more reports than devices");
-    assert_eq!(b.missing_hosts(), [HostId(1)]);
-    assert!(!b.receive_answer(HostId(1), done(1, 5, 0)));
-    assert!(!hear(&mut b, report(3, 5)));
-    assert!(!hear(&mut b, report(3, 5)), "the same report twice");
-    assert!(!hear(&mut b, report(4, 4)), "a report of another TTI");
-    assert!(!hear(&mut b, report(10, 5)), "a report of a device that is not there");
-    assert!(!b.receive_report(HostId(1), report(4, 5)), "another host's device");
-    assert!(hear(&mut b, report(4, 5)));
-    assert_eq!(b.take_grant_result().reports.len(), 2);
+    assert!(
+        !barrier.receive_answer(HostId(1), grant_done(1, 5, 6)),
+        "more reports than devices"
+    );
+    assert_eq!(barrier.missing_hosts(), [HostId(1)]);
+    assert!(!barrier.receive_answer(HostId(1), grant_done(1, 5, 0)));
+    assert!(!receive_from_own_host(&mut barrier, report(3, 5)));
+    assert!(
+        !receive_from_own_host(&mut barrier, report(3, 5)),
+        "the same report twice"
+    );
+    assert!(
+        !receive_from_own_host(&mut barrier, report(4, 4)),
+        "a report of another TTI"
+    );
+    assert!(
+        !receive_from_own_host(&mut barrier, report(10, 5)),
+        "a report of an unknown device"
+    );
+    assert!(
+        !barrier.receive_report(HostId(1), report(4, 5)),
+        "another host's device"
+    );
+    assert!(receive_from_own_host(&mut barrier, report(4, 5)));
+    assert_eq!(barrier.take_grant_result().reports.len(), 2);
     // The answer to another grant and the report of another TTI are late, as after a retransmission, and are not
     // counted.
-    assert_eq!(b.unexpected_messages(), 5);
+    assert_eq!(barrier.unexpected_messages(), 5);
 }
 
 #[test]
-fn a_better_answer_takes_the_place_of_a_false_one() {
-    let mut b = barrier(true);
-    assert!(!b.receive_answer(HostId(0), done(0, 5, 3)), "a wrong number of reports");
-    assert!(!b.receive_answer(HostId(1), done(1, 5, 0)));
-    assert!(b.receive_answer(HostId(0), done(0, 5, 0)));
+fn a_later_answer_replaces_one_with_a_wrong_number_of_reports() {
+    let mut barrier = waiting_barrier(true);
+    assert!(
+        !barrier.receive_answer(HostId(0), grant_done(0, 5, 3)),
+        "a wrong number of reports"
+    );
+    assert!(!barrier.receive_answer(HostId(1), grant_done(1, 5, 0)));
+    assert!(barrier.receive_answer(HostId(0), grant_done(0, 5, 0)));
 }
 
 #[test]
-fn nobody_reports_on_nothing() {
-    let mut b = barrier(false);
-    assert!(!hear(&mut b, report(3, 5)));
-    assert!(!b.receive_answer(HostId(0), done(0, 5, 1)));
-    assert!(!b.receive_answer(HostId(0), done(0, 5, 0)) && b.receive_answer(HostId(1), done(1, 5, 0)));
-    assert_eq!((b.take_grant_result().reports.len(), b.unexpected_messages()), (0, 2));
+fn without_an_event_no_report_is_accepted() {
+    let mut barrier = waiting_barrier(false);
+    assert!(!receive_from_own_host(&mut barrier, report(3, 5)));
+    assert!(!barrier.receive_answer(HostId(0), grant_done(0, 5, 1)));
+    assert!(
+        !barrier.receive_answer(HostId(0), grant_done(0, 5, 0))
+            && barrier.receive_answer(HostId(1), grant_done(1, 5, 0))
+    );
+    assert_eq!(
+        (barrier.take_grant_result().reports.len(), barrier.unexpected_messages()),
+        (0, 2)
+    );
 }
 
 #[test]
-fn who_takes_over_says_the_same_once_more() {
-    let mut b = barrier(true);
-    b.receive_answer(HostId(0), done(0, 5, 1));
-    hear(&mut b, report(3, 5));
-    let heir = Assignment {
+fn repeated_messages_after_a_takeover_count_once() {
+    let mut barrier = waiting_barrier(true);
+    barrier.receive_answer(HostId(0), grant_done(0, 5, 1));
+    receive_from_own_host(&mut barrier, report(3, 5));
+    let successor = Assignment {
         host: HostId(2),
-        ..b.roster_mut().assignment(0)
+        ..barrier.roster_mut().assignment(0)
     };
-    b.roster_mut().replace(HostId(0), heir);
-    assert!(!b.receive_answer(HostId(0), done(0, 5, 1)), "it has no say any more");
-    assert!(!b.receive_report(HostId(2), report(3, 5)) && !b.receive_answer(HostId(2), done(2, 5, 1)));
-    assert!(b.receive_answer(HostId(1), done(1, 5, 0)));
-    assert_eq!(b.take_grant_result().reports.len(), 1);
-    b.receive_answer(HostId(2), done(2, 5, 1));
-    assert_eq!(b.unexpected_messages(), 1, "what is late is no stray");
+    barrier.roster_mut().replace(HostId(0), successor);
+    assert!(
+        !barrier.receive_answer(HostId(0), grant_done(0, 5, 1)),
+        "host 0 is replaced"
+    );
+    assert!(
+        !barrier.receive_report(HostId(2), report(3, 5)) && !barrier.receive_answer(HostId(2), grant_done(2, 5, 1))
+    );
+    assert!(barrier.receive_answer(HostId(1), grant_done(1, 5, 0)));
+    assert_eq!(barrier.take_grant_result().reports.len(), 1);
+    barrier.receive_answer(HostId(2), grant_done(2, 5, 1));
+    assert_eq!(
+        barrier.unexpected_messages(),
+        1,
+        "late answers of the new host are expected"
+    );
 }
 
 #[test]
@@ -107,12 +150,15 @@ fn a_wake_up_waits_for_its_device() {
         tti: Tti(tti),
         outcome: WakeOutcome::Missed,
     };
-    let mut b = Barrier::new(roster());
-    b.expect_wake(Tti(5), DeviceId(3));
-    assert!(!hear(&mut b, report(4, 5)));
-    assert!(!b.receive_answer(HostId(0), not_woken(4)));
-    assert!(!b.receive_answer(HostId(1), not_woken(5)), "another host's device");
-    assert_eq!(b.missing_hosts(), [HostId(0)]);
-    assert!(b.receive_answer(HostId(0), not_woken(5)));
-    assert_eq!(b.take_wake_outcome(), WakeOutcome::Missed);
+    let mut barrier = Barrier::new(two_host_roster());
+    barrier.expect_wake(Tti(5), DeviceId(3));
+    assert!(!receive_from_own_host(&mut barrier, report(4, 5)));
+    assert!(!barrier.receive_answer(HostId(0), not_woken(4)));
+    assert!(
+        !barrier.receive_answer(HostId(1), not_woken(5)),
+        "another host's device"
+    );
+    assert_eq!(barrier.missing_hosts(), [HostId(0)]);
+    assert!(barrier.receive_answer(HostId(0), not_woken(5)));
+    assert_eq!(barrier.take_wake_outcome(), WakeOutcome::Missed);
 }

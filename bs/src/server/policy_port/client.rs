@@ -1,11 +1,12 @@
-//! Client side of the policy port, for a Rust process that decides for a run. `python/reveille/policy_client.py` is the
-//! same client in Python: a change of the protocol concerns both.
+//! Client side of the policy port, for a Rust process that decides for a run. On the bus the base station asks and this
+//! process replies, so the "client" serves. `python/reveille/policy_client.py` is the same client in Python: a change
+//! of the protocol concerns both.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use reveille_common::bus::{Bus, BusError, PolicyQuestion, draw_nonce};
+use reveille_common::bus::{Bus, BusError, PortRequest, draw_nonce};
 use reveille_common::encoding::Encoding;
 use reveille_common::secret::Secret;
 
@@ -21,12 +22,13 @@ const CHECK_INTERVAL: Duration = Duration::from_millis(100);
 /// re-established, or the run resumed at the same address.
 const MAX_BS_ABSENCE: Duration = Duration::from_secs(30);
 
-/// A rule that answers the decision requests of a run.
+/// A rule that decides for a run; a closure from request to decision is one.
 pub trait PolicyClient {
-    /// Receives the greeting of a run, before its first request or after a break.
+    /// Receives the hello of the base station, before the first request and after every interruption.
     fn hello_received(&mut self, _hello: &Hello) {}
 
-    /// Decides. A repeated request is not passed on again, unless its answer was refused.
+    /// Returns the decision for `request`. A repeated request comes here again only if its decision was refused
+    /// ([`DecisionRequest::refused`]).
     fn decide(&mut self, request: &DecisionRequest) -> Decision;
 }
 
@@ -47,115 +49,135 @@ pub struct ClientIdentity {
     pub encoding: Encoding,
 }
 
-/// Decides for the run on `bus` until the run ends or its base station is absent for 30 s. Returns the number of
-/// decisions.
+/// Replies to the decision requests of the run on `bus` until the run ends or its base station is absent for 30 s.
+/// Returns the number of decisions.
 ///
 /// # Errors
-/// If the bus fails, no base station is found, or the base station refuses this process.
-pub async fn decide(bus: &Bus, identity: &ClientIdentity, policy: &mut impl PolicyClient) -> Result<u64, BusError> {
+/// If the bus fails, the base station refuses this process, or it is absent for 30 s before the first decision.
+pub async fn serve_decisions(
+    bus: &Bus,
+    identity: &ClientIdentity,
+    policy: &mut impl PolicyClient,
+) -> Result<u64, BusError> {
     let is_bs_alive = Arc::new(AtomicBool::new(false));
-    let bs_alive = Arc::clone(&is_bs_alive);
-    let _watched = bus.watch_alive(bus.keys().bs_liveliness(), move |_, alive| {
-        bs_alive.store(alive, Ordering::Relaxed);
+    let bs_alive_writer = Arc::clone(&is_bs_alive);
+    let _watched = bus.watch_alive(bus.keys().bs_liveliness(), move |_, is_alive| {
+        bs_alive_writer.store(is_alive, Ordering::Relaxed);
     })?;
-    let questions = bus.serve_policy_port()?;
+    let requests = bus.serve_policy_port()?;
     let mut session = ClientSession {
         id: format!("{:016x}", draw_nonce()?),
         identity,
-        last: None,
-        decided: 0,
+        last_reply: None,
+        decision_count: 0,
         is_over: false,
     };
+    // The base station may start later than this process, so its absence counts from here.
     let mut last_seen = now();
     while !session.is_over {
         if is_bs_alive.load(Ordering::Relaxed) {
             last_seen = now();
         } else if last_seen.elapsed() >= MAX_BS_ABSENCE {
-            return if session.last.is_some() {
-                Ok(session.decided)
+            return if session.last_reply.is_some() {
+                Ok(session.decision_count)
             } else {
                 Err(bus.no_run_error().await)
             };
         }
-        match tokio::time::timeout(CHECK_INTERVAL, questions.next()).await {
-            Ok(Some(question)) => session.answer_request(&question, policy)?,
+        match tokio::time::timeout(CHECK_INTERVAL, requests.next()).await {
+            Ok(Some(request)) => session.handle_request(&request, policy)?,
+            // The session on the bus is closed.
             Ok(None) => break,
+            // No request within the interval: the base station is checked again.
             Err(_) => {}
         }
     }
-    Ok(session.decided)
+    Ok(session.decision_count)
 }
 
 /// State of a policy process between requests.
 struct ClientSession<'a> {
+    /// Random id of this process, to which the base station addresses its decision requests.
     id: String,
     identity: &'a ClientIdentity,
-    /// The header of the last request, and the answer in the encoding of that request.
-    last: Option<(WireHeader, Vec<u8>)>,
-    decided: u64,
+    /// Header of the last decision request, and the reply.
+    last_reply: Option<(WireHeader, DecisionReply)>,
+    /// Decisions of the policy, including refused ones.
+    decision_count: u64,
     /// Whether the run has ended.
     is_over: bool,
 }
 
 impl ClientSession<'_> {
-    fn answer_request(&mut self, question: &PolicyQuestion, policy: &mut impl PolicyClient) -> Result<(), BusError> {
-        let encoding = question.encoding;
-        let header: WireHeader = match encoding.decode(&question.payload) {
+    fn handle_request(&mut self, request: &PortRequest, policy: &mut impl PolicyClient) -> Result<(), BusError> {
+        let encoding = request.encoding;
+        let invalid = |why: String| request.reply_error(&format!("invalid request: {why}"));
+        let header: WireHeader = match encoding.decode(&request.payload) {
             Ok(header) => header,
-            Err(why) => return question.reply_error(&format!("the question cannot be read: {why}")),
+            Err(why) => return invalid(why),
         };
-        if header.stage == RequestKind::Bye {
-            self.is_over = true;
-            return Ok(());
+        match header.stage {
+            RequestKind::Bye => {
+                self.is_over = true;
+                Ok(())
+            }
+            RequestKind::Hello => match encoding.decode(&request.payload) {
+                Ok(hello) => self.reply_to_hello(request, &hello, policy),
+                Err(why) => invalid(why),
+            },
+            RequestKind::Plan | RequestKind::Wake => match self.decide(&request.payload, encoding, policy) {
+                Ok(Some(reply)) => request.reply(reply, encoding),
+                Ok(None) => Ok(()),
+                Err(why) => invalid(why),
+            },
         }
-        if header.stage == RequestKind::Hello {
-            return match encoding.decode::<Hello>(&question.payload) {
-                Ok(hello) => self.answer_hello(question, &hello, policy),
-                Err(why) => question.reply_error(&format!("the greeting cannot be decoded: {why}")),
-            };
-        }
-        let request: DecisionRequest = match encoding.decode(&question.payload) {
-            Ok(request) => request,
-            Err(why) => return question.reply_error(&format!("the question cannot be read: {why}")),
-        };
+    }
+
+    /// Returns the reply to the decision request in `payload`, in the same encoding; `None` if the request is for
+    /// another policy process.
+    ///
+    /// # Errors
+    /// Describes the error in `payload`.
+    fn decide(
+        &mut self,
+        payload: &[u8],
+        encoding: Encoding,
+        policy: &mut impl PolicyClient,
+    ) -> Result<Option<Vec<u8>>, String> {
+        let request: DecisionRequest = encoding.decode(payload)?;
+        // All processes at the port receive every request.
         if request.to != self.id {
-            // The request is for another policy process.
-            return Ok(());
+            return Ok(None);
         }
-        match &self.last {
-            // The request was repeated, since its answer was lost or late. A refused answer is decided again.
-            Some((last, answer)) if *last == header && request.refused.is_none() => {
-                question.answer(answer.clone(), encoding)
-            }
-            _ => {
-                let reply = DecisionReply::for_request(&header, &self.id, &self.run_key())
-                    .with_decision(&policy.decide(&request));
-                let answer = encoding.encode(&reply);
-                // Kept before sending, so that a repetition of the request gets the same bytes.
-                self.last = Some((header, answer.clone()));
-                self.decided += 1;
-                question.answer(answer, encoding)
-            }
+        // The base station repeats a request whose reply was lost or late. The policy may have internal state, so it
+        // decides a request again only if its decision was refused.
+        let is_repetition = self.last_reply.as_ref().is_some_and(|(head, _)| *head == request.head);
+        if !is_repetition || request.refused.is_some() {
+            let reply = DecisionReply::for_request(&request.head, &self.id, &self.run_key())
+                .with_decision(&policy.decide(&request));
+            self.last_reply = Some((request.head, reply));
+            self.decision_count += 1;
         }
+        Ok(self.last_reply.as_ref().map(|(_, reply)| encoding.encode(reply)))
     }
 
     fn run_key(&self) -> String {
         self.identity.run_key.map_or_else(String::new, |key| key.to_string())
     }
 
-    fn answer_hello(
+    fn reply_to_hello(
         &self,
-        question: &PolicyQuestion,
+        request: &PortRequest,
         hello: &Hello,
         policy: &mut impl PolicyClient,
     ) -> Result<(), BusError> {
         if hello.min > PROTOCOL_VERSION || hello.max < OLDEST_PROTOCOL {
             let (min, max) = (hello.min, hello.max);
-            return question.reply_error(&format!(
+            return request.reply_error(&format!(
                 "it speaks protocol {OLDEST_PROTOCOL} to {PROTOCOL_VERSION}, the base station {min} to {max}"
             ));
         }
-        // The base station names the refused process in its next greeting, since it cannot reply to a reply.
+        // The base station names the refused process in its next hello, since it cannot reply to a reply.
         if let Some(refused) = hello.refused.as_ref().filter(|refused| refused.id == self.id) {
             return Err(BusError::Refused(refused.why.clone()));
         }
@@ -170,6 +192,65 @@ impl ClientSession<'_> {
             key: self.run_key(),
             form: self.identity.encoding,
         };
-        question.answer(question.encoding.encode(&reply), question.encoding)
+        request.reply(request.encoding.encode(&reply), request.encoding)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use reveille_common::encoding::{FloatRows, Octets};
+    use reveille_common::ids::DeviceId;
+
+    use super::*;
+
+    #[test]
+    fn a_repeated_request_gets_the_first_reply_in_the_encoding_of_the_repetition() {
+        let identity = ClientIdentity {
+            name: "a test".to_owned(),
+            run_key: None,
+            encoding: Encoding::Cbor,
+        };
+        let mut session = ClientSession {
+            id: "a".to_owned(),
+            identity: &identity,
+            last_reply: None,
+            decision_count: 0,
+            is_over: false,
+        };
+        let no_rows = || FloatRows {
+            width: 1,
+            values: Vec::new(),
+        };
+        let mut request = DecisionRequest {
+            head: WireHeader {
+                protocol: PROTOCOL_VERSION,
+                seq: 3,
+                tti: 7,
+                stage: RequestKind::Wake,
+            },
+            to: "a".to_owned(),
+            device: no_rows(),
+            globals: no_rows(),
+            action_mask: Octets::default(),
+            heard: Vec::new(),
+            refused: None,
+        };
+        // Every decision differs, so the replies show how often the policy decided.
+        let mut decisions = (0..).map(|device| Decision::Wake(vec![DeviceId(device)]));
+        let mut policy = |_: &DecisionRequest| decisions.next().expect("endless");
+        let mut woken = |request: &DecisionRequest, encoding: Encoding| {
+            let reply = session.decide(&encoding.encode(request), encoding, &mut policy);
+            let reply: Option<DecisionReply> = reply
+                .expect("a valid request")
+                .map(|bytes| encoding.decode(&bytes).expect("a reply in this encoding"));
+            reply.and_then(|reply| reply.wake)
+        };
+        assert_eq!(woken(&request, Encoding::Cbor), Some(vec![0]));
+        assert_eq!(woken(&request, Encoding::Cbor), Some(vec![0]));
+        assert_eq!(woken(&request, Encoding::Json), Some(vec![0]));
+        request.refused = Some("no device 0".to_owned());
+        assert_eq!(woken(&request, Encoding::Json), Some(vec![1]));
+        request.to = "b".to_owned();
+        assert_eq!(woken(&request, Encoding::Json), None);
     }
 }

@@ -26,8 +26,8 @@ use super::config::{DecisionCounts, DecisionTimeout, OnUndecided, RunProgress};
 use super::error::BsError;
 use super::state::now;
 use crate::policy::external::wire::{
-    DecisionReply, DecisionRequest, Hello, HelloReply, OLDEST_PROTOCOL, PROTOCOL_VERSION, Rejection, ReplyCredentials,
-    RequestKind, WireHeader,
+    DecisionReply, DecisionRequest, Hello, HelloReply, OLDEST_PROTOCOL, PROTOCOL_VERSION, RefusedProcess,
+    ReplyCredentials, RequestKind, WireHeader,
 };
 use crate::policy::external::{Decision, DecisionContext, DecisionStage, PlanDecision};
 
@@ -91,7 +91,6 @@ pub(super) struct PendingDecision {
     fallback: Decision,
 }
 
-/// Reason to end the wait for a decision.
 enum WaitEnd {
     /// The run is to stop.
     Stop,
@@ -123,11 +122,9 @@ pub(super) struct PolicyPort<'a> {
     hello: Option<Hello>,
     /// Further replies to the last request, whose first valid reply counted, and the id of the process asked.
     extra_replies: Option<(Replies, String)>,
-    /// The last warning about the policy process.
     last_warning: String,
     /// Warnings about other processes at the port.
     other_warnings: BTreeSet<String>,
-    /// Counts of decisions so far.
     counts: DecisionCounts,
 }
 
@@ -147,7 +144,6 @@ impl<'a> PolicyPort<'a> {
         }
     }
 
-    /// The counts of all decision requests.
     pub(super) const fn counts(&self) -> DecisionCounts {
         self.counts
     }
@@ -161,7 +157,7 @@ impl<'a> PolicyPort<'a> {
         context: &DecisionContext<'_>,
         seq: u64,
     ) -> Result<PendingDecision, BsError> {
-        let (stage, tti) = (context.stage, context.seen.now);
+        let (stage, tti) = (context.stage, context.observation.now);
         if self.timeout.is_none() {
             return Err(BsError::CannotContinue(format!(
                 "inputs.log has no decision for TTI {tti}: the logged run ended there"
@@ -170,13 +166,13 @@ impl<'a> PolicyPort<'a> {
         let run = &self.run;
         // The greeting describes the deployment, which does not change during a run.
         self.hello
-            .get_or_insert_with(|| Hello::new(run.clone(), context.seen.known));
+            .get_or_insert_with(|| Hello::new(run.clone(), context.observation.known));
         let peer_id = self.peer.as_ref().map_or("", |peer| &peer.id);
-        let plan = context.seen.plan.clone();
+        let plan = context.observation.plan.clone();
         Ok(PendingDecision {
             stage,
             tti,
-            devices: context.woken.len() as u32,
+            devices: context.device_count() as u32,
             request: DecisionRequest::new(context, seq, peer_id),
             fallback: match stage {
                 DecisionStage::Plan => Decision::Plan(PlanDecision { plan, next: tti + 1 }),
@@ -301,7 +297,7 @@ impl<'a> PolicyPort<'a> {
                             let id = encoding.decode(&bytes).map(|shown: ReplyCredentials| shown.id);
                             if let (Ok(id), Some(hello)) = (id, &mut self.hello) {
                                 let why = why.clone();
-                                hello.refused = Some(Rejection { id, why });
+                                hello.refused = Some(RefusedProcess { id, why });
                             }
                             why
                         }
@@ -401,7 +397,7 @@ impl<'a> PolicyPort<'a> {
                         if echo != expected {
                             return Err(format!("it is for {echo:?}, not for {expected:?} (seq, tti, stage)"));
                         }
-                        reply.decode(stage, tti, devices)
+                        reply.decision(stage, tti, devices)
                     });
                     let peer_reply = match answer {
                         Ok(answer) => {
@@ -418,7 +414,6 @@ impl<'a> PolicyPort<'a> {
         }
     }
 
-    /// Counts further answers to the last request.
     fn count_extra_answers(&mut self) {
         let Some((replies, id)) = self.extra_replies.take() else {
             return;
@@ -462,7 +457,6 @@ impl<'a> PolicyPort<'a> {
     }
 }
 
-/// The wait for one decision.
 struct DecisionWait<'a> {
     progress: &'a RunProgress,
     started: Instant,
@@ -506,7 +500,6 @@ impl<'a> DecisionWait<'a> {
         }
     }
 
-    /// Logs one warning if the wait is long.
     fn warn_if_long(&mut self) {
         if self.started.elapsed() >= WARN_AFTER && !self.has_warned {
             self.has_warned = true;

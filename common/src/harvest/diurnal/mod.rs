@@ -140,7 +140,6 @@ impl Diurnal {
         Ok(diurnal)
     }
 
-    /// Passes every field to `sink`.
     pub(super) fn visit(&self, sink: &mut dyn FieldSink) {
         self.arrivals.visit(sink);
         let Sun {
@@ -200,7 +199,6 @@ pub struct DiurnalSetup {
 }
 
 impl DiurnalSetup {
-    /// Whether the setup is valid for a device.
     pub(super) fn is_valid(&self) -> bool {
         let Sun {
             latitude,
@@ -256,7 +254,6 @@ impl DiurnalSetup {
     }
 }
 
-/// The diurnal source of one device.
 #[derive(Clone, Debug)]
 pub(super) struct DiurnalSource {
     hazards: Arc<CumulativeHazard>,

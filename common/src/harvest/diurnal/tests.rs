@@ -1,4 +1,5 @@
-//! Tests of diurnal arrivals against their expected counts.
+//! Tests of [`Diurnal`] and [`CumulativeHazard`]: counts of arrivals against their probabilities, means against closed
+//! forms, and gaps against steps through single TTIs. The sun itself is tested in `harvest/sun.rs`.
 
 use crate::harvest::{Harvest, HarvestSetup, HarvestSource};
 use crate::ids::DeviceId;
@@ -7,7 +8,7 @@ use super::*;
 
 const E_B: Energy = Energy::from_micro(5_000_000);
 
-fn sun(ttis_per_day: u32) -> Sun {
+fn sun_with(ttis_per_day: u32) -> Sun {
     Sun {
         latitude: 52.5,
         day_of_year: 60,
@@ -17,23 +18,23 @@ fn sun(ttis_per_day: u32) -> Sun {
     }
 }
 
-fn diurnal(lambda: f64, sun: Sun, reference: IrradianceReference) -> Diurnal {
-    let made = Diurnal::new(Arrivals { lambda, e_b: E_B }, sun, reference, DayKnowledge::Course);
-    assert!(made.setup(1.0).is_valid(), "an arrival is at most certain");
-    made
+fn diurnal_with(lambda: f64, sun: Sun, reference: IrradianceReference) -> Diurnal {
+    let diurnal = Diurnal::new(Arrivals { lambda, e_b: E_B }, sun, reference, DayKnowledge::Course);
+    assert!(diurnal.setup(1.0).is_valid(), "an arrival is at most certain");
+    diurnal
 }
 
-fn source(of: Diurnal, device: u32) -> HarvestSource {
-    let setup = Harvest::Diurnal(of).setup(1.0, 0);
+fn source_of(diurnal: Diurnal, device: u32) -> HarvestSource {
+    let setup = Harvest::Diurnal(diurnal).setup(1.0, 0);
     HarvestSource::new(&setup, &SharedSourceData::default(), 11, DeviceId(device))
 }
 
-/// Counts the arrivals in each TTI of a day, over devices and days.
-fn counted(of: Diurnal, devices: u32, days: u64) -> Vec<u64> {
-    let ttis = u64::from(of.sun.ttis_per_day);
+/// Counts the arrivals in each TTI (slot) of a day, over devices and days.
+fn count_by_slot(diurnal: Diurnal, devices: u32, days: u64) -> Vec<u64> {
+    let ttis = u64::from(diurnal.sun.ttis_per_day);
     let mut counts = vec![0; ttis as usize];
     for device in 0..devices {
-        let mut source = source(of, device);
+        let mut source = source_of(diurnal, device);
         while source.next_arrival() < Tti(days * ttis) {
             let now = source.next_arrival();
             counts[(now.0 % ttis) as usize] += 1;
@@ -45,80 +46,98 @@ fn counted(of: Diurnal, devices: u32, days: u64) -> Vec<u64> {
 }
 
 #[test]
-fn arrivals_follow_the_sun() {
+fn arrivals_have_the_probabilities_of_their_slot() {
     for sky in [Sky::Vacuum, Sky::Clear] {
-        let of = diurnal(0.2, Sun { sky, ..sun(24) }, IrradianceReference::DailyMean);
+        let diurnal = diurnal_with(0.2, Sun { sky, ..sun_with(24) }, IrradianceReference::DailyMean);
         let (devices, days) = (200, 500);
         let trials = f64::from(devices) * days as f64;
-        let p: Vec<f64> = of.sun.arrival_probabilities(of.zenith_probability(1.0)).collect();
-        assert!(p.iter().filter(|&&p| p > 0.0).count() < 13, "a day of early spring");
-        let mut squares = 0.0;
-        for (slot, (&p, &count)) in p.iter().zip(&counted(of, devices, days)).enumerate() {
-            let error = (trials * p * (1.0 - p)).sqrt();
+        let probabilities: Vec<f64> = diurnal
+            .sun
+            .arrival_probabilities(diurnal.zenith_probability(1.0))
+            .collect();
+        assert!(
+            probabilities.iter().filter(|&&p| p > 0.0).count() < 13,
+            "the day is shorter than the night"
+        );
+        let mut square_sum = 0.0;
+        for (slot, (&p, &count)) in probabilities
+            .iter()
+            .zip(&count_by_slot(diurnal, devices, days))
+            .enumerate()
+        {
+            let standard_error = (trials * p * (1.0 - p)).sqrt();
             assert!(
-                (count as f64 - trials * p).abs() <= 4.5 * error,
-                "{slot}: {count}, not {}",
+                (count as f64 - trials * p).abs() <= 4.5 * standard_error,
+                "slot {slot}: {count} arrivals, not {}",
                 trials * p
             );
-            squares += if error > 0.0 {
-                ((count as f64 - trials * p) / error).powi(2)
+            square_sum += if standard_error > 0.0 {
+                ((count as f64 - trials * p) / standard_error).powi(2)
             } else {
                 0.0
             };
         }
         // The sum of some twelve squares of standard normal draws.
-        assert!(squares < 35.0, "{squares}");
+        assert!(square_sum < 35.0, "sum of squared deviations {square_sum}");
     }
 }
 
-/// Arrivals in consecutive TTIs are independent.
 #[test]
-fn arrivals_of_one_tti_and_the_next_do_not_depend_on_each_other() {
-    let of = diurnal(0.2, sun(24), IrradianceReference::DailyMean);
-    let p: Vec<f64> = of.sun.arrival_probabilities(of.zenith_probability(1.0)).collect();
-    let (mut pairs, mut expected) = (0_u64, 0.0);
+fn arrivals_in_consecutive_ttis_are_independent() {
+    let diurnal = diurnal_with(0.2, sun_with(24), IrradianceReference::DailyMean);
+    let probabilities: Vec<f64> = diurnal
+        .sun
+        .arrival_probabilities(diurnal.zenith_probability(1.0))
+        .collect();
+    let (mut pair_count, mut expected_pairs) = (0_u64, 0.0);
     let days = 100_000;
-    let mut source = source(of, 3);
+    let mut source = source_of(diurnal, 3);
     let mut last = Tti::NEVER;
     while source.next_arrival() < Tti(24 * days) {
         let now = source.next_arrival();
-        pairs += u64::from(last.0.wrapping_add(1) == now.0);
+        pair_count += u64::from(last.0.wrapping_add(1) == now.0);
         last = now;
         source.take_arrival();
     }
     for slot in 0..24 {
-        expected += days as f64 * p[slot] * p[(slot + 1) % 24];
+        expected_pairs += days as f64 * probabilities[slot] * probabilities[(slot + 1) % 24];
     }
-    assert!(expected > 10_000.0);
+    assert!(expected_pairs > 10_000.0);
     assert!(
-        (pairs as f64 - expected).abs() < 4.5 * expected.sqrt(),
-        "{pairs}, not {expected}"
+        (pair_count as f64 - expected_pairs).abs() < 4.5 * expected_pairs.sqrt(),
+        "{pair_count} pairs of arrivals, not {expected_pairs}"
     );
 }
 
 #[test]
-fn the_daily_mean_is_that_of_eq5_and_under_the_zenith_the_integral() {
+fn the_daily_mean_equals_eq5_and_the_mean_under_the_zenith_the_integral() {
     for (latitude, day_of_year) in [(0.0, 81), (60.0, 172), (-35.0, 200)] {
         let place = Sun {
             latitude,
             day_of_year,
-            ..sun(288)
+            ..sun_with(288)
         };
-        let p = 0.1 * libm::exp(-0.1);
-        let of = diurnal(0.1, place, IrradianceReference::DailyMean);
-        let HarvestSetup::Diurnal(setup) = Harvest::Diurnal(of).setup(1.0, 0) else {
-            panic!("{of:?}");
+        let eq5_probability = 0.1 * libm::exp(-0.1);
+        let diurnal = diurnal_with(0.1, place, IrradianceReference::DailyMean);
+        let HarvestSetup::Diurnal(setup) = Harvest::Diurnal(diurnal).setup(1.0, 0) else {
+            panic!("{diurnal:?}");
         };
-        assert!((setup.mean - p).abs() < 1e-12, "{setup:?}");
-        let eq5 = Harvest::Eq5(of.arrivals).setup(1.0, 0).mean(&[]);
-        assert_eq!(Harvest::Diurnal(of).setup(1.0, 0).mean(&[]), eq5);
-        let zenith = diurnal(0.1, place, IrradianceReference::Zenith).setup(1.0);
-        assert!((zenith.mean - p * place.mean_irradiance()).abs() < 1e-12, "{zenith:?}");
-        assert!(zenith.zenith.to_bits() == p.to_bits() && zenith.is_valid());
+        assert!((setup.mean - eq5_probability).abs() < 1e-12, "{setup:?}");
+        let eq5 = Harvest::Eq5(diurnal.arrivals).setup(1.0, 0).mean(&[]);
+        assert_eq!(Harvest::Diurnal(diurnal).setup(1.0, 0).mean(&[]), eq5);
+        let zenith = diurnal_with(0.1, place, IrradianceReference::Zenith).setup(1.0);
+        assert!(
+            (zenith.mean - eq5_probability * place.mean_irradiance()).abs() < 1e-12,
+            "{zenith:?}"
+        );
+        assert!(zenith.zenith.to_bits() == eq5_probability.to_bits() && zenith.is_valid());
         // The profile's sum over a day equals the mean of its TTIs.
-        let course = setup.day_profile().expect("known");
-        let day = course.energy_between(Tti(1000), Tti(1288)).units();
-        assert!((day - 288.0 * 5.0 * p).abs() < 1e-6, "{day}");
+        let profile = setup.day_profile().expect("known");
+        let day_units = profile.energy_between(Tti(1000), Tti(1288)).units();
+        assert!(
+            (day_units - 288.0 * 5.0 * eq5_probability).abs() < 1e-6,
+            "{day_units} units a day"
+        );
         assert_eq!(
             DiurnalSetup {
                 known: DayKnowledge::Mean,
@@ -131,16 +150,16 @@ fn the_daily_mean_is_that_of_eq5_and_under_the_zenith_the_integral() {
 }
 
 #[test]
-fn nothing_comes_at_night_and_a_polar_night_has_no_end() {
+fn a_polar_night_has_no_arrivals_and_a_polar_day_has_some_in_every_slot() {
     let place = Sun {
         latitude: 80.0,
         day_of_year: 355,
-        ..sun(288)
+        ..sun_with(288)
     };
-    let dark = diurnal(0.3, place, IrradianceReference::Zenith);
-    assert_eq!(source(dark, 0).next_arrival(), Tti::NEVER);
-    assert_eq!(Harvest::Diurnal(dark).setup(1.0, 0).mean(&[]), Energy::ZERO);
-    let bright = diurnal(
+    let polar_night = diurnal_with(0.3, place, IrradianceReference::Zenith);
+    assert_eq!(source_of(polar_night, 0).next_arrival(), Tti::NEVER);
+    assert_eq!(Harvest::Diurnal(polar_night).setup(1.0, 0).mean(&[]), Energy::ZERO);
+    let polar_day = diurnal_with(
         0.3,
         Sun {
             day_of_year: 172,
@@ -148,57 +167,62 @@ fn nothing_comes_at_night_and_a_polar_night_has_no_end() {
         },
         IrradianceReference::Zenith,
     );
-    assert!(counted(bright, 20, 100).iter().all(|&count| count > 0));
-    let nothing = Diurnal::new(
+    assert!(count_by_slot(polar_day, 20, 100).iter().all(|&count| count > 0));
+    let without_energy = Diurnal::new(
         Arrivals {
             lambda: 0.3,
             e_b: Energy::ZERO,
         },
-        sun(24),
+        sun_with(24),
         IrradianceReference::Zenith,
         DayKnowledge::Course,
     );
-    assert_eq!(source(nothing, 0).next_arrival(), Tti::NEVER);
+    assert_eq!(source_of(without_energy, 0).next_arrival(), Tti::NEVER);
 }
 
-/// The TTI from the hazard table equals the result of stepping through the TTIs one by one.
 #[test]
-fn a_gap_is_that_of_one_tti_after_another() {
-    let of = diurnal(0.2, sun(17), IrradianceReference::DailyMean);
-    let day: Vec<f64> = of.sun.arrival_probabilities(of.zenith_probability(1.0)).collect();
-    let hazards = CumulativeHazard::new(day.iter().copied());
+fn the_hazard_table_equals_steps_through_single_ttis() {
+    let diurnal = diurnal_with(0.2, sun_with(17), IrradianceReference::DailyMean);
+    let probabilities: Vec<f64> = diurnal
+        .sun
+        .arrival_probabilities(diurnal.zenith_probability(1.0))
+        .collect();
+    let hazards = CumulativeHazard::new(probabilities.iter().copied());
     let mut stream = Stream::new(5, crate::rng::Purpose::Harvest, 0);
     for from in 0..400 {
-        let asked = -3.0 * libm::log1p(-stream.unit());
-        let (mut left, mut k) = (asked, from);
+        let target_hazard = -3.0 * libm::log1p(-stream.unit());
+        let (mut remaining_hazard, mut k) = (target_hazard, from);
         loop {
-            let hazard = -libm::log1p(-day[(k % 17) as usize]);
-            if left < hazard {
+            let hazard = -libm::log1p(-probabilities[(k % 17) as usize]);
+            if remaining_hazard < hazard {
                 break;
             }
-            left -= hazard;
+            remaining_hazard -= hazard;
             k += 1;
         }
         assert_eq!(
-            hazards.first_tti_beyond(Tti(from), asked),
+            hazards.first_tti_beyond(Tti(from), target_hazard),
             Tti(k),
-            "{asked} from {from}"
+            "hazard {target_hazard} from TTI {from}"
         );
     }
     // The end of a day counts as the first light of the next.
-    let whole = day.iter().fold(0.0, |sum, p| sum - libm::log1p(-p));
-    let first = day.iter().position(|&p| p > 0.0).expect("light") as u64;
-    let last = day.iter().rposition(|&p| p > 0.0).expect("light") as u64;
-    assert!(first == 0 || last < 16, "a night within the run of TTIs");
-    assert_eq!(hazards.first_tti_beyond(Tti(0), whole), Tti(17 + first));
-    assert_eq!(hazards.first_tti_beyond(Tti(0), 2.0 * whole), Tti(34 + first));
+    let day_hazard = probabilities.iter().fold(0.0, |sum, p| sum - libm::log1p(-p));
+    let first_light = probabilities.iter().position(|&p| p > 0.0).expect("light") as u64;
+    let last_light = probabilities.iter().rposition(|&p| p > 0.0).expect("light") as u64;
+    assert!(first_light == 0 || last_light < 16, "the day must contain a night");
+    assert_eq!(hazards.first_tti_beyond(Tti(0), day_hazard), Tti(17 + first_light));
+    assert_eq!(
+        hazards.first_tti_beyond(Tti(0), 2.0 * day_hazard),
+        Tti(34 + first_light)
+    );
 }
 
 #[test]
-fn a_setup_from_elsewhere_is_checked() {
-    let sound = diurnal(0.1, sun(288), IrradianceReference::DailyMean).setup(1.0);
-    assert!(sound.is_valid());
-    let place = sound.sun;
+fn an_invalid_setup_is_detected() {
+    let valid = diurnal_with(0.1, sun_with(288), IrradianceReference::DailyMean).setup(1.0);
+    assert!(valid.is_valid());
+    let place = valid.sun;
     let suns = [
         Sun {
             latitude: 90.1,
@@ -226,9 +250,9 @@ fn a_setup_from_elsewhere_is_checked() {
         },
     ];
     for sun in suns {
-        assert!(!DiurnalSetup { sun, ..sound }.is_valid(), "{sun:?}");
+        assert!(!DiurnalSetup { sun, ..valid }.is_valid(), "{sun:?}");
     }
     for zenith in [f64::NAN, -0.1, 100.0] {
-        assert!(!DiurnalSetup { zenith, ..sound }.is_valid(), "{zenith}");
+        assert!(!DiurnalSetup { zenith, ..valid }.is_valid(), "{zenith}");
     }
 }

@@ -1,8 +1,6 @@
 //! `reveille analyse battery`: the chain of Sec. III-B and Eq. (8) next to measured batteries. The calculation is in
 //! `study/src/analysis/battery/`.
 
-use std::process::ExitCode;
-
 use anyhow::bail;
 use reveille_bs::scenario::Scenario;
 use reveille_common::scenario::{DeviceClass, Harvest};
@@ -39,7 +37,7 @@ const AVAILABILITY_COLUMNS: &[&str] = &[
 const LEVEL_COLUMNS: &[&str] = &["e_b", "duty", "activation", "battery_from", "chain", "measured"];
 
 /// Solves the chain, measures the run and compares both.
-pub(super) fn run(args: &BatteryArgs) -> anyhow::Result<ExitCode> {
+pub(super) fn run(args: &BatteryArgs) -> anyhow::Result<()> {
     let scenario = build_scenario(&args.study, &[])?;
     let class = only_class(&scenario)?;
     let (reading, lambda) = energy_source(&class.harvest)?;
@@ -156,7 +154,7 @@ fn chain_row((study, found): &(BatteryStudy, BatteryComparison)) -> Vec<SheetVal
         found.measured_mean.mean.into(),
         found.measured_mean.half_width.into(),
         found.steady.residual.into(),
-        found.steady.transition_count.into(),
+        found.steady.transitions_to_steady_state.into(),
     ];
     key_cells(study).into_iter().chain(values).collect()
 }

@@ -1,8 +1,6 @@
 //! `reveille analyse harvest`: harvested and net energy against λ, next to the thresholds that the paper states. The
 //! calculation is in `study/src/analysis/harvest.rs`.
 
-use std::process::ExitCode;
-
 use reveille_common::units::Energy;
 use reveille_lab::stats::Estimate;
 use reveille_study::analysis::harvest::{
@@ -39,7 +37,7 @@ const CROSSING_COLUMNS: &[&str] = &[
 ];
 
 /// Measures the curves and their crossings with the consumptions.
-pub(super) fn run(args: &HarvestArgs) -> anyhow::Result<ExitCode> {
+pub(super) fn run(args: &HarvestArgs) -> anyhow::Result<()> {
     let policies = split_list("--policies", &args.policies, "random,adjusted")?;
     let (readings, energies) = (parse_readings(&args.readings)?, parse_energies(&args.e_b)?);
     let base = build_scenario(

@@ -1,7 +1,5 @@
 //! `reveille analyse imin`: the paper's estimate of E(I_min) next to its mean over deployments.
 
-use std::process::ExitCode;
-
 use reveille_study::analysis::imin::measure;
 
 use super::lists::{build_scenario, split_list};
@@ -21,7 +19,7 @@ const COLUMNS: &[&str] = &[
 ];
 
 /// Measures E(I_min).
-pub(super) fn run(args: &IminArgs) -> anyhow::Result<ExitCode> {
+pub(super) fn run(args: &IminArgs) -> anyhow::Result<()> {
     let mut rows = Vec::new();
     let mut set_up = String::new();
     for layout in split_list("--layouts", &args.layouts, "uniform,grid")? {

@@ -111,7 +111,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lists_are_read() {
+    fn valid_lists_are_parsed() {
         assert_eq!(parse_numbers("--lambda", "0.1, 2,", "1").expect("numbers"), [0.1, 2.0]);
         assert_eq!(parse_duties("1/2, 3/3").expect("duties"), [(1, 2), (3, 3)]);
         assert_eq!(
@@ -123,26 +123,26 @@ mod tests {
 
     #[test]
     fn invalid_lists_are_refused_with_the_option_and_a_fix() {
-        let refused = |result: anyhow::Result<()>, part: &str| {
-            let message = result.expect_err(part).to_string();
-            assert!(message.contains(part), "{message}");
+        let assert_refused = |result: anyhow::Result<()>, cause: &str| {
+            let message = result.expect_err(cause).to_string();
+            assert!(message.contains(cause), "{message}");
         };
-        refused(
+        assert_refused(
             parse_numbers("--lambda", " ,", "0.1").map(drop),
             "--lambda \" ,\": the list is empty",
         );
-        refused(
+        assert_refused(
             parse_numbers("--lambda", "0.1,x", "0.1").map(drop),
             "`x` is not a number",
         );
-        refused(
+        assert_refused(
             parse_numbers("--lambda", "nan", "0.1").map(drop),
             "`nan` is not a number",
         );
-        refused(parse_duties("3/2").map(drop), "t_on = 3 must be at most t_DRX = 2");
-        refused(parse_duties("0/0").map(drop), "t_DRX at least 1");
-        refused(parse_duties("8").map(drop), "must be t_on/t_DRX");
-        refused(parse_readings("eq6").map(drop), "must be eq5 or exp-minus-lambda");
-        refused(parse_energies("0").map(drop), "must be above 0");
+        assert_refused(parse_duties("3/2").map(drop), "t_on = 3 must be at most t_DRX = 2");
+        assert_refused(parse_duties("0/0").map(drop), "t_DRX at least 1");
+        assert_refused(parse_duties("8").map(drop), "must be t_on/t_DRX");
+        assert_refused(parse_readings("eq6").map(drop), "must be eq5 or exp-minus-lambda");
+        assert_refused(parse_energies("0").map(drop), "must be above 0");
     }
 }

@@ -21,5 +21,6 @@ pub(crate) fn run(command: &AnalyseCommand) -> anyhow::Result<ExitCode> {
         AnalyseCommand::Imin(args) => imin::run(args),
         AnalyseCommand::Harvest(args) => harvest::run(args),
         AnalyseCommand::Runtime(args) => runtime::run(args),
-    }
+    }?;
+    Ok(ExitCode::SUCCESS)
 }

@@ -1,7 +1,5 @@
 //! `reveille analyse runtime`: the only study that reads the wall clock.
 
-use std::process::ExitCode;
-
 use reveille_bs::scenario::Scenario;
 use reveille_study::analysis::runtime::{TimedWork, fit_power_law, paper_complexity};
 
@@ -33,7 +31,7 @@ struct PolicyTimes {
 }
 
 /// Times every policy with every N, and fits power laws.
-pub(super) fn run(args: &RuntimeArgs) -> anyhow::Result<ExitCode> {
+pub(super) fn run(args: &RuntimeArgs) -> anyhow::Result<()> {
     let (mut rows, mut fits) = (Vec::new(), Vec::new());
     for policy in split_list("--policies", &args.policies, "knn,random")? {
         let mut times = Vec::new();

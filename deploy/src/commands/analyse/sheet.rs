@@ -1,11 +1,9 @@
-//! The results of a study: tables and notes, as text, JSON and CSV.
-
-use std::process::ExitCode;
+//! Output of the `reveille analyse` commands: tables and notes, as text, JSON and CSV.
 
 use anyhow::Context;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{CellAlignment, Table};
-use reveille_lab::io::put;
+use reveille_lab::io::write_output;
 use reveille_study::report::page_sections::wrap_text;
 use serde_json::{Map, Value};
 
@@ -19,7 +17,8 @@ pub(super) enum SheetValue {
     Text(String),
     /// A whole number.
     Whole(u64),
-    /// Any other number; NaN for one that is not defined.
+    /// Any other number. NaN stands for an undefined number: a dash in text, empty in CSV. It is null in JSON, as are
+    /// infinities, which are `inf` in text and CSV.
     Number(f64),
 }
 
@@ -54,8 +53,9 @@ impl From<f64> for SheetValue {
 }
 
 impl SheetValue {
-    /// The value as text, with about four significant digits.
-    fn display_text(&self) -> String {
+    /// Returns the value as text. A number has four decimals; below 1e-4 and from 1e6 on, it has three significant
+    /// digits and an exponent.
+    fn to_display_text(&self) -> String {
         match self {
             Self::Text(text) => text.clone(),
             Self::Whole(n) => n.to_string(),
@@ -65,8 +65,8 @@ impl SheetValue {
         }
     }
 
-    /// The value with full precision for CSV; empty if undefined.
-    fn csv_text(&self) -> String {
+    /// Returns the value with full precision for CSV; empty if undefined.
+    fn to_csv_text(&self) -> String {
         match self {
             Self::Text(text) => text.clone(),
             Self::Whole(n) => n.to_string(),
@@ -75,11 +75,11 @@ impl SheetValue {
         }
     }
 
-    fn json(&self) -> Value {
+    fn to_json(&self) -> Value {
         match self {
             Self::Text(text) => text.as_str().into(),
             Self::Whole(n) => (*n).into(),
-            // serde_json turns NaN into null.
+            // serde_json turns NaN and infinities into null.
             Self::Number(x) => (*x).into(),
         }
     }
@@ -88,29 +88,29 @@ impl SheetValue {
 /// A table.
 #[derive(Clone, Debug)]
 pub(super) struct Sheet {
-    /// Its key in JSON.
+    /// Its key in JSON; programs of users read it, so do not rename it.
     pub name: &'static str,
     /// Its heading, which names the content of a row.
     pub title: String,
-    /// Its columns: keys in JSON and headers elsewhere.
+    /// Its columns: keys in JSON and headers elsewhere, which programs of users read.
     pub columns: &'static [&'static str],
     /// Its rows, each as long as `columns`.
     pub rows: Vec<Vec<SheetValue>>,
 }
 
 impl Sheet {
-    fn table(&self) -> String {
+    fn to_text_table(&self) -> String {
         let mut table = Table::new();
         table
             .load_style(UTF8_FULL_CONDENSED)
             .set_header(self.columns.iter().copied());
         for row in &self.rows {
-            table.add_row(row.iter().map(SheetValue::display_text));
+            table.add_row(row.iter().map(SheetValue::to_display_text));
         }
-        for column in 0..self.columns.len() {
-            let is_number = |row: &Vec<SheetValue>| !matches!(row[column], SheetValue::Text(_));
-            if self.rows.iter().any(is_number)
-                && let Some(column) = table.column_mut(column)
+        for index in 0..self.columns.len() {
+            let has_number_in_column = |row: &Vec<SheetValue>| !matches!(row[index], SheetValue::Text(_));
+            if self.rows.iter().any(has_number_in_column)
+                && let Some(column) = table.column_mut(index)
             {
                 column.set_cell_alignment(CellAlignment::Right);
             }
@@ -118,19 +118,19 @@ impl Sheet {
         table.to_string()
     }
 
-    fn json(&self) -> Value {
+    fn to_json(&self) -> Value {
         let object = |row: &Vec<SheetValue>| {
             let pairs = self.columns.iter().zip(row);
-            Value::Object(pairs.map(|(key, cell)| ((*key).to_owned(), cell.json())).collect())
+            Value::Object(pairs.map(|(key, cell)| ((*key).to_owned(), cell.to_json())).collect())
         };
         self.rows.iter().map(object).collect()
     }
 
-    fn csv(&self) -> anyhow::Result<Vec<u8>> {
+    fn to_csv(&self) -> anyhow::Result<Vec<u8>> {
         let mut writer = csv::Writer::from_writer(Vec::new());
         writer.write_record(self.columns)?;
         for row in &self.rows {
-            writer.write_record(row.iter().map(SheetValue::csv_text))?;
+            writer.write_record(row.iter().map(SheetValue::to_csv_text))?;
         }
         Ok(writer.into_inner()?)
     }
@@ -152,10 +152,10 @@ impl Findings {
     ///
     /// # Errors
     /// If a file or standard output cannot be written.
-    pub(super) fn present(&self, args: &StudyArgs) -> anyhow::Result<ExitCode> {
+    pub(super) fn present(&self, args: &StudyArgs) -> anyhow::Result<()> {
         if let (Some(path), Some(first)) = (&args.csv, self.sheets.first()) {
-            // `put` writes into links and devices such as /dev/stdout, which a rename would replace.
-            let written = put(path, &first.csv()?);
+            // `write_output` writes into links and devices such as /dev/stdout, which a rename would replace.
+            let written = write_output(path, &first.to_csv()?);
             written.with_context(|| {
                 format!(
                     "--csv {}: cannot write this file; name a file in a folder that exists",
@@ -163,25 +163,24 @@ impl Findings {
                 )
             })?;
         }
-        let text = if args.json { self.json()? } else { self.text() };
-        display::print_stdout(&text)?;
-        Ok(ExitCode::SUCCESS)
+        let text = if args.json { self.to_json()? } else { self.to_text() };
+        display::print_stdout(&text)
     }
 
-    fn json(&self) -> anyhow::Result<String> {
+    fn to_json(&self) -> anyhow::Result<String> {
         let mut all = Map::new();
         all.insert("title".to_owned(), self.title.as_str().into());
         for sheet in &self.sheets {
-            all.insert(sheet.name.to_owned(), sheet.json());
+            all.insert(sheet.name.to_owned(), sheet.to_json());
         }
         all.insert("notes".to_owned(), self.notes.iter().map(String::as_str).collect());
         Ok(serde_json::to_string_pretty(&Value::Object(all))? + "\n")
     }
 
-    fn text(&self) -> String {
+    fn to_text(&self) -> String {
         let mut text = format!("{}\n", self.title);
         for sheet in &self.sheets {
-            text.extend(["\n", &sheet.title, "\n", &sheet.table(), "\n"]);
+            text.extend(["\n", &sheet.title, "\n", &sheet.to_text_table(), "\n"]);
         }
         if !self.notes.is_empty() {
             text.push('\n');
@@ -198,16 +197,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn undefined_numbers_are_empty_or_null_and_others_round_trip() {
+    fn undefined_numbers_are_empty_in_csv_and_null_in_json() {
         let sheet = Sheet {
             name: "points",
             title: "Points.".to_owned(),
             columns: &["x", "y"],
             rows: vec![vec!["a,b".into(), 0.1.into()], vec![7_u64.into(), f64::NAN.into()]],
         };
-        let csv = String::from_utf8(sheet.csv().expect("CSV")).expect("UTF-8");
+        let csv = String::from_utf8(sheet.to_csv().expect("CSV")).expect("UTF-8");
         assert_eq!(csv, "x,y\n\"a,b\",0.1\n7,\n");
-        assert_eq!(sheet.json().to_string(), r#"[{"x":"a,b","y":0.1},{"x":7,"y":null}]"#);
-        assert!(sheet.table().contains("0.1000"));
+        assert_eq!(sheet.to_json().to_string(), r#"[{"x":"a,b","y":0.1},{"x":7,"y":null}]"#);
+        assert!(sheet.to_text_table().contains("0.1000"));
     }
 }

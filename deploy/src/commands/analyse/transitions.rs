@@ -1,7 +1,5 @@
 //! `reveille analyse transitions`: the paper's P_m,n next to the frequencies in runs.
 
-use std::process::ExitCode;
-
 use reveille_study::analysis::transitions::{Transition, Transitions, measure};
 
 use super::lists::build_scenario;
@@ -24,7 +22,7 @@ const COLUMNS: &[&str] = &[
 ];
 
 /// Counts transitions.
-pub(super) fn run(args: &TransitionsArgs) -> anyhow::Result<ExitCode> {
+pub(super) fn run(args: &TransitionsArgs) -> anyhow::Result<()> {
     let scenario = build_scenario(
         &args.study,
         &[

@@ -200,7 +200,7 @@ mod tests {
 
     use super::*;
 
-    fn scenario(policy: &str) -> Scenario {
+    fn scenario_of_policy(policy: &str) -> Scenario {
         let set = [
             "devices=20",
             "ttis=240",
@@ -213,7 +213,7 @@ mod tests {
             .scenario
     }
 
-    /// The received frames of a run, and each external input with the number of frames before it.
+    /// The frames that an observer receives from a run, and each external input with the number of frames before it.
     #[derive(Default)]
     struct ReceivedRun {
         frames: Vec<Frame>,
@@ -230,82 +230,87 @@ mod tests {
             let mut run = Run::new(&prepare(scenario), options);
             run.schedule_inputs(&ExternalInputs::from_outages(outages));
             run.finish(&mut FrameObserver::new(0, |frame| frames.push(frame)));
-            let gone = frames.iter().enumerate();
-            let gone = gone.filter(|(_, frame)| frame.kind == MessageKind::Removed);
-            let inputs = gone
-                .map(|(at, _)| at)
+            let removals = frames.iter().enumerate();
+            let removals = removals.filter(|(_, frame)| frame.kind == MessageKind::Removed);
+            let inputs = removals
+                .map(|(index, _)| index)
                 .zip(outages.iter().copied().map(ExternalInput::Outage))
                 .collect();
             Self { frames, inputs }
         }
 
         /// Creates a run with random decisions and a plan request every `hold` TTIs.
-        fn decided(scenario: &Scenario, hold: u64) -> Self {
+        fn with_decisions(scenario: &Scenario, hold: u64) -> Self {
             let frames = RefCell::new(Vec::new());
-            let mut stepping =
-                SteppedRun::new(scenario, FrameObserver::new(0, |frame| frames.borrow_mut().push(frame)));
+            let mut run = SteppedRun::new(scenario, FrameObserver::new(0, |frame| frames.borrow_mut().push(frame)));
             let (mut stream, mut inputs) = (Stream::new(3, Purpose::Training, 0), Vec::new());
-            while let Some(question) = stepping.pending_decision() {
-                let (tti, n) = (question.seen.now, question.seen.known.n() as u64);
-                let mut any = || DeviceId(stream.below(n) as u32);
-                let answer = match question.stage {
+            while let Some(question) = run.pending_decision() {
+                let (tti, n) = (question.observation.now, question.observation.known.n() as u64);
+                let mut random_device = || DeviceId(stream.below(n) as u32);
+                let decision = match question.stage {
                     DecisionStage::Plan => Decision::Plan(PlanDecision {
-                        plan: Plan::from_devices(n as usize, &[any(), any(), any(), any()]),
+                        plan: Plan::from_devices(
+                            n as usize,
+                            &[random_device(), random_device(), random_device(), random_device()],
+                        ),
                         next: tti + hold,
                     }),
-                    DecisionStage::Wake if any().0 % 2 == 0 => Decision::Wake(vec![any()]),
+                    DecisionStage::Wake if random_device().0 % 2 == 0 => Decision::Wake(vec![random_device()]),
                     DecisionStage::Wake => Decision::Wake(Vec::new()),
                 };
-                let decision = RecordedDecision {
+                let recorded = RecordedDecision {
                     tti,
-                    decision: answer.clone(),
+                    decision: decision.clone(),
                 };
-                inputs.push((frames.borrow().len(), ExternalInput::Decision(decision)));
-                match answer {
-                    Decision::Plan(decision) => stepping.decide(decision),
-                    Decision::Wake(devices) => stepping.wake(&devices),
+                inputs.push((frames.borrow().len(), ExternalInput::Decision(recorded)));
+                match decision {
+                    Decision::Plan(plan_decision) => run.decide(plan_decision),
+                    Decision::Wake(devices) => run.wake(&devices),
                 }
             }
-            stepping.finish();
+            run.finish();
             let frames = frames.into_inner();
             Self { frames, inputs }
         }
 
-        /// Asserts that an observer gets the whole run from any position. The input log never has more than it had when
-        /// the last received frame was sent.
-        fn assert_whole_from_everywhere(mut self, scenario: &Scenario) {
+        /// Asserts that an observer receives the whole run wherever it joins. It reads the input log only as far as the
+        /// log was written when the last received frame was sent.
+        fn assert_complete_from_any_frame(mut self, scenario: &Scenario) {
             let end = Tti(scenario.run.ttis);
             self.frames
                 .push(Frame::new(end, (), &ClockMessage::CollectLedgers(end)));
             // World frames depend on how TTIs were granted.
-            let happened = |frames: &[Frame]| {
+            let without_world = |frames: &[Frame]| {
                 let mut frames = frames.to_vec();
                 frames.retain(|frame| frame.kind != MessageKind::World);
                 frames
             };
-            let (all, mut ends) = (happened(&self.frames), vec![first_line(scenario).len()]);
+            let (expected, mut line_ends) = (without_world(&self.frames), vec![first_line(scenario).len()]);
             let mut log = first_line(scenario);
             for (_, input) in &self.inputs {
                 log += &line(input);
-                ends.push(log.len());
+                line_ends.push(log.len());
             }
             // The part of the log known so far, with some bytes of a line that is being written.
-            let known = |sent: usize| {
-                let made = self.inputs.partition_point(|(before, _)| *before < sent);
-                &log.as_bytes()[..log.len().min(ends[made] + 9)]
+            let log_after = |sent_frames: usize| {
+                let input_count = self.inputs.partition_point(|(before, _)| *before < sent_frames);
+                &log.as_bytes()[..log.len().min(line_ends[input_count] + 9)]
             };
-            for at in (0..self.frames.len()).step_by(5).chain(0..12) {
-                let granted = self.frames[..at].iter().rev().find_map(|frame| match frame.message() {
-                    Ok(Message::World(world)) => Some(world.last + 1),
-                    Ok(_) | Err(_) => None,
-                });
-                let stands = matches!(self.frames[at].kind, MessageKind::Plan | MessageKind::Clock);
+            for joined_at in (0..self.frames.len()).step_by(5).chain(0..12) {
+                let next_tti = self.frames[..joined_at]
+                    .iter()
+                    .rev()
+                    .find_map(|frame| match frame.message() {
+                        Ok(Message::World(world)) => Some(world.last + 1),
+                        Ok(_) | Err(_) => None,
+                    });
+                let can_pause = matches!(self.frames[joined_at].kind, MessageKind::Plan | MessageKind::Clock);
                 for paused in [false, true] {
-                    if paused && !stands {
+                    if paused && !can_pause {
                         continue;
                     }
                     let status = ClockStatus {
-                        tti: granted.unwrap_or_default(),
+                        tti: next_tti.unwrap_or_default(),
                         ttis: scenario.run.ttis,
                         paused,
                         until: end,
@@ -314,52 +319,60 @@ mod tests {
                         devices: scenario.run.devices,
                         lost: Vec::new(),
                     };
-                    let (mut told, mut past) = (Vec::new(), CatchUp::new(scenario.clone(), || false));
-                    past.read_input_log(known(at)).expect("a log");
-                    past.catch_up(&status, |frame| told.push(frame)).expect("it is over");
-                    for (number, frame) in (at..).zip(&self.frames[at..]) {
-                        past.read_input_log(&known(number + 1)[past.bytes_read() as usize..])
+                    let (mut received, mut catch_up) = (Vec::new(), CatchUp::new(scenario.clone(), || false));
+                    catch_up.read_input_log(log_after(joined_at)).expect("a log");
+                    catch_up
+                        .catch_up(&status, |frame| received.push(frame))
+                        .expect("a consistent run");
+                    for (number, frame) in (joined_at..).zip(&self.frames[joined_at..]) {
+                        catch_up
+                            .read_input_log(&log_after(number + 1)[catch_up.bytes_read() as usize..])
                             .expect("a log");
-                        past.push(frame.clone(), |frame| told.push(frame)).expect("it is over");
+                        catch_up
+                            .push(frame.clone(), |frame| received.push(frame))
+                            .expect("a consistent run");
                     }
-                    assert!(happened(&told) == all, "joined at frame {at}, paused: {paused}");
+                    assert!(
+                        without_world(&received) == expected,
+                        "joined at frame {joined_at}, paused: {paused}"
+                    );
                 }
             }
         }
     }
 
     #[test]
-    fn a_run_is_whole_from_wherever_it_is_joined() {
+    fn a_late_observer_receives_the_whole_run() {
         for policy in ["knn", "age-index"] {
-            let scenario = scenario(policy);
+            let scenario = scenario_of_policy(policy);
             for lookahead in [true, false] {
-                ReceivedRun::new(&scenario, &[], lookahead).assert_whole_from_everywhere(&scenario);
+                ReceivedRun::new(&scenario, &[], lookahead).assert_complete_from_any_frame(&scenario);
             }
         }
     }
 
     #[test]
-    fn a_run_with_removed_devices_is_whole_too() {
-        let scenario = scenario("knn");
-        let gone = |first, tti, wake_ups| DeviceRemoval {
+    fn a_late_observer_receives_removed_devices() {
+        let scenario = scenario_of_policy("knn");
+        let removal = |first, tti| DeviceRemoval {
             first: DeviceId(first),
             count: 5,
             tti: Tti(tti),
-            wake_ups,
+            wake_ups: None,
         };
-        let outages = [gone(0, 40, None), gone(10, 41, None), gone(5, 180, None)];
+        let outages = [removal(0, 40), removal(10, 41), removal(5, 180)];
         for lookahead in [true, false] {
-            let heard = ReceivedRun::new(&scenario, &outages, lookahead);
-            assert_eq!(heard.inputs.len(), outages.len());
-            heard.assert_whole_from_everywhere(&scenario);
+            let received = ReceivedRun::new(&scenario, &outages, lookahead);
+            assert_eq!(received.inputs.len(), outages.len());
+            received.assert_complete_from_any_frame(&scenario);
         }
     }
 
     #[test]
-    fn a_run_with_external_decisions_is_whole_too() {
-        let scenario = scenario("external");
+    fn a_late_observer_receives_external_decisions() {
+        let scenario = scenario_of_policy("external");
         for hold in [1, 30, 500] {
-            ReceivedRun::decided(&scenario, hold).assert_whole_from_everywhere(&scenario);
+            ReceivedRun::with_decisions(&scenario, hold).assert_complete_from_any_frame(&scenario);
         }
     }
 }

@@ -15,6 +15,7 @@ use reveille_view::export::table::{COLUMNS, MessageRow, MessageTableWriter};
 use reveille_view::filter::Filter;
 use reveille_view::recording::RecordingError;
 
+use super::check_tti_range;
 use super::source::{RecordingFile, open};
 use crate::cli::{ExportArgs, ToArg};
 use crate::display::{count_noun, note, print_stdout};
@@ -23,6 +24,7 @@ use crate::paths::is_same_path;
 
 /// Writes the requested file.
 pub(super) fn run(args: &ExportArgs) -> anyhow::Result<ExitCode> {
+    check_tti_range(args.since, args.until)?;
     if let Some(path) = &args.dissector {
         check_not_taken(path, args.force)?;
         std::fs::write(path, dissector::lua_script()).with_context(|| format!("cannot write {}", path.display()))?;

@@ -10,16 +10,18 @@ use reveille_common::message::{MessageKind, Plane};
 use reveille_view::traffic::{MessageCount, TrafficStats};
 use serde_json::{Value, json};
 
+use super::check_tti_range;
 use super::source::FrameSource;
 use crate::cli::StatsArgs;
 use crate::display::{note, print_stdout};
 use crate::exit::ExitReason;
 
-/// Time between two tables with `--watch`.
-const TABLE_INTERVAL: Duration = Duration::from_secs(1);
+/// Time between two tables with `--watch`; without it there is only the table at the end.
+const WATCH_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Counts until the run or recording ends, or a signal arrives.
 pub(super) async fn run(args: &StatsArgs) -> anyhow::Result<ExitCode> {
+    check_tti_range(args.since, args.until)?;
     let mut source = FrameSource::open(args.from.as_deref(), &args.target).await?;
     let devices = source.bundle().await?.load()?.run.devices;
     if let Some(since) = args.since {
@@ -41,7 +43,7 @@ pub(super) async fn run(args: &StatsArgs) -> anyhow::Result<ExitCode> {
             Ok(None) => break None,
             Err(error) => break Some(error),
         }
-        if args.watch && last_shown.elapsed() >= TABLE_INTERVAL {
+        if args.watch && last_shown.elapsed() >= WATCH_INTERVAL {
             // Control codes belong on a screen, not in a file.
             let clear = if std::io::stdout().is_terminal() {
                 "\u{1b}[2J\u{1b}[H"

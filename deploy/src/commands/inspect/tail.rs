@@ -15,6 +15,7 @@ use reveille_view::frame_line::FrameLine;
 use reveille_view::wake_up_pairs::{PairStep, WakeUpExchange, WakeUpPairer};
 use serde_json::json;
 
+use super::check_tti_range;
 use super::source::{FrameSource, device_groups};
 use crate::cli::{ColourArg, TailArgs};
 use crate::display::note;
@@ -22,6 +23,7 @@ use crate::exit::ExitReason;
 
 /// Prints the requested messages.
 pub(super) async fn run(args: &TailArgs) -> anyhow::Result<ExitCode> {
+    check_tti_range(args.since, args.until)?;
     let mut filter = filter(args);
     filter.check().map_err(anyhow::Error::msg)?;
     let mut source = FrameSource::open(args.from.as_deref(), &args.target).await?;

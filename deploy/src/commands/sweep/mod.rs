@@ -18,6 +18,7 @@ use super::experiment::build_experiment;
 use crate::cli::SweepArgs;
 use crate::display::{self, note};
 use crate::exit::Interrupted;
+use crate::paths::check_output_folder;
 use crate::signals::{SignalMode, Signals};
 use progress::SweepDisplay;
 use report::SweepSummary;
@@ -28,6 +29,7 @@ pub(crate) fn run(args: &SweepArgs) -> anyhow::Result<ExitCode> {
     let shard = args.shard.unwrap_or(Shard::WHOLE);
     grid.check_shard(shard)?;
     let folder = sweep_folder(args, &mut grid, shard);
+    check_output_folder("--out", &folder)?;
     log_warnings(&grid);
     if args.dry_run {
         display::print_stdout(&report::dry_run(args, &grid, shard, &folder)?)?;

@@ -194,9 +194,8 @@ fn read_trajectories(
         all.push(trajectories);
     }
     metadata.insert("data".to_owned(), data);
-    // The metadata identify a checkpoint. A renamed field of the configuration thus makes old checkpoints unusable, and
-    // so does another version.
-    metadata.insert("training".to_owned(), format!("{training:?}"));
+    // The metadata identify a checkpoint, so none can be resumed by another version.
+    metadata.insert("training".to_owned(), training.to_json());
     metadata.insert(
         "made_by".to_owned(),
         concat!("reveille ", env!("CARGO_PKG_VERSION")).to_owned(),

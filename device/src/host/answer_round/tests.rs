@@ -1,4 +1,4 @@
-//! A round answers once, when all parts are in, and repeats the same answer on request.
+//! Tests of [`AnswerRound`]: it answers once, when all parts have arrived, and repeats the same answer on request.
 
 use reveille_common::ids::{DeviceId, HostId, Tti};
 use reveille_common::message::{FailedTransmission, HostAnswer, Report};
@@ -35,7 +35,7 @@ fn totals(harvested: u64) -> DeviceTotals {
     }
 }
 
-fn done(reports: u32) -> HostAnswer {
+fn grant_done(reports: u32) -> HostAnswer {
     HostAnswer::GrantDone {
         host: HOST,
         tti: TTI,
@@ -49,57 +49,53 @@ fn done(reports: u32) -> HostAnswer {
 #[test]
 fn a_round_without_devices_is_answered_by_the_host_alone() {
     let round = AnswerRound::new(HOST, HostRequest::Grant(TTI), 0);
-    assert_eq!(round.add_part(&DeviceAnswer::Nothing), Some(done(0)));
+    assert_eq!(round.add_part(&DeviceAnswer::Nothing), Some(grant_done(0)));
 }
 
 #[test]
 fn the_last_part_answers_once() {
     let round = AnswerRound::new(HOST, HostRequest::Grant(TTI), 2);
-    assert_eq!(
-        round.add_part(&DeviceAnswer::Nothing),
-        None,
-        "the host has handed it out"
-    );
+    assert_eq!(round.add_part(&DeviceAnswer::Nothing), None, "the part of the host");
     assert_eq!(round.add_part(&DeviceAnswer::Reported(report(1))), None);
-    assert_eq!(round.add_part(&DeviceAnswer::Reported(report(0))), Some(done(2)));
+    assert_eq!(round.add_part(&DeviceAnswer::Reported(report(0))), Some(grant_done(2)));
 }
 
 #[test]
-fn a_device_may_finish_before_the_host_has_handed_the_question_out() {
+fn a_device_can_answer_before_the_part_of_the_host() {
     let round = AnswerRound::new(HOST, HostRequest::Grant(TTI), 1);
     assert_eq!(round.add_part(&DeviceAnswer::Reported(report(1))), None);
-    assert_eq!(round.add_part(&DeviceAnswer::Nothing), Some(done(1)));
+    assert_eq!(round.add_part(&DeviceAnswer::Nothing), Some(grant_done(1)));
 }
 
 #[test]
-fn a_round_is_repeated_only_when_it_is_whole_and_always_the_same() {
+fn a_round_is_repeated_unchanged_after_its_completion_only() {
     let round = AnswerRound::new(HOST, HostRequest::Grant(TTI), 2);
     assert_eq!(round.completed(), None);
     round.add_part(&DeviceAnswer::Reported(report(1)));
     round.add_part(&DeviceAnswer::Nothing);
-    assert_eq!(round.completed(), None, "one device has still to do its part");
+    assert_eq!(round.completed(), None, "one part is missing");
     let answer = round.add_part(&DeviceAnswer::Reported(report(0))).expect("the answer");
-    let again = (vec![report(1), report(0)], answer);
-    assert_eq!(round.completed(), Some(again.clone()));
-    assert_eq!(round.completed(), Some(again));
+    let repeated = (vec![report(1), report(0)], answer);
+    assert_eq!(round.completed(), Some(repeated.clone()));
+    assert_eq!(round.completed(), Some(repeated));
 }
 
 #[test]
-fn a_grant_gathers_failures_sums_and_levels() {
+fn a_grant_collects_failures_totals_and_views() {
     let failure = FailedTransmission {
         device: DeviceId(4),
-        drained: Energy::from_micro(2),
+        drained_energy: Energy::from_micro(2),
     };
     let round = AnswerRound::new(HOST, HostRequest::Grant(TTI), 5);
     let view = |device: u32| DeviceView {
         state: DeviceState::Idle,
         battery: Energy::from_micro(u64::from(10 * device)),
     };
-    let level = |device: u32| DeviceAnswer::View(DeviceId(device), view(device));
+    let view_part = |device: u32| DeviceAnswer::View(DeviceId(device), view(device));
     for part in [
         DeviceAnswer::Failed(failure),
-        level(5),
-        level(4),
+        view_part(5),
+        view_part(4),
         DeviceAnswer::Ledger(DeviceId(4), Box::new(ledger(3))),
         DeviceAnswer::Ledger(DeviceId(5), Box::new(ledger(8))),
     ] {
@@ -117,7 +113,7 @@ fn a_grant_gathers_failures_sums_and_levels() {
 }
 
 #[test]
-fn ledgers_are_kept_by_device() {
+fn ledgers_are_collected_by_device() {
     let round = AnswerRound::new(HOST, HostRequest::Ledgers, 2);
     round.add_part(&DeviceAnswer::Nothing);
     round.add_part(&DeviceAnswer::Ledger(DeviceId(4), Box::new(ledger(3))));

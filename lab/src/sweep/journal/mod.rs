@@ -20,7 +20,6 @@ pub use io::Journal;
 
 /// The first word of a journal.
 const MAGIC: &str = "reveille-journal ";
-/// The version of the journal format.
 const FORMAT: &str = "2";
 /// Limit of the first line, bytes.
 pub(super) const MAX_HEADER_BYTES: u64 = 1024;

@@ -1,5 +1,6 @@
-//! A network small enough for an exact solution: value iteration over all battery vectors and all 2^6 actions. The
-//! learner's table is evaluated exactly as well.
+//! Compares the tables of [`Trainer`] with the exact optimum for a network of six devices: value iteration over all
+//! battery vectors and all 2^6 actions. The learner's tables are evaluated exactly as well. [`super::three_devices`]
+//! covers reports that cost energy and windows of two TTIs.
 
 use std::sync::Arc;
 
@@ -26,19 +27,19 @@ const SWEEPS: usize = 500;
 /// The largest final distance between the least and the largest addition of a sweep.
 const SPAN: f64 = 1e-5;
 
-/// The network as the test models it.
-struct Toy {
+/// A network in which only sensing costs energy.
+struct SixDevices {
     /// The probability of an arrival.
     p: f64,
     /// The weight α μ1.
     w: f64,
-    /// U by the set of sensing devices.
-    uncovered: [f64; ACTIONS],
+    /// Uncovered share of the area, by the set of sensing devices.
+    uncovered_shares: [f64; ACTIONS],
     scenario: Scenario,
     points: Vec<Point>,
 }
 
-impl Toy {
+impl SixDevices {
     fn new(area: Area, points: &[(f64, f64)], lambda: f64, w: f64) -> Self {
         let points: Vec<Point> = points.iter().map(|&(x, y)| Point::new(x, y)).collect();
         assert_eq!(points.len(), N);
@@ -55,18 +56,21 @@ impl Toy {
                 &format!("harvest.lambda={lambda}"),
             ],
         );
-        let mut toy = Self {
+        let mut network = Self {
             p: lambda * libm::exp(-lambda),
             w,
-            uncovered: [0.0; ACTIONS],
+            uncovered_shares: [0.0; ACTIONS],
             scenario,
             points,
         };
-        toy.uncovered = std::array::from_fn(|set| {
-            let sensing: Vec<Point> = (0..N).filter(|j| set >> j & 1 == 1).map(|j| toy.points[j]).collect();
-            uncovered(area, &sensing)
+        network.uncovered_shares = std::array::from_fn(|set| {
+            let sensing: Vec<Point> = (0..N)
+                .filter(|j| set >> j & 1 == 1)
+                .map(|j| network.points[j])
+                .collect();
+            uncovered_share(area, &sensing)
         });
-        toy
+        network
     }
 
     /// Returns the expectation of r(k) for `action` if the devices of `empty` have empty batteries: those sense only
@@ -75,45 +79,53 @@ impl Toy {
         let (sure, maybe) = (action & !empty, action & empty);
         let mut uncovered = 0.0;
         for arrived in (0..ACTIONS).filter(|arrived| arrived & !maybe == 0) {
-            let (came, failed) = (arrived.count_ones(), (maybe & !arrived).count_ones());
-            let chance = self.p.powi(came.cast_signed()) * (1.0 - self.p).powi(failed.cast_signed());
-            uncovered += chance * self.uncovered[sure | arrived];
+            let (arrivals, failures) = (arrived.count_ones(), (maybe & !arrived).count_ones());
+            let probability = self.p.powi(arrivals.cast_signed()) * (1.0 - self.p).powi(failures.cast_signed());
+            uncovered += probability * self.uncovered_shares[sure | arrived];
         }
         1.0 - f64::from(action.count_ones()) / N as f64 - self.w * uncovered
     }
 
-    /// Returns the rewards by empty batteries and action.
     fn rewards(&self) -> Vec<[f64; ACTIONS]> {
         (0..ACTIONS)
             .map(|empty| std::array::from_fn(|action| self.reward(empty, action)))
             .collect()
     }
 
-    /// Returns the expectation of `values` one TTI later, by action and state: one device at a time.
-    fn later(&self, values: Vec<f64>) -> Vec<Vec<f64>> {
+    /// Returns the expectation of `values` one TTI later, by action and state. It is computed one device at a time,
+    /// because harvests are independent.
+    fn expected_next(&self, values: Vec<f64>) -> Vec<Vec<f64>> {
         let mut by_action = vec![values];
         for device in 0..N {
-            let of = |on: bool| by_action.iter().map(move |values| self.pass(values, device, on));
-            by_action = of(false).chain(of(true)).collect();
+            let expectations = |is_on: bool| {
+                by_action
+                    .iter()
+                    .map(move |values| self.expect_device(values, device, is_on))
+            };
+            by_action = expectations(false).chain(expectations(true)).collect();
         }
         by_action
     }
 
-    /// Returns the expectation over the harvest and cost of one device.
-    fn pass(&self, values: &[f64], device: usize, on: bool) -> Vec<f64> {
+    /// Returns the expectation of `values` over the harvest of one device, which pays for sensing if it is on.
+    fn expect_device(&self, values: &[f64], device: usize, is_on: bool) -> Vec<f64> {
         let stride = LEVELS.pow(device as u32);
-        let next = |level: usize, harvest: usize| (level + harvest).min(E_MAX).saturating_sub(usize::from(on)) * stride;
-        let mut passed = vec![0.0; STATES];
+        let next =
+            |level: usize, harvest: usize| (level + harvest).min(E_MAX).saturating_sub(usize::from(is_on)) * stride;
+        let mut expectation = vec![0.0; STATES];
         for first in (0..STATES).step_by(stride * LEVELS) {
             for level in 0..LEVELS {
-                let [came, none] = [1, 0].map(|harvest| &values[first + next(level, harvest)..][..stride]);
-                let target = &mut passed[first + level * stride..][..stride];
-                for ((target, came), none) in target.iter_mut().zip(came).zip(none) {
-                    *target = self.p * came + (1.0 - self.p) * none;
+                let [with_arrival, without_arrival] =
+                    [1, 0].map(|harvest| &values[first + next(level, harvest)..][..stride]);
+                let target = &mut expectation[first + level * stride..][..stride];
+                for ((target, with_arrival), without_arrival) in
+                    target.iter_mut().zip(with_arrival).zip(without_arrival)
+                {
+                    *target = self.p * with_arrival + (1.0 - self.p) * without_arrival;
                 }
             }
         }
-        passed
+        expectation
     }
 
     /// Returns the mean over all battery vectors of the discounted sum of rewards, times 1 − `discount`; for a discount
@@ -122,28 +134,28 @@ impl Toy {
         let rewards = self.rewards();
         let (mut values, mut mean) = (vec![0.0; STATES], 0.0);
         for _ in 0..SWEEPS {
-            let later = self.later(values.clone());
-            let after: Vec<f64> = (0..STATES)
+            let next = self.expected_next(values.clone());
+            let new_values: Vec<f64> = (0..STATES)
                 .map(|state| {
                     let rewards = &rewards[empty(state)];
-                    let of = |action: usize| rewards[action] + discount * later[action][state];
+                    let value = |action: usize| rewards[action] + discount * next[action][state];
                     match policy {
-                        Some(policy) => of(policy[state]),
-                        None => (0..ACTIONS).map(of).fold(f64::NEG_INFINITY, f64::max),
+                        Some(policy) => value(policy[state]),
+                        None => (0..ACTIONS).map(value).fold(f64::NEG_INFINITY, f64::max),
                     }
                 })
                 .collect();
-            let added = after.iter().zip(&values).map(|(after, before)| after - before);
-            mean = added.clone().sum::<f64>() / STATES as f64;
-            let (least, most) = added.fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(x), b.max(x)));
-            values = after;
+            let additions = new_values.iter().zip(&values).map(|(new, old)| new - old);
+            mean = additions.clone().sum::<f64>() / STATES as f64;
+            let (least, most) = additions.fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(x), b.max(x)));
+            values = new_values;
             // The sum of all further additions lies within discount/(1 − discount) times these two.
             if most - least < SPAN {
                 let mean = values.iter().sum::<f64>() / STATES as f64;
                 return (1.0 - discount) * mean + discount * 0.5 * (least + most);
             }
         }
-        assert!(discount >= 1.0, "discounted values settle");
+        assert!(discount >= 1.0, "discounted values did not converge");
         // The policy's long-run value depends on the start: the mean over all starts.
         mean
     }
@@ -157,32 +169,34 @@ impl Toy {
     }
 
     /// Returns the actions of a policy that only maximises the next r(k).
-    fn greedy(&self) -> Vec<usize> {
+    fn greedy_actions(&self) -> Vec<usize> {
         let rewards = self.rewards();
-        let best = |state: usize| {
-            let of = |action: &usize| rewards[empty(state)][*action];
-            (0..ACTIONS).max_by(|a, b| of(a).total_cmp(&of(b))).expect("actions")
+        let best_action = |state: usize| {
+            let reward = |action: &usize| rewards[empty(state)][*action];
+            (0..ACTIONS)
+                .max_by(|a, b| reward(a).total_cmp(&reward(b)))
+                .expect("actions")
         };
-        (0..STATES).map(best).collect()
+        (0..STATES).map(best_action).collect()
     }
 
     fn energy(&self) -> EnergyModel {
         self.scenario.classes[0].energy
     }
 
-    /// Returns the action of the policy with these tables in each state.
-    fn learned(&self, entry: &TableSet) -> Vec<usize> {
+    /// Returns the action of the learner with the tables of `entry` in each state, without exploration.
+    fn learned_actions(&self, entry: &TableSet) -> Vec<usize> {
         let mut duty = duty_of(&self.scenario, entry, &self.points);
-        let choice = |state: usize| {
+        let chosen_action = |state: usize| {
             let chosen = duty.choose(&levels(state));
             chosen.iter().map(|j| 1 << j.index()).sum()
         };
-        (0..STATES).map(choice).collect()
+        (0..STATES).map(chosen_action).collect()
     }
 }
 
-/// A network of the devices at `points` of `area` under `q-learning` from empty tables, with the fields in `set`.
-/// E_idle is 1, an arrival brings 1, the wake-up radio is free.
+/// Returns the scenario of a network with devices at `points` in `area` under `q-learning` from empty tables, with the
+/// fields in `set`. E_idle is 1, an arrival brings 1, the wake-up radio is free.
 pub(super) fn scenario_of(area: Area, points: &[Point], set: &[&str]) -> Scenario {
     let always = [
         &format!("devices={}", points.len()),
@@ -201,14 +215,14 @@ pub(super) fn scenario_of(area: Area, points: &[Point], set: &[&str]) -> Scenari
         .map(|text| Override::parse(text).expect("an override"));
     let mut scenario = load("paper", &set.collect::<Vec<_>>()).expect("a scenario").scenario;
     scenario.layout = Layout::File(FileLayout {
-        path: "toy".into(),
+        path: "six-devices".into(),
         points: Arc::new(points.to_vec()),
         classes: None,
     });
     scenario
 }
 
-/// The tables of a learner on `scenario`, trained from empty tables.
+/// Returns the tables of a learner on `scenario`, trained from empty tables.
 pub(super) fn train(scenario: &Scenario) -> TableSet {
     let training = QTrainingConfig {
         episodes: 12,
@@ -221,14 +235,14 @@ pub(super) fn train(scenario: &Scenario) -> TableSet {
     trainer.learned().entries.swap_remove(0)
 }
 
-/// The duty rule with the tables of `entry`, for the devices of `scenario` at `points`.
+/// Returns the duty rule with the tables of `entry`, for the devices of `scenario` at `points`.
 pub(super) fn duty_of(scenario: &Scenario, entry: &TableSet, points: &[Point]) -> DutyLearner {
     let settings = scenario
         .policy
         .settings()
         .downcast_ref::<QLearningSettings>()
         .expect("q-learning");
-    let terms = DutyParameters {
+    let parameters = DutyParameters {
         weights: settings.weights,
         schedule: settings.schedule,
         alpha: scenario.events.alpha,
@@ -238,7 +252,7 @@ pub(super) fn duty_of(scenario: &Scenario, entry: &TableSet, points: &[Point]) -
     let energies = vec![scenario.classes[0].energy; points.len()];
     DutyLearner::new(
         entry.duty.clone(),
-        terms,
+        parameters,
         points,
         energies,
         scenario.area,
@@ -246,20 +260,20 @@ pub(super) fn duty_of(scenario: &Scenario, entry: &TableSet, points: &[Point]) -
     )
 }
 
-/// The share of `area`, in cells of d_max/15, without a device of `points` within d_max = 4 m; checked corner by
-/// corner.
-pub(super) fn uncovered(area: Area, points: &[Point]) -> f64 {
+/// Returns the share of `area` without a device of `points` within d_max = 4 m, in cells of d_max/15 as in the learner.
+/// A device covers a cell if it covers the four corners.
+pub(super) fn uncovered_share(area: Area, points: &[Point]) -> f64 {
     let [columns, rows] = [area.width, area.height].map(|length| (length / 4.0 * 15.0).ceil() as u32);
     let (width, height) = (area.width / f64::from(columns), area.height / f64::from(rows));
-    let mut missed = 0;
+    let mut uncovered_cells = 0;
     for cell in 0..columns * rows {
         let (column, row) = (cell % columns, cell / columns);
         let corners = [(0, 0), (1, 0), (0, 1), (1, 1)]
             .map(|(east, north)| Point::new(f64::from(column + east) * width, f64::from(row + north) * height));
-        let is_seen = |p: &Point| corners.iter().all(|corner| corner.distance(*p) <= 4.0);
-        missed += u32::from(!points.iter().any(is_seen));
+        let is_covered = |p: &Point| corners.iter().all(|corner| corner.distance(*p) <= 4.0);
+        uncovered_cells += u32::from(!points.iter().any(is_covered));
     }
-    f64::from(missed) / f64::from(columns * rows)
+    f64::from(uncovered_cells) / f64::from(columns * rows)
 }
 
 fn units(level: u64) -> Energy {
@@ -284,42 +298,29 @@ fn the_learner_comes_close_to_the_optimum() {
     let cross = [(1.5, 1.5), (6.0, 1.0), (2.0, 6.5), (6.5, 6.0), (4.0, 4.0), (3.0, 3.5)];
     let pairs = [(2.0, 3.0), (2.4, 2.5), (6.0, 3.2), (6.3, 2.6), (10.0, 3.0), (9.6, 3.4)];
     for (name, (width, height), points) in [("cross", (8.0, 8.0), cross), ("pairs", (12.0, 6.0), pairs)] {
-        let toy = Toy::new(Area { width, height }, &points, 0.15, 2.0);
-        let in_turn: Vec<usize> = (0..LEVELS as u64)
-            .map(|l| battery_bucket(units(l), &toy.energy()))
+        let network = SixDevices::new(Area { width, height }, &points, 0.15, 2.0);
+        let buckets: Vec<usize> = (0..LEVELS as u64)
+            .map(|level| battery_bucket(units(level), &network.energy()))
             .collect();
-        assert_eq!(in_turn, [0, 2, 4, 6, 7], "levels differ to the learner");
-        let learned = toy.learned(&train(&toy.scenario));
-        let greedy = toy.greedy();
+        assert_eq!(buckets, [0, 2, 4, 6, 7], "each level has its own bucket in the learner");
+        let learned = network.learned_actions(&train(&network.scenario));
+        let greedy = network.greedy_actions();
+        let policies = [None, Some(&learned[..]), Some(&greedy[..])];
         // The possible gain: r(k) above the reward of a sleeping network.
-        let above = |reward: f64| reward - (1.0 - toy.w);
-        let [best, own, myopic] = [None, Some(&learned), Some(&greedy)].map(|p| above(toy.mean(p.map(Vec::as_slice))));
-        let [b, o, m] = [None, Some(&learned), Some(&greedy)].map(|p| above(toy.discounted(p.map(Vec::as_slice))));
-        println!(
-            "{name}: mean {best:.5}, learner {own:.5}, ratio {:.4}, greedy {:.4}",
-            own / best,
-            myopic / best
-        );
-        println!(
-            "{name}: discounted {b:.5}, learner {o:.5}, ratio {:.4}, greedy {:.4}",
-            o / b,
-            m / b
-        );
+        let gain = |reward: f64| reward - (1.0 - network.w);
+        let mean_gains = policies.map(|policy| gain(network.mean(policy)));
+        let discounted_gains = policies.map(|policy| gain(network.discounted(policy)));
+        let [best_mean, learned_mean, greedy_mean] = mean_gains;
+        let [best_discounted, learned_discounted, _] = discounted_gains;
+        let gains = format!("{name}: optimum, learner, greedy: mean {mean_gains:?}, discounted {discounted_gains:?}");
+        println!("{gains}");
         assert!(
-            own <= best + SPAN && o <= b + SPAN,
-            "nothing is better than the optimum"
+            learned_mean <= best_mean + SPAN && learned_discounted <= best_discounted + SPAN,
+            "above the optimum: {gains}"
         );
-        assert!(
-            own >= 0.98 * best,
-            "{name}: the learner gains {own}, the optimum {best}"
-        );
-        assert!(
-            o >= 0.95 * b,
-            "{name}: discounted, the learner gains {o}, the optimum {b}"
-        );
-        assert!(
-            myopic < 0.95 * best,
-            "{name}: energy binds, or {myopic} would not be so much less than {best}"
-        );
+        assert!(learned_mean >= 0.98 * best_mean, "{gains}");
+        assert!(learned_discounted >= 0.95 * best_discounted, "{gains}");
+        // The network is not trivial: ignoring energy is much worse than the optimum.
+        assert!(greedy_mean < 0.95 * best_mean, "{gains}");
     }
 }

@@ -64,8 +64,8 @@ impl ChainInput {
 pub struct SteadyState {
     /// Probability of each level at the end of a TTI, over all phases of the cycle, from empty to full.
     pub levels: Vec<f64>,
-    /// Number of transitions until the steady state.
-    pub transition_count: u64,
+    /// Number of transitions, one per TTI, that the iteration needed to reach the steady state.
+    pub transitions_to_steady_state: u64,
     /// Σ |π P − π| over one cycle.
     pub residual: f64,
 }
@@ -91,11 +91,11 @@ pub(crate) fn steady_state(lattice: &Lattice, input: &ChainInput) -> Result<Stea
     let n = lattice.levels();
     let mut levels_now = DVector::from_element(n, 1.0 / n as f64);
     let mut buffer = DVector::zeros(n);
-    let mut transition_count = 0;
+    let mut transitions_to_steady_state = 0;
     loop {
         let levels_before = levels_now.clone();
         steps.advance_cycle(&mut levels_now, &mut buffer, |_| {});
-        transition_count += u64::from(input.t_drx);
+        transitions_to_steady_state += u64::from(input.t_drx);
         // Only whole cycles compare: within a cycle the distribution changes with the phase.
         let residual = (&levels_now - &levels_before).lp_norm(1);
         if residual <= STEADY_RESIDUAL {
@@ -106,11 +106,11 @@ pub(crate) fn steady_state(lattice: &Lattice, input: &ChainInput) -> Result<Stea
             let levels = sum / f64::from(input.t_drx);
             return Ok(SteadyState {
                 levels: levels.iter().copied().collect(),
-                transition_count,
+                transitions_to_steady_state,
                 residual,
             });
         }
-        if transition_count > MAX_TRANSITIONS {
+        if transitions_to_steady_state > MAX_TRANSITIONS {
             let allowed = format!(
                 "of one cycle should be at most {STEADY_RESIDUAL:e} after {MAX_TRANSITIONS} TTIs; the chain mixes \
                  too slowly"
@@ -176,9 +176,10 @@ mod tests {
 
     use super::*;
 
+    /// Probability of an arrival in a TTI.
     const P: f64 = 0.3;
 
-    fn lattice(e_max: usize, e_idle: usize, e_wur: usize, e_tx: usize, e_b: usize) -> Lattice {
+    fn lattice_of(e_max: usize, e_idle: usize, e_wur: usize, e_tx: usize, e_b: usize) -> Lattice {
         Lattice {
             quanta_per_unit: 1,
             e_max,
@@ -189,7 +190,7 @@ mod tests {
         }
     }
 
-    fn drive(t_on: u32, t_drx: u32, activation: f64) -> ChainInput {
+    fn input(t_on: u32, t_drx: u32, activation: f64) -> ChainInput {
         ChainInput {
             t_on,
             t_drx,
@@ -198,55 +199,58 @@ mod tests {
         }
     }
 
-    fn assert_steady(lattice: &Lattice, drive: &ChainInput, expected: &[f64]) {
-        let found = steady_state(lattice, drive).expect("a steady state");
-        assert_eq!(found.levels.len(), expected.len());
-        for (level, (a, b)) in found.levels.iter().zip(expected).enumerate() {
+    fn assert_steady_state(lattice: &Lattice, input: &ChainInput, expected: &[f64]) {
+        let steady = steady_state(lattice, input).expect("a steady state");
+        assert_eq!(steady.levels.len(), expected.len());
+        for (level, (probability, expected_probability)) in steady.levels.iter().zip(expected).enumerate() {
             assert!(
-                (a - b).abs() < 1e-9,
-                "level {level} of {drive:?}: {found:?}, not {expected:?}"
+                (probability - expected_probability).abs() < 1e-9,
+                "level {level} of {input:?}: {steady:?}, expected {expected:?}"
             );
         }
     }
 
     #[test]
-    fn two_levels_by_hand() {
+    fn two_levels_equal_a_calculation_by_hand() {
         // S1 takes any charge; in S4, free of cost, an arrival fills the battery until the next S1.
-        assert_steady(&lattice(1, 1, 0, 9, 1), &drive(1, 2, 0.0), &[1.0 - P / 2.0, P / 2.0]);
+        assert_steady_state(&lattice_of(1, 1, 0, 9, 1), &input(1, 2, 0.0), &[1.0 - P / 2.0, P / 2.0]);
         // One S1 in three: full after one S4 with P, after two with 1 − (1 − P)².
         let full = (P + 1.0 - (1.0 - P) * (1.0 - P)) / 3.0;
-        assert_steady(&lattice(1, 1, 0, 9, 1), &drive(1, 3, 0.0), &[1.0 - full, full]);
+        assert_steady_state(&lattice_of(1, 1, 0, 9, 1), &input(1, 3, 0.0), &[1.0 - full, full]);
     }
 
     #[test]
-    fn three_levels_by_hand() {
+    fn three_levels_equal_a_calculation_by_hand() {
         // Always in S1: an arrival of 2 pays for this TTI and the next, unless the next has its own arrival.
-        assert_steady(&lattice(2, 1, 0, 9, 2), &drive(1, 1, 0.0), &[1.0 - P, P, 0.0]);
-        // Never in S1, no cost but E_Tx = 1: births with P (1 − a), deaths with (1 − P) a, from the full battery with
-        // a.
+        assert_steady_state(&lattice_of(2, 1, 0, 9, 2), &input(1, 1, 0.0), &[1.0 - P, P, 0.0]);
+        // Never in S1, no cost except E_Tx = 1: births with P (1 − a), deaths with (1 − P) a, from the full battery
+        // with a.
         let a = 0.2;
         let (up, down) = (P * (1.0 - a), (1.0 - P) * a);
         let weights = [1.0, up / down, up / down * up / a];
         let sum: f64 = weights.iter().sum();
-        assert_steady(&lattice(2, 1, 0, 1, 1), &drive(0, 1, a), &weights.map(|w| w / sum));
+        assert_steady_state(&lattice_of(2, 1, 0, 1, 1), &input(0, 1, a), &weights.map(|w| w / sum));
     }
 
     #[test]
     fn a_failed_transmission_empties_the_battery() {
-        // With at most 3 quanta, E_Tx = 5 is never paid: the arrivals since the last activation decide the level.
+        // With at most 3 quanta, E_Tx = 5 is never paid, so each activation empties the battery.
         let a = 0.4;
-        let lattice = lattice(3, 1, 0, 5, 1);
-        let matrix = DMatrix::from(&transition_matrix(&lattice, &drive(0, 1, a), 0));
-        let row = |to: usize| (0..4).map(|from| matrix[(to, from)]).collect::<Vec<f64>>();
-        assert!(row(0).iter().skip(1).all(|&p| (p - a).abs() < 1e-15), "{matrix}");
-        assert!((row(2)[1] - P * 0.6).abs() < 1e-15 && (row(3)[3] - 0.6).abs() < 1e-15);
+        let lattice = lattice_of(3, 1, 0, 5, 1);
+        let matrix = DMatrix::from(&transition_matrix(&lattice, &input(0, 1, a), 0));
+        let probabilities_into = |to: usize| (0..4).map(|from| matrix[(to, from)]).collect::<Vec<f64>>();
+        assert!(
+            probabilities_into(0).iter().skip(1).all(|&p| (p - a).abs() < 1e-15),
+            "{matrix}"
+        );
+        assert!((probabilities_into(2)[1] - P * 0.6).abs() < 1e-15 && (probabilities_into(3)[3] - 0.6).abs() < 1e-15);
     }
 
     #[test]
-    fn every_column_is_a_distribution() {
-        let lattice = lattice(140, 14, 1, 40, 35);
+    fn each_column_of_the_matrix_is_a_distribution() {
+        let lattice = lattice_of(140, 14, 1, 40, 35);
         for cost in [lattice.e_idle, lattice.e_wur] {
-            let matrix = DMatrix::from(&transition_matrix(&lattice, &drive(1, 4, 0.1), cost));
+            let matrix = DMatrix::from(&transition_matrix(&lattice, &input(1, 4, 0.1), cost));
             for column in matrix.column_iter() {
                 assert!((column.sum() - 1.0).abs() < 1e-14 && column.min() >= 0.0);
             }
@@ -255,33 +259,33 @@ mod tests {
 
     /// Compares with the solution of (P − 1) π = 0, Σ π = 1 for the chain of levels at the start of a cycle.
     #[test]
-    fn a_dense_solver_agrees() {
-        let lattice = lattice(84, 14, 1, 40, 35);
-        let drive = drive(2, 5, 0.05);
-        let matrix = |cost| DMatrix::from(&transition_matrix(&lattice, &drive, cost));
+    fn the_steady_state_equals_a_dense_solution() {
+        let lattice = lattice_of(84, 14, 1, 40, 35);
+        let chain_input = input(2, 5, 0.05);
+        let matrix = |cost| DMatrix::from(&transition_matrix(&lattice, &chain_input, cost));
         let (on, off) = (matrix(lattice.e_idle), matrix(lattice.e_wur));
         let cycle = &off * &off * &off * &on * &on;
-        let n = lattice.levels();
-        let mut system = cycle - DMatrix::identity(n, n);
-        system.row_mut(n - 1).fill(1.0);
-        let mut right = DVector::zeros(n);
-        right[n - 1] = 1.0;
+        let level_count = lattice.levels();
+        let mut system = cycle - DMatrix::identity(level_count, level_count);
+        system.row_mut(level_count - 1).fill(1.0);
+        let mut right = DVector::zeros(level_count);
+        right[level_count - 1] = 1.0;
         let start = system.lu().solve(&right).expect("regular");
-        let mut sum = DVector::zeros(n);
-        let mut now = start;
+        let mut sum = DVector::zeros(level_count);
+        let mut levels = start;
         for step in [&on, &on, &off, &off, &off] {
-            now = step * now;
-            sum += &now;
+            levels = step * levels;
+            sum += &levels;
         }
-        let found = steady_state(&lattice, &drive).expect("a steady state");
-        let off_by: f64 = found
+        let steady = steady_state(&lattice, &chain_input).expect("a steady state");
+        let difference: f64 = steady
             .levels
             .iter()
             .zip(sum.iter())
-            .map(|(a, b)| (a - b / 5.0).abs())
+            .map(|(probability, total)| (probability - total / 5.0).abs())
             .sum();
-        assert!(off_by < 1e-9, "{off_by}");
-        assert!(found.residual <= STEADY_RESIDUAL && (found.probability_at_least(0) - 1.0).abs() < 1e-9);
+        assert!(difference < 1e-9, "sum of differences {difference}");
+        assert!(steady.residual <= STEADY_RESIDUAL && (steady.probability_at_least(0) - 1.0).abs() < 1e-9);
     }
 
     /// The paper's system is R b = c with c all ones and R row-stochastic, followed by Σ b = 1. Its first rows already
@@ -297,28 +301,30 @@ mod tests {
     }
 
     #[test]
-    fn impossible_drives_are_refused() {
-        for (bad, part) in [
-            (drive(3, 2, 0.0), "t_on = 3: must be at most t_DRX = 2"),
-            (drive(0, 0, 0.0), "t_DRX = 0"),
-            (drive(1, 2, 1.5), "activation = 1.5"),
+    fn invalid_inputs_are_refused_with_the_reason() {
+        for (invalid, cause) in [
+            (input(3, 2, 0.0), "t_on = 3: must be at most t_DRX = 2"),
+            (input(0, 0, 0.0), "t_DRX = 0"),
+            (input(1, 2, 1.5), "activation = 1.5"),
             (
                 ChainInput {
                     arrival: 0.0,
-                    ..drive(1, 2, 0.0)
+                    ..input(1, 2, 0.0)
                 },
                 "Pr(arrival) = 0",
             ),
             (
                 ChainInput {
                     arrival: 1.0,
-                    ..drive(1, 2, 0.0)
+                    ..input(1, 2, 0.0)
                 },
                 "Pr(arrival) = 1",
             ),
         ] {
-            let message = steady_state(&lattice(1, 1, 0, 1, 1), &bad).expect_err(part).to_string();
-            assert!(message.contains(part), "{message}");
+            let message = steady_state(&lattice_of(1, 1, 0, 1, 1), &invalid)
+                .expect_err(cause)
+                .to_string();
+            assert!(message.contains(cause), "{message}");
         }
     }
 }

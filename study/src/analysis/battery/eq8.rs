@@ -86,8 +86,8 @@ fn sum_by_beta(e: f64, states: u64, p: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Computes the sum in integers and powers, without logarithms.
-    fn plain(e: u64, states: u64, p: f64) -> f64 {
+    /// Computes the sum with powers and binomial coefficients, without logarithms.
+    fn direct_sum(e: u64, states: u64, p: f64) -> f64 {
         let mut total = 0.0;
         for b in e..=states {
             let choose = (0..e).fold(1.0, |c, i| c * (b - i) as f64 / (e - i) as f64);
@@ -97,15 +97,15 @@ mod tests {
     }
 
     #[test]
-    fn the_sum_is_its_incomplete_beta_form() {
-        for (e, states_) in [(10, 111), (10, 23), (10, 12), (1, 111), (1, 12), (0, 5), (10, 9)] {
+    fn both_forms_equal_a_direct_sum() {
+        for (e, states) in [(10, 111), (10, 23), (10, 12), (1, 111), (1, 12), (0, 5), (10, 9)] {
             for p in [1e-4, 0.01, 0.1, 0.37, 0.5, 0.9, 0.999] {
-                let found = Eq8::new(e as f64, 100.0, states_, p);
-                let expected = plain(e, states_, p);
-                for value in [found.sum, found.sum_by_beta] {
+                let eq8 = Eq8::new(e as f64, 100.0, states, p);
+                let expected = direct_sum(e, states, p);
+                for value in [eq8.sum, eq8.sum_by_beta] {
                     assert!(
                         (value - expected).abs() <= 1e-9 * expected + 1e-300,
-                        "{e} {states_} {p}: {found:?}"
+                        "e = {e}, {states} states, P = {p}: {eq8:?}, expected {expected}"
                     );
                 }
             }
@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_not_a_probability() {
+    fn the_sum_of_eq_8_is_not_a_probability() {
         // The sum tends to 1/P, here 5 and 2.
         assert!((Eq8::new(10.0, 100.0, 1000, 0.2).sum - 5.0).abs() < 1e-9);
         let half = Eq8::new(10.0, 100.0, highest_state(100.0, 1.0, 0.1), 0.5);
@@ -126,12 +126,12 @@ mod tests {
     }
 
     #[test]
-    fn the_ends_of_p_are_defined() {
+    fn the_limits_of_p_are_defined_and_invalid_values_are_nan() {
         for p in [0.0, 1.0] {
-            let end = Eq8::new(10.0, 100.0, 111, p);
+            let at_limit = Eq8::new(10.0, 100.0, 111, p);
             assert!(
-                (end.sum - p).abs() < 1e-12 && (end.sum_by_beta - p).abs() < 1e-12,
-                "{end:?}"
+                (at_limit.sum - p).abs() < 1e-12 && (at_limit.sum_by_beta - p).abs() < 1e-12,
+                "{at_limit:?}"
             );
         }
         assert!(Eq8::new(2.5, 100.0, 111, 0.1).sum.is_nan());
@@ -139,8 +139,8 @@ mod tests {
             assert!(Eq8::new(10.0, 100.0, 111, p).sum.is_nan());
         }
         // A source that almost never yields anything: E_λ is nearly or exactly 0.
-        for endless in [highest_state(100.0, 5.0, 40.0), highest_state(100.0, 0.0, 0.1)] {
-            assert!(Eq8::new(10.0, 100.0, endless, 0.1).sum.is_nan());
+        for states in [highest_state(100.0, 5.0, 40.0), highest_state(100.0, 0.0, 0.1)] {
+            assert!(Eq8::new(10.0, 100.0, states, 0.1).sum.is_nan());
         }
         assert_eq!(highest_state(100.0, 5.0, 0.1), 23);
     }

@@ -97,8 +97,8 @@ fn rounding_error(energy: Energy, per_unit: u64) -> f64 {
 mod tests {
     use super::*;
 
-    fn model(units: [f64; 4]) -> EnergyModel {
-        let [e_max, e_idle, e_wur, e_tx] = units.map(|u| Energy::from_units(u).expect("in range"));
+    fn energy_model(units: [f64; 4]) -> EnergyModel {
+        let [e_max, e_idle, e_wur, e_tx] = units.map(|value| Energy::from_units(value).expect("in range"));
         EnergyModel {
             e_max,
             e_idle,
@@ -109,8 +109,8 @@ mod tests {
     }
 
     #[test]
-    fn table_ii_lies_on_fourteenths() {
-        let table_ii = model([100.0, 1.0, 1.0 / 14.0, 10.0]);
+    fn the_quantum_of_table_ii_is_a_fourteenth() {
+        let table_ii = energy_model([100.0, 1.0, 1.0 / 14.0, 10.0]);
         let lattice = Lattice::new(&table_ii, Energy::from_micro(5_000_000)).expect("a lattice");
         let expected = Lattice {
             quanta_per_unit: 14,
@@ -123,15 +123,23 @@ mod tests {
         assert_eq!(lattice, expected);
         assert_eq!(lattice.level(Energy::from_micro(999_976)), 14);
         assert_eq!(lattice.level(Energy::from_micro(100_000_000)), 1400);
-        let finer = Lattice::new(&table_ii, Energy::from_micro(2_500_000)).expect("a lattice");
-        assert_eq!((finer.quanta_per_unit, finer.e_b), (14, 35));
+        let half_arrival = Lattice::new(&table_ii, Energy::from_micro(2_500_000)).expect("a lattice");
+        assert_eq!((half_arrival.quanta_per_unit, half_arrival.e_b), (14, 35));
     }
 
     #[test]
     fn values_without_a_lattice_are_refused() {
-        let odd = Lattice::new(&model([100.0, 1.0, 0.071_234, 10.0]), Energy::from_micro(1));
-        assert!(odd.expect_err("no lattice").to_string().contains("common quantum"));
-        let large = Lattice::new(&model([10_000.0, 1.0, 0.01, 10.0]), Energy::from_micro(1_000_000));
+        let irregular = Lattice::new(&energy_model([100.0, 1.0, 0.071_234, 10.0]), Energy::from_micro(1));
+        assert!(
+            irregular
+                .expect_err("no lattice")
+                .to_string()
+                .contains("common quantum")
+        );
+        let large = Lattice::new(
+            &energy_model([10_000.0, 1.0, 0.01, 10.0]),
+            Energy::from_micro(1_000_000),
+        );
         assert!(large.expect_err("too large").to_string().contains("1000001 levels"));
     }
 }

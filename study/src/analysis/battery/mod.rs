@@ -224,7 +224,7 @@ mod tests {
 
     use super::*;
 
-    fn study(e_b: f64, t_on: u32, t_drx: u32, activation: f64) -> BatteryStudy {
+    fn study_of(e_b: f64, t_on: u32, t_drx: u32, activation: f64) -> BatteryStudy {
         let scenario = load("paper", &[]).expect("the preset");
         BatteryStudy {
             model: scenario.scenario.classes[0].energy,
@@ -246,49 +246,52 @@ mod tests {
     }
 
     #[test]
-    fn the_chain_agrees_with_the_machines() {
+    fn the_chain_agrees_with_simulated_devices() {
         for e_b in [1.0, 5.0, 10.0] {
             for (t_on, t_drx, activation) in [(1, 2, 0.0), (1, 5, 0.0), (2, 16, 0.0), (0, 1, 0.0), (1, 8, 0.02)] {
-                let study = study(e_b, t_on, t_drx, activation);
-                let found = compare(&study).expect("a comparison");
+                let study = study_of(e_b, t_on, t_drx, activation);
+                let comparison = compare(&study).expect("a comparison");
                 assert!(
-                    found.total_variation <= 0.02,
-                    "E_B {e_b}, {t_on}/{t_drx}: {}",
-                    found.total_variation
+                    comparison.total_variation <= 0.02,
+                    "E_B {e_b}, duty cycle {t_on}/{t_drx}: total variation {}",
+                    comparison.total_variation
                 );
-                assert!((found.bins.iter().map(|b| b.1).sum::<f64>() - 1.0).abs() < 1e-9);
-                assert!((found.bins.iter().map(|b| b.2).sum::<f64>() - 1.0).abs() < 1e-9);
-                for a in found.availability {
-                    assert!((a.chain - a.measured.mean).abs() <= 0.02, "{study:?}: {a:?}");
+                assert!((comparison.bins.iter().map(|bin| bin.1).sum::<f64>() - 1.0).abs() < 1e-9);
+                assert!((comparison.bins.iter().map(|bin| bin.2).sum::<f64>() - 1.0).abs() < 1e-9);
+                for availability in comparison.availability {
+                    assert!(
+                        (availability.chain - availability.measured.mean).abs() <= 0.02,
+                        "{study:?}: {availability:?}"
+                    );
                 }
             }
         }
     }
 
     #[test]
-    fn bins_hold_what_the_levels_hold() {
-        let lattice = Lattice::new(&study(5.0, 1, 2, 0.0).model, Energy::from_micro(5_000_000)).expect("a lattice");
+    fn levels_are_in_the_bins_of_their_energies() {
+        let lattice = Lattice::new(&study_of(5.0, 1, 2, 0.0).model, Energy::from_micro(5_000_000)).expect("a lattice");
         let bins = LevelBins::new(&lattice, 0.5).expect("bins");
         assert_eq!(
-            [0, 6, 7, 13, 14, 1399, 1400].map(|l| bins.bin_of_level[l]),
+            [0, 6, 7, 13, 14, 1399, 1400].map(|level| bins.bin_of_level[level]),
             [0, 0, 1, 1, 2, 199, 200]
         );
         assert!(LevelBins::new(&lattice, 0.01).is_err() && LevelBins::new(&lattice, f64::NAN).is_err());
     }
 
     #[test]
-    fn impossible_samples_are_refused() {
-        let good = study(5.0, 1, 2, 0.0);
-        let with = |change: &dyn Fn(&mut BatteryStudy)| {
-            let mut bad = good;
-            change(&mut bad);
-            compare(&bad).expect_err("refused").to_string()
+    fn invalid_studies_are_refused_with_the_field() {
+        let valid = study_of(5.0, 1, 2, 0.0);
+        let error_with = |change: &dyn Fn(&mut BatteryStudy)| {
+            let mut invalid = valid;
+            change(&mut invalid);
+            compare(&invalid).expect_err("refused").to_string()
         };
-        assert!(with(&|s| s.sample.devices = 1).contains("devices = 1"));
-        assert!(with(&|s| s.sample.ttis = 0).contains("ttis = 0"));
-        assert!(with(&|s| s.bin_width = 1000.0).contains("bin = 1000"));
-        assert!(with(&|s| s.e_b = Energy::ZERO).contains("e-b = 0"));
-        assert!(with(&|s| s.t_on = 3).contains("t_on = 3"));
-        assert!(with(&|s| s.lambda = 0.0).contains("Pr(arrival) = 0"));
+        assert!(error_with(&|study| study.sample.devices = 1).contains("devices = 1"));
+        assert!(error_with(&|study| study.sample.ttis = 0).contains("ttis = 0"));
+        assert!(error_with(&|study| study.bin_width = 1000.0).contains("bin = 1000"));
+        assert!(error_with(&|study| study.e_b = Energy::ZERO).contains("e-b = 0"));
+        assert!(error_with(&|study| study.t_on = 3).contains("t_on = 3"));
+        assert!(error_with(&|study| study.lambda = 0.0).contains("Pr(arrival) = 0"));
     }
 }

@@ -164,29 +164,36 @@ mod tests {
         }
     }
 
-    fn close(found: &[f64], expected: &[f64]) {
-        for (i, (a, b)) in found.iter().zip(expected).enumerate() {
-            assert!((a - b).abs() < 1e-12, "P_{:?}: {found:?}", PAIRS[i]);
+    fn assert_close(forms: &[f64], expected: &[f64]) {
+        for (i, (form, expected_form)) in forms.iter().zip(expected).enumerate() {
+            assert!(
+                (form - expected_form).abs() < 1e-12,
+                "P_{:?}: {form}, expected {expected_form}",
+                PAIRS[i]
+            );
         }
     }
 
     #[test]
-    fn the_sums_of_eqs_12_and_13_by_hand() {
+    fn the_sums_of_eqs_12_and_13_equal_a_calculation_by_hand() {
         // t_on = 3, t_DRX = 5, α = 1/2: Σ = 1/2 · 2/4 + 1/4 · 1/3 + 0, and without α 2/4 + 1/3.
-        let found = evaluate_printed(&terms(3, 5, 0.2, 0.1, 0.9), 0.5);
+        let forms = evaluate_printed(&terms(3, 5, 0.2, 0.1, 0.9), 0.5);
         let (p11, p31) = (0.25 + 1.0 / 12.0, 5.0 / 6.0);
         let expected = [p11, 0.1, 0.9 - p11, 0.9, 0.1, p31, 1.0 - p31, 0.6, 0.1, 0.3];
-        close(&found, &expected);
-        // By these formulas too, a device that spends single TTIs in S1 never stays there.
-        let knn = evaluate_printed(&terms(1, 4, 0.2, 0.1, 0.9), 0.5);
-        assert_eq!((knn[0], knn[5], knn[7]), (0.0, 0.0, 0.25));
+        assert_close(&forms, &expected);
+        // A device that spends single TTIs in S1 never stays there.
+        let single_ttis = evaluate_printed(&terms(1, 4, 0.2, 0.1, 0.9), 0.5);
+        assert_eq!((single_ttis[0], single_ttis[5], single_ttis[7]), (0.0, 0.0, 0.25));
     }
 
     #[test]
-    fn printed_sums_leave_the_unit_interval() {
+    fn printed_forms_can_leave_the_unit_interval() {
         // With a long t_on, nearly every term is nearly 1.
-        let long = evaluate_printed(&terms(16, 17, 0.01, 0.0, 1.0), 0.01);
-        assert!(long[0] > 1.0 && long[2] < 0.0 && long[5] > 1.0, "{long:?}");
+        let long_t_on = evaluate_printed(&terms(16, 17, 0.01, 0.0, 1.0), 0.01);
+        assert!(
+            long_t_on[0] > 1.0 && long_t_on[2] < 0.0 && long_t_on[5] > 1.0,
+            "{long_t_on:?}"
+        );
         // t_on = t_DRX, a device that always senses, gives 0/0.
         assert!(evaluate_printed(&terms(2, 2, 0.1, 0.1, 1.0), 0.1)[0].is_nan());
         // A short cycle and a close neighbour.

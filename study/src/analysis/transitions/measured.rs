@@ -1,8 +1,8 @@
-//! Transitions between S1 … S4, counted in a run.
+//! Transitions between S1 … S4, counted in a run, for the comparison with the paper's closed forms.
 //!
 //! Within a TTI a device follows the state machine. It starts in S1 (δ = 1, paid) or S4 (δ = 0, or δ = 1 that it could
 //! not pay). A detection or a wake-up takes it to S2, and from there to S3 or, unpaid, to S4. The last state of a TTI
-//! leads to the first of the next. Each visit of a state has exactly one successor.
+//! leads to the first of the next. Each visit but the last has exactly one successor.
 
 use reveille_bs::scenario::Scenario;
 use reveille_common::deployment::Deployment;
@@ -20,7 +20,7 @@ pub struct TransitionCounts(pub [[u64; 4]; 4]);
 
 impl TransitionCounts {
     /// Number of transitions S_m → S_n, with m and n in 1 ..= 4.
-    pub const fn count(&self, m: usize, n: usize) -> u64 {
+    pub const fn get(&self, m: usize, n: usize) -> u64 {
         self.0[m - 1][n - 1]
     }
 
@@ -36,7 +36,7 @@ impl TransitionCounts {
         }
     }
 
-    fn count_transition(&mut self, from: usize, to: usize) {
+    fn record(&mut self, from: usize, to: usize) {
         self.0[from - 1][to - 1] += 1;
     }
 }
@@ -55,10 +55,12 @@ struct TtiPath {
 }
 
 impl TtiPath {
-    /// Derives the path of a device that ends a TTI in `state` and has `spent` in it, where δ = `is_on` cost `cost`.
+    /// Derives the path of a device from its `state` at the end of a TTI and the energy `spent` in the TTI. `cost` is
+    /// the energy of S1 if δ = 1 (`is_on`), and of the wake-up radio otherwise.
     fn new(state: DeviceState, is_on: bool, spent: Energy, cost: Energy) -> Self {
         let initial_state = if is_on { S1 } else { S4 };
         let (first_state, state_after_active) = match state {
+            // Paid for δ, without a detection or a wake-up.
             DeviceState::Idle | DeviceState::Sleep { powered: true } => (initial_state, None),
             DeviceState::Transmission => (initial_state, Some(S3)),
             // A device that could not pay for δ has spent less than its cost; otherwise the transmission failed.
@@ -95,18 +97,18 @@ pub(super) fn count_run(scenario: &Scenario, deployment: &Deployment) -> (Transi
         let plan = run.cycle().plan();
         let duties_now: Vec<DutyCycle> = deployment.devices.iter().map(|d| plan.duty_cycle(d.id)).collect();
         for (j, machine) in run.advance_machines().iter().enumerate() {
-            let (last, spent_before) = previous[j];
+            let (last_state, spent_before) = previous[j];
             let spent = machine.totals().spent.total();
-            let (on, costs) = (duties_now[j].is_on(Tti(k)), &deployment.devices[j].energy);
-            let cost = if on { costs.e_idle } else { costs.e_wur };
-            let path = TtiPath::new(machine.state(), on, spent - spent_before, cost);
+            let (is_on, costs) = (duties_now[j].is_on(Tti(k)), &deployment.devices[j].energy);
+            let cost = if is_on { costs.e_idle } else { costs.e_wur };
+            let path = TtiPath::new(machine.state(), is_on, spent - spent_before, cost);
             // The transition into the first measured TTI begins in the warm-up.
             if k > first_measured {
-                counts.count_transition(last, path.first_state);
+                counts.record(last_state, path.first_state);
             }
             if let (true, Some(end)) = (k >= first_measured, path.state_after_active) {
-                counts.count_transition(path.first_state, S2);
-                counts.count_transition(S2, end);
+                counts.record(path.first_state, S2);
+                counts.record(S2, end);
             }
             previous[j] = (path.last_state(), spent);
         }
@@ -122,27 +124,34 @@ mod tests {
     use super::*;
 
     #[test]
-    fn transitions_within_a_tti_follow_from_its_end() {
-        let (idle, wur, none) = (Energy::from_micro(10), Energy::from_micro(3), Energy::ZERO);
-        let dark = DeviceState::Sleep { powered: false };
-        let path = |state, on, spent, cost| {
-            let path = TtiPath::new(state, on, spent, cost);
+    fn the_path_through_a_tti_follows_from_its_end() {
+        let (idle_cost, wur_cost, nothing) = (Energy::from_micro(10), Energy::from_micro(3), Energy::ZERO);
+        let report_cost = Energy::from_micro(20);
+        let unpowered = DeviceState::Sleep { powered: false };
+        let path_of = |state, is_on, spent, cost| {
+            let path = TtiPath::new(state, is_on, spent, cost);
             (path.first_state, path.state_after_active)
         };
-        assert_eq!(path(DeviceState::Idle, true, idle, idle), (S1, None));
-        assert_eq!(path(DeviceState::Sleep { powered: true }, false, wur, wur), (S4, None));
+        assert_eq!(path_of(DeviceState::Idle, true, idle_cost, idle_cost), (S1, None));
         assert_eq!(
-            path(DeviceState::Transmission, true, Energy::from_micro(30), idle),
+            path_of(DeviceState::Sleep { powered: true }, false, wur_cost, wur_cost),
+            (S4, None)
+        );
+        assert_eq!(
+            path_of(DeviceState::Transmission, true, idle_cost + report_cost, idle_cost),
             (S1, Some(S3))
         );
         assert_eq!(
-            path(DeviceState::Transmission, false, Energy::from_micro(23), wur),
+            path_of(DeviceState::Transmission, false, wur_cost + report_cost, wur_cost),
             (S4, Some(S3))
         );
         // The device could not pay for the transmission, or not even for δ.
-        assert_eq!(path(dark, true, idle, idle), (S1, Some(S4)));
-        assert_eq!(path(dark, false, Energy::from_micro(5), wur), (S4, Some(S4)));
-        assert_eq!(path(dark, true, wur, idle), (S4, None));
-        assert_eq!(path(dark, false, none, wur), (S4, None));
+        assert_eq!(path_of(unpowered, true, idle_cost, idle_cost), (S1, Some(S4)));
+        assert_eq!(
+            path_of(unpowered, false, Energy::from_micro(5), wur_cost),
+            (S4, Some(S4))
+        );
+        assert_eq!(path_of(unpowered, true, wur_cost, idle_cost), (S4, None));
+        assert_eq!(path_of(unpowered, false, nothing, wur_cost), (S4, None));
     }
 }

@@ -86,7 +86,7 @@ pub fn measure(scenario: &Scenario, seeds: u64) -> Result<Transitions, AnalysisE
             .flat_map(|(.., all)| all.iter().map(move |p| p[index]))
             .collect();
         let proper = values.iter().copied().filter(|v| !v.is_nan());
-        let (count, visits) = (pooled.count(from, to), pooled.visits(from));
+        let (count, visits) = (pooled.get(from, to), pooled.visits(from));
         Transition {
             from,
             to,
@@ -99,7 +99,7 @@ pub fn measure(scenario: &Scenario, seeds: u64) -> Result<Transitions, AnalysisE
             visits,
             measured: Estimate::from_values_or_nan(
                 runs.iter()
-                    .map(|(counts, ..)| share(counts.count(from, to), counts.visits(from))),
+                    .map(|(counts, ..)| share(counts.get(from, to), counts.visits(from))),
             ),
             wilson: wilson_interval(count, visits),
         }
@@ -155,67 +155,69 @@ mod tests {
 
     use super::*;
 
-    fn study(overrides: &[&str], seeds: u64) -> Transitions {
+    fn measure_with(overrides: &[&str], seeds: u64) -> Transitions {
         let parse = |text: &&str| Override::parse(text).expect("an override");
         let overrides: Vec<Override> = overrides.iter().map(parse).collect();
         measure(&load("paper", &overrides).expect("a scenario").scenario, seeds).expect("a study")
     }
 
-    fn find(found: &Transitions, from: usize, to: usize) -> Transition {
-        let mut all = found.transitions.iter();
-        *all.find(|t| (t.from, t.to) == (from, to)).expect("one of PAIRS")
+    fn find(transitions: &Transitions, from: usize, to: usize) -> Transition {
+        let mut pairs = transitions.transitions.iter();
+        *pairs
+            .find(|pair| (pair.from, pair.to) == (from, to))
+            .expect("one of PAIRS")
     }
 
     #[test]
-    fn shares_of_a_state_add_up_to_one_and_s2_is_left_as_often_as_entered() {
-        let found = study(&["devices=30", "ttis=1500"], 4);
+    fn shares_of_a_state_add_up_to_1_and_s2_is_left_as_often_as_entered() {
+        let transitions = measure_with(&["devices=30", "ttis=1500"], 4);
         for state in 1..=4 {
-            let of_state = found.transitions.iter().filter(|t| t.from == state);
-            let sum: f64 = of_state.map(|t| share(t.count, t.visits)).sum();
-            assert!((sum - 1.0).abs() < 1e-12, "S{state}: {sum}");
+            let of_state = transitions.transitions.iter().filter(|pair| pair.from == state);
+            let sum: f64 = of_state.map(|pair| share(pair.count, pair.visits)).sum();
+            assert!((sum - 1.0).abs() < 1e-12, "shares of S{state} add up to {sum}");
         }
-        let entered = find(&found, 1, 2).count + find(&found, 4, 2).count;
-        assert_eq!(entered, find(&found, 2, 3).visits);
+        let entered = find(&transitions, 1, 2).count + find(&transitions, 4, 2).count;
+        assert_eq!(entered, find(&transitions, 2, 3).visits);
         assert!(entered > 100);
     }
 
     #[test]
-    fn without_events_and_want_delta_alone_decides() {
-        let rich = [
+    fn without_events_and_with_enough_energy_only_delta_decides() {
+        let enough_energy = [
             "devices=24",
             "ttis=2000",
             "policy.name=random",
             "events.alpha=1e-9",
             "harvest.e_b=40",
         ];
-        let found = study(&rich, 3);
+        let transitions = measure_with(&enough_energy, 3);
         for (from, to) in [(1, 1), (1, 4), (4, 1), (4, 4)] {
-            let transition = find(&found, from, to);
+            let transition = find(&transitions, from, to);
             let expected = transition.share_by_duty.expect("δ decides");
             assert!(
                 (share(transition.count, transition.visits) - expected).abs() < 2e-3,
                 "{transition:?}"
             );
         }
-        assert_eq!(find(&found, 2, 3).visits, 0);
-        assert!(find(&found, 2, 3).measured.mean.is_nan());
+        assert_eq!(find(&transitions, 2, 3).visits, 0);
+        assert!(find(&transitions, 2, 3).measured.mean.is_nan());
     }
 
     #[test]
-    fn wilson_intervals_are_the_textbooks() {
+    fn wilson_intervals_equal_printed_values() {
         // 8 of 10: interval 0.490 to 0.943.
         let (low, high) = wilson_interval(8, 10);
         assert!(
             (low - 0.490_162).abs() < 1e-6 && (high - 0.943_318).abs() < 1e-6,
-            "{low} {high}"
+            "interval {low} to {high}"
         );
         assert!(wilson_interval(0, 50).0 < 1e-15 && wilson_interval(50, 50).1 > 1.0 - 1e-15);
     }
 
     #[test]
-    fn improper_forms_are_counted() {
+    fn forms_outside_the_unit_interval_are_counted() {
         // Devices spend half of the time in S1. If P_4,2 is above one half, P_4,4 is negative.
-        let dense = study(&["devices=250", "ttis=60", "policy.name=random"], 1);
+        let dense = measure_with(&["devices=250", "ttis=60", "policy.name=random"], 1);
         let p44 = find(&dense, 4, 4);
         assert!(p44.printed_range.0 <= p44.printed && p44.printed <= p44.printed_range.1);
         // One device has t_on = t_DRX = 2.

@@ -1,4 +1,5 @@
-//! Tests of figures of learned tables, and of information against energy.
+//! Tests of figures of q-learning's tables and learning curves, and of information against energy. Cells are compared
+//! with the values that the tables are filled with.
 
 use reveille_bs::policy::q_learning::learned::{
     BATTERY_BUCKETS, CurvePoint, LearnedTables, Lookback, QTrainingConfig, QWeights, Schedule, TableSet, TrainingSite,
@@ -8,20 +9,20 @@ use reveille_common::scenario::WakeUpRanking;
 
 use super::super::heat::KnowledgeDegree;
 use super::super::{learning, pareto, q_table};
-use super::{FigureError, Results, check, fixtures, scenario};
+use super::{FigureError, Results, check, fixtures, scenario_with};
 
-/// Creates untrained tables for `n` devices.
+/// Returns untrained tables for `n` devices.
 fn untrained(n: u32, weights: &QWeights) -> TableSet {
     TableSet::optimistic(
-        &scenario(&[&format!("devices={n}")]).site(),
+        &scenario_with(&[&format!("devices={n}")]).site(),
         weights,
         Lookback::Window(4),
         1.0,
     )
 }
 
-/// Creates tables for each of `sizes`, with some learned cells and a learning curve of `episodes` points.
-fn learned(sizes: &[u32], episodes: u64) -> LearnedTables {
+/// Returns tables for each of `sizes`, with some learned cells and a learning curve of `episodes` points.
+fn learned_tables(sizes: &[u32], episodes: u64) -> LearnedTables {
     let weights = QWeights {
         mu1: 14.0,
         mu2: 1.6,
@@ -62,32 +63,32 @@ fn learned(sizes: &[u32], episodes: u64) -> LearnedTables {
             epsilon: (0.1, 0.03),
             seed: 1,
         },
-        site: TrainingSite::from_site(&scenario(&[]).site()),
+        site: TrainingSite::from_site(&scenario_with(&[]).site()),
         entries: sizes.iter().map(entry).collect(),
     }
 }
 
-fn source(name: &str, sizes: &[u32], episodes: u64) -> learning::NamedTables {
-    (name.to_owned(), learned(sizes, episodes))
+fn named_tables(name: &str, sizes: &[u32], episodes: u64) -> learning::NamedTables {
+    (name.to_owned(), learned_tables(sizes, episodes))
 }
 
 #[test]
-fn learning_curves_are_drawn_for_one_n_and_for_ten_of_several_files() {
+fn learning_curves_have_the_n_and_window_of_each_row() {
     let ten = [10, 20, 40, 60, 80, 100, 130, 160, 200, 250];
     for sources in [
-        vec![source("one.json", &[50], 1)],
-        vec![source("ten.json", &ten, 12)],
+        vec![named_tables("one.json", &[50], 1)],
+        vec![named_tables("ten.json", &ten, 12)],
         vec![
-            source("ten.json", &ten, 12),
-            source(&"long/".repeat(99), &[50, 1_000_000], 300),
+            named_tables("ten.json", &ten, 12),
+            named_tables(&"long/".repeat(99), &[50, 1_000_000], 300),
         ],
     ] {
         let scene = learning::scene(&sources).expect("a picture");
         check("learning", &scene);
         let mut sizes: Vec<u32> = sources
             .iter()
-            .flat_map(|(_, l)| &l.entries)
-            .map(|e| e.devices)
+            .flat_map(|(_, tables)| &tables.entries)
+            .map(|entry| entry.devices)
             .collect();
         sizes.sort_unstable();
         sizes.dedup();
@@ -99,52 +100,53 @@ fn learning_curves_are_drawn_for_one_n_and_for_ten_of_several_files() {
                 scene
                     .items
                     .iter()
-                    .any(|item| matches!(item, super::SceneItem::Text(t) if t.text == name)),
+                    .any(|item| matches!(item, super::SceneItem::Text(text) if text.text == name)),
                 "{name}"
             );
         }
     }
     // Rows with different windows are labelled.
-    let mut two = source("two.json", &[50], 2);
-    let mut other = two.1.entries[0].clone();
-    other.lookback = Lookback::Window(7);
-    two.1.entries.push(other);
-    let scene = learning::scene(&[two]).expect("a picture");
+    let mut two_windows = named_tables("two.json", &[50], 2);
+    let mut other_window = two_windows.1.entries[0].clone();
+    other_window.lookback = Lookback::Window(7);
+    two_windows.1.entries.push(other_window);
+    let scene = learning::scene(&[two_windows]).expect("a picture");
     assert!(
         scene.description.contains("a window of 4 TTIs, a window of 7 TTIs"),
         "{}",
         scene.description
     );
     for name in ["window 4", "window 7"] {
-        let is_named = |item: &super::SceneItem| matches!(item, super::SceneItem::Text(t) if t.text.contains(name));
+        let is_named =
+            |item: &super::SceneItem| matches!(item, super::SceneItem::Text(text) if text.text.contains(name));
         assert!(scene.items.iter().any(is_named), "{name}");
     }
-    let csv = learning::csv(&[source("a,b.json", &[10, 50], 3)]);
+    let csv = learning::csv(&[named_tables("a,b.json", &[10, 50], 3)]);
     assert_eq!(csv.lines().count(), 7);
     assert!(csv.contains("\"a,b.json\",4,50,400,6000,0.941,0.1,0.3\n"), "{csv}");
 }
 
 #[test]
-fn files_without_curves_or_too_many_of_them_are_refused() {
-    let refused = |sources: &[learning::NamedTables]| learning::scene(sources).expect_err("no picture").to_string();
-    let bare = refused(&[source("a.json", &[10], 2), source("bare.json", &[10], 0)]);
+fn missing_curves_and_too_many_files_are_refused() {
+    let error_of = |sources: &[learning::NamedTables]| learning::scene(sources).expect_err("no picture").to_string();
+    let without_curve = error_of(&[named_tables("a.json", &[10], 2), named_tables("bare.json", &[10], 0)]);
     assert!(
-        bare.contains("bare.json") && bare.contains("no learning curve"),
-        "{bare}"
+        without_curve.contains("bare.json") && without_curve.contains("no learning curve"),
+        "{without_curve}"
     );
-    let many: Vec<_> = (0..7).map(|_| source("a.json", &[10], 2)).collect();
-    assert!(refused(&many).contains("7 files"));
+    let seven_files: Vec<_> = (0..7).map(|_| named_tables("a.json", &[10], 2)).collect();
+    assert!(error_of(&seven_files).contains("7 files"));
     let sizes: Vec<u32> = (1..=41).collect();
-    assert!(refused(&[source("a.json", &sizes, 2)]).contains("41 numbers of devices"));
+    assert!(error_of(&[named_tables("a.json", &sizes, 2)]).contains("41 numbers of devices"));
 }
 
 #[test]
-fn tables_are_drawn_whether_little_or_nothing_was_learned() {
-    let mut all = vec![learned(&[10, 250], 2), learned(&[1_000_000], 2)];
-    let mut nothing = learned(&[50], 0);
-    nothing.entries[0] = untrained(50, &nothing.weights);
-    nothing.site.numbers.clear();
-    all.push(nothing);
+fn tables_with_few_or_no_learned_cells_can_be_drawn() {
+    let mut all = vec![learned_tables(&[10, 250], 2), learned_tables(&[1_000_000], 2)];
+    let mut untrained_tables = learned_tables(&[50], 0);
+    untrained_tables.entries[0] = untrained(50, &untrained_tables.weights);
+    untrained_tables.site.numbers.clear();
+    all.push(untrained_tables);
     for learned in &all {
         for entry in &learned.entries {
             check("q-table", &q_table::duty_scene(learned, entry));
@@ -156,9 +158,9 @@ fn tables_are_drawn_whether_little_or_nothing_was_learned() {
 }
 
 #[test]
-fn a_cell_is_the_advantage_and_is_framed_where_the_policy_senses() {
-    let learned = learned(&[10], 1);
-    let entry = q_table::find_entry("a.json", &learned, 10, None).expect("an entry");
+fn a_cell_shows_the_advantage_and_is_framed_if_the_policy_senses() {
+    let learned = learned_tables(&[10], 1);
+    let entry = q_table::find_table_set("a.json", &learned, 10, None).expect("an entry");
     let map = q_table::duty_map(&learned, entry);
     // 10 · (area − 7.5): negative up to area 7.
     let row = &map.cells[5];
@@ -170,29 +172,32 @@ fn a_cell_is_the_advantage_and_is_framed_where_the_policy_senses() {
     assert_eq!(framed, (0..16).map(|area| area > 7).collect::<Vec<_>>());
     assert!(
         !map.cells[1][15].is_framed && map.cells[1][15].value > 0.0,
-        "it cannot report"
+        "positive, but a device with this battery cannot report"
     );
     assert_eq!(
-        (map.count(KnowledgeDegree::Known), map.count(KnowledgeDegree::Partly)),
+        (
+            map.count(KnowledgeDegree::Known),
+            map.count(KnowledgeDegree::PartlyKnown)
+        ),
         (16, 2)
     );
     assert_eq!(map.count(KnowledgeDegree::Unknown), BATTERY_BUCKETS * 16 - 18);
     let csv = q_table::duty_csv(&learned, entry);
     assert_eq!(csv.lines().count(), 1 + BATTERY_BUCKETS * 16);
-    let own = csv.lines().find(|line| line.starts_with("5,")).expect("the row");
-    assert!(own.ends_with(",20,3,-55,3,-75,-75,0"), "{own}");
+    let row_5 = csv.lines().find(|line| line.starts_with("5,")).expect("the row");
+    assert!(row_5.ends_with(",20,3,-55,3,-75,-75,0"), "{row_5}");
     let wake = q_table::wake_csv(entry, WakeUpRanking::Posterior);
     assert!(wake.contains("\n1,0.7071067811865476,1,0,0.03,10,7,10,1\n"), "{wake}");
     // Pooled with the three cells below, each 1 and never visited: (3 · 1 − 21 · 0.25) / 24.
-    let own = wake
+    let cell = wake
         .lines()
         .find(|line| line.contains(",0.00390625,0.03,0.08,-0.25,20,"));
-    let own: Vec<f64> = own
+    let cell: Vec<f64> = cell
         .expect("the cell")
         .split(',')
-        .map(|x| x.parse().expect("a number"))
+        .map(|number| number.parse().expect("a number"))
         .collect();
-    assert!((own[7] + 0.09375).abs() < 1e-12 && own[8].abs() < 0.5, "{own:?}");
+    assert!((cell[7] + 0.09375).abs() < 1e-12 && cell[8].abs() < 0.5, "{cell:?}");
     let text = q_table::duty_scene(&learned, entry).description;
     for part in [
         "μ1 = 14, μ2 = 1.6, ζ = 0.95",
@@ -205,14 +210,15 @@ fn a_cell_is_the_advantage_and_is_framed_where_the_policy_senses() {
 }
 
 #[test]
-fn an_n_without_tables_lists_the_available_ones() {
-    let refused =
-        q_table::find_entry("a.json", &learned(&[10, 250], 1), 50, Some(Lookback::Window(4))).expect_err("no entry");
-    assert!(matches!(refused, FigureError::NoEntry { devices: 50, .. }));
-    let text = refused.to_string();
+fn a_missing_n_or_window_lists_the_available_ones() {
+    let missing_n = q_table::find_table_set("a.json", &learned_tables(&[10, 250], 1), 50, Some(Lookback::Window(4)))
+        .expect_err("no entry");
+    assert!(matches!(missing_n, FigureError::NoEntry { devices: 50, .. }));
+    let text = missing_n.to_string();
     assert!(text.contains("N = 50: a.json has tables for 10, 250 devices"), "{text}");
-    let other = q_table::find_entry("a.json", &learned(&[10], 1), 10, Some(Lookback::Window(2))).expect_err("no entry");
-    let text = other.to_string();
+    let missing_window = q_table::find_table_set("a.json", &learned_tables(&[10], 1), 10, Some(Lookback::Window(2)))
+        .expect_err("no entry");
+    let text = missing_window.to_string();
     assert!(
         text.contains("no devices with a window of 2") && text.contains("for a window of 4"),
         "{text}"
@@ -220,7 +226,7 @@ fn an_n_without_tables_lists_the_available_ones() {
 }
 
 #[test]
-fn information_is_drawn_against_energy_with_intervals_in_both_directions() {
+fn information_against_energy_has_intervals_in_both_directions() {
     let runs: [(&str, u32, &[f64]); 5] = [
         ("knn", 250, &[0.4, 0.5, 0.6]),
         ("knn", 10, &[0.1, 0.1]),
@@ -232,7 +238,7 @@ fn information_is_drawn_against_energy_with_intervals_in_both_directions() {
     let condition = &results.conditions[0];
     let chart = pareto::INFORMATION_TRADE_OFF.chart(&[condition]).expect("a picture");
     check("pareto", &chart.scene());
-    let names: Vec<&str> = chart.series.iter().map(|s| s.name.as_str()).collect();
+    let names: Vec<&str> = chart.series.iter().map(|series| series.name.as_str()).collect();
     assert_eq!(names, ["knn", "q-learning"], "dt has no information");
     let knn = &chart.series[0].points;
     assert!(
@@ -246,9 +252,13 @@ fn information_is_drawn_against_energy_with_intervals_in_both_directions() {
     );
     assert!(knn[1].x_half_width.abs() < 1e-12 && chart.series[1].points[0].x_half_width.is_nan());
     let notes: Vec<&str> = chart.notes.iter().map(|note| note.text.as_str()).collect();
-    assert_eq!(notes, ["250", "250", "10"], "ends of lines, the last first");
+    assert_eq!(notes, ["250", "250", "10"], "the ends of lines");
     // Values that the paper states for both metrics: knn 0.145 and 0.4, q-learning 0.24 and 0.72.
-    let marks: Vec<(f64, f64)> = chart.marks.iter().map(|m| (m.x, m.stated.values()[0])).collect();
+    let marks: Vec<(f64, f64)> = chart
+        .marks
+        .iter()
+        .map(|mark| (mark.x, mark.stated.values()[0]))
+        .collect();
     assert_eq!(marks, [(0.145, 0.4), (0.24, 0.72)]);
     assert!(
         chart.caption.contains("Hollow marks are for N = 250;"),
@@ -257,19 +267,19 @@ fn information_is_drawn_against_energy_with_intervals_in_both_directions() {
     );
     let csv = pareto::INFORMATION_TRADE_OFF.csv(&[condition]);
     assert_eq!(csv.lines().count(), 4);
-    let none = fixtures::table("paper", "info_p1", &[("knn", 10, &[f64::NAN])]);
+    let undefined = fixtures::table("paper", "info_p1", &[("knn", 10, &[f64::NAN])]);
     assert!(
         pareto::INFORMATION_TRADE_OFF
-            .chart(&[&Results::new(&[none], &NoFiles).expect("runs").conditions[0]])
+            .chart(&[&Results::new(&[undefined], &NoFiles).expect("runs").conditions[0]])
             .is_none()
     );
 }
 
 #[test]
-fn each_setting_has_its_own_pareto_picture() {
+fn each_setting_has_a_separate_pareto_figure() {
     let (name, table) = fixtures::table("paper", "info_p1", &[("knn", 10, &[0.1, 0.2])]);
-    let (other, literal) = fixtures::table("paper-literal", "info_p1", &[("knn", 10, &[0.3, 0.2])]);
-    let results = Results::new(&[(name, table), (other, literal)], &NoFiles).expect("runs");
+    let (literal_name, literal) = fixtures::table("paper-literal", "info_p1", &[("knn", 10, &[0.3, 0.2])]);
+    let results = Results::new(&[(name, table), (literal_name, literal)], &NoFiles).expect("runs");
     let captions = results
         .conditions
         .iter()
@@ -280,13 +290,12 @@ fn each_setting_has_its_own_pareto_picture() {
 }
 
 #[test]
-fn settings_drawn_together_have_a_line_for_each_policy_and_shared_runs_once() {
-    let [plain, uniform] = [
+fn combined_settings_have_a_line_for_each_policy_and_equal_runs_once() {
+    let [preset, mut uniform] = [
         &[("knn", 10, &[0.1, 0.2][..]), ("q-learning", 10, &[0.3, 0.4])],
         &[("knn", 10, &[0.2, 0.2][..]), ("q-learning", 10, &[0.5, 0.4])],
     ]
     .map(|runs| fixtures::table("paper", "info_p1", runs).1);
-    let mut uniform = uniform;
     uniform.metadata.experiment += "[set]\n\"layout.kind\" = \"uniform\"\n";
     for row in &mut uniform.rows {
         let set = [
@@ -296,7 +305,7 @@ fn settings_drawn_together_have_a_line_for_each_policy_and_shared_runs_once() {
             &format!("seed={}", row.seed),
             &format!("policy.name={}", row.policy),
         ];
-        row.scenario_hash = reveille_lab::table::Hash(scenario(&set).hash());
+        row.scenario_hash = reveille_lab::table::Hash(scenario_with(&set).hash());
         row.digest = if &*row.policy == "knn" {
             row.digest
         } else {
@@ -304,21 +313,30 @@ fn settings_drawn_together_have_a_line_for_each_policy_and_shared_runs_once() {
         };
     }
     let literal = fixtures::table("paper-literal", "info_p1", &[("knn", 10, &[0.3])]);
-    let tables = [("a".to_owned(), plain), ("b".to_owned(), uniform), literal];
+    let tables = [("a".to_owned(), preset), ("b".to_owned(), uniform), literal];
     let results = Results::new(&tables, &NoFiles).expect("runs");
     let groups = results.by_preset_and_length();
-    let labels: Vec<(&str, usize)> = groups.iter().map(|(label, all)| (label.as_str(), all.len())).collect();
+    let labels: Vec<(&str, usize)> = groups
+        .iter()
+        .map(|(label, conditions)| (label.as_str(), conditions.len()))
+        .collect();
     assert_eq!(labels, [("paper-together", 2), ("paper-literal-together", 1)]);
     let chart = pareto::INFORMATION_TRADE_OFF.chart(&groups[0].1).expect("a picture");
     check("pareto-together", &chart.scene());
-    let names: Vec<&str> = chart.series.iter().map(|s| s.name.as_str()).collect();
+    let names: Vec<&str> = chart.series.iter().map(|series| series.name.as_str()).collect();
     assert_eq!(
         names,
         ["knn", "q-learning", "q-learning, layout.kind uniform"],
         "knn has the same digests twice"
     );
-    let [_, a, b] = &chart.series[..] else { unreachable!() };
-    assert!(a.style.paint == b.style.paint && a.style.marker != b.style.marker && a.style.dashes != b.style.dashes);
+    let [_, preset, uniform] = &chart.series[..] else {
+        unreachable!()
+    };
+    assert!(
+        preset.style.paint == uniform.style.paint
+            && preset.style.marker != uniform.style.marker
+            && preset.style.dashes != uniform.style.dashes
+    );
     assert_eq!(pareto::INFORMATION_TRADE_OFF.csv(&groups[0].1).lines().count(), 4);
     assert!(
         chart

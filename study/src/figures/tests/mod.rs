@@ -1,4 +1,5 @@
-//! Tests of whole figures: they exist, are complete and legible, and are reproducible.
+//! Tests of whole figures. `check` covers what all have in common: content within the canvas, legible text, valid and
+//! reproducible files. The tests compare values and captions with the tables; appearance is not checked.
 
 use reveille_bs::scenario::{Override, Scenario, load};
 use reveille_common::declare::NoFiles;
@@ -14,6 +15,7 @@ mod swept;
 mod traded;
 mod tuned;
 
+/// Values of a metric for some policies and N; two are undefined.
 const RUNS: [(&str, u32, &[f64]); 8] = [
     ("knn", 10, &[33.0, 35.0, 31.0]),
     ("knn", 250, &[0.0, 0.0, 0.0]),
@@ -25,13 +27,13 @@ const RUNS: [(&str, u32, &[f64]); 8] = [
     ("adjusted", 100, &[f64::NAN, f64::NAN]),
 ];
 
-fn scenario(overrides: &[&str]) -> Scenario {
+fn scenario_with(overrides: &[&str]) -> Scenario {
     let parse = |text: &&str| Override::parse(text).expect("an override");
     let overrides: Vec<Override> = overrides.iter().map(parse).collect();
     load("paper", &overrides).expect("a scenario").scenario
 }
 
-fn results(metric: &str) -> Results {
+fn results_with(metric: &str) -> Results {
     Results::new(&[fixtures::table("paper", metric, &RUNS)], &NoFiles).expect("runs")
 }
 
@@ -53,7 +55,7 @@ fn check(name: &str, scene: &Scene) {
         }
     }
     let text = svg::svg(scene, name);
-    assert_eq!(text, svg::svg(scene, name));
+    assert_eq!(text, svg::svg(scene, name), "{name}: other bytes");
     let tree = roxmltree::Document::parse(&text).unwrap_or_else(|error| panic!("{name}: {error}"));
     let root = tree.root_element();
     assert_eq!(root.tag_name().name(), "svg");
@@ -64,12 +66,13 @@ fn check(name: &str, scene: &Scene) {
     for link in links {
         assert!(
             ids.contains(&link.trim_start_matches('#')),
-            "{name}: {link} leads nowhere"
+            "{name}: {link} has no target"
         );
     }
     let pixels = png::png(scene);
     let decoder = ::png::Decoder::new(std::io::Cursor::new(&pixels));
     let mut reader = decoder.read_info().expect("a PNG");
+    // 300 dpi; a scene has 72 units per inch.
     let expected = (
         (scene.width * 300.0 / 72.0).ceil() as u32,
         (scene.height * 300.0 / 72.0).ceil() as u32,
@@ -84,16 +87,16 @@ fn check(name: &str, scene: &Scene) {
 }
 
 #[test]
-fn every_figure_of_the_paper_is_drawn() {
+fn figures_of_the_paper_have_the_means_of_their_tables() {
     for figure in study::FIGURES {
-        let results = results(figure.metric);
+        let results = results_with(figure.metric);
         let condition = &results.conditions[0];
         let drawing = figure.draw(condition).expect("a figure");
         let scene = drawing.chart.scene();
         check(figure.name, &scene);
         assert_eq!(png::png(&scene), png::png(&scene), "{}", figure.name);
         assert_eq!(drawing.policies_without_value, ["adjusted"], "{}", figure.name);
-        let names: Vec<&str> = drawing.chart.series.iter().map(|s| s.name.as_str()).collect();
+        let names: Vec<&str> = drawing.chart.series.iter().map(|series| series.name.as_str()).collect();
         assert_eq!(names, ["knn", "random", "genie"]);
         let genie = &drawing.chart.series[2].points[0];
         let mean = if figure.is_per_device { 0.225 } else { 2.25 };
@@ -113,7 +116,7 @@ fn every_figure_of_the_paper_is_drawn() {
 }
 
 #[test]
-fn a_metric_that_no_run_has_gives_no_figure() {
+fn a_metric_without_values_gives_no_figure() {
     let table = fixtures::table("paper", "info_p1", &[("knn", 10, &[f64::NAN; 2])]);
     let results = Results::new(&[table], &NoFiles).expect("runs");
     assert!(study::FIGURES[0].draw(&results.conditions[0]).is_none());
@@ -121,33 +124,38 @@ fn a_metric_that_no_run_has_gives_no_figure() {
 }
 
 #[test]
-fn what_the_paper_states_is_marked_for_policies_that_were_run() {
+fn stated_values_are_marked_for_policies_with_runs() {
     let energy = study::FIGURES[2];
-    let results = results(energy.metric);
+    let results = results_with(energy.metric);
     let chart = energy.draw(&results.conditions[0]).expect("a figure").chart;
     // knn 0.45–0.83 and 0.145; random 0.34 and > 0.18; genie 0.055.
     assert_eq!(chart.marks.len(), 5, "{:?}", chart.marks);
-    let values: Vec<f64> = chart.marks.iter().map(|m| m.stated.values()[0]).collect();
+    let values: Vec<f64> = chart.marks.iter().map(|mark| mark.stated.values()[0]).collect();
     for expected in [0.45, 0.145, 0.34, 0.18, 0.055] {
         assert!(
             values.iter().any(|v| (v - expected).abs() < 1e-12),
             "{expected} in {values:?}"
         );
     }
-    let places: Vec<f64> = chart.marks.iter().filter(|m| m.x > 200.0).map(|m| m.x_offset).collect();
+    let offsets: Vec<f64> = chart
+        .marks
+        .iter()
+        .filter(|mark| mark.x > 200.0)
+        .map(|mark| mark.x_offset)
+        .collect();
     assert!(
-        places.len() > 1 && places.windows(2).all(|pair| pair[1] - pair[0] > 2.0),
-        "side by side: {places:?}"
+        offsets.len() > 1 && offsets.windows(2).all(|pair| pair[1] - pair[0] > 2.0),
+        "marks at one N are side by side: {offsets:?}"
     );
     assert!(
-        chart.marks.iter().all(|m| m.x_offset.abs() <= 4.0),
-        "and near their N: {:?}",
+        chart.marks.iter().all(|mark| mark.x_offset.abs() <= 4.0),
+        "marks are near their N: {:?}",
         chart.marks
     );
 }
 
 #[test]
-fn what_the_paper_states_for_several_n_is_hatched() {
+fn values_stated_for_several_n_are_hatched() {
     let runs: [(&str, u32, &[f64]); 3] = [
         ("adjusted", 10, &[3.0, 3.5]),
         ("adjusted", 250, &[1.0, 1.5]),
@@ -163,10 +171,17 @@ fn what_the_paper_states_for_several_n_is_hatched() {
         ("wasted", vec![(10.0, 250.0, [1.5, 1.5])]),
         ("energy", vec![]),
     ] {
-        let figure = study::FIGURES.into_iter().find(|f| f.name == name).expect("a figure");
+        let figure = study::FIGURES
+            .into_iter()
+            .find(|figure| figure.name == name)
+            .expect("a figure");
         let results = Results::new(&[fixtures::table("paper", figure.metric, &runs)], &NoFiles).expect("runs");
         let chart = figure.draw(&results.conditions[0]).expect("a figure").chart;
-        let spans: Vec<_> = chart.spans.iter().map(|s| (s.from, s.to, s.stated.values())).collect();
+        let spans: Vec<_> = chart
+            .spans
+            .iter()
+            .map(|span| (span.from, span.to, span.stated.values()))
+            .collect();
         assert_eq!(spans, expected, "{name}");
         assert_eq!(chart.caption.contains("Hatched"), !expected.is_empty());
         check(name, &chart.scene());
@@ -174,12 +189,12 @@ fn what_the_paper_states_for_several_n_is_hatched() {
 }
 
 #[test]
-fn a_stated_ratio_is_marked_at_its_multiple_of_what_is_stated() {
+fn a_stated_ratio_is_marked_at_its_multiple_of_the_stated_value() {
     let figure = study::FIGURES[2];
     let runs: [(&str, u32, &[f64]); 1] = [("dt", 250, &[0.13, 0.14])];
     let results = Results::new(&[fixtures::table("paper", figure.metric, &runs)], &NoFiles).expect("runs");
     let chart = figure.draw(&results.conditions[0]).expect("a figure").chart;
-    let values: Vec<f64> = chart.marks.iter().map(|m| m.stated.values()[0]).collect();
+    let values: Vec<f64> = chart.marks.iter().map(|mark| mark.stated.values()[0]).collect();
     // Between 0.45 and 0.83; 40 % below 0.24; 10 % below 0.145.
     let expected = [0.45, 0.144, 0.1305];
     assert_eq!(values.len(), 3, "{values:?}");
@@ -190,7 +205,7 @@ fn a_stated_ratio_is_marked_at_its_multiple_of_what_is_stated() {
 }
 
 #[test]
-fn harvest_and_net_are_drawn() {
+fn harvest_and_net_charts_have_measured_points_and_marks() {
     let mut runs = RUNS.to_vec();
     runs.extend([
         ("random", 100, &[0.2, 0.21][..]),
@@ -216,86 +231,98 @@ fn harvest_and_net_are_drawn() {
     check("net", &net.scene());
     assert_eq!(net.marks.len(), 6);
     // Two runs of adjusted: t(1) = 12.706, and half of |0.31 - 0.30|.
-    let half = net.series[0].points[0].y_half_width;
-    assert!((half - 12.706 * 0.005).abs() < 1e-5, "{half}");
+    let half_width = net.series[0].points[0].y_half_width;
+    assert!((half_width - 12.706 * 0.005).abs() < 1e-5, "half-width {half_width}");
     let is_near = |a: f64, b: f64| (a - b).abs() < 1e-9;
     // Measured points lie on their line: the harvest of its E_B less 0.305, with the variances added.
-    let of_five = points
+    let measured = points
         .iter()
-        .find(|p| is_near(p.e_b, 5.0) && is_near(p.lambda, 0.1))
-        .expect("measured");
-    let dots = net.series.iter().skip_while(|s| s.name != "adjusted, E_B = 5").nth(1);
-    let dot = dots
-        .and_then(|s| s.points.iter().find(|d| is_near(d.x, 0.1)))
-        .expect("a dot at λ = 0.1");
-    assert!((dot.y - (of_five.harvested.mean - 0.305)).abs() < 1e-12);
-    assert!((dot.y_half_width.powi(2) - half.powi(2) - of_five.harvested.half_width.powi(2)).abs() < 1e-12);
+        .find(|point| is_near(point.e_b, 5.0) && is_near(point.lambda, 0.1))
+        .expect("a measured point");
+    // The series after the line has its measured points.
+    let points_series = net
+        .series
+        .iter()
+        .skip_while(|series| series.name != "adjusted, E_B = 5")
+        .nth(1);
+    let drawn = points_series
+        .and_then(|series| series.points.iter().find(|point| is_near(point.x, 0.1)))
+        .expect("a point at λ = 0.1");
+    assert!((drawn.y - (measured.harvested.mean - 0.305)).abs() < 1e-12);
+    assert!((drawn.y_half_width.powi(2) - half_width.powi(2) - measured.harvested.half_width.powi(2)).abs() < 1e-12);
     assert!(energy::harvest_csv(&points).lines().count() == 28 && energy::net_csv(&net).lines().count() > 100);
     // A consumption from one run has no interval, so the net energy has none either.
-    let lone = results_of(&[("random", 100, &[0.2, 0.21]), ("adjusted", 100, &[0.3])]);
-    let lone = energy::net_chart(&lone.conditions[0], &points).expect("random and adjusted were run");
+    let one_run = results_of(&[("random", 100, &[0.2, 0.21]), ("adjusted", 100, &[0.3])]);
+    let one_run_net = energy::net_chart(&one_run.conditions[0], &points).expect("random and adjusted were run");
+    // Only the first of a policy's series has its name.
     let mut policy = "";
-    for series in &lone.series {
+    for series in &one_run_net.series {
         policy = series
             .name
             .split(',')
             .next()
             .filter(|name| !name.is_empty())
             .unwrap_or(policy);
-        let is_known = policy == "random";
+        let has_interval = policy == "random";
         assert!(
-            series.points.iter().all(|s| s.y_half_width.is_finite() == is_known),
+            series
+                .points
+                .iter()
+                .all(|point| point.y_half_width.is_finite() == has_interval),
             "{policy}"
         );
     }
-    let without = results_of(&[("random", 100, &[0.2])]);
-    assert!(energy::net_chart(&without.conditions[0], &points).is_none());
+    let without_adjusted = results_of(&[("random", 100, &[0.2])]);
+    assert!(energy::net_chart(&without_adjusted.conditions[0], &points).is_none());
 }
 
+/// Returns results with these energies per device.
 fn results_of(runs: &[(&str, u32, &[f64])]) -> Results {
     Results::new(&[fixtures::table("paper", "energy_per_device_tti", runs)], &NoFiles).expect("runs")
 }
 
 #[test]
-fn deployments_and_timelines_are_drawn_for_every_policy() {
+fn deployments_and_timelines_can_be_drawn_for_each_policy() {
     for (policy, n) in [("knn", "80"), ("adjusted", "30"), ("random", "150"), ("genie", "1")] {
         let policy = format!("policy.name={policy}");
         let n = format!("devices={n}");
-        let scenario = scenario(&[&policy, &n, "ttis=300", "policy.adjusted.pilot_ttis=100"]);
-        let moment = deployment::EventScene::from_scenario(&scenario, None).expect("an event");
-        assert_eq!(moment.roles.len(), scenario.run.devices as usize);
-        let reports = moment
-            .roles
-            .iter()
-            .filter(|r| matches!(r, deployment::DeviceRole::Reporter | deployment::DeviceRole::Woken(_)));
+        let scenario = scenario_with(&[&policy, &n, "ttis=300", "policy.adjusted.pilot_ttis=100"]);
+        let event_scene = deployment::EventScene::from_scenario(&scenario, None).expect("an event");
+        assert_eq!(event_scene.roles.len(), scenario.run.devices as usize);
+        let reports = event_scene.roles.iter().filter(|role| {
+            matches!(
+                role,
+                deployment::DeviceRole::Reporter | deployment::DeviceRole::Woken(_)
+            )
+        });
         assert_eq!(
             reports.count() as u64,
-            moment.event.tally.reports,
+            event_scene.event.tally.reports,
             "{policy}: the drawn reporters are the devices that reported"
         );
-        check("deployment", &deployment::scene(&scenario, &moment));
-        let shown = timeline::Timeline::from_scenario(&scenario, &[], 30, 120).expect("a timeline");
-        check("timeline", &timeline::scene(&scenario, &shown));
+        check("deployment", &deployment::scene(&scenario, &event_scene));
+        let ttis = timeline::Timeline::from_scenario(&scenario, &[], 30, 120).expect("a timeline");
+        check("timeline", &timeline::scene(&scenario, &ttis));
     }
 }
 
 #[test]
 fn an_event_without_a_report_can_be_drawn() {
-    let scenario = scenario(&["policy.name=random", "devices=3", "ttis=300"]);
-    let all = super::run_walk::collect_events(&scenario);
-    let unseen = all
+    let scenario = scenario_with(&["policy.name=random", "devices=3", "ttis=300"]);
+    let events = super::run_walk::collect_events(&scenario);
+    let unreported = events
         .iter()
-        .find(|e| e.tally.reports == 0)
-        .expect("three devices miss some");
-    let moment = deployment::EventScene::from_scenario(&scenario, Some(unseen.event.0)).expect("an event");
-    check("unseen", &deployment::scene(&scenario, &moment));
+        .find(|event| event.tally.reports == 0)
+        .expect("an event without a report");
+    let event_scene = deployment::EventScene::from_scenario(&scenario, Some(unreported.event.0)).expect("an event");
+    check("unreported", &deployment::scene(&scenario, &event_scene));
 }
 
 #[test]
-fn tables_are_put_together_by_what_was_run() {
+fn tables_are_combined_by_their_runs() {
     let (name, table) = fixtures::table("paper", "mean_battery", &RUNS[..2]);
     let (_, other) = fixtures::table("paper", "mean_battery", &RUNS[2..4]);
-    let both = Results::new(
+    let combined = Results::new(
         &[
             (name.clone(), table.clone()),
             (name.clone(), other),
@@ -303,37 +330,40 @@ fn tables_are_put_together_by_what_was_run() {
         ],
         &NoFiles,
     );
-    let both = both.expect("runs");
-    assert_eq!(both.conditions.len(), 1);
-    assert_eq!(both.conditions[0].policies(), ["knn", "random"]);
+    let combined = combined.expect("runs");
+    assert_eq!(combined.conditions.len(), 1);
+    assert_eq!(combined.conditions[0].policies(), ["knn", "random"]);
     assert_eq!(
-        both.conditions[0].runs("knn", 10).count(),
+        combined.conditions[0].runs("knn", 10).count(),
         3,
-        "a run of two tables counts once"
+        "a run in two tables counts once"
     );
-    assert_eq!(both.conditions[0].label(), "paper");
+    assert_eq!(combined.conditions[0].label(), "paper");
 
     let mut changed = table.clone();
     changed
         .rows
         .iter_mut()
         .for_each(|row| row.scenario_hash = Hash([9; 32]));
-    let apart = Results::new(
+    let separate = Results::new(
         &[(name.clone(), table.clone()), ("mine.parquet".to_owned(), changed)],
         &NoFiles,
     )
     .expect("runs");
     assert_eq!(
-        apart.conditions.len(),
+        separate.conditions.len(),
         2,
         "another scenario under the same preset is another condition"
     );
-    assert_eq!(apart.conditions[1].label(), "paper, changed as in mine.parquet");
-    assert_eq!(apart.file_labels(), ["paper", "paper-mine"]);
+    assert_eq!(separate.conditions[1].label(), "paper, changed as in mine.parquet");
+    assert_eq!(separate.file_labels(), ["paper", "paper-mine"]);
 
-    let mut false_one = table.clone();
-    false_one.rows[0].digest = Hash([7; 32]);
-    let refused = Results::new(&[(name.clone(), table.clone()), (name.clone(), false_one)], &NoFiles);
+    let mut contradicting = table.clone();
+    contradicting.rows[0].digest = Hash([7; 32]);
+    let refused = Results::new(
+        &[(name.clone(), table.clone()), (name.clone(), contradicting)],
+        &NoFiles,
+    );
     assert!(matches!(refused, Err(FigureError::Contradiction { .. })), "{refused:?}");
 
     let empty = Table {
@@ -348,23 +378,26 @@ fn tables_are_put_together_by_what_was_run() {
 }
 
 #[test]
-fn settings_of_tables_with_equal_names_get_separate_names() {
+fn tables_with_equal_names_get_distinct_labels() {
     let (_, table) = fixtures::table("paper", "mean_battery", &RUNS[..2]);
-    let table = |hash: u8| {
+    let table_with = |hash: u8| {
         let mut changed = table.clone();
         let rows = changed.rows.iter_mut();
         rows.for_each(|row| row.scenario_hash = Hash([hash; 32]));
         changed
     };
     let names = ["a/results.parquet", "b/results.parquet", "c/b/results.parquet"];
-    let tables: Vec<(String, Table)> = (1..).zip(names).map(|(i, name)| (name.to_owned(), table(i))).collect();
+    let tables: Vec<(String, Table)> = (1..)
+        .zip(names)
+        .map(|(hash, name)| (name.to_owned(), table_with(hash)))
+        .collect();
     let labels = Results::new(&tables, &NoFiles).expect("runs").file_labels();
     assert_eq!(labels, ["paper-a-results", "paper-b-results", "paper-b-results-2"]);
 }
 
 #[test]
-fn what_the_experiment_sets_is_named_by_field_and_value() {
-    let set = scenario(&[
+fn a_field_set_by_the_experiment_is_in_the_label() {
+    let changed = scenario_with(&[
         "events.alpha=0.3",
         "devices=10",
         "ttis=2000",
@@ -372,25 +405,26 @@ fn what_the_experiment_sets_is_named_by_field_and_value() {
         "policy.name=knn",
     ]);
     let (name, mut table) = fixtures::table("paper", "mean_battery", &[("knn", 10, &[1.0])]);
-    table.rows[0].scenario_hash = Hash(set.hash());
+    table.rows[0].scenario_hash = Hash(changed.hash());
     table.metadata.experiment = "scenario = \"paper\"\n\n[set]\n\"events.alpha\" = 0.3\n".to_owned();
     let results = Results::new(&[(name, table)], &NoFiles).expect("runs");
     let condition = &results.conditions[0];
     assert_eq!(condition.label(), "paper, events.alpha = 0.3");
-    assert!(!condition.is_unchanged_preset() && condition.scenario.as_ref() == Some(&set));
+    assert!(!condition.is_unchanged_preset() && condition.scenario.as_ref() == Some(&changed));
     assert_eq!(results.file_labels(), ["paper-events.alpha-0.3"]);
 }
 
 #[test]
-fn figures_are_chosen_by_name() {
-    let names = |wanted: &[&str]| {
-        let wanted: Vec<String> = wanted.iter().map(|w| (*w).to_owned()).collect();
-        study::select_figures(&wanted, &energy::NAMES).map(|all| all.iter().map(|f| f.name).collect::<Vec<_>>())
+fn figures_are_selected_by_name() {
+    let select = |wanted: &[&str]| {
+        let wanted: Vec<String> = wanted.iter().map(|name| (*name).to_owned()).collect();
+        study::select_figures(&wanted, &energy::NAMES)
+            .map(|figures| figures.iter().map(|figure| figure.name).collect::<Vec<_>>())
     };
-    assert_eq!(names(&["energy", "information"]), Ok(vec!["information", "energy"]));
-    assert_eq!(names(&[]).map(|all| all.len()), Ok(8));
-    assert_eq!(names(&["net"]), Ok(vec![]));
-    let refused = names(&["energie"]).expect_err("no such figure").to_string();
+    assert_eq!(select(&["energy", "information"]), Ok(vec!["information", "energy"]));
+    assert_eq!(select(&[]).map(|names| names.len()), Ok(8));
+    assert_eq!(select(&["net"]), Ok(vec![]));
+    let refused = select(&["energie"]).expect_err("no such figure").to_string();
     assert!(
         refused.contains("`energie`") && refused.contains("wasted, harvest, net"),
         "{refused}"

@@ -1,4 +1,5 @@
-//! Tests of figures of arbitrary sweeps.
+//! Tests of [`SweepFigureSpec`]: figures of any metric against any field of a sweep. Values are compared with the
+//! formula that fills the table.
 
 use reveille_common::declare::NoFiles;
 use reveille_lab::table::{SweptValue, Table};
@@ -9,7 +10,7 @@ use super::super::sweep::{SweepFigure, SweepFigureSpec};
 use super::check;
 
 /// Creates a table with three λ for knn and random at two N. The energy is 10 λ + N / 10, and 0.5 more for random.
-fn table() -> (String, Table) {
+fn lambda_sweep() -> (String, Table) {
     let energy = |lambda: f64, n: u32| 10.0 * lambda + f64::from(n) / 10.0;
     let mut runs: Vec<(&str, u32, SweptValue, Vec<f64>)> = Vec::new();
     // Out of order, as in a merged sweep.
@@ -28,37 +29,36 @@ fn table() -> (String, Table) {
     fixtures::swept("paper", "energy_per_device_tti", "harvest.lambda", &runs)
 }
 
-fn wish(x: &str, by: &str, only: &[(&str, &str)]) -> SweepFigureSpec {
+/// Returns a figure of the energy against `x` with a line for each value of `by`.
+fn spec(x: &str, by: &str, filter: &[(&str, &str)]) -> SweepFigureSpec {
     let owned = |(field, value): &(&str, &str)| ((*field).to_owned(), (*value).to_owned());
     SweepFigureSpec {
         x_field: x.to_owned(),
         metric: "energy_per_device_tti".to_owned(),
         line_field: by.to_owned(),
-        filter: only.iter().map(owned).collect(),
+        filter: filter.iter().map(owned).collect(),
         is_log_x: false,
         is_log_y: false,
     }
 }
 
-fn draw(wish: &SweepFigureSpec) -> Result<Vec<SweepFigure>, FigureError> {
-    wish.draw(&Results::new(&[table()], &NoFiles).expect("runs"))
+fn draw(spec: &SweepFigureSpec) -> Result<Vec<SweepFigure>, FigureError> {
+    spec.draw(&Results::new(&[lambda_sweep()], &NoFiles).expect("runs"))
 }
 
 #[test]
-fn a_metric_is_drawn_against_any_field_with_its_interval() {
-    let pictures = draw(&wish("harvest.lambda", "policy", &[("devices", "100")])).expect("a picture");
-    let [picture] = &pictures[..] else {
-        panic!("{pictures:?}")
-    };
-    assert!(picture.facet.is_empty());
-    let chart = &picture.chart;
+fn a_figure_has_means_and_intervals_against_a_field() {
+    let figures = draw(&spec("harvest.lambda", "policy", &[("devices", "100")])).expect("a figure");
+    let [figure] = &figures[..] else { panic!("{figures:?}") };
+    assert!(figure.facet.is_empty());
+    let chart = &figure.chart;
     let names: Vec<&str> = chart.series.iter().map(|line| line.name.as_str()).collect();
     assert_eq!(names, ["knn", "random"]);
-    for (line, more) in chart.series.iter().zip([0.0, 0.5]) {
+    for (line, offset) in chart.series.iter().zip([0.0, 0.5]) {
         let xs: Vec<f64> = line.points.iter().map(|sample| sample.x).collect();
-        assert_eq!(xs, [0.05, 0.1, 0.4], "rising");
+        assert_eq!(xs, [0.05, 0.1, 0.4], "in ascending order");
         for sample in &line.points {
-            assert!((sample.y - (10.0 * sample.x + 10.0 + more)).abs() < 1e-12);
+            assert!((sample.y - (10.0 * sample.x + 10.0 + offset)).abs() < 1e-12);
             // Two values 0.2 apart: t(1) · 0.1414 / √2.
             assert!((sample.y_half_width - 12.706_205 * 0.1).abs() < 1e-5, "{sample:?}");
         }
@@ -74,83 +74,81 @@ fn a_metric_is_drawn_against_any_field_with_its_interval() {
         chart.caption
     );
     assert!(
-        picture
+        figure
             .csv
             .starts_with("policy,harvest.lambda,metric,mean,half_width_95,runs\nknn,0.05,")
     );
-    assert_eq!(picture.csv.lines().count(), 7);
+    assert_eq!(figure.csv.lines().count(), 7);
     check("own-sweep", &chart.scene());
 }
 
 #[test]
-fn other_fields_have_a_picture_for_each_of_their_values() {
-    let pictures = draw(&wish("harvest.lambda", "policy", &[])).expect("pictures");
-    let facets: Vec<_> = pictures.iter().map(|picture| picture.facet.clone()).collect();
+fn each_value_of_another_field_has_a_figure() {
+    let figures = draw(&spec("harvest.lambda", "policy", &[])).expect("figures");
+    let facets: Vec<_> = figures.iter().map(|figure| figure.facet.clone()).collect();
     let devices = |n: &str| vec![("devices".to_owned(), n.to_owned())];
     assert_eq!(facets, [devices("10"), devices("100")]);
-    assert!((pictures[0].chart.series[0].points[0].y - 1.5).abs() < 1e-12);
-    assert!((pictures[1].chart.series[0].points[0].y - 10.5).abs() < 1e-12);
+    assert!((figures[0].chart.series[0].points[0].y - 1.5).abs() < 1e-12);
+    assert!((figures[1].chart.series[0].points[0].y - 10.5).abs() < 1e-12);
     assert!(
-        pictures[1].csv.contains("\n100,knn,0.05,energy_per_device_tti,10.5,"),
+        figures[1].csv.contains("\n100,knn,0.05,energy_per_device_tti,10.5,"),
         "{}",
-        pictures[1].csv
+        figures[1].csv
     );
 }
 
 #[test]
-fn any_field_has_the_lines() {
-    let wish = SweepFigureSpec {
+fn any_field_can_define_the_lines() {
+    let spec = SweepFigureSpec {
         is_log_x: true,
         is_log_y: true,
-        ..wish("devices", "harvest.lambda", &[("policy", "knn")])
+        ..spec("devices", "harvest.lambda", &[("policy", "knn")])
     };
-    let pictures = draw(&wish).expect("a picture");
-    let [picture] = &pictures[..] else {
-        panic!("{pictures:?}")
-    };
-    let names: Vec<&str> = picture.chart.series.iter().map(|line| line.name.as_str()).collect();
+    let figures = draw(&spec).expect("a figure");
+    let [figure] = &figures[..] else { panic!("{figures:?}") };
+    let names: Vec<&str> = figure.chart.series.iter().map(|line| line.name.as_str()).collect();
     assert_eq!(
         names,
         ["harvest.lambda 0.4", "harvest.lambda 0.05", "harvest.lambda 0.1"]
     );
-    let ys: Vec<f64> = picture.chart.series[1].points.iter().map(|sample| sample.y).collect();
+    let ys: Vec<f64> = figure.chart.series[1].points.iter().map(|sample| sample.y).collect();
     assert!((ys[0] - 1.5).abs() < 1e-12 && (ys[1] - 10.5).abs() < 1e-12);
-    assert_eq!(picture.chart.x.ends(), (10.0, 100.0));
-    assert!(picture.chart.caption.contains("policy = knn"));
-    check("own-sweep-log", &picture.chart.scene());
+    assert_eq!(figure.chart.x.ends(), (10.0, 100.0));
+    assert!(figure.chart.caption.contains("policy = knn"));
+    check("own-sweep-log", &figure.chart.scene());
 }
 
 #[test]
 fn errors_of_invalid_requests_list_the_options() {
-    let refused = |wish: SweepFigureSpec, parts: &[&str]| {
-        let error = draw(&wish).expect_err("nothing to draw").to_string();
+    let assert_refused = |spec: SweepFigureSpec, parts: &[&str]| {
+        let error = draw(&spec).expect_err("nothing to draw").to_string();
         assert!(parts.iter().all(|part| error.contains(part)), "{error}");
     };
-    let all = "preset, policy, devices, ttis, harvest.lambda";
-    refused(wish("harvest.lamda", "policy", &[]), &["`harvest.lamda`", all]);
-    refused(wish("devices", "colour", &[]), &["`colour`", all]);
-    refused(wish("devices", "policy", &[("colour", "red")]), &["`colour`", all]);
-    refused(wish("policy", "devices", &[]), &["knn is not a number", "--by policy"]);
-    refused(wish("devices", "devices", &[]), &["--x devices --by devices"]);
-    refused(
-        wish("devices", "policy", &[("harvest.lambda", "0.2")]),
+    let fields = "preset, policy, devices, ttis, harvest.lambda";
+    assert_refused(spec("harvest.lamda", "policy", &[]), &["`harvest.lamda`", fields]);
+    assert_refused(spec("devices", "colour", &[]), &["`colour`", fields]);
+    assert_refused(spec("devices", "policy", &[("colour", "red")]), &["`colour`", fields]);
+    assert_refused(spec("policy", "devices", &[]), &["knn is not a number", "--by policy"]);
+    assert_refused(spec("devices", "devices", &[]), &["--x devices --by devices"]);
+    assert_refused(
+        spec("devices", "policy", &[("harvest.lambda", "0.2")]),
         &["harvest.lambda = 0.2", "0.4, 0.05, 0.1"],
     );
     let speed = SweepFigureSpec {
         metric: "speed".to_owned(),
-        ..wish("devices", "policy", &[])
+        ..spec("devices", "policy", &[])
     };
-    refused(speed, &["`speed`", "info_p1, info_per_event"]);
+    assert_refused(speed, &["`speed`", "info_p1, info_per_event"]);
 }
 
 #[test]
-fn a_number_is_chosen_however_it_is_written() {
-    let pictures = draw(&wish("devices", "policy", &[("harvest.lambda", "0.40")])).expect("a picture");
-    assert!((pictures[0].chart.series[0].points[0].y - 5.0).abs() < 1e-12);
+fn a_filter_compares_numbers_by_value() {
+    let figures = draw(&spec("devices", "policy", &[("harvest.lambda", "0.40")])).expect("a figure");
+    assert!((figures[0].chart.series[0].points[0].y - 5.0).abs() < 1e-12);
 }
 
 #[test]
-fn too_many_lines_or_pictures_are_refused() {
+fn too_many_lines_or_figures_are_refused() {
     let runs: Vec<(&str, u32, SweptValue, &[f64])> = (1..=30)
         .map(|i| {
             (
@@ -163,18 +161,18 @@ fn too_many_lines_or_pictures_are_refused() {
         .collect();
     let table = fixtures::swept("paper", "energy_per_device_tti", "harvest.lambda", &runs);
     let results = Results::new(&[table], &NoFiles).expect("runs");
-    let error = |wish: SweepFigureSpec| wish.draw(&results).expect_err("too many").to_string();
-    let lines = error(wish("devices", "harvest.lambda", &[]));
+    let error_of = |spec: SweepFigureSpec| spec.draw(&results).expect_err("too many").to_string();
+    let lines = error_of(spec("devices", "harvest.lambda", &[]));
     assert!(lines.contains("30 lines") && lines.contains("--where"), "{lines}");
-    let pictures = error(wish("devices", "policy", &[]));
+    let figures = error_of(spec("devices", "policy", &[]));
     assert!(
-        pictures.contains("differ in harvest.lambda") && pictures.contains("24 figures"),
-        "{pictures}"
+        figures.contains("differ in harvest.lambda") && figures.contains("24 figures"),
+        "{figures}"
     );
 }
 
 #[test]
-fn rankings_are_separate_lines_or_a_field() {
+fn rankings_are_separate_lines_or_values_of_a_field() {
     let text = |value: &str| SweptValue::Text(value.to_owned());
     let runs: [(&str, u32, SweptValue, &[f64]); 4] = [
         ("knn", 10, text("p42"), &[0.2, 0.22]),
@@ -185,9 +183,9 @@ fn rankings_are_separate_lines_or_a_field() {
     let table = fixtures::swept("paper", "energy_per_device_tti", "bs.ranking", &runs);
     let results = Results::new(&[table], &NoFiles).expect("runs");
     let names = |by: &str| -> Vec<String> {
-        let pictures = wish("devices", by, &[]).draw(&results).expect("a picture");
-        assert_eq!(pictures.len(), 1);
-        pictures[0].chart.series.iter().map(|line| line.name.clone()).collect()
+        let figures = spec("devices", by, &[]).draw(&results).expect("a figure");
+        assert_eq!(figures.len(), 1);
+        figures[0].chart.series.iter().map(|line| line.name.clone()).collect()
     };
     assert_eq!(names("policy"), ["knn", "knn+posterior"]);
     assert_eq!(names("bs.ranking"), ["bs.ranking p42", "bs.ranking posterior"]);

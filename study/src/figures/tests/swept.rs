@@ -1,4 +1,4 @@
-//! Tests of sweeps over a field, and over the ranking of wake-ups.
+//! Tests of the figures of the paper for sweeps over a field, and over the ranking of wake-ups.
 
 use reveille_common::declare::NoFiles;
 
@@ -12,7 +12,7 @@ fn text(value: &str) -> SweptValue {
 }
 
 #[test]
-fn rankings_are_series_of_one_picture() {
+fn rankings_are_series_of_one_figure() {
     let figure = study::FIGURES[0];
     let runs: [(&str, u32, SweptValue, &[f64]); 6] = [
         ("knn", 10, text("posterior"), &[0.3, 0.32]),
@@ -24,7 +24,7 @@ fn rankings_are_series_of_one_picture() {
     ];
     let (name, mut table) = fixtures::swept("paper", figure.metric, "bs.ranking", &runs);
     for row in &mut table.rows {
-        // Runs of random do not differ by ranking.
+        // Equal digests: runs of random do not differ by ranking.
         if &*row.policy != "random" {
             row.digest = row.scenario_hash;
         }
@@ -41,16 +41,16 @@ fn rankings_are_series_of_one_picture() {
     assert_eq!(condition.runs("random", 10).count(), 2);
     assert_eq!(results.by_ranking.len(), 2);
     assert_eq!(condition.ranking_indices, [1, 0], "the paper's ranking first");
-    let drawing = figure.draw(condition).expect("a figure");
-    check("rankings", &drawing.chart.scene());
-    let names: Vec<&str> = drawing.chart.series.iter().map(|s| s.name.as_str()).collect();
+    let drawn = figure.draw(condition).expect("a figure");
+    check("rankings", &drawn.chart.scene());
+    let names: Vec<&str> = drawn.chart.series.iter().map(|series| series.name.as_str()).collect();
     assert_eq!(names, ["knn", "knn+posterior", "random"]);
-    let [plain, ranked] = [&drawing.chart.series[0], &drawing.chart.series[1]];
-    assert!((plain.points[0].y - 0.21).abs() < 1e-12 && (ranked.points[0].y - 0.31).abs() < 1e-12);
-    assert!(plain.style.paint == ranked.style.paint && plain.style.marker != ranked.style.marker);
+    let [p42, posterior] = [&drawn.chart.series[0], &drawn.chart.series[1]];
+    assert!((p42.points[0].y - 0.21).abs() < 1e-12 && (posterior.points[0].y - 0.31).abs() < 1e-12);
+    assert!(p42.style.paint == posterior.style.paint && p42.style.marker != posterior.style.marker);
     assert!(
         figure
-            .csv(condition, &drawing)
+            .csv(condition, &drawn)
             .contains("measured,paper,knn+posterior,10,info_p1,0.31")
     );
     let pareto = pareto::INFORMATION_TRADE_OFF.chart(&[condition]).expect("a picture");
@@ -58,27 +58,27 @@ fn rankings_are_series_of_one_picture() {
 }
 
 #[test]
-fn tables_of_different_rankings_share_a_picture() {
+fn tables_of_different_rankings_share_a_figure() {
     let runs: [(&str, u32, &[f64]); 1] = [("knn", 10, &[0.2, 0.22])];
-    let plain = fixtures::table("paper", "info_p1", &runs);
-    let ranked = [("knn", 10, text("posterior"), &[0.3, 0.32][..])];
-    let (_, mut ranked) = fixtures::swept("paper", "info_p1", "bs.ranking", &ranked);
-    ranked.schema.swept.clear();
-    ranked.metadata.experiment += "[set]\n\"bs.ranking\" = \"posterior\"\n";
-    for row in &mut ranked.rows {
+    let p42 = fixtures::table("paper", "info_p1", &runs);
+    let runs = [("knn", 10, text("posterior"), &[0.3, 0.32][..])];
+    let (_, mut posterior) = fixtures::swept("paper", "info_p1", "bs.ranking", &runs);
+    posterior.schema.swept.clear();
+    posterior.metadata.experiment += "[set]\n\"bs.ranking\" = \"posterior\"\n";
+    for row in &mut posterior.rows {
         row.swept = std::sync::Arc::from([]);
         row.digest = Hash([9; 32]);
     }
-    let both = Results::new(&[plain, ("b".to_owned(), ranked.clone())], &NoFiles).expect("runs");
+    let both = Results::new(&[p42, ("b".to_owned(), posterior.clone())], &NoFiles).expect("runs");
     assert_eq!(both.conditions.len(), 1);
     assert_eq!(both.conditions[0].policies(), ["knn", "knn+posterior"]);
-    let alone = Results::new(&[("b".to_owned(), ranked)], &NoFiles).expect("runs");
-    assert_eq!(alone.conditions[0].policies(), ["knn"], "there is no other policy");
+    let alone = Results::new(&[("b".to_owned(), posterior)], &NoFiles).expect("runs");
+    assert_eq!(alone.conditions[0].policies(), ["knn"], "one ranking needs no label");
     assert_eq!(alone.conditions[0].label(), "paper, bs.ranking = posterior");
 }
 
 #[test]
-fn settings_that_are_not_the_papers_have_neither_its_titles_nor_its_marks() {
+fn changed_settings_have_no_titles_or_marks_of_the_paper() {
     let runs: [(&str, u32, SweptValue, &[f64]); 6] = [
         ("adjusted", 250, SweptValue::Float(0.1), &[0.2, 0.3]),
         ("adjusted", 250, SweptValue::Float(0.2), &[0.2, 0.3]),
@@ -91,27 +91,32 @@ fn settings_that_are_not_the_papers_have_neither_its_titles_nor_its_marks() {
     let table = fixtures::swept("paper", "energy_per_device_tti", "harvest.lambda", &runs);
     let results = Results::new(&[table], &NoFiles).expect("runs");
     let points = energy::measure_harvests("paper").expect("harvests");
-    let [own, other] = &results.conditions[..] else {
+    let [preset, changed] = &results.conditions[..] else {
         panic!("{:?}", results.file_labels())
     };
     assert!(
-        own.is_unchanged_preset() && !other.is_unchanged_preset(),
-        "λ = 0.1 is the preset's"
+        preset.is_unchanged_preset() && !changed.is_unchanged_preset(),
+        "λ = 0.1 is the value of the preset"
     );
-    for (condition, marked) in [(own, true), (other, false)] {
+    for (condition, is_paper) in [(preset, true), (changed, false)] {
         let charts = [
             figure.draw(condition).expect("a figure").chart,
             energy::harvest_chart(condition, &points),
-            energy::net_chart(condition, &points).expect("both were run"),
+            energy::net_chart(condition, &points).expect("random and adjusted have runs"),
             pareto::INFORMATION_TRADE_OFF.chart(&[condition]).expect("a picture"),
         ];
         for chart in &charts {
-            assert_eq!(chart.title.contains("Fig"), marked, "{}", chart.title);
-            assert_eq!(chart.title.contains("harvest.lambda = 0.2"), !marked, "{}", chart.title);
-            assert!(marked || !chart.caption.contains("paper states") && !chart.caption.contains("ollow"));
+            assert_eq!(chart.title.contains("Fig"), is_paper, "{}", chart.title);
+            assert_eq!(
+                chart.title.contains("harvest.lambda = 0.2"),
+                !is_paper,
+                "{}",
+                chart.title
+            );
+            assert!(is_paper || !chart.caption.contains("paper states") && !chart.caption.contains("ollow"));
         }
-        assert_eq!(charts.iter().any(|chart| !chart.marks.is_empty()), marked);
-        assert_eq!(charts.iter().any(|chart| !chart.spans.is_empty()), marked);
+        assert_eq!(charts.iter().any(|chart| !chart.marks.is_empty()), is_paper);
+        assert_eq!(charts.iter().any(|chart| !chart.spans.is_empty()), is_paper);
         check("not-the-paper", &charts[0].scene());
     }
 }

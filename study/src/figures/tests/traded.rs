@@ -1,4 +1,4 @@
-//! Tests of trade-offs against energy: information and delay, along N and along the settings of a knob.
+//! Tests of the trade-offs of information and delay against energy: along N, and along the values of a policy's field.
 
 use reveille_common::declare::NoFiles;
 use reveille_lab::table::{Hash, SweptValue};
@@ -8,7 +8,7 @@ use super::super::{front, pareto};
 use super::{Results, check, fixtures};
 
 #[test]
-fn delay_has_a_separate_picture_without_marks() {
+fn delay_has_a_separate_figure_without_marks() {
     let runs: [(&str, u32, &[f64]); 3] = [
         ("knn", 250, &[0.1, 0.2]),
         ("knn", 10, &[2.0, 2.5]),
@@ -37,7 +37,7 @@ fn delay_has_a_separate_picture_without_marks() {
 }
 
 #[test]
-fn the_energy_floor_is_at_the_information_of_the_genie() {
+fn the_energy_floor_has_the_information_of_the_genie() {
     let runs: [(&str, u32, &[f64]); 5] = [
         ("knn", 250, &[0.4, 0.5]),
         ("knn", 10, &[0.1, 0.1]),
@@ -60,19 +60,19 @@ fn the_energy_floor_is_at_the_information_of_the_genie() {
         ys.len() == 2 && (ys[0] - 0.41).abs() < 1e-12 && (ys[1] - 0.61).abs() < 1e-12,
         "{ys:?}"
     );
-    // 16 of 100 sense, and about 14 of 250.
+    // 16 of 100 devices sense, and about 14 of 250.
     let expected = (16.0 + 84.0 / 14.0 + 2.0) / 100.0;
     assert!((floor.points[0].x - expected).abs() < 1e-5, "{floor:?}");
     assert!((0.12..0.14).contains(&floor.points[1].x), "{floor:?}");
     let notes: Vec<&str> = chart.notes.iter().map(|note| note.text.as_str()).collect();
     let hundreds = notes.iter().filter(|text| **text == "100").count();
-    assert_eq!(hundreds, 2, "the genie's and the floor's: {notes:?}");
+    assert_eq!(hundreds, 2, "one note at the genie and one at the floor: {notes:?}");
     assert!(chart.caption.contains("Energy floor"), "{}", chart.caption);
     check("pareto-floor", &chart.scene());
 }
 
 #[test]
-fn settings_of_a_knob_are_a_line_for_each_n() {
+fn the_values_of_a_field_form_a_line_for_each_n() {
     let text = |value: &str| SweptValue::Text(value.to_owned());
     let runs: [(&str, u32, SweptValue, &[f64]); 6] = [
         ("random", 50, text("[8, 16]"), &[0.2, 0.22]),
@@ -89,15 +89,15 @@ fn settings_of_a_knob_are_a_line_for_each_n() {
         }
     }
     let results = Results::new(&[(name, table)], &NoFiles).expect("runs");
-    let all: Vec<&RunCondition> = results.conditions.iter().collect();
-    let fronts = front::draw_fronts(&all);
+    let conditions: Vec<&RunCondition> = results.conditions.iter().collect();
+    let fronts = front::draw_fronts(&conditions);
     let [front] = &fronts[..] else {
-        panic!("{:?}", fronts.iter().map(|f| f.n).collect::<Vec<_>>())
+        panic!("{:?}", fronts.iter().map(|front| front.n).collect::<Vec<_>>())
     };
     assert_eq!(
         (front.n, front.other_changes.len()),
         (50, 0),
-        "one setting at N = 10 is no line"
+        "N = 10 has one value, which is not a line"
     );
     let names: Vec<&str> = front.chart.series.iter().map(|line| line.name.as_str()).collect();
     assert_eq!(names, ["random", "genie", "relaxed bound", "energy floor"]);
@@ -106,7 +106,7 @@ fn settings_of_a_knob_are_a_line_for_each_n() {
     assert_eq!(
         front.chart.series[1].points.len(),
         1,
-        "the genie heeds no knob of random"
+        "the field of random does not affect the genie"
     );
     let notes: Vec<&str> = front.chart.notes.iter().map(|note| note.text.as_str()).collect();
     assert_eq!(notes, ["[8, 16]", "[2, 4]"]);

@@ -1,11 +1,12 @@
-//! Tests of the figure of a tuning.
+//! Tests of the figure of a tuning: legibility with crowded points and with a flat objective.
 
 use super::super::scene::SceneItem;
-use super::super::tuning::scene;
+use super::super::tuning;
 use super::check;
 use reveille_lab::tuning::{Evaluation, History, Ranges, Surface, TuningPoint, WeightPair};
 
-fn history(pairs: &[WeightPair], of: impl Fn(WeightPair) -> f64) -> History {
+/// Returns a history with the values of `objective` at `pairs`.
+fn history(pairs: &[WeightPair], objective: impl Fn(WeightPair) -> f64) -> History {
     let header = [
         ("objective", "balance: information (P1) − 1 × energy − 1 × share missed"),
         ("devices", "100"),
@@ -20,7 +21,7 @@ fn history(pairs: &[WeightPair], of: impl Fn(WeightPair) -> f64) -> History {
     let mut history = History::new(header.map(|(name, value)| (name.to_owned(), value.to_owned())).to_vec());
     for &weights in pairs {
         let evaluation = Evaluation {
-            objective: of(weights),
+            objective: objective(weights),
             objective_half: 0.01,
             information: 0.4,
             information_half: 0.01,
@@ -33,28 +34,33 @@ fn history(pairs: &[WeightPair], of: impl Fn(WeightPair) -> f64) -> History {
     history
 }
 
-fn surface(ranges: &Ranges, of: impl Fn(WeightPair) -> f64) -> Surface {
+fn surface(ranges: &Ranges, objective: impl Fn(WeightPair) -> f64) -> Surface {
     let middle = |i: u32| (f64::from(i) + 0.5) / 40.0;
-    let row = |j: u32| (0..40).map(|i| of(ranges.pair_at([middle(i), middle(j)]))).collect();
+    let row = |j: u32| {
+        (0..40)
+            .map(|i| objective(ranges.pair_at([middle(i), middle(j)])))
+            .collect()
+    };
     Surface {
         rows: (0..40).map(row).collect(),
     }
 }
 
+/// An objective with its maximum at μ1 = 6, μ2 = 2.
 fn hill([mu1, mu2]: WeightPair) -> f64 {
     let (x, y) = (libm::log(mu1 / 6.0), libm::log(mu2 / 2.0));
     0.3 - 0.02 * x * x - 0.1 * y * y
 }
 
 #[test]
-fn a_tuning_is_legible_even_where_pairs_crowd() {
+fn a_tuning_with_crowded_pairs_is_legible() {
     let ranges = Ranges::new((0.5, 20.0), (1.0, 5.0)).expect("ranges");
     let spread: [WeightPair; 6] = [[14.0, 1.6], [0.5, 1.0], [20.0, 5.0], [2.0, 3.0], [1.0, 4.9], [9.0, 2.5]];
     let crowd = (0..14).map(|i| [6.0 + 0.03 * f64::from(i), 2.0 + 0.004 * f64::from(i % 3)]);
     let pairs: Vec<WeightPair> = spread.into_iter().chain(crowd).collect();
-    let drawn = scene(&history(&pairs, hill), &ranges, &surface(&ranges, hill));
-    check("tuning", &drawn);
-    let texts: Vec<&str> = drawn
+    let scene = tuning::scene(&history(&pairs, hill), &ranges, &surface(&ranges, hill));
+    check("tuning", &scene);
+    let texts: Vec<&str> = scene
         .items
         .iter()
         .filter_map(|item| match item {
@@ -68,7 +74,7 @@ fn a_tuning_is_legible_even_where_pairs_crowd() {
             "number {number} is missing"
         );
     }
-    assert!(drawn.title.contains("N = 100") && drawn.description.contains("number 7: μ1 = 6, μ2 = 2"));
+    assert!(scene.title.contains("N = 100") && scene.description.contains("number 7: μ1 = 6, μ2 = 2"));
     let values = texts.iter().filter(|text| text.starts_with("0.")).count();
     assert!(values >= 5, "levels in the key and on lines: {texts:?}");
 }
@@ -77,10 +83,10 @@ fn a_tuning_is_legible_even_where_pairs_crowd() {
 fn a_flat_tuning_can_be_drawn() {
     let ranges = Ranges::new((1.0, 10.0), (1.0, 1000.0)).expect("ranges");
     let flat = |_: WeightPair| 0.25;
-    let drawn = scene(
+    let scene = tuning::scene(
         &history(&[[1.0, 1.0], [2.0, 10.0], [9.0, 900.0]], flat),
         &ranges,
         &surface(&ranges, flat),
     );
-    check("flat", &drawn);
+    check("flat", &scene);
 }

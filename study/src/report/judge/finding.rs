@@ -1,7 +1,7 @@
 //! Findings: our values of a claim's quantity at each N, with 95 % intervals. The rule in [`super`] judges them.
 
 use reveille_lab::metric_estimate::MetricEstimate;
-use reveille_lab::stats::{Moments, student_t_quantile};
+use reveille_lab::stats::{Moments, student_t_quantile_95};
 
 use crate::claims::{Claim, ClaimQuantity, ClaimTopic};
 use crate::figures::results::RunCondition;
@@ -181,7 +181,7 @@ fn paired_half_width(own: &MetricEstimate, theirs: &MetricEstimate, pairs: &[(f6
         moments.add(a - factor * b);
     }
     let deviation = moments.estimate()?.deviation;
-    Some(student_t_quantile(pairs.len() - 1) * deviation / (pairs.len() as f64).sqrt())
+    Some(student_t_quantile_95(pairs.len() - 1) * deviation / (pairs.len() as f64).sqrt())
 }
 
 #[cfg(test)]
@@ -191,7 +191,7 @@ mod tests {
 
     use super::*;
 
-    fn reading(values: &[f64]) -> MetricEstimate {
+    fn estimate_of(values: &[f64]) -> MetricEstimate {
         MetricEstimate {
             estimate: Estimate::from_values_or_nan(values.iter().copied()),
             case_counts: None,
@@ -205,41 +205,44 @@ mod tests {
         // b is half of a, except for ±0.1: residuals a − 2b of 0.2, −0.4, 0.2, whose deviation is √0.12.
         let (a, b) = ([2.0, 4.0, 6.0], [0.9, 2.2, 2.9]);
         let pairs: Vec<(f64, f64)> = a.into_iter().zip(b).collect();
-        let [value, low, high] = ratio(&reading(&a), &reading(&b), &pairs);
-        let half = 4.302_653 * 0.12_f64.sqrt() / 3.0_f64.sqrt() / 2.0;
+        let [value, low, high] = ratio(&estimate_of(&a), &estimate_of(&b), &pairs);
+        let half_width = 4.302_653 * 0.12_f64.sqrt() / 3.0_f64.sqrt() / 2.0;
         assert!((value - 2.0).abs() < 1e-12);
         assert!(
-            (low - (2.0 - half)).abs() < 1e-5 && (high - (2.0 + half)).abs() < 1e-5,
-            "{low} {high}"
+            (low - (2.0 - half_width)).abs() < 1e-5 && (high - (2.0 + half_width)).abs() < 1e-5,
+            "interval {low} to {high}"
         );
-        let [_, wide_low, wide_high] = ratio(&reading(&a), &reading(&b), &[]);
-        assert!(wide_low < low && high < wide_high, "the spread of the seeds is in it");
+        let [_, wide_low, wide_high] = ratio(&estimate_of(&a), &estimate_of(&b), &[]);
+        assert!(
+            wide_low < low && high < wide_high,
+            "without pairs, the interval includes the spread of the seeds"
+        );
     }
 
     #[test]
-    fn the_interval_of_a_gap_follows_from_differences() {
+    fn the_interval_of_a_gap_follows_from_differences_of_pairs() {
         let (a, b) = ([2.0, 4.0, 6.0], [1.0, 3.1, 4.9]);
         let pairs: Vec<(f64, f64)> = a.into_iter().zip(b).collect();
-        let [value, low, high] = gap(&reading(&b), &reading(&a), &pairs);
-        let half = 4.302_653 * 0.1 / 3.0_f64.sqrt();
+        let [value, low, high] = gap(&estimate_of(&b), &estimate_of(&a), &pairs);
+        let half_width = 4.302_653 * 0.1 / 3.0_f64.sqrt();
         assert!((value - 1.0).abs() < 1e-12);
-        assert!((low - (1.0 - half)).abs() < 1e-5 && (high - (1.0 + half)).abs() < 1e-5);
-        let [_, low, high] = gap(&reading(&[2.0]), &reading(&[1.0]), &[]);
-        assert_eq!((low, high), (0.0, f64::INFINITY), "one run tells no interval");
+        assert!((low - (1.0 - half_width)).abs() < 1e-5 && (high - (1.0 + half_width)).abs() < 1e-5);
+        let [_, low, high] = gap(&estimate_of(&[2.0]), &estimate_of(&[1.0]), &[]);
+        assert_eq!((low, high), (0.0, f64::INFINITY), "one run has no interval");
     }
 
     #[test]
     fn a_ratio_to_zero_is_defined() {
-        let none = MetricEstimate {
+        let no_cases = MetricEstimate {
             case_counts: Some(CaseCounts { cases: 0, events: 30 }),
             upper_bound: Some(0.1),
-            ..reading(&[0.0, 0.0])
+            ..estimate_of(&[0.0, 0.0])
         };
-        let [value, low, high] = ratio(&none, &none, &[(0.0, 0.0); 2]);
+        let [value, low, high] = ratio(&no_cases, &no_cases, &[(0.0, 0.0); 2]);
         assert!((value - 1.0).abs() < 1e-12 && low == 0.0 && high.is_infinite());
-        let [value, low, high] = ratio(&reading(&[4.0, 4.0]), &none, &[(4.0, 0.0); 2]);
+        let [value, low, high] = ratio(&estimate_of(&[4.0, 4.0]), &no_cases, &[(4.0, 0.0); 2]);
         assert!(value.is_infinite() && high.is_infinite() && (low - 40.0).abs() < 1e-9);
-        let [value, low, high] = ratio(&none, &reading(&[4.0, 4.0]), &[(0.0, 4.0); 2]);
+        let [value, low, high] = ratio(&no_cases, &estimate_of(&[4.0, 4.0]), &[(0.0, 4.0); 2]);
         assert!(value == 0.0 && low == 0.0 && (high - 0.025).abs() < 1e-12);
     }
 }

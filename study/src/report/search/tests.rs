@@ -1,4 +1,5 @@
-//! Tests with rankings known by construction.
+//! Tests of [`SettingRanking`] on sweeps of α whose order of settings is known: energies as in the paper, close to it
+//! and far from it.
 
 use reveille_common::declare::NoFiles;
 use reveille_lab::table::{SweptValue, Table};
@@ -8,7 +9,7 @@ use crate::figures::results::{Results, fixtures};
 use crate::report::search::markdown::markdown;
 
 /// Creates a sweep of α with the energy of knn and random, for N = 10 and 250.
-fn swept(settings: &[(f64, [f64; 4])]) -> (String, Table) {
+fn alpha_sweep(settings: &[(f64, [f64; 4])]) -> (String, Table) {
     let mut runs: Vec<(&str, u32, SweptValue, Vec<f64>)> = Vec::new();
     for (alpha, [knn_few, knn_many, random_few, random_many]) in settings {
         for (policy, n, energy) in [
@@ -27,16 +28,16 @@ fn swept(settings: &[(f64, [f64; 4])]) -> (String, Table) {
     fixtures::swept("paper", "energy_per_device_tti", "events.alpha", &runs)
 }
 
-/// Energies of both policies: as in the paper, close to it, and far from it.
+/// Energies of knn at N = 10 and 250 and of random at both: as in the paper, close to it, and far from it.
 const AS_STATED: [f64; 4] = [0.5, 0.145, 0.34, 0.19];
-const NEXT_TO_IT: [f64; 4] = [0.5, 0.165, 0.39, 0.25];
-const ELSEWHERE: [f64; 4] = [0.9, 0.95, 0.9, 0.1];
+const CLOSE: [f64; 4] = [0.5, 0.165, 0.39, 0.25];
+const FAR: [f64; 4] = [0.9, 0.95, 0.9, 0.1];
 
-fn results(settings: &[(f64, [f64; 4])]) -> Results {
-    Results::new(&[swept(settings)], &NoFiles).expect("runs")
+fn results_of(settings: &[(f64, [f64; 4])]) -> Results {
+    Results::new(&[alpha_sweep(settings)], &NoFiles).expect("runs")
 }
 
-fn alphas(ranking: &SettingRanking<'_>) -> Vec<String> {
+fn ranked_alphas(ranking: &SettingRanking<'_>) -> Vec<String> {
     let values = ranking
         .settings
         .iter()
@@ -46,25 +47,25 @@ fn alphas(ranking: &SettingRanking<'_>) -> Vec<String> {
 
 #[test]
 fn settings_that_meet_more_claims_come_first() {
-    let results = results(&[(0.3, ELSEWHERE), (0.1, NEXT_TO_IT), (0.4, AS_STATED)]);
+    let results = results_of(&[(0.3, FAR), (0.1, CLOSE), (0.4, AS_STATED)]);
     let ranking = SettingRanking::new(ClaimReport::new(&results));
-    assert_eq!(alphas(&ranking), ["0.4", "0.1", "0.3"]);
-    let places: Vec<usize> = ranking.settings.iter().map(|setting| setting.rank).collect();
-    assert_eq!(places, [1, 2, 3]);
+    assert_eq!(ranked_alphas(&ranking), ["0.4", "0.1", "0.3"]);
+    let ranks: Vec<usize> = ranking.settings.iter().map(|setting| setting.rank).collect();
+    assert_eq!(ranks, [1, 2, 3]);
     let met: Vec<usize> = ranking.settings.iter().map(|setting| setting.search.met).collect();
     assert!(met[0] > met[1] && met[1] > met[2], "{met:?}");
 }
 
 #[test]
-fn a_score_counts_the_verdicts_of_its_half_by_number() {
-    let results = results(&[(0.3, ELSEWHERE), (0.4, AS_STATED)]);
+fn a_score_counts_the_verdicts_of_its_half_of_the_claims() {
+    let results = results_of(&[(0.3, FAR), (0.4, AS_STATED)]);
     let ranking = SettingRanking::new(ClaimReport::new(&results));
     for setting in &ranking.settings {
         let (mut even, mut odd) = ([0; 3], [0; 3]);
-        for (index, line) in ranking.report.rows.iter().enumerate() {
-            // The first claim has the number 1.
+        for (index, row) in ranking.report.rows.iter().enumerate() {
+            // The first claim has number 1, so the second is the first even one.
             let half = if index % 2 == 1 { &mut even } else { &mut odd };
-            match line.assessments[setting.column].verdict {
+            match row.assessments[setting.column].verdict {
                 Verdict::Reproduced => (half[0], half[2]) = (half[0] + 1, half[2] + 1),
                 Verdict::Near => (half[1], half[2]) = (half[1] + 1, half[2] + 1),
                 Verdict::OrderReproduced | Verdict::NotReproduced => half[2] += 1,
@@ -75,18 +76,21 @@ fn a_score_counts_the_verdicts_of_its_half_by_number() {
         assert_eq!([met, near, judged], even);
         let HalfScore { met, near, judged } = setting.held_out;
         assert_eq!([met, near, judged], odd);
-        assert!(even[2] > 5 && odd[2] > 5, "both halves were run");
+        assert!(
+            even[2] > 5 && odd[2] > 5,
+            "too few claims with runs: even {even:?}, odd {odd:?}"
+        );
     }
 }
 
-/// Returns the ranking after the verdicts of one half are set to the worst.
-fn ranked_without(ranking: &SettingRanking<'_>, half: ClaimHalf) -> Vec<usize> {
+/// Returns the columns in order of rank, after the verdicts of one half are set to the worst.
+fn columns_ranked_without(ranking: &SettingRanking<'_>, half: ClaimHalf) -> Vec<usize> {
     let mut report = ranking.report.clone();
-    for (number, line) in (1..).zip(&mut report.rows) {
+    for (number, row) in (1..).zip(&mut report.rows) {
         if ClaimHalf::of_number(number) == half {
-            for ours in &mut line.assessments {
-                ours.verdict = Verdict::NotReproduced;
-                ours.deviation = f64::INFINITY;
+            for assessment in &mut row.assessments {
+                assessment.verdict = Verdict::NotReproduced;
+                assessment.deviation = f64::INFINITY;
             }
         }
     }
@@ -96,26 +100,26 @@ fn ranked_without(ranking: &SettingRanking<'_>, half: ClaimHalf) -> Vec<usize> {
 
 #[test]
 fn the_held_out_half_does_not_affect_the_ranking() {
-    let results = results(&[(0.3, ELSEWHERE), (0.1, NEXT_TO_IT), (0.4, AS_STATED)]);
+    let results = results_of(&[(0.3, FAR), (0.1, CLOSE), (0.4, AS_STATED)]);
     let ranking = SettingRanking::new(ClaimReport::new(&results));
     let ranked: Vec<usize> = ranking.settings.iter().map(|setting| setting.column).collect();
-    assert_eq!(ranked_without(&ranking, ClaimHalf::HeldOut), ranked);
+    assert_eq!(columns_ranked_without(&ranking, ClaimHalf::HeldOut), ranked);
     let unranked: Vec<usize> = (0..ranking.settings.len()).collect();
     assert_eq!(
-        ranked_without(&ranking, ClaimHalf::Search),
+        columns_ranked_without(&ranking, ClaimHalf::Search),
         unranked,
-        "nothing else ranks"
+        "the held-out half changed the ranking"
     );
     assert_ne!(ranked, unranked);
 }
 
 #[test]
-fn equal_scores_share_a_place_and_presets_are_always_shown() {
-    // λ = 0.1 is the preset's; the two settings before it are better and equal.
-    let results = results(&[(0.3, AS_STATED), (0.4, AS_STATED), (0.2, ELSEWHERE)]);
+fn equal_scores_share_a_rank_and_presets_are_always_shown() {
+    // α = 0.2 is the value of the preset; the two settings before it are better and equal.
+    let results = results_of(&[(0.3, AS_STATED), (0.4, AS_STATED), (0.2, FAR)]);
     let ranking = SettingRanking::new(ClaimReport::new(&results));
-    let places: Vec<usize> = ranking.settings.iter().map(|setting| setting.rank).collect();
-    assert_eq!(places, [1, 1, 3]);
+    let ranks: Vec<usize> = ranking.settings.iter().map(|setting| setting.rank).collect();
+    assert_eq!(ranks, [1, 1, 3]);
     assert_eq!(ranking.label(ranking.settings[2].column), "paper");
     let shown: Vec<usize> = ranking.settings_to_show(1).map(|setting| setting.rank).collect();
     assert_eq!(shown, [1, 3], "the best and the preset");
@@ -124,22 +128,24 @@ fn equal_scores_share_a_place_and_presets_are_always_shown() {
 }
 
 #[test]
-fn unmet_claims_have_the_closest_value() {
+fn unmet_claims_have_the_setting_with_the_closest_value() {
     let far = [0.5, 0.145, 0.34, 0.10];
     let near = [0.5, 0.145, 0.34, 0.17];
-    let results = results(&[(0.3, far), (0.4, near)]);
+    let results = results_of(&[(0.3, far), (0.4, near)]);
     let ranking = SettingRanking::new(ClaimReport::new(&results));
     let unmet = ranking.unmet();
-    let own = unmet
+    let random_claim = unmet
         .iter()
         .find(|unmet| unmet.row.policy == "random" && unmet.row.stated == "> 0.18");
-    let own = own.expect("0.1 and 0.17 are not above 0.18");
-    assert_eq!(ranking.value(own.closest, "events.alpha"), Some("0.4"));
+    let random_claim = random_claim.expect("0.1 and 0.17 are not above 0.18");
+    assert_eq!(ranking.value(random_claim.closest, "events.alpha"), Some("0.4"));
     assert!(
-        own.row.assessments[own.closest].measured.starts_with("0.170"),
-        "{own:?}"
+        random_claim.row.assessments[random_claim.closest]
+            .measured
+            .starts_with("0.170"),
+        "{random_claim:?}"
     );
-    assert!(ranking.report.rows[own.number - 1] == *own.row);
+    assert!(ranking.report.rows[random_claim.number - 1] == *random_claim.row);
     assert!(
         !unmet
             .iter()
@@ -150,14 +156,14 @@ fn unmet_claims_have_the_closest_value() {
     assert_eq!(counts.unmet, unmet.len());
     let page = markdown(&ranking, 20, "reveille report search a");
     assert!(
-        page.contains(&format!("| {} | Fig. 8 | random | N = 250 |", own.number)),
+        page.contains(&format!("| {} | Fig. 8 | random | N = 250 |", random_claim.number)),
         "{page}"
     );
 }
 
 #[test]
-fn a_value_has_the_mean_of_its_settings() {
-    let results = results(&[(0.3, ELSEWHERE), (0.4, AS_STATED)]);
+fn the_effect_of_a_value_is_the_mean_over_its_settings() {
+    let results = results_of(&[(0.3, FAR), (0.4, AS_STATED)]);
     let ranking = SettingRanking::new(ClaimReport::new(&results));
     let effects = ranking.effects();
     let [first, second] = &effects[..] else {
@@ -177,16 +183,19 @@ fn a_value_has_the_mean_of_its_settings() {
 }
 
 #[test]
-fn halves_that_rise_together_correlate() {
-    let results = results(&[(0.3, ELSEWHERE), (0.1, NEXT_TO_IT), (0.4, AS_STATED)]);
+fn the_correlation_of_halves_equals_a_calculation_by_hand() {
+    let results = results_of(&[(0.3, FAR), (0.1, CLOSE), (0.4, AS_STATED)]);
     let mut ranking = SettingRanking::new(ClaimReport::new(&results));
-    let met = [(1, 2), (2, 4), (3, 9)];
-    for (setting, (chosen, checked)) in ranking.settings.iter_mut().zip(met) {
-        (setting.search.met, setting.held_out.met) = (chosen, checked);
+    let met_claims = [(1, 2), (2, 4), (3, 9)];
+    for (setting, (search, held_out)) in ranking.settings.iter_mut().zip(met_claims) {
+        (setting.search.met, setting.held_out.met) = (search, held_out);
     }
     // Deviations -1, 0, 1 and -3, -1, 4: 7 / √(2 · 26).
-    let found = ranking.correlation().expect("they differ");
-    assert!((found - 7.0 / 52.0_f64.sqrt()).abs() < 1e-12, "{found}");
+    let correlation = ranking.correlation().expect("different scores");
+    assert!(
+        (correlation - 7.0 / 52.0_f64.sqrt()).abs() < 1e-12,
+        "correlation {correlation}"
+    );
     for setting in &mut ranking.settings {
         setting.held_out.met = 5;
     }
@@ -194,18 +203,18 @@ fn halves_that_rise_together_correlate() {
 }
 
 #[test]
-fn the_parts_of_a_page_hold_what_the_page_of_the_search_holds() {
-    let results = results(&[(0.3, ELSEWHERE), (0.4, AS_STATED)]);
+fn page_sections_have_the_tables_of_the_whole_page() {
+    let results = results_of(&[(0.3, FAR), (0.4, AS_STATED)]);
     let ranking = SettingRanking::new(ClaimReport::new(&results));
-    let whole = markdown(&ranking, 5, "command");
-    for part in super::markdown::page_sections(&ranking, 5, "command") {
-        let rows = part.body.lines().filter(|line| line.starts_with("| "));
-        assert!(rows.clone().all(|row| whole.contains(row)), "{}", part.name);
+    let whole_page = markdown(&ranking, 5, "command");
+    for section in super::markdown::page_sections(&ranking, 5, "command") {
+        let rows = section.body.lines().filter(|line| line.starts_with("| "));
+        assert!(rows.clone().all(|row| whole_page.contains(row)), "{}", section.name);
         assert!(
-            !part.body.trim().is_empty() && !part.body.contains("\n## "),
+            !section.body.trim().is_empty() && !section.body.contains("\n## "),
             "{}: {}",
-            part.name,
-            part.body
+            section.name,
+            section.body
         );
     }
 }

@@ -31,7 +31,6 @@ pub struct ForwardPass {
     weights: Arc<ModelWeights>,
     vector_width: VectorWidth,
     devices: usize,
-    /// Number of TTIs processed so far.
     ttis_processed: usize,
     /// Keys by TTI modulo Z, `[Z, N, d]`.
     keys: Vec<f32>,
@@ -49,7 +48,6 @@ pub struct ForwardPass {
     outputs: Vec<f32>,
     /// Weights of the last temporal attention, `[N, heads, Z]` by lag.
     attention: Vec<f32>,
-    /// Key-value sums by head.
     key_value_sums: Vec<KeyValueSum>,
     /// Mean over devices, followed by a target: `[d + 1]`.
     pooled: Vec<f32>,

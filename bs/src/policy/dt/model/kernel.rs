@@ -128,38 +128,40 @@ pub(super) struct ColumnSlice {
     pub stride: usize,
 }
 
-/// Computes `out = x · weight + bias` tile by tile, for each row of the columns `from` of `x` and `to` of `out`.
+/// Computes `out = x · weight + bias` tile by tile, for each row. Reads only `x_columns` of `x` and writes only
+/// `out_columns` of `out`.
 #[inline(always)]
 fn multiply(
     weight: &[[f32; TILE_COLUMNS]],
     bias: &[[f32; TILE_COLUMNS]],
     x: &[f32],
-    from: ColumnSlice,
+    x_columns: ColumnSlice,
     out: &mut [f32],
-    to: ColumnSlice,
+    out_columns: ColumnSlice,
 ) {
-    let mut xs = x.chunks_exact(BLOCK_ROWS * from.stride);
-    let mut outs = out.chunks_exact_mut(BLOCK_ROWS * to.stride);
+    let mut xs = x.chunks_exact(BLOCK_ROWS * x_columns.stride);
+    let mut outs = out.chunks_exact_mut(BLOCK_ROWS * out_columns.stride);
     for (x, out) in xs.by_ref().zip(outs.by_ref()) {
-        multiply_rows::<BLOCK_ROWS>(weight, bias, x, from, out, to);
+        multiply_rows::<BLOCK_ROWS>(weight, bias, x, x_columns, out, out_columns);
     }
-    let rest = xs.remainder().chunks_exact(from.stride);
-    for (x, out) in rest.zip(outs.into_remainder().chunks_exact_mut(to.stride)) {
-        multiply_rows::<1>(weight, bias, x, from, out, to);
+    let rest = xs.remainder().chunks_exact(x_columns.stride);
+    for (x, out) in rest.zip(outs.into_remainder().chunks_exact_mut(out_columns.stride)) {
+        multiply_rows::<1>(weight, bias, x, x_columns, out, out_columns);
     }
 }
 
+/// Does the work of [`multiply`] for exactly `R` rows.
 #[inline(always)]
 fn multiply_rows<const R: usize>(
     weight: &[[f32; TILE_COLUMNS]],
     bias: &[[f32; TILE_COLUMNS]],
     x: &[f32],
-    from: ColumnSlice,
+    x_columns: ColumnSlice,
     out: &mut [f32],
-    to: ColumnSlice,
+    out_columns: ColumnSlice,
 ) {
-    let inputs = from.width;
-    let rows: [&[f32]; R] = std::array::from_fn(|row| &x[row * from.stride + from.start..][..inputs]);
+    let inputs = x_columns.width;
+    let rows: [&[f32]; R] = std::array::from_fn(|row| &x[row * x_columns.stride + x_columns.start..][..inputs]);
     for (tile, (weights, bias)) in weight.chunks_exact(inputs).zip(bias).enumerate() {
         // Each output is summed in the order of `i` for any R, so the rows of a remainder have the same bits.
         let mut sums = [*bias; R];
@@ -172,8 +174,8 @@ fn multiply_rows<const R: usize>(
             }
         }
         let start = tile * TILE_COLUMNS;
-        for (sums, out) in sums.iter().zip(out.chunks_exact_mut(to.stride)) {
-            let out = &mut out[to.start..][..to.width][start..];
+        for (sums, out) in sums.iter().zip(out.chunks_exact_mut(out_columns.stride)) {
+            let out = &mut out[out_columns.start..][..out_columns.width][start..];
             // The last tile is wider than the remaining outputs.
             if let Some(whole) = out.first_chunk_mut() {
                 *whole = *sums;
@@ -196,7 +198,6 @@ pub(super) struct KeyValueSum {
 }
 
 impl KeyValueSum {
-    /// Creates the sums for heads of this width.
     pub(super) fn new(width: usize) -> Self {
         let tiles = width.div_ceil(TILE_COLUMNS);
         Self {
@@ -254,7 +255,6 @@ impl KeyValueSum {
     }
 }
 
-/// Returns `row` padded with zeros.
 fn pad_to_tile(row: &[f32]) -> [f32; TILE_COLUMNS] {
     let mut tile = [0.0; TILE_COLUMNS];
     tile[..row.len()].copy_from_slice(row);
@@ -302,7 +302,6 @@ pub(super) fn weighted_mean<'r>(out: &mut [f32], shares: &[f32], row: impl Fn(us
 /// Offset that keeps the norms of tokens finite.
 pub const NORM_EPSILON: f32 = 1e-5;
 
-/// `x += y`.
 #[inline(always)]
 pub(super) fn add(x: &mut [f32], y: &[f32]) {
     for (x, y) in x.iter_mut().zip(y) {
@@ -388,38 +387,42 @@ mod tests {
     use super::*;
     use reveille_common::rng::{Purpose, Stream};
 
-    fn numbers(count: usize, id: u64) -> Vec<f32> {
+    fn random_values(count: usize, id: u64) -> Vec<f32> {
         let mut stream = Stream::new(7, Purpose::Training, id);
         (0..count).map(|_| (2.0 * stream.unit() - 1.0) as f32).collect()
     }
 
     #[test]
-    fn a_linear_map_is_the_sum_of_products_by_rising_index() {
+    fn linear_adds_products_in_order_of_their_index() {
         for (rows, inputs, outputs) in [(1, 3, 1), (4, 20, 32), (7, 32, 64), (9, 5, 17)] {
-            let (x, weight) = (numbers(rows * inputs, 1), numbers(inputs * outputs, 2));
-            let bias = numbers(outputs, 3);
+            let (x, weight) = (random_values(rows * inputs, 1), random_values(inputs * outputs, 2));
+            let bias = random_values(outputs, 3);
             let mut out = vec![0.0; rows * outputs];
             Linear::new(inputs, &weight, &bias).apply(&x, &mut out);
             for row in 0..rows {
                 for column in 0..outputs {
-                    let mut sum = bias[column];
+                    let mut expected = bias[column];
                     for i in 0..inputs {
-                        sum += x[row * inputs + i] * weight[i * outputs + column];
+                        expected += x[row * inputs + i] * weight[i * outputs + column];
                     }
-                    assert_eq!(out[row * outputs + column].to_bits(), sum.to_bits());
+                    assert_eq!(
+                        out[row * outputs + column].to_bits(),
+                        expected.to_bits(),
+                        "{rows} rows of {inputs} to {outputs}: output {column} of row {row}"
+                    );
                 }
             }
         }
     }
 
     #[test]
-    fn exponentials_are_right() {
+    fn exp_is_accurate_to_single_precision() {
         for step in -87_000..=20_000 {
             let x = step as f32 / 1000.0;
             let exact = libm::exp(f64::from(x));
             assert!(
                 (f64::from(exp(x)) / exact - 1.0).abs() < 2.5e-7,
-                "{x}: {}, not {exact}",
+                "exp({x}) = {}, not {exact}",
                 exp(x)
             );
         }
@@ -428,15 +431,19 @@ mod tests {
     }
 
     #[test]
-    fn norms_are_one_and_products_are_sums() {
-        let (x, scale) = (numbers(64, 4), vec![1.0; 32]);
+    fn rms_norm_gives_mean_square_one_and_dot_adds_products() {
+        let (x, scale) = (random_values(64, 4), vec![1.0; 32]);
         let mut out = vec![0.0; 64];
         rms_norm(&x, &scale, &mut out);
         for row in out.chunks(32) {
-            let mean = row.iter().map(|x| f64::from(x * x)).sum::<f64>() / 32.0;
-            assert!((mean - 1.0).abs() < 1e-3, "{mean}");
+            let mean_square = row.iter().map(|x| f64::from(x * x)).sum::<f64>() / 32.0;
+            assert!((mean_square - 1.0).abs() < 1e-3, "mean square {mean_square}");
         }
-        let exact: f64 = x.iter().zip(&out).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum();
-        assert!((f64::from(dot(&x, &out)) - exact).abs() < 1e-4);
+        let expected: f64 = x.iter().zip(&out).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum();
+        assert!(
+            (f64::from(dot(&x, &out)) - expected).abs() < 1e-4,
+            "dot product {}, not {expected}",
+            dot(&x, &out)
+        );
     }
 }

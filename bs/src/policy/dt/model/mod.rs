@@ -13,9 +13,7 @@ pub use kernel::{NORM_EPSILON, VectorWidth};
 
 /// Largest number of TTIs that a model can look back, including its own.
 pub(crate) const MAX_MEMORY: u64 = 64;
-/// Largest width of a model.
 pub(crate) const MAX_WIDTH: u64 = 256;
-/// Largest number of heads of a model.
 pub(crate) const MAX_HEADS: u64 = 16;
 /// Width of the layers between attentions, in widths of the model.
 pub(crate) const EXPANSION: usize = 2;
@@ -73,7 +71,7 @@ impl ModelShape {
         objective: ModelObjective::Events,
     };
 
-    /// Returns whether a model can have this shape.
+    /// Returns whether each size is above 0 and within its limit, and the width is a multiple of 4 · `heads`.
     pub fn is_valid(&self) -> bool {
         let within = |value: usize, max: u64| value > 0 && value as u64 <= max;
         within(self.memory, MAX_MEMORY)

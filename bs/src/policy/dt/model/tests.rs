@@ -1,5 +1,5 @@
-//! Tests of the model against a second calculation in double precision that keeps nothing between TTIs, and with
-//! invalid files.
+//! Tests of [`ForwardPass`] against a second calculation in double precision that keeps no state between TTIs, and of
+//! [`ModelWeights`] with invalid files. Training is tested in the crate `lab`.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -16,7 +16,7 @@ use super::{ModelObjective, ModelShape, OUTPUTS};
 
 type Tensors = BTreeMap<&'static str, (Vec<usize>, Vec<f32>)>;
 
-fn random(shape: ModelShape) -> Tensors {
+fn random_tensors(shape: ModelShape) -> Tensors {
     let tensor = |(id, (name, size)): (u64, (&'static str, Vec<usize>))| {
         let mut stream = Stream::new(11, Purpose::Training, id);
         let count = size.iter().product();
@@ -26,7 +26,8 @@ fn random(shape: ModelShape) -> Tensors {
     (0..).zip(shape.tensors()).map(tensor).collect()
 }
 
-fn bytes(shape: ModelShape, tensors: &Tensors) -> Vec<u8> {
+/// Returns a model file with `tensors`.
+fn model_file(shape: ModelShape, tensors: &Tensors) -> Vec<u8> {
     let data: Vec<(&str, Vec<usize>, Vec<u8>)> = tensors
         .iter()
         .map(|(name, (size, values))| {
@@ -40,11 +41,12 @@ fn bytes(shape: ModelShape, tensors: &Tensors) -> Vec<u8> {
             TensorView::new(Dtype::F32, size.clone(), bytes).expect("a tensor"),
         )
     });
-    let about = [(METADATA_KEY.to_owned(), encode_metadata(shape, &BTreeMap::new()))];
-    safetensors::serialize(views, Some(about.into_iter().collect())).expect("a file")
+    let metadata = [(METADATA_KEY.to_owned(), encode_metadata(shape, &BTreeMap::new()))];
+    safetensors::serialize(views, Some(metadata.into_iter().collect())).expect("a file")
 }
 
-fn tokens(n: usize, ttis: usize) -> Vec<Vec<f32>> {
+/// Returns random tokens of `n` devices for each of `ttis` TTIs.
+fn random_tokens(n: usize, ttis: usize) -> Vec<Vec<f32>> {
     let mut stream = Stream::new(12, Purpose::Training, 0);
     (0..ttis)
         .map(|_| {
@@ -80,8 +82,9 @@ impl Reference<'_> {
             .collect()
     }
 
-    fn mix(&self, x: &[f64], of: &str) -> Vec<f64> {
-        let name = |part: &str| format!("{of}.mix.{part}");
+    /// Applies the feed-forward block of `layer`, with its residual connection.
+    fn mix(&self, x: &[f64], layer: &str) -> Vec<f64> {
+        let name = |part: &str| format!("{layer}.mix.{part}");
         let mut inner = self.linear(
             &self.norm(x, &name("norm")),
             &name("in.weight"),
@@ -101,7 +104,7 @@ impl Reference<'_> {
     }
 
     /// Returns the state of device `j` in the last of `ttis`, after it has attended to earlier TTIs.
-    fn in_time(&self, ttis: &[Vec<f32>], j: usize) -> Vec<f64> {
+    fn attend_across_ttis(&self, ttis: &[Vec<f32>], j: usize) -> Vec<f64> {
         let ModelShape {
             memory, width, heads, ..
         } = self.1;
@@ -113,19 +116,19 @@ impl Reference<'_> {
             .collect();
         let normed: Vec<Vec<f64>> = states.iter().map(|state| self.norm(state, "time.norm")).collect();
         let query = self.linear(&normed[0], "time.query", None);
-        let own = width / heads;
+        let head_width = width / heads;
         let mut gathered = vec![0.0; width];
         for head in 0..heads {
-            let of = head * own..(head + 1) * own;
+            let columns = head * head_width..(head + 1) * head_width;
             let score = |(lag, state): (usize, &Vec<f64>)| {
                 let key = self.linear(state, "time.key", None);
-                let product: f64 = of.clone().map(|i| query[i] * key[i]).sum();
-                libm::exp(product / (own as f64).sqrt() + f64::from(self.0["time.bias"].1[head * memory + lag]))
+                let product: f64 = columns.clone().map(|i| query[i] * key[i]).sum();
+                libm::exp(product / (head_width as f64).sqrt() + f64::from(self.0["time.bias"].1[head * memory + lag]))
             };
             let scores: Vec<f64> = normed.iter().enumerate().map(score).collect();
             for (score, state) in scores.iter().zip(&normed) {
                 let value = self.linear(state, "time.value", None);
-                for i in of.clone() {
+                for i in columns.clone() {
                     gathered[i] += score / scores.iter().sum::<f64>() * value[i];
                 }
             }
@@ -138,27 +141,27 @@ impl Reference<'_> {
     /// Returns the states after devices have attended to each other, by the weight of every pair.
     fn attend_across_devices(&self, states: &[Vec<f64>]) -> Vec<Vec<f64>> {
         let ModelShape { width, heads, .. } = self.1;
-        let own = width / heads;
+        let head_width = width / heads;
         let normed: Vec<Vec<f64>> = states.iter().map(|state| self.norm(state, "space.norm")).collect();
         let feature = |x: Vec<f64>| {
             x.into_iter()
                 .map(|x| x.max(0.0) + f64::from(MIN_FEATURE))
                 .collect::<Vec<_>>()
         };
-        let all = |name: &str| normed.iter().map(|x| self.linear(x, name, None)).collect::<Vec<_>>();
-        let queries: Vec<Vec<f64>> = all("space.query").into_iter().map(feature).collect();
-        let keys: Vec<Vec<f64>> = all("space.key").into_iter().map(feature).collect();
-        let values = all("space.value");
-        let one = |(state, query): (&Vec<f64>, &Vec<f64>)| {
+        let project = |name: &str| normed.iter().map(|x| self.linear(x, name, None)).collect::<Vec<_>>();
+        let queries: Vec<Vec<f64>> = project("space.query").into_iter().map(feature).collect();
+        let keys: Vec<Vec<f64>> = project("space.key").into_iter().map(feature).collect();
+        let values = project("space.value");
+        let attend = |(state, query): (&Vec<f64>, &Vec<f64>)| {
             let mut gathered = vec![0.0; width];
             for head in 0..heads {
-                let of = head * own..(head + 1) * own;
+                let columns = head * head_width..(head + 1) * head_width;
                 let weights: Vec<f64> = keys
                     .iter()
-                    .map(|key| of.clone().map(|i| query[i] * key[i]).sum())
+                    .map(|key| columns.clone().map(|i| query[i] * key[i]).sum())
                     .collect();
                 for (weight, value) in weights.iter().zip(&values) {
-                    for i in of.clone() {
+                    for i in columns.clone() {
                         gathered[i] += weight / weights.iter().sum::<f64>() * value[i];
                     }
                 }
@@ -167,12 +170,12 @@ impl Reference<'_> {
             let attended: Vec<f64> = state.iter().zip(out).map(|(x, y)| x + y).collect();
             self.mix(&attended, "space")
         };
-        states.iter().zip(&queries).map(one).collect()
+        states.iter().zip(&queries).map(attend).collect()
     }
 
     /// Returns the outputs of all devices and the price for `target` in the last of `ttis`.
     fn step(&self, ttis: &[Vec<f32>], n: usize, target: f64) -> (Vec<f64>, f64) {
-        let mut states: Vec<Vec<f64>> = (0..n).map(|j| self.in_time(ttis, j)).collect();
+        let mut states: Vec<Vec<f64>> = (0..n).map(|j| self.attend_across_ttis(ttis, j)).collect();
         if self.1.attends_to_devices {
             states = self.attend_across_devices(&states);
         }
@@ -194,52 +197,60 @@ impl Reference<'_> {
 }
 
 #[test]
-fn every_width_of_instructions_gives_the_same_bits() {
+fn every_vector_width_gives_the_same_bits() {
     let n = 53;
-    let weights =
-        Arc::new(ModelWeights::read(&bytes(ModelShape::SHIPPED, &random(ModelShape::SHIPPED))).expect("a model"));
-    let run = |width: VectorWidth| -> Vec<u32> {
+    let weights = Arc::new(
+        ModelWeights::read(&model_file(ModelShape::SHIPPED, &random_tensors(ModelShape::SHIPPED))).expect("a model"),
+    );
+    let outputs_with = |width: VectorWidth| -> Vec<u32> {
         let mut forward = ForwardPass::new(Arc::clone(&weights), n).with_vector_width(width);
         let step = |tokens: &Vec<f32>| {
-            let mut numbers = forward.step(tokens).to_vec();
-            numbers.extend_from_slice(forward.attention());
-            numbers.push(forward.log_price(0.5));
-            numbers
+            let mut outputs = forward.step(tokens).to_vec();
+            outputs.extend_from_slice(forward.attention());
+            outputs.push(forward.log_price(0.5));
+            outputs
         };
-        tokens(n, 12).iter().flat_map(step).map(f32::to_bits).collect()
+        random_tokens(n, 12).iter().flat_map(step).map(f32::to_bits).collect()
     };
     let widths = VectorWidth::supported();
-    println!("{widths:?}");
-    let first = run(widths[0]);
+    // Which widths are supported depends on the machine.
+    println!("supported: {widths:?}");
+    let first = outputs_with(widths[0]);
     for width in &widths[1..] {
-        assert!(run(*width) == first, "{width:?}");
+        assert!(outputs_with(*width) == first, "{width:?} differs from {:?}", widths[0]);
     }
 }
 
 #[test]
-fn a_step_is_the_sum_that_it_stands_for() {
-    let usual = ModelShape::SHIPPED;
+fn a_step_equals_the_reference_model() {
+    let shipped = ModelShape::SHIPPED;
     let shapes = [
         (4, 16, 2, true, 7),
         (1, 8, 1, true, 1),
         (8, 32, 4, false, 5),
-        (usual.memory, usual.width, usual.heads, usual.attends_to_devices, 9),
+        (
+            shipped.memory,
+            shipped.width,
+            shipped.heads,
+            shipped.attends_to_devices,
+            9,
+        ),
         // Heads wider than a vector, and of a width that is not a multiple of one.
         (3, 40, 2, true, 6),
         (2, 72, 2, true, 3),
     ];
-    for (memory, width, heads, has_space, n) in shapes {
+    for (memory, width, heads, attends_to_devices, n) in shapes {
         let shape = ModelShape {
             memory,
             width,
             heads,
-            attends_to_devices: has_space,
+            attends_to_devices,
             objective: ModelObjective::Events,
         };
-        let tensors = random(shape);
-        let weights = Arc::new(ModelWeights::read(&bytes(shape, &tensors)).expect("a model"));
+        let tensors = random_tensors(shape);
+        let weights = Arc::new(ModelWeights::read(&model_file(shape, &tensors)).expect("a model"));
         let mut forward = ForwardPass::new(weights, n);
-        let ttis = tokens(n, 11);
+        let ttis = random_tokens(n, 11);
         for k in 0..ttis.len() {
             let logs = forward.step(&ttis[k]).to_vec();
             assert_eq!(logs.len(), n * OUTPUTS);
@@ -248,84 +259,99 @@ fn a_step_is_the_sum_that_it_stands_for() {
             for (log, expected) in logs.iter().zip(&expected) {
                 assert!(
                     (f64::from(*log) - expected).abs() < 1e-4,
-                    "{shape:?}, TTI {k}: {log}, not {expected}"
+                    "{shape:?}, TTI {k}: output {log}, not {expected}"
                 );
             }
-            assert!((price - expected_price).abs() < 1e-4, "{price}, not {expected_price}");
+            assert!(
+                (price - expected_price).abs() < 1e-4,
+                "{shape:?}, TTI {k}: price {price}, not {expected_price}"
+            );
             for shares in forward.attention().chunks(memory) {
-                let (seen, unseen) = shares.split_at((k + 1).min(memory));
-                assert!((seen.iter().sum::<f32>() - 1.0).abs() < 1e-5 && unseen.iter().all(|share| *share == 0.0));
+                let (attended, unused) = shares.split_at((k + 1).min(memory));
+                assert!(
+                    (attended.iter().sum::<f32>() - 1.0).abs() < 1e-5 && unused.iter().all(|share| *share == 0.0),
+                    "{shape:?}, TTI {k}: {shares:?}"
+                );
             }
         }
     }
 }
 
 #[test]
-fn the_model_of_the_program_names_no_place_of_a_machine() {
+fn the_shipped_model_contains_no_path_of_a_machine() {
     let bytes = include_bytes!("../shipped.safetensors");
+    // A safetensors file: the length of the header in eight bytes, then the header.
     let (length, rest) = bytes.split_first_chunk().expect("a length");
     let header = &rest[..u64::from_le_bytes(*length) as usize];
     let text = std::str::from_utf8(header).expect("a text");
-    for place in ["\"/", "= \"/", "/tmp", "/home", "/root", "/work", "/Users"] {
-        assert!(!text.contains(place), "{place}");
+    for path in ["\"/", "= \"/", "/tmp", "/home", "/root", "/work", "/Users"] {
+        assert!(!text.contains(path), "the header contains {path}");
     }
     assert!(text.contains("teachers.safetensors"));
 }
 
 #[test]
-fn devices_may_come_in_any_order() {
+fn the_order_of_devices_does_not_matter() {
     let shape = ModelShape::SHIPPED;
-    let weights = Arc::new(ModelWeights::read(&bytes(shape, &random(shape))).expect("a model"));
-    let (mut one, mut other) = (ForwardPass::new(Arc::clone(&weights), 6), ForwardPass::new(weights, 6));
-    for tokens in tokens(6, 5) {
-        let turned: Vec<f32> = tokens.chunks(FEATURE_COUNT).rev().flatten().copied().collect();
-        let logs = one.step(&tokens).to_vec();
-        for (a, b) in logs.chunks(OUTPUTS).rev().flatten().zip(other.step(&turned)) {
-            assert!((a - b).abs() < 1e-5, "{a} and {b}");
+    let weights = Arc::new(ModelWeights::read(&model_file(shape, &random_tensors(shape))).expect("a model"));
+    let (mut forward, mut reversed) = (ForwardPass::new(Arc::clone(&weights), 6), ForwardPass::new(weights, 6));
+    for tokens in random_tokens(6, 5) {
+        let reversed_tokens: Vec<f32> = tokens.chunks(FEATURE_COUNT).rev().flatten().copied().collect();
+        let logs = forward.step(&tokens).to_vec();
+        for (a, b) in logs
+            .chunks(OUTPUTS)
+            .rev()
+            .flatten()
+            .zip(reversed.step(&reversed_tokens))
+        {
+            assert!((a - b).abs() < 1e-5, "output {a}, in reverse order {b}");
         }
     }
 }
 
 #[test]
-fn files_that_are_no_model_are_refused() {
+fn invalid_model_files_are_refused() {
     let shape = ModelShape::SHIPPED;
-    let whole = bytes(shape, &random(shape));
-    assert!(ModelWeights::read(&whole).is_ok());
-    for cut in [0, 7, 100, whole.len() / 2, whole.len() - 1] {
+    let file = model_file(shape, &random_tensors(shape));
+    assert!(ModelWeights::read(&file).is_ok());
+    for cut in [0, 7, 100, file.len() / 2, file.len() - 1] {
         assert!(
-            matches!(ModelWeights::read(&whole[..cut]), Err(ModelError::Format(_))),
+            matches!(ModelWeights::read(&file[..cut]), Err(ModelError::Format(_))),
             "{cut} bytes"
         );
     }
-    let changed = |change: &dyn Fn(&mut Tensors)| {
-        let mut tensors = random(shape);
+    let error_after = |change: &dyn Fn(&mut Tensors)| {
+        let mut tensors = random_tensors(shape);
         change(&mut tensors);
-        ModelWeights::read(&bytes(shape, &tensors))
+        ModelWeights::read(&model_file(shape, &tensors))
             .expect_err("refused")
             .to_string()
     };
-    let missing = changed(&|tensors| drop(tensors.remove("time.key")));
+    let missing = error_after(&|tensors| drop(tensors.remove("time.key")));
     assert!(missing.contains("time.key") && missing.contains("missing"), "{missing}");
-    let extra = changed(&|tensors| drop(tensors.insert("more", (vec![1], vec![0.0]))));
+    let extra = error_after(&|tensors| drop(tensors.insert("more", (vec![1], vec![0.0]))));
     assert!(extra.contains("more"), "{extra}");
-    let wrong = changed(&|tensors| drop(tensors.insert("head.bias", (vec![3], vec![0.0; 3]))));
-    assert!(wrong.contains("head.bias") && wrong.contains("[3]"), "{wrong}");
-    let infinite = changed(&|tensors| tensors.get_mut("embed.bias").expect("there").1[3] = f32::NAN);
+    let wrong_size = error_after(&|tensors| drop(tensors.insert("head.bias", (vec![3], vec![0.0; 3]))));
     assert!(
-        infinite.contains("embed.bias") && infinite.contains("not finite"),
-        "{infinite}"
+        wrong_size.contains("head.bias") && wrong_size.contains("[3]"),
+        "{wrong_size}"
     );
-    // Tensors of one shape under the name of another, and a file of another program.
-    let other = ModelShape { memory: 4, ..shape };
-    assert!(ModelWeights::read(&bytes(other, &random(shape))).is_err());
+    let not_finite = error_after(&|tensors| tensors.get_mut("embed.bias").expect("a tensor").1[3] = f32::NAN);
+    assert!(
+        not_finite.contains("embed.bias") && not_finite.contains("not finite"),
+        "{not_finite}"
+    );
+    // Tensors of one shape in a file for another, invalid shapes, and a file of another program.
+    let other_shape = ModelShape { memory: 4, ..shape };
+    assert!(ModelWeights::read(&model_file(other_shape, &random_tensors(shape))).is_err());
     for width in [0, 6, 260] {
-        let unsound = ModelShape { width, ..shape };
-        let error = ModelWeights::read(&bytes(unsound, &random(shape))).expect_err("refused");
+        let invalid_shape = ModelShape { width, ..shape };
+        let error = ModelWeights::read(&model_file(invalid_shape, &random_tensors(shape))).expect_err("refused");
         assert!(matches!(error, ModelError::Foreign { key: "shape", .. }), "{error}");
     }
     let data = [0_u8; 4];
-    let foreign = [("x", TensorView::new(Dtype::F32, vec![1], &data).expect("a tensor"))];
-    let foreign = safetensors::serialize(foreign, None).expect("a file");
+    let foreign_tensors = [("x", TensorView::new(Dtype::F32, vec![1], &data).expect("a tensor"))];
+    let foreign = safetensors::serialize(foreign_tensors, None).expect("a file");
     assert!(SafeTensors::deserialize(&foreign).is_ok());
     assert!(matches!(ModelWeights::read(&foreign), Err(ModelError::Foreign { .. })));
 }

@@ -103,7 +103,6 @@ pub struct ModelWeights {
     pub hash: [u8; 32],
 }
 
-/// Tensors by name.
 type Tensors = BTreeMap<&'static str, Vec<f32>>;
 
 impl ModelWeights {

@@ -15,15 +15,12 @@ use crate::policy::q_learning::learned::{AREA_BUCKETS, BATTERY_BUCKETS, FIRST_AB
 pub(super) struct AgedArea {
     ages: Ages,
     selector: DeviceSelector,
-    /// Cells of the area.
     cell_count: f64,
     /// Surface of the area, in sensing discs.
     area_in_discs: f64,
     /// Learned prices by battery bucket, in the unit of [`Ages::gain`]; infinite where sensing never has an advantage.
     bucket_prices: [f64; BATTERY_BUCKETS],
-    /// Prices by device in this TTI.
     prices: Vec<f64>,
-    /// The battery bucket of each device.
     battery_buckets: Vec<u8>,
     /// Whether a TTI has passed.
     has_begun: bool,
@@ -73,7 +70,7 @@ impl AreaState for AgedArea {
         self.ages.add(j);
     }
 
-    fn choose(&mut self, is_free: &dyn Fn(usize) -> bool) -> Vec<DeviceId> {
+    fn choose_devices(&mut self, is_free: &dyn Fn(usize) -> bool) -> Vec<DeviceId> {
         let mut chosen: Vec<DeviceId> = Vec::new();
         for min_bucket in PASS_MIN_BUCKETS {
             for (j, (price, &battery)) in self.prices.iter_mut().zip(&self.battery_buckets).enumerate() {
@@ -113,7 +110,8 @@ impl AreaState for AgedArea {
         }
     }
 
-    fn uncovered(&self) -> f64 {
+    /// Returns the worth of the places that no chosen device covers, as a mean over the cells of the area.
+    fn uncovered_gain(&self) -> f64 {
         self.ages.uncovered_worth() / self.cell_count
     }
 
@@ -125,12 +123,13 @@ impl AreaState for AgedArea {
         credits
     }
 
-    fn coverable(&self) -> f64 {
+    /// Returns the worth of all places, as a mean over the cells of the area.
+    fn coverable_gain(&self) -> f64 {
         self.ages.total_worth() / self.cell_count
     }
 
     /// Does nothing: the ages hold the choice and advance when the next TTI begins.
-    fn end_tti(&mut self, _: &[DeviceId]) {}
+    fn end_tti(&mut self, _chosen: &[DeviceId]) {}
 
     fn record_event(&mut self) {
         self.is_event_reported = true;

@@ -31,7 +31,6 @@ pub(super) struct SequentialSelector {
     bucket_by_units: Vec<u8>,
     /// By device, the units that it covers if no other device senses.
     own_units: Vec<u32>,
-    /// The battery bucket of each device.
     battery_buckets: Vec<u8>,
     /// By device, an upper bound of its key. Gains never rise while others are added, so neither does a key.
     key_bounds: Vec<u64>,
@@ -58,7 +57,6 @@ impl SequentialSelector {
         }
     }
 
-    /// Sets the advantages for the choices that follow.
     pub(super) fn set_advantages(&mut self, advantages: &[[f64; AREA_BUCKETS]; BATTERY_BUCKETS]) {
         self.is_worth_it = advantages.map(|row| row.map(|advantage| advantage > 0.0));
     }
@@ -69,7 +67,6 @@ impl SequentialSelector {
         self.set_covering(covering);
     }
 
-    /// Resets the coverage to the devices in `covering`.
     pub(super) fn set_covering(&mut self, covering: impl Iterator<Item = DeviceId>) {
         self.coverage.clear();
         for device in covering {
@@ -77,12 +74,10 @@ impl SequentialSelector {
         }
     }
 
-    /// Adds device `j` to the covering devices.
     pub(super) fn add(&mut self, j: usize) {
         self.coverage.add(j);
     }
 
-    /// Returns the gain of device `j` if it were added.
     pub(super) fn gain(&self, j: usize) -> Gain {
         let share = self.coverage.gain(j);
         Gain {
@@ -119,7 +114,7 @@ impl SequentialSelector {
             self.block_devices.clear();
             let may_be_chosen = |j: &&u32| self.key_bounds[**j as usize] > 0;
             self.block_devices
-                .extend(self.coverage.devices_reaching(block).iter().filter(may_be_chosen));
+                .extend(self.coverage.devices_covering_block(block).iter().filter(may_be_chosen));
             if self.block_devices.is_empty() {
                 continue;
             }
@@ -162,7 +157,6 @@ impl SequentialSelector {
         (best_key > 0).then_some(best)
     }
 
-    /// Recomputes the key of device `j`.
     fn update_key(&mut self, j: u32) -> u64 {
         let key = self.key(j as usize, self.coverage.gain_in_units(j as usize));
         self.key_bounds[j as usize] = key;

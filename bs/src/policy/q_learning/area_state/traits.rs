@@ -12,21 +12,19 @@ pub(super) const PASS_MIN_BUCKETS: [u8; 2] = [5, FIRST_ABLE_BUCKET];
 
 /// State of the area and of the devices, carried from TTI to TTI.
 ///
-/// Calls in each TTI: [`AreaState::begin_tti`], optionally [`AreaState::add`], then [`AreaState::choose`]. While
-/// learning, [`AreaState::gains`], [`AreaState::gain`], [`AreaState::uncovered`] and [`AreaState::credits`] follow, in
-/// this order. [`AreaState::end_tti`] comes last.
+/// Calls in each TTI: [`AreaState::begin_tti`], optionally [`AreaState::add`], then [`AreaState::choose_devices`].
+/// While learning, [`AreaState::gains`], [`AreaState::gain`], [`AreaState::uncovered_gain`] and [`AreaState::credits`]
+/// follow, in this order. [`AreaState::end_tti`] comes last.
 pub(crate) trait AreaState: Send {
-    /// Sets the advantages for the choices that follow.
     fn set_advantages(&mut self, advantages: &[[f64; AREA_BUCKETS]; BATTERY_BUCKETS]);
 
     /// Begins a TTI with the battery bucket of each device and no chosen device.
     fn begin_tti(&mut self, battery_buckets: &[u8]);
 
-    /// Adds device `j` to the chosen devices.
     fn add(&mut self, j: usize);
 
-    /// Chooses further devices among those that satisfy `is_free`. Returns them in the order of choice.
-    fn choose(&mut self, is_free: &dyn Fn(usize) -> bool) -> Vec<DeviceId>;
+    /// Chooses further devices to sense, among the devices j with `is_free(j)`. Returns them in the order of choice.
+    fn choose_devices(&mut self, is_free: &dyn Fn(usize) -> bool) -> Vec<DeviceId>;
 
     /// Returns the gain of each device in `chosen`, in this order. Afterwards exactly these devices are chosen.
     fn gains(&mut self, chosen: &[DeviceId]) -> Vec<Gain>;
@@ -34,15 +32,15 @@ pub(crate) trait AreaState: Send {
     /// Returns the gain of device `j`, which is not chosen, in addition to the chosen devices.
     fn gain(&self, j: usize) -> Gain;
 
-    /// Returns the uncovered part, in the unit of [`Gain::share`].
-    fn uncovered(&self) -> f64;
+    /// Returns the gain that the chosen devices leave to others, in the unit of [`Gain::share`].
+    fn uncovered_gain(&self) -> f64;
 
     /// Returns, by device, the coverage credited to it, for `chosen` devices with `gains` in this order. The credits
-    /// and [`AreaState::uncovered`] add up to [`AreaState::coverable`].
+    /// and [`AreaState::uncovered_gain`] add up to [`AreaState::coverable_gain`].
     fn credits(&mut self, chosen: &[DeviceId], gains: &[Gain]) -> Vec<f64>;
 
-    /// Returns everything that can be covered in this TTI, in the unit of [`Gain::share`].
-    fn coverable(&self) -> f64;
+    /// Returns the gain of covering the whole area in this TTI, in the unit of [`Gain::share`].
+    fn coverable_gain(&self) -> f64;
 
     /// Ends the TTI, in which the `chosen` devices sense.
     fn end_tti(&mut self, chosen: &[DeviceId]);

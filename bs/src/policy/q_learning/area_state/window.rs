@@ -19,7 +19,6 @@ pub(super) struct WindowedArea {
     window: usize,
     /// Devices that sensed in each of the last `window` − 1 TTIs, the latest at the end.
     recent_sensing: VecDeque<Vec<DeviceId>>,
-    /// Devices added in this TTI.
     added: Vec<DeviceId>,
     /// Number of TTIs over which the choice must still be spread.
     spread_ttis: usize,
@@ -55,7 +54,7 @@ impl AreaState for WindowedArea {
         self.selector.add(j);
     }
 
-    fn choose(&mut self, is_free: &dyn Fn(usize) -> bool) -> Vec<DeviceId> {
+    fn choose_devices(&mut self, is_free: &dyn Fn(usize) -> bool) -> Vec<DeviceId> {
         let mut chosen = self.selector.choose(is_free);
         let covering = || self.recent_sensing.iter().flatten().chain(&self.added).copied();
         self.selector.remove_superfluous(&mut chosen, covering);
@@ -82,12 +81,12 @@ impl AreaState for WindowedArea {
         self.selector.gain(j)
     }
 
-    fn uncovered(&self) -> f64 {
+    fn uncovered_gain(&self) -> f64 {
         self.selector.uncovered()
     }
 
     /// Credits each place to the device that covered it first in the window, of which `chosen` is the last TTI.
-    fn credits(&mut self, chosen: &[DeviceId], _: &[Gain]) -> Vec<f64> {
+    fn credits(&mut self, chosen: &[DeviceId], _gains: &[Gain]) -> Vec<f64> {
         let mut credits = vec![0.0; self.device_count];
         self.selector.set_covering(std::iter::empty());
         for device in self.recent_sensing.iter().flatten().chain(chosen) {
@@ -98,7 +97,7 @@ impl AreaState for WindowedArea {
         credits
     }
 
-    fn coverable(&self) -> f64 {
+    fn coverable_gain(&self) -> f64 {
         1.0
     }
 
@@ -112,7 +111,7 @@ impl AreaState for WindowedArea {
 
     fn record_event(&mut self) {}
 
-    fn prior(&self, _: Point) -> f64 {
+    fn prior(&self, _place: Point) -> f64 {
         1.0
     }
 }

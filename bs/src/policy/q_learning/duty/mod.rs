@@ -41,14 +41,11 @@ pub struct DutyLearner {
     /// Contribution to N r(k) of a device that alone covers the whole area, until the area must be covered again.
     coverage_worth: f64,
     energies: Vec<EnergyModel>,
-    /// The battery bucket of each device.
     battery_buckets: Vec<u8>,
     area_state: Box<dyn AreaState>,
-    /// Last decision, kept until it is learned from.
     last_decision: Option<DutyDecision>,
 }
 
-/// All shares of one decision.
 #[derive(Clone, Debug, Default)]
 struct DutyDecision {
     /// State, action and gain of each device.
@@ -64,7 +61,6 @@ struct DutyDecision {
 /// State in which a device decided, and its action.
 #[derive(Clone, Copy, Debug, Default)]
 struct DeviceShare {
-    /// Battery bucket.
     battery: u8,
     /// Bucket of the newly covered area.
     area: u8,
@@ -115,7 +111,7 @@ impl DutyLearner {
     /// of ids.
     pub fn choose(&mut self, levels: &[Energy]) -> Vec<DeviceId> {
         self.begin(levels);
-        let chosen = self.area_state.choose(&|_| true);
+        let chosen = self.area_state.choose_devices(&|_| true);
         self.end_tti(chosen)
     }
 
@@ -141,7 +137,7 @@ impl DutyLearner {
                 }
             }
         }
-        let others = self.area_state.choose(&|j| is_free[j]);
+        let others = self.area_state.choose_devices(&|j| is_free[j]);
         chosen.extend(others);
         // A chosen device decided given the devices chosen before it; the others decided given all chosen devices.
         let gains = self.area_state.gains(&chosen);
@@ -153,8 +149,8 @@ impl DutyLearner {
         }
         self.last_decision = Some(DutyDecision {
             shares,
-            uncovered: self.area_state.uncovered(),
-            coverable: self.area_state.coverable(),
+            uncovered: self.area_state.uncovered_gain(),
+            coverable: self.area_state.coverable_gain(),
             credits: self.area_state.credits(&chosen, &gains),
         });
         self.end_tti(chosen)
@@ -198,7 +194,6 @@ impl DutyLearner {
         self.update_derived();
     }
 
-    /// Recomputes the values that are derived from the table.
     fn update_derived(&mut self) {
         self.area_state.set_advantages(&self.table.advantages());
         self.values = self.table.values();

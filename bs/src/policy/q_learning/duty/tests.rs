@@ -1,4 +1,5 @@
-//! Tests of the reward shares against Sec. V-B, and of learned tables against the choice without exploration.
+//! Tests of [`DutyLearner`]: its rewards and their shares against Sec. V-B, computed cell by cell, and exploration
+//! without randomness against the choice of a policy that does not learn.
 
 use std::collections::VecDeque;
 
@@ -8,18 +9,21 @@ use reveille_common::sensing::{DetectionKind, Fusion};
 
 use super::*;
 
+const D_MAX: f64 = 4.0;
+const ETA: f64 = 0.3;
 const KINDS: [DetectionKind; 2] = [DetectionKind::Range, DetectionKind::Probabilistic];
-const GROUNDS: [(f64, f64); 4] = [(20.0, 20.0), (31.0, 7.3), (3.0, 1.0), (9.0, 14.0)];
+/// Width and height, m.
+const AREAS: [(f64, f64); 4] = [(20.0, 20.0), (31.0, 7.3), (3.0, 1.0), (9.0, 14.0)];
 
 fn units(x: f64) -> Energy {
     Energy::from_units(x).expect("an energy")
 }
 
-fn sensing(kind: DetectionKind) -> Sensing {
+fn sensing_of(kind: DetectionKind) -> Sensing {
     Sensing {
         kind,
-        d_max: 4.0,
-        eta: 0.3,
+        d_max: D_MAX,
+        eta: ETA,
         psi: 1.0,
         g: Fusion::Max,
     }
@@ -46,14 +50,13 @@ struct UncoveredCells {
 
 impl UncoveredCells {
     fn new(area: Area, kind: DetectionKind, positions: &[Point]) -> Self {
-        let sensing = sensing(kind);
-        // Cells along d_max.
-        let fine = match kind {
+        let sensing = sensing_of(kind);
+        let cells_per_range = match kind {
             DetectionKind::Range => 15.0,
             DetectionKind::Probabilistic => 10.0,
         };
-        let count = |length: f64| (fine * length / sensing.d_max).ceil().max(1.0);
-        let (columns, rows) = (count(area.width), count(area.height));
+        let count_along = |length: f64| (cells_per_range * length / sensing.d_max).ceil().max(1.0);
+        let (columns, rows) = (count_along(area.width), count_along(area.height));
         let (width, height) = (area.width / columns, area.height / rows);
         let mut cells = Vec::new();
         for row in 0..rows as u32 {
@@ -70,7 +73,7 @@ impl UncoveredCells {
     }
 
     /// Returns the share of one cell that `device` covers.
-    fn share(&self, [x, y, width, height]: [f64; 4], device: usize) -> f64 {
+    fn covered_share(&self, [x, y, width, height]: [f64; 4], device: usize) -> f64 {
         let p = self.positions[device];
         match self.kind {
             DetectionKind::Range => {
@@ -94,12 +97,16 @@ impl UncoveredCells {
         let mut devices = devices.to_vec();
         devices.sort_unstable();
         devices.dedup();
-        let missed = |&cell: &[f64; 4]| devices.iter().map(|&j| 1.0 - self.share(cell, j)).product::<f64>();
-        self.cells.iter().map(missed).sum::<f64>() / self.cells.len() as f64
+        let miss_probability = |&cell: &[f64; 4]| {
+            devices
+                .iter()
+                .map(|&j| 1.0 - self.covered_share(cell, j))
+                .product::<f64>()
+        };
+        self.cells.iter().map(miss_probability).sum::<f64>() / self.cells.len() as f64
     }
 }
 
-/// A table in which each value is drawn at random.
 fn random_table(stream: &mut Stream) -> DutyTable {
     let mut table = DutyTable::optimistic(0.0, |_| 1.0);
     for cell in table.q.iter_mut().chain(&mut table.value) {
@@ -110,12 +117,12 @@ fn random_table(stream: &mut Stream) -> DutyTable {
 }
 
 fn random_levels(n: usize, stream: &mut Stream) -> Vec<Energy> {
-    // One in five cannot sense.
+    // One in five has at most 10 units, too little to sense.
     let level = |u: f64| units(if u < 0.2 { 50.0 * u } else { 100.0 * u });
     (0..n).map(|_| level(stream.unit())).collect()
 }
 
-fn weights(mu1: f64) -> QWeights {
+fn weights_with(mu1: f64) -> QWeights {
     QWeights {
         mu1,
         mu2: 1.0,
@@ -137,11 +144,11 @@ impl Case {
     }
 
     fn learner(&self, table: DutyTable, weights: QWeights, alpha: f64) -> DutyLearner {
-        self.learner_of(Lookback::Window(self.window), table, weights, alpha)
+        self.learner_with(Lookback::Window(self.window), table, weights, alpha)
     }
 
-    fn learner_of(&self, lookback: Lookback, table: DutyTable, weights: QWeights, alpha: f64) -> DutyLearner {
-        let terms = DutyParameters {
+    fn learner_with(&self, lookback: Lookback, table: DutyTable, weights: QWeights, alpha: f64) -> DutyLearner {
+        let parameters = DutyParameters {
             schedule: Schedule::default(),
             weights,
             alpha,
@@ -151,21 +158,21 @@ impl Case {
         let energies = vec![energy(); self.devices as usize];
         DutyLearner::new(
             table,
-            terms,
+            parameters,
             &self.positions(),
             energies,
             self.area,
-            &sensing(self.kind),
+            &sensing_of(self.kind),
         )
     }
 }
 
-/// Each kind of detection, window and area, with a number of devices.
+/// Each kind of detection and window in each area, with a number of devices.
 fn cases() -> Vec<Case> {
     let mut cases = Vec::new();
     for kind in KINDS {
         for window in [1, 2, 4] {
-            for ((width, height), devices) in GROUNDS.into_iter().zip([25, 14, 3, 9]) {
+            for ((width, height), devices) in AREAS.into_iter().zip([25, 14, 3, 9]) {
                 cases.push(Case {
                     kind,
                     area: Area { width, height },
@@ -180,82 +187,93 @@ fn cases() -> Vec<Case> {
 }
 
 #[test]
-fn the_shares_add_up_to_the_papers_reward_in_every_tti() {
-    let (mut sensed, mut repeated, mut exceeded) = (0, 0, 0);
+fn the_shares_add_up_to_the_reward_of_the_paper_in_every_tti() {
+    let (mut sensing_count, mut repeated_count, mut exceeded_count) = (0, 0, 0);
     for case in cases() {
         let n = case.devices as usize;
         let mut stream = Stream::new(case.seed, Purpose::Training, 3);
         let (alpha, mu1) = (0.05 + stream.unit(), 20.0 * stream.unit());
-        let weights = weights(mu1);
-        let mut duty = case.learner(random_table(&mut stream), weights, alpha);
-        let ground = UncoveredCells::new(case.area, case.kind, &case.positions());
+        let weights = weights_with(mu1);
+        let mut learner = case.learner(random_table(&mut stream), weights, alpha);
+        let cells = UncoveredCells::new(case.area, case.kind, &case.positions());
         let mut plans: Vec<Vec<usize>> = Vec::new();
         let mut gains: VecDeque<Vec<f64>> = VecDeque::new();
         for k in 0..30 {
             let levels = random_levels(n, &mut stream);
-            let plan = duty.explore(
+            let plan = learner.explore(
                 &levels,
                 stream.unit(),
                 &mut Stream::new(case.seed, Purpose::Exploration, k),
             );
             plans.push(plan.iter().map(|j| j.index()).collect());
-            let before = plans.len().saturating_sub(case.window as usize);
-            let window: Vec<usize> = plans[before..].concat();
-            let expected = 1.0 - plan.len() as f64 / n as f64 - alpha * mu1 * ground.uncovered(&window);
-            let (reward, shares) = duty.rewards().expect("an exploration");
+            let window_start = plans.len().saturating_sub(case.window as usize);
+            let window_devices: Vec<usize> = plans[window_start..].concat();
+            let expected = 1.0 - plan.len() as f64 / n as f64 - alpha * mu1 * cells.uncovered(&window_devices);
+            let (reward, shares) = learner.rewards().expect("an exploration");
             let shares: Vec<f64> = shares.collect();
             assert_eq!(shares.len(), n);
             let sum: f64 = shares.iter().sum();
-            let what = format!(
+            let context = format!(
                 "{:?}, {} m, window {}, TTI {k}",
                 case.kind, case.area.width, case.window
             );
             // With probabilistic detection, the coverage of a cell is counted in 65536ths.
-            let rounded = match case.kind {
+            let rounding = match case.kind {
                 DetectionKind::Range => 1e-9,
-                DetectionKind::Probabilistic => 1e-9 + window.len() as f64 / 65536.0,
+                DetectionKind::Probabilistic => 1e-9 + window_devices.len() as f64 / 65536.0,
             };
-            let slack = (alpha * mu1).max(1.0) * rounded;
+            let tolerance = (alpha * mu1).max(1.0) * rounding;
             assert!(
-                (sum - expected).abs() < slack,
-                "{what}: shares {sum}, r(k) = {expected}"
+                (sum - expected).abs() < tolerance,
+                "{context}: shares add up to {sum}, r(k) = {expected}"
             );
-            assert!((reward - expected).abs() < slack, "{what}: {reward}, r(k) = {expected}");
-            assert!((reward - sum).abs() < 1e-9, "{what}: shares {sum}, {reward}");
+            assert!(
+                (reward - expected).abs() < tolerance,
+                "{context}: reward {reward}, r(k) = {expected}"
+            );
+            assert!(
+                (reward - sum).abs() < 1e-9,
+                "{context}: shares add up to {sum}, reward {reward}"
+            );
             // A choice promises in each TTI of the window at least its newly covered part; with a window of 1, exactly
             // it.
-            let last = duty.last_decision.as_ref().expect("an exploration");
-            let own = |share: &DeviceShare| if share.is_sensing { share.gain } else { 0.0 };
-            gains.push_back(last.shares.iter().map(own).collect());
+            let decision = learner.last_decision.as_ref().expect("an exploration");
+            let promise = |share: &DeviceShare| if share.is_sensing { share.gain } else { 0.0 };
+            gains.push_back(decision.shares.iter().map(promise).collect());
             if gains.len() > case.window as usize {
                 gains.pop_front();
             }
-            for (j, credit) in last.credits.iter().enumerate() {
-                let promised: f64 = gains.iter().map(|then| then[j]).sum();
+            for (j, credit) in decision.credits.iter().enumerate() {
+                let promised: f64 = gains.iter().map(|gains_then| gains_then[j]).sum();
                 assert!(
-                    *credit > promised - rounded,
-                    "{what}: {j} has {credit}, promised {promised}"
+                    *credit > promised - rounding,
+                    "{context}: device {j} has credit {credit}, promised {promised}"
                 );
-                let is_more = *credit > promised + 1e-9;
+                let is_exceeded = *credit > promised + 1e-9;
                 assert!(
-                    !is_more || case.window > 1,
-                    "{what}: {j} has {credit}, promised {promised}"
+                    !is_exceeded || case.window > 1,
+                    "{context}: device {j} has credit {credit}, promised {promised}"
                 );
-                exceeded += usize::from(is_more);
+                exceeded_count += usize::from(is_exceeded);
             }
-            sensed += plan.len();
-            repeated += usize::from(window.len() > plan.len());
-            duty.learn(&random_levels(n, &mut stream));
-            assert!(duty.rewards().is_none(), "learned from");
+            sensing_count += plan.len();
+            repeated_count += usize::from(window_devices.len() > plan.len());
+            learner.learn(&random_levels(n, &mut stream));
+            assert!(learner.rewards().is_none(), "rewards are learned once");
         }
     }
     assert!(
-        sensed > 1000 && repeated > 300 && exceeded > 300,
-        "{sensed}, {repeated} and {exceeded} are too few to tell"
+        sensing_count > 1000 && repeated_count > 300 && exceeded_count > 300,
+        "too few cases: {sensing_count} devices in S1, {repeated_count} windows, {exceeded_count} larger credits"
     );
 }
 
-/// Places of an area and their ages, computed from docs/age-index.md alone.
+/// Cells along d_max.
+const CELLS_PER_RANGE: f64 = 7.5;
+/// Age from which on the worth is constant, TTIs.
+const CONSTANT_WORTH_AGE: f64 = 22.0;
+
+/// Places of an area and their ages, computed from docs/age-index.md alone. The places are the middles of cells.
 struct PlaceAges {
     kind: DetectionKind,
     middles: Vec<Point>,
@@ -265,8 +283,8 @@ struct PlaceAges {
 
 impl PlaceAges {
     fn new(case: &Case) -> Self {
-        let along = |length: f64| (7.5 * length / 4.0).ceil().max(1.0);
-        let (columns, rows) = (along(case.area.width), along(case.area.height));
+        let count_along = |length: f64| (CELLS_PER_RANGE * length / D_MAX).ceil().max(1.0);
+        let (columns, rows) = (count_along(case.area.width), count_along(case.area.height));
         let mut middles = Vec::new();
         for row in 0..rows as u32 {
             for column in 0..columns as u32 {
@@ -285,33 +303,37 @@ impl PlaceAges {
         }
     }
 
-    /// Returns the probability that no device of `looking` detects an event at a place.
-    fn missed(&self, place: usize, looking: &[DeviceId]) -> f64 {
-        let detects = |j: &DeviceId| match self.positions[j.index()].distance(self.middles[place]) {
-            d if d > 4.0 => 0.0,
+    /// Returns the probability that no device of `sensing_devices` detects an event at a place.
+    fn miss_probability(&self, place: usize, sensing_devices: &[DeviceId]) -> f64 {
+        let detection_probability = |j: &DeviceId| match self.positions[j.index()].distance(self.middles[place]) {
+            d if d > D_MAX => 0.0,
             _ if self.kind == DetectionKind::Range => 1.0,
-            d => libm::exp(-0.3 * d),
+            d => libm::exp(-ETA * d),
         };
-        looking.iter().map(|j| 1.0 - detects(j)).product()
+        sensing_devices.iter().map(|j| 1.0 - detection_probability(j)).product()
     }
 
-    /// Returns the mean over all places of a(a + 1)/2, as far as no device of `looking` covers them.
-    fn left(&self, looking: &[DeviceId]) -> f64 {
-        let index = |age: f64| age * (age + 1.0) / 2.0;
+    /// Returns the mean over all places of the worth a(a + 1)/2 that no device of `sensing_devices` covers.
+    fn uncovered_worth(&self, sensing_devices: &[DeviceId]) -> f64 {
+        let whittle_index = |age: f64| age * (age + 1.0) / 2.0;
         let worth = |age: f64| {
-            let (below, above) = (age.floor().min(22.0), (age.floor() + 1.0).min(22.0));
-            index(below) + (age - age.floor()) * (index(above) - index(below))
+            let (below, above) = (
+                age.floor().min(CONSTANT_WORTH_AGE),
+                (age.floor() + 1.0).min(CONSTANT_WORTH_AGE),
+            );
+            whittle_index(below) + (age - age.floor()) * (whittle_index(above) - whittle_index(below))
         };
-        let each = (0..self.middles.len()).map(|place| worth(self.ages[place]) * self.missed(place, looking));
-        each.sum::<f64>() / self.middles.len() as f64
+        let uncovered_worths = (0..self.middles.len())
+            .map(|place| worth(self.ages[place]) * self.miss_probability(place, sensing_devices));
+        uncovered_worths.sum::<f64>() / self.middles.len() as f64
     }
 
-    fn pass(&mut self, looking: &[DeviceId], is_found: bool) {
+    fn advance(&mut self, sensing_devices: &[DeviceId], event_found: bool) {
         for place in 0..self.middles.len() {
-            let old = if is_found {
+            let old = if event_found {
                 0.0
             } else {
-                self.ages[place] * self.missed(place, looking)
+                self.ages[place] * self.miss_probability(place, sensing_devices)
             };
             self.ages[place] = old + 1.0;
         }
@@ -319,79 +341,87 @@ impl PlaceAges {
 }
 
 #[test]
-fn with_ages_the_shares_add_up_to_the_reward_by_what_places_are_worth() {
-    let mut older = 0;
+fn with_ages_the_shares_add_up_to_the_reward_by_uncovered_worth() {
+    let mut aged_count = 0;
     for case in cases() {
         let n = f64::from(case.devices);
         let mut stream = Stream::new(case.seed, Purpose::Training, 4);
         let (alpha, mu1) = (0.05 + stream.unit(), 20.0 * stream.unit());
-        let weights = weights(mu1);
-        let mut duty = case.learner_of(Lookback::Ages, random_table(&mut stream), weights, alpha);
+        let weights = weights_with(mu1);
+        let mut learner = case.learner_with(Lookback::Ages, random_table(&mut stream), weights, alpha);
         let mut places = PlaceAges::new(&case);
         for k in 0..30 {
             let levels = random_levels(case.devices as usize, &mut stream);
-            let mut dice = Stream::new(case.seed, Purpose::Exploration, k);
-            let plan = duty.explore(&levels, stream.unit(), &mut dice);
-            let left = places.left(&plan);
-            older += usize::from(places.left(&[]) > 2.0);
-            let expected = 1.0 - plan.len() as f64 / n - alpha * mu1 * left;
-            let (reward, shares) = duty.rewards().expect("an exploration");
+            let mut exploration = Stream::new(case.seed, Purpose::Exploration, k);
+            let plan = learner.explore(&levels, stream.unit(), &mut exploration);
+            let uncovered_worth = places.uncovered_worth(&plan);
+            aged_count += usize::from(places.uncovered_worth(&[]) > 2.0);
+            let expected = 1.0 - plan.len() as f64 / n - alpha * mu1 * uncovered_worth;
+            let (reward, shares) = learner.rewards().expect("an exploration");
             let sum: f64 = shares.sum();
-            let what = format!("{:?}, {} m, TTI {k}", case.kind, case.area.width);
-            let bound = 1e-6 * (1.0 + expected.abs());
-            assert!((sum - expected).abs() < bound, "{what}: shares {sum}, not {expected}");
-            assert!((reward - expected).abs() < bound, "{what}: {reward}, not {expected}");
+            let context = format!("{:?}, {} m, TTI {k}", case.kind, case.area.width);
+            let tolerance = 1e-6 * (1.0 + expected.abs());
+            assert!(
+                (sum - expected).abs() < tolerance,
+                "{context}: shares add up to {sum}, not {expected}"
+            );
+            assert!(
+                (reward - expected).abs() < tolerance,
+                "{context}: reward {reward}, not {expected}"
+            );
             let at = Point::new(stream.unit() * case.area.width, stream.unit() * case.area.height);
             // The prior is the age of the place's cell, in the TTI of the last decision.
-            let near = |p: &Point| (p.x - at.x).abs().max((p.y - at.y).abs());
-            let cell = (0..places.middles.len())
-                .min_by(|a, b| near(&places.middles[*a]).total_cmp(&near(&places.middles[*b])))
+            let max_offset = |p: &Point| (p.x - at.x).abs().max((p.y - at.y).abs());
+            let nearest = (0..places.middles.len())
+                .min_by(|a, b| max_offset(&places.middles[*a]).total_cmp(&max_offset(&places.middles[*b])))
                 .expect("places");
             assert!(
-                (duty.prior(at) - places.ages[cell]).abs() < 1e-6 * places.ages[cell],
-                "{what}"
+                (learner.prior(at) - places.ages[nearest]).abs() < 1e-6 * places.ages[nearest],
+                "{context}: prior {} at {at:?}, age {}",
+                learner.prior(at),
+                places.ages[nearest]
             );
-            let is_found = stream.unit() < 0.1;
-            places.pass(&plan, is_found);
-            if is_found {
-                duty.record_event();
+            let event_found = stream.unit() < 0.1;
+            places.advance(&plan, event_found);
+            if event_found {
+                learner.record_event();
             }
-            duty.learn(&random_levels(case.devices as usize, &mut stream));
+            learner.learn(&random_levels(case.devices as usize, &mut stream));
         }
     }
-    assert!(older > 300, "{older} are too few to tell");
+    assert!(aged_count > 300, "too few cases: {aged_count} TTIs with old places");
 }
 
 #[test]
-fn without_dice_a_policy_that_learns_chooses_as_one_that_does_not() {
+fn without_randomness_exploration_equals_the_choice() {
     for case in cases() {
         let mut stream = Stream::new(case.seed, Purpose::Training, 1);
-        let weights = weights(10.0);
+        let weights = weights_with(10.0);
         let table = random_table(&mut stream);
         for lookback in [Lookback::Window(case.window), Lookback::Ages] {
-            let [mut duty, mut learner] = [(); 2].map(|()| case.learner_of(lookback, table.clone(), weights, 0.2));
+            let [mut fixed, mut learner] = [(); 2].map(|()| case.learner_with(lookback, table.clone(), weights, 0.2));
             for k in 0..6 {
                 let levels = random_levels(case.devices as usize, &mut stream);
                 let explored = learner.explore(&levels, 0.0, &mut Stream::new(case.seed, Purpose::Exploration, k));
-                assert_eq!(duty.choose(&levels), explored, "{:?}, {lookback}, TTI {k}", case.kind);
+                assert_eq!(fixed.choose(&levels), explored, "{:?}, {lookback}, TTI {k}", case.kind);
             }
         }
     }
 }
 
+/// The previous test relies on this.
 #[test]
-fn random_tables_choose_some_and_not_all() {
-    // The test above relies on this.
+fn random_tables_choose_some_but_not_all_devices() {
     let case = &cases()[0];
     let mut stream = Stream::new(9, Purpose::Training, 1);
-    let weights = weights(10.0);
+    let weights = weights_with(10.0);
     let mut counts = Vec::new();
     for _ in 0..40 {
-        let mut duty = case.learner(random_table(&mut stream), weights, 0.2);
-        counts.push(duty.choose(&random_levels(25, &mut stream)).len());
+        let mut learner = case.learner(random_table(&mut stream), weights, 0.2);
+        counts.push(learner.choose(&random_levels(25, &mut stream)).len());
     }
     assert!(
         counts.iter().filter(|&&count| count > 2 && count < 18).count() > 20,
-        "{counts:?}"
+        "devices chosen by each table: {counts:?}"
     );
 }

@@ -33,7 +33,6 @@ const SHIPPED: [(&str, &str); 4] = [
         include_str!("shipped-paper-literal-ages.json"),
     ),
 ];
-/// Suffix of the names of tables for ages.
 const AGES_SUFFIX: &str = "-ages";
 
 fn parse_shipped(text: &str) -> LearnedTables {
@@ -96,7 +95,6 @@ struct FileHeader {
     sha256: String,
 }
 
-/// Text at which the body begins.
 const BODY_START: &str = ",\"body\":";
 /// Text at which the entries, the last field of the body, begin.
 const ENTRIES_START: &str = ",\"entries\":[";
@@ -222,7 +220,10 @@ impl LearnedTables {
     fn check(&self) -> Result<(), String> {
         let QWeights { mu1, mu2, zeta } = self.weights;
         if ![mu1, mu2].iter().all(|mu| mu.is_finite() && *mu >= 0.0) || !(0.0..1.0).contains(&zeta) {
-            return Err(format!("its weights are mu1 {mu1}, mu2 {mu2}, zeta {zeta}"));
+            return Err(format!(
+                "its weights are out of range: mu1 {mu1}, mu2 {mu2}, zeta {zeta}; mu1 and mu2 must be at least 0, and \
+                 zeta at least 0 and below 1"
+            ));
         }
         let Schedule {
             rate_decay,
@@ -232,11 +233,12 @@ impl LearnedTables {
         let is_rate = |rate: f64| rate > 0.0 && rate <= 1.0;
         if !is_rate(rate_decay) || !is_rate(rate_floor) || !optimism.is_finite() || optimism < 0.0 {
             return Err(format!(
-                "its schedule is rate_decay {rate_decay}, rate_floor {rate_floor}, optimism {optimism}"
+                "its schedule is out of range: rate_decay {rate_decay}, rate_floor {rate_floor}, optimism {optimism}; \
+                 both rates must be above 0 and at most 1, and optimism at least 0"
             ));
         }
         if self.entries.is_empty() {
-            return Err("it has no entries".to_owned());
+            return Err("it has no tables".to_owned());
         }
         for entry in &self.entries {
             let TableSet {
@@ -249,18 +251,23 @@ impl LearnedTables {
                 ..
             } = entry;
             if !(1..=MAX_WINDOW).contains(&lookback.window()) {
-                return Err(format!("it has an entry for {}", lookback.describe()));
+                return Err(format!(
+                    "it has tables for {}; a window must be from 1 to {MAX_WINDOW} TTIs",
+                    lookback.describe()
+                ));
             }
             if *devices == 0 || !surface.is_finite() || *surface <= 0.0 {
-                return Err(format!("it has an entry for {devices} devices on {surface} m²"));
+                return Err(format!(
+                    "it has tables for {devices} devices on {surface} m²; both numbers must be above 0"
+                ));
             }
             if !duty.has_valid_size() || ![wake_p42, wake_posterior].into_iter().all(WakeTable::has_valid_size) {
-                return Err(format!("the entry for {devices} devices has a table of the wrong size"));
+                return Err(format!("a table for {devices} devices has the wrong size"));
             }
             let mut cells = duty.cells().chain(&wake_p42.q).chain(&wake_posterior.q);
             if cells.any(|cell| !cell.value.is_finite()) {
                 return Err(format!(
-                    "the entry for {devices} devices holds a value that is not a number"
+                    "a table for {devices} devices holds a value that is not a number"
                 ));
             }
         }
@@ -269,7 +276,7 @@ impl LearnedTables {
             a.lookback < b.lookback || a.lookback == b.lookback && a.device_density() < b.device_density()
         };
         if !self.entries.is_sorted_by(is_before) {
-            return Err("its entries are not in the order of their windows and densities".to_owned());
+            return Err("its tables are not in the order of their windows and densities".to_owned());
         }
         Ok(())
     }
@@ -335,28 +342,29 @@ fn sha256(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scenario::{Override, load};
+    use crate::scenario::load;
+    use crate::scenario::tests::{load_paper, overrides};
 
-    fn learned() -> LearnedTables {
+    /// Tables for the windows of 1 and 4 TTIs; one value is learned and has many digits.
+    fn sample_tables() -> LearnedTables {
         let weights = QWeights {
             mu1: 14.0,
             mu2: 1.6,
             zeta: 0.95,
         };
-        let setting = TrainingSite {
+        let site = TrainingSite {
             words: vec![("layout.kind".to_owned(), "uniform".to_owned())],
             numbers: vec![("events.alpha".to_owned(), 0.1)],
         };
-        let entry = |(window, n): (u32, u32)| {
-            let devices = Override::parse(&format!("devices={n}")).expect("an override");
+        let optimistic_tables = |(window, n): (u32, u32)| {
             TableSet::optimistic(
-                &load("paper", &[devices]).expect("a scenario").scenario.site(),
+                &load_paper(&[&format!("devices={n}")]).site(),
                 &weights,
                 Lookback::Window(window),
                 1.0,
             )
         };
-        let mut entries: Vec<TableSet> = [(1, 10), (1, 50), (4, 20)].map(entry).to_vec();
+        let mut entries: Vec<TableSet> = [(1, 10), (1, 50), (4, 20)].map(optimistic_tables).to_vec();
         entries[0]
             .duty
             .at_mut(3, 4, true)
@@ -373,65 +381,66 @@ mod tests {
                 epsilon: (0.1, 0.03),
                 seed: 1,
             },
-            site: setting,
+            site,
             entries,
         }
     }
 
-    fn refused(text: &str, part: &str) {
-        let message = LearnedTables::parse(text).expect_err(part).to_string();
-        assert!(message.contains(part), "{message}");
+    fn assert_refused(text: &str, reason: &str) {
+        let message = LearnedTables::parse(text).expect_err(reason).to_string();
+        assert!(message.contains(reason), "{message}");
     }
 
     #[test]
-    fn a_file_comes_back_and_is_written_the_same_again() {
-        let text = learned().to_json();
+    fn a_file_round_trips_with_rounded_values() {
+        let text = sample_tables().to_json();
         let read = LearnedTables::parse(&text).expect("a file");
         assert_eq!(read.to_json(), text);
-        let [kept, exact] = [&read, &learned()].map(|tables| tables.entries[0].duty.at(3, 4, true).value);
+        let [rounded, exact] = [&read, &sample_tables()].map(|tables| tables.entries[0].duty.at(3, 4, true).value);
         assert!(
-            (kept - exact).abs() <= 0.5e-4 && (kept * 1e4 - (kept * 1e4).round()).abs() < 1e-6,
-            "{kept}, {exact}"
+            (rounded - exact).abs() <= 0.5e-4 && (rounded * 1e4 - (rounded * 1e4).round()).abs() < 1e-6,
+            "{rounded} is not {exact} rounded to four digits"
         );
-        let mut other = learned().entries[1].clone();
-        other.round();
-        assert_eq!(read.entries[1], other);
+        let mut expected = sample_tables().entries[1].clone();
+        expected.round();
+        assert_eq!(read.entries[1], expected);
     }
 
     #[test]
-    fn files_of_another_kind_version_or_content_are_refused() {
-        let text = learned().to_json();
-        refused("devices = 5", "not a file of learned tables");
+    fn files_with_another_format_version_or_checksum_are_refused() {
+        let text = sample_tables().to_json();
+        assert_refused("devices = 5", "not a file of learned tables");
         for version in [2, 4] {
-            let other = text.replace("\"version\":3", &format!("\"version\":{version}"));
-            refused(&other, &format!("has version {version}"));
+            let other_version = text.replace("\"version\":3", &format!("\"version\":{version}"));
+            assert_refused(&other_version, &format!("has version {version}"));
         }
-        refused(
+        assert_refused(
             "{\"format\":\"reveille-q-table\",\"version\":9,\"made\":1}",
             "has version 9",
         );
-        refused(&text[..text.len() / 2], "damaged");
-        refused(&text.replacen("20.0", "21.0", 1), "checksum");
-        refused("", "not a file of learned tables");
+        assert_refused(&text[..text.len() / 2], "damaged");
+        assert_refused(&text.replacen("20.0", "21.0", 1), "checksum");
+        assert_refused("", "not a file of learned tables");
     }
 
     #[test]
-    fn values_that_are_no_numbers_and_tables_of_another_size_are_refused() {
+    fn invalid_values_and_sizes_are_refused() {
+        // With a valid checksum, so that the content is read.
         let sealed = |body: &str| {
             format!(
                 "{{\"format\":\"{FORMAT}\",\"version\":{VERSION},\"sha256\":\"{}\",\"body\":{body}}}",
                 sha256(body)
             )
         };
-        let text = learned().to_json();
+        let text = sample_tables().to_json();
         let (_, body) = text.split_once(BODY_START).expect("a file");
         let body = body.trim_end().strip_suffix('}').expect("a file");
         assert!(LearnedTables::parse(&sealed(body)).is_ok());
-        refused(&sealed(&body.replacen("[20.0,0]", "[null,0]", 1)), "damaged");
-        refused(&sealed(&body.replacen("[20.0,0]", "[1e999,0]", 1)), "damaged");
-        refused(&sealed(&body.replacen("[20.0,0],", "", 1)), "wrong size");
-        refused(&sealed(&body.replacen("\"zeta\":0.95", "\"zeta\":1.5", 1)), "zeta 1.5");
-        refused(
+        assert_refused(&sealed(&body.replacen("[20.0,0]", "[null,0]", 1)), "damaged");
+        assert_refused(&sealed(&body.replacen("[20.0,0]", "[1e999,0]", 1)), "damaged");
+        assert_refused(&sealed(&body.replacen("[20.0,0],", "", 1)), "wrong size");
+        assert_refused(&sealed(&body.replacen("\"zeta\":0.95", "\"zeta\":1.5", 1)), "zeta 1.5");
+        assert_refused(
             &sealed(&body.replacen("\"window\":1", "\"window\":0", 1)),
             "a window of 0 TTIs",
         );
@@ -441,85 +450,95 @@ mod tests {
             ("optimism\":1.0", "-1.0"),
         ] {
             let (name, _) = field.split_once('"').expect("a name");
-            let other = format!("{name}\":{value}");
-            refused(&sealed(&body.replacen(field, &other, 1)), "its schedule is");
+            let replacement = format!("{name}\":{value}");
+            assert_refused(&sealed(&body.replacen(field, &replacement, 1)), "its schedule is");
         }
-        for (own, other) in [("devices\":10", "devices\":90"), ("window\":4", "window\":1")] {
-            refused(
-                &sealed(&body.replacen(own, other, 1)),
+        for (original, replacement) in [("devices\":10", "devices\":90"), ("window\":4", "window\":1")] {
+            assert_refused(
+                &sealed(&body.replacen(original, replacement, 1)),
                 "order of their windows and densities",
             );
         }
     }
 
     #[test]
-    fn the_nearest_density_serves_within_a_factor_of_two() {
-        let learned = learned();
-        let of = |n: u32, surface: f64| {
-            learned
+    fn the_nearest_density_is_used_within_a_factor_of_two() {
+        let tables = sample_tables();
+        let devices_of_entry = |n: u32, surface: f64| {
+            tables
                 .closest_entry(Lookback::Window(1), n, surface)
                 .map(|entry| entry.devices)
         };
         assert_eq!(
-            [of(5, 400.0), of(20, 400.0), of(26, 400.0), of(100, 400.0)],
+            [(5, 400.0), (20, 400.0), (26, 400.0), (100, 400.0)].map(|(n, surface)| devices_of_entry(n, surface)),
             [Some(10), Some(10), Some(50), Some(50)]
         );
-        assert_eq!([of(4, 400.0), of(101, 400.0), of(1000, 4000.0)], [None, None, Some(50)]);
         assert_eq!(
-            [1, 4].map(|window| learned.served_devices(Lookback::Window(window), 400.0)),
+            [(4, 400.0), (101, 400.0), (1000, 4000.0)].map(|(n, surface)| devices_of_entry(n, surface)),
+            [None, None, Some(50)]
+        );
+        assert_eq!(
+            [1, 4].map(|window| tables.served_devices(Lookback::Window(window), 400.0)),
             [(5, 100), (10, 40)]
         );
-        let of = |window: u32, n: u32| {
-            learned
+        let devices_of_window = |window: u32, n: u32| {
+            tables
                 .closest_entry(Lookback::Window(window), n, 400.0)
                 .map(|entry| entry.devices)
         };
-        assert_eq!([of(4, 40), of(4, 41), of(2, 20)], [Some(20), None, None]);
-        assert!(learned.closest_entry(Lookback::Ages, 20, 400.0).is_none());
-        assert_eq!(learned.lookbacks(), [1, 4].map(Lookback::Window));
         assert_eq!(
-            [1, 3, 5].map(|window| learned.nearest_window(window)),
+            [(4, 40), (4, 41), (2, 20)].map(|(window, n)| devices_of_window(window, n)),
+            [Some(20), None, None]
+        );
+        assert!(tables.closest_entry(Lookback::Ages, 20, 400.0).is_none());
+        assert_eq!(tables.lookbacks(), [1, 4].map(Lookback::Window));
+        assert_eq!(
+            [1, 3, 5].map(|window| tables.nearest_window(window)),
             [1, 4, 4].map(Some)
         );
     }
 
     #[test]
-    fn under_shipped_tables_for_ages_whoever_can_report_looks_at_old_places() {
+    fn shipped_tables_for_ages_let_devices_sense_old_places() {
         for (_, text) in SHIPPED.into_iter().filter(|(name, _)| name.ends_with(AGES_SUFFIX)) {
             for entry in parse_shipped(text).entries {
                 let advantages = entry.duty.advantages();
-                let begins = advantages[2..].iter().map(|row| Lookback::Ages.advantage_start(row));
-                let begins: Vec<Option<f64>> = begins.collect();
-                // A quarter of a disc with places of the greatest age that counts; devices in corners cover no more.
-                let is_met = |begin: &&f64| **begin < 0.25 * Lookback::Ages.max_gain();
-                let met = begins.iter().flatten().filter(is_met).count();
-                assert!(met >= 3, "N = {}: {begins:?}", entry.devices);
+                // The least gain at which a device senses, for each battery level that pays for a report.
+                let min_gains = advantages[2..].iter().map(|row| Lookback::Ages.advantage_start(row));
+                let min_gains: Vec<Option<f64>> = min_gains.collect();
+                // A device in a corner covers a quarter of a disc, here with places of the largest worth.
+                let is_reachable = |min_gain: &&f64| **min_gain < 0.25 * Lookback::Ages.max_gain();
+                let reachable_count = min_gains.iter().flatten().filter(is_reachable).count();
+                assert!(reachable_count >= 3, "N = {}: least gains {min_gains:?}", entry.devices);
             }
         }
     }
 
     #[test]
-    fn the_shipped_tables_are_those_of_a_training_with_the_presets_as_they_are() {
+    fn the_shipped_tables_match_a_training_with_the_current_presets() {
         for (name, text) in SHIPPED {
             let tables = parse_shipped(text);
             assert_eq!(read_training_site(text), tables.site);
-            let mut set = vec!["name=q-learning", "q-learning.learn=true", "q-learning.table=nothing"];
+            let mut fields = vec![
+                "policy.name=q-learning",
+                "policy.q-learning.learn=true",
+                "policy.q-learning.table=nothing",
+            ];
             if name.ends_with(AGES_SUFFIX) {
                 assert_eq!(tables.lookbacks(), [Lookback::Ages]);
-                set.push("q-learning.ages=true");
+                fields.push("policy.q-learning.ages=true");
             } else {
                 assert_eq!(tables.lookbacks(), [1, 2, 4].map(Lookback::Window));
             }
             for lookback in tables.lookbacks() {
                 let (least, most) = tables.served_devices(lookback, 400.0);
-                assert!(least == 5 && most >= 500, "{name}, window {lookback}");
+                assert!(
+                    least == 5 && most >= 500,
+                    "{name}, {lookback}: {least} to {most} devices"
+                );
             }
-            let set: Vec<Override> = set
-                .iter()
-                .map(|set| Override::parse(&format!("policy.{set}")).expect("an override"))
-                .collect();
             let preset = name.trim_start_matches("shipped-").trim_end_matches(AGES_SUFFIX);
-            let mut scenario = load(preset, &set).expect("a preset").scenario;
+            let mut scenario = load(preset, &overrides(&fields)).expect("a preset").scenario;
             assert!(
                 TrainingSite::from_site(&scenario.site())
                     .differences(&tables.site)
@@ -530,7 +549,7 @@ mod tests {
             assert_eq!(
                 scenario.hash_hex(),
                 tables.scenario,
-                "{preset}: train again, docs/q-learning.md"
+                "{preset}: train again as in docs/q-learning.md"
             );
         }
     }

@@ -23,11 +23,13 @@ pub enum Lookback {
     Ages,
 }
 
-/// Representation of a [`Lookback`] in files.
+/// Representation of a [`Lookback`] in files: a window as a number, ages as the word `ages`.
 #[derive(Serialize, Deserialize)]
 #[serde(untagged)]
 enum LookbackRepr {
+    /// A window, TTIs.
     Window(u32),
+    /// The word `ages`.
     Word(String),
 }
 

@@ -302,36 +302,34 @@ impl LearnedTables {
 
 #[cfg(test)]
 mod tests {
-    use crate::scenario::{Override, load};
-
     use super::*;
+    use crate::scenario::tests::load_paper;
 
-    fn setting(set: &[&str]) -> TrainingSite {
-        let set: Vec<Override> = set
-            .iter()
-            .map(|set| Override::parse(set).expect("an override"))
-            .collect();
-        TrainingSite::from_site(&load("paper", &set).expect("a scenario").scenario.site())
+    fn training_site(fields: &[&str]) -> TrainingSite {
+        TrainingSite::from_site(&load_paper(fields).site())
     }
 
     #[test]
-    fn what_is_covered_is_worth_its_discounted_sum_and_the_start_a_disc_of_it() {
+    fn covering_is_worth_its_discounted_sum_and_tables_start_at_a_share_of_a_disc() {
         for (mu1, zeta, window) in [(14.0, 0.95, 4), (2.0, 0.5, 1), (3.0, 0.0, 7), (1.0, 0.999, 1000)] {
             let weights = QWeights { mu1, mu2: 1.0, zeta };
             let expected = 250.0 * 0.2 * mu1 * (1.0 - libm::pow(zeta, f64::from(window))) / (1.0 - zeta);
-            let found = weights.covering_worth(250, 0.2, window);
-            assert!((found - expected).abs() < 1e-9 * expected, "{found} is not {expected}");
-            let set = Override::parse("devices=250").expect("an override");
-            let scenario = load("paper", &[set]).expect("a scenario").scenario;
+            let worth = weights.covering_worth(250, 0.2, window);
+            assert!(
+                (worth - expected).abs() < 1e-9 * expected,
+                "worth {worth}, not {expected}"
+            );
+            let scenario = load_paper(&["devices=250"]);
             for optimism in [0.0, 0.5, 2.0] {
                 let entry = TableSet::optimistic(&scenario.site(), &weights, Lookback::Window(window), optimism);
                 // A whole disc of 4 m radius on 20 m × 20 m, with α = 0.2.
-                let most = optimism * expected * std::f64::consts::PI * 16.0 / 400.0;
+                let initial_value = optimism * expected * std::f64::consts::PI * 16.0 / 400.0;
                 for battery in 0..BATTERY_BUCKETS {
-                    let [off, on] = [false, true].map(|delta| entry.duty.at(battery, AREA_BUCKETS - 1, delta).value);
+                    let [sleep_value, sense_value] =
+                        [false, true].map(|delta| entry.duty.at(battery, AREA_BUCKETS - 1, delta).value);
                     assert!(
-                        (off - 1.0).abs() < 1e-12 && (on - most).abs() < 1e-9 * expected,
-                        "{on}, not {most}"
+                        (sleep_value - 1.0).abs() < 1e-12 && (sense_value - initial_value).abs() < 1e-9 * expected,
+                        "values {sleep_value} and {sense_value}, not 1 and {initial_value}"
                     );
                 }
             }
@@ -339,10 +337,10 @@ mod tests {
     }
 
     #[test]
-    fn settings_differ_in_what_changes_the_worth_of_doing_something() {
-        let own = setting(&[]);
+    fn sites_differ_in_fields_that_change_values_only() {
+        let site = training_site(&[]);
         assert!(
-            own.differences(&setting(&["seed=3", "devices=7", "ttis=99"]))
+            site.differences(&training_site(&["seed=3", "devices=7", "ttis=99"]))
                 .is_empty()
         );
         for (set, phrase) in [
@@ -352,18 +350,18 @@ mod tests {
             ("layout.kind=uniform", "layout.kind jittered-grid, here uniform"),
             ("energy.e_tx=9", "energy.e_tx 10, here 9"),
         ] {
-            assert_eq!(own.differences(&setting(&[set])), [phrase]);
+            assert_eq!(site.differences(&training_site(&[set])), [phrase]);
         }
         // A field that only one of the two sites has also counts as a difference.
-        let mut fewer = own.clone();
-        let lost = fewer.numbers.remove(0);
+        let mut fewer = site.clone();
+        let removed = fewer.numbers.remove(0);
         assert_eq!(
-            own.differences(&fewer),
-            [format!("{} {}, not known here", lost.0, lost.1)]
+            site.differences(&fewer),
+            [format!("{} {}, not known here", removed.0, removed.1)]
         );
         assert_eq!(
-            fewer.differences(&own),
-            [format!("{} not known there, here {}", lost.0, lost.1)]
+            fewer.differences(&site),
+            [format!("{} not known there, here {}", removed.0, removed.1)]
         );
     }
 }

@@ -378,9 +378,9 @@ mod tests {
             e_tx: units(10.0),
             initial: units(50.0),
         };
-        let of = |x: f64| battery_bucket(units(x), &energy);
+        let bucket_of = |x: f64| battery_bucket(units(x), &energy);
         assert_eq!(
-            [0.0, 0.99, 1.0, 10.99, 11.0, 25.8, 25.9, 99.9, 100.0].map(of),
+            [0.0, 0.99, 1.0, 10.99, 11.0, 25.8, 25.9, 99.9, 100.0].map(bucket_of),
             [0, 0, 1, 1, 2, 2, 3, 7, 7]
         );
         assert_eq!(
@@ -418,7 +418,7 @@ mod tests {
     }
 
     #[test]
-    fn advantages_and_values_never_fall() {
+    fn advantages_are_pooled_until_they_do_not_fall() {
         let mut table = DutyTable::optimistic(20.0, |_| 1.0);
         for area in 0..AREA_BUCKETS {
             table.at_mut(3, area, true).value = 1.0 + if area == 5 { 9.0 } else { area as f64 };

@@ -1,0 +1,89 @@
+//! Checks of the whole command line against clap's own definition of it.
+
+mod option_table;
+
+use clap::{Arg, Command, CommandFactory};
+
+use super::Cli;
+
+#[test]
+fn the_command_line_is_consistent() {
+    Cli::command().debug_assert();
+}
+
+/// Numbers that no command can use.
+#[test]
+fn numbers_below_a_range_are_refused_with_the_range() {
+    for (line, range) in [
+        ("bench scale --devices 0", "from 1 to 1000000"),
+        ("bench scale --ttis 0", "from 1 to 1000000000"),
+        ("bench watch --devices 0", "from 1 to 1000000"),
+        ("bench watch --ttis 0", "from 1 to 1000000000"),
+        ("bench memory --devices 10,0", "from 1 to 1000000"),
+        ("bench memory --ttis 0", "from 1 to 1000000000"),
+        ("train q-learning --devices 0 --out a", "from 1 to 1000000"),
+        ("train record --stride 1 --out a", "from 2 to 4294967295"),
+        ("sweep --seeds 0", "from 1 to 10000000"),
+        ("sweep --min-seeds 1", "from 2 to 10000000"),
+        ("analyse battery --devices 1", "from 2 to 1000000"),
+        ("analyse battery --ttis 0", "from 1 to "),
+        ("figures q-table a --devices 0", "from 1 to 1000000"),
+        ("device --run a --connect b --host-count 0", "from 1 to 4294967295"),
+        ("device --run a --connect b --parent 0", "from 1 to 2147483647"),
+        ("bench bare-host zenoh a 3,4 -1 5", "from 0 to 4294967295"),
+        ("bench bare-host zenoh a 3,4 0 many", "from 1 to 2147483647"),
+    ] {
+        let words = ["reveille"].into_iter().chain(line.split(' '));
+        let refusal = Cli::command().try_get_matches_from(words).expect_err(line).to_string();
+        let expected = format!("must be a whole number {range}");
+        assert!(refusal.contains(&expected), "{line}: {refusal}");
+    }
+}
+
+/// Returns the visible commands below `command` and the command itself.
+fn commands(command: &Command) -> Vec<Command> {
+    let visible = command.get_subcommands().filter(|below| !below.is_hide_set());
+    visible.flat_map(commands).chain([command.clone()]).collect()
+}
+
+/// Returns a valid value of an option that takes a list.
+fn sample(arg: &Arg) -> String {
+    let defaults = arg.get_default_values().first().and_then(|value| value.to_str());
+    let default = defaults.and_then(|text| text.split(',').next()).map(str::to_owned);
+    let possible = || {
+        arg.get_possible_values()
+            .first()
+            .map(|value| value.get_name().to_owned())
+    };
+    default.or_else(possible).unwrap_or_else(|| "7".to_owned())
+}
+
+#[test]
+fn the_items_of_a_list_may_have_spaces_around_them() {
+    let mut seen = 0;
+    for command in commands(&Cli::command()) {
+        for arg in command
+            .get_arguments()
+            .filter(|arg| arg.get_value_delimiter() == Some(','))
+        {
+            seen += 1;
+            let (id, value) = (arg.get_id().as_str(), sample(arg));
+            // The epsilon of a training has exactly two values.
+            let line = format!("--{}={value}, {value}", arg.get_long().expect("an option"));
+            let lenient = command
+                .clone()
+                .mut_args(|arg| arg.required(false))
+                .subcommand_required(false);
+            let found = lenient.try_get_matches_from([command.get_name(), &line]);
+            let found = found.unwrap_or_else(|error| panic!("{} {line}: {error}", command.get_name()));
+            if let Ok(Some(mut items)) = found.try_get_many::<String>(id) {
+                assert!(
+                    items.all(|item| *item == value),
+                    "{} {line}: {items:?}",
+                    command.get_name()
+                );
+            }
+        }
+    }
+    assert!(seen > 15, "only {seen} options take a list");
+}
