@@ -35,7 +35,11 @@ impl VirtualClock {
             // A step before the previous one has ended extends it. The number comes from an operator and may be any
             // `u64`.
             ClockCommand::Step(n) => {
-                let stop = if self.until == Tti::NEVER { next } else { self.until.max(next) };
+                let stop = if self.until == Tti::NEVER {
+                    next
+                } else {
+                    self.until.max(next)
+                };
                 self.until = stop.saturating_add(n);
             }
             ClockCommand::RunTo(k) if k >= next && k <= self.end => self.until = k,

@@ -309,13 +309,13 @@ pub(crate) mod tests {
             device: DeviceId(device),
             drained_energy: Energy::from_micro(drained),
         };
-        assert!(roster.is_possible_answer(0, 4, &[failure(4, 9_999_999)]));
+        assert!(roster.is_possible_answer(0, 2, &[failure(4, 9_999_999)], 2));
         assert!(
-            !roster.is_possible_answer(0, 5, &[failure(4, 0)]),
-            "more reports and failures than devices"
+            !roster.is_possible_answer(0, 4, &[failure(4, 0)], 1),
+            "more outcomes than devices"
         );
         assert!(
-            !roster.is_possible_answer(0, 0, &[failure(5, 0)]),
+            !roster.is_possible_answer(0, 0, &[failure(5, 0)], 0),
             "a device of another host"
         );
         assert!(

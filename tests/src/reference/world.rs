@@ -280,7 +280,7 @@ impl<'a> ReferenceWorld<'a> {
                 }
             } else if self.devices[j].state == ReferenceState::Unpowered
                 && self.policy.senses(j, k)
-                && self.radio.is_informed(j)
+                && self.radio.has_plan(j)
                 && self.detects(j, d)
             {
                 event.obstacles[0] = true;

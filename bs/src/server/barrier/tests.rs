@@ -14,6 +14,7 @@ fn grant_done(host: u32, tti: u64, reports: u32) -> HostAnswer {
         tti: Tti(tti),
         reports,
         failures: vec![],
+        unpowered: 0,
         totals: None,
         views: None,
     }

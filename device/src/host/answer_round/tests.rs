@@ -41,6 +41,7 @@ fn grant_done(reports: u32) -> HostAnswer {
         tti: TTI,
         reports,
         failures: Vec::new(),
+        unpowered: 0,
         totals: None,
         views: None,
     }
@@ -86,7 +87,7 @@ fn a_grant_collects_failures_totals_and_views() {
         device: DeviceId(4),
         drained_energy: Energy::from_micro(2),
     };
-    let round = AnswerRound::new(HOST, HostRequest::Grant(TTI), 5);
+    let round = AnswerRound::new(HOST, HostRequest::Grant(TTI), 7);
     let view = |device: u32| DeviceView {
         state: DeviceState::Idle,
         battery: Energy::from_micro(u64::from(10 * device)),
@@ -94,10 +95,12 @@ fn a_grant_collects_failures_totals_and_views() {
     let view_part = |device: u32| DeviceAnswer::View(DeviceId(device), view(device));
     for part in [
         DeviceAnswer::Failed(failure),
+        DeviceAnswer::Unpowered,
         view_part(5),
         view_part(4),
         DeviceAnswer::Ledger(DeviceId(4), Box::new(ledger(3))),
         DeviceAnswer::Ledger(DeviceId(5), Box::new(ledger(8))),
+        DeviceAnswer::Unpowered,
     ] {
         assert_eq!(round.add_part(&part), None);
     }
@@ -106,6 +109,7 @@ fn a_grant_collects_failures_totals_and_views() {
         tti: TTI,
         reports: 0,
         failures: vec![failure],
+        unpowered: 2,
         totals: Some(totals(11)),
         views: Some(vec![view(4), view(5)]),
     };

@@ -323,7 +323,11 @@ fn a_wake_up_is_missed_in_s1_and_without_power() {
 fn a_device_with_too_little_energy_for_s1_is_unpowered_until_it_harvests() {
     let (mut machine, physics) = device(energy_model(9), &[0, 300]);
     machine.set_duty(Tti(0), DutyCycle::SENSING);
-    assert_eq!(machine.sense(Tti(0), &event_at(NEAR), &physics), SenseOutcome::Nothing);
+    assert_eq!(machine.sense(Tti(0), &event_at(FAR), &physics), SenseOutcome::Nothing);
+    assert_eq!(
+        machine.sense(Tti(0), &event_at(NEAR), &physics),
+        SenseOutcome::Unpowered
+    );
     assert_eq!((machine.state(), machine.battery()), (UNPOWERED, micro(0)));
     assert_eq!(
         machine.wake(Tti(0), Some(&event_at(NEAR)), &physics),

@@ -209,7 +209,7 @@ type ReportOutcome = Option<Result<(), u64>>;
 
 fn outcome_of_sensing(sensed: &SenseOutcome) -> ReportOutcome {
     match sensed {
-        SenseOutcome::Nothing => None,
+        SenseOutcome::Nothing | SenseOutcome::Unpowered => None,
         SenseOutcome::Reported(_) => Some(Ok(())),
         SenseOutcome::Failed(failure) => Some(Err(failure.drained_energy.micro())),
     }
