@@ -1,4 +1,5 @@
-//! Options of `reveille analyse`.
+//! Options of `reveille analyse`, which `commands/analyse/` executes. Names of options are a public interface (see
+//! `cli`).
 
 use std::path::PathBuf;
 

@@ -1,5 +1,6 @@
-//! Options given to a subcommand that lacks them. clap would suggest an option with a similar name; the error here names
-//! the subcommands that have the option.
+//! Options given to a subcommand that lacks them. clap would suggest an option with a similar name; the error here
+//! names the subcommands that have the option. Tests here check that each reason is about an option that its command
+//! lacks.
 
 use std::ffi::OsString;
 

@@ -1,4 +1,5 @@
-//! Options of `reveille scenario`, `reveille clock` and `reveille bench`.
+//! Options of `reveille scenario`, `reveille clock` and `reveille bench`. Names of options are a public interface (see
+//! `cli`). `bench/bare.rs` writes the arguments of the hidden `bench bare-host`.
 
 use std::path::PathBuf;
 use std::time::Duration;

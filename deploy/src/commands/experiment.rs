@@ -1,4 +1,5 @@
 //! The experiment that the command line selects, for `sweep` and `train record`: an experiment file and options on top.
+//! `lab/src/sweep/` defines the file. The order of options does not matter.
 
 use std::path::{Path, PathBuf};
 

@@ -1,5 +1,5 @@
 //! `reveille report`: the paper's claims next to the results, as HTML and Markdown; and the settings that meet most
-//! claims.
+//! claims. `figure_order` recognises a figure by the start of its title, which `study/src/figures/` sets.
 
 use std::fs;
 use std::path::{Path, PathBuf};

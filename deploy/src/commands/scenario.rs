@@ -1,4 +1,5 @@
-//! `reveille scenario`: shows presets and scenarios, checks files, and writes the schema and the field reference.
+//! `reveille scenario`: shows presets and scenarios, checks files, and writes the schema and the field reference. The
+//! reference is `docs/scenario.md`; `bs/src/scenario/` makes it and compares the page in a test.
 
 use std::path::Path;
 use std::process::ExitCode;

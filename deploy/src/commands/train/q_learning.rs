@@ -1,4 +1,5 @@
-//! `reveille train q-learning`: trains tables in memory.
+//! `reveille train q-learning`: trains tables in memory. The tables have the same bytes with any number of threads and
+//! after any interruption; `docs/training.md` names the checkpoint and its file.
 
 use std::path::Path;
 use std::process::ExitCode;
