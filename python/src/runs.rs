@@ -1,5 +1,5 @@
-//! Runs and sweeps of the built-in policies, for `python/reveille/runs.py`. Long work releases the interpreter, so that
-//! other Python threads continue; [`sweep`] also checks for Ctrl-C.
+//! Runs and sweeps of the built-in policies, for `python/reveille/runs.py`; users see the keys of the dictionaries.
+//! Long work releases the interpreter, so that other Python threads continue; [`sweep`] also checks for Ctrl-C.
 
 #![expect(
     clippy::needless_pass_by_value,

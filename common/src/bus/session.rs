@@ -1,5 +1,5 @@
 //! Opening and configuration of sessions: `Bus::listen` for the BS, `Bus::connect` for all other processes. Timeouts
-//! grow with the number of processes that share the machine.
+//! grow with the number of processes that share the machine. No digest depends on these settings.
 
 use std::io::ErrorKind;
 use std::time::Duration;
