@@ -1,4 +1,6 @@
 //! A run in memory under an external policy that stops at each decision. The environments of [`crate::gym`] step it.
+//! Answered with the decisions of a built-in policy, it must equal the run of that policy; `tests/tests/external.rs`
+//! compares them.
 //!
 //! It never blocks, so one thread can hold any number of such runs, and copy them to try several decisions.
 

@@ -1,7 +1,7 @@
 //! Information, the objective of P1, against energy for one N, with a line through a policy's knob settings.
 //!
 //! Knobs are settings that only the base station uses: policy settings and the ranking of wake-ups. Conditions that
-//! differ in any other field get separate figures.
+//! differ in any other field get separate figures. The columns of the CSV are a file format.
 
 use std::fmt::Write as _;
 

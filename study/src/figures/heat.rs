@@ -1,7 +1,7 @@
 //! Heat maps with a colour and a number in every cell; zero is in the middle of the colour scale.
 //!
 //! The colours run from dark blue through grey to light yellow. Their lightness increases throughout, so they suit
-//! colour-blind readers and print without colours.
+//! colour-blind readers and print without colours. The figures of `q_table`, `attention` and `tuning` use them.
 
 use libm::sqrt;
 

@@ -1,5 +1,6 @@
 //! Trade-offs of policies against energy, with a line through rising N: information, the objective of P1, and the delay
-//! of detection. [`super::front`] shows the trade-off at one N.
+//! of detection. [`super::front`] shows the trade-off at one N. The names in [`TRADE_OFFS`] are values of `--only` and
+//! parts of file names, listed in docs/figures-and-report.md. The columns of the CSV are a file format.
 
 use std::fmt::Write as _;
 

@@ -1,5 +1,6 @@
 //! Robustness to an imperfect radio: information, energy and missed events against the failure rate of one radio
-//! function, while all others work. This module makes the runs; it reads no tables.
+//! function, while all others work. This module makes the runs; it reads no tables. The names of [`IMPAIRMENTS`] are
+//! fields of `radio`, values of `--only` and parts of file names. The columns of [`csv`] are a file format.
 
 use std::fmt::Write as _;
 

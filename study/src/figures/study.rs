@@ -1,5 +1,7 @@
 //! The paper's Figs. 7 to 12: a metric against N, with a line for each policy. Figs. 13 and 14 are in
-//! [`super::energy`]. Titles, captions and CSV cells are shared with the other charts from tables.
+//! [`super::energy`]. Titles, captions and CSV cells are shared with the other charts from tables. Names are values of
+//! `--only` and parts of file names, listed in docs/figures-and-report.md. The columns of the CSV are a file format.
+//! Claims are found by `paper_figure` and `stated_metric`: without a match, no value of the paper is drawn.
 
 use std::fmt::Write as _;
 
@@ -19,7 +21,7 @@ use reveille_lab::metric_estimate::MetricEstimate;
 pub struct Figure {
     /// Name in commands and files.
     pub name: &'static str,
-    /// Metric along y.
+    /// Metric along y, from `Metrics::NAMES`.
     pub metric: &'static str,
     /// Whether the metric is divided by N.
     pub is_per_device: bool,
@@ -27,7 +29,7 @@ pub struct Figure {
     pub title: &'static str,
     /// Corresponding figure of the paper.
     pub paper_figure: &'static str,
-    /// Metric of the claims that are drawn as the paper's values.
+    /// Metric of the claims that are drawn as the paper's values; with `paper_figure`, the key of [`claims_on`].
     pub stated_metric: &'static str,
     /// Whether y is logarithmic.
     pub is_log: bool,
@@ -205,7 +207,7 @@ impl Figure {
             } else {
                 0.0
             };
-            // None of these metrics can be negative, whatever an interval says.
+            // No metric in `FIGURES` can be negative, whatever an interval says.
             [(s.y - half_width).max(s.y.min(0.0)), s.y + half_width]
         };
         let measured = series.iter().flat_map(|s| &s.points);

@@ -1,6 +1,7 @@
 //! Figure of a tuning: the surrogate of the objective over (μ1, μ2), and the evaluated pairs.
 //!
-//! Colours run from dark to light, so that they can be read in print without colours.
+//! Colours run from dark to light, so that they can be read in print without colours. The figure reads the header of
+//! the history by the names that `TuningPlan::header` writes.
 
 use reveille_lab::tuning::{History, Ranges, Surface, WeightPair};
 

@@ -2,7 +2,7 @@
 //!
 //! A [`SweepFigureSpec`] names the fields and the metric. [`SweepFigureSpec::draw`] draws a figure for each combination
 //! of the values of all other fields in which the runs differ. The caption names these values. The figures show nothing
-//! from the paper.
+//! from the paper. The columns of the CSV are a file format.
 
 mod points;
 
@@ -436,7 +436,7 @@ fn values(points: &[SweepPoint<'_>], field: &str) -> Vec<String> {
 /// Returns the fields in which `points` differ, except `drawn`.
 fn facet_fields(points: &[SweepPoint<'_>], drawn: [&String; 2]) -> Vec<String> {
     let differs = |field: &String| {
-        // The index is valid: `chosen` has rejected an empty list.
+        // The index is valid: `select_points` has rejected an empty list.
         let first = points[0].value(field);
         points.iter().any(|point| point.value(field) != first)
     };
