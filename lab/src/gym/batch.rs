@@ -1,6 +1,6 @@
 //! Environments that step together on separate threads and write their observations into the caller's memory, the NumPy
-//! arrays of the Python package. Results do not depend on the number of threads. The order of the reward terms in
-//! [`BatchBuffers::parts`] is that of `PARTS` in `python/reveille/environment.py`; change both.
+//! arrays of the Python package. Results do not depend on the number of threads. `PARTS` in
+//! `python/reveille/environment.py` names the reward terms of [`BatchBuffers::parts`] in the same order; change both.
 
 use rayon::iter::{IndexedParallelIterator, IntoParallelIterator, IntoParallelRefMutIterator, ParallelIterator};
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};

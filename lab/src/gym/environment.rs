@@ -1,5 +1,5 @@
-//! One environment: a run that actions advance by steps, with the rewards of Sec. V-B. The formulas are those of
-//! `bs/src/beliefs/reward.rs`; rewards do not affect the run.
+//! One environment: a run that actions advance by steps, with the rewards of Sec. V-B. `bs/src/beliefs/reward.rs` has
+//! the formulas; rewards do not affect the run.
 
 use std::sync::Arc;
 

@@ -1,6 +1,6 @@
 //! Heat maps of the tables that `q-learning` has learned for one N: duty cycling and wake-ups. The columns of the CSV
-//! are a file format. The limits of buckets must be those of [`reveille_bs::policy::q_learning::learned`]; a test
-//! compares them.
+//! are a file format. The limits of buckets must equal the limits in [`reveille_bs::policy::q_learning::learned`]; a
+//! test compares them.
 
 use std::f64::consts::PI;
 use std::fmt::Write as _;

@@ -1,5 +1,5 @@
 //! Rows and columns of a [`super::ClaimReport`]: a row for each claim, with an assessment for each condition.
-//! [`PRESETS`] must be names of presets; their order is that of the first columns.
+//! [`PRESETS`] must be names of presets; the first columns have their order.
 
 use super::judge::Verdict;
 use crate::claims::{Citation, Contradiction};
