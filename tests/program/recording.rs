@@ -3,6 +3,7 @@
 //! recordings with other programs.
 
 use std::fs;
+use std::time::Duration;
 
 use reveille_tests::process::{TestFolder, assert_refused, unique_run};
 use rustix::process::Signal;
@@ -244,6 +245,8 @@ fn observers_that_join_early_and_late_record_the_same_run() {
     let start = |file: &str| {
         let record = folder.start(&format!("inspect record {file} --run {run}"));
         record.wait_for_stderr("connected to run");
+        // Lets the subscriptions of the observer reach the base station.
+        std::thread::sleep(Duration::from_millis(500));
         record
     };
     // The second observer computes the state before it joined from the scenario.
