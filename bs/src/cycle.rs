@@ -359,7 +359,7 @@ impl Cycle {
         let WakeOrder { tti, device, .. } = *order;
         // Only the radio model determines whether the report was lost on the way; the device does not know.
         let outcome = &outcome.after_uplink(&self.world.losses_at(tti));
-        // `is_far` needs an open event. There is one, since the world closes it only after the last wake-up.
+        // `is_beyond_d_max` needs an open event. There is one, since the world closes it only after the last wake-up.
         self.score
             .record_wake_up_outcome(tti, device, outcome, self.world.is_beyond_d_max(device));
         observer.notify(&Notification::WakeUpCompleted { tti, device, outcome });

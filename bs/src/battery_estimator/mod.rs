@@ -426,7 +426,7 @@ impl BatteryEstimator {
     }
 
     /// Records that `device` sent no report in TTI `k` although it should have. The radio alone causes this with
-    /// probability `lost`.
+    /// probability `loss_probability`.
     fn observe_no_report(&mut self, device: DeviceId, k: Tti, plan: &Plan, loss_probability: f64) {
         // Losses are taken as independent, so the probability that only the radio caused the silence is a product.
         let likelihood = &mut self.estimates[device.index()].silence_likelihood;

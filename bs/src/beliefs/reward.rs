@@ -1,5 +1,5 @@
 //! The rewards of Sec. V-B, reported by recorded trajectories (`policy/dt/record.rs`) and by environments
-//! (`lab/src/gym/`).
+//! (`lab/src/gym/`). They decide nothing in a run; programs that train on them depend on their values.
 //!
 //! Whether an event is missed depends on chance and is unknown in its TTI. So r(k) uses the expectation over the
 //! epicentre of an event that starts in TTI k, which is the uncovered share of the area.
@@ -7,7 +7,7 @@
 use super::coverage::CoverageUnion;
 use crate::knowledge::Knowledge;
 
-/// Default weight μ1 of misdetections.
+/// Default weight μ1 of misdetections. The settings of `q-learning` declare their own default.
 pub const DEFAULT_MU1: f64 = 14.0;
 /// Default weight μ2 of information.
 pub const DEFAULT_MU2: f64 = 1.0;
@@ -22,8 +22,8 @@ pub struct CoverageReward {
 }
 
 impl CoverageReward {
-    /// Computes the terms for the devices in S1, those with a true value in `on`, by device id. `union` holds
-    /// the positions of all devices, those in S4 included.
+    /// Computes the terms for the devices in S1, those with a true value in `on`, by device id. `union` holds the
+    /// positions of all devices, those in S4 included.
     pub fn new(union: &mut CoverageUnion, on: &[bool]) -> Self {
         let devices_on = || on.iter().enumerate().filter(|(_, on)| **on).map(|(j, _)| j);
         Self {

@@ -1,5 +1,6 @@
 //! The policy `genie`, the genie-aided bound (Sec. VI): every device sleeps, and the device closest to an event is
-//! woken when it starts. It receives the events through [`Oracle`], as no base station could.
+//! woken when it starts. It receives the events through [`Oracle`], as no base station could. Its digests depend on the
+//! order of wake-ups, ties included.
 
 use std::sync::Arc;
 

@@ -1,5 +1,6 @@
 //! The interface between a policy and the base station: [`Policy`]. The base station (`base_station.rs`) calls it;
-//! every policy of [`POLICIES`](super::registry::POLICIES) implements it, and `docs/writing-a-policy.md` explains it.
+//! every policy of [`POLICIES`](super::registry::POLICIES) implements it, and `docs/policy-interface.md` explains it.
+//! `dt/record.rs` wraps a policy, so a new method needs a line there.
 
 use std::any::Any;
 use std::fmt::Debug;

@@ -1,5 +1,6 @@
 //! Loads scenarios and the files that they name from the local disk, for the policies of this program. Other sources of
-//! files use [`load_with`](super::load_with).
+//! files use [`load_with`](super::load_with). Outside `server` this is the only file of the crate that may read the
+//! disk, as `tests/tests/tidy/` checks.
 
 use std::path::Path;
 

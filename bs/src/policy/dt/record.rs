@@ -103,7 +103,8 @@ impl BatterySource {
     }
 }
 
-/// A policy whose trajectory is recorded, optionally with exploration ([`RecordingOptions::exploration`]).
+/// A policy whose trajectory is recorded, optionally with exploration ([`RecordingOptions::exploration`]). It decides
+/// in every TTI and passes on the other calls of [`Policy`] except `oracle`, so a new method needs a line here.
 pub struct RecordingPolicy<S> {
     policy: Box<dyn Policy>,
     battery_source: BatterySource,

@@ -1,5 +1,6 @@
 //! One request of the base station to a host, answered when the last of the devices concerned has added its part.
 //! Actors add their parts in any order; the host keeps the round, so that it can retransmit the answer.
+//! Reports are sent before the answer, which states their number to `bs/src/server/barrier/`.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
