@@ -1,5 +1,5 @@
 //! Battery levels as the base station knows or estimates them. Policies decide by them, so every rounding here is part
-//! of the digest.
+//! of the digest. `tests/src/reference/estimate.rs` repeats whether a device can pay for a report.
 //!
 //! A level is known in three cases: ground truth, a report, or a missing answer of a device that must answer. In the
 //! last case the battery is empty, since a failed action empties it. From then on the estimate adds the mean harvest,

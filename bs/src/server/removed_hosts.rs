@@ -1,5 +1,5 @@
 //! Removed hosts, whose devices are no longer part of the run (`--on-loss continue`). A replay supplies the ledgers of
-//! these devices, so that the totals of the run loop still cover all devices.
+//! these devices, so that totals, final ledgers and thus the digest still cover all devices.
 
 use std::sync::Arc;
 

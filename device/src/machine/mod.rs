@@ -16,8 +16,8 @@
 //! next TTI. A false wake-up takes a device S4 → S2 → S4 within a TTI and costs E_idle on top of E_WuR. Unless that
 //! empties its battery, the device still receives wake-up signals in that TTI.
 //!
-//! The machine is lazy. It catches up with TTIs that only have harvest and δ when the device is next needed, exactly
-//! and many at a time ([`Machine::advance_to`], [`Machine::begin`]).
+//! The machine is lazy. It catches up with TTIs that only have harvest and δ when the device is next needed, many at a
+//! time ([`Machine::advance_to`]). The result must equal single steps, which `tests/step_by_step.rs` checks.
 
 use std::sync::Arc;
 
