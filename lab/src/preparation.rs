@@ -20,7 +20,8 @@ use crate::run::{Run, RunOptions};
 const PILOT_SEED_OFFSET: u64 = 0x5EED_0F91_1070_0500;
 /// The share of a pilot run that its metrics leave out.
 const PILOT_WARM_UP: f64 = 0.25;
-const MAX_CACHED_SEARCHES: usize = 1024;
+/// Most results of pilot searches that a preparer keeps.
+const MAX_CACHED_PILOT_SEARCHES: usize = 1024;
 
 /// Prepares runs and caches their shared data. Sharing a preparer does not change results.
 #[derive(Debug, Default)]
@@ -67,7 +68,7 @@ impl RunPreparer {
     /// Caches a search result. Two threads that searched for the same deployment have equal results.
     fn cache_search(&self, key: [u8; 32], found: SearchOutcome) {
         let mut searches = self.searches.lock().unwrap_or_else(PoisonError::into_inner);
-        if searches.len() == MAX_CACHED_SEARCHES {
+        if searches.len() == MAX_CACHED_PILOT_SEARCHES {
             searches.pop_front();
         }
         searches.push_back((key, found));

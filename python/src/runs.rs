@@ -152,7 +152,11 @@ pub(crate) fn sweep(py: Python<'_>, text: &str, folder: PathBuf, threads: usize)
                         interrupted = Some(error);
                     }
                 }
-                Err(RecvTimeoutError::Disconnected) => return Err(PyRuntimeError::new_err("the sweep has failed")),
+                Err(RecvTimeoutError::Disconnected) => {
+                    return Err(PyRuntimeError::new_err(
+                        "internal error: the thread of the sweep ended without a result; please report it",
+                    ));
+                }
             }
         }
     })?;

@@ -44,8 +44,8 @@ pub fn coverage_union(known: &Knowledge) -> CoverageUnion {
     CoverageUnion::new(&known.positions(), known.area, &known.sensing)
 }
 
-/// Returns the terms of r*(k) for `woken` wake-ups out of `n` devices: their value, and their cost, ≤ 0. The wake-ups
-/// raise Î by `gained_share`, as a share of Ψ. The terms of a TTI add up to r*(k).
-pub fn wake_up_terms(mu2: f64, gained_share: f64, woken: u32, n: usize) -> [f64; 2] {
-    [mu2 * gained_share, -f64::from(woken) / n as f64]
+/// Returns the two terms of r*(k) for wake-ups that raise Î by `information_gain`, as a share of Ψ: their value
+/// μ2 · `information_gain`, and their cost −`woken_count` / `device_count`. The terms of a TTI add up to r*(k).
+pub fn wake_up_reward_terms(mu2: f64, information_gain: f64, woken_count: u32, device_count: usize) -> [f64; 2] {
+    [mu2 * information_gain, -f64::from(woken_count) / device_count as f64]
 }

@@ -107,7 +107,7 @@ impl Policy for AgeIndex {
         self.candidates.belief()
     }
 
-    fn wake_up_answered(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
+    fn take_wake_up_answer(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
         if let Some(report) = report {
             let Self { ages, candidates, .. } = self;
             candidates.add_report_with_prior(seen, report, |place| ages.age_at(place));

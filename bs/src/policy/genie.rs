@@ -102,7 +102,7 @@ impl Policy for Genie {
     }
 
     /// Ends the wake-ups after one report of the event.
-    fn wake_up_answered(&mut self, _seen: &Observation<'_>, report: Option<&Report>) {
+    fn take_wake_up_answer(&mut self, _seen: &Observation<'_>, report: Option<&Report>) {
         if report.is_some() {
             self.wake_queue.clear();
         }

@@ -14,7 +14,7 @@ use super::random::RANDOM;
 pub const POLICIES: &[PolicyEntry] = &[KNN, ADJUSTED, Q_LEARNING, DT, RANDOM, GENIE, AGE_INDEX];
 
 /// Returns references to all policies, the form in which loading a scenario takes them.
-pub fn kinds() -> Vec<&'static PolicyEntry> {
+pub fn all_policies() -> Vec<&'static PolicyEntry> {
     POLICIES.iter().collect()
 }
 

@@ -48,8 +48,8 @@ impl RemovedHosts {
         });
     }
 
-    /// Stores the removal of devices of a removed host.
-    pub(super) fn record_removal(&self, removal: &DeviceRemoval) -> Result<(), BsError> {
+    /// Writes the removal of devices to the input log and adds it to the replay, before it takes effect.
+    pub(super) fn log_removal(&self, removal: &DeviceRemoval) -> Result<(), BsError> {
         self.replay()?.record_removal(removal).map_err(BsError::CannotContinue)
     }
 

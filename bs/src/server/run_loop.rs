@@ -323,7 +323,7 @@ impl RunLoop<'_> {
             let devices = (assignment.first.0..=assignment.last().0).map(DeviceId);
             let removed_hosts = &self.removed_hosts;
             self.session
-                .remove_devices(devices, observer, |removal| removed_hosts.record_removal(removal))?;
+                .remove_devices(devices, observer, |removal| removed_hosts.log_removal(removal))?;
         }
         Ok(())
     }

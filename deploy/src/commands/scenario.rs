@@ -28,7 +28,7 @@ pub(crate) fn run(command: &ScenarioCommand) -> anyhow::Result<ExitCode> {
         } => {
             let Loaded { scenario, warnings } = load_with_external(source, &parse_overrides(set)?)?;
             print_warnings(source, &warnings);
-            display::print_stdout(&scenario.to_full_toml(&registry::kinds()))?;
+            display::print_stdout(&scenario.to_full_toml(&registry::all_policies()))?;
             Ok(ExitCode::SUCCESS)
         }
         ScenarioCommand::Schema { out } => write_or_print(out.as_deref(), &schema()),

@@ -215,7 +215,8 @@ impl Environment {
         // A plan is due in every TTI, so the run stops before the next grant: Î still belongs to this TTI.
         let observer = self.run.observer();
         let gain = (observer.information - information_before) / psi;
-        let [information, woken] = reward::wake_up_terms(self.weights.mu2, gain, observer.wake_ups, self.devices);
+        let [information, woken] =
+            reward::wake_up_reward_terms(self.weights.mu2, gain, observer.wake_ups, self.devices);
         StepResult {
             information,
             woken,

@@ -155,7 +155,7 @@ impl TimedDecisions {
                 wake_ups += 1;
                 let report = report(knowledge, woken, *tti, stimulus.epicentre);
                 information = knowledge.sensing.fuse(information, report.information);
-                policy.wake_up_answered(&observe(knowledge, batteries, plan, *tti, information), Some(&report));
+                policy.take_wake_up_answer(&observe(knowledge, batteries, plan, *tti, information), Some(&report));
             }
         }
         wake_ups

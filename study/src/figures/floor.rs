@@ -32,8 +32,9 @@ use super::style::{MarkerShape, Style};
 const COVER_CSV: &str = include_str!("../../data/cover.csv");
 /// Relaxed bounds: layout, N, energy per device and TTI, information. Columns are read by position.
 const BOUND_CSV: &str = include_str!("../../data/bounds.csv");
-/// Side of the area and sensing range in [`COVER_CSV`], metres.
+/// Side of the square area for which [`COVER_CSV`] was computed, metres.
 const COVER_AREA_SIDE: f64 = 20.0;
+/// d_max for which [`COVER_CSV`] was computed, metres.
 const COVER_D_MAX: f64 = 4.0;
 
 /// Caption text about the floor.

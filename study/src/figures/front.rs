@@ -13,7 +13,7 @@ use super::floor;
 use super::note::Note;
 use super::pareto::{ENERGY_METRIC, GENIE, P1_METRIC, point, scales_from_zero};
 use super::results::RunCondition;
-use super::study::{csv_cell, csv_half_width, runs_in_words};
+use super::study::{csv_cell, half_width_cell, runs_in_words};
 use super::style::Style;
 
 /// Name in commands and files.
@@ -257,7 +257,7 @@ fn csv(n: u32, lines: &[PolicyLine<'_>]) -> String {
                 x_half_width,
             } = setting.point;
             let runs = setting.condition.runs(line.name, n).count();
-            let (y_half_width, x_half_width) = (csv_half_width(y_half_width), csv_half_width(x_half_width));
+            let (y_half_width, x_half_width) = (half_width_cell(y_half_width), half_width_cell(x_half_width));
             let label = csv_cell(&setting.condition.label());
             let _ = writeln!(
                 out,

@@ -74,7 +74,7 @@ impl Policy for Adjusted {
         self.information_target.belief()
     }
 
-    fn wake_up_answered(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
+    fn take_wake_up_answer(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
         self.information_target.add_wake_up_answer(seen, report);
     }
 

@@ -151,7 +151,7 @@ impl Policy for Dt {
         self.candidates.belief()
     }
 
-    fn wake_up_answered(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
+    fn take_wake_up_answer(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
         if let Some(report) = report {
             self.token_builder.add_report(seen, report);
             let ages = self.token_builder.ages();

@@ -147,7 +147,7 @@ impl Policy for External {
         self.wake_queue.pop_front()
     }
 
-    fn wake_up_answered(&mut self, _: &Observation<'_>, report: Option<&Report>) {
+    fn take_wake_up_answer(&mut self, _: &Observation<'_>, report: Option<&Report>) {
         if let Some(report) = report {
             self.history.add_report(report);
             self.heard.push(*report);

@@ -192,7 +192,7 @@ impl Policy for QLearning {
         self.candidates.belief()
     }
 
-    fn wake_up_answered(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
+    fn take_wake_up_answer(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
         self.wake.record_answer(seen.information);
         if let Some(report) = report {
             self.report_count += 1;

@@ -15,7 +15,7 @@ use super::chart::{Chart, ChartPoint, Interval, Series};
 use super::error::FigureError;
 use super::results::Results;
 use super::scale::Scale;
-use super::study::{csv_cell, csv_half_width, runs_in_words};
+use super::study::{csv_cell, half_width_cell, runs_in_words};
 use super::style::Style;
 use super::to_file_name;
 
@@ -342,7 +342,7 @@ impl SweepFigureSpec {
                 if let Some(metric_estimate) = point.metric_estimate(&self.metric) {
                     let (mean, half_width) = (
                         metric_estimate.estimate.mean,
-                        csv_half_width(metric_estimate.half_width()),
+                        half_width_cell(metric_estimate.half_width()),
                     );
                     let (name, runs) = (csv_cell(name), metric_estimate.estimate.runs);
                     out.push_str(&row(
