@@ -122,12 +122,12 @@ impl BaseStation {
     }
 
     /// Whether an external policy has to decide a plan before TTI `k` begins.
-    pub(crate) fn needs_plan(&self, k: Tti) -> bool {
+    pub(crate) fn needs_external_plan(&self, k: Tti) -> bool {
         self.external().is_some_and(|external| external.needs_plan(k))
     }
 
     /// Whether an external policy has to decide wake-ups in TTI `tti`.
-    pub(crate) fn needs_wake_ups(&self, tti: Tti) -> bool {
+    pub(crate) fn needs_external_wake_ups(&self, tti: Tti) -> bool {
         let asked = self.external().filter(|_| self.has_report);
         asked.is_some_and(|external| external.needs_wake_ups(&self.view.observation(tti)))
     }
@@ -298,17 +298,17 @@ impl BaseStation {
     /// Takes in the answer to the wake-up of `device`: its report, or none.
     pub fn take_wake_up_answer(&mut self, tti: Tti, device: DeviceId, report: Option<&Report>) {
         let view = &mut self.view;
-        // The policy sees the new level in `wake_up_answered`, so levels come first.
+        // The policy sees the new level in `take_wake_up_answer`, so levels come first.
         if let Some(battery_estimator) = &mut view.battery_estimator {
             match report {
                 Some(report) => battery_estimator.observe_level(device, tti, report.battery),
-                None => battery_estimator.observe_no_answer(device, tti, &view.plan),
+                None => battery_estimator.observe_unanswered_wake_up(device, tti, &view.plan),
             }
         }
         if let Some(report) = report {
             view.fuse(report);
         }
-        self.policy.wake_up_answered(&view.observation(tti), report);
+        self.policy.take_wake_up_answer(&view.observation(tti), report);
     }
 }
 

@@ -1,9 +1,11 @@
 //! The TTIs at which the energy of all devices is summed: the end of the warm-up, of each window and of the run. The
 //! session ends every grant at the next boundary, so that devices can return their sums before it.
+//! Windows change the recorded series, not the digest of a complete run.
 
 use reveille_common::ids::Tti;
 use reveille_common::scenario::Scenario;
 
+/// The boundaries of one run.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Boundaries {
     warm_up_end: Tti,

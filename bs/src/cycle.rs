@@ -2,7 +2,7 @@
 //!
 //! [`Session`](crate::session::Session) calls the steps in their order: a grant, the reports of its last TTI, and the
 //! wake-ups, one by one, until the TTI closes. Under an external policy, the cycle stops for a plan before a grant
-//! (`Cycle::needs_plan`) and for wake-ups after reports (`CycleStep::AskExternal`).
+//! (`Cycle::needs_external_plan`) and for wake-ups after reports (`CycleStep::AskExternal`).
 //!
 //! A grant covers one or more TTIs. All but the last are *quiet*: no device can detect an event in them, whatever its
 //! battery, because no event is active or no device in range has δ = 1. The clock knows this from the plan and from the
@@ -154,22 +154,22 @@ impl Cycle {
     /// Whether an external policy has to decide a plan before the next grant. False if a policy of this program
     /// decides, the last plan still holds, or the decision has been made.
     #[inline]
-    pub(crate) fn needs_plan(&self) -> bool {
-        !self.is_open && self.station.needs_plan(self.next_tti)
+    pub(crate) fn needs_external_plan(&self) -> bool {
+        !self.is_open && self.station.needs_external_plan(self.next_tti)
     }
 
     /// The context of an external policy's plan for the next TTI, even if no plan is due and at the end of the run.
     /// `None` while a TTI is open or if a policy of this program decides.
-    pub fn next_decision_context(&self) -> Option<DecisionContext<'_>> {
+    pub fn next_plan_context(&self) -> Option<DecisionContext<'_>> {
         (!self.is_open).then(|| self.station.decision_context(self.next_tti, DecisionStage::Plan))?
     }
 
-    /// Takes the plan that [`Self::needs_plan`] asks for.
+    /// Takes the plan that [`Self::needs_external_plan`] asks for.
     ///
     /// # Panics
     /// If no decision is due.
     pub(crate) fn set_plan(&mut self, decision: PlanDecision) {
-        assert!(self.needs_plan(), "no plan was requested");
+        assert!(self.needs_external_plan(), "no plan was requested");
         self.station.set_plan(decision);
     }
 
@@ -207,7 +207,7 @@ impl Cycle {
     /// synchronisation.
     ///
     /// # Panics
-    /// If the last grant is still open, `horizon` is not after the next TTI, or [`Self::needs_plan`].
+    /// If the last grant is still open, `horizon` is not after the next TTI, or [`Self::needs_external_plan`].
     pub(crate) fn grant(&mut self, horizon: Tti, observer: &mut impl Observer) -> (Grant, Vec<PlanUpdate>) {
         assert!(!self.is_open, "TTI {} is still open", self.next_tti);
         let first = self.next_tti;
@@ -222,7 +222,7 @@ impl Cycle {
                 || updates.len() >= MAX_PLANS_PER_GRANT
                 || span.stimulus.is_some()
                 || span.last + 1 >= horizon
-                || self.station.needs_plan(span.last + 1)
+                || self.station.needs_external_plan(span.last + 1)
                 // Devices return their states once per grant, at its end, so a longer grant would skip states that an
                 // observer asked for.
                 || observer.wants_states()
@@ -366,7 +366,7 @@ impl Cycle {
         let WakeOrder { tti, device, .. } = *order;
         // Only the radio model determines whether the report was lost on the way; the device does not know.
         let outcome = &outcome.after_uplink(&self.world.losses_at(tti));
-        // `is_far` needs an open event. There is one, since the world closes it only after the last wake-up.
+        // `is_beyond_d_max` needs an open event. There is one, since the world closes it only after the last wake-up.
         self.score
             .record_wake_up_outcome(tti, device, outcome, self.world.is_beyond_d_max(device));
         observer.notify(&Notification::WakeUpCompleted { tti, device, outcome });
@@ -438,7 +438,7 @@ impl Cycle {
             });
         }
         // Queued wake-ups come first: the policy process decides again only when it has seen all their outcomes.
-        if self.station.needs_wake_ups(tti) {
+        if self.station.needs_external_wake_ups(tti) {
             return CycleStep::AskExternal(tti);
         }
         if observer.wants_beliefs() {

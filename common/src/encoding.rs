@@ -1,5 +1,6 @@
-//! Encodings for programs in other languages: JSON, which is widely supported, and CBOR, which is shorter. The policy
-//! port uses them. Messages between parts of this program use the wire format of [`codec`](crate::codec).
+//! Encodings for programs in other languages: JSON, which is widely supported, and CBOR, which is shorter. Policy
+//! processes rely on both forms: `docs/policy-port.md` describes them, `python/reveille/policy_client.py` reads them.
+//! Messages between parts of this program use the wire format of [`codec`](crate::codec).
 
 use serde::de::{self, DeserializeOwned, SeqAccess, Visitor};
 use serde::ser::SerializeSeq;

@@ -1,4 +1,5 @@
-//! The battery and the energy costs of a device, per class of a scenario. `device/src/battery/` applies them.
+//! The battery and the energy costs of a device, per class of a scenario. `device/src/battery/` applies them. Names are
+//! part of scenario files and of the scenario hash, the order of fields also of the wire format.
 
 use serde::{Deserialize, Serialize};
 

@@ -1,4 +1,5 @@
-//! Identifiers of devices, hosts and events, and model time ([`Tti`]).
+//! Identifiers of devices, hosts and events, and TTIs ([`Tti`]). Messages, keys, tables and the input log hold them as
+//! plain numbers.
 
 use std::fmt;
 use std::ops::{Add, Sub};

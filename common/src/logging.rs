@@ -1,4 +1,5 @@
-//! Set-up of `tracing` for all processes; the program calls it once at its start.
+//! Set-up of `tracing` for all processes; the program calls it once at its start. No result depends on it;
+//! `docs/command-line.md` describes the levels.
 
 use std::io::IsTerminal;
 

@@ -1,4 +1,5 @@
-//! Flat Parquet files: the writer and the reader of columns that result tables, trajectories and exports share.
+//! Flat Parquet files: the writer and the reader of columns that result tables, trajectories and exports share. The
+//! callers define names, types and order of the columns.
 
 use std::io::Write;
 use std::panic::{AssertUnwindSafe, catch_unwind};

@@ -1,4 +1,5 @@
-//! Alternating busy and quiet phases: of events in `event/bursts.rs`, of interference in `radio/air.rs`.
+//! Alternating busy and quiet phases: of events in `event/bursts.rs`, of interference in `radio/air.rs`. Digests depend
+//! on the order of draws: whether the run starts busy, then the length of each phase.
 
 use crate::ids::Tti;
 use crate::rng::{Geometric, Stream};

@@ -1,4 +1,5 @@
-//! Secrets that authorise a peer, and the credentials of hosts. Both are parts of [keys](crate::keys) on the bus.
+//! Secrets that authorise a peer, and the credentials of hosts. Their texts are parts of [keys](crate::keys) on the
+//! bus; a secret's text is also the content of a key file (`deploy/src/key.rs`).
 
 use std::fmt;
 use std::str::FromStr;

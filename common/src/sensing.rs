@@ -1,4 +1,5 @@
-//! The sensing of events by devices and the information in their reports (paper Sec. II-A).
+//! The sensing of events by devices and the information in their reports (paper Sec. II-A). Digests hold the
+//! information bit for bit, so no operation may change. [`Sensing`] is part of the wire format.
 
 use serde::{Deserialize, Serialize};
 

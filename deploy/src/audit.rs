@@ -1,9 +1,9 @@
 //! The replay of a run over the bus: it supplies the devices of lost hosts and audits the run. `commands::bs` starts
 //! it; `lab/src/replay.rs` re-executes and compares. It also writes the input log, before an input takes effect.
 //!
-//! The base station's loop passes its frames on at the start of each grant, so that the replay never passes a TTI that
-//! a takeover may repeat. A separate thread advances the replay. Under [`AuditArg::Auto`] it uses at most a twentieth
-//! of the time and can lag behind; the rest is audited at the end only if that is quick.
+//! The run loop passes frames on at the start of each grant, so that the replay never passes a TTI that a takeover may
+//! repeat. Under [`AuditArg::Auto`] it uses at most a twentieth of the time, as the help of `--audit` states, and can
+//! lag behind; the rest is audited at the end only if that is quick.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
@@ -37,7 +37,7 @@ const MAX_QUEUED_FRAMES: u64 = 1 << 18;
 /// Pause between two checks of a replay that has used up its share.
 const THROTTLE_PAUSE: Duration = Duration::from_millis(20);
 
-/// The outcome of an audit.
+/// The outcome of an audit. Its text is `audit` in `summary.json`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum AuditOutcome {
     /// No audit was requested.

@@ -1,5 +1,8 @@
 //! Device processes as children of this process. No child outlives it, even if it is killed. `supervisor` starts and
 //! replaces the processes of `up`; benchmarks use [`Children`] and [`run_for_summary`].
+//!
+//! [`DeviceProcesses::commands`] writes the options that `cli::run::DeviceArgs` parses. Tests find device processes by
+//! the first argument `device` and the argument `--run=NAME` (`tests/src/process.rs`).
 
 use std::os::unix::process::CommandExt;
 use std::process::{Child, Command, Stdio};

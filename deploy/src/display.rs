@@ -1,5 +1,6 @@
 //! Output for people: lines of text, log lines and progress bars, written so that log lines and bars do not tear each
-//! other. Results go to standard output ([`print_stdout`]), all else to standard error.
+//! other. Results go to standard output ([`print_stdout`]), all else to standard error. Tests wait for `TTIs/s` in the
+//! bar of a run.
 
 use std::io;
 use std::os::fd::AsFd;

@@ -1,5 +1,5 @@
 //! The exit codes of `reveille`, their lines in `--help`, and the errors of commands that have a code other than 1.
-//! `main` turns the error of a command into its code. Scripts rely on the numbers.
+//! `main` turns the error of a command into its code. Scripts rely on the numbers; `docs/command-line.md` lists them.
 
 use std::borrow::Cow;
 use std::fmt;

@@ -1,4 +1,5 @@
 //! The limit of open files, sockets included: raised as far as the system allows, and checked against the run's needs.
+//! `docs/command-line.md` lists both constants.
 
 use anyhow::bail;
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};

@@ -1,8 +1,8 @@
-//! The input log of a run folder: `inputs.log`, written during a run and read by `--resume`, `--input-log` and
-//! observers. `lab/src/external_inputs.rs` defines its lines.
+//! The input log of a run folder: `inputs.log`, written during a run and read by `--resume`, `--input-log`, `--policy
+//! replay=FILE` and observers. `lab/src/external_inputs.rs` defines its lines.
 //!
-//! An input is logged before the run acts on it, so that a replay repeats the run after any kill. Outages are synced
-//! to the disk immediately. Decisions can be thousands a second, so a power cut can lose the last second of them.
+//! An input is logged before the run acts on it, so that a replay repeats the run after any kill. Outages are synced to
+//! the disk immediately. Decisions can be thousands a second, so a power cut can lose the last second of them.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom, Write};

@@ -1,5 +1,6 @@
 //! The key of a run: its file (`--key-file`) and its way to child processes. It allows a client to control the clock,
-//! and to run devices if only members may. A key file must not be readable by other users.
+//! and to run devices if only members may. A key file must not be readable by other users. Policy processes read
+//! [`KEY_VARIABLE`] too (`docs/policy-port.md`, `python/reveille/policy_client.py`).
 
 use std::fs::{self, OpenOptions};
 use std::io::{ErrorKind, Write};

@@ -1,4 +1,5 @@
-//! Files and folders given on the command line: checks before a command begins its work.
+//! Files and folders given on the command line: checks before a command begins its work. Nothing else depends on the
+//! details; `tests/program/bad_input.rs` compares texts of errors.
 
 use std::path::{Path, PathBuf};
 

@@ -1,4 +1,5 @@
-//! The results of a run as text, for the end of `run`, `up` and `bs`. Its data are the fields of `summary.json`.
+//! The results of a run as text, for the end of `run`, `up` and `bs`. Its data are the fields of `summary.json`. The
+//! README and `docs/tutorial.md` show it, and `tests/program/tutorial.rs` compares the page with the output.
 
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{CellAlignment, Table};

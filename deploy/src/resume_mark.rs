@@ -1,5 +1,6 @@
-//! The resume mark of a run: `resume.json`, rewritten every second during the run. [`ResumeMarkWriter`] writes it as an
-//! observer, and checks for `--resume` that the replay reproduces it. `lab/src/resume_mark.rs` defines its content.
+//! The resume mark of a run: `resume.json`, rewritten every second during the run, as `docs/running.md` states.
+//! [`ResumeMarkWriter`] writes it as an observer, and checks for `--resume` that the replay reproduces it.
+//! `lab/src/resume_mark.rs` defines its content.
 
 use std::fs::{self, File};
 use std::io::Write as _;

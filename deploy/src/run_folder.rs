@@ -368,7 +368,9 @@ fn create_free_folder(scenario: &Scenario) -> anyhow::Result<PathBuf> {
         match fs::create_dir(&path) {
             Ok(()) => return Ok(path),
             Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => {}
-            Err(error) => return Err(error).with_context(|| format!("cannot create {}", path.display())),
+            Err(error) => {
+                return Err(error).with_context(|| format!("cannot create the run folder {}", path.display()));
+            }
         }
     }
     bail!("no free name under runs/; name a folder with --out")

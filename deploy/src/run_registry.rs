@@ -1,5 +1,6 @@
 //! The registry of runs on this machine, so that `inspect`, `dashboard` and `clock` find a run without an address. `bs`
 //! and `up` register; a registered key is only for the same user, so the folder must belong to that user alone.
+//! `python/reveille/policy_client.py` reads the same folder and the fields of [`RegistryEntry`].
 
 use std::fs::{self, OpenOptions};
 use std::io::{self, Write};

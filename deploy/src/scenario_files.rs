@@ -1,5 +1,5 @@
-//! The scenario files, copied to the run folder: the folder can be moved, and the run repeated without the originals.
-//! A recording holds the same copies ([`ScenarioFiles::bundle`]).
+//! The scenario files, copied to the run folder: the folder can be moved, and the run repeated without the originals. A
+//! recording holds the same copies ([`ScenarioFiles::bundle`]). The copied `scenario.toml` names them by [`FOLDER`].
 
 use std::fs;
 use std::io;

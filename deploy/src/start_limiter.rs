@@ -1,4 +1,4 @@
-//! The limit on device processes that start at the same time, for `supervisor`.
+//! The limit on device processes that start at the same time, for `supervisor`. `docs/command-line.md` states it.
 //!
 //! A starting process needs milliseconds of a core until its devices run. A thousand processes started together would
 //! delay each other beyond the timeouts of links and base station, so each waits before it starts.

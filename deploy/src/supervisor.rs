@@ -1,6 +1,6 @@
 //! The supervised device processes of `up`: a process that fails is replaced by a new one, which takes over its
 //! devices, unless `--on-loss` ends the run or continues without them. `child_process` starts a process,
-//! `start_limiter` sets how many start together.
+//! `start_limiter` sets how many start together. `docs/command-line.md` states [`MAX_SHORT_LIVES`].
 
 use std::collections::VecDeque;
 use std::process::{Child, ExitStatus};

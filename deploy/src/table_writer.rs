@@ -1,5 +1,5 @@
 //! The growing tables of a run folder. Only whole rows reach the file, each within a second, so that a killed run keeps
-//! its rows so far. `run_folder` uses it for `events.csv` and `windows.csv`.
+//! its rows so far (`docs/command-line.md`). `run_folder` uses it for `events.csv` and `windows.csv`.
 
 use std::fs::File;
 use std::io::{self, Write};

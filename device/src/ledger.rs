@@ -15,7 +15,8 @@ use crate::battery::Battery;
 /// The effect of an action on the battery: paid in full, or failed after draining the remaining energy.
 type Payment = Result<(), Energy>;
 
-/// The ledger of one device since TTI 0.
+/// The ledger of one device since TTI 0. The fields, in this order, are part of a device's checkpoint
+/// ([`Machine::checkpoint`](crate::machine::Machine::checkpoint)): a change raises `WIRE_VERSION`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct LedgerBuilder {
     sensing_ttis: u64,

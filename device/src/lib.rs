@@ -1,4 +1,4 @@
-//! One battery-less IoT device (IoTD), and the process that runs many of them.
+//! One battery-less IoT device, and the process that runs many of them.
 //!
 //! Start at [`machine`], the state machine of a device. [`battery`] and [`ledger`] are its two independent accounts of
 //! energy. `lab` runs machines in memory; [`host`] runs them on the bus, following grants by the rules of

@@ -43,7 +43,7 @@ pub fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
 }
 
 /// Writes `bytes` to a path given by the user. A file is replaced as by [`replace`]. A link, a device or a pipe, such
-/// as `/dev/stdout`, is written to, because a rename would write_output a file in its place.
+/// as `/dev/stdout`, is written to, because a rename would put a file in its place.
 ///
 /// # Errors
 /// If the bytes cannot be written.

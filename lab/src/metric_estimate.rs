@@ -1,5 +1,6 @@
 //! Estimates of a metric from the runs of a cell: a mean with its interval, or a one-sided bound if cases are few. The
-//! claim report, the figures and the report of `reveille sweep` show these estimates.
+//! claim report, the figures and the report of `reveille sweep` show these estimates. `CASE_METRICS` lists metrics by
+//! name: a renamed metric would lose its bound.
 //!
 //! Student's t derives the interval of a mean from the spread of the runs. With very few cases that interval is too
 //! narrow (runs without a case do not differ) or extends below zero. An upper bound is then the only valid result.
@@ -16,7 +17,7 @@ const CASE_METRICS: [(&str, f64); 3] = [
     ("wrong_activations_per_event", 1.0),
     ("wake_ups_per_event", 1.0),
 ];
-/// The one of these metrics that is a share of events, %.
+/// The metric in `CASE_METRICS` that is a share of events, %.
 const SHARE_METRIC: &str = "misdetection_pct";
 /// The rule of three: without a case among n, 3/n is the 95 % upper bound.
 const RULE_OF_THREE: f64 = 3.0;

@@ -2,10 +2,9 @@
 //! in memory and over the bus use it; `PreparedRun::without_pilots` is enough for policies that request none.
 //!
 //! The `adjusted` policy (Sec. V-A, P2) evaluates each duty cycle of its grid in a pilot run of the same machines on
-//! the same deployment. Pilot runs have another seed for events and harvests. They use the knowledge of a base station,
-//! positions and historical data, and not the future of the run. A recorded trace has only one realisation, the one of
-//! the run itself. A pilot run therefore harvests the trace's mean in each TTI. All pairs see the same pilot events and
-//! harvests.
+//! the same deployment. All duty cycles see the same events and harvests, drawn with another seed than the run's. A
+//! pilot run does not see the future of the run: it harvests the mean of a recorded trace in each TTI. Seed offset and
+//! warm-up of pilot runs are part of all results of `adjusted`; `tests/src/reference/search.rs` repeats them.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -21,7 +20,8 @@ use crate::run::{Run, RunOptions};
 const PILOT_SEED_OFFSET: u64 = 0x5EED_0F91_1070_0500;
 /// The share of a pilot run that its metrics leave out.
 const PILOT_WARM_UP: f64 = 0.25;
-const MAX_CACHED_SEARCHES: usize = 1024;
+/// Most results of pilot searches that a preparer keeps.
+const MAX_CACHED_PILOT_SEARCHES: usize = 1024;
 
 /// Prepares runs and caches their shared data. Sharing a preparer does not change results.
 #[derive(Debug, Default)]
@@ -68,7 +68,7 @@ impl RunPreparer {
     /// Caches a search result. Two threads that searched for the same deployment have equal results.
     fn cache_search(&self, key: [u8; 32], found: SearchOutcome) {
         let mut searches = self.searches.lock().unwrap_or_else(PoisonError::into_inner);
-        if searches.len() == MAX_CACHED_SEARCHES {
+        if searches.len() == MAX_CACHED_PILOT_SEARCHES {
             searches.pop_front();
         }
         searches.push_back((key, found));
@@ -100,7 +100,7 @@ fn pilot_runs(prepared: &PreparedRun, pilots: &PilotSearch) -> PilotRuns {
         device.harvest = device.harvest.known_before_run(traces);
     }
     let (mut ttis, mut all_ttis) = (pilots.initial_ttis, 0_u64);
-    // Beyond `longest`, sums of energy would overflow 64 bits.
+    // Beyond `max_ttis`, sums of energy would overflow 64 bits.
     let max_ttis = pilots.max_ttis.min(prepared.scenario.max_ttis()).max(ttis);
     loop {
         pilot_run.scenario = pilot_scenario(&prepared.scenario, ttis);

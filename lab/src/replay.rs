@@ -1,6 +1,7 @@
 //! A replay: a run in memory that follows a run over the bus, from the scenario and the external inputs alone. It
 //! restores the devices of a lost process, and it audits the run: an audit compares a run over the bus with its replay,
-//! frame by frame. `deploy/src/audit.rs` feeds it with the frames of [`DigestFrames`].
+//! frame by frame. `deploy/src/audit.rs` feeds it with the frames of [`DigestFrames`]. Both runs must encode the same
+//! frames in the same order.
 
 use std::collections::VecDeque;
 use std::fmt;

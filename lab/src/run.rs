@@ -1,5 +1,6 @@
 //! One run in memory: a [`Session`] together with its device machines. Replays, sweeps, trainings and environments are
 //! such runs. A run has the digest of the same scenario over the bus, whatever its [`RunOptions`].
+//! `view/src/device_mirror.rs` calls the machines in the same way; change both.
 
 use reveille_bs::cycle::{Cycle, PreparedRun, RunOutcome, WakeOrder};
 use reveille_bs::observer::Observer;

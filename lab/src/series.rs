@@ -1,5 +1,6 @@
 //! The names of runs in figures, reports and tables for people: a series is a policy, with its ranking where needed.
 //! The figures of `study` and the report of `reveille sweep` use them. Result tables keep policy and ranking apart.
+//! [`policy`] splits the names that [`name`] joins, and the CSV files of figures contain them.
 //!
 //! Some policies can rank wake-up candidates in several ways; others always use one ranking. To compare like with like,
 //! a series is a policy with its ranking wherever several rankings are shown together.

@@ -1,4 +1,6 @@
 //! A run in memory under an external policy that stops at each decision. The environments of [`crate::gym`] step it.
+//! Answered with the decisions of a built-in policy, it must equal the run of that policy; `tests/tests/external.rs`
+//! compares them.
 //!
 //! It never blocks, so one thread can hold any number of such runs, and copy them to try several decisions.
 
@@ -52,9 +54,7 @@ impl<O: Observer> SteppedRun<O> {
 
     /// The pending decision request; at the end of the run, the request with which a next TTI would begin.
     pub fn decision_context(&self) -> DecisionContext<'_> {
-        let request = self
-            .pending_decision()
-            .or_else(|| self.run.cycle().next_decision_context());
+        let request = self.pending_decision().or_else(|| self.run.cycle().next_plan_context());
         request.expect("an external policy decides")
     }
 
@@ -89,7 +89,7 @@ impl<O: Observer> SteppedRun<O> {
         self.halt = self.run.run_to_decision(&mut self.observer);
     }
 
-    /// The next TTI to be granted, or the open one.
+    /// The next TTI to be granted; while a grant is open, the first TTI of its last span.
     pub const fn now(&self) -> Tti {
         self.run.cycle().next_tti()
     }

@@ -42,6 +42,7 @@ struct Arrays {
 }
 
 impl Arrays {
+    /// Creates the arrays of `k` environments with `n` devices each.
     fn new(py: Python<'_>, k: usize, n: usize) -> Self {
         Self {
             devices: PyArray3::zeros(py, [k, n, DEVICE_FEATURES.len()], false).unbind(),

@@ -1,4 +1,5 @@
-//! Figures of sweeps and runs for Python, drawn by `study/src/figures/` as in `reveille figures`.
+//! Figures of sweeps and runs for Python, drawn by `study/src/figures/` as in `reveille figures`. Only
+//! `python/reveille/figures.py` uses these names.
 
 #![expect(
     clippy::needless_pass_by_value,

@@ -1,7 +1,8 @@
 //! The module `reveille._native`: environments, runs and sweeps of `reveille-lab` for Python, and figures of
 //! `reveille-study`.
 //!
-//! The package around it, in `python/reveille/`, is documented for users, with shapes and units.
+//! The package around it, in `python/reveille/`, is documented for users, with shapes and units. `_native.pyi` there
+//! repeats the signatures, so change both.
 
 mod batch;
 mod figures;

@@ -1,5 +1,5 @@
-//! Runs and sweeps of the built-in policies, for `python/reveille/runs.py`. Long work releases the interpreter, so that
-//! other Python threads continue; [`sweep`] also checks for Ctrl-C.
+//! Runs and sweeps of the built-in policies, for `python/reveille/runs.py`; users see the keys of the dictionaries.
+//! Long work releases the interpreter, so that other Python threads continue; [`sweep`] also checks for Ctrl-C.
 
 #![expect(
     clippy::needless_pass_by_value,
@@ -152,7 +152,11 @@ pub(crate) fn sweep(py: Python<'_>, text: &str, folder: PathBuf, threads: usize)
                         interrupted = Some(error);
                     }
                 }
-                Err(RecvTimeoutError::Disconnected) => return Err(PyRuntimeError::new_err("the sweep has failed")),
+                Err(RecvTimeoutError::Disconnected) => {
+                    return Err(PyRuntimeError::new_err(
+                        "internal error: the thread of the sweep ended without a result; please report it",
+                    ));
+                }
             }
         }
     })?;

@@ -1,4 +1,4 @@
-//! Reading of scenarios for Python.
+//! Reading of scenarios for Python. The categories of warnings are part of the package's interface.
 
 use std::ffi::CString;
 use std::fmt::Display;

@@ -30,6 +30,7 @@ fn close_terminal(command: &mut PtyCommand) -> ExitStatus {
     // Both the shell and the kernel send SIGHUP, so that a command can receive several.
     for _ in 0..3 {
         send_signal(pid, Signal::HUP);
+        // Signals sent without a pause would merge into one.
         std::thread::sleep(Duration::from_millis(5));
     }
     command.finish_within(SOON)
@@ -176,6 +177,7 @@ fn a_run_continued_after_sigstop_has_the_same_digest() {
         folder.join("out/windows.csv").exists().then_some(())
     });
     for _ in 0..3 {
+        // Stopped and continued for far longer than a TTI takes.
         run.signal(Signal::STOP);
         std::thread::sleep(Duration::from_millis(100));
         run.signal(Signal::CONT);

@@ -350,7 +350,7 @@ fn a_report_needs_one_table_and_refuses_empty_and_newer_ones() {
     let end = folder.run("report paper/results.csv --out report");
     assert_eq!(end.code(), Some(0), "{end}");
     assert!(
-        end.stderr.contains("no table has runs of preset paper-literal"),
+        end.stderr.contains("the tables hold no runs of preset paper-literal"),
         "{end}"
     );
     let markdown = String::from_utf8(folder.bytes("report/report.md")).expect("text");

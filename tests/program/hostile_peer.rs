@@ -290,6 +290,7 @@ async fn forged_messages_change_nothing() {
         for (key, payload) in forged_messages(bus.keys(), pass, tti) {
             bus.put_raw(&key, payload).expect("sent");
         }
+        // Close to the pace of 3 ms, so that the forged messages stay near the open TTI.
         tokio::time::sleep(Duration::from_millis(2)).await;
     }
     bus.close().await;

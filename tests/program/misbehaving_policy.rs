@@ -9,9 +9,12 @@ use reveille_bs::server::policy_port::client::{self, ClientIdentity};
 use reveille_common::bus::{Bus, PortRequest};
 use reveille_common::encoding::Encoding;
 use reveille_common::secret::Secret;
-use reveille_tests::external_policy::{ExternallyDecidedRun, MisbehavingPolicy, answer, own, send_reply};
+use reveille_tests::external_policy::{ExternallyDecidedRun, MisbehavingPolicy, answer, run_built_in, send_reply};
 use reveille_tests::process::PATIENCE;
 use serde_json::{Value, json};
+
+/// Last TTI of every run here.
+const LAST_TTI: u64 = 399;
 
 /// Makes a valid answer invalid.
 type CorruptReply = fn(&mut Value);
@@ -21,7 +24,7 @@ type ReplyAction = fn(&PortRequest, Value);
 /// An untrusted client answers every request a hundred times, with more bytes than are accepted or invalid JSON.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_flood_of_answers_changes_no_result() {
-    let (transcript, digest) = own("age-index", &[]);
+    let (transcript, digest) = run_built_in("age-index", &[]);
     let run = ExternallyDecidedRun::start("-P 2");
     let flood = run.bus().await;
     let requests = flood.serve_policy_port().expect("a queryable");
@@ -51,7 +54,7 @@ async fn a_repeated_answer_counts_once() {
             for _ in 0..2 {
                 send_reply(question, &rogue.idle(asked));
             }
-            asked["tti"] != 399
+            asked["tti"] != LAST_TTI
         })
         .await;
     let (_, end) = run.finish();
@@ -130,7 +133,7 @@ async fn invalid_answers_end_the_run_or_are_dropped() {
                 answer["next"] = json!(3);
             }
             send_reply(question, &answer);
-            asked["tti"] != 399
+            asked["tti"] != LAST_TTI
         })
         .await;
     let (folder, end) = run.finish();
@@ -151,13 +154,14 @@ async fn a_late_answer_does_not_count_for_another_request() {
         .serve(|question, asked| {
             if asked["tti"] == 60 && !has_slept {
                 has_slept = true;
+                // Three times the decision timeout.
                 std::thread::sleep(Duration::from_millis(900));
             }
             // The query of a late answer has timed out, so its reply may fail.
             let _timed_out = question
                 .reply(rogue.idle(asked).to_string().into_bytes(), Encoding::Json)
                 .is_err();
-            asked["tti"] != 399
+            asked["tti"] != LAST_TTI
         })
         .await;
     let (folder, end) = run.finish();
@@ -170,7 +174,7 @@ async fn a_late_answer_does_not_count_for_another_request() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_policy_process_without_the_key_cannot_decide() {
-    let (transcript, digest) = own("age-index", &[]);
+    let (transcript, digest) = run_built_in("age-index", &[]);
     let run = ExternallyDecidedRun::start("-P 2 --pace 2ms");
     let bus = run.bus().await;
     let keyless_identity = ClientIdentity {
@@ -185,7 +189,10 @@ async fn a_policy_process_without_the_key_cannot_decide() {
             tokio::time::sleep(Duration::from_millis(20)).await;
         }
     };
-    let (refused, ()) = tokio::join!(keyless_client, warning_logged);
+    let both = async { tokio::join!(keyless_client, warning_logged) };
+    let (refused, ()) = tokio::time::timeout(PATIENCE, both)
+        .await
+        .expect("a refusal and a warning");
     let refused = refused.expect_err("the client gets an error").to_string();
     assert!(refused.contains("does not show the run's key"), "{refused}");
     // A forger answers the requests to another process, whose id it reads from them.

@@ -18,6 +18,9 @@ const LONG: &str = "-n 30 -k 12000 --pace 5ms";
 /// Time limit to detect a killed device process: two seconds, doubled for a busy machine.
 const DETECTION_LIMIT: Duration = Duration::from_secs(4);
 
+/// Time limit to detect a frozen device process: two seconds, and a margin for a busy machine.
+const FREEZE_LIMIT: Duration = Duration::from_secs(8);
+
 /// Checks the end of a run that lost a process.
 fn assert_lost(end: &FinishedProcess, since: Instant, limit: Duration) {
     let took = since.elapsed();
@@ -110,7 +113,7 @@ fn a_frozen_device_process_is_lost_after_its_lease() {
     let since = now();
     send_signal(hosts[1], Signal::STOP);
     let end = up.finish();
-    assert_lost(&end, since, Duration::from_secs(8));
+    assert_lost(&end, since, FREEZE_LIMIT);
     assert!(end.stderr.contains("froze"), "{end}");
     assert_no_process_left(&run);
 }

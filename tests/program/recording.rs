@@ -245,6 +245,7 @@ fn observers_that_join_early_and_late_record_the_same_run() {
     let start = |file: &str| {
         let record = folder.start(&format!("inspect record {file} --run {run}"));
         record.wait_for_stderr("connected to run");
+        // Lets the subscriptions of the observer reach the base station.
         std::thread::sleep(Duration::from_millis(500));
         record
     };

@@ -187,6 +187,7 @@ fn a_killed_writer_leaves_a_complete_table_or_none() {
         fs::remove_file(&table).expect("there");
         // All runs are finished; only the table is missing.
         let writer = folder.start(&format!("sweep {sweep} --out s"));
+        // About the time that writing the table takes, so that kills come before and after its end.
         let delay = Duration::from_micros(random(1500));
         let deadline = now() + PATIENCE;
         while !part.exists() && !table.exists() {

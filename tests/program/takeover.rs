@@ -1,8 +1,6 @@
 //! Takeover of a killed process's devices by other hosts, and resumed base stations (`up --resume`, `bs --resume`): the
 //! digest and tables equal an undisturbed run, and a changed folder is refused.
 
-use std::time::Duration;
-
 use reveille_tests::process::{
     PATIENCE, SummaryJson, TestFolder, free_endpoint, hosts_of, send_signal, unique_run, wait_until,
 };
@@ -124,8 +122,8 @@ fn check_resumed_run(command: &str, signal: Signal) {
         folder.list("out").contains(&"resume.json".to_owned()).then_some(())
     });
     run.signal(signal);
+    // Returns once the device processes have ended too, since they share its standard error.
     run.finish();
-    std::thread::sleep(Duration::from_millis(100));
     let end = folder.run(&format!("{command} --resume out"));
     assert!(end.is_success(), "{end}");
     let summary = SummaryJson::read(&folder.join("out"));

@@ -65,7 +65,8 @@ fn threads_and_kills_do_not_change_the_tables() {
         );
         assert!(end.is_success(), "{end}");
         assert!(
-            end.stderr.contains("episodes left, resuming from cut.json.checkpoint"),
+            end.stderr
+                .contains("resuming the training from the checkpoint cut.json.checkpoint: "),
             "{end}"
         );
     }

@@ -7,6 +7,11 @@ use reveille_common::ids::{MAX_TTIS, Tti};
 /// Largest accepted deviation of a mean, in standard errors. A correct sample deviates more in 7 of a million tests.
 pub const MAX_STANDARD_ERRORS: f64 = 4.5;
 
+/// Fewest values for a comparison of means, whose distribution is close to normal from there on.
+const MIN_VALUES: f64 = 300.0;
+/// Least variance of a number of hits, and least expected number of values in a bin, for the same reason.
+const MIN_CASES: f64 = 20.0;
+
 /// Draws the first `n` events of `scenario`, none of them reported.
 pub fn draw_events(scenario: &Scenario, n: usize) -> Vec<ActiveEvent> {
     let mut process = EventProcess::new(scenario.run.seed, scenario.area, &scenario.events, Tti(MAX_TTIS));
@@ -30,7 +35,7 @@ pub fn assert_mean(what: &str, values: impl IntoIterator<Item = f64>, expected: 
         sum += value - expected;
         squares += (value - expected) * (value - expected);
     }
-    assert!(n >= 300.0, "{what}: only {n} values");
+    assert!(n >= MIN_VALUES, "{what}: only {n} values");
     let (deviation, error) = (sum / n, (squares / n / n).sqrt());
     assert!(
         deviation.abs() <= MAX_STANDARD_ERRORS * error,
@@ -52,7 +57,7 @@ pub fn assert_share(what: &str, hits: impl IntoIterator<Item = bool>, expected: 
         count += f64::from(u8::from(is_hit));
     }
     let error = (expected * (1.0 - expected) / n).sqrt();
-    assert!(n * expected * (1.0 - expected) >= 20.0, "{what}: only {n} values");
+    assert!(n * expected * (1.0 - expected) >= MIN_CASES, "{what}: only {n} values");
     let share = count / n;
     assert!(
         (share - expected).abs() <= MAX_STANDARD_ERRORS * error,
@@ -74,7 +79,7 @@ pub fn assert_bin_counts(what: &str, counts: &[f64], probabilities: &[f64]) {
         "{what}: the probabilities add up to {total}"
     );
     let terms = counts.iter().zip(probabilities).map(|(count, p)| {
-        assert!(n * p > 20.0, "{what}: only {} values expected in a bin", n * p);
+        assert!(n * p > MIN_CASES, "{what}: only {} values expected in a bin", n * p);
         (count - n * p) * (count - n * p) / (n * p)
     });
     // χ² has the mean `freedom` and the variance 2 · `freedom`.

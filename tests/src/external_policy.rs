@@ -1,4 +1,5 @@
-//! Runs whose policy process is the test itself, either correct or misbehaving.
+//! Runs whose policy process is the test itself, either correct or misbehaving, for `policy_port.rs` and
+//! `misbehaving_policy.rs` in `tests/program/`.
 
 use std::time::Duration;
 
@@ -16,20 +17,23 @@ use crate::process::{FinishedProcess, PATIENCE, Process, TestFolder, free_endpoi
 use crate::scenarios::paper;
 use crate::transcript::CommandTranscript;
 
-/// Options of a scenario with a short run.
-pub const SMALL: &str = "-n 30 -k 400";
+/// Options of a scenario with a short run of 400 TTIs.
+pub const SHORT_RUN: &str = "-n 30 -k 400";
 
-/// Runs `policy` in memory, on the scenario of [`SMALL`] with `fields` overridden, and returns its transcript and
+/// Runs `policy` in memory, on the scenario of [`SHORT_RUN`] with `fields` overridden, and returns its transcript and
 /// digest.
 ///
 /// # Panics
 /// If the scenario is invalid.
-pub fn own(policy: &str, fields: &[&str]) -> (CommandTranscript, String) {
+pub fn run_built_in(policy: &str, fields: &[&str]) -> (CommandTranscript, String) {
     let policy = format!("policy.name={policy}");
     let fields = [&[policy.as_str(), "devices=30", "ttis=400"], fields].concat();
     let (transcript, digest) = CommandTranscript::of(&paper(&fields));
     (transcript, digest.to_string())
 }
+
+/// Entry of an action mask for a device that can still be woken; other devices have 0.
+pub const MAY_WAKE: u8 = 2;
 
 /// Looks up the answer to a decision request in `transcript`.
 pub fn answer(transcript: &CommandTranscript, request: &DecisionRequest) -> Decision {
@@ -38,8 +42,8 @@ pub fn answer(transcript: &CommandTranscript, request: &DecisionRequest) -> Deci
         RequestKind::Plan | RequestKind::Hello | RequestKind::Bye => DecisionStage::Plan,
     };
     transcript.answer(stage, Tti(request.head.tti), |DeviceId(j)| {
-        // 2 marks a device that can still be woken; the transcript holds all wake-ups of the TTI.
-        request.action_mask.0[j as usize] == 2
+        // The transcript holds all wake-ups of the TTI, also those that were answered already.
+        request.action_mask.0[j as usize] == MAY_WAKE
     })
 }
 
@@ -56,9 +60,12 @@ pub struct ExternallyDecidedRun {
 }
 
 impl ExternallyDecidedRun {
-    /// Starts `up` with the scenario of [`SMALL`] and `args`.
+    /// Starts `up` with the scenario of [`SHORT_RUN`] and `args`.
     pub fn start(args: &str) -> Self {
-        Self::start_in(TestFolder::new(), &format!("up {SMALL} -p external --out out {args}"))
+        Self::start_in(
+            TestFolder::new(),
+            &format!("up {SHORT_RUN} -p external --out out {args}"),
+        )
     }
 
     /// Starts a command in the given folder.

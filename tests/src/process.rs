@@ -20,7 +20,7 @@ pub const PATIENCE: Duration = Duration::from_mins(2);
 const WORKING_TICKS: u64 = 20;
 
 /// Interval between two checks of a condition.
-const POLL_INTERVAL: Duration = Duration::from_millis(10);
+pub(super) const POLL_INTERVAL: Duration = Duration::from_millis(10);
 
 /// Returns the program under test: the path in the variable `REVEILLE`, or else the binary next to the running test.
 /// The tests that use it belong to the package of the command (`tests/program/`), so cargo has built it before they

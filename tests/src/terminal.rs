@@ -13,7 +13,7 @@ use std::time::Duration;
 use rustix::fs::OFlags;
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 
-use crate::process::{PATIENCE, now, wait_until};
+use crate::process::{PATIENCE, POLL_INTERVAL, now, wait_until};
 
 /// Command in its own terminal; killed on drop.
 pub struct PtyCommand {
@@ -124,7 +124,7 @@ impl PtyCommand {
                 return status;
             }
             assert!(now() < deadline, "not ended within {patience:?}: {}", self.shown());
-            std::thread::sleep(Duration::from_millis(10));
+            std::thread::sleep(POLL_INTERVAL);
         }
     }
 }
@@ -149,7 +149,7 @@ fn read(master: OwnedFd, output: &Mutex<Vec<u8>>, is_closed: &AtomicBool) {
                 .unwrap_or_else(PoisonError::into_inner)
                 .extend_from_slice(&buffer[..n]),
             // Nothing new, or the command has ended.
-            Err(_) => std::thread::sleep(Duration::from_millis(5)),
+            Err(_) => std::thread::sleep(POLL_INTERVAL),
         }
     }
 }

@@ -19,9 +19,9 @@ use patrol::PATROL;
 
 fn prepare(fields: &[&str]) -> Result<PreparedRun, ScenarioError> {
     let overrides = overrides(&[&["devices=60", "ttis=2000", "policy.name=patrol"], fields].concat());
-    let mut kinds = registry::kinds();
-    kinds.extend([&PATROL, &STUCK]);
-    let scenario = load("paper", &overrides, &kinds, &Disk)?.scenario;
+    let mut all_policies = registry::all_policies();
+    all_policies.extend([&PATROL, &STUCK]);
+    let scenario = load("paper", &overrides, &all_policies, &Disk)?.scenario;
     Ok(PreparedRun::without_pilots(&scenario))
 }
 

@@ -1,4 +1,5 @@
-//! Filters for frames, from the options of `inspect tail`, `export` and the dashboard.
+//! Filters for frames, from the options of `inspect tail`, `export` and the dashboard. The names in [`StateName::ALL`]
+//! are values of `--state` and of the dashboard, listed in docs/inspecting.md.
 
 use std::ops::RangeInclusive;
 

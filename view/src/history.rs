@@ -1,7 +1,8 @@
 //! History of a run: the states of all devices in any past TTI, for the dashboard.
 //!
 //! Only the frames and occasional snapshots of the run are stored. A TTI is recomputed from the last snapshot before
-//! it. A run of 100 000 TTIs takes little more memory than its messages, and any TTI takes milliseconds.
+//! it. A run of 100 000 TTIs takes little more memory than its messages, and any TTI takes milliseconds. Nothing here
+//! is written to a file.
 
 use std::collections::VecDeque;
 
@@ -336,7 +337,7 @@ fn sensing_flags(run: &Reconstruction, tti: Tti, devices: usize) -> Vec<bool> {
 }
 
 impl TtiSnapshot {
-    /// The kinds that a snapshot records.
+    /// The kinds that [`Self::record`] handles; `push` passes no others.
     const RECORDED_KINDS: [MessageKind; 6] = [
         MessageKind::Report,
         MessageKind::Lost,

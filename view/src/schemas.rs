@@ -1,5 +1,6 @@
 //! Schemas of the messages, traced from the Rust types: names, order and types of their fields. Recordings embed them
-//! as JSON Schema, and the Wireshark dissector is generated from them.
+//! as JSON Schema, and the Wireshark dissector is generated from them. A new enum inside messages must be traced in
+//! [`MessageSchemas::trace_all`].
 
 use std::collections::BTreeMap;
 

@@ -1,4 +1,5 @@
-//! Traffic statistics: messages and bytes by kind, plane and device, for `inspect stats` and the dashboard.
+//! Traffic statistics: messages and bytes by kind, plane and device, for `inspect stats` and the dashboard. The fields
+//! of [`MessageCount`] are keys in `inspect stats --json`.
 
 use std::collections::BTreeMap;
 

@@ -1,4 +1,5 @@
-//! Pairs of a wake-up and its outcome, shown as one line by `inspect tail --pair-wake-ups`.
+//! Pairs of a wake-up and its outcome, shown as one line by `inspect tail --pair-wake-ups`. The line has the columns of
+//! [`FrameLine`](crate::frame_line::FrameLine); change both.
 
 use std::fmt;
 

@@ -1,5 +1,5 @@
 //! Battery levels as the base station knows or estimates them. Policies decide by them, so every rounding here is part
-//! of the digest.
+//! of the digest. `tests/src/reference/estimate.rs` repeats whether a device can pay for a report.
 //!
 //! A level is known in three cases: ground truth, a report, or a missing answer of a device that must answer. In the
 //! last case the battery is empty, since a failed action empties it. From then on the estimate adds the mean harvest,
@@ -400,7 +400,7 @@ impl BatteryEstimator {
         empty.sort_unstable();
         empty.dedup();
         for device in empty {
-            self.observe_no_report(device, k, plan, self.radio.no_report_probability());
+            self.observe_missing_report(device, k, plan, self.radio.no_report_probability());
         }
     }
 
@@ -421,13 +421,13 @@ impl BatteryEstimator {
 
     /// Records that `device` was woken in TTI `k` and did not report. Its battery counts as empty, unless the radio may
     /// have lost the wake-up signal or the report.
-    pub fn observe_no_answer(&mut self, device: DeviceId, k: Tti, plan: &Plan) {
-        self.observe_no_report(device, k, plan, self.radio.no_answer_probability());
+    pub fn observe_unanswered_wake_up(&mut self, device: DeviceId, k: Tti, plan: &Plan) {
+        self.observe_missing_report(device, k, plan, self.radio.no_answer_probability());
     }
 
     /// Records that `device` sent no report in TTI `k` although it should have. The radio alone causes this with
-    /// probability `lost`.
-    fn observe_no_report(&mut self, device: DeviceId, k: Tti, plan: &Plan, loss_probability: f64) {
+    /// probability `loss_probability`.
+    fn observe_missing_report(&mut self, device: DeviceId, k: Tti, plan: &Plan, loss_probability: f64) {
         // Losses are taken as independent, so the probability that only the radio caused the silence is a product.
         let likelihood = &mut self.estimates[device.index()].silence_likelihood;
         *likelihood *= loss_probability;

@@ -36,7 +36,7 @@ fn estimates_follow_plans_reports_and_missing_answers() {
     assert!((estimator.levels()[3].units() - expected_level(1.0)).abs() < 1e-4);
     assert!((estimator.levels()[4].units() - expected_level(1.0 / 14.0)).abs() < 1e-4);
     estimator.observe_level(DeviceId(4), Tti(9), Energy::from_micro(7));
-    estimator.observe_no_answer(DeviceId(5), Tti(9), &plan);
+    estimator.observe_unanswered_wake_up(DeviceId(5), Tti(9), &plan);
     assert_eq!(estimator.levels()[4..6], [Energy::from_micro(7), Energy::ZERO]);
     assert!(!estimator.needs_true_levels());
 }
@@ -239,7 +239,7 @@ fn gaps_between_requests_to_a_device_that_never_answers_grow() {
     let mut requests = Vec::new();
     for k in 0..5000 {
         if estimator.can_report(device, Tti(k), &asleep) {
-            estimator.observe_no_answer(device, Tti(k), &asleep);
+            estimator.observe_unanswered_wake_up(device, Tti(k), &asleep);
             requests.push(k);
         }
     }
@@ -294,7 +294,7 @@ fn can_report_equals_the_exact_computation() {
                 surely_count += usize::from(is_sure);
                 uncertain_counts[usize::from(is_payable)] += usize::from(!is_sure);
                 match (k + u64::from(j)) % 37 {
-                    0 => estimator.observe_no_answer(device, Tti(k), &plan),
+                    0 => estimator.observe_unanswered_wake_up(device, Tti(k), &plan),
                     1 => estimator.observe_level(device, Tti(k), Energy::from_micro(u64::from(j) * 2_000_000)),
                     _ => {}
                 }

@@ -1,6 +1,7 @@
 //! Wake-up candidates of a policy, best first, by either ranking: by `P_4,2` ([`Ranking`]) or by the belief over the
-//! epicentre ([`EpicentreBelief`]). The policies `age-index`, `dt` and `q-learning` use them directly, `knn` and
-//! `adjusted` through the information target.
+//! epicentre ([`EpicentreBelief`]). `age-index`, `dt` and `q-learning` use them directly, `knn` and `adjusted` through
+//! the information target. Digests depend on their order. Learned wake tables depend on the scale of the scores, so
+//! another scale needs new tables.
 
 use reveille_common::geometry::Point;
 use reveille_common::ids::DeviceId;

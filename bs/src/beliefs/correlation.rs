@@ -27,7 +27,8 @@ const QUADRATURE_ERROR: f64 = 1e-6;
 /// Largest η·`d_max` for [`BASE_NODES`] points; beyond it the peak of the integrand is narrower and needs more points.
 const BASE_DECAY: f64 = 8.0;
 
-/// The wake-up correlation of Eq. (`cosine_rule2`), prepared for the mean over the unknown direction φ of the event.
+/// The wake-up correlation, Eq. (`cosine_rule2`) in the LaTeX source of the paper, prepared for the mean over the
+/// unknown direction φ of the event.
 #[derive(Clone, Debug)]
 pub struct Correlation {
     sensing: Sensing,

@@ -1,4 +1,5 @@
-//! The area as a grid of cells, on which [`coverage`](super::coverage) and [`ages`](super::ages) are counted.
+//! The area as a grid of cells, on which [`coverage`](super::coverage) and [`ages`](super::ages) are counted. Digests,
+//! learned tables and rewards depend on the number of cells and on the rounding of distances.
 
 use std::ops::Range;
 

@@ -1,5 +1,5 @@
 //! Wake-ups up to a target information: the best candidates in order, until Î ≥ I_min. The policies `knn` and
-//! `adjusted` use it.
+//! `adjusted` use it; their digests depend on the devices that it returns and on their order.
 
 use reveille_common::ids::DeviceId;
 use reveille_common::message::Report;

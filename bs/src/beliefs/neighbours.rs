@@ -1,5 +1,7 @@
 //! Neighbours of each device in bands of distance. [`Ranking`](super::ranking::Ranking) evaluates candidates band by
-//! band; the bands match the grid of bounds in [`Correlation`](super::correlation::Correlation).
+//! band. Width and number of the bands must equal those of the grid in
+//! [`Correlation`](super::correlation::Correlation), whose bounds hold band by band. The last band begins at 2 d_max or
+//! beyond. Farther devices are left out: they lie more than d_max from the event, so none is a candidate.
 
 use reveille_common::geometry::{Area, Buckets, Point};
 use reveille_common::ids::DeviceId;
@@ -60,7 +62,8 @@ impl NeighbourList {
         let mut neighbours: Vec<(u32, DeviceId)> = Vec::new();
         buckets.within(centre, band_count as f64 / bands_per_metre, |index, distance| {
             let band = (distance * bands_per_metre + 0.5) as usize;
-            // A distance within half a band of the range rounds up to a band that does not exist.
+            // A distance within half a band of the range rounds up to a band that does not exist. It is above 2 d_max,
+            // so the device is no candidate.
             if band < band_count {
                 neighbours.push((band as u32, DeviceId(index as u32)));
             }

@@ -1,4 +1,5 @@
 //! Selection of the next device to wake by `P_4,2`, and the information required per event (Sec. III and V-A).
+//! Digests depend on the order of candidates, ties included; `tests/src/reference/` repeats it.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
@@ -11,8 +12,8 @@ use super::neighbours::Neighbours;
 pub use crate::beliefs::correlation::Correlation;
 
 /// Returns the information per event that a deployment can always provide, `I_min` = Ψ p(d*), `[0, Ψ]`. The distance
-/// from the worst place to its closest device is d* (Eq. (`E_Info3`); on a grid Eq. (`E_Info1`)). The paper leaves out
-/// Ψ = 1; I_min includes it because reports do (Eq. (1)).
+/// from the worst place to its closest device is d*: Eq. (`E_Info3`) in the LaTeX source of the paper, on a grid Eq.
+/// (`E_Info1`). The paper leaves out Ψ = 1; I_min includes it because reports do (Eq. (1)).
 pub fn i_min(points: &[Point], area: Area, sensing: &Sensing) -> f64 {
     sensing.psi * sensing.p(farthest_cell_vertex(points, area))
 }

@@ -1,5 +1,5 @@
 //! The rewards of Sec. V-B, reported by recorded trajectories (`policy/dt/record.rs`) and by environments
-//! (`lab/src/gym/`).
+//! (`lab/src/gym/`). They decide nothing in a run; programs that train on them depend on their values.
 //!
 //! Whether an event is missed depends on chance and is unknown in its TTI. So r(k) uses the expectation over the
 //! epicentre of an event that starts in TTI k, which is the uncovered share of the area.
@@ -7,7 +7,7 @@
 use super::coverage::CoverageUnion;
 use crate::knowledge::Knowledge;
 
-/// Default weight μ1 of misdetections.
+/// Default weight μ1 of misdetections. The settings of `q-learning` declare their own default.
 pub const DEFAULT_MU1: f64 = 14.0;
 /// Default weight μ2 of information.
 pub const DEFAULT_MU2: f64 = 1.0;
@@ -22,8 +22,8 @@ pub struct CoverageReward {
 }
 
 impl CoverageReward {
-    /// Computes the terms for the devices in S1, those with a true value in `on`, by device id. `union` holds
-    /// the positions of all devices, those in S4 included.
+    /// Computes the terms for the devices in S1, those with a true value in `on`, by device id. `union` holds the
+    /// positions of all devices, those in S4 included.
     pub fn new(union: &mut CoverageUnion, on: &[bool]) -> Self {
         let devices_on = || on.iter().enumerate().filter(|(_, on)| **on).map(|(j, _)| j);
         Self {
@@ -44,8 +44,8 @@ pub fn coverage_union(known: &Knowledge) -> CoverageUnion {
     CoverageUnion::new(&known.positions(), known.area, &known.sensing)
 }
 
-/// Returns the terms of r*(k) for `woken` wake-ups out of `n` devices: their value, and their cost, ≤ 0. The wake-ups
-/// raise Î by `gained_share`, as a share of Ψ. The terms of a TTI add up to r*(k).
-pub fn wake_up_terms(mu2: f64, gained_share: f64, woken: u32, n: usize) -> [f64; 2] {
-    [mu2 * gained_share, -f64::from(woken) / n as f64]
+/// Returns the two terms of r*(k) for wake-ups that raise Î by `information_gain`, as a share of Ψ: their value
+/// μ2 · `information_gain`, and their cost −`woken_count` / `device_count`. The terms of a TTI add up to r*(k).
+pub fn wake_up_reward_terms(mu2: f64, information_gain: f64, woken_count: u32, device_count: usize) -> [f64; 2] {
+    [mu2 * information_gain, -f64::from(woken_count) / device_count as f64]
 }

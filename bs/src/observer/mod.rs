@@ -5,7 +5,7 @@
 //! whether devices run in memory or in processes. The run waits for its observer, so a recorder loses nothing. A live
 //! view that must not delay the run reads the tap of the bus.
 //!
-//! An observer cannot change the run, since it receives only references. `()` ignores all notifications at no cost.
+//! An observer can end the run ([`Observer::window_closed`]) but not change it otherwise. `()` ignores everything.
 
 pub mod frames;
 

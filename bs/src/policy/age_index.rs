@@ -10,8 +10,8 @@
 //! of a place. A newly found event can have started in any TTI of that age, so a place of twice the age is twice as
 //! likely. The best candidate is woken while its expected gain is large enough.
 //!
-//! `tests/src/reference/age_index.rs` repeats the calculation, and an untrained `dt` with `miss_cost =
-//! 0` must decide the same.
+//! `tests/src/reference/age_index.rs` repeats the calculation, and an untrained `dt` with `miss_cost = 0` must decide
+//! the same.
 
 use std::sync::Arc;
 
@@ -107,7 +107,7 @@ impl Policy for AgeIndex {
         self.candidates.belief()
     }
 
-    fn wake_up_answered(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
+    fn take_wake_up_answer(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
         if let Some(report) = report {
             let Self { ages, candidates, .. } = self;
             candidates.add_report_with_prior(seen, report, |place| ages.age_at(place));

@@ -1,5 +1,6 @@
 //! The interface of a policy for the rest of the program: its registry entry ([`PolicyEntry`]), its validated settings,
-//! which build it for a run ([`PolicyFactory`]), and pilot runs before a run ([`PilotSearch`]).
+//! which build it for a run ([`PolicyFactory`]), and pilot runs before a run ([`PilotSearch`]). A change also
+//! concerns docs/patrol.rs and docs/writing-a-policy.md.
 
 use std::any::Any;
 use std::fmt::Debug;

@@ -1,5 +1,6 @@
 //! The policy `genie`, the genie-aided bound (Sec. VI): every device sleeps, and the device closest to an event is
-//! woken when it starts. It receives the events through [`Oracle`], as no base station could.
+//! woken when it starts. It receives the events through [`Oracle`], as no base station could. Its digests depend on the
+//! order of wake-ups, ties included.
 
 use std::sync::Arc;
 
@@ -101,7 +102,7 @@ impl Policy for Genie {
     }
 
     /// Ends the wake-ups after one report of the event.
-    fn wake_up_answered(&mut self, _seen: &Observation<'_>, report: Option<&Report>) {
+    fn take_wake_up_answer(&mut self, _seen: &Observation<'_>, report: Option<&Report>) {
         if report.is_some() {
             self.wake_queue.clear();
         }

@@ -1,5 +1,6 @@
 //! The interface between a policy and the base station: [`Policy`]. The base station (`base_station.rs`) calls it;
-//! every policy of [`POLICIES`](super::registry::POLICIES) implements it, and `docs/writing-a-policy.md` explains it.
+//! every policy of [`POLICIES`](super::registry::POLICIES) implements it, and `docs/policy-interface.md` explains it.
+//! `dt/record.rs` wraps a policy, so a new method needs a line there.
 
 use std::any::Any;
 use std::fmt::Debug;
@@ -34,8 +35,8 @@ pub trait Policy: Any + Send {
         None
     }
 
-    /// Receives the report of the last woken device, or `None`.
-    fn wake_up_answered(&mut self, _seen: &Observation<'_>, _report: Option<&Report>) {}
+    /// Receives the answer to the last wake-up: a report, or `None`.
+    fn take_wake_up_answer(&mut self, _seen: &Observation<'_>, _report: Option<&Report>) {}
 
     /// Returns figures about the deployment, by name, for the summary.
     fn summary_facts(&self) -> Vec<(&'static str, f64)> {
@@ -78,14 +79,14 @@ pub trait Policy: Any + Send {
 #[derive(Clone, Debug)]
 pub struct LearnedState(Arc<dyn StateValue>);
 
-/// Value that a [`LearnedState`] can hold.
+/// Value that a [`LearnedState`] can hold, comparable without knowing its type.
 trait StateValue: Any + Debug + Send + Sync {
     /// Returns whether `other` is of the same type and equal.
-    fn is_equal_to(&self, other: &dyn Any) -> bool;
+    fn has_same_type_and_value(&self, other: &dyn Any) -> bool;
 }
 
 impl<T: Any + Debug + PartialEq + Send + Sync> StateValue for T {
-    fn is_equal_to(&self, other: &dyn Any) -> bool {
+    fn has_same_type_and_value(&self, other: &dyn Any) -> bool {
         other.downcast_ref::<T>() == Some(self)
     }
 }
@@ -105,6 +106,6 @@ impl LearnedState {
 
 impl PartialEq for LearnedState {
     fn eq(&self, other: &Self) -> bool {
-        self.0.is_equal_to(&*other.0)
+        self.0.has_same_type_and_value(&*other.0)
     }
 }

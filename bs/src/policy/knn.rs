@@ -1,5 +1,6 @@
 //! The policy `knn` (Sec. V-A, Algorithm 1): devices are clustered by location, and one member of each cluster is in S1
 //! in turn. After a report the members of the reporters' clusters are woken, most correlated first, until Î ≥ I_min.
+//! Digests depend on the clusters and on the turns of their members; names of facts are part of `summary.json`.
 
 use reveille_common::declare;
 use reveille_common::declare::{switch, whole};
@@ -100,7 +101,7 @@ impl Policy for Knn {
         self.information_target.belief()
     }
 
-    fn wake_up_answered(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
+    fn take_wake_up_answer(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
         self.information_target.add_wake_up_answer(seen, report);
     }
 }

@@ -36,7 +36,7 @@ impl SensingCount {
         Plan::from_devices(devices, chosen)
     }
 
-    /// Returns the mean number of devices that sense per TTI, for the summary.
+    /// Returns the mean number of devices that sense per TTI. Its name is part of `summary.json` and docs/age-index.md.
     pub fn summary_fact(&self) -> (&'static str, f64) {
         (
             "sensing_per_tti",
@@ -45,7 +45,7 @@ impl SensingCount {
     }
 }
 
-/// Names that most policies need: `use reveille_bs::policy::prelude::*`.
+/// Names that most policies need: `use reveille_bs::policy::prelude::*`, as in docs/patrol.rs.
 pub mod prelude {
     pub use reveille_common::declare;
     pub use reveille_common::ids::{DeviceId, Tti};

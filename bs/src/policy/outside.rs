@@ -34,9 +34,9 @@ pub fn is_external(choice: &PolicyChoice<PolicyEntry>) -> bool {
 
 /// Returns the policies of this program and `external`, as a scenario names them.
 pub fn kinds_with_external() -> Vec<&'static PolicyEntry> {
-    let mut kinds = registry::kinds();
-    kinds.push(&EXTERNAL);
-    kinds
+    let mut all_policies = registry::all_policies();
+    all_policies.push(&EXTERNAL);
+    all_policies
 }
 
 /// Builds the policy.

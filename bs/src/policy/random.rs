@@ -1,5 +1,5 @@
 //! The policy `random`, the benchmark of Sec. VI: every device draws its own duty cycle once, and no device is woken.
-//! The streams of the draws are part of the digest.
+//! Digests depend on the stream of each device and on the order of its draws.
 
 use std::sync::Arc;
 

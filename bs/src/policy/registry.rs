@@ -1,4 +1,5 @@
-//! The list of policies, [`POLICIES`]. Scenarios, the command line, sweeps, figures and tests read it.
+//! The list of policies, [`POLICIES`]. Scenarios, the command line, sweeps, figures and tests read it. Names are part
+//! of scenario files and result tables. docs/writing-a-policy.md lists what a new entry needs.
 
 use super::adjusted::ADJUSTED;
 use super::age_index::AGE_INDEX;
@@ -12,8 +13,8 @@ use super::random::RANDOM;
 /// All policies of this program, in display order.
 pub const POLICIES: &[PolicyEntry] = &[KNN, ADJUSTED, Q_LEARNING, DT, RANDOM, GENIE, AGE_INDEX];
 
-/// Returns all policies as a scenario names them.
-pub fn kinds() -> Vec<&'static PolicyEntry> {
+/// Returns references to all policies, the form in which loading a scenario takes them.
+pub fn all_policies() -> Vec<&'static PolicyEntry> {
     POLICIES.iter().collect()
 }
 

@@ -1,5 +1,6 @@
 //! Loads scenarios and the files that they name from the local disk, for the policies of this program. Other sources of
-//! files use [`load_with`](super::load_with).
+//! files use [`load_with`](super::load_with). Outside `server` this is the only file of the crate that may read the
+//! disk, as `tests/tests/tidy/` checks.
 
 use std::path::Path;
 
@@ -14,7 +15,7 @@ use crate::policy::{outside, registry};
 /// # Errors
 /// See [`reveille_common::scenario::load`].
 pub fn load(source: &str, overrides: &[Override]) -> Result<Loaded, ScenarioError> {
-    reveille_common::scenario::load(source, overrides, &registry::kinds(), &Disk)
+    reveille_common::scenario::load(source, overrides, &registry::all_policies(), &Disk)
 }
 
 /// Loads a scenario like [`load`], but also accepts the policy `external` of a policy process.
@@ -30,5 +31,5 @@ pub fn load_with_external(source: &str, overrides: &[Override]) -> Result<Loaded
 /// # Errors
 /// See there.
 pub fn parse(text: &str, origin: &str, base_dir: &Path, overrides: &[Override]) -> Result<Loaded, ScenarioError> {
-    reveille_common::scenario::parse(text, origin, base_dir, overrides, &registry::kinds(), &Disk)
+    reveille_common::scenario::parse(text, origin, base_dir, overrides, &registry::all_policies(), &Disk)
 }

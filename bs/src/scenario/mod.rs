@@ -30,12 +30,12 @@ pub type Loaded = reveille_common::scenario::LoadedScenario<PolicyChoice>;
 /// # Errors
 /// See [`reveille_common::scenario::load`].
 pub fn load_with(source: &str, overrides: &[Override], files: &dyn Files) -> Result<Loaded, ScenarioError> {
-    reveille_common::scenario::load(source, overrides, &registry::kinds(), files)
+    reveille_common::scenario::load(source, overrides, &registry::all_policies(), files)
 }
 
 /// Returns the declaration of all scenario fields, for the schema, the reference and the help.
 pub fn declaration() -> Declaration {
-    reveille_common::scenario::declaration(&registry::kinds())
+    reveille_common::scenario::declaration(&registry::all_policies())
 }
 
 /// Returns today's path of the scenario field at `path`, which may be a former path; any other text stays as it is.

@@ -1,5 +1,5 @@
 //! The virtual clock, with its commands (pause, step, run to a TTI, resume) and its pace. It reads no time: `run_loop`
-//! waits for due TTIs and records their [`Lateness`].
+//! waits for due TTIs and records their [`Lateness`]. The clock changes no result of a run.
 
 use std::time::Duration;
 

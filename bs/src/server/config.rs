@@ -1,5 +1,5 @@
 //! Settings, progress and outcome of a run over the bus. `deploy/src/commands/bs.rs` sets the settings and reads the
-//! outcome; displays and supervisors in other threads share [`RunProgress`].
+//! outcome; displays and supervisors in other threads share [`RunProgress`]. Nothing here is serialised.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Mutex, OnceLock, PoisonError};

@@ -1,5 +1,5 @@
 //! Detection of unresponsive and lost hosts in the run loop, and the reaction that [`OnLoss`] selects. `failover`
-//! records the lost hosts.
+//! records the lost hosts, and `run_loop` declares the time limits.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;

@@ -1,7 +1,8 @@
 //! Answers to join requests, before the first TTI and after a loss, and the wait for all devices.
 //!
 //! `admission` assigns free devices, `failover` the devices of lost hosts. A welcome holds the setup of every device,
-//! so it is built without the lock of [`SharedState`].
+//! so it is built without the lock of [`SharedState`]. After `Retry` a host that stands by asks again; `Refused` ends
+//! it (`device/src/host/join.rs`).
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;

@@ -1,5 +1,5 @@
 //! Removed hosts, whose devices are no longer part of the run (`--on-loss continue`). A replay supplies the ledgers of
-//! these devices, so that the totals of the run loop still cover all devices.
+//! these devices, so that totals, final ledgers and thus the digest still cover all devices.
 
 use std::sync::Arc;
 
@@ -48,8 +48,8 @@ impl RemovedHosts {
         });
     }
 
-    /// Stores the removal of devices of a removed host.
-    pub(super) fn record_removal(&self, removal: &DeviceRemoval) -> Result<(), BsError> {
+    /// Writes the removal of devices to the input log and adds it to the replay, before it takes effect.
+    pub(super) fn log_removal(&self, removal: &DeviceRemoval) -> Result<(), BsError> {
         self.replay()?.record_removal(removal).map_err(BsError::CannotContinue)
     }
 

@@ -104,7 +104,7 @@ impl Roster {
         self.assignments.len()
     }
 
-    /// The position of `host`, `0 .. hosts()`, if it owns devices.
+    /// The position of `host`, `0 .. host_count()`, if it owns devices.
     pub fn position(&self, host: HostId) -> Option<usize> {
         self.positions.get(host.index()).copied().flatten()
     }

@@ -34,9 +34,10 @@ const CHECK_INTERVAL: Duration = Duration::from_millis(100);
 const STOP_TIMEOUT: Duration = Duration::from_secs(3);
 /// Time to wait for an answer before the BS retransmits its messages.
 const RETRANSMIT_INTERVAL: Duration = Duration::from_secs(1);
-/// Time without an answer after which a host counts as unresponsive.
+/// Time without an answer after which a host counts as unresponsive. docs/command-line.md states it.
 pub(super) const UNRESPONSIVE_AFTER: Duration = Duration::from_secs(5);
 /// Time without an answer after which a host counts as lost, even if its token exists.
+/// docs/command-line.md states it.
 pub(super) const LOST_AFTER: Duration = Duration::from_secs(30);
 
 pub(super) struct LoopContext<'a> {
@@ -323,7 +324,7 @@ impl RunLoop<'_> {
             let devices = (assignment.first.0..=assignment.last().0).map(DeviceId);
             let removed_hosts = &self.removed_hosts;
             self.session
-                .remove_devices(devices, observer, |removal| removed_hosts.record_removal(removal))?;
+                .remove_devices(devices, observer, |removal| removed_hosts.log_removal(removal))?;
         }
         Ok(())
     }

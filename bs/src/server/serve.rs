@@ -1,5 +1,6 @@
 //! Entry points of a run over the bus: [`serve`] runs it from the first join to the last ledger, [`dismiss_hosts`] ends
-//! it for the hosts once the results are written. `deploy/src/commands/bs.rs` calls both.
+//! it for the hosts once the results are written. `deploy/src/commands/bs.rs` calls both, the second also after an
+//! error, since hosts wait for it.
 
 use std::sync::Arc;
 

@@ -196,7 +196,7 @@ impl Session {
     /// The decision that the run waits for after [`Action::RequestDecision`].
     pub fn pending_decision(&self) -> Option<DecisionContext<'_>> {
         match self.phase {
-            Phase::Ready if self.cycle.needs_plan() => self.cycle.next_decision_context(),
+            Phase::Ready if self.cycle.needs_external_plan() => self.cycle.next_plan_context(),
             Phase::Asking(tti) => Some(self.cycle.wake_up_context(tti)),
             Phase::Between | Phase::Ready | Phase::Granted | Phase::Waking(_) => None,
         }
@@ -223,7 +223,7 @@ impl Session {
                     self.phase = Phase::Ready;
                 }
                 Phase::Ready => {
-                    if self.cycle.needs_plan() {
+                    if self.cycle.needs_external_plan() {
                         let Some(decision) = self.input_queue.take_plan(self.next_tti()) else {
                             return Action::RequestDecision(DecisionStage::Plan);
                         };

@@ -1,5 +1,6 @@
 //! External inputs that a run has not reached yet: device removals, and decisions of an external policy. A resumed or
 //! replayed run fills the queue from an input log; the [`Session`](super::Session) takes each input when it is due.
+//! `lab/src/external_inputs.rs` has the format of the log.
 
 use std::collections::VecDeque;
 

@@ -1,4 +1,4 @@
-//! Errors of the bus. Their texts reach the operator.
+//! Errors of the bus. Their texts reach the operator; `tests/program/bad_input.rs` expects some of them.
 
 use std::time::Duration;
 

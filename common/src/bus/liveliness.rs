@@ -1,5 +1,5 @@
 //! Liveliness tokens of base stations and hosts. A token disappears with its session: the BS detects lost hosts by it,
-//! hosts a lost BS, and clients find the runs of an endpoint.
+//! hosts a lost BS, and clients find the runs of an endpoint. [`crate::keys`] defines the keys of tokens.
 
 use std::pin::Pin;
 use std::time::Duration;

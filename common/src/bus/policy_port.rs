@@ -1,6 +1,6 @@
 //! The policy port: the BS sends decision requests, and a program in any language answers. Payloads are not messages of
-//! this crate; they use an [`Encoding`] that other programs read, and zenoh's encoding field names it.
-//! `bs/src/server/policy_port/` uses both sides.
+//! this crate; they use an [`Encoding`] that other programs read, and zenoh's encoding field names it. Policy processes
+//! rely on this: `docs/policy-port.md` is the protocol. `bs/src/server/policy_port/` uses both sides.
 
 use std::pin::Pin;
 use std::time::Duration;

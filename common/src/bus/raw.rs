@@ -1,5 +1,5 @@
 //! Access to the bus in raw bytes, for the benchmark and for tests and tools that act as a broken peer. Observers
-//! receive no copies of this traffic.
+//! receive no copies of this traffic. No run uses this module.
 
 use std::time::Duration;
 

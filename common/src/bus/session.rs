@@ -1,5 +1,5 @@
 //! Opening and configuration of sessions: `Bus::listen` for the BS, `Bus::connect` for all other processes. Timeouts
-//! grow with the number of processes that share the machine.
+//! grow with the number of processes that share the machine. No digest depends on these settings.
 
 use std::io::ErrorKind;
 use std::time::Duration;
@@ -22,8 +22,8 @@ pub fn scaled_timeout(base: Duration, processes: u32) -> Duration {
     base * processes.max(UNSCALED_PROCESSES) / UNSCALED_PROCESSES
 }
 
-/// Number of free ports tried before listening on any free port fails.
-const PORT_ATTEMPTS: u32 = 10;
+/// Most ports tried for an endpoint with port 0: another process can take a port before zenoh listens on it.
+const MAX_PORT_ATTEMPTS: u32 = 10;
 
 /// Interval between checks of why this machine may be unable to connect. The first check follows one interval after
 /// the start.
@@ -198,7 +198,7 @@ async fn open_listening(mut config: zenoh::Config, endpoint: &str) -> Result<(St
         set_option(&mut config, "listen/endpoints", &format!("[{resolved:?}]"))?;
         match open(config.clone()).await? {
             Ok(session) => return Ok((resolved, session)),
-            Err(error) if is_any_port && attempts < PORT_ATTEMPTS => {
+            Err(error) if is_any_port && attempts < MAX_PORT_ATTEMPTS => {
                 tracing::debug!(resolved, %error, "cannot listen on this port; trying another");
             }
             Err(error) => {

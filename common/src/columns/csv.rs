@@ -1,4 +1,4 @@
-//! Columns of CSV files; errors name the line.
+//! Columns of CSV files; errors name the line. Only `columns/mod.rs` uses this module.
 
 use csv::{ReaderBuilder, StringRecord, Trim};
 

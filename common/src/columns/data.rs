@@ -1,4 +1,4 @@
-//! Data read from a file: values by column and row, with the position of each row.
+//! Data read from a file: values by column and row, with the position of each row for errors.
 
 use crate::declare::{quoted_list, truncate};
 

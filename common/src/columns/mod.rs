@@ -1,4 +1,5 @@
 //! Columns of data files (layouts, energy traces) from their bytes: CSV, and Parquet with the cargo feature `parquet`.
+//! Positions and harvests come from these numbers, so the scenario hash and digests depend on their parsing.
 
 mod csv;
 mod data;

@@ -1,4 +1,4 @@
-//! Columns of Parquet files; errors name the row.
+//! Columns of Parquet files; errors name the row. Only `columns/mod.rs` uses this module.
 
 use ::parquet::errors::ParquetError;
 use ::parquet::file::reader::{FileReader, SerializedFileReader};

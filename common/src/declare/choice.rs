@@ -1,4 +1,5 @@
-//! Enums whose variants are words in a scenario file, and the macro that declares them.
+//! Enums whose variants are words in a scenario file, and the macro that declares them. The scenario hash covers the
+//! words, and doc comments appear in `docs/scenario.md`, which a test compares.
 
 /// A word that a field may hold.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,5 +1,5 @@
 //! The declaration of a whole configuration: sections, list and presets, with the look-ups by path that reader, schema
-//! and pages share.
+//! and pages share. The order of sections is the order in files and pages; hashes do not depend on it.
 
 use super::choice::Alternative;
 use super::field::{Field, FieldType, Section};

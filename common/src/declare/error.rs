@@ -1,4 +1,5 @@
-//! Errors of a scenario, each as one sentence with the cause and the fix.
+//! Errors of a scenario, each as one sentence with the cause and the fix. `bs/src/scenario/tests/messages.rs` expects
+//! their texts.
 
 use std::io;
 use std::path::PathBuf;
@@ -79,7 +80,7 @@ pub enum ScenarioError {
         field: String,
         /// Its value.
         value: String,
-        /// The allowed values.
+        /// The rest of the sentence: the allowed values, or the complaint about this one.
         allowed: String,
         /// The origin of the value.
         origin: ValueOrigin,
@@ -97,7 +98,7 @@ pub enum ScenarioError {
     UnusedField {
         /// The full path of the field.
         field: String,
-        /// The setting under which the field has an effect.
+        /// The setting under which the field has an effect, such as `harvest.kind = "mpp"`.
         holds: String,
         /// The origin of the value.
         origin: ValueOrigin,

@@ -1,4 +1,5 @@
-//! Declared fields: type, range, default, unit, help and condition, with a constructor per type for `declare!`.
+//! Declared fields: type, range, default, unit, help and condition, with a constructor per type for `declare!`. Schema
+//! and reference page show all of it; a test compares `docs/scenario.md`. The hash covers paths and values only.
 
 use std::fmt;
 

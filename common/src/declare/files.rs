@@ -1,4 +1,5 @@
-//! The file access that pure code needs. The implementation for real files is [`crate::io::Disk`].
+//! The file access that pure code needs. The implementation for real files is [`crate::io::Disk`], the one for scenario
+//! files in recordings `view/src/recording/bundle.rs`.
 
 use std::io;
 use std::path::{Path, PathBuf};

@@ -1,4 +1,5 @@
-//! One layer of a configuration: a preset, a file, or a command-line override, parsed but not yet checked.
+//! One layer of a configuration: a preset, a file, or a command-line override, parsed but not yet checked. Positions in
+//! it are byte offsets of its text, from which errors give lines.
 
 use std::sync::Arc;
 
@@ -10,7 +11,7 @@ use super::error::ScenarioError;
 use super::origins::{LayerOrigin, ValueOrigin};
 use super::overrides::Override;
 
-/// Maximum length of a text, in bytes.
+/// Maximum length of the text of a configuration, in bytes.
 pub const MAX_TEXT_BYTES: u64 = 1 << 20;
 
 /// One layer: a table, and the list item to which it applies if a command-line path names one.

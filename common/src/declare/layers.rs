@@ -1,4 +1,5 @@
-//! The layers of a configuration (presets, file, command line), merged in order. The origin of each value is kept.
+//! The layers of a configuration (presets, file, command line), merged in order. The origin of each value is kept. The
+//! reader finds origins by the same paths, with the index of a list's item (`class.0.energy.e_max`).
 
 use std::ops::Range;
 

@@ -1,4 +1,5 @@
-//! The check of a layer's names and types against the declaration. The reader checks ranges later, after the merge.
+//! The check of a layer's names and types against the declaration. The reader checks ranges later, after the merge, and
+//! relies on the types. The Python package recognises warnings by [`FORMER_NAME_NOTICE`].
 
 use std::fmt::Display;
 use std::ops::Range;

@@ -1,4 +1,4 @@
-//! The origins of values: preset, file or command line. Error messages name them.
+//! The origins of values: preset, file or command line. They affect errors and warnings, never values.
 
 use std::collections::BTreeMap;
 use std::fmt;

@@ -1,4 +1,5 @@
-//! Fields set on the command line, by `--set` or by a dedicated option.
+//! Fields set on the command line, by `--set` or by a dedicated option. Sweeps and the Python package use the same
+//! `path=value` format.
 
 use std::str::FromStr;
 use std::sync::Arc;

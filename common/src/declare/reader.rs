@@ -1,5 +1,6 @@
 //! Reads the values of declared fields from the merged layers, and rejects invalid ones with their origin. The reader
-//! of a policy gives access to the fields of that policy only.
+//! of a policy gives access to the fields of that policy only. Values are normalised here (-0 becomes 0), so the
+//! scenario hash depends on it.
 
 use std::cell::RefCell;
 use std::fmt::Display;

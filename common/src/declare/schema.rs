@@ -1,4 +1,5 @@
-//! A JSON Schema (draft 2020-12) of the file, for editors and validators. `reveille scenario` prints it.
+//! A JSON Schema (draft 2020-12) of the file, for editors and validators. `reveille scenario schema` prints it.
+//! `tests/schema/check.py` validates presets and shipped scenarios against it, and broken ones.
 
 use serde_json::{Map, Value as Json, json};
 

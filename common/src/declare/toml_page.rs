@@ -1,4 +1,5 @@
-//! A configuration as a TOML file. [`TomlPage`] is also the way to compare two configurations.
+//! A configuration as a TOML file. [`TomlPage`] is also the way to compare two configurations. Loading the file must
+//! restore every value exactly, because `scenario.toml` of a run folder is such a file.
 
 use std::fmt::Write as _;
 

@@ -1,4 +1,5 @@
-//! Values of fields, and the conversion between them and the Rust types of fields.
+//! Values of fields, and the conversion between them and the Rust types of fields. A new kind of value needs an arm in
+//! `fingerprint.rs`, which hashes each kind in its own way.
 
 use crate::units::Energy;
 

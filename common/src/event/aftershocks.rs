@@ -1,4 +1,5 @@
-//! The event process `aftershocks`: many epicentres lie near the previous one.
+//! The event process `aftershocks`: many epicentres lie near the previous one. Digests depend on the order of draws:
+//! whether the event is near, then x and y offsets in turn. `tests/src/reference/events.rs` repeats it.
 
 use super::uniform::UniformEpicentres;
 use crate::declare::{NOT_NEGATIVE, PROBABILITY, number};

@@ -1,4 +1,5 @@
-//! The event process `bursts`: events are frequent in busy phases and rare in quiet phases.
+//! The event process `bursts`: events are frequent in busy phases and rare in quiet phases. Digests depend on the
+//! draws: one per event, and those of [`crate::phases`]. `tests/src/reference/events.rs` finds the same starts.
 
 use crate::declare::{ABOVE_ZERO, PROBABILITY, Range, number};
 use crate::ids::{EventId, Tti};
@@ -31,8 +32,8 @@ impl EventBursts {
         mean_alpha(self, self.busy_ttis, self.quiet_ttis)
     }
 
-    /// The mean of that probability over the TTIs from `first` to before `end` of a run with `seed`; the long-run mean
-    /// for an empty range.
+    /// The mean of the probability that an event starts, over the TTIs from `first` to before `end` of a run with
+    /// `seed`; the long-run mean for an empty range.
     pub(super) fn mean_start_probability(&self, seed: u64, first: Tti, end: Tti) -> f64 {
         if first >= end {
             return self.alpha();

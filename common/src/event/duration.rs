@@ -1,4 +1,5 @@
-//! The durations of events, and the share of events that ends before a device can sense them.
+//! The durations of events, and the share of events that ends before a device can sense them. Digests depend on the
+//! draws: one per event of random duration. The share only causes a warning in `scenario/validate.rs`.
 
 use crate::declare::{choice, choices, whole};
 use crate::ids::{EventId, MAX_TTIS};

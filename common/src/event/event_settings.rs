@@ -1,4 +1,5 @@
-//! The fields of a scenario's `events` section, checked and complete.
+//! The fields of a scenario's `events` section, checked and complete. Their order in [`EventSettings::visit`] is part
+//! of the scenario hash.
 
 use super::aftershocks::Aftershocks;
 use super::bursts::EventBursts;

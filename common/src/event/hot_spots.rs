@@ -1,4 +1,6 @@
-//! The event process `hot-spots`: most epicentres lie around a few places that the seed draws.
+//! The event process `hot-spots`: most epicentres lie around a few places that the seed draws. Digests depend on the
+//! order of draws: whether the event is near a place, the place, two for the offset. `tests/src/reference/events.rs`
+//! repeats it.
 
 use super::uniform::UniformEpicentres;
 use crate::declare::{NOT_NEGATIVE, PROBABILITY, number, whole};

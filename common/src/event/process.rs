@@ -1,4 +1,4 @@
-//! The kinds of event processes.
+//! The kinds of event processes. Their words are part of scenario files and of the scenario hash.
 //!
 //! Each kind has a file with its fields and its draws. Only this module distinguishes them, with an arm for each: of
 //! [`ProcessSettings`], [`Starts`] and [`Epicentres`].

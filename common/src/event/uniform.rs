@@ -1,4 +1,5 @@
 //! Uniform epicentres and a constant start probability: the process `uniform`, and the base of the other processes.
+//! Digests depend on the draws: x, then y; one gap per event.
 
 use crate::declare::{ABOVE_ZERO, number};
 use crate::geometry::{Area, Point};

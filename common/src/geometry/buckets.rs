@@ -1,4 +1,5 @@
-//! A bucket grid that finds the points within a radius of a place, or nearest to it: for world, genie and beliefs.
+//! A bucket grid that finds the points within a radius of a place, or nearest to it: for world, genie and beliefs. The
+//! order of results is fixed, and [`Buckets::nearest`] breaks ties by index: decisions must not differ between runs.
 
 use super::{Area, Point};
 

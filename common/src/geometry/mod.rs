@@ -1,4 +1,5 @@
-//! The area, the positions of devices in it, and the bounded Voronoi diagram.
+//! The area, the positions of devices in it, and the bounded Voronoi diagram. Digests depend on distances bit for bit.
+//! [`Point`] is also part of messages.
 
 mod buckets;
 mod file;

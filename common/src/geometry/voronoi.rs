@@ -1,4 +1,5 @@
-//! The Voronoi diagram clipped to the area: for the distance bound of Eq. (`E_Info3`) and for figures.
+//! The Voronoi diagram clipped to the area: for the distance bound of Eq. (`E_Info3`) and for figures. I_min follows
+//! from the bound, so decisions and digests depend on it bit for bit.
 
 use super::{Area, Point};
 

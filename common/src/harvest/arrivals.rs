@@ -1,4 +1,5 @@
 //! The sources `eq5` and `exp-minus-lambda`: an arrival of E_B in each TTI with the same probability, independently.
+//! Digests depend on the draws, one gap per arrival. [`ArrivalsSetup`] is part of the wire format.
 
 use std::sync::Arc;
 

@@ -1,4 +1,5 @@
-//! The expected energy of a source that depends on the time of day, from which the base station estimates batteries.
+//! The expected energy of a source that depends on the time of day. The base station estimates batteries from it, so
+//! decisions and digests depend on its rounding.
 
 use crate::ids::Tti;
 use crate::units::Energy;

@@ -1,11 +1,11 @@
 //! Energy sources (paper Sec. III-A): the times and amounts of energy that arrives at a device.
 //!
-//! A source is a sequence of arrivals in ascending order of TTI. It depends only on the scenario, the seed and the
-//! device. Nothing is drawn in a TTI without an arrival. [`Harvest`] is the declared source of a class,
-//! [`HarvestSetup`] its message to a device, [`HarvestSource`] the arrivals that a device draws.
+//! A source is a sequence of arrivals by ascending TTI. It depends only on the scenario, the seed and the device.
+//! Digests depend on the order of draws. [`Harvest`] is the declared source of a class, [`HarvestSetup`] its form in
+//! the wire format, [`HarvestSource`] the arrivals that a device draws.
 //!
 //! Each kind of source has a file with its fields, its wire format and its draws; this module has an arm for each.
-//! `tests/src/reference/harvest.rs` draws the same arrivals TTI by TTI.
+//! `tests/src/reference/harvest.rs` draws the same arrivals TTI by TTI, so change both.
 
 mod arrivals;
 mod day_profile;
@@ -190,7 +190,8 @@ impl Harvest {
     }
 }
 
-/// The parameters of a source for a device, with model time already converted to TTIs.
+/// The parameters of a source for a device, with model time already converted to TTIs. The order of variants and
+/// fields is part of the wire format.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum HarvestSetup {
     /// Independent arrivals.
@@ -204,7 +205,8 @@ pub enum HarvestSetup {
 }
 
 impl HarvestSetup {
-    /// The mean harvest per TTI, to the nearest micro-unit; `traces` are the run's, energy per TTI by row.
+    /// The mean harvest per TTI, rounded to micro-units (down for a trace); `traces` are the run's, energy per TTI by
+    /// row.
     pub fn mean(&self, traces: &[Arc<Vec<Energy>>]) -> Energy {
         match self {
             Self::Arrivals(arrivals) => arrivals.mean(),

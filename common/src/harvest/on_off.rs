@@ -1,4 +1,8 @@
-//! The source `mpp`: a two-state Markov chain, sampled once per TTI, that delivers E_B in each TTI that begins on.
+//! The source `mpp` (the paper's modulated Poisson process): an on/off Markov chain in model time, the time in which λ
+//! and τ are given. It is sampled once per TTI and delivers E_B in each TTI that begins on.
+//!
+//! Digests depend on the order of draws: whether it starts on, then off- and on-periods in turn.
+//! `tests/src/reference/harvest.rs` repeats it. [`OnOffSetup`] goes to hosts in the wire format; no file stores it.
 
 use serde::{Deserialize, Serialize};
 
@@ -27,7 +31,7 @@ crate::declare! {
 /// An on/off source with exponential durations and energy `E_B` in each TTI that begins while it is on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OnOff {
-    /// λ, per unit of model time, > 0: on-durations have the mean 1/λ.
+    /// Rate λ at which it turns off, per unit of model time, > 0: on-durations have the mean 1/λ.
     pub lambda: f64,
     /// `E_B`.
     pub e_b: Energy,
@@ -44,8 +48,8 @@ impl OnOff {
     pub(super) fn from_fields(reader: &FieldReader<'_>, tau: f64) -> Result<Self, ScenarioError> {
         let Arrivals { lambda, e_b } = Arrivals::read(reader)?;
         if lambda == 0.0 {
-            let allowed = "must be greater than 0 for harvest.kind = \"mpp\" (on-durations have the mean 1/lambda)";
-            return Err(reader.invalid_value("harvest.lambda", lambda, allowed));
+            let complaint = "must be greater than 0 for harvest.kind = \"mpp\" (on-durations have the mean 1/lambda)";
+            return Err(reader.invalid_value("harvest.lambda", lambda, complaint));
         }
         let off_mean = match OffTimeFields::read(reader)?.off_mean {
             Some(off_mean) => off_mean,
@@ -88,8 +92,8 @@ fn default_off_mean(reader: &FieldReader<'_>, lambda: f64, tau: f64) -> Result<f
     if OFF_MEAN_RANGE.contains(off_mean) {
         return Ok(off_mean);
     }
-    let allowed = "gives too small an on share for a default off-duration; set harvest.off_mean";
-    Err(reader.invalid_value("harvest.lambda", lambda, allowed))
+    let complaint = "gives too small an on share for a default off-duration; set harvest.off_mean";
+    Err(reader.invalid_value("harvest.lambda", lambda, complaint))
 }
 
 /// The setup of an on/off source on a device: an arrival in each TTI that begins while it is on.
@@ -146,6 +150,7 @@ pub(super) struct OnOffSource {
     on_duration: Geometric,
     /// The length of an off-period in TTIs.
     off_duration: Geometric,
+    /// The last TTI of the current on-period.
     last_on: Tti,
     stream: Stream,
     e_b: Energy,

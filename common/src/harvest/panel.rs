@@ -2,7 +2,7 @@
 //!
 //! A panel of area A and efficiency η turns an irradiance of G W/m² into η·A·G watts. Irradiance is linear between two
 //! rows of a record, and a TTI brings its integral. Rounding errors are carried over between TTIs, so that the
-//! micro-units of a record add up to its energy. `harvest/trace.rs` applies it to the source `trace`.
+//! micro-units of a record add up to its energy. `harvest/trace.rs` applies it; the scenario hash covers the result.
 
 use crate::declare::{FieldSink, Range, Section, Visit, number};
 use crate::units::{Energy, MAX_UNITS, MICRO_PER_UNIT};

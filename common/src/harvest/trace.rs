@@ -271,7 +271,7 @@ impl TraceSetup {
         self.ttis_per_row > 0 && self.find_rows(traces).is_some_and(|rows| !rows.is_empty())
     }
 
-    /// The mean harvest per TTI.
+    /// The mean of all rows, rounded down to micro-units.
     pub(super) fn mean(&self, traces: &[Arc<Vec<Energy>>]) -> Energy {
         let rows = self.find_rows(traces).map_or(&[][..], |rows| rows);
         let sum: u128 = rows.iter().map(|energy| u128::from(energy.micro())).sum();

@@ -1,4 +1,5 @@
-//! The air plane: δ plans, reports and wake-ups, as a deployment would send them over the radio.
+//! The air plane: δ plans, reports and wake-ups, as a deployment would send them over the radio. Metrics count their
+//! encoded bytes. Names and order of fields are part of recordings (`view/src/schemas.rs`).
 
 use std::fmt;
 

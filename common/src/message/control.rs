@@ -1,4 +1,5 @@
-//! The emulation plane between operators and the BS: commands to the virtual clock, and its status.
+//! The emulation plane between operators and the BS: commands to the virtual clock, and its status. Fields and variants
+//! are encoded by position.
 
 use core::time::Duration;
 use std::fmt;

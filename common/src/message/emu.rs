@@ -1,4 +1,5 @@
-//! The emulation plane between base station and hosts: joining, grants and answers.
+//! The emulation plane between base station and hosts: joining, grants and answers. Fields and variants are encoded by
+//! position; [`HostSetup`] includes the settings of energy, harvest, radio and sensing.
 
 use std::fmt;
 use std::sync::Arc;

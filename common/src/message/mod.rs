@@ -5,7 +5,7 @@
 //! about the modelled world and the BS's conclusions. The table `messages!` below is the single list of kinds. The keys
 //! ([`crate::keys`]), the typed bus (`crate::bus`), `reveille inspect` with its help and its page, and the fuzz target
 //! use it. A new kind needs a row of the table, a payload in the file of its plane and, if it is sent, a right in
-//! `bus/access.rs`. Payloads are encoded by position, so a changed field is a new [`crate::codec::WIRE_VERSION`].
+//! `bus/access.rs`. Rows and fields are encoded by position: a change is a new [`crate::codec::WIRE_VERSION`].
 //!
 //! The table omits the copies of messages for observers ([`Frame`]), which are not part of the run.
 

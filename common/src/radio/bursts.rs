@@ -1,5 +1,5 @@
 //! Bursts of interference that raise the loss probabilities of [`Air`](super::Air), and their long-run mean for
-//! [`RadioLossRates`](super::RadioLossRates).
+//! [`RadioLossRates`](super::RadioLossRates). Digests depend on both; the settings are part of the wire format.
 
 use serde::{Deserialize, Serialize};
 

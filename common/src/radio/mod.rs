@@ -45,7 +45,7 @@ crate::declare! {
     }
 }
 
-/// The failure settings of the radio.
+/// The failure settings of the radio. They are part of the wire format, in [`HostSetup`](crate::message::HostSetup).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct RadioSettings {
     /// Probability that a wake-up radio with power misses a wake-up, `[0, 1]`.

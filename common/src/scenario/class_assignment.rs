@@ -1,4 +1,5 @@
 //! The assignment of devices to classes, for [`crate::deployment`]. The seed decides which devices a share receives.
+//! Digests of scenarios with classes depend on the counts, on ties and on the shuffle.
 
 use super::class_members::{Members, Zone};
 use super::classes::DeviceClass;

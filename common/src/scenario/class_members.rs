@@ -1,4 +1,5 @@
-//! The members of a device class: a share of the devices, a list of devices, or the devices in a zone.
+//! The members of a device class: a share of the devices, a list of devices, or the devices in a zone. Names and order
+//! of the fields are part of scenario files and of the scenario hash.
 
 use crate::declare::{ABOVE_ZERO, FieldReader, NOT_NEGATIVE, ScenarioError, number, text, wholes};
 use crate::geometry::{Area, Point};
@@ -65,7 +66,8 @@ impl Zone {
 }
 
 impl Members {
-    /// Returns the rule that `fields`, read from `item`, specify; `None` if they specify none.
+    /// Returns the rule that the `fields` of a class specify; `None` if they specify none. `item` reads the table of
+    /// this class.
     pub(super) fn from_fields(
         item: &FieldReader<'_>,
         fields: &ClassFields,
@@ -99,7 +101,7 @@ impl Members {
         Ok(fields.share.map(Self::Share).or_else(by_number).or(by_zone))
     }
 
-    /// Returns the fields for the file, including the name.
+    /// Returns the fields to write to a scenario file or to hash, including the class's `name`.
     pub(super) fn to_fields(&self, name: &str) -> ClassFields {
         let mut fields = ClassFields {
             name: Some(name.to_owned()),

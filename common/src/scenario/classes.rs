@@ -1,4 +1,5 @@
-//! Device classes: their fields, read and written, and the check that together they cover all devices.
+//! Device classes: their fields, read and written, and the check that together they cover all devices. The name
+//! `default` marks a scenario without classes, so it decides how its fields are written and hashed.
 
 use std::collections::BTreeSet;
 
@@ -8,6 +9,7 @@ use crate::energy::EnergyModel;
 use crate::geometry::Area;
 use crate::harvest::Harvest;
 
+/// Maximum number of classes; `geometry/file.rs` relies on their indices fitting in 16 bits.
 pub(crate) const MAX_CLASSES: usize = 256;
 /// Tolerance for the difference between the sum of the classes' shares and 1.
 const SHARE_TOLERANCE: f64 = 1e-9;

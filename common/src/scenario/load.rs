@@ -1,4 +1,5 @@
 //! Loading of scenarios: preset, file and command line, in this order of precedence from low to high.
+//! `bs/src/scenario/tests/` expects the precedence and the texts of errors.
 
 use std::io;
 use std::path::Path;

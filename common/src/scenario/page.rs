@@ -1,4 +1,5 @@
 //! Scenarios written as TOML: the file `scenario.toml` of a run folder, and the templates of `reveille scenario`.
+//! Loading such a file must restore an equal scenario: resuming and replay rely on it.
 
 use std::path::{Path, PathBuf};
 
@@ -46,7 +47,8 @@ impl<K: PolicyKind> Scenario<PolicyChoice<K>> {
     }
 }
 
-/// A sink that collects file paths. Files have absolute paths; a relative one is a word in place of a file.
+/// A sink that collects file paths. Files have absolute paths; a relative one is a word that a field allows in place
+/// of a file.
 struct FileCollector(Vec<PathBuf>);
 
 impl FieldSink for FileCollector {

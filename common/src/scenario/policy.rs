@@ -12,7 +12,7 @@ pub trait PolicyKind: Sync + Debug + 'static {
     /// The validated settings of any policy of the program.
     type Settings: Visit + Debug + ?Sized;
 
-    /// The name in `policy.name`, on the command line and in every file.
+    /// The name in `policy.name`, on the command line, in the scenario hash and in every file.
     fn name(&self) -> &'static str;
 
     /// A description in one sentence, for help and reference.

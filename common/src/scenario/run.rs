@@ -1,4 +1,5 @@
-//! The general fields of a run and of the base station, and the presets.
+//! The general fields of a run and of the base station, and the presets. Names, words and values are part of scenario
+//! files and of the scenario hash; a test compares the declarations with `docs/scenario.md`.
 
 use crate::declare;
 use crate::declare::{Alternative, BELOW_ONE, POSITIVE, Preset, choice, choices, number, registered, whole, word};

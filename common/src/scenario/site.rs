@@ -1,4 +1,5 @@
-//! The base station's knowledge of its site before a run, with which a policy checks and completes its settings.
+//! [`Site`]: the facts about its devices and their area that the base station knows before a run. A policy checks and
+//! completes its settings with them. The doc tests below keep ground truth out.
 
 use super::run::BsSettings;
 use crate::energy::EnergyModel;

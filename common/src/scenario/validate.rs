@@ -1,4 +1,5 @@
-//! Validation: turns the merged layers into a [`Scenario`] on which all parts of a run rely.
+//! Validation: turns the merged layers (preset, file, command line) into a [`Scenario`] on which all parts of a run
+//! rely. `bs/src/scenario/tests/` expects the texts of errors and warnings. A missing check can make a run panic.
 
 use std::cell::RefCell;
 use std::collections::BTreeSet;
@@ -37,6 +38,7 @@ pub(super) fn validate<K: PolicyKind>(
     let radio = RadioSettings::from_fields(reader)?;
     let bs = BsSettings::read(reader)?;
     let (mut classes, specify_members) = DeviceClass::read_all(reader, run.tau, area)?;
+    // The items are the tables `[[class]]` of the scenario file.
     let has_classes = !reader.items().is_empty();
     let names: Vec<&str> = classes
         .iter()
@@ -58,10 +60,10 @@ pub(super) fn validate<K: PolicyKind>(
         events,
         radio,
         bs,
-        // The policy's settings depend on the site, which needs the rest of the scenario.
+        // The policy's settings depend on the `Site`, which is taken from the rest of the scenario.
         policy: (),
     };
-    // Before the policy, whose site holds the share of each class.
+    // Before the policy, because it reads the share of each class from the scenario's `Site`.
     set_class_shares(reader, &mut scenario)?;
     let policy = PolicyChoice::new(
         kind,
@@ -92,17 +94,17 @@ fn set_class_shares(reader: &FieldReader<'_>, scenario: &mut Scenario<()>) -> Re
     }
     let is_by_share = |class: &DeviceClass| matches!(class.members, Members::Share(_));
     if scenario.classes.iter().all(is_by_share) {
-        let share = |class: &mut DeviceClass| {
-            if let Members::Share(share) = class.members {
-                class.share = share;
+        let copy_declared_share = |class: &mut DeviceClass| {
+            if let Members::Share(declared) = class.members {
+                class.share = declared;
             }
         };
-        scenario.classes.iter_mut().for_each(share);
+        scenario.classes.iter_mut().for_each(copy_declared_share);
         return Ok(());
     }
     let assigned = try_assign_classes(scenario).map_err(|j| {
-        let allowed = format!("device {j} has no class; set class.share in a class, for the remaining devices");
-        reader.invalid_value("class", format!("{} classes", scenario.classes.len()), allowed)
+        let complaint = format!("device {j} has no class; set class.share in a class, for the remaining devices");
+        reader.invalid_value("class", format!("{} classes", scenario.classes.len()), complaint)
     })?;
     let by_layout = scenario.layout.classes().is_some();
     for (index, class) in scenario.classes.iter_mut().enumerate() {
@@ -119,15 +121,15 @@ fn set_class_shares(reader: &FieldReader<'_>, scenario: &mut Scenario<()>) -> Re
 /// Returns a warning if events can end before the policy senses their places. The policy does not know their duration.
 fn undetected_events_warning<K: PolicyKind>(scenario: &Scenario<PolicyChoice<K>>) -> Option<String> {
     let (path, budget) = scenario.policy.delay_budget()?;
-    let share = 100.0 * scenario.events.missed_share(budget);
+    let missed_pct = 100.0 * scenario.events.missed_share(budget);
     let lasts = match scenario.events.duration {
         1 => "1 TTI".to_owned(),
         several => format!("{several} TTIs"),
     };
-    (share >= 1.0).then(|| {
+    (missed_pct >= 1.0).then(|| {
         format!(
             "{path} = {budget} leaves a place unsensed for up to {budget} TTIs, and events last {lasts}{}: up to \
-             {share:.0} % of them can end undetected; set a smaller {path}",
+             {missed_pct:.0} % of them can end undetected; set a smaller {path}",
             match scenario.events.duration_kind {
                 DurationKind::Fixed => "",
                 DurationKind::Geometric => " on average",

@@ -1,5 +1,6 @@
 //! The results of a run for each device and each device class, for the tables and the summary of a run.
-//! [`super::Score`] counts the activity; the ledgers come from the devices at the end.
+//! [`super::Score`] counts the activity; the ledgers come from the devices at the end. The field names of
+//! [`EventActivity`] are keys of the classes in `summary.json`.
 
 use std::ops::AddAssign;
 

@@ -1,4 +1,5 @@
-//! Sums over windows of TTIs, for the per-window series of a run. The session of the base station closes each window.
+//! Sums over windows of TTIs, for the rows of `windows.csv` (columns in `deploy/src/run_tables.rs`) and live metrics.
+//! The session of the base station closes each window. No digest depends on windows.
 
 use crate::deployment::Deployment;
 use crate::ids::Tti;

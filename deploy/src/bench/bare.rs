@@ -1,5 +1,5 @@
 //! Barriers without a model, over zenoh and over unix sockets, with as many processes as the emulator uses: the
-//! baselines of `bus`.
+//! baselines of `bus`. `start_hosts` writes the arguments that `bench bare-host` in `cli/tools.rs` parses.
 
 use std::io::{Read, Write};
 use std::os::unix::net::{UnixListener, UnixStream};

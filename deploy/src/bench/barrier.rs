@@ -1,4 +1,4 @@
-//! A bare barrier over zenoh, the baseline of `reveille bench bus`.
+//! A bare barrier over zenoh, the baseline of `reveille bench bus`. Nothing else uses its keys.
 //!
 //! It uses the same sessions and message sizes as the emulator, without model or codec. The base station publishes a
 //! grant, every host answers from zenoh's callback, and the next grant follows when all have answered.

@@ -1,4 +1,5 @@
 //! `reveille bench bus`: TTIs per second over the bus, against bare barriers with messages of the same size.
+//! `docs/benchmarks.md` quotes the table.
 
 use std::process::ExitCode;
 

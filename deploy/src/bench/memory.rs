@@ -1,4 +1,6 @@
 //! `reveille bench memory`: TTIs per second of runs in memory on one core, by policy and number of devices.
+//! `deploy/bench/instructions.sh` counts on [`REPETITIONS`] runs per measurement; `docs/benchmarks.md` quotes the
+//! table.
 
 use std::process::ExitCode;
 

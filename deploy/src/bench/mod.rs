@@ -1,4 +1,5 @@
-//! `reveille bench`: speed against baselines that are measured in the same call.
+//! `reveille bench`: speed against baselines that are measured in the same call. Runs of the emulator are timed by the
+//! fields of `timing` in their `summary.json`.
 
 mod bare;
 mod barrier;

@@ -1,4 +1,5 @@
 //! `reveille bench scale`: the time per device-TTI, over the bus and in memory, against the number of devices.
+//! `docs/benchmarks.md` quotes the table.
 
 use std::process::ExitCode;
 

@@ -1,7 +1,8 @@
-//! `reveille bench watch`: the cost of observing a run.
+//! `reveille bench watch`: the cost of observing a run. `docs/benchmarks.md` quotes the table.
 //!
 //! Compares a run with the same run under observation: recorded, its metrics scraped every second, its dashboard read
-//! by browsers. The two runs alternate, so that the load of the machine affects both.
+//! by browsers. The two runs alternate, so that the load of the machine affects both. The addresses come from the notes
+//! of `up` on standard error, which must contain `http://ADDRESS/`.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;

@@ -1,4 +1,5 @@
-//! Options of `reveille analyse`.
+//! Options of `reveille analyse`, which `commands/analyse/` executes. Names of options are a public interface (see
+//! `cli`).
 
 use std::path::PathBuf;
 
@@ -124,7 +125,13 @@ pub(crate) struct BatteryArgs {
     #[arg(long, default_value = "0,0.01,0.05", allow_hyphen_values = true)]
     pub activation: String,
     /// Number of simulated devices whose battery levels are measured.
-    #[arg(long, short = 'n', default_value_t = 16, value_parser = whole(2..=MAX_DEVICES), allow_negative_numbers = true)]
+    #[arg(
+        long,
+        short = 'n',
+        default_value_t = 16,
+        value_parser = whole(2..=MAX_DEVICES),
+        allow_negative_numbers = true
+    )]
     pub devices: u32,
     /// Measured TTIs per device, after a warm-up of a tenth of this number.
     #[arg(

@@ -1,4 +1,4 @@
-//! The examples at the end of each command's help.
+//! The examples at the end of each command's help. Tests here check that each help has two examples that parse.
 
 /// Returns the last part of a command's help: two commands that work as they are written.
 macro_rules! examples {

@@ -1,4 +1,5 @@
-//! Options of `reveille figures`.
+//! Options of `reveille figures`, which `commands/figures.rs` executes. A new figure needs its name in the help of
+//! `--only`, which lists the names by hand. Names of options are a public interface (see `cli`).
 
 use std::path::PathBuf;
 

@@ -1,4 +1,5 @@
-//! Former names of options and values, which are still accepted with a warning.
+//! Former names of options and values, which are still accepted with a warning, so that scripts continue to work. An
+//! option or value that is renamed needs an entry here.
 
 use std::ffi::OsString;
 

@@ -1,4 +1,4 @@
-//! Options of `reveille inspect` and `reveille dashboard`.
+//! Options of `reveille inspect` and `reveille dashboard`. Names of options are a public interface (see `cli`).
 
 use std::path::PathBuf;
 

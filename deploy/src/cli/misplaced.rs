@@ -1,5 +1,6 @@
-//! Options given to a subcommand that lacks them. clap would suggest an option with a similar name; the error here names
-//! the subcommands that have the option.
+//! Options given to a subcommand that lacks them. clap would suggest an option with a similar name; the error here
+//! names the subcommands that have the option. Tests here check that each reason is about an option that its command
+//! lacks.
 
 use std::ffi::OsString;
 
@@ -130,8 +131,8 @@ fn hint(program: &Command, words: &[String], given: &str) -> Option<String> {
     ))
 }
 
-/// Returns the visible subcommands below `command` that have the option `given`, each as its words with the long name of
-/// the option.
+/// Returns the visible subcommands below `command` that have the option `given`: the words of each, and the long name
+/// of the option.
 fn owners(command: &Command, words: &str, given: &str) -> Vec<(String, String)> {
     let mut found = Vec::new();
     for below in command.get_subcommands().filter(|below| !below.is_hide_set()) {

@@ -1,5 +1,6 @@
 //! The command line: commands, options and help, declared with clap, one file per group of commands. The modules of
-//! `commands` execute them. Tests check that every help has two valid examples (`examples`).
+//! `commands` execute them. Names of options and values are a public interface: a renamed one needs an entry in
+//! `former`. Tests check that every help has two valid examples (`examples`).
 
 mod analyse;
 mod examples;

@@ -1,5 +1,5 @@
-//! Parsers for values on the command line, and help texts that list registered names. The error of a parser
-//! lists the allowed values.
+//! Parsers for values on the command line, and help texts that list registered names. The error of a parser lists the
+//! allowed values; `cli/tests/` compares the wording.
 
 use std::ffi::OsStr;
 use std::fmt::Display;

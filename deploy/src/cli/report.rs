@@ -1,4 +1,5 @@
-//! Options of `reveille report`, including the search over settings that the paper leaves unstated.
+//! Options of `reveille report`, including the search over settings that the paper leaves unstated. Names of options
+//! are a public interface (see `cli`).
 
 use std::path::PathBuf;
 

@@ -1,4 +1,6 @@
-//! Options of the commands that run a scenario.
+//! Options of the commands that run a scenario. `docs/command-line.md` must list every visible option of `up`, `run`,
+//! `bs` and `device`; `cli/tests/option_table.rs` checks this. `child_process` and `policy_process` write the hidden
+//! ones.
 
 use std::path::PathBuf;
 use std::time::Duration;

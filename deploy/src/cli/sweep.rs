@@ -1,4 +1,5 @@
-//! Options of `reveille sweep` and `reveille merge`.
+//! Options of `reveille sweep` and `reveille merge`; `train record` takes [`GridArgs`] too, and refers to the group by
+//! the name of this type. Names of options are a public interface (see `cli`).
 
 use std::path::PathBuf;
 

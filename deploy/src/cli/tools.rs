@@ -1,4 +1,5 @@
-//! Options of `reveille scenario`, `reveille clock` and `reveille bench`.
+//! Options of `reveille scenario`, `reveille clock` and `reveille bench`. Names of options are a public interface (see
+//! `cli`). `bench/bare.rs` writes the arguments of the hidden `bench bare-host`.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -118,7 +119,7 @@ pub enum ClockAction {
         #[arg(long)]
         wait: bool,
     },
-    /// Resume a paused run until its end
+    /// Let a paused run continue to its end; the command returns immediately
     #[command(after_help = examples!("reveille clock resume", "reveille clock resume --run demo"))]
     Resume,
     /// Set the real time that the run spends on each time slot (TTI)
@@ -260,7 +261,13 @@ pub(crate) struct WatchBenchArgs {
     #[arg(long, short, default_value = "knn")]
     pub policy: String,
     /// Number of devices.
-    #[arg(long, short = 'n', default_value_t = 250, value_parser = whole(1..=MAX_DEVICES), allow_negative_numbers = true)]
+    #[arg(
+        long,
+        short = 'n',
+        default_value_t = 250,
+        value_parser = whole(1..=MAX_DEVICES),
+        allow_negative_numbers = true
+    )]
     pub devices: u32,
     /// Number of device processes.
     #[arg(long, short = 'P', default_value_t = 10, value_parser = whole(1..=u32::MAX), allow_negative_numbers = true)]

@@ -1,4 +1,5 @@
-//! Options of `reveille train`.
+//! Options of `reveille train`. The commands in `docs/training.md` that made the shipped tables rely on the defaults of
+//! `train q-learning`. The help of `--patience` repeats the interval of evaluations in `commands/train/dt.rs`.
 
 use std::path::PathBuf;
 use std::str::FromStr;

@@ -1,5 +1,7 @@
 //! `reveille bs`: the base station, for devices started by hand. [`serve_run`] is the whole run over the bus, which
-//! `up` shares: services, replay and audit, results, farewell.
+//! `up` shares: services, replay and audit, results, farewell. The order of its steps is a guarantee: the summary is
+//! written after all other files, since it marks the folder as complete, and the hosts leave after it. Tests wait for
+//! the note `waiting for N devices`.
 
 use std::path::Path;
 use std::process::ExitCode;

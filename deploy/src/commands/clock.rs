@@ -1,4 +1,5 @@
-//! `reveille clock`: pause, step and resume a run.
+//! `reveille clock`: pause, step and resume a run. The printed status is the text of `ClockStatus`
+//! (`common/src/message/control.rs`), which `tests/src/process.rs` parses.
 
 use std::process::ExitCode;
 use std::sync::Arc;

@@ -1,5 +1,5 @@
 //! `reveille dashboard`: a live or recorded run in the browser, served by the module `dashboard`. `up --dashboard`
-//! serves the same page without this command.
+//! serves the same page without this command. Tests wait for the note `dashboard at`.
 
 use std::path::Path;
 use std::process::ExitCode;

@@ -1,4 +1,5 @@
-//! `reveille device`: a process that runs devices.
+//! `reveille device`: a process that runs devices. Tests wait for the note `joined`. With `--parent`, it prints no
+//! notes about its join and ends with its parent.
 
 use std::process::ExitCode;
 use std::time::Duration;

@@ -1,4 +1,5 @@
 //! The experiment that the command line selects, for `sweep` and `train record`: an experiment file and options on top.
+//! `lab/src/sweep/` defines the file. The order of options does not matter.
 
 use std::path::{Path, PathBuf};
 
@@ -68,7 +69,7 @@ fn options(args: &GridArgs) -> anyhow::Result<ExperimentBuilder> {
             bail!("--grid {text}: must be FIELD=VALUE,VALUE…, such as harvest.lambda=0.05,0.1");
         };
         let values = if values.trim_start().starts_with('[') {
-            parse_list(values).with_context(|| format!("--grid {text}"))?
+            parse_value_list(values).with_context(|| format!("--grid {text}"))?
         } else {
             let parts = values.split(',').map(str::trim).filter(|part| !part.is_empty());
             parts.map(parse_value).collect()
@@ -90,18 +91,19 @@ fn options(args: &GridArgs) -> anyhow::Result<ExperimentBuilder> {
 
 /// Parses a TOML value; a bare word becomes a string.
 fn parse_value(text: &str) -> Value {
-    parse_list(&format!("[{text}]"))
+    parse_value_list(&format!("[{text}]"))
         .ok()
         .and_then(|values| <[Value; 1]>::try_from(values).ok())
         .map_or_else(|| Value::String(text.trim().to_owned()), |[value]| value)
 }
 
 /// Parses a TOML list.
-fn parse_list(text: &str) -> anyhow::Result<Vec<Value>> {
-    let table: toml::Table = toml::from_str(&format!("list = {text}")).context("the list is not valid TOML")?;
+fn parse_value_list(text: &str) -> anyhow::Result<Vec<Value>> {
+    let table: toml::Table = toml::from_str(&format!("list = {text}"))
+        .context("the values of the field are not a TOML list, such as [0.05, 0.1]")?;
     match table.into_iter().next() {
         Some((_, Value::Array(values))) => Ok(values),
-        Some(_) | None => bail!("the list is not valid TOML"),
+        Some(_) | None => bail!("the values of the field are not a TOML list, such as [0.05, 0.1]"),
     }
 }
 
@@ -121,7 +123,7 @@ mod tests {
             Value::Array(vec![Value::Integer(1), Value::Integer(2)])
         );
         assert_eq!(parse_value("1, 2"), Value::String("1, 2".to_owned()));
-        assert_eq!(parse_list("[[1], [2, 3]]").expect("valid").len(), 2);
-        assert!(parse_list("[1,").is_err());
+        assert_eq!(parse_value_list("[[1], [2, 3]]").expect("valid").len(), 2);
+        assert!(parse_value_list("[1,").is_err());
     }
 }

@@ -1,4 +1,4 @@
-//! Input tables and output files of the commands `figures` and `report`.
+//! Input tables and output files of the commands `figures` and `report`. Standard output has one path per written file.
 
 use std::fs;
 use std::path::{Path, PathBuf};

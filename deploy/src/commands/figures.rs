@@ -1,5 +1,6 @@
 //! `reveille figures`: figures as SVG and PNG, with their data as CSV. `study/src/figures/` draws; this module reads
-//! the input, names the files, and reports figures that cannot be drawn.
+//! the input, names the files, and reports figures that cannot be drawn. `docs/drawing-figures.md` and
+//! `docs/figures/make.sh` use the file names.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};

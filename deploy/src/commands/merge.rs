@@ -1,4 +1,5 @@
-//! `reveille merge`: merges the tables of shards into one.
+//! `reveille merge`: merges the tables of shards into one. `lab/src/sweep/` merges; the result has the same bytes as
+//! the table of a sweep without shards (`tests/program/sweep.rs`).
 
 use std::path::Path;
 use std::process::ExitCode;

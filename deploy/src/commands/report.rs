@@ -1,5 +1,5 @@
 //! `reveille report`: the paper's claims next to the results, as HTML and Markdown; and the settings that meet most
-//! claims.
+//! claims. `figure_order` recognises a figure by the start of its title, which `study/src/figures/` sets.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -65,7 +65,10 @@ fn write_report(args: &ReportArgs) -> anyhow::Result<ExitCode> {
     let mut pictures = Vec::new();
     let mut files = Vec::new();
     for preset in report.missing_presets() {
-        note!("report: no table has runs of preset {preset}; the report has no column for it");
+        note!(
+            "report: the tables hold no runs of preset {preset}, so the report has no column for it; add the table of a \
+             sweep with this preset"
+        );
     }
     for (number, condition) in (1..).zip(report.conditions_to_draw()) {
         for (name, scene) in scenes(condition)? {
@@ -134,9 +137,14 @@ fn report_command(args: &ReportArgs) -> String {
 /// Inserts `parts` between their marks in the optional page.
 fn insert_into_page(page: Option<&Path>, parts: &[PageSection]) -> anyhow::Result<()> {
     let Some(path) = page else { return Ok(()) };
-    let text = fs::read_to_string(path).with_context(|| format!("{}: cannot read this file", path.display()))?;
+    let text = fs::read_to_string(path).with_context(|| {
+        format!(
+            "--page {}: cannot read the page into which the tables are inserted",
+            path.display()
+        )
+    })?;
     let filled = fill_page(&text, parts).with_context(|| path.display().to_string())?;
-    replace(path, filled.as_bytes()).with_context(|| format!("{}: cannot write this file", path.display()))?;
+    replace(path, filled.as_bytes()).with_context(|| format!("--page {}: cannot write the page", path.display()))?;
     display::print_stdout(&format!("{}\n", path.display()))?;
     Ok(())
 }

@@ -1,4 +1,5 @@
-//! Start or resume of a run over the bus: its external inputs and its replay up to the resume TTI.
+//! Start or resume of a run over the bus: its external inputs and its replay up to the resume TTI. A resumed run must
+//! have the digest and tables of an undisturbed one (`tests/program/takeover.rs`).
 
 use std::path::Path;
 use std::sync::atomic::Ordering;

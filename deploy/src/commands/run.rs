@@ -1,4 +1,5 @@
-//! `reveille run`: a run in memory, with the same run folder, watchers and digest as a run over the bus (`bs`).
+//! `reveille run`: a run in memory, with the same run folder, watchers and digest as a run over the bus (`bs`). The
+//! constants here decide only how soon a signal is noticed.
 
 use std::process::ExitCode;
 use std::sync::Arc;

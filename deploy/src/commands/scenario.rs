@@ -1,4 +1,5 @@
-//! `reveille scenario`: shows presets and scenarios, checks files, and writes the schema and the field reference.
+//! `reveille scenario`: shows presets and scenarios, checks files, and writes the schema and the field reference. The
+//! reference is `docs/scenario.md`; `bs/src/scenario/` makes it and compares the page in a test.
 
 use std::path::Path;
 use std::process::ExitCode;
@@ -27,7 +28,7 @@ pub(crate) fn run(command: &ScenarioCommand) -> anyhow::Result<ExitCode> {
         } => {
             let Loaded { scenario, warnings } = load_with_external(source, &parse_overrides(set)?)?;
             print_warnings(source, &warnings);
-            display::print_stdout(&scenario.to_full_toml(&registry::kinds()))?;
+            display::print_stdout(&scenario.to_full_toml(&registry::all_policies()))?;
             Ok(ExitCode::SUCCESS)
         }
         ScenarioCommand::Schema { out } => write_or_print(out.as_deref(), &schema()),

@@ -1,5 +1,6 @@
 //! `reveille tune`: Bayesian optimisation of the q-learning weights μ1, μ2 with `lab/src/tuning/`. The history file
-//! holds every finished point; an interrupted tuning resumes from it.
+//! holds every finished point; an interrupted tuning resumes from it. `training_command` must repeat every option that
+//! affects the training of tables. Programs of users read the keys of `--json`.
 
 use std::ffi::OsStr;
 use std::fmt::Write as _;

@@ -1,5 +1,5 @@
 //! `reveille up`: a base station and its device processes on this machine. `bs` serves the run, `supervisor` keeps the
-//! processes.
+//! processes. The help of `--processes` and `docs/command-line.md` repeat [`DEFAULT_PROCESSES`].
 
 use std::process::ExitCode;
 use std::sync::Arc;

@@ -1,12 +1,13 @@
 //! The battery of a device: harvest, consumption and overflow. Amounts are integers, so sums do not depend on their
-//! order. [`crate::ledger`] counts the consumption a second time, independently.
+//! order; digests depend on them. [`crate::ledger`] counts the consumption a second time, independently.
 
 use reveille_common::scenario::EnergyModel;
 use reveille_common::units::Energy;
 use serde::{Deserialize, Serialize};
 
 /// A battery of capacity E_max whose level never falls below 0, with an account of the harvest. Consumption is recorded
-/// in the ledger of the device.
+/// in the ledger of the device. The fields, in this order, are part of a device's checkpoint
+/// ([`Machine::checkpoint`](crate::machine::Machine::checkpoint)): a change raises `WIRE_VERSION`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Battery {
     level: Energy,
@@ -29,7 +30,8 @@ impl Battery {
         }
     }
 
-    /// Returns whether this can be a battery of `model`.
+    /// Returns whether this battery, read from a checkpoint, can be a battery of `model`: E_max and the initial level
+    /// are the same, and the level is at most E_max.
     pub fn is_of(&self, model: &EnergyModel) -> bool {
         self.capacity == model.e_max && self.initial == model.initial && self.level <= self.capacity
     }
@@ -47,7 +49,8 @@ impl Battery {
         self.level += fits;
     }
 
-    /// Pays `cost`, which must not exceed the level.
+    /// Pays `cost`, which must not exceed the level, for a span that the caller has checked. An action, which can fail,
+    /// uses [`Self::pay`].
     #[inline]
     pub fn spend(&mut self, cost: Energy) {
         self.level -= cost;

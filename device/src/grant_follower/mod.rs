@@ -2,7 +2,8 @@
 //! which devices sense.
 //!
 //! Messages may be lost, repeated or stale. A host executes a grant once, when all messages that belong to it are
-//! present. It answers a repeated request again. `host` drives this file; the base station's side is `bs/src/server/`.
+//! present. It answers a repeated request again. `host` drives this file. `bs/src/server/downlink.rs` relies on these
+//! rules when it retransmits.
 
 use std::collections::BTreeMap;
 

@@ -1,5 +1,5 @@
 //! Joins a host to a run, and again for lost devices if it has spare capacity. [`run_host`] is the entry point of a
-//! host process; `host/mod.rs` runs the assignment.
+//! host process; `host/mod.rs` runs the assignment, and `bs/src/server/join.rs` is the other side of a join request.
 
 use std::pin::Pin;
 use std::sync::Arc;

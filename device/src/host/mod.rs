@@ -2,7 +2,7 @@
 //!
 //! In a TTI without a stimulus the host answers immediately; its devices catch up when they are next needed. In a TTI
 //! with a stimulus it wakes the actors of the devices that have δ = 1 and are within range. The last of them to finish
-//! sends the answer.
+//! sends the answer. An actor must receive its commands in the order of the steps within a TTI.
 
 pub(crate) mod actor;
 pub mod answer_round;

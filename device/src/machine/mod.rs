@@ -16,8 +16,8 @@
 //! next TTI. A false wake-up takes a device S4 → S2 → S4 within a TTI and costs E_idle on top of E_WuR. Unless that
 //! empties its battery, the device still receives wake-up signals in that TTI.
 //!
-//! The machine is lazy. It catches up with TTIs that only have harvest and δ when the device is next needed, exactly
-//! and many at a time ([`Machine::advance_to`], [`Machine::begin`]).
+//! The machine is lazy. It catches up with TTIs that only have harvest and δ when the device is next needed, many at a
+//! time ([`Machine::advance_to`]). The result must equal single steps, which `tests/step_by_step.rs` checks.
 
 use std::sync::Arc;
 
@@ -92,16 +92,16 @@ impl Physics {
 }
 
 /// The saved state of a machine; everything else follows from its setup and the seed. Its fields, in this order, are
-/// the format of [`DeviceCheckpoint`].
+/// the format of [`DeviceCheckpoint`]: a change raises `WIRE_VERSION` (`common/src/codec.rs`).
 #[derive(Serialize, Deserialize)]
 struct MachineState {
     battery: Battery,
     duty: DutyCycle,
     state: DeviceState,
     next: Tti,
-    open: bool,
-    books: LedgerBuilder,
-    is_gone: bool,
+    is_open: bool,
+    ledger_builder: LedgerBuilder,
+    is_removed: bool,
 }
 
 /// One device.
@@ -157,9 +157,9 @@ impl Machine {
             duty: self.duty,
             state: self.state,
             next: self.next,
-            open: self.is_open,
-            books: self.ledger_builder.clone(),
-            is_gone: self.is_removed,
+            is_open: self.is_open,
+            ledger_builder: self.ledger_builder.clone(),
+            is_removed: self.is_removed,
         }))
     }
 
@@ -174,7 +174,7 @@ impl Machine {
     ) -> Result<Self, String> {
         let saved: MachineState = codec::decode(&checkpoint.0).map_err(|error| error.to_string())?;
         let mut machine = Self::new(setup, physics);
-        if !saved.battery.is_of(&setup.energy) || saved.books.measured_from() != physics.measured_from {
+        if !saved.battery.is_of(&setup.energy) || saved.ledger_builder.measured_from() != physics.measured_from {
             return Err(format!("the checkpoint of device {} is for another device", setup.id));
         }
         // A checkpoint holds no stream: the draws up to it are repeated from the seed.
@@ -187,9 +187,9 @@ impl Machine {
             };
             machine.next_false_wake_up = wake_up_radio.take_false_wake_up();
         }
-        (machine.battery, machine.ledger_builder) = (saved.battery, saved.books);
+        (machine.battery, machine.ledger_builder) = (saved.battery, saved.ledger_builder);
         (machine.duty, machine.state) = (saved.duty, saved.state);
-        (machine.next, machine.is_open, machine.is_removed) = (saved.next, saved.open, saved.is_gone);
+        (machine.next, machine.is_open, machine.is_removed) = (saved.next, saved.is_open, saved.is_removed);
         Ok(machine)
     }
 
@@ -289,7 +289,8 @@ impl Machine {
         }
     }
 
-    /// Steps 1 and 2 of TTI `k` (harvest, then δ), after ending all TTIs before it. Does nothing if `k` has begun.
+    /// Begins TTI `k`: ends all TTIs before it, then applies harvest and δ, in this order. Does nothing if `k` has
+    /// begun.
     pub fn begin(&mut self, k: Tti) {
         if self.is_removed || (self.is_open && self.next == k + 1) {
             return;
@@ -298,7 +299,7 @@ impl Machine {
         self.begin_next(k);
     }
 
-    /// Performs steps 1 and 2 of TTI `k`, which must be the next one.
+    /// Applies harvest, then δ of TTI `k`, which must be the next one.
     fn begin_next(&mut self, k: Tti) {
         if self.harvest_source.next_arrival() == k {
             self.battery.harvest(self.harvest_source.take_arrival());
@@ -345,7 +346,7 @@ impl Machine {
         self.duty.is_on(k) && self.position.distance(stimulus.epicentre) <= physics.sensing.d_max
     }
 
-    /// Performs steps 4 and 5 of TTI `k`: senses `stimulus` and transmits. Begins TTI `k` if it has not begun.
+    /// Senses `stimulus` in TTI `k` and transmits a report of a detection. Begins TTI `k` if it has not begun.
     pub fn sense(&mut self, k: Tti, stimulus: &Stimulus, physics: &Physics) -> SenseOutcome {
         self.begin(k);
         let d = self.position.distance(stimulus.epicentre);
@@ -363,8 +364,8 @@ impl Machine {
         }
     }
 
-    /// Performs step 6 of TTI `k`: a wake-up signal to this device. `stimulus` is present if the event still lasts when
-    /// the device is awake. Begins TTI `k` if it has not begun.
+    /// Receives a wake-up signal in TTI `k`, after sensing. `stimulus` is present if the event still lasts when the
+    /// device is awake. Begins TTI `k` if it has not begun.
     pub fn wake(&mut self, k: Tti, stimulus: Option<&Stimulus>, physics: &Physics) -> WakeOutcome {
         self.begin(k);
         let is_missed = self.misses_wake_up(k);
@@ -423,7 +424,7 @@ impl Machine {
         }
     }
 
-    /// Performs step 7 of the open TTI, if any.
+    /// Ends the open TTI, if any: accounts for the battery level.
     fn end_open_tti(&mut self) {
         if self.is_open {
             self.is_open = false;

@@ -1,5 +1,6 @@
 //! Environments that step together on separate threads and write their observations into the caller's memory, the NumPy
-//! arrays of the Python package. Results do not depend on the number of threads.
+//! arrays of the Python package. Results do not depend on the number of threads. `PARTS` in
+//! `python/reveille/environment.py` names the reward terms of [`BatchBuffers::parts`] in the same order; change both.
 
 use rayon::iter::{IndexedParallelIterator, IntoParallelIterator, IntoParallelRefMutIterator, ParallelIterator};
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
@@ -8,7 +9,8 @@ use reveille_bs::scenario::Scenario;
 
 use super::environment::{Environment, EpisodeTemplate, RewardWeights, StepResult};
 
-/// The output buffers of a batch, one environment after another.
+/// The output buffers of a batch of K environments with N devices, one environment after another. F and G are the
+/// numbers of features of a device and of the network.
 #[derive(Debug)]
 pub struct BatchBuffers<'a> {
     /// The features [`DEVICE_FEATURES`], `[K, N, F]`.

@@ -1,4 +1,5 @@
-//! One environment: a run that actions advance by steps, with the rewards of Sec. V-B.
+//! One environment: a run that actions advance by steps, with the rewards of Sec. V-B. `bs/src/beliefs/reward.rs` has
+//! the formulas; rewards do not affect the run.
 
 use std::sync::Arc;
 
@@ -214,7 +215,8 @@ impl Environment {
         // A plan is due in every TTI, so the run stops before the next grant: Î still belongs to this TTI.
         let observer = self.run.observer();
         let gain = (observer.information - information_before) / psi;
-        let [information, woken] = reward::wake_up_terms(self.weights.mu2, gain, observer.wake_ups, self.devices);
+        let [information, woken] =
+            reward::wake_up_reward_terms(self.weights.mu2, gain, observer.wake_ups, self.devices);
         StepResult {
             information,
             woken,

@@ -1,4 +1,5 @@
-//! Errors of sweeps, their folders and merges. Each message names the thing, the cause and the fix.
+//! Errors of sweeps, their folders and merges. Each message names the thing, the cause and the fix. Outside tests, no
+//! code reads the texts.
 
 use std::any::Any;
 use std::fmt::Display;

@@ -1,4 +1,5 @@
-//! The row of one run: its identity and its results.
+//! The row of one run: its identity and its results. Metrics are stored by position, in the order of
+//! [`Metrics::NAMES`], also in tables and in the journals of sweeps.
 
 use std::fmt;
 use std::str::FromStr;

@@ -1,4 +1,5 @@
-//! The sidecar of a CSV file, `NAME.csv.toml`, which holds the metadata of a Parquet file.
+//! The sidecar of a CSV file, `NAME.csv.toml`, which holds the metadata of a Parquet file. Its keys are in `metadata`.
+//! A CSV file without a sidecar must still be readable.
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;

@@ -1,4 +1,5 @@
-//! Checkpoints of a training in files, written after every episode.
+//! Checkpoints of a training in files, written after every episode. A checkpoint is a file of [`LearnedTables`], which
+//! have their own format version.
 
 use std::path::Path;
 

@@ -1,9 +1,9 @@
 //! Training of the `q-learning` policy: episodes in memory, on one deployment after another, for each look-back (a
 //! window or ages) and each N.
 //!
-//! An episode is a run of the deployed policy, with `learn` on, from random batteries. It starts with the tables of the
-//! previous episode. Wake-up rankings alternate, so that both wake-up tables are learned. Each window and N is trained
-//! independently and in order. The result therefore depends neither on the number of threads nor on interruptions.
+//! An episode is a run of the deployed policy, with `learn` on, from random batteries and the tables of the previous
+//! episode. Wake-up rankings alternate, so that both wake-up tables are learned. Each window and N is trained
+//! independently and in order. Tables depend on every seed and draw here, and on neither threads nor interruptions.
 
 mod io;
 

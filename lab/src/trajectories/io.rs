@@ -1,4 +1,5 @@
-//! Files of trajectories: reading and atomic writing, for `reveille train record` and `train dt`.
+//! Files of trajectories: reading and atomic writing, for `reveille train record` and `train dt`. `parquet` defines
+//! their format.
 
 use std::path::Path;
 

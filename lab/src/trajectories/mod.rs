@@ -2,7 +2,8 @@
 //! training data of the decision transformer.
 //!
 //! A run is recorded in chunks of consecutive TTIs, far enough apart to differ. Chunks only hold data that a base
-//! station can know. `reveille train record` writes them, `transformer` trains from them.
+//! station can know. `reveille train record` writes them, `transformer` trains from them. The number of a run decides
+//! whether `transformer` holds it out.
 
 mod io;
 mod parquet;

@@ -1,4 +1,4 @@
-//! Loss function and evaluation scores of a net, for [`train`](super::train).
+//! Loss function and evaluation scores of a net. Trained models depend on the sums and their order.
 //!
 //! Events found by a look are Poisson with mean λ = λ₀·e^m: λ₀ is the expectation without history, m the net's output.
 //! The negative log likelihood of y events is λ − y·m, up to a constant. The gain of a wake-up uses the same formula as

@@ -2,6 +2,7 @@
 //! improvement.
 //!
 //! The optimiser is egobox. It runs on one thread and from one seed, so equal points always give the same proposal.
+//! Another version of egobox may propose other pairs.
 
 use egobox_ego::{CorrelationSpec, EgorServiceBuilder, InfillStrategy, RegressionSpec};
 use egobox_gp::GaussianProcess;

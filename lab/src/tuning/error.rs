@@ -1,4 +1,5 @@
-//! Errors of a tuning and of its history file. Each message names the thing, the cause and the fix.
+//! Errors of a tuning and of its history file. Each message names the thing, the cause and the fix. Outside tests, no
+//! code reads the texts.
 
 use std::path::PathBuf;
 

@@ -228,7 +228,9 @@ pub struct StatedThreshold {
     pub contradicts: Option<Contradiction>,
 }
 
-/// All statements: the text on Fig. 13 (N = 10, 250) and on Fig. 14 (N = 100), which name the policies at both ends.
+/// All statements: the text on Fig. 13 (N = 10, 250) and on Fig. 14 (N = 100), which name the policies at both ends. A
+/// test of [`crate::claims`] compares them with a transcript. [`crate::figures::energy`] marks them on the line of
+/// their E_B, and their order numbers the claims for [`crate::report::search`].
 ///
 /// A single λ is assigned to the policy that spends least, because the text says that λ "could be as low as" it. At N =
 /// 10 it stands for 0.41 to 0.48 units. That is close to the 0.34 of `random` and far from the 0.83 at the upper end.

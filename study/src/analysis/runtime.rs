@@ -3,7 +3,7 @@
 //! The paper counts the cost of a *configuration*: O(ϱ^N) for the exhaustive search of the adjusted duty cycle,
 //! O(N(N−1)/2) for KNN clusters, O(N²) for Q-learning and for the decision transformer. [`TimedWork::set_up`] is that
 //! configuration. [`TimedWork::run`] is the run after it, and [`TimedWork::prepare_decisions`] the BS's share of that
-//! run: its answers to events.
+//! run: its answers to events. Times vary; only `analyse runtime` shows them.
 
 use reveille_bs::cycle::PreparedRun;
 use reveille_bs::knowledge::Knowledge;
@@ -155,7 +155,7 @@ impl TimedDecisions {
                 wake_ups += 1;
                 let report = report(knowledge, woken, *tti, stimulus.epicentre);
                 information = knowledge.sensing.fuse(information, report.information);
-                policy.wake_up_answered(&observe(knowledge, batteries, plan, *tti, information), Some(&report));
+                policy.take_wake_up_answer(&observe(knowledge, batteries, plan, *tti, information), Some(&report));
             }
         }
         wake_ups

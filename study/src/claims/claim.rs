@@ -1,6 +1,7 @@
 //! The types of a claim of the paper, which `reveille report` compares with runs, and the caveats that several figures
 //! share. A [`Claim`] is a [`Statement`] on a [`ClaimQuantity`] of one policy, for some numbers of devices. The
-//! neighbouring modules hold the claims themselves, one module for each figure.
+//! neighbouring modules hold the claims themselves, one module for each figure. The report and docs/reproduction.md
+//! contain the texts.
 
 use super::citation::Citation;
 
@@ -190,7 +191,7 @@ impl Claim {
 /// The claims on one metric.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClaimTopic {
-    /// Name of the metric.
+    /// Name of the metric, from `Metrics::NAMES`. Together with `paper_figure` it is the key of [`super::claims_on`].
     pub metric: &'static str,
     /// Whether the metric is divided by N.
     pub is_per_device: bool,

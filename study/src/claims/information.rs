@@ -1,4 +1,7 @@
 //! Claims on information (Fig. 7): the objective of P1 where the paper compares policies, and information per event.
+//! Numbers are transcribed from the cited sentences, which a test checks. `metric` and `paper_figure` are the keys by
+//! which figures find claims ([`super::claims_on`]). The order of the claims numbers them for
+//! [`crate::report::search`].
 
 use super::citation::{ABSTRACT, BENCHMARKS, CONCLUSIONS, CONTRIBUTION, FIG_7};
 use super::claim::ClaimQuantity::{Mean, Ratio};

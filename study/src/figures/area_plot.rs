@@ -1,4 +1,5 @@
-//! Plot of the deployment area with its axes, shared by the deployment and the attention figure.
+//! Plot of the deployment area with its axes, shared by the deployment and the attention figure. Nothing but their look
+//! depends on it.
 
 use reveille_common::geometry::{Area, Point};
 

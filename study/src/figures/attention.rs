@@ -1,5 +1,5 @@
 //! Attention of a decision of `dt`: a map of its expectation for each device in one TTI, and the attention of some
-//! devices to each of the last Z TTIs.
+//! devices to each of the last Z TTIs. The columns of [`AttentionFigure::csv`] are a file format.
 
 use std::fmt::Write as _;
 use std::sync::Arc;

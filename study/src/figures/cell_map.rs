@@ -1,4 +1,5 @@
-//! Adjacency of Voronoi cells, and tints that distinguish neighbouring clusters, for the deployment figure.
+//! Adjacency of Voronoi cells and tints that distinguish neighbouring clusters, for the deployment figure, and ticks in
+//! metres. Nothing but the look of figures depends on it.
 
 use std::collections::BTreeSet;
 

@@ -1,7 +1,7 @@
 //! Charts: axes, lines with markers and interval bands, marks for the paper's statements, a legend and a caption.
 //!
 //! The figure modules fill a [`Chart`]; [`Chart::scene`] draws it. The layout fits a journal column, 3.5 inch wide,
-//! with no text below 8 points.
+//! with no text below 8 points. Items are drawn from back to front, so that no interval hides a mean.
 
 use super::font::{Weight, text_width, wrap_text};
 use super::note::{Note, Obstacles, place_notes};
@@ -36,9 +36,9 @@ pub struct ChartPoint {
 /// Drawing style of a line's intervals.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Interval {
-    /// A band, and bars with caps at the points.
+    /// Bars with caps at the points, and a band if the points are joined and several have an interval.
     Bars,
-    /// A band alone.
+    /// A band without bars.
     Band,
     /// A band with its edges, in place of the line.
     BandEdges,
@@ -350,7 +350,7 @@ impl PlotFrame<'_> {
         }
     }
 
-    /// Draws the band of a joined series, and a bar with caps at each of its points.
+    /// Draws the band and the bars of a series according to its [`Interval`]; points without an interval have neither.
     fn draw_intervals(&self, scene: &mut Scene, series: &Series) {
         let with_interval: Vec<&ChartPoint> = series.points.iter().filter(|s| s.y_half_width.is_finite()).collect();
         if series.is_joined && with_interval.len() > 1 && series.interval != Interval::Crosses {

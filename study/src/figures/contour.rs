@@ -1,4 +1,4 @@
-//! Contour lines of values on a grid, as segments, for the tuning figure.
+//! Contour lines of values on a grid, as segments, for the tuning figure. Nothing else depends on it.
 
 /// A point of the unit square.
 type UnitPoint = (f64, f64);

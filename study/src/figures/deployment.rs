@@ -1,5 +1,6 @@
 //! Deployment figure: the area with the devices' Voronoi cells and clusters, and one event with the devices involved in
-//! the TTI in which it closed.
+//! the TTI in which it closed. [`file_name`] names the files of `reveille figures deployment` and the picture in
+//! Python.
 
 use libm::{cos, sin};
 use reveille_bs::beliefs::ranking::i_min;

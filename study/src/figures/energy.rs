@@ -2,6 +2,7 @@
 //!
 //! As in the paper, consumption stays fixed while λ varies; it is read from the tables, as in Fig. 8. Lines are the
 //! closed form λτ·exp(-λτ)·E_B of Eq. (5). Points are harvests of simulated devices, in Fig. 14 less consumption.
+//! [`NAMES`] and the columns of both CSV files are public.
 
 use std::fmt::Write as _;
 
@@ -21,7 +22,7 @@ use reveille_lab::stats::Estimate;
 
 /// Names of the two figures.
 pub const NAMES: [&str; 2] = ["harvest", "net"];
-/// E_B of the figures, units.
+/// E_B of the figures, units. Each E_B in [`STATED_THRESHOLDS`] must be one of them.
 const E_B_UNITS: [f64; 3] = [1.0, 5.0, 10.0];
 /// λ at which harvests are measured.
 const LAMBDAS: [f64; 9] = [0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0];

@@ -1,4 +1,5 @@
 //! Errors in requests for figures. The texts go to the user of `reveille figures`, so they name options and the fix.
+//! `deploy/src/commands/figures.rs` adds a hint to `UnknownField`.
 
 use reveille_bs::policy::q_learning::learned::Lookback;
 use thiserror::Error;

@@ -28,12 +28,13 @@ use super::scene::Paint;
 use super::style::{MarkerShape, Style};
 
 /// Least covers by layout and N: number of deployments, and the means over them of the least cover and of the share in
-/// reach.
+/// reach. Columns are read by position.
 const COVER_CSV: &str = include_str!("../../data/cover.csv");
-/// Relaxed bounds: layout, N, energy per device and TTI, information.
+/// Relaxed bounds: layout, N, energy per device and TTI, information. Columns are read by position.
 const BOUND_CSV: &str = include_str!("../../data/bounds.csv");
-/// Side of the area and sensing range in [`COVER_CSV`], metres.
+/// Side of the square area for which [`COVER_CSV`] was computed, metres.
 const COVER_AREA_SIDE: f64 = 20.0;
+/// d_max for which [`COVER_CSV`] was computed, metres.
 const COVER_D_MAX: f64 = 4.0;
 
 /// Caption text about the floor.

@@ -1,5 +1,5 @@
 //! Text as outlines of DejaVu Sans Condensed, so that a figure looks the same on every machine. Layouts measure and
-//! wrap text here; [`super::svg`] and [`super::png`] draw the outlines.
+//! wrap text here; [`super::svg`] and [`super::png`] draw the outlines. Other widths would move text in every figure.
 
 use ttf_parser::{Face, GlyphId, OutlineBuilder};
 

@@ -1,7 +1,7 @@
 //! Information, the objective of P1, against energy for one N, with a line through a policy's knob settings.
 //!
 //! Knobs are settings that only the base station uses: policy settings and the ranking of wake-ups. Conditions that
-//! differ in any other field get separate figures.
+//! differ in any other field get separate figures. The columns of the CSV are a file format.
 
 use std::fmt::Write as _;
 
@@ -13,7 +13,7 @@ use super::floor;
 use super::note::Note;
 use super::pareto::{ENERGY_METRIC, GENIE, P1_METRIC, point, scales_from_zero};
 use super::results::RunCondition;
-use super::study::{csv_cell, csv_half_width, runs_in_words};
+use super::study::{csv_cell, half_width_cell, runs_in_words};
 use super::style::Style;
 
 /// Name in commands and files.
@@ -257,7 +257,7 @@ fn csv(n: u32, lines: &[PolicyLine<'_>]) -> String {
                 x_half_width,
             } = setting.point;
             let runs = setting.condition.runs(line.name, n).count();
-            let (y_half_width, x_half_width) = (csv_half_width(y_half_width), csv_half_width(x_half_width));
+            let (y_half_width, x_half_width) = (half_width_cell(y_half_width), half_width_cell(x_half_width));
             let label = csv_cell(&setting.condition.label());
             let _ = writeln!(
                 out,

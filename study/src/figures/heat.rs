@@ -1,7 +1,7 @@
 //! Heat maps with a colour and a number in every cell; zero is in the middle of the colour scale.
 //!
 //! The colours run from dark blue through grey to light yellow. Their lightness increases throughout, so they suit
-//! colour-blind readers and print without colours.
+//! colour-blind readers and print without colours. The figures of `q_table`, `attention` and `tuning` use them.
 
 use libm::sqrt;
 
@@ -125,7 +125,7 @@ impl HeatMap {
                 grid.draw_cell(scene, (row, column), cell, largest);
             }
         }
-        grid.draw_borders(scene);
+        grid.draw_map_border_and_cell_frames(scene);
         grid.draw_labels(scene, at.0)
     }
 }
@@ -161,7 +161,7 @@ impl HeatGrid<'_> {
     }
 
     /// Draws a thin line around the map, and a bold one around the framed cells.
-    fn draw_borders(&self, scene: &mut Scene) {
+    fn draw_map_border_and_cell_frames(&self, scene: &mut Scene) {
         let cells = &self.map.cells;
         let framed = |row: Option<usize>, column: Option<usize>| {
             let row = row.and_then(|row| cells.get(row));

@@ -2,7 +2,7 @@
 //! window.
 //!
 //! Every panel has its own axis, since rewards vary little within a panel but differ greatly between few and many
-//! devices.
+//! devices. The columns of [`csv`] are a file format.
 
 use std::fmt::Write as _;
 

@@ -1,4 +1,5 @@
 //! Labels next to points of a chart, placed where there is room. Trade-off charts label points with N or settings.
+//! Nothing but their places depends on it.
 
 use super::font::{Weight, text_width};
 use super::path::{Rect, boxes_overlap};

@@ -1,5 +1,6 @@
 //! Trade-offs of policies against energy, with a line through rising N: information, the objective of P1, and the delay
-//! of detection. [`super::front`] shows the trade-off at one N.
+//! of detection. [`super::front`] shows the trade-off at one N. The names in [`TRADE_OFFS`] are values of `--only` and
+//! parts of file names, listed in docs/figures-and-report.md. The columns of the CSV are a file format.
 
 use std::fmt::Write as _;
 
@@ -11,7 +12,7 @@ use super::note::Note;
 use super::results::RunCondition;
 use super::scale::Scale;
 use super::stated::stated_value;
-use super::study::{csv_cell, csv_half_width, figure_title, runs_in_words};
+use super::study::{csv_cell, figure_title, half_width_cell, runs_in_words};
 use super::style::Style;
 use crate::claims::{Claim, DeviceCounts, claims_on};
 
@@ -268,7 +269,7 @@ impl TradeOff {
                     x_half_width,
                 } = point;
                 let runs = line.condition.runs(line.policy, n).count();
-                let (y_half_width, x_half_width) = (csv_half_width(y_half_width), csv_half_width(x_half_width));
+                let (y_half_width, x_half_width) = (half_width_cell(y_half_width), half_width_cell(x_half_width));
                 let _ = writeln!(
                     out,
                     "{label},{},{n},{x},{x_half_width},{y},{y_half_width},{runs}",

@@ -1,4 +1,5 @@
-//! Paths of lines and curves, in points, y downwards: the shapes of a [`super::scene::Scene`].
+//! Paths of lines and curves, in points, y downwards: the shapes of a [`super::scene::Scene`]. Both writers of scenes
+//! handle each [`PathStep`].
 
 use libm::{cos, sin};
 

@@ -1,4 +1,5 @@
-//! PNG output of a scene, drawn from the same paths and glyph outlines as [`super::svg`].
+//! PNG output of a scene, drawn from the same paths and glyph outlines as [`super::svg`]. docs/figures-and-report.md
+//! states the resolution.
 
 use tiny_skia::{Color, FillRule, LineJoin, Mask, Paint as Brush, PathBuilder, Pixmap, StrokeDash, Transform};
 

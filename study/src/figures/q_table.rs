@@ -1,4 +1,6 @@
-//! Heat maps of the tables that `q-learning` has learned for one N: duty cycling and wake-ups.
+//! Heat maps of the tables that `q-learning` has learned for one N: duty cycling and wake-ups. The columns of the CSV
+//! are a file format. The limits of buckets must equal the limits in [`reveille_bs::policy::q_learning::learned`]; a
+//! test compares them.
 
 use std::f64::consts::PI;
 use std::fmt::Write as _;
@@ -287,7 +289,7 @@ fn describe_training_of_set(learned: &LearnedTables, set: &TableSet) -> String {
     )
 }
 
-/// Describes the training of a file: version, weights, schedule and `windows`. `place` names the number of devices or
+/// Describes the training of a file: version, weights, schedule and `lookbacks`. `scope` names the number of devices or
 /// the area.
 pub(super) fn describe_training(learned: &LearnedTables, lookbacks: &[Lookback], scope: &str) -> String {
     let lengths: Vec<String> = lookbacks.iter().map(|lookback| lookback.describe()).collect();

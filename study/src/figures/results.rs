@@ -403,7 +403,8 @@ impl RunCondition {
 }
 
 impl Results {
-    /// Unique part of a file name for each of [`Self::conditions`].
+    /// Unique part of a file name for each of [`Self::conditions`]. The files of `reveille figures TABLE` have it in
+    /// their names.
     pub fn file_labels(&self) -> Vec<String> {
         let has_lengths = self.conditions.windows(2).any(|pair| pair[0].ttis != pair[1].ttis);
         let label_of = |condition: &RunCondition, has_folder: bool| {
@@ -436,7 +437,8 @@ impl Results {
 }
 
 impl Results {
-    /// Conditions grouped by preset and K, with a part of a file name for each group.
+    /// Conditions grouped by preset and K, with a part of a file name for each group. `reveille figures` removes
+    /// the ending `-together` for `front`.
     pub fn by_preset_and_length(&self) -> Vec<(String, Vec<&RunCondition>)> {
         let has_lengths = self.conditions.windows(2).any(|pair| pair[0].ttis != pair[1].ttis);
         let mut groups: Vec<(String, Vec<&RunCondition>)> = Vec::new();

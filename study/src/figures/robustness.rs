@@ -1,5 +1,6 @@
 //! Robustness to an imperfect radio: information, energy and missed events against the failure rate of one radio
-//! function, while all others work. This module makes the runs; it reads no tables.
+//! function, while all others work. This module makes the runs; it reads no tables. The names of [`IMPAIRMENTS`] are
+//! fields of `radio`, values of `--only` and parts of file names. The columns of [`csv`] are a file format.
 
 use std::fmt::Write as _;
 
@@ -13,7 +14,7 @@ use reveille_lab::stats::Estimate;
 
 use super::chart::{Chart, ChartPoint, Interval, Series};
 use super::scale::Scale;
-use super::study::{csv_half_width, runs_in_words};
+use super::study::{half_width_cell, runs_in_words};
 use super::style::Style;
 
 /// Name in commands and files.
@@ -284,7 +285,7 @@ pub fn csv(points: &[RobustnessPoint]) -> String {
                 mean, half_width, runs, ..
             }) = point.estimate(metric)
             {
-                let (name, half) = (point.impairment.name, csv_half_width(half_width));
+                let (name, half) = (point.impairment.name, half_width_cell(half_width));
                 let _ = writeln!(
                     out,
                     "{name},{},{},{metric},{mean},{half},{runs}",

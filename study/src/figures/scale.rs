@@ -1,4 +1,5 @@
 //! Axis scales: positions of values along an axis, and tick selection. Labels have no more decimals than their step.
+//! Axes, colour keys and numbers in heat maps follow these rules.
 
 use libm::{floor, log10};
 

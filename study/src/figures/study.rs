@@ -1,5 +1,7 @@
 //! The paper's Figs. 7 to 12: a metric against N, with a line for each policy. Figs. 13 and 14 are in
-//! [`super::energy`]. Titles, captions and CSV cells are shared with the other charts from tables.
+//! [`super::energy`]. Titles, captions and CSV cells are shared with the other charts from tables. Names are values of
+//! `--only` and parts of file names, listed in docs/figures-and-report.md. The columns of the CSV are a file format.
+//! Claims are found by `paper_figure` and `claims_metric`: without a match, no value of the paper is drawn.
 
 use std::fmt::Write as _;
 
@@ -19,7 +21,7 @@ use reveille_lab::metric_estimate::MetricEstimate;
 pub struct Figure {
     /// Name in commands and files.
     pub name: &'static str,
-    /// Metric along y.
+    /// Metric along y, from `Metrics::NAMES`.
     pub metric: &'static str,
     /// Whether the metric is divided by N.
     pub is_per_device: bool,
@@ -27,8 +29,8 @@ pub struct Figure {
     pub title: &'static str,
     /// Corresponding figure of the paper.
     pub paper_figure: &'static str,
-    /// Metric of the claims that are drawn as the paper's values.
-    pub stated_metric: &'static str,
+    /// Metric of the claims that are drawn as the paper's values; with `paper_figure`, the key of [`claims_on`].
+    pub claims_metric: &'static str,
     /// Whether y is logarithmic.
     pub is_log: bool,
 }
@@ -42,13 +44,13 @@ pub const FIGURES: [Figure; 8] = {
             is_per_device: false,
             title,
             paper_figure: paper,
-            stated_metric: metric,
+            claims_metric: metric,
             is_log: false,
         }
     }
     [
         Figure {
-            stated_metric: "info_per_event",
+            claims_metric: "info_per_event",
             ..figure("information", "info_p1", "Information, objective of P1", "Fig. 7")
         },
         figure(
@@ -168,7 +170,7 @@ impl Figure {
     /// Claims of the paper about the figure. Empty for changed presets, about which the paper states nothing.
     fn claims(&self, condition: &RunCondition) -> &'static [Claim] {
         if condition.is_unchanged_preset() {
-            claims_on(self.paper_figure, self.stated_metric)
+            claims_on(self.paper_figure, self.claims_metric)
         } else {
             &[]
         }
@@ -205,7 +207,7 @@ impl Figure {
             } else {
                 0.0
             };
-            // None of these metrics can be negative, whatever an interval says.
+            // No metric in `FIGURES` can be negative, whatever an interval says.
             [(s.y - half_width).max(s.y.min(0.0)), s.y + half_width]
         };
         let measured = series.iter().flat_map(|s| &s.points);
@@ -240,7 +242,7 @@ impl Figure {
         if !marks.is_empty() {
             text.push_str(" Hollow marks next to an N: values stated in the paper; box: a range, arrow: a bound.");
         }
-        if self.stated_metric != self.metric && !marks.is_empty() {
+        if self.claims_metric != self.metric && !marks.is_empty() {
             text.push_str(" The paper states information per event, which has the same mean in its model.");
         }
         if !spans.is_empty() {
@@ -269,7 +271,7 @@ impl Figure {
         for series in &drawing.chart.series {
             for n in condition.device_counts(&series.name) {
                 if let Some(metric_estimate) = self.metric_estimate(condition, &series.name, n) {
-                    let half_width = csv_half_width(metric_estimate.half_width());
+                    let half_width = half_width_cell(metric_estimate.half_width());
                     let (policy, estimate) = (&series.name, metric_estimate.estimate);
                     let _ = writeln!(
                         out,
@@ -324,8 +326,8 @@ pub(super) fn csv_cell(text: &str) -> String {
     }
 }
 
-/// Formats the half-width of an interval as a CSV cell; empty for NaN.
-pub(super) fn csv_half_width(half_width: f64) -> String {
+/// Formats the half-width of an interval as a CSV cell; empty for NaN, as after a single run.
+pub(super) fn half_width_cell(half_width: f64) -> String {
     if half_width.is_nan() {
         String::new()
     } else {

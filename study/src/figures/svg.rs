@@ -1,7 +1,7 @@
 //! SVG output of a scene. [`super::png`] draws the same scene; neither adds anything to it.
 //!
 //! Text is written as outlines. Ink is `currentColor` and the background has the class `paper`, so that a page with the
-//! figure can swap both in dark mode. A standalone figure is dark on white.
+//! figure can swap both in dark mode, as `page.css` of the report does. A standalone figure is dark on white.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;

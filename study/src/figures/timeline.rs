@@ -1,4 +1,5 @@
 //! Timeline figure: battery and states of selected devices per TTI, with the events and wake-ups of a repeated run.
+//! [`file_name`] names the files of `reveille figures timeline` and the picture in Python.
 
 use reveille_bs::scenario::Scenario;
 use reveille_common::event::EventRecord;

@@ -1,6 +1,7 @@
 //! Figure of a tuning: the surrogate of the objective over (μ1, μ2), and the evaluated pairs.
 //!
-//! Colours run from dark to light, so that they can be read in print without colours.
+//! Colours run from dark to light, so that they can be read in print without colours. The figure reads the header of
+//! the history by the names that `TuningPlan::header` writes.
 
 use reveille_lab::tuning::{History, Ranges, Surface, WeightPair};
 
@@ -110,13 +111,13 @@ impl SurfacePanel {
     }
 
     /// Maps a point of the unit square to the canvas.
-    fn to_canvas((x, y): (f64, f64)) -> (f64, f64) {
+    fn unit_square_to_canvas((x, y): (f64, f64)) -> (f64, f64) {
         let [left, top, right, bottom] = PANEL_BOX;
         (left + x * (right - left), bottom - y * (bottom - top))
     }
 
     fn position(&self, [mu1, mu2]: WeightPair) -> (f64, f64) {
-        Self::to_canvas((self.x.position(mu1), self.y.position(mu2)))
+        Self::unit_square_to_canvas((self.x.position(mu1), self.y.position(mu2)))
     }
 
     fn colour(&self, value: f64) -> Rgb {
@@ -142,7 +143,9 @@ impl SurfacePanel {
         let row_count = surface.rows.len() as f64;
         for (j, row) in surface.rows.iter().enumerate() {
             for (i, value) in row.iter().enumerate() {
-                let corner = |i: usize, j: usize| Self::to_canvas((i as f64 / row.len() as f64, j as f64 / row_count));
+                let corner = |i: usize, j: usize| {
+                    Self::unit_square_to_canvas((i as f64 / row.len() as f64, j as f64 / row_count))
+                };
                 let ((left, bottom), (right, top)) = (corner(i, j), corner(i + 1, j + 1));
                 let corners = [
                     left,
@@ -211,7 +214,10 @@ impl SurfacePanel {
             let all = contour_segments(&surface.rows, level.value);
             let mut path = VectorPath::default();
             for (from, to) in &all {
-                path.extend(VectorPath::segment(Self::to_canvas(*from), Self::to_canvas(*to)));
+                path.extend(VectorPath::segment(
+                    Self::unit_square_to_canvas(*from),
+                    Self::unit_square_to_canvas(*to),
+                ));
             }
             if path.0.is_empty() {
                 continue;
@@ -221,7 +227,7 @@ impl SurfacePanel {
             let text = label(level.value, step);
             let half = 0.5 * text_width(&text, Weight::Regular, TEXT_SIZE) + 1.5;
             let boxes = all.iter().map(|(a, b)| {
-                let (x, y) = Self::to_canvas((0.5 * (a.0 + b.0), 0.5 * (a.1 + b.1)));
+                let (x, y) = Self::unit_square_to_canvas((0.5 * (a.0 + b.0), 0.5 * (a.1 + b.1)));
                 ((x, y), [x - half, y - 0.6 * TEXT_SIZE, x + half, y + 0.6 * TEXT_SIZE])
             });
             let room = boxes.filter(|(_, corners)| is_in_panel(corners)).map(|(at, corners)| {
@@ -247,7 +253,7 @@ impl SurfacePanel {
         let axis = Stroke::solid(Paint::Ink, 0.7);
         for tick in ticks(self.x) {
             let (x, long) = (
-                Self::to_canvas((self.x.position(tick.value), 0.0)).0,
+                Self::unit_square_to_canvas((self.x.position(tick.value), 0.0)).0,
                 tick_length(&tick),
             );
             scene.line(VectorPath::segment((x, bottom), (x, bottom + long)), axis);
@@ -256,7 +262,7 @@ impl SurfacePanel {
         }
         for tick in ticks(self.y) {
             let (y, long) = (
-                Self::to_canvas((0.0, self.y.position(tick.value))).1,
+                Self::unit_square_to_canvas((0.0, self.y.position(tick.value))).1,
                 tick_length(&tick),
             );
             scene.line(VectorPath::segment((left - long, y), (left, y)), axis);

@@ -1,5 +1,6 @@
 //! Explanations of verdicts: the deviation, policies that were not run, and known causes. Read from the claims' caveats
-//! and from the runs' own metrics; [`super`] puts them into the rows.
+//! and from the runs' own metrics; [`super`] puts them into the rows. The lists name metrics, and a test checks that
+//! they exist.
 
 use super::finding_text::describe_deviation;
 use super::judge::{Judgement, Verdict};

@@ -1,4 +1,5 @@
 //! Rows and columns of a [`super::ClaimReport`]: a row for each claim, with an assessment for each condition.
+//! [`PRESETS`] must be names of presets; the first columns have their order.
 
 use super::judge::Verdict;
 use crate::claims::{Citation, Contradiction};

@@ -1,5 +1,6 @@
 //! The claims on λ (Figs. 13 and 14): the λ from which on a device harvests more than it spends. They become rows of
-//! the report like the claims of [`crate::claims`], but follow a separate rule.
+//! the report like the claims of [`crate::claims`], but follow a separate rule. `notes` reads the policy from the text
+//! of a row, up to the comma.
 //!
 //! As in the paper, consumption is held fixed at a policy's spending in the tables (Fig. 8) while λ varies. The
 //! policies are those that the paper names at the ends of its ranges, regardless of their rank in our runs.

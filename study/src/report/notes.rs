@@ -1,4 +1,5 @@
-//! Sentences around the tables of the report, shared by its Markdown and its HTML.
+//! Sentences around the tables of the report, shared by its Markdown and its HTML. `VERDICT_RULE` states the rule of
+//! `judge`; change both. docs/reproduction.md contains the sentences.
 
 use super::causes::NOT_RUN;
 use super::judge::Verdict;

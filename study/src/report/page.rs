@@ -1,4 +1,5 @@
 //! The report as one self-contained HTML page, with the rows and notes of [`super::markdown`]. Nothing is loaded.
+//! `page.css` styles the classes of `css_class`.
 
 use std::fmt::Write as _;
 

@@ -1,4 +1,5 @@
-//! Text for numbers, intervals and claims, shared by all of the report.
+//! Text for numbers, intervals and claims, shared by all of the report. docs/reproduction.md contains the texts; no
+//! code parses them.
 
 use reveille_lab::metric_estimate::{CaseCounts, MetricEstimate};
 

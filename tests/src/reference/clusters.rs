@@ -1,4 +1,4 @@
-//! Clusters of devices as in the `knn` policy (Sec. V-A, Algorithm 1), by exhaustive computation.
+//! Clusters of devices in the reference, as in the `knn` policy (Sec. V-A, Algorithm 1), by exhaustive computation.
 
 use std::f64::consts::PI;
 

@@ -1,4 +1,4 @@
-//! One device, TTI by TTI.
+//! One device of the reference, TTI by TTI: its state, battery and ledger.
 
 use reveille_common::scenario::EnergyModel;
 use reveille_common::totals::{DeviceTotals, EnergyByState, Ledger};

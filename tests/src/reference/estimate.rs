@@ -1,6 +1,9 @@
-//! The base station's estimate of unreported battery levels: whether a device can pay for a report.
+//! The base station's estimate of unreported battery levels in the reference: whether a device can pay for a report.
 
 use reveille_common::scenario::EnergyModel;
+
+/// Joint probability from which on missing reports mean an empty battery.
+const EMPTY_PROBABILITY: f64 = 0.02;
 
 /// Estimate of one battery, micro-units.
 #[derive(Clone, Debug)]
@@ -87,10 +90,10 @@ impl ReferenceEstimate {
     }
 
     /// Records a missing report in TTI `k`, in which a powered device must have reported. The radio alone loses it with
-    /// probability `lost`. Once the joint probability is at most 1/50, the battery counts as empty.
+    /// probability `lost`. Once the joint probability is at most [`EMPTY_PROBABILITY`], the battery counts as empty.
     pub(super) fn record_silence(&mut self, k: u64, lost: f64, senses: impl Fn(u64) -> bool) {
         self.loss_probability *= lost;
-        if self.loss_probability > 0.02 {
+        if self.loss_probability > EMPTY_PROBABILITY {
             return;
         }
         self.loss_probability = 1.0;

@@ -1,4 +1,4 @@
-//! Start, epicentre and duration of events, computed TTI by TTI from the definition.
+//! Start, epicentre and duration of events in the reference, computed TTI by TTI from the definition.
 
 use reveille_bs::scenario::Scenario;
 use reveille_common::event::{Aftershocks, DurationKind, EventBursts, HotSpots, ProcessSettings};

@@ -1,4 +1,4 @@
-//! Energy arrivals, drawn TTI by TTI.
+//! Energy arrivals of the reference, drawn TTI by TTI from the random stream of the device.
 
 use std::f64::consts::PI;
 

@@ -1,4 +1,4 @@
-//! The model, TTI by TTI: devices, events and their outcomes.
+//! The model in the reference, TTI by TTI: devices, events and their outcomes.
 
 use reveille_bs::scenario::Scenario;
 use reveille_common::deployment::Deployment;

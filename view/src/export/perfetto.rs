@@ -1,7 +1,8 @@
 //! Export of a run as a Perfetto trace: protocol buffers of type `perfetto.protos.Trace` with track events.
 //!
 //! Each device has a track with slices of its states and a counter with its battery. Each wake-up is an arrow from the
-//! base station to the device that reports. A TTI is a millisecond.
+//! base station to the device that reports. A TTI is a millisecond. Track numbers only have to be distinct; field
+//! numbers are Perfetto's.
 
 use std::io::{self, Write};
 

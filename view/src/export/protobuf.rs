@@ -1,4 +1,5 @@
-//! Encoder for Protocol Buffers fields, used by `perfetto` with the field numbers of Perfetto's schema.
+//! Encoder for Protocol Buffers fields, used by `perfetto` with the field numbers of Perfetto's schema. Protocol
+//! Buffers define the bytes.
 
 /// An encoded message, to which fields can be appended.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

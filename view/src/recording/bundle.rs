@@ -1,5 +1,6 @@
-//! A scenario without a disk: its text and the files that it refers to. Recordings hold a bundle, and
-//! a base station sends one to observers; from it they rebuild the scenario of the run.
+//! A scenario without a disk: its text and the files that it refers to. Recordings hold a bundle, and a base station
+//! sends one to observers; from it they rebuild the scenario of the run. File names and paths are part of recordings
+//! and messages.
 
 use std::io;
 use std::path::{Path, PathBuf};

@@ -1,5 +1,6 @@
 //! Recorder of a running run. A separate thread writes the file; the run waits only when its queue is full. A write
-//! error does not end the run: the thread stops, and [`RecorderHandle::failure`] returns the error.
+//! error does not end the run: the thread stops, and [`RecorderHandle::failure`] returns the error. The file is locked
+//! while it grows, which [`is_growing`] tests.
 
 use std::fs::{File, TryLockError};
 use std::io::{BufWriter, Write};

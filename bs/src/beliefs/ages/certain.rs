@@ -1,5 +1,6 @@
 //! Ages where every device in S1 within d_max detects an event and the radio loses no report. All worths are whole
-//! numbers; `CertainStaleness` keeps the same ages in less memory.
+//! numbers, so sums do not depend on their order. `CertainStaleness` keeps the same ages in less memory and must give
+//! the same gains.
 
 use reveille_common::geometry::Point;
 

@@ -1,5 +1,5 @@
 //! Checks of scenarios for policies that keep ages, called by their settings: errors for areas with too many cells, and
-//! warnings if few or no devices would sense.
+//! warnings if few or no devices would sense. `tests/tests/age_index.rs` quotes parts of the warnings.
 
 use reveille_common::declare::{FieldReader, ScenarioError};
 use reveille_common::scenario::{ClassKnowledge, Site};

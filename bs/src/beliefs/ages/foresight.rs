@@ -1,8 +1,8 @@
-//! Expected future battery levels.
+//! Expected future battery levels, from which `age-index` with the field `foresight` computes prices.
 //!
 //! A battery that will be full soon loses later harvest, so its energy is cheap now; energy before a night is scarce.
-//! Both follow from the mean harvest of a device and, where known, from its course over the day. `age-index` with the
-//! field `foresight` uses the prediction for prices.
+//! Both follow from the mean harvest of a device and, where known, from its course over the day. Digests depend on the
+//! levels, which are whole micro-units and thus the same on every machine.
 
 use reveille_common::ids::DeviceId;
 use reveille_common::units::Energy;
@@ -18,7 +18,7 @@ pub(crate) struct Foresight {
 }
 
 impl Foresight {
-    /// Creates the prediction for the devices in `known`, `ttis` TTIs ahead.
+    /// Creates the prediction for the devices in `known`, `horizon_ttis` TTIs ahead.
     pub(crate) fn new(known: &Knowledge, horizon_ttis: u64) -> Self {
         Self {
             horizon_ttis,

@@ -9,7 +9,7 @@
 //!
 //! If detection is certain within d_max, one look resets a place. If it is probabilistic, a look from distance d resets
 //! the place with probability p(d), and the age is the mean over both outcomes. The same holds if the radio may lose
-//! reports. `tests/src/reference/age_index.rs` computes ages a second time.
+//! reports. Digests depend on every bit of a gain. `tests/src/reference/age_index.rs` computes gains a second time.
 
 mod cells;
 mod certain;
@@ -47,13 +47,14 @@ enum AgeModel {
 }
 
 impl Ages {
-    /// Creates the ages of `area` before the first TTI, for devices at `positions`, none of them chosen. `worths` gives
-    /// the worth of each age.
+    /// Creates the ages of `area` before the first TTI, for devices at `positions`, none of them chosen. `age_worths`
+    /// gives the worth of each age.
     pub fn new(positions: &[Point], area: Area, sensing: &Sensing, age_worths: AgeIndexTable) -> Self {
         Self::with_loss(0.0, positions, area, sensing, age_worths)
     }
 
-    /// Creates ages like [`Self::new`], where a detection stays unreported with probability `lost`, `[0, 1]`.
+    /// Creates ages like [`Self::new`], where a detection stays unreported with probability `loss_probability`,
+    /// `[0, 1]`.
     pub(crate) fn with_loss(
         loss_probability: f64,
         positions: &[Point],

@@ -1,5 +1,7 @@
 //! Prices of TTIs in S1, and the battery level that sensing requires. Prices are in the unit of
-//! [`Ages::gain`](super::Ages::gain): a device senses if its gain exceeds its price.
+//! [`Ages::gain`](super::Ages::gain): a device senses if its gain exceeds its price. Digests of `age-index` and `dt`
+//! depend on both; `tests/src/reference/age_index.rs` repeats the constants. Trained models of `dt` rely on
+//! [`min_level`], which decides the feature `can_sense`.
 
 use reveille_common::scenario::EnergyModel;
 use reveille_common::units::Energy;

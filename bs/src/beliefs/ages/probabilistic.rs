@@ -20,15 +20,16 @@ struct DetectionSpan {
 #[derive(Clone, Debug)]
 pub(super) struct ProbabilisticAges {
     age_worths: AgeIndexTable,
-    /// The spans of device j are `stretches[starts[j] .. starts[j + 1]]`.
+    /// The spans of device j are `spans[span_starts[j] .. span_starts[j + 1]]`.
     span_starts: Vec<u32>,
     spans: Vec<DetectionSpan>,
-    /// p(d) and −ln(1 − p(d)) of the cells of all spans, in order.
+    /// By cell of all spans, in order: the probability p that the device detects and reports an event there, and
+    /// −ln(1 − p) in [`UNIT`]s.
     detected: Vec<(f64, u64)>,
     ages: Vec<f64>,
     /// Worth of the age of each cell; 0 outside the area.
     cell_worths: Vec<f64>,
-    /// Sum of −ln(1 − p(d)) over the chosen devices by cell, in [`UNIT`]s. Whole numbers allow exact removal of a
+    /// Sum of −ln(1 − p) over the chosen devices by cell, in [`UNIT`]s. Whole numbers allow exact removal of a
     /// device.
     log_missed: Vec<u64>,
     /// Probability by cell that no chosen device detects an event there.
@@ -42,8 +43,8 @@ const UNIT: f64 = 1.0 / (1_u64 << 32) as f64;
 const CERTAINTY: f64 = 64.0;
 
 impl ProbabilisticAges {
-    /// Creates the ages. `heard` is the probability that an event at a distance, at most d_max, is detected and
-    /// reported.
+    /// Creates the ages. `report_probability` is the probability that an event at a distance, at most d_max, is
+    /// detected and reported.
     pub(super) fn new(
         cells: &Cells,
         positions: &[Point],

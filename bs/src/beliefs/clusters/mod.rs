@@ -37,9 +37,9 @@ pub struct Clusters {
 }
 
 impl Clusters {
-    /// Forms clusters of the devices at `points` in `area` for the sensing range `d_max`, metres, > 0. `start` draws
-    /// the centres of the k-means++ start. With [`ClusterSettings::limit_radius`], no device is farther than `d_max`
-    /// from the mean of its cluster.
+    /// Forms clusters of the devices at `points` in `area` for the sensing range `d_max`, metres, > 0. `centre_stream`
+    /// draws the centres of the k-means++ start. With [`ClusterSettings::limit_radius`], no device is farther than
+    /// `d_max` from the mean of its cluster.
     pub fn form(points: &[Point], area: Area, d_max: f64, settings: ClusterSettings, centre_stream: Stream) -> Self {
         let discs_per_area = (area.surface() / (PI * d_max * d_max)).ceil() as usize;
         let formed_count = discs_per_area.max(1).min(points.len());
@@ -260,7 +260,7 @@ fn halve(points: &[Point], members: &[DeviceId], centroid: Point) -> [Vec<Device
     halves
 }
 
-/// Returns the position of the member farthest from `place`; ties go to the lowest number.
+/// Returns the position of the member farthest from `origin`; ties go to the lowest number.
 fn farthest(points: &[Point], members: &[DeviceId], origin: Point) -> Point {
     let positions = members.iter().map(|j| points[j.index()]);
     positions.fold(origin, |far, p| {

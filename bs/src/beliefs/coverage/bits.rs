@@ -1,5 +1,6 @@
 //! Coverage where detection is certain within d_max: one bit per cell. `CoverageBits` serves
-//! [`Coverage`](super::Coverage); `BitDisc` also serves [`CoverageUnion`](super::CoverageUnion).
+//! [`Coverage`](super::Coverage); `BitDisc` also serves [`CoverageUnion`](super::CoverageUnion). Digests, rewards and
+//! learned tables depend on which cells a device covers.
 
 use reveille_common::geometry::Point;
 

@@ -1,5 +1,6 @@
 //! The order in which cells should be covered, and the devices that can cover them. The greedy choice of `q-learning`
-//! (`policy/q_learning/area_state/selector.rs`) walks through the blocks in this order.
+//! (`policy/q_learning/area_state/selector.rs`) walks through blocks, cells and devices in this order, so
+//! digests depend on it.
 
 use reveille_common::geometry::Point;
 

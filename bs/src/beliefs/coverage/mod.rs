@@ -1,7 +1,8 @@
 //! The part of the area that a set of devices covers, counted on a grid.
 //!
-//! `Coverage` answers gain and loss of single devices, from which `q-learning` with a window chooses those that sense.
-//! [`CoverageUnion`] gives only the total, for rewards, in less memory; both give bit-equal results.
+//! `Coverage` answers gain and loss of single devices, from which `q-learning` with a window chooses those that sense;
+//! its digests and learned tables depend on the counts. [`CoverageUnion`] gives only the total, for rewards, in less
+//! memory. Both give bit-equal results.
 
 mod bits;
 mod blocks;

@@ -1,5 +1,6 @@
 //! The part of the area that a set of devices covers. Rewards need only this, in less memory than
-//! [`Coverage`](super::Coverage), which serves the selection of devices.
+//! [`Coverage`](super::Coverage), which serves the selection of devices. Both must give the same bits, which a test
+//! below checks; trajectories and environments report them.
 
 use reveille_common::geometry::{Area, Point};
 use reveille_common::sensing::{DetectionKind, Sensing};
@@ -38,6 +39,7 @@ impl CoverageUnion {
     }
 
     /// Returns the share of the area, `[0, 1]`, that none of `devices` covers. Each device appears once in `devices`.
+    /// With probabilistic detection their order affects the rounding.
     pub fn uncovered(&mut self, devices: impl Iterator<Item = usize>) -> f64 {
         match &mut self.model {
             UnionModel::Range(tiles) => {

@@ -1,9 +1,9 @@
 //! A belief over the epicentre of an event, with the devices ranked by the information that they are expected to add.
-//! [`WakeUpCandidates`](super::candidates::WakeUpCandidates) uses it; observers of a run receive its points.
+//! [`WakeUpCandidates`](super::candidates::WakeUpCandidates) uses it; observers of a run receive its points. Digests
+//! and frames depend on every bit, so the order of points and factors is fixed.
 //!
-//! A report determines the distance to the event, so the epicentre lies on a ring around the reporter. The ring is held
-//! as a set of points. A second report leaves the two points where the rings meet, and a third report leaves one of
-//! them. A silent device in S1 makes the points in its range unlikely.
+//! A report puts the epicentre on a ring around the reporter, held as points. A second report leaves the two points
+//! where the rings meet, a third leaves one of them. A silent device in S1 makes the points in its range unlikely.
 
 use std::cmp::Ordering;
 use std::f64::consts::TAU;
@@ -131,7 +131,8 @@ impl EpicentreBelief {
         Self { miss_cost, ..self }
     }
 
-    /// Sets the probability that the radio silences a device that should have reported: `lost`, `[0, 1]`.
+    /// Sets the probability that the radio silences a device that should have reported: `loss_probability`,
+    /// `[0, 1]`.
     #[must_use]
     pub(crate) fn with_loss(self, loss_probability: f64) -> Self {
         Self {

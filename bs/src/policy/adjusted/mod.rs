@@ -2,8 +2,8 @@
 //! the deployment. Offsets are staggered in an order drawn once. After a report any sleeping device can be woken, most
 //! correlated first, until Î ≥ I_min.
 //!
-//! The search needs pilot runs with devices, so the caller that drives both sides makes them
-//! (`lab/src/preparation.rs`). [`search`] judges the pilot runs, and the policy receives the result.
+//! `lab/src/preparation.rs` makes the pilot runs of the search, since they need devices; [`search`] judges them.
+//! Digests depend on the drawn order; names of facts are part of `summary.json`.
 
 pub mod search;
 pub mod settings;
@@ -74,7 +74,7 @@ impl Policy for Adjusted {
         self.information_target.belief()
     }
 
-    fn wake_up_answered(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
+    fn take_wake_up_answer(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
         self.information_target.add_wake_up_answer(seen, report);
     }
 

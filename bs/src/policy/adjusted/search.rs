@@ -1,7 +1,7 @@
 //! Choice among the duty cycles of a grid (Sec. V-A, P2): the (t_on, t_DRX) of least mean consumption among those that
 //! reach I_min in their pilot runs. If none does, the one with the most information is chosen. If no pilot run has an
 //! event, the least consumption decides. `lab/src/preparation.rs` makes the pilot runs; `tests/src/reference/search.rs`
-//! repeats the choice for comparison.
+//! must choose the same pair.
 
 use std::sync::Arc;
 

@@ -1,9 +1,8 @@
 //! Moving average of each device's ratio of expected events to the expectation by age and α. Where energy is scarce, it
-//! discounts the ratio in the price factor of `dt` ([`ExpectationBaseline::price_factor`]).
-//!
-//! Without the baseline, a device at a hot spot would always sense, since its price is always low. That is right while
-//! its battery is full. A device that spends all its harvest trades sensing now against sensing later. For it, only the
-//! ratio of current to usual expectation matters.
+//! discounts the ratio in the price factor of `dt` ([`ExpectationBaseline::price_factor`]). Digests depend
+//! on it. The training does not use it, so a change needs no new model. Without the baseline, a device at a hot spot
+//! would always sense, since its price is always low. That is right while its battery is full. For a device that spends
+//! all its harvest, sensing now costs sensing later, and only the ratio of current to usual expectation matters.
 
 use reveille_common::units::Energy;
 

@@ -2,12 +2,11 @@
 //! online at the BS. Start at [`Dt`] and its `decide`.
 //!
 //! In each TTI every device has a token with the base station's knowledge of it ([`tokens`]). The [`model`] attends
-//! over the last Z TTIs of each device and then over the devices. It returns, for each device, the ratio of expected
-//! events to the expectation without history. Devices are then chosen as under `age-index`, while their gain is worth
-//! its price. The price falls with the ratio; where energy is scarce, with the ratio to the device's average
-//! (`baseline`). The price is given, or the model names the price for a target return.
-//!
-//! [`record`] records trajectories under any policy. `lab/src/transformer/` trains the model on them.
+//! over the last Z TTIs of each device, then over the devices. It returns the ratio of each device's expected events to
+//! the expectation without history. Devices are then chosen as under `age-index`. Their prices fall with the ratio or,
+//! where energy is scarce, with the ratio to the device's average (`baseline`). The base price is given, or the model
+//! names it for a target return. An untrained model with `miss_cost = 0` must decide as `age-index`
+//! (`tests/tests/dt.rs`). [`record`] records trajectories, on which `lab/src/transformer/` trains the model.
 
 mod baseline;
 pub mod model;
@@ -152,7 +151,7 @@ impl Policy for Dt {
         self.candidates.belief()
     }
 
-    fn wake_up_answered(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
+    fn take_wake_up_answer(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
         if let Some(report) = report {
             self.token_builder.add_report(seen, report);
             let ages = self.token_builder.ages();

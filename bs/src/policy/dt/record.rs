@@ -103,7 +103,8 @@ impl BatterySource {
     }
 }
 
-/// A policy whose trajectory is recorded, optionally with exploration ([`RecordingOptions::exploration`]).
+/// A policy whose trajectory is recorded, optionally with exploration ([`RecordingOptions::exploration`]). It decides
+/// in every TTI and passes on the other calls of [`Policy`] except `oracle`, so a new method needs a line here.
 pub struct RecordingPolicy<S> {
     policy: Box<dyn Policy>,
     battery_source: BatterySource,
@@ -236,19 +237,19 @@ impl<S: StepSink + 'static> Policy for RecordingPolicy<S> {
         Some(device)
     }
 
-    fn wake_up_answered(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
+    fn take_wake_up_answer(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
         let psi = seen.known.sensing.psi;
         let woken = self.woken.take();
         if let Some((device, ..)) = woken {
             self.battery_source.update_estimator(|estimator| match report {
                 Some(report) => estimator.observe_level(device, seen.now, report.battery),
-                None => estimator.observe_no_answer(device, seen.now, seen.plan),
+                None => estimator.observe_unanswered_wake_up(device, seen.now, seen.plan),
             });
         }
         if let (Some((device, gain, before)), Some(step)) = (woken, &mut self.open_step) {
             let gained = (seen.information - before) / psi;
             step.devices[device.index()].wake_up = Some(((gain / psi) as f32, gained as f32));
-            let [worth, cost] = reward::wake_up_terms(DEFAULT_MU2, gained, 1, seen.known.n());
+            let [worth, cost] = reward::wake_up_reward_terms(DEFAULT_MU2, gained, 1, seen.known.n());
             step.wake_reward += (worth + cost) as f32;
         }
         if let Some(report) = report {
@@ -258,7 +259,7 @@ impl<S: StepSink + 'static> Policy for RecordingPolicy<S> {
                 .add_report_with_prior(seen, report, |place| ages.age_at(place));
         }
         self.policy
-            .wake_up_answered(&self.battery_source.for_policy(seen), report);
+            .take_wake_up_answer(&self.battery_source.for_policy(seen), report);
     }
 
     fn summary_facts(&self) -> Vec<(&'static str, f64)> {

@@ -51,14 +51,14 @@ pub const FEATURE_COUNT: usize = FEATURES.len();
 /// Time constants over which events are counted, TTIs.
 const TIME_CONSTANTS: [f32; 3] = [8.0, 64.0, 512.0];
 
-/// Found and expected events over each of [`TIME_CONSTANTS`].
+/// Numbers of reported and of expected events, which decay exponentially with each of [`TIME_CONSTANTS`].
 #[derive(Clone, Copy, Debug, Default)]
-struct EventCounts {
+struct DecayingEventCounts {
     found: [f32; TIME_CONSTANTS.len()],
     expected: [f32; TIME_CONSTANTS.len()],
 }
 
-impl EventCounts {
+impl DecayingEventCounts {
     /// Advances by one TTI with this many `found` and `expected` events.
     fn advance(&mut self, found: f32, expected: f32) {
         for (scale, tau) in TIME_CONSTANTS.into_iter().enumerate() {
@@ -102,8 +102,8 @@ pub(crate) struct TokenBuilder {
     buckets: Buckets,
     d_max: f64,
     constants: Vec<DeviceConstants>,
-    near_counts: Vec<EventCounts>,
-    all_counts: EventCounts,
+    near_counts: Vec<DecayingEventCounts>,
+    all_counts: DecayingEventCounts,
     event_probability: f32,
     log_density: f32,
     alpha: f32,
@@ -154,8 +154,8 @@ impl TokenBuilder {
         };
         Self {
             constants: (0..n).map(constants).collect(),
-            near_counts: vec![EventCounts::default(); n],
-            all_counts: EventCounts::default(),
+            near_counts: vec![DecayingEventCounts::default(); n],
+            all_counts: DecayingEventCounts::default(),
             event_probability: known.alpha as f32,
             log_density: log_density(known.area, &known.sensing, n),
             alpha: libm::logf(known.alpha as f32) / 5.0,

@@ -1,5 +1,5 @@
 //! History of the run for decision requests ([`super::features`]): when each device sensed and reported, and how long
-//! each place has been uncovered.
+//! each place has been uncovered. Trained models rely on the values.
 
 use reveille_common::geometry::{Buckets, Point};
 use reveille_common::ids::{DeviceId, Tti};

@@ -15,8 +15,8 @@
 //!
 //! A decision cannot break a run, since it is projected on the allowed actions. A δ plan is fitted to the devices
 //! ([`PlanDecision::plan`]). A wake-up is dropped if its device does not exist, does not sleep by the plan, or was
-//! already woken in this TTI ([`DecisionContext::may_wake`]). A decision without remaining wake-ups ends the wake-ups
-//! of the TTI. Devices without enough energy can be addressed, as under any policy; their actions fail.
+//! already woken ([`DecisionContext::may_wake`]). A decision without remaining wake-ups ends those of the TTI. Actions
+//! of devices without energy fail. The input log holds unprojected decisions, so replays need the same projection.
 
 mod decision;
 mod features;
@@ -147,7 +147,7 @@ impl Policy for External {
         self.wake_queue.pop_front()
     }
 
-    fn wake_up_answered(&mut self, _: &Observation<'_>, report: Option<&Report>) {
+    fn take_wake_up_answer(&mut self, _: &Observation<'_>, report: Option<&Report>) {
         if let Some(report) = report {
             self.history.add_report(report);
             self.heard.push(*report);

@@ -29,7 +29,7 @@
 //! Wake-ups are also decided one by one: the m-th of a TTI has the share μ2 (Î_m − Î_{m−1}) − 1/N. These telescope to
 //! r*(k) = μ2 I_i − δ*·1/N, except for μ2 Î_0, the information that came without a wake-up.
 //!
-//! Tables hold N times these shares, without α μ1, the part that is the same for every action of a device.
+//! Tables hold N times these shares, without α μ1, which is the same for every action. Other shares need new tables.
 
 mod area_state;
 pub mod duty;
@@ -192,7 +192,7 @@ impl Policy for QLearning {
         self.candidates.belief()
     }
 
-    fn wake_up_answered(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
+    fn take_wake_up_answer(&mut self, seen: &Observation<'_>, report: Option<&Report>) {
         self.wake.record_answer(seen.information);
         if let Some(report) = report {
             self.report_count += 1;

@@ -381,7 +381,7 @@ fn former_field_names_are_accepted_with_a_warning() {
             name(current_override)
         );
         assert!(
-            matches!(&warnings[..], [warning] if warning.starts_with(&expected) && warning.ends_with(FORMER_NAME_NOTICE)),
+            matches!(&warnings[..], [it] if it.starts_with(&expected) && it.ends_with(FORMER_NAME_NOTICE)),
             "{warnings:?}"
         );
         assert_eq!(hash(&former), hash(&current));

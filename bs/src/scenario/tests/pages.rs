@@ -23,7 +23,7 @@ fn the_schema_and_the_complete_file_contain_every_field() {
     let page = load("paper", &[])
         .expect("a preset")
         .scenario
-        .to_full_toml(&registry::kinds());
+        .to_full_toml(&registry::all_policies());
     for path in declaration().field_paths() {
         let pointer = path
             .split('.')

@@ -1,5 +1,5 @@
-//! Decisions of a policy process over the bus, in the form of [`wire`](crate::policy::external::wire). The virtual
-//! clock waits until the process has answered. [`client`] and `python/reveille/policy_client.py` are the other side.
+//! Decisions of a policy process over the bus, in the form of [`wire`](crate::policy::external::wire) and as described
+//! in docs/policy-port.md. [`client`] and `python/reveille/policy_client.py` are the other side.
 //!
 //! ```text
 //!               hello answered with the run's key

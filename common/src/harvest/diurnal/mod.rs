@@ -1,4 +1,5 @@
-//! The source `diurnal`: arrivals whose probability follows the sun of [`super::sun`] through day and night.
+//! The source `diurnal`: arrivals whose probability follows the sun of [`super::sun`] through day and night. Digests
+//! depend on the draws, one per arrival. [`DiurnalSetup`] is part of the wire format.
 
 use std::sync::Arc;
 

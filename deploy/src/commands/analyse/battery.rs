@@ -1,5 +1,5 @@
 //! `reveille analyse battery`: the chain of Sec. III-B and Eq. (8) next to measured batteries. The calculation is in
-//! `study/src/analysis/battery/`.
+//! `study/src/analysis/battery/`. Names of sheets and columns are a public interface (see `sheet`).
 
 use anyhow::bail;
 use reveille_bs::scenario::Scenario;

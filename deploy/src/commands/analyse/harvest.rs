@@ -1,5 +1,5 @@
 //! `reveille analyse harvest`: harvested and net energy against λ, next to the thresholds that the paper states. The
-//! calculation is in `study/src/analysis/harvest.rs`.
+//! calculation is in `study/src/analysis/harvest.rs`. Names of sheets and columns are a public interface (see `sheet`).
 
 use reveille_common::units::Energy;
 use reveille_lab::stats::Estimate;

@@ -1,4 +1,5 @@
-//! `reveille analyse imin`: the paper's estimate of E(I_min) next to its mean over deployments.
+//! `reveille analyse imin`: the paper's estimate of E(I_min), the mean of I_min, next to its mean over deployments.
+//! Names of columns are a public interface (see `sheet`).
 
 use reveille_study::analysis::imin::measure;
 

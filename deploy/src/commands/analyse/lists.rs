@@ -1,4 +1,5 @@
-//! Parsing of lists on the command line, and the scenarios built from them.
+//! Parsing of lists on the command line, and the scenarios built from them. Only the studies of `reveille analyse` use
+//! it.
 
 use anyhow::bail;
 use reveille_bs::scenario::{Loaded, Override, Scenario, load};

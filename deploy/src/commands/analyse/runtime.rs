@@ -1,4 +1,5 @@
-//! `reveille analyse runtime`: the only study that reads the wall clock.
+//! `reveille analyse runtime`: the only study that reads the wall clock, so its numbers differ from call to call. Names
+//! of sheets and columns are a public interface (see `sheet`).
 
 use reveille_bs::scenario::Scenario;
 use reveille_study::analysis::runtime::{TimedWork, fit_power_law, paper_complexity};

@@ -1,4 +1,5 @@
-//! Output of the `reveille analyse` commands: tables and notes, as text, JSON and CSV.
+//! Output of the `reveille analyse` commands: tables and notes, as text, JSON and CSV. Names of sheets and columns are
+//! keys in JSON and headers in CSV, which programs of users and `tests/program/analyse.rs` read.
 
 use anyhow::Context;
 use comfy_table::presets::UTF8_FULL_CONDENSED;

@@ -1,4 +1,5 @@
-//! `reveille analyse transitions`: the paper's P_m,n next to the frequencies in runs.
+//! `reveille analyse transitions`: the paper's P_m,n next to the frequencies in runs. P_m,n is the probability that a
+//! device in state S_m changes to S_n. Names of columns are a public interface (see `sheet`).
 
 use reveille_study::analysis::transitions::{Transition, Transitions, measure};
 

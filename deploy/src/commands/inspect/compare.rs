@@ -1,4 +1,5 @@
-//! `reveille inspect compare`: prints the first difference of two recordings, found by `view/src/compare.rs`.
+//! `reveille inspect compare`: prints the first difference of two recordings, found by `view/src/compare.rs`. Scripts
+//! rely on its exit code, 1 if the recordings differ.
 
 use std::fmt::Write as _;
 use std::process::ExitCode;

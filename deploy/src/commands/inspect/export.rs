@@ -15,8 +15,7 @@ use reveille_view::export::table::{COLUMNS, MessageRow, MessageTableWriter};
 use reveille_view::filter::Filter;
 use reveille_view::recording::RecordingError;
 
-use super::check_tti_range;
-use super::source::{RecordingFile, open};
+use super::source::{RecordingFile, check_tti_range, open};
 use crate::cli::{ExportArgs, ToArg};
 use crate::display::{count_noun, note, print_stdout};
 use crate::exit::ExitReason;

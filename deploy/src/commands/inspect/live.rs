@@ -1,5 +1,6 @@
 //! A live run, observed through the tap of its bus, for `inspect` and the dashboard. The run never waits for this
-//! process: frames that it cannot take are dropped and counted.
+//! process: frames that it cannot take are dropped and counted. Tests wait for the note `connected to run`, which comes
+//! only after the tap is declared, so that no later frame is missed.
 
 use std::io;
 use std::sync::Arc;

@@ -14,7 +14,6 @@ mod verify;
 use std::process::ExitCode;
 
 use crate::cli::InspectCommand;
-use crate::exit::InvalidUsage;
 
 /// Runs an inspection.
 pub(crate) async fn run(command: &InspectCommand) -> anyhow::Result<ExitCode> {
@@ -25,15 +24,5 @@ pub(crate) async fn run(command: &InspectCommand) -> anyhow::Result<ExitCode> {
         InspectCommand::Export(args) => export::run(args),
         InspectCommand::Verify(args) => verify::run(args),
         InspectCommand::Compare(args) => compare::run(args),
-    }
-}
-
-/// Checks that `since` and `until`, the values of --since and --until, leave a TTI between them.
-fn check_tti_range(since: Option<u64>, until: Option<u64>) -> Result<(), InvalidUsage> {
-    match (since, until) {
-        (Some(since), Some(until)) if since > until => Err(InvalidUsage(format!(
-            "--since {since} is larger than --until {until}; give --since at most the value of --until"
-        ))),
-        _ => Ok(()),
     }
 }

@@ -1,4 +1,5 @@
-//! `reveille inspect record`: records a live run.
+//! `reveille inspect record`: records a live run. The recording holds no summary, so `inspect verify` ends with exit
+//! code 1 for it (`docs/watching.md`).
 
 use std::process::ExitCode;
 use std::time::Instant;

@@ -1,4 +1,4 @@
-//! Sources of frames for `tail`, `stats` and the dashboard: a live run or a recording.
+//! Sources of frames for `tail`, `stats` and the dashboard: a live run or a recording. Both keep the order of frames.
 
 use std::fs::File;
 use std::io::BufReader;
@@ -14,6 +14,7 @@ use reveille_view::recording::{RecordingReader, ScenarioBundle, is_growing};
 use super::live::Live;
 use crate::cli::TargetArgs;
 use crate::display::note;
+use crate::exit::InvalidUsage;
 
 /// A recording file.
 pub(crate) type RecordingFile = RecordingReader<BufReader<File>>;
@@ -35,6 +36,16 @@ pub(crate) fn open(path: &Path) -> anyhow::Result<RecordingFile> {
         note!("{}: still being written; reading the messages so far", named());
     }
     RecordingReader::open(BufReader::new(file)).with_context(named)
+}
+
+/// Checks that `since` and `until`, the values of --since and --until, leave a TTI between them.
+pub(super) fn check_tti_range(since: Option<u64>, until: Option<u64>) -> Result<(), InvalidUsage> {
+    match (since, until) {
+        (Some(since), Some(until)) if since > until => Err(InvalidUsage(format!(
+            "--since {since} is larger than --until {until}; give --since at most the value of --until"
+        ))),
+        _ => Ok(()),
+    }
 }
 
 /// A source of frames.

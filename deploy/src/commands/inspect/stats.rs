@@ -1,4 +1,5 @@
-//! `reveille inspect stats`: numbers and bytes of messages.
+//! `reveille inspect stats`: numbers and bytes of messages. Programs of users read the keys of `--json`, so do not
+//! rename them.
 
 use std::io::IsTerminal;
 use std::process::ExitCode;
@@ -10,8 +11,7 @@ use reveille_common::message::{MessageKind, Plane};
 use reveille_view::traffic::{MessageCount, TrafficStats};
 use serde_json::{Value, json};
 
-use super::check_tti_range;
-use super::source::FrameSource;
+use super::source::{FrameSource, check_tti_range};
 use crate::cli::StatsArgs;
 use crate::display::{note, print_stdout};
 use crate::exit::ExitReason;

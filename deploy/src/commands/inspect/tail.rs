@@ -1,4 +1,5 @@
-//! `reveille inspect tail`: decoded messages, one per line.
+//! `reveille inspect tail`: decoded messages, one per line. Each line of `--json` has the keys of
+//! `view/src/frame_line.rs`, also the line of a paired wake-up; `tests/recordings/` reads them.
 
 use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
@@ -15,8 +16,7 @@ use reveille_view::frame_line::FrameLine;
 use reveille_view::wake_up_pairs::{PairStep, WakeUpExchange, WakeUpPairer};
 use serde_json::json;
 
-use super::check_tti_range;
-use super::source::{FrameSource, device_groups};
+use super::source::{FrameSource, check_tti_range, device_groups};
 use crate::cli::{ColourArg, TailArgs};
 use crate::display::note;
 use crate::exit::ExitReason;

@@ -1,5 +1,6 @@
 //! `reveille inspect verify`: recomputes the results of a recorded run from its messages alone, with
-//! `view/src/reconstruction.rs`, and compares them with the summary in the recording.
+//! `view/src/reconstruction.rs`, and compares them with the summary in the recording. [`ExpectedResults`] has field
+//! names of `summary.json` (`summary`).
 
 use std::collections::BTreeMap;
 use std::fmt::Debug;

@@ -1,5 +1,6 @@
 //! `reveille sweep`: many runs in memory, one per combination of values and seed. `lab/src/sweep/` runs them and keeps
-//! the journal; this module chooses the folder and shows progress and results.
+//! the journal; this module chooses the folder and shows progress and results. A repeated command finds its journal by
+//! the default folder, `runs/sweep-HASH` (`docs/sweeps.md`).
 
 mod progress;
 mod report;

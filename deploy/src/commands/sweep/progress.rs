@@ -1,4 +1,4 @@
-//! The progress bar of a sweep, fed by the threads of `lab/src/sweep/`.
+//! The progress bar of a sweep, fed by the threads of `lab/src/sweep/`. No result depends on it.
 //!
 //! The remaining time is estimated from the finished runs of each cell. A cell without finished runs counts with its
 //! device-TTIs at the mean rate of the others.

@@ -1,4 +1,4 @@
-//! The results of a sweep, as text and as JSON.
+//! The results of a sweep, as text and as JSON. Programs of users read the keys of the JSON, so do not rename them.
 
 use std::path::Path;
 

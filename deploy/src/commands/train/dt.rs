@@ -1,7 +1,7 @@
 //! `reveille train dt`: trains a decision transformer on recorded trajectories and writes the model to `--out`.
 //!
 //! Every evaluation and Ctrl-C save a checkpoint next to `--out`. The same command resumes from it, with the same
-//! result, and the finished model replaces it.
+//! result, and the finished model replaces it. A checkpoint is refused if the metadata of `read_trajectories` differ.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -25,7 +25,8 @@ use crate::display::{self, note};
 use crate::paths::check_output_path;
 use crate::signals::{SignalMode, Signals};
 
-/// Steps between two evaluations on the held-out data. Each one also writes the checkpoint.
+/// Steps between two evaluations on the held-out data. Each one also writes the checkpoint. The help of `--patience`
+/// repeats the number.
 const EVALUATION_INTERVAL: u64 = 200;
 
 /// Environment variables for a fast training; a variable that is already set keeps its value.

@@ -1,4 +1,5 @@
-//! `reveille train q-learning`: trains tables in memory.
+//! `reveille train q-learning`: trains tables in memory. The tables have the same bytes with any number of threads and
+//! after any interruption; `docs/training.md` names the checkpoint and its file.
 
 use std::path::Path;
 use std::process::ExitCode;
@@ -38,9 +39,9 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
     let checkpoint_path = checkpoint_path(&args.out);
     if trainer.resume(&checkpoint_path)? && !args.quiet {
         note!(
-            "{} episodes left, resuming from {}",
-            trainer.episodes_left(),
-            checkpoint_path.display()
+            "resuming the training from the checkpoint {}: {} episodes left",
+            checkpoint_path.display(),
+            trainer.episodes_left()
         );
     }
     let threads = args.episodes.threads()?;

@@ -1,4 +1,5 @@
-//! `reveille train record`: trajectories of many runs in memory.
+//! `reveille train record`: trajectories of many runs in memory. The facts in `about` are stored in the file, and `dt`
+//! copies them into its checkpoint and model.
 
 use std::fmt::Write as _;
 use std::path::Path;

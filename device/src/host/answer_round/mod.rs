@@ -1,5 +1,6 @@
 //! One request of the base station to a host, answered when the last of the devices concerned has added its part.
 //! Actors add their parts in any order; the host keeps the round, so that it can retransmit the answer.
+//! Reports are sent before the answer, which states their number to `bs/src/server/barrier/`.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -158,17 +159,18 @@ impl Uplink {
 
     /// Sends a device's report.
     pub fn send_report(&self, report: &Report) {
-        log_failure(self.reports.publish(report));
+        log_send_failure(self.reports.publish(report));
     }
 
     /// Sends the host's answer.
     pub fn send_answer(&self, answer: &HostAnswer) {
-        log_failure(self.answers.publish(answer));
+        log_send_failure(self.answers.publish(answer));
     }
 }
 
-/// Logs a failed message. A closed session means that the base station is lost, which the host detects separately.
-fn log_failure(sent: Result<(), BusError>) {
+/// Logs a failed send, at debug level only: if the session is closed, the host itself detects that the base station
+/// is lost.
+fn log_send_failure(sent: Result<(), BusError>) {
     if let Err(error) = sent {
         tracing::debug!(%error, "a message was not sent");
     }

@@ -1,9 +1,9 @@
 //! Markov chain of the battery level (Sec. III-B) under a fixed duty cycle, and its steady state.
 //!
-//! A state is a level on the [`Lattice`] at a phase of the duty cycle. A TTI follows the emulator: the device harvests
-//! up to E_max and pays for δ. If it becomes active (a detection in S1, a wake-up in S4), it pays for the transmission.
-//! A cost that it cannot pay empties the battery. There are two transition matrices, for δ = 1 and δ = 0. The steady
-//! distribution at the start of a cycle is unchanged by t_DRX steps.
+//! A state is a level on the [`Lattice`] at a phase of the duty cycle. A TTI follows the device machine, with which a
+//! test compares the chain: the device harvests up to E_max and pays for δ. If it becomes active (a detection in S1, a
+//! wake-up in S4), it pays for the transmission. A cost that it cannot pay empties the battery. There is a transition
+//! matrix for each δ. The steady distribution at the start of a cycle is unchanged by t_DRX steps.
 
 use nalgebra::DVector;
 use nalgebra_sparse::ops::Op;

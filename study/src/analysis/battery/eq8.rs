@@ -14,7 +14,8 @@ use statrs::function::gamma::ln_gamma;
 /// Largest M for which Eq. (8) is evaluated.
 const MAX_STATES: u64 = 1_000_000;
 
-/// Eq. (8) for one threshold and one P. All values are NaN if P is not a probability, which P_1,2 + P_4,2 need not be.
+/// Eq. (8) for one threshold and one P. The formulas are the paper's and must not be corrected. All values are NaN if P
+/// is not a probability, which P_1,2 + P_4,2 need not be.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Eq8 {
     /// Sum as printed. NaN with more than 10⁶ states, and if E is not a whole number of units, for which the sum is

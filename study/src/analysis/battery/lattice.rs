@@ -1,5 +1,5 @@
 //! Lattice with a common quantum for all energies of a device, so that its battery has finitely many levels: the states
-//! of [`super::chain`](super::steady_state), and the bins of measured levels.
+//! of [`super::chain`](super::steady_state), and the bins of measured levels. Only `reveille analyse battery` uses it.
 
 use reveille_common::scenario::EnergyModel;
 use reveille_common::units::{Energy, MICRO_PER_UNIT};

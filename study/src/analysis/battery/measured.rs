@@ -1,4 +1,5 @@
-//! Battery levels of device machines under a fixed duty cycle, counted at the end of every TTI.
+//! Battery levels of device machines under a fixed duty cycle, counted at the end of every TTI. Another order of draws
+//! changes the measured columns of `reveille analyse battery` and of docs/analysis.md.
 
 use rayon::prelude::*;
 use reveille_common::event::Stimulus;

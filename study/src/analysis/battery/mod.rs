@@ -2,9 +2,9 @@
 //! device machines.
 //!
 //! The chain uses a lattice of whole quanta, one fourteenth of a unit with the costs of Table II. The machines count in
-//! micro-units, where E_WuR is 71 429, which is 6/14 of a micro-unit more than a quantum. Levels of both are rounded to
-//! the nearest quantum and then put into bins of [`BatteryStudy::bin_width`] units, so that no bin border splits
-//! levels that are equal in the chain.
+//! micro-units, where E_WuR is 6/14 of a micro-unit more than a quantum. Levels of both are rounded to the nearest
+//! quantum and put into bins of [`BatteryStudy::bin_width`] units, so that no bin border splits levels that are equal
+//! in the chain. Only `reveille analyse battery` and docs/analysis.md show the results.
 
 mod chain;
 mod eq8;

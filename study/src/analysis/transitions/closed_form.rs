@@ -1,5 +1,6 @@
 //! Closed forms of P_m,n (Sec. IV) for one device, as printed in the paper, with the inputs of all devices of a
-//! deployment. Results are not corrected: they may leave [0, 1] or be NaN.
+//! deployment. Results are not corrected: they may leave [0, 1] or be NaN. [`PAIRS`] sets the order of `reveille
+//! analyse transitions`.
 
 use reveille_bs::beliefs::correlation::Correlation;
 use reveille_bs::bounds_cache::BoundsCache;

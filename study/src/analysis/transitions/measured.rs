@@ -1,4 +1,4 @@
-//! Transitions between S1 … S4, counted in a run, for the comparison with the paper's closed forms.
+//! Transitions between S1 … S4, counted in a run; `tests/tests/analysis.rs` counts them independently.
 //!
 //! Within a TTI a device follows the state machine. It starts in S1 (δ = 1, paid) or S4 (δ = 0, or δ = 1 that it could
 //! not pay). A detection or a wake-up takes it to S2, and from there to S3 or, unpaid, to S4. The last state of a TTI

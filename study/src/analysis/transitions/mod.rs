@@ -52,7 +52,7 @@ pub struct Transition {
     pub wilson: (f64, f64),
 }
 
-/// The P_m,n of a scenario.
+/// The P_m,n of a scenario. `reveille analyse transitions` prints them, and docs/analysis.md quotes them.
 #[derive(Clone, Debug)]
 pub struct Transitions {
     /// The transitions in the order of [`PAIRS`].

@@ -2,7 +2,7 @@
 //!
 //! A [`SweepFigureSpec`] names the fields and the metric. [`SweepFigureSpec::draw`] draws a figure for each combination
 //! of the values of all other fields in which the runs differ. The caption names these values. The figures show nothing
-//! from the paper.
+//! from the paper. The columns of the CSV are a file format.
 
 mod points;
 
@@ -15,7 +15,7 @@ use super::chart::{Chart, ChartPoint, Interval, Series};
 use super::error::FigureError;
 use super::results::Results;
 use super::scale::Scale;
-use super::study::{csv_cell, csv_half_width, runs_in_words};
+use super::study::{csv_cell, half_width_cell, runs_in_words};
 use super::style::Style;
 use super::to_file_name;
 
@@ -342,7 +342,7 @@ impl SweepFigureSpec {
                 if let Some(metric_estimate) = point.metric_estimate(&self.metric) {
                     let (mean, half_width) = (
                         metric_estimate.estimate.mean,
-                        csv_half_width(metric_estimate.half_width()),
+                        half_width_cell(metric_estimate.half_width()),
                     );
                     let (name, runs) = (csv_cell(name), metric_estimate.estimate.runs);
                     out.push_str(&row(
@@ -436,7 +436,7 @@ fn values(points: &[SweepPoint<'_>], field: &str) -> Vec<String> {
 /// Returns the fields in which `points` differ, except `drawn`.
 fn facet_fields(points: &[SweepPoint<'_>], drawn: [&String; 2]) -> Vec<String> {
     let differs = |field: &String| {
-        // The index is valid: `chosen` has rejected an empty list.
+        // The index is valid: `select_points` has rejected an empty list.
         let first = points[0].value(field);
         points.iter().any(|point| point.value(field) != first)
     };

@@ -1,4 +1,5 @@
-//! Cells of the merged tables as points with named fields, the input of [`super::SweepFigureSpec`].
+//! Cells of the merged tables as points with named fields, the input of [`super::SweepFigureSpec`]. [`DEVICES`] and
+//! [`POLICY`] are names in options, file names and CSV files.
 
 use reveille_lab::metric_estimate::MetricEstimate;
 

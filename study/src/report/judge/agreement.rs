@@ -1,5 +1,5 @@
 //! Agreement of findings with a statement: rules 2 and 3 of [`super`], for the means and for all values in their
-//! intervals.
+//! intervals. The tolerances are part of the rule that [`super`] states.
 
 use super::finding::Finding;
 use crate::claims::Statement;

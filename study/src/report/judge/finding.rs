@@ -1,4 +1,5 @@
-//! Findings: our values of a claim's quantity at each N, with 95 % intervals. The rule in [`super`] judges them.
+//! Findings: our values of a claim's quantity at each N, with 95 % intervals. The rule in [`super`] judges them. All
+//! verdicts and measured values of the report depend on them.
 
 use reveille_lab::metric_estimate::MetricEstimate;
 use reveille_lab::stats::{Moments, student_t_quantile_95};

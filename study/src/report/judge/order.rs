@@ -1,4 +1,5 @@
-//! Order of the policies in the paper and in our runs: rule 4 of [`super`].
+//! Order of the policies in the paper and in our runs: rule 4 of [`super`]. Change it together with the texts of the
+//! rule that [`super`] lists.
 
 use super::finding::{Finding, TopicRuns};
 use crate::claims::{Claim, ClaimQuantity, ClaimTopic, DeviceCounts, Statement};

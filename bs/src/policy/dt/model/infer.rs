@@ -1,10 +1,10 @@
 //! Forward pass of the model for one TTI. `lab/src/transformer/net.rs` trains the same computation, so change both. The
 //! bits of the result are the same for every [`VectorWidth`]; digests depend on them.
 //!
-//! A token attends to the last Z TTIs of its own device (Eqs. (`delta(k)2`) and (`delta(k)3`)), whose keys and values
-//! are kept. Then, if `attends_to_devices`, the devices attend to each other. There the weight of a pair is the dot
-//! product of positive features of a key and a query, without an exponential (linear attention). The time thus grows
-//! with N and not with N². A TTI needs no allocation.
+//! A token attends to the last Z TTIs of its own device, whose keys and values are kept: Eqs. (`delta(k)2`) and
+//! (`delta(k)3`) in the LaTeX source of the paper. Then, if `attends_to_devices`, the devices attend to each other.
+//! There the weight of a pair is the dot product of positive features of a key and a query, without an exponential
+//! (linear attention). The time thus grows with N and not with N². A TTI needs no allocation.
 
 #![expect(
     clippy::inline_always,
@@ -25,7 +25,8 @@ pub const OUTPUT_LIMIT: f32 = 3.0;
 /// price.
 pub(crate) const LOG_PRICE_LIMIT: f32 = 5.0;
 
-/// State of a model that processes one TTI after another, for N devices.
+/// State of a model that processes one TTI after another, for N devices. Arrays are stored row by row: `[N, d]` has a
+/// row for each device, as wide as an embedding ([`super::ModelShape::width`]).
 #[derive(Clone, Debug)]
 pub struct ForwardPass {
     weights: Arc<ModelWeights>,
@@ -35,12 +36,16 @@ pub struct ForwardPass {
     /// Keys by TTI modulo Z, `[Z, N, d]`.
     keys: Vec<f32>,
     values: Vec<f32>,
-    /// `[N, d]` each.
+    /// Embedding of each device, to which every layer adds its output, `[N, d]`.
     state: Vec<f32>,
-    /// After [`Self::step`], the input of the output layer.
+    /// `state` after a norm, `[N, d]`; after [`Self::step`], the input of the output layer.
     normalised: Vec<f32>,
+    /// `[N, d]`.
     query: Vec<f32>,
+    /// Values as weighted by attention, `[N, d]`. The attention over devices keeps its keys here first.
     gathered: Vec<f32>,
+    /// Output of a layer before it is added to `state`, `[N, d]`. The attention over devices keeps its values here
+    /// first.
     projected: Vec<f32>,
     /// `[N, EXPANSION · d]`.
     hidden: Vec<f32>,
@@ -116,7 +121,8 @@ impl ForwardPass {
         }
     }
 
-    /// Returns the logarithm of the price for a target in the TTI of the last step, within ± `LOG_PRICE_LIMIT`.
+    /// Returns the logarithm of the price in the TTI of the last step, within ± `LOG_PRICE_LIMIT`. `target` is the
+    /// share of new events to find in their first TTI.
     pub fn log_price(&mut self, target: f32) -> f32 {
         let d = self.weights.shape.width;
         self.pooled.fill(0.0);

@@ -1,4 +1,5 @@
-//! Area state in which places have ages and count by them, for `policy.q-learning.ages`.
+//! Area state in which places have ages and count by them, for `policy.q-learning.ages`. Digests depend on the
+//! choice, which `tests/src/reference/q_learning.rs` repeats; the training learns from gains and credits.
 
 use reveille_common::geometry::{Area, Point};
 use reveille_common::ids::DeviceId;

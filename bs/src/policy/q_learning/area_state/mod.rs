@@ -1,5 +1,5 @@
 //! State of the area and choice of the sensing devices, for coverage within a window (`window`, with `selector`) or for
-//! places with ages (`ages`). The duty cycling sees both through [`AreaState`].
+//! places with ages (`ages`). The duty cycling sees both through [`AreaState`]; nothing else uses them.
 
 mod ages;
 mod selector;

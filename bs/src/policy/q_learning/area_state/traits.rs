@@ -1,5 +1,6 @@
 //! Interface between the duty cycling ([`DutyLearner`](crate::policy::q_learning::duty::DutyLearner)) and the state of
-//! the area: [`AreaState`], with an implementation for windows and one for ages.
+//! the area: [`AreaState`], with an implementation for windows and one for ages. Callers must keep the order of
+//! calls that the trait states.
 
 use reveille_common::geometry::{Area, Point};
 use reveille_common::ids::DeviceId;
@@ -8,6 +9,7 @@ use reveille_common::sensing::Sensing;
 use crate::policy::q_learning::learned::{AREA_BUCKETS, BATTERY_BUCKETS, FIRST_ABLE_BUCKET};
 
 /// Least battery bucket of each pass of the choice: first at least half charged, then all able devices.
+/// `tests/src/reference/q_learning.rs` repeats it.
 pub(super) const PASS_MIN_BUCKETS: [u8; 2] = [5, FIRST_ABLE_BUCKET];
 
 /// State of the area and of the devices, carried from TTI to TTI.

@@ -1,4 +1,5 @@
-//! Area state for covering the area once within a window, `policy.q-learning.window`.
+//! Area state for covering the area once within a window, `policy.q-learning.window`. Digests depend on the choice; the
+//! training learns from gains and credits.
 
 use std::collections::VecDeque;
 

@@ -2,7 +2,7 @@
 //!
 //! The policy decides with [`DutyLearner::choose`]; a run that learns calls [`DutyLearner::explore`] and, one TTI
 //! later, [`DutyLearner::learn`]. The shares of the reward follow the documentation of the parent module and must add
-//! up to r(k).
+//! up to r(k). Exploration draws device by device, in the order of ids; learned tables depend on this order.
 
 use super::area_state;
 use super::area_state::{AreaState, Gain};
