@@ -17,12 +17,3 @@ pub(super) const PAGE: &[(&str, &str, &str)] = files! {
         "messages.js" "page_state.js" "run_state.js" "theme.js" "timeline.js" "timeline_data.js" "timeline_filter.js"
         "timeline_panel.js" "timeline_tile.js" "timeline_window.js";
 };
-}
-
-/// The files of the page: path, type, content.
-pub(super) const PAGE: &[(&str, &str, &str)] = files! {
-    "text/html; charset=utf-8": "index.html";
-    "text/css; charset=utf-8": "style.css";
-    "text/javascript; charset=utf-8":
-        "api.js" "main.js" "map.js";
-};

@@ -135,12 +135,13 @@ export class Chart {
     draw.beginPath();
     draw.moveTo(MARGIN.left, bottom + 0.5);
     draw.lineTo(width - MARGIN.right, bottom + 0.5);
-    for (const tti of ticks(this.start, this.end, Math.max(2, Math.floor(width / 90)), true)) {
+    for (const tti of ticks(this.start, this.end, Math.max(2, Math.floor(width / 65)), true)) {
       const x = Math.round(this.x(tti)) + 0.5;
       draw.moveTo(x, bottom);
       draw.lineTo(x, bottom + 4);
-      draw.textAlign = x > width - 40 ? "right" : x < MARGIN.left + 14 ? "left" : "center";
-      draw.fillText(shortNumber(tti), x > width - 40 ? width - 4 : x, bottom + 6);
+      const text = shortNumber(tti), half = draw.measureText(text).width / 2;
+      draw.textAlign = "center";
+      draw.fillText(text, Math.min(x, width - half), bottom + 6);
     }
     draw.stroke();
     draw.textAlign = "left";
@@ -153,7 +154,7 @@ export class Chart {
     const key = [width, height, devicePixelRatio, ink("--line")].join();
     if (this.ground?.key !== key) this.ground = { ...this.paintGround(width, height), key };
     draw.drawImage(this.ground.canvas, 0, 0, width, height);
-    if (this.tti !== null) this.paintRule(draw, height, this.tti, "--event", []);
+    if (this.tti !== null) this.paintRule(draw, height, this.tti, "--faint", []);
     this.note.hidden = this.ground.hasValues;
     this.note.textContent = this.notice || this.emptyText;
     this.paintReadout(draw, height);
@@ -203,17 +204,18 @@ export class Chart {
     this.readout.style.right = isRight ? `${this.canvas.clientWidth - this.x(tti) + 8}px` : "auto";
   }
 
-  // Names of lines with their dash patterns and values; of runs with their colours.
+  // Names of lines with their dash patterns and the values of each run, in its colour.
   showLegend(found) {
-    const parts = found.flatMap(({ name, colour, values }) => this.series.map((line, nth) => ({
-      colour, dash: DASHES[nth], text: [this.runs.length > 1 && nth === 0 ? name : "", line].filter(Boolean).join(" · "), value: shortNumber(values[nth]),
-    })));
-    const text = parts.map(({ text, value }) => `${text} ${value}`).join("; ");
+    const text = this.series.map((line, nth) => `${line} ${found.map(({ name, values }) => `${found.length > 1 ? name : ""} ${shortNumber(values[nth])}`).join(", ")}`).join("; ");
     const key = text + ink("--line");
     if (this.legendKey === key) return;
     this.legendKey = key;
     this.canvas.setAttribute("aria-label", `${this.title}, ${this.unit}: ${this.notice || text}`);
-    this.legend.replaceChildren(...parts.map(({ colour, dash, text, value }) => element("span", {}, swatch(colour, dash), `${text} `, element("b", { textContent: value }))));
+    this.legend.replaceChildren(...this.series.map((line, nth) => element("span", {}, ...(line ? [swatch(DASHES[nth]), line] : []), ...found.map(({ colour, values }) => {
+      const value = element("b", { textContent: shortNumber(values[nth]) });
+      if (found.length > 1) value.style.color = ink(colour);
+      return value;
+    }))));
   }
 
   rows() {
@@ -228,15 +230,15 @@ export class Chart {
   }
 }
 
-// A short line of a colour and a dash pattern, for legends.
-export function swatch(colour, dash) {
+// A short line with a dash pattern, for legends.
+function swatch(dash) {
   const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
   svg.setAttribute("viewBox", "0 0 22 8");
   svg.setAttribute("class", "swatch");
   svg.setAttribute("aria-hidden", "true");
   const line = document.createElementNS("http://www.w3.org/2000/svg", "path");
   line.setAttribute("d", "M0 4H22");
-  line.setAttribute("stroke", ink(colour));
+  line.setAttribute("stroke", ink("--ink"));
   line.setAttribute("stroke-width", "2");
   line.setAttribute("stroke-dasharray", dash.join(" "));
   svg.append(line);

@@ -8,7 +8,8 @@ let listed = "";
 export async function startCompare() {
   const { other } = await get("api/compare"), { run } = page;
   page.other = { run: other, moment: null, points: [] };
-  byId("other-figure").hidden = byId("compare").hidden = byId("this-caption").hidden = false;
+  byId("other-figure").hidden = byId("compare").hidden = byId("this-caption").hidden = byId("curve-runs").hidden = false;
+  document.querySelector("main").classList.add("comparing");
   const name = (run, text) => `${text}: ${run.run} (${run.policy}, seed ${run.seed})`;
   byId("this-name").textContent = name(run, "this run");
   byId("other-name").textContent = name(other, "other run");
