@@ -58,7 +58,8 @@ def main():
             with live(reveille, here, args.devices, "1ms") as page:
                 watch(page, args.minutes)
             return
-        with live(reveille, here, DEVICES, "4ms") as page:
+        # A short range and a lossy uplink give missed events, wake-ups and lost reports.
+        with live(reveille, here, DEVICES, "4ms", "--set sensing.d_max=2 --set radio.uplink_loss=0.5") as page:
             check_live(page, args.pictures)
         with compared(reveille, here) as page:
             check_comparison(page, args.pictures)
@@ -188,8 +189,8 @@ def browsed(here, url):
 
 
 @contextlib.contextmanager
-def live(reveille, here, devices, pace):
-    run = f"up -p knn -n {devices} -k 10000000 -P 3 --pace {pace} --quiet --out out --dashboard 127.0.0.1:0".split()
+def live(reveille, here, devices, pace, options=""):
+    run = f"up -p knn -n {devices} -k 10000000 -P 3 --pace {pace} {options} --quiet --out out --dashboard 127.0.0.1:0".split()
     with started(here, "log", reveille, *run) as url, browsed(here, url) as page:
         page.until("window.reveille?.moment && window.reveille.now.next > 300", 60)
         yield page

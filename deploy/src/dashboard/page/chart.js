@@ -90,7 +90,7 @@ export class Chart {
     const { canvas, draw } = hiddenCanvas(width, height);
     const values = this.runs.flatMap(({ points }) => points.flatMap(([, all]) => all)).filter((value) => value !== null && value !== undefined);
     const hasValues = values.length > 0, bottom = height - MARGIN.bottom;
-    const most = this.most ?? (Math.max(...values.slice(0, 1), ...[values.reduce((a, b) => Math.max(a, b), 0)]) * 1.06 || 1);
+    const most = this.most ?? highest(values);
     const y = (value) => bottom - (value / most) * (bottom - MARGIN.top);
     draw.font = "11px system-ui, sans-serif";
     draw.lineWidth = 1;
@@ -107,6 +107,9 @@ export class Chart {
     }
     this.decorate?.(draw, bottom);
     this.paintTtis(draw, width, bottom);
+    draw.beginPath();
+    draw.rect(MARGIN.left, 0, width - MARGIN.left, bottom + 1);
+    draw.clip();
     for (const { points, colour } of this.runs) {
       draw.strokeStyle = ink(colour);
       draw.lineWidth = 1.7;
@@ -207,11 +210,12 @@ export class Chart {
   // Names of lines with their dash patterns and the values of each run, in its colour.
   showLegend(found) {
     const text = this.series.map((line, nth) => `${line} ${found.map(({ name, values }) => `${found.length > 1 ? name : ""} ${shortNumber(values[nth])}`).join(", ")}`).join("; ");
+    const hasValues = found.some(({ values }) => values.some((value) => value !== null && value !== undefined));
     const key = text + ink("--line");
     if (this.legendKey === key) return;
     this.legendKey = key;
     this.canvas.setAttribute("aria-label", `${this.title}, ${this.unit}: ${this.notice || text}`);
-    this.legend.replaceChildren(...this.series.map((line, nth) => element("span", {}, ...(line ? [swatch(DASHES[nth]), line] : []), ...found.map(({ colour, values }) => {
+    this.legend.replaceChildren(...(hasValues ? this.series : []).map((line, nth) => element("span", {}, ...(line ? [swatch(DASHES[nth]), line] : []), ...found.map(({ colour, values }) => {
       const value = element("b", { textContent: shortNumber(values[nth]) });
       if (found.length > 1) value.style.color = ink(colour);
       return value;
@@ -228,6 +232,12 @@ export class Chart {
     }));
     return [header, ...[...byTti].sort(([a], [b]) => a - b).map(([tti, row]) => [tti, ...row])];
   }
+}
+
+// The top of an axis. A short peak, such as the first plan, does not hide the rest: its line leaves the chart.
+function highest(values) {
+  const sorted = values.toSorted((a, b) => a - b), most = sorted.at(-1) ?? 0, usual = sorted[Math.floor(0.95 * sorted.length)] ?? 0;
+  return (usual > 0 && most > 3 * usual ? 1.5 * usual : 1.06 * most) || 1;
 }
 
 // A short line with a dash pattern, for legends.

@@ -15,9 +15,9 @@ let chart, requested = 0;
 // Paints the states as a band at the foot of the chart.
 function paintStates(draw, history, bottom) {
   history.states.split("").forEach((state, nth) => {
-    const x = chart.x(history.from + nth);
+    const x = Math.round(chart.x(history.from + nth));
     draw.fillStyle = ink(STATE_COLOURS[state]);
-    draw.fillRect(x, bottom - 10, Math.max(chart.x(history.from + nth + 1) - x, 1), 10);
+    draw.fillRect(x, bottom - 10, Math.max(Math.round(chart.x(history.from + nth + 1)) - x, 1), 10);
   });
 }
 

@@ -148,9 +148,15 @@ async function refreshOften() {
   } catch { /* the status line reports a lost connection */ }
   charts.show();
   if (page.follows && page.device >= 0) report(showDevice());
-  if (page.follows && byId("filters").here.checked) report(showMessages());
   schedulePaint();
   if (!page.now.over) setTimeout(refreshOften, 1000);
+}
+
+// Keeps the table of messages at the latest TTI.
+async function refreshMessages() {
+  const isDue = page.follows && !document.hidden && byId("filters").here.checked;
+  if (isDue) await report(showMessages());
+  if (!page.now.over) setTimeout(refreshMessages, 400);
 }
 
 function showAbout() {
@@ -160,7 +166,9 @@ function showAbout() {
   byId("about").textContent = `${policy} · ${devices} devices · seed ${seed} · preset ${preset}`;
   if (!path) return;
   byId("folder").hidden = false;
-  byId("path").textContent = path;
+  // The mark keeps the leading slash in place: a long path is cut at its start, in a right-to-left box.
+  byId("path").textContent = `\u200e${path}`;
+  byId("path").title = path;
   byId("copy-path").onclick = () => navigator.clipboard.writeText(path).then(() => { byId("copy-path").textContent = "Copied"; }, () => getSelection().selectAllChildren(byId("path")));
 }
 
@@ -183,6 +191,7 @@ async function begin() {
   receive(page.now);
   await show(page.run.live ? page.now.next - 1 : page.now.first);
   refreshOften();
+  refreshMessages();
   if (page.run.live) followRun(receive, (error) => {
     if (!page.now.over) showProblem(error.message);
     return page.now.over;

@@ -96,7 +96,7 @@ export class MapPanel {
     }
     if (HEATS[this.layer]) {
       const most = this.heat?.[this.layer]?.reduce((a, b) => Math.max(a, b), 0);
-      entries.push(entry(mark("■", "--event"), `${HEATS[this.layer]}${most === undefined ? "" : `: darkest ${most}`}`));
+      entries.push(entry(mark("■", "--event"), `${HEATS[this.layer]}${most === undefined ? "" : most ? `: darkest ${most}` : ": none so far"}`));
       if (this.layer === "battery") entries.pop();
     }
     byId("legend").replaceChildren(...entries);

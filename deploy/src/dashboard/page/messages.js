@@ -27,14 +27,16 @@ export async function showMessages() {
   // The shown TTI comes first; within a TTI, the order of the messages stays.
   rows = isHere ? found.sort((a, b) => b.tti - a.tti || a.id - b.id) : found;
   byId("refused").textContent = rows.length ? "" : "no messages match";
+  // A run that is followed has moved on meanwhile: its latest messages count as shown.
+  const shown = page.follows && rows.length ? rows[0].tti : page.tti;
   const lines = rows.map((row) => {
     const line = element("tr", { tabIndex: 0 }, ...COLUMNS.map((name) => element("td", { textContent: row[name] })));
     line.dataset.id = row.id;
     line.dataset.plane = row.plane;
-    if (row.tti === page.tti) line.className = "shown";
+    if (row.tti === shown) line.className = "shown";
     return line;
   });
-  if (isHere && rows.length && rows[0].tti !== page.tti) {
+  if (isHere && rows.length && rows[0].tti !== shown) {
     lines.unshift(element("tr", { className: "gap" }, element("td", { colSpan: COLUMNS.length, textContent: `no message in TTI ${page.tti}; earlier ones follow` })));
   }
   byId("messages").tBodies[0].replaceChildren(...lines);

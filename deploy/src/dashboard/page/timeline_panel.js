@@ -35,6 +35,7 @@ export class TimelinePanel {
 
   change(act) {
     act(this.view);
+    this.showReadout(null);
     byId("timeline-follow").setAttribute("aria-pressed", this.view.follows);
     this.timeline.schedule();
   }
