@@ -52,7 +52,7 @@ def main():
         sys.exit("chromium is not here: not checked")
     if args.pictures:
         args.pictures.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         reveille, here = args.reveille.resolve(), Path(folder)
         if args.minutes:
             with live(reveille, here, args.devices, "1ms") as page:
@@ -249,7 +249,9 @@ def check_comparison(page, pictures):
 
 
 def watch(page, minutes):
-    """Watches a long run and measures the page's updates, paints and memory."""
+    """Watches a long run with the timeline on the screen, and measures the page's updates, paints and memory."""
+    page.shape(1440, 900, "light")
+    page.centre("#timeline")
     start = time.monotonic()
     counts = "[reveille.updates, reveille.paints, reveille.timeline.paints, reveille.now.next]"
     (updates, paints, timeline_paints, _), begun = page.value(counts), start

@@ -30,7 +30,7 @@ use crate::metrics_server::is_allowed_host;
 /// The header that holds the token.
 const TOKEN_HEADER: &str = "x-reveille-token";
 /// Least time between two updates of the page.
-const UPDATE_INTERVAL: Duration = Duration::from_millis(40);
+const UPDATE_INTERVAL: Duration = Duration::from_millis(45);
 /// Most messages in one answer.
 const MAX_MESSAGES: usize = 1_000;
 /// Longest history of a device and longest search for states, TTIs.
@@ -59,12 +59,14 @@ impl ApiState {
         let now = Arc::new(watch::Sender::new(Arc::from("{}")));
         let (feed_copy, send) = (Arc::clone(&feed), Arc::clone(&now));
         tokio::spawn(async move {
+            let mut next_update = tokio::time::Instant::now();
             loop {
                 // `notify_waiters` keeps no permit: the timeout covers a notification that came while nothing waited.
                 let notified = tokio::time::timeout(Duration::from_secs(1), feed_copy.changed.notified()).await;
                 if notified.is_ok() {
-                    tokio::time::sleep(UPDATE_INTERVAL).await;
+                    tokio::time::sleep_until(next_update).await;
                 }
+                next_update = tokio::time::Instant::now() + UPDATE_INTERVAL;
                 // Without a listener the state is not computed.
                 if send.receiver_count() > 0 {
                     let _gone = send.send(Arc::from(feed_copy.current_json().to_string())).is_err();

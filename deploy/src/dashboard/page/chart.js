@@ -4,6 +4,7 @@ import { shortNumber, ticks, ttiText } from "./axis.js";
 import { addExport } from "./export.js";
 import { element } from "./page_state.js";
 import { hiddenCanvas, ink, prepareCanvas } from "./theme.js";
+import { isVisible, onAppear, sizeOf } from "./visibility.js";
 
 const DASHES = [[], [7, 3], [2, 2.5]];
 const MARGIN = { left: 44, right: 10, top: 8, bottom: 20 };
@@ -23,6 +24,7 @@ export class Chart {
     box.append(this.figure);
     addExport(this.figure.querySelector("header"), { name: id, title, canvas: () => this.canvas, rows: () => this.rows() });
     this.listen();
+    onAppear(this.canvas, () => this.paint());
   }
 
   listen() {
@@ -64,7 +66,7 @@ export class Chart {
   }
 
   get width() {
-    return this.canvas.clientWidth - MARGIN.left - MARGIN.right;
+    return sizeOf(this.canvas).width - MARGIN.left - MARGIN.right;
   }
 
   ttiAt(x) {
@@ -152,12 +154,13 @@ export class Chart {
   }
 
   paint() {
+    if (!isVisible(this.canvas)) return;
     const { draw, width, height } = prepareCanvas(this.canvas);
     if (width < 60) return;
     const key = [width, height, devicePixelRatio, ink("--line")].join();
     if (this.ground?.key !== key) this.ground = { ...this.paintGround(width, height), key };
     draw.drawImage(this.ground.canvas, 0, 0, width, height);
-    if (this.tti !== null) this.paintRule(draw, height, this.tti, "--faint", []);
+    if (this.tti !== null && this.ground.hasValues) this.paintRule(draw, height, this.tti, "--faint", []);
     this.note.hidden = this.ground.hasValues;
     this.note.textContent = this.notice || this.emptyText;
     this.paintReadout(draw, height);
@@ -202,9 +205,9 @@ export class Chart {
     const lines = found.flatMap(({ name, values }) => this.series.map((line, nth) =>
       `${[this.runs.length > 1 ? name : "", line].filter(Boolean).join(" ")} ${shortNumber(values[nth])}`.trim()));
     this.readout.textContent = [`TTI ${ttiText(Math.round(tti))}`, ...lines].join("\n");
-    const isRight = this.x(tti) > this.canvas.clientWidth / 2;
+    const { width } = sizeOf(this.canvas), isRight = this.x(tti) > width / 2;
     this.readout.style.left = isRight ? "auto" : `${this.x(tti) + 8}px`;
-    this.readout.style.right = isRight ? `${this.canvas.clientWidth - this.x(tti) + 8}px` : "auto";
+    this.readout.style.right = isRight ? `${width - this.x(tti) + 8}px` : "auto";
   }
 
   // Names of lines with their dash patterns and the values of each run, in its colour.

@@ -4,6 +4,7 @@ import { shortNumber, ticks } from "./axis.js";
 import { addExport } from "./export.js";
 import { element, page, plural } from "./page_state.js";
 import { batteryShare, ink, prepareCanvas } from "./theme.js";
+import { isVisible, onAppear } from "./visibility.js";
 
 const BINS = 20;
 const MARGIN = { left: 44, right: 10, top: 8, bottom: 20 };
@@ -18,6 +19,7 @@ export class Histogram {
     box.append(element("figure", { id: "histogram", className: "chart" }, header, element("div", { className: "plot" }, this.canvas, this.readout), this.legend));
     addExport(header, { name: "batteries", title: "Batteries", canvas: () => this.canvas, rows: () => this.rows() });
     this.bin = null;
+    onAppear(this.canvas, () => this.paint());
     const point = (event) => {
       const width = this.canvas.clientWidth - MARGIN.left - MARGIN.right;
       this.choose(Math.floor(((event.clientX - this.canvas.getBoundingClientRect().left - MARGIN.left) / width) * BINS));
@@ -48,7 +50,7 @@ export class Histogram {
   }
 
   paint() {
-    if (!page.moment?.states) return;
+    if (!page.moment?.states || !isVisible(this.canvas)) return;
     const { draw, width, height } = prepareCanvas(this.canvas);
     if (width < 60) return;
     const most = Math.max(...page.run.e_max), bottom = height - MARGIN.bottom, inner = width - MARGIN.left - MARGIN.right;

@@ -119,6 +119,7 @@ function listen() {
   byId("forward").onclick = () => chooseTti(page.tti + 1);
   byId("scrubber").oninput = (event) => chooseTti(+event.target.value);
   byId("tti").onchange = (event) => chooseTti(+event.target.value);
+  byId("follow").hidden = byId("timeline-follow").hidden = !page.run.live;
   byId("follow").onclick = follow;
   byId("bookmark").onclick = bookmark;
   byId("next-miss").onclick = () => report(showMiss(true, chooseTti));
@@ -130,7 +131,7 @@ function listen() {
   startKeys({
     ArrowLeft: (count) => chooseTti(page.tti - count), ArrowRight: (count) => chooseTti(page.tti + count),
     n: () => report(showMiss(true, chooseTti)), p: () => report(showMiss(false, chooseTti)),
-    l: follow, b: bookmark, "?": () => byId("keys").showModal(), ...clockKeys,
+    l: () => page.run.live && follow(), b: bookmark, "?": () => byId("keys").showModal(), ...clockKeys,
   });
   addEventListener("resize", repaint);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", repaint);

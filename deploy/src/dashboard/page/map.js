@@ -1,8 +1,8 @@
 // The map: the ground, the devices by battery and state, the event and its belief.
 
 import { MapGround, paintScaleBar } from "./map_ground.js";
-import { SymbolSheet, symbolsOf } from "./map_symbols.js";
-import { batteryShare, ink, prepareCanvas } from "./theme.js";
+import { DeviceLayer } from "./map_devices.js";
+import { ink, prepareCanvas } from "./theme.js";
 
 const EDGE = 10;
 
@@ -11,7 +11,7 @@ export class DeviceMap {
     this.canvas = canvas;
     this.run = run;
     this.ground = new MapGround(this);
-    this.symbols = new SymbolSheet();
+    this.devices = new DeviceLayer(this);
     canvas.style.aspectRatio = `${run.area[0]} / ${run.area[1]}`;
   }
 
@@ -45,7 +45,9 @@ export class DeviceMap {
     draw.drawImage(this.ground.canvas(width, height, layer, heat, moment), 0, 0, width, height);
     this.paintBelief(moment.belief ?? []);
     if (moment.event) this.paintRange(moment, this.perMetre(width, height) * this.run.d_max);
-    this.paintDevices(moment, chosen, Math.max(2, Math.min(8, width / 9 / Math.sqrt(this.run.devices))));
+    const size = Math.max(2, Math.min(8, width / 9 / Math.sqrt(this.run.devices)));
+    draw.drawImage(this.devices.canvas(moment, width, height, size), 0, 0, width, height);
+    if (chosen >= 0) this.paintChosen(chosen, size);
     if (moment.event) this.paintEpicentre(moment.event.epicentre);
     paintScaleBar(draw, this, width, height);
   }
@@ -84,22 +86,10 @@ export class DeviceMap {
     draw.setLineDash([]);
   }
 
-  paintDevices(moment, chosen, size) {
-    const { draw, run } = this, symbols = symbolsOf(moment), active = [];
-    const paint = (device, scale) => {
-      const [x, y] = this.at(run.positions[device]);
-      const { canvas, edge } = this.symbols.picture(symbols[device], batteryShare(moment, device), size * scale);
-      draw.drawImage(canvas, x - edge / 2, y - edge / 2, edge, edge);
-    };
-    symbols.forEach((symbol, device) => {
-      if (symbol === "asleep" || symbol === "unpowered" || symbol === "sensing") paint(device, 1);
-      else active.push(device);
-    });
-    // Above the others, so that none of the active devices is hidden.
-    for (const device of active) paint(device, 1);
-    if (chosen < 0) return;
+  paintChosen(device, size) {
+    const { draw } = this;
     draw.beginPath();
-    draw.arc(...this.at(run.positions[chosen]), 2.4 * size + 2, 0, 2 * Math.PI);
+    draw.arc(...this.at(this.run.positions[device]), 2.4 * size + 2, 0, 2 * Math.PI);
     draw.strokeStyle = ink("--ink");
     draw.lineWidth = 2;
     draw.stroke();

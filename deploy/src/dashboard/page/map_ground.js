@@ -81,21 +81,20 @@ export function paintScaleBar(draw, map, width, height) {
   const metres = map.run.area[0], perMetre = map.perMetre(width, height);
   const length = ticks(0, metres, 4).find((value) => value > 0) ?? metres;
   const x = 16, y = height - 16, text = `${length} m`;
-  draw.font = "600 11px system-ui, sans-serif";
-  const wide = length * perMetre;
-  draw.globalAlpha = 0.82;
-  draw.fillStyle = ink("--paper");
-  draw.fillRect(x - 6, y - 18, Math.max(wide, draw.measureText(text).width) + 12, 25);
-  draw.globalAlpha = 1;
-  draw.strokeStyle = draw.fillStyle = ink("--ink");
-  draw.lineWidth = 1.5;
-  draw.beginPath();
-  draw.moveTo(x, y - 4);
-  draw.lineTo(x, y);
-  draw.lineTo(x + wide, y);
-  draw.lineTo(x + wide, y - 4);
-  draw.stroke();
+  draw.font = "600 12px system-ui, sans-serif";
   draw.textAlign = "left";
   draw.textBaseline = "bottom";
-  draw.fillText(text, x, y - 4);
+  draw.beginPath();
+  draw.moveTo(x, y - 5);
+  draw.lineTo(x, y);
+  draw.lineTo(x + length * perMetre, y);
+  draw.lineTo(x + length * perMetre, y - 5);
+  // A halo instead of a box, which would hide devices.
+  for (const [colour, wide] of [["--field", 5], ["--ink", 1.5]]) {
+    draw.strokeStyle = draw.fillStyle = ink(colour);
+    draw.lineWidth = wide;
+    draw.stroke();
+    if (wide > 2) draw.strokeText(text, x + 5, y - 3);
+    else draw.fillText(text, x + 5, y - 3);
+  }
 }

@@ -5,8 +5,9 @@ import { addExport } from "./export.js";
 import { groupHue } from "./map_ground.js";
 import { DeviceMap } from "./map.js";
 import { SYMBOLS, drawSymbol, symbolsOf } from "./map_symbols.js";
-import { byId, element, page } from "./page_state.js";
+import { byId, element, page, setText } from "./page_state.js";
 import { batteryGradient, batteryShare, hiddenCanvas, ink } from "./theme.js";
+import { isVisible, onAppear } from "./visibility.js";
 
 const HEATS = { misses: "missed events nearest to each device, since TTI 0", looks: "TTIs in which each device has sensed, since TTI 0", battery: "battery in the shown TTI" };
 
@@ -32,6 +33,7 @@ export class MapPanel {
     this.map = new DeviceMap(byId("map"), run);
     this.otherMap = other ? new DeviceMap(byId("other-map"), other.run) : null;
     this.heat = null;
+    for (const canvas of [byId("map"), byId("other-map")]) onAppear(canvas, () => this.paint());
     this.hasBelief = false;
     const layer = byId("layer");
     if (!run.groups) layer.querySelector("[value=cluster]").remove();
@@ -54,15 +56,15 @@ export class MapPanel {
 
   paint() {
     const { moment, other, device } = page;
-    if (!moment?.states) return;
+    if (!moment?.states || !(isVisible(byId("map")) || isVisible(byId("other-map")))) return;
     this.map.paint(moment, device, this.layer, this.heat);
     const text = describeMoment(moment);
-    byId("description").textContent = text || "no event in this TTI";
+    setText(byId("description"), text || "no event in this TTI");
     byId("map").setAttribute("aria-label", `Map of ${page.run.devices} devices in TTI ${page.tti}. ${text}`);
     if (other?.moment) {
       // Heat layers sum over this run only.
       this.otherMap.paint(other.moment, device, this.layer in { misses: 1, looks: 1 } ? "none" : this.layer, null);
-      byId("other-description").textContent = describeMoment(other.moment) || "no event in this TTI";
+      setText(byId("other-description"), describeMoment(other.moment) || "no event in this TTI");
     }
     this.hasBelief ||= Boolean(moment.belief ?? other?.moment?.belief);
     this.showLegend();

@@ -1,6 +1,6 @@
 // The symbols of devices on the map and in its legend.
 
-import { batteryColour, hiddenCanvas, ink } from "./theme.js";
+import { ink } from "./theme.js";
 
 // What a device does in a TTI. Reports differ by the reason why the device was active.
 export const SYMBOLS = {
@@ -58,21 +58,4 @@ export function drawSymbol(draw, symbol, x, y, size, fill) {
   draw.strokeStyle = ink(symbol === "failed" ? "--event" : "--unpowered");
   draw.lineWidth = symbol === "failed" ? 2.5 : 1.5;
   draw.stroke();
-}
-
-const LEVELS = 32;
-
-// Pictures of all symbols at all battery levels, so that thousands of devices paint fast.
-export class SymbolSheet {
-  picture(symbol, share, size) {
-    const key = [size, devicePixelRatio, ink("--ink")].join();
-    if (this.key !== key) Object.assign(this, { key, pictures: new Map() });
-    const level = Math.round(share * LEVELS), name = symbol + level;
-    if (!this.pictures.has(name)) {
-      const edge = Math.ceil(4 * size + 6), { canvas, draw } = hiddenCanvas(edge, edge);
-      drawSymbol(draw, symbol, edge / 2, edge / 2, size, batteryColour(level / LEVELS));
-      this.pictures.set(name, { canvas, edge });
-    }
-    return this.pictures.get(name);
-  }
 }

@@ -21,4 +21,9 @@ export function element(tag, properties = {}, ...children) {
   return made;
 }
 
+// Sets the text of an element. An unchanged text costs no layout.
+export function setText(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+}
+
 export const plural = (count, noun) => `${count} ${noun}${count === 1 ? "" : "s"}`;

@@ -1,7 +1,7 @@
 // The state of the run, with the names of `reveille clock status` and of the progress bar.
 
 import { clockText, ttiText } from "./axis.js";
-import { byId, page, plural } from "./page_state.js";
+import { byId, page, plural, setText } from "./page_state.js";
 
 // The state from the latest update and the latest status of the clock.
 export function runState() {
@@ -27,15 +27,15 @@ export function showRunState() {
     chip.textContent = state;
     chip.dataset.state = state;
   }
-  byId("progress").textContent = now.next ? `TTI ${ttiText(now.next - 1)} of ${ttiText(run.ttis)}` : `before TTI 0 of ${ttiText(run.ttis)}`;
-  byId("counted").textContent = countedText();
-  byId("wall").textContent = now.wall_s === null || !run.live ? "" : `${run.is_whole_wall_time ? "wall clock" : "watched for"} ${clockText(now.wall_s)}`;
-  byId("message-count").textContent = `${ttiText(now.messages)} messages`;
+  setText(byId("progress"), now.next ? `TTI ${ttiText(now.next - 1)} of ${ttiText(run.ttis)}` : `before TTI 0 of ${ttiText(run.ttis)}`);
+  setText(byId("counted"), countedText());
+  setText(byId("wall"), now.wall_s === null || !run.live ? "" : `${run.is_whole_wall_time ? "wall clock" : "watched for"} ${clockText(now.wall_s)}`);
+  setText(byId("message-count"), `${ttiText(now.messages)} messages`);
   const behind = now.next - 1 - page.tti;
-  byId("shown").textContent = page.follows && run.live ? "the latest" : behind > 0 ? `${plural(behind, "TTI")} before the latest` : "the last";
+  setText(byId("shown"), page.follows && run.live ? "the latest" : behind > 0 ? `${plural(behind, "TTI")} before the latest` : "the last");
 }
 
 // Shows an error, or removes it.
 export function showProblem(text = "") {
-  byId("problem").textContent = text;
+  setText(byId("problem"), text);
 }

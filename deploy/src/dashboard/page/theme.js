@@ -1,5 +1,7 @@
 // Colours of the page, from the style sheet, and canvases in device pixels.
 
+import { sizeOf } from "./visibility.js";
+
 let known = {};
 
 // Forgets the colours after a change of the colour scheme.
@@ -35,7 +37,7 @@ export const batteryShare = (moment, device) => parseInt(moment.batteries.slice(
 
 // Clears a canvas and fits its pixels to its size on the screen.
 export function prepareCanvas(canvas) {
-  const ratio = devicePixelRatio || 1, width = canvas.clientWidth, height = canvas.clientHeight;
+  const ratio = devicePixelRatio || 1, { width, height } = sizeOf(canvas);
   if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
     canvas.width = Math.round(width * ratio);
     canvas.height = Math.round(height * ratio);

@@ -7,6 +7,7 @@ import { ASLEEP, FAILED, REPORTED, REPORTING, SENSING, TILE_COLUMNS, TILE_ROWS, 
 import { ROW, tilePicture } from "./timeline_tile.js";
 import { GUTTER, HEAD, TimelineWindow } from "./timeline_window.js";
 import { ink, prepareCanvas } from "./theme.js";
+import { isVisible, onAppear } from "./visibility.js";
 
 const EVENT_TOP = 26, EVENT_BOTTOM = 42;
 // Time between two requests for events, in milliseconds.
@@ -21,6 +22,7 @@ export class Timeline {
     this.data = new TimelineData(() => this.schedule());
     scroll.addEventListener("scroll", () => this.schedule(), { passive: true });
     new ResizeObserver(() => this.schedule()).observe(scroll);
+    onAppear(scroll, () => this.schedule());
   }
 
   showDevices(devices) {
@@ -47,7 +49,7 @@ export class Timeline {
   }
 
   paint() {
-    if (!page.now) return;
+    if (!page.now || !isVisible(this.scroll)) return;
     const { draw, width, height } = prepareCanvas(this.canvas);
     Object.assign(this.window, { width, height, scroll: this.scroll.scrollTop });
     if (width < GUTTER) return;
