@@ -141,10 +141,15 @@ impl RunHistory {
             Some(tti) => sensing_flags(&self.now, tti, views.len()),
             None => Vec::new(),
         };
+        // An event that ends with the current TTI is still in progress in it.
+        let ended = self.latest.ended.map(|record| Stimulus {
+            event: record.event,
+            epicentre: record.epicentre,
+        });
         TtiSnapshot {
             views,
             on,
-            event: self.now.stimulus(),
+            event: self.now.stimulus().or(ended),
             ..self.latest.clone()
         }
     }
@@ -238,10 +243,8 @@ impl RunHistory {
         let own = self.snapshots.iter().rev().find(|snapshot| snapshot.next_tti <= from)?;
         let near = near.filter(|near| near.next_tti <= from && near.next_tti > own.next_tti);
         let snapshot = near.unwrap_or_else(|| own.clone());
-        let numbered = (snapshot.next_frame..).zip(
-            self.frames
-                .range((snapshot.next_frame - self.first_frame) as usize..),
-        );
+        let numbered =
+            (snapshot.next_frame..).zip(self.frames.range((snapshot.next_frame - self.first_frame) as usize..));
         let frames = numbered
             .take_while(|(_, frame)| frame.tti < end)
             .filter(|(_, frame)| frame.kind.plane() != Plane::Emu)

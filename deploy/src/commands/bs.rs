@@ -436,7 +436,13 @@ async fn start_services(service: &Service<'_>, folder: &Path) -> anyhow::Result<
     let watchers = RunWatchers::start(output, &run.to_string(), scenario, process).await?;
     let feed_handle = match service.dashboard {
         Some(address) => {
-            let feed = Feed::new(&run.to_string(), scenario, device_groups(scenario), FeedOrigin::OwnRun(folder), None);
+            let feed = Feed::new(
+                &run.to_string(),
+                scenario,
+                device_groups(scenario),
+                FeedOrigin::OwnRun(folder),
+                None,
+            );
             let served =
                 crate::dashboard::serve(address, Arc::clone(&feed), Some(bus.with_key(service.settings.run_key)))
                     .await?;

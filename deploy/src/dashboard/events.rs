@@ -125,6 +125,10 @@ mod tests {
         assert_eq!(overlapping.as_array().map(Vec::len), Some(1), "{overlapping}");
         log.push(record(40, 41, 0.0, 1), Tti(15));
         assert_eq!(start(log.miss_before(Tti(40))), Some(30.into()));
-        assert_eq!(start(log.miss_after(Tti(0))), Some(20.into()), "the first two are dropped");
+        assert_eq!(
+            start(log.miss_after(Tti(0))),
+            Some(20.into()),
+            "the first two are dropped"
+        );
     }
 }

@@ -143,7 +143,11 @@ impl Columns {
         bytes.extend((self.columns as u32).to_le_bytes());
         bytes.extend((self.rows as u32).to_le_bytes());
         bytes.extend(&self.flags);
-        bytes.extend(self.sensing_ttis.iter().map(|ttis| (u64::from(*ttis) * 255 / step) as u8));
+        bytes.extend(
+            self.sensing_ttis
+                .iter()
+                .map(|ttis| (u64::from(*ttis) * 255 / step) as u8),
+        );
         bytes.extend(&self.batteries);
         bytes
     }
@@ -226,7 +230,11 @@ mod tests {
                     assert_eq!(usize::from(bytes[cells + cell]), sensing * 255 / 4, "TTIs {ttis:?}");
                     assert_eq!(bytes[cell] & SENSING != 0, sensing > 0, "TTIs {ttis:?}");
                     let last = views.last().expect("a TTI");
-                    assert_eq!(bytes[2 * cells + cell], battery_byte(last.battery, e_max), "TTIs {ttis:?}");
+                    assert_eq!(
+                        bytes[2 * cells + cell],
+                        battery_byte(last.battery, e_max),
+                        "TTIs {ttis:?}"
+                    );
                     let is_woken = snapshots
                         .iter()
                         .any(|snapshot| snapshot.woken.iter().any(|(woken, _)| woken == device));

@@ -1,4 +1,4 @@
-// The map: the ground, the devices by battery and state, the event and its belief.
+// The map: the ground, the devices by battery and state, the event and the belief about it.
 
 import { MapGround, paintScaleBar } from "./map_ground.js";
 import { DeviceLayer } from "./map_devices.js";
@@ -47,6 +47,7 @@ export class DeviceMap {
     if (moment.event) this.paintRange(moment, this.perMetre(width, height) * this.run.d_max);
     const size = Math.max(2, Math.min(8, width / 9 / Math.sqrt(this.run.devices)));
     draw.drawImage(this.devices.canvas(moment, width, height, size), 0, 0, width, height);
+    if (layer === "cluster" && this.run.groups) this.ground.paintClusterNumbers(draw, width, height);
     if (chosen >= 0) this.paintChosen(chosen, size);
     if (moment.event) this.paintEpicentre(moment.event.epicentre);
     paintScaleBar(draw, this, width, height);

@@ -51,17 +51,22 @@ export class MapGround {
       draw.globalAlpha = 1;
       draw.stroke();
     });
-    if (layer === "cluster" && run.groups) this.paintClusterNumbers(draw, width, height);
     return canvas;
   }
 
-  paintClusterNumbers(draw, width, height) {
+  // The mean position of the devices of each cluster.
+  findCentres() {
     const { run } = this.map, centres = new Map();
     run.groups.forEach((group, device) => {
       const sum = centres.get(group) ?? { x: 0, y: 0, count: 0 };
       centres.set(group, { x: sum.x + run.positions[device].x, y: sum.y + run.positions[device].y, count: sum.count + 1 });
     });
-    const size = Math.max(10, Math.min(20, width / 2.6 / Math.sqrt(centres.size)));
+    return centres;
+  }
+
+  paintClusterNumbers(draw, width, height) {
+    this.centres ??= this.findCentres();
+    const { centres } = this, size = Math.max(10, Math.min(20, width / 2.6 / Math.sqrt(centres.size)));
     draw.font = `600 ${size}px system-ui, sans-serif`;
     draw.textAlign = "center";
     draw.textBaseline = "middle";

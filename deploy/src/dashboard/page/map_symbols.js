@@ -32,7 +32,8 @@ const DIAMOND = [[0, -1.7], [1.7, 0], [0, 1.7], [-1.7, 0]];
 export function drawSymbol(draw, symbol, x, y, size, fill) {
   draw.fillStyle = fill;
   draw.strokeStyle = ink("--ink");
-  draw.lineWidth = 1;
+  // A full line would leave little of a small symbol.
+  draw.lineWidth = size < 3 ? 0.5 : 1;
   if (symbol === "reporting") path(draw, TRIANGLE, x, y, size);
   else if (symbol === "woken") path(draw, DIAMOND, x, y, size);
   else if (symbol === "sensing") {
@@ -45,7 +46,7 @@ export function drawSymbol(draw, symbol, x, y, size, fill) {
   const outline = { sensing: "--accent", reporting: "--event", woken: "--woken" }[symbol];
   if (outline) {
     draw.strokeStyle = ink(outline);
-    draw.lineWidth = 2.5;
+    draw.lineWidth = size < 3 ? 1.5 : 2.5;
   }
   draw.fill();
   draw.stroke();

@@ -17,7 +17,7 @@ const FLAG_NAMES = [[SENSING, "S1 senses"], [REPORTING, "S3"], [ASLEEP, "S4 slee
 
 export class Timeline {
   constructor(scroll, canvas, spacer) {
-    Object.assign(this, { scroll, canvas, spacer, devices: [], events: [], eventsKey: "", paints: 0 });
+    Object.assign(this, { scroll, canvas, spacer, devices: [], events: [], paints: 0 });
     this.window = new TimelineWindow();
     this.data = new TimelineData(() => this.schedule());
     scroll.addEventListener("scroll", () => this.schedule(), { passive: true });
@@ -123,8 +123,6 @@ export class Timeline {
     draw.rect(GUTTER, 0, width - GUTTER, HEAD);
     draw.clip();
     for (const { start, last, delay } of this.events) this.paintEvent(draw, start, last, delay === null);
-    const active = page.now.event;
-    if (active && this.activeStart !== undefined) this.paintEvent(draw, this.activeStart, page.now.next - 1, false);
     draw.restore();
   }
 
