@@ -360,6 +360,11 @@ def check_map(page):
     assert "belief" not in page.text("#legend"), "knn has no belief"
     symbols = page.value("[...document.querySelectorAll('#legend canvas')].map((canvas) => canvas.toDataURL())")
     assert len(symbols) == 6 and len(set(symbols)) == 6, "the symbols differ"
+    # The two reasons of a report differ in shape, not only in colour.
+    shapes = page.value(
+        "[...document.querySelectorAll('#legend canvas')].map((m) => [...m.getContext('2d').getImageData(0, 0, m.width, m.height).data].filter((_, i) => i % 4 === 3).map((a) => +(a > 128)).join('').replace(/^0+|0+$/g, ''))"
+    )
+    assert shapes[1] != shapes[2], "reports after sensing and after a wake-up"
     picture = "document.getElementById('map').toDataURL()"
     pictures = [page.value(picture)]
     for layer in ("looks", "misses", "battery", "none", "cluster"):
@@ -381,8 +386,14 @@ def check_curves(page):
     assert page.value("document.querySelectorAll('#charts .chart').length") == 7
     units = page.value("[...document.querySelectorAll('#charts .unit')].map((unit) => unit.textContent.trim())")
     assert all(units), units
-    ticks = page.value("[...window.painted].filter((text) => /^[0-9.]+k?$/.test(text)).length")
-    assert ticks > 8 and page.value("window.painted.has('TTI') && window.painted.has('units')"), f"{ticks} ticks"
+    # Without cluster numbers, all numbers belong to axes.
+    page.fill("#layer", "none")
+    page.centre("#chart-battery canvas")
+    page.value("(() => { window.painted.clear(); dispatchEvent(new Event('resize')); })()")
+    page.until("window.painted.has('TTI') && window.painted.has('units')")
+    ticks = page.value("[...window.painted].filter((text) => /^[0-9.]+k?$/.test(text))")
+    assert len(ticks) > 8 and {"0", "50", "100", "500"} <= set(ticks), ticks
+    page.fill("#layer", "cluster")
     note = page.text("#chart-p1 .note")
     assert note == "warm-up until TTI 1\u202f000\u202f000; nothing is counted yet", note
     readout = "document.querySelector('#chart-battery .readout')"
