@@ -54,14 +54,14 @@ impl TimelineCursor {
 
     /// Encodes the answer to `request` from `span`. Battery levels are shares of `e_max`.
     pub(super) fn encode(&self, request: &TimelineRequest, span: HistorySpan, e_max: Energy) -> Vec<u8> {
-        let mut columns = Columns::new(request, span.ttis().1);
+        let mut cells = Cells::new(request, span.ttis().1);
         for frame in span.frames() {
-            columns.mark(frame, request);
+            cells.mark(frame, request);
         }
         let end = span.ttis().1;
-        let near = span.for_each_tti(&request.devices, |tti, views| columns.add(tti, views, e_max));
+        let near = span.for_each_tti(&request.devices, |tti, views| cells.add(tti, views, e_max));
         *self.lock() = Some(near);
-        columns.encode(request.from, end, request.step)
+        cells.encode(request.from, end, request.step)
     }
 
     fn lock(&self) -> std::sync::MutexGuard<'_, Option<HistorySnapshot>> {
@@ -69,7 +69,8 @@ impl TimelineCursor {
     }
 }
 
-struct Columns {
+/// The cells of an answer, row by row.
+struct Cells {
     from: Tti,
     step: u64,
     columns: usize,
@@ -80,7 +81,7 @@ struct Columns {
     batteries: Vec<u8>,
 }
 
-impl Columns {
+impl Cells {
     fn new(request: &TimelineRequest, end: Tti) -> Self {
         let columns = (end - request.from).div_ceil(request.step) as usize;
         let rows = request.devices.len();
@@ -108,12 +109,16 @@ impl Columns {
             };
             matches!(woken.outcome, WakeOutcome::Failed(_) | WakeOutcome::Lost(_))
         };
-        let flag = match frame.kind {
-            MessageKind::Report => REPORTED,
-            MessageKind::Wake => WOKEN,
-            MessageKind::Failed | MessageKind::Lost => FAILED,
-            MessageKind::Woken if is_failed_wake_up() => FAILED,
-            _ => return,
+        let flag = if frame.kind == MessageKind::Report {
+            REPORTED
+        } else if frame.kind == MessageKind::Wake {
+            WOKEN
+        } else if matches!(frame.kind, MessageKind::Failed | MessageKind::Lost)
+            || (frame.kind == MessageKind::Woken && is_failed_wake_up())
+        {
+            FAILED
+        } else {
+            return;
         };
         let Some(number) = frame.number else { return };
         if let Some(row) = request.devices.iter().position(|device| device.0 == number) {
@@ -225,11 +230,11 @@ mod tests {
                     .collect();
                 for (row, device) in request.devices.iter().enumerate() {
                     let cell = 24 + row * columns + column;
-                    let views = snapshots.iter().map(|snapshot| snapshot.views[device.index()]);
+                    let mut views = snapshots.iter().map(|snapshot| snapshot.views[device.index()]);
                     let sensing = views.clone().filter(|view| view.state == DeviceState::Idle).count();
                     assert_eq!(usize::from(bytes[cells + cell]), sensing * 255 / 4, "TTIs {ttis:?}");
                     assert_eq!(bytes[cell] & SENSING != 0, sensing > 0, "TTIs {ttis:?}");
-                    let last = views.last().expect("a TTI");
+                    let last = views.next_back().expect("a TTI");
                     assert_eq!(
                         bytes[2 * cells + cell],
                         battery_byte(last.battery, e_max),

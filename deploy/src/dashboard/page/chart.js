@@ -22,7 +22,7 @@ export class Chart {
     const plot = element("div", { className: "plot" }, this.canvas, this.readout, this.note);
     this.figure = element("figure", { id: `chart-${id}`, className: "chart" }, element("header", {}, heading), plot, this.legend);
     box.append(this.figure);
-    addExport(this.figure.querySelector("header"), { name: id, title, canvas: () => this.canvas, rows: () => this.rows() });
+    addExport(this.figure.querySelector("header"), { name: id, title: `${title}, ${unit}`, canvas: () => this.picture(), rows: () => this.rows() });
     this.listen();
     onAppear(this.canvas, () => this.paint());
   }
@@ -223,6 +223,37 @@ export class Chart {
       if (found.length > 1) value.style.color = ink(colour);
       return value;
     }))));
+  }
+
+  // A copy of the chart with its legend, for a file: a line for the runs and one for the curves.
+  picture() {
+    const hasTwoRuns = this.runs.length > 1, line = 22;
+    const { width, height } = sizeOf(this.canvas), { canvas, draw } = hiddenCanvas(width, height + (hasTwoRuns ? 2 : 1) * line);
+    draw.drawImage(this.canvas, 0, 0, width, height);
+    draw.font = "12px system-ui, sans-serif";
+    draw.textBaseline = "middle";
+    let x = 8, y = height + line / 2;
+    const write = (text, colour) => {
+      draw.fillStyle = ink(colour);
+      draw.fillText(text, x, y);
+      x += draw.measureText(text).width + 14;
+    };
+    if (hasTwoRuns) {
+      for (const { name, colour } of this.runs) write(name, colour);
+      [x, y] = [8, y + line];
+    }
+    this.series.forEach((name, nth) => {
+      if (!name) return;
+      draw.strokeStyle = ink("--ink");
+      draw.setLineDash(DASHES[nth]);
+      draw.beginPath();
+      draw.moveTo(x, y);
+      draw.lineTo(x + 22, y);
+      draw.stroke();
+      x += 27;
+      write(name, "--ink");
+    });
+    return canvas;
   }
 
   rows() {

@@ -18,14 +18,18 @@ export function csvText(rows) {
 // A copy of a canvas below a title, on the colour of the page.
 function titledPicture(canvas, title) {
   const ratio = devicePixelRatio || 1, top = Math.round(34 * ratio), edge = Math.round(10 * ratio);
-  const picture = element("canvas", { width: canvas.width + 2 * edge, height: canvas.height + top + edge });
-  const draw = picture.getContext("2d");
+  const picture = element("canvas"), draw = picture.getContext("2d");
+  const text = `${title} · ${page.run.run} · TTI ${page.tti}`, font = `${14 * ratio}px system-ui, sans-serif`;
+  draw.font = font;
+  picture.width = Math.max(canvas.width, Math.ceil(draw.measureText(text).width)) + 2 * edge;
+  picture.height = canvas.height + top + edge;
   draw.fillStyle = ink("--paper");
   draw.fillRect(0, 0, picture.width, picture.height);
   draw.fillStyle = ink("--ink");
-  draw.font = `${14 * ratio}px system-ui, sans-serif`;
+  // A new size resets the font.
+  draw.font = font;
   draw.textBaseline = "middle";
-  draw.fillText(`${title} · ${page.run.run} · TTI ${page.tti}`, edge, top / 2);
+  draw.fillText(text, edge, top / 2);
   draw.drawImage(canvas, edge, top);
   return picture;
 }

@@ -147,13 +147,15 @@ export class Timeline {
   // Gets the events of the window and of some TTIs around it.
   async refreshEvents({ from, end }) {
     const now = performance.now(), margin = Math.ceil((end - from) / 2);
-    const isCovered = this.eventsFrom <= Math.max(from, 0) && this.eventsEnd >= Math.min(end, page.now.next);
+    // Messages that come after the latest TTI was asked for can still end its event.
+    const isSettled = this.eventsEnd < this.eventsSeen?.next || this.eventsSeen?.messages === page.now.messages;
+    const isCovered = isSettled && this.eventsFrom <= Math.max(from, 0) && this.eventsEnd >= Math.min(end, page.now.next);
     if (isCovered || this.isAsking || now - (this.asked ?? 0) < EVENT_INTERVAL) return;
     Object.assign(this, { isAsking: true, asked: now });
-    const [first, last] = [Math.max(0, from - margin), end + margin], next = page.now.next;
+    const [first, last] = [Math.max(0, from - margin), end + margin], { next, messages } = page.now;
     try {
       this.events = await get(`api/events?from=${first}&end=${last}`);
-      Object.assign(this, { eventsFrom: first, eventsEnd: Math.min(last, next) });
+      Object.assign(this, { eventsFrom: first, eventsEnd: Math.min(last, next), eventsSeen: { next, messages } });
       this.schedule();
     } catch { /* the status line reports a lost connection */ } finally {
       this.isAsking = false;

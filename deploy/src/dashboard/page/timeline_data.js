@@ -47,7 +47,7 @@ export class TimelineData {
       for (let band = Math.floor(firstRow / TILE_ROWS); band * TILE_ROWS <= Math.min(lastRow, this.devices.length - 1); band += 1) {
         const tile = this.tile(step, x, band);
         found.push(tile);
-        if (this.isIncomplete(tile, available.next)) this.request(tile, available.next);
+        if (this.isIncomplete(tile, available)) this.request(tile, available);
       }
     }
     return found;
@@ -68,14 +68,17 @@ export class TimelineData {
     return tile;
   }
 
-  isIncomplete(tile, next) {
-    return tile.until < Math.min(next, tile.from + TILE_COLUMNS * tile.step);
+  // Also true if the last TTI was the latest one: messages that came later can belong to it.
+  isIncomplete(tile, { next, messages }) {
+    const wasOpen = tile.until === tile.seen?.next && messages !== tile.seen.messages;
+    return wasOpen || tile.until < Math.min(next, tile.from + TILE_COLUMNS * tile.step);
   }
 
-  async request(tile, next) {
+  async request(tile, available) {
     const now = performance.now();
     if (tile.isRequested || this.requests >= MAX_REQUESTS || now - tile.requested < TAIL_INTERVAL) return;
-    Object.assign(tile, { isRequested: true, requested: now });
+    const { next, messages } = available;
+    Object.assign(tile, { isRequested: true, requested: now, seen: { next, messages } });
     this.requests += 1;
     // The last known TTI can still have been open, so its column is requested again.
     const column = tile.until ? Math.floor((tile.until - 1 - tile.from) / tile.step) : 0;
