@@ -140,7 +140,7 @@ export class Chart {
     draw.beginPath();
     draw.moveTo(MARGIN.left, bottom + 0.5);
     draw.lineTo(width - MARGIN.right, bottom + 0.5);
-    for (const tti of ticks(this.start, this.end, Math.max(2, Math.floor(width / 65)), true)) {
+    for (const tti of ticks(this.start, this.end, Math.max(2, Math.floor(width / 50)), true)) {
       const x = Math.round(this.x(tti)) + 0.5;
       draw.moveTo(x, bottom);
       draw.lineTo(x, bottom + 4);

@@ -50,6 +50,7 @@ export class Histogram {
   }
 
   paint() {
+    if (!page.moment?.states) this.legend.textContent = "no value yet";
     if (!page.moment?.states || !isVisible(this.canvas)) return;
     const { draw, width, height } = prepareCanvas(this.canvas);
     if (width < 60) return;

@@ -37,12 +37,14 @@ export class DeviceMap {
   }
 
   paint(moment, chosen, layer, heat) {
-    if (!moment.states) return;
     const { draw, width, height } = prepareCanvas(this.canvas);
     if (width < 2 * EDGE) return;
     this.draw = draw;
     this.at = (point) => this.place(point, width, height);
     draw.drawImage(this.ground.canvas(width, height, layer, heat, moment), 0, 0, width, height);
+    paintScaleBar(draw, this, width, height);
+    // Before TTI 0 no device has a state.
+    if (!moment.states) return;
     this.paintBelief(moment.belief ?? []);
     if (moment.event) this.paintRange(moment, this.perMetre(width, height) * this.run.d_max);
     const size = Math.max(2, Math.min(8, width / 9 / Math.sqrt(this.run.devices)));
@@ -50,7 +52,6 @@ export class DeviceMap {
     if (layer === "cluster" && this.run.groups) this.ground.paintClusterNumbers(draw, width, height);
     if (chosen >= 0) this.paintChosen(chosen, size);
     if (moment.event) this.paintEpicentre(moment.event.epicentre);
-    paintScaleBar(draw, this, width, height);
   }
 
   paintBelief(places) {

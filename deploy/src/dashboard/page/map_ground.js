@@ -25,6 +25,7 @@ export class MapGround {
   // The heat of each device from 0 to 1, or null.
   heat(layer, heat, moment) {
     const { devices } = this.map.run;
+    if (layer === "battery" && !moment.states) return null;
     if (layer === "battery") return Array.from({ length: devices }, (_, device) => batteryShare(moment, device));
     const values = heat?.[layer];
     if (!values) return null;

@@ -56,9 +56,9 @@ export class MapPanel {
 
   paint() {
     const { moment, other, device } = page;
-    if (!moment?.states || !(isVisible(byId("map")) || isVisible(byId("other-map")))) return;
+    if (!moment || !(isVisible(byId("map")) || isVisible(byId("other-map")))) return;
     this.map.paint(moment, device, this.layer, this.heat);
-    const text = describeMoment(moment);
+    const text = moment.states ? describeMoment(moment) : "before TTI 0: the devices have no states yet";
     setText(byId("description"), text || "no event in this TTI");
     byId("map").setAttribute("aria-label", `Map of ${page.run.devices} devices in TTI ${page.tti}. ${text}`);
     if (other?.moment) {

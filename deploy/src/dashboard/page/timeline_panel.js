@@ -142,6 +142,7 @@ export class TimelinePanel {
     this.onChooseDevice(devices[row]);
     const cell = this.timeline.cell(row, page.tti);
     if (cell) this.canvas.setAttribute("aria-label", cellText(cell).replaceAll("\n", ", "));
+    this.showReadout(cell, [this.view.x(page.tti), HEAD + row * ROW - scroll.scrollTop]);
   }
 
   showReadout(cell, [x, y] = [0, 0]) {
