@@ -106,6 +106,7 @@ mod tests {
                 reports,
                 ..EventTally::default()
             },
+            miss_cause: None,
         }
     }
 
