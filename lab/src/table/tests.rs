@@ -4,6 +4,8 @@
 use std::fs;
 use std::path::PathBuf;
 
+use reveille_common::score::Metrics;
+
 use super::*;
 
 /// A temporary folder that is removed on drop.
@@ -65,7 +67,7 @@ fn tables_with_former_names_are_read() {
     for (file, new_name, old_name) in [
         ("t.csv", "unpowered_pct", "dark_pct"),
         ("t.csv", "removed_pct", "gone_pct"),
-        ("t.csv.toml", "\"reveille.table\" = \"2\"", "\"reveille.table\" = \"1\""),
+        ("t.csv.toml", "\"reveille.table\" = \"3\"", "\"reveille.table\" = \"1\""),
     ] {
         let file = folder.path(file);
         let text = fs::read_to_string(&file).expect("there");
@@ -83,7 +85,7 @@ fn invalid_files_are_refused_with_the_reason() {
     table.write(&path, Format::Csv).expect("written");
     let sidecar = folder.path("t.csv.toml");
     let text = fs::read_to_string(&sidecar).expect("a side-car");
-    let newer = text.replace("\"reveille.table\" = \"2\"", "\"reveille.table\" = \"7\"");
+    let newer = text.replace("\"reveille.table\" = \"3\"", "\"reveille.table\" = \"7\"");
     assert_ne!(newer, text);
     fs::write(&sidecar, newer).expect("written");
     let message = Table::read(&path).expect_err("another version").to_string();
@@ -146,6 +148,38 @@ fn text_of_digits_stays_text() {
 }
 
 #[test]
+fn a_table_of_version_2_has_no_causes_of_missed_events() {
+    let folder = TableTestFolder::new("version-2");
+    let path = folder.path("t.csv");
+    let mut table = fixtures::table();
+    table.write(&path, Format::Csv).expect("written");
+    let text = fs::read_to_string(&path).expect("there");
+    let mut reader = ::csv::ReaderBuilder::new()
+        .has_headers(false)
+        .from_reader(text.as_bytes());
+    let records: Vec<::csv::StringRecord> = reader.records().collect::<Result<_, _>>().expect("CSV");
+    let mut writer = ::csv::Writer::from_writer(Vec::new());
+    for record in &records {
+        let fields = record.iter().zip(&records[0]);
+        let kept = fields.filter(|(_, name)| !Metrics::ADDED_IN_TABLE_3.contains(name));
+        writer.write_record(kept.map(|(field, _)| field)).expect("in memory");
+    }
+    let shorter = writer.into_inner().expect("in memory");
+    fs::write(&path, shorter).expect("written");
+    for row in &mut table.rows {
+        for name in Metrics::ADDED_IN_TABLE_3 {
+            let index = Metrics::NAMES.iter().position(|metric| *metric == name);
+            row.metrics[index.expect("a metric")] = f64::NAN;
+        }
+    }
+    assert_eq!(Table::read(&path).expect("a table of version 2"), table);
+    let without_p1 = text.replacen("info_p1,", "", 1);
+    fs::write(&path, without_p1).expect("written");
+    let message = Table::read(&path).expect_err("a missing metric").to_string();
+    assert!(message.contains("no column `info_p1`"), "{message}");
+}
+
+#[test]
 fn a_parquet_file_of_another_version_is_refused() {
     use ::parquet::file::reader::{FileReader, SerializedFileReader};
     use reveille_common::parquet::Writer;
@@ -165,7 +199,7 @@ fn a_parquet_file_of_another_version_is_refused() {
         writer.and_then(Writer::finish).expect("written");
         Table::read(&folder.path("other.parquet"))
     };
-    assert!(read_with_version("2").expect("this version").rows.is_empty());
+    assert!(read_with_version("3").expect("this version").rows.is_empty());
     let message = read_with_version("7").expect_err("another version").to_string();
     for part in [
         "other.parquet",
