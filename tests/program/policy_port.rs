@@ -333,7 +333,7 @@ fn a_policy_command_does_not_outlive_its_base_station() {
         assert!(lives(policy) && lives(child));
         run.signal(signal);
         if signal == Signal::INT {
-            run.wait_for_stderr("repeat the signal to end immediately");
+            run.wait_for_stderr("interrupted");
             run.signal(signal);
         }
         assert!(!run.finish().is_success());
