@@ -8,7 +8,7 @@ use std::collections::VecDeque;
 use reveille_bs::scenario::Scenario;
 use reveille_common::event::{EventRecord, Stimulus};
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::{BeliefUpdate, EventUpdate, Frame, Message, MessageKind, WakeOutcome};
+use reveille_common::message::{BeliefUpdate, EventUpdate, Frame, Message, MessageKind, Plane, WakeOutcome};
 use reveille_common::state::DeviceView;
 use reveille_common::totals::DeviceTotals;
 
@@ -32,13 +32,24 @@ pub struct RunHistory {
     max_ttis: u64,
 }
 
-/// Snapshot of a run.
-struct HistorySnapshot {
-    /// The next TTI after the snapshot.
+/// Snapshot of a run, from which later TTIs can be computed.
+#[derive(Clone, Debug)]
+pub struct HistorySnapshot {
+    /// The next TTI after the snapshot. No device is past it.
     next_tti: Tti,
     /// Number of the next frame after the snapshot.
     next_frame: u64,
     run: Reconstruction,
+}
+
+/// A copy of the part of a history that some TTIs need, so that they can be computed without the history.
+#[derive(Debug)]
+pub struct HistorySpan {
+    snapshot: HistorySnapshot,
+    /// The frames after the snapshot, without the emulation plane, each with its number.
+    frames: Vec<(u64, Frame)>,
+    from: Tti,
+    end: Tti,
 }
 
 /// A TTI of a run.
@@ -130,10 +141,15 @@ impl RunHistory {
             Some(tti) => sensing_flags(&self.now, tti, views.len()),
             None => Vec::new(),
         };
+        // An event that ends with the current TTI is still in progress in it.
+        let ended = self.latest.ended.map(|record| Stimulus {
+            event: record.event,
+            epicentre: record.epicentre,
+        });
         TtiSnapshot {
             views,
             on,
-            event: self.now.stimulus(),
+            event: self.now.stimulus().or(ended),
             ..self.latest.clone()
         }
     }
@@ -207,49 +223,39 @@ impl RunHistory {
 
     /// State and battery of `device` in each available TTI from `from` up to but excluding `end`, in order.
     pub fn device_views(&self, device: DeviceId, from: Tti, end: Tti) -> Vec<(Tti, DeviceView)> {
+        let mut views = Vec::new();
+        if let Some(span) = self.span(from, end, None) {
+            span.for_each_tti(&[device], |tti, view| {
+                views.extend(view.first().map(|view| (tti, *view)));
+            });
+        }
+        views
+    }
+
+    /// Copies the available TTIs from `from` up to but excluding `end`. Starts at `near` if it is closer than the
+    /// history's own snapshots. `None` if no such TTI is available.
+    pub fn span(&self, from: Tti, end: Tti, near: Option<HistorySnapshot>) -> Option<HistorySpan> {
         let (first, last) = self.available_ttis();
         let (from, end) = (from.max(first), end.min(last));
-        let mut views = Vec::new();
-        let Some(snapshot) = self.snapshots.iter().rev().find(|snapshot| snapshot.next_tti <= from) else {
-            return views;
-        };
-        let mut run = snapshot.run.clone();
-        let mut next = snapshot.next_tti;
-        let mut collect_until = |run: &mut Reconstruction, until: Tti| {
-            while next < until {
-                if let Some(view) = run
-                    .mirror_mut()
-                    .view_at(device, next)
-                    .filter(|_| next >= from && next < end)
-                {
-                    views.push((next, view));
-                }
-                next = next + 1;
-            }
-        };
-        for frame in self.frames.range((snapshot.next_frame - self.first_frame) as usize..) {
-            if frame.tti > end {
-                break;
-            }
-            match frame.message() {
-                Ok(Message::Plan(_)) => {
-                    // The TTIs up to here passed under the plan before this one.
-                    let reached = run.mirror().next_tti();
-                    collect_until(&mut run, reached);
-                }
-                Ok(Message::World(world)) => {
-                    let reached = run.mirror().next_tti();
-                    collect_until(&mut run, reached);
-                    // All TTIs of a grant but the last are quiet, so their views are known before its messages.
-                    collect_until(&mut run, world.last.min(end));
-                }
-                _ => {}
-            }
-            let _discrepancy = run.apply(frame).is_err();
+        if from >= end {
+            return None;
         }
-        let reached = run.mirror().next_tti().min(end);
-        collect_until(&mut run, reached);
-        views
+        let own = self.snapshots.iter().rev().find(|snapshot| snapshot.next_tti <= from)?;
+        let near = near.filter(|near| near.next_tti <= from && near.next_tti > own.next_tti);
+        let snapshot = near.unwrap_or_else(|| own.clone());
+        let numbered =
+            (snapshot.next_frame..).zip(self.frames.range((snapshot.next_frame - self.first_frame) as usize..));
+        let frames = numbered
+            .take_while(|(_, frame)| frame.tti < end)
+            .filter(|(_, frame)| frame.kind.plane() != Plane::Emu)
+            .map(|(number, frame)| (number, frame.clone()))
+            .collect();
+        Some(HistorySpan {
+            snapshot,
+            frames,
+            from,
+            end,
+        })
     }
 
     /// At most `max_frames` stored frames that pass `filter`, from the oldest on, each with its number.
@@ -324,6 +330,72 @@ impl RunHistory {
                 _ => {}
             }
         }
+    }
+}
+
+impl HistorySpan {
+    /// The TTIs of the span: the first, and the one after the last.
+    pub const fn ttis(&self) -> (Tti, Tti) {
+        (self.from, self.end)
+    }
+
+    /// The frames of the span's TTIs, without the emulation plane.
+    pub fn frames(&self) -> impl Iterator<Item = &Frame> {
+        let frames = self.frames.iter().map(|(_, frame)| frame);
+        frames.filter(|frame| frame.tti >= self.from)
+    }
+
+    /// Calls `visit` with each TTI and the views of `devices` in it, in the order of `devices`. A device that does not
+    /// exist has no view. Returns a snapshot near the end, from which a later span can continue.
+    pub fn for_each_tti(self, devices: &[DeviceId], mut visit: impl FnMut(Tti, &[DeviceView])) -> HistorySnapshot {
+        let Self {
+            snapshot,
+            frames,
+            from,
+            end,
+        } = self;
+        let mut near_end = snapshot.clone();
+        let HistorySnapshot { mut run, next_tti, .. } = snapshot;
+        let mut next = next_tti;
+        let mut views = Vec::with_capacity(devices.len());
+        let mut visit_until = |run: &mut Reconstruction, next: &mut Tti, until: Tti| {
+            *next = (*next).max(from.min(until));
+            while *next < until {
+                views.clear();
+                views.extend(devices.iter().filter_map(|id| run.mirror_mut().view_at(*id, *next)));
+                visit(*next, &views);
+                *next = *next + 1;
+            }
+        };
+        let last_grant = frames.iter().rposition(|(_, frame)| frame.kind == MessageKind::World);
+        for (index, (number, frame)) in frames.iter().enumerate() {
+            match frame.message() {
+                Ok(Message::Plan(_)) => {
+                    // The TTIs up to here passed under the plan before this one.
+                    let reached = run.mirror().next_tti().min(end);
+                    visit_until(&mut run, &mut next, reached);
+                }
+                Ok(Message::World(world)) => {
+                    let reached = run.mirror().next_tti().min(end);
+                    visit_until(&mut run, &mut next, reached);
+                    // Taken before the last grant: more messages of its TTIs can follow.
+                    if Some(index) == last_grant {
+                        near_end = HistorySnapshot {
+                            next_tti: next,
+                            next_frame: *number,
+                            run: run.clone(),
+                        };
+                    }
+                    // All TTIs of a grant but the last are quiet, so their views are known before its messages.
+                    visit_until(&mut run, &mut next, world.last.min(end));
+                }
+                _ => {}
+            }
+            let _discrepancy = run.apply(frame).is_err();
+        }
+        let reached = run.mirror().next_tti().min(end);
+        visit_until(&mut run, &mut next, reached);
+        near_end
     }
 }
 
@@ -456,6 +528,36 @@ mod tests {
         let history = story.device_views(DeviceId(7), Tti(980), Tti(1120));
         assert_eq!(history.iter().map(|(_, view)| *view).collect::<Vec<_>>(), own);
         assert_eq!((history[0].0, history[139].0), (Tti(980), Tti(1119)));
+    }
+
+    #[test]
+    fn consecutive_spans_give_the_same_views_as_one() {
+        let scenario = scenario();
+        let story = story(&scenario, u64::MAX);
+        let devices = [DeviceId(3), DeviceId(7), DeviceId(39)];
+        let expected: Vec<Vec<DeviceView>> = (700..1400)
+            .map(|k| {
+                let views = story.snapshot_at(Tti(k)).expect("an available TTI").views;
+                devices.iter().map(|id| views[id.index()]).collect()
+            })
+            .collect();
+        // Spans of 1 to 97 TTIs, each from the snapshot of the one before, end inside grants too.
+        let (mut near, mut from, mut found) = (None, 700, Vec::new());
+        for length in (1..98).step_by(6).cycle() {
+            let end = (from + length).min(1400);
+            let span = story.span(Tti(from), Tti(end), near.take()).expect("available TTIs");
+            assert_eq!(span.ttis(), (Tti(from), Tti(end)));
+            near = Some(span.for_each_tti(&devices, |tti, views| {
+                assert_eq!(tti, Tti(700 + found.len() as u64));
+                found.push(views.to_vec());
+            }));
+            from = end;
+            if end == 1400 {
+                break;
+            }
+        }
+        assert_eq!(found, expected);
+        assert!(story.span(Tti(2600), Tti(2700), None).is_none());
     }
 
     #[test]
