@@ -27,7 +27,7 @@ use super::resume::{self, ResumePlan};
 use super::{print_results, window_length};
 use crate::audit::{self, Auditor, device_owner};
 use crate::cli::{AuditArg, BsArgs, DriveArgs, OutputArgs};
-use crate::dashboard::feed::{Feed, FeedHandle};
+use crate::dashboard::feed::{Feed, FeedHandle, FeedOrigin};
 use crate::display::{RunProgressBar, note};
 use crate::exit::Interrupted;
 use crate::input_log::{self, INPUT_LOG_FILE, InputLog};
@@ -436,7 +436,13 @@ async fn start_services(service: &Service<'_>, folder: &Path) -> anyhow::Result<
     let watchers = RunWatchers::start(output, &run.to_string(), scenario, process).await?;
     let feed_handle = match service.dashboard {
         Some(address) => {
-            let feed = Feed::new(&run.to_string(), scenario, device_groups(scenario), true, None);
+            let feed = Feed::new(
+                &run.to_string(),
+                scenario,
+                device_groups(scenario),
+                FeedOrigin::OwnRun(folder),
+                None,
+            );
             let served =
                 crate::dashboard::serve(address, Arc::clone(&feed), Some(bus.with_key(service.settings.run_key)))
                     .await?;

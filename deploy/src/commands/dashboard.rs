@@ -12,7 +12,7 @@ use reveille_view::compare::{RunComparison, RunSide, compare_scenarios};
 use super::inspect::live::Live;
 use super::inspect::source::{device_groups, open};
 use crate::cli::DashboardArgs;
-use crate::dashboard::feed::{ComparedRun, Feed};
+use crate::dashboard::feed::{ComparedRun, Feed, FeedOrigin};
 use crate::dashboard::serve;
 use crate::display::note;
 use crate::exit::ExitReason;
@@ -38,7 +38,13 @@ fn feed_from_recording(
     let named = || path.display().to_string();
     let mut recording = open(path)?;
     let scenario = recording.bundle().load().with_context(named)?;
-    let feed = Feed::new(recording.run(), &scenario, device_groups(&scenario), false, compared);
+    let feed = Feed::new(
+        recording.run(),
+        &scenario,
+        device_groups(&scenario),
+        FeedOrigin::Recording(path),
+        compared,
+    );
     let read_error = loop {
         match recording.next_frame() {
             Ok(Some(frame)) => {
@@ -111,7 +117,13 @@ async fn serve_live(args: &DashboardArgs) -> anyhow::Result<()> {
     let compared = add_scenario_differences(compared, &bundle.text)?;
     let past = live.past(&bundle).await?;
     live.report_position();
-    let feed = Feed::new(&live.run, &scenario, device_groups(&scenario), true, compared);
+    let feed = Feed::new(
+        &live.run,
+        &scenario,
+        device_groups(&scenario),
+        FeedOrigin::OtherRun,
+        compared,
+    );
     let dashboard = serve(&args.listen, Arc::clone(&feed), Some(live.bus())).await?;
     note!("dashboard at {}; press Ctrl-C to end", dashboard.url);
     let feed_handle = feed.open()?;

@@ -24,12 +24,13 @@ use subtle::ConstantTimeEq;
 use tokio::sync::{Semaphore, watch};
 
 use super::feed::Feed;
+use super::timeline::{MAX_COLUMNS, MAX_DEVICE_TTIS, TimelineRequest, parse_rows};
 use crate::metrics_server::is_allowed_host;
 
 /// The header that holds the token.
 const TOKEN_HEADER: &str = "x-reveille-token";
 /// Least time between two updates of the page.
-const UPDATE_INTERVAL: Duration = Duration::from_millis(40);
+const UPDATE_INTERVAL: Duration = Duration::from_millis(45);
 /// Most messages in one answer.
 const MAX_MESSAGES: usize = 1_000;
 /// Longest history of a device and longest search for states, TTIs.
@@ -58,12 +59,14 @@ impl ApiState {
         let now = Arc::new(watch::Sender::new(Arc::from("{}")));
         let (feed_copy, send) = (Arc::clone(&feed), Arc::clone(&now));
         tokio::spawn(async move {
+            let mut next_update = tokio::time::Instant::now();
             loop {
                 // `notify_waiters` keeps no permit: the timeout covers a notification that came while nothing waited.
                 let notified = tokio::time::timeout(Duration::from_secs(1), feed_copy.changed.notified()).await;
                 if notified.is_ok() {
-                    tokio::time::sleep(UPDATE_INTERVAL).await;
+                    tokio::time::sleep_until(next_update).await;
                 }
+                next_update = tokio::time::Instant::now() + UPDATE_INTERVAL;
                 // Without a listener the state is not computed.
                 if send.receiver_count() > 0 {
                     let _gone = send.send(Arc::from(feed_copy.current_json().to_string())).is_err();
@@ -232,6 +235,8 @@ pub(super) async fn curves(State(served): State<ApiState>) -> Json<Value> {
 #[derive(Deserialize)]
 pub(super) struct MessageQuery {
     plane: Option<String>,
+    /// Leaves out the messages of the emulation plane.
+    hide_emu: Option<bool>,
     kind: Option<String>,
     device: Option<u32>,
     cluster: Option<u32>,
@@ -251,9 +256,16 @@ impl MessageQuery {
                 .find(|plane| plane.name() == name)
                 .ok_or_else(|| unknown_value("plane; use air, emu or truth"))
         });
-        let kinds = split_names(self.kind.as_deref());
+        let kind_names = self.kind.as_deref().filter(|names| !names.is_empty());
+        let kinds = split_names(kind_names);
         let kind = |name| MessageKind::ALL.iter().copied().find(|kind| kind.name() == name);
         let kinds = kinds.map(|name| kind(name).ok_or_else(|| unknown_value("kind")));
+        let mut kinds: Vec<MessageKind> = kinds.collect::<Result<_, _>>()?;
+        // Kinds and planes that the reader names take precedence.
+        if self.hide_emu == Some(true) && plane.is_none() && kinds.is_empty() {
+            let all = MessageKind::ALL.iter().copied();
+            kinds.extend(all.filter(|kind| kind.plane() != Plane::Emu));
+        }
         let state = |name| StateName::ALL.into_iter().find(|(own, _)| *own == name);
         let states = split_names(self.state.as_deref()).map(|name| state(name).ok_or_else(|| unknown_value("state")));
         let own = self.device.map(DeviceId);
@@ -271,7 +283,7 @@ impl MessageQuery {
         };
         let filter = Filter {
             plane: plane.transpose()?,
-            kinds: kinds.collect::<Result<_, _>>()?,
+            kinds,
             devices,
             ttis: Some(self.since.unwrap_or(0)..=self.until.unwrap_or(u64::MAX)),
             states: states
@@ -392,6 +404,72 @@ pub(super) async fn device(
             "unpowered_ttis": totals.unpowered_ttis,
         })),
     })))
+}
+
+/// A part of the timeline: TTIs, TTIs in a column, and a list of devices such as `0-31,40`.
+#[derive(Deserialize)]
+pub(super) struct TimelineQuery {
+    from: u64,
+    end: u64,
+    step: Option<u64>,
+    rows: String,
+}
+
+/// Serves states and batteries of many devices in the binary form of `timeline`.
+pub(super) async fn timeline(
+    State(served): State<ApiState>,
+    Query(query): Query<TimelineQuery>,
+) -> Result<impl IntoResponse, ApiError> {
+    let refused = |why: String| ApiError(StatusCode::BAD_REQUEST, why);
+    let devices = parse_rows(&query.rows, served.feed.devices())
+        .ok_or_else(|| refused("rows: use at most 256 devices of the run, such as 0-31,40".to_owned()))?;
+    let step = query.step.unwrap_or(1).max(1);
+    let ttis = query.end.saturating_sub(query.from);
+    if ttis.div_ceil(step) > MAX_COLUMNS || ttis.saturating_mul(devices.len() as u64) > MAX_DEVICE_TTIS {
+        let why = format!("at most {MAX_COLUMNS} columns and {MAX_DEVICE_TTIS} states; ask for fewer TTIs or rows");
+        return Err(refused(why));
+    }
+    let request = TimelineRequest {
+        from: Tti(query.from),
+        end: Tti(query.end),
+        step,
+        devices,
+    };
+    let bytes = served.read_feed(move |feed| feed.timeline(&request)).await?;
+    let unavailable = || ApiError(StatusCode::NOT_FOUND, "none of these TTIs is in memory".to_owned());
+    let headers = [
+        (header::CONTENT_TYPE, "application/octet-stream"),
+        (header::CACHE_CONTROL, "no-store"),
+    ];
+    Ok((headers, bytes.ok_or_else(unavailable)?))
+}
+
+/// Serves the ended events of some TTIs.
+pub(super) async fn events(State(served): State<ApiState>, Query(span): Query<TtiRange>) -> Json<Value> {
+    let (from, end) = (Tti(span.from.unwrap_or(0)), Tti(span.end.unwrap_or(u64::MAX)));
+    Json(served.feed.events_json(from, end))
+}
+
+/// The TTI after or before which a misdetection is requested.
+#[derive(Deserialize)]
+pub(super) struct MissQuery {
+    after: Option<u64>,
+    before: Option<u64>,
+}
+
+pub(super) async fn miss(State(served): State<ApiState>, Query(query): Query<MissQuery>) -> ApiResult {
+    match (query.after, query.before) {
+        (Some(tti), None) => Ok(Json(served.feed.miss_json(Tti(tti), true))),
+        (None, Some(tti)) => Ok(Json(served.feed.miss_json(Tti(tti), false))),
+        _ => Err(ApiError(
+            StatusCode::BAD_REQUEST,
+            "use after=TTI or before=TTI".to_owned(),
+        )),
+    }
+}
+
+pub(super) async fn heat(State(served): State<ApiState>) -> ApiResult {
+    Ok(Json(served.read_feed(Feed::heat_json).await?))
 }
 
 pub(super) async fn clock(State(served): State<ApiState>) -> ApiResult {

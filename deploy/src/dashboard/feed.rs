@@ -2,10 +2,11 @@
 //! `api` reads from many requests. The JSON here is the page's data: a changed key needs a change in `page/*.js`.
 
 use std::collections::VecDeque;
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use reveille_bs::scenario::Scenario;
 use reveille_common::deployment::Deployment;
@@ -20,6 +21,9 @@ use reveille_view::history::{RunHistory, TtiSnapshot};
 use reveille_view::traffic::TrafficStats;
 use serde_json::{Value, json};
 use tokio::sync::Notify;
+
+use super::events::EventLog;
+use super::timeline::{TimelineCursor, TimelineRequest, battery_byte};
 
 /// TTIs of a live run that stay available for inspection.
 const MAX_LIVE_TTIS: u64 = 100_000;
@@ -45,6 +49,17 @@ const MAX_TICKER_EVENTS: usize = 6;
 /// Battery quantiles that have a curve.
 const QUANTILES: [f64; 3] = [0.05, 0.5, 0.95];
 
+/// The place that the frames of a feed come from.
+#[derive(Clone, Copy)]
+pub(crate) enum FeedOrigin<'a> {
+    /// A run in this process, with its run folder.
+    OwnRun(&'a Path),
+    /// A run of another process, which the dashboard joined late.
+    OtherRun,
+    /// A recording at this path.
+    Recording(&'a Path),
+}
+
 /// A run that many clients can view.
 pub(crate) struct Feed {
     /// The largest E_max of all devices.
@@ -56,8 +71,11 @@ pub(crate) struct Feed {
     state: Mutex<FeedState>,
     /// Length K of the run.
     ttis: u64,
+    /// Number of devices N.
+    devices: u32,
     /// The run that this one is compared with.
     compared: Option<ComparedRun>,
+    timeline: TimelineCursor,
     /// Notified when new data has arrived.
     pub changed: Notify,
     /// Whether no more frames will come.
@@ -89,6 +107,10 @@ struct FeedState {
     event_outcomes: Vec<String>,
     /// The last events with their outcomes, the latest first.
     ticker: VecDeque<Value>,
+    events: EventLog,
+    /// Time of the first grant, and of the end of the feed.
+    started: Option<Instant>,
+    ended: Option<Instant>,
 }
 
 /// Sends frames to a feed.
@@ -114,16 +136,23 @@ impl FeedHandle {
 }
 
 impl Feed {
-    /// Creates the feed of the run called `run`, of `scenario`. A feed that is not `is_live` keeps a whole recording.
+    /// Creates the feed of the run called `run`, of `scenario`. The feed of a recording keeps all TTIs.
     pub(crate) fn new(
         run: &str,
         scenario: &Scenario,
         groups: Option<Vec<u32>>,
-        is_live: bool,
+        origin: FeedOrigin<'_>,
         mut compared: Option<ComparedRun>,
     ) -> Arc<Self> {
         let deployment = Deployment::new(scenario);
         let positions = deployment.positions();
+        let is_live = !matches!(origin, FeedOrigin::Recording(_));
+        let path = match origin {
+            FeedOrigin::OwnRun(path) | FeedOrigin::Recording(path) => {
+                Some(std::path::absolute(path).unwrap_or_else(|_| path.to_owned()))
+            }
+            FeedOrigin::OtherRun => None,
+        };
         let e_max: Vec<f64> = deployment
             .devices
             .iter()
@@ -143,6 +172,10 @@ impl Feed {
             "cells": voronoi_cells(&positions, scenario.area),
             "groups": groups,
             "e_max": e_max,
+            "classes": scenario.classes.iter().map(|class| &class.name).collect::<Vec<_>>(),
+            "device_classes": deployment.classes,
+            "path": path,
+            "is_whole_wall_time": matches!(origin, FeedOrigin::OwnRun(_)),
             "curves": CURVE_METRICS,
             "live": is_live,
             "compared": compared.is_some(),
@@ -167,9 +200,14 @@ impl Feed {
                 broken_reason: None,
                 event_outcomes: Vec::new(),
                 ticker: VecDeque::new(),
+                events: EventLog::new(positions),
+                started: None,
+                ended: None,
             }),
             ttis: scenario.run.ttis,
+            devices: scenario.run.devices,
             compared,
+            timeline: TimelineCursor::default(),
             changed: Notify::new(),
             is_over: AtomicBool::new(false),
         })
@@ -230,6 +268,7 @@ impl Feed {
         if next > Tti::ZERO {
             state.add_curve_point(next);
         }
+        state.ended = Some(crate::runtime::now());
         // A run that was cut short cannot be compared beyond its end.
         let is_whole = next.0 >= self.ttis;
         if let Some(comparison) = state.comparison.as_mut().filter(|_| is_whole) {
@@ -260,6 +299,8 @@ impl Feed {
         now["events"] = json!(events.events);
         now["missed"] = json!(events.misdetected);
         now["ticker"] = json!(state.ticker);
+        let wall_time = |started: Instant| state.ended.unwrap_or_else(crate::runtime::now) - started;
+        now["wall_s"] = json!(state.started.map(|started| wall_time(started).as_secs_f64()));
         now["messages"] = json!(state.traffic.kinds().map(|(_, count)| count.messages).sum::<u64>());
         now
     }
@@ -343,6 +384,47 @@ impl Feed {
         json!(self.lock().points)
     }
 
+    /// The ended events of the TTIs from `from` up to but excluding `end`.
+    pub(crate) fn events_json(&self, from: Tti, end: Tti) -> Value {
+        self.lock().events.overlapping(from, end)
+    }
+
+    /// The next misdetection after TTI `tti`, or the previous one before it; JSON null if there is none.
+    pub(crate) fn miss_json(&self, tti: Tti, is_next: bool) -> Value {
+        let state = self.lock();
+        let miss = if is_next {
+            state.events.miss_after(tti)
+        } else {
+            state.events.miss_before(tti)
+        };
+        json!(miss)
+    }
+
+    /// Sums since TTI 0 of each device: TTIs in S1, and events and misdetections nearest to it.
+    pub(crate) fn heat_json(&self) -> Value {
+        let state = self.lock();
+        let mirror = state.history.now().mirror().clone();
+        let (near, missed_near) = state.events.counts();
+        let (events, misses) = (json!(near), json!(missed_near));
+        // The ledgers of many devices take long, and the run's frames wait for this lock.
+        drop(state);
+        let ledgers = mirror.ledgers();
+        let looks: Vec<u64> = ledgers.iter().map(|ledger| ledger.whole.sensing_ttis).collect();
+        json!({ "looks": looks, "events": events, "misses": misses })
+    }
+
+    /// Encodes a part of the timeline; `None` if none of its TTIs is available.
+    pub(super) fn timeline(&self, request: &TimelineRequest) -> Option<Vec<u8>> {
+        // Only the copy holds the lock. The states are computed without it.
+        let span = self.timeline.copy_span(&self.lock().history, request)?;
+        Some(self.timeline.encode(request, span, self.largest_e_max))
+    }
+
+    /// Number of devices N.
+    pub(crate) fn devices(&self) -> u32 {
+        self.devices
+    }
+
     /// Calls `read` with the run's history.
     pub(crate) fn history<T>(&self, read: impl FnOnce(&RunHistory) -> T) -> T {
         read(&self.lock().history)
@@ -354,9 +436,7 @@ impl Feed {
 
     /// The batteries, two hexadecimal digits per device: 00 to ff of the largest E_max.
     fn batteries(&self, views: &[DeviceView]) -> String {
-        let most = self.largest_e_max.micro().max(1);
-        // Rounded up, so that only an empty battery is 00.
-        let level = |view: &DeviceView| format!("{:02x}", (view.battery.micro() * 255).div_ceil(most).min(255));
+        let level = |view: &DeviceView| format!("{:02x}", battery_byte(view.battery, self.largest_e_max));
         views.iter().map(level).collect()
     }
 }
@@ -367,6 +447,9 @@ impl FeedState {
         if self.broken_reason.is_some() {
             // Later frames do not follow from the last known states.
             return;
+        }
+        if frame.kind == MessageKind::World {
+            self.started.get_or_insert_with(crate::runtime::now);
         }
         self.record_outcome(&frame);
         if let Some(comparison) = &mut self.comparison {
@@ -396,6 +479,10 @@ impl FeedState {
         if let Message::Event(EventUpdate::Started(_)) = message {
             self.event_outcomes.clear();
         } else if let Message::Event(update) = message {
+            if let EventUpdate::Ended(record) = update {
+                let (first, _) = self.history.available_ttis();
+                self.events.push(record, first);
+            }
             let (tti, text) = (frame.tti, update.to_string());
             self.ticker
                 .push_front(json!({ "tti": tti, "text": text, "who": self.event_outcomes }));

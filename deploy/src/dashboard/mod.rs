@@ -5,7 +5,10 @@
 //! machines can connect.
 
 mod api;
+mod events;
 pub(crate) mod feed;
+mod page;
+mod timeline;
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -21,24 +24,7 @@ use tokio::net::TcpListener;
 
 use self::api::{ApiState, check_request};
 use self::feed::Feed;
-
-/// The files of the page: path, type, content.
-const PAGE: [(&str, &str, &str); 6] = [
-    ("/", "text/html; charset=utf-8", include_str!("page/index.html")),
-    ("/style.css", "text/css; charset=utf-8", include_str!("page/style.css")),
-    (
-        "/main.js",
-        "text/javascript; charset=utf-8",
-        include_str!("page/main.js"),
-    ),
-    ("/map.js", "text/javascript; charset=utf-8", include_str!("page/map.js")),
-    (
-        "/charts.js",
-        "text/javascript; charset=utf-8",
-        include_str!("page/charts.js"),
-    ),
-    ("/api.js", "text/javascript; charset=utf-8", include_str!("page/api.js")),
-];
+use self::page::PAGE;
 
 /// The content security policy: the browser loads content from this server only.
 const CONTENT_POLICY: &str = "default-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; \
@@ -74,9 +60,14 @@ pub(crate) async fn serve(address: &str, feed: Arc<Feed>, bus: Option<Bus>) -> a
         .route("/api/messages", get(api::messages))
         .route("/api/message/{number}", get(api::message))
         .route("/api/device/{device}", get(api::device))
+        .route("/api/timeline", get(api::timeline))
+        .route("/api/events", get(api::events))
+        .route("/api/miss", get(api::miss))
+        .route("/api/heat", get(api::heat))
         .route("/api/clock", get(api::clock))
         .route("/api/clock/{command}", post(api::command));
-    for (path, content_type, text) in PAGE {
+    for &(path, content_type, text) in PAGE {
+        let path = if path == "/index.html" { "/" } else { path };
         let page = move || async move {
             let headers = [
                 (header::CONTENT_TYPE, content_type),

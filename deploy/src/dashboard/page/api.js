@@ -3,22 +3,23 @@
 const token = location.hash.slice(1);
 const headers = token ? { "x-reveille-token": token } : {};
 
-export async function get(path, method = "GET") {
+async function request(path, method) {
   const answer = await fetch(path, { headers, method });
-  const isTold = answer.headers.get("content-type")?.startsWith("application/json");
-  const found = isTold ? await answer.json() : { error: await answer.text() };
-  if (!answer.ok) throw new Error(found.error ?? answer.statusText);
-  return found;
+  if (answer.ok) return answer;
+  const isJson = answer.headers.get("content-type")?.startsWith("application/json");
+  const reason = isJson ? (await answer.json()).error : await answer.text();
+  throw new Error(reason || answer.statusText);
 }
 
-export const post = (path) => get(path, "POST");
+export const get = async (path) => (await request(path, "GET")).json();
+export const getBytes = async (path) => (await request(path, "GET")).arrayBuffer();
+export const post = async (path) => (await request(path, "POST")).json();
 
-// Calls `see` with each update, and `lost` when the connection ends. Connects again unless `lost` returns true.
-export async function live(see, lost) {
+// Calls `onUpdate` with each update, and `onLost` when the connection ends. Connects again unless `onLost` returns true.
+export async function followRun(onUpdate, onLost) {
   for (;;) {
     try {
-      const answer = await fetch("api/live", { headers });
-      if (!answer.ok) throw new Error((await answer.json()).error);
+      const answer = await request("api/live", "GET");
       const reader = answer.body.pipeThrough(new TextDecoderStream()).getReader();
       let held = "";
       for (;;) {
@@ -29,12 +30,12 @@ export async function live(see, lost) {
         const parts = held.split("\n\n");
         held = parts.pop();
         // Of several events in one read the last is enough.
-        if (parts.length) see(JSON.parse(parts.at(-1).slice("data: ".length)));
+        if (parts.length) onUpdate(JSON.parse(parts.at(-1).slice("data: ".length)));
       }
       throw new Error("the program has ended");
     } catch (error) {
-      if (lost(error)) return;
-      await new Promise((go) => setTimeout(go, 1000));
+      if (onLost(error)) return;
+      await new Promise((resolve) => setTimeout(resolve, 1000));
     }
   }
 }

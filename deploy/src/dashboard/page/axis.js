@@ -1,0 +1,31 @@
+// Ticks and numbers of axes.
+
+// About `count` round values from `low` to `high`.
+export function ticks(low, high, count, isWhole = false) {
+  const rough = (high - low) / Math.max(count, 1);
+  if (!(rough > 0)) return [low];
+  const power = 10 ** Math.floor(Math.log10(rough));
+  let step = power * ([1, 2, 5, 10].find((factor) => factor * power >= rough) ?? 10);
+  if (isWhole) step = Math.max(step, 1);
+  const found = [];
+  for (let nth = Math.ceil(low / step - 1e-9); nth * step <= high + step * 1e-9; nth += 1) found.push(+(nth * step).toPrecision(12));
+  return found;
+}
+
+// A number with at most three significant digits, and thousands as k.
+export function shortNumber(value) {
+  if (value === null || value === undefined || Number.isNaN(value)) return "–";
+  const size = Math.abs(value);
+  if (size >= 1e6) return `${+(value / 1e6).toPrecision(3)}M`;
+  if (size >= 1e4) return `${+(value / 1e3).toPrecision(3)}k`;
+  return String(+value.toPrecision(3));
+}
+
+// A TTI in full, with spaces between thousands.
+export const ttiText = (tti) => String(tti).replace(/\B(?=(\d{3})+$)/g, "\u202f");
+
+// Seconds as hours, minutes and seconds.
+export function clockText(seconds) {
+  const whole = Math.floor(seconds), two = (value) => String(value).padStart(2, "0");
+  return `${Math.floor(whole / 3600)}:${two(Math.floor(whole / 60) % 60)}:${two(whole % 60)}`;
+}

@@ -1,0 +1,53 @@
+// The chosen device: its battery and states around the shown TTI, and its ledger.
+
+import { get } from "./api.js";
+import { ttiText } from "./axis.js";
+import { Chart } from "./chart.js";
+import { byId, element, page } from "./page_state.js";
+import { ink } from "./theme.js";
+
+const TTIS_BEFORE = 300, TTIS_AFTER = 100;
+const STATE_COLOURS = { 1: "--accent", 2: "--event", 3: "--event", 4: "--asleep", 0: "--unpowered" };
+const STATE_NAMES = { 1: "S1 senses", 2: "S2 active", 3: "S3 reports", 4: "S4 sleeps", 0: "S4, unpowered" };
+
+let chart, requested = 0;
+
+// Paints the states as a band at the foot of the chart.
+function paintStates(draw, history, bottom) {
+  history.states.split("").forEach((state, nth) => {
+    const x = Math.round(chart.x(history.from + nth));
+    draw.fillStyle = ink(STATE_COLOURS[state]);
+    draw.fillRect(x, bottom - 10, Math.max(Math.round(chart.x(history.from + nth + 1)) - x, 1), 10);
+  });
+}
+
+function ledgerRows(totals) {
+  const units = (value) => +value.toPrecision(4);
+  return [
+    ["initial", units(totals.initial)], ["+ harvested", units(totals.harvested)], ["− sensing", units(totals.sensing)], ["− sleep", units(totals.sleep)],
+    ["− reports", units(totals.report)], ["− overflow", units(totals.overflow)], ["= battery", units(totals.battery)],
+    ["TTIs in S1", totals.sensing_ttis], ["TTIs without energy to sense", totals.failed_ttis], ["TTIs unpowered", totals.unpowered_ttis],
+  ];
+}
+
+export async function showDevice() {
+  const { device, run, now, tti } = page;
+  byId("one").hidden = device < 0;
+  byId("device").value = device < 0 ? "" : device;
+  if (device < 0 || now.next <= now.first) return;
+  const own = ++requested, from = Math.max(now.first, tti - TTIS_BEFORE), end = Math.min(now.next, tti + TTIS_AFTER);
+  const history = await get(`api/device/${device}?from=${from}&end=${end}&at=${tti}`);
+  if (own !== requested) return;
+  const cluster = run.groups ? ` · cluster ${run.groups[device]}` : "", deviceClass = run.classes.length > 1 ? ` · class ${run.classes[run.device_classes[device]]}` : "";
+  byId("one-title").textContent = `Device ${device}`;
+  byId("one-facts").textContent = `${STATE_NAMES[history.states[tti - history.from]] ?? ""}${cluster}${deviceClass} · at (${run.positions[device].x.toFixed(1)}, ${run.positions[device].y.toFixed(1)}) m`;
+  chart ??= new Chart(byId("history"), {
+    id: "device", title: "Battery and states", unit: "units", series: [""], emptyText: "no history", onChoose: page.onChooseTti, decorate: (draw, bottom) => paintStates(draw, chart.history, bottom),
+  });
+  chart.history = history;
+  chart.most = run.e_max[device] * 1.04;
+  chart.show([{ name: `device ${device}`, colour: "--ink", points: history.batteries.map((battery, nth) => [history.from + nth, [battery]]) }], history.from, history.from + history.batteries.length - 1, tti);
+  if (!history.totals) return;
+  byId("ledger-title").textContent = `Energy since TTI 0, up to TTI ${ttiText(tti)}`;
+  byId("ledger").replaceChildren(...ledgerRows(history.totals).flatMap(([name, value]) => [element("dt", { textContent: name }), element("dd", { textContent: value })]));
+}

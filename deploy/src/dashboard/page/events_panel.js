@@ -1,0 +1,35 @@
+// The last events of the run, and the jumps to missed events.
+
+import { get } from "./api.js";
+import { addExport } from "./export.js";
+import { byId, element, page } from "./page_state.js";
+
+let listed = "";
+
+export function showLastEvents(onChooseTti) {
+  // Unchanged entries stay in place: a click could miss an entry that is being replaced.
+  const text = JSON.stringify(page.now.ticker);
+  if (text === listed) return;
+  listed = text;
+  byId("ticker").replaceChildren(...page.now.ticker.map(({ tti, text, who }) => element("li", {},
+    element("button", { textContent: `TTI ${tti}`, onclick: () => onChooseTti(tti) }), ` ${text}${who.length ? ` (${who.join(", ")})` : ""}`)));
+  byId("no-events").hidden = page.now.ticker.length > 0;
+}
+
+// Shows the first TTI of the next missed event, or of the previous one.
+export async function showMiss(isNext, onChooseTti) {
+  const miss = await get(`api/miss?${isNext ? "after" : "before"}=${page.tti}`);
+  byId("miss-note").textContent = miss ? `missed event ${miss.event}, TTIs ${miss.start} to ${miss.last}` : `no missed event ${isNext ? "after" : "before"} TTI ${page.tti}`;
+  if (miss) await onChooseTti(miss.start);
+}
+
+export function startEvents() {
+  addExport(byId("events-title").parentElement, {
+    name: "events", title: "Events",
+    rows: async () => {
+      const names = ["event", "start", "last", "delay", "reports", "wake_ups", "information", "counted"];
+      const events = await get(`api/events?from=${page.now.first}&end=${page.now.next}`);
+      return [[...names, "x_m", "y_m"], ...events.map((event) => [...names.map((name) => event[name] ?? ""), event.epicentre.x, event.epicentre.y])];
+    },
+  });
+}

@@ -1,0 +1,106 @@
+// The ground of the map: cells tinted by cluster, class or a heat layer, cluster numbers, and a scale bar.
+
+import { ticks } from "./axis.js";
+import { batteryColour, batteryShare, hiddenCanvas, ink } from "./theme.js";
+
+// Steps of the golden angle keep the hues of neighbouring groups apart.
+export const groupHue = (group) => (group * 137.5) % 360;
+
+export class MapGround {
+  constructor(map) {
+    this.map = map;
+  }
+
+  // The painted ground; the same canvas until something on it changes.
+  canvas(width, height, layer, heat, moment) {
+    const version = layer === "battery" ? moment.tti : heat?.version;
+    const key = [width, height, devicePixelRatio, ink("--line"), layer, version].join();
+    if (this.key !== key) {
+      this.key = key;
+      this.painted = this.paint(width, height, layer, heat, moment);
+    }
+    return this.painted;
+  }
+
+  // The heat of each device from 0 to 1, or null.
+  heat(layer, heat, moment) {
+    const { devices } = this.map.run;
+    if (layer === "battery" && !moment.states) return null;
+    if (layer === "battery") return Array.from({ length: devices }, (_, device) => batteryShare(moment, device));
+    const values = heat?.[layer];
+    if (!values) return null;
+    const most = Math.max(values.reduce((a, b) => Math.max(a, b), 0), 1);
+    return values.map((value) => value / most);
+  }
+
+  paint(width, height, layer, heat, moment) {
+    const { canvas, draw } = hiddenCanvas(width, height), { run } = this.map;
+    const heats = this.heat(layer, heat, moment);
+    const tints = layer === "class" ? run.device_classes : layer === "cluster" ? run.groups : null;
+    draw.strokeStyle = ink("--line");
+    draw.lineWidth = run.devices > 600 ? 0.5 : 1;
+    run.cells.forEach((corners, device) => {
+      if (!corners.length) return;
+      draw.beginPath();
+      for (const corner of corners) draw.lineTo(...this.map.place(corner, width, height));
+      draw.closePath();
+      if (heats) draw.fillStyle = layer === "battery" ? batteryColour(heats[device]) : ink("--event");
+      else if (tints) draw.fillStyle = `hsl(${groupHue(tints[device])} 55% 50%)`;
+      if (heats && layer !== "battery") draw.globalAlpha = 0.85 * heats[device];
+      else if (tints) draw.globalAlpha = 0.2;
+      if (heats || tints) draw.fill();
+      draw.globalAlpha = 1;
+      draw.stroke();
+    });
+    return canvas;
+  }
+
+  // The mean position of the devices of each cluster.
+  findCentres() {
+    const { run } = this.map, centres = new Map();
+    run.groups.forEach((group, device) => {
+      const sum = centres.get(group) ?? { x: 0, y: 0, count: 0 };
+      centres.set(group, { x: sum.x + run.positions[device].x, y: sum.y + run.positions[device].y, count: sum.count + 1 });
+    });
+    return centres;
+  }
+
+  paintClusterNumbers(draw, width, height) {
+    this.centres ??= this.findCentres();
+    const { centres } = this, size = Math.max(10, Math.min(20, width / 2.6 / Math.sqrt(centres.size)));
+    draw.font = `600 ${size}px system-ui, sans-serif`;
+    draw.textAlign = "center";
+    draw.textBaseline = "middle";
+    for (const [group, { x, y, count }] of centres) {
+      const at = this.map.place({ x: x / count, y: y / count }, width, height);
+      draw.lineWidth = 3;
+      draw.strokeStyle = ink("--field");
+      draw.strokeText(group, ...at);
+      draw.fillStyle = ink("--faint");
+      draw.fillText(group, ...at);
+    }
+  }
+}
+
+// A bar of a round length in metres at the lower left.
+export function paintScaleBar(draw, map, width, height) {
+  const metres = map.run.area[0], perMetre = map.perMetre(width, height);
+  const length = ticks(0, metres, 4).find((value) => value > 0) ?? metres;
+  const x = 16, y = height - 16, text = `${length} m`;
+  draw.font = "600 12px system-ui, sans-serif";
+  draw.textAlign = "left";
+  draw.textBaseline = "bottom";
+  draw.beginPath();
+  draw.moveTo(x, y - 5);
+  draw.lineTo(x, y);
+  draw.lineTo(x + length * perMetre, y);
+  draw.lineTo(x + length * perMetre, y - 5);
+  // A halo instead of a box, which would hide devices.
+  for (const [colour, wide] of [["--field", 5], ["--ink", 1.5]]) {
+    draw.strokeStyle = draw.fillStyle = ink(colour);
+    draw.lineWidth = wide;
+    draw.stroke();
+    if (wide > 2) draw.strokeText(text, x + 5, y - 3);
+    else draw.fillText(text, x + 5, y - 3);
+  }
+}

@@ -1,0 +1,125 @@
+// The panel of the map: the layer, the legend, the description of the shown TTI.
+
+import { get } from "./api.js";
+import { addExport } from "./export.js";
+import { groupHue } from "./map_ground.js";
+import { DeviceMap } from "./map.js";
+import { SYMBOLS, drawSymbol, symbolsOf } from "./map_symbols.js";
+import { byId, element, page, setText } from "./page_state.js";
+import { batteryGradient, batteryShare, hiddenCanvas, ink } from "./theme.js";
+import { isVisible, onAppear } from "./visibility.js";
+
+const HEATS = { misses: "missed events nearest to each device, since TTI 0", looks: "TTIs in which each device has sensed, since TTI 0", battery: "battery in the shown TTI" };
+
+function nameDevices(devices) {
+  return devices.length > 8 ? `${devices.slice(0, 8).join(", ")} … (${devices.length})` : devices.join(", ");
+}
+
+// What happened in a TTI, in one line.
+export function describeMoment(moment) {
+  const parts = [];
+  if (moment.event) parts.push(`event ${moment.event.event} at (${moment.event.epicentre.x.toFixed(1)}, ${moment.event.epicentre.y.toFixed(1)}) m`);
+  if (moment.reported?.length) parts.push(`reported: ${nameDevices(moment.reported)}`);
+  if (moment.lost?.length) parts.push(`report lost: ${nameDevices(moment.lost)}`);
+  if (moment.failed?.length) parts.push(`lacked energy to report: ${nameDevices(moment.failed)}`);
+  for (const { device, text } of moment.woken ?? []) parts.push(`${device} woken, ${text}`);
+  if (moment.ended) parts.push(moment.ended.delay === null ? "event missed" : `event ended, delay ${moment.ended.delay}, I ${moment.ended.information.toFixed(3)}`);
+  return parts.join(" · ");
+}
+
+export class MapPanel {
+  constructor(onChooseDevice) {
+    const { run, other } = page;
+    this.map = new DeviceMap(byId("map"), run);
+    this.otherMap = other ? new DeviceMap(byId("other-map"), other.run) : null;
+    this.heat = null;
+    for (const canvas of [byId("map"), byId("other-map")]) onAppear(canvas, () => this.paint());
+    this.hasBelief = false;
+    const layer = byId("layer");
+    if (!run.groups) layer.querySelector("[value=cluster]").remove();
+    if (run.classes.length < 2) layer.querySelector("[value=class]").remove();
+    layer.selectedIndex = 0;
+    layer.onchange = () => this.refreshHeat().then(() => this.paint());
+    for (const canvas of [byId("map"), byId("other-map")]) canvas.onclick = (event) => onChooseDevice(this.map.nearest(event));
+    addExport(byId("place-title").parentElement, { name: "map", title: "Devices", canvas: () => byId("map"), rows: () => this.rows() });
+  }
+
+  get layer() {
+    return byId("layer").value;
+  }
+
+  // Gets the sums of a heat layer, if one is shown.
+  async refreshHeat() {
+    if (this.layer !== "misses" && this.layer !== "looks") return;
+    this.heat = { ...await get("api/heat"), version: page.now.next };
+  }
+
+  paint() {
+    const { moment, other, device } = page;
+    if (!moment || !(isVisible(byId("map")) || isVisible(byId("other-map")))) return;
+    this.map.paint(moment, device, this.layer, this.heat);
+    const text = moment.states ? describeMoment(moment) : "before TTI 0: the devices have no states yet";
+    setText(byId("description"), text || "no event in this TTI");
+    byId("map").setAttribute("aria-label", `Map of ${page.run.devices} devices in TTI ${page.tti}. ${text}`);
+    if (other?.moment) {
+      // Heat layers sum over this run only.
+      this.otherMap.paint(other.moment, device, this.layer in { misses: 1, looks: 1 } ? "none" : this.layer, null);
+      setText(byId("other-description"), describeMoment(other.moment) || "no event in this TTI");
+    }
+    this.hasBelief ||= Boolean(moment.belief ?? other?.moment?.belief);
+    this.showLegend();
+  }
+
+  showLegend() {
+    const { run } = page, key = [this.layer, this.hasBelief, ink("--ink"), this.layer in { misses: 1, looks: 1 } && this.heat?.version].join();
+    if (this.legendKey === key) return;
+    this.legendKey = key;
+    const entry = (mark, text) => element("span", {}, mark, text);
+    const mark = (text, colour) => {
+      const made = element("i", { className: "mark", textContent: text });
+      made.style.color = ink(colour);
+      return made;
+    };
+    const gradient = element("i", { className: "gradient" });
+    gradient.style.background = batteryGradient();
+    const entries = [
+      element("span", {}, "battery empty ", gradient, " full"),
+      ...Object.entries(SYMBOLS).map(([symbol, text]) => entry(symbolPicture(symbol), text)),
+      entry(mark("✶", "--event"), "event, with d_max around it"),
+    ];
+    if (this.hasBelief) entries.push(entry(mark("●", "--belief"), "the base station's belief about the event's place"));
+    if (this.layer === "cluster") entries.push(entry(mark("1", "--faint"), "number of a cluster"));
+    if (this.layer === "class") {
+      run.classes.forEach((name, nth) => {
+        const square = mark("■", "--ink");
+        square.style.color = `hsl(${groupHue(nth)} 55% 50%)`;
+        entries.push(entry(square, `class ${name}`));
+      });
+    }
+    if (HEATS[this.layer]) {
+      const most = this.heat?.[this.layer]?.reduce((a, b) => Math.max(a, b), 0);
+      entries.push(entry(mark("■", "--event"), `${HEATS[this.layer]}${most === undefined ? "" : most ? `: darkest ${most}` : ": none so far"}`));
+      if (this.layer === "battery") entries.pop();
+    }
+    byId("legend").replaceChildren(...entries);
+  }
+
+  rows() {
+    const { run, moment } = page, symbols = symbolsOf(moment), heat = this.heat;
+    return [
+      ["device", "x_m", "y_m", "class", "cluster", "state", "battery_units", "plan_senses", ...(heat ? ["sensing_ttis", "near_events", "near_misses"] : [])],
+      ...run.positions.map(({ x, y }, device) => [
+        device, x, y, run.classes[run.device_classes[device]], run.groups?.[device] ?? "", symbols[device],
+        (batteryShare(moment, device) * Math.max(...run.e_max)).toFixed(1), moment.on[device], ...(heat ? [heat.looks[device], heat.events[device], heat.misses[device]] : []),
+      ]),
+    ];
+  }
+}
+
+function symbolPicture(symbol) {
+  const { canvas, draw } = hiddenCanvas(20, 16);
+  drawSymbol(draw, symbol, 10, symbol === "reporting" ? 9 : 8, 4, ink("--field"));
+  canvas.className = "symbol";
+  canvas.setAttribute("aria-hidden", "true");
+  return canvas;
+}

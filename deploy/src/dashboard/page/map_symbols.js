@@ -1,0 +1,62 @@
+// The symbols of devices on the map and in its legend.
+
+import { ink } from "./theme.js";
+
+// What a device does in a TTI. Reports differ by the reason why the device was active.
+export const SYMBOLS = {
+  sensing: "senses (S1)",
+  reporting: "reports after sensing (S3)",
+  woken: "reports after a wake-up (S3)",
+  failed: "lacked energy, or report lost",
+  asleep: "sleeps (S4)",
+  unpowered: "unpowered (S4)",
+};
+
+// The symbol of each device in a moment.
+export function symbolsOf(moment) {
+  const symbols = [...moment.states].map((state) => ({ 0: "unpowered", 1: "sensing", 2: "reporting", 3: "reporting", 4: "asleep" })[state]);
+  for (const device of [...(moment.failed ?? []), ...(moment.lost ?? [])]) symbols[device] = "failed";
+  for (const { device, outcome } of moment.woken ?? []) symbols[device] = outcome.Reported ? "woken" : "failed";
+  return symbols;
+}
+
+function path(draw, points, x, y, size) {
+  draw.beginPath();
+  for (const [dx, dy] of points) draw.lineTo(x + dx * size, y + dy * size);
+  draw.closePath();
+}
+
+const TRIANGLE = [[0, -1.6], [1.45, 1], [-1.45, 1]];
+const DIAMOND = [[0, -1.7], [1.7, 0], [0, 1.7], [-1.7, 0]];
+
+export function drawSymbol(draw, symbol, x, y, size, fill) {
+  draw.fillStyle = fill;
+  draw.strokeStyle = ink("--ink");
+  // A full line would leave little of a small symbol.
+  draw.lineWidth = size < 3 ? 0.5 : 1;
+  if (symbol === "reporting") path(draw, TRIANGLE, x, y, size);
+  else if (symbol === "woken") path(draw, DIAMOND, x, y, size);
+  else if (symbol === "sensing") {
+    draw.beginPath();
+    draw.arc(x, y, 1.1 * size, 0, 2 * Math.PI);
+  } else {
+    draw.beginPath();
+    draw.rect(x - 0.75 * size, y - 0.75 * size, 1.5 * size, 1.5 * size);
+  }
+  const outline = { sensing: "--accent", reporting: "--event", woken: "--woken" }[symbol];
+  if (outline) {
+    draw.strokeStyle = ink(outline);
+    draw.lineWidth = size < 3 ? 1.5 : 2.5;
+  }
+  draw.fill();
+  draw.stroke();
+  if (symbol !== "unpowered" && symbol !== "failed") return;
+  draw.beginPath();
+  for (const turn of [1, -1]) {
+    draw.moveTo(x - size, y - turn * size);
+    draw.lineTo(x + size, y + turn * size);
+  }
+  draw.strokeStyle = ink(symbol === "failed" ? "--event" : "--unpowered");
+  draw.lineWidth = symbol === "failed" ? 2.5 : 1.5;
+  draw.stroke();
+}
