@@ -2,15 +2,15 @@
 
     python tests/browser/check.py target/release/reveille [--pictures FOLDER]
 
-Needs `chromium` and the package websocket-client. The page loads without a console message, the map shows every device,
-and an event appears. Pause stops the clock, and step moves it by one. The scrubber goes back and shows that TTI's
-states; a device's history and a message open; the keyboard works. The checks cover desktop and phone size, light and
-dark. For two recordings the page names the first difference and shows both side by side with the beliefs of the base
-stations.
+Needs `chromium` and the package websocket-client. The page must load without a console message and control the clock of
+a live run. The map, the curves, the timeline, the device panel and the messages are compared with the answers of the
+program. Mouse, touch and keyboard, exports, names for assistive technology, contrasts, and desktop and phone sizes in
+both colour schemes are checked. For two recordings the page must name the first difference and show both runs. The
+looks of the page are not checked: see the pictures.
 
     python tests/browser/check.py target/release/reveille --minutes 10 [--devices 2500]
 
-watches a run for this time instead; prints updates per second and the page's memory, which must not grow.
+watches a run for this time instead; prints updates and paints per second and the page's memory, which must not grow.
 """
 
 import argparse
@@ -30,6 +30,16 @@ from websocket import create_connection
 
 DEVICES = 250
 
+# Axes, cluster numbers and the scale bar are painted on canvases: this records their text.
+RECORD_PAINTED_TEXT = """
+  window.painted = new Set();
+  const fillText = CanvasRenderingContext2D.prototype.fillText;
+  CanvasRenderingContext2D.prototype.fillText = function (text, ...rest) {
+    window.painted.add(String(text));
+    return fillText.call(this, text, ...rest);
+  };
+"""
+
 
 def main():
     parser = argparse.ArgumentParser()
@@ -42,16 +52,17 @@ def main():
         sys.exit("chromium is not here: not checked")
     if args.pictures:
         args.pictures.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         reveille, here = args.reveille.resolve(), Path(folder)
         if args.minutes:
             with live(reveille, here, args.devices, "1ms") as page:
                 watch(page, args.minutes)
             return
-        with live(reveille, here, DEVICES, "4ms") as page:
-            look(page, args.pictures)
+        # A short range and a lossy uplink give missed events, wake-ups and lost reports.
+        with live(reveille, here, DEVICES, "4ms", "--set sensing.d_max=2 --set radio.uplink_loss=0.5") as page:
+            check_live(page, args.pictures)
         with compared(reveille, here) as page:
-            compare(page, args.pictures)
+            check_comparison(page, args.pictures)
 
 
 class Page:
@@ -68,25 +79,60 @@ class Page:
         self.number += 1
         self.socket.send(json.dumps({"id": self.number, "method": method, "params": params}))
         while True:
-            told = json.loads(self.socket.recv())
-            if told.get("id") == self.number:
-                assert "error" not in told, (method, told)
-                return told["result"]
-            kind = told.get("method")
+            message = json.loads(self.socket.recv())
+            if message.get("id") == self.number:
+                assert "error" not in message, (method, message)
+                return message["result"]
+            kind = message.get("method")
             if kind == "Runtime.exceptionThrown":
-                self.complaints.append(told["params"]["exceptionDetails"])
-            elif kind == "Log.entryAdded" and told["params"]["entry"]["level"] in ("error", "warning"):
-                self.complaints.append(told["params"]["entry"])
-            elif kind == "Runtime.consoleAPICalled" and told["params"]["type"] in ("error", "warning"):
-                self.complaints.append(told["params"])
+                self.complaints.append(message["params"]["exceptionDetails"])
+            elif kind == "Log.entryAdded" and message["params"]["entry"]["level"] in ("error", "warning"):
+                self.complaints.append(message["params"]["entry"])
+            elif kind == "Runtime.consoleAPICalled" and message["params"]["type"] in ("error", "warning"):
+                self.complaints.append(message["params"])
 
     def value(self, text):
-        told = self.call("Runtime.evaluate", expression=text, awaitPromise=True, returnByValue=True)
-        assert "exceptionDetails" not in told, (text, told)
-        return told["result"].get("value")
+        answer = self.call("Runtime.evaluate", expression=text, awaitPromise=True, returnByValue=True)
+        assert "exceptionDetails" not in answer, (text, answer)
+        return answer["result"].get("value")
 
     def until(self, text, patience=20):
-        return wait(lambda: self.value(text), patience)
+        try:
+            return wait(lambda: self.value(text), patience)
+        except AssertionError as error:
+            raise AssertionError(f"{text}: {error}") from error
+
+    def text(self, selector):
+        return self.value(f"document.querySelector({selector!r}).textContent")
+
+    def fill(self, selector, value, event="change"):
+        self.value(
+            f"(() => {{ const field = document.querySelector({selector!r}); field.value = {json.dumps(value)};"
+            f" field.dispatchEvent(new Event({event!r}, {{ bubbles: true }})); }})()"
+        )
+
+    def push(self, selector):
+        self.value(f"document.querySelector({selector!r}).click()")
+
+    def centre(self, selector, x=0.5, y=0.5):
+        """A place in an element, as shares of its width and height, after scrolling to it."""
+        return self.value(
+            f"(() => {{ const it = document.querySelector({selector!r}); it.scrollIntoView({{ block: 'center' }}); const box = it.getBoundingClientRect();"
+            f" return [box.left + {x} * box.width, box.top + {y} * box.height]; }})()"
+        )
+
+    def move(self, x, y, button="none"):
+        self.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y, button=button)
+
+    def drag(self, start, end):
+        self.call("Input.dispatchMouseEvent", type="mousePressed", x=start[0], y=start[1], button="left", clickCount=1)
+        for share in (0.25, 0.5, 0.75, 1):
+            self.move(*(a + share * (b - a) for a, b in zip(start, end)), button="left")
+        self.call("Input.dispatchMouseEvent", type="mouseReleased", x=end[0], y=end[1], button="left", clickCount=1)
+
+    def touch(self, x, y):
+        self.call("Input.dispatchTouchEvent", type="touchStart", touchPoints=[{"x": x, "y": y}])
+        self.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
 
     def press(self, key, code=None, modifiers=0):
         text = {"text": key} if len(key) == 1 else {}
@@ -110,13 +156,13 @@ class Page:
 @contextlib.contextmanager
 def started(here, name, *command):
     """Starts a process and yields the address that it prints."""
-    said = here / name
-    process = subprocess.Popen(command, cwd=here, stdout=subprocess.DEVNULL, stderr=said.open("w"))
+    log = here / name
+    process = subprocess.Popen(command, cwd=here, stdout=subprocess.DEVNULL, stderr=log.open("w"))
     try:
-        yield wait(lambda: next((word.strip(";") for word in said.read_text().split() if word.startswith("http://")), None), 60)
+        yield wait(lambda: next((word.strip(";") for word in log.read_text().split() if word.startswith("http://")), None), 60)
     finally:
         if process.poll() is not None:
-            print(f"process ended early: {' '.join(map(str, command))}\n{said.read_text()}", file=sys.stderr)
+            print(f"process ended early: {' '.join(map(str, command))}\n{log.read_text()}", file=sys.stderr)
         process.kill()
         process.wait()
 
@@ -133,6 +179,7 @@ def browsed(here, url):
     try:
         page = Page(port)
         page.shape(1280, 900, "light")
+        page.call("Page.addScriptToEvaluateOnNewDocument", source=RECORD_PAINTED_TEXT)
         page.call("Page.navigate", url=url)
         yield page
         assert not page.complaints, page.complaints
@@ -142,9 +189,9 @@ def browsed(here, url):
 
 
 @contextlib.contextmanager
-def live(reveille, here, devices, pace):
-    run = f"up -p knn -n {devices} -k 10000000 -P 3 --pace {pace} --quiet --out out --dashboard 127.0.0.1:0".split()
-    with started(here, "said", reveille, *run) as url, browsed(here, url) as page:
+def live(reveille, here, devices, pace, options=""):
+    run = f"up -p knn -n {devices} -k 10000000 -P 3 --pace {pace} {options} --quiet --out out --dashboard 127.0.0.1:0".split()
+    with started(here, "log", reveille, *run) as url, browsed(here, url) as page:
         page.until("window.reveille?.moment && window.reveille.now.next > 300", 60)
         yield page
 
@@ -154,23 +201,23 @@ def compared(reveille, here):
     for seed in (1, 2):
         run = f"run -p age-index -n 60 -k 900 --set seed={seed} --record {seed}.mcap --quiet --out of-{seed}".split()
         subprocess.run([reveille, *run], cwd=here, check=True, stdout=subprocess.DEVNULL)
-    told = subprocess.run([reveille, "inspect", "compare", "1.mcap", "2.mcap"], cwd=here, capture_output=True, text=True)
-    assert told.returncode == 1, told
-    first = next(line for line in told.stdout.splitlines() if line.startswith("first difference"))
+    compared = subprocess.run([reveille, "inspect", "compare", "1.mcap", "2.mcap"], cwd=here, capture_output=True, text=True)
+    assert compared.returncode == 1, compared
+    first = next(line for line in compared.stdout.splitlines() if line.startswith("first difference"))
     command = "dashboard --from 1.mcap --compare 2.mcap --listen 127.0.0.1:0".split()
     with started(here, "comparison", reveille, *command) as url, browsed(here, url) as page:
         page.first = first.split()[2:6]
         yield page
 
 
-def compare(page, pictures):
+def check_comparison(page, pictures):
     """Compares two seeds: the first difference equals the one in `inspect compare`, and a click shows its TTI."""
     page.until("document.querySelectorAll('#differences li').length > 0")
     kind, tti = page.first[0], page.first[3].strip(",")
-    said = page.value("document.querySelector('#differences li').textContent")
-    assert f"first difference: {kind}" in said and f"TTI {tti} " in said, (page.first, said)
-    assert "seed: 1, other 2" in page.value("document.getElementById('fields').textContent")
-    assert not page.value("reveille.run.controls")
+    difference = page.text("#differences li")
+    assert f"first difference: {kind}" in difference and f"TTI {tti} " in difference, (page.first, difference)
+    assert "seed: 1, other 2" in page.text("#fields")
+    assert not page.value("reveille.run.controls") and page.text("#state") == "finished"
     page.value("document.querySelectorAll('#differences button')[1].click()")
     page.until("reveille.moment && reveille.other.moment && reveille.moment.tti === reveille.other.moment.tti")
     # A TTI with a belief over several places and a true event, in both recordings.
@@ -180,119 +227,329 @@ def compare(page, pictures):
         " if (a.belief?.length > 1 && a.event) return [k, a.belief.reduce((sum, p) => sum + p.share, 0), b.states.length]; } })()"
     )
     assert found and abs(found[1] - 1) < 1e-3 and found[2] == 60, found
-    page.value(f"(() => {{ const t = document.getElementById('tti'); t.value = {found[0]}; t.dispatchEvent(new Event('change')); }})()")
+    page.fill("#tti", found[0])
     page.until(f"reveille.moment.tti === {found[0]} && reveille.moment.belief.length > 1")
+    page.until("document.getElementById('legend').textContent.includes('belief')")
+    # Each curve names both runs, and each value has the colour of its run.
+    assert page.text("#this-name").startswith("this run: ") and page.text("#other-name").startswith("other run: ")
+    colours = "[...document.querySelectorAll('#chart-p1 .legend b')].map((value) => value.style.color)"
+    page.until(f"new Set({colours}).size === 2")
     # `inspect tail` has the same filters.
-    page.value(
-        "(() => { const f = document.getElementById('filters'); f.here.checked = false; f.kind.value = 'wake'; f.state.value = 'S4'; f.requestSubmit(); })()"
-    )
+    fields = "const fields = document.getElementById('filters');"
+    page.value(f"(() => {{ {fields} fields.here.checked = false; fields.kind.value = 'wake'; fields.state.value = 'S4'; fields.requestSubmit(); }})()")
     page.until("[...document.querySelectorAll('#messages tbody tr')].every((r) => r.cells[2].textContent === 'wake') && document.querySelectorAll('#messages tbody tr').length > 3")
-    page.value("(() => { const f = document.getElementById('filters'); f.state.value = ''; f.kind.value = 'nonsense'; f.requestSubmit(); })()")
+    page.value(f"(() => {{ {fields} fields.state.value = ''; fields.kind.value = 'nonsense'; fields.requestSubmit(); }})()")
     page.until("document.getElementById('refused').textContent.includes('no such kind')")
-    page.value("(() => { const f = document.getElementById('filters'); f.kind.value = ''; f.here.checked = true; f.requestSubmit(); })()")
+    page.value(f"(() => {{ {fields} fields.kind.value = ''; fields.here.checked = true; fields.requestSubmit(); }})()")
     page.until("document.getElementById('refused').textContent === ''")
     # The browser's log holds the refused request and nothing else.
     page.complaints = [one for one in page.complaints if "400" not in one.get("text", "")]
-    for name, width, height, scheme in [("compare", 1280, 900, "light"), ("compare-phone", 390, 844, "dark")]:
-        page.shape(width, height, scheme)
-        time.sleep(0.3)
-        wide = page.value("document.documentElement.scrollWidth")
-        assert wide <= width, f"{name}: {wide} pixels wide"
-        if pictures:
-            page.picture(pictures / f"{name}.png")
-    print(f"two seeds: {said.split(chr(10))[0][:60]}")
+    check_shapes(page, pictures, "compare")
+    print(f"two seeds: {difference.split(chr(10))[0][:60]}")
 
 
 def watch(page, minutes):
-    """Watches a long run and measures the page's updates and memory."""
+    """Watches a long run with the timeline on the screen, and measures the page's updates, paints and memory."""
+    page.shape(1440, 900, "light")
+    page.centre("#timeline")
     start = time.monotonic()
-    updates, begun = page.value("reveille.updates"), start
+    counts = "[reveille.updates, reveille.paints, reveille.timeline.paints, reveille.now.next]"
+    (updates, paints, timeline_paints, _), begun = page.value(counts), start
     sizes = []
     while time.monotonic() < start + 60 * minutes:
         time.sleep(min(30, 15 * minutes))
+        now = page.value(counts)
+        passed = time.monotonic() - begun
+        rates = [(after - before) / passed for after, before in zip(now, (updates, paints, timeline_paints))]
         page.call("HeapProfiler.collectGarbage")
         size = page.call("Runtime.getHeapUsage")["usedSize"] / 1e6
         sizes.append(size)
-        now, tti = page.value("[reveille.updates, reveille.now.next]")
-        print(f"{time.monotonic() - start:6.0f} s  TTI {tti:8}  {(now - updates) / (time.monotonic() - begun):5.1f} updates a second  {size:6.1f} MB", flush=True)
-        updates, begun = now, time.monotonic()
+        print(
+            f"{time.monotonic() - start:6.0f} s  TTI {now[3]:8}  {rates[0]:5.1f} updates, {rates[1]:5.1f} paints and"
+            f" {rates[2]:5.1f} paints of the timeline a second  {size:6.1f} MB", flush=True,
+        )
+        (updates, paints, timeline_paints, _), begun = page.value(counts), time.monotonic()
     quarter = max(len(sizes) // 4, 1)
     first, last = sum(sizes[:quarter]) / quarter, sum(sizes[-quarter:]) / quarter
     assert last < first * 1.2 + 2, f"the page has grown from {first:.1f} to {last:.1f} MB"
 
 
-def look(page, pictures):
+def check_live(page, pictures):
     assert page.value("reveille.run.positions.length") == DEVICES
     assert page.value("reveille.moment.states.length") == DEVICES
     loaded = page.value("performance.getEntriesByType('resource').every((r) => r.name.startsWith(location.origin))")
     assert loaded, "something is loaded from elsewhere"
-    script = (
-        "(() => { const m = document.getElementById('map'), d = m.getContext('2d').getImageData(0, 0, m.width, m.height).data;"
-        " const seen = new Set(); for (let i = 0; i < d.length; i += 4) seen.add(d[i] << 16 | d[i + 1] << 8 | d[i + 2]); return seen.size; })()"
-    )
     # States arrive before they are painted.
-    until = time.monotonic() + 5
-    while (painted := page.value(script)) <= 50:
-        assert time.monotonic() < until, f"{painted} colours on the map"
-        time.sleep(0.05)
-    before, start = page.value("reveille.updates"), time.monotonic()
+    page.until(f"{COLOURS.replace('CANVAS', 'map')} > 50")
+    before, start = page.value("[reveille.updates, reveille.paints]"), time.monotonic()
     time.sleep(3)
-    rate = (page.value("reveille.updates") - before) / (time.monotonic() - start)
-    assert rate >= 15, f"{rate:.1f} updates a second"
+    after, passed = page.value("[reveille.updates, reveille.paints]"), time.monotonic() - start
+    update_rate, paint_rate = ((b - a) / passed for a, b in zip(before, after))
+    assert update_rate >= 15 and paint_rate >= 15, f"{update_rate:.1f} updates and {paint_rate:.1f} paints a second"
     page.until("document.querySelectorAll('#ticker li').length > 0")
-    page.value("document.getElementById('pause').click()")
-    page.until("document.getElementById('said').textContent.startsWith('paused')")
+    stopped = check_clock(page)
+    check_moving_back(page, stopped)
+    check_map(page)
+    check_curves(page)
+    check_timeline(page, stopped)
+    check_misses(page)
+    check_messages(page)
+    check_exports(page)
+    check_names(page)
+    check_shapes(page, pictures, "live")
+    page.push("#follow")
+    page.push("#pause")
+    page.until(f"reveille.now.next > {stopped + 50}")
+    assert page.value("reveille.timeline.window.follows")
+    print(f"{DEVICES} devices, {update_rate:.0f} updates and {paint_rate:.0f} paints a second, nothing on the console")
+
+
+# The number of colours on a canvas.
+COLOURS = (
+    "(() => { const m = document.getElementById('CANVAS'), d = m.getContext('2d').getImageData(0, 0, m.width, m.height).data;"
+    " const seen = new Set(); for (let i = 0; i < d.length; i += 4) seen.add(d[i] << 16 | d[i + 1] << 8 | d[i + 2]); return seen.size; })()"
+)
+
+
+def check_clock(page):
+    """Pauses, steps and sets the pace. Returns the next TTI of the paused run."""
+    page.until("document.getElementById('state').textContent === 'running'")
+    page.until("/^wall clock 0:0/.test(document.getElementById('wall').textContent)")
+    assert "/out" in page.text("#path"), page.text("#path")
+    assert page.text("#counted") == "warm-up until TTI 1\u202f000\u202f000; nothing is counted yet", page.text("#counted")
+    page.push("#pause")
+    page.until("document.getElementById('state').textContent === 'paused'")
     page.until("document.getElementById('pause').textContent === 'Resume'")
     time.sleep(0.5)
-    stood = page.value("reveille.now.next")
+    stopped = page.value("reveille.now.next")
     time.sleep(1)
-    assert page.value("reveille.now.next") == stood, "paused"
-    page.value("document.getElementById('step').click()")
-    page.until(f"reveille.now.next === {stood + 1}")
-    page.value("(() => { document.getElementById('pace').value = 7; document.getElementById('set-pace').click(); })()")
-    page.until("document.getElementById('said').textContent.endsWith('a TTI every 7ms')")
-    # Moves back by a hundred TTIs and compares the states shown.
-    page.value(
-        f"(() => {{ const s = document.getElementById('scrubber'); s.value = {stood - 100}; s.dispatchEvent(new Event('input')); }})()"
-    )
-    page.until(f"reveille.tti === {stood - 100} && reveille.moment.tti === {stood - 100}")
+    assert page.value("reveille.now.next") == stopped, "paused"
+    # One TTI on the whole page.
+    assert page.text("#progress").replace("\u202f", "").startswith(f"TTI {stopped - 1} of"), page.text("#progress")
+    assert "TTI" not in page.text("#clock-note") and page.value("reveille.tti") == stopped - 1
+    page.push("#step")
+    page.until(f"reveille.now.next === {stopped + 1}")
+    page.fill("#pace", 7)
+    page.push("#set-pace")
+    page.until("reveille.clock.pace.RealTime === 7000")
+    return stopped
+
+
+def check_moving_back(page, stopped):
+    """Moves back by a hundred TTIs and compares the states shown; then the keys."""
+    page.fill("#scrubber", stopped - 100, "input")
+    page.until(f"reveille.tti === {stopped - 100} && reveille.moment.tti === {stopped - 100}")
     same = page.value(
-        f"fetch('api/tti/{stood - 100}').then((a) => a.json()).then((m) => m.states === reveille.moment.states && m.batteries === reveille.moment.batteries)"
+        f"fetch('api/tti/{stopped - 100}').then((a) => a.json()).then((m) => m.states === reveille.moment.states && m.batteries === reveille.moment.batteries)"
     )
     assert same
+    assert "before the latest" in page.until("document.getElementById('shown').textContent")
     page.press("ArrowLeft")
-    page.until(f"reveille.moment.tti === {stood - 101}")
+    page.until(f"reveille.moment.tti === {stopped - 101}")
     page.press("ArrowRight", modifiers=8)
-    page.until(f"reveille.moment.tti === {stood - 91}")
+    page.until(f"reveille.moment.tti === {stopped - 91}")
     page.press("b")
-    page.until("document.querySelectorAll('#marks button').length === 1")
-    # Opens a device by a click on the map, then a message with its bytes.
-    x, y = page.value(
-        "(() => { const b = document.getElementById('map').getBoundingClientRect(), [w, h] = reveille.run.area, p = reveille.run.positions[7];"
-        " return [b.left + 10 + p.x / w * (b.width - 20), b.bottom - 10 - p.y / h * (b.height - 20)]; })()"
+    page.until("document.querySelectorAll('#bookmarks button').length === 1")
+
+
+def check_map(page):
+    """The scale bar, cluster numbers, layers and legend; a click chooses a device."""
+    groups = page.value("[...new Set(reveille.run.groups)].map(String)")
+    assert page.value(f"{json.dumps(groups)}.every((group) => window.painted.has(group))"), "cluster numbers"
+    assert page.value("[...window.painted].some((text) => /^[0-9.]+ m$/.test(text))"), "scale bar"
+    assert "belief" not in page.text("#legend"), "knn has no belief"
+    symbols = page.value("[...document.querySelectorAll('#legend canvas')].map((canvas) => canvas.toDataURL())")
+    assert len(symbols) == 6 and len(set(symbols)) == 6, "the symbols differ"
+    # The two reasons of a report differ in shape, not only in colour: a diamond covers more than a triangle.
+    areas = page.value(
+        "[...document.querySelectorAll('#legend canvas')].map((m) => [...m.getContext('2d').getImageData(0, 0, m.width, m.height).data].filter((value, i) => i % 4 === 3 && value > 128).length)"
     )
-    page.click(x, y)
+    assert areas[2] > areas[1] + 10, areas
+    picture = "document.getElementById('map').toDataURL()"
+    pictures = [page.value(picture)]
+    for layer in ("looks", "misses", "battery", "none", "cluster"):
+        page.fill("#layer", layer)
+        page.until(f"{picture} !== {json.dumps(pictures[-1])}")
+        pictures.append(page.value(picture))
+        if layer == "looks":
+            page.until("/sensed.*darkest [1-9]/.test(document.getElementById('legend').textContent)")
+    centre = page.value("(() => { const [w, h] = reveille.run.area, p = reveille.run.positions[7]; return [p.x / w, 1 - p.y / h]; })()")
+    width, height = page.value("(() => { const box = document.getElementById('map').getBoundingClientRect(); return [box.width, box.height]; })()")
+    page.click(*page.centre("#map", (10 + centre[0] * (width - 20)) / width, (10 + centre[1] * (height - 20)) / height))
     page.until("reveille.device === 7 && !document.getElementById('one').hidden")
-    page.until("document.getElementById('ledger').textContent.includes('S4')")
-    page.until("document.querySelectorAll('#messages tbody tr').length > 0")
-    if pictures:
-        page.picture(pictures / "desktop-light.png")
-    page.value("document.querySelector('#messages tbody tr').click()")
+    page.until("document.getElementById('ledger').textContent.includes('unpowered')")
+    assert page.text("#one-title") == "Device 7"
+
+
+def check_curves(page):
+    """Axes with ticks and units, and values for mouse, touch and keyboard."""
+    assert page.value("document.querySelectorAll('#charts .chart').length") == 7
+    units = page.value("[...document.querySelectorAll('#charts .unit')].map((unit) => unit.textContent.trim())")
+    assert all(units), units
+    # Without cluster numbers, all numbers belong to axes.
+    page.fill("#layer", "none")
+    page.centre("#chart-battery canvas")
+    page.value("(() => { window.painted.clear(); dispatchEvent(new Event('resize')); })()")
+    page.until("window.painted.has('TTI') && window.painted.has('units')")
+    ticks = page.value("[...window.painted].filter((text) => /^[0-9.]+k?$/.test(text))")
+    assert len(ticks) > 8 and {"0", "50", "100"} <= set(ticks), ticks
+    page.fill("#layer", "cluster")
+    note = page.text("#chart-p1 .note")
+    assert note == "warm-up until TTI 1\u202f000\u202f000; nothing is counted yet", note
+    readout = "document.querySelector('#chart-battery .readout')"
+    page.move(*page.centre("#chart-battery canvas"))
+    page.until(f"!{readout}.hidden && /^TTI [^]*median [0-9]/.test({readout}.textContent)")
+    page.move(2, 2)
+    page.until(f"{readout}.hidden")
+    page.value("document.querySelector('#chart-battery canvas').focus({ preventScroll: true })")
+    tti = page.value("reveille.tti")
+    page.press("ArrowLeft")
+    page.until(f"!{readout}.hidden")
+    first = page.value(f"{readout}.textContent")
+    page.press("ArrowLeft")
+    page.until(f"{readout}.textContent !== {json.dumps(first)}")
+    assert page.value("reveille.tti") == tti, "the keys of a chart do not move the shown TTI"
+    page.press("Escape")
+    page.until(f"{readout}.hidden")
+    page.touch(*page.centre("#chart-battery canvas", 0.7))
+    page.until(f"!{readout}.hidden")
+    page.value("document.activeElement.blur()")
+    histogram = "document.querySelector('#histogram .readout')"
+    page.move(*page.centre("#histogram canvas", 0.9))
+    page.until(f"!{histogram}.hidden && /units[^]*device/.test({histogram}.textContent)")
+    page.move(2, 2)
+
+
+def check_timeline(page, stopped):
+    """Compares cells with the history of their devices; then zoom, pan, filters and the last rows."""
+    page.fill("#tti", stopped - 60)
+    page.until(f"reveille.moment.tti === {stopped - 60}")
+    page.centre("#timeline")
+    page.until(f"reveille.timeline.cell(5, {stopped - 60}) !== null")
+    page.until(f"{COLOURS.replace('CANVAS', 'timeline')} > 10")
+    differing = page.value(
+        f"(async () => {{ const names = {{ 1: 'S1 senses', 2: 'S3', 3: 'S3', 4: 'S4 sleeps', 0: 'unpowered' }}, found = [];"
+        f" for (const device of [0, 5, 9]) {{ const own = await fetch(`api/device/${{device}}?from={stopped - 120}&end={stopped - 20}`).then((a) => a.json());"
+        " [...own.states].forEach((state, nth) => { const cell = reveille.timeline.cell(device, own.from + nth);"
+        " if (!cell?.states.includes(names[state]) || Math.abs(cell.battery - own.batteries[nth]) > 0.5) found.push([device, own.from + nth, state, cell]); }); }"
+        " return found; })()"
+    )
+    assert not differing, differing[:3]
+    page.move(*page.centre("#timeline", 0.6, 0.5))
+    page.until("/^device [0-9]+\\nTTI/.test(document.getElementById('timeline-readout').textContent)")
+    scale = page.value("reveille.timeline.window.scale")
+    page.value("document.getElementById('timeline-scroll').focus({ preventScroll: true })")
+    page.press("+")
+    page.until(f"reveille.timeline.window.scale > {scale}")
+    start = page.value("reveille.timeline.window.from")
+    page.drag(page.centre("#timeline", 0.4, 0.5), page.centre("#timeline", 0.7, 0.5))
+    page.until(f"reveille.timeline.window.from < {start} - 5")
+    # All TTIs at once: columns of several TTIs.
+    page.push("#timeline-fit")
+    page.until(f"reveille.timeline.window.from <= 1 && reveille.timeline.window.tti(reveille.timeline.window.width) >= {stopped}")
+    page.press("End")
+    page.until(f"reveille.device === {DEVICES - 1}")
+    page.until(f"reveille.timeline.cell({DEVICES - 1}, 10) !== null")
+    page.fill("#timeline-filter [name=devices]", "3-6, 40", "input")
+    page.until("String(reveille.timeline.devices) === '3,4,5,6,40'")
+    page.fill("#timeline-filter [name=devices]", "3-x", "input")
+    page.until("document.getElementById('timeline-note').textContent.includes('not a number')")
+    page.fill("#timeline-filter [name=devices]", "", "input")
+    page.fill("#timeline-filter [name=cluster]", "0", "input")
+    page.until("reveille.timeline.devices.length > 0 && reveille.timeline.devices.every((device) => reveille.run.groups[device] === 0)")
+    page.push("#timeline-filter [type=reset]")
+    page.fill("#timeline-filter [name=state]", "S1", "input")
+    page.until("reveille.timeline.devices.length > 0 && reveille.timeline.devices.every((device) => reveille.moment.states[device] === '1')")
+    page.push("#timeline-filter [type=reset]")
+    page.until(f"reveille.timeline.devices.length === {DEVICES}")
+
+
+def check_misses(page):
+    """The keys N and P show the neighbouring missed events."""
+    misses = page.value("fetch('api/events?from=0').then((a) => a.json()).then((all) => all.filter((event) => event.delay === null).map((event) => event.start))")
+    assert len(misses) > 2, misses
+    page.fill("#tti", misses[0])
+    page.until(f"reveille.moment.tti === {misses[0]}")
+    page.value("document.activeElement.blur()")
+    page.press("n")
+    page.until(f"reveille.moment.tti === {misses[1]} && reveille.moment.event")
+    assert page.text("#miss-note").startswith("missed event "), page.text("#miss-note")
+    page.press("p")
+    page.until(f"reveille.moment.tti === {misses[0]}")
+    page.push("#previous-miss")
+    page.until("document.getElementById('miss-note').textContent.startsWith('no missed event before')")
+    page.push("#next-miss")
+    page.until(f"reveille.moment.tti === {misses[1]}")
+
+
+def check_messages(page):
+    """The shown TTI comes first, and emulation messages are hidden; a message opens with its bytes."""
+    planes = "[...document.querySelectorAll('#messages tbody tr[data-id]')].map((line) => line.dataset.plane)"
+    page.until(f"document.querySelector('#messages tbody tr').className === 'shown' && {planes}.length > 0")
+    assert "emu" not in page.value(planes)
+    page.push("#filters [name=emulation]")
+    page.until(f"{planes}.includes('emu')")
+    page.push("#filters [name=emulation]")
+    page.until(f"!{planes}.includes('emu') && {planes}.length > 0")
+    page.push("#messages tbody tr[data-id]")
     page.until("document.getElementById('detail').open && document.getElementById('hex').textContent.length > 3")
     page.value("document.getElementById('detail').close()")
-    for name, width, height, scheme in [
-        ("desktop-dark", 1280, 900, "dark"), ("phone-light", 390, 844, "light"), ("phone-dark", 390, 844, "dark"),
-    ]:
-        page.shape(width, height, scheme)
-        time.sleep(0.3)
-        wide = page.value("document.documentElement.scrollWidth")
-        assert wide <= width, f"{name}: {wide} pixels wide"
-        if pictures:
-            page.picture(pictures / f"{name}.png")
-    page.value("document.getElementById('follow').click()")
-    page.value("document.getElementById('pause').click()")
-    page.until(f"reveille.now.next > {stood + 50}")
-    print(f"{DEVICES} devices, {rate:.0f} updates a second, nothing on the console")
+
+
+def check_exports(page):
+    """Each panel saves a picture and a table."""
+    page.value("window.saved = []; URL.createObjectURL = (blob) => { window.saved.push(blob); return 'data:,'; }; HTMLAnchorElement.prototype.click = () => {};")
+    panels = page.value("document.querySelectorAll('.export').length")
+    assert panels >= 11, f"{panels} panels"
+    for nth in range(panels):
+        page.value("window.saved.length = 0")
+        page.value(f"document.querySelectorAll('.export')[{nth}].querySelectorAll('button').forEach((button) => button.click())")
+        page.until("window.saved.length === 2")
+        heads = page.value("Promise.all(window.saved.map((blob) => blob.slice(0, 4000).text().then((text) => [blob.type, blob.size, text])))")
+        label = page.value(f"document.querySelectorAll('.export')[{nth}].querySelector('button').getAttribute('aria-label')")
+        kinds = {kind: (size, text) for kind, size, text in heads}
+        assert kinds["image/png"][0] > 1000 and kinds["image/png"][1][1:4] == "PNG", (label, kinds["image/png"])
+        header, *rows = kinds["text/csv"][1].splitlines()
+        assert "," in header and rows, (label, kinds["text/csv"])
+
+
+def check_names(page):
+    """Controls and canvases have names, and text has enough contrast in both colour schemes."""
+    unnamed = page.value(
+        "[...document.querySelectorAll('button, input, select, canvas:not([aria-hidden])')].filter((it) =>"
+        " !(it.textContent.trim() || it.getAttribute('aria-label') || it.labels?.length)).map((it) => it.outerHTML)"
+    )
+    assert not unnamed, unnamed
+    unreachable = page.value("[...document.querySelectorAll('.chart canvas, #timeline-scroll, .scroll')].filter((it) => it.tabIndex !== 0).length")
+    assert unreachable == 0, f"{unreachable} parts without keyboard focus"
+    contrast = (
+        "(() => { const style = getComputedStyle(document.documentElement), light = (name) => { const digits = style.getPropertyValue(name).trim().slice(1);"
+        " const [r, g, b] = [0, 2, 4].map((at) => parseInt(digits.slice(at, at + 2), 16) / 255).map((v) => v <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);"
+        " return 0.2126 * r + 0.7152 * g + 0.0722 * b; };"
+        " const ratio = (a, b) => { const [low, high] = [light(a), light(b)].sort((x, y) => x - y); return (high + 0.05) / (low + 0.05); };"
+        " return Object.fromEntries([['--ink', 4.5], ['--faint', 4.5], ['--accent', 4.5], ['--other', 4.5], ['--alarm', 4.5], ['--event', 3], ['--woken', 3], ['--belief', 3]]"
+        "   .flatMap(([name, least]) => ['--panel', '--field'].map((ground) => [`${name} on ${ground}`, ratio(name, ground) / least]))); })()"
+    )
+    for scheme in ("light", "dark"):
+        page.shape(1280, 900, scheme)
+        low = {pair: share for pair, share in page.value(contrast).items() if share < 1}
+        assert not low, (scheme, low)
+
+
+def check_shapes(page, pictures, name):
+    """No size or colour scheme makes the page wider than the screen."""
+    for size, width, height in (("desktop", 1440, 900), ("phone", 390, 844)):
+        for scheme in ("light", "dark"):
+            page.shape(width, height, scheme)
+            page.value("scrollTo(0, 0)")
+            time.sleep(0.3)
+            wide = page.value("document.documentElement.scrollWidth")
+            assert wide <= width, f"{name}, {size}: {wide} pixels wide"
+            if size == "phone" and page.value("reveille.run.controls"):
+                below = page.value("document.getElementById('clock').getBoundingClientRect().bottom <= document.getElementById('map').getBoundingClientRect().top")
+                assert below, "the clock is above the map"
+            if pictures:
+                page.picture(pictures / f"{name}-{size}-{scheme}.png")
 
 
 def free_port():
@@ -301,11 +558,11 @@ def free_port():
         return one.getsockname()[1]
 
 
-def wait(look, patience=20):
+def wait(condition, patience=20):
     end, error = time.monotonic() + patience, None
     while time.monotonic() < end:
         try:
-            found = look()
+            found = condition()
             if found:
                 return found
         except (OSError, StopIteration) as one:
