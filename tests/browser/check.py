@@ -234,6 +234,7 @@ def check_comparison(page, pictures):
     assert page.text("#this-name").startswith("this run: ") and page.text("#other-name").startswith("other run: ")
     colours = "[...document.querySelectorAll('#chart-p1 .legend b')].map((value) => value.style.color)"
     page.until(f"new Set({colours}).size === 2")
+    assert page.text("#counted").startswith("this run: ") and page.text("#timeline-title") == "Timeline of this run"
     # `inspect tail` has the same filters.
     fields = "const fields = document.getElementById('filters');"
     page.value(f"(() => {{ {fields} fields.here.checked = false; fields.kind.value = 'wake'; fields.state.value = 'S4'; fields.requestSubmit(); }})()")

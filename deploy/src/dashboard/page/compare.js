@@ -10,6 +10,8 @@ export async function startCompare() {
   page.other = { run: other, moment: null, points: [] };
   byId("other-figure").hidden = byId("compare").hidden = byId("this-caption").hidden = byId("curve-runs").hidden = false;
   document.querySelector("main").classList.add("comparing");
+  // These panels show one run only.
+  for (const title of ["events-title", "timeline-title", "traffic-title"]) byId(title).textContent += " of this run";
   const name = (run, text) => `${text}: ${run.run} (${run.policy}, seed ${run.seed})`;
   byId("this-name").textContent = name(run, "this run");
   byId("other-name").textContent = name(other, "other run");

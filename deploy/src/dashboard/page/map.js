@@ -42,9 +42,12 @@ export class DeviceMap {
     this.draw = draw;
     this.at = (point) => this.place(point, width, height);
     draw.drawImage(this.ground.canvas(width, height, layer, heat, moment), 0, 0, width, height);
-    paintScaleBar(draw, this, width, height);
     // Before TTI 0 no device has a state.
-    if (!moment.states) return;
+    if (moment.states) this.paintMoment(draw, moment, chosen, layer, width, height);
+    paintScaleBar(draw, this, width, height);
+  }
+
+  paintMoment(draw, moment, chosen, layer, width, height) {
     this.paintBelief(moment.belief ?? []);
     if (moment.event) this.paintRange(moment, this.perMetre(width, height) * this.run.d_max);
     const size = Math.max(2, Math.min(8, width / 9 / Math.sqrt(this.run.devices)));

@@ -18,7 +18,7 @@ export function runState() {
 function countedText() {
   const { now, run } = page;
   if (now.next <= run.warm_up_end) return `warm-up until TTI ${ttiText(run.warm_up_end)}; nothing is counted yet`;
-  return `${plural(now.events, "event")} counted, ${now.missed} missed`;
+  return `${page.other ? "this run: " : ""}${plural(now.events, "event")} counted, ${now.missed} missed`;
 }
 
 export function showRunState() {
