@@ -124,8 +124,7 @@ fn serve(prepared: &PreparedRun, loss: Option<HostLoss>, stop: Tti) -> (RunOutco
                 let (mut reports, mut failures, mut unpowered) = (Vec::new(), Vec::new(), 0);
                 // Hosts answer in any order.
                 for machine in machines.iter_mut().rev() {
-                    let sense = |stimulus| machine.sense(grant.last, &stimulus, &physics);
-                    match grant.stimulus.map(sense) {
+                    match grant.stimulus.map(|event| machine.sense(grant.last, &event, &physics)) {
                         Some(SenseOutcome::Reported(report)) => reports.push(report),
                         Some(SenseOutcome::Failed(failure)) => failures.push(failure),
                         Some(SenseOutcome::Unpowered) => unpowered += 1,
