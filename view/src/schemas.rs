@@ -4,6 +4,7 @@
 
 use std::collections::BTreeMap;
 
+use reveille_common::event::MissCause;
 use reveille_common::message::{MessageKind, Pace, Payload, TypeVisitor, WakeOutcome};
 use reveille_common::plan::Plan;
 use reveille_common::state::DeviceState;
@@ -49,6 +50,7 @@ impl MessageSchemas {
         };
         // Enums inside messages are traced first: from a message alone, the tracer sees only their first variant.
         tracer.trace::<Plan>();
+        tracer.trace::<MissCause>();
         tracer.trace::<WakeOutcome>();
         tracer.trace::<DeviceState>();
         tracer.trace::<Pace>();
