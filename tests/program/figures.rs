@@ -372,14 +372,14 @@ fn a_report_needs_one_table_and_refuses_empty_and_newer_ones() {
         .collect();
     folder.write("empty.csv.toml", &empty_side_car);
     folder.write("later.csv", &text);
-    let later_side_car = side_car.replace("\"reveille.table\" = \"2\"", "\"reveille.table\" = \"3\"");
+    let later_side_car = side_car.replace("\"reveille.table\" = \"3\"", "\"reveille.table\" = \"4\"");
     assert_ne!(later_side_car, side_car);
     folder.write("later.csv.toml", &later_side_car);
     for command in ["figures", "report"] {
         let end = folder.run(&format!("{command} empty.csv --out out"));
         assert_refused(&end, 1, &["empty.csv", "no runs to draw", "reveille sweep"]);
         let end = folder.run(&format!("{command} paper/results.csv later.csv --out out"));
-        assert_refused(&end, 1, &["later.csv", "version 3"]);
+        assert_refused(&end, 1, &["later.csv", "version 4"]);
         assert!(!folder.join("out").exists());
     }
 }

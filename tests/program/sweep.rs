@@ -284,11 +284,11 @@ fn tables_of_another_version_or_format_are_not_merged() {
     let text = fs::read_to_string(&side_car).expect("there");
     fs::write(
         &side_car,
-        text.replace("\"reveille.table\" = \"2\"", "\"reveille.table\" = \"3\""),
+        text.replace("\"reveille.table\" = \"3\"", "\"reveille.table\" = \"4\""),
     )
     .expect("written");
     let end = folder.run("merge s1 s2 --out m.csv");
-    assert_refused(&end, 1, &["s2/results.csv", "version 3", "reads versions 1 to 2"]);
+    assert_refused(&end, 1, &["s2/results.csv", "version 4", "reads versions 1 to 3"]);
     fs::write(&side_car, text.replace(env!("CARGO_PKG_VERSION"), "0.0.9")).expect("written");
     assert_refused(&folder.run("merge s1 s2 --out m.csv"), 1, &["reveille 0.0.9"]);
     fs::write(&side_car, text).expect("written");
