@@ -5,7 +5,7 @@ import json
 import zenoh
 
 # The first byte of every message: the wire version.
-WIRE = 7
+WIRE = 8
 # Encoded clock commands: pause, step 1, run to TTI 10, resume, pace max. `STATUS` needs no key.
 COMMANDS = [bytes([WIRE, *command]) for command in ([0], [1, 1], [2, 10], [3], [4, 0])]
 STATUS = bytes([WIRE, 5])
@@ -13,7 +13,7 @@ STATUS = bytes([WIRE, 5])
 WELCOME = bytes([WIRE, 0])
 
 
-def session(endpoint):
+def open_session(endpoint):
     """Opens a client session."""
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')

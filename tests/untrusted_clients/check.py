@@ -21,7 +21,7 @@ import time
 
 import zenoh
 
-from bus import COMMANDS, STATUS, WELCOME, WIRE, check_wire, keys_of, session
+from bus import COMMANDS, STATUS, WELCOME, WIRE, check_wire, keys_of, open_session
 
 SCENARIO = ["-n", "30", "-k", "1200"]
 # Timeout in seconds, more than four times the length of any run here.
@@ -84,7 +84,7 @@ class Run:
 
 def send_noise(run):
     """Puts noise and replayed copies of observer messages on every key."""
-    client = session(run.endpoint)
+    client = open_session(run.endpoint)
     copies = []
     listener = client.declare_subscriber(
         f"reveille/{run.name}/tap", lambda sample: copies.append(sample.payload.to_bytes())
@@ -106,7 +106,7 @@ def send_noise(run):
 
 def listen(run):
     """Subscribes to everything; checks that only the tap and the base station's token are visible."""
-    client = session(run.endpoint)
+    client = open_session(run.endpoint)
     received_keys, token_keys = set(), set()
     listeners = []
     for key in ["**", f"reveille/{run.name}/**", f"reveille/{run.name}/*/emu/**", f"reveille/{run.name}/tap"]:
@@ -129,7 +129,7 @@ def listen(run):
 
 def pose_as_base_station(run):
     """Answers requests like the base station and holds the tokens of hosts."""
-    client = session(run.endpoint)
+    client = open_session(run.endpoint)
     received_requests = []
 
     def reply(query):
@@ -158,7 +158,7 @@ def pose_as_base_station(run):
 
 def send_commands(run):
     """Sends clock commands without the key; they must be refused and leave the run unchanged."""
-    client = session(run.endpoint)
+    client = open_session(run.endpoint)
     control = f"reveille/{run.name}/emu/control"
     for command in COMMANDS:
         for attachment in [None, b"0" * 32, b"\xff" * 32]:
@@ -172,7 +172,7 @@ def send_commands(run):
 
 def flood(run):
     """Sends oversized messages, and requests without pause."""
-    client = session(run.endpoint)
+    client = open_session(run.endpoint)
     run.resume()
     stop = threading.Event()
 
@@ -188,7 +188,7 @@ def flood(run):
     memory_mb = [run.memory_mb()]
     for key in [f"reveille/{run.name}/emu/join", f"reveille/{run.name}/air/report/0"]:
         try:
-            session(run.endpoint).put(key, payload, congestion_control=zenoh.CongestionControl.BLOCK)
+            open_session(run.endpoint).put(key, payload, congestion_control=zenoh.CongestionControl.BLOCK)
         except zenoh.ZError:
             pass
         memory_mb.append(run.memory_mb())
@@ -204,7 +204,7 @@ STOPPED_OBSERVER = """
 import os, signal, sys
 sys.path.insert(0, sys.argv[3])
 import bus
-client = bus.session(sys.argv[1])
+client = bus.open_session(sys.argv[1])
 subscribers = [client.declare_subscriber(key, lambda sample: None) for key in ["**", f"reveille/{sys.argv[2]}/tap"]]
 print("subscribed", flush=True)
 os.kill(os.getpid(), signal.SIGSTOP)
