@@ -3,9 +3,9 @@
 
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{CellAlignment, Table};
-use reveille_common::event::MissCause;
 use reveille_common::radio::RadioSettings;
 use reveille_common::score::{EventActivity, MetricGroup, Metrics};
+use reveille_common::totals::MissCause;
 
 use crate::summary::{ClassSummary, Summary};
 

@@ -426,7 +426,10 @@ fn invalid_options_are_refused_before_training() {
             "--devices 5 --episodes 0",
             &["episodes = 0", "must be from 1 to 100000"],
         ),
-        ("--devices 5 --episode-ttis 9", &["episode-ttis = 9", "must be from 10 to"]),
+        (
+            "--devices 5 --episode-ttis 9",
+            &["episode-ttis = 9", "must be from 10 to"],
+        ),
         (
             "--devices 5,1000000 --episode-ttis 2000 --set energy.e_max=10000",
             &["--episode-ttis 2000", "at most 1844", "1000000 devices", "overflow"],

@@ -162,6 +162,24 @@ fn count_broadcasts(scenario: &Scenario) -> u64 {
     (warm_up_end(scenario)..scenario.run.ttis).filter(is_due).count() as u64
 }
 
+/// Returns the share of each cause of missed events in the `counted` events, %.
+fn cause_metrics(counted: &[&EventRecord]) -> Vec<Row> {
+    let share = |cause: &str| {
+        let has_cause = |record: &&&EventRecord| record.miss_cause.is_some_and(|found| found.name() == cause);
+        100.0 * counted.iter().filter(has_cause).count() as f64 / counted.len() as f64
+    };
+    vec![
+        ("missed_out_of_reach_pct", share("out_of_reach")),
+        ("missed_removed_pct", share("removed")),
+        ("missed_undetected_pct", share("undetected")),
+        ("missed_asleep_pct", share("asleep")),
+        ("missed_unpowered_pct", share("unpowered")),
+        ("missed_wake_missed_pct", share("wake_missed")),
+        ("missed_no_energy_pct", share("no_energy")),
+        ("missed_lost_pct", share("lost")),
+    ]
+}
+
 /// Checks that the metrics equal their definitions applied to the reference run. The bytes in the metrics of traffic
 /// are the emulator's.
 fn check_metrics(
@@ -188,6 +206,7 @@ fn check_metrics(
         ("uplink_bytes_per_tti", totals.uplink.bytes as f64 / ttis),
     ]);
     rows.extend(loss_metrics(run, n, ttis));
+    rows.extend(cause_metrics(&counted));
     prop_assert_eq!(metrics.rows().len(), rows.len());
     for (name, expected) in rows {
         let Some(value) = metrics.value(name) else {

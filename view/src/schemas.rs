@@ -4,10 +4,10 @@
 
 use std::collections::BTreeMap;
 
-use reveille_common::event::MissCause;
 use reveille_common::message::{MessageKind, Pace, Payload, TypeVisitor, WakeOutcome};
 use reveille_common::plan::Plan;
 use reveille_common::state::DeviceState;
+use reveille_common::totals::MissCause;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use serde_reflection::{ContainerFormat, Format, Named, Registry, Tracer, TracerConfig, VariantFormat};

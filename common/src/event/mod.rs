@@ -10,7 +10,6 @@ mod bursts;
 mod duration;
 pub mod event_settings;
 mod hot_spots;
-mod miss_cause;
 mod process;
 mod record;
 mod uniform;
@@ -23,7 +22,6 @@ pub use self::aftershocks::Aftershocks;
 pub use self::bursts::EventBursts;
 pub use self::duration::DurationKind;
 pub use self::hot_spots::HotSpots;
-pub use self::miss_cause::MissCause;
 pub use self::process::{ProcessKind, ProcessSettings};
 pub use self::record::EventRecord;
 

@@ -5,10 +5,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::MissCause;
 use crate::geometry::Point;
 use crate::ids::{EventId, Tti};
-use crate::totals::EventTally;
+use crate::totals::{EventTally, MissCause};
 
 /// One ended event, for the per-event table.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

@@ -3,8 +3,7 @@
 
 use serde::Serialize;
 
-use crate::event::MissCause;
-use crate::totals::{DeviceTotals, EventTotals, PICO_PER_INFORMATION, RadioLosses, Totals};
+use crate::totals::{DeviceTotals, EventTotals, MissCause, PICO_PER_INFORMATION, RadioLosses, Totals};
 use crate::units::{Energy, MICRO_PER_UNIT};
 
 /// The subject of a metric, which groups the rows of a table.

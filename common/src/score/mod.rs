@@ -17,13 +17,14 @@ pub use windows::{WindowAccumulator, WindowRecord};
 
 use crate::codec;
 use crate::deployment::Deployment;
-use crate::event::{ActiveEvent, EventRecord, MissCause, Stimulus};
+use crate::event::{ActiveEvent, EventRecord, Stimulus};
 use crate::ids::{DeviceId, Tti};
 use crate::message::{DeviceRemoval, FailedTransmission, PlanUpdate, Report, WakeOutcome};
 use crate::scenario::Scenario;
 use crate::sensing::Sensing;
 use crate::totals::{
-    EventTally, EventTotals, Ledger, MessageTotals, MissedEvents, PICO_PER_INFORMATION, RadioLosses, Spread, Totals,
+    EventTally, EventTotals, Ledger, MessageTotals, MissCause, MissedEvents, PICO_PER_INFORMATION, RadioLosses, Spread,
+    Totals,
 };
 use crate::units::Energy;
 

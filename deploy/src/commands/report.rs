@@ -66,8 +66,8 @@ fn write_report(args: &ReportArgs) -> anyhow::Result<ExitCode> {
     let mut files = Vec::new();
     for preset in report.missing_presets() {
         note!(
-            "report: the tables hold no runs of preset {preset}, so the report has no column for it; add the table of a \
-             sweep with this preset"
+            "report: the tables hold no runs of preset {preset}, so the report has no column for it; add the table of \
+             a sweep with this preset"
         );
     }
     for (number, condition) in (1..).zip(report.conditions_to_draw()) {

@@ -34,7 +34,7 @@ fn plan_update(from: u64, sensing_devices: &[u32]) -> PlanUpdate {
     }
 }
 
-/// The grant of TTIs `first` to `last`. The plan from TTI `plan` applies in `last`; `plans` plans take effect within it.
+/// The grant of TTIs `first` to `last`. The plan from TTI `plan` applies in `last`; `plans` plans take effect in it.
 fn grant_of(first: u64, last: u64, plan: u64, plans: u32) -> GrantMessage {
     GrantMessage {
         first: Tti(first),

@@ -124,8 +124,8 @@ pub(super) struct FileColumns {
 }
 
 impl FileColumns {
-    /// Finds the swept columns and the metrics in `header`, and checks all others. Fields and metrics may have the names
-    /// of version 0.1, and the metrics of version 3 may be absent.
+    /// Finds the swept columns and the metrics in `header`, and checks all others. Fields and metrics may have former
+    /// names, and the metrics of version 3 may be absent.
     pub(super) fn of_header(header: &[&str]) -> Result<Self, SchemaMismatch> {
         let index_of = |name: &str| {
             let name = Metrics::current_name(name);

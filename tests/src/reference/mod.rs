@@ -11,6 +11,7 @@ mod estimate;
 mod events;
 mod harvest;
 mod i_min;
+mod miss_cause;
 mod policy;
 mod q_learning;
 mod radio;

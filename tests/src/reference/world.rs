@@ -2,13 +2,13 @@
 
 use reveille_bs::scenario::Scenario;
 use reveille_common::deployment::Deployment;
-use reveille_common::event::{EventRecord, MissCause};
+use reveille_common::event::EventRecord;
 use reveille_common::geometry::Point;
 use reveille_common::ids::{EventId, Tti};
 use reveille_common::rng::{Purpose, unit_for_pair};
 use reveille_common::scenario::assign_classes;
 use reveille_common::sensing::{DetectionKind, Fusion};
-use reveille_common::totals::{DeviceTotals, EventTally, EventTotals, Ledger, RadioLosses};
+use reveille_common::totals::{DeviceTotals, EventTally, EventTotals, Ledger, MissCause, RadioLosses};
 use reveille_common::units::Energy;
 
 use super::clusters::distance;
@@ -16,6 +16,7 @@ use super::device::{Device, ReferenceState, S1, S3, S4};
 use super::estimate::ReferenceEstimate;
 use super::events::ReferenceEvents;
 use super::harvest::{ReferenceSource, expected_day, is_day, mean_harvest};
+use super::miss_cause::miss_cause;
 use super::policy::{ReferencePolicy, Reporter, Situation, WakeUpChoice};
 use super::radio::ReferenceRadio;
 
@@ -103,8 +104,7 @@ struct Event {
     information: f64,
     /// TTIs from the first report to the last.
     wake_up_span: u64,
-    /// Whether a device in range had δ = 1 without the energy to sense, did not receive a wake-up, could not pay for a
-    /// report, or sent a report that was lost.
+    /// The obstacles met, in the order of [`miss_cause`].
     obstacles: [bool; 4],
     /// Contributions of devices to [`ReferenceRun::activity`].
     activity: Vec<(usize, [u64; 4])>,
@@ -485,32 +485,13 @@ impl<'a> ReferenceWorld<'a> {
         self.process.end_event();
     }
 
-    /// Returns the furthest obstacle that kept a report of `event` from the base station.
+    /// Returns the cause of the miss of `event`; `None` if it was reported.
     fn miss_cause(&self, event: &Event) -> Option<MissCause> {
-        if event.tally.reports > 0 {
-            return None;
-        }
-        let met = [
-            MissCause::Unpowered,
-            MissCause::WakeMissed,
-            MissCause::NoEnergy,
-            MissCause::Lost,
-        ];
-        if let Some(at) = event.obstacles.iter().rposition(|is_met| *is_met) {
-            return Some(met[at]);
-        }
-        let distances = self.positions.iter().map(|at| distance(*at, event.epicentre));
-        let near: Vec<(usize, f64)> = distances
-            .enumerate()
-            .filter(|(_, d)| *d <= self.scenario.sensing.d_max)
-            .collect();
-        Some(if near.is_empty() {
-            MissCause::OutOfReach
-        } else if near.iter().any(|(j, d)| self.detects(*j, *d)) {
-            MissCause::Asleep
-        } else {
-            MissCause::Undetected
-        })
+        let positions = self.positions.iter().enumerate();
+        let distances = positions.map(|(j, position)| (j, distance(*position, event.epicentre)));
+        let near = distances.filter(|(_, d)| *d <= self.scenario.sensing.d_max);
+        let detects: Vec<bool> = near.map(|(j, d)| self.detects(j, d)).collect();
+        (event.tally.reports == 0).then(|| miss_cause(event.obstacles, &detects))
     }
 
     /// Step 7: accounting.
