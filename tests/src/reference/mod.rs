@@ -6,12 +6,12 @@
 
 mod age_index;
 mod clusters;
+mod detection;
 mod device;
 mod estimate;
 mod events;
 mod harvest;
 mod i_min;
-mod miss_cause;
 mod policy;
 mod q_learning;
 mod radio;

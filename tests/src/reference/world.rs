@@ -5,18 +5,17 @@ use reveille_common::deployment::Deployment;
 use reveille_common::event::EventRecord;
 use reveille_common::geometry::Point;
 use reveille_common::ids::{EventId, Tti};
-use reveille_common::rng::{Purpose, unit_for_pair};
 use reveille_common::scenario::assign_classes;
 use reveille_common::sensing::{DetectionKind, Fusion};
 use reveille_common::totals::{DeviceTotals, EventTally, EventTotals, Ledger, MissCause, RadioLosses};
 use reveille_common::units::Energy;
 
 use super::clusters::distance;
+use super::detection::{detects, miss_cause};
 use super::device::{Device, ReferenceState, S1, S3, S4};
 use super::estimate::ReferenceEstimate;
 use super::events::ReferenceEvents;
 use super::harvest::{ReferenceSource, expected_day, is_day, mean_harvest};
-use super::miss_cause::miss_cause;
 use super::policy::{ReferencePolicy, Reporter, Situation, WakeUpChoice};
 use super::radio::ReferenceRadio;
 
@@ -439,22 +438,7 @@ impl<'a> ReferenceWorld<'a> {
     }
 
     fn detects(&self, j: usize, d: f64) -> bool {
-        let sensing = &self.scenario.sensing;
-        if d > sensing.d_max {
-            return false;
-        }
-        match sensing.kind {
-            DetectionKind::Range => true,
-            DetectionKind::Probabilistic => {
-                let draw = unit_for_pair(
-                    self.scenario.run.seed,
-                    Purpose::Detection,
-                    self.process.number(),
-                    j as u64,
-                );
-                draw < libm::exp(-sensing.eta * d)
-            }
-        }
+        detects(self.scenario, self.process.number(), j, d)
     }
 
     /// End of step 6: an event ends with its first report or at its end time.

@@ -1,7 +1,20 @@
-//! The cause of a missed event in the reference, from what its devices met. `docs/results.md` defines the causes;
-//! removed devices do not occur here.
+//! Detection in the reference, and the cause of a missed event. `docs/results.md` defines the causes; removed devices do
+//! not occur here.
 
+use reveille_bs::scenario::Scenario;
+use reveille_common::rng::{Purpose, unit_for_pair};
+use reveille_common::sensing::DetectionKind;
 use reveille_common::totals::MissCause;
+
+/// Whether device `j` at a distance of `d` metres detects event number `event` if it senses.
+pub(super) fn detects(scenario: &Scenario, event: u64, j: usize, d: f64) -> bool {
+    let sensing = &scenario.sensing;
+    let probability = match sensing.kind {
+        DetectionKind::Range => 1.0,
+        DetectionKind::Probabilistic => libm::exp(-sensing.eta * d),
+    };
+    d <= sensing.d_max && unit_for_pair(scenario.run.seed, Purpose::Detection, event, j as u64) < probability
+}
 
 /// Returns the cause of a missed event. `obstacles` tells whether a device in range had δ = 1 without the energy to
 /// sense, did not receive a wake-up, could not pay for a report, or sent a report that was lost. `detects` has an entry
