@@ -252,8 +252,8 @@ async fn a_run_killed_with_undecided_wake_ups_resumes_before_them() {
     let replayed = folder.summary("run --policy replay=out");
     assert_eq!((summary.digest(), summary.status()), (replayed.digest(), "complete"));
 
-    // A replay of a truncated log ends with an error. Each number of lines ends the log before the lost devices, the
-    // first line names the scenario: 2 lines leave a single decision.
+    // A replay of a truncated log ends with an error. Each number of lines ends the log before the lost devices. The
+    // first line names the scenario, so 2 lines leave a single decision.
     let log = String::from_utf8(folder.bytes("out/inputs.log")).expect("text");
     for lines in [2, 60, 101] {
         let cut_lines: Vec<&str> = log.lines().take(lines).chain([""]).collect();

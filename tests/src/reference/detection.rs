@@ -1,5 +1,5 @@
-//! Detection in the reference, and the cause of a missed event. `docs/results.md` defines the causes; removed devices do
-//! not occur here.
+//! Detection in the reference, and the cause of a missed event. `docs/results.md` defines the causes. Removed devices
+//! do not occur here.
 
 use reveille_bs::scenario::Scenario;
 use reveille_common::rng::{Purpose, unit_for_pair};
