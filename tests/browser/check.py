@@ -445,7 +445,7 @@ def check_timeline(page, stopped):
     start = page.value("reveille.timeline.window.from")
     page.drag(page.centre("#timeline", 0.4, 0.5), page.centre("#timeline", 0.7, 0.5))
     page.until(f"reveille.timeline.window.from < {start} - 5")
-    # All TTIs at once: columns of several TTIs.
+    # The whole run in one view: columns of several TTIs.
     page.push("#timeline-fit")
     page.until(f"reveille.timeline.window.from <= 1 && reveille.timeline.window.tti(reveille.timeline.window.width) >= {stopped}")
     page.press("End")

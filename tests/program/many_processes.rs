@@ -10,7 +10,7 @@ const MANY: u32 = 120;
 /// Number of devices whose ledgers, from two processes, exceed the queue of a link.
 const HEAVY: u32 = 3000;
 
-/// Checks that `up` with this many processes gives the digest of `run`, without warnings or rejected messages.
+/// Checks that `up` with this many processes has the digest of `run`, without warnings or rejected messages.
 fn assert_clean_run(scenario: &str, processes: u32) {
     let folder = TestFolder::new();
     let expected = folder.summary(&format!("run {scenario}"));

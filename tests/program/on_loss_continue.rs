@@ -1,5 +1,5 @@
 //! `up --on-loss continue`: a killed device process becomes a logged removal of its devices. The audit is complete, and
-//! `run --input-log` gives the digest and tables again, also after a resume.
+//! `run --input-log` reproduces the digest and tables, also after a resume.
 
 use reveille_tests::process::{PATIENCE, SummaryJson, TestFolder, hosts_of, send_signal, unique_run, wait_until};
 use rustix::process::Signal;

@@ -112,7 +112,8 @@ fn a_killed_base_station_resumes_with_its_live_hosts() {
     );
 }
 
-/// Ends a run of `command` with `signal`, and checks that its resume gives the digest and tables of an undisturbed run.
+/// Ends a run of `command` with `signal`, and checks that the resumed run equals an undisturbed one in
+/// digest and tables.
 fn check_resumed_run(command: &str, signal: Signal) {
     let folder = TestFolder::new();
     let scenario = "-n 40 -k 60000 -p knn --window 7000";

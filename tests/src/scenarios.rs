@@ -161,7 +161,7 @@ fn events() -> impl Strategy<Value = String> {
             "[events]\nprocess = \"{process}\"\nalpha = {alpha:?}\nduration = {duration}\n\
              duration_kind = \"{duration_kind}\"\n[events.{process}]\n{fields}"
         )
-        // This process has no fields of its own.
+        // This process has no fields.
         .replace("[events.uniform]\n", "")
     })
 }

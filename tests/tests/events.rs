@@ -166,7 +166,7 @@ fn aftershocks_are_uniform_within_their_radius() {
     let steps: Vec<(f64, f64)> = steps
         .map(|pair| ((pair[1].x - pair[0].x) / radius, (pair[1].y - pair[0].y) / radius))
         .collect();
-    // Other events are in the circle by chance.
+    // Other events can also lie in the circle.
     let chance = std::f64::consts::PI * radius * radius / area.surface();
     let is_near = |(x, y): &(f64, f64)| x * x + y * y <= 1.0;
     assert_share(

@@ -274,7 +274,7 @@ fn every_failure_has_its_metric() {
     }
 }
 
-/// Wake-ups of a run, and those of the current TTI.
+/// Wake-ups of a run and of the current TTI.
 #[derive(Default)]
 struct WakeUpTimes {
     event_start: Tti,

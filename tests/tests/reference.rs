@@ -1,5 +1,5 @@
-//! Event records, ledgers, totals, metrics, states and batteries of the emulator equal those of the reference
-//! implementation in random small scenarios. Byte counts are not checked: the reference sends no messages.
+//! Event records, ledgers, totals, metrics, states and batteries are equal in the emulator and the reference
+//! implementation, in random small scenarios. Byte counts are not checked: the reference sends no messages.
 
 use std::collections::BTreeMap;
 

@@ -1,6 +1,6 @@
 //! Neighbours of each device in bands of distance. [`Ranking`](super::ranking::Ranking) evaluates candidates band by
-//! band. Width and number of the bands must equal those of the grid in
-//! [`Correlation`](super::correlation::Correlation), whose bounds hold band by band. The last band begins at 2 d_max or
+//! band. Bands must have the width and number used by [`Correlation`](super::correlation::Correlation), whose bounds
+//! hold band by band. The last band begins at 2 d_max or
 //! beyond. Farther devices are left out: they lie more than d_max from the event, so none is a candidate.
 
 use reveille_common::geometry::{Area, Buckets, Point};

@@ -1,5 +1,5 @@
 //! Errors that end a run over the bus. `run_loop` replaces an interruption ([`BsError::is_interruption`]) by the
-//! outcome so far if it has a replay; otherwise it gives the exit code of an interruption (`deploy/src/exit.rs`).
+//! outcome so far if it has a replay. Without a replay, the exit code is that for interruptions (`deploy/src/exit.rs`).
 
 use reveille_common::bus::BusError;
 use reveille_common::ids::{HostId, Tti};

@@ -1,7 +1,7 @@
 //! Answers to join requests, before the first TTI and after a loss, and the wait for all devices.
 //!
 //! `admission` assigns free devices, `failover` the devices of lost hosts. A welcome holds the setup of every device,
-//! so it is built without the lock of [`SharedState`]. After `Retry` a host that stands by asks again; `Refused` ends
+//! so it is built without the lock of [`SharedState`]. After `Retry` a spare host repeats its request; `Refused` ends
 //! it (`device/src/host/join.rs`).
 
 use std::sync::Arc;

@@ -2,7 +2,7 @@
 //! I/O, to the bus. [`serve()`] runs it: [`RunSpec`] describes the run, [`ServerConfig`] the settings that do not
 //! change its outcome.
 //!
-//! `subscriptions` receives all messages and checks credentials; `state` is what its callbacks share with the rest.
+//! `subscriptions` receives all messages and checks credentials; `state` is shared by its callbacks and the run loop.
 //! `join` and [`admission`] assign devices to hosts. `run_loop` carries out the actions of the session, sends through
 //! `downlink` and waits at the [`barrier`], under the [`clock`]. [`roster`] checks received values.
 //! `failure_detection`, [`failover`] and `removed_hosts` handle lost hosts; [`policy_port`] obtains external decisions.

@@ -94,7 +94,7 @@ mod tests {
             .copied()
             .collect();
         for &kind in MessageKind::ALL {
-            // Wake-ups have a rule of their own, since each is sent to one host.
+            // Wake-ups have a separate rule, since each is sent to one host.
             let has_rule = kinds_with_rules.contains(&kind) || kind == MessageKind::Wake;
             assert_eq!(has_rule, kind.plane() != Plane::Truth, "{kind:?}");
             let is_query = kind.access() == Access::Anyone || kind == MessageKind::Ready;

@@ -1,5 +1,5 @@
-//! [`crate::declare!`], which declares a struct of settings and the section of its fields together. The order of fields
-//! is that of reading, of files and of the scenario hash.
+//! [`crate::declare!`], which declares a struct of settings and the section of its fields together. Fields
+//! are read, written and hashed in the order of their declaration.
 
 /// Declares a struct and the fields of its section together. The doc comments become the help of the fields; the one
 /// of the struct describes the section.

@@ -1,5 +1,5 @@
 //! The event process `bursts`: events are frequent in busy phases and rare in quiet phases. Digests depend on the
-//! draws: one per event, and those of [`crate::phases`]. `tests/src/reference/events.rs` finds the same starts.
+//! draws: one per event, and the draws of [`crate::phases`]. `tests/src/reference/events.rs` finds the same starts.
 
 use crate::declare::{ABOVE_ZERO, PROBABILITY, Range, number};
 use crate::ids::{EventId, Tti};

@@ -114,7 +114,7 @@ fn burst_losses_have_the_mean_rates() {
     for (rate, expected) in [wake_miss, uplink_loss, plan_loss].into_iter().zip(expected) {
         assert!((rate - expected).abs() < 1e-12, "loss rate {rate}, not {expected}");
     }
-    // Some 1250 bursts: their share varies more than that of single TTIs.
+    // Some 1250 bursts: their share varies more than the share of single TTIs.
     for (share, expected) in loss_shares(&radio, 40_000).into_iter().zip(expected) {
         assert!(
             (share - expected).abs() < 0.03,

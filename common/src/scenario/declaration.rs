@@ -1,5 +1,5 @@
-//! The declaration of all fields of a scenario, in the order in which files, schema and reference page show them. The
-//! order of hashing is that of [`Scenario::visit`](super::Scenario::visit) instead.
+//! The declaration of all fields of a scenario, in the order in which files, schema and reference page show them.
+//! Hashing follows the order of [`Scenario::visit`](super::Scenario::visit) instead.
 
 use super::class_members::ClassFields;
 use super::policy::{Policies, PolicyKind};

@@ -389,7 +389,7 @@ impl Feed {
         self.lock().events.overlapping(from, end)
     }
 
-    /// The next misdetection after TTI `tti`, or the previous one before it; JSON null if there is none.
+    /// The next misdetection after TTI `tti`, or the previous one before it; JSON null without one.
     pub(crate) fn miss_json(&self, tti: Tti, is_next: bool) -> Value {
         let state = self.lock();
         let miss = if is_next {

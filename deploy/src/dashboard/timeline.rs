@@ -27,7 +27,7 @@ const UNPOWERED: u8 = 8;
 /// The device sent a report that arrived.
 const REPORTED: u8 = 16;
 /// The base station sent a wake-up signal to the device.
-const WOKEN: u8 = 32;
+const WAKE_UP_SENT: u8 = 32;
 /// The device lacked the energy for a report, or its report was lost.
 const FAILED: u8 = 64;
 
@@ -112,7 +112,7 @@ impl Cells {
         let flag = if frame.kind == MessageKind::Report {
             REPORTED
         } else if frame.kind == MessageKind::Wake {
-            WOKEN
+            WAKE_UP_SENT
         } else if matches!(frame.kind, MessageKind::Failed | MessageKind::Lost)
             || (frame.kind == MessageKind::Woken && is_failed_wake_up())
         {
@@ -243,8 +243,8 @@ mod tests {
                     let is_woken = snapshots
                         .iter()
                         .any(|snapshot| snapshot.woken.iter().any(|(woken, _)| woken == device));
-                    assert_eq!(bytes[cell] & WOKEN != 0, is_woken, "TTIs {ttis:?}");
-                    marks += usize::from(bytes[cell] & (WOKEN | REPORTED) != 0);
+                    assert_eq!(bytes[cell] & WAKE_UP_SENT != 0, is_woken, "TTIs {ttis:?}");
+                    marks += usize::from(bytes[cell] & (WAKE_UP_SENT | REPORTED) != 0);
                 }
             }
         }

@@ -149,7 +149,7 @@ impl HostRecords {
         }
     }
 
-    /// Gives the devices of a lost host to `host`, if they are reserved for it and it is active.
+    /// Assigns the devices of a lost host to `host`, if they are reserved for it and it is active.
     fn complete_takeover(&mut self, host: HostId) {
         if self.admission.is_active(host)
             && let Some((lost, _)) = self.lost_hosts.complete_takeover(host, self.now)

@@ -48,7 +48,7 @@ enum AgeModel {
 
 impl Ages {
     /// Creates the ages of `area` before the first TTI, for devices at `positions`, none of them chosen. `age_worths`
-    /// gives the worth of each age.
+    /// is the table of worths by age.
     pub fn new(positions: &[Point], area: Area, sensing: &Sensing, age_worths: AgeIndexTable) -> Self {
         Self::with_loss(0.0, positions, area, sensing, age_worths)
     }

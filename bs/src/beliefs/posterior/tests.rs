@@ -383,7 +383,7 @@ fn silence_of_hundreds_does_not_end_the_wake_ups() {
         let (next, gain) = belief
             .next_candidate(sensing.p(d), |j| !is_on(j))
             .expect("a device adds");
-        // The definition, with logarithms: products of so many small factors underflow.
+        // The definition, with logarithms: the product of all these small factors would underflow.
         let centre = points[reporter.index()];
         let places: Vec<Point> = (0..POINTS_PER_RING)
             .map(direction)

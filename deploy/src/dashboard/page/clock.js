@@ -9,7 +9,7 @@ const POLL_INTERVAL = 1000;
 // A pace in milliseconds; the clock reports it as "Max" or in microseconds per TTI.
 const milliseconds = ({ RealTime: micros }) => (micros ? micros / 1000 : 0);
 
-// Shows a status. Returns whether the clock stands still, or runs to the end.
+// Shows a status. Returns whether the clock is paused, or runs to the end.
 function showStatus({ status }) {
   page.clock = status;
   const isStopping = status.until < status.ttis;

@@ -42,7 +42,7 @@ export class Histogram {
     this.paint();
   }
 
-  // Numbers of devices in equal steps up to the largest E_max; those of the compared run too.
+  // Numbers of devices in equal steps up to the largest E_max, for this run and the compared one.
   count(moment) {
     const bins = new Array(BINS).fill(0);
     for (let device = 0; device < moment.states.length; device += 1) bins[Math.min(BINS - 1, Math.floor(batteryShare(moment, device) * BINS))] += 1;

@@ -3,7 +3,7 @@
 import { drawSymbol, symbolsOf } from "./map_symbols.js";
 import { batteryColour, batteryShare, hiddenCanvas, ink } from "./theme.js";
 
-// Battery levels with a colour of their own.
+// Battery levels with separate colours.
 const LEVELS = 32;
 // The share of changed devices from which all are painted.
 const MANY = 0.4;

@@ -2,7 +2,7 @@
 
 import { ink } from "./theme.js";
 
-// What a device does in a TTI. Reports differ by the reason why the device was active.
+// The activity of a device in a TTI. Reports differ by the reason why the device was active.
 export const SYMBOLS = {
   sensing: "senses (S1)",
   reporting: "reports after sensing (S3)",

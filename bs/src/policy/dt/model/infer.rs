@@ -1,7 +1,7 @@
 //! Forward pass of the model for one TTI. `lab/src/transformer/net.rs` trains the same computation, so change both. The
 //! bits of the result are the same for every [`VectorWidth`]; digests depend on them.
 //!
-//! A token attends to the last Z TTIs of its own device, whose keys and values are kept: Eqs. (`delta(k)2`) and
+//! A token attends to the last Z TTIs of the same device, whose keys and values are kept: Eqs. (`delta(k)2`) and
 //! (`delta(k)3`) in the LaTeX source of the paper. Then, if `attends_to_devices`, the devices attend to each other.
 //! There the weight of a pair is the dot product of positive features of a key and a query, without an exponential
 //! (linear attention). The time thus grows with N and not with N². A TTI needs no allocation.
