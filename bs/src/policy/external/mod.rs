@@ -16,8 +16,8 @@
 //! A decision cannot break a run, since it is projected on the allowed actions. A δ plan is fitted to the devices
 //! ([`PlanDecision::plan`]). A wake-up is dropped if its device does not exist, does not sleep by the plan, or was
 //! already woken ([`DecisionContext::may_wake`]). If no wake-up remains, the TTI has no further
-//! wake-ups. Actions of devices without energy fail. The input log holds unprojected decisions, so replays need the same
-//! projection.
+//! wake-ups. Actions of devices without energy fail. The input log holds unprojected decisions, so replays need the
+//! same projection.
 
 mod decision;
 mod features;

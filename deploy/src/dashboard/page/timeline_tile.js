@@ -1,6 +1,6 @@
 // The picture of a tile of the timeline: for each device a band of states above a small area chart of its battery.
 
-import { FAILED, REPORTING, REPORTED, TILE_COLUMNS, UNPOWERED, WOKEN } from "./timeline_data.js";
+import { FAILED, REPORTING, REPORTED, TILE_COLUMNS, UNPOWERED, WAKE_UP_SENT } from "./timeline_data.js";
 import { ink, rgb } from "./theme.js";
 
 // Height of a row and of its parts, in pixels.
@@ -23,7 +23,7 @@ class Palette {
 
   state(flags, sensing) {
     if (flags & FAILED) return this.failed;
-    if (flags & WOKEN) return this.woken;
+    if (flags & WAKE_UP_SENT) return this.woken;
     if (flags & (REPORTED | REPORTING)) return this.reporting;
     return this.levels[flags & UNPOWERED ? 1 : 0][sensing];
   }
