@@ -276,7 +276,7 @@ impl BaseStation {
                 // longer.
                 battery_estimator.advance(tti + 1, &view.plan);
             }
-            battery_estimator.observe_reports(tti, &view.plan, reports);
+            battery_estimator.update_from_reports(tti, &view.plan, reports);
         }
         for report in reports {
             view.fuse(report);

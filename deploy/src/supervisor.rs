@@ -31,6 +31,7 @@ const MAX_SHORT_LIVES: u32 = 6;
 
 /// State shared by the supervisor and its thread.
 struct SupervisorState {
+    /// The ids of the running processes, for fault injection.
     pids: Mutex<Vec<u32>>,
     /// The run has ended, and the processes leave.
     is_over: AtomicBool,
@@ -42,7 +43,9 @@ struct SupervisorState {
 struct ProcessSlot {
     command: Vec<String>,
     child: Option<Child>,
+    /// Start time of the current or last process.
     started: Instant,
+    /// The number of short-lived processes in a row, up to [`MAX_SHORT_LIVES`].
     short_lives: u32,
     /// Start time of a replacement, if one is due.
     restart_at: Option<Instant>,

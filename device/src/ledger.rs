@@ -3,6 +3,11 @@
 //! The ledger counts actions instead of summing costs. The energy spent follows from the counts and the costs. The
 //! ledger and the battery are therefore two independent accounts of the same energy. [`DeviceTotals::is_balanced`]
 //! compares them.
+//!
+//! `machine` records every TTI exactly once. A TTI of its own takes [`LedgerBuilder::record_duty`] at its start and
+//! [`LedgerBuilder::record_end`] at its end; a span of paid TTIs takes [`LedgerBuilder::record_paid_span`] alone; a span
+//! on an empty battery takes [`LedgerBuilder::record_outage`] and `record_end`. False wake-ups and transmissions are
+//! recorded in addition.
 
 use reveille_common::ids::Tti;
 use reveille_common::scenario::EnergyModel;
@@ -19,23 +24,32 @@ type Payment = Result<(), Energy>;
 /// ([`Machine::checkpoint`](crate::machine::Machine::checkpoint)): a change raises `WIRE_VERSION`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct LedgerBuilder {
+    /// The number of TTIs with δ = 1, paid or not.
     sensing_ttis: u64,
+    /// The number of TTIs with δ = 1 that the battery could not pay.
     failed_ttis: u64,
+    /// The number of TTIs with δ = 0 that the battery could not pay.
     unpowered_ttis: u64,
+    /// The number of false wake-ups, paid or not.
     false_wake_ups: u64,
-    /// The false wake-ups that the battery could not pay.
-    failed_false_wakes: u64,
+    /// The number of false wake-ups that the battery could not pay.
+    unpaid_false_wake_ups: u64,
+    /// The number of paid transmissions.
     transmissions: u64,
-    /// The energy drained by failed actions.
+    /// The energy drained by actions that the battery could not pay.
     drained: EnergyByState,
+    /// The sum of the battery levels at the ends of all TTIs, in millionths of a unit.
     battery_sum: u128,
+    /// The number of TTIs that ended with less than `E_Tx` in the battery.
     low_ttis: u64,
-    /// The number of consecutive TTIs up to now in which the battery could not pay for anything.
+    /// The number of consecutive TTIs up to now whose cost the battery could not pay.
     outage: u64,
+    /// The largest value of `outage` in the measured part, or so far in the warm-up.
     longest_outage: u64,
+    /// The first measured TTI.
     measured_from: Tti,
-    /// The totals at the start of the measured part.
-    at_warm_up: Option<Box<DeviceTotals>>,
+    /// The totals of the warm-up; `None` before the measured part starts.
+    warm_up_totals: Option<Box<DeviceTotals>>,
 }
 
 impl LedgerBuilder {
@@ -51,7 +65,7 @@ impl LedgerBuilder {
             failed_ttis: 0,
             unpowered_ttis: 0,
             false_wake_ups: 0,
-            failed_false_wakes: 0,
+            unpaid_false_wake_ups: 0,
             transmissions: 0,
             drained,
             battery_sum: 0,
@@ -59,7 +73,7 @@ impl LedgerBuilder {
             outage: 0,
             longest_outage: 0,
             measured_from,
-            at_warm_up: None,
+            warm_up_totals: None,
         }
     }
 
@@ -71,14 +85,14 @@ impl LedgerBuilder {
 
     /// Starts the measured part with the totals `so_far`. A repeated call has no effect.
     pub fn start_measuring(&mut self, so_far: DeviceTotals) {
-        if self.at_warm_up.is_none() {
-            self.at_warm_up = Some(Box::new(so_far));
+        if self.warm_up_totals.is_none() {
+            self.warm_up_totals = Some(Box::new(so_far));
             // An outage that began in the warm-up counts only from here.
             (self.outage, self.longest_outage) = (0, 0);
         }
     }
 
-    /// Records the begin of a TTI, with δ = 1 if `is_on`.
+    /// Records the start of a TTI, with δ = 1 if `is_on`.
     pub fn record_duty(&mut self, is_on: bool, payment: Payment) {
         self.sensing_ttis += u64::from(is_on);
         match payment {
@@ -118,7 +132,7 @@ impl LedgerBuilder {
     pub fn record_false_wake_up(&mut self, payment: Payment) {
         self.false_wake_ups += 1;
         if let Err(drained) = payment {
-            self.failed_false_wakes += 1;
+            self.unpaid_false_wake_ups += 1;
             self.drained.sleep += drained;
         }
     }
@@ -147,7 +161,7 @@ impl LedgerBuilder {
             spent: EnergyByState {
                 sensing: costs.e_idle.times(self.sensing_ttis - self.failed_ttis) + self.drained.sensing,
                 sleep: costs.e_wur.times(sleep_ttis - self.unpowered_ttis)
-                    + costs.e_idle.times(self.false_wake_ups - self.failed_false_wakes)
+                    + costs.e_idle.times(self.false_wake_ups - self.unpaid_false_wake_ups)
                     + self.drained.sleep,
                 report: costs.e_tx.times(self.transmissions) + self.drained.report,
             },
@@ -164,7 +178,7 @@ impl LedgerBuilder {
 
     /// Returns the ledger of a run with the totals `whole`.
     pub fn ledger(&self, whole: DeviceTotals) -> Ledger {
-        let measured = self.at_warm_up.as_ref().map(|before| whole - **before);
+        let measured = self.warm_up_totals.as_ref().map(|before| whole - **before);
         Ledger {
             whole,
             measured: measured.unwrap_or_default(),

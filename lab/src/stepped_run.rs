@@ -89,7 +89,8 @@ impl<O: Observer> SteppedRun<O> {
         self.halt = self.run.run_to_decision(&mut self.observer);
     }
 
-    /// The next TTI to be granted; while a grant is open, the first TTI of its last span.
+    /// The next TTI to be granted; while a grant is open, the first TTI that still has
+    /// no outcome.
     pub const fn now(&self) -> Tti {
         self.run.cycle().next_tti()
     }
@@ -104,7 +105,7 @@ impl<O: Observer> SteppedRun<O> {
         &mut self.observer
     }
 
-    /// Ends the run and returns its outcome and observer. If the run has not ended, no other device is woken in the
+    /// Ends the run, before its last TTI if a decision is pending, and returns its outcome and observer. If the run has not ended, no other device is woken in the
     /// open TTI.
     pub fn finish(mut self) -> (RunOutcome, O) {
         // An open TTI has no outcome: an empty answer closes it.

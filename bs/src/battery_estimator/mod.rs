@@ -363,7 +363,7 @@ impl BatteryEstimator {
 
     /// Applies the `reports` of TTI `k` under `plan`, sorted by device id. With certain detection within d_max it also
     /// applies the silence of devices that must have detected the same event.
-    pub fn observe_reports(&mut self, k: Tti, plan: &Plan, reports: &[Report]) {
+    pub fn update_from_reports(&mut self, k: Tti, plan: &Plan, reports: &[Report]) {
         for report in reports {
             self.observe_level(report.device, k, report.battery);
         }

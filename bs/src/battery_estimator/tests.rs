@@ -193,7 +193,7 @@ fn a_device_surely_in_range_without_a_report_is_empty() {
     let mut estimator = BatteryEstimator::new(&known);
     estimator.advance(Tti(1), &plan);
     let levels_before = estimator.levels().to_vec();
-    estimator.observe_reports(Tti(0), &plan, &[first_report, second_report(sensing_in_range[0])]);
+    estimator.update_from_reports(Tti(0), &plan, &[first_report, second_report(sensing_in_range[0])]);
     for j in 0..50 {
         let expected = match j {
             0 => Energy::from_micro(33_000_000),
@@ -208,7 +208,7 @@ fn a_device_surely_in_range_without_a_report_is_empty() {
     probabilistic.sensing.kind = DetectionKind::Probabilistic;
     let mut estimator = BatteryEstimator::new(&probabilistic);
     estimator.advance(Tti(1), &plan);
-    estimator.observe_reports(Tti(0), &plan, &[first_report]);
+    estimator.update_from_reports(Tti(0), &plan, &[first_report]);
     assert_eq!(
         estimator.levels()[sensing_in_range[0] as usize],
         levels_before[sensing_in_range[0] as usize]
@@ -225,7 +225,7 @@ fn silence_counts_once_per_tti_and_not_per_reporter() {
     for k in 0..4 {
         // 0.3³ is above `MIN_SILENCE_LIKELIHOOD`, 0.3⁴ below.
         assert_eq!(estimator.levels()[49], known.devices[49].energy.initial, "TTI {k}");
-        estimator.observe_reports(Tti(k), &plan, &reports);
+        estimator.update_from_reports(Tti(k), &plan, &reports);
     }
     assert_eq!(estimator.levels()[49], Energy::ZERO);
 }

@@ -1,7 +1,8 @@
 //! Messages from the base station to hosts, kept until the next grant so that the run loop can retransmit them.
 //!
 //! A host that missed a message, or takes over devices as before the grant, receives all of them again, in order. A
-//! host that already has them ignores the repetition (`device/src/grant_follower/`).
+//! host that already has them ignores the repetition (`device/src/grant_follower/`). Hosts rely on the order: plans,
+//! their grant, then the wake-ups of that grant.
 
 use reveille_common::bus::{Bus, BusError, Topic};
 use reveille_common::ids::{DeviceId, HostId};
@@ -12,9 +13,12 @@ pub(super) struct Downlink<'a> {
     bus: &'a Bus,
     clock_topic: Topic<ClockMessage>,
     plan_topic: Topic<PlanUpdate>,
+    /// The plans of the open grant.
     plans: Vec<PlanUpdate>,
     grant: Option<ClockMessage>,
+    /// The wake-ups of the open grant, with the host to which each was sent.
     wake_ups: Vec<(HostId, DeviceId, WakeUp)>,
+    /// The message that ended the run; kept until the hosts leave.
     end_message: Option<ClockMessage>,
 }
 
@@ -39,6 +43,7 @@ impl<'a> Downlink<'a> {
         self.wake_ups.clear();
     }
 
+    /// Sends a plan of the next grant.
     pub(super) fn send_plan(&mut self, update: PlanUpdate) -> Result<(), BusError> {
         self.plan_topic.publish(&update)?;
         self.plans.push(update);
@@ -57,6 +62,7 @@ impl<'a> Downlink<'a> {
         Ok(())
     }
 
+    /// Sends a wake-up of the open grant.
     pub(super) fn send_wake_up(&mut self, host: HostId, device: DeviceId, wake: WakeUp) -> Result<(), BusError> {
         self.wake_ups.push((host, device, wake));
         self.bus.send_wake_up(host, device, &wake)
@@ -70,6 +76,7 @@ impl<'a> Downlink<'a> {
         }
     }
 
+    /// Resends every kept message.
     pub(super) fn retransmit(&self) -> Result<(), BusError> {
         // In the order of the first sending: a host applies a grant only with its plan, and a wake-up only after its
         // grant.

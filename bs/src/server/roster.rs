@@ -18,7 +18,7 @@ pub struct Roster {
     assignments: Vec<Assignment>,
     /// Whether the host at each position is removed, with its devices.
     removed: Vec<bool>,
-    /// The position in `assignments` of each host, by its number.
+    /// By host number: the position in `assignments`, `None` for a host that is unknown or removed.
     positions: Vec<Option<usize>>,
     /// The position in `assignments` of each device's owner; empty before the run begins.
     owners: Vec<usize>,

@@ -2,7 +2,7 @@
 
 use csv::{ReaderBuilder, StringRecord, Trim};
 
-use super::data::{ColumnData, check_size, column_index};
+use super::data::{ColumnData, check_value_count, column_index};
 use crate::declare::truncate;
 
 pub(super) fn numbers(bytes: &[u8], wanted: &[String]) -> Result<ColumnData<f64>, String> {
@@ -62,7 +62,7 @@ fn read<T>(
         }
         columns.lines.push(line);
         // Checked at each row, before a huge file fills the memory.
-        check_size(columns.lines.len(), wanted.len())?;
+        check_value_count(columns.lines.len(), wanted.len())?;
         for ((column, &index), name) in columns.values.iter_mut().zip(&indices).zip(wanted) {
             // The reader refuses rows of another length than the header's, so the cell exists.
             column.push(parse_cell(record.get(index).unwrap_or_default(), name, line)?);

@@ -49,7 +49,7 @@ pub(super) fn column_index<'h>(name: &str, header: impl Iterator<Item = &'h str>
 }
 
 /// Returns an error for a file with more values than memory should hold.
-pub(super) fn check_size(rows: usize, columns: usize) -> Result<(), String> {
+pub(super) fn check_value_count(rows: usize, columns: usize) -> Result<(), String> {
     if rows.saturating_mul(columns) > MAX_VALUES {
         return Err(format!("has more than {MAX_VALUES} values in {columns} columns"));
     }

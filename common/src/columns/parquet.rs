@@ -6,7 +6,7 @@ use ::parquet::record::Field;
 use ::parquet::schema::types::Type;
 use bytes::Bytes;
 
-use super::data::{ColumnData, check_size, column_index};
+use super::data::{ColumnData, check_value_count, column_index};
 
 /// Reads the columns `wanted` of a flat Parquet file as numbers.
 pub(super) fn numbers(bytes: &[u8], wanted: &[String]) -> Result<ColumnData<f64>, String> {
@@ -60,7 +60,7 @@ fn read<T>(
         .map(|name| column_index(name, fields.iter().map(|field| field.name())))
         .collect::<Result<Vec<usize>, String>>()?;
     // A corrupt file may claim fewer rows than it has; the loop below counts them again.
-    check_size(usize::try_from(metadata.num_rows()).unwrap_or(usize::MAX), wanted.len())?;
+    check_value_count(usize::try_from(metadata.num_rows()).unwrap_or(usize::MAX), wanted.len())?;
     let wanted_fields = fields
         .iter()
         .enumerate()
@@ -75,7 +75,7 @@ fn read<T>(
     let records = reader.get_row_iter(Some(projection)).map_err(|error| broken(&error))?;
     for (row, record) in records.enumerate() {
         let record = record.map_err(|error| format!("row {}: {error}", row + 1))?;
-        check_size(row + 1, wanted.len())?;
+        check_value_count(row + 1, wanted.len())?;
         for (column, name) in columns.iter_mut().zip(wanted) {
             let field = record
                 .get_column_iter()

@@ -156,7 +156,7 @@ pub(crate) struct IminArgs {
     /// Numbers of devices N, separated by commas.
     #[arg(long, short = 'n', default_value = "10,50,100,250", allow_hyphen_values = true)]
     pub devices: String,
-    /// Layouts, separated by commas.
+    /// Rules that place the devices, separated by commas.
     #[arg(long, default_value = "uniform,jittered-grid,poisson-disk,grid,hex")]
     pub layouts: String,
     /// Number of deployments, each with a different seed.

@@ -1,4 +1,7 @@
-//! A small result table for tests.
+//! A small result table for tests of files, selections, merges and statistics.
+//!
+//! Tests rely on the order of its rows, on an undefined metric, on names that need quotes in CSV and TOML, and on
+//! `info_p1` being equal to the seed. A new row changes the counts and means that they expect.
 
 use std::sync::Arc;
 
@@ -6,8 +9,9 @@ use reveille_common::score::Metrics;
 
 use super::{ColumnType, Hash, ResultRow, Schema, SweptValue, Table, TableMetadata};
 
-/// Returns five runs of three cells. `info_per_event` is undefined in the first two. Other metrics differ by run and by
-/// metric, so that a swapped column shows.
+/// Returns five runs of three cells, with one metric per column of [`Metrics`]. `info_per_event` is undefined in the
+/// first cell. All other metrics grow with the seed and differ between columns, so that a swapped column shows; equal
+/// seeds of different cells have equal metrics.
 pub(crate) fn table() -> Table {
     let row = |policy: &str, n, seed, lambda: f64, sensing: &str| {
         let mut metrics = [0.0; Metrics::COUNT];

@@ -224,7 +224,7 @@ impl<S: StepSink + 'static> Policy for RecordingPolicy<S> {
         self.candidates
             .start_event_with_prior(seen, reports, |place| ages.age_at(place));
         self.battery_source
-            .update_estimator(|estimator| estimator.observe_reports(seen.now, seen.plan, reports));
+            .update_estimator(|estimator| estimator.update_from_reports(seen.now, seen.plan, reports));
         self.policy
             .reports_received(&self.battery_source.for_policy(seen), reports);
     }

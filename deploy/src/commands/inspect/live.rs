@@ -194,7 +194,7 @@ impl Live {
     pub(crate) async fn past(&self, bundle: &ScenarioBundle) -> anyhow::Result<CatchUp> {
         let signals = self.signals.clone();
         let mut past = CatchUp::new(bundle.load()?, move || signals.has_arrived());
-        if self.update_input_log(&mut past).await? {
+        if self.fetch_new_inputs(&mut past).await? {
             Ok(past)
         } else {
             Err(self.bus.no_run_error().await.into())
@@ -228,7 +228,7 @@ impl Live {
             let is_due =
                 |frame: &Frame| matches!(frame.kind, MessageKind::Plan | MessageKind::World | MessageKind::Clock);
             if !past.is_over() && frames.iter().any(is_due) {
-                is_running = match self.update_input_log(&mut past).await {
+                is_running = match self.fetch_new_inputs(&mut past).await {
                     Err(error) if error.is::<Interrupted>() => break,
                     learned => learned?,
                 };
@@ -253,11 +253,11 @@ impl Live {
         Ok(())
     }
 
-    /// Passes new lines of the input log to `past`. Returns false if the run has ended.
+    /// Fetches the new lines of the input log from the base station and passes them to `past`. Returns false if the run has ended.
     ///
     /// # Errors
     /// If the log cannot be read, or a signal comes.
-    async fn update_input_log(&self, past: &mut CatchUp) -> anyhow::Result<bool> {
+    async fn fetch_new_inputs(&self, past: &mut CatchUp) -> anyhow::Result<bool> {
         loop {
             let from = past.bytes_read();
             let Some(part) = self.query_bs(&InputLogRequest { from }).await? else {
