@@ -244,10 +244,10 @@ mod tests {
             keys.uplink(MessageKind::Answer, credential()),
             keys.host_liveliness(credential()),
         ] {
-            assert_eq!(HostCredential::from_key(&key), Some(credential()), "{key}");
+            assert_eq!(HostCredential::from_key_expr(&key), Some(credential()), "{key}");
         }
         for other in ["", "2", "x/2/3", "reveille/r1/emu/answer/2/0101", "-2/01", "*/*"] {
-            assert_eq!(HostCredential::from_key(other), None, "{other}");
+            assert_eq!(HostCredential::from_key_expr(other), None, "{other}");
         }
     }
 

@@ -1,5 +1,6 @@
-//! Secrets that authorise a peer, and the credentials of hosts. Their texts are parts of [keys](crate::keys) on the
-//! bus; a secret's text is also the content of a key file (`deploy/src/key.rs`).
+//! Secrets that authorise a peer, and the credentials of hosts. Their texts are parts of
+//! [key expressions](crate::keys) on the bus, and a secret's text is also the content of a key file
+//! (`deploy/src/key.rs`): a change of a text breaks both.
 
 use std::fmt;
 use std::str::FromStr;
@@ -9,7 +10,8 @@ use subtle::ConstantTimeEq;
 
 use crate::ids::HostId;
 
-/// A random number of 128 bits that cannot be guessed; 32 hexadecimal digits as text. `Debug` does not reveal it.
+/// A random number of 128 bits that cannot be guessed; 32 hexadecimal digits as text. `Display` writes it
+/// in lower case; `Debug` does not reveal it.
 #[derive(Clone, Copy, Serialize, Deserialize)]
 pub struct Secret([u8; 16]);
 
@@ -62,7 +64,8 @@ impl FromStr for Secret {
     }
 }
 
-/// A host's credential at the BS: the number from its assignment, and a token that only this host and the BS know.
+/// A host's credential at the BS: the number from its assignment, and a token that only this host and the BS know. Its
+/// text, `HOST/TOKEN`, is the end of the key expressions of the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct HostCredential {
     /// The host.
@@ -72,9 +75,9 @@ pub struct HostCredential {
 }
 
 impl HostCredential {
-    /// Parses the credential at the end of `key`, if the key is a host's own.
-    pub fn from_key(key: &str) -> Option<Self> {
-        let mut parts = key.rsplit('/');
+    /// Parses the credential at the end of a key expression; `None` if there is none.
+    pub fn from_key_expr(key_expr: &str) -> Option<Self> {
+        let mut parts = key_expr.rsplit('/');
         let token = parts.next()?.parse().ok()?;
         let host = parts.next()?.parse().ok().map(HostId)?;
         Some(Self { host, token })
@@ -113,5 +116,20 @@ mod tests {
             assert_eq!(invalid.parse::<Secret>(), Err(SecretError), "{invalid}");
         }
         assert!(!format!("{secret:?}").contains("11"));
+    }
+
+    #[test]
+    fn a_credential_is_read_from_the_end_of_a_key_expression() {
+        let (host, token) = (HostId(17), Secret::new([0xA5; 16]));
+        let credential = HostCredential { host, token };
+        let key_expr = format!("reveille/run/3/report/{credential}");
+        assert_eq!(HostCredential::from_key_expr(&key_expr), Some(credential));
+        for invalid in [
+            "reveille/run/report",
+            &key_expr[..key_expr.len() - 1],
+            &token.to_string(),
+        ] {
+            assert_eq!(HostCredential::from_key_expr(invalid), None, "{invalid}");
+        }
     }
 }

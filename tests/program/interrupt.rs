@@ -1,5 +1,6 @@
 //! SIGINT and SIGTERM during the preparation of `run`, `up`, `bs` and `sweep`, and during a sweep: a prompt end with
-//! exit code 130, and no finished work is lost. `process_faults.rs` and `signals.rs` test signals at other times.
+//! exit code 130, and no finished work is lost. `signals.rs` sends signals at random moments of every command,
+//! `process_faults.rs` to the processes of a run.
 
 use std::fs;
 use std::time::Duration;
@@ -8,47 +9,45 @@ use reveille_tests::process::{PATIENCE, TestFolder, assert_refused, hosts_of, un
 use rustix::process::Signal;
 
 /// Options of a scenario whose search before the run takes hours.
-const SEARCH: &str = "--devices 200 --set policy.adjusted.pilot_ttis=900000000";
-/// Time limit for the end of a command: one second for a sweep, and a margin for a busy machine.
-const SOON: Duration = Duration::from_secs(10);
+const HOURS_LONG_SEARCH: &str = "--devices 200 --set policy.adjusted.pilot_ttis=900000000";
+/// Time limit for the end of a command. `deploy/src/signals.rs` ends a command without results after a second; the rest
+/// is a margin for a busy machine.
+const PROMPT_END_LIMIT: Duration = Duration::from_secs(10);
 
 #[test]
 fn an_interrupted_sweep_states_how_to_resume() {
     let folder = TestFolder::new();
     // One run takes hours.
-    let endless = "sweep --devices 100 --ttis 1000000000 --seeds 2 --out s";
-    for signal in [Signal::INT, Signal::TERM] {
-        let sweep = folder.start(endless);
+    let endless = "sweep --devices 100 --ttis 1000000000 --seeds 2 --out";
+    for (out, signal) in [("a", Signal::INT), ("b", Signal::TERM)] {
+        let sweep = folder.start(&format!("{endless} {out}"));
         wait_until("the sweep to begin", PATIENCE, || {
-            folder.join("s/experiment.toml").exists().then_some(())
+            folder.join(&format!("{out}/experiment.toml")).exists().then_some(())
         });
         sweep.wait_for_work();
         sweep.signal(signal);
-        let end = sweep.finish();
-        assert_refused(
-            &end,
-            130,
-            &["0 finished runs are kept in s", "give the same command again"],
-        );
+        let finished = sweep.finish_within(PROMPT_END_LIMIT);
+        let kept = format!("0 finished runs are kept in {out}");
+        assert_refused(&finished, 130, &[&kept, "give the same command again"]);
+        assert!(!folder.join(&format!("{out}/results.parquet")).exists());
     }
-    assert!(!folder.join("s/results.parquet").exists());
 }
 
 #[test]
 fn a_run_in_preparation_ends_promptly() {
     let folder = TestFolder::new();
     for (out, signal) in [("a", Signal::INT), ("b", Signal::TERM)] {
-        let run = folder.start(&format!("run --policy adjusted {SEARCH} --out {out}"));
+        let run = folder.start(&format!("run --policy adjusted {HOURS_LONG_SEARCH} --out {out}"));
         wait_until("the run to begin", PATIENCE, || {
             folder.join(&format!("{out}/windows.csv")).exists().then_some(())
         });
         run.wait_for_work();
         run.signal(signal);
-        let end = run.finish_within(SOON);
-        assert_eq!(end.code(), Some(130), "{end}");
+        let finished = run.finish_within(PROMPT_END_LIMIT);
+        assert_eq!(finished.code(), Some(130), "{finished}");
         assert!(
-            end.stderr.contains("reveille: interrupted before the first TTI"),
-            "{end}"
+            finished.stderr.contains("reveille: interrupted before the first TTI"),
+            "{finished}"
         );
         let files = folder.list(out);
         assert!(!files.iter().any(|name| name == "RUNNING"), "{files:?}");
@@ -67,21 +66,23 @@ fn a_base_station_in_preparation_ends_promptly_with_its_device_processes() {
     ] {
         for signal in [Signal::INT, Signal::TERM] {
             let run = unique_run("setup");
-            let bs = folder.start(&format!("{command} --run {run} --policy adjusted {SEARCH} --out {run}"));
+            let bs = folder.start(&format!(
+                "{command} --run {run} --policy adjusted {HOURS_LONG_SEARCH} --out {run}"
+            ));
             wait_until("the base station to listen", PATIENCE, || {
-                let is_known = folder
+                let is_registered = folder
                     .list("runtime/reveille")
                     .iter()
                     .any(|name| name.starts_with(&run));
-                (is_known && hosts_of(&run).len() == hosts).then_some(())
+                (is_registered && hosts_of(&run).len() == hosts).then_some(())
             });
             bs.wait_for_work();
             bs.signal(signal);
-            let end = bs.finish_within(SOON);
-            assert_eq!(end.code(), Some(130), "{command}: {end}");
+            let finished = bs.finish_within(PROMPT_END_LIMIT);
+            assert_eq!(finished.code(), Some(130), "{command}: {finished}");
             assert!(
-                end.stderr.contains("reveille: interrupted before the first TTI"),
-                "{command}: {end}"
+                finished.stderr.contains("reveille: interrupted before the first TTI"),
+                "{command}: {finished}"
             );
             assert_eq!(hosts_of(&run), [0_u32; 0], "{command}: device processes remain");
             let files = folder.list(&run);
@@ -95,17 +96,18 @@ fn a_base_station_in_preparation_ends_promptly_with_its_device_processes() {
 #[test]
 fn a_sweep_in_preparation_ends_promptly_and_keeps_finished_runs() {
     let folder = TestFolder::new();
-    let args = format!("sweep --policies genie,adjusted --ttis 200 --seeds 3 --threads 2 {SEARCH} --out s");
+    let args = format!("sweep --policies genie,adjusted --ttis 200 --seeds 3 --threads 2 {HOURS_LONG_SEARCH} --out s");
     let sweep = folder.start(&args);
     wait_until("the three runs of genie", PATIENCE, || {
         (folder.journal_lines("s") == 3).then_some(())
     });
     sweep.wait_for_work();
     sweep.signal(Signal::INT);
-    let end = sweep.finish_within(SOON);
-    assert_eq!(end.code(), Some(130), "{end}");
+    let finished = sweep.finish_within(PROMPT_END_LIMIT);
+    assert_eq!(finished.code(), Some(130), "{finished}");
     let message = "reveille: interrupted; the 3 finished runs are kept in s: give the same command again";
-    assert!(end.stderr.contains(message), "{end}");
+    assert!(finished.stderr.contains(message), "{finished}");
     let again = folder.start(&args);
     again.wait_for_stderr("3 finished runs found in s");
+    // The end of the test kills the sweep: only its start matters.
 }

@@ -1,17 +1,19 @@
-//! Prometheus metrics (`--metrics`) of `run` and `up`: they do not change the digest, are served to this machine only,
-//! and an unusable address is refused before the run. `tests/monitoring/` reads them with Prometheus.
+//! Prometheus metrics (`--metrics`) of `run` and `up`: neither they nor a recording change the digest, the only output
+//! under `--quiet`. On a loopback address, requests under another host name are refused (421, against DNS rebinding),
+//! and `/` leads to `/metrics` (307). An unusable address is refused before the run. The address comes from the note
+//! `http://ADDRESS/metrics` on standard error. `tests/monitoring/` reads the metrics with Prometheus.
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 
 use reveille_tests::process::{TestFolder, assert_refused, unique_run};
 
-/// Requests `path` from `address` with header `host`, and returns the answer.
-fn get(address: &str, path: &str, host: &str) -> String {
+/// Requests `path` from `address` with `Host: host_header`, and returns the answer.
+fn get(address: &str, path: &str, host_header: &str) -> String {
     let mut stream = TcpStream::connect(address).expect("a link");
     write!(
         stream,
-        "GET {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n"
+        "GET {path} HTTP/1.1\r\nHost: {host_header}\r\nConnection: close\r\n\r\n"
     )
     .expect("sent");
     let mut answer = String::new();
@@ -34,7 +36,7 @@ fn metrics_and_recording_do_not_change_the_digest() {
 }
 
 #[test]
-fn metrics_are_served_only_to_this_machine() {
+fn a_loopback_address_refuses_requests_under_other_host_names() {
     let (folder, run) = (TestFolder::new(), unique_run("metrics"));
     let up = folder.start(&format!(
         "up -P 1 -n 10 -k 60 --paused --run {run} --quiet --out o --metrics 127.0.0.1:0"
@@ -54,6 +56,7 @@ fn metrics_are_served_only_to_this_machine() {
     assert!(answer.contains("reveille_ttis_total 0\n"), "{answer}");
     assert!(get(address, "/metrics", "evil.example").starts_with("HTTP/1.1 421"));
     assert!(get(address, "/", "localhost").starts_with("HTTP/1.1 307"));
+    // A paused run resumes only after its devices have joined.
     folder.wait_for_tti(&run, 0);
     folder.clock(&run, "resume");
     assert!(up.finish().is_success());

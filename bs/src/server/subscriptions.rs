@@ -41,7 +41,7 @@ pub(super) fn declare(
     })?);
     let shared_state = Arc::clone(shared);
     guards.push(bus.watch_alive(keys.all_host_liveliness(), move |key, alive| {
-        if let Some(pass) = HostCredential::from_key(key) {
+        if let Some(pass) = HostCredential::from_key_expr(key) {
             shared_state.lock().on_alive(pass, alive);
             shared_state.notify_run_loop();
         }

@@ -1,10 +1,14 @@
 //! The bus: zenoh sessions and typed topics. No other module opens a session; start at [`Bus::listen`] and
-//! [`Bus::connect`].
+//! [`Bus::connect`] in `session`.
 //!
 //! The BS listens as a zenoh router; all other processes connect to it as clients over TCP. Links are reliable and
-//! blocking, so only the modelled radio causes losses and delays. [`crate::message`] defines the
-//! messages: a payload's type determines its kind and its key, so no two types share a key. The module `access`
-//! defines the rights of a peer.
+//! blocking, so only the modelled radio causes losses and delays. [`crate::message`] defines the messages: a payload's
+//! type determines its kind and its key, so no two types share a key. All processes of a run must have the same version.
+//! `access` defines the rights of a peer, so a new kind needs an entry there. Callbacks run on zenoh's threads and must
+//! not block.
+//!
+//! In the BS's session a [`Tap`] copies the traffic of the emulation plane for observers, before it is sent and before
+//! it is decoded. The run itself publishes frames of the air plane and the ground truth with [`Bus::publish_frame`].
 
 mod access;
 mod error;
@@ -49,7 +53,7 @@ pub struct Bus {
     session: zenoh::Session,
     keys: Arc<Keys>,
     endpoint: Arc<str>,
-    /// The secret sent with queries that need authorisation.
+    /// The run's key, sent with every query; `None` sends none.
     run_key: Option<Secret>,
     malformed_payloads: Arc<AtomicU64>,
     tap: Option<Arc<Tap>>,
@@ -57,7 +61,7 @@ pub struct Bus {
 
 /// A declaration on the session, undone when the guard is dropped.
 pub struct DeclarationGuard {
-    _entity: Box<dyn std::any::Any + Send + Sync>,
+    _declaration: Box<dyn std::any::Any + Send + Sync>,
 }
 
 /// A callback that receives the key and the bytes of a message.
@@ -103,7 +107,7 @@ impl Bus {
         &self.endpoint
     }
 
-    /// The number of payloads dropped because they were not valid messages.
+    /// The number of payloads that could not be decoded. Valid payloads under an invalid key are dropped uncounted.
     pub fn malformed_payloads(&self) -> u64 {
         self.malformed_payloads.load(Ordering::Relaxed)
     }
@@ -151,7 +155,7 @@ impl Bus {
     }
 
     /// Returns this session for devices in the BS's own process. It copies nothing to observers, because the BS
-    /// already copies its messages in both directions.
+    /// already copies its messages in both directions, and it counts malformed payloads separately.
     #[must_use]
     pub fn without_tap(&self) -> Self {
         Self {
@@ -168,7 +172,7 @@ impl Bus {
     pub fn publisher<P: Payload<Address = ()>>(&self) -> Result<Topic<P>, BusError> {
         let publisher = self.session.declare_publisher(self.keys.to_all_hosts(P::KIND));
         // By default zenoh drops a message under congestion; only the modelled radio may lose messages.
-        let delivery = Delivery::Published(publisher.congestion_control(CongestionControl::Block).wait()?);
+        let delivery = Delivery::Publisher(publisher.congestion_control(CongestionControl::Block).wait()?);
         Ok(Topic::new(delivery, None, self.tap.clone()))
     }
 
@@ -191,10 +195,13 @@ impl Bus {
     ///
     /// # Errors
     /// If zenoh refuses.
-    pub fn uplink<P: Payload>(&self, pass: HostCredential) -> Result<Topic<P>, BusError> {
-        let key = self.session.declare_keyexpr(self.keys.uplink(P::KIND, pass)).wait()?;
-        let delivery = Delivery::Named(self.session.clone(), key);
-        Ok(Topic::new(delivery, Some(pass.host.0), self.tap.clone()))
+    pub fn uplink<P: Payload>(&self, credential: HostCredential) -> Result<Topic<P>, BusError> {
+        let key = self
+            .session
+            .declare_keyexpr(self.keys.uplink(P::KIND, credential))
+            .wait()?;
+        let delivery = Delivery::DeclaredKey(self.session.clone(), key);
+        Ok(Topic::new(delivery, Some(credential.host.0), self.tap.clone()))
     }
 
     /// Calls `handle` with each message of type `P` that `host` receives on a topic for all hosts. It must not block.
@@ -237,8 +244,8 @@ impl Bus {
         F: Fn(HostCredential, P) + Send + Sync + 'static,
     {
         self.subscribe_decoded(self.keys.uplinks(P::KIND), move |key, message| {
-            HostCredential::from_key(key)
-                .map(|pass| handle(pass, message))
+            HostCredential::from_key_expr(key)
+                .map(|credential| handle(credential, message))
                 .is_some()
         })
     }
@@ -332,35 +339,36 @@ impl Bus {
 }
 
 impl DeclarationGuard {
-    fn new(entity: impl Send + Sync + 'static) -> Self {
+    fn new(declaration: impl Send + Sync + 'static) -> Self {
         Self {
-            _entity: Box::new(entity),
+            _declaration: Box::new(declaration),
         }
     }
 }
 
-/// The sender of a topic.
+/// The way in which a topic sends.
 enum Delivery {
     /// By a publisher. zenoh informs it of all subscribers.
-    Published(Publisher<'static>),
+    Publisher(Publisher<'static>),
     /// On a key with a short name on the link. The message reaches the BS whether it subscribes or not. With a
     /// publisher for each host, zenoh would inform each host of all subscriptions of the others.
-    Named(zenoh::Session, KeyExpr<'static>),
+    DeclaredKey(zenoh::Session, KeyExpr<'static>),
 }
 
-/// The topic of messages of type `P`, published on one key.
+/// A topic for sending messages of type `P` on one key.
 pub struct Topic<P> {
     delivery: Delivery,
-    key_number: Option<u32>,
+    /// The number of the sending host; `None` for the BS.
+    source_host: Option<u32>,
     tap: Option<Arc<Tap>>,
     _payload: PhantomData<fn(&P)>,
 }
 
 impl<P: Payload> Topic<P> {
-    const fn new(delivery: Delivery, key_number: Option<u32>, tap: Option<Arc<Tap>>) -> Self {
+    const fn new(delivery: Delivery, source_host: Option<u32>, tap: Option<Arc<Tap>>) -> Self {
         Self {
             delivery,
-            key_number,
+            source_host,
             tap,
             _payload: PhantomData,
         }
@@ -374,11 +382,11 @@ impl<P: Payload> Topic<P> {
         let payload = codec::encode(message);
         if let Some(tap) = &self.tap {
             // Copied before sending: another thread may copy the answer as soon as the message is sent.
-            tap.copy_emulation(P::KIND, self.key_number, &payload);
+            tap.copy_emulation(P::KIND, self.source_host, &payload);
         }
         match &self.delivery {
-            Delivery::Published(publisher) => publisher.put(payload).wait()?,
-            Delivery::Named(session, key) => {
+            Delivery::Publisher(publisher) => publisher.put(payload).wait()?,
+            Delivery::DeclaredKey(session, key) => {
                 let put = session.put(key, payload);
                 put.congestion_control(CongestionControl::Block).wait()?;
             }

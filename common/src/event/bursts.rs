@@ -39,16 +39,16 @@ impl EventBursts {
             return self.alpha();
         }
         let mut phases = self.phases(seed);
-        let (mut k, mut busy) = (first, 0);
+        let (mut k, mut busy_ttis) = (first, 0);
         while k < end {
             let phase = phases.phase_at(k);
             let next = phase.end.min(end);
             if phase.is_busy {
-                busy += next - k;
+                busy_ttis += next - k;
             }
             k = next;
         }
-        mean_alpha(self, busy as f64, (end - first - busy) as f64)
+        mean_alpha(self, busy_ttis as f64, (end - first - busy_ttis) as f64)
     }
 
     fn phases(&self, seed: u64) -> Phases {
@@ -56,9 +56,9 @@ impl EventBursts {
     }
 }
 
-/// The mean of both probabilities over `busy` and `quiet` TTIs.
-fn mean_alpha(settings: &EventBursts, busy: f64, quiet: f64) -> f64 {
-    (settings.busy_alpha * busy + settings.quiet_alpha * quiet) / (busy + quiet)
+/// The mean of both probabilities over the given numbers of TTIs.
+fn mean_alpha(settings: &EventBursts, busy_ttis: f64, quiet_ttis: f64) -> f64 {
+    (settings.busy_alpha * busy_ttis + settings.quiet_alpha * quiet_ttis) / (busy_ttis + quiet_ttis)
 }
 
 /// The starts of events in busy and quiet phases.
@@ -85,21 +85,23 @@ impl BurstStarts {
         }
     }
 
-    /// The TTI in which `event` starts, not before `earliest`; [`Tti::NEVER`] if that is not within the run.
+    /// The TTI in which `event` starts, not before `earliest`, which must not decrease between calls; [`Tti::NEVER`] if
+    /// that is not within the run.
     ///
     /// One draw u per event: it starts in the first TTI k in which ∏ (1 − α(i)), i from `earliest` to k, falls below 1
     /// − u. In logarithms, the hazards add up to more than −ln(1 − u). They are constant within a phase, so that each
     /// phase takes one step.
     pub(super) fn draw_start(&mut self, event: EventId, earliest: Tti) -> Tti {
-        let mut remaining_hazard = -libm::log1p(-Stream::new(self.seed, Purpose::EventGap, event.0).unit());
+        let u = Stream::new(self.seed, Purpose::EventGap, event.0).unit();
+        let mut remaining_hazard = -libm::log1p(-u);
         let mut k = earliest;
         while k < self.end {
             let phase = self.phases.phase_at(k);
             let (hazard, ttis) = (self.hazard(phase), phase.end - k);
             // 0/0 is not a number, which fails the comparison: nothing starts in this phase, and nothing is subtracted.
-            let failures = (remaining_hazard / hazard).floor();
-            if failures < ttis as f64 {
-                return k.saturating_add(failures as u64);
+            let ttis_without_start = (remaining_hazard / hazard).floor();
+            if ttis_without_start < ttis as f64 {
+                return k.saturating_add(ttis_without_start as u64);
             }
             // The draw outlasts this phase, so only rounding can make the rest negative.
             remaining_hazard = (remaining_hazard - hazard * ttis as f64).max(0.0);

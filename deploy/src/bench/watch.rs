@@ -1,8 +1,12 @@
 //! `reveille bench watch`: the cost of observing a run. `docs/benchmarks.md` quotes the table.
 //!
-//! Compares a run with the same run under observation: recorded, its metrics scraped every second, its dashboard read
-//! by browsers. The two runs alternate, so that the load of the machine affects both. The addresses come from the notes
-//! of `up` on standard error, which must contain `http://ADDRESS/`.
+//! Compares a run alone with the same run under observation: recorded, its metrics scraped every second, its dashboard
+//! read by browsers. The runs of a pair take turns in coming first, so that a drift of the machine's load favours
+//! neither.
+//!
+//! It relies on `up`: on standard error, a line with `http://ADDRESS/metrics` names the metrics, and any other line with
+//! `http://` the dashboard, whose `/api/live` and `/api/curves` browsers read. Both are on loopback and need no token.
+//! `--json` prints `digest` and `timing.ttis_per_s`. An observer that cannot read ends the benchmark with an error.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
@@ -19,8 +23,8 @@ use crate::cli::WatchBenchArgs;
 use crate::display;
 use crate::runtime::median;
 
-/// Time between two scrapes of the metrics.
-const SCRAPE_INTERVAL: Duration = Duration::from_secs(1);
+/// Pause between an answer and the next request.
+const REQUEST_PAUSE: Duration = Duration::from_secs(1);
 /// Time without data on a connection until the end of the run is checked.
 const READ_TIMEOUT: Duration = Duration::from_millis(200);
 /// Size of the read buffer in bytes.
@@ -39,19 +43,19 @@ pub(super) fn run(args: &WatchBenchArgs) -> anyhow::Result<ExitCode> {
         args.repeat,
         "lookahead",
         "alone TTIs/s",
-        "watched",
+        "observed",
         "ratio",
         "recorded MB",
     ))?;
     for lookahead in [true, false] {
         let mut pairs = Vec::new();
         for nth in 0..args.repeat {
-            // The load of the machine drifts: the two runs alternate in coming first, so that neither gains from it.
+            let observed_first = nth % 2 == 1;
             let mut pair = [
-                run_emulator(args, lookahead, nth % 2 == 1)?,
-                run_emulator(args, lookahead, nth % 2 == 0)?,
+                measure_run(args, lookahead, observed_first)?,
+                measure_run(args, lookahead, !observed_first)?,
             ];
-            if nth % 2 == 1 {
+            if observed_first {
                 pair.reverse();
             }
             pairs.push(pair);
@@ -63,9 +67,9 @@ pub(super) fn run(args: &WatchBenchArgs) -> anyhow::Result<ExitCode> {
             "{:>9} {:>12.0} {:>12.0} {:>7.3} {:>11.1}  {}\n",
             if lookahead { "on" } else { "off" },
             median_of(|[alone, _]| alone.ttis_per_s),
-            median_of(|[_, watched]| watched.ttis_per_s),
-            median_of(|[alone, watched]| watched.ttis_per_s / alone.ttis_per_s),
-            median_of(|[_, watched]| watched.recorded_mb),
+            median_of(|[_, observed]| observed.ttis_per_s),
+            median_of(|[alone, observed]| observed.ttis_per_s / alone.ttis_per_s),
+            median_of(|[_, observed]| observed.recorded_mb),
             pairs[0][0].digest,
         ))?;
     }
@@ -79,7 +83,8 @@ struct MeasuredRun {
     recorded_mb: f64,
 }
 
-fn run_emulator(args: &WatchBenchArgs, lookahead: bool, is_watched: bool) -> anyhow::Result<MeasuredRun> {
+/// Runs `up` once, under observation if `is_observed`.
+fn measure_run(args: &WatchBenchArgs, lookahead: bool, is_observed: bool) -> anyhow::Result<MeasuredRun> {
     let folder = std::env::temp_dir().join(format!("reveille-bench-{}", std::process::id()));
     std::fs::create_dir_all(&folder)?;
     let recording = folder.join("run.mcap");
@@ -95,39 +100,52 @@ fn run_emulator(args: &WatchBenchArgs, lookahead: bool, is_watched: bool) -> any
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped());
-    if is_watched {
+    if is_observed {
         command
             .args(["--metrics", "127.0.0.1:0", "--dashboard", "127.0.0.1:0", "--record"])
             .arg(&recording);
     }
-    let summary = run_watched(&mut command, args.browsers)?;
+    let expected_readers = if is_observed { 1 + 2 * args.browsers as usize } else { 0 };
+    let summary = run_and_read(&mut command, args.browsers, expected_readers)?;
     let recorded = std::fs::metadata(&recording).map_or(0, |file| file.len());
     std::fs::remove_dir_all(&folder)?;
     Ok(MeasuredRun {
-        ttis_per_s: summary["timing"]["ttis_per_s"].as_f64().unwrap_or(f64::NAN),
-        digest: summary["digest"].as_str().unwrap_or_default().to_owned(),
+        ttis_per_s: summary["timing"]["ttis_per_s"]
+            .as_f64()
+            .context("the summary has no timing.ttis_per_s")?,
+        digest: summary["digest"]
+            .as_str()
+            .context("the summary has no digest")?
+            .to_owned(),
         recorded_mb: recorded as f64 / 1e6,
     })
 }
 
-/// Runs `command`, reads the addresses that it serves, and returns its summary.
-fn run_watched(command: &mut Command, browsers: u32) -> anyhow::Result<Value> {
+/// Runs `command`, reads from the addresses that it serves, and returns its summary.
+///
+/// # Errors
+/// If the run fails, or not exactly `expected_readers` readers received a successful answer.
+fn run_and_read(command: &mut Command, browsers: u32, expected_readers: usize) -> anyhow::Result<Value> {
     let mut run = command.spawn().context("cannot start reveille up")?;
     let (out, err) = (run.stdout.take(), run.stderr.take());
     let is_over = Arc::new(AtomicBool::new(false));
     let summary_text = std::thread::scope(|scope| {
         // A thread reads standard error during the run: it contains the addresses, and a full pipe would block the run.
-        let address_reader = scope.spawn(|| read_addresses(scope, err.into_iter().flat_map(lines), browsers, &is_over));
+        let stderr_thread = scope.spawn(|| follow_stderr(scope, err.into_iter().flat_map(lines), browsers, &is_over));
         let mut text = String::new();
         // Read to the end before `wait`: the summary can be longer than a pipe holds.
         let read = out.map_or(Ok(0), |mut out| out.read_to_string(&mut text));
         let ended = run.wait();
         // Set before the join: readers of endless answers stop only at this flag.
         is_over.store(true, Ordering::Relaxed);
-        let stderr_text = address_reader.join().unwrap_or_default();
+        let (stderr_text, readers) = stderr_thread.join().unwrap_or_default();
         let status = ended?;
         read?;
         anyhow::ensure!(status.success(), "reveille up: {stderr_text}");
+        anyhow::ensure!(
+            readers == expected_readers,
+            "{readers} of {expected_readers} observers could read the run; its output was: {stderr_text}"
+        );
         Ok(text)
     })?;
     Ok(serde_json::from_str(&summary_text)?)
@@ -137,24 +155,25 @@ fn lines(read: impl Read) -> impl Iterator<Item = String> {
     BufReader::new(read).lines().map_while(Result::ok)
 }
 
-/// Reads each address in `lines` until the run is over. Returns all lines.
-fn read_addresses<'scope>(
+/// Collects standard error, and starts readers of each address in it. Returns the text, and the number of readers that
+/// received a successful answer.
+fn follow_stderr<'scope>(
     scope: &'scope Scope<'scope, '_>,
     lines: impl Iterator<Item = String>,
     browsers: u32,
     is_over: &'scope Arc<AtomicBool>,
-) -> String {
+) -> (String, usize) {
     let mut stderr_text = String::new();
-    let mut readers: Vec<ScopedJoinHandle<'_, ()>> = Vec::new();
+    let mut readers: Vec<ScopedJoinHandle<'_, bool>> = Vec::new();
     for line in lines {
         let address = line.split("http://").nth(1).and_then(|rest| rest.split('/').next());
         if let Some(address) = address.map(str::to_owned) {
-            let (paths, readers_per_path) = if line.contains("/metrics") {
+            let (paths, reader_count) = if line.contains("/metrics") {
                 (&["/metrics"][..], 1)
             } else {
                 (&["/api/live", "/api/curves"][..], browsers)
             };
-            for _ in 0..readers_per_path {
+            for _ in 0..reader_count {
                 for path in paths {
                     let address = address.clone();
                     readers.push(scope.spawn(move || read_until_over(&address, path, is_over)));
@@ -163,32 +182,34 @@ fn read_addresses<'scope>(
         }
         stderr_text = format!("{stderr_text}{line}\n");
     }
-    for reader in readers {
-        let _ended = reader.join().is_ok();
-    }
-    stderr_text
+    let successful = readers.into_iter().filter_map(|reader| reader.join().ok());
+    (stderr_text, successful.filter(|&has_read| has_read).count())
 }
 
-/// Requests `path` until the run is over: every second if the answer ends, or as one continuous read.
-fn read_until_over(address: &str, path: &str, is_over: &AtomicBool) {
+/// Requests `path` until the run is over: every second if the answer ends, or as one continuous read. Returns whether
+/// an answer had the status 200.
+fn read_until_over(address: &str, path: &str, is_over: &AtomicBool) -> bool {
     let mut buffer = vec![0; BUFFER_BYTES];
+    let mut has_read = false;
     while !is_over.load(Ordering::Relaxed) {
         let request = format!("GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
         let Ok(mut stream) = TcpStream::connect(address) else {
-            return;
+            return has_read;
         };
         // A live stream can send nothing for long; the timeout lets the loop check `is_over`.
-        let _unlimited = stream.set_read_timeout(Some(READ_TIMEOUT)).is_err();
+        let _ignored_failure = stream.set_read_timeout(Some(READ_TIMEOUT)).is_err();
         if stream.write_all(request.as_bytes()).is_err() {
-            return;
+            return has_read;
         }
         loop {
             match stream.read(&mut buffer) {
                 Ok(0) => break,
-                Err(_) if is_over.load(Ordering::Relaxed) => return,
-                Ok(_) | Err(_) => {}
+                Ok(count) => has_read |= buffer[..count].starts_with(b"HTTP/1.1 200"),
+                Err(_) if is_over.load(Ordering::Relaxed) => return has_read,
+                Err(_) => {}
             }
         }
-        std::thread::sleep(SCRAPE_INTERVAL);
+        std::thread::sleep(REQUEST_PAUSE);
     }
+    has_read
 }

@@ -1,5 +1,6 @@
-//! Statements of the paper about the drawn policies, as marks and hatched ranges of a chart. In every function `claims`
-//! are all the claims about the drawn metric, since a ratio refers to another of them.
+//! Statements of the paper about the drawn policies, as marks (one N) and hatched ranges (several N) of a chart, for the
+//! figures `study` and `pareto`. In every function `claims` are all claims about the drawn metric, since a ratio refers
+//! to another of them. Ranges end at the smallest and the largest N that were run; marks do not depend on the runs.
 
 use super::chart::{Series, StatedMark, StatedSpan, StatedValue, separate_overlapping};
 use super::style::Style;
@@ -9,6 +10,7 @@ use crate::claims::{Claim, ClaimQuantity, DeviceCounts, Statement};
 pub(super) fn stated_marks(claims: &[Claim], series: &[Series]) -> Vec<StatedMark> {
     let drawn = claims.iter().filter(|c| series.iter().any(|s| s.name == c.policy));
     let mut marks: Vec<StatedMark> = drawn.filter_map(|claim| stated_mark(claim, claims)).collect();
+    // `separate_overlapping` moves neighbours apart.
     marks.sort_by(|a, b| a.x.total_cmp(&b.x));
     separate_overlapping(&mut marks);
     marks
@@ -41,7 +43,7 @@ pub(super) fn stated_spans(claims: &[Claim], series: &[Series]) -> Vec<StatedSpa
             paint: line.style.paint,
         })
     };
-    // Claims at one N have equal ends: `stated_marks` draws them.
+    // Claims at one N have equal ends: `stated_marks` draws them. A claim of which a single N was run is not drawn.
     let spans = claims.iter().filter_map(span);
     spans.filter(|span| span.from < span.to).collect()
 }

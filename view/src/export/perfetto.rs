@@ -1,8 +1,9 @@
-//! Export of a run as a Perfetto trace: protocol buffers of type `perfetto.protos.Trace` with track events.
+//! `reveille inspect export --to perfetto`: a run as a Perfetto trace, protocol buffers of type `perfetto.protos.Trace`.
 //!
 //! Each device has a track with slices of its states and a counter with its battery. Each wake-up is an arrow from the
-//! base station to the device that reports. A TTI is a millisecond. Track numbers only have to be distinct; field
-//! numbers are Perfetto's.
+//! base station to the device, where the outcome is named. Wake-ups follow each other, so the last arrow is always the
+//! open one. A TTI is a millisecond. The writer needs all frames of a run from TTI 0 in order, and skips frames that
+//! cannot be decoded. `tests/recordings/check.py` reads the traces.
 
 use std::io::{self, Write};
 
@@ -11,8 +12,9 @@ use reveille_common::deployment::Deployment;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{EventUpdate, Frame, Message, WakeOutcome};
 use reveille_common::state::{DeviceState, DeviceView};
+use reveille_common::units::Energy;
 
-use super::protobuf::Proto;
+use super::protobuf::ProtoMessage;
 use crate::device_mirror::{DeviceMirror, Discrepancy};
 use crate::recording::NANOS_PER_TTI;
 
@@ -23,12 +25,47 @@ const EVENTS_TRACK: u64 = 3;
 const FIRST_DEVICE_TRACK: u64 = 16;
 
 /// Sequence of all packets.
-const SEQUENCE: u64 = 1;
-/// `TrackEvent.Type`.
-const BEGIN: u64 = 1;
-const END: u64 = 2;
-const INSTANT: u64 = 3;
-const COUNTER: u64 = 4;
+const PACKET_SEQUENCE_ID: u64 = 1;
+
+/// Field numbers and values of `perfetto.protos.TrackEvent`.
+mod track_event {
+    pub(super) const TYPE: u32 = 9;
+    pub(super) const BEGIN: u64 = 1;
+    pub(super) const END: u64 = 2;
+    pub(super) const INSTANT: u64 = 3;
+    pub(super) const COUNTER: u64 = 4;
+    pub(super) const TRACK_UUID: u32 = 11;
+    pub(super) const NAME: u32 = 23;
+    pub(super) const DOUBLE_COUNTER_VALUE: u32 = 44;
+    pub(super) const FLOW_IDS: u32 = 47;
+    pub(super) const TERMINATING_FLOW_IDS: u32 = 48;
+}
+
+/// Field numbers of `perfetto.protos.TrackDescriptor`.
+mod track_descriptor {
+    pub(super) const UUID: u32 = 1;
+    pub(super) const NAME: u32 = 2;
+    pub(super) const PROCESS: u32 = 3;
+    pub(super) const PARENT_UUID: u32 = 5;
+    pub(super) const COUNTER: u32 = 8;
+}
+
+/// Field numbers of `perfetto.protos.TracePacket`.
+mod trace_packet {
+    pub(super) const TIMESTAMP: u32 = 8;
+    pub(super) const TRUSTED_PACKET_SEQUENCE_ID: u32 = 10;
+    pub(super) const TRACK_EVENT: u32 = 11;
+    pub(super) const TRACK_DESCRIPTOR: u32 = 60;
+}
+
+/// `ProcessDescriptor.pid`.
+const PROCESS_PID: u32 = 1;
+/// `ProcessDescriptor.process_name`.
+const PROCESS_NAME: u32 = 6;
+/// `CounterDescriptor.unit_name`.
+const COUNTER_UNIT_NAME: u32 = 6;
+/// `Trace.packet`.
+const TRACE_PACKET: u32 = 1;
 
 /// Reason why a trace cannot be written.
 #[derive(Debug, thiserror::Error)]
@@ -41,22 +78,31 @@ pub enum TraceError {
     Frames(#[from] Discrepancy),
 }
 
+/// The last values written for a device.
+#[derive(Clone, Copy)]
+struct WrittenState {
+    /// Name of the open slice.
+    slice: &'static str,
+    battery: Energy,
+}
+
 /// Writer of a trace.
 pub struct PerfettoWriter<W> {
     out: W,
     mirror: DeviceMirror,
-    /// Open slice and last written battery of each device.
-    open_slices: Vec<Option<(&'static str, u64)>>,
-    /// TTIs between two battery values.
+    /// By device: the open slice and the last battery level; `None` before the first TTI.
+    written: Vec<Option<WrittenState>>,
+    /// TTIs between two battery values while the state stays the same.
     battery_interval: u64,
-    /// Number of arrows so far.
-    arrow_count: u64,
+    /// Id of the last arrow; 0 before the first.
+    last_flow_id: u64,
     /// First TTI whose states are not written yet.
     next_tti: Tti,
 }
 
 impl<W: Write> PerfettoWriter<W> {
-    /// Writes the start of the trace of a run of `scenario`, with battery values every `battery_interval` TTIs.
+    /// Writes the start of the trace of a run of `scenario`. A battery level is written at each change of state, and, if
+    /// it has changed, at multiples of `battery_interval` TTIs.
     ///
     /// # Errors
     /// If the trace cannot be written.
@@ -65,34 +111,31 @@ impl<W: Write> PerfettoWriter<W> {
         let mut trace = Self {
             out,
             mirror: DeviceMirror::new(scenario, &deployment),
-            open_slices: vec![None; deployment.devices.len()],
+            written: vec![None; deployment.devices.len()],
             battery_interval,
-            arrow_count: 0,
+            last_flow_id: 0,
             next_tti: Tti::ZERO,
         };
-        // `ProcessDescriptor`: pid 1, process_name 6. `TrackDescriptor`: uuid 1, name 2, process 3, parent_uuid 5,
-        // counter 8.
-        let process = Proto::new().number(1, 1).text(6, &format!("reveille {run}"));
-        trace.write_track(&Proto::new().number(1, PROCESS_TRACK).message(3, &process))?;
-        for (track, name) in [(STATION_TRACK, "base station"), (EVENTS_TRACK, "events")] {
-            trace.write_track(&Proto::new().number(1, track).text(2, name).number(5, PROCESS_TRACK))?;
+        let process = ProtoMessage::new()
+            .varint(PROCESS_PID, 1)
+            .string(PROCESS_NAME, &format!("reveille {run}"));
+        let process_track = ProtoMessage::new().varint(track_descriptor::UUID, PROCESS_TRACK);
+        trace.write_track(&process_track.message(track_descriptor::PROCESS, &process))?;
+        for (uuid, name) in [(STATION_TRACK, "base station"), (EVENTS_TRACK, "events")] {
+            trace.write_track(&describe_track(uuid, name, PROCESS_TRACK))?;
         }
+        let counter = ProtoMessage::new().string(COUNTER_UNIT_NAME, "units");
         for device in &deployment.devices {
             let (id, position) = (device.id, device.position);
             let name = format!("device {id} at ({:.1}, {:.1}) m", position.x, position.y);
-            let track = Proto::new()
-                .number(1, state_track(id))
-                .text(2, &name)
-                .number(5, PROCESS_TRACK);
-            trace.write_track(&track)?;
-            let counter = Proto::new().text(6, "units");
-            let track = Proto::new().number(1, battery_track(id)).text(2, "battery");
-            trace.write_track(&track.number(5, state_track(id)).message(8, &counter))?;
+            trace.write_track(&describe_track(state_track(id), &name, PROCESS_TRACK))?;
+            let battery = describe_track(battery_track(id), "battery", state_track(id));
+            trace.write_track(&battery.message(track_descriptor::COUNTER, &counter))?;
         }
         Ok(trace)
     }
 
-    /// Writes `frame`.
+    /// Writes `frame`, unless it cannot be decoded.
     ///
     /// # Errors
     /// If the trace cannot be written, or the frame contradicts the frames before it.
@@ -119,13 +162,13 @@ impl<W: Write> PerfettoWriter<W> {
                 self.write_instant(frame.tti, STATION_TRACK, &message.to_string(), None)?;
             }
             (Message::Wake(_), Some(device)) => {
-                self.arrow_count += 1;
-                // `TrackEvent.flow_ids`; the outcome below ends the arrow with `terminating_flow_ids`, 48.
-                let flow = Some((47, self.arrow_count));
+                self.last_flow_id += 1;
+                // The outcome below ends the arrow.
+                let flow = Some((track_event::FLOW_IDS, self.last_flow_id));
                 self.write_instant(frame.tti, STATION_TRACK, &format!("wake device {device}"), flow)?;
             }
             (Message::Woken(woken), Some(device)) => {
-                let flow = Some((48, self.arrow_count));
+                let flow = Some((track_event::TERMINATING_FLOW_IDS, self.last_flow_id));
                 let text = match &woken.outcome {
                     WakeOutcome::Reported(report) => format!("woken: {report}"),
                     outcome @ (WakeOutcome::Failed(_)
@@ -147,13 +190,10 @@ impl<W: Write> PerfettoWriter<W> {
             }
             (Message::Event(EventUpdate::Started(event)), _) => {
                 let name = format!("event {}", event.stimulus.event.0);
-                self.write_event(
-                    event.start,
-                    &Proto::new().number(9, BEGIN).number(11, EVENTS_TRACK).text(23, &name),
-                )?;
+                self.write_event(event.start, &begin_slice(EVENTS_TRACK, &name))?;
             }
             (Message::Event(EventUpdate::Ended(record)), _) => {
-                self.write_event(record.last + 1, &Proto::new().number(9, END).number(11, EVENTS_TRACK))?;
+                self.write_event(record.last + 1, &new_event(track_event::END, EVENTS_TRACK))?;
             }
             _ => {}
         }
@@ -167,9 +207,9 @@ impl<W: Write> PerfettoWriter<W> {
     pub fn finish(mut self) -> Result<W, TraceError> {
         let end = self.mirror.next_tti();
         self.write_states_until(end)?;
-        for (index, open_slice) in std::mem::take(&mut self.open_slices).into_iter().enumerate() {
-            if open_slice.is_some() {
-                self.end_slice(end, DeviceId(index as u32))?;
+        for (id, written) in (0..).map(DeviceId).zip(std::mem::take(&mut self.written)) {
+            if written.is_some() {
+                self.end_slice(end, id)?;
             }
         }
         self.out.flush()?;
@@ -189,62 +229,83 @@ impl<W: Write> PerfettoWriter<W> {
     }
 
     fn write_state(&mut self, tti: Tti, id: DeviceId, view: DeviceView) -> io::Result<()> {
-        let (name, level) = (state_name(view.state), view.battery.micro());
-        let previous = self.open_slices[id.index()];
-        let is_new_state = previous.is_none_or(|(slice, _)| slice != name);
+        let slice = state_name(view.state);
+        let previous = self.written[id.index()];
+        let is_new_state = previous.is_none_or(|written| written.slice != slice);
         if is_new_state {
             if previous.is_some() {
                 self.end_slice(tti, id)?;
             }
-            self.write_event(
-                tti,
-                &Proto::new().number(9, BEGIN).number(11, state_track(id)).text(23, name),
-            )?;
+            self.write_event(tti, &begin_slice(state_track(id), slice))?;
         }
         // Unchanged levels are not repeated, which keeps the trace small.
-        let is_changed = previous.is_none_or(|(_, written)| written != level);
+        let is_changed = previous.is_none_or(|written| written.battery != view.battery);
         let is_due = tti.0.is_multiple_of(self.battery_interval) && is_changed;
-        let written_level = if is_new_state || is_due {
-            // `TrackEvent`: type 9, track_uuid 11, name 23, double_counter_value 44.
-            let event = Proto::new().number(9, COUNTER).number(11, battery_track(id));
-            self.write_event(tti, &event.double(44, view.battery.units()))?;
-            level
+        let battery = if is_new_state || is_due {
+            let event = new_event(track_event::COUNTER, battery_track(id));
+            self.write_event(
+                tti,
+                &event.double(track_event::DOUBLE_COUNTER_VALUE, view.battery.units()),
+            )?;
+            view.battery
         } else {
-            previous.map_or(level, |(_, written)| written)
+            previous.map_or(view.battery, |written| written.battery)
         };
-        self.open_slices[id.index()] = Some((name, written_level));
+        self.written[id.index()] = Some(WrittenState { slice, battery });
         Ok(())
     }
 
     fn end_slice(&mut self, tti: Tti, id: DeviceId) -> io::Result<()> {
-        self.write_event(tti, &Proto::new().number(9, END).number(11, state_track(id)))
+        self.write_event(tti, &new_event(track_event::END, state_track(id)))
     }
 
-    /// Writes an instant event, with the field and number of an arrow that starts or ends in it.
+    /// Writes an instant event, with the field and id of an arrow that starts or ends in it.
     fn write_instant(&mut self, tti: Tti, track: u64, name: &str, flow: Option<(u32, u64)>) -> io::Result<()> {
-        let event = Proto::new().number(9, INSTANT).number(11, track).text(23, name);
+        let event = new_event(track_event::INSTANT, track).string(track_event::NAME, name);
         self.write_event(
             tti,
             &match flow {
-                Some((field, number)) => event.fixed(field, number),
+                Some((field_number, flow_id)) => event.fixed64(field_number, flow_id),
                 None => event,
             },
         )
     }
 
-    fn write_event(&mut self, tti: Tti, event: &Proto) -> io::Result<()> {
-        // `TracePacket`: timestamp 8, trusted_packet_sequence_id 10, track_event 11.
-        let packet = Proto::new().number(8, tti.0 * NANOS_PER_TTI).number(10, SEQUENCE);
-        self.write_packet(&packet.message(11, event))
+    fn write_event(&mut self, tti: Tti, event: &ProtoMessage) -> io::Result<()> {
+        let timestamp = tti.0 * NANOS_PER_TTI;
+        let packet = new_packet().varint(trace_packet::TIMESTAMP, timestamp);
+        self.write_packet(&packet.message(trace_packet::TRACK_EVENT, event))
     }
 
-    fn write_track(&mut self, track: &Proto) -> io::Result<()> {
-        self.write_packet(&Proto::new().number(10, SEQUENCE).message(60, track))
+    fn write_track(&mut self, track: &ProtoMessage) -> io::Result<()> {
+        self.write_packet(&new_packet().message(trace_packet::TRACK_DESCRIPTOR, track))
     }
 
-    fn write_packet(&mut self, packet: &Proto) -> io::Result<()> {
-        self.out.write_all(&Proto::new().message(1, packet).into_bytes())
+    fn write_packet(&mut self, packet: &ProtoMessage) -> io::Result<()> {
+        self.out
+            .write_all(&ProtoMessage::new().message(TRACE_PACKET, packet).into_bytes())
     }
+}
+
+fn new_packet() -> ProtoMessage {
+    ProtoMessage::new().varint(trace_packet::TRUSTED_PACKET_SEQUENCE_ID, PACKET_SEQUENCE_ID)
+}
+
+fn describe_track(uuid: u64, name: &str, parent: u64) -> ProtoMessage {
+    ProtoMessage::new()
+        .varint(track_descriptor::UUID, uuid)
+        .string(track_descriptor::NAME, name)
+        .varint(track_descriptor::PARENT_UUID, parent)
+}
+
+fn new_event(event_type: u64, track: u64) -> ProtoMessage {
+    ProtoMessage::new()
+        .varint(track_event::TYPE, event_type)
+        .varint(track_event::TRACK_UUID, track)
+}
+
+fn begin_slice(track: u64, name: &str) -> ProtoMessage {
+    new_event(track_event::BEGIN, track).string(track_event::NAME, name)
 }
 
 const fn state_track(id: DeviceId) -> u64 {

@@ -1,5 +1,7 @@
-//! `reveille train record`: trajectories of many runs in memory. The facts in `about` are stored in the file, and `dt`
-//! copies them into its checkpoint and model.
+//! `reveille train record`: trajectories for the training of `dt`, from the runs of a grid, or from a repetition in
+//! memory of the runs in folders, which must have the same digest. The file stores the entries of `about`, and `dt`
+//! copies them into its checkpoint and model; the entry `recording` is the `Debug` text of [`RecordingConfig`], so a
+//! renamed field changes it.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -153,7 +155,7 @@ fn read_digest(folder: &Path) -> anyhow::Result<String> {
 fn recording_config(args: &RecordArgs) -> anyhow::Result<RecordingConfig> {
     if args.stride <= args.chunk {
         bail!(
-            "--stride {}: must be more than --chunk {}, or chunks overlap",
+            "--stride {}: must be more than --chunk {}, so that a gap separates the chunks",
             args.stride,
             args.chunk
         );
