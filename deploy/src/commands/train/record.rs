@@ -11,18 +11,20 @@ use anyhow::bail;
 use reveille_bs::scenario::load;
 use reveille_common::io::Disk;
 use reveille_lab::sweep::{Shard, SweepGrid};
-use reveille_lab::training::checkpoint_path;
 use reveille_lab::trajectories::{Chunk, HORIZON, RecordingConfig, Trajectories, record, record_from_scenario};
 
-use super::q_learning::interrupted;
 use crate::cli::RecordArgs;
 use crate::commands::experiment::build_experiment;
 use crate::commands::sweep::log_warnings;
 use crate::display::{self, note};
+use crate::exit::Interrupted;
 use crate::folder_lock::{FolderStatus, status};
 use crate::paths::check_output_path;
 use crate::run_folder::{SCENARIO_FILE, SUMMARY_FILE};
 use crate::signals::{SignalMode, Signals};
+
+/// The error of a recording ended by a signal.
+const INTERRUPTED: &str = "interrupted; no trajectories were written";
 
 /// Records the requested runs.
 pub(super) fn run(args: &RecordArgs) -> anyhow::Result<ExitCode> {
@@ -32,10 +34,8 @@ pub(super) fn run(args: &RecordArgs) -> anyhow::Result<ExitCode> {
     }
     check_output_path(&args.out, "the trajectories")?;
     let signals = Signals::install(SignalMode::SavesResults)?;
-    // Recordings have no checkpoints: an interrupted one starts from the beginning.
-    let exit_message = interrupted(&checkpoint_path(&args.out));
     // A run in set-up does not check for signals, and a search before it may take hours.
-    let forced_exit = signals.force_exit_after_signal(move || exit_message.to_string())?;
+    let forced_exit = signals.force_exit_after_signal(|| INTERRUPTED.to_owned())?;
     let stop = || signals.has_arrived();
     let trajectories = if args.from.is_empty() {
         record_grid(args, &recording, &stop)?
@@ -45,7 +45,7 @@ pub(super) fn run(args: &RecordArgs) -> anyhow::Result<ExitCode> {
     // From here on the file is written, and must not be cut short.
     drop(forced_exit);
     let Some(trajectories) = trajectories else {
-        bail!(interrupted(&checkpoint_path(&args.out)));
+        bail!(Interrupted(INTERRUPTED.into()));
     };
     if trajectories.chunks.is_empty() {
         bail!(
