@@ -1,5 +1,7 @@
 //! The sensing of events by devices and the information in their reports (paper Sec. II-A). Digests hold the
-//! information bit for bit, so no operation may change. [`Sensing`] is part of the wire format.
+//! information bit for bit, so no operation may change; `tests/src/reference/detection.rs` repeats the detection. Names
+//! are part of scenario files, the scenario hash and learned tables. A change of the fields of [`Sensing`] or of their
+//! order raises `WIRE_VERSION`.
 
 use serde::{Deserialize, Serialize};
 

@@ -1,4 +1,5 @@
-//! The external inputs of a run as text, the input log (a replay log): one line for each input, in order of arrival.
+//! The external inputs of a run as text, the input log (a replay log): a line that names the run, then
+//! one line for each input. Inputs of a kind are in order of arrival.
 //!
 //! External inputs are removals of devices, whose process was lost under `--on-loss continue`, and decisions of a
 //! policy process. They and the scenario determine the run: replays and resumed runs read them from `inputs.log`. A

@@ -1,5 +1,5 @@
-//! The command `tune`: the same history with any threads and after kills, its pictures and JSON, and refusals. Without
-//! the cargo feature it names the build command.
+//! The command `tune` (`--features reveille-deploy/tune`): the same history with any threads and after kills, its
+//! pictures and JSON, and refusals. Without the cargo feature it names the build command.
 
 #[cfg(not(feature = "tune"))]
 #[test]
@@ -54,6 +54,7 @@ mod with_the_feature {
             let found = point_count(&folder, "killed.csv");
             let tuning = folder.start(&resumable);
             wait_until("a point", PATIENCE, || {
+                // Of five points, so that a finished tuning also passes.
                 (point_count(&folder, "killed.csv") > found.min(4)).then_some(())
             });
             tuning.signal(signal);

@@ -179,7 +179,7 @@ impl EnvBatch {
     /// `is_resting`, `[K]`, take no step. Then writes the observations of all environments.
     ///
     /// # Panics
-    /// If a slice has another length.
+    /// If `actions` or `is_resting` has another length, or an output buffer is too short.
     pub fn step(&mut self, actions: &[i8], is_resting: &[bool], buffers: BatchBuffers<'_>) {
         let n = self.devices;
         let env_buffers = buffers.split(n);
@@ -217,7 +217,7 @@ impl EnvBatch {
     /// Writes the observations of all environments without a step.
     ///
     /// # Panics
-    /// If a slice has another length.
+    /// If an output buffer is too short.
     pub fn write_observations(&mut self, buffers: BatchBuffers<'_>) {
         let count = self.environments.len();
         self.step(&vec![0; count * self.devices], &vec![true; count], buffers);

@@ -1,4 +1,5 @@
-//! Errors of sweeps, their folders and merges. Each message names the thing, the cause and the fix. Outside tests, no
+//! Errors of sweeps, their folders and merges. Each message names the thing, the cause and, where there is
+//! one, the fix. Outside tests, no
 //! code reads the texts.
 
 use std::any::Any;
@@ -10,7 +11,7 @@ use reveille_common::scenario::ScenarioError;
 
 use crate::table::TableError;
 
-/// A reason why a sweep cannot start, resume or be merged.
+/// A reason why a sweep cannot start, resume, finish or be merged.
 #[derive(Debug, thiserror::Error)]
 pub enum SweepError {
     /// The experiment file cannot be read.

@@ -20,7 +20,7 @@ const MAX_RUNS: u64 = 100_000_000;
 /// One cell: a scenario except for its seed.
 #[derive(Clone, Debug)]
 pub struct GridCell {
-    /// The cell's label in messages and tables: `knn, devices = 50, harvest.lambda = 0.05`.
+    /// The cell's label in messages, progress and JSON: `knn, devices = 50, harvest.lambda = 0.05`.
     pub label: String,
     /// The values of the swept columns.
     pub swept: Arc<[SweptValue]>,
@@ -103,7 +103,8 @@ impl SweepGrid {
         Err(SweepError::invalid("shard", shard, allowed))
     }
 
-    /// Returns a SHA-256 over the scenarios of all cells: equal exactly if the grids run the same scenarios.
+    /// Returns a SHA-256 over the first-seed scenarios of all cells, in order; the number of seeds does not enter. Result
+    /// tables and the identity of journals hold it: after a change, old shards do not merge and old sweeps do not resume.
     pub fn fingerprint(&self) -> Hash {
         let mut hasher = Sha256::new();
         for cell in &self.cells {

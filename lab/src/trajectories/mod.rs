@@ -2,8 +2,9 @@
 //! training data of the decision transformer.
 //!
 //! A run is recorded in chunks of consecutive TTIs, far enough apart to differ. Chunks only hold data that a base
-//! station can know. `reveille train record` writes them, `transformer` trains from them. The number of a run decides
-//! whether `transformer` holds it out.
+//! station can know. `reveille train record` writes them, `transformer` trains from them, and the figure `attention` of
+//! `study` reads the steps of a run. The number of a run and the position of its file decide whether `transformer`
+//! holds it out.
 
 mod io;
 mod parquet;
@@ -29,7 +30,8 @@ use crate::sweep::SweepGrid;
 
 pub use parquet::TrajectoryError;
 
-/// The number of TTIs over which a return is the mean.
+/// The number of TTIs over which a return is the mean. It defines a stored column: a change raises `VERSION` in
+/// `parquet`, and recordings and trained models must be made again.
 pub const HORIZON: usize = 20;
 
 /// The parameters of a recording. Their `Debug` text is in the metadata of files.
@@ -39,7 +41,7 @@ pub struct RecordingConfig {
     pub length: usize,
     /// The number of TTIs from one chunk's start to the next, > `length`: chunks without a gap would be one chunk.
     pub stride: usize,
-    /// The probabilities, `[0, 1)`, that a device deviates from its policy; runs use them in turn.
+    /// The probabilities, `[0, 1)`, that a device deviates from its policy, at least one; runs use them in turn.
     pub explore: Vec<f64>,
     /// See [`RecordingOptions::true_batteries`].
     pub true_batteries: bool,
@@ -89,7 +91,7 @@ pub struct Trajectories {
     pub chunks: Vec<Chunk>,
 }
 
-/// Records every run of `grid`, on the threads of the current pool. Calls `ended` after each run. Returns `None` if
+/// Records every run of `grid`, from random battery levels, on the threads of the current pool. Calls `ended` after each run. Returns `None` if
 /// `stop` returns true.
 pub fn record(
     grid: &SweepGrid,

@@ -1,5 +1,6 @@
 //! Sentences around the tables of the report, shared by its Markdown and its HTML. `VERDICT_RULE` states the rule of
-//! `judge`; change both. docs/reproduction.md contains the sentences.
+//! `judge`, as does docs/figures-and-report.md: change all three. `reveille report --page docs/reproduction.md` writes
+//! the sentences to that page, which is not edited by hand.
 
 use super::causes::NOT_RUN;
 use super::judge::Verdict;

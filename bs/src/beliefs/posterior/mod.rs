@@ -62,10 +62,11 @@ struct RingPoint {
     weight: f64,
 }
 
-/// A product of factors below 1 that may be too small for a floating-point number.
+/// A product of factors, most of them below 1, that may be too small for a floating-point number.
 #[derive(Clone, Copy, Debug)]
 struct ScaledLikelihood {
-    /// Value in units of [`SCALE_STEP`] to the power of `steps`. It is at least [`SCALE_STEP`] and not much above 1.
+    /// Value in units of [`SCALE_STEP`] to the power of `steps`. It is at least [`SCALE_STEP`]; a prior or
+    /// the thinning of points can raise it above 1.
     value: f64,
     steps: u32,
 }
@@ -154,7 +155,7 @@ impl EpicentreBelief {
     }
 
     /// Adds the report of `device` at distance `d` from the event, 0 ..= d_max. `prior` is the relative density of the
-    /// epicentre before any report; see [`uniform_prior`].
+    /// epicentre before any report, at least [`SCALE_STEP`]; see [`uniform_prior`].
     pub(crate) fn add_reporter(&mut self, device: DeviceId, d: f64, prior: impl Fn(Point) -> f64) {
         let position = self.positions[device.index()];
         let slack = RING_TOLERANCE * self.sensing.d_max;
@@ -252,7 +253,7 @@ impl EpicentreBelief {
     }
 
     /// Returns the device with the largest expected gain less the cost of a failed wake-up, and its gain alone. Only
-    /// devices for which `is_candidate` holds and that were not returned for this event count. `information` is Î. Ties
+    /// devices for which `is_candidate` holds count, if they have neither reported nor been returned for this event. `information` is Î. Ties
     /// go to the lower number. `None` if no device has a gain.
     pub fn next_candidate(
         &mut self,

@@ -124,7 +124,7 @@ impl LearnedTables {
     }
 
     /// Returns the shipped tables called `name`: `shipped` or `shipped-paper` for the preset `paper`, or
-    /// `shipped-paper-literal`. With the suffix `-ages` they are for ages.
+    /// `shipped-paper-literal`. The last two also exist with the suffix `-ages`, for ages.
     pub fn shipped_named(name: &str) -> Option<Self> {
         let name = if name == "shipped" { SHIPPED[0].0 } else { name };
         let (_, text) = SHIPPED.into_iter().find(|(shipped, _)| *shipped == name)?;
@@ -188,7 +188,7 @@ impl LearnedTables {
         Ok(learned)
     }
 
-    /// Returns the text of the file: one line for each entry, values rounded to 10⁻⁴.
+    /// Returns the text of the file: one line for each entry, table values rounded to 10⁻⁴.
     ///
     /// # Panics
     /// If a value is not finite or the tables are otherwise invalid.
@@ -283,7 +283,7 @@ impl LearnedTables {
 }
 
 impl TableSet {
-    /// Rounds all values to 10⁻⁴, the precision of a file.
+    /// Rounds table values to 10⁻⁴ and the learning curve to 10⁻⁶, the precisions of a file.
     pub fn round(&mut self) {
         self.duty.round();
         self.wake_p42.round();
