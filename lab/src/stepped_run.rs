@@ -105,8 +105,8 @@ impl<O: Observer> SteppedRun<O> {
         &mut self.observer
     }
 
-    /// Ends the run, before its last TTI if a decision is pending, and returns its outcome and observer. If the run has not ended, no other device is woken in the
-    /// open TTI.
+    /// Ends the run, before its last TTI if a decision is pending, and returns its outcome and observer. If the run has
+    /// not ended, no other device is woken in the open TTI.
     pub fn finish(mut self) -> (RunOutcome, O) {
         // An open TTI has no outcome: an empty answer closes it.
         if self.halt == Halt::Undecided(DecisionStage::Wake) {

@@ -37,7 +37,8 @@ pub trait Files {
     /// Whether `path` exists.
     fn exists(&self, path: &Path) -> bool;
 
-    /// Returns the path under which `path` is read, without accessing the file: absolute on a disk, unchanged elsewhere.
+    /// Returns the path under which `path` is read, without accessing the file: absolute on a disk, unchanged
+    /// elsewhere.
     ///
     /// # Errors
     /// If there is no working directory.

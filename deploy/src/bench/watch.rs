@@ -4,7 +4,8 @@
 //! read by browsers. The runs of a pair take turns in coming first, so that a drift of the machine's load favours
 //! neither.
 //!
-//! It relies on `up`: on standard error, a line with `http://ADDRESS/metrics` names the metrics, and any other line with
+//! It relies on `up`: on standard error, a line with `http://ADDRESS/metrics` names the metrics, and any other line
+//! with
 //! `http://` the dashboard, whose `/api/live` and `/api/curves` browsers read. Both are on loopback and need no token.
 //! `--json` prints `digest` and `timing.ttis_per_s`. An observer that cannot read ends the benchmark with an error.
 

@@ -103,8 +103,9 @@ impl SweepGrid {
         Err(SweepError::invalid("shard", shard, allowed))
     }
 
-    /// Returns a SHA-256 over the first-seed scenarios of all cells, in order; the number of seeds does not enter. Result
-    /// tables and the identity of journals hold it: after a change, old shards do not merge and old sweeps do not resume.
+    /// Returns a SHA-256 over the first-seed scenarios of all cells, in order; the number of seeds does not enter.
+    /// Result tables and the identity of journals hold it: after a change, old shards do not merge and old sweeps do
+    /// not resume.
     pub fn fingerprint(&self) -> Hash {
         let mut hasher = Sha256::new();
         for cell in &self.cells {

@@ -91,7 +91,8 @@ pub struct Trajectories {
     pub chunks: Vec<Chunk>,
 }
 
-/// Records every run of `grid`, from random battery levels, on the threads of the current pool. Calls `ended` after each run. Returns `None` if
+/// Records every run of `grid`, from random battery levels, on the threads of the current pool. Calls `ended` after
+/// each run. Returns `None` if
 /// `stop` returns true.
 pub fn record(
     grid: &SweepGrid,

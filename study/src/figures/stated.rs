@@ -1,6 +1,7 @@
-//! Statements of the paper about the drawn policies, as marks (one N) and hatched ranges (several N) of a chart, for the
-//! figures `study` and `pareto`. In every function `claims` are all claims about the drawn metric, since a ratio refers
-//! to another of them. Ranges end at the smallest and the largest N that were run; marks do not depend on the runs.
+//! Statements of the paper about the drawn policies, as marks (one N) and hatched ranges (several N) of a chart, for
+//! the figures `study` and `pareto`. In every function `claims` are all claims about the drawn metric, since a ratio
+//! refers to another of them. Ranges end at the smallest and the largest N that were run; marks do not depend on the
+//! runs.
 
 use super::chart::{Series, StatedMark, StatedSpan, StatedValue, separate_overlapping};
 use super::style::Style;

@@ -1,4 +1,5 @@
-//! `reveille inspect export --to perfetto`: a run as a Perfetto trace, protocol buffers of type `perfetto.protos.Trace`.
+//! `reveille inspect export --to perfetto`: a run as a Perfetto trace, protocol buffers of type
+//! `perfetto.protos.Trace`.
 //!
 //! Each device has a track with slices of its states and a counter with its battery. Each wake-up is an arrow from the
 //! base station to the device, where the outcome is named. Wake-ups follow each other, so the last arrow is always the
@@ -101,8 +102,8 @@ pub struct PerfettoWriter<W> {
 }
 
 impl<W: Write> PerfettoWriter<W> {
-    /// Writes the start of the trace of a run of `scenario`. A battery level is written at each change of state, and, if
-    /// it has changed, at multiples of `battery_interval` TTIs.
+    /// Writes the start of the trace of a run of `scenario`. A battery level is written at each change of state, and,
+    /// if it has changed, at multiples of `battery_interval` TTIs.
     ///
     /// # Errors
     /// If the trace cannot be written.

@@ -253,8 +253,8 @@ impl EpicentreBelief {
     }
 
     /// Returns the device with the largest expected gain less the cost of a failed wake-up, and its gain alone. Only
-    /// devices for which `is_candidate` holds count, if they have neither reported nor been returned for this event. `information` is Î. Ties
-    /// go to the lower number. `None` if no device has a gain.
+    /// devices for which `is_candidate` holds count, if they have neither reported nor been returned for this event.
+    /// `information` is Î. Ties go to the lower number. `None` if no device has a gain.
     pub fn next_candidate(
         &mut self,
         information: f64,

@@ -253,7 +253,8 @@ impl Live {
         Ok(())
     }
 
-    /// Fetches the new lines of the input log from the base station and passes them to `past`. Returns false if the run has ended.
+    /// Fetches the new lines of the input log from the base station and passes them to `past`. Returns false if the run
+    /// has ended.
     ///
     /// # Errors
     /// If the log cannot be read, or a signal comes.
