@@ -20,6 +20,8 @@ type Payment = Result<(), Energy>;
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct LedgerBuilder {
     sensing_ttis: u64,
+    /// The TTIs in which an operator had let the device fail.
+    off_ttis: u64,
     failed_ttis: u64,
     unpowered_ttis: u64,
     false_wake_ups: u64,
@@ -48,6 +50,7 @@ impl LedgerBuilder {
         };
         Self {
             sensing_ttis: 0,
+            off_ttis: 0,
             failed_ttis: 0,
             unpowered_ttis: 0,
             false_wake_ups: 0,
@@ -96,6 +99,12 @@ impl LedgerBuilder {
         }
     }
 
+    /// Records `ttis` TTIs in which the electronics are off. They are no outage, since nothing has to be paid.
+    pub const fn record_off(&mut self, ttis: u64) {
+        self.off_ttis += ttis;
+        self.outage = 0;
+    }
+
     /// Records TTIs on an empty battery, `on` with δ = 1 and `off` with δ = 0.
     pub fn record_outage(&mut self, on: u64, off: u64) {
         self.sensing_ttis += on;
@@ -139,8 +148,8 @@ impl LedgerBuilder {
 
     /// Returns the totals over the TTIs before `next`, with these costs and this battery.
     pub fn totals(&self, next: Tti, costs: &EnergyModel, battery: &Battery) -> DeviceTotals {
-        // Each TTI before `next` had either δ = 1 or δ = 0.
-        let sleep_ttis = next.0 - self.sensing_ttis;
+        // Each other TTI before `next` had either δ = 1 or δ = 0.
+        let sleep_ttis = next.0 - self.off_ttis - self.sensing_ttis;
         DeviceTotals {
             initial: battery.initial(),
             harvested: battery.harvested(),

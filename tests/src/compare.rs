@@ -90,6 +90,7 @@ pub fn reference_state(state: DeviceState) -> ReferenceState {
         DeviceState::Transmission => ReferenceState::Transmission,
         DeviceState::Sleep { powered: true } => ReferenceState::Asleep,
         DeviceState::Sleep { powered: false } => ReferenceState::Unpowered,
+        DeviceState::Failed => ReferenceState::Failed,
         DeviceState::Active => panic!("S2 is left within the TTI"),
     }
 }

@@ -557,6 +557,7 @@ pub(super) fn state_codes(views: &[DeviceView]) -> String {
         DeviceState::Transmission => '3',
         DeviceState::Sleep { powered: true } => '4',
         DeviceState::Sleep { powered: false } => '0',
+        DeviceState::Failed => 'x',
     };
     views.iter().map(code).collect()
 }

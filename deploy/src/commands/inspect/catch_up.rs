@@ -8,14 +8,15 @@
 //!                             (its plan may be missed, so its frames are dropped)
 //! ```
 //! The last TTI of a grant is replayed once the next grant begins or the run ends. Only then does the input log have
-//! the devices removed in that TTI and the decisions of a policy process.
+//! the devices removed in that TTI and the decisions of a policy process. Actions in the TTI from which on frames are
+//! received come from the log too, since their frames may be missed.
 
 use anyhow::{Context, bail};
 use reveille_bs::observer::frames::FrameObserver;
 use reveille_bs::scenario::Scenario;
 use reveille_common::ids::Tti;
 use reveille_common::message::{ClockMessage, ClockStatus, Frame, Message};
-use reveille_lab::external_inputs::{ExternalInput, ExternalInputs, InputLogParser};
+use reveille_lab::external_inputs::InputLogParser;
 use reveille_lab::preparation::prepare;
 use reveille_lab::run::{Run, RunOptions};
 
@@ -73,8 +74,7 @@ impl CatchUp {
     /// # Errors
     /// If the part does not belong to a log of this run.
     pub(crate) fn read_input_log(&mut self, part: &[u8]) -> anyhow::Result<bool> {
-        let known = self.log.inputs();
-        let (outages, decisions) = (known.outages.len(), known.decisions.len());
+        let known = self.log.inputs().counts();
         // A part can end within a line, whose rest comes with the next part.
         let whole_bytes = part.iter().rposition(|byte| *byte == b'\n').map_or(0, |last| last + 1);
         let text = std::str::from_utf8(&part[..whole_bytes]).context(LOG_CONTEXT)?;
@@ -82,15 +82,7 @@ impl CatchUp {
         self.bytes_read += length as u64;
         // A started replay lacks only the new inputs; `replay_until` passes on all others at its start.
         if let Some(run) = &mut self.run {
-            let ExternalInputs {
-                outages: outages_now,
-                decisions: decisions_now,
-            } = self.log.inputs();
-            outages_now[outages..]
-                .iter()
-                .for_each(|outage| run.schedule_input(ExternalInput::Outage(*outage)));
-            let new = decisions_now[decisions..].iter().cloned();
-            new.for_each(|decision| run.schedule_input(ExternalInput::Decision(decision)));
+            run.schedule_inputs(&self.log.inputs().after(known));
         }
         Ok(length > 0)
     }
@@ -177,6 +169,9 @@ impl CatchUp {
         if self.replay_until(received_from, &mut on_frame)? {
             // The replay is not needed any more, and can be large.
             (self.is_over, self.run) = (true, None);
+            let actions = self.log.inputs().actions.iter();
+            let due_actions = actions.filter(|action| action.tti == received_from);
+            due_actions.for_each(|action| on_frame(Frame::new(action.tti, (), action)));
             on_frame(frame);
         }
         Ok(())
@@ -195,7 +190,7 @@ mod tests {
     use reveille_common::plan::Plan;
     use reveille_common::rng::{Purpose, Stream};
     use reveille_common::scenario::{Override, load};
-    use reveille_lab::external_inputs::{first_line, line};
+    use reveille_lab::external_inputs::{ExternalInput, ExternalInputs, first_line, line};
     use reveille_lab::stepped_run::SteppedRun;
 
     use super::*;
