@@ -2,7 +2,7 @@
 //! of timed actions.
 
 use reveille_common::message::{Change, Setting};
-use reveille_common::units::Energy;
+use reveille_common::units::{Energy, MAX_UNITS};
 
 use crate::scenario::Scenario;
 
@@ -23,6 +23,9 @@ pub fn check_change(change: &Change, scenario: &Scenario) -> Result<(), String> 
     match *change {
         Change::AddEnergy(_, energy) if energy == Energy::ZERO => {
             Err("an energy of 0 units has no effect; use a larger amount".to_owned())
+        }
+        Change::AddEnergy(_, energy) if energy.units() > MAX_UNITS => {
+            Err(format!("an energy of {energy} must be at most {MAX_UNITS} units"))
         }
         Change::Set(setting, value) => check_setting(setting, value, scenario),
         Change::Fail(_) | Change::Revive(_) | Change::AddEnergy(..) => Ok(()),

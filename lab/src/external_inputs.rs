@@ -525,6 +525,78 @@ mod tests {
         }
     }
 
+    fn test_actions() -> Vec<OperatorAction> {
+        let devices = DeviceRange {
+            first: DeviceId(3),
+            count: 4,
+        };
+        let changes = [
+            (9, Change::Fail(devices)),
+            (4, Change::AddEnergy(devices, Energy::from_micro(71_429))),
+            (9, Change::Revive(devices)),
+            (70, Change::Set(Setting::EventRate, 0.1 + 0.2)),
+        ];
+        changes
+            .map(|(tti, change)| OperatorAction { tti: Tti(tti), change })
+            .to_vec()
+    }
+
+    #[test]
+    fn the_line_of_an_action_names_its_fields() {
+        let lines: String = test_actions()
+            .into_iter()
+            .map(|action| line(&ExternalInput::Action(action)))
+            .collect();
+        assert_eq!(
+            lines,
+            "{\"fail\":{\"tti\":9,\"first\":3,\"count\":4}}\n\
+             {\"energy\":{\"tti\":4,\"first\":3,\"count\":4,\"micro\":71429}}\n\
+             {\"revive\":{\"tti\":9,\"first\":3,\"count\":4}}\n\
+             {\"set\":{\"tti\":70,\"field\":\"events.alpha\",\"value\":0.30000000000000004}}\n"
+        );
+    }
+
+    #[test]
+    fn an_impossible_action_is_refused_with_the_reason() {
+        let scenario = load("quick", &[]).expect("a preset").scenario;
+        let cases = [
+            ("{\"fail\":{\"tti\":1,\"first\":0,\"count\":0}}", "not in the run"),
+            (
+                "{\"revive\":{\"tti\":1,\"first\":4294967295,\"count\":2}}",
+                "not in the run",
+            ),
+            (
+                "{\"energy\":{\"tti\":1,\"first\":0,\"count\":1,\"micro\":0}}",
+                "no effect",
+            ),
+            (
+                "{\"energy\":{\"tti\":1,\"first\":0,\"count\":1,\"micro\":18446744073709551615}}",
+                "at most",
+            ),
+            (
+                "{\"fail\":{\"tti\":18446744073709551615,\"first\":0,\"count\":1}}",
+                "is not in the run",
+            ),
+            (
+                "{\"set\":{\"tti\":1,\"field\":\"events.alpha\",\"value\":2}}",
+                "must be above 0",
+            ),
+            (
+                "{\"set\":{\"tti\":1,\"field\":\"seed\",\"value\":2}}",
+                "seed cannot change during a run",
+            ),
+        ];
+        for (text, why) in cases {
+            let refused = parse(&(first_line(&scenario) + text + "\n"), &scenario)
+                .expect_err(text)
+                .to_string();
+            assert!(
+                refused.starts_with("line 2: ") && refused.contains(why),
+                "{text}: {refused}"
+            );
+        }
+    }
+
     /// Returns a plan of the right size, in which device `j` senses.
     fn plan_of_one(j: u32) -> Plan {
         let devices = load("quick", &[]).expect("a preset").scenario.run.devices;
@@ -543,6 +615,7 @@ mod tests {
                 plan_decision(1, Plan::Periodic(vec![DutyCycle::SENSING; devices]), u64::MAX),
                 wake_decision(60, &[1]),
             ],
+            actions: test_actions(),
         };
         let all: Vec<ExternalInput> = inputs.iter().collect();
         assert_eq!(write_and_parse(&all).expect("a log"), inputs);

@@ -14,7 +14,10 @@ use axum::response::sse::{Event, Sse};
 use axum::response::{IntoResponse, Response};
 use reveille_common::bus::Bus;
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::{ClockCommand, MessageKind, Pace, Plane};
+use reveille_common::message::{
+    ActRequest, Change, ClockCommand, DeviceRange, MessageKind, Pace, Plane, Query as BusQuery,
+};
+use reveille_common::units::Energy;
 use reveille_view::filter::{Filter, StateName};
 use reveille_view::frame_line::{FrameLine, key_owner, to_hex};
 use reveille_view::history::RunHistory;
@@ -504,22 +507,63 @@ pub(super) async fn command(
     command_clock(&served, command).await
 }
 
-async fn command_clock(served: &ApiState, command: ClockCommand) -> ApiResult {
+/// The device of an action, and the energy for it.
+#[derive(Deserialize)]
+pub(super) struct ActQuery {
+    device: u32,
+    units: Option<f64>,
+}
+
+/// Fails or revives a device, or adds energy to it, in the first TTI that is not granted yet.
+pub(super) async fn act(
+    State(served): State<ApiState>,
+    Path(action): Path<String>,
+    Query(query): Query<ActQuery>,
+) -> ApiResult {
+    let device = DeviceRange {
+        first: DeviceId(query.device),
+        count: 1,
+    };
+    let change = match (action.as_str(), query.units.and_then(Energy::from_units)) {
+        ("fail", _) => Change::Fail(device),
+        ("revive", _) => Change::Revive(device),
+        ("energy", Some(energy)) => Change::AddEnergy(device, energy),
+        _ => {
+            let why = "unknown action; use fail?device=7, revive?device=7 or energy?device=7&units=2.5";
+            return Err(ApiError(StatusCode::BAD_REQUEST, why.to_owned()));
+        }
+    };
+    let request = ActRequest {
+        at: None,
+        changes: vec![change],
+    };
+    match query_bus(&served, &request).await? {
+        Some(tti) => Ok(Json(json!({ "tti": tti, "text": change.to_string() }))),
+        None => Err(ApiError(StatusCode::GONE, "the run has ended".to_owned())),
+    }
+}
+
+/// Sends a query to the base station; `None` without an answer.
+async fn query_bus<Q: BusQuery<Address = ()>>(served: &ApiState, query: &Q) -> Result<Option<Q::Reply>, ApiError> {
     let Some(bus) = &served.bus else {
         return Err(ApiError(
             StatusCode::CONFLICT,
             "a recording has no clock to control".to_owned(),
         ));
     };
-    match bus.query(&command, CLOCK_TIMEOUT).await {
+    let reply = bus.query(query, CLOCK_TIMEOUT).await;
+    reply.map_err(|error| ApiError(StatusCode::BAD_GATEWAY, error.to_string()))
+}
+
+async fn command_clock(served: &ApiState, command: ClockCommand) -> ApiResult {
+    match query_bus(served, &command).await? {
         // The clock ignores such a command; its status alone does not show that.
-        Ok(Some(status)) if matches!(command, ClockCommand::RunTo(k) if k < status.tti || k.0 > status.ttis) => {
+        Some(status) if matches!(command, ClockCommand::RunTo(k) if k < status.tti || k.0 > status.ttis) => {
             let (next, ttis) = (status.tti, status.ttis);
             let why = format!("run-to: must be from {next}, the next TTI, to {ttis}, the end of the run");
             Err(ApiError(StatusCode::BAD_REQUEST, why))
         }
-        Ok(Some(status)) => Ok(Json(json!({ "status": status, "text": status.to_string() }))),
-        Ok(None) => Err(ApiError(StatusCode::GONE, "the run has ended".to_owned())),
-        Err(error) => Err(ApiError(StatusCode::BAD_GATEWAY, error.to_string())),
+        Some(status) => Ok(Json(json!({ "status": status, "text": status.to_string() }))),
+        None => Err(ApiError(StatusCode::GONE, "the run has ended".to_owned())),
     }
 }

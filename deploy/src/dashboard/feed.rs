@@ -549,7 +549,7 @@ impl FeedState {
 }
 
 /// The codes of the states, one character per device: `1` S1, `2` S2, `3` S3, `4` S4, `0` S4 without power for the
-/// wake-up radio.
+/// wake-up radio, `x` failed by an operator.
 pub(super) fn state_codes(views: &[DeviceView]) -> String {
     let code = |view: &DeviceView| match view.state {
         DeviceState::Idle => '1',

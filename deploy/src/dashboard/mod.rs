@@ -37,7 +37,8 @@ pub(crate) struct Dashboard {
     pub url: String,
 }
 
-/// Serves `feed` at `address` until the program ends. With a `bus`, the page can control the clock of that run.
+/// Serves `feed` at `address` until the program ends. With a `bus`, the page can control the clock of that run
+/// and act on its devices.
 ///
 /// # Errors
 /// If it cannot listen there.
@@ -66,7 +67,8 @@ pub(crate) async fn serve(address: &str, feed: Arc<Feed>, bus: Option<Bus>) -> a
         .route("/api/miss", get(api::miss))
         .route("/api/heat", get(api::heat))
         .route("/api/clock", get(api::clock))
-        .route("/api/clock/{command}", post(api::command));
+        .route("/api/clock/{command}", post(api::command))
+        .route("/api/act/{action}", post(api::act));
     for &(path, content_type, text) in PAGE {
         let path = if path == "/index.html" { "/" } else { path };
         let page = move || async move {

@@ -20,6 +20,7 @@ mod world;
 
 use reveille_bs::scenario::Scenario;
 use reveille_common::geometry::Point;
+use reveille_common::message::OperatorAction;
 
 pub use age_index::ReferenceAgeIndex;
 pub use clusters::clusters;
@@ -33,9 +34,14 @@ use world::{ReferenceDeployment, play};
 
 /// Runs `scenario` on the reference implementation.
 pub fn simulate(scenario: &Scenario) -> ReferenceRun {
+    simulate_with_actions(scenario, &[])
+}
+
+/// Runs `scenario` on the reference implementation, with the `actions` of operators in the order of TTIs.
+pub fn simulate_with_actions(scenario: &Scenario, actions: &[OperatorAction]) -> ReferenceRun {
     let deployment = ReferenceDeployment::of(scenario);
     let policy = build_policy(scenario, &deployment.positions);
-    play(scenario, &deployment, policy)
+    play(scenario, &deployment, policy, actions)
 }
 
 /// Creates the policy of `scenario` for devices at `positions`, including the search that `adjusted` needs.

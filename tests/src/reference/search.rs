@@ -66,7 +66,7 @@ pub fn reference_search(scenario: &Scenario, positions: &[Point]) -> Option<(u64
         for &pair in &pairs {
             // The offsets come from the run itself, not from the pilot.
             let policy = ReferencePolicy::adjusted(scenario, positions, pair);
-            let run = play(&pilot_scenario, &deployment, policy);
+            let run = play(&pilot_scenario, &deployment, policy, &[]);
             if run.ambiguous.is_some() {
                 return None;
             }
