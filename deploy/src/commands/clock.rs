@@ -29,7 +29,7 @@ pub(crate) async fn run(args: &ClockArgs) -> anyhow::Result<ExitCode> {
         .with_key(address.key);
     let command = match args.command.command() {
         Ok(command) => command,
-        Err(act) => return act_on_run(&bus, &ActRequest::from(act)).await,
+        Err(act) => return act_on_run(bus, &ActRequest::from(act)).await,
     };
     let ended = Arc::new(Notify::new());
     let end_notifier = Arc::clone(&ended);
@@ -64,7 +64,7 @@ pub(crate) async fn run(args: &ClockArgs) -> anyhow::Result<ExitCode> {
 }
 
 /// Sends an action and prints the TTI in which it takes effect.
-async fn act_on_run(bus: &Bus, request: &ActRequest) -> anyhow::Result<ExitCode> {
+async fn act_on_run(bus: Bus, request: &ActRequest) -> anyhow::Result<ExitCode> {
     let Some(tti) = bus.query(request, QUERY_TIMEOUT).await? else {
         return Err(bus.no_run_error().await.into());
     };

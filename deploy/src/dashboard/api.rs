@@ -12,7 +12,7 @@ use axum::http::{Method, StatusCode, header};
 use axum::middleware::Next;
 use axum::response::sse::{Event, Sse};
 use axum::response::{IntoResponse, Response};
-use reveille_common::bus::Bus;
+use reveille_common::bus::{Bus, BusError};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{
     ActRequest, Change, ClockCommand, DeviceRange, MessageKind, Pace, Plane, Query as BusQuery,
@@ -552,7 +552,10 @@ async fn query_bus<Q: BusQuery<Address = ()>>(served: &ApiState, query: &Q) -> R
         ));
     };
     let reply = bus.query(query, CLOCK_TIMEOUT).await;
-    reply.map_err(|error| ApiError(StatusCode::BAD_GATEWAY, error.to_string()))
+    reply.map_err(|error| match error {
+        BusError::Refused(why) => ApiError(StatusCode::BAD_REQUEST, why),
+        error => ApiError(StatusCode::BAD_GATEWAY, error.to_string()),
+    })
 }
 
 async fn command_clock(served: &ApiState, command: ClockCommand) -> ApiResult {

@@ -186,10 +186,11 @@ mod tests {
     use reveille_bs::policy::outside;
     use reveille_common::ids::DeviceId;
     use reveille_common::io::Disk;
-    use reveille_common::message::{DeviceRemoval, MessageKind, Pace};
+    use reveille_common::message::{Change, DeviceRange, DeviceRemoval, MessageKind, OperatorAction, Pace, Setting};
     use reveille_common::plan::Plan;
     use reveille_common::rng::{Purpose, Stream};
     use reveille_common::scenario::{Override, load};
+    use reveille_common::units::Energy;
     use reveille_lab::external_inputs::{ExternalInput, ExternalInputs, first_line, line};
     use reveille_lab::stepped_run::SteppedRun;
 
@@ -230,6 +231,26 @@ mod tests {
             let inputs = removals
                 .map(|(index, _)| index)
                 .zip(outages.iter().copied().map(ExternalInput::Outage))
+                .collect();
+            Self { frames, inputs }
+        }
+
+        /// Creates a run with actions, logged at the start if `scripted`, otherwise just before they take effect.
+        fn with_actions(scenario: &Scenario, actions: &[OperatorAction], lookahead: bool, scripted: bool) -> Self {
+            let mut frames = Vec::new();
+            let options = RunOptions {
+                lookahead,
+                ..RunOptions::default()
+            };
+            let mut run = Run::new(&prepare(scenario), options);
+            run.schedule_inputs(&ExternalInputs::from_actions(actions));
+            run.finish(&mut FrameObserver::new(0, |frame| frames.push(frame)));
+            let indices = frames.iter().enumerate();
+            let indices = indices.filter(|(_, frame)| frame.kind == MessageKind::Action);
+            let logged = actions.iter().copied().map(ExternalInput::Action);
+            let inputs = indices
+                .map(|(index, _)| if scripted { 0 } else { index })
+                .zip(logged)
                 .collect();
             Self { frames, inputs }
         }
@@ -360,6 +381,31 @@ mod tests {
             let received = ReceivedRun::new(&scenario, &outages, lookahead);
             assert_eq!(received.inputs.len(), outages.len());
             received.assert_complete_from_any_frame(&scenario);
+        }
+    }
+
+    #[test]
+    fn a_late_observer_receives_actions() {
+        let range = |first, count| DeviceRange {
+            first: DeviceId(first),
+            count,
+        };
+        let changes = [
+            (0, Change::Fail(range(3, 2))),
+            (40, Change::Fail(range(0, 9))),
+            (40, Change::AddEnergy(range(4, 9), Energy::from_micro(3_000_000))),
+            (41, Change::Revive(range(0, 20))),
+            (100, Change::Set(Setting::EventRate, 0.5)),
+            (239, Change::Fail(range(0, 20))),
+        ];
+        let actions = changes.map(|(tti, change)| OperatorAction { tti: Tti(tti), change });
+        for (policy, lookahead) in [("knn", true), ("age-index", true), ("age-index", false)] {
+            let scenario = scenario_of_policy(policy);
+            for scripted in [false, true] {
+                let received = ReceivedRun::with_actions(&scenario, &actions, lookahead, scripted);
+                assert_eq!(received.inputs.len(), actions.len());
+                received.assert_complete_from_any_frame(&scenario);
+            }
         }
     }
 
