@@ -90,7 +90,7 @@ pub(crate) struct ClockArgs {
 
 /// Clock commands.
 #[derive(Subcommand, Clone)]
-pub enum ClockAction {
+pub(crate) enum ClockAction {
     /// Pause the run before its next time slot (TTI)
     ///
     /// The command returns when the open TTI is closed, or reports after 2 s that it is still open.
@@ -147,7 +147,7 @@ pub enum ClockAction {
 
 impl ClockAction {
     /// Whether the command returns only after the clock has paused.
-    pub const fn waits(&self) -> bool {
+    pub(crate) const fn waits(&self) -> bool {
         match self {
             Self::Step { wait, .. } | Self::RunTo { wait, .. } => *wait,
             Self::Pause | Self::Resume | Self::Pace { .. } | Self::Act(_) | Self::Status => false,
@@ -158,7 +158,7 @@ impl ClockAction {
     ///
     /// # Errors
     /// The action, if it is one.
-    pub fn command(&self) -> Result<ClockCommand, &ActArgs> {
+    pub(crate) fn command(&self) -> Result<ClockCommand, &ActArgs> {
         Ok(match self {
             Self::Pause => ClockCommand::Pause,
             Self::Step { ttis, .. } => ClockCommand::Step(*ttis),
@@ -173,7 +173,7 @@ impl ClockAction {
 
 /// Arguments of `reveille clock act`.
 #[derive(Args, Clone)]
-pub struct ActArgs {
+pub(crate) struct ActArgs {
     /// TTI at whose start the action takes effect [default: the first TTI that is not granted yet].
     #[arg(
         long,
@@ -190,7 +190,7 @@ pub struct ActArgs {
 
 /// Actions on a run.
 #[derive(Subcommand, Clone)]
-pub enum ActChange {
+pub(crate) enum ActChange {
     /// Switch devices off: they do not sense, receive wake-ups or consume, and their batteries only charge
     #[command(after_help = examples!("reveille clock act fail 7", "reveille clock act fail 3,7,10-14 --at 500"))]
     Fail {
@@ -232,7 +232,7 @@ pub enum ActChange {
 
 /// Devices on the command line.
 #[derive(Clone, Debug)]
-pub struct DeviceList(Vec<DeviceRange>);
+pub(crate) struct DeviceList(Vec<DeviceRange>);
 
 fn parse_device_list(text: &str) -> Result<DeviceList, String> {
     parse_devices(text).map(DeviceList)
