@@ -2,8 +2,8 @@
 //!
 //! External inputs are removals of devices, whose process was lost under `--on-loss continue`, decisions of a policy
 //! process, and actions of operators. They and the scenario determine the run: replays and resumed runs read them from
-//! `inputs.log`. A change of the lines needs a new `VERSION`. Logs of version 1, which has only removals, and of version
-//! 2, which has no actions, must still be read. A resumed run appends its actions to such a log.
+//! `inputs.log`. A change of the lines needs a new `VERSION`. Logs of version 1, which has only removals, and of
+//! version 2, which has no actions, must still be read. A resumed run appends its actions to such a log.
 
 use reveille_bs::actions::check_change;
 use reveille_bs::policy::external::{Decision, PlanDecision, RecordedDecision};

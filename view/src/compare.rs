@@ -1,7 +1,7 @@
 //! Comparison of two runs: the first difference in each kind of message. `inspect compare` and the dashboard use it.
 //!
-//! Only outcomes are compared: actions, events, δ, reports, failures, wake-ups and their outcomes. Grants and answers are
-//! ignored, so a run with lookahead equals the same run without it. A new kind of message is compared only if it is in
+//! Only actions and outcomes are compared: events, δ, reports, failures, wake-ups and their outcomes. Grants and answers
+//! are ignored, so a run with lookahead equals the same run without it. A new kind of message is compared only if it is in
 //! `COMPARED`.
 
 use std::collections::{BTreeMap, VecDeque};

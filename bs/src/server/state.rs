@@ -140,7 +140,7 @@ impl SharedState {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Locks the state while the run loop does not decide about a grant, for an action in a TTI that is not granted yet.
+    /// Locks the state while the run loop decides about no grant, for an action in a TTI that is not granted yet.
     pub(super) fn lock_between_grants(&self) -> MutexGuard<'_, ServerState> {
         // The decision takes no longer than the policy's computation: the loop waits for nothing meanwhile.
         let unlocked = self.has_granted.wait_while(self.lock(), |state| state.is_granting);

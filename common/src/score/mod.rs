@@ -335,7 +335,8 @@ impl Score {
     }
 
     /// Finishes the score of a run that ended before TTI `end`, with events that started with probability `alpha` in
-    /// the measured TTIs, unless an action has changed it. `ledgers` has the ledgers of the devices in the order of ids.
+    /// the measured TTIs, unless an action has changed it. `ledgers` has the ledgers of the devices, in the order of
+    /// ids.
     pub fn finish(mut self, alpha: f64, end: Tti, ledgers: &[Ledger]) -> FinalScore {
         let totals = self.totals(end, ledgers);
         let metrics = Metrics::from_totals(self.mean_event_rate(alpha, end), &totals);

@@ -35,7 +35,7 @@ pub(super) struct ResumePlan {
 }
 
 impl ResumePlan {
-    /// Creates the plan of a new run with these `inputs`, recorded in another run or scripted. Copies them into its log.
+    /// Creates the plan of a new run with these `inputs`, recorded in another run or scripted, and logs them.
     ///
     /// # Errors
     /// If they cannot be written.

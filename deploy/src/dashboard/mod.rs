@@ -5,6 +5,7 @@
 //! machines can connect.
 
 mod api;
+mod commands;
 mod events;
 pub(crate) mod feed;
 mod page;
@@ -66,9 +67,9 @@ pub(crate) async fn serve(address: &str, feed: Arc<Feed>, bus: Option<Bus>) -> a
         .route("/api/events", get(api::events))
         .route("/api/miss", get(api::miss))
         .route("/api/heat", get(api::heat))
-        .route("/api/clock", get(api::clock))
-        .route("/api/clock/{command}", post(api::command))
-        .route("/api/act/{action}", post(api::act));
+        .route("/api/clock", get(commands::clock))
+        .route("/api/clock/{command}", post(commands::command))
+        .route("/api/act/{action}", post(commands::act));
     for &(path, content_type, text) in PAGE {
         let path = if path == "/index.html" { "/" } else { path };
         let page = move || async move {

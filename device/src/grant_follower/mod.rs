@@ -141,8 +141,8 @@ impl GrantFollower {
         is_due
     }
 
-    /// Stores the changes at the start of TTI `tti` for the grant that they belong to. Returns `false` for a TTI that is
-    /// granted already.
+    /// Stores the changes at the start of TTI `tti` for the grant that they belong to. Returns `false` for a granted
+    /// TTI.
     pub fn receive_changes(&mut self, tti: Tti, changes: Vec<Change>) -> bool {
         let is_due = tti >= self.next && tti < self.end;
         if is_due {

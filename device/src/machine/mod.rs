@@ -236,8 +236,8 @@ impl Machine {
         self.state = DeviceState::Sleep { powered: false };
     }
 
-    /// Makes `change` at the start of TTI `k`, which must not have begun. A change of another device or of a setting has
-    /// no effect, and neither has any change of a removed device.
+    /// Makes `change` at the start of TTI `k`, which must not have begun. Without effect if the change concerns other
+    /// devices or a setting, or the device is removed.
     pub fn apply(&mut self, k: Tti, change: &Change) {
         if self.is_removed || change.devices().is_none_or(|devices| !devices.contains(self.id)) {
             return;

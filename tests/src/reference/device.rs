@@ -1,5 +1,7 @@
 //! One device of the reference, TTI by TTI: its state, battery and ledger.
 
+use reveille_common::ids::DeviceId;
+use reveille_common::message::Change;
 use reveille_common::scenario::EnergyModel;
 use reveille_common::totals::{DeviceTotals, EnergyByState, Ledger};
 use reveille_common::units::Energy;
@@ -71,6 +73,16 @@ impl Device {
             outage: [0; 2],
             totals_at_warm_up_end: None,
             failed_since: None,
+        }
+    }
+
+    /// Makes an operator's change before TTI `k`; this device has the number `id`.
+    pub(super) fn act(&mut self, id: DeviceId, k: u64, change: &Change) {
+        match *change {
+            Change::Fail(range) if range.contains(id) => self.failed_since = self.failed_since.or(Some(k)),
+            Change::Revive(range) if range.contains(id) => self.failed_since = None,
+            Change::AddEnergy(range, energy) if range.contains(id) => self.store(energy.micro()),
+            Change::Fail(_) | Change::Revive(_) | Change::AddEnergy(..) | Change::Set(..) => {}
         }
     }
 

@@ -6,6 +6,7 @@
 
 mod age_index;
 mod clusters;
+mod deployment;
 mod detection;
 mod device;
 mod estimate;
@@ -24,13 +25,14 @@ use reveille_common::message::OperatorAction;
 
 pub use age_index::ReferenceAgeIndex;
 pub use clusters::clusters;
+use deployment::ReferenceDeployment;
 pub use device::ReferenceState;
 pub use i_min::least_information;
 pub use policy::ReferencePolicy;
 pub use q_learning::{ReferenceDutySelector, choose_by_ages};
 pub use search::reference_search;
 pub use world::ReferenceRun;
-use world::{ReferenceDeployment, play};
+use world::play;
 
 /// Runs `scenario` on the reference implementation.
 pub fn simulate(scenario: &Scenario) -> ReferenceRun {

@@ -7,9 +7,10 @@ use reveille_common::geometry::Point;
 use reveille_common::scenario::assign_classes;
 use reveille_lab::preparation::prepare;
 
+use super::deployment::ReferenceDeployment;
 use super::i_min::least_information;
 use super::policy::ReferencePolicy;
-use super::world::{ReferenceDeployment, play};
+use super::world::play;
 
 /// Difference between the seeds of pilot runs and the run, as in the emulator.
 const PILOT_SEED_OFFSET: u64 = 0x5EED_0F91_1070_0500;

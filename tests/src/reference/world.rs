@@ -1,17 +1,16 @@
 //! The model in the reference, TTI by TTI: devices, events and their outcomes.
 
 use reveille_bs::scenario::Scenario;
-use reveille_common::deployment::Deployment;
 use reveille_common::event::EventRecord;
 use reveille_common::geometry::Point;
 use reveille_common::ids::{DeviceId, EventId, Tti};
 use reveille_common::message::{Change, OperatorAction, Setting};
-use reveille_common::scenario::assign_classes;
 use reveille_common::sensing::{DetectionKind, Fusion};
 use reveille_common::totals::{DeviceTotals, EventTally, EventTotals, Ledger, MissCause, RadioLosses};
 use reveille_common::units::Energy;
 
 use super::clusters::distance;
+use super::deployment::ReferenceDeployment;
 use super::detection::{detects, miss_cause};
 use super::device::{Device, ReferenceState, S1, S3, S4};
 use super::estimate::ReferenceEstimate;
@@ -51,25 +50,6 @@ pub struct ReferenceRun {
     pub trace: Vec<Vec<(ReferenceState, u64)>>,
     /// TTI in which a decision was too close to call: rounding could change it. Results from there on are undefined.
     pub ambiguous: Option<u64>,
-}
-
-/// Positions and classes of the devices.
-#[derive(Clone, Debug)]
-pub(super) struct ReferenceDeployment {
-    pub(super) positions: Vec<Point>,
-    pub(super) classes: Vec<u16>,
-    /// Whether harvest traces are played; otherwise their mean arrives in each TTI.
-    pub(super) plays_traces: bool,
-}
-
-impl ReferenceDeployment {
-    pub(super) fn of(scenario: &Scenario) -> Self {
-        Self {
-            positions: Deployment::new(scenario).positions(),
-            classes: assign_classes(scenario),
-            plays_traces: true,
-        }
-    }
 }
 
 /// Runs `scenario` on `deployment` with `policy` and the `actions` of operators, in the order of TTIs.
@@ -198,14 +178,7 @@ impl<'a> ReferenceWorld<'a> {
     /// Before a TTI: an operator's change.
     fn act(&mut self, k: u64, change: &Change) {
         for (device, id) in self.devices.iter_mut().zip((0..).map(DeviceId)) {
-            match *change {
-                Change::Fail(range) if range.contains(id) => {
-                    device.failed_since = device.failed_since.or(Some(k));
-                }
-                Change::Revive(range) if range.contains(id) => device.failed_since = None,
-                Change::AddEnergy(range, energy) if range.contains(id) => device.store(energy.micro()),
-                _ => {}
-            }
+            device.act(id, k, change);
         }
         if let Change::Set(Setting::EventRate, alpha) = *change {
             self.process.set_alpha(alpha);
