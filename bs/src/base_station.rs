@@ -159,6 +159,11 @@ impl BaseStation {
         self.external_and_view().0.set_plan(decision);
     }
 
+    /// Changes the price θ of a policy that has one.
+    pub(crate) fn set_price(&mut self, price: f64) {
+        self.policy.set_price(&self.view.known, price);
+    }
+
     pub(crate) fn set_wake_ups(&mut self, tti: Tti, devices: &[DeviceId]) {
         let (external, view) = self.external_and_view();
         external.set_wake_ups(&view.observation(tti), devices);

@@ -20,7 +20,9 @@ use reveille_common::codec;
 use reveille_common::deployment::Deployment;
 use reveille_common::event::Stimulus;
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::{DeviceRemoval, FailedTransmission, PlanUpdate, Report, WakeOutcome, WakeUp};
+use reveille_common::message::{
+    Change, DeviceRemoval, FailedTransmission, OperatorAction, PlanUpdate, Report, Setting, WakeOutcome, WakeUp,
+};
 use reveille_common::plan::Plan;
 use reveille_common::rng::PolicyStreams;
 use reveille_common::score::{DeviceRecord, Digest, FinalScore, Metrics, Score};
@@ -198,6 +200,22 @@ impl Cycle {
             changes: self.changes.clone(),
             ..*self
         })
+    }
+
+    /// Makes `changes` at the start of [`Self::next_tti`], before its grant. The station receives no notice of failed
+    /// devices, only silence.
+    pub(crate) fn apply_changes(&mut self, changes: &[Change], observer: &mut impl Observer) {
+        let tti = self.next_tti;
+        for &change in changes {
+            match change {
+                Change::Set(Setting::EventRate, alpha) => self.world.set_event_rate(tti, alpha),
+                Change::Set(Setting::Price, price) => self.station.set_price(price),
+                Change::Fail(_) | Change::Revive(_) | Change::AddEnergy(..) => {}
+            }
+            let action = OperatorAction { tti, change };
+            self.score.record_action(&action);
+            observer.notify(&Notification::ActionTaken(&action));
+        }
     }
 
     /// Grants TTIs from [`Self::next_tti`] on, all before `horizon`. The grant ends earlier at the first TTI in which a

@@ -9,6 +9,7 @@
 #[expect(unused_extern_crates, reason = "for policies that say `reveille_bs`")]
 extern crate self as reveille_bs;
 
+pub mod actions;
 pub mod base_station;
 pub mod battery_estimator;
 pub mod beliefs;

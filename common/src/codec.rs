@@ -7,7 +7,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 /// The version of the wire format. A host and a BS with different versions refuse each other.
-pub const WIRE_VERSION: u8 = 8;
+pub const WIRE_VERSION: u8 = 9;
 
 /// Maximum length of a decoded payload, in bytes.
 pub(crate) const MAX_PAYLOAD: usize = 64 << 20;

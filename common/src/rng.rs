@@ -53,6 +53,8 @@ pub enum Purpose {
     PlanLoss = 23,
     /// The bursts of interference (one stream a run).
     InterferencePhases = 24,
+    /// The random times of scripted actions on a device (keyed by the line of the script and the device).
+    Actions = 25,
 }
 
 /// A stream of pseudo-random numbers (xoshiro256++), the same on every machine.

@@ -19,6 +19,8 @@ pub enum DeviceState {
         /// Whether the wake-up radio has power and can receive.
         powered: bool,
     },
+    /// An operator has let the device fail: its electronics are off, and its battery only charges.
+    Failed,
 }
 
 /// The state and the battery of a device at the end of a TTI.

@@ -304,7 +304,7 @@ impl Spread {
 pub enum MissCause {
     /// No device is within d_max of the epicentre.
     OutOfReach,
-    /// All devices within d_max were removed before the event started.
+    /// All devices within d_max were removed before the event started, or failed by an operator for its whole duration.
     Removed,
     /// The probabilistic detection of the event fails for every device within d_max.
     Undetected,
@@ -360,7 +360,7 @@ impl MissCause {
     pub const fn explanation(self) -> &'static str {
         match self {
             Self::OutOfReach => "no device within d_max",
-            Self::Removed => "all devices within d_max were removed",
+            Self::Removed => "all devices within d_max were removed or had failed",
             Self::Undetected => "detection failed for every device within d_max",
             Self::Asleep => "devices within d_max slept by plan",
             Self::Unpowered => "devices told to sense had no power",

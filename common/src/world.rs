@@ -109,6 +109,11 @@ impl World {
             .deliver_plan(from, plan, DeviceId(0), devices, |j, cycle| received_cycles[j] = cycle)
     }
 
+    /// Changes the probability α that an event starts, from TTI `from` on, which must be the next TTI.
+    pub fn set_event_rate(&mut self, from: Tti, alpha: f64) {
+        self.process.set_alpha(from, alpha);
+    }
+
     /// Returns the losses on the air in TTI `k`, which must not precede the TTI of the last call.
     pub fn losses_at(&mut self, k: Tti) -> AirLosses {
         self.air.losses_at(k)

@@ -16,7 +16,7 @@ use reveille_bs::observer::{Notification, Observer};
 use reveille_bs::policy::external::RecordedDecision;
 use reveille_bs::server::{ReplaySource, RunProgress};
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::{DeviceCheckpoint, DeviceRemoval, Frame};
+use reveille_common::message::{DeviceCheckpoint, DeviceRemoval, Frame, OperatorAction};
 use reveille_common::totals::Ledger;
 use reveille_common::units::Energy;
 use reveille_lab::external_inputs::{ExternalInput, ExternalInputs};
@@ -66,20 +66,29 @@ type AuditBatch = (Tti, Vec<Frame>);
 pub(crate) struct SharedReplay {
     replay: Arc<Mutex<Replay>>,
     log: Arc<Mutex<InputLog>>,
-    /// Decisions not yet added to the replay, so that the run does not wait for its lock.
-    pending_decisions: Arc<Mutex<Vec<RecordedDecision>>>,
+    /// Decisions and actions not yet added to the replay, so that the run does not wait for its lock.
+    pending_inputs: Arc<Mutex<Vec<ExternalInput>>>,
 }
 
 impl SharedReplay {
-    /// Locks the replay and adds all pending decisions.
+    /// Locks the replay and adds all pending inputs.
     fn lock(&self) -> MutexGuard<'_, Replay> {
         let mut replay = self.replay.lock().unwrap_or_else(PoisonError::into_inner);
-        // Taken under the replay's lock, so that decisions keep their order.
-        let decided = std::mem::take(&mut *self.pending_decisions.lock().unwrap_or_else(PoisonError::into_inner));
-        for decision in decided {
-            replay.add_input(ExternalInput::Decision(decision));
+        // Taken under the replay's lock, so that inputs keep their order.
+        let inputs = std::mem::take(&mut *self.pending_inputs.lock().unwrap_or_else(PoisonError::into_inner));
+        for input in inputs {
+            replay.add_input(input);
         }
         replay
+    }
+
+    /// Logs an input of a TTI that the replay has not reached, and adds it later.
+    fn log_for_later(&self, input: ExternalInput) -> Result<(), String> {
+        // Logged before it takes effect: a killed run must find it in the log.
+        self.log(&input)?;
+        let mut pending = self.pending_inputs.lock().unwrap_or_else(PoisonError::into_inner);
+        pending.push(input);
+        Ok(())
     }
 
     fn log(&self, input: &ExternalInput) -> Result<(), String> {
@@ -110,16 +119,12 @@ impl ReplaySource for SharedReplay {
     }
 
     fn record_decision(&self, decision: RecordedDecision) -> Result<(), String> {
-        let input = ExternalInput::Decision(decision);
-        // Logged before it takes effect: a killed run must find it in the log.
-        self.log(&input)?;
-        if let ExternalInput::Decision(decision) = input {
-            self.pending_decisions
-                .lock()
-                .unwrap_or_else(PoisonError::into_inner)
-                .push(decision);
-        }
-        Ok(())
+        self.log_for_later(ExternalInput::Decision(decision))
+    }
+
+    fn record_actions(&self, actions: &[OperatorAction]) -> Result<(), String> {
+        let inputs = actions.iter().copied().map(ExternalInput::Action);
+        inputs.into_iter().try_for_each(|input| self.log_for_later(input))
     }
 }
 
@@ -169,7 +174,7 @@ impl Auditor {
         let replay = SharedReplay {
             replay: Arc::new(Mutex::new(Replay::new(prepared, start.inputs, from))),
             log: Arc::new(Mutex::new(start.log)),
-            pending_decisions: Arc::default(),
+            pending_inputs: Arc::default(),
         };
         let backlog = Arc::new(AuditBacklog::default());
         let started = now();
@@ -388,7 +393,7 @@ impl Observer for AuditObserver {
         // A grant is sent when the next one begins: until then a lost host can make the run repeat it.
         if matches!(
             notification,
-            Notification::PlanSent { .. } | Notification::TtisGranted(_)
+            Notification::ActionTaken(_) | Notification::PlanSent { .. } | Notification::TtisGranted(_)
         ) && let Some(k) = self.unsent_end.take()
         {
             self.send_frames(k);

@@ -1,8 +1,9 @@
 //! The input log of a run folder: `inputs.log`, written during a run and read by `--resume`, `--input-log`, `--policy
 //! replay=FILE` and observers. `lab/src/external_inputs.rs` defines its lines.
 //!
-//! An input is logged before the run acts on it, so that a replay repeats the run after any kill. Outages are synced to
-//! the disk immediately. Decisions can be thousands a second, so a power cut can lose the last second of them.
+//! An input is logged before the run acts on it, so that a replay repeats the run after any kill. Outages and actions
+//! are synced to the disk immediately. Decisions can be thousands a second, so a power cut can lose the last second of
+//! them.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom, Write};
@@ -50,16 +51,25 @@ impl InputLog {
     /// # Errors
     /// If it cannot be written.
     pub(crate) fn add(&mut self, input: &ExternalInput) -> anyhow::Result<()> {
-        let written = self.write(input);
+        // Outages and actions are rare. A sync for each of thousands of decisions a second would slow the run down.
+        let is_due = match input {
+            ExternalInput::Outage(_) | ExternalInput::Action(_) => true,
+            ExternalInput::Decision(_) => self.synced.elapsed() >= SYNC_INTERVAL,
+        };
+        let written = self.write([input.clone()], is_due);
         written.with_context(|| format!("cannot write {}", self.path.display()))
     }
 
-    /// Appends several inputs.
+    /// Appends several inputs, before the run starts.
     ///
     /// # Errors
     /// If they cannot be written.
     pub(crate) fn add_all(&mut self, inputs: &ExternalInputs) -> anyhow::Result<()> {
-        inputs.iter().try_for_each(|input| self.add(&input))
+        if *inputs == ExternalInputs::default() {
+            return Ok(());
+        }
+        let written = self.write(inputs.iter(), true);
+        written.with_context(|| format!("cannot write {}", self.path.display()))
     }
 
     /// Replaces the content of the log with `inputs`.
@@ -75,17 +85,13 @@ impl InputLog {
             .with_context(|| format!("cannot write {}", self.path.display()))
     }
 
-    fn write(&mut self, input: &ExternalInput) -> io::Result<()> {
+    fn write(&mut self, inputs: impl IntoIterator<Item = ExternalInput>, must_sync: bool) -> io::Result<()> {
         // Taken out: after a failed write the file is reopened, which removes a torn line.
         let open_file = self.file.take();
         let mut file = open_file.map_or_else(|| self.open(), Ok)?;
-        file.write_all(external_inputs::line(input).as_bytes())?;
-        // Outages are rare. A sync for each of thousands of decisions a second would slow the run down.
-        let is_due = match input {
-            ExternalInput::Outage(_) => true,
-            ExternalInput::Decision(_) => self.synced.elapsed() >= SYNC_INTERVAL,
-        };
-        if is_due {
+        let lines: String = inputs.into_iter().map(|input| external_inputs::line(&input)).collect();
+        file.write_all(lines.as_bytes())?;
+        if must_sync {
             file.sync_data()?;
             self.synced = now();
         }

@@ -4,7 +4,6 @@
 use std::sync::Arc;
 
 use anyhow::ensure;
-use reveille_bs::policy::external::RecordedDecision;
 use reveille_bs::policy::outside;
 use reveille_bs::scenario::Scenario;
 use reveille_bs::server::{DecisionTimeout, RunProgress};
@@ -19,8 +18,6 @@ use crate::run_registry;
 
 /// The source of external decisions.
 pub(crate) struct PolicySource<'a> {
-    /// Decisions of an earlier run, in order.
-    pub recorded: Vec<RecordedDecision>,
     /// Timeout of decision requests; `None` without a policy process.
     pub decision_timeout: Option<DecisionTimeout>,
     /// The command that starts the policy process.
@@ -34,7 +31,7 @@ pub(crate) struct PolicySource<'a> {
 /// If the options do not apply here, or the given inputs cannot be replayed on the bus.
 pub(crate) fn policy_source<'a>(
     scenario: &Scenario,
-    recorded_inputs: Option<ExternalInputs>,
+    recorded_inputs: Option<&ExternalInputs>,
     drive: &'a DriveArgs,
 ) -> anyhow::Result<PolicySource<'a>> {
     let ExternalPolicyArgs {
@@ -49,13 +46,11 @@ pub(crate) fn policy_source<'a>(
         is_asked || (policy_command.is_none() && !is_tuned),
         "--policy-command, --decision-timeout and --on-undecided need a policy process; add --policy external"
     );
-    let ExternalInputs { outages, decisions } = recorded_inputs.unwrap_or_default();
     ensure!(
-        outages.is_empty(),
+        recorded_inputs.is_none_or(|inputs| inputs.outages.is_empty()),
         "the input log removes devices, which cannot be repeated on the bus; replay it with `reveille run`"
     );
     Ok(PolicySource {
-        recorded: decisions,
         decision_timeout: is_asked.then(|| (&drive.external_policy).into()),
         command: policy_command.as_deref(),
     })

@@ -26,6 +26,8 @@ type Payment = Result<(), Energy>;
 pub struct LedgerBuilder {
     /// The number of TTIs with δ = 1, paid or not.
     sensing_ttis: u64,
+    /// The number of TTIs in which an action of an operator had switched the device off.
+    off_ttis: u64,
     /// The number of TTIs with δ = 1 that the battery could not pay.
     failed_ttis: u64,
     /// The number of TTIs with δ = 0 that the battery could not pay.
@@ -62,6 +64,7 @@ impl LedgerBuilder {
         };
         Self {
             sensing_ttis: 0,
+            off_ttis: 0,
             failed_ttis: 0,
             unpowered_ttis: 0,
             false_wake_ups: 0,
@@ -110,6 +113,12 @@ impl LedgerBuilder {
         }
     }
 
+    /// Records `ttis` TTIs in which the electronics are off. They are no outage, since nothing has to be paid.
+    pub const fn record_off(&mut self, ttis: u64) {
+        self.off_ttis += ttis;
+        self.outage = 0;
+    }
+
     /// Records TTIs on an empty battery, `on` with δ = 1 and `off` with δ = 0.
     pub fn record_outage(&mut self, on: u64, off: u64) {
         self.sensing_ttis += on;
@@ -153,8 +162,8 @@ impl LedgerBuilder {
 
     /// Returns the totals over the TTIs before `next`, with these costs and this battery.
     pub fn totals(&self, next: Tti, costs: &EnergyModel, battery: &Battery) -> DeviceTotals {
-        // Each TTI before `next` had either δ = 1 or δ = 0.
-        let sleep_ttis = next.0 - self.sensing_ttis;
+        // Each other TTI before `next` had either δ = 1 or δ = 0.
+        let sleep_ttis = next.0 - self.off_ttis - self.sensing_ttis;
         DeviceTotals {
             initial: battery.initial(),
             harvested: battery.harvested(),

@@ -1,18 +1,21 @@
 //! The external inputs of a run as text, the input log (a replay log): a line that names the run, then
 //! one line for each input. Inputs of a kind are in order of arrival.
 //!
-//! External inputs are removals of devices, whose process was lost under `--on-loss continue`, and decisions of a
-//! policy process. They and the scenario determine the run: replays and resumed runs read them from `inputs.log`. A
-//! change of the lines needs a new `VERSION`; logs of version 1, which has only removals, must still be read.
+//! External inputs are removals of devices, whose process was lost under `--on-loss continue`, decisions of a policy
+//! process, and actions of operators. They and the scenario determine the run: replays and resumed runs read them from
+//! `inputs.log`. A change of the lines needs a new `VERSION`. Logs of version 1, which has only removals, and of
+//! version 2, which has no actions, must still be read. A resumed run appends its actions to such a log.
 
+use reveille_bs::actions::check_change;
 use reveille_bs::policy::external::{Decision, PlanDecision, RecordedDecision};
 use reveille_bs::scenario::Scenario;
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::DeviceRemoval;
+use reveille_common::message::{Change, DeviceRange, DeviceRemoval, OperatorAction, Setting};
 use reveille_common::plan::{DutyCycle, Plan};
+use reveille_common::units::Energy;
 use serde::{Deserialize, Serialize};
 
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 
 /// A reason why a text is not an input log of a scenario.
 #[derive(Debug, thiserror::Error)]
@@ -42,6 +45,14 @@ pub enum InputLogError {
     /// A log of version 1 holds a decision.
     #[error("line {0}: a log of version 1 holds no decisions; use the unedited inputs.log of a run folder")]
     DecisionInVersion1(usize),
+    /// An action is impossible in this run.
+    #[error("line {line}: {cause}")]
+    Action {
+        /// The line number, from 1.
+        line: usize,
+        /// The cause and the fix.
+        cause: String,
+    },
     /// A removal is impossible in this run.
     #[error("line {0}: this run cannot have removed these devices at this point")]
     Outage(usize),
@@ -51,21 +62,25 @@ pub enum InputLogError {
 }
 
 /// An external input.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum ExternalInput {
     /// A removal of devices.
     Outage(DeviceRemoval),
     /// A decision of a policy process.
     Decision(RecordedDecision),
+    /// An action of an operator.
+    Action(OperatorAction),
 }
 
 /// All external inputs of a run, each kind in order of arrival.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct ExternalInputs {
     /// The removals.
     pub outages: Vec<DeviceRemoval>,
     /// The decisions.
     pub decisions: Vec<RecordedDecision>,
+    /// The actions, which need not be in the order of their TTIs.
+    pub actions: Vec<OperatorAction>,
 }
 
 impl ExternalInputs {
@@ -73,7 +88,15 @@ impl ExternalInputs {
     pub fn from_outages(outages: &[DeviceRemoval]) -> Self {
         Self {
             outages: outages.to_vec(),
-            decisions: Vec::new(),
+            ..Self::default()
+        }
+    }
+
+    /// Creates inputs with actions only.
+    pub fn from_actions(actions: &[OperatorAction]) -> Self {
+        Self {
+            actions: actions.to_vec(),
+            ..Self::default()
         }
     }
 
@@ -82,23 +105,42 @@ impl ExternalInputs {
         match input {
             ExternalInput::Outage(outage) => self.outages.push(outage),
             ExternalInput::Decision(decision) => self.decisions.push(decision),
+            ExternalInput::Action(action) => self.actions.push(action),
         }
     }
 
-    /// Returns the inputs of the TTIs before `k`.
+    /// Returns the removals and decisions of the TTIs before `k`, and all actions, which do not depend on the run.
     #[must_use]
     pub fn before(&self, k: Tti) -> Self {
         let (outages, decisions) = (self.outages.iter(), self.decisions.iter());
         Self {
             outages: outages.copied().filter(|outage| outage.tti < k).collect(),
             decisions: decisions.filter(|decision| decision.tti < k).cloned().collect(),
+            actions: self.actions.clone(),
         }
     }
 
-    /// Iterates over all inputs, removals first.
+    /// Returns the inputs after the first ones, of which `known` has the numbers of removals, decisions and actions.
+    pub fn after(&self, known: [usize; 3]) -> Self {
+        Self {
+            outages: self.outages[known[0]..].to_vec(),
+            decisions: self.decisions[known[1]..].to_vec(),
+            actions: self.actions[known[2]..].to_vec(),
+        }
+    }
+
+    /// The numbers of removals, decisions and actions.
+    pub const fn counts(&self) -> [usize; 3] {
+        [self.outages.len(), self.decisions.len(), self.actions.len()]
+    }
+
+    /// Iterates over all inputs: removals, decisions, actions.
     pub fn iter(&self) -> impl Iterator<Item = ExternalInput> {
         let outages = self.outages.iter().copied().map(ExternalInput::Outage);
-        outages.chain(self.decisions.iter().cloned().map(ExternalInput::Decision))
+        let decisions = self.decisions.iter().cloned().map(ExternalInput::Decision);
+        outages
+            .chain(decisions)
+            .chain(self.actions.iter().copied().map(ExternalInput::Action))
     }
 }
 
@@ -127,6 +169,31 @@ enum InputLogLine {
     Wake {
         tti: u64,
         devices: Vec<u32>,
+    },
+    /// `count` devices from `first` on fail at the start of TTI `tti`.
+    Fail {
+        tti: u64,
+        first: u32,
+        count: u32,
+    },
+    /// `count` devices from `first` on are revived.
+    Revive {
+        tti: u64,
+        first: u32,
+        count: u32,
+    },
+    /// Each of `count` devices from `first` on receives `micro` micro-units of energy.
+    Energy {
+        tti: u64,
+        first: u32,
+        count: u32,
+        micro: u64,
+    },
+    /// The scenario field `field` is set to `value`.
+    Set {
+        tti: u64,
+        field: String,
+        value: f64,
     },
 }
 
@@ -165,6 +232,35 @@ impl From<&RecordedDecision> for InputLogLine {
     }
 }
 
+impl From<&OperatorAction> for InputLogLine {
+    fn from(OperatorAction { tti: Tti(tti), change }: &OperatorAction) -> Self {
+        let tti = *tti;
+        match *change {
+            Change::Fail(DeviceRange { first, count }) => Self::Fail {
+                tti,
+                first: first.0,
+                count,
+            },
+            Change::Revive(DeviceRange { first, count }) => Self::Revive {
+                tti,
+                first: first.0,
+                count,
+            },
+            Change::AddEnergy(DeviceRange { first, count }, energy) => Self::Energy {
+                tti,
+                first: first.0,
+                count,
+                micro: energy.micro(),
+            },
+            Change::Set(setting, value) => Self::Set {
+                tti,
+                field: setting.field().to_owned(),
+                value,
+            },
+        }
+    }
+}
+
 /// Returns the first line of the log of a run of `scenario`.
 pub fn first_line(scenario: &Scenario) -> String {
     first_line_of(VERSION, scenario)
@@ -183,6 +279,7 @@ pub fn line(input: &ExternalInput) -> String {
     match input {
         ExternalInput::Outage(outage) => InputLogLine::Outage(*outage).to_text(),
         ExternalInput::Decision(decision) => InputLogLine::from(decision).to_text(),
+        ExternalInput::Action(action) => InputLogLine::from(action).to_text(),
     }
 }
 
@@ -275,6 +372,29 @@ impl InputLogParser {
             {
                 return Err(InputLogError::DecisionInVersion1(*line_number));
             }
+            InputLogLine::Fail { tti, first, count } => {
+                return self.add_action(tti, Change::Fail(range(first, count)), scenario);
+            }
+            InputLogLine::Revive { tti, first, count } => {
+                return self.add_action(tti, Change::Revive(range(first, count)), scenario);
+            }
+            InputLogLine::Energy {
+                tti,
+                first,
+                count,
+                micro,
+            } => {
+                let energy = Energy::from_micro(micro);
+                return self.add_action(tti, Change::AddEnergy(range(first, count), energy), scenario);
+            }
+            InputLogLine::Set { tti, field, value } => {
+                let cause =
+                    || format!("{field} cannot change during a run; use the unedited inputs.log of a run folder");
+                let line = self.line_count;
+                let setting = Setting::from_field(&field);
+                let setting = setting.ok_or_else(|| InputLogError::Action { line, cause: cause() })?;
+                return self.add_action(tti, Change::Set(setting, value), scenario);
+            }
             InputLogLine::Sense { tti, devices, next } => existing_devices(&devices, scenario).map(|devices| {
                 let plan = Plan::from_devices(scenario.run.devices as usize, &devices);
                 (tti, Decision::Plan(PlanDecision { plan, next: Tti(next) }))
@@ -296,6 +416,25 @@ impl InputLogParser {
             .decisions
             .push(decision.ok_or(InputLogError::Decision(*line_number))?);
         Ok(())
+    }
+
+    fn add_action(&mut self, tti: u64, change: Change, scenario: &Scenario) -> Result<(), InputLogError> {
+        let line = self.line_count;
+        let checked = check_change(&change, scenario).and_then(|()| {
+            let is_in_run = tti < scenario.run.ttis;
+            let cause = || format!("TTI {tti} is not in the run; use TTIs before {}", scenario.run.ttis);
+            is_in_run.then_some(()).ok_or_else(cause)
+        });
+        checked.map_err(|cause| InputLogError::Action { line, cause })?;
+        self.inputs.actions.push(OperatorAction { tti: Tti(tti), change });
+        Ok(())
+    }
+}
+
+const fn range(first: u32, count: u32) -> DeviceRange {
+    DeviceRange {
+        first: DeviceId(first),
+        count,
     }
 }
 
@@ -387,6 +526,78 @@ mod tests {
         }
     }
 
+    fn test_actions() -> Vec<OperatorAction> {
+        let devices = DeviceRange {
+            first: DeviceId(3),
+            count: 4,
+        };
+        let changes = [
+            (9, Change::Fail(devices)),
+            (4, Change::AddEnergy(devices, Energy::from_micro(71_429))),
+            (9, Change::Revive(devices)),
+            (70, Change::Set(Setting::EventRate, 0.1 + 0.2)),
+        ];
+        changes
+            .map(|(tti, change)| OperatorAction { tti: Tti(tti), change })
+            .to_vec()
+    }
+
+    #[test]
+    fn the_line_of_an_action_names_its_fields() {
+        let lines: String = test_actions()
+            .into_iter()
+            .map(|action| line(&ExternalInput::Action(action)))
+            .collect();
+        assert_eq!(
+            lines,
+            "{\"fail\":{\"tti\":9,\"first\":3,\"count\":4}}\n\
+             {\"energy\":{\"tti\":4,\"first\":3,\"count\":4,\"micro\":71429}}\n\
+             {\"revive\":{\"tti\":9,\"first\":3,\"count\":4}}\n\
+             {\"set\":{\"tti\":70,\"field\":\"events.alpha\",\"value\":0.30000000000000004}}\n"
+        );
+    }
+
+    #[test]
+    fn an_impossible_action_is_refused_with_the_reason() {
+        let scenario = load("quick", &[]).expect("a preset").scenario;
+        let cases = [
+            ("{\"fail\":{\"tti\":1,\"first\":0,\"count\":0}}", "not in the run"),
+            (
+                "{\"revive\":{\"tti\":1,\"first\":4294967295,\"count\":2}}",
+                "not in the run",
+            ),
+            (
+                "{\"energy\":{\"tti\":1,\"first\":0,\"count\":1,\"micro\":0}}",
+                "no effect",
+            ),
+            (
+                "{\"energy\":{\"tti\":1,\"first\":0,\"count\":1,\"micro\":18446744073709551615}}",
+                "at most",
+            ),
+            (
+                "{\"fail\":{\"tti\":18446744073709551615,\"first\":0,\"count\":1}}",
+                "is not in the run",
+            ),
+            (
+                "{\"set\":{\"tti\":1,\"field\":\"events.alpha\",\"value\":2}}",
+                "must be above 0",
+            ),
+            (
+                "{\"set\":{\"tti\":1,\"field\":\"seed\",\"value\":2}}",
+                "seed cannot change during a run",
+            ),
+        ];
+        for (text, why) in cases {
+            let refused = parse(&(first_line(&scenario) + text + "\n"), &scenario)
+                .expect_err(text)
+                .to_string();
+            assert!(
+                refused.starts_with("line 2: ") && refused.contains(why),
+                "{text}: {refused}"
+            );
+        }
+    }
+
     /// Returns a plan of the right size, in which device `j` senses.
     fn plan_of_one(j: u32) -> Plan {
         let devices = load("quick", &[]).expect("a preset").scenario.run.devices;
@@ -405,6 +616,7 @@ mod tests {
                 plan_decision(1, Plan::Periodic(vec![DutyCycle::SENSING; devices]), u64::MAX),
                 wake_decision(60, &[1]),
             ],
+            actions: test_actions(),
         };
         let all: Vec<ExternalInput> = inputs.iter().collect();
         assert_eq!(write_and_parse(&all).expect("a log"), inputs);

@@ -6,6 +6,7 @@
 //! - Many runs: [`sweep`] fills a [`table`]; [`stats`], [`metric_estimate`] and [`series`] evaluate it.
 //! - Training: [`training`] and [`tuning`] of `q-learning`, [`trajectories`] and `transformer` for `dt`.
 
+pub mod action_script;
 pub mod external_inputs;
 pub mod gym;
 pub mod io;

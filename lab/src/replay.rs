@@ -48,6 +48,7 @@ impl DigestFrames {
             | Notification::ReportReceived(_)
             | Notification::ReportLost(_)
             | Notification::DevicesRemoved(_)
+            | Notification::ActionTaken(_)
             | Notification::ReportFailed { .. }
             | Notification::WakeUpSent { .. }
             | Notification::WakeUpCompleted { .. }
@@ -135,6 +136,7 @@ impl Replay {
         let tti = match &input {
             ExternalInput::Outage(outage) => outage.tti,
             ExternalInput::Decision(decision) => decision.tti,
+            ExternalInput::Action(action) => action.tti,
         };
         // Added before a restart, which schedules all inputs.
         self.inputs.add(input.clone());

@@ -8,7 +8,8 @@ use reveille_bs::policy::external::{Decision, DecisionStage};
 use reveille_bs::session::{Action, ActionResult, Gathered, InputQueue, Session};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{
-    DeviceCheckpoint, FailedTransmission, GrantMessage, HostCheckpoint, PlanUpdate, Report, WakeOutcome,
+    Change, DeviceCheckpoint, DeviceRange, FailedTransmission, GrantMessage, HostCheckpoint, PlanUpdate, Report,
+    WakeOutcome,
 };
 use reveille_common::radio::Air;
 use reveille_common::score::WindowRecord;
@@ -85,12 +86,13 @@ impl Run {
         }
     }
 
-    /// Queues an external input. Inputs of a kind are queued in the order in which they take effect.
+    /// Queues an external input. Removals and decisions are queued in the order in which they take effect.
     pub fn schedule_input(&mut self, input: ExternalInput) {
         let queue = self.session.input_queue_mut();
         match input {
             ExternalInput::Outage(outage) => queue.push_removal(outage),
             ExternalInput::Decision(decision) => queue.push_decision(decision),
+            ExternalInput::Action(action) => queue.add_action(action),
         }
     }
 
@@ -242,7 +244,10 @@ impl Run {
                 session.apply_result(ActionResult::Totals(totals), observer);
             }
             Action::RequestDecision(stage) => return Some(Halt::Undecided(stage)),
-            Action::Grant(updates) => devices.receive_plans(&updates),
+            Action::Grant { changes, updates } => {
+                devices.apply_changes(session.grant_message().first, &changes);
+                devices.receive_plans(&updates);
+            }
             Action::Remove(outage) => {
                 // The range is valid: `DeviceRemoval::is_valid` checks removals of a log, and others come from ids of
                 // the run.
@@ -295,6 +300,14 @@ impl Devices {
         let machines = self.machines.iter_mut();
         // Totals are integers, so their order does not matter.
         machines.map(|machine| advanced_to(machine, k).totals()).sum()
+    }
+
+    /// Makes changes at the start of TTI `tti`.
+    fn apply_changes(&mut self, tti: Tti, changes: &[Change]) {
+        for change in changes {
+            let devices = change.devices().into_iter().flat_map(DeviceRange::devices);
+            devices.for_each(|device| self.machines[device.index()].apply(tti, change));
+        }
     }
 
     fn receive_plans(&mut self, updates: &[PlanUpdate]) {

@@ -297,6 +297,7 @@ def check_live(page, pictures):
     check_messages(page)
     check_exports(page)
     check_names(page)
+    check_actions(page)
     check_shapes(page, pictures, "live")
     page.push("#follow")
     page.push("#pause")
@@ -380,6 +381,22 @@ def check_map(page):
     page.until("reveille.device === 7 && !document.getElementById('one').hidden")
     page.until("document.getElementById('ledger').textContent.includes('unpowered')")
     assert page.text("#one-title") == "Device 7"
+
+
+def check_actions(page):
+    """Fails, charges and revives the chosen device of the paused run."""
+    page.fill("#device", 7)
+    page.until("reveille.device === 7 && document.getElementById('revive').disabled && !document.getElementById('fail').disabled")
+    state = "reveille.now.states[7]"
+    assert page.value(f"{state} !== 'x' && document.querySelector('#device-actions').checkVisibility()")
+    for button, note, failed in (("fail", "device 7 fails in TTI", True), ("add-energy", "device 7 receives 10 units", True), ("revive", "device 7 is revived", False)):
+        page.push(f"#{button}")
+        page.until(f"document.getElementById('action-note').textContent.startsWith({json.dumps(note)})")
+        page.push("#step")
+        page.until(f"({state} === 'x') === {json.dumps(failed)}")
+        if failed:
+            page.until("document.getElementById('one-facts').textContent.startsWith('failed by an operator')")
+            page.until("!document.getElementById('revive').disabled && document.getElementById('fail').disabled")
 
 
 def check_curves(page):

@@ -5,7 +5,9 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::time::Duration;
 
-use reveille_tests::process::{PATIENCE, Process, TestFolder, assert_refused, now, unique_run, wait_until};
+use reveille_tests::process::{
+    PATIENCE, Process, SummaryJson, TestFolder, assert_refused, now, unique_run, wait_until,
+};
 use rustix::process::Signal;
 use serde_json::Value;
 
@@ -72,14 +74,70 @@ impl DashboardPage {
 
     /// Sends a clock command and returns the answer.
     fn clock(&self, command: &str) -> Value {
-        let (status, body) = self.request(
-            "POST",
-            &format!("/api/clock/{command}"),
-            &[("x-reveille-token", &self.token)],
-        );
-        assert_eq!(status, 200, "{command}: {body}");
+        self.post(&format!("/api/clock/{command}"))
+    }
+
+    /// Posts to `path` with the token and returns the answer.
+    fn post(&self, path: &str) -> Value {
+        let (status, body) = self.request("POST", path, &[("x-reveille-token", &self.token)]);
+        assert_eq!(status, 200, "{path}: {body}");
         serde_json::from_str(&body).expect("JSON")
     }
+}
+
+#[test]
+fn the_dashboard_acts_on_a_device() {
+    let (folder, run) = (TestFolder::new(), unique_run("dash"));
+    let scenario = "-p knn -n 20 -k 200";
+    let up = folder.start(&format!(
+        "up {scenario} -P 2 --paused --run {run} --quiet --out o --dashboard 127.0.0.1:0"
+    ));
+    let page = DashboardPage::from_output_of(&up);
+    folder.wait_for_tti(&run, 0);
+    let wait_for = |next: u64| {
+        wait_until("a TTI", PATIENCE, || {
+            (page.get("/api/now")["next"] == next).then_some(())
+        });
+    };
+    page.clock("run-to?n=50");
+    wait_for(50);
+    let state = |tti: u64| {
+        page.get(&format!("/api/tti/{tti}"))["states"]
+            .as_str()
+            .map(|states| states.as_bytes()[3])
+    };
+    let battery = || {
+        page.get("/api/device/3?from=0")["batteries"]
+            .as_array()
+            .and_then(|levels| levels.last()?.as_f64())
+    };
+    assert_eq!(page.post("/api/act/fail?device=3")["text"], "device 3 fails");
+    assert_eq!(page.post("/api/act/energy?device=3&units=7.5")["tti"], 50);
+    let before = battery().expect("a level");
+    page.clock("step?n=1");
+    wait_for(51);
+    assert_eq!((state(49) != Some(b'x'), state(50)), (true, Some(b'x')));
+    let gained = battery().expect("a level") - before;
+    // An arrival of the paper's scenario has 5 units.
+    assert!(
+        (gained - 7.5).abs() < 1e-9 || (gained - 12.5).abs() < 1e-9,
+        "{gained} units more"
+    );
+    assert_eq!(page.post("/api/act/revive?device=3")["tti"], 51);
+    let token = ("x-reveille-token", &page.token[..]);
+    assert_eq!(page.request("POST", "/api/act/fail?device=3", &[]).0, 401);
+    for (action, why) in [
+        ("explode?device=3", "unknown action"),
+        ("energy?device=3", "unknown action"),
+        ("fail?device=20", "use devices from 0 to 19"),
+    ] {
+        let (status, body) = page.request("POST", &format!("/api/act/{action}"), &[token]);
+        assert!(status == 400 && body.contains(why), "{action}: {status} {body}");
+    }
+    page.clock("resume");
+    assert!(up.finish().is_success());
+    let again = folder.summary(&format!("run {scenario} --input-log o/inputs.log"));
+    assert_eq!(again.digest(), SummaryJson::read(&folder.join("o")).digest());
 }
 
 #[test]

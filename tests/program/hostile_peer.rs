@@ -11,8 +11,8 @@ use reveille_common::geometry::Point;
 use reveille_common::ids::{DeviceId, EventId, HostId, Tti};
 use reveille_common::keys::Keys;
 use reveille_common::message::{
-    BusCredentials, ClockCommand, ClockMessage, FailedTransmission, GrantMessage, HostAnswer, JoinReply, JoinRequest,
-    MessageKind, PlanUpdate, Report, WakeUp,
+    ActRequest, BusCredentials, Change, ClockCommand, ClockMessage, DeviceRange, FailedTransmission, GrantMessage,
+    HostAnswer, JoinReply, JoinRequest, MessageKind, PlanUpdate, Report, WakeUp,
 };
 use reveille_common::plan::{DutyCycle, Plan};
 use reveille_common::secret::{HostCredential, Secret};
@@ -145,7 +145,12 @@ async fn invalid_payloads_on_every_key_change_nothing() {
         for key in &all_keys {
             bus.put_raw(key, payload.clone()).expect("sent");
         }
-        for kind in [MessageKind::Join, MessageKind::Ready, MessageKind::Control] {
+        for kind in [
+            MessageKind::Join,
+            MessageKind::Ready,
+            MessageKind::Control,
+            MessageKind::Act,
+        ] {
             let request = codec::encode(&(&payload, "and more"));
             let reply = bus
                 .query_raw_without_secret(keys.base_key(kind), request, Duration::from_secs(5))
@@ -188,6 +193,7 @@ fn forged_clock(tti: u64) -> [ClockMessage; 5] {
             views: false,
             plan,
             plans: 0,
+            changes: 0,
         })
     };
     [
@@ -303,7 +309,7 @@ async fn forged_messages_change_nothing() {
     assert!(hosts.into_iter().all(|host| host.finish().is_success()));
 }
 
-/// A client without the run's key can neither stop its clock nor run its devices.
+/// A client without the run's key can neither stop its clock nor act on its devices nor run them.
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn a_client_without_the_key_cannot_command_or_join() {
     let (folder, run, endpoint) = (TestFolder::new(), unique_run("keyless"), free_endpoint());
@@ -320,6 +326,18 @@ async fn a_client_without_the_key_cannot_command_or_join() {
         let reply = ask(&bus.with_key(key), &ClockCommand::Resume).await;
         let why = reply.expect_err("a command without the run's key").to_string();
         assert!(why.contains("needs the run's key"), "{why}");
+        let device = DeviceRange {
+            first: DeviceId(3),
+            count: 1,
+        };
+        let action = ActRequest {
+            at: None,
+            changes: vec![Change::Fail(device)],
+        };
+        let why = ask(&bus.with_key(key), &action)
+            .await
+            .expect_err("an action without the run's key");
+        assert!(why.to_string().contains("needs the run's key"), "{why}");
     }
     let request = JoinRequest {
         version: env!("CARGO_PKG_VERSION").to_owned(),

@@ -1,5 +1,6 @@
 //! Tests that run the `reveille` command. Every file of this folder is a module of this one binary.
 
+mod actions;
 mod analyse;
 mod bad_input;
 mod closed_terminal;

@@ -5,9 +5,11 @@ use reveille_bs::observer::{Notification, Observer};
 use reveille_bs::scenario::Scenario;
 use reveille_common::event::EventRecord;
 use reveille_common::ids::Tti;
+use reveille_common::message::OperatorAction;
 use reveille_common::state::DeviceState;
 use reveille_common::totals::Ledger;
 use reveille_device::machine::Machine;
+use reveille_lab::external_inputs::ExternalInputs;
 use reveille_lab::preparation::start;
 use reveille_lab::run::RunOptions;
 
@@ -63,9 +65,11 @@ pub fn ledgers(scenario: &Scenario, lookahead: bool) -> Vec<Ledger> {
     run.machines().iter().map(ledger_at_end).collect()
 }
 
-/// Returns the state and the battery, micro-units, of each device at the end of each TTI.
-pub fn trace(scenario: &Scenario) -> Vec<Vec<(ReferenceState, u64)>> {
+/// Returns the state and the battery, micro-units, of each device at the end of each TTI, with the `actions` of
+/// operators.
+pub fn trace(scenario: &Scenario, actions: &[OperatorAction]) -> Vec<Vec<(ReferenceState, u64)>> {
     let mut run = start(scenario, ONE_TTI_PER_GRANT);
+    run.schedule_inputs(&ExternalInputs::from_actions(actions));
     let mut trace = Vec::new();
     for k in (0..scenario.run.ttis).map(Tti) {
         run.run_grant(&mut ());
@@ -90,6 +94,7 @@ pub fn reference_state(state: DeviceState) -> ReferenceState {
         DeviceState::Transmission => ReferenceState::Transmission,
         DeviceState::Sleep { powered: true } => ReferenceState::Asleep,
         DeviceState::Sleep { powered: false } => ReferenceState::Unpowered,
+        DeviceState::Failed => ReferenceState::Failed,
         DeviceState::Active => panic!("S2 is left within the TTI"),
     }
 }

@@ -6,6 +6,10 @@ use std::path::Path;
 
 use proptest::prelude::*;
 use reveille_bs::scenario::{Loaded, Override, Scenario, load, parse};
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::message::{Change, DeviceRange, OperatorAction, Setting};
+use reveille_common::rng::{Purpose, Stream};
+use reveille_common::units::Energy;
 
 /// Folder of the files that random scenarios name. `energy.csv` holds units per TTI. `points.csv` is a layout within
 /// the smallest random area and has two devices at the same place.
@@ -43,6 +47,36 @@ pub fn scenario(text: &str) -> Scenario {
 /// If `text` is not a valid scenario.
 pub fn scenario_with_warnings(text: &str) -> Loaded {
     parse(text, "test", Path::new(FILES), &[]).unwrap_or_else(|error| panic!("{error}\n{text}"))
+}
+
+/// Draws a script of up to 12 actions that `scenario` allows, in the order of TTIs. A third of them is close to another
+/// one, and some TTIs have several.
+pub fn actions(scenario: &Scenario, seed: u64) -> Vec<OperatorAction> {
+    let mut stream = Stream::new(seed, Purpose::Training, 0);
+    let ttis = scenario.run.ttis;
+    let mut actions: Vec<OperatorAction> = Vec::new();
+    for _ in 0..1 + stream.below(12) {
+        let near = actions
+            .last()
+            .filter(|_| stream.unit() < 0.3)
+            .map(|action| action.tti.0);
+        let tti = Tti(near.unwrap_or_else(|| stream.below(ttis)));
+        let first = stream.below(u64::from(scenario.run.devices)) as u32;
+        let range = DeviceRange {
+            first: DeviceId(first),
+            count: 1 + stream.below(u64::from(scenario.run.devices - first)) as u32,
+        };
+        let change = match stream.below(8) {
+            0..=2 => Change::Fail(range),
+            3..=4 => Change::Revive(range),
+            5 if scenario.events.has_constant_rate() => Change::Set(Setting::EventRate, 1.0 - stream.unit()),
+            6 if scenario.policy.name() == "age-index" => Change::Set(Setting::Price, 2.0 * stream.unit()),
+            _ => Change::AddEnergy(range, Energy::from_micro(1 + stream.below(40_000_000))),
+        };
+        actions.push(OperatorAction { tti, change });
+    }
+    actions.sort_by_key(|action| action.tti);
+    actions
 }
 
 /// Generates any small scenario.

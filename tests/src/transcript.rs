@@ -36,6 +36,7 @@ impl Observer for CommandTranscript {
             | Notification::ReportReceived(_)
             | Notification::ReportLost(_)
             | Notification::DevicesRemoved(_)
+            | Notification::ActionTaken(_)
             | Notification::ReportFailed { .. }
             | Notification::WakeUpCompleted { .. }
             | Notification::BeliefUpdated { .. }

@@ -31,6 +31,7 @@ impl Observer for TtiObserver {
             | Notification::EventEnded(_)
             | Notification::ReportLost(_)
             | Notification::DevicesRemoved(_)
+            | Notification::ActionTaken(_)
             | Notification::ReportFailed { .. }
             | Notification::WakeUpCompleted { .. }
             | Notification::TtiClosed(_)

@@ -38,7 +38,7 @@ fn count_transitions(scenario: &Scenario, run: &reference::ReferenceRun) -> [[u6
                     counts[2][3] += 1;
                     3
                 }
-                ReferenceState::Unpowered => panic!("TTI {k}, device {j}: an action failed"),
+                ReferenceState::Unpowered | ReferenceState::Failed => panic!("TTI {k}, device {j}: an action failed"),
             });
         }
     }

@@ -42,6 +42,7 @@ impl Observer for DecisionObserver {
             | Notification::ReportReceived(_)
             | Notification::ReportLost(_)
             | Notification::DevicesRemoved(_)
+            | Notification::ActionTaken(_)
             | Notification::ReportFailed { .. }
             | Notification::WakeUpCompleted { .. }
             | Notification::TtiClosed(_)

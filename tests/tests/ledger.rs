@@ -206,7 +206,9 @@ fn check_states(device: &DeviceTti, wakes_late: bool) -> Checked {
         DeviceState::Idle => prop_assert!(delta, "S1 with δ = 0"),
         DeviceState::Sleep { powered: true } => prop_assert!(!delta, "asleep with δ = 1"),
         DeviceState::Sleep { powered: false } => prop_assert_eq!(*level, 0, "power left"),
-        DeviceState::Active | DeviceState::Transmission => prop_assert!(false, "{:?} before any event", before),
+        DeviceState::Active | DeviceState::Transmission | DeviceState::Failed => {
+            prop_assert!(false, "{:?} before any event", before);
+        }
     }
     match after {
         DeviceState::Transmission => {
@@ -229,7 +231,7 @@ fn check_states(device: &DeviceTti, wakes_late: bool) -> Checked {
                 end_level
             );
         }
-        DeviceState::Active => prop_assert!(false, "S2 is left within the TTI"),
+        DeviceState::Active | DeviceState::Failed => prop_assert!(false, "{:?} at the end of a TTI", after),
     }
     Ok(())
 }

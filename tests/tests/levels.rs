@@ -49,6 +49,7 @@ impl Observer for SensingObserver {
             | Notification::ReportReceived(_)
             | Notification::ReportLost(_)
             | Notification::DevicesRemoved(_)
+            | Notification::ActionTaken(_)
             | Notification::ReportFailed { .. }
             | Notification::WakeUpSent { .. }
             | Notification::WakeUpCompleted { .. }

@@ -1,5 +1,6 @@
 //! Tests that call the crates and need no program. Every file of this folder is a module of this one binary.
 
+mod actions;
 mod adjusted;
 mod age_index;
 mod analysis;

@@ -69,6 +69,7 @@ impl Observer for RadioObserver {
             Notification::ReportFailed { .. }
             | Notification::TtisGranted(_)
             | Notification::DevicesRemoved(_)
+            | Notification::ActionTaken(_)
             | Notification::BeliefUpdated { .. }
             | Notification::TtiClosed(_)
             | Notification::DeviceStates(_) => {}
@@ -306,6 +307,7 @@ impl Observer for WakeUpTimes {
             | Notification::ReportFailed { .. }
             | Notification::BeliefUpdated { .. }
             | Notification::DevicesRemoved(_)
+            | Notification::ActionTaken(_)
             | Notification::EventEnded(_)
             | Notification::DeviceStates(_) => {}
         }

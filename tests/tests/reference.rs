@@ -63,7 +63,7 @@ fn check_states_and_batteries(text: &str) -> Result<(), TestCaseError> {
     let Some((scenario, expected)) = run_reference(scenarios::scenario(text)) else {
         return Err(TestCaseError::reject("too close to call in TTI 0"));
     };
-    let trace = compare::trace(&scenario);
+    let trace = compare::trace(&scenario, &[]);
     for (k, (emulated, expected)) in trace.iter().zip(&expected.trace).enumerate() {
         prop_assert_eq!(emulated, expected, "TTI {}\n{}", k, text);
     }

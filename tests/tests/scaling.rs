@@ -35,6 +35,7 @@ impl Observer for InformationObserver {
             | Notification::EventStarted(_)
             | Notification::ReportLost(_)
             | Notification::DevicesRemoved(_)
+            | Notification::ActionTaken(_)
             | Notification::ReportFailed { .. }
             | Notification::WakeUpCompleted { .. }
             | Notification::TtiClosed(_)

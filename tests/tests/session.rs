@@ -109,7 +109,8 @@ fn serve(prepared: &PreparedRun, loss: Option<HostLoss>, stop: Tti) -> (RunOutco
             Action::RequestDecision(stage) => panic!("no external policy decides: {stage:?}"),
             Action::TtiClosed => panic!("no decision is queued"),
             Action::Remove(removal) => panic!("no removal is queued: {removal:?}"),
-            Action::Grant(updates) => {
+            Action::Grant { changes, updates } => {
+                assert!(changes.is_empty(), "no action is queued");
                 let grant = *session.grant_message();
                 let totals = grant.account.then(|| {
                     advance(&mut machines, grant.first);

@@ -21,7 +21,7 @@ import time
 
 import zenoh
 
-from bus import COMMANDS, STATUS, WELCOME, WIRE, check_wire, keys_of, open_session
+from bus import ACT, COMMANDS, STATUS, WELCOME, WIRE, check_wire, keys_of, open_session
 
 SCENARIO = ["-n", "30", "-k", "1200"]
 # Timeout in seconds, more than four times the length of any run here.
@@ -157,12 +157,12 @@ def pose_as_base_station(run):
 
 
 def send_commands(run):
-    """Sends clock commands without the key; they must be refused and leave the run unchanged."""
+    """Sends clock commands and an action without the key; they must be refused and leave the run unchanged."""
     client = open_session(run.endpoint)
-    control = f"reveille/{run.name}/emu/control"
-    for command in COMMANDS:
+    for kind, command in [("act", ACT), *(("control", command) for command in COMMANDS)]:
         for attachment in [None, b"0" * 32, b"\xff" * 32]:
-            replies = list(client.get(control, payload=command, attachment=attachment, timeout=3.0))
+            key = f"reveille/{run.name}/emu/{kind}"
+            replies = list(client.get(key, payload=command, attachment=attachment, timeout=3.0))
             assert len(replies) == 1 and b"needs the run's key" in replies[0].err.payload.to_bytes(), (command, replies)
     check_wire(client, run.name)
     assert "paused before TTI 0" in run.clock("status").stdout

@@ -1,7 +1,7 @@
 //! Comparison of two runs: the first difference in each kind of message. `inspect compare` and the dashboard use it.
 //!
-//! Only outcomes are compared: events, δ, reports, failures, wake-ups and their outcomes. Grants and answers are
-//! ignored, so a run with lookahead equals the same run without it. A new kind of message is compared only if it is in
+//! Only actions and outcomes are compared: events, δ, reports, failures, wake-ups and their outcomes. Grants and answers
+//! are ignored, so a run with lookahead equals the same run without it. A new kind of message is compared only if it is in
 //! `COMPARED`.
 
 use std::collections::{BTreeMap, VecDeque};
@@ -16,7 +16,8 @@ use crate::frame_line::{FrameLine, key_owner};
 use crate::recording::{RecordingError, RecordingReader};
 
 /// The kinds that are compared, in the order of their occurrence in a TTI.
-pub(crate) const COMPARED: [MessageKind; 8] = [
+pub(crate) const COMPARED: [MessageKind; 9] = [
+    MessageKind::Action,
     MessageKind::Plan,
     MessageKind::Event,
     MessageKind::Removed,
@@ -363,8 +364,13 @@ mod tests {
         let this = frames(&[], true);
         for kind in COMPARED {
             let Some(index) = this.iter().rposition(|frame| frame.kind == kind) else {
-                let is_fault = matches!(kind, MessageKind::Lost | MessageKind::Failed | MessageKind::Removed);
-                assert!(is_fault, "the run has no {kind:?}");
+                let may_miss = [
+                    MessageKind::Action,
+                    MessageKind::Lost,
+                    MessageKind::Failed,
+                    MessageKind::Removed,
+                ];
+                assert!(may_miss.contains(&kind), "the run has no {kind:?}");
                 continue;
             };
             let mut other = this.clone();

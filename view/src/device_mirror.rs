@@ -12,7 +12,8 @@ use reveille_common::deployment::Deployment;
 use reveille_common::event::Stimulus;
 use reveille_common::ids::{DeviceId, MAX_TTIS, Tti};
 use reveille_common::message::{
-    DeviceRemoval, FailedTransmission, Frame, Message, PlanUpdate, Report, WakeOutcome, WakeUp, WorldUpdate,
+    Change, DeviceRange, DeviceRemoval, FailedTransmission, Frame, Message, OperatorAction, PlanUpdate, Report,
+    WakeOutcome, WakeUp, WorldUpdate,
 };
 use reveille_common::plan::Plan;
 use reveille_common::radio::{Air, RadioSettings};
@@ -55,6 +56,8 @@ pub struct DeviceMirror {
     open_wake_up: Option<(DeviceId, WakeOutcome)>,
     /// Whether the report of the open wake-up has arrived.
     has_reported: bool,
+    /// Changes that operators make at the start of the next TTI.
+    changes: Vec<Change>,
 }
 
 impl DeviceMirror {
@@ -87,6 +90,7 @@ impl DeviceMirror {
             before_wake_up: None,
             open_wake_up: None,
             has_reported: false,
+            changes: Vec::new(),
         }
     }
 
@@ -202,6 +206,7 @@ impl DeviceMirror {
                 expected.map(|_| ()).ok_or_else(unexpected)
             }
             Message::Removed(outage) => self.remove_devices(outage),
+            Message::Action(action) => self.add_change(action),
             Message::Wake(wake) => self.apply_wake_up(frame.number, *wake),
             Message::Woken(woken) => match self.open_wake_up.take() {
                 Some((device, outcome)) if Some(device.0) == frame.number && outcome == woken.outcome => {
@@ -230,7 +235,8 @@ impl DeviceMirror {
             | Message::Ready(_)
             | Message::Control(_)
             | Message::Describe(_)
-            | Message::Log(_) => Ok(()),
+            | Message::Log(_)
+            | Message::Act(_) => Ok(()),
         }
     }
 
@@ -271,6 +277,27 @@ impl DeviceMirror {
         Ok(())
     }
 
+    /// Keeps the change of `action` for the next grant, so that the devices stay in the current TTI.
+    fn add_change(&mut self, action: &OperatorAction) -> Result<(), String> {
+        let next = self.next_tti();
+        if action.tti != next {
+            return Err(format!("an action in TTI {}, but TTI {next} is next", action.tti));
+        }
+        let devices = self.machines.len() as u32;
+        if action.change.devices().is_some_and(|range| !range.is_valid(devices)) {
+            return Err(format!("{action}, and the run has {devices} devices"));
+        }
+        self.changes.push(action.change);
+        Ok(())
+    }
+
+    fn apply_changes(&mut self, tti: Tti) {
+        for change in std::mem::take(&mut self.changes) {
+            let devices = change.devices().into_iter().flat_map(DeviceRange::devices);
+            devices.for_each(|device| self.machines[device.index()].apply(tti, &change));
+        }
+    }
+
     /// Advances the devices through the TTIs of `world`.
     fn apply_grant(&mut self, world: WorldUpdate) -> Result<(), String> {
         self.end_tti()?;
@@ -278,6 +305,7 @@ impl DeviceMirror {
         if self.plan.is_none() {
             return Err("there is no plan yet".to_owned());
         }
+        self.apply_changes(world.first);
         self.before_sensing.clear();
         self.unpowered.clear();
         if let Some(stimulus) = &world.stimulus {

@@ -36,16 +36,19 @@ pub enum StateName {
     S4,
     /// S4 without power for the wake-up radio.
     Unpowered,
+    /// An operator has let the device fail.
+    Failed,
 }
 
 impl StateName {
     /// Every state, with its name.
-    pub const ALL: [(&'static str, Self); 5] = [
+    pub const ALL: [(&'static str, Self); 6] = [
         ("S1", Self::S1),
         ("S2", Self::S2),
         ("S3", Self::S3),
         ("S4", Self::S4),
         ("unpowered", Self::Unpowered),
+        ("failed", Self::Failed),
     ];
 
     /// Whether this name covers `state`.
@@ -56,6 +59,7 @@ impl StateName {
             Self::S3 => state == DeviceState::Transmission,
             Self::S4 => matches!(state, DeviceState::Sleep { .. }),
             Self::Unpowered => state == DeviceState::Sleep { powered: false },
+            Self::Failed => state == DeviceState::Failed,
         }
     }
 }

@@ -335,6 +335,7 @@ impl PrometheusMetrics {
             ("S3", DeviceState::Transmission),
             ("S4", DeviceState::Sleep { powered: true }),
             ("S4 unpowered", DeviceState::Sleep { powered: false }),
+            ("failed", DeviceState::Failed),
         ];
         for (name, state) in states {
             let count = views.iter().filter(|view| view.state == state).count() as u64;

@@ -158,6 +158,7 @@ impl Reconstruction {
                 self.score.record_lost_report(&lost.report);
             }
             Message::Removed(outage) => self.score.record_removal(&outage),
+            Message::Action(action) => self.score.record_action(&action),
             Message::Failed(failed) => {
                 self.active_event()?;
                 self.score.record_failed_transmission(&failed.failure);
@@ -184,7 +185,8 @@ impl Reconstruction {
             | Message::Ready(_)
             | Message::Control(_)
             | Message::Describe(_)
-            | Message::Log(_) => {}
+            | Message::Log(_)
+            | Message::Act(_) => {}
         }
         Ok(())
     }

@@ -4,7 +4,7 @@
 
 use std::collections::BTreeMap;
 
-use reveille_common::message::{MessageKind, Pace, Payload, TypeVisitor, WakeOutcome};
+use reveille_common::message::{Change, MessageKind, Pace, Payload, Setting, TypeVisitor, WakeOutcome};
 use reveille_common::plan::Plan;
 use reveille_common::state::DeviceState;
 use reveille_common::totals::MissCause;
@@ -54,6 +54,8 @@ impl MessageSchemas {
         tracer.trace::<WakeOutcome>();
         tracer.trace::<DeviceState>();
         tracer.trace::<Pace>();
+        tracer.trace::<Setting>();
+        tracer.trace::<Change>();
         MessageKind::visit_types(&mut tracer);
         Self {
             types: tracer.tracer.registry().expect("types of messages are finite"),

@@ -59,6 +59,7 @@ impl Frames {
             }
             Notification::EventEnded(record) => emit(Frame::new(record.last, (), &EventUpdate::Ended(*record))),
             Notification::DevicesRemoved(removal) => emit(Frame::new(removal.tti, (), removal)),
+            Notification::ActionTaken(action) => emit(Frame::new(action.tti, (), action)),
             Notification::TtiClosed(_) => {}
             Notification::DeviceStates(views) => {
                 let states = DeviceStates { views: views.to_vec() };

@@ -11,7 +11,9 @@ pub mod frames;
 
 use reveille_common::event::{ActiveEvent, EventRecord, Stimulus};
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::{DeviceRemoval, FailedTransmission, PlanUpdate, Report, WakeOutcome, WeightedPoint};
+use reveille_common::message::{
+    DeviceRemoval, FailedTransmission, OperatorAction, PlanUpdate, Report, WakeOutcome, WeightedPoint,
+};
 use reveille_common::score::WindowRecord;
 use reveille_common::state::DeviceView;
 use reveille_common::units::Energy;
@@ -67,6 +69,8 @@ pub enum Notification<'a> {
         /// Candidate epicentres with weights that sum to 1.
         places: &'a [WeightedPoint],
     },
+    /// An operator's action takes effect in the next TTI, before its plan and its grant. Ground truth.
+    ActionTaken(&'a OperatorAction),
     /// Devices were removed in a granted TTI. Ground truth.
     DevicesRemoved(&'a DeviceRemoval),
     /// An event has ended, reported or not. Ground truth.

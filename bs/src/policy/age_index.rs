@@ -39,6 +39,8 @@ use crate::observation::Observation;
 pub struct AgeIndex {
     ages: Ages,
     prices: Prices,
+    /// The worth of one device's places at age 1, in the unit of worths: the factor of the price θ.
+    reach: f64,
     foresight: Option<Foresight>,
     selector: DeviceSelector,
     candidates: WakeUpCandidates,
@@ -58,13 +60,13 @@ impl AgeIndex {
             &known.sensing,
             ages::age_worths(),
         );
-        // The worth of one device's places at age 1, in the unit of worths.
         let reach = ages::effective_area(&known.sensing) / ages.cell_surface();
         Self {
             prices: Prices::new(known, settings.price * reach),
             foresight: settings.foresight.map(|ttis| Foresight::new(known, ttis)),
             selector: DeviceSelector::new(&positions, known.area, known.sensing.d_max),
             candidates: WakeUpCandidates::with_ranking(WakeUpRanking::Posterior, known),
+            reach,
             ages,
             is_event_reported: false,
             sensing_count: SensingCount::default(),
@@ -90,6 +92,10 @@ impl Policy for AgeIndex {
 
     fn needs_batteries(&self) -> bool {
         true
+    }
+
+    fn set_price(&mut self, known: &Knowledge, price: f64) {
+        self.prices = Prices::new(known, price * self.reach);
     }
 
     fn reports_received(&mut self, seen: &Observation<'_>, reports: &[Report]) {

@@ -12,6 +12,7 @@ use reveille_common::plan::Plan;
 use reveille_common::world::Oracle;
 
 use crate::beliefs::posterior::EpicentreBelief;
+use crate::knowledge::Knowledge;
 use crate::observation::Observation;
 
 /// A policy, which decides which devices sense and which to wake. It has the knowledge of a base station. Only
@@ -67,6 +68,9 @@ pub trait Policy: Any + Send {
     fn epicentre_belief(&self) -> Option<&EpicentreBelief> {
         None
     }
+
+    /// Changes the price θ of a policy that has one, from the next decision on.
+    fn set_price(&mut self, _known: &Knowledge, _price: f64) {}
 
     /// Gives access to ground truth, which makes the policy an upper bound that no base station could run. The plans of
     /// such a policy must let all devices sleep, because the world then simulates no detections.

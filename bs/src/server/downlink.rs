@@ -15,6 +15,7 @@ pub(super) struct Downlink<'a> {
     plan_topic: Topic<PlanUpdate>,
     /// The plans of the open grant.
     plans: Vec<PlanUpdate>,
+    changes: Option<ClockMessage>,
     grant: Option<ClockMessage>,
     /// The wake-ups of the open grant, with the host to which each was sent.
     wake_ups: Vec<(HostId, DeviceId, WakeUp)>,
@@ -30,6 +31,7 @@ impl<'a> Downlink<'a> {
             clock_topic: bus.publisher()?,
             plan_topic: bus.publisher()?,
             plans: Vec::new(),
+            changes: None,
             grant: None,
             wake_ups: Vec::new(),
             end_message: None,
@@ -38,7 +40,7 @@ impl<'a> Downlink<'a> {
 
     /// Drops the messages of the last grant, which all hosts have completed.
     pub(super) fn drop_messages(&mut self) {
-        self.grant = None;
+        (self.grant, self.changes) = (None, None);
         self.plans.clear();
         self.wake_ups.clear();
     }
@@ -50,10 +52,11 @@ impl<'a> Downlink<'a> {
         Ok(())
     }
 
-    /// Sends a grant, or the end of the run.
+    /// Sends changes, a grant, or the end of the run.
     pub(super) fn send_clock(&mut self, clock: ClockMessage) -> Result<(), BusError> {
         self.clock_topic.publish(&clock)?;
         match clock {
+            ClockMessage::Act(..) => self.changes = Some(clock),
             ClockMessage::Grant(_) => self.grant = Some(clock),
             ClockMessage::CollectLedgers(_) | ClockMessage::Dismiss | ClockMessage::RunFailed(_) => {
                 self.end_message = Some(clock);
@@ -78,13 +81,12 @@ impl<'a> Downlink<'a> {
 
     /// Resends every kept message.
     pub(super) fn retransmit(&self) -> Result<(), BusError> {
-        // In the order of the first sending: a host applies a grant only with its plan, and a wake-up only after its
-        // grant.
+        // A host applies a grant only with its plans and changes, and a wake-up only after its grant.
         for plan in &self.plans {
             self.plan_topic.publish(plan)?;
         }
-        if let Some(grant) = &self.grant {
-            self.clock_topic.publish(grant)?;
+        for message in self.changes.iter().chain(&self.grant) {
+            self.clock_topic.publish(message)?;
         }
         for (host, device, wake) in &self.wake_ups {
             self.bus.send_wake_up(*host, *device, wake)?;

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use reveille_common::ids::{DeviceId, HostId, Tti};
-use reveille_common::message::{DeviceCheckpoint, DeviceRemoval, HostCheckpoint};
+use reveille_common::message::{DeviceCheckpoint, DeviceRemoval, HostCheckpoint, OperatorAction};
 use reveille_common::totals::Ledger;
 
 use super::admission::Assignment;
@@ -48,6 +48,12 @@ pub trait ReplaySource: Send + Sync {
     /// # Errors
     /// Returns the reason if it cannot be stored.
     fn record_decision(&self, decision: RecordedDecision) -> Result<(), String>;
+
+    /// Stores actions in TTIs that are not granted yet, for later replays, before it returns.
+    ///
+    /// # Errors
+    /// Returns the reason if they cannot be stored.
+    fn record_actions(&self, actions: &[OperatorAction]) -> Result<(), String>;
 }
 
 /// A lost host whose devices wait for a takeover.

@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use reveille_common::bus::{draw_secret, scaled_timeout};
 use reveille_common::deployment::Deployment;
-use reveille_common::ids::HostId;
+use reveille_common::ids::{DeviceId, HostId};
 use reveille_common::message::{BusCredentials, HostCheckpoint, HostSetup, JoinReply, JoinRequest};
 use reveille_common::secret::{HostCredential, Secret};
 
@@ -167,6 +167,8 @@ impl ServerState {
     pub(super) fn remove_host(&mut self, assignment: Assignment) {
         self.lost_hosts.drop_host(assignment.host);
         self.admission.revoke(assignment.host);
+        let devices = assignment.first.0..=assignment.last().0;
+        self.removed_devices.extend(devices.map(DeviceId));
         self.barrier.remove_host(assignment.host);
         self.pending_removals.push(assignment);
     }

@@ -11,6 +11,8 @@
 //! The cargo feature `host` adds the modules that need tokio and zenoh. `lab`, `view`, `study`, the Python package and
 //! the fuzz targets build without it, and get the other modules: the records of hosts, and `config`.
 
+#[cfg(feature = "host")]
+mod actions;
 pub mod admission;
 pub mod barrier;
 pub mod clock;

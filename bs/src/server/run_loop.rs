@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use reveille_common::bus::{Bus, BusError};
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::{ClockMessage, GrantMessage, Pace, PlanUpdate, WakeOutcome};
+use reveille_common::message::{Change, ClockMessage, GrantMessage, Pace, PlanUpdate, WakeOutcome};
 use reveille_common::totals::Ledger;
 
 use super::admission::Assignment;
@@ -123,11 +123,11 @@ impl RunLoop<'_> {
         // Pause and stop act between TTIs: an open TTI is completed first, unless a host or a policy process does not
         // answer.
         while self.session.is_open() || self.wait_for_next_tti().await? {
-            match self.session.next_action(self.grant_limit(), observer) {
+            match self.next_action(observer) {
                 // One barrier fewer: the sums come with the answers to the next grant.
                 Action::CollectTotals(_) => self.session.apply_result(ActionResult::TotalsFollow, observer),
                 Action::RequestDecision(_) => self.request_decision(observer).await?,
-                Action::Grant(updates) => self.send_grant(updates)?,
+                Action::Grant { changes, updates } => self.send_grant(changes, updates)?,
                 Action::Remove(removal) => {
                     return Err(BsError::CannotContinue(format!(
                         "the input log removes device {} in TTI {}, which a run on the bus cannot repeat",
@@ -244,14 +244,39 @@ impl RunLoop<'_> {
         Ok(())
     }
 
-    fn send_grant(&mut self, updates: Vec<PlanUpdate>) -> Result<(), BsError> {
+    /// The next action of the session. Before a grant, the session receives all actions that operators have sent.
+    fn next_action(&mut self, observer: &mut impl Observer) -> Action {
+        if self.session.is_open() {
+            return self.session.next_action(self.grant_limit(), observer);
+        }
+        // From here on no operator can act in a TTI that this call grants.
+        let actions = {
+            let mut state = self.context.shared.lock();
+            state.is_granting = true;
+            std::mem::take(&mut state.pending_actions)
+        };
+        let queue = self.session.input_queue_mut();
+        actions.into_iter().for_each(|action| queue.add_action(action));
+        let action = self.session.next_action(self.grant_limit(), observer);
+        let next_tti = match &action {
+            Action::Grant { .. } => self.session.grant_message().last + 1,
+            _ => self.session.next_tti(),
+        };
+        self.context.shared.end_granting(next_tti);
+        action
+    }
+
+    fn send_grant(&mut self, changes: Vec<Change>, updates: Vec<PlanUpdate>) -> Result<(), BsError> {
         self.downlink.drop_messages();
         for update in updates {
             tracing::debug!(from = %update.from, "the plan is sent");
             self.downlink.send_plan(update)?;
         }
+        let first = self.session.grant_message().first;
+        if !changes.is_empty() {
+            self.downlink.send_clock(ClockMessage::Act(first, changes))?;
+        }
         let GrantMessage {
-            first,
             last,
             stimulus,
             account,
@@ -261,7 +286,6 @@ impl RunLoop<'_> {
         // Before the grant is sent, since a host may answer while this task is still in `put`.
         {
             let mut state = self.context.shared.lock();
-            state.next_tti = last + 1;
             let options = GrantOptions { totals: account, views };
             state.barrier.expect_grant(last, stimulus.is_some(), options);
         }

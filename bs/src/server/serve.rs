@@ -5,6 +5,7 @@
 use std::sync::Arc;
 
 use reveille_common::bus::Bus;
+use reveille_common::ids::DeviceId;
 use reveille_common::message::{ClockMessage, Frame, HostCheckpoint};
 use reveille_common::score::WindowRecord;
 
@@ -56,8 +57,11 @@ pub async fn serve(
         scenario, deployment, ..
     } = prepared;
     let shared = SharedState::new(scenario, deployment, settings, session.next_tti());
+    let all_devices = (0..scenario.run.devices).map(DeviceId);
+    let removed_devices = all_devices.filter(|&device| session.cycle().is_removed(device));
+    shared.lock().removed_devices.extend(removed_devices);
     // Kept until the end of the run: dropping a subscription undeclares it.
-    let _guards = subscriptions::declare(bus, scenario, deployment, settings, checkpoint, &shared)?;
+    let _guards = subscriptions::declare(bus, scenario, deployment, settings, checkpoint, replay.clone(), &shared)?;
     let started = now();
     join::wait_for_all_devices(&shared, scenario, settings, progress).await?;
     let joining_time = started.elapsed();

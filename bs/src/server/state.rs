@@ -2,12 +2,12 @@
 //! threads, and a send can wait for a congested link, so no code sends while it holds the lock.
 
 use std::collections::BTreeSet;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
 use reveille_common::deployment::Deployment;
-use reveille_common::ids::{HostId, Tti};
-use reveille_common::message::{ClockCommand, ClockStatus, LostHost};
+use reveille_common::ids::{DeviceId, HostId, Tti};
+use reveille_common::message::{ClockCommand, ClockStatus, LostHost, OperatorAction};
 use tokio::sync::Notify;
 
 use super::admission::{Admission, Assignment};
@@ -30,6 +30,12 @@ pub(super) struct ServerState {
     pub(super) lost_hosts: LostHosts,
     /// Assignments of lost hosts whose devices the run loop has yet to remove.
     pub(super) pending_removals: Vec<Assignment>,
+    /// Devices of lost hosts that are removed or will be.
+    pub(super) removed_devices: BTreeSet<DeviceId>,
+    /// Accepted actions that the run loop has yet to queue, all in TTIs from `next_tti` on.
+    pub(super) pending_actions: Vec<OperatorAction>,
+    /// Whether the run loop is deciding which TTIs to grant next, so that `next_tti` is about to change.
+    pub(super) is_granting: bool,
     pub(super) warned_hosts: BTreeSet<HostId>,
     /// Whether a host has returned or taken over, so that the last grant must be retransmitted.
     pub(super) needs_retransmit: bool,
@@ -90,6 +96,8 @@ impl ServerState {
 pub(super) struct SharedState {
     state: Mutex<ServerState>,
     changed: Notify,
+    /// Signals that [`ServerState::is_granting`] is false again.
+    has_granted: Condvar,
 }
 
 impl SharedState {
@@ -112,6 +120,9 @@ impl SharedState {
             is_paused: true,
             lost_hosts: LostHosts::default(),
             pending_removals: Vec::new(),
+            removed_devices: BTreeSet::new(),
+            pending_actions: Vec::new(),
+            is_granting: false,
             warned_hosts: BTreeSet::new(),
             needs_retransmit: false,
             is_running: false,
@@ -121,11 +132,26 @@ impl SharedState {
         Arc::new(Self {
             state: Mutex::new(state),
             changed: Notify::new(),
+            has_granted: Condvar::new(),
         })
     }
 
     pub(super) fn lock(&self) -> MutexGuard<'_, ServerState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Locks the state while the run loop decides about no grant, for an action in a TTI that is not granted yet.
+    pub(super) fn lock_between_grants(&self) -> MutexGuard<'_, ServerState> {
+        // The decision takes no longer than the policy's computation: the loop waits for nothing meanwhile.
+        let unlocked = self.has_granted.wait_while(self.lock(), |state| state.is_granting);
+        unlocked.unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Ends the decision about a grant: `next_tti` is the first TTI that is not granted yet.
+    pub(super) fn end_granting(&self, next_tti: Tti) {
+        let mut state = self.lock();
+        (state.is_granting, state.next_tti) = (false, next_tti);
+        self.has_granted.notify_all();
     }
 
     pub(super) fn notify_run_loop(&self) {

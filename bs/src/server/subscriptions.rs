@@ -5,10 +5,12 @@ use std::sync::Arc;
 
 use reveille_common::bus::{Bus, BusError, DeclarationGuard};
 use reveille_common::deployment::Deployment;
-use reveille_common::message::{ClockCommand, HostAnswer, HostCheckpoint, JoinRequest, Ready, Report};
+use reveille_common::message::{ActRequest, ClockCommand, HostAnswer, HostCheckpoint, JoinRequest, Ready, Report};
 use reveille_common::secret::HostCredential;
 
+use super::actions::ActionHandler;
 use super::config::ServerConfig;
+use super::failover::ReplaySource;
 use super::join::JoinHandler;
 use super::state::{ServerState, SharedState, now};
 use crate::scenario::Scenario;
@@ -20,6 +22,7 @@ pub(super) fn declare(
     deployment: &Deployment,
     settings: &ServerConfig,
     checkpoint: Option<Arc<HostCheckpoint>>,
+    replay: Option<Arc<dyn ReplaySource>>,
     shared: &Arc<SharedState>,
 ) -> Result<Vec<DeclarationGuard>, BusError> {
     let keys = bus.keys();
@@ -61,6 +64,13 @@ pub(super) fn declare(
         shared_state.notify_run_loop();
         Ok(state.clock_status())
     })?);
+    let actions = ActionHandler {
+        shared: Arc::clone(shared),
+        scenario: scenario.clone(),
+        run_key: settings.run_key,
+        replay,
+    };
+    guards.push(bus.serve_with_secret(move |request: ActRequest, shown| actions.accept(request, shown))?);
     let shared_state = Arc::clone(shared);
     guards.push(bus.serve_with_secret(move |Ready { host }, shown| {
         let pass = shown.map(|token| HostCredential { host, token });

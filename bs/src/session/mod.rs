@@ -4,9 +4,9 @@
 //!
 //! ```text
 //!   CollectTotals ──► RequestDecision ──► Grant ──► Remove* ──► Gather ──┬──► (next TTI)
-//!   at a window's     of a plan, by an    plans,    devices     reports  │
-//!   boundary          external policy     clock     that are             ▼
-//!                                                   lost       RequestDecision ──► Remove* ──► Wake ──┐
+//!   at a window's     of a plan, by an    actions,  devices     reports  │
+//!   boundary          external policy     plans,    that are             ▼
+//!                                         clock     lost       RequestDecision ──► Remove* ──► Wake ──┐
 //!                                                              of wake-ups         ▲                  │
 //!                                                                                  └──── outcome ◄────┘
 //! ```
@@ -17,7 +17,7 @@
 mod queue;
 
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::{DeviceRemoval, GrantMessage, PlanUpdate, ResumePoint, WakeOutcome};
+use reveille_common::message::{Change, DeviceRemoval, GrantMessage, PlanUpdate, ResumePoint, WakeOutcome};
 use reveille_common::score::WindowAccumulator;
 use reveille_common::state::{DeviceState, DeviceView};
 use reveille_common::totals::{DeviceTotals, EventTotals, Ledger};
@@ -43,8 +43,14 @@ pub enum Action {
     CollectTotals(Tti),
     /// Obtain the answer to [`Session::pending_decision`], and pass it on as [`ActionResult::Decided`].
     RequestDecision(DecisionStage),
-    /// Send these plans and then the clock's grant, [`Session::grant_message`]. [`Action::Gather`] follows.
-    Grant(Vec<PlanUpdate>),
+    /// Make these changes at the start of the grant's first TTI, send these plans and then the clock's grant,
+    /// [`Session::grant_message`]. [`Action::Gather`] follows.
+    Grant {
+        /// The changes that operators make, in order.
+        changes: Vec<Change>,
+        /// The plans, TTI by TTI.
+        updates: Vec<PlanUpdate>,
+    },
     /// Remove these devices from the run, then ask for the next action.
     Remove(DeviceRemoval),
     /// Wait until the devices have completed the grant, and pass on their answers as [`ActionResult::Gathered`].
@@ -428,13 +434,17 @@ impl Session {
     #[inline]
     fn grant(&mut self, limit: Tti, observer: &mut impl Observer) -> Action {
         let first = self.next_tti();
-        // A removal happens in the last TTI of a grant, the only one in which devices act.
+        let changes = self.input_queue.take_changes(first);
+        // A removal happens in the last TTI of a grant, the only one in which devices act. Changes happen at the start
+        // of its first TTI, so that the clock can foresee the devices that react.
         let limit = limit
             .min(self.input_queue.next_removal().saturating_add(1))
+            .min(self.input_queue.next_action())
             .max(first + 1);
         // Taken before the cycle moves on, since a host that takes devices over repeats this grant.
         self.resume_point = self.position();
         self.wants_states = observer.wants_states();
+        self.cycle.apply_changes(&changes, observer);
         let (grant, updates) = self.cycle.grant(limit.min(self.next_boundary), observer);
         self.plan_from = updates.last().map(|update| update.from).or(self.plan_from);
         self.grant_message = GrantMessage {
@@ -447,9 +457,10 @@ impl Session {
             views: self.wants_states || self.cycle.needs_batteries(grant.last + 1),
             plan: self.plan_from.unwrap_or_default(),
             plans: updates.len() as u32,
+            changes: changes.len() as u32,
         };
         self.phase = Phase::Granted;
-        Action::Grant(updates)
+        Action::Grant { changes, updates }
     }
 
     fn apply_removal(&mut self, removal: DeviceRemoval, observer: &mut impl Observer) -> Action {

@@ -1,11 +1,11 @@
-//! External inputs that a run has not reached yet: device removals, and decisions of an external policy. A resumed or
-//! replayed run fills the queue from an input log; the [`Session`](super::Session) takes each input when it is due.
-//! `lab/src/external_inputs.rs` has the format of the log.
+//! External inputs that a run has not reached yet: device removals, decisions of an external policy, and actions of
+//! operators. A resumed or replayed run fills the queue from an input log, and operators add actions. The
+//! [`Session`](super::Session) takes each input when it is due. `lab/src/external_inputs.rs` has the format of the log.
 
 use std::collections::VecDeque;
 
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::DeviceRemoval;
+use reveille_common::message::{Change, DeviceRemoval, OperatorAction};
 
 use crate::policy::external::{Decision, PlanDecision, RecordedDecision};
 
@@ -14,6 +14,8 @@ use crate::policy::external::{Decision, PlanDecision, RecordedDecision};
 pub struct InputQueue {
     removals: VecDeque<DeviceRemoval>,
     decisions: VecDeque<RecordedDecision>,
+    /// Actions by TTI, and those of a TTI in the order in which they were added.
+    actions: VecDeque<OperatorAction>,
 }
 
 impl InputQueue {
@@ -25,6 +27,12 @@ impl InputQueue {
     /// Appends a decision.
     pub fn push_decision(&mut self, decision: RecordedDecision) {
         self.decisions.push_back(decision);
+    }
+
+    /// Adds an action.
+    pub fn add_action(&mut self, action: OperatorAction) {
+        let index = self.actions.partition_point(|other| other.tti <= action.tti);
+        self.actions.insert(index, action);
     }
 
     /// Removals that have not taken effect.
@@ -45,6 +53,17 @@ impl InputQueue {
     /// The TTI of the next removal, [`Tti::NEVER`] after the last.
     pub(super) fn next_removal(&self) -> Tti {
         self.removals.front().map_or(Tti::NEVER, |removal| removal.tti)
+    }
+
+    /// The TTI of the next action, [`Tti::NEVER`] after the last.
+    pub(super) fn next_action(&self) -> Tti {
+        self.actions.front().map_or(Tti::NEVER, |action| action.tti)
+    }
+
+    /// Takes the changes that are due at the start of TTI `k`.
+    pub(super) fn take_changes(&mut self, k: Tti) -> Vec<Change> {
+        let due = std::iter::from_fn(|| self.actions.pop_front_if(|next| next.tti <= k));
+        due.map(|action| action.change).collect()
     }
 
     /// Takes the next removal if it is due in TTI `k`: before sensing, or before the wake-up with this number.

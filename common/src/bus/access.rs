@@ -1,9 +1,9 @@
 //! Access control on the bus of a run: a peer has only the rights that its role needs. A new kind of message that
 //! crosses the bus needs an entry in one of the lists below.
 //!
-//! The BS is a router, and all messages of others pass through it. Any client may send join requests, clock controls
-//! and queries for the run's description and input log, and may follow the tap. A host receives the run's secret with
-//! its assignment. With it, the host may also receive clock messages, plans and wake-ups, and send on keys of hosts;
+//! The BS is a router, and all messages of others pass through it. Any client may send join requests, clock controls,
+//! actions and queries for the run's description and input log, and may follow the tap. A host receives the run's
+//! secret with its assignment. With it, the host may also receive clock messages, plans and wake-ups, and send on keys of hosts;
 //! its token identifies it to the BS. Only the BS may send clock messages, plans and wake-ups, answer its own kinds of
 //! queries, or feed the tap. At the policy port the BS asks and any client may answer: it accepts answers that carry
 //! the run's key. See [`crate::keys`] for why a wildcard does not help an outsider.
@@ -25,12 +25,13 @@ pub(super) const PEER_LIMITS: [(&str, &str); 3] = [
 /// Kinds of messages that only the BS sends to hosts.
 const BS_TO_HOSTS: [MessageKind; 2] = [MessageKind::Clock, MessageKind::Plan];
 const HOSTS_TO_BS: [MessageKind; 2] = [MessageKind::Report, MessageKind::Answer];
-const BS_QUERIES: [MessageKind; 5] = [
+const BS_QUERIES: [MessageKind; 6] = [
     MessageKind::Join,
     MessageKind::Ready,
     MessageKind::Control,
     MessageKind::Describe,
     MessageKind::Log,
+    MessageKind::Act,
 ];
 
 /// Returns zenoh's access configuration of the run with these `keys`.

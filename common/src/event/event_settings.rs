@@ -88,6 +88,11 @@ impl EventSettings {
         measured.unwrap_or(self.alpha)
     }
 
+    /// Whether events start with the same probability α in all TTIs, so that [`Self::alpha`] can be changed in a run.
+    pub fn has_constant_rate(&self) -> bool {
+        self.process.long_run_alpha().is_none()
+    }
+
     /// The share of events, `[0, 1]`, that end before a device senses them, if every place is sensed once in `every`
     /// TTIs, ≥ 1.
     pub(crate) fn missed_share(&self, every: u64) -> f64 {

@@ -103,6 +103,8 @@ pub struct EventProcess {
     source: EventSource,
     next_event: EventId,
     next_start: Tti,
+    /// The first TTI in which the next event can start.
+    gap_start: Tti,
     active: Option<ActiveEvent>,
 }
 
@@ -128,6 +130,7 @@ impl EventProcess {
             source,
             next_event: EventId(0),
             next_start: Tti::ZERO,
+            gap_start: Tti::ZERO,
             active: None,
         };
         process.schedule_next(Tti::ZERO);
@@ -176,7 +179,18 @@ impl EventProcess {
         self.schedule_next(last + 1);
     }
 
+    /// Changes α from TTI `from` on, before any event of that TTI has started. Scripted events stay as they are.
+    pub fn set_alpha(&mut self, from: Tti, alpha: f64) {
+        if let EventSource::Drawn(drawn) = &mut self.source {
+            drawn.starts.set_alpha(from, alpha);
+        }
+        if self.active.is_none() {
+            self.schedule_next(self.gap_start);
+        }
+    }
+
     fn schedule_next(&mut self, earliest: Tti) {
+        self.gap_start = earliest;
         let next = self.next_event;
         self.next_start = match &mut self.source {
             // The gap has a stream keyed by the event, so it is the same whenever the event before it ended.

@@ -119,6 +119,14 @@ pub(super) enum Starts {
 }
 
 impl Starts {
+    /// Changes α from TTI `from` on. The process `bursts` has no constant α, so it stays as it is.
+    pub(super) fn set_alpha(&mut self, from: Tti, alpha: f64) {
+        match self {
+            Self::Steady(steady) => steady.set_alpha(from, alpha),
+            Self::Bursts(_) => {}
+        }
+    }
+
     /// The TTI in which `event` starts, not before `earliest`; [`Tti::NEVER`] if it does not start. Call it once per
     /// event, in order.
     pub(super) fn draw_start(&mut self, event: EventId, earliest: Tti) -> Tti {

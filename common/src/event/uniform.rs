@@ -36,10 +36,13 @@ crate::declare! {
 }
 
 /// The starts of events, with probability α in every TTI without an active event.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct SteadyStarts {
     seed: u64,
+    /// The gap under the current α.
     gap: Geometric,
+    /// −ln(1 − α) per TTI, `(0, ∞]`, each from a TTI on. The first is from TTI 0 on, the others are changes of α.
+    hazards: Vec<(Tti, f64)>,
 }
 
 impl SteadyStarts {
@@ -47,13 +50,50 @@ impl SteadyStarts {
         Self {
             seed,
             gap: Geometric::new(alpha),
+            hazards: vec![(Tti::ZERO, -libm::log1p(-alpha))],
         }
+    }
+
+    /// Changes α from TTI `from` on, which must not precede the last change.
+    pub(super) fn set_alpha(&mut self, from: Tti, alpha: f64) {
+        self.gap = Geometric::new(alpha);
+        self.hazards.push((from, -libm::log1p(-alpha)));
     }
 
     /// The TTI in which `event` starts, not before `earliest`.
     pub(super) fn draw_start(&self, event: EventId, earliest: Tti) -> Tti {
-        let gap = self.gap.draw(&mut Stream::new(self.seed, Purpose::EventGap, event.0));
+        let mut stream = Stream::new(self.seed, Purpose::EventGap, event.0);
+        if self
+            .hazards
+            .last()
+            .is_some_and(|&(last_change, _)| earliest < last_change)
+        {
+            return self.draw_across_changes(&mut stream, earliest);
+        }
+        let gap = self.gap.draw(&mut stream);
         // Gaps are at least 1, and a gap of 1 means `earliest` itself.
         earliest.saturating_add(gap - 1)
+    }
+
+    /// The start of an event with a gap that begins before the last change of α. As in
+    /// [`BurstStarts`](super::bursts::BurstStarts), the hazards of the TTIs add up to more than one draw.
+    fn draw_across_changes(&self, stream: &mut Stream, earliest: Tti) -> Tti {
+        let mut remaining_hazard = -libm::log1p(-stream.unit());
+        let mut k = earliest;
+        let ends = self.hazards.iter().skip(1).map(|&(from, _)| from).chain([Tti::NEVER]);
+        for (&(_, hazard), end) in self.hazards.iter().zip(ends) {
+            // A change can precede `earliest`, and two changes can come in one TTI.
+            if end <= k {
+                continue;
+            }
+            let failures = (remaining_hazard / hazard).floor();
+            if failures < (end - k) as f64 {
+                return k.saturating_add(failures as u64);
+            }
+            // The draw outlasts this part, so only rounding can make the rest negative.
+            remaining_hazard = (remaining_hazard - hazard * (end - k) as f64).max(0.0);
+            k = end;
+        }
+        Tti::NEVER
     }
 }

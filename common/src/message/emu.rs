@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Concerns, FailedTransmission, WakeOutcome};
+use super::{Change, Concerns, FailedTransmission, WakeOutcome};
 use crate::energy::EnergyModel;
 use crate::event::Stimulus;
 use crate::geometry::Point;
@@ -207,6 +207,8 @@ pub struct GrantMessage {
     pub plan: Tti,
     /// Number of plans that take effect within the grant. A host that lacks one of them does not answer either.
     pub plans: u32,
+    /// Number of changes that operators make at the start of `first`. A host that lacks them does not answer either.
+    pub changes: u32,
 }
 
 /// Emulation, BS → all hosts: the messages of the virtual clock.
@@ -214,6 +216,9 @@ pub struct GrantMessage {
 pub enum ClockMessage {
     /// TTIs are granted.
     Grant(GrantMessage),
+    /// Operators change devices at the start of this TTI, the first of the next grant. The BS sends it before that
+    /// grant, once per TTI.
+    Act(Tti, Vec<Change>),
     /// The run has ended before this TTI: hosts answer with their devices' ledgers and leave.
     CollectLedgers(Tti),
     /// The BS has received everything: hosts leave.
@@ -222,12 +227,22 @@ pub enum ClockMessage {
     RunFailed(String),
 }
 
-impl Concerns for ClockMessage {}
+impl Concerns for ClockMessage {
+    fn concerns(&self, _number: Option<u32>, device: DeviceId) -> bool {
+        let Self::Act(_, changes) = self else { return false };
+        let mut ranges = changes.iter().filter_map(Change::devices);
+        ranges.any(|devices| devices.contains(device))
+    }
+}
 
 impl fmt::Display for ClockMessage {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Grant(tick) => tick.fmt(f),
+            Self::Act(_, changes) => {
+                let changes: Vec<String> = changes.iter().map(ToString::to_string).collect();
+                f.write_str(&changes.join(", "))
+            }
             Self::CollectLedgers(end) => write!(f, "the run ends before TTI {end}"),
             Self::Dismiss => f.write_str("hosts may leave"),
             Self::RunFailed(why) => write!(f, "the run has failed: {why}"),
@@ -246,6 +261,7 @@ impl fmt::Display for GrantMessage {
             views,
             plan: _,
             plans: _,
+            changes: _,
         } = self;
         if first == last {
             write!(f, "TTI {first}")?;

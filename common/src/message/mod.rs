@@ -9,6 +9,7 @@
 //!
 //! The table omits the copies of messages for observers ([`Frame`]), which are not part of the run.
 
+mod action;
 mod air;
 mod control;
 mod emu;
@@ -21,8 +22,9 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::codec::{self, CodecError};
-use crate::ids::{DeviceId, HostId};
+use crate::ids::{DeviceId, HostId, Tti};
 
+pub use action::{ActRequest, Change, DeviceRange, OperatorAction, Setting};
 pub use air::{FailedTransmission, PlanUpdate, Report, WakeOutcome, WakeUp};
 pub use control::{ClockCommand, ClockStatus, LostHost, Pace};
 pub use emu::{
@@ -221,7 +223,7 @@ messages! {
     Describe "describe": DescribeRequest => ScenarioDescription, Emu, Anyone, (), "observer → BS",
         "A query: the scenario of the run, with its scenario files.";
     Log "log": InputLogRequest => InputLogPart, Emu, Anyone, (), "observer → BS",
-        "A query: a part of the input log, which holds device removals and external decisions.";
+        "A query: a part of the input log, which holds device removals, external decisions and actions.";
     World "world": WorldUpdate, Truth, Members, (), "world → observers",
         "TTIs granted to the devices, and the stimulus in the last one.";
     Event "event": EventUpdate, Truth, Members, (), "world → observers",
@@ -238,6 +240,10 @@ messages! {
         "State and battery level of all devices at the end of a TTI, if the recording includes them.";
     Removed "removed": DeviceRemoval, Truth, Members, (), "world → observers",
         "Devices removed from the run because their process was lost under --on-loss continue.";
+    Act "act": ActRequest => Tti, Emu, Anyone, (), "operator → BS",
+        "A query: fail or revive devices, add energy to them, or change a setting. Needs the run's key.";
+    Action "action": OperatorAction, Truth, Members, (), "operator → observers",
+        "An action of an operator that takes effect at the start of the TTI.";
 }
 
 /// Returns the kinds of message as a Markdown table, for the page on inspecting.
@@ -372,7 +378,6 @@ pub trait Concerns {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ids::Tti;
     use crate::io;
     use crate::units::Energy;
 
@@ -410,6 +415,7 @@ mod tests {
             MessageKind::Control,
             MessageKind::Describe,
             MessageKind::Log,
+            MessageKind::Act,
         ];
         assert!(kinds_with_reply.eq(&queries));
         let reply = Reply::decode(MessageKind::Ready, &payload)

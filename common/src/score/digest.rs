@@ -13,7 +13,7 @@ use sha2::{Digest as _, Sha256};
 
 use crate::event::Stimulus;
 use crate::ids::{DeviceId, Tti};
-use crate::message::{DeviceRemoval, PlanUpdate, Report, WakeOutcome};
+use crate::message::{Change, DeviceRange, DeviceRemoval, OperatorAction, PlanUpdate, Report, Setting, WakeOutcome};
 use crate::plan::{DutyCycle, Plan};
 use crate::totals::{DeviceTotals, EnergyByState, EventTally, EventTotals, Ledger, Spread, Totals};
 use crate::units::Energy;
@@ -124,6 +124,27 @@ impl DigestBuilder {
         // Shifted by 1, so that `None` and `Some(0)` differ.
         let wake_ups = wake_ups.map_or(0, |before| 1 + u64::from(before));
         self.hash_words(b'G', [tti.0, u64::from(first.0), u64::from(count), wake_ups]);
+    }
+
+    /// Adds an action: a record for each device, so that the split into ranges does not matter.
+    pub fn add_action(&mut self, action: &OperatorAction) {
+        let OperatorAction { tti, change } = *action;
+        let (kind, amount) = match change {
+            Change::Fail(_) => (0, 0),
+            Change::Revive(_) => (1, 0),
+            Change::AddEnergy(_, energy) => (2, energy.micro()),
+            Change::Set(setting, value) => {
+                let setting = match setting {
+                    Setting::EventRate => 0,
+                    Setting::Price => 1,
+                };
+                self.hash_words(b'A', [tti.0, 3, setting, value.to_bits()]);
+                return;
+            }
+        };
+        for device in change.devices().into_iter().flat_map(DeviceRange::devices) {
+            self.hash_words(b'A', [tti.0, kind, u64::from(device.0), amount]);
+        }
     }
 
     /// Adds a wake-up sent to `device` in `tti`.

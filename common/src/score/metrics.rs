@@ -199,7 +199,7 @@ metrics! {
         /// Events missed because no device is within d_max, % of events.
         missed_out_of_reach_pct: "% of events", "% of events out of reach" =
             |run| run.missed_pct(MissCause::OutOfReach);
-        /// Events missed because all devices within d_max had been removed, % of events.
+        /// Events missed because all devices within d_max had been removed or had failed, % of events.
         missed_removed_pct: "% of events", "% of events near removed devices" =
             |run| run.missed_pct(MissCause::Removed);
         /// Events missed because the probabilistic detection failed for every device within d_max, % of events.

@@ -19,7 +19,9 @@ use crate::codec;
 use crate::deployment::Deployment;
 use crate::event::{ActiveEvent, EventRecord, Stimulus};
 use crate::ids::{DeviceId, Tti};
-use crate::message::{DeviceRemoval, FailedTransmission, PlanUpdate, Report, WakeOutcome};
+use crate::message::{
+    Change, DeviceRemoval, FailedTransmission, OperatorAction, PlanUpdate, Report, Setting, WakeOutcome,
+};
 use crate::scenario::Scenario;
 use crate::sensing::Sensing;
 use crate::totals::{
@@ -70,6 +72,10 @@ pub struct Score {
     /// TTIs from the first to the last report, summed over the counted events.
     wake_up_span_ttis: u64,
     removals: Vec<DeviceRemoval>,
+    /// The devices that have failed, each with the TTI since when.
+    failed_since: BTreeMap<DeviceId, Tti>,
+    /// The changes of α, each with its TTI, in order.
+    event_rates: Vec<(Tti, f64)>,
     digest: DigestBuilder,
 }
 
@@ -114,6 +120,8 @@ impl Score {
             wake_latency: scenario.radio.wake_latency,
             wake_up_span_ttis: 0,
             removals: Vec::new(),
+            failed_since: BTreeMap::new(),
+            event_rates: Vec::new(),
             digest: DigestBuilder::default(),
         }
     }
@@ -192,6 +200,35 @@ impl Score {
     /// Whether `device` is removed.
     pub fn is_removed(&self, device: DeviceId) -> bool {
         self.removals.iter().any(|outage| outage.contains(device))
+    }
+
+    /// Records an action, which must precede everything else of its TTI.
+    pub fn record_action(&mut self, action: &OperatorAction) {
+        self.digest.add_action(action);
+        let tti = action.tti;
+        match action.change {
+            Change::Fail(devices) => devices.devices().for_each(|device| {
+                self.failed_since.entry(device).or_insert(tti);
+            }),
+            Change::Revive(devices) => self.failed_since.retain(|device, _| !devices.contains(*device)),
+            Change::Set(Setting::EventRate, alpha) => self.event_rates.push((tti, alpha)),
+            Change::AddEnergy(..) | Change::Set(Setting::Price, _) => {}
+        }
+    }
+
+    /// Returns the mean of α over the measured TTIs before `end`, with `alpha` up to the first change.
+    fn mean_event_rate(&self, alpha: f64, end: Tti) -> f64 {
+        let measured = end.0.saturating_sub(self.warm_up_end.0);
+        if self.event_rates.is_empty() || measured == 0 {
+            return alpha;
+        }
+        let (mut rate, mut from, mut sum) = (alpha, self.warm_up_end, 0.0);
+        for &(tti, next_rate) in self.event_rates.iter().chain(&[(end, alpha)]) {
+            let until = tti.max(from).min(end);
+            sum += rate * (until - from) as f64;
+            (rate, from) = (next_rate, until);
+        }
+        sum / measured as f64
     }
 
     /// Records a wake-up of `bytes` bytes sent on the air in `tti`.
@@ -298,15 +335,17 @@ impl Score {
     }
 
     /// Finishes the score of a run that ended before TTI `end`, with events that started with probability `alpha` in
-    /// the measured TTIs. `ledgers` has the ledgers of the devices in the order of ids.
+    /// the measured TTIs, unless an action has changed it. `ledgers` has the ledgers of the devices, in the order of
+    /// ids.
     pub fn finish(mut self, alpha: f64, end: Tti, ledgers: &[Ledger]) -> FinalScore {
         let totals = self.totals(end, ledgers);
+        let metrics = Metrics::from_totals(self.mean_event_rate(alpha, end), &totals);
         for (device, ledger) in self.devices.iter_mut().zip(ledgers) {
             device.ledger = *ledger;
         }
         FinalScore {
             digest: self.digest.finish(ledgers, &totals),
-            metrics: Metrics::from_totals(alpha, &totals),
+            metrics,
             totals,
             devices: self.devices,
         }
@@ -314,7 +353,7 @@ impl Score {
 
     /// Returns the metrics of the run as if it ended before TTI `end`. See [`Self::finish`] for the arguments.
     pub fn metrics(&self, alpha: f64, end: Tti, ledgers: &[Ledger]) -> Metrics {
-        Metrics::from_totals(alpha, &self.totals(end, ledgers))
+        Metrics::from_totals(self.mean_event_rate(alpha, end), &self.totals(end, ledgers))
     }
 
     fn totals(&self, end: Tti, ledgers: &[Ledger]) -> Totals {
@@ -360,7 +399,8 @@ impl Score {
                 continue;
             }
             let is_removed = |removal: &DeviceRemoval| removal.contains(device.device) && removal.tti < start;
-            if self.removals.iter().any(is_removed) {
+            let failed_since = self.failed_since.get(&device.device);
+            if self.removals.iter().any(is_removed) || failed_since.is_some_and(|since| *since <= start) {
                 if cause == MissCause::OutOfReach {
                     cause = MissCause::Removed;
                 }

@@ -94,6 +94,7 @@ fn quiet_tti_sizes() -> QuietTtiSizes {
         account: false,
         views: false,
         plan: Tti::ZERO,
+        changes: 0,
         plans: 1,
     });
     let answer = HostAnswer::GrantDone {

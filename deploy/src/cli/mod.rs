@@ -160,7 +160,7 @@ pub(crate) enum Command {
     /// Show an active run or a recording in the browser
     #[command(after_help = examples!("reveille dashboard", "reveille dashboard --from run.mcap"))]
     Dashboard(DashboardArgs),
-    /// Pause, step and resume the virtual clock of a run
+    /// Pause, step and resume the virtual clock of a run, and act on its devices
     #[command(after_help = examples!("reveille clock pause", "reveille clock step 50"))]
     Clock(ClockArgs),
     /// Draw the figures of the paper from the result tables of sweeps

@@ -5,11 +5,15 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
+use anyhow::Context as _;
 use clap::builder::NonEmptyStringValueParser;
 use clap::{Args, ValueEnum};
+use reveille_bs::scenario::Scenario;
 use reveille_bs::server::{DecisionTimeout, OnLoss, OnUndecided};
 use reveille_common::keys::RunName;
 use reveille_common::message::Pace;
+use reveille_lab::action_script;
+use reveille_lab::external_inputs::ExternalInputs;
 
 use super::parse::{parse_duration, parse_pace, policy_help, run_policy_help, whole};
 
@@ -124,6 +128,33 @@ pub(crate) struct OutputArgs {
     pub parent: Option<i32>,
 }
 
+/// The script of actions.
+#[derive(Args, Clone, Debug)]
+pub(crate) struct ActionArgs {
+    /// Script of timed actions: devices that fail, are revived or receive energy, and settings that change. See
+    /// docs/actions.md for its lines.
+    #[arg(long, value_name = "FILE", conflicts_with = "resume")]
+    pub actions: Option<PathBuf>,
+}
+
+impl ActionArgs {
+    /// Adds the scripted actions to the inputs `given` for the run of `scenario`.
+    ///
+    /// # Errors
+    /// If the script cannot be read, or a line is not an action of the run.
+    pub(crate) fn read(&self, scenario: &Scenario, given: Option<ExternalInputs>) -> anyhow::Result<ExternalInputs> {
+        let mut inputs = given.unwrap_or_default();
+        if let Some(path) = &self.actions {
+            let named = || format!("--actions {}", path.display());
+            let text = std::fs::read_to_string(path).with_context(named)?;
+            inputs
+                .actions
+                .extend(action_script::parse(&text, scenario).with_context(named)?);
+        }
+        Ok(inputs)
+    }
+}
+
 /// Arguments of `reveille run`.
 #[derive(Args)]
 pub(crate) struct RunArgs {
@@ -133,12 +164,15 @@ pub(crate) struct RunArgs {
     /// Result options.
     #[command(flatten)]
     pub output: OutputArgs,
+    /// Actions.
+    #[command(flatten)]
+    pub actions: ActionArgs,
     /// Process every TTI separately, like `reveille up --no-lookahead`.
     #[arg(long)]
     pub no_lookahead: bool,
-    /// Input log (inputs.log) of a run over the bus. It lists the devices that were lost under --on-loss continue. With
-    /// it, this run has the same digest. To replay decisions, use --policy replay=FILE.
-    #[arg(long, value_name = "FILE", conflicts_with = "resume")]
+    /// Input log (inputs.log) of a run over the bus. It lists the devices that were lost under --on-loss continue, and
+    /// the actions of operators. With it, this run has the same digest. To replay decisions, use --policy replay=FILE.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["resume", "actions"])]
     pub input_log: Option<PathBuf>,
 }
 
@@ -235,6 +269,9 @@ pub(crate) struct UpArgs {
     /// Result options.
     #[command(flatten)]
     pub output: OutputArgs,
+    /// Actions.
+    #[command(flatten)]
+    pub actions: ActionArgs,
     /// Clock, audit and dashboard options.
     #[command(flatten)]
     pub drive: DriveArgs,
@@ -262,6 +299,9 @@ pub(crate) struct BsArgs {
     /// Result options.
     #[command(flatten)]
     pub output: OutputArgs,
+    /// Actions.
+    #[command(flatten)]
+    pub actions: ActionArgs,
     /// Clock, audit and dashboard options.
     #[command(flatten)]
     pub drive: DriveArgs,

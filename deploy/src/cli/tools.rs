@@ -9,7 +9,9 @@ use clap::{Args, Subcommand};
 use reveille_bs::policy::registry;
 use reveille_common::ids::{MAX_DEVICES, MAX_TTIS, Tti};
 use reveille_common::keys::RunName;
-use reveille_common::message::{ClockCommand, Pace};
+use reveille_common::message::{ActRequest, Change, ClockCommand, DeviceRange, Pace, Setting};
+use reveille_common::units::Energy;
+use reveille_lab::action_script::{parse_devices, parse_energy, parse_setting};
 
 use super::examples::examples;
 use super::parse::{parse_duration, parse_pace, parse_sizes, trimmed, whole};
@@ -87,8 +89,8 @@ pub(crate) struct ClockArgs {
 }
 
 /// Clock commands.
-#[derive(Subcommand, Clone, Copy)]
-pub enum ClockAction {
+#[derive(Subcommand, Clone)]
+pub(crate) enum ClockAction {
     /// Pause the run before its next time slot (TTI)
     ///
     /// The command returns when the open TTI is closed, or reports after 2 s that it is still open.
@@ -129,6 +131,12 @@ pub enum ClockAction {
         #[arg(value_parser = parse_pace, allow_hyphen_values = true)]
         pace: Pace,
     },
+    /// Fail or revive devices, add energy to them, or change a setting of the run
+    ///
+    /// The action takes effect at the start of a time slot (TTI), by default the first one that is not granted yet. It
+    /// is stored in the input log (inputs.log) of the run, so that a replay repeats it.
+    #[command(after_help = examples!("reveille clock act fail 7", "reveille clock act fail 0-9 --at 500"))]
+    Act(ActArgs),
     /// Print whether the run is paused, and its next time slot (TTI)
     #[command(after_help = examples!(
         "reveille clock status",
@@ -139,23 +147,110 @@ pub enum ClockAction {
 
 impl ClockAction {
     /// Whether the command returns only after the clock has paused.
-    pub const fn waits(self) -> bool {
+    pub(crate) const fn waits(&self) -> bool {
         match self {
-            Self::Step { wait, .. } | Self::RunTo { wait, .. } => wait,
-            Self::Pause | Self::Resume | Self::Pace { .. } | Self::Status => false,
+            Self::Step { wait, .. } | Self::RunTo { wait, .. } => *wait,
+            Self::Pause | Self::Resume | Self::Pace { .. } | Self::Act(_) | Self::Status => false,
         }
+    }
+
+    /// The command for the clock, or the action on the run.
+    ///
+    /// # Errors
+    /// The action, if it is one.
+    pub(crate) fn command(&self) -> Result<ClockCommand, &ActArgs> {
+        Ok(match self {
+            Self::Pause => ClockCommand::Pause,
+            Self::Step { ttis, .. } => ClockCommand::Step(*ttis),
+            Self::RunTo { tti, .. } => ClockCommand::RunTo(Tti(*tti)),
+            Self::Resume => ClockCommand::Resume,
+            Self::Pace { pace } => ClockCommand::Pace(*pace),
+            Self::Act(act) => return Err(act),
+            Self::Status => ClockCommand::Status,
+        })
     }
 }
 
-impl From<ClockAction> for ClockCommand {
-    fn from(action: ClockAction) -> Self {
-        match action {
-            ClockAction::Pause => Self::Pause,
-            ClockAction::Step { ttis, .. } => Self::Step(ttis),
-            ClockAction::RunTo { tti, .. } => Self::RunTo(Tti(tti)),
-            ClockAction::Resume => Self::Resume,
-            ClockAction::Pace { pace } => Self::Pace(pace),
-            ClockAction::Status => Self::Status,
+/// Arguments of `reveille clock act`.
+#[derive(Args, Clone)]
+pub(crate) struct ActArgs {
+    /// TTI at whose start the action takes effect [default: the first TTI that is not granted yet].
+    #[arg(
+        long,
+        value_name = "TTI",
+        global = true,
+        value_parser = whole(0..=MAX_TTIS),
+        allow_negative_numbers = true
+    )]
+    pub at: Option<u64>,
+    /// The action.
+    #[command(subcommand)]
+    pub change: ActChange,
+}
+
+/// Actions on a run.
+#[derive(Subcommand, Clone)]
+pub(crate) enum ActChange {
+    /// Switch devices off: they do not sense, receive wake-ups or consume, and their batteries only charge
+    #[command(after_help = examples!("reveille clock act fail 7", "reveille clock act fail 3,7,10-14 --at 500"))]
+    Fail {
+        /// Devices and ranges of devices, such as 3,7,10-14.
+        #[arg(value_parser = parse_device_list)]
+        devices: DeviceList,
+    },
+    /// Switch failed devices on again
+    #[command(after_help = examples!("reveille clock act revive 7", "reveille clock act revive 0-9 --at 900"))]
+    Revive {
+        /// Devices and ranges of devices, such as 3,7,10-14.
+        #[arg(value_parser = parse_device_list)]
+        devices: DeviceList,
+    },
+    /// Add energy to the battery of each device, at most up to E_max
+    #[command(after_help = examples!("reveille clock act energy 7 2.5", "reveille clock act energy 0-9 10 --at 500"))]
+    Energy {
+        /// Devices and ranges of devices, such as 3,7,10-14.
+        #[arg(value_parser = parse_device_list)]
+        devices: DeviceList,
+        /// Energy for each device, units.
+        #[arg(value_parser = parse_energy, allow_negative_numbers = true)]
+        units: Energy,
+    },
+    /// Change a setting: events.alpha, or policy.age-index.price
+    #[command(after_help = examples!(
+        "reveille clock act set events.alpha 0.05",
+        "reveille clock act set policy.age-index.price 0.5 --at 500",
+    ))]
+    Set {
+        /// Scenario field.
+        #[arg(value_parser = parse_setting)]
+        field: Setting,
+        /// New value.
+        #[arg(allow_negative_numbers = true)]
+        value: f64,
+    },
+}
+
+/// Devices on the command line.
+#[derive(Clone, Debug)]
+pub(crate) struct DeviceList(Vec<DeviceRange>);
+
+fn parse_device_list(text: &str) -> Result<DeviceList, String> {
+    parse_devices(text).map(DeviceList)
+}
+
+impl From<&ActArgs> for ActRequest {
+    fn from(args: &ActArgs) -> Self {
+        let on_each = |devices: &DeviceList, change: &dyn Fn(DeviceRange) -> Change| {
+            devices.0.iter().copied().map(change).collect()
+        };
+        Self {
+            at: args.at.map(Tti),
+            changes: match &args.change {
+                ActChange::Fail { devices } => on_each(devices, &Change::Fail),
+                ActChange::Revive { devices } => on_each(devices, &Change::Revive),
+                ActChange::Energy { devices, units } => on_each(devices, &|range| Change::AddEnergy(range, *units)),
+                ActChange::Set { field, value } => vec![Change::Set(*field, *value)],
+            },
         }
     }
 }

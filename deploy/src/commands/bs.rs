@@ -12,13 +12,13 @@ use std::time::{Duration, Instant};
 use anyhow::{anyhow, bail, ensure};
 use reveille_bs::cycle::PreparedRun;
 use reveille_bs::observer::Observer;
-use reveille_bs::policy::outside;
 use reveille_bs::scenario::Scenario;
-use reveille_bs::server::{self, BsError, OnLoss, RunProgress, RunSpec, ServerConfig, ServerOutcome, policy_port};
+use reveille_bs::server::{self, BsError, RunProgress, RunSpec, ServerConfig, ServerOutcome, policy_port};
 use reveille_bs::session::Session;
 use reveille_common::bus::{Bus, DeclarationGuard, draw_secret};
 use reveille_common::keys::RunName;
 use reveille_common::message::{DescribeRequest, InputLogRequest, Pace, ScenarioDescription};
+use reveille_lab::external_inputs::ExternalInputs;
 use reveille_lab::preparation::prepare as prepare_run;
 use reveille_lab::run::StopWhen;
 use reveille_view::metrics::ProcessStats;
@@ -54,7 +54,8 @@ pub(crate) async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
     let started = crate::runtime::now();
     let (scenario, given) = resolve_run(&args.scenario, &args.output)?;
     check_watchers(&args.output, &args.drive)?;
-    let policy_source = policy_source(&scenario, given, &args.drive)?;
+    let policy_source = policy_source(&scenario, given.as_ref(), &args.drive)?;
+    let inputs = args.actions.read(&scenario, given)?;
     file_limits::ensure_for_unknown_processes(scenario.run.devices)?;
     // Installed before the bus and the folder exist, so that no signal can leave something half made.
     let signals = Signals::install(SignalMode::SavesResults)?;
@@ -91,6 +92,7 @@ pub(crate) async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
             output: &args.output,
             dashboard: args.drive.dashboard.as_deref(),
             audit: args.drive.audit,
+            inputs,
             policy_source,
             progress,
             signals: &signals,
@@ -118,6 +120,8 @@ pub(crate) struct Service<'a> {
     pub dashboard: Option<&'a str>,
     /// Extent of the audit.
     pub audit: AuditArg,
+    /// External inputs of a new run: decisions of an earlier run, and scripted actions.
+    pub inputs: ExternalInputs,
     /// Source of decisions under the policy `external`.
     pub policy_source: PolicySource<'a>,
     /// The run's progress.
@@ -285,7 +289,7 @@ async fn run_over_bus(
     } = match &output.resume {
         // A replay can be long; `block_in_place` keeps the other tasks of the runtime going.
         Some(_) => tokio::task::block_in_place(|| ResumePlan::from_folder(folder, prepared, log, progress))?,
-        None => ResumePlan::new(&service.policy_source.recorded, log)?,
+        None => ResumePlan::new(&service.inputs, log)?,
     };
     // A resumed run keeps the window of its first part, so that windows.csv gets the same rows.
     let window = mark.as_ref().map_or(settings.window_ttis, |mark| mark.window);
@@ -302,9 +306,11 @@ async fn run_over_bus(
         (session, Some(devices))
     } else {
         let mut session = Session::new(prepared, window);
+        let queue = session.input_queue_mut();
         for decision in &inputs.decisions {
-            session.input_queue_mut().push_decision(decision.clone());
+            queue.push_decision(decision.clone());
         }
+        inputs.actions.iter().for_each(|action| queue.add_action(*action));
         (session, None)
     };
     // Before any grant: a run that does not reproduce its mark must not continue.
@@ -315,13 +321,12 @@ async fn run_over_bus(
         log,
     };
     let auditor = Auditor::start(prepared, start, *audit, progress);
-    // The replay also stores external inputs, so a policy process needs it under every --on-loss.
-    let needs_replay = settings.on_loss != OnLoss::End || outside::is_external(&scenario.policy);
     let spec = RunSpec {
         prepared,
         session,
         checkpoint: resumption.map(Arc::new),
-        replay: needs_replay.then(|| auditor.replay()),
+        // The replay also stores external inputs, so actions and a policy process need it under every --on-loss.
+        replay: Some(auditor.replay()),
         decision_timeout: service.policy_source.decision_timeout,
     };
     let mut observers = (observer, (&mut mark_writer, auditor.observer()));

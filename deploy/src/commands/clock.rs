@@ -1,4 +1,4 @@
-//! `reveille clock`: pause, step and resume a run. The printed status is the text of `ClockStatus`
+//! `reveille clock`: pause, step and resume a run, and act on it. The printed status is the text of `ClockStatus`
 //! (`common/src/message/control.rs`), which `tests/src/process.rs` parses.
 
 use std::process::ExitCode;
@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use reveille_common::bus::Bus;
-use reveille_common::message::{ClockCommand, ClockStatus};
+use reveille_common::message::{ActRequest, ClockCommand, ClockStatus};
 use tokio::sync::Notify;
 
 use crate::cli::ClockArgs;
@@ -27,6 +27,10 @@ pub(crate) async fn run(args: &ClockArgs) -> anyhow::Result<ExitCode> {
     let bus = Bus::connect(&address.endpoint, address.run, QUERY_TIMEOUT)
         .await?
         .with_key(address.key);
+    let command = match args.command.command() {
+        Ok(command) => command,
+        Err(act) => return act_on_run(bus, &ActRequest::from(act)).await,
+    };
     let ended = Arc::new(Notify::new());
     let end_notifier = Arc::clone(&ended);
     let _watch = bus.watch_alive(bus.keys().bs_liveliness(), move |_, alive| {
@@ -35,7 +39,6 @@ pub(crate) async fn run(args: &ClockArgs) -> anyhow::Result<ExitCode> {
             end_notifier.notify_one();
         }
     })?;
-    let command = ClockCommand::from(args.command);
     let Some(status) = bus.query(&command, QUERY_TIMEOUT).await? else {
         return Err(bus.no_run_error().await.into());
     };
@@ -56,6 +59,20 @@ pub(crate) async fn run(args: &ClockArgs) -> anyhow::Result<ExitCode> {
         None => status.to_string(),
     };
     display::print_stdout(&format!("{status_text}\n"))?;
+    bus.close().await;
+    Ok(ExitReason::Done.into())
+}
+
+/// Sends an action and prints the TTI in which it takes effect.
+async fn act_on_run(bus: Bus, request: &ActRequest) -> anyhow::Result<ExitCode> {
+    let Some(tti) = bus.query(request, QUERY_TIMEOUT).await? else {
+        return Err(bus.no_run_error().await.into());
+    };
+    let changes = ActRequest {
+        at: None,
+        ..request.clone()
+    };
+    display::print_stdout(&format!("TTI {tti}: {changes}\n"))?;
     bus.close().await;
     Ok(ExitReason::Done.into())
 }

@@ -7,7 +7,6 @@ use std::sync::atomic::Ordering;
 use anyhow::ensure;
 use reveille_bs::cycle::PreparedRun;
 use reveille_bs::observer::Observer;
-use reveille_bs::policy::external::RecordedDecision;
 use reveille_bs::policy::outside;
 use reveille_bs::server::RunProgress;
 use reveille_bs::session::Session;
@@ -36,18 +35,14 @@ pub(super) struct ResumePlan {
 }
 
 impl ResumePlan {
-    /// Creates the plan of a new run. Copies decisions `recorded` in another run into its log.
+    /// Creates the plan of a new run with these `inputs`, recorded in another run or scripted, and logs them.
     ///
     /// # Errors
     /// If they cannot be written.
-    pub(super) fn new(recorded: &[RecordedDecision], mut log: InputLog) -> anyhow::Result<Self> {
-        let inputs = ExternalInputs {
-            outages: Vec::new(),
-            decisions: recorded.to_vec(),
-        };
-        log.add_all(&inputs)?;
+    pub(super) fn new(inputs: &ExternalInputs, mut log: InputLog) -> anyhow::Result<Self> {
+        log.add_all(inputs)?;
         Ok(Self {
-            inputs,
+            inputs: inputs.clone(),
             log,
             mark: None,
             from: None,
@@ -117,7 +112,8 @@ fn advance_to(run: &mut Run, to: Tti, progress: &RunProgress, observer: &mut imp
     Ok(())
 }
 
-/// Replays a run up to TTI `to` in memory. Returns it with its devices; later decisions stay queued.
+/// Replays a run up to TTI `to` in memory. Returns it with its devices; later decisions and actions stay
+/// queued.
 pub(super) fn replay(
     prepared: &PreparedRun,
     inputs: &ExternalInputs,

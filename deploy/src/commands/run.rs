@@ -138,7 +138,8 @@ pub(crate) fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     print_results(&args.output, &summary, &path)
 }
 
-/// Returns the external inputs that the command names: a log, or the decisions `given` for a policy.
+/// Returns the external inputs that the command names: a log, or the decisions `given` for a policy and a script of
+/// actions.
 fn read_named_inputs(
     args: &RunArgs,
     scenario: &Scenario,
@@ -150,7 +151,9 @@ fn read_named_inputs(
             "--policy external: only `reveille up` and `reveille bs` can ask a policy process; use one of them, or \
              repeat its decisions with --policy replay=FILE, the inputs.log of such a run, or step the run from Python"
         );
-        return Ok(given);
+        let is_given = given.is_some() || args.actions.actions.is_some();
+        let inputs = args.actions.read(scenario, given)?;
+        return Ok(is_given.then_some(inputs));
     };
     ensure!(
         !outside::is_external(&scenario.policy),

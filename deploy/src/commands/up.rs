@@ -43,7 +43,8 @@ pub(crate) async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCod
         tracing::warn!("--on-loss has no effect: with --processes 0 there is no device process to lose");
     }
     check_watchers(&args.output, &args.drive)?;
-    let policy_source = policy_source(&scenario, given, &args.drive)?;
+    let policy_source = policy_source(&scenario, given.as_ref(), &args.drive)?;
+    let inputs = args.actions.read(&scenario, given)?;
     crate::file_limits::ensure_for_station(processes)?;
     // Checked before the folder is created: an endpoint in use must not cost a run that --force replaces.
     bus::resolve_listen_endpoint(&args.listen)?;
@@ -64,6 +65,7 @@ pub(crate) async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCod
                 output: &args.output,
                 dashboard: args.drive.dashboard.as_deref(),
                 audit: args.drive.audit,
+                inputs,
                 policy_source,
                 progress: Arc::default(),
                 signals: &signals,

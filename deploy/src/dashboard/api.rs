@@ -14,7 +14,7 @@ use axum::response::sse::{Event, Sse};
 use axum::response::{IntoResponse, Response};
 use reveille_common::bus::Bus;
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::{ClockCommand, MessageKind, Pace, Plane};
+use reveille_common::message::{MessageKind, Plane};
 use reveille_view::filter::{Filter, StateName};
 use reveille_view::frame_line::{FrameLine, key_owner, to_hex};
 use reveille_view::history::RunHistory;
@@ -37,14 +37,12 @@ const MAX_MESSAGES: usize = 1_000;
 const MAX_HISTORY_TTIS: u64 = 5_000;
 /// Most concurrent readers of the history.
 const MAX_READERS: usize = 2;
-/// Longest wait for an answer of the clock.
-const CLOCK_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// State shared by all request handlers.
 #[derive(Clone)]
 pub(super) struct ApiState {
     feed: Arc<Feed>,
-    bus: Option<Bus>,
+    pub(super) bus: Option<Bus>,
     token: Arc<str>,
     address: SocketAddr,
     /// The current state of the run, broadcast to all clients.
@@ -109,10 +107,10 @@ impl ApiState {
 }
 
 /// A JSON answer or an error.
-type ApiResult = Result<Json<Value>, ApiError>;
+pub(super) type ApiResult = Result<Json<Value>, ApiError>;
 
 /// The status and message of a failed request.
-pub(super) struct ApiError(StatusCode, String);
+pub(super) struct ApiError(pub(super) StatusCode, pub(super) String);
 
 impl IntoResponse for ApiError {
     fn into_response(self) -> Response {
@@ -470,56 +468,4 @@ pub(super) async fn miss(State(served): State<ApiState>, Query(query): Query<Mis
 
 pub(super) async fn heat(State(served): State<ApiState>) -> ApiResult {
     Ok(Json(served.read_feed(Feed::heat_json).await?))
-}
-
-pub(super) async fn clock(State(served): State<ApiState>) -> ApiResult {
-    command_clock(&served, ClockCommand::Status).await
-}
-
-/// The number of a command.
-#[derive(Deserialize)]
-pub(super) struct CountParam {
-    n: Option<u64>,
-}
-
-pub(super) async fn command(
-    State(served): State<ApiState>,
-    Path(command): Path<String>,
-    Query(count): Query<CountParam>,
-) -> ApiResult {
-    let command = match (command.as_str(), count.n) {
-        ("pause", _) => ClockCommand::Pause,
-        ("resume", _) => ClockCommand::Resume,
-        ("step", n) => ClockCommand::Step(n.unwrap_or(1).max(1)),
-        ("run-to", Some(n)) => ClockCommand::RunTo(Tti(n)),
-        ("pace", Some(0)) => ClockCommand::Pace(Pace::Max),
-        ("pace", Some(n)) => ClockCommand::Pace(Pace::RealTime(n)),
-        _ => {
-            let why = "unknown clock command; use pause, resume, step?n=1, run-to?n=4000, or pace?n=5000 (µs per TTI, \
-                 0: no limit)";
-            let why = why.to_owned();
-            return Err(ApiError(StatusCode::BAD_REQUEST, why));
-        }
-    };
-    command_clock(&served, command).await
-}
-
-async fn command_clock(served: &ApiState, command: ClockCommand) -> ApiResult {
-    let Some(bus) = &served.bus else {
-        return Err(ApiError(
-            StatusCode::CONFLICT,
-            "a recording has no clock to control".to_owned(),
-        ));
-    };
-    match bus.query(&command, CLOCK_TIMEOUT).await {
-        // The clock ignores such a command; its status alone does not show that.
-        Ok(Some(status)) if matches!(command, ClockCommand::RunTo(k) if k < status.tti || k.0 > status.ttis) => {
-            let (next, ttis) = (status.tti, status.ttis);
-            let why = format!("run-to: must be from {next}, the next TTI, to {ttis}, the end of the run");
-            Err(ApiError(StatusCode::BAD_REQUEST, why))
-        }
-        Ok(Some(status)) => Ok(Json(json!({ "status": status, "text": status.to_string() }))),
-        Ok(None) => Err(ApiError(StatusCode::GONE, "the run has ended".to_owned())),
-        Err(error) => Err(ApiError(StatusCode::BAD_GATEWAY, error.to_string())),
-    }
 }

@@ -549,7 +549,7 @@ impl FeedState {
 }
 
 /// The codes of the states, one character per device: `1` S1, `2` S2, `3` S3, `4` S4, `0` S4 without power for the
-/// wake-up radio.
+/// wake-up radio, `x` failed by an operator.
 pub(super) fn state_codes(views: &[DeviceView]) -> String {
     let code = |view: &DeviceView| match view.state {
         DeviceState::Idle => '1',
@@ -557,6 +557,7 @@ pub(super) fn state_codes(views: &[DeviceView]) -> String {
         DeviceState::Transmission => '3',
         DeviceState::Sleep { powered: true } => '4',
         DeviceState::Sleep { powered: false } => '0',
+        DeviceState::Failed => 'x',
     };
     views.iter().map(code).collect()
 }

@@ -5,6 +5,7 @@
 //! machines can connect.
 
 mod api;
+mod commands;
 mod events;
 pub(crate) mod feed;
 mod page;
@@ -37,7 +38,8 @@ pub(crate) struct Dashboard {
     pub url: String,
 }
 
-/// Serves `feed` at `address` until the program ends. With a `bus`, the page can control the clock of that run.
+/// Serves `feed` at `address` until the program ends. With a `bus`, the page can control the clock of that run
+/// and act on its devices.
 ///
 /// # Errors
 /// If it cannot listen there.
@@ -65,8 +67,9 @@ pub(crate) async fn serve(address: &str, feed: Arc<Feed>, bus: Option<Bus>) -> a
         .route("/api/events", get(api::events))
         .route("/api/miss", get(api::miss))
         .route("/api/heat", get(api::heat))
-        .route("/api/clock", get(api::clock))
-        .route("/api/clock/{command}", post(api::command));
+        .route("/api/clock", get(commands::clock))
+        .route("/api/clock/{command}", post(commands::command))
+        .route("/api/act/{action}", post(commands::act));
     for &(path, content_type, text) in PAGE {
         let path = if path == "/index.html" { "/" } else { path };
         let page = move || async move {

@@ -30,6 +30,8 @@ const REPORTED: u8 = 16;
 const WAKE_UP_SENT: u8 = 32;
 /// The device lacked the energy for a report, or its report was lost.
 const FAILED: u8 = 64;
+/// An operator has let the device fail.
+const OUT: u8 = 128;
 
 /// A requested part of the timeline.
 pub(super) struct TimelineRequest {
@@ -135,6 +137,7 @@ impl Cells {
                 DeviceState::Active | DeviceState::Transmission => REPORTING,
                 DeviceState::Sleep { powered: true } => ASLEEP,
                 DeviceState::Sleep { powered: false } => UNPOWERED,
+                DeviceState::Failed => OUT,
             };
             self.sensing_ttis[cell] += u32::from(view.state == DeviceState::Idle);
             self.batteries[cell] = battery_byte(view.battery, e_max);

@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use reveille_common::event::Stimulus;
 use reveille_common::geometry::Point;
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::{GrantMessage, PlanUpdate, ResumePoint, WakeUp};
+use reveille_common::message::{Change, GrantMessage, PlanUpdate, ResumePoint, WakeUp};
 use reveille_common::plan::{DutyCycle, Plan};
 use reveille_common::radio::{Air, RadioSettings};
 
@@ -38,6 +38,8 @@ pub enum Disposition<T> {
 /// A grant to execute. Devices are numbered from 0 within the host's assignment.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GrantTask {
+    /// The changes that operators make at the start of the grant's first TTI.
+    pub changes: Vec<Change>,
     /// The changes of δ, in the order of TTIs: device, first TTI, and the new duty cycle.
     pub duty_changes: Vec<(usize, Tti, DutyCycle)>,
     /// The devices with δ = 1 in the grant's last TTI that are within d_max of its stimulus.
@@ -69,6 +71,8 @@ pub struct GrantFollower {
     plan_from: Option<Tti>,
     /// Plans for TTIs that are not granted yet, by first TTI.
     pending_plans: BTreeMap<Tti, Plan>,
+    /// Changes at the start of a TTI that is not granted yet.
+    pending_changes: Option<(Tti, Vec<Change>)>,
     /// The first TTI that is not granted yet.
     next: Tti,
     grant: Option<GrantMessage>,
@@ -109,6 +113,7 @@ impl GrantFollower {
             air: Air::new(seed, radio),
             plan_from,
             pending_plans: BTreeMap::new(),
+            pending_changes: None,
             next,
             grant: None,
             last_request: None,
@@ -136,6 +141,16 @@ impl GrantFollower {
         is_due
     }
 
+    /// Stores the changes at the start of TTI `tti` for the grant that they belong to. Returns `false` for a granted
+    /// TTI.
+    pub fn receive_changes(&mut self, tti: Tti, changes: Vec<Change>) -> bool {
+        let is_due = tti >= self.next && tti < self.end;
+        if is_due {
+            self.pending_changes = Some((tti, changes));
+        }
+        is_due
+    }
+
     /// Processes a grant.
     pub fn receive_grant(&mut self, grant: GrantMessage) -> Disposition<GrantTask> {
         let request = HostRequest::Grant(grant.last);
@@ -143,17 +158,23 @@ impl GrantFollower {
             return Disposition::Retransmit;
         }
         let due_plans = || self.pending_plans.range(..=grant.last).map(|(from, _)| *from);
+        let due_changes = self.pending_changes.as_ref().filter(|(tti, _)| *tti == grant.first);
         let last_plan = due_plans().next_back().or(self.plan_from);
-        // The first TTI shows a lost grant; the last plan and the number of plans show a lost plan. The base station
-        // then retransmits everything.
+        // The first TTI shows a lost grant; the last plan and the number of plans show a lost plan, and the number of
+        // changes shows lost changes. The base station then retransmits everything.
         if grant.first != self.next
             || grant.last < grant.first
             || grant.last >= self.end
             || last_plan != Some(grant.plan)
             || due_plans().count() != grant.plans as usize
+            || due_changes.map_or(0, |(_, changes)| changes.len()) != grant.changes as usize
         {
             return Disposition::NotReady;
         }
+        let changes = self
+            .pending_changes
+            .take()
+            .map_or_else(Vec::new, |(_, changes)| changes);
         // Before `find_sensing_devices`, which uses δ of the grant's last TTI.
         let duty_changes = self.apply_plans(grant.last);
         let sensing_devices = match &grant.stimulus {
@@ -163,6 +184,7 @@ impl GrantFollower {
         self.next = grant.last.saturating_add(1);
         (self.grant, self.last_request) = (Some(grant), Some(request));
         Disposition::Execute(GrantTask {
+            changes,
             duty_changes,
             sensing_devices,
         })

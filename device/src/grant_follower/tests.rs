@@ -2,6 +2,7 @@
 //! devices and the bus are not part of these tests.
 
 use reveille_common::ids::EventId;
+use reveille_common::message::DeviceRange;
 use reveille_common::radio::RadioSettings;
 use reveille_common::rng::{Purpose, Stream};
 
@@ -45,6 +46,7 @@ fn grant_of(first: u64, last: u64, plan: u64, plans: u32) -> GrantMessage {
         views: false,
         plan: Tti(plan),
         plans,
+        changes: 0,
     }
 }
 
@@ -62,7 +64,7 @@ fn a_grant_is_executed_once() {
     let duty_changes = vec![(1, Tti(0), DutyCycle::SENSING)];
     let task = GrantTask {
         duty_changes,
-        sensing_devices: Vec::new(),
+        ..GrantTask::default()
     };
     assert_eq!(follower.receive_grant(grant_of(0, 9, 0, 1)), Disposition::Execute(task));
     assert_eq!((follower.last_granted(), follower.next()), (Tti(9), Tti(10)));
@@ -121,6 +123,52 @@ fn a_grant_waits_for_each_of_its_plans() {
         follower.receive_grant(grant_of(10, 11, 7, 0)),
         Disposition::Execute(GrantTask::default()),
         "a plan for a later TTI has no effect"
+    );
+}
+
+#[test]
+fn a_grant_waits_for_all_of_its_changes() {
+    let fail = |device| {
+        let range = DeviceRange {
+            first: DeviceId(device),
+            count: 1,
+        };
+        Change::Fail(range)
+    };
+    let mut follower = new_follower();
+    follower.receive_plan(plan_update(0, &[]));
+    let grant = GrantMessage {
+        changes: 2,
+        ..grant_of(0, 9, 0, 1)
+    };
+    assert_eq!(follower.receive_grant(grant), Disposition::NotReady, "no changes");
+    assert!(follower.receive_changes(Tti(3), vec![fail(3), fail(4)]));
+    assert_eq!(
+        follower.receive_grant(grant),
+        Disposition::NotReady,
+        "changes of another TTI"
+    );
+    assert!(follower.receive_changes(Tti(0), vec![fail(3)]));
+    assert_eq!(
+        follower.receive_grant(grant),
+        Disposition::NotReady,
+        "a change is missing"
+    );
+    let changes = vec![fail(3), fail(9)];
+    assert!(follower.receive_changes(Tti(0), changes.clone()));
+    let expected = GrantTask {
+        changes,
+        ..GrantTask::default()
+    };
+    assert_eq!(follower.receive_grant(grant), Disposition::Execute(expected));
+    assert!(
+        !follower.receive_changes(Tti(0), vec![fail(3)]),
+        "repeated after its execution"
+    );
+    assert_eq!(
+        follower.receive_grant(grant_of(10, 12, 0, 0)),
+        Disposition::Execute(GrantTask::default()),
+        "the changes take effect once"
     );
 }
 

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use reveille_common::event::Stimulus;
 use reveille_common::ids::Tti;
-use reveille_common::message::{HostAnswer, WakeOutcome};
+use reveille_common::message::{Change, HostAnswer, WakeOutcome};
 use reveille_common::plan::DutyCycle;
 use tokio::sync::mpsc::UnboundedReceiver;
 
@@ -16,6 +16,8 @@ use crate::machine::{Machine, Physics, SenseOutcome};
 pub(crate) enum DeviceCommand {
     /// Air plane: δ from a TTI on.
     Duty(Tti, DutyCycle),
+    /// Emulation plane: a change that an operator makes at the start of a TTI.
+    Change(Tti, Change),
     /// Emulation plane: end all TTIs before this one and add the totals to the round.
     AdvanceTo(Tti, Arc<AnswerRound>),
     /// Emulation plane: begin this TTI, if it has not begun, and add state and battery to the round.
@@ -51,6 +53,7 @@ impl Actor {
         while let Some(command) = mailbox.recv().await {
             match command {
                 DeviceCommand::Duty(from, duty) => self.machine.set_duty(from, duty),
+                DeviceCommand::Change(tti, change) => self.machine.apply(tti, &change),
                 DeviceCommand::AdvanceTo(k, round) => {
                     self.machine.advance_to(k);
                     round.add(

@@ -15,7 +15,7 @@ use std::time::Duration;
 use reveille_common::bus::{Bus, BusError, DeclarationGuard};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{
-    BusCredentials, ClockMessage, GrantMessage, HostSetup, PlanUpdate, Ready, ResumePoint, WakeUp,
+    BusCredentials, Change, ClockMessage, GrantMessage, HostSetup, PlanUpdate, Ready, ResumePoint, WakeUp,
 };
 use tokio::runtime::Handle;
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
@@ -102,6 +102,8 @@ impl Drop for PanicGuard {
 struct HostShared {
     credentials: BusCredentials,
     fallback_runtime: Handle,
+    /// The first device.
+    first: DeviceId,
     mailboxes: Vec<UnboundedSender<DeviceCommand>>,
     uplink: Arc<Uplink>,
     state: Mutex<HostState>,
@@ -141,8 +143,9 @@ impl HostShared {
                 .collect::<Result<_, _>>()
                 .map_err(HostError::Assignment)?,
         };
+        let first = devices.first().map_or(DeviceId(0), |d| d.id);
         let start = FollowerStart {
-            first: devices.first().map_or(DeviceId(0), |d| d.id),
+            first,
             positions: devices.iter().map(|d| d.position).collect(),
             duties: machines.iter().map(Machine::duty).collect(),
             resume_point: resumption.map_or(ResumePoint::default(), |resumption| resumption.at),
@@ -162,6 +165,7 @@ impl HostShared {
         Ok(Self {
             credentials,
             fallback_runtime: Handle::current(),
+            first,
             mailboxes,
             uplink,
             state,
@@ -279,6 +283,12 @@ impl HostShared {
         }
     }
 
+    fn on_changes(&self, tti: Tti, changes: Vec<Change>) {
+        if !self.lock().follower.receive_changes(tti, changes) {
+            tracing::debug!(%tti, "ignored actions in another TTI, usually retransmitted ones");
+        }
+    }
+
     fn on_wake(&self, device: DeviceId, wake: WakeUp) {
         let woken = self.lock().follower.receive_wake_up(device, wake);
         if let Some(WakeUpTask { device, tti, stimulus }) = woken {
@@ -291,6 +301,7 @@ impl HostShared {
     fn on_clock(&self, clock: ClockMessage) {
         match clock {
             ClockMessage::Grant(grant) => self.on_grant(grant),
+            ClockMessage::Act(tti, changes) => self.on_changes(tti, changes),
             ClockMessage::CollectLedgers(end) => self.on_collect_ledgers(end),
             ClockMessage::Dismiss => self.record_run_end(HostStatus::Dismissed),
             ClockMessage::RunFailed(why) => self.record_run_end(HostStatus::RunFailed(why)),
@@ -310,6 +321,7 @@ impl HostShared {
             return;
         };
         let GrantTask {
+            changes,
             duty_changes,
             sensing_devices,
         } = task;
@@ -320,6 +332,16 @@ impl HostShared {
         if grant.account {
             for j in 0..self.mailboxes.len() {
                 self.send_command(j, DeviceCommand::AdvanceTo(grant.first, Arc::clone(&round)));
+            }
+        }
+        for change in changes {
+            let is_concerned = |j: &usize| {
+                change
+                    .devices()
+                    .is_some_and(|devices| devices.contains(DeviceId(self.first.0 + *j as u32)))
+            };
+            for j in (0..self.mailboxes.len()).filter(is_concerned) {
+                self.send_command(j, DeviceCommand::Change(grant.first, change));
             }
         }
         for (j, from, duty) in duty_changes {

@@ -16,6 +16,8 @@
 //! next TTI. A false wake-up takes a device S4 → S2 → S4 within a TTI and costs E_idle on top of E_WuR. Unless that
 //! empties its battery, the device still receives wake-up signals in that TTI.
 //!
+//! While an operator lets the device fail, it is in no state and pays for nothing. Its battery still receives harvest.
+//!
 //! The machine is lazy. It catches up with TTIs that only have harvest and δ when the device is next needed, many at a
 //! time ([`Machine::advance_to`]). The result must equal single steps, which `tests/step_by_step.rs` checks.
 
@@ -26,7 +28,7 @@ use reveille_common::event::Stimulus;
 use reveille_common::geometry::Point;
 use reveille_common::harvest::{HarvestSource, SharedSourceData};
 use reveille_common::ids::{DeviceId, Tti};
-use reveille_common::message::{DeviceCheckpoint, DeviceSetup, FailedTransmission, Report, WakeOutcome};
+use reveille_common::message::{Change, DeviceCheckpoint, DeviceSetup, FailedTransmission, Report, WakeOutcome};
 use reveille_common::plan::DutyCycle;
 use reveille_common::radio::{Air, FalseWakeUps, RadioSettings};
 use reveille_common::scenario::EnergyModel;
@@ -45,7 +47,7 @@ const MAX_SPAN_TTIS: u64 = 1 << 13;
 /// The outcome of a stimulus for a device.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SenseOutcome {
-    /// No effect: δ = 0, out of range, not detected, or removed.
+    /// No effect: δ = 0, out of range, not detected, failed, or removed.
     Nothing,
     /// The device would have detected the event, but could not pay for S1.
     Unpowered,
@@ -102,6 +104,7 @@ struct MachineState {
     is_open: bool,
     ledger_builder: LedgerBuilder,
     is_removed: bool,
+    has_failed: bool,
 }
 
 /// One device.
@@ -121,6 +124,8 @@ pub struct Machine {
     ledger_builder: LedgerBuilder,
     /// Whether the device is removed; it then stays unchanged.
     is_removed: bool,
+    /// Whether an operator has let the device fail.
+    has_failed: bool,
     /// The wake-up radio, if it can fail.
     wake_up_radio: Option<Box<WakeUpRadio>>,
     /// The first TTI from `next` on with a false wake-up, if the device is in S4 then.
@@ -143,6 +148,7 @@ impl Machine {
             is_open: false,
             ledger_builder: LedgerBuilder::new(physics.measured_from),
             is_removed: false,
+            has_failed: false,
             next_false_wake_up: wake_up_radio
                 .as_ref()
                 .map_or(Tti::NEVER, |radio| radio.next_false_wake_up()),
@@ -160,6 +166,7 @@ impl Machine {
             is_open: self.is_open,
             ledger_builder: self.ledger_builder.clone(),
             is_removed: self.is_removed,
+            has_failed: self.has_failed,
         }))
     }
 
@@ -181,15 +188,11 @@ impl Machine {
         while machine.harvest_source.next_arrival() < saved.next {
             machine.harvest_source.take_arrival();
         }
-        while machine.next_false_wake_up < saved.next {
-            let Some(wake_up_radio) = &mut machine.wake_up_radio else {
-                break;
-            };
-            machine.next_false_wake_up = wake_up_radio.take_false_wake_up();
-        }
+        machine.skip_false_wake_ups(saved.next);
         (machine.battery, machine.ledger_builder) = (saved.battery, saved.ledger_builder);
         (machine.duty, machine.state) = (saved.duty, saved.state);
-        (machine.next, machine.is_open, machine.is_removed) = (saved.next, saved.is_open, saved.is_removed);
+        (machine.next, machine.is_open) = (saved.next, saved.is_open);
+        (machine.is_removed, machine.has_failed) = (saved.is_removed, saved.has_failed);
         Ok(machine)
     }
 
@@ -233,6 +236,21 @@ impl Machine {
         self.state = DeviceState::Sleep { powered: false };
     }
 
+    /// Makes `change` at the start of TTI `k`, which must not have begun. Without effect if the change concerns other
+    /// devices or a setting, or the device is removed.
+    pub fn apply(&mut self, k: Tti, change: &Change) {
+        if self.is_removed || change.devices().is_none_or(|devices| !devices.contains(self.id)) {
+            return;
+        }
+        self.advance_to(k);
+        match *change {
+            Change::Fail(_) => self.has_failed = true,
+            Change::Revive(_) => self.has_failed = false,
+            Change::AddEnergy(_, energy) => self.battery.harvest(energy),
+            Change::Set(..) => {}
+        }
+    }
+
     /// Sets δ to `duty` from TTI `from` on.
     pub fn set_duty(&mut self, from: Tti, duty: DutyCycle) {
         if duty != self.duty && !self.is_removed {
@@ -266,6 +284,10 @@ impl Machine {
 
     fn catch_up(&mut self, k: Tti) {
         self.end_open_tti();
+        if self.has_failed {
+            self.advance_failed(k);
+            return;
+        }
         while self.next_false_wake_up < k {
             // A false wake-up costs energy within its TTI, so that TTI is not part of a span.
             let false_wake_up = self.next_false_wake_up;
@@ -274,6 +296,31 @@ impl Machine {
             self.end_open_tti();
         }
         self.advance_without_false_wake_ups(k);
+    }
+
+    /// Advances through the TTIs before `k`, in which the electronics are off and the battery only charges.
+    fn advance_failed(&mut self, k: Tti) {
+        while self.next < k {
+            if self.harvest_source.next_arrival() == self.next {
+                self.battery.harvest(self.harvest_source.take_arrival());
+            }
+            let span_end = self.harvest_source.next_arrival().min(k);
+            let ttis = span_end - self.next;
+            self.ledger_builder.record_off(ttis);
+            self.ledger_builder
+                .record_end(self.battery.level(), self.costs.e_tx, ttis);
+            self.next = span_end;
+        }
+        self.skip_false_wake_ups(k);
+    }
+
+    /// Consumes the false wake-ups before TTI `k`, which a failed device does not notice.
+    fn skip_false_wake_ups(&mut self, k: Tti) {
+        while self.next_false_wake_up < k
+            && let Some(wake_up_radio) = &mut self.wake_up_radio
+        {
+            self.next_false_wake_up = wake_up_radio.take_false_wake_up();
+        }
     }
 
     /// Advances through the TTIs before `k`, which must not contain a false wake-up.
@@ -304,6 +351,13 @@ impl Machine {
         if self.harvest_source.next_arrival() == k {
             self.battery.harvest(self.harvest_source.take_arrival());
         }
+        (self.next, self.is_open) = (k + 1, true);
+        if self.has_failed {
+            self.ledger_builder.record_off(1);
+            self.state = DeviceState::Failed;
+            self.skip_false_wake_ups(k + 1);
+            return;
+        }
         let is_on = self.duty.is_on(k);
         let cost = if is_on { self.costs.e_idle } else { self.costs.e_wur };
         let payment = self.battery.pay(cost);
@@ -316,8 +370,6 @@ impl Machine {
         if self.next_false_wake_up == k {
             self.apply_false_wake_up();
         }
-        self.next = k + 1;
-        self.is_open = true;
     }
 
     fn apply_false_wake_up(&mut self) {
@@ -378,9 +430,11 @@ impl Machine {
                 }
                 None => self.wake_without_detection(),
             },
-            DeviceState::Sleep { .. } | DeviceState::Idle | DeviceState::Active | DeviceState::Transmission => {
-                WakeOutcome::Missed
-            }
+            DeviceState::Sleep { .. }
+            | DeviceState::Idle
+            | DeviceState::Active
+            | DeviceState::Transmission
+            | DeviceState::Failed => WakeOutcome::Missed,
         }
     }
 

@@ -115,6 +115,7 @@ impl Observer for StepObserver {
             | Notification::WakeUpCompleted { .. }
             | Notification::BeliefUpdated { .. }
             | Notification::DevicesRemoved(_)
+            | Notification::ActionTaken(_)
             | Notification::EventEnded(_)
             | Notification::TtiClosed(_)
             | Notification::DeviceStates(_) => {}

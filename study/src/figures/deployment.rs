@@ -133,7 +133,7 @@ fn role(device: DeviceId, outcome: &TtiOutcome, state: DeviceState) -> DeviceRol
         DeviceState::Transmission => DeviceRole::Reporter,
         DeviceState::Idle | DeviceState::Active => DeviceRole::Sensing,
         DeviceState::Sleep { powered: true } => DeviceRole::Asleep,
-        DeviceState::Sleep { powered: false } => DeviceRole::WithoutPower,
+        DeviceState::Sleep { powered: false } | DeviceState::Failed => DeviceRole::WithoutPower,
     }
 }
 

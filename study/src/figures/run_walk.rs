@@ -49,6 +49,7 @@ impl Observer for TtiOutcome {
             | Notification::EventStarted(_)
             | Notification::ReportLost(_)
             | Notification::DevicesRemoved(_)
+            | Notification::ActionTaken(_)
             | Notification::WakeUpSent { .. }
             | Notification::BeliefUpdated { .. }
             | Notification::EventEnded(_)

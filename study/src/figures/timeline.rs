@@ -336,7 +336,7 @@ impl TtiAxis {
                     scene.area(lane(2.0), Paint::Colour(VERMILION), 1.0);
                 }
                 DeviceState::Sleep { powered: true } => scene.area(lane(3.0), Paint::Ink, 0.45),
-                DeviceState::Sleep { powered: false } => {
+                DeviceState::Sleep { powered: false } | DeviceState::Failed => {
                     scene.outlined(lane(3.0), Paint::Paper, Stroke::solid(Paint::Ink, 0.5));
                 }
             }

@@ -228,6 +228,7 @@ fn draw_grant(host: &Host, input: &mut Unstructured<'_>) -> Result<GrantMessage>
         } else {
             input.int_in_range(0..=3)?
         },
+        changes: 0,
     })
 }
 

@@ -1,5 +1,5 @@
-//! Detection in the reference, and the cause of a missed event. `docs/results.md` defines the causes. Removed devices
-//! do not occur here.
+//! Detection in the reference, and the cause of a missed event. `docs/results.md` defines the causes. Devices can fail
+//! here, but their processes are never lost.
 
 use reveille_bs::scenario::Scenario;
 use reveille_common::rng::{Purpose, unit_for_pair};
@@ -18,8 +18,9 @@ pub(super) fn detects(scenario: &Scenario, event: u64, j: usize, d: f64) -> bool
 
 /// Returns the cause of a missed event. `obstacles` tells whether a device in range had δ = 1 without the energy to
 /// sense, did not receive a wake-up, could not pay for a report, or sent a report that was lost. `detects` has an entry
-/// for each device within d_max: whether it would detect the event.
-pub(super) fn miss_cause(obstacles: [bool; 4], detects: &[bool]) -> MissCause {
+/// for each device within d_max that had not failed throughout: whether it would detect the event. `is_out_of_reach`
+/// tells that no device is within d_max.
+pub(super) fn miss_cause(obstacles: [bool; 4], detects: &[bool], is_out_of_reach: bool) -> MissCause {
     let causes = [
         MissCause::Unpowered,
         MissCause::WakeMissed,
@@ -28,7 +29,8 @@ pub(super) fn miss_cause(obstacles: [bool; 4], detects: &[bool]) -> MissCause {
     ];
     match obstacles.iter().rposition(|is_met| *is_met) {
         Some(furthest) => causes[furthest],
-        None if detects.is_empty() => MissCause::OutOfReach,
+        None if is_out_of_reach => MissCause::OutOfReach,
+        None if detects.is_empty() => MissCause::Removed,
         None if detects.contains(&true) => MissCause::Asleep,
         None => MissCause::Undetected,
     }

@@ -1,5 +1,7 @@
 //! One device of the reference, TTI by TTI: its state, battery and ledger.
 
+use reveille_common::ids::DeviceId;
+use reveille_common::message::Change;
 use reveille_common::scenario::EnergyModel;
 use reveille_common::totals::{DeviceTotals, EnergyByState, Ledger};
 use reveille_common::units::Energy;
@@ -24,6 +26,8 @@ pub enum ReferenceState {
     Asleep,
     /// S4, unpowered after an action that the battery could not pay.
     Unpowered,
+    /// An operator has let the device fail.
+    Failed,
 }
 
 /// One device and its ledger, micro-units.
@@ -46,6 +50,8 @@ pub(super) struct Device {
     /// Consecutive TTIs without power: current and longest.
     pub(super) outage: [u64; 2],
     pub(super) totals_at_warm_up_end: Option<DeviceTotals>,
+    /// The TTI in which an operator let the device fail, while it has failed.
+    pub(super) failed_since: Option<u64>,
 }
 
 impl Device {
@@ -66,7 +72,27 @@ impl Device {
             false_wake_ups: 0,
             outage: [0; 2],
             totals_at_warm_up_end: None,
+            failed_since: None,
         }
+    }
+
+    /// Makes an operator's change before TTI `k`; this device has the number `id`.
+    pub(super) fn act(&mut self, id: DeviceId, k: u64, change: &Change) {
+        match *change {
+            Change::Fail(range) if range.contains(id) => self.failed_since = self.failed_since.or(Some(k)),
+            Change::Revive(range) if range.contains(id) => self.failed_since = None,
+            Change::AddEnergy(range, energy) if range.contains(id) => self.store(energy.micro()),
+            Change::Fail(_) | Change::Revive(_) | Change::AddEnergy(..) | Change::Set(..) => {}
+        }
+    }
+
+    /// Stores the energy `arriving`; what does not fit is overflow.
+    pub(super) fn store(&mut self, arriving: u64) {
+        let room = self.costs.e_max.micro() - self.battery;
+        let stored = arriving.min(room);
+        self.harvested += arriving;
+        self.overflow += arriving - stored;
+        self.battery += stored;
     }
 
     /// Pays `cost`, or loses the remaining charge. Returns the energy that left the battery, and whether it was enough.

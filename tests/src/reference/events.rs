@@ -10,6 +10,8 @@ use reveille_common::rng::{Geometric, Purpose, Stream};
 pub(super) struct ReferenceEvents<'a> {
     scenario: &'a Scenario,
     phases: Option<BurstPhases>,
+    /// Start probability without phases.
+    constant_alpha: f64,
     /// Start probability in this TTI.
     alpha: f64,
     /// Number of the active event, or of the next.
@@ -87,6 +89,7 @@ impl<'a> ReferenceEvents<'a> {
         let mut events = Self {
             scenario,
             phases,
+            constant_alpha: scenario.events.alpha,
             alpha: f64::NAN,
             number: 0,
             threshold: f64::NAN,
@@ -103,11 +106,16 @@ impl<'a> ReferenceEvents<'a> {
         self.number
     }
 
+    /// Changes the start probability from the next TTI on.
+    pub(super) const fn set_alpha(&mut self, alpha: f64) {
+        self.constant_alpha = alpha;
+    }
+
     /// Advances to the next TTI and returns the start probability if no event is active.
     pub(super) fn next_tti(&mut self) -> f64 {
         self.alpha = match &mut self.phases {
             Some(phases) => phases.next_tti(),
-            None => self.scenario.events.alpha,
+            None => self.constant_alpha,
         };
         self.alpha
     }

@@ -6,6 +6,7 @@
 
 mod age_index;
 mod clusters;
+mod deployment;
 mod detection;
 mod device;
 mod estimate;
@@ -20,22 +21,29 @@ mod world;
 
 use reveille_bs::scenario::Scenario;
 use reveille_common::geometry::Point;
+use reveille_common::message::OperatorAction;
 
 pub use age_index::ReferenceAgeIndex;
 pub use clusters::clusters;
+use deployment::ReferenceDeployment;
 pub use device::ReferenceState;
 pub use i_min::least_information;
 pub use policy::ReferencePolicy;
 pub use q_learning::{ReferenceDutySelector, choose_by_ages};
 pub use search::reference_search;
 pub use world::ReferenceRun;
-use world::{ReferenceDeployment, play};
+use world::play;
 
 /// Runs `scenario` on the reference implementation.
 pub fn simulate(scenario: &Scenario) -> ReferenceRun {
+    simulate_with_actions(scenario, &[])
+}
+
+/// Runs `scenario` on the reference implementation, with the `actions` of operators in the order of TTIs.
+pub fn simulate_with_actions(scenario: &Scenario, actions: &[OperatorAction]) -> ReferenceRun {
     let deployment = ReferenceDeployment::of(scenario);
     let policy = build_policy(scenario, &deployment.positions);
-    play(scenario, &deployment, policy)
+    play(scenario, &deployment, policy, actions)
 }
 
 /// Creates the policy of `scenario` for devices at `positions`, including the search that `adjusted` needs.

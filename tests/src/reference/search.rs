@@ -7,9 +7,10 @@ use reveille_common::geometry::Point;
 use reveille_common::scenario::assign_classes;
 use reveille_lab::preparation::prepare;
 
+use super::deployment::ReferenceDeployment;
 use super::i_min::least_information;
 use super::policy::ReferencePolicy;
-use super::world::{ReferenceDeployment, play};
+use super::world::play;
 
 /// Difference between the seeds of pilot runs and the run, as in the emulator.
 const PILOT_SEED_OFFSET: u64 = 0x5EED_0F91_1070_0500;
@@ -66,7 +67,7 @@ pub fn reference_search(scenario: &Scenario, positions: &[Point]) -> Option<(u64
         for &pair in &pairs {
             // The offsets come from the run itself, not from the pilot.
             let policy = ReferencePolicy::adjusted(scenario, positions, pair);
-            let run = play(&pilot_scenario, &deployment, policy);
+            let run = play(&pilot_scenario, &deployment, policy, &[]);
             if run.ambiguous.is_some() {
                 return None;
             }

@@ -1,16 +1,16 @@
 //! The model in the reference, TTI by TTI: devices, events and their outcomes.
 
 use reveille_bs::scenario::Scenario;
-use reveille_common::deployment::Deployment;
 use reveille_common::event::EventRecord;
 use reveille_common::geometry::Point;
-use reveille_common::ids::{EventId, Tti};
-use reveille_common::scenario::assign_classes;
+use reveille_common::ids::{DeviceId, EventId, Tti};
+use reveille_common::message::{Change, OperatorAction, Setting};
 use reveille_common::sensing::{DetectionKind, Fusion};
 use reveille_common::totals::{DeviceTotals, EventTally, EventTotals, Ledger, MissCause, RadioLosses};
 use reveille_common::units::Energy;
 
 use super::clusters::distance;
+use super::deployment::ReferenceDeployment;
 use super::detection::{detects, miss_cause};
 use super::device::{Device, ReferenceState, S1, S3, S4};
 use super::estimate::ReferenceEstimate;
@@ -52,31 +52,20 @@ pub struct ReferenceRun {
     pub ambiguous: Option<u64>,
 }
 
-/// Positions and classes of the devices.
-#[derive(Clone, Debug)]
-pub(super) struct ReferenceDeployment {
-    pub(super) positions: Vec<Point>,
-    pub(super) classes: Vec<u16>,
-    /// Whether harvest traces are played; otherwise their mean arrives in each TTI.
-    pub(super) plays_traces: bool,
-}
-
-impl ReferenceDeployment {
-    pub(super) fn of(scenario: &Scenario) -> Self {
-        Self {
-            positions: Deployment::new(scenario).positions(),
-            classes: assign_classes(scenario),
-            plays_traces: true,
-        }
-    }
-}
-
-/// Runs `scenario` on `deployment` with `policy`.
-pub(super) fn play(scenario: &Scenario, deployment: &ReferenceDeployment, policy: ReferencePolicy) -> ReferenceRun {
+/// Runs `scenario` on `deployment` with `policy` and the `actions` of operators, in the order of TTIs.
+pub(super) fn play(
+    scenario: &Scenario,
+    deployment: &ReferenceDeployment,
+    policy: ReferencePolicy,
+    actions: &[OperatorAction],
+) -> ReferenceRun {
     let mut world = ReferenceWorld::new(scenario, deployment, policy);
     for k in 0..scenario.run.ttis {
         if k == world.warm_up_end {
             world.begin_measuring();
+        }
+        for action in actions.iter().filter(|action| action.tti.0 == k) {
+            world.act(k, &action.change);
         }
         world.begin(k);
         world.harvest(k);
@@ -186,6 +175,16 @@ impl<'a> ReferenceWorld<'a> {
         }
     }
 
+    /// Before a TTI: an operator's change.
+    fn act(&mut self, k: u64, change: &Change) {
+        for (device, id) in self.devices.iter_mut().zip((0..).map(DeviceId)) {
+            device.act(id, k, change);
+        }
+        if let Change::Set(Setting::EventRate, alpha) = *change {
+            self.process.set_alpha(alpha);
+        }
+    }
+
     /// Before step 1: transmits the plan.
     fn begin(&mut self, k: u64) {
         let is_plan_sent = k.is_multiple_of(self.scenario.bs.sync_interval);
@@ -200,17 +199,20 @@ impl<'a> ReferenceWorld<'a> {
     fn harvest(&mut self, k: u64) {
         for device in &mut self.devices {
             let arriving = device.source.arriving(k);
-            let room = device.costs.e_max.micro() - device.battery;
-            let stored = arriving.min(room);
-            device.harvested += arriving;
-            device.overflow += arriving - stored;
-            device.battery += stored;
+            device.store(arriving);
         }
     }
 
     /// Step 2: duty cycles.
     fn apply_duty(&mut self, k: u64) {
         for (j, device) in self.devices.iter_mut().enumerate() {
+            // Counts down in every TTI, whatever the state.
+            let has_false_wake_up = self.radio.has_false_wake_up(j);
+            if device.failed_since.is_some() {
+                device.state = ReferenceState::Failed;
+                device.outage[0] = 0;
+                continue;
+            }
             let is_paid;
             let commanded_state = if self.policy.senses(j, k) && self.radio.has_plan(j) {
                 (_, is_paid) = device.pay(device.costs.e_idle, S1);
@@ -230,8 +232,7 @@ impl<'a> ReferenceWorld<'a> {
             } else {
                 ReferenceState::Unpowered
             };
-            // `has_false_wake_up` comes first in the condition: it counts down in every TTI, whatever the state.
-            if self.radio.has_false_wake_up(j) && device.state == ReferenceState::Asleep {
+            if has_false_wake_up && device.state == ReferenceState::Asleep {
                 device.false_wake_ups += 1;
                 let (_, is_paid) = device.pay(device.costs.e_idle, S4);
                 if !is_paid {
@@ -473,9 +474,11 @@ impl<'a> ReferenceWorld<'a> {
     fn miss_cause(&self, event: &Event) -> Option<MissCause> {
         let positions = self.positions.iter().enumerate();
         let distances = positions.map(|(j, position)| (j, distance(*position, event.epicentre)));
-        let near = distances.filter(|(_, d)| *d <= self.scenario.sensing.d_max);
-        let detects: Vec<bool> = near.map(|(j, d)| self.detects(j, d)).collect();
-        (event.tally.reports == 0).then(|| miss_cause(event.obstacles, &detects))
+        let near: Vec<_> = distances.filter(|(_, d)| *d <= self.scenario.sensing.d_max).collect();
+        let has_failed = |j: usize| self.devices[j].failed_since.is_some_and(|since| since <= event.start);
+        let active = near.iter().filter(|(j, _)| !has_failed(*j));
+        let detects: Vec<bool> = active.map(|&(j, d)| self.detects(j, d)).collect();
+        (event.tally.reports == 0).then(|| miss_cause(event.obstacles, &detects, near.is_empty()))
     }
 
     /// Step 7: accounting.

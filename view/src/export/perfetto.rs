@@ -159,7 +159,7 @@ impl<W: Write> PerfettoWriter<W> {
         }
         self.mirror.apply(frame, &message)?;
         match (&message, device) {
-            (Message::Plan(_) | Message::Removed(_), _) => {
+            (Message::Plan(_) | Message::Removed(_) | Message::Action(_), _) => {
                 self.write_instant(frame.tti, STATION_TRACK, &message.to_string(), None)?;
             }
             (Message::Wake(_), Some(device)) => {
@@ -325,5 +325,6 @@ const fn state_name(state: DeviceState) -> &'static str {
         DeviceState::Transmission => "S3 transmission",
         DeviceState::Sleep { powered: true } => "S4 sleep",
         DeviceState::Sleep { powered: false } => "S4 sleep, unpowered",
+        DeviceState::Failed => "failed",
     }
 }

@@ -262,6 +262,10 @@ impl<S: StepSink + 'static> Policy for RecordingPolicy<S> {
             .take_wake_up_answer(&self.battery_source.for_policy(seen), report);
     }
 
+    fn set_price(&mut self, known: &Knowledge, price: f64) {
+        self.policy.set_price(known, price);
+    }
+
     fn summary_facts(&self) -> Vec<(&'static str, f64)> {
         self.policy.summary_facts()
     }

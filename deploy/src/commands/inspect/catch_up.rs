@@ -8,14 +8,15 @@
 //!                             (its plan may be missed, so its frames are dropped)
 //! ```
 //! The last TTI of a grant is replayed once the next grant begins or the run ends. Only then does the input log have
-//! the devices removed in that TTI and the decisions of a policy process.
+//! the devices removed in that TTI and the decisions of a policy process. Actions in the TTI from which on frames are
+//! received come from the log too, since their frames may be missed.
 
 use anyhow::{Context, bail};
 use reveille_bs::observer::frames::FrameObserver;
 use reveille_bs::scenario::Scenario;
 use reveille_common::ids::Tti;
 use reveille_common::message::{ClockMessage, ClockStatus, Frame, Message};
-use reveille_lab::external_inputs::{ExternalInput, ExternalInputs, InputLogParser};
+use reveille_lab::external_inputs::InputLogParser;
 use reveille_lab::preparation::prepare;
 use reveille_lab::run::{Run, RunOptions};
 
@@ -73,8 +74,7 @@ impl CatchUp {
     /// # Errors
     /// If the part does not belong to a log of this run.
     pub(crate) fn read_input_log(&mut self, part: &[u8]) -> anyhow::Result<bool> {
-        let known = self.log.inputs();
-        let (outages, decisions) = (known.outages.len(), known.decisions.len());
+        let known = self.log.inputs().counts();
         // A part can end within a line, whose rest comes with the next part.
         let whole_bytes = part.iter().rposition(|byte| *byte == b'\n').map_or(0, |last| last + 1);
         let text = std::str::from_utf8(&part[..whole_bytes]).context(LOG_CONTEXT)?;
@@ -82,15 +82,7 @@ impl CatchUp {
         self.bytes_read += length as u64;
         // A started replay lacks only the new inputs; `replay_until` passes on all others at its start.
         if let Some(run) = &mut self.run {
-            let ExternalInputs {
-                outages: outages_now,
-                decisions: decisions_now,
-            } = self.log.inputs();
-            outages_now[outages..]
-                .iter()
-                .for_each(|outage| run.schedule_input(ExternalInput::Outage(*outage)));
-            let new = decisions_now[decisions..].iter().cloned();
-            new.for_each(|decision| run.schedule_input(ExternalInput::Decision(decision)));
+            run.schedule_inputs(&self.log.inputs().after(known));
         }
         Ok(length > 0)
     }
@@ -177,6 +169,9 @@ impl CatchUp {
         if self.replay_until(received_from, &mut on_frame)? {
             // The replay is not needed any more, and can be large.
             (self.is_over, self.run) = (true, None);
+            let actions = self.log.inputs().actions.iter();
+            let due_actions = actions.filter(|action| action.tti == received_from);
+            due_actions.for_each(|action| on_frame(Frame::new(action.tti, (), action)));
             on_frame(frame);
         }
         Ok(())
@@ -191,11 +186,12 @@ mod tests {
     use reveille_bs::policy::outside;
     use reveille_common::ids::DeviceId;
     use reveille_common::io::Disk;
-    use reveille_common::message::{DeviceRemoval, MessageKind, Pace};
+    use reveille_common::message::{Change, DeviceRange, DeviceRemoval, MessageKind, OperatorAction, Pace, Setting};
     use reveille_common::plan::Plan;
     use reveille_common::rng::{Purpose, Stream};
     use reveille_common::scenario::{Override, load};
-    use reveille_lab::external_inputs::{first_line, line};
+    use reveille_common::units::Energy;
+    use reveille_lab::external_inputs::{ExternalInput, ExternalInputs, first_line, line};
     use reveille_lab::stepped_run::SteppedRun;
 
     use super::*;
@@ -235,6 +231,26 @@ mod tests {
             let inputs = removals
                 .map(|(index, _)| index)
                 .zip(outages.iter().copied().map(ExternalInput::Outage))
+                .collect();
+            Self { frames, inputs }
+        }
+
+        /// Creates a run with actions, logged at the start if `scripted`, otherwise just before they take effect.
+        fn with_actions(scenario: &Scenario, actions: &[OperatorAction], lookahead: bool, scripted: bool) -> Self {
+            let mut frames = Vec::new();
+            let options = RunOptions {
+                lookahead,
+                ..RunOptions::default()
+            };
+            let mut run = Run::new(&prepare(scenario), options);
+            run.schedule_inputs(&ExternalInputs::from_actions(actions));
+            run.finish(&mut FrameObserver::new(0, |frame| frames.push(frame)));
+            let indices = frames.iter().enumerate();
+            let indices = indices.filter(|(_, frame)| frame.kind == MessageKind::Action);
+            let logged = actions.iter().copied().map(ExternalInput::Action);
+            let inputs = indices
+                .map(|(index, _)| if scripted { 0 } else { index })
+                .zip(logged)
                 .collect();
             Self { frames, inputs }
         }
@@ -365,6 +381,31 @@ mod tests {
             let received = ReceivedRun::new(&scenario, &outages, lookahead);
             assert_eq!(received.inputs.len(), outages.len());
             received.assert_complete_from_any_frame(&scenario);
+        }
+    }
+
+    #[test]
+    fn a_late_observer_receives_actions() {
+        let range = |first, count| DeviceRange {
+            first: DeviceId(first),
+            count,
+        };
+        let changes = [
+            (0, Change::Fail(range(3, 2))),
+            (40, Change::Fail(range(0, 9))),
+            (40, Change::AddEnergy(range(4, 9), Energy::from_micro(3_000_000))),
+            (41, Change::Revive(range(0, 20))),
+            (100, Change::Set(Setting::EventRate, 0.5)),
+            (239, Change::Fail(range(0, 20))),
+        ];
+        let actions = changes.map(|(tti, change)| OperatorAction { tti: Tti(tti), change });
+        for (policy, lookahead) in [("knn", true), ("age-index", true), ("age-index", false)] {
+            let scenario = scenario_of_policy(policy);
+            for scripted in [false, true] {
+                let received = ReceivedRun::with_actions(&scenario, &actions, lookahead, scripted);
+                assert_eq!(received.inputs.len(), actions.len());
+                received.assert_complete_from_any_frame(&scenario);
+            }
         }
     }
 

@@ -3,12 +3,13 @@
 import { get } from "./api.js";
 import { ttiText } from "./axis.js";
 import { Chart } from "./chart.js";
+import { showActions } from "./device_actions.js";
 import { byId, element, page } from "./page_state.js";
 import { ink } from "./theme.js";
 
 const TTIS_BEFORE = 300, TTIS_AFTER = 100;
-const STATE_COLOURS = { 1: "--accent", 2: "--event", 3: "--event", 4: "--asleep", 0: "--unpowered" };
-const STATE_NAMES = { 1: "S1 senses", 2: "S2 active", 3: "S3 reports", 4: "S4 sleeps", 0: "S4, unpowered" };
+const STATE_COLOURS = { 1: "--accent", 2: "--event", 3: "--event", 4: "--asleep", 0: "--unpowered", x: "--out" };
+const STATE_NAMES = { 1: "S1 senses", 2: "S2 active", 3: "S3 reports", 4: "S4 sleeps", 0: "S4, unpowered", x: "failed by an operator" };
 
 let chart, requested = 0;
 
@@ -41,6 +42,7 @@ export async function showDevice() {
   const cluster = run.groups ? ` · cluster ${run.groups[device]}` : "", deviceClass = run.classes.length > 1 ? ` · class ${run.classes[run.device_classes[device]]}` : "";
   byId("one-title").textContent = `Device ${device}`;
   byId("one-facts").textContent = `${STATE_NAMES[history.states[tti - history.from]] ?? ""}${cluster}${deviceClass} · at (${run.positions[device].x.toFixed(1)}, ${run.positions[device].y.toFixed(1)}) m`;
+  if (run.controls) showActions(now.states[device]);
   chart ??= new Chart(byId("history"), {
     id: "device", title: "Battery and states", unit: "units", series: [""], emptyText: "no history", onChoose: page.onChooseTti, decorate: (draw, bottom) => paintStates(draw, chart.history, bottom),
   });

@@ -3,6 +3,7 @@
 import { followRun, get } from "./api.js";
 import { Charts } from "./charts.js";
 import { command, pauseOrResume, startClock } from "./clock.js";
+import { startActions } from "./device_actions.js";
 import { otherMoment, showCompare, startCompare } from "./compare.js";
 import { showDevice } from "./device_panel.js";
 import { showLastEvents, showMiss, startEvents } from "./events_panel.js";
@@ -188,7 +189,10 @@ async function begin() {
   startMessages(report);
   listen();
   page.follows = page.run.live;
-  if (page.run.controls) report(startClock());
+  if (page.run.controls) {
+    startActions();
+    report(startClock());
+  }
   receive(page.now);
   await show(page.run.live ? page.now.next - 1 : page.now.first);
   refreshOften();

@@ -7,7 +7,7 @@ import { batteryColour, batteryShare, hiddenCanvas, ink } from "./theme.js";
 const LEVELS = 32;
 // The share of changed devices from which all are painted.
 const MANY = 0.4;
-const SYMBOLS_BELOW = ["asleep", "unpowered", "sensing"];
+const SYMBOLS_BELOW = ["asleep", "unpowered", "out", "sensing"];
 
 export class DeviceLayer {
   constructor(map) {

@@ -10,11 +10,12 @@ export const SYMBOLS = {
   failed: "lacked energy, or report lost",
   asleep: "sleeps (S4)",
   unpowered: "unpowered (S4)",
+  out: "failed by an operator",
 };
 
 // The symbol of each device in a moment.
 export function symbolsOf(moment) {
-  const symbols = [...moment.states].map((state) => ({ 0: "unpowered", 1: "sensing", 2: "reporting", 3: "reporting", 4: "asleep" })[state]);
+  const symbols = [...moment.states].map((state) => ({ 0: "unpowered", 1: "sensing", 2: "reporting", 3: "reporting", 4: "asleep", x: "out" })[state]);
   for (const device of [...(moment.failed ?? []), ...(moment.lost ?? [])]) symbols[device] = "failed";
   for (const { device, outcome } of moment.woken ?? []) symbols[device] = outcome.Reported ? "woken" : "failed";
   return symbols;
@@ -50,13 +51,19 @@ export function drawSymbol(draw, symbol, x, y, size, fill) {
   }
   draw.fill();
   draw.stroke();
-  if (symbol !== "unpowered" && symbol !== "failed") return;
+  if (symbol !== "unpowered" && symbol !== "failed" && symbol !== "out") return;
   draw.beginPath();
-  for (const turn of [1, -1]) {
+  // A failed device is crossed upright, so that its mark differs from lack of energy in shape too.
+  if (symbol === "out") {
+    draw.moveTo(x - 1.4 * size, y);
+    draw.lineTo(x + 1.4 * size, y);
+    draw.moveTo(x, y - 1.4 * size);
+    draw.lineTo(x, y + 1.4 * size);
+  } else for (const turn of [1, -1]) {
     draw.moveTo(x - size, y - turn * size);
     draw.lineTo(x + size, y + turn * size);
   }
-  draw.strokeStyle = ink(symbol === "failed" ? "--event" : "--unpowered");
-  draw.lineWidth = symbol === "failed" ? 2.5 : 1.5;
+  draw.strokeStyle = ink({ failed: "--event", unpowered: "--unpowered", out: "--out" }[symbol]);
+  draw.lineWidth = symbol === "unpowered" ? 1.5 : 2.5;
   draw.stroke();
 }

@@ -9,7 +9,7 @@ export const TILE_ROWS = 32;
 export const MAX_STEP = 512;
 
 // Flags of a column, as in `timeline.rs`.
-export const SENSING = 1, REPORTING = 2, ASLEEP = 4, UNPOWERED = 8, REPORTED = 16, WAKE_UP_SENT = 32, FAILED = 64;
+export const SENSING = 1, REPORTING = 2, ASLEEP = 4, UNPOWERED = 8, REPORTED = 16, WAKE_UP_SENT = 32, FAILED = 64, OUT = 128;
 
 const MAX_TILES = 60;
 const MAX_REQUESTS = 2;

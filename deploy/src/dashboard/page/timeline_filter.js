@@ -15,7 +15,7 @@ export function parseNumbers(text, end) {
   return numbers;
 }
 
-const STATES = { S1: "1", S3: "23", S4: "4", unpowered: "0" };
+const STATES = { S1: "1", S3: "23", S4: "4", unpowered: "0", failed: "x" };
 
 // The devices that pass the fields of the form, in the order of ids.
 export function filterDevices(form) {

@@ -1,6 +1,6 @@
 // The picture of a tile of the timeline: for each device a band of states above a small area chart of its battery.
 
-import { FAILED, REPORTING, REPORTED, TILE_COLUMNS, UNPOWERED, WAKE_UP_SENT } from "./timeline_data.js";
+import { FAILED, OUT, REPORTING, REPORTED, TILE_COLUMNS, UNPOWERED, WAKE_UP_SENT } from "./timeline_data.js";
 import { ink, rgb } from "./theme.js";
 
 // Height of a row and of its parts, in pixels.
@@ -17,6 +17,7 @@ class Palette {
     this.reporting = packed(rgb("--event"));
     this.woken = packed(rgb("--woken"));
     this.failed = packed(rgb("--alarm"));
+    this.out = packed(rgb("--out"));
     this.battery = packed(rgb("--battery"));
     this.levels = [asleep, unpowered].map((base) => Array.from({ length: 256 }, (_, share) => packed(mix(base, sensing, share / 255))));
   }
@@ -25,6 +26,7 @@ class Palette {
     if (flags & FAILED) return this.failed;
     if (flags & WAKE_UP_SENT) return this.woken;
     if (flags & (REPORTED | REPORTING)) return this.reporting;
+    if (flags & OUT) return this.out;
     return this.levels[flags & UNPOWERED ? 1 : 0][sensing];
   }
 }

@@ -66,7 +66,9 @@ impl TtiPath {
             // A device that could not pay for δ has spent less than its cost; otherwise the transmission failed.
             DeviceState::Sleep { powered: false } if spent < cost => (S4, None),
             DeviceState::Sleep { powered: false } => (initial_state, Some(S4)),
-            DeviceState::Active => unreachable!("S2 is left within the TTI"),
+            DeviceState::Active | DeviceState::Failed => {
+                unreachable!("S2 is left within the TTI, and the run has no operator")
+            }
         };
         Self {
             first_state,

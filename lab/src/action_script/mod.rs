@@ -1,0 +1,296 @@
+//! Scripts of timed actions (`--actions FILE`): text, one line for each action or repeated action.
+//!
+//! ```text
+//! 500 fail 7                                  # device 7 fails at the start of TTI 500
+//! 500 fail 3,10-14 for 400                    # these devices fail, and are revived 400 TTIs later
+//! 900 energy 7 2.5                            # device 7 receives 2.5 units
+//! 1000 set events.alpha 0.05
+//! from 0 to 6000 every 600 fail 0-49 for 60 at random
+//! ```
+//! A script becomes the same external inputs in every run of a scenario, in memory and over the bus: random times
+//! depend on the seed of the scenario only.
+
+use std::str::FromStr;
+
+use reveille_bs::actions::check_change;
+use reveille_bs::scenario::Scenario;
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::message::{Change, DeviceRange, OperatorAction, Setting};
+use reveille_common::rng::{Purpose, Stream};
+use reveille_common::units::{Energy, MAX_UNITS};
+
+/// Most actions of a script.
+const MAX_ACTIONS: usize = 10_000_000;
+
+/// The forms of a line, for errors.
+const FORMS: &str = "use `TTI ACTION` or `from TTI [to TTI] every TTIS ACTION [at random]`, where ACTION is `fail \
+    DEVICES [for TTIS]`, `revive DEVICES`, `energy DEVICES UNITS` or `set FIELD VALUE`";
+
+/// A line that is not an action of the run.
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+#[error("line {line}: {cause}")]
+pub struct ScriptError {
+    /// The line number, from 1.
+    line: usize,
+    /// The cause and the fix.
+    cause: String,
+}
+
+/// Parses a script for a run of `scenario`. Returns its actions in the order of TTIs, and those of one TTI in the order
+/// of lines.
+///
+/// # Errors
+/// If a line has none of the forms, or names an impossible action.
+pub fn parse(text: &str, scenario: &Scenario) -> Result<Vec<OperatorAction>, ScriptError> {
+    let mut actions = Vec::new();
+    for (line, text) in (1..).zip(text.lines()) {
+        let words: Vec<&str> = text.split('#').next().unwrap_or_default().split_whitespace().collect();
+        if words.is_empty() {
+            continue;
+        }
+        let added = parse_line(&words).and_then(|parsed| parsed.add_to(&mut actions, line as u64, scenario));
+        added.map_err(|cause| ScriptError { line, cause })?;
+    }
+    // Stable, so that a revival precedes the next failure in the same TTI.
+    actions.sort_by_key(|action| action.tti);
+    Ok(actions)
+}
+
+/// The times of a line.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Times {
+    Once(u64),
+    /// In each whole period from a TTI on, before `to`.
+    Repeated {
+        from: u64,
+        to: Option<u64>,
+        every: u64,
+        at_random: bool,
+    },
+}
+
+/// A line of a script.
+#[derive(Clone, Debug, PartialEq)]
+struct ScriptLine {
+    times: Times,
+    changes: Vec<Change>,
+    /// The duration of a failure, TTIs.
+    duration: Option<u64>,
+}
+
+/// Parses a list of devices and ranges, such as `3,7,10-14`.
+///
+/// # Errors
+/// If the text is no such list.
+pub fn parse_devices(text: &str) -> Result<Vec<DeviceRange>, String> {
+    let range = |item: &str| {
+        let (first, last) = item.split_once('-').unwrap_or((item, item));
+        let (first, last): (u32, u32) = (first.trim().parse().ok()?, last.trim().parse().ok()?);
+        let count = last.checked_sub(first)?.checked_add(1)?;
+        Some(DeviceRange {
+            first: DeviceId(first),
+            count,
+        })
+    };
+    let ranges = text.split(',').map(range).collect::<Option<Vec<_>>>();
+    ranges.ok_or_else(|| format!("`{text}` must be devices and ranges of devices, such as 3,7,10-14"))
+}
+
+/// Parses an amount of energy, units.
+///
+/// # Errors
+/// If the text is not an amount that a battery can receive.
+pub fn parse_energy(text: &str) -> Result<Energy, String> {
+    let energy = text.parse().ok().and_then(Energy::from_units);
+    let energy = energy.filter(|energy| *energy > Energy::ZERO);
+    energy.ok_or_else(|| format!("`{text}` must be an energy above 0, at most {MAX_UNITS} units"))
+}
+
+/// Parses the field of a setting that can change during a run.
+///
+/// # Errors
+/// If there is no such setting.
+pub fn parse_setting(text: &str) -> Result<Setting, String> {
+    let fields = Setting::ALL.map(Setting::field).join(" or ");
+    Setting::from_field(text).ok_or_else(|| format!("`{text}` cannot change during a run; use {fields}"))
+}
+
+/// Parses a number, named `what` in the error.
+fn number<T: FromStr>(word: &str, what: &str) -> Result<T, String> {
+    word.parse().map_err(|_| format!("`{word}` must be {what}"))
+}
+
+fn parse_line(words: &[&str]) -> Result<ScriptLine, String> {
+    let whole = |word: &str| number::<u64>(word, "a whole number of TTIs");
+    let (times, action) = match words {
+        ["from", from, "to", to, "every", every, rest @ ..] => {
+            (repeated(whole(from)?, Some(whole(to)?), whole(every)?), rest)
+        }
+        ["from", from, "every", every, rest @ ..] => (repeated(whole(from)?, None, whole(every)?), rest),
+        ["from", ..] => return Err(format!("incomplete repetition; {FORMS}")),
+        [tti, rest @ ..] => (Times::Once(number(tti, "the TTI of the action, or `from`")?), rest),
+        [] => return Err(FORMS.to_owned()),
+    };
+    let (times, action) = match (times, action) {
+        (Times::Repeated { from, to, every, .. }, [action @ .., "at", "random"]) => {
+            let at_random = true;
+            (
+                Times::Repeated {
+                    from,
+                    to,
+                    every,
+                    at_random,
+                },
+                action,
+            )
+        }
+        (Times::Once(_), [.., "at", "random"]) => {
+            return Err("`at random` needs a repetition; start the line with `from TTI every TTIS`".to_owned());
+        }
+        (times, action) => (times, action),
+    };
+    let on_devices = |devices: &str, change: fn(DeviceRange) -> Change| -> Result<Vec<Change>, String> {
+        Ok(parse_devices(devices)?.into_iter().map(change).collect())
+    };
+    let (changes, duration) = match action {
+        ["fail", devices] => (on_devices(devices, Change::Fail)?, None),
+        ["fail", devices, "for", ttis] => (on_devices(devices, Change::Fail)?, Some(whole(ttis)?)),
+        ["revive", devices] => (on_devices(devices, Change::Revive)?, None),
+        ["energy", devices, units] => {
+            let energy = parse_energy(units)?;
+            let ranges = parse_devices(devices)?.into_iter();
+            (ranges.map(|range| Change::AddEnergy(range, energy)).collect(), None)
+        }
+        ["set", field, value] => (
+            vec![Change::Set(parse_setting(field)?, number(value, "a number")?)],
+            None,
+        ),
+        [] => return Err(format!("the action is missing; {FORMS}")),
+        _ => return Err(format!("`{}` is not an action; {FORMS}", action.join(" "))),
+    };
+    Ok(ScriptLine {
+        times,
+        changes,
+        duration,
+    })
+}
+
+const fn repeated(from: u64, to: Option<u64>, every: u64) -> Times {
+    Times::Repeated {
+        from,
+        to,
+        every,
+        at_random: false,
+    }
+}
+
+impl ScriptLine {
+    /// Appends the actions of line number `line` in a run of `scenario`.
+    fn add_to(&self, actions: &mut Vec<OperatorAction>, line: u64, scenario: &Scenario) -> Result<(), String> {
+        let ttis = scenario.run.ttis;
+        for change in &self.changes {
+            check_change(change, scenario)?;
+        }
+        if self.duration == Some(0) {
+            return Err("a failure lasts at least 1 TTI; use `for` with a larger number".to_owned());
+        }
+        match self.times {
+            Times::Once(tti) if tti >= ttis => Err(format!("TTI {tti} is not in the run; use TTIs before {ttis}")),
+            Times::Once(tti) => {
+                let changes = self.changes.iter();
+                changes
+                    .into_iter()
+                    .try_for_each(|change| self.add(actions, tti, *change, ttis))
+            }
+            Times::Repeated {
+                from,
+                to,
+                every,
+                at_random,
+            } => {
+                if from >= ttis {
+                    return Err(format!("TTI {from} is not in the run; use TTIs before {ttis}"));
+                }
+                if to.is_some_and(|to| to <= from) {
+                    return Err("`to` must be after `from`".to_owned());
+                }
+                let duration = self.duration.unwrap_or(1);
+                if every < duration || every == 0 || (self.duration.is_some() && every == duration) {
+                    return Err(format!(
+                        "`every` {every} must be longer than the failure; use a larger number"
+                    ));
+                }
+                let end = to.unwrap_or(ttis).min(ttis);
+                if at_random {
+                    return self.add_at_random(actions, (from, end, every - duration), every, line, scenario);
+                }
+                let mut starts = (from..end).step_by(usize::try_from(every).unwrap_or(usize::MAX));
+                starts.try_for_each(|tti| {
+                    let mut changes = self.changes.iter();
+                    changes.try_for_each(|change| self.add(actions, tti, *change, ttis))
+                })
+            }
+        }
+    }
+
+    /// Appends the actions at random times: one for each device and period, at most `slack` TTIs after the start of the
+    /// period.
+    fn add_at_random(
+        &self,
+        actions: &mut Vec<OperatorAction>,
+        (from, end, slack): (u64, u64, u64),
+        every: u64,
+        line: u64,
+        scenario: &Scenario,
+    ) -> Result<(), String> {
+        for change in &self.changes {
+            let Some(range) = change.devices() else {
+                return Err("a setting has no devices, whose times could differ; leave out `at random`".to_owned());
+            };
+            for device in range.devices() {
+                let one = DeviceRange {
+                    first: device,
+                    count: 1,
+                };
+                let change = match *change {
+                    Change::Fail(_) => Change::Fail(one),
+                    Change::Revive(_) => Change::Revive(one),
+                    Change::AddEnergy(_, energy) => Change::AddEnergy(one, energy),
+                    Change::Set(..) => *change,
+                };
+                let id = line << 32 | u64::from(device.0);
+                let mut stream = Stream::new(scenario.run.seed, Purpose::Actions, id);
+                for start in (from..end).step_by(usize::try_from(every).unwrap_or(usize::MAX)) {
+                    let tti = start.saturating_add(stream.below(slack + 1));
+                    if tti < end {
+                        self.add(actions, tti, change, scenario.run.ttis)?;
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Appends `change` in TTI `tti`, and the revival after a failure that lasts.
+    fn add(&self, actions: &mut Vec<OperatorAction>, tti: u64, change: Change, ttis: u64) -> Result<(), String> {
+        if actions.len() >= MAX_ACTIONS {
+            return Err(format!(
+                "the script has more than {MAX_ACTIONS} actions; use longer periods or fewer devices"
+            ));
+        }
+        actions.push(OperatorAction { tti: Tti(tti), change });
+        if let (Some(duration), Change::Fail(range)) = (self.duration, change)
+            && let revival = tti.saturating_add(duration)
+            && revival < ttis
+        {
+            actions.push(OperatorAction {
+                tti: Tti(revival),
+                change: Change::Revive(range),
+            });
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,223 @@
+//! Actions of operators in runs over the bus: scripted and live actions, killed device processes and base stations. The
+//! digest equals the replay in memory. `hostile_peer` tests that a stranger cannot act.
+
+use reveille_bs::observer::{Notification, Observer};
+use reveille_common::message::{Change, OperatorAction};
+use reveille_lab::external_inputs::ExternalInputs;
+use reveille_lab::preparation::start;
+use reveille_lab::run::RunOptions;
+use reveille_tests::process::{
+    PATIENCE, SummaryJson, TestFolder, assert_refused, hosts_of, send_signal, unique_run, wait_until,
+};
+use reveille_tests::scenarios::{actions, paper};
+use rustix::process::Signal;
+
+/// Returns the actions as a script.
+fn script(actions: &[OperatorAction]) -> String {
+    let line = |OperatorAction { tti, change }: &OperatorAction| {
+        let devices = change.devices().map_or_else(String::new, |range| {
+            format!("{}-{}", range.first, range.first.0 + range.count - 1)
+        });
+        match change {
+            Change::Fail(_) => format!("{tti} fail {devices}\n"),
+            Change::Revive(_) => format!("{tti} revive {devices}\n"),
+            Change::AddEnergy(_, energy) => format!("{tti} energy {devices} {}\n", energy.units()),
+            Change::Set(setting, value) => format!("{tti} set {} {value}\n", setting.field()),
+        }
+    };
+    actions.iter().map(line).collect()
+}
+
+/// Counts the actions that take effect.
+#[derive(Default)]
+struct ActionCounter(usize);
+
+impl Observer for ActionCounter {
+    fn notify(&mut self, notification: &Notification<'_>) {
+        self.0 += usize::from(matches!(notification, Notification::ActionTaken(_)));
+    }
+}
+
+#[test]
+fn fifty_random_scripts_have_the_same_digest_over_the_bus_and_in_memory() {
+    let folder = TestFolder::new();
+    for seed in 0..50_u64 {
+        let policy = ["age-index", "knn", "q-learning", "random", "adjusted"][seed as usize % 5];
+        let (devices, ttis) = (8 + seed % 7, 120 + 10 * seed);
+        let scenario = paper(&[
+            &format!("devices={devices}"),
+            &format!("ttis={ttis}"),
+            &format!("seed={seed}"),
+            &format!("policy.name={policy}"),
+        ]);
+        let drawn = actions(&scenario, seed);
+        let text = script(&drawn);
+        folder.write("script", &text);
+        let (mut run, mut counter) = (start(&scenario, RunOptions::default()), ActionCounter::default());
+        run.schedule_inputs(&ExternalInputs::from_actions(&drawn));
+        let in_memory = run.finish(&mut counter);
+        assert_eq!(counter.0, drawn.len(), "{text}");
+        let summary = folder.summary(&format!(
+            "up -n {devices} -k {ttis} --seed {seed} -p {policy} -P {} --actions script --audit on --out out{seed}",
+            seed % 3
+        ));
+        assert_eq!(
+            summary.digest(),
+            in_memory.digest.to_string(),
+            "{policy}, seed {seed}\n{text}"
+        );
+        assert_eq!(summary.text("audit"), "complete");
+    }
+}
+
+#[test]
+fn actions_survive_killed_device_processes() {
+    let (folder, run) = (TestFolder::new(), unique_run("act"));
+    folder.write(
+        "script",
+        "from 20 every 40 fail 0-9 for 15 at random\n200 set events.alpha 0.5\n700 set policy.age-index.price 0.1\n",
+    );
+    let scenario = "-n 20 -k 900 -p age-index";
+    let up = folder.start(&format!(
+        "up {scenario} -P 4 --pace 4ms --audit on --actions script --record out.mcap --out out --run {run} --json"
+    ));
+    for kill in 0..3 {
+        let tti = folder.wait_for_tti(&run, 10);
+        let acted = folder.clock(&run, "act fail 3,10-14");
+        assert!(acted.contains("device 3 fails, devices 10 to 14 fail"), "{acted}");
+        let killed = hosts_of(&run)[kill];
+        send_signal(killed, Signal::KILL);
+        wait_until("another process", PATIENCE, || {
+            let hosts = hosts_of(&run);
+            (hosts.len() == 4 && !hosts.contains(&killed)).then_some(())
+        });
+        folder.clock(&run, "act energy 0-19 1.5");
+        folder.clock(&run, &format!("act revive 3,12 --at {}", tti + 60));
+        folder.wait_for_tti(&run, tti + 70);
+    }
+    let end = up.finish();
+    assert!(end.is_success(), "{end}");
+    let summary = end.summary();
+    assert_eq!(
+        (summary.number("timing.losses"), summary.text("audit")),
+        (3, "complete")
+    );
+    let again = folder.summary(&format!("run {scenario} --input-log out/inputs.log --out again"));
+    assert_eq!(again.digest(), summary.digest());
+    let scripted = folder.summary(&format!("run {scenario} --actions script"));
+    assert_ne!(scripted.digest(), summary.digest(), "live actions change the run");
+    let verified = folder.run("inspect verify out.mcap");
+    assert!(verified.is_success(), "{verified}");
+    let tail = folder.run("inspect tail --from out.mcap --kind action --until 250");
+    assert!(
+        tail.is_success() && tail.stdout.contains("events.alpha is set to 0.5"),
+        "{tail}"
+    );
+}
+
+#[test]
+fn actions_survive_a_killed_base_station() {
+    let (folder, run) = (TestFolder::new(), unique_run("act"));
+    folder.write(
+        "script",
+        "from 0 every 50 fail 0-9 for 20 at random\n1000 set events.alpha 0.5\n",
+    );
+    let scenario = "-n 20 -k 1200 -p knn";
+    let up = folder.start(&format!(
+        "up {scenario} -P 2 --pace 3ms --on-loss end --actions script --out out --run {run}"
+    ));
+    folder.wait_for_tti(&run, 10);
+    folder.clock(&run, "act fail 19");
+    folder.clock(&run, "act revive 19 --at 1100");
+    wait_until("a resume mark", PATIENCE, || {
+        folder.list("out").contains(&"resume.json".to_owned()).then_some(())
+    });
+    folder.clock(&run, "act energy 0-19 3");
+    up.signal(Signal::KILL);
+    up.finish();
+    let refused = folder.run("up --resume out --actions script");
+    assert!(
+        !refused.is_success() && refused.stderr.contains("cannot be used with"),
+        "{refused}"
+    );
+    let run = unique_run("act");
+    let up = folder.start(&format!("up --resume out -P 3 --pace 2ms --audit on --run {run}"));
+    folder.wait_for_tti(&run, 10);
+    folder.clock(&run, "act fail 18");
+    let end = up.finish();
+    assert!(end.is_success(), "{end}");
+    let summary = SummaryJson::read(&folder.join("out"));
+    let again = folder.summary(&format!("run {scenario} --input-log out/inputs.log"));
+    assert_eq!((again.digest(), summary.text("audit")), (summary.digest(), "complete"));
+    let log = String::from_utf8(folder.bytes("out/inputs.log")).expect("text");
+    for line in [
+        "{\"fail\":{\"tti\":",
+        "\"first\":19,\"count\":1}}",
+        "\"count\":20,\"micro\":3000000}}",
+        "{\"revive\":{\"tti\":1100,\"first\":19,\"count\":1}}",
+        "{\"set\":{\"tti\":1000,\"field\":\"events.alpha\",\"value\":0.5}}",
+    ] {
+        assert!(log.contains(line), "{line}\n{log}");
+    }
+}
+
+#[test]
+fn an_impossible_action_is_refused() {
+    let (folder, run) = (TestFolder::new(), unique_run("act"));
+    let up = folder.start(&format!(
+        "up -n 20 -k 400 -p knn -P 2 --on-loss continue --paused --out out --run {run}"
+    ));
+    folder.wait_for_clock(&run);
+    folder.clock(&run, "run-to 100 --wait");
+    let refused = |action: &str, why: &str| {
+        let end = folder.run(&format!("clock act {action} --run {run}"));
+        assert!(!end.is_success() && end.stderr.contains(why), "{action}: {end}");
+    };
+    refused("fail 20", "device 20: not in the run; use devices from 0 to 19");
+    refused("fail 7-2", "must be devices and ranges of devices");
+    refused("energy 7 0", "above 0");
+    refused("set policy.age-index.price 1", "policy knn has no price");
+    refused("set devices 3", "cannot change during a run");
+    refused("fail 7 --at 99", "TTI 99: must be from 100, the next TTI, to 399");
+    refused("fail 7 --at 400", "TTI 400: must be from 100");
+    assert_eq!(
+        folder.clock(&run, "act fail 7 --at 399").trim(),
+        "TTI 399: device 7 fails"
+    );
+    assert_eq!(folder.clock(&run, "act fail 7").trim(), "TTI 100: device 7 fails");
+    send_signal(hosts_of(&run)[0], Signal::KILL);
+    wait_until("the process to end", PATIENCE, || {
+        (hosts_of(&run).len() == 1).then_some(())
+    });
+    folder.clock(&run, "step 1 --wait");
+    let removed = ["revive 0", "revive 19"].map(|action| {
+        let end = folder.run(&format!("clock act {action} --run {run}"));
+        end.stderr.contains("was removed from the run with its process")
+    });
+    assert!(
+        removed[0] != removed[1],
+        "one half of the devices is removed: {removed:?}"
+    );
+    folder.clock(&run, "resume");
+    let end = up.finish();
+    assert!(end.is_success(), "{end}");
+    let again = folder.summary("run -n 20 -k 400 -p knn --input-log out/inputs.log");
+    assert_eq!(again.digest(), SummaryJson::read(&folder.join("out")).digest());
+}
+
+#[test]
+fn an_invalid_script_is_refused_with_the_line() {
+    let folder = TestFolder::new();
+    folder.write("script", "5 fail 3\n6 explode 4\n");
+    for command in ["run", "up", "bs --run demo"] {
+        let end = folder.run(&format!("{command} -n 10 -k 50 --actions script --out out"));
+        assert_refused(
+            &end,
+            1,
+            &["--actions script: line 2: `explode 4` is not an action; use"],
+        );
+        let end = folder.run(&format!("{command} -n 10 -k 50 --actions missing --out out"));
+        assert_refused(&end, 1, &["--actions missing: No such file"]);
+    }
+    assert!(!folder.join("out").exists(), "no folder is left behind");
+}

@@ -1,0 +1,230 @@
+//! Actions of operators: a run with actions equals the reference implementation, a run with one TTI per grant, its
+//! reconstruction and its replays. Actions over the bus are tested in `tests/program/`.
+
+use std::cell::RefCell;
+
+use proptest::prelude::*;
+use proptest::test_runner::Config;
+use reveille_bs::cycle::RunOutcome;
+use reveille_bs::observer::frames::FrameObserver;
+use reveille_bs::scenario::Scenario;
+use reveille_common::event::EventRecord;
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::message::{Change, DeviceRange, Frame, OperatorAction, Setting};
+use reveille_common::totals::{Ledger, MissCause};
+use reveille_common::units::Energy;
+use reveille_lab::external_inputs::{ExternalInput, ExternalInputs, first_line, line, parse};
+use reveille_lab::preparation::{prepare, start};
+use reveille_lab::replay::Replay;
+use reveille_lab::run::RunOptions;
+use reveille_tests::compare::{self, EventCollector};
+use reveille_tests::reference::{ReferenceRun, simulate_with_actions};
+use reveille_tests::scenarios;
+use reveille_view::reconstruction::Reconstruction;
+
+fn run(
+    scenario: &Scenario,
+    actions: &[OperatorAction],
+    options: RunOptions,
+) -> (RunOutcome, Vec<EventRecord>, Vec<Frame>) {
+    let frames = RefCell::new(Vec::new());
+    let mut observers = (
+        EventCollector::default(),
+        FrameObserver::new(0, |frame| frames.borrow_mut().push(frame)),
+    );
+    let mut run = start(scenario, options);
+    run.schedule_inputs(&ExternalInputs::from_actions(actions));
+    let outcome = run.finish(&mut observers);
+    let events = observers.0.events;
+    (outcome, events, frames.into_inner())
+}
+
+/// Returns the scenario of `text`, cut short before the first decision that is too close to call, with actions drawn
+/// from `seed` and the reference run. `None` if that decision is in TTI 0.
+fn run_reference(text: &str, seed: u64) -> Option<(Scenario, Vec<OperatorAction>, ReferenceRun)> {
+    let mut scenario = scenarios::scenario(text);
+    let mut actions = scenarios::actions(&scenario, seed);
+    loop {
+        let run = simulate_with_actions(&scenario, &actions);
+        match run.ambiguous {
+            None => return Some((scenario, actions, run)),
+            Some(0) => return None,
+            Some(k) => {
+                scenario.run.ttis = k;
+                actions.retain(|action| action.tti < Tti(k));
+            }
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(Config { cases: 400, failure_persistence: None, ..Config::default() })]
+
+    #[test]
+    fn a_run_with_actions_equals_the_reference(
+        text in prop_oneof![2 => scenarios::small(), 1 => scenarios::crowded()],
+        seed in any::<u64>(),
+        lookahead in any::<bool>(),
+        window in prop_oneof![Just(u64::MAX), 1..50u64],
+    ) {
+        let Some((scenario, actions, expected)) = run_reference(&text, seed) else {
+            return Err(TestCaseError::reject("too close to call in TTI 0"));
+        };
+        let (outcome, events, _) = run(&scenario, &actions, RunOptions { lookahead, window });
+        prop_assert_eq!(events, expected.events.clone(), "events\n{:?}\n{}", actions, text);
+        let ledgers: Vec<Ledger> = outcome.devices.iter().map(|device| device.ledger).collect();
+        prop_assert_eq!(ledgers, expected.ledgers.clone(), "ledgers\n{:?}\n{}", actions, text);
+        prop_assert_eq!(outcome.totals.energy, expected.measured, "energy\n{:?}\n{}", actions, text);
+        prop_assert_eq!(outcome.totals.events, expected.totals, "event totals\n{:?}\n{}", actions, text);
+        let measured_ttis = outcome.totals.ttis as f64;
+        let information = expected.totals.information_pico as f64 * 1e-12;
+        let info_p1 = information / (expected.start_probability * measured_ttis);
+        let is_near = (outcome.metrics.info_p1 - info_p1).abs() <= 1e-9 * info_p1.max(1.0);
+        prop_assert!(is_near || info_p1.is_nan(), "info_p1 {} {}\n{:?}", outcome.metrics.info_p1, info_p1, actions);
+        let trace = compare::trace(&scenario, &actions);
+        for (k, (emulated, expected)) in trace.iter().zip(&expected.trace).enumerate() {
+            prop_assert_eq!(emulated, expected, "TTI {}\n{:?}\n{}", k, actions, text);
+        }
+    }
+
+    #[test]
+    fn a_run_with_actions_equals_its_reconstruction_and_its_replays(
+        text in scenarios::any_policy(),
+        seed in any::<u64>(),
+        from in any::<prop::sample::Index>(),
+    ) {
+        let scenario = scenarios::scenario(&text);
+        let actions = scenarios::actions(&scenario, seed);
+        let inputs = ExternalInputs::from_actions(&actions);
+        let log = first_line(&scenario) + &inputs.iter().map(|input| line(&input)).collect::<String>();
+        let read = parse(&log, &scenario).map_err(|error| TestCaseError::fail(format!("{error}\n{log}")))?;
+        prop_assert_eq!(read, inputs, "log\n{}", log);
+        let (outcome, _, frames) = run(&scenario, &actions, RunOptions::default());
+        let (single, _, single_frames) = run(&scenario, &actions, compare::ONE_TTI_PER_GRANT);
+        prop_assert_eq!(&single, &outcome, "one TTI per grant\n{:?}\n{}", actions, text);
+        let idle = run(&scenario, &[], RunOptions::default()).0;
+        prop_assert_ne!(idle.digest, outcome.digest, "the digest covers actions\n{:?}\n{}", actions, text);
+        for frames in [frames, single_frames] {
+            let mut reconstruction = Reconstruction::new(&scenario);
+            for frame in &frames {
+                reconstruction.apply(frame).map_err(|error| TestCaseError::fail(format!("{error}\n{text}")))?;
+            }
+            let reconstructed = reconstruction.finish();
+            prop_assert_eq!(reconstructed.digest, outcome.digest, "reconstruction\n{:?}\n{}", actions, text);
+            prop_assert_eq!(reconstructed.metrics.info_p1.to_bits(), outcome.metrics.info_p1.to_bits());
+        }
+        // A replay that has passed an action when it is added, as after a takeover.
+        let prepared = prepare(&scenario);
+        let mut replay = Replay::new(&prepared, &ExternalInputs::default(), Tti::ZERO);
+        replay.checkpoints(Tti(from.index(scenario.run.ttis as usize) as u64), DeviceId(0), 1);
+        for action in &actions {
+            replay.add_input(ExternalInput::Action(*action));
+        }
+        prop_assert_eq!(replay.outcome(Tti(scenario.run.ttis)), outcome, "replay\n{:?}\n{}", actions, text);
+    }
+}
+
+const fn all(count: u32) -> DeviceRange {
+    DeviceRange {
+        first: DeviceId(0),
+        count,
+    }
+}
+
+fn action(tti: u64, change: Change) -> OperatorAction {
+    OperatorAction { tti: Tti(tti), change }
+}
+
+#[test]
+fn failed_devices_report_nothing_and_charge() {
+    let scenario = scenarios::paper(&["devices=40", "ttis=2000", "policy.name=age-index", "warm_up=0"]);
+    let actions = [
+        action(500, Change::Fail(all(40))),
+        action(1500, Change::Revive(all(40))),
+    ];
+    let (outcome, events, _) = run(&scenario, &actions, RunOptions::default());
+    let reported_in = |from: u64, to: u64| {
+        let is_reported = |event: &&EventRecord| event.tally.reports > 0 && (from..to).contains(&event.last.0);
+        events.iter().filter(is_reported).count()
+    };
+    assert!(reported_in(0, 500) > 20 && reported_in(1500, 2000) > 20);
+    assert_eq!(reported_in(500, 1500), 0);
+    let missed: Vec<_> = events
+        .iter()
+        .filter(|event| event.start.0 >= 500 && event.last.0 < 1500)
+        .map(|event| event.miss_cause)
+        .collect();
+    assert!(
+        missed.len() > 50 && missed.iter().all(|cause| *cause == Some(MissCause::Removed)),
+        "{missed:?}"
+    );
+    for device in &outcome.devices {
+        let whole = device.ledger.whole;
+        assert!(whole.is_balanced());
+        // Nothing is spent in half of the TTIs, so that the harvest overflows.
+        assert!(whole.overflow > Energy::ZERO, "{whole:?}");
+    }
+    let second_fail = [actions[0], action(900, Change::Fail(all(3))), actions[1]];
+    let (again, ..) = run(&scenario, &second_fail, RunOptions::default());
+    assert_eq!(
+        again.devices, outcome.devices,
+        "a failed device that fails again stays as it is"
+    );
+}
+
+#[test]
+fn energy_counts_as_harvest_and_settings_change_the_run() {
+    let scenario = scenarios::paper(&[
+        "devices=40",
+        "ttis=4000",
+        "policy.name=age-index",
+        "warm_up=0",
+        "harvest.e_b=0",
+        "energy.initial=0",
+    ]);
+    let five = Energy::from_micro(5_000_000);
+    let e_max = Energy::from_micro(100_000_000);
+    let actions = [
+        action(10, Change::AddEnergy(all(1), five)),
+        action(20, Change::AddEnergy(all(1), e_max)),
+        action(30, Change::Set(Setting::EventRate, 0.5)),
+    ];
+    let (outcome, events, _) = run(&scenario, &actions, RunOptions::default());
+    let whole = outcome.devices[0].ledger.whole;
+    assert_eq!(whole.harvested, five + e_max);
+    assert!(whole.overflow > Energy::ZERO && whole.overflow < five, "{whole:?}");
+    assert_eq!(outcome.devices[1].ledger.whole.harvested, Energy::ZERO);
+    let slow = run(&scenario, &actions[..2], RunOptions::default()).1;
+    assert!(
+        events.len() > slow.len() * 5 / 4,
+        "{} and {} events",
+        events.len(),
+        slow.len()
+    );
+    // The price is high from TTI 1000 on: devices sense less.
+    let rich = scenarios::paper(&["devices=40", "ttis=2000", "policy.name=age-index", "warm_up=0.5"]);
+    let cheap = run(&rich, &[], RunOptions::default()).0;
+    let dear = run(
+        &rich,
+        &[action(1000, Change::Set(Setting::Price, 5.0))],
+        RunOptions::default(),
+    )
+    .0;
+    assert!(dear.metrics.energy_sensing_per_device_tti < 0.8 * cheap.metrics.energy_sensing_per_device_tti);
+    let dear_from_start = scenarios::paper(&[
+        "devices=40",
+        "ttis=2000",
+        "policy.name=age-index",
+        "policy.age-index.price=5",
+    ]);
+    let set_in_first_tti = run(
+        &scenarios::paper(&["devices=40", "ttis=2000", "policy.name=age-index"]),
+        &[action(0, Change::Set(Setting::Price, 5.0))],
+        RunOptions::default(),
+    );
+    let expected = run(&dear_from_start, &[], RunOptions::default());
+    assert_eq!(
+        (set_in_first_tti.1, set_in_first_tti.0.metrics),
+        (expected.1, expected.0.metrics)
+    );
+}
