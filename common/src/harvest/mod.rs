@@ -35,7 +35,9 @@ use self::trace::TraceSource;
 use crate::declare::{FieldReader, FieldSink, ScenarioError, Section, Visit, choice, choices};
 use crate::ids::{DeviceId, Tti};
 use crate::rng::{Purpose, Stream};
-use crate::units::Energy;
+use crate::units::{Energy, MICRO_PER_UNIT};
+
+const SECONDS_PER_DAY: f64 = 86_400.0;
 
 choices! {
     /// Kind of a device's energy source.
@@ -132,6 +134,15 @@ impl Harvest {
         }
     }
 
+    /// The duration of a TTI in seconds, for sources that define it.
+    pub fn tti_seconds(&self) -> Option<f64> {
+        match self {
+            Self::Diurnal(diurnal) => Some(SECONDS_PER_DAY / f64::from(diurnal.sun.ttis_per_day)),
+            Self::Trace(trace) => trace.panel.map(|panel| panel.tti_seconds),
+            Self::Eq5(_) | Self::ExpMinusLambda(_) | Self::Mpp(_) => None,
+        }
+    }
+
     /// The recorded energy of the source, energy per TTI by column and row.
     pub fn trace_columns(&self) -> &[Vec<Energy>] {
         match self {
@@ -214,6 +225,18 @@ impl HarvestSetup {
             Self::Trace(trace) => trace.mean(traces),
             Self::Diurnal(diurnal) => diurnal.mean(),
         }
+    }
+
+    /// The expected harvest per TTI over the first `ttis` TTIs of a run, ≥ 1, in units; exact for a trace. `traces` are
+    /// the run's, energy per TTI by row.
+    pub fn mean_over_run(&self, traces: &[Arc<Vec<Energy>>], ttis: u64) -> f64 {
+        let micro_per_tti = match self {
+            Self::Arrivals(arrivals) => arrivals.expected_micro(),
+            Self::OnOff(on_off) => on_off.expected_micro(),
+            Self::Trace(trace) => trace.micro_in(traces, ttis) as f64 / ttis as f64,
+            Self::Diurnal(diurnal) => diurnal.expected_micro_in(ttis) / ttis as f64,
+        };
+        micro_per_tti / MICRO_PER_UNIT as f64
     }
 
     /// Whether the setup is valid for a device: probabilities are shares, and a trace is among the run's `traces`.

@@ -278,6 +278,24 @@ impl TraceSetup {
         Energy::from_micro((sum / (rows.len() as u128).max(1)) as u64)
     }
 
+    /// The harvest in the first `ttis` TTIs, micro-units.
+    pub(super) fn micro_in(&self, traces: &[Arc<Vec<Energy>>], ttis: u64) -> u128 {
+        let rows = self.find_rows(traces).map_or(&[][..], |rows| rows);
+        let sum = |rows: &[Energy]| rows.iter().map(|energy| u128::from(energy.micro())).sum::<u128>();
+        let per_row = u128::from(self.ttis_per_row);
+        let whole_ttis = rows.len() as u128 * per_row;
+        let (cycles, rest) = match u128::from(ttis).checked_div(whole_ttis) {
+            None => return 0,
+            Some(cycles) => (cycles, u128::from(ttis) % whole_ttis),
+        };
+        if cycles > 0 && self.end == TraceEnd::Stop {
+            return sum(rows) * per_row;
+        }
+        let (row, ttis_in_row) = ((rest / per_row) as usize, rest % per_row);
+        let in_row = u128::from(rows[row].micro()) * ttis_in_row;
+        (cycles * sum(rows) + sum(&rows[..row])) * per_row + in_row
+    }
+
     /// Creates the source. Also returns the TTI of its first arrival.
     pub(super) fn source(&self, traces: &[Arc<Vec<Energy>>]) -> (TraceSource, Tti) {
         let source = TraceSource {
