@@ -6,6 +6,7 @@ use libm::{cos, sin};
 use reveille_bs::beliefs::ranking::i_min;
 use reveille_bs::scenario::Scenario;
 use reveille_common::deployment::Deployment;
+use reveille_common::digits::format_significant;
 use reveille_common::event::EventRecord;
 use reveille_common::geometry::{Point, voronoi_cells};
 use reveille_common::ids::DeviceId;
@@ -356,7 +357,7 @@ fn caption(scenario: &Scenario, event_scene: &EventScene) -> String {
             format!("Cells are the devices' Voronoi cells, tinted by their {count} clusters.")
         },
     );
-    let information = tally.information();
+    let [information, i_min] = [tally.information(), event_scene.i_min].map(|x| format_significant(x, 3));
     let wake_ups = match event_scene.wake_up_count {
         0 => "no wake-up".to_owned(),
         1 => "one wake-up (numbered if it led to a report)".to_owned(),
@@ -364,7 +365,7 @@ fn caption(scenario: &Scenario, event_scene: &EventScene) -> String {
     };
     format!(
         "{ground} The event began in TTI {start} and ended in TTI {last}, which is shown. The BS sent {wake_ups} and \
-         got information {information:.3}; I_min of the deployment is {:.3}. Preset {}, seed {}.",
-        event_scene.i_min, scenario.run.preset, scenario.run.seed
+         got information {information}; I_min of the deployment is {i_min}. Preset {}, seed {}.",
+        scenario.run.preset, scenario.run.seed
     )
 }
