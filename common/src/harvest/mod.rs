@@ -87,17 +87,17 @@ impl Harvest {
         [Settings::SECTION, arrivals, mpp, diurnal, recorded, trace, panel]
     };
 
-    /// Builds the source in `reader`, for TTIs of duration `tau`.
+    /// Builds the source in `reader`, for a run of `ttis` TTIs of duration `tau`.
     ///
     /// # Errors
     /// If a value is not allowed, or a trace cannot be read.
-    pub fn from_fields(reader: &FieldReader<'_>, tau: f64) -> Result<Self, ScenarioError> {
+    pub fn from_fields(reader: &FieldReader<'_>, tau: f64, ttis: u64) -> Result<Self, ScenarioError> {
         Ok(match Settings::read(reader)?.kind {
             HarvestKind::Eq5 => Self::Eq5(Arrivals::read(reader)?),
             HarvestKind::ExpMinusLambda => Self::ExpMinusLambda(Arrivals::read(reader)?),
             HarvestKind::Mpp => Self::Mpp(OnOff::from_fields(reader, tau)?),
             HarvestKind::Diurnal => Self::Diurnal(Diurnal::from_fields(reader, tau)?),
-            HarvestKind::Trace => Self::Trace(HarvestTrace::from_fields(reader)?),
+            HarvestKind::Trace => Self::Trace(HarvestTrace::from_fields(reader, ttis)?),
         })
     }
 
@@ -159,10 +159,10 @@ impl Harvest {
         }
     }
 
-    /// The mean harvest in a TTI of duration `tau`; for a trace, the mean of its first column.
-    pub fn mean(&self, tau: f64) -> Energy {
+    /// The mean harvest in a TTI of duration `tau`, in a run of `ttis` TTIs; for a trace, the mean of its first column.
+    pub fn mean(&self, tau: f64, ttis: u64) -> Energy {
         let rows = self.trace_columns().first().cloned().map(Arc::new);
-        self.setup(tau, 0).mean(rows.as_slice())
+        self.setup(tau, 0).mean(rows.as_slice(), ttis)
     }
 
     /// The largest energy in a TTI.
@@ -216,13 +216,13 @@ pub enum HarvestSetup {
 }
 
 impl HarvestSetup {
-    /// The mean harvest per TTI, rounded to micro-units (down for a trace); `traces` are the run's, energy per TTI by
-    /// row.
-    pub fn mean(&self, traces: &[Arc<Vec<Energy>>]) -> Energy {
+    /// The mean harvest per TTI as a base station knows it, rounded to micro-units (down for a trace). `traces` are the
+    /// run's, energy per TTI by row; the run has `ttis` TTIs, which matters for a trace that stops before its end.
+    pub fn mean(&self, traces: &[Arc<Vec<Energy>>], ttis: u64) -> Energy {
         match self {
             Self::Arrivals(arrivals) => arrivals.mean(),
             Self::OnOff(on_off) => on_off.mean(),
-            Self::Trace(trace) => trace.mean(traces),
+            Self::Trace(trace) => trace.mean(traces, ttis),
             Self::Diurnal(diurnal) => diurnal.mean(),
         }
     }
@@ -250,14 +250,14 @@ impl HarvestSetup {
     }
 
     /// The source as known before a run. A trace is known by its mean only, which then arrives in each TTI; so may be a
-    /// diurnal source. `traces` are the run's, energy per TTI by row.
+    /// diurnal source. `traces` are the run's, energy per TTI by row; the run has `ttis` TTIs.
     #[must_use]
-    pub fn known_before_run(&self, traces: &[Arc<Vec<Energy>>]) -> Self {
+    pub fn known_before_run(&self, traces: &[Arc<Vec<Energy>>], ttis: u64) -> Self {
         match self {
             Self::Arrivals(_) | Self::OnOff(_) => *self,
             Self::Trace(trace) => Self::Arrivals(ArrivalsSetup {
                 p: 1.0,
-                e_b: trace.mean(traces),
+                e_b: trace.mean(traces, ttis),
             }),
             Self::Diurnal(diurnal) => diurnal.arrivals_if_mean_known().map_or(*self, Self::Arrivals),
         }

@@ -59,6 +59,8 @@ pub(super) struct ReferenceDeployment {
     pub(super) classes: Vec<u16>,
     /// Whether harvest traces are played; otherwise their mean arrives in each TTI.
     pub(super) plays_traces: bool,
+    /// Length of the run, not of a pilot, TTIs.
+    pub(super) run_ttis: u64,
 }
 
 impl ReferenceDeployment {
@@ -67,6 +69,7 @@ impl ReferenceDeployment {
             positions: Deployment::new(scenario).positions(),
             classes: assign_classes(scenario),
             plays_traces: true,
+            run_ttis: scenario.run.ttis,
         }
     }
 }
@@ -145,7 +148,7 @@ impl<'a> ReferenceWorld<'a> {
             let settings = &scenario.classes[class];
             let (seed, nth) = (scenario.run.seed, devices_of_class[class]);
             devices_of_class[class] += 1;
-            let mean_harvest = mean_harvest(&settings.harvest, scenario.run.tau, nth);
+            let mean_harvest = mean_harvest(&settings.harvest, scenario.run.tau, deployment.run_ttis, nth);
             let (expected_harvest, is_daylight) = match expected_day(&settings.harvest, scenario.run.tau) {
                 Some(day) => {
                     let is_daylight = (0..day.len() as u64).map(|k| is_day(&settings.harvest, k)).collect();
