@@ -100,14 +100,16 @@ impl DeviceClass {
             share: 0.0,
             members: members.unwrap_or(Members::Layout),
             energy: EnergyModel::from_fields(&item)?,
-            harvest: Harvest::from_fields(&item, tau)?,
+            harvest: Harvest::from_fields(&item, run.tau, run.ttis)?,
         };
         Ok((class, specifies_members))
     }
 
     /// Passes every field of `classes` to `sink`. The only class of a scenario without classes uses the top level.
     pub(super) fn visit_all(classes: &[Self], sink: &mut dyn FieldSink) {
-        let is_undeclared = matches!(classes, [only] if only.name == DEFAULT_CLASS_NAME);
+        // A declared class may have the same name. Its members distinguish it, unless it equals the undeclared class.
+        let is_undeclared =
+            matches!(classes, [only] if only.name == DEFAULT_CLASS_NAME && only.members == Members::Share(1.0));
         for class in classes {
             if !is_undeclared {
                 sink.item(&class.name);
