@@ -38,7 +38,8 @@ fn reader(bytes: &[u8]) -> csv::Reader<&[u8]> {
     ReaderBuilder::new().trim(Trim::All).from_reader(bytes)
 }
 
-/// Reads the columns `wanted`, of a long file only `needed_rows`; `parse_cell` converts a text, given its column and its line.
+/// Reads the columns `wanted`, of a long file only `needed_rows`; `parse_cell` converts a text, given its column and
+/// its line.
 fn read<T>(
     bytes: &[u8],
     wanted: &[String],

@@ -65,7 +65,8 @@ fn keep_range<T>(values: &mut Vec<T>, range: &Range<usize>) {
     values.drain(..range.start.min(values.len()));
 }
 
-/// Collects the rows of a file in order. From a file with more than [`MAX_VALUES`] values it keeps only the needed rows.
+/// Collects the rows of a file in order. From a file with more than [`MAX_VALUES`] values it keeps only the needed
+/// rows.
 pub(super) struct RowCollector<T> {
     data: ColumnData<T>,
     needed_rows: Range<usize>,

@@ -251,7 +251,8 @@ impl HarvestTrace {
 /// removed if it stops.
 ///
 /// # Errors
-/// If only a part of the file is in `numbers`, and it ends before the run has read `needed_rows` of a trace that cycles.
+/// If only a part of the file is in `numbers`, and it ends before the run has read `needed_rows` of a trace that
+/// cycles.
 fn start_at_row(
     mut numbers: ColumnData<f64>,
     start: usize,

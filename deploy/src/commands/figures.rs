@@ -264,17 +264,8 @@ fn draw_robustness(args: &RobustnessArgs) -> anyhow::Result<ExitCode> {
     let impairments: Vec<_> = all.filter(|impairment| is_requested(impairment.name)).collect();
     let points = robustness::measure(&scenarios, &impairments, args.seeds);
     let name = format!("{}-n{}", robustness::NAME, scenarios[0].run.devices);
-    for impairment in impairments {
-        for metric in robustness::METRICS {
-            let chart = robustness::chart(&points, impairment, metric, &scenarios[0]);
-            let metric = metric.0;
-            write_picture(
-                &args.pictures,
-                &format!("{name}-{}-{metric}", impairment.name),
-                &chart.scene(),
-            )?;
-        }
-    }
+    let grid = robustness::grid(&points, &impairments, &scenarios[0]);
+    write_picture(&args.pictures, &name, &grid.scene())?;
     write_file(
         &args.pictures.out,
         &format!("{name}.csv"),

@@ -156,7 +156,8 @@ fn tally_table(report: &ClaimReport<'_>) -> String {
 
 fn table_head(report: &ClaimReport<'_>, paper_figure: &str) -> String {
     let mut out = format!(
-        "<h3 id=\"{}\">{}</h3>\n<div class=\"wide\"><table><thead><tr><th></th><th>policy</th><th>N</th><th>stated</th>",
+        "<h3 id=\"{}\">{}</h3>\n<div class=\"wide\"><table><thead><tr>\
+         <th></th><th>policy</th><th>N</th><th>stated</th>",
         anchor(paper_figure),
         escape(paper_figure)
     );
