@@ -13,8 +13,10 @@ use serde::{Deserialize, Serialize};
 /// Number of micro-units in one unit of energy.
 pub const MICRO_PER_UNIT: u64 = 1_000_000;
 
-/// Maximum energy in a scenario, in units. It keeps every sum of a run of 10⁹ device-TTIs within 64 bits.
-pub const MAX_UNITS: f64 = 10_000.0;
+/// Maximum energy in a scenario, in units: 10¹⁵ micro-units. Up to there, micro-units are exact in double precision,
+/// which files, figures and clients use, and a device's levels over a span of 2¹³ TTIs add up within 64 bits. Sums over
+/// a run are checked when a scenario is loaded.
+pub const MAX_UNITS: f64 = 1e9;
 
 /// An amount of energy, in whole micro-units (1 unit = 1 000 000 micro-units), never negative.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -148,6 +150,19 @@ mod tests {
         let half = Energy::from_micro(1 << 63);
         assert_eq!(half.times(1) + Energy::ZERO, half);
         let _ = [half, half].into_iter().sum::<Energy>();
+    }
+
+    /// Files and clients hold units in double precision.
+    #[test]
+    fn micro_units_up_to_the_maximum_survive_double_precision() {
+        let max = Energy::from_units(MAX_UNITS).expect("the maximum");
+        assert_eq!(max.micro(), 1_000_000_000_000_000);
+        for below in [0, 1, 2, 999_999, 123_456_789_012_345] {
+            let energy = max - Energy::from_micro(below);
+            assert_eq!(Energy::from_units(energy.units()), Some(energy));
+        }
+        // A span of a device, `device/src/machine/`.
+        assert_eq!(max.times(1 << 13).micro(), 8_192_000_000_000_000_000);
     }
 
     #[test]

@@ -12,6 +12,7 @@ use anyhow::Context;
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use reveille_bs::scenario::Scenario;
 use reveille_bs::server::RunProgress;
+use reveille_common::digits::format_significant;
 use reveille_common::units::MICRO_PER_UNIT;
 
 use crate::terminal;
@@ -161,7 +162,7 @@ fn update_bar(bar: &ProgressBar, progress: &RunProgress, devices: u32, had_start
     let battery = load(&progress.mean_battery_micro) as f64 / MICRO_PER_UNIT as f64;
     // Before the first window ends there is no mean. A mean of 0 (all batteries empty) shows the same.
     let battery = if battery > 0.0 {
-        format!("{battery:.1}")
+        format_significant(battery, 3)
     } else {
         "–".to_owned()
     };

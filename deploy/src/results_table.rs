@@ -3,6 +3,7 @@
 
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{CellAlignment, Table};
+use reveille_common::digits::format_significant;
 use reveille_common::radio::RadioSettings;
 use reveille_common::score::{EventActivity, MetricGroup, Metrics};
 use reveille_common::totals::MissCause;
@@ -205,14 +206,9 @@ fn format_timing(summary: &Summary<'_>) -> String {
     parts.join(" · ")
 }
 
+/// Formats a value of the table with four significant digits.
 fn format_number(value: f64) -> String {
-    if value.is_nan() {
-        "–".to_owned()
-    } else if value.fract() == 0.0 && value.abs() < 1e15 {
-        format!("{value:.0}")
-    } else {
-        format!("{value:.4}")
-    }
+    format_significant(value, 4)
 }
 
 #[cfg(test)]

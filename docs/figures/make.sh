@@ -41,9 +41,7 @@ for metric in info_p1 energy_per_device_tti; do
 done
 
 "$reveille" figures robustness --only wake_latency --ttis "$ttis" --seeds "$seeds" --set bs.sync_interval=100 \
-  --format svg --out "$scratch/robustness"
-mkdir "$scratch/wake-latency"
-cp "$scratch"/robustness/*-info_p1.svg "$scratch/wake-latency"
+  --format svg --out "$scratch/wake-latency"
 
 # A white background keeps the pictures readable on dark pages.
 mkdir -p "$folder"

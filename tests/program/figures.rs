@@ -291,6 +291,22 @@ fn a_user_sweep_is_drawn_against_its_field() {
     for name in names {
         assert_same(&folder, &name);
     }
+    // Without `sweep`, the swept value of the preset has the paper's figures, and the field its own.
+    let end = folder.run("figures mine --format svg --out d");
+    assert_eq!(end.code(), Some(0), "{end}");
+    let names = folder.list("d");
+    for metric in ["info_p1", "energy_per_device_tti"] {
+        for n in [10, 100] {
+            let name = format!("sweep-{metric}-harvest.lambda-devices-{n}.svg");
+            assert!(names.contains(&name), "{name}: {names:?}");
+        }
+    }
+    assert_eq!(
+        names.iter().filter(|name| name.starts_with("sweep-")).count(),
+        8,
+        "{names:?}"
+    );
+    assert!(!names.iter().any(|name| name.contains("lambda-0.05")), "{names:?}");
     let refused = |args: &str, parts: &[&str]| {
         assert_refused(&folder.run(&format!("figures sweep mine {args} --out c")), 1, parts);
         assert!(!folder.join("c").exists(), "{args} left files");

@@ -431,8 +431,8 @@ fn invalid_options_are_refused_before_training() {
             &["episode-ttis = 9", "must be from 10 to"],
         ),
         (
-            "--devices 5,1000000 --episode-ttis 2000 --set energy.e_max=10000",
-            &["--episode-ttis 2000", "at most 1844", "1000000 devices", "overflow"],
+            "--devices 5,1000000 --episode-ttis 2000 --set harvest.e_b=10000",
+            &["--episode-ttis 2000", "at most 1842", "1000000 devices", "overflow"],
         ),
         ("--devices 5 --epsilon 0.1", &["--epsilon", "0.1,0.03"]),
         ("--devices 5 --epsilon 0.1,1", &["epsilon = 1", "less than 1"]),

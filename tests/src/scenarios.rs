@@ -363,9 +363,9 @@ fn harvest() -> impl Strategy<Value = HarvestSection> {
     let e_b = prop_oneof![1 => Just(0.0), 4 => 0.0..8.0f64, 1 => 0.0..60.0f64];
     let end = prop_oneof![Just("cycle"), Just("stop")];
     let off_mean = proptest::option::of(0.1..20.0f64);
-    let trace = (1..=4u64, end, 0.0..2.0f64);
+    let trace = (1..=4u64, end, 0.0..2.0f64, 0..3u64);
     (kind, column, columns, e_b, 0.02..3.0f64, off_mean, trace, day()).prop_map(
-        |(kind, column, columns, e_b, lambda, off_mean, (ttis_per_row, end, scale), (day, is_daily_mean))| {
+        |(kind, column, columns, e_b, lambda, off_mean, (ttis_per_row, end, scale, start), (day, is_daily_mean))| {
             // Noon is far above the daily mean; its arrival probability must not exceed 1.
             let lambda = if kind == "diurnal" && is_daily_mean {
                 lambda / 30.0
@@ -383,7 +383,10 @@ fn harvest() -> impl Strategy<Value = HarvestSection> {
                 writeln!(source, "off_mean = {off_mean:?}").expect("a String can be written");
             }
             let trace = (kind == "trace").then(|| {
-                format!("file = \"energy.csv\"\nttis_per_row = {ttis_per_row}\nend = \"{end}\"\nscale = {scale:?}\n")
+                format!(
+                    "file = \"energy.csv\"\nttis_per_row = {ttis_per_row}\nend = \"{end}\"\nscale = {scale:?}\n\
+                     start = {start}\n"
+                )
             });
             HarvestSection {
                 source,

@@ -59,6 +59,34 @@ fn the_silence_of_a_device_counts_once_per_tti() {
     check_states_and_batteries(text).unwrap_or_else(|error| panic!("{error}"));
 }
 
+/// Batteries and arrivals of the largest allowed energy, in the longest run whose sums fit in 64 bits.
+#[test]
+fn the_largest_energies_neither_overflow_nor_lose_a_micro_unit() {
+    let text = |ttis: u64| {
+        format!(
+            "devices = 5\nttis = {ttis}\n[energy]\ne_max = 1e9\ne_idle = 2.5e8\ne_wur = 0.00003\ne_tx = 9.99999999e8\n\
+             [harvest]\nlambda = 1.0\ne_b = 1e9\n[policy]\nname = \"random\"\n"
+        )
+    };
+    let longest = scenarios::scenario(&text(10)).max_ttis();
+    assert!((1000..10_000).contains(&longest), "{longest} TTIs");
+    let scenario = scenarios::scenario(&text(longest));
+    let (expected, events) = compare::outcome(&scenario, false, u64::MAX);
+    assert!(!events.is_empty());
+    for (lookahead, window) in [(true, u64::MAX), (true, 7), (false, 100)] {
+        let (outcome, _) = compare::outcome(&scenario, lookahead, window);
+        assert_eq!(
+            outcome.digest, expected.digest,
+            "lookahead {lookahead}, windows of {window}"
+        );
+    }
+    let ledgers = compare::ledgers(&scenario, true);
+    assert!(ledgers.iter().all(|ledger| ledger.whole.is_balanced()), "{ledgers:?}");
+    let harvested = ledgers.iter().map(|ledger| ledger.whole.harvested.micro()).sum::<u64>();
+    assert!(harvested > u64::MAX / 10, "only {harvested} micro-units");
+    check_states_and_batteries(&text(60)).unwrap_or_else(|error| panic!("{error}"));
+}
+
 fn check_states_and_batteries(text: &str) -> Result<(), TestCaseError> {
     let Some((scenario, expected)) = run_reference(scenarios::scenario(text)) else {
         return Err(TestCaseError::reject("too close to call in TTI 0"));

@@ -129,7 +129,7 @@ mod tests {
         );
         let text = exchange.to_string();
         assert!(
-            text.contains("wake    device 5") && text.contains("reported: I 0.2500"),
+            text.contains("wake    device 5") && text.contains("reported: I 0.25"),
             "{text}"
         );
     }

@@ -1,17 +1,21 @@
 //! Columns of CSV files; errors name the line. Only `columns/mod.rs` uses this module.
 
+use std::ops::Range;
+
 use csv::{ReaderBuilder, StringRecord, Trim};
 
-use super::data::{ColumnData, check_value_count, column_index};
+use super::data::{ColumnData, RowCollector, column_index};
 use crate::declare::truncate;
 
-pub(super) fn numbers(bytes: &[u8], wanted: &[String]) -> Result<ColumnData<f64>, String> {
-    read(bytes, wanted, |text, name, line| match text.parse::<f64>() {
-        Ok(value) if value.is_finite() => Ok(value),
-        Ok(_) | Err(_) => Err(format!(
-            "line {line}, column `{name}`: \"{}\" is not a number",
-            truncate(text)
-        )),
+pub(super) fn numbers(bytes: &[u8], wanted: &[String], needed_rows: Range<usize>) -> Result<ColumnData<f64>, String> {
+    read(bytes, wanted, needed_rows, |text, name, line| {
+        match text.parse::<f64>() {
+            Ok(value) if value.is_finite() => Ok(value),
+            Ok(_) | Err(_) => Err(format!(
+                "line {line}, column `{name}`: \"{}\" is not a number",
+                truncate(text)
+            )),
+        }
     })
 }
 
@@ -24,17 +28,22 @@ pub(super) fn texts(bytes: &[u8], wanted: &str) -> Result<Option<ColumnData<Stri
     if !has_column {
         return Ok(None);
     }
-    read(bytes, &[wanted.to_owned()], |text, _, _| Ok(text.to_owned())).map(Some)
+    read(bytes, &[wanted.to_owned()], 0..usize::MAX, |text, _, _| {
+        Ok(text.to_owned())
+    })
+    .map(Some)
 }
 
 fn reader(bytes: &[u8]) -> csv::Reader<&[u8]> {
     ReaderBuilder::new().trim(Trim::All).from_reader(bytes)
 }
 
-/// Reads the columns `wanted`; `parse_cell` converts a text, given its column and its line.
+/// Reads the columns `wanted`, of a long file only `needed_rows`; `parse_cell` converts a text, given its column and
+/// its line.
 fn read<T>(
     bytes: &[u8],
     wanted: &[String],
+    needed_rows: Range<usize>,
     parse_cell: impl Fn(&str, &str, u64) -> Result<T, String>,
 ) -> Result<ColumnData<T>, String> {
     let mut reader = reader(bytes);
@@ -46,10 +55,7 @@ fn read<T>(
         .iter()
         .map(|name| column_index(name, header.iter()))
         .collect::<Result<Vec<usize>, String>>()?;
-    let mut columns = ColumnData {
-        values: wanted.iter().map(|_| Vec::new()).collect(),
-        lines: Vec::new(),
-    };
+    let mut collector = RowCollector::new(wanted.len(), needed_rows);
     let mut record = StringRecord::new();
     let mut lines = LineCounter::new(bytes);
     loop {
@@ -57,13 +63,13 @@ fn read<T>(
         let line = lines.line_after_blanks(reader.position().byte() as usize);
         match reader.read_record(&mut record) {
             Ok(true) => {}
-            Ok(false) => return Ok(columns),
+            Ok(false) => return Ok(collector.finish()),
             Err(error) => return Err(format!("line {line} is broken: {error}")),
         }
-        columns.lines.push(line);
-        // Checked at each row, before a huge file fills the memory.
-        check_value_count(columns.lines.len(), wanted.len())?;
-        for ((column, &index), name) in columns.values.iter_mut().zip(&indices).zip(wanted) {
+        let Some(columns) = collector.begin_row(Some(line))? else {
+            continue;
+        };
+        for ((column, &index), name) in columns.iter_mut().zip(&indices).zip(wanted) {
             // The reader refuses rows of another length than the header's, so the cell exists.
             column.push(parse_cell(record.get(index).unwrap_or_default(), name, line)?);
         }
@@ -107,7 +113,7 @@ mod tests {
 
     fn read_values(text: &str, names: &[&str]) -> Result<Vec<Vec<f64>>, String> {
         let names: Vec<String> = names.iter().map(|&name| name.to_owned()).collect();
-        numbers(text.as_bytes(), &names).map(|columns| columns.values)
+        numbers(text.as_bytes(), &names, 0..usize::MAX).map(|columns| columns.values)
     }
 
     #[test]

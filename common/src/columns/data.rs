@@ -1,5 +1,7 @@
 //! Data read from a file: values by column and row, with the position of each row for errors.
 
+use std::ops::Range;
+
 use crate::declare::{quoted_list, truncate};
 
 /// Values of a file by column and row.
@@ -7,8 +9,12 @@ use crate::declare::{quoted_list, truncate};
 pub struct ColumnData<T> {
     /// The values, at least one row.
     pub values: Vec<Vec<T>>,
+    /// The row of the file, from 0, with the first values.
+    pub first_row: usize,
+    /// The number of rows of the file.
+    pub rows_in_file: usize,
     /// The line of each row in a text file; empty for other files.
-    pub(super) lines: Vec<u64>,
+    lines: Vec<u64>,
 }
 
 impl<T> ColumnData<T> {
@@ -16,11 +22,11 @@ impl<T> ColumnData<T> {
     pub fn describe_row(&self, row: usize) -> String {
         match self.lines.get(row) {
             Some(line) => format!("line {line}"),
-            None => format!("row {}", row + 1),
+            None => format!("row {}", self.first_row + row + 1),
         }
     }
 
-    /// The number of rows, the same in every column.
+    /// The number of rows with values, the same in every column.
     pub fn len(&self) -> usize {
         self.values.first().map_or(0, Vec::len)
     }
@@ -29,9 +35,86 @@ impl<T> ColumnData<T> {
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
+
+    /// Moves the first `rows` rows, at most all, behind the last one.
+    pub fn rotate_rows(&mut self, rows: usize) {
+        for column in &mut self.values {
+            column.rotate_left(rows);
+        }
+        if !self.lines.is_empty() {
+            self.lines.rotate_left(rows);
+        }
+    }
+
+    /// Removes the first `rows` rows, at most all.
+    pub fn remove_rows_before(&mut self, rows: usize) {
+        self.keep_rows(rows..usize::MAX);
+    }
+
+    fn keep_rows(&mut self, rows: Range<usize>) {
+        for column in &mut self.values {
+            keep_range(column, &rows);
+        }
+        keep_range(&mut self.lines, &rows);
+        self.first_row += rows.start;
+    }
 }
 
-/// Maximum number of values that are read from one file.
+fn keep_range<T>(values: &mut Vec<T>, range: &Range<usize>) {
+    values.truncate(range.end);
+    values.drain(..range.start.min(values.len()));
+}
+
+/// Collects the rows of a file in order. From a file with more than [`MAX_VALUES`] values it keeps only the needed
+/// rows.
+pub(super) struct RowCollector<T> {
+    data: ColumnData<T>,
+    needed_rows: Range<usize>,
+    is_cut: bool,
+}
+
+impl<T> RowCollector<T> {
+    /// Creates an empty collector of `columns` columns.
+    pub(super) fn new(columns: usize, needed_rows: Range<usize>) -> Self {
+        Self {
+            data: ColumnData {
+                values: (0..columns).map(|_| Vec::new()).collect(),
+                first_row: 0,
+                rows_in_file: 0,
+                lines: Vec::new(),
+            },
+            needed_rows,
+            is_cut: false,
+        }
+    }
+
+    /// Begins the next row, at `line` of a text file. Returns the columns to which its values go; `None` if the row is
+    /// not needed.
+    ///
+    /// # Errors
+    /// If the needed rows have more values than memory should hold.
+    pub(super) fn begin_row(&mut self, line: Option<u64>) -> Result<Option<&mut [Vec<T>]>, String> {
+        let (row, columns) = (self.data.rows_in_file, self.data.values.len());
+        if !self.is_cut && (row + 1).saturating_mul(columns) > MAX_VALUES {
+            check_value_count(self.needed_rows.len(), columns)?;
+            self.data.keep_rows(self.needed_rows.clone());
+            self.is_cut = true;
+        }
+        self.data.rows_in_file += 1;
+        if self.is_cut && !self.needed_rows.contains(&row) {
+            return Ok(None);
+        }
+        self.data.lines.extend(line);
+        Ok(Some(&mut self.data.values))
+    }
+
+    /// Returns the collected rows.
+    pub(super) fn finish(self) -> ColumnData<T> {
+        self.data
+    }
+}
+
+/// Maximum number of values of one file that are kept, which bounds the memory.
 pub(super) const MAX_VALUES: usize = 10_000_000;
 
 /// The index of the only column called `name`.
@@ -49,9 +132,11 @@ pub(super) fn column_index<'h>(name: &str, header: impl Iterator<Item = &'h str>
 }
 
 /// Returns an error for a file with more values than memory should hold.
-pub(super) fn check_value_count(rows: usize, columns: usize) -> Result<(), String> {
+fn check_value_count(rows: usize, columns: usize) -> Result<(), String> {
     if rows.saturating_mul(columns) > MAX_VALUES {
-        return Err(format!("has more than {MAX_VALUES} values in {columns} columns"));
+        return Err(format!(
+            "has more than {MAX_VALUES} values in {columns} columns; use fewer rows or columns"
+        ));
     }
     Ok(())
 }

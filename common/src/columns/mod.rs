@@ -6,6 +6,7 @@ mod data;
 #[cfg(feature = "parquet")]
 mod parquet;
 
+use std::ops::Range;
 use std::path::Path;
 
 pub use data::ColumnData;
@@ -14,17 +15,22 @@ pub use data::ColumnData;
 pub(crate) const MAX_FILE_BYTES: u64 = 256 << 20;
 
 /// Reads the columns `wanted` of the file `bytes` as numbers, at least one row. The extension of `path` selects
-/// the format.
+/// the format. Of a file with more than 10⁷ values, only `needed_rows` are kept, counted from 0.
 ///
 /// # Errors
 /// The problem with the file, without its name.
-pub fn read_numbers(path: &Path, bytes: &[u8], wanted: &[String]) -> Result<ColumnData<f64>, String> {
+pub fn read_numbers(
+    path: &Path,
+    bytes: &[u8],
+    wanted: &[String],
+    needed_rows: Range<usize>,
+) -> Result<ColumnData<f64>, String> {
     let columns = if is_parquet(path) {
-        parquet_numbers(bytes, wanted)?
+        parquet_numbers(bytes, wanted, needed_rows)?
     } else {
-        csv::numbers(bytes, wanted)?
+        csv::numbers(bytes, wanted, needed_rows)?
     };
-    if columns.is_empty() {
+    if columns.rows_in_file == 0 {
         return Err("has no rows".to_owned());
     }
     Ok(columns)
@@ -54,7 +60,7 @@ use parquet::{numbers as parquet_numbers, texts as parquet_texts};
 const WITHOUT_PARQUET: &str = "is a Parquet file; use a build with the cargo feature `parquet`, or a CSV file";
 
 #[cfg(not(feature = "parquet"))]
-fn parquet_numbers(_: &[u8], _: &[String]) -> Result<ColumnData<f64>, String> {
+fn parquet_numbers(_: &[u8], _: &[String], _: Range<usize>) -> Result<ColumnData<f64>, String> {
     Err(WITHOUT_PARQUET.to_owned())
 }
 

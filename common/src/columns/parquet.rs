@@ -1,17 +1,21 @@
 //! Columns of Parquet files; errors name the row. Only `columns/mod.rs` uses this module.
 
+use std::ops::Range;
+
 use ::parquet::errors::ParquetError;
 use ::parquet::file::reader::{FileReader, SerializedFileReader};
 use ::parquet::record::Field;
 use ::parquet::schema::types::Type;
 use bytes::Bytes;
 
-use super::data::{ColumnData, check_value_count, column_index};
+use super::data::{ColumnData, RowCollector, column_index};
 
 /// Reads the columns `wanted` of a flat Parquet file as numbers.
-pub(super) fn numbers(bytes: &[u8], wanted: &[String]) -> Result<ColumnData<f64>, String> {
+pub(super) fn numbers(bytes: &[u8], wanted: &[String], needed_rows: Range<usize>) -> Result<ColumnData<f64>, String> {
     guarded(bytes, |reader| {
-        read(reader, wanted, |field| number(field).ok_or("is not a number"))
+        read(reader, wanted, needed_rows, |field| {
+            number(field).ok_or("is not a number")
+        })
     })
 }
 
@@ -29,7 +33,7 @@ pub(super) fn texts(bytes: &[u8], wanted: &str) -> Result<Option<ColumnData<Stri
         if !fields.iter().any(|field| field.name() == wanted) {
             return Ok(None);
         }
-        read(reader, &[wanted.to_owned()], text).map(Some)
+        read(reader, &[wanted.to_owned()], 0..usize::MAX, text).map(Some)
     })
 }
 
@@ -50,6 +54,7 @@ fn broken(error: &ParquetError) -> String {
 fn read<T>(
     reader: &SerializedFileReader<Bytes>,
     wanted: &[String],
+    needed_rows: Range<usize>,
     cell: impl Fn(&Field) -> Result<T, &'static str>,
 ) -> Result<ColumnData<T>, String> {
     let metadata = reader.metadata().file_metadata();
@@ -59,8 +64,6 @@ fn read<T>(
         .iter()
         .map(|name| column_index(name, fields.iter().map(|field| field.name())))
         .collect::<Result<Vec<usize>, String>>()?;
-    // A corrupt file may claim fewer rows than it has; the loop below counts them again.
-    check_value_count(usize::try_from(metadata.num_rows()).unwrap_or(usize::MAX), wanted.len())?;
     let wanted_fields = fields
         .iter()
         .enumerate()
@@ -71,11 +74,13 @@ fn read<T>(
         .with_fields(wanted_fields)
         .build()
         .map_err(|error| broken(&error))?;
-    let mut columns: Vec<Vec<T>> = wanted.iter().map(|_| Vec::new()).collect();
+    let mut collector = RowCollector::new(wanted.len(), needed_rows);
     let records = reader.get_row_iter(Some(projection)).map_err(|error| broken(&error))?;
     for (row, record) in records.enumerate() {
         let record = record.map_err(|error| format!("row {}: {error}", row + 1))?;
-        check_value_count(row + 1, wanted.len())?;
+        let Some(columns) = collector.begin_row(None)? else {
+            continue;
+        };
         for (column, name) in columns.iter_mut().zip(wanted) {
             let field = record
                 .get_column_iter()
@@ -85,10 +90,7 @@ fn read<T>(
             column.push(value.map_err(|what| format!("row {}, column `{name}`: {what}", row + 1))?);
         }
     }
-    Ok(ColumnData {
-        values: columns,
-        lines: Vec::new(),
-    })
+    Ok(collector.finish())
 }
 
 /// The number in a field; `None` for other types.
@@ -151,7 +153,7 @@ mod tests {
         let bytes = write_file();
         let read = |names: &[&str]| {
             let names: Vec<String> = names.iter().map(|&name| name.to_owned()).collect();
-            numbers(&bytes, &names).map(|columns| columns.values)
+            numbers(&bytes, &names, 0..usize::MAX).map(|columns| columns.values)
         };
         assert_eq!(read(&["w", "hour"]), Ok(vec![vec![0.5, 1.5, 2.5], vec![0.0, 1.0, 2.0]]));
         let missing = read(&["v"]).expect_err("no such column");
@@ -165,7 +167,7 @@ mod tests {
     fn truncated_files_are_refused() {
         let bytes = write_file();
         for length in 0..bytes.len() {
-            numbers(&bytes[..length], &["w".to_owned()]).expect_err("truncated");
+            numbers(&bytes[..length], &["w".to_owned()], 0..usize::MAX).expect_err("truncated");
         }
     }
 }

@@ -93,7 +93,7 @@ impl FileLayout {
 
 /// Reads the first `count` points of a layout file, all within `area`, and the number of points in the file.
 fn read_points(path: &Path, bytes: &[u8], area: Area, count: usize) -> Result<(Vec<Point>, usize), String> {
-    let columns = columns::read_numbers(path, bytes, &["x".to_owned(), "y".to_owned()])?;
+    let columns = columns::read_numbers(path, bytes, &["x".to_owned(), "y".to_owned()], 0..usize::MAX)?;
     let [xs, ys] = columns.values.as_slice() else {
         return Err("has no columns `x` and `y`".to_owned());
     };

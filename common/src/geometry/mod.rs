@@ -4,6 +4,7 @@
 mod buckets;
 mod file;
 mod layout;
+mod reach;
 mod voronoi;
 
 use serde::{Deserialize, Serialize};
@@ -13,6 +14,7 @@ use crate::declare::{POSITIVE, number};
 pub use buckets::Buckets;
 pub use file::FileLayout;
 pub use layout::{Layout, LayoutKind, place_devices};
+pub use reach::share_out_of_reach;
 pub use voronoi::{farthest_cell_vertex, voronoi_cells};
 
 /// A point of the area, in metres from its south-west corner.

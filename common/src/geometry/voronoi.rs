@@ -36,7 +36,7 @@ pub fn voronoi_cells(points: &[Point], area: Area) -> Vec<Vec<Point>> {
 }
 
 /// Calls `visit` for each of `sites`, in order, with the corners of its cell.
-fn visit_cells(sites: &[Point], area: Area, mut visit: impl FnMut(Point, &[Point])) {
+pub(super) fn visit_cells(sites: &[Point], area: Area, mut visit: impl FnMut(Point, &[Point])) {
     let edges = delaunay_edges(sites, area);
     let (mut cell, mut spare) = (Vec::new(), Vec::new());
     for site_edges in edges.chunk_by(|a, b| a.0 == b.0) {
@@ -60,7 +60,7 @@ fn visit_cells(sites: &[Point], area: Area, mut visit: impl FnMut(Point, &[Point
 }
 
 /// Sorts `points` by their coordinates and removes duplicates.
-fn sorted_distinct_sites(points: &[Point]) -> Vec<Point> {
+pub(super) fn sorted_distinct_sites(points: &[Point]) -> Vec<Point> {
     // Adding zero turns -0 into 0, which `total_cmp` would tell apart.
     let mut sites: Vec<_> = points.iter().map(|p| Point::new(p.x + 0.0, p.y + 0.0)).collect();
     sites.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));

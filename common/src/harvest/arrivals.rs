@@ -66,6 +66,11 @@ impl ArrivalsSetup {
         expected_energy(self.p, self.e_b)
     }
 
+    /// The expected harvest per TTI, micro-units.
+    pub(super) fn expected_micro(&self) -> f64 {
+        self.p * self.e_b.micro() as f64
+    }
+
     /// Creates the source. Also returns the TTI of its first arrival.
     pub(super) fn source(&self, shared: &SharedSourceData, mut stream: Stream) -> (ArrivalsSource, Tti) {
         let gaps = shared.gap_table(self.p);

@@ -35,7 +35,9 @@ use self::trace::TraceSource;
 use crate::declare::{FieldReader, FieldSink, ScenarioError, Section, Visit, choice, choices};
 use crate::ids::{DeviceId, Tti};
 use crate::rng::{Purpose, Stream};
-use crate::units::Energy;
+use crate::units::{Energy, MICRO_PER_UNIT};
+
+const SECONDS_PER_DAY: f64 = 86_400.0;
 
 choices! {
     /// Kind of a device's energy source.
@@ -85,17 +87,17 @@ impl Harvest {
         [Settings::SECTION, arrivals, mpp, diurnal, recorded, trace, panel]
     };
 
-    /// Builds the source in `reader`, for TTIs of duration `tau`.
+    /// Builds the source in `reader`, for a run of `ttis` TTIs of duration `tau`.
     ///
     /// # Errors
     /// If a value is not allowed, or a trace cannot be read.
-    pub fn from_fields(reader: &FieldReader<'_>, tau: f64) -> Result<Self, ScenarioError> {
+    pub fn from_fields(reader: &FieldReader<'_>, tau: f64, ttis: u64) -> Result<Self, ScenarioError> {
         Ok(match Settings::read(reader)?.kind {
             HarvestKind::Eq5 => Self::Eq5(Arrivals::read(reader)?),
             HarvestKind::ExpMinusLambda => Self::ExpMinusLambda(Arrivals::read(reader)?),
             HarvestKind::Mpp => Self::Mpp(OnOff::from_fields(reader, tau)?),
             HarvestKind::Diurnal => Self::Diurnal(Diurnal::from_fields(reader, tau)?),
-            HarvestKind::Trace => Self::Trace(HarvestTrace::from_fields(reader)?),
+            HarvestKind::Trace => Self::Trace(HarvestTrace::from_fields(reader, ttis)?),
         })
     }
 
@@ -132,6 +134,15 @@ impl Harvest {
         }
     }
 
+    /// The duration of a TTI in seconds, for sources that define it.
+    pub fn tti_seconds(&self) -> Option<f64> {
+        match self {
+            Self::Diurnal(diurnal) => Some(SECONDS_PER_DAY / f64::from(diurnal.sun.ttis_per_day)),
+            Self::Trace(trace) => trace.panel.map(|panel| panel.tti_seconds),
+            Self::Eq5(_) | Self::ExpMinusLambda(_) | Self::Mpp(_) => None,
+        }
+    }
+
     /// The recorded energy of the source, energy per TTI by column and row.
     pub fn trace_columns(&self) -> &[Vec<Energy>] {
         match self {
@@ -148,10 +159,10 @@ impl Harvest {
         }
     }
 
-    /// The mean harvest in a TTI of duration `tau`; for a trace, the mean of its first column.
-    pub fn mean(&self, tau: f64) -> Energy {
+    /// The mean harvest in a TTI of duration `tau`, in a run of `ttis` TTIs; for a trace, the mean of its first column.
+    pub fn mean(&self, tau: f64, ttis: u64) -> Energy {
         let rows = self.trace_columns().first().cloned().map(Arc::new);
-        self.setup(tau, 0).mean(rows.as_slice())
+        self.setup(tau, 0).mean(rows.as_slice(), ttis)
     }
 
     /// The largest energy in a TTI.
@@ -205,15 +216,27 @@ pub enum HarvestSetup {
 }
 
 impl HarvestSetup {
-    /// The mean harvest per TTI, rounded to micro-units (down for a trace); `traces` are the run's, energy per TTI by
-    /// row.
-    pub fn mean(&self, traces: &[Arc<Vec<Energy>>]) -> Energy {
+    /// The mean harvest per TTI as a base station knows it, rounded to micro-units (down for a trace). `traces` are the
+    /// run's, energy per TTI by row; the run has `ttis` TTIs, which matters for a trace that stops before its end.
+    pub fn mean(&self, traces: &[Arc<Vec<Energy>>], ttis: u64) -> Energy {
         match self {
             Self::Arrivals(arrivals) => arrivals.mean(),
             Self::OnOff(on_off) => on_off.mean(),
-            Self::Trace(trace) => trace.mean(traces),
+            Self::Trace(trace) => trace.mean(traces, ttis),
             Self::Diurnal(diurnal) => diurnal.mean(),
         }
+    }
+
+    /// The expected harvest per TTI over the first `ttis` TTIs of a run, ≥ 1, in units; exact for a trace. `traces` are
+    /// the run's, energy per TTI by row.
+    pub fn mean_over_run(&self, traces: &[Arc<Vec<Energy>>], ttis: u64) -> f64 {
+        let micro_per_tti = match self {
+            Self::Arrivals(arrivals) => arrivals.expected_micro(),
+            Self::OnOff(on_off) => on_off.expected_micro(),
+            Self::Trace(trace) => trace.micro_in(traces, ttis) as f64 / ttis as f64,
+            Self::Diurnal(diurnal) => diurnal.expected_micro_in(ttis) / ttis as f64,
+        };
+        micro_per_tti / MICRO_PER_UNIT as f64
     }
 
     /// Whether the setup is valid for a device: probabilities are shares, and a trace is among the run's `traces`.
@@ -227,14 +250,14 @@ impl HarvestSetup {
     }
 
     /// The source as known before a run. A trace is known by its mean only, which then arrives in each TTI; so may be a
-    /// diurnal source. `traces` are the run's, energy per TTI by row.
+    /// diurnal source. `traces` are the run's, energy per TTI by row; the run has `ttis` TTIs.
     #[must_use]
-    pub fn known_before_run(&self, traces: &[Arc<Vec<Energy>>]) -> Self {
+    pub fn known_before_run(&self, traces: &[Arc<Vec<Energy>>], ttis: u64) -> Self {
         match self {
             Self::Arrivals(_) | Self::OnOff(_) => *self,
             Self::Trace(trace) => Self::Arrivals(ArrivalsSetup {
                 p: 1.0,
-                e_b: trace.mean(traces),
+                e_b: trace.mean(traces, ttis),
             }),
             Self::Diurnal(diurnal) => diurnal.arrivals_if_mean_known().map_or(*self, Self::Arrivals),
         }

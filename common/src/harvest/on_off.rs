@@ -122,6 +122,12 @@ impl OnOffSetup {
         expected_energy(self.on_share, self.e_b)
     }
 
+    /// The expected harvest per TTI, micro-units; the same in every TTI, since the source starts in its stationary
+    /// state.
+    pub(super) fn expected_micro(&self) -> f64 {
+        self.on_share * self.e_b.micro() as f64
+    }
+
     /// Creates the source. Also returns the TTI of its first arrival.
     pub(super) fn source(&self, mut stream: Stream) -> (OnOffSource, Tti) {
         let (on_duration, off_duration) = (Geometric::new(self.p_off), Geometric::new(self.p_on));

@@ -5,9 +5,10 @@
 //! micro-units of a record add up to its energy. `harvest/trace.rs` applies it; the scenario hash covers the result.
 
 use crate::declare::{FieldSink, Range, Section, Visit, number};
+use crate::digits::format_significant;
 use crate::units::{Energy, MAX_UNITS, MICRO_PER_UNIT};
 
-/// Maximum number of TTIs per column, which bounds the memory.
+/// Maximum number of TTIs per column that are converted, which bounds the memory.
 const MAX_TTIS_PER_COLUMN: f64 = 10_000_000.0;
 /// Allowed relative deviation of a record from a whole number of TTIs, for rounding.
 const ROUNDING_TOLERANCE: f64 = 1e-6;
@@ -40,10 +41,11 @@ impl Panel {
 
     /// Energy per TTI of the rows `irradiance`, W/m², at least one row, each at least 0; row i is the value at time
     /// i·`row_seconds`. After the last row the first one follows; with `stops` the last value holds for one more row.
+    /// Of a record with more than 10⁷ TTIs, only the first `needed` TTIs.
     ///
     /// # Errors
-    /// If the rows are not a whole number of TTIs or too many, or the energy in a TTI exceeds the limit.
-    pub(super) fn energies(&self, irradiance: &[f64], stops: bool) -> Result<Vec<Energy>, String> {
+    /// If the rows are not a whole number of TTIs, too many TTIs are needed, or the energy in a TTI exceeds the limit.
+    pub(super) fn energies(&self, irradiance: &[f64], stops: bool, needed: u64) -> Result<Vec<Energy>, String> {
         let (rows, row) = (irradiance.len() as f64, self.row_seconds);
         let ttis = rows * row / self.tti_seconds;
         let tti_count = ttis.round();
@@ -55,10 +57,15 @@ impl Panel {
                 self.tti_seconds
             ));
         }
-        if tti_count > MAX_TTIS_PER_COLUMN {
+        let converted = if tti_count > MAX_TTIS_PER_COLUMN {
+            tti_count.min(needed as f64)
+        } else {
+            tti_count
+        };
+        if converted > MAX_TTIS_PER_COLUMN {
             return Err(format!(
-                "its {rows} rows cover {tti_count} TTIs, and the limit is {MAX_TTIS_PER_COLUMN}; set a longer \
-                 harvest.trace.panel.tti_seconds, or use fewer rows"
+                "the run needs {converted} TTIs of its {rows} rows, and the limit is {MAX_TTIS_PER_COLUMN}; set a \
+                 longer harvest.trace.panel.tti_seconds, or fewer ttis"
             ));
         }
         let after_last = if stops { irradiance.last() } else { irradiance.first() };
@@ -79,17 +86,17 @@ impl Panel {
             let slope = value(i + 1) - value(i);
             micro * (sums[i] + part * (value(i) + 0.5 * part * slope))
         };
-        let (mut energies, mut previous_sum) = (Vec::with_capacity(tti_count as usize), 0_u64);
-        for tti in 0..tti_count as u64 {
+        let (mut energies, mut previous_sum) = (Vec::with_capacity(converted as usize), 0_u64);
+        for tti in 0..converted as u64 {
             let end = micro_until(tti + 1);
             // The cast saturates; a sum that large exceeds MAX_UNITS below anyway.
             let sum = end.round() as u64;
             let energy = Energy::from_micro(sum.saturating_sub(previous_sum));
             if energy.units() > MAX_UNITS {
                 return Err(format!(
-                    "TTI {tti} harvests {:.1} units, and the limit is {MAX_UNITS}; set a larger \
+                    "TTI {tti} harvests {} units, and the limit is {MAX_UNITS}; set a larger \
                      harvest.trace.panel.unit_mj",
-                    energy.units()
+                    format_significant(energy.units(), 4)
                 ));
             }
             energies.push(energy);
@@ -122,7 +129,7 @@ mod tests {
     };
 
     fn units_by_tti(panel: &Panel, rows: &[f64], stops: bool) -> Vec<f64> {
-        let energies = panel.energies(rows, stops).expect("valid");
+        let energies = panel.energies(rows, stops, 1).expect("valid");
         energies.iter().map(|energy| energy.units()).collect()
     }
 
@@ -170,7 +177,7 @@ mod tests {
         let rows: Vec<f64> = (0..48).map(|i| f64::from((i * 37) % 11) * 1.7e-6).collect();
         for (stops, tti_seconds) in [(false, 0.4), (true, 0.75), (false, 6.0), (true, 32.0)] {
             let panel = Panel { tti_seconds, ..PANEL };
-            let energies = panel.energies(&rows, stops).expect("valid");
+            let energies = panel.energies(&rows, stops, 1).expect("valid");
             let irradiance_at = |second: f64| {
                 let (i, part) = ((second / 4.0) as usize, (second / 4.0).fract());
                 let row = |i: usize| match (rows.get(i), stops) {
@@ -205,8 +212,28 @@ mod tests {
     }
 
     #[test]
+    fn a_long_record_is_converted_as_far_as_needed() {
+        let rows: Vec<f64> = (0..30).map(|i| f64::from((i * 7) % 11)).collect();
+        // 12 million TTIs of 10 µs, and the same energies summed over 1000 of them.
+        let [long, short] = [1e-5, 1e-2].map(|tti_seconds| Panel { tti_seconds, ..PANEL });
+        for stops in [false, true] {
+            let part = long.energies(&rows, stops, 5_000).expect("valid");
+            assert_eq!(part.len(), 5_000);
+            let whole = short.energies(&rows, stops, 5).expect("valid");
+            assert_eq!(whole.len(), 12_000);
+            for (tti, energy) in whole[..5].iter().enumerate() {
+                let sum: Energy = part[1000 * tti..1000 * (tti + 1)].iter().copied().sum();
+                assert!(
+                    sum.micro().abs_diff(energy.micro()) <= 1,
+                    "TTI {tti}: {sum}, not {energy}"
+                );
+            }
+        }
+    }
+
+    #[test]
     fn errors_name_the_cause_and_the_fix() {
-        let reason = |panel: Panel| panel.energies(&[1e5; 3], false).expect_err("not valid");
+        let reason = |panel: Panel| panel.energies(&[1e5; 3], false, 20_000_000).expect_err("not valid");
         let not_whole = reason(Panel {
             tti_seconds: 5.0,
             ..PANEL
@@ -217,10 +244,11 @@ mod tests {
         );
         let too_much_energy = reason(Panel {
             tti_seconds: 12.0,
+            unit_mj: 1e-3,
             ..PANEL
         });
         assert!(
-            too_much_energy.contains("1200000.0 units")
+            too_much_energy.contains("TTI 0 harvests 1200000000 units")
                 && too_much_energy.ends_with("a larger harvest.trace.panel.unit_mj"),
             "{too_much_energy}"
         );
@@ -229,7 +257,8 @@ mod tests {
             ..PANEL
         });
         assert!(
-            too_many_ttis.contains("12000000 TTIs") && too_many_ttis.contains("longer harvest.trace.panel.tti_seconds"),
+            too_many_ttis.contains("needs 12000000 TTIs")
+                && too_many_ttis.contains("longer harvest.trace.panel.tti_seconds"),
             "{too_many_ttis}"
         );
     }

@@ -66,8 +66,14 @@ crate::declare! {
         ttis_per_row: u64 = whole(1, MAX_TTIS, 1).unit("TTIs"),
         /// Behaviour after the last row.
         end: TraceEnd = choice::<TraceEnd>("cycle"),
+        /// Row, counted from 0, in which TTI 0 begins. With `end = "cycle"` the rows before it follow the last row;
+        /// with `"stop"` they are not used.
+        start: Option<u64> = whole(0, MAX_START_ROW, 0).unit("rows"),
     }
 }
+
+/// Largest start row: no file that can be read has more rows.
+const MAX_START_ROW: u64 = MAX_FILE_BYTES;
 
 /// A trace of recorded energy per TTI.
 #[derive(Clone, Debug, PartialEq)]
@@ -84,7 +90,10 @@ pub struct HarvestTrace {
     pub end: TraceEnd,
     /// The panel that converts irradiance to energy, if the file recorded irradiance.
     pub panel: Option<Panel>,
-    /// Energy per TTI by column and row, scaled; under a panel one row per TTI.
+    /// Row of the file in which TTI 0 begins, from 0.
+    pub start: u64,
+    /// Energy per TTI by column and row, scaled, from row `start` on; under a panel one row per TTI. Of a trace with
+    /// too many values for the memory, only the part that the run reads.
     pub values: Arc<Vec<Vec<Energy>>>,
 }
 
@@ -102,8 +111,8 @@ impl HarvestTrace {
     pub(crate) const SECTIONS: [&'static Section; 3] =
         [TraceQuantityFields::SECTION, Settings::SECTION, panel::SECTION];
 
-    /// Builds the trace in `reader`; reads and scales its values.
-    pub(super) fn from_fields(reader: &FieldReader<'_>) -> Result<Self, ScenarioError> {
+    /// Builds the trace in `reader` for a run of `ttis` TTIs; reads and scales its values.
+    pub(super) fn from_fields(reader: &FieldReader<'_>, ttis: u64) -> Result<Self, ScenarioError> {
         let panel = match TraceQuantityFields::read(reader)?.quantity {
             TraceQuantity::Energy => None,
             TraceQuantity::Irradiance => Some(Panel::read(reader)?),
@@ -134,13 +143,35 @@ impl HarvestTrace {
             TraceColumns::Shared(name) => std::slice::from_ref(name),
             TraceColumns::PerDevice(names) => names,
         };
-        let values = reader
+        let start = settings.start.unwrap_or(0);
+        let first_row = start as usize;
+        // An irradiance file is needed as a whole, since its rows are converted together.
+        let needed_rows = match &panel {
+            None => first_row..first_row.saturating_add(ttis.div_ceil(settings.ttis_per_row) as usize),
+            Some(_) => 0..usize::MAX,
+        };
+        let numbers = reader
             .read_bytes(&file, MAX_FILE_BYTES)
             .map_err(|error| error.to_string())
-            .and_then(|bytes| columns::read_numbers(&file, &bytes, names))
-            .and_then(|numbers| match &panel {
-                None => scale_to_energy(&numbers, names, settings.scale),
-                Some(panel) => convert_irradiance(panel, &numbers, names, settings.end),
+            .and_then(|bytes| columns::read_numbers(&file, &bytes, names, needed_rows));
+        let numbers = match numbers {
+            Ok(numbers) => numbers,
+            Err(reason) => return Err(reader.file_error(field_path, file, reason)),
+        };
+        if first_row >= numbers.rows_in_file {
+            let allowed = format!(
+                "must be below {}, the number of rows of {}",
+                numbers.rows_in_file,
+                file.display()
+            );
+            return Err(reader.invalid_value("harvest.trace.start", start, allowed));
+        }
+        let values =
+            start_at_row(numbers, first_row, settings.end, ttis.div_ceil(settings.ttis_per_row)).and_then(|numbers| {
+                match &panel {
+                    None => scale_to_energy(&numbers, names, settings.scale),
+                    Some(panel) => convert_irradiance(panel, &numbers, names, settings.end, ttis),
+                }
             });
         match values {
             Ok(values) => Ok(Self {
@@ -150,6 +181,7 @@ impl HarvestTrace {
                 ttis_per_row: settings.ttis_per_row,
                 end: settings.end,
                 panel,
+                start,
                 values: Arc::new(values),
             }),
             Err(reason) => Err(reader.file_error(field_path, file, reason)),
@@ -186,6 +218,8 @@ impl HarvestTrace {
             scale: self.scale,
             ttis_per_row: self.ttis_per_row,
             end: self.end,
+            // Omitted at the first row, so that the hashes of such scenarios do not depend on the field.
+            start: (self.start > 0).then_some(self.start),
         };
         settings.visit(sink);
         panel::visit(self.panel.as_ref(), sink);
@@ -213,6 +247,36 @@ impl HarvestTrace {
     }
 }
 
+/// Moves row `start` of the file to the front: the rows before it follow the last one if the trace cycles, and are
+/// removed if it stops.
+///
+/// # Errors
+/// If only a part of the file is in `numbers`, and it ends before the run has read `needed_rows` of a trace that
+/// cycles.
+fn start_at_row(
+    mut numbers: ColumnData<f64>,
+    start: usize,
+    end: TraceEnd,
+    needed_rows: u64,
+) -> Result<ColumnData<f64>, String> {
+    if numbers.first_row > 0 || numbers.len() < numbers.rows_in_file {
+        // Reading has already moved the row to the front.
+        if end == TraceEnd::Cycle && (numbers.len() as u64) < needed_rows {
+            return Err(format!(
+                "has too many values to repeat: the run needs {needed_rows} rows from row {start} on, and {} follow; \
+                 set a smaller harvest.trace.start, fewer ttis or harvest.trace.end = \"stop\"",
+                numbers.len()
+            ));
+        }
+        return Ok(numbers);
+    }
+    match end {
+        TraceEnd::Cycle => numbers.rotate_rows(start),
+        TraceEnd::Stop => numbers.remove_rows_before(start),
+    }
+    Ok(numbers)
+}
+
 /// Converts `numbers` by column and row to energy per TTI.
 fn scale_to_energy(numbers: &ColumnData<f64>, names: &[String], scale: f64) -> Result<Vec<Vec<Energy>>, String> {
     let energy = |name: &str, (row, &number): (usize, &f64)| {
@@ -229,12 +293,13 @@ fn scale_to_energy(numbers: &ColumnData<f64>, names: &[String], scale: f64) -> R
     numbers.values.iter().zip(names).map(column).collect()
 }
 
-/// Converts `numbers` by column and row, W/m², to energy per TTI by column and TTI.
+/// Converts `numbers` by column and row, W/m², to energy per TTI by column and TTI, for a run of `ttis` TTIs.
 fn convert_irradiance(
     panel: &Panel,
     numbers: &ColumnData<f64>,
     names: &[String],
     end: TraceEnd,
+    ttis: u64,
 ) -> Result<Vec<Vec<Energy>>, String> {
     let column = |(values, name): (&Vec<f64>, &String)| {
         if let Some(row) = values.iter().position(|&value| value < 0.0) {
@@ -244,7 +309,7 @@ fn convert_irradiance(
                 values[row]
             ));
         }
-        let energies = panel.energies(values, end == TraceEnd::Stop);
+        let energies = panel.energies(values, end == TraceEnd::Stop, ttis);
         energies.map_err(|reason| format!("column `{name}`: {reason}"))
     };
     numbers.values.iter().zip(names).map(column).collect()
@@ -271,11 +336,36 @@ impl TraceSetup {
         self.ttis_per_row > 0 && self.find_rows(traces).is_some_and(|rows| !rows.is_empty())
     }
 
-    /// The mean of all rows, rounded down to micro-units.
-    pub(super) fn mean(&self, traces: &[Arc<Vec<Energy>>]) -> Energy {
+    /// The mean per TTI of all rows in a run of `ttis` TTIs, rounded down to micro-units. TTIs of the run after the end
+    /// of a trace that stops harvest nothing and count.
+    pub(super) fn mean(&self, traces: &[Arc<Vec<Energy>>], ttis: u64) -> Energy {
         let rows = self.find_rows(traces).map_or(&[][..], |rows| rows);
+        let per_row = u128::from(self.ttis_per_row);
         let sum: u128 = rows.iter().map(|energy| u128::from(energy.micro())).sum();
-        Energy::from_micro((sum / (rows.len() as u128).max(1)) as u64)
+        let trace_ttis = (rows.len() as u128 * per_row).max(1);
+        let mean_over = match self.end {
+            TraceEnd::Cycle => trace_ttis,
+            TraceEnd::Stop => trace_ttis.max(u128::from(ttis)),
+        };
+        Energy::from_micro((sum * per_row / mean_over) as u64)
+    }
+
+    /// The harvest in the first `ttis` TTIs, micro-units.
+    pub(super) fn micro_in(&self, traces: &[Arc<Vec<Energy>>], ttis: u64) -> u128 {
+        let rows = self.find_rows(traces).map_or(&[][..], |rows| rows);
+        let sum = |rows: &[Energy]| rows.iter().map(|energy| u128::from(energy.micro())).sum::<u128>();
+        let per_row = u128::from(self.ttis_per_row);
+        let whole_ttis = rows.len() as u128 * per_row;
+        let (cycles, rest) = match u128::from(ttis).checked_div(whole_ttis) {
+            None => return 0,
+            Some(cycles) => (cycles, u128::from(ttis) % whole_ttis),
+        };
+        if cycles > 0 && self.end == TraceEnd::Stop {
+            return sum(rows) * per_row;
+        }
+        let (row, ttis_in_row) = ((rest / per_row) as usize, rest % per_row);
+        let in_row = u128::from(rows[row].micro()) * ttis_in_row;
+        (cycles * sum(rows) + sum(&rows[..row])) * per_row + in_row
     }
 
     /// Creates the source. Also returns the TTI of its first arrival.
@@ -325,7 +415,8 @@ mod tests {
     use super::*;
 
     fn ghi_column(text: &str) -> ColumnData<f64> {
-        columns::read_numbers(Path::new("t.csv"), text.as_bytes(), &["ghi".to_owned()]).expect("a column")
+        columns::read_numbers(Path::new("t.csv"), text.as_bytes(), &["ghi".to_owned()], 0..usize::MAX)
+            .expect("a column")
     }
 
     #[test]
@@ -345,13 +436,13 @@ mod tests {
         };
         let names = ["ghi".to_owned()];
         let reason =
-            convert_irradiance(&panel, &ghi_column("ghi\n1\n-3\n"), &names, TraceEnd::Cycle).expect_err("negative");
+            convert_irradiance(&panel, &ghi_column("ghi\n1\n-3\n"), &names, TraceEnd::Cycle, 1).expect_err("negative");
         assert!(
             reason.starts_with("line 3, column `ghi`: the irradiance -3 W/m² must be"),
             "{reason}"
         );
         // 10 cm² at a tenth: 1 W/m² is 0.1 mJ a second.
-        let rows = convert_irradiance(&panel, &ghi_column("ghi\n2\n2\n"), &names, TraceEnd::Stop).expect("valid");
+        let rows = convert_irradiance(&panel, &ghi_column("ghi\n2\n2\n"), &names, TraceEnd::Stop, 1).expect("valid");
         assert_eq!(rows, [[Energy::from_micro(12_000_000); 2]]);
     }
 

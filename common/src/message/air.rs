@@ -6,6 +6,7 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 use super::Concerns;
+use crate::digits::format_significant;
 use crate::ids::{DeviceId, Tti};
 use crate::plan::Plan;
 use crate::radio::AirLosses;
@@ -83,7 +84,8 @@ impl Concerns for Report {
 
 impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "I {:.4}, battery {:.2} left", self.information, self.battery.units())
+        let [information, battery] = [self.information, self.battery.units()].map(|x| format_significant(x, 4));
+        write!(f, "I {information}, battery {battery} left")
     }
 }
 
@@ -132,12 +134,18 @@ impl fmt::Display for WakeOutcome {
             Self::Reported(report) => write!(f, "reported: {report}"),
             Self::Failed(failure) => write!(
                 f,
-                "woke but could not pay for a report; {:.2} units lost",
-                failure.drained_energy.units()
+                "woke but could not pay for a report; {} units lost",
+                format_significant(failure.drained_energy.units(), 4)
             ),
             Self::Missed => f.write_str("did not receive it"),
             Self::Lost(report) => write!(f, "reported, but the report was lost: {report}"),
-            Self::Late { spent, .. } => write!(f, "woke after the event; {:.2} units spent", spent.units()),
+            Self::Late { spent, .. } => {
+                write!(
+                    f,
+                    "woke after the event; {} units spent",
+                    format_significant(spent.units(), 4)
+                )
+            }
         }
     }
 }

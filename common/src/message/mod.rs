@@ -399,7 +399,7 @@ mod tests {
         assert_eq!(message.encode(), codec::encode(&report));
         assert_eq!(message.encoded_len(), codec::encoded_len(&report));
         assert!(message.concerns(Some(3), DeviceId(3)) && !message.concerns(Some(3), DeviceId(4)));
-        assert_eq!(message.to_string(), "I 0.2500, battery 1.50 left");
+        assert_eq!(message.to_string(), "I 0.25, battery 1.5 left");
         assert!(Message::decode(MessageKind::Wake, &codec::encode(&report)).is_err());
     }
 

@@ -6,6 +6,7 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 use super::{Concerns, FailedTransmission, Report, WakeOutcome};
+use crate::digits::format_significant;
 use crate::event::{ActiveEvent, EventRecord, Stimulus};
 use crate::ids::{DeviceId, Tti};
 use crate::state::{DeviceState, DeviceView};
@@ -70,8 +71,10 @@ impl fmt::Display for EventUpdate {
                 let information = tally.information();
                 write!(
                     f,
-                    ": I {information:.4}, {} reports, {} wake-ups",
-                    tally.reports, tally.wake_ups
+                    ": I {}, {} reports, {} wake-ups",
+                    format_significant(information, 4),
+                    tally.reports,
+                    tally.wake_ups
                 )?;
                 match tally.wrong_activations {
                     0 => Ok(()),
@@ -97,10 +100,10 @@ impl Concerns for FailedReport {
 
 impl fmt::Display for FailedReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let lost = self.failure.drained_energy.units();
+        let lost = format_significant(self.failure.drained_energy.units(), 4);
         write!(
             f,
-            "detected the event but could not pay for a report; {lost:.2} units lost"
+            "detected the event but could not pay for a report; {lost} units lost"
         )
     }
 }

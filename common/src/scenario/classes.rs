@@ -4,6 +4,7 @@
 use std::collections::BTreeSet;
 
 use super::class_members::{ClassFields, Members};
+use super::run::RunSettings;
 use crate::declare::{FieldReader, FieldSink, ScenarioError, Visit};
 use crate::energy::EnergyModel;
 use crate::geometry::Area;
@@ -32,11 +33,11 @@ pub struct DeviceClass {
 }
 
 impl DeviceClass {
-    /// Reads the classes from `reader`, for TTIs of duration `tau` on `area`; a scenario without classes gets a
+    /// Reads the classes from `reader`, for a run with the settings `run` on `area`; a scenario without classes gets a
     /// default one. The flag of each class tells whether its fields specify its members, see [`check_shares`].
     pub(super) fn read_all(
         reader: &FieldReader<'_>,
-        tau: f64,
+        run: &RunSettings,
         area: Area,
     ) -> Result<(Vec<Self>, Vec<bool>), ScenarioError> {
         let items = reader.items();
@@ -46,7 +47,7 @@ impl DeviceClass {
                 share: 1.0,
                 members: Members::Share(1.0),
                 energy: EnergyModel::from_fields(reader)?,
-                harvest: Harvest::from_fields(reader, tau)?,
+                harvest: Harvest::from_fields(reader, run.tau, run.ttis)?,
             };
             return Ok((vec![only], vec![true]));
         }
@@ -57,7 +58,7 @@ impl DeviceClass {
         let mut names = BTreeSet::new();
         let (mut classes, mut specify_members) = (Vec::new(), Vec::new());
         for item in items {
-            let (class, specifies_members) = Self::from_fields(item, &mut names, tau, area)?;
+            let (class, specifies_members) = Self::from_fields(item, &mut names, run, area)?;
             classes.push(class);
             specify_members.push(specifies_members);
         }
@@ -67,7 +68,7 @@ impl DeviceClass {
     fn from_fields(
         item: FieldReader<'_>,
         names: &mut BTreeSet<String>,
-        tau: f64,
+        run: &RunSettings,
         area: Area,
     ) -> Result<(Self, bool), ScenarioError> {
         let section = ClassFields::SECTION;
@@ -99,14 +100,16 @@ impl DeviceClass {
             share: 0.0,
             members: members.unwrap_or(Members::Layout),
             energy: EnergyModel::from_fields(&item)?,
-            harvest: Harvest::from_fields(&item, tau)?,
+            harvest: Harvest::from_fields(&item, run.tau, run.ttis)?,
         };
         Ok((class, specifies_members))
     }
 
     /// Passes every field of `classes` to `sink`. The only class of a scenario without classes uses the top level.
     pub(super) fn visit_all(classes: &[Self], sink: &mut dyn FieldSink) {
-        let is_undeclared = matches!(classes, [only] if only.name == DEFAULT_CLASS_NAME);
+        // A declared class may have the same name. Its members distinguish it, unless it equals the undeclared class.
+        let is_undeclared =
+            matches!(classes, [only] if only.name == DEFAULT_CLASS_NAME && only.members == Members::Share(1.0));
         for class in classes {
             if !is_undeclared {
                 sink.item(&class.name);

@@ -8,6 +8,7 @@ use super::policy::{PolicyChoice, PolicyKind};
 use super::run::{BsSettings, PolicyName, RunSettings};
 use super::site::{ClassKnowledge, Site};
 use crate::declare::{FieldSink, ScenarioHasher, Visit};
+use crate::energy::EnergyModel;
 use crate::event::event_settings::EventSettings;
 use crate::geometry::{Area, Layout};
 use crate::ids::Tti;
@@ -82,17 +83,33 @@ impl<P> Scenario<P> {
         Tti((self.run.ttis as f64 * self.run.warm_up).floor() as u64)
     }
 
-    /// Returns the length in TTIs of the longest run with these devices for which all energy sums fit in 64 bits.
+    /// Returns the length in TTIs of the longest run with these devices for which all energy sums fit in 64 bits; 0 if
+    /// the full batteries alone do not fit.
     pub fn max_ttis(&self) -> u64 {
+        let (level, per_tti) = (self.largest_level(), self.largest_turnover());
+        let devices = u128::from(self.run.devices);
+        let free = u128::from(u64::MAX).saturating_sub(devices * u128::from(level.micro()));
         // At least 1, because it is a divisor.
-        let per_tti = u128::from(self.run.devices) * u128::from(self.largest_energy().micro().max(1));
-        u64::try_from(u128::from(u64::MAX) / per_tti).unwrap_or(u64::MAX)
+        let ttis = free / (devices * per_tti.max(1));
+        u64::try_from(ttis).unwrap_or(u64::MAX)
     }
 
-    /// Returns the largest amount of energy that any device can hold, or harvest in one TTI.
-    pub(super) fn largest_energy(&self) -> Energy {
-        let largest = |class: &DeviceClass| class.energy.e_max.max(class.harvest.max_per_tti());
-        self.classes.iter().map(largest).max().unwrap_or_default()
+    /// Returns the largest amount of energy that any device can hold.
+    pub(super) fn largest_level(&self) -> Energy {
+        let levels = self.classes.iter().map(|class| class.energy.e_max);
+        levels.max().unwrap_or_default()
+    }
+
+    /// Returns an upper bound on the energy, micro-units, that any device can harvest and spend in one TTI together.
+    pub(super) fn largest_turnover(&self) -> u128 {
+        let turnover = |class: &DeviceClass| {
+            let EnergyModel {
+                e_idle, e_wur, e_tx, ..
+            } = class.energy;
+            let amounts = [class.harvest.max_per_tti(), e_idle, e_wur, e_tx];
+            amounts.iter().map(|energy| u128::from(energy.micro())).sum()
+        };
+        self.classes.iter().map(turnover).max().unwrap_or_default()
     }
 
     /// Returns the base station's knowledge of its site.
@@ -101,7 +118,7 @@ impl<P> Scenario<P> {
             name: &class.name,
             share: class.share,
             energy: class.energy,
-            mean_harvest: class.harvest.mean(self.run.tau),
+            mean_harvest: class.harvest.mean(self.run.tau, self.run.ttis),
         });
         Site {
             devices: self.run.devices,

@@ -11,11 +11,13 @@ use super::model::{LoadedScenario, Scenario};
 use super::policy::{Policies, PolicyChoice, PolicyKind};
 use super::run::{BsSettings, PolicyName, RunSettings};
 use crate::declare::{Declaration, FieldReader, FileContext, Merged, ScenarioError};
+use crate::digits::format_significant;
 use crate::event::DurationKind;
 use crate::event::event_settings::EventSettings;
 use crate::geometry::{Area, Layout};
 use crate::radio::RadioSettings;
 use crate::sensing::Sensing;
+use crate::units::{Energy, MICRO_PER_UNIT};
 
 /// Builds the scenario that `merged` describes, with its warnings; `preset` names the preset from which it started.
 pub(super) fn validate<K: PolicyKind>(
@@ -37,7 +39,7 @@ pub(super) fn validate<K: PolicyKind>(
     let events = EventSettings::from_fields(reader)?;
     let radio = RadioSettings::from_fields(reader)?;
     let bs = BsSettings::read(reader)?;
-    let (mut classes, specify_members) = DeviceClass::read_all(reader, run.tau, area)?;
+    let (mut classes, specify_members) = DeviceClass::read_all(reader, &run, area)?;
     // The items are the tables `[[class]]` of the scenario file.
     let has_classes = !reader.items().is_empty();
     let names: Vec<&str> = classes
@@ -144,14 +146,21 @@ fn check_energy_sums<K: PolicyKind>(
     scenario: &Scenario<PolicyChoice<K>>,
 ) -> Result<(), ScenarioError> {
     let max_ttis = scenario.max_ttis();
+    let devices = scenario.run.devices;
+    if max_ttis == 0 {
+        let most = Energy::from_micro(u64::MAX / 2 / u64::from(devices));
+        let allowed = format!("must be at most {most} with {devices} devices, or sums of energy overflow");
+        return Err(reader.invalid_value("energy.e_max", scenario.largest_level(), allowed));
+    }
     let lengths = std::iter::once(("ttis", scenario.run.ttis)).chain(scenario.policy.pilot_ttis());
     let Some((path, ttis)) = lengths.into_iter().find(|(_, ttis)| *ttis > max_ttis) else {
         return Ok(());
     };
     let allowed = format!(
-        "must be at most {max_ttis} with {} devices that hold or harvest up to {}, or sums of energy overflow",
-        scenario.run.devices,
-        scenario.largest_energy()
+        "must be at most {max_ttis} with {devices} devices that hold up to {} and harvest or spend up to {} units in a \
+         TTI, or sums of energy overflow",
+        scenario.largest_level(),
+        format_significant(scenario.largest_turnover() as f64 / MICRO_PER_UNIT as f64, 4)
     );
     Err(reader.invalid_value(path, ttis, allowed))
 }

@@ -14,7 +14,9 @@ use reveille_common::io::Disk;
 use reveille_common::scenario::WakeUpRanking;
 use reveille_study::figures::attention::{self, AttentionFigure};
 use reveille_study::figures::results::{Results, RunCondition};
-use reveille_study::figures::sweep::{SweepFigureSpec, canonical_field, note_on_several};
+use reveille_study::figures::sweep::{
+    POLICY, SweepFigure, SweepFigureSpec, SweptNumbers, canonical_field, note_on_several,
+};
 use reveille_study::figures::timeline::Timeline;
 use reveille_study::figures::{
     FigureError, deployment, energy, front, learning, pareto, q_table, robustness, study, timeline, to_file_name,
@@ -23,10 +25,13 @@ use reveille_study::figures::{
 use super::figure_files::{read_tables, write_file, write_picture};
 use super::resolve_scenario::resolve;
 use crate::cli::{
-    AttentionArgs, AxisArg, DeploymentArgs, FiguresArgs, FiguresCommand, LearningArgs, QTableArgs, RankingArg,
-    RobustnessArgs, SweepFigureArgs, TimelineArgs, nearest_name, other_figures,
+    AttentionArgs, AxisArg, DeploymentArgs, FigureOutputArgs, FiguresArgs, FiguresCommand, LearningArgs, QTableArgs,
+    RankingArg, RobustnessArgs, SweepFigureArgs, TimelineArgs, nearest_name, other_figures,
 };
 use crate::display::note;
+
+/// The metrics that are drawn against a swept field unless `--only` selects others.
+const SWEPT_METRICS: [&str; 2] = ["info_p1", "energy_per_device_tti"];
 
 /// Draws the requested figures.
 pub(crate) fn run(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
@@ -45,7 +50,13 @@ pub(crate) fn run(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
 fn draw_study(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
     let chosen = study::select_figures(&args.only, &other_figures())?;
     let results = read_tables(&args.tables)?;
-    for (condition, label) in results.conditions.iter().zip(results.file_labels()) {
+    let swept = SweptNumbers::of_results(&results);
+    // The paper has no figures of a swept field, so its runs are drawn against this field.
+    let is_swept = |condition: &RunCondition| {
+        !condition.is_unchanged_preset() && swept.iter().any(|numbers| numbers.is_varied_in(condition))
+    };
+    let with_labels = results.conditions.iter().zip(results.file_labels());
+    for (condition, label) in with_labels.filter(|(condition, _)| !is_swept(condition)) {
         for figure in &chosen {
             let name = format!("{}-{label}", figure.name);
             let Some(drawing) = figure.draw(condition) else {
@@ -77,29 +88,62 @@ fn draw_study(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
             draw_trades(args, &label, &[condition])?;
         }
     }
-    suggest_sweep_figures(&results);
+    for numbers in &swept {
+        draw_swept_field(args, &results, numbers, &chosen)?;
+    }
+    suggest_lines(&results, &swept);
     for (label, conditions) in results.by_preset_and_length() {
         if args.combine {
-            draw_trades(args, &label, &conditions)?;
+            draw_trades(args, &format!("{label}-together"), &conditions)?;
         }
-        draw_fronts(args, label.trim_end_matches("-together"), &conditions)?;
+        draw_fronts(args, &label, &conditions)?;
     }
     Ok(ExitCode::SUCCESS)
 }
 
-/// Suggests how to draw a swept field in one picture.
-fn suggest_sweep_figures(results: &Results) {
+/// Draws the metrics of the `chosen` figures, by default information and energy, against a swept field. There is a
+/// picture for each combination of the other settings.
+fn draw_swept_field(
+    args: &FiguresArgs,
+    results: &Results,
+    numbers: &SweptNumbers,
+    chosen: &[study::Figure],
+) -> anyhow::Result<()> {
+    let is_default = |figure: &&study::Figure| SWEPT_METRICS.contains(&figure.metric);
+    for figure in chosen
+        .iter()
+        .filter(|figure| !args.only.is_empty() || is_default(figure))
+    {
+        let spec = SweepFigureSpec {
+            x_field: numbers.field.clone(),
+            metric: figure.metric.to_owned(),
+            line_field: POLICY.to_owned(),
+            filter: Vec::new(),
+            is_log_x: numbers.is_wide(),
+            is_log_y: figure.is_log,
+        };
+        match spec.draw(results) {
+            Ok(pictures) => write_sweep_pictures(&args.pictures, &spec, &pictures)?,
+            Err(error) => note!("{} against {}: not drawn: {error}", figure.name, numbers.field),
+        }
+    }
+    Ok(())
+}
+
+/// Suggests how to compare the values of swept fields that are not numbers.
+fn suggest_lines(results: &Results, drawn: &[SweptNumbers]) {
     let fields: BTreeSet<&str> = results
         .conditions
         .iter()
         .filter(|condition| !condition.is_unchanged_preset())
         .flat_map(|condition| &condition.swept_fields)
         .map(|(path, _)| path.as_str())
+        .filter(|path| !drawn.iter().any(|numbers| numbers.field == *path))
         .collect();
     for field in fields {
         note!(
-            "{field} varies, which the figures of the paper do not show; use `reveille figures sweep TABLE --x {field} \
-             --y info_p1` to draw a metric against it"
+            "{field} varies, which the figures of the paper do not show; use `reveille figures sweep TABLE --x devices \
+             --by {field} --y info_p1` to draw a line for each of its values"
         );
     }
 }
@@ -220,17 +264,8 @@ fn draw_robustness(args: &RobustnessArgs) -> anyhow::Result<ExitCode> {
     let impairments: Vec<_> = all.filter(|impairment| is_requested(impairment.name)).collect();
     let points = robustness::measure(&scenarios, &impairments, args.seeds);
     let name = format!("{}-n{}", robustness::NAME, scenarios[0].run.devices);
-    for impairment in impairments {
-        for metric in robustness::METRICS {
-            let chart = robustness::chart(&points, impairment, metric, &scenarios[0]);
-            let metric = metric.0;
-            write_picture(
-                &args.pictures,
-                &format!("{name}-{}-{metric}", impairment.name),
-                &chart.scene(),
-            )?;
-        }
-    }
+    let grid = robustness::grid(&points, &impairments, &scenarios[0]);
+    write_picture(&args.pictures, &name, &grid.scene())?;
     write_file(
         &args.pictures.out,
         &format!("{name}.csv"),
@@ -344,7 +379,17 @@ fn draw_sweep(args: &SweepFigureArgs) -> anyhow::Result<ExitCode> {
     if let (Some(differences), Some((field, value))) = (note_on_several(&pictures), first_field) {
         note!("{differences}; use --where to choose, for example --where {field}={value}");
     }
-    for picture in &pictures {
+    write_sweep_pictures(&args.pictures, &spec, &pictures)?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Writes the `pictures` of `spec` with their data.
+fn write_sweep_pictures(
+    args: &FigureOutputArgs,
+    spec: &SweepFigureSpec,
+    pictures: &[SweepFigure],
+) -> anyhow::Result<()> {
+    for picture in pictures {
         let name = spec.file_name(&picture.facet);
         for line in &picture.lines_without_value {
             note!(
@@ -352,8 +397,8 @@ fn draw_sweep(args: &SweepFigureArgs) -> anyhow::Result<ExitCode> {
                 spec.metric
             );
         }
-        write_picture(&args.pictures, &name, &picture.chart.scene())?;
-        write_file(&args.pictures.out, &format!("{name}.csv"), picture.csv.as_bytes())?;
+        write_picture(args, &name, &picture.chart.scene())?;
+        write_file(&args.out, &format!("{name}.csv"), picture.csv.as_bytes())?;
     }
-    Ok(ExitCode::SUCCESS)
+    Ok(())
 }

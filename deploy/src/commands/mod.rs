@@ -7,6 +7,7 @@ pub(crate) mod bs;
 pub(crate) mod clock;
 pub(crate) mod dashboard;
 pub(crate) mod device;
+mod energy_balance;
 mod experiment;
 mod figure_files;
 pub(crate) mod figures;

@@ -61,7 +61,14 @@ fn search(args: &SearchArgs) -> anyhow::Result<ExitCode> {
 /// Judges the claims and writes the report.
 fn write_report(args: &ReportArgs) -> anyhow::Result<ExitCode> {
     let results = read_tables(&args.tables)?;
-    let report = ClaimReport::new(&results);
+    let report = ClaimReport::of_presets(&results)?;
+    if report.settings_left_out.count > 0 {
+        note!(
+            "report: {} left out, on which the paper makes no statement; rank them with `reveille report search`, or \
+             draw them with `reveille figures`",
+            report.settings_left_out.describe()
+        );
+    }
     let mut pictures = Vec::new();
     let mut files = Vec::new();
     for preset in report.missing_presets() {

@@ -7,7 +7,9 @@ use std::process::ExitCode;
 use anyhow::Context as _;
 use reveille_bs::policy::registry;
 use reveille_bs::scenario::{Loaded, Override, PRESETS, Preset, load_with_external, reference, schema};
+use reveille_common::energy_balance::EnergyBalance;
 
+use super::energy_balance::format_balance;
 use crate::cli::ScenarioCommand;
 use crate::display::{self, note};
 
@@ -50,6 +52,9 @@ fn check_sources(sources: &[String], overrides: &[Override]) -> anyhow::Result<E
                     scenario.policy.name(),
                     &scenario.hash_hex()[..16]
                 ))?;
+                let balance = EnergyBalance::new(&scenario);
+                print_warnings(source, &balance.warnings());
+                display::print_stdout(&format_balance(&balance))?;
             }
             // Reported without a return, so that the other sources are checked too.
             Err(error) => {

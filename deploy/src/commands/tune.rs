@@ -12,6 +12,7 @@ use anyhow::{anyhow, bail};
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{CellAlignment, Table};
 use indicatif::ProgressBar;
+use reveille_common::digits::{decimals_for, format_significant};
 use reveille_lab::io::replace;
 use reveille_lab::tuning::bayes::{Bayes, surface};
 use reveille_lab::tuning::{
@@ -201,9 +202,10 @@ fn format_summary(args: &TuneArgs, history: &History, pictures: &[PathBuf]) -> a
     ]);
     let with_half_width = |mean: f64, half: f64| {
         if half.is_nan() {
-            format!("{mean:.4}")
+            format_significant(mean, 4)
         } else {
-            format!("{mean:.4} ± {half:.4}")
+            let decimals = decimals_for(half, 2);
+            format!("{mean:.decimals$} ± {half:.decimals$}")
         }
     };
     for number in history.ranked().into_iter().take(CLOSING_TABLE_POINTS) {
@@ -217,9 +219,9 @@ fn format_summary(args: &TuneArgs, history: &History, pictures: &[PathBuf]) -> a
             mu2.to_string(),
             with_half_width(e.objective, e.objective_half),
             with_half_width(e.information, e.information_half),
-            format!("{:.3}", e.misdetection_pct),
-            format!("{:.4}", e.energy),
-            format!("{:.2}", e.wake_ups),
+            format_significant(e.misdetection_pct, 4),
+            format_significant(e.energy, 4),
+            format_significant(e.wake_ups, 4),
         ]);
     }
     for column in table.column_iter_mut() {
@@ -300,7 +302,8 @@ impl TuningDisplay {
     fn format_best(&self) -> String {
         let best_point = *self.best_point.lock().unwrap_or_else(PoisonError::into_inner);
         best_point.map_or_else(String::new, |(objective, [mu1, mu2])| {
-            format!("  best {objective:.4} at μ1 = {mu1:.3}, μ2 = {mu2:.3}")
+            let [objective, mu1, mu2] = [objective, mu1, mu2].map(|x| format_significant(x, 4));
+            format!("  best {objective} at μ1 = {mu1}, μ2 = {mu2}")
         })
     }
 }

@@ -41,7 +41,7 @@ use serde::{Deserialize, Serialize};
 use crate::battery::Battery;
 use crate::ledger::LedgerBuilder;
 
-/// Largest number of TTIs per span: levels of up to 10¹⁰ micro-units, summed over this many, fit in 64 bits.
+/// Largest number of TTIs per span: levels of up to 10¹⁵ micro-units, summed over this many, fit in 64 bits.
 const MAX_SPAN_TTIS: u64 = 1 << 13;
 
 /// The outcome of a stimulus for a device.

@@ -44,6 +44,8 @@ pub enum Interval {
     BandEdges,
     /// Bars with caps at the points in both directions, without a band.
     Crosses,
+    /// A light band between thin edges, so that several bands remain distinct.
+    LightBand,
 }
 
 /// A line of a chart.
@@ -140,12 +142,12 @@ pub struct Chart {
 }
 
 /// Position of the plot on the canvas.
-struct PlotFrame<'a> {
-    chart: &'a Chart,
-    left: f64,
-    top: f64,
-    right: f64,
-    bottom: f64,
+pub(super) struct PlotFrame<'a> {
+    pub(super) chart: &'a Chart,
+    pub(super) left: f64,
+    pub(super) top: f64,
+    pub(super) right: f64,
+    pub(super) bottom: f64,
 }
 
 impl Chart {
@@ -170,10 +172,10 @@ impl Chart {
             right: COLUMN_WIDTH - MARGIN - 4.0,
             bottom: y - 2.0 + PLOT_HEIGHT,
         };
-        frame.draw_axes(&mut scene);
-        frame.draw_data(&mut scene);
+        frame.draw(&mut scene);
+        frame.draw_labels(&mut scene);
         let mut y = frame.bottom + 3.0 * LEADING + 6.0;
-        y = self.draw_legend(&mut scene, y);
+        y = self.draw_legend(&mut scene, y, COLUMN_WIDTH);
         y += 1.0;
         for line in wrap_text(&self.caption, Weight::Regular, TEXT_SIZE, COLUMN_WIDTH - 2.0 * MARGIN) {
             scene.text(Text::new(line, (MARGIN, y), TEXT_SIZE));
@@ -191,24 +193,19 @@ impl Chart {
         ticks
     }
 
-    /// Draws rows of as many entries as fit. Returns the base line of the text below.
-    fn draw_legend(&self, scene: &mut Scene, mut y: f64) -> f64 {
+    /// Draws rows of as many entries as fit in `width` points. Returns the base line of the text below.
+    pub(super) fn draw_legend(&self, scene: &mut Scene, mut y: f64, width: f64) -> f64 {
         /// Width of an entry's line and marker, points.
         const SWATCH: f64 = 22.0;
         let mut x = MARGIN;
         for series in self.series.iter().filter(|s| !s.name.is_empty()) {
-            let lines = wrap_text(
-                &series.name,
-                Weight::Regular,
-                TEXT_SIZE,
-                COLUMN_WIDTH - 2.0 * MARGIN - SWATCH,
-            );
+            let lines = wrap_text(&series.name, Weight::Regular, TEXT_SIZE, width - 2.0 * MARGIN - SWATCH);
             let widest = lines
                 .iter()
                 .map(|line| text_width(line, Weight::Regular, TEXT_SIZE))
                 .fold(0.0, f64::max);
             let entry_width = SWATCH + widest;
-            if x > MARGIN && (x + entry_width > COLUMN_WIDTH - MARGIN || lines.len() > 1) {
+            if x > MARGIN && (x + entry_width > width - MARGIN || lines.len() > 1) {
                 (x, y) = (MARGIN, y + LEADING + 1.0);
             }
             let middle = y - 0.35 * TEXT_SIZE;
@@ -229,7 +226,7 @@ impl Chart {
         }
         if let Some(mark) = self.marks.first() {
             let entry_width = 10.0 + text_width(MARKS_LEGEND, Weight::Regular, TEXT_SIZE);
-            if x + entry_width > COLUMN_WIDTH - MARGIN {
+            if x + entry_width > width - MARGIN {
                 (x, y) = (MARGIN, y + LEADING + 1.0);
             }
             let hollow = Style {
@@ -244,6 +241,12 @@ impl Chart {
 }
 
 impl PlotFrame<'_> {
+    /// Draws the axes without their names, and the data.
+    pub(super) fn draw(&self, scene: &mut Scene) {
+        self.draw_axes(scene);
+        self.draw_data(scene);
+    }
+
     fn x(&self, value: f64) -> f64 {
         self.left + self.chart.x.position(value) * (self.right - self.left)
     }
@@ -285,6 +288,10 @@ impl PlotFrame<'_> {
             (self.right, self.bottom),
         ];
         scene.line(VectorPath::polyline(corner, false), axis);
+    }
+
+    /// Draws the names of the axes.
+    fn draw_labels(&self, scene: &mut Scene) {
         let below = (0.5 * (self.left + self.right), self.bottom + 2.0 * LEADING + 2.5);
         scene.text(Text::new(self.chart.x_label.as_str(), below, TEXT_SIZE).anchored(Anchor::Middle));
         let label_position = (MARGIN + 0.76 * TEXT_SIZE, 0.5 * (self.top + self.bottom));
@@ -353,6 +360,10 @@ impl PlotFrame<'_> {
     /// Draws the band and the bars of a series according to its [`Interval`]; points without an interval have neither.
     fn draw_intervals(&self, scene: &mut Scene, series: &Series) {
         let with_interval: Vec<&ChartPoint> = series.points.iter().filter(|s| s.y_half_width.is_finite()).collect();
+        if series.interval == Interval::LightBand {
+            self.draw_light_band(scene, series.style.paint, &with_interval);
+            return;
+        }
         if series.is_joined && with_interval.len() > 1 && series.interval != Interval::Crosses {
             let upper = with_interval
                 .iter()
@@ -364,7 +375,7 @@ impl PlotFrame<'_> {
             scene.area(VectorPath::polyline(upper.chain(lower), true), series.style.paint, 0.25);
         }
         match series.interval {
-            Interval::Bars | Interval::Crosses => {}
+            Interval::Bars | Interval::Crosses | Interval::LightBand => {}
             Interval::Band => return,
             Interval::BandEdges => {
                 for sign in [1.0, -1.0] {
@@ -398,6 +409,21 @@ impl PlotFrame<'_> {
             path.extend(VectorPath::segment((left, y - 2.0), (left, y + 2.0)));
             path.extend(VectorPath::segment((right, y - 2.0), (right, y + 2.0)));
             scene.line(path, bar);
+        }
+    }
+
+    /// Draws a light band through the intervals of `points`, with thin edges.
+    fn draw_light_band(&self, scene: &mut Scene, paint: Paint, points: &[&ChartPoint]) {
+        let edge = |sign: f64| {
+            points
+                .iter()
+                .map(move |s| (self.x(s.x), self.y(s.y + sign * s.y_half_width)))
+        };
+        let outline: Vec<(f64, f64)> = edge(1.0).chain(edge(-1.0).rev()).collect();
+        scene.area(VectorPath::polyline(outline, true), paint, 0.12);
+        for sign in [1.0, -1.0] {
+            let thin = Stroke::solid(paint, 0.4).with_opacity(0.6);
+            scene.line(VectorPath::polyline(edge(sign), false), thin);
         }
     }
 

@@ -6,10 +6,12 @@ use libm::{cos, sin};
 use reveille_bs::beliefs::ranking::i_min;
 use reveille_bs::scenario::Scenario;
 use reveille_common::deployment::Deployment;
+use reveille_common::digits::format_significant;
 use reveille_common::event::EventRecord;
 use reveille_common::geometry::{Point, voronoi_cells};
 use reveille_common::ids::DeviceId;
 use reveille_common::message::WakeOutcome;
+use reveille_common::scenario::assign_classes;
 use reveille_common::state::DeviceState;
 
 use super::area_plot::{AreaPlot, draw_title};
@@ -19,7 +21,7 @@ use super::font::{Weight, text_width, wrap_text};
 use super::path::VectorPath;
 use super::run_walk::{RunWalk, TtiOutcome, collect_events};
 use super::scene::{Anchor, Paint, Rgb, Scene, Stroke, Text};
-use super::style::{BLUE, COLUMN_WIDTH, GREEN, LEADING, MARGIN, TEXT_SIZE, VERMILION};
+use super::style::{BLUE, COLUMN_WIDTH, GREEN, GREY, LEADING, MARGIN, ORANGE, PURPLE, SKY, TEXT_SIZE, VERMILION};
 
 /// Largest number of devices in a figure.
 pub(crate) const MAX_DEVICES: u32 = 1000;
@@ -32,6 +34,15 @@ const TINTS: [Rgb; 6] = [
     Rgb(0xF3, 0xE0, 0xEA),
     Rgb(0xEC, 0xEC, 0xEC),
     Rgb(0xF8, 0xF6, 0xCF),
+];
+
+/// Rings of device classes: colour and dashes. The most frequent class has none; classes beyond the last ring share it.
+const CLASS_RINGS: [(Rgb, &[f64]); 5] = [
+    (PURPLE, &[]),
+    (ORANGE, &[2.5, 1.5]),
+    (SKY, &[]),
+    (GREY, &[1.0, 1.2]),
+    (VERMILION, &[4.0, 1.2]),
 ];
 
 /// Role of a device in the TTI shown.
@@ -160,8 +171,11 @@ pub fn scene(scenario: &Scenario, event_scene: &EventScene) -> Scene {
     ground.draw_cells(&mut scene, event_scene);
     ground.draw_axes(&mut scene);
     ground.draw_event(&mut scene, event_scene, scenario.sensing.d_max);
+    let classes = ClassMarks::new(scenario);
+    ground.draw_class_rings(&mut scene, event_scene, &classes);
     ground.draw_devices(&mut scene, event_scene);
     y = legend(&mut scene, event_scene, ground.bottom() + 2.0 * LEADING + 15.0);
+    y = classes.draw_legend(&mut scene, y);
     scene.description = caption(scenario, event_scene);
     for line in wrap_text(
         &scene.description.clone(),
@@ -227,6 +241,14 @@ impl AreaPlot {
         draw_epicentre(scene, self.to_canvas(centre));
     }
 
+    fn draw_class_rings(&self, scene: &mut Scene, event_scene: &EventScene, classes: &ClassMarks) {
+        for (p, class) in event_scene.positions.iter().zip(&classes.class_of) {
+            if let Some(ring) = classes.ring(*class) {
+                scene.line(VectorPath::circle(self.to_canvas(*p), RING_RADIUS), ring);
+            }
+        }
+    }
+
     fn draw_devices(&self, scene: &mut Scene, event_scene: &EventScene) {
         for (p, role) in event_scene.positions.iter().zip(&event_scene.roles) {
             draw_role(scene, *role, self.to_canvas(*p));
@@ -247,6 +269,64 @@ impl AreaPlot {
                 scene.text(Text::new(text, (x, y), TEXT_SIZE).bold().anchored(anchor));
             }
         }
+    }
+}
+
+/// Radius of a class ring, points: larger than any device symbol.
+const RING_RADIUS: f64 = 5.2;
+
+/// The marks of device classes; empty if there is only one.
+struct ClassMarks {
+    /// Class of each device.
+    class_of: Vec<u16>,
+    /// Name and number of devices of each class that has devices, with its index, the most frequent first.
+    ranked: Vec<(u16, String, usize)>,
+}
+
+impl ClassMarks {
+    fn new(scenario: &Scenario) -> Self {
+        if scenario.classes.len() < 2 {
+            return Self {
+                class_of: Vec::new(),
+                ranked: Vec::new(),
+            };
+        }
+        let class_of = assign_classes(scenario);
+        let named = (0_u16..).zip(&scenario.classes).map(|(index, class)| {
+            let devices = class_of.iter().filter(|of| **of == index).count();
+            (index, class.name.clone(), devices)
+        });
+        let mut ranked: Vec<(u16, String, usize)> = named.filter(|(_, _, devices)| *devices > 0).collect();
+        // A stable sort: of equally frequent classes the first in the scenario has no ring.
+        ranked.sort_by_key(|(_, _, devices)| std::cmp::Reverse(*devices));
+        Self { class_of, ranked }
+    }
+
+    /// The ring of `class`; `None` for the most frequent class.
+    fn ring(&self, class: u16) -> Option<Stroke> {
+        let rank = self.ranked.iter().position(|(index, ..)| *index == class)?;
+        let (colour, dashes) = CLASS_RINGS[rank.checked_sub(1)?.min(CLASS_RINGS.len() - 1)];
+        Some(Stroke::solid(Paint::Colour(colour), 1.3).dashed(dashes))
+    }
+
+    /// Draws a line for each class. Returns the base line of the text below.
+    fn draw_legend(&self, scene: &mut Scene, mut y: f64) -> f64 {
+        for (index, name, devices) in &self.ranked {
+            let mut text = format!("class {name} ({devices})");
+            if let Some(ring) = self.ring(*index) {
+                scene.line(
+                    VectorPath::circle((MARGIN + 6.0, y - 0.35 * TEXT_SIZE), RING_RADIUS),
+                    ring,
+                );
+            } else {
+                text.push_str(", without a ring");
+            }
+            for line in wrap_text(&text, Weight::Regular, TEXT_SIZE, COLUMN_WIDTH - 2.0 * MARGIN - 14.0) {
+                scene.text(Text::new(line, (MARGIN + 14.0, y), TEXT_SIZE));
+                y += LEADING + 2.0;
+            }
+        }
+        y + if self.ranked.is_empty() { 0.0 } else { 3.0 }
     }
 }
 
@@ -356,7 +436,7 @@ fn caption(scenario: &Scenario, event_scene: &EventScene) -> String {
             format!("Cells are the devices' Voronoi cells, tinted by their {count} clusters.")
         },
     );
-    let information = tally.information();
+    let [information, i_min] = [tally.information(), event_scene.i_min].map(|x| format_significant(x, 3));
     let wake_ups = match event_scene.wake_up_count {
         0 => "no wake-up".to_owned(),
         1 => "one wake-up (numbered if it led to a report)".to_owned(),
@@ -364,7 +444,7 @@ fn caption(scenario: &Scenario, event_scene: &EventScene) -> String {
     };
     format!(
         "{ground} The event began in TTI {start} and ended in TTI {last}, which is shown. The BS sent {wake_ups} and \
-         got information {information:.3}; I_min of the deployment is {:.3}. Preset {}, seed {}.",
-        event_scene.i_min, scenario.run.preset, scenario.run.seed
+         got information {information}; I_min of the deployment is {i_min}. Preset {}, seed {}.",
+        scenario.run.preset, scenario.run.seed
     )
 }

@@ -9,6 +9,7 @@ use std::fmt::Write as _;
 use reveille_bs::policy::registry;
 use reveille_bs::scenario::{Loaded, load_with};
 use reveille_common::declare::NoFiles;
+use reveille_common::digits::{decimals_for, format_significant};
 use reveille_common::units::Energy;
 
 use super::chart::{Chart, ChartPoint, Interval, Series, StatedMark, StatedValue};
@@ -122,9 +123,10 @@ pub fn harvest_chart(condition: &RunCondition, points: &[HarvestPoint]) -> Chart
             interval: Interval::BandEdges,
             points: ends.to_vec(),
         });
+        let [least, most] = [least, most].map(|x| format_significant(x, 3));
         let _ = write!(
             bands,
-            " Spent at N = {n}: {least:.3} ({least_policy}) to {most:.3} ({most_policy})."
+            " Spent at N = {n}: {least} ({least_policy}) to {most} ({most_policy})."
         );
     }
     for (e_b, style) in
@@ -185,9 +187,10 @@ pub fn net_chart(condition: &RunCondition, points: &[HarvestPoint]) -> Option<Ch
         let consumption = spent(policy)?;
         let (spent, half_width) = (consumption.mean, consumption.half_width);
         consumptions.push(if half_width.is_nan() {
-            format!("{policy} spends {spent:.3}")
+            format!("{policy} spends {}", format_significant(spent, 3))
         } else {
-            format!("{policy} spends {spent:.4} ± {half_width:.4}")
+            let decimals = decimals_for(half_width, 2);
+            format!("{policy} spends {spent:.decimals$} ± {half_width:.decimals$}")
         });
         for (e_b, style) in
             E_B_UNITS

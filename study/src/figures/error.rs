@@ -21,6 +21,16 @@ pub enum FigureError {
         /// Names of the tables.
         tables: String,
     },
+    /// The tables hold no run of a preset, which the report needs.
+    #[error(
+        "the tables hold {settings} and no runs of an unchanged preset, on which the paper's claims are judged; add a \
+         table of `reveille sweep --scenario paper`, rank the settings with `reveille report search`, or draw them \
+         with `reveille figures`"
+    )]
+    NoPreset {
+        /// Settings in the tables.
+        settings: String,
+    },
     /// Two tables hold different outcomes of one run.
     #[error(
         "scenario {scenario}: the tables hold two outcomes of it (digests {first} and {second}), from different \

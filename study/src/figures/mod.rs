@@ -16,6 +16,7 @@ pub mod area_plot;
 pub mod attention;
 mod cell_map;
 pub mod chart;
+pub mod chart_grid;
 mod contour;
 pub mod deployment;
 pub mod energy;

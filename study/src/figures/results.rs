@@ -369,6 +369,12 @@ impl RunCondition {
         self.is_preset
     }
 
+    /// Whether the runs use a preset in which nothing but the ranking of wake-ups may be changed.
+    pub(crate) fn is_preset_of_any_ranking(&self) -> bool {
+        let is_ranking = |(path, _): &(String, String)| path == RANKING;
+        self.is_preset || (self.changed_in_table.is_none() && self.all_changes().all(is_ranking))
+    }
+
     /// Total number of runs.
     pub(crate) fn run_count(&self) -> usize {
         self.runs.values().map(BTreeMap::len).sum()
@@ -437,13 +443,12 @@ impl Results {
 }
 
 impl Results {
-    /// Conditions grouped by preset and K, with a part of a file name for each group. `reveille figures` removes
-    /// the ending `-together` for `front`.
+    /// Conditions grouped by preset and K, with a part of a file name for each group.
     pub fn by_preset_and_length(&self) -> Vec<(String, Vec<&RunCondition>)> {
         let has_lengths = self.conditions.windows(2).any(|pair| pair[0].ttis != pair[1].ttis);
         let mut groups: Vec<(String, Vec<&RunCondition>)> = Vec::new();
         for condition in &self.conditions {
-            let mut label = format!("{}-together", condition.preset);
+            let mut label = condition.preset.clone();
             if has_lengths {
                 label = format!("{label}-k{}", condition.ttis);
             }

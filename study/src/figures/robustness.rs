@@ -13,6 +13,7 @@ use reveille_lab::run::{Run, RunOptions};
 use reveille_lab::stats::Estimate;
 
 use super::chart::{Chart, ChartPoint, Interval, Series};
+use super::chart_grid::{ChartGrid, ChartRow};
 use super::scale::Scale;
 use super::study::{half_width_cell, runs_in_words};
 use super::style::Style;
@@ -187,19 +188,48 @@ pub fn measure(scenarios: &[Scenario], impairments: &[&'static Impairment], seed
     points
 }
 
-/// Draws a metric of [`METRICS`] against the level of `impairment`, from `points` of runs of `scenario`.
-pub fn chart(
-    points: &[RobustnessPoint],
-    impairment: &Impairment,
-    (metric, metric_name): (&str, &str),
-    scenario: &Scenario,
-) -> Chart {
+/// Draws all metrics of [`METRICS`] against the levels of `impairments`, a row each, from `points` of runs of `scenario`.
+/// Misdetections have a square-root axis: the policies differ by more than a factor of ten, and 0 is a frequent value.
+pub fn grid(points: &[RobustnessPoint], impairments: &[&Impairment], scenario: &Scenario) -> ChartGrid {
+    let row = |impairment: &&Impairment| ChartRow {
+        title: impairment.title.to_owned(),
+        x_label: impairment.x_label.to_owned(),
+        charts: METRICS.map(|metric| chart(points, impairment, metric)).to_vec(),
+    };
+    let counts = points.iter().map(|point| point.run_metrics.len());
+    let runs = runs_in_words((counts.clone().min().unwrap_or(0), counts.max().unwrap_or(0)));
+    let mut grid = ChartGrid {
+        title: format!("Robustness to an imperfect radio, N = {}", scenario.run.devices),
+        columns: METRICS.map(column_heading).to_vec(),
+        rows: impairments.iter().map(row).collect(),
+        caption: format!(
+            "Preset {}; {runs} of {} TTIs per point, mean with its 95 % interval as band. Plans are resent every {} \
+             TTIs; there is no impairment except the one along x. All rows of a column have the same y axis; that of % of \
+             events is a square-root axis.",
+            scenario.run.preset, scenario.run.ttis, scenario.bs.sync_interval
+        ),
+    };
+    grid.share_y_axes(|column, ends| match METRICS[column].0 {
+        "misdetection_pct" => Scale::square_root(ends),
+        _ => Scale::linear(ends, true),
+    });
+    grid
+}
+
+/// Returns the name of a metric with its unit; the unit may begin with the name.
+fn column_heading((metric, name): (&str, &str)) -> String {
+    let unit = Metrics::axis_label(metric);
+    if unit.starts_with(name) {
+        unit.to_owned()
+    } else {
+        format!("{name}, {unit}")
+    }
+}
+
+/// Draws a metric of [`METRICS`] against the level of `impairment`.
+fn chart(points: &[RobustnessPoint], impairment: &Impairment, (metric, metric_name): (&str, &str)) -> Chart {
     let Impairment {
-        name,
-        title,
-        x_label: axis,
-        levels,
-        ..
+        name, title, levels, ..
     } = *impairment;
     let of_impairment: Vec<&RobustnessPoint> = points.iter().filter(|point| point.impairment.name == name).collect();
     let mut policies: Vec<&str> = Vec::new();
@@ -220,30 +250,24 @@ pub fn chart(
         ]
     };
     let largest_level = levels.iter().copied().fold(0.0, f64::max);
-    let seeds = of_impairment.iter().map(|point| point.run_metrics.len());
-    let caption = format!(
-        "Preset {}, N = {}; {} of {} TTIs per point, mean with its 95 % interval as band and bar. Plans are resent \
-         every {} TTIs; there is no impairment except the one along x.",
-        scenario.run.preset,
-        scenario.run.devices,
-        runs_in_words((seeds.clone().min().unwrap_or(0), seeds.max().unwrap_or(0))),
-        scenario.run.ttis,
-        scenario.bs.sync_interval
-    );
+    let (low, high) = samples()
+        .flat_map(interval_ends)
+        .fold((0.0_f64, 0.0_f64), |(low, high), y| (low.min(y), high.max(y)));
     Chart {
         title: format!("{title}: {metric_name}"),
-        x_label: axis.to_owned(),
-        y_label: Metrics::axis_label(metric).to_owned(),
+        x_label: String::new(),
+        y_label: String::new(),
         x: Scale::Linear {
             from: -0.04 * largest_level,
             to: 1.04 * largest_level,
         },
-        y: Scale::linear(samples().flat_map(interval_ends), true),
+        // Replaced by the axis that all rows share.
+        y: Scale::Linear { from: low, to: high },
         marks: Vec::new(),
         spans: Vec::new(),
         notes: Vec::new(),
         has_zero_at_border: false,
-        caption,
+        caption: String::new(),
         series,
     }
 }
@@ -263,7 +287,7 @@ fn series(points: &[&RobustnessPoint], policy: &str, metric: &str) -> Series {
         style: Style::of_policy(policy),
         is_joined: true,
         has_markers: true,
-        interval: Interval::Bars,
+        interval: Interval::LightBand,
         points: points
             .iter()
             .filter(|point| point.policy == policy)
@@ -349,16 +373,37 @@ mod tests {
                 values.len() == levels && values[levels - 1] > values[0] + 2.0,
                 "{metric}: {values:?}"
             );
-            for metric in METRICS {
-                let chart = chart(&points, impairment, metric, &scenarios[0]);
+        }
+        let all: Vec<&Impairment> = IMPAIRMENTS.iter().collect();
+        let grid = grid(&points, &all, &scenarios[0]);
+        assert_eq!((grid.rows.len(), grid.columns.len()), (6, 3));
+        for (row, impairment) in grid.rows.iter().zip(&all) {
+            for (chart, shared) in row.charts.iter().zip(&grid.rows[0].charts) {
                 assert_eq!(chart.series.len(), 2);
-                assert!(chart.series.iter().all(|line| line.points.len() == levels));
                 assert!(
-                    chart.scene().height > 100.0 && chart.caption.contains("2 runs of 400 TTIs"),
-                    "{}",
-                    chart.caption
+                    chart
+                        .series
+                        .iter()
+                        .all(|line| line.points.len() == impairment.levels.len())
+                );
+                assert_eq!(chart.y, shared.y, "one axis for each column");
+                let (low, high) = chart.y.ends();
+                let points = chart.series.iter().flat_map(|line| &line.points);
+                assert!(
+                    points.into_iter().all(|point| low <= point.y && point.y <= high),
+                    "{:?}",
+                    chart.y
                 );
             }
+        }
+        assert!(grid.caption.contains("2 runs of 400 TTIs"), "{}", grid.caption);
+        let scene = grid.scene();
+        for item in &scene.items {
+            let [left, top, right, bottom] = item.bounds();
+            assert!(
+                left >= 0.0 && top >= 0.0 && right <= scene.width && bottom <= scene.height,
+                "{item:?} leaves the page"
+            );
         }
         assert_eq!(
             csv(&points).lines().next(),

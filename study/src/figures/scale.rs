@@ -20,6 +20,11 @@ pub enum Scale {
         /// Value at the end, > `from`.
         to: f64,
     },
+    /// Square-root scale from 0, for shares of which small and large ones matter.
+    SquareRoot {
+        /// Value at the end, > 0.
+        to: f64,
+    },
 }
 
 /// A tick of an axis.
@@ -69,9 +74,17 @@ impl Scale {
         })
     }
 
+    /// Creates a square-root axis from 0 that holds all of `values` and ends on 1, 2 or 5 times a power of ten.
+    pub fn square_root(values: impl IntoIterator<Item = f64>) -> Self {
+        let high = range(values).map_or(1.0, |(_, high)| high);
+        let to = round_values().find(|value| *value >= high * (1.0 - 1e-9));
+        Self::SquareRoot { to: to.unwrap_or(1.0) }
+    }
+
     /// Ends of the axis.
     pub const fn ends(self) -> (f64, f64) {
         match self {
+            Self::SquareRoot { to } => (0.0, to),
             Self::Linear { from, to } | Self::Log { from, to } => (from, to),
         }
     }
@@ -82,6 +95,7 @@ impl Scale {
             Self::Linear { from, to } => (value - from) / (to - from),
             Self::Log { from, .. } if value <= from => 0.0,
             Self::Log { from, to } => log10(value / from) / log10(to / from),
+            Self::SquareRoot { to } => (value.max(0.0) / to).sqrt(),
         };
         share.clamp(0.0, 1.0)
     }
@@ -102,8 +116,34 @@ impl Scale {
                     .collect()
             }
             Self::Log { from, to } => log_ticks(from, to),
+            Self::SquareRoot { to } => self.square_root_ticks(to),
         }
     }
+
+    /// Ticks at 0 and at round values that leave room for their labels.
+    fn square_root_ticks(self, to: f64) -> Vec<AxisTick> {
+        /// Smallest distance between two ticks, as a share of the axis.
+        const MIN_DISTANCE: f64 = 0.18;
+        let mut values = vec![0.0];
+        for value in round_values().take_while(|value| *value <= to * (1.0 + 1e-9)) {
+            let last = values[values.len() - 1];
+            let is_last = value > to * (1.0 - 1e-9);
+            let has_room = |from: f64, value: f64| self.position(value) - self.position(from) >= MIN_DISTANCE;
+            if is_last || (has_room(last, value) && has_room(value, to)) {
+                values.push(value);
+            }
+        }
+        let tick = |value: f64| AxisTick {
+            value,
+            label: label(value, value.clamp(MIN_PLAIN_STEP, 1.0)),
+        };
+        values.into_iter().map(tick).collect()
+    }
+}
+
+/// The values 1, 2 and 5 times a power of ten from 10⁻³ to 10⁶, ascending.
+fn round_values() -> impl Iterator<Item = f64> {
+    (-3..=6).flat_map(|n| [1.0, 2.0, 5.0].map(|factor| factor * power_of_ten(n)))
 }
 
 /// Limits of tick spacing beyond which labels have an exponent.
@@ -267,5 +307,20 @@ mod tests {
         let axis = Scale::Linear { from: -1.0, to: 3.0 };
         assert!((axis.position(0.0) - 0.25).abs() < 1e-15);
         assert!((axis.position(9.0) - 1.0).abs() < 1e-15);
+    }
+
+    #[test]
+    fn a_square_root_axis_begins_at_zero_and_has_round_ticks() {
+        for (values, expected) in [
+            (&[0.0, 29.0][..], &["0", "2", "10", "20", "50"][..]),
+            (&[0.3, 98.0], &["0", "5", "20", "50", "100"]),
+            (&[0.0, 0.4], &["0", "0.02", "0.1", "0.2", "0.5"]),
+            (&[], &["0", "0.05", "0.2", "0.5", "1"]),
+        ] {
+            let scale = Scale::square_root(values.iter().copied());
+            assert_eq!(labels(scale), expected, "{values:?}");
+            assert_eq!((scale.position(0.0), scale.position(scale.ends().1)), (0.0, 1.0));
+            assert!((scale.position(0.25 * scale.ends().1) - 0.5).abs() < 1e-12);
+        }
     }
 }

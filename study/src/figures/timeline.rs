@@ -2,10 +2,11 @@
 //! [`file_name`] names the files of `reveille figures timeline` and the picture in Python.
 
 use reveille_bs::scenario::Scenario;
+use reveille_common::digits::format_significant;
 use reveille_common::event::EventRecord;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::WakeOutcome;
-use reveille_common::scenario::EnergyModel;
+use reveille_common::scenario::{EnergyModel, assign_classes};
 use reveille_common::state::DeviceState;
 use reveille_common::units::Energy;
 
@@ -187,11 +188,19 @@ pub fn scene(scenario: &Scenario, timeline: &Timeline) -> Scene {
     let top = MARGIN + TITLE_SIZE + LEADING + 4.0;
     legend(&mut scene, top);
     let top = top + 8.0;
-    let height = BATTERY_HEIGHT + 4.0 * LANE_HEIGHT + DEVICE_GAP;
+    // A line above each device names its class, if there are several.
+    let classes = (scenario.classes.len() > 1).then(|| assign_classes(scenario));
+    let head = if classes.is_some() { LEADING } else { 0.0 };
+    let height = head + BATTERY_HEIGHT + 4.0 * LANE_HEIGHT + DEVICE_GAP;
     let bottom = top + height * timeline.devices.len() as f64 - DEVICE_GAP;
     axis.draw_events(&mut scene, &timeline.events, top, bottom);
     for (i, (id, energy, history)) in timeline.devices.iter().enumerate() {
-        let top = top + height * i as f64;
+        let top = top + height * i as f64 + head;
+        if let Some(classes) = &classes {
+            let class = &scenario.classes[usize::from(classes[id.index()])];
+            let text = class_line(&class.name, energy);
+            scene.text(Text::new(text, (PLOT_LEFT, top - 3.0), TEXT_SIZE));
+        }
         axis.draw_battery(&mut scene, *id, energy, history, top);
         axis.draw_states(&mut scene, history, top + BATTERY_HEIGHT);
     }
@@ -209,6 +218,13 @@ pub fn scene(scenario: &Scenario, timeline: &Timeline) -> Scene {
     }
     scene.height = (y - LEADING + 0.24 * TEXT_SIZE + MARGIN).ceil();
     scene
+}
+
+/// Describes the class of a device in one line.
+fn class_line(name: &str, energy: &EnergyModel) -> String {
+    let [e_max, e_idle, e_wur, e_tx] =
+        [energy.e_max, energy.e_idle, energy.e_wur, energy.e_tx].map(|energy| format_significant(energy.units(), 3));
+    format!("class {name}: E_max {e_max}, E_idle {e_idle}, E_WuR {e_wur}, E_Tx {e_tx} units")
 }
 
 fn legend(scene: &mut Scene, y: f64) {
@@ -282,7 +298,7 @@ impl TtiAxis {
         scene.line(VectorPath::polyline(frame, false), Stroke::solid(Paint::Ink, 0.7));
         for value in [0.0, 0.5 * energy.e_max.units(), energy.e_max.units()] {
             let at = (PLOT_LEFT - 4.0, y(value) + 0.36 * TEXT_SIZE);
-            scene.text(Text::new(super::scale::label(value, 1.0), at, TEXT_SIZE).anchored(Anchor::End));
+            scene.text(Text::new(format_significant(value, 3), at, TEXT_SIZE).anchored(Anchor::End));
             let tick = VectorPath::segment((PLOT_LEFT - 2.5, y(value)), (PLOT_LEFT, y(value)));
             scene.line(tick, Stroke::solid(Paint::Ink, 0.7));
         }

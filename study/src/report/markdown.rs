@@ -7,19 +7,25 @@ use std::fmt::Write as _;
 
 use super::judge::Verdict;
 use super::notes::{
-    VERDICT_RULE, describe_missing_runs, describe_origins, describe_runs, remarks_on_paper, verdict_cell,
+    VERDICT_RULE, describe_missing_runs, describe_origins, describe_runs, remarks_on_paper, summarise_verdicts,
+    verdict_cell,
 };
 use super::page_sections::{PageSection, wrap_text};
 use super::{ClaimReport, ClaimRow, ConditionColumn, PRESETS};
 
 /// Renders the whole report. `figures` are titles and files, and `command` is the command that made it.
 pub fn markdown(report: &ClaimReport<'_>, figures: &[(String, String)], command: &str) -> String {
-    let mut out = String::from("# Claims of the paper and measurements of Reveille\n\n");
+    let mut out = String::from("# Claims of the paper and measurements of Reveille\n\n## Summary\n\n");
+    for line in summarise_verdicts(report) {
+        let _ = writeln!(out, "- {line}");
+    }
+    out.push('\n');
+    out.push_str(&tally_table(report));
+    out.push_str("\n## Runs and rule\n\n");
     for line in describe_runs(report).into_iter().chain(describe_missing_runs(report)) {
         let _ = writeln!(out, "- {line}");
     }
-    let _ = writeln!(out, "\n{VERDICT_RULE}\n");
-    out.push_str(&tally_table(report));
+    let _ = writeln!(out, "\n{VERDICT_RULE}");
     for (figure, rows) in report.rows_by_figure() {
         out.push_str(&table_head(report, figure));
         out.extend(rows.iter().map(|row| table_row(row)));

@@ -19,9 +19,12 @@ mod phrasing;
 pub mod search;
 
 use self::judge::{Verdict, judge};
-use self::phrasing::{format_device_counts, format_statement};
+use self::phrasing::{format_device_counts, format_statement, join_names};
 use crate::claims::{Claim, ClaimQuantity, ClaimTopic, TOPICS};
+use crate::figures::FigureError;
 use crate::figures::results::{Results, RunCondition};
+
+use reveille_lab::series::RANKING;
 
 pub use self::claim_rows::{Assessment, ClaimRow, ConditionColumn, PRESETS};
 
@@ -36,12 +39,76 @@ pub struct ClaimReport<'r> {
     pub rows: Vec<ClaimRow>,
     /// Names of the conditions in the tables that have no runs for any claim.
     pub conditions_without_claims: Vec<String>,
+    /// Settings of the tables that are not the paper's and have no column.
+    pub settings_left_out: SettingsLeftOut,
+}
+
+/// Settings that the report leaves out, because the paper makes no statement on them.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct SettingsLeftOut {
+    /// Number of settings.
+    pub count: usize,
+    /// Fields that distinguish them, each once; empty if only their tables do.
+    pub fields: Vec<String>,
+}
+
+impl SettingsLeftOut {
+    fn new(columns: &[ConditionColumn<'_>]) -> Self {
+        let paths = columns.iter().flat_map(|column| column.condition.all_changes());
+        let mut fields: Vec<String> = Vec::new();
+        for (path, _) in paths.filter(|(path, _)| path != RANKING) {
+            if !fields.contains(path) {
+                fields.push(path.clone());
+            }
+        }
+        Self {
+            count: columns.len(),
+            fields,
+        }
+    }
+
+    /// Formats the settings: `3 settings of events.alpha and harvest.lambda`.
+    pub fn describe(&self) -> String {
+        let fields = if self.fields.is_empty() {
+            String::new()
+        } else {
+            format!(" of {}", join_names(&self.fields))
+        };
+        format!("{} settings{fields}", self.count)
+    }
 }
 
 impl<'r> ClaimReport<'r> {
-    /// Judges every claim by `results`.
+    /// Judges every claim by the presets in `results` with each of their rankings. A single other setting has a column
+    /// too; several are left out, since the paper makes no statement on them.
+    ///
+    /// # Errors
+    /// If the tables hold several settings and no run of a preset.
+    pub fn of_presets(results: &'r Results) -> Result<Self, FigureError> {
+        let (presets, others): (Vec<_>, Vec<_>) = select_columns(results)
+            .into_iter()
+            .partition(|column| column.condition.is_preset_of_any_ranking());
+        if others.len() < 2 {
+            return Ok(Self::new(results));
+        }
+        let settings_left_out = SettingsLeftOut::new(&others);
+        if presets.is_empty() {
+            return Err(FigureError::NoPreset {
+                settings: settings_left_out.describe(),
+            });
+        }
+        Ok(Self {
+            settings_left_out,
+            ..Self::judge_columns(results, presets)
+        })
+    }
+
+    /// Judges every claim by every setting in `results`.
     pub fn new(results: &'r Results) -> Self {
-        let columns = select_columns(results);
+        Self::judge_columns(results, select_columns(results))
+    }
+
+    fn judge_columns(results: &'r Results, columns: Vec<ConditionColumn<'r>>) -> Self {
         let (columns, without_claims): (Vec<_>, Vec<_>) = columns.into_iter().partition(|c| is_shown(c));
         let mut rows = Vec::new();
         for topic in TOPICS {
@@ -53,6 +120,7 @@ impl<'r> ClaimReport<'r> {
             columns,
             rows,
             conditions_without_claims: without_claims.into_iter().map(|column| column.label).collect(),
+            settings_left_out: SettingsLeftOut::default(),
         }
     }
 

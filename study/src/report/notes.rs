@@ -23,6 +23,23 @@ pub(super) struct ReportNotes {
     pub items: Vec<String>,
 }
 
+/// Summarises the verdicts, one sentence a column.
+pub(super) fn summarise_verdicts(report: &ClaimReport<'_>) -> Vec<String> {
+    let sentence = |(index, column): (usize, &super::ConditionColumn<'_>)| {
+        let count = |verdict| report.count_verdict(index, verdict);
+        let judged: usize = report.rows.len() - count(Verdict::NotRun);
+        format!(
+            "{}: {} of {judged} claims reproduced, {} more within 20 %, {} more in their order, {} not reproduced.",
+            column.label,
+            count(Verdict::Reproduced),
+            count(Verdict::Near),
+            count(Verdict::OrderReproduced),
+            count(Verdict::NotReproduced)
+        )
+    };
+    report.columns.iter().enumerate().map(sentence).collect()
+}
+
 /// Describes the number of runs of each column, one sentence a column.
 pub(super) fn describe_runs(report: &ClaimReport<'_>) -> Vec<String> {
     let sentence = |column: &super::ConditionColumn<'_>| {
@@ -58,6 +75,13 @@ pub(super) fn describe_missing_runs(report: &ClaimReport<'_>) -> Vec<String> {
                 .iter()
                 .map(|preset| format!("No table of preset {preset} was given.")),
         );
+    }
+    if report.settings_left_out.count > 0 {
+        sentences.push(format!(
+            "Left out: {}, on which the paper makes no statement. `reveille report search` judges every setting, and \
+             `reveille figures` draws them.",
+            report.settings_left_out.describe()
+        ));
     }
     if !report.conditions_without_claims.is_empty() {
         sentences.push(format!(

@@ -5,7 +5,8 @@ use std::fmt::Write as _;
 
 use super::judge::Verdict;
 use super::notes::{
-    VERDICT_RULE, describe_missing_runs, describe_origins, describe_runs, remarks_on_paper, verdict_cell,
+    VERDICT_RULE, describe_missing_runs, describe_origins, describe_runs, remarks_on_paper, summarise_verdicts,
+    verdict_cell,
 };
 use super::{ClaimReport, ClaimRow};
 use crate::figures::svg::escape;
@@ -25,29 +26,33 @@ pub fn page(report: &ClaimReport<'_>, pictures: &[String], command: &str) -> Str
          {STYLE}</style>\n\
          </head>\n\
          <body>\n\
-         <h1>Claims of the paper and measurements of Reveille</h1>\n"
+         <h1>Claims of the paper and measurements of Reveille</h1>\n\
+         <h2 id=\"summary\">Summary</h2>\n"
     );
+    out.push_str(&html_list(summarise_verdicts(report).into_iter()));
+    out.push_str(&tally_table(report));
+    out.push_str(&contents(report));
+    out.push_str("<h2 id=\"runs\">Runs and rule</h2>\n");
     out.push_str(&html_list(
         describe_runs(report).into_iter().chain(describe_missing_runs(report)),
     ));
     let _ = writeln!(out, "<p>{}</p>", escape(VERDICT_RULE));
-    out.push_str(&tally_table(report));
-    out.push_str("<h2>Claims</h2>\n");
+    out.push_str("<h2 id=\"claims\">Claims</h2>\n");
     for (figure, rows) in report.rows_by_figure() {
         out.push_str(&table_head(report, figure));
         out.extend(rows.iter().map(|row| table_row(report, row)));
         out.push_str("</tbody></table></div>\n");
     }
     for notes in remarks_on_paper(report) {
-        let _ = writeln!(out, "<h2>{}</h2>", notes.heading);
+        let _ = writeln!(out, "<h2 id=\"{}\">{}</h2>", anchor(notes.heading), notes.heading);
         out.push_str(&html_list(notes.items.into_iter()));
     }
-    out.push_str("<h2>Figures</h2>\n<div class=\"figures\">\n");
+    out.push_str("<h2 id=\"figures\">Figures</h2>\n<div class=\"figures\">\n");
     for picture in pictures {
         // Not escaped: the pictures are our own SVG, whose texts are already escaped.
         let _ = writeln!(out, "<figure>{picture}</figure>");
     }
-    out.push_str("</div>\n<h2>How this report was made</h2>\n");
+    out.push_str("</div>\n<h2 id=\"made\">How this report was made</h2>\n");
     let _ = writeln!(
         out,
         "<p>By Reveille {}: <code>{}</code></p>",
@@ -66,10 +71,40 @@ pub fn page(report: &ClaimReport<'_>, pictures: &[String], command: &str) -> Str
     out
 }
 
+/// Returns the table of contents, with a link to each section.
+fn contents(report: &ClaimReport<'_>) -> String {
+    let link = |target: &str, text: &str| format!("<a href=\"#{target}\">{}</a>", escape(text));
+    let figures: Vec<String> = report
+        .rows_by_figure()
+        .iter()
+        .map(|(figure, _)| link(&anchor(figure), figure))
+        .collect();
+    let mut items = vec![
+        link("runs", "Runs and rule"),
+        format!("{}: {}", link("claims", "Claims"), figures.join(", ")),
+    ];
+    items.extend(
+        remarks_on_paper(report)
+            .iter()
+            .map(|notes| link(&anchor(notes.heading), notes.heading)),
+    );
+    items.extend([link("figures", "Figures"), link("made", "How this report was made")]);
+    let items: String = items.iter().map(|item| format!("<li>{item}</li>\n")).collect();
+    format!("<nav><h2>Contents</h2>\n<ol>\n{items}</ol></nav>\n")
+}
+
+/// Returns the anchor of the section `heading`: lower case, with hyphens.
+fn anchor(heading: &str) -> String {
+    let words = heading
+        .split(|c: char| !c.is_ascii_alphanumeric())
+        .filter(|word| !word.is_empty());
+    words.collect::<Vec<_>>().join("-").to_lowercase()
+}
+
 fn html_list(items: impl Iterator<Item = String>) -> String {
     let mut out = String::from("<ul>\n");
     for item in items {
-        let _ = writeln!(out, "<li>{}</li>", with_no_break_spaces(&escape(&item)));
+        let _ = writeln!(out, "<li>{}</li>", with_code(&with_no_break_spaces(&escape(&item))));
     }
     out.push_str("</ul>\n");
     out
@@ -121,7 +156,9 @@ fn tally_table(report: &ClaimReport<'_>) -> String {
 
 fn table_head(report: &ClaimReport<'_>, paper_figure: &str) -> String {
     let mut out = format!(
-        "<h3>{}</h3>\n<div class=\"wide\"><table><thead><tr><th></th><th>policy</th><th>N</th><th>stated</th>",
+        "<h3 id=\"{}\">{}</h3>\n<div class=\"wide\"><table><thead><tr>\
+         <th></th><th>policy</th><th>N</th><th>stated</th>",
+        anchor(paper_figure),
         escape(paper_figure)
     );
     for column in &report.columns {
@@ -132,26 +169,28 @@ fn table_head(report: &ClaimReport<'_>, paper_figure: &str) -> String {
 }
 
 fn table_row(report: &ClaimReport<'_>, row: &ClaimRow) -> String {
+    // On narrow screens a row is a card, in which the label of a cell replaces the head of its column.
+    let cell = |label: &str, text: &str| format!("<td data-label=\"{}\">{}</td>", escape(label), escape(text));
     let mut out = format!(
-        "<tr class=\"claim\"><td>{}</td><td>{}</td><td>{}</td><td>{}</td>",
+        "<tr class=\"claim\"><td>{}</td>{}{}{}",
         escape(&row.metric_description),
-        escape(&row.policy),
-        escape(&row.device_counts),
-        escape(&row.stated)
+        cell("policy", &row.policy),
+        cell("N", &row.device_counts),
+        cell("stated", &row.stated)
     );
-    for (column, assessment) in row.assessments.iter().enumerate() {
+    for (index, (column, assessment)) in report.columns.iter().zip(&row.assessments).enumerate() {
         let (class, sign, words) = (
             css_class(assessment.verdict),
             verdict_sign(assessment.verdict),
-            verdict_cell(row, column),
+            verdict_cell(row, index),
         );
         let _ = write!(
             out,
-            "<td>{}</td><td class=\"{class}\">{sign} {words}</td>",
-            with_no_break_spaces(&escape(&assessment.measured))
+            "{}<td data-label=\"verdict\" class=\"{class}\">{sign} {words}</td>",
+            with_no_break_spaces(&cell(&column.label, &assessment.measured))
         );
     }
-    let _ = write!(out, "<td>{}</td>", escape(&row.citations()));
+    out.push_str(&cell("in the paper", &row.citations()));
     let mut reasons: Vec<String> = Vec::new();
     // A reason that all columns share is printed once, without their names.
     let is_one_reason = row
@@ -187,4 +226,18 @@ fn table_row(report: &ClaimReport<'_>, row: &ClaimRow) -> String {
 /// Joins figures in `text` by no-break spaces, so that lines do not break within them.
 fn with_no_break_spaces(text: &str) -> String {
     text.replace(" ± ", "\u{a0}±\u{a0}").replace("N = ", "N\u{a0}=\u{a0}")
+}
+
+/// Marks the parts of `text` between backticks as code.
+fn with_code(text: &str) -> String {
+    let parts = text.split('`').enumerate();
+    parts
+        .map(|(index, part)| {
+            if index % 2 == 1 {
+                format!("<code>{part}</code>")
+            } else {
+                part.to_owned()
+            }
+        })
+        .collect()
 }

@@ -1,6 +1,7 @@
 //! Text for numbers, intervals and claims, shared by all of the report. docs/reproduction.md contains the texts; no
 //! code parses them.
 
+use reveille_common::digits::decimals_for;
 use reveille_lab::metric_estimate::{CaseCounts, MetricEstimate};
 
 use crate::claims::{Claim, ClaimQuantity, DeviceCounts, Statement};
@@ -13,10 +14,7 @@ pub(super) fn format_number(x: f64) -> String {
     if !x.is_finite() {
         return "–".to_owned();
     }
-    // The logarithm of a power of ten may be slightly too small.
-    let magnitude = libm::floor(libm::log10(x.abs()) + 1e-12) as i32;
-    let decimals = (2 - magnitude).clamp(0, 9) as usize;
-    format!("{x:.decimals$}").replace('-', "−")
+    format!("{x:.*}", decimals_for(x, 3)).replace('-', "−")
 }
 
 /// Formats a mean with half the width of its interval.
@@ -35,8 +33,7 @@ fn format_half_width(half_width: f64, mean: f64) -> String {
     let text_like_mean = format!("{half_width:.decimals$}");
     let is_zero = text_like_mean.chars().all(|c| matches!(c, '0' | '.'));
     if is_zero && half_width > 0.0 {
-        let magnitude = libm::floor(libm::log10(half_width) + 1e-12) as i32;
-        format!("{half_width:.*}", (-magnitude).clamp(0, 9) as usize)
+        format!("{half_width:.*}", decimals_for(half_width, 1))
     } else {
         text_like_mean
     }

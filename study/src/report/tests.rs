@@ -260,6 +260,22 @@ fn the_page_is_well_formed_and_self_contained_and_has_every_claim() {
         assessments.any(|assessment| !assessment.explanation.is_empty())
     });
     assert_eq!(row_count(Some("why")), explained.count());
+    let anchors: Vec<&str> = tree.descendants().filter_map(|node| node.attribute("id")).collect();
+    let targets = tree.descendants().filter_map(|node| node.attribute("href"));
+    let targets: Vec<&str> = targets.map(|target| target.trim_start_matches('#')).collect();
+    assert_eq!(targets.len(), report.rows_by_figure().len() + 6, "contents {targets:?}");
+    for target in targets {
+        assert!(anchors.contains(&target), "no section {target} in {anchors:?}");
+    }
+    for claim in tree
+        .descendants()
+        .filter(|node| node.attribute("class") == Some("claim"))
+    {
+        let unlabelled = claim
+            .children()
+            .filter(|cell| cell.is_element() && cell.attribute("data-label").is_none());
+        assert_eq!(unlabelled.count(), 1, "only the name of the metric has no label");
+    }
     for external in ["src=", "@import", "url(", "<script", "<link"] {
         assert!(!html.contains(external), "{external}");
     }
@@ -281,7 +297,10 @@ fn markdown_tables_have_equal_column_counts() {
     }
     // Plus the five rows of the tally.
     assert_eq!(rows, report.rows.iter().filter(|row| row.has_runs()).count() + 5);
-    let head = text.split("\n\n").nth(1).expect("the head of the report");
+    let head = text
+        .split("\n\n## Runs and rule\n\n")
+        .nth(1)
+        .expect("the head of the report");
     assert!(
         head.contains("- paper: 2 runs of 2000 TTIs for each policy and N, 10 in all, seeds 1 to 2."),
         "{head}"
@@ -438,6 +457,57 @@ fn a_sweep_over_a_field_has_a_column_for_each_value() {
         "{text}"
     );
     assert!(text.matches("not run").count() < 5, "{text}");
+}
+
+#[test]
+fn settings_that_are_not_the_papers_are_left_out_or_refused() {
+    let swept = |lambdas: &[f64]| {
+        let run = |lambda: &f64| ("random", 10, SweptValue::Float(*lambda), &[0.3, 0.4][..]);
+        let runs: Vec<(&str, u32, SweptValue, &[f64])> = lambdas.iter().map(run).collect();
+        fixtures::swept("paper", "energy_per_device_tti", "harvest.lambda", &runs)
+    };
+    // The preset has λ = 0.1.
+    let several = Results::new(&[swept(&[0.05, 0.1, 0.2])], &NoFiles).expect("results");
+    let report = ClaimReport::of_presets(&several).expect("a preset");
+    assert_eq!(report.columns.len(), 1, "{:?}", report.columns);
+    assert_eq!(report.settings_left_out.describe(), "2 settings of harvest.lambda");
+    let text = markdown(&report, &[], "reveille report x");
+    assert!(
+        text.contains("Left out: 2 settings of harvest.lambda, on which the paper"),
+        "{text}"
+    );
+    assert_eq!(ClaimReport::new(&several).columns.len(), 3);
+    let one = Results::new(&[swept(&[0.1, 0.2])], &NoFiles).expect("results");
+    assert_eq!(ClaimReport::of_presets(&one).expect("a preset").columns.len(), 2);
+    let none = Results::new(&[swept(&[0.05, 0.2])], &NoFiles).expect("results");
+    let error = ClaimReport::of_presets(&none).expect_err("no preset").to_string();
+    assert!(
+        error.starts_with("the tables hold 2 settings of harvest.lambda and no runs of an"),
+        "{error}"
+    );
+}
+
+#[test]
+fn the_summary_counts_the_verdicts() {
+    let results = small_results();
+    let report = ClaimReport::new(&results);
+    let text = markdown(&report, &[], "reveille report x");
+    for (index, column) in report.columns.iter().enumerate() {
+        let by_verdict = |verdict| {
+            report
+                .rows
+                .iter()
+                .filter(|row| row.assessments[index].verdict == verdict)
+                .count()
+        };
+        let judged = report.rows.len() - by_verdict(Verdict::NotRun);
+        let start = format!(
+            "- {}: {} of {judged} claims reproduced",
+            column.label,
+            by_verdict(Verdict::Reproduced)
+        );
+        assert!(text.contains(&start), "{start}: {text}");
+    }
 }
 
 #[test]

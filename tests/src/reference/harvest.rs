@@ -147,8 +147,8 @@ impl ReferenceSource {
     }
 }
 
-/// Returns the mean harvest per TTI of the `nth` device of its class, whole micro-units.
-pub(super) fn mean_harvest(harvest: &Harvest, tau: f64, nth: usize) -> u64 {
+/// Returns the mean harvest per TTI of the `nth` device of its class in a run of `ttis` TTIs, whole micro-units.
+pub(super) fn mean_harvest(harvest: &Harvest, tau: f64, ttis: u64, nth: usize) -> u64 {
     let expected_energy = |probability: f64, e_b: u64| (probability * e_b as f64).round() as u64;
     match harvest {
         Harvest::Eq5(Arrivals { lambda, e_b }) => {
@@ -166,8 +166,13 @@ pub(super) fn mean_harvest(harvest: &Harvest, tau: f64, nth: usize) -> u64 {
         }
         Harvest::Trace(trace) => {
             let column = &trace.values[column(trace, nth)];
-            let sum: u64 = column.iter().map(|energy| energy.micro()).sum();
-            sum / column.len() as u64
+            let sum: u128 = column.iter().map(|energy| u128::from(energy.micro())).sum();
+            let per_row = u128::from(trace.ttis_per_row);
+            let silent_ttis = match trace.end {
+                TraceEnd::Cycle => 0,
+                TraceEnd::Stop => u128::from(ttis).saturating_sub(column.len() as u128 * per_row),
+            };
+            (sum * per_row / (column.len() as u128 * per_row + silent_ttis)) as u64
         }
     }
 }

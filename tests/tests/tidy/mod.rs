@@ -28,7 +28,7 @@ const MAY_USE: [(&str, &[&str]); 9] = [
 /// Layers of `common`, from the lowest: a module may use modules of its line and of the lines above it. A file or
 /// folder directly in `common/src` is a module here.
 const LAYERS_OF_COMMON: [&[&str]; 13] = [
-    &["codec", "encoding", "units"],
+    &["codec", "digits", "encoding", "units"],
     &["ids", "totals"],
     &["phases", "plan", "rng", "secret", "state"],
     &["columns", "declare", "io", "parquet"],
@@ -38,7 +38,7 @@ const LAYERS_OF_COMMON: [&[&str]; 13] = [
     &["scenario"],
     &["message"],
     &["deployment", "keys"],
-    &["world"],
+    &["energy_balance", "world"],
     &["score"],
     &["bus", "logging"],
 ];

@@ -53,7 +53,7 @@ fn messages_name_field_value_range_and_line() {
         ),
         (
             "[energy]\ne_idle = -1",
-            "energy.e_idle = -1: must be at least 0 and at most 10000 units",
+            "energy.e_idle = -1: must be at least 0 and at most 1e9 units",
             "line 2",
         ),
         ("[energy]\ninitial = 100.5", "energy.initial = 100.5:", "line 2"),
@@ -102,13 +102,26 @@ fn messages_name_field_value_range_and_line() {
 
 #[test]
 fn pilot_runs_have_the_limits_of_runs() {
-    let text = "devices = 1_000_000\nttis = 1000\npolicy.name = \"adjusted\"\npolicy.adjusted.pilot_ttis = 1_000_000";
+    let text = "devices = 1_000_000\nttis = 1000\npolicy.name = \"adjusted\"\npolicy.adjusted.pilot_ttis = 1_000_000\n\
+                harvest.e_b = 100";
     let message = load_text(text).expect_err("too long").to_string();
-    let expected = "policy.adjusted.pilot_ttis = 1000000: must be at most 184467 with 1000000 devices that hold or \
-                    harvest up to 100 units";
+    let expected = "policy.adjusted.pilot_ttis = 1000000: must be at most 166079 with 1000000 devices that hold up to \
+                    100 units and harvest or spend up to 111.1 units in a TTI";
     assert!(
         message.starts_with(expected) && message.ends_with("line 4"),
         "{message}"
+    );
+}
+
+#[test]
+fn full_batteries_of_all_devices_must_fit_in_64_bits() {
+    let text = |devices: u32| format!("devices = {devices}\nttis = 10\n[energy]\ne_max = 1_000_000_000");
+    load_text(&text(18_000)).expect("their batteries fit");
+    let message = load_text(&text(20_000)).expect_err("too much energy").to_string();
+    assert_eq!(
+        message,
+        "energy.e_max = 1000000000 units: must be at most 461168601.842738 units with 20000 devices, or sums of energy \
+         overflow; set in my.toml, line 4"
     );
 }
 

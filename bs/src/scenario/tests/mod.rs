@@ -227,6 +227,27 @@ fn the_hash_covers_exactly_the_fields_that_affect_a_run() {
     std::fs::remove_dir_all(&folder).expect("its own folder");
 }
 
+/// The name `default` also marks the only class of a scenario without classes.
+#[test]
+fn a_class_may_be_called_default() {
+    let folder = create_folder("default", &[("p.csv", "x,y,class\n1,2,default\n3,4,default\n")]);
+    let header = "devices = 2\nlayout.kind = \"file\"\nlayout.file = \"p.csv\"\n[[class]]\nname = \"default\"\n";
+    for members in ["", "share = 1.0\n", "devices = [0, 1]\n"] {
+        let text = format!("{header}{members}harvest.e_b = 3\n");
+        let scenario = parse(&text, "my.toml", &folder, &[]).expect("valid").scenario;
+        let reloaded = parse(&scenario.to_toml(), "again.toml", &folder, &[]).expect("valid");
+        assert_eq!(reloaded.scenario, scenario, "{members:?}");
+        assert_eq!(reloaded.warnings, [""; 0], "{members:?}");
+    }
+    let zone = "devices = 2\n[[class]]\nname = \"default\"\nwest = 0.0\n";
+    let scenario = parse(zone, "my.toml", &folder, &[]).expect("valid").scenario;
+    let reloaded = parse(&scenario.to_toml(), "again.toml", &folder, &[]).expect("valid");
+    assert_eq!(reloaded.scenario, scenario);
+    // A declared class that equals the undeclared one is the same scenario.
+    let declared = parse("[[class]]\nname = \"default\"\nshare = 1.0\n", "my.toml", &folder, &[]).expect("valid");
+    assert_eq!(declared.scenario.hash(), load_paper(&[]).hash());
+}
+
 #[test]
 fn a_layout_file_can_set_the_class_of_each_device() {
     let layout_with_classes = "x,y,class\n1,2,weak\n3,4,strong\n5,6,weak\n";

@@ -224,6 +224,20 @@ impl DiurnalSetup {
         expected_energy(self.mean, self.e_b)
     }
 
+    /// The expected harvest in the first `ttis` TTIs, micro-units.
+    pub(super) fn expected_micro_in(&self, ttis: u64) -> f64 {
+        let day = u64::from(self.sun.ttis_per_day);
+        let (days, rest) = (ttis / day, (ttis % day) as usize);
+        let (mut whole_day, mut part) = (0.0, 0.0);
+        for (tti, p) in self.sun.arrival_probabilities(self.zenith).enumerate() {
+            whole_day += p;
+            if tti < rest {
+                part += p;
+            }
+        }
+        (days as f64 * whole_day + part) * self.e_b.micro() as f64
+    }
+
     /// The setup known before a run if only the mean is known: arrivals that are equally likely in all TTIs.
     pub(super) fn arrivals_if_mean_known(&self) -> Option<ArrivalsSetup> {
         match self.known {

@@ -4,6 +4,7 @@
 use anyhow::Context;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{CellAlignment, Table};
+use reveille_common::digits::format_significant;
 use reveille_lab::io::write_output;
 use reveille_study::report::page_sections::wrap_text;
 use serde_json::{Map, Value};
@@ -54,15 +55,12 @@ impl From<f64> for SheetValue {
 }
 
 impl SheetValue {
-    /// Returns the value as text. A number has four decimals; below 1e-4 and from 1e6 on, it has three significant
-    /// digits and an exponent.
+    /// Returns the value as text; a number has four significant digits.
     fn to_display_text(&self) -> String {
         match self {
             Self::Text(text) => text.clone(),
             Self::Whole(n) => n.to_string(),
-            Self::Number(x) if x.is_nan() => "–".to_owned(),
-            Self::Number(x) if *x != 0.0 && !(1e-4..1e6).contains(&x.abs()) => format!("{x:.2e}"),
-            Self::Number(x) => format!("{x:.4}"),
+            Self::Number(x) => format_significant(*x, 4),
         }
     }
 

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{CellAlignment, Table};
+use reveille_common::digits::{decimals_for, format_significant};
 use reveille_common::score::Metrics;
 use reveille_lab::metric_estimate::MetricEstimate;
 use reveille_lab::series::SeriesNames;
@@ -210,7 +211,7 @@ fn format_estimate(reading: Option<MetricEstimate>) -> String {
     };
     let Estimate { mean, half_width, .. } = reading.estimate;
     // Two significant digits of the uncertainty.
-    let digits = |unsure: f64| (1.0 - unsure.log10().floor()).clamp(0.0, 6.0) as usize;
+    let digits = |unsure: f64| decimals_for(unsure, 2);
     match reading.upper_bound {
         Some(upper) if mean == 0.0 => format!("0, < {upper:.*}", digits(upper)),
         Some(upper) => format!("{mean:.digits$}, < {upper:.digits$}", digits = digits(upper)),
@@ -218,12 +219,10 @@ fn format_estimate(reading: Option<MetricEstimate>) -> String {
             let lower = reading.lower_bound.unwrap_or(mean);
             format!("{mean:.0}, > {lower:.*}", digits(mean - lower))
         }
-        None if half_width == 0.0 && mean == 0.0 => "0".to_owned(),
-        None if half_width == 0.0 => format!("{mean:.4}"),
         // A single run has no interval.
-        None if half_width.is_nan() => format!("{mean:.4}"),
+        None if half_width == 0.0 || half_width.is_nan() => format_significant(mean, 4),
         None => {
-            let digits = if half_width > 0.0 { digits(half_width) } else { 4 };
+            let digits = digits(half_width);
             format!("{mean:.digits$} ± {half_width:.digits$}")
         }
     }

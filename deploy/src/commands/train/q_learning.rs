@@ -7,6 +7,7 @@ use std::process::ExitCode;
 use anyhow::bail;
 use indicatif::ProgressBar;
 use reveille_bs::policy::q_learning::learned::{CurvePoint, TableSet};
+use reveille_common::digits::format_significant;
 use reveille_lab::io::replace;
 use reveille_lab::training::{Trainer, TrainingError, TrainingProgress, checkpoint_path};
 
@@ -81,8 +82,9 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
                 ..
             }) = entry.curve.last()
             {
+                let [reward, information, energy] = [reward, information, energy].map(|x| format_significant(*x, 4));
                 display::print_stdout(&format!(
-                    "{:<12} N = {:<5} reward {reward:.4}  info (P1) {information:.4}  energy {energy:.4}\n",
+                    "{:<12} N = {:<5} reward {reward}  info (P1) {information}  energy {energy}\n",
                     entry.lookback.label(),
                     entry.devices
                 ))?;

@@ -21,6 +21,9 @@ export function shortNumber(value) {
   return String(+value.toPrecision(3));
 }
 
+// A number with four significant digits.
+export const significant = (value) => +value.toPrecision(4);
+
 // A TTI in full, with spaces between thousands.
 export const ttiText = (tti) => String(tti).replace(/\B(?=(\d{3})+$)/g, "\u202f");
 

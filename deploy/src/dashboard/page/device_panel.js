@@ -1,7 +1,7 @@
 // The chosen device: its battery and states around the shown TTI, and its ledger.
 
 import { get } from "./api.js";
-import { ttiText } from "./axis.js";
+import { significant, ttiText } from "./axis.js";
 import { Chart } from "./chart.js";
 import { showActions } from "./device_actions.js";
 import { byId, element, page } from "./page_state.js";
@@ -23,10 +23,9 @@ function paintStates(draw, history, bottom) {
 }
 
 function ledgerRows(totals) {
-  const units = (value) => +value.toPrecision(4);
   return [
-    ["initial", units(totals.initial)], ["+ harvested", units(totals.harvested)], ["− sensing", units(totals.sensing)], ["− sleep", units(totals.sleep)],
-    ["− reports", units(totals.report)], ["− overflow", units(totals.overflow)], ["= battery", units(totals.battery)],
+    ["initial", significant(totals.initial)], ["+ harvested", significant(totals.harvested)], ["− sensing", significant(totals.sensing)], ["− sleep", significant(totals.sleep)],
+    ["− reports", significant(totals.report)], ["− overflow", significant(totals.overflow)], ["= battery", significant(totals.battery)],
     ["TTIs in S1", totals.sensing_ttis], ["TTIs without energy to sense", totals.failed_ttis], ["TTIs unpowered", totals.unpowered_ttis],
   ];
 }

@@ -1,6 +1,7 @@
 // The panel of the map: the layer, the legend, the description of the shown TTI.
 
 import { get } from "./api.js";
+import { significant } from "./axis.js";
 import { addExport } from "./export.js";
 import { groupHue } from "./map_ground.js";
 import { DeviceMap } from "./map.js";
@@ -23,7 +24,7 @@ export function describeMoment(moment) {
   if (moment.lost?.length) parts.push(`report lost: ${nameDevices(moment.lost)}`);
   if (moment.failed?.length) parts.push(`lacked energy to report: ${nameDevices(moment.failed)}`);
   for (const { device, text } of moment.woken ?? []) parts.push(`${device} woken, ${text}`);
-  if (moment.ended) parts.push(moment.ended.delay === null ? "event missed" : `event ended, delay ${moment.ended.delay}, I ${moment.ended.information.toFixed(3)}`);
+  if (moment.ended) parts.push(moment.ended.delay === null ? "event missed" : `event ended, delay ${moment.ended.delay}, I ${significant(moment.ended.information)}`);
   return parts.join(" · ");
 }
 
@@ -110,7 +111,7 @@ export class MapPanel {
       ["device", "x_m", "y_m", "class", "cluster", "state", "battery_units", "plan_senses", ...(heat ? ["sensing_ttis", "near_events", "near_misses"] : [])],
       ...run.positions.map(({ x, y }, device) => [
         device, x, y, run.classes[run.device_classes[device]], run.groups?.[device] ?? "", symbols[device],
-        (batteryShare(moment, device) * Math.max(...run.e_max)).toFixed(1), moment.on[device], ...(heat ? [heat.looks[device], heat.events[device], heat.misses[device]] : []),
+        significant(batteryShare(moment, device) * Math.max(...run.e_max)), moment.on[device], ...(heat ? [heat.looks[device], heat.events[device], heat.misses[device]] : []),
       ]),
     ];
   }

@@ -1,7 +1,7 @@
 // The timeline of all devices: one row for each, painted for the visible rows only.
 
 import { get } from "./api.js";
-import { shortNumber, ticks, ttiText } from "./axis.js";
+import { shortNumber, significant, ticks, ttiText } from "./axis.js";
 import { page } from "./page_state.js";
 import { ASLEEP, FAILED, OUT, REPORTED, REPORTING, SENSING, TILE_COLUMNS, TILE_ROWS, TimelineData, UNPOWERED, WAKE_UP_SENT } from "./timeline_data.js";
 import { ROW, tilePicture } from "./timeline_tile.js";
@@ -186,7 +186,7 @@ export class Timeline {
     for (let row = firstRow; row <= lastRow; row += 1) {
       for (let tti = Math.max(0, from - (from % step)); tti < end; tti += step) {
         const cell = this.cell(row, tti);
-        if (cell) rows.push([cell.device, cell.from, cell.last, cell.states.join("; "), cell.sensing.toFixed(3), cell.battery.toFixed(1)]);
+        if (cell) rows.push([cell.device, cell.from, cell.last, cell.states.join("; "), significant(cell.sensing), significant(cell.battery)]);
       }
     }
     return [["device", "from_tti", "last_tti", "states", "share_sensing", "battery_units"], ...rows];

@@ -84,13 +84,15 @@ impl Lattice {
 
 /// Converts `energy` to quanta, rounded to the nearest.
 fn to_quanta(energy: Energy, per_unit: u64) -> u64 {
-    (energy.micro() * per_unit + MICRO_PER_UNIT / 2) / MICRO_PER_UNIT
+    let quanta = (u128::from(energy.micro()) * u128::from(per_unit) + u128::from(MICRO_PER_UNIT) / 2)
+        / u128::from(MICRO_PER_UNIT);
+    u64::try_from(quanta).unwrap_or(u64::MAX)
 }
 
 /// Distance of `energy` from a whole number of quanta, in quanta.
 fn rounding_error(energy: Energy, per_unit: u64) -> f64 {
-    let whole = to_quanta(energy, per_unit) * MICRO_PER_UNIT;
-    (energy.micro() * per_unit).abs_diff(whole) as f64 / MICRO_PER_UNIT as f64
+    let whole = u128::from(to_quanta(energy, per_unit)) * u128::from(MICRO_PER_UNIT);
+    (u128::from(energy.micro()) * u128::from(per_unit)).abs_diff(whole) as f64 / MICRO_PER_UNIT as f64
 }
 
 #[cfg(test)]

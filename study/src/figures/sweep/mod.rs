@@ -19,7 +19,7 @@ use super::study::{csv_cell, half_width_cell, runs_in_words};
 use super::style::Style;
 use super::to_file_name;
 
-pub use self::points::{DEVICES, POLICY};
+pub use self::points::{DEVICES, POLICY, SweptNumbers};
 
 /// Largest number of figures per request.
 const MAX_FIGURES: usize = 24;

@@ -81,3 +81,47 @@ fn fields(condition: &RunCondition, policy: &str, n: u32) -> Vec<(String, String
         .map(|table| ("scenario changes".to_owned(), table));
     own.chain(condition.all_changes().cloned()).chain(table).collect()
 }
+
+/// A scenario field that sweeps vary over several numbers.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SweptNumbers {
+    /// The path of the field.
+    pub field: String,
+    /// Its values, ascending, at least two.
+    pub values: Vec<f64>,
+}
+
+impl SweptNumbers {
+    /// Returns the fields of `results` that take several values, all of them numbers.
+    pub fn of_results(results: &Results) -> Vec<Self> {
+        let mut swept: Vec<(&str, Vec<Option<f64>>)> = Vec::new();
+        for (path, value) in results.conditions.iter().flat_map(|condition| &condition.swept_fields) {
+            let number = value.parse().ok().filter(|number: &f64| number.is_finite());
+            match swept.iter_mut().find(|(known, _)| known == path) {
+                Some((_, values)) => values.push(number),
+                None => swept.push((path, vec![number])),
+            }
+        }
+        let numeric = swept.into_iter().filter_map(|(field, values)| {
+            let mut values: Vec<f64> = values.into_iter().collect::<Option<_>>()?;
+            values.sort_by(f64::total_cmp);
+            values.dedup();
+            (values.len() > 1).then(|| Self {
+                field: field.to_owned(),
+                values,
+            })
+        });
+        numeric.collect()
+    }
+
+    /// Whether `condition` has a value of this field from a sweep.
+    pub fn is_varied_in(&self, condition: &RunCondition) -> bool {
+        condition.swept_fields.iter().any(|(path, _)| *path == self.field)
+    }
+
+    /// Whether the values suit a logarithmic axis better: all above 0 and over more than a decade and a half.
+    pub fn is_wide(&self) -> bool {
+        let (first, last) = (self.values[0], self.values[self.values.len() - 1]);
+        first > 0.0 && last / first > 30.0
+    }
+}

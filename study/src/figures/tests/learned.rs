@@ -320,7 +320,7 @@ fn combined_settings_have_a_line_for_each_policy_and_equal_runs_once() {
         .iter()
         .map(|(label, conditions)| (label.as_str(), conditions.len()))
         .collect();
-    assert_eq!(labels, [("paper-together", 2), ("paper-literal-together", 1)]);
+    assert_eq!(labels, [("paper", 2), ("paper-literal", 1)]);
     let chart = pareto::INFORMATION_TRADE_OFF.chart(&groups[0].1).expect("a picture");
     check("pareto-together", &chart.scene());
     let names: Vec<&str> = chart.series.iter().map(|series| series.name.as_str()).collect();

@@ -1,11 +1,13 @@
 //! Tests of whole figures. `check` covers what all have in common: content within the canvas, legible text, valid and
 //! reproducible files. The tests compare values and captions with the tables; appearance is not checked.
 
-use reveille_bs::scenario::{Override, Scenario, load};
+use std::path::Path;
+
+use reveille_bs::scenario::{Override, Scenario, load, parse};
 use reveille_common::declare::NoFiles;
 
 use super::results::{Results, fixtures};
-use super::scene::{Scene, SceneItem};
+use super::scene::{Paint, Scene, SceneItem};
 use super::{FigureError, deployment, energy, png, study, svg, timeline};
 use reveille_lab::table::{Hash, Table};
 
@@ -303,6 +305,54 @@ fn deployments_and_timelines_can_be_drawn_for_each_policy() {
         check("deployment", &deployment::scene(&scenario, &event_scene));
         let ttis = timeline::Timeline::from_scenario(&scenario, &[], 30, 120).expect("a timeline");
         check("timeline", &timeline::scene(&scenario, &ttis));
+    }
+}
+
+/// Rings mark all classes but the most frequent one, and the timeline names the class of each device.
+#[test]
+fn device_classes_are_marked() {
+    let text = "devices = 12\nttis = 300\n[policy]\nname = \"random\"\n[[class]]\nname = \"weak\"\nshare = 0.75\n\
+                energy.e_wur = 0.00003\n[[class]]\nname = \"strong\"\nshare = 0.25\nenergy.e_max = 0.5\nenergy.e_idle = 0.1\n\
+                energy.e_tx = 0.5\n";
+    let scenario = parse(text, "classes.toml", Path::new(""), &[])
+        .expect("a scenario")
+        .scenario;
+    let texts = |scene: &Scene| -> Vec<String> {
+        let texts = scene.items.iter().filter_map(|item| match item {
+            SceneItem::Text(text) => Some(text.text.clone()),
+            SceneItem::Shape(_) => None,
+        });
+        texts.collect()
+    };
+    let event_scene = deployment::EventScene::from_scenario(&scenario, None).expect("an event");
+    let marked = deployment::scene(&scenario, &event_scene);
+    check("classes", &marked);
+    let legend = texts(&marked);
+    for entry in ["class weak (9), without a ring", "class strong (3)"] {
+        assert!(legend.iter().any(|text| text == entry), "{entry}: {legend:?}");
+    }
+    let purple = Paint::Colour(super::style::PURPLE);
+    let rings = marked.items.iter().filter(|item| match item {
+        SceneItem::Shape(shape) => shape.fill.is_none() && shape.stroke.is_some_and(|stroke| stroke.paint == purple),
+        SceneItem::Text(_) => false,
+    });
+    assert_eq!(rings.count(), 4, "three devices and the legend");
+    let classes = reveille_common::scenario::assign_classes(&scenario);
+    let of_class = |class: u16| {
+        (0..12)
+            .find(|device| classes[*device as usize] == class)
+            .expect("a device")
+    };
+    let shown = timeline::Timeline::from_scenario(&scenario, &[of_class(0), of_class(1)], 30, 60).expect("a timeline");
+    let drawn = timeline::scene(&scenario, &shown);
+    check("class-timeline", &drawn);
+    let drawn = texts(&drawn);
+    for entry in [
+        "class weak: E_max 100, E_idle 1, E_WuR 0.00003, E_Tx 10 units",
+        "class strong: E_max 0.5, E_idle 0.1, E_WuR 0.0714, E_Tx 0.5 units",
+        "0.25",
+    ] {
+        assert!(drawn.iter().any(|text| text == entry), "{entry}: {drawn:?}");
     }
 }
 

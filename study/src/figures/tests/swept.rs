@@ -3,6 +3,7 @@
 use reveille_common::declare::NoFiles;
 
 use super::super::results::{Results, fixtures};
+use super::super::sweep::SweptNumbers;
 use super::super::{energy, pareto, study};
 use super::check;
 use reveille_lab::table::{Hash, SweptValue};
@@ -119,4 +120,56 @@ fn changed_settings_have_no_titles_or_marks_of_the_paper() {
         assert_eq!(charts.iter().any(|chart| !chart.spans.is_empty()), is_paper);
         check("not-the-paper", &charts[0].scene());
     }
+}
+
+#[test]
+fn numeric_fields_of_a_sweep_are_found() {
+    let field_of = |path: &str, values: &[SweptValue]| {
+        let runs: Vec<(&str, u32, SweptValue, &[f64])> = values
+            .iter()
+            .map(|value| ("random", 10, value.clone(), &[0.3, 0.4][..]))
+            .collect();
+        let table = fixtures::swept("paper", "energy_per_device_tti", path, &runs);
+        SweptNumbers::of_results(&Results::new(&[table], &NoFiles).expect("runs"))
+    };
+    let float = SweptValue::Float;
+    let found = field_of("harvest.lambda", &[float(0.4), float(0.1), float(0.01)]);
+    let [lambda] = found.as_slice() else {
+        panic!("{found:?}")
+    };
+    assert_eq!(
+        (lambda.field.as_str(), lambda.values.as_slice()),
+        ("harvest.lambda", &[0.01, 0.1, 0.4][..])
+    );
+    assert!(lambda.is_wide(), "a factor of 40");
+    assert!(
+        !field_of("harvest.lambda", &[float(0.0), float(0.4)])[0].is_wide(),
+        "0 has no logarithm"
+    );
+    assert!(field_of("harvest.lambda", &[float(0.4)]).is_empty(), "one value");
+    assert!(
+        field_of("layout.kind", &[text("grid"), text("hex")]).is_empty(),
+        "no numbers"
+    );
+}
+
+#[test]
+fn conditions_are_grouped_by_preset_and_length() {
+    let short = fixtures::table("paper", "info_p1", &[("knn", 10, &[0.3, 0.4])]);
+    let mut long = fixtures::table("paper", "info_p1", &[("knn", 10, &[0.3, 0.4])]);
+    long.0 = "long".to_owned();
+    for row in &mut long.1.rows {
+        row.ttis = 90_000;
+        row.scenario_hash = Hash([7; 32]);
+    }
+    let labels = |tables: &[(String, reveille_lab::table::Table)]| {
+        let results = Results::new(tables, &NoFiles).expect("runs");
+        results
+            .by_preset_and_length()
+            .into_iter()
+            .map(|(label, _)| label)
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(labels(std::slice::from_ref(&short)), ["paper"]);
+    assert_eq!(labels(&[short, long]), ["paper-k2000", "paper-k90000"]);
 }

@@ -1,0 +1,226 @@
+//! The energy balance of a scenario before it runs: expected harvest against the costs of sensing, sleeping and
+//! reporting, by device class, and the part of the area out of reach.
+
+use std::collections::BTreeMap;
+
+use crate::deployment::Deployment;
+use crate::digits::format_significant;
+use crate::geometry::share_out_of_reach;
+use crate::harvest::HarvestSetup;
+use crate::scenario::{DeviceClass, Scenario};
+
+/// Ratio of harvest to consumption from which energy does not limit a run.
+const AMPLE_RATIO: f64 = 10.0;
+
+/// The energy balance of a scenario.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EnergyBalance {
+    /// Length K of the run, TTIs.
+    pub ttis: u64,
+    /// Duration τ of a TTI in units of model time.
+    pub tau: f64,
+    /// Duration of a TTI in seconds by each energy source that defines one, ascending, without repetitions.
+    pub tti_seconds: Vec<f64>,
+    /// Sensing range d_max, metres.
+    pub d_max: f64,
+    /// Share of the area that is farther than d_max from every device, `[0, 1]`.
+    pub share_out_of_reach: f64,
+    /// The device classes that have devices, in the order of the scenario.
+    pub classes: Vec<ClassBalance>,
+}
+
+/// The energy balance of the devices of one class.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ClassBalance {
+    /// Name of the class.
+    pub name: String,
+    /// Number of its devices, ≥ 1.
+    pub devices: u64,
+    /// Expected harvest over the run.
+    pub harvest: HarvestRange,
+    /// Cost of a TTI in S1, units.
+    pub sensing_cost: f64,
+    /// Expected cost of a TTI in S4, false wake-ups included, units.
+    pub sleeping_cost: f64,
+    /// Cost of a report, units.
+    pub report_cost: f64,
+    /// Battery capacity E_max, units.
+    pub capacity: f64,
+}
+
+/// Expected harvest of a group of devices, units per TTI, overflow included.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HarvestRange {
+    /// Mean over the devices.
+    pub mean: f64,
+    /// The smallest of any device.
+    pub min: f64,
+    /// The largest of any device.
+    pub max: f64,
+}
+
+impl HarvestRange {
+    /// The range over devices: pairs of a device's harvest and the number of such devices, at least one.
+    fn new(harvests: &[(f64, u64)]) -> Self {
+        let devices: u64 = harvests.iter().map(|(_, devices)| devices).sum();
+        let sum: f64 = harvests
+            .iter()
+            .map(|&(harvest, devices)| harvest * devices as f64)
+            .sum();
+        let values = || harvests.iter().map(|(harvest, _)| *harvest);
+        let (min, max) = (values().fold(f64::INFINITY, f64::min), values().fold(0.0, f64::max));
+        Self {
+            // Rounding must not move the mean of equal devices.
+            mean: (sum / devices as f64).clamp(min, max),
+            min,
+            max,
+        }
+    }
+}
+
+impl EnergyBalance {
+    /// Computes the balance of `scenario`, with the devices as its seed places them.
+    pub fn new<P>(scenario: &Scenario<P>) -> Self {
+        let deployment = Deployment::new(scenario);
+        let ttis = scenario.run.ttis;
+        // Devices of a class differ only in the trace that they read.
+        let mut groups: BTreeMap<(u16, u32), (HarvestSetup, u64)> = BTreeMap::new();
+        for (device, &class) in deployment.devices.iter().zip(&deployment.classes) {
+            let trace = match device.harvest {
+                HarvestSetup::Trace(trace) => trace.trace,
+                HarvestSetup::Arrivals(_) | HarvestSetup::OnOff(_) | HarvestSetup::Diurnal(_) => 0,
+            };
+            groups.entry((class, trace)).or_insert((device.harvest, 0)).1 += 1;
+        }
+        let balance_of = |(class, kind): (u16, &DeviceClass)| {
+            let harvests: Vec<(f64, u64)> = groups
+                .range((class, 0)..=(class, u32::MAX))
+                .map(|(_, (setup, devices))| (setup.mean_over_run(&deployment.traces, ttis), *devices))
+                .collect();
+            let energy = kind.energy;
+            let false_wake_ups = scenario.radio.false_wake_up * energy.e_idle.units();
+            (!harvests.is_empty()).then(|| ClassBalance {
+                name: kind.name.clone(),
+                devices: harvests.iter().map(|(_, devices)| devices).sum(),
+                harvest: HarvestRange::new(&harvests),
+                sensing_cost: energy.e_idle.units(),
+                sleeping_cost: energy.e_wur.units() + false_wake_ups,
+                report_cost: energy.e_tx.units(),
+                capacity: energy.e_max.units(),
+            })
+        };
+        let mut tti_seconds: Vec<f64> = scenario
+            .classes
+            .iter()
+            .filter_map(|class| class.harvest.tti_seconds())
+            .collect();
+        tti_seconds.sort_by(f64::total_cmp);
+        tti_seconds.dedup();
+        Self {
+            ttis,
+            tau: scenario.run.tau,
+            tti_seconds,
+            d_max: scenario.sensing.d_max,
+            share_out_of_reach: share_out_of_reach(&deployment.positions(), scenario.area, scenario.sensing.d_max),
+            classes: (0..).zip(&scenario.classes).filter_map(balance_of).collect(),
+        }
+    }
+
+    /// The expected harvest of all devices.
+    pub fn harvest(&self) -> HarvestRange {
+        let means: Vec<(f64, u64)> = self
+            .classes
+            .iter()
+            .map(|class| (class.harvest.mean, class.devices))
+            .collect();
+        let range = HarvestRange::new(&means);
+        HarvestRange {
+            min: self
+                .classes
+                .iter()
+                .map(|class| class.harvest.min)
+                .fold(f64::INFINITY, f64::min),
+            max: self.classes.iter().map(|class| class.harvest.max).fold(0.0, f64::max),
+            ..range
+        }
+    }
+
+    /// Warnings about implausible energy settings, each a sentence without its full stop.
+    pub fn warnings(&self) -> Vec<String> {
+        let mut warnings: Vec<String> = self
+            .classes
+            .iter()
+            .filter_map(|class| Some(format!("{}{}", self.subject(class), class.warning(self.ttis)?)))
+            .collect();
+        if let [first, .., last] = self.tti_seconds.as_slice() {
+            warnings.push(format!(
+                "the energy sources disagree on the duration of a TTI, {first} s to {last} s; set \
+                 harvest.trace.panel.tti_seconds and harvest.diurnal.ttis_per_day alike"
+            ));
+        }
+        warnings
+    }
+
+    /// The start of a sentence about `class`; empty if all devices belong to it.
+    fn subject(&self, class: &ClassBalance) -> String {
+        if self.classes.len() > 1 {
+            format!("class `{}`: ", class.name)
+        } else {
+            String::new()
+        }
+    }
+}
+
+impl ClassBalance {
+    /// The mean harvest divided by the cost of always sensing; `None` if sensing costs nothing.
+    pub fn sensing_ratio(&self) -> Option<f64> {
+        ratio(self.harvest.mean, self.sensing_cost)
+    }
+
+    /// The mean harvest divided by the cost of always sleeping; `None` if sleeping costs nothing.
+    pub fn sleeping_ratio(&self) -> Option<f64> {
+        ratio(self.harvest.mean, self.sleeping_cost)
+    }
+
+    /// The number of actions of this `cost` in units that a full battery pays without harvest; `None` if it is
+    /// unlimited.
+    pub fn actions_per_battery(&self, cost: f64) -> Option<u64> {
+        // A quotient that rounding leaves just below a whole number counts as that number.
+        ratio(self.capacity, cost).map(|actions| (actions * (1.0 + 1e-12)).floor() as u64)
+    }
+
+    /// A warning about the harvest in a run of `ttis` TTIs.
+    fn warning(&self, ttis: u64) -> Option<String> {
+        let mean = self.harvest.mean;
+        if mean == 0.0 {
+            return Some(format!(
+                "no energy is harvested in the {ttis} TTIs of the run; change the fields of harvest, or run longer"
+            ));
+        }
+        let (action, consumption) = if self.sensing_cost >= self.sleeping_cost {
+            ("sensing", self.sensing_cost)
+        } else {
+            ("sleeping", self.sleeping_cost)
+        };
+        let ratio = ratio(mean, consumption);
+        if ratio.is_some_and(|ratio| ratio < AMPLE_RATIO) {
+            return None;
+        }
+        let comparison = match ratio {
+            Some(ratio) => format!("{} times the consumption", format_significant(ratio, 3)),
+            None => "above 0 and the consumption 0".to_owned(),
+        };
+        Some(format!(
+            "the harvest is {comparison} of a device that is always {action}, so energy hardly limits it; compare the \
+             units of the harvest and of energy.e_idle"
+        ))
+    }
+}
+
+/// Returns `amount / cost`; `None` without a cost.
+fn ratio(amount: f64, cost: f64) -> Option<f64> {
+    (cost > 0.0).then(|| amount / cost)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,151 @@
+//! The energy balance of a scenario as text, for `reveille scenario check`. `docs/scenarios.md` shows it.
+
+use std::time::Duration;
+
+use humantime::format_duration;
+use reveille_common::digits::format_significant;
+use reveille_common::energy_balance::{ClassBalance, EnergyBalance, HarvestRange};
+
+use crate::display::count_noun;
+
+/// Significant digits of amounts and ratios.
+const DIGITS: u32 = 4;
+
+/// Formats `balance` as lines of at most 80 columns.
+pub(super) fn format_balance(balance: &EnergyBalance) -> String {
+    let mut lines = vec![
+        format!("  simulated time  {}", format_simulated_time(balance)),
+        format!(
+            "  out of reach    {} % of the area is more than d_max = {} m from every device",
+            format_significant(100.0 * balance.share_out_of_reach, 3),
+            format_significant(balance.d_max, DIGITS)
+        ),
+        "                  (exact: Voronoi cells outside the discs, devices of this seed)".to_owned(),
+        format!("  harvest         {}", format_harvest(balance.harvest())),
+    ];
+    let has_classes = balance.classes.len() > 1;
+    for class in &balance.classes {
+        if has_classes {
+            let devices = count_noun(class.devices as usize, "device");
+            lines.push(format!("  class {}: {devices}", class.name));
+            lines.push(format!("  harvest         {}", format_harvest(class.harvest)));
+        }
+        lines.extend(format_costs(class, balance));
+    }
+    lines.join("\n") + "\n"
+}
+
+fn format_harvest(HarvestRange { mean, min, max }: HarvestRange) -> String {
+    let [mean_text, min_text, max_text] = [mean, min, max].map(|harvest| format_significant(harvest, DIGITS));
+    let range = if min == max {
+        String::new()
+    } else {
+        format!("; by device {min_text} to {max_text}")
+    };
+    format!("{mean_text} units per device and TTI, expected{range}")
+}
+
+/// Formats the table of consumptions of the devices of `class`.
+fn format_costs(class: &ClassBalance, balance: &EnergyBalance) -> Vec<String> {
+    let per_tti = |name: &str, cost: f64, ratio: Option<f64>| {
+        let lasts = match class.actions_per_battery(cost) {
+            Some(ttis) => format!("{}{}", count_noun(ttis as usize, "TTI"), format_span(balance, ttis)),
+            None => "any time".to_owned(),
+        };
+        let ratio = ratio.map_or_else(|| "–".to_owned(), |ratio| format_significant(ratio, DIGITS));
+        format!(
+            "  {name:<16}{:>10}{ratio:>18}  {lasts}",
+            format_significant(cost, DIGITS)
+        )
+    };
+    let reports = class.actions_per_battery(class.report_cost);
+    let reports = reports.map_or_else(
+        || "any number of reports".to_owned(),
+        |reports| count_noun(reports as usize, "report"),
+    );
+    vec![
+        format!("  {:<16}{:>10}{:>18}  full battery pays", "", "cost", "harvest / cost"),
+        per_tti("always sensing", class.sensing_cost, class.sensing_ratio()),
+        per_tti("always sleeping", class.sleeping_cost, class.sleeping_ratio()),
+        format!(
+            "  {:<16}{:>10}{:>18}  {reports}",
+            "a report",
+            format_significant(class.report_cost, DIGITS),
+            ""
+        ),
+    ]
+}
+
+/// Formats the duration of the run in the time that a TTI represents.
+fn format_simulated_time(balance: &EnergyBalance) -> String {
+    let ttis = count_noun(balance.ttis as usize, "TTI");
+    if let [seconds] = balance.tti_seconds.as_slice() {
+        let tti = format_significant(*seconds, DIGITS);
+        return format!("{ttis} of {tti} s{}", format_span(balance, balance.ttis));
+    }
+    let model_time = format_significant(balance.ttis as f64 * balance.tau, 6);
+    format!("{ttis}, {model_time} units of model time")
+}
+
+/// Formats the time that `ttis` TTIs represent, in brackets; empty if no energy source defines the duration of a TTI.
+fn format_span(balance: &EnergyBalance, ttis: u64) -> String {
+    let &[tti_seconds] = balance.tti_seconds.as_slice() else {
+        return String::new();
+    };
+    let seconds = ttis as f64 * tti_seconds;
+    // Two units of time are enough: 2days 3h, not 2days 3h 7m 12s.
+    let step = match seconds {
+        s if s >= 86_400.0 => 3600.0,
+        s if s >= 3600.0 => 60.0,
+        s if s >= 1.0 => 1.0,
+        _ => 1e-6,
+    };
+    match Duration::try_from_secs_f64((seconds / step).round() * step) {
+        Ok(span) => format!(" ({})", format_duration(span)),
+        Err(_) => String::new(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use reveille_bs::scenario::{Override, load};
+
+    use super::*;
+
+    fn text_with(source: &str, set: &[&str]) -> String {
+        let overrides: Vec<Override> = set
+            .iter()
+            .map(|text| Override::parse(text).expect("FIELD=VALUE"))
+            .collect();
+        format_balance(&EnergyBalance::new(
+            &load(source, &overrides).expect("a scenario").scenario,
+        ))
+    }
+
+    #[test]
+    fn the_text_fits_in_80_columns_and_shows_small_costs() {
+        let two_classes = concat!(env!("CARGO_MANIFEST_DIR"), "/scenarios/two-classes.toml");
+        let day_and_night = concat!(env!("CARGO_MANIFEST_DIR"), "/scenarios/day-and-night.toml");
+        for text in [
+            text_with("paper", &["energy.e_wur=0.00003", "harvest.e_b=0.00123456"]),
+            text_with(two_classes, &[]),
+            text_with(day_and_night, &["ttis=1000000"]),
+        ] {
+            let widest = text.lines().map(|line| line.chars().count()).max();
+            assert!(widest <= Some(80), "{widest:?} columns: {text}");
+        }
+        let small = text_with("paper", &["energy.e_wur=0.00003"]);
+        assert!(small.contains("0.00003"), "{small}");
+        let classes = text_with(two_classes, &[]);
+        for part in [
+            "by device 0.2715 to 1.25",
+            "class weak: 80 devices",
+            "2799 TTIs",
+            "25 reports",
+        ] {
+            assert!(classes.contains(part), "{part}: {classes}");
+        }
+        let days = text_with(day_and_night, &[]);
+        assert!(days.contains("8640 TTIs of 300 s (30days)"), "{days}");
+    }
+}
