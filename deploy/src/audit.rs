@@ -276,9 +276,7 @@ impl AuditThread {
                     "audit failed: the run diverged from its replay at {divergence}{}",
                     device_owner(&self.progress, &divergence)
                 );
-                // Only the first cause counts. It is set before `stop`, at which the run looks for it.
-                let _has_earlier_cause = self.progress.stop_cause.set(why).is_err();
-                self.progress.stop_requested.store(true, Ordering::Relaxed);
+                self.progress.request_stop_because(why);
                 return Err(divergence);
             }
         }

@@ -142,9 +142,7 @@ impl GuardedProcess {
                         self.command,
                         describe_status(status)
                     );
-                    // Only the first cause counts. It is set before `stop`, at which the run looks for it.
-                    let _told_before = progress.stop_cause.set(why).is_err();
-                    progress.stop_requested.store(true, Ordering::Relaxed);
+                    progress.request_stop_because(why);
                 }
                 return;
             }

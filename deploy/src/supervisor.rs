@@ -195,7 +195,7 @@ impl SupervisorThread {
             if let Err(error) = self.start(&mut waiting, &mut slots) {
                 // Cleared, or every check would try again and fail.
                 waiting.clear();
-                self.stop_run(format!("{error:#}"));
+                self.progress.request_stop_because(format!("{error:#}"));
             }
             let mut has_changed = false;
             // One system call for all: a call for each of a thousand processes would cost more at every check.
@@ -262,7 +262,7 @@ impl SupervisorThread {
         slot.started = now();
         match child_process::spawn(&slot.command, self.key, self.threads) {
             Ok(child) => slot.child = Some(child),
-            Err(error) => self.stop_run(format!("{error:#}")),
+            Err(error) => self.progress.request_stop_because(format!("{error:#}")),
         }
     }
 
@@ -270,7 +270,7 @@ impl SupervisorThread {
     fn handle_failure(&self, slot: &mut ProcessSlot, pid: u32, status: ExitStatus) {
         let why = format!("the device process with pid {pid} ended with {status}");
         match self.on_loss {
-            OnLoss::End => return self.stop_run(why),
+            OnLoss::End => return self.progress.request_stop_because(why),
             // Before the run begins no device is lost, and another process takes the slot.
             OnLoss::Continue if self.progress.has_begun.load(Ordering::Relaxed) => return note!("{why}"),
             OnLoss::Continue | OnLoss::Wait => {}
@@ -278,7 +278,9 @@ impl SupervisorThread {
         let is_short = slot.started.elapsed() < SHORT_LIFE;
         slot.short_lives = if is_short { slot.short_lives + 1 } else { 0 };
         if slot.short_lives >= MAX_SHORT_LIVES {
-            return self.stop_run(format!("{why}, as did {} processes before it", MAX_SHORT_LIVES - 1));
+            return self
+                .progress
+                .request_stop_because(format!("{why}, as did {} processes before it", MAX_SHORT_LIVES - 1));
         }
         let pause = if slot.short_lives == 0 {
             Duration::ZERO
@@ -292,12 +294,6 @@ impl SupervisorThread {
             note!("{why}; starting another process");
         }
         slot.restart_at = Some(now() + pause);
-    }
-
-    fn stop_run(&self, why: String) {
-        // Only the first cause counts. It is set before `stop`, at which the run looks for it.
-        let _has_earlier_cause = self.progress.stop_cause.set(why).is_err();
-        self.progress.stop_requested.store(true, Ordering::Relaxed);
     }
 }
 

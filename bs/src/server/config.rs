@@ -104,13 +104,34 @@ pub struct RunProgress {
     pub max_late_ns: AtomicU64,
     /// The hosts' assignments and names.
     pub owners: Mutex<Vec<(Assignment, String)>>,
-    /// Reason why the run cannot continue. Other parts of the program set it before `stop_requested`.
-    pub stop_cause: OnceLock<String>,
-    /// Request of other parts of the program to end the run at the next TTI.
-    pub stop_requested: AtomicBool,
+    /// Reason why the run cannot continue.
+    stop_cause: OnceLock<String>,
+    stop_requested: AtomicBool,
 }
 
 impl RunProgress {
+    /// Requests the end of the run at the next TTI.
+    pub fn request_stop(&self) {
+        // A thread that sees the request also sees the cause, which is set before it.
+        self.stop_requested.store(true, Ordering::Release);
+    }
+
+    /// Requests the end of the run because of `why`. Only the first cause counts.
+    pub fn request_stop_because(&self, why: String) {
+        let _has_earlier_cause = self.stop_cause.set(why).is_err();
+        self.request_stop();
+    }
+
+    /// Whether the run is to end at the next TTI.
+    pub fn is_stop_requested(&self) -> bool {
+        self.stop_requested.load(Ordering::Acquire)
+    }
+
+    /// The reason why the run cannot continue, if there is one.
+    pub fn stop_cause(&self) -> Option<&str> {
+        self.stop_cause.get().map(String::as_str)
+    }
+
     /// Sets the mean battery from `window`, averaged over `devices` devices.
     pub fn set_mean_battery(&self, devices: u32, window: &WindowRecord) {
         let device_ttis = u128::from(window.end - window.first) * u128::from(devices);

@@ -2,7 +2,6 @@
 //! records the lost hosts, and `run_loop` declares the time limits.
 
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 
 use reveille_common::message::HostCheckpoint;
 
@@ -45,7 +44,7 @@ impl RunLoop<'_> {
             OnLoss::End => return Err(BsError::HostLost { host, first, last, tti }),
             // No host can return the ledgers of the lost devices, so an interrupted run takes its outcome from the
             // replay.
-            OnLoss::Wait if self.context.progress.stop_requested.load(Ordering::Relaxed) => {
+            OnLoss::Wait if self.context.progress.is_stop_requested() => {
                 return Err(BsError::InterruptedAwaitingHost { host, first, last, tti });
             }
             OnLoss::Wait => {}

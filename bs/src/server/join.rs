@@ -235,7 +235,7 @@ pub(super) async fn wait_for_all_devices(
                 state.admission.free_host(host);
             }
         }
-        if progress.stop_requested.load(Ordering::Relaxed) {
+        if progress.is_stop_requested() {
             return Err(BsError::Interrupted);
         }
         if settings

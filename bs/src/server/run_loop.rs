@@ -183,7 +183,7 @@ impl RunLoop<'_> {
                     state.lost_hosts.is_empty(),
                 )
             };
-            if self.context.progress.stop_requested.load(Ordering::Relaxed) {
+            if self.context.progress.is_stop_requested() {
                 return Ok(false);
             }
             // The new pace counts from now; due times of the old one would make it late from the start.
@@ -415,7 +415,7 @@ impl RunLoop<'_> {
 
     /// Sleeps until `due`, or until a loss, a new pace, a stop or a pause.
     async fn sleep_until(&mut self, due: Instant) -> Result<(), BsError> {
-        while now() < due && !self.context.progress.stop_requested.load(Ordering::Relaxed) {
+        while now() < due && !self.context.progress.is_stop_requested() {
             tokio::time::sleep_until(due.min(now() + CHECK_INTERVAL).into()).await;
             let mut state = self.context.shared.lock();
             self.handle_lost_hosts(&mut state)?;
@@ -462,7 +462,7 @@ impl RunLoop<'_> {
             if unanswered_for >= LOST_AFTER {
                 self.mark_unresponsive_hosts_lost();
             }
-            let must_stop = self.context.progress.stop_requested.load(Ordering::Relaxed);
+            let must_stop = self.context.progress.is_stop_requested();
             if must_stop && now >= *stop_at.get_or_insert(now + STOP_TIMEOUT) {
                 let (tti, hosts) = (
                     self.session.next_tti(),

@@ -205,7 +205,7 @@ pub(crate) async fn serve_run(
     // The set-up and the loop over TTIs check `stop`, not signals.
     let relay = tokio::spawn(async move {
         relay_signals.wait_for_first().await;
-        relay_progress.stop_requested.store(true, Ordering::Relaxed);
+        relay_progress.request_stop();
     });
     let bar = RunProgressBar::start(progress, scenario, output.quiet);
     let (preparation_time, served) = match prepare_on_thread(scenario, progress) {
@@ -343,7 +343,7 @@ async fn run_over_bus(
         mark_writer.finish(true)?;
     }
     // A fault stops the run in order, as a signal does; only the cause tells them apart.
-    if let Some(why) = progress.stop_cause.get() {
+    if let Some(why) = progress.stop_cause() {
         bail!("{why}");
     }
     // An interrupted run may leave logged decisions unused; a complete run that does so had the wrong log.
@@ -361,8 +361,8 @@ async fn run_over_bus(
 /// The cause of a stop, if known. Waits briefly: a process's connection ends a moment before the process.
 async fn wait_for_cause(progress: &RunProgress) -> Option<String> {
     for _ in 0..10 {
-        if let Some(why) = progress.stop_cause.get() {
-            return Some(why.clone());
+        if let Some(why) = progress.stop_cause() {
+            return Some(why.to_owned());
         }
         tokio::time::sleep(CAUSE_POLL_INTERVAL).await;
     }
@@ -386,7 +386,7 @@ fn with_cause(why: &str, error: &anyhow::Error) -> anyhow::Error {
 /// the preparation, since there is nothing to lose yet.
 fn prepare_on_thread(scenario: &Scenario, progress: &RunProgress) -> anyhow::Result<PreparedRun> {
     let scenario = scenario.clone();
-    let is_over = || progress.stop_requested.load(Ordering::Relaxed);
+    let is_over = || progress.is_stop_requested();
     // The wait blocks this thread; the task that turns a signal into `stop` runs on another one.
     let ready = tokio::task::block_in_place(|| run_on_thread(move || prepare_run(&scenario), is_over))?;
     ready.ok_or_else(|| Interrupted::BEFORE_RUN.into())

@@ -102,7 +102,7 @@ fn first_undecided(
 
 /// Advances `run` to TTI `to`, or to the first missing decision.
 fn advance_to(run: &mut Run, to: Tti, progress: &RunProgress, observer: &mut impl Observer) -> anyhow::Result<()> {
-    let is_stopped = || progress.stop_requested.load(Ordering::Relaxed);
+    let is_stopped = || progress.is_stop_requested();
     let has_reached = advance(run, to, observer, |next| {
         progress.next_tti.store(next.0, Ordering::Relaxed);
         !is_stopped()

@@ -14,7 +14,6 @@ pub mod client;
 
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
-use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use reveille_common::bus::{Bus, BusError, PortReply, Replies};
@@ -482,7 +481,7 @@ impl<'a> DecisionWait<'a> {
     /// Returns the next of `replies`; `None` if no more follow.
     async fn next(&mut self, replies: &mut Replies) -> ControlFlow<WaitEnd, Option<PortReply>> {
         loop {
-            if self.progress.stop_requested.load(Ordering::Relaxed) {
+            if self.progress.is_stop_requested() {
                 return ControlFlow::Break(WaitEnd::Stop);
             }
             let waited = self.started.elapsed();
