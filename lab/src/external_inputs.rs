@@ -121,6 +121,7 @@ impl ExternalInputs {
     }
 
     /// Returns the inputs after the first ones, of which `known` has the numbers of removals, decisions and actions.
+    #[must_use]
     pub fn after(&self, known: [usize; 3]) -> Self {
         Self {
             outages: self.outages[known[0]..].to_vec(),

@@ -361,7 +361,7 @@ def check_map(page):
     assert page.value("[...window.painted].some((text) => /^[0-9.]+ m$/.test(text))"), "scale bar"
     assert "belief" not in page.text("#legend"), "knn has no belief"
     symbols = page.value("[...document.querySelectorAll('#legend canvas')].map((canvas) => canvas.toDataURL())")
-    assert len(symbols) == 6 and len(set(symbols)) == 6, "the symbols differ"
+    assert len(symbols) == 7 and len(set(symbols)) == 7, "the symbols differ"
     # The two reasons of a report differ in shape, not only in colour: a diamond covers more than a triangle.
     areas = page.value(
         "[...document.querySelectorAll('#legend canvas')].map((m) => [...m.getContext('2d').getImageData(0, 0, m.width, m.height).data].filter((value, i) => i % 4 === 3 && value > 128).length)"
@@ -385,6 +385,7 @@ def check_map(page):
 
 def check_actions(page):
     """Fails, charges and revives the chosen device of the paused run."""
+    page.push("#follow")
     page.fill("#device", 7)
     page.until("reveille.device === 7 && document.getElementById('revive').disabled && !document.getElementById('fail').disabled")
     state = "reveille.now.states[7]"
@@ -446,7 +447,7 @@ def check_timeline(page, stopped):
     page.until(f"reveille.timeline.cell(5, {stopped - 60}) !== null")
     page.until(f"{COLOURS.replace('CANVAS', 'timeline')} > 10")
     differing = page.value(
-        f"(async () => {{ const names = {{ 1: 'S1 senses', 2: 'S3', 3: 'S3', 4: 'S4 sleeps', 0: 'unpowered' }}, found = [];"
+        f"(async () => {{ const names = {{ 1: 'S1 senses', 2: 'S3', 3: 'S3', 4: 'S4 sleeps', 0: 'unpowered', x: 'failed by an operator' }}, found = [];"
         f" for (const device of [0, 5, 9]) {{ const own = await fetch(`api/device/${{device}}?from={stopped - 120}&end={stopped - 20}`).then((a) => a.json());"
         " [...own.states].forEach((state, nth) => { const cell = reveille.timeline.cell(device, own.from + nth);"
         " if (!cell?.states.includes(names[state]) || Math.abs(cell.battery - own.batteries[nth]) > 0.5) found.push([device, own.from + nth, state, cell]); }); }"

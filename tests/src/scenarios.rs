@@ -55,7 +55,7 @@ pub fn actions(scenario: &Scenario, seed: u64) -> Vec<OperatorAction> {
     let mut stream = Stream::new(seed, Purpose::Training, 0);
     let ttis = scenario.run.ttis;
     let mut actions: Vec<OperatorAction> = Vec::new();
-    for _ in 0..1 + stream.below(12) {
+    for _ in 0..=stream.below(12) {
         let near = actions
             .last()
             .filter(|_| stream.unit() < 0.3)

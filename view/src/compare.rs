@@ -1,8 +1,8 @@
 //! Comparison of two runs: the first difference in each kind of message. `inspect compare` and the dashboard use it.
 //!
-//! Only actions and outcomes are compared: events, δ, reports, failures, wake-ups and their outcomes. Grants and answers
-//! are ignored, so a run with lookahead equals the same run without it. A new kind of message is compared only if it is in
-//! `COMPARED`.
+//! Only actions and outcomes are compared: events, δ, reports, failures, wake-ups and their outcomes. Grants and
+//! answers are ignored, so a run with lookahead equals the same run without it. A new kind of message is compared only
+//! if it is in `COMPARED`.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::io::{Read, Seek};

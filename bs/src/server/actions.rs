@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use reveille_common::ids::Tti;
-use reveille_common::message::{ActRequest, OperatorAction};
+use reveille_common::message::{ActRequest, Change, OperatorAction};
 use reveille_common::secret::Secret;
 
 use super::failover::ReplaySource;
@@ -71,7 +71,7 @@ impl ServerState {
     }
 
     fn check_devices_not_removed(&self, request: &ActRequest) -> Result<(), String> {
-        let ranges = request.changes.iter().filter_map(|change| change.devices());
+        let ranges = request.changes.iter().filter_map(Change::devices);
         for range in ranges {
             if let Some(device) = self.removed_devices.range(range.first..).next()
                 && range.contains(*device)

@@ -256,11 +256,14 @@ impl RunLoop<'_> {
             std::mem::take(&mut state.pending_actions)
         };
         let queue = self.session.input_queue_mut();
-        actions.into_iter().for_each(|action| queue.add_action(action));
+        for action in actions {
+            queue.add_action(action);
+        }
         let action = self.session.next_action(self.grant_limit(), observer);
-        let next_tti = match &action {
-            Action::Grant { .. } => self.session.grant_message().last + 1,
-            _ => self.session.next_tti(),
+        let next_tti = if matches!(action, Action::Grant { .. }) {
+            self.session.grant_message().last + 1
+        } else {
+            self.session.next_tti()
         };
         self.context.shared.end_granting(next_tti);
         action

@@ -19,6 +19,7 @@ use super::roster::Roster;
 use crate::scenario::Scenario;
 
 /// State that callbacks change and the run loop reads.
+#[expect(clippy::struct_excessive_bools, reason = "each is a separate fact about the run")]
 pub(super) struct ServerState {
     pub(super) admission: Admission,
     pub(super) barrier: Barrier,

@@ -3,10 +3,10 @@
 //!
 //! The BS is a router, and all messages of others pass through it. Any client may send join requests, clock controls,
 //! actions and queries for the run's description and input log, and may follow the tap. A host receives the run's
-//! secret with its assignment. With it, the host may also receive clock messages, plans and wake-ups, and send on keys of hosts;
-//! its token identifies it to the BS. Only the BS may send clock messages, plans and wake-ups, answer its own kinds of
-//! queries, or feed the tap. At the policy port the BS asks and any client may answer: it accepts answers that carry
-//! the run's key. See [`crate::keys`] for why a wildcard does not help an outsider.
+//! secret with its assignment. With it, the host may also receive clock messages, plans and wake-ups, and send on keys
+//! of hosts; its token identifies it to the BS. Only the BS may send clock messages, plans and wake-ups, answer its own
+//! kinds of queries, or feed the tap. At the policy port the BS asks and any client may answer: it accepts answers that
+//! carry the run's key. See [`crate::keys`] for why a wildcard does not help an outsider.
 
 use crate::keys::Keys;
 use crate::message::MessageKind;

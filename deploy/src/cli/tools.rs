@@ -225,14 +225,23 @@ pub(crate) enum ActChange {
         #[arg(value_parser = parse_setting)]
         field: Setting,
         /// New value.
-        #[arg(allow_negative_numbers = true)]
-        value: f64,
+        #[arg(value_parser = parse_setting_value, allow_negative_numbers = true)]
+        value: SettingValue,
     },
 }
 
 /// Devices on the command line.
 #[derive(Clone, Debug)]
 pub(crate) struct DeviceList(Vec<DeviceRange>);
+
+/// The value of a setting on the command line.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct SettingValue(f64);
+
+fn parse_setting_value(text: &str) -> Result<SettingValue, String> {
+    let value = text.parse().map_err(|_| "must be a number".to_owned())?;
+    Ok(SettingValue(value))
+}
 
 fn parse_device_list(text: &str) -> Result<DeviceList, String> {
     parse_devices(text).map(DeviceList)
@@ -249,7 +258,7 @@ impl From<&ActArgs> for ActRequest {
                 ActChange::Fail { devices } => on_each(devices, &Change::Fail),
                 ActChange::Revive { devices } => on_each(devices, &Change::Revive),
                 ActChange::Energy { devices, units } => on_each(devices, &|range| Change::AddEnergy(range, *units)),
-                ActChange::Set { field, value } => vec![Change::Set(*field, *value)],
+                ActChange::Set { field, value } => vec![Change::Set(*field, value.0)],
             },
         }
     }

@@ -310,7 +310,9 @@ async fn run_over_bus(
         for decision in &inputs.decisions {
             queue.push_decision(decision.clone());
         }
-        inputs.actions.iter().for_each(|action| queue.add_action(*action));
+        for action in &inputs.actions {
+            queue.add_action(*action);
+        }
         (session, None)
     };
     // Before any grant: a run that does not reproduce its mark must not continue.

@@ -95,9 +95,14 @@ async fn query_bus<Q: BusQuery<Address = ()>>(served: &ApiState, query: &Q) -> R
         ));
     };
     let reply = bus.query(query, ANSWER_TIMEOUT).await;
-    reply.map_err(|error| match error {
-        BusError::Refused(why) => ApiError(StatusCode::BAD_REQUEST, why),
-        error => ApiError(StatusCode::BAD_GATEWAY, error.to_string()),
+    reply.map_err(|error| {
+        let is_refused = matches!(error, BusError::Refused(_));
+        let status = if is_refused {
+            StatusCode::BAD_REQUEST
+        } else {
+            StatusCode::BAD_GATEWAY
+        };
+        ApiError(status, error.to_string())
     })
 }
 
