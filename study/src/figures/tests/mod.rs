@@ -312,8 +312,8 @@ fn deployments_and_timelines_can_be_drawn_for_each_policy() {
 #[test]
 fn device_classes_are_marked() {
     let text = "devices = 12\nttis = 300\n[policy]\nname = \"random\"\n[[class]]\nname = \"weak\"\nshare = 0.75\n\
-                energy.e_wur = 0.00003\n[[class]]\nname = \"strong\"\nshare = 0.25\nenergy.e_max = 0.5\nenergy.e_idle = 0.1\n\
-                energy.e_tx = 0.5\n";
+                energy.e_wur = 0.00003\n[[class]]\nname = \"strong\"\nshare = 0.25\nenergy.e_max = 0.5\n\
+                energy.e_idle = 0.1\nenergy.e_tx = 0.5\n";
     let scenario = parse(text, "classes.toml", Path::new(""), &[])
         .expect("a scenario")
         .scenario;
