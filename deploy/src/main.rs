@@ -28,6 +28,7 @@ mod recording;
 mod results_table;
 mod resume_mark;
 mod run_folder;
+mod run_reader;
 mod run_registry;
 mod run_tables;
 mod run_watchers;

@@ -46,9 +46,9 @@ pub(crate) const SCENARIO_FILE: &str = "scenario.toml";
 /// The results of the run.
 pub(crate) const SUMMARY_FILE: &str = "summary.json";
 const LEARNED_FILE: &str = "learned.json";
-const DEVICES_FILE: &str = "devices.csv";
-const EVENTS_FILE: &str = "events.csv";
-const WINDOWS_FILE: &str = "windows.csv";
+pub(crate) const DEVICES_FILE: &str = "devices.csv";
+pub(crate) const EVENTS_FILE: &str = "events.csv";
+pub(crate) const WINDOWS_FILE: &str = "windows.csv";
 /// Indices of the two tables in [`TableWriter`].
 const EVENTS_TABLE: usize = 0;
 const WINDOWS_TABLE: usize = 1;

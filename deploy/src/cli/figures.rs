@@ -84,6 +84,14 @@ pub(crate) enum FiguresCommand {
         "reveille figures timeline --from 2000 --length 400",
     ))]
     Timeline(TimelineArgs),
+    /// Draw the places of a run's missed events, coloured by cause
+    ///
+    /// `reveille inspect misses` prints the same events with their times and devices.
+    #[command(after_help = examples!(
+        "reveille figures misses runs/knn-n50-s1",
+        "reveille figures misses runs/knn-n50-s1 --out maps --format svg",
+    ))]
+    Misses(MissesFigureArgs),
     /// Draw the past that one decision of the `dt` policy attends to
     ///
     /// The picture shows the expectation for each device in a TTI, and the attention to past TTIs.
@@ -225,6 +233,17 @@ pub(crate) struct DeploymentArgs {
     /// Number of the event, from 0 [default: the first event after the warm-up with a wake-up].
     #[arg(long, short, value_parser = whole(0..=u64::MAX), allow_negative_numbers = true)]
     pub event: Option<u64>,
+    /// Picture options.
+    #[command(flatten)]
+    pub pictures: FigureOutputArgs,
+}
+
+/// Arguments of `reveille figures misses`.
+#[derive(Args)]
+pub(crate) struct MissesFigureArgs {
+    /// Folder of the run.
+    #[arg(value_name = "RUN")]
+    pub run: PathBuf,
     /// Picture options.
     #[command(flatten)]
     pub pictures: FigureOutputArgs,

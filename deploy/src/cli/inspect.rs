@@ -68,6 +68,15 @@ pub(crate) enum InspectCommand {
         "reveille inspect compare knn.mcap random.mcap",
     ))]
     Compare(CompareArgs),
+    /// Show where, when and why the events of a run were missed
+    ///
+    /// The report has a map of missed events and devices, the causes over time, the nearest devices and a proposal.
+    /// The run can still be active. docs/results.md explains the causes.
+    #[command(after_help = examples!(
+        "reveille inspect misses runs/knn-n50-s1",
+        "reveille inspect misses runs/knn-n50-s1 --json",
+    ))]
+    Misses(MissesArgs),
 }
 
 /// Arguments of `reveille inspect tail`.
@@ -224,6 +233,20 @@ pub(crate) struct CompareArgs {
     pub this: PathBuf,
     /// Second recording.
     pub other: PathBuf,
+}
+
+/// Arguments of `reveille inspect misses`.
+#[derive(Args)]
+pub(crate) struct MissesArgs {
+    /// Folder of the run.
+    #[arg(value_name = "RUN")]
+    pub run: PathBuf,
+    /// Number of devices to list, those with most missed events first.
+    #[arg(long, default_value_t = 8, value_parser = whole(0..=1_000_000_usize), allow_negative_numbers = true)]
+    pub devices: usize,
+    /// Print one JSON object.
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// Arguments of `reveille dashboard`.

@@ -26,11 +26,12 @@ use examples::examples;
 pub(crate) use analyse::{AnalyseCommand, BatteryArgs, HarvestArgs, IminArgs, RuntimeArgs, StudyArgs, TransitionsArgs};
 pub(crate) use figures::{
     AttentionArgs, AxisArg, DeploymentArgs, FigureOutputArgs, FiguresArgs, FiguresCommand, ImageFormatArg,
-    LearningArgs, QTableArgs, RankingArg, RobustnessArgs, SweepFigureArgs, TimelineArgs, other_figures,
+    LearningArgs, MissesFigureArgs, QTableArgs, RankingArg, RobustnessArgs, SweepFigureArgs, TimelineArgs,
+    other_figures,
 };
 pub(crate) use inspect::{
-    ColourArg, CompareArgs, DashboardArgs, ExportArgs, InspectCommand, InspectRecordArgs, StatsArgs, TailArgs, ToArg,
-    VerifyArgs,
+    ColourArg, CompareArgs, DashboardArgs, ExportArgs, InspectCommand, InspectRecordArgs, MissesArgs, StatsArgs,
+    TailArgs, ToArg, VerifyArgs,
 };
 pub(crate) use parse::nearest_name;
 pub(crate) use report::{ReportArgs, ReportCommand, SearchArgs};

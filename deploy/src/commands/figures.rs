@@ -17,22 +17,25 @@ use reveille_study::figures::results::{Results, RunCondition};
 use reveille_study::figures::sweep::{SweepFigureSpec, canonical_field, note_on_several};
 use reveille_study::figures::timeline::Timeline;
 use reveille_study::figures::{
-    FigureError, deployment, energy, front, learning, pareto, q_table, robustness, study, timeline, to_file_name,
+    FigureError, deployment, energy, front, learning, misses, pareto, q_table, robustness, study, timeline,
+    to_file_name,
 };
 
 use super::figure_files::{read_tables, write_file, write_picture};
 use super::resolve_scenario::resolve;
 use crate::cli::{
-    AttentionArgs, AxisArg, DeploymentArgs, FiguresArgs, FiguresCommand, LearningArgs, QTableArgs, RankingArg,
-    RobustnessArgs, SweepFigureArgs, TimelineArgs, nearest_name, other_figures,
+    AttentionArgs, AxisArg, DeploymentArgs, FiguresArgs, FiguresCommand, LearningArgs, MissesFigureArgs, QTableArgs,
+    RankingArg, RobustnessArgs, SweepFigureArgs, TimelineArgs, nearest_name, other_figures,
 };
 use crate::display::note;
+use crate::run_reader::RunReader;
 
 /// Draws the requested figures.
 pub(crate) fn run(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
     match &args.command {
         Some(FiguresCommand::Deployment(args)) => draw_deployment(args),
         Some(FiguresCommand::Timeline(args)) => draw_timeline(args),
+        Some(FiguresCommand::Misses(args)) => draw_misses(args),
         Some(FiguresCommand::Attention(args)) => draw_attention(args),
         Some(FiguresCommand::Robustness(args)) => draw_robustness(args),
         Some(FiguresCommand::Learning(args)) => draw_learning(args),
@@ -245,6 +248,16 @@ fn draw_timeline(args: &TimelineArgs) -> anyhow::Result<ExitCode> {
     let timeline_data = Timeline::from_scenario(&scenario, &args.show, from, args.length)?;
     let name = timeline::file_name(&scenario, &timeline_data);
     write_picture(&args.pictures, &name, &timeline::scene(&scenario, &timeline_data))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn draw_misses(args: &MissesFigureArgs) -> anyhow::Result<ExitCode> {
+    let run_misses = RunReader::open(&args.run)?.misses()?;
+    write_picture(
+        &args.pictures,
+        &misses::file_name(&run_misses),
+        &misses::scene(&run_misses),
+    )?;
     Ok(ExitCode::SUCCESS)
 }
 
