@@ -14,6 +14,7 @@ mod interrupt;
 mod limits;
 mod many_processes;
 mod misbehaving_policy;
+mod misses;
 mod monitoring;
 mod on_loss_continue;
 mod one_writer;
