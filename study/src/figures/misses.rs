@@ -1,5 +1,5 @@
-//! Figure of missed events: their places in the deployment, with a colour and marker for each cause. [`file_name`] names
-//! the files of `reveille figures misses`.
+//! Figure of missed events: their places in the deployment, with a colour and marker for each cause. [`file_name`]
+//! names the files of `reveille figures misses`.
 
 use reveille_common::geometry::voronoi_cells;
 use reveille_common::totals::MissCause;

@@ -6,6 +6,9 @@ use reveille_common::geometry::Point;
 use reveille_common::harvest::Harvest;
 use reveille_common::totals::MissCause;
 
+/// Share of device-TTIs with B < E_Tx from which devices lack energy, %.
+const LOW_ENERGY_PCT: f64 = 5.0;
+
 /// Returns how the base station's policy senses more.
 fn sense_more(policy: &str) -> &'static str {
     match policy {
@@ -44,8 +47,15 @@ fn harvest_more(scenario: &Scenario) -> &'static str {
     }
 }
 
-/// Returns the advice against `cause`, which explains `count` of `missed` events, most of them near `place`.
-pub(super) fn advice(scenario: &Scenario, cause: MissCause, count: u64, missed: usize, place: Point) -> String {
+/// Returns the advice against `cause`, which explains `count` of `missed` events, most of them near `place`. In a run
+/// with many device-TTIs of low energy, devices sleep to save energy, and more sensing would only empty them.
+pub(super) fn advice(
+    scenario: &Scenario,
+    cause: MissCause,
+    (count, missed): (u64, usize),
+    place: Point,
+    low_energy_pct: Option<f64>,
+) -> String {
     let (policy, d_max) = (scenario.policy.name(), scenario.sensing.d_max);
     let most = format!("near x = {:.1} m, y = {:.1} m", place.x, place.y);
     let spent = scenario
@@ -67,7 +77,14 @@ pub(super) fn advice(scenario: &Scenario, cause: MissCause, count: u64, missed: 
         ),
         MissCause::Asleep => (
             format!("within reach of devices that slept by plan, most {most}"),
-            format!("To sense more, {}", sense_more(policy)),
+            match low_energy_pct.filter(|low| *low >= LOW_ENERGY_PCT) {
+                Some(low) => format!(
+                    "Batteries were below energy.e_tx in {low:.0} % of device-TTIs, so more sensing would empty them: \
+                     raise {} or energy.e_max",
+                    harvest_more(scenario)
+                ),
+                None => format!("To sense more, {}", sense_more(policy)),
+            },
         ),
         MissCause::Unpowered => (
             format!("near devices that were told to sense and had no power, most {most}"),

@@ -8,6 +8,7 @@ mod tests;
 
 use std::collections::BTreeMap;
 
+use libm::{log10, pow};
 use reveille_bs::scenario::Scenario;
 use reveille_common::deployment::Deployment;
 use reveille_common::geometry::{Buckets, Point};
@@ -52,6 +53,8 @@ pub struct Misses {
     pub in_warm_up: u64,
     /// End of the covered TTIs, exclusive.
     pub end: Tti,
+    /// The metric `low_energy_pct` of a finished run, % of device-TTIs.
+    pub low_energy_pct: Option<f64>,
 }
 
 /// Numbers of missed events and devices in the square cells of the area. Rows start in the south, cells in the west.
@@ -122,6 +125,7 @@ impl Misses {
             missed: Vec::new(),
             in_warm_up: 0,
             end,
+            low_energy_pct: None,
         }
     }
 
@@ -230,7 +234,14 @@ impl Misses {
             );
         };
         let place = self.hot_spot(cause);
-        Some(advice::advice(&self.scenario, cause, count, self.missed.len(), place))
+        let counts = (count, self.missed.len());
+        Some(advice::advice(
+            &self.scenario,
+            cause,
+            counts,
+            place,
+            self.low_energy_pct,
+        ))
     }
 
     /// Returns the mean place of the events of `cause` in the cell with most of them.
@@ -281,7 +292,7 @@ impl Grid {
 
 /// Rounds a positive length up to 1, 2 or 5 times a power of ten.
 fn round_up(length: f64) -> f64 {
-    let power = 10_f64.powf(length.log10().floor());
+    let power = pow(10.0, log10(length).floor());
     let steps = [1.0, 2.0, 5.0, 10.0].map(|step| step * power);
     // The tolerance keeps a length that is such a number up to rounding.
     steps

@@ -116,7 +116,7 @@ fn the_advice_names_fields_of_the_scenario_and_the_place() {
     for policy in ["knn", "adjusted", "q-learning", "random", "age-index", "dt", "genie"] {
         let scenario = quick(&[&format!("policy.name={policy}"), "radio.wake_miss=0.1"]);
         for cause in MissCause::ALL {
-            let text = advice::advice(&scenario, cause, 3, 7, Point::new(1.0, 2.0));
+            let text = advice::advice(&scenario, cause, (3, 7), Point::new(1.0, 2.0), None);
             assert!(text.starts_with("3 of 7 missed events were ") && text.contains("x = 1.0 m, y = 2.0 m"));
             let words = text.split([' ', ',', ':']).map(|word| word.trim_end_matches('.'));
             for field in words.filter(|word| word.contains(|c: char| c.is_alphabetic()) && word.contains('.')) {
@@ -152,4 +152,22 @@ fn the_hot_spot_is_in_the_cell_with_most_events_of_the_main_cause() {
     );
     misses.missed.clear();
     assert_eq!((misses.advice(), misses.causes().len()), (None, 0));
+}
+
+#[test]
+fn sleeping_devices_without_energy_need_energy_and_not_more_sensing() {
+    let scenario = quick(&["policy.name=age-index"]);
+    let advice = |low| advice::advice(&scenario, MissCause::Asleep, (3, 7), Point::new(1.0, 2.0), low);
+    for low in [None, Some(4.9)] {
+        assert!(
+            advice(low).ends_with("To sense more, lower policy.age-index.price."),
+            "{}",
+            advice(low)
+        );
+    }
+    let text = advice(Some(38.8));
+    assert!(
+        text.contains("39 % of device-TTIs") && text.ends_with("raise harvest.e_b or energy.e_max."),
+        "{text}"
+    );
 }
