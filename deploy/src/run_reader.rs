@@ -1,7 +1,7 @@
 //! Run folders as input: `inspect misses`, `figures misses` and `compare` read the files that `run_folder` writes.
 //! Columns are found by name, since tables of other versions have others.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -29,12 +29,15 @@ pub(crate) struct RunReader {
 /// The rows of a CSV table, with cells by column.
 pub(crate) struct RowTable {
     path: PathBuf,
-    columns: HashMap<String, usize>,
+    /// Names of the columns, in order.
+    header: csv::StringRecord,
+    /// Index of each column.
+    columns: BTreeMap<String, usize>,
     rows: Vec<csv::StringRecord>,
 }
 
 impl RunReader {
-    /// Opens the run in `path`. Prints a note if the run is unfinished.
+    /// Opens the run in `path`.
     ///
     /// # Errors
     /// If the folder holds no run, or a file of it is invalid.
@@ -60,15 +63,18 @@ impl RunReader {
             ),
             Err(_) => None,
         };
-        let this = Self {
+        Ok(Self {
             path: path.to_owned(),
             scenario,
             summary,
-        };
-        if let Some(state) = this.unfinished() {
-            note!("{}: {state}; its tables cover the TTIs so far", path.display());
+        })
+    }
+
+    /// Prints a note if the run is unfinished, so that its tables cover only a part of it.
+    fn report_unfinished(&self) {
+        if let Some(state) = self.unfinished() {
+            note!("{}: {state}; its tables cover the TTIs so far", self.path.display());
         }
-        Ok(this)
     }
 
     /// Describes the state of a run without a summary; `None` for a finished run.
@@ -100,7 +106,7 @@ impl RunReader {
         RowTable::read(path).map(Some)
     }
 
-    /// Reads the missed events.
+    /// Reads the missed events. Prints a note if the run is unfinished.
     ///
     /// # Errors
     /// If `events.csv` is missing or invalid.
@@ -108,6 +114,7 @@ impl RunReader {
         let Some(events) = self.table(EVENTS_FILE)? else {
             bail!("{}: holds no {EVENTS_FILE}; repeat the run", self.path.display());
         };
+        self.report_unfinished();
         let mut misses = Misses::new(self.scenario.clone());
         let mut found = Vec::new();
         for row in events.rows() {
@@ -128,6 +135,10 @@ impl RunReader {
             (event.nearest, event.distance_m) = (device, distance_m);
         }
         misses.missed = found;
+        misses.low_energy_pct = self
+            .summary
+            .as_ref()
+            .and_then(|summary| summary["metrics"]["low_energy_pct"].as_f64());
         let done = self.summary.as_ref().and_then(|summary| summary["ttis_done"].as_u64());
         misses.end = match (done, misses.starts.last()) {
             (Some(done), _) => Tti(done),
@@ -169,16 +180,26 @@ impl RowTable {
     fn read(path: PathBuf) -> anyhow::Result<Self> {
         let named = || path.display().to_string();
         let mut reader = csv::ReaderBuilder::new().from_path(&path).with_context(named)?;
-        let header = reader.headers().with_context(named)?;
+        let header = reader.headers().with_context(named)?.clone();
         let columns = (0..)
-            .zip(header)
+            .zip(&header)
             .map(|(index, name)| (name.to_owned(), index))
             .collect();
         let rows = reader
             .into_records()
             .collect::<Result<Vec<_>, _>>()
             .with_context(named)?;
-        Ok(Self { path, columns, rows })
+        Ok(Self {
+            path,
+            header,
+            columns,
+            rows,
+        })
+    }
+
+    /// The names of the columns, in order.
+    pub(crate) fn column_names(&self) -> impl Iterator<Item = &str> {
+        self.header.iter()
     }
 
     /// The rows, in order.

@@ -3,6 +3,7 @@
 mod analyse;
 mod bad_input;
 mod closed_terminal;
+mod compare;
 mod dashboard;
 mod digest;
 mod docs;

@@ -32,9 +32,10 @@ fn report(folder: &TestFolder, run: &str) -> Value {
 
 /// Returns the sum of all numbers in a nested list.
 fn sum(value: &Value) -> u64 {
-    value
-        .as_array()
-        .map_or_else(|| value.as_u64().expect("a number"), |items| items.iter().map(sum).sum())
+    value.as_array().map_or_else(
+        || value.as_u64().expect("a number"),
+        |items| items.iter().map(sum).sum(),
+    )
 }
 
 #[test]
@@ -62,11 +63,20 @@ fn the_report_equals_a_count_of_the_table_and_the_summary() {
     let north_east = missed.iter().filter(|(_, x, y, _)| *x >= 18.0 && *y >= 18.0).count();
     assert_eq!(map["missed"][9][9], north_east, "{map}");
     let first = missed.iter().filter(|(.., start)| (300..570).contains(start)).count();
-    assert_eq!((&report["bins"][0]["missed"], &report["bins"][0]["end_tti"]), (&first.into(), &570.into()));
+    assert_eq!(
+        (&report["bins"][0]["missed"], &report["bins"][0]["end_tti"]),
+        (&first.into(), &570.into())
+    );
 
     let end = folder.run("inspect misses r");
     let shown = format!("{} of {} events missed", missed.len(), report["events"]);
-    for part in [&shown, "Lower radio.uplink_loss", "lost", "Causes over time", "Nearest devices"] {
+    for part in [
+        &shown,
+        "Lower radio.uplink_loss",
+        "lost",
+        "Causes over time",
+        "Nearest devices",
+    ] {
         assert!(end.stdout.contains(part), "no {part:?}: {end}");
     }
     let widest = end.stdout.lines().map(|line| line.chars().count()).max();
@@ -80,12 +90,23 @@ fn the_report_equals_a_count_of_the_table_and_the_summary() {
 #[test]
 fn a_run_without_misses_and_tables_of_other_versions_are_reported() {
     let folder = TestFolder::new();
-    assert!(folder.run("run --quiet -n 30 -k 300 --policy genie --out g").is_success());
+    assert!(
+        folder
+            .run("run --quiet -n 100 -k 300 --policy genie --out g")
+            .is_success()
+    );
     let end = folder.run("inspect misses g");
-    assert!(end.is_success() && end.stdout.contains("\n0 of ") && end.stdout.lines().count() == 2, "{end}");
+    assert!(
+        end.is_success() && end.stdout.contains("\n0 of ") && end.stdout.lines().count() == 2,
+        "{end}"
+    );
     assert_eq!(report(&folder, "g")["advice"], Value::Null);
 
-    assert!(folder.run("run --quiet -n 20 -k 1000 --policy random --out r").is_success());
+    assert!(
+        folder
+            .run("run --quiet -n 20 -k 1000 --policy random --out r")
+            .is_success()
+    );
     let text = String::from_utf8(folder.bytes("r/events.csv")).expect("text");
     let without = |columns: usize| {
         let cut = |line: &str| line.rsplitn(columns + 1, ',').last().unwrap_or_default().to_owned() + "\n";
@@ -95,12 +116,22 @@ fn a_run_without_misses_and_tables_of_other_versions_are_reported() {
     folder.write("r/events.csv", &without(3));
     let older = report(&folder, "r");
     assert_eq!(older["causes"], serde_json::json!({ "unknown": whole["missed"] }));
-    assert_eq!((&older["map"], &older["missed_in_warm_up"]), (&whole["map"], &whole["missed_in_warm_up"]));
-    assert!(older["advice"].as_str().is_some_and(|text| text.contains("no causes")), "{older}");
+    assert_eq!(
+        (&older["map"], &older["missed_in_warm_up"]),
+        (&whole["map"], &whole["missed_in_warm_up"])
+    );
+    assert!(
+        older["advice"].as_str().is_some_and(|text| text.contains("no causes")),
+        "{older}"
+    );
     folder.write("r/events.csv", &without(8));
     assert_refused(&folder.run("inspect misses r"), 1, &["events.csv", "no column reports"]);
     folder.write("r/events.csv", &text.replace("asleep", "tired"));
-    assert_refused(&folder.run("inspect misses r"), 1, &["events.csv, line ", "miss_cause", "`tired`"]);
+    assert_refused(
+        &folder.run("inspect misses r"),
+        1,
+        &["events.csv, line ", "miss_cause", "`tired`"],
+    );
     assert_refused(&folder.run("inspect misses nowhere"), 1, &["nowhere: no such folder"]);
     assert_refused(&folder.run("figures misses ."), 1, &["holds no run", "runs/"]);
 }
@@ -113,7 +144,10 @@ fn an_active_run_is_reported_so_far() {
     ));
     folder.wait_for_tti(&run, 0);
     let end = folder.run("inspect misses out");
-    assert!(end.is_success() && end.stdout.contains("no counted event so far"), "{end}");
+    assert!(
+        end.is_success() && end.stdout.contains("no counted event so far"),
+        "{end}"
+    );
     assert!(end.stderr.contains("out: the run is still active"), "{end}");
     folder.clock(&run, "resume");
     assert!(up.finish().is_success());

@@ -22,7 +22,7 @@ use reveille_study::figures::{
 };
 
 use super::figure_files::{read_tables, write_file, write_picture};
-use super::resolve_scenario::resolve;
+use super::resolve_scenario::{resolve, resolve_of_run};
 use crate::cli::{
     AttentionArgs, AxisArg, DeploymentArgs, FiguresArgs, FiguresCommand, LearningArgs, MissesFigureArgs, QTableArgs,
     RankingArg, RobustnessArgs, SweepFigureArgs, TimelineArgs, nearest_name, other_figures,
@@ -185,7 +185,7 @@ fn draw_energy(args: &FiguresArgs, label: &str, condition: &RunCondition) -> any
 }
 
 fn draw_deployment(args: &DeploymentArgs) -> anyhow::Result<ExitCode> {
-    let scenario = resolve(&args.scenario)?;
+    let scenario = resolve_of_run(args.run.as_deref(), &args.scenario)?;
     let event_scene = deployment::EventScene::from_scenario(&scenario, args.event)?;
     let name = deployment::file_name(&scenario, &event_scene);
     write_picture(&args.pictures, &name, &deployment::scene(&scenario, &event_scene))?;
@@ -206,10 +206,10 @@ fn draw_attention(args: &AttentionArgs) -> anyhow::Result<ExitCode> {
 
 /// Draws the cost of an imperfect radio.
 fn draw_robustness(args: &RobustnessArgs) -> anyhow::Result<ExitCode> {
-    let policies = if args.policies.is_empty() {
-        registry::names().map(str::to_owned).collect()
-    } else {
-        args.policies.clone()
+    let policies: Vec<String> = match (&args.policies[..], &args.scenario.policy) {
+        ([], None) => registry::names().map(str::to_owned).collect(),
+        ([], Some(list)) => list.split(',').map(|name| name.trim().to_owned()).collect(),
+        (policies, _) => policies.to_vec(),
     };
     let scenario_of = |policy: &String| {
         let mut given = args.scenario.clone();
@@ -243,7 +243,7 @@ fn draw_robustness(args: &RobustnessArgs) -> anyhow::Result<ExitCode> {
 }
 
 fn draw_timeline(args: &TimelineArgs) -> anyhow::Result<ExitCode> {
-    let scenario = resolve(&args.scenario)?;
+    let scenario = resolve_of_run(args.run.as_deref(), &args.scenario)?;
     let from = args.from.unwrap_or(scenario.warm_up_end().0);
     let timeline_data = Timeline::from_scenario(&scenario, &args.show, from, args.length)?;
     let name = timeline::file_name(&scenario, &timeline_data);

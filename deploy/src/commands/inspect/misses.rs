@@ -10,7 +10,7 @@ use reveille_study::misses::{InvolvedDevice, MissMap, Misses, cause_name};
 use serde_json::{Value, json};
 
 use crate::cli::MissesArgs;
-use crate::display::print_stdout;
+use crate::display::{print_stdout, wrap_text};
 use crate::exit::ExitReason;
 use crate::run_reader::{Row, RunReader};
 
@@ -115,14 +115,14 @@ fn text_report(
     let (missed, events) = (misses.missed.len(), misses.starts.len());
     let warm_up = match misses.in_warm_up {
         0 => String::new(),
-        count => format!("; {count} more in the warm-up, which no number here includes"),
+        count => format!("; {count} more in the warm-up, not counted"),
     };
     if events == 0 {
         return text + &format!("no counted event so far{warm_up}\n");
     }
-    let _infallible = write!(
+    let _infallible = writeln!(
         text,
-        "{missed} of {events} events missed ({:.2} %){warm_up}\n",
+        "{missed} of {events} events missed ({:.2} %){warm_up}",
         misses.missed_pct()
     );
     let Some(advice) = misses.advice() else {
@@ -131,14 +131,12 @@ fn text_report(
     for (cause, count) in misses.causes() {
         let explanation = cause.map_or("the table has no causes", |cause| cause.explanation());
         let share = 100.0 * count as f64 / missed as f64;
-        let _infallible = writeln!(text, "{count:7} {share:5.1} %  {:<13} {explanation}", cause_name(cause));
+        let _infallible = writeln!(text, "{count:7} {share:5.1} %  {:<12} {explanation}", cause_name(cause));
     }
-    text += &format!("\n{}\n{}", format_map(&misses.map()), format_bins(misses));
-    text += &format!(
-        "\nNearest devices of missed events\n{}",
-        format_devices(involved, by_device)
-    );
-    text + "\n" + &wrap(&advice) + "\n"
+    let _infallible = write!(text, "\n{}\n{}", format_map(&misses.map()), format_bins(misses));
+    let devices = format_devices(involved, by_device);
+    let _infallible = write!(text, "\nNearest devices of missed events\n{devices}");
+    text + "\n" + &wrap_text(&advice, WIDTH) + "\n"
 }
 
 /// Formats missed events and devices by place, next to each other and north up.
@@ -165,7 +163,7 @@ fn format_map(map: &MissMap) -> String {
     // Wide counts leave no room for both maps in one line.
     let is_joint = label_width + 2 * width + 8 <= WIDTH;
     let title = format!(
-        "Missed events and devices by place, cells of {0} m × {0} m, west to east, south (0 m) below",
+        "Missed events and devices by place: cells of {0} m × {0} m, north up",
         height(1)
     );
     let line = |row: usize, counts: &[u64]| {
@@ -174,7 +172,7 @@ fn format_map(map: &MissMap) -> String {
     };
     let rows = (0..map.missed.len()).rev();
     let heads = ["missed", "devices"].map(|head| format!("{head:<width$}"));
-    let mut text = wrap(&title) + "\n";
+    let mut text = title + "\n";
     if is_joint {
         let _infallible = writeln!(text, "{:>label_width$}  {}     {}", "m", heads[0], heads[1].trim_end());
         for row in rows {
@@ -204,8 +202,11 @@ fn format_bins(misses: &Misses) -> String {
     let cell_width = misses.end.to_string().len().max(4) + 1;
     let bins = misses.bins(MAX_BINS.min(((WIDTH - name_width) / cell_width) as u64));
     let row = |name: &str, values: &mut dyn Iterator<Item = String>| {
-        let values: String = values.map(|value| format!("{value:>cell_width$}")).collect();
-        format!("{name:<name_width$}{values}\n")
+        let mut line = format!("{name:<name_width$}");
+        for value in values {
+            let _infallible = write!(line, "{value:>cell_width$}");
+        }
+        line + "\n"
     };
     let mut text = "Causes over time\n".to_owned();
     text += &row("from TTI", &mut bins.iter().map(|bin| bin.first.to_string()));
@@ -250,22 +251,4 @@ fn format_devices(involved: &[InvolvedDevice], by_device: &BTreeMap<DeviceId, Ro
         );
     }
     text + "battery: final level, units; low to outage: measured TTIs, as in devices.csv\n"
-}
-
-/// Breaks `text` into lines that fit.
-fn wrap(text: &str) -> String {
-    let (mut lines, mut length) = (String::new(), 0);
-    for word in text.split(' ') {
-        let width = word.chars().count();
-        if length > 0 && length + 1 + width > WIDTH {
-            lines.push('\n');
-            length = 0;
-        } else if length > 0 {
-            lines.push(' ');
-            length += 1;
-        }
-        lines.push_str(word);
-        length += width;
-    }
-    lines
 }

@@ -3,7 +3,6 @@
 //! before the connection. The dashboard uses these three too.
 
 mod catch_up;
-mod compare;
 mod export;
 pub(crate) mod live;
 mod misses;
@@ -25,7 +24,6 @@ pub(crate) async fn run(command: &InspectCommand) -> anyhow::Result<ExitCode> {
         InspectCommand::Record(args) => record::run(args).await,
         InspectCommand::Export(args) => export::run(args),
         InspectCommand::Verify(args) => verify::run(args),
-        InspectCommand::Compare(args) => compare::run(args),
         InspectCommand::Misses(args) => misses::run(args),
     }
 }
