@@ -17,7 +17,7 @@ python3 -c 'import sys; sys.exit(sys.version_info < (3, 10))' || skip "there is 
 python3 -m venv "$venv" || skip "no Python environment can be made here"
 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check 'maturin>=1.9,<2' || skip "maturin cannot be installed here"
 "$venv/bin/maturin" build --quiet --release --locked --interpreter "$venv/bin/python" --out "$wheels"
-wheel=("$wheels"/reveille-*.whl)
+wheel=("$wheels"/reveille_emulator-*.whl)
 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check "${wheel[0]}[test]"
 # The emulator for the tests of the policy client, if it is built.
 program=$target/release/reveille

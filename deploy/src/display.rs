@@ -2,14 +2,15 @@
 //! other. Results go to standard output ([`print_stdout`]), all else to standard error. Tests wait for `TTIs/s` in the
 //! bar of a run.
 
+use std::collections::VecDeque;
 use std::io;
 use std::os::fd::AsFd;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
+use indicatif::{HumanDuration, MultiProgress, ProgressBar, ProgressStyle};
 use reveille_bs::scenario::Scenario;
 use reveille_bs::server::RunProgress;
 use reveille_common::digits::format_significant;
@@ -33,16 +34,39 @@ pub(crate) fn print_stdout(text: &str) -> anyhow::Result<()> {
     }
 }
 
-/// Writes a whole line to standard error with one call, so that readers never see a part of it. A failed write is
-/// ignored: the exit code still tells how the command ended. Unlike a log line, it does not suspend progress bars.
+/// Writes a whole line to standard error with one call, so that readers never see a part of it, and without tearing a
+/// progress bar. A failed write is ignored: the exit code still tells how the command ended.
 macro_rules! note {
-    ($($text:tt)*) => {{
-        use std::io::Write as _;
-        let line = format!("{}\n", format_args!($($text)*));
-        let _failed = std::io::stderr().write_all(line.as_bytes()).is_err();
-    }};
+    ($($text:tt)*) => {
+        $crate::display::write_stderr(format!("{}\n", format_args!($($text)*)).as_bytes())
+    };
 }
 pub(crate) use note;
+
+/// Writes `line` to standard error while all progress bars are suspended. A failed write is ignored.
+pub(crate) fn write_stderr(line: &[u8]) {
+    let _failed = ALL_BARS
+        .suspend(|| io::Write::write_all(&mut io::stderr(), line))
+        .is_err();
+}
+
+/// Breaks `text` at spaces into lines of at most `width` characters. A longer word keeps its own line.
+pub(crate) fn wrap_text(text: &str, width: usize) -> String {
+    let (mut lines, mut length) = (String::new(), 0);
+    for word in text.split(' ') {
+        let letters = word.chars().count();
+        if length > 0 && length + 1 + letters > width {
+            lines.push('\n');
+            length = 0;
+        } else if length > 0 {
+            lines.push(' ');
+            length += 1;
+        }
+        lines.push_str(word);
+        length += letters;
+    }
+    lines
+}
 
 /// Formats a number with its noun: `1 run`, `2 runs`.
 pub(crate) fn count_noun(number: usize, noun: &str) -> String {
@@ -61,7 +85,7 @@ pub(crate) struct LogWriter;
 impl io::Write for LogWriter {
     fn write(&mut self, line: &[u8]) -> io::Result<usize> {
         // tracing reports a failed write by `eprintln!`, which panics if standard error is what failed.
-        let _failed = ALL_BARS.suspend(|| io::stderr().write_all(line)).is_err();
+        write_stderr(line);
         Ok(line.len())
     }
 
@@ -100,15 +124,17 @@ pub(crate) struct RunProgressBar {
 impl RunProgressBar {
     /// Shows `progress` of a run of `scenario`, unless `hidden` or standard error is not a terminal.
     pub(crate) fn start(progress: &Arc<RunProgress>, scenario: &Scenario, hidden: bool) -> Self {
-        let template = "{bar:30} TTI {pos}/{len}  {msg}  {eta} left";
-        let bar = new_bar(scenario.run.ttis, template, hidden);
+        let bar = new_bar(scenario.run.ttis, "{bar:12} {wide_msg}", hidden);
         let done = Arc::new(std::sync::atomic::AtomicBool::new(false));
         let (thread_bar, thread_done, progress) = (bar.clone(), Arc::clone(&done), Arc::clone(progress));
-        let devices = scenario.run.devices;
+        let (devices, ttis, warm_up_end) = (scenario.run.devices, scenario.run.ttis, scenario.warm_up_end().0);
         let thread = std::thread::spawn(move || {
-            let mut has_started = false;
+            let mut speed = Speed::default();
             while !thread_done.load(Ordering::Relaxed) {
-                has_started = update_bar(&thread_bar, &progress, devices, has_started);
+                let tti = progress.next_tti.load(Ordering::Relaxed);
+                let rate = speed.measure(crate::runtime::now(), tti);
+                thread_bar.set_position(tti);
+                thread_bar.set_message(run_message(&progress, (devices, ttis, warm_up_end), rate));
                 // `drop` unparks the thread, so that the end does not wait for this pause.
                 std::thread::park_timeout(Duration::from_millis(100));
             }
@@ -132,48 +158,127 @@ impl Drop for RunProgressBar {
     }
 }
 
-/// Shows the progress. Returns whether the first TTI has passed; `had_started` is the result of the last call.
-fn update_bar(bar: &ProgressBar, progress: &RunProgress, devices: u32, had_started: bool) -> bool {
+/// Measures the speed of a run over its last seconds.
+#[derive(Debug, Default)]
+struct Speed(VecDeque<(Instant, u64)>);
+
+impl Speed {
+    /// Time over which the speed is measured, and the least time for a first value.
+    const SPAN: Duration = Duration::from_secs(3);
+    const LEAST: Duration = Duration::from_millis(500);
+
+    /// Adds the next TTI of the run at `now`. Returns the TTIs per second; `None` until half a second is measured.
+    fn measure(&mut self, now: Instant, tti: u64) -> Option<f64> {
+        // The time before the first TTI would lower the speed.
+        if tti == 0 {
+            self.0.clear();
+            return None;
+        }
+        self.0.push_back((now, tti));
+        while self
+            .0
+            .get(1)
+            .is_some_and(|(time, _)| now.duration_since(*time) >= Self::SPAN)
+        {
+            self.0.pop_front();
+        }
+        let (first, first_tti) = *self.0.front()?;
+        let elapsed = now.duration_since(first);
+        (elapsed >= Self::LEAST).then(|| tti.saturating_sub(first_tti) as f64 / elapsed.as_secs_f64())
+    }
+}
+
+/// Describes the progress of a run of this many devices and TTIs, whose warm-up ends before the last number. A value
+/// is left out until it is measured.
+fn run_message(progress: &RunProgress, (devices, ttis, warm_up_end): (u32, u64, u64), rate: Option<f64>) -> String {
     let load = |value: &std::sync::atomic::AtomicU64| value.load(Ordering::Relaxed);
-    let tti = load(&progress.next_tti);
-    let paused = progress.is_paused.load(Ordering::Relaxed);
-    if tti == 0 && paused {
-        bar.set_message("paused before TTI 0; resume with `reveille clock resume`");
-        return false;
+    let (tti, joined) = (load(&progress.next_tti), load(&progress.joined_devices));
+    let is_paused = progress.is_paused.load(Ordering::Relaxed);
+    match (tti, is_paused, joined) {
+        (0, true, _) => return "paused before TTI 0; resume with `reveille clock resume`".to_owned(),
+        (0, false, 0) => return "starting".to_owned(),
+        (0, false, _) => return format!("joining: {joined} of {devices} devices"),
+        _ => {}
     }
-    if tti == 0 {
-        bar.set_message(format!(
-            "joining: {} of {devices} devices",
-            load(&progress.joined_devices)
-        ));
-        return false;
-    }
-    // The time before the first TTI would lower the rate.
-    if !had_started {
-        bar.reset_elapsed();
-        bar.reset_eta();
+    let mut parts = vec![format!("TTI {tti}/{ttis}")];
+    if is_paused {
+        parts.push("paused".to_owned());
+    } else if let Some(rate) = rate {
+        parts.push(format!("{rate:.0} TTIs/s"));
+        if rate > 0.0 {
+            let left = Duration::try_from_secs_f64(ttis.saturating_sub(tti) as f64 / rate).unwrap_or(Duration::MAX);
+            parts.push(format!("{:#} left", HumanDuration(left)));
+        }
     }
     let (events, missed) = (load(&progress.events), load(&progress.misdetected));
-    let share = if events == 0 {
-        0.0
-    } else {
-        100.0 * missed as f64 / events as f64
-    };
+    if tti < warm_up_end {
+        // The battery would not fit next to it.
+        parts.push(format!("warm-up until TTI {warm_up_end}"));
+        return parts.join("  ");
+    }
+    if events > 0 {
+        parts.push(format!("missed {:.1} %", 100.0 * missed as f64 / events as f64));
+    }
     let battery = load(&progress.mean_battery_micro) as f64 / MICRO_PER_UNIT as f64;
     // Before the first window ends there is no mean. A mean of 0 (all batteries empty) shows the same.
-    let battery = if battery > 0.0 {
-        format_significant(battery, 3)
-    } else {
-        "–".to_owned()
-    };
-    bar.set_position(tti);
-    let state = if paused {
-        "paused".to_owned()
-    } else {
-        format!("running at {:.0} TTIs/s", bar.per_sec())
-    };
-    bar.set_message(format!(
-        "{state}  events {events}  missed {share:.1} %  battery {battery}"
-    ));
-    true
+    if battery > 0.0 {
+        parts.push(format!("battery {}", format_significant(battery, 3)));
+    }
+    parts.join("  ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_speed_needs_half_a_second_and_covers_three() {
+        let start = crate::runtime::now();
+        let mut speed = Speed::default();
+        let mut measure = |millis, tti| speed.measure(start + Duration::from_millis(millis), tti);
+        assert_eq!(
+            (measure(0, 0), measure(100, 5000), measure(400, 5600)),
+            (None, None, None)
+        );
+        assert_eq!(measure(1100, 7000), Some(2000.0));
+        // Two thousand TTIs per second for a second, then none.
+        assert_eq!(measure(4100, 7000), Some(0.0));
+    }
+
+    #[test]
+    fn a_message_has_measured_values_only_and_fits() {
+        let progress = RunProgress::default();
+        let run = (50, 10_000, 1000);
+        assert_eq!(run_message(&progress, run, None), "starting");
+        progress.joined_devices.store(12, Ordering::Relaxed);
+        assert_eq!(run_message(&progress, run, None), "joining: 12 of 50 devices");
+        progress.next_tti.store(500, Ordering::Relaxed);
+        assert_eq!(
+            run_message(&progress, run, None),
+            "TTI 500/10000  warm-up until TTI 1000"
+        );
+        progress.next_tti.store(5500, Ordering::Relaxed);
+        assert_eq!(run_message(&progress, run, None), "TTI 5500/10000");
+        progress.events.store(200, Ordering::Relaxed);
+        progress.misdetected.store(3, Ordering::Relaxed);
+        progress.mean_battery_micro.store(77_100_000, Ordering::Relaxed);
+        let message = run_message(&progress, run, Some(450.0));
+        assert_eq!(
+            message,
+            "TTI 5500/10000  450 TTIs/s  10s left  missed 1.5 %  battery 77.1"
+        );
+        assert!("━".repeat(12).chars().count() + 1 + message.chars().count() <= 80);
+        progress.is_paused.store(true, Ordering::Relaxed);
+        assert_eq!(
+            run_message(&progress, run, Some(450.0)),
+            "TTI 5500/10000  paused  missed 1.5 %  battery 77.1"
+        );
+    }
+
+    #[test]
+    fn text_is_wrapped_at_spaces() {
+        assert_eq!(wrap_text("one two three", 7), "one two\nthree");
+        assert_eq!(wrap_text("µµµ µµµ", 7), "µµµ µµµ");
+        assert_eq!(wrap_text("incomprehensible a", 4), "incomprehensible\na");
+    }
 }

@@ -4,6 +4,7 @@
 use std::borrow::Cow;
 use std::fmt;
 use std::process::ExitCode;
+use std::sync::{Mutex, PoisonError};
 
 use reveille_bs::server::BsError;
 
@@ -18,6 +19,27 @@ pub enum ExitReason {
     Usage,
     /// End by a signal, with the results so far kept. Shells use the same code for Ctrl-C.
     Interrupted,
+}
+
+/// The message of the last panic, with its place.
+static LAST_PANIC: Mutex<Option<String>> = Mutex::new(None);
+
+/// Keeps the message of every panic for [`last_panic`]. The message is still printed.
+pub(crate) fn keep_panic_messages() {
+    let print = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        let message = panic.payload_as_str().unwrap_or("no message").to_owned();
+        let place = panic
+            .location()
+            .map_or_else(String::new, |place| format!(" at {place}"));
+        *LAST_PANIC.lock().unwrap_or_else(PoisonError::into_inner) = Some(format!("panicked{place}: {message}"));
+        print(panic);
+    }));
+}
+
+/// Returns the message of the last panic; `None` without a panic, or before [`keep_panic_messages`].
+pub(crate) fn last_panic() -> Option<String> {
+    LAST_PANIC.lock().unwrap_or_else(PoisonError::into_inner).clone()
 }
 
 impl ExitReason {

@@ -28,6 +28,7 @@ mod recording;
 mod results_table;
 mod resume_mark;
 mod run_folder;
+mod run_reader;
 mod run_registry;
 mod run_tables;
 mod run_watchers;
@@ -50,6 +51,7 @@ use display::note;
 use runtime::drive;
 
 fn main() -> ExitCode {
+    exit::keep_panic_messages();
     let (args, renamed) = cli::former::replace_former_names(std::env::args_os());
     let cli = Cli::try_parse_from(&args).unwrap_or_else(|error| explain_misplaced(error, Cli::command(), &args).exit());
     reveille_common::logging::init(cli.verbose, cli.log_format.into(), display::LogWriter);
@@ -85,6 +87,7 @@ fn run(cli: Cli) -> anyhow::Result<ExitCode> {
         }
         Command::PolicyProcess(args) => drive(1, policy_process::guard(&args.command, args.parent)),
         Command::Inspect(command) => drive(1, commands::inspect::run(&command)),
+        Command::Compare(args) => commands::compare::run(&args),
         Command::Dashboard(args) => drive(2, commands::dashboard::run(&args)),
         Command::Clock(args) => drive(1, commands::clock::run(&args)),
         Command::Figures(args) => commands::figures::run(&args),

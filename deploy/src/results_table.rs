@@ -1,8 +1,10 @@
 //! The results of a run as text, for the end of `run`, `up` and `bs`. Its data are the fields of `summary.json`. The
 //! README and `docs/tutorial.md` show it, and `tests/program/tutorial.rs` compares the page with the output.
 
+use clap::builder::styling::Style;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
-use comfy_table::{CellAlignment, Table};
+use comfy_table::{Attribute, Cell, CellAlignment, Color, Table};
+use reveille_bs::policy::registry;
 use reveille_common::digits::format_significant;
 use reveille_common::radio::RadioSettings;
 use reveille_common::score::{EventActivity, MetricGroup, Metrics};
@@ -10,23 +12,23 @@ use reveille_common::totals::MissCause;
 
 use crate::summary::{ClassSummary, Summary};
 
-/// The metrics of every results table, in its order.
-///
-/// The first three show the information that the base station gets, and its share and delay of detection. The next
-/// three show the messages and the wrong activations behind them. The last four show the energy that they cost and
-/// leave.
-const MAIN_METRICS: [&str; 10] = [
+/// The metrics of every results table, in its order: information, missed events and delay, then energy and batteries,
+/// then the messages and the wrong activations behind them.
+pub(crate) const MAIN_METRICS: [&str; 10] = [
     "info_p1",
-    "misdetection_pct",
+    MISDETECTION,
     "detection_delay_ttis",
-    "reports_per_event",
-    "wake_ups_per_event",
-    "wrong_activations_per_event",
     "energy_per_device_tti",
     "mean_battery",
     "low_energy_pct",
     "unpowered_pct",
+    "reports_per_event",
+    "wake_ups_per_event",
+    "wrong_activations_per_event",
 ];
+
+/// The metric below which the table lists the causes of missed events.
+const MISDETECTION: &str = "misdetection_pct";
 
 /// Whether a radio has a certain impairment.
 type HasImpairment = fn(&RadioSettings) -> bool;
@@ -46,27 +48,42 @@ const IMPAIRMENTS: [(&str, HasImpairment); 5] = [
     }),
 ];
 
+/// The metric of a policy that wakes devices.
+const WAKE_UPS: &str = "wake_ups_per_event";
+
+/// The style of the title.
+const BOLD: Style = Style::new().bold();
+
 /// The metric that is 0 unless `--on-loss continue` has removed devices.
 const REMOVED_METRIC: &str = "removed_pct";
 
 /// Rows of the results table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Rows {
-    /// The ten metrics that runs are compared by.
+    /// The ten metrics that runs are compared by, the causes of missed events, and the metrics of radio impairments
+    /// that the scenario has.
     Main,
-    /// All metrics, without the rows of radio impairments that the scenario leaves off.
+    /// All metrics.
     All,
 }
 
-/// Formats the results of a run.
-pub(crate) fn format_results(summary: &Summary<'_>, rows: Rows) -> String {
+/// Formats the results of a run, with escape codes of colours if `is_coloured`.
+pub(crate) fn format_results(summary: &Summary<'_>, rows: Rows, is_coloured: bool) -> String {
+    let title = format!(
+        "{} · {} devices · {} of {} TTIs · preset {} · seed {}",
+        summary.policy, summary.n, summary.ttis_done, summary.ttis, summary.preset, summary.seed
+    );
     let mut lines = vec![
+        if is_coloured {
+            format!("{BOLD}{title}{BOLD:#}")
+        } else {
+            title
+        },
+        format_metrics(summary, rows, is_coloured),
         format!(
-            "{} · {} devices · {} of {} TTIs · preset {} · seed {}",
-            summary.policy, summary.n, summary.ttis_done, summary.ttis, summary.preset, summary.seed
+            "{} of {} events missed",
+            summary.totals.events.misdetected, summary.totals.events.events
         ),
-        format_metrics(summary, rows),
-        format_missed(summary),
     ];
     lines.extend(format_classes(&summary.classes, rows));
     lines.extend(format_facts(summary));
@@ -92,32 +109,78 @@ pub(crate) fn format_results(summary: &Summary<'_>, rows: Rows) -> String {
     lines.join("\n")
 }
 
+/// Whether `metric` is the share of a cause of missed events.
+fn is_cause(metric: &str) -> bool {
+    metric.starts_with("missed_")
+        && MissCause::ALL
+            .iter()
+            .any(|cause| metric == format!("missed_{}_pct", cause.name()))
+}
+
+/// Whether `metric` is 0 unless the scenario or the command switches a feature on.
+fn is_optional(metric: &str) -> bool {
+    metric == REMOVED_METRIC || IMPAIRMENTS.iter().any(|(name, _)| *name == metric)
+}
+
 /// Returns whether `metric` belongs to the table of a run with `radio`, in which it has this value.
 fn is_active(metric: &str, value: f64, radio: &RadioSettings) -> bool {
     let impairment = IMPAIRMENTS.iter().find(|(name, _)| *name == metric);
     impairment.is_none_or(|(_, has_impairment)| has_impairment(radio)) && (metric != REMOVED_METRIC || value > 0.0)
 }
 
-/// Formats the main metrics; with [`Rows::All`] also the other metrics, by group.
-fn format_metrics(summary: &Summary<'_>, rows: Rows) -> String {
+/// Formats the metrics in `rows`. With [`Rows::All`] the metrics below the main ones are grouped.
+fn format_metrics(summary: &Summary<'_>, rows: Rows, is_coloured: bool) -> String {
     let mut table = Table::new();
-    table
-        .load_style(UTF8_FULL_CONDENSED)
-        .set_header(["metric", "value", "unit"]);
+    table.load_style(UTF8_FULL_CONDENSED);
+    if is_coloured {
+        table.enforce_styling();
+    } else {
+        table.force_no_tty();
+    }
+    let heading = |text: &str| Cell::new(text).add_attribute(Attribute::Bold);
+    table.set_header(["metric", "value", "unit"].map(heading));
     let all = summary.metrics.rows();
+    let row = |indent: &str, (name, value, unit): (&str, f64, &str)| {
+        let cells = [format!("{indent}{name}"), format_number(value), unit.to_owned()].map(Cell::new);
+        if name == MAIN_METRICS[0] {
+            return cells.map(|cell| cell.add_attribute(Attribute::Bold));
+        }
+        let is_missed = name == MISDETECTION || is_cause(name);
+        cells.map(|cell| {
+            if is_missed && value > 0.0 {
+                cell.fg(Color::Yellow)
+            } else {
+                cell
+            }
+        })
+    };
+    let wakes = registry::named(summary.policy).is_none_or(|policy| policy.wakes);
     let main = MAIN_METRICS
         .iter()
-        .filter_map(|name| all.iter().find(|row| row.0 == *name));
-    for (name, value, unit) in main {
-        table.add_row([(*name).to_owned(), format_number(*value), (*unit).to_owned()]);
+        .filter(|name| wakes || rows == Rows::All || **name != WAKE_UPS);
+    for found in main.filter_map(|name| all.iter().find(|row| row.0 == *name)) {
+        table.add_row(row("", *found));
+        if found.0 == MISDETECTION && rows == Rows::Main {
+            for cause in all.iter().filter(|(name, value, _)| is_cause(name) && *value > 0.0) {
+                table.add_row(row("  ", *cause));
+            }
+        }
     }
-    if rows == Rows::All {
-        for group in MetricGroup::ALL {
-            table.add_row([group.title().to_uppercase(), String::new(), String::new()]);
-            for (metric, (name, value, unit)) in Metrics::ALL.iter().zip(all) {
-                let is_other = metric.group == group && !MAIN_METRICS.contains(&name);
-                if is_other && is_active(name, value, &summary.radio) {
-                    table.add_row([format!("  {name}"), format_number(value), unit.to_owned()]);
+    match rows {
+        Rows::Main => {
+            for (name, value, unit) in all {
+                if is_optional(name) && is_active(name, value, &summary.radio) {
+                    table.add_row(row("", (name, value, unit)));
+                }
+            }
+        }
+        Rows::All => {
+            for group in MetricGroup::ALL {
+                table.add_row([heading(&group.title().to_uppercase())]);
+                for (metric, found) in Metrics::ALL.iter().zip(all) {
+                    if metric.group == group && !MAIN_METRICS.contains(&found.0) {
+                        table.add_row(row("  ", found));
+                    }
                 }
             }
         }
@@ -169,24 +232,6 @@ fn format_facts(summary: &Summary<'_>) -> Option<String> {
     (!facts.is_empty()).then(|| facts.join(" · "))
 }
 
-/// Formats the number of events and of missed events, with the share of each cause in all events.
-fn format_missed(summary: &Summary<'_>) -> String {
-    let (events, missed) = (summary.totals.events, summary.totals.missed);
-    let counts = MissCause::ALL.map(|cause| (missed.by_cause(cause), cause.explanation()));
-    let causes: Vec<String> = counts
-        .iter()
-        .filter(|(count, _)| *count > 0)
-        // A missed event was also counted, so `events` is above 0 here.
-        .map(|(count, cause)| format!("{cause} {:.2} %", 100.0 * *count as f64 / events.events as f64))
-        .collect();
-    let causes = if causes.is_empty() {
-        String::new()
-    } else {
-        format!(": {}", causes.join(", "))
-    };
-    format!("{} of {} events missed{causes}", events.misdetected, events.events)
-}
-
 /// Formats the speed of the run and its hosts.
 fn format_timing(summary: &Summary<'_>) -> String {
     let timing = &summary.timing;
@@ -207,7 +252,7 @@ fn format_timing(summary: &Summary<'_>) -> String {
 }
 
 /// Formats a value of the table with four significant digits.
-fn format_number(value: f64) -> String {
+pub(crate) fn format_number(value: f64) -> String {
     format_significant(value, 4)
 }
 
@@ -234,7 +279,7 @@ mod tests {
         };
         let outcome = Run::new(&prepared, options).finish(&mut ());
         let summary = Summary::new(&scenario, &outcome, Timing::default());
-        let texts = [Rows::Main, Rows::All].map(|rows| format_results(&summary, rows));
+        let texts = [Rows::Main, Rows::All].map(|rows| format_results(&summary, rows, false));
         (scenario, texts)
     }
 
@@ -255,26 +300,43 @@ mod tests {
     }
 
     #[test]
-    fn results_have_the_main_metrics_and_all_on_request() {
-        let (_, [main, all]) = run_quick(&[]);
-        assert_eq!(metric_names(&main), MAIN_METRICS);
+    fn results_have_the_main_metrics_with_causes_and_all_on_request() {
+        let (_, [main, all]) = run_quick(&["devices=12"]);
+        let shown = metric_names(&main);
+        let causes: Vec<&str> = shown.iter().copied().filter(|name| is_cause(name)).collect();
+        assert!(!causes.is_empty(), "{main}");
+        assert_eq!(shown[..2], MAIN_METRICS[..2]);
+        assert_eq!(shown[2..2 + causes.len()], causes, "below the missed events");
+        let rest: Vec<&str> = shown.iter().copied().filter(|name| !is_cause(name)).collect();
+        assert_eq!(rest, MAIN_METRICS);
+        let (_, [sleeping, _]) = run_quick(&["policy.name=random"]);
+        assert!(
+            !metric_names(&sleeping).contains(&WAKE_UPS),
+            "random wakes no device: {sleeping}"
+        );
         let shown = metric_names(&all);
         assert_eq!(shown[..MAIN_METRICS.len()], MAIN_METRICS);
-        let inactive = IMPAIRMENTS.map(|(name, _)| name);
         for metric in &Metrics::ALL {
             let occurrences = shown.iter().filter(|name| **name == metric.name).count();
-            let expected = usize::from(!inactive.contains(&metric.name) && metric.name != REMOVED_METRIC);
-            assert_eq!(occurrences, expected, "{}: {all}", metric.name);
+            assert_eq!(occurrences, 1, "{}: {all}", metric.name);
         }
         for part in [" events missed", " TTIs/s", "digest "] {
             assert!(main.contains(part) && all.contains(part), "no {part:?}: {main}");
+        }
+        for line in main
+            .lines()
+            .chain(all.lines())
+            .filter(|line| !line.starts_with("digest"))
+        {
+            assert!(line.chars().count() <= 80, "{line}");
         }
     }
 
     #[test]
     fn a_radio_impairment_adds_its_rows() {
         for (set, rows) in [
-            (&["radio.uplink_loss=0.1"][..], &["lost_reports_pct"][..]),
+            (&[][..], &[][..]),
+            (&["radio.uplink_loss=0.1"], &["lost_reports_pct"]),
             (&["radio.plan_loss=0.1"], &["missed_plans_pct"]),
             (&["radio.false_wake_up=0.1"], &["false_wake_ups_pct"]),
             (
@@ -286,13 +348,33 @@ mod tests {
                 &["lost_reports_pct", "missed_plans_pct"],
             ),
         ] {
-            let (scenario, [main, all]) = run_quick(set);
-            assert!(!scenario.radio.is_perfect(), "{set:?}");
-            assert_eq!(metric_names(&main), MAIN_METRICS, "{set:?}");
-            let shown = metric_names(&all);
+            let (scenario, [main, _]) = run_quick(set);
+            assert_eq!(scenario.radio.is_perfect(), set.is_empty(), "{set:?}");
+            let shown = metric_names(&main);
             for (name, _) in IMPAIRMENTS {
-                assert_eq!(shown.contains(&name), rows.contains(&name), "{set:?}: {name}: {all}");
+                assert_eq!(shown.contains(&name), rows.contains(&name), "{set:?}: {name}: {main}");
             }
+            assert!(!shown.contains(&REMOVED_METRIC), "{main}");
         }
+    }
+
+    #[test]
+    fn colours_change_no_letter() {
+        let scenario = load("quick", &[]).expect("a scenario").scenario;
+        let outcome = Run::new(&prepare(&scenario), RunOptions::default()).finish(&mut ());
+        let summary = Summary::new(&scenario, &outcome, Timing::default());
+        let [plain, coloured] = [false, true].map(|colours| format_results(&summary, Rows::Main, colours));
+        assert!(
+            !plain.contains('\u{1b}') && coloured.contains("\u{1b}[1m"),
+            "{coloured:?}"
+        );
+        let without_codes = coloured
+            .split('\u{1b}')
+            .enumerate()
+            .map(|(nth, part)| match (nth, part.split_once('m')) {
+                (1.., Some((_, text))) => text,
+                _ => part,
+            });
+        assert_eq!(without_codes.collect::<String>(), plain);
     }
 }

@@ -31,6 +31,7 @@ use reveille_lab::io::replace;
 use reveille_lab::training::learned_tables_of;
 
 use crate::cli::OutputArgs;
+use crate::exit;
 use crate::folder_lock::{FolderLock, RUNNING_FILE};
 use crate::input_log::INPUT_LOG_FILE;
 use crate::paths::check_output_folder;
@@ -46,9 +47,9 @@ pub(crate) const SCENARIO_FILE: &str = "scenario.toml";
 /// The results of the run.
 pub(crate) const SUMMARY_FILE: &str = "summary.json";
 const LEARNED_FILE: &str = "learned.json";
-const DEVICES_FILE: &str = "devices.csv";
-const EVENTS_FILE: &str = "events.csv";
-const WINDOWS_FILE: &str = "windows.csv";
+pub(crate) const DEVICES_FILE: &str = "devices.csv";
+pub(crate) const EVENTS_FILE: &str = "events.csv";
+pub(crate) const WINDOWS_FILE: &str = "windows.csv";
 /// Indices of the two tables in [`TableWriter`].
 const EVENTS_TABLE: usize = 0;
 const WINDOWS_TABLE: usize = 1;
@@ -217,7 +218,11 @@ impl RunFolder {
 
 impl Drop for RunFolder {
     fn drop(&mut self) {
-        self.mark_failed("the run failed without a summary; its error is on the standard error of the command\n");
+        let cause = match exit::last_panic() {
+            Some(panic) => format!("{panic}; this is a bug in Reveille, please report it"),
+            None => "the run failed without a summary; its error is on the standard error of the command".to_owned(),
+        };
+        self.mark_failed(&format!("{cause}\n"));
     }
 }
 
@@ -374,4 +379,41 @@ fn create_free_folder(scenario: &Scenario) -> anyhow::Result<PathBuf> {
         }
     }
     bail!("no free name under runs/; name a folder with --out")
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::{Args, FromArgMatches};
+    use reveille_bs::scenario::load;
+
+    use super::*;
+
+    #[test]
+    fn a_panic_during_a_run_is_the_reason_of_its_failure() {
+        exit::keep_panic_messages();
+        let base = std::env::temp_dir().join(format!("reveille-panic-{}", std::process::id()));
+        let path = base.join("run");
+        let args = output_args(&path);
+        let scenario = load("quick", &[]).expect("a scenario").scenario;
+        let run = std::thread::spawn(move || {
+            let _folder = RunFolder::create(&args, &scenario).expect("a folder");
+            panic!("the ledger of device 3 is not balanced");
+        });
+        run.join().expect_err("it panics");
+        let reason = fs::read_to_string(path.join(FAILED_FILE)).expect("a reason");
+        assert!(reason.starts_with("panicked at deploy/src/run_folder.rs:"), "{reason}");
+        assert!(
+            reason.contains(": the ledger of device 3 is not balanced; "),
+            "{reason}"
+        );
+        assert_eq!(failure(&path).as_deref(), Some(reason.trim_end()));
+        fs::remove_dir_all(base).expect("removed");
+    }
+
+    /// Returns the result options of a run in the folder `path`.
+    fn output_args(path: &Path) -> OutputArgs {
+        let command = OutputArgs::augment_args(clap::Command::new("run"));
+        let matches = command.get_matches_from(["run", "--out", &path.to_string_lossy()]);
+        OutputArgs::from_arg_matches(&matches).expect("options")
+    }
 }

@@ -6,7 +6,7 @@
 #   REVEILLE  the program (target/release/reveille)
 #   FOLDER    where the pictures go (the folder of this script)
 #   TTIS      length of each run (4000), a quarter of it for each target; the pictures have this length
-#   SEEDS     runs of each point (8); the pictures have so many
+#   SEEDS     runs of each point (8), a quarter of it for dt against N; the pictures have so many
 set -euo pipefail
 
 reveille=${1:-target/release/reveille}
@@ -17,9 +17,11 @@ scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
 
 "$reveille" figures deployment --policy knn --devices 50 --ttis "$ttis" --format svg --out "$scratch/run"
-"$reveille" sweep --policies knn,adjusted,random,genie --devices 10,50,100,150,200,250 --ttis "$ttis" --seeds "$seeds" \
-  --quiet --out "$scratch/sweep"
-"$reveille" figures --only information --format svg --out "$scratch/result" "$scratch/sweep"
+over_n=(--devices 10,50,100,150,200,250 --ttis "$ttis" --quiet)
+"$reveille" sweep --policies knn,adjusted,random,genie,q-learning,age-index "${over_n[@]}" --seeds "$seeds" --out "$scratch/sweep"
+# A decision of dt takes about a hundred times as long.
+"$reveille" sweep --policies dt "${over_n[@]}" --seeds $(((seeds + 3) / 4)) --out "$scratch/dt"
+"$reveille" figures --only information --format svg --out "$scratch/result" "$scratch"/{sweep,dt}
 
 trade() {
   "$reveille" sweep --devices 250 --ttis "$ttis" --seeds "$seeds" --quiet --out "$scratch/$1" "${@:2}"

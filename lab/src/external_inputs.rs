@@ -308,6 +308,16 @@ pub fn parse(text: &str, scenario: &Scenario) -> Result<ExternalInputs, InputLog
     Ok(parser.inputs)
 }
 
+/// Whether an input log, of any scenario, holds decisions of a policy process.
+pub fn holds_decisions(text: &str) -> bool {
+    complete_lines(text).lines().any(|line| {
+        matches!(
+            serde_json::from_str(line),
+            Ok(InputLogLine::Sense { .. } | InputLogLine::Cycles { .. } | InputLogLine::Wake { .. })
+        )
+    })
+}
+
 /// An incremental parser, for example for the log of a run in progress.
 #[derive(Clone, Debug, Default)]
 pub struct InputLogParser {

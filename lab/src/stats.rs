@@ -102,6 +102,22 @@ impl Moments {
     }
 }
 
+/// Half the width of the 95 % interval of a ratio Σa/Σb, from the sums `(a, b)` of parts of one run, such as batches of
+/// TTIs (ratio estimator, Student's t). `None` for fewer than two parts or Σb = 0.
+pub fn ratio_half_width(parts: &[(f64, f64)]) -> Option<f64> {
+    let count = parts.len();
+    let total = parts
+        .iter()
+        .fold((0.0, 0.0), |sums, part| (sums.0 + part.0, sums.1 + part.1));
+    if count < 2 || total.1 == 0.0 {
+        return None;
+    }
+    let ratio = total.0 / total.1;
+    let squares: f64 = parts.iter().map(|(a, b)| (a - ratio * b).powi(2)).sum();
+    let deviation = (squares / (count - 1) as f64).sqrt();
+    Some(student_t_quantile_95(count - 1) * deviation * (count as f64).sqrt() / total.1.abs())
+}
+
 /// The two-sided 95 % quantile of Student's t with these degrees of freedom; NaN for none.
 pub fn student_t_quantile_95(degrees_of_freedom: usize) -> f64 {
     // Two-sided: 2.5 % lie above the interval, so the quantile is taken at 0.975.

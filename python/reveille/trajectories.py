@@ -355,7 +355,7 @@ def record_trajectories(
         name = policy if isinstance(policy, str) else getattr(policy, "__name__", type(policy).__name__)
     about = {
         "steps": SCHEMA,
-        "version": version("reveille"),
+        "version": version("reveille-emulator"),
         "policy": name,
         "settings": json.dumps(settings, default=_plain),
         "scenario": env._batch.scenario,

@@ -3,6 +3,7 @@
 //! - [`claims`]: the paper's claims as data. Start here.
 //! - [`figures`]: result tables merged ([`figures::results`]) and drawn as SVG, PNG and CSV.
 //! - [`report`]: verdicts on the claims by the merged tables, as Markdown and HTML.
+//! - [`misses`]: the missed events of a run.
 //! - [`analysis`]: the paper's closed forms and chains, compared with runs in memory.
 //!
 //! Nothing here takes part in a run. Output is a function of the input: equal tables give equal bytes.
@@ -10,4 +11,5 @@
 pub mod analysis;
 pub mod claims;
 pub mod figures;
+pub mod misses;
 pub mod report;

@@ -201,17 +201,17 @@ def compared(reveille, here):
     for seed in (1, 2):
         run = f"run -p age-index -n 60 -k 900 --set seed={seed} --record {seed}.mcap --quiet --out of-{seed}".split()
         subprocess.run([reveille, *run], cwd=here, check=True, stdout=subprocess.DEVNULL)
-    compared = subprocess.run([reveille, "inspect", "compare", "1.mcap", "2.mcap"], cwd=here, capture_output=True, text=True)
+    compared = subprocess.run([reveille, "compare", "--exit-code", "1.mcap", "2.mcap"], cwd=here, capture_output=True, text=True)
     assert compared.returncode == 1, compared
-    first = next(line for line in compared.stdout.splitlines() if line.startswith("first difference"))
-    command = "dashboard --from 1.mcap --compare 2.mcap --listen 127.0.0.1:0".split()
+    first = compared.stdout.partition("first difference: ")[2]
+    command = "dashboard 1.mcap --compare 2.mcap --listen 127.0.0.1:0".split()
     with started(here, "comparison", reveille, *command) as url, browsed(here, url) as page:
-        page.first = first.split()[2:6]
+        page.first = first.split()[:4]
         yield page
 
 
 def check_comparison(page, pictures):
-    """Compares two seeds: the first difference equals the one in `inspect compare`, and a click shows its TTI."""
+    """Compares two seeds: the first difference equals the one in `compare`, and a click shows its TTI."""
     page.until("document.querySelectorAll('#differences li').length > 0")
     kind, tti = page.first[0], page.first[3].strip(",")
     difference = page.text("#differences li")

@@ -480,6 +480,25 @@ fn an_invalid_input_log_is_refused() {
 }
 
 #[test]
+fn an_input_log_with_decisions_names_the_option_that_repeats_them() {
+    let folder = TestFolder::new();
+    let lines = "{\"inputs\":{\"version\":2,\"scenario_hash\":\"00\"}}\n{\"wake\":{\"tti\":0,\"devices\":[]}}\n";
+    folder.write("some.log", lines);
+    let end = folder.run("run -s quick --input-log some.log --out out");
+    assert_refused(
+        &end,
+        1,
+        &[
+            "--input-log some.log",
+            "holds decisions",
+            "--policy replay=some.log",
+            "built-in policy",
+        ],
+    );
+    assert_untouched(&folder, &["some.log"]);
+}
+
+#[test]
 fn a_folder_without_decisions_is_refused_with_the_cause() {
     let folder = TestFolder::new();
     assert!(folder.run("run -s quick -q --out built-in").is_success());

@@ -55,6 +55,11 @@ fn up_in_a_closed_terminal_ends_with_partial_results() {
     let mut up = PtyCommand::start(&folder.command(&format!("up -P 4 {LONG} --out out --run {run}")), true);
     up.wait_for("TTIs/s");
     assert_eq!(hosts_of(&run).len(), 4);
+    let shown = up.shown();
+    assert!(
+        !shown.contains(" 0 TTIs/s") && !shown.contains("joining: 0 of"),
+        "{shown}"
+    );
     let end = close_terminal(&mut up);
     assert_interrupted(&folder, end);
     assert_no_process_left(&run);

@@ -212,7 +212,7 @@ fn device_ledgers_balance_and_filters_equal_those_of_tail() {
     let folder = TestFolder::new();
     let run = "run -p knn -n 60 -k 700 --set events.alpha=0.5 --set harvest.e_b=3 --record r.mcap --quiet --out o";
     assert!(folder.run(run).is_success());
-    let dashboard = folder.start("dashboard --from r.mcap --listen 127.0.0.1:0");
+    let dashboard = folder.start("dashboard r.mcap --listen 127.0.0.1:0");
     let page = DashboardPage::from_output_of(&dashboard);
     for tti in [0, 1, 137, 500, 699] {
         let device = page.get(&format!("/api/device/4?from={tti}&end={}&at={tti}", tti + 1));
@@ -223,7 +223,7 @@ fn device_ledgers_balance_and_filters_equal_those_of_tail() {
         assert_eq!(device["batteries"][0], device["totals"]["battery"], "TTI {tti}");
     }
     let count_in_tail = |args: &str| {
-        let end = folder.run(&format!("inspect tail --from r.mcap --json {args}"));
+        let end = folder.run(&format!("inspect tail r.mcap --json {args}"));
         assert!(end.is_success(), "{end}");
         end.stdout.lines().count()
     };
@@ -299,35 +299,41 @@ fn two_runs_are_compared_side_by_side() {
     run("one", "run -p age-index");
     run("two", "run -p age-index --set seed=2");
     run("bus", "up -p age-index -P 2");
-    let same = folder.run("inspect compare one.mcap bus.mcap");
-    assert_eq!(
-        (same.code(), &same.stdout[..]),
-        (Some(0), "no difference in the messages of both recordings\n"),
+    let same = folder.run("compare --exit-code one.mcap bus.mcap");
+    assert!(
+        same.is_success()
+            && same
+                .stdout
+                .ends_with("run 1 and run 2: no difference in the messages\n"),
         "{same}"
     );
+    // The former name has the same exit code.
     let differ = folder.run("inspect compare one.mcap two.mcap");
     assert_eq!(differ.code(), Some(1), "{differ}");
+    for part in ["\n  seed = 1 | 2\n", "run 1 and run 2: first difference: plan in TTI 0"] {
+        assert!(differ.stdout.contains(part), "no {part:?}: {differ}");
+    }
     assert!(
         differ
-            .stdout
-            .starts_with("scenario: seed is 1 in this recording, 2 in the other\nfirst difference: plan in TTI 0"),
+            .stderr
+            .contains("`inspect compare` is now called `compare --exit-code`"),
         "{differ}"
     );
     let bytes = folder.bytes("one.mcap");
     std::fs::write(folder.join("cut.mcap"), &bytes[..bytes.len() / 2]).expect("written");
     assert_refused(
-        &folder.run("inspect compare one.mcap cut.mcap"),
+        &folder.run("compare --exit-code one.mcap cut.mcap"),
         1,
         &["cut.mcap", "truncated", "up to this point"],
     );
-    assert_refused(&folder.run("inspect compare one.mcap none.mcap"), 1, &["none.mcap"]);
+    assert_refused(&folder.run("compare --exit-code one.mcap none.mcap"), 1, &["none.mcap"]);
     assert_refused(
-        &folder.run("dashboard --from one.mcap --compare one/summary.json --listen 127.0.0.1:0"),
+        &folder.run("dashboard one.mcap --compare one/summary.json --listen 127.0.0.1:0"),
         1,
         &["--compare one/summary.json", "not a recording"],
     );
 
-    let dashboard = folder.start("dashboard --from one.mcap --compare two.mcap --listen 127.0.0.1:0");
+    let dashboard = folder.start("dashboard one.mcap --compare two.mcap --listen 127.0.0.1:0");
     let page = DashboardPage::from_output_of(&dashboard);
     let comparison = page.get("/api/compare");
     assert_eq!(comparison["fields"], serde_json::json!([["seed", "1", "2"]]));
@@ -441,7 +447,7 @@ fn a_recording_is_shown_without_a_clock() {
             .run("run -p knn -n 20 -k 300 --record r.mcap --quiet --out o")
             .is_success()
     );
-    let dashboard = folder.start("dashboard --from r.mcap --listen 127.0.0.1:0");
+    let dashboard = folder.start("dashboard r.mcap --listen 127.0.0.1:0");
     let page = DashboardPage::from_output_of(&dashboard);
     let run_info = page.get("/api/run");
     assert_eq!(
@@ -461,9 +467,9 @@ fn a_recording_is_shown_without_a_clock() {
     dashboard.signal(Signal::INT);
     assert!(dashboard.finish().is_success());
     assert_refused(
-        &folder.run("dashboard --from o --listen 127.0.0.1:0"),
+        &folder.run("dashboard o --listen 127.0.0.1:0"),
         1,
-        &["o: not a file"],
+        &["o: the folder holds no recording", "--record o/run.mcap"],
     );
-    assert_refused(&folder.run("dashboard --from r.mcap --listen nowhere"), 1, &["nowhere"]);
+    assert_refused(&folder.run("dashboard r.mcap --listen nowhere"), 1, &["nowhere"]);
 }

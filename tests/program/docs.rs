@@ -60,8 +60,13 @@ fn subcommands(folder: &TestFolder, args: &str) -> BTreeSet<String> {
         // The next word may be an argument.
         return BTreeSet::new();
     }
-    let list = help.stdout.split("Commands:\n").nth(1).unwrap_or_default();
-    let list = list.lines().take_while(|line| !line.is_empty());
+    // The top-level help lists the commands in groups.
+    let list = help
+        .stdout
+        .lines()
+        .skip_while(|line| !line.starts_with("Usage: "))
+        .skip(1);
+    let list = list.take_while(|line| *line != "Options:");
     let names = list.filter(|line| line.starts_with("  ") && !line.starts_with("   "));
     names
         .filter_map(|line| line.split_whitespace().next().map(str::to_owned))

@@ -143,12 +143,12 @@ fn an_active_recording_is_never_replaced() {
     assert!(!folder.join("other").exists());
     // The start of a recording may not be written yet.
     wait_until("the recording to be readable", PATIENCE, || {
-        let end = folder.run("inspect tail --from r.mcap --count 1");
+        let end = folder.run("inspect tail r.mcap --count 1");
         end.stderr.contains("r.mcap: still being written").then_some(())
     });
     up.signal(Signal::INT);
     assert_eq!(up.finish().code(), Some(130));
-    let end = folder.run("inspect tail --from r.mcap --count 1");
+    let end = folder.run("inspect tail r.mcap --count 1");
     assert!(end.is_success() && !end.stderr.contains("still being written"), "{end}");
     assert!(
         folder

@@ -166,7 +166,7 @@ async fn a_late_recording_is_complete() {
     let (folder, end) = run.finish();
     assert!(end.is_success(), "{end}");
     assert_eq!(end.summary().digest(), digest);
-    let same = folder.run("inspect compare whole.mcap late.mcap");
+    let same = folder.run("compare --exit-code whole.mcap late.mcap");
     assert!(same.is_success(), "{same}");
     let verified = folder.run("inspect verify whole.mcap");
     assert!(verified.is_success() && verified.stdout.contains(&digest), "{verified}");
@@ -207,7 +207,7 @@ fn a_late_recording_of_a_run_with_a_long_input_log_is_complete() {
     folder.clock(&run, "resume");
     let (up, late) = (up.finish(), late.finish());
     assert!(up.is_success() && late.is_success(), "{up}\n{late}");
-    let same = folder.run("inspect compare whole.mcap late.mcap");
+    let same = folder.run("compare --exit-code whole.mcap late.mcap");
     assert!(same.is_success(), "{same}");
 }
 

@@ -11,7 +11,7 @@ use serde_json::Value;
 
 /// Returns the messages that `tail --json` shows for a recording; `args` begins with its file.
 fn shown_messages(folder: &TestFolder, args: &str) -> Vec<Value> {
-    let end = folder.run(&format!("inspect tail --json --from {args}"));
+    let end = folder.run(&format!("inspect tail --json {args}"));
     assert!(end.is_success(), "{end}");
     end.stdout
         .lines()
@@ -21,7 +21,7 @@ fn shown_messages(folder: &TestFolder, args: &str) -> Vec<Value> {
 
 /// Counts the messages that `tail` shows for a truncated recording.
 fn count_in_truncated(folder: &TestFolder, file: &str) -> usize {
-    let end = folder.run(&format!("inspect tail --json --from {file}"));
+    let end = folder.run(&format!("inspect tail --json {file}"));
     assert_eq!(end.code(), Some(1), "{end}");
     end.stdout.lines().count()
 }
@@ -114,7 +114,7 @@ fn tail_filters_messages_and_pairs_wake_ups() {
         paired
     );
     // Every device is in exactly one cluster, so all clusters together have all reports. The refusal counts them.
-    let clusters = folder.run("inspect tail --from r.mcap --cluster 999");
+    let clusters = folder.run("inspect tail r.mcap --cluster 999");
     assert_refused(&clusters, 1, &["--cluster 999", "clusters, 0 to"]);
     let cluster_count: usize = clusters
         .stderr
@@ -133,7 +133,7 @@ fn statistics_equal_the_summary() {
     let folder = TestFolder::new();
     let end = folder.run("run -p age-index -n 40 -k 500 --set warm_up=0 --record r.mcap --json --out o");
     let summary: Value = serde_json::from_str(&end.stdout).unwrap_or_else(|_| panic!("{end}"));
-    let end = folder.run("inspect stats --from r.mcap --json --devices");
+    let end = folder.run("inspect stats r.mcap --json --devices");
     let stats: Value = serde_json::from_str(&end.stdout).expect("JSON");
     assert_eq!(stats["control"], summary["totals"]["control"], "{stats}");
     assert_eq!(stats["uplink"], summary["totals"]["uplink"]);
@@ -145,7 +145,7 @@ fn statistics_equal_the_summary() {
         .filter_map(|device| device["kinds"]["report"]["messages"].as_u64())
         .sum();
     assert_eq!(Some(reports), stats["uplink"]["messages"].as_u64());
-    let text = folder.run("inspect stats --from r.mcap").stdout;
+    let text = folder.run("inspect stats r.mcap").stdout;
     assert!(text.contains("40 devices") && text.contains("control: "), "{text}");
 }
 
@@ -164,7 +164,7 @@ fn a_killed_run_leaves_a_readable_recording() {
         end.stdout.contains("are consistent") && end.stderr.contains("truncated"),
         "{end}"
     );
-    let end = folder.run("inspect tail --from r.mcap --kind event -c 5");
+    let end = folder.run("inspect tail r.mcap --kind event -c 5");
     assert!(end.is_success() && end.stdout.lines().count() == 5, "{end}");
     // Ctrl-C ends a run, and its recording is complete up to that point.
     let up = folder.start(&format!(
@@ -197,7 +197,7 @@ fn invalid_recordings_are_refused() {
     folder.write("empty.mcap", "");
     let bytes = folder.bytes("r.mcap");
     fs::write(folder.join("cut.mcap"), &bytes[..bytes.len() / 3]).expect("written");
-    for command in ["tail --from", "stats --from", "verify", "export --to csv"] {
+    for command in ["tail", "stats", "verify", "export --to csv"] {
         for file in ["text.mcap", "empty.mcap", "none.mcap", "o"] {
             assert_refused(&folder.run(&format!("inspect {command} {file}")), 1, &[file]);
         }
@@ -219,19 +219,15 @@ fn invalid_recordings_are_refused() {
     assert!(folder.join("cut.csv").exists() && !folder.join("cut.csv.part").exists());
     assert!(!folder.join("runs").exists(), "a refusal leaves no folder");
     assert_refused(
-        &folder.run("inspect tail --from r.mcap --device 10"),
+        &folder.run("inspect tail r.mcap --device 10"),
         1,
         &["--device 10", "0 to 9"],
     );
-    assert_refused(
-        &folder.run("inspect tail --from r.mcap --state S5"),
-        2,
-        &["S5", "unpowered"],
-    );
+    assert_refused(&folder.run("inspect tail r.mcap --state S5"), 2, &["S5", "unpowered"]);
     let random = folder.run("run -p random -n 10 -k 100 --record q.mcap --quiet --out z");
     assert!(random.is_success(), "{random}");
     assert_refused(
-        &folder.run("inspect tail --from q.mcap --cluster 0"),
+        &folder.run("inspect tail q.mcap --cluster 0"),
         1,
         &["random", "no clusters"],
     );

@@ -62,7 +62,7 @@ class Run:
         self.file = folder / "run.mcap"
         self.call(*command.split(), "--quiet", "--out", "out", "--record", str(self.file))
         self.call("inspect", "verify", str(self.file))
-        tail = self.call("inspect", "tail", "--from", str(self.file), "--json")
+        tail = self.call("inspect", "tail", str(self.file), "--json")
         self.lines = [json.loads(line) for line in tail.splitlines()]
         assert len(self.lines) > 1000, f"only {len(self.lines)} messages"
 
@@ -170,6 +170,37 @@ def check_pcapng(run):
     )
     expected_ttis = [line["tti"] for line in run.lines if line["kind"] == "report" and line["number"] == device]
     assert [int(tti) for tti in filtered.stdout.split()] == expected_ttis
+    check_packet_list(run, command)
+
+
+def check_packet_list(run, command):
+    """Compares the columns of tshark, and the filter on each kind, with the lines of `inspect tail`."""
+    # The info separates source and destination, between which tshark would print an arrow.
+    columns = [*command, "-T", "tabs", "-o", 'gui.column.format:"source","%s","info","%i","destination","%d"']
+    parties = {
+        "plan": ("BS", "all devices"), "wake": ("BS", "device {}"), "report": ("device {}", "BS"),
+        "answer": ("host {}", "BS"), "clock": ("BS", "all hosts"), "woken": ("world", "observers"),
+    }
+    kinds = {line["kind"] for line in run.lines} & parties.keys()
+    # The run over the bus has answers, the run in memory wake-ups.
+    assert {"plan", "report"} < kinds, kinds
+    for kind in kinds:
+        lines = [line for line in run.lines if line["kind"] == kind]
+        listed = subprocess.run([*columns, "-Y", f"reveille.{kind}"], capture_output=True, text=True)
+        rows = [[cell.strip() for cell in row.split("\t")] for row in listed.stdout.splitlines()]
+        assert len(rows) == len(lines), (kind, len(rows), len(lines), listed.stderr)
+        for (source, info, destination), line in zip(rows, lines):
+            expected = tuple(party.format(line["number"]) for party in parties[kind])
+            assert (source, destination) == expected, (source, destination, line)
+            assert info.startswith(f"TTI {line['tti']} {line['plane']} {kind}"), (info, line)
+            if kind == "report":
+                message = line["message"]
+                shown = dict(part.split(" ", 1) for part in info.split(": ", 1)[1].split(", "))
+                assert abs(float(shown["information"]) - message["information"]) <= 1e-3, (info, line)
+                battery = float(shown["battery"].removesuffix(" units"))
+                assert abs(battery - message["battery"] / 1e6) <= 1e-3, (info, line)
+    details = subprocess.run([*command, "-V", "-Y", "reveille.report"], capture_output=True, text=True).stdout
+    assert "battery (micro-units): " in details and "tti (TTI): " in details, details[:2000]
 
 
 def check_perfetto(run):

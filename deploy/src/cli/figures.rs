@@ -75,15 +75,23 @@ pub(crate) enum FiguresCommand {
     /// The map has Voronoi cells. It marks the devices that reported, were woken, or failed.
     #[command(after_help = examples!(
         "reveille figures deployment --policy knn --devices 80",
-        "reveille figures deployment --event 12 --out maps",
+        "reveille figures deployment runs/knn-n50-s1 --event 12 --out maps",
     ))]
     Deployment(DeploymentArgs),
     /// Draw the batteries and states of some devices over time, with events and wake-ups
     #[command(after_help = examples!(
         "reveille figures timeline --policy random --show 3,7",
-        "reveille figures timeline --from 2000 --length 400",
+        "reveille figures timeline runs/knn-n50-s1 --from 2000 --length 400",
     ))]
     Timeline(TimelineArgs),
+    /// Draw the places of a run's missed events, coloured by cause
+    ///
+    /// `reveille inspect misses` prints the same events with their times and devices.
+    #[command(after_help = examples!(
+        "reveille figures misses runs/knn-n50-s1",
+        "reveille figures misses runs/knn-n50-s1 --out maps --format svg",
+    ))]
+    Misses(MissesFigureArgs),
     /// Draw the past that one decision of the `dt` policy attends to
     ///
     /// The picture shows the expectation for each device in a TTI, and the attention to past TTIs.
@@ -219,12 +227,26 @@ pub(crate) enum RankingArg {
 /// Arguments of `reveille figures deployment`.
 #[derive(Args)]
 pub(crate) struct DeploymentArgs {
+    /// Folder of a run, whose scenario is repeated, or a scenario file; instead of --scenario.
+    #[arg(value_name = "RUN", conflicts_with = "scenario")]
+    pub run: Option<PathBuf>,
     /// Scenario options.
     #[command(flatten)]
     pub scenario: ScenarioArgs,
     /// Number of the event, from 0 [default: the first event after the warm-up with a wake-up].
     #[arg(long, short, value_parser = whole(0..=u64::MAX), allow_negative_numbers = true)]
     pub event: Option<u64>,
+    /// Picture options.
+    #[command(flatten)]
+    pub pictures: FigureOutputArgs,
+}
+
+/// Arguments of `reveille figures misses`.
+#[derive(Args)]
+pub(crate) struct MissesFigureArgs {
+    /// Folder of the run.
+    #[arg(value_name = "RUN")]
+    pub run: PathBuf,
     /// Picture options.
     #[command(flatten)]
     pub pictures: FigureOutputArgs,
@@ -257,7 +279,7 @@ pub(crate) struct AttentionArgs {
 /// Arguments of `reveille figures robustness`.
 #[derive(Args)]
 pub(crate) struct RobustnessArgs {
-    /// Scenario options; policy and radio settings are ignored.
+    /// Scenario options; radio settings are ignored, and --policy acts like --policies.
     #[command(flatten)]
     pub scenario: ScenarioArgs,
     /// Policies to compare, separated by commas [default: all].
@@ -299,6 +321,9 @@ fn impairments() -> PossibleValuesParser {
 /// Arguments of `reveille figures timeline`.
 #[derive(Args)]
 pub(crate) struct TimelineArgs {
+    /// Folder of a run, whose scenario is repeated, or a scenario file; instead of --scenario.
+    #[arg(value_name = "RUN", conflicts_with = "scenario")]
+    pub run: Option<PathBuf>,
     /// Scenario options.
     #[command(flatten)]
     pub scenario: ScenarioArgs,

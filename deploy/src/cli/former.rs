@@ -16,6 +16,16 @@ const RENAMED_OPTIONS: [(&str, &str, &str); 7] = [
     ("figures", "--together", "--combine"),
 ];
 
+/// The former command, the command of today, and the options with which it acts like the former one.
+const RENAMED_COMMANDS: [(&str, &str, &[&str]); 1] = [("inspect compare", "compare", &["--exit-code"])];
+
+/// The command, its former option, and the argument that replaces it.
+const FORMER_OPTIONS_OF_ARGUMENTS: [(&str, &str, &str); 3] = [
+    ("inspect tail", "--from", "FILE"),
+    ("inspect stats", "--from", "FILE"),
+    ("dashboard", "--from", "FILE"),
+];
+
 /// Returns the name of today for a value.
 type CurrentName = fn(&str) -> &str;
 
@@ -58,40 +68,78 @@ pub(crate) fn replace_former_names(args: impl IntoIterator<Item = OsString>) -> 
             args[at] = format!("{}{}", &text[..text.len() - list.len()], current.join(",")).into();
         }
     }
+    for (command, option, argument) in FORMER_OPTIONS_OF_ARGUMENTS {
+        for at in argument_range(&args, command).rev() {
+            let Some(text) = args[at].to_str() else { continue };
+            let value = text.strip_prefix(option).and_then(|rest| rest.strip_prefix('='));
+            match value.map(OsString::from) {
+                Some(value) => args[at] = value,
+                None if text == option => drop(args.remove(at)),
+                None => continue,
+            }
+            warnings.push(format!(
+                "{option} {argument} is now the argument {argument}; the option will be removed in a later version"
+            ));
+        }
+    }
+    for (former, current, options) in RENAMED_COMMANDS {
+        let words = command_words(&args, former);
+        if let [before @ .., last] = &words[..] {
+            let name = std::iter::once(current)
+                .chain(options.iter().copied())
+                .map(OsString::from);
+            args.splice(*last..=*last, name);
+            for at in before.iter().rev() {
+                args.remove(*at);
+            }
+            let current = [&[current], options].concat().join(" ");
+            warnings.push(warning(&format!("`{former}`"), &format!("`{current}`")));
+        }
+    }
     (args, warnings)
 }
 
 /// Returns the positions of the arguments of `command`; empty if `args` call another command.
 fn argument_range(args: &[OsString], command: &str) -> std::ops::Range<usize> {
+    command_words(args, command)
+        .last()
+        .map_or(0..0, |last| last + 1..args.len())
+}
+
+/// Returns the positions of the words of `command`; none if `args` call another command.
+fn command_words(args: &[OsString], command: &str) -> Vec<usize> {
     // Global options may precede each word of the command.
     let is_global = |at: usize| {
         let before = args.get(at - 1).is_some_and(|arg| arg == "--log-format");
         before || args[at].to_str().is_some_and(|arg| arg.starts_with('-'))
     };
-    let mut at = 1;
+    let (mut at, mut words) = (1, Vec::new());
     for word in command.split(' ') {
         while at < args.len() && is_global(at) {
             at += 1;
         }
         if args.get(at).is_none_or(|arg| arg != word) {
-            return 0..0;
+            return Vec::new();
         }
+        words.push(at);
         at += 1;
     }
-    at..args.len()
+    words
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    /// Returns the replaced command line, and the number of warnings.
+    fn replace(line: &str) -> (String, usize) {
+        let (args, warnings) = replace_former_names(line.split(' ').map(OsString::from));
+        let args: Vec<_> = args.iter().map(|arg| arg.to_str().expect("text")).collect();
+        (args.join(" "), warnings.len())
+    }
+
     #[test]
     fn old_names_are_replaced_only_in_their_command() {
-        let replace = |line: &str| {
-            let (args, warnings) = replace_former_names(line.split(' ').map(OsString::from));
-            let args: Vec<_> = args.iter().map(|arg| arg.to_str().expect("text")).collect();
-            (args.join(" "), warnings.len())
-        };
         for (line, expected, warning_count) in [
             ("reveille -v run --inputs a.log", "reveille -v run --input-log a.log", 1),
             (
@@ -159,6 +207,39 @@ mod tests {
                 "reveille up --policy-command run --inputs a",
                 "reveille up --policy-command run --inputs a",
                 0,
+            ),
+        ] {
+            assert_eq!(replace(line), (expected.to_owned(), warning_count), "{line}");
+        }
+    }
+
+    #[test]
+    fn former_options_of_arguments_and_former_commands_are_replaced() {
+        for (line, expected, warning_count) in [
+            (
+                "reveille inspect tail --from r.mcap --since 3",
+                "reveille inspect tail r.mcap --since 3",
+                1,
+            ),
+            (
+                "reveille inspect stats --from=r.mcap",
+                "reveille inspect stats r.mcap",
+                1,
+            ),
+            (
+                "reveille dashboard --compare b.mcap --from a.mcap",
+                "reveille dashboard --compare b.mcap a.mcap",
+                1,
+            ),
+            (
+                "reveille figures timeline --from 3",
+                "reveille figures timeline --from 3",
+                0,
+            ),
+            (
+                "reveille -v inspect --log-format json compare a b",
+                "reveille -v --log-format json compare --exit-code a b",
+                1,
             ),
         ] {
             assert_eq!(replace(line), (expected.to_owned(), warning_count), "{line}");

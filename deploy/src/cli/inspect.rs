@@ -19,7 +19,7 @@ pub(crate) enum InspectCommand {
     /// that have one key for each. The run never waits for this command.
     #[command(after_help = examples!(
         "reveille inspect tail --kind wake,report --pair-wake-ups",
-        "reveille inspect tail --from run.mcap --device 7 --since 1000 --until 1100",
+        "reveille inspect tail run.mcap --device 7 --since 1000 --until 1100",
     ))]
     Tail(TailArgs),
     /// Count the messages and bytes of an active run or of a recording
@@ -27,7 +27,7 @@ pub(crate) enum InspectCommand {
     /// The table counts by kind and plane, per TTI and per device, until the run or the recording ends.
     #[command(after_help = examples!(
         "reveille inspect stats --watch",
-        "reveille inspect stats --from run.mcap --devices",
+        "reveille inspect stats run.mcap --devices",
     ))]
     Stats(StatsArgs),
     /// Record the messages of an active run in a file
@@ -57,17 +57,15 @@ pub(crate) enum InspectCommand {
         "reveille inspect verify run.mcap",
     ))]
     Verify(VerifyArgs),
-    /// Find the first difference between two recordings
+    /// Show where, when and why the events of a run were missed
     ///
-    /// The compared messages are events, δ plans, reports, failures, wake-ups and their outcomes. Two runs of one
-    /// scenario and seed under different policies diverge at the first different plan. Two runs that should be
-    /// identical diverge at the first fault. Granting with or without lookahead makes no difference. The exit code is 1
-    /// if the recordings differ.
+    /// The report has a map of missed events and devices, the causes over time, the nearest devices and a proposal.
+    /// The run can still be active. docs/results.md explains the causes.
     #[command(after_help = examples!(
-        "reveille run --policy random --record random.mcap",
-        "reveille inspect compare knn.mcap random.mcap",
+        "reveille inspect misses runs/knn-n50-s1",
+        "reveille inspect misses runs/knn-n50-s1 --json",
     ))]
-    Compare(CompareArgs),
+    Misses(MissesArgs),
 }
 
 /// Arguments of `reveille inspect tail`.
@@ -76,9 +74,9 @@ pub(crate) struct TailArgs {
     /// Run to observe.
     #[command(flatten)]
     pub target: TargetArgs,
-    /// Read this recording instead of an active run.
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["connect", "run"])]
-    pub from: Option<PathBuf>,
+    /// Recording to read instead of an active run, or the run folder that holds it.
+    #[arg(value_name = "FILE", conflicts_with_all = ["connect", "run"])]
+    pub file: Option<PathBuf>,
     /// Only messages of this plane.
     #[arg(long, value_enum)]
     pub plane: Option<PlaneArg>,
@@ -120,9 +118,9 @@ pub(crate) struct StatsArgs {
     /// Run to observe.
     #[command(flatten)]
     pub target: TargetArgs,
-    /// Read this recording instead of an active run.
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["connect", "run", "watch"])]
-    pub from: Option<PathBuf>,
+    /// Recording to read instead of an active run, or the run folder that holds it.
+    #[arg(value_name = "FILE", conflicts_with_all = ["connect", "run", "watch"])]
+    pub file: Option<PathBuf>,
     /// Update the table every second.
     #[arg(long)]
     pub watch: bool,
@@ -153,7 +151,7 @@ pub(crate) struct InspectRecordArgs {
 /// Arguments of `reveille inspect export`.
 #[derive(Args)]
 pub(crate) struct ExportArgs {
-    /// Recording to read.
+    /// Recording to read, or the run folder that holds it.
     #[arg(required_unless_present = "dissector", requires = "to")]
     pub file: Option<PathBuf>,
     /// Format of the output file.
@@ -213,17 +211,22 @@ impl ToArg {
 /// Arguments of `reveille inspect verify`.
 #[derive(Args)]
 pub(crate) struct VerifyArgs {
-    /// Recording to read.
+    /// Recording to read, or the run folder that holds it.
     pub file: PathBuf,
 }
 
-/// Arguments of `reveille inspect compare`.
+/// Arguments of `reveille inspect misses`.
 #[derive(Args)]
-pub(crate) struct CompareArgs {
-    /// First recording.
-    pub this: PathBuf,
-    /// Second recording.
-    pub other: PathBuf,
+pub(crate) struct MissesArgs {
+    /// Folder of the run.
+    #[arg(value_name = "RUN")]
+    pub run: PathBuf,
+    /// Number of devices to list, those with most missed events first.
+    #[arg(long, default_value_t = 8, value_parser = whole(0..=1_000_000_usize), allow_negative_numbers = true)]
+    pub devices: usize,
+    /// Print one JSON object.
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// Arguments of `reveille dashboard`.
@@ -232,9 +235,9 @@ pub(crate) struct DashboardArgs {
     /// Run to observe.
     #[command(flatten)]
     pub target: TargetArgs,
-    /// Show this recording instead of an active run.
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["connect", "run"])]
-    pub from: Option<PathBuf>,
+    /// Recording to show instead of an active run, or the run folder that holds it.
+    #[arg(value_name = "FILE", conflicts_with_all = ["connect", "run"])]
+    pub file: Option<PathBuf>,
     /// Also show this recording, and mark the first difference.
     #[arg(long, value_name = "FILE")]
     pub compare: Option<PathBuf>,

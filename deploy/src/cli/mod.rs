@@ -3,9 +3,11 @@
 //! `former`. Tests check that every help has two valid examples (`examples`).
 
 mod analyse;
+mod compare;
 mod examples;
 mod figures;
 pub(crate) mod former;
+mod groups;
 mod inspect;
 pub(crate) mod misplaced;
 mod parse;
@@ -24,12 +26,14 @@ use reveille_common::logging::LogFormat;
 use examples::examples;
 
 pub(crate) use analyse::{AnalyseCommand, BatteryArgs, HarvestArgs, IminArgs, RuntimeArgs, StudyArgs, TransitionsArgs};
+pub(crate) use compare::CompareArgs;
 pub(crate) use figures::{
     AttentionArgs, AxisArg, DeploymentArgs, FigureOutputArgs, FiguresArgs, FiguresCommand, ImageFormatArg,
-    LearningArgs, QTableArgs, RankingArg, RobustnessArgs, SweepFigureArgs, TimelineArgs, other_figures,
+    LearningArgs, MissesFigureArgs, QTableArgs, RankingArg, RobustnessArgs, SweepFigureArgs, TimelineArgs,
+    other_figures,
 };
 pub(crate) use inspect::{
-    ColourArg, CompareArgs, DashboardArgs, ExportArgs, InspectCommand, InspectRecordArgs, StatsArgs, TailArgs, ToArg,
+    ColourArg, DashboardArgs, ExportArgs, InspectCommand, InspectRecordArgs, MissesArgs, StatsArgs, TailArgs, ToArg,
     VerifyArgs,
 };
 pub(crate) use parse::nearest_name;
@@ -52,7 +56,7 @@ pub(crate) use tune::TuneArgs;
 /// Emulate a base station and many battery-less IoT devices that run on harvested energy.
 #[derive(Parser)]
 #[command(name = "reveille", version, arg_required_else_help = true)]
-#[command(after_help = after_help())]
+#[command(help_template = groups::help_template(), after_help = after_help())]
 pub(crate) struct Cli {
     /// The subcommand.
     #[command(subcommand)]
@@ -154,11 +158,22 @@ pub(crate) enum Command {
     /// Inspect the messages of an active run or of a recording, or record an active run
     #[command(subcommand, after_help = examples!(
         "reveille inspect tail --kind wake,report --pair-wake-ups",
-        "reveille inspect stats --from run.mcap",
+        "reveille inspect stats run.mcap",
     ))]
     Inspect(InspectCommand),
+    /// Compare runs: differing scenario fields, metrics and the first difference
+    ///
+    /// RUN is a run folder, or a recording. Metrics appear side by side, with their differences from the first run. Run
+    /// folders also provide 95 % intervals. The first difference is searched in the messages of two recordings: events,
+    /// δ plans, reports, failures, wake-ups and their outcomes; of run folders in their events. To compare policies
+    /// over many seeds, use `reveille sweep`.
+    #[command(after_help = examples!(
+        "reveille compare runs/knn-n50-s1 runs/age-index-n50-s1",
+        "reveille compare one.mcap two.mcap --exit-code",
+    ))]
+    Compare(CompareArgs),
     /// Show an active run or a recording in the browser
-    #[command(after_help = examples!("reveille dashboard", "reveille dashboard --from run.mcap"))]
+    #[command(after_help = examples!("reveille dashboard", "reveille dashboard run.mcap"))]
     Dashboard(DashboardArgs),
     /// Pause, step and resume the virtual clock of a run, and act on its devices
     #[command(after_help = examples!("reveille clock pause", "reveille clock step 50"))]

@@ -77,6 +77,7 @@ pub(crate) struct GridArgs {
     #[arg(
         long,
         short,
+        alias = "policy",
         value_delimiter = ',',
         help_heading = "Grid",
         help = policies_help(),

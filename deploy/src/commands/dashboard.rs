@@ -22,7 +22,7 @@ use crate::signals::{SignalMode, Signals};
 /// Serves the page until Ctrl-C.
 pub(crate) async fn run(args: &DashboardArgs) -> anyhow::Result<ExitCode> {
     check_can_listen("--listen", &args.listen)?;
-    match &args.from {
+    match &args.file {
         Some(path) => serve_recording(path, args).await?,
         None => serve_live(args).await?,
     }

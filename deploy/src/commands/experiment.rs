@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use reveille_bs::policy::outside;
-use reveille_bs::scenario::current_field;
 use reveille_lab::sweep::{Experiment, ExperimentBuilder};
 use toml::Value;
 
@@ -82,9 +81,8 @@ fn options(args: &GridArgs) -> anyhow::Result<ExperimentBuilder> {
             bail!("--set {text}: must be FIELD=VALUE, such as sensing.d_max=5");
         };
         let option = format!("--set {}", text.trim());
-        draft
-            .set
-            .insert(current_field(path.trim()), (parse_value(value), option));
+        let path = draft.rename(path.trim(), &option);
+        draft.set.insert(path, (parse_value(value), option));
     }
     Ok(draft)
 }

@@ -19,16 +19,19 @@ use reveille_study::figures::sweep::{
 };
 use reveille_study::figures::timeline::Timeline;
 use reveille_study::figures::{
-    FigureError, deployment, energy, front, learning, pareto, q_table, robustness, study, timeline, to_file_name,
+    FigureError, deployment, energy, front, learning, misses, pareto, q_table, robustness, study, timeline,
+    to_file_name,
 };
 
 use super::figure_files::{read_tables, write_file, write_picture};
-use super::resolve_scenario::resolve;
+use super::resolve_scenario::{resolve, resolve_of_run};
 use crate::cli::{
-    AttentionArgs, AxisArg, DeploymentArgs, FigureOutputArgs, FiguresArgs, FiguresCommand, LearningArgs, QTableArgs,
-    RankingArg, RobustnessArgs, SweepFigureArgs, TimelineArgs, nearest_name, other_figures,
+    AttentionArgs, AxisArg, DeploymentArgs, FigureOutputArgs, FiguresArgs, FiguresCommand, LearningArgs,
+    MissesFigureArgs, QTableArgs, RankingArg, RobustnessArgs, SweepFigureArgs, TimelineArgs, nearest_name,
+    other_figures,
 };
 use crate::display::note;
+use crate::run_reader::RunReader;
 
 /// The metrics that are drawn against a swept field unless `--only` selects others.
 const SWEPT_METRICS: [&str; 2] = ["info_p1", "energy_per_device_tti"];
@@ -38,6 +41,7 @@ pub(crate) fn run(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
     match &args.command {
         Some(FiguresCommand::Deployment(args)) => draw_deployment(args),
         Some(FiguresCommand::Timeline(args)) => draw_timeline(args),
+        Some(FiguresCommand::Misses(args)) => draw_misses(args),
         Some(FiguresCommand::Attention(args)) => draw_attention(args),
         Some(FiguresCommand::Robustness(args)) => draw_robustness(args),
         Some(FiguresCommand::Learning(args)) => draw_learning(args),
@@ -226,7 +230,7 @@ fn draw_energy(args: &FiguresArgs, label: &str, condition: &RunCondition) -> any
 }
 
 fn draw_deployment(args: &DeploymentArgs) -> anyhow::Result<ExitCode> {
-    let scenario = resolve(&args.scenario)?;
+    let scenario = resolve_of_run(args.run.as_deref(), &args.scenario)?;
     let event_scene = deployment::EventScene::from_scenario(&scenario, args.event)?;
     let name = deployment::file_name(&scenario, &event_scene);
     write_picture(&args.pictures, &name, &deployment::scene(&scenario, &event_scene))?;
@@ -247,10 +251,10 @@ fn draw_attention(args: &AttentionArgs) -> anyhow::Result<ExitCode> {
 
 /// Draws the cost of an imperfect radio.
 fn draw_robustness(args: &RobustnessArgs) -> anyhow::Result<ExitCode> {
-    let policies = if args.policies.is_empty() {
-        registry::names().map(str::to_owned).collect()
-    } else {
-        args.policies.clone()
+    let policies: Vec<String> = match (&args.policies[..], &args.scenario.policy) {
+        ([], None) => registry::names().map(str::to_owned).collect(),
+        ([], Some(list)) => list.split(',').map(|name| name.trim().to_owned()).collect(),
+        (policies, _) => policies.to_vec(),
     };
     let scenario_of = |policy: &String| {
         let mut given = args.scenario.clone();
@@ -275,11 +279,21 @@ fn draw_robustness(args: &RobustnessArgs) -> anyhow::Result<ExitCode> {
 }
 
 fn draw_timeline(args: &TimelineArgs) -> anyhow::Result<ExitCode> {
-    let scenario = resolve(&args.scenario)?;
+    let scenario = resolve_of_run(args.run.as_deref(), &args.scenario)?;
     let from = args.from.unwrap_or(scenario.warm_up_end().0);
     let timeline_data = Timeline::from_scenario(&scenario, &args.show, from, args.length)?;
     let name = timeline::file_name(&scenario, &timeline_data);
     write_picture(&args.pictures, &name, &timeline::scene(&scenario, &timeline_data))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn draw_misses(args: &MissesFigureArgs) -> anyhow::Result<ExitCode> {
+    let run_misses = RunReader::open(&args.run)?.misses()?;
+    write_picture(
+        &args.pictures,
+        &misses::file_name(&run_misses),
+        &misses::scene(&run_misses),
+    )?;
     Ok(ExitCode::SUCCESS)
 }
 

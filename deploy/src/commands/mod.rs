@@ -5,6 +5,7 @@
 pub(crate) mod analyse;
 pub(crate) mod bs;
 pub(crate) mod clock;
+pub(crate) mod compare;
 pub(crate) mod dashboard;
 pub(crate) mod device;
 mod energy_balance;
@@ -34,6 +35,7 @@ use crate::display;
 use crate::exit::ExitReason;
 use crate::results_table::{self, Rows};
 use crate::summary::Summary;
+use crate::terminal;
 
 /// Length of a window of `windows.csv`, TTIs.
 pub(crate) fn window_length(args: &OutputArgs, scenario: &Scenario) -> u64 {
@@ -48,8 +50,12 @@ pub(crate) fn print_results(args: &OutputArgs, summary: &Summary<'_>, folder: &P
         display::print_stdout(&format!("digest {}\n", summary.digest))?;
     } else {
         let rows = if args.all_metrics { Rows::All } else { Rows::Main };
-        display::print_stdout(&results_table::format_results(summary, rows))?;
+        display::print_stdout(&results_table::format_results(summary, rows, terminal::shows_colours()))?;
         display::print_stdout(&format!("results in {}\n", folder.display()))?;
+        if summary.totals.events.misdetected > 0 {
+            let folder = folder.display();
+            display::print_stdout(&format!("missed events: reveille inspect misses {folder}\n"))?;
+        }
     }
     Ok(if summary.status == "complete" {
         ExitReason::Done.into()

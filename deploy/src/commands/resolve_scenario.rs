@@ -9,6 +9,7 @@ use reveille_bs::scenario::{Loaded, Override, Scenario, ScenarioError, load, loa
 use reveille_lab::external_inputs::{ExternalInputs, InputLogError};
 
 use crate::cli::{OutputArgs, ScenarioArgs};
+use crate::display::note;
 use crate::input_log::{self, INPUT_LOG_FILE};
 use crate::run_folder::{self, SCENARIO_FILE};
 
@@ -105,6 +106,33 @@ fn find_replay_log(path: &Path) -> anyhow::Result<PathBuf> {
     ))
 }
 
+/// Returns the scenario of the run folder or scenario file `run` with the other options, or without `run` the command
+/// line's scenario; with a policy of this program.
+pub(super) fn resolve_of_run(run: Option<&Path>, args: &ScenarioArgs) -> anyhow::Result<Scenario> {
+    let Some(run) = run else {
+        return resolve(args);
+    };
+    let mut file = run.to_owned();
+    if run.is_dir() {
+        file = run.join(SCENARIO_FILE);
+        anyhow::ensure!(
+            file.is_file(),
+            "{}: the folder holds no run; name a run folder or a scenario file",
+            run.display()
+        );
+        if run.join(INPUT_LOG_FILE).exists() {
+            note!(
+                "{}: the scenario is repeated without the removals and decisions in {INPUT_LOG_FILE}",
+                run.display()
+            );
+        }
+    }
+    resolve(&ScenarioArgs {
+        scenario: file.to_string_lossy().into_owned(),
+        ..args.clone()
+    })
+}
+
 /// Returns the command line's scenario, with a policy of this program.
 pub(super) fn resolve(args: &ScenarioArgs) -> anyhow::Result<Scenario> {
     let resolved = resolve_with_loader(args, load);
@@ -122,6 +150,9 @@ fn resolve_with_loader(
     args: &ScenarioArgs,
     load: impl Fn(&str, &[Override]) -> Result<Loaded, ScenarioError>,
 ) -> anyhow::Result<Scenario> {
+    if let Some(list) = args.policy.as_ref().filter(|policy| policy.contains(',')) {
+        anyhow::bail!("--policy {list}: a run has one policy; compare several with `reveille sweep --policies {list}`");
+    }
     let mut overrides = args
         .set
         .iter()

@@ -15,7 +15,7 @@ use reveille_common::bus::FrameSink;
 use reveille_common::ids::Tti;
 use reveille_common::message::Frame;
 use reveille_common::score::WindowRecord;
-use reveille_lab::external_inputs::ExternalInputs;
+use reveille_lab::external_inputs::{self, ExternalInputs};
 use reveille_lab::preparation::prepare;
 use reveille_lab::run::{Run, RunOptions, StopWhen};
 use reveille_view::metrics::ProcessStats;
@@ -155,17 +155,20 @@ fn read_named_inputs(
         let inputs = args.actions.read(scenario, given)?;
         return Ok(is_given.then_some(inputs));
     };
+    // Before the log is compared with the scenario, which names policy external in the folder of such a log.
+    let text = std::fs::read_to_string(path).unwrap_or_default();
+    ensure!(
+        !external_inputs::holds_decisions(&text),
+        "--input-log {0}: the log holds decisions of a policy process; repeat them with --policy replay={0}, or use \
+         the log of a run with a built-in policy",
+        path.display()
+    );
     ensure!(
         !outside::is_external(&scenario.policy),
         "--input-log: policy external takes all inputs from --policy replay=FILE; use that option, or choose a \
          built-in policy"
     );
     let inputs = input_log::read_nonempty(path, scenario).context("--input-log")?;
-    ensure!(
-        inputs.decisions.is_empty(),
-        "--input-log: the log holds decisions, but the policy is built in: {}",
-        input_log::MISMATCH
-    );
     Ok(Some(inputs))
 }
 

@@ -50,7 +50,7 @@ pub(crate) async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCod
     bus::resolve_listen_endpoint(&args.listen)?;
     let signals = Signals::install(SignalMode::SavesResults)?;
     let folder = RunFolder::create(&args.output, &scenario)?;
-    match listen(args, &folder).await {
+    match listen(args, processes, &folder).await {
         Ok((bus, run)) => {
             let service = Service {
                 settings: ServerConfig {
@@ -80,12 +80,11 @@ pub(crate) async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCod
     }
 }
 
-async fn listen(args: &UpArgs, folder: &RunFolder) -> anyhow::Result<(Bus, RunName)> {
+async fn listen(args: &UpArgs, processes: u32, folder: &RunFolder) -> anyhow::Result<(Bus, RunName)> {
     let run = match &args.run {
         Some(run) => run.clone(),
         None => folder.name().parse().context("the run folder's name")?,
     };
-    let processes = args.processes.unwrap_or(DEFAULT_PROCESSES);
     let bus = Bus::listen_for_hosts(processes, &args.listen, run.clone()).await?;
     Ok((bus, run))
 }

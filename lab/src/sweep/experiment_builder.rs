@@ -176,8 +176,8 @@ impl ExperimentBuilder {
         Ok(())
     }
 
-    /// Returns today's path of the field at `path`, and warns about a former path.
-    fn rename(&mut self, path: &str, origin: &str) -> String {
+    /// Returns today's path of the field at `path`, and warns about a former path, set by `origin`.
+    pub fn rename(&mut self, path: &str, origin: &str) -> String {
         let current = current_field(path);
         if current != path {
             let origin = format!("set by {origin}");

@@ -1,10 +1,10 @@
-//! Plot of the deployment area with its axes, shared by the deployment and the attention figure. Nothing but their look
-//! depends on it.
+//! Plot of the deployment area with its axes, its legend and its caption, shared by the figures of deployments,
+//! attention and missed events. Nothing but their look depends on it.
 
 use reveille_common::geometry::{Area, Point};
 
 use super::cell_map;
-use super::font::{Weight, wrap_text};
+use super::font::{Weight, text_width, wrap_text};
 use super::path::VectorPath;
 use super::scene::{Anchor, Paint, Scene, Stroke, Text};
 use super::style::{COLUMN_WIDTH, LEADING, MARGIN, TEXT_SIZE, TITLE_SIZE};
@@ -94,4 +94,49 @@ pub fn draw_title(scene: &mut Scene) -> f64 {
         y += LEADING + 1.0;
     }
     y
+}
+
+/// Legend below a plot, in as many lines as it needs.
+#[derive(Clone, Copy, Debug)]
+pub struct Legend {
+    x: f64,
+    y: f64,
+}
+
+impl Legend {
+    /// Starts a legend with the base line `y`.
+    pub const fn new(y: f64) -> Self {
+        Self { x: MARGIN, y }
+    }
+
+    /// Adds an entry with `text` to `scene`. Returns the centre of its symbol.
+    pub fn place(&mut self, scene: &mut Scene, text: &str) -> (f64, f64) {
+        let needed = 14.0 + text_width(text, Weight::Regular, TEXT_SIZE);
+        if self.x > MARGIN && self.x + needed > COLUMN_WIDTH - MARGIN {
+            (self.x, self.y) = (MARGIN, self.y + LEADING + 2.0);
+        }
+        scene.text(Text::new(text, (self.x + 14.0, self.y), TEXT_SIZE));
+        let at = (self.x + 6.0, self.y - 0.35 * TEXT_SIZE);
+        self.x += needed + 10.0;
+        at
+    }
+
+    /// The base line of the text below.
+    pub const fn end(self) -> f64 {
+        self.y + LEADING + 5.0
+    }
+}
+
+/// Draws the description of `scene` from the base line `y` on, and ends the canvas below it.
+pub fn draw_caption(scene: &mut Scene, mut y: f64) {
+    for line in wrap_text(
+        &scene.description.clone(),
+        Weight::Regular,
+        TEXT_SIZE,
+        COLUMN_WIDTH - 2.0 * MARGIN,
+    ) {
+        scene.text(Text::new(line, (MARGIN, y), TEXT_SIZE));
+        y += LEADING;
+    }
+    scene.height = (y - LEADING + 0.24 * TEXT_SIZE + MARGIN).ceil();
 }

@@ -14,14 +14,13 @@ use reveille_common::geometry::{Point, voronoi_cells};
 use reveille_common::ids::Tti;
 use reveille_lab::trajectories::record_steps;
 
-use super::area_plot::{AreaPlot, draw_title};
+use super::area_plot::{AreaPlot, draw_caption, draw_title};
 use super::deployment::draw_epicentre;
 use super::error::FigureError;
-use super::font::{Weight, wrap_text};
 use super::heat::{HeatCell, HeatMap, KnowledgeDegree, RowLabels, colour, draw_colour_scale};
 use super::path::VectorPath;
-use super::scene::{Paint, Scene, Stroke, Text};
-use super::style::{BLUE, COLUMN_WIDTH, LEADING, MARGIN, TEXT_SIZE};
+use super::scene::{Paint, Scene, Stroke};
+use super::style::{BLUE, COLUMN_WIDTH, LEADING, MARGIN};
 
 /// Number of devices whose attention is shown by default.
 const DEFAULT_DEVICES: usize = 6;
@@ -200,16 +199,7 @@ pub fn scene(scenario: &Scenario, attention: &AttentionFigure) -> Scene {
         y = heat.draw(&mut scene, (MARGIN, y), (COLUMN_WIDTH - 2.0 * MARGIN, ROW_HEIGHT), 1.0) + LEADING;
     }
     scene.description = caption(scenario, attention);
-    for line in wrap_text(
-        &scene.description.clone(),
-        Weight::Regular,
-        TEXT_SIZE,
-        COLUMN_WIDTH - 2.0 * MARGIN,
-    ) {
-        scene.text(Text::new(line, (MARGIN, y), TEXT_SIZE));
-        y += LEADING;
-    }
-    scene.height = (y - LEADING + 0.24 * TEXT_SIZE + MARGIN).ceil();
+    draw_caption(&mut scene, y);
     scene
 }
 

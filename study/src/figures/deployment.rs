@@ -14,7 +14,7 @@ use reveille_common::message::WakeOutcome;
 use reveille_common::scenario::assign_classes;
 use reveille_common::state::DeviceState;
 
-use super::area_plot::{AreaPlot, draw_title};
+use super::area_plot::{AreaPlot, Legend, draw_caption, draw_title};
 use super::cell_map::{self, assign_tints};
 use super::error::FigureError;
 use super::font::{Weight, text_width, wrap_text};
@@ -177,16 +177,7 @@ pub fn scene(scenario: &Scenario, event_scene: &EventScene) -> Scene {
     y = legend(&mut scene, event_scene, ground.bottom() + 2.0 * LEADING + 15.0);
     y = classes.draw_legend(&mut scene, y);
     scene.description = caption(scenario, event_scene);
-    for line in wrap_text(
-        &scene.description.clone(),
-        Weight::Regular,
-        TEXT_SIZE,
-        COLUMN_WIDTH - 2.0 * MARGIN,
-    ) {
-        scene.text(Text::new(line, (MARGIN, y), TEXT_SIZE));
-        y += LEADING;
-    }
-    scene.height = (y - LEADING + 0.24 * TEXT_SIZE + MARGIN).ceil();
+    draw_caption(&mut scene, y);
     scene
 }
 
@@ -368,7 +359,7 @@ fn draw_role(scene: &mut Scene, role: DeviceRole, at: (f64, f64)) {
 }
 
 /// Draws the roles in the figure, with the number of devices in each. Returns the base line of the text below.
-fn legend(scene: &mut Scene, event_scene: &EventScene, mut y: f64) -> f64 {
+fn legend(scene: &mut Scene, event_scene: &EventScene, y: f64) -> f64 {
     let count = |is: fn(&DeviceRole) -> bool| event_scene.roles.iter().filter(|role| is(role)).count();
     let entries = [
         (
@@ -407,24 +398,14 @@ fn legend(scene: &mut Scene, event_scene: &EventScene, mut y: f64) -> f64 {
             count(|r| matches!(r, DeviceRole::WithoutPower)),
         ),
     ];
-    let mut x = MARGIN;
-    let mut place = |scene: &mut Scene, text: String| {
-        let needed = 14.0 + text_width(&text, Weight::Regular, TEXT_SIZE);
-        if x > MARGIN && x + needed > COLUMN_WIDTH - MARGIN {
-            (x, y) = (MARGIN, y + LEADING + 2.0);
-        }
-        scene.text(Text::new(text, (x + 14.0, y), TEXT_SIZE));
-        let at = (x + 6.0, y - 0.35 * TEXT_SIZE);
-        x += needed + 10.0;
-        at
-    };
-    let at = place(scene, "event, with d_max".to_owned());
+    let mut legend = Legend::new(y);
+    let at = legend.place(scene, "event, with d_max");
     draw_epicentre(scene, at);
     for (role, text, count) in entries.into_iter().filter(|(_, _, count)| *count > 0) {
-        let at = place(scene, format!("{text} ({count})"));
+        let at = legend.place(scene, &format!("{text} ({count})"));
         draw_role(scene, role, at);
     }
-    y + LEADING + 5.0
+    legend.end()
 }
 
 fn caption(scenario: &Scenario, event_scene: &EventScene) -> String {

@@ -5,6 +5,7 @@
 //! tables ─► study, sweep, pareto, front ─► chart ┐
 //! analysis::harvest ─► energy ─► chart           ├─► scene ─► svg, png
 //! run ─► run_walk ─► deployment, timeline        ┤
+//! misses::Misses ─► misses                       ┤
 //! runs ─► robustness ─► chart                    ┤
 //! run ─► trajectories ─► attention               ┤
 //! LearnedTables ─► learning, q_table             ┤
@@ -26,6 +27,7 @@ pub(crate) mod font;
 pub mod front;
 pub mod heat;
 pub mod learning;
+pub mod misses;
 pub mod note;
 pub mod pareto;
 pub mod path;

@@ -1,7 +1,8 @@
 //! Wireshark dissector in Lua, generated from the message schemas so that it reads the messages of this version.
 //!
-//! Every field has its own filter: `reveille.`, the kind and the path to the field, such as `reveille.wake.device`. The
-//! variant name of a choice is in `….is`. The keys of the generated tables are read by `dissector.lua`.
+//! Every kind has a filter, such as `reveille.wake`, and every field has its own: `reveille.`, the kind and the path to
+//! the field, such as `reveille.wake.device`. The variant name of a choice is in `….is`. Names of fields end with their
+//! units. The keys of the generated tables are read by `dissector.lua`.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -33,20 +34,32 @@ pub fn lua_script() -> String {
         if !has_own_field {
             script.add_field(&path, "uint32");
         }
+        let (from, to) = kind.direction().split_once(" → ").unwrap_or((kind.direction(), ""));
         let _infallible = writeln!(
             kinds,
             "kinds[{}] = {{plane = {plane:?}, name = {name:?}, whose = {whose:?}, told = {has_own_field}, \
-             form = {lua_form}}}",
+             from = {from:?}, to = {to:?}, form = {lua_form}}}",
             kind_number(*kind)
         );
     }
     let mut fields = String::new();
-    for (path, lua_type) in &script.fields {
-        let name = path.rsplit('.').next().unwrap_or(path);
+    for kind in MessageKind::ALL {
+        let (name, about) = (kind.name(), kind.about());
         let _infallible = writeln!(
             fields,
-            "fields[{path:?}] = ProtoField.{lua_type}(\"reveille.{path}\", {name:?})"
+            "fields[{name:?}] = ProtoField.none(\"reveille.{name}\", {name:?}, {about:?})"
         );
+    }
+    for (path, (lua_type, unit)) in &script.fields {
+        let name = path.rsplit('.').next().unwrap_or(path);
+        let label = unit.map_or_else(|| name.to_owned(), |unit| format!("{name} ({unit})"));
+        let _infallible = writeln!(
+            fields,
+            "fields[{path:?}] = ProtoField.{lua_type}(\"reveille.{path}\", {label:?})"
+        );
+        if let Some(unit) = unit {
+            let _infallible = writeln!(fields, "units[{path:?}] = {unit:?}");
+        }
     }
     LUA_CORE
         .replace("--@fields", &fields)
@@ -57,13 +70,37 @@ pub fn lua_script() -> String {
 /// Schemas as Lua tables, and the fields that they need.
 struct ScriptBuilder<'a> {
     schemas: &'a MessageSchemas,
-    /// Field types by path.
-    fields: BTreeMap<String, &'static str>,
+    /// Types and units of fields by path.
+    fields: BTreeMap<String, (&'static str, Option<&'static str>)>,
+}
+
+/// The unit of energies in messages.
+const ENERGY_UNIT: &str = "micro-units";
+
+/// Returns the unit of the number at `path`. Units follow from names: energies and TTIs are plain numbers in messages.
+fn unit_of(path: &str, lua_type: &str) -> Option<&'static str> {
+    let mut names = path.rsplit('.');
+    let (name, parent) = (names.next()?, names.next());
+    match name {
+        _ if parent == Some("spent") => Some(ENERGY_UNIT),
+        "battery" | "battery_sum" | "drained" | "spent" | "initial" | "harvested" | "overflow" | "wasted" => {
+            Some(ENERGY_UNIT)
+        }
+        // The first of removed devices is a number of 32 bits.
+        "tti" | "first" | "last" | "until" | "start" | "run_to" if lua_type == "uint64" => Some("TTI"),
+        "from" if parent == Some("plan") => Some("TTI"),
+        "step" | "t_on" | "t_drx" | "offset" | "longest_outage" => Some("TTIs"),
+        name if name.ends_with("_ttis") => Some("TTIs"),
+        "x" | "y" => Some("m"),
+        "information_pico" => Some("10⁻¹² information"),
+        "real_time" => Some("µs"),
+        _ => None,
+    }
 }
 
 impl ScriptBuilder<'_> {
     fn add_field(&mut self, path: &str, lua_type: &'static str) {
-        self.fields.insert(path.to_owned(), lua_type);
+        self.fields.insert(path.to_owned(), (lua_type, unit_of(path, lua_type)));
     }
 
     /// Adds a value that has its own field.
@@ -91,7 +128,7 @@ impl ScriptBuilder<'_> {
             Format::Bytes => self.add_leaf(path, "bytes", "bytes"),
             Format::Option(inner) => format!("{{\"option\", {}}}", self.format(inner, path)),
             Format::Seq(inner) if **inner == Format::U8 => self.add_leaf(path, "bytes", "bytes"),
-            Format::Seq(inner) => format!("{{\"seq\", {}}}", self.format(inner, path)),
+            Format::Seq(inner) => format!("{{\"seq\", {}, {path:?}}}", self.format(inner, path)),
             Format::TupleArray { content, size } => self.tuple(&vec![(**content).clone(); *size], path),
             Format::Tuple(parts) => self.tuple(parts, path),
             Format::Map { .. } => panic!("messages hold no maps"),
@@ -166,6 +203,15 @@ mod tests {
             "answer.grant_done.reports",
         ] {
             assert!(script.contains(&format!("\"reveille.{field}\"")), "{field}");
+        }
+        for named in [
+            "ProtoField.none(\"reveille.wake\", \"wake\", ",
+            "\"reveille.report.battery\", \"battery (micro-units)\"",
+            "\"reveille.clock.grant.last\", \"last (TTI)\"",
+            "\"reveille.belief.places.x\", \"x (m)\"",
+            "from = \"device\", to = \"BS\"",
+        ] {
+            assert!(script.contains(named), "no {named}: {script}");
         }
         assert!(!script.contains("--@"), "a place holder is left");
     }

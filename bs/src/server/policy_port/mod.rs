@@ -224,9 +224,13 @@ impl<'a> PolicyPort<'a> {
                     // An unresponsive process may have exited, so the next attempt greets again and another process can
                     // take its place.
                     let name = self.peer.take().map(|peer| peer.name).unwrap_or_default();
-                    let effect = "the run is waiting until a policy process answers";
-                    self.warn_about_peer(format!("{name} has not answered for TTI {tti}; {effect}"));
+                    // A process that the program started may have crashed: its end then stops the run with its own
+                    // error, which names the cause.
                     tokio::time::sleep(HELLO_PAUSE).await;
+                    if !progress.is_stop_requested() {
+                        let effect = "the run is waiting until a policy process answers";
+                        self.warn_about_peer(format!("{name} has not answered for TTI {tti}; {effect}"));
+                    }
                 }
                 ControlFlow::Continue(Some(PeerReply::Invalid(why))) => {
                     self.counts.refused += 1;

@@ -1,10 +1,11 @@
-//! `reveille inspect`: the messages of a live or recorded run, one file per subcommand. `source` provides the frames,
-//! `live` connects to a run, and `catch_up` replays the TTIs before the connection. The dashboard uses these three too.
+//! `reveille inspect`: the messages of a live or recorded run, and the missed events of a run folder (`misses`). Each
+//! subcommand has one file. `source` provides the frames, `live` connects to a run, and `catch_up` replays the TTIs
+//! before the connection. The dashboard uses these three too.
 
 mod catch_up;
-mod compare;
 mod export;
 pub(crate) mod live;
+mod misses;
 mod record;
 pub(crate) mod source;
 mod stats;
@@ -23,6 +24,6 @@ pub(crate) async fn run(command: &InspectCommand) -> anyhow::Result<ExitCode> {
         InspectCommand::Record(args) => record::run(args).await,
         InspectCommand::Export(args) => export::run(args),
         InspectCommand::Verify(args) => verify::run(args),
-        InspectCommand::Compare(args) => compare::run(args),
+        InspectCommand::Misses(args) => misses::run(args),
     }
 }

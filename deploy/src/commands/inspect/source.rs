@@ -2,9 +2,9 @@
 
 use std::fs::File;
 use std::io::BufReader;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use reveille_bs::cycle::PreparedRun;
 use reveille_bs::scenario::Scenario;
 use reveille_common::ids::Tti;
@@ -15,27 +15,60 @@ use super::live::Live;
 use crate::cli::TargetArgs;
 use crate::display::note;
 use crate::exit::InvalidUsage;
+use crate::folder_lock::{FolderStatus, status};
+use crate::run_folder::SCENARIO_FILE;
+
+/// Extension of recordings.
+const RECORDING_ENDING: &str = "mcap";
 
 /// A recording file.
 pub(crate) type RecordingFile = RecordingReader<BufReader<File>>;
 
-/// Opens the recording at `path`.
+/// Opens the recording at `path`, or the only recording in the run folder `path`.
 ///
 /// # Errors
-/// If the file is not a recording, or has another version.
+/// If the file is not a recording or has another version, or the folder does not hold exactly one recording.
 pub(crate) fn open(path: &Path) -> anyhow::Result<RecordingFile> {
+    let path = find_recording(path)?;
     let named = || path.display().to_string();
-    let file = File::open(path).with_context(named)?;
-    // A folder can be opened too, and fails only when read.
-    anyhow::ensure!(
-        file.metadata().is_ok_and(|file| file.is_file()),
-        "{}: not a file; name a recording",
-        named()
-    );
+    let file = File::open(&path).with_context(named)?;
     if is_growing(&file) {
         note!("{}: still being written; reading the messages so far", named());
     }
     RecordingReader::open(BufReader::new(file)).with_context(named)
+}
+
+/// Returns `path`, or for a folder the only recording in it.
+fn find_recording(path: &Path) -> anyhow::Result<PathBuf> {
+    if !path.is_dir() {
+        return Ok(path.to_owned());
+    }
+    let named = path.display();
+    let files = path
+        .read_dir()
+        .with_context(|| named.to_string())?
+        .flatten()
+        .map(|entry| entry.path());
+    let mut recordings: Vec<PathBuf> = files
+        .filter(|file| file.extension().is_some_and(|ending| ending == RECORDING_ENDING))
+        .collect();
+    recordings.sort_unstable();
+    match (&recordings[..], path.join(SCENARIO_FILE).is_file()) {
+        ([only], _) => Ok(only.clone()),
+        ([], false) => bail!("{named}: the folder holds no recording; name a recording, such as run.mcap"),
+        ([], true) if matches!(status(path), FolderStatus::Running(_)) => {
+            bail!("{named}: the folder holds no recording; leave it out to observe the active run")
+        }
+        ([], true) => bail!(
+            "{named}: the folder holds no recording; create one with `reveille run --scenario {named}/{SCENARIO_FILE} \
+             --record {named}/run.{RECORDING_ENDING}`"
+        ),
+        ([first, ..], _) => bail!(
+            "{named}: the folder holds {} recordings; name one of them, such as {}",
+            recordings.len(),
+            first.display()
+        ),
+    }
 }
 
 /// Checks that `since` and `until`, the values of --since and --until, leave a TTI between them.

@@ -22,7 +22,7 @@ const WATCH_INTERVAL: Duration = Duration::from_secs(1);
 /// Counts until the run or recording ends, or a signal arrives.
 pub(super) async fn run(args: &StatsArgs) -> anyhow::Result<ExitCode> {
     check_tti_range(args.since, args.until)?;
-    let mut source = FrameSource::open(args.from.as_deref(), &args.target).await?;
+    let mut source = FrameSource::open(args.file.as_deref(), &args.target).await?;
     let devices = source.bundle().await?.load()?.run.devices;
     if let Some(since) = args.since {
         source.seek(reveille_common::ids::Tti(since))?;

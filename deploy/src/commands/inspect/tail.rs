@@ -1,7 +1,7 @@
 //! `reveille inspect tail`: decoded messages, one per line. Each line of `--json` has the keys of
 //! `view/src/frame_line.rs`, also the line of a paired wake-up; `tests/recordings/` reads them.
 
-use std::io::{IsTerminal, Write};
+use std::io::Write;
 use std::process::ExitCode;
 
 use anyhow::bail;
@@ -20,13 +20,14 @@ use super::source::{FrameSource, check_tti_range, device_groups};
 use crate::cli::{ColourArg, TailArgs};
 use crate::display::note;
 use crate::exit::ExitReason;
+use crate::terminal;
 
 /// Prints the requested messages.
 pub(super) async fn run(args: &TailArgs) -> anyhow::Result<ExitCode> {
     check_tti_range(args.since, args.until)?;
     let mut filter = filter(args);
     filter.check().map_err(anyhow::Error::msg)?;
-    let mut source = FrameSource::open(args.from.as_deref(), &args.target).await?;
+    let mut source = FrameSource::open(args.file.as_deref(), &args.target).await?;
     let needs_scenario = args.cluster.is_some() || !filter.states.is_empty();
     let scenario = if needs_scenario || matches!(source, FrameSource::Recorded(..)) {
         Some(source.bundle().await?.load()?)
@@ -119,9 +120,7 @@ impl<'a> Printer<'a> {
             has_colour: match args.colour {
                 ColourArg::Always => true,
                 ColourArg::Never => false,
-                ColourArg::Auto => {
-                    std::io::stdout().is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|set| set.is_empty())
-                }
+                ColourArg::Auto => terminal::shows_colours(),
             },
             filter,
             args,

@@ -18,6 +18,9 @@ use crate::signals::Signals;
 /// Least time between two redraws.
 const REDRAW_INTERVAL: Duration = Duration::from_millis(100);
 
+/// Least time over which a rate is measured.
+const LEAST_MEASURED: Duration = Duration::from_millis(500);
+
 /// Follows a sweep and shows its progress.
 pub(super) struct SweepDisplay {
     bar: ProgressBar,
@@ -53,7 +56,7 @@ impl SweepDisplay {
         signals: &Signals,
         hidden: bool,
     ) -> Self {
-        let template = "{bar:24} {pos}/{len} runs  {msg}";
+        let template = "{bar:12} {pos}/{len} runs  {wide_msg}";
         let bar = display::new_bar(
             grid.shard_run_count(shard).saturating_sub(found as u64),
             template,
@@ -114,15 +117,20 @@ impl SweepDisplay {
             .iter()
             .map(|cell| cell.run_device_ttis as f64 * load(&cell.done) as f64)
             .sum();
-        let rate = work / now.duration_since(self.started_at).as_secs_f64();
+        let elapsed = now.duration_since(self.started_at);
         self.bar.set_length(planned);
         self.bar.set_position(done);
-        self.bar.set_message(format!(
-            "{:.0} M device-TTIs/s  {} left  {}",
-            rate / 1e6,
-            HumanDuration(self.remaining_time()),
-            self.labels[self.current_cell.load(Ordering::Relaxed)]
-        ));
+        let label = &self.labels[self.current_cell.load(Ordering::Relaxed)];
+        // The first runs alone do not measure a rate.
+        self.bar.set_message(if done == 0 || elapsed < LEAST_MEASURED {
+            label.clone()
+        } else {
+            format!(
+                "{:.0} M device-TTIs/s  {:#} left  {label}",
+                work / elapsed.as_secs_f64() / 1e6,
+                HumanDuration(self.remaining_time())
+            )
+        });
     }
 
     /// Estimates the remaining time.

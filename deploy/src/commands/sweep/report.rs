@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use comfy_table::presets::UTF8_FULL_CONDENSED;
-use comfy_table::{CellAlignment, Table};
+use comfy_table::presets::UTF8_HORIZONTAL_ONLY;
+use comfy_table::{CellAlignment, LineStyle, Table};
 use reveille_common::digits::{decimals_for, format_significant};
 use reveille_common::score::Metrics;
 use reveille_lab::metric_estimate::MetricEstimate;
@@ -19,10 +19,10 @@ use crate::display::count_noun;
 /// The metrics of the closing table and their short headings.
 const CLOSING_METRICS: [(&str, &str); 6] = [
     ("info_p1", "info (P1)"),
-    ("detection_delay_ttis", "delay TTIs"),
+    ("detection_delay_ttis", "delay"),
     ("misdetection_pct", "missed %"),
     ("energy_per_device_tti", "energy"),
-    ("low_energy_pct", "low energy %"),
+    ("low_energy_pct", "low %"),
     ("mean_battery", "battery"),
 ];
 
@@ -47,55 +47,78 @@ pub(super) struct SweepSummary<'r> {
 impl SweepSummary<'_> {
     /// Formats a row per cell, and the path of the table of all runs.
     pub(super) fn to_text(&self) -> String {
-        let names = SeriesNames::from_table(&self.finished.table);
-        let is_shown = |column: usize| names.ranking_column() != Some(column);
-        let swept = self.finished.table.schema.swept.iter().enumerate();
-        let swept = swept.filter(|(column, _)| is_shown(*column));
-        let mut table = Table::new();
-        let mut headings = vec![
-            "preset".to_owned(),
-            "policy".to_owned(),
-            "N".to_owned(),
-            "TTIs".to_owned(),
-        ];
-        headings.extend(swept.map(|(_, (name, _))| name.clone()));
-        headings.push("runs".to_owned());
-        let label_columns = headings.len();
-        headings.extend(CLOSING_METRICS.iter().map(|(_, headings)| (*headings).to_owned()));
-        table.load_style(UTF8_FULL_CONDENSED).set_header(headings);
-        let cells = stats::group_by_cell(&self.finished.table);
-        for cell in names.distinct_cells(&cells) {
-            let mut row = vec![
-                cell.preset.to_owned(),
-                names.name(cell.rows[0]),
-                cell.n.to_string(),
-                cell.ttis.to_string(),
-            ];
-            let values = cell.swept.iter().enumerate().filter(|(column, _)| is_shown(*column));
-            row.extend(values.map(|(_, value)| value.to_string()));
-            row.push(cell.rows.len().to_string());
-            row.extend(
-                CLOSING_METRICS
-                    .iter()
-                    .map(|(metric, _)| format_estimate(cell.reading(metric))),
-            );
-            table.add_row(row);
-        }
-        for column in label_columns - 1..label_columns + CLOSING_METRICS.len() {
-            if let Some(column) = table.column_mut(column) {
-                column.set_cell_alignment(CellAlignment::Right);
-            }
-        }
         let mut lines = vec![
-            table.to_string(),
-            "mean ± half-width of the 95 % interval over the runs; <: a one-sided 95 % bound, where an interval would \
-             need more cases"
-                .to_owned(),
+            self.format_cells(),
+            "mean and, below it, half-width of the 95 % interval over the runs".to_owned(),
+            "<: a one-sided 95 % bound, where an interval would need more cases".to_owned(),
         ];
         lines.extend(self.format_wide_intervals());
         lines.push(self.format_speed());
         lines.push(format!("one row per run in {}\n", self.finished.path.display()));
         lines.join("\n")
+    }
+
+    /// Formats the cells as a table. Labels that all cells share form its title, so that it fits 80 columns.
+    fn format_cells(&self) -> String {
+        let names = SeriesNames::from_table(&self.finished.table);
+        let is_shown = |column: usize| names.ranking_column() != Some(column);
+        let cells = stats::group_by_cell(&self.finished.table);
+        let cells = names.distinct_cells(&cells);
+        let swept = self.finished.table.schema.swept.iter().enumerate();
+        let swept = swept
+            .filter(|(column, _)| is_shown(*column))
+            .map(|(_, (name, _))| name.as_str());
+        let headings: Vec<&str> = ["preset", "policy", "N", "TTIs"]
+            .into_iter()
+            .chain(swept)
+            .chain(["runs"])
+            .collect();
+        let labels: Vec<Vec<String>> = cells
+            .iter()
+            .map(|cell| {
+                let values = cell.swept.iter().enumerate().filter(|(column, _)| is_shown(*column));
+                [
+                    cell.preset.to_owned(),
+                    names.name(cell.rows[0]),
+                    cell.n.to_string(),
+                    cell.ttis.to_string(),
+                ]
+                .into_iter()
+                .chain(values.map(|(_, value)| value.to_string()))
+                .chain([cell.rows.len().to_string()])
+                .collect()
+            })
+            .collect();
+        let is_shared = |column: &usize| labels.iter().all(|row| row[*column] == labels[0][*column]);
+        // The policy stays a column: it names the rows.
+        let (shared, own): (Vec<usize>, Vec<usize>) =
+            (0..headings.len()).partition(|column| *column != 1 && is_shared(column));
+        let title = shared.iter().filter_map(|column| {
+            let value = labels.first()?.get(*column)?;
+            Some(format!("{} {value}", headings[*column]))
+        });
+        let mut table = Table::new();
+        let metrics = CLOSING_METRICS.iter().map(|(_, heading)| *heading);
+        table
+            .load_style(UTF8_HORIZONTAL_ONLY.row_separator(LineStyle::none()))
+            .set_header(own.iter().map(|column| headings[*column]).chain(metrics));
+        for (cell, labels) in cells.iter().zip(&labels) {
+            let estimates = CLOSING_METRICS.iter().map(|(metric, _)| {
+                let text = format_estimate(cell.reading(metric));
+                text.replace(" ± ", "\n±").replace(", <", "\n<").replace(", >", "\n>")
+            });
+            table.add_row(own.iter().map(|column| labels[*column].clone()).chain(estimates));
+        }
+        for column in table.column_iter_mut().skip(own.len().saturating_sub(1)) {
+            column.set_cell_alignment(CellAlignment::Right);
+        }
+        for column in table.column_iter_mut() {
+            column.set_padding((0, 1));
+        }
+        if let Some(last) = table.column_iter_mut().last() {
+            last.set_padding((0, 0));
+        }
+        format!("{}\n{table}", title.collect::<Vec<_>>().join(" · "))
     }
 
     /// Formats the number of runs of this call and their speed.

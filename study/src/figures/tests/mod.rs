@@ -8,7 +8,11 @@ use reveille_common::declare::NoFiles;
 
 use super::results::{Results, fixtures};
 use super::scene::{Paint, Scene, SceneItem};
-use super::{FigureError, deployment, energy, png, study, svg, timeline};
+use super::{FigureError, deployment, energy, misses, png, study, svg, timeline};
+use crate::misses::{MissedEvent, Misses};
+use reveille_common::geometry::Point;
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::totals::MissCause;
 use reveille_lab::table::{Hash, Table};
 
 mod learned;
@@ -479,4 +483,53 @@ fn figures_are_selected_by_name() {
         refused.contains("`energie`") && refused.contains("wasted, harvest, net"),
         "{refused}"
     );
+}
+
+#[test]
+fn missed_events_have_a_marker_and_a_count_for_each_cause() {
+    let mut run = Misses::new(scenario_with(&["devices=30"]));
+    let without = misses::scene(&run);
+    check("no misses", &without);
+    assert!(
+        without.description.contains("No event was counted."),
+        "{}",
+        without.description
+    );
+    let causes = MissCause::ALL.map(Some).into_iter().chain([None]);
+    for (number, cause) in (0_u64..).zip(causes) {
+        run.starts.push(Tti(1000 + number));
+        for event in 0..=number {
+            run.missed.push(MissedEvent {
+                event,
+                start: Tti(1000 + number),
+                epicentre: Point::new(1.0 + 2.0 * number as f64, 1.0 + 2.0 * event as f64),
+                cause,
+                nearest: DeviceId(0),
+                distance_m: 1.0,
+            });
+        }
+    }
+    let scene = misses::scene(&run);
+    check("misses", &scene);
+    let texts: Vec<&str> = scene
+        .items
+        .iter()
+        .filter_map(|item| match item {
+            SceneItem::Text(text) => Some(text.text.as_str()),
+            SceneItem::Shape(_) => None,
+        })
+        .collect();
+    for (cause, count) in run.causes() {
+        let entry = format!("{} ({count})", crate::misses::cause_name(cause));
+        assert!(texts.contains(&entry.as_str()), "no {entry}: {texts:?}");
+    }
+    let shapes = |scene: &Scene| {
+        scene
+            .items
+            .iter()
+            .filter(|item| matches!(item, SceneItem::Shape(_)))
+            .count()
+    };
+    // Each event and each entry of the legend has a marker.
+    assert_eq!(shapes(&scene) - shapes(&without), run.missed.len() + 9);
 }

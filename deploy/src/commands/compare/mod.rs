@@ -1,0 +1,206 @@
+//! `reveille compare`: runs side by side, with their scenario fields, metrics, digests and first difference. Programs
+//! of users read the keys of `--json`, so do not rename them. The text fits 80 columns.
+
+mod messages;
+mod run;
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::process::ExitCode;
+
+use anyhow::bail;
+use reveille_common::score::Metrics;
+use reveille_view::compare::compare_scenarios;
+use serde_json::{Value, json};
+
+use crate::cli::CompareArgs;
+use crate::display::{print_stdout, wrap_text};
+use crate::exit::ExitReason;
+use crate::results_table::{MAIN_METRICS, format_number};
+use run::{ComparedRun, Difference};
+
+/// Columns of a line of text.
+const WIDTH: usize = 80;
+/// Width of the names of metrics, and of the cell of a run, in columns.
+const NAME_WIDTH: usize = 27;
+const CELL_WIDTH: usize = 17;
+/// Most runs in a table; more runs make further tables.
+const MAX_COLUMNS: usize = 3;
+
+/// Compares the runs.
+pub(crate) fn run(args: &CompareArgs) -> anyhow::Result<ExitCode> {
+    let runs = args
+        .runs
+        .iter()
+        .map(|path| ComparedRun::open(path))
+        .collect::<anyhow::Result<Vec<_>>>()?;
+    let (first, others) = runs.split_first().expect("clap requires two runs");
+    let fields = differing_fields(&runs)?;
+    let differences = others
+        .iter()
+        .map(|other| first.compare(other))
+        .collect::<anyhow::Result<Vec<_>>>()?;
+    let output = if args.json {
+        json_report(&runs, &fields, &differences).to_string() + "\n"
+    } else {
+        text_report(args, &runs, &fields, &differences)
+    };
+    print_stdout(&output)?;
+    if let Some(torn) = differences.iter().find_map(|difference| difference.torn.as_ref()) {
+        bail!("{torn}");
+    }
+    Ok(
+        if !args.exit_code || differences.iter().all(|difference| difference.is_equal) {
+            ExitReason::Done.into()
+        } else {
+            ExitReason::Failed.into()
+        },
+    )
+}
+
+/// Returns the scenario fields in which the runs differ, with the value of each run.
+fn differing_fields(runs: &[ComparedRun]) -> anyhow::Result<BTreeMap<String, Vec<String>>> {
+    let (first, others) = runs.split_first().expect("clap requires two runs");
+    let mut fields: BTreeMap<String, Vec<String>> = BTreeMap::new();
+    for (nth, other) in (1..).zip(others) {
+        for (field, this, value) in compare_scenarios(first.scenario_text(), other.scenario_text())? {
+            fields.entry(field).or_insert_with(|| vec![this; runs.len()])[nth] = value;
+        }
+    }
+    Ok(fields)
+}
+
+fn json_report(runs: &[ComparedRun], fields: &BTreeMap<String, Vec<String>>, differences: &[Difference]) -> Value {
+    let run = |run: &ComparedRun| {
+        let summary = run.summary();
+        let half_widths = Metrics::ALL
+            .iter()
+            .filter_map(|metric| Some((metric.name, run.half_width(metric.name)?)));
+        json!({
+            "run": run.name(),
+            "digest": run.digest(),
+            "status": summary["status"],
+            "metrics": summary["metrics"],
+            "half_widths": half_widths.collect::<BTreeMap<_, _>>(),
+        })
+    };
+    let difference = |difference: &Difference| json!({ "equal": difference.is_equal, "first": difference.text });
+    json!({
+        "runs": runs.iter().map(run).collect::<Vec<_>>(),
+        "fields": fields,
+        "differences": differences.iter().map(difference).collect::<Vec<_>>(),
+    })
+}
+
+fn text_report(
+    args: &CompareArgs,
+    runs: &[ComparedRun],
+    fields: &BTreeMap<String, Vec<String>>,
+    differences: &[Difference],
+) -> String {
+    let mut text = String::new();
+    for (number, run) in (1..).zip(runs) {
+        let digest = run
+            .digest()
+            .map_or("no digest", |digest| digest.get(..8).unwrap_or(digest));
+        let _infallible = writeln!(text, "run {number}: {}  ({}digest {digest})", run.name(), run.state());
+    }
+    text += if fields.is_empty() {
+        "\nno scenario field differs\n"
+    } else {
+        "\nscenario fields that differ\n"
+    };
+    for (field, values) in fields {
+        let _infallible = writeln!(text, "  {field} = {}", values.join(" | "));
+    }
+    let (first, others) = runs.split_first().expect("clap requires two runs");
+    for (block, columns) in others.chunks(MAX_COLUMNS - 1).enumerate() {
+        let start = block * (MAX_COLUMNS - 1);
+        text += &format_metrics(args.all_metrics, first, (start + 2, columns));
+    }
+    if runs
+        .iter()
+        .any(|run| MAIN_METRICS.iter().any(|metric| run.half_width(metric).is_some()))
+    {
+        text += "± half-width of the 95 % interval of one run, from ten parts of its measured TTIs\n";
+    }
+    text.push('\n');
+    for (number, difference) in (2..).zip(differences) {
+        let line = format!("run 1 and run {number}: {}", difference.text);
+        // Differences of messages have lines of their own.
+        let is_line = !difference.text.contains('\n');
+        text += &if is_line { wrap_text(&line, WIDTH) } else { line };
+        text.push('\n');
+    }
+    text
+}
+
+/// Formats the metrics of the first run and of `others`, whose first has the number `number`. A second line shows the
+/// difference from the first run.
+fn format_metrics(all: bool, first: &ComparedRun, (number, others): (usize, &[ComparedRun])) -> String {
+    let cell = |text: &str| format!("{text:>CELL_WIDTH$}");
+    let mut text = format!("\n{:<NAME_WIDTH$}{}", "metric", cell("run 1"));
+    for number in number..number + others.len() {
+        text += &cell(&format!("run {number}"));
+    }
+    text.push('\n');
+    let rest = Metrics::ALL
+        .iter()
+        .map(|metric| metric.name)
+        .filter(|name| all && !MAIN_METRICS.contains(name));
+    for name in MAIN_METRICS.into_iter().chain(rest) {
+        let (mut values, mut changes) = (cell(&value_cell(first, name)), String::new());
+        for other in others {
+            values += &cell(&value_cell(other, name));
+            changes += &cell(&change_cell(first.metric(name), other.metric(name)));
+        }
+        let _infallible = writeln!(text, "{name:<NAME_WIDTH$}{values}");
+        if !changes.trim().is_empty() {
+            let _infallible = writeln!(text, "{:<NAME_WIDTH$}{}{changes}", "", cell(""));
+        }
+    }
+    text
+}
+
+fn value_cell(run: &ComparedRun, metric: &str) -> String {
+    let value = format_number(run.metric(metric));
+    match run.half_width(metric) {
+        Some(half_width) if half_width > 0.0 => format!("{value} ±{}", short(half_width)),
+        _ => value,
+    }
+}
+
+/// Formats a difference and its share of the first value; empty without a difference.
+fn change_cell(first: f64, other: f64) -> String {
+    let change = other - first;
+    if change.is_nan() || change == 0.0 {
+        return String::new();
+    }
+    let share = 100.0 * change / first.abs();
+    if share.is_finite() && share.abs() < 1000.0 {
+        format!("{} ({share:+.0} %)", signed(change))
+    } else {
+        signed(change)
+    }
+}
+
+fn signed(value: f64) -> String {
+    let sign = if value < 0.0 { '-' } else { '+' };
+    format!("{sign}{}", short(value.abs()))
+}
+
+/// Formats a number of at least 0 with three significant digits.
+fn short(value: f64) -> String {
+    let decimals = if value >= 100.0 {
+        0
+    } else if value >= 10.0 {
+        1
+    } else if value >= 1.0 {
+        2
+    } else if value >= 0.1 {
+        3
+    } else {
+        4
+    };
+    format!("{value:.decimals$}")
+}

@@ -1,0 +1,272 @@
+//! A run that is compared: its folder, or a recording of it.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use reveille_lab::stats::ratio_half_width;
+use reveille_view::compare::RunSide;
+use serde_json::Value;
+
+use super::messages;
+use crate::commands::inspect::source::open;
+use crate::run_folder::{EVENTS_FILE, SCENARIO_FILE, WINDOWS_FILE};
+use crate::run_reader::{Row, RowTable, RunReader};
+
+/// Number of parts of a run whose means give a half-width.
+const PARTS: usize = 10;
+/// Most columns that a difference names.
+const MAX_NAMED_COLUMNS: usize = 3;
+
+/// The tables of a run folder, or a recording.
+enum Source {
+    Folder(Box<RunReader>),
+    Recording(PathBuf),
+}
+
+/// A run with its results.
+pub(super) struct ComparedRun {
+    path: PathBuf,
+    source: Source,
+    scenario_text: String,
+    summary: Value,
+    /// Windows of measured TTIs, of a folder.
+    windows: Vec<Window>,
+}
+
+/// The sums of a window of measured TTIs.
+#[derive(Clone, Copy, Debug, Default)]
+struct Window {
+    ttis: f64,
+    events: f64,
+    misdetected: f64,
+    delay_ttis: f64,
+    information: f64,
+    wake_ups: f64,
+    wrong_activations: f64,
+    energy: f64,
+    battery: f64,
+    low: f64,
+}
+
+impl ComparedRun {
+    /// Opens the run folder or recording at `path`.
+    ///
+    /// # Errors
+    /// If it is neither, or the run has no results yet.
+    pub(super) fn open(path: &Path) -> anyhow::Result<Self> {
+        if path.is_file() {
+            let recording = open(path)?;
+            let summary = recording.summary().map(serde_json::from_str).transpose();
+            return Ok(Self {
+                path: path.to_owned(),
+                scenario_text: recording.bundle().text.clone(),
+                summary: summary.with_context(|| path.display().to_string())?.unwrap_or_default(),
+                source: Source::Recording(path.to_owned()),
+                windows: Vec::new(),
+            });
+        }
+        let reader = RunReader::open(path)?;
+        let Some(summary) = reader.summary.clone() else {
+            let state = reader.unfinished().unwrap_or_default();
+            bail!(
+                "{}: {state}, so it has no results; wait for its end, or resume it",
+                path.display()
+            );
+        };
+        let scenario_file = path.join(SCENARIO_FILE);
+        Ok(Self {
+            path: path.to_owned(),
+            scenario_text: std::fs::read_to_string(&scenario_file)
+                .with_context(|| scenario_file.display().to_string())?,
+            windows: read_windows(&reader)?,
+            source: Source::Folder(Box::new(reader)),
+            summary,
+        })
+    }
+
+    /// The path as given.
+    pub(super) fn name(&self) -> String {
+        self.path.display().to_string()
+    }
+
+    /// The scenario file.
+    pub(super) fn scenario_text(&self) -> &str {
+        &self.scenario_text
+    }
+
+    /// The summary; null for a recording without one.
+    pub(super) const fn summary(&self) -> &Value {
+        &self.summary
+    }
+
+    /// The digest, if there is a summary.
+    pub(super) fn digest(&self) -> Option<&str> {
+        self.summary["digest"].as_str()
+    }
+
+    /// Describes a run whose results do not cover all TTIs, followed by a comma; else empty.
+    pub(super) fn state(&self) -> String {
+        match self.summary["status"].as_str() {
+            Some("interrupted") => format!("interrupted before TTI {}, ", self.summary["ttis_done"]),
+            _ => String::new(),
+        }
+    }
+
+    /// The value of a metric; NaN if it is undefined.
+    pub(super) fn metric(&self, name: &str) -> f64 {
+        self.summary["metrics"][name].as_f64().unwrap_or(f64::NAN)
+    }
+
+    /// Half the width of the 95 % interval of a metric, from the means of ten parts of the measured TTIs; `None` for
+    /// recordings, short runs and metrics without a column in `windows.csv`.
+    pub(super) fn half_width(&self, metric: &str) -> Option<f64> {
+        let alpha = self.summary["start_probability"].as_f64().unwrap_or(f64::NAN);
+        let ratio: fn(&Window, f64) -> (f64, f64) = match metric {
+            "info_p1" => |w, alpha| (w.information, alpha * w.ttis),
+            "info_per_event" => |w, _| (w.information, w.events),
+            "misdetection_pct" => |w, _| (100.0 * w.misdetected, w.events),
+            "detection_delay_ttis" => |w, _| (w.delay_ttis, w.events - w.misdetected),
+            "wake_ups_per_event" => |w, _| (w.wake_ups, w.events),
+            "wrong_activations_per_event" => |w, _| (w.wrong_activations, w.events),
+            "energy_per_device_tti" => |w, _| (w.energy * w.ttis, w.ttis),
+            "mean_battery" => |w, _| (w.battery * w.ttis, w.ttis),
+            "low_energy_pct" => |w, _| (w.low * w.ttis, w.ttis),
+            _ => return None,
+        };
+        if self.windows.len() < PARTS {
+            return None;
+        }
+        let mut parts = [(0.0, 0.0); PARTS];
+        for (index, window) in self.windows.iter().enumerate() {
+            let (sum, count) = ratio(window, alpha);
+            let part = &mut parts[index * PARTS / self.windows.len()];
+            *part = (part.0 + sum, part.1 + count);
+        }
+        ratio_half_width(&parts).filter(|half_width| half_width.is_finite())
+    }
+
+    /// Compares this run with `other`.
+    ///
+    /// # Errors
+    /// If a table or recording cannot be read.
+    pub(super) fn compare(&self, other: &Self) -> anyhow::Result<Difference> {
+        let has_equal_digest = self.digest().is_some() && self.digest() == other.digest();
+        match (&self.source, &other.source) {
+            (Source::Recording(this), Source::Recording(others)) => {
+                let mut recordings = (open(this)?, open(others)?);
+                let difference = messages::compare(&mut recordings.0, &mut recordings.1);
+                let torn = difference.torn.map(|(side, error)| {
+                    let path = if side == RunSide::This { this } else { others };
+                    format!(
+                        "{}: {error}; the recordings were compared up to this point",
+                        path.display()
+                    )
+                });
+                Ok(Difference {
+                    is_equal: difference.text.is_none() && torn.is_none(),
+                    text: difference
+                        .text
+                        .unwrap_or_else(|| "no difference in the messages".to_owned()),
+                    torn,
+                })
+            }
+            _ if has_equal_digest => Ok(Difference {
+                is_equal: true,
+                text: "equal digests: the runs are identical".to_owned(),
+                torn: None,
+            }),
+            (Source::Folder(this), Source::Folder(others)) => {
+                let tables = (this.table(EVENTS_FILE)?, others.table(EVENTS_FILE)?);
+                let (Some(this), Some(others)) = tables else {
+                    bail!("{}, {}: no {EVENTS_FILE}; repeat the run", self.name(), other.name());
+                };
+                Ok(Difference {
+                    is_equal: false,
+                    text: first_event_difference(&this, &others)?,
+                    torn: None,
+                })
+            }
+            _ => Ok(Difference {
+                is_equal: false,
+                text: "different digests; compare two recordings or two run folders to find the first difference"
+                    .to_owned(),
+                torn: None,
+            }),
+        }
+    }
+}
+
+/// The difference of two runs.
+pub(super) struct Difference {
+    /// Whether the runs are identical: by their messages if both are recordings, else by their digests.
+    pub(super) is_equal: bool,
+    /// Description of the first difference.
+    pub(super) text: String,
+    /// The error of a torn recording.
+    pub(super) torn: Option<String>,
+}
+
+/// Reads the windows that contain only measured TTIs.
+fn read_windows(reader: &RunReader) -> anyhow::Result<Vec<Window>> {
+    let Some(table) = reader.table(WINDOWS_FILE)? else {
+        return Ok(Vec::new());
+    };
+    let mut windows = Vec::new();
+    for row in table.rows() {
+        let (first, end): (u64, u64) = (row.number("first_tti")?, row.number("end_tti")?);
+        if first < reader.scenario.warm_up_end().0 {
+            continue;
+        }
+        windows.push(Window {
+            ttis: end.saturating_sub(first) as f64,
+            events: row.number("events")?,
+            misdetected: row.number("misdetected")?,
+            delay_ttis: row.number("delay_ttis")?,
+            information: row.number("information")?,
+            wake_ups: row.number("wake_ups")?,
+            wrong_activations: row.number("wrong_activations")?,
+            energy: row.number("energy_per_device_tti")?,
+            battery: row.number("mean_battery")?,
+            low: row.number("low_energy_pct")?,
+        });
+    }
+    Ok(windows)
+}
+
+/// Describes the first row in which two tables of events differ.
+fn first_event_difference(this: &RowTable, other: &RowTable) -> anyhow::Result<String> {
+    let (mut these, mut others) = (this.rows(), other.rows());
+    loop {
+        let (row, counterpart) = match (these.next(), others.next()) {
+            (Some(row), Some(counterpart)) => (row, counterpart),
+            (Some(row), None) => return Ok(format!("{} is only in the first", event_label(&row)?)),
+            (None, Some(row)) => return Ok(format!("{} is only in the second", event_label(&row)?)),
+            (None, None) => {
+                return Ok(
+                    "different digests, but equal events; record both runs with --record and compare the \
+                           recordings"
+                        .to_owned(),
+                );
+            }
+        };
+        // The warm-up is a share of the run, so the same event can be counted in one run only.
+        let columns = this.column_names().filter(|column| *column != "counted");
+        let differing = columns.filter_map(|column| {
+            let (value, others) = (row.text(column)?, counterpart.text(column)?);
+            (value != others).then(|| format!("{column} {value} | {others}"))
+        });
+        let differing: Vec<String> = differing.take(MAX_NAMED_COLUMNS).collect();
+        if !differing.is_empty() {
+            return Ok(format!(
+                "first difference in {}: {}",
+                event_label(&row)?,
+                differing.join(", ")
+            ));
+        }
+    }
+}
+
+fn event_label(row: &Row<'_>) -> anyhow::Result<String> {
+    let (event, start): (u64, u64) = (row.number("event")?, row.number("start_tti")?);
+    Ok(format!("event {event} of TTI {start}"))
+}

@@ -1,0 +1,254 @@
+//! `reveille inspect misses`: where, when and why the events of a run were missed. Programs of users read the keys of
+//! `--json`, so do not rename them. The text fits 80 columns.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::process::ExitCode;
+
+use reveille_common::ids::DeviceId;
+use reveille_study::misses::{InvolvedDevice, MissMap, Misses, cause_name};
+use serde_json::{Value, json};
+
+use crate::cli::MissesArgs;
+use crate::display::{print_stdout, wrap_text};
+use crate::exit::ExitReason;
+use crate::run_reader::{Row, RunReader};
+
+/// Columns of a line of text.
+const WIDTH: usize = 80;
+/// Most bins of TTIs.
+const MAX_BINS: u64 = 10;
+/// Statistics of a device from `devices.csv`.
+const DEVICE_COLUMNS: [&str; 5] = [
+    "final_battery",
+    "low_ttis",
+    "failed_ttis",
+    "unpowered_ttis",
+    "longest_outage_ttis",
+];
+
+/// Prints the missed events of a run.
+pub(super) fn run(args: &MissesArgs) -> anyhow::Result<ExitCode> {
+    let run = RunReader::open(&args.run)?;
+    let misses = run.misses()?;
+    let devices = run.devices()?;
+    let by_device = devices
+        .as_ref()
+        .map_or_else(|| Ok(BTreeMap::new()), |table| table.by_device())?;
+    let involved: Vec<InvolvedDevice> = misses.devices().into_iter().take(args.devices).collect();
+    let output = if args.json {
+        json_report(&run, &misses, &involved, &by_device)?.to_string() + "\n"
+    } else {
+        text_report(&run, &misses, &involved, &by_device)
+    };
+    print_stdout(&output)?;
+    Ok(ExitReason::Done.into())
+}
+
+fn json_report(
+    run: &RunReader,
+    misses: &Misses,
+    involved: &[InvolvedDevice],
+    by_device: &BTreeMap<DeviceId, Row<'_>>,
+) -> anyhow::Result<Value> {
+    let map = misses.map();
+    let causes = misses.causes();
+    let device = |device: &InvolvedDevice| {
+        let mut object = json!({
+            "device": device.device,
+            "missed": device.missed,
+            "main_cause": cause_name(device.main_cause),
+            "mean_distance_m": device.mean_distance_m,
+        });
+        if let Some(row) = by_device.get(&device.device) {
+            for column in DEVICE_COLUMNS {
+                object[column] = json!(row.number::<f64>(column)?);
+            }
+        }
+        Ok(object)
+    };
+    let bins = misses.bins(MAX_BINS).into_iter().map(|bin| {
+        let by_cause = causes
+            .iter()
+            .zip(&bin.missed)
+            .map(|((cause, _), count)| (cause_name(*cause), *count));
+        json!({
+            "first_tti": bin.first,
+            "end_tti": bin.end,
+            "events": bin.events,
+            "missed": bin.missed.iter().sum::<u64>(),
+            "causes": by_cause.collect::<BTreeMap<_, _>>(),
+        })
+    });
+    let by_cause = causes.iter().map(|(cause, count)| (cause_name(*cause), *count));
+    Ok(json!({
+        "run": run.path(),
+        "policy": misses.scenario.policy.name(),
+        "n": misses.scenario.run.devices,
+        "events": misses.starts.len(),
+        "missed": misses.missed.len(),
+        "missed_pct": misses.missed_pct(),
+        "missed_in_warm_up": misses.in_warm_up,
+        "causes": by_cause.collect::<BTreeMap<_, _>>(),
+        "map": { "cell_m": map.cell_m, "missed": map.missed, "devices": map.devices },
+        "devices": involved.iter().map(device).collect::<anyhow::Result<Vec<_>>>()?,
+        "bins": bins.collect::<Vec<_>>(),
+        "advice": misses.advice(),
+    }))
+}
+
+fn text_report(
+    run: &RunReader,
+    misses: &Misses,
+    involved: &[InvolvedDevice],
+    by_device: &BTreeMap<DeviceId, Row<'_>>,
+) -> String {
+    let scenario = &misses.scenario;
+    let mut text = format!(
+        "{}: policy {}, {} devices, TTIs {} to {}\n",
+        run.path().display(),
+        scenario.policy.name(),
+        scenario.run.devices,
+        scenario.warm_up_end(),
+        misses.end.0.saturating_sub(1)
+    );
+    let (missed, events) = (misses.missed.len(), misses.starts.len());
+    let warm_up = match misses.in_warm_up {
+        0 => String::new(),
+        count => format!("; {count} more in the warm-up, not counted"),
+    };
+    if events == 0 {
+        return text + &format!("no counted event so far{warm_up}\n");
+    }
+    let _infallible = writeln!(
+        text,
+        "{missed} of {events} events missed ({:.2} %){warm_up}",
+        misses.missed_pct()
+    );
+    let Some(advice) = misses.advice() else {
+        return text;
+    };
+    for (cause, count) in misses.causes() {
+        let explanation = cause.map_or("the table has no causes", |cause| cause.explanation());
+        let share = 100.0 * count as f64 / missed as f64;
+        let _infallible = writeln!(text, "{count:7} {share:5.1} %  {:<12} {explanation}", cause_name(cause));
+    }
+    let _infallible = write!(text, "\n{}\n{}", format_map(&misses.map()), format_bins(misses));
+    let devices = format_devices(involved, by_device);
+    let _infallible = write!(text, "\nNearest devices of missed events\n{devices}");
+    text + "\n" + &wrap_text(&advice, WIDTH) + "\n"
+}
+
+/// Formats missed events and devices by place, next to each other and north up.
+fn format_map(map: &MissMap) -> String {
+    let digits = map
+        .missed
+        .iter()
+        .chain(&map.devices)
+        .flatten()
+        .max()
+        .map_or(1, |most| most.to_string().len());
+    let cell = |count: &u64| match count {
+        0 => format!("{:>width$}", "·", width = digits + 1),
+        _ => format!("{count:>width$}", width = digits + 1),
+    };
+    let height = |row: usize| {
+        format!("{:.4}", row as f64 * map.cell_m)
+            .trim_end_matches('0')
+            .trim_end_matches('.')
+            .to_owned()
+    };
+    let label_width = height(map.missed.len()).chars().count().max(4);
+    let width = map.columns * (digits + 1);
+    // Wide counts leave no room for both maps in one line.
+    let is_joint = label_width + 2 * width + 8 <= WIDTH;
+    let title = format!(
+        "Missed events and devices by place: cells of {0} m × {0} m, north up",
+        height(1)
+    );
+    let line = |row: usize, counts: &[u64]| {
+        let cells: String = counts.iter().map(cell).collect();
+        format!("{:>label_width$} │{cells}", height(row))
+    };
+    let rows = (0..map.missed.len()).rev();
+    let heads = ["missed", "devices"].map(|head| format!("{head:<width$}"));
+    let mut text = title + "\n";
+    if is_joint {
+        let _infallible = writeln!(text, "{:>label_width$}  {}     {}", "m", heads[0], heads[1].trim_end());
+        for row in rows {
+            let devices: String = map.devices[row].iter().map(cell).collect();
+            let _infallible = writeln!(text, "{}    │{devices}", line(row, &map.missed[row]));
+        }
+        return text;
+    }
+    for (head, counts) in heads.iter().zip([&map.missed, &map.devices]) {
+        let _infallible = writeln!(text, "{:>label_width$}  {}", "m", head.trim_end());
+        for row in rows.clone() {
+            let _infallible = writeln!(text, "{}", line(row, &counts[row]));
+        }
+    }
+    text
+}
+
+/// Formats the causes over time: a row for each cause, a column for each part of the run.
+fn format_bins(misses: &Misses) -> String {
+    let causes = misses.causes();
+    let name_width = causes
+        .iter()
+        .map(|(cause, _)| cause_name(*cause).len())
+        .max()
+        .unwrap_or(0)
+        .max(8);
+    let cell_width = misses.end.to_string().len().max(4) + 1;
+    let bins = misses.bins(MAX_BINS.min(((WIDTH - name_width) / cell_width) as u64));
+    let row = |name: &str, values: &mut dyn Iterator<Item = String>| {
+        let mut line = format!("{name:<name_width$}");
+        for value in values {
+            let _infallible = write!(line, "{value:>cell_width$}");
+        }
+        line + "\n"
+    };
+    let mut text = "Causes over time\n".to_owned();
+    text += &row("from TTI", &mut bins.iter().map(|bin| bin.first.to_string()));
+    text += &row("events", &mut bins.iter().map(|bin| bin.events.to_string()));
+    text += &row(
+        "missed",
+        &mut bins.iter().map(|bin| bin.missed.iter().sum::<u64>().to_string()),
+    );
+    if causes.len() > 1 {
+        for (index, (cause, _)) in causes.iter().enumerate() {
+            text += &row(
+                cause_name(*cause),
+                &mut bins.iter().map(|bin| bin.missed[index].to_string()),
+            );
+        }
+    }
+    text
+}
+
+/// Formats the devices, with their statistics if the run has written them.
+fn format_devices(involved: &[InvolvedDevice], by_device: &BTreeMap<DeviceId, Row<'_>>) -> String {
+    let mut text = format!(
+        "{:>6} {:>7} {:<12} {:>7} {:>8} {:>7} {:>7} {:>9} {:>7}\n",
+        "device", "missed", "main cause", "mean m", "battery", "low", "failed", "unpowered", "outage"
+    );
+    for device in involved {
+        let row = by_device.get(&device.device);
+        let cells = DEVICE_COLUMNS.map(|column| {
+            let value = row.and_then(|row| row.number::<f64>(column).ok());
+            value.map_or("–".to_owned(), |value| {
+                format!("{value:.*}", usize::from(column == "final_battery"))
+            })
+        });
+        let [battery, low, failed, unpowered, outage] = cells;
+        let _infallible = writeln!(
+            text,
+            "{:>6} {:>7} {:<12} {:>7.2} {battery:>8} {low:>7} {failed:>7} {unpowered:>9} {outage:>7}",
+            device.device.to_string(),
+            device.missed,
+            cause_name(device.main_cause),
+            device.mean_distance_m
+        );
+    }
+    text + "battery: final level, units; low to outage: measured TTIs, as in devices.csv\n"
+}

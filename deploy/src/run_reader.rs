@@ -1,0 +1,254 @@
+//! Run folders as input: `inspect misses`, `figures misses` and `compare` read the files that `run_folder` writes.
+//! Columns are found by name, since tables of other versions have others.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use reveille_bs::scenario::{Scenario, load_with_external};
+use reveille_common::geometry::Point;
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::totals::MissCause;
+use reveille_study::misses::{MissedEvent, Misses};
+use serde_json::Value;
+
+use crate::display::note;
+use crate::folder_lock::{FolderStatus, status};
+use crate::run_folder::{DEVICES_FILE, EVENTS_FILE, SCENARIO_FILE, SUMMARY_FILE, failure};
+
+/// The folder of a run.
+pub(crate) struct RunReader {
+    path: PathBuf,
+    /// The scenario of the run.
+    pub(crate) scenario: Scenario,
+    /// The content of its `summary.json`, if the run has one.
+    pub(crate) summary: Option<Value>,
+}
+
+/// The rows of a CSV table, with cells by column.
+pub(crate) struct RowTable {
+    path: PathBuf,
+    /// Names of the columns, in order.
+    header: csv::StringRecord,
+    /// Index of each column.
+    columns: BTreeMap<String, usize>,
+    rows: Vec<csv::StringRecord>,
+}
+
+impl RunReader {
+    /// Opens the run in `path`.
+    ///
+    /// # Errors
+    /// If the folder holds no run, or a file of it is invalid.
+    pub(crate) fn open(path: &Path) -> anyhow::Result<Self> {
+        let scenario_file = path.join(SCENARIO_FILE);
+        if !scenario_file.is_file() {
+            let cause = match path.metadata() {
+                Err(_) => "no such folder",
+                Ok(found) if found.is_dir() => "the folder holds no run",
+                Ok(_) => "not a folder",
+            };
+            bail!(
+                "{}: {cause}; name the folder of a run, such as runs/knn-n50-s1",
+                path.display()
+            );
+        }
+        let scenario = load_with_external(&scenario_file.to_string_lossy(), &[])?.scenario;
+        let summary_file = path.join(SUMMARY_FILE);
+        let summary = match fs::read(&summary_file) {
+            Ok(text) => Some(
+                serde_json::from_slice(&text)
+                    .with_context(|| format!("{}: invalid summary; repeat the run", summary_file.display()))?,
+            ),
+            Err(_) => None,
+        };
+        Ok(Self {
+            path: path.to_owned(),
+            scenario,
+            summary,
+        })
+    }
+
+    /// Prints a note if the run is unfinished, so that its tables cover only a part of it.
+    fn report_unfinished(&self) {
+        if let Some(state) = self.unfinished() {
+            note!("{}: {state}; its tables cover the TTIs so far", self.path.display());
+        }
+    }
+
+    /// Describes the state of a run without a summary; `None` for a finished run.
+    pub(crate) fn unfinished(&self) -> Option<String> {
+        if self.summary.is_some() {
+            return None;
+        }
+        Some(match (status(&self.path), failure(&self.path)) {
+            (FolderStatus::Running(_), _) => "the run is still active".to_owned(),
+            (_, Some(reason)) => format!("the run failed ({reason})"),
+            (FolderStatus::Killed | FolderStatus::Finished, None) => "the run was killed".to_owned(),
+        })
+    }
+
+    /// The path as given.
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Reads the table `name`; `None` if the run has not written it.
+    ///
+    /// # Errors
+    /// If it is not a table.
+    pub(crate) fn table(&self, name: &str) -> anyhow::Result<Option<RowTable>> {
+        let path = self.path.join(name);
+        if !path.exists() {
+            return Ok(None);
+        }
+        RowTable::read(path).map(Some)
+    }
+
+    /// Reads the missed events. Prints a note if the run is unfinished.
+    ///
+    /// # Errors
+    /// If `events.csv` is missing or invalid.
+    pub(crate) fn misses(&self) -> anyhow::Result<Misses> {
+        let Some(events) = self.table(EVENTS_FILE)? else {
+            bail!("{}: holds no {EVENTS_FILE}; repeat the run", self.path.display());
+        };
+        self.report_unfinished();
+        let mut misses = Misses::new(self.scenario.clone());
+        let mut found = Vec::new();
+        for row in events.rows() {
+            let is_counted = row.number::<u8>("counted")? == 1;
+            let is_missed = row.number::<u64>("reports")? == 0;
+            let start = Tti(row.number("start_tti")?);
+            if is_counted {
+                misses.starts.push(start);
+            }
+            match (is_counted, is_missed) {
+                (true, true) => found.push(missed_event(&row, start)?),
+                (false, true) if start < misses.scenario.warm_up_end() => misses.in_warm_up += 1,
+                _ => {}
+            }
+        }
+        let nearest = misses.nearest_devices(found.iter().map(|event| event.epicentre));
+        for (event, (device, distance_m)) in found.iter_mut().zip(nearest) {
+            (event.nearest, event.distance_m) = (device, distance_m);
+        }
+        misses.missed = found;
+        misses.low_energy_pct = self
+            .summary
+            .as_ref()
+            .and_then(|summary| summary["metrics"]["low_energy_pct"].as_f64());
+        let done = self.summary.as_ref().and_then(|summary| summary["ttis_done"].as_u64());
+        misses.end = match (done, misses.starts.last()) {
+            (Some(done), _) => Tti(done),
+            (None, Some(last)) => *last + 1,
+            (None, None) => misses.end,
+        };
+        Ok(misses)
+    }
+
+    /// Reads the rows of `devices.csv`, which a run writes at its end.
+    ///
+    /// # Errors
+    /// If it is invalid.
+    pub(crate) fn devices(&self) -> anyhow::Result<Option<RowTable>> {
+        self.table(DEVICES_FILE)
+    }
+}
+
+/// Reads a missed event, without its nearest device.
+fn missed_event(row: &Row<'_>, start: Tti) -> anyhow::Result<MissedEvent> {
+    let cause = match row.text("miss_cause") {
+        None | Some("") => None,
+        Some(name) => Some(
+            MissCause::from_name(name)
+                .with_context(|| format!("{}: unknown cause of a missed event, `{name}`", row.place("miss_cause")))?,
+        ),
+    };
+    Ok(MissedEvent {
+        event: row.number("event")?,
+        start,
+        epicentre: Point::new(row.number("x_m")?, row.number("y_m")?),
+        cause,
+        nearest: DeviceId(0),
+        distance_m: f64::NAN,
+    })
+}
+
+impl RowTable {
+    fn read(path: PathBuf) -> anyhow::Result<Self> {
+        let named = || path.display().to_string();
+        let mut reader = csv::ReaderBuilder::new().from_path(&path).with_context(named)?;
+        let header = reader.headers().with_context(named)?.clone();
+        let columns = (0..)
+            .zip(&header)
+            .map(|(index, name)| (name.to_owned(), index))
+            .collect();
+        let rows = reader
+            .into_records()
+            .collect::<Result<Vec<_>, _>>()
+            .with_context(named)?;
+        Ok(Self {
+            path,
+            header,
+            columns,
+            rows,
+        })
+    }
+
+    /// The names of the columns, in order.
+    pub(crate) fn column_names(&self) -> impl Iterator<Item = &str> {
+        self.header.iter()
+    }
+
+    /// The rows, in order.
+    pub(crate) fn rows(&self) -> impl Iterator<Item = Row<'_>> {
+        self.rows.iter().map(|cells| Row { table: self, cells })
+    }
+
+    /// The rows by the device in the column `device`.
+    ///
+    /// # Errors
+    /// If a cell of the column is not a number.
+    pub(crate) fn by_device(&self) -> anyhow::Result<BTreeMap<DeviceId, Row<'_>>> {
+        self.rows()
+            .map(|row| Ok((DeviceId(row.number("device")?), row)))
+            .collect()
+    }
+}
+
+/// A row of a table.
+#[derive(Clone, Copy)]
+pub(crate) struct Row<'t> {
+    table: &'t RowTable,
+    cells: &'t csv::StringRecord,
+}
+
+impl<'t> Row<'t> {
+    /// The cell in a column; `None` if the table has no such column.
+    pub(crate) fn text(&self, column: &str) -> Option<&'t str> {
+        self.cells.get(*self.table.columns.get(column)?)
+    }
+
+    /// Returns the number in a column.
+    ///
+    /// # Errors
+    /// If the table has no such column, or the cell is not a number.
+    pub(crate) fn number<T: std::str::FromStr>(&self, column: &str) -> anyhow::Result<T> {
+        let Some(text) = self.text(column) else {
+            bail!(
+                "{}: has no column {column}; repeat the run with this version of Reveille",
+                self.table.path.display()
+            );
+        };
+        text.parse()
+            .ok()
+            .with_context(|| format!("{}: not a number, `{text}`", self.place(column)))
+    }
+
+    fn place(&self, column: &str) -> String {
+        let line = self.cells.position().map_or(0, csv::Position::line);
+        format!("{}, line {line}, column {column}", self.table.path.display())
+    }
+}

@@ -1,0 +1,102 @@
+//! Figure of missed events: their places in the deployment, with a colour and marker for each cause. [`file_name`]
+//! names the files of `reveille figures misses`.
+
+use reveille_common::geometry::voronoi_cells;
+use reveille_common::totals::MissCause;
+
+use super::area_plot::{AreaPlot, Legend, draw_caption, draw_title};
+use super::path::VectorPath;
+use super::scene::{Paint, Scene, Stroke};
+use super::style::{BLUE, COLUMN_WIDTH, GREEN, GREY, LEADING, MarkerShape, ORANGE, PURPLE, SKY, VERMILION};
+use crate::misses::{Misses, cause_name};
+
+/// Most devices with Voronoi cells; smaller cells would hide the events.
+const MAX_CELLS: usize = 1000;
+/// Size of a missed event, points.
+const MARKER_SIZE: f64 = 2.2;
+
+/// Returns the paint and shape of a cause, different for each.
+const fn mark(cause: Option<MissCause>) -> (Paint, MarkerShape) {
+    match cause {
+        Some(MissCause::OutOfReach) => (Paint::Colour(VERMILION), MarkerShape::TriangleUp),
+        Some(MissCause::Removed) => (Paint::Colour(GREY), MarkerShape::Diamond),
+        Some(MissCause::Undetected) => (Paint::Colour(PURPLE), MarkerShape::Pentagon),
+        Some(MissCause::Asleep) => (Paint::Colour(BLUE), MarkerShape::Circle),
+        // Ink, not black, which would vanish on a dark page.
+        Some(MissCause::Unpowered) => (Paint::Ink, MarkerShape::TriangleDown),
+        Some(MissCause::WakeMissed) => (Paint::Colour(SKY), MarkerShape::Hexagon),
+        Some(MissCause::NoEnergy) => (Paint::Colour(ORANGE), MarkerShape::Square),
+        Some(MissCause::Lost) => (Paint::Colour(GREEN), MarkerShape::Star),
+        None => (Paint::Ink, MarkerShape::FourPoints),
+    }
+}
+
+/// Returns the file name, without extension, of the figure.
+pub fn file_name(misses: &Misses) -> String {
+    let scenario = &misses.scenario;
+    let (policy, run) = (scenario.policy.name(), &scenario.run);
+    format!("misses-{policy}-n{}-s{}", run.devices, run.seed)
+}
+
+/// Draws `misses`.
+pub fn scene(misses: &Misses) -> Scene {
+    let scenario = &misses.scenario;
+    let mut scene = Scene::new(COLUMN_WIDTH, 0.0);
+    scene.title = format!(
+        "Missed events by cause, policy {}, N = {}",
+        scenario.policy.name(),
+        scenario.run.devices
+    );
+    let y = draw_title(&mut scene);
+    let plot = AreaPlot::new(scenario.area, y - 2.0);
+    if misses.positions.len() <= MAX_CELLS {
+        let border = Stroke::solid(Paint::Ink, 0.5).with_opacity(0.3);
+        for cell in voronoi_cells(&misses.positions, scenario.area) {
+            let corners = cell.iter().map(|p| plot.to_canvas(*p));
+            scene.line(VectorPath::polyline(corners, true), border);
+        }
+    }
+    plot.draw_axes(&mut scene);
+    for position in &misses.positions {
+        scene.area(VectorPath::circle(plot.to_canvas(*position), 1.2), Paint::Ink, 0.5);
+    }
+    for event in &misses.missed {
+        draw_miss(&mut scene, event.cause, plot.to_canvas(event.epicentre));
+    }
+    let y = legend(&mut scene, misses, plot.bottom() + 2.0 * LEADING + 15.0);
+    scene.description = caption(misses);
+    draw_caption(&mut scene, y);
+    scene
+}
+
+fn draw_miss(scene: &mut Scene, cause: Option<MissCause>, at: (f64, f64)) {
+    let (paint, shape) = mark(cause);
+    scene.outlined(shape.path(at, MARKER_SIZE), paint, Stroke::solid(Paint::Paper, 0.3));
+}
+
+/// Draws the causes that occur, with their numbers of events. Returns the base line of the text below.
+fn legend(scene: &mut Scene, misses: &Misses, y: f64) -> f64 {
+    let mut legend = Legend::new(y);
+    for (cause, count) in misses.causes() {
+        let at = legend.place(scene, &format!("{} ({count})", cause_name(cause)));
+        draw_miss(scene, cause, at);
+    }
+    let at = legend.place(scene, "device");
+    scene.area(VectorPath::circle(at, 1.2), Paint::Ink, 0.5);
+    legend.end()
+}
+
+fn caption(misses: &Misses) -> String {
+    let (missed, events) = (misses.missed.len(), misses.starts.len());
+    let share = if events == 0 {
+        "No event was counted.".to_owned()
+    } else {
+        format!(
+            "{missed} of {events} events were missed ({:.2} %).",
+            misses.missed_pct()
+        )
+    };
+    let run = &misses.scenario.run;
+    let advice = misses.advice().map_or_else(String::new, |advice| format!("{advice} "));
+    format!("{share} {advice}Preset {}, seed {}.", run.preset, run.seed)
+}

@@ -1,0 +1,173 @@
+//! Tests of [`Misses`] on events of runs, with counts by brute force.
+
+use reveille_bs::scenario::{Override, Scenario, declaration, load};
+use reveille_common::event::EventRecord;
+
+use super::*;
+use crate::figures::run_walk::collect_events;
+
+/// Returns the scenario `quick` with these overrides.
+fn quick(set: &[&str]) -> Scenario {
+    let overrides = set.iter().map(|text| Override::parse(text).expect("FIELD=VALUE"));
+    load("quick", &overrides.collect::<Vec<_>>())
+        .expect("a scenario")
+        .scenario
+}
+
+/// Returns the missed events of a run of `scenario`, and all its events.
+fn misses(scenario: &Scenario) -> (Misses, Vec<EventRecord>) {
+    let all = collect_events(scenario);
+    let mut misses = Misses::new(scenario.clone());
+    for event in &all {
+        match (event.counted, event.tally.reports) {
+            (true, 0) => misses.missed.push(MissedEvent {
+                event: event.event.0,
+                start: event.start,
+                epicentre: event.epicentre,
+                cause: event.miss_cause,
+                nearest: DeviceId(0),
+                distance_m: 0.0,
+            }),
+            (false, 0) => misses.in_warm_up += 1,
+            _ => {}
+        }
+        if event.counted {
+            misses.starts.push(event.start);
+        }
+    }
+    let nearest = misses.nearest_devices(misses.missed.iter().map(|event| event.epicentre));
+    for (event, (device, distance_m)) in misses.missed.iter_mut().zip(nearest) {
+        (event.nearest, event.distance_m) = (device, distance_m);
+    }
+    misses.end = Tti(scenario.run.ttis);
+    (misses, all)
+}
+
+#[test]
+fn events_are_counted_once_by_cause_place_device_and_time() {
+    let scenario = quick(&[
+        "policy.name=random",
+        "radio.uplink_loss=0.3",
+        "area.height=13",
+        "ttis=1003",
+    ]);
+    let (misses, all) = misses(&scenario);
+    let missed = || all.iter().filter(|event| event.counted && event.tally.reports == 0);
+    assert!(missed().count() > 20, "{} missed events", missed().count());
+    assert_eq!(misses.missed.len(), missed().count());
+    for (cause, count) in misses.causes() {
+        assert_eq!(
+            count as usize,
+            missed().filter(|event| event.miss_cause == cause).count(),
+            "{cause:?}"
+        );
+    }
+    assert!(misses.causes().is_sorted_by(|a, b| a.1 >= b.1));
+
+    let map = misses.map();
+    assert_eq!((map.cell_m, map.columns, map.missed.len()), (2.0, 10, 7));
+    for (row, cells) in map.missed.iter().enumerate() {
+        for (column, count) in cells.iter().enumerate() {
+            let (west, south) = (2.0 * column as f64, 2.0 * row as f64);
+            let is_here = |p: Point| (west..west + 2.0).contains(&p.x) && (south..south + 2.0).contains(&p.y);
+            assert_eq!(
+                *count as usize,
+                missed().filter(|event| is_here(event.epicentre)).count()
+            );
+            let devices = misses.positions.iter().filter(|p| is_here(**p)).count();
+            assert_eq!(map.devices[row][column] as usize, devices);
+        }
+    }
+
+    // 903 measured TTIs in bins of 91, the last one shorter.
+    let bins = misses.bins(10);
+    assert_eq!((bins.len(), bins[0].first, bins[9].end), (10, Tti(100), Tti(1003)));
+    for bin in &bins {
+        let is_here = |event: &&EventRecord| event.start >= bin.first && event.start < bin.end;
+        let counted = all.iter().filter(|event| event.counted);
+        assert_eq!(bin.events as usize, counted.filter(is_here).count());
+        assert_eq!(
+            bin.missed.iter().sum::<u64>() as usize,
+            missed().filter(is_here).count()
+        );
+    }
+
+    let devices = misses.devices();
+    assert_eq!(
+        devices.iter().map(|device| device.missed).sum::<u64>() as usize,
+        missed().count()
+    );
+    let distance = |device: usize, event: &EventRecord| misses.positions[device].distance(event.epicentre);
+    let is_nearest = |device: usize, event: &EventRecord| {
+        (0..misses.positions.len()).all(|other| distance(device, event) <= distance(other, event))
+    };
+    for device in &devices {
+        let id = device.device.index();
+        let near: Vec<&EventRecord> = missed().filter(|event| is_nearest(id, event)).collect();
+        assert_eq!(device.missed as usize, near.len());
+        let mean = near.iter().map(|event| distance(id, event)).sum::<f64>() / near.len() as f64;
+        assert!((device.mean_distance_m - mean).abs() < 1e-9, "{device:?}: {mean}");
+    }
+}
+
+#[test]
+fn the_advice_names_fields_of_the_scenario_and_the_place() {
+    let known = declaration();
+    for policy in ["knn", "adjusted", "q-learning", "random", "age-index", "dt", "genie"] {
+        let scenario = quick(&[&format!("policy.name={policy}"), "radio.wake_miss=0.1"]);
+        for cause in MissCause::ALL {
+            let text = advice::advice(&scenario, cause, (3, 7), Point::new(1.0, 2.0), None);
+            assert!(text.starts_with("3 of 7 missed events were ") && text.contains("x = 1.0 m, y = 2.0 m"));
+            let words = text.split([' ', ',', ':']).map(|word| word.trim_end_matches('.'));
+            for field in words.filter(|word| word.contains(|c: char| c.is_alphabetic()) && word.contains('.')) {
+                let is_declared = known.field_by_path(field).is_some();
+                assert!(is_declared, "{policy}, {cause:?}: no field {field}: {text}");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_hot_spot_is_in_the_cell_with_most_events_of_the_main_cause() {
+    let mut misses = Misses::new(quick(&[]));
+    let event = |x: f64, y: f64, cause| MissedEvent {
+        event: 0,
+        start: Tti(200),
+        epicentre: Point::new(x, y),
+        cause: Some(cause),
+        nearest: DeviceId(0),
+        distance_m: 1.0,
+    };
+    misses.missed = vec![
+        event(1.0, 1.0, MissCause::Asleep),
+        event(1.1, 1.1, MissCause::Asleep),
+        event(5.0, 1.0, MissCause::OutOfReach),
+        event(17.0, 19.0, MissCause::OutOfReach),
+        event(17.5, 19.5, MissCause::OutOfReach),
+    ];
+    let text = misses.advice().expect("missed events");
+    assert!(
+        text.contains("3 of 5 missed events") && text.contains("x = 17.2 m, y = 19.2 m"),
+        "{text}"
+    );
+    misses.missed.clear();
+    assert_eq!((misses.advice(), misses.causes().len()), (None, 0));
+}
+
+#[test]
+fn sleeping_devices_without_energy_need_energy_and_not_more_sensing() {
+    let scenario = quick(&["policy.name=age-index"]);
+    let advice = |low| advice::advice(&scenario, MissCause::Asleep, (3, 7), Point::new(1.0, 2.0), low);
+    for low in [None, Some(4.9)] {
+        assert!(
+            advice(low).ends_with("To sense more, lower policy.age-index.price."),
+            "{}",
+            advice(low)
+        );
+    }
+    let text = advice(Some(38.8));
+    assert!(
+        text.contains("39 % of device-TTIs") && text.ends_with("raise harvest.e_b or energy.e_max."),
+        "{text}"
+    );
+}

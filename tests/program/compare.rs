@@ -1,0 +1,187 @@
+//! `compare`: its metrics, differences and intervals equal an independent computation from the files of the runs.
+
+use reveille_tests::process::{TestFolder, assert_refused};
+use serde_json::Value;
+
+/// Runs `quick` in the folder `out` with these options.
+fn run(folder: &TestFolder, out: &str, args: &str) -> Value {
+    let end = folder.run(&format!("run -s quick -k 3000 --quiet --out {out} {args}"));
+    assert!(end.is_success(), "{end}");
+    serde_json::from_slice(&folder.bytes(&format!("{out}/summary.json"))).expect("a summary")
+}
+
+/// Half the width of the 95 % interval of the information per TTI over α, from ten parts of `windows.csv`: Student's t
+/// with nine degrees of freedom times the standard error of the means.
+fn half_width_of_p1(folder: &TestFolder, out: &str) -> f64 {
+    let text = String::from_utf8(folder.bytes(&format!("{out}/windows.csv"))).expect("text");
+    let mut lines = text.lines();
+    let column = lines
+        .next()
+        .expect("a header")
+        .split(',')
+        .position(|name| name == "information");
+    let windows: Vec<f64> = lines
+        .filter_map(|line| {
+            let cells: Vec<&str> = line.split(',').collect();
+            let information = cells[column.expect("a column")].parse::<f64>().expect("a number");
+            (cells[0].parse::<u64>().expect("a TTI") >= 300).then_some(information)
+        })
+        .collect();
+    assert_eq!(windows.len(), 90, "windows of 30 TTIs after the warm-up");
+    let means: Vec<f64> = windows
+        .chunks(9)
+        .map(|part| part.iter().sum::<f64>() / (0.2 * 270.0))
+        .collect();
+    let mean = means.iter().sum::<f64>() / 10.0;
+    let deviation = (means.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / 9.0).sqrt();
+    2.262_157 * deviation / 10_f64.sqrt()
+}
+
+#[test]
+fn runs_are_compared_by_fields_metrics_and_first_difference() {
+    let folder = TestFolder::new();
+    let summaries = [
+        run(&folder, "a", "--policy random"),
+        run(&folder, "b", "--policy age-index"),
+        run(&folder, "c", "--policy random --set radio.uplink_loss=0.4"),
+        run(&folder, "d", "--policy random"),
+    ];
+    let end = folder.run("compare a b c d --json");
+    assert!(end.is_success(), "{end}");
+    let report: Value = serde_json::from_str(&end.stdout).expect("JSON");
+    for (run, summary) in report["runs"].as_array().expect("runs").iter().zip(&summaries) {
+        assert_eq!(
+            (&run["digest"], &run["metrics"]),
+            (&summary["digest"], &summary["metrics"])
+        );
+    }
+    for (number, out) in ["a", "b", "c"].into_iter().enumerate() {
+        let shown = report["runs"][number]["half_widths"]["info_p1"]
+            .as_f64()
+            .expect("a half-width");
+        let expected = half_width_of_p1(&folder, out);
+        assert!((shown / expected - 1.0).abs() < 1e-5, "{out}: {shown}, {expected}");
+    }
+    let fields = report["fields"].as_object().expect("fields");
+    assert_eq!(
+        fields["policy.name"],
+        serde_json::json!(["\"random\"", "\"age-index\"", "\"random\"", "\"random\""])
+    );
+    assert_eq!(
+        fields["radio.uplink_loss"],
+        serde_json::json!(["none", "none", "0.4", "none"])
+    );
+    let equal: Vec<bool> = (0..3).map(|nth| report["differences"][nth]["equal"] == true).collect();
+    assert_eq!(equal, [false, false, true], "{report}");
+    // The first lost report is the first difference of the two event tables.
+    let [these, others] =
+        ["a", "c"].map(|out| String::from_utf8(folder.bytes(&format!("{out}/events.csv"))).expect("text"));
+    let differing = these
+        .lines()
+        .zip(others.lines())
+        .find(|(this, other)| this != other)
+        .expect("a difference");
+    let event = differing.0.split(',').next().expect("a number");
+    let first = report["differences"][1]["first"].as_str().expect("text");
+    assert!(
+        first.starts_with(&format!("first difference in event {event} of TTI ")),
+        "{first}: {differing:?}"
+    );
+
+    let end = folder.run("compare a b c d");
+    let [random, age_index] = [0, 1].map(|nth| {
+        summaries[nth]["metrics"]["energy_per_device_tti"]
+            .as_f64()
+            .expect("energy")
+    });
+    let share = format!("({:+.0} %)", 100.0 * (age_index - random) / random);
+    for part in [
+        "run 1: a  (digest ",
+        "energy_per_device_tti",
+        &share,
+        "run 1 and run 4: equal digests",
+    ] {
+        assert!(end.stdout.contains(part), "no {part:?}: {end}");
+    }
+    assert!(!end.stdout.contains("overflow_per_device_tti"), "{end}");
+    let metrics = end
+        .stdout
+        .lines()
+        .skip_while(|line| !line.starts_with("metric"))
+        .take_while(|line| !line.starts_with("run 1 and"));
+    assert!(metrics.map(|line| line.chars().count()).max() <= Some(81), "{end}");
+    assert!(
+        folder
+            .run("compare a b --all-metrics")
+            .stdout
+            .contains("overflow_per_device_tti")
+    );
+}
+
+#[test]
+fn the_exit_code_tells_differences_and_runs_without_results_are_refused() {
+    let folder = TestFolder::new();
+    run(&folder, "a", "--record a.mcap");
+    run(&folder, "b", "--seed 2 --record b.mcap");
+    for (args, code) in [
+        ("a a --exit-code", 0),
+        ("a b", 0),
+        ("a b --exit-code", 1),
+        ("a.mcap a --exit-code", 0),
+        ("a.mcap b.mcap --exit-code", 1),
+    ] {
+        let end = folder.run(&format!("compare {args}"));
+        assert_eq!(end.code(), Some(code), "{args}: {end}");
+    }
+    std::fs::remove_file(folder.join("b/summary.json")).expect("removed");
+    assert_refused(&folder.run("compare a b"), 1, &["b: ", "no results", "resume"]);
+    assert_refused(&folder.run("compare a"), 2, &["2 values"]);
+    assert_refused(&folder.run("compare a nowhere"), 1, &["nowhere: no such folder"]);
+}
+
+#[test]
+fn a_recording_is_found_in_its_run_folder() {
+    let folder = TestFolder::new();
+    run(&folder, "a", "");
+    assert_refused(
+        &folder.run("inspect verify a"),
+        1,
+        &["a: the folder holds no recording", "--record a/run.mcap"],
+    );
+    run(&folder, "b", "--record a/run.mcap");
+    for command in ["verify a", "stats a", "tail a -c 1", "export a --to csv"] {
+        let end = folder.run(&format!("inspect {command}"));
+        assert!(end.is_success(), "{command}: {end}");
+    }
+    let end = folder.run("inspect stats --from a/run.mcap");
+    assert!(
+        end.is_success() && end.stderr.contains("--from FILE is now the argument FILE"),
+        "{end}"
+    );
+    for figure in ["timeline a --length 50", "deployment a"] {
+        let end = folder.run(&format!("figures {figure} --format svg"));
+        assert!(end.is_success() && end.stdout.contains("-n20-s1-"), "{figure}: {end}");
+    }
+    assert_refused(&folder.run("figures timeline ."), 1, &["holds no run", "scenario file"]);
+    assert_refused(&folder.run("figures timeline a --scenario quick"), 2, &["--scenario"]);
+}
+
+#[test]
+fn a_list_of_policies_needs_a_command_with_several_runs() {
+    let folder = TestFolder::new();
+    for command in ["run", "up", "figures timeline"] {
+        let end = folder.run(&format!("{command} --policy knn,random"));
+        assert_refused(
+            &end,
+            1,
+            &["--policy knn,random", "`reveille sweep --policies knn,random`"],
+        );
+    }
+    // A former name of a field causes a warning here too.
+    let former = "--set radio.false_wake=0.1";
+    let end = folder.run(&format!("sweep --policy knn --seeds 1 -s quick --dry-run {former}"));
+    let warning = "radio.false_wake is now called radio.false_wake_up (set by --set radio.false_wake=0.1)";
+    assert!(end.is_success() && end.stderr.contains(warning), "{end}");
+    let end = folder.run("sweep --policy knn,random --seeds 1 -s quick --dry-run");
+    assert!(end.is_success() && end.stdout.contains("knn"), "{end}");
+}

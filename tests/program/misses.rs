@@ -1,0 +1,155 @@
+//! `inspect misses` and `figures misses` on the folders of runs: their numbers equal an independent count of
+//! `events.csv` and the totals of `summary.json`.
+
+use std::collections::BTreeMap;
+
+use reveille_tests::process::{TestFolder, assert_refused, unique_run};
+use serde_json::Value;
+
+/// Returns the counted missed events of a run folder: cause, place and start.
+fn count_missed(folder: &TestFolder, run: &str) -> Vec<(String, f64, f64, u64)> {
+    let text = String::from_utf8(folder.bytes(&format!("{run}/events.csv"))).expect("text");
+    let mut lines = text.lines();
+    let header: Vec<&str> = lines.next().expect("a header").split(',').collect();
+    let column = |name: &str| header.iter().position(|known| *known == name).expect(name);
+    let rows = lines.map(|line| line.split(',').collect::<Vec<_>>());
+    let missed = rows.filter(|row| row[column("counted")] == "1" && row[column("reports")] == "0");
+    missed
+        .map(|row| {
+            let number = |name: &str| row[column(name)].parse::<f64>().expect(name);
+            let cause = row[column("miss_cause")].to_owned();
+            (cause, number("x_m"), number("y_m"), number("start_tti") as u64)
+        })
+        .collect()
+}
+
+/// Returns the JSON report of a run folder.
+fn report(folder: &TestFolder, run: &str) -> Value {
+    let end = folder.run(&format!("inspect misses {run} --json"));
+    assert!(end.is_success(), "{end}");
+    serde_json::from_str(&end.stdout).expect("a report is JSON")
+}
+
+/// Returns the sum of all numbers in a nested list.
+fn sum(value: &Value) -> u64 {
+    value.as_array().map_or_else(
+        || value.as_u64().expect("a number"),
+        |items| items.iter().map(sum).sum(),
+    )
+}
+
+#[test]
+fn the_report_equals_a_count_of_the_table_and_the_summary() {
+    let folder = TestFolder::new();
+    let run = "run --quiet -n 20 -k 3000 --policy random --set radio.uplink_loss=0.3 --out r";
+    assert!(folder.run(run).is_success());
+    let (report, missed) = (report(&folder, "r"), count_missed(&folder, "r"));
+    let summary: Value = serde_json::from_slice(&folder.bytes("r/summary.json")).expect("a summary");
+    assert!(missed.len() > 50, "{} missed events", missed.len());
+    assert_eq!(report["missed"], missed.len());
+    assert_eq!(report["missed"], summary["totals"]["events"]["misdetected"]);
+    assert_eq!(report["events"], summary["totals"]["events"]["events"]);
+    let mut causes: BTreeMap<&str, u64> = BTreeMap::new();
+    for (cause, ..) in &missed {
+        *causes.entry(cause).or_default() += 1;
+    }
+    assert!(causes.len() > 2, "{causes:?}");
+    assert_eq!(report["causes"], serde_json::json!(causes));
+    for (cause, count) in &causes {
+        assert_eq!(summary["totals"]["missed"][cause], *count, "{cause}");
+    }
+    let map = &report["map"];
+    assert_eq!((sum(&map["missed"]), sum(&map["devices"])), (missed.len() as u64, 20));
+    let north_east = missed.iter().filter(|(_, x, y, _)| *x >= 18.0 && *y >= 18.0).count();
+    assert_eq!(map["missed"][9][9], north_east, "{map}");
+    let first = missed.iter().filter(|(.., start)| (300..570).contains(start)).count();
+    assert_eq!(
+        (&report["bins"][0]["missed"], &report["bins"][0]["end_tti"]),
+        (&first.into(), &570.into())
+    );
+
+    let end = folder.run("inspect misses r");
+    let shown = format!("{} of {} events missed", missed.len(), report["events"]);
+    for part in [
+        &shown,
+        "Lower radio.uplink_loss",
+        "lost",
+        "Causes over time",
+        "Nearest devices",
+    ] {
+        assert!(end.stdout.contains(part), "no {part:?}: {end}");
+    }
+    let widest = end.stdout.lines().map(|line| line.chars().count()).max();
+    assert!(widest <= Some(80), "{widest:?}: {end}");
+    let end = folder.run("figures misses r --format svg");
+    assert_eq!(end.stdout, "figures/misses-random-n20-s1.svg\n");
+    let svg = String::from_utf8(folder.bytes("figures/misses-random-n20-s1.svg")).expect("text");
+    assert!(svg.contains(&format!("{} of {} events were missed", missed.len(), report["events"])));
+}
+
+#[test]
+fn a_run_without_misses_and_tables_of_other_versions_are_reported() {
+    let folder = TestFolder::new();
+    assert!(
+        folder
+            .run("run --quiet -n 100 -k 300 --policy genie --out g")
+            .is_success()
+    );
+    let end = folder.run("inspect misses g");
+    assert!(
+        end.is_success() && end.stdout.contains("\n0 of ") && end.stdout.lines().count() == 2,
+        "{end}"
+    );
+    assert_eq!(report(&folder, "g")["advice"], Value::Null);
+
+    assert!(
+        folder
+            .run("run --quiet -n 20 -k 1000 --policy random --out r")
+            .is_success()
+    );
+    let text = String::from_utf8(folder.bytes("r/events.csv")).expect("text");
+    let without = |columns: usize| {
+        let cut = |line: &str| line.rsplitn(columns + 1, ',').last().unwrap_or_default().to_owned() + "\n";
+        text.lines().map(cut).collect::<String>()
+    };
+    let whole = report(&folder, "r");
+    folder.write("r/events.csv", &without(3));
+    let older = report(&folder, "r");
+    assert_eq!(older["causes"], serde_json::json!({ "unknown": whole["missed"] }));
+    assert_eq!(
+        (&older["map"], &older["missed_in_warm_up"]),
+        (&whole["map"], &whole["missed_in_warm_up"])
+    );
+    assert!(
+        older["advice"].as_str().is_some_and(|text| text.contains("no causes")),
+        "{older}"
+    );
+    folder.write("r/events.csv", &without(8));
+    assert_refused(&folder.run("inspect misses r"), 1, &["events.csv", "no column reports"]);
+    folder.write("r/events.csv", &text.replace("asleep", "tired"));
+    assert_refused(
+        &folder.run("inspect misses r"),
+        1,
+        &["events.csv, line ", "miss_cause", "`tired`"],
+    );
+    assert_refused(&folder.run("inspect misses nowhere"), 1, &["nowhere: no such folder"]);
+    assert_refused(&folder.run("figures misses ."), 1, &["holds no run", "runs/"]);
+}
+
+#[test]
+fn an_active_run_is_reported_so_far() {
+    let (folder, run) = (TestFolder::new(), unique_run("misses"));
+    let up = folder.start(&format!(
+        "up -n 10 -k 400 -P 1 --paused --run {run} --policy random --quiet --out out"
+    ));
+    folder.wait_for_tti(&run, 0);
+    let end = folder.run("inspect misses out");
+    assert!(
+        end.is_success() && end.stdout.contains("no counted event so far"),
+        "{end}"
+    );
+    assert!(end.stderr.contains("out: the run is still active"), "{end}");
+    folder.clock(&run, "resume");
+    assert!(up.finish().is_success());
+    assert_eq!(report(&folder, "out")["missed"], count_missed(&folder, "out").len());
+}
