@@ -37,7 +37,7 @@ pub(super) fn format_balance(balance: &EnergyBalance) -> String {
 
 fn format_harvest(HarvestRange { mean, min, max }: HarvestRange) -> String {
     let [mean_text, min_text, max_text] = [mean, min, max].map(|harvest| format_significant(harvest, DIGITS));
-    let range = if min == max {
+    let range = if min_text == max_text {
         String::new()
     } else {
         format!("; by device {min_text} to {max_text}")

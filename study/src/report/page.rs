@@ -89,8 +89,12 @@ fn contents(report: &ClaimReport<'_>) -> String {
             .map(|notes| link(&anchor(notes.heading), notes.heading)),
     );
     items.extend([link("figures", "Figures"), link("made", "How this report was made")]);
-    let items: String = items.iter().map(|item| format!("<li>{item}</li>\n")).collect();
-    format!("<nav><h2>Contents</h2>\n<ol>\n{items}</ol></nav>\n")
+    let mut out = String::from("<nav><h2>Contents</h2>\n<ol>\n");
+    for item in items {
+        let _ = writeln!(out, "<li>{item}</li>");
+    }
+    out.push_str("</ol></nav>\n");
+    out
 }
 
 /// Returns the anchor of the section `heading`: lower case, with hyphens.
@@ -230,14 +234,12 @@ fn with_no_break_spaces(text: &str) -> String {
 
 /// Marks the parts of `text` between backticks as code.
 fn with_code(text: &str) -> String {
-    let parts = text.split('`').enumerate();
-    parts
-        .map(|(index, part)| {
-            if index % 2 == 1 {
-                format!("<code>{part}</code>")
-            } else {
-                part.to_owned()
-            }
-        })
-        .collect()
+    let mut out = String::new();
+    for (index, part) in text.split('`').enumerate() {
+        if index > 0 {
+            out.push_str(if index % 2 == 1 { "<code>" } else { "</code>" });
+        }
+        out.push_str(part);
+    }
+    out
 }
