@@ -110,8 +110,8 @@ impl ReplaySource for SharedReplay {
         Ok(self.lock().ledgers(k, first, count))
     }
 
-    fn record_removal(&self, outage: &DeviceRemoval) -> Result<(), String> {
-        let input = ExternalInput::Outage(*outage);
+    fn record_removal(&self, removal: &DeviceRemoval) -> Result<(), String> {
+        let input = ExternalInput::Removal(*removal);
         // Logged before it takes effect: a killed run must find it in the log.
         self.log(&input)?;
         self.lock().add_input(input);

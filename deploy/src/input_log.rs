@@ -53,7 +53,7 @@ impl InputLog {
     pub(crate) fn add(&mut self, input: &ExternalInput) -> anyhow::Result<()> {
         // Outages and actions are rare. A sync for each of thousands of decisions a second would slow the run down.
         let is_due = match input {
-            ExternalInput::Outage(_) | ExternalInput::Action(_) => true,
+            ExternalInput::Removal(_) | ExternalInput::Action(_) => true,
             ExternalInput::Decision(_) => self.synced.elapsed() >= SYNC_INTERVAL,
         };
         let written = self.write([input.clone()], is_due);

@@ -47,7 +47,7 @@ pub(crate) fn policy_source<'a>(
         "--policy-command, --decision-timeout and --on-undecided need a policy process; add --policy external"
     );
     ensure!(
-        recorded_inputs.is_none_or(|inputs| inputs.outages.is_empty()),
+        recorded_inputs.is_none_or(|inputs| inputs.removals.is_empty()),
         "the input log removes devices, which cannot be repeated on the bus; replay it with `reveille run`"
     );
     Ok(PolicySource {

@@ -12,7 +12,7 @@
 //! | `devices.csv` | a row per device |
 //! | `learned.json` | the tables of a policy that learned in the run |
 //! | `summary.json` | metrics, digest, timing, versions |
-//! | `inputs.log` | external inputs: outages under `--on-loss continue`, decisions of `external` |
+//! | `inputs.log` | external inputs: removals under `--on-loss continue`, decisions of `external`, actions |
 //! | `resume.json` | the resume mark for `--resume`; removed once the run is complete |
 //! | `RUNNING` | exists and is locked during the run; left behind by a killed run |
 //! | `FAILED` | the reason why a run ended without a summary |

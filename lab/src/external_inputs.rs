@@ -55,7 +55,7 @@ pub enum InputLogError {
     },
     /// A removal is impossible in this run.
     #[error("line {0}: this run cannot have removed these devices at this point")]
-    Outage(usize),
+    Removal(usize),
     /// A decision is impossible in this run.
     #[error("line {0}: this run cannot have had this decision at this point")]
     Decision(usize),
@@ -65,7 +65,7 @@ pub enum InputLogError {
 #[derive(Clone, Debug, PartialEq)]
 pub enum ExternalInput {
     /// A removal of devices.
-    Outage(DeviceRemoval),
+    Removal(DeviceRemoval),
     /// A decision of a policy process.
     Decision(RecordedDecision),
     /// An action of an operator.
@@ -76,7 +76,7 @@ pub enum ExternalInput {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ExternalInputs {
     /// The removals.
-    pub outages: Vec<DeviceRemoval>,
+    pub removals: Vec<DeviceRemoval>,
     /// The decisions.
     pub decisions: Vec<RecordedDecision>,
     /// The actions, which need not be in the order of their TTIs.
@@ -85,9 +85,9 @@ pub struct ExternalInputs {
 
 impl ExternalInputs {
     /// Creates inputs with removals only.
-    pub fn from_outages(outages: &[DeviceRemoval]) -> Self {
+    pub fn from_removals(removals: &[DeviceRemoval]) -> Self {
         Self {
-            outages: outages.to_vec(),
+            removals: removals.to_vec(),
             ..Self::default()
         }
     }
@@ -103,7 +103,7 @@ impl ExternalInputs {
     /// Appends an input to its kind.
     pub fn add(&mut self, input: ExternalInput) {
         match input {
-            ExternalInput::Outage(outage) => self.outages.push(outage),
+            ExternalInput::Removal(removal) => self.removals.push(removal),
             ExternalInput::Decision(decision) => self.decisions.push(decision),
             ExternalInput::Action(action) => self.actions.push(action),
         }
@@ -112,9 +112,9 @@ impl ExternalInputs {
     /// Returns the removals and decisions of the TTIs before `k`, and all actions, which do not depend on the run.
     #[must_use]
     pub fn before(&self, k: Tti) -> Self {
-        let (outages, decisions) = (self.outages.iter(), self.decisions.iter());
+        let (removals, decisions) = (self.removals.iter(), self.decisions.iter());
         Self {
-            outages: outages.copied().filter(|outage| outage.tti < k).collect(),
+            removals: removals.copied().filter(|removal| removal.tti < k).collect(),
             decisions: decisions.filter(|decision| decision.tti < k).cloned().collect(),
             actions: self.actions.clone(),
         }
@@ -124,7 +124,7 @@ impl ExternalInputs {
     #[must_use]
     pub fn after(&self, known: [usize; 3]) -> Self {
         Self {
-            outages: self.outages[known[0]..].to_vec(),
+            removals: self.removals[known[0]..].to_vec(),
             decisions: self.decisions[known[1]..].to_vec(),
             actions: self.actions[known[2]..].to_vec(),
         }
@@ -132,14 +132,14 @@ impl ExternalInputs {
 
     /// The numbers of removals, decisions and actions.
     pub const fn counts(&self) -> [usize; 3] {
-        [self.outages.len(), self.decisions.len(), self.actions.len()]
+        [self.removals.len(), self.decisions.len(), self.actions.len()]
     }
 
     /// Iterates over all inputs: removals, decisions, actions.
     pub fn iter(&self) -> impl Iterator<Item = ExternalInput> {
-        let outages = self.outages.iter().copied().map(ExternalInput::Outage);
+        let removals = self.removals.iter().copied().map(ExternalInput::Removal);
         let decisions = self.decisions.iter().cloned().map(ExternalInput::Decision);
-        outages
+        removals
             .chain(decisions)
             .chain(self.actions.iter().copied().map(ExternalInput::Action))
     }
@@ -149,17 +149,12 @@ impl ExternalInputs {
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 enum InputLogLine {
     /// The first line, which names the run.
-    Inputs {
-        version: u32,
-        scenario_hash: String,
-    },
-    Outage(DeviceRemoval),
+    Inputs { version: u32, scenario_hash: String },
+    /// A removal of devices; logs name it an outage.
+    #[serde(rename = "outage")]
+    Removal(DeviceRemoval),
     /// The devices that sense from TTI `tti` on; the next plan is due in TTI `next`.
-    Sense {
-        tti: u64,
-        devices: Vec<u32>,
-        next: u64,
-    },
+    Sense { tti: u64, devices: Vec<u32>, next: u64 },
     /// A plan of duty cycles: `t_on`, `t_drx` and offset of each device.
     Cycles {
         tti: u64,
@@ -167,22 +162,11 @@ enum InputLogLine {
         next: u64,
     },
     /// The devices to wake in TTI `tti`, in this order.
-    Wake {
-        tti: u64,
-        devices: Vec<u32>,
-    },
+    Wake { tti: u64, devices: Vec<u32> },
     /// `count` devices from `first` on fail at the start of TTI `tti`.
-    Fail {
-        tti: u64,
-        first: u32,
-        count: u32,
-    },
+    Fail { tti: u64, first: u32, count: u32 },
     /// `count` devices from `first` on are revived.
-    Revive {
-        tti: u64,
-        first: u32,
-        count: u32,
-    },
+    Revive { tti: u64, first: u32, count: u32 },
     /// Each of `count` devices from `first` on receives `micro` micro-units of energy.
     Energy {
         tti: u64,
@@ -191,11 +175,7 @@ enum InputLogLine {
         micro: u64,
     },
     /// The scenario field `field` is set to `value`.
-    Set {
-        tti: u64,
-        field: String,
-        value: f64,
-    },
+    Set { tti: u64, field: String, value: f64 },
 }
 
 impl InputLogLine {
@@ -278,7 +258,7 @@ fn first_line_of(version: u32, scenario: &Scenario) -> String {
 /// Returns the line of an input.
 pub fn line(input: &ExternalInput) -> String {
     match input {
-        ExternalInput::Outage(outage) => InputLogLine::Outage(*outage).to_text(),
+        ExternalInput::Removal(removal) => InputLogLine::Removal(*removal).to_text(),
         ExternalInput::Decision(decision) => InputLogLine::from(decision).to_text(),
         ExternalInput::Action(action) => InputLogLine::from(action).to_text(),
     }
@@ -371,11 +351,11 @@ impl InputLogParser {
             }
             // Everything below is checked against the scenario, which only the first line guarantees.
             _ if log_version.is_none() => return Err(InputLogError::MissingFirstLine(*line_number)),
-            InputLogLine::Outage(outage) => {
-                if !is_possible_removal(&outage, &inputs.outages, scenario) {
-                    return Err(InputLogError::Outage(*line_number));
+            InputLogLine::Removal(removal) => {
+                if !is_possible_removal(&removal, &inputs.removals, scenario) {
+                    return Err(InputLogError::Removal(*line_number));
                 }
-                inputs.outages.push(outage);
+                inputs.removals.push(removal);
                 return Ok(());
             }
             InputLogLine::Sense { .. } | InputLogLine::Cycles { .. } | InputLogLine::Wake { .. }
@@ -474,13 +454,13 @@ fn valid_cycles(devices: &[[u32; 3]], scenario: &Scenario) -> Option<Vec<DutyCyc
     (cycles.len() == devices.len() && devices.len() == scenario.run.devices as usize).then_some(cycles)
 }
 
-fn is_possible_removal(outage: &DeviceRemoval, before: &[DeviceRemoval], scenario: &Scenario) -> bool {
-    let order = |outage: &DeviceRemoval| (outage.tti, outage.wake_ups);
-    let is_next = before.last().is_none_or(|last| order(last) <= order(outage));
-    let is_disjoint = |other: &DeviceRemoval| other.last() < outage.first || outage.last() < other.first;
+fn is_possible_removal(removal: &DeviceRemoval, before: &[DeviceRemoval], scenario: &Scenario) -> bool {
+    let order = |removal: &DeviceRemoval| (removal.tti, removal.wake_ups);
+    let is_next = before.last().is_none_or(|last| order(last) <= order(removal));
+    let is_disjoint = |other: &DeviceRemoval| other.last() < removal.first || removal.last() < other.first;
     // A valid removal names devices of the run, so its range can index them. A device is removed once, so ranges are
     // disjoint.
-    let is_in_run = outage.is_valid(scenario.run.devices) && outage.tti.0 < scenario.run.ttis;
+    let is_in_run = removal.is_valid(scenario.run.devices) && removal.tti.0 < scenario.run.ttis;
     is_in_run && is_next && before.iter().all(is_disjoint)
 }
 
@@ -504,7 +484,7 @@ mod tests {
 
     use super::*;
 
-    fn outage(first: u32, count: u32, tti: u64) -> DeviceRemoval {
+    fn removal(first: u32, count: u32, tti: u64) -> DeviceRemoval {
         DeviceRemoval {
             first: DeviceId(first),
             count,
@@ -619,7 +599,7 @@ mod tests {
     fn a_log_round_trips_up_to_its_last_complete_line() {
         let devices = load("quick", &[]).expect("a preset").scenario.run.devices as usize;
         let inputs = ExternalInputs {
-            outages: vec![outage(3, 2, 5), outage(0, 3, 5), outage(9, 1, 80)],
+            removals: vec![removal(3, 2, 5), removal(0, 3, 5), removal(9, 1, 80)],
             decisions: vec![
                 plan_decision(0, plan_of_one(3), 1),
                 wake_decision(0, &[7, 2]),
@@ -646,18 +626,18 @@ mod tests {
 
     #[test]
     fn an_impossible_log_is_refused_with_the_reason() {
-        let impossible_outages = [
-            vec![outage(0, 0, 5)],
-            vec![outage(3, 2, 5), outage(0, 0, 6)],
-            vec![outage(u32::MAX, 2, 5)],
-            vec![outage(0, 1, u64::MAX)],
-            vec![outage(3, 2, 5), outage(4, 1, 9)],
-            vec![outage(3, 2, 5), outage(0, 1, 4)],
+        let impossible_removals = [
+            vec![removal(0, 0, 5)],
+            vec![removal(3, 2, 5), removal(0, 0, 6)],
+            vec![removal(u32::MAX, 2, 5)],
+            vec![removal(0, 1, u64::MAX)],
+            vec![removal(3, 2, 5), removal(4, 1, 9)],
+            vec![removal(3, 2, 5), removal(0, 1, 4)],
         ];
-        for outages in impossible_outages {
-            let outages: Vec<ExternalInput> = outages.into_iter().map(ExternalInput::Outage).collect();
-            let refused = write_and_parse(&outages).expect_err("impossible");
-            assert!(matches!(refused, InputLogError::Outage(_)), "{refused}");
+        for removals in impossible_removals {
+            let removals: Vec<ExternalInput> = removals.into_iter().map(ExternalInput::Removal).collect();
+            let refused = write_and_parse(&removals).expect_err("impossible");
+            assert!(matches!(refused, InputLogError::Removal(_)), "{refused}");
         }
         let first = || plan_decision(0, plan_of_one(3), 1);
         let impossible_decisions = [
@@ -683,7 +663,7 @@ mod tests {
              inputs.log of a run folder"
         );
         assert!(matches!(
-            error_of(&line(&ExternalInput::Outage(outage(0, 1, 1)))),
+            error_of(&line(&ExternalInput::Removal(removal(0, 1, 1)))),
             InputLogError::MissingFirstLine(1)
         ));
         // Without a newline, only the start of a first line is the log of a killed run.
@@ -694,9 +674,9 @@ mod tests {
                 "{text:?}: {refused}"
             );
         }
-        let removal = line(&ExternalInput::Outage(outage(0, 1, 1)));
+        let removal_line = line(&ExternalInput::Removal(removal(0, 1, 1)));
         assert!(matches!(
-            error_of(removal.trim_end()),
+            error_of(removal_line.trim_end()),
             InputLogError::MissingFirstLine(1)
         ));
         for version in 1..=VERSION {
@@ -706,17 +686,19 @@ mod tests {
                 assert_eq!(inputs, ExternalInputs::default(), "{length} bytes");
             }
         }
-        let torn = first_line(&scenario) + &removal + "garbage";
-        assert_eq!(parse(&torn, &scenario).expect("a log").outages, [outage(0, 1, 1)]);
-        let twice = first_line(&scenario) + &removal + &first_line(&scenario);
+        let torn = first_line(&scenario) + &removal_line + "garbage";
+        assert_eq!(parse(&torn, &scenario).expect("a log").removals, [removal(0, 1, 1)]);
+        let twice = first_line(&scenario) + &removal_line + &first_line(&scenario);
         assert!(matches!(error_of(&twice), InputLogError::SecondFirstLine(3)));
         let first = first_line_of(1, &scenario);
         assert_eq!(
-            parse(&(first.clone() + &removal), &scenario).expect("a log").outages,
-            [outage(0, 1, 1)]
+            parse(&(first.clone() + &removal_line), &scenario)
+                .expect("a log")
+                .removals,
+            [removal(0, 1, 1)]
         );
         for decision in [plan_decision(0, plan_of_one(3), 1), wake_decision(0, &[1])] {
-            let with_decision = first.clone() + &removal + &line(&ExternalInput::Decision(decision));
+            let with_decision = first.clone() + &removal_line + &line(&ExternalInput::Decision(decision));
             assert!(matches!(error_of(&with_decision), InputLogError::DecisionInVersion1(3)));
         }
         let other = |version| format!("{{\"inputs\":{{\"version\":{version},\"scenario_hash\":\"00\"}}}}\n");

@@ -134,7 +134,7 @@ impl Replay {
     /// Adds an external input of a TTI that is not compared yet.
     pub fn add_input(&mut self, input: ExternalInput) {
         let tti = match &input {
-            ExternalInput::Outage(outage) => outage.tti,
+            ExternalInput::Removal(removal) => removal.tti,
             ExternalInput::Decision(decision) => decision.tti,
             ExternalInput::Action(action) => action.tti,
         };

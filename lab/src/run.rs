@@ -90,7 +90,7 @@ impl Run {
     pub fn schedule_input(&mut self, input: ExternalInput) {
         let queue = self.session.input_queue_mut();
         match input {
-            ExternalInput::Outage(outage) => queue.push_removal(outage),
+            ExternalInput::Removal(removal) => queue.push_removal(removal),
             ExternalInput::Decision(decision) => queue.push_decision(decision),
             ExternalInput::Action(action) => queue.add_action(action),
         }

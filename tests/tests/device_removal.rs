@@ -31,7 +31,7 @@ fn prepared(policy: &str) -> PreparedRun {
 fn run(prepared: &PreparedRun, removals: &[DeviceRemoval], options: RunOptions) -> (RunOutcome, Vec<Frame>) {
     let frames = RefCell::new(Vec::new());
     let mut run = Run::new(prepared, options);
-    run.schedule_inputs(&ExternalInputs::from_outages(removals));
+    run.schedule_inputs(&ExternalInputs::from_removals(removals));
     let outcome = run.finish(&mut FrameObserver::new(0, |frame| frames.borrow_mut().push(frame)));
     (outcome, frames.into_inner())
 }
@@ -230,7 +230,7 @@ fn a_replay_accepts_a_removal_in_an_earlier_tti() {
     for replayed_until in [10, 601, 900] {
         let mut replay = Replay::new(&prepared, &ExternalInputs::default(), Tti::ZERO);
         replay.checkpoints(Tti(replayed_until), DeviceId(0), 1);
-        replay.add_input(ExternalInput::Outage(removal));
+        replay.add_input(ExternalInput::Removal(removal));
         assert_eq!(
             replay.outcome(Tti(TTIS)),
             outcome,

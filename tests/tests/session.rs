@@ -187,7 +187,7 @@ fn run(prepared: &PreparedRun, removals: &[DeviceRemoval]) -> (RunOutcome, RunRe
     };
     let mut recorder = RunRecorder::default();
     let mut run = Run::new(prepared, options);
-    run.schedule_inputs(&ExternalInputs::from_outages(removals));
+    run.schedule_inputs(&ExternalInputs::from_removals(removals));
     let outcome = run.finish(&mut recorder);
     (outcome, recorder)
 }

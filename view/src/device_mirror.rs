@@ -128,7 +128,7 @@ impl DeviceMirror {
     pub fn view(&mut self, device: DeviceId) -> Option<DeviceView> {
         let now = self.current_tti()?;
         let machine = self.machines.get_mut(device.index())?;
-        machine.begin(now);
+        begin(machine, now);
         Some(machine.view())
     }
 
@@ -138,6 +138,7 @@ impl DeviceMirror {
     /// # Panics
     /// If a device is already past `tti`.
     pub(crate) fn views_at(&mut self, tti: Tti) -> Vec<DeviceView> {
+        self.apply_changes_before(tti);
         let view = |machine: &mut Machine| {
             machine.begin(tti);
             machine.view()
@@ -147,6 +148,7 @@ impl DeviceMirror {
 
     /// Advances `device` to TTI `tti` and returns its state and battery, like [`Self::views_at`].
     pub(crate) fn view_at(&mut self, device: DeviceId, tti: Tti) -> Option<DeviceView> {
+        self.apply_changes_before(tti);
         let machine = self.machines.get_mut(device.index())?;
         machine.begin(tti);
         Some(machine.view())
@@ -268,9 +270,14 @@ impl DeviceMirror {
         if update.from != next {
             return Err(format!("a plan from TTI {}, but TTI {next} is next", update.from));
         }
+        let now = self.current_tti();
         let Self { air, machines, .. } = self;
         let (from, count) = (update.from, machines.len());
         self.missed_plans = air.deliver_plan(from, &update.plan, DeviceId(0), count, |j, cycle| {
+            // A new duty cycle ends the current TTI, which is begun first, so that its state stays visible.
+            if let Some(now) = now {
+                begin(&mut machines[j], now);
+            }
             machines[j].set_duty(from, cycle);
         });
         self.plan = Some(update.plan.clone());
@@ -289,6 +296,14 @@ impl DeviceMirror {
         }
         self.changes.push(action.change);
         Ok(())
+    }
+
+    /// Applies the changes of the next TTI if `tti` is that TTI or a later one.
+    fn apply_changes_before(&mut self, tti: Tti) {
+        let next = self.next_tti();
+        if tti >= next {
+            self.apply_changes(next);
+        }
     }
 
     fn apply_changes(&mut self, tti: Tti) {
@@ -416,5 +431,105 @@ impl DeviceMirror {
             None => Ok(()),
             Some((before, _)) => Err(format!("the outcome of the wake-up of device {before} is missing")),
         }
+    }
+}
+
+/// Begins TTI `now` of a device, unless a new plan has ended it already. Neither state nor battery changes at an end.
+fn begin(machine: &mut Machine, now: Tti) {
+    if !machine.has_ended(now) {
+        machine.begin(now);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use reveille_bs::observer::frames::FrameObserver;
+    use reveille_bs::scenario::{Override, load};
+    use reveille_common::units::Energy;
+    use reveille_lab::external_inputs::ExternalInputs;
+    use reveille_lab::preparation::prepare;
+    use reveille_lab::run::{Run, RunOptions};
+
+    use super::*;
+
+    /// Returns a scenario of 30 devices that often lack energy, and the frames of its run with `actions`.
+    fn frames_of_run(policy: &str, actions: &[OperatorAction], lookahead: bool) -> (Scenario, Vec<Frame>) {
+        let policy = format!("policy.name={policy}");
+        let set = [
+            "devices=30",
+            "ttis=300",
+            "harvest.lambda=0.04",
+            "events.alpha=0.05",
+            &policy,
+        ];
+        let set = set.map(|set| Override::parse(set).expect("an override"));
+        let scenario = load("paper", &set).expect("a scenario").scenario;
+        let options = RunOptions {
+            lookahead,
+            ..RunOptions::default()
+        };
+        let mut run = Run::new(&prepare(&scenario), options);
+        run.schedule_inputs(&ExternalInputs::from_actions(actions));
+        let mut frames = Vec::new();
+        run.finish(&mut FrameObserver::new(0, |frame: Frame| frames.push(frame)));
+        (scenario, frames)
+    }
+
+    /// A plan arrives before its grant, so the current TTI is still the last one of the grant before.
+    #[test]
+    fn a_plan_does_not_change_the_views_of_the_current_tti() {
+        let (scenario, frames) = frames_of_run("age-index", &[], true);
+        let mut mirror = DeviceMirror::new(&scenario, &Deployment::new(&scenario));
+        let mut plans = 0;
+        for frame in &frames {
+            let message = frame.message().expect("a message");
+            let before = mirror.clone().views();
+            mirror.apply(frame, &message).expect("a consistent frame");
+            if matches!(message, Message::Plan(_)) {
+                assert_eq!(mirror.clone().views(), before, "{}", frame.tti);
+                plans += 1;
+            }
+        }
+        assert!(plans > 50, "{plans} plans");
+    }
+
+    /// Grants of single TTIs are the reference.
+    #[test]
+    fn actions_take_effect_within_long_grants() {
+        let range = |first, last| DeviceRange {
+            first: DeviceId(first),
+            count: last - first + 1,
+        };
+        let actions = [
+            (40, Change::Fail(range(0, 9))),
+            (41, Change::AddEnergy(range(5, 20), Energy::from_micro(2_500_000))),
+            (90, Change::Revive(range(3, 9))),
+        ];
+        let actions = actions.map(|(tti, change)| OperatorAction { tti: Tti(tti), change });
+        let (scenario, single) = frames_of_run("random", &actions, false);
+        let (_, long) = frames_of_run("random", &actions, true);
+        let deployment = Deployment::new(&scenario);
+        let mut expected = Vec::new();
+        let mut mirror = DeviceMirror::new(&scenario, &deployment);
+        for frame in &single {
+            let message = frame.message().expect("a message");
+            if matches!(message, Message::World(_)) {
+                expected.extend(mirror.current_tti().map(|_| mirror.clone().views()));
+            }
+            mirror.apply(frame, &message).expect("a consistent frame");
+        }
+        let (mut mirror, mut next, mut compared) = (DeviceMirror::new(&scenario, &deployment), Tti::ZERO, 0);
+        for frame in &long {
+            let message = frame.message().expect("a message");
+            if let Message::World(world) = &message {
+                while next < world.last {
+                    assert_eq!(mirror.views_at(next), expected[next.0 as usize], "TTI {next}");
+                    (next, compared) = (next + 1, compared + 1);
+                }
+                next = world.last + 1;
+            }
+            mirror.apply(frame, &message).expect("a consistent frame");
+        }
+        assert!(compared > 100, "{compared} TTIs");
     }
 }

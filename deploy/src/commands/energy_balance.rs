@@ -40,7 +40,7 @@ fn format_harvest(HarvestRange { mean, min, max }: HarvestRange) -> String {
     let range = if min_text == max_text {
         String::new()
     } else {
-        format!("; by device {min_text} to {max_text}")
+        format!("\n{:18}by device {min_text} to {max_text}", "")
     };
     format!("{mean_text} units per device and TTI, expected{range}")
 }

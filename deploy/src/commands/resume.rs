@@ -63,8 +63,8 @@ impl ResumePlan {
         let mut mark = resume_mark::read(folder, scenario)?;
         let mut inputs = input_log::read_folder(folder, scenario)?;
         // An outage in the log can be later than the last mark; the run then reached at least the TTI after it.
-        let after_last_outage = inputs.outages.last().map(|outage| outage.tti + 1);
-        let mut from = mark.as_ref().map(|mark| Tti(mark.tti)).max(after_last_outage);
+        let after_last_removal = inputs.removals.last().map(|removal| removal.tti + 1);
+        let mut from = mark.as_ref().map(|mark| Tti(mark.tti)).max(after_last_removal);
         if let Some(to) = from
             && outside::is_external(&scenario.policy)
             && let Some(tti) = first_undecided(prepared, &inputs, to, progress)?

@@ -336,6 +336,11 @@ impl Machine {
         }
     }
 
+    /// Whether TTI `k` has ended.
+    pub const fn has_ended(&self, k: Tti) -> bool {
+        self.next.0 > k.0 && !(self.is_open && self.next.0 == k.0 + 1)
+    }
+
     /// Begins TTI `k`: ends all TTIs before it, then applies harvest and δ, in this order. Does nothing if `k` has
     /// begun.
     pub fn begin(&mut self, k: Tti) {

@@ -113,8 +113,8 @@ fn check_input_log(text: &str) {
             let lines: String = inputs.iter().map(|input| external_inputs::line(&input)).collect();
             let reread = external_inputs::parse(&(external_inputs::first_line(scenario()) + &lines), scenario());
             assert_eq!(reread.expect("written text can be read"), inputs);
-            for outage in inputs.outages {
-                assert!(outage.is_valid(scenario().run.devices) && outage.tti.0 < scenario().run.ttis);
+            for removal in inputs.removals {
+                assert!(removal.is_valid(scenario().run.devices) && removal.tti.0 < scenario().run.ttis);
             }
         }
         Err(error) => assert!(!error.to_string().trim().is_empty()),

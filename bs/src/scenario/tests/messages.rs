@@ -88,7 +88,8 @@ fn messages_name_field_value_range_and_line() {
         ),
         (
             "devices = 1_000_000\nttis = 1_000_000_000",
-            "ttis = 1000000000: must be at most 184467",
+            // (2⁶⁴ micro-units / 10⁶ devices − 100 units) / (5 + 1 + 1/14 + 10 units), rounded down.
+            "ttis = 1000000000: must be at most 1147791",
             "line 2",
         ),
         ("seed = = 1", "my.toml, line 1: not valid TOML", ""),

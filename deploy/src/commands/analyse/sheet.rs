@@ -206,6 +206,6 @@ mod tests {
         let csv = String::from_utf8(sheet.to_csv().expect("CSV")).expect("UTF-8");
         assert_eq!(csv, "x,y\n\"a,b\",0.1\n7,\n");
         assert_eq!(sheet.to_json().to_string(), r#"[{"x":"a,b","y":0.1},{"x":7,"y":null}]"#);
-        assert!(sheet.to_text_table().contains("0.1000"));
+        assert!(sheet.to_text_table().contains("0.1 "));
     }
 }

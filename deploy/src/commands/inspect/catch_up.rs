@@ -217,20 +217,20 @@ mod tests {
     }
 
     impl ReceivedRun {
-        fn new(scenario: &Scenario, outages: &[DeviceRemoval], lookahead: bool) -> Self {
+        fn new(scenario: &Scenario, removals: &[DeviceRemoval], lookahead: bool) -> Self {
             let mut frames = Vec::new();
             let options = RunOptions {
                 lookahead,
                 ..RunOptions::default()
             };
             let mut run = Run::new(&prepare(scenario), options);
-            run.schedule_inputs(&ExternalInputs::from_outages(outages));
+            run.schedule_inputs(&ExternalInputs::from_removals(removals));
             run.finish(&mut FrameObserver::new(0, |frame| frames.push(frame)));
             let removals = frames.iter().enumerate();
             let removals = removals.filter(|(_, frame)| frame.kind == MessageKind::Removed);
             let inputs = removals
                 .map(|(index, _)| index)
-                .zip(outages.iter().copied().map(ExternalInput::Outage))
+                .zip(removals.iter().copied().map(ExternalInput::Removal))
                 .collect();
             Self { frames, inputs }
         }
@@ -376,10 +376,10 @@ mod tests {
             tti: Tti(tti),
             wake_ups: None,
         };
-        let outages = [removal(0, 40), removal(10, 41), removal(5, 180)];
+        let removals = [removal(0, 40), removal(10, 41), removal(5, 180)];
         for lookahead in [true, false] {
-            let received = ReceivedRun::new(&scenario, &outages, lookahead);
-            assert_eq!(received.inputs.len(), outages.len());
+            let received = ReceivedRun::new(&scenario, &removals, lookahead);
+            assert_eq!(received.inputs.len(), removals.len());
             received.assert_complete_from_any_frame(&scenario);
         }
     }
