@@ -140,7 +140,7 @@ impl Knowledge {
                     position: device.position,
                     class,
                     energy: device.energy,
-                    mean_harvest: device.harvest.mean(&deployment.traces, scenario.run.ttis),
+                    mean_harvest: device.harvest.mean(&deployment.traces),
                 })
                 .collect(),
             streams: PolicyStreams::new(scenario.run.seed),

@@ -97,7 +97,7 @@ fn pilot_runs(prepared: &PreparedRun, pilots: &PilotSearch) -> PilotRuns {
     let Deployment { devices, traces, .. } = &mut pilot_run.deployment;
     for device in devices {
         // A trace has only one realisation: replayed in a pilot run, it would show the future of the run itself.
-        device.harvest = device.harvest.known_before_run(traces, prepared.scenario.run.ttis);
+        device.harvest = device.harvest.known_before_run(traces);
     }
     let (mut ttis, mut all_ttis) = (pilots.initial_ttis, 0_u64);
     // Beyond `max_ttis`, sums of energy would overflow 64 bits.

@@ -99,7 +99,7 @@ fn a_false_battery_level_is_reported_with_its_device() {
     let divergence = audit(&prepared, &frames, 50).expect_err("a false battery level");
     assert_eq!((divergence.tti, divergence.device), (tti, Some(device)));
     let expected_text = format!(
-        "{:.2} units in the battery of device 17, and the replay {true_units:.2}",
+        "{} units in the battery of device 17, and the replay {true_units} units",
         true_units + 2.0
     );
     assert!(

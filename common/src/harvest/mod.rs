@@ -159,10 +159,10 @@ impl Harvest {
         }
     }
 
-    /// The mean harvest in a TTI of duration `tau`, in a run of `ttis` TTIs; for a trace, the mean of its first column.
-    pub fn mean(&self, tau: f64, ttis: u64) -> Energy {
+    /// The mean harvest in a TTI of duration `tau`; for a trace, the mean of its first column.
+    pub fn mean(&self, tau: f64) -> Energy {
         let rows = self.trace_columns().first().cloned().map(Arc::new);
-        self.setup(tau, 0).mean(rows.as_slice(), ttis)
+        self.setup(tau, 0).mean(rows.as_slice())
     }
 
     /// The largest energy in a TTI.
@@ -216,13 +216,13 @@ pub enum HarvestSetup {
 }
 
 impl HarvestSetup {
-    /// The mean harvest per TTI as a base station knows it, rounded to micro-units (down for a trace). `traces` are the
-    /// run's, energy per TTI by row; the run has `ttis` TTIs, which matters for a trace that stops before its end.
-    pub fn mean(&self, traces: &[Arc<Vec<Energy>>], ttis: u64) -> Energy {
+    /// The mean harvest per TTI as a base station knows it, rounded to micro-units (down for a trace, whose end it does
+    /// not know). `traces` are the run's, energy per TTI by row.
+    pub fn mean(&self, traces: &[Arc<Vec<Energy>>]) -> Energy {
         match self {
             Self::Arrivals(arrivals) => arrivals.mean(),
             Self::OnOff(on_off) => on_off.mean(),
-            Self::Trace(trace) => trace.mean(traces, ttis),
+            Self::Trace(trace) => trace.mean(traces),
             Self::Diurnal(diurnal) => diurnal.mean(),
         }
     }
@@ -250,14 +250,14 @@ impl HarvestSetup {
     }
 
     /// The source as known before a run. A trace is known by its mean only, which then arrives in each TTI; so may be a
-    /// diurnal source. `traces` are the run's, energy per TTI by row; the run has `ttis` TTIs.
+    /// diurnal source. `traces` are the run's, energy per TTI by row.
     #[must_use]
-    pub fn known_before_run(&self, traces: &[Arc<Vec<Energy>>], ttis: u64) -> Self {
+    pub fn known_before_run(&self, traces: &[Arc<Vec<Energy>>]) -> Self {
         match self {
             Self::Arrivals(_) | Self::OnOff(_) => *self,
             Self::Trace(trace) => Self::Arrivals(ArrivalsSetup {
                 p: 1.0,
-                e_b: trace.mean(traces, ttis),
+                e_b: trace.mean(traces),
             }),
             Self::Diurnal(diurnal) => diurnal.arrivals_if_mean_known().map_or(*self, Self::Arrivals),
         }

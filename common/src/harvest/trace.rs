@@ -336,18 +336,11 @@ impl TraceSetup {
         self.ttis_per_row > 0 && self.find_rows(traces).is_some_and(|rows| !rows.is_empty())
     }
 
-    /// The mean per TTI of all rows in a run of `ttis` TTIs, rounded down to micro-units. TTIs of the run after the end
-    /// of a trace that stops harvest nothing and count.
-    pub(super) fn mean(&self, traces: &[Arc<Vec<Energy>>], ttis: u64) -> Energy {
+    /// The mean per TTI of all rows, rounded down to micro-units. A base station does not know that a trace stops.
+    pub(super) fn mean(&self, traces: &[Arc<Vec<Energy>>]) -> Energy {
         let rows = self.find_rows(traces).map_or(&[][..], |rows| rows);
-        let per_row = u128::from(self.ttis_per_row);
         let sum: u128 = rows.iter().map(|energy| u128::from(energy.micro())).sum();
-        let trace_ttis = (rows.len() as u128 * per_row).max(1);
-        let mean_over = match self.end {
-            TraceEnd::Cycle => trace_ttis,
-            TraceEnd::Stop => trace_ttis.max(u128::from(ttis)),
-        };
-        Energy::from_micro((sum * per_row / mean_over) as u64)
+        Energy::from_micro((sum / (rows.len() as u128).max(1)) as u64)
     }
 
     /// The harvest in the first `ttis` TTIs, micro-units.

@@ -118,7 +118,7 @@ impl<P> Scenario<P> {
             name: &class.name,
             share: class.share,
             energy: class.energy,
-            mean_harvest: class.harvest.mean(self.run.tau, self.run.ttis),
+            mean_harvest: class.harvest.mean(self.run.tau),
         });
         Site {
             devices: self.run.devices,

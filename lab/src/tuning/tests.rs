@@ -157,9 +157,9 @@ fn plans_out_of_range_are_refused() {
     };
     assert!(small_plan().check().is_ok());
     assert_refused(&|plan| plan.design = 2, "design");
-    // The energy of a longer run of this number of devices would exceed the range of its counter.
-    let with_many_devices =
-        |plan: &mut TuningPlan| plan.scenario = scenario_with(&["devices=1000000", "energy.e_max=10000", "ttis=100"]);
+    // Sums of energy must fit in 2⁶⁴ micro-units: (18 446 744 − 10 000) / (10 000 + 1 + 1/14 + 10) TTIs, rounded down.
+    let large = ["devices=1000000", "energy.e_max=10000", "harvest.e_b=10000", "ttis=100"];
+    let with_many_devices = |plan: &mut TuningPlan| plan.scenario = scenario_with(&large);
     let and_many_devices = |change: fn(&mut TuningPlan)| {
         move |plan: &mut TuningPlan| {
             with_many_devices(plan);
@@ -168,11 +168,11 @@ fn plans_out_of_range_are_refused() {
     };
     assert_refused(
         &and_many_devices(|plan| plan.ttis = 2000),
-        "ttis = 2000: must be at most 1844",
+        "ttis = 2000: must be at most 1841",
     );
     assert_refused(
         &and_many_devices(|plan| plan.training.ttis = 2000),
-        "episode-ttis = 2000: must be at most 1844",
+        "episode-ttis = 2000: must be at most 1841",
     );
     assert_refused(&|plan| plan.runs = 0, "seeds");
     assert_refused(&|plan| plan.ttis = 3, "ttis");

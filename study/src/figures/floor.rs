@@ -71,12 +71,7 @@ pub fn energy_floor(scenario: &Scenario, n: u32) -> Option<f64> {
 
 /// Returns the energy floor, if it does not exceed the mean harvest; devices cannot spend more in the long run.
 pub(crate) fn floor_within_harvest(scenario: &Scenario, n: u32) -> Option<f64> {
-    let harvest = scenario
-        .classes
-        .first()?
-        .harvest
-        .mean(scenario.run.tau, scenario.run.ttis)
-        .units();
+    let harvest = scenario.classes.first()?.harvest.mean(scenario.run.tau).units();
     energy_floor(scenario, n).filter(|floor| *floor <= harvest)
 }
 

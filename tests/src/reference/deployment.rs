@@ -12,8 +12,6 @@ pub(super) struct ReferenceDeployment {
     pub(super) classes: Vec<u16>,
     /// Whether harvest traces are played; otherwise their mean arrives in each TTI.
     pub(super) plays_traces: bool,
-    /// Length of the run, not of a pilot, TTIs.
-    pub(super) run_ttis: u64,
 }
 
 impl ReferenceDeployment {
@@ -22,7 +20,6 @@ impl ReferenceDeployment {
             positions: Deployment::new(scenario).positions(),
             classes: assign_classes(scenario),
             plays_traces: true,
-            run_ttis: scenario.run.ttis,
         }
     }
 }

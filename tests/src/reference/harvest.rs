@@ -147,8 +147,8 @@ impl ReferenceSource {
     }
 }
 
-/// Returns the mean harvest per TTI of the `nth` device of its class in a run of `ttis` TTIs, whole micro-units.
-pub(super) fn mean_harvest(harvest: &Harvest, tau: f64, ttis: u64, nth: usize) -> u64 {
+/// Returns the mean harvest per TTI of the `nth` device of its class, whole micro-units.
+pub(super) fn mean_harvest(harvest: &Harvest, tau: f64, nth: usize) -> u64 {
     let expected_energy = |probability: f64, e_b: u64| (probability * e_b as f64).round() as u64;
     match harvest {
         Harvest::Eq5(Arrivals { lambda, e_b }) => {
@@ -167,12 +167,7 @@ pub(super) fn mean_harvest(harvest: &Harvest, tau: f64, ttis: u64, nth: usize) -
         Harvest::Trace(trace) => {
             let column = &trace.values[column(trace, nth)];
             let sum: u128 = column.iter().map(|energy| u128::from(energy.micro())).sum();
-            let per_row = u128::from(trace.ttis_per_row);
-            let silent_ttis = match trace.end {
-                TraceEnd::Cycle => 0,
-                TraceEnd::Stop => u128::from(ttis).saturating_sub(column.len() as u128 * per_row),
-            };
-            (sum * per_row / (column.len() as u128 * per_row + silent_ttis)) as u64
+            (sum / column.len() as u128) as u64
         }
     }
 }

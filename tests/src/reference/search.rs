@@ -55,7 +55,6 @@ pub fn reference_search(scenario: &Scenario, positions: &[Point]) -> Option<(u64
         positions: positions.to_vec(),
         classes: assign_classes(scenario),
         plays_traces: false,
-        run_ttis: scenario.run.ttis,
     };
     let mut ttis = settings.pilot_ttis;
     let limit = settings.pilot_limit.max(ttis);

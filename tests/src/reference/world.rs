@@ -134,7 +134,7 @@ impl<'a> ReferenceWorld<'a> {
             let settings = &scenario.classes[class];
             let (seed, nth) = (scenario.run.seed, devices_of_class[class]);
             devices_of_class[class] += 1;
-            let mean_harvest = mean_harvest(&settings.harvest, scenario.run.tau, deployment.run_ttis, nth);
+            let mean_harvest = mean_harvest(&settings.harvest, scenario.run.tau, nth);
             let (expected_harvest, is_daylight) = match expected_day(&settings.harvest, scenario.run.tau) {
                 Some(day) => {
                     let is_daylight = (0..day.len() as u64).map(|k| is_day(&settings.harvest, k)).collect();

@@ -123,8 +123,8 @@ fn the_daily_mean_equals_eq5_and_the_mean_under_the_zenith_the_integral() {
             panic!("{diurnal:?}");
         };
         assert!((setup.mean - eq5_probability).abs() < 1e-12, "{setup:?}");
-        let eq5 = Harvest::Eq5(diurnal.arrivals).setup(1.0, 0).mean(&[], 1);
-        assert_eq!(Harvest::Diurnal(diurnal).setup(1.0, 0).mean(&[], 1), eq5);
+        let eq5 = Harvest::Eq5(diurnal.arrivals).setup(1.0, 0).mean(&[]);
+        assert_eq!(Harvest::Diurnal(diurnal).setup(1.0, 0).mean(&[]), eq5);
         let zenith = diurnal_with(0.1, place, IrradianceReference::Zenith).setup(1.0);
         assert!(
             (zenith.mean - eq5_probability * place.mean_irradiance()).abs() < 1e-12,
@@ -158,7 +158,7 @@ fn a_polar_night_has_no_arrivals_and_a_polar_day_has_some_in_every_slot() {
     };
     let polar_night = diurnal_with(0.3, place, IrradianceReference::Zenith);
     assert_eq!(source_of(polar_night, 0).next_arrival(), Tti::NEVER);
-    assert_eq!(Harvest::Diurnal(polar_night).setup(1.0, 0).mean(&[], 1), Energy::ZERO);
+    assert_eq!(Harvest::Diurnal(polar_night).setup(1.0, 0).mean(&[]), Energy::ZERO);
     let polar_day = diurnal_with(
         0.3,
         Sun {

@@ -226,9 +226,9 @@ mod tests {
             let mut run = Run::new(&prepare(scenario), options);
             run.schedule_inputs(&ExternalInputs::from_removals(removals));
             run.finish(&mut FrameObserver::new(0, |frame| frames.push(frame)));
-            let removals = frames.iter().enumerate();
-            let removals = removals.filter(|(_, frame)| frame.kind == MessageKind::Removed);
-            let inputs = removals
+            let numbered = frames.iter().enumerate();
+            let inputs = numbered
+                .filter(|(_, frame)| frame.kind == MessageKind::Removed)
                 .map(|(index, _)| index)
                 .zip(removals.iter().copied().map(ExternalInput::Removal))
                 .collect();
