@@ -28,8 +28,8 @@ pub(crate) fn progress_target() -> ProgressDrawTarget {
 /// Whether standard output is a terminal on which the user wants colours; NO_COLOR disables them.
 pub(crate) fn shows_colours() -> bool {
     let is_dumb = std::env::var_os("TERM").is_some_and(|kind| kind == "dumb");
-    let has_no_color = std::env::var_os("NO_COLOR").is_some_and(|set| !set.is_empty());
-    io::stdout().is_terminal() && !is_dumb && !has_no_color
+    let is_plain = std::env::var_os("NO_COLOR").is_some_and(|set| !set.is_empty());
+    io::stdout().is_terminal() && !is_dumb && !is_plain
 }
 
 /// Whether `error`, from writing to `output`, means that its pipe or terminal is closed.
