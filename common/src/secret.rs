@@ -75,7 +75,7 @@ pub struct HostCredential {
 }
 
 impl HostCredential {
-    /// Parses the credential at the end of a key expression; `None` if there is none.
+    /// Parses the credential at the end of a key expression; `None` without a credential.
     pub fn from_key_expr(key_expr: &str) -> Option<Self> {
         let mut parts = key_expr.rsplit('/');
         let token = parts.next()?.parse().ok()?;

@@ -10,7 +10,7 @@ use reveille_bs::scenario::{Scenario, load_with_external};
 use reveille_common::geometry::Point;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::totals::MissCause;
-use reveille_study::misses::{MissedEvent, Misses};
+use reveille_study::misses::{MissedEvent, Misses, RunEnergy};
 use serde_json::Value;
 
 use crate::display::note;
@@ -135,10 +135,13 @@ impl RunReader {
             (event.nearest, event.distance_m) = (device, distance_m);
         }
         misses.missed = found;
-        misses.low_energy_pct = self
-            .summary
-            .as_ref()
-            .and_then(|summary| summary["metrics"]["low_energy_pct"].as_f64());
+        let metric = |name: &str| self.summary.as_ref()?["metrics"][name].as_f64();
+        misses.energy = metric("low_energy_pct").zip(metric("overflow_per_device_tti")).map(
+            |(low_energy_pct, overflow_per_device_tti)| RunEnergy {
+                low_energy_pct,
+                overflow_per_device_tti,
+            },
+        );
         let done = self.summary.as_ref().and_then(|summary| summary["ttis_done"].as_u64());
         misses.end = match (done, misses.starts.last()) {
             (Some(done), _) => Tti(done),

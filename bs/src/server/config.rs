@@ -127,7 +127,7 @@ impl RunProgress {
         self.stop_requested.load(Ordering::Acquire)
     }
 
-    /// The reason why the run cannot continue, if there is one.
+    /// The reason why the run cannot continue; `None` while it can.
     pub fn stop_cause(&self) -> Option<&str> {
         self.stop_cause.get().map(String::as_str)
     }

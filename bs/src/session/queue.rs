@@ -14,7 +14,7 @@ use crate::policy::external::{Decision, PlanDecision, RecordedDecision};
 pub struct InputQueue {
     removals: VecDeque<DeviceRemoval>,
     decisions: VecDeque<RecordedDecision>,
-    /// Actions by TTI, and those of a TTI in the order in which they were added.
+    /// Actions in the order of their TTIs; actions of the same TTI in the order in which they were added.
     actions: VecDeque<OperatorAction>,
 }
 

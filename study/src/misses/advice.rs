@@ -2,9 +2,14 @@
 //! declaration of the scenario.
 
 use reveille_bs::scenario::Scenario;
+use reveille_common::digits::format_significant;
+use reveille_common::energy_balance::EnergyBalance;
 use reveille_common::geometry::Point;
-use reveille_common::harvest::Harvest;
+use reveille_common::harvest::{Arrivals, Harvest};
+use reveille_common::scenario::DeviceClass;
 use reveille_common::totals::MissCause;
+
+use super::RunEnergy;
 
 /// Share of device-TTIs with B < E_Tx from which devices lack energy, %.
 const LOW_ENERGY_PCT: f64 = 5.0;
@@ -13,9 +18,9 @@ const LOW_ENERGY_PCT: f64 = 5.0;
 fn sense_more(policy: &str) -> &'static str {
     match policy {
         "knn" => "choose policy age-index with a low policy.age-index.price, or raise devices",
-        "adjusted" => "raise policy.adjusted.t_on or shorten policy.adjusted.t_drx",
+        "adjusted" => "raise policy.adjusted.t_on, or choose policy age-index",
         "q-learning" => "raise policy.q-learning.mu1, which needs tables of `reveille train q-learning`",
-        "random" => "raise policy.random.t_on or shorten policy.random.t_drx",
+        "random" => "choose policy age-index, or shorten policy.random.t_drx",
         "age-index" => "lower policy.age-index.price",
         "dt" => "lower policy.dt.price",
         _ => "let the policy keep more devices in S1",
@@ -25,26 +30,50 @@ fn sense_more(policy: &str) -> &'static str {
 /// Returns how the base station's policy senses less.
 fn sense_less(policy: &str) -> &'static str {
     match policy {
-        "adjusted" => "lengthen policy.adjusted.t_drx",
+        "adjusted" => "choose policy age-index, or lengthen policy.adjusted.t_drx",
         "q-learning" => "lengthen policy.q-learning.window",
-        "random" => "lengthen policy.random.t_drx",
+        "random" => "choose policy age-index, or lengthen policy.random.t_drx",
         "age-index" => "raise policy.age-index.price",
         "dt" => "raise policy.dt.price",
         _ => "choose policy age-index with a higher policy.age-index.price",
     }
 }
 
-/// Returns the fields that give the devices more energy.
-fn harvest_more(scenario: &Scenario) -> &'static str {
-    let is_trace = scenario
-        .classes
-        .iter()
-        .any(|class| matches!(class.harvest, Harvest::Trace(_)));
-    if is_trace {
-        "harvest.trace.scale (the panel's area_cm2 with irradiance)"
+/// Returns the changes that give the devices more energy. A larger battery is among them only if batteries overflowed.
+fn harvest_more(scenario: &Scenario, energy: Option<RunEnergy>) -> String {
+    let is_trace = |class: &DeviceClass| matches!(class.harvest, Harvest::Trace(_));
+    let has_rare_arrivals = |class: &DeviceClass| matches!(class.harvest, Harvest::Eq5(Arrivals { lambda, .. }) if lambda * scenario.run.tau < 0.5);
+    let source = if scenario.classes.iter().any(is_trace) {
+        "raise harvest.trace.scale (the panel's area_cm2 with irradiance)"
+    } else if scenario.classes.iter().any(has_rare_arrivals) {
+        "raise harvest.lambda or harvest.e_b"
     } else {
-        "harvest.e_b"
-    }
+        "raise harvest.e_b"
+    };
+    let overflowed = energy.is_some_and(|energy| energy.overflow_per_device_tti > 0.0);
+    format!("{source}{}", if overflowed { ", or energy.e_max" } else { "" })
+}
+
+/// Returns a sentence with the expected harvest and the costs of a device.
+fn balance(scenario: &Scenario) -> String {
+    let balance = EnergyBalance::new(scenario);
+    let number = |x: f64| format_significant(x, 3);
+    let class = balance.classes.first();
+    let [sleeping, sensing] = class.map_or([0.0; 2], |class| [class.sleeping_cost, class.sensing_cost]);
+    format!(
+        "A device harvests {} units per TTI; sleeping costs {}, sensing {}",
+        number(balance.harvest().mean),
+        number(sleeping),
+        number(sensing)
+    )
+}
+
+/// Returns `text` with a capital letter.
+fn capitalise(text: &str) -> String {
+    let mut letters = text.chars();
+    letters.next().map_or_else(String::new, |first| {
+        first.to_uppercase().collect::<String>() + letters.as_str()
+    })
 }
 
 /// Returns the advice against `cause`, which explains `count` of `missed` events, most of them near `place`. In a run
@@ -54,7 +83,7 @@ pub(super) fn advice(
     cause: MissCause,
     (count, missed): (u64, usize),
     place: Point,
-    low_energy_pct: Option<f64>,
+    energy: Option<RunEnergy>,
 ) -> String {
     let (policy, d_max) = (scenario.policy.name(), scenario.sensing.d_max);
     let most = format!("near x = {:.1} m, y = {:.1} m", place.x, place.y);
@@ -77,11 +106,15 @@ pub(super) fn advice(
         ),
         MissCause::Asleep => (
             format!("within reach of devices that slept by plan, most {most}"),
-            match low_energy_pct.filter(|low| *low >= LOW_ENERGY_PCT) {
+            match energy
+                .map(|energy| energy.low_energy_pct)
+                .filter(|low| *low >= LOW_ENERGY_PCT)
+            {
                 Some(low) => format!(
-                    "Batteries were below energy.e_tx in {low:.0} % of device-TTIs, so more sensing would empty them: \
-                     raise {} or energy.e_max",
-                    harvest_more(scenario)
+                    "Batteries were below energy.e_tx in {low:.0} % of device-TTIs, so more sensing would empty them. \
+                     {}: {}",
+                    balance(scenario),
+                    harvest_more(scenario, energy)
                 ),
                 None => format!("To sense more, {}", sense_more(policy)),
             },
@@ -89,8 +122,9 @@ pub(super) fn advice(
         MissCause::Unpowered => (
             format!("near devices that were told to sense and had no power, most {most}"),
             format!(
-                "Raise {} or energy.e_max, or sense less: {}",
-                harvest_more(scenario),
+                "{}: {}, or {}",
+                balance(scenario),
+                harvest_more(scenario, energy),
                 sense_less(policy)
             ),
         ),
@@ -103,16 +137,16 @@ pub(super) fn advice(
                 )
             } else {
                 format!(
-                    "The wake-up radios had no power: raise {} or lower energy.e_wur",
-                    harvest_more(scenario)
+                    "The wake-up radios had no power: {}, or lower energy.e_wur",
+                    harvest_more(scenario, energy)
                 )
             },
         ),
         MissCause::NoEnergy => (
             format!("detected by devices that could not pay energy.e_tx = {spent} for a report, most {most}"),
             format!(
-                "Raise {} or lower energy.e_tx, or sense less: {}",
-                harvest_more(scenario),
+                "{}, lower energy.e_tx, or sense less: {}",
+                capitalise(&harvest_more(scenario, energy)),
                 sense_less(policy)
             ),
         ),

@@ -53,8 +53,17 @@ pub struct Misses {
     pub in_warm_up: u64,
     /// End of the covered TTIs, exclusive.
     pub end: Tti,
-    /// The metric `low_energy_pct` of a finished run, % of device-TTIs.
-    pub low_energy_pct: Option<f64>,
+    /// The energy of a finished run.
+    pub energy: Option<RunEnergy>,
+}
+
+/// Metrics of a finished run about energy.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RunEnergy {
+    /// The metric `low_energy_pct`, % of device-TTIs.
+    pub low_energy_pct: f64,
+    /// The metric `overflow_per_device_tti`, units.
+    pub overflow_per_device_tti: f64,
 }
 
 /// Numbers of missed events and devices in the square cells of the area. Rows start in the south, cells in the west.
@@ -125,7 +134,7 @@ impl Misses {
             missed: Vec::new(),
             in_warm_up: 0,
             end,
-            low_energy_pct: None,
+            energy: None,
         }
     }
 
@@ -235,13 +244,7 @@ impl Misses {
         };
         let place = self.hot_spot(cause);
         let counts = (count, self.missed.len());
-        Some(advice::advice(
-            &self.scenario,
-            cause,
-            counts,
-            place,
-            self.low_energy_pct,
-        ))
+        Some(advice::advice(&self.scenario, cause, counts, place, self.energy))
     }
 
     /// Returns the mean place of the events of `cause` in the cell with most of them.

@@ -157,17 +157,29 @@ fn the_hot_spot_is_in_the_cell_with_most_events_of_the_main_cause() {
 #[test]
 fn sleeping_devices_without_energy_need_energy_and_not_more_sensing() {
     let scenario = quick(&["policy.name=age-index"]);
-    let advice = |low| advice::advice(&scenario, MissCause::Asleep, (3, 7), Point::new(1.0, 2.0), low);
-    for low in [None, Some(4.9)] {
+    let advice = |low: Option<(f64, f64)>| {
+        let energy = low.map(|(low_energy_pct, overflow_per_device_tti)| RunEnergy {
+            low_energy_pct,
+            overflow_per_device_tti,
+        });
+        advice::advice(&scenario, MissCause::Asleep, (3, 7), Point::new(1.0, 2.0), energy)
+    };
+    for low in [None, Some((4.9, 0.5))] {
         assert!(
             advice(low).ends_with("To sense more, lower policy.age-index.price."),
             "{}",
             advice(low)
         );
     }
-    let text = advice(Some(38.8));
+    let text = advice(Some((38.8, 0.0)));
     assert!(
-        text.contains("39 % of device-TTIs") && text.ends_with("raise harvest.e_b or energy.e_max."),
+        text.contains("39 % of device-TTIs") && text.ends_with("raise harvest.lambda or harvest.e_b."),
+        "{text}"
+    );
+    // A larger battery keeps what overflowed.
+    let text = advice(Some((38.8, 0.1)));
+    assert!(
+        text.ends_with("raise harvest.lambda or harvest.e_b, or energy.e_max."),
         "{text}"
     );
 }
