@@ -1,4 +1,4 @@
-//! File access for [`crate::declare::Files`]; no other module of this crate outside the bus opens files.
+//! File access for [`crate::declare::Files`]; no other module of this crate outside the bus and tests opens files.
 
 use std::io::{self, Read as _};
 use std::path::{Path, PathBuf};

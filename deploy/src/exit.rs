@@ -1,5 +1,6 @@
 //! The exit codes of `reveille`, their lines in `--help`, and the errors of commands that have a code other than 1.
 //! `main` turns the error of a command into its code. Scripts rely on the numbers; `docs/command-line.md` lists them.
+//! The file also keeps the message of the last panic, which `run_folder` stores as the cause of a failed run.
 
 use std::borrow::Cow;
 use std::fmt;
@@ -17,7 +18,7 @@ pub enum ExitReason {
     Failed,
     /// Wrong command line, or a request that this build does not support. clap uses the same code.
     Usage,
-    /// End by a signal, with the results so far kept. Shells use the same code for Ctrl-C.
+    /// End by a signal, at the first signal with the results so far kept. Shells use the same code for Ctrl-C.
     Interrupted,
 }
 

@@ -12,7 +12,7 @@ use crate::cli::OutputArgs;
 use crate::display::note;
 use crate::scenario_files::ScenarioFiles;
 
-/// A recording, if requested.
+/// The recording that `--record` requests, or none.
 pub(crate) struct RunRecording {
     recorder: Option<(Recorder, PathBuf)>,
     quiet: bool,
@@ -22,7 +22,7 @@ impl RunRecording {
     /// Starts the recording that `args` request, of the run called `run`.
     ///
     /// # Errors
-    /// If the file exists already, or cannot be written.
+    /// If the file exists without `--force`, or cannot be written. `run_watchers::check` has refused a growing one.
     pub(crate) fn start(args: &OutputArgs, run: &str, scenario: &Scenario) -> anyhow::Result<Self> {
         let recorder = match &args.record {
             Some(path) => {

@@ -1,6 +1,6 @@
 //! The policy `genie`, the genie-aided bound (Sec. VI): every device sleeps, and the device closest to an event is
-//! woken when it starts. It receives the events through [`Oracle`], as no base station could. Its digests depend on the
-//! order of wake-ups, ties included.
+//! woken when it starts or, with a lossy radio, the devices within d_max in turn until one reports. It receives the
+//! events through [`Oracle`], as no base station could. Its digests depend on the order of wake-ups, ties included.
 
 use std::sync::Arc;
 
@@ -45,7 +45,7 @@ pub struct Genie {
     buckets: Buckets,
     d_max: f64,
     device_count: usize,
-    /// Whether the radio can lose the answer of a working device.
+    /// Whether a woken device with power may fail to report.
     is_lossy: bool,
     epicentre: Point,
     /// Devices to wake for the new event, the next one at the end. Without radio losses it is the closest one, even if

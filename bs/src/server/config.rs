@@ -155,7 +155,7 @@ pub struct ServerOutcome {
     pub outcome: RunOutcome,
     /// The time from the call until all devices had joined.
     pub joining_time: Duration,
-    /// The time from the first grant to the last answer.
+    /// The time from the end of joining to the last answer.
     pub running_time: Duration,
     /// Hosts that ran devices.
     pub hosts: usize,

@@ -44,7 +44,7 @@ pub enum Action {
     /// Obtain the answer to [`Session::pending_decision`], and pass it on as [`ActionResult::Decided`].
     RequestDecision(DecisionStage),
     /// Make these changes at the start of the grant's first TTI, send these plans and then the clock's grant,
-    /// [`Session::grant_message`]. [`Action::Gather`] follows.
+    /// [`Session::grant_message`]. [`Action::Gather`] follows, after any [`Action::Remove`].
     Grant {
         /// The changes that operators make, in order.
         changes: Vec<Change>,
@@ -113,6 +113,7 @@ pub struct Session {
     phase: Phase,
     /// The last grant.
     grant_message: GrantMessage,
+    /// The first TTI of the current plan; `None` before the first plan.
     plan_from: Option<Tti>,
     /// The position before the last grant, open or closed.
     resume_point: ResumePoint,
@@ -164,12 +165,12 @@ impl Session {
         &self.cycle
     }
 
-    /// The next TTI to be granted, or one of the open grant.
+    /// The next TTI to be granted; while a grant is open, the first TTI that still has no outcome.
     pub const fn next_tti(&self) -> Tti {
         self.cycle.next_tti()
     }
 
-    /// Whether a grant is out or its last TTI is not closed.
+    /// Whether a grant is out and its last TTI is not closed.
     pub const fn is_open(&self) -> bool {
         self.cycle.is_open()
     }
@@ -439,7 +440,7 @@ impl Session {
         // of its first TTI, so that the clock can foresee the devices that react.
         let limit = limit
             .min(self.input_queue.next_removal().saturating_add(1))
-            .min(self.input_queue.next_action())
+            .min(self.input_queue.next_operator_action())
             .max(first + 1);
         // Taken before the cycle moves on, since a host that takes devices over repeats this grant.
         self.resume_point = self.position();

@@ -56,7 +56,7 @@ impl InputQueue {
     }
 
     /// The TTI of the next action, [`Tti::NEVER`] after the last.
-    pub(super) fn next_action(&self) -> Tti {
+    pub(super) fn next_operator_action(&self) -> Tti {
         self.actions.front().map_or(Tti::NEVER, |action| action.tti)
     }
 

@@ -1,4 +1,5 @@
-//! The balance compared with the actual harvest of the devices and with closed forms.
+//! The balance compared with the actual harvest of the devices and with closed forms. Also harvest traces in whole
+//! scenarios: their start, end and row limit; `harvest/trace.rs` tests the reading of traces.
 
 use std::fmt::Write as _;
 

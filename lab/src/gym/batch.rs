@@ -159,7 +159,7 @@ impl EnvBatch {
     /// Restarts each environment that has a scenario in `scenarios`.
     ///
     /// # Panics
-    /// If `scenarios` has another length, or one of them has another number of devices.
+    /// If `scenarios` has another length.
     pub fn reset(&mut self, scenarios: Vec<Option<Scenario>>) {
         assert_eq!(scenarios.len(), self.environments.len());
         let weights = self.weights;

@@ -28,5 +28,5 @@ fn report_missing_feature() -> ExitCode {
         "reveille: this build cannot train dt, which needs the cargo feature train-dt (150 more crates); use `cargo \
          run --release --features train-dt -- train dt …`"
     );
-    ExitCode::from(2)
+    crate::exit::ExitReason::Usage.into()
 }

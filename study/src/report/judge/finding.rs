@@ -142,7 +142,7 @@ impl TopicRuns<'_> {
 
 /// Computes the ratio of two means with its interval. Runs with the same seeds have the same deployments, epicentres
 /// and harvests, so the spread is taken over their differences from the common ratio. Other means, and metrics with
-/// only a bound, use the worst case of both intervals.
+/// an upper bound from case counts, use the worst case of both intervals.
 fn ratio(own: &MetricEstimate, theirs: &MetricEstimate, pairs: &[(f64, f64)]) -> [f64; 3] {
     let (a, b) = (own.estimate.mean, theirs.estimate.mean);
     let value = match (a == 0.0, b == 0.0) {
