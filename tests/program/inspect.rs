@@ -148,7 +148,9 @@ fn a_clock_command_with_wait_returns_when_it_is_done() {
     let status = folder.clock(&run, "pause");
     assert!(status.starts_with("paused before TTI "), "{status}");
     let status = folder.clock(&run, "step 1000 --wait");
-    assert!(status.starts_with("finished"), "{status}");
+    // The base station can exit between two queries of its status.
+    let has_ended = status.starts_with("finished") || status.starts_with("the run has ended; last seen at TTI ");
+    assert!(has_ended, "{status}");
     assert!(up.finish().is_success());
 }
 
