@@ -273,13 +273,13 @@ impl<W: Write> PerfettoWriter<W> {
     }
 
     fn write_event(&mut self, tti: Tti, event: &ProtoMessage) -> io::Result<()> {
-        let timestamp = tti.0 * NANOS_PER_TTI;
-        let packet = new_packet().varint(trace_packet::TIMESTAMP, timestamp);
-        self.write_packet(&packet.message(trace_packet::TRACK_EVENT, event))
+        let packet = ProtoMessage::new().varint(trace_packet::TIMESTAMP, tti.0 * NANOS_PER_TTI);
+        self.write_packet(&with_sequence(packet).message(trace_packet::TRACK_EVENT, event))
     }
 
     fn write_track(&mut self, track: &ProtoMessage) -> io::Result<()> {
-        self.write_packet(&new_packet().message(trace_packet::TRACK_DESCRIPTOR, track))
+        let packet = with_sequence(ProtoMessage::new());
+        self.write_packet(&packet.message(trace_packet::TRACK_DESCRIPTOR, track))
     }
 
     fn write_packet(&mut self, packet: &ProtoMessage) -> io::Result<()> {
@@ -288,8 +288,9 @@ impl<W: Write> PerfettoWriter<W> {
     }
 }
 
-fn new_packet() -> ProtoMessage {
-    ProtoMessage::new().varint(trace_packet::TRUSTED_PACKET_SEQUENCE_ID, PACKET_SEQUENCE_ID)
+/// Appends the sequence of all packets. Fields are written in the order of their numbers, as protobuf libraries do.
+fn with_sequence(packet: ProtoMessage) -> ProtoMessage {
+    packet.varint(trace_packet::TRUSTED_PACKET_SEQUENCE_ID, PACKET_SEQUENCE_ID)
 }
 
 fn describe_track(uuid: u64, name: &str, parent: u64) -> ProtoMessage {
