@@ -9,7 +9,14 @@ use reveille_common::harvest::{Arrivals, Harvest};
 use reveille_common::scenario::DeviceClass;
 use reveille_common::totals::MissCause;
 
-use super::RunEnergy;
+/// Metrics of a finished run about energy.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RunEnergy {
+    /// The metric `low_energy_pct`, % of device-TTIs.
+    pub low_energy_pct: f64,
+    /// The metric `overflow_per_device_tti`, units.
+    pub overflow_per_device_tti: f64,
+}
 
 /// Share of device-TTIs with B < E_Tx from which devices lack energy, %.
 const LOW_ENERGY_PCT: f64 = 5.0;
@@ -42,7 +49,10 @@ fn sense_less(policy: &str) -> &'static str {
 /// Returns the changes that give the devices more energy. A larger battery is among them only if batteries overflowed.
 fn harvest_more(scenario: &Scenario, energy: Option<RunEnergy>) -> String {
     let is_trace = |class: &DeviceClass| matches!(class.harvest, Harvest::Trace(_));
-    let has_rare_arrivals = |class: &DeviceClass| matches!(class.harvest, Harvest::Eq5(Arrivals { lambda, .. }) if lambda * scenario.run.tau < 0.5);
+    let has_rare_arrivals = |class: &DeviceClass| match class.harvest {
+        Harvest::Eq5(Arrivals { lambda, .. }) => lambda * scenario.run.tau < 0.5,
+        _ => false,
+    };
     let source = if scenario.classes.iter().any(is_trace) {
         "raise harvest.trace.scale (the panel's area_cm2 with irradiance)"
     } else if scenario.classes.iter().any(has_rare_arrivals) {

@@ -15,6 +15,8 @@ use reveille_common::geometry::{Buckets, Point};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::totals::MissCause;
 
+pub use advice::RunEnergy;
+
 /// Name of the cause of events whose table has no causes.
 pub const UNKNOWN_CAUSE: &str = "unknown";
 /// Most columns and rows of a [`MissMap`].
@@ -55,15 +57,6 @@ pub struct Misses {
     pub end: Tti,
     /// The energy of a finished run.
     pub energy: Option<RunEnergy>,
-}
-
-/// Metrics of a finished run about energy.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RunEnergy {
-    /// The metric `low_energy_pct`, % of device-TTIs.
-    pub low_energy_pct: f64,
-    /// The metric `overflow_per_device_tti`, units.
-    pub overflow_per_device_tti: f64,
 }
 
 /// Numbers of missed events and devices in the square cells of the area. Rows start in the south, cells in the west.
