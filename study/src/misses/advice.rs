@@ -51,7 +51,7 @@ fn harvest_more(scenario: &Scenario, energy: Option<RunEnergy>) -> String {
     let is_trace = |class: &DeviceClass| matches!(class.harvest, Harvest::Trace(_));
     let has_rare_arrivals = |class: &DeviceClass| match class.harvest {
         Harvest::Eq5(Arrivals { lambda, .. }) => lambda * scenario.run.tau < 0.5,
-        _ => false,
+        Harvest::ExpMinusLambda(_) | Harvest::Mpp(_) | Harvest::Diurnal(_) | Harvest::Trace(_) => false,
     };
     let source = if scenario.classes.iter().any(is_trace) {
         "raise harvest.trace.scale (the panel's area_cm2 with irradiance)"
