@@ -1,5 +1,5 @@
 //! The input log of a run folder: `inputs.log`, written during a run and read by `--resume`, `--input-log`, `--policy
-//! replay=FILE` and observers. `lab/src/external_inputs.rs` defines its lines.
+//! replay=FILE` and observers. `lab/src/external_inputs/mod.rs` defines its lines.
 //!
 //! An input is logged before the run acts on it, so that a replay repeats the run after any kill. Outages and actions
 //! are synced to the disk immediately. Decisions can be thousands a second, so a power cut can lose the last second of

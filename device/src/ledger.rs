@@ -4,7 +4,7 @@
 //! ledger and the battery are therefore two independent accounts of the same energy. [`DeviceTotals::is_balanced`]
 //! compares them.
 //!
-//! `machine` records every TTI exactly once. A TTI of its own takes [`LedgerBuilder::record_duty`] at its start and
+//! `machine` records every TTI exactly once. A single TTI takes [`LedgerBuilder::record_duty`] at its start and
 //! [`LedgerBuilder::record_end`] at its end. A span of paid TTIs takes [`LedgerBuilder::record_paid_span`] alone. A
 //! span on an empty battery takes [`LedgerBuilder::record_outage`] and `record_end`. TTIs of a device that is switched
 //! off take [`LedgerBuilder::record_off`] and `record_end`. False wake-ups and transmissions are recorded in addition.

@@ -143,7 +143,7 @@ impl SharedState {
 
     /// Locks the state while the run loop decides about no grant, for an action in a TTI that is not granted yet.
     pub(super) fn lock_between_grants(&self) -> MutexGuard<'_, ServerState> {
-        // The decision takes no longer than the policy's computation: the loop waits for nothing meanwhile.
+        // The wait is short: the run loop only computes until it has decided.
         let unlocked = self.has_granted.wait_while(self.lock(), |state| state.is_granting);
         unlocked.unwrap_or_else(PoisonError::into_inner)
     }

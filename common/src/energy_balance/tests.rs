@@ -147,16 +147,16 @@ fn the_duration_of_a_tti_follows_from_the_sources() {
 fn implausible_harvests_cause_a_warning() {
     let warnings = |set: &[&str]| balance_with(set).warnings();
     assert_eq!(warnings(&[]), [""; 0]);
-    for nothing in [
+    for without_harvest in [
         &["harvest.e_b=0"][..],
         &["harvest.lambda=0"],
         // The first hour of a day is dark.
         &["harvest.kind=diurnal", "ttis=12"],
     ] {
-        let text = warnings(nothing).join("\n");
+        let text = warnings(without_harvest).join("\n");
         assert!(
             text.starts_with("no energy is harvested in the "),
-            "{nothing:?}: {text}"
+            "{without_harvest:?}: {text}"
         );
     }
     // The mean harvest is 0.0905 E_B.

@@ -41,7 +41,7 @@ impl Panel {
 
     /// Energy per TTI of the rows `irradiance`, W/m², at least one row, each at least 0; row i is the value at time
     /// i·`row_seconds`. After the last row the first one follows; with `stops` the last value holds for one more row.
-    /// Of a record with more than 10⁷ TTIs, only the first `needed` TTIs.
+    /// If the rows cover more than 10⁷ TTIs, the result ends after `needed` TTIs.
     ///
     /// # Errors
     /// If the rows are not a whole number of TTIs, too many TTIs are needed, or the energy in a TTI exceeds the limit.

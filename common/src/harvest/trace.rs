@@ -67,7 +67,7 @@ crate::declare! {
         /// Behaviour after the last row.
         end: TraceEnd = choice::<TraceEnd>("cycle"),
         /// Row, counted from 0, in which TTI 0 begins. With `end = "cycle"` the rows before it follow the last row;
-        /// with `"stop"` they are not used.
+        /// `"stop"` skips them.
         start: Option<u64> = whole(0, MAX_START_ROW, 0).unit("rows"),
     }
 }

@@ -106,7 +106,7 @@ fn argument_range(args: &[OsString], command: &str) -> std::ops::Range<usize> {
         .map_or(0..0, |last| last + 1..args.len())
 }
 
-/// Returns the positions of the words of `command`; none if `args` call another command.
+/// Returns the positions of the words of `command` in `args`; empty if `args` call another command.
 fn command_words(args: &[OsString], command: &str) -> Vec<usize> {
     // Global options may precede each word of the command.
     let is_global = |at: usize| {

@@ -16,7 +16,8 @@
 //! next TTI. A false wake-up takes a device S4 → S2 → S4 within a TTI and costs E_idle on top of E_WuR. Unless that
 //! empties its battery, the device still receives wake-up signals in that TTI.
 //!
-//! While an operator lets the device fail, it is in no state and pays for nothing. Its battery still receives harvest.
+//! An operator can let the device fail. A failed device is in none of the states S1 to S4 and consumes no energy; its
+//! battery still receives harvest.
 //!
 //! The machine is lazy. It catches up with TTIs that only have harvest and δ when the device is next needed, many at a
 //! time ([`Machine::advance_to`]). The result must equal single steps, which `tests/step_by_step.rs` checks.

@@ -1,6 +1,6 @@
 //! Decisions of a policy process, and the context that it receives for them: the types between the `external` policy,
 //! the messages ([`super::wire`]), environments in memory (`lab/src/gym/`) and logged decisions
-//! (`lab/src/external_inputs.rs`). The types are not serialised.
+//! (`lab/src/external_inputs/mod.rs`). The types are not serialised.
 
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::Report;

@@ -127,7 +127,7 @@ fn text_report(
     text.push('\n');
     for (number, difference) in (2..).zip(differences) {
         let line = format!("run 1 and run {number}: {}", difference.text);
-        // Differences of messages have lines of their own.
+        // A difference between messages is already divided into lines.
         let is_line = !difference.text.contains('\n');
         text += &if is_line { wrap_text(&line, WIDTH) } else { line };
         text.push('\n');

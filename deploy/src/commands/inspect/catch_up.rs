@@ -217,41 +217,35 @@ mod tests {
     }
 
     impl ReceivedRun {
+        /// Creates a run with removals.
         fn new(scenario: &Scenario, removals: &[DeviceRemoval], lookahead: bool) -> Self {
-            let mut frames = Vec::new();
-            let options = RunOptions {
-                lookahead,
-                ..RunOptions::default()
-            };
-            let mut run = Run::new(&prepare(scenario), options);
-            run.schedule_inputs(&ExternalInputs::from_removals(removals));
-            run.finish(&mut FrameObserver::new(0, |frame| frames.push(frame)));
-            let numbered = frames.iter().enumerate();
-            let inputs = numbered
-                .filter(|(_, frame)| frame.kind == MessageKind::Removed)
-                .map(|(index, _)| index)
-                .zip(removals.iter().copied().map(ExternalInput::Removal))
-                .collect();
-            Self { frames, inputs }
+            let inputs = ExternalInputs::from_removals(removals);
+            Self::with_inputs(scenario, &inputs, MessageKind::Removed, lookahead)
         }
 
         /// Creates a run with actions, logged at the start if `scripted`, otherwise just before they take effect.
         fn with_actions(scenario: &Scenario, actions: &[OperatorAction], lookahead: bool, scripted: bool) -> Self {
+            let inputs = ExternalInputs::from_actions(actions);
+            let mut received = Self::with_inputs(scenario, &inputs, MessageKind::Action, lookahead);
+            if scripted {
+                received.inputs.iter_mut().for_each(|(index, _)| *index = 0);
+            }
+            received
+        }
+
+        /// Creates a run with inputs of one kind, each logged just before its frame of kind `kind`.
+        fn with_inputs(scenario: &Scenario, inputs: &ExternalInputs, kind: MessageKind, lookahead: bool) -> Self {
             let mut frames = Vec::new();
             let options = RunOptions {
                 lookahead,
                 ..RunOptions::default()
             };
             let mut run = Run::new(&prepare(scenario), options);
-            run.schedule_inputs(&ExternalInputs::from_actions(actions));
-            run.finish(&mut FrameObserver::new(0, |frame| frames.push(frame)));
-            let indices = frames.iter().enumerate();
-            let indices = indices.filter(|(_, frame)| frame.kind == MessageKind::Action);
-            let logged = actions.iter().copied().map(ExternalInput::Action);
-            let inputs = indices
-                .map(|(index, _)| if scripted { 0 } else { index })
-                .zip(logged)
-                .collect();
+            run.schedule_inputs(inputs);
+            run.finish(&mut FrameObserver::new(0, |frame: Frame| frames.push(frame)));
+            let of_kind = |(index, frame): (usize, &Frame)| (frame.kind == kind).then_some(index);
+            let logged_at = frames.iter().enumerate().filter_map(of_kind);
+            let inputs = logged_at.zip(inputs.iter()).collect();
             Self { frames, inputs }
         }
 

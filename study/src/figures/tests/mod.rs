@@ -43,6 +43,17 @@ fn results_with(metric: &str) -> Results {
     Results::new(&[fixtures::table("paper", metric, &RUNS)], &NoFiles).expect("runs")
 }
 
+/// Returns the texts of a figure.
+fn texts(scene: &Scene) -> Vec<&str> {
+    let items = scene.items.iter();
+    items
+        .filter_map(|item| match item {
+            SceneItem::Text(text) => Some(text.text.as_str()),
+            SceneItem::Shape(_) => None,
+        })
+        .collect()
+}
+
 /// Checks the properties that every figure must have.
 fn check(name: &str, scene: &Scene) {
     assert!(
@@ -511,14 +522,7 @@ fn missed_events_have_a_marker_and_a_count_for_each_cause() {
     }
     let scene = misses::scene(&run);
     check("misses", &scene);
-    let texts: Vec<&str> = scene
-        .items
-        .iter()
-        .filter_map(|item| match item {
-            SceneItem::Text(text) => Some(text.text.as_str()),
-            SceneItem::Shape(_) => None,
-        })
-        .collect();
+    let texts = texts(&scene);
     for (cause, count) in run.causes() {
         let entry = format!("{} ({count})", crate::misses::cause_name(cause));
         assert!(texts.contains(&entry.as_str()), "no {entry}: {texts:?}");

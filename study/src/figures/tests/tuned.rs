@@ -1,8 +1,7 @@
 //! Tests of the figure of a tuning: legibility with crowded points and with a flat objective.
 
-use super::super::scene::SceneItem;
 use super::super::tuning;
-use super::check;
+use super::{check, texts};
 use reveille_lab::tuning::{Evaluation, History, Ranges, Surface, TuningPoint, WeightPair};
 
 /// Returns a history with the values of `objective` at `pairs`.
@@ -60,14 +59,7 @@ fn a_tuning_with_crowded_pairs_is_legible() {
     let pairs: Vec<WeightPair> = spread.into_iter().chain(crowd).collect();
     let scene = tuning::scene(&history(&pairs, hill), &ranges, &surface(&ranges, hill));
     check("tuning", &scene);
-    let texts: Vec<&str> = scene
-        .items
-        .iter()
-        .filter_map(|item| match item {
-            SceneItem::Text(text) => Some(text.text.as_str()),
-            SceneItem::Shape(_) => None,
-        })
-        .collect();
+    let texts = texts(&scene);
     for number in 1..=20 {
         assert!(
             texts.contains(&number.to_string().as_str()),
