@@ -20,9 +20,12 @@ fn draw_epicentres(text: &str, n: usize) -> (Area, Vec<Point>) {
 fn durations_have_the_mean_and_tail_of_their_law() {
     for mean in [1_u32, 4, 25] {
         let text = |kind: &str| format!("seed = 5\n[events]\nduration = {mean}\nduration_kind = \"{kind}\"\n");
-        let draw_with_kind = |kind: &str| draw_events(&scenario(&text(kind)), 40_000);
+        let draw_events_with_duration_kind = |kind: &str| draw_events(&scenario(&text(kind)), 40_000);
         let duration = |event: &ActiveEvent| (event.last - event.start) as f64 + 1.0;
-        let (fixed, geometric) = (draw_with_kind("fixed"), draw_with_kind("geometric"));
+        let (fixed, geometric) = (
+            draw_events_with_duration_kind("fixed"),
+            draw_events_with_duration_kind("geometric"),
+        );
         let mean = f64::from(mean);
         assert!(fixed.iter().all(|event| (duration(event) - mean).abs() < 0.1));
         assert!(geometric.iter().all(|event| event.last >= event.start));

@@ -344,10 +344,10 @@ fn a_fork_continues_independently() {
             (requests, fork.finish().0.digest)
         });
         let requests = answer_randomly(&mut run, &mut Stream::new(1, Purpose::Training, 0));
-        let original = (requests, run.finish().0.digest);
-        assert_eq!(forks[0], original);
-        assert_eq!(forks[1], original);
-        assert_ne!(forks[2], original);
+        let forked_run = (requests, run.finish().0.digest);
+        assert_eq!(forks[0], forked_run);
+        assert_eq!(forks[1], forked_run);
+        assert_ne!(forks[2], forked_run);
     }
 }
 

@@ -62,9 +62,9 @@ pub async fn serve(
     shared.lock().removed_devices.extend(removed_devices);
     // Kept until the end of the run: dropping a subscription undeclares it.
     let _guards = subscriptions::declare(bus, scenario, deployment, settings, checkpoint, replay.clone(), &shared)?;
-    let started = now();
+    let joining_started = now();
     join::wait_for_all_devices(&shared, scenario, settings, progress).await?;
-    let joining_time = started.elapsed();
+    let joining_time = joining_started.elapsed();
     let gauge = BatteryGauge {
         progress,
         devices: scenario.run.devices,

@@ -68,7 +68,8 @@ impl EventLog {
         earlier.find(|record| record.delay().is_none()).map(event_json)
     }
 
-    /// Events and misdetections near each device since TTI 0.
+    /// By device: the number of ended events to which it is the nearest device, and how many of these were missed, since
+    /// TTI 0.
     pub(super) fn counts(&self) -> (&[u32], &[u32]) {
         (&self.near, &self.missed_near)
     }

@@ -222,8 +222,18 @@ fn an_impossible_log_is_refused_with_the_reason() {
         let with_decision = first.clone() + &removal_line + &line(&ExternalInput::Decision(decision));
         assert!(matches!(error_of(&with_decision), InputLogError::DecisionInVersion1(3)));
     }
-    let other = |version| format!("{{\"inputs\":{{\"version\":{version},\"scenario_hash\":\"00\"}}}}\n");
-    assert!(matches!(error_of(&other(VERSION)), InputLogError::Scenario));
-    assert!(matches!(error_of(other(VERSION).trim_end()), InputLogError::Scenario));
-    assert!(matches!(error_of(&other(VERSION + 1)), InputLogError::Version));
+    let first_line_of_other_run =
+        |version| format!("{{\"inputs\":{{\"version\":{version},\"scenario_hash\":\"00\"}}}}\n");
+    assert!(matches!(
+        error_of(&first_line_of_other_run(VERSION)),
+        InputLogError::Scenario
+    ));
+    assert!(matches!(
+        error_of(first_line_of_other_run(VERSION).trim_end()),
+        InputLogError::Scenario
+    ));
+    assert!(matches!(
+        error_of(&first_line_of_other_run(VERSION + 1)),
+        InputLogError::Version
+    ));
 }

@@ -383,7 +383,7 @@ mod tests {
     }
 
     #[test]
-    fn arrival_probabilities_equal_printed_values() {
+    fn arrival_probabilities_equal_tabulated_exponentials() {
         // exp(-1/2) and exp(-1/4) from a printed table.
         assert!((LambdaReading::Eq5.probability(0.25, 2.0) - 0.5 * 0.606_530_659_7).abs() < 1e-10);
         assert!((LambdaReading::ExpMinusLambda.probability(0.25, 2.0) - 0.778_800_783_1).abs() < 1e-10);

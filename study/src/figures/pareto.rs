@@ -194,9 +194,9 @@ impl TradeOff {
             return Vec::new();
         };
         let sample = |n: u32| {
-            let floor = floor::floor_within_harvest(condition.scenario.as_ref()?, n)?;
+            let least_energy = floor::floor_within_harvest(condition.scenario.as_ref()?, n)?;
             let best = condition.estimate(GENIE, n, P1_METRIC)?.mean;
-            Some((n, floor::exact_point(floor, best)))
+            Some((n, floor::exact_point(least_energy, best)))
         };
         let points: Vec<(u32, ChartPoint)> = condition.device_counts(GENIE).into_iter().filter_map(sample).collect();
         if points.len() > 1 { points } else { Vec::new() }

@@ -122,9 +122,9 @@ fn busiest_devices(scenario: &Scenario, from: Tti, end: Tti) -> Vec<DeviceId> {
     let mut activity_counts = vec![0_u32; scenario.run.devices as usize];
     for_each_tti(scenario, from, end, |_, _, outcome| {
         let reporters = outcome.reports.iter().map(|r| r.device);
-        let failed = outcome.failures.iter().map(|f| f.device);
+        let unable_to_transmit = outcome.failures.iter().map(|f| f.device);
         let woken = outcome.wake_ups.iter().map(|(device, _)| *device);
-        for device in reporters.chain(failed).chain(woken) {
+        for device in reporters.chain(unable_to_transmit).chain(woken) {
             activity_counts[device.index()] += 1;
         }
     });

@@ -16,7 +16,8 @@ pub(super) struct ReferenceEstimate {
     /// Last known level, and the first TTI after it.
     level: u64,
     from: u64,
-    /// First TTI of unexpected silence since the last report.
+    /// First TTI since the last report in which the device was silent although, by the estimate, its battery could pay
+    /// for a report and radio losses hardly explain the silence.
     silent_since: Option<u64>,
     /// TTIs from the first unexpected silence to the latest.
     silence_span: u64,

@@ -160,6 +160,7 @@ impl Policy for QLearning {
         true
     }
 
+    /// Starts the wake-ups of an event with its first reports, and draws whether this event is explored.
     fn reports_received(&mut self, seen: &Observation<'_>, reports: &[Report]) {
         self.report_count = reports.len();
         // Exploring wakes all candidates of an event: values beyond a stop are learned only by continuing there.
