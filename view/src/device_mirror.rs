@@ -226,7 +226,10 @@ impl DeviceMirror {
                 match views.iter().zip(&states.views).position(differs) {
                     None if views.len() == states.views.len() => Ok(()),
                     None => Err(format!("states of {} devices, not {}", states.views.len(), views.len())),
-                    Some(j) => Err(format!("device {j} is {:?}, not {:?}", views[j], states.views[j])),
+                    Some(j) => Err(format!(
+                        "device {j}: the messages before lead to {:?}, but the message states {:?}",
+                        views[j], states.views[j]
+                    )),
                 }
             }
             Message::Event(_)
