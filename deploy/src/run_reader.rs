@@ -114,6 +114,13 @@ impl RunReader {
         let Some(events) = self.table(EVENTS_FILE)? else {
             bail!("{}: holds no {EVENTS_FILE}; repeat the run", self.path.display());
         };
+        // Checked first: a table without rows would otherwise read as a run without events. The file of an active run can
+        // still be empty.
+        if events.column_names().next().is_some() {
+            for column in ["event", "start_tti", "counted", "reports", "x_m", "y_m"] {
+                events.column_index(column)?;
+            }
+        }
         self.report_unfinished();
         let mut misses = Misses::new(self.scenario.clone());
         let mut found = Vec::new();
@@ -200,6 +207,17 @@ impl RowTable {
         })
     }
 
+    /// Returns the position of a column.
+    ///
+    /// # Errors
+    /// If the table has no such column.
+    fn column_index(&self, column: &str) -> anyhow::Result<usize> {
+        self.columns.get(column).copied().with_context(|| {
+            let path = self.path.display();
+            format!("{path}: has no column {column}; repeat the run with this version of Reveille")
+        })
+    }
+
     /// The names of the columns, in order.
     pub(crate) fn column_names(&self) -> impl Iterator<Item = &str> {
         self.header.iter()
@@ -239,12 +257,7 @@ impl<'t> Row<'t> {
     /// # Errors
     /// If the table has no such column, or the cell is not a number.
     pub(crate) fn number<T: std::str::FromStr>(&self, column: &str) -> anyhow::Result<T> {
-        let Some(text) = self.text(column) else {
-            bail!(
-                "{}: has no column {column}; repeat the run with this version of Reveille",
-                self.table.path.display()
-            );
-        };
+        let text = &self.cells[self.table.column_index(column)?];
         text.parse()
             .ok()
             .with_context(|| format!("{}: not a number, `{text}`", self.place(column)))

@@ -153,3 +153,13 @@ fn an_active_run_is_reported_so_far() {
     assert!(up.finish().is_success());
     assert_eq!(report(&folder, "out")["missed"], count_missed(&folder, "out").len());
 }
+
+#[test]
+fn a_table_without_the_columns_is_refused_also_without_rows() {
+    let folder = TestFolder::new();
+    assert!(folder.run("run -p random -n 10 -k 300 --quiet --out r").is_success());
+    folder.write("r/events.csv", "garbage\n");
+    let cause = "r/events.csv: has no column event; repeat the run";
+    assert_refused(&folder.run("inspect misses r"), 1, &[cause]);
+    assert_refused(&folder.run("figures misses r --out f"), 1, &[cause]);
+}

@@ -94,13 +94,13 @@ fn format_span(balance: &EnergyBalance, ttis: u64) -> String {
     };
     let seconds = ttis as f64 * tti_seconds;
     // Two units of time are enough: 2days 3h, not 2days 3h 7m 12s.
-    let step = match seconds {
+    let rounding_seconds = match seconds {
         s if s >= 86_400.0 => 3600.0,
         s if s >= 3600.0 => 60.0,
         s if s >= 1.0 => 1.0,
         _ => 1e-6,
     };
-    match Duration::try_from_secs_f64((seconds / step).round() * step) {
+    match Duration::try_from_secs_f64((seconds / rounding_seconds).round() * rounding_seconds) {
         Ok(span) => format!(" ({})", format_duration(span)),
         Err(_) => String::new(),
     }
