@@ -114,8 +114,8 @@ impl RunReader {
         let Some(events) = self.table(EVENTS_FILE)? else {
             bail!("{}: holds no {EVENTS_FILE}; repeat the run", self.path.display());
         };
-        // Checked first: a table without rows would otherwise read as a run without events. The file of an active run can
-        // still be empty.
+        // Checked first: a table without rows would otherwise read as a run without events. The file of an active run
+        // can still be empty.
         if events.column_names().next().is_some() {
             for column in ["event", "start_tti", "counted", "reports", "x_m", "y_m"] {
                 events.column_index(column)?;

@@ -1,6 +1,7 @@
 //! External inputs that a run has not reached yet: device removals, decisions of an external policy, and actions of
 //! operators. A resumed or replayed run fills the queue from an input log, and operators add actions. The
-//! [`Session`](super::Session) takes each input when it is due. `lab/src/external_inputs/mod.rs` has the format of the log.
+//! [`Session`](super::Session) takes each input when it is due. `lab/src/external_inputs/mod.rs` has the format of the
+//! log.
 
 use std::collections::VecDeque;
 

@@ -68,8 +68,8 @@ impl EventLog {
         earlier.find(|record| record.delay().is_none()).map(event_json)
     }
 
-    /// By device: the number of ended events to which it is the nearest device, and how many of these were missed, since
-    /// TTI 0.
+    /// By device: the number of ended events since TTI 0 to which it is the nearest device, and how many of these were
+    /// missed.
     pub(super) fn counts(&self) -> (&[u32], &[u32]) {
         (&self.near, &self.missed_near)
     }

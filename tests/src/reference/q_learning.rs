@@ -246,9 +246,9 @@ pub fn choose_by_ages(
     Some(chosen)
 }
 
-/// Returns all cells in the order in which they are covered: blocks of `BLOCK` × `BLOCK` cells in ascending order of the
-/// room of their middle cells, and the cells of a block in ascending order of their own room. The room of a cell is the
-/// part of a square of side 2·d_max around it that lies in the area. `reach` is d_max in cells.
+/// Returns all cells in the order in which they are covered: blocks of `BLOCK` × `BLOCK` cells in ascending order of
+/// the room of their middle cells, and the cells of a block in ascending order of their own room. The room of a cell is
+/// the part of a square of side 2·d_max around it that lies in the area. `reach` is d_max in cells.
 fn cover_order((rows, columns): (usize, usize), reach: usize) -> Vec<usize> {
     let side = |index: usize, count: usize| reach + reach.min(index).min(count - 1 - index);
     let room = |row: usize, column: usize| side(row, rows) * side(column, columns);
