@@ -55,16 +55,16 @@ impl fmt::Display for RunName {
     }
 }
 
-/// The keys of one run.
+/// The key expressions of one run.
 #[derive(Clone, Debug)]
-pub struct Keys {
+pub struct KeyExprs {
     run: RunName,
     /// The secret part of the keys that only members may use. Without it, as for observers, those keys match no real
     /// key.
     member_secret: Option<Secret>,
 }
 
-impl Keys {
+impl KeyExprs {
     /// Returns the keys of `run` for a client that is not a member.
     pub const fn new(run: RunName) -> Self {
         Self {
@@ -209,7 +209,7 @@ mod tests {
 
     #[test]
     fn member_keys_contain_the_secret_as_a_verbatim_chunk() {
-        let keys = Keys::for_members("r1".parse().expect("valid"), SECRET);
+        let keys = KeyExprs::for_members("r1".parse().expect("valid"), SECRET);
         let secret = "ab".repeat(16);
         let token = "01".repeat(16);
         assert_eq!(
@@ -232,14 +232,14 @@ mod tests {
             format!("reveille/r1/@{secret}/air/report/2/{token}")
         );
         assert_eq!(keys.base_key(MessageKind::Join), "reveille/r1/emu/join");
-        let outsider = Keys::new("r1".parse().expect("valid"));
+        let outsider = KeyExprs::new("r1".parse().expect("valid"));
         assert_eq!(outsider.base_key(MessageKind::Join), keys.base_key(MessageKind::Join));
         assert_eq!(outsider.base_key(MessageKind::Clock), "reveille/r1/@/emu/clock");
     }
 
     #[test]
     fn a_credential_is_read_from_the_keys_that_contain_it() {
-        let keys = Keys::for_members("r1".parse().expect("valid"), SECRET);
+        let keys = KeyExprs::for_members("r1".parse().expect("valid"), SECRET);
         for key in [
             keys.uplink(MessageKind::Answer, credential()),
             keys.host_liveliness(credential()),
@@ -253,7 +253,7 @@ mod tests {
 
     #[test]
     fn keys_are_classified_by_kind_and_host() {
-        let keys = Keys::for_members("r1".parse().expect("valid"), SECRET);
+        let keys = KeyExprs::for_members("r1".parse().expect("valid"), SECRET);
         for &kind in MessageKind::ALL {
             assert_eq!(classify(&keys.base_key(kind)), Some((kind, None)), "{kind:?}");
             assert_eq!(classify(&keys.to_all_hosts(kind)), Some((kind, None)), "{kind:?}");

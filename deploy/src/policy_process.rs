@@ -69,7 +69,7 @@ impl PolicyProcess {
         guard
             .args([GUARD, "--parent", &std::process::id().to_string(), "--", command])
             .env(CONNECT_VARIABLE, bus.endpoint())
-            .env(RUN_VARIABLE, bus.keys().run().to_string())
+            .env(RUN_VARIABLE, bus.key_exprs().run().to_string())
             .stdin(Stdio::null())
             // The run's standard output is for its results only.
             .stdout(std::io::stderr())

@@ -74,7 +74,7 @@ impl PolicySource<'_> {
         }
         if self.decision_timeout.is_some() && !is_quiet {
             let (port, endpoint) = (
-                bus.keys().policy_port(),
+                bus.key_exprs().policy_port(),
                 run_registry::reachable_endpoint(bus.endpoint()),
             );
             note!("sending decision requests to {port} of {endpoint}");

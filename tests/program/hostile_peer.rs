@@ -9,7 +9,7 @@ use reveille_common::codec;
 use reveille_common::event::Stimulus;
 use reveille_common::geometry::Point;
 use reveille_common::ids::{DeviceId, EventId, HostId, Tti};
-use reveille_common::keys::Keys;
+use reveille_common::keys::KeyExprs;
 use reveille_common::message::{
     ActRequest, BusCredentials, Change, ClockCommand, ClockMessage, DeviceRange, FailedTransmission, GrantMessage,
     HostAnswer, JoinReply, JoinRequest, MessageKind, PlanUpdate, Report, WakeUp,
@@ -44,7 +44,10 @@ async fn revoked_host(endpoint: &str, run: &str) -> (Bus, HostCredential) {
     };
     let BusCredentials { pass, secret } = assignment.membership;
     let bus = bus.with_secret(secret);
-    drop(bus.declare_alive(bus.keys().host_liveliness(pass)).expect("declared"));
+    drop(
+        bus.declare_alive(bus.key_exprs().host_liveliness(pass))
+            .expect("declared"),
+    );
     (bus, pass)
 }
 
@@ -91,7 +94,7 @@ async fn a_join_request_of_another_version_or_format_is_refused() {
     );
     let text = codec::encode(&"not a request at all, but a text");
     let reply = bus
-        .query_raw_without_secret(bus.keys().base_key(MessageKind::Join), text, PATIENCE)
+        .query_raw_without_secret(bus.key_exprs().base_key(MessageKind::Join), text, PATIENCE)
         .await;
     let why = reply.expect_err("refused").to_string();
     assert!(why.contains("malformed") || why.contains("bytes follow"), "{why}");
@@ -127,7 +130,7 @@ async fn invalid_payloads_on_every_key_change_nothing() {
     let expected = folder.summary("run -n 30 -k 1200");
     let (bs, hosts, bus, pass) = start_run_with_revoked_host(&folder, &run, 1200).await;
     let tail = folder.start(&format!("inspect tail --run {run}"));
-    let keys = bus.keys();
+    let keys = bus.key_exprs();
     let mut all_keys: Vec<String> = MessageKind::ALL.iter().map(|&kind| keys.base_key(kind)).collect();
     // Devices and hosts that exist and that do not.
     for j in [0, 7, 29, 30, u32::MAX] {
@@ -206,7 +209,7 @@ fn forged_clock(tti: u64) -> [ClockMessage; 5] {
 }
 
 /// Returns messages that decode but that no host would send or receive in TTI `tti`, each with its key.
-fn forged_messages(keys: &Keys, pass: HostCredential, tti: u64) -> Vec<(String, Vec<u8>)> {
+fn forged_messages(keys: &KeyExprs, pass: HostCredential, tti: u64) -> Vec<(String, Vec<u8>)> {
     let overlong_cycle = DutyCycle {
         t_on: u32::MAX,
         t_drx: u32::MAX,
@@ -293,7 +296,7 @@ async fn forged_messages_change_nothing() {
     let (bs, hosts, bus, pass) = start_run_with_revoked_host(&folder, &run, 600).await;
     folder.clock(&run, "resume");
     for tti in 0..600 {
-        for (key, payload) in forged_messages(bus.keys(), pass, tti) {
+        for (key, payload) in forged_messages(bus.key_exprs(), pass, tti) {
             bus.put_raw(&key, payload).expect("sent");
         }
         // Close to the pace of 3 ms, so that the forged messages stay near the open TTI.

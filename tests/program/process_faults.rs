@@ -308,7 +308,9 @@ async fn an_unanswered_grant_is_repeated_with_its_plan() {
             let _closed = grant_sender.send("grant");
         })
         .expect("subscribed");
-    let _alive = bus.declare_alive(bus.keys().host_liveliness(pass)).expect("declared");
+    let _alive = bus
+        .declare_alive(bus.key_exprs().host_liveliness(pass))
+        .expect("declared");
     let ready = Ready { host: pass.host };
     let is_accepted = bus
         .query_until(&ready, Some(pass.token), PATIENCE)

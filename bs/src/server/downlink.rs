@@ -4,15 +4,15 @@
 //! host that already has them ignores the repetition (`device/src/grant_follower/`). Hosts rely on the order: plans,
 //! their grant, then the wake-ups of that grant.
 
-use reveille_common::bus::{Bus, BusError, Topic};
+use reveille_common::bus::{Bus, BusError, TopicPublisher};
 use reveille_common::ids::{DeviceId, HostId};
 use reveille_common::message::{ClockMessage, PlanUpdate, WakeUp};
 
 /// Sender of the base station's messages.
 pub(super) struct Downlink<'a> {
     bus: &'a Bus,
-    clock_topic: Topic<ClockMessage>,
-    plan_topic: Topic<PlanUpdate>,
+    clock_topic: TopicPublisher<ClockMessage>,
+    plan_topic: TopicPublisher<PlanUpdate>,
     /// The plans of the open grant.
     plans: Vec<PlanUpdate>,
     changes: Option<ClockMessage>,

@@ -25,7 +25,7 @@ pub(super) fn declare(
     replay: Option<Arc<dyn ReplaySource>>,
     shared: &Arc<SharedState>,
 ) -> Result<Vec<DeclarationGuard>, BusError> {
-    let keys = bus.keys();
+    let keys = bus.key_exprs();
     let bus_secret = keys
         .member_secret()
         .ok_or_else(|| BusError::Refused("this session does not belong to a base station".to_owned()))?;

@@ -8,7 +8,7 @@
 //! kinds of queries, or feed the tap. At the policy port the BS asks and any client may answer: it accepts answers that
 //! carry the run's key. See [`crate::keys`] for why a wildcard does not help an outsider.
 
-use crate::keys::Keys;
+use crate::keys::KeyExprs;
 use crate::message::MessageKind;
 
 /// Limits on the harm that one peer can do: the message size, the wait for a peer that stops reading before the BS
@@ -35,7 +35,7 @@ const BS_QUERIES: [MessageKind; 6] = [
 ];
 
 /// Returns zenoh's access configuration of the run with these `keys`.
-pub(super) fn access_config(keys: &Keys) -> String {
+pub(super) fn access_config(keys: &KeyExprs) -> String {
     let bs_to_hosts: Vec<String> = BS_TO_HOSTS.iter().map(|&kind| keys.to_all_hosts(kind)).collect();
     let wake_keys = format!("{}/*/*", keys.base_key(MessageKind::Wake));
     let hosts_to_bs: Vec<String> = HOSTS_TO_BS.iter().map(|&kind| keys.uplinks(kind)).collect();
@@ -43,7 +43,7 @@ pub(super) fn access_config(keys: &Keys) -> String {
     let received = [&bs_to_hosts[..], &[wake_keys, keys.tap()]].concat();
     let (hosts, bs) = (vec![keys.all_host_liveliness()], vec![keys.bs_liveliness()]);
     let policy = vec![keys.policy_port()];
-    let any_bs = vec![Keys::all_bs_liveliness().to_owned(), keys.bs_liveliness()];
+    let any_bs = vec![KeyExprs::all_bs_liveliness().to_owned(), keys.bs_liveliness()];
     let rules = [
         rule("send", "ingress", &["put"], &hosts_to_bs),
         rule("hear", "ingress", &["declare_subscriber"], &received),

@@ -9,7 +9,7 @@ use zenoh::liveliness::LivelinessToken;
 use zenoh::sample::{Sample, SampleKind};
 
 use super::{Bus, BusError, DeclarationGuard};
-use crate::keys::Keys;
+use crate::keys::KeyExprs;
 
 /// A callback that receives each token that appears or disappears.
 type TokenHandler = dyn Fn(&str, bool) + Send + Sync;
@@ -56,9 +56,9 @@ impl Bus {
     /// If zenoh refuses.
     pub async fn list_runs(&self, patience: Duration) -> Result<Vec<String>, BusError> {
         let tokens = self
-            .query_tokens(Keys::all_bs_liveliness().to_owned(), Some(patience))
+            .query_tokens(KeyExprs::all_bs_liveliness().to_owned(), Some(patience))
             .await?;
-        // In `Keys::all_bs_liveliness` the second segment is the name of the run.
+        // In `KeyExprs::all_bs_liveliness` the second segment is the name of the run.
         let name = |key: &String| key.split('/').nth(1).map(str::to_owned);
         let mut runs: Vec<String> = tokens.iter().flatten().filter_map(name).collect();
         runs.sort();
@@ -70,7 +70,10 @@ impl Bus {
     /// # Errors
     /// If zenoh refuses.
     pub async fn count_alive_hosts(&self) -> Result<u32, BusError> {
-        Ok(self.query_tokens(self.keys.all_host_liveliness(), None).await?.len() as u32)
+        Ok(self
+            .query_tokens(self.key_exprs.all_host_liveliness(), None)
+            .await?
+            .len() as u32)
     }
 
     /// Queries the tokens that match `key`; an error reply gives `None`. Boxed, so zenoh's code is compiled only here.
@@ -102,7 +105,7 @@ impl Bus {
         };
         BusError::RunNotFound {
             endpoint: self.endpoint.to_string(),
-            run: self.keys.run().clone(),
+            run: self.key_exprs.run().clone(),
             hint,
         }
     }

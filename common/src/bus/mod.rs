@@ -35,7 +35,7 @@ use zenoh::sample::Sample;
 
 use crate::codec::{self, CodecError};
 use crate::ids::{DeviceId, HostId, Tti};
-use crate::keys::{self, Keys};
+use crate::keys::{self, KeyExprs};
 use crate::message::{Frame, FrameBatch, MessageKind, Payload, Plane, WakeUp};
 use crate::secret::{HostCredential, Secret};
 
@@ -52,7 +52,7 @@ const FLUSH_CHECK_INTERVAL: Duration = Duration::from_millis(2);
 #[derive(Clone)]
 pub struct Bus {
     session: zenoh::Session,
-    keys: Arc<Keys>,
+    key_exprs: Arc<KeyExprs>,
     endpoint: Arc<str>,
     /// The run's key, sent with every query; `None` sends none.
     run_key: Option<Secret>,
@@ -69,10 +69,10 @@ pub struct DeclarationGuard {
 type PayloadHandler = dyn Fn(&str, &[u8]) + Send + Sync;
 
 impl Bus {
-    fn new(session: zenoh::Session, keys: Keys, endpoint: &str) -> Self {
+    fn new(session: zenoh::Session, key_exprs: KeyExprs, endpoint: &str) -> Self {
         Self {
             session,
-            keys: Arc::new(keys),
+            key_exprs: Arc::new(key_exprs),
             endpoint: endpoint.into(),
             run_key: None,
             malformed_payloads: Arc::default(),
@@ -80,16 +80,16 @@ impl Bus {
         }
     }
 
-    /// The keys of the run.
-    pub fn keys(&self) -> &Keys {
-        &self.keys
+    /// The key expressions of the run.
+    pub fn key_exprs(&self) -> &KeyExprs {
+        &self.key_exprs
     }
 
     /// Returns this session with the secret of the run's members, which gives access to the keys of all hosts.
     #[must_use]
     pub fn with_secret(&self, secret: Secret) -> Self {
         Self {
-            keys: Arc::new(Keys::for_members(self.keys.run().clone(), secret)),
+            key_exprs: Arc::new(KeyExprs::for_members(self.key_exprs.run().clone(), secret)),
             ..self.clone()
         }
     }
@@ -170,11 +170,11 @@ impl Bus {
     ///
     /// # Errors
     /// If zenoh refuses.
-    pub fn publisher<P: Payload<Address = ()>>(&self) -> Result<Topic<P>, BusError> {
-        let publisher = self.session.declare_publisher(self.keys.to_all_hosts(P::KIND));
+    pub fn publisher<P: Payload<Address = ()>>(&self) -> Result<TopicPublisher<P>, BusError> {
+        let publisher = self.session.declare_publisher(self.key_exprs.to_all_hosts(P::KIND));
         // By default zenoh drops a message under congestion; only the modelled radio may lose messages.
         let delivery = Delivery::Publisher(publisher.congestion_control(CongestionControl::Block).wait()?);
-        Ok(Topic::new(delivery, None, self.tap.clone()))
+        Ok(TopicPublisher::new(delivery, None, self.tap.clone()))
     }
 
     /// Sends a wake-up to `device`, which `host` runs. Blocks while the link is congested.
@@ -188,7 +188,7 @@ impl Bus {
         }
         // Thousands of these keys exist, each rarely used. If declared, zenoh would search all of them for each new
         // one.
-        let put = self.session.put(self.keys.wake(host, device), payload);
+        let put = self.session.put(self.key_exprs.wake(host, device), payload);
         Ok(put.congestion_control(CongestionControl::Block).wait()?)
     }
 
@@ -196,13 +196,13 @@ impl Bus {
     ///
     /// # Errors
     /// If zenoh refuses.
-    pub fn uplink<P: Payload>(&self, credential: HostCredential) -> Result<Topic<P>, BusError> {
+    pub fn uplink<P: Payload>(&self, credential: HostCredential) -> Result<TopicPublisher<P>, BusError> {
         let key = self
             .session
-            .declare_keyexpr(self.keys.uplink(P::KIND, credential))
+            .declare_keyexpr(self.key_exprs.uplink(P::KIND, credential))
             .wait()?;
         let delivery = Delivery::DeclaredKey(self.session.clone(), key);
-        Ok(Topic::new(delivery, Some(credential.host.0), self.tap.clone()))
+        Ok(TopicPublisher::new(delivery, Some(credential.host.0), self.tap.clone()))
     }
 
     /// Calls `handle` with each message of type `P` that `host` receives on a topic for all hosts. It must not block.
@@ -214,7 +214,7 @@ impl Bus {
         P: Payload<Address = ()>,
         F: Fn(P) + Send + Sync + 'static,
     {
-        self.subscribe_decoded(self.keys.to_all_hosts_at(P::KIND, host), move |_, message| {
+        self.subscribe_decoded(self.key_exprs.to_all_hosts_at(P::KIND, host), move |_, message| {
             handle(message);
             true
         })
@@ -228,7 +228,7 @@ impl Bus {
     where
         F: Fn(DeviceId, WakeUp) + Send + Sync + 'static,
     {
-        self.subscribe_decoded(self.keys.wake_ups_of(host), move |key, wake| {
+        self.subscribe_decoded(self.key_exprs.wake_ups_of(host), move |key, wake| {
             let device = keys::last_number(key).map(DeviceId);
             device.map(|device| handle(device, wake)).is_some()
         })
@@ -244,7 +244,7 @@ impl Bus {
         P: Payload,
         F: Fn(HostCredential, P) + Send + Sync + 'static,
     {
-        self.subscribe_decoded(self.keys.uplinks(P::KIND), move |key, message| {
+        self.subscribe_decoded(self.key_exprs.uplinks(P::KIND), move |key, message| {
             HostCredential::from_key_expr(key)
                 .map(|credential| handle(credential, message))
                 .is_some()
@@ -256,7 +256,7 @@ impl Bus {
     /// # Errors
     /// If zenoh refuses.
     pub fn observe(&self, handle: impl Fn(FrameBatch) + Send + Sync + 'static) -> Result<DeclarationGuard, BusError> {
-        self.subscribe_decoded(self.keys.tap(), move |_, batch| {
+        self.subscribe_decoded(self.key_exprs.tap(), move |_, batch| {
             handle(batch);
             true
         })
@@ -347,7 +347,7 @@ impl DeclarationGuard {
     }
 }
 
-/// The way in which a topic sends.
+/// The way in which a [`TopicPublisher`] sends.
 enum Delivery {
     /// By a publisher. zenoh informs it of all subscribers.
     Publisher(Publisher<'static>),
@@ -356,8 +356,8 @@ enum Delivery {
     DeclaredKey(zenoh::Session, KeyExpr<'static>),
 }
 
-/// A topic for sending messages of type `P` on one key.
-pub struct Topic<P> {
+/// A publisher of messages of type `P` on one key.
+pub struct TopicPublisher<P> {
     delivery: Delivery,
     /// The number of the sending host; `None` for the BS.
     source_host: Option<u32>,
@@ -365,7 +365,7 @@ pub struct Topic<P> {
     _payload: PhantomData<fn(&P)>,
 }
 
-impl<P: Payload> Topic<P> {
+impl<P: Payload> TopicPublisher<P> {
     const fn new(delivery: Delivery, source_host: Option<u32>, tap: Option<Arc<Tap>>) -> Self {
         Self {
             delivery,

@@ -143,7 +143,7 @@ impl Bus {
         // Boxed, so that zenoh's generic code is compiled only once, in this crate.
         Box::pin(async move {
             let (send, replies) = channel(MAX_BUFFERED_REPLIES);
-            let query = self.session.get(self.keys.policy_port()).payload(payload);
+            let query = self.session.get(self.key_exprs.policy_port()).payload(payload);
             query
                 .encoding(to_zenoh(encoding))
                 // Every reply is needed: any client may answer, and only an answer with the run's key counts.
@@ -166,7 +166,7 @@ impl Bus {
     /// If zenoh refuses.
     pub fn serve_policy_port(&self) -> Result<PortRequests, BusError> {
         Ok(PortRequests(
-            self.session.declare_queryable(self.keys.policy_port()).wait()?,
+            self.session.declare_queryable(self.key_exprs.policy_port()).wait()?,
         ))
     }
 }

@@ -55,7 +55,7 @@ impl Bus {
             })?;
             Ok(codec::encode(&answer(request, secret)?))
         };
-        self.serve_bytes(self.keys.base_key(Q::KIND), Box::new(reply_to))
+        self.serve_bytes(self.key_exprs.base_key(Q::KIND), Box::new(reply_to))
     }
 
     /// Serves like [`Self::serve_with_secret`], in bytes. Not generic, so zenoh's code is compiled only here, once.
@@ -135,7 +135,12 @@ impl Bus {
         Q: Query<Address = ()>,
     {
         let reply = self
-            .query_raw(self.keys.base_key(Q::KIND), codec::encode(request), secret, patience)
+            .query_raw(
+                self.key_exprs.base_key(Q::KIND),
+                codec::encode(request),
+                secret,
+                patience,
+            )
             .await?;
         Ok(reply.map(|payload| codec::decode(&payload)).transpose()?)
     }

@@ -7,7 +7,7 @@ use std::time::Duration;
 use zenoh::Wait;
 
 use super::{Bus, BusError, Tap, access};
-use crate::keys::{Keys, RunName};
+use crate::keys::{KeyExprs, RunName};
 use crate::secret::Secret;
 
 /// Time without traffic after which the peer of a link counts as lost, with at most [`UNSCALED_PROCESSES`] processes on
@@ -53,7 +53,7 @@ impl Bus {
     /// # Errors
     /// As [`Self::listen`].
     pub async fn listen_for_hosts(hosts: u32, endpoint: &str, run: RunName) -> Result<Self, BusError> {
-        let keys = Keys::for_members(run, draw_secret()?);
+        let keys = KeyExprs::for_members(run, draw_secret()?);
         let rules = access::access_config(&keys);
         Self::listen_as(hosts, endpoint, keys, &[("access_control", &rules)]).await
     }
@@ -63,10 +63,10 @@ impl Bus {
     /// # Errors
     /// As [`Self::listen`].
     pub async fn listen_open(endpoint: &str, run: RunName) -> Result<Self, BusError> {
-        Self::listen_as(1, endpoint, Keys::new(run), &[]).await
+        Self::listen_as(1, endpoint, KeyExprs::new(run), &[]).await
     }
 
-    async fn listen_as(hosts: u32, endpoint: &str, keys: Keys, extra: &[(&str, &str)]) -> Result<Self, BusError> {
+    async fn listen_as(hosts: u32, endpoint: &str, keys: KeyExprs, extra: &[(&str, &str)]) -> Result<Self, BusError> {
         let mut config = session_config("router", hosts)?;
         set_option(&mut config, "listen/exit_on_failure", "true")?;
         for (key, value) in access::PEER_LIMITS.iter().chain(extra) {
@@ -74,7 +74,7 @@ impl Bus {
         }
         let (endpoint, session) = open_listening(config, endpoint).await?;
         let mut bus = Self::new(session, keys, &endpoint);
-        bus.tap = Some(Tap::start(&bus.session, bus.keys.tap())?);
+        bus.tap = Some(Tap::start(&bus.session, bus.key_exprs.tap())?);
         Ok(bus)
     }
 
@@ -122,7 +122,7 @@ impl Bus {
                 patience,
             }
         })?;
-        Ok(Self::new(session, Keys::new(run), endpoint))
+        Ok(Self::new(session, KeyExprs::new(run), endpoint))
     }
 }
 

@@ -1,42 +1,11 @@
-//! The balance compared with the actual harvest of the devices and with closed forms. Also harvest traces in whole
-//! scenarios: their start, end and row limit; `harvest/trace.rs` tests the reading of traces.
-
-use std::fmt::Write as _;
+//! The balance compared with the actual harvest of the devices and with closed forms.
 
 use super::*;
-use crate::declare::Override;
-use crate::harvest::{HarvestSource, SharedSourceData};
-use crate::ids::Tti;
-use crate::scenario::PolicyChoice;
-use crate::scenario::testing::{StubPolicy, load};
-
-type TestScenario = Scenario<PolicyChoice<StubPolicy>>;
-
-fn scenario_with(set: &[&str]) -> TestScenario {
-    let overrides: Vec<Override> = set
-        .iter()
-        .map(|text| Override::parse(text).expect("FIELD=VALUE"))
-        .collect();
-    load("paper", &overrides).expect("a scenario")
-}
+use crate::harvest::testing::{draw_harvests, trace_fields};
+use crate::scenario::testing::scenario_with;
 
 fn balance_with(set: &[&str]) -> EnergyBalance {
     EnergyBalance::new(&scenario_with(set))
-}
-
-/// Draws the harvest of every device of the run, units per TTI.
-fn draw_harvests(scenario: &TestScenario) -> Vec<f64> {
-    let deployment = Deployment::new(scenario);
-    let shared = SharedSourceData::new(deployment.devices.iter().map(|d| &d.harvest), deployment.traces);
-    let drawn = deployment.devices.iter().map(|device| {
-        let mut source = HarvestSource::new(&device.harvest, &shared, scenario.run.seed, device.id);
-        let mut sum = 0.0;
-        while source.next_arrival() < Tti(scenario.run.ttis) {
-            sum += source.take_arrival().units();
-        }
-        sum / scenario.run.ttis as f64
-    });
-    drawn.collect()
 }
 
 #[test]
@@ -63,28 +32,12 @@ fn the_expected_harvest_equals_the_mean_of_the_drawn_harvests() {
     }
 }
 
-/// Writes a trace of three columns, and returns the fields that read it.
-fn trace_fields(name: &str, end: &str) -> Vec<String> {
-    let path = std::env::temp_dir().join(format!("reveille-balance-{name}-{}.csv", std::process::id()));
-    std::fs::write(&path, "a,b,c\n1,0,7\n2,0,0\n0,0,3\n").expect("a file");
-    [
-        "harvest.kind=trace".to_owned(),
-        format!("harvest.trace.file={}", path.display()),
-        "harvest.trace.columns=[\"a\", \"b\", \"c\"]".to_owned(),
-        "harvest.trace.ttis_per_row=4".to_owned(),
-        format!("harvest.trace.end={end}"),
-        "devices=7".to_owned(),
-    ]
-    .to_vec()
-}
-
 #[test]
 fn recorded_harvest_is_exact_and_ranges_over_the_columns() {
     for end in ["cycle", "stop"] {
         for ttis in [1_u64, 4, 7, 12, 13, 29] {
             let mut fields = trace_fields(end, end);
             fields.push(format!("ttis={ttis}"));
-            let fields: Vec<&str> = fields.iter().map(String::as_str).collect();
             let scenario = scenario_with(&fields);
             let drawn = draw_harvests(&scenario);
             let balance = EnergyBalance::new(&scenario);
@@ -173,127 +126,4 @@ fn implausible_harvests_cause_a_warning() {
     );
     let free = warnings(&["energy.e_idle=0", "energy.e_wur=0"]).join("\n");
     assert!(free.contains("above 0 and the consumption 0"), "{free}");
-}
-
-/// The second calculation reads the rows of the file TTI by TTI.
-#[test]
-fn a_trace_starts_at_the_given_row_and_then_repeats_or_stops() {
-    let columns = [[1.0, 2.0, 0.0], [0.0, 0.0, 0.0], [7.0, 0.0, 3.0]];
-    let unshifted_hash = |end: &str| {
-        let fields = trace_fields("hash", end);
-        let fields: Vec<&str> = fields.iter().map(String::as_str).collect();
-        scenario_with(&fields).hash_hex()
-    };
-    for end in ["cycle", "stop"] {
-        for start in 0..3_usize {
-            let mut fields = trace_fields(&format!("start-{end}"), end);
-            fields.extend(["ttis=31".to_owned(), format!("harvest.trace.start={start}")]);
-            let fields: Vec<&str> = fields.iter().map(String::as_str).collect();
-            let scenario = scenario_with(&fields);
-            let drawn = draw_harvests(&scenario);
-            for (device, drawn) in drawn.iter().enumerate() {
-                let harvest_in = |tti: usize| {
-                    let row = start + tti / 4;
-                    match end {
-                        "stop" if row > 2 => 0.0,
-                        _ => columns[device % 3][row % 3],
-                    }
-                };
-                let expected = (0..31).map(harvest_in).sum::<f64>() / 31.0;
-                assert!(
-                    (drawn - expected).abs() < 1e-12,
-                    "{end} from row {start}, device {device}: {drawn}"
-                );
-                let class = &scenario.classes[0].harvest;
-                if device == 0 {
-                    // The base station knows the mean of the rows that are used, not that a trace stops.
-                    let rows = if end == "stop" { 3 - start } else { 3 };
-                    let sum: f64 = columns[0][3 - rows..].iter().sum();
-                    let known = sum / rows as f64;
-                    let mean = class.mean(1.0).units();
-                    assert!(
-                        (mean - known).abs() < 1e-6,
-                        "{end} from row {start}: mean {mean}, not {known}"
-                    );
-                }
-            }
-            let page = scenario.to_toml();
-            assert_eq!(page.contains("\nstart = "), start > 0, "{page}");
-            let file = std::env::temp_dir().join(format!("reveille-start-{end}-{}.toml", std::process::id()));
-            std::fs::write(&file, page).expect("a file");
-            let reloaded = load(&file.to_string_lossy(), &[]).expect("a scenario");
-            assert_eq!(reloaded, scenario, "{end} from row {start}");
-        }
-        let mut zero = trace_fields("hash", end);
-        zero.push("harvest.trace.start=0".to_owned());
-        let zero: Vec<&str> = zero.iter().map(String::as_str).collect();
-        assert_eq!(scenario_with(&zero).hash_hex(), unshifted_hash(end));
-    }
-}
-
-#[test]
-fn a_start_after_the_last_row_is_refused() {
-    let mut fields = trace_fields("late", "cycle");
-    fields.push("harvest.trace.start=3".to_owned());
-    let overrides: Vec<Override> = fields
-        .iter()
-        .map(|text| Override::parse(text).expect("FIELD=VALUE"))
-        .collect();
-    let error = load("paper", &overrides).expect_err("too late").to_string();
-    assert!(
-        error.contains("harvest.trace.start = 3: must be below 3, the number of rows of "),
-        "{error}"
-    );
-}
-
-/// The file has 10 020 rows, and the list names its column 1000 times: more than the 10⁷ values that are kept.
-#[test]
-fn a_trace_with_too_many_rows_is_read_in_part() {
-    let path = std::env::temp_dir().join(format!("reveille-long-{}.csv", std::process::id()));
-    let rows = 10_020;
-    let mut text = String::from("w\n");
-    for row in 0..rows {
-        // Row 9990 holds 0, the next one 1, and so on; the rows before them hold 5.
-        let value = if row < 9_990 { 5 } else { row - 9_990 };
-        writeln!(text, "{value}").expect("a String can be written");
-    }
-    std::fs::write(&path, text).expect("a file");
-    let file = format!("harvest.trace.file={}", path.display());
-    let load_from = |start: u64, ttis: u64, end: &str| {
-        let fields = [
-            "harvest.kind=trace".to_owned(),
-            file.clone(),
-            format!("harvest.trace.columns=[{}]", vec!["\"w\""; 1000].join(",")),
-            format!("harvest.trace.start={start}"),
-            format!("ttis={ttis}"),
-            format!("harvest.trace.end={end}"),
-            "devices=1".to_owned(),
-        ];
-        let overrides: Vec<Override> = fields
-            .iter()
-            .map(|text| Override::parse(text).expect("FIELD=VALUE"))
-            .collect();
-        load("paper", &overrides)
-    };
-    let middle = load_from(9_995, 10, "cycle").expect("a scenario");
-    let read = middle.classes[0].harvest.trace_columns()[0]
-        .iter()
-        .map(|energy| energy.units());
-    assert_eq!(read.collect::<Vec<f64>>(), (5..15).map(f64::from).collect::<Vec<f64>>());
-    assert_eq!(draw_harvests(&middle), [9.5]);
-    let end = load_from(10_015, 10, "stop").expect("a scenario");
-    assert_eq!(draw_harvests(&end), [(25.0 + 26.0 + 27.0 + 28.0 + 29.0) / 10.0]);
-    let error = load_from(10_015, 10, "cycle")
-        .expect_err("too late to repeat")
-        .to_string();
-    assert!(
-        error.contains("the run needs 10 rows from row 10015 on, and 5 follow"),
-        "{error}"
-    );
-    let error = load_from(0, 10_001, "stop").expect_err("too many rows").to_string();
-    assert!(
-        error.contains("has more than 10000000 values in 1000 columns"),
-        "{error}"
-    );
-    std::fs::remove_file(&path).expect("removed");
 }

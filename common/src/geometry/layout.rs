@@ -283,7 +283,7 @@ mod tests {
         width: 20.0,
         height: 20.0,
     };
-    const FLAT: Area = Area {
+    const WIDE: Area = Area {
         width: 50.0,
         height: 8.0,
     };
@@ -303,7 +303,7 @@ mod tests {
     #[test]
     fn every_layout_places_n_devices_inside_the_area() {
         for layout in RANDOM.iter().chain(&REGULAR) {
-            for area in [SQUARE, FLAT] {
+            for area in [SQUARE, WIDE] {
                 for n in (0..60).chain([250, 1000]) {
                     let points = place_devices(layout, area, n, 5);
                     assert_eq!(points.len(), n as usize, "{layout:?}");
@@ -335,7 +335,7 @@ mod tests {
 
     #[test]
     fn uniform_positions_fill_the_area_evenly() {
-        let points = place_devices(&Layout::Uniform, FLAT, 40_000, 9);
+        let points = place_devices(&Layout::Uniform, WIDE, 40_000, 9);
         // Eight rectangles of 12.5 m by 4 m, with 5000 expected in each.
         let mut counts = [0_u32; 8];
         for p in &points {
@@ -349,7 +349,7 @@ mod tests {
 
     #[test]
     fn a_jittered_grid_cell_contains_at_most_one_device() {
-        for area in [SQUARE, FLAT] {
+        for area in [SQUARE, WIDE] {
             for (n, side) in [(1, 1), (2, 2), (10, 4), (16, 4), (17, 5), (250, 16), (256, 16)] {
                 let mut counts = vec![0; side * side];
                 for p in place_devices(&Layout::JitteredGrid, area, n, 3) {
@@ -378,7 +378,7 @@ mod tests {
 
     #[test]
     fn poisson_disks_keep_their_distance() {
-        for (area, n) in [(SQUARE, 10), (SQUARE, 250), (FLAT, 100), (SQUARE, 2000)] {
+        for (area, n) in [(SQUARE, 10), (SQUARE, 250), (WIDE, 100), (SQUARE, 2000)] {
             // The distance in the densest packing.
             let hexagonal_pitch = (2.0 * area.surface() / (3.0_f64.sqrt() * f64::from(n))).sqrt();
             let smallest = smallest_distance(&place_devices(&Layout::PoissonDisk, area, n, 8));
@@ -396,7 +396,7 @@ mod tests {
 
     #[test]
     fn a_hundred_thousand_poisson_disks_are_placed() {
-        assert_eq!(place_devices(&Layout::PoissonDisk, FLAT, 100_000, 1).len(), 100_000);
+        assert_eq!(place_devices(&Layout::PoissonDisk, WIDE, 100_000, 1).len(), 100_000);
     }
 
     #[test]

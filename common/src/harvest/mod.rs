@@ -14,6 +14,8 @@ mod on_off;
 mod panel;
 mod shared_tables;
 pub mod sun;
+#[cfg(test)]
+pub(crate) mod testing;
 mod trace;
 
 use std::sync::Arc;

@@ -52,8 +52,25 @@ impl PolicyKind for StubPolicy {
     }
 }
 
+/// A scenario with [`StubPolicy`].
+pub(crate) type TestScenario = Scenario<PolicyChoice<StubPolicy>>;
+
+/// Loads the paper's scenario with changes such as `devices=10`.
+pub(crate) fn load_with(changes: &[impl AsRef<str>]) -> Result<TestScenario, ScenarioError> {
+    let overrides: Vec<Override> = changes
+        .iter()
+        .map(|text| Override::parse(text.as_ref()).expect("FIELD=VALUE"))
+        .collect();
+    load("paper", &overrides)
+}
+
+/// Loads the paper's scenario with valid changes.
+pub(crate) fn scenario_with(changes: &[impl AsRef<str>]) -> TestScenario {
+    load_with(changes).expect("a scenario")
+}
+
 /// Loads a scenario as [`super::load`] does, with [`StubPolicy`] as the only policy.
-pub(crate) fn load(source: &str, overrides: &[Override]) -> Result<Scenario<PolicyChoice<StubPolicy>>, ScenarioError> {
+pub(crate) fn load(source: &str, overrides: &[Override]) -> Result<TestScenario, ScenarioError> {
     super::load(source, overrides, &[&STUB], &crate::io::Disk).map(|loaded| loaded.scenario)
 }
 

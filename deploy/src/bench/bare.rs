@@ -29,7 +29,7 @@ pub(super) fn zenoh(hosts: u32, sizes: QuietTtiSizes, seconds: f64) -> anyhow::R
         // Without access rules: the baseline is zenoh alone.
         let bus = Bus::listen_open("tcp/127.0.0.1:0", "bare".parse()?).await?;
         let barrier = BareBarrier::new(&bus)?;
-        let alive = bus.declare_alive(bus.keys().bs_liveliness())?;
+        let alive = bus.declare_alive(bus.key_exprs().bs_liveliness())?;
         let children = start_hosts("zenoh", bus.endpoint(), hosts, sizes)?;
         let grant = vec![0; sizes.grant];
         // A host shows its token after it has subscribed: once all tokens are seen, no grant is lost.

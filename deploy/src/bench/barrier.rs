@@ -79,10 +79,10 @@ pub(super) async fn host(bus: &Bus, number: u32, answer: usize) -> Result<(), Bu
         token: Secret::new([0; 16]),
     };
     // The token comes last: the base station sends the first grant as soon as it sees the tokens of all hosts.
-    let _here = bus.declare_alive(bus.keys().host_liveliness(credential))?;
+    let _here = bus.declare_alive(bus.key_exprs().host_liveliness(credential))?;
     let gone = Arc::new(tokio::sync::Notify::new());
     let gone_notifier = Arc::clone(&gone);
-    let _watch = bus.watch_alive(bus.keys().bs_liveliness(), move |_, alive| {
+    let _watch = bus.watch_alive(bus.key_exprs().bs_liveliness(), move |_, alive| {
         if !alive {
             gone_notifier.notify_one();
         }
@@ -92,5 +92,5 @@ pub(super) async fn host(bus: &Bus, number: u32, answer: usize) -> Result<(), Bu
 }
 
 fn key(bus: &Bus, suffix: &str) -> String {
-    format!("reveille/{}/bare/{suffix}", bus.keys().run())
+    format!("reveille/{}/bare/{suffix}", bus.key_exprs().run())
 }

@@ -1,4 +1,4 @@
-//! Options of `reveille report`, including the search over settings that the paper leaves unstated. Names of options
+//! Options of `reveille report`, including the search over conditions that the paper leaves unstated. Names of options
 //! are a public interface (see `cli`).
 
 use std::path::PathBuf;
@@ -29,7 +29,7 @@ pub(crate) struct ReportArgs {
 /// Report on a search instead of the presets.
 #[derive(Subcommand)]
 pub(crate) enum ReportCommand {
-    /// Judge the paper's claims under every setting of a sweep, and rank the settings
+    /// Judge the paper's claims under every condition of a sweep, and rank the conditions
     ///
     /// The rank uses half of the claims; the other half shows whether a rank is more than chance.
     #[command(after_help = examples!(
@@ -42,10 +42,10 @@ pub(crate) enum ReportCommand {
 /// Arguments of `reveille report search`.
 #[derive(Args)]
 pub(crate) struct SearchArgs {
-    /// Result tables of `reveille sweep`, or the folders of finished sweeps; every setting in them is judged.
+    /// Result tables of `reveille sweep`, or the folders of finished sweeps; every condition in them is judged.
     #[arg(required = true, value_name = "TABLE")]
     pub tables: Vec<PathBuf>,
-    /// Number of settings to list, from the best on; the presets are always listed.
+    /// Number of conditions to list, from the best on; the presets are always listed.
     #[arg(long, default_value = "20", value_parser = whole(1..=usize::MAX), allow_negative_numbers = true)]
     pub top: usize,
     /// Folder for search.md; created if missing.

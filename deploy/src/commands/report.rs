@@ -1,4 +1,4 @@
-//! `reveille report`: the paper's claims next to the results, as HTML and Markdown; and the settings that meet most
+//! `reveille report`: the paper's claims next to the results, as HTML and Markdown; and the conditions that meet most
 //! claims. `figure_order` recognises a figure by the start of its title, which `study/src/figures/` sets.
 
 use std::fs;
@@ -14,7 +14,7 @@ use reveille_study::figures::scene::Scene;
 use reveille_study::figures::{energy, pareto, study, svg};
 use reveille_study::report::page::page;
 use reveille_study::report::page_sections::{PageSection, fill_page};
-use reveille_study::report::search::{SettingRanking, markdown};
+use reveille_study::report::search::{ConditionRanking, markdown};
 use reveille_study::report::{ClaimReport, markdown as pages};
 
 use super::figure_files::{read_tables, write_file};
@@ -29,15 +29,15 @@ pub(crate) fn run(args: &ReportArgs) -> anyhow::Result<ExitCode> {
     }
 }
 
-/// Ranks the settings of the tables by the claims that they meet.
+/// Ranks the conditions of the tables by the claims that they meet.
 fn search(args: &SearchArgs) -> anyhow::Result<ExitCode> {
     let results = read_tables(&args.tables)?;
-    let ranking = SettingRanking::new(ClaimReport::new(&results));
+    let ranking = ConditionRanking::new(ClaimReport::new(&results));
     let headings = markdown::ranking_heads(&ranking);
     let mut table = Table::new();
     table.load_style(UTF8_FULL_CONDENSED).set_header(&headings);
-    for setting in ranking.settings_to_show(args.top) {
-        table.add_row(markdown::ranking_row(&ranking, setting));
+    for ranked in ranking.conditions_to_show(args.top) {
+        table.add_row(markdown::ranking_row(&ranking, ranked));
     }
     display::print_stdout(&format!("{table}\n"))?;
     for sentence in markdown::summary(&ranking) {
@@ -62,11 +62,11 @@ fn search(args: &SearchArgs) -> anyhow::Result<ExitCode> {
 fn write_report(args: &ReportArgs) -> anyhow::Result<ExitCode> {
     let results = read_tables(&args.tables)?;
     let report = ClaimReport::of_presets(&results)?;
-    if report.settings_left_out.count > 0 {
+    if report.conditions_left_out.count > 0 {
         note!(
             "report: {} left out, on which the paper makes no statement; rank them with `reveille report search`, or \
              draw them with `reveille figures`",
-            report.settings_left_out.describe()
+            report.conditions_left_out.describe()
         );
     }
     let mut pictures = Vec::new();

@@ -72,7 +72,7 @@ pub(crate) async fn serve(address: &str, feed: Arc<Feed>, bus: Option<Bus>) -> a
         .route("/api/act/{action}", post(commands::act));
     for &(path, content_type, text) in PAGE {
         let path = if path == "/index.html" { "/" } else { path };
-        let page = move || async move {
+        let serve_file = move || async move {
             let headers = [
                 (header::CONTENT_TYPE, content_type),
                 (header::CACHE_CONTROL, "no-store"),
@@ -82,7 +82,7 @@ pub(crate) async fn serve(address: &str, feed: Arc<Feed>, bus: Option<Bus>) -> a
             ];
             (headers, text).into_response()
         };
-        router = router.route(path, get(page));
+        router = router.route(path, get(serve_file));
     }
     // A layer covers the routes added before it: all of them, the pages included.
     let router = router

@@ -50,8 +50,8 @@ pub(super) struct TimelineCursor(Mutex<Option<HistorySnapshot>>);
 impl TimelineCursor {
     /// Copies the requested TTIs from `history`; `None` if none of them is available.
     pub(super) fn copy_span(&self, history: &RunHistory, request: &TimelineRequest) -> Option<HistorySpan> {
-        let near = self.lock().take();
-        history.span(request.from, request.end, near)
+        let snapshot_near_end = self.lock().take();
+        history.span(request.from, request.end, snapshot_near_end)
     }
 
     /// Encodes the answer to `request` from `span`. Battery levels are shares of `e_max`.
@@ -61,8 +61,8 @@ impl TimelineCursor {
             cells.mark(frame, request);
         }
         let end = span.ttis().1;
-        let near = span.for_each_tti(&request.devices, |tti, views| cells.add(tti, views, e_max));
-        *self.lock() = Some(near);
+        let snapshot_near_end = span.for_each_tti(&request.devices, |tti, views| cells.add(tti, views, e_max));
+        *self.lock() = Some(snapshot_near_end);
         cells.encode(request.from, end, request.step)
     }
 

@@ -176,7 +176,7 @@ impl HostShared {
     /// Declares all subscriptions of this host, then its liveliness token. The token comes last, so that every
     /// subscription is in place when the base station sees it.
     fn declare(self: &Arc<Self>, bus: &Bus, dispatcher: Dispatcher) -> Result<Vec<DeclarationGuard>, BusError> {
-        let keys = bus.keys();
+        let keys = bus.key_exprs();
         let mut guards = Vec::new();
         let host = self.credentials.pass.host;
         let plan_dispatcher = dispatcher.clone();
@@ -224,7 +224,7 @@ impl HostShared {
             };
             if !changed {
                 return Err(HostError::BsLost {
-                    run: bus.keys().run().to_string(),
+                    run: bus.key_exprs().run().to_string(),
                     tti: self.lock().follower.last_granted(),
                     patience,
                 });

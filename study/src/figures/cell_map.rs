@@ -13,12 +13,12 @@ fn device_across(positions: &[Point], device: usize, from: Point, to: Point) -> 
     let distance = middle.distance(positions[device]);
     let others = (0..positions.len()).filter(|j| positions[*j] != positions[device]);
     // On a common edge both devices are equally far from the middle; on the border of the area all others are farther.
-    let closest = others.min_by(|a, b| {
+    let closest_device = others.min_by(|a, b| {
         positions[*a]
             .distance(middle)
             .total_cmp(&positions[*b].distance(middle))
     })?;
-    (positions[closest].distance(middle) <= distance + 1e-6).then_some(closest)
+    (positions[closest_device].distance(middle) <= distance + 1e-6).then_some(closest_device)
 }
 
 /// Returns the edges of a cell, as pairs of corners. Edges of zero length are omitted.

@@ -23,13 +23,13 @@ pub enum FigureError {
     },
     /// The tables hold no run of a preset, which the report needs.
     #[error(
-        "the tables hold {settings} and no runs of an unchanged preset, on which the paper's claims are judged; add a \
-         table of `reveille sweep --scenario paper`, rank the settings with `reveille report search`, or draw them \
+        "the tables hold {conditions} and no runs of an unchanged preset, on which the paper's claims are judged; add \
+         a table of `reveille sweep --scenario paper`, rank the conditions with `reveille report search`, or draw them \
          with `reveille figures`"
     )]
     NoPreset {
-        /// Settings in the tables.
-        settings: String,
+        /// Conditions in the tables.
+        conditions: String,
     },
     /// Two tables hold different outcomes of one run.
     #[error(

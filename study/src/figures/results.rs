@@ -32,7 +32,7 @@ pub struct LabelledTable {
     pub digest_hash: String,
 }
 
-/// Settings that runs share, except policy, N and seed.
+/// The preset, length and changed fields that runs share; their policies, N and seeds may differ.
 #[derive(Clone, Debug)]
 pub struct RunCondition {
     /// Preset name.

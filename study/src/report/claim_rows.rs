@@ -1,12 +1,12 @@
 //! Rows and columns of a [`super::ClaimReport`]: a row for each claim, with an assessment for each condition.
-//! [`PRESETS`] must be names of presets; the first columns have their order.
+//! [`REPORT_PRESETS`] must be names of presets; the first columns have their order.
 
 use super::judge::Verdict;
 use crate::claims::{Citation, Contradiction};
 use crate::figures::results::RunCondition;
 
 /// Presets that come first in the report.
-pub const PRESETS: [&str; 2] = ["paper", "paper-literal"];
+pub const REPORT_PRESETS: [&str; 2] = ["paper", "paper-literal"];
 
 /// Our result for a claim under one condition.
 #[derive(Clone, Debug, PartialEq)]
@@ -19,7 +19,7 @@ pub struct Assessment {
     pub is_firm: bool,
     /// Explanation of an unmet or doubtful verdict, and of missing runs; empty otherwise.
     pub explanation: String,
-    /// Deviation of our findings from the statement, for comparing settings: 0 if the claim is met, infinite if
+    /// Deviation of our findings from the statement, for comparing conditions: 0 if the claim is met, infinite if
     /// undefined. See [`super::search`].
     pub deviation: f64,
 }

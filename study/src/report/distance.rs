@@ -1,4 +1,4 @@
-//! Deviation of findings from a claim, as a number. [`super::search`] uses it to find the setting closest to a claim
+//! Deviation of findings from a claim, as a number. [`super::search`] uses it to find the condition closest to a claim
 //! that none meets. [`super::finding_text`] describes the same deviations as text; change both.
 
 use super::judge::Finding;

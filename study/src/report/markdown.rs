@@ -11,7 +11,7 @@ use super::notes::{
     verdict_cell,
 };
 use super::page_sections::{PageSection, wrap_text};
-use super::{ClaimReport, ClaimRow, ConditionColumn, PRESETS};
+use super::{ClaimReport, ClaimRow, ConditionColumn, REPORT_PRESETS};
 
 /// Renders the whole report. `figures` are titles and files, and `command` is the command that made it.
 pub fn markdown(report: &ClaimReport<'_>, figures: &[(String, String)], command: &str) -> String {
@@ -63,10 +63,10 @@ pub fn page_sections(report: &ClaimReport<'_>, command: &str) -> Vec<PageSection
         PageSection::new("rule", wrap_text(VERDICT_RULE, "")),
         PageSection::new("tally", tally_table(report)),
         PageSection::new("claims", tables.collect()),
-        // The paper makes no statements on other settings, and their reasons would fill another page.
+        // The paper makes no statements on other conditions, and their reasons would fill another page.
         PageSection::list(
             "why",
-            explanations(report, |column| PRESETS.contains(&column.label.as_str())),
+            explanations(report, |column| REPORT_PRESETS.contains(&column.label.as_str())),
         ),
         PageSection::list("contradictions", contradictions.items),
         PageSection::list("readings", interpretations.items),

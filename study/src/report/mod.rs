@@ -2,7 +2,7 @@
 //!
 //! [`crate::claims`] holds the paper's claims, and [`mod@judge`] the rule. [`ClaimReport`] applies the rule to merged
 //! result tables: a row for each claim, a column for each condition. [`page`] (HTML) and [`markdown`] render it;
-//! [`page_sections`] inserts the Markdown into hand-written pages. [`search`] ranks settings by the same verdicts.
+//! [`page_sections`] inserts the Markdown into hand-written pages. [`search`] ranks conditions by the same verdicts.
 //! `reveille report` writes the files.
 
 mod causes;
@@ -26,7 +26,7 @@ use crate::figures::results::{Results, RunCondition};
 
 use reveille_lab::series::RANKING;
 
-pub use self::claim_rows::{Assessment, ClaimRow, ConditionColumn, PRESETS};
+pub use self::claim_rows::{Assessment, ClaimRow, ConditionColumn, REPORT_PRESETS};
 
 /// The whole report, before rendering.
 #[derive(Clone, Debug)]
@@ -39,20 +39,20 @@ pub struct ClaimReport<'r> {
     pub rows: Vec<ClaimRow>,
     /// Names of the conditions in the tables that have no runs for any claim.
     pub conditions_without_claims: Vec<String>,
-    /// Settings of the tables that are not the paper's and have no column.
-    pub settings_left_out: SettingsLeftOut,
+    /// Conditions of the tables that are not the paper's and have no column.
+    pub conditions_left_out: ConditionsLeftOut,
 }
 
-/// Settings that the report leaves out, because the paper makes no statement on them.
+/// Conditions that the report leaves out, because the paper makes no statement on them.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct SettingsLeftOut {
-    /// Number of settings.
+pub struct ConditionsLeftOut {
+    /// Number of conditions.
     pub count: usize,
     /// Fields that distinguish them, each once; empty if only their tables do.
     pub fields: Vec<String>,
 }
 
-impl SettingsLeftOut {
+impl ConditionsLeftOut {
     fn new(columns: &[ConditionColumn<'_>]) -> Self {
         let paths = columns.iter().flat_map(|column| column.condition.all_changes());
         let mut fields: Vec<String> = Vec::new();
@@ -67,23 +67,23 @@ impl SettingsLeftOut {
         }
     }
 
-    /// Formats the settings: `3 settings of events.alpha and harvest.lambda`.
+    /// Formats the conditions: `3 conditions of events.alpha and harvest.lambda`.
     pub fn describe(&self) -> String {
         let fields = if self.fields.is_empty() {
             String::new()
         } else {
             format!(" of {}", join_names(&self.fields))
         };
-        format!("{} settings{fields}", self.count)
+        format!("{} conditions{fields}", self.count)
     }
 }
 
 impl<'r> ClaimReport<'r> {
-    /// Judges every claim by the presets in `results` with each of their rankings. A single other setting has a column
-    /// too; several are left out, since the paper makes no statement on them.
+    /// Judges every claim by the presets in `results` with each of their rankings. A single other condition has a
+    /// column too; several are left out, since the paper makes no statement on them.
     ///
     /// # Errors
-    /// If the tables hold several settings and no run of a preset.
+    /// If the tables hold several conditions and no run of a preset.
     pub fn of_presets(results: &'r Results) -> Result<Self, FigureError> {
         let (presets, others): (Vec<_>, Vec<_>) = select_columns(results)
             .into_iter()
@@ -91,19 +91,19 @@ impl<'r> ClaimReport<'r> {
         if others.len() < 2 {
             return Ok(Self::new(results));
         }
-        let settings_left_out = SettingsLeftOut::new(&others);
+        let conditions_left_out = ConditionsLeftOut::new(&others);
         if presets.is_empty() {
             return Err(FigureError::NoPreset {
-                settings: settings_left_out.describe(),
+                conditions: conditions_left_out.describe(),
             });
         }
         Ok(Self {
-            settings_left_out,
+            conditions_left_out,
             ..Self::judge_columns(results, presets)
         })
     }
 
-    /// Judges every claim by every setting in `results`.
+    /// Judges every claim by every condition in `results`.
     pub fn new(results: &'r Results) -> Self {
         Self::judge_columns(results, select_columns(results))
     }
@@ -120,7 +120,7 @@ impl<'r> ClaimReport<'r> {
             columns,
             rows,
             conditions_without_claims: without_claims.into_iter().map(|column| column.label).collect(),
-            settings_left_out: SettingsLeftOut::default(),
+            conditions_left_out: ConditionsLeftOut::default(),
         }
     }
 
@@ -149,7 +149,7 @@ impl<'r> ClaimReport<'r> {
     /// Iterates over the presets without a table.
     pub fn missing_presets(&self) -> impl Iterator<Item = &'static str> {
         let is_missing = |preset: &&str| !self.columns.iter().any(|column| column.label == *preset);
-        PRESETS.into_iter().filter(is_missing)
+        REPORT_PRESETS.into_iter().filter(is_missing)
     }
 
     /// Iterates over the tables that name their experiment, as table name and experiment text.
@@ -197,7 +197,7 @@ fn is_shown(column: &ConditionColumn<'_>) -> bool {
     let claims = TOPICS
         .iter()
         .flat_map(|topic| topic.claims.iter().map(move |claim| (topic, claim)));
-    PRESETS.contains(&column.label.as_str())
+    REPORT_PRESETS.contains(&column.label.as_str())
         || claims.into_iter().any(is_judged)
         || lambda::has_claims_on(column.condition)
 }
@@ -206,7 +206,7 @@ fn is_shown(column: &ConditionColumn<'_>) -> bool {
 /// claims is chosen, then the one with most runs, then the longest.
 fn select_columns(results: &Results) -> Vec<ConditionColumn<'_>> {
     let mut columns: Vec<ConditionColumn<'_>> = Vec::new();
-    for preset in PRESETS {
+    for preset in REPORT_PRESETS {
         let candidates = results
             .by_ranking
             .iter()

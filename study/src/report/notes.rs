@@ -5,7 +5,7 @@
 use super::causes::NOT_RUN;
 use super::judge::Verdict;
 use super::phrasing::join_names;
-use super::{ClaimReport, ClaimRow, PRESETS};
+use super::{ClaimReport, ClaimRow, REPORT_PRESETS};
 
 /// Rule for the verdicts.
 pub(super) const VERDICT_RULE: &str = "A claim is reproduced if our mean is within 5 % of the stated value, in a \
@@ -60,13 +60,13 @@ pub(super) fn describe_runs(report: &ClaimReport<'_>) -> Vec<String> {
     report.columns.iter().map(sentence).collect()
 }
 
-/// Describes the missing runs: presets, settings of the tables, and claims, one sentence each.
+/// Describes the missing runs: presets, conditions of the tables, and claims, one sentence each.
 pub(super) fn describe_missing_runs(report: &ClaimReport<'_>) -> Vec<String> {
     let mut sentences = Vec::new();
     let missing: Vec<&str> = report.missing_presets().collect();
-    if missing.len() == PRESETS.len() {
+    if missing.len() == REPORT_PRESETS.len() {
         sentences.push(
-            "These tables hold no runs of an unchanged preset; the claims of the paper are about other settings."
+            "These tables hold no runs of an unchanged preset; the claims of the paper are about other conditions."
                 .to_owned(),
         );
     } else {
@@ -76,11 +76,11 @@ pub(super) fn describe_missing_runs(report: &ClaimReport<'_>) -> Vec<String> {
                 .map(|preset| format!("No table of preset {preset} was given.")),
         );
     }
-    if report.settings_left_out.count > 0 {
+    if report.conditions_left_out.count > 0 {
         sentences.push(format!(
-            "Left out: {}, on which the paper makes no statement. `reveille report search` judges every setting, and \
+            "Left out: {}, on which the paper makes no statement. `reveille report search` judges every condition, and \
              `reveille figures` draws them.",
-            report.settings_left_out.describe()
+            report.conditions_left_out.describe()
         ));
     }
     if !report.conditions_without_claims.is_empty() {

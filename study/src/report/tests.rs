@@ -460,7 +460,7 @@ fn a_sweep_over_a_field_has_a_column_for_each_value() {
 }
 
 #[test]
-fn settings_that_are_not_the_papers_are_left_out_or_refused() {
+fn conditions_that_are_not_the_papers_are_left_out_or_refused() {
     let swept = |lambdas: &[f64]| {
         let run = |lambda: &f64| ("random", 10, SweptValue::Float(*lambda), &[0.3, 0.4][..]);
         let runs: Vec<(&str, u32, SweptValue, &[f64])> = lambdas.iter().map(run).collect();
@@ -470,10 +470,10 @@ fn settings_that_are_not_the_papers_are_left_out_or_refused() {
     let several = Results::new(&[swept(&[0.05, 0.1, 0.2])], &NoFiles).expect("results");
     let report = ClaimReport::of_presets(&several).expect("a preset");
     assert_eq!(report.columns.len(), 1, "{:?}", report.columns);
-    assert_eq!(report.settings_left_out.describe(), "2 settings of harvest.lambda");
+    assert_eq!(report.conditions_left_out.describe(), "2 conditions of harvest.lambda");
     let text = markdown(&report, &[], "reveille report x");
     assert!(
-        text.contains("Left out: 2 settings of harvest.lambda, on which the paper"),
+        text.contains("Left out: 2 conditions of harvest.lambda, on which the paper"),
         "{text}"
     );
     assert_eq!(ClaimReport::new(&several).columns.len(), 3);
@@ -482,7 +482,7 @@ fn settings_that_are_not_the_papers_are_left_out_or_refused() {
     let none = Results::new(&[swept(&[0.05, 0.2])], &NoFiles).expect("results");
     let error = ClaimReport::of_presets(&none).expect_err("no preset").to_string();
     assert!(
-        error.starts_with("the tables hold 2 settings of harvest.lambda and no runs of an"),
+        error.starts_with("the tables hold 2 conditions of harvest.lambda and no runs of an"),
         "{error}"
     );
 }

@@ -61,7 +61,7 @@ pub async fn serve_decisions(
 ) -> Result<u64, BusError> {
     let is_bs_alive = Arc::new(AtomicBool::new(false));
     let bs_alive_writer = Arc::clone(&is_bs_alive);
-    let _watched = bus.watch_alive(bus.keys().bs_liveliness(), move |_, is_alive| {
+    let _watched = bus.watch_alive(bus.key_exprs().bs_liveliness(), move |_, is_alive| {
         bs_alive_writer.store(is_alive, Ordering::Relaxed);
     })?;
     let requests = bus.serve_policy_port()?;

@@ -132,7 +132,7 @@ impl<'a> PolicyPort<'a> {
         Self {
             bus,
             key,
-            run: bus.keys().run().to_string(),
+            run: bus.key_exprs().run().to_string(),
             timeout,
             peer: None,
             hello: None,
@@ -261,7 +261,7 @@ impl<'a> PolicyPort<'a> {
     fn peer_status(&self) -> String {
         match &self.peer {
             Some(peer) => format!("{} has not decided", peer.name),
-            None => format!("no policy process answers at {}", self.bus.keys().policy_port()),
+            None => format!("no policy process answers at {}", self.bus.key_exprs().policy_port()),
         }
     }
 

@@ -67,7 +67,7 @@ impl Live {
         if !bus
             .list_runs(QUERY_TIMEOUT)
             .await?
-            .contains(&bus.keys().run().to_string())
+            .contains(&bus.key_exprs().run().to_string())
         {
             return Err(bus.no_run_error().await.into());
         }
@@ -77,7 +77,7 @@ impl Live {
         let (send, batches) = tokio::sync::mpsc::channel(MAX_QUEUED_BATCHES);
         let run_ended = Arc::new(Notify::new());
         let end_notifier = Arc::clone(&run_ended);
-        let watch = bus.watch_alive(bus.keys().bs_liveliness(), move |_, alive| {
+        let watch = bus.watch_alive(bus.key_exprs().bs_liveliness(), move |_, alive| {
             if !alive {
                 // `notify_one` keeps a permit: the token can disappear before anything waits for it.
                 end_notifier.notify_one();
@@ -88,7 +88,7 @@ impl Live {
             let _no_room = send.try_send(batch).is_err();
         })?;
         Ok(Self {
-            run: bus.keys().run().to_string(),
+            run: bus.key_exprs().run().to_string(),
             devices: status.devices,
             status,
             bus,

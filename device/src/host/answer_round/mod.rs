@@ -4,7 +4,7 @@
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use reveille_common::bus::{Bus, BusError, Topic};
+use reveille_common::bus::{Bus, BusError, TopicPublisher};
 use reveille_common::ids::{DeviceId, HostId};
 use reveille_common::message::{FailedTransmission, HostAnswer, Report};
 use reveille_common::secret::HostCredential;
@@ -141,8 +141,8 @@ impl AnswerRound {
 
 /// The topics that a host publishes to: reports on the air plane, answers on the emulation plane.
 pub struct Uplink {
-    reports: Topic<Report>,
-    answers: Topic<HostAnswer>,
+    reports: TopicPublisher<Report>,
+    answers: TopicPublisher<HostAnswer>,
 }
 
 impl Uplink {

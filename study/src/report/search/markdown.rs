@@ -8,26 +8,26 @@ use super::super::markdown::{demote_headings, escape_cell, origin_section, remov
 use super::super::notes::{describe_missing_runs, verdict_cell};
 use super::super::page_sections::{PageSection, wrap_text};
 use super::super::phrasing::format_number;
-use super::{ClaimCounts, ClaimHalf, RankedSetting, SettingRanking};
+use super::{ClaimCounts, ClaimHalf, ConditionRanking, RankedCondition};
 
 /// Explanation of the ranking and of its limits.
-pub(crate) const RANKING_RULE: &str = "Every claim has a number, in the order of the report. Settings are ranked by \
+pub(crate) const RANKING_RULE: &str = "Every claim has a number, in the order of the report. Conditions are ranked by \
     the claims with even numbers alone: by how many are reproduced, then by how many are within 20 %. The claims with \
-    odd numbers do not affect the rank; the number of them that a setting meets shows whether its rank is more than \
+    odd numbers do not affect the rank; the number of them that a condition meets shows whether its rank is more than \
     luck. Claims that were not run do not count. Each verdict is independent of the other claims. Both halves come \
     from the same runs, and a sentence about several policies gives several claims, so the halves are not independent \
     of each other.";
 
-/// Renders the whole page, with the first `count` settings and the presets.
-pub fn markdown(ranking: &SettingRanking<'_>, count: usize, command: &str) -> String {
-    let mut out = String::from("# Which settings meet most of the paper's claims\n\n");
+/// Renders the whole page, with the first `count` conditions and the presets.
+pub fn markdown(ranking: &ConditionRanking<'_>, count: usize, command: &str) -> String {
+    let mut out = String::from("# Which conditions meet most of the paper's claims\n\n");
     for line in summary(ranking)
         .into_iter()
         .chain(describe_missing_runs(&ranking.report))
     {
         let _ = writeln!(out, "- {line}");
     }
-    let _ = writeln!(out, "\n{RANKING_RULE}\n\n## Settings\n");
+    let _ = writeln!(out, "\n{RANKING_RULE}\n\n## Conditions\n");
     out.push_str(&ranking_table(ranking, count));
     out.push_str(&effects_section(ranking));
     out.push_str(&unmet_section(ranking));
@@ -36,8 +36,8 @@ pub fn markdown(ranking: &SettingRanking<'_>, count: usize, command: &str) -> St
     out
 }
 
-/// Renders the search as sections of a page, with the first `count` settings and the presets.
-pub fn page_sections(ranking: &SettingRanking<'_>, count: usize, command: &str) -> Vec<PageSection> {
+/// Renders the search as sections of a page, with the first `count` conditions and the presets.
+pub fn page_sections(ranking: &ConditionRanking<'_>, count: usize, command: &str) -> Vec<PageSection> {
     let untitled = |text: String| {
         demote_headings(
             text.split_once("## ")
@@ -65,7 +65,7 @@ pub fn page_sections(ranking: &SettingRanking<'_>, count: usize, command: &str) 
 }
 
 /// Summarises the search and its result, one sentence an item.
-pub fn summary(ranking: &SettingRanking<'_>) -> Vec<String> {
+pub fn summary(ranking: &ConditionRanking<'_>) -> Vec<String> {
     let ClaimCounts { met, unmet, not_run } = ranking.counts();
     let runs: usize = ranking.report.columns.iter().map(|c| c.condition.run_count()).sum();
     let rows = &ranking.report.rows;
@@ -77,16 +77,16 @@ pub fn summary(ranking: &SettingRanking<'_>) -> Vec<String> {
     });
     let mut sentences = vec![
         format!(
-            "{} settings, {runs} runs; {} claims, of which {} were run: {} to search by, {} held out.",
-            ranking.settings.len(),
+            "{} conditions, {runs} runs; {} claims, of which {} were run: {} to search by, {} held out.",
+            ranking.conditions.len(),
             rows.len(),
             met + unmet,
             halves[0],
             halves[1]
         ),
-        format!("{met} claims are met by some setting, {unmet} by none, {not_run} were not run."),
+        format!("{met} claims are met by some condition, {unmet} by none, {not_run} were not run."),
     ];
-    if let Some(best) = ranking.settings.first() {
+    if let Some(best) = ranking.conditions.first() {
         sentences.push(format!(
             "The best of the search half meets {} of {} claims there and {} of {} of those held out, by which it has \
              place {} of {}.",
@@ -95,19 +95,19 @@ pub fn summary(ranking: &SettingRanking<'_>) -> Vec<String> {
             best.held_out.met,
             best.held_out.judged,
             best.held_out_rank,
-            ranking.settings.len()
+            ranking.conditions.len()
         ));
     }
     if let Some(correlation) = ranking.correlation() {
         sentences.push(format!(
-            "Over all settings, the numbers of claims met in the two halves have a correlation of {correlation:.2}."
+            "Over all conditions, the numbers of claims met in the two halves have a correlation of {correlation:.2}."
         ));
     }
     sentences
 }
 
-/// Headings of the ranking: its own columns, then the fields in which settings differ.
-pub fn ranking_heads(ranking: &SettingRanking<'_>) -> Vec<String> {
+/// Headings of the ranking: its own columns, then the fields in which conditions differ.
+pub fn ranking_heads(ranking: &ConditionRanking<'_>) -> Vec<String> {
     let ranking_columns = [
         "place",
         "met",
@@ -120,30 +120,30 @@ pub fn ranking_heads(ranking: &SettingRanking<'_>) -> Vec<String> {
     ];
     let ranking_columns = ranking_columns.map(str::to_owned).into_iter();
     let fields = ranking.fields().into_iter().map(str::to_owned);
-    ranking_columns.chain(["setting".to_owned()]).chain(fields).collect()
+    ranking_columns.chain(["condition".to_owned()]).chain(fields).collect()
 }
 
 /// Formats a row of the ranking, in the order of [`ranking_heads`].
-pub fn ranking_row(ranking: &SettingRanking<'_>, setting: &RankedSetting) -> Vec<String> {
-    let (search_score, held_out_score) = (setting.search, setting.held_out);
+pub fn ranking_row(ranking: &ConditionRanking<'_>, ranked: &RankedCondition) -> Vec<String> {
+    let (search_score, held_out_score) = (ranked.search, ranked.held_out);
     let numbers = [
-        setting.rank,
+        ranked.rank,
         search_score.met,
         search_score.near,
         search_score.judged,
         held_out_score.met,
         held_out_score.near,
         held_out_score.judged,
-        setting.held_out_rank,
+        ranked.held_out_rank,
     ];
-    let condition = ranking.report.columns[setting.column].condition;
+    let condition = ranking.report.columns[ranked.column].condition;
     let name = if condition.is_unchanged_preset() {
         condition.preset.clone()
     } else {
         String::new()
     };
     let fields = ranking.fields().into_iter();
-    let values = fields.map(|field| ranking.value(setting.column, field).unwrap_or("–").to_owned());
+    let values = fields.map(|field| ranking.value(ranked.column, field).unwrap_or("–").to_owned());
     let numbers = numbers.iter().map(ToString::to_string);
     numbers.chain([name]).chain(values).collect()
 }
@@ -159,23 +159,23 @@ fn table(heads: &[String], rows: impl Iterator<Item = Vec<String>>) -> String {
     out
 }
 
-fn ranking_table(ranking: &SettingRanking<'_>, count: usize) -> String {
-    let shown: Vec<&RankedSetting> = ranking.settings_to_show(count).collect();
+fn ranking_table(ranking: &ConditionRanking<'_>, count: usize) -> String {
+    let shown: Vec<&RankedCondition> = ranking.conditions_to_show(count).collect();
     let mut out = table(
         &ranking_heads(ranking),
-        shown.iter().map(|setting| ranking_row(ranking, setting)),
+        shown.iter().map(|ranked| ranking_row(ranking, ranked)),
     );
-    match ranking.settings.len() - shown.len() {
+    match ranking.conditions.len() - shown.len() {
         0 => {}
-        1 => out.push_str("\nOne more setting is not shown.\n"),
+        1 => out.push_str("\nOne more condition is not shown.\n"),
         rest => {
-            let _ = writeln!(out, "\n{rest} more settings are not shown.");
+            let _ = writeln!(out, "\n{rest} more conditions are not shown.");
         }
     }
     out
 }
 
-fn effects_section(ranking: &SettingRanking<'_>) -> String {
+fn effects_section(ranking: &ConditionRanking<'_>) -> String {
     let effects = ranking.effects();
     if effects.is_empty() {
         return String::new();
@@ -183,7 +183,7 @@ fn effects_section(ranking: &SettingRanking<'_>) -> String {
     let heads = [
         "field",
         "value",
-        "settings",
+        "conditions",
         "claims met, mean",
         "best",
         "held out: met, mean",
@@ -193,25 +193,34 @@ fn effects_section(ranking: &SettingRanking<'_>) -> String {
         vec![
             format!("`{}`", effect.field),
             effect.value,
-            effect.setting_count.to_string(),
+            effect.condition_count.to_string(),
             format_number(effect.mean_met_search),
             effect.most_met_search.to_string(),
             format_number(effect.mean_met_held_out),
         ]
     });
     format!(
-        "\n## Effect of each value\n\nOver all settings with this value.\n\n{}",
+        "\n## Effect of each value\n\nOver all conditions with this value.\n\n{}",
         table(&heads, rows)
     )
 }
 
-fn unmet_section(ranking: &SettingRanking<'_>) -> String {
+fn unmet_section(ranking: &ConditionRanking<'_>) -> String {
     let claims = ranking.unmet();
     if claims.is_empty() {
         return String::new();
     }
     let heads = [
-        "claim", "figure", "policy", "N", "of", "stated", "closest", "verdict", "setting", "why",
+        "claim",
+        "figure",
+        "policy",
+        "N",
+        "of",
+        "stated",
+        "closest",
+        "verdict",
+        "condition",
+        "why",
     ];
     let heads = heads.map(str::to_owned);
     let rows = claims.into_iter().map(|claim| {
@@ -230,14 +239,15 @@ fn unmet_section(ranking: &SettingRanking<'_>) -> String {
             assessment.explanation.clone(),
         ]
     });
-    format!("\n## Claims that no setting meets\n\n{}", table(&heads, rows))
+    format!("\n## Claims that no condition meets\n\n{}", table(&heads, rows))
 }
 
-/// Lists every claim, its half, the number of settings that meet it, and its verdicts under presets and best setting.
-fn verdicts_section(ranking: &SettingRanking<'_>) -> String {
-    let best = ranking.settings.first().map(|setting| setting.column);
-    // With a count of 0, `settings_to_show` yields only the presets.
-    let presets = ranking.settings_to_show(0).map(|setting| setting.column);
+/// Lists every claim, its half, the number of conditions that meet it, and its verdicts under the presets and the best
+/// condition.
+fn verdicts_section(ranking: &ConditionRanking<'_>) -> String {
+    let best = ranking.conditions.first().map(|ranked| ranked.column);
+    // With a count of 0, `conditions_to_show` yields only the presets.
+    let presets = ranking.conditions_to_show(0).map(|ranked| ranked.column);
     let mut columns: Vec<usize> = presets.collect();
     columns.sort_unstable();
     columns.extend(best.filter(|best| !columns.contains(best)));
@@ -249,13 +259,13 @@ fn verdicts_section(ranking: &SettingRanking<'_>) -> String {
         "N",
         "of",
         "stated",
-        "settings that meet it",
+        "conditions that meet it",
     ];
     let mut heads: Vec<String> = heads.map(str::to_owned).to_vec();
     heads.extend(columns.iter().map(|column| ranking.label(*column).to_owned()));
     let numbered_rows = (1..).zip(&ranking.report.rows).filter(|(_, row)| row.has_runs());
     let table_rows = numbered_rows.map(|(number, row)| {
-        let setting_count = row
+        let condition_count = row
             .assessments
             .iter()
             .filter(|assessment| assessment.verdict == Verdict::Reproduced)
@@ -268,7 +278,7 @@ fn verdicts_section(ranking: &SettingRanking<'_>) -> String {
             row.device_counts.clone(),
             row.metric_description.clone(),
             row.stated.clone(),
-            setting_count.to_string(),
+            condition_count.to_string(),
         ];
         let verdict_and_value = |column: &usize| match verdict_cell(row, *column) {
             verdict if row.assessments[*column].measured.is_empty() => verdict,

@@ -1,9 +1,9 @@
-//! Search over the parameters that the paper leaves unstated, for the settings that meet most of its claims.
+//! Search over the parameters that the paper leaves unstated, for the conditions that meet most of its claims.
 //!
-//! Settings are the columns of a [`ClaimReport`], judged by the report's rule. Claims are numbered from 1 in the
-//! report's order, run or not. Claims with even numbers are the search half: settings rank by the number of them that
+//! Conditions are the columns of a [`ClaimReport`], judged by the report's rule. Claims are numbered from 1 in the
+//! report's order, run or not. Claims with even numbers are the search half: conditions rank by the number of them that
 //! are reproduced, then by the number within 20 %. Claims with odd numbers are held out: they do not affect the
-//! ranking, so a setting chosen by luck does no better there than others. A claim added in the middle moves all later
+//! ranking, so a condition chosen by luck does no better there than others. A claim added in the middle moves all later
 //! claims to the other half. The verdicts *reproduced* and *within 20 %* never depend on another claim. A reproduced
 //! order does not count, since orders are derived from several claims.
 //!
@@ -12,12 +12,12 @@
 pub mod markdown;
 
 use super::judge::Verdict;
-use super::{ClaimReport, ClaimRow, PRESETS};
+use super::{ClaimReport, ClaimRow, REPORT_PRESETS};
 
 /// One half of the claims.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ClaimHalf {
-    /// Claims with even numbers, by which settings rank.
+    /// Claims with even numbers, by which conditions rank.
     Search,
     /// Claims with odd numbers, which do not affect the rank.
     HeldOut,
@@ -42,7 +42,7 @@ impl ClaimHalf {
     }
 }
 
-/// Number of claims in a half that a setting meets.
+/// Number of claims in a half that a condition meets.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct HalfScore {
     /// Claims reproduced.
@@ -76,9 +76,9 @@ impl HalfScore {
     }
 }
 
-/// A setting with its scores.
+/// A condition with its scores.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct RankedSetting {
+pub struct RankedCondition {
     /// Column in the report.
     pub column: usize,
     /// Score in the search half.
@@ -91,14 +91,14 @@ pub struct RankedSetting {
     pub held_out_rank: usize,
 }
 
-/// A claim that no setting meets, with the closest setting.
+/// A claim that no condition meets, with the closest condition.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct UnmetClaim<'s> {
     /// Number of the claim.
     pub number: usize,
     /// The claim.
     pub row: &'s ClaimRow,
-    /// Column of the closest setting, by [`super::Assessment::deviation`].
+    /// Column of the closest condition, by [`super::Assessment::deviation`].
     pub closest: usize,
 }
 
@@ -109,8 +109,8 @@ pub(crate) struct FieldEffect {
     pub field: String,
     /// Value of the field.
     pub value: String,
-    /// Number of settings with this value.
-    pub setting_count: usize,
+    /// Number of conditions with this value.
+    pub condition_count: usize,
     /// Mean number of claims that they meet in the search half.
     pub mean_met_search: f64,
     /// Largest number of claims that one of them meets in the search half.
@@ -119,28 +119,28 @@ pub(crate) struct FieldEffect {
     pub mean_met_held_out: f64,
 }
 
-/// Numbers of claims over all settings.
+/// Numbers of claims over all conditions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ClaimCounts {
-    /// Claims that some setting meets.
+    /// Claims that some condition meets.
     pub met: usize,
-    /// Claims that were run and that no setting meets.
+    /// Claims that were run and that no condition meets.
     pub unmet: usize,
     /// Claims without runs.
     pub not_run: usize,
 }
 
-/// The settings of a report, ranked by the search half.
+/// The conditions of a report, ranked by the search half.
 #[derive(Clone, Debug)]
-pub struct SettingRanking<'r> {
-    /// All settings, and the claims.
+pub struct ConditionRanking<'r> {
+    /// All conditions, and the claims.
     pub report: ClaimReport<'r>,
-    /// Settings, best first. Equal scores are in the order of the report's columns, which starts with the presets.
-    pub settings: Vec<RankedSetting>,
+    /// Conditions, best first. Equal scores are in the order of the report's columns, which starts with the presets.
+    pub conditions: Vec<RankedCondition>,
 }
 
-impl<'r> SettingRanking<'r> {
-    /// Ranks the settings of `report`.
+impl<'r> ConditionRanking<'r> {
+    /// Ranks the conditions of `report`.
     pub fn new(report: ClaimReport<'r>) -> Self {
         let scores = |half: ClaimHalf| -> Vec<HalfScore> {
             let columns = 0..report.columns.len();
@@ -149,8 +149,8 @@ impl<'r> SettingRanking<'r> {
                 .collect()
         };
         let (search, held_out) = (scores(ClaimHalf::Search), scores(ClaimHalf::HeldOut));
-        let mut settings: Vec<RankedSetting> = (0..report.columns.len())
-            .map(|column| RankedSetting {
+        let mut conditions: Vec<RankedCondition> = (0..report.columns.len())
+            .map(|column| RankedCondition {
                 column,
                 search: search[column],
                 rank: rank(&search, column),
@@ -158,16 +158,16 @@ impl<'r> SettingRanking<'r> {
                 held_out_rank: rank(&held_out, column),
             })
             .collect();
-        settings.sort_by_key(|setting| (setting.rank, setting.column));
-        Self { report, settings }
+        conditions.sort_by_key(|ranked| (ranked.rank, ranked.column));
+        Self { report, conditions }
     }
 
-    /// Iterates over the settings to show: the first `count` of the ranking, and the presets at any rank.
-    pub fn settings_to_show(&self, count: usize) -> impl Iterator<Item = &RankedSetting> {
-        let is_preset = |setting: &RankedSetting| PRESETS.contains(&self.label(setting.column));
-        let ranked = self.settings.iter().enumerate();
-        let shown = ranked.filter(move |(index, setting)| *index < count || is_preset(setting));
-        shown.map(|(_, setting)| setting)
+    /// Iterates over the conditions to show: the first `count` of the ranking, and the presets at any rank.
+    pub fn conditions_to_show(&self, count: usize) -> impl Iterator<Item = &RankedCondition> {
+        let is_preset = |ranked: &RankedCondition| REPORT_PRESETS.contains(&self.label(ranked.column));
+        let all = self.conditions.iter().enumerate();
+        let shown = all.filter(move |(index, ranked)| *index < count || is_preset(ranked));
+        shown.map(|(_, ranked)| ranked)
     }
 
     /// Name of a column.
@@ -175,7 +175,7 @@ impl<'r> SettingRanking<'r> {
         &self.report.columns[column].label
     }
 
-    /// Lists the claims that were run under some setting but are met by none.
+    /// Lists the claims that were run under some condition but are met by none.
     pub(crate) fn unmet(&self) -> Vec<UnmetClaim<'_>> {
         let numbered = (1..).zip(&self.report.rows);
         let is_met = |row: &ClaimRow| {
@@ -209,15 +209,15 @@ impl<'r> SettingRanking<'r> {
         }
     }
 
-    /// Computes Pearson's correlation, over all settings, between the numbers of claims met in the two halves, `[-1,
+    /// Computes Pearson's correlation, over all conditions, between the numbers of claims met in the two halves, `[-1,
     /// 1]`. `None` if these numbers are all equal in one half.
     pub fn correlation(&self) -> Option<f64> {
         let pairs = || {
-            self.settings
+            self.conditions
                 .iter()
                 .map(|s| (s.search.met as f64, s.held_out.met as f64))
         };
-        let count = self.settings.len() as f64;
+        let count = self.conditions.len() as f64;
         let (mean_search, mean_held_out) = pairs().fold((0.0, 0.0), |(mean_search, mean_held_out), (x, y)| {
             (mean_search + x / count, mean_held_out + y / count)
         });
@@ -230,7 +230,7 @@ impl<'r> SettingRanking<'r> {
         (variance_product > 0.0).then(|| co_moment(&|x, y| x * y) / variance_product.sqrt())
     }
 
-    /// Names of the fields in which settings differ.
+    /// Names of the fields in which conditions differ.
     pub fn fields(&self) -> Vec<&str> {
         let mut fields: Vec<&str> = Vec::new();
         for (path, _) in self
@@ -247,14 +247,15 @@ impl<'r> SettingRanking<'r> {
         fields
     }
 
-    /// Value of `field` in a column; `None` for the value of the setting's own preset.
+    /// Value of `field` in a column; `None` for the value of the condition's own preset.
     pub fn value(&self, column: usize, field: &str) -> Option<&str> {
         let mut changed = self.report.columns[column].condition.all_changes();
         let change = changed.find(|(path, _)| path == field);
         change.map(|(_, value)| value.as_str())
     }
 
-    /// Values of `field` over all settings, in the order of the columns; `None` is the value of a setting's own preset.
+    /// Values of `field` over all conditions, in the order of the columns; `None` is the value of a condition's own
+    /// preset.
     fn values(&self, field: &str) -> Vec<Option<&str>> {
         let mut values = Vec::new();
         for column in 0..self.report.columns.len() {
@@ -269,19 +270,19 @@ impl<'r> SettingRanking<'r> {
     /// Computes the effect of each value, other than the presets', of each swept field.
     pub(crate) fn effects(&self) -> Vec<FieldEffect> {
         let effect = |field: &str, value: &str| {
-            let has_value = |setting: &&RankedSetting| self.value(setting.column, field) == Some(value);
-            let with_value: Vec<&RankedSetting> = self.settings.iter().filter(has_value).collect();
-            let mean = |count: fn(&RankedSetting) -> usize| {
-                let sum: usize = with_value.iter().map(|setting| count(setting)).sum();
+            let has_value = |ranked: &&RankedCondition| self.value(ranked.column, field) == Some(value);
+            let with_value: Vec<&RankedCondition> = self.conditions.iter().filter(has_value).collect();
+            let mean = |count: fn(&RankedCondition) -> usize| {
+                let sum: usize = with_value.iter().map(|ranked| count(ranked)).sum();
                 sum as f64 / with_value.len() as f64
             };
             FieldEffect {
                 field: field.to_owned(),
                 value: value.to_owned(),
-                setting_count: with_value.len(),
-                mean_met_search: mean(|setting| setting.search.met),
-                most_met_search: with_value.iter().map(|setting| setting.search.met).max().unwrap_or(0),
-                mean_met_held_out: mean(|setting| setting.held_out.met),
+                condition_count: with_value.len(),
+                mean_met_search: mean(|ranked| ranked.search.met),
+                most_met_search: with_value.iter().map(|ranked| ranked.search.met).max().unwrap_or(0),
+                mean_met_held_out: mean(|ranked| ranked.held_out.met),
             }
         };
         let fields = self.fields().into_iter();

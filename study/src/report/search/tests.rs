@@ -1,5 +1,5 @@
-//! Tests of [`SettingRanking`] on sweeps of α whose order of settings is known: energies as in the paper, close to it
-//! and far from it.
+//! Tests of [`ConditionRanking`] on sweeps of α whose order of conditions is known: energies as in the paper, close to
+//! it and far from it.
 
 use reveille_common::declare::NoFiles;
 use reveille_lab::table::{SweptValue, Table};
@@ -9,9 +9,9 @@ use crate::figures::results::{Results, fixtures};
 use crate::report::search::markdown::markdown;
 
 /// Creates a sweep of α with the energy of knn and random, for N = 10 and 250.
-fn alpha_sweep(settings: &[(f64, [f64; 4])]) -> (String, Table) {
+fn alpha_sweep(conditions: &[(f64, [f64; 4])]) -> (String, Table) {
     let mut runs: Vec<(&str, u32, SweptValue, Vec<f64>)> = Vec::new();
-    for (alpha, [knn_few, knn_many, random_few, random_many]) in settings {
+    for (alpha, [knn_few, knn_many, random_few, random_many]) in conditions {
         for (policy, n, energy) in [
             ("knn", 10, knn_few),
             ("knn", 250, knn_many),
@@ -33,48 +33,48 @@ const AS_STATED: [f64; 4] = [0.5, 0.145, 0.34, 0.19];
 const CLOSE: [f64; 4] = [0.5, 0.165, 0.39, 0.25];
 const FAR: [f64; 4] = [0.9, 0.95, 0.9, 0.1];
 
-fn results_of(settings: &[(f64, [f64; 4])]) -> Results {
-    Results::new(&[alpha_sweep(settings)], &NoFiles).expect("runs")
+fn results_of(conditions: &[(f64, [f64; 4])]) -> Results {
+    Results::new(&[alpha_sweep(conditions)], &NoFiles).expect("runs")
 }
 
-fn ranked_alphas(ranking: &SettingRanking<'_>) -> Vec<String> {
+fn ranked_alphas(ranking: &ConditionRanking<'_>) -> Vec<String> {
     let values = ranking
-        .settings
+        .conditions
         .iter()
-        .map(|setting| ranking.value(setting.column, "events.alpha"));
+        .map(|ranked| ranking.value(ranked.column, "events.alpha"));
     values.map(|value| value.unwrap_or("–").to_owned()).collect()
 }
 
 #[test]
-fn settings_that_meet_more_claims_come_first() {
+fn conditions_that_meet_more_claims_come_first() {
     let results = results_of(&[(0.3, FAR), (0.1, CLOSE), (0.4, AS_STATED)]);
-    let ranking = SettingRanking::new(ClaimReport::new(&results));
+    let ranking = ConditionRanking::new(ClaimReport::new(&results));
     assert_eq!(ranked_alphas(&ranking), ["0.4", "0.1", "0.3"]);
-    let ranks: Vec<usize> = ranking.settings.iter().map(|setting| setting.rank).collect();
+    let ranks: Vec<usize> = ranking.conditions.iter().map(|ranked| ranked.rank).collect();
     assert_eq!(ranks, [1, 2, 3]);
-    let met: Vec<usize> = ranking.settings.iter().map(|setting| setting.search.met).collect();
+    let met: Vec<usize> = ranking.conditions.iter().map(|ranked| ranked.search.met).collect();
     assert!(met[0] > met[1] && met[1] > met[2], "{met:?}");
 }
 
 #[test]
 fn a_score_counts_the_verdicts_of_its_half_of_the_claims() {
     let results = results_of(&[(0.3, FAR), (0.4, AS_STATED)]);
-    let ranking = SettingRanking::new(ClaimReport::new(&results));
-    for setting in &ranking.settings {
+    let ranking = ConditionRanking::new(ClaimReport::new(&results));
+    for ranked in &ranking.conditions {
         let (mut even, mut odd) = ([0; 3], [0; 3]);
         for (index, row) in ranking.report.rows.iter().enumerate() {
             // The first claim has number 1, so the second is the first even one.
             let half = if index % 2 == 1 { &mut even } else { &mut odd };
-            match row.assessments[setting.column].verdict {
+            match row.assessments[ranked.column].verdict {
                 Verdict::Reproduced => (half[0], half[2]) = (half[0] + 1, half[2] + 1),
                 Verdict::Near => (half[1], half[2]) = (half[1] + 1, half[2] + 1),
                 Verdict::OrderReproduced | Verdict::NotReproduced => half[2] += 1,
                 Verdict::NotRun => {}
             }
         }
-        let HalfScore { met, near, judged } = setting.search;
+        let HalfScore { met, near, judged } = ranked.search;
         assert_eq!([met, near, judged], even);
-        let HalfScore { met, near, judged } = setting.held_out;
+        let HalfScore { met, near, judged } = ranked.held_out;
         assert_eq!([met, near, judged], odd);
         assert!(
             even[2] > 5 && odd[2] > 5,
@@ -84,7 +84,7 @@ fn a_score_counts_the_verdicts_of_its_half_of_the_claims() {
 }
 
 /// Returns the columns in order of rank, after the verdicts of one half are set to the worst.
-fn columns_ranked_without(ranking: &SettingRanking<'_>, half: ClaimHalf) -> Vec<usize> {
+fn columns_ranked_without(ranking: &ConditionRanking<'_>, half: ClaimHalf) -> Vec<usize> {
     let mut report = ranking.report.clone();
     for (number, row) in (1..).zip(&mut report.rows) {
         if ClaimHalf::of_number(number) == half {
@@ -94,17 +94,17 @@ fn columns_ranked_without(ranking: &SettingRanking<'_>, half: ClaimHalf) -> Vec<
             }
         }
     }
-    let settings = SettingRanking::new(report).settings;
-    settings.into_iter().map(|setting| setting.column).collect()
+    let conditions = ConditionRanking::new(report).conditions;
+    conditions.into_iter().map(|ranked| ranked.column).collect()
 }
 
 #[test]
 fn the_held_out_half_does_not_affect_the_ranking() {
     let results = results_of(&[(0.3, FAR), (0.1, CLOSE), (0.4, AS_STATED)]);
-    let ranking = SettingRanking::new(ClaimReport::new(&results));
-    let ranked: Vec<usize> = ranking.settings.iter().map(|setting| setting.column).collect();
+    let ranking = ConditionRanking::new(ClaimReport::new(&results));
+    let ranked: Vec<usize> = ranking.conditions.iter().map(|ranked| ranked.column).collect();
     assert_eq!(columns_ranked_without(&ranking, ClaimHalf::HeldOut), ranked);
-    let unranked: Vec<usize> = (0..ranking.settings.len()).collect();
+    let unranked: Vec<usize> = (0..ranking.conditions.len()).collect();
     assert_eq!(
         columns_ranked_without(&ranking, ClaimHalf::Search),
         unranked,
@@ -115,24 +115,24 @@ fn the_held_out_half_does_not_affect_the_ranking() {
 
 #[test]
 fn equal_scores_share_a_rank_and_presets_are_always_shown() {
-    // α = 0.2 is the value of the preset; the two settings before it are better and equal.
+    // α = 0.2 is the value of the preset; the two conditions before it are better and equal.
     let results = results_of(&[(0.3, AS_STATED), (0.4, AS_STATED), (0.2, FAR)]);
-    let ranking = SettingRanking::new(ClaimReport::new(&results));
-    let ranks: Vec<usize> = ranking.settings.iter().map(|setting| setting.rank).collect();
+    let ranking = ConditionRanking::new(ClaimReport::new(&results));
+    let ranks: Vec<usize> = ranking.conditions.iter().map(|ranked| ranked.rank).collect();
     assert_eq!(ranks, [1, 1, 3]);
-    assert_eq!(ranking.label(ranking.settings[2].column), "paper");
-    let shown: Vec<usize> = ranking.settings_to_show(1).map(|setting| setting.rank).collect();
+    assert_eq!(ranking.label(ranking.conditions[2].column), "paper");
+    let shown: Vec<usize> = ranking.conditions_to_show(1).map(|ranked| ranked.rank).collect();
     assert_eq!(shown, [1, 3], "the best and the preset");
     let page = markdown(&ranking, 1, "reveille report search a");
-    assert!(page.contains("One more setting is not shown"), "{page}");
+    assert!(page.contains("One more condition is not shown"), "{page}");
 }
 
 #[test]
-fn unmet_claims_have_the_setting_with_the_closest_value() {
+fn unmet_claims_have_the_condition_with_the_closest_value() {
     let far = [0.5, 0.145, 0.34, 0.10];
     let near = [0.5, 0.145, 0.34, 0.17];
     let results = results_of(&[(0.3, far), (0.4, near)]);
-    let ranking = SettingRanking::new(ClaimReport::new(&results));
+    let ranking = ConditionRanking::new(ClaimReport::new(&results));
     let unmet = ranking.unmet();
     let random_claim = unmet
         .iter()
@@ -162,18 +162,18 @@ fn unmet_claims_have_the_setting_with_the_closest_value() {
 }
 
 #[test]
-fn the_effect_of_a_value_is_the_mean_over_its_settings() {
+fn the_effect_of_a_value_is_the_mean_over_its_conditions() {
     let results = results_of(&[(0.3, FAR), (0.4, AS_STATED)]);
-    let ranking = SettingRanking::new(ClaimReport::new(&results));
+    let ranking = ConditionRanking::new(ClaimReport::new(&results));
     let effects = ranking.effects();
     let [first, second] = &effects[..] else {
         panic!("{effects:?}")
     };
     assert_eq!(
-        (first.field.as_str(), first.value.as_str(), first.setting_count),
+        (first.field.as_str(), first.value.as_str(), first.condition_count),
         ("events.alpha", "0.3", 1)
     );
-    let best = &ranking.settings[0];
+    let best = &ranking.conditions[0];
     assert_eq!(
         (second.value.as_str(), second.most_met_search),
         ("0.4", best.search.met)
@@ -185,10 +185,10 @@ fn the_effect_of_a_value_is_the_mean_over_its_settings() {
 #[test]
 fn the_correlation_of_halves_equals_a_calculation_by_hand() {
     let results = results_of(&[(0.3, FAR), (0.1, CLOSE), (0.4, AS_STATED)]);
-    let mut ranking = SettingRanking::new(ClaimReport::new(&results));
+    let mut ranking = ConditionRanking::new(ClaimReport::new(&results));
     let met_claims = [(1, 2), (2, 4), (3, 9)];
-    for (setting, (search, held_out)) in ranking.settings.iter_mut().zip(met_claims) {
-        (setting.search.met, setting.held_out.met) = (search, held_out);
+    for (ranked, (search, held_out)) in ranking.conditions.iter_mut().zip(met_claims) {
+        (ranked.search.met, ranked.held_out.met) = (search, held_out);
     }
     // Deviations -1, 0, 1 and -3, -1, 4: 7 / √(2 · 26).
     let correlation = ranking.correlation().expect("different scores");
@@ -196,8 +196,8 @@ fn the_correlation_of_halves_equals_a_calculation_by_hand() {
         (correlation - 7.0 / 52.0_f64.sqrt()).abs() < 1e-12,
         "correlation {correlation}"
     );
-    for setting in &mut ranking.settings {
-        setting.held_out.met = 5;
+    for ranked in &mut ranking.conditions {
+        ranked.held_out.met = 5;
     }
     assert_eq!(ranking.correlation(), None);
 }
@@ -205,7 +205,7 @@ fn the_correlation_of_halves_equals_a_calculation_by_hand() {
 #[test]
 fn page_sections_have_the_tables_of_the_whole_page() {
     let results = results_of(&[(0.3, FAR), (0.4, AS_STATED)]);
-    let ranking = SettingRanking::new(ClaimReport::new(&results));
+    let ranking = ConditionRanking::new(ClaimReport::new(&results));
     let whole_page = markdown(&ranking, 5, "command");
     for section in super::markdown::page_sections(&ranking, 5, "command") {
         let rows = section.body.lines().filter(|line| line.starts_with("| "));

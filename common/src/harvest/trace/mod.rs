@@ -402,46 +402,4 @@ impl TraceSource {
 }
 
 #[cfg(test)]
-mod tests {
-    use std::path::Path;
-
-    use super::*;
-
-    fn ghi_column(text: &str) -> ColumnData<f64> {
-        columns::read_numbers(Path::new("t.csv"), text.as_bytes(), &["ghi".to_owned()], 0..usize::MAX)
-            .expect("a column")
-    }
-
-    #[test]
-    fn values_are_scaled_to_micro_units() {
-        let values = scale_to_energy(&ghi_column("ghi\n0\n500\n"), &["ghi".to_owned()], 0.002).expect("valid");
-        assert_eq!(values, [[Energy::ZERO, Energy::from_micro(1_000_000)]]);
-    }
-
-    #[test]
-    fn a_negative_irradiance_is_refused_with_its_line() {
-        let panel = Panel {
-            area_cm2: 10.0,
-            efficiency: 0.1,
-            unit_mj: 1.0,
-            tti_seconds: 60.0,
-            row_seconds: 60.0,
-        };
-        let names = ["ghi".to_owned()];
-        let reason =
-            convert_irradiance(&panel, &ghi_column("ghi\n1\n-3\n"), &names, TraceEnd::Cycle, 1).expect_err("negative");
-        assert!(
-            reason.starts_with("line 3, column `ghi`: the irradiance -3 W/m² must be"),
-            "{reason}"
-        );
-        // 10 cm² at a tenth: 1 W/m² is 0.1 mJ a second.
-        let rows = convert_irradiance(&panel, &ghi_column("ghi\n2\n2\n"), &names, TraceEnd::Stop, 1).expect("valid");
-        assert_eq!(rows, [[Energy::from_micro(12_000_000); 2]]);
-    }
-
-    #[test]
-    fn a_negative_value_is_refused_with_its_line() {
-        let reason = scale_to_energy(&ghi_column("ghi\n1\n-3\n"), &["ghi".to_owned()], 1.0).expect_err("negative");
-        assert!(reason.starts_with("line 3, column `ghi`: -3 times"), "{reason}");
-    }
-}
+mod tests;

@@ -1,0 +1,36 @@
+//! A small harvest trace, and the harvest of whole scenarios, for tests.
+
+use super::{HarvestSource, SharedSourceData};
+use crate::deployment::Deployment;
+use crate::ids::Tti;
+use crate::scenario::testing::TestScenario;
+
+/// Draws the harvest of every device of the run, units per TTI.
+pub(crate) fn draw_harvests(scenario: &TestScenario) -> Vec<f64> {
+    let deployment = Deployment::new(scenario);
+    let shared = SharedSourceData::new(deployment.devices.iter().map(|d| &d.harvest), deployment.traces);
+    let drawn = deployment.devices.iter().map(|device| {
+        let mut source = HarvestSource::new(&device.harvest, &shared, scenario.run.seed, device.id);
+        let mut sum = 0.0;
+        while source.next_arrival() < Tti(scenario.run.ttis) {
+            sum += source.take_arrival().units();
+        }
+        sum / scenario.run.ttis as f64
+    });
+    drawn.collect()
+}
+
+/// Writes a trace of three columns, and returns the fields that read it.
+pub(crate) fn trace_fields(name: &str, end: &str) -> Vec<String> {
+    let path = std::env::temp_dir().join(format!("reveille-trace-{name}-{}.csv", std::process::id()));
+    std::fs::write(&path, "a,b,c\n1,0,7\n2,0,0\n0,0,3\n").expect("a file");
+    [
+        "harvest.kind=trace".to_owned(),
+        format!("harvest.trace.file={}", path.display()),
+        "harvest.trace.columns=[\"a\", \"b\", \"c\"]".to_owned(),
+        "harvest.trace.ttis_per_row=4".to_owned(),
+        format!("harvest.trace.end={end}"),
+        "devices=7".to_owned(),
+    ]
+    .to_vec()
+}
