@@ -3,6 +3,7 @@
 
 use std::net::SocketAddr;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use anyhow::anyhow;
 use axum::Router;
@@ -16,6 +17,10 @@ use tokio::net::TcpListener;
 
 use crate::display::note;
 
+/// Longest wait of a request for the count of the devices.
+const COUNT_PATIENCE: Duration = Duration::from_millis(250);
+/// Interval at which a request looks for that count.
+const COUNT_POLL: Duration = Duration::from_millis(2);
 const OPENMETRICS_TYPE: &str = "application/openmetrics-text";
 
 /// Returns the statistics of the run's processes.
@@ -113,6 +118,16 @@ pub(crate) fn is_allowed_host(host: Option<&str>, address: SocketAddr) -> bool {
     matches!(name, "localhost" | "127.0.0.1" | "[::1]") || name == address.ip().to_string()
 }
 
+/// Waits until the devices are counted, so that the response describes the TTI of the request. While the clock is
+/// paused or slow, the previous count must do.
+async fn wait_for_count(metrics: &PrometheusMetrics) {
+    metrics.request_count();
+    let deadline = Instant::now() + COUNT_PATIENCE;
+    while metrics.is_count_pending() && Instant::now() < deadline {
+        tokio::time::sleep(COUNT_POLL).await;
+    }
+}
+
 async fn serve_metrics(State(state): State<MetricsState>, request: Request) -> impl IntoResponse {
     let accept = request
         .headers()
@@ -124,6 +139,7 @@ async fn serve_metrics(State(state): State<MetricsState>, request: Request) -> i
     } else {
         "text/plain; version=0.0.4; charset=utf-8"
     };
+    wait_for_count(&state.metrics).await;
     let text = state.metrics.encode((state.process_stats)(), is_openmetrics);
     ([(header::CONTENT_TYPE, content_type)], text)
 }

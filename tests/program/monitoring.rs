@@ -1,12 +1,13 @@
 //! Prometheus metrics (`--metrics`) of `run` and `up`: neither they nor a recording change the digest, the only output
-//! under `--quiet`. On a loopback address, requests under another host name are refused (421, against DNS rebinding),
+//! under `--quiet`. Batteries are those at the time of the request. On a loopback address, requests under another host name are refused (421, against DNS rebinding),
 //! and `/` leads to `/metrics` (307). An unusable address is refused before the run. The address comes from the note
 //! `http://ADDRESS/metrics` on standard error. `tests/monitoring/` reads the metrics with Prometheus.
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 
-use reveille_tests::process::{TestFolder, assert_refused, unique_run};
+use reveille_tests::process::{Process, TestFolder, assert_refused, unique_run};
+use rustix::process::Signal;
 
 /// Requests `path` from `address` with `Host: host_header`, and returns the answer.
 fn get(address: &str, path: &str, host_header: &str) -> String {
@@ -41,13 +42,7 @@ fn a_loopback_address_refuses_requests_under_other_host_names() {
     let up = folder.start(&format!(
         "up -P 1 -n 10 -k 60 --paused --run {run} --quiet --out o --metrics 127.0.0.1:0"
     ));
-    up.wait_for_stderr("/metrics");
-    let stderr = up.stderr();
-    let address = stderr
-        .split("http://")
-        .nth(1)
-        .and_then(|rest| rest.split('/').next())
-        .expect("an address");
+    let address = &metrics_address(&up);
     let answer = get(address, "/metrics", address);
     assert!(
         answer.starts_with("HTTP/1.1 200") && answer.contains("reveille_run_info{"),
@@ -60,6 +55,53 @@ fn a_loopback_address_refuses_requests_under_other_host_names() {
     folder.wait_for_tti(&run, 0);
     folder.clock(&run, "resume");
     assert!(up.finish().is_success());
+}
+
+/// Returns the address of the metrics server of `process`.
+fn metrics_address(process: &Process) -> String {
+    process.wait_for_stderr("/metrics");
+    let stderr = process.stderr();
+    let rest = stderr.split("http://").nth(1).expect("an address");
+    rest.split('/').next().expect("a first part").to_owned()
+}
+
+/// Requests the metrics, and returns the next TTI and the mean battery level.
+fn next_tti_and_battery(address: &str) -> (f64, f64) {
+    let answer = get(address, "/metrics", address);
+    let value = |name: &str| {
+        let line = answer
+            .lines()
+            .find_map(|line| line.strip_prefix(name)?.strip_prefix(' '));
+        line.and_then(|text| text.parse::<f64>().ok())
+            .unwrap_or_else(|| panic!("{name}: {answer}"))
+    };
+    (value("reveille_next_tti"), value("reveille_battery_mean_units"))
+}
+
+/// Without harvest and almost without events, a device that is always sensing spends one unit in each TTI.
+#[test]
+fn batteries_are_those_at_the_time_of_the_request() {
+    let (folder, run, e_max) = (TestFolder::new(), unique_run("batteries"), 500_000.0);
+    let always_sensing = "-p random --set policy.random.t_on=[10] --set policy.random.t_drx=[10]";
+    let up = folder.start(&format!(
+        "up -P 1 -n 10 -k 400000 --run {run} --pace 1ms {always_sensing} --set events.alpha=1e-9 --set harvest.lambda=0 \
+         --set energy.e_max={e_max} --set energy.initial={e_max} --quiet --out o --metrics 127.0.0.1:0"
+    ));
+    let address = metrics_address(&up);
+    let mut reached = 1;
+    for _ in 0..3 {
+        folder.wait_for_tti(&run, reached);
+        // The devices were counted between the request and the encoding of its response.
+        let (next_tti, battery) = next_tti_and_battery(&address);
+        let ttis = e_max - battery;
+        assert!(
+            reached as f64 <= ttis && ttis <= next_tti,
+            "a battery after {ttis} TTIs, requested after {reached} and answered after {next_tti}"
+        );
+        reached = next_tti as u64 + 100;
+    }
+    up.signal(Signal::INT);
+    up.finish();
 }
 
 #[test]

@@ -79,8 +79,8 @@ pub struct ProcessStats {
 pub struct PrometheusMetrics {
     registry: Registry,
     handles: Handles,
-    /// Whether metrics were requested since the last battery count.
-    is_requested: AtomicBool,
+    /// Whether the states of the devices are to be counted after the next grant.
+    is_count_requested: AtomicBool,
     /// Largest E_max in the run.
     e_max: Energy,
     /// Last process statistics, from which the counters' increments are computed.
@@ -184,21 +184,13 @@ impl Handles {
             "Energy harvested by devices, up to the last window",
             handles.harvested.clone(),
         );
-        registry.register(
-            "devices",
-            "Devices by state, as of the previous request",
-            handles.states.clone(),
-        );
+        registry.register("devices", "Devices by state", handles.states.clone());
         registry.register(
             "devices_with_battery",
-            "Devices with at most this many units, as of the previous request",
+            "Devices with at most this many units",
             handles.batteries.clone(),
         );
-        registry.register(
-            "battery_mean_units",
-            "Mean battery level, as of the previous request",
-            handles.mean_battery.clone(),
-        );
+        registry.register("battery_mean_units", "Mean battery level", handles.mean_battery.clone());
         registry.register("hosts_alive", "Hosts that are not lost", handles.hosts.clone());
         registry.register(
             "late_ttis",
@@ -252,7 +244,7 @@ impl PrometheusMetrics {
         let metrics = Self {
             registry,
             handles,
-            is_requested: AtomicBool::new(true),
+            is_count_requested: AtomicBool::new(true),
             e_max: e_max.unwrap_or(Energy::ZERO),
             last_process_stats: Mutex::default(),
         };
@@ -267,7 +259,7 @@ impl PrometheusMetrics {
         }
         // `update_devices` clears the request, but the first states are wanted before any request.
         self.update_devices(&[]);
-        self.is_requested.store(true, Ordering::Relaxed);
+        self.request_count();
     }
 
     /// Counts a frame.
@@ -297,10 +289,19 @@ impl PrometheusMetrics {
         }
     }
 
+    /// Requests a count of the devices by state and battery after the next grant. See [`Self::is_count_pending`].
+    pub fn request_count(&self) {
+        self.is_count_requested.store(true, Ordering::Relaxed);
+    }
+
+    /// Whether a requested count is pending. It stays so until the clock grants a TTI.
+    pub fn is_count_pending(&self) -> bool {
+        self.is_count_requested.load(Ordering::Relaxed)
+    }
+
     /// Encodes the metrics with the process statistics `process`: in the OpenMetrics format if `is_openmetrics`,
     /// otherwise in the older Prometheus text format.
     pub fn encode(&self, process: ProcessStats, is_openmetrics: bool) -> String {
-        self.is_requested.store(true, Ordering::Relaxed);
         // Held over all increments; otherwise two parallel requests would count them twice.
         let mut before = self.last_process_stats.lock().unwrap_or_else(PoisonError::into_inner);
         let handles = &self.handles;
@@ -327,7 +328,7 @@ impl PrometheusMetrics {
     }
 
     fn update_devices(&self, views: &[DeviceView]) {
-        self.is_requested.store(false, Ordering::Relaxed);
+        self.is_count_requested.store(false, Ordering::Relaxed);
         let labels = |state| StateLabels { state };
         let states = [
             // Devices leave S2 within the TTI in which they enter it, so no view shows S2.
@@ -382,7 +383,7 @@ impl Observer for MetricsObserver {
     }
 
     fn wants_states(&self) -> bool {
-        self.0.is_requested.load(Ordering::Relaxed)
+        self.0.is_count_pending()
     }
 
     fn window_closed(&mut self, window: &WindowRecord) -> bool {
