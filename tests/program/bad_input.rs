@@ -1,5 +1,5 @@
-//! Invalid input of `run`, `up`, `bs`, `device`, `clock` and `inspect`: one paragraph with the fault, the place and the
-//! allowed values, a failing exit code, and no run folder. Also unusual input that is valid.
+//! Invalid input: one paragraph with the fault, the place and the allowed values, a failing exit code, and no run
+//! folder unless the run had begun. Also unusual input that is valid.
 
 use std::fs;
 use std::net::TcpListener;
@@ -9,17 +9,18 @@ use std::process::Stdio;
 use reveille_tests::process::{Process, SummaryJson, TestFolder, assert_refused, free_endpoint, unique_run};
 use rustix::process::Signal;
 
-/// Checks that the folder contains only the test's own `files`.
+/// Checks that the folder contains only the test's own `files`, apart from the runtime folder in which commands
+/// register their runs.
 fn assert_untouched(folder: &TestFolder, files: &[&str]) {
-    let left: Vec<String> = folder.list(".").into_iter().filter(|name| name != "runtime").collect();
-    assert_eq!(left, files, "files in the folder");
+    let found: Vec<String> = folder.list(".").into_iter().filter(|name| name != "runtime").collect();
+    assert_eq!(found, files, "files in the folder");
 }
 
-/// Checks that every command that takes a scenario refuses it, with all of `parts` in the message, and leaves only
-/// `files`.
-fn refused(folder: &TestFolder, scenario: &str, files: &[&str], parts: &[&str]) {
+/// Checks that every command that executes one run refuses the scenario that `options` select, with all of `parts` in
+/// the message, and leaves only `files`.
+fn assert_scenario_refused(folder: &TestFolder, options: &str, files: &[&str], parts: &[&str]) {
     for command in ["run", "up", "up -P 0 --out out", "bs --run x --listen tcp/127.0.0.1:0"] {
-        assert_refused(&folder.run(&format!("{command} {scenario}")), 1, parts);
+        assert_refused(&folder.run(&format!("{command} {options}")), 1, parts);
         assert_untouched(folder, files);
     }
 }
@@ -29,27 +30,27 @@ fn an_unknown_field_is_named_with_its_line() {
     let folder = TestFolder::new();
     folder.write("my.toml", "devices = 30\n[sensing]\ndmax = 5\n");
     let parts = ["sensing.dmax", "my.toml, line 3", "did you mean `d_max`"];
-    refused(&folder, "--scenario my.toml", &["my.toml"], &parts);
+    assert_scenario_refused(&folder, "--scenario my.toml", &["my.toml"], &parts);
 }
 
 #[test]
 fn a_file_that_is_not_toml_is_named_with_its_line() {
     let folder = TestFolder::new();
     folder.write("my.toml", "devices = 30\n\n[sensing\n");
-    refused(&folder, "--scenario my.toml", &["my.toml"], &["my.toml, line 3"]);
+    assert_scenario_refused(&folder, "--scenario my.toml", &["my.toml"], &["my.toml, line 3"]);
 }
 
 #[test]
 fn a_negative_energy_is_refused() {
     let folder = TestFolder::new();
     folder.write("my.toml", "[energy]\ne_tx = -1.0\n");
-    refused(
+    assert_scenario_refused(
         &folder,
         "-s my.toml",
         &["my.toml"],
         &["energy.e_tx = -1", "at least 0", "my.toml, line 2"],
     );
-    refused(
+    assert_scenario_refused(
         &folder,
         "--set energy.e_idle=-2",
         &["my.toml"],
@@ -60,19 +61,19 @@ fn a_negative_energy_is_refused() {
 #[test]
 fn a_negative_number_is_refused_with_the_allowed_range() {
     let folder = TestFolder::new();
-    refused(
+    assert_scenario_refused(
         &folder,
         "--devices -5",
         &[],
         &["devices = -5", "not negative", "--devices"],
     );
-    refused(&folder, "-k -7", &[], &["ttis = -7", "not negative", "--ttis"]);
-    refused(&folder, "--seed -1", &[], &["seed = -1", "not negative", "--seed"]);
+    assert_scenario_refused(&folder, "-k -7", &[], &["ttis = -7", "not negative", "--ttis"]);
+    assert_scenario_refused(&folder, "--seed -1", &[], &["seed = -1", "not negative", "--seed"]);
 }
 
 #[test]
 fn zero_devices_are_refused() {
-    refused(
+    assert_scenario_refused(
         &TestFolder::new(),
         "-n 0",
         &[],
@@ -82,7 +83,7 @@ fn zero_devices_are_refused() {
 
 #[test]
 fn a_d_max_beyond_the_area_is_refused() {
-    refused(
+    assert_scenario_refused(
         &TestFolder::new(),
         "--set sensing.d_max=1000",
         &[],
@@ -97,7 +98,7 @@ fn a_missing_trace_file_is_named() {
         "my.toml",
         "[harvest]\nkind = \"trace\"\n[harvest.trace]\nfile = \"sun.csv\"\ncolumn = \"w\"\n",
     );
-    refused(
+    assert_scenario_refused(
         &folder,
         "-s my.toml",
         &["my.toml"],
@@ -119,7 +120,7 @@ fn an_invalid_row_of_a_trace_is_named() {
         ("", "no rows"),
     ] {
         folder.write("sun.csv", &format!("w\n{rows}"));
-        refused(
+        assert_scenario_refused(
             &folder,
             "-s my.toml",
             &["my.toml", "sun.csv"],
@@ -130,13 +131,13 @@ fn an_invalid_row_of_a_trace_is_named() {
 
 #[test]
 fn an_unknown_scenario_or_policy_lists_the_available_ones() {
-    refused(
+    assert_scenario_refused(
         &TestFolder::new(),
         "-s papr",
         &[],
         &["papr", "did you mean `paper`", "quick"],
     );
-    refused(
+    assert_scenario_refused(
         &TestFolder::new(),
         "-p nearest",
         &[],
@@ -146,19 +147,19 @@ fn an_unknown_scenario_or_policy_lists_the_available_ones() {
 
 #[test]
 fn invalid_overrides_are_refused() {
-    refused(
+    assert_scenario_refused(
         &TestFolder::new(),
         "--set nonsense",
         &[],
         &["--set nonsense", "path.to.field=value"],
     );
-    refused(
+    assert_scenario_refused(
         &TestFolder::new(),
         "--set nonsense=1",
         &[],
         &["unknown field `nonsense`", "devices"],
     );
-    refused(
+    assert_scenario_refused(
         &TestFolder::new(),
         "--set devices=many",
         &[],
@@ -372,7 +373,7 @@ fn a_folder_that_holds_no_run_is_never_replaced() {
 }
 
 #[test]
-fn a_folder_without_write_access_is_named() {
+fn an_unusable_run_folder_is_named() {
     let folder = TestFolder::new();
     folder.write("file", "");
     for command in [
@@ -546,12 +547,13 @@ fn an_unregistered_run_continues() {
 }
 
 #[test]
-fn an_unread_error_keeps_its_exit_code() {
+fn an_unread_message_leaves_the_exit_code() {
     let folder = TestFolder::new();
-    // The first command prints an error itself, the second a warning through the log.
     folder.write("spots.csv", "x,y\n1,1\n2,2\n");
     for (args, code) in [
+        // Prints an error itself.
         ("run -s nosuch", 1),
+        // Prints a warning through the log.
         ("run -n 1 -k 9 --set layout.kind=file --set layout.file=spots.csv -q", 0),
     ] {
         let (reader, writer) = std::io::pipe().expect("a pipe");

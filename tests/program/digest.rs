@@ -9,7 +9,7 @@ use reveille_tests::process::{PATIENCE, Process, TestFolder, free_endpoint, uniq
 /// Thirty devices, and enough TTIs for reports, failures and wake-ups.
 const SMALL: &str = "-n 30 -k 400";
 
-/// Commands that must give the same digest.
+/// Commands that must give the same digest. One occurs twice, since processes are scheduled differently each time.
 const COMMANDS: [&str; 9] = [
     "run",
     "run --no-lookahead",
@@ -22,7 +22,7 @@ const COMMANDS: [&str; 9] = [
     "up -P 30",
 ];
 
-/// Four of them, for variations of a policy that is tested with all.
+/// Commands for variations of a policy that is tested with all of [`COMMANDS`].
 const FEW_COMMANDS: [&str; 4] = ["run", "up -P 0", "up -P 4", "up -P 3 --no-lookahead --window 7"];
 
 /// Settings that exercise other code paths of a policy or the world, in addition to the ranking of wake-ups.

@@ -1,8 +1,8 @@
 //! Comparison of two runs: the first difference in each kind of message. `inspect compare` and the dashboard use it.
 //!
-//! Only actions and outcomes are compared: events, δ, reports, failures, wake-ups and their outcomes. Grants and
-//! answers are ignored, so a run with lookahead equals the same run without it. A new kind of message is compared only
-//! if it is in `COMPARED`.
+//! Only decisions and outcomes are compared: actions of operators, removals, δ plans, events, reports that arrive, are
+//! lost or fail, wake-ups and their outcomes. Grants and answers are ignored, so a run with lookahead equals the same
+//! run without it. A new kind of message is compared only if it is in `COMPARED`.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::io::{Read, Seek};
@@ -16,7 +16,7 @@ use crate::frame_line::{FrameLine, key_owner};
 use crate::recording::{RecordingError, RecordingReader};
 
 /// The kinds that are compared, in the order of their occurrence in a TTI.
-pub(crate) const COMPARED: [MessageKind; 9] = [
+const COMPARED: [MessageKind; 9] = [
     MessageKind::Action,
     MessageKind::Plan,
     MessageKind::Event,
@@ -74,7 +74,7 @@ impl FirstDifference {
         }
     }
 
-    /// Devices with different δ in the two plans; empty if the difference is not between plans.
+    /// Devices with different duty cycles in the two plans; empty if the difference is not between plans.
     pub fn devices(&self) -> Vec<DeviceId> {
         let plan = |frame: &Option<Frame>| match frame.as_ref()?.message() {
             Ok(Message::Plan(update)) => Some(update.plan),
@@ -119,12 +119,12 @@ struct KindComparison {
 #[derive(Debug, Default)]
 pub struct RunComparison {
     kinds: BTreeMap<MessageKind, KindComparison>,
-    /// The TTI that each run has reached.
+    /// The TTI that each run has reached, by [`RunSide`].
     reached: [Tti; 2],
 }
 
 impl RunComparison {
-    /// Adds a frame of the run on `side`.
+    /// Adds a frame of the run on `side`. The frames of each side must come in order of TTI.
     pub fn push(&mut self, side: RunSide, frame: &Frame) {
         // First, so that older messages of the other run without a counterpart are found before this one is matched.
         self.advance(side, frame.tti);

@@ -1,5 +1,5 @@
-//! The Voronoi diagram clipped to the area: for the distance bound of Eq. (`E_Info3`) and for figures. I_min follows
-//! from the bound, so decisions and digests depend on it bit for bit.
+//! The Voronoi diagram clipped to the area: for the distance bound of Eq. (`E_Info3`), the share of the area within
+//! reach, figures and the dashboard. I_min follows from the bound, so decisions and digests depend on it bit for bit.
 
 use super::{Area, Point};
 
@@ -35,12 +35,13 @@ pub fn voronoi_cells(points: &[Point], area: Area) -> Vec<Vec<Point>> {
     points.iter().map(|p| cell(p).unwrap_or_default()).collect()
 }
 
-/// Calls `visit` for each of `sites`, in order, with the corners of its cell.
+/// Calls `visit` for each of `sites`, in order, with the corners of its cell. `sites` must come from
+/// [`sorted_distinct_sites`]; one of two sites that differ by rounding errors alone may be left out.
 pub(super) fn visit_cells(sites: &[Point], area: Area, mut visit: impl FnMut(Point, &[Point])) {
     let edges = delaunay_edges(sites, area);
     let (mut cell, mut spare) = (Vec::new(), Vec::new());
     for site_edges in edges.chunk_by(|a, b| a.0 == b.0) {
-        // The bisectors towards the far sites lie outside the area.
+        // The far sites own no part of the area.
         let Some(&site) = sites.get(site_edges[0].0) else {
             continue;
         };
@@ -51,6 +52,7 @@ pub(super) fn visit_cells(sites: &[Point], area: Area, mut visit: impl FnMut(Poi
             Point::new(area.width, area.height),
             Point::new(0.0, area.height),
         ]);
+        // The bisectors towards the far sites lie outside the area.
         for &other in site_edges.iter().filter_map(|edge| sites.get(edge.1)) {
             clip(&cell, site, other, &mut spare);
             std::mem::swap(&mut cell, &mut spare);
@@ -68,7 +70,8 @@ pub(super) fn sorted_distinct_sites(points: &[Point]) -> Vec<Point> {
     sites
 }
 
-/// The edges of the Delaunay triangulation in both directions, sorted: pairs of sites that share a border in the area.
+/// The edges of the Delaunay triangulation in both directions, sorted. They include every pair of sites that share a
+/// border in the area.
 ///
 /// Four additional sites are too far away to own a point of the area; their indices follow `sites`. They give every set
 /// of sites a triangulation, also a single site or sites in a line. Cells are clipped by bisectors instead of built

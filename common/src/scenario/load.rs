@@ -16,7 +16,8 @@ use crate::declare::{
 
 /// Loads the scenario `source`, the name of a preset or the path of a scenario file, with `overrides` on top; later
 /// overrides win. Paths of layout and trace files in the scenario file are relative to its folder, those in an
-/// override to the working directory. The scenario may name one of `policies`; `files` reads the files that it names.
+/// override to the working directory. The scenario may name one of `policies`. Files that the scenario refers to are
+/// read through `files`.
 ///
 /// # Errors
 /// If the preset or file does not exist, or the scenario is invalid. The message names the field, its value, the
@@ -51,7 +52,7 @@ pub fn load<K: PolicyKind>(
 }
 
 /// Parses the scenario in the TOML `text`. `origin` names it in messages; paths in it are relative to `base_dir`.
-/// Reads only the files that it names, and never panics, whatever the text.
+/// Only files that the text refers to are read. Never panics, whatever the text.
 ///
 /// # Errors
 /// As [`load`].
@@ -65,7 +66,7 @@ pub fn parse<K: PolicyKind>(
 ) -> Result<LoadedScenario<PolicyChoice<K>>, ScenarioError> {
     let file = Layer::from_text(text, LayerOrigin::file(origin, text))?;
     resolve(
-        &PRESETS[0],
+        default_preset(),
         Some(file),
         overrides,
         policies,
@@ -81,14 +82,14 @@ fn resolve<K: PolicyKind>(
     file_context: FileContext<'_>,
 ) -> Result<LoadedScenario<PolicyChoice<K>>, ScenarioError> {
     let declaration = declaration(policies);
-    let overriding = overrides
+    let override_layers = overrides
         .iter()
-        .map(|overriding| Layer::from_override(overriding, &declaration))
+        .map(|field_override| Layer::from_override(field_override, &declaration))
         .collect::<Result<Vec<_>, ScenarioError>>()?;
     // The last layer has the highest precedence.
     let preset_field = file
         .iter()
-        .chain(&overriding)
+        .chain(&override_layers)
         .filter_map(|layer| layer.text_at("preset"))
         .next_back();
     let name = preset_field.as_ref().map_or(base_preset.name, |(name, _)| *name);
@@ -104,7 +105,7 @@ fn resolve<K: PolicyKind>(
             origin: preset_field.map_or(ValueOrigin::Unset, |(_, origin)| origin),
         });
     };
-    let merged = merge_layers(&declaration, preset, file, overriding)?;
+    let merged = merge_layers(&declaration, preset, file, override_layers)?;
     validate(preset.name, &declaration, &merged, policies, file_context)
 }
 
@@ -120,6 +121,11 @@ fn merge_layers<'a>(
         layers.add(layer)?;
     }
     Ok(layers.finish())
+}
+
+/// The preset from which a file starts unless it names another.
+const fn default_preset() -> &'static Preset {
+    &PRESETS[0]
 }
 
 fn preset_names() -> impl Iterator<Item = &'static str> + Clone {

@@ -5,7 +5,8 @@ use crate::declare;
 use crate::declare::{Alternative, BELOW_ONE, POSITIVE, Preset, choice, choices, number, registered, whole, word};
 use crate::ids::{MAX_DEVICES, MAX_TTIS};
 
-/// The presets. The first one holds the declared defaults, from which a file starts unless it names another preset.
+/// The presets. The first one is the declared defaults, from which a file starts unless it names another preset. A
+/// changed default or preset changes the digests of its runs.
 pub const PRESETS: &[Preset] = &[
     Preset {
         name: "paper",
@@ -62,7 +63,7 @@ crate::declare! {
     /// selected.
     #[derive(Clone, Debug)]
     pub(super) struct PolicyName in "policy" {
-        /// Name of the policy.
+        /// Name of a registered policy.
         pub(super) name: String = registered("knn").source("Sec. V, Sec. VI"),
     }
 }

@@ -14,8 +14,9 @@ use crate::exit::ExitReason;
 use crate::signals::{SignalMode, Signals};
 use crate::{child_process, file_limits, key};
 
-/// Connect timeout of a child of `up`, in effect none: the child ends with its parent anyway.
-const CHILD_CONNECT_TIMEOUT: Duration = Duration::from_hours(24 * 365);
+/// Time for which a child of `up` waits to join and for a lost base station: in effect unlimited, since it ends with
+/// its parent.
+const CHILD_PATIENCE: Duration = Duration::from_hours(24 * 365);
 
 /// Runs devices to the end of a run.
 pub(crate) async fn run(args: &DeviceArgs) -> anyhow::Result<ExitCode> {
@@ -47,12 +48,9 @@ pub(crate) async fn run(args: &DeviceArgs) -> anyhow::Result<ExitCode> {
         max_devices: args.count,
         name: format!("the process with pid {}", std::process::id()),
         key,
-        patience: if is_alone {
-            args.connect_timeout
-        } else {
-            CHILD_CONNECT_TIMEOUT
-        },
+        patience: if is_alone { args.connect_timeout } else { CHILD_PATIENCE },
         stands_by: true,
+        // Tuned processes handle messages on the thread that delivers them.
         uses_worker: args.untuned,
     };
     let work = async {

@@ -38,7 +38,7 @@ pub struct RecordedActions {
     pub environment_outcome: RunOutcome,
 }
 
-/// The commands of a base station.
+/// Records the plans and wake-ups of a base station by TTI.
 #[derive(Default)]
 struct CommandObserver {
     plans: BTreeMap<u64, Plan>,
@@ -59,6 +59,9 @@ impl Observer for CommandObserver {
 
 /// Records the run of `scenario` as actions in the environment of `external_scenario`, the same scenario with the
 /// policy `external`. Returns `None` for the genie, which wakes devices without a report.
+///
+/// # Panics
+/// If `external_scenario` has another policy than `external`.
 pub fn record(scenario: &Scenario, external_scenario: &Scenario) -> Option<RecordedActions> {
     let prepared = prepare(scenario);
     if prepared.policy(&prepared.knowledge()).oracle().is_some() {

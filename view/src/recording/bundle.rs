@@ -1,6 +1,6 @@
 //! A scenario without a disk: its text and the files that it refers to. Recordings hold a bundle, and a base station
-//! sends one to observers; from it they rebuild the scenario of the run. File names and paths are part of recordings
-//! and messages.
+//! sends one to observers; observers and readers rebuild the scenario of the run from it. File names and paths are
+//! part of recordings and of the bus message. [`SCENARIO_FILE`] and `summary.json` are reserved names.
 
 use std::io;
 use std::path::{Path, PathBuf};

@@ -2,8 +2,8 @@
 //!
 //! The file is an MCAP container. Each kind of message is a channel, such as `/air/report`. Its messages are the JSON
 //! lines of [`FrameLine::to_json`](crate::frame_line::FrameLine::to_json), with a schema. Log time is virtual: a TTI is
-//! a millisecond. The container also holds the scenario, its scenario files and, at the end, the summary. Chunks of
-//! messages are compressed and written in order, so a torn file can be read up to the tear.
+//! a millisecond. The container also holds the scenario, the files that it refers to and, at the end, the summary.
+//! Chunks of messages are compressed and written in order, so a torn file can be read up to the tear.
 
 mod bundle;
 mod reader;
@@ -33,7 +33,10 @@ pub(crate) const fn log_time(tti: Tti) -> u64 {
     tti.0 * NANOS_PER_TTI
 }
 
-/// Version of the recording format; files of other versions are refused.
+/// Version of the recording format; the reader refuses files of other versions, and of other versions of the bus.
+///
+/// Raise it with any change that an older reader would misread: the JSON lines, the attachments, the log times. Topics
+/// and schemas are also a contract with programs that show MCAP files, but our reader does not depend on topics.
 pub const VERSION: u32 = 2;
 
 #[cfg(test)]

@@ -1,4 +1,5 @@
-//! Compares the table of options in `docs/command-line.md` with the options of the commands that execute runs.
+//! Compares the table of options in `docs/command-line.md` with the options of the commands that execute runs or
+//! their devices.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -49,8 +50,8 @@ fn name(arg: &Arg) -> Option<String> {
 
 /// Returns the options of a command that `--help` shows.
 fn options(command: &'static str, program: &Command) -> Vec<(CommandOption, Arg)> {
-    let command_of = program.find_subcommand(command).expect("a command");
-    let visible = command_of.get_arguments().filter(|arg| !arg.is_hide_set());
+    let subcommand = program.find_subcommand(command).expect("a command");
+    let visible = subcommand.get_arguments().filter(|arg| !arg.is_hide_set());
     visible
         .filter_map(|arg| Some(((name(arg)?, command), arg.clone())))
         .collect()
