@@ -294,8 +294,8 @@ impl BaseStation {
     /// The next device to wake in `tti`, if any.
     pub fn next_wake_up(&mut self, tti: Tti) -> Option<DeviceId> {
         // Without a report a base station knows of no event; only the genie, which receives events, may wake anyway.
-        let is_due = self.has_report || self.has_oracle;
-        is_due
+        let may_wake = self.has_report || self.has_oracle;
+        may_wake
             .then(|| self.policy.next_wake_up(&self.view.observation(tti)))
             .flatten()
     }

@@ -25,6 +25,7 @@ pub(crate) struct Band {
     pub(crate) bound: f64,
 }
 
+/// Largest number of cached grids; the oldest makes room for a new one.
 const MAX_GRIDS: usize = 32;
 
 /// The bits of η and d_max, which determine the grid of a sensing model.

@@ -233,7 +233,7 @@ impl Cycle {
         // True batteries come from the devices, so a plan for a later TTI must wait until this grant is answered.
         let can_plan_ahead = !self.station.needs_true_batteries();
         let mut updates = Vec::new();
-        let last = loop {
+        let last_span = loop {
             updates.extend(self.issue_plan(observer));
             let span = self.advance_until_plan(horizon, observer);
             if !can_plan_ahead
@@ -252,7 +252,7 @@ impl Cycle {
             self.next_tti = span.last + 1;
         };
         self.is_open = true;
-        (Grant { first, ..last }, updates)
+        (Grant { first, ..last_span }, updates)
     }
 
     /// Begins the next TTI at the station. Returns the plan to send in it, if any.
@@ -303,11 +303,11 @@ impl Cycle {
             changes,
             ..
         } = self;
-        let (plan, genie) = station.plan_and_oracle();
-        let stimulated = world.advance(first, horizon, plan, genie, changes);
+        let (plan, oracle) = station.plan_and_oracle();
+        let stimulated = world.advance(first, horizon, plan, oracle, changes);
         Grant {
             first,
-            // No underflow: the caller's limit and the next announcement are both after `first`.
+            // No underflow: the caller's limit and the next plan are both after `first`.
             last: stimulated.unwrap_or(Tti(horizon.0 - 1)),
             stimulus: stimulated.and_then(|_| world.stimulus()),
             until: world.event_last_tti(),

@@ -6,7 +6,8 @@
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-/// The version of the wire format. A host and a BS with different versions refuse each other.
+/// The version of the wire format. A host and a BS with different versions refuse each other, and a program refuses
+/// recordings with another version. `tests/untrusted_clients/bus.py` repeats the number.
 pub const WIRE_VERSION: u8 = 9;
 
 /// Maximum length of a decoded payload, in bytes.

@@ -25,9 +25,9 @@ pub struct Deployment {
 impl Deployment {
     /// Deploys the devices of `scenario`.
     pub fn new<P>(scenario: &Scenario<P>) -> Self {
-        let (traces, first_trace) = collect_traces(scenario);
+        let (traces, first_traces) = collect_traces(scenario);
         let positions = place_devices(&scenario.layout, scenario.area, scenario.run.devices, scenario.run.seed);
-        let mut devices_of_class = vec![0u32; scenario.classes.len()];
+        let mut device_counts = vec![0u32; scenario.classes.len()];
         let classes = assign_classes(scenario);
         let devices = positions
             .into_iter()
@@ -36,8 +36,8 @@ impl Deployment {
             .map(|((position, &class), id)| {
                 let index = usize::from(class);
                 let class = &scenario.classes[index];
-                let trace = first_trace[index] + class.harvest.column_index(devices_of_class[index]);
-                devices_of_class[index] += 1;
+                let trace = first_traces[index] + class.harvest.column_index(device_counts[index]);
+                device_counts[index] += 1;
                 let harvest = class.harvest.setup(scenario.run.tau, trace);
                 DeviceSetup {
                     id: DeviceId(id),
@@ -91,14 +91,14 @@ impl Deployment {
 /// Collects all trace columns of all classes, and the index of the first column of each class.
 fn collect_traces<P>(scenario: &Scenario<P>) -> (Vec<Arc<Vec<Energy>>>, Vec<u32>) {
     let mut traces = Vec::new();
-    let first = scenario
+    let first_traces = scenario
         .classes
         .iter()
         .map(|class| {
-            let first = traces.len() as u32;
+            let first_trace = traces.len() as u32;
             traces.extend(class.harvest.trace_columns().iter().cloned().map(Arc::new));
-            first
+            first_trace
         })
         .collect();
-    (traces, first)
+    (traces, first_traces)
 }

@@ -2,8 +2,8 @@
 
 /// Smallest magnitude that is written without an exponent.
 const MIN_PLAIN: f64 = 1e-9;
-/// Smallest magnitude that is written with an exponent because it is too large.
-const MAX_PLAIN: f64 = 1e15;
+/// Smallest magnitude that is too large to be written without an exponent.
+const PLAIN_LIMIT: f64 = 1e15;
 
 /// Returns the number of decimals that give `x` this number of significant `digits`, at most 12; 0 for zero and for
 /// numbers that are not finite.
@@ -25,7 +25,7 @@ pub fn format_significant(x: f64, digits: u32) -> String {
     if x.is_infinite() {
         return if x > 0.0 { "∞" } else { "-∞" }.to_owned();
     }
-    if x != 0.0 && !(MIN_PLAIN..MAX_PLAIN).contains(&x.abs()) {
+    if x != 0.0 && !(MIN_PLAIN..PLAIN_LIMIT).contains(&x.abs()) {
         let text = format!("{x:.*e}", digits.saturating_sub(1) as usize);
         // An exponential form always contains the letter.
         return match text.split_once('e') {

@@ -1,4 +1,5 @@
-//! The key expressions of a run, all in one place.
+//! The key expressions of a run. Only Python clients repeat some of them: the policy client
+//! (`python/reveille/policy_client.py`, `docs/policy-port.md`), `tests/untrusted_clients/` and `tests/chaos/`.
 //!
 //! | key | use |
 //! |---|---|

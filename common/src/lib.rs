@@ -3,10 +3,10 @@
 //! - A run: [`scenario`] describes it, [`deployment`] places its devices, [`world`] holds its events. [`ids`] has the
 //!   numbers of devices, hosts and events, and model time.
 //! - Physics: [`sensing`], [`harvest`], [`energy`] in [`units`], [`state`] of a device, [`event`], [`radio`], both with
-//!   [`phases`], [`geometry`], [`rng`].
+//!   [`phases`], [`geometry`], [`rng`]. [`energy_balance`] compares harvest and costs before a run.
 //! - Decisions and messages: [`plan`], [`message`], [`codec`], [`bus`] with its key expressions in [`keys`], of which a
 //!   [`secret`] is a part.
-//! - Results: [`totals`], [`score`] with all metrics and the digest.
+//! - Results: [`totals`], [`score`] with all metrics and the digest, [`digits`] to write numbers.
 //! - Fields and files: [`mod@declare`] declares scenario fields; [`columns`], [`encoding`] for data, and `parquet`.
 //!
 //! Everything except [`bus`], [`io`] and [`logging`] is pure: no clock, no entropy, no I/O. Start with [`scenario`].

@@ -112,7 +112,7 @@ impl<W: Write + Send> GroupWriter<'_, W> {
     /// # Errors
     /// If it cannot be written, or is of another type in the schema.
     pub fn write_required<T: DataType>(&mut self, values: impl IntoIterator<Item = T::T>) -> Result<(), ParquetError> {
-        self.column::<T>(&values.into_iter().collect::<Vec<_>>(), None)
+        self.write_column::<T>(&values.into_iter().collect::<Vec<_>>(), None)
     }
 
     /// Writes the next column, in which values may be missing.
@@ -126,12 +126,12 @@ impl<W: Write + Send> GroupWriter<'_, W> {
         let values: Vec<Option<T::T>> = values.into_iter().collect();
         // Definition levels of a flat optional column: 1 for a value, 0 for none.
         let levels: Vec<i16> = values.iter().map(|value| i16::from(value.is_some())).collect();
-        self.column::<T>(&values.into_iter().flatten().collect::<Vec<_>>(), Some(&levels))
+        self.write_column::<T>(&values.into_iter().flatten().collect::<Vec<_>>(), Some(&levels))
     }
 
-    fn column<T: DataType>(&mut self, values: &[T::T], levels: Option<&[i16]>) -> Result<(), ParquetError> {
-        let missing = || ParquetError::General("more columns than the schema has".to_owned());
-        let mut column = self.0.next_column()?.ok_or_else(missing)?;
+    fn write_column<T: DataType>(&mut self, values: &[T::T], levels: Option<&[i16]>) -> Result<(), ParquetError> {
+        let no_column_left = || ParquetError::General("more columns than the schema has".to_owned());
+        let mut column = self.0.next_column()?.ok_or_else(no_column_left)?;
         column.typed::<T>().write_batch(values, levels, None)?;
         column.close()
     }
@@ -141,7 +141,8 @@ impl<W: Write + Send> GroupWriter<'_, W> {
 pub struct GroupReader<'f> {
     group: &'f dyn RowGroupReader,
     rows: usize,
-    next: usize,
+    /// The index of the next column.
+    next_column: usize,
 }
 
 impl<'f> GroupReader<'f> {
@@ -150,7 +151,7 @@ impl<'f> GroupReader<'f> {
         Self {
             group,
             rows: usize::try_from(group.metadata().num_rows()).unwrap_or(0),
-            next: 0,
+            next_column: 0,
         }
     }
 
@@ -164,7 +165,7 @@ impl<'f> GroupReader<'f> {
     /// # Errors
     /// If it cannot be read or is shorter than the group.
     pub fn read_required<T: DataType>(&mut self) -> Result<Vec<T::T>, ParquetError> {
-        self.column::<T>(None)
+        self.read_column::<T>(None)
     }
 
     /// Reads the next column, in which values may be missing.
@@ -173,24 +174,24 @@ impl<'f> GroupReader<'f> {
     /// If it cannot be read or is shorter than the group.
     pub fn read_optional<T: DataType>(&mut self) -> Result<Vec<Option<T::T>>, ParquetError> {
         let mut levels = Vec::new();
-        let mut values = self.column::<T>(Some(&mut levels))?.into_iter();
+        let mut values = self.read_column::<T>(Some(&mut levels))?.into_iter();
         // The reader returns only the values that exist; the levels tell in which rows they belong.
         let value = |level| if level > 0 { values.next() } else { None };
         Ok(levels.into_iter().map(value).collect())
     }
 
-    fn column<T: DataType>(&mut self, levels: Option<&mut Vec<i16>>) -> Result<Vec<T::T>, ParquetError> {
-        let mut reader = get_typed_column_reader::<T>(self.group.get_column_reader(self.next)?);
-        self.next += 1;
+    fn read_column<T: DataType>(&mut self, levels: Option<&mut Vec<i16>>) -> Result<Vec<T::T>, ParquetError> {
+        let mut reader = get_typed_column_reader::<T>(self.group.get_column_reader(self.next_column)?);
+        self.next_column += 1;
         let mut values = Vec::new();
         let (records, _, _) = reader.read_records(self.rows, levels, None, &mut values)?;
-        // A corrupt file can hold fewer records than its metadata claims.
+        // A corrupt file can hold fewer records than its metadata claims. The error counts columns from 1.
         if records == self.rows {
             Ok(values)
         } else {
             Err(ParquetError::General(format!(
                 "column {} has {records} rows of {}",
-                self.next, self.rows
+                self.next_column, self.rows
             )))
         }
     }

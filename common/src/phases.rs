@@ -24,14 +24,14 @@ pub struct Phases {
 }
 
 impl Phases {
-    /// Draws phases with mean lengths of `busy` and `quiet` TTIs, ≥ 1, from `stream`.
-    pub fn new(mut stream: Stream, busy: f64, quiet: f64) -> Self {
+    /// Draws phases with mean lengths of `mean_busy` and `mean_quiet` TTIs, ≥ 1, from `stream`.
+    pub fn new(mut stream: Stream, mean_busy: f64, mean_quiet: f64) -> Self {
         // A geometric distribution has no memory: the rest of a started phase has the distribution of a whole one.
-        let is_busy = stream.unit() < busy / (busy + quiet);
+        let is_busy = stream.unit() < mean_busy / (mean_busy + mean_quiet);
         let mut phases = Self {
             stream,
-            busy_ttis: Geometric::new(1.0 / busy),
-            quiet_ttis: Geometric::new(1.0 / quiet),
+            busy_ttis: Geometric::new(1.0 / mean_busy),
+            quiet_ttis: Geometric::new(1.0 / mean_quiet),
             phase: Phase {
                 is_busy,
                 end: Tti::ZERO,

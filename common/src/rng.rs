@@ -217,12 +217,12 @@ impl GapTable {
         let cells = 1_u64 << INDEX_BITS;
         // The first draw of cell c, c = 0 ..= cells, and the last of the cell before it. For c = cells the shift gives
         // 0, which wraps to the largest draw.
-        let first = |c: u64| to_unit(c << (64 - INDEX_BITS));
-        let last = |c: u64| to_unit((c << (64 - INDEX_BITS)).wrapping_sub(1));
+        let first_draw = |c: u64| to_unit(c << (64 - INDEX_BITS));
+        let last_draw = |c: u64| to_unit((c << (64 - INDEX_BITS)).wrapping_sub(1));
         let decided_gap = |c: u64| {
             // The gap is non-decreasing in the draw, so equal gaps at both ends hold for the whole cell.
-            let gap = distribution.gap(first(c));
-            (gap == distribution.gap(last(c + 1)))
+            let gap = distribution.gap(first_draw(c));
+            (gap == distribution.gap(last_draw(c + 1)))
                 .then(|| u16::try_from(gap).ok())
                 .flatten()
         };
@@ -270,8 +270,8 @@ mod tests {
     #[test]
     fn geometric_gaps_have_the_mean_one_over_p() {
         for p in [0.05, 0.2, 0.9] {
-            let (law, mut stream, n) = (Geometric::new(p), Stream::new(7, Purpose::EventGap, 3), 200_000);
-            let mean = (0..n).map(|_| law.draw(&mut stream) as f64).sum::<f64>() / f64::from(n);
+            let (distribution, mut stream, n) = (Geometric::new(p), Stream::new(7, Purpose::EventGap, 3), 200_000);
+            let mean = (0..n).map(|_| distribution.draw(&mut stream) as f64).sum::<f64>() / f64::from(n);
             let standard_error = ((1.0 - p) / (p * p) / f64::from(n)).sqrt();
             assert!((mean - 1.0 / p).abs() < 4.0 * standard_error, "p {p}: mean {mean}");
         }
@@ -287,15 +287,15 @@ mod tests {
     }
 
     #[test]
-    fn a_gap_table_draws_the_same_as_its_law() {
+    fn a_gap_table_draws_the_same_as_its_distribution() {
         for p in [0.0, 1e-12, 1e-4, 0.090_483_741_8, 0.5, 0.97, 1.0] {
-            let (law, table) = (Geometric::new(p), GapTable::new(Geometric::new(p)));
+            let (distribution, table) = (Geometric::new(p), GapTable::new(Geometric::new(p)));
             let (mut stream, mut same_stream) =
                 (Stream::new(8, Purpose::Harvest, 1), Stream::new(8, Purpose::Harvest, 1));
             for draw in 0..300_000 {
                 assert_eq!(
                     table.draw(&mut stream),
-                    law.draw(&mut same_stream),
+                    distribution.draw(&mut same_stream),
                     "p {p}, draw {draw}"
                 );
             }

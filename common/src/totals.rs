@@ -1,7 +1,8 @@
 //! Exact integer totals of devices, events and radio traffic, from which every metric follows.
 //!
 //! Integer sums do not depend on the order of addition, so any split of a run over hosts gives the same totals. The
-//! totals of devices travel on the bus, and the digest hashes most fields.
+//! totals of devices and of ended events travel on the bus, so a change of their fields raises `WIRE_VERSION`. The
+//! digest hashes most fields.
 
 use std::ops::{Add, AddAssign, Sub};
 
@@ -337,7 +338,7 @@ impl MissCause {
         Self::Lost,
     ];
 
-    /// The name in tables.
+    /// The name in tables; the metric `missed_NAME_pct` repeats it.
     pub const fn name(self) -> &'static str {
         match self {
             Self::OutOfReach => "out_of_reach",

@@ -142,7 +142,7 @@ impl World {
                 changes.push(WorldChange::Started(self.start_event(oracle.as_deref_mut())));
                 continue;
             };
-            // Lazy: in the event's first TTI the answer that `start` received holds.
+            // Lazy: in the event's first TTI the answer that `start_event` received holds.
             let mut needs_another = || oracle.as_deref_mut().is_some_and(Oracle::needs_another_wake_up);
             if needs_wake_up && (k == event.start || needs_another()) {
                 return Some(k);

@@ -28,7 +28,7 @@ use crate::runtime::now;
 
 /// The default share of the time for an audit.
 const AUTO_TIME_SHARE: f64 = 0.05;
-/// Additional time for an audit at the end of the run.
+/// Least time that an audit may still take after the end of the run.
 const END_ALLOWANCE: Duration = Duration::from_secs(2);
 /// TTIs per replay step, which bounds how long the run waits for the lock.
 const STEP_TTIS: u64 = 4096;
@@ -245,8 +245,8 @@ impl Auditor {
     }
 }
 
-/// The host that owns the diverging device, as the end of a sentence; empty if unknown.
-pub(crate) fn device_owner(progress: &RunProgress, divergence: &Divergence) -> String {
+/// The end of a sentence about `divergence` that names the host of the diverging device; empty if unknown.
+pub(crate) fn device_owner_clause(progress: &RunProgress, divergence: &Divergence) -> String {
     let host = divergence.device.and_then(|device| progress.owner_of(device));
     host.map_or_else(String::new, |host| format!("; the device runs on {host}"))
 }
@@ -274,7 +274,7 @@ impl AuditThread {
             if let Err(divergence) = self.compare(k, &frames) {
                 let why = format!(
                     "audit failed: the run diverged from its replay at {divergence}{}",
-                    device_owner(&self.progress, &divergence)
+                    device_owner_clause(&self.progress, &divergence)
                 );
                 self.progress.request_stop_because(why);
                 return Err(divergence);

@@ -16,6 +16,7 @@ use serde_json::Value;
 use crate::key;
 
 /// The variable that sets zenoh's threads. It takes effect only before the first session of a process opens.
+/// `docs/command-line.md` lets users set it.
 const ZENOH_THREADS_VARIABLE: &str = "ZENOH_RUNTIME";
 /// One thread for all of zenoh, so that a grant is answered without a handover between threads. Only for processes that
 /// run devices and never block that thread on its own work.
@@ -24,7 +25,7 @@ const ONE_ZENOH_THREAD: &str =
 
 /// zenoh's threads in a process, unless the environment sets them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Threads {
+pub(crate) enum ZenohThreads {
     /// One thread for everything.
     One,
     /// zenoh's default threads.
@@ -49,7 +50,7 @@ impl Children {
         for (number, arguments) in arguments.enumerate() {
             // If one fails, the drop of `children` ends those before it.
             let child =
-                spawn(&arguments, None, Threads::One).with_context(|| format!("cannot start process {number}"))?;
+                spawn(&arguments, None, ZenohThreads::One).with_context(|| format!("cannot start process {number}"))?;
             children.running.push(child);
         }
         Ok(children)
@@ -124,10 +125,10 @@ impl DeviceProcesses<'_> {
 ///
 /// # Errors
 /// If it cannot be started.
-pub(crate) fn spawn(arguments: &[String], key: Option<Secret>, threads: Threads) -> anyhow::Result<Child> {
+pub(crate) fn spawn(arguments: &[String], key: Option<Secret>, threads: ZenohThreads) -> anyhow::Result<Child> {
     let program = std::env::current_exe().context("cannot find the path of the reveille program")?;
     let mut command = Command::new(program);
-    if threads == Threads::One && !has_thread_setting() {
+    if threads == ZenohThreads::One && !has_thread_setting() {
         command.env(ZENOH_THREADS_VARIABLE, ONE_ZENOH_THREAD);
     }
     if let Some(key) = key {

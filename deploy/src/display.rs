@@ -54,8 +54,8 @@ pub(crate) fn write_stderr(line: &[u8]) {
 pub(crate) fn wrap_text(text: &str, width: usize) -> String {
     let (mut lines, mut length) = (String::new(), 0);
     for word in text.split(' ') {
-        let letters = word.chars().count();
-        if length > 0 && length + 1 + letters > width {
+        let word_length = word.chars().count();
+        if length > 0 && length + 1 + word_length > width {
             lines.push('\n');
             length = 0;
         } else if length > 0 {
@@ -63,7 +63,7 @@ pub(crate) fn wrap_text(text: &str, width: usize) -> String {
             length += 1;
         }
         lines.push_str(word);
-        length += letters;
+        length += word_length;
     }
     lines
 }

@@ -32,7 +32,7 @@ pub(crate) struct InputLog {
     first_line: String,
     /// The open file, once there is an input.
     file: Option<File>,
-    synced: Instant,
+    last_sync: Instant,
 }
 
 impl InputLog {
@@ -42,7 +42,7 @@ impl InputLog {
             path: folder.join(INPUT_LOG_FILE),
             first_line: external_inputs::first_line(scenario),
             file: None,
-            synced: now(),
+            last_sync: now(),
         }
     }
 
@@ -54,7 +54,7 @@ impl InputLog {
         // Outages and actions are rare. A sync for each of thousands of decisions a second would slow the run down.
         let is_due = match input {
             ExternalInput::Removal(_) | ExternalInput::Action(_) => true,
-            ExternalInput::Decision(_) => self.synced.elapsed() >= SYNC_INTERVAL,
+            ExternalInput::Decision(_) => self.last_sync.elapsed() >= SYNC_INTERVAL,
         };
         let written = self.write([input.clone()], is_due);
         written.with_context(|| format!("cannot write {}", self.path.display()))
@@ -93,7 +93,7 @@ impl InputLog {
         file.write_all(lines.as_bytes())?;
         if must_sync {
             file.sync_data()?;
-            self.synced = now();
+            self.last_sync = now();
         }
         self.file = Some(file);
         Ok(())

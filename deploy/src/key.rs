@@ -11,7 +11,7 @@ use anyhow::{Context, bail};
 use reveille_common::bus::draw_secret;
 use reveille_common::secret::Secret;
 
-/// The environment variable that passes the run's key to device processes.
+/// The environment variable that passes the run's key to device and policy processes.
 pub(crate) const KEY_VARIABLE: &str = "REVEILLE_KEY";
 
 /// Reads the key in `path`.

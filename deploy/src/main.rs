@@ -48,7 +48,7 @@ use clap::{CommandFactory, Parser};
 use cli::misplaced::explain_misplaced;
 use cli::{Cli, Command};
 use display::note;
-use runtime::drive;
+use runtime::{CLIENT_WORKERS, SERVER_WORKERS, drive};
 
 fn main() -> ExitCode {
     exit::keep_panic_messages();
@@ -76,20 +76,20 @@ fn run(cli: Cli) -> anyhow::Result<ExitCode> {
         Command::Train(command) => commands::train::run(&command),
         Command::Tune(args) => tune(&args),
         Command::Merge(args) => commands::merge::run(&args),
-        Command::Up(args) => drive(2, commands::up::run(&args, &log)),
-        Command::Bs(args) => drive(2, commands::bs::run(&args)),
+        Command::Up(args) => drive(SERVER_WORKERS, commands::up::run(&args, &log)),
+        Command::Bs(args) => drive(SERVER_WORKERS, commands::bs::run(&args)),
         Command::Device(args) => {
             // Before any runtime or session: it replaces this process by one with another environment.
             if !args.untuned {
                 child_process::restart_with_one_zenoh_thread();
             }
-            drive(1, commands::device::run(&args))
+            drive(CLIENT_WORKERS, commands::device::run(&args))
         }
-        Command::PolicyProcess(args) => drive(1, policy_process::guard(&args.command, args.parent)),
-        Command::Inspect(command) => drive(1, commands::inspect::run(&command)),
+        Command::PolicyProcess(args) => drive(CLIENT_WORKERS, policy_process::guard(&args.command, args.parent)),
+        Command::Inspect(command) => drive(CLIENT_WORKERS, commands::inspect::run(&command)),
         Command::Compare(args) => commands::compare::run(&args),
-        Command::Dashboard(args) => drive(2, commands::dashboard::run(&args)),
-        Command::Clock(args) => drive(1, commands::clock::run(&args)),
+        Command::Dashboard(args) => drive(SERVER_WORKERS, commands::dashboard::run(&args)),
+        Command::Clock(args) => drive(CLIENT_WORKERS, commands::clock::run(&args)),
         Command::Figures(args) => commands::figures::run(&args),
         Command::Report(args) => commands::report::run(&args),
         Command::Analyse(command) => commands::analyse::run(&command),

@@ -6,6 +6,9 @@
 //!                ───────►           ──────────────────────► the group of all of them
 //! ```
 //! The kernel sends the guard the same signal if the base station ends without a signal to it, as by `kill -9`.
+//!
+//! The variables are a public interface: `docs/policy-port.md` lists them, and `python/reveille/policy_client.py` reads
+//! them.
 
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::process::{Child, Command, ExitCode, ExitStatus, Stdio};
@@ -40,7 +43,8 @@ const GUARD: &str = "policy-process";
 const SIGNAL_EXIT_BASE: i32 = 128;
 /// Time between two checks of a process.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
-/// Time for a policy process to end: once after the end of the run, and once after SIGTERM.
+/// Time for a policy process to end: once after the end of the run, as `docs/external-policies.md` states, and once
+/// after SIGTERM.
 const EXIT_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// A policy process, supervised until this is dropped.
@@ -100,7 +104,7 @@ impl PolicyProcess {
 
     /// Tells the supervision that the run is over: the process may end now, and is ended when this is dropped.
     #[must_use]
-    pub(crate) fn run_finished(self) -> Self {
+    pub(crate) fn allow_end(self) -> Self {
         self.is_over.store(true, Ordering::Relaxed);
         self
     }

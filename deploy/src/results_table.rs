@@ -13,7 +13,8 @@ use reveille_common::totals::MissCause;
 use crate::summary::{ClassSummary, Summary};
 
 /// The metrics of every results table, in its order: information, missed events and delay, then energy and batteries,
-/// then the messages and the wrong activations behind them.
+/// then the messages and the wrong activations behind them. The first is the headline metric. `compare` uses the list
+/// too, `docs/results.md` repeats it, and the help of `--all-metrics` repeats its length.
 pub(crate) const MAIN_METRICS: [&str; 10] = [
     "info_p1",
     MISDETECTION,
@@ -214,7 +215,7 @@ fn format_classes(classes: &[ClassSummary<'_>], rows: Rows) -> Option<String> {
         table.add_row(std::iter::once(metric.name.to_owned()).chain(values));
     }
     for (row, (name, _)) in EventActivity::default().rows().into_iter().enumerate() {
-        let values = classes.iter().map(|class| class.acts.rows()[row].1.to_string());
+        let values = classes.iter().map(|class| class.activity.rows()[row].1.to_string());
         table.add_row(std::iter::once(name.to_owned()).chain(values));
     }
     for column in table.column_iter_mut().skip(1) {
@@ -309,10 +310,10 @@ mod tests {
         assert_eq!(shown[2..2 + causes.len()], causes, "below the missed events");
         let rest: Vec<&str> = shown.iter().copied().filter(|name| !is_cause(name)).collect();
         assert_eq!(rest, MAIN_METRICS);
-        let (_, [sleeping, _]) = run_quick(&["policy.name=random"]);
+        let (_, [random_results, _]) = run_quick(&["policy.name=random"]);
         assert!(
-            !metric_names(&sleeping).contains(&WAKE_UPS),
-            "random wakes no device: {sleeping}"
+            !metric_names(&random_results).contains(&WAKE_UPS),
+            "random wakes no device: {random_results}"
         );
         let shown = metric_names(&all);
         assert_eq!(shown[..MAIN_METRICS.len()], MAIN_METRICS);

@@ -1,5 +1,6 @@
-//! The resume mark of a run: `resume.json`, rewritten every second during the run, as `docs/running.md` states.
-//! [`ResumeMarkWriter`] writes it as an observer, and checks for `--resume` that the replay reproduces it.
+//! The resume mark of a run: `resume.json`, rewritten every second during the run, as `docs/running.md` and the help of
+//! `--resume` state. [`ResumeMarkWriter`] writes it as an observer, and checks that the replay of a resumed run
+//! reproduces it.
 //! `lab/src/resume_mark.rs` defines its content.
 
 use std::fs::{self, File};

@@ -50,7 +50,7 @@ const LEARNED_FILE: &str = "learned.json";
 pub(crate) const DEVICES_FILE: &str = "devices.csv";
 pub(crate) const EVENTS_FILE: &str = "events.csv";
 pub(crate) const WINDOWS_FILE: &str = "windows.csv";
-/// Indices of the two tables in [`TableWriter`].
+/// Indices of the two tables in [`TableWriter`], by their order in `begin_tables`.
 const EVENTS_TABLE: usize = 0;
 const WINDOWS_TABLE: usize = 1;
 /// Part files that a run killed during a write may have left.
@@ -354,7 +354,8 @@ fn check_free(path: &Path, force: bool, was_killed: bool) -> anyhow::Result<()> 
     bail!("--out {}: {hint}", path.display())
 }
 
-/// Creates a new folder under `runs/`. It is created here, so that two runs never share one.
+/// Creates a new folder under `runs/`, with the name that the help of `--out` states. It is created here, so that two
+/// runs never share one.
 fn create_free_folder(scenario: &Scenario) -> anyhow::Result<PathBuf> {
     fs::create_dir_all("runs").context("cannot create the folder runs here; name another folder with --out")?;
     let stem = format!(

@@ -65,7 +65,7 @@ const WINDOW_METRICS: [&str; 8] = [
     "overflow_per_device_tti",
 ];
 
-/// Sums over the events of a window.
+/// Sums over the events of a window; [`window_row`] has them in this order.
 const WINDOW_EVENTS: [&str; 6] = [
     "events",
     "misdetected",

@@ -50,8 +50,8 @@ pub(crate) fn check(args: &OutputArgs) -> anyhow::Result<()> {
 }
 
 impl RunWatchers {
-    /// Starts the watchers of the run called `run`, of `scenario`. `process` returns the statistics of its processes.
-    /// Call it within a runtime.
+    /// Starts the watchers of the run called `run`, of `scenario`. `process_stats` returns the statistics of its
+    /// processes, except those of the recorder. Call it within a runtime.
     ///
     /// # Errors
     /// If the recording cannot be written, or the metrics address is not available.
@@ -59,7 +59,7 @@ impl RunWatchers {
         args: &OutputArgs,
         run: &str,
         scenario: &Scenario,
-        process: impl Fn() -> ProcessStats + Send + Sync + 'static,
+        process_stats: impl Fn() -> ProcessStats + Send + Sync + 'static,
     ) -> anyhow::Result<Self> {
         let recording = RunRecording::start(args, run, scenario)?;
         let recorder = recording.recorder();
@@ -67,13 +67,13 @@ impl RunWatchers {
             Some(address) => {
                 let metrics = PrometheusMetrics::new(run, scenario);
                 let metrics_recorder = recorder.clone();
-                let process = move || ProcessStats {
+                let process_stats = move || ProcessStats {
                     recorder_waited_s: metrics_recorder
                         .as_ref()
                         .map_or(0.0, |recorder| recorder.waited().as_secs_f64()),
-                    ..process()
+                    ..process_stats()
                 };
-                metrics_server::serve(address, Arc::clone(&metrics), Arc::new(process)).await?;
+                metrics_server::serve(address, Arc::clone(&metrics), Arc::new(process_stats)).await?;
                 Some(metrics)
             }
             None => None,

@@ -1,6 +1,11 @@
 //! Machine services for the command line: the time, tokio runtimes for bus sessions, and the median of measurements.
 //! The time read here is only for reports and timeouts; it must never reach a run's results.
 
+/// Worker threads of a command that serves a run or the dashboard.
+pub(crate) const SERVER_WORKERS: usize = 2;
+/// Worker threads of any other command with a runtime.
+pub(crate) const CLIENT_WORKERS: usize = 1;
+
 /// The current time, for durations.
 #[expect(clippy::disallowed_methods, reason = "the command line reports how long things took")]
 pub(crate) fn now() -> std::time::Instant {

@@ -70,7 +70,7 @@ pub(crate) struct ClassSummary<'a> {
     pub metrics: BTreeMap<&'static str, f64>,
     /// Activity of its devices for the counted events.
     #[serde(flatten)]
-    pub acts: EventActivity,
+    pub activity: EventActivity,
 }
 
 impl<'a> ClassSummary<'a> {
@@ -92,7 +92,7 @@ impl<'a> ClassSummary<'a> {
                 metrics: device_metrics
                     .map(|(metric, (_, value, _))| (metric.name, value))
                     .collect(),
-                acts: record.activity,
+                activity: record.activity,
             }
         };
         let names = scenario.classes.iter().map(|class| class.name.as_str());

@@ -15,7 +15,7 @@ use reveille_bs::server::{OnLoss, RunProgress};
 use reveille_common::bus::scaled_timeout;
 use reveille_common::secret::Secret;
 
-use crate::child_process::{self, EXIT_TIMEOUT, Threads};
+use crate::child_process::{self, EXIT_TIMEOUT, ZenohThreads};
 use crate::display::note;
 use crate::runtime::now;
 use crate::start_limiter::StartLimiter;
@@ -65,7 +65,7 @@ pub(crate) struct SupervisorConfig {
     /// The run's key, passed to the processes.
     pub key: Option<Secret>,
     /// zenoh's threads in the processes.
-    pub threads: Threads,
+    pub threads: ZenohThreads,
     /// Reaction to a process that fails before the end of the run.
     pub on_loss: OnLoss,
 }
@@ -151,7 +151,7 @@ struct SupervisorThread {
     progress: Arc<RunProgress>,
     start_limiter: StartLimiter,
     key: Option<Secret>,
-    threads: Threads,
+    threads: ZenohThreads,
     on_loss: OnLoss,
     /// Time for the processes to leave on their own.
     exit_timeout: Duration,

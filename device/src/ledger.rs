@@ -119,19 +119,19 @@ impl LedgerBuilder {
         self.outage = 0;
     }
 
-    /// Records TTIs on an empty battery, `on` with δ = 1 and `off` with δ = 0.
-    pub fn record_outage(&mut self, on: u64, off: u64) {
-        self.sensing_ttis += on;
-        self.failed_ttis += on;
-        self.unpowered_ttis += off;
-        self.lengthen_outage(on + off);
+    /// Records TTIs on an empty battery, `sensing` with δ = 1 and `asleep` with δ = 0.
+    pub fn record_outage(&mut self, sensing: u64, asleep: u64) {
+        self.sensing_ttis += sensing;
+        self.failed_ttis += sensing;
+        self.unpowered_ttis += asleep;
+        self.lengthen_outage(sensing + asleep);
     }
 
-    /// Records TTIs in which everything was paid, `on` of them with δ = 1. Their end-of-TTI levels add up to
+    /// Records TTIs in which everything was paid, `sensing` of them with δ = 1. Their end-of-TTI levels add up to
     /// `battery_sum`, and `low` of them ended below E_Tx.
     #[inline]
-    pub fn record_paid_span(&mut self, on: u64, battery_sum: Energy, low: u64) {
-        self.sensing_ttis += on;
+    pub fn record_paid_span(&mut self, sensing: u64, battery_sum: Energy, low: u64) {
+        self.sensing_ttis += sensing;
         self.outage = 0;
         self.battery_sum += u128::from(battery_sum.micro());
         self.low_ttis += low;

@@ -1,5 +1,6 @@
 //! Time that the policy `dt` takes for a TTI, on one thread: the inference of [`ForwardPass`] by vector width and by N,
-//! compared with the same weights in the training framework over the last Z TTIs.
+//! compared with the same weights in the training framework over the last Z TTIs. `docs/benchmarks.md` shows the
+//! results.
 //!
 //! `RAYON_NUM_THREADS=1 cargo bench -p reveille-lab --features train-dt --bench dt`
 

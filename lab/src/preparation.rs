@@ -17,10 +17,11 @@ use reveille_common::deployment::Deployment;
 
 use crate::run::{Run, RunOptions};
 
+/// The difference between the seeds of a run and of its pilot runs.
 const PILOT_SEED_OFFSET: u64 = 0x5EED_0F91_1070_0500;
 /// The share of a pilot run that its metrics leave out.
 const PILOT_WARM_UP: f64 = 0.25;
-/// Most results of pilot searches that a preparer keeps.
+/// The largest number of search results that a preparer keeps; the oldest is dropped first.
 const MAX_CACHED_PILOT_SEARCHES: usize = 1024;
 
 /// Prepares runs and caches their shared data. Sharing a preparer does not change results.
@@ -100,7 +101,7 @@ fn pilot_runs(prepared: &PreparedRun, pilots: &PilotSearch) -> PilotRuns {
         device.harvest = device.harvest.known_before_run(traces);
     }
     let (mut ttis, mut all_ttis) = (pilots.initial_ttis, 0_u64);
-    // Beyond `max_ttis`, sums of energy would overflow 64 bits.
+    // Beyond `Scenario::max_ttis`, sums of energy would overflow 64 bits.
     let max_ttis = pilots.max_ttis.min(prepared.scenario.max_ttis()).max(ttis);
     loop {
         pilot_run.scenario = pilot_scenario(&prepared.scenario, ttis);

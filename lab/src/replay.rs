@@ -18,7 +18,8 @@ use reveille_common::units::Energy;
 use crate::external_inputs::{ExternalInput, ExternalInputs};
 use crate::run::{Run, RunOptions};
 
-/// Encodes the notifications that a digest covers, messages on the air and their outcomes, as frames.
+/// Encodes the notifications that a digest covers, messages on the air and their outcomes, as frames. The fingerprint
+/// of resume marks covers the same frames: a change here needs a new `VERSION` in `resume_mark`.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct DigestFrames(Frames);
 
@@ -91,6 +92,7 @@ struct UncomparedFrames {
     encoder: DigestFrames,
     /// The frames for which the run has no counterpart yet.
     queue: VecDeque<Frame>,
+    /// The number of frames that were compared and equal.
     equal_frames: u64,
     /// The number of compared frames that the replay still has to repeat after a restart.
     frames_to_skip: u64,
@@ -166,6 +168,7 @@ impl Replay {
         );
     }
 
+    /// Replaces the run by one before TTI 0 and returns the old one.
     fn restart(&mut self) -> Run {
         self.uncompared.queue.clear();
         // The new run repeats its frames from `compare_from` on; the compared ones are skipped.
@@ -268,17 +271,19 @@ fn frame_divergence(live: Option<&Frame>, replayed: Option<&Frame>) -> Divergenc
 
 /// Returns the first wrong battery reported to a run, if both frames hold batteries.
 fn battery_divergence(live: &Frame, replayed: &Frame) -> Option<Divergence> {
-    let (Ok(Message::States(live)), Ok(Message::States(own))) = (live.message(), replayed.message()) else {
+    let (Ok(Message::States(live)), Ok(Message::States(computed))) = (live.message(), replayed.message()) else {
         return None;
     };
-    let pairs = live.views.iter().zip(&own.views).zip((0..).map(DeviceId));
-    let ((reported, own), device) = pairs.into_iter().find(|((reported, own), _)| reported != own)?;
+    let pairs = live.views.iter().zip(&computed.views).zip((0..).map(DeviceId));
+    let ((reported, computed), device) = pairs
+        .into_iter()
+        .find(|((reported, computed), _)| reported != computed)?;
     // Exact: the levels can differ in any digit.
-    let (reported, own) = (reported.battery, own.battery);
+    let (reported, computed) = (reported.battery, computed.battery);
     Some(Divergence {
         tti: replayed.tti,
         device: Some(device),
-        description: format!("the run has {reported} in the battery of device {device}, and the replay {own}"),
+        description: format!("the run has {reported} in the battery of device {device}, and the replay {computed}"),
     })
 }
 

@@ -228,7 +228,7 @@ impl Run {
         })
     }
 
-    /// Executes one action; grants only cover TTIs before `limit`.
+    /// Executes one action; grants only cover TTIs before `limit`. Returns `None` unless the run cannot advance.
     #[inline]
     fn step(&mut self, limit: Tti, observer: &mut impl Observer) -> Option<Halt> {
         let Self {
@@ -248,12 +248,12 @@ impl Run {
                 devices.apply_changes(session.grant_message().first, &changes);
                 devices.receive_plans(&updates);
             }
-            Action::Remove(outage) => {
+            Action::Remove(removal) => {
                 // The range is valid: `DeviceRemoval::is_valid` checks removals of a log, and others come from ids of
                 // the run.
-                let removed = &mut devices.machines[outage.first.index()..=outage.last().index()];
+                let removed = &mut devices.machines[removal.first.index()..=removal.last().index()];
                 for machine in removed {
-                    machine.remove(outage.tti);
+                    machine.remove(removal.tti);
                 }
             }
             Action::Gather => {
@@ -368,7 +368,8 @@ fn advanced_to(machine: &mut Machine, k: Tti) -> &Machine {
     machine
 }
 
-/// An observer that stops a run when the closure returns true, checked at the end of each window.
+/// An observer that stops a run when the closure returns true, checked at the end of each window
+/// ([`RunOptions::window`]).
 #[derive(Clone, Copy, Debug)]
 pub struct StopWhen<F>(pub F);
 

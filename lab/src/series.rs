@@ -61,9 +61,9 @@ impl SeriesNames {
         let mut rankings = ranking_column
             .iter()
             .flat_map(|column| table.rows.iter().map(|row| row.swept[*column].to_string()));
-        let first = rankings.next();
+        let first_ranking = rankings.next();
         // A ranking shared by all rows distinguishes none of them and would only lengthen the names.
-        let has_several = rankings.any(|other| Some(&other) != first.as_ref());
+        let has_several = rankings.any(|ranking| Some(&ranking) != first_ranking.as_ref());
         Self {
             ranking_column: ranking_column.filter(|_| has_several),
         }
@@ -105,10 +105,10 @@ impl SeriesNames {
         };
         let is_repeat = |index: usize| {
             let own = &cells[index];
-            let mut before = cells[..index].iter();
-            before.any(|other| {
-                other_fields(other) == other_fields(own)
-                    && has_equal_outcomes(other.rows.iter().copied(), own.rows.iter().copied())
+            let mut earlier_cells = cells[..index].iter();
+            earlier_cells.any(|earlier| {
+                other_fields(earlier) == other_fields(own)
+                    && has_equal_outcomes(earlier.rows.iter().copied(), own.rows.iter().copied())
             })
         };
         let indices = (0..cells.len()).filter(|index| !is_repeat(*index));

@@ -7,6 +7,7 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use crate::table::{ResultRow, SweptValue, Table};
 
+/// The confidence of all intervals and bounds; names and texts say 95 %.
 pub(crate) const CONFIDENCE: f64 = 0.95;
 
 /// A mean with its confidence interval.
@@ -194,12 +195,12 @@ mod tests {
 
     #[test]
     fn quantiles_equal_printed_tables() {
-        for (freedom, printed) in PRINTED_QUANTILES {
-            let quantile = student_t_quantile_95(freedom);
+        for (degrees_of_freedom, printed) in PRINTED_QUANTILES {
+            let quantile = student_t_quantile_95(degrees_of_freedom);
             // Half of the last printed digit, and a little more for its rounding.
             assert!(
                 (quantile - printed).abs() < 6e-4,
-                "{freedom} degrees of freedom: {quantile}, table {printed}"
+                "{degrees_of_freedom} degrees of freedom: {quantile}, table {printed}"
             );
         }
         assert!(student_t_quantile_95(0).is_nan());

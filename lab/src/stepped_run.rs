@@ -89,8 +89,7 @@ impl<O: Observer> SteppedRun<O> {
         self.halt = self.run.run_to_decision(&mut self.observer);
     }
 
-    /// The next TTI to be granted; while a grant is open, the first TTI that still has
-    /// no outcome.
+    /// The next TTI to be granted; while a grant is open, the first TTI that still has no outcome.
     pub const fn now(&self) -> Tti {
         self.run.cycle().next_tti()
     }

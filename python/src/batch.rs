@@ -67,7 +67,7 @@ impl Arrays {
         let mut parts = self.parts.bind(py).try_readwrite()?;
         let mut ttis = self.ttis.bind(py).try_readwrite()?;
         let mut ended = self.ended.bind(py).try_readwrite()?;
-        let views = BatchBuffers {
+        let buffers = BatchBuffers {
             devices: devices.as_slice_mut()?,
             global: global.as_slice_mut()?,
             stage: stage.as_slice_mut()?,
@@ -79,7 +79,7 @@ impl Arrays {
         };
         // Released before `work` waits for the batch: a thread that waits while it holds the interpreter blocks all
         // others.
-        py.detach(|| work(views));
+        py.detach(|| work(buffers));
         Ok(())
     }
 }
@@ -95,18 +95,18 @@ impl PyEnvBatch {
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn check_index(at: usize, all: usize) -> PyResult<()> {
-        if at < all {
+    fn check_index(index: usize, batch_size: usize) -> PyResult<()> {
+        if index < batch_size {
             return Ok(());
         }
         Err(PyIndexError::new_err(format!(
-            "environment {at} does not exist; the batch has {all}, numbered from 0"
+            "environment {index} does not exist; the batch has {batch_size}, numbered from 0"
         )))
     }
 
     fn fill_arrays(&self, py: Python<'_>) -> PyResult<()> {
         self.arrays
-            .with_buffers(py, |views| self.lock().write_observations(views))
+            .with_buffers(py, |buffers| self.lock().write_observations(buffers))
     }
 }
 
@@ -149,21 +149,21 @@ impl PyEnvBatch {
     fn reset(&self, py: Python<'_>, which: Vec<usize>, seeds: Vec<u64>, set: Vec<String>) -> PyResult<()> {
         let set: Vec<String> = self.set.iter().cloned().chain(set).collect();
         let scenario = read_external(py, &self.source, &set)?;
-        let (all, devices) = {
+        let (batch_size, devices) = {
             let inner = self.lock();
             (inner.len(), inner.devices())
         };
         if scenario.run.devices as usize != devices {
-            let was = format!("the environment has {devices} devices, and its spaces cannot change");
+            let cause = format!("the environment has {devices} devices, and its spaces cannot change");
             return Err(PyValueError::new_err(format!(
-                "devices = {}: {was}",
+                "devices = {}: {cause}",
                 scenario.run.devices
             )));
         }
-        let mut scenarios = vec![None; all];
+        let mut scenarios = vec![None; batch_size];
         for (at, seed) in which.into_iter().zip(seeds) {
             // Checked before any environment restarts, so that an error changes none.
-            Self::check_index(at, all)?;
+            Self::check_index(at, batch_size)?;
             scenarios[at] = Some(scenario.with_seed(seed));
         }
         py.detach(|| self.lock().reset(scenarios));
@@ -177,7 +177,7 @@ impl PyEnvBatch {
         actions: PyReadonlyArray2<'_, i8>,
         rests: PyReadonlyArray1<'_, bool>,
     ) -> PyResult<()> {
-        // Checked here, since `gym::Batch::step` panics on another length.
+        // Checked here, since `gym::EnvBatch::step` panics on another length.
         let shape = [actions.shape()[0], actions.shape()[1], rests.shape()[0]];
         let expected = {
             let inner = self.lock();
@@ -192,7 +192,7 @@ impl PyEnvBatch {
         }
         let (actions, rests) = (actions.as_slice()?, rests.as_slice()?);
         self.arrays
-            .with_buffers(py, |views| self.lock().step(actions, rests, views))
+            .with_buffers(py, |buffers| self.lock().step(actions, rests, buffers))
     }
 
     /// Returns the outcome so far of the run in environment `at`.

@@ -52,7 +52,7 @@ fn assert_interrupted(folder: &TestFolder, end: ExitStatus) {
 #[test]
 fn up_in_a_closed_terminal_ends_with_partial_results() {
     let (folder, run) = (TestFolder::new(), unique_run("terminal"));
-    let mut up = PtyCommand::start(&folder.command(&format!("up -P 4 {LONG} --out out --run {run}")), true);
+    let mut up = PtyCommand::start(&folder.command(&format!("up -P 4 {LONG} --out out --run {run}")));
     up.wait_for("TTIs/s");
     assert_eq!(hosts_of(&run).len(), 4);
     let shown = up.shown();
@@ -69,10 +69,10 @@ fn up_in_a_closed_terminal_ends_with_partial_results() {
 fn bs_and_device_in_closed_terminals_end_with_partial_results() {
     let (folder, run, endpoint) = (TestFolder::new(), unique_run("terminals"), free_endpoint());
     let bs = format!("bs {LONG} --out out --run {run} --listen {endpoint}");
-    let mut bs = PtyCommand::start(&folder.command(&bs), true);
+    let mut bs = PtyCommand::start(&folder.command(&bs));
     bs.wait_for("waiting for 30 devices");
     let device = format!("device --connect {endpoint} --run {run} --count 30");
-    let mut device = PtyCommand::start(&folder.command(&device), true);
+    let mut device = PtyCommand::start(&folder.command(&device));
     bs.wait_for("TTIs/s");
     let end = close_terminal(&mut bs);
     assert_interrupted(&folder, end);
@@ -80,7 +80,7 @@ fn bs_and_device_in_closed_terminals_end_with_partial_results() {
 
     // A device process alone: it has nothing to save.
     let device = format!("device --connect {} --run {run} --count 30", free_endpoint());
-    let mut device = PtyCommand::start(&folder.command(&device), true);
+    let mut device = PtyCommand::start(&folder.command(&device));
     wait_for_sighup_handler(device.pid());
     assert_eq!(close_terminal(&mut device).code(), Some(130));
 }
@@ -99,7 +99,7 @@ fn wait_for_sighup_handler(pid: u32) {
 fn run_in_a_closed_terminal_ends_with_partial_results() {
     let folder = TestFolder::new();
     let run = "run -n 50 -k 1000000000 --window 10000 --out out";
-    let mut run = PtyCommand::start(&folder.command(run), true);
+    let mut run = PtyCommand::start(&folder.command(run));
     run.wait_for("TTIs/s");
     let end = close_terminal(&mut run);
     assert_interrupted(&folder, end);
@@ -109,12 +109,12 @@ fn run_in_a_closed_terminal_ends_with_partial_results() {
 fn sweep_and_record_in_closed_terminals_are_interrupted() {
     let folder = TestFolder::new();
     let sweep = "sweep --devices 20 --ttis 5000 --seeds 900000 --out s";
-    let mut sweep = PtyCommand::start(&folder.command(sweep), true);
+    let mut sweep = PtyCommand::start(&folder.command(sweep));
     sweep.wait_for("runs");
     assert_eq!(close_terminal(&mut sweep).code(), Some(130));
     assert!(folder.join("s/runs.journal").exists());
     let record = "train record -p knn -n 20 -k 5000 --seeds 900000 --chunk 12 --stride 40 --out c.parquet";
-    let mut record = PtyCommand::start(&folder.command(record), true);
+    let mut record = PtyCommand::start(&folder.command(record));
     record.wait_for("runs");
     assert_eq!(close_terminal(&mut record).code(), Some(130));
     assert!(!folder.join("c.parquet").exists());
@@ -126,7 +126,7 @@ fn a_run_that_receives_no_sighup_outlives_its_terminal() {
     let expected = folder.summary("run -n 30 -k 900");
     // With messages, so that it writes to the terminal after the terminal has closed.
     let up = format!("-vv up -P 2 -n 30 -k 900 --pace 3ms --out out --run {run}");
-    let mut up = PtyCommand::start(&folder.command(&up), false);
+    let mut up = PtyCommand::start_without_sighup(&folder.command(&up));
     up.wait_for("TTIs/s");
     up.close();
     let end = up.finish_within(PATIENCE);

@@ -75,7 +75,7 @@ fn subcommands(folder: &TestFolder, args: &str) -> BTreeSet<String> {
 
 #[test]
 fn runs_of_the_pages_use_separate_folders() {
-    let mut seen = BTreeSet::new();
+    let mut used_folders = BTreeSet::new();
     for page in pages() {
         let text = fs::read_to_string(&page).expect("a page");
         for line in text.lines().filter_map(|line| line.strip_prefix("$ reveille ")) {
@@ -83,14 +83,14 @@ fn runs_of_the_pages_use_separate_folders() {
             let out = words.windows(2).find(|pair| pair[0] == "--out").map(|pair| pair[1]);
             if let (true, Some(out)) = (["run", "up", "bs"].contains(&words[0]), out) {
                 assert!(
-                    seen.insert(out.to_owned()),
+                    used_folders.insert(out.to_owned()),
                     "{}: {line}: {out} holds a run already",
                     page.display()
                 );
             }
         }
     }
-    assert!(seen.len() > 1, "{seen:?}");
+    assert!(used_folders.len() > 1, "{used_folders:?}");
 }
 
 #[test]
@@ -98,11 +98,11 @@ fn every_subcommand_that_is_named_exists() {
     let folder = TestFolder::new();
     let known = subcommands(&folder, "");
     assert!(known.contains("run") && known.contains("up"), "{known:?}");
-    let mut seen = 0;
+    let mut command_count = 0;
     for page in pages() {
         let text = fs::read_to_string(&page).expect("a page");
         let commands = commands(&text);
-        seen += commands.len();
+        command_count += commands.len();
         let page = page.display();
         for (first, second) in commands {
             assert!(
@@ -120,7 +120,10 @@ fn every_subcommand_that_is_named_exists() {
             }
         }
     }
-    assert!(seen > 10, "only {seen} commands were found in the pages");
+    assert!(
+        command_count > 10,
+        "only {command_count} commands were found in the pages"
+    );
 }
 
 /// Returns every Markdown file of the repository.
@@ -156,7 +159,7 @@ fn prose(text: &str) -> impl Iterator<Item = &str> {
 
 /// Returns the anchors of a page's headings, as GitHub and mdBook form them.
 fn anchors(text: &str) -> BTreeSet<String> {
-    let mut seen: BTreeMap<String, u32> = BTreeMap::new();
+    let mut occurrences: BTreeMap<String, u32> = BTreeMap::new();
     let headings = prose(text).filter_map(|line| {
         line.trim_start_matches('#')
             .strip_prefix(' ')
@@ -172,7 +175,7 @@ fn anchors(text: &str) -> BTreeSet<String> {
     headings
         .map(|heading| {
             let anchor = anchor(heading);
-            let number = seen.entry(anchor.clone()).or_default();
+            let number = occurrences.entry(anchor.clone()).or_default();
             *number += 1;
             match *number - 1 {
                 0 => anchor,
@@ -200,7 +203,7 @@ fn links(text: &str) -> Vec<String> {
 
 #[test]
 fn every_link_resolves() {
-    let (mut seen, mut broken) = (0, Vec::new());
+    let (mut link_count, mut broken) = (0, Vec::new());
     for page in markdown_files() {
         // The start of a generated page, which is checked as a whole.
         if page.ends_with("bs/src/scenario/head.md") {
@@ -208,7 +211,7 @@ fn every_link_resolves() {
         }
         let text = fs::read_to_string(&page).expect("a page");
         for link in links(&text) {
-            seen += 1;
+            link_count += 1;
             let (file, anchor) = link.split_once('#').unwrap_or((&link, ""));
             let target = if file.is_empty() {
                 page.clone()
@@ -223,7 +226,7 @@ fn every_link_resolves() {
         }
     }
     assert!(broken.is_empty(), "links without a target:\n  {}", broken.join("\n  "));
-    assert!(seen > 200, "only {seen} links were found");
+    assert!(link_count > 200, "only {link_count} links were found");
 }
 
 #[test]
@@ -254,15 +257,15 @@ fn the_contents_list_every_page_under_its_kind() {
         if ["README.md", "SUMMARY.md"].contains(&name) {
             continue;
         }
-        let of_page = groups.iter().flat_map(|(kind, listed)| {
+        let kinds_of_page = groups.iter().flat_map(|(kind, listed)| {
             let own = listed.iter().filter(|listed| *listed == name);
             own.map(|_| *kind)
         });
-        let of_page: Vec<&str> = of_page.collect();
-        let is_of_one_kind = of_page.len() == 1 && of_page[0] != "Reveille";
+        let kinds_of_page: Vec<&str> = kinds_of_page.collect();
+        let is_of_one_kind = kinds_of_page.len() == 1 && kinds_of_page[0] != "Reveille";
         assert!(
             is_of_one_kind,
-            "docs/{name} must be under one kind of page, not {of_page:?}"
+            "docs/{name} must be under one kind of page, not {kinds_of_page:?}"
         );
     }
     let listed: usize = groups.iter().map(|(_, listed)| listed.len()).sum();

@@ -170,13 +170,13 @@ fn the_status_of_a_waiting_run_names_the_lost_hosts() {
     let (folder, run, endpoint) = (TestFolder::new(), unique_run("held"), free_endpoint());
     let options = "-n 50 -k 6000 --pace 5ms --on-loss wait --quiet --out out";
     let bs = folder.start(&format!("bs {options} --run {run} --listen {endpoint}"));
-    let [_first, second] = [0, 1].map(|_| {
+    let [_host_0, host_1] = [0, 1].map(|_| {
         let host = folder.start(&format!("-v device --connect {endpoint} --run {run} --count 25"));
         host.wait_for_stderr("joined");
         host
     });
     folder.wait_for_tti(&run, 10);
-    second.signal(Signal::KILL);
+    host_1.signal(Signal::KILL);
     bs.wait_for_stderr("the run is waiting");
     let status = folder.clock(&run, "status");
     assert!(status.starts_with("waiting at TTI "), "{status}");
@@ -193,15 +193,15 @@ fn the_device_processes_of_a_failed_run_report_the_cause() {
     let bs = folder.start(&format!(
         "bs -n 5 -k 6000 --pace 5ms --on-loss end --quiet --out out --run {run} --listen {endpoint}"
     ));
-    let [first, second] = [2, 3].map(|count| {
+    let [host_0, host_1] = [2, 3].map(|count| {
         let host = folder.start(&format!("-v device --connect {endpoint} --run {run} --count {count}"));
         host.wait_for_stderr("joined");
         host
     });
     folder.wait_for_tti(&run, 10);
-    first.signal(Signal::KILL);
+    host_0.signal(Signal::KILL);
     assert_eq!(bs.finish().code(), Some(1));
-    let end = second.finish();
+    let end = host_1.finish();
     assert_eq!(end.code(), Some(1), "{end}");
     assert!(
         end.stderr.contains("reveille: the run has failed: lost host 0"),

@@ -59,7 +59,7 @@ fn a_run_in_preparation_ends_promptly() {
 #[test]
 fn a_base_station_in_preparation_ends_promptly_with_its_device_processes() {
     let folder = TestFolder::new();
-    for (command, hosts) in [
+    for (command, host_count) in [
         ("up --processes 2", 2),
         ("up --processes 0", 0),
         ("bs --listen tcp/127.0.0.1:0", 0),
@@ -74,7 +74,7 @@ fn a_base_station_in_preparation_ends_promptly_with_its_device_processes() {
                     .list("runtime/reveille")
                     .iter()
                     .any(|name| name.starts_with(&run));
-                (is_registered && hosts_of(&run).len() == hosts).then_some(())
+                (is_registered && hosts_of(&run).len() == host_count).then_some(())
             });
             bs.wait_for_work();
             bs.signal(signal);

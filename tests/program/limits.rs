@@ -1,5 +1,6 @@
 //! Limits of open files, ports and disk space: a run works within the limit that an error suggests, and reports an
-//! insufficient one before it begins or with its cause.
+//! insufficient one before it begins or with its cause. The expected numbers of files follow from the constants in
+//! `deploy/src/file_limits.rs`.
 
 use std::fs;
 use std::process::Command;

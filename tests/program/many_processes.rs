@@ -5,7 +5,8 @@ use std::fs;
 
 use reveille_tests::process::{PATIENCE, Process, TestFolder, free_endpoint, hosts_of, unique_run, wait_until};
 
-/// More processes than are started at a time on any machine with fewer than eight cores.
+/// More processes than are started at a time on any machine with fewer than eight cores (16 per core,
+/// `deploy/src/start_limiter.rs`).
 const MANY: u32 = 120;
 /// Number of devices whose ledgers, from two processes, exceed the queue of a link.
 const HEAVY: u32 = 3000;

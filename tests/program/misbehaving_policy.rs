@@ -50,9 +50,9 @@ async fn a_repeated_answer_counts_once() {
     let run = ExternallyDecidedRun::start("-P 2");
     let rogue = MisbehavingPolicy::at(&run).await;
     rogue
-        .serve(|question, asked| {
+        .serve(|port_request, asked| {
             for _ in 0..2 {
-                send_reply(question, &rogue.idle(asked));
+                send_reply(port_request, &rogue.idle(asked));
             }
             asked["tti"] != LAST_TTI
         })
@@ -77,10 +77,10 @@ async fn invalid_answers_end_the_run_or_are_dropped() {
         let rogue = MisbehavingPolicy::at(&run).await;
         let mut refusals_received = 0;
         rogue
-            .serve(|question, asked| {
+            .serve(|port_request, asked| {
                 let mut answer = rogue.idle(asked);
                 corrupt(&mut answer);
-                send_reply(question, &answer);
+                send_reply(port_request, &answer);
                 refusals_received += u32::from(asked["refused"].is_string());
                 true
             })
@@ -96,23 +96,23 @@ async fn invalid_answers_end_the_run_or_are_dropped() {
     }
     // Any client could have sent these answers, so they must not count as invalid and end the run.
     let unattributed: [(&str, ReplyAction); 3] = [
-        ("dropped an answer", |question, _| {
-            question.reply(b"{".to_vec(), Encoding::Json).expect("answered");
+        ("dropped an answer", |port_request, _| {
+            port_request.reply(b"{".to_vec(), Encoding::Json).expect("answered");
         }),
-        ("dropped an answer", |question, mut answer| {
+        ("dropped an answer", |port_request, mut answer| {
             answer["id"] = json!("another");
-            send_reply(question, &answer);
+            send_reply(port_request, &answer);
         }),
-        ("returned an error: no time", |question, _| {
-            question.reply_error("no time").expect("answered");
+        ("returned an error: no time", |port_request, _| {
+            port_request.reply_error("no time").expect("answered");
         }),
     ];
     for (why, act) in unattributed {
         let run = ExternallyDecidedRun::start("-P 0 --decision-timeout 1s");
         let rogue = MisbehavingPolicy::at(&run).await;
         rogue
-            .serve(|question, asked| {
-                act(question, rogue.idle(asked));
+            .serve(|port_request, asked| {
+                act(port_request, rogue.idle(asked));
                 true
             })
             .await;
@@ -126,13 +126,13 @@ async fn invalid_answers_end_the_run_or_are_dropped() {
     let run = ExternallyDecidedRun::start("-P 2 --on-undecided hold");
     let rogue = MisbehavingPolicy::at(&run).await;
     rogue
-        .serve(|question, asked| {
+        .serve(|port_request, asked| {
             let mut answer = rogue.idle(asked);
             if asked["tti"] == 50 {
                 answer["id"] = json!("rogue");
                 answer["next"] = json!(3);
             }
-            send_reply(question, &answer);
+            send_reply(port_request, &answer);
             asked["tti"] != LAST_TTI
         })
         .await;
@@ -151,14 +151,14 @@ async fn a_late_answer_does_not_count_for_another_request() {
     let rogue = MisbehavingPolicy::at(&run).await;
     let mut has_slept = false;
     rogue
-        .serve(|question, asked| {
+        .serve(|port_request, asked| {
             if asked["tti"] == 60 && !has_slept {
                 has_slept = true;
                 // Three times the decision timeout.
                 std::thread::sleep(Duration::from_millis(900));
             }
             // The query of a late answer has timed out, so its reply may fail.
-            let _timed_out = question
+            let _timed_out = port_request
                 .reply(rogue.idle(asked).to_string().into_bytes(), Encoding::Json)
                 .is_err();
             asked["tti"] != LAST_TTI

@@ -5,7 +5,7 @@ use reveille_tests::process::{PATIENCE, SummaryJson, TestFolder, hosts_of, send_
 use rustix::process::Signal;
 
 #[test]
-fn a_run_without_killed_processes_can_be_repeated() {
+fn a_run_with_removed_devices_can_be_repeated() {
     let (folder, run) = (TestFolder::new(), unique_run("outage"));
     // Sums are requested in every TTI, and for some TTIs only part of them arrives.
     let scenario = "-n 24 -k 900 -p knn --window 1";
@@ -13,12 +13,12 @@ fn a_run_without_killed_processes_can_be_repeated() {
     let up = folder.start(&format!(
         "up {scenario} -P 4 --pace 4ms --on-loss continue --audit on --out out --record out.mcap --run {run} --json"
     ));
-    for left in [3, 2] {
+    for remaining in [3, 2] {
         let tti = folder.wait_for_tti(&run, 10);
         let hosts = hosts_of(&run);
         send_signal(hosts[1], Signal::KILL);
         wait_until("the process to end", PATIENCE, || {
-            (hosts_of(&run).len() == left).then_some(())
+            (hosts_of(&run).len() == remaining).then_some(())
         });
         folder.wait_for_tti(&run, tti + 60);
     }

@@ -18,7 +18,8 @@ const LONG: &str = "-n 30 -k 12000 --pace 5ms";
 /// Time limit to detect a killed device process: two seconds, doubled for a busy machine.
 const DETECTION_LIMIT: Duration = Duration::from_secs(4);
 
-/// Time limit to detect a frozen device process: two seconds, and a margin for a busy machine.
+/// Time limit to detect a frozen device process: the lease of a link, two seconds (`common/src/bus/session.rs`), and a
+/// margin for a busy machine.
 const FREEZE_LIMIT: Duration = Duration::from_secs(8);
 
 /// Checks the end of a run that lost a process.
@@ -95,15 +96,15 @@ fn by_hand_mid_run(folder: &TestFolder, run: &str, args: &str) -> (Process, [Pro
 #[test]
 fn a_killed_device_process_ends_bs_and_is_named() {
     let (folder, run) = (TestFolder::new(), unique_run("killbs"));
-    let (bs, [first, second]) = by_hand_mid_run(&folder, &run, &format!("{LONG} --on-loss end"));
+    let (bs, [host_0, host_1]) = by_hand_mid_run(&folder, &run, &format!("{LONG} --on-loss end"));
     let since = now();
-    first.signal(Signal::KILL);
+    host_0.signal(Signal::KILL);
     let end = bs.finish();
     assert_lost(&end, since, DETECTION_LIMIT);
     assert!(end.stderr.contains("host 0 with devices 0 to 9 "), "{end}");
-    let second = second.finish();
-    assert_eq!(second.code(), Some(1), "the other hosts fail too: {second}");
-    assert!(second.stderr.contains("the run has failed: lost host 0"), "{second}");
+    let host_1 = host_1.finish();
+    assert_eq!(host_1.code(), Some(1), "the other hosts fail too: {host_1}");
+    assert!(host_1.stderr.contains("the run has failed: lost host 0"), "{host_1}");
 }
 
 #[test]
@@ -127,7 +128,7 @@ fn check_thawed_process(scenario: &str) {
     send_signal(hosts[1], Signal::STOP);
     up.wait_for_stderr("the run is waiting");
     let waiting_tti = folder.wait_for_tti(&run, 0);
-    // Longer than the detection of a loss takes: four seconds in total.
+    // The warning came after the lease, so the process is frozen for about twice the lease.
     std::thread::sleep(Duration::from_secs(2));
     assert_eq!(
         folder.wait_for_tti(&run, 0),
@@ -182,10 +183,10 @@ fn no_device_process_outlives_a_killed_up() {
     assert!(!folder.list("out").contains(&"summary.json".to_owned()));
 }
 
-/// Interrupts a run midway with `signal` and checks its partial results.
-fn check_interrupted_run(signal: Signal, by_hand: bool) {
+/// Interrupts `command`, which is `up` or `bs`, midway with `signal` and checks its partial results.
+fn check_interrupted_run(command: &str, signal: Signal) {
     let (folder, run) = (TestFolder::new(), unique_run("interrupt"));
-    let (process, hosts) = if by_hand {
+    let (process, hosts) = if command == "bs" {
         let (bs, hosts) = by_hand_mid_run(&folder, &run, LONG);
         (bs, hosts.into_iter().collect())
     } else {
@@ -218,17 +219,17 @@ fn check_interrupted_run(signal: Signal, by_hand: bool) {
 
 #[test]
 fn sigint_ends_up_with_partial_results() {
-    check_interrupted_run(Signal::INT, false);
+    check_interrupted_run("up", Signal::INT);
 }
 
 #[test]
 fn sigterm_ends_up_with_partial_results() {
-    check_interrupted_run(Signal::TERM, false);
+    check_interrupted_run("up", Signal::TERM);
 }
 
 #[test]
 fn sigint_ends_bs_with_partial_results() {
-    check_interrupted_run(Signal::INT, true);
+    check_interrupted_run("bs", Signal::INT);
 }
 
 #[test]

@@ -25,20 +25,20 @@ fn run_options() -> Vec<String> {
 #[test]
 fn metrics_equal_a_recomputation_from_the_tables() {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/recompute/recompute.py");
-    let has_python = Command::new("python3").args(["-c", "import tomllib"]).status();
-    if !has_python.is_ok_and(|status| status.success()) {
+    let tomllib_import = Command::new("python3").args(["-c", "import tomllib"]).status();
+    if !tomllib_import.is_ok_and(|status| status.success()) {
         return missing("metrics are not recomputed: python3 3.11 or later is missing");
     }
     let folder = TestFolder::new();
     let all_options = run_options();
-    let mut check = Command::new("python3");
-    check.arg(script);
+    let mut recompute = Command::new("python3");
+    recompute.arg(script);
     for (number, args) in all_options.iter().enumerate() {
         let end = folder.run(&format!("run {args} --quiet --out run{number}"));
         assert!(end.is_success(), "{args}: {end}");
-        check.arg(folder.join(&format!("run{number}")));
+        recompute.arg(folder.join(&format!("run{number}")));
     }
-    let output = check.output().expect("python3 starts");
+    let output = recompute.output().expect("python3 starts");
     let text = String::from_utf8_lossy(&output.stdout);
     let error = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{text}\n{error}");

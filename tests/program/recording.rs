@@ -49,11 +49,15 @@ fn memory_and_bus_record_the_same_messages() {
 
 /// Checks that `run` and `up` with these options record the same `air` and `truth` messages, and that their recordings
 /// can be verified.
-fn assert_same_recordings(run: &str) {
+fn assert_same_recordings(options: &str) {
     let folder = TestFolder::new();
     let mut digests = Vec::new();
-    for (name, command) in [("m", "run"), ("b", "up -P 3"), ("o", "up -P 0 --no-lookahead")] {
-        let end = folder.run(&format!("{command} {run} --record {name}.mcap --out {name}"));
+    for (name, command) in [
+        ("memory", "run"),
+        ("bus", "up -P 3"),
+        ("one-process", "up -P 0 --no-lookahead"),
+    ] {
+        let end = folder.run(&format!("{command} {options} --record {name}.mcap --out {name}"));
         assert!(end.is_success(), "{end}");
         digests.push(end.stdout);
         let end = folder.run(&format!("inspect verify {name}.mcap"));
@@ -61,7 +65,8 @@ fn assert_same_recordings(run: &str) {
     }
     assert!(digests.windows(2).all(|pair| pair[0] == pair[1]));
     for plane in ["air", "truth"] {
-        let [memory, bus] = ["m", "b"].map(|name| shown_messages(&folder, &format!("{name}.mcap --plane {plane}")));
+        let shown = |name: &str| shown_messages(&folder, &format!("{name}.mcap --plane {plane}"));
+        let [memory, bus] = ["memory", "bus"].map(shown);
         assert!(
             memory == bus && memory.len() > 20,
             "{plane}: {} and {}",
@@ -69,13 +74,13 @@ fn assert_same_recordings(run: &str) {
             bus.len()
         );
     }
-    let without_lookahead = shown_messages(&folder, "o.mcap --plane air");
+    let without_lookahead = shown_messages(&folder, "one-process.mcap --plane air");
     assert!(
-        without_lookahead == shown_messages(&folder, "m.mcap --plane air"),
+        without_lookahead == shown_messages(&folder, "memory.mcap --plane air"),
         "the messages differ with and without lookahead"
     );
-    assert!(shown_messages(&folder, "m.mcap --plane emu").is_empty());
-    assert!(shown_messages(&folder, "b.mcap --kind clock").len() > 20);
+    assert!(shown_messages(&folder, "memory.mcap --plane emu").is_empty());
+    assert!(shown_messages(&folder, "bus.mcap --kind clock").len() > 20);
 }
 
 #[test]

@@ -31,7 +31,8 @@ const MARK_VARIABLE: &str = "REVEILLE_TEST_MARK";
 const LONG: &str = "-n 6 -k 1000000 --pace 4ms";
 /// Options of a search before a run that takes hours.
 const SEARCH: &str = "-p adjusted -n 200 --set policy.adjusted.pilot_ttis=900000000";
-/// Output that a command prints after it has installed its handlers.
+/// Output that a command prints after it has installed its handlers. If the program prints another text, the check of
+/// these texts is vacuous.
 const HANDLERS_INSTALLED: [&str; 3] = ["waiting for ", "connected to run", "dashboard at"];
 
 /// Expected exit of a command after a signal, once its handlers are installed.

@@ -57,12 +57,12 @@ fn a_process_with_spare_capacity_takes_over() {
     ));
     bs.wait_for_stderr("waiting for 30 devices");
     let device = |count: u32| folder.start(&format!("device --connect {endpoint} --run {run} --count {count}"));
-    let first = device(10);
-    first.wait_for_stderr("joined");
+    let lost_host = device(10);
+    lost_host.wait_for_stderr("joined");
     let large_host = device(40);
     large_host.wait_for_stderr("joined");
     folder.wait_for_tti(&run, 20);
-    first.signal(Signal::KILL);
+    lost_host.signal(Signal::KILL);
     bs.wait_for_stderr("run again after");
     let standby = device(5);
     standby.wait_for_stderr("standing by");

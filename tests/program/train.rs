@@ -169,12 +169,12 @@ fn with_changed_body(text: &str, change: impl Fn(&str) -> String) -> String {
     let (_, rest) = text.split_once(",\"body\":").expect("a body");
     let body = rest.trim_end().strip_suffix('}').expect("an end");
     let changed = change(body);
-    let digits = Sha256::digest(changed.as_bytes());
-    let sum = digits.iter().fold(String::new(), |mut sum, byte| {
-        let _infallible = write!(sum, "{byte:02x}");
-        sum
+    let hash = Sha256::digest(changed.as_bytes());
+    let checksum = hash.iter().fold(String::new(), |mut hex, byte| {
+        let _infallible = write!(hex, "{byte:02x}");
+        hex
     });
-    format!("{{\"format\":\"reveille-q-table\",\"version\":3,\"sha256\":\"{sum}\",\"body\":{changed}}}\n")
+    format!("{{\"format\":\"reveille-q-table\",\"version\":3,\"sha256\":\"{checksum}\",\"body\":{changed}}}\n")
 }
 
 /// Replaces the first value of the first table.

@@ -51,11 +51,11 @@ mod with_the_feature {
         assert_eq!(point_count(&folder, "whole.csv"), 5);
         let resumable = format!("{TUNE} --threads 2 --out killed.csv");
         for (signal, code) in [(Signal::KILL, None), (Signal::INT, Some(130))] {
-            let found = point_count(&folder, "killed.csv");
+            let points_before = point_count(&folder, "killed.csv");
             let tuning = folder.start(&resumable);
             wait_until("a point", PATIENCE, || {
                 // Of five points, so that a finished tuning also passes.
-                (point_count(&folder, "killed.csv") > found.min(4)).then_some(())
+                (point_count(&folder, "killed.csv") > points_before.min(4)).then_some(())
             });
             tuning.signal(signal);
             let end = tuning.finish();

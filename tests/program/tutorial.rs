@@ -112,15 +112,15 @@ fn decide(link: &TcpStream) {
         encoding: Encoding::Json,
     };
     let mut policy = |asked: &DecisionRequest| -> Decision {
-        let (number, stage) = match asked.head.stage {
+        let (stage_number, stage) = match asked.head.stage {
             RequestKind::Wake => (1, DecisionStage::Wake),
             RequestKind::Plan | RequestKind::Hello | RequestKind::Bye => (0, DecisionStage::Plan),
         };
-        let mut seen = serde_json::to_value(asked).expect("JSON");
-        seen["stage"] = json!(number);
+        let mut request = serde_json::to_value(asked).expect("JSON");
+        request["stage"] = json!(stage_number);
         // One write: many small ones would each wait for the acknowledgement of the one before.
         let mut link = link;
-        link.write_all(format!("{seen}\n").as_bytes())
+        link.write_all(format!("{request}\n").as_bytes())
             .expect("the policy reads");
         let answer = receive();
         let devices = |name: &str| serde_json::from_value(answer[name].clone()).expect("devices");
@@ -191,8 +191,8 @@ fn every_command_of_the_tutorial_works_as_shown() {
     let not_run = blocks.iter().filter(|block| block.language == "console");
     let not_run: Vec<&str> = not_run.flat_map(|block| block.text.lines()).collect();
     assert_eq!(not_run, NOT_RUN, "commands that this test leaves out");
-    let has_python = Command::new("python3").arg("--version").output();
-    if !has_python.is_ok_and(|end| end.status.success()) {
+    let python_version = Command::new("python3").arg("--version").output();
+    if !python_version.is_ok_and(|end| end.status.success()) {
         return missing("the tutorial is not run: there is no python3 here");
     }
 

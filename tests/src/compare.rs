@@ -37,22 +37,15 @@ impl Observer for EventCollector {
 }
 
 /// Returns the outcome and the ended events of the whole run.
-pub fn outcome(scenario: &Scenario, lookahead: bool, window: u64) -> (RunOutcome, Vec<EventRecord>) {
+pub fn outcome(scenario: &Scenario, options: RunOptions) -> (RunOutcome, Vec<EventRecord>) {
     let mut collector = EventCollector::default();
-    let options = RunOptions { lookahead, window };
     let outcome = start(scenario, options).finish(&mut collector);
     (outcome, collector.events)
 }
 
 /// Returns the ledger of each device at the end of the run.
-pub fn ledgers(scenario: &Scenario, lookahead: bool) -> Vec<Ledger> {
-    let mut run = start(
-        scenario,
-        RunOptions {
-            lookahead,
-            ..RunOptions::default()
-        },
-    );
+pub fn ledgers(scenario: &Scenario, options: RunOptions) -> Vec<Ledger> {
+    let mut run = start(scenario, options);
     while run.cycle().next_tti() < Tti(scenario.run.ttis) {
         run.run_grant(&mut ());
     }

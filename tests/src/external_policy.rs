@@ -5,7 +5,6 @@ use std::time::Duration;
 
 use reveille_bs::policy::external::wire::{DecisionRequest, RequestKind};
 use reveille_bs::policy::external::{Decision, DecisionStage};
-
 use reveille_bs::server::policy_port::client::{self, ClientIdentity};
 use reveille_common::bus::{Bus, PortRequest};
 use reveille_common::encoding::Encoding;
@@ -149,16 +148,16 @@ impl MisbehavingPolicy {
     /// # Panics
     /// If a request is not JSON, or the session is closed.
     pub async fn serve(&self, mut act: impl FnMut(&PortRequest, &Value) -> bool) {
-        let questions = self.bus.serve_policy_port().expect("a queryable");
-        while let Ok(Some(question)) = tokio::time::timeout(Duration::from_secs(3), questions.next()).await {
-            let request: Value = serde_json::from_slice(&question.payload).expect("JSON");
+        let requests = self.bus.serve_policy_port().expect("a queryable");
+        while let Ok(Some(port_request)) = tokio::time::timeout(Duration::from_secs(3), requests.next()).await {
+            let request: Value = serde_json::from_slice(&port_request.payload).expect("JSON");
             if request["stage"] == "hello" {
                 let hello_reply = json!({
                     "protocol": 1, "seq": request["seq"], "tti": request["tti"], "stage": "hello",
                     "id": self.id, "name": "a rogue", "key": self.key,
                 });
-                send_reply(&question, &hello_reply);
-            } else if !act(&question, &request) {
+                send_reply(&port_request, &hello_reply);
+            } else if !act(&port_request, &request) {
                 return;
             }
         }
@@ -166,12 +165,12 @@ impl MisbehavingPolicy {
 
     /// Returns the answer in which no device senses and none is woken.
     pub fn idle(&self, request: &Value) -> Value {
-        let decision = if request["stage"] == "plan" { "sense" } else { "wake" };
+        let decision_field = if request["stage"] == "plan" { "sense" } else { "wake" };
         let mut answer = json!({
             "protocol": 1, "seq": request["seq"], "tti": request["tti"], "stage": request["stage"],
             "id": self.id, "key": self.key,
         });
-        answer[decision] = json!([]);
+        answer[decision_field] = json!([]);
         answer
     }
 }

@@ -133,6 +133,7 @@ impl TestFolder {
     pub fn wait_for_tti(&self, run: &str, tti: u64) -> u64 {
         wait_until(&format!("run {run} to pass TTI {tti}"), PATIENCE, || {
             let status = self.run(&format!("clock --run {run} status")).stdout;
+            // Such as `running at TTI 9 of 60`.
             let mut words = status.split_whitespace().skip_while(|&word| word != "TTI");
             // The status also shows TTI 0 before the devices have joined.
             let has_begun = !status.starts_with("joining");
@@ -434,7 +435,7 @@ impl SummaryJson {
     /// Reads the summary in a run folder.
     ///
     /// # Panics
-    /// If the value is missing.
+    /// If the file is missing or is not JSON.
     pub fn read(folder: &Path) -> Self {
         let text = fs::read_to_string(folder.join("summary.json")).expect("the run folder has a summary");
         Self(serde_json::from_str(&text).expect("summary.json is JSON"))
@@ -539,6 +540,7 @@ pub fn lives(pid: u32) -> bool {
 }
 
 /// Returns the ids of the live `reveille device` processes of a run, found by command line. Zombie processes have none.
+/// The run must be one argument, `--run=RUN`, as `deploy/src/child_process.rs` writes it.
 pub fn hosts_of(run: &str) -> Vec<u32> {
     let processes = fs::read_dir("/proc").into_iter().flatten().flatten();
     let pids = processes.filter_map(|entry| entry.file_name().to_str()?.parse::<u32>().ok());

@@ -1,5 +1,5 @@
 //! Random small scenarios as TOML text, which the emulator loads like any scenario file, and the preset `paper` with
-//! given fields.
+//! given fields. A test in `tests/tests/reference.rs` checks how often the scenarios cover each case.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -12,7 +12,8 @@ use reveille_common::rng::{Purpose, Stream};
 use reveille_common::units::Energy;
 
 /// Folder of the files that random scenarios name. `energy.csv` holds units per TTI. `points.csv` is a layout within
-/// the smallest random area and has two devices at the same place.
+/// the smallest random area and has two devices at the same place; it has a point for each of the at most 12 devices.
+/// `tests/tests/closed_forms.rs` repeats the values of `energy.csv`.
 const FILES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/data");
 
 /// Parses overrides of the form `field=value`.
@@ -49,22 +50,22 @@ pub fn scenario_with_warnings(text: &str) -> Loaded {
     parse(text, "test", Path::new(FILES), &[]).unwrap_or_else(|error| panic!("{error}\n{text}"))
 }
 
-/// Draws a script of up to 12 actions that `scenario` allows, in the order of TTIs. A third of them is close to another
-/// one, and some TTIs have several.
+/// Draws a script of 1 to 12 actions that `scenario` allows, in the order of TTIs. About a third of them share a TTI
+/// with another one.
 pub fn actions(scenario: &Scenario, seed: u64) -> Vec<OperatorAction> {
     let mut stream = Stream::new(seed, Purpose::Training, 0);
     let ttis = scenario.run.ttis;
     let mut actions: Vec<OperatorAction> = Vec::new();
     for _ in 0..=stream.below(12) {
-        let near = actions
+        let shared_tti = actions
             .last()
             .filter(|_| stream.unit() < 0.3)
             .map(|action| action.tti.0);
-        let tti = Tti(near.unwrap_or_else(|| stream.below(ttis)));
-        let first = stream.below(u64::from(scenario.run.devices)) as u32;
+        let tti = Tti(shared_tti.unwrap_or_else(|| stream.below(ttis)));
+        let first_device = stream.below(u64::from(scenario.run.devices)) as u32;
         let range = DeviceRange {
-            first: DeviceId(first),
-            count: 1 + stream.below(u64::from(scenario.run.devices - first)) as u32,
+            first: DeviceId(first_device),
+            count: 1 + stream.below(u64::from(scenario.run.devices - first_device)) as u32,
         };
         let change = match stream.below(8) {
             0..=2 => Change::Fail(range),
@@ -79,7 +80,7 @@ pub fn actions(scenario: &Scenario, seed: u64) -> Vec<OperatorAction> {
     actions
 }
 
-/// Generates any small scenario.
+/// Generates a small scenario with a policy that [`simulate`](crate::reference::simulate) runs.
 pub fn small() -> impl Strategy<Value = String> {
     let sections = (
         run_fields(),
@@ -94,7 +95,8 @@ pub fn small() -> impl Strategy<Value = String> {
     })
 }
 
-/// Generates a small scenario with the policy `name`, one of the policies that [`small`] uses.
+/// Generates a small scenario with the policy `name` and a perfect radio. Only the policies of [`small`] have drawn
+/// settings.
 pub fn under(name: &'static str) -> impl Strategy<Value = String> {
     (run_fields(), deployment(), events(), policy(), energy_and_harvest()).prop_map(
         move |(run, deployment, events, policy, energy)| {
@@ -110,7 +112,7 @@ pub fn any_policy() -> impl Strategy<Value = String> {
     prop_oneof![3 => small().boxed(), 1 => with_q_learning().boxed()]
 }
 
-/// Generates a small scenario with so much energy that no action can fail for lack of it.
+/// Generates a small scenario with a perfect radio and so much energy that no device ever lacks it.
 pub fn rich() -> impl Strategy<Value = String> {
     (run_fields(), deployment(), events(), policy()).prop_map(|(run, deployment, events, policy)| {
         format!("{run}{deployment}{events}{policy}[energy]\ne_max = 10000.0\ninitial = 10000.0\n")
@@ -142,7 +144,7 @@ fn seed() -> impl Strategy<Value = u64> {
     any::<u64>().prop_map(|bits| bits >> 1)
 }
 
-/// Generates the fields of the run and the section `[bs]`.
+/// Generates the fields of the run and the section `[bs]`. `tests/tests/ledger.rs` relies on at most 12 devices.
 fn run_fields() -> impl Strategy<Value = String> {
     let warm_up = prop_oneof![Just(0.0), 0.0..0.5f64];
     let tau = prop_oneof![4 => Just(1.0), 1 => 0.25..2.0f64];
@@ -255,6 +257,8 @@ fn radio() -> impl Strategy<Value = String> {
     prop_oneof![Just(String::new()), failing]
 }
 
+/// Generates the sections of the policy. [`under`] relies on the first two lines, and `tests/tests/ledger.rs` on cycles
+/// of at most 9 TTIs.
 fn policy() -> impl Strategy<Value = String> {
     let name = prop_oneof![2 => Just("knn"), 1 => Just("random"), 1 => Just("genie"), 2 => Just("adjusted")];
     let t_drx = proptest::collection::vec(1..=9u32, 1..=2);

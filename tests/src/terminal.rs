@@ -25,12 +25,25 @@ pub struct PtyCommand {
 }
 
 impl PtyCommand {
-    /// Starts `command` in a new terminal. With `gets_sighup` it receives SIGHUP when the terminal closes, as from a
-    /// shell; otherwise only its writes fail.
+    /// Starts `command` in a new terminal. It receives SIGHUP when the terminal closes, as from a shell.
     ///
     /// # Panics
     /// If no terminal is available.
-    pub fn start(command: &Command, gets_sighup: bool) -> Self {
+    pub fn start(command: &Command) -> Self {
+        // SIGHUP goes to the session whose controlling terminal is closed.
+        Self::start_in_session(command, &["--ctty"])
+    }
+
+    /// Starts `command` in a new terminal. When the terminal closes, its writes fail, and it receives no SIGHUP.
+    ///
+    /// # Panics
+    /// If no terminal is available.
+    pub fn start_without_sighup(command: &Command) -> Self {
+        Self::start_in_session(command, &[])
+    }
+
+    /// Starts `command` in a new terminal and a new session, with these options of `setsid`.
+    fn start_in_session(command: &Command, setsid_options: &[&str]) -> Self {
         // Neither end may become the controlling terminal of the test.
         let flags = OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC;
         let master = openpt(flags).expect("a terminal is available");
@@ -45,11 +58,8 @@ impl PtyCommand {
             .expect("the terminal can be opened");
         let terminal_handle = || Stdio::from(terminal.try_clone().expect("a file can be opened twice"));
         let mut setsid = Command::new("setsid");
-        // SIGHUP goes to the session whose controlling terminal is closed.
-        if gets_sighup {
-            setsid.arg("--ctty");
-        }
         setsid
+            .args(setsid_options)
             .arg(command.get_program())
             .args(command.get_args())
             // Without TERM, or on a dumb terminal, the program draws no bars.

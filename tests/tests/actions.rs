@@ -91,20 +91,20 @@ proptest! {
     fn a_run_with_actions_equals_its_reconstruction_and_its_replays(
         text in scenarios::any_policy(),
         seed in any::<u64>(),
-        from in any::<prop::sample::Index>(),
+        replayed_until in any::<prop::sample::Index>(),
     ) {
         let scenario = scenarios::scenario(&text);
         let actions = scenarios::actions(&scenario, seed);
         let inputs = ExternalInputs::from_actions(&actions);
         let log = first_line(&scenario) + &inputs.iter().map(|input| line(&input)).collect::<String>();
-        let read = parse(&log, &scenario).map_err(|error| TestCaseError::fail(format!("{error}\n{log}")))?;
-        prop_assert_eq!(read, inputs, "log\n{}", log);
+        let parsed = parse(&log, &scenario).map_err(|error| TestCaseError::fail(format!("{error}\n{log}")))?;
+        prop_assert_eq!(parsed, inputs, "log\n{}", log);
         let (outcome, _, frames) = run(&scenario, &actions, RunOptions::default());
-        let (single, _, single_frames) = run(&scenario, &actions, compare::ONE_TTI_PER_GRANT);
-        prop_assert_eq!(&single, &outcome, "one TTI per grant\n{:?}\n{}", actions, text);
-        let idle = run(&scenario, &[], RunOptions::default()).0;
-        prop_assert_ne!(idle.digest, outcome.digest, "the digest covers actions\n{:?}\n{}", actions, text);
-        for frames in [frames, single_frames] {
+        let (one_tti_outcome, _, one_tti_frames) = run(&scenario, &actions, compare::ONE_TTI_PER_GRANT);
+        prop_assert_eq!(&one_tti_outcome, &outcome, "one TTI per grant\n{:?}\n{}", actions, text);
+        let without_actions = run(&scenario, &[], RunOptions::default()).0;
+        prop_assert_ne!(without_actions.digest, outcome.digest, "the digest covers actions\n{:?}\n{}", actions, text);
+        for frames in [frames, one_tti_frames] {
             let mut reconstruction = Reconstruction::new(&scenario);
             for frame in &frames {
                 reconstruction.apply(frame).map_err(|error| TestCaseError::fail(format!("{error}\n{text}")))?;
@@ -116,7 +116,7 @@ proptest! {
         // A replay that has passed an action when it is added, as after a takeover.
         let prepared = prepare(&scenario);
         let mut replay = Replay::new(&prepared, &ExternalInputs::default(), Tti::ZERO);
-        replay.checkpoints(Tti(from.index(scenario.run.ttis as usize) as u64), DeviceId(0), 1);
+        replay.checkpoints(Tti(replayed_until.index(scenario.run.ttis as usize) as u64), DeviceId(0), 1);
         for action in &actions {
             replay.add_input(ExternalInput::Action(*action));
         }
@@ -194,12 +194,12 @@ fn energy_counts_as_harvest_and_settings_change_the_run() {
     assert_eq!(whole.harvested, five + e_max);
     assert!(whole.overflow > Energy::ZERO && whole.overflow < five, "{whole:?}");
     assert_eq!(outcome.devices[1].ledger.whole.harvested, Energy::ZERO);
-    let slow = run(&scenario, &actions[..2], RunOptions::default()).1;
+    let events_at_first_rate = run(&scenario, &actions[..2], RunOptions::default()).1;
     assert!(
-        events.len() > slow.len() * 5 / 4,
+        events.len() > events_at_first_rate.len() * 5 / 4,
         "{} and {} events",
         events.len(),
-        slow.len()
+        events_at_first_rate.len()
     );
     // The price is high from TTI 1000 on: devices sense less.
     let rich = scenarios::paper(&["devices=40", "ttis=2000", "policy.name=age-index", "warm_up=0.5"]);

@@ -4,14 +4,15 @@
 use reveille_common::event::EventProcess;
 use reveille_common::ids::{MAX_TTIS, Tti};
 use reveille_common::rng::{Purpose, Stream};
+use reveille_lab::run::RunOptions;
 use reveille_tests::compare;
 use reveille_tests::distributions::{MAX_STANDARD_ERRORS, assert_share, draw_events};
 use reveille_tests::scenarios::scenario;
 
 const BURSTS: &str = "ttis = 1000000\n[events]\nprocess = \"bursts\"\n";
 
-/// Returns whether each of the first `ttis` TTIs is busy.
-fn busy_ttis(fields: &str, seed: u64, ttis: u64) -> Vec<bool> {
+/// Returns whether each of the first `ttis` TTIs is busy. `fields` sets the mean lengths of the phases.
+fn busy_by_tti(fields: &str, seed: u64, ttis: u64) -> Vec<bool> {
     // With these probabilities events start in all busy TTIs and in no others.
     let alphas = "busy_alpha = 1.0\nquiet_alpha = 0.0\n";
     let scenario = scenario(&format!("seed = {seed}\n{BURSTS}[events.bursts]\n{alphas}{fields}"));
@@ -29,7 +30,7 @@ fn phases_have_geometric_lengths() {
     // (is busy, TTIs since the start of the phase, whether it ends now), for phases whose start was observed.
     let mut observations = Vec::new();
     for seed in 0..12 {
-        let phases = busy_ttis(fields, seed, 6000);
+        let phases = busy_by_tti(fields, seed, 6000);
         let mut age = None;
         for pair in phases.windows(2) {
             let ends = pair[0] != pair[1];
@@ -45,25 +46,25 @@ fn phases_have_geometric_lengths() {
             if is_busy && *ages.start() > 8 {
                 continue;
             }
-            let of_these_ages = observations
+            let in_age_range = observations
                 .iter()
                 .filter(|(busy, age, _)| *busy == is_busy && ages.contains(age));
             assert_share(
                 &format!("phases with the mean {mean} that end at an age of {ages:?}"),
-                of_these_ages.map(|(_, _, ends)| *ends),
+                in_age_range.map(|(_, _, ends)| *ends),
                 1.0 / mean,
             );
         }
     }
     // Each TTI is a separate phase.
-    let single_tti_phases = busy_ttis("busy_ttis = 1.0\nquiet_ttis = 1.0\n", 3, 500);
+    let single_tti_phases = busy_by_tti("busy_ttis = 1.0\nquiet_ttis = 1.0\n", 3, 500);
     assert!(single_tti_phases.windows(2).all(|pair| pair[0] != pair[1]));
 }
 
 #[test]
 fn phases_are_stationary_from_the_first_tti() {
     let fields = "busy_ttis = 20.0\nquiet_ttis = 60.0\n";
-    let runs: Vec<Vec<bool>> = (0..4000).map(|seed| busy_ttis(fields, seed, 60)).collect();
+    let runs: Vec<Vec<bool>> = (0..4000).map(|seed| busy_by_tti(fields, seed, 60)).collect();
     for k in [0, 1, 7, 25, 59] {
         assert_share(&format!("busy in TTI {k}"), runs.iter().map(|run| run[k]), 0.25);
     }
@@ -85,7 +86,7 @@ fn events_start_with_the_probability_of_the_phase() {
              busy_alpha = {busy_alpha:?}\nquiet_alpha = {quiet_alpha:?}\nbusy_ttis = 9.0\nquiet_ttis = 14.0\n"
         );
         let ttis = 12_000;
-        let phases = busy_ttis("busy_ttis = 9.0\nquiet_ttis = 14.0\n", 21, ttis);
+        let phases = busy_by_tti("busy_ttis = 9.0\nquiet_ttis = 14.0\n", 21, ttis);
         let scenario = scenario(&text);
         let mut process = EventProcess::new(scenario.run.seed, scenario.area, &scenario.events, Tti(ttis));
         // (TTI without an active event, whether an event starts)
@@ -154,7 +155,7 @@ fn a_run_with_a_negligible_start_probability_ends_without_events() {
         "seed = 1\nttis = 500\n[events]\nprocess = \"bursts\"\n[events.bursts]\nbusy_alpha = 1e-300\n\
          quiet_alpha = 0.0\nbusy_ttis = 1.0\nquiet_ttis = 1.0\n",
     );
-    let (outcome, events) = compare::outcome(&scenario, true, u64::MAX);
+    let (outcome, events) = compare::outcome(&scenario, RunOptions::default());
     assert!(outcome.is_complete && events.is_empty());
 }
 
@@ -163,7 +164,7 @@ fn the_mean_start_probability_is_the_mean_over_its_ttis() {
     let (busy_alpha, quiet_alpha) = (0.8, 0.02);
     let scenario = scenario(&format!("seed = 41\n{BURSTS}"));
     let events = &scenario.events;
-    let phases = busy_ttis("", 41, 3000);
+    let phases = busy_by_tti("", 41, 3000);
     let mut stream = Stream::new(1, Purpose::Epicentre, 0);
     for _ in 0..300 {
         let (a, b) = (stream.below(3000), stream.below(3001));

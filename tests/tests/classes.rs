@@ -78,10 +78,12 @@ fn devices_pay_the_costs_of_their_class() {
         "energy.e_idle=0.5",
     ];
     let scenario = load(TWO_CLASSES, &fields);
-    let (classes, ledgers) = (assign_classes(&scenario), compare::ledgers(&scenario, true));
+    let classes = assign_classes(&scenario);
+    let ledgers = compare::ledgers(&scenario, RunOptions::default());
     let (mut reports, mut overflow) = ([0; 2], [0; 2]);
     for (j, (ledger, &class)) in ledgers.iter().zip(&classes).enumerate() {
         let (class, totals) = (usize::from(class), ledger.whole);
+        // Class `few` as above, and class `rest` as in the preset with the changed e_idle.
         let [e_max, e_idle, e_wur, e_tx, initial, e_b] = [
             [40_000_000, 250_000, 30_000, 3_000_000, 30_000_000, 7_000_000],
             [100_000_000, 500_000, 71_429, 10_000_000, 50_000_000, 5_000_000],

@@ -63,6 +63,9 @@ fn wake_ups(frames: &[Frame]) -> Vec<(Tti, DeviceId, WakeOutcome)> {
     frames.iter().filter_map(tti_device_and_outcome).collect()
 }
 
+/// Index of the removal between wake-ups in [`removals_of_all_kinds`].
+const BETWEEN_WAKE_UPS: usize = 1;
+
 /// Returns removals between events, in the TTI of a report, between wake-ups, and of many devices together. TTIs and
 /// devices are chosen from the `frames` of the undisturbed run.
 fn removals_of_all_kinds(frames: &[Frame]) -> Vec<Vec<DeviceRemoval>> {
@@ -149,7 +152,7 @@ fn removed_devices_send_nothing() {
 fn a_removal_between_two_wake_ups_affects_only_the_second() {
     let prepared = prepared("knn");
     let (_, frames) = run(&prepared, &[], RunOptions::default());
-    let removal = removals_of_all_kinds(&frames)[1][0];
+    let removal = removals_of_all_kinds(&frames)[BETWEEN_WAKE_UPS][0];
     let (_, frames_with_removal) = run(&prepared, &[removal], RunOptions::default());
     let wake_ups_in_tti = |frames: &[Frame]| {
         let mut wake_ups = wake_ups(frames);

@@ -3,6 +3,7 @@
 
 use reveille_common::event::{ActiveEvent, EventRecord};
 use reveille_common::geometry::{Area, Point};
+use reveille_lab::run::RunOptions;
 use reveille_tests::compare;
 use reveille_tests::distributions::{assert_bin_counts, assert_mean, assert_share, draw_events};
 use reveille_tests::scenarios::scenario;
@@ -171,16 +172,16 @@ fn aftershocks_are_uniform_within_their_radius() {
         .collect();
     // Other events can also lie in the circle.
     let chance = std::f64::consts::PI * radius * radius / area.surface();
-    let is_near = |(x, y): &(f64, f64)| x * x + y * y <= 1.0;
+    let is_within_radius = |(x, y): &(f64, f64)| x * x + y * y <= 1.0;
     assert_share(
         "events near the previous one",
-        steps.iter().map(is_near),
+        steps.iter().map(is_within_radius),
         probability + (1.0 - probability) * chance,
     );
-    let near: Vec<(f64, f64)> = steps.iter().copied().filter(is_near).collect();
+    let inside: Vec<(f64, f64)> = steps.iter().copied().filter(is_within_radius).collect();
     let mut rings = [0.0; 10];
     let mut sectors = [0.0; 12];
-    for (x, y) in &near {
+    for (x, y) in &inside {
         rings[((x * x + y * y) * 10.0) as usize] += 1.0;
         let turn = libm::atan2(*y, *x) / std::f64::consts::TAU + 0.5;
         sectors[((turn * 12.0) as usize).min(11)] += 1.0;
@@ -188,7 +189,7 @@ fn aftershocks_are_uniform_within_their_radius() {
     assert_bin_counts("rings of equal area", &rings, &[0.1; 10]);
     assert_bin_counts("sectors", &sectors, &[1.0 / 12.0; 12]);
     // Whether an event is an aftershock does not depend on the previous event.
-    let is_aftershock: Vec<bool> = steps.iter().map(is_near).collect();
+    let is_aftershock: Vec<bool> = steps.iter().map(is_within_radius).collect();
     let after_aftershocks = is_aftershock.windows(2).filter(|pair| pair[0]).map(|pair| pair[1]);
     assert_share("aftershocks of aftershocks", after_aftershocks, probability);
 }
@@ -272,7 +273,7 @@ fn all_policies_get_the_same_events() {
                 "devices = 20\nttis = 1500\n[events]\nprocess = \"{process}\"\nduration_kind = \"geometric\"\n\
                  [policy]\nname = \"{policy}\"\n"
             ));
-            let (outcome, events) = compare::outcome(&scenario, true, u64::MAX);
+            let (outcome, events) = compare::outcome(&scenario, RunOptions::default());
             let information = outcome.totals.events.information_pico as f64 * 1e-12;
             // P1 is the information divided by the expected number of events.
             let alpha = information / outcome.totals.ttis as f64 / outcome.metrics.info_p1;

@@ -13,6 +13,7 @@ use reveille_common::state::DeviceState;
 use reveille_common::totals::DeviceTotals;
 use reveille_device::machine::Machine;
 use reveille_lab::preparation::start;
+use reveille_lab::run::RunOptions;
 use reveille_tests::{compare, reference, scenarios};
 
 proptest! {
@@ -84,11 +85,11 @@ proptest! {
     #[test]
     fn results_depend_neither_on_lookahead_nor_on_windows(text in scenarios::any_policy(), window in 1..50u64) {
         let scenario = scenarios::scenario(&text);
-        let (expected_outcome, expected_events) = compare::outcome(&scenario, false, u64::MAX);
+        let (expected_outcome, expected_events) = compare::outcome(&scenario, compare::ONE_TTI_PER_GRANT);
         // With a window per TTI every device advances in every TTI; without windows a sleeping device advances only
         // when needed.
         for (lookahead, window) in [(true, u64::MAX), (true, window), (false, window), (false, 1)] {
-            let (outcome, events) = compare::outcome(&scenario, lookahead, window);
+            let (outcome, events) = compare::outcome(&scenario, RunOptions { lookahead, window });
             prop_assert_eq!(&outcome.digest, &expected_outcome.digest);
             prop_assert_eq!(&outcome.totals, &expected_outcome.totals);
             prop_assert_eq!(&events, &expected_events);

@@ -43,7 +43,8 @@ fn lookahead_saves_grants_and_changes_no_outcome() {
         let (grants_without_lookahead, outcome_without_lookahead) = count_grants(&prepared, false);
         assert_eq!(outcome, outcome_without_lookahead, "{policy}");
         assert_eq!(grants_without_lookahead, TTIS, "{policy}");
-        // With α = 0.2 an event starts in at most every fifth TTI, and devices may detect it only in some of its TTIs.
+        // With α = 0.2 an event starts on average in at most every fifth TTI, and devices may detect it only in some of
+        // its TTIs.
         assert!(grants < TTIS / 2, "{policy}: {grants} grants");
     }
 }

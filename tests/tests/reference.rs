@@ -10,6 +10,7 @@ use reveille_bs::scenario::Scenario;
 use reveille_common::event::EventRecord;
 use reveille_common::score::{EventActivity, Metrics};
 use reveille_common::totals::{DeviceTotals, RadioLosses, Totals};
+use reveille_lab::run::RunOptions;
 use reveille_tests::reference::ReferenceRun;
 use reveille_tests::{compare, reference, scenarios};
 
@@ -25,9 +26,10 @@ proptest! {
         let Some((scenario, expected)) = run_reference(scenarios::scenario(&text)) else {
             return Err(TestCaseError::reject("too close to call in TTI 0"));
         };
-        let (outcome, events) = compare::outcome(&scenario, lookahead, window);
+        let (outcome, events) = compare::outcome(&scenario, RunOptions { lookahead, window });
         prop_assert_eq!(events, expected.events.clone(), "events\n{}", text);
-        prop_assert_eq!(compare::ledgers(&scenario, lookahead), expected.ledgers.clone(), "ledgers\n{}", text);
+        let ledgers = compare::ledgers(&scenario, RunOptions { lookahead, ..RunOptions::default() });
+        prop_assert_eq!(ledgers, expected.ledgers.clone(), "ledgers\n{}", text);
         let activity = outcome.devices.iter().map(|device| {
             let EventActivity { reports, wake_ups, heard, wrong_activations } = device.activity;
             [reports, wake_ups, heard, wrong_activations]
@@ -71,16 +73,16 @@ fn the_largest_energies_neither_overflow_nor_lose_a_micro_unit() {
     let longest = scenarios::scenario(&text(10)).max_ttis();
     assert!((1000..10_000).contains(&longest), "{longest} TTIs");
     let scenario = scenarios::scenario(&text(longest));
-    let (expected, events) = compare::outcome(&scenario, false, u64::MAX);
+    let (expected, events) = compare::outcome(&scenario, compare::ONE_TTI_PER_GRANT);
     assert!(!events.is_empty());
     for (lookahead, window) in [(true, u64::MAX), (true, 7), (false, 100)] {
-        let (outcome, _) = compare::outcome(&scenario, lookahead, window);
+        let (outcome, _) = compare::outcome(&scenario, RunOptions { lookahead, window });
         assert_eq!(
             outcome.digest, expected.digest,
             "lookahead {lookahead}, windows of {window}"
         );
     }
-    let ledgers = compare::ledgers(&scenario, true);
+    let ledgers = compare::ledgers(&scenario, RunOptions::default());
     assert!(ledgers.iter().all(|ledger| ledger.whole.is_balanced()), "{ledgers:?}");
     let harvested = ledgers.iter().map(|ledger| ledger.whole.harvested.micro()).sum::<u64>();
     assert!(harvested > u64::MAX / 10, "only {harvested} micro-units");

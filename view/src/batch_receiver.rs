@@ -8,7 +8,8 @@ use std::time::Duration;
 
 /// Pause after the first item of a batch, in which others arrive.
 const BATCH_PAUSE: Duration = Duration::from_millis(15);
-/// Size above which the next batch follows without a pause, so that a fast sender does not wait.
+/// Maximum number of items after the first of a batch. After such a full batch the next one follows
+/// without a pause, so that a fast sender does not wait.
 const MAX_BATCH: usize = 1_000;
 
 /// Niceness of an observing thread.

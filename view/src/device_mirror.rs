@@ -44,8 +44,8 @@ pub struct DeviceMirror {
     /// The open grant; `None` before the first one.
     grant: Option<WorldUpdate>,
     /// Reports and failures still expected from devices with δ = 1 in the last TTI of the grant, in the order of ids.
-    reports: VecDeque<Report>,
-    failures: VecDeque<FailedTransmission>,
+    expected_reports: VecDeque<Report>,
+    expected_failures: VecDeque<FailedTransmission>,
     /// Devices that could not pay for sensing the event in that TTI.
     unpowered: Vec<DeviceId>,
     /// Copies of the devices that sensed, and of the last woken device, from before that action. A removal restores
@@ -83,8 +83,8 @@ impl DeviceMirror {
             physics,
             plan: None,
             grant: None,
-            reports: VecDeque::new(),
-            failures: VecDeque::new(),
+            expected_reports: VecDeque::new(),
+            expected_failures: VecDeque::new(),
             unpowered: Vec::new(),
             before_sensing: Vec::new(),
             before_wake_up: None,
@@ -138,7 +138,7 @@ impl DeviceMirror {
     /// # Panics
     /// If a device is already past `tti`.
     pub(crate) fn views_at(&mut self, tti: Tti) -> Vec<DeviceView> {
-        self.apply_changes_before(tti);
+        self.apply_changes_up_to(tti);
         let view = |machine: &mut Machine| {
             machine.begin(tti);
             machine.view()
@@ -148,7 +148,7 @@ impl DeviceMirror {
 
     /// Advances `device` to TTI `tti` and returns its state and battery, like [`Self::views_at`].
     pub(crate) fn view_at(&mut self, device: DeviceId, tti: Tti) -> Option<DeviceView> {
-        self.apply_changes_before(tti);
+        self.apply_changes_up_to(tti);
         let machine = self.machines.get_mut(device.index())?;
         machine.begin(tti);
         Some(machine.view())
@@ -202,12 +202,12 @@ impl DeviceMirror {
             Message::Lost(lost) => self.check_report(&lost.report, true),
             Message::Failed(failed) => {
                 let is_equal = |failure: &FailedTransmission| *failure == failed.failure;
-                let index = self.failures.iter().position(is_equal);
-                let expected = index.and_then(|index| self.failures.remove(index));
+                let index = self.expected_failures.iter().position(is_equal);
+                let expected = index.and_then(|index| self.expected_failures.remove(index));
                 let unexpected = || format!("an unexpected failed report of device {}", failed.failure.device);
                 expected.map(|_| ()).ok_or_else(unexpected)
             }
-            Message::Removed(outage) => self.remove_devices(outage),
+            Message::Removed(removal) => self.remove_devices(removal),
             Message::Action(action) => self.add_change(action),
             Message::Wake(wake) => self.apply_wake_up(frame.number, *wake),
             Message::Woken(woken) => match self.open_wake_up.take() {
@@ -302,7 +302,7 @@ impl DeviceMirror {
     }
 
     /// Applies the changes of the next TTI if `tti` is that TTI or a later one.
-    fn apply_changes_before(&mut self, tti: Tti) {
+    fn apply_changes_up_to(&mut self, tti: Tti) {
         let next = self.next_tti();
         if tti >= next {
             self.apply_changes(next);
@@ -339,8 +339,8 @@ impl DeviceMirror {
                         self.unpowered.push(machine.id());
                         continue;
                     }
-                    SenseOutcome::Reported(report) => self.reports.push_back(report),
-                    SenseOutcome::Failed(failure) => self.failures.push_back(failure),
+                    SenseOutcome::Reported(report) => self.expected_reports.push_back(report),
+                    SenseOutcome::Failed(failure) => self.expected_failures.push_back(failure),
                 }
                 self.before_sensing.push(unsensed);
             }
@@ -350,43 +350,44 @@ impl DeviceMirror {
     }
 
     /// Removes devices in the current TTI.
-    fn remove_devices(&mut self, outage: &DeviceRemoval) -> Result<(), String> {
-        if self.current_tti() != Some(outage.tti) || !outage.is_valid(self.machines.len() as u32) {
-            return Err(format!("{outage} in TTI {}, which has not been reached", outage.tti));
+    fn remove_devices(&mut self, removal: &DeviceRemoval) -> Result<(), String> {
+        if self.current_tti() != Some(removal.tti) || !removal.is_valid(self.machines.len() as u32) {
+            return Err(format!("{removal} in TTI {}, which has not been reached", removal.tti));
         }
         let mut undone = Vec::new();
         // Removed before they could sense, so their part in this TTI is undone.
-        if outage.wake_ups.is_none() {
+        if removal.wake_ups.is_none() {
             undone.extend(
                 self.before_sensing
-                    .extract_if(.., |machine| outage.contains(machine.id())),
+                    .extract_if(.., |machine| removal.contains(machine.id())),
             );
-            self.reports.retain(|report| !outage.contains(report.device));
-            self.failures.retain(|failure| !outage.contains(failure.device));
-            self.unpowered.retain(|device| !outage.contains(*device));
+            self.expected_reports.retain(|report| !removal.contains(report.device));
+            self.expected_failures
+                .retain(|failure| !removal.contains(failure.device));
+            self.unpowered.retain(|device| !removal.contains(*device));
         }
         if let Some((device, outcome)) = &mut self.open_wake_up
-            && outage.contains(*device)
+            && removal.contains(*device)
         {
             // The wake-up was open, and its host no longer answers.
             *outcome = WakeOutcome::Missed;
             undone.extend(self.before_wake_up.take());
         }
-        for machine in undone.into_iter().filter(|machine| outage.contains(machine.id())) {
+        for machine in undone.into_iter().filter(|machine| removal.contains(machine.id())) {
             let at = machine.id().index();
             self.machines[at] = machine;
         }
         // `is_valid` above has checked the range.
-        for machine in &mut self.machines[outage.first.index()..=outage.last().index()] {
-            machine.remove(outage.tti);
+        for machine in &mut self.machines[removal.first.index()..=removal.last().index()] {
+            machine.remove(removal.tti);
         }
         Ok(())
     }
 
     /// Ends the current TTI. All expected reports, failures and wake-up outcomes must have arrived.
     fn end_tti(&mut self) -> Result<(), String> {
-        let missing = self.reports.drain(..).map(|report| report.device);
-        let missing = missing.chain(self.failures.drain(..).map(|failure| failure.device));
+        let missing = self.expected_reports.drain(..).map(|report| report.device);
+        let missing = missing.chain(self.expected_failures.drain(..).map(|failure| failure.device));
         let missing = missing.min().or(self.open_wake_up.take().map(|(device, _)| device));
         missing.map_or(Ok(()), |device| {
             Err(format!("a report or an outcome of device {device} is missing"))
@@ -405,8 +406,8 @@ impl DeviceMirror {
                 Err(format!("device {device} reported: {own}; not: {report}"))
             };
         }
-        let index = self.reports.iter().position(|own| own.device == report.device);
-        let own = index.and_then(|index| self.reports.remove(index));
+        let index = self.expected_reports.iter().position(|own| own.device == report.device);
+        let own = index.and_then(|index| self.expected_reports.remove(index));
         let own = own.ok_or_else(|| format!("a report of device {}, which has sent none", report.device))?;
         if own != *report {
             return Err(format!("device {} reported: {own}; not: {report}", own.device));
@@ -432,7 +433,7 @@ impl DeviceMirror {
         self.has_reported = false;
         match self.open_wake_up.replace((device, outcome)) {
             None => Ok(()),
-            Some((before, _)) => Err(format!("the outcome of the wake-up of device {before} is missing")),
+            Some((previous, _)) => Err(format!("the outcome of the wake-up of device {previous} is missing")),
         }
     }
 }

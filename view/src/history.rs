@@ -101,10 +101,10 @@ impl RunHistory {
     /// If the frame contradicts the frames before it. The states from there on can differ from the run.
     pub fn push(&mut self, frame: Frame) -> Result<(), Discrepancy> {
         let next = self.now.mirror().next_tti();
-        let is_between = matches!(frame.kind, MessageKind::Plan | MessageKind::World);
+        let is_between_grants = matches!(frame.kind, MessageKind::Plan | MessageKind::World);
         // Saved only between two grants, where no report or outcome is outstanding.
         let is_due = |snapshot: &HistorySnapshot| next - snapshot.next_tti >= MIN_SNAPSHOT_SPACING;
-        if is_between && self.snapshots.back().is_none_or(is_due) {
+        if is_between_grants && self.snapshots.back().is_none_or(is_due) {
             self.snapshots.push_back(HistorySnapshot {
                 next_tti: next,
                 next_frame: self.first_frame + self.frames.len() as u64,
@@ -113,7 +113,7 @@ impl RunHistory {
             self.drop_old(next);
         }
         let result = self.now.apply(&frame);
-        if is_between {
+        if is_between_grants {
             self.latest = TtiSnapshot::default();
         } else if TtiSnapshot::RECORDED_KINDS.contains(&frame.kind)
             && let Ok(message) = frame.message()
@@ -233,17 +233,18 @@ impl RunHistory {
         views
     }
 
-    /// Copies the available TTIs from `from` up to but excluding `end`. Starts at `near` if it is closer than the
-    /// history's own snapshots. `None` if no such TTI is available.
-    pub fn span(&self, from: Tti, end: Tti, near: Option<HistorySnapshot>) -> Option<HistorySpan> {
-        let (first, last) = self.available_ttis();
-        let (from, end) = (from.max(first), end.min(last));
+    /// Copies the available TTIs from `from` up to but excluding `end`. Starts at `earlier_snapshot`, as returned by
+    /// [`HistorySpan::for_each_tti`], if it is closer to `from` than the history's own snapshots. `None` if no such TTI
+    /// is available.
+    pub fn span(&self, from: Tti, end: Tti, earlier_snapshot: Option<HistorySnapshot>) -> Option<HistorySpan> {
+        let (available_from, available_end) = self.available_ttis();
+        let (from, end) = (from.max(available_from), end.min(available_end));
         if from >= end {
             return None;
         }
         let own = self.snapshots.iter().rev().find(|snapshot| snapshot.next_tti <= from)?;
-        let near = near.filter(|near| near.next_tti <= from && near.next_tti > own.next_tti);
-        let snapshot = near.unwrap_or_else(|| own.clone());
+        let is_closer = |earlier: &HistorySnapshot| earlier.next_tti <= from && earlier.next_tti > own.next_tti;
+        let snapshot = earlier_snapshot.filter(is_closer).unwrap_or_else(|| own.clone());
         let numbered =
             (snapshot.next_frame..).zip(self.frames.range((snapshot.next_frame - self.first_frame) as usize..));
         let frames = numbered
@@ -355,7 +356,7 @@ impl HistorySpan {
             from,
             end,
         } = self;
-        let mut near_end = snapshot.clone();
+        let mut end_snapshot = snapshot.clone();
         let HistorySnapshot { mut run, next_tti, .. } = snapshot;
         let mut next = next_tti;
         let mut views = Vec::with_capacity(devices.len());
@@ -381,7 +382,7 @@ impl HistorySpan {
                     visit_until(&mut run, &mut next, reached);
                     // Taken before the last grant: more messages of its TTIs can follow.
                     if Some(index) == last_grant {
-                        near_end = HistorySnapshot {
+                        end_snapshot = HistorySnapshot {
                             next_tti: next,
                             next_frame: *number,
                             run: run.clone(),
@@ -396,7 +397,7 @@ impl HistorySpan {
         }
         let reached = run.mirror().next_tti().min(end);
         visit_until(&mut run, &mut next, reached);
-        near_end
+        end_snapshot
     }
 }
 
@@ -545,12 +546,14 @@ mod tests {
             })
             .collect();
         // Spans of 1 to 97 TTIs, each from the snapshot of the one before, end inside grants too.
-        let (mut near, mut from, mut found) = (None, 700, Vec::new());
+        let (mut earlier_snapshot, mut from, mut found) = (None, 700, Vec::new());
         for length in (1..98).step_by(6).cycle() {
             let end = (from + length).min(1400);
-            let span = history.span(Tti(from), Tti(end), near.take()).expect("available TTIs");
+            let span = history
+                .span(Tti(from), Tti(end), earlier_snapshot.take())
+                .expect("available TTIs");
             assert_eq!(span.ttis(), (Tti(from), Tti(end)));
-            near = Some(span.for_each_tti(&devices, |tti, views| {
+            earlier_snapshot = Some(span.for_each_tti(&devices, |tti, views| {
                 assert_eq!(tti, Tti(700 + found.len() as u64));
                 found.push(views.to_vec());
             }));

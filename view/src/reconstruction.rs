@@ -120,9 +120,9 @@ impl Reconstruction {
     /// Counts the unpowered devices of the last grant before `message` ends its event or begins another grant. Only
     /// then are its removals known.
     fn count_unpowered(&mut self, message: &Message) {
-        let ends = matches!(message, Message::World(_) | Message::Event(EventUpdate::Ended(_)));
+        let is_end = matches!(message, Message::World(_) | Message::Event(EventUpdate::Ended(_)));
         // An event that the world ends follows the next grant, which can have the stimulus of another event.
-        if ends && self.stimulus.is_some() && self.mirror.stimulus() == self.stimulus {
+        if is_end && self.stimulus.is_some() && self.mirror.stimulus() == self.stimulus {
             self.score.record_unpowered(self.mirror.unpowered());
         }
     }
@@ -157,7 +157,7 @@ impl Reconstruction {
                 self.active_event()?;
                 self.score.record_lost_report(&lost.report);
             }
-            Message::Removed(outage) => self.score.record_removal(&outage),
+            Message::Removed(removal) => self.score.record_removal(&removal),
             Message::Action(action) => self.score.record_action(&action),
             Message::Failed(failed) => {
                 self.active_event()?;

@@ -73,19 +73,20 @@ impl MessageSchemas {
         &self.kinds[&kind]
     }
 
-    /// Returns the JSON Schema of the JSON lines of `kind`.
+    /// Returns the JSON Schema of the JSON lines of `kind`, which [`FrameLine`](crate::frame_line::FrameLine) writes:
+    /// change both.
     pub fn json_schema(&self, kind: MessageKind) -> Value {
         let number = match kind.addressee().name() {
             "" => json!({ "type": "null" }),
-            whose => json!({ "type": "integer", "minimum": 0, "description": format!("the {whose}") }),
+            addressee => json!({ "type": "integer", "minimum": 0, "description": format!("the {addressee}") }),
         };
         let malformed = object([("malformed", text()), ("payload", text())]);
         let mut schema = object([
-            ("tti", integer(true)),
+            ("tti", natural_number()),
             ("plane", json!({ "const": kind.plane().name() })),
             ("kind", json!({ "const": kind.name() })),
             ("number", number),
-            ("bytes", integer(true)),
+            ("bytes", natural_number()),
             (
                 "message",
                 json!({ "anyOf": [self.format(self.type_of(kind)), malformed] }),
@@ -102,11 +103,11 @@ impl MessageSchemas {
             Format::TypeName(name) => self.container(&self.types[name]),
             Format::Unit => json!({ "type": "null" }),
             Format::Bool => json!({ "type": "boolean" }),
-            Format::I8 | Format::I16 | Format::I32 | Format::I64 | Format::I128 => integer(false),
-            Format::U8 | Format::U16 | Format::U32 | Format::U64 | Format::U128 => integer(true),
+            Format::I8 | Format::I16 | Format::I32 | Format::I64 | Format::I128 => integer(),
+            Format::U8 | Format::U16 | Format::U32 | Format::U64 | Format::U128 => natural_number(),
             Format::F32 | Format::F64 => json!({ "type": "number" }),
             Format::Char | Format::Str => text(),
-            Format::Bytes => json!({ "type": "array", "items": integer(true) }),
+            Format::Bytes => json!({ "type": "array", "items": natural_number() }),
             Format::Option(inner) => json!({ "anyOf": [self.format(inner), { "type": "null" }] }),
             Format::Seq(inner) => json!({ "type": "array", "items": self.format(inner) }),
             Format::Map { value, .. } => json!({ "type": "object", "additionalProperties": self.format(value) }),
@@ -159,12 +160,12 @@ fn text() -> Value {
     json!({ "type": "string" })
 }
 
-fn integer(is_natural: bool) -> Value {
-    if is_natural {
-        json!({ "type": "integer", "minimum": 0 })
-    } else {
-        json!({ "type": "integer" })
-    }
+fn integer() -> Value {
+    json!({ "type": "integer" })
+}
+
+fn natural_number() -> Value {
+    json!({ "type": "integer", "minimum": 0 })
 }
 
 /// Builds the schema of an object whose properties are all required.

@@ -36,8 +36,8 @@ pub struct TrafficStats {
     kinds: BTreeMap<MessageKind, MessageCount>,
     /// Counts by device, for kinds with a device in their keys.
     devices: BTreeMap<DeviceId, BTreeMap<MessageKind, MessageCount>>,
-    first: Option<Tti>,
-    last: Option<Tti>,
+    first_tti: Option<Tti>,
+    last_tti: Option<Tti>,
 }
 
 impl TrafficStats {
@@ -54,18 +54,20 @@ impl TrafficStats {
             Some(Ok(Message::World(world))) => world.last,
             Some(Ok(_) | Err(_)) | None => frame.tti,
         };
-        self.first = Some(self.first.map_or(frame.tti, |first| first.min(frame.tti)));
-        self.last = Some(self.last.map_or(last, |before| before.max(last)));
+        self.first_tti = Some(self.first_tti.map_or(frame.tti, |first| first.min(frame.tti)));
+        self.last_tti = Some(self.last_tti.map_or(last, |earlier| earlier.max(last)));
     }
 
     /// Number of TTIs from the first to the last message, inclusive; 0 without messages.
     pub fn ttis(&self) -> u64 {
-        self.first.zip(self.last).map_or(0, |(first, last)| last - first + 1)
+        self.first_tti
+            .zip(self.last_tti)
+            .map_or(0, |(first, last)| last - first + 1)
     }
 
     /// The first and the last TTI.
     pub fn span(&self) -> Option<(Tti, Tti)> {
-        self.first.zip(self.last)
+        self.first_tti.zip(self.last_tti)
     }
 
     /// Counts by kind, for kinds with messages.

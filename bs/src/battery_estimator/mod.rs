@@ -20,11 +20,10 @@ use reveille_common::harvest::DayProfile;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::Report;
 use reveille_common::plan::{DutyCycle, Plan};
+use reveille_common::radio::RadioLossRates;
 use reveille_common::scenario::{BatteryKnowledge, EnergyModel};
 use reveille_common::sensing::{DetectionKind, Sensing};
 use reveille_common::units::Energy;
-
-use reveille_common::radio::RadioLossRates;
 
 use crate::knowledge::{DeviceKnowledge, Knowledge};
 
@@ -169,15 +168,15 @@ impl BatteryEstimate {
         end: Tti,
     ) -> (Energy, u64) {
         let cycle = plan.duty_cycle(device);
-        let (mut level, mut all_on, mut from) = (level, 0, self.next_tti);
+        let (mut level, mut on_ttis, mut from) = (level, 0, self.next_tti);
         // Each span is cut off at E_max separately: surplus harvest of the day beyond a full battery is lost before
         // the night.
         while from < end {
             let until = class.day_or_night_end(from, end);
-            let (level_at_end, on) = self.level_after_span(class, level, cycle, from, until);
-            (level, all_on, from) = (level_at_end, all_on + on, until);
+            let (level_at_end, span_on_ttis) = self.level_after_span(class, level, cycle, from, until);
+            (level, on_ttis, from) = (level_at_end, on_ttis + span_on_ttis, until);
         }
-        (level, all_on)
+        (level, on_ttis)
     }
 
     /// Returns `level` after the TTIs from `from` to before `end` under `cycle`, and the number of TTIs in S1. The TTIs
@@ -198,13 +197,13 @@ impl BatteryEstimate {
             e_tx,
             ..
         } = self.energy;
-        let (on, _, _) = match ttis {
+        let (on_ttis, _, _) = match ttis {
             1 => (u64::from(cycle.is_on(from)), 0, 0),
             // A run has fewer than 2³⁰ TTIs, so the cast is exact.
             _ => cycle.sum_over_span(cycle.phase(from), ttis as u32),
         };
         let expected_harvest = class.expected_harvest(self.mean_harvest, from, end);
-        let cost = e_idle.micro() * on + e_wur.micro() * (ttis - on);
+        let cost = e_idle.micro() * on_ttis + e_wur.micro() * (ttis - on_ttis);
         let level = if expected_harvest > cost {
             // While the source is in doubt, charging up to one report takes as long as the outage. Without doubt the
             // outage is 0, and the division yields `None`.
@@ -218,8 +217,8 @@ impl BatteryEstimate {
             level.micro().saturating_sub(cost - expected_harvest)
         };
         // A TTI stores its harvest before δ is paid, so even a full battery ends the TTI below E_max by that cost.
-        let last = if cycle.is_on(Tti(end.0 - 1)) { e_idle } else { e_wur };
-        (Energy::from_micro(level).min(e_max.saturating_sub(last)), on)
+        let last_cost = if cycle.is_on(Tti(end.0 - 1)) { e_idle } else { e_wur };
+        (Energy::from_micro(level).min(e_max.saturating_sub(last_cost)), on_ttis)
     }
 
     /// Records that the device is empty at the end of TTI `k`, although its estimate was `level`.

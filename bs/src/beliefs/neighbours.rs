@@ -1,7 +1,7 @@
 //! Neighbours of each device in bands of distance. [`Ranking`](super::ranking::Ranking) evaluates candidates band by
 //! band. Bands must have the width and number used by [`Correlation`](super::correlation::Correlation), whose bounds
-//! hold band by band. The last band begins at 2 d_max or
-//! beyond. Farther devices are left out: they lie more than d_max from the event, so none is a candidate.
+//! hold band by band. The last band begins at 2 d_max or beyond. Farther devices are left out: they lie more than d_max
+//! from the event, so none is a candidate.
 
 use reveille_common::geometry::{Area, Buckets, Point};
 use reveille_common::ids::DeviceId;

@@ -68,6 +68,7 @@ impl HostEntry {
 #[derive(Clone, Debug)]
 pub struct Admission {
     devices: u32,
+    /// Devices without a host: the first device and the number of devices of each range.
     free_ranges: Vec<(u32, u32)>,
     hosts: Vec<HostEntry>,
 }
@@ -190,24 +191,24 @@ impl Admission {
     }
 
     /// Number of devices that are assigned to a host.
-    pub fn assigned_devices(&self) -> u32 {
+    pub fn assigned_device_count(&self) -> u32 {
         self.devices - self.free_ranges.iter().map(|(_, count)| count).sum::<u32>()
     }
 
     /// Number of hosts that run their devices.
-    pub fn active_hosts(&self) -> usize {
+    pub fn active_host_count(&self) -> usize {
         self.hosts.iter().filter(|entry| entry.is_active()).count()
     }
 
     /// Number of hosts with an assignment.
-    pub fn assigned_hosts(&self) -> usize {
+    pub fn assigned_host_count(&self) -> usize {
         self.hosts.iter().filter(|entry| !entry.is_revoked).count()
     }
 
     /// The assignments of all hosts, once every device has a host and every host runs its devices.
     pub fn assignments_if_all_active(&self) -> Option<Vec<Assignment>> {
         let remaining = || self.hosts.iter().filter(|entry| !entry.is_revoked);
-        (self.assigned_devices() == self.devices && remaining().all(HostEntry::is_active))
+        (self.assigned_device_count() == self.devices && remaining().all(HostEntry::is_active))
             .then(|| remaining().map(|entry| entry.assignment).collect())
     }
 }
@@ -252,10 +253,10 @@ mod tests {
                 None,
                 "no host or only one is active"
             );
-            let active_before = admission.active_hosts();
+            let active_before = admission.active_host_count();
             admission.set_alive(assignment.host, true);
             assert_eq!(
-                (admission.active_hosts(), admission.assigned_hosts()),
+                (admission.active_host_count(), admission.assigned_host_count()),
                 (active_before + 1, 2)
             );
         }
@@ -295,7 +296,7 @@ mod tests {
         assert_eq!(admission.free_host(a.host), Some(a));
         assert_eq!(admission.free_host(a.host), None);
         assert!(!admission.mark_ready(credential(a, 1)));
-        assert_eq!(admission.assigned_devices(), 4);
+        assert_eq!(admission.assigned_device_count(), 4);
         let reassigned = admission.admit(joining_host(3, 6)).expect("free");
         assert_eq!(
             (reassigned.first, reassigned.count, reassigned.host),

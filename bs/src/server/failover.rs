@@ -61,7 +61,9 @@ pub trait ReplaySource: Send + Sync {
 struct PendingTakeover {
     assignment: Assignment,
     lost_at: Instant,
+    /// The TTI for which a replay was requested, if any.
     replay_tti: Option<Tti>,
+    /// The result of that replay.
     checkpoint: Option<Arc<HostCheckpoint>>,
     /// The new host that is to take over the devices and is not ready yet.
     reserved_for: Option<HostId>,
@@ -71,7 +73,7 @@ struct PendingTakeover {
 #[derive(Clone, Debug, Default)]
 pub struct LostHosts {
     pending: Vec<PendingTakeover>,
-    recovery_times: Vec<Duration>,
+    loss_durations: Vec<Duration>,
 }
 
 impl LostHosts {
@@ -166,7 +168,8 @@ impl LostHosts {
         self.pending.retain(|takeover| takeover.assignment.host != host);
     }
 
-    /// Ends the loss of a host that has returned. Returns the new host that was to take over its devices, if any.
+    /// Ends the loss of a host that has returned. Returns the new host that was to take over its devices, if any; the
+    /// outer `None` if the host is not lost.
     pub fn end_loss(&mut self, host: HostId, now: Instant) -> Option<Option<HostId>> {
         let index = self.position(host)?;
         Some(self.remove_pending(index, now).reserved_for)
@@ -184,13 +187,13 @@ impl LostHosts {
     }
 
     /// Duration of each loss that is over.
-    pub fn recovery_times(&self) -> &[Duration] {
-        &self.recovery_times
+    pub fn loss_durations(&self) -> &[Duration] {
+        &self.loss_durations
     }
 
     fn remove_pending(&mut self, index: usize, now: Instant) -> PendingTakeover {
         let takeover = self.pending.swap_remove(index);
-        self.recovery_times
+        self.loss_durations
             .push(now.saturating_duration_since(takeover.lost_at));
         takeover
     }
@@ -263,7 +266,7 @@ mod tests {
             Some((assignment(1, 5, 9), second))
         );
         assert_eq!(lost_hosts.assignments().collect::<Vec<_>>(), [assignment(0, 0, 5)]);
-        assert_eq!(lost_hosts.recovery_times(), [second]);
+        assert_eq!(lost_hosts.loss_durations(), [second]);
     }
 
     #[test]

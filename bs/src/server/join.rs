@@ -123,13 +123,13 @@ impl JoinHandler {
             secret: self.bus_secret,
         };
         let (first, count) = (assignment.first.0, assignment.count);
-        let from_start = || {
+        let from_resumed_run = || {
             self.checkpoint
                 .as_ref()
                 .map(|checkpoint| checkpoint.slice(assignment.first.index(), assignment.count as usize))
         };
         JoinReply::Welcome(Box::new(HostSetup {
-            resumption: checkpoint.map(|shared| (*shared).clone()).or_else(from_start),
+            resumption: checkpoint.map(|shared| (*shared).clone()).or_else(from_resumed_run),
             ..self.deployment.host_setup(&self.scenario, credentials, first, count)
         }))
     }
@@ -177,7 +177,7 @@ impl ServerState {
     pub(super) fn overdue_hosts(&self) -> Vec<HostId> {
         self.admission.overdue_hosts(
             now(),
-            scaled_timeout(READY_TIMEOUT, self.admission.assigned_hosts() as u32),
+            scaled_timeout(READY_TIMEOUT, self.admission.assigned_host_count() as u32),
         )
     }
 
@@ -215,10 +215,10 @@ pub(super) async fn wait_for_all_devices(
             let mut state = shared.lock();
             progress
                 .joined_devices
-                .store(u64::from(state.admission.assigned_devices()), Ordering::Relaxed);
+                .store(u64::from(state.admission.assigned_device_count()), Ordering::Relaxed);
             progress
                 .active_hosts
-                .store(state.admission.active_hosts() as u64, Ordering::Relaxed);
+                .store(state.admission.active_host_count() as u64, Ordering::Relaxed);
             if let Some(assignments) = state.admission.assignments_if_all_active() {
                 tracing::info!(
                     hosts = assignments.len(),
@@ -242,7 +242,7 @@ pub(super) async fn wait_for_all_devices(
             .join_timeout
             .is_some_and(|patience| started.elapsed() >= patience)
         {
-            let joined = shared.lock().admission.assigned_devices();
+            let joined = shared.lock().admission.assigned_device_count();
             return Err(BsError::TooFewJoined {
                 joined,
                 devices: scenario.run.devices,

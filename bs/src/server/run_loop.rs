@@ -111,7 +111,7 @@ pub(super) async fn run(
         lateness: run_loop.lateness,
         malformed_payloads: run_loop.context.bus.malformed_payloads(),
         unexpected_messages: state.barrier.unexpected_messages(),
-        loss_durations: state.lost_hosts.recovery_times().to_vec(),
+        loss_durations: state.lost_hosts.loss_durations().to_vec(),
         decisions: run_loop.context.port.counts(),
         unused_decisions,
     })
@@ -402,10 +402,10 @@ impl RunLoop<'_> {
         let Pace::RealTime(micros) = self.pace else {
             return Ok(());
         };
-        let duration = Duration::from_micros(micros);
+        let tti_duration = Duration::from_micros(micros);
         let now = now();
         let due = match self.last_due {
-            Some((tti, moment)) => moment + duration.saturating_mul((first - tti) as u32),
+            Some((tti, moment)) => moment + tti_duration.saturating_mul((first - tti) as u32),
             None => now,
         };
         if due < now {

@@ -43,9 +43,9 @@ pub(super) fn declare(
         });
     })?);
     let shared_state = Arc::clone(shared);
-    guards.push(bus.watch_alive(keys.all_host_liveliness(), move |key, alive| {
+    guards.push(bus.watch_alive(keys.all_host_liveliness(), move |key, is_alive| {
         if let Some(pass) = HostCredential::from_key_expr(key) {
-            shared_state.lock().on_alive(pass, alive);
+            shared_state.lock().on_liveliness(pass, is_alive);
             shared_state.notify_run_loop();
         }
     })?);
@@ -116,13 +116,13 @@ impl ServerState {
     }
 
     /// Records that the liveliness token of the host with this credential has appeared or disappeared.
-    fn on_alive(&mut self, pass: HostCredential, alive: bool) {
+    fn on_liveliness(&mut self, pass: HostCredential, is_alive: bool) {
         let host = pass.host;
         if !self.admission.is_valid(pass) {
             return;
         }
-        self.admission.set_alive(host, alive);
-        match (alive, self.is_running) {
+        self.admission.set_alive(host, is_alive);
+        match (is_alive, self.is_running) {
             (true, _) => {
                 if let Some(newcomer) = self.lost_hosts.end_loss(host, now()) {
                     tracing::warn!(%host, "a lost host is back");

@@ -30,6 +30,7 @@ use crate::cycle::{Cycle, CycleStep, PreparedRun, RunOutcome, WakeOrder};
 use crate::observer::{Notification, Observer};
 use crate::policy::external::{Decision, DecisionContext, DecisionStage};
 
+/// The view of a removed device, which no host reports.
 pub(crate) const REMOVED_VIEW: DeviceView = DeviceView {
     state: DeviceState::Sleep { powered: false },
     battery: Energy::ZERO,

@@ -11,8 +11,8 @@
 use crate::keys::KeyExprs;
 use crate::message::MessageKind;
 
-/// Limits on the harm that one peer can do: the message size, the wait for a peer that stops reading before the BS
-/// closes its link, and the number of sessions that open simultaneously.
+/// Limits on the harm that one peer can do: the message size in bytes, the wait in microseconds for a peer that stops
+/// reading before the BS closes its link, and the number of sessions that open simultaneously.
 pub(super) const PEER_LIMITS: [(&str, &str); 3] = [
     ("transport/link/rx/max_message_size", "16777216"),
     (
@@ -41,26 +41,27 @@ pub(super) fn access_config(keys: &KeyExprs) -> String {
     let hosts_to_bs: Vec<String> = HOSTS_TO_BS.iter().map(|&kind| keys.uplinks(kind)).collect();
     let queries: Vec<String> = BS_QUERIES.iter().map(|&kind| keys.base_key(kind)).collect();
     let received = [&bs_to_hosts[..], &[wake_keys, keys.tap()]].concat();
-    let (hosts, bs) = (vec![keys.all_host_liveliness()], vec![keys.bs_liveliness()]);
-    let policy = vec![keys.policy_port()];
-    let any_bs = vec![KeyExprs::all_bs_liveliness().to_owned(), keys.bs_liveliness()];
+    let (host_tokens, bs_token) = (vec![keys.all_host_liveliness()], vec![keys.bs_liveliness()]);
+    let policy_port = vec![keys.policy_port()];
+    let bs_tokens = vec![KeyExprs::all_bs_liveliness().to_owned(), keys.bs_liveliness()];
+    // Ingress is the flow from a peer to the BS, egress the flow from the BS to a peer.
     let rules = [
         rule("send", "ingress", &["put"], &hosts_to_bs),
         rule("hear", "ingress", &["declare_subscriber"], &received),
-        rule("live", "ingress", &["liveliness_token"], &hosts),
+        rule("live", "ingress", &["liveliness_token"], &host_tokens),
         rule(
             "look",
             "ingress",
             &["declare_liveliness_subscriber", "liveliness_query"],
-            &any_bs,
+            &bs_tokens,
         ),
         rule("ask", "ingress", &["query"], &queries),
-        rule("decide", "ingress", &["declare_queryable", "reply"], &policy),
-        rule("decision", "egress", &["query"], &policy),
+        rule("decide", "ingress", &["declare_queryable", "reply"], &policy_port),
+        rule("decision", "egress", &["query"], &policy_port),
         rule("told", "egress", &["put"], &received),
         rule("wanted", "egress", &["declare_subscriber"], &hosts_to_bs),
         rule("answered", "egress", &["declare_queryable", "reply"], &queries),
-        rule("alive", "egress", &["liveliness_token"], &bs),
+        rule("alive", "egress", &["liveliness_token"], &bs_token),
     ];
     let ids: Vec<String> = rules.iter().map(|(id, _)| format!("{id:?}")).collect();
     let rules: Vec<String> = rules.into_iter().map(|(_, rule)| rule).collect();

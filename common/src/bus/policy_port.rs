@@ -45,7 +45,8 @@ impl Replies {
     }
 }
 
-/// Decodes `reply`, unless it is longer than `max_bytes` bytes.
+/// Decodes `reply`. An answer longer than `max_bytes` bytes becomes a refusal; `None` for zenoh's own errors and for
+/// error messages that are too long.
 fn decode_reply(reply: &Reply, max_bytes: usize) -> Option<PortReply> {
     match reply.result() {
         Ok(sample) if sample.payload().len() > max_bytes => {
@@ -153,7 +154,7 @@ impl Bus {
                 // zenoh drops the callback, and with it the sender, when no more replies can come.
                 .callback(move |reply| {
                     // Never blocks, because this is zenoh's thread: a peer that floods the port loses its replies.
-                    let _no_room = decode_reply(&reply, max_bytes).is_some_and(|heard| send.try_send(heard).is_err());
+                    let _no_room = decode_reply(&reply, max_bytes).is_some_and(|reply| send.try_send(reply).is_err());
                 })
                 .await?;
             Ok(Replies(replies))

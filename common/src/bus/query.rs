@@ -1,6 +1,6 @@
-//! Typed queries and replies between sessions ([`crate::message::Query`]): joining, readiness, clock control, the run's
-//! description and input log. Decision requests have their own form, in `policy_port`. A refusal is an encoded text,
-//! and the attachment of a query is the text of a secret: client and BS must agree on both.
+//! Typed queries and replies between sessions ([`crate::message::Query`]): joining, readiness, clock control, actions,
+//! the run's description and input log. Decision requests have their own form, in `policy_port`. A refusal is an
+//! encoded text, and the attachment of a query is the text of a secret: client and BS must agree on both.
 
 use std::pin::Pin;
 use std::time::Duration;

@@ -22,7 +22,8 @@ pub fn scaled_timeout(base: Duration, processes: u32) -> Duration {
     base * processes.max(UNSCALED_PROCESSES) / UNSCALED_PROCESSES
 }
 
-/// Most ports tried for an endpoint with port 0: another process can take a port before zenoh listens on it.
+/// Maximum number of ports tried for an endpoint with port 0: another process can take a port before zenoh listens on
+/// it.
 const MAX_PORT_ATTEMPTS: u32 = 10;
 
 /// Interval between checks of why this machine may be unable to connect. The first check follows one interval after
@@ -58,7 +59,7 @@ impl Bus {
         Self::listen_as(hosts, endpoint, keys, &[("access_control", &rules)]).await
     }
 
-    /// Opens a session like [`Self::listen`], without access control: the benchmark's bare barrier for comparison.
+    /// Opens a session like [`Self::listen`], without access control, for the bare barrier of the benchmark.
     ///
     /// # Errors
     /// As [`Self::listen`].

@@ -7,6 +7,7 @@ use csv::{ReaderBuilder, StringRecord, Trim};
 use super::data::{ColumnData, RowCollector, column_index};
 use crate::declare::truncate;
 
+/// Reads the columns `wanted` as finite numbers.
 pub(super) fn numbers(bytes: &[u8], wanted: &[String], needed_rows: Range<usize>) -> Result<ColumnData<f64>, String> {
     read(bytes, wanted, needed_rows, |text, name, line| {
         match text.parse::<f64>() {

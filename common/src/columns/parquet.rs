@@ -87,7 +87,7 @@ fn read<T>(
                 .find(|(known, _)| *known == name)
                 .map(|(_, field)| field);
             let value = field.map_or(Err("is missing"), &cell);
-            column.push(value.map_err(|what| format!("row {}, column `{name}`: {what}", row + 1))?);
+            column.push(value.map_err(|reason| format!("row {}, column `{name}`: {reason}", row + 1))?);
         }
     }
     Ok(collector.finish())

@@ -19,8 +19,8 @@ pub trait ChoiceType: Copy + Eq + Sized + 'static {
 
     /// Returns the variant with the word `name`.
     fn named(name: &str) -> Option<Self> {
-        let at = Self::ALTERNATIVES.iter().position(|known| known.name == name)?;
-        Self::ALL.get(at).copied()
+        let index = Self::ALTERNATIVES.iter().position(|known| known.name == name)?;
+        Self::ALL.get(index).copied()
     }
 }
 

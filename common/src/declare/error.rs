@@ -94,12 +94,12 @@ pub enum ScenarioError {
         why: String,
     },
     /// Other settings leave the field without effect.
-    #[error("{field}: has an effect only with {holds}; remove it, or set {holds}; {origin}")]
+    #[error("{field}: has an effect only with {condition}; remove it, or set {condition}; {origin}")]
     UnusedField {
         /// The full path of the field.
         field: String,
         /// The setting under which the field has an effect, such as `harvest.kind = "mpp"`.
-        holds: String,
+        condition: String,
         /// The origin of the value.
         origin: ValueOrigin,
     },
@@ -135,7 +135,7 @@ pub(crate) fn did_you_mean<'c>(word: &str, candidates: impl IntoIterator<Item = 
     nearest.map_or_else(String::new, |(_, c)| format!("; did you mean `{c}`?"))
 }
 
-/// Formats names as a list in backticks: `a`, `b` and `c`.
+/// Formats names as a list in backticks, separated by commas; "(none)" without names.
 pub fn quoted_list<'n>(names: impl IntoIterator<Item = &'n str>) -> String {
     let quoted: Vec<String> = names.into_iter().map(|n| format!("`{n}`")).collect();
     if quoted.is_empty() {

@@ -45,9 +45,9 @@ impl Range {
 
     /// Whether `x` lies within the range.
     pub fn contains(&self, x: f64) -> bool {
-        let from_below = x > self.min || (self.includes_min && x >= self.min);
-        let from_above = x < self.max || (self.includes_max && x <= self.max);
-        from_below && from_above
+        let meets_min = x > self.min || (self.includes_min && x >= self.min);
+        let meets_max = x < self.max || (self.includes_max && x <= self.max);
+        meets_min && meets_max
     }
 
     /// Returns both ends, and whether each is included.
@@ -186,7 +186,7 @@ pub enum FieldDefault {
     Value(FieldValue<'static>),
     /// A value derived from other fields, described as text.
     Derived(&'static str),
-    /// No value: the field must be set wherever it has an effect.
+    /// No value: the field must be set wherever it has an effect. For the type `Option`, its concept checks this.
     None,
 }
 

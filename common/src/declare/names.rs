@@ -48,25 +48,25 @@ fn replace_former_in(
 ) {
     let names: Vec<_> = table.keys().cloned().collect();
     for name in names {
-        let former = name.get_ref().as_ref();
+        let key = name.get_ref().as_ref();
         if let Some(field) = declaration
-            .field_by_former_name(scope, path, former)
+            .field_by_former_name(scope, path, key)
             .filter(|field| !table.contains_key(field.name))
-            && let Some(value) = table.remove(former)
+            && let Some(value) = table.remove(key)
         {
             let offset = if name.span().is_empty() {
                 value.span().start
             } else {
                 name.span().start
             };
-            renamed.push((join_path(path, former), join_path(path, field.name), offset));
+            renamed.push((join_path(path, key), join_path(path, field.name), offset));
             table.insert(Spanned::new(name.span(), field.name.into()), value);
             continue;
         }
-        let is_list = scope == Scope::Top && path.is_empty() && former == declaration.list.name();
-        match table.get_mut(former).map(Spanned::get_mut) {
+        let is_list = scope == Scope::Top && path.is_empty() && key == declaration.list.name();
+        match table.get_mut(key).map(Spanned::get_mut) {
             Some(DeValue::Table(inner)) => {
-                replace_former_in(inner, declaration, (scope, &join_path(path, former)), renamed);
+                replace_former_in(inner, declaration, (scope, &join_path(path, key)), renamed);
             }
             Some(DeValue::Array(items)) if is_list => {
                 for item in items.iter_mut() {
@@ -108,18 +108,18 @@ impl NameCheck<'_, '_> {
     ) -> Result<(), ScenarioError> {
         let headers = self.declaration.child_names(scope, path);
         for (name, value) in table {
-            let (known, shown_path) = (name.get_ref().as_ref(), join_path(shown_path, name.get_ref()));
-            if let Some((_, field)) = self.declaration.field(scope, path, known) {
+            let (key, shown_path) = (name.get_ref().as_ref(), join_path(shown_path, name.get_ref()));
+            if let Some((_, field)) = self.declaration.field(scope, path, key) {
                 if let Err(mismatch) = check_type(&field.field_type, value, &self.declaration.registered) {
                     return Err(self.invalid_value(shown_path, &mismatch));
                 }
-            } else if scope == Scope::Top && path.is_empty() && known == self.declaration.list.name() {
+            } else if scope == Scope::Top && path.is_empty() && key == self.declaration.list.name() {
                 self.check_list(value, &shown_path)?;
-            } else if headers.contains(&known) {
+            } else if headers.contains(&key) {
                 let DeValue::Table(inner) = value.get_ref() else {
                     return Err(self.invalid_value(shown_path, &TypeMismatch::new(value, "must be a table".to_owned())));
                 };
-                self.check_table(inner, scope, &join_path(path, known), &shown_path)?;
+                self.check_table(inner, scope, &join_path(path, key), &shown_path)?;
             } else {
                 // Names from the command line have no offset in the text, only their values have one.
                 let span = if name.span().is_empty() {
@@ -128,10 +128,10 @@ impl NameCheck<'_, '_> {
                     name.span()
                 };
                 let origin = self.layer.origin.origin_at(span.start);
-                return Err(match self.declaration.field_by_former_name(scope, path, known) {
+                return Err(match self.declaration.field_by_former_name(scope, path, key) {
                     // `replace_former` leaves a former name only next to the name of today.
-                    Some(field) => former_name(shown_path, field.name, origin),
-                    None => self.unknown_field(known, shown_path, origin, scope, path),
+                    Some(field) => former_name_error(shown_path, field.name, origin),
+                    None => self.unknown_field(key, shown_path, origin, scope, path),
                 });
             }
         }
@@ -201,7 +201,7 @@ impl NameCheck<'_, '_> {
 }
 
 /// Returns the error for the former name at `former` of a field that the layer also sets as `name`.
-fn former_name(former: String, name: &str, origin: ValueOrigin) -> ScenarioError {
+fn former_name_error(former: String, name: &str, origin: ValueOrigin) -> ScenarioError {
     let section = former.rsplit_once('.').map_or("", |(section, _)| section);
     ScenarioError::FormerName {
         current: join_path(section, name),

@@ -119,10 +119,10 @@ impl<'a> FieldReader<'a> {
         assert!(is_own, "a policy may read only its own fields, not {path}");
     }
 
-    /// Returns the value of a required field.
+    /// Returns the value of a field, or its default.
     ///
     /// # Errors
-    /// If the value is out of its range or not set.
+    /// If the value is out of its range, or neither set nor given by a default.
     ///
     /// # Panics
     /// If a policy reads a field that is not its own.
@@ -304,9 +304,9 @@ impl<'a> FieldReader<'a> {
         }
     }
 
-    /// Returns the error for a missing value at `path` that the field at `because` requires.
-    pub fn missing_value(&self, path: &str, because: &str) -> ScenarioError {
-        let (reason, origin) = self.locate(because);
+    /// Returns the error for a missing value at `path` that the field at `required_by` requires.
+    pub fn missing_value(&self, path: &str, required_by: &str) -> ScenarioError {
+        let (reason, origin) = self.locate(required_by);
         ScenarioError::Missing {
             field: self.locate(path).0,
             why: format!("because of {reason}, {origin}"),
@@ -434,7 +434,7 @@ impl<'a> FieldReader<'a> {
         }
         Err(ScenarioError::UnusedField {
             field: self.locate(&path).0,
-            holds: condition.to_string(),
+            condition: condition.to_string(),
             origin: origin.clone(),
         })
     }

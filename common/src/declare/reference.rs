@@ -95,8 +95,8 @@ fn write_sections(page: &mut String, declaration: &Declaration, title: &str, sec
     }
 }
 
-const fn describe_type(form: &FieldType) -> &'static str {
-    match form {
+const fn describe_type(field_type: &FieldType) -> &'static str {
+    match field_type {
         FieldType::Whole { .. } => "whole number",
         FieldType::Number(_) | FieldType::Energy { .. } => "number",
         FieldType::Switch => "true or false",

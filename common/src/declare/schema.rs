@@ -150,12 +150,14 @@ fn json_value(value: &FieldValue<'_>) -> Json {
     }
 }
 
-/// Returns the condition that a table has a value at `path`; `then` is the schema of that value.
-fn value_condition(path: &str, then: Option<Json>) -> Json {
+/// Returns the condition that a table has a value at `path`, which fits `value_schema` if there is one.
+fn value_condition(path: &str, value_schema: Option<Json>) -> Json {
     match path.split_once('.') {
-        Some((first, rest)) => json!({ "required": [first], "properties": { first: value_condition(rest, then) } }),
-        None => match then {
-            Some(then) => json!({ "required": [path], "properties": { path: then } }),
+        Some((first, rest)) => {
+            json!({ "required": [first], "properties": { first: value_condition(rest, value_schema) } })
+        }
+        None => match value_schema {
+            Some(value_schema) => json!({ "required": [path], "properties": { path: value_schema } }),
             None => json!({ "required": [path] }),
         },
     }

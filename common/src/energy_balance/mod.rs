@@ -92,15 +92,15 @@ impl EnergyBalance {
             };
             groups.entry((class, trace)).or_insert((device.harvest, 0)).1 += 1;
         }
-        let balance_of = |(class, kind): (u16, &DeviceClass)| {
+        let balance_of = |(index, class): (u16, &DeviceClass)| {
             let harvests: Vec<(f64, u64)> = groups
-                .range((class, 0)..=(class, u32::MAX))
+                .range((index, 0)..=(index, u32::MAX))
                 .map(|(_, (setup, devices))| (setup.mean_over_run(&deployment.traces, ttis), *devices))
                 .collect();
-            let energy = kind.energy;
+            let energy = class.energy;
             let false_wake_ups = scenario.radio.false_wake_up * energy.e_idle.units();
             (!harvests.is_empty()).then(|| ClassBalance {
-                name: kind.name.clone(),
+                name: class.name.clone(),
                 devices: harvests.iter().map(|(_, devices)| devices).sum(),
                 harvest: HarvestRange::new(&harvests),
                 sensing_cost: energy.e_idle.units(),

@@ -38,17 +38,17 @@ impl DurationKind {
         }
     }
 
-    /// The share of events, `[0, 1]`, that end before a device senses them. Every place is sensed once in `every` TTIs,
-    /// ≥ 1; events of mean duration `mean` start uniformly in between.
-    pub(super) fn missed_share(self, mean: u64, every: u64) -> f64 {
-        let (mean, every) = (mean as f64, every as f64);
+    /// The share of events, `[0, 1]`, that end before a device senses them. Every place is sensed once in `interval`
+    /// TTIs, ≥ 1; events of mean duration `mean` start uniformly in between.
+    pub(super) fn missed_share(self, mean: u64, interval: u64) -> f64 {
+        let (mean, interval) = (mean as f64, interval as f64);
         match self {
-            Self::Fixed => (1.0 - mean / every).max(0.0),
-            // An event that has to wait W TTIs lasts that long with probability q^W. Each W from 0 to `every` − 1 is
-            // equally likely. The mean over W is (1 − q^every) / (every · (1 − q)), with 1 − q = 1/`mean`.
+            Self::Fixed => (1.0 - mean / interval).max(0.0),
+            // An event that has to wait W TTIs lasts that long with probability q^W. Each W from 0 to `interval` − 1
+            // is equally likely. The mean over W is (1 − q^interval) / (interval · (1 − q)), with 1 − q = 1/`mean`.
             Self::Geometric => {
                 let q = 1.0 - 1.0 / mean;
-                1.0 - mean * (1.0 - libm::pow(q, every)) / every
+                1.0 - mean * (1.0 - libm::pow(q, interval)) / interval
             }
         }
     }
@@ -57,7 +57,7 @@ impl DurationKind {
     pub(super) const fn max_duration(self, mean: u64) -> Option<u64> {
         match self {
             Self::Fixed => Some(mean),
-            // A geometric law of mean 1 is always 1.
+            // A geometric distribution of mean 1 is always 1.
             Self::Geometric => {
                 if mean == 1 {
                     Some(1)
@@ -76,15 +76,15 @@ mod tests {
     #[test]
     fn missed_share_equals_the_share_of_drawn_events() {
         for kind in [DurationKind::Fixed, DurationKind::Geometric] {
-            for (mean, every) in [(1, 1), (4, 1), (4, 4), (4, 2), (1, 2), (2, 4), (3, 10), (20, 7)] {
+            for (mean, interval) in [(1, 1), (4, 1), (4, 4), (4, 2), (1, 2), (2, 4), (3, 10), (20, 7)] {
                 let events = 200_000;
-                // The event has to last through `event % every` TTIs until a device senses.
-                let is_missed = |event: &u64| kind.draw(mean, 5, EventId(*event)) <= event % every;
+                // The event has to last through `event % interval` TTIs until a device senses.
+                let is_missed = |event: &u64| kind.draw(mean, 5, EventId(*event)) <= event % interval;
                 let expected = (0..events).filter(is_missed).count() as f64 / events as f64;
-                let share = kind.missed_share(mean, every);
+                let share = kind.missed_share(mean, interval);
                 assert!(
                     (share - expected).abs() < 0.005,
-                    "{kind:?}, mean {mean}, sensed every {every} TTIs: {share}, not {expected}"
+                    "{kind:?}, mean {mean}, sensed every {interval} TTIs: {share}, not {expected}"
                 );
             }
         }

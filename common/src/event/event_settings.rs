@@ -84,8 +84,8 @@ impl EventSettings {
     /// It is [`Self::alpha`] if it is constant or the range is empty. Otherwise it follows from `seed` alone, whatever
     /// a policy does.
     pub fn mean_start_probability(&self, seed: u64, first: Tti, end: Tti) -> f64 {
-        let measured = self.process.mean_start_probability(seed, first, end);
-        measured.unwrap_or(self.alpha)
+        let varying_mean = self.process.mean_start_probability(seed, first, end);
+        varying_mean.unwrap_or(self.alpha)
     }
 
     /// Whether events start with the same probability α in all TTIs, so that [`Self::alpha`] can be changed in a run.
@@ -93,10 +93,10 @@ impl EventSettings {
         self.process.long_run_alpha().is_none()
     }
 
-    /// The share of events, `[0, 1]`, that end before a device senses them, if every place is sensed once in `every`
-    /// TTIs, ≥ 1.
-    pub(crate) fn missed_share(&self, every: u64) -> f64 {
-        self.duration_kind.missed_share(self.duration, every)
+    /// The share of events, `[0, 1]`, that end before a device senses them, if every place is sensed once in
+    /// `interval` TTIs, ≥ 1.
+    pub(crate) fn missed_share(&self, interval: u64) -> f64 {
+        self.duration_kind.missed_share(self.duration, interval)
     }
 
     /// The longest duration of an event, TTIs; `None` without a limit.

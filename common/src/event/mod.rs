@@ -3,7 +3,7 @@
 //! Event i starts some TTIs after event i − 1 has ended. Its gap, epicentre and duration have their own random streams.
 //! So the i-th event of a scenario has the same epicentre under every policy. Its TTI depends on the durations of
 //! earlier events, and so on the devices that reported them. Digests depend on every draw, and
-//! `tests/src/reference/events.rs` computes the same.
+//! `tests/src/reference/events.rs` computes the same. [`Stimulus`] and [`ActiveEvent`] are part of the wire format.
 
 mod aftershocks;
 mod bursts;

@@ -86,9 +86,9 @@ impl SteadyStarts {
             if end <= k {
                 continue;
             }
-            let failures = (remaining_hazard / hazard).floor();
-            if failures < (end - k) as f64 {
-                return k.saturating_add(failures as u64);
+            let ttis_without_start = (remaining_hazard / hazard).floor();
+            if ttis_without_start < (end - k) as f64 {
+                return k.saturating_add(ttis_without_start as u64);
             }
             // The draw outlasts this part, so only rounding can make the rest negative.
             remaining_hazard = (remaining_hazard - hazard * (end - k) as f64).max(0.0);

@@ -13,8 +13,9 @@ pub struct Buckets {
     cells_per_metre: Point,
     /// Added to every query's reach, metres, so that rounding at a cell's border cannot hide a point.
     slack: f64,
-    /// The points of cell c are `items[starts[c] .. starts[c + 1]]`.
+    /// The points of cell c are `points[cell_starts[c] .. cell_starts[c + 1]]`.
     cell_starts: Vec<u32>,
+    /// The points cell by cell, each with its index in the slice of [`Self::new`].
     points: Vec<(u32, Point)>,
 }
 
@@ -86,9 +87,9 @@ impl Buckets {
         let (west, east) = (self.column(centre.x - reach), self.column(centre.x + reach));
         let (south, north) = (self.row(centre.y - reach), self.row(centre.y + reach));
         for row in south..=north {
-            let first = self.cell_starts[row * self.columns + west] as usize;
-            let last = self.cell_starts[row * self.columns + east + 1] as usize;
-            for &(index, p) in &self.points[first..last] {
+            let start = self.cell_starts[row * self.columns + west] as usize;
+            let end = self.cell_starts[row * self.columns + east + 1] as usize;
+            for &(index, p) in &self.points[start..end] {
                 let squared = centre.distance_squared(p);
                 // Squaring rounds, so a point exactly at the radius is decided by the root, as in `Point::distance`.
                 if squared <= max_squared && squared.sqrt() <= radius {

@@ -57,8 +57,8 @@ impl FileLayout {
                 Err(reason) => return Err(reader.file_error(FILE_FIELD, path, reason)),
             },
             Some(_) => {
-                let what = "has a column `class`, which has no effect without [[class]] in the scenario";
-                reader.warn(format!("{} {what}", path.display()));
+                let notice = "has a column `class`, which has no effect without [[class]] in the scenario";
+                reader.warn(format!("{} {notice}", path.display()));
                 None
             }
             None => None,

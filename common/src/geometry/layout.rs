@@ -134,13 +134,13 @@ pub fn place_devices(layout: &Layout, area: Area, n: u32, seed: u64) -> Vec<Poin
         Layout::JitteredGrid => jittered_grid(&mut stream, area, n),
         Layout::PoissonDisk => poisson_disk(&mut stream, area, n),
         Layout::Grid => {
-            let per_height = f64::from(n) * area.height / area.width;
-            place_in_rows(area, n, per_height.sqrt(), [0.5, 0.5])
+            let rows_squared = f64::from(n) * area.height / area.width;
+            place_in_rows(area, n, rows_squared.sqrt(), [0.5, 0.5])
         }
         Layout::Hex => {
             // Rows √3/2 of a pitch apart: N = (h / row pitch) · (w / pitch).
-            let per_height = f64::from(n) * area.height / area.width * 2.0 / 3.0_f64.sqrt();
-            place_in_rows(area, n, per_height.sqrt(), [0.25, 0.75])
+            let rows_squared = f64::from(n) * area.height / area.width * 2.0 / 3.0_f64.sqrt();
+            place_in_rows(area, n, rows_squared.sqrt(), [0.25, 0.75])
         }
         Layout::File(file) => file.points.iter().take(n as usize).copied().collect(),
     }
@@ -194,10 +194,10 @@ fn place_in_rows(area: Area, n: u32, rows: f64, phases: [f64; 2]) -> Vec<Point> 
 /// the densest packing, which random darts cannot reach, and shrinks while they keep missing.
 fn poisson_disk(stream: &mut Stream, area: Area, n: u32) -> Vec<Point> {
     // The spacing of the densest packing, a hexagonal lattice: A/n = √3/2 · spacing².
-    let densest = (2.0 * area.surface() / (3.0_f64.sqrt() * f64::from(n))).sqrt();
+    let densest_spacing = (2.0 * area.surface() / (3.0_f64.sqrt() * f64::from(n))).sqrt();
     // On a strip narrower than that, devices in a line can be farther apart.
     let line_spacing = area.width.max(area.height) / f64::from(n);
-    let mut radius = (0.9 * densest).max(line_spacing);
+    let mut radius = (0.9 * densest_spacing).max(line_spacing);
     let mut darts = Darts::new(area, radius, n);
     let mut misses = 0;
     while darts.points.len() < n as usize {
@@ -357,7 +357,7 @@ mod tests {
                     let row = (p.y / area.height * side as f64) as usize;
                     counts[row * side + column] += 1;
                 }
-                assert!(counts.iter().all(|&t| t <= 1), "N = {n}: devices by cell {counts:?}");
+                assert!(counts.iter().all(|&c| c <= 1), "N = {n}: devices by cell {counts:?}");
             }
         }
     }

@@ -426,7 +426,7 @@ mod tests {
     }
 
     #[test]
-    fn the_mean_run_of_mpp_equals_that_of_its_chain() {
+    fn the_mean_on_period_of_mpp_equals_the_one_of_its_chain() {
         let (lambda, off_mean) = (0.05, 10.0);
         let mut source = source_of(
             &Harvest::Mpp(OnOff {
@@ -436,21 +436,21 @@ mod tests {
             }),
             1,
         );
-        let (mut run_count, mut on_ttis, mut last) = (0u64, 0u64, Tti::NEVER);
+        let (mut period_count, mut on_ttis, mut last) = (0u64, 0u64, Tti::NEVER);
         while source.next_arrival() < Tti(400_000) {
             let now = source.next_arrival();
             source.take_arrival();
             on_ttis += 1;
-            run_count += u64::from(last == Tti::NEVER || now != last + 1);
+            period_count += u64::from(last == Tti::NEVER || now != last + 1);
             last = now;
         }
-        // A run ends after each of its TTIs with the probability that the sampled chain leaves "on".
+        // An on-period ends after each of its TTIs with the probability that the sampled chain leaves "on".
         let rate = lambda + 1.0 / off_mean;
         let leave_probability = (1.0 - (1.0 / off_mean) / rate) * (1.0 - libm::exp(-rate));
-        let mean_run = on_ttis as f64 / run_count as f64;
+        let mean_period = on_ttis as f64 / period_count as f64;
         assert!(
-            (mean_run * leave_probability - 1.0).abs() < 4.0 / (run_count as f64).sqrt(),
-            "mean run of {mean_run} TTIs, not {}",
+            (mean_period * leave_probability - 1.0).abs() < 4.0 / (period_count as f64).sqrt(),
+            "mean on-period of {mean_period} TTIs, not {}",
             1.0 / leave_probability
         );
     }

@@ -135,7 +135,7 @@ impl OnOffSetup {
         let next = if is_on {
             Tti::ZERO
         } else {
-            // An off run of n TTIs from TTI 0 on ends before TTI n.
+            // An off-period of n TTIs from TTI 0 on ends before TTI n.
             Tti(off_duration.draw(&mut stream))
         };
         let last_on = draw_last_on(next, on_duration, &mut stream);
@@ -169,7 +169,7 @@ impl OnOffSource {
         if now < self.last_on {
             return (self.e_b, now + 1);
         }
-        // The off run begins at `now` + 1, so its length is counted from there.
+        // The off-period begins at `now` + 1, so its length is counted from there.
         let next = now
             .saturating_add(self.off_duration.draw(&mut self.stream))
             .saturating_add(1);
@@ -178,7 +178,7 @@ impl OnOffSource {
     }
 }
 
-/// The last TTI of a run of on-TTIs that starts at `first`.
+/// The last TTI of an on-period that starts at `first`.
 fn draw_last_on(first: Tti, on_duration: Geometric, stream: &mut Stream) -> Tti {
     first.saturating_add(on_duration.draw(stream)).saturating_sub_one()
 }

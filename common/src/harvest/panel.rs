@@ -2,7 +2,8 @@
 //!
 //! A panel of area A and efficiency η turns an irradiance of G W/m² into η·A·G watts. Irradiance is linear between two
 //! rows of a record, and a TTI brings its integral. Rounding errors are carried over between TTIs, so that the
-//! micro-units of a record add up to its energy. `harvest/trace.rs` applies it; the scenario hash covers the result.
+//! micro-units of a record add up to its energy. `harvest/trace/mod.rs` applies it; the scenario hash covers the
+//! result.
 
 use crate::declare::{FieldSink, Range, Section, Visit, number};
 use crate::digits::format_significant;
@@ -41,24 +42,24 @@ impl Panel {
 
     /// Energy per TTI of the rows `irradiance`, W/m², at least one row, each at least 0; row i is the value at time
     /// i·`row_seconds`. After the last row the first one follows; with `stops` the last value holds for one more row.
-    /// If the rows cover more than 10⁷ TTIs, the result ends after `needed` TTIs.
+    /// If the rows cover more than 10⁷ TTIs, the result ends after `needed_ttis` TTIs.
     ///
     /// # Errors
     /// If the rows are not a whole number of TTIs, too many TTIs are needed, or the energy in a TTI exceeds the limit.
-    pub(super) fn energies(&self, irradiance: &[f64], stops: bool, needed: u64) -> Result<Vec<Energy>, String> {
-        let (rows, row) = (irradiance.len() as f64, self.row_seconds);
-        let ttis = rows * row / self.tti_seconds;
+    pub(super) fn energies(&self, irradiance: &[f64], stops: bool, needed_ttis: u64) -> Result<Vec<Energy>, String> {
+        let (rows, row_seconds) = (irradiance.len() as f64, self.row_seconds);
+        let ttis = rows * row_seconds / self.tti_seconds;
         let tti_count = ttis.round();
         // Relative, since the rounding of the quotient grows with it.
         if tti_count < 1.0 || (ttis - tti_count).abs() > ROUNDING_TOLERANCE * tti_count.max(1.0) {
             return Err(format!(
-                "its {rows} rows of {row} s cover {ttis:.3} TTIs of {} s, not a whole number of TTIs; \
+                "its {rows} rows of {row_seconds} s cover {ttis:.3} TTIs of {} s, not a whole number of TTIs; \
                  change harvest.trace.panel.tti_seconds or row_seconds, or the number of rows",
                 self.tti_seconds
             ));
         }
         let converted = if tti_count > MAX_TTIS_PER_COLUMN {
-            tti_count.min(needed as f64)
+            tti_count.min(needed_ttis as f64)
         } else {
             tti_count
         };
@@ -78,13 +79,14 @@ impl Panel {
             sums.push(sum);
             sum += 0.5 * (value(i) + value(i + 1));
         }
-        let micro = self.units_per_second() * row * MICRO_PER_UNIT as f64;
+        // Micro-units for 1 W/m² over the time between two rows.
+        let micro_per_row = self.units_per_second() * row_seconds * MICRO_PER_UNIT as f64;
         let micro_until = |tti: u64| {
             // Rounding must not move the last position beyond the last row's end.
             let row_position = (tti as f64 / tti_count * rows).min(rows);
             let (i, part) = (row_position as usize, row_position.fract());
             let slope = value(i + 1) - value(i);
-            micro * (sums[i] + part * (value(i) + 0.5 * part * slope))
+            micro_per_row * (sums[i] + part * (value(i) + 0.5 * part * slope))
         };
         let (mut energies, mut previous_sum) = (Vec::with_capacity(converted as usize), 0_u64);
         for tti in 0..converted as u64 {
@@ -128,6 +130,10 @@ mod tests {
         row_seconds: 4.0,
     };
 
+    /// Values of `stops`: after the last row, the first one follows or the last value holds.
+    const CYCLES: bool = false;
+    const STOPS: bool = true;
+
     fn units_by_tti(panel: &Panel, rows: &[f64], stops: bool) -> Vec<f64> {
         let energies = panel.energies(rows, stops, 1).expect("valid");
         energies.iter().map(|energy| energy.units()).collect()
@@ -136,24 +142,24 @@ mod tests {
     #[test]
     fn irradiance_is_converted_by_area_efficiency_unit_and_time() {
         assert!((PANEL.units_per_second() - 1.0).abs() < 1e-12);
-        assert_eq!(units_by_tti(&PANEL, &[7.0, 7.0], false), [7.0; 8]);
+        assert_eq!(units_by_tti(&PANEL, &[7.0, 7.0], CYCLES), [7.0; 8]);
         let longer_ttis = Panel {
             tti_seconds: 8.0,
             unit_mj: 2.0,
             ..PANEL
         };
-        assert_eq!(units_by_tti(&longer_ttis, &[7.0, 7.0], false), [28.0]);
+        assert_eq!(units_by_tti(&longer_ttis, &[7.0, 7.0], CYCLES), [28.0]);
     }
 
     #[test]
     fn irradiance_is_interpolated_linearly_between_rows() {
         // 0 at 0 s, 8 at 4 s; then back to 0 at 8 s, or constant at 8.
         assert_eq!(
-            units_by_tti(&PANEL, &[0.0, 8.0], false),
+            units_by_tti(&PANEL, &[0.0, 8.0], CYCLES),
             [1.0, 3.0, 5.0, 7.0, 7.0, 5.0, 3.0, 1.0]
         );
         assert_eq!(
-            units_by_tti(&PANEL, &[0.0, 8.0], true),
+            units_by_tti(&PANEL, &[0.0, 8.0], STOPS),
             [1.0, 3.0, 5.0, 7.0, 8.0, 8.0, 8.0, 8.0]
         );
         let unaligned = Panel {
@@ -163,7 +169,7 @@ mod tests {
         // The triangle of 32 in thirds: (8/3)²·2/2 for each outer third, and the rest in the middle.
         let outer = (8.0_f64 / 3.0).powi(2);
         for (found, expected) in
-            units_by_tti(&unaligned, &[0.0, 8.0], false)
+            units_by_tti(&unaligned, &[0.0, 8.0], CYCLES)
                 .iter()
                 .zip([outer, 32.0 - 2.0 * outer, outer])
         {
@@ -233,7 +239,7 @@ mod tests {
 
     #[test]
     fn errors_name_the_cause_and_the_fix() {
-        let reason = |panel: Panel| panel.energies(&[1e5; 3], false, 20_000_000).expect_err("not valid");
+        let reason = |panel: Panel| panel.energies(&[1e5; 3], CYCLES, 20_000_000).expect_err("not valid");
         let not_whole = reason(Panel {
             tti_seconds: 5.0,
             ..PANEL

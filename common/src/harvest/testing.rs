@@ -20,7 +20,8 @@ pub(crate) fn draw_harvests(scenario: &TestScenario) -> Vec<f64> {
     drawn.collect()
 }
 
-/// Writes a trace of three columns, and returns the fields that read it.
+/// Writes a trace of three columns to a temporary file for `name`, and returns the fields that read it. `end` is the
+/// value of `harvest.trace.end`.
 pub(crate) fn trace_fields(name: &str, end: &str) -> Vec<String> {
     let path = std::env::temp_dir().join(format!("reveille-trace-{name}-{}.csv", std::process::id()));
     std::fs::write(&path, "a,b,c\n1,0,7\n2,0,0\n0,0,3\n").expect("a file");

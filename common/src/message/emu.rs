@@ -238,7 +238,7 @@ impl Concerns for ClockMessage {
 impl fmt::Display for ClockMessage {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Grant(tick) => tick.fmt(f),
+            Self::Grant(grant) => grant.fmt(f),
             Self::Act(_, changes) => {
                 let changes: Vec<String> = changes.iter().map(ToString::to_string).collect();
                 f.write_str(&changes.join(", "))
@@ -318,9 +318,9 @@ pub enum HostAnswer {
 impl Concerns for HostAnswer {
     fn concerns(&self, _number: Option<u32>, device: DeviceId) -> bool {
         match self {
-            Self::NotWoken { device: who, .. } => *who == device,
+            Self::NotWoken { device: woken, .. } => *woken == device,
             Self::GrantDone { failures, .. } => failures.iter().any(|failure| failure.device == device),
-            Self::Ledgers { ledgers, .. } => ledgers.iter().any(|(who, _)| *who == device),
+            Self::Ledgers { ledgers, .. } => ledgers.iter().any(|(owner, _)| *owner == device),
         }
     }
 }

@@ -34,8 +34,8 @@ impl Frame {
 
     /// Returns the device that sent or received the message; `None` if the key names a host or has no number.
     pub fn device(&self) -> Option<DeviceId> {
-        let is_own = self.kind.addressee() == Addressee::Device;
-        self.number.filter(|_| is_own).map(DeviceId)
+        let names_device = self.kind.addressee() == Addressee::Device;
+        self.number.filter(|_| names_device).map(DeviceId)
     }
 
     /// Decodes the message.

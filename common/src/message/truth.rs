@@ -161,7 +161,7 @@ impl Concerns for DeviceStates {
 
 impl fmt::Display for DeviceStates {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let count = |is: fn(DeviceState) -> bool| self.views.iter().filter(|view| is(view.state)).count();
+        let count = |has_state: fn(DeviceState) -> bool| self.views.iter().filter(|view| has_state(view.state)).count();
         let idle = count(|state| state == DeviceState::Idle);
         let sent = count(|state| state == DeviceState::Transmission);
         let asleep = count(|state| state == DeviceState::Sleep { powered: true });

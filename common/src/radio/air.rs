@@ -1,5 +1,6 @@
 //! Losses on the air, and false wake-ups. Each loss is drawn from seed, device and TTI, and bursts follow from the
-//! seed, so the world, hosts and observers compute the same losses.
+//! seed, so the world, hosts and observers compute the same losses. Digests depend on the draws;
+//! `tests/src/reference/radio.rs` repeats them.
 
 use super::RadioSettings;
 use crate::ids::{DeviceId, Tti};

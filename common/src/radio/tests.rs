@@ -46,7 +46,7 @@ fn loss_shares(radio: &RadioSettings, ttis: u64) -> [f64; 3] {
     let plan = Plan::from_bits((0..50).map(|_| true));
     let mut lost = [0_u64; 3];
     for k in (0..ttis).map(Tti) {
-        let channel = air.losses_at(k);
+        let losses = air.losses_at(k);
         let mut received = 0;
         let missed_plans = air.deliver_plan(k, &plan, DeviceId(0), 50, |_, cycle| {
             received += u64::from(cycle.is_on(k));
@@ -58,8 +58,8 @@ fn loss_shares(radio: &RadioSettings, ttis: u64) -> [f64; 3] {
         );
         lost[2] += missed_plans;
         for device in (0..50).map(DeviceId) {
-            lost[0] += u64::from(channel.misses_wake_up(device));
-            lost[1] += u64::from(channel.loses_report(device));
+            lost[0] += u64::from(losses.misses_wake_up(device));
+            lost[1] += u64::from(losses.loses_report(device));
         }
     }
     lost.map(|sum| sum as f64 / (50 * ttis) as f64)
@@ -140,15 +140,15 @@ fn bursts_do_not_depend_on_the_user_or_the_order_of_reads() {
         ..RadioSettings::default()
     };
     let mut every_tti = Air::new(3, &radio);
-    let channels: Vec<AirLosses> = (0..1000).map(|k| every_tti.losses_at(Tti(k))).collect();
+    let losses_by_tti: Vec<AirLosses> = (0..1000).map(|k| every_tti.losses_at(Tti(k))).collect();
     let mut some_ttis = Air::new(3, &radio);
     for k in (0..1000).step_by(37) {
-        let channel = some_ttis.losses_at(Tti(k));
-        assert_eq!(channel, channels[k as usize], "TTI {k}");
-        assert_eq!(channel, some_ttis.losses_at(Tti(k)), "TTI {k}, second read");
+        let losses = some_ttis.losses_at(Tti(k));
+        assert_eq!(losses, losses_by_tti[k as usize], "TTI {k}");
+        assert_eq!(losses, some_ttis.losses_at(Tti(k)), "TTI {k}, second read");
     }
-    let in_burst = |channel: &&AirLosses| channel.loses_report(DeviceId(0));
-    let change_count = channels
+    let in_burst = |losses: &&AirLosses| losses.loses_report(DeviceId(0));
+    let change_count = losses_by_tti
         .windows(2)
         .filter(|pair| in_burst(&&pair[0]) != in_burst(&&pair[1]))
         .count();

@@ -28,43 +28,39 @@ pub(super) fn try_assign_classes<P>(scenario: &Scenario<P>) -> Result<Vec<u16>, 
     let assigned = assign_by_number_or_zone(scenario);
     let unassigned = assigned.iter().filter(|class| class.is_none()).count();
     let counts = class_counts(scenario, unassigned);
-    let mut rest: Vec<u16> = (0u16..)
+    let mut drawn_classes: Vec<u16> = (0u16..)
         .zip(&counts)
         .flat_map(|(class, &count)| std::iter::repeat_n(class, count))
         .collect();
     if counts.len() > 1 {
-        Stream::new(scenario.run.seed, Purpose::Classes, 0).shuffle(&mut rest);
+        Stream::new(scenario.run.seed, Purpose::Classes, 0).shuffle(&mut drawn_classes);
     }
-    let mut rest = rest.into_iter();
-    let class_of = |(j, class): (usize, Option<u16>)| class.or_else(|| rest.next()).ok_or(j);
+    let mut drawn_classes = drawn_classes.into_iter();
+    let class_of = |(j, class): (usize, Option<u16>)| class.or_else(|| drawn_classes.next()).ok_or(j);
     assigned.into_iter().enumerate().map(class_of).collect()
 }
 
 /// Returns the class of each device that some class lists by number or covers by its zone.
 fn assign_by_number_or_zone<P>(scenario: &Scenario<P>) -> Vec<Option<u16>> {
     let mut assigned = vec![None; scenario.run.devices as usize];
-    for (class, kind) in (0u16..).zip(&scenario.classes) {
-        if let Members::Devices(devices) = &kind.members {
+    for (index, class) in (0u16..).zip(&scenario.classes) {
+        if let Members::Devices(devices) = &class.members {
             for &j in devices {
                 // `validate` has rejected numbers ≥ N.
-                assigned[j as usize] = Some(class);
+                assigned[j as usize] = Some(index);
             }
         }
     }
-    let zone = |(class, kind): (u16, &DeviceClass)| match kind.members {
-        Members::Within(zone) => Some((class, zone)),
+    let zone = |(index, class): (u16, &DeviceClass)| match class.members {
+        Members::Within(zone) => Some((index, zone)),
         Members::Share(_) | Members::Devices(_) | Members::Layout => None,
     };
     let zones: Vec<(u16, Zone)> = (0u16..).zip(&scenario.classes).filter_map(zone).collect();
     if !zones.is_empty() {
         let positions = place_devices(&scenario.layout, scenario.area, scenario.run.devices, scenario.run.seed);
-        for (assigned, position) in assigned
-            .iter_mut()
-            .zip(positions)
-            .filter(|(assigned, _)| assigned.is_none())
-        {
-            let first = zones.iter().find(|(_, zone)| zone.contains(position));
-            *assigned = first.map(|&(class, _)| class);
+        for (class, position) in assigned.iter_mut().zip(positions).filter(|(class, _)| class.is_none()) {
+            let first_match = zones.iter().find(|(_, zone)| zone.contains(position));
+            *class = first_match.map(|&(index, _)| index);
         }
     }
     assigned

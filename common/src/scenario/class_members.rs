@@ -89,10 +89,10 @@ impl Members {
             ("class.west", zone.west, zone.east, area.width, "east"),
             ("class.south", zone.south, zone.north, area.height, "north"),
         ];
-        for (path, least, most, limit, other) in sides {
+        for (path, least, most, limit, opposite) in sides {
             let (least, most) = (least.unwrap_or(0.0), most.unwrap_or(limit));
             if least > most {
-                let allowed = format!("must be at most {most}, the {other} edge of the zone");
+                let allowed = format!("must be at most {most}, the {opposite} edge of the zone");
                 return Err(item.invalid_value(path, least, allowed));
             }
         }

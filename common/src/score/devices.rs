@@ -60,7 +60,7 @@ impl EventActivity {
 }
 
 impl EventActivity {
-    /// Returns each count with its name.
+    /// Returns each count with its name in the table of classes.
     pub const fn rows(&self) -> [(&'static str, u64); 4] {
         [
             ("reports", self.reports),

@@ -1,5 +1,7 @@
 //! The definitions of all metrics, computed from exact integer totals. An entry of `metrics!` below is enough for a new
-//! metric: summaries, tables, figures and `docs/results.md` list [`Metrics::ALL`]. Names are part of those formats.
+//! metric: summaries, tables, figures and `docs/results.md` list [`Metrics::ALL`]. Names are part of those formats: a
+//! new metric raises the version of result tables (`lab/src/table/error.rs`), and a renamed one needs an entry in
+//! `FORMER_NAMES`.
 
 use serde::Serialize;
 

@@ -199,7 +199,7 @@ impl Score {
 
     /// Whether `device` is removed.
     pub fn is_removed(&self, device: DeviceId) -> bool {
-        self.removals.iter().any(|outage| outage.contains(device))
+        self.removals.iter().any(|removal| removal.contains(device))
     }
 
     /// Records an action, which must precede everything else of its TTI.
@@ -421,7 +421,7 @@ impl Score {
         self.activities.push((device, activity));
     }
 
-    /// Records a report of the woken `device`, from farther than d_max if `is_far`.
+    /// Counts a report of the woken `device` as a wrong activation if it comes from farther than d_max (`is_far`).
     fn count_far_report(&mut self, device: DeviceId, is_far: bool) {
         if is_far {
             // A report from beyond d_max carries no information, so its E_Tx is wasted.

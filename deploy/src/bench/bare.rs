@@ -11,7 +11,10 @@ use reveille_common::bus::Bus;
 
 use super::barrier::{self, BareBarrier};
 use crate::child_process::Children;
-use crate::runtime::{now, runtime};
+use crate::runtime::{CLIENT_WORKERS, SERVER_WORKERS, now, runtime};
+
+/// Rounds before the measurement, in which links and threads reach their usual state.
+const WARM_UP_ROUNDS: u32 = 20;
 
 /// Sizes in bytes of the messages of a quiet TTI.
 #[derive(Clone, Copy)]
@@ -24,7 +27,7 @@ pub(super) struct QuietTtiSizes {
 
 /// Measures the rounds per second of a bare zenoh barrier over `hosts` processes.
 pub(super) fn zenoh(hosts: u32, sizes: QuietTtiSizes, seconds: f64) -> anyhow::Result<f64> {
-    let runtime = runtime(2)?;
+    let runtime = runtime(SERVER_WORKERS)?;
     runtime.block_on(async {
         // Without access rules: the baseline is zenoh alone.
         let bus = Bus::listen_open("tcp/127.0.0.1:0", "bare".parse()?).await?;
@@ -76,18 +79,23 @@ pub(super) fn unix(hosts: u32, sizes: QuietTtiSizes, seconds: f64) -> anyhow::Re
     Ok(rate)
 }
 
-/// Runs one host in its own process.
-pub(super) fn host(kind: &str, endpoint: &str, sizes: (usize, usize), number: u32) -> anyhow::Result<ExitCode> {
+/// Runs one host in its own process. `kind` is `zenoh` or `unix`; the sizes are those in [`QuietTtiSizes`].
+pub(super) fn host(
+    kind: &str,
+    endpoint: &str,
+    (grant_size, answer_size): (usize, usize),
+    number: u32,
+) -> anyhow::Result<ExitCode> {
     if kind == "zenoh" {
-        runtime(1)?.block_on(async {
+        runtime(CLIENT_WORKERS)?.block_on(async {
             let bus = Bus::connect(endpoint, "bare".parse()?, Duration::from_secs(30)).await?;
-            barrier::host(&bus, number, sizes.1).await?;
+            barrier::host(&bus, number, answer_size).await?;
             bus.close().await;
             anyhow::Ok(())
         })?;
     } else {
         let mut link = UnixStream::connect(endpoint)?;
-        let (mut grant, answer) = (vec![0; sizes.0], vec![0; sizes.1]);
+        let (mut grant, answer) = (vec![0; grant_size], vec![0; answer_size]);
         while link.read_exact(&mut grant).is_ok() && link.write_all(&answer).is_ok() {}
     }
     Ok(ExitCode::SUCCESS)
@@ -114,7 +122,7 @@ fn start_hosts(kind: &str, endpoint: &str, hosts: u32, sizes: QuietTtiSizes) -> 
 }
 
 fn measure_rate(seconds: f64, mut round: impl FnMut() -> anyhow::Result<()>) -> anyhow::Result<f64> {
-    for _ in 0..20 {
+    for _ in 0..WARM_UP_ROUNDS {
         round()?;
     }
     let (started, mut rounds) = (now(), 0_u32);

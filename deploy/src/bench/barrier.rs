@@ -17,7 +17,7 @@ const ANSWER_TIMEOUT: Duration = Duration::from_secs(10);
 /// The base station's side of a bare barrier.
 pub(super) struct BareBarrier {
     grants: RawTopic,
-    /// Hosts that have not answered, and the signal that all have.
+    /// The number of hosts that have not answered, and the signal that all have.
     unanswered: Arc<(Mutex<usize>, Condvar)>,
     _answers: DeclarationGuard,
 }
@@ -49,13 +49,13 @@ impl BareBarrier {
     /// # Errors
     /// If an answer is missing.
     pub(super) fn round(&self, grant: &[u8], hosts: usize) -> anyhow::Result<()> {
-        let (lock, all) = &*self.unanswered;
+        let (lock, all_answered) = &*self.unanswered;
         // Set before the grant goes out, since answers can arrive before `put` returns. Unlocked during `put`: the
         // callback takes the lock.
         *lock.lock().unwrap_or_else(PoisonError::into_inner) = hosts;
         self.grants.put(grant)?;
         let unanswered = lock.lock().unwrap_or_else(PoisonError::into_inner);
-        let (unanswered, _) = all
+        let (unanswered, _) = all_answered
             .wait_timeout_while(unanswered, ANSWER_TIMEOUT, |unanswered| *unanswered > 0)
             .unwrap_or_else(PoisonError::into_inner);
         ensure!(*unanswered == 0, "{} hosts have not answered", *unanswered);
@@ -63,13 +63,13 @@ impl BareBarrier {
     }
 }
 
-/// Runs a host: answers every grant with `answer` bytes until the base station ends.
+/// Runs a host: answers every grant with `answer_size` bytes until the base station ends.
 ///
 /// # Errors
 /// If zenoh refuses.
-pub(super) async fn host(bus: &Bus, number: u32, answer: usize) -> Result<(), BusError> {
+pub(super) async fn host(bus: &Bus, number: u32, answer_size: usize) -> Result<(), BusError> {
     let answers = bus.publisher_raw(key(bus, &format!("answer/{number}")))?;
-    let payload = vec![0_u8; answer];
+    let payload = vec![0_u8; answer_size];
     let _grants = bus.subscribe_raw(key(bus, "grant"), move |_| {
         // A failed send means that the base station has ended; `_watch` notices that too.
         let _gone = answers.put(&payload).is_err();
@@ -80,14 +80,14 @@ pub(super) async fn host(bus: &Bus, number: u32, answer: usize) -> Result<(), Bu
     };
     // The token comes last: the base station sends the first grant as soon as it sees the tokens of all hosts.
     let _here = bus.declare_alive(bus.key_exprs().host_liveliness(credential))?;
-    let gone = Arc::new(tokio::sync::Notify::new());
-    let gone_notifier = Arc::clone(&gone);
+    let bs_ended = Arc::new(tokio::sync::Notify::new());
+    let end_notifier = Arc::clone(&bs_ended);
     let _watch = bus.watch_alive(bus.key_exprs().bs_liveliness(), move |_, alive| {
         if !alive {
-            gone_notifier.notify_one();
+            end_notifier.notify_one();
         }
     })?;
-    gone.notified().await;
+    bs_ended.notified().await;
     Ok(())
 }
 

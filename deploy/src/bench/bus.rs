@@ -17,7 +17,7 @@ use crate::runtime::median;
 /// Devices of the measured runs, unless there are more processes.
 const DEFAULT_DEVICES: u32 = 50;
 
-/// One repetition of one row.
+/// One repetition of one row. The first five fields are rates: TTIs, or rounds of a bare barrier, per second.
 struct BusSample {
     bare: f64,
     unix: f64,

@@ -14,8 +14,8 @@ use crate::runtime::{median, now};
 
 /// Repetitions of each measurement.
 const REPETITIONS: usize = 3;
-/// Device count at which `--keep-density` keeps the preset's area, and the area's side in metres.
-const PRESET_DEVICES: f64 = 250.0;
+/// Device count at which `--keep-density` keeps the preset's area, as its help states, and the area's side in metres.
+const REFERENCE_DEVICES: f64 = 250.0;
 const PRESET_SIDE_M: f64 = 20.0;
 
 /// Runs the benchmark, one row for each policy and number of devices.
@@ -59,7 +59,7 @@ fn scenario(args: &MemoryBenchArgs, policy: &str, devices: u32) -> anyhow::Resul
         Override::from_flag("--ttis", "ttis", &args.ttis.to_string())?,
     ];
     if args.keep_density {
-        let side = (f64::from(devices) / PRESET_DEVICES).sqrt() * PRESET_SIDE_M;
+        let side = (f64::from(devices) / REFERENCE_DEVICES).sqrt() * PRESET_SIDE_M;
         for field in ["area.width", "area.height"] {
             overrides.push(Override::from_flag("--keep-density", field, &format!("{side:?}"))?);
         }

@@ -10,8 +10,8 @@ use crate::cli::ScaleBenchArgs;
 use crate::display;
 use crate::runtime::median;
 
-/// Device count at which `--keep-density` keeps the preset's area, and the area's side in metres.
-const PRESET_DEVICES: f64 = 50.0;
+/// Device count at which `--keep-density` keeps the preset's area, as its help states, and the area's side in metres.
+const REFERENCE_DEVICES: f64 = 50.0;
 const PRESET_SIDE_M: f64 = 20.0;
 /// Nanoseconds per second.
 const NANOS_PER_SECOND: f64 = 1e9;
@@ -77,7 +77,7 @@ fn measure(args: &ScaleBenchArgs, devices: u32, processes: u32) -> anyhow::Resul
     let numbers = [devices.to_string(), args.ttis.to_string(), processes.to_string()];
     let [count, ttis, processes] = &numbers;
     let mut common = vec!["--policy", &args.policy, "--devices", count, "--ttis", ttis];
-    let side = (f64::from(devices) / PRESET_DEVICES).sqrt() * PRESET_SIDE_M;
+    let side = (f64::from(devices) / REFERENCE_DEVICES).sqrt() * PRESET_SIDE_M;
     let sides = ["width", "height"].map(|dimension| format!("area.{dimension}={side:?}"));
     if args.keep_density {
         common.extend(sides.iter().flat_map(|side| ["--set", side]));

@@ -5,8 +5,7 @@
 //! neither.
 //!
 //! It relies on `up`: on standard error, a line with `http://ADDRESS/metrics` names the metrics, and any other line
-//! with
-//! `http://` the dashboard, whose `/api/live` and `/api/curves` browsers read. Both are on loopback and need no token.
+//! with `http://` the dashboard, of which browsers read [`BROWSER_PATHS`]. Both are on loopback and need no token.
 //! `--json` prints `digest` and `timing.ttis_per_s`. An observer that cannot read ends the benchmark with an error.
 
 use std::io::{BufRead, BufReader, Read, Write};
@@ -24,6 +23,8 @@ use crate::cli::WatchBenchArgs;
 use crate::display;
 use crate::runtime::median;
 
+/// The paths of the dashboard that a browser keeps reading.
+const BROWSER_PATHS: [&str; 2] = ["/api/live", "/api/curves"];
 /// Pause between an answer and the next request.
 const REQUEST_PAUSE: Duration = Duration::from_secs(1);
 /// Time without data on a connection until the end of the run is checked.
@@ -50,8 +51,8 @@ pub(super) fn run(args: &WatchBenchArgs) -> anyhow::Result<ExitCode> {
     ))?;
     for lookahead in [true, false] {
         let mut pairs = Vec::new();
-        for nth in 0..args.repeat {
-            let observed_first = nth % 2 == 1;
+        for repetition in 0..args.repeat {
+            let observed_first = repetition % 2 == 1;
             let mut pair = [
                 measure_run(args, lookahead, observed_first)?,
                 measure_run(args, lookahead, !observed_first)?,
@@ -106,7 +107,12 @@ fn measure_run(args: &WatchBenchArgs, lookahead: bool, is_observed: bool) -> any
             .args(["--metrics", "127.0.0.1:0", "--dashboard", "127.0.0.1:0", "--record"])
             .arg(&recording);
     }
-    let expected_readers = if is_observed { 1 + 2 * args.browsers as usize } else { 0 };
+    let expected_readers = if is_observed {
+        // The first one reads the metrics.
+        1 + BROWSER_PATHS.len() * args.browsers as usize
+    } else {
+        0
+    };
     let summary = run_and_read(&mut command, args.browsers, expected_readers)?;
     let recorded = std::fs::metadata(&recording).map_or(0, |file| file.len());
     std::fs::remove_dir_all(&folder)?;
@@ -172,7 +178,7 @@ fn follow_stderr<'scope>(
             let (paths, reader_count) = if line.contains("/metrics") {
                 (&["/metrics"][..], 1)
             } else {
-                (&["/api/live", "/api/curves"][..], browsers)
+                (&BROWSER_PATHS[..], browsers)
             };
             for _ in 0..reader_count {
                 for path in paths {

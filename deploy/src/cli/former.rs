@@ -108,10 +108,10 @@ fn argument_range(args: &[OsString], command: &str) -> std::ops::Range<usize> {
 
 /// Returns the positions of the words of `command` in `args`; empty if `args` call another command.
 fn command_words(args: &[OsString], command: &str) -> Vec<usize> {
-    // Global options may precede each word of the command.
+    // Global options may precede each word of the command. Only `--log-format` takes a value (`Cli`).
     let is_global = |at: usize| {
-        let before = args.get(at - 1).is_some_and(|arg| arg == "--log-format");
-        before || args[at].to_str().is_some_and(|arg| arg.starts_with('-'))
+        let is_value = args.get(at - 1).is_some_and(|arg| arg == "--log-format");
+        is_value || args[at].to_str().is_some_and(|arg| arg.starts_with('-'))
     };
     let (mut at, mut words) = (1, Vec::new());
     for word in command.split(' ') {

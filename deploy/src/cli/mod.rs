@@ -36,7 +36,7 @@ pub(crate) use inspect::{
     ColourArg, DashboardArgs, ExportArgs, InspectCommand, InspectRecordArgs, MissesArgs, StatsArgs, TailArgs, ToArg,
     VerifyArgs,
 };
-pub(crate) use parse::nearest_name;
+pub(crate) use parse::most_similar_name;
 pub(crate) use report::{ReportArgs, ReportCommand, SearchArgs};
 pub(crate) use run::{
     AuditArg, BsArgs, DeviceArgs, DriveArgs, ExternalPolicyArgs, OnLossArg, OnUndecidedArg, OutputArgs,

@@ -86,21 +86,21 @@ impl<P: TypedValueParser> TypedValueParser for Trimmed<P> {
 }
 
 /// Returns the candidate that is most similar to `word`, if any is similar.
-pub(crate) fn nearest_name(word: &str, candidates: impl Iterator<Item = &'static str>) -> Option<String> {
+pub(crate) fn most_similar_name(word: &str, candidates: impl Iterator<Item = &'static str>) -> Option<String> {
     let parser = PossibleValuesParser::new(candidates);
     let refusal = parser.parse_ref(&Command::new(""), None, OsStr::new(word)).err()?;
-    let Some(ContextValue::String(nearest)) = refusal.get(ContextKind::SuggestedValue) else {
+    let Some(ContextValue::String(similar)) = refusal.get(ContextKind::SuggestedValue) else {
         return None;
     };
-    Some(nearest.clone())
+    Some(similar.clone())
 }
 
-/// Parses the name of a metric.
+/// Returns the parser of options that take names of metrics.
 pub(super) fn metric_parser() -> impl TypedValueParser<Value = String> {
     trimmed(PossibleValuesParser::new(Metrics::ALL.map(|metric| metric.name)))
 }
 
-/// Parses the name of a message kind; `--help` lists all kinds.
+/// Returns the parser of options that take kinds of messages; `--help` lists all kinds.
 pub(super) fn kind_parser() -> impl TypedValueParser<Value = MessageKind> {
     let value = |kind: &MessageKind| {
         let help = format!("{}: {}", kind.direction(), kind.about());
@@ -112,7 +112,7 @@ pub(super) fn kind_parser() -> impl TypedValueParser<Value = MessageKind> {
     })
 }
 
-/// Parses the name of a device state.
+/// Returns the parser of options that take names of device states.
 pub(super) fn state_parser() -> impl TypedValueParser<Value = StateName> {
     PossibleValuesParser::new(StateName::ALL.map(|(name, _)| name)).try_map(|name| {
         let named = StateName::ALL.into_iter().find(|(known, _)| *known == name);
@@ -201,12 +201,12 @@ mod tests {
     }
 
     #[test]
-    fn the_nearest_name_is_suggested() {
+    fn the_most_similar_name_is_suggested() {
         let known = ["harvest.lambda", "devices", "policy"];
-        let nearest = |word| nearest_name(word, known.into_iter());
-        assert_eq!(nearest("harvest.lamda").as_deref(), Some("harvest.lambda"));
-        assert_eq!(nearest("device").as_deref(), Some("devices"));
-        assert_eq!(nearest("xyz"), None);
+        let similar = |word| most_similar_name(word, known.into_iter());
+        assert_eq!(similar("harvest.lamda").as_deref(), Some("harvest.lambda"));
+        assert_eq!(similar("device").as_deref(), Some("devices"));
+        assert_eq!(similar("xyz"), None);
     }
 
     #[test]

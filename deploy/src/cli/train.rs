@@ -233,7 +233,7 @@ impl TrainArgs {
     }
 }
 
-/// Scenario fields that a training sets, and the option or reason.
+/// Scenario fields that a training sets itself, and the reason in the error for `--set`.
 const FIXED_FIELDS: [(&str, &str); 7] = [
     ("seed", "a training takes it from --seed"),
     ("devices", "a training takes them from --devices"),

@@ -1,7 +1,7 @@
 //! `reveille bs`: the base station, for devices started by hand. [`serve_run`] is the whole run over the bus, which
 //! `up` shares: services, replay and audit, results, farewell. The order of its steps is a guarantee: the summary is
 //! written after all other files, since it marks the folder as complete, and the hosts leave after it. Tests wait for
-//! the note `waiting for N devices`.
+//! the notes `waiting for N devices` and `dashboard at`; `bench watch` reads the address in the latter.
 
 use std::path::Path;
 use std::process::ExitCode;
@@ -27,7 +27,7 @@ use super::inspect::source::device_groups;
 use super::resolve_scenario::resolve_run;
 use super::resume::{self, ResumePlan};
 use super::{print_results, window_length};
-use crate::audit::{self, Auditor, device_owner};
+use crate::audit::{self, Auditor, device_owner_clause};
 use crate::cli::{AuditArg, BsArgs, DriveArgs, OutputArgs};
 use crate::dashboard::feed::{Feed, FeedHandle, FeedOrigin};
 use crate::display::{RunProgressBar, note};
@@ -44,6 +44,8 @@ use crate::{file_limits, key, recording, run_registry};
 
 /// Time between two checks for the cause of an end.
 const CAUSE_POLL_INTERVAL: Duration = Duration::from_millis(20);
+/// Most checks for the cause of an end.
+const MAX_CAUSE_POLLS: u32 = 10;
 /// Time for dashboard pages to learn that the run has ended.
 const DASHBOARD_GRACE: Duration = Duration::from_millis(200);
 /// Time for observers on the bus to receive the last messages of an ended run.
@@ -220,7 +222,7 @@ pub(crate) async fn serve_run(
     relay.abort();
     drop(bar);
     // Called before the farewell: a policy process that leaves because of it must not count as a failure.
-    let policy_process = policy_process.map(PolicyProcess::run_finished);
+    let policy_process = policy_process.map(PolicyProcess::allow_end);
     if service.policy_source.decision_timeout.is_some() {
         // Policy processes may leave now; dropping `policy_process` ends a started one that does not react.
         let _unheard = policy_port::send_bye(bus).await.is_err();
@@ -355,14 +357,14 @@ async fn run_over_bus(
         Ok(audited) => Ok((served, audited.to_string())),
         Err(divergence) => bail!(
             "audit failed: the run diverged from its replay at {divergence}{}",
-            device_owner(progress, &divergence)
+            device_owner_clause(progress, &divergence)
         ),
     }
 }
 
 /// The cause of a stop, if known. Waits briefly: a process's connection ends a moment before the process.
 async fn wait_for_cause(progress: &RunProgress) -> Option<String> {
-    for _ in 0..10 {
+    for _ in 0..MAX_CAUSE_POLLS {
         if let Some(why) = progress.stop_cause() {
             return Some(why.to_owned());
         }
@@ -431,7 +433,7 @@ async fn start_services(service: &Service<'_>, folder: &Path) -> anyhow::Result<
         })?,
     ];
     let (progress, bus_copy) = (Arc::clone(progress), (*bus).clone());
-    let process = move || {
+    let process_stats = move || {
         let load = |value: &AtomicU64| value.load(Ordering::Relaxed);
         ProcessStats {
             hosts: load(&progress.active_hosts),
@@ -442,7 +444,7 @@ async fn start_services(service: &Service<'_>, folder: &Path) -> anyhow::Result<
             recorder_waited_s: 0.0,
         }
     };
-    let watchers = RunWatchers::start(output, &run.to_string(), scenario, process).await?;
+    let watchers = RunWatchers::start(output, &run.to_string(), scenario, process_stats).await?;
     let feed_handle = match service.dashboard {
         Some(address) => {
             let feed = Feed::new(

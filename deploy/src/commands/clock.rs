@@ -18,7 +18,7 @@ use crate::run_registry;
 const QUERY_TIMEOUT: Duration = Duration::from_secs(5);
 /// Time between two queries while waiting for the clock.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
-/// Time that `clock pause` waits for the open TTI to close before it reports that it is still open.
+/// Time that `clock pause` waits for the open TTI to close before it reports that it is still open, as its help states.
 const PAUSE_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Sends a command to a run's clock and prints its position.
@@ -77,14 +77,14 @@ async fn act_on_run(bus: Bus, request: &ActRequest) -> anyhow::Result<ExitCode> 
     Ok(ExitReason::Done.into())
 }
 
-/// Waits until the clock reaches the target in `first`, the answer to the command. Returns the status to print, at the
+/// Waits until the clock reaches the target in `reply`, the answer to the command. Returns the status to print, at the
 /// latest after `timeout`.
 ///
 /// # Errors
 /// If the clock stops or the run ends before the target.
-async fn wait_for_target(bus: &Bus, ended: &Notify, first: ClockStatus, timeout: Duration) -> anyhow::Result<String> {
-    let (target, ttis) = (first.until, first.ttis);
-    let mut status = first;
+async fn wait_for_target(bus: &Bus, ended: &Notify, reply: ClockStatus, timeout: Duration) -> anyhow::Result<String> {
+    let (target, ttis) = (reply.until, reply.ttis);
+    let mut status = reply;
     let (mut waited, mut has_warned) = (Duration::ZERO, false);
     loop {
         if status.paused && status.tti < target {
@@ -98,15 +98,15 @@ async fn wait_for_target(bus: &Bus, ended: &Notify, first: ClockStatus, timeout:
             note!("{status}");
             has_warned = true;
         }
-        let reply = tokio::select! {
+        let next_reply = tokio::select! {
             () = ended.notified() => None,
-            reply = async {
+            next_reply = async {
                 tokio::time::sleep(POLL_INTERVAL).await;
                 bus.query(&ClockCommand::Status, QUERY_TIMEOUT).await
-            } => reply?,
+            } => next_reply?,
         };
         waited += POLL_INTERVAL;
-        let Some(next_status) = reply else {
+        let Some(next_status) = next_reply else {
             let last_tti = status.tti;
             if last_tti.0 >= ttis {
                 return Ok(format!("finished: all {ttis} TTIs are done"));

@@ -115,7 +115,7 @@ async fn serve_live(args: &DashboardArgs) -> anyhow::Result<()> {
     let bundle = live.bundle().await?;
     let scenario = bundle.load()?;
     let compared = add_scenario_differences(compared, &bundle.text)?;
-    let past = live.past(&bundle).await?;
+    let catch_up = live.start_catch_up(&bundle).await?;
     live.report_position();
     let feed = Feed::new(
         &live.run,
@@ -127,13 +127,13 @@ async fn serve_live(args: &DashboardArgs) -> anyhow::Result<()> {
     let dashboard = serve(&args.listen, Arc::clone(&feed), Some(live.bus())).await?;
     note!("dashboard at {}; press Ctrl-C to end", dashboard.url);
     let feed_handle = feed.open()?;
-    live.follow(past, |frame| feed_handle.send(frame)).await?;
+    live.follow(catch_up, |frame| feed_handle.send(frame)).await?;
     // Closes the feed, so that the page shows the end.
     drop(feed_handle);
     let signals = live.signals();
     if live.has_ended() && !signals.has_arrived() {
         let ending = live
-            .report_early_end()
+            .check_ran_to_end()
             .map_or_else(|why| why.to_string(), |()| "the run has ended".to_owned());
         note!("{ending}; its messages are shown until Ctrl-C");
         signals.wait_for_first().await;

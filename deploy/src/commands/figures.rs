@@ -27,7 +27,7 @@ use super::figure_files::{read_tables, write_file, write_picture};
 use super::resolve_scenario::{resolve, resolve_of_run};
 use crate::cli::{
     AttentionArgs, AxisArg, DeploymentArgs, FigureOutputArgs, FiguresArgs, FiguresCommand, LearningArgs,
-    MissesFigureArgs, QTableArgs, RankingArg, RobustnessArgs, SweepFigureArgs, TimelineArgs, nearest_name,
+    MissesFigureArgs, QTableArgs, RankingArg, RobustnessArgs, SweepFigureArgs, TimelineArgs, most_similar_name,
     other_figures,
 };
 use crate::display::note;
@@ -197,33 +197,34 @@ fn draw_fronts(args: &FiguresArgs, label: &str, conditions: &[&RunCondition]) ->
 
 /// Draws Figs. 13 and 14.
 fn draw_energy(args: &FiguresArgs, label: &str, condition: &RunCondition) -> anyhow::Result<()> {
-    let [harvest, net] = energy::NAMES.map(|name| (is_chosen(args, name), format!("{name}-{label}")));
-    if !harvest.0 && !net.0 {
+    let [draws_harvest, draws_net] = energy::NAMES.map(|name| is_chosen(args, name));
+    if !draws_harvest && !draws_net {
         return Ok(());
     }
+    let [harvest_name, net_name] = energy::NAMES.map(|name| format!("{name}-{label}"));
     let points = energy::measure_harvests(&condition.preset)?;
-    if let (true, name) = harvest {
+    if draws_harvest {
         write_picture(
             &args.pictures,
-            &name,
+            &harvest_name,
             &energy::harvest_chart(condition, &points).scene(),
         )?;
         write_file(
             &args.pictures.out,
-            &format!("{name}.csv"),
+            &format!("{harvest_name}.csv"),
             energy::harvest_csv(&points).as_bytes(),
         )?;
     }
-    if let (true, name) = net {
+    if draws_net {
         if let Some(chart) = energy::net_chart(condition, &points) {
-            write_picture(&args.pictures, &name, &chart.scene())?;
+            write_picture(&args.pictures, &net_name, &chart.scene())?;
             write_file(
                 &args.pictures.out,
-                &format!("{name}.csv"),
+                &format!("{net_name}.csv"),
                 energy::net_csv(&chart).as_bytes(),
             )?;
         } else {
-            note!("{name}: not drawn, as it needs runs of adjusted and random with 100 devices");
+            note!("{net_name}: not drawn, as it needs runs of adjusted and random with 100 devices");
         }
     }
     Ok(())
@@ -363,14 +364,14 @@ fn file_stem(path: &Path) -> String {
     stem.unwrap_or_default()
 }
 
-/// Adds the nearest known field to the error about an unknown one.
+/// Adds the most similar known field to the error about an unknown one.
 fn with_suggestion(error: FigureError) -> anyhow::Error {
     let FigureError::UnknownField { name, known } = &error else {
         return error.into();
     };
     // clap keeps only static names; the program ends after this error.
-    let hint = nearest_name(name, known.clone().leak().split(", "));
-    let hint = hint.map_or_else(String::new, |nearest| format!("; did you mean `{nearest}`?"));
+    let hint = most_similar_name(name, known.clone().leak().split(", "));
+    let hint = hint.map_or_else(String::new, |similar| format!("; did you mean `{similar}`?"));
     anyhow!("{error}{hint}")
 }
 

@@ -37,12 +37,13 @@ use crate::results_table::{self, Rows};
 use crate::summary::Summary;
 use crate::terminal;
 
-/// Length of a window of `windows.csv`, TTIs.
+/// Length of a window of `windows.csv`, TTIs. The help of `--window` states the default.
 pub(crate) fn window_length(args: &OutputArgs, scenario: &Scenario) -> u64 {
     args.window.unwrap_or_else(|| scenario.run.ttis.div_ceil(100))
 }
 
-/// Prints the summary in the chosen form and returns the exit code.
+/// Prints the summary in the chosen form and returns the exit code. Scripts and tests read the line `digest …` of
+/// `--quiet`; `docs/tutorial.md` shows the whole text.
 pub(crate) fn print_results(args: &OutputArgs, summary: &Summary<'_>, folder: &Path) -> anyhow::Result<ExitCode> {
     if args.json {
         display::print_stdout(&summary.to_json()?)?;

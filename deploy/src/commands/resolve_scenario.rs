@@ -13,7 +13,7 @@ use crate::display::note;
 use crate::input_log::{self, INPUT_LOG_FILE};
 use crate::run_folder::{self, SCENARIO_FILE};
 
-/// The prefix of `--policy` for decisions from a log.
+/// The prefix of `--policy` for decisions from a log. The help of `--policy` (`cli/parse.rs`) repeats it.
 pub(super) const REPLAY_PREFIX: &str = "replay=";
 
 /// Returns the scenario of a run, from the folder that it resumes in or from the command line. Also returns the
@@ -42,11 +42,11 @@ pub(super) fn resolve_run(
 }
 
 fn resolve_new(args: &ScenarioArgs) -> anyhow::Result<(Scenario, Option<ExternalInputs>)> {
-    let log_path = args
+    let given_path = args
         .policy
         .as_ref()
         .and_then(|policy| policy.strip_prefix(REPLAY_PREFIX));
-    let Some(given_path) = log_path.map(Path::new) else {
+    let Some(given_path) = given_path.map(Path::new) else {
         return Ok((resolve_with_loader(args, load_with_external)?, None));
     };
     let log_path = find_replay_log(given_path)?;

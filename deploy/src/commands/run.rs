@@ -95,7 +95,7 @@ pub(crate) fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         progress: &progress,
         signals: &signals,
         devices: scenario.run.devices,
-        removals: 0,
+        removal_count: 0,
     };
     let mut observers = (&mut run_observers, &mut mark_writer);
     let may_continue = advance(&mut run, Tti(scenario.run.ttis), &mut observers, |_| {
@@ -118,7 +118,7 @@ pub(crate) fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     };
     // A resumed run is replayed from TTI 0 in memory, and must have reproduced its mark by now.
     mark_writer.check()?;
-    let has_used_all = unused_decisions == 0 && run_observers.removals == inputs.removals.len();
+    let has_used_all = unused_decisions == 0 && run_observers.removal_count == inputs.removals.len();
     ensure!(!outcome.is_complete || has_used_all, input_log::MISMATCH);
     let mark_finished = mark_writer.finish(outcome.is_complete);
     let run_s = started.elapsed().as_secs_f64();
@@ -189,11 +189,11 @@ fn run_inputs(
 /// as there is nothing to lose yet. Logs the warnings of the search.
 fn prepare_on_thread(scenario: &Scenario, options: RunOptions, signals: &Signals) -> anyhow::Result<Run> {
     let scenario = scenario.clone();
-    let prepared = move || {
+    let prepare_run = move || {
         let prepared = prepare(&scenario);
         (Run::new(&prepared, options), prepared.warnings)
     };
-    let (run, warnings) = run_on_thread(prepared, || signals.has_arrived())?.ok_or(Interrupted::BEFORE_RUN)?;
+    let (run, warnings) = run_on_thread(prepare_run, || signals.has_arrived())?.ok_or(Interrupted::BEFORE_RUN)?;
     for warning in warnings {
         tracing::warn!("{warning}");
     }
@@ -229,12 +229,12 @@ struct RunObservers<'a, F, W> {
     progress: &'a RunProgress,
     signals: &'a Signals,
     devices: u32,
-    removals: usize,
+    removal_count: usize,
 }
 
 impl<F: FnMut(Frame), W: Observer> Observer for RunObservers<'_, F, W> {
     fn notify(&mut self, notification: &Notification<'_>) {
-        self.removals += usize::from(matches!(notification, Notification::DevicesRemoved(_)));
+        self.removal_count += usize::from(matches!(notification, Notification::DevicesRemoved(_)));
         self.folder.notify(notification);
         self.frame_observer.notify(notification);
         self.watchers.notify(notification);

@@ -155,7 +155,7 @@ fn draw_pictures(history: &History, path: &Path, formats: &[ImageFormatArg]) -> 
 fn best_point(history: &History) -> anyhow::Result<&TuningPoint> {
     let best_index = history.ranked().first().copied();
     best_index
-        .map(|number| &history.points[number])
+        .map(|index| &history.points[index])
         .ok_or_else(|| anyhow!("the history holds no points"))
 }
 
@@ -208,13 +208,13 @@ fn format_summary(args: &TuneArgs, history: &History, pictures: &[PathBuf]) -> a
             format!("{mean:.decimals$} ± {half:.decimals$}")
         }
     };
-    for number in history.ranked().into_iter().take(CLOSING_TABLE_POINTS) {
+    for index in history.ranked().into_iter().take(CLOSING_TABLE_POINTS) {
         let TuningPoint {
             weights: [mu1, mu2],
             evaluation: e,
-        } = &history.points[number];
+        } = &history.points[index];
         table.add_row([
-            (number + 1).to_string(),
+            (index + 1).to_string(),
             mu1.to_string(),
             mu2.to_string(),
             with_half_width(e.objective, e.objective_half),
@@ -246,9 +246,9 @@ fn format_summary(args: &TuneArgs, history: &History, pictures: &[PathBuf]) -> a
 
 /// Returns the result as JSON.
 fn result_json(args: &TuneArgs, history: &History, pictures: &[PathBuf]) -> anyhow::Result<String> {
-    let point = |number: usize| {
-        let TuningPoint { weights, evaluation } = history.points[number];
-        let mut point = json!({"point": number + 1, "mu1": weights[0], "mu2": weights[1]});
+    let point = |index: usize| {
+        let TuningPoint { weights, evaluation } = history.points[index];
+        let mut point = json!({"point": index + 1, "mu1": weights[0], "mu2": weights[1]});
         for (name, value) in Evaluation::NAMES.iter().zip(evaluation.values()) {
             point[name] = json!(value);
         }
@@ -283,7 +283,7 @@ impl TuningDisplay {
     fn start(args: &TuneArgs, tuner: &Tuner, signals: Signals) -> Self {
         // A point is trained for all episodes, then evaluated by one run per seed; both advance the bar.
         let steps = args.episodes.episodes + args.seeds;
-        let best_known = tuner.history().ranked().first().copied();
+        let best_index = tuner.history().ranked().first().copied();
         let points = &tuner.history().points;
         Self {
             bar: display::new_bar(
@@ -292,9 +292,7 @@ impl TuningDisplay {
                 args.quiet,
             ),
             signals,
-            best_point: Mutex::new(
-                best_known.map(|number| (points[number].evaluation.objective, points[number].weights)),
-            ),
+            best_point: Mutex::new(best_index.map(|index| (points[index].evaluation.objective, points[index].weights))),
             runs: args.seeds,
         }
     }

@@ -14,7 +14,7 @@ use reveille_device::host::{self, HostConfig, HostError};
 use super::bs::{Service, check_watchers, serve_run, server_settings};
 use super::resolve_scenario::resolve_run;
 use super::window_length;
-use crate::child_process::{self, DeviceProcesses, Threads};
+use crate::child_process::{self, DeviceProcesses, ZenohThreads};
 use crate::cli::{OnLossArg, UpArgs};
 use crate::exit::ExitReason;
 use crate::policy_source::policy_source;
@@ -136,7 +136,11 @@ async fn serve_with_devices(
     let config = SupervisorConfig {
         commands: device_processes.commands(),
         key: service.settings.run_key,
-        threads: if is_untuned { Threads::Default } else { Threads::One },
+        threads: if is_untuned {
+            ZenohThreads::Default
+        } else {
+            ZenohThreads::One
+        },
         on_loss: service.settings.on_loss,
     };
     let supervisor = match Supervisor::start(config, &service.progress) {

@@ -31,11 +31,11 @@ fn a_harvest_beyond_the_capacity_overflows() {
 }
 
 #[test]
-fn a_payable_action_costs_its_price() {
+fn a_payable_action_takes_its_cost() {
     let mut battery = battery_with(5, 10);
-    assert_eq!(battery.pay(micro(5)), Ok(()), "the level equals the price");
+    assert_eq!(battery.pay(micro(5)), Ok(()), "the level equals the cost");
     assert_eq!(battery.level(), micro(0));
-    assert_eq!(battery.pay(micro(0)), Ok(()), "a price of 0 with an empty battery");
+    assert_eq!(battery.pay(micro(0)), Ok(()), "a cost of 0 with an empty battery");
 }
 
 #[test]
@@ -54,7 +54,7 @@ fn an_initial_level_above_the_capacity_panics() {
 
 proptest! {
     #[test]
-    fn the_ledger_is_balanced(
+    fn harvest_and_payments_are_balanced(
         initial in 0..=50_u64,
         steps in prop::collection::vec((any::<bool>(), 0..40_u64), 0..60),
     ) {

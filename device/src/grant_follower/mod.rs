@@ -236,10 +236,10 @@ impl GrantFollower {
     }
 
     fn find_sensing_devices(&self, tti: Tti, stimulus: &Stimulus) -> Vec<usize> {
-        let is_near = |j: &usize| self.positions[*j].distance(stimulus.epicentre) <= self.d_max;
+        let is_in_range = |j: &usize| self.positions[*j].distance(stimulus.epicentre) <= self.d_max;
         (0..self.duties.len())
             .filter(|&j| self.duties[j].is_on(tti))
-            .filter(is_near)
+            .filter(is_in_range)
             .collect()
     }
 }

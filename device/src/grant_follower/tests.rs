@@ -1,6 +1,8 @@
 //! Tests of [`GrantFollower`]: it executes each grant once, with all its plans, despite lost and repeated messages. The
 //! devices and the bus are not part of these tests.
 
+use std::ops::RangeInclusive;
+
 use reveille_common::ids::EventId;
 use reveille_common::message::DeviceRange;
 use reveille_common::radio::RadioSettings;
@@ -8,7 +10,7 @@ use reveille_common::rng::{Purpose, Stream};
 
 use super::*;
 
-const FIRST: u32 = 3;
+const FIRST_DEVICE: u32 = 3;
 const END: Tti = Tti(500);
 const D_MAX: f64 = 4.0;
 
@@ -19,7 +21,7 @@ fn new_follower() -> GrantFollower {
 
 fn follower_with(radio: &RadioSettings) -> GrantFollower {
     let start = FollowerStart {
-        first: DeviceId(FIRST),
+        first: DeviceId(FIRST_DEVICE),
         positions: (0..3).map(|j| Point::new(3.0 * f64::from(j), 0.0)).collect(),
         duties: vec![DutyCycle::ASLEEP; 3],
         resume_point: ResumePoint::default(),
@@ -35,8 +37,10 @@ fn plan_update(from: u64, sensing_devices: &[u32]) -> PlanUpdate {
     }
 }
 
-/// The grant of TTIs `first` to `last`. The plan from TTI `plan` applies in `last`; `plans` plans take effect in it.
-fn grant_of(first: u64, last: u64, plan: u64, plans: u32) -> GrantMessage {
+/// The grant of `ttis`. The plan from TTI `plan_from` applies in the last of them; `plan_count` plans take effect in
+/// them.
+fn grant_of(ttis: RangeInclusive<u64>, plan_from: u64, plan_count: u32) -> GrantMessage {
+    let (first, last) = ttis.into_inner();
     GrantMessage {
         first: Tti(first),
         last: Tti(last),
@@ -44,8 +48,8 @@ fn grant_of(first: u64, last: u64, plan: u64, plans: u32) -> GrantMessage {
         until: Tti(last).saturating_add(1),
         account: false,
         views: false,
-        plan: Tti(plan),
-        plans,
+        plan: Tti(plan_from),
+        plans: plan_count,
         changes: 0,
     }
 }
@@ -66,21 +70,24 @@ fn a_grant_is_executed_once() {
         duty_changes,
         ..GrantTask::default()
     };
-    assert_eq!(follower.receive_grant(grant_of(0, 9, 0, 1)), Disposition::Execute(task));
-    assert_eq!((follower.last_granted(), follower.next()), (Tti(9), Tti(10)));
-    assert_eq!(follower.receive_grant(grant_of(0, 9, 0, 1)), Disposition::Retransmit);
     assert_eq!(
-        follower.receive_grant(grant_of(0, 4, 0, 0)),
+        follower.receive_grant(grant_of(0..=9, 0, 1)),
+        Disposition::Execute(task)
+    );
+    assert_eq!((follower.last_granted(), follower.next()), (Tti(9), Tti(10)));
+    assert_eq!(follower.receive_grant(grant_of(0..=9, 0, 1)), Disposition::Retransmit);
+    assert_eq!(
+        follower.receive_grant(grant_of(0..=4, 0, 0)),
         Disposition::NotReady,
         "an earlier grant"
     );
     assert_eq!(
-        follower.receive_grant(grant_of(11, 12, 0, 0)),
+        follower.receive_grant(grant_of(11..=12, 0, 0)),
         Disposition::NotReady,
         "the grant before is missing"
     );
     assert_eq!(
-        follower.receive_grant(grant_of(10, 12, 0, 0)),
+        follower.receive_grant(grant_of(10..=12, 0, 0)),
         Disposition::Execute(GrantTask::default())
     );
 }
@@ -88,7 +95,7 @@ fn a_grant_is_executed_once() {
 #[test]
 fn a_grant_waits_for_each_of_its_plans() {
     let mut follower = new_follower();
-    let grant = grant_of(0, 9, 7, 3);
+    let grant = grant_of(0..=9, 7, 3);
     follower.receive_plan(plan_update(0, &[3]));
     follower.receive_plan(plan_update(7, &[5]));
     assert_eq!(
@@ -114,13 +121,13 @@ fn a_grant_waits_for_each_of_its_plans() {
         "repeated after its execution"
     );
     assert_eq!(
-        follower.receive_grant(grant_of(10, 10, 10, 1)),
+        follower.receive_grant(grant_of(10..=10, 10, 1)),
         Disposition::NotReady,
         "the plan of TTI 10 is missing"
     );
     follower.receive_plan(plan_update(12, &[3]));
     assert_eq!(
-        follower.receive_grant(grant_of(10, 11, 7, 0)),
+        follower.receive_grant(grant_of(10..=11, 7, 0)),
         Disposition::Execute(GrantTask::default()),
         "a plan for a later TTI has no effect"
     );
@@ -139,7 +146,7 @@ fn a_grant_waits_for_all_of_its_changes() {
     follower.receive_plan(plan_update(0, &[]));
     let grant = GrantMessage {
         changes: 2,
-        ..grant_of(0, 9, 0, 1)
+        ..grant_of(0..=9, 0, 1)
     };
     assert_eq!(follower.receive_grant(grant), Disposition::NotReady, "no changes");
     assert!(follower.receive_changes(Tti(3), vec![fail(3), fail(4)]));
@@ -166,7 +173,7 @@ fn a_grant_waits_for_all_of_its_changes() {
         "repeated after its execution"
     );
     assert_eq!(
-        follower.receive_grant(grant_of(10, 12, 0, 0)),
+        follower.receive_grant(grant_of(10..=12, 0, 0)),
         Disposition::Execute(GrantTask::default()),
         "the changes take effect once"
     );
@@ -176,13 +183,13 @@ fn a_grant_waits_for_all_of_its_changes() {
 fn sensing_devices_have_delta_1_and_are_within_d_max() {
     let mut follower = new_follower();
     follower.receive_plan(plan_update(0, &[3, 5]));
-    let mut grant = grant_of(0, 0, 0, 1);
+    let mut grant = grant_of(0..=0, 0, 1);
     grant.stimulus = Some(event_at(2.0));
     let Disposition::Execute(task) = follower.receive_grant(grant) else {
         panic!("the grant is complete");
     };
     assert_eq!(task.sensing_devices, [0, 2], "at 2 m, and at exactly 4 m");
-    let mut grant = grant_of(1, 1, 0, 0);
+    let mut grant = grant_of(1..=1, 0, 0);
     grant.stimulus = Some(event_at(1.9));
     let Disposition::Execute(task) = follower.receive_grant(grant) else {
         panic!("the grant is complete");
@@ -200,9 +207,9 @@ fn a_wake_up_is_executed_in_its_tti_during_an_event_only() {
         "before the first grant"
     );
     follower.receive_plan(plan_update(0, &[]));
-    follower.receive_grant(grant_of(0, 3, 0, 1));
+    follower.receive_grant(grant_of(0..=3, 0, 1));
     assert_eq!(follower.receive_wake_up(DeviceId(4), wake(3)), None, "without an event");
-    let mut grant = grant_of(4, 6, 0, 0);
+    let mut grant = grant_of(4..=6, 0, 0);
     grant.stimulus = Some(event_at(1.0));
     follower.receive_grant(grant);
     let task = |device| WakeUpTask {
@@ -210,9 +217,9 @@ fn a_wake_up_is_executed_in_its_tti_during_an_event_only() {
         tti: Tti(6),
         stimulus: Some(event_at(1.0)),
     };
-    assert_eq!(follower.receive_wake_up(DeviceId(FIRST), wake(6)), Some(task(0)));
+    assert_eq!(follower.receive_wake_up(DeviceId(FIRST_DEVICE), wake(6)), Some(task(0)));
     assert_eq!(follower.receive_wake_up(DeviceId(5), wake(6)), Some(task(2)));
-    for (device, tti) in [(FIRST - 1, 6), (6, 6), (u32::MAX, 6), (4, 5), (4, 7)] {
+    for (device, tti) in [(FIRST_DEVICE - 1, 6), (6, 6), (u32::MAX, 6), (4, 5), (4, 7)] {
         assert_eq!(
             follower.receive_wake_up(DeviceId(device), wake(tti)),
             None,
@@ -228,7 +235,7 @@ fn a_late_wake_up_shows_the_event_only_until_its_end() {
         ..RadioSettings::default()
     });
     follower.receive_plan(plan_update(0, &[]));
-    let mut grant = grant_of(0, 10, 0, 1);
+    let mut grant = grant_of(0..=10, 0, 1);
     (grant.stimulus, grant.until) = (Some(event_at(1.0)), Tti(17));
     follower.receive_grant(grant);
     let receive = |sent| {
@@ -253,11 +260,11 @@ fn ledgers_are_collected_once_after_the_last_grant() {
     let mut follower = new_follower();
     assert_eq!(follower.receive_collect_ledgers(Tti(10)), Disposition::NotReady);
     follower.receive_plan(plan_update(0, &[]));
-    follower.receive_grant(grant_of(0, 9, 0, 1));
+    follower.receive_grant(grant_of(0..=9, 0, 1));
     assert_eq!(follower.receive_collect_ledgers(Tti(10)), Disposition::Execute(()));
     assert_eq!(follower.receive_collect_ledgers(Tti(10)), Disposition::Retransmit);
     assert_eq!(
-        follower.receive_grant(grant_of(0, 9, 0, 1)),
+        follower.receive_grant(grant_of(0..=9, 0, 1)),
         Disposition::NotReady,
         "the grant was answered"
     );
@@ -267,14 +274,14 @@ fn ledgers_are_collected_once_after_the_last_grant() {
 fn grants_and_plans_beyond_the_end_are_refused() {
     let mut follower = new_follower();
     follower.receive_plan(plan_update(0, &[]));
-    assert_eq!(follower.receive_grant(grant_of(0, END.0, 0, 1)), Disposition::NotReady);
+    assert_eq!(follower.receive_grant(grant_of(0..=END.0, 0, 1)), Disposition::NotReady);
     assert_eq!(
-        follower.receive_grant(grant_of(0, u64::MAX, 0, 1)),
+        follower.receive_grant(grant_of(0..=u64::MAX, 0, 1)),
         Disposition::NotReady
     );
     assert!(!follower.receive_plan(plan_update(END.0, &[3])) && !follower.receive_plan(plan_update(u64::MAX, &[3])));
     assert_ne!(
-        follower.receive_grant(grant_of(0, END.0 - 1, 0, 1)),
+        follower.receive_grant(grant_of(0..=END.0 - 1, 0, 1)),
         Disposition::NotReady
     );
     assert_eq!(follower.next(), END);
@@ -301,8 +308,7 @@ fn over_a_bad_link_the_duties_equal_the_plans_in_every_tti() {
                 }
             }
             let grant = grant_of(
-                next,
-                last,
+                next..=last,
                 plans.last().expect("the first TTI has one").from.0,
                 plan_count,
             );
@@ -343,7 +349,7 @@ fn over_a_bad_link_the_duties_equal_the_plans_in_every_tti() {
                 }
                 let current_plan = plans.iter().rfind(|update| update.from <= k).expect("a first plan");
                 for (j, duty) in duties.iter().enumerate() {
-                    let device = DeviceId(FIRST + j as u32);
+                    let device = DeviceId(FIRST_DEVICE + j as u32);
                     assert_eq!(
                         duty.is_on(k),
                         current_plan.plan.duty_cycle(device).is_on(k),

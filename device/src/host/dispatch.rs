@@ -38,8 +38,9 @@ pub(super) enum Dispatcher {
 
 impl Dispatcher {
     /// Creates the dispatcher of a host whose process has this `capacity`, with `handle` for each message. It uses
-    /// another thread for a capacity above [`MAX_INLINE_DEVICES`] or with `uses_worker`. This is set by `--untuned`,
-    /// and for takeovers if the total capacity of the process is above it. Call it on the process's own runtime.
+    /// another thread for a capacity above [`MAX_INLINE_DEVICES`] or with `uses_worker`. `--untuned` sets
+    /// `uses_worker`; a takeover does if the total capacity of the process is above the limit. Call it on the process's
+    /// own runtime.
     pub(super) fn new(capacity: u32, uses_worker: bool, handle: impl Fn(HostMessage) + Send + Sync + 'static) -> Self {
         if capacity <= MAX_INLINE_DEVICES && !uses_worker {
             return Self::Inline(Arc::new(handle));

@@ -30,8 +30,8 @@ use crate::machine::{Machine, Physics};
 pub use self::join::{HostConfig, HostEvent, run_host};
 
 /// Time limit for asking a base station that is back whether it still knows this host. A restarted base station serves
-/// other keys, so no answer comes. This shows immediately, because its token follows everything that it answers. A host
-/// that gives up too soon needs a new assignment.
+/// other keys, so no answer comes. The limit can be short: a base station declares its token last, so it can answer as
+/// soon as it is back. A host that gives up too soon needs a new assignment.
 const STILL_KNOWN_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// A reason why a host cannot do its work.

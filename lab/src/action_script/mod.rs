@@ -8,7 +8,7 @@
 //! from 0 to 6000 every 600 fail 0-49 for 60 at random
 //! ```
 //! A script becomes the same external inputs in every run of a scenario, in memory and over the bus: random times
-//! depend on the seed of the scenario only.
+//! follow from the seed of the scenario, the line number and the device. `docs/actions.md` explains the forms.
 
 use std::str::FromStr;
 
@@ -19,7 +19,7 @@ use reveille_common::message::{Change, DeviceRange, OperatorAction, Setting};
 use reveille_common::rng::{Purpose, Stream};
 use reveille_common::units::{Energy, MAX_UNITS};
 
-/// Most actions of a script.
+/// The largest number of actions of a script.
 const MAX_ACTIONS: usize = 10_000_000;
 
 /// The forms of a line, for errors.
@@ -115,9 +115,9 @@ pub fn parse_setting(text: &str) -> Result<Setting, String> {
     Setting::from_field(text).ok_or_else(|| format!("`{text}` cannot change during a run; use {fields}"))
 }
 
-/// Parses a number, named `what` in the error.
-fn number<T: FromStr>(word: &str, what: &str) -> Result<T, String> {
-    word.parse().map_err(|_| format!("`{word}` must be {what}"))
+/// Parses a number. The error says that the word must be `requirement`.
+fn number<T: FromStr>(word: &str, requirement: &str) -> Result<T, String> {
+    word.parse().map_err(|_| format!("`{word}` must be {requirement}"))
 }
 
 fn parse_line(words: &[&str]) -> Result<ScriptLine, String> {

@@ -1,3 +1,5 @@
+//! Tests of action scripts: the actions of a script, random times, and the error of each invalid line.
+
 use reveille_bs::scenario::{Override, load};
 
 use super::*;
@@ -15,7 +17,7 @@ fn test_scenario() -> Scenario {
 }
 
 /// Returns the actions as lines of TTI and change.
-fn shown(text: &str) -> Vec<String> {
+fn action_lines(text: &str) -> Vec<String> {
     let actions = parse(text, &test_scenario()).unwrap_or_else(|error| panic!("{text}: {error}"));
     let line = |action: &OperatorAction| format!("{} {}", action.tti, action.change);
     actions.iter().map(line).collect()
@@ -35,13 +37,13 @@ fn lines_become_actions_in_the_order_of_ttis() {
         "900 device 7 is revived",
         "5999 policy.age-index.price is set to 0",
     ];
-    assert_eq!(shown(text), expected);
+    assert_eq!(action_lines(text), expected);
 }
 
 #[test]
 fn repeated_lines_become_an_action_in_each_period() {
     assert_eq!(
-        shown("from 100 to 2000 every 900 fail 0-1 for 60"),
+        action_lines("from 100 to 2000 every 900 fail 0-1 for 60"),
         [
             "100 devices 0 to 1 fail",
             "160 devices 0 to 1 are revived",
@@ -53,7 +55,7 @@ fn repeated_lines_become_an_action_in_each_period() {
     );
     // The revival after the end of the run is left out.
     assert_eq!(
-        shown("from 5990 every 5 fail 2 for 4"),
+        action_lines("from 5990 every 5 fail 2 for 4"),
         [
             "5990 device 2 fails",
             "5994 device 2 is revived",
@@ -61,8 +63,11 @@ fn repeated_lines_become_an_action_in_each_period() {
             "5999 device 2 is revived"
         ]
     );
-    assert_eq!(shown("from 5990 every 20 fail 2 for 15"), ["5990 device 2 fails"]);
-    assert_eq!(shown("from 5997 every 1 energy 0 1").len(), 3);
+    assert_eq!(
+        action_lines("from 5990 every 20 fail 2 for 15"),
+        ["5990 device 2 fails"]
+    );
+    assert_eq!(action_lines("from 5997 every 1 energy 0 1").len(), 3);
 }
 
 #[test]

@@ -123,13 +123,13 @@ impl ExternalInputs {
         }
     }
 
-    /// Returns the inputs after the first ones, of which `known` has the numbers of removals, decisions and actions.
+    /// Returns the inputs after the first of each kind, whose numbers are `known_counts`, as from [`Self::counts`].
     #[must_use]
-    pub fn after(&self, known: [usize; 3]) -> Self {
+    pub fn after(&self, known_counts: [usize; 3]) -> Self {
         Self {
-            removals: self.removals[known[0]..].to_vec(),
-            decisions: self.decisions[known[1]..].to_vec(),
-            actions: self.actions[known[2]..].to_vec(),
+            removals: self.removals[known_counts[0]..].to_vec(),
+            decisions: self.decisions[known_counts[1]..].to_vec(),
+            actions: self.actions[known_counts[2]..].to_vec(),
         }
     }
 
@@ -281,12 +281,13 @@ pub fn complete_lines(text: &str) -> &str {
 /// If the text is not an input log, belongs to another scenario, or contains an impossible input.
 pub fn parse(text: &str, scenario: &Scenario) -> Result<ExternalInputs, InputLogError> {
     let mut parser = InputLogParser::default();
-    let length = parser.read(text, scenario)?;
-    let rest = &text[length..];
-    let is_start = (1..=VERSION).any(|version| first_line_of(version, scenario).starts_with(rest));
-    if length == 0 && !is_start {
+    let read_bytes = parser.read(text, scenario)?;
+    let incomplete_line = &text[read_bytes..];
+    let is_start_of_first_line =
+        (1..=VERSION).any(|version| first_line_of(version, scenario).starts_with(incomplete_line));
+    if read_bytes == 0 && !is_start_of_first_line {
         parser.line_count = 1;
-        parser.parse_line(rest, scenario)?;
+        parser.parse_line(incomplete_line, scenario)?;
     }
     Ok(parser.inputs)
 }
@@ -367,10 +368,10 @@ impl InputLogParser {
                 return Err(InputLogError::DecisionInVersion1(*line_number));
             }
             InputLogLine::Fail { tti, first, count } => {
-                return self.add_action(tti, Change::Fail(range(first, count)), scenario);
+                return self.add_action(tti, Change::Fail(device_range(first, count)), scenario);
             }
             InputLogLine::Revive { tti, first, count } => {
-                return self.add_action(tti, Change::Revive(range(first, count)), scenario);
+                return self.add_action(tti, Change::Revive(device_range(first, count)), scenario);
             }
             InputLogLine::Energy {
                 tti,
@@ -379,7 +380,7 @@ impl InputLogParser {
                 micro,
             } => {
                 let energy = Energy::from_micro(micro);
-                return self.add_action(tti, Change::AddEnergy(range(first, count), energy), scenario);
+                return self.add_action(tti, Change::AddEnergy(device_range(first, count), energy), scenario);
             }
             InputLogLine::Set { tti, field, value } => {
                 let cause =
@@ -425,7 +426,7 @@ impl InputLogParser {
     }
 }
 
-const fn range(first: u32, count: u32) -> DeviceRange {
+const fn device_range(first: u32, count: u32) -> DeviceRange {
     DeviceRange {
         first: DeviceId(first),
         count,
@@ -457,25 +458,24 @@ fn valid_cycles(devices: &[[u32; 3]], scenario: &Scenario) -> Option<Vec<DutyCyc
     (cycles.len() == devices.len() && devices.len() == scenario.run.devices as usize).then_some(cycles)
 }
 
-fn is_possible_removal(removal: &DeviceRemoval, before: &[DeviceRemoval], scenario: &Scenario) -> bool {
+fn is_possible_removal(removal: &DeviceRemoval, earlier: &[DeviceRemoval], scenario: &Scenario) -> bool {
     let order = |removal: &DeviceRemoval| (removal.tti, removal.wake_ups);
-    let is_next = before.last().is_none_or(|last| order(last) <= order(removal));
+    let is_next = earlier.last().is_none_or(|last| order(last) <= order(removal));
     let is_disjoint = |other: &DeviceRemoval| other.last() < removal.first || removal.last() < other.first;
     // A valid removal names devices of the run, so its range can index them. A device is removed once, so ranges are
     // disjoint.
     let is_in_run = removal.is_valid(scenario.run.devices) && removal.tti.0 < scenario.run.ttis;
-    is_in_run && is_next && before.iter().all(is_disjoint)
+    is_in_run && is_next && earlier.iter().all(is_disjoint)
 }
 
-/// Returns whether `decision` is possible after the one in `before`. A run starts with a plan, and a TTI has at most
-/// one.
-fn is_possible_decision(decision: &RecordedDecision, before: Option<&RecordedDecision>, scenario: &Scenario) -> bool {
-    let Some(before) = before else {
+/// Returns whether `decision` is possible after `previous`. A run starts with a plan, and a TTI has at most one.
+fn is_possible_decision(decision: &RecordedDecision, previous: Option<&RecordedDecision>, scenario: &Scenario) -> bool {
+    let Some(previous) = previous else {
         return decision.tti == Tti::ZERO && matches!(decision.decision, Decision::Plan(_));
     };
     let is_later = match decision.decision {
-        Decision::Plan(PlanDecision { next, .. }) => decision.tti > before.tti && next > decision.tti,
-        Decision::Wake(_) => decision.tti >= before.tti,
+        Decision::Plan(PlanDecision { next, .. }) => decision.tti > previous.tti && next > decision.tti,
+        Decision::Wake(_) => decision.tti >= previous.tti,
     };
     is_later && decision.tti.0 < scenario.run.ttis
 }

@@ -99,13 +99,13 @@ fn an_impossible_action_is_refused_with_the_reason() {
             "seed cannot change during a run",
         ),
     ];
-    for (text, why) in cases {
-        let refused = parse(&(first_line(&scenario) + text + "\n"), &scenario)
+    for (text, cause) in cases {
+        let error = parse(&(first_line(&scenario) + text + "\n"), &scenario)
             .expect_err(text)
             .to_string();
         assert!(
-            refused.starts_with("line 2: ") && refused.contains(why),
-            "{text}: {refused}"
+            error.starts_with("line 2: ") && error.contains(cause),
+            "{text}: {error}"
         );
     }
 }
@@ -157,24 +157,31 @@ fn an_impossible_log_is_refused_with_the_reason() {
     ];
     for removals in impossible_removals {
         let removals: Vec<ExternalInput> = removals.into_iter().map(ExternalInput::Removal).collect();
-        let refused = write_and_parse(&removals).expect_err("impossible");
-        assert!(matches!(refused, InputLogError::Removal(_)), "{refused}");
+        let error = write_and_parse(&removals).expect_err("impossible");
+        assert!(matches!(error, InputLogError::Removal(_)), "{error}");
     }
-    let first = || plan_decision(0, plan_of_one(3), 1);
+    let first_plan = || plan_decision(0, plan_of_one(3), 1);
     let impossible_decisions = [
         vec![plan_decision(1, plan_of_one(3), 2)],
         vec![wake_decision(0, &[1])],
-        vec![first(), plan_decision(0, plan_of_one(3), 1)],
-        vec![first(), plan_decision(1, plan_of_one(3), 1)],
-        vec![first(), wake_decision(1, &[1]), plan_decision(1, plan_of_one(3), 2)],
-        vec![first(), wake_decision(0, &[u32::MAX])],
-        vec![first(), plan_decision(1, Plan::Periodic(vec![DutyCycle::SENSING]), 2)],
-        vec![first(), plan_decision(u64::MAX, plan_of_one(3), 2)],
+        vec![first_plan(), plan_decision(0, plan_of_one(3), 1)],
+        vec![first_plan(), plan_decision(1, plan_of_one(3), 1)],
+        vec![
+            first_plan(),
+            wake_decision(1, &[1]),
+            plan_decision(1, plan_of_one(3), 2),
+        ],
+        vec![first_plan(), wake_decision(0, &[u32::MAX])],
+        vec![
+            first_plan(),
+            plan_decision(1, Plan::Periodic(vec![DutyCycle::SENSING]), 2),
+        ],
+        vec![first_plan(), plan_decision(u64::MAX, plan_of_one(3), 2)],
     ];
     for decisions in impossible_decisions {
         let decisions: Vec<ExternalInput> = decisions.into_iter().map(ExternalInput::Decision).collect();
-        let refused = write_and_parse(&decisions).expect_err("impossible");
-        assert!(matches!(refused, InputLogError::Decision(_)), "{refused}");
+        let error = write_and_parse(&decisions).expect_err("impossible");
+        assert!(matches!(error, InputLogError::Decision(_)), "{error}");
     }
     let scenario = load("quick", &[]).expect("a preset").scenario;
     let error_of = |text: &str| parse(text, &scenario).expect_err("no log of this run");
@@ -189,10 +196,10 @@ fn an_impossible_log_is_refused_with_the_reason() {
     ));
     // Without a newline, only the start of a first line is the log of a killed run.
     for text in ["garbage", "\0\u{1}", "{\"inputs\":{\"version\":2}}", " "] {
-        let refused = error_of(text);
+        let error = error_of(text);
         assert!(
-            matches!(refused, InputLogError::Line { line: 1, .. }),
-            "{text:?}: {refused}"
+            matches!(error, InputLogError::Line { line: 1, .. }),
+            "{text:?}: {error}"
         );
     }
     let removal_line = line(&ExternalInput::Removal(removal(0, 1, 1)));

@@ -156,12 +156,10 @@ fn rewards_follow_the_formulas_of_the_paper() {
     let scenario = external_scenario(&["sensing.psi=2", "ttis=2000"]);
     let mut environment = Environment::new(EpisodeTemplate::new(&scenario), RewardWeights { mu1: 3.0, mu2: 5.0 });
     let mut gains = 0;
-    while let Some(question) = environment.pending_decision() {
-        let (now, information_before) = (question.observation.now, question.observation.information);
-        let wakeable: Vec<usize> = (0..DEVICES)
-            .filter(|j| question.may_wake(DeviceId(*j as u32)))
-            .collect();
-        if question.stage == DecisionStage::Plan {
+    while let Some(request) = environment.pending_decision() {
+        let (now, information_before) = (request.observation.now, request.observation.information);
+        let wakeable: Vec<usize> = (0..DEVICES).filter(|j| request.may_wake(DeviceId(*j as u32))).collect();
+        if request.stage == DecisionStage::Plan {
             // A quarter of the devices senses.
             let step = environment.step(|j| j as u64 % 4 == now.0 % 4);
             assert!((step.asleep - 0.75).abs() < 1e-12);
@@ -173,12 +171,12 @@ fn rewards_follow_the_formulas_of_the_paper() {
         let woken = &wakeable[..wakeable.len().min(6)];
         let step = environment.step(|j| woken.contains(&j) || !wakeable.contains(&j));
         assert!((step.woken + woken.len() as f64 / DEVICES as f64).abs() < 1e-12);
-        // Without a further question in this TTI, the information after the wake-ups is not known.
-        if let Some(question) = environment
+        // Without a further request in this TTI, the information after the wake-ups is not known.
+        if let Some(request) = environment
             .pending_decision()
-            .filter(|question| question.observation.now == now)
+            .filter(|request| request.observation.now == now)
         {
-            let gain = (question.observation.information - information_before) / 2.0;
+            let gain = (request.observation.information - information_before) / 2.0;
             assert!(
                 (step.information - 5.0 * gain).abs() < 1e-9,
                 "gain {gain}, step {step:?}"

@@ -136,14 +136,14 @@ impl FileColumns {
             .iter()
             .position(|name| index_of(name).is_some())
             .ok_or_else(mismatch)?;
-        let (Some(after), Some(swept)) = (
+        let (Some(metrics_end), Some(swept)) = (
             header.len().checked_sub(TRAILING_COLUMNS.len()),
             header.get(IDENTITY_COLUMNS.len()..first_metric),
         ) else {
             return Err(mismatch());
         };
-        let names = header.get(first_metric..after).ok_or_else(mismatch)?;
-        let metrics: Option<Vec<usize>> = names.iter().map(|name| index_of(name)).collect();
+        let metric_names = header.get(first_metric..metrics_end).ok_or_else(mismatch)?;
+        let metrics: Option<Vec<usize>> = metric_names.iter().map(|name| index_of(name)).collect();
         let metrics = metrics.ok_or_else(mismatch)?;
         let is_present =
             |(index, name): (usize, &&str)| metrics.contains(&index) || Metrics::ADDED_IN_TABLE_3.contains(name);

@@ -108,13 +108,13 @@ fn decode_rows(
 ) -> Result<Vec<ResultRow>, SchemaMismatch> {
     let (mut preset, mut policy, mut cell) = (LastText::default(), LastText::default(), Arc::from([]));
     let mut rows = Vec::with_capacity(records.len());
-    for (number, record) in records.iter().enumerate() {
-        let fields = CsvRecord { record, number };
+    for (index, record) in records.iter().enumerate() {
+        let fields = CsvRecord { record, index };
         let swept: Vec<SweptValue> = schema
             .swept
             .iter()
             .enumerate()
-            .map(|(index, (_, column_type))| fields.swept(IDENTITY_COLUMNS.len() + index, *column_type))
+            .map(|(column, (_, column_type))| fields.swept(IDENTITY_COLUMNS.len() + column, *column_type))
             .collect::<Result<_, _>>()?;
         // Rows are sorted by cell, so nearly all of them share the values of the previous row.
         if *cell != *swept {
@@ -127,7 +127,7 @@ fn decode_rows(
                 metrics[*metric] = fields.get(column)?;
             }
         }
-        let events = first_metric + metric_columns.len();
+        let events_column = first_metric + metric_columns.len();
         let row = ResultRow {
             scenario_hash: fields.get(0)?,
             preset: preset.intern(&record[1]),
@@ -137,10 +137,10 @@ fn decode_rows(
             seed: fields.get(5)?,
             swept: Arc::clone(&cell),
             metrics,
-            events: fields.get(events)?,
-            digest: fields.get(events + 1)?,
+            events: fields.get(events_column)?,
+            digest: fields.get(events_column + 1)?,
         };
-        rows.push(row.check(number + 1)?);
+        rows.push(row.check(index + 1)?);
     }
     Ok(rows)
 }
@@ -158,14 +158,15 @@ fn guess_type(text: &str) -> ColumnType {
 /// One row of the file.
 struct CsvRecord<'r> {
     record: &'r csv::StringRecord,
-    number: usize,
+    /// The index of the row, from 0; errors count from 1.
+    index: usize,
 }
 
 impl CsvRecord<'_> {
     fn get<T: FromStr>(&self, column: usize) -> Result<T, SchemaMismatch> {
         let text = &self.record[column];
         text.parse().map_err(|_| {
-            let row = self.number + 1;
+            let row = self.index + 1;
             SchemaMismatch::Broken(format!(
                 "row {row}, field {}: \"{}\"",
                 column + 1,

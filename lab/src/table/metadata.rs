@@ -20,12 +20,12 @@ impl TableMetadata {
     pub(super) fn pairs(&self) -> Vec<(&'static str, String)> {
         let mut pairs = vec![
             (TABLE_VERSION_KEY, TABLE_VERSION.to_string()),
-            (VERSION, self.version.clone()),
-            (EXPERIMENT, self.experiment.clone()),
-            (GRID, self.grid.clone()),
+            (REVEILLE_VERSION_KEY, self.version.clone()),
+            (EXPERIMENT_KEY, self.experiment.clone()),
+            (GRID_KEY, self.grid.clone()),
         ];
         if let Some(shard) = &self.shard {
-            pairs.push((SHARD, shard.clone()));
+            pairs.push((SHARD_KEY, shard.clone()));
         }
         pairs
     }
@@ -39,30 +39,30 @@ impl TableMetadata {
         if !(1..=TABLE_VERSION).any(|readable| version == readable.to_string()) {
             return Err(SchemaMismatch::Version {
                 found: version.to_owned(),
-                by: get(VERSION).unwrap_or("unknown").to_owned(),
+                by: get(REVEILLE_VERSION_KEY).unwrap_or("unknown").to_owned(),
             });
         }
         let text = |key: &str| get(key).unwrap_or_default().to_owned();
         Ok(Self {
-            version: text(VERSION),
-            experiment: text(EXPERIMENT),
-            grid: text(GRID),
-            shard: get(SHARD).map(str::to_owned),
+            version: text(REVEILLE_VERSION_KEY),
+            experiment: text(EXPERIMENT_KEY),
+            grid: text(GRID_KEY),
+            shard: get(SHARD_KEY).map(str::to_owned),
         })
     }
 }
 
-/// [`TABLE_VERSION`].
+/// The version of the table format, [`TABLE_VERSION`].
 pub(super) const TABLE_VERSION_KEY: &str = "reveille.table";
 /// The version of Reveille that made the runs.
-pub(super) const VERSION: &str = "reveille.version";
+pub(super) const REVEILLE_VERSION_KEY: &str = "reveille.version";
 /// The experiment as TOML.
-pub(super) const EXPERIMENT: &str = "reveille.experiment";
+pub(super) const EXPERIMENT_KEY: &str = "reveille.experiment";
 /// SHA-256 over the scenarios of all cells.
-pub(super) const GRID: &str = "reveille.grid";
+pub(super) const GRID_KEY: &str = "reveille.grid";
 /// `i/n` in the table of a shard, `i,j/n` in a merge of some shards; absent in a whole table.
-pub(super) const SHARD: &str = "reveille.shard";
+pub(super) const SHARD_KEY: &str = "reveille.shard";
 /// The types of the swept columns in sidecars: `int`, `float` or `text`, separated by commas.
-pub(super) const COLUMN_TYPES: &str = "reveille.kinds";
+pub(super) const COLUMN_TYPES_KEY: &str = "reveille.kinds";
 /// The number of rows, in sidecars.
-pub(super) const ROWS: &str = "reveille.rows";
+pub(super) const ROW_COUNT_KEY: &str = "reveille.rows";

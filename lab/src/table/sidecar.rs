@@ -25,8 +25,8 @@ pub(super) fn to_text(table: &Table) -> String {
         .map(|(_, column_type)| column_type.name())
         .collect();
     let csv_pairs = [
-        (metadata::COLUMN_TYPES, types.join(",")),
-        (metadata::ROWS, table.rows.len().to_string()),
+        (metadata::COLUMN_TYPES_KEY, types.join(",")),
+        (metadata::ROW_COUNT_KEY, table.rows.len().to_string()),
     ];
     let pairs = table.metadata.pairs().into_iter().chain(csv_pairs);
     pairs.fold(String::new(), |mut text, (key, value)| {
@@ -48,14 +48,14 @@ pub(super) fn parse(text: &str) -> Result<Sidecar, SchemaMismatch> {
         toml::from_str(text).map_err(|error| SchemaMismatch::Broken(format!("its side-car: {}", error.message())))?;
     let broken =
         |key: &str| SchemaMismatch::Broken(format!("its side-car: {key} = \"{}\"", pairs[key].escape_default()));
-    let types = pairs.get(metadata::COLUMN_TYPES).map(|names| {
+    let types = pairs.get(metadata::COLUMN_TYPES_KEY).map(|names| {
         let names = names.split(',').filter(|name| !name.is_empty());
         let types: Option<Vec<ColumnType>> = names.map(ColumnType::named).collect();
-        types.ok_or_else(|| broken(metadata::COLUMN_TYPES))
+        types.ok_or_else(|| broken(metadata::COLUMN_TYPES_KEY))
     });
     let rows = pairs
-        .get(metadata::ROWS)
-        .map(|rows| rows.parse().map_err(|_| broken(metadata::ROWS)));
+        .get(metadata::ROW_COUNT_KEY)
+        .map(|rows| rows.parse().map_err(|_| broken(metadata::ROW_COUNT_KEY)));
     Ok(Sidecar {
         metadata: TableMetadata::from_pairs(|key| pairs.get(key).map(String::as_str))?,
         column_types: types.transpose()?,

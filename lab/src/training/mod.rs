@@ -123,6 +123,7 @@ pub struct Trainer {
     scenario: Scenario,
     settings: QLearningSettings,
     training: QTrainingConfig,
+    /// The tables, by look-back and then by N, both ascending.
     entries: Vec<TableSet>,
 }
 
@@ -141,6 +142,7 @@ impl Trainer {
         let Some(settings) = scenario.policy.settings().downcast_ref::<QLearningSettings>() else {
             return Err(TrainingError::Policy(scenario.policy.name().to_owned()));
         };
+        // Requirements are static texts, so each repeats its limit, such as `MAX_WINDOW`.
         let invalid = |option, value: &dyn std::fmt::Display, requirement| TrainingError::Invalid {
             option,
             value: value.to_string(),
@@ -209,11 +211,12 @@ impl Trainer {
 
     /// The current tables.
     pub fn learned(&self) -> LearnedTables {
-        let mut first = self.scenario.clone();
-        first.run.devices = self.entries[0].devices;
+        // A file names the scenario of its first entry.
+        let mut first_scenario = self.scenario.clone();
+        first_scenario.run.devices = self.entries[0].devices;
         LearnedTables {
             made_by: MADE_BY.to_owned(),
-            scenario: first.hash_hex(),
+            scenario: first_scenario.hash_hex(),
             weights: self.settings.weights,
             begun_from: None,
             schedule: self.settings.schedule,
@@ -240,7 +243,7 @@ impl Trainer {
                 "another learning rate or optimism",
             ),
             (
-                !is_same_length(&checkpoint.training, &own.training),
+                !is_same_config(&checkpoint.training, &own.training),
                 "other episodes, epsilon or seed",
             ),
             (checkpoint.lookbacks() != own.lookbacks(), "other windows"),
@@ -295,7 +298,7 @@ impl Trainer {
             tables.entries[index] = entry.clone();
             save(&tables)
         };
-        // The largest N first: otherwise one thread would still train it after all others have finished.
+        // The largest N of a look-back first: otherwise one thread would still train it after all others have finished.
         let mut work: Vec<(usize, &mut TableSet)> = entries.iter_mut().enumerate().collect();
         work.reverse();
         let are_complete = pool.install(|| {
@@ -329,23 +332,23 @@ fn sorted_numbers(name: &'static str, numbers: &[u32], max: u32) -> Result<Vec<u
 }
 
 /// Returns whether the numbers are equal up to the last bits, which reading a file may change.
-fn is_same(saved: &[f64], own: &[f64]) -> bool {
+fn are_nearly_equal(saved: &[f64], own: &[f64]) -> bool {
     let mut pairs = saved.iter().zip(own);
     pairs.all(|(a, b)| (a - b).abs() <= 1e-12 * a.abs().max(b.abs()))
 }
 
 fn is_same_weights(saved: &QWeights, own: &QWeights) -> bool {
-    is_same(&[saved.mu1, saved.mu2, saved.zeta], &[own.mu1, own.mu2, own.zeta])
+    are_nearly_equal(&[saved.mu1, saved.mu2, saved.zeta], &[own.mu1, own.mu2, own.zeta])
 }
 
 fn is_same_schedule(saved: &Schedule, own: &Schedule) -> bool {
     let [a, b] = [saved, own].map(|s| [s.rate_decay, s.rate_floor, s.optimism]);
-    is_same(&a, &b)
+    are_nearly_equal(&a, &b)
 }
 
-fn is_same_length(saved: &QTrainingConfig, own: &QTrainingConfig) -> bool {
+fn is_same_config(saved: &QTrainingConfig, own: &QTrainingConfig) -> bool {
     let [a, b] = [saved, own].map(|t| [t.epsilon.0, t.epsilon.1]);
-    is_same(&a, &b) && (saved.episodes, saved.ttis, saved.seed) == (own.episodes, own.ttis, own.seed)
+    are_nearly_equal(&a, &b) && (saved.episodes, saved.ttis, saved.seed) == (own.episodes, own.ttis, own.seed)
 }
 
 /// Returns the tables of `entry` after another episode; `None` if the observer has stopped it.
@@ -356,29 +359,29 @@ fn run_episode(
     entry: &TableSet,
     observer: &impl TrainingProgress,
 ) -> Option<TableSet> {
-    let number = entry.curve.len() as u64;
-    let (first, last) = training.epsilon;
+    let episode_index = entry.curve.len() as u64;
+    let (first_epsilon, last_epsilon) = training.epsilon;
     // A single episode would be 0/0; it uses the first ε.
-    let progress = number as f64 / (training.episodes - 1).max(1) as f64;
+    let progress = episode_index as f64 / (training.episodes - 1).max(1) as f64;
     let settings = QLearningSettings {
         learn: true,
-        epsilon: [first + progress * (last - first); 2].into(),
+        epsilon: [first_epsilon + progress * (last_epsilon - first_epsilon); 2].into(),
         initial_tables: Arc::new(entry.clone()),
         lookback: entry.lookback,
         ..settings.clone()
     };
-    // There are fewer than 2²⁰ episodes, so two N never share a seed.
+    // There are fewer than 2²⁰ episodes, so two N never share a seed. A test in `tuning` repeats the formula.
     let seed = EPISODE_SEED_OFFSET
         .wrapping_add(training.seed.wrapping_mul(0x1_0000_0001))
         .wrapping_add(u64::from(entry.devices) << 20)
-        .wrapping_add(number);
+        .wrapping_add(episode_index);
     let mut scenario_of_episode = scenario.with_seed(seed);
     scenario_of_episode.run.devices = entry.devices;
     scenario_of_episode.run.ttis = training.ttis;
     scenario_of_episode.run.warm_up = EPISODE_WARM_UP;
     scenario_of_episode.policy = PolicyChoice::new(scenario.policy.kind(), Arc::new(settings));
     // Each ranking has a separate table, and an episode trains one of them.
-    scenario_of_episode.bs.ranking = if number.is_multiple_of(2) {
+    scenario_of_episode.bs.ranking = if episode_index.is_multiple_of(2) {
         WakeUpRanking::Posterior
     } else {
         WakeUpRanking::P42
@@ -396,7 +399,9 @@ fn run_episode(
     let outcome = Run::new(&prepared, options).finish(&mut StopWhen(|| observer.stop()));
     // An interrupted episode is repeated from its start: the tables must not depend on interruptions.
     let mut learned = tables_of(&outcome).filter(|_| outcome.is_complete)?;
-    learned.curve.push(curve_point(&outcome, (number + 1) * training.ttis));
+    learned
+        .curve
+        .push(curve_point(&outcome, (episode_index + 1) * training.ttis));
     learned.round();
     Some(learned)
 }

@@ -48,10 +48,10 @@ pub struct RecordingConfig {
 }
 
 impl RecordingConfig {
-    /// Returns the options for a run in which a device deviates with probability `explores`.
-    const fn run_options(&self, explores: f64) -> RecordingOptions {
+    /// Returns the options for a run in which a device deviates with probability `exploration`.
+    const fn run_options(&self, exploration: f64) -> RecordingOptions {
         RecordingOptions {
-            exploration: explores,
+            exploration,
             true_batteries: self.true_batteries,
         }
     }
@@ -91,14 +91,13 @@ pub struct Trajectories {
     pub chunks: Vec<Chunk>,
 }
 
-/// Records every run of `grid`, from random battery levels, on the threads of the current pool. Calls `ended` after
-/// each run. Returns `None` if
-/// `stop` returns true.
+/// Records every run of `grid`, from random battery levels, on the threads of the current pool. Calls `on_run_end`
+/// after each run. Returns `None` if `stop` returns true.
 pub fn record(
     grid: &SweepGrid,
     recording: &RecordingConfig,
     stop: &(dyn Fn() -> bool + Sync),
-    ended: &(dyn Fn() + Sync),
+    on_run_end: &(dyn Fn() + Sync),
 ) -> Option<Trajectories> {
     let seeds = grid.experiment.seeds;
     let runs: Vec<(usize, u64)> = (0..grid.cells.len())
@@ -107,10 +106,10 @@ pub fn record(
     let preparer = RunPreparer::default();
     let record_cell_run = |(cell, index): (usize, u64)| {
         let run = cell as u64 * seeds.count + index;
-        let explores = recording.explore[(run % recording.explore.len() as u64) as usize];
+        let exploration = recording.explore[(run % recording.explore.len() as u64) as usize];
         let scenario = grid.cells[cell].with_seed(seeds.first + index);
-        let chunks = record_run(&preparer, &scenario, run as u32, recording, explores, stop);
-        ended();
+        let chunks = record_run(&preparer, &scenario, run as u32, recording, exploration, stop);
+        on_run_end();
         chunks
     };
     // `None` from one run ends the iteration, so the remaining runs are not even prepared.
@@ -136,6 +135,7 @@ pub fn record_from_scenario(
     recording: &RecordingConfig,
     stop: &(dyn Fn() -> bool + Sync),
 ) -> Option<(Option<Digest>, Vec<Chunk>)> {
+    // No device deviates: the recorded run must make the decisions of the original run.
     record_prepared(&RunPreparer::default().prepare(scenario), run, recording, 0.0, stop)
 }
 
@@ -145,7 +145,7 @@ fn record_run(
     scenario: &Scenario,
     run: u32,
     recording: &RecordingConfig,
-    explores: f64,
+    exploration: f64,
     stop: &(dyn Fn() -> bool + Sync),
 ) -> Option<Vec<Chunk>> {
     let mut prepared = preparer.prepare(scenario);
@@ -153,14 +153,14 @@ fn record_run(
     for device in &mut prepared.deployment.devices {
         device.energy.initial = Energy::from_micro((stream.unit() * device.energy.e_max.micro() as f64) as u64);
     }
-    record_prepared(&prepared, run, recording, explores, stop).map(|(_, chunks)| chunks)
+    record_prepared(&prepared, run, recording, exploration, stop).map(|(_, chunks)| chunks)
 }
 
 fn record_prepared(
     prepared: &PreparedRun,
     run: u32,
     recording: &RecordingConfig,
-    explores: f64,
+    exploration: f64,
     stop: &(dyn Fn() -> bool + Sync),
 ) -> Option<(Option<Digest>, Vec<Chunk>)> {
     let (length, stride) = (recording.length, recording.stride);
@@ -171,7 +171,7 @@ fn record_prepared(
             steps.push(step);
         }
     };
-    let (digest, (shares, steps)) = collect_steps(prepared, recording.run_options(explores), take, stop)?;
+    let (digest, (shares, steps)) = collect_steps(prepared, recording.run_options(exploration), take, stop)?;
     Some((digest, build_chunks(prepared, run, recording, &shares, steps)))
 }
 

@@ -198,13 +198,14 @@ fn decode(bytes: Bytes) -> Result<Trajectories, TrajectoryError> {
 
 fn read_group(group: &dyn RowGroupReader, chunks: &mut Vec<Chunk>) -> Result<(), TrajectoryError> {
     let mut columns = GroupReader::new(group);
+    // In the order of `schema`: the reader takes columns by position.
     let rows = columns.rows();
     let runs = columns.read_required::<Int32Type>()?;
     let policies = columns.read_required::<ByteArrayType>()?;
     let prices = columns.read_optional::<FloatType>()?;
     let ttis = columns.read_required::<Int64Type>()?;
-    let devices = columns.read_required::<Int32Type>()?;
-    let counts = columns.read_required::<Int32Type>()?;
+    let device_ids = columns.read_required::<Int32Type>()?;
+    let device_counts = columns.read_required::<Int32Type>()?;
     let mut features = Vec::with_capacity(FEATURE_COUNT);
     for _ in FEATURES {
         features.push(columns.read_required::<FloatType>()?);
@@ -234,13 +235,13 @@ fn read_group(group: &dyn RowGroupReader, chunks: &mut Vec<Chunk>) -> Result<(),
     let mut row = 0;
     while row < rows {
         // A negative count is as invalid as 0, which is refused below: the loop then always advances.
-        let n = usize::try_from(counts[row]).unwrap_or(0);
+        let n = usize::try_from(device_counts[row]).unwrap_or(0);
         let tti_rows = row..row + n;
         let is_whole = n > 0
             && tti_rows.end <= rows
             && tti_rows.clone().enumerate().all(|(j, at)| {
-                (runs[at], ttis[at], counts[at]) == (runs[row], ttis[row], counts[row])
-                    && usize::try_from(devices[at]) == Ok(j)
+                (runs[at], ttis[at], device_counts[at]) == (runs[row], ttis[row], device_counts[row])
+                    && usize::try_from(device_ids[at]) == Ok(j)
             });
         if !is_whole {
             return Err(TrajectoryError::Rows(format!(

@@ -139,10 +139,10 @@ impl Dataset {
     pub(super) fn held_out_batches(&self, device_ttis: usize) -> Vec<Vec<&Chunk>> {
         let size = |group: &DatasetGroup| group.held_out.iter().map(Chunk::device_ttis).sum::<usize>();
         let total: usize = self.groups.iter().map(size).sum();
-        let step = total.div_ceil(EVALUATION_DEVICE_TTIS).max(1);
+        let stride = total.div_ceil(EVALUATION_DEVICE_TTIS).max(1);
         let mut batches = Vec::new();
         for group in &self.groups {
-            let chunks: Vec<&Chunk> = group.held_out.iter().step_by(step).collect();
+            let chunks: Vec<&Chunk> = group.held_out.iter().step_by(stride).collect();
             let Some(first) = chunks.first() else { continue };
             let count = (device_ttis / first.device_ttis()).max(1);
             batches.extend(chunks.chunks(count).map(<[&Chunk]>::to_vec));

@@ -14,15 +14,15 @@ use super::net::Outputs;
 /// Sums over a batch, from which ratios are reported.
 pub(super) struct Sums {
     /// Negative log likelihood of the events found by looks.
-    pub looks: Tensor,
+    pub look_loss: Tensor,
     /// Expected number of events found by looks.
     pub expected: f64,
     /// Negative log quasi-likelihood of the gain of wake-ups, in Ψ.
-    pub wakes: Tensor,
+    pub wake_loss: Tensor,
     /// Expected gain of wake-ups, in Ψ.
     pub expected_gain: f64,
     /// Sum of squared errors of ln θ.
-    pub prices: Tensor,
+    pub squared_price_errors: Tensor,
     /// Number of TTIs with a price.
     pub priced_ttis: f64,
 }
@@ -32,7 +32,7 @@ fn sum(tensor: &Tensor) -> Result<f64> {
 }
 
 /// Sums λ₀(e^m − 1) − y·m, which is 0 for m = 0.
-fn likelihood(expected: &Tensor, found: &Tensor, logs: &Tensor) -> Result<Tensor> {
+fn negative_log_likelihood(expected: &Tensor, found: &Tensor, logs: &Tensor) -> Result<Tensor> {
     ((expected * (logs.exp()? - 1.0)?)? - (found * logs)?)?.sum_all()
 }
 
@@ -46,18 +46,19 @@ fn cross_entropy(devices: &Tensor, sensing: &Tensor, logs: &Tensor) -> Result<Te
 impl Sums {
     /// Computes the sums for the net's `outputs` on `batch`.
     pub(super) fn from_outputs(batch: &TrainingBatch, outputs: &Outputs) -> Result<Self> {
+        // `OUTPUTS` of the model defines the order: 0 for looks, 1 for wake-ups.
         let head = |index: usize| outputs.logs.narrow(3, index, 1)?.squeeze(3);
-        let error = (&outputs.price - &batch.prices)?.sqr()?;
-        let look_loss = match batch.objective {
-            ModelObjective::Events => likelihood,
+        let squared_error = (&outputs.price - &batch.prices)?.sqr()?;
+        let loss_of_looks = match batch.objective {
+            ModelObjective::Events => negative_log_likelihood,
             ModelObjective::Actions => cross_entropy,
         };
         Ok(Self {
-            looks: look_loss(&batch.expected, &batch.found, &head(0)?)?,
+            look_loss: loss_of_looks(&batch.expected, &batch.found, &head(0)?)?,
             expected: sum(&batch.expected)?,
-            wakes: likelihood(&batch.wake_expected_gain, &batch.wake_gain, &head(1)?)?,
+            wake_loss: negative_log_likelihood(&batch.wake_expected_gain, &batch.wake_gain, &head(1)?)?,
             expected_gain: sum(&batch.wake_expected_gain)?,
-            prices: (error * &batch.has_price)?.sum_all()?,
+            squared_price_errors: (squared_error * &batch.has_price)?.sum_all()?,
             priced_ttis: sum(&batch.has_price)?,
         })
     }
@@ -67,12 +68,13 @@ impl Sums {
     pub(super) fn loss(&self, divisors: LossDivisors) -> Result<Tensor> {
         // A batch may have no priced TTI or no wake-up; its sum is then 0.
         let ratio = |sum: &Tensor, divisor: f64| sum / divisor.max(1.0);
-        let looks = ratio(&self.looks, divisors.expected)?;
-        let wakes = ratio(&self.wakes, divisors.expected_gain)?;
-        (looks + (wakes + ratio(&self.prices, divisors.priced_ttis)?)?)?.sum_all()
+        let looks = ratio(&self.look_loss, divisors.expected)?;
+        let wakes = ratio(&self.wake_loss, divisors.expected_gain)?;
+        (looks + (wakes + ratio(&self.squared_price_errors, divisors.priced_ttis)?)?)?.sum_all()
     }
 }
 
+/// The totals over all batches of an update, by which the sums of [`Sums`] are divided.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LossDivisors {
     /// Expected number of events.
@@ -113,11 +115,13 @@ pub struct EvalScore {
 /// Accumulates an [`EvalScore`].
 #[derive(Clone, Debug, Default)]
 pub(super) struct Scores {
-    looks: f64,
+    /// Gain in log likelihood, the negative of [`Sums::look_loss`].
+    look_gain: f64,
     expected: f64,
-    wakes: f64,
+    /// Gain in log quasi-likelihood, the negative of [`Sums::wake_loss`].
+    wake_gain: f64,
     expected_gain: f64,
-    prices: f64,
+    squared_price_errors: f64,
     priced_ttis: f64,
     /// The looks, each with its expectation without and with history, and whether it found an event.
     scored_looks: Vec<(f32, f32, bool)>,
@@ -134,11 +138,11 @@ impl Scores {
         // 0 marks a device that did not look, or a TTI that does not count.
         let looks = looks.filter(|((expected, _), _)| *expected > 0.0);
         Ok(Self {
-            looks: -sum(&sums.looks)?,
+            look_gain: -sum(&sums.look_loss)?,
             expected: sums.expected,
-            wakes: -sum(&sums.wakes)?,
+            wake_gain: -sum(&sums.wake_loss)?,
             expected_gain: sums.expected_gain,
-            prices: sum(&sums.prices)?,
+            squared_price_errors: sum(&sums.squared_price_errors)?,
             priced_ttis: sums.priced_ttis,
             scored_looks: looks
                 .map(|((expected, log), found)| (expected, expected * libm::expf(log), found > 0.5))
@@ -147,22 +151,22 @@ impl Scores {
     }
 
     pub(super) fn add(&mut self, other: Self) {
-        self.looks += other.looks;
+        self.look_gain += other.look_gain;
         self.expected += other.expected;
-        self.wakes += other.wakes;
+        self.wake_gain += other.wake_gain;
         self.expected_gain += other.expected_gain;
-        self.prices += other.prices;
+        self.squared_price_errors += other.squared_price_errors;
         self.priced_ttis += other.priced_ttis;
         self.scored_looks.extend(other.scored_looks);
     }
 
     pub(super) fn score(&self) -> EvalScore {
         EvalScore {
-            looks: self.looks / self.expected.max(1e-9),
-            wakes: self.wakes / self.expected_gain.max(1e-9),
+            looks: self.look_gain / self.expected.max(1e-9),
+            wakes: self.wake_gain / self.expected_gain.max(1e-9),
             accuracy: accuracy(self.scored_looks.iter().map(|(_, with, found)| (*with, *found))),
             plain_accuracy: accuracy(self.scored_looks.iter().map(|(without, _, found)| (*without, *found))),
-            price_error: (self.prices / self.priced_ttis.max(1.0)).sqrt(),
+            price_error: (self.squared_price_errors / self.priced_ttis.max(1.0)).sqrt(),
         }
     }
 }

@@ -132,7 +132,7 @@ pub enum TransformerError {
     Checkpoint(String),
 }
 
-/// A training between two evaluations on held-out data.
+/// The state of a training. A checkpoint holds all of it.
 struct TrainerState {
     net: Net,
     optimiser: AdamW,

@@ -33,6 +33,7 @@ impl Net {
         for (id, (name, size)) in (0..).zip(shape.tensors()) {
             let count = size.iter().product();
             let mut stream = Stream::new(seed, Purpose::Training, id);
+            // The names of `ModelShape::tensors` decide the initial values: another name changes trained models.
             let values: Vec<f32> = if name.ends_with("norm") {
                 vec![1.0; count]
             } else if name.ends_with("bias") || name == "head.weight" {

@@ -9,7 +9,7 @@ const BETAS: (f64, f64) = (0.9, 0.999);
 /// Keeps divisors above 0.
 const EPSILON: f64 = 1e-8;
 const MAX_GRADIENT_NORM: f64 = 1.0;
-/// Decay of weights, in learning rates.
+/// Decay of weights per step, as a multiple of the learning rate.
 const WEIGHT_DECAY: f64 = 0.01;
 
 /// A tensor for each weight, by the name of the weight.
@@ -62,15 +62,15 @@ impl AdamW {
             1.0
         };
         self.steps += 1;
-        let (first, second) = BETAS;
+        let (mean_decay, square_decay) = BETAS;
         let unbias = |beta: f64| 1.0 - libm::pow(beta, self.steps as f64);
         for (name, var) in vars {
             let gradient = (&gradients[name] * clip)?;
             // Detached: otherwise each mean would hold the graph of all earlier steps.
-            let mean = ((&self.means[name] * first)? + (&gradient * (1.0 - first))?)?.detach();
-            let square = ((&self.squares[name] * second)? + (gradient.sqr()? * (1.0 - second))?)?.detach();
-            let size = ((&square / unbias(second))?.sqrt()? + EPSILON)?;
-            let step = ((&mean / unbias(first))? / size)?;
+            let mean = ((&self.means[name] * mean_decay)? + (&gradient * (1.0 - mean_decay))?)?.detach();
+            let square = ((&self.squares[name] * square_decay)? + (gradient.sqr()? * (1.0 - square_decay))?)?.detach();
+            let size = ((&square / unbias(square_decay))?.sqrt()? + EPSILON)?;
+            let step = ((&mean / unbias(mean_decay))? / size)?;
             let decayed = (var.as_tensor() * (1.0 - rate * WEIGHT_DECAY))?;
             var.set(&(decayed - (step * rate)?)?)?;
             self.means.insert(name, mean);

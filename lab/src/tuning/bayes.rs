@@ -30,7 +30,8 @@ pub struct Bayes {
     pub seed: u64,
 }
 
-/// The positions of `points` in the unit square, and their objectives with mean 0 and variance 1.
+/// Returns the positions of `points` in the unit square, their objectives with mean 0 and variance 1, and the mean and
+/// the standard deviation of the original objectives.
 fn standardise(ranges: &Ranges, points: &[(WeightPair, f64)]) -> (Array2<f64>, Array1<f64>, (f64, f64)) {
     let positions: Array1<[f64; 2]> = points.iter().map(|(pair, _)| ranges.position(*pair)).collect();
     let x = Array2::from_shape_fn((points.len(), 2), |(row, column)| positions[row][column]);

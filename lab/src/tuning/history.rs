@@ -6,6 +6,7 @@ use std::fmt::Write as _;
 use super::evaluation::{Evaluation, TuningPoint};
 use super::ranges::WeightPair;
 
+/// The first line, with the version of the format: a history with another first line is refused.
 const FIRST_LINE: &str = "# reveille tuning 1";
 
 fn columns() -> String {

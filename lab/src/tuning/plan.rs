@@ -81,6 +81,7 @@ impl TuningPlan {
                 requirement: requirement.to_owned(),
             })
         };
+        // The texts below repeat the limits of the constants.
         if !(MIN_DESIGN_PAIRS..=MAX_DESIGN_PAIRS).contains(&self.design) {
             return invalid("design", &self.design, "must be from 3 to 1000");
         }
@@ -122,7 +123,8 @@ impl TuningPlan {
         design(&self.ranges, start, self.design, self.scenario.run.seed)
     }
 
-    /// The parameters that identify this tuning, by name. The number of pairs after the design is not one of them.
+    /// The parameters that identify this tuning, by name. The number of pairs after the design is not one of them. The
+    /// figure of a tuning in `study` and `reveille tune` read them by these names.
     pub fn header(&self) -> Vec<(String, String)> {
         let Ranges { mu1, mu2 } = self.ranges;
         let QTrainingConfig {

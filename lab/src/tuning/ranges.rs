@@ -86,26 +86,26 @@ impl Ranges {
         })
     }
 
-    /// Returns the distance to the closest of `others`, as a share of the ranges; infinite if `others` is empty.
-    fn distance_to_closest(&self, pair: WeightPair, others: &[WeightPair]) -> f64 {
+    /// Returns the distance to the closest of `known_pairs`, as a share of the ranges; infinite if there are none.
+    fn distance_to_closest(&self, pair: WeightPair, known_pairs: &[WeightPair]) -> f64 {
         let [x, y] = self.position(pair);
         let distance = |other: &WeightPair| {
             let [u, v] = self.position(*other);
             ((x - u) * (x - u) + (y - v) * (y - v)).sqrt()
         };
-        others.iter().map(distance).fold(f64::INFINITY, f64::min)
+        known_pairs.iter().map(distance).fold(f64::INFINITY, f64::min)
     }
 
-    /// Returns whether one of `others` counts as equal to `pair`.
-    pub fn is_close_to_any(&self, pair: WeightPair, others: &[WeightPair]) -> bool {
-        self.distance_to_closest(pair, others) <= SAME_PAIR_DISTANCE
+    /// Returns whether one of `known_pairs` counts as equal to `pair`.
+    pub fn is_close_to_any(&self, pair: WeightPair, known_pairs: &[WeightPair]) -> bool {
+        self.distance_to_closest(pair, known_pairs) <= SAME_PAIR_DISTANCE
     }
 
-    /// Returns a pair far from all of `others`, drawn with `seed` for the point `number`.
-    pub fn draw_farthest(&self, others: &[WeightPair], seed: u64, number: u64) -> WeightPair {
+    /// Returns a pair far from all of `known_pairs`, drawn with `seed` for the point `number`.
+    pub fn draw_farthest(&self, known_pairs: &[WeightPair], seed: u64, number: u64) -> WeightPair {
         let mut stream = Stream::new(seed, Purpose::Tuning, number);
         let drawn = (0..FARTHEST_CANDIDATES).map(|_| self.rounded(self.pair_at([stream.unit(), stream.unit()])));
-        let best = drawn.map(|pair| (self.distance_to_closest(pair, others), pair));
+        let best = drawn.map(|pair| (self.distance_to_closest(pair, known_pairs), pair));
         let best = best.max_by(|a, b| a.0.total_cmp(&b.0));
         best.expect("there are candidates").1
     }

@@ -275,13 +275,13 @@ fn an_interrupted_tuning_resumes_to_the_same_result() {
     let mut tuner = Tuner::open(small_plan(), &uninterrupted.0, false).expect("new");
     assert!(tuner.run(3, 1, &BetweenBestAndLast, &()).expect("run"));
     assert_eq!((tuner.history().points.len(), tuner.pairs_left(3)), (6, 0));
-    for stop in [1, 4] {
+    for stop_point in [1, 4] {
         let mut stopped = Tuner::open(small_plan(), &interrupted.0, false).expect("new or found");
-        let is_finished = stopped.run(3, 2, &BetweenBestAndLast, &StopInPoint::new(stop));
-        assert!(!is_finished.expect("run"), "stopped in point {stop}");
-        assert_eq!(stopped.history().points.len(), stop);
+        let is_finished = stopped.run(3, 2, &BetweenBestAndLast, &StopInPoint::new(stop_point));
+        assert!(!is_finished.expect("run"), "stopped in point {stop_point}");
+        assert_eq!(stopped.history().points.len(), stop_point);
         // A torn file: the point in progress is lost, the points before it are not.
-        std::fs::write(&interrupted.0, interrupted.text() + &format!("{stop},1.5,2.")).expect("writable");
+        std::fs::write(&interrupted.0, interrupted.text() + &format!("{stop_point},1.5,2.")).expect("writable");
     }
     let mut resumed = Tuner::open(small_plan(), &interrupted.0, false).expect("found");
     assert!(resumed.is_torn());
@@ -348,7 +348,7 @@ fn a_history_round_trips_and_damaged_ones_are_refused() {
         history
             .points
             .iter()
-            .map(|plan| plan.weights.map(f64::to_bits))
+            .map(|point| point.weights.map(f64::to_bits))
             .collect()
     };
     assert_eq!(
@@ -420,7 +420,7 @@ mod optimiser {
         points
     }
 
-    /// Such pairs are less than 1 % of the ranges: a random search would need hundreds of proposals.
+    /// Pairs within 0.002 of the maximum are less than 1 % of the ranges: a random search needs a hundred proposals.
     #[test]
     fn the_optimiser_finds_the_maximum() {
         for seed in [1, 2, 3] {
@@ -434,7 +434,7 @@ mod optimiser {
     fn proposals_are_the_same_twice_and_in_any_pool() {
         let points = climb(1, 3);
         let bits = |points: &[(WeightPair, f64)]| -> Vec<[u64; 2]> {
-            points.iter().map(|plan| plan.0.map(f64::to_bits)).collect()
+            points.iter().map(|(pair, _)| pair.map(f64::to_bits)).collect()
         };
         assert_eq!(bits(&points), bits(&climb(1, 3)));
         let on_three_threads = new_pool(3).expect("threads").install(|| climb(1, 3));

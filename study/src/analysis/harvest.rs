@@ -126,8 +126,8 @@ impl HarvestStudy {
             return empty_list("e-b", "1,5,10");
         }
         if let Some(out_of_range) = self.lambdas.iter().find(|l| !(0.0..=MAX_LAMBDA).contains(*l)) {
-            let allowed = format!("must be a rate from 0 to {MAX_LAMBDA}");
-            return Err(AnalysisError::invalid("lambda", out_of_range, allowed));
+            let requirement = format!("must be a rate from 0 to {MAX_LAMBDA}");
+            return Err(AnalysisError::invalid("lambda", out_of_range, requirement));
         }
         if self.e_b.contains(&Energy::ZERO) {
             return Err(AnalysisError::invalid("e-b", &0, "must be above 0 units"));
@@ -153,7 +153,7 @@ impl HarvestStudy {
 /// Measures the units that `scenario` spends per device and TTI with its own energy source: the consumption of Fig. 8.
 ///
 /// # Errors
-/// If `seeds` is 0.
+/// If `seeds` is 0 or above 1 000 000.
 pub fn measure_consumption(scenario: &Scenario, seeds: u64) -> Result<Estimate, AnalysisError> {
     check_seeds(seeds)?;
     Ok(Estimate::from_values_or_nan(map_seeds(scenario, seeds, |one| {
@@ -164,7 +164,7 @@ pub fn measure_consumption(scenario: &Scenario, seeds: u64) -> Result<Estimate, 
 /// Measures the units that `scenario` would spend per device and TTI with every battery full at the start of every TTI.
 ///
 /// # Errors
-/// If `seeds` is 0.
+/// If `seeds` is 0 or above 1 000 000.
 pub fn measure_demand(scenario: &Scenario, seeds: u64) -> Result<Estimate, AnalysisError> {
     let mut with_full_batteries = scenario.clone();
     for class in &mut with_full_batteries.classes {
@@ -252,6 +252,7 @@ pub const STATED_THRESHOLDS: [StatedThreshold; 9] = {
         reason: "All three E_B share one consumption. Under Eq. (5) these λ correspond to 0.18 and 0.26 units, but the \
             λ of E_B = 5 and 10 to 0.22 to 0.25 and 0.44 to 0.46. A harvest of λ·E_B would bring them closer.",
     };
+    /// Creates a statement on two λ: of the policy that spends least, then of the one that spends most.
     const fn both(
         devices: u32,
         (least, most): LeastAndMost,
@@ -268,6 +269,7 @@ pub const STATED_THRESHOLDS: [StatedThreshold; 9] = {
             ..one(devices, (least, most), e_b, least_lambda, citation)
         }
     }
+    /// Creates a statement on a single λ, which is assigned to the policy that spends least.
     const fn one(
         devices: u32,
         (policy, _): LeastAndMost,

@@ -22,7 +22,7 @@ pub struct IMinComparison {
 /// Measures I_min of `scenario`'s layout under `seeds` consecutive seeds from its own.
 ///
 /// # Errors
-/// If `seeds` is 0.
+/// If `seeds` is 0 or above 1 000 000.
 pub fn measure(scenario: &Scenario, seeds: u64) -> Result<IMinComparison, AnalysisError> {
     check_seeds(seeds)?;
     let values = map_seeds(scenario, seeds, |one| {

@@ -64,8 +64,8 @@ pub(crate) fn check_seeds(seeds: u64) -> Result<(), AnalysisError> {
     if (1..=MAX_SEEDS).contains(&seeds) {
         return Ok(());
     }
-    let allowed = format!("must be from 1 to {MAX_SEEDS}: one run per seed");
-    Err(AnalysisError::invalid("seeds", &seeds, allowed))
+    let requirement = format!("must be from 1 to {MAX_SEEDS}: one run per seed");
+    Err(AnalysisError::invalid("seeds", &seeds, requirement))
 }
 
 /// Applies `measure` to `scenario` under `seeds` consecutive seeds from its own, on all cores. Returns the results in

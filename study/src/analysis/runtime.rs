@@ -206,8 +206,12 @@ pub struct PowerLaw {
 /// With fewer than two different x, or a value that has no logarithm.
 pub fn fit_power_law(points: &[(f64, f64)]) -> Result<PowerLaw, AnalysisError> {
     if let Some(bad) = points.iter().find(|(x, y)| !(*x > 0.0 && *y > 0.0)) {
-        let allowed = "must both be above 0 for a power law";
-        return Err(AnalysisError::invalid("point (N, time)", &format!("{bad:?}"), allowed));
+        let requirement = "must both be above 0 for a power law";
+        return Err(AnalysisError::invalid(
+            "point (N, time)",
+            &format!("{bad:?}"),
+            requirement,
+        ));
     }
     let logs: Vec<(f64, f64)> = points.iter().map(|(x, y)| (libm::log(*x), libm::log(*y))).collect();
     let n = logs.len() as f64;
@@ -217,8 +221,8 @@ pub fn fit_power_law(points: &[(f64, f64)]) -> Result<PowerLaw, AnalysisError> {
     );
     let xx: f64 = logs.iter().map(|(x, _)| (x - mean_x).powi(2)).sum();
     if logs.len() < 2 || xx <= 0.0 {
-        let allowed = "must hold at least two different values for an exponent to be fitted";
-        return Err(AnalysisError::invalid("devices", &points.len(), allowed));
+        let requirement = "must hold at least two different values for an exponent to be fitted";
+        return Err(AnalysisError::invalid("devices", &points.len(), requirement));
     }
     let xy: f64 = logs.iter().map(|(x, y)| (x - mean_x) * (y - mean_y)).sum();
     let exponent = xy / xx;

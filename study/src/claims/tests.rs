@@ -124,7 +124,7 @@ fn each_number_of_a_claim_is_printed_in_its_sentence() {
 
 #[test]
 fn each_printed_number_is_in_a_claim() {
-    for (place, numbers, sizes) in PRINTED {
+    for (place, numbers, device_counts) in PRINTED {
         let claimed = numbers_claimed(place);
         for number in *numbers {
             assert!(
@@ -132,7 +132,7 @@ fn each_printed_number_is_in_a_claim() {
                 "{place}: no claim has the number {number}"
             );
         }
-        for n in *sizes {
+        for n in *device_counts {
             let names_n = |claim: &Claim| match claim.device_counts {
                 At(limit) | Under(limit) | UpTo(limit) | Over(limit) => limit == *n,
                 All => false,

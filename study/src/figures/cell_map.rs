@@ -54,8 +54,9 @@ pub(super) fn cluster_borders(positions: &[Point], cells: &[Vec<Point>], cluster
     lines
 }
 
-/// Returns the tint of each cluster, `0 .. count`. Adjacent clusters differ if that many tints suffice.
-pub(super) fn assign_tints(neighbours: &BTreeSet<(usize, usize)>, cluster_of: &[u32], count: usize) -> Vec<usize> {
+/// Returns the tint of each cluster, `0 .. tint_count`. Adjacent clusters differ, except where those with lower numbers
+/// have all tints.
+pub(super) fn assign_tints(neighbours: &BTreeSet<(usize, usize)>, cluster_of: &[u32], tint_count: usize) -> Vec<usize> {
     let clusters = cluster_of.iter().max().map_or(0, |last| *last as usize + 1);
     let mut adjacent_clusters = vec![BTreeSet::new(); clusters];
     for (a, b) in neighbours {
@@ -67,8 +68,8 @@ pub(super) fn assign_tints(neighbours: &BTreeSet<(usize, usize)>, cluster_of: &[
     for (cluster, adjacent) in adjacent_clusters.iter().enumerate() {
         // Clusters with higher numbers have no tint yet; they will avoid this one.
         let taken: Vec<usize> = adjacent.iter().filter_map(|other| tints.get(*other).copied()).collect();
-        let free = (0..count).find(|tint| !taken.contains(tint));
-        tints.push(free.unwrap_or(cluster % count));
+        let free = (0..tint_count).find(|tint| !taken.contains(tint));
+        tints.push(free.unwrap_or(cluster % tint_count));
     }
     tints
 }

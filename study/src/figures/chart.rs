@@ -313,15 +313,15 @@ impl PlotFrame<'_> {
         }
         let has_line = |s: &&Series| s.is_joined && s.interval != Interval::BandEdges;
         for series in self.chart.series.iter().filter(has_line) {
-            let points = series.points.iter().map(|s| (self.x(s.x), self.y(s.y)));
+            let points = series.points.iter().map(|p| (self.x(p.x), self.y(p.y)));
             scene.line(VectorPath::polyline(points, false), series.style.stroke());
         }
         for mark in &self.chart.marks {
             self.draw_stated_point(scene, mark);
         }
         for series in self.chart.series.iter().filter(|s| s.has_markers) {
-            for sample in &series.points {
-                series.style.draw_marker(scene, (self.x(sample.x), self.y(sample.y)));
+            for point in &series.points {
+                series.style.draw_marker(scene, (self.x(point.x), self.y(point.y)));
             }
         }
         self.draw_notes(scene);
@@ -332,20 +332,20 @@ impl PlotFrame<'_> {
         let notes: Vec<_> = notes.map(|n| ((self.x(n.x), self.y(n.y)), n.text.as_str())).collect();
         let mut obstacles = Obstacles::default();
         for series in &self.chart.series {
-            let to_canvas = |s: &ChartPoint| (self.x(s.x), self.y(s.y));
-            let markers = series.points.iter().map(|s| (to_canvas(s), MARKER_RADIUS));
+            let to_canvas = |p: &ChartPoint| (self.x(p.x), self.y(p.y));
+            let markers = series.points.iter().map(|p| (to_canvas(p), MARKER_RADIUS));
             obstacles.markers.extend(markers);
             let lines = series
                 .points
                 .windows(2)
                 .map(|pair| [to_canvas(&pair[0]), to_canvas(&pair[1])]);
             obstacles.lines.extend(lines.filter(|_| series.is_joined));
-            for s in &series.points {
-                let (x, y) = to_canvas(s);
-                let ends = [-1.0, 1.0].map(|side| (self.x(s.x + side * s.x_half_width), y));
-                obstacles.lines.extend(s.x_half_width.is_finite().then_some(ends));
-                let ends = [-1.0, 1.0].map(|side| (x, self.y(s.y + side * s.y_half_width)));
-                obstacles.lines.extend(s.y_half_width.is_finite().then_some(ends));
+            for p in &series.points {
+                let (x, y) = to_canvas(p);
+                let ends = [-1.0, 1.0].map(|side| (self.x(p.x + side * p.x_half_width), y));
+                obstacles.lines.extend(p.x_half_width.is_finite().then_some(ends));
+                let ends = [-1.0, 1.0].map(|side| (x, self.y(p.y + side * p.y_half_width)));
+                obstacles.lines.extend(p.y_half_width.is_finite().then_some(ends));
             }
         }
         let marks = self.chart.marks.iter();
@@ -359,7 +359,7 @@ impl PlotFrame<'_> {
 
     /// Draws the band and the bars of a series according to its [`Interval`]; points without an interval have neither.
     fn draw_intervals(&self, scene: &mut Scene, series: &Series) {
-        let with_interval: Vec<&ChartPoint> = series.points.iter().filter(|s| s.y_half_width.is_finite()).collect();
+        let with_interval: Vec<&ChartPoint> = series.points.iter().filter(|p| p.y_half_width.is_finite()).collect();
         if series.interval == Interval::LightBand {
             self.draw_light_band(scene, series.style.paint, &with_interval);
             return;
@@ -367,11 +367,11 @@ impl PlotFrame<'_> {
         if series.is_joined && with_interval.len() > 1 && series.interval != Interval::Crosses {
             let upper = with_interval
                 .iter()
-                .map(|s| (self.x(s.x), self.y(s.y + s.y_half_width)));
+                .map(|p| (self.x(p.x), self.y(p.y + p.y_half_width)));
             let lower = with_interval
                 .iter()
                 .rev()
-                .map(|s| (self.x(s.x), self.y(s.y - s.y_half_width)));
+                .map(|p| (self.x(p.x), self.y(p.y - p.y_half_width)));
             scene.area(VectorPath::polyline(upper.chain(lower), true), series.style.paint, 0.25);
         }
         match series.interval {
@@ -381,29 +381,29 @@ impl PlotFrame<'_> {
                 for sign in [1.0, -1.0] {
                     let edge = with_interval
                         .iter()
-                        .map(|s| (self.x(s.x), self.y(s.y + sign * s.y_half_width)));
+                        .map(|p| (self.x(p.x), self.y(p.y + sign * p.y_half_width)));
                     scene.line(VectorPath::polyline(edge, false), series.style.stroke());
                 }
                 return;
             }
         }
         let bar = Stroke::solid(series.style.paint, 0.7);
-        for sample in with_interval {
-            let x = self.x(sample.x);
+        for point in with_interval {
+            let x = self.x(point.x);
             let (top, bottom) = (
-                self.y(sample.y + sample.y_half_width),
-                self.y(sample.y - sample.y_half_width),
+                self.y(point.y + point.y_half_width),
+                self.y(point.y - point.y_half_width),
             );
             let mut path = VectorPath::segment((x, top), (x, bottom));
             path.extend(VectorPath::segment((x - 2.0, top), (x + 2.0, top)));
             path.extend(VectorPath::segment((x - 2.0, bottom), (x + 2.0, bottom)));
             scene.line(path, bar);
         }
-        for sample in series.points.iter().filter(|s| s.x_half_width.is_finite()) {
-            let y = self.y(sample.y);
+        for point in series.points.iter().filter(|p| p.x_half_width.is_finite()) {
+            let y = self.y(point.y);
             let (left, right) = (
-                self.x(sample.x - sample.x_half_width),
-                self.x(sample.x + sample.x_half_width),
+                self.x(point.x - point.x_half_width),
+                self.x(point.x + point.x_half_width),
             );
             let mut path = VectorPath::segment((left, y), (right, y));
             path.extend(VectorPath::segment((left, y - 2.0), (left, y + 2.0)));
@@ -417,7 +417,7 @@ impl PlotFrame<'_> {
         let edge = |sign: f64| {
             points
                 .iter()
-                .map(move |s| (self.x(s.x), self.y(s.y + sign * s.y_half_width)))
+                .map(move |p| (self.x(p.x), self.y(p.y + sign * p.y_half_width)))
         };
         let outline: Vec<(f64, f64)> = edge(1.0).chain(edge(-1.0).rev()).collect();
         scene.area(VectorPath::polyline(outline, true), paint, 0.12);
@@ -495,18 +495,19 @@ impl PlotFrame<'_> {
 
 /// Returns lines that rise through a rectangle at 45°.
 pub(super) fn hatch_lines([left, top, right, bottom]: Rect) -> Vec<VectorPath> {
+    /// Horizontal distance between two lines, points.
     const STEP: f64 = 6.0;
     let height = bottom - top;
     if height <= 0.0 {
         return Vec::new();
     }
-    let count = ((right - left + height) / STEP) as u32;
+    let last_index = ((right - left + height) / STEP) as u32;
     let line = |i: u32| {
         let foot = left - height + STEP * f64::from(i);
         let (from, to) = ((left - foot).max(0.0), (right - foot).min(height));
         (to > from).then(|| VectorPath::segment((foot + from, bottom - from), (foot + to, bottom - to)))
     };
-    (0..=count).filter_map(line).collect()
+    (0..=last_index).filter_map(line).collect()
 }
 
 /// Spreads marks that share an x around it, in order: one marker width apart, at most 4 points from x.

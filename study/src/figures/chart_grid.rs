@@ -59,8 +59,8 @@ impl ChartGrid {
         let mut y = MARGIN + TITLE_SIZE;
         scene.text(Text::new(self.title.as_str(), (MARGIN, y), TITLE_SIZE).bold());
         y += LEADING + 6.0;
-        let count = self.columns.len().max(1) as f64;
-        let column_width = (PAGE_WIDTH - 2.0 * MARGIN - (count - 1.0) * COLUMN_GAP) / count;
+        let column_count = self.columns.len().max(1) as f64;
+        let column_width = (PAGE_WIDTH - 2.0 * MARGIN - (column_count - 1.0) * COLUMN_GAP) / column_count;
         let left = |column: usize| MARGIN + column as f64 * (column_width + COLUMN_GAP);
         for (column, name) in self.columns.iter().enumerate() {
             scene.text(Text::new(name.as_str(), (left(column), y), TEXT_SIZE));

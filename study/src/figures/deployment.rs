@@ -53,7 +53,7 @@ pub enum DeviceRole {
     /// Woken, and reported; with the number of its wake-up.
     Woken(u32),
     /// In S1 or woken, but could not pay E_Tx.
-    Failed,
+    LackedEnergy,
     /// Woken, but no report arrived: unpowered, not asleep, or the wake-up or report was lost.
     NoReport,
     /// In S1 without an event to report.
@@ -133,12 +133,12 @@ fn role(device: DeviceId, outcome: &TtiOutcome, state: DeviceState) -> DeviceRol
     let wake_up = (1..).zip(&outcome.wake_ups).find(|(_, (woken, _))| *woken == device);
     match wake_up {
         Some((number, (_, WakeOutcome::Reported(_)))) => return DeviceRole::Woken(number),
-        Some((_, (_, WakeOutcome::Failed(_) | WakeOutcome::Late { .. }))) => return DeviceRole::Failed,
+        Some((_, (_, WakeOutcome::Failed(_) | WakeOutcome::Late { .. }))) => return DeviceRole::LackedEnergy,
         Some((_, (_, WakeOutcome::Missed | WakeOutcome::Lost(_)))) => return DeviceRole::NoReport,
         None => {}
     }
     if outcome.failures.iter().any(|f| f.device == device) {
-        return DeviceRole::Failed;
+        return DeviceRole::LackedEnergy;
     }
     match state {
         DeviceState::Transmission => DeviceRole::Reporter,
@@ -167,14 +167,14 @@ pub fn scene(scenario: &Scenario, event_scene: &EventScene) -> Scene {
         scenario.run.devices
     );
     let mut y = draw_title(&mut scene);
-    let ground = AreaPlot::new(scenario.area, y - 2.0);
-    ground.draw_cells(&mut scene, event_scene);
-    ground.draw_axes(&mut scene);
-    ground.draw_event(&mut scene, event_scene, scenario.sensing.d_max);
+    let plot = AreaPlot::new(scenario.area, y - 2.0);
+    plot.draw_cells(&mut scene, event_scene);
+    plot.draw_axes(&mut scene);
+    plot.draw_event(&mut scene, event_scene, scenario.sensing.d_max);
     let classes = ClassMarks::new(scenario);
-    ground.draw_class_rings(&mut scene, event_scene, &classes);
-    ground.draw_devices(&mut scene, event_scene);
-    y = legend(&mut scene, event_scene, ground.bottom() + 2.0 * LEADING + 15.0);
+    plot.draw_class_rings(&mut scene, event_scene, &classes);
+    plot.draw_devices(&mut scene, event_scene);
+    y = draw_legend(&mut scene, event_scene, plot.bottom() + 2.0 * LEADING + 15.0);
     y = classes.draw_legend(&mut scene, y);
     scene.description = caption(scenario, event_scene);
     draw_caption(&mut scene, y);
@@ -250,8 +250,8 @@ impl AreaPlot {
                 let text = number.to_string();
                 // On the right, unless the text would extend beyond the area.
                 let room = text_width(&text, Weight::Bold, TEXT_SIZE) + 6.0;
-                let is_left = x + room < self.left + self.area.width * self.points_per_metre;
-                let (x, anchor) = if is_left {
+                let is_on_right = x + room < self.left + self.area.width * self.points_per_metre;
+                let (x, anchor) = if is_on_right {
                     (x + 4.0, Anchor::Start)
                 } else {
                     (x - 4.0, Anchor::End)
@@ -342,7 +342,7 @@ fn draw_role(scene: &mut Scene, role: DeviceRole, at: (f64, f64)) {
             let square = VectorPath::rectangle([x - 2.8, y - 2.8, x + 2.8, y + 2.8]);
             scene.outlined(square, Paint::Colour(GREEN), border);
         }
-        DeviceRole::Failed => draw_cross(scene, at, 3.0, Stroke::solid(Paint::Colour(VERMILION), 1.6)),
+        DeviceRole::LackedEnergy => draw_cross(scene, at, 3.0, Stroke::solid(Paint::Colour(VERMILION), 1.6)),
         DeviceRole::NoReport => {
             let square = VectorPath::rectangle([x - 2.6, y - 2.6, x + 2.6, y + 2.6]);
             scene.outlined(square, Paint::Paper, Stroke::solid(Paint::Ink, 0.8));
@@ -359,7 +359,7 @@ fn draw_role(scene: &mut Scene, role: DeviceRole, at: (f64, f64)) {
 }
 
 /// Draws the roles in the figure, with the number of devices in each. Returns the base line of the text below.
-fn legend(scene: &mut Scene, event_scene: &EventScene, y: f64) -> f64 {
+fn draw_legend(scene: &mut Scene, event_scene: &EventScene, y: f64) -> f64 {
     let count = |is: fn(&DeviceRole) -> bool| event_scene.roles.iter().filter(|role| is(role)).count();
     let entries = [
         (
@@ -373,9 +373,9 @@ fn legend(scene: &mut Scene, event_scene: &EventScene, y: f64) -> f64 {
             count(|r| matches!(r, DeviceRole::Woken(_))),
         ),
         (
-            DeviceRole::Failed,
+            DeviceRole::LackedEnergy,
             "lacked E_Tx",
-            count(|r| matches!(r, DeviceRole::Failed)),
+            count(|r| matches!(r, DeviceRole::LackedEnergy)),
         ),
         (
             DeviceRole::NoReport,

@@ -2,7 +2,8 @@
 //!
 //! As in the paper, consumption stays fixed while λ varies; it is read from the tables, as in Fig. 8. Lines are the
 //! closed form λτ·exp(-λτ)·E_B of Eq. (5). Points are harvests of simulated devices, in Fig. 14 less consumption.
-//! [`NAMES`] and the columns of both CSV files are public.
+//! [`NAMES`] are values of `--only` and parts of file names, listed in docs/figures-and-report.md. The columns of both
+//! CSV files are a file format. `reveille report` recognises the titles by their first words, `Harvest` and `Net`.
 
 use std::fmt::Write as _;
 
@@ -41,7 +42,7 @@ const NET_RANGE: (f64, f64) = (-0.4, 1.0);
 const MEASUREMENT_SIZE: (u32, u64, u64) = (20, 2000, 8);
 
 /// Measures harvests of simulated devices for the λ and E_B of the figures, with all other settings as in the preset
-/// `name`.
+/// `name`. Empty if no preset of this name loads without files.
 ///
 /// # Errors
 /// The measurement fails, which does not happen for a preset.
@@ -96,6 +97,11 @@ fn lambda_scale() -> Scale {
     }
 }
 
+/// Returns the style of each of [`E_B_UNITS`], for its line, points and marks.
+fn e_b_styles() -> [Style; E_B_UNITS.len()] {
+    [Style::from_palette(0), Style::from_palette(3), Style::from_palette(4)]
+}
+
 /// Draws Fig. 13 with `points` of [`measure_harvests`], and consumption bands for N = 10 and 250 if `condition` has
 /// them.
 pub fn harvest_chart(condition: &RunCondition, points: &[HarvestPoint]) -> Chart {
@@ -129,11 +135,7 @@ pub fn harvest_chart(condition: &RunCondition, points: &[HarvestPoint]) -> Chart
             " Spent at N = {n}: {least} ({least_policy}) to {most} ({most_policy})."
         );
     }
-    for (e_b, style) in
-        E_B_UNITS
-            .into_iter()
-            .zip([Style::from_palette(0), Style::from_palette(3), Style::from_palette(4)])
-    {
+    for (e_b, style) in E_B_UNITS.into_iter().zip(e_b_styles()) {
         let line = curve_lambdas().map(|x| ChartPoint {
             x,
             y: closed_form(e_b, x),
@@ -180,11 +182,11 @@ pub fn harvest_chart(condition: &RunCondition, points: &[HarvestPoint]) -> Chart
 /// `points` of [`measure_harvests`]. `None` if `condition` lacks those policies.
 pub fn net_chart(condition: &RunCondition, points: &[HarvestPoint]) -> Option<Chart> {
     let (devices, ttis, seeds) = MEASUREMENT_SIZE;
-    let spent = |policy| condition.estimate(policy, NET_N, "energy_per_device_tti");
+    let consumption_of = |policy| condition.estimate(policy, NET_N, "energy_per_device_tti");
     let mut series = Vec::new();
     let mut consumptions = Vec::new();
     for policy in NET_POLICIES {
-        let consumption = spent(policy)?;
+        let consumption = consumption_of(policy)?;
         let (spent, half_width) = (consumption.mean, consumption.half_width);
         consumptions.push(if half_width.is_nan() {
             format!("{policy} spends {}", format_significant(spent, 3))
@@ -192,11 +194,7 @@ pub fn net_chart(condition: &RunCondition, points: &[HarvestPoint]) -> Option<Ch
             let decimals = decimals_for(half_width, 2);
             format!("{policy} spends {spent:.decimals$} ± {half_width:.decimals$}")
         });
-        for (e_b, style) in
-            E_B_UNITS
-                .into_iter()
-                .zip([Style::from_palette(0), Style::from_palette(3), Style::from_palette(4)])
-        {
+        for (e_b, style) in E_B_UNITS.into_iter().zip(e_b_styles()) {
             let net = curve_lambdas().map(|x| ChartPoint {
                 x,
                 y: closed_form(e_b, x) - spent,
@@ -264,10 +262,7 @@ fn stated_marks(stated: &harvest::StatedThreshold) -> impl Iterator<Item = State
         .iter()
         .position(|e| (e - stated.e_b).abs() < 1e-9)
         .unwrap_or(0);
-    let (style, e_b) = (
-        [Style::from_palette(0), Style::from_palette(3), Style::from_palette(4)][index],
-        stated.e_b,
-    );
+    let (style, e_b) = (e_b_styles()[index], stated.e_b);
     stated.ends().map(move |end| StatedMark {
         x: end.lambda,
         x_offset: 0.0,

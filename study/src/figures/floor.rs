@@ -77,8 +77,9 @@ pub(crate) fn floor_within_harvest(scenario: &Scenario, n: u32) -> Option<f64> {
 
 /// Returns the least cover of `n` devices and the share of the area within their reach.
 fn least_cover(layout: &Layout, n: u32) -> Option<(f64, f64)> {
-    let found = csv_rows(COVER_CSV).find(|row| is_row_of(row, layout, n))?;
-    Some((found.get(3)?.parse().ok()?, found.get(6)?.parse().ok()?))
+    let row = csv_rows(COVER_CSV).find(|row| is_row_of(row, layout, n))?;
+    // Columns `cover_at_least` and `reach`.
+    Some((row.get(3)?.parse().ok()?, row.get(6)?.parse().ok()?))
 }
 
 /// Returns the relaxed bounds for `n` devices as points of energy and information, in ascending order of energy. They

@@ -39,7 +39,7 @@ pub(crate) fn units_per_em(weight: Weight) -> f64 {
 
 /// Returns the glyphs of `text` with their positions along the base line, and the total length, in font units. A
 /// missing letter becomes the font's box for missing glyphs.
-pub(crate) fn set_glyphs(text: &str, weight: Weight) -> (Vec<(Glyph, u32)>, u32) {
+pub(crate) fn lay_out_glyphs(text: &str, weight: Weight) -> (Vec<(Glyph, u32)>, u32) {
     let face = face(weight);
     let mut at = 0;
     let glyphs = text
@@ -57,7 +57,7 @@ pub(crate) fn set_glyphs(text: &str, weight: Weight) -> (Vec<(Glyph, u32)>, u32)
 
 /// Returns the length of `text`, points.
 pub(crate) fn text_width(text: &str, weight: Weight, size: f64) -> f64 {
-    f64::from(set_glyphs(text, weight).1) * size / units_per_em(weight)
+    f64::from(lay_out_glyphs(text, weight).1) * size / units_per_em(weight)
 }
 
 /// Returns whether the font has every letter of `text`.
@@ -143,7 +143,7 @@ mod tests {
 
     #[test]
     fn a_space_has_a_width_and_no_outline() {
-        let (glyphs, length) = set_glyphs("a b", Weight::Regular);
+        let (glyphs, length) = lay_out_glyphs("a b", Weight::Regular);
         assert_eq!(outline(glyphs[1].0), VectorPath::default());
         assert!(glyphs[1].1 < glyphs[2].1 && glyphs[2].1 < length);
     }

@@ -296,9 +296,9 @@ pub(crate) fn draw_colour_scale(scene: &mut Scene, at: (f64, f64), largest: f64)
     top + COLOUR_SCALE_HEIGHT + LEADING + 0.24 * TEXT_SIZE
 }
 
-/// Draws the key: the colour scale and the meaning of marks. `framed` describes the cells within the bold line, `half`
-/// the partly known cells, if any. Returns the y below the key.
-pub fn draw_key(scene: &mut Scene, at: (f64, f64), largest: f64, framed: &str, half: Option<&str>) -> f64 {
+/// Draws the key: the colour scale and the meaning of marks. `framed` describes the cells within the bold line,
+/// `partly_known` the partly known cells, if any. Returns the y below the key.
+pub fn draw_key(scene: &mut Scene, at: (f64, f64), largest: f64, framed: &str, partly_known: Option<&str>) -> f64 {
     let below = draw_colour_scale(scene, at, largest);
     let top = at.1;
     let mut x = at.0 + 13.0 + COLOUR_SCALE_WIDTH + 22.0;
@@ -310,11 +310,11 @@ pub fn draw_key(scene: &mut Scene, at: (f64, f64), largest: f64, framed: &str, h
     };
     scene.line(VectorPath::rectangle(swatch(x)), Stroke::solid(Paint::Ink, FRAME_WIDTH));
     entry(scene, &mut x, framed);
-    if let Some(half) = half {
+    if let Some(partly_known) = partly_known {
         let colour = blend(0.4);
         scene.area(VectorPath::rectangle(swatch(x)), Paint::Colour(colour), 1.0);
         draw_corner_mark(scene, swatch(x), contrast_colour(colour));
-        entry(scene, &mut x, half);
+        entry(scene, &mut x, partly_known);
     }
     draw_hatching(scene, swatch(x));
     entry(scene, &mut x, "never visited");
@@ -345,11 +345,11 @@ pub(super) fn colour(value: f64, largest: f64) -> Rgb {
 
 /// Returns the colour at `share` of the scale, −1 to 1.
 pub(super) fn blend(share: f64) -> Rgb {
-    let at = 0.5 * (share + 1.0) * (RAMP.len() - 1) as f64;
+    let position = 0.5 * (share + 1.0) * (RAMP.len() - 1) as f64;
     // At the very end of the scale there is no next colour to blend with.
-    let first = (at as usize).min(RAMP.len() - 2);
-    let part = at - first as f64;
-    let (Rgb(r, g, b), Rgb(red, green, blue)) = (RAMP[first], RAMP[first + 1]);
+    let lower = (position as usize).min(RAMP.len() - 2);
+    let part = position - lower as f64;
+    let (Rgb(r, g, b), Rgb(red, green, blue)) = (RAMP[lower], RAMP[lower + 1]);
     let mix = |from: u8, to: u8| (f64::from(from) + part * (f64::from(to) - f64::from(from))).round() as u8;
     Rgb(mix(r, red), mix(g, green), mix(b, blue))
 }

@@ -120,16 +120,16 @@ pub fn scene(sources: &[NamedTables]) -> Result<Scene, FigureError> {
     scene.description = caption(sources);
     let mut y = MARGIN + TITLE_SIZE;
     scene.text(Text::new(scene.title.clone(), (MARGIN, y), TITLE_SIZE).bold());
-    y = legend(&mut scene, sources, y + LEADING + 3.0);
+    y = draw_legend(&mut scene, sources, y + LEADING + 3.0);
     let panel_width = 0.5 * (PAGE_WIDTH - MARGIN - 14.0 - PANELS_LEFT - PANEL_GAP);
     let panel_lefts = [PANELS_LEFT, PANELS_LEFT + panel_width + PANEL_GAP];
     for (left, quantity) in panel_lefts.iter().zip(&QUANTITIES) {
         let at = (left + 0.5 * panel_width, y);
         scene.text(Text::new(quantity.title, at, TEXT_SIZE).bold().anchored(Anchor::Middle));
     }
-    let last = sources.iter().flat_map(|(_, l)| &l.entries).flat_map(|e| &e.curve);
+    let curve_points = sources.iter().flat_map(|(_, l)| &l.entries).flat_map(|e| &e.curve);
     // All panels share x, so its labels are drawn only below the last row.
-    let x = Scale::linear([0.0, last.map(|p| p.ttis as f64).fold(1.0, f64::max)], true);
+    let x = Scale::linear([0.0, curve_points.map(|p| p.ttis as f64).fold(1.0, f64::max)], true);
     let is_one_window_and_area = rows.windows(2).fold([true; 2], |[window, area], pair| {
         let [same_window, same_area] = pair[0].same_window_and_area(&pair[1]);
         [window && same_window, area && same_area]
@@ -181,7 +181,8 @@ fn draw_row_name(scene: &mut Scene, row: PanelRow, [is_one_window, is_one_area]:
 }
 
 /// Draws the legend of the files, if there are several. Returns the y below it.
-fn legend(scene: &mut Scene, sources: &[NamedTables], mut y: f64) -> f64 {
+fn draw_legend(scene: &mut Scene, sources: &[NamedTables], mut y: f64) -> f64 {
+    /// Width of an entry's line and marker, points.
     const SWATCH: f64 = 22.0;
     if sources.len() < 2 {
         return y + 2.0;
@@ -255,7 +256,7 @@ impl CurvePanel {
         let [left, top, right, bottom] = self.corners;
         let points = || sources.iter().flat_map(|(_, learned)| curve(learned, row));
         let scale = Scale::linear(points().map(quantity.value), false);
-        self.axes(scene, scale);
+        self.draw_axes(scene, scale);
         let at = |point: &CurvePoint| {
             let x = left + self.x.position(point.ttis as f64) * (right - left);
             (x, bottom - scale.position((quantity.value)(point)) * (bottom - top))
@@ -274,7 +275,7 @@ impl CurvePanel {
     }
 
     /// Draws the axes. Only the first and last tick of y have labels, since there is no room for more.
-    fn axes(&self, scene: &mut Scene, y: Scale) {
+    fn draw_axes(&self, scene: &mut Scene, y: Scale) {
         let [left, top, right, bottom] = self.corners;
         let (axis, grid) = (
             Stroke::solid(Paint::Ink, 0.7),

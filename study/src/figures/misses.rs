@@ -63,7 +63,7 @@ pub fn scene(misses: &Misses) -> Scene {
     for event in &misses.missed {
         draw_miss(&mut scene, event.cause, plot.to_canvas(event.epicentre));
     }
-    let y = legend(&mut scene, misses, plot.bottom() + 2.0 * LEADING + 15.0);
+    let y = draw_legend(&mut scene, misses, plot.bottom() + 2.0 * LEADING + 15.0);
     scene.description = caption(misses);
     draw_caption(&mut scene, y);
     scene
@@ -75,7 +75,7 @@ fn draw_miss(scene: &mut Scene, cause: Option<MissCause>, at: (f64, f64)) {
 }
 
 /// Draws the causes that occur, with their numbers of events. Returns the base line of the text below.
-fn legend(scene: &mut Scene, misses: &Misses, y: f64) -> f64 {
+fn draw_legend(scene: &mut Scene, misses: &Misses, y: f64) -> f64 {
     let mut legend = Legend::new(y);
     for (cause, count) in misses.causes() {
         let at = legend.place(scene, &format!("{} ({count})", cause_name(cause)));

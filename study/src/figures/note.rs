@@ -40,7 +40,7 @@ pub fn place_notes(notes: &[((f64, f64), &str)], obstacles: &Obstacles, frame: R
                 bounds[0] >= frame[0] && bounds[1] >= frame[1] && bounds[2] <= frame[2] && bounds[3] <= frame[3];
             is_inside && !markers.iter().chain(&taken).any(|other| boxes_overlap(&bounds, other))
         };
-        let crossed = |text: &Text| {
+        let crossing_count = |text: &Text| {
             let bounds = box_of_digits(text);
             obstacles
                 .lines
@@ -52,7 +52,7 @@ pub fn place_notes(notes: &[((f64, f64), &str)], obstacles: &Obstacles, frame: R
         let best = candidate_texts(point, label)
             .into_iter()
             .filter(is_free)
-            .min_by_key(crossed);
+            .min_by_key(crossing_count);
         placed.extend(best);
     }
     placed

@@ -22,7 +22,7 @@ pub const ENERGY_METRIC: &str = "energy_per_device_tti";
 pub const GENIE: &str = "genie";
 /// Metric along y for which larger values are better.
 pub const P1_METRIC: &str = "info_p1";
-/// Number of styles available for a policy's other lines.
+/// Number of styles of [`Style::from_palette`], which lend markers and dashes to a policy's other lines.
 const PALETTE_SIZE: usize = 6;
 
 /// A quantity plotted against energy.
@@ -30,7 +30,7 @@ const PALETTE_SIZE: usize = 6;
 pub struct TradeOff {
     /// Name in commands and files.
     pub name: &'static str,
-    /// Start of the title.
+    /// Start of the title, by which `reveille report` recognises the picture and orders it.
     pub title: &'static str,
     /// Metric along y.
     pub metric: &'static str,
@@ -80,7 +80,7 @@ fn trade_off_lines<'a>(metric: &str, conditions: &[&'a RunCondition]) -> Vec<Tra
             if points.is_empty() || lines.iter().any(is_same) {
                 continue;
             }
-            let others = lines.iter().filter(|line| line.policy == policy).count();
+            let earlier_count = lines.iter().filter(|line| line.policy == policy).count();
             let style = Style::of_policy(policy);
             // Lines of one policy share its colour, so they must differ from it in both marker and dashes.
             let differs = |variant: &Style| variant.marker != style.marker && variant.dashes != style.dashes;
@@ -93,11 +93,11 @@ fn trade_off_lines<'a>(metric: &str, conditions: &[&'a RunCondition]) -> Vec<Tra
                     [_] => policy.to_owned(),
                     _ => line_name(policy, condition),
                 },
-                style: match others {
+                style: match earlier_count {
                     0 => style,
                     _ => Style {
                         paint: style.paint,
-                        ..variants.nth(others - 1).unwrap_or(style)
+                        ..variants.nth(earlier_count - 1).unwrap_or(style)
                     },
                 },
                 points,
@@ -107,7 +107,7 @@ fn trade_off_lines<'a>(metric: &str, conditions: &[&'a RunCondition]) -> Vec<Tra
     let policy_rank = |line: &TradeOffLine<'_>| {
         conditions
             .iter()
-            .flat_map(|s| s.policies())
+            .flat_map(|condition| condition.policies())
             .position(|p| p == line.policy)
     };
     // A stable sort keeps the lines of a policy in the order of their conditions.
@@ -195,8 +195,8 @@ impl TradeOff {
         };
         let sample = |n: u32| {
             let least_energy = floor::floor_within_harvest(condition.scenario.as_ref()?, n)?;
-            let best = condition.estimate(GENIE, n, P1_METRIC)?.mean;
-            Some((n, floor::exact_point(least_energy, best)))
+            let information = condition.estimate(GENIE, n, P1_METRIC)?.mean;
+            Some((n, floor::exact_point(least_energy, information)))
         };
         let points: Vec<(u32, ChartPoint)> = condition.device_counts(GENIE).into_iter().filter_map(sample).collect();
         if points.len() > 1 { points } else { Vec::new() }
@@ -213,7 +213,7 @@ impl TradeOff {
             [one] => one.label(),
             _ => format!("{}, with the changes in the legend", condition.preset),
         };
-        let counts = || conditions.iter().map(|s| s.runs_per_cell());
+        let counts = || conditions.iter().map(|c| c.runs_per_cell());
         let (least, most) = (counts().map(|c| c.0).min(), counts().map(|c| c.1).max());
         let mut text = format!(
             "Preset {settings}; {} of {} TTIs per point, means with 95 % intervals in both directions. Lines join \
@@ -302,8 +302,8 @@ pub(crate) fn scales_from_zero(series: &[Series], marks: &[StatedMark]) -> [Scal
         // None of these metrics can be negative, whatever an interval says.
         [(mean - half_width).max(0.0), mean + half_width]
     };
-    let xs = points().flat_map(|s| ends(s.x, s.x_half_width));
-    let ys = points().flat_map(|s| ends(s.y, s.y_half_width));
+    let xs = points().flat_map(|p| ends(p.x, p.x_half_width));
+    let ys = points().flat_map(|p| ends(p.y, p.y_half_width));
     [
         Scale::linear(xs.chain(marks.iter().map(|m| m.x)), true),
         Scale::linear(ys.chain(marks.iter().flat_map(|m| m.stated.values())), true),
@@ -339,7 +339,7 @@ fn n_label(n: u32, sample: &ChartPoint) -> Note {
 
 /// Returns the labels ordered by importance: the last N of each line, then the first, then one halfway.
 fn by_importance(lines: &[Vec<Note>]) -> Vec<Note> {
-    let index_of_note: [fn(usize) -> Option<usize>; 3] = [
+    let indices_by_importance: [fn(usize) -> Option<usize>; 3] = [
         |count| Some(count - 1),
         |count| (count > 1).then_some(0),
         |count| (count > 2).then_some(count / 2),
@@ -348,7 +348,7 @@ fn by_importance(lines: &[Vec<Note>]) -> Vec<Note> {
         let note_of = move |line: &Vec<Note>| index_of_note(line.len()).map(|index| line[index].clone());
         lines.iter().filter_map(note_of)
     };
-    index_of_note.into_iter().flat_map(notes_at).collect()
+    indices_by_importance.into_iter().flat_map(notes_at).collect()
 }
 
 /// Returns marks for values that the paper states at one N for both metrics of a drawn policy.

@@ -3,7 +3,7 @@
 
 use tiny_skia::{Color, FillRule, LineJoin, Mask, Paint as Brush, PathBuilder, Pixmap, StrokeDash, Transform};
 
-use super::font::{outline, set_glyphs, units_per_em};
+use super::font::{lay_out_glyphs, outline, units_per_em};
 use super::path::{PathStep, VectorPath};
 use super::scene::{FilledPath, Paint, Rgb, Scene, SceneItem, Stroke, Text};
 
@@ -26,11 +26,11 @@ pub fn png(scene: &Scene) -> Vec<u8> {
     // `Pixmap::new` rejects a side of 0.
     let mut pixmap = Pixmap::new(w.max(1), h.max(1)).expect("a canvas of a few inches");
     pixmap.fill(Color::WHITE);
-    let ground = Transform::from_scale(scale as f32, scale as f32);
+    let to_pixels = Transform::from_scale(scale as f32, scale as f32);
     for item in &scene.items {
         match item {
-            SceneItem::Shape(shape) => draw_shape(&mut pixmap, shape, ground),
-            SceneItem::Text(text) => draw_text(&mut pixmap, text, ground),
+            SceneItem::Shape(shape) => draw_shape(&mut pixmap, shape, to_pixels),
+            SceneItem::Text(text) => draw_text(&mut pixmap, text, to_pixels),
         }
     }
     encode(&pixmap)
@@ -83,13 +83,13 @@ fn to_skia_path(path: &VectorPath) -> Option<tiny_skia::Path> {
     builder.finish()
 }
 
-fn draw_shape(pixmap: &mut Pixmap, shape: &FilledPath, ground: Transform) {
+fn draw_shape(pixmap: &mut Pixmap, shape: &FilledPath, to_pixels: Transform) {
     let Some(path) = to_skia_path(&shape.path) else { return };
     let [left, top, right, bottom] = shape.path.bounds();
     // An interval of no width has nothing to fill.
     let has_surface = right - left > 1e-6 && bottom - top > 1e-6;
     if let Some((paint, opacity)) = shape.fill.filter(|_| has_surface) {
-        pixmap.fill_path(&path, &brush(paint, opacity), FillRule::Winding, ground, NO_CLIP);
+        pixmap.fill_path(&path, &brush(paint, opacity), FillRule::Winding, to_pixels, NO_CLIP);
     }
     if let Some(Stroke {
         paint,
@@ -105,19 +105,19 @@ fn draw_shape(pixmap: &mut Pixmap, shape: &FilledPath, ground: Transform) {
             dash: StrokeDash::new(dashes, 0.0),
             ..tiny_skia::Stroke::default()
         };
-        pixmap.stroke_path(&path, &brush(paint, opacity), &stroke, ground, NO_CLIP);
+        pixmap.stroke_path(&path, &brush(paint, opacity), &stroke, to_pixels, NO_CLIP);
     }
 }
 
-fn draw_text(pixmap: &mut Pixmap, text: &Text, ground: Transform) {
+fn draw_text(pixmap: &mut Pixmap, text: &Text, to_pixels: Transform) {
     let (x, y) = text.start();
     let scale = (text.size / units_per_em(text.weight)) as f32;
-    let mut place = ground.pre_translate(x as f32, y as f32);
+    let mut place = to_pixels.pre_translate(x as f32, y as f32);
     if text.is_vertical {
         place = place.pre_concat(Transform::from_row(0.0, -1.0, 1.0, 0.0, 0.0, 0.0));
     }
     let place = place.pre_scale(scale, -scale);
-    for (glyph, at) in set_glyphs(&text.text, text.weight).0 {
+    for (glyph, at) in lay_out_glyphs(&text.text, text.weight).0 {
         if let Some(path) = to_skia_path(&outline(glyph)) {
             let place = place.pre_translate(at as f32, 0.0);
             pixmap.fill_path(&path, &brush(text.paint, 1.0), FillRule::Winding, place, NO_CLIP);

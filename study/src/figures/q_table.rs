@@ -142,7 +142,7 @@ pub(crate) fn duty_map(learned: &LearnedTables, set: &TableSet) -> HeatMap {
         }
     };
     let limits = training_energies(learned).map(battery_limits);
-    let name = |battery: usize| {
+    let row_name = |battery: usize| {
         let range = limits.map(|limits| {
             format!(
                 "{}–{}",
@@ -154,6 +154,7 @@ pub(crate) fn duty_map(learned: &LearnedTables, set: &TableSet) -> HeatMap {
             (0, range) => format!("cannot sense: {}", range.unwrap_or_default()),
             (1, range) => format!("cannot report: {}", range.unwrap_or_default()),
             (_, Some(range)) => range,
+            // `BATTERY_BUCKETS` − `FIRST_ABLE_BUCKET` is 6.
             (_, None) => format!("sixth {} of the rest", battery - 1),
         }
     };
@@ -177,7 +178,7 @@ pub(crate) fn duty_map(learned: &LearnedTables, set: &TableSet) -> HeatMap {
         .to_owned(),
         y_label: "battery, units".to_owned(),
         columns,
-        rows: RowLabels::Names((0..BATTERY_BUCKETS).map(name).collect()),
+        rows: RowLabels::Names((0..BATTERY_BUCKETS).map(row_name).collect()),
         cells: (0..BATTERY_BUCKETS)
             .map(|battery| (0..AREA_BUCKETS).map(|area| cell(battery, area)).collect())
             .collect(),
@@ -186,14 +187,14 @@ pub(crate) fn duty_map(learned: &LearnedTables, set: &TableSet) -> HeatMap {
 
 /// Draws the duty table of `set`: advantages, with V below them.
 pub fn duty_scene(learned: &LearnedTables, set: &TableSet) -> Scene {
-    let what = match set.lookback {
+    let area = match set.lookback {
         Lookback::Window(_) => "the area that it would newly cover",
         Lookback::Ages => "the area that it would newly cover, weighted by age",
     };
     let title = format!("Value of sensing with N = {}: Q(s, 1) − Q(s, 0)", set.devices);
     let map = duty_map(learned, set);
     let text = format!(
-        "A cell is a state s of a device: its battery, and {what}. The number is the gain from sensing in the next TTI \
+        "A cell is a state s of a device: its battery, and {area}. The number is the gain from sensing in the next TTI \
          (δ = 1) over sleeping, in units of N r(k). Within the bold line the policy lets devices sense, in order of \
          gain: there the battery is enough to sense and report, and the advantage is positive after smoothing (never \
          falling with the area). Colours follow the square root of the number. {}{}",
@@ -207,17 +208,17 @@ pub fn duty_scene(learned: &LearnedTables, set: &TableSet) -> Scene {
     let (mut scene, y) = titled_scene(title, text.clone());
     let largest = map.largest_magnitude();
     let mut y = map.draw(&mut scene, (MARGIN, y), (PAGE_WIDTH - 2.0 * MARGIN, DUTY_ROW), largest);
-    let half = (map.count(KnowledgeDegree::PartlyKnown) > 0).then_some("one action never tried");
-    y = draw_key(&mut scene, (MARGIN, y), largest, "senses", half) + 8.0;
-    let value = value_chart(learned, set).scene();
-    let lower = value.height;
-    scene.add_scene(value, (0.0, y));
+    let partly_known = (map.count(KnowledgeDegree::PartlyKnown) > 0).then_some("one action never tried");
+    y = draw_key(&mut scene, (MARGIN, y), largest, "senses", partly_known) + 8.0;
+    let value_scene = value_chart(learned, set).scene();
+    let height = value_scene.height;
+    scene.add_scene(value_scene, (0.0, y));
     let (left, mut line_y) = (0.5 * (PAGE_WIDTH + PANEL_GAP), y + MARGIN + TITLE_SIZE);
     for line in wrap_text(&text, Weight::Regular, TEXT_SIZE, PAGE_WIDTH - MARGIN - left) {
         scene.text(Text::new(line, (left, line_y), TEXT_SIZE));
         line_y += LEADING;
     }
-    scene.height = (y + lower).max(line_y - LEADING + 0.24 * TEXT_SIZE + MARGIN).ceil();
+    scene.height = (y + height).max(line_y - LEADING + 0.24 * TEXT_SIZE + MARGIN).ceil();
     scene
 }
 
@@ -384,7 +385,7 @@ pub const fn wake_table(set: &TableSet, ranking: WakeUpRanking) -> &WakeTable {
 
 /// Creates the heat map of the wake-up table for bucket `reports` of the number of reports.
 fn wake_map(table: &WakeTable, reports: usize) -> HeatMap {
-    let worths: [_; INFORMATION_BUCKETS] = std::array::from_fn(|information| table.monotone_q(information, reports));
+    let smoothed: [_; INFORMATION_BUCKETS] = std::array::from_fn(|information| table.monotone_q(information, reports));
     let cell = |score: usize, information: usize| {
         let cell = table.at([score, information, reports]);
         HeatCell {
@@ -394,7 +395,7 @@ fn wake_map(table: &WakeTable, reports: usize) -> HeatMap {
             } else {
                 KnowledgeDegree::Known
             },
-            is_framed: worths[information][score] <= 0.0,
+            is_framed: smoothed[information][score] <= 0.0,
         }
     };
     let row = |score: usize| {
@@ -403,7 +404,7 @@ fn wake_map(table: &WakeTable, reports: usize) -> HeatMap {
             .collect()
     };
     // Every other limit is a root between two halvings.
-    let score = |limit: usize| match SCORE_BUCKETS - limit {
+    let limit_label = |limit: usize| match SCORE_BUCKETS - limit {
         _ if limit == 0 => "0".to_owned(),
         0 => "1".to_owned(),
         roots if roots % 2 == 1 => String::new(),
@@ -413,7 +414,7 @@ fn wake_map(table: &WakeTable, reports: usize) -> HeatMap {
         x_label: "information so far Î / Ψ".to_owned(),
         y_label: "score of the best candidate / Ψ".to_owned(),
         columns: vec![(String::new(), INFORMATION_LIMITS.map(format_short).to_vec())],
-        rows: RowLabels::Ends((0..=SCORE_BUCKETS).map(score).collect()),
+        rows: RowLabels::Ends((0..=SCORE_BUCKETS).map(limit_label).collect()),
         cells: (0..SCORE_BUCKETS).map(row).collect(),
     }
 }

@@ -134,7 +134,7 @@ impl Results {
                 ranking_indices: Vec::new(),
                 runs: BTreeMap::new(),
             };
-            let existing = self.by_ranking.iter().position(|s| s.has_same_settings(&new_condition));
+            let existing = self.by_ranking.iter().position(|c| c.has_same_settings(&new_condition));
             let index = existing.unwrap_or_else(|| {
                 self.by_ranking.push(new_condition);
                 self.by_ranking.len() - 1
@@ -185,13 +185,13 @@ fn merge_rankings(by_ranking: &[RunCondition]) -> Vec<RunCondition> {
         for index in &indices {
             let ranking = by_ranking[*index].ranking();
             for ((policy, n), runs_by_seed) in &by_ranking[*index].runs {
-                let name = (series::name(policy, &ranking), *n);
-                let unranked = runs.get(&(policy.clone(), *n)).filter(|_| name.0 != *policy);
+                let key = (series::name(policy, &ranking), *n);
+                let unranked = runs.get(&(policy.clone(), *n)).filter(|_| key.0 != *policy);
                 let rows = || runs_by_seed.values().map(Arc::as_ref);
                 if !unranked
                     .is_some_and(|unranked| series::has_equal_outcomes(unranked.values().map(Arc::as_ref), rows()))
                 {
-                    runs.entry(name).or_default().extend(runs_by_seed.clone());
+                    runs.entry(key).or_default().extend(runs_by_seed.clone());
                 }
             }
         }
@@ -263,13 +263,13 @@ impl RunCondition {
 
     /// Copy of the condition without ranking fields and runs.
     fn without_ranking(&self) -> Self {
-        let rest = |fields: &[(String, String)]| -> Vec<(String, String)> {
-            let rest = fields.iter().filter(|(path, _)| path != RANKING);
-            rest.cloned().collect()
+        let remove_ranking = |fields: &[(String, String)]| -> Vec<(String, String)> {
+            let kept = fields.iter().filter(|(path, _)| path != RANKING);
+            kept.cloned().collect()
         };
         Self {
-            swept_fields: rest(&self.swept_fields),
-            changed_fields: rest(&self.changed_fields),
+            swept_fields: remove_ranking(&self.swept_fields),
+            changed_fields: remove_ranking(&self.changed_fields),
             runs: RunsBySeries::new(),
             preset: self.preset.clone(),
             changed_in_table: self.changed_in_table.clone(),
@@ -322,10 +322,10 @@ impl RunCondition {
     /// If the interval is uninformative, half its width is the distance from the mean to the one-sided bound. For
     /// `misdetection_pct` without a missed event the bound is 300 / Σ events %, by the rule of three.
     pub fn estimate(&self, policy: &str, n: u32, metric: &str) -> Option<Estimate> {
-        let reading = self.metric_estimate(policy, n, metric)?;
+        let metric_estimate = self.metric_estimate(policy, n, metric)?;
         Some(Estimate {
-            half_width: reading.half_width(),
-            ..reading.estimate
+            half_width: metric_estimate.half_width(),
+            ..metric_estimate.estimate
         })
     }
 
@@ -421,7 +421,7 @@ impl Results {
                 label
             }
         };
-        let without_folder: Vec<String> = self.conditions.iter().map(|s| label_of(s, false)).collect();
+        let without_folder: Vec<String> = self.conditions.iter().map(|c| label_of(c, false)).collect();
         let mut labels: Vec<String> = Vec::new();
         for (condition, label) in self.conditions.iter().zip(&without_folder) {
             // Some file systems ignore the case of names.

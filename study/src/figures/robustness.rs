@@ -32,7 +32,7 @@ const BURST_TTIS: f64 = 10.0;
 /// A kind of radio failure.
 #[derive(Clone, Copy, Debug)]
 pub struct Impairment {
-    /// Name in files, equal to its field in `radio`.
+    /// Name in commands and files, equal to its field in `radio`.
     pub name: &'static str,
     /// Description for titles.
     pub title: &'static str,

@@ -22,9 +22,9 @@ pub fn collect_events(scenario: &Scenario) -> Vec<EventRecord> {
             }
         }
     }
-    let mut collect = EventCollector(Vec::new());
-    start(scenario, RunOptions::default()).finish(&mut collect);
-    collect.0
+    let mut collector = EventCollector(Vec::new());
+    start(scenario, RunOptions::default()).finish(&mut collector);
+    collector.0
 }
 
 /// Outcome of one TTI.
@@ -131,19 +131,19 @@ mod tests {
         let mut walk = RunWalk::new(&scenario);
         let (mut reports, mut wake_ups, mut battery_sum, mut low_ttis) = (0, 0, 0_u128, 0);
         for _ in 0..400 {
-            let (k, notifications) = walk.step();
-            let from_wake_ups = notifications
+            let (k, tti_outcome) = walk.step();
+            let from_wake_ups = tti_outcome
                 .wake_ups
                 .iter()
                 .filter(|(_, outcome)| matches!(outcome, WakeOutcome::Reported(_)));
-            reports += (notifications.reports.len() + from_wake_ups.count()) as u64;
-            wake_ups += notifications.wake_ups.len() as u64;
+            reports += (tti_outcome.reports.len() + from_wake_ups.count()) as u64;
+            wake_ups += tti_outcome.wake_ups.len() as u64;
             for j in 0..30 {
                 let (state, level) = walk.state_and_battery(DeviceId(j), k);
                 battery_sum += u128::from(level.micro());
                 low_ttis += u64::from(level < Energy::from_micro(10_000_000));
                 assert_eq!(
-                    notifications.reports.iter().any(|report| report.device == DeviceId(j)),
+                    tti_outcome.reports.iter().any(|report| report.device == DeviceId(j)),
                     state == DeviceState::Transmission && walk.is_on(DeviceId(j), k)
                 );
             }

@@ -105,10 +105,10 @@ impl Scale {
         match self {
             Self::Linear { from, to } => {
                 let step = tick_spacing(to - from);
-                let first = -floor(-from / step + 1e-6);
-                let count = floor(to / step - first + 1e-6) as u32;
-                (0..=count)
-                    .map(|i| step * (first + f64::from(i)))
+                let first_multiple = -floor(-from / step + 1e-6);
+                let last_index = floor(to / step - first_multiple + 1e-6) as u32;
+                (0..=last_index)
+                    .map(|i| step * (first_multiple + f64::from(i)))
                     .map(|value| AxisTick {
                         value,
                         label: label(value, step),
@@ -126,10 +126,10 @@ impl Scale {
         const MIN_DISTANCE: f64 = 0.18;
         let mut values = vec![0.0];
         for value in round_values().take_while(|value| *value <= to * (1.0 + 1e-9)) {
-            let last = values[values.len() - 1];
-            let is_last = value > to * (1.0 - 1e-9);
+            let previous = values[values.len() - 1];
+            let is_end = value > to * (1.0 - 1e-9);
             let has_room = |from: f64, value: f64| self.position(value) - self.position(from) >= MIN_DISTANCE;
-            if is_last || (has_room(last, value) && has_room(value, to)) {
+            if is_end || (has_room(previous, value) && has_room(value, to)) {
                 values.push(value);
             }
         }

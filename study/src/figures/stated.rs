@@ -32,7 +32,7 @@ fn stated_mark(claim: &Claim, claims: &[Claim]) -> Option<StatedMark> {
 
 /// Returns hatched ranges for the statements in `claims` about several N, limited to the range of N that was run.
 pub(super) fn stated_spans(claims: &[Claim], series: &[Series]) -> Vec<StatedSpan> {
-    let ns = || series.iter().flat_map(|s| &s.points).map(|s| s.x);
+    let ns = || series.iter().flat_map(|s| &s.points).map(|p| p.x);
     let (smallest_n, largest_n) = (ns().fold(f64::INFINITY, f64::min), ns().fold(0.0, f64::max));
     let span = |claim: &Claim| {
         let (from, to) = claim.device_counts.range();

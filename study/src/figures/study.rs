@@ -25,7 +25,7 @@ pub struct Figure {
     pub metric: &'static str,
     /// Whether the metric is divided by N.
     pub is_per_device: bool,
-    /// Title.
+    /// Title, by which `reveille report` recognises the picture and orders it.
     pub title: &'static str,
     /// Corresponding figure of the paper.
     pub paper_figure: &'static str,
@@ -132,7 +132,7 @@ impl Figure {
         let claims = self.claims(condition);
         let marks = stated_marks(claims, &series);
         let spans = stated_spans(claims, &series);
-        let largest_n = series.iter().flat_map(|s| &s.points).map(|s| s.x);
+        let largest_n = series.iter().flat_map(|s| &s.points).map(|p| p.x);
         let largest_n = largest_n.chain(marks.iter().map(|m| m.x)).fold(0.0, f64::max);
         let chart = Chart {
             title: figure_title(self.title, &format!("{} of the paper", self.paper_figure), condition),
@@ -201,14 +201,14 @@ impl Figure {
     }
 
     fn y_scale(&self, series: &[Series], marks: &[StatedMark], spans: &[StatedSpan]) -> Scale {
-        let ends = |s: &ChartPoint| {
-            let half_width = if s.y_half_width.is_finite() {
-                s.y_half_width
+        let ends = |p: &ChartPoint| {
+            let half_width = if p.y_half_width.is_finite() {
+                p.y_half_width
             } else {
                 0.0
             };
             // No metric in `FIGURES` can be negative, whatever an interval says.
-            [(s.y - half_width).max(s.y.min(0.0)), s.y + half_width]
+            [(p.y - half_width).max(p.y.min(0.0)), p.y + half_width]
         };
         let measured = series.iter().flat_map(|s| &s.points);
         let stated = marks.iter().map(|m| m.stated).chain(spans.iter().map(|s| s.stated));
@@ -217,7 +217,7 @@ impl Figure {
             return Scale::linear(measured.flat_map(ends).chain(stated), true);
         }
         // The lower ends of intervals may go below zero; the axis holds all means.
-        let values = measured.clone().flat_map(|s| [s.y, ends(s)[1]]).chain(stated);
+        let values = measured.clone().flat_map(|p| [p.y, ends(p)[1]]).chain(stated);
         let scale = Scale::log(values).unwrap_or(Scale::Log { from: 0.01, to: 100.0 });
         let (from, to) = scale.ends();
         Scale::Log {
@@ -337,5 +337,5 @@ pub(super) fn half_width_cell(half_width: f64) -> String {
 
 /// Whether a mean is 0, which a logarithmic axis cannot hold.
 fn has_zero_mean(series: &[Series]) -> bool {
-    series.iter().flat_map(|s| &s.points).any(|s| s.y <= 0.0)
+    series.iter().flat_map(|s| &s.points).any(|p| p.y <= 0.0)
 }

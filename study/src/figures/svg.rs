@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
-use super::font::{Glyph, Weight, outline, set_glyphs, units_per_em};
+use super::font::{Glyph, Weight, lay_out_glyphs, outline, units_per_em};
 use super::path::{PathStep, VectorPath};
 use super::scene::{FilledPath, Paint, Rgb, Scene, SceneItem, Text};
 
@@ -127,7 +127,7 @@ fn text_element(text: &Text, name: &str, glyphs: &mut BTreeMap<Glyph, String>) -
         number(y),
         colour(text.paint)
     );
-    for (glyph, at) in set_glyphs(&text.text, text.weight).0 {
+    for (glyph, at) in lay_out_glyphs(&text.text, text.weight).0 {
         let data = glyphs.entry(glyph).or_insert_with(|| path_data(&outline(glyph)));
         if !data.is_empty() {
             let _ = write!(out, "<use xlink:href=\"#{}\" x=\"{at}\"/>", glyph_name(name, glyph));

@@ -38,7 +38,7 @@ pub struct DeviceTti {
     /// State at the end of the TTI.
     pub state: DeviceState,
     /// Whether the device was in S2 and could not transmit.
-    pub has_failed: bool,
+    pub could_not_transmit: bool,
     /// Whether the BS sent the device a wake-up signal.
     pub has_wake_up: bool,
     /// Battery level at the end of the TTI.
@@ -65,7 +65,7 @@ impl Timeline {
     /// # Errors
     /// The run has no such device or TTIs, or there are more than `MAX_DEVICES` devices.
     pub fn from_scenario(scenario: &Scenario, devices: &[u32], from: u64, ttis: u64) -> Result<Self, FigureError> {
-        // Both numbers are user input, so the sum may overflow.
+        // Both numbers are user input, so the sum may overflow. `FigureError::NoWindow` states the limits.
         let end = from.saturating_add(ttis);
         if !(10..=2000).contains(&ttis) || end > scenario.run.ttis {
             return Err(FigureError::NoWindow {
@@ -149,11 +149,11 @@ fn device_histories(
         for (id, _, history) in &mut devices {
             let (state, battery) = walk.state_and_battery(*id, k);
             let wake_up = outcome.wake_ups.iter().find(|(woken, _)| woken == id);
-            let failed_awake = wake_up.is_some_and(|(_, outcome)| matches!(outcome, WakeOutcome::Failed(_)));
+            let failed_after_wake_up = wake_up.is_some_and(|(_, outcome)| matches!(outcome, WakeOutcome::Failed(_)));
             history.push(DeviceTti {
                 tti: k,
                 state,
-                has_failed: failed_awake || outcome.failures.iter().any(|f| f.device == *id),
+                could_not_transmit: failed_after_wake_up || outcome.failures.iter().any(|f| f.device == *id),
                 has_wake_up: wake_up.is_some(),
                 battery,
             });
@@ -186,7 +186,7 @@ pub fn scene(scenario: &Scenario, timeline: &Timeline) -> Scene {
         ttis: (timeline.end - timeline.from) as f64,
     };
     let top = MARGIN + TITLE_SIZE + LEADING + 4.0;
-    legend(&mut scene, top);
+    draw_legend(&mut scene, top);
     let top = top + 8.0;
     // A line above each device names its class, if there are several.
     let classes = (scenario.classes.len() > 1).then(|| assign_classes(scenario));
@@ -204,7 +204,7 @@ pub fn scene(scenario: &Scenario, timeline: &Timeline) -> Scene {
         axis.draw_battery(&mut scene, *id, energy, history, top);
         axis.draw_states(&mut scene, history, top + BATTERY_HEIGHT);
     }
-    axis.ticks(&mut scene, bottom);
+    axis.draw_ticks(&mut scene, bottom);
     let mut y = bottom + 3.0 * LEADING + 10.0;
     scene.description = caption(scenario, timeline);
     for line in wrap_text(
@@ -227,7 +227,7 @@ fn class_line(name: &str, energy: &EnergyModel) -> String {
     format!("class {name}: E_max {e_max}, E_idle {e_idle}, E_WuR {e_wur}, E_Tx {e_tx} units")
 }
 
-fn legend(scene: &mut Scene, y: f64) {
+fn draw_legend(scene: &mut Scene, y: f64) {
     let mut x = MARGIN;
     let middle = y - 0.35 * TEXT_SIZE;
     let mut entry = |scene: &mut Scene, text: &str, draw: &dyn Fn(&mut Scene, f64)| {
@@ -250,9 +250,9 @@ fn legend(scene: &mut Scene, y: f64) {
     entry(scene, "E_Tx", &|scene, x| {
         scene.line(VectorPath::segment((x, middle), (x + 10.0, middle)), threshold());
     });
-    entry(scene, "wake-up", &|scene, x| wake_up(scene, x + 5.0, middle + 4.0));
+    entry(scene, "wake-up", &|scene, x| draw_arrow(scene, x + 5.0, middle + 4.0));
     entry(scene, "S2 without the energy for a report", &|scene, x| {
-        failure(scene, x + 5.0, middle);
+        draw_cross(scene, x + 5.0, middle);
     });
     entry(scene, "no power", &|scene, x| {
         let span = [x, middle - 3.0, x + 10.0, middle + 3.0];
@@ -304,8 +304,8 @@ impl TtiAxis {
         }
         let e_tx = y(energy.e_tx.units());
         scene.line(VectorPath::segment((PLOT_LEFT, e_tx), (PLOT_RIGHT, e_tx)), threshold());
-        let steps = history.iter().flat_map(|m| {
-            let (k, level) = (m.tti.0 as f64, y(m.battery.units()));
+        let steps = history.iter().flat_map(|entry| {
+            let (k, level) = (entry.tti.0 as f64, y(entry.battery.units()));
             [(self.x(k), level), (self.x(k + 1.0), level)]
         });
         scene.line(
@@ -333,7 +333,7 @@ impl TtiAxis {
             scene.line(line, Stroke::solid(Paint::Ink, 0.4).with_opacity(0.3));
         }
         // Equal neighbours become one block.
-        for block in history.chunk_by(|a, b| a.state == b.state && !a.has_failed && !b.has_failed) {
+        for block in history.chunk_by(|a, b| a.state == b.state && !a.could_not_transmit && !b.could_not_transmit) {
             let (first, last) = (block[0], block[block.len() - 1]);
             let (from, to) = (self.x(first.tti.0 as f64), self.x(last.tti.0 as f64 + 1.0));
             let lane = |lane: f64| {
@@ -357,18 +357,18 @@ impl TtiAxis {
                 }
             }
         }
-        for m in history {
-            let middle = self.x(m.tti.0 as f64 + 0.5);
-            if m.has_failed {
-                failure(scene, middle, top + 1.5 * LANE_HEIGHT);
+        for entry in history {
+            let middle = self.x(entry.tti.0 as f64 + 0.5);
+            if entry.could_not_transmit {
+                draw_cross(scene, middle, top + 1.5 * LANE_HEIGHT);
             }
-            if m.has_wake_up {
-                wake_up(scene, middle, top + 4.0 * LANE_HEIGHT + 5.5);
+            if entry.has_wake_up {
+                draw_arrow(scene, middle, top + 4.0 * LANE_HEIGHT + 5.5);
             }
         }
     }
 
-    fn ticks(&self, scene: &mut Scene, bottom: f64) {
+    fn draw_ticks(&self, scene: &mut Scene, bottom: f64) {
         let y = bottom + 7.0;
         scene.line(
             VectorPath::segment((PLOT_LEFT, y), (PLOT_RIGHT, y)),
@@ -393,17 +393,19 @@ impl TtiAxis {
     }
 }
 
+/// Returns the stroke of the line at E_Tx.
 const fn threshold() -> Stroke {
     Stroke::solid(Paint::Colour(VERMILION), 0.8).dashed(&[3.0, 2.0])
 }
 
-/// Draws a small arrow that points up, with its tip at `y - 5`.
-fn wake_up(scene: &mut Scene, x: f64, y: f64) {
+/// Draws the mark of a wake-up: a small arrow that points up, with its tip at `y - 5`.
+fn draw_arrow(scene: &mut Scene, x: f64, y: f64) {
     let tip = VectorPath::polyline([(x, y - 5.0), (x + 2.4, y), (x - 2.4, y)], true);
     scene.area(tip, Paint::Colour(GREEN), 1.0);
 }
 
-fn failure(scene: &mut Scene, x: f64, y: f64) {
+/// Draws the mark of a device that could not transmit.
+fn draw_cross(scene: &mut Scene, x: f64, y: f64) {
     let mut cross = VectorPath::segment((x - 2.5, y - 2.5), (x + 2.5, y + 2.5));
     cross.extend(VectorPath::segment((x - 2.5, y + 2.5), (x + 2.5, y - 2.5)));
     scene.line(cross, Stroke::solid(Paint::Ink, 1.1));

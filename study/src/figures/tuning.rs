@@ -126,6 +126,7 @@ impl SurfacePanel {
         blend(2.0 * share.clamp(0.0, 1.0) - 1.0)
     }
 
+    /// Returns the levels of the contour lines and of the key, and the step between them.
     fn levels(&self) -> (Vec<AxisTick>, f64) {
         let (low, high) = self.value_range;
         let ticks = Scale::Linear {

@@ -49,12 +49,12 @@ pub(super) fn explain(topic: &ClaimTopic, claim: &Claim, judgement: &Judgement, 
 
 /// Lists the policies in the comparison of the order.
 fn order_sentences(judgement: &Judgement) -> Vec<String> {
-    let names = |wanted: bool| {
+    let list_policies = |as_stated: bool| {
         let mut counts_by_policy: Vec<(&str, Vec<String>)> = Vec::new();
         for (n, other, _) in judgement
             .order_checks
             .iter()
-            .filter(|(_, _, is_as_stated)| *is_as_stated == wanted)
+            .filter(|(_, _, is_as_stated)| *is_as_stated == as_stated)
         {
             match counts_by_policy.iter_mut().find(|(known, _)| known == other) {
                 Some((_, device_counts)) => device_counts.push(n.to_string()),
@@ -67,10 +67,10 @@ fn order_sentences(judgement: &Judgement) -> Vec<String> {
         names.collect::<Vec<_>>().join(", ")
     };
     let mut sentences = Vec::new();
-    for (wanted, side) in [(true, "On"), (false, "Not on")] {
-        let names = names(wanted);
-        if !names.is_empty() {
-            sentences.push(format!("{side} the paper's side of {names}."));
+    for (as_stated, side) in [(true, "On"), (false, "Not on")] {
+        let policies = list_policies(as_stated);
+        if !policies.is_empty() {
+            sentences.push(format!("{side} the paper's side of {policies}."));
         }
     }
     sentences
@@ -97,18 +97,18 @@ fn known_causes(topic: &ClaimTopic, claim: &Claim, judgement: &Judgement, condit
     else {
         return reasons;
     };
-    let (is_under, is_over) = (
+    let (below_range, above_range) = (
         judgement.findings.iter().find(|f| f.value < low),
         judgement.findings.iter().find(|f| f.value > high),
     );
     // Empty batteries explain too little information or energy and too many misses, never the opposite.
-    let hit_by_low_energy = if LOWERED_BY_LOW_ENERGY.contains(&topic.metric) {
-        is_under
+    let finding_to_explain = if LOWERED_BY_LOW_ENERGY.contains(&topic.metric) {
+        below_range
     } else {
-        is_over.filter(|_| RAISED_BY_LOW_ENERGY.contains(&topic.metric))
+        above_range.filter(|_| RAISED_BY_LOW_ENERGY.contains(&topic.metric))
     };
     let low_energy =
-        hit_by_low_energy.and_then(|f| Some((f.n, condition.estimate(claim.policy, f.n, LOW_ENERGY)?.mean)));
+        finding_to_explain.and_then(|f| Some((f.n, condition.estimate(claim.policy, f.n, LOW_ENERGY)?.mean)));
     if let Some((n, share)) = low_energy.filter(|(_, share)| *share >= LOW_ENERGY_CAUSE_PCT) {
         reasons.push(format!(
             "Batteries are empty: at N = {n}, {} % of the devices are below E_Tx at the end of a TTI.",
@@ -121,8 +121,9 @@ fn known_causes(topic: &ClaimTopic, claim: &Claim, judgement: &Judgement, condit
         Some(longest) => Some(format!("up to {longest} TTIs")),
         None => Some(format!("{} TTIs on average", events.duration)),
     });
-    let is_missed = topic.metric == MISDETECTION && claim.quantity == ClaimQuantity::Mean && is_under.is_some();
-    if let Some(duration) = duration.filter(|_| is_missed) {
+    let has_too_few_misses =
+        topic.metric == MISDETECTION && claim.quantity == ClaimQuantity::Mean && below_range.is_some();
+    if let Some(duration) = duration.filter(|_| has_too_few_misses) {
         reasons.push(format!(
             "An event lasts {duration} here and is missed only if none of them brings a report."
         ));

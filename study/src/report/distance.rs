@@ -32,10 +32,10 @@ pub(super) fn deviation(claim: &Claim, findings: &[Finding]) -> f64 {
 /// Computes |ln| of the factor from `value` to the nearest value in `low` to `high`.
 fn log_factor(value: f64, low: f64, high: f64) -> f64 {
     let nearest = value.clamp(low, high);
-    let is_there = value.total_cmp(&nearest).is_eq();
+    let is_within = value.total_cmp(&nearest).is_eq();
     let factor = value / nearest;
     match () {
-        () if is_there => 0.0,
+        () if is_within => 0.0,
         () if factor > 0.0 => libm::log(factor).abs(),
         () => f64::INFINITY,
     }
@@ -56,10 +56,10 @@ fn level_deviation(least: f64, most: f64) -> f64 {
 
 /// Computes the largest step against a trend between two N, as a share of the range; 1 if all values are equal.
 fn trend_deviation(findings: &[Finding], step: impl Fn(f64, f64) -> f64) -> f64 {
-    let is_later_of_same = |a: &Finding, b: &Finding| a.other_policy == b.other_policy && a.n < b.n;
+    let precedes_in_trend = |a: &Finding, b: &Finding| a.other_policy == b.other_policy && a.n < b.n;
     let pairs = findings.iter().flat_map(|a| findings.iter().map(move |b| (a, b)));
     let largest = pairs
-        .filter(|(a, b)| is_later_of_same(a, b))
+        .filter(|(a, b)| precedes_in_trend(a, b))
         .map(|(a, b)| step(a.value, b.value))
         .fold(0.0, f64::max);
     let range = reduce_values(findings, f64::max) - reduce_values(findings, f64::min);

@@ -37,10 +37,10 @@ pub(super) fn describe_findings(claim: &Claim, findings: &[Finding]) -> String {
 
 /// Describes the finding that comes before all others by `is_before`, with its N.
 fn describe_extreme(claim: &Claim, findings: &[Finding], is_before: impl Fn(&Finding, &Finding) -> bool) -> String {
-    let first = findings
+    let extreme = findings
         .iter()
         .reduce(|best, finding| if is_before(finding, best) { finding } else { best });
-    first.map_or_else(String::new, |finding| {
+    extreme.map_or_else(String::new, |finding| {
         format!("{}, N = {}", format_with_interval(claim, finding), finding.n)
     })
 }
@@ -90,8 +90,8 @@ fn format_with_n(claim: &Claim, finding: &Finding) -> String {
 /// Describes the deviation of `findings` from the claim, if any.
 pub(super) fn describe_deviation(claim: &Claim, findings: &[Finding]) -> Option<String> {
     match claim.statement {
-        Statement::Falls => describe_step_against(findings, |a, b| b.value - a.value),
-        Statement::Rises => describe_step_against(findings, |a, b| a.value - b.value),
+        Statement::Falls => describe_step_against(findings, |earlier, later| later.value - earlier.value),
+        Statement::Rises => describe_step_against(findings, |earlier, later| earlier.value - later.value),
         Statement::Constant => None,
         Statement::Largest(v) => describe_factor(
             findings.iter().max_by(|a, b| a.value.total_cmp(&b.value))?,
@@ -155,9 +155,9 @@ fn describe_failures(claim: &Claim, findings: &[Finding]) -> Option<String> {
 
 /// Describes the largest step against a trend; `step` is measured from an earlier to a later finding.
 fn describe_step_against(findings: &[Finding], step: impl Fn(&Finding, &Finding) -> f64) -> Option<String> {
-    let is_later_of_same = |a: &Finding, b: &Finding| a.other_policy == b.other_policy && a.n < b.n;
+    let precedes_in_trend = |a: &Finding, b: &Finding| a.other_policy == b.other_policy && a.n < b.n;
     let pairs = findings.iter().flat_map(|a| findings.iter().map(move |b| (a, b)));
-    let steps_against = pairs.filter(|(a, b)| is_later_of_same(a, b) && step(a, b) > 0.0);
+    let steps_against = pairs.filter(|(a, b)| precedes_in_trend(a, b) && step(a, b) > 0.0);
     let (from, to) = steps_against.max_by(|a, b| step(a.0, a.1).total_cmp(&step(b.0, b.1)))?;
     Some(format!(
         "The largest step against it is from {} at N = {} to {} at N = {}.",

@@ -27,6 +27,7 @@ const SINGLE_LAMBDA: &str = "A single λ, \"as low as\", is read as the λ of th
 /// All claims on λ.
 pub(super) fn claim_rows(columns: &[ConditionColumn<'_>]) -> Vec<ClaimRow> {
     let rows = |stated: &'static StatedThreshold| {
+        // The first end has the least consumption, the second the most.
         let ends = stated.ends().enumerate();
         ends.map(move |(index, stated_end)| claim_row(stated, index == 1, stated_end, columns))
     };
@@ -46,11 +47,11 @@ pub(super) fn has_claims_on(condition: &RunCondition) -> bool {
 
 fn claim_row(
     stated: &'static StatedThreshold,
-    is_most: bool,
+    spends_most: bool,
     end: StatedEnd,
     columns: &[ConditionColumn<'_>],
 ) -> ClaimRow {
-    let rank = if is_most { "most" } else { "least" };
+    let rank = if spends_most { "most" } else { "least" };
     ClaimRow {
         paper_figure: stated.paper_figure,
         metric_description: format!("λ above which net energy is positive, E_B = {}", stated.e_b),
@@ -68,12 +69,12 @@ fn claim_row(
         contradicts: stated.contradicts,
         assessments: columns
             .iter()
-            .map(|column| assess(stated, is_most, end, column))
+            .map(|column| assess(stated, spends_most, end, column))
             .collect(),
     }
 }
 
-fn assess(stated: &StatedThreshold, is_most: bool, end: StatedEnd, column: &ConditionColumn<'_>) -> Assessment {
+fn assess(stated: &StatedThreshold, spends_most: bool, end: StatedEnd, column: &ConditionColumn<'_>) -> Assessment {
     let not_run = |explanation: String| Assessment {
         measured: String::new(),
         verdict: Verdict::NotRun,
@@ -93,7 +94,7 @@ fn assess(stated: &StatedThreshold, is_most: bool, end: StatedEnd, column: &Cond
         );
     };
     let mut assessment = judge_threshold((stated.e_b, tau), end, &spent);
-    let note = rank_note(condition, stated.devices, is_most, end.policy);
+    let note = rank_note(condition, stated.devices, spends_most, end.policy);
     if !note.is_empty() {
         let explanation = format!("{} {note}", assessment.explanation);
         explanation.trim_start().clone_into(&mut assessment.explanation);
@@ -111,11 +112,11 @@ fn tau_of_eq5(scenario: &Scenario) -> Option<f64> {
 }
 
 /// Returns a note if `policy` is not at the end of our range that the paper assigns to it; empty otherwise.
-fn rank_note(condition: &RunCondition, n: u32, is_most: bool, policy: &str) -> String {
+fn rank_note(condition: &RunCondition, n: u32, spends_most: bool, policy: &str) -> String {
     let Some([least, most]) = extreme_consumptions(condition, n) else {
         return String::new();
     };
-    let (expected, other, rank) = if is_most {
+    let (expected, other, [rank, opposite]) = if spends_most {
         (&most, &least, ["most", "least"])
     } else {
         (&least, &most, ["least", "most"])
@@ -123,7 +124,6 @@ fn rank_note(condition: &RunCondition, n: u32, is_most: bool, policy: &str) -> S
     if expected.0 == policy {
         return String::new();
     }
-    let [rank, opposite] = rank;
     let actual = if other.0 == policy {
         format!("it spends {opposite} of all")
     } else {
@@ -143,8 +143,8 @@ fn judge_threshold((e_b, tau): (f64, f64), end: StatedEnd, spent: &Estimate) -> 
         policy,
     } = end;
     // `lambdas_with_positive_net` needs a consumption above 0, but the interval may reach below it.
-    let threshold = |spent: f64| {
-        lambdas_with_positive_net(LambdaReading::Eq5, e_b, spent.max(f64::MIN_POSITIVE), tau).map(|(from, _)| from)
+    let threshold = |units: f64| {
+        lambdas_with_positive_net(LambdaReading::Eq5, e_b, units.max(f64::MIN_POSITIVE), tau).map(|(from, _)| from)
     };
     // The interval of one run is unknown: its half-width is NaN.
     let is_one_run = spent.half_width.is_nan();

@@ -210,9 +210,9 @@ fn select_columns(results: &Results) -> Vec<ConditionColumn<'_>> {
         let candidates = results
             .by_ranking
             .iter()
-            .filter(|s| s.is_unchanged_preset() && s.preset == preset);
+            .filter(|condition| condition.is_unchanged_preset() && condition.preset == preset);
         // A preset has one column, but tables may hold runs of it with several lengths.
-        let best_covered = candidates.max_by_key(|s| (count_claims_with_runs(s), s.run_count(), s.ttis));
+        let best_covered = candidates.max_by_key(|c| (count_claims_with_runs(c), c.run_count(), c.ttis));
         columns.extend(best_covered.map(|condition| ConditionColumn {
             label: preset.to_owned(),
             condition,

@@ -122,12 +122,11 @@ fn explain_missing_verdicts(report: &ClaimReport<'_>) -> Vec<String> {
     let mut reasons: Vec<(String, usize)> = Vec::new();
     for row in report.rows.iter().filter(|row| !row.has_runs()) {
         for (column, assessment) in report.columns.iter().zip(&row.assessments) {
-            let reason = (&column.label, &assessment.explanation);
             if assessment.explanation == NOT_RUN {
                 continue;
             }
             // The count is inserted last: `# claims` is its placeholder until all rows are counted.
-            let text = format!("`{}`: # claims: {}", reason.0, reason.1);
+            let text = format!("`{}`: # claims: {}", column.label, assessment.explanation);
             match reasons.iter_mut().find(|(known, _)| *known == text) {
                 Some((_, count)) => *count += 1,
                 None => reasons.push((text, 1)),

@@ -122,9 +122,9 @@ pub(super) fn join_names<T: AsRef<str>>(names: &[T]) -> String {
     match names {
         [] => String::new(),
         [one] => one.as_ref().to_owned(),
-        [first @ .., last] => {
-            let first: Vec<&str> = first.iter().map(AsRef::as_ref).collect();
-            format!("{} and {}", first.join(", "), last.as_ref())
+        [all_but_last @ .., last] => {
+            let all_but_last: Vec<&str> = all_but_last.iter().map(AsRef::as_ref).collect();
+            format!("{} and {}", all_but_last.join(", "), last.as_ref())
         }
     }
 }

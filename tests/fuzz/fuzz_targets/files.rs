@@ -20,6 +20,13 @@ use reveille_lab::trajectories::Trajectories;
 use reveille_view::reconstruction::Reconstruction;
 use reveille_view::recording::RecordingReader;
 
+/// Identity of the sweep whose journal is fuzzed.
+const SWEEP: &str = "sweep";
+/// Cells of the sweep.
+const CELLS: u64 = 4;
+/// Seeds of each cell.
+const SEEDS: u64 = 8;
+
 /// Returns the path of an in-memory file that only this process uses.
 fn memory_path(name: &str) -> PathBuf {
     Path::new("/dev/shm").join(format!("reveille-fuzz-{}-{name}", process::id()))
@@ -49,15 +56,15 @@ fn check_journal(lines: &[u8]) {
     let path = memory_path("runs.journal");
     // The file is left over from the previous input, except for the first one.
     let _result = fs::remove_file(&path);
-    drop(Journal::open(&path, "sweep", 4, 8).expect("a new journal"));
+    drop(Journal::open(&path, SWEEP, CELLS, SEEDS).expect("a new journal"));
     let mut bytes = fs::read(&path).expect("its first line");
     bytes.extend_from_slice(lines);
     fs::write(&path, bytes).expect("memory to write to");
-    if let Ok(opened) = Journal::open(&path, "sweep", 4, 8) {
+    if let Ok(opened) = Journal::open(&path, SWEEP, CELLS, SEEDS) {
         // Compare debug output, since NaN differs from itself.
         let kept = format!("{:?}", opened.runs());
         drop(opened);
-        let reopened = Journal::open(&path, "sweep", 4, 8).expect("the journal was repaired");
+        let reopened = Journal::open(&path, SWEEP, CELLS, SEEDS).expect("the journal was repaired");
         assert_eq!((reopened.dropped_lines(), format!("{:?}", reopened.runs())), (0, kept));
     }
 }

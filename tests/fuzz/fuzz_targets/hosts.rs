@@ -1,6 +1,7 @@
 //! Fuzzes the base station's host records (`Admission`, `Barrier`, `LostHosts` and `Roster` in `bs/src/server/`): hosts
 //! join, get ready, leave, return, send expected and unexpected messages, and are replaced or removed. The records do
-//! not panic, no device has two hosts, and a barrier is complete only with all answers.
+//! not panic, no device has two hosts, and a barrier is complete only with all answers. The order of the draws defines
+//! the meaning of a corpus file.
 
 #![no_main]
 

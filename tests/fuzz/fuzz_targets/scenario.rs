@@ -2,7 +2,7 @@
 //! scenario loads as an equal scenario.
 //!
 //! The first byte selects the preset and the line that the text replaces, if any; a line that begins with `--set ` is
-//! an override.
+//! an override. The seeds of the corpus rely on the meaning of the first byte.
 
 #![no_main]
 

@@ -1,5 +1,5 @@
-//! Choice of sensing devices under `age-index`, from the rule in docs/age-index.md. It computes every place separately
-//! and caches nothing between sums.
+//! Choice of sensing devices under `age-index`, from the rule in docs/age-index.md, which states the constants. It
+//! computes every place separately and caches nothing between sums.
 
 use std::f64::consts::PI;
 
@@ -18,6 +18,17 @@ const TOLERANCE: f64 = 1e-6;
 const MAX_AGE: f64 = 255.0;
 /// Age from which a place is not worth more, in TTIs.
 const MAX_VALUED_AGE: f64 = 22.0;
+
+/// Places along a length of d_max.
+const PLACES_PER_D_MAX: f64 = 7.5;
+/// Battery reserve of a device that senses, as a share of `E_max`.
+const RESERVE_SHARE: f64 = 0.03;
+/// Relative extra price of a device with an empty battery.
+const EMPTY_BATTERY_SURCHARGE: f64 = 3.0;
+/// Stands for a price of 0, so that values per price are finite.
+const MIN_PRICE: f64 = 1e-30;
+/// Rounds in which each chosen device may be replaced.
+const SWAP_ROUNDS: usize = 2;
 
 /// Rounding error of a distance, metres.
 const ROUNDING: f64 = 1e-9;
@@ -42,7 +53,7 @@ impl ReferenceAgeIndex {
     /// decides whether a place is within a device's range.
     pub fn new(scenario: &Scenario, positions: &[Point], energies: Vec<EnergyModel>, price: f64) -> Option<Self> {
         let (area, sensing) = (scenario.area, &scenario.sensing);
-        let place_count = |length: f64| (7.5 * length / sensing.d_max).ceil().max(1.0);
+        let place_count = |length: f64| (PLACES_PER_D_MAX * length / sensing.d_max).ceil().max(1.0);
         let (columns, rows) = (place_count(area.width), place_count(area.height));
         let mut places = Vec::new();
         for row in 0..rows as u32 {
@@ -110,7 +121,7 @@ impl ReferenceAgeIndex {
         let mean_cost = total_cost / self.energies.len() as f64;
         let price_of = |(energy, &level): (&EnergyModel, &u64)| {
             let e_max = energy.e_max.micro() as f64;
-            let reserve = (0.03 * e_max).floor() as u64;
+            let reserve = (RESERVE_SHARE * e_max).floor() as u64;
             if level < energy.e_idle.micro() + energy.e_tx.micro() + reserve {
                 return f64::INFINITY;
             }
@@ -119,8 +130,9 @@ impl ReferenceAgeIndex {
             } else {
                 0.0
             };
-            let price = self.price * relative_cost * (1.0 + 3.0 * (1.0 - level as f64 / e_max).powi(2));
-            price.max(1e-30)
+            let missing_share = 1.0 - level as f64 / e_max;
+            let price = self.price * relative_cost * (1.0 + EMPTY_BATTERY_SURCHARGE * missing_share.powi(2));
+            price.max(MIN_PRICE)
         };
         self.energies.iter().zip(levels).map(price_of).collect()
     }
@@ -154,21 +166,21 @@ impl ReferenceAgeIndex {
         self.disc
     }
 
-    /// Chooses sensing devices at these prices in addition to `set`, in order of choice; `None` if too close to call.
-    pub fn choose_at(&self, prices: &[f64], set: &[usize]) -> Option<Vec<usize>> {
-        let mut chosen = self.choose_greedily(prices, set)?;
-        // Two rounds in which each chosen device may be replaced.
-        for step in 0..2 * chosen.len() {
+    /// Chooses sensing devices at these prices in addition to `already_chosen`, in order of choice; `None` if too close
+    /// to call.
+    pub fn choose_at(&self, prices: &[f64], already_chosen: &[usize]) -> Option<Vec<usize>> {
+        let mut chosen = self.choose_greedily(prices, already_chosen)?;
+        for step in 0..SWAP_ROUNDS * chosen.len() {
             let position = step % chosen.len();
             let Some(j) = chosen[position].take() else { continue };
-            let others: Vec<usize> = chosen.iter().flatten().chain(set).copied().collect();
+            let others: Vec<usize> = chosen.iter().flatten().chain(already_chosen).copied().collect();
             chosen[position] = self.best_replacement(j, &others, prices)?;
         }
         Some(chosen.into_iter().flatten().collect())
     }
 
     /// Chooses one device after another, each with the largest value per price among the devices worth their price.
-    fn choose_greedily(&self, prices: &[f64], set: &[usize]) -> Option<Vec<Option<usize>>> {
+    fn choose_greedily(&self, prices: &[f64], already_chosen: &[usize]) -> Option<Vec<Option<usize>>> {
         let mut chosen: Vec<usize> = Vec::new();
         loop {
             let mut ratios = Vec::new();
@@ -176,7 +188,7 @@ impl ReferenceAgeIndex {
                 if chosen.contains(&j) || price.is_infinite() {
                     continue;
                 }
-                let value = self.added_value(j, &[&chosen, set].concat());
+                let value = self.added_value(j, &[&chosen, already_chosen].concat());
                 if (value - price).abs() < TOLERANCE * price.max(TOLERANCE) && value > 0.0 {
                     return None;
                 }
@@ -203,8 +215,8 @@ impl ReferenceAgeIndex {
         // On equal net value the first wins: no device, then j, then the lowest number.
         let mut nets = vec![(0.0, 0, None)];
         for (i, price) in prices.iter().enumerate() {
-            let is_near = distance(self.positions[i], self.positions[j]) <= self.d_max;
-            if others.contains(&i) || !is_near || price.is_infinite() {
+            let is_within_d_max = distance(self.positions[i], self.positions[j]) <= self.d_max;
+            if others.contains(&i) || !is_within_d_max || price.is_infinite() {
                 continue;
             }
             let net = self.added_value(i, others) - price;

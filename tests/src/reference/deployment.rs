@@ -10,7 +10,8 @@ use reveille_common::scenario::assign_classes;
 pub(super) struct ReferenceDeployment {
     pub(super) positions: Vec<Point>,
     pub(super) classes: Vec<u16>,
-    /// Whether harvest traces are played; otherwise their mean arrives in each TTI.
+    /// Whether harvest traces are played. Otherwise, as in pilot runs, devices harvest what the base station expects
+    /// (`ReferenceSource::with_known_harvest`).
     pub(super) plays_traces: bool,
 }
 

@@ -17,10 +17,11 @@ pub(super) fn detects(scenario: &Scenario, event: u64, j: usize, d: f64) -> bool
 }
 
 /// Returns the cause of a missed event. `obstacles` tells whether a device in range had δ = 1 without the energy to
-/// sense, did not receive a wake-up, could not pay for a report, or sent a report that was lost. `detects` has an entry
-/// for each device within d_max that had not failed throughout: whether it would detect the event. `is_out_of_reach`
-/// tells that no device is within d_max.
-pub(super) fn miss_cause(obstacles: [bool; 4], detects: &[bool], is_out_of_reach: bool) -> MissCause {
+/// sense, did not receive a wake-up, could not pay for a report, or sent a report that was lost. `would_detect` has an
+/// entry for each device within d_max that had not failed throughout: whether it would detect the event.
+/// `is_out_of_reach` tells that no device is within d_max.
+pub(super) fn miss_cause(obstacles: [bool; 4], would_detect: &[bool], is_out_of_reach: bool) -> MissCause {
+    // In the order of `obstacles`: the last obstacle met is closest to a report.
     let causes = [
         MissCause::Unpowered,
         MissCause::WakeMissed,
@@ -30,8 +31,8 @@ pub(super) fn miss_cause(obstacles: [bool; 4], detects: &[bool], is_out_of_reach
     match obstacles.iter().rposition(|is_met| *is_met) {
         Some(furthest) => causes[furthest],
         None if is_out_of_reach => MissCause::OutOfReach,
-        None if detects.is_empty() => MissCause::Removed,
-        None if detects.contains(&true) => MissCause::Asleep,
+        None if would_detect.is_empty() => MissCause::Removed,
+        None if would_detect.contains(&true) => MissCause::Asleep,
         None => MissCause::Undetected,
     }
 }

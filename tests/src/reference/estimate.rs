@@ -13,8 +13,9 @@ pub(super) struct ReferenceEstimate {
     mean: Vec<u64>,
     /// Whether the sun is up in each TTI of a day.
     is_day: Vec<bool>,
-    /// Last known level, and the first TTI after it.
+    /// Last known level.
     level: u64,
+    /// First TTI after the last known level.
     from: u64,
     /// First TTI since the last report in which the device was silent although, by the estimate, its battery could pay
     /// for a report and radio losses hardly explain the silence.
@@ -91,9 +92,10 @@ impl ReferenceEstimate {
     }
 
     /// Records a missing report in TTI `k`, in which a powered device must have reported. The radio alone loses it with
-    /// probability `lost`. Once the joint probability is at most [`EMPTY_PROBABILITY`], the battery counts as empty.
-    pub(super) fn record_silence(&mut self, k: u64, lost: f64, senses: impl Fn(u64) -> bool) {
-        self.loss_probability *= lost;
+    /// probability `report_loss`. Once the joint probability is at most [`EMPTY_PROBABILITY`], the battery counts as
+    /// empty.
+    pub(super) fn record_silence(&mut self, k: u64, report_loss: f64, senses: impl Fn(u64) -> bool) {
+        self.loss_probability *= report_loss;
         if self.loss_probability > EMPTY_PROBABILITY {
             return;
         }

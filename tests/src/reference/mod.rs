@@ -1,5 +1,6 @@
 //! A second, deliberately plain implementation of the model: every device steps through every TTI. It shares only the
-//! scenario, positions, classes and random streams with the emulator, and draws from the streams in the same order.
+//! scenario, positions, classes and random streams with the emulator, and draws from the streams in the same order. A
+//! change of results in the emulator needs the same change here.
 //!
 //! If its own integration rule for `P_4,2` cannot separate two candidates, it stops and reports the TTI
 //! ([`ReferenceRun::ambiguous`]).

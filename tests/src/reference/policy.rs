@@ -36,7 +36,7 @@ pub enum ReferencePolicy {
         /// `t_DRX`.
         t_drx: u64,
         /// All devices as one cluster.
-        everyone: Vec<Vec<usize>>,
+        cluster: Vec<Vec<usize>>,
         /// `I_min`.
         i_min: f64,
     },
@@ -120,7 +120,7 @@ impl ReferencePolicy {
                     i_min: least_information(positions, scenario.area, &scenario.sensing),
                 }
             }
-            other => panic!("{other} has no second implementation here, or must be searched for is_first_tti"),
+            other => panic!("{other} has no second implementation here, or must be searched for first"),
         }
     }
 
@@ -136,7 +136,7 @@ impl ReferencePolicy {
             offsets,
             t_on,
             t_drx,
-            everyone: vec![(0..positions.len()).collect()],
+            cluster: vec![(0..positions.len()).collect()],
             i_min: least_information(positions, scenario.area, &scenario.sensing),
         }
     }
@@ -187,7 +187,7 @@ impl ReferencePolicy {
                 closest(situation).map_or(WakeUpChoice::Stop, WakeUpChoice::Wake)
             }
             Self::Random(_) | Self::Genie => WakeUpChoice::Stop,
-            Self::Adjusted { everyone, i_min, .. } => self.most_correlated(situation, everyone, *i_min),
+            Self::Adjusted { cluster, i_min, .. } => self.most_correlated(situation, cluster, *i_min),
             Self::Knn { members, i_min } => self.most_correlated(situation, members, *i_min),
         }
     }

@@ -1,5 +1,5 @@
 //! Choice of sensing devices under `q-learning`, from the rule in docs/q-learning.md: table values, batteries and plain
-//! geometry.
+//! geometry. The edges of buckets are the edges in `bs/src/policy/q_learning/learned/tables.rs`.
 
 use std::f64::consts::PI;
 
@@ -132,16 +132,16 @@ impl ReferenceDutySelector {
         }
         let mut chosen: Vec<usize> = Vec::new();
         for least_bucket in LEAST_BUCKETS {
-            for &place in &self.order {
+            for &cell in &self.order {
                 loop {
                     let covering = [&before[..], &chosen].concat();
-                    let is_covered = covering.iter().any(|&j| self.shares[place][j] > 0.0);
+                    let is_covered = covering.iter().any(|&j| self.shares[cell][j] > 0.0);
                     if is_covered && self.is_certain() {
                         break;
                     }
                     let mut best: Option<(u64, usize)> = None;
                     for (j, &battery) in batteries.iter().enumerate() {
-                        let reaches = !self.is_certain() || self.shares[place][j] > 0.0;
+                        let reaches = !self.is_certain() || self.shares[cell][j] > 0.0;
                         if battery < least_bucket || !reaches {
                             continue;
                         }
@@ -156,7 +156,7 @@ impl ReferenceDutySelector {
                     chosen.push(j);
                 }
                 if !self.is_certain() {
-                    // With probabilistic detection all places form one group.
+                    // With probabilistic detection all cells form one group.
                     break;
                 }
             }

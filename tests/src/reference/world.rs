@@ -474,11 +474,11 @@ impl<'a> ReferenceWorld<'a> {
     fn miss_cause(&self, event: &Event) -> Option<MissCause> {
         let positions = self.positions.iter().enumerate();
         let distances = positions.map(|(j, position)| (j, distance(*position, event.epicentre)));
-        let near: Vec<_> = distances.filter(|(_, d)| *d <= self.scenario.sensing.d_max).collect();
+        let in_range: Vec<_> = distances.filter(|(_, d)| *d <= self.scenario.sensing.d_max).collect();
         let has_failed = |j: usize| self.devices[j].failed_since.is_some_and(|since| since <= event.start);
-        let active = near.iter().filter(|(j, _)| !has_failed(*j));
-        let detects: Vec<bool> = active.map(|&(j, d)| self.detects(j, d)).collect();
-        (event.tally.reports == 0).then(|| miss_cause(event.obstacles, &detects, near.is_empty()))
+        let not_failed = in_range.iter().filter(|(j, _)| !has_failed(*j));
+        let would_detect: Vec<bool> = not_failed.map(|&(j, d)| self.detects(j, d)).collect();
+        (event.tally.reports == 0).then(|| miss_cause(event.obstacles, &would_detect, in_range.is_empty()))
     }
 
     /// Step 7: accounting.

@@ -12,7 +12,7 @@ use std::sync::OnceLock;
 pub(super) use tree::root;
 use tree::{CRATES, Crate, Mention, Module, SourceFile, sources};
 
-/// Crates of the workspace that each crate may use in its code.
+/// Crates of the workspace that each crate may use in its code. ARCHITECTURE.md shows this order.
 const MAY_USE: [(&str, &[&str]); 9] = [
     ("common", &[]),
     ("device", &["common"]),
@@ -44,7 +44,7 @@ const LAYERS_OF_COMMON: [&[&str]; 13] = [
 ];
 
 /// Code that may do input and output, read clocks and hold global state. All other code is pure: its result depends
-/// only on its arguments, so one scenario and seed give one digest.
+/// only on its arguments, so one scenario and seed give one digest. ARCHITECTURE.md lists the shells under "Purity".
 const SHELLS: [&str; 17] = [
     "common/src/bus/",
     "common/src/io.rs",

@@ -26,18 +26,19 @@ pub fn lua_script() -> String {
     };
     let mut kinds = String::new();
     for kind in MessageKind::ALL {
-        let (plane, name, whose) = (kind.plane().name(), kind.name(), kind.addressee().name());
+        let (plane, name, addressee) = (kind.plane().name(), kind.name(), kind.addressee().name());
         let lua_form = script.format(schemas.type_of(*kind), name);
-        // A report's payload holds the device, so the field with this path exists already.
-        let path = format!("{name}.{whose}");
-        let has_own_field = kind.addressee() == Addressee::Unaddressed || script.fields.contains_key(&path);
-        if !has_own_field {
+        // A field for the number in the message's key, unless it has none. A report's payload holds the device, so the
+        // field with this path exists already.
+        let path = format!("{name}.{addressee}");
+        let needs_no_number_field = kind.addressee() == Addressee::Unaddressed || script.fields.contains_key(&path);
+        if !needs_no_number_field {
             script.add_field(&path, "uint32");
         }
         let (from, to) = kind.direction().split_once(" → ").unwrap_or((kind.direction(), ""));
         let _infallible = writeln!(
             kinds,
-            "kinds[{}] = {{plane = {plane:?}, name = {name:?}, whose = {whose:?}, told = {has_own_field}, \
+            "kinds[{}] = {{plane = {plane:?}, name = {name:?}, whose = {addressee:?}, told = {needs_no_number_field}, \
              from = {from:?}, to = {to:?}, form = {lua_form}}}",
             kind_number(*kind)
         );
@@ -78,6 +79,7 @@ struct ScriptBuilder<'a> {
 const ENERGY_UNIT: &str = "micro-units";
 
 /// Returns the unit of the number at `path`. Units follow from names: energies and TTIs are plain numbers in messages.
+/// A renamed field needs its new name here, or loses its unit.
 fn unit_of(path: &str, lua_type: &str) -> Option<&'static str> {
     let mut names = path.rsplit('.');
     let (name, parent) = (names.next()?, names.next());
@@ -86,7 +88,7 @@ fn unit_of(path: &str, lua_type: &str) -> Option<&'static str> {
         "battery" | "battery_sum" | "drained" | "spent" | "initial" | "harvested" | "overflow" | "wasted" => {
             Some(ENERGY_UNIT)
         }
-        // The first of removed devices is a number of 32 bits.
+        // TTIs have 64 bits. `first` of removed devices is an id of 32 bits.
         "tti" | "first" | "last" | "until" | "start" | "run_to" if lua_type == "uint64" => Some("TTI"),
         "from" if parent == Some("plan") => Some("TTI"),
         "step" | "t_on" | "t_drx" | "offset" | "longest_outage" => Some("TTIs"),

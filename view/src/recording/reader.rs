@@ -64,14 +64,17 @@ pub struct RecordingReader<R> {
     linear: LinearReader,
     /// Whether the last frame before the end or a tear has been read.
     is_over: bool,
-    frames: u64,
+    /// Number of frames read, since the last jump if any.
+    frames_read: u64,
     /// Number of the next frame; unknown after a jump.
     next_sequence: Option<u32>,
     /// First TTI to return; earlier frames are skipped.
     first_tti: Tti,
     bundle: ScenarioBundle,
     metadata: BTreeMap<String, String>,
+    /// Text of the run's summary, if the run has ended.
     summary: Option<String>,
+    /// Index at the end of the file, which MCAP calls a summary; `None` if the file was not closed.
     index: Option<Summary>,
     /// The first frame, which was read early to find the records before it.
     first_frame: Option<Frame>,
@@ -93,7 +96,7 @@ impl<R: Read + Seek> RecordingReader<R> {
             source,
             linear: new_linear_reader(false),
             is_over: false,
-            frames: 0,
+            frames_read: 0,
             next_sequence: Some(0),
             first_tti: Tti::ZERO,
             bundle: ScenarioBundle::default(),
@@ -161,7 +164,7 @@ impl<R: Read + Seek> RecordingReader<R> {
             .filter(|chunk| chunk.message_end_time >= wanted_time)
             .map(|chunk| chunk.chunk_start_offset)
             .min();
-        let (offset, is_inside) = match (start, &self.index) {
+        let (offset, starts_mid_file) = match (start, &self.index) {
             (Some(offset), _) => (offset, true),
             // No chunk reaches this TTI.
             (None, Some(_)) => {
@@ -172,9 +175,9 @@ impl<R: Read + Seek> RecordingReader<R> {
             (None, None) => (0, false),
         };
         self.source.seek(SeekFrom::Start(offset))?;
-        self.linear = new_linear_reader(is_inside);
-        (self.is_over, self.first_frame, self.frames) = (false, None, 0);
-        self.next_sequence = (!is_inside).then_some(0);
+        self.linear = new_linear_reader(starts_mid_file);
+        (self.is_over, self.first_frame, self.frames_read) = (false, None, 0);
+        self.next_sequence = (!starts_mid_file).then_some(0);
         Ok(())
     }
 
@@ -201,7 +204,7 @@ impl<R: Read + Seek> RecordingReader<R> {
         }
         let read = self.read_to_message();
         self.is_over = !matches!(read, Ok(Some(_)));
-        let frames = self.frames;
+        let frames = self.frames_read;
         read.map_err(|error| match error {
             ReadStop::Io(error) => RecordingError::Io(error),
             ReadStop::Version { found, wire } => RecordingError::Version { found, wire },
@@ -242,7 +245,7 @@ impl<R: Read + Seek> RecordingReader<R> {
                         let frame = from_json(text)?;
                         // Sequence numbers have 32 bits and wrap, as in the writer.
                         self.next_sequence = Some(header.sequence.wrapping_add(1));
-                        self.frames += 1;
+                        self.frames_read += 1;
                         return Ok(Some(frame));
                     }
                     Record::Metadata(metadata) if metadata.name == METADATA => {
@@ -256,14 +259,14 @@ impl<R: Read + Seek> RecordingReader<R> {
                     Record::Attachment { header, data, .. } => {
                         if header.name == SCENARIO_FILE {
                             self.bundle.text = String::from_utf8_lossy(&data).into_owned();
-                        } else if header.name != SUMMARY_FILE && self.frames == 0 {
+                        } else if header.name != SUMMARY_FILE && self.frames_read == 0 {
                             self.bundle.referenced_files.push((header.name, data.into_owned()));
                         }
                     }
                     // The end of the data; only the index follows.
                     Record::DataEnd(_) => {
-                        if let (Some(next), Some(all)) = (self.next_sequence, self.len())
-                            && next != all as u32
+                        if let (Some(next), Some(frame_count)) = (self.next_sequence, self.len())
+                            && next != frame_count as u32
                         {
                             return Err(ReadStop::Missing);
                         }
@@ -320,9 +323,9 @@ impl From<LineError> for ReadStop {
     }
 }
 
-fn new_linear_reader(is_inside: bool) -> LinearReader {
+fn new_linear_reader(starts_mid_file: bool) -> LinearReader {
     let options = LinearReaderOptions::default()
-        .with_skip_start_magic(is_inside)
+        .with_skip_start_magic(starts_mid_file)
         // A damaged chunk must not yield frames before its checksum fails.
         .with_prevalidate_chunk_crcs(true)
         .with_record_length_limit(MAX_RECORD_BYTES);

@@ -27,7 +27,8 @@ pub struct RecordingWriter<W: Write + Seek> {
     channels: BTreeMap<MessageKind, u16>,
     /// Number of frames so far.
     frame_count: u64,
-    is_pending: bool,
+    /// Whether a frame was written since the last flush.
+    has_pending_frames: bool,
 }
 
 impl<W: Write + Seek> RecordingWriter<W> {
@@ -71,7 +72,7 @@ impl<W: Write + Seek> RecordingWriter<W> {
             mcap,
             channels,
             frame_count: 0,
-            is_pending: false,
+            has_pending_frames: false,
         })
     }
 
@@ -89,7 +90,7 @@ impl<W: Write + Seek> RecordingWriter<W> {
             publish_time: time,
         };
         self.frame_count += 1;
-        self.is_pending = true;
+        self.has_pending_frames = true;
         self.mcap
             .write_to_known_channel(&header, FrameLine::new(frame).to_json().as_bytes())
     }
@@ -104,7 +105,7 @@ impl<W: Write + Seek> RecordingWriter<W> {
     /// # Errors
     /// If they cannot be written.
     pub fn flush(&mut self) -> McapResult<()> {
-        if std::mem::take(&mut self.is_pending) {
+        if std::mem::take(&mut self.has_pending_frames) {
             self.mcap.flush()?;
         }
         Ok(())

@@ -24,12 +24,12 @@ pub(super) struct ProbabilisticAges {
     span_starts: Vec<u32>,
     spans: Vec<DetectionSpan>,
     /// By cell of all spans, in order: the probability p that the device detects and reports an event there, and
-    /// −ln(1 − p) in [`UNIT`]s.
+    /// −ln(1 − p) in [`LOG_UNIT`]s.
     detected: Vec<(f64, u64)>,
     ages: Vec<f64>,
     /// Worth of the age of each cell; 0 outside the area.
     cell_worths: Vec<f64>,
-    /// Sum of −ln(1 − p) over the chosen devices by cell, in [`UNIT`]s. Whole numbers allow exact removal of a
+    /// Sum of −ln(1 − p) over the chosen devices by cell, in [`LOG_UNIT`]s. Whole numbers allow exact removal of a
     /// device.
     log_missed: Vec<u64>,
     /// Probability by cell that no chosen device detects an event there.
@@ -38,9 +38,9 @@ pub(super) struct ProbabilisticAges {
 }
 
 /// Unit of logarithms of probabilities.
-const UNIT: f64 = 1.0 / (1_u64 << 32) as f64;
+const LOG_UNIT: f64 = 1.0 / (1_u64 << 32) as f64;
 /// Logarithm that stands for certainty, at distance 0.
-const CERTAINTY: f64 = 64.0;
+const LOG_CERTAINTY: f64 = 64.0;
 
 impl ProbabilisticAges {
     /// Creates the ages. `report_probability` is the probability that an event at a distance, at most d_max, is
@@ -53,8 +53,8 @@ impl ProbabilisticAges {
         age_worths: AgeIndexTable,
     ) -> Self {
         let (mut span_starts, mut spans, mut detected) = (vec![0], Vec::new(), Vec::new());
-        for &p in positions {
-            for span in cells.within(p, d_max) {
+        for &position in positions {
+            for span in cells.within(position, d_max) {
                 let cell = span.row * cells.stride() + span.first;
                 spans.push(DetectionSpan {
                     cells: cell..cell + span.count,
@@ -62,8 +62,8 @@ impl ProbabilisticAges {
                 });
                 let columns = span.first..span.first + span.count;
                 detected.extend(columns.map(|column| {
-                    let p = report_probability(cells.middle(span.row, column).distance(p));
-                    (p, ((-libm::log1p(-p)).min(CERTAINTY) / UNIT) as u64)
+                    let p = report_probability(cells.middle(span.row, column).distance(position));
+                    (p, ((-libm::log1p(-p)).min(LOG_CERTAINTY) / LOG_UNIT) as u64)
                 }));
             }
             span_starts.push(spans.len() as u32);
@@ -124,7 +124,7 @@ impl ProbabilisticAges {
             let (log_missed, missed) = (&mut self.log_missed[cells.clone()], &mut self.missed[cells.clone()]);
             for ((sum, missed), (_, term)) in log_missed.iter_mut().zip(missed).zip(&self.detected[*begin..]) {
                 *sum = combine(*sum, *term);
-                *missed = libm::exp(-(*sum as f64) * UNIT);
+                *missed = libm::exp(-(*sum as f64) * LOG_UNIT);
             }
         }
     }

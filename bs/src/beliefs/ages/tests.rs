@@ -66,11 +66,11 @@ fn ages_and_gains_equal_their_definition() {
             let mut stream = Stream::new(seed, Purpose::Epicentre, 0);
             for k in 0..60 {
                 let sensing_devices: Vec<usize> = (0..DEVICES).filter(|_| stream.unit() < 0.07).collect();
-                let detects = |place: Point, j: usize| detection_probability(kind, points[j], place);
+                let detection = |place: Point, j: usize| detection_probability(kind, points[j], place);
                 let miss_probability = |place: Point| {
                     sensing_devices
                         .iter()
-                        .map(|&j| 1.0 - detects(place, j))
+                        .map(|&j| 1.0 - detection(place, j))
                         .product::<f64>()
                 };
                 // Another device is added first and removed last, which must not change the result.
@@ -84,7 +84,7 @@ fn ages_and_gains_equal_their_definition() {
                 }
                 for j in (0..DEVICES).filter(|j| !sensing_devices.contains(j)) {
                     let expected_gain_of_cell =
-                        |(&age, &place): (&f64, &Point)| worth(age) * miss_probability(place) * detects(place, j);
+                        |(&age, &place): (&f64, &Point)| worth(age) * miss_probability(place) * detection(place, j);
                     let expected_gain: f64 = expected_ages.iter().zip(&places).map(expected_gain_of_cell).sum();
                     let gain = ages.gain(j);
                     // The ages round logarithms of probabilities to 2⁻³², and a gain sums over up to 256 cells.

@@ -92,20 +92,21 @@ struct Partition<'a> {
 impl<'a> Partition<'a> {
     /// Assigns each device to the nearest of `count` k-means++ centres, at most one per device.
     fn start(points: &'a [Point], count: usize, mut stream: Stream) -> Self {
-        let mut squared = vec![f64::INFINITY; points.len()];
+        let mut squared_distances = vec![f64::INFINITY; points.len()];
         let mut cluster_of = vec![0; points.len()];
         let mut centroids = Vec::with_capacity(count);
         for cluster in 0..count {
             let centre = if cluster == 0 {
                 points[stream.below(points.len() as u64) as usize]
             } else {
-                points[draw_by_weight(&squared, &mut stream)]
+                points[draw_by_weight(&squared_distances, &mut stream)]
             };
             centroids.push(centre);
-            for ((p, squared), cluster_of) in points.iter().zip(&mut squared).zip(&mut cluster_of) {
-                let d2 = p.distance_squared(centre);
-                if d2 < *squared {
-                    (*squared, *cluster_of) = (d2, cluster as u32);
+            let devices = points.iter().zip(&mut squared_distances).zip(&mut cluster_of);
+            for ((p, nearest_squared), cluster_of) in devices {
+                let squared_distance = p.distance_squared(centre);
+                if squared_distance < *nearest_squared {
+                    (*nearest_squared, *cluster_of) = (squared_distance, cluster as u32);
                 }
             }
         }
@@ -121,9 +122,9 @@ impl<'a> Partition<'a> {
     /// Returns the partition in which each device joins the current cluster of most of its neighbours.
     fn vote_once(&self, neighbours: &[Vec<u32>]) -> Self {
         let mut tally = Vec::new();
-        let cluster_of = (0..).zip(neighbours).map(|(device, near)| {
+        let cluster_of = (0..).zip(neighbours).map(|(device, own_neighbours)| {
             tally.clear();
-            for &neighbour in near {
+            for &neighbour in own_neighbours {
                 let cluster = self.cluster_of[neighbour as usize];
                 match tally.iter_mut().find(|(c, _)| *c == cluster) {
                     Some((_, votes)) => *votes += 1,
@@ -162,15 +163,15 @@ impl<'a> Partition<'a> {
             return;
         }
         let squared_distance = |j: usize| self.points[j].distance_squared(self.centroids[self.cluster_of[j] as usize]);
-        let mut farthest: Vec<_> = (0..self.cluster_of.len()).map(|j| (squared_distance(j), j)).collect();
-        farthest.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-        let mut farthest = farthest.into_iter().map(|(_, j)| j);
+        let mut by_distance: Vec<_> = (0..self.cluster_of.len()).map(|j| (squared_distance(j), j)).collect();
+        by_distance.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+        let mut farthest_first = by_distance.into_iter().map(|(_, j)| j);
         for empty in 0..sizes.len() {
             if sizes[empty] > 0 {
                 continue;
             }
             // There are no more clusters than devices, so a cluster with a device to spare exists.
-            if let Some(j) = farthest.find(|&j| sizes[self.cluster_of[j] as usize] > 1) {
+            if let Some(j) = farthest_first.find(|&j| sizes[self.cluster_of[j] as usize] > 1) {
                 sizes[self.cluster_of[j] as usize] -= 1;
                 sizes[empty] = 1;
                 self.cluster_of[j] = empty as u32;
@@ -233,7 +234,7 @@ fn split(points: &[Point], members: Vec<DeviceId>, d_max: f64) -> Vec<Vec<Device
         let is_too_wide = members.iter().any(|j| points[j.index()].distance(centroid) > d_max);
         match is_too_wide.then(|| halve(points, &members, centroid)) {
             // Both parts are smaller than the whole, so the loop ends; with an empty part it would not.
-            Some([near, far]) if !near.is_empty() && !far.is_empty() => pending.extend([near, far]),
+            Some([a, b]) if !a.is_empty() && !b.is_empty() => pending.extend([a, b]),
             _ => done.push(members),
         }
     }
@@ -242,15 +243,15 @@ fn split(points: &[Point], members: Vec<DeviceId>, d_max: f64) -> Vec<Vec<Device
 
 /// Splits by 2-means, from the member farthest from the centroid and the member farthest from that one.
 fn halve(points: &[Point], members: &[DeviceId], centroid: Point) -> [Vec<DeviceId>; 2] {
-    let first = farthest(points, members, centroid);
-    let mut seeds = [first, farthest(points, members, first)];
+    let first_seed = farthest(points, members, centroid);
+    let mut seeds = [first_seed, farthest(points, members, first_seed)];
     let mut halves = [members.to_vec(), Vec::new()];
     for _ in 0..MAX_HALVING_ROUNDS {
-        let is_nearer_to_first = |j: &DeviceId| {
+        let is_nearer_to_first_seed = |j: &DeviceId| {
             let p = points[j.index()];
             p.distance_squared(seeds[0]) <= p.distance_squared(seeds[1])
         };
-        let (a, b): (Vec<_>, Vec<_>) = members.iter().partition(|j| is_nearer_to_first(j));
+        let (a, b): (Vec<_>, Vec<_>) = members.iter().partition(|j| is_nearer_to_first_seed(j));
         if a.is_empty() || b.is_empty() || a == halves[0] {
             break;
         }

@@ -31,9 +31,10 @@ pub(super) struct UncoveredShares {
 /// 0.
 #[derive(Clone, Copy, Debug)]
 struct CellSpan {
-    /// Index of the first cell, and of its p(d).
+    /// Index of the first cell.
     first_cell: u32,
-    detected: u32,
+    /// Index of its p(d) in `UncoveredShares::detected`.
+    first_detected: u32,
     length: u32,
 }
 
@@ -43,7 +44,7 @@ impl CellSpan {
     }
 
     fn detected(self) -> std::ops::Range<usize> {
-        self.detected as usize..(self.detected + self.length) as usize
+        self.first_detected as usize..(self.first_detected + self.length) as usize
     }
 }
 
@@ -75,7 +76,7 @@ impl UncoveredShares {
                 detected.resize(begin + length, 0);
                 rows.extend(first.map(|column| CellSpan {
                     first_cell: (row * raster.columns + column) as u32,
-                    detected: begin as u32,
+                    first_detected: begin as u32,
                     length: length as u32,
                 }));
             }

@@ -271,9 +271,9 @@ impl EpicentreBelief {
             }
             let (gain, missed) = self.gain_and_miss(self.positions[j], information);
             let (gain, score) = (gain / sum, (gain - self.miss_cost * missed) / sum);
-            let is_better = best.is_none_or(|(best_score, _, first)| match score.total_cmp(&best_score) {
+            let is_better = best.is_none_or(|(best_score, _, best_device)| match score.total_cmp(&best_score) {
                 Ordering::Greater => true,
-                Ordering::Equal => device < first,
+                Ordering::Equal => device < best_device,
                 Ordering::Less => false,
             });
             if gain > 0.0 && is_better {
@@ -303,12 +303,12 @@ impl EpicentreBelief {
     /// Returns the possible epicentres with weights that sum to 1; empty before the first report.
     pub fn weighted_points(&self) -> Vec<WeightedPoint> {
         let sum: f64 = self.points.iter().map(|point| point.weight).sum();
-        let likely = |point: &RingPoint| WeightedPoint {
+        let with_share = |point: &RingPoint| WeightedPoint {
             x: point.position.x as f32,
             y: point.position.y as f32,
             share: (point.weight / sum) as f32,
         };
-        self.points.iter().map(likely).collect()
+        self.points.iter().map(with_share).collect()
     }
 
     /// Returns the largest distance from the event at which a report can still add to `information`, metres.
@@ -366,25 +366,25 @@ impl EpicentreBelief {
 
     /// Keeps the points where the first ring meets the ring around `centre`.
     fn intersect_rings(&mut self, centre: Point, d: f64, prior: impl Fn(Point) -> f64) {
-        let (first, d_first) = self.rings[0];
-        let gamma = first.distance(centre);
-        let (east, north) = ((centre.x - first.x) / gamma, (centre.y - first.y) / gamma);
-        let along = (gamma * gamma + d_first * d_first - d * d) / (2.0 * gamma);
+        let (first_centre, first_d) = self.rings[0];
+        let gamma = first_centre.distance(centre);
+        let (east, north) = ((centre.x - first_centre.x) / gamma, (centre.y - first_centre.y) / gamma);
+        let along = (gamma * gamma + first_d * first_d - d * d) / (2.0 * gamma);
         // Where the rings only touch, rounding can make the square negative.
-        let across = (d_first * d_first - along * along).max(0.0).sqrt();
+        let across = (first_d * first_d - along * along).max(0.0).sqrt();
         let slack = RING_TOLERANCE * self.sensing.d_max;
         let intersections = [across, -across].map(|across| {
             Point::new(
-                first.x + along * east - across * north,
-                first.y + along * north + across * east,
+                first_centre.x + along * east - across * north,
+                first_centre.y + along * north + across * east,
             )
         });
-        let is_near = |p: Point| {
+        let is_in_area = |p: Point| {
             (-slack..=self.area.width + slack).contains(&p.x) && (-slack..=self.area.height + slack).contains(&p.y)
         };
         let points: Vec<RingPoint> = intersections
             .into_iter()
-            .filter(|&position| is_near(position))
+            .filter(|&position| is_in_area(position))
             .map(|position| RingPoint::new(position, self.likelihood_of(position, prior(position))))
             .collect();
         // If both points lie outside the area, the reports contradict each other, and the first ring remains.

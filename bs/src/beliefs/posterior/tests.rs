@@ -340,27 +340,27 @@ fn a_failed_wake_up_excludes_the_area_in_range_of_the_device() {
         belief.add_far_reporter(DeviceId(1));
         // In range of the woken device, and beyond.
         let weights = |belief: &EpicentreBelief| -> [f64; 2] {
-            let weight_of = |near: bool| {
+            let weight_of = |is_in_range: bool| {
                 let selected = belief
                     .points
                     .iter()
-                    .filter(|p| (p.position.distance(points[1]) <= D_MAX) == near);
+                    .filter(|p| (p.position.distance(points[1]) <= D_MAX) == is_in_range);
                 selected.map(|place| place.weight).sum()
             };
             [weight_of(true), weight_of(false)]
         };
-        let [near, far] = weights(&belief);
+        let [in_range, beyond] = weights(&belief);
         assert!(
-            near < 1e-9 * far && far > 0.0,
-            "{kind:?}: weight {near} in range, {far} beyond"
+            in_range < 1e-9 * beyond && beyond > 0.0,
+            "{kind:?}: weight {in_range} in range, {beyond} beyond"
         );
         // A second ring that leaves two points: one within that range, one outside.
         let left = Point::new(10.0 - 3.0 * 0.8, 10.0 + 3.0 * 0.6);
         belief.add_reporter(DeviceId(2), points[2].distance(left), uniform_prior);
-        let [near, far] = weights(&belief);
+        let [in_range, beyond] = weights(&belief);
         assert!(
-            belief.points.len() == 2 && near < 1e-9 * far,
-            "{kind:?}: weight {near} in range, {far} beyond"
+            belief.points.len() == 2 && in_range < 1e-9 * beyond,
+            "{kind:?}: weight {in_range} in range, {beyond} beyond"
         );
     }
 }

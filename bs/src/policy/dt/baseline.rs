@@ -30,10 +30,10 @@ impl ExpectationBaseline {
     /// Returns the price factor of device `j` and updates its average. `ratio` is the ratio of expected events to the
     /// expectation by age and α; the battery holds `level` of at most `e_max`.
     pub(super) fn price_factor(&mut self, j: usize, ratio: f64, level: Energy, e_max: Energy) -> f64 {
-        let mean = &mut self.average_ratios[j];
-        *mean += (ratio - *mean) / AVERAGING_TTIS;
+        let average_ratio = &mut self.average_ratios[j];
+        *average_ratio += (ratio - *average_ratio) / AVERAGING_TTIS;
         let missing_share = 1.0 - level.micro() as f64 / e_max.micro() as f64;
-        libm::pow(*mean, (missing_share / (1.0 - SCARCE_SHARE)).clamp(0.0, 1.0)) / ratio
+        libm::pow(*average_ratio, (missing_share / (1.0 - SCARCE_SHARE)).clamp(0.0, 1.0)) / ratio
     }
 }
 
@@ -42,7 +42,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_usual_expectation_applies_in_full_only_with_a_full_battery() {
+    fn the_baseline_applies_in_full_to_a_scarce_battery_and_not_to_a_full_one() {
         let energy = Energy::from_micro;
         let mut baseline = ExpectationBaseline::new(2);
         assert_eq!(

@@ -42,6 +42,7 @@ pub struct Dt {
     token_builder: TokenBuilder,
     forward_pass: ForwardPass,
     objective: ModelObjective,
+    /// Share of new events to find in their first TTI; 0 for no target.
     target: f64,
     prices: Prices,
     selector: DeviceSelector,
@@ -99,10 +100,10 @@ impl Dt {
         let outputs = self.forward_pass.step(self.token_builder.tokens());
         for (j, logarithms) in outputs.as_chunks::<OUTPUTS>().0.iter().enumerate() {
             // `libm` returns the same bits on every machine, so the same model makes the same decisions.
-            let [events, information] = logarithms.map(|log| f64::from(libm::expf(log)));
+            let [event_ratio, information_ratio] = logarithms.map(|log| f64::from(libm::expf(log)));
             let (level, e_max) = (seen.batteries[j], seen.known.devices[j].energy.e_max);
-            self.price_factors[j] = self.baseline.price_factor(j, events, level, e_max);
-            self.wake_factors[j] = information;
+            self.price_factors[j] = self.baseline.price_factor(j, event_ratio, level, e_max);
+            self.wake_factors[j] = information_ratio;
         }
         if self.target > 0.0 {
             let price = f64::from(libm::expf(self.forward_pass.log_price(self.target as f32)));

@@ -7,6 +7,7 @@ use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::Report;
 use reveille_common::plan::Plan;
 use reveille_common::rng::PolicyPurpose;
+use reveille_common::scenario::WakeUpRanking;
 
 use super::tokens::TokenBuilder;
 use crate::battery_estimator::BatteryEstimator;
@@ -18,7 +19,6 @@ use crate::beliefs::reward::{self, CoverageReward, DEFAULT_MU1, DEFAULT_MU2};
 use crate::knowledge::Knowledge;
 use crate::observation::Observation;
 use crate::policy::interface::{LearnedState, Policy};
-use reveille_common::scenario::WakeUpRanking;
 
 /// Action and outcome of one device in a TTI.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -157,10 +157,10 @@ impl<S: StepSink> RecordingPolicy<S> {
                 .streams
                 .unit_for_pair(PolicyPurpose::Exploration, seen.now.0, j as u64)
         };
-        let can = |j: usize| seen.batteries[j] >= min_level(&known.devices[j].energy);
+        let can_explore = |j: usize| seen.batteries[j] >= min_level(&known.devices[j].energy);
         (0..known.n())
             // An exploring device does the opposite of the plan; one without energy for a report does not explore.
-            .map(|j| is_on(j) ^ (self.exploration > 0.0 && can(j) && draw(j) < self.exploration))
+            .map(|j| is_on(j) ^ (self.exploration > 0.0 && can_explore(j) && draw(j) < self.exploration))
             .collect()
     }
 }
@@ -182,11 +182,11 @@ impl<S: StepSink + 'static> Policy for RecordingPolicy<S> {
             self.battery_source
                 .update_estimator(|estimator| estimator.advance(seen.now, seen.plan));
         }
-        let on = self.apply_exploration(seen, self.plan.as_ref().expect("decided in TTI 0"));
-        let coverage_reward = CoverageReward::new(&mut self.coverage, &on);
-        let mut devices = vec![DeviceStep::default(); on.len()];
-        for (j, (device, &on)) in devices.iter_mut().zip(&on).enumerate() {
-            (device.expected_events, device.is_sensing) = (self.token_builder.expected_events(j), on);
+        let on_bits = self.apply_exploration(seen, self.plan.as_ref().expect("decided in TTI 0"));
+        let coverage_reward = CoverageReward::new(&mut self.coverage, &on_bits);
+        let mut devices = vec![DeviceStep::default(); on_bits.len()];
+        for (j, (device, &is_on)) in devices.iter_mut().zip(&on_bits).enumerate() {
+            (device.expected_events, device.is_sensing) = (self.token_builder.expected_events(j), is_on);
         }
         self.open_step = Some(TrajectoryStep {
             tti: seen.now,
@@ -197,7 +197,7 @@ impl<S: StepSink + 'static> Policy for RecordingPolicy<S> {
             wake_reward: 0.0,
         });
         let plan = if self.exploration > 0.0 {
-            Plan::from_bits(on)
+            Plan::from_bits(on_bits)
         } else {
             self.plan.clone().expect("decided in TTI 0")
         };
@@ -246,8 +246,8 @@ impl<S: StepSink + 'static> Policy for RecordingPolicy<S> {
                 None => estimator.observe_unanswered_wake_up(device, seen.now, seen.plan),
             });
         }
-        if let (Some((device, gain, before)), Some(step)) = (woken, &mut self.open_step) {
-            let gained = (seen.information - before) / psi;
+        if let (Some((device, gain, information_before)), Some(step)) = (woken, &mut self.open_step) {
+            let gained = (seen.information - information_before) / psi;
             step.devices[device.index()].wake_up = Some(((gain / psi) as f32, gained as f32));
             let [worth, cost] = reward::wake_up_reward_terms(DEFAULT_MU2, gained, 1, seen.known.n());
             step.wake_reward += (worth + cost) as f32;

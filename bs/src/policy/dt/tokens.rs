@@ -4,8 +4,8 @@
 //! It also holds the ratio of found to expected events, near the device and anywhere, over short and long times. No
 //! feature grows with N or the area, so a model trained on one deployment serves another.
 //!
-//! `dt` decides on them, and [`super::record`] records them for the training. The meaning and order of [`FEATURES`] are
-//! part of the weights file ([`super::model::weights::FORMAT_VERSION`]).
+//! `dt` decides on them, and [`super::record`] records them for the training. The meaning, scale and order of
+//! [`FEATURES`] are part of the weights file ([`super::model::weights::FORMAT_VERSION`]); docs/dt.md describes them.
 
 use reveille_common::geometry::{Area, Buckets, Point};
 use reveille_common::ids::{DeviceId, Tti};
@@ -48,7 +48,7 @@ pub const CAN_SENSE: usize = 1;
 /// Number of features of a token.
 pub const FEATURE_COUNT: usize = FEATURES.len();
 
-/// Time constants over which events are counted, TTIs.
+/// Time constants over which events are counted, TTIs: short, middle and long in [`FEATURES`].
 const TIME_CONSTANTS: [f32; 3] = [8.0, 64.0, 512.0];
 
 /// Numbers of reported and of expected events, which decay exponentially with each of [`TIME_CONSTANTS`].
@@ -80,6 +80,7 @@ struct DeviceConstants {
     unit_gain: f64,
     /// Events that start within its reach, per TTI.
     expected: f32,
+    /// `unit_gain` relative to a whole sensing disc.
     reach: f32,
     harvest: f32,
     neighbours: f32,
@@ -102,7 +103,9 @@ pub(crate) struct TokenBuilder {
     buckets: Buckets,
     d_max: f64,
     constants: Vec<DeviceConstants>,
+    /// By device, events near it.
     near_counts: Vec<DecayingEventCounts>,
+    /// Events anywhere.
     all_counts: DecayingEventCounts,
     event_probability: f32,
     log_density: f32,

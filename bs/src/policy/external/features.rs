@@ -2,7 +2,8 @@
 //! memory can decide on the bus.
 //!
 //! The features hold only knowledge of the base station. None grows with N, the area or the length of the run. Their
-//! order and meaning are part of the policy port and of the Python environments: trained models rely on them.
+//! order and meaning are part of the policy port and of the Python environments: trained models rely on them. A new or
+//! moved feature needs a new `PROTOCOL_VERSION` (`wire.rs`).
 
 use reveille_common::ids::{DeviceId, Tti};
 
@@ -18,77 +19,77 @@ pub struct Feature {
     pub about: &'static str,
 }
 
-const fn new(name: &'static str, about: &'static str) -> Feature {
+const fn feature(name: &'static str, about: &'static str) -> Feature {
     Feature { name, about }
 }
 
 /// Features of each device, in this order; all in `[0, 1]`.
 pub const DEVICE_FEATURES: [Feature; 15] = [
-    new("x", "position along the area's width, as a share of the width"),
-    new("y", "position along the area's height, as a share of the height"),
-    new(
+    feature("x", "position along the area's width, as a share of the width"),
+    feature("y", "position along the area's height, as a share of the height"),
+    feature(
         "battery",
         "B / E_max at the end of the last TTI, as known under `bs.battery_knowledge`",
     ),
-    new(
+    feature(
         "can_report",
         "1 if its known battery level pays for a report in this TTI",
     ),
-    new("sensing", "δ of this TTI at stage 1, of the last TTI at stage 0"),
-    new(
+    feature("sensing", "δ of this TTI at stage 1, of the last TTI at stage 0"),
+    feature(
         "may_wake",
         "1 if a wake-up decision may name it: at stage 1, with δ = 0 and not yet woken",
     ),
-    new("woken", "1 if it was woken in this TTI; 0 at stage 0"),
-    new(
+    feature("woken", "1 if it was woken in this TTI; 0 at stage 0"),
+    feature(
         "information",
         "I / Ψ of its report in this TTI; 0 without a report, and at stage 0",
     ),
-    new(
+    feature(
         "nearness",
         "p(d), d the distance to the nearest reporter of this TTI; 0 at stage 0",
     ),
-    new(
+    feature(
         "since_sensing",
         "t / (t + 8), t the TTIs since its last δ = 1; 1 if never",
     ),
-    new(
+    feature(
         "since_report",
         "t / (t + 64), t the TTIs since its last report; 1 if never",
     ),
-    new(
+    feature(
         "stale",
         "1 - 1 / √w, w the mean of a(a + 1)/2 over the places it covers, a the age of a place in TTIs",
     ),
-    new("neighbours", "ln(1 + n) / ln(N), n the other devices within d_max"),
-    new("harvest", "h / (h + E_idle), h the mean harvest in a TTI"),
-    new("harvest_now", "h / (h + E_idle), h the expected harvest in this TTI"),
+    feature("neighbours", "ln(1 + n) / ln(N), n the other devices within d_max"),
+    feature("harvest", "h / (h + E_idle), h the mean harvest in a TTI"),
+    feature("harvest_now", "h / (h + E_idle), h the expected harvest in this TTI"),
 ];
 
 /// Features of the global row, in this order; all in `[0, 1]`.
 pub const GLOBAL_FEATURES: [Feature; 10] = [
-    new(
+    feature(
         "information",
         "Î / Ψ: the known information about the event of this TTI; 0 at stage 0",
     ),
-    new("i_min", "I_min / Ψ: the information at which `knn` stops"),
-    new("alpha", "α: the probability that an event starts in a TTI"),
-    new("devices", "ln(N) / 10"),
-    new(
+    feature("i_min", "I_min / Ψ: the information at which `knn` stops"),
+    feature("alpha", "α: the probability that an event starts in a TTI"),
+    feature("devices", "ln(N) / 10"),
+    feature(
         "sensing",
         "share of the devices with δ = 1 in this TTI at stage 1, in the last TTI at stage 0",
     ),
-    new(
+    feature(
         "reports",
         "n / (n + 1), n the number of reports so far in this TTI; 0 at stage 0",
     ),
-    new("woken", "share of the devices woken in this TTI; 0 at stage 0"),
-    new("battery", "mean of the known B / E_max over the devices"),
-    new(
+    feature("woken", "share of the devices woken in this TTI; 0 at stage 0"),
+    feature("battery", "mean of the known B / E_max over the devices"),
+    feature(
         "since_report",
         "t / (t + 8), t the TTIs since the last report of any device; 1 if never",
     ),
-    new("stale", "1 - 1 / √w, w the mean of a(a + 1)/2 over the whole area"),
+    feature("stale", "1 - 1 / √w, w the mean of a(a + 1)/2 over the whole area"),
 ];
 
 /// Time after which the feature of a device's last report is 1/2, TTIs.
@@ -96,16 +97,17 @@ const REPORT_HALF_TTIS: f64 = 64.0;
 /// Time after which the features of sensing, and of the last report of any device, are 1/2, TTIs.
 const HALF_TTIS: f64 = 8.0;
 
-fn bounded_time(ttis: Option<u64>, half: f64) -> f64 {
-    ttis.map_or(1.0, |t| t as f64 / (t as f64 + half))
+/// Returns the feature of a time, 1/2 after `half_ttis`; 1 if there is none.
+fn bounded_time(ttis: Option<u64>, half_ttis: f64) -> f64 {
+    ttis.map_or(1.0, |t| t as f64 / (t as f64 + half_ttis))
 }
 
 fn bounded_staleness(worth: f64) -> f64 {
     1.0 - 1.0 / worth.max(1.0).sqrt()
 }
 
-fn flag(is_so: bool) -> f32 {
-    f32::from(u8::from(is_so))
+fn flag(is_set: bool) -> f32 {
+    f32::from(u8::from(is_set))
 }
 
 impl DecisionContext<'_> {
@@ -208,7 +210,8 @@ impl DecisionContext<'_> {
         }
     }
 
-    /// Writes into `mask`, by device id, 2 if the decision may name the device, or 0 if that would have no effect.
+    /// Writes into `mask`, by device id, 2 if the decision may name the device, or 0 if that would have no effect. See
+    /// [`DecisionRequest::action_mask`](super::wire::DecisionRequest::action_mask).
     ///
     /// # Panics
     /// If the length of `mask` is not N.

@@ -138,10 +138,10 @@ impl ReportHistory {
             .iter()
             .zip(&mut last_reports.distance)
             .zip(&mut last_reports.p);
-        for ((position, nearest), p) in devices {
+        for ((position, nearest_distance), p) in devices {
             let distance = position.distance(reporter);
-            if distance < *nearest {
-                (*nearest, *p) = (distance, sensing.p(distance));
+            if distance < *nearest_distance {
+                (*nearest_distance, *p) = (distance, sensing.p(distance));
             }
         }
     }

@@ -10,14 +10,13 @@
 //!     └───────────────────────────┴───────────────┼────────────┘                        │
 //!                                                 └─────────────────────────────────────┘
 //! ```
-//! On the bus, the host of the base station sends the requests ([`wire`] holds the messages). In memory, the code that
+//! On the bus, `bs/src/server/policy_port/` sends the requests ([`wire`] holds the messages). In memory, the code that
 //! steps the run asks directly. A run with recorded decisions needs no requests.
 //!
 //! A decision cannot break a run, since it is projected on the allowed actions. A δ plan is fitted to the devices
 //! ([`PlanDecision::plan`]). A wake-up is dropped if its device does not exist, does not sleep by the plan, or was
-//! already woken ([`DecisionContext::may_wake`]). If no wake-up remains, the TTI has no further
-//! wake-ups. Actions of devices without energy fail. The input log holds unprojected decisions, so replays need the
-//! same projection.
+//! already woken ([`DecisionContext::may_wake`]). If no wake-up remains, the TTI has no further wake-ups. Actions of
+//! devices without energy fail. The input log holds unprojected decisions, so replays need the same projection.
 
 mod decision;
 mod features;
@@ -50,6 +49,7 @@ pub struct External {
     woken: Vec<bool>,
     /// Devices that are still to be woken.
     wake_queue: VecDeque<DeviceId>,
+    /// Whether no wake-up decision is needed until the next reports.
     are_wake_ups_done: bool,
     history: ReportHistory,
 }

@@ -599,9 +599,9 @@ mod tests {
 
     #[test]
     fn a_reply_has_the_newest_protocol_version_of_both_sides() {
-        for (base_station, expected) in [(0, 0), (PROTOCOL_VERSION + 1, PROTOCOL_VERSION)] {
+        for (bs_protocol, expected) in [(0, 0), (PROTOCOL_VERSION + 1, PROTOCOL_VERSION)] {
             let head = WireHeader {
-                protocol: base_station,
+                protocol: bs_protocol,
                 ..HEAD
             };
             assert_eq!(DecisionReply::for_request(&head, "a", "").protocol, expected);

@@ -163,7 +163,8 @@ impl Policy for QLearning {
     /// Starts the wake-ups of an event with its first reports, and draws whether this event is explored.
     fn reports_received(&mut self, seen: &Observation<'_>, reports: &[Report]) {
         self.report_count = reports.len();
-        // Exploring wakes all candidates of an event: values beyond a stop are learned only by continuing there.
+        // Exploring wakes all candidates of an event: values beyond a stop are learned only by continuing there. The
+        // draw for a pair is not in the stream of `decide`, which has the same purpose and TTI.
         self.is_exploring = self.settings.learn
             && seen
                 .known
@@ -177,7 +178,7 @@ impl Policy for QLearning {
 
     fn next_wake_up(&mut self, seen: &Observation<'_>) -> Option<DeviceId> {
         let candidate = self.next_candidate(seen);
-        // The value of the last wake-up includes what can follow it, so learning waits for the next candidate.
+        // The value of the last wake-up includes the next possible one, so learning waits for the next candidate.
         if self.settings.learn {
             self.wake.learn(candidate.map(|(_, state)| state));
         }

@@ -51,7 +51,7 @@ impl WakeLearner {
         [
             score_bucket(score / self.psi),
             information_bucket(information / self.psi),
-            reports.clamp(1, 4) - 1,
+            reports.clamp(1, REPORT_BUCKETS) - 1,
         ]
     }
 
@@ -85,8 +85,8 @@ impl WakeLearner {
             return;
         };
         // Stopping is always possible and worth 0.
-        let rest = next.map_or(0.0, |next| self.q_of(next).max(0.0));
-        self.table.at_mut(state).learn(reward + rest, self.rates);
+        let later_value = next.map_or(0.0, |next| self.q_of(next).max(0.0));
+        self.table.at_mut(state).learn(reward + later_value, self.rates);
         // Only this row of the table has changed.
         let [_, information, reports] = state;
         self.monotone_q[information][reports] = self.table.monotone_q(information, reports);

@@ -15,7 +15,7 @@ fn messages_name_field_value_range_and_line() {
         "sensing.d_max = 50: must be greater than 0 and at most 28.28 (the area's diagonal in metres); set in my.toml, \
          line 4"
     );
-    for (text, start, end) in [
+    for (text, start, place) in [
         ("devices = 0", "devices = 0: must be at least 1", "line 1"),
         ("devices = 2_000_000", "devices = 2000000: must be", "line 1"),
         (
@@ -96,7 +96,7 @@ fn messages_name_field_value_range_and_line() {
     ] {
         let message = load_text(text).expect_err(text).to_string();
         assert!(message.starts_with(start), "{text}: {message}");
-        assert!(message.contains(end), "{text}: {message}");
+        assert!(message.contains(place), "{text}: {message}");
         assert!(!message.contains('\n'), "{text}: several lines: {message}");
     }
 }
@@ -184,11 +184,11 @@ fn messages_on_a_class_name_the_class() {
 #[test]
 fn tables_in_place_of_values_are_refused() {
     let message = |text: &str| load_text(text).expect_err(text).to_string();
-    let number = message("[devices]\nn = 3");
-    assert!(number.starts_with("devices = {…}: must be"), "{number}");
-    let list = message("[class.a]\nshare = 1");
+    let number_error = message("[devices]\nn = 3");
+    assert!(number_error.starts_with("devices = {…}: must be"), "{number_error}");
+    let list_error = message("[class.a]\nshare = 1");
     let expected = "class = {…}: must be a list: write [[class]] for each item";
-    assert!(list.starts_with(expected), "{list}");
+    assert!(list_error.starts_with(expected), "{list_error}");
 }
 
 #[test]
@@ -200,9 +200,9 @@ fn unknown_fields_are_refused_with_a_suggestion() {
         without_fields.starts_with("unknown field `policy.genie`; the policy `genie` has no fields; set in my.toml"),
         "{without_fields}"
     );
-    let folder = load(env!("CARGO_MANIFEST_DIR"), &[]).expect_err("a folder");
+    let folder_error = load(env!("CARGO_MANIFEST_DIR"), &[]).expect_err("a folder");
     assert!(
-        std::error::Error::source(&folder).is_none(),
+        std::error::Error::source(&folder_error).is_none(),
         "the message already contains the source"
     );
     for (text, message) in [
@@ -395,7 +395,10 @@ fn former_field_names_are_accepted_with_a_warning() {
             name(current_override)
         );
         assert!(
-            matches!(&warnings[..], [it] if it.starts_with(&expected) && it.ends_with(FORMER_NAME_NOTICE)),
+            matches!(
+                &warnings[..],
+                [warning] if warning.starts_with(&expected) && warning.ends_with(FORMER_NAME_NOTICE)
+            ),
             "{warnings:?}"
         );
         assert_eq!(hash(&former), hash(&current));

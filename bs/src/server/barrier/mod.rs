@@ -34,6 +34,7 @@ pub struct GrantResult {
 /// One host's answer to a grant.
 #[derive(Debug)]
 struct HostResult {
+    /// Number of reports that the host announces; they arrive as separate messages.
     reports: u32,
     failures: Vec<FailedTransmission>,
     unpowered: u32,
@@ -53,7 +54,9 @@ pub struct GrantOptions {
 /// One answer of each host.
 #[derive(Debug)]
 struct Answers<T> {
+    /// By position in the roster.
     by_host: Vec<Option<T>>,
+    /// Number of hosts that have not answered, without removed ones.
     missing: usize,
 }
 
@@ -108,7 +111,8 @@ enum BarrierState {
 pub struct Barrier {
     roster: Roster,
     state: BarrierState,
-    granted: Option<Tti>,
+    /// The last TTI of the last grant.
+    last_granted: Option<Tti>,
     unexpected_messages: u64,
 }
 
@@ -118,7 +122,7 @@ impl Barrier {
         Self {
             roster,
             state: BarrierState::Idle,
-            granted: None,
+            last_granted: None,
             unexpected_messages: 0,
         }
     }
@@ -132,7 +136,7 @@ impl Barrier {
     /// Starts to wait for the answers to a grant that ends with `tti`, with the data in `options`. `may_report` is
     /// whether the grant has a stimulus: without one no device can report.
     pub fn expect_grant(&mut self, tti: Tti, may_report: bool, options: GrantOptions) {
-        self.granted = Some(tti);
+        self.last_granted = Some(tti);
         self.state = BarrierState::Grant {
             tti,
             may_report,
@@ -202,7 +206,7 @@ impl Barrier {
         let is_possible = position.is_some_and(|position| self.roster.owns(position, report.device))
             && self.roster.is_possible_report(&report);
         let is_for_granted_tti = is_possible && self.was_granted(report.tti);
-        let is_about_grant = matches!(self.state, BarrierState::Grant { tti, .. } if tti == report.tti);
+        let is_about_open_grant = matches!(self.state, BarrierState::Grant { tti, .. } if tti == report.tti);
         match &mut self.state {
             BarrierState::Grant {
                 tti,
@@ -224,7 +228,7 @@ impl Barrier {
             | BarrierState::Ledgers { .. } => {
                 // After a retransmission, duplicates about an earlier TTI are normal; only a report that was never
                 // asked for is a stray.
-                self.unexpected_messages += u64::from(!is_for_granted_tti || is_about_grant);
+                self.unexpected_messages += u64::from(!is_for_granted_tti || is_about_open_grant);
             }
         }
         self.is_complete()
@@ -232,7 +236,7 @@ impl Barrier {
 
     /// Whether `tti` has been granted, so that a message about it can be a late duplicate.
     fn was_granted(&self, tti: Tti) -> bool {
-        self.granted.is_some_and(|last| tti <= last)
+        self.last_granted.is_some_and(|last| tti <= last)
     }
 
     /// Takes in an answer from `host`. Returns whether the barrier is complete.

@@ -68,7 +68,9 @@ pub async fn send_bye(bus: &Bus) -> Result<(), BusError> {
         stage: RequestKind::Bye,
     };
     let payload = (Encoding::Json.encode(&header), Encoding::Json);
-    let mut replies = bus.query_policy(payload, 0, BYE_TIMEOUT).await?;
+    // The content of a reply does not matter.
+    let max_reply_bytes = 0;
+    let mut replies = bus.query_policy(payload, max_reply_bytes, BYE_TIMEOUT).await?;
     while replies.next().await.is_some() {}
     Ok(())
 }

@@ -1,6 +1,7 @@
 //! The source `trace`: recorded energy, or irradiance that [`super::panel`] converts, from a CSV or Parquet file.
 //!
 //! The scenario hash covers the converted values, so a change of the conversion changes the hash.
+//! [`TraceSetup`] and [`TraceEnd`] are part of the wire format.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -390,12 +391,12 @@ impl TraceSource {
 
     /// The first TTI, not before `from`, whose row is not zero.
     fn next_from(&self, from: Tti) -> Tti {
-        let (first, n) = (from.0 / self.ttis_per_row, self.rows.len() as u64);
+        let (first_row, n) = (from.0 / self.ttis_per_row, self.rows.len() as u64);
         let past_last = match self.end {
-            TraceEnd::Cycle => first.saturating_add(n + 1),
+            TraceEnd::Cycle => first_row.saturating_add(n + 1),
             TraceEnd::Stop => n,
         };
-        (first..past_last)
+        (first_row..past_last)
             .find(|&row| self.rows[(row % n) as usize] > Energy::ZERO)
             .map_or(Tti::NEVER, |row| Tti((row * self.ttis_per_row).max(from.0)))
     }

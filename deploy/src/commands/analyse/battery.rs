@@ -203,7 +203,10 @@ fn notes(found: &BatteryResults, bin: f64) -> Vec<String> {
             2.0 * bin
         ));
     }
-    let above: Vec<String> = found.iter().flat_map(|(study, c)| above_one(study, c)).collect();
+    let above: Vec<String> = found
+        .iter()
+        .flat_map(|(study, c)| describe_above_one(study, c))
+        .collect();
     if let Some(example) = above.first() {
         notes.push(format!(
             "Eq. (8) as printed is not a probability: {example} ({} rows above 1). Its terms have different numbers of \
@@ -211,7 +214,7 @@ fn notes(found: &BatteryResults, bin: f64) -> Vec<String> {
             above.len()
         ));
     }
-    if let Some(example) = found.iter().find_map(|one| falls_with_harvest(one, found)) {
+    if let Some(example) = found.iter().find_map(|one| describe_fall(one, found)) {
         notes.push(format!(
             "Eq. (8) as printed falls with a larger harvest: {example}. A larger E_B makes M = ⌈E_max/E_λ⌉ smaller, \
              while B and E count units. P, the probability to spend, is used as the probability of success."
@@ -226,7 +229,8 @@ fn notes(found: &BatteryResults, bin: f64) -> Vec<String> {
     notes
 }
 
-fn above_one(study: &BatteryStudy, found: &BatteryComparison) -> Vec<String> {
+/// Describes the probabilities of Eq. (8) as printed that are above 1.
+fn describe_above_one(study: &BatteryStudy, found: &BatteryComparison) -> Vec<String> {
     let above = found.availability.iter().filter(|a| a.eq8.sum > 1.0);
     above
         .map(|a| {
@@ -241,8 +245,8 @@ fn above_one(study: &BatteryStudy, found: &BatteryComparison) -> Vec<String> {
         .collect()
 }
 
-/// Finds two studies that differ only in E_B, where the printed sum falls while the chain's probability rises.
-fn falls_with_harvest((study, found): &(BatteryStudy, BatteryComparison), all: &BatteryResults) -> Option<String> {
+/// Describes two studies that differ only in E_B, where the printed sum falls while the chain's probability rises.
+fn describe_fall((study, found): &(BatteryStudy, BatteryComparison), all: &BatteryResults) -> Option<String> {
     let same_settings = |other: &BatteryStudy| {
         (other.t_on, other.t_drx) == (study.t_on, study.t_drx)
             // Compared by bits, since both values come from one list of the command line.

@@ -37,23 +37,23 @@ pub(crate) struct CatchUp {
     /// The next TTI to pass on.
     next_tti: Tti,
     /// Returns whether to stop the replay.
-    stop: Box<dyn Fn() -> bool + Send>,
+    should_stop: Box<dyn Fn() -> bool + Send>,
     /// Whether the grant open at the connection continues: its frames may be incomplete and are not passed on.
     is_in_open_grant: bool,
     is_over: bool,
 }
 
 impl CatchUp {
-    /// Creates the catch-up of a run of `scenario`, before its first frame. The replay ends early once `stop` returns
-    /// true.
-    pub(crate) fn new(scenario: Scenario, stop: impl Fn() -> bool + Send + 'static) -> Self {
+    /// Creates the catch-up of a run of `scenario`, before its first frame. The replay ends early once
+    /// `should_stop` returns true.
+    pub(crate) fn new(scenario: Scenario, should_stop: impl Fn() -> bool + Send + 'static) -> Self {
         Self {
             scenario,
             log: InputLogParser::default(),
             bytes_read: 0,
             run: None,
             next_tti: Tti::ZERO,
-            stop: Box::new(stop),
+            should_stop: Box::new(should_stop),
             is_in_open_grant: false,
             is_over: false,
         }
@@ -74,7 +74,7 @@ impl CatchUp {
     /// # Errors
     /// If the part does not belong to a log of this run.
     pub(crate) fn read_input_log(&mut self, part: &[u8]) -> anyhow::Result<bool> {
-        let known = self.log.inputs().counts();
+        let known_counts = self.log.inputs().counts();
         // A part can end within a line, whose rest comes with the next part.
         let whole_bytes = part.iter().rposition(|byte| *byte == b'\n').map_or(0, |last| last + 1);
         let text = std::str::from_utf8(&part[..whole_bytes]).context(LOG_CONTEXT)?;
@@ -82,7 +82,7 @@ impl CatchUp {
         self.bytes_read += length as u64;
         // A started replay lacks only the new inputs; `replay_until` passes on all others at its start.
         if let Some(run) = &mut self.run {
-            run.schedule_inputs(&self.log.inputs().after(known));
+            run.schedule_inputs(&self.log.inputs().after(known_counts));
         }
         Ok(length > 0)
     }
@@ -96,7 +96,11 @@ impl CatchUp {
     ///
     /// # Errors
     /// See [`Self::replay_until`].
-    pub(crate) fn catch_up(&mut self, status: &ClockStatus, on_frame: impl FnMut(Frame)) -> anyhow::Result<()> {
+    pub(crate) fn replay_closed_ttis(
+        &mut self,
+        status: &ClockStatus,
+        on_frame: impl FnMut(Frame),
+    ) -> anyhow::Result<()> {
         // While the clock runs, the TTI before the next one can still be open.
         let open_ttis = u64::from(!status.paused);
         self.replay_until(Tti(status.tti.0.saturating_sub(open_ttis)), on_frame)?;
@@ -120,8 +124,9 @@ impl CatchUp {
                     ..RunOptions::default()
                 };
                 let scenario = self.scenario.clone();
-                // The preparation can contain a search that takes hours.
-                let Some(mut run) = run_on_thread(move || Run::new(&prepare(&scenario), options), &self.stop)? else {
+                let prepare_run = move || Run::new(&prepare(&scenario), options);
+                // On another thread, since the preparation can contain a search that takes hours.
+                let Some(mut run) = run_on_thread(prepare_run, &self.should_stop)? else {
                     return Ok(false);
                 };
                 run.schedule_inputs(self.log.inputs());
@@ -130,7 +135,7 @@ impl CatchUp {
         };
         let mut frame_observer = FrameObserver::new(0, &mut on_frame);
         while run.cycle().next_tti() < end {
-            if (self.stop)() {
+            if (self.should_stop)() {
                 return Ok(false);
             }
             run.run_grant(&mut frame_observer);
@@ -332,7 +337,7 @@ mod tests {
                     let (mut received, mut catch_up) = (Vec::new(), CatchUp::new(scenario.clone(), || false));
                     catch_up.read_input_log(log_after(joined_at)).expect("a log");
                     catch_up
-                        .catch_up(&status, |frame| received.push(frame))
+                        .replay_closed_ttis(&status, |frame| received.push(frame))
                         .expect("a consistent run");
                     for (number, frame) in (joined_at..).zip(&self.frames[joined_at..]) {
                         catch_up

@@ -45,12 +45,12 @@ pub(super) fn run(args: &ExportArgs) -> anyhow::Result<ExitCode> {
     let write_error = || format!("cannot write {}", path.display());
     let part = open_part_file(&path, |part| File::create(part)).with_context(write_error)?;
     let out_file = BufWriter::new(part.as_file());
-    let (frames, torn) =
+    let (frame_count, torn) =
         write_format(args, to, &mut recording, out_file).with_context(|| from.display().to_string())?;
     part.persist(&path)
         .map_err(|refused| refused.error)
         .with_context(write_error)?;
-    note!("{}", count_noun(frames, "message"));
+    note!("{}", count_noun(frame_count, "message"));
     print_stdout(&format!("{}\n", path.display()))?;
     match torn {
         None => Ok(ExitReason::Done.into()),
@@ -84,9 +84,9 @@ fn write_format(
     match to {
         ToArg::Pcapng => {
             let mut packets = PacketWriter::begin(out)?;
-            let frames = for_each_frame(args, recording, |frame| Ok(packets.write(frame)?))?;
+            let result = for_each_frame(args, recording, |frame| Ok(packets.write(frame)?))?;
             packets.finish()?;
-            Ok(frames)
+            Ok(result)
         }
         ToArg::Perfetto => {
             if args.since.is_some() {
@@ -97,24 +97,24 @@ fn write_format(
             }
             let scenario = recording.bundle().load()?;
             let mut trace = PerfettoWriter::begin(out, recording.run(), &scenario, args.battery_every)?;
-            let frames = for_each_frame(args, recording, |frame| Ok(trace.write(frame)?))?;
+            let result = for_each_frame(args, recording, |frame| Ok(trace.write(frame)?))?;
             trace.finish()?;
-            Ok(frames)
+            Ok(result)
         }
         ToArg::Csv => {
             let mut rows = csv::Writer::from_writer(out);
             rows.write_record(COLUMNS)?;
-            let frames = for_each_frame(args, recording, |frame| {
+            let result = for_each_frame(args, recording, |frame| {
                 Ok(rows.write_record(MessageRow::new(frame).fields())?)
             })?;
             rows.flush()?;
-            Ok(frames)
+            Ok(result)
         }
         ToArg::Parquet => {
             let mut rows = MessageTableWriter::begin(out)?;
-            let frames = for_each_frame(args, recording, |frame| Ok(rows.write(MessageRow::new(frame))?))?;
+            let result = for_each_frame(args, recording, |frame| Ok(rows.write(MessageRow::new(frame))?))?;
             rows.finish()?.flush()?;
-            Ok(frames)
+            Ok(result)
         }
     }
 }
@@ -130,15 +130,15 @@ fn for_each_frame(
         ..Filter::default()
     };
     recording.seek(filter.first_tti())?;
-    let mut frames = 0;
+    let mut frame_count = 0;
     loop {
         match recording.next_frame() {
             Ok(Some(frame)) if !filter.is_over(frame.tti) => {
                 on_frame(&frame)?;
-                frames += 1;
+                frame_count += 1;
             }
-            Ok(_) => return Ok((frames, None)),
-            Err(error) => return Ok((frames, Some(error))),
+            Ok(_) => return Ok((frame_count, None)),
+            Err(error) => return Ok((frame_count, Some(error))),
         }
     }
 }

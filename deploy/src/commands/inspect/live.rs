@@ -178,7 +178,7 @@ impl Live {
     ///
     /// # Errors
     /// If it did.
-    pub(crate) fn report_early_end(&self) -> anyhow::Result<()> {
+    pub(crate) fn check_ran_to_end(&self) -> anyhow::Result<()> {
         let (reached, ttis) = (self.reached, self.status.ttis);
         anyhow::ensure!(
             !self.is_over || reached.0 >= ttis,
@@ -191,24 +191,24 @@ impl Live {
     ///
     /// # Errors
     /// If the scenario of `bundle` is invalid, the run has ended, or a signal comes.
-    pub(crate) async fn past(&self, bundle: &ScenarioBundle) -> anyhow::Result<CatchUp> {
+    pub(crate) async fn start_catch_up(&self, bundle: &ScenarioBundle) -> anyhow::Result<CatchUp> {
         let signals = self.signals.clone();
-        let mut past = CatchUp::new(bundle.load()?, move || signals.has_arrived());
-        if self.fetch_new_inputs(&mut past).await? {
-            Ok(past)
+        let mut catch_up = CatchUp::new(bundle.load()?, move || signals.has_arrived());
+        if self.fetch_new_inputs(&mut catch_up).await? {
+            Ok(catch_up)
         } else {
             Err(self.bus.no_run_error().await.into())
         }
     }
 
-    /// Passes every frame of the run to `on_frame`, from TTI 0 on; frames of its `past` lack the emulation plane. Stops
+    /// Passes every frame of the run to `on_frame`, from TTI 0 on; frames of `catch_up` lack the emulation plane. Stops
     /// when the run ends, a signal comes, or `on_frame` returns false. Dropped messages are counted and reported once.
     ///
     /// # Errors
     /// If the external inputs of the run cannot be read.
     pub(crate) async fn follow(
         &mut self,
-        mut past: CatchUp,
+        mut catch_up: CatchUp,
         mut on_frame: impl FnMut(Frame) -> bool,
     ) -> anyhow::Result<()> {
         let mut reached = Tti::ZERO;
@@ -222,20 +222,22 @@ impl Live {
         };
         let (mut wants_more, mut has_warned, mut is_running) = (true, false, true);
         // The replay can take long; `block_in_place` keeps other tasks going, such as the dashboard's.
-        tokio::task::block_in_place(|| past.catch_up(&self.status, |frame| wants_more &= on_frame(frame)))?;
+        tokio::task::block_in_place(|| {
+            catch_up.replay_closed_ttis(&self.status, |frame| wants_more &= on_frame(frame))
+        })?;
         while wants_more && let Some((frames, _)) = self.next().await {
             // The tap also copies the query below: frames of other kinds must not trigger the next query.
             let is_due =
                 |frame: &Frame| matches!(frame.kind, MessageKind::Plan | MessageKind::World | MessageKind::Clock);
-            if !past.is_over() && frames.iter().any(is_due) {
-                is_running = match self.fetch_new_inputs(&mut past).await {
+            if !catch_up.is_over() && frames.iter().any(is_due) {
+                is_running = match self.fetch_new_inputs(&mut catch_up).await {
                     Err(error) if error.is::<Interrupted>() => break,
-                    learned => learned?,
+                    still_running => still_running?,
                 };
             }
             tokio::task::block_in_place(|| {
                 let mut frames = frames.into_iter();
-                frames.try_for_each(|frame| past.push(frame, |frame| wants_more &= on_frame(frame)))
+                frames.try_for_each(|frame| catch_up.push(frame, |frame| wants_more &= on_frame(frame)))
             })
             .map_err(|error| {
                 if is_running {
@@ -244,7 +246,7 @@ impl Live {
                 anyhow!("the run ended before this observer had caught up; use `up --record` to record from TTI 0")
             })?;
             if self.dropped_frames > 0 && !has_warned {
-                let (dropped_frames, tti) = (self.dropped_frames, past.replayed_until());
+                let (dropped_frames, tti) = (self.dropped_frames, catch_up.replayed_until());
                 note!("{dropped_frames} messages after TTI {tti} were dropped (reader too slow)");
                 has_warned = true;
             }
@@ -253,18 +255,18 @@ impl Live {
         Ok(())
     }
 
-    /// Fetches the new lines of the input log from the base station and passes them to `past`. Returns false if the run
-    /// has ended.
+    /// Fetches the new lines of the input log from the base station and passes them to `catch_up`. Returns false if the
+    /// run has ended.
     ///
     /// # Errors
     /// If the log cannot be read, or a signal comes.
-    async fn fetch_new_inputs(&self, past: &mut CatchUp) -> anyhow::Result<bool> {
+    async fn fetch_new_inputs(&self, catch_up: &mut CatchUp) -> anyhow::Result<bool> {
         loop {
-            let from = past.bytes_read();
+            let from = catch_up.bytes_read();
             let Some(part) = self.query_bs(&InputLogRequest { from }).await? else {
                 return Ok(false);
             };
-            let is_more = tokio::task::block_in_place(|| past.read_input_log(&part.bytes))?;
+            let is_more = tokio::task::block_in_place(|| catch_up.read_input_log(&part.bytes))?;
             // A part shorter than the limit ends the log. Inputs added meanwhile are read at the next grant.
             if !is_more || (part.bytes.len() as u64) < InputLogPart::MAX_BYTES {
                 return Ok(true);

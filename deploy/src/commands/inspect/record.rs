@@ -24,7 +24,7 @@ pub(super) async fn run(args: &InspectRecordArgs) -> anyhow::Result<ExitCode> {
     let mut live = Live::connect(&args.target).await?;
     let bundle = live.bundle().await?;
     let recording_error = |why: String| anyhow!("{}: {why}", path.display());
-    let past = live.past(&bundle).await?;
+    let catch_up = live.start_catch_up(&bundle).await?;
     // The file is created last, so that a failed connection leaves none.
     let recorder = Recorder::start(path, &live.run, &bundle).map_err(recording_error)?;
     live.report_position();
@@ -34,9 +34,9 @@ pub(super) async fn run(args: &InspectRecordArgs) -> anyhow::Result<ExitCode> {
         recorder_handle.push(frame);
         recorder_handle.failure().is_none()
     };
-    let followed = live.follow(past, record).await;
+    let followed = live.follow(catch_up, record).await;
     drop(recorder_handle);
-    let (dropped_frames, ended_whole) = (live.dropped_frames, live.report_early_end());
+    let (dropped_frames, ran_to_end) = (live.dropped_frames, live.check_ran_to_end());
     // Closed before any error is returned, so that the frames so far can be read.
     let recorded = recorder.finish(None).map_err(recording_error)?;
     followed?;
@@ -54,6 +54,6 @@ pub(super) async fn run(args: &InspectRecordArgs) -> anyhow::Result<ExitCode> {
             path.display()
         );
     }
-    ended_whole?;
+    ran_to_end?;
     Ok(ExitReason::Done.into())
 }

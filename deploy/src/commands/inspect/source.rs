@@ -90,12 +90,12 @@ pub(crate) enum FrameSource {
 }
 
 impl FrameSource {
-    /// Opens the recording at `from`, or else the run that `target` selects.
+    /// Opens the recording `file`, or else the run that `target` selects.
     ///
     /// # Errors
     /// If there is no such run, or the file is not a recording.
-    pub(crate) async fn open(from: Option<&Path>, target: &TargetArgs) -> anyhow::Result<Self> {
-        if let Some(path) = from {
+    pub(crate) async fn open(file: Option<&Path>, target: &TargetArgs) -> anyhow::Result<Self> {
+        if let Some(path) = file {
             return Ok(Self::Recorded(Box::new(open(path)?), path.display().to_string()));
         }
         let mut live = Live::connect(target).await?;

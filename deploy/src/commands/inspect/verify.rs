@@ -25,11 +25,11 @@ pub(super) fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
     let summary = recording.summary().map(str::to_owned);
     let scenario = recording.bundle().load().with_context(named)?;
     let mut reconstruction = Reconstruction::new(&scenario);
-    let mut frames = 0;
+    let mut frame_count = 0;
     let torn = loop {
         match recording.next_frame() {
             Ok(Some(frame)) => {
-                let is_from_the_start = frames > 0 || frame.tti == Tti::ZERO;
+                let is_from_the_start = frame_count > 0 || frame.tti == Tti::ZERO;
                 anyhow::ensure!(
                     is_from_the_start,
                     "{}: starts at TTI {}, but results can be verified only from TTI 0; use a recording of the whole \
@@ -38,7 +38,7 @@ pub(super) fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
                     frame.tti
                 );
                 reconstruction.apply(&frame).with_context(named)?;
-                frames += 1;
+                frame_count += 1;
             }
             Ok(None) => break None,
             Err(error) => break Some(error),
@@ -49,7 +49,7 @@ pub(super) fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
     let consistency = format!(
         "{}: {}, TTIs 0 to {}, are consistent",
         named(),
-        count_noun(frames, "message"),
+        count_noun(frame_count, "message"),
         ttis.saturating_sub(1)
     );
     if let Some(error) = torn {

@@ -95,15 +95,15 @@ fn record_folders(
     recording: &RecordingConfig,
     stop: &(dyn Fn() -> bool + Sync),
 ) -> anyhow::Result<Option<Trajectories>> {
-    let (mut chunks, mut runs) = (Vec::new(), String::new());
-    for (run, folder) in (0..).zip(&args.from) {
+    let (mut chunks, mut digest_lines) = (Vec::new(), String::new());
+    for (run_index, folder) in (0..).zip(&args.from) {
         let path = folder.join(SCENARIO_FILE);
         if !path.exists() {
             bail!("{}: not a run folder: {SCENARIO_FILE} is missing", folder.display());
         }
         let scenario = load(&path.to_string_lossy(), &[])?.scenario;
         let digest = read_digest(folder)?;
-        let Some((recorded_digest, run_chunks)) = record_from_scenario(&scenario, run, recording, stop) else {
+        let Some((recorded_digest, run_chunks)) = record_from_scenario(&scenario, run_index, recording, stop) else {
             return Ok(None);
         };
         let Some(recorded_digest) = recorded_digest else {
@@ -121,10 +121,10 @@ fn record_folders(
             );
         }
         chunks.extend(run_chunks);
-        let _ = writeln!(runs, "{digest}");
+        let _ = writeln!(digest_lines, "{digest}");
     }
     let about = vec![
-        ("runs".to_owned(), runs),
+        ("runs".to_owned(), digest_lines),
         ("recording".to_owned(), format!("{recording:?}")),
     ];
     Ok(Some(Trajectories { about, chunks }))

@@ -81,12 +81,15 @@ pub(super) fn device_with(radio: RadioSettings, energy: EnergyModel, rows: &[u64
     (Machine::new(&setup, &physics), physics)
 }
 
-/// Creates a device that harvests nothing, with δ = 1 throughout if `is_sensing`.
-pub(super) fn device_without_harvest(initial: u64, is_sensing: bool) -> (Machine, Physics) {
-    let (mut machine, physics) = device(energy_model(initial), &[0]);
-    if is_sensing {
-        machine.set_duty(Tti(0), DutyCycle::SENSING);
-    }
+/// Creates a device that harvests nothing, with δ = 0 throughout.
+fn sleeping_device(initial: u64) -> (Machine, Physics) {
+    device(energy_model(initial), &[0])
+}
+
+/// Creates a device that harvests nothing, with δ = 1 throughout.
+fn sensing_device(initial: u64) -> (Machine, Physics) {
+    let (mut machine, physics) = sleeping_device(initial);
+    machine.set_duty(Tti(0), DutyCycle::SENSING);
     (machine, physics)
 }
 
@@ -106,7 +109,7 @@ pub(super) fn assert_information(report: &Report, expected: f64) {
 
 #[test]
 fn a_new_device_sleeps_with_its_initial_battery() {
-    let (machine, _) = device_without_harvest(500, false);
+    let (machine, _) = sleeping_device(500);
     assert_eq!((machine.state(), machine.battery()), (ASLEEP, micro(500)));
     assert_eq!(machine.id(), DeviceId(7));
 }
@@ -166,7 +169,7 @@ fn a_missed_wake_up_costs_nothing() {
 
 #[test]
 fn s4_to_s1_pays_e_idle_and_back_e_wur() {
-    let (mut machine, _) = device_without_harvest(500, true);
+    let (mut machine, _) = sensing_device(500);
     machine.begin(Tti(0));
     assert_eq!((machine.state(), machine.battery()), (DeviceState::Idle, micro(490)));
     machine.set_duty(Tti(1), DutyCycle::ASLEEP);
@@ -176,7 +179,7 @@ fn s4_to_s1_pays_e_idle_and_back_e_wur() {
 
 #[test]
 fn beginning_a_tti_twice_pays_once() {
-    let (mut machine, physics) = device_without_harvest(500, true);
+    let (mut machine, physics) = sensing_device(500);
     machine.begin(Tti(0));
     machine.begin(Tti(0));
     assert_eq!(machine.sense(Tti(0), &event_at(FAR), &physics), SenseOutcome::Nothing);
@@ -185,7 +188,7 @@ fn beginning_a_tti_twice_pays_once() {
 
 #[test]
 fn s1_to_s3_reports_and_pays_e_tx() {
-    let (mut machine, physics) = device_without_harvest(500, true);
+    let (mut machine, physics) = sensing_device(500);
     let SenseOutcome::Reported(report) = machine.sense(Tti(0), &event_at(NEAR), &physics) else {
         panic!("{machine:?}")
     };
@@ -210,7 +213,7 @@ fn s1_to_s3_reports_and_pays_e_tx() {
 
 #[test]
 fn s3_to_s4_if_delta_is_0_in_the_next_tti() {
-    let (mut machine, physics) = device_without_harvest(500, true);
+    let (mut machine, physics) = sensing_device(500);
     machine.sense(Tti(0), &event_at(NEAR), &physics);
     machine.set_duty(Tti(1), DutyCycle::ASLEEP);
     machine.begin(Tti(1));
@@ -219,17 +222,17 @@ fn s3_to_s4_if_delta_is_0_in_the_next_tti() {
 
 #[test]
 fn an_event_beyond_d_max_or_in_s4_is_not_sensed() {
-    let (mut machine, physics) = device_without_harvest(500, true);
+    let (mut machine, physics) = sensing_device(500);
     assert_eq!(machine.sense(Tti(0), &event_at(FAR), &physics), SenseOutcome::Nothing);
     assert_eq!((machine.state(), machine.battery()), (DeviceState::Idle, micro(490)));
-    let (mut machine, physics) = device_without_harvest(500, false);
+    let (mut machine, physics) = sleeping_device(500);
     assert_eq!(machine.sense(Tti(0), &event_at(NEAR), &physics), SenseOutcome::Nothing);
     assert_eq!((machine.state(), machine.battery()), (ASLEEP, micro(499)));
 }
 
 #[test]
 fn s2_to_s4_if_e_tx_exceeds_the_battery_which_is_drained() {
-    let (mut machine, physics) = device_without_harvest(109, true);
+    let (mut machine, physics) = sensing_device(109);
     let failure = FailedTransmission {
         device: DeviceId(7),
         drained_energy: micro(99),
@@ -254,7 +257,7 @@ fn s2_to_s4_if_e_tx_exceeds_the_battery_which_is_drained() {
         spent,
         "the drained energy counts for the failed report"
     );
-    let (mut machine, physics) = device_without_harvest(110, true);
+    let (mut machine, physics) = sensing_device(110);
     assert!(
         matches!(
             machine.sense(Tti(0), &event_at(NEAR), &physics),
@@ -266,7 +269,7 @@ fn s2_to_s4_if_e_tx_exceeds_the_battery_which_is_drained() {
 
 #[test]
 fn s4_to_s3_by_a_received_wake_up() {
-    let (mut machine, physics) = device_without_harvest(500, false);
+    let (mut machine, physics) = sleeping_device(500);
     let WakeOutcome::Reported(report) = machine.wake(Tti(3), Some(&event_at(NEAR)), &physics) else {
         panic!("{machine:?}")
     };
@@ -281,7 +284,7 @@ fn s4_to_s3_by_a_received_wake_up() {
 
 #[test]
 fn a_woken_device_beyond_d_max_reports_no_information() {
-    let (mut machine, physics) = device_without_harvest(500, false);
+    let (mut machine, physics) = sleeping_device(500);
     let WakeOutcome::Reported(report) = machine.wake(Tti(0), Some(&event_at(FAR)), &physics) else {
         panic!("{machine:?}")
     };
@@ -291,7 +294,7 @@ fn a_woken_device_beyond_d_max_reports_no_information() {
 
 #[test]
 fn a_wake_up_with_too_little_energy_for_a_report_drains_the_battery() {
-    let (mut machine, physics) = device_without_harvest(100, false);
+    let (mut machine, physics) = sleeping_device(100);
     let failure = FailedTransmission {
         device: DeviceId(7),
         drained_energy: micro(99),
@@ -305,13 +308,13 @@ fn a_wake_up_with_too_little_energy_for_a_report_drains_the_battery() {
 
 #[test]
 fn a_wake_up_is_missed_in_s1_and_without_power() {
-    let (mut machine, physics) = device_without_harvest(500, true);
+    let (mut machine, physics) = sensing_device(500);
     assert_eq!(
         machine.wake(Tti(0), Some(&event_at(NEAR)), &physics),
         WakeOutcome::Missed
     );
     assert_eq!((machine.state(), machine.battery()), (DeviceState::Idle, micro(490)));
-    let (mut machine, physics) = device_without_harvest(0, false);
+    let (mut machine, physics) = sleeping_device(0);
     assert_eq!(
         machine.wake(Tti(0), Some(&event_at(NEAR)), &physics),
         WakeOutcome::Missed
@@ -351,7 +354,7 @@ fn a_harvest_is_stored_and_overflows_before_costs_are_paid() {
 
 #[test]
 fn sums_include_the_end_of_each_tti() {
-    let (mut machine, _) = device_without_harvest(102, false);
+    let (mut machine, _) = sleeping_device(102);
     machine.begin(Tti(0));
     assert_eq!(
         (machine.totals().battery_sum, machine.totals().low_ttis),
@@ -367,7 +370,7 @@ fn sums_include_the_end_of_each_tti() {
 #[test]
 #[should_panic(expected = "has begun")]
 fn advancing_to_a_tti_that_has_begun_panics() {
-    let (mut machine, _) = device_without_harvest(500, false);
+    let (mut machine, _) = sleeping_device(500);
     machine.begin(Tti(5));
     machine.advance_to(Tti(5));
 }

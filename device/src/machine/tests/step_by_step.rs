@@ -14,6 +14,11 @@ use reveille_common::units::Energy;
 use super::{ASLEEP, D_MAX, FAR, MEASURED_FROM, NEAR, UNPOWERED, device_with, event_at, micro};
 use crate::machine::{DeviceState, SenseOutcome};
 
+/// Indices of the states in [`StepByStepDevice::spent`].
+const SENSING: usize = 0;
+const SLEEP: usize = 1;
+const REPORT: usize = 2;
+
 /// An input to a device in a TTI.
 #[derive(Clone, Debug)]
 enum Input {
@@ -122,9 +127,9 @@ impl StepByStepDevice {
         self.level -= overflow;
         self.overflow += overflow;
         let is_paid = if delta {
-            self.pay(self.costs.e_idle, 0)
+            self.pay(self.costs.e_idle, SENSING)
         } else {
-            self.pay(self.costs.e_wur, 1)
+            self.pay(self.costs.e_wur, SLEEP)
         };
         self.sensing_ttis += u64::from(delta);
         self.failed_ttis += u64::from(delta && !is_paid);
@@ -136,14 +141,14 @@ impl StepByStepDevice {
             (_, false) => UNPOWERED,
         };
         if has_false_wake_up && self.state == ASLEEP {
-            self.wake_falsely();
+            self.wake_without_report();
         }
     }
 
     /// Wakes without a report and returns whether the battery could pay for it.
-    fn wake_falsely(&mut self) -> bool {
+    fn wake_without_report(&mut self) -> bool {
         self.false_wake_ups += 1;
-        let is_paid = self.pay(self.costs.e_idle, 1);
+        let is_paid = self.pay(self.costs.e_idle, SLEEP);
         self.state = if is_paid { ASLEEP } else { UNPOWERED };
         is_paid
     }
@@ -151,7 +156,7 @@ impl StepByStepDevice {
     /// Transmits if the battery can pay; otherwise returns the energy lost in the attempt.
     fn transmit(&mut self) -> Result<(), u64> {
         let level_before = self.level;
-        if self.pay(self.costs.e_tx, 2) {
+        if self.pay(self.costs.e_tx, REPORT) {
             self.state = DeviceState::Transmission;
             Ok(())
         } else {
@@ -185,7 +190,7 @@ impl StepByStepDevice {
     fn ledger(&self) -> Ledger {
         let (whole, from) = (self.totals(), MEASURED_FROM.0 as usize);
         let unpaid = self.unpaid.iter().skip(from).collect::<Vec<_>>();
-        let longest_run = unpaid.split(|is_unpaid| !**is_unpaid).map(<[_]>::len).max();
+        let longest_outage = unpaid.split(|is_unpaid| !**is_unpaid).map(<[_]>::len).max();
         // The battery at the start of the measured part equals the one at the end of the TTI before.
         let measured = match self.totals_before.get(from) {
             Some(before) => whole - *before,
@@ -199,7 +204,7 @@ impl StepByStepDevice {
         Ledger {
             whole,
             measured,
-            longest_outage: longest_run.unwrap_or(0) as u64,
+            longest_outage: longest_outage.unwrap_or(0) as u64,
         }
     }
 }
@@ -238,16 +243,16 @@ fn any_radio() -> impl Strategy<Value = RadioSettings> {
 
 /// Returns whether device 7 of a run with seed 1 has a false wake-up, for each of the first `ttis` TTIs.
 fn draw_false_wake_ups(radio: &RadioSettings, ttis: u64) -> Vec<bool> {
-    let (law, mut stream) = (
+    let (gap_distribution, mut stream) = (
         Geometric::new(radio.false_wake_up),
         Stream::new(1, Purpose::FalseWakes, 7),
     );
-    let mut gap = law.draw(&mut stream);
+    let mut gap = gap_distribution.draw(&mut stream);
     let is_due_by_tti = (0..ttis).map(|_| {
         gap -= 1;
         let is_due = gap == 0;
         if is_due {
-            gap = law.draw(&mut stream);
+            gap = gap_distribution.draw(&mut stream);
         }
         is_due
     });
@@ -295,7 +300,7 @@ proptest! {
                 let receives = unit_for_pair(1, Purpose::WakeMiss, 7, k) >= radio.wake_miss;
                 let expected = if reference.state == ASLEEP && receives {
                     let level_before = reference.level;
-                    let powered = reference.wake_falsely();
+                    let powered = reference.wake_without_report();
                     WakeOutcome::Late { spent: micro(level_before - reference.level), powered }
                 } else {
                     WakeOutcome::Missed

@@ -20,6 +20,10 @@ const E_MAX: usize = 4;
 const LEVELS: usize = E_MAX + 1;
 /// The number of battery vectors.
 const STATES: usize = LEVELS.pow(N as u32);
+/// d_max of the preset `paper`, m.
+const D_MAX: f64 = 4.0;
+/// Cells along d_max, as in `bs/src/beliefs/coverage/` for detection by range.
+const CELLS_PER_RANGE: f64 = 15.0;
 const ALPHA: f64 = 1e-5;
 const ZETA: f64 = 0.95;
 /// The number of sweeps, enough for a discounted value to converge.
@@ -113,11 +117,11 @@ impl SixDevices {
         let next =
             |level: usize, harvest: usize| (level + harvest).min(E_MAX).saturating_sub(usize::from(is_on)) * stride;
         let mut expectation = vec![0.0; STATES];
-        for first in (0..STATES).step_by(stride * LEVELS) {
+        for block in (0..STATES).step_by(stride * LEVELS) {
             for level in 0..LEVELS {
                 let [with_arrival, without_arrival] =
-                    [1, 0].map(|harvest| &values[first + next(level, harvest)..][..stride]);
-                let target = &mut expectation[first + level * stride..][..stride];
+                    [1, 0].map(|harvest| &values[block + next(level, harvest)..][..stride]);
+                let target = &mut expectation[block + level * stride..][..stride];
                 for ((target, with_arrival), without_arrival) in
                     target.iter_mut().zip(with_arrival).zip(without_arrival)
                 {
@@ -137,7 +141,7 @@ impl SixDevices {
             let next = self.expected_next(values.clone());
             let new_values: Vec<f64> = (0..STATES)
                 .map(|state| {
-                    let rewards = &rewards[empty(state)];
+                    let rewards = &rewards[empty_devices(state)];
                     let value = |action: usize| rewards[action] + discount * next[action][state];
                     match policy {
                         Some(policy) => value(policy[state]),
@@ -172,7 +176,7 @@ impl SixDevices {
     fn greedy_actions(&self) -> Vec<usize> {
         let rewards = self.rewards();
         let best_action = |state: usize| {
-            let reward = |action: &usize| rewards[empty(state)][*action];
+            let reward = |action: &usize| rewards[empty_devices(state)][*action];
             (0..ACTIONS)
                 .max_by(|a, b| reward(a).total_cmp(&reward(b)))
                 .expect("actions")
@@ -260,17 +264,17 @@ pub(super) fn duty_of(scenario: &Scenario, entry: &TableSet, points: &[Point]) -
     )
 }
 
-/// Returns the share of `area` without a device of `points` within d_max = 4 m, in cells of d_max/15 as in the learner.
-/// A device covers a cell if it covers the four corners.
+/// Returns the share of `area` without a device of `points` within d_max, in the cells of the learner. A device covers
+/// a cell if it covers the four corners.
 pub(super) fn uncovered_share(area: Area, points: &[Point]) -> f64 {
-    let [columns, rows] = [area.width, area.height].map(|length| (length / 4.0 * 15.0).ceil() as u32);
+    let [columns, rows] = [area.width, area.height].map(|length| (length / D_MAX * CELLS_PER_RANGE).ceil() as u32);
     let (width, height) = (area.width / f64::from(columns), area.height / f64::from(rows));
     let mut uncovered_cells = 0;
     for cell in 0..columns * rows {
         let (column, row) = (cell % columns, cell / columns);
         let corners = [(0, 0), (1, 0), (0, 1), (1, 1)]
             .map(|(east, north)| Point::new(f64::from(column + east) * width, f64::from(row + north) * height));
-        let is_covered = |p: &Point| corners.iter().all(|corner| corner.distance(*p) <= 4.0);
+        let is_covered = |p: &Point| corners.iter().all(|corner| corner.distance(*p) <= D_MAX);
         uncovered_cells += u32::from(!points.iter().any(is_covered));
     }
     f64::from(uncovered_cells) / f64::from(columns * rows)
@@ -286,7 +290,7 @@ fn levels(state: usize) -> Vec<Energy> {
 }
 
 /// Returns the set of devices with empty batteries.
-fn empty(state: usize) -> usize {
+fn empty_devices(state: usize) -> usize {
     (0..N)
         .filter(|&j| (state / LEVELS.pow(j as u32)).is_multiple_of(LEVELS))
         .map(|j| 1 << j)
@@ -298,7 +302,8 @@ fn the_learner_comes_close_to_the_optimum() {
     let cross = [(1.5, 1.5), (6.0, 1.0), (2.0, 6.5), (6.5, 6.0), (4.0, 4.0), (3.0, 3.5)];
     let pairs = [(2.0, 3.0), (2.4, 2.5), (6.0, 3.2), (6.3, 2.6), (10.0, 3.0), (9.6, 3.4)];
     for (name, (width, height), points) in [("cross", (8.0, 8.0), cross), ("pairs", (12.0, 6.0), pairs)] {
-        let network = SixDevices::new(Area { width, height }, &points, 0.15, 2.0);
+        let (lambda, w) = (0.15, 2.0);
+        let network = SixDevices::new(Area { width, height }, &points, lambda, w);
         let buckets: Vec<usize> = (0..LEVELS as u64)
             .map(|level| battery_bucket(units(level), &network.energy()))
             .collect();

@@ -14,6 +14,7 @@ const SETS: usize = 1 << N;
 /// E_max in units; E_idle is 1, an arrival brings 1.
 const E_MAX: usize = 4;
 const LEVELS: usize = E_MAX + 1;
+/// The number of battery vectors.
 const VECTORS: usize = LEVELS.pow(N as u32);
 const AREA: Area = Area {
     width: 9.0,
@@ -217,6 +218,7 @@ impl ThreeDevices {
 #[test]
 fn the_learner_comes_close_to_the_optimum_with_reports_and_with_a_window_of_two_ttis() {
     for (name, network) in [
+        // α, the weight α μ1, λ, E_Tx in units, and the window in TTIs.
         ("reports", ThreeDevices::new(0.3, 2.0, 0.4, 1, 1)),
         ("expensive reports", ThreeDevices::new(0.6, 3.0, 0.6, 2, 1)),
         ("two TTIs", ThreeDevices::new(0.01, 2.0, 0.25, 0, 2)),

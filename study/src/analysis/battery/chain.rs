@@ -40,20 +40,21 @@ impl ChainInput {
         const MAX_CYCLE_TTIS: u32 = 1 << 20;
         let Self { t_on, t_drx, .. } = *self;
         if t_drx == 0 || t_drx > MAX_CYCLE_TTIS {
-            let allowed = format!("must be a number of TTIs from 1 to {MAX_CYCLE_TTIS}");
-            return Err(AnalysisError::invalid("t_DRX", &t_drx, allowed));
+            let requirement = format!("must be a number of TTIs from 1 to {MAX_CYCLE_TTIS}");
+            return Err(AnalysisError::invalid("t_DRX", &t_drx, requirement));
         }
         if t_on > t_drx {
-            let allowed = format!("must be at most t_DRX = {t_drx}, the length of the cycle that t_on is a part of");
-            return Err(AnalysisError::invalid("t_on", &t_on, allowed));
+            let requirement =
+                format!("must be at most t_DRX = {t_drx}, the length of the cycle that t_on is a part of");
+            return Err(AnalysisError::invalid("t_on", &t_on, requirement));
         }
         if !(self.arrival > 0.0 && self.arrival < 1.0) {
-            let allowed = "must be above 0 and below 1 for a steady state; change harvest.lambda";
-            return Err(AnalysisError::invalid("Pr(arrival)", &self.arrival, allowed));
+            let requirement = "must be above 0 and below 1 for a steady state; change harvest.lambda";
+            return Err(AnalysisError::invalid("Pr(arrival)", &self.arrival, requirement));
         }
         if !(0.0..=1.0).contains(&self.activation) {
-            let allowed = "must be a probability, 0 to 1";
-            return Err(AnalysisError::invalid("activation", &self.activation, allowed));
+            let requirement = "must be a probability, 0 to 1";
+            return Err(AnalysisError::invalid("activation", &self.activation, requirement));
         }
         Ok(())
     }
@@ -111,11 +112,11 @@ pub(crate) fn steady_state(lattice: &Lattice, input: &ChainInput) -> Result<Stea
             });
         }
         if transitions_to_steady_state > MAX_TRANSITIONS {
-            let allowed = format!(
+            let requirement = format!(
                 "of one cycle should be at most {STEADY_RESIDUAL:e} after {MAX_TRANSITIONS} TTIs; the chain mixes \
                  too slowly"
             );
-            return Err(AnalysisError::invalid("residual", &residual, allowed));
+            return Err(AnalysisError::invalid("residual", &residual, requirement));
         }
     }
 }

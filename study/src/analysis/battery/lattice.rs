@@ -45,21 +45,25 @@ impl Lattice {
         // Tries the coarsest first, since the work of the chain grows with the number of levels.
         let Some(per_unit) = (1..=MAX_QUANTA_PER_UNIT).find(fits) else {
             let value = energies.map(|e| e.units().to_string()).join(", ");
-            let allowed = format!(
+            let requirement = format!(
                 "E_max, E_idle, E_WuR, E_Tx and E_B must be multiples of a common quantum of 1/n unit, n up to \
                  {MAX_QUANTA_PER_UNIT}, for the battery to have few enough levels; round them, for example to \
                  hundredths of a unit"
             );
-            return Err(AnalysisError::invalid("energies (units)", &value, allowed));
+            return Err(AnalysisError::invalid("energies (units)", &value, requirement));
         };
         let [e_max, e_idle, e_wur, e_tx, e_b] = energies.map(|e| to_quanta(e, per_unit));
         if e_max >= MAX_LEVELS {
-            let allowed = format!(
+            let requirement = format!(
                 "with {per_unit} quanta per unit the battery has {} levels, but the chain takes at most {MAX_LEVELS}; \
                  use a smaller battery or coarser costs",
                 e_max + 1
             );
-            return Err(AnalysisError::invalid("energy.e_max", &model.e_max.units(), allowed));
+            return Err(AnalysisError::invalid(
+                "energy.e_max",
+                &model.e_max.units(),
+                requirement,
+            ));
         }
         Ok(Self {
             quanta_per_unit: per_unit,

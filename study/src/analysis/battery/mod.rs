@@ -144,15 +144,15 @@ impl BatteryStudy {
             devices, ttis, warm_up, ..
         } = self.sample;
         if devices < MIN_DEVICES {
-            let allowed = format!("must be at least {MIN_DEVICES}, because intervals are computed between devices");
-            return Err(AnalysisError::invalid("devices", &devices, allowed));
+            let requirement = format!("must be at least {MIN_DEVICES}, because intervals are computed between devices");
+            return Err(AnalysisError::invalid("devices", &devices, requirement));
         }
         let all = ttis.saturating_add(warm_up).saturating_mul(u64::from(devices));
         if ttis == 0 || all > MAX_DEVICE_TTIS {
-            let allowed = format!(
+            let requirement = format!(
                 "must be at least 1, and with the warm-up and all devices at most {MAX_DEVICE_TTIS} device-TTIs"
             );
-            return Err(AnalysisError::invalid("ttis", &ttis, allowed));
+            return Err(AnalysisError::invalid("ttis", &ttis, requirement));
         }
         Ok(())
     }
@@ -186,9 +186,9 @@ impl LevelBins {
         let quantum = 1.0 / lattice.quanta_per_unit as f64;
         let capacity = lattice.e_max as f64 * quantum;
         if !(width >= quantum && width <= capacity) {
-            let allowed =
+            let requirement =
                 format!("must be at least a quantum, {quantum:.6} units, and at most E_max, {capacity} units");
-            return Err(AnalysisError::invalid("bin", &width, allowed));
+            return Err(AnalysisError::invalid("bin", &width, requirement));
         }
         // Up to rounding, a level that is a multiple of the width begins a bin.
         let bin_of = |level: usize| (level as f64 * quantum / width + 1e-9).floor() as usize;

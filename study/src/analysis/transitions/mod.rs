@@ -65,7 +65,7 @@ pub struct Transitions {
 /// for the same deployments. The forms use the duty cycles of the first TTI.
 ///
 /// # Errors
-/// If `seeds` is 0.
+/// If `seeds` is 0 or above 1 000 000.
 pub fn measure(scenario: &Scenario, seeds: u64) -> Result<Transitions, AnalysisError> {
     check_seeds(seeds)?;
     let runs = map_seeds(scenario, seeds, |one| {

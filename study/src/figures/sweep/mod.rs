@@ -248,27 +248,27 @@ impl SweepFigureSpec {
     ) -> Chart {
         let all_points = || series.iter().flat_map(|s| &s.points);
         let is_difference = Metrics::find(&self.metric).is_some_and(|metric| metric.is_difference);
-        let ends = |s: &ChartPoint| {
-            let half_width = if s.y_half_width.is_finite() {
-                s.y_half_width
+        let ends = |p: &ChartPoint| {
+            let half_width = if p.y_half_width.is_finite() {
+                p.y_half_width
             } else {
                 0.0
             };
-            let low = s.y - half_width;
+            let low = p.y - half_width;
             [
-                if is_difference { low } else { low.max(s.y.min(0.0)) },
-                s.y + half_width,
+                if is_difference { low } else { low.max(p.y.min(0.0)) },
+                p.y + half_width,
             ]
         };
-        let has_zero = all_points().any(|s| s.y <= 0.0);
+        let has_zero = all_points().any(|p| p.y <= 0.0);
         let axis = Metrics::axis_label(&self.metric);
         Chart {
             title: format!("{} against {}", self.metric, self.x_field),
             x_label: self.x_field.clone(),
             y_label: axis.to_owned(),
-            x: x_scale(all_points().map(|s| s.x), self.is_log_x),
+            x: x_scale(all_points().map(|p| p.x), self.is_log_x),
             y: if self.is_log_y {
-                log_y_scale(all_points().flat_map(|s| [s.y, ends(s)[1]]), has_zero)
+                log_y_scale(all_points().flat_map(|p| [p.y, ends(p)[1]]), has_zero)
             } else {
                 Scale::linear(all_points().flat_map(ends), true)
             },

@@ -45,8 +45,8 @@ impl SweepPoint<'_> {
 
 /// Returns the cells of `results` as points. If lines are policies, a policy with another ranking of wake-ups gets its
 /// own line. Otherwise the ranking is an ordinary field.
-pub(super) fn points<'r>(results: &'r Results, by: &str) -> Vec<SweepPoint<'r>> {
-    let conditions = if by == POLICY {
+pub(super) fn points<'r>(results: &'r Results, line_field: &str) -> Vec<SweepPoint<'r>> {
+    let conditions = if line_field == POLICY {
         &results.conditions
     } else {
         &results.by_ranking

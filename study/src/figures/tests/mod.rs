@@ -318,8 +318,8 @@ fn deployments_and_timelines_can_be_drawn_for_each_policy() {
             "{policy}: the drawn reporters are the devices that reported"
         );
         check("deployment", &deployment::scene(&scenario, &event_scene));
-        let ttis = timeline::Timeline::from_scenario(&scenario, &[], 30, 120).expect("a timeline");
-        check("timeline", &timeline::scene(&scenario, &ttis));
+        let shown = timeline::Timeline::from_scenario(&scenario, &[], 30, 120).expect("a timeline");
+        check("timeline", &timeline::scene(&scenario, &shown));
     }
 }
 

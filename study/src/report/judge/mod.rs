@@ -7,7 +7,7 @@
 //!    claim for several N or against several policies must hold for each that was run, and has the worst verdict. A
 //!    stated 0 allows 1 % of the largest of the other policies' means.
 //! 3. A trend with N allows opposite steps of at most a tenth of the range of all means. A constant level stays within
-//!    20 % of their middle.
+//!    20 % of their middle, or counts as 0 at every N by rule 2.
 //! 4. Otherwise its *order is reproduced* if, at each such N, our mean has the same order to every compared policy as
 //!    in the paper. A policy is compared if the paper states its order or ratio, or figures for both that all exclude
 //!    each other. At least one policy must be compared.

@@ -141,8 +141,8 @@ fn ranges_of_policy(topic: &ClaimTopic, policy: &str, n: u32) -> Vec<(f64, f64)>
     let stated = |claims: &mut dyn Iterator<Item = &'static Claim>| -> Vec<(f64, f64)> {
         claims.flat_map(|claim| ranges_of_claim(topic, claim, n)).collect()
     };
-    let here = stated(&mut own().filter(|c| c.device_counts == DeviceCounts::At(n)));
-    if here.is_empty() { stated(&mut own()) } else { here }
+    let at_n = stated(&mut own().filter(|c| c.device_counts == DeviceCounts::At(n)));
+    if at_n.is_empty() { stated(&mut own()) } else { at_n }
 }
 
 /// Ranges that `claim` states for its policy at `n`; a ratio multiplies the ranges stated for the other policy.

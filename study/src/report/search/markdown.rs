@@ -224,8 +224,8 @@ fn unmet_section(ranking: &ConditionRanking<'_>) -> String {
     ];
     let heads = heads.map(str::to_owned);
     let rows = claims.into_iter().map(|claim| {
-        let (row, closest) = (claim.row, claim.closest);
-        let assessment = &row.assessments[closest];
+        let (row, column) = (claim.row, claim.closest_column);
+        let assessment = &row.assessments[column];
         vec![
             claim.number.to_string(),
             row.paper_figure.to_owned(),
@@ -234,8 +234,8 @@ fn unmet_section(ranking: &ConditionRanking<'_>) -> String {
             row.metric_description.clone(),
             row.stated.clone(),
             assessment.measured.clone(),
-            verdict_cell(row, closest),
-            ranking.label(closest).to_owned(),
+            verdict_cell(row, column),
+            ranking.label(column).to_owned(),
             assessment.explanation.clone(),
         ]
     });

@@ -79,7 +79,7 @@ impl HalfScore {
 /// A condition with its scores.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RankedCondition {
-    /// Column in the report.
+    /// Index in the report's columns.
     pub column: usize,
     /// Score in the search half.
     pub search: HalfScore,
@@ -99,7 +99,7 @@ pub(crate) struct UnmetClaim<'s> {
     /// The claim.
     pub row: &'s ClaimRow,
     /// Column of the closest condition, by [`super::Assessment::deviation`].
-    pub closest: usize,
+    pub closest_column: usize,
 }
 
 /// Effect of one value of a field on the scores, over all values of the other fields.
@@ -184,7 +184,7 @@ impl<'r> ConditionRanking<'r> {
                 .any(|assessment| assessment.verdict == Verdict::Reproduced)
         };
         let unmet = numbered.filter(|(_, row)| row.has_runs() && !is_met(row));
-        let closest = |row: &ClaimRow| {
+        let find_closest = |row: &ClaimRow| {
             let judged = row.assessments.iter().enumerate();
             let judged = judged.filter(|(_, assessment)| assessment.verdict != Verdict::NotRun);
             judged
@@ -192,8 +192,12 @@ impl<'r> ConditionRanking<'r> {
                 .map(|(column, _)| column)
         };
         let unmet = unmet.filter_map(|(number, row)| {
-            let closest = closest(row)?;
-            Some(UnmetClaim { number, row, closest })
+            let closest_column = find_closest(row)?;
+            Some(UnmetClaim {
+                number,
+                row,
+                closest_column,
+            })
         });
         unmet.collect()
     }
@@ -215,7 +219,7 @@ impl<'r> ConditionRanking<'r> {
         let pairs = || {
             self.conditions
                 .iter()
-                .map(|s| (s.search.met as f64, s.held_out.met as f64))
+                .map(|ranked| (ranked.search.met as f64, ranked.held_out.met as f64))
         };
         let count = self.conditions.len() as f64;
         let (mean_search, mean_held_out) = pairs().fold((0.0, 0.0), |(mean_search, mean_held_out), (x, y)| {

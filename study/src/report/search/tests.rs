@@ -129,18 +129,18 @@ fn equal_scores_share_a_rank_and_presets_are_always_shown() {
 
 #[test]
 fn unmet_claims_have_the_condition_with_the_closest_value() {
-    let far = [0.5, 0.145, 0.34, 0.10];
-    let near = [0.5, 0.145, 0.34, 0.17];
-    let results = results_of(&[(0.3, far), (0.4, near)]);
+    let random_at_0_10 = [0.5, 0.145, 0.34, 0.10];
+    let random_at_0_17 = [0.5, 0.145, 0.34, 0.17];
+    let results = results_of(&[(0.3, random_at_0_10), (0.4, random_at_0_17)]);
     let ranking = ConditionRanking::new(ClaimReport::new(&results));
     let unmet = ranking.unmet();
     let random_claim = unmet
         .iter()
         .find(|unmet| unmet.row.policy == "random" && unmet.row.stated == "> 0.18");
     let random_claim = random_claim.expect("0.1 and 0.17 are not above 0.18");
-    assert_eq!(ranking.value(random_claim.closest, "events.alpha"), Some("0.4"));
+    assert_eq!(ranking.value(random_claim.closest_column, "events.alpha"), Some("0.4"));
     assert!(
-        random_claim.row.assessments[random_claim.closest]
+        random_claim.row.assessments[random_claim.closest_column]
             .measured
             .starts_with("0.170"),
         "{random_claim:?}"

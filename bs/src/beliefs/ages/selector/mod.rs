@@ -73,13 +73,13 @@ impl DeviceSelector {
             // The low half of a key is the inverted device number.
             let j = u32::MAX - *best as u32;
             match ratio_key(ages.gain(j as usize), prices[j as usize], j) {
-                Some(now) if now == *best => {
+                Some(key) if key == *best => {
                     PeekMut::pop(best);
                     ages.add(j as usize);
                     self.is_chosen[j as usize] = true;
                     self.chosen.push(Some(j));
                 }
-                Some(now) => *best = now,
+                Some(key) => *best = key,
                 None => {
                     PeekMut::pop(best);
                 }

@@ -8,7 +8,7 @@
 
 #![expect(
     clippy::inline_always,
-    reason = "what is not inlined there is not compiled for the instructions that VectorWidth::run chooses"
+    reason = "code that is not inlined into VectorWidth::run is not compiled for the instructions that it chooses"
 )]
 
 use pulp::Scalar;

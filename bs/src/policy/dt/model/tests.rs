@@ -58,17 +58,20 @@ fn random_tokens(n: usize, ttis: usize) -> Vec<Vec<f32>> {
 }
 
 /// Reference model in double precision, computed from all tokens.
-struct Reference<'t>(&'t Tensors, ModelShape);
+struct Reference<'t> {
+    tensors: &'t Tensors,
+    shape: ModelShape,
+}
 
 impl Reference<'_> {
     fn linear(&self, x: &[f64], weight: &str, bias: Option<&str>) -> Vec<f64> {
-        let (size, weight) = &self.0[weight];
+        let (size, weight) = &self.tensors[weight];
         (0..size[1])
             .map(|to| {
                 let sum: f64 = (0..size[0])
                     .map(|from| x[from] * f64::from(weight[from * size[1] + to]))
                     .sum();
-                sum + bias.map_or(0.0, |bias| f64::from(self.0[bias].1[to]))
+                sum + bias.map_or(0.0, |bias| f64::from(self.tensors[bias].1[to]))
             })
             .collect()
     }
@@ -77,7 +80,7 @@ impl Reference<'_> {
         let mean = x.iter().map(|x| x * x).sum::<f64>() / x.len() as f64;
         let inverse = 1.0 / (mean + f64::from(NORM_EPSILON)).sqrt();
         x.iter()
-            .zip(&self.0[scale].1)
+            .zip(&self.tensors[scale].1)
             .map(|(x, scale)| x * inverse * f64::from(*scale))
             .collect()
     }
@@ -107,7 +110,7 @@ impl Reference<'_> {
     fn attend_across_ttis(&self, ttis: &[Vec<f32>], j: usize) -> Vec<f64> {
         let ModelShape {
             memory, width, heads, ..
-        } = self.1;
+        } = self.shape;
         let states: Vec<Vec<f64>> = ttis
             .iter()
             .rev()
@@ -123,7 +126,8 @@ impl Reference<'_> {
             let score = |(lag, state): (usize, &Vec<f64>)| {
                 let key = self.linear(state, "time.key", None);
                 let product: f64 = columns.clone().map(|i| query[i] * key[i]).sum();
-                libm::exp(product / (head_width as f64).sqrt() + f64::from(self.0["time.bias"].1[head * memory + lag]))
+                let bias = f64::from(self.tensors["time.bias"].1[head * memory + lag]);
+                libm::exp(product / (head_width as f64).sqrt() + bias)
             };
             let scores: Vec<f64> = normed.iter().enumerate().map(score).collect();
             for (score, state) in scores.iter().zip(&normed) {
@@ -140,7 +144,7 @@ impl Reference<'_> {
 
     /// Returns the states after devices have attended to each other, by the weight of every pair.
     fn attend_across_devices(&self, states: &[Vec<f64>]) -> Vec<Vec<f64>> {
-        let ModelShape { width, heads, .. } = self.1;
+        let ModelShape { width, heads, .. } = self.shape;
         let head_width = width / heads;
         let normed: Vec<Vec<f64>> = states.iter().map(|state| self.norm(state, "space.norm")).collect();
         let feature = |x: Vec<f64>| {
@@ -173,10 +177,10 @@ impl Reference<'_> {
         states.iter().zip(&queries).map(attend).collect()
     }
 
-    /// Returns the outputs of all devices and the price for `target` in the last of `ttis`.
+    /// Returns the outputs of all devices and the logarithm of the price for `target` in the last of `ttis`.
     fn step(&self, ttis: &[Vec<f32>], n: usize, target: f64) -> (Vec<f64>, f64) {
         let mut states: Vec<Vec<f64>> = (0..n).map(|j| self.attend_across_ttis(ttis, j)).collect();
-        if self.1.attends_to_devices {
+        if self.shape.attends_to_devices {
             states = self.attend_across_devices(&states);
         }
         let last: Vec<Vec<f64>> = states.iter().map(|state| self.norm(state, "head.norm")).collect();
@@ -184,7 +188,7 @@ impl Reference<'_> {
             .iter()
             .flat_map(|state| self.linear(state, "head.weight", Some("head.bias")));
         let logs = logs.map(|x| f64::from(OUTPUT_LIMIT) * x / (1.0 + x.abs())).collect();
-        let mut pooled: Vec<f64> = (0..self.1.width)
+        let mut pooled: Vec<f64> = (0..self.shape.width)
             .map(|i| last.iter().map(|state| state[i]).sum::<f64>() / n as f64)
             .collect();
         pooled.push(target);
@@ -215,9 +219,13 @@ fn every_vector_width_gives_the_same_bits() {
     let widths = VectorWidth::supported();
     // Which widths are supported depends on the machine.
     println!("supported: {widths:?}");
-    let first = outputs_with(widths[0]);
+    let baseline_bits = outputs_with(widths[0]);
     for width in &widths[1..] {
-        assert!(outputs_with(*width) == first, "{width:?} differs from {:?}", widths[0]);
+        assert!(
+            outputs_with(*width) == baseline_bits,
+            "{width:?} differs from {:?}",
+            widths[0]
+        );
     }
 }
 
@@ -254,8 +262,12 @@ fn a_step_equals_the_reference_model() {
         for k in 0..ttis.len() {
             let logs = forward.step(&ttis[k]).to_vec();
             assert_eq!(logs.len(), n * OUTPUTS);
-            let price = f64::from(forward.log_price(0.7));
-            let (expected, expected_price) = Reference(&tensors, shape).step(&ttis[..=k], n, 0.7);
+            let log_price = f64::from(forward.log_price(0.7));
+            let reference = Reference {
+                tensors: &tensors,
+                shape,
+            };
+            let (expected, expected_log_price) = reference.step(&ttis[..=k], n, 0.7);
             for (log, expected) in logs.iter().zip(&expected) {
                 assert!(
                     (f64::from(*log) - expected).abs() < 1e-4,
@@ -263,8 +275,8 @@ fn a_step_equals_the_reference_model() {
                 );
             }
             assert!(
-                (price - expected_price).abs() < 1e-4,
-                "{shape:?}, TTI {k}: price {price}, not {expected_price}"
+                (log_price - expected_log_price).abs() < 1e-4,
+                "{shape:?}, TTI {k}: log price {log_price}, not {expected_log_price}"
             );
             for shares in forward.attention().chunks(memory) {
                 let (attended, unused) = shares.split_at((k + 1).min(memory));
@@ -287,6 +299,7 @@ fn the_shipped_model_contains_no_path_of_a_machine() {
     for path in ["\"/", "= \"/", "/tmp", "/home", "/root", "/work", "/Users"] {
         assert!(!text.contains(path), "the header contains {path}");
     }
+    // The metadata names the files of the training without their folders.
     assert!(text.contains("teachers.safetensors"));
 }
 

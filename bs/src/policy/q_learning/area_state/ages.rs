@@ -48,8 +48,8 @@ impl AgedArea {
 
 impl AreaState for AgedArea {
     fn set_advantages(&mut self, advantages: &[[f64; AREA_BUCKETS]; BATTERY_BUCKETS]) {
-        // A fuller battery is never dearer: without a price, or with a higher one, a bucket takes the least lower
-        // price.
+        // A fuller battery is never dearer: without a price, or with a higher one, a bucket takes the least price of
+        // the lower buckets.
         let mut lowest_price = f64::INFINITY;
         for (battery, row) in advantages.iter().enumerate().skip(usize::from(FIRST_ABLE_BUCKET)) {
             if let Some(start) = Lookback::Ages.advantage_start(row) {

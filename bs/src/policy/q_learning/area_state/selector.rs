@@ -8,8 +8,9 @@ use super::traits::{Gain, PASS_MIN_BUCKETS};
 use crate::beliefs::coverage::{CellPosition, Coverage};
 use crate::policy::q_learning::learned::{AREA_BUCKETS, BATTERY_BUCKETS, FIRST_ABLE_BUCKET, area_bucket};
 
-/// Largest device id within a key.
-const MAX_ID: u32 = (1 << 24) - 1;
+/// Low bits of a key that hold the device id.
+const ID_BITS: u32 = 24;
+const MAX_ID: u32 = (1 << ID_BITS) - 1;
 
 /// Sequential choice among the devices for which sensing has an advantage.
 ///
@@ -134,17 +135,17 @@ impl SequentialSelector {
     /// Returns the device with the largest key that reaches `cell`, if any has an advantage.
     fn choose_best(&mut self, cell: CellPosition) -> Option<u32> {
         // The device with the highest bound is evaluated first, which rules out most others without evaluation.
-        let mut first = (0, 0);
+        let (mut max_bound, mut best) = (0, 0);
         for &j in &self.block_devices {
             let bound = self.key_bounds[j as usize];
-            if bound > first.0 && self.coverage.reaches(j as usize, cell) {
-                first = (bound, j);
+            if bound > max_bound && self.coverage.reaches(j as usize, cell) {
+                (max_bound, best) = (bound, j);
             }
         }
-        if first.0 == 0 {
+        if max_bound == 0 {
             return None;
         }
-        let (mut best_key, mut best) = (self.update_key(first.1), first.1);
+        let mut best_key = self.update_key(best);
         for i in 0..self.block_devices.len() {
             let j = self.block_devices[i];
             if self.key_bounds[j as usize] > best_key && self.coverage.reaches(j as usize, cell) {
@@ -202,6 +203,6 @@ impl SequentialSelector {
             return 0;
         }
         let charge = u64::from(battery - FIRST_ABLE_BUCKET + 1);
-        (u64::from(units) * charge) << 24 | u64::from(MAX_ID - j as u32)
+        (u64::from(units) * charge) << ID_BITS | u64::from(MAX_ID - j as u32)
     }
 }

@@ -18,11 +18,13 @@ pub(super) const PASS_MIN_BUCKETS: [u8; 2] = [5, FIRST_ABLE_BUCKET];
 /// While learning, [`AreaState::gains`], [`AreaState::gain`], [`AreaState::uncovered_gain`] and [`AreaState::credits`]
 /// follow, in this order. [`AreaState::end_tti`] comes last.
 pub(crate) trait AreaState: Send {
+    /// Sets the advantages of sensing, by battery and area bucket (`DutyTable::advantages`).
     fn set_advantages(&mut self, advantages: &[[f64; AREA_BUCKETS]; BATTERY_BUCKETS]);
 
     /// Begins a TTI with the battery bucket of each device and no chosen device.
     fn begin_tti(&mut self, battery_buckets: &[u8]);
 
+    /// Adds device `j` to the chosen devices.
     fn add(&mut self, j: usize);
 
     /// Chooses further devices to sense, among the devices j with `is_free(j)`. Returns them in the order of choice.

@@ -20,6 +20,7 @@ pub(super) struct WindowedArea {
     window: usize,
     /// Devices that sensed in each of the last `window` − 1 TTIs, the latest at the end.
     recent_sensing: VecDeque<Vec<DeviceId>>,
+    /// Devices of [`AreaState::add`] in this TTI.
     added: Vec<DeviceId>,
     /// Number of TTIs over which the choice must still be spread.
     spread_ttis: usize,

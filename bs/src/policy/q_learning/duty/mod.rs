@@ -127,7 +127,7 @@ impl DutyLearner {
         let is_able = |&battery: &u8| battery >= FIRST_ABLE_BUCKET;
         let mut is_free: Vec<bool> = self.battery_buckets.iter().map(is_able).collect();
         let mut chosen = Vec::new();
-        // Random decisions come first, so that the choice among the others accounts for what these devices cover.
+        // Random decisions come first, so that the choice among the others accounts for the coverage by these devices.
         for (j, is_free) in is_free.iter_mut().enumerate() {
             if stream.unit() < epsilon && *is_free {
                 *is_free = false;
@@ -162,7 +162,7 @@ impl DutyLearner {
             return;
         };
         let zeta = self.parameters.weights.zeta;
-        for ((share, &after), energy) in shares.iter().zip(levels).zip(&self.energies) {
+        for ((share, &level_after), energy) in shares.iter().zip(levels).zip(&self.energies) {
             let DeviceShare {
                 battery,
                 area,
@@ -175,16 +175,18 @@ impl DutyLearner {
             } else {
                 1.0
             };
-            let [before, after] = [share.level, after].map(|level| value_at(&self.values, level, energy));
+            let [value_before, value_after] =
+                [share.level, level_after].map(|level| value_at(&self.values, level, energy));
             let (battery, area) = (usize::from(battery), usize::from(area));
-            let outcome = reward + zeta * after;
+            let outcome = reward + zeta * value_after;
             let whole_q = self.table.outcome_mut(battery, area, is_sensing);
             whole_q.learn(outcome, self.rates);
             let whole_q = whole_q.value;
-            // ζV(before) is the same for both actions and would hide their difference while V is still being learned.
+            // The subtracted value is the same for both actions and would hide their difference while V is still being
+            // learned.
             self.table
                 .at_mut(battery, area, is_sensing)
-                .learn(outcome - zeta * before, self.rates);
+                .learn(outcome - zeta * value_before, self.rates);
             // V is the mean over all actions taken, including exploration as in SARSA, so it learns from the whole
             // Q.
             let (node, part) = locate_node(share.level, energy);

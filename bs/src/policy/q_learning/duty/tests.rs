@@ -372,14 +372,14 @@ fn with_ages_the_shares_add_up_to_the_reward_by_uncovered_worth() {
             let at = Point::new(stream.unit() * case.area.width, stream.unit() * case.area.height);
             // The prior is the age of the place's cell, in the TTI of the last decision.
             let max_offset = |p: &Point| (p.x - at.x).abs().max((p.y - at.y).abs());
-            let nearest = (0..places.middles.len())
+            let nearest_place = (0..places.middles.len())
                 .min_by(|a, b| max_offset(&places.middles[*a]).total_cmp(&max_offset(&places.middles[*b])))
                 .expect("places");
             assert!(
-                (learner.prior(at) - places.ages[nearest]).abs() < 1e-6 * places.ages[nearest],
+                (learner.prior(at) - places.ages[nearest_place]).abs() < 1e-6 * places.ages[nearest_place],
                 "{context}: prior {} at {at:?}, age {}",
                 learner.prior(at),
-                places.ages[nearest]
+                places.ages[nearest_place]
             );
             let event_found = stream.unit() < 0.1;
             places.advance(&plan, event_found);
@@ -409,7 +409,7 @@ fn without_randomness_exploration_equals_the_choice() {
     }
 }
 
-/// The previous test relies on this.
+/// `without_randomness_exploration_equals_the_choice` relies on this.
 #[test]
 fn random_tables_choose_some_but_not_all_devices() {
     let case = &cases()[0];

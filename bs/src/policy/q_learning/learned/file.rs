@@ -271,7 +271,7 @@ impl LearnedTables {
                 ));
             }
         }
-        // `LearnedTables::lookbacks` and `LearnedTables::range` rely on this order.
+        // `LearnedTables::lookbacks` and `LearnedTables::served_devices` rely on this order.
         let is_before = |a: &TableSet, b: &TableSet| {
             a.lookback < b.lookback || a.lookback == b.lookback && a.device_density() < b.device_density()
         };

@@ -117,7 +117,7 @@ impl Lookback {
         }
     }
 
-    /// Returns the total number of TTIs for which a place counts as covered.
+    /// Returns the number of TTIs for which a covered place counts as covered; 1 with ages.
     pub const fn window(self) -> u32 {
         match self {
             Self::Window(window) => window,
