@@ -69,7 +69,7 @@ impl Children {
         }
         tracing::warn!(
             processes = self.running.len(),
-            "device processes did not exit in time and were killed"
+            "child processes did not exit in time and were killed"
         );
     }
 }

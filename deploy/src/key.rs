@@ -34,14 +34,24 @@ pub(crate) fn read(path: &Path) -> anyhow::Result<Secret> {
 /// If it can neither be read nor created.
 pub(crate) fn read_or_create(path: &Path) -> anyhow::Result<Secret> {
     let option = || format!("--key-file {}", path.display());
-    // One call makes the file and its mode: the key is never readable by others, and only one process makes it.
-    let made = OpenOptions::new().write(true).create_new(true).mode(0o600).open(path);
-    match made {
-        Ok(mut file) => {
-            let key = draw_secret()?;
-            writeln!(file, "{key}").with_context(option)?;
-            Ok(key)
-        }
+    if path.exists() {
+        return read(path);
+    }
+    // The key is written under another name, readable by its owner only, and then linked: no process reads half a key,
+    // and of several that start together one makes it.
+    let draft = path.with_added_extension(format!("{}.draft", std::process::id()));
+    let key = draw_secret()?;
+    let mut file = OpenOptions::new()
+        .write(true)
+        .create(true)
+        .truncate(true)
+        .mode(0o600)
+        .open(&draft)
+        .with_context(option)?;
+    let linked = writeln!(file, "{key}").and_then(|()| fs::hard_link(&draft, path));
+    fs::remove_file(&draft).with_context(option)?;
+    match linked {
+        Ok(()) => Ok(key),
         Err(error) if error.kind() == ErrorKind::AlreadyExists => read(path),
         Err(error) => Err(error).with_context(option),
     }

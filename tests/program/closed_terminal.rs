@@ -81,18 +81,8 @@ fn bs_and_device_in_closed_terminals_end_with_partial_results() {
     // A device process alone: it has nothing to save.
     let device = format!("device --connect {} --run {run} --count 30", free_endpoint());
     let mut device = PtyCommand::start(&folder.command(&device));
-    wait_for_sighup_handler(device.pid());
+    wait_for_handler(device.pid(), Signal::HUP);
     assert_eq!(close_terminal(&mut device).code(), Some(130));
-}
-
-/// Waits until a process has a SIGHUP handler.
-fn wait_for_sighup_handler(pid: u32) {
-    wait_until("the process to handle SIGHUP", PATIENCE, || {
-        let status = fs::read_to_string(format!("/proc/{pid}/status")).ok()?;
-        let caught_hex = status.lines().find_map(|line| line.strip_prefix("SigCgt:"))?;
-        let caught_signals = u64::from_str_radix(caught_hex.trim(), 16).ok()?;
-        (caught_signals >> (Signal::HUP.as_raw() - 1) & 1 == 1).then_some(())
-    });
 }
 
 #[test]

@@ -143,8 +143,8 @@ mod transformer {
         let end = folder.run(&format!("{TRAIN} --out whole.safetensors"));
         assert!(end.is_success() && end.stderr.contains("held out"), "{end}");
         for (signal, code) in [(Signal::KILL, None), (Signal::INT, Some(130))] {
-            let training = folder.start(&format!("{TRAIN} --out killed.safetensors"));
             let before = fs::read(folder.join("killed.safetensors.checkpoint")).unwrap_or_default();
+            let training = folder.start(&format!("{TRAIN} --out killed.safetensors"));
             wait_until("a new checkpoint", PATIENCE, || {
                 let now = fs::read(folder.join("killed.safetensors.checkpoint")).unwrap_or_default();
                 (now != before || folder.join("killed.safetensors").exists()).then_some(())

@@ -298,13 +298,7 @@ impl Process {
     /// # Panics
     /// If the condition is not met in time.
     pub fn wait_for_handlers(&self) {
-        wait_until("the process to handle signals", PATIENCE, || {
-            let status = fs::read_to_string(format!("/proc/{}/status", self.pid())).ok()?;
-            let caught_hex = status.lines().find_map(|line| line.strip_prefix("SigCgt:"))?;
-            let caught_signals = u64::from_str_radix(caught_hex.trim(), 16).ok()?;
-            let bit = Signal::INT.as_raw() - 1;
-            (caught_signals >> bit & 1 == 1).then_some(())
-        });
+        wait_for_handler(self.pid(), Signal::INT);
     }
 
     /// Waits until the process has used 0.2 s of CPU time, which shows that it has started its work.
@@ -487,6 +481,19 @@ impl SummaryJson {
             .as_f64()
             .unwrap_or_else(|| panic!("{name} is not a number: {value}"))
     }
+}
+
+/// Waits until the process `pid` has a handler of `signal`.
+///
+/// # Panics
+/// If the condition is not met in time.
+pub fn wait_for_handler(pid: u32, signal: Signal) {
+    wait_until(&format!("the process to handle {signal:?}"), PATIENCE, || {
+        let status = fs::read_to_string(format!("/proc/{pid}/status")).ok()?;
+        let caught_hex = status.lines().find_map(|line| line.strip_prefix("SigCgt:"))?;
+        let caught_signals = u64::from_str_radix(caught_hex.trim(), 16).ok()?;
+        (caught_signals >> (signal.as_raw() - 1) & 1 == 1).then_some(())
+    });
 }
 
 /// Waits until `poll` returns a value.

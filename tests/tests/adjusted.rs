@@ -125,7 +125,6 @@ fn a_search_without_events_warns() {
     }
     let outcome = Run::new(&prepared, RunOptions::default()).finish(&mut ());
     let facts = facts(&outcome);
-    assert!(facts["pilot_events"] < 30.0, "{facts:?}");
     assert!((facts["pilot_ttis"] - 3000.0).abs() < 0.5, "{facts:?}");
     // Without events the search compares only the energy that the pairs spend.
     assert!(facts["pilot_events"] < 0.5, "{facts:?}");

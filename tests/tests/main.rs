@@ -16,7 +16,6 @@ mod external;
 mod knowledge_wall;
 mod ledger;
 mod levels;
-mod links;
 mod lookahead;
 mod observer;
 mod q_learning;

@@ -70,10 +70,8 @@ impl Bus {
     /// # Errors
     /// If zenoh refuses.
     pub async fn count_alive_hosts(&self) -> Result<u32, BusError> {
-        Ok(self
-            .query_tokens(self.key_exprs.all_host_liveliness(), None)
-            .await?
-            .len() as u32)
+        let tokens = self.query_tokens(self.key_exprs.all_host_liveliness(), None).await?;
+        Ok(tokens.iter().flatten().count() as u32)
     }
 
     /// Queries the tokens that match `key`; an error reply gives `None`. Boxed, so zenoh's code is compiled only here.

@@ -122,7 +122,7 @@ pub(super) fn resolve_of_run(run: Option<&Path>, args: &ScenarioArgs) -> anyhow:
         );
         if run.join(INPUT_LOG_FILE).exists() {
             note!(
-                "{}: the scenario is repeated without the removals and decisions in {INPUT_LOG_FILE}",
+                "{}: the scenario is repeated without the removals, decisions and actions in {INPUT_LOG_FILE}",
                 run.display()
             );
         }

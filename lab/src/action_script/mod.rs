@@ -215,7 +215,10 @@ impl ScriptLine {
                     return Err("`to` must be after `from`".to_owned());
                 }
                 let duration = self.duration.unwrap_or(1);
-                if every < duration || every == 0 || (self.duration.is_some() && every == duration) {
+                if every == 0 {
+                    return Err("`every` must be at least 1 TTI".to_owned());
+                }
+                if every < duration || (self.duration.is_some() && every == duration) {
                     return Err(format!(
                         "`every` {every} must be longer than the failure; use a larger number"
                     ));

@@ -50,7 +50,8 @@ impl TableMetadata {
     pub fn read(path: &Path) -> Result<Self, TableError> {
         let read = match Format::from_path(path) {
             Format::Parquet => open_file(path).and_then(|file| Ok(parquet::decode_metadata(file)?)),
-            Format::Csv => read_sidecar(path).map(|sidecar| sidecar.metadata),
+            // The table may have no sidecar, but it must exist.
+            Format::Csv => open_file(path).and_then(|_| Ok(read_sidecar(path)?.metadata)),
         };
         read.map_err(|failure| failure.with_path(path))
     }

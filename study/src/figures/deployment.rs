@@ -54,7 +54,7 @@ pub enum DeviceRole {
     Woken(u32),
     /// In S1 or woken, but could not pay E_Tx.
     LackedEnergy,
-    /// Woken, but no report arrived: unpowered, not asleep, or the wake-up or report was lost.
+    /// Woken, but no report arrived: unpowered, not asleep, awake too late, or the wake-up or report was lost.
     NoReport,
     /// In S1 without an event to report.
     Sensing,
@@ -106,10 +106,14 @@ impl EventScene {
                 .or_else(|| all.first()),
         };
         let Some(chosen) = chosen else {
-            return Err(FigureError::NoEvent {
-                event: event.unwrap_or(0),
-                count: all.len(),
-                ttis: scenario.run.ttis,
+            let ttis = scenario.run.ttis;
+            return Err(match event {
+                Some(event) if !all.is_empty() => FigureError::UnknownEvent {
+                    event,
+                    count: all.len(),
+                    ttis,
+                },
+                _ => FigureError::NoEvent { ttis },
             });
         };
         let mut walk = RunWalk::new(scenario);
@@ -133,8 +137,10 @@ fn role(device: DeviceId, outcome: &TtiOutcome, state: DeviceState) -> DeviceRol
     let wake_up = (1..).zip(&outcome.wake_ups).find(|(_, (woken, _))| *woken == device);
     match wake_up {
         Some((number, (_, WakeOutcome::Reported(_)))) => return DeviceRole::Woken(number),
-        Some((_, (_, WakeOutcome::Failed(_) | WakeOutcome::Late { .. }))) => return DeviceRole::LackedEnergy,
-        Some((_, (_, WakeOutcome::Missed | WakeOutcome::Lost(_)))) => return DeviceRole::NoReport,
+        Some((_, (_, WakeOutcome::Failed(_)))) => return DeviceRole::LackedEnergy,
+        Some((_, (_, WakeOutcome::Missed | WakeOutcome::Late { .. } | WakeOutcome::Lost(_)))) => {
+            return DeviceRole::NoReport;
+        }
         None => {}
     }
     if outcome.failures.iter().any(|f| f.device == device) {

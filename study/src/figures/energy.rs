@@ -16,7 +16,7 @@ use reveille_common::units::Energy;
 use super::chart::{Chart, ChartPoint, Interval, Series, StatedMark, StatedValue};
 use super::results::RunCondition;
 use super::scale::Scale;
-use super::study::figure_title;
+use super::study::{figure_title, half_width_cell};
 use super::style::Style;
 use crate::analysis::AnalysisError;
 use crate::analysis::harvest::{self, HarvestPoint, HarvestStudy, LambdaReading, STATED_THRESHOLDS, measure};
@@ -340,15 +340,9 @@ pub fn net_csv(chart: &Chart) -> String {
         if series.is_joined {
             line = &series.name;
         }
-        for ChartPoint {
-            x,
-            y,
-            y_half_width: half,
-            ..
-        } in &series.points
-        {
+        for ChartPoint { x, y, y_half_width, .. } in &series.points {
             // Quoted, since the names of lines contain commas.
-            let _ = writeln!(out, "\"{line}\",{kind},{x},{y},{half}");
+            let _ = writeln!(out, "\"{line}\",{kind},{x},{y},{}", half_width_cell(*y_half_width));
         }
     }
     out

@@ -49,11 +49,17 @@ pub enum FigureError {
         "event {event}: the run of {ttis} TTIs has {count} events, numbered from 0; give one of these numbers, or a \
          longer run with --ttis"
     )]
-    NoEvent {
+    UnknownEvent {
         /// Requested event.
         event: u64,
         /// Number of events in the run.
         count: usize,
+        /// Length of the run, TTIs.
+        ttis: u64,
+    },
+    /// The run has no event.
+    #[error("the run of {ttis} TTIs has no events; give a longer run with --ttis, or a larger events.alpha")]
+    NoEvent {
         /// Length of the run, TTIs.
         ttis: u64,
     },

@@ -113,7 +113,11 @@ pub fn scene(sources: &[NamedTables]) -> Result<Scene, FigureError> {
     }
     let rows = panel_rows(sources);
     if rows.len() > MAX_FILES_AND_ROWS.1 {
-        return Err(too_many(rows.len(), "numbers of devices", MAX_FILES_AND_ROWS.1));
+        return Err(too_many(
+            rows.len(),
+            "tables of different N, window and area",
+            MAX_FILES_AND_ROWS.1,
+        ));
     }
     let mut scene = Scene::new(PAGE_WIDTH, 0.0);
     "Learning curves of q-learning".clone_into(&mut scene.title);

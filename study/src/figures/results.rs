@@ -13,6 +13,7 @@ use reveille_common::declare::Files;
 use sha2::{Digest as _, Sha256};
 
 use super::error::FigureError;
+use super::to_file_name;
 use crate::claims::POLICIES;
 use reveille_lab::metric_estimate::MetricEstimate;
 use reveille_lab::series::{self, RANKING};
@@ -397,14 +398,7 @@ impl RunCondition {
                 label = format!("{label}-{}", part.to_string_lossy());
             }
         }
-        let replace_unsafe = |c: char| {
-            if c.is_ascii_alphanumeric() || matches!(c, '.' | '-') {
-                c
-            } else {
-                '_'
-            }
-        };
-        label.chars().map(replace_unsafe).collect()
+        to_file_name(&label)
     }
 }
 

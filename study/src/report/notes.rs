@@ -12,7 +12,7 @@ pub(super) const VERDICT_RULE: &str = "A claim is reproduced if our mean is with
     stated range, or meets a stated bound or order. It is within 20 % if our mean is that close to the value or to the \
     nearer end of the range. A claim for several N or against several policies must hold for each that was run. A \
     value that falls or rises with N may deviate from that by a tenth of its range, and a level value may vary by 20 \
-    %. A stated 0 is met by less than 1 % of the largest of the other policies. Otherwise its order is reproduced if \
+    %. A stated 0 is met by at most 1 % of the largest of the other policies, and such a value is level too. Otherwise its order is reproduced if \
     the policy is above or below every other policy with a stated place as in the paper. A verdict marked ? would \
     differ for some value in our 95 % interval. Where an interval would need more cases, a one-sided 95 % bound \
     replaces it: 3/n without a case in n events, the rule of three. No definition was changed to meet a claim.";

@@ -85,12 +85,16 @@ fn unit_of(path: &str, lua_type: &str) -> Option<&'static str> {
     let (name, parent) = (names.next()?, names.next());
     match name {
         _ if parent == Some("spent") => Some(ENERGY_UNIT),
+        // The second part of `Change::AddEnergy`; the first is the range of devices.
+        "1" if parent == Some("add_energy") => Some(ENERGY_UNIT),
         "battery" | "battery_sum" | "drained" | "spent" | "initial" | "harvested" | "overflow" | "wasted" => {
             Some(ENERGY_UNIT)
         }
         // TTIs have 64 bits. `first` of removed devices is an id of 32 bits.
         "tti" | "first" | "last" | "until" | "start" | "run_to" if lua_type == "uint64" => Some("TTI"),
         "from" if parent == Some("plan") => Some("TTI"),
+        "plan" if parent == Some("grant") => Some("TTI"),
+        "at" if parent == Some("act") => Some("TTI"),
         "step" | "t_on" | "t_drx" | "offset" | "longest_outage" => Some("TTIs"),
         name if name.ends_with("_ttis") => Some("TTIs"),
         "x" | "y" => Some("m"),

@@ -260,7 +260,11 @@ impl<R: Read + Seek> RecordingReader<R> {
                         if header.name == SCENARIO_FILE {
                             self.bundle.text = String::from_utf8_lossy(&data).into_owned();
                         } else if header.name != SUMMARY_FILE && self.frames_read == 0 {
-                            self.bundle.referenced_files.push((header.name, data.into_owned()));
+                            // A seek without an index reads the attachments again.
+                            let mut files = self.bundle.referenced_files.iter();
+                            if files.all(|(name, _)| *name != header.name) {
+                                self.bundle.referenced_files.push((header.name, data.into_owned()));
+                            }
                         }
                     }
                     // The end of the data; only the index follows.

@@ -333,7 +333,7 @@ impl<'a> PolicyPort<'a> {
         if !self.shows_run_key(&welcome.key) {
             return Err("it does not show the run's key; use the key of the process that started the run".to_owned());
         }
-        if welcome.id.is_empty() || welcome.id.len() > MAX_NAME_CHARS {
+        if welcome.id.is_empty() || welcome.id.chars().count() > MAX_NAME_CHARS {
             return Err(format!("its id must have 1 to {MAX_NAME_CHARS} characters"));
         }
         // The name appears in logs and on the terminal, so another process must not control either.

@@ -141,7 +141,7 @@ impl<'a> Printer<'a> {
                 if missing > 0 || is_late {
                     bail!(
                         "--state: messages before TTI {} were not received, and device states depend on them; record \
-                        the run and give the recording with --from",
+                        the run with --record, then use `reveille inspect tail FILE --state`",
                         frame.tti
                     );
                 }
