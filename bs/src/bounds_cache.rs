@@ -1,7 +1,8 @@
 //! Upper bounds of wake-up correlations on a grid of distances, cached per sensing model and shared between runs.
 //!
 //! [`Correlation`](crate::beliefs::correlation::Correlation) computes and reads them. Runs share the cache through
-//! [`Knowledge::grids`](crate::knowledge::Knowledge::grids), so a grid must depend on its key alone.
+//! [`Knowledge::correlation_bounds`](crate::knowledge::Knowledge::correlation_bounds), so a grid must depend on its key
+//! alone.
 
 use std::sync::{Arc, Mutex, PoisonError};
 

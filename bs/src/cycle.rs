@@ -525,7 +525,7 @@ pub struct PreparedRun {
     /// Random streams of the policy. A pilot run uses the streams of its run, so that both judge the same policy.
     pub streams: PolicyStreams,
     /// Grids of wake-up correlations, shared with other runs.
-    pub grids: Arc<BoundsCache>,
+    pub correlation_bounds: Arc<BoundsCache>,
 }
 
 impl PreparedRun {
@@ -537,7 +537,7 @@ impl PreparedRun {
             pilot_choice: None,
             streams: PolicyStreams::new(scenario.run.seed),
             warnings: Vec::new(),
-            grids: Arc::default(),
+            correlation_bounds: Arc::default(),
         }
     }
 
@@ -545,7 +545,7 @@ impl PreparedRun {
     pub fn knowledge(&self) -> Knowledge {
         Knowledge {
             streams: self.streams.clone(),
-            ..Knowledge::from_scenario(&self.scenario, &self.deployment, Arc::clone(&self.grids))
+            ..Knowledge::from_scenario(&self.scenario, &self.deployment, Arc::clone(&self.correlation_bounds))
         }
     }
 

@@ -51,29 +51,19 @@ pub struct DeviceKnowledge {
 /// }
 /// ```
 /// ```compile_fail
-/// fn peek(known: &reveille_bs::knowledge::Knowledge) -> reveille_common::event::Process {
-///     known.events.process
-/// }
-/// ```
-/// ```compile_fail
 /// fn peek(known: &reveille_bs::knowledge::Knowledge) {
 ///     let _ = &known.devices[0].harvest;
 /// }
 /// ```
-/// It cannot use the future losses of the radio:
-/// ```compile_fail
-/// fn peek(known: &mut reveille_bs::knowledge::Knowledge) {
-///     known.radio.at(reveille_common::ids::Tti(5));
-/// }
-/// ```
-/// This is the complete list of fields, so that a new field also needs a change here:
+/// These examples only show that no field has such a name. The guard is the complete list of fields, so that a new
+/// field also needs a change here:
 /// ```
 /// use reveille_bs::knowledge::Knowledge;
 ///
 /// fn all(known: Knowledge) {
 ///     let Knowledge {
 ///         area: _, sensing: _, radio: _, alpha: _, tau: _, ttis: _, bs: _, classes: _, day_profiles: _,
-///         devices: _, streams: _, grids: _,
+///         devices: _, streams: _, correlation_bounds: _,
 ///     } = known;
 /// }
 /// ```
@@ -111,14 +101,18 @@ pub struct Knowledge {
     pub devices: Vec<DeviceKnowledge>,
     /// The random draws that a policy may make.
     pub streams: PolicyStreams,
-    /// Grids of wake-up correlations that have been computed.
-    pub grids: Arc<BoundsCache>,
+    /// Cache of upper bounds of `P_4,2`. Runs share it, and it changes no result.
+    pub correlation_bounds: Arc<BoundsCache>,
 }
 
 impl Knowledge {
-    /// Returns the base station's knowledge of `scenario` with the devices of `deployment`. `grids` may be shared with
-    /// other runs.
-    pub fn from_scenario<P>(scenario: &Scenario<P>, deployment: &Deployment, grids: Arc<BoundsCache>) -> Self {
+    /// Returns the base station's knowledge of `scenario` with the devices of `deployment`. `correlation_bounds` may be
+    /// shared with other runs.
+    pub fn from_scenario<P>(
+        scenario: &Scenario<P>,
+        deployment: &Deployment,
+        correlation_bounds: Arc<BoundsCache>,
+    ) -> Self {
         let devices = deployment.devices.iter().zip(&deployment.classes);
         Self {
             area: scenario.area,
@@ -144,7 +138,7 @@ impl Knowledge {
                 })
                 .collect(),
             streams: PolicyStreams::new(scenario.run.seed),
-            grids,
+            correlation_bounds,
         }
     }
 

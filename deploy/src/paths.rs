@@ -1,5 +1,5 @@
-//! Files and folders given on the command line: checks before a command begins its work. Nothing else depends on the
-//! details; `tests/program/bad_input.rs` compares texts of errors.
+//! Files and folders given on the command line: checks before a command begins its work. `tests/program/bad_input.rs`
+//! compares texts of errors.
 
 use std::path::{Path, PathBuf};
 
@@ -32,7 +32,8 @@ pub(crate) fn check_output_folder(option: &str, path: &Path) -> anyhow::Result<(
     Ok(())
 }
 
-/// Returns an error, before any work is done, if a file for `what` cannot be written at `path`.
+/// Returns an error if `path` is a folder or its folder does not exist, so that no file for `what` can be written
+/// there.
 pub(crate) fn check_output_path(path: &Path, what: &str) -> anyhow::Result<()> {
     if path.is_dir() {
         bail!("{}: is a folder; name a file for {what}", path.display());

@@ -12,9 +12,10 @@ use reveille_common::totals::MissCause;
 
 use crate::summary::{ClassSummary, Summary};
 
-/// The metrics of every results table, in its order: information, missed events and delay, then energy and batteries,
-/// then the messages and the wrong activations behind them. The first is the headline metric. `compare` uses the list
-/// too, `docs/results.md` repeats it, and the help of `--all-metrics` repeats its length.
+/// The metrics of the results table, in its order: information, missed events and delay, energy and batteries,
+/// messages, wrong activations. A policy that wakes no device has no wake-ups per event. The first is the headline
+/// metric. `compare` uses the list too, `docs/results.md` repeats it, and the help of `--all-metrics` repeats its
+/// length.
 pub(crate) const MAIN_METRICS: [&str; 10] = [
     "info_p1",
     MISDETECTION,
@@ -247,7 +248,7 @@ fn format_timing(summary: &Summary<'_>) -> String {
     }
     if timing.host_rss_mb > 0.0 {
         let (rss, pss) = (timing.host_rss_mb, timing.host_pss_mb);
-        parts.push(format!("{rss:.1} MB ({pss:.1} MB unshared) per process"));
+        parts.push(format!("{rss:.1} MB resident ({pss:.1} MB PSS) per process"));
     }
     parts.join(" · ")
 }

@@ -36,7 +36,7 @@ impl RunPreparer {
     /// Deploys `scenario` and makes the pilot runs that its policy requests.
     pub fn prepare(&self, scenario: &Scenario) -> PreparedRun {
         let mut prepared = PreparedRun {
-            grids: Arc::clone(&self.bounds_cache),
+            correlation_bounds: Arc::clone(&self.bounds_cache),
             ..PreparedRun::without_pilots(scenario)
         };
         if let Some(pilots) = scenario.policy.settings().pilot_search() {

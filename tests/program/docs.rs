@@ -32,14 +32,14 @@ fn code(text: &str) -> impl Iterator<Item = &str> {
         .chain(text.split("```").skip(1).step_by(2))
 }
 
-/// Returns the two words after each `reveille` in a page's code.
+/// Returns the two words after the first `reveille` in each line of a page's code.
 fn commands(text: &str) -> Vec<(&str, Option<&str>)> {
     let is_word = |word: &&str| word.chars().all(|c| c.is_ascii_lowercase() || c == '-') && !word.starts_with('-');
     let lines = code(text).flat_map(str::lines);
     lines
         .filter_map(|line| {
             // `cargo run -- up` and a path to the binary start the same command.
-            let words: Vec<&str> = line.split_whitespace().collect();
+            let words: Vec<&str> = line.split_whitespace().skip_while(|word| *word == "$").collect();
             let is_start = |word: &str| word == "reveille" || word.ends_with("/reveille");
             let is_cargo = words.starts_with(&["cargo", "run"]);
             let at = words
@@ -79,7 +79,7 @@ fn runs_of_the_pages_use_separate_folders() {
     for page in pages() {
         let text = fs::read_to_string(&page).expect("a page");
         for line in text.lines().filter_map(|line| line.strip_prefix("$ reveille ")) {
-            let words: Vec<&str> = line.split_whitespace().collect();
+            let words: Vec<&str> = line.split_whitespace().skip_while(|word| *word == "$").collect();
             let out = words.windows(2).find(|pair| pair[0] == "--out").map(|pair| pair[1]);
             if let (true, Some(out)) = (["run", "up", "bs"].contains(&words[0]), out) {
                 assert!(

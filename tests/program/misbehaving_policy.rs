@@ -13,7 +13,7 @@ use reveille_tests::external_policy::{ExternallyDecidedRun, MisbehavingPolicy, a
 use reveille_tests::process::PATIENCE;
 use serde_json::{Value, json};
 
-/// Last TTI of every run here.
+/// Last TTI of every run here, whose options [`ExternallyDecidedRun::start`] adds.
 const LAST_TTI: u64 = 399;
 
 /// Makes a valid answer invalid.
@@ -129,7 +129,7 @@ async fn invalid_answers_end_the_run_or_are_dropped() {
         .serve(|port_request, asked| {
             let mut answer = rogue.idle(asked);
             if asked["tti"] == 50 {
-                answer["id"] = json!("rogue");
+                // The next plan must begin after this TTI.
                 answer["next"] = json!(3);
             }
             send_reply(port_request, &answer);
@@ -173,29 +173,29 @@ async fn a_late_answer_does_not_count_for_another_request() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_policy_process_without_the_key_cannot_decide() {
+async fn a_policy_process_with_a_wrong_key_cannot_decide() {
     let (transcript, digest) = run_built_in("age-index", &[]);
     let run = ExternallyDecidedRun::start("-P 2 --pace 2ms");
     let bus = run.bus().await;
-    let keyless_identity = ClientIdentity {
+    let wrong_key_identity = ClientIdentity {
         name: "a stranger".to_owned(),
         run_key: Some(Secret::new([7; 16])),
         encoding: Encoding::Json,
     };
-    let mut keyless_policy = |_: &DecisionRequest| Decision::Wake(Vec::new());
-    let keyless_client = client::serve_decisions(&bus, &keyless_identity, &mut keyless_policy);
+    let mut wrong_key_policy = |_: &DecisionRequest| Decision::Wake(Vec::new());
+    let wrong_key_client = client::serve_decisions(&bus, &wrong_key_identity, &mut wrong_key_policy);
     let warning_logged = async {
         while !run.process.stderr().contains("does not show the run's key") {
             tokio::time::sleep(Duration::from_millis(20)).await;
         }
     };
-    let both = async { tokio::join!(keyless_client, warning_logged) };
+    let both = async { tokio::join!(wrong_key_client, warning_logged) };
     let (refused, ()) = tokio::time::timeout(PATIENCE, both)
         .await
         .expect("a refusal and a warning");
     let refused = refused.expect_err("the client gets an error").to_string();
     assert!(refused.contains("does not show the run's key"), "{refused}");
-    // A forger answers the requests to another process, whose id it reads from them.
+    // A forger answers requests to another process. They contain the id of that process.
     let forged_id = std::sync::Mutex::new(String::new());
     let forger = Bus::connect(&run.endpoint, run.run.parse().expect("a name"), PATIENCE)
         .await

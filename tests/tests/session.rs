@@ -70,8 +70,8 @@ struct HostLoss {
     wake_up: u32,
 }
 
-/// Drives a run like the shell on the bus: it requests every action twice, and the totals of a window arrive with the
-/// answers to the next grant. It stops before the first grant from TTI `stop` on.
+/// Drives a run like the shell on the bus: it requests actions without an answer twice, and the totals of a window
+/// arrive with the answers to the next grant. It stops at the end of the first window that reaches TTI `stop`.
 fn serve(prepared: &PreparedRun, loss: Option<HostLoss>, stop: Tti) -> (RunOutcome, RunRecorder) {
     let (scenario, deployment) = (&prepared.scenario, &prepared.deployment);
     let physics = Physics::new(
@@ -223,7 +223,7 @@ fn a_host_lost_during_a_wake_up_equals_a_scheduled_removal() {
     let pair = recorder.0.windows(2).find(|pair| pair[0].0 == pair[1].0);
     let (tti, device) = pair.expect("a TTI with two wake-ups")[1];
     let loss = HostLoss {
-        first: DeviceId(device.0.saturating_sub(2)),
+        first: DeviceId(device.0.saturating_sub(2).min(60 - 4)),
         count: 4,
         tti,
         wake_up: 1,

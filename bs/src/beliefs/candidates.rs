@@ -38,7 +38,7 @@ impl WakeUpCandidates {
         let (positions, area, sensing) = (known.positions(), known.area, &known.sensing);
         Self(match ranking {
             WakeUpRanking::P42 => {
-                let correlation = Correlation::new(sensing, &known.grids);
+                let correlation = Correlation::new(sensing, &known.correlation_bounds);
                 CandidateRanking::P42(Ranking::new(&positions, area, correlation))
             }
             WakeUpRanking::Posterior => CandidateRanking::Posterior(

@@ -11,7 +11,7 @@ use reveille_common::message::{
 
 use super::{Notification, Observer};
 
-/// Encodes notifications as frames, in the order of their TTIs.
+/// Encodes notifications as frames. It keeps the order of notifications and remembers the last grant.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Frames {
     /// The first TTI of the last grant.

@@ -8,7 +8,8 @@ use super::field::{Field, FieldCondition, FieldDefault, FieldSink, FieldType, Se
 use super::value::FieldValue;
 use crate::units::{Energy, MICRO_PER_UNIT};
 
-/// All active fields with their values. Two pages are equal if their fields, values and file contents are equal.
+/// All active fields with their values. Two pages are equal if the names of their items, their fields, values and
+/// file contents are equal.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TomlPage {
     items: Vec<String>,
@@ -70,6 +71,7 @@ impl TomlPage {
     fn to_text(&self, declaration: &Declaration, detail: Detail) -> String {
         let mut text = String::new();
         for header in declaration.headers() {
+            // Items hold the values of the sections that they inherit, so these are not repeated at the top.
             if self.items.is_empty() || !declaration.list.inherits_section(header) {
                 self.write_section(&mut text, declaration, (Scope::Top, 0), header, detail);
             }
@@ -80,7 +82,7 @@ impl TomlPage {
             self.write_fields(&mut text, declaration, (Scope::Item, item), "", detail);
             for header in declaration.headers() {
                 if declaration.list.inherits_section(header) {
-                    // The unused fields are the same for every class, so only the first one shows them.
+                    // The first class shows every field, which suffices.
                     let detail = if item == 1 { detail } else { Detail::ActiveOnly };
                     self.write_section(&mut text, declaration, (Scope::Item, item), header, detail);
                 }

@@ -1,8 +1,9 @@
 //! The source `mpp` (the paper's modulated Poisson process): an on/off Markov chain in model time, the time in which λ
-//! and τ are given. It is sampled once per TTI and delivers E_B in each TTI that begins on.
+//! and τ are given. It is sampled once per TTI and delivers E_B in each TTI at whose beginning it is on.
 //!
-//! Digests depend on the order of draws: whether it starts on, then off- and on-periods in turn.
-//! `tests/src/reference/harvest.rs` repeats it. [`OnOffSetup`] goes to hosts in the wire format; no file stores it.
+//! Digests depend on the order of draws: whether it starts on, then the periods in turn;
+//! `tests/src/reference/harvest.rs` repeats it. The order of fields in `visit` is part of the scenario hash.
+//! [`OnOffSetup`] goes to hosts in the wire format (`WIRE_VERSION`); no file stores it.
 
 use serde::{Deserialize, Serialize};
 

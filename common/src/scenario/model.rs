@@ -1,5 +1,8 @@
-//! A validated scenario, on which all parts of a run rely. [`super::load()`] creates it. The order of fields in
-//! [`Scenario::visit`] is part of the scenario hash.
+//! A validated scenario, on which all parts of a run rely. [`super::load()`] creates it.
+//!
+//! The order, names and values of fields in [`Scenario::visit`] are the scenario hash, by which sweeps recognise
+//! finished runs. A new field changes every hash, which costs users a repetition of unfinished sweeps and is recorded
+//! in `tests/digests/`. A new section also needs a line in `declaration.rs`.
 
 use std::fmt::Write as _;
 
@@ -16,10 +19,11 @@ use crate::radio::RadioSettings;
 use crate::sensing::Sensing;
 use crate::units::Energy;
 
-/// The version of the format that [`Scenario::hash`] hashes.
+/// The version of the format that [`Scenario::hash`] hashes. Raise it if equal bytes would come to mean another run.
 const HASH_FORMAT: &str = "reveille scenario 2";
 
-/// The complete description of a run: two runs of one scenario are identical, bit for bit. `P` is the policy with its
+/// The complete description of a run: two runs of one scenario without external inputs are identical, bit
+/// for bit. `P` is the policy with its
 /// settings, a [`PolicyChoice`] of the program's policies.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scenario<P> {
@@ -135,19 +139,31 @@ impl<P> Scenario<P> {
 impl<K: PolicyKind> Scenario<PolicyChoice<K>> {
     /// Passes every active field to `sink`, in the order of declaration.
     pub fn visit(&self, sink: &mut dyn FieldSink) {
-        self.run.visit(sink);
-        self.area.visit(sink);
-        self.layout.visit(sink);
-        self.sensing.visit(sink);
-        self.events.visit(sink);
-        self.radio.visit(sink);
-        self.bs.visit(sink);
+        // Without `..`, so that a new section cannot be forgotten.
+        let Self {
+            run,
+            area,
+            layout,
+            classes,
+            sensing,
+            events,
+            radio,
+            bs,
+            policy,
+        } = self;
+        run.visit(sink);
+        area.visit(sink);
+        layout.visit(sink);
+        sensing.visit(sink);
+        events.visit(sink);
+        radio.visit(sink);
+        bs.visit(sink);
         PolicyName {
-            name: self.policy.name().to_owned(),
+            name: policy.name().to_owned(),
         }
         .visit(sink);
-        self.policy.visit(sink);
-        DeviceClass::visit_all(&self.classes, sink);
+        policy.visit(sink);
+        DeviceClass::visit_all(classes, sink);
     }
 
     /// Returns the SHA-256 hash of everything that decides a run: the paths and values of all active fields. Layout,

@@ -15,7 +15,7 @@ use reveille_common::ids::Tti;
 use reveille_lab::trajectories::record_steps;
 
 use super::area_plot::{AreaPlot, draw_caption, draw_title};
-use super::deployment::draw_epicentre;
+use super::deployment::draw_star;
 use super::error::FigureError;
 use super::heat::{HeatCell, HeatMap, KnowledgeDegree, RowLabels, colour, draw_colour_scale};
 use super::path::VectorPath;
@@ -41,8 +41,8 @@ pub struct AttentionFigure {
     pub attention_shares: Vec<f32>,
     /// Whether the decision sets δ = 1, by device.
     pub is_sensing: Vec<bool>,
-    /// Number of TTIs since each device last found an event, if within the Z TTIs.
-    pub ttis_since_detection: Vec<Option<usize>>,
+    /// Number of TTIs since each device last sent the first report of an event, if within the Z TTIs.
+    pub ttis_since_first_report: Vec<Option<usize>>,
     /// Devices whose attention is shown.
     pub shown_devices: Vec<usize>,
 }
@@ -58,7 +58,7 @@ impl AttentionFigure {
             return Err(FigureError::NoAttention(scenario.policy.name().to_owned()));
         };
         // A step is recorded when the next TTI begins, so the last TTI of a run has none.
-        if tti.0 + 1 >= scenario.run.ttis {
+        if tti.0 >= scenario.run.ttis.saturating_sub(1) {
             return Err(FigureError::NoTti {
                 tti: tti.0,
                 last: scenario.run.ttis.saturating_sub(2),
@@ -97,8 +97,8 @@ impl AttentionFigure {
             positions: Deployment::new(scenario).positions(),
             attention_shares: forward.attention().to_vec(),
             is_sensing: last_looks.iter().map(|look| look.is_sensing).collect(),
-            ttis_since_detection: (0..log_expectations.len())
-                .map(|j| ttis_since_detection(&window, j))
+            ttis_since_first_report: (0..log_expectations.len())
+                .map(|j| ttis_since_first_report(&window, j))
                 .collect(),
             log_expectations,
             shown_devices,
@@ -148,8 +148,8 @@ impl AttentionFigure {
     }
 }
 
-/// Returns the number of TTIs from the last find of device `j` to the end of `window`; `None` without a find.
-fn ttis_since_detection(window: &[TrajectoryStep], j: usize) -> Option<usize> {
+/// Returns the number of TTIs from the last first report of device `j` to the end of `window`, if there is one.
+fn ttis_since_first_report(window: &[TrajectoryStep], j: usize) -> Option<usize> {
     let before = window.iter().rev().skip(1);
     (1..)
         .zip(before)
@@ -188,8 +188,8 @@ pub fn scene(scenario: &Scenario, attention: &AttentionFigure) -> Scene {
         } else {
             scene.area(VectorPath::circle(at, 1.2), Paint::Ink, 1.0);
         }
-        if attention.ttis_since_detection[j].is_some() {
-            draw_epicentre(&mut scene, at);
+        if attention.ttis_since_first_report[j].is_some() {
+            draw_star(&mut scene, at);
         }
     }
     y = plot.bottom() + 2.0 * LEADING + 8.0;
@@ -205,12 +205,12 @@ pub fn scene(scenario: &Scenario, attention: &AttentionFigure) -> Scene {
 
 fn caption(scenario: &Scenario, attention: &AttentionFigure) -> String {
     let on = attention.is_sensing.iter().filter(|on| **on).count();
-    let ttis_ago: Vec<usize> = attention.ttis_since_detection.iter().flatten().copied().collect();
-    let detections = ttis_ago.iter().min().map_or_else(
-        || "No device detected an event in the attended TTIs.".to_owned(),
+    let ttis_ago: Vec<usize> = attention.ttis_since_first_report.iter().flatten().copied().collect();
+    let first_reports = ttis_ago.iter().min().map_or_else(
+        || "No device was the first to report an event in the attended TTIs.".to_owned(),
         |least| {
             let ttis = if *least == 1 { "TTI" } else { "TTIs" };
-            format!("Stars are devices that detected an event in those TTIs, the latest {least} {ttis} before.")
+            format!("Stars are devices that were the first to report an event in those TTIs, the latest {least} {ttis} before.")
         },
     );
     let quantity = match attention.shape.objective {
@@ -218,11 +218,11 @@ fn caption(scenario: &Scenario, attention: &AttentionFigure) -> String {
             "the logarithm of the events that dt expects of a device, relative to the number that α and the ages of \
              its places imply"
         }
-        ModelObjective::Actions => "the log-odds that the teacher lets the device sense",
+        ModelObjective::Actions => "the log-odds that the imitated policy lets the device sense",
     };
     format!(
         "Colours of the Voronoi cells: {quantity}. {on} devices, with circles, were commanded to sense. Below, for \
-         each head: the share of a device's attention to each of the last {} TTIs. {detections} Preset {}, seed {}.",
+         each head: the share of a device's attention to each of the last {} TTIs. {first_reports} Preset {}, seed {}.",
         attention.shape.memory, scenario.run.preset, scenario.run.seed
     )
 }

@@ -235,7 +235,7 @@ impl AreaPlot {
         if !arc.is_empty() {
             scene.line(VectorPath::polyline(arc, false), stroke);
         }
-        draw_epicentre(scene, self.to_canvas(centre));
+        draw_star(scene, self.to_canvas(centre));
     }
 
     fn draw_class_rings(&self, scene: &mut Scene, event_scene: &EventScene, classes: &ClassMarks) {
@@ -327,7 +327,7 @@ impl ClassMarks {
     }
 }
 
-pub(super) fn draw_epicentre(scene: &mut Scene, at: (f64, f64)) {
+pub(super) fn draw_star(scene: &mut Scene, at: (f64, f64)) {
     let star = VectorPath::polygon(at, 6.0, 8, 0.0, 0.4);
     let border = Stroke::solid(Paint::Ink, 0.6);
     scene.outlined(star, Paint::Colour(VERMILION), border);
@@ -406,7 +406,7 @@ fn draw_legend(scene: &mut Scene, event_scene: &EventScene, y: f64) -> f64 {
     ];
     let mut legend = Legend::new(y);
     let at = legend.place(scene, "event, with d_max");
-    draw_epicentre(scene, at);
+    draw_star(scene, at);
     for (role, text, count) in entries.into_iter().filter(|(_, _, count)| *count > 0) {
         let at = legend.place(scene, &format!("{text} ({count})"));
         draw_role(scene, role, at);

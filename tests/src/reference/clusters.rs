@@ -1,4 +1,6 @@
 //! Clusters of devices in the reference, as in the `knn` policy (Sec. V-A, Algorithm 1), by exhaustive computation.
+//! They must equal the clusters of `bs/src/beliefs/clusters/` (`tests/tests/clusters.rs`) with the same draws in the
+//! same order, but share no code with it.
 
 use std::f64::consts::PI;
 
@@ -12,11 +14,11 @@ const MAX_SPLIT_ROUNDS: usize = 10;
 
 /// Computes the clusters of devices at `points`: devices in the order of numbers, clusters by their first device.
 ///
-/// M = ⌈ξ/(π d_max²)⌉ centres are drawn from the devices, the first uniformly. Each other centre is drawn with
-/// probability proportional to its squared distance from the nearest centre so far. Every device joins its
-/// nearest centre. Then all devices simultaneously join the most frequent cluster among their `neighbours` nearest
-/// devices, until none moves. Ties go to the cluster with the nearer centroid. With `limit_radius` a cluster with a
-/// member farther than `d_max` from its mean is split in two.
+/// M = ⌈ξ/(π d_max²)⌉ centres, with ξ the size of the area, are drawn from the devices, the first uniformly. Each other
+/// centre is drawn with probability proportional to its squared distance from the nearest centre so far. Every device
+/// joins its nearest centre. Then all devices simultaneously join the most frequent cluster among their `neighbours`
+/// nearest devices, until none moves. Ties go to the cluster with the nearer centroid. With `limit_radius` a cluster
+/// with a member farther than `d_max` from its mean is split in two, until every member is that near.
 pub fn clusters(
     points: &[Point],
     area: Area,
@@ -126,7 +128,7 @@ impl<'a> ReferenceVoting<'a> {
     }
 
     /// Recomputes the centroids as means and fills each empty cluster: it takes the device farthest from its centroid,
-    /// among clusters with more than one device. All of them use the same distances.
+    /// among clusters with more than one device. The distances are not updated between two of them.
     fn settle(&mut self) {
         self.recentre();
         let distance_from_centroid = |j: usize| squared_distance(self.points[j], self.centroids[self.cluster_of[j]]);

@@ -31,7 +31,7 @@ pub(super) fn parse_numbers(flag: &str, text: &str, example: &str) -> anyhow::Re
     let read = |word: &str| match word.parse::<f64>() {
         Ok(number) if number.is_finite() => Ok(number),
         Ok(_) | Err(_) => bail!(
-            "{flag} {text}: `{word}` is not a number; give numbers separated by commas, for example {flag} {example}"
+            "{flag} {text}: `{word}` is not a finite number; give numbers separated by commas, for example {flag} {example}"
         ),
     };
     split_list(flag, text, example)?.into_iter().map(read).collect()
@@ -52,7 +52,7 @@ pub(super) fn parse_energies(text: &str) -> anyhow::Result<Vec<Energy>> {
         .collect()
 }
 
-/// Parses the readings of `--readings`.
+/// Parses the interpretations of λ as a probability in `--readings`.
 ///
 /// # Errors
 /// If the list is empty, or a reading is unknown.
@@ -134,7 +134,7 @@ mod tests {
         );
         assert_refused(
             parse_numbers("--lambda", "0.1,x", "0.1").map(drop),
-            "`x` is not a number",
+            "`x` is not a finite number",
         );
         assert_refused(
             parse_numbers("--lambda", "nan", "0.1").map(drop),

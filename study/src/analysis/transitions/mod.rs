@@ -40,7 +40,8 @@ pub struct Transition {
     pub printed_range: (f64, f64),
     /// Number of devices, over all deployments, for which the form is not a probability: below 0, above 1, or 0/0.
     pub improper_count: usize,
-    /// Share of the visits if δ alone decides (no events, no failures), over all devices.
+    /// Share of the visits if δ alone decides (no events, no failures), over all devices; `None` for other pairs than
+    /// S1 and S4, and without a visit.
     pub share_by_duty: Option<f64>,
     /// Number of transitions S_m → S_n.
     pub count: u64,
@@ -115,8 +116,8 @@ fn is_probability(value: f64) -> bool {
     (-1e-12..=1.0 + 1e-12).contains(&value)
 }
 
-/// Share of the visits of S_from that lead to S_to if δ alone decides; `None` for states with transitions due to
-/// events.
+/// Share of the visits of S_from that lead to S_to if δ alone decides; `None` for other pairs than S1 and S4, and
+/// without a visit of S_from.
 fn share_by_duty(duties: &[DutyCycle], from: usize, to: usize) -> Option<f64> {
     // In each cycle, a device that is neither always on nor always off has one change each way.
     let (mut changes, mut ttis_on, mut ttis_off) = (0.0, 0.0, 0.0);

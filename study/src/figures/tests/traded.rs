@@ -60,7 +60,8 @@ fn the_energy_floor_has_the_information_of_the_genie() {
         ys.len() == 2 && (ys[0] - 0.41).abs() < 1e-12 && (ys[1] - 0.61).abs() < 1e-12,
         "{ys:?}"
     );
-    // 16 of 100 devices sense, and about 14 of 250.
+    // The least covers of study/data/cover.csv: 16 of 100 devices sense, and about 14 of 250. The others pay E_WuR =
+    // 1/14 in each TTI, and the reports of all cost 2 units.
     let expected = (16.0 + 84.0 / 14.0 + 2.0) / 100.0;
     assert!((floor.points[0].x - expected).abs() < 1e-5, "{floor:?}");
     assert!((0.12..0.14).contains(&floor.points[1].x), "{floor:?}");
@@ -83,6 +84,7 @@ fn the_values_of_a_field_form_a_line_for_each_n() {
         ("genie", 10, text("[2, 4]"), &[0.3, 0.32]),
     ];
     let (name, mut table) = fixtures::swept("paper", "info_p1", "policy.random.t_drx", &runs);
+    // Equal digests mean that the field of `random` does not affect the genie.
     for row in &mut table.rows {
         if &*row.policy == "genie" {
             row.digest = Hash([row.seed as u8; 32]);
