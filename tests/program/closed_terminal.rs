@@ -6,7 +6,8 @@ use std::process::{Command, ExitStatus};
 use std::time::Duration;
 
 use reveille_tests::process::{
-    PATIENCE, Process, SummaryJson, TestFolder, free_endpoint, hosts_of, send_signal, unique_run, wait_until,
+    PATIENCE, Process, SummaryJson, TestFolder, free_endpoint, hosts_of, send_signal, unique_run, wait_for_handler,
+    wait_until,
 };
 use reveille_tests::terminal::PtyCommand;
 use rustix::process::Signal;
