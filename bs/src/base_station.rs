@@ -28,7 +28,7 @@ pub struct BaseStation {
     is_external: bool,
     /// TTI in which the policy decides next.
     next_decision: Tti,
-    /// Whether a report has arrived in this TTI.
+    /// Whether a device with δ = 1 has reported in this TTI. Reports of woken devices do not count.
     has_report: bool,
 }
 

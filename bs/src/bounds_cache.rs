@@ -26,31 +26,35 @@ pub(crate) struct Band {
     pub(crate) bound: f64,
 }
 
-/// Largest number of cached grids; the oldest makes room for a new one.
-const MAX_GRIDS: usize = 32;
+/// Largest number of sensing models with cached bounds; the oldest makes room for a new one.
+const MAX_MODELS: usize = 32;
 
-/// The bits of η and d_max, which determine the grid of a sensing model.
-type GridKey = (u64, u64);
+/// The bits of η and d_max, which determine the bounds of a sensing model.
+type ModelKey = (u64, u64);
 
 /// Cache of bounds by η and d_max, for several runs. Its contents do not change any result.
 #[derive(Debug, Default)]
-pub struct BoundsCache(Mutex<Vec<(GridKey, Arc<CorrelationBounds>)>>);
+pub struct BoundsCache(Mutex<Vec<(ModelKey, Arc<CorrelationBounds>)>>);
 
 impl BoundsCache {
-    /// Returns the grid of `key`, and calls `make` if it is not cached.
-    pub(crate) fn get_or_make(&self, key: GridKey, make: impl FnOnce() -> CorrelationBounds) -> Arc<CorrelationBounds> {
+    /// Returns the bounds of `key`, and calls `make` if they are not cached.
+    pub(crate) fn get_or_make(
+        &self,
+        key: ModelKey,
+        make: impl FnOnce() -> CorrelationBounds,
+    ) -> Arc<CorrelationBounds> {
         // A panic in another thread leaves the list whole, since entries change only by one `remove` and one `push`.
         let lock = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, cached)) = lock().iter().find(|(other, _)| *other == key) {
             return Arc::clone(cached);
         }
-        // The lock is free while `make` runs. Two runs may make the same grid twice; both copies are equal.
-        let grid = Arc::new(make());
-        let mut grids = lock();
-        if grids.len() >= MAX_GRIDS {
-            grids.remove(0);
+        // The lock is free while `make` runs. Two runs may make the same bounds twice; both copies are equal.
+        let bounds = Arc::new(make());
+        let mut entries = lock();
+        if entries.len() >= MAX_MODELS {
+            entries.remove(0);
         }
-        grids.push((key, Arc::clone(&grid)));
-        grid
+        entries.push((key, Arc::clone(&bounds)));
+        bounds
     }
 }

@@ -84,7 +84,7 @@ pub struct Cycle {
     /// The TTI of each device's last wake-up, in the order of ids; [`Tti::NEVER`] before the first.
     last_woken: Vec<Tti>,
     /// Changes of the world in the last grant; kept to reuse its memory.
-    changes: Vec<WorldChange>,
+    world_changes: Vec<WorldChange>,
 }
 
 impl Cycle {
@@ -111,11 +111,11 @@ impl Cycle {
             is_open: false,
             wake_up_count: 0,
             last_woken: vec![Tti::NEVER; prepared.deployment.devices.len()],
-            changes: Vec::new(),
+            world_changes: Vec::new(),
         }
     }
 
-    /// The next TTI to be granted.
+    /// The next TTI to be granted; while a grant is open, one of its TTIs.
     pub const fn next_tti(&self) -> Tti {
         self.next_tti
     }
@@ -197,7 +197,7 @@ impl Cycle {
             world: self.world.clone(),
             last_woken: self.last_woken.clone(),
             score: self.score.clone(),
-            changes: self.changes.clone(),
+            world_changes: self.world_changes.clone(),
             ..*self
         })
     }
@@ -280,7 +280,7 @@ impl Cycle {
             horizon.min(self.station.next_plan_or_decision(self.next_tti)),
         );
         observer.notify(&Notification::TtisGranted(&grant));
-        for change in self.changes.drain(..) {
+        for change in self.world_changes.drain(..) {
             match change {
                 WorldChange::Started(event) => {
                     self.score.record_event_start(event);
@@ -300,11 +300,11 @@ impl Cycle {
         let Self {
             world,
             station,
-            changes,
+            world_changes,
             ..
         } = self;
         let (plan, oracle) = station.plan_and_oracle();
-        let stimulated = world.advance(first, horizon, plan, oracle, changes);
+        let stimulated = world.advance(first, horizon, plan, oracle, world_changes);
         Grant {
             first,
             // No underflow: the caller's limit and the next plan are both after `first`.

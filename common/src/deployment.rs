@@ -18,7 +18,7 @@ pub struct Deployment {
     pub devices: Vec<DeviceSetup>,
     /// The class of each device, an index into [`Scenario::classes`].
     pub classes: Vec<u16>,
-    /// Recorded energy per TTI, one row per trace; the devices' sources refer to the rows.
+    /// The traces of recorded energy per TTI; a device's source refers to one by its index.
     pub traces: Vec<Arc<Vec<Energy>>>,
 }
 
@@ -27,6 +27,7 @@ impl Deployment {
     pub fn new<P>(scenario: &Scenario<P>) -> Self {
         let (traces, first_traces) = collect_traces(scenario);
         let positions = place_devices(&scenario.layout, scenario.area, scenario.run.devices, scenario.run.seed);
+        // The devices of each class so far.
         let mut device_counts = vec![0u32; scenario.classes.len()];
         let classes = assign_classes(scenario);
         let devices = positions

@@ -53,7 +53,7 @@ impl Encoding {
 }
 
 /// Numbers in rows of equal length. JSON: an array of rows. CBOR: one byte string, row by row, with four little-endian
-/// bytes per number, which arrays can use without conversion.
+/// bytes per number, which arrays can use without conversion. Decoded from CBOR, all values form one row.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FloatRows {
     /// Number of values in a row, ≥ 1.
@@ -84,7 +84,7 @@ impl<'de> Deserialize<'de> for FloatRows {
     }
 }
 
-/// A visitor that reads both encodings of [`FloatRows`]. A byte string has no row length, so it becomes one row.
+/// A visitor that reads both encodings of [`FloatRows`]. A byte string has no row length.
 struct RowsVisitor;
 
 impl<'de> Visitor<'de> for RowsVisitor {

@@ -32,16 +32,16 @@ impl EnergyModel {
     pub fn from_fields(reader: &FieldReader<'_>) -> Result<Self, ScenarioError> {
         let model = Self::read(reader)?;
         let unpayable = ", or it can never be paid";
-        for (path, cost, consequence) in [
+        for (path, amount, consequence) in [
             ("energy.e_idle", model.e_idle, unpayable),
             ("energy.e_wur", model.e_wur, unpayable),
             ("energy.e_tx", model.e_tx, unpayable),
             ("energy.initial", model.initial, ""),
         ] {
-            if cost > model.e_max {
+            if amount > model.e_max {
                 let (limit, _) = reader.locate("energy.e_max");
                 let allowed = format!("must be at most {} units ({limit}){consequence}", model.e_max.units());
-                return Err(reader.invalid_value(path, cost.units(), allowed));
+                return Err(reader.invalid_value(path, amount.units(), allowed));
             }
         }
         Ok(model)

@@ -18,8 +18,10 @@ pub struct Phase {
 #[derive(Clone, Debug)]
 pub struct Phases {
     stream: Stream,
-    busy_ttis: Geometric,
-    quiet_ttis: Geometric,
+    /// The distribution of the lengths of busy phases, TTIs.
+    busy_length: Geometric,
+    /// The distribution of the lengths of quiet phases, TTIs.
+    quiet_length: Geometric,
     phase: Phase,
 }
 
@@ -30,8 +32,8 @@ impl Phases {
         let is_busy = stream.unit() < mean_busy / (mean_busy + mean_quiet);
         let mut phases = Self {
             stream,
-            busy_ttis: Geometric::new(1.0 / mean_busy),
-            quiet_ttis: Geometric::new(1.0 / mean_quiet),
+            busy_length: Geometric::new(1.0 / mean_busy),
+            quiet_length: Geometric::new(1.0 / mean_quiet),
             phase: Phase {
                 is_busy,
                 end: Tti::ZERO,
@@ -44,9 +46,9 @@ impl Phases {
     /// Draws the length of the phase that starts at the end of the last one.
     fn draw_phase_end(&mut self) {
         let distribution = if self.phase.is_busy {
-            self.busy_ttis
+            self.busy_length
         } else {
-            self.quiet_ttis
+            self.quiet_length
         };
         self.phase.end = self.phase.end.saturating_add(distribution.draw(&mut self.stream));
     }

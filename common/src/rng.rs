@@ -1,8 +1,8 @@
 //! Named random streams, the only source of randomness in the model.
 //!
-//! Each stream is keyed by the scenario's seed, a [`Purpose`], and a device or an event. No draw depends on the
-//! process or the order of draws, so a run is the same however it is scheduled. Any change of a key, a purpose's number
-//! or the arithmetic of a draw changes all digests.
+//! Each stream is keyed by the scenario's seed, a [`Purpose`], and a device or an event. No draw depends on the process
+//! or on draws from other streams, so a run is the same however it is scheduled. Any change of a key, a purpose's
+//! number or the arithmetic of a draw changes all digests.
 
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};

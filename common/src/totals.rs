@@ -19,7 +19,7 @@ pub const PICO_PER_INFORMATION: f64 = 1e12;
 pub struct EnergyByState {
     /// In S1: E_idle.
     pub sensing: Energy,
-    /// In S4: E_WuR, and E_idle after a false wake-up.
+    /// In S4: E_WuR, and E_idle after a false or late wake-up.
     pub sleep: Energy,
     /// From S2 to S3: E_Tx.
     pub report: Energy,
@@ -77,7 +77,7 @@ pub struct DeviceTotals {
     pub failed_ttis: u64,
     /// Device-TTIs with δ = 0 in which the battery could not pay E_WuR: the device was unpowered.
     pub unpowered_ttis: u64,
-    /// Device-TTIs with δ = 0 in which the device had a false wake-up.
+    /// Device-TTIs with δ = 0 in which the device had a false or late wake-up.
     pub false_wake_ups: u64,
 }
 
@@ -127,7 +127,7 @@ impl Sub for DeviceTotals {
     /// Returns the sums of the TTIs between the earlier totals `before` and these.
     fn sub(self, before: Self) -> Self {
         Self {
-            // The part starts with the battery at `before`, so that it closes like a whole run.
+            // The part starts with the battery at `before`, so that it is balanced like a whole run.
             initial: before.battery,
             harvested: self.harvested - before.harvested,
             spent: self.spent - before.spent,
@@ -155,7 +155,7 @@ pub struct Ledger {
 }
 
 impl Ledger {
-    /// Whether both sums close and the measured part can belong to the whole.
+    /// Whether both sums are balanced and the measured part can belong to the whole.
     pub fn is_valid(&self) -> bool {
         let Self {
             whole,

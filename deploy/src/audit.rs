@@ -341,10 +341,12 @@ pub(crate) struct AuditObserver {
     backlog: Arc<AuditBacklog>,
     /// The TTI after the last closed one, until it is sent.
     unsent_end: Option<Tti>,
+    /// The end of the last batch that was sent.
     last_sent: Tti,
 }
 
 impl AuditObserver {
+    /// Sends the frames of the TTIs before `k` that were not sent yet.
     fn send_frames(&mut self, k: Tti) {
         let Some(sender) = &self.sender else { return };
         let frames = std::mem::take(&mut self.frames);
@@ -370,7 +372,8 @@ impl AuditObserver {
 impl Drop for AuditObserver {
     fn drop(&mut self) {
         if let Some(k) = self.unsent_end.take() {
-            // The frames of the last grant are compared too.
+            // The frames of the last grant are compared too. In a run of at least `STEP_TTIS`, the 0 lets a batch
+            // without frames pass as well, so that the audit thread advances the replay to the end.
             self.last_sent = Tti::ZERO;
             self.send_frames(k);
         }

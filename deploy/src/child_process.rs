@@ -1,5 +1,6 @@
-//! Device processes as children of this process. No child outlives it, even if it is killed. `supervisor` starts and
-//! replaces the processes of `up`; benchmarks use [`Children`] and [`run_for_summary`].
+//! Device processes as children of this process. No child outlives it, even if it is killed: the arguments of a child
+//! name this process as its parent ([`exit_with_parent`]). `supervisor` starts and replaces the processes of `up`;
+//! benchmarks use [`Children`] and [`run_for_summary`].
 //!
 //! [`DeviceProcesses::commands`] writes the options that `cli::run::DeviceArgs` parses. Tests find device processes by
 //! the first argument `device` and the argument `--run=NAME` (`tests/src/process.rs`).
@@ -35,7 +36,7 @@ pub(crate) enum ZenohThreads {
 /// Time for a few child processes to leave on their own.
 pub(crate) const EXIT_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Child processes of this program without supervision.
+/// Child processes of this program without supervision; killed when dropped.
 pub(crate) struct Children {
     running: Vec<Child>,
 }
@@ -208,7 +209,7 @@ pub(crate) fn exit_with_optional_parent(parent: Option<i32>) -> anyhow::Result<(
 /// If the run fails; the error contains its standard error.
 pub(crate) fn run_for_summary(arguments: &[&str]) -> anyhow::Result<Value> {
     let folder = std::env::temp_dir().join(format!("reveille-bench-{}", std::process::id()));
-    // A killed benchmark leaves its folder, and this process may have the same number.
+    // A killed benchmark leaves its folder, and this process may have the same id.
     let _absent = std::fs::remove_dir_all(&folder).is_err();
     // `--parent` ends the run if a signal ends the benchmark.
     let mut command = Command::new(std::env::current_exe()?);

@@ -158,14 +158,15 @@ impl Drop for RunProgressBar {
     }
 }
 
-/// Measures the speed of a run over its last seconds.
+/// Measures the speed of a run over its last seconds: the next TTI of the run at several times, oldest first.
 #[derive(Debug, Default)]
 struct Speed(VecDeque<(Instant, u64)>);
 
 impl Speed {
-    /// Time over which the speed is measured, and the least time for a first value.
+    /// Time over which the speed is measured.
     const SPAN: Duration = Duration::from_secs(3);
-    const LEAST: Duration = Duration::from_millis(500);
+    /// Shortest time for a first value.
+    const MIN_SPAN: Duration = Duration::from_millis(500);
 
     /// Adds the next TTI of the run at `now`. Returns the TTIs per second; `None` until half a second is measured.
     fn measure(&mut self, now: Instant, tti: u64) -> Option<f64> {
@@ -184,7 +185,7 @@ impl Speed {
         }
         let (first, first_tti) = *self.0.front()?;
         let elapsed = now.duration_since(first);
-        (elapsed >= Self::LEAST).then(|| tti.saturating_sub(first_tti) as f64 / elapsed.as_secs_f64())
+        (elapsed >= Self::MIN_SPAN).then(|| tti.saturating_sub(first_tti) as f64 / elapsed.as_secs_f64())
     }
 }
 

@@ -29,7 +29,7 @@ pub(crate) enum FolderStatus {
     Finished,
     /// A run is writing there; its process id, if readable.
     Running(Option<u32>),
-    /// The run was killed.
+    /// The run was killed, or the file system cannot lock files.
     Killed,
 }
 

@@ -1,7 +1,7 @@
 //! The input log of a run folder: `inputs.log`, written during a run and read by `--resume`, `--input-log`, `--policy
 //! replay=FILE` and observers. `lab/src/external_inputs/mod.rs` defines its lines.
 //!
-//! An input is logged before the run acts on it, so that a replay repeats the run after any kill. Outages and actions
+//! An input is logged before the run acts on it, so that a replay repeats the run after any kill. Removals and actions
 //! are synced to the disk immediately. Decisions can be thousands a second, so a power cut can lose the last second of
 //! them.
 
@@ -29,6 +29,7 @@ const SYNC_INTERVAL: Duration = Duration::from_secs(1);
 #[derive(Debug)]
 pub(crate) struct InputLog {
     path: PathBuf,
+    /// The line with which the file starts.
     first_line: String,
     /// The open file, once there is an input.
     file: Option<File>,
@@ -51,12 +52,12 @@ impl InputLog {
     /// # Errors
     /// If it cannot be written.
     pub(crate) fn add(&mut self, input: &ExternalInput) -> anyhow::Result<()> {
-        // Outages and actions are rare. A sync for each of thousands of decisions a second would slow the run down.
-        let is_due = match input {
+        // Removals and actions are rare. A sync for each of thousands of decisions a second would slow the run down.
+        let must_sync = match input {
             ExternalInput::Removal(_) | ExternalInput::Action(_) => true,
             ExternalInput::Decision(_) => self.last_sync.elapsed() >= SYNC_INTERVAL,
         };
-        let written = self.write([input.clone()], is_due);
+        let written = self.write([input.clone()], must_sync);
         written.with_context(|| format!("cannot write {}", self.path.display()))
     }
 
@@ -145,8 +146,8 @@ pub(crate) fn read(path: &Path, scenario: &Scenario) -> anyhow::Result<ExternalI
     external_inputs::parse(&text, scenario).with_context(|| path.display().to_string())
 }
 
-/// Reads a part of the log at `path` for an observer, from byte `from` to at least the end of a line. The part is empty
-/// without a log.
+/// Reads a part of the log at `path` for an observer, from byte `from` on. The part can end within a line, but holds
+/// at least one whole line if there is one. It is empty without a log.
 ///
 /// # Errors
 /// If the log cannot be read.

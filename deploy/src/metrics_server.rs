@@ -64,9 +64,9 @@ pub(crate) async fn serve(
     metrics: Arc<PrometheusMetrics>,
     process_stats: Arc<ProcessProbe>,
 ) -> anyhow::Result<()> {
-    let named = |error| listen_error("--metrics", address, &error);
-    let listener = TcpListener::bind(address).await.map_err(named)?;
-    let local_address = listener.local_addr().map_err(named)?;
+    let with_option = |error| listen_error("--metrics", address, &error);
+    let listener = TcpListener::bind(address).await.map_err(with_option)?;
+    let local_address = listener.local_addr().map_err(with_option)?;
     note!("metrics at http://{local_address}/metrics");
     let state = MetricsState {
         metrics,

@@ -28,7 +28,7 @@ pub(crate) struct PolicySource<'a> {
 /// policy port.
 ///
 /// # Errors
-/// If the options do not apply here, or the given inputs cannot be replayed on the bus.
+/// If the options do not apply here, or the recorded inputs cannot be replayed on the bus.
 pub(crate) fn policy_source<'a>(
     scenario: &Scenario,
     recorded_inputs: Option<&ExternalInputs>,
@@ -39,11 +39,11 @@ pub(crate) fn policy_source<'a>(
         decision_timeout,
         on_undecided,
     } = &drive.external_policy;
-    // Given inputs hold all decisions, so no policy process is asked.
-    let is_asked = outside::is_external(&scenario.policy) && recorded_inputs.is_none();
-    let is_tuned = decision_timeout.is_some() || *on_undecided != OnUndecidedArg::End;
+    // Recorded inputs hold all decisions, so no policy process is asked.
+    let needs_policy_process = outside::is_external(&scenario.policy) && recorded_inputs.is_none();
+    let has_timeout_options = decision_timeout.is_some() || *on_undecided != OnUndecidedArg::End;
     ensure!(
-        is_asked || (policy_command.is_none() && !is_tuned),
+        needs_policy_process || (policy_command.is_none() && !has_timeout_options),
         "--policy-command, --decision-timeout and --on-undecided need a policy process; add --policy external"
     );
     ensure!(
@@ -51,7 +51,7 @@ pub(crate) fn policy_source<'a>(
         "the input log removes devices, which cannot be repeated on the bus; replay it with `reveille run`"
     );
     Ok(PolicySource {
-        decision_timeout: is_asked.then(|| (&drive.external_policy).into()),
+        decision_timeout: needs_policy_process.then(|| (&drive.external_policy).into()),
         command: policy_command.as_deref(),
     })
 }

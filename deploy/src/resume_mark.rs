@@ -22,10 +22,11 @@ pub(crate) const RESUME_MARK_FILE: &str = "resume.json";
 /// Time between two marks.
 const MARK_INTERVAL: Duration = Duration::from_secs(1);
 
-/// Reads the mark in a run folder; `None` if the run was killed before its first mark or while it wrote one.
+/// Reads the mark in a run folder; `None` if there is none that can be read, as the run was killed before its first
+/// mark, or if the mark is torn. The run then resumes from TTI 0.
 ///
 /// # Errors
-/// If the mark belongs to another scenario or another version of the digest.
+/// If the mark belongs to another scenario or version, or is impossible in the run.
 pub(crate) fn read(folder: &Path, scenario: &Scenario) -> anyhow::Result<Option<ResumeMark>> {
     let path = folder.join(RESUME_MARK_FILE);
     let Ok(text) = fs::read_to_string(&path) else {
@@ -45,7 +46,7 @@ pub(crate) fn read(folder: &Path, scenario: &Scenario) -> anyhow::Result<Option<
 pub(crate) struct ResumeMarkWriter {
     path: PathBuf,
     tracker: ResumeTracker,
-    /// Whether the last mark could not be written.
+    /// Whether the last write of a mark has failed.
     has_failed: bool,
     next_write: Instant,
 }
@@ -82,7 +83,7 @@ impl ResumeMarkWriter {
     /// # Errors
     /// If the mark cannot be written or removed.
     pub(crate) fn finish(&self, complete: bool) -> anyhow::Result<()> {
-        let done = if complete {
+        let result = if complete {
             match fs::remove_file(&self.path) {
                 Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(error),
                 Ok(()) | Err(_) => Ok(()),
@@ -90,7 +91,7 @@ impl ResumeMarkWriter {
         } else {
             self.write()
         };
-        done.with_context(|| format!("cannot write {}", self.path.display()))
+        result.with_context(|| format!("cannot write {}", self.path.display()))
     }
 
     fn write(&self) -> std::io::Result<()> {
@@ -110,12 +111,12 @@ impl Observer for ResumeMarkWriter {
             return;
         }
         self.next_write = now() + MARK_INTERVAL;
-        let failed = self.write().err();
-        // Reported at the second failure only: on a full disk the tables have ended the run by then.
-        if let Some(error) = failed.as_ref().filter(|_| self.has_failed) {
+        let write_error = self.write().err();
+        // A first failure is not reported: on a full disk the tables have ended the run before the second.
+        if let Some(error) = write_error.as_ref().filter(|_| self.has_failed) {
             tracing::warn!(%error, "cannot write the resume mark");
         }
-        self.has_failed = failed.is_some();
+        self.has_failed = write_error.is_some();
     }
 
     fn window_closed(&mut self, _: &WindowRecord) -> bool {

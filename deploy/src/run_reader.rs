@@ -70,14 +70,14 @@ impl RunReader {
         })
     }
 
-    /// Prints a note if the run is unfinished, so that its tables cover only a part of it.
+    /// Prints a note if the run has no summary: its tables then cover only a part of it.
     fn report_unfinished(&self) {
         if let Some(state) = self.unfinished() {
             note!("{}: {state}; its tables cover the TTIs so far", self.path.display());
         }
     }
 
-    /// Describes the state of a run without a summary; `None` for a finished run.
+    /// Describes the state of a run without a summary; `None` with one, which an interrupted run has too.
     pub(crate) fn unfinished(&self) -> Option<String> {
         if self.summary.is_some() {
             return None;
@@ -106,7 +106,7 @@ impl RunReader {
         RowTable::read(path).map(Some)
     }
 
-    /// Reads the missed events. Prints a note if the run is unfinished.
+    /// Reads the missed events. Prints a note if the run has no summary.
     ///
     /// # Errors
     /// If `events.csv` is missing or invalid.
@@ -123,7 +123,7 @@ impl RunReader {
         }
         self.report_unfinished();
         let mut misses = Misses::new(self.scenario.clone());
-        let mut found = Vec::new();
+        let mut missed = Vec::new();
         for row in events.rows() {
             let is_counted = row.number::<u8>("counted")? == 1;
             let is_missed = row.number::<u64>("reports")? == 0;
@@ -132,16 +132,16 @@ impl RunReader {
                 misses.starts.push(start);
             }
             match (is_counted, is_missed) {
-                (true, true) => found.push(missed_event(&row, start)?),
+                (true, true) => missed.push(missed_event(&row, start)?),
                 (false, true) if start < misses.scenario.warm_up_end() => misses.in_warm_up += 1,
                 _ => {}
             }
         }
-        let nearest = misses.nearest_devices(found.iter().map(|event| event.epicentre));
-        for (event, (device, distance_m)) in found.iter_mut().zip(nearest) {
+        let nearest = misses.nearest_devices(missed.iter().map(|event| event.epicentre));
+        for (event, (device, distance_m)) in missed.iter_mut().zip(nearest) {
             (event.nearest, event.distance_m) = (device, distance_m);
         }
-        misses.missed = found;
+        misses.missed = missed;
         let metric = |name: &str| self.summary.as_ref()?["metrics"][name].as_f64();
         misses.energy = metric("low_energy_pct").zip(metric("overflow_per_device_tti")).map(
             |(low_energy_pct, overflow_per_device_tti)| RunEnergy {
@@ -149,16 +149,16 @@ impl RunReader {
                 overflow_per_device_tti,
             },
         );
-        let done = self.summary.as_ref().and_then(|summary| summary["ttis_done"].as_u64());
-        misses.end = match (done, misses.starts.last()) {
-            (Some(done), _) => Tti(done),
+        let ttis_done = self.summary.as_ref().and_then(|summary| summary["ttis_done"].as_u64());
+        misses.end = match (ttis_done, misses.starts.last()) {
+            (Some(ttis_done), _) => Tti(ttis_done),
             (None, Some(last)) => *last + 1,
             (None, None) => misses.end,
         };
         Ok(misses)
     }
 
-    /// Reads the rows of `devices.csv`, which a run writes at its end.
+    /// Reads the rows of `devices.csv`; `None` before the end of the run, which writes it.
     ///
     /// # Errors
     /// If it is invalid.

@@ -87,15 +87,15 @@ fn check_folder(registry_folder: &Path) -> anyhow::Result<()> {
     let own = rustix::process::getuid().as_raw();
     let named = registry_folder.display();
     // Not `metadata`, which follows a link into a folder of another user.
-    let found = registry_folder.symlink_metadata().with_context(|| named.to_string())?;
-    if !found.is_dir() {
+    let metadata = registry_folder.symlink_metadata().with_context(|| named.to_string())?;
+    if !metadata.is_dir() {
         bail!("{named} must be a folder, but is a link or a file; remove it");
     }
-    if found.uid() != own {
-        let other = found.uid();
+    if metadata.uid() != own {
+        let other = metadata.uid();
         bail!("{named} belongs to another user ({other}, you are {own}), whose entries cannot be trusted");
     }
-    let mode = found.permissions().mode() & 0o777;
+    let mode = metadata.permissions().mode() & 0o777;
     if mode & 0o077 != 0 {
         bail!("{named} is open to other users (mode {mode:o}); restrict it with `chmod 700 {named}`");
     }
@@ -122,11 +122,11 @@ pub(crate) fn find(target: &TargetArgs) -> anyhow::Result<RunAddress> {
             run: run.clone(),
         });
     }
-    let live_entries: Vec<RegistryEntry> = live_entries()?
+    let matching_entries: Vec<RegistryEntry> = live_entries()?
         .into_iter()
         .filter(|entry| target.run.as_ref().is_none_or(|run| run.to_string() == entry.run))
         .collect();
-    match &live_entries[..] {
+    match &matching_entries[..] {
         [entry] => Ok(RunAddress {
             endpoint: entry.endpoint.clone(),
             run: entry.run.parse()?,
@@ -162,7 +162,7 @@ impl RegistryEntry {
     }
 }
 
-/// The entries of live processes; entries of ended processes are removed.
+/// Returns the entries of live processes, sorted by run, and removes the entries of ended processes.
 fn live_entries() -> anyhow::Result<Vec<RegistryEntry>> {
     let registry_folder = registry_folder();
     if registry_folder.symlink_metadata().is_err() {
@@ -172,32 +172,33 @@ fn live_entries() -> anyhow::Result<Vec<RegistryEntry>> {
         anyhow!("{why:#}; or give --run and --connect, or set XDG_RUNTIME_DIR to a folder that only you can write to")
     })?;
     let files = fs::read_dir(&registry_folder).with_context(|| registry_folder.display().to_string())?;
-    let mut found = Vec::new();
+    let mut live = Vec::new();
     for path in files.flatten().map(|file| file.path()) {
         let entry: Option<RegistryEntry> = fs::read(&path)
             .ok()
             .and_then(|bytes| serde_json::from_slice(&bytes).ok());
         match entry {
-            Some(entry) if is_alive(entry.pid) => found.push(entry),
+            Some(entry) if is_alive(entry.pid) => live.push(entry),
             // A killed process leaves its entry behind.
             Some(_) => drop(fs::remove_file(&path)),
             // A run that registers now may still be writing its entry.
             None => {}
         }
     }
-    found.sort_by(|a, b| a.run.cmp(&b.run));
-    Ok(found)
+    live.sort_by(|a, b| a.run.cmp(&b.run));
+    Ok(live)
 }
 
 fn is_alive(pid: i32) -> bool {
     rustix::process::Pid::from_raw(pid).is_some_and(|pid| rustix::process::test_kill_process(pid).is_ok())
 }
 
+/// The folder of the entries, which only the current user can write to.
 fn registry_folder() -> PathBuf {
-    let given = std::env::var_os("XDG_RUNTIME_DIR").map(PathBuf::from);
+    let runtime_dir = std::env::var_os("XDG_RUNTIME_DIR").map(PathBuf::from);
     // The XDG specification asks programs to ignore a relative path.
-    match given.filter(|registry_folder| registry_folder.is_absolute()) {
-        Some(registry_folder) => registry_folder.join("reveille"),
+    match runtime_dir.filter(|folder| folder.is_absolute()) {
+        Some(runtime_dir) => runtime_dir.join("reveille"),
         None => std::env::temp_dir().join(format!("reveille-{}", rustix::process::getuid().as_raw())),
     }
 }

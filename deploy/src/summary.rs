@@ -79,8 +79,8 @@ impl<'a> ClassSummary<'a> {
         if scenario.classes.len() < 2 {
             return Vec::new();
         }
-        let class = |(class, name): (u16, &'a str)| {
-            let record = ClassRecord::new(class, &outcome.devices, outcome.totals.ttis);
+        let summary_of = |(index, name): (u16, &'a str)| {
+            let record = ClassRecord::new(index, &outcome.devices, outcome.totals.ttis);
             let rows = record.metrics.rows();
             let device_metrics = Metrics::ALL
                 .iter()
@@ -96,7 +96,7 @@ impl<'a> ClassSummary<'a> {
             }
         };
         let names = scenario.classes.iter().map(|class| class.name.as_str());
-        (0..).zip(names).map(class).collect()
+        (0..).zip(names).map(summary_of).collect()
     }
 }
 

@@ -28,8 +28,8 @@ pub(crate) fn progress_target() -> ProgressDrawTarget {
 /// Whether standard output is a terminal on which the user wants colours; NO_COLOR disables them.
 pub(crate) fn shows_colours() -> bool {
     let is_dumb = std::env::var_os("TERM").is_some_and(|kind| kind == "dumb");
-    let is_plain = std::env::var_os("NO_COLOR").is_some_and(|set| !set.is_empty());
-    io::stdout().is_terminal() && !is_dumb && !is_plain
+    let is_disabled = std::env::var_os("NO_COLOR").is_some_and(|set| !set.is_empty());
+    io::stdout().is_terminal() && !is_dumb && !is_disabled
 }
 
 /// Whether `error`, from writing to `output`, means that its pipe or terminal is closed.
@@ -38,13 +38,13 @@ pub(crate) fn is_closed_output(error: &io::Error, output: BorrowedFd<'_>) -> boo
     let is_device = || {
         let copy = output.try_clone_to_owned().map(File::from);
         copy.and_then(|file| file.metadata())
-            .is_ok_and(|found| found.file_type().is_char_device())
+            .is_ok_and(|metadata| metadata.file_type().is_char_device())
     };
     let is_hung_up = Errno::from_io_error(error) == Some(Errno::IO) && is_device();
     error.kind() == io::ErrorKind::BrokenPipe || is_hung_up
 }
 
-/// Standard error as a terminal that writes each drawing with one call.
+/// Standard error as a terminal that writes each drawing with one call. Holds the drawing until it is flushed.
 #[derive(Debug, Default)]
 struct Terminal(Mutex<String>);
 

@@ -40,8 +40,8 @@ impl RunPreparer {
             ..PreparedRun::without_pilots(scenario)
         };
         if let Some(pilots) = scenario.policy.settings().pilot_search() {
-            let (found, warnings) = self.search(&prepared, &pilots);
-            (prepared.pilot_choice, prepared.warnings) = (Some(found), warnings);
+            let (choice, warnings) = self.search(&prepared, &pilots);
+            (prepared.pilot_choice, prepared.warnings) = (Some(choice), warnings);
         }
         prepared
     }
@@ -94,8 +94,8 @@ pub fn run(scenario: &Scenario) -> RunOutcome {
 /// Runs each candidate of `pilots` on the deployment of `prepared`. All pilot runs have the same length. It is long
 /// enough for each to hold the requested events, up to a limit.
 fn pilot_runs(prepared: &PreparedRun, pilots: &PilotSearch) -> PilotRuns {
-    let mut pilot_run = prepared.clone();
-    let Deployment { devices, traces, .. } = &mut pilot_run.deployment;
+    let mut pilot_prepared = prepared.clone();
+    let Deployment { devices, traces, .. } = &mut pilot_prepared.deployment;
     for device in devices {
         // A trace has only one realisation: replayed in a pilot run, it would show the future of the run itself.
         device.harvest = device.harvest.known_before_run(traces);
@@ -104,11 +104,11 @@ fn pilot_runs(prepared: &PreparedRun, pilots: &PilotSearch) -> PilotRuns {
     // Beyond `Scenario::max_ttis`, sums of energy would overflow 64 bits.
     let max_ttis = pilots.max_ttis.min(prepared.scenario.max_ttis()).max(ttis);
     loop {
-        pilot_run.scenario = pilot_scenario(&prepared.scenario, ttis);
+        pilot_prepared.scenario = pilot_scenario(&prepared.scenario, ttis);
         let (mut metrics, mut is_long_enough) = (Vec::with_capacity(pilots.candidates.len()), true);
         for candidate in &pilots.candidates {
-            pilot_run.pilot_choice = Some(Arc::clone(candidate));
-            let outcome = Run::new(&pilot_run, RunOptions::default()).finish(&mut ());
+            pilot_prepared.pilot_choice = Some(Arc::clone(candidate));
+            let outcome = Run::new(&pilot_prepared, RunOptions::default()).finish(&mut ());
             all_ttis = all_ttis.saturating_add(ttis);
             is_long_enough = ttis >= max_ttis || outcome.metrics.events >= pilots.min_events;
             // Metrics of runs of different length do not compare, so all candidates run again, twice as long.

@@ -81,6 +81,7 @@ pub struct Replay {
     run: Run,
     /// The first TTI that is compared.
     compare_from: Tti,
+    /// The TTI before which both runs are equal.
     compared_until: Tti,
     inputs: ExternalInputs,
     uncompared: UncomparedFrames,

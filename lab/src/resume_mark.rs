@@ -210,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn a_repeated_run_passes_its_mark_and_another_run_diverges() {
+    fn a_repeated_run_passes_its_mark_and_another_fingerprint_diverges() {
         let scenario = scenario_with_seed("seed=3");
         let mark = track_run(&scenario, 120, None).mark();
         assert_eq!((mark.tti, mark.window), (120, 10));

@@ -45,8 +45,10 @@ pub struct Run {
     lookahead: bool,
 }
 
+/// The devices of a run.
 #[derive(Clone)]
 struct Devices {
+    /// The device machines, in the order of ids.
     machines: Vec<Machine>,
     physics: Physics,
     air: Air,
@@ -369,7 +371,7 @@ fn advanced_to(machine: &mut Machine, k: Tti) -> &Machine {
 }
 
 /// An observer that stops a run when the closure returns true, checked at the end of each window
-/// ([`RunOptions::window`]).
+/// ([`RunOptions::window`]) and of the warm-up.
 #[derive(Clone, Copy, Debug)]
 pub struct StopWhen<F>(pub F);
 

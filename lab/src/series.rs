@@ -63,9 +63,9 @@ impl SeriesNames {
             .flat_map(|column| table.rows.iter().map(|row| row.swept[*column].to_string()));
         let first_ranking = rankings.next();
         // A ranking shared by all rows distinguishes none of them and would only lengthen the names.
-        let has_several = rankings.any(|ranking| Some(&ranking) != first_ranking.as_ref());
+        let has_several_rankings = rankings.any(|ranking| Some(&ranking) != first_ranking.as_ref());
         Self {
-            ranking_column: ranking_column.filter(|_| has_several),
+            ranking_column: ranking_column.filter(|_| has_several_rankings),
         }
     }
 

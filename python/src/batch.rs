@@ -145,7 +145,8 @@ impl PyEnvBatch {
         Ok(batch)
     }
 
-    /// Restarts the environments `which` with these seeds. `set` overrides fields in addition to the earlier overrides.
+    /// Restarts each of the environments `which` with the seed at its place in `seeds`. `set` overrides fields in
+    /// addition to the earlier overrides.
     fn reset(&self, py: Python<'_>, which: Vec<usize>, seeds: Vec<u64>, set: Vec<String>) -> PyResult<()> {
         let set: Vec<String> = self.set.iter().cloned().chain(set).collect();
         let scenario = read_external(py, &self.source, &set)?;

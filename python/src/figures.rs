@@ -109,23 +109,23 @@ pub(crate) fn sweep_pictures(
         is_log_y: log[1],
     };
     py.detach(|| {
-        let read = |(name, mut path): (String, PathBuf)| {
+        let read_table = |(name, mut path): (String, PathBuf)| {
             // `find_table` also refuses the folder of a sweep that has not finished.
             if path.is_dir() {
                 path = find_table(&path).map_err(value_error)?;
             }
             Ok((name, Table::read(&path).map_err(value_error)?))
         };
-        let tables = tables.into_iter().map(read).collect::<PyResult<Vec<_>>>()?;
+        let tables = tables.into_iter().map(read_table).collect::<PyResult<Vec<_>>>()?;
         let results = Results::new(&tables, &Disk).map_err(value_error)?;
         let figures = spec.draw(&results).map_err(value_error)?;
         let note = note_on_several(&figures);
-        let pictures = figures.into_iter().map(|picture| PyFigure {
-            scene: picture.chart.scene(),
-            name: spec.file_name(&picture.facet),
-            facet: picture.facet,
-            csv: Some(picture.csv),
-            undefined: picture.lines_without_value,
+        let pictures = figures.into_iter().map(|figure| PyFigure {
+            scene: figure.chart.scene(),
+            name: spec.file_name(&figure.facet),
+            facet: figure.facet,
+            csv: Some(figure.csv),
+            undefined: figure.lines_without_value,
         });
         Ok((pictures.collect(), note))
     })
@@ -142,7 +142,7 @@ fn read_drawable(py: Python<'_>, source: &str, set: &[String]) -> PyResult<Scena
     Ok(scenario)
 }
 
-/// Draws the deployment of a scenario at the end of one of its events.
+/// Draws the deployment of a scenario at the end of one of its events; without `event`, of a typical one.
 #[pyfunction]
 #[pyo3(signature = (source, set, event))]
 pub(crate) fn deployment_picture(
@@ -159,7 +159,8 @@ pub(crate) fn deployment_picture(
     })
 }
 
-/// Draws batteries and states of some devices over some TTIs of a run.
+/// Draws batteries and states of `devices` over `length` TTIs of a run; if empty, of the three with most reports and
+/// wake-ups. Without `first` the TTIs begin after the warm-up.
 #[pyfunction]
 #[pyo3(signature = (source, set, devices, first, length))]
 pub(crate) fn timeline_picture(

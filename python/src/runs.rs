@@ -99,7 +99,7 @@ pub(crate) fn watched<'py>(py: Python<'py>, source: &str, set: Vec<String>) -> P
     Ok(dict)
 }
 
-/// A sweep that Ctrl-C stops.
+/// A receiver of a sweep's progress that stops the sweep once its flag is set, as after Ctrl-C.
 struct PySweepProgress<'a>(&'a AtomicBool);
 
 impl SweepProgress for PySweepProgress<'_> {

@@ -34,7 +34,7 @@ pub(crate) fn read_external_silently(source: &str, set: &[String]) -> PyResult<S
 }
 
 fn load_silently(source: &str, set: &[String]) -> PyResult<Loaded> {
-    let overrides = set.iter().map(|set| Override::parse(set));
+    let overrides = set.iter().map(|text| Override::parse(text));
     let overrides: Vec<Override> = overrides.collect::<Result<_, _>>().map_err(value_error)?;
     load(source, &overrides, &outside::kinds_with_external(), &Disk).map_err(value_error)
 }

@@ -65,9 +65,10 @@ fn digest(args: &str) -> String {
     TestFolder::new().summary(args).digest().to_owned()
 }
 
-/// Checks that all `commands` give one digest for `preset` with `policy`, which may include options, and returns it.
-fn common_digest(preset: &str, policy: &str, commands: &[&str]) -> String {
-    let scenario = format!("-s {preset} -p {policy} {SMALL}");
+/// Checks that all `commands` give one digest for a preset or scenario file with `policy`, which may include options,
+/// and returns it.
+fn common_digest(source: &str, policy: &str, commands: &[&str]) -> String {
+    let scenario = format!("-s {source} -p {policy} {SMALL}");
     let folder = TestFolder::new();
     let mut table = String::new();
     let mut digests = Vec::new();

@@ -376,21 +376,21 @@ fn a_report_needs_one_table_and_refuses_empty_and_newer_ones() {
     );
 
     let text = String::from_utf8(folder.bytes("paper/results.csv")).expect("text");
-    let side_car = String::from_utf8(folder.bytes("paper/results.csv.toml")).expect("text");
+    let sidecar = String::from_utf8(folder.bytes("paper/results.csv.toml")).expect("text");
     let header = text.lines().next().expect("a header");
     folder.write("empty.csv", &format!("{header}\n"));
-    let empty_side_car: String = side_car
+    let empty_sidecar: String = sidecar
         .lines()
         .map(|line| match line.split_once(" = ") {
             Some(("\"reveille.rows\"", _)) => "\"reveille.rows\" = \"0\"\n".to_owned(),
             Some(_) | None => format!("{line}\n"),
         })
         .collect();
-    folder.write("empty.csv.toml", &empty_side_car);
+    folder.write("empty.csv.toml", &empty_sidecar);
     folder.write("later.csv", &text);
-    let later_side_car = side_car.replace("\"reveille.table\" = \"3\"", "\"reveille.table\" = \"4\"");
-    assert_ne!(later_side_car, side_car);
-    folder.write("later.csv.toml", &later_side_car);
+    let later_sidecar = sidecar.replace("\"reveille.table\" = \"3\"", "\"reveille.table\" = \"4\"");
+    assert_ne!(later_sidecar, sidecar);
+    folder.write("later.csv.toml", &later_sidecar);
     for command in ["figures", "report"] {
         let end = folder.run(&format!("{command} empty.csv --out out"));
         assert_refused(&end, 1, &["empty.csv", "no runs to draw", "reveille sweep"]);
@@ -435,7 +435,7 @@ fn a_table_with_an_impossible_value_is_refused() {
     let folder = TestFolder::new();
     sweep(&folder, "paper", "--format csv");
     let text = String::from_utf8(folder.bytes("paper/results.csv")).expect("text");
-    let side_car = folder.bytes("paper/results.csv.toml");
+    let sidecar = folder.bytes("paper/results.csv.toml");
     let header: Vec<&str> = text.lines().next().expect("a header").split(',').collect();
     let column = header
         .iter()
@@ -450,7 +450,7 @@ fn a_table_with_an_impossible_value_is_refused() {
             fields.join(",") + "\n"
         });
         folder.write("odd.csv", &rows.collect::<String>());
-        fs::write(folder.join("odd.csv.toml"), &side_car).expect("a side-car");
+        fs::write(folder.join("odd.csv.toml"), &sidecar).expect("a side-car");
         for command in ["figures", "report", "merge"] {
             let end = folder.run(&format!("{command} odd.csv --out odd-{command}.csv"));
             assert_refused(&end, 1, &["odd.csv", "row 2", "energy_per_device_tti"]);

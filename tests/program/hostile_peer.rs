@@ -1,5 +1,6 @@
-//! Hostile peers that were admitted as hosts and know the run's secret: garbage, forged messages, other versions,
-//! missing keys. The base station refuses or counts the messages, and the digest equals the digest of `reveille run`.
+//! Hostile peers: garbage and forged messages of a host that was admitted and knows the run's secret, and requests of
+//! another version or without the run's key. The base station refuses or counts the messages, and the digest equals the
+//! digest of `reveille run`.
 //! `tests/untrusted_clients/` tests clients without the secret.
 
 use std::time::Duration;

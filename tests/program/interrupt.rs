@@ -1,5 +1,5 @@
 //! SIGINT and SIGTERM during the preparation of `run`, `up`, `bs` and `sweep`, and during a sweep: a prompt end with
-//! exit code 130, and no finished work is lost. `signals.rs` sends signals at random moments of every command,
+//! exit code 130, and no finished work is lost. `signals.rs` sends signals at drawn moments of more commands,
 //! `process_faults.rs` to the processes of a run.
 
 use std::fs;

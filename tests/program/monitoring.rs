@@ -1,7 +1,8 @@
 //! Prometheus metrics (`--metrics`) of `run` and `up`: neither they nor a recording change the digest, the only output
-//! under `--quiet`. Batteries are those at the time of the request. On a loopback address, requests under another host name are refused (421, against DNS rebinding),
-//! and `/` leads to `/metrics` (307). An unusable address is refused before the run. The address comes from the note
-//! `http://ADDRESS/metrics` on standard error. `tests/monitoring/` reads the metrics with Prometheus.
+//! under `--quiet`. Batteries are those at the time of the request. On a loopback address, requests under another host
+//! name are refused (421, against DNS rebinding), and `/` leads to `/metrics` (307). An unusable address is refused
+//! before the run. The address comes from the note `http://ADDRESS/metrics` on standard error. `tests/monitoring/`
+//! reads the metrics with Prometheus.
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
@@ -84,8 +85,9 @@ fn batteries_are_those_at_the_time_of_the_request() {
     let (folder, run, e_max) = (TestFolder::new(), unique_run("batteries"), 500_000.0);
     let always_sensing = "-p random --set policy.random.t_on=[10] --set policy.random.t_drx=[10]";
     let up = folder.start(&format!(
-        "up -P 1 -n 10 -k 400000 --run {run} --pace 1ms {always_sensing} --set events.alpha=1e-9 --set harvest.lambda=0 \
-         --set energy.e_max={e_max} --set energy.initial={e_max} --quiet --out o --metrics 127.0.0.1:0"
+        "up -P 1 -n 10 -k 400000 --run {run} --pace 1ms {always_sensing} --set events.alpha=1e-9 \
+         --set harvest.lambda=0 --set energy.e_max={e_max} --set energy.initial={e_max} --quiet --out o \
+         --metrics 127.0.0.1:0"
     ));
     let address = metrics_address(&up);
     let mut reached = 1;
@@ -93,6 +95,7 @@ fn batteries_are_those_at_the_time_of_the_request() {
         folder.wait_for_tti(&run, reached);
         // The devices were counted between the request and the encoding of its response.
         let (next_tti, battery) = next_tti_and_battery(&address);
+        // A unit per TTI since the start.
         let ttis = e_max - battery;
         assert!(
             reached as f64 <= ttis && ttis <= next_tti,

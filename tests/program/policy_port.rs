@@ -46,7 +46,7 @@ async fn external_decisions_of_a_policy_give_its_digest() {
             (&*digest, "complete"),
             "{policy}: {end}"
         );
-        // At least a plan in each of the 400 TTIs.
+        // At least a plan in each of the 400 TTIs of `SHORT_RUN`.
         let decision_count = summary.number("timing.decisions");
         assert!(
             decision_count >= 400 && answer_count >= 400,
@@ -216,12 +216,12 @@ fn a_late_recording_of_a_run_with_a_long_input_log_is_complete() {
 async fn a_run_killed_with_undecided_wake_ups_resumes_before_them() {
     let (transcript, _) = run_built_in("age-index", &[]);
     let run = ExternallyDecidedRun::start("-P 3 --pace 4ms --on-loss continue");
-    let (bs, mut lost_in) = (run.process.pid(), None);
+    let (bs_pid, mut kill_tti) = (run.process.pid(), None);
     let name = run.run.clone();
     run.decide(Encoding::Cbor, |asked| {
         let (tti, is_wake) = (asked.head.tti, asked.head.stage == RequestKind::Wake);
-        if is_wake && tti > 100 && lost_in.is_none() {
-            lost_in = Some(tti);
+        if is_wake && tti > 100 && kill_tti.is_none() {
+            kill_tti = Some(tti);
             send_signal(hosts_of(&name)[0], Signal::KILL);
             wait_until("the process to end", PATIENCE, || {
                 (hosts_of(&name).len() == 2).then_some(())
@@ -237,8 +237,8 @@ async fn a_run_killed_with_undecided_wake_ups_resumes_before_them() {
                 .expect("a device sleeps");
             return Decision::Wake(vec![DeviceId(device as u32)]);
         }
-        if lost_in.is_some() {
-            send_signal(bs, Signal::KILL);
+        if kill_tti.is_some() {
+            send_signal(bs_pid, Signal::KILL);
         }
         answer(&transcript, asked)
     })

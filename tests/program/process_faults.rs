@@ -22,9 +22,9 @@ const DETECTION_LIMIT: Duration = Duration::from_secs(4);
 /// margin for a busy machine.
 const FREEZE_LIMIT: Duration = Duration::from_secs(8);
 
-/// Checks the end of a run that lost a process.
+/// Checks the end of a run whose process was killed or frozen at `since`, less than `limit` ago.
 fn assert_lost(end: &FinishedProcess, since: Instant, limit: Duration) {
-    let took = since.elapsed();
+    let elapsed = since.elapsed();
     assert_eq!(end.code(), Some(1), "{end}");
     for part in ["lost host", "with devices ", " at TTI "] {
         assert!(end.stderr.contains(part), "no {part:?}: {end}");
@@ -38,7 +38,7 @@ fn assert_lost(end: &FinishedProcess, since: Instant, limit: Duration) {
         1,
         "{end}"
     );
-    assert!(took < limit, "detected only after {took:?}");
+    assert!(elapsed < limit, "detected only after {elapsed:?}");
 }
 
 /// Waits until no device process of `run` is left.

@@ -1,4 +1,4 @@
-//! SIGINT or SIGTERM at drawn moments of every long-running command, with all cores busy: the command ends with its
+//! SIGINT or SIGTERM at drawn moments of the long-running commands, with all cores busy: the command ends with its
 //! documented code and leaves no process, registry entry or mark of an active run. `interrupt.rs` tests preparations
 //! with chosen moments.
 

@@ -9,7 +9,7 @@ use reveille_tests::process::{PATIENCE, TestFolder, assert_refused, wait_until};
 use rustix::process::Signal;
 use serde_json::Value;
 
-/// Options of short runs over all policies, without the number of seeds.
+/// Options of short runs in 4 · 2 cells, without the number of seeds.
 const GRID: &str = "--policies knn,random,adjusted,genie --devices 8,20 --ttis 600 --first-seed 5 \
     --set policy.adjusted.pilot_ttis=100 --set policy.adjusted.t_on=[1,2] --set policy.adjusted.t_drx=[2,8]";
 
@@ -236,7 +236,7 @@ fn a_cell_stops_at_the_wanted_precision() {
     );
     assert_eq!(report["not_narrow"], Value::Array(Vec::new()));
 
-    // Every device can detect every event and has enough energy: no run has a misdetection.
+    // A sensing device can detect events in almost all of the area and has enough energy: no run has a misdetection.
     let args = "--policies random --devices 20 --ttis 500 --seeds 12 --min-seeds 4 --until-ci 50% \
         --set sensing.d_max=28 --set harvest.lambda=1 --ci-metrics misdetection_pct";
     let end = folder.run(&format!("sweep {args} --json --out none"));

@@ -344,7 +344,7 @@ fn a_window_without_tables_lists_the_available_ones() {
         &["policy.q-learning.window = 2", "policy.q-learning.ages = true"],
     );
     let train = "train q-learning --quiet --episode-ttis 50 --episodes 1 -n 20";
-    for (windows, set, known) in [
+    for (windows, set, expected_part) in [
         ("ages", "window=1", "tables for policy.q-learning.ages = true;"),
         (
             "4,2",
@@ -361,7 +361,11 @@ fn a_window_without_tables_lists_the_available_ones() {
         assert_refused(
             &end,
             1,
-            &[&format!("policy.q-learning.{field} = {value}"), known, "--windows"],
+            &[
+                &format!("policy.q-learning.{field} = {value}"),
+                expected_part,
+                "--windows",
+            ],
         );
     }
     for args in [
@@ -396,15 +400,15 @@ fn a_window_without_tables_lists_the_available_ones() {
 #[test]
 fn an_unknown_ranking_or_knowledge_lists_the_available_ones() {
     let folder = TestFolder::new();
-    for (field, known) in [
+    for (field, available) in [
         ("bs.ranking", ["p42", "posterior"]),
         ("bs.battery_knowledge", ["oracle", "reported"]),
     ] {
         let end = folder.run(&format!(
             "run -n 20 -k 60 --policy q-learning --set {field}=guess --out run"
         ));
-        assert_refused(&end, 1, &[field, "guess", known[0], known[1]]);
-        for value in known {
+        assert_refused(&end, 1, &[field, "guess", available[0], available[1]]);
+        for value in available {
             let end = folder.run(&format!(
                 "run -n 20 -k 60 --policy q-learning --set {field}={value} --out {value}"
             ));

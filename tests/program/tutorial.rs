@@ -86,7 +86,7 @@ fn matches(line: &str, expected: &str) -> bool {
 }
 
 /// Checks that the lines of a `text` block occur in `output`, in their order.
-fn check(command: &str, shown: &str, output: &str) {
+fn check_shown_lines(command: &str, shown: &str, output: &str) {
     let mut lines = output.lines();
     for expected in shown.lines().filter(|line| *line != "…") {
         let found = lines.any(|line| matches(line.trim_end(), expected));
@@ -205,7 +205,7 @@ fn every_command_of_the_tutorial_works_as_shown() {
                 let output: String = text.lines().map(|line| terminal.run(line)).collect();
                 let shown = blocks.next_if(|next| next.language == "text");
                 let shown = shown.unwrap_or_else(|| panic!("no output is shown after {text}")).text;
-                check(text, shown, &output);
+                check_shown_lines(text, shown, &output);
                 commands += text.lines().count();
                 digests += shown.matches("digest ").count();
             }

@@ -15,7 +15,7 @@ use reveille_lab::run::RunOptions;
 
 use crate::reference::ReferenceState;
 
-/// Options for one TTI per grant.
+/// Options for one TTI per grant, and no windows.
 pub const ONE_TTI_PER_GRANT: RunOptions = RunOptions {
     lookahead: false,
     window: u64::MAX,

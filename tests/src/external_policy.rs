@@ -16,7 +16,8 @@ use crate::process::{FinishedProcess, PATIENCE, Process, TestFolder, free_endpoi
 use crate::scenarios::paper;
 use crate::transcript::CommandTranscript;
 
-/// Options of a scenario with a short run of 400 TTIs.
+/// Options of a short run with 30 devices and 400 TTIs. [`run_built_in`] and [`TestFolder::waiting_bs`] repeat these
+/// numbers.
 pub const SHORT_RUN: &str = "-n 30 -k 400";
 
 /// Runs `policy` in memory, on the scenario of [`SHORT_RUN`] with `fields` overridden, and returns its transcript and

@@ -9,12 +9,12 @@ use std::process::Command;
 pub struct Mount<'f>(&'f Path);
 
 impl<'f> Mount<'f> {
-    /// Mounts a disk of 256 kB at `path`; `None` without root rights.
+    /// Mounts a disk of 256 kB at `path`; `None` if that fails, as without root rights.
     pub fn small(path: &'f Path) -> Option<Self> {
         Self::with(path, "size=256k")
     }
 
-    /// Mounts an empty read-only disk at `path`; `None` without root rights.
+    /// Mounts an empty read-only disk at `path`; `None` if that fails, as without root rights.
     pub fn read_only(path: &'f Path) -> Option<Self> {
         Self::with(path, "ro,size=64k")
     }
@@ -34,11 +34,12 @@ impl Drop for Mount<'_> {
     }
 }
 
-/// Network namespace with a loopback interface; removed on drop.
+/// Network namespace with a loopback interface and few ephemeral ports; removed on drop.
 pub struct FewPorts(String);
 
 impl FewPorts {
-    /// Creates a namespace with `ports` ephemeral ports; `None` without root rights.
+    /// Creates a namespace with `ports` ephemeral ports; `None` if that fails, as without root rights or the command
+    /// `ip`.
     pub fn make(name: &str, ports: u32) -> Option<Self> {
         if !succeeds(Command::new("ip").args(["netns", "add", name])) {
             return None;

@@ -1,4 +1,5 @@
-//! Runs the `reveille` command as users do. No test can hang, and no process outlives its test.
+//! Runs the `reveille` command as users do. Every wait here has a time limit, and a process that a test starts is
+//! killed when the test drops it.
 
 use std::fs;
 use std::io::Read;
@@ -48,12 +49,13 @@ fn next_to_test() -> PathBuf {
     program
 }
 
-/// Folder of one test, removed on drop. Commands that run in it do not see the runs of other tests.
+/// Folder of one test; removed on drop unless the test fails. Commands that run in it do not see the runs of other
+/// tests.
 #[derive(Debug)]
 pub struct TestFolder(PathBuf);
 
 impl TestFolder {
-    /// Creates a new, empty folder.
+    /// Creates a new folder with the empty subfolder `runtime`, in which commands register their runs.
     ///
     /// # Panics
     /// If the folder cannot be created.
@@ -153,7 +155,7 @@ impl TestFolder {
         });
     }
 
-    /// Starts a base station that waits for thirty devices.
+    /// Starts a base station with a run of 30 devices and 400 TTIs, and waits until device processes can join.
     pub fn waiting_bs(&self, run: &str, endpoint: &str, args: &str) -> Process {
         let bs = self.start(&format!("bs -n 30 -k 400 --run {run} --listen {endpoint} {args}"));
         bs.wait_for_stderr("waiting for 30 devices");

@@ -50,9 +50,10 @@ pub fn scenario_with_warnings(text: &str) -> Loaded {
     parse(text, "test", Path::new(FILES), &[]).unwrap_or_else(|error| panic!("{error}\n{text}"))
 }
 
-/// Draws a script of 1 to 12 actions that `scenario` allows, in the order of TTIs. About a third of them share a TTI
-/// with another one.
+/// Draws a script of 1 to 12 actions that `scenario` allows, in the order of TTIs. An action takes over the TTI of the
+/// action drawn before it with probability 0.3.
 pub fn actions(scenario: &Scenario, seed: u64) -> Vec<OperatorAction> {
+    // Runs do not draw from this stream.
     let mut stream = Stream::new(seed, Purpose::Training, 0);
     let ttis = scenario.run.ttis;
     let mut actions: Vec<OperatorAction> = Vec::new();
@@ -107,7 +108,8 @@ pub fn under(name: &'static str) -> impl Strategy<Value = String> {
     )
 }
 
-/// Generates a small scenario with any policy, including policies without a second implementation.
+/// Generates a small scenario with a policy of [`small`], or with `q-learning`, which
+/// [`simulate`](crate::reference::simulate) does not run.
 pub fn any_policy() -> impl Strategy<Value = String> {
     prop_oneof![3 => small().boxed(), 1 => with_q_learning().boxed()]
 }
@@ -128,23 +130,24 @@ pub fn crowded() -> impl Strategy<Value = String> {
     let knn = (1..=6u32, any::<bool>());
     let initial = prop_oneof![Just(2.0), Just(50.0), Just(1000.0)];
     (size, lengths, layout, fusion, knn, initial).prop_map(
-        |((devices, ttis, seed), (width, height, d_max, eta), layout, fusion, (neighbours, limit), initial)| {
+        |((devices, ttis, seed), (width, height, d_max, eta), layout, fusion, (neighbours, limit_radius), initial)| {
             format!(
                 "devices = {devices}\nttis = {ttis}\nseed = {seed}\n[area]\nwidth = {width:?}\nheight = {height:?}\n\
                  [layout]\nkind = \"{layout}\"\n[sensing]\nd_max = {d_max:?}\neta = {eta:?}\ng = \"{fusion}\"\n\
                  [events]\nalpha = 0.6\n[policy]\nname = \"knn\"\n[policy.knn]\nneighbours = {neighbours}\n\
-                 limit_radius = {limit}\n[energy]\ne_max = 1000.0\ninitial = {initial:?}\n[harvest]\ne_b = 9.0\n"
+                 limit_radius = {limit_radius}\n[energy]\ne_max = 1000.0\ninitial = {initial:?}\n[harvest]\ne_b = 9.0\n"
             )
         },
     )
 }
 
-/// Generates a seed. Numbers in TOML are signed, so that it has 63 bits.
+/// Generates a seed of 63 bits, since numbers in TOML are signed.
 fn seed() -> impl Strategy<Value = u64> {
     any::<u64>().prop_map(|bits| bits >> 1)
 }
 
-/// Generates the fields of the run and the section `[bs]`. `tests/tests/ledger.rs` relies on at most 12 devices.
+/// Generates the fields of the run and the section `[bs]`, which [`with_q_learning`] extends. `tests/tests/ledger.rs`
+/// relies on at most 12 devices.
 fn run_fields() -> impl Strategy<Value = String> {
     let warm_up = prop_oneof![Just(0.0), 0.0..0.5f64];
     let tau = prop_oneof![4 => Just(1.0), 1 => 0.25..2.0f64];
@@ -262,9 +265,9 @@ fn radio() -> impl Strategy<Value = String> {
 fn policy() -> impl Strategy<Value = String> {
     let name = prop_oneof![2 => Just("knn"), 1 => Just("random"), 1 => Just("genie"), 2 => Just("adjusted")];
     let t_drx = proptest::collection::vec(1..=9u32, 1..=2);
-    (name, 1..=6u32, any::<bool>(), t_drx).prop_map(|(name, neighbours, limit, t_drx)| {
+    (name, 1..=6u32, any::<bool>(), t_drx).prop_map(|(name, neighbours, limit_radius, t_drx)| {
         format!(
-            "[policy]\nname = \"{name}\"\n[policy.knn]\nneighbours = {neighbours}\nlimit_radius = {limit}\n\
+            "[policy]\nname = \"{name}\"\n[policy.knn]\nneighbours = {neighbours}\nlimit_radius = {limit_radius}\n\
              [policy.adjusted]\nt_on = [1, 3]\nt_drx = {t_drx:?}\npilot_ttis = 40\n\
              pilot_events = 4\npilot_limit = 150\n"
         )

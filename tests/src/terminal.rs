@@ -19,7 +19,8 @@ use crate::process::{PATIENCE, POLL_INTERVAL, now, wait_until};
 pub struct PtyCommand {
     child: Child,
     output: Arc<Mutex<Vec<u8>>>,
-    is_closed: Arc<AtomicBool>,
+    /// Tells `reader` to end.
+    is_closing: Arc<AtomicBool>,
     /// Thread that reads from the terminal and thereby keeps it open.
     reader: Option<JoinHandle<()>>,
 }
@@ -78,15 +79,15 @@ impl PtyCommand {
             .stdout(terminal_handle())
             .stderr(terminal_handle())
             .spawn();
-        let (output, is_closed) = (Arc::default(), Arc::default());
-        let (shared_output, shared_is_closed) = (Arc::clone(&output), Arc::clone(&is_closed));
+        let (output, is_closing) = (Arc::default(), Arc::default());
+        let (shared_output, shared_is_closing) = (Arc::clone(&output), Arc::clone(&is_closing));
         Self {
             child: child.expect("setsid is installed"),
             reader: Some(std::thread::spawn(move || {
-                read(master, &shared_output, &shared_is_closed);
+                read(master, &shared_output, &shared_is_closing);
             })),
             output,
-            is_closed,
+            is_closing,
         }
     }
 
@@ -116,7 +117,7 @@ impl PtyCommand {
     /// # Panics
     /// If the terminal cannot be read.
     pub fn close(&mut self) {
-        self.is_closed.store(true, Ordering::Release);
+        self.is_closing.store(true, Ordering::Release);
         // The terminal closes when its thread ends and drops the only handle.
         if let Some(reader) = self.reader.take() {
             reader.join().expect("the terminal can be read");
@@ -143,16 +144,16 @@ impl Drop for PtyCommand {
     fn drop(&mut self) {
         let _ended = self.child.kill().is_err();
         let _reaped = self.child.wait().is_err();
-        self.is_closed.store(true, Ordering::Release);
+        self.is_closing.store(true, Ordering::Release);
     }
 }
 
-/// Collects terminal output until `is_closed` is set. The terminal closes when this function returns.
-fn read(master: OwnedFd, output: &Mutex<Vec<u8>>, is_closed: &AtomicBool) {
+/// Collects terminal output until `is_closing` is set. The terminal closes when this function returns.
+fn read(master: OwnedFd, output: &Mutex<Vec<u8>>, is_closing: &AtomicBool) {
     // A read that blocks would keep the terminal open after `close`.
     rustix::fs::fcntl_setfl(&master, OFlags::NONBLOCK).expect("the flag can be set");
     let (mut master, mut buffer) = (File::from(master), [0; 4096]);
-    while !is_closed.load(Ordering::Acquire) {
+    while !is_closing.load(Ordering::Acquire) {
         match master.read(&mut buffer) {
             Ok(n) => output
                 .lock()

@@ -15,9 +15,9 @@ use reveille_lab::run::{Run, RunOptions};
 /// Plans and wake-ups of a base station, and events of one run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CommandTranscript {
-    /// Plan sent in each TTI.
+    /// Plans sent, by the first TTI in which they apply.
     pub plans: BTreeMap<u64, Plan>,
-    /// Devices woken in each TTI.
+    /// Devices woken, in order, by TTI; TTIs without a wake-up are missing.
     pub wake_ups: BTreeMap<u64, Vec<DeviceId>>,
     /// Ended events.
     pub events: Vec<EventRecord>,
@@ -68,7 +68,8 @@ impl CommandTranscript {
         self.wake_ups.get(&k.0).map_or(&[], Vec::as_slice)
     }
 
-    /// Returns the decision of TTI `k`: a plan for this TTI only, or the wake-ups of all devices that `may_wake`.
+    /// Returns the decision of TTI `k`: its plan, for this TTI only, or its wake-ups of devices for which `may_wake`
+    /// holds.
     pub fn answer(&self, stage: DecisionStage, k: Tti, may_wake: impl Fn(DeviceId) -> bool) -> Decision {
         match stage {
             DecisionStage::Plan => Decision::Plan(PlanDecision {

@@ -124,7 +124,7 @@ proptest! {
     }
 }
 
-const fn all(count: u32) -> DeviceRange {
+const fn first_devices(count: u32) -> DeviceRange {
     DeviceRange {
         first: DeviceId(0),
         count,
@@ -139,8 +139,8 @@ fn action(tti: u64, change: Change) -> OperatorAction {
 fn failed_devices_report_nothing_and_charge() {
     let scenario = scenarios::paper(&["devices=40", "ttis=2000", "policy.name=age-index", "warm_up=0"]);
     let actions = [
-        action(500, Change::Fail(all(40))),
-        action(1500, Change::Revive(all(40))),
+        action(500, Change::Fail(first_devices(40))),
+        action(1500, Change::Revive(first_devices(40))),
     ];
     let (outcome, events, _) = run(&scenario, &actions, RunOptions::default());
     let reported_in = |from: u64, to: u64| {
@@ -164,7 +164,7 @@ fn failed_devices_report_nothing_and_charge() {
         // Nothing is spent in half of the TTIs, so that the harvest overflows.
         assert!(whole.overflow > Energy::ZERO, "{whole:?}");
     }
-    let second_fail = [actions[0], action(900, Change::Fail(all(3))), actions[1]];
+    let second_fail = [actions[0], action(900, Change::Fail(first_devices(3))), actions[1]];
     let (again, ..) = run(&scenario, &second_fail, RunOptions::default());
     assert_eq!(
         again.devices, outcome.devices,
@@ -185,8 +185,8 @@ fn energy_counts_as_harvest_and_settings_change_the_run() {
     let five = Energy::from_micro(5_000_000);
     let e_max = Energy::from_micro(100_000_000);
     let actions = [
-        action(10, Change::AddEnergy(all(1), five)),
-        action(20, Change::AddEnergy(all(1), e_max)),
+        action(10, Change::AddEnergy(first_devices(1), five)),
+        action(20, Change::AddEnergy(first_devices(1), e_max)),
         action(30, Change::Set(Setting::EventRate, 0.5)),
     ];
     let (outcome, events, _) = run(&scenario, &actions, RunOptions::default());

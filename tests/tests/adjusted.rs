@@ -94,6 +94,7 @@ fn the_duty_cycle_sets_the_number_of_sensing_devices() {
 
 #[test]
 fn pilot_runs_are_extended_until_they_have_enough_events() {
+    // By default pilot runs have at least 30 events, from 2000 to 200 000 TTIs.
     let outcome = run(&scenario(&["devices=100", "ttis=400", "events.alpha=0.002"]));
     let facts = facts(&outcome);
     assert!(facts["pilot_events"] >= 30.0, "{facts:?}");

@@ -16,6 +16,7 @@ use reveille_tests::scenarios;
 /// Reports and wake-ups of one TTI.
 #[derive(Default)]
 struct TtiObserver {
+    /// Whether a device in S1 reported.
     has_report: bool,
     woken: Vec<DeviceId>,
 }

@@ -9,9 +9,11 @@ use reveille_tests::compare;
 use reveille_tests::distributions::{MAX_STANDARD_ERRORS, assert_share, draw_events};
 use reveille_tests::scenarios::scenario;
 
+/// Beginning of a scenario with bursts; a section `[events.bursts]` can follow.
 const BURSTS: &str = "ttis = 1000000\n[events]\nprocess = \"bursts\"\n";
 
-/// Returns whether each of the first `ttis` TTIs is busy. `fields` sets the mean lengths of the phases.
+/// Returns whether each of the first `ttis` TTIs is busy. `fields` sets the mean lengths of the phases; empty for the
+/// defaults.
 fn busy_by_tti(fields: &str, seed: u64, ttis: u64) -> Vec<bool> {
     // With these probabilities events start in all busy TTIs and in no others.
     let alphas = "busy_alpha = 1.0\nquiet_alpha = 0.0\n";
@@ -161,6 +163,7 @@ fn a_run_with_a_negligible_start_probability_ends_without_events() {
 
 #[test]
 fn the_mean_start_probability_is_the_mean_over_its_ttis() {
+    // The default probabilities.
     let (busy_alpha, quiet_alpha) = (0.8, 0.02);
     let scenario = scenario(&format!("seed = 41\n{BURSTS}"));
     let events = &scenario.events;

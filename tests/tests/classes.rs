@@ -64,7 +64,7 @@ fn a_field_of_a_class_affects_only_its_devices() {
     }
 }
 
-/// Compares the ledgers of two classes that share no setting with their costs, in micro-units.
+/// Compares the ledgers of devices with the costs of their class, in micro-units. The two classes share no setting.
 #[test]
 fn devices_pay_the_costs_of_their_class() {
     let fields = [

@@ -36,6 +36,8 @@ fn run(prepared: &PreparedRun, removals: &[DeviceRemoval], options: RunOptions) 
     (outcome, frames.into_inner())
 }
 
+/// Removal of `count` devices from `first` on, in TTI `tti`: after that number of its `wake_ups`, or before sensing
+/// (`None`).
 fn removal(first: u32, count: u32, tti: u64, wake_ups: Option<u32>) -> DeviceRemoval {
     DeviceRemoval {
         first: DeviceId(first),
@@ -172,7 +174,8 @@ fn a_removal_between_two_wake_ups_affects_only_the_second() {
 fn ledgers_of_removed_devices_end_at_the_removal() {
     let prepared = prepared("age-index");
     let (_, frames) = run(&prepared, &[], RunOptions::default());
-    let ttis_with_reports: Vec<Tti> = frames
+    // TTIs with messages other than events and plans, such as reports.
+    let busy_ttis: Vec<Tti> = frames
         .iter()
         .filter(|frame| {
             frame
@@ -182,7 +185,7 @@ fn ledgers_of_removed_devices_end_at_the_removal() {
         .map(|frame| frame.tti)
         .collect();
     let quiet_tti = (700..TTIS)
-        .find(|k| !ttis_with_reports.contains(&Tti(*k)))
+        .find(|k| !busy_ttis.contains(&Tti(*k)))
         .expect("a TTI without reports");
     let removal = removal(4, 11, quiet_tti, None);
     let (outcome, _) = run(&prepared, &[removal], RunOptions::default());

@@ -266,7 +266,7 @@ fn aftershocks_with_a_radius_beyond_the_area_are_independent_of_the_previous_eve
 
 /// A policy affects only the TTIs in which events start and end, and no other property of events.
 #[test]
-fn all_policies_get_the_same_events() {
+fn genie_and_random_get_the_same_events() {
     for process in ["uniform", "hot-spots", "aftershocks", "bursts"] {
         let run = |policy: &str| {
             let scenario = scenario(&format!(

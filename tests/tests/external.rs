@@ -44,15 +44,16 @@ fn external(fields: &[&str]) -> Scenario {
         .scenario
 }
 
-fn step_in_world(scenario: &Scenario, world: World, options: RunOptions) -> SteppedRun<CommandTranscript> {
+/// Creates a run with the events of `world`.
+fn stepped_run_in_world(scenario: &Scenario, world: World, options: RunOptions) -> SteppedRun<CommandTranscript> {
     let prepared = PreparedRun::without_pilots(scenario);
     SteppedRun::with_world(&prepared, world, options, CommandTranscript::default())
 }
 
 /// Creates a run with the events of the scenario.
-fn step(scenario: &Scenario, options: RunOptions) -> SteppedRun<CommandTranscript> {
+fn stepped_run(scenario: &Scenario, options: RunOptions) -> SteppedRun<CommandTranscript> {
     let world = World::new(scenario, &Deployment::new(scenario));
-    step_in_world(scenario, world, options)
+    stepped_run_in_world(scenario, world, options)
 }
 
 /// Returns the digest of a run answered with the decisions of `transcript`, at most `max_wake_ups` wake-ups per answer.
@@ -62,13 +63,14 @@ fn digest_with_decisions(
     options: RunOptions,
     max_wake_ups: usize,
 ) -> Digest {
-    let mut run = step(scenario, options);
-    let mut answered = 0_usize;
+    let mut run = stepped_run(scenario, options);
+    // Wake-ups of this TTI in earlier answers.
+    let mut answered_wake_ups = 0_usize;
     while let Some(request) = run.pending_decision() {
         let k = request.observation.now;
         match request.stage {
             DecisionStage::Plan => {
-                answered = 0;
+                answered_wake_ups = 0;
                 run.decide(PlanDecision {
                     plan: transcript.plan_at(k),
                     next: k + 1,
@@ -76,9 +78,9 @@ fn digest_with_decisions(
             }
             DecisionStage::Wake => {
                 let wake_ups = transcript.wake_ups_in(k);
-                let end = wake_ups.len().min(answered.saturating_add(max_wake_ups));
-                run.wake(&wake_ups[answered..end]);
-                answered = end;
+                let end = wake_ups.len().min(answered_wake_ups.saturating_add(max_wake_ups));
+                run.wake(&wake_ups[answered_wake_ups..end]);
+                answered_wake_ups = end;
             }
         }
     }
@@ -133,7 +135,7 @@ fn external_decisions_of_a_policy_give_its_digest() {
 #[test]
 fn an_unlimited_plan_is_not_requested_again() {
     let (transcript, expected_digest) = CommandTranscript::of(&built_in("knn", &[]));
-    let mut run = step(&external(&[]), RunOptions::default());
+    let mut run = stepped_run(&external(&[]), RunOptions::default());
     let mut plan_requests = 0;
     while let Some(request) = run.pending_decision() {
         match transcript.answer(request.stage, request.observation.now, |j| request.may_wake(j)) {
@@ -198,7 +200,7 @@ fn answer_randomly(run: &mut SteppedRun<CommandTranscript>, stream: &mut Stream)
 #[test]
 fn invalid_wake_ups_and_plans_are_corrected() {
     let scenario = external(&["ttis=400"]);
-    let mut run = step(&scenario, RunOptions::default());
+    let mut run = stepped_run(&scenario, RunOptions::default());
     let mut wake_answers = 0;
     while let Some(request) = run.pending_decision() {
         let n = request.observation.known.n() as u32;
@@ -275,7 +277,7 @@ fn invalid_wake_ups_and_plans_are_corrected() {
 fn a_run_stops_at_the_first_decision_missing_in_its_input_log() {
     for plan_ttis in [1, 40] {
         let scenario = external(&["ttis=300"]);
-        let mut run = step(&scenario, RunOptions::default());
+        let mut run = stepped_run(&scenario, RunOptions::default());
         let (mut stream, mut decisions) = (Stream::new(9, Purpose::Training, 0), Vec::new());
         while let Some(request) = run.pending_decision() {
             let (tti, n) = (request.observation.now, request.observation.known.n() as u64);
@@ -326,7 +328,7 @@ fn a_run_stops_at_the_first_decision_missing_in_its_input_log() {
 fn a_fork_continues_independently() {
     let scenario = external(&["ttis=300", "bs.battery_knowledge=reported"]);
     for answers in [120, 121, 122, 123, 124] {
-        let mut run = step(&scenario, RunOptions::default());
+        let mut run = stepped_run(&scenario, RunOptions::default());
         for _ in 0..answers {
             let request = run.pending_decision().expect("a request");
             let (k, n) = (request.observation.now, request.observation.known.n() as u64);
@@ -373,7 +375,7 @@ fn the_position_of_an_unreported_event_changes_no_request() {
         let play = |script: &[ScriptedEvent]| {
             let process = EventProcess::scripted(script.to_vec());
             let world = World::with_events(&scenario, &prepared.deployment, process);
-            let mut run = step_in_world(&scenario, world, RunOptions::default());
+            let mut run = stepped_run_in_world(&scenario, world, RunOptions::default());
             let requests = answer_randomly(&mut run, &mut Stream::new(5, Purpose::Training, 0));
             (requests, run.finish().1)
         };

@@ -53,7 +53,7 @@ proptest! {
             for cluster in &clusters {
                 let is_on = |member: &&DeviceId| tti.devices[member.index()].delta;
                 prop_assert_eq!(cluster.iter().filter(is_on).count(), 1, "members with δ = 1 in TTI {}", tti.k);
-                let is_idle = |member: &&DeviceId| tti.devices[member.index()].before == DeviceState::Idle;
+                let is_idle = |member: &&DeviceId| tti.devices[member.index()].begin_state == DeviceState::Idle;
                 prop_assert!(cluster.iter().filter(is_idle).count() <= 1, "several members in S1 in TTI {}", tti.k);
             }
             Ok(())
@@ -70,8 +70,8 @@ proptest! {
                 let is_on = policy.senses(j, tti.k.0);
                 prop_assert_eq!(device.delta, is_on, "δ of device {} in TTI {}", j, tti.k);
                 let expected_state = if is_on { DeviceState::Idle } else { DeviceState::Sleep { powered: true } };
-                prop_assert_eq!(device.before, expected_state, "device {} in TTI {}", j, tti.k);
-                let has_failed = matches!(device.after, DeviceState::Sleep { powered: false });
+                prop_assert_eq!(device.begin_state, expected_state, "device {} in TTI {}", j, tti.k);
+                let has_failed = matches!(device.end_state, DeviceState::Sleep { powered: false });
                 prop_assert!(!has_failed, "device {} in TTI {}", j, tti.k);
                 sensing_ttis += usize::from(is_on);
             }
@@ -102,11 +102,11 @@ struct DeviceTti {
     costs: EnergyModel,
     /// δ.
     delta: bool,
-    /// State and battery after steps 1 and 2.
-    before: DeviceState,
-    level: u64,
+    /// State and battery, micro-units, after steps 1 and 2.
+    begin_state: DeviceState,
+    begin_level: u64,
     /// State at the end of the TTI.
-    after: DeviceState,
+    end_state: DeviceState,
     /// Totals before and after the TTI.
     totals_before: DeviceTotals,
     totals_after: DeviceTotals,
@@ -137,14 +137,14 @@ fn each_tti(scenario: &Scenario, mut check: impl FnMut(&TtiCourse) -> Checked) -
             before.begin(k);
             let mut ended = after.clone();
             ended.begin(k);
-            let state = ended.state();
+            let end_state = ended.state();
             ended.advance_to(k + 1);
             DeviceTti {
                 costs: deployment.devices[after.id().index()].energy,
                 delta: duty.is_on(k),
-                before: before.state(),
-                level: before.battery().micro(),
-                after: state,
+                begin_state: before.state(),
+                begin_level: before.battery().micro(),
+                end_state,
                 totals_before,
                 totals_after: ended.totals(),
             }
@@ -191,48 +191,49 @@ fn check_balance(device: &DeviceTti, max_fruitless: u64) -> Checked {
     Ok(())
 }
 
-/// Checks that the states of a device follow from δ, its battery and each other.
-fn check_states(device: &DeviceTti, wakes_late: bool) -> Checked {
+/// Checks that the states of a device follow from δ, its battery and each other. `can_wake_late` holds if a wake-up can
+/// come too late for its event.
+fn check_states(device: &DeviceTti, can_wake_late: bool) -> Checked {
     let DeviceTti {
         costs,
         delta,
-        before,
-        level,
-        after,
+        begin_state,
+        begin_level,
+        end_state,
         totals_after,
         ..
     } = device;
     let end_level = totals_after.battery.micro();
-    match before {
+    match begin_state {
         DeviceState::Idle => prop_assert!(delta, "S1 with δ = 0"),
         DeviceState::Sleep { powered: true } => prop_assert!(!delta, "asleep with δ = 1"),
-        DeviceState::Sleep { powered: false } => prop_assert_eq!(*level, 0, "power left"),
+        DeviceState::Sleep { powered: false } => prop_assert_eq!(*begin_level, 0, "power left"),
         DeviceState::Active | DeviceState::Transmission | DeviceState::Failed => {
-            prop_assert!(false, "{:?} before any event", before);
+            prop_assert!(false, "{:?} before any event", begin_state);
         }
     }
-    match after {
+    match end_state {
         DeviceState::Transmission => {
             // Only a sensing device that detected, or a sleeping one with a powered wake-up radio, reports.
             prop_assert!(
-                !matches!(before, DeviceState::Sleep { powered: false }),
+                !matches!(begin_state, DeviceState::Sleep { powered: false }),
                 "reported without power"
             );
-            prop_assert_eq!(end_level + costs.e_tx.micro(), *level);
+            prop_assert_eq!(end_level + costs.e_tx.micro(), *begin_level);
         }
         DeviceState::Sleep { powered: false } => prop_assert_eq!(end_level, 0, "a failed action leaves nothing"),
         DeviceState::Idle | DeviceState::Sleep { powered: true } => {
-            prop_assert_eq!(after, before);
+            prop_assert_eq!(end_state, begin_state);
             // A device that is woken too late pays for it and sleeps again.
-            let is_woken_late = wakes_late && end_level + costs.e_idle.micro() == *level;
+            let is_woken_late = can_wake_late && end_level + costs.e_idle.micro() == *begin_level;
             prop_assert!(
-                end_level == *level || is_woken_late,
+                end_level == *begin_level || is_woken_late,
                 "level {}, at the end {}",
-                level,
+                begin_level,
                 end_level
             );
         }
-        DeviceState::Active | DeviceState::Failed => prop_assert!(false, "{:?} at the end of a TTI", after),
+        DeviceState::Active | DeviceState::Failed => prop_assert!(false, "{:?} at the end of a TTI", end_state),
     }
     Ok(())
 }

@@ -1,6 +1,6 @@
-//! Battery estimates from reported levels (`bs.battery_knowledge = reported`) under `q-learning`, whose harvest stops
-//! unexpectedly. The base station has to infer that from missing reports. The estimates themselves are compared with
-//! the reference implementation in `reference.rs`.
+//! Battery estimates from reported levels (`bs.battery_knowledge = reported`) under `q-learning`, for devices whose
+//! harvest stops unexpectedly. The base station has to infer that from missing reports. The estimates themselves are
+//! compared with the reference implementation in `reference.rs`.
 
 use reveille_bs::observer::{Notification, Observer};
 use reveille_common::ids::{DeviceId, Tti};
@@ -16,15 +16,15 @@ const TTIS: usize = 12_000;
 struct SensingObserver {
     plan: Plan,
     /// Number of devices with δ = 1 in each TTI.
-    sensing_devices: Vec<usize>,
+    sensing_counts: Vec<usize>,
     /// Start of each ended event, and whether it was reported.
     events: Vec<(Tti, bool)>,
 }
 
 impl SensingObserver {
-    fn mean_sensing_devices(&self, ttis: std::ops::Range<usize>) -> f64 {
+    fn mean_sensing_count(&self, ttis: std::ops::Range<usize>) -> f64 {
         let n = ttis.len() as f64;
-        self.sensing_devices[ttis].iter().sum::<usize>() as f64 / n
+        self.sensing_counts[ttis].iter().sum::<usize>() as f64 / n
     }
 
     /// Returns the share of reported events among the events that start in TTI `first` or later.
@@ -42,7 +42,7 @@ impl Observer for SensingObserver {
             Notification::EventEnded(event) => self.events.push((event.start, event.tally.reports > 0)),
             Notification::TtiClosed(k) => {
                 let is_on = |j: &u32| self.plan.duty_cycle(DeviceId(*j)).is_on(*k);
-                self.sensing_devices.push((0..DEVICES).filter(is_on).count());
+                self.sensing_counts.push((0..DEVICES).filter(is_on).count());
             }
             Notification::TtisGranted(_)
             | Notification::EventStarted(_)
@@ -75,20 +75,22 @@ fn run(folder: &TestFolder, knowledge: &str, rows: impl Iterator<Item = u32>) ->
     ]);
     let mut observer = SensingObserver {
         plan: Plan::from_bits([]),
-        sensing_devices: Vec::new(),
+        sensing_counts: Vec::new(),
         events: Vec::new(),
     };
     start(&scenario, ONE_TTI_PER_GRANT).finish(&mut observer);
-    assert_eq!(observer.sensing_devices.len(), TTIS);
+    assert_eq!(observer.sensing_counts.len(), TTIS);
     observer
 }
 
 #[test]
 fn devices_without_harvest_are_planned_ever_less_often() {
     let folder = TestFolder::new();
+    // Two units in each of the first 200 TTIs.
     let observed = run(&folder, "reported", std::iter::repeat_n(2, 200));
+    // By part of 1000 TTIs.
     let means: Vec<f64> = (0..12)
-        .map(|i| observed.mean_sensing_devices(1000 * i..1000 * (i + 1)))
+        .map(|i| observed.mean_sensing_count(1000 * i..1000 * (i + 1)))
         .collect();
     assert!(means[0] > 3.0, "{means:?}");
     assert!(means[11] < 0.5, "still planned after 12000 TTIs: {means:?}");

@@ -17,8 +17,8 @@ fn prepared(policy: &str, knowledge: &str) -> PreparedRun {
     ]))
 }
 
-/// Returns the number of grants and the outcome of the run.
-fn count_grants(prepared: &PreparedRun, lookahead: bool) -> (u64, RunOutcome) {
+/// Runs with or without `lookahead`, and returns the number of grants and the outcome.
+fn run_counting_grants(prepared: &PreparedRun, lookahead: bool) -> (u64, RunOutcome) {
     let mut run = Run::new(
         prepared,
         RunOptions {
@@ -39,8 +39,8 @@ fn count_grants(prepared: &PreparedRun, lookahead: bool) -> (u64, RunOutcome) {
 fn lookahead_saves_grants_and_changes_no_outcome() {
     for policy in ["age-index", "q-learning", "random", "dt", "knn"] {
         let prepared = prepared(policy, "reported");
-        let (grants, outcome) = count_grants(&prepared, true);
-        let (grants_without_lookahead, outcome_without_lookahead) = count_grants(&prepared, false);
+        let (grants, outcome) = run_counting_grants(&prepared, true);
+        let (grants_without_lookahead, outcome_without_lookahead) = run_counting_grants(&prepared, false);
         assert_eq!(outcome, outcome_without_lookahead, "{policy}");
         assert_eq!(grants_without_lookahead, TTIS, "{policy}");
         // With α = 0.2 an event starts on average in at most every fifth TTI, and devices may detect it only in some of
@@ -53,7 +53,7 @@ fn lookahead_saves_grants_and_changes_no_outcome() {
 #[test]
 fn true_battery_levels_prevent_lookahead() {
     let prepared = prepared("q-learning", "oracle");
-    let (grants, outcome) = count_grants(&prepared, true);
+    let (grants, outcome) = run_counting_grants(&prepared, true);
     assert_eq!(grants, TTIS);
-    assert_eq!(outcome, count_grants(&prepared, false).1);
+    assert_eq!(outcome, run_counting_grants(&prepared, false).1);
 }

@@ -128,13 +128,13 @@ async fn notifications_in_memory_and_over_the_bus_are_equal() {
     for (policy, lookahead) in with_lookahead.chain(without_lookahead) {
         let name = policy.name;
         let prepared = prepare_policy(policy, &scarce_energy);
-        let memory = notifications_in_memory(&prepared, lookahead);
-        let bus = notifications_over_bus(&prepared, lookahead, 3).await;
-        for (index, (in_memory, over_bus)) in memory.iter().zip(&bus).enumerate() {
+        let memory_lines = notifications_in_memory(&prepared, lookahead);
+        let bus_lines = notifications_over_bus(&prepared, lookahead, 3).await;
+        for (index, (in_memory, over_bus)) in memory_lines.iter().zip(&bus_lines).enumerate() {
             assert_eq!(in_memory, over_bus, "{name}: notification {index}");
         }
-        assert_eq!(memory.len(), bus.len(), "{name}");
-        let count = |kind: &str| memory.iter().filter(|line| line.starts_with(kind)).count();
+        assert_eq!(memory_lines.len(), bus_lines.len(), "{name}");
+        let count = |kind: &str| memory_lines.iter().filter(|line| line.starts_with(kind)).count();
         for kind in [
             "PlanSent",
             "TtisGranted",

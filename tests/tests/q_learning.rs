@@ -105,7 +105,7 @@ proptest! {
 /// Uses the shipped tables with their usual numbers of devices.
 #[test]
 fn the_choice_with_shipped_tables_equals_the_choice_of_the_reference() {
-    let mut sensing_devices = 0;
+    let mut sensing_count = 0;
     for (window, devices) in [(1, 250), (2, 100), (4, 100)] {
         let scenario = paper(&[
             "policy.name=q-learning",
@@ -128,11 +128,11 @@ fn the_choice_with_shipped_tables_equals_the_choice_of_the_reference() {
         for k in 0..2 * window {
             let levels = draw_levels(devices as usize, &mut stream);
             let chosen = indices(&learner.choose(&levels));
-            sensing_devices += chosen.len();
+            sensing_count += chosen.len();
             assert_eq!(chosen, reference.choose(&table, &levels), "window {window}, TTI {k}");
         }
     }
-    assert!(sensing_devices > 60, "only {sensing_devices} sensing devices");
+    assert!(sensing_count > 60, "only {sensing_count} sensing devices");
 }
 
 #[test]

@@ -242,7 +242,7 @@ fn the_content_of_lost_reports_changes_no_decision() {
     }
 }
 
-/// Each kind of failure shows in its own metric, and only there.
+/// Each of these kinds of failure shows in its own metric, and only there. Late wake-ups are tested below.
 #[test]
 fn every_failure_has_its_metric() {
     let failures = [
@@ -275,14 +275,15 @@ fn every_failure_has_its_metric() {
     }
 }
 
-/// Wake-ups of a run and of the current TTI.
+/// When the wake-ups of a run are sent, and the devices are awake.
 #[derive(Default)]
 struct WakeUpTimes {
     event_start: Tti,
-    /// TTIs in which the wake-ups of the current TTI were sent.
-    sent: Vec<Tti>,
+    /// TTIs in which the wake-ups decided in the current TTI were sent.
+    sent_ttis: Vec<Tti>,
     /// TTIs from the start of the event until the device was awake, and the outcome.
     delays: Vec<(u64, WakeOutcome)>,
+    /// Wake-up latency, TTIs.
     latency: u64,
 }
 
@@ -290,16 +291,18 @@ impl Observer for WakeUpTimes {
     fn notify(&mut self, notification: &Notification<'_>) {
         match notification {
             Notification::EventStarted(event) => self.event_start = event.start,
-            Notification::WakeUpSent { tti, sent, .. } => {
-                let expected_tti = tti.0 + self.sent.len() as u64 * self.latency;
-                assert_eq!(sent.0, expected_tti, "TTI of wake-up {}", self.sent.len());
-                self.sent.push(*sent);
+            Notification::WakeUpSent {
+                tti, sent: sent_tti, ..
+            } => {
+                let expected_tti = tti.0 + self.sent_ttis.len() as u64 * self.latency;
+                assert_eq!(sent_tti.0, expected_tti, "TTI of wake-up {}", self.sent_ttis.len());
+                self.sent_ttis.push(*sent_tti);
             }
             Notification::WakeUpCompleted { outcome, .. } => {
-                let awake_from = self.sent[self.sent.len() - 1].0 + self.latency;
+                let awake_from = self.sent_ttis[self.sent_ttis.len() - 1].0 + self.latency;
                 self.delays.push((awake_from - self.event_start.0, **outcome));
             }
-            Notification::TtiClosed(_) => self.sent.clear(),
+            Notification::TtiClosed(_) => self.sent_ttis.clear(),
             Notification::PlanSent { .. }
             | Notification::TtisGranted(_)
             | Notification::ReportReceived(_)

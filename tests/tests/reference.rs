@@ -195,7 +195,7 @@ fn count_broadcasts(scenario: &Scenario) -> u64 {
 /// Returns the share of each cause of missed events in the `counted` events, %.
 fn cause_metrics(counted: &[&EventRecord]) -> Vec<Row> {
     let share = |cause: &str| {
-        let has_cause = |record: &&&EventRecord| record.miss_cause.is_some_and(|found| found.name() == cause);
+        let has_cause = |record: &&&EventRecord| record.miss_cause.is_some_and(|recorded| recorded.name() == cause);
         100.0 * counted.iter().filter(has_cause).count() as f64 / counted.len() as f64
     };
     vec![

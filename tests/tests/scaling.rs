@@ -96,6 +96,7 @@ fn a_run_scales_with_psi() {
                     "report with {unit_information} for Ψ = 1 has {information}, {case}"
                 );
             }
+            assert_eq!(unit.events.len(), scaled.events.len(), "events, {case}");
             for (unit_information, information) in unit.events.iter().zip(&scaled.events) {
                 // Information of events is rounded to 1e-12.
                 assert!(

@@ -10,7 +10,7 @@ use std::time::Duration;
 const BATCH_PAUSE: Duration = Duration::from_millis(15);
 /// Maximum number of items after the first of a batch. After such a full batch the next one follows
 /// without a pause, so that a fast sender does not wait.
-const MAX_BATCH: usize = 1_000;
+const MAX_FURTHER_ITEMS: usize = 1_000;
 
 /// Niceness of an observing thread.
 #[cfg(target_os = "linux")]
@@ -20,6 +20,7 @@ const OBSERVER_NICENESS: i32 = 10;
 #[derive(Debug)]
 pub struct BatchReceiver<T> {
     items: Receiver<T>,
+    /// Whether the last batch was full.
     was_full: bool,
 }
 
@@ -32,15 +33,15 @@ impl<T> BatchReceiver<T> {
     /// Returns the next batch, of at least one item.
     ///
     /// # Errors
-    /// If no item arrives within `timeout`, or the sender was dropped.
+    /// If no item arrives within `timeout`, or every sender was dropped and no item is left.
     pub fn next(&mut self, timeout: Duration) -> Result<Vec<T>, RecvTimeoutError> {
         let mut batch = vec![self.items.recv_timeout(timeout)?];
         // A full batch means that more is waiting already, and the queue must not fill up.
         if !self.was_full {
             std::thread::sleep(BATCH_PAUSE);
         }
-        batch.extend(self.items.try_iter().take(MAX_BATCH));
-        self.was_full = batch.len() > MAX_BATCH;
+        batch.extend(self.items.try_iter().take(MAX_FURTHER_ITEMS));
+        self.was_full = batch.len() > MAX_FURTHER_ITEMS;
         Ok(batch)
     }
 }

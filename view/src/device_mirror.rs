@@ -41,7 +41,7 @@ pub struct DeviceMirror {
     /// Number of devices that missed the last plan.
     missed_plans: u64,
     plan: Option<Plan>,
-    /// The open grant; `None` before the first one.
+    /// The latest grant; `None` before the first one.
     grant: Option<WorldUpdate>,
     /// Reports and failures still expected from devices with δ = 1 in the last TTI of the grant, in the order of ids.
     expected_reports: VecDeque<Report>,
@@ -94,7 +94,7 @@ impl DeviceMirror {
         }
     }
 
-    /// Current TTI of the devices: the last one of the latest grant.
+    /// Current TTI of the devices: the last one of the latest grant; `None` before TTI 0.
     pub fn current_tti(&self) -> Option<Tti> {
         self.grant.map(|world| world.last)
     }

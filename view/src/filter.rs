@@ -14,8 +14,8 @@ pub struct Filter {
     pub plane: Option<Plane>,
     /// Kinds of messages; empty for all.
     pub kinds: Vec<MessageKind>,
-    /// Devices that a message comes from, goes to or concerns. Messages to all devices pass too. `None` for all
-    /// messages.
+    /// Devices that a message comes from, goes to or concerns. Messages to all devices pass too; an empty list passes
+    /// nothing. `None` for all messages.
     pub devices: Option<Vec<DeviceId>>,
     /// TTIs of the messages.
     pub ttis: Option<RangeInclusive<u64>>,
@@ -96,10 +96,10 @@ impl Filter {
         Tti(self.ttis.as_ref().map_or(0, |ttis| *ttis.start()))
     }
 
-    /// Checks that the criteria do not exclude every frame.
+    /// Checks that the plane excludes none of the kinds.
     ///
     /// # Errors
-    /// If they do; the message uses the terms of the command line.
+    /// If it does; the message uses the terms of the command line.
     pub fn check(&self) -> Result<(), String> {
         let Some(plane) = self.plane else { return Ok(()) };
         match self.kinds.iter().find(|kind| kind.plane() != plane) {

@@ -20,8 +20,8 @@ use reveille_common::units::Energy;
 
 /// Upper bounds of the delay buckets, TTIs.
 const DELAY_BUCKETS: [f64; 9] = [0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 16.0, 32.0];
-/// Number of battery buckets, from empty to the largest E_max.
-const BATTERY_BUCKETS: u64 = 10;
+/// Number of steps between the upper bounds of battery levels, which range from 0 to the largest E_max.
+const BATTERY_STEPS: u64 = 10;
 
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
 struct RunLabels {
@@ -89,7 +89,7 @@ pub struct PrometheusMetrics {
 
 /// Registered metrics.
 struct Handles {
-    tti: Gauge,
+    next_tti: Gauge,
     ttis: Counter,
     grants: Counter,
     events: Counter,
@@ -127,7 +127,7 @@ impl Handles {
             messages: Family::clone(&messages),
             bytes: Family::clone(&bytes),
             delays: Histogram::new(DELAY_BUCKETS),
-            tti: Gauge::default(),
+            next_tti: Gauge::default(),
             ttis: Counter::default(),
             grants: Counter::default(),
             events: Counter::default(),
@@ -149,7 +149,7 @@ impl Handles {
 
     fn register(&self, registry: &mut Registry) {
         let handles = self;
-        registry.register("next_tti", "The next TTI to be granted", handles.tti.clone());
+        registry.register("next_tti", "The next TTI to be granted", handles.next_tti.clone());
         registry.register("ttis", "TTIs that were run", handles.ttis.clone());
         registry.register("grants", "Grants of the virtual clock", handles.grants.clone());
         registry.register("events", "Counted events that have ended", handles.events.clone());
@@ -273,7 +273,7 @@ impl PrometheusMetrics {
         {
             self.handles.grants.inc();
             self.handles.ttis.inc_by(world.last - world.first + 1);
-            self.handles.tti.set((world.last + 1).0.cast_signed());
+            self.handles.next_tti.set((world.last + 1).0.cast_signed());
         }
         if frame.kind == MessageKind::Event
             && let Ok(Message::Event(EventUpdate::Ended(record))) = frame.message()
@@ -345,8 +345,8 @@ impl PrometheusMetrics {
                 .get_or_create(&labels(name))
                 .set(count.cast_signed());
         }
-        for step in 0..=BATTERY_BUCKETS {
-            let upper_bound = Energy::from_micro(self.e_max.micro() * step / BATTERY_BUCKETS);
+        for step in 0..=BATTERY_STEPS {
+            let upper_bound = Energy::from_micro(self.e_max.micro() * step / BATTERY_STEPS);
             let count = views.iter().filter(|view| view.battery <= upper_bound).count() as u64;
             let at_most = upper_bound.units().to_string();
             self.handles
@@ -507,7 +507,7 @@ mod tests {
         let energy_spent_in = |state: &str| value(&format!("reveille_energy_spent_units_total{{state=\"{state}\"}} "));
         assert_close(energy_spent_in("sensing"), spent.sensing.units());
         assert_close(energy_spent_in("report"), spent.report.units());
-        // Counters never fall, and a second request does not count an increment again.
+        // A second request does not count an increment again.
         let second_request = metrics.encode(process, false);
         assert!(
             second_request.contains("reveille_observer_messages_left_out_total 7\n"),

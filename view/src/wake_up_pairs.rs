@@ -40,7 +40,7 @@ pub enum PairStep {
     Unpaired,
     /// Part of a wake-up that is still incomplete.
     Pending,
-    /// Last part of this wake-up.
+    /// Last part of a wake-up, which is complete with it.
     Paired(WakeUpExchange),
 }
 
@@ -62,12 +62,12 @@ impl WakeUpPairer {
                 *open_wake_up = frame.number.map(|number| (DeviceId(number), bytes));
                 PairStep::Pending
             }
-            (MessageKind::Report, Some((device, sum))) if is_for(*device) => {
-                *sum += bytes;
+            (MessageKind::Report, Some((device, bytes_so_far))) if is_for(*device) => {
+                *bytes_so_far += bytes;
                 PairStep::Pending
             }
-            (MessageKind::Woken, Some((device, sum))) if is_for(*device) => {
-                let (device, bytes) = (*device, *sum);
+            (MessageKind::Woken, Some((device, bytes_so_far))) if is_for(*device) => {
+                let (device, bytes) = (*device, *bytes_so_far);
                 self.open_wake_up = None;
                 match message {
                     Ok(Message::Woken(woken)) => PairStep::Paired(WakeUpExchange {

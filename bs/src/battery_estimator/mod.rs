@@ -72,8 +72,8 @@ struct HarvestDoubt {
 }
 
 impl HarvestDoubt {
-    /// Records that the source failed to charge the device or class by TTI `k`.
-    fn record_failure(&mut self, k: Tti) {
+    /// Records the finding in TTI `k` that the source has not charged the device or class.
+    fn record_finding(&mut self, k: Tti) {
         self.outage = k - *self.since.get_or_insert(k);
     }
 }
@@ -221,11 +221,12 @@ impl BatteryEstimate {
         (Energy::from_micro(level).min(e_max.saturating_sub(last_cost)), on_ttis)
     }
 
-    /// Records that the device is empty at the end of TTI `k`, although its estimate was `level`.
+    /// Records that the device is empty at the end of TTI `k`, although its estimate was `level`. The caller sets the
+    /// level to 0.
     fn mark_empty(&mut self, level: Energy, k: Tti) {
         // If the estimate already lay below E_Tx, the silence needs no failed source to explain it.
         if level > Energy::ZERO && level >= self.energy.e_tx {
-            self.doubt.record_failure(k);
+            self.doubt.record_finding(k);
         }
         (self.next_tti, self.expected_reports, self.silence_likelihood) = (k + 1, 0.0, 1.0);
     }
@@ -281,7 +282,8 @@ impl BatteryEstimator {
         }
     }
 
-    /// Levels by device id: the true levels, or the estimates at the end of the last TTI passed to [`Self::advance`].
+    /// Levels by device id: the true levels, or the estimates after the TTIs before the `end` of the last
+    /// [`Self::advance`].
     pub fn levels(&self) -> &[Energy] {
         &self.levels
     }
@@ -352,7 +354,7 @@ impl BatteryEstimator {
     /// Marks a class without any report up to TTI `k` as failing: its devices that were due to report count as empty.
     fn mark_class_empty(&mut self, class: usize, k: Tti) {
         self.classes[class].expected_reports = 0.0;
-        self.classes[class].doubt.record_failure(k);
+        self.classes[class].doubt.record_finding(k);
         for (level, estimate) in self.levels.iter_mut().zip(&mut self.estimates) {
             if usize::from(estimate.class) == class && estimate.expected_reports > 0.0 {
                 (*level, estimate.expected_reports) = (Energy::ZERO, 0.0);
@@ -465,9 +467,9 @@ fn detection_probability(known: &Knowledge, position: Point, directions: &[Point
             let point = Point::new(position.x + d * direction.x, position.y + d * direction.y);
             known.area.contains(point)
         };
-        let inside = directions.iter().filter(is_inside).count() as f64 / f64::from(POINTS_PER_CIRCLE);
+        let inside_share = directions.iter().filter(is_inside).count() as f64 / f64::from(POINTS_PER_CIRCLE);
         // The area of the ring around this circle.
-        detected_area += detection * inside * TAU * d * d_max / f64::from(CIRCLES);
+        detected_area += detection * inside_share * TAU * d * d_max / f64::from(CIRCLES);
     }
     detected_area / known.area.surface()
 }

@@ -82,8 +82,8 @@ const EQUINOX_DAYS: [&str; 4] = [
 #[test]
 fn diurnal_estimates_follow_the_sun_if_its_course_is_known() {
     let asleep = Plan::from_bits([false; 50]);
-    let levels_by_tti = |set: &[&str]| {
-        let mut estimator = BatteryEstimator::new(&load_knowledge(&[&EQUINOX_DAYS, set].concat()));
+    let levels_by_tti = |fields: &[&str]| {
+        let mut estimator = BatteryEstimator::new(&load_knowledge(&[&EQUINOX_DAYS, fields].concat()));
         let levels = (0..48).map(|k| {
             estimator.advance(Tti(k + 1), &asleep);
             estimator.levels()[7].units()
@@ -123,12 +123,8 @@ fn diurnal_estimates_follow_the_sun_if_its_course_is_known() {
 /// The battery is full every evening, so one sum of harvest and cost over all days would be wrong.
 #[test]
 fn one_step_over_several_days_equals_single_steps() {
-    let set = [
-        &EQUINOX_DAYS[..],
-        &["harvest.e_b=25", "energy.e_idle=1.5", "bs.battery_knowledge=reported"],
-    ]
-    .concat();
-    let known = load_knowledge(&set);
+    let fields = [&EQUINOX_DAYS[..], &["harvest.e_b=25", "energy.e_idle=1.5"]].concat();
+    let known = load_knowledge(&fields);
     let cycle = |j: u32| DutyCycle {
         t_on: u32::from(j.is_multiple_of(2)),
         t_drx: 1,
@@ -178,7 +174,7 @@ fn estimates_stay_between_zero_and_e_max() {
 #[test]
 fn a_device_surely_in_range_without_a_report_is_empty() {
     let plan = Plan::from_bits((0..50).map(|j| j % 2 == 0));
-    let known = load_knowledge(&["devices=50", "area.width=9", "area.height=9"]);
+    let known = load_knowledge(&["area.width=9", "area.height=9"]);
     // The event is 1.2 m from device 0, so it is within 4 m of every device within 2.8 m of device 0.
     let first_report = report(0, libm::exp(-1.2), 33);
     let second_report = |j: u32| report(j, libm::exp(-3.9), 21);
@@ -232,33 +228,33 @@ fn silence_counts_once_per_tti_and_not_per_reporter() {
 
 /// The device is woken whenever its estimate allows a report.
 #[test]
-fn gaps_between_requests_to_a_device_that_never_answers_grow() {
+fn gaps_between_wake_ups_of_a_device_that_never_answers_grow() {
     let known = load_knowledge(&[]);
     let (mut estimator, asleep) = (BatteryEstimator::new_estimated(&known), Plan::from_bits([false; 50]));
     let device = DeviceId(7);
-    let mut requests = Vec::new();
+    let mut woken_ttis = Vec::new();
     for k in 0..5000 {
         if estimator.can_report(device, Tti(k), &asleep) {
             estimator.observe_unanswered_wake_up(device, Tti(k), &asleep);
-            requests.push(k);
+            woken_ttis.push(k);
         }
     }
-    let gaps: Vec<u64> = requests.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    let gaps: Vec<u64> = woken_ttis.windows(2).map(|pair| pair[1] - pair[0]).collect();
     // 10 units at 0.4524 − 0.0714 per TTI take 27 TTIs. From the second failure on, 11 units take the time since the
     // first.
     assert_eq!(gaps[..2], [27, 27], "gaps {gaps:?}");
-    for (gap, request) in gaps.iter().zip(&requests).skip(2) {
-        let since_first_request = (request - requests[0]) as f64;
+    for (gap, tti) in gaps.iter().zip(&woken_ttis).skip(2) {
+        let since_first_wake_up = (tti - woken_ttis[0]) as f64;
         assert!(
-            (*gap as f64 - 10.0 / 11.0 * since_first_request).abs() <= 1.0,
+            (*gap as f64 - 10.0 / 11.0 * since_first_wake_up).abs() <= 1.0,
             "gaps {gaps:?}"
         );
     }
-    assert!(requests.len() < 12, "requests in TTIs {requests:?}");
+    assert!(woken_ttis.len() < 12, "woken in TTIs {woken_ttis:?}");
     // A report resets the doubt.
     estimator.observe_level(device, Tti(4999), Energy::ZERO);
-    let next_request = (5000..6000).find(|&k| estimator.can_report(device, Tti(k), &asleep));
-    assert_eq!(next_request, Some(4999 + 27));
+    let next_woken_tti = (5000..6000).find(|&k| estimator.can_report(device, Tti(k), &asleep));
+    assert_eq!(next_woken_tti, Some(4999 + 27));
 }
 
 /// `can_surely_report` saves the exact computation with the plan, so it may only succeed where that one does.
@@ -266,13 +262,13 @@ fn gaps_between_requests_to_a_device_that_never_answers_grow() {
 fn can_report_equals_the_exact_computation() {
     // Cases that need the exact computation are counted by its result.
     let (mut surely_count, mut uncertain_counts) = (0, [0; 2]);
-    for set in [
+    for fields in [
         ["harvest.lambda=0.1", "energy.e_idle=1", "energy.e_max=100"],
         ["harvest.lambda=1", "energy.e_idle=0.01", "energy.e_max=100"],
         ["harvest.lambda=0", "energy.e_idle=1.5", "energy.e_max=30"],
         ["harvest.lambda=1", "energy.e_idle=5", "energy.e_max=13"],
     ] {
-        let known = load_knowledge(&set);
+        let known = load_knowledge(&fields);
         let cycle = |j: u32| DutyCycle {
             t_on: 1 + j % 3,
             t_drx: 3 + j % 7,
@@ -288,7 +284,7 @@ fn can_report_equals_the_exact_computation() {
                 assert_eq!(
                     estimator.can_report(device, Tti(k), &plan),
                     is_payable,
-                    "{set:?}, TTI {k}, device {j}"
+                    "{fields:?}, TTI {k}, device {j}"
                 );
                 let is_sure = estimator.estimates[j as usize].can_surely_report(level, Tti(k + 1));
                 surely_count += usize::from(is_sure);
@@ -345,8 +341,8 @@ fn long_sensing_without_a_report_shows_an_empty_battery() {
             (middle / expected_ttis - 1.0).abs() < 0.02,
             "{kind:?}: {middle} TTIs in the middle, not {expected_ttis}"
         );
-        // In the corner, a quarter of the sensing area is inside the area. Few of the points on each
-        // circle decide it, so the tolerance is larger.
+        // In the corner, a quarter of the sensing area is inside the area. Few of the points on each circle decide it,
+        // so the tolerance is larger.
         assert!(
             (corner / (4.0 * expected_ttis) - 1.0).abs() < 0.15,
             "{kind:?}: {corner} TTIs in the corner, not 4 · {expected_ttis}"
@@ -355,7 +351,7 @@ fn long_sensing_without_a_report_shows_an_empty_battery() {
 }
 
 #[test]
-fn a_silent_device_is_detected_among_reporting_ones() {
+fn a_silent_device_counts_as_empty_among_reporting_ones() {
     let mut known = load_knowledge(&["events.alpha=0.5", "harvest.lambda=1", "harvest.e_b=5"]);
     known.devices[0].position = Point::new(10.0, 10.0);
     let mut estimator = BatteryEstimator::new(&known);
@@ -441,10 +437,10 @@ fn known_levels_are_not_estimated() {
     estimator.advance(Tti(1), &plan);
     assert_eq!(estimator.levels(), levels_before);
     // These are levels before the TTI is paid, so a report needs E_Tx plus E_WuR or E_idle.
-    let reporting_devices: Vec<u32> = (0..50)
+    let devices_able_to_report: Vec<u32> = (0..50)
         .filter(|&j| estimator.can_report(DeviceId(j), Tti(1), &plan))
         .collect();
-    assert_eq!(reporting_devices, (2..50).collect::<Vec<u32>>());
+    assert_eq!(devices_able_to_report, (2..50).collect::<Vec<u32>>());
     estimator.set_true_levels((0..50).map(|_| Energy::from_micro(11_000_000)));
     assert!(estimator.can_report(DeviceId(1), Tti(1), &plan));
 }

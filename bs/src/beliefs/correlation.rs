@@ -16,11 +16,14 @@ const LANES: usize = 2;
 /// Quadrature points for η·`d_max` up to [`BASE_DECAY`].
 const BASE_NODES: f64 = 18.0;
 
-/// η times the step of the grid of bounds, unless d would get more than [`MAX_GRID_ROWS`]. A smaller step gives tighter
-/// bounds and more bands.
+/// Largest number of quadrature points. No valid scenario needs as many; the limit bounds the work for other values.
+const MAX_NODES: f64 = 1024.0;
+
+/// η times the step of the grid of bounds, unless d would get more than [`MAX_GRID_STEPS`]. A smaller step gives
+/// tighter bounds and more bands.
 const GRID_STEP_DECAY: f64 = 0.1;
 /// Largest number of steps of the grid along d.
-const MAX_GRID_ROWS: f64 = 100.0;
+const MAX_GRID_STEPS: f64 = 100.0;
 /// Upper bound on the error of [`Correlation::p42`].
 const QUADRATURE_ERROR: f64 = 1e-6;
 
@@ -43,10 +46,10 @@ pub struct Correlation {
 }
 
 impl Correlation {
-    /// Creates the correlation for the given sensing model. The grid of bounds comes from the cache `grids`.
-    pub fn new(sensing: &Sensing, grids: &BoundsCache) -> Self {
+    /// Creates the correlation for the given sensing model. The bounds come from `cache`, computed if it has none.
+    pub fn new(sensing: &Sensing, cache: &BoundsCache) -> Self {
         let decay_ratio = (sensing.eta * sensing.d_max / BASE_DECAY).max(1.0);
-        let count = (BASE_NODES * decay_ratio.sqrt()).ceil().min(1024.0) as usize;
+        let count = (BASE_NODES * decay_ratio.sqrt()).ceil().min(MAX_NODES) as usize;
         // A node of weight 0 fills the last lane.
         let nodes = gauss_legendre(count).chain(std::iter::once((1.0, 0.0)));
         let (doubled_versines, weights): (Vec<f64>, Vec<f64>) = nodes
@@ -64,7 +67,7 @@ impl Correlation {
             bounds: Arc::default(),
         };
         let key = (sensing.eta.to_bits(), sensing.d_max.to_bits());
-        correlation.bounds = grids.get_or_make(key, || correlation.compute_bounds());
+        correlation.bounds = cache.get_or_make(key, || correlation.compute_bounds());
         correlation
     }
 
@@ -73,7 +76,7 @@ impl Correlation {
     /// point in each coordinate, so the total change is at most ηh.
     fn compute_bounds(&self) -> CorrelationBounds {
         let Sensing { eta, d_max, .. } = self.sensing;
-        let step = (GRID_STEP_DECAY / eta).max(d_max / MAX_GRID_ROWS);
+        let step = (GRID_STEP_DECAY / eta).max(d_max / MAX_GRID_STEPS);
         let rows = (d_max / step).round() as usize + 1;
         let columns = (2.0 * d_max / step).round() as usize + 2;
         // exp(ηh) bounds the change within a grid cell; the other factor covers the rounding of the bound.
@@ -351,9 +354,9 @@ mod tests {
             let (d, gamma) = (4.0 * stream.unit(), 8.0 * stream.unit());
             let p42 = correlation.p42(d, gamma);
             assert!(p42 >= model.p(d + gamma), "d = {d}, γ = {gamma}: {p42}");
-            let (points_per_metre, columns) = correlation.bands_per_metre_and_count();
-            let column = (gamma * points_per_metre + 0.5) as usize;
-            assert!(column < columns, "γ = {gamma}: column {column} of {columns}");
+            let (bands_per_metre, band_count) = correlation.bands_per_metre_and_count();
+            let column = (gamma * bands_per_metre + 0.5) as usize;
+            assert!(column < band_count, "γ = {gamma}: column {column} of {band_count}");
             let band = correlation.bands(d).iter().find(|band| band.column == column);
             assert!(
                 p42 <= band.map_or(correlation.threshold(), |band| band.bound),

@@ -36,7 +36,7 @@ pub struct Ranking {
     reporters: Vec<(DeviceId, f64)>,
     /// Number of the last event for which each device was returned or excluded.
     last_returned_for: Vec<u64>,
-    /// Number of the current event, from 1.
+    /// Number of the current event, from 1; 0 before the first event, when every device counts as returned.
     event_number: u64,
 }
 
@@ -70,6 +70,7 @@ impl Ranking {
         self.queue_band(reporter, 0);
     }
 
+    /// Excludes `device` from the candidates of this event.
     pub(crate) fn exclude(&mut self, device: DeviceId) {
         self.last_returned_for[device.index()] = self.event_number;
     }
@@ -169,7 +170,8 @@ impl RoundedProbability {
     }
 }
 
-/// Kind of a queue entry, which determines the meaning of its number.
+/// Kind of a queue entry, which determines the meaning of its number. `cmp` of [`QueueEntry`] relies on the order of
+/// the variants.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum QueueItem {
     /// A candidate with its probability; the number is the device number.
@@ -245,7 +247,7 @@ mod tests {
     }
 
     /// Points of the midpoint rule for the definition.
-    const POINTS: u32 = 4000;
+    const QUADRATURE_POINTS: u32 = 4000;
 
     /// Computes Pr(`S_j` = S3 | `S_h` = S3) by definition, as the mean of p over the directions φ of the event. The
     /// result is (ln p(|d − γ|), the mean of p/p(|d − γ|)), since p itself may be too small for differences. The points
@@ -253,8 +255,8 @@ mod tests {
     fn mean_over_directions(sensing: &Sensing, d: f64, gamma: f64) -> (f64, f64) {
         let gap = (d - gamma).abs();
         let (mut sum, mut weights) = (0.0, 0.0);
-        for i in 0..POINTS {
-            let t = (f64::from(i) + 0.5) / f64::from(POINTS);
+        for i in 0..QUADRATURE_POINTS {
+            let t = (f64::from(i) + 0.5) / f64::from(QUADRATURE_POINTS);
             let (phi, weight) = (PI * t.powi(4), t.powi(3));
             // A form of the cosine rule without cancellation.
             let half = libm::sin(0.5 * phi);
@@ -298,10 +300,16 @@ mod tests {
             }
         }
 
-        /// Checks that `next` is the best `free` device, within the relative `error` of the integral. No other device
+        /// Asserts that `next` is the best `free` device, within the relative `error` of the integral. No other device
         /// may be better by more than that. Among devices of equal value by symmetry, `next` must have the lowest
         /// number.
-        fn check(&self, next: Option<(DeviceId, f64)>, free: impl Fn(DeviceId) -> bool, error: f64, case: &str) {
+        fn assert_is_best(
+            &self,
+            next: Option<(DeviceId, f64)>,
+            free: impl Fn(DeviceId) -> bool,
+            error: f64,
+            case: &str,
+        ) {
             let floor = -self.sensing.eta * self.sensing.d_max;
             let candidates = (0..self.points.len() as u32).map(DeviceId).filter(|&j| free(j));
             let best_of = |j: DeviceId| self.best[j.index()].filter(|(log, ..)| *log >= floor - error);
@@ -356,7 +364,7 @@ mod tests {
                 |returned: &mut Vec<DeviceId>, ranking: &mut Ranking, definition: &RankingDefinition<'_>| {
                     let next = ranking.next_candidate(is_candidate);
                     let case = format!("case {case}, {layout:?}, decay {decay}");
-                    definition.check(next, |j| is_candidate(j) && !returned.contains(&j), error, &case);
+                    definition.assert_is_best(next, |j| is_candidate(j) && !returned.contains(&j), error, &case);
                     returned.extend(next.map(|(j, _)| j));
                     next.is_some()
                 };

@@ -28,7 +28,8 @@ pub enum Notification<'a> {
         /// Whether it differs from the previous plan; if not, it is sent for synchronisation.
         is_new: bool,
     },
-    /// The devices may advance through these TTIs. Notifications about these TTIs follow.
+    /// The devices may advance through these TTIs. Notifications about these TTIs follow. One grant to the devices can
+    /// consist of several of these in a row, with the plans between them.
     TtisGranted(&'a Grant),
     /// An event has started. Ground truth.
     EventStarted(&'a ActiveEvent),
@@ -86,7 +87,8 @@ pub trait Observer {
     /// Receives a notification.
     fn notify(&mut self, _notification: &Notification<'_>) {}
 
-    /// Whether [`Notification::DeviceStates`] is wanted at the end of the next grant. Called before each grant.
+    /// Whether [`Notification::DeviceStates`] is wanted at the end of the next grant. Called at least once before each
+    /// grant.
     fn wants_states(&self) -> bool {
         false
     }
@@ -195,6 +197,6 @@ pub struct Grant {
     pub last: Tti,
     /// The event that devices may detect in `last`, if any.
     pub stimulus: Option<Stimulus>,
-    /// Last TTI in which the event can be detected.
+    /// Last TTI in which the active event can be detected; TTI 0 if no event is active.
     pub until: Tti,
 }

@@ -7,7 +7,7 @@
 //! device whose battery is low ([`ages::price`]), or with foresight, will be low (`ages::foresight`).
 //!
 //! Wake-ups use the belief over the place of the event, regardless of `bs.ranking`. The prior of the belief is the age
-//! of a place. A newly found event can have started in any TTI of that age, so a place of twice the age is twice as
+//! of a place. A newly reported event can have started in any TTI of that age, so a place of twice the age is twice as
 //! likely. The best candidate is woken while its expected gain is large enough.
 //!
 //! `tests/src/reference/age_index.rs` repeats the calculation, and an untrained `dt` with `miss_cost = 0` must decide
@@ -140,6 +140,7 @@ impl PolicyFactory for AgeIndexSettings {
     }
 }
 
+// The fields, in this order, are part of scenario files, their hashes and docs/scenario.md.
 declare! {
     /// Settings of the policy `age-index`.
     #[derive(Clone, Debug, PartialEq)]

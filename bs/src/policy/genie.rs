@@ -132,7 +132,7 @@ impl Oracle for Genie {
         !self.wake_queue.is_empty()
     }
 
-    /// Wakes the devices again if the radio is lossy, since a later answer can succeed.
+    /// Queues the devices again if the radio is lossy, since a later answer can succeed.
     fn needs_another_wake_up(&mut self) -> bool {
         if self.is_lossy {
             self.wake_queue = self.devices_around(self.epicentre);

@@ -121,6 +121,7 @@ impl PolicyFactory for KnnSettings {
     }
 }
 
+// The fields, in this order, are part of scenario files, their hashes and docs/scenario.md.
 declare! {
     /// Settings of the policy `knn` (Sec. V-A, Algorithm 1).
     #[derive(Clone, Copy, Debug, PartialEq, Eq)]

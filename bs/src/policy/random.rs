@@ -73,6 +73,7 @@ impl PolicyFactory for RandomSettings {
 /// Longest list of t_on or t_DRX to draw from.
 const MAX_LIST_LENGTH: usize = 64;
 
+// The fields, in this order, are part of scenario files, their hashes and docs/scenario.md.
 declare! {
     /// Settings of the policy `random` (Sec. VI). The paper does not state the values that devices draw from.
     #[derive(Clone, Debug, PartialEq, Eq)]

@@ -126,18 +126,18 @@ impl Admission {
         assignment
     }
 
-    /// Whether `pass` belongs to a host whose assignment is valid.
-    pub fn is_valid(&self, pass: HostCredential) -> bool {
-        let entry = self.hosts.get(pass.host.index());
+    /// Whether `credential` belongs to a host whose assignment is valid.
+    pub fn is_valid(&self, credential: HostCredential) -> bool {
+        let entry = self.hosts.get(credential.host.index());
         // The token proves that the message is from this host; its number alone could be guessed.
-        entry.is_some_and(|entry| entry.newcomer.token == pass.token && !entry.is_revoked)
+        entry.is_some_and(|entry| entry.newcomer.token == credential.token && !entry.is_revoked)
     }
 
-    /// Marks the host as ready. Returns whether its assignment is still valid.
-    pub fn mark_ready(&mut self, pass: HostCredential) -> bool {
-        let is_valid = self.is_valid(pass);
+    /// Marks the host of `credential` as ready. Returns whether the credential is valid.
+    pub fn mark_ready(&mut self, credential: HostCredential) -> bool {
+        let is_valid = self.is_valid(credential);
         if is_valid {
-            self.hosts[pass.host.index()].is_ready = true;
+            self.hosts[credential.host.index()].is_ready = true;
         }
         is_valid
     }

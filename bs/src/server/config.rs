@@ -157,7 +157,7 @@ pub struct ServerOutcome {
     pub joining_time: Duration,
     /// The time from the end of joining to the last answer.
     pub running_time: Duration,
-    /// Hosts that ran devices.
+    /// Number of hosts with which the run began; a takeover does not add one.
     pub hosts: usize,
     /// Grants made: barriers over all hosts.
     pub grants: u64,
@@ -167,7 +167,7 @@ pub struct ServerOutcome {
     pub malformed_payloads: u64,
     /// Messages that were dropped because they were unexpected or impossible.
     pub unexpected_messages: u64,
-    /// Duration of each loss of a host.
+    /// Duration of each loss of a host that ended with its return or with a takeover.
     pub loss_durations: Vec<Duration>,
     /// Decisions of policy processes.
     pub decisions: DecisionCounts,

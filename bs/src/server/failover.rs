@@ -186,7 +186,7 @@ impl LostHosts {
         Some((takeover.assignment, now.saturating_duration_since(takeover.lost_at)))
     }
 
-    /// Duration of each loss that is over.
+    /// Duration of each loss that ended with the return of the host or with a takeover.
     pub fn loss_durations(&self) -> &[Duration] {
         &self.loss_durations
     }

@@ -164,6 +164,7 @@ impl ServerState {
         }
     }
 
+    /// Removes the lost host with this assignment for good. The run loop then removes its devices from the session.
     pub(super) fn remove_host(&mut self, assignment: Assignment) {
         self.lost_hosts.drop_host(assignment.host);
         self.admission.revoke(assignment.host);

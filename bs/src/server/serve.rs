@@ -29,7 +29,8 @@ pub struct RunSpec<'a> {
     pub session: Session,
     /// Checkpoint of a resumed run, for its first hosts.
     pub checkpoint: Option<Arc<HostCheckpoint>>,
-    /// Replay that restores the devices of lost hosts and stores external inputs. Without it a lost host ends the run.
+    /// Replay that restores the devices of lost hosts and stores external inputs. Without it no other host can take
+    /// over these devices, and their removal ends the run.
     pub replay: Option<Arc<dyn ReplaySource>>,
     /// Time to wait for a decision at the policy port; `None` if no policy process decides.
     pub decision_timeout: Option<DecisionTimeout>,
@@ -38,7 +39,8 @@ pub struct RunSpec<'a> {
 /// Runs `spec` over `bus`: waits until every device has a host, runs every TTI and collects the ledgers.
 ///
 /// # Errors
-/// If the bus fails, too few devices join, or a host is lost for good.
+/// If the bus fails, too few devices join, a host is lost for good, no decision arrives in time, external inputs cannot
+/// be stored or repeated, or the run is interrupted without a replay.
 pub async fn serve(
     bus: &Bus,
     spec: RunSpec<'_>,

@@ -37,6 +37,7 @@ pub(super) struct ServerState {
     pub(super) pending_actions: Vec<OperatorAction>,
     /// Whether the run loop is deciding which TTIs to grant next, so that `next_tti` is about to change.
     pub(super) is_granting: bool,
+    /// Lost hosts whose loss the log has reported.
     pub(super) warned_hosts: BTreeSet<HostId>,
     /// Whether a host has returned or taken over, so that the last grant must be retransmitted.
     pub(super) needs_retransmit: bool,

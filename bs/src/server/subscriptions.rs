@@ -51,7 +51,7 @@ pub(super) fn declare(
     })?);
     let (shared_state, run_key) = (Arc::clone(shared), settings.run_key);
     guards.push(bus.serve_with_secret(move |command: ClockCommand, shown| {
-        // Asking for the status changes nothing, so anyone may do it.
+        // A request for the status changes nothing, so any client may send it.
         if command != ClockCommand::Status && run_key.is_some_and(|key| shown != Some(key)) {
             return Err(format!(
                 "`{command}` needs the run's key; use the key of the process that started the run"

@@ -127,7 +127,7 @@ pub struct Session {
     views: Vec<DeviceView>,
     /// Whether the observer wants the states at the end of the open TTI.
     wants_states: bool,
-    /// Decisions of an external policy so far.
+    /// Number of decisions of an external policy so far.
     decisions: u64,
     /// Whether the observer has ended the run.
     is_stopped: bool,
@@ -196,7 +196,7 @@ impl Session {
         &mut self.input_queue
     }
 
-    /// Decisions of an external policy that have taken effect, those from the queue included.
+    /// Number of decisions of an external policy that have taken effect, those from the queue included.
     pub const fn decisions(&self) -> u64 {
         self.decisions
     }

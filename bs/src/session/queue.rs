@@ -36,12 +36,12 @@ impl InputQueue {
         self.actions.insert(index, action);
     }
 
-    /// Removals that have not taken effect.
+    /// Number of removals that have not taken effect.
     pub fn removals(&self) -> usize {
         self.removals.len()
     }
 
-    /// Decisions that no request has used.
+    /// Number of decisions that no request has used.
     pub fn decisions(&self) -> usize {
         self.decisions.len()
     }

@@ -22,9 +22,11 @@ pub(super) const PEER_LIMITS: [(&str, &str); 3] = [
     ("transport/unicast/accept_pending", "2000"),
 ];
 
-/// Kinds of messages that only the BS sends to hosts.
+/// Kinds of messages that the BS sends to all hosts. Wake-ups, each to one host, have keys of another form.
 const BS_TO_HOSTS: [MessageKind; 2] = [MessageKind::Clock, MessageKind::Plan];
+/// Kinds of messages that hosts send to the BS.
 const HOSTS_TO_BS: [MessageKind; 2] = [MessageKind::Report, MessageKind::Answer];
+/// Kinds of queries that the BS answers.
 const BS_QUERIES: [MessageKind; 6] = [
     MessageKind::Join,
     MessageKind::Ready,
@@ -37,13 +39,13 @@ const BS_QUERIES: [MessageKind; 6] = [
 /// Returns zenoh's access configuration of the run with these `keys`.
 pub(super) fn access_config(keys: &KeyExprs) -> String {
     let bs_to_hosts: Vec<String> = BS_TO_HOSTS.iter().map(|&kind| keys.to_all_hosts(kind)).collect();
-    let wake_keys = format!("{}/*/*", keys.base_key(MessageKind::Wake));
+    let wake_key = format!("{}/*/*", keys.base_key(MessageKind::Wake));
     let hosts_to_bs: Vec<String> = HOSTS_TO_BS.iter().map(|&kind| keys.uplinks(kind)).collect();
     let queries: Vec<String> = BS_QUERIES.iter().map(|&kind| keys.base_key(kind)).collect();
-    let received = [&bs_to_hosts[..], &[wake_keys, keys.tap()]].concat();
-    let (host_tokens, bs_token) = (vec![keys.all_host_liveliness()], vec![keys.bs_liveliness()]);
+    let received = [&bs_to_hosts[..], &[wake_key, keys.tap()]].concat();
+    let (host_tokens, own_token) = (vec![keys.all_host_liveliness()], vec![keys.bs_liveliness()]);
     let policy_port = vec![keys.policy_port()];
-    let bs_tokens = vec![KeyExprs::all_bs_liveliness().to_owned(), keys.bs_liveliness()];
+    let visible_tokens = vec![KeyExprs::all_bs_liveliness().to_owned(), keys.bs_liveliness()];
     // Ingress is the flow from a peer to the BS, egress the flow from the BS to a peer.
     let rules = [
         rule("send", "ingress", &["put"], &hosts_to_bs),
@@ -53,7 +55,7 @@ pub(super) fn access_config(keys: &KeyExprs) -> String {
             "look",
             "ingress",
             &["declare_liveliness_subscriber", "liveliness_query"],
-            &bs_tokens,
+            &visible_tokens,
         ),
         rule("ask", "ingress", &["query"], &queries),
         rule("decide", "ingress", &["declare_queryable", "reply"], &policy_port),
@@ -61,7 +63,7 @@ pub(super) fn access_config(keys: &KeyExprs) -> String {
         rule("told", "egress", &["put"], &received),
         rule("wanted", "egress", &["declare_subscriber"], &hosts_to_bs),
         rule("answered", "egress", &["declare_queryable", "reply"], &queries),
-        rule("alive", "egress", &["liveliness_token"], &bs_token),
+        rule("alive", "egress", &["liveliness_token"], &own_token),
     ];
     let ids: Vec<String> = rules.iter().map(|(id, _)| format!("{id:?}")).collect();
     let rules: Vec<String> = rules.into_iter().map(|(_, rule)| rule).collect();

@@ -131,16 +131,16 @@ impl Bus {
         self.tap.as_ref().map_or(0, |tap| tap.dropped_frames())
     }
 
-    /// Waits until observers have received all frames so far, for at most `patience`.
+    /// Waits until all frames so far have been sent to observers, for at most `patience`.
     pub async fn flush_observers(&self, patience: Duration) {
         let Some(tap) = &self.tap else { return };
-        let sent = async {
+        let all_sent = async {
             while !tap.is_empty() {
                 tokio::time::sleep(FLUSH_CHECK_INTERVAL).await;
             }
         };
         // A slower observer misses the remaining frames; the run does not wait longer.
-        let _in_time = tokio::time::timeout(patience, sent).await.is_ok();
+        let _in_time = tokio::time::timeout(patience, all_sent).await.is_ok();
     }
 
     /// Whether any observer is connected or a local sink is set.

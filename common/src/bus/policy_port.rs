@@ -19,7 +19,7 @@ use crate::encoding::Encoding;
 pub enum PortReply {
     /// An answer.
     Answer(Vec<u8>, Encoding),
-    /// An error message of the policy process.
+    /// An error message of the policy process, or the complaint that its answer is too long.
     Refusal(String),
 }
 

@@ -84,8 +84,9 @@ impl Bus {
         ))
     }
 
-    /// Repeats a query of type `Q` until it is answered; `None` if there is no answer within `patience`. While
-    /// hundreds of sessions open together, a query can get lost or arrive before zenoh knows the route to its server.
+    /// Repeats a query of type `Q` until it is answered; `None` without an answer. After `patience` no further attempt
+    /// starts, but the last one may still end. While hundreds of sessions open together, a query can get lost or arrive
+    /// before zenoh knows the route to its server.
     ///
     /// # Errors
     /// The errors of [`Self::query`].
@@ -113,7 +114,7 @@ impl Bus {
     /// Sends a query of type `Q`; `None` if there is no answer within `patience`.
     ///
     /// # Errors
-    /// If the answer is not a valid reply, or zenoh refuses.
+    /// If the answer is not a valid reply, or zenoh refuses; [`BusError::Refused`] if the other side refuses.
     pub async fn query<Q>(&self, request: &Q, patience: Duration) -> Result<Option<Q::Reply>, BusError>
     where
         Q: Query<Address = ()>,
@@ -124,7 +125,7 @@ impl Bus {
     /// Sends a query like [`Self::query`], with `secret` instead of the run's key.
     ///
     /// # Errors
-    /// The errors of [`Self::query`]; [`BusError::Refused`] if the other side refuses.
+    /// The errors of [`Self::query`].
     pub(crate) async fn query_with_secret<Q>(
         &self,
         request: &Q,

@@ -219,7 +219,7 @@ async fn open(config: zenoh::Config) -> Result<zenoh::Result<zenoh::Session>, Bu
     std::thread::Builder::new()
         .name("open".to_owned())
         .spawn(move || {
-            // The caller no longer waits. The session is dropped here, which closes it.
+            // If the caller no longer waits, the session is dropped here, which closes it.
             let _unwanted = send.send(open_now(config)).is_err();
         })
         .map_err(|e| BusError::Zenoh(format!("cannot start a thread: {e}")))?;

@@ -34,7 +34,8 @@ pub type FrameSink = dyn Fn(&Frame) + Send + Sync;
 
 /// The BS's side of observation.
 pub struct Tap {
-    is_observed: AtomicBool,
+    /// Whether an observer is connected to the bus.
+    has_bus_observers: AtomicBool,
     sink: OnceLock<Box<FrameSink>>,
     tti: AtomicU64,
     /// The number of the next frame. Locked while that frame is queued: several threads copy messages, and the numbers
@@ -56,7 +57,7 @@ impl Tap {
             .wait()?;
         let (queue, frames) = sync_channel(MAX_QUEUED_FRAMES);
         let tap = Arc::new(Self {
-            is_observed: AtomicBool::new(false),
+            has_bus_observers: AtomicBool::new(false),
             sink: OnceLock::new(),
             tti: AtomicU64::new(0),
             next_number: Mutex::new(0),
@@ -71,7 +72,7 @@ impl Tap {
             .matching_listener()
             .callback(move |status| {
                 if let Some(tap) = weak.upgrade() {
-                    tap.is_observed.store(status.matching(), Ordering::Relaxed);
+                    tap.has_bus_observers.store(status.matching(), Ordering::Relaxed);
                 }
             })
             .background()
@@ -104,7 +105,7 @@ impl Tap {
 
     /// Whether any observer is connected or a local sink is set.
     pub(super) fn is_observed(&self) -> bool {
-        self.is_observed.load(Ordering::Relaxed) || self.sink.get().is_some()
+        self.has_bus_observers.load(Ordering::Relaxed) || self.sink.get().is_some()
     }
 
     /// Copies a message of the emulation plane that the bus carries, if it is observed.
@@ -114,7 +115,7 @@ impl Tap {
         }
     }
 
-    /// Forwards a copy of a message that the bus carries in the current TTI.
+    /// Forwards a copy of a message that the bus carries in the current TTI; `number` is the one of [`Frame`].
     pub(super) fn forward_bytes(&self, kind: MessageKind, number: Option<u32>, payload: &[u8]) {
         self.forward(Frame {
             tti: Tti(self.tti.load(Ordering::Relaxed)),
@@ -133,7 +134,7 @@ impl Tap {
             // numbers.
             sink(&frame);
         }
-        if !self.is_observed.load(Ordering::Relaxed) {
+        if !self.has_bus_observers.load(Ordering::Relaxed) {
             return;
         }
         let number = *next_number;
@@ -187,7 +188,7 @@ mod tests {
     fn frame_numbers_are_consecutive_in_the_queue_with_concurrent_senders() {
         let (queue, frames) = sync_channel(MAX_QUEUED_FRAMES);
         let tap = Tap {
-            is_observed: AtomicBool::new(true),
+            has_bus_observers: AtomicBool::new(true),
             sink: OnceLock::new(),
             tti: AtomicU64::new(0),
             next_number: Mutex::new(0),

@@ -7,7 +7,7 @@ use crate::declare::{quoted_list, truncate};
 /// Values of a file by column and row.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ColumnData<T> {
-    /// The values, at least one row.
+    /// The values, by column and then by row.
     pub values: Vec<Vec<T>>,
     /// The row of the file, from 0, with the first values.
     pub first_row: usize,
@@ -36,7 +36,10 @@ impl<T> ColumnData<T> {
         self.len() == 0
     }
 
-    /// Moves the first `rows` rows, at most all, behind the last one.
+    /// Moves the first `rows` rows behind the last one.
+    ///
+    /// # Panics
+    /// If there are fewer rows.
     pub fn rotate_rows(&mut self, rows: usize) {
         for column in &mut self.values {
             column.rotate_left(rows);
@@ -46,7 +49,7 @@ impl<T> ColumnData<T> {
         }
     }
 
-    /// Removes the first `rows` rows, at most all.
+    /// Removes the first `rows` rows; all if there are fewer.
     pub fn remove_rows_before(&mut self, rows: usize) {
         self.keep_rows(rows..usize::MAX);
     }
@@ -70,6 +73,7 @@ fn keep_range<T>(values: &mut Vec<T>, range: &Range<usize>) {
 pub(super) struct RowCollector<T> {
     data: ColumnData<T>,
     needed_rows: Range<usize>,
+    /// Whether the file has more values than are kept, so that only the needed rows remain.
     is_cut: bool,
 }
 

@@ -117,7 +117,7 @@ pub enum ScenarioError {
     },
 }
 
-/// Returns "; did you mean `…`?" for the candidates nearest to `word`, or an empty text if none is near.
+/// Returns "; did you mean `…`?" for the candidate nearest to `word`, or an empty text if none is near.
 pub(crate) fn did_you_mean<'c>(word: &str, candidates: impl IntoIterator<Item = &'c str>) -> String {
     // The time grows with the length of the word, and a hostile file can hold a name of megabytes.
     const MAX_WORD_CHARS: usize = 64;
@@ -145,7 +145,7 @@ pub fn quoted_list<'n>(names: impl IntoIterator<Item = &'n str>) -> String {
     }
 }
 
-/// Truncates `text` to a length that fits a message.
+/// Truncates `text` to its first line and to a length that fits a message.
 pub fn truncate(text: &str) -> String {
     const MAX_CHARS: usize = 60;
     let line = text.split(['\n', '\r']).next().unwrap_or_default();

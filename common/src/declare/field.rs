@@ -426,6 +426,7 @@ impl Section {
 }
 
 /// A receiver of every active field with its value, in the order of declaration: writes, hashes or compares them.
+/// Active fields are those with a value, in the settings that the choices of a scenario select.
 pub trait FieldSink {
     /// Starts the list item `name` (a device class). The following fields belong to it.
     fn item(&mut self, name: &str);
@@ -439,6 +440,6 @@ pub trait FieldSink {
 
 /// A value with declared fields. [`crate::declare!`] implements it.
 pub trait Visit {
-    /// Passes every active field to `sink`, in the order of declaration.
+    /// Passes every active field to `sink`, in the order of declaration. The scenario hash depends on this order.
     fn visit(&self, sink: &mut dyn FieldSink);
 }

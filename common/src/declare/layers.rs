@@ -71,7 +71,7 @@ impl<'a> Layers<'a> {
         Ok(())
     }
 
-    /// Returns the merged table. Each item of the list gets the sections of the top level, overridden by its own.
+    /// Returns the merged table. Each item of the list gets the sections that it inherits, overridden by its own.
     pub fn finish(mut self) -> Merged<'a> {
         let list = self.declaration.list;
         let inherited: Vec<(&str, DeTable<'a>)> = list

@@ -15,7 +15,7 @@ const MAX_PATH_NAMES: usize = 8;
 /// A field set on the command line, which overrides the preset and the scenario file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Override {
-    /// The option that set the field, for messages.
+    /// The option that set the field, for messages; `--set` with its argument.
     pub(super) flag: Arc<str>,
     /// The path of the field, with at least one name.
     pub(super) path: Vec<String>,

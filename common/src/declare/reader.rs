@@ -92,6 +92,7 @@ impl<'a> FieldReader<'a> {
             .collect()
     }
 
+    /// Returns this reader of an item, which messages then call `name`.
     #[must_use]
     pub(crate) fn with_name(self, name: &str) -> Self {
         let item = self.item.map(|(index, _)| (index, name.to_owned()));
@@ -272,9 +273,10 @@ impl<'a> FieldReader<'a> {
                 ValueOrigin::Unset
             }
         };
-        let (Some((_, shown)), Some(list)) = (&self.item, Some(self.declaration.list)) else {
+        let Some((_, shown)) = &self.item else {
             return (path.to_owned(), self.own_origin(path).cloned().unwrap_or_else(default));
         };
+        let list = self.declaration.list;
         let own = join_path(&join_path(list.name(), shown), self.path_in_table(path));
         let inherited = list.inherits_section(path).then(|| self.origins.get(path));
         match (self.own_origin(path), inherited) {

@@ -29,7 +29,7 @@ pub trait FieldRepr: Sized {
     /// Converts the value, which is valid for the field's type; `None` if the value's type does not match.
     fn from_value(value: FieldValue<'_>) -> Option<Self>;
 
-    /// Returns the value of a field that is not set and has no default.
+    /// Returns the value of a field that is not set and has no default; `None` if the type requires a value.
     fn absent() -> Option<Self> {
         None
     }

@@ -90,7 +90,7 @@ fn costs_and_counts_have_their_closed_forms() {
 }
 
 #[test]
-fn the_duration_of_a_tti_follows_from_the_sources() {
+fn the_duration_of_a_tti_and_the_share_out_of_reach_follow_from_the_scenario() {
     assert_eq!(balance_with(&["harvest.kind=diurnal"]).tti_seconds, [300.0]);
     assert!(balance_with(&[]).share_out_of_reach <= 0.0);
     assert!(balance_with(&["devices=1"]).share_out_of_reach > 0.8);

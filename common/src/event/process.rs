@@ -84,7 +84,8 @@ impl ProcessSettings {
         }
     }
 
-    /// The mean over the TTIs from `first` to before `end` of a run with `seed`; `None` as in [`Self::long_run_alpha`].
+    /// The mean start probability over the TTIs from `first` to before `end` of a run with `seed`; `None` as in
+    /// [`Self::long_run_alpha`].
     pub(super) fn mean_start_probability(&self, seed: u64, first: Tti, end: Tti) -> Option<f64> {
         match self {
             Self::Uniform | Self::HotSpots(_) | Self::Aftershocks(_) => None,

@@ -18,7 +18,7 @@ impl UniformEpicentres {
         self.draw_point(&mut stream)
     }
 
-    /// Draws any point of the area, with two draws from `stream`.
+    /// Draws a uniform point of the area, with two draws from `stream`: x, then y.
     pub(super) fn draw_point(&self, stream: &mut Stream) -> Point {
         Point::new(stream.unit() * self.area.width, stream.unit() * self.area.height)
     }
@@ -39,8 +39,8 @@ crate::declare! {
 #[derive(Clone, Debug)]
 pub(super) struct SteadyStarts {
     seed: u64,
-    /// The gap under the current α.
-    gap: Geometric,
+    /// The distribution of the gap under the current α.
+    gap_distribution: Geometric,
     /// −ln(1 − α) per TTI, `(0, ∞]`, each from a TTI on. The first is from TTI 0 on, the others are changes of α.
     hazards: Vec<(Tti, f64)>,
 }
@@ -49,14 +49,14 @@ impl SteadyStarts {
     pub(super) fn new(seed: u64, alpha: f64) -> Self {
         Self {
             seed,
-            gap: Geometric::new(alpha),
+            gap_distribution: Geometric::new(alpha),
             hazards: vec![(Tti::ZERO, -libm::log1p(-alpha))],
         }
     }
 
     /// Changes α from TTI `from` on, which must not precede the last change.
     pub(super) fn set_alpha(&mut self, from: Tti, alpha: f64) {
-        self.gap = Geometric::new(alpha);
+        self.gap_distribution = Geometric::new(alpha);
         self.hazards.push((from, -libm::log1p(-alpha)));
     }
 
@@ -70,7 +70,7 @@ impl SteadyStarts {
         {
             return self.draw_across_changes(&mut stream, earliest);
         }
-        let gap = self.gap.draw(&mut stream);
+        let gap = self.gap_distribution.draw(&mut stream);
         // Gaps are at least 1, and a gap of 1 means `earliest` itself.
         earliest.saturating_add(gap - 1)
     }

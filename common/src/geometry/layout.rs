@@ -106,8 +106,9 @@ impl Layout {
         }
     }
 
-    /// Passes every field to `sink`.
+    /// Passes every field to `sink`. The scenario hash depends on the order.
     pub fn visit(&self, sink: &mut dyn FieldSink) {
+        // `FileLayout::visit` passes the file, whose positions are hashed instead of its path.
         let settings = Settings {
             kind: self.kind(),
             file: None,
@@ -220,8 +221,9 @@ fn poisson_disk(stream: &mut Stream, area: Area, n: u32) -> Vec<Point> {
 /// hold all darts that a new one can collide with.
 struct Darts {
     points: Vec<Point>,
-    /// The last dart in each cell and, for each dart, the one in its cell before it; [`NO_DART`] for none.
+    /// The last dart in each cell; [`NO_DART`] for none.
     last_in_cell: Vec<u32>,
+    /// For each dart, the one before it in its cell; [`NO_DART`] for none.
     previous_in_cell: Vec<u32>,
     columns: usize,
     rows: usize,
@@ -301,7 +303,7 @@ mod tests {
     }
 
     #[test]
-    fn every_layout_places_n_devices_inside_the_area() {
+    fn random_and_regular_layouts_place_n_devices_inside_the_area() {
         for layout in RANDOM.iter().chain(&REGULAR) {
             for area in [SQUARE, WIDE] {
                 for n in (0..60).chain([250, 1000]) {

@@ -28,12 +28,12 @@ fn surface_outside_disc(centre: Point, cell: &[Point], radius: f64) -> f64 {
     let corner = |i: usize| Point::new(cell[i].x - centre.x, cell[i].y - centre.y);
     let edges = (0..cell.len()).map(|i| (corner(i), corner((i + 1) % cell.len())));
     edges
-        .map(|(from, to)| 0.5 * cross(from, to) - disc_sector(from, to, radius))
+        .map(|(from, to)| 0.5 * cross(from, to) - triangle_in_disc(from, to, radius))
         .sum()
 }
 
 /// The surface that the triangle of the origin, `from` and `to` shares with the disc of `radius` around the origin.
-fn disc_sector(from: Point, to: Point, radius: f64) -> f64 {
+fn triangle_in_disc(from: Point, to: Point, radius: f64) -> f64 {
     let along = Point::new(to.x - from.x, to.y - from.y);
     let sector = |a: Point, b: Point| 0.5 * radius * radius * libm::atan2(cross(a, b), dot(a, b));
     // The edge is `from + t · along`; it crosses the circle at the roots of a quadratic equation in t.

@@ -20,7 +20,8 @@ pub fn farthest_cell_vertex(points: &[Point], area: Area) -> f64 {
 }
 
 /// The Voronoi cell of each of `points`, clipped to `area`: the corners of a convex polygon, anticlockwise seen with y
-/// upwards, in metres. Devices at the same place have the same cell.
+/// upwards, in metres. Devices at the same place have the same cell. Of two devices whose places differ by rounding
+/// errors alone, one may have an empty cell.
 pub fn voronoi_cells(points: &[Point], area: Area) -> Vec<Vec<Point>> {
     let sites = sorted_distinct_sites(points);
     let mut cell_of_site = vec![Vec::new(); sites.len()];

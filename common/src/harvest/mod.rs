@@ -114,7 +114,7 @@ impl Harvest {
         }
     }
 
-    /// Passes every field to `sink`.
+    /// Passes every field to `sink`. The scenario hash depends on the order.
     pub fn visit(&self, sink: &mut dyn FieldSink) {
         Settings { kind: self.kind() }.visit(sink);
         match self {
@@ -163,8 +163,9 @@ impl Harvest {
 
     /// The mean harvest in a TTI of duration `tau`; for a trace, the mean of its first column.
     pub fn mean(&self, tau: f64) -> Energy {
-        let rows = self.trace_columns().first().cloned().map(Arc::new);
-        self.setup(tau, 0).mean(rows.as_slice())
+        // The setup reads trace 0 of the list that `mean` receives, which holds only the first column.
+        let first_column = self.trace_columns().first().cloned().map(Arc::new);
+        self.setup(tau, 0).mean(first_column.as_slice())
     }
 
     /// The largest energy in a TTI.
@@ -241,7 +242,8 @@ impl HarvestSetup {
         micro_per_tti / MICRO_PER_UNIT as f64
     }
 
-    /// Whether the setup is valid for a device: probabilities are shares, and a trace is among the run's `traces`.
+    /// Whether the setup is valid for a device: its arrivals have probabilities within 0 and 1, and a trace is among
+    /// the run's `traces`.
     pub fn is_valid(&self, traces: &[Arc<Vec<Energy>>]) -> bool {
         match self {
             Self::Arrivals(arrivals) => arrivals.is_valid(),
@@ -283,7 +285,7 @@ impl HarvestSetup {
 }
 
 impl SharedSourceData {
-    /// Creates the shared data of sources of the kinds in `setups`. `traces` are the run's traces, energy per TTI by
+    /// Creates the shared data of the sources with these `setups`. `traces` are the run's traces, energy per TTI by
     /// row.
     pub fn new<'a>(setups: impl IntoIterator<Item = &'a HarvestSetup>, traces: Vec<Arc<Vec<Energy>>>) -> Self {
         let mut shared = Self::with_traces(traces);
@@ -365,12 +367,17 @@ mod tests {
     use super::*;
 
     const E_B: Energy = Energy::from_micro(5_000_000);
+    /// Length of a TTI τ in the setup of a source, as in the paper.
+    const TAU: f64 = 1.0;
+    /// The index of a trace, which the sources without a trace ignore.
+    const NO_TRACE: u32 = 0;
+    const SEED: u64 = 11;
 
     fn source_of(harvest: &Harvest, device: u32) -> HarvestSource {
         HarvestSource::new(
-            &harvest.setup(1.0, 0),
+            &harvest.setup(TAU, NO_TRACE),
             &SharedSourceData::default(),
-            11,
+            SEED,
             DeviceId(device),
         )
     }

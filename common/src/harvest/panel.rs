@@ -58,14 +58,14 @@ impl Panel {
                 self.tti_seconds
             ));
         }
-        let converted = if tti_count > MAX_TTIS_PER_COLUMN {
+        let converted_ttis = if tti_count > MAX_TTIS_PER_COLUMN {
             tti_count.min(needed_ttis as f64)
         } else {
             tti_count
         };
-        if converted > MAX_TTIS_PER_COLUMN {
+        if converted_ttis > MAX_TTIS_PER_COLUMN {
             return Err(format!(
-                "the run needs {converted} TTIs of its {rows} rows, and the limit is {MAX_TTIS_PER_COLUMN}; set a \
+                "the run needs {converted_ttis} TTIs of its {rows} rows, and the limit is {MAX_TTIS_PER_COLUMN}; set a \
                  longer harvest.trace.panel.tti_seconds, or fewer ttis"
             ));
         }
@@ -73,11 +73,11 @@ impl Panel {
         let after_last = after_last.copied().unwrap_or(0.0);
         let value = |i: usize| irradiance.get(i).copied().unwrap_or(after_last);
         // The integral up to row i, W/m² times rows.
-        let mut sums = Vec::with_capacity(irradiance.len() + 1);
-        let mut sum = 0.0;
+        let mut integrals = Vec::with_capacity(irradiance.len() + 1);
+        let mut integral = 0.0;
         for i in 0..=irradiance.len() {
-            sums.push(sum);
-            sum += 0.5 * (value(i) + value(i + 1));
+            integrals.push(integral);
+            integral += 0.5 * (value(i) + value(i + 1));
         }
         // Micro-units for 1 W/m² over the time between two rows.
         let micro_per_row = self.units_per_second() * row_seconds * MICRO_PER_UNIT as f64;
@@ -86,13 +86,12 @@ impl Panel {
             let row_position = (tti as f64 / tti_count * rows).min(rows);
             let (i, part) = (row_position as usize, row_position.fract());
             let slope = value(i + 1) - value(i);
-            micro_per_row * (sums[i] + part * (value(i) + 0.5 * part * slope))
+            micro_per_row * (integrals[i] + part * (value(i) + 0.5 * part * slope))
         };
-        let (mut energies, mut previous_sum) = (Vec::with_capacity(converted as usize), 0_u64);
-        for tti in 0..converted as u64 {
-            let end = micro_until(tti + 1);
+        let (mut energies, mut previous_sum) = (Vec::with_capacity(converted_ttis as usize), 0_u64);
+        for tti in 0..converted_ttis as u64 {
             // The cast saturates; a sum that large exceeds MAX_UNITS below anyway.
-            let sum = end.round() as u64;
+            let sum = micro_until(tti + 1).round() as u64;
             let energy = Energy::from_micro(sum.saturating_sub(previous_sum));
             if energy.units() > MAX_UNITS {
                 return Err(format!(

@@ -16,7 +16,7 @@ pub(super) fn expected_energy(p: f64, e_b: Energy) -> Energy {
 /// Data shared by the energy sources of a run: recorded energy, tables to draw gaps from, and hazards of days.
 #[derive(Clone, Debug, Default)]
 pub struct SharedSourceData {
-    /// Recorded energy per TTI, one row per trace.
+    /// The run's traces, energy per TTI by row.
     pub(super) traces: Vec<Arc<Vec<Energy>>>,
     gap_tables: Vec<SharedGapTable>,
     day_hazards: Vec<SharedDayHazards>,
@@ -48,6 +48,7 @@ impl SharedSourceData {
         }
     }
 
+    /// Adds a table of the gaps between arrivals of probability `p`, if there is none.
     pub(super) fn add_gaps(&mut self, p: f64) {
         // Shared by all devices with this probability, since a table costs 4096 logarithms.
         if self.find_gap_table(p).is_none() {
@@ -58,13 +59,13 @@ impl SharedSourceData {
         }
     }
 
-    /// Adds the hazards of a day under `sun`, where `zenith` is the probability of an arrival for an irradiance of 1.
-    pub(super) fn add_hazards(&mut self, sun: &Sun, zenith: f64) {
-        if self.find_hazards(sun, zenith).is_none() {
+    /// Adds the hazards of a day under `sun`, where `zenith_probability` is the one for an irradiance of 1.
+    pub(super) fn add_hazards(&mut self, sun: &Sun, zenith_probability: f64) {
+        if self.find_hazards(sun, zenith_probability).is_none() {
             self.day_hazards.push(SharedDayHazards {
                 sun: *sun,
-                zenith_probability: zenith,
-                hazards: Arc::new(CumulativeHazard::new(sun.arrival_probabilities(zenith))),
+                zenith_probability,
+                hazards: Arc::new(CumulativeHazard::new(sun.arrival_probabilities(zenith_probability))),
             });
         }
     }
@@ -76,10 +77,10 @@ impl SharedSourceData {
     }
 
     /// The hazards of a day under `sun`, shared if available.
-    pub(super) fn hazards(&self, sun: &Sun, zenith: f64) -> Arc<CumulativeHazard> {
-        let known = self.find_hazards(sun, zenith);
+    pub(super) fn hazards(&self, sun: &Sun, zenith_probability: f64) -> Arc<CumulativeHazard> {
+        let known = self.find_hazards(sun, zenith_probability);
         known.map_or_else(
-            || Arc::new(CumulativeHazard::new(sun.arrival_probabilities(zenith))),
+            || Arc::new(CumulativeHazard::new(sun.arrival_probabilities(zenith_probability))),
             Arc::clone,
         )
     }
@@ -89,9 +90,10 @@ impl SharedSourceData {
         self.gap_tables.iter().find(is_same).map(|known| &known.table)
     }
 
-    fn find_hazards(&self, sun: &Sun, zenith: f64) -> Option<&Arc<CumulativeHazard>> {
-        let is_same =
-            |known: &&SharedDayHazards| known.sun == *sun && known.zenith_probability.to_bits() == zenith.to_bits();
+    fn find_hazards(&self, sun: &Sun, zenith_probability: f64) -> Option<&Arc<CumulativeHazard>> {
+        let is_same = |known: &&SharedDayHazards| {
+            known.sun == *sun && known.zenith_probability.to_bits() == zenith_probability.to_bits()
+        };
         self.day_hazards.iter().find(is_same).map(|known| &known.hazards)
     }
 }

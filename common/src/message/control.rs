@@ -31,15 +31,15 @@ impl fmt::Display for Pace {
 /// Emulation, any client → BS, a query: commands to the virtual clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ClockCommand {
-    /// Grant nothing until the next command.
+    /// Grant nothing until a command lets the clock run.
     Pause,
-    /// Grant `n` TTIs, then pause.
+    /// Grant `n` TTIs, then pause. A limit that the clock has not reached yet moves by `n` TTIs instead.
     Step(u64),
     /// Grant TTIs up to but not including this one, then pause.
     RunTo(Tti),
     /// Grant TTIs to the end of the run.
     Resume,
-    /// Continue at this pace.
+    /// Use this pace from now on; a paused clock stays paused.
     Pace(Pace),
     /// Change nothing.
     Status,

@@ -114,12 +114,12 @@ pub struct HostSetup {
     pub radio: RadioSettings,
     /// Its devices, with consecutive ids.
     pub devices: Vec<DeviceSetup>,
-    /// Recorded energy per TTI, one row per trace; the devices' sources refer to the rows.
+    /// The traces of recorded energy per TTI; a device's source refers to one by its index.
     pub traces: Vec<Arc<Vec<Energy>>>,
 }
 
 impl HostSetup {
-    /// Checks every value that could make a device panic.
+    /// Checks the values with which a device would panic, or a host would mix up its devices.
     ///
     /// # Errors
     /// If a value is invalid; describes the first such value.
@@ -150,7 +150,7 @@ impl HostSetup {
         if self
             .resumption
             .as_ref()
-            .is_some_and(|r| r.devices.len() != self.devices.len())
+            .is_some_and(|checkpoint| checkpoint.devices.len() != self.devices.len())
         {
             return Err("its numbers of checkpoints and devices differ".to_owned());
         }
@@ -320,7 +320,7 @@ impl Concerns for HostAnswer {
         match self {
             Self::NotWoken { device: woken, .. } => *woken == device,
             Self::GrantDone { failures, .. } => failures.iter().any(|failure| failure.device == device),
-            Self::Ledgers { ledgers, .. } => ledgers.iter().any(|(owner, _)| *owner == device),
+            Self::Ledgers { ledgers, .. } => ledgers.iter().any(|(id, _)| *id == device),
         }
     }
 }

@@ -103,6 +103,6 @@ pub struct InputLogPart {
 }
 
 impl InputLogPart {
-    /// Length in bytes of every part except the last.
+    /// Minimum length in bytes of every part except the last: a shorter part ends the log.
     pub const MAX_BYTES: u64 = 4 << 20;
 }

@@ -263,7 +263,7 @@ pub enum Plane {
     Air,
     /// Messages that only the emulation needs.
     Emu,
-    /// Ground truth of the modelled world and the BS's conclusions from it; never sent.
+    /// Ground truth of the modelled world, and the BS's conclusions from the reports; never sent.
     Truth,
 }
 

@@ -163,12 +163,12 @@ impl fmt::Display for DeviceStates {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let count = |has_state: fn(DeviceState) -> bool| self.views.iter().filter(|view| has_state(view.state)).count();
         let idle = count(|state| state == DeviceState::Idle);
-        let sent = count(|state| state == DeviceState::Transmission);
+        let reported = count(|state| state == DeviceState::Transmission);
         let asleep = count(|state| state == DeviceState::Sleep { powered: true });
         let unpowered = count(|state| state == DeviceState::Sleep { powered: false });
         write!(
             f,
-            "{idle} sense, {sent} have reported, {asleep} sleep, {unpowered} are unpowered"
+            "{idle} sense, {reported} have reported, {asleep} sleep, {unpowered} are unpowered"
         )
     }
 }
@@ -204,7 +204,7 @@ impl DeviceRemoval {
         let mut removals: Vec<Self> = Vec::new();
         for device in devices {
             match removals.last_mut() {
-                Some(last) if last.last().0 + 1 == device.0 => last.count += 1,
+                Some(removal) if removal.last().0 + 1 == device.0 => removal.count += 1,
                 Some(_) | None => removals.push(Self {
                     first: device,
                     count: 1,

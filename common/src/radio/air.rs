@@ -133,12 +133,12 @@ impl FalseWakeUps {
         }
     }
 
-    /// The next false wake-up.
+    /// The TTI of the next false wake-up; [`Tti::NEVER`] without one.
     pub const fn next(&self) -> Tti {
         self.next_tti
     }
 
-    /// Takes the next false wake-up and returns the one after it.
+    /// Takes the next false wake-up and returns the TTI of the one after it.
     pub fn advance(&mut self) -> Tti {
         self.next_tti = self
             .next_tti

@@ -103,8 +103,8 @@ impl RadioSettings {
         })
     }
 
-    /// Passes every field to `sink`. A radio that never fails passes none, so that it equals no radio, in fingerprints
-    /// too.
+    /// Passes every field to `sink`. A perfect radio passes none: the scenario hash is then the one of a scenario
+    /// without these fields.
     pub fn visit(&self, sink: &mut dyn FieldSink) {
         if self.is_perfect() {
             return;
@@ -131,7 +131,7 @@ impl RadioSettings {
         }
     }
 
-    /// Whether the radio never fails.
+    /// Whether the radio never fails and wakes devices without latency.
     pub fn is_perfect(&self) -> bool {
         *self == Self::default()
     }
@@ -166,7 +166,7 @@ impl RadioSettings {
         }
     }
 
-    /// Whether a wake-up sent in TTI `sent` wakes a device too late for an event that ends after TTI `until`.
+    /// Whether a wake-up sent in TTI `sent` wakes a device too late for an event whose last TTI is `until`.
     pub const fn is_late(&self, sent: Tti, until: Tti) -> bool {
         sent.saturating_add(self.wake_latency).0 > until.0
     }

@@ -130,7 +130,7 @@ fn burst_losses_have_the_mean_rates() {
 }
 
 #[test]
-fn bursts_do_not_depend_on_the_user_or_the_order_of_reads() {
+fn bursts_do_not_depend_on_which_ttis_are_read() {
     let radio = RadioSettings {
         bursts: Some(InterferenceBursts {
             burst_ttis: 3.0,

@@ -34,7 +34,7 @@ pub struct DeviceClass {
 
 impl DeviceClass {
     /// Reads the classes from `reader`, for a run with the settings `run` on `area`; a scenario without classes gets a
-    /// default one. The flag of each class tells whether its fields specify its members, see [`check_shares`].
+    /// default one. The flag of each class tells whether its fields specify its members, see [`resolve_members`].
     pub(super) fn read_all(
         reader: &FieldReader<'_>,
         run: &RunSettings,
@@ -124,7 +124,7 @@ impl DeviceClass {
 /// Checks that the members of all classes are determined. With `is_set_by_layout`, the layout's file names the class of
 /// each device, and all classes get [`Members::Layout`]. Otherwise every class must specify its members in its own
 /// fields (its flag in `specify_members`), and the shares must add up to 1.
-pub(super) fn check_shares(
+pub(super) fn resolve_members(
     reader: &FieldReader<'_>,
     classes: &mut [DeviceClass],
     specify_members: &[bool],

@@ -75,7 +75,7 @@ pub struct Site<'s> {
     pub devices: u32,
     /// The served area ξ.
     pub area: Area,
-    /// The positions of the devices.
+    /// The layout of the devices. It holds positions only if they come from a file.
     pub layout: &'s Layout,
     /// The sensing model.
     pub sensing: &'s Sensing,

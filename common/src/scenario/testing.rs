@@ -26,6 +26,7 @@ impl Visit for NoSettings {
 impl PolicyKind for StubPolicy {
     type Settings = NoSettings;
 
+    // The default of `policy.name`.
     fn name(&self) -> &'static str {
         "knn"
     }

@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 
 use super::class_assignment::try_assign_classes;
 use super::class_members::Members;
-use super::classes::{DeviceClass, check_shares};
+use super::classes::{DeviceClass, resolve_members};
 use super::model::{LoadedScenario, Scenario};
 use super::policy::{Policies, PolicyChoice, PolicyKind};
 use super::run::{BsSettings, PolicyName, RunSettings};
@@ -48,7 +48,7 @@ pub(super) fn validate<K: PolicyKind>(
         .map(|class| class.name.as_str())
         .collect();
     let layout = Layout::from_fields(reader, area, run.devices, &names)?;
-    check_shares(reader, &mut classes, &specify_members, layout.classes().is_some())?;
+    resolve_members(reader, &mut classes, &specify_members, layout.classes().is_some())?;
     let name = PolicyName::read(reader)?.name;
     let Some(&kind) = policies.iter().find(|policy| policy.name() == name) else {
         return Err(reader.invalid_value("policy.name", name, "must be the name of a policy"));

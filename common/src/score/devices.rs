@@ -36,12 +36,13 @@ impl EventActivity {
         reports: 1,
         ..Self::NONE
     };
-    /// The activity of a device that was woken and did not report.
+    /// The activity of a device that was woken and brought no report to the BS.
     pub(super) const WOKEN: Self = Self {
         wake_ups: 1,
         heard: 1,
         ..Self::NONE
     };
+    /// The activity of a device that was woken and reported to the BS.
     pub(super) const WOKEN_REPORT: Self = Self {
         reports: 1,
         ..Self::WOKEN

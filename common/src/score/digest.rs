@@ -1,10 +1,11 @@
 //! The digest of a run, by which runs are compared: replay, audit, resumption and the recorded digests in
 //! `tests/digests/`.
 //!
-//! SHA-256 over the run's history, in the order of TTIs: events, reports, wake-ups and their outcomes, changes of the
-//! δ plan. Each device's ledger by id and the totals behind the metrics follow. The digest holds no data per TTI, so
-//! that a driver may skip quiet TTIs. It does not depend on the encoding of messages: fields are hashed, each as 64
-//! bits. A change of the hashed data, its order or a tag raises [`DIGEST_VERSION`].
+//! SHA-256 over the run's history, in the order of TTIs: events, reports, wake-ups and their outcomes, changes of the δ
+//! plan, removals and actions of operators. Each device's ledger by id and the totals behind the metrics follow. The
+//! digest holds no data per TTI, so that a driver may skip quiet TTIs. It does not depend on the encoding of messages:
+//! fields are hashed in words of 64 bits, except the bits of a plan. A change of the hashed data, its order or a tag
+//! raises [`DIGEST_VERSION`].
 
 use std::fmt;
 
@@ -149,14 +150,14 @@ impl DigestBuilder {
 
     /// Adds a wake-up sent to `device` in `tti`.
     pub fn add_wake_up(&mut self, tti: Tti, device: DeviceId, outcome: &WakeOutcome) {
-        let (kind, drained) = match outcome {
+        let (kind, energy) = match outcome {
             WakeOutcome::Reported(_) => (0, Energy::ZERO),
             WakeOutcome::Failed(failure) => (1, failure.drained_energy),
             WakeOutcome::Missed => (2, Energy::ZERO),
             WakeOutcome::Lost(_) => (3, Energy::ZERO),
             WakeOutcome::Late { spent, .. } => (4, *spent),
         };
-        self.hash_words(b'W', [tti.0, u64::from(device.0), kind, drained.micro()]);
+        self.hash_words(b'W', [tti.0, u64::from(device.0), kind, energy.micro()]);
         match outcome {
             WakeOutcome::Reported(report) => self.add_report(report),
             WakeOutcome::Lost(report) => self.add_lost_report(report),

@@ -87,7 +87,7 @@ impl MetricInputs<'_> {
     }
 
     /// Returns `sum` per reported event.
-    fn per_detection(&self, sum: f64) -> f64 {
+    fn per_reported_event(&self, sum: f64) -> f64 {
         let EventTotals {
             events, misdetected, ..
         } = self.totals.events;
@@ -188,7 +188,7 @@ metrics! {
         /// Detection delay: TTIs from an event's start to its first report (0: in the same TTI), mean over the reported
         /// events.
         detection_delay_ttis: "TTIs", "mean detection delay, TTIs" =
-            |run| run.per_detection(run.totals.events.delay_ttis as f64);
+            |run| run.per_reported_event(run.totals.events.delay_ttis as f64);
         /// 95th percentile of the detection delay.
         detection_delay_p95_ttis: "TTIs", "detection delay, TTIs, 95th percentile" =
             |run| {

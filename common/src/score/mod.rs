@@ -255,7 +255,7 @@ impl Score {
                 self.count_uplink(report);
                 let current = self.open_event();
                 current.tally.reports += 1;
-                // Refinement ends with the last report, not with later wake-ups that bring none.
+                // The wake-up span ends with the last report, not with later wake-ups that bring none.
                 current.wake_ups_until_last_report = current.last_wake_ups.1;
                 self.add_activity(device, EventActivity::WOKEN_REPORT);
                 self.count_far_report(device, is_far);

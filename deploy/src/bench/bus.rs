@@ -19,10 +19,15 @@ const DEFAULT_DEVICES: u32 = 50;
 
 /// One repetition of one row. The first five fields are rates: TTIs, or rounds of a bare barrier, per second.
 struct BusSample {
+    /// A bare barrier over zenoh.
     bare: f64,
+    /// A barrier over unix sockets.
     unix: f64,
+    /// The emulator without lookahead.
     stepped: f64,
+    /// The emulator without lookahead, with untuned device processes.
     untuned: f64,
+    /// The emulator with lookahead.
     lookahead: f64,
     ready_s: f64,
     rss_mb: f64,

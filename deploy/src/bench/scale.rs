@@ -13,13 +13,13 @@ use crate::runtime::median;
 /// Device count at which `--keep-density` keeps the preset's area, as its help states, and the area's side in metres.
 const REFERENCE_DEVICES: f64 = 50.0;
 const PRESET_SIDE_M: f64 = 20.0;
-/// Nanoseconds per second.
 const NANOS_PER_SECOND: f64 = 1e9;
 
 /// One repetition of one row: the summaries of the same run in each mode.
 struct ScaleSample {
     memory: Value,
     bus: Value,
+    /// Over the bus without lookahead.
     stepped: Value,
 }
 

@@ -8,8 +8,9 @@ use clap::{Command, Subcommand};
 
 use crate::display::wrap_text;
 
-/// Columns of a line of the list, and of the names of commands in it.
+/// Most columns of a line of the list.
 const WIDTH: usize = 80;
+/// Columns for the name of a command in the list, with the indent of two.
 const NAME_WIDTH: usize = 13;
 /// Help of the command that clap adds.
 const HELP_ABOUT: &str = "Print this message or the help of a command";

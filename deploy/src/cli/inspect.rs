@@ -156,7 +156,7 @@ pub(crate) struct ExportArgs {
     pub file: Option<PathBuf>,
     /// Format of the output file.
     #[arg(long, value_enum, requires = "file")]
-    pub to: Option<ToArg>,
+    pub to: Option<ExportFormatArg>,
     /// File to write [default: the recording's name with the extension of the format].
     #[arg(long, short, requires = "file")]
     pub out: Option<PathBuf>,
@@ -185,7 +185,7 @@ pub(crate) struct ExportArgs {
 
 /// Export format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(crate) enum ToArg {
+pub(crate) enum ExportFormatArg {
     /// Packets with virtual time, for Wireshark and tshark.
     Pcapng,
     /// Perfetto trace: one track per device with its states and battery, and arrows from wake-ups.
@@ -196,9 +196,9 @@ pub(crate) enum ToArg {
     Parquet,
 }
 
-impl ToArg {
+impl ExportFormatArg {
     /// The usual extension of such files, without the dot.
-    pub(crate) const fn ending(self) -> &'static str {
+    pub(crate) const fn extension(self) -> &'static str {
         match self {
             Self::Pcapng => "pcapng",
             Self::Perfetto => "perfetto-trace",

@@ -33,8 +33,8 @@ pub(crate) use figures::{
     other_figures,
 };
 pub(crate) use inspect::{
-    ColourArg, DashboardArgs, ExportArgs, InspectCommand, InspectRecordArgs, MissesArgs, StatsArgs, TailArgs, ToArg,
-    VerifyArgs,
+    ColourArg, DashboardArgs, ExportArgs, ExportFormatArg, InspectCommand, InspectRecordArgs, MissesArgs, StatsArgs,
+    TailArgs, VerifyArgs,
 };
 pub(crate) use parse::most_similar_name;
 pub(crate) use report::{ReportArgs, ReportCommand, SearchArgs};

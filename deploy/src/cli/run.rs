@@ -138,18 +138,22 @@ pub(crate) struct ActionArgs {
 }
 
 impl ActionArgs {
-    /// Adds the scripted actions to the inputs `given` for the run of `scenario`.
+    /// Adds the scripted actions to the `recorded_inputs`, if any, for the run of `scenario`.
     ///
     /// # Errors
     /// If the script cannot be read, or a line is not an action of the run.
-    pub(crate) fn read(&self, scenario: &Scenario, given: Option<ExternalInputs>) -> anyhow::Result<ExternalInputs> {
-        let mut inputs = given.unwrap_or_default();
+    pub(crate) fn read(
+        &self,
+        scenario: &Scenario,
+        recorded_inputs: Option<ExternalInputs>,
+    ) -> anyhow::Result<ExternalInputs> {
+        let mut inputs = recorded_inputs.unwrap_or_default();
         if let Some(path) = &self.actions {
-            let named = || format!("--actions {}", path.display());
-            let text = std::fs::read_to_string(path).with_context(named)?;
+            let option = || format!("--actions {}", path.display());
+            let text = std::fs::read_to_string(path).with_context(option)?;
             inputs
                 .actions
-                .extend(action_script::parse(&text, scenario).with_context(named)?);
+                .extend(action_script::parse(&text, scenario).with_context(option)?);
         }
         Ok(inputs)
     }

@@ -214,9 +214,9 @@ impl DtArgs {
 impl TrainArgs {
     /// Returns the scenario options.
     pub(crate) fn scenario(&self) -> anyhow::Result<ScenarioArgs> {
-        let fields = ["policy.q-learning.window", "policy.q-learning.ages"];
-        let is_window = |set: &&String| fields.contains(&set.split('=').next().unwrap_or_default().trim());
-        if let Some(set) = self.set.iter().find(is_window).filter(|_| !self.windows.is_empty()) {
+        let lookback_fields = ["policy.q-learning.window", "policy.q-learning.ages"];
+        let sets_lookback = |set: &&String| lookback_fields.contains(&set.split('=').next().unwrap_or_default().trim());
+        if let Some(set) = self.set.iter().find(sets_lookback).filter(|_| !self.windows.is_empty()) {
             bail!("--set {set}: a training takes it from --windows; leave one of them out");
         }
         let mut set = self.set.clone();

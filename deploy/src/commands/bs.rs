@@ -54,10 +54,10 @@ const OBSERVER_DRAIN_TIMEOUT: Duration = Duration::from_secs(1);
 /// Serves a run to device processes started separately.
 pub(crate) async fn run(args: &BsArgs) -> anyhow::Result<ExitCode> {
     let started = crate::runtime::now();
-    let (scenario, given) = resolve_run(&args.scenario, &args.output)?;
+    let (scenario, recorded_inputs) = resolve_run(&args.scenario, &args.output)?;
     check_watchers(&args.output, &args.drive)?;
-    let policy_source = policy_source(&scenario, given.as_ref(), &args.drive)?;
-    let inputs = args.actions.read(&scenario, given)?;
+    let policy_source = policy_source(&scenario, recorded_inputs.as_ref(), &args.drive)?;
+    let inputs = args.actions.read(&scenario, recorded_inputs)?;
     file_limits::ensure_for_unknown_processes(scenario.run.devices)?;
     // Installed before the bus and the folder exist, so that no signal can leave something half made.
     let signals = Signals::install(SignalMode::SavesResults)?;
@@ -116,7 +116,7 @@ pub(crate) struct Service<'a> {
     pub scenario: &'a Scenario,
     /// Server settings of the run.
     pub settings: ServerConfig,
-    /// Options for the display of results.
+    /// Options for the results and their display.
     pub output: &'a OutputArgs,
     /// Address of the dashboard, if it is served.
     pub dashboard: Option<&'a str>,
@@ -351,8 +351,8 @@ async fn run_over_bus(
         bail!("{why}");
     }
     // An interrupted run may leave logged decisions unused; a complete run that does so had the wrong log.
-    let has_used_all = !served.outcome.is_complete || served.unused_decisions == 0;
-    ensure!(has_used_all, input_log::MISMATCH);
+    let fits_log = !served.outcome.is_complete || served.unused_decisions == 0;
+    ensure!(fits_log, input_log::MISMATCH);
     match audited {
         Ok(audited) => Ok((served, audited.to_string())),
         Err(divergence) => bail!(

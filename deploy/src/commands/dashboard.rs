@@ -29,7 +29,8 @@ pub(crate) async fn run(args: &DashboardArgs) -> anyhow::Result<ExitCode> {
     Ok(ExitReason::Done.into())
 }
 
-/// Returns a feed with the whole recording at `path`. Calls `on_frame` with every frame.
+/// Returns a feed with the recording at `path`, up to the first damage. Calls `on_frame` with every frame that can be
+/// read.
 fn feed_from_recording(
     path: &Path,
     compared: Option<ComparedRun>,

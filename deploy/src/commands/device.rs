@@ -27,12 +27,12 @@ pub(crate) async fn run(args: &DeviceArgs) -> anyhow::Result<ExitCode> {
     let signals = Signals::install(SignalMode::HasNoResults)?;
     file_limits::ensure_for_device_process()?;
     // `up` reports on behalf of its children.
-    let is_alone = args.parent.is_none();
+    let is_standalone = args.parent.is_none();
     let report = |event: HostEvent| match event {
-        HostEvent::Joined(host, first, last) if is_alone => {
+        HostEvent::Joined(host, first, last) if is_standalone => {
             note!("joined run {} as host {host} with devices {first} to {last}", args.run);
         }
-        HostEvent::StandsBy if is_alone => {
+        HostEvent::StandsBy if is_standalone => {
             note!(
                 "all devices of run {} have a host; standing by to take over lost devices",
                 args.run
@@ -48,9 +48,13 @@ pub(crate) async fn run(args: &DeviceArgs) -> anyhow::Result<ExitCode> {
         max_devices: args.count,
         name: format!("the process with pid {}", std::process::id()),
         key,
-        patience: if is_alone { args.connect_timeout } else { CHILD_PATIENCE },
+        patience: if is_standalone {
+            args.connect_timeout
+        } else {
+            CHILD_PATIENCE
+        },
         stands_by: true,
-        // Tuned processes handle messages on the thread that delivers them.
+        // Tuned processes handle messages on the thread that delivers them, if their devices are few.
         uses_worker: args.untuned,
     };
     let work = async {
@@ -63,7 +67,7 @@ pub(crate) async fn run(args: &DeviceArgs) -> anyhow::Result<ExitCode> {
     match signals.unless_interrupted(work).await {
         Some(Ok(())) => Ok(ExitReason::Done.into()),
         // `up` ended the run and reports the cause; its child has not failed.
-        Some(Err(HostError::RunFailed(_))) if !is_alone => Ok(ExitReason::Done.into()),
+        Some(Err(HostError::RunFailed(_))) if !is_standalone => Ok(ExitReason::Done.into()),
         Some(Err(error)) => Err(error.into()),
         None => Ok(ExitReason::Interrupted.into()),
     }

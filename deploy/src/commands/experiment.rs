@@ -17,7 +17,7 @@ pub(super) fn build_experiment(file: Option<&Path>, args: &GridArgs) -> anyhow::
         Some(path) => ExperimentBuilder::load(path)?,
         None => ExperimentBuilder::default(),
     };
-    let experiment = options(args)?.with_defaults_from(file).build()?;
+    let experiment = builder_from_options(args)?.with_defaults_from(file).build()?;
     check_policies(&experiment)?;
     Ok(experiment)
 }
@@ -42,8 +42,8 @@ fn check_policies(experiment: &Experiment) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn options(args: &GridArgs) -> anyhow::Result<ExperimentBuilder> {
-    let mut draft = ExperimentBuilder {
+fn builder_from_options(args: &GridArgs) -> anyhow::Result<ExperimentBuilder> {
+    let mut builder = ExperimentBuilder {
         scenario: args.scenario.clone(),
         base_dir: PathBuf::new(),
         seed_count: args.seeds,
@@ -60,7 +60,7 @@ fn options(args: &GridArgs) -> anyhow::Result<ExperimentBuilder> {
     ] {
         if let Some(values) = values {
             let texts = values.iter().filter(|text| !text.trim().is_empty());
-            draft.add_axis(flag, path, texts.map(|text| parse_value(text)).collect())?;
+            builder.add_axis(flag, path, texts.map(|text| parse_value(text)).collect())?;
         }
     }
     for text in &args.grid {
@@ -74,17 +74,17 @@ fn options(args: &GridArgs) -> anyhow::Result<ExperimentBuilder> {
             parts.map(parse_value).collect()
         };
         let path = path.trim();
-        draft.add_axis(&format!("--grid {path}"), path, values)?;
+        builder.add_axis(&format!("--grid {path}"), path, values)?;
     }
     for text in &args.set {
         let Some((path, value)) = text.split_once('=') else {
             bail!("--set {text}: must be FIELD=VALUE, such as sensing.d_max=5");
         };
         let option = format!("--set {}", text.trim());
-        let path = draft.rename(path.trim(), &option);
-        draft.set.insert(path, (parse_value(value), option));
+        let path = builder.rename(path.trim(), &option);
+        builder.set.insert(path, (parse_value(value), option));
     }
-    Ok(draft)
+    Ok(builder)
 }
 
 /// Parses a TOML value; a bare word becomes a string.

@@ -141,8 +141,8 @@ fn report_command(args: &ReportArgs) -> String {
     )
 }
 
-/// Inserts `parts` between their marks in the optional page.
-fn insert_into_page(page: Option<&Path>, parts: &[PageSection]) -> anyhow::Result<()> {
+/// Inserts `sections` between their marks in the optional page.
+fn insert_into_page(page: Option<&Path>, sections: &[PageSection]) -> anyhow::Result<()> {
     let Some(path) = page else { return Ok(()) };
     let text = fs::read_to_string(path).with_context(|| {
         format!(
@@ -150,7 +150,7 @@ fn insert_into_page(page: Option<&Path>, parts: &[PageSection]) -> anyhow::Resul
             path.display()
         )
     })?;
-    let filled = fill_page(&text, parts).with_context(|| path.display().to_string())?;
+    let filled = fill_page(&text, sections).with_context(|| path.display().to_string())?;
     replace(path, filled.as_bytes()).with_context(|| format!("--page {}: cannot write the page", path.display()))?;
     display::print_stdout(&format!("{}\n", path.display()))?;
     Ok(())

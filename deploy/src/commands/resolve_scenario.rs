@@ -17,7 +17,7 @@ use crate::run_folder::{self, SCENARIO_FILE};
 pub(super) const REPLAY_PREFIX: &str = "replay=";
 
 /// Returns the scenario of a run, from the folder that it resumes in or from the command line. Also returns the
-/// decisions of `--policy replay=FILE`, if given.
+/// external inputs in the log of `--policy replay=FILE`, if given.
 pub(super) fn resolve_run(
     args: &ScenarioArgs,
     output: &OutputArgs,
@@ -55,17 +55,17 @@ fn resolve_new(args: &ScenarioArgs) -> anyhow::Result<(Scenario, Option<External
         ..args.clone()
     };
     // Without other options the scenario is the one in the log's run folder.
-    let own_scenario = log_path.with_file_name(SCENARIO_FILE);
+    let log_folder_scenario = log_path.with_file_name(SCENARIO_FILE);
     let has_options = args.is_given();
-    if !has_options && own_scenario.is_file() {
-        args.scenario = own_scenario.to_string_lossy().into_owned();
+    if !has_options && log_folder_scenario.is_file() {
+        args.scenario = log_folder_scenario.to_string_lossy().into_owned();
     }
     // Set after `is_given`, for which only the user's own options count.
     args.policy = Some(outside::EXTERNAL_NAME.to_owned());
     let scenario = resolve_with_loader(&args, load_with_external)?;
     let inputs = input_log::read_nonempty(&log_path, &scenario).map_err(|error| {
         let hint = match error.downcast_ref() {
-            Some(InputLogError::Scenario) if has_options && own_scenario.is_file() => {
+            Some(InputLogError::Scenario) if has_options && log_folder_scenario.is_file() => {
                 "; leave out the other scenario options to use the scenario in the folder of the log"
             }
             Some(InputLogError::Scenario) => "; use the scenario and seed of the logged run",
@@ -106,8 +106,8 @@ fn find_replay_log(path: &Path) -> anyhow::Result<PathBuf> {
     ))
 }
 
-/// Returns the scenario of the run folder or scenario file `run` with the other options, or without `run` the command
-/// line's scenario; with a policy of this program.
+/// Returns the scenario of the run folder or scenario file `run`, changed by the other options. Without `run`, returns
+/// the command line's scenario. The policy must be one of this program.
 pub(super) fn resolve_of_run(run: Option<&Path>, args: &ScenarioArgs) -> anyhow::Result<Scenario> {
     let Some(run) = run else {
         return resolve(args);

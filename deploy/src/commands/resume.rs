@@ -52,7 +52,7 @@ impl ResumePlan {
     /// Creates the plan to resume the `prepared` run in this `folder`.
     ///
     /// # Errors
-    /// The folder cannot be read or does not match the run, or `progress` asks the run to stop.
+    /// If the folder cannot be read or does not match the run, or `progress` asks the run to stop.
     pub(super) fn from_folder(
         folder: &Path,
         prepared: &PreparedRun,
@@ -62,7 +62,7 @@ impl ResumePlan {
         let scenario = &prepared.scenario;
         let mut mark = resume_mark::read(folder, scenario)?;
         let mut inputs = input_log::read_folder(folder, scenario)?;
-        // An outage in the log can be later than the last mark; the run then reached at least the TTI after it.
+        // A removal in the log can be later than the last mark; the run then reached at least the TTI after it.
         let after_last_removal = inputs.removals.last().map(|removal| removal.tti + 1);
         let mut from = mark.as_ref().map(|mark| Tti(mark.tti)).max(after_last_removal);
         if let Some(to) = from
@@ -130,7 +130,7 @@ pub(super) fn replay(
     let mut run = Run::new(prepared, options);
     run.schedule_inputs(inputs);
     advance_to(&mut run, to, progress, observer)?;
-    // `to` lies after the last logged outage, so all of them must have taken effect.
+    // `to` lies after the last logged removal, so all of them must have taken effect.
     ensure!(run.input_queue().removals() == 0, input_log::MISMATCH);
     Ok(run.into_resumed())
 }

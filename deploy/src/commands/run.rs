@@ -42,10 +42,10 @@ const DOUBLE_COST_DEVICES: u64 = 20_000;
 /// Runs a scenario in memory.
 pub(crate) fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     child_process::exit_with_optional_parent(args.output.parent)?;
-    let (scenario, given) = resolve_run(&args.scenario, &args.output)?;
+    let (scenario, recorded_inputs) = resolve_run(&args.scenario, &args.output)?;
     crate::run_watchers::check(&args.output)?;
     // Read before the folder is created: a log that does not match leaves no folder behind.
-    let named_inputs = read_named_inputs(args, &scenario, given)?;
+    let named_inputs = read_named_inputs(args, &scenario, recorded_inputs)?;
     let signals = Signals::install(SignalMode::SavesResults)?;
     let folder = RunFolder::create(&args.output, &scenario)?;
     let mark = match &args.output.resume {
@@ -118,8 +118,8 @@ pub(crate) fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     };
     // A resumed run is replayed from TTI 0 in memory, and must have reproduced its mark by now.
     mark_writer.check()?;
-    let has_used_all = unused_decisions == 0 && run_observers.removal_count == inputs.removals.len();
-    ensure!(!outcome.is_complete || has_used_all, input_log::MISMATCH);
+    let has_used_all_inputs = unused_decisions == 0 && run_observers.removal_count == inputs.removals.len();
+    ensure!(!outcome.is_complete || has_used_all_inputs, input_log::MISMATCH);
     let mark_finished = mark_writer.finish(outcome.is_complete);
     let run_s = started.elapsed().as_secs_f64();
     drop(bar);
@@ -138,22 +138,22 @@ pub(crate) fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     print_results(&args.output, &summary, &path)
 }
 
-/// Returns the external inputs that the command names: a log, or the decisions `given` for a policy and a script of
-/// actions.
+/// Returns the external inputs that the command line names: those of `--input-log`, or the `recorded_inputs` of
+/// `--policy replay=FILE` and a script of actions. Returns `None` if it names none.
 fn read_named_inputs(
     args: &RunArgs,
     scenario: &Scenario,
-    given: Option<ExternalInputs>,
+    recorded_inputs: Option<ExternalInputs>,
 ) -> anyhow::Result<Option<ExternalInputs>> {
     let Some(path) = &args.input_log else {
         ensure!(
-            given.is_some() || args.output.resume.is_some() || !outside::is_external(&scenario.policy),
+            recorded_inputs.is_some() || args.output.resume.is_some() || !outside::is_external(&scenario.policy),
             "--policy external: only `reveille up` and `reveille bs` can ask a policy process; use one of them, or \
              repeat its decisions with --policy replay=FILE, the inputs.log of such a run, or step the run from Python"
         );
-        let is_given = given.is_some() || args.actions.actions.is_some();
-        let inputs = args.actions.read(scenario, given)?;
-        return Ok(is_given.then_some(inputs));
+        let has_inputs = recorded_inputs.is_some() || args.actions.actions.is_some();
+        let inputs = args.actions.read(scenario, recorded_inputs)?;
+        return Ok(has_inputs.then_some(inputs));
     };
     // Before the log is compared with the scenario, which names policy external in the folder of such a log.
     let text = std::fs::read_to_string(path).unwrap_or_default();

@@ -57,10 +57,10 @@ pub(crate) fn run(args: &TuneArgs) -> anyhow::Result<ExitCode> {
     let bayes = Bayes {
         seed: args.episodes.seed,
     };
-    let ended = tuner.run(args.iterations, threads, &bayes, &tuning_display);
+    let is_finished = tuner.run(args.iterations, threads, &bayes, &tuning_display);
     tuning_display.bar.finish_and_clear();
     let history = tuner.history();
-    if !ended? {
+    if !is_finished? {
         note!(
             "reveille: interrupted; the {} are kept in {}: give the same command again to resume",
             display::count_noun(history.points.len(), "finished point"),
@@ -275,7 +275,9 @@ fn result_json(args: &TuneArgs, history: &History, pictures: &[PathBuf]) -> anyh
 struct TuningDisplay {
     bar: ProgressBar,
     signals: Signals,
+    /// The best objective so far, with its pair.
     best_point: Mutex<Option<(f64, WeightPair)>>,
+    /// The number of evaluation runs of each pair.
     runs: u64,
 }
 

@@ -32,7 +32,7 @@ const JOIN_TIMEOUT: Duration = Duration::from_mins(1);
 pub(crate) async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCode> {
     child_process::exit_with_optional_parent(args.output.parent)?;
     let started = crate::runtime::now();
-    let (scenario, given) = resolve_run(&args.scenario, &args.output)?;
+    let (scenario, recorded_inputs) = resolve_run(&args.scenario, &args.output)?;
     let devices = scenario.run.devices;
     let processes = args.processes.unwrap_or(DEFAULT_PROCESSES.min(devices));
     anyhow::ensure!(
@@ -43,8 +43,8 @@ pub(crate) async fn run(args: &UpArgs, log: &[String]) -> anyhow::Result<ExitCod
         tracing::warn!("--on-loss has no effect: with --processes 0 there is no device process to lose");
     }
     check_watchers(&args.output, &args.drive)?;
-    let policy_source = policy_source(&scenario, given.as_ref(), &args.drive)?;
-    let inputs = args.actions.read(&scenario, given)?;
+    let policy_source = policy_source(&scenario, recorded_inputs.as_ref(), &args.drive)?;
+    let inputs = args.actions.read(&scenario, recorded_inputs)?;
     crate::file_limits::ensure_for_station(processes)?;
     // Checked before the folder is created: an endpoint in use must not cost a run that --force replaces.
     bus::resolve_listen_endpoint(&args.listen)?;
@@ -107,6 +107,7 @@ async fn serve_with_devices(
             patience: JOIN_TIMEOUT,
             // With a single host there are no devices to take over.
             stands_by: false,
+            // A tuned host handles messages on the thread that delivers them, if its devices are few.
             uses_worker: is_untuned,
         };
         let host_task = tokio::spawn(async move { host::run_host(&host_bus, host_config, &|_| {}).await });
@@ -160,22 +161,22 @@ async fn serve_with_devices(
 
 /// Measures the mean memory of the live device processes.
 fn measure_memory(pids: &[u32], timing: &mut Timing) {
-    let field = |text: &str, name: &str| -> f64 {
+    let kilobytes = |text: &str, name: &str| -> f64 {
         let line = text.lines().find_map(|line| line.strip_prefix(name));
         line.and_then(|rest| rest.split_whitespace().next()?.parse().ok())
             .unwrap_or(0.0)
     };
-    let mut measured = 0.0;
+    let mut measured_processes = 0.0;
     for pid in pids {
         // A process can have ended since its pid was listed.
         if let Ok(text) = std::fs::read_to_string(format!("/proc/{pid}/smaps_rollup")) {
-            timing.host_rss_mb += field(&text, "Rss:") / 1024.0;
-            timing.host_pss_mb += field(&text, "Pss:") / 1024.0;
-            measured += 1.0;
+            timing.host_rss_mb += kilobytes(&text, "Rss:") / 1024.0;
+            timing.host_pss_mb += kilobytes(&text, "Pss:") / 1024.0;
+            measured_processes += 1.0;
         }
     }
-    if measured > 0.0 {
-        timing.host_rss_mb /= measured;
-        timing.host_pss_mb /= measured;
+    if measured_processes > 0.0 {
+        timing.host_rss_mb /= measured_processes;
+        timing.host_pss_mb /= measured_processes;
     }
 }

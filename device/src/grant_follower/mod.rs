@@ -120,7 +120,7 @@ impl GrantFollower {
         }
     }
 
-    /// The last TTI granted; 0 before the first grant.
+    /// The last TTI granted to this host; 0 before its first grant.
     pub fn last_granted(&self) -> Tti {
         self.grant.map_or(Tti::ZERO, |grant| grant.last)
     }
@@ -142,7 +142,7 @@ impl GrantFollower {
     }
 
     /// Stores the changes at the start of TTI `tti` for the grant that they belong to. Returns `false` for a granted
-    /// TTI.
+    /// TTI and for a TTI after the end of the run.
     pub fn receive_changes(&mut self, tti: Tti, changes: Vec<Change>) -> bool {
         let is_due = tti >= self.next && tti < self.end;
         if is_due {

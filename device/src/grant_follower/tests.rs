@@ -294,7 +294,7 @@ fn over_a_bad_link_the_duties_equal_the_plans_in_every_tti() {
         let mut stream = Stream::new(seed, Purpose::Training, 0);
         let mut follower = new_follower();
         let mut plans: Vec<PlanUpdate> = Vec::new();
-        let mut sent: Vec<Received> = Vec::new();
+        let mut sent: Vec<BsMessage> = Vec::new();
         let mut duties = [DutyCycle::ASLEEP; 3];
         let mut next = 0;
         while next < 200 {
@@ -315,22 +315,22 @@ fn over_a_bad_link_the_duties_equal_the_plans_in_every_tti() {
             let new_plans = &plans[plans.len() - plan_count as usize..];
             let task = loop {
                 for update in new_plans {
-                    sent.push(Received::Plan(update.clone()));
+                    sent.push(BsMessage::Plan(update.clone()));
                 }
-                sent.push(Received::Grant(grant));
+                sent.push(BsMessage::Grant(grant));
                 // Any message sent so far may arrive again, in any order.
                 let repeated = stream.below(sent.len() as u64) as usize;
-                let mut arriving: Vec<Received> = sent[sent.len() - 1 - new_plans.len()..].to_vec();
+                let mut arriving: Vec<BsMessage> = sent[sent.len() - 1 - new_plans.len()..].to_vec();
                 arriving.insert(stream.below(arriving.len() as u64 + 1) as usize, sent[repeated].clone());
                 arriving.retain(|_| stream.below(3) > 0);
                 let mut executed = None;
-                for received in arriving {
-                    match received {
-                        Received::Plan(update) => drop(follower.receive_plan(update)),
-                        Received::Grant(received_grant) => {
-                            if let Disposition::Execute(task) = follower.receive_grant(received_grant) {
+                for message in arriving {
+                    match message {
+                        BsMessage::Plan(update) => drop(follower.receive_plan(update)),
+                        BsMessage::Grant(arriving_grant) => {
+                            if let Disposition::Execute(task) = follower.receive_grant(arriving_grant) {
                                 assert!(
-                                    received_grant == grant && executed.is_none(),
+                                    arriving_grant == grant && executed.is_none(),
                                     "a grant is executed twice or out of order"
                                 );
                                 executed = Some(task);
@@ -363,7 +363,7 @@ fn over_a_bad_link_the_duties_equal_the_plans_in_every_tti() {
 }
 
 #[derive(Clone)]
-enum Received {
+enum BsMessage {
     Plan(PlanUpdate),
     Grant(GrantMessage),
 }

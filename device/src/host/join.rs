@@ -61,12 +61,12 @@ pub fn run_host<'a>(bus: &'a Bus, config: HostConfig, on_event: &'a (dyn Fn(Host
                 // Devices taken over later share this process's link. The total capacity therefore decides, not the
                 // remaining capacity.
                 let uses_worker = config.uses_worker || config.max_devices > MAX_INLINE_DEVICES;
-                let takeovers = HostConfig {
+                let takeover_config = HostConfig {
                     max_devices: spare_devices,
                     uses_worker,
                     ..config.clone()
                 };
-                let takeovers = run_host(bus, takeovers, &|_| {});
+                let takeovers = run_host(bus, takeover_config, &|_| {});
                 run_with_takeovers(own_run, takeovers).await?
             } else {
                 own_run.await?

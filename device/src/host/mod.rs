@@ -101,6 +101,7 @@ impl Drop for PanicGuard {
 /// The state of a host, shared by the callbacks of its subscriptions.
 struct HostShared {
     credentials: BusCredentials,
+    /// The runtime of the actors if the thread that starts them has none.
     fallback_runtime: Handle,
     /// The first device.
     first: DeviceId,

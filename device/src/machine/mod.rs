@@ -10,7 +10,7 @@
 //!    │ │       cannot pay E_Tx: the battery is emptied              ▲    │
 //!    │ └────────────────────────────────────────────────────────────│────┘ next TTI, δ = 0 (to S1 if δ = 1)
 //!    └──────────────────────────────────────────────────────────────┘
-//!            wake-up heard (WuR powered)
+//!            wake-up received (WuR powered)
 //! ```
 //! A device that cannot pay for S1 or for its wake-up radio is left with an empty battery: in S4, unpowered until the
 //! next TTI. A false wake-up takes a device S4 → S2 → S4 within a TTI and costs E_idle on top of E_WuR. Unless that
@@ -174,7 +174,8 @@ impl Machine {
     /// Restores the device of `setup` from `checkpoint`.
     ///
     /// # Errors
-    /// If the checkpoint is invalid or belongs to another device; the error is a message.
+    /// If the checkpoint cannot be decoded, or its battery or its first measured TTI does not fit `setup` and
+    /// `physics`; the error is a message.
     pub fn from_checkpoint(
         setup: &DeviceSetup,
         physics: &Physics,

@@ -26,7 +26,7 @@ const MAX_ACTIONS: usize = 10_000_000;
 const FORMS: &str = "use `TTI ACTION` or `from TTI [to TTI] every TTIS ACTION [at random]`, where ACTION is `fail \
     DEVICES [for TTIS]`, `revive DEVICES`, `energy DEVICES UNITS` or `set FIELD VALUE`";
 
-/// A line that is not an action of the run.
+/// The error in a line that is not an action of the run.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 #[error("line {line}: {cause}")]
 pub struct ScriptError {
@@ -74,7 +74,7 @@ enum Times {
 struct ScriptLine {
     times: Times,
     changes: Vec<Change>,
-    /// The duration of a failure, TTIs.
+    /// The duration of a failure, TTIs; `None` for other actions and for failures without an end.
     duration: Option<u64>,
 }
 
@@ -115,7 +115,7 @@ pub fn parse_setting(text: &str) -> Result<Setting, String> {
     Setting::from_field(text).ok_or_else(|| format!("`{text}` cannot change during a run; use {fields}"))
 }
 
-/// Parses a number. The error says that the word must be `requirement`.
+/// Parses a number. The error has the text: the word must be `requirement`.
 fn number<T: FromStr>(word: &str, requirement: &str) -> Result<T, String> {
     word.parse().map_err(|_| format!("`{word}` must be {requirement}"))
 }

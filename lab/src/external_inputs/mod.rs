@@ -18,6 +18,7 @@ use reveille_common::plan::{DutyCycle, Plan};
 use reveille_common::units::Energy;
 use serde::{Deserialize, Serialize};
 
+/// The version in the first line of a new log.
 const VERSION: u32 = 3;
 
 /// A reason why a text is not an input log of a scenario.
@@ -123,7 +124,11 @@ impl ExternalInputs {
         }
     }
 
-    /// Returns the inputs after the first of each kind, whose numbers are `known_counts`, as from [`Self::counts`].
+    /// Returns the inputs without the first ones of each kind, as many as `known_counts`: an earlier [`Self::counts`]
+    /// of the same inputs.
+    ///
+    /// # Panics
+    /// If there are fewer.
     #[must_use]
     pub fn after(&self, known_counts: [usize; 3]) -> Self {
         Self {
@@ -148,6 +153,7 @@ impl ExternalInputs {
     }
 }
 
+/// A line of the log. The names here, in snake case, are the keys of its JSON.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 enum InputLogLine {
@@ -191,11 +197,11 @@ impl From<&RecordedDecision> for InputLogLine {
     fn from(
         RecordedDecision {
             tti: Tti(tti),
-            decision: answer,
+            decision,
         }: &RecordedDecision,
     ) -> Self {
         let tti = *tti;
-        match answer {
+        match decision {
             Decision::Wake(devices) => Self::Wake {
                 tti,
                 devices: devices.iter().map(|device| device.0).collect(),
@@ -402,9 +408,9 @@ impl InputLogParser {
                 existing_devices(&devices, scenario).map(|devices| (tti, Decision::Wake(devices)))
             }
         };
-        let decision = decision.map(|(tti, answer)| RecordedDecision {
+        let decision = decision.map(|(tti, decision)| RecordedDecision {
             tti: Tti(tti),
-            decision: answer,
+            decision,
         });
         let decision = decision.filter(|decision| is_possible_decision(decision, inputs.decisions.last(), scenario));
         inputs
@@ -448,14 +454,15 @@ fn existing_devices(devices: &[u32], scenario: &Scenario) -> Option<Vec<DeviceId
     all_exist.then(|| devices.iter().copied().map(DeviceId).collect())
 }
 
-/// Returns these cycles if there is a valid one for each device.
-fn valid_cycles(devices: &[[u32; 3]], scenario: &Scenario) -> Option<Vec<DutyCycle>> {
-    let cycles = devices
+/// Returns the cycles that these triples of `t_on`, `t_drx` and offset describe, if there is a valid one for each
+/// device.
+fn valid_cycles(triples: &[[u32; 3]], scenario: &Scenario) -> Option<Vec<DutyCycle>> {
+    let cycles = triples
         .iter()
         .map(|&[t_on, t_drx, offset]| DutyCycle { t_on, t_drx, offset });
     // A cycle with t_DRX = 0 from a damaged log would cause a division by zero in the plan.
     let cycles: Vec<DutyCycle> = cycles.filter(|cycle| cycle.is_valid()).collect();
-    (cycles.len() == devices.len() && devices.len() == scenario.run.devices as usize).then_some(cycles)
+    (cycles.len() == triples.len() && triples.len() == scenario.run.devices as usize).then_some(cycles)
 }
 
 fn is_possible_removal(removal: &DeviceRemoval, earlier: &[DeviceRemoval], scenario: &Scenario) -> bool {

@@ -110,7 +110,7 @@ fn an_impossible_action_is_refused_with_the_reason() {
     }
 }
 
-/// Returns a plan of the right size, in which device `j` senses.
+/// Returns a plan for the devices of the preset `quick`, in which device `j` alone senses.
 fn plan_of_one(j: u32) -> Plan {
     let devices = load("quick", &[]).expect("a preset").scenario.run.devices;
     Plan::from_devices(devices as usize, &[DeviceId(j)])

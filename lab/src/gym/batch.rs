@@ -17,7 +17,7 @@ pub struct BatchBuffers<'a> {
     pub devices: &'a mut [f32],
     /// The features [`GLOBAL_FEATURES`], `[K, G]`.
     pub global: &'a mut [f32],
-    /// The stage, 0 or 1, `[K]`.
+    /// The stage, `[K]`: 0 for a plan, 1 for wake-ups.
     pub stage: &'a mut [i64],
     /// The action mask: 2 if both values are allowed, 0 if only 0 is, `[K, N]`.
     pub mask: &'a mut [i8],
@@ -34,6 +34,7 @@ pub struct BatchBuffers<'a> {
 /// The number of terms of a reward.
 pub const REWARD_TERMS: usize = 4;
 
+/// The part of the [`BatchBuffers`] of one environment.
 #[derive(Debug)]
 struct EnvBuffers<'a> {
     devices: &'a mut [f32],
@@ -50,9 +51,9 @@ impl<'a> BatchBuffers<'a> {
     /// Splits the buffers by environment, each with `n` devices.
     fn split(self, n: usize) -> Vec<EnvBuffers<'a>> {
         // The slices are disjoint, so threads write without a lock.
-        let rows = self.devices.chunks_exact_mut(n * DEVICE_FEATURES.len());
-        let rows = rows.zip(self.global.chunks_exact_mut(GLOBAL_FEATURES.len()));
-        let rows = rows.zip(self.mask.chunks_exact_mut(n)).zip(self.stage);
+        let observations = self.devices.chunks_exact_mut(n * DEVICE_FEATURES.len());
+        let observations = observations.zip(self.global.chunks_exact_mut(GLOBAL_FEATURES.len()));
+        let observations = observations.zip(self.mask.chunks_exact_mut(n)).zip(self.stage);
         let results = self.reward.iter_mut().zip(self.parts.chunks_exact_mut(REWARD_TERMS));
         let results = results.zip(self.ttis).zip(self.ended);
         let env_buffers = |((((devices, global), mask), stage), (((reward, parts), ttis), ended))| EnvBuffers {
@@ -65,7 +66,7 @@ impl<'a> BatchBuffers<'a> {
             ttis,
             ended,
         };
-        rows.zip(results).map(env_buffers).collect()
+        observations.zip(results).map(env_buffers).collect()
     }
 }
 

@@ -93,7 +93,9 @@ impl StepResult {
 #[derive(Clone, Debug)]
 struct StepObserver {
     sensing: Sensing,
+    /// Î of the open TTI.
     information: f64,
+    /// The number of wake-ups since [`Environment::step_wake_ups`] has reset it.
     wake_ups: u32,
 }
 

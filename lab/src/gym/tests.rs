@@ -106,7 +106,7 @@ fn a_batch_on_threads_equals_single_environments() {
     let mut all = OwnedBuffers::new(ENVIRONMENTS, DEVICES);
     let mut one = OwnedBuffers::new(1, DEVICES);
     let mut stream = Stream::new(3, Purpose::Training, 0);
-    let (mut wake_stages, mut ended_episodes) = (0, 0);
+    let (mut wake_stages, mut observations_at_the_end) = (0, 0);
     for _ in 0..100 {
         let actions: Vec<i8> = (0..ENVIRONMENTS * DEVICES)
             .map(|_| i8::from(stream.below(6) == 0))
@@ -135,12 +135,12 @@ fn a_batch_on_threads_equals_single_environments() {
                 one.global
             );
             wake_stages += one.stage[0];
-            ended_episodes += i32::from(one.ended[0]);
+            observations_at_the_end += i32::from(one.ended[0]);
         }
     }
     assert!(
-        wake_stages > 10 && ended_episodes > 5,
-        "too few cases: {wake_stages} wake stages, {ended_episodes} ended episodes"
+        wake_stages > 10 && observations_at_the_end > 5,
+        "too few cases: {wake_stages} wake stages, {observations_at_the_end} observations at the end"
     );
     for (index, single) in singles.iter().enumerate() {
         assert_eq!(
@@ -150,7 +150,7 @@ fn a_batch_on_threads_equals_single_environments() {
     }
 }
 
-/// r* is the gain in Î, minus 1/N for each device.
+/// r* is the gain in Î, minus 1/N for each woken device.
 #[test]
 fn rewards_follow_the_formulas_of_the_paper() {
     let scenario = external_scenario(&["sensing.psi=2", "ttis=2000"]);

@@ -127,14 +127,14 @@ impl FileColumns {
     /// Finds the swept columns and the metrics in `header`, and checks all others. Fields and metrics may have former
     /// names, and the metrics of version 3 may be absent.
     pub(super) fn of_header(header: &[&str]) -> Result<Self, SchemaMismatch> {
-        let index_of = |name: &str| {
+        let metric_index = |name: &str| {
             let name = Metrics::current_name(name);
             Metrics::NAMES.iter().position(|metric| *metric == name)
         };
         let mismatch = || columns_mismatch(&Schema::default().names(), header);
         let first_metric = header
             .iter()
-            .position(|name| index_of(name).is_some())
+            .position(|name| metric_index(name).is_some())
             .ok_or_else(mismatch)?;
         let (Some(metrics_end), Some(swept)) = (
             header.len().checked_sub(TRAILING_COLUMNS.len()),
@@ -143,7 +143,7 @@ impl FileColumns {
             return Err(mismatch());
         };
         let metric_names = header.get(first_metric..metrics_end).ok_or_else(mismatch)?;
-        let metrics: Option<Vec<usize>> = metric_names.iter().map(|name| index_of(name)).collect();
+        let metrics: Option<Vec<usize>> = metric_names.iter().map(|name| metric_index(name)).collect();
         let metrics = metrics.ok_or_else(mismatch)?;
         let is_present =
             |(index, name): (usize, &&str)| metrics.contains(&index) || Metrics::ADDED_IN_TABLE_3.contains(name);

@@ -116,6 +116,7 @@ pub(super) fn decode_metadata<F: ChunkReader + 'static>(file: F) -> Result<Table
     guarded(|| read_metadata(&SerializedFileReader::new(file)?))
 }
 
+/// Runs `decode`, and turns a panic of the Parquet decoder into an error.
 fn guarded<T>(decode: impl FnOnce() -> Result<T, SchemaMismatch>) -> Result<T, SchemaMismatch> {
     let decoder_failed = || Err(SchemaMismatch::Broken("its Parquet content is corrupt".to_owned()));
     parquet::catch_decoder_panic(decode).unwrap_or_else(decoder_failed)

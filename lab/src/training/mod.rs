@@ -2,8 +2,9 @@
 //! window or ages) and each N.
 //!
 //! An episode is a run of the deployed policy, with `learn` on, from random batteries and the tables of the previous
-//! episode. Wake-up rankings alternate, so that both wake-up tables are learned. Each window and N is trained
-//! independently and in order. Tables depend on every seed and draw here, and on neither threads nor interruptions.
+//! episode. Wake-up rankings alternate, so that both wake-up tables are learned. Each look-back and N is trained
+//! independently, one episode after another. Tables depend on every seed and draw here, and on neither threads nor
+//! interruptions.
 
 mod io;
 
@@ -33,7 +34,7 @@ pub(crate) const EPISODE_SEED_OFFSET: u64 = 0x7EA1_C0DE_0000_0000;
 const MAX_DEVICES: u32 = 1_000_000;
 /// The share of an episode that its point on the curve leaves out.
 const EPISODE_WARM_UP: f64 = 0.1;
-/// The number of TTIs between two checks whether to stop.
+/// The largest number of TTIs between two checks whether to stop.
 const TTIS_BETWEEN_STOP_CHECKS: u64 = 200;
 
 /// A reason why a training cannot start or finish.
@@ -105,7 +106,7 @@ pub enum TrainingError {
 
 /// Callbacks of a training. All threads call them.
 pub trait TrainingProgress: Sync {
-    /// Reports the end of an episode of `entry`; `point` is the last point of its curve.
+    /// Reports the end of a complete episode of `entry`; `point` is the last point of its curve.
     fn episode(&self, entry: &TableSet, point: &CurvePoint);
     /// Returns whether to stop. The checkpoint keeps the tables trained so far.
     fn stop(&self) -> bool;
@@ -153,7 +154,10 @@ impl Trainer {
         if lookbacks.is_empty() {
             lookbacks.push(settings.lookback);
         }
-        if let Some(bad) = lookbacks.iter().find(|one| !(1..=MAX_WINDOW).contains(&one.window())) {
+        if let Some(bad) = lookbacks
+            .iter()
+            .find(|lookback| !(1..=MAX_WINDOW).contains(&lookback.window()))
+        {
             return Err(invalid("windows", bad, "must be from 1 to 1000 TTIs"));
         }
         lookbacks.sort_unstable();
@@ -263,6 +267,7 @@ impl Trainer {
             return Err(reasons.join(", "));
         }
         for (entry, saved) in self.entries.iter_mut().zip(checkpoint.entries) {
+            // The scenario's own surface: reading a file may change its last bits.
             let surface = entry.surface;
             *entry = TableSet { surface, ..saved };
         }

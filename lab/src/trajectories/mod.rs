@@ -164,14 +164,14 @@ fn record_prepared(
     stop: &(dyn Fn() -> bool + Sync),
 ) -> Option<(Option<Digest>, Vec<Chunk>)> {
     let (length, stride) = (recording.length, recording.stride);
-    let take = move |(shares, steps): &mut (Vec<f32>, Vec<TrajectoryStep>), step: TrajectoryStep| {
+    let add_step = move |(shares, steps): &mut (Vec<f32>, Vec<TrajectoryStep>), step: TrajectoryStep| {
         shares.push(step.covered_share);
         // TTI 0 starts a chunk: a policy starts there without history, so the model must learn these TTIs too.
         if (step.tti.0 as usize) % stride < length {
             steps.push(step);
         }
     };
-    let (digest, (shares, steps)) = collect_steps(prepared, recording.run_options(exploration), take, stop)?;
+    let (digest, (shares, steps)) = collect_steps(prepared, recording.run_options(exploration), add_step, stop)?;
     Some((digest, build_chunks(prepared, run, recording, &shares, steps)))
 }
 
@@ -182,27 +182,27 @@ pub fn record_steps(scenario: &Scenario, from: Tti, last: Tti) -> Vec<Trajectory
     let mut scenario = scenario.clone();
     scenario.run.ttis = scenario.run.ttis.min(last.0 + 2);
     let prepared = RunPreparer::default().prepare(&scenario);
-    let take = move |steps: &mut Vec<TrajectoryStep>, step: TrajectoryStep| {
+    let add_step = move |steps: &mut Vec<TrajectoryStep>, step: TrajectoryStep| {
         if (from..=last).contains(&step.tti) {
             steps.push(step);
         }
     };
-    let collected = collect_steps(&prepared, RecordingOptions::default(), take, &|| false);
+    let collected = collect_steps(&prepared, RecordingOptions::default(), add_step, &|| false);
     collected.map_or_else(Vec::new, |(_, steps)| steps)
 }
 
-/// Runs `prepared` and collects its steps in order with `take`. Also returns the digest, which is `None` for the genie.
-/// Returns `None` if `stop` returns true.
+/// Runs `prepared` and collects its steps in order with `add_step`. Also returns the digest, which is `None` for the
+/// genie. Returns `None` if `stop` returns true.
 fn collect_steps<T: Default + Send + 'static>(
     prepared: &PreparedRun,
     options: RecordingOptions,
-    take: impl Fn(&mut T, TrajectoryStep) + Send + 'static,
+    add_step: impl Fn(&mut T, TrajectoryStep) + Send + 'static,
     stop: &(dyn Fn() -> bool + Sync),
 ) -> Option<(Option<Digest>, T)> {
     let collected = Arc::new(Mutex::new(T::default()));
     let sink = {
         let collected = Arc::clone(&collected);
-        move |step: TrajectoryStep| take(&mut collected.lock().unwrap_or_else(PoisonError::into_inner), step)
+        move |step: TrajectoryStep| add_step(&mut collected.lock().unwrap_or_else(PoisonError::into_inner), step)
     };
     let known = prepared.knowledge();
     let mut policy = prepared.policy(&known);

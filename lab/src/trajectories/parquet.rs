@@ -174,10 +174,10 @@ fn decode(bytes: Bytes) -> Result<Trajectories, TrajectoryError> {
         Some(other) => return Err(TrajectoryError::Foreign(format!("version {other}, not {VERSION}"))),
         None => return Err(TrajectoryError::Foreign(format!("no {KEY} in its metadata"))),
     }
-    let (expected, found) = (schema()?, file.schema().get_fields());
-    for (index, field) in expected.get_fields().iter().enumerate() {
+    let (expected_schema, file_fields) = (schema()?, file.schema().get_fields());
+    for (index, field) in expected_schema.get_fields().iter().enumerate() {
         let name = field.name();
-        match found.get(index) {
+        match file_fields.get(index) {
             Some(other) if other == field => {}
             Some(other) if other.name() == name => {
                 return Err(TrajectoryError::Column(format!("{name} has another type")));
@@ -219,10 +219,10 @@ fn read_group(group: &dyn RowGroupReader, chunks: &mut Vec<Chunk>) -> Result<(),
     let reward = columns.read_required::<FloatType>()?;
     let wake_reward = columns.read_required::<FloatType>()?;
     let returns = columns.read_required::<FloatType>()?;
-    let all = [&expected, &share, &reward, &wake_reward, &returns];
+    let required_columns = [&expected, &share, &reward, &wake_reward, &returns];
     let required = ["expected", "share", "reward", "wake_reward", "return"]
         .into_iter()
-        .zip(all);
+        .zip(required_columns);
     let optional = [
         ("price", &prices),
         ("wake_expected", &wake_expected),

@@ -35,14 +35,14 @@ fn chunks_are_complete_and_consistent() {
     let trajectories = record_runs(&config(&[0.0, 0.3]));
     // Four runs of six chunks; the last begins at TTI 250.
     assert_eq!(trajectories.chunks.len(), 24);
-    let (mut detections, mut wake_ups, mut explored_chunks) = (0, 0, 0);
+    let (mut ttis_with_reports, mut wake_ups, mut explored_chunks) = (0, 0, 0);
     for chunk in &trajectories.chunks {
         assert_eq!((chunk.devices, chunk.steps.len(), chunk.returns.len()), (30, 6, 6));
         assert_eq!(chunk.price.is_some(), &*chunk.policy == "age-index");
         for (step, next_step) in chunk.steps.iter().zip(&chunk.steps[1..]) {
             assert_eq!(next_step.tti, step.tti + 1);
             let feature_index = |name: &str| FEATURES.iter().position(|known| *known == name).expect("a feature");
-            let (found, idle) = (feature_index("found"), feature_index("idle"));
+            let (found_index, idle_index) = (feature_index("found"), feature_index("idle"));
             let reporters = step.devices.iter().filter(|device| device.has_reported_first).count();
             for (j, device) in step.devices.iter().enumerate() {
                 assert!(
@@ -51,9 +51,9 @@ fn chunks_are_complete_and_consistent() {
                 );
                 let next_token = &next_step.tokens[j * FEATURE_COUNT..(j + 1) * FEATURE_COUNT];
                 // In the next TTI the base station knows that an event was found, and which devices have just sensed.
-                assert_eq!(next_token[found] > 0.5, reporters > 0);
+                assert_eq!(next_token[found_index] > 0.5, reporters > 0);
                 assert_eq!(
-                    next_token[idle] == 0.0,
+                    next_token[idle_index] == 0.0,
                     device.is_sensing,
                     "TTI {:?}, device {j}",
                     step.tti
@@ -66,15 +66,15 @@ fn chunks_are_complete_and_consistent() {
                 (step.reward - (asleep - 2.8 * (1.0 - step.covered_share))).abs() < 1e-4,
                 "{step:?}"
             );
-            detections += usize::from(reporters > 0);
+            ttis_with_reports += usize::from(reporters > 0);
         }
         // Runs use the two probabilities in turn.
         explored_chunks += usize::from(chunk.run % 2 == 1);
     }
     assert_eq!(explored_chunks, 12);
     assert!(
-        detections > 5 && wake_ups > 3,
-        "too few cases: {detections} detections, {wake_ups} wake-ups"
+        ttis_with_reports > 5 && wake_ups > 3,
+        "too few cases: {ttis_with_reports} TTIs with reports, {wake_ups} wake-ups"
     );
 }
 
@@ -90,10 +90,10 @@ fn trajectories_round_trip_and_the_same_runs_give_the_same_bytes() {
 /// A policy that does not see the recorded batteries decides as in an unrecorded run.
 #[test]
 fn a_recording_does_not_change_the_run() {
-    let draft = "scenario = \"paper\"\npolicies = [\"random\", \"adjusted\", \"knn\", \"q-learning\", \"dt\"]\n\
+    let text = "scenario = \"paper\"\npolicies = [\"random\", \"adjusted\", \"knn\", \"q-learning\", \"dt\"]\n\
                  devices = [80]\nttis = 800\nseeds = { first = 3, count = 1 }\n\
                  [set]\n\"harvest.e_b\" = 3.0\n[grid]\n\"bs.ranking\" = [\"p42\", \"posterior\"]\n";
-    let grid = parse_grid(draft);
+    let grid = parse_grid(text);
     let mut changed_runs = 0;
     for cell in &grid.cells {
         let scenario = cell.with_seed(3);

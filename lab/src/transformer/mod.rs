@@ -106,9 +106,9 @@ pub struct DtTrainingStatus {
 /// The result of a training.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Trained {
-    /// The bytes of the best model's file.
+    /// The bytes of the best model's file, at the end or once `progress` has ended the training.
     Model(Vec<u8>),
-    /// The bytes of a checkpoint, if the training was stopped between two evaluations.
+    /// The bytes of a checkpoint, if `stop` has ended the training.
     Stopped(Vec<u8>),
 }
 

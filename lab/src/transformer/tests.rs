@@ -30,7 +30,7 @@ const SHAPE: ModelShape = ModelShape {
 
 const DEVICES: usize = 6;
 
-/// The probability that a device that looks is expected to find an event.
+/// The number of events that a device that looks is expected to report first, given only α.
 const EXPECTED_EVENTS: f32 = 0.2;
 
 /// The probability that a device senses.

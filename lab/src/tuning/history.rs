@@ -31,6 +31,7 @@ impl History {
         }
     }
 
+    /// Returns the pairs with their objectives, in order of evaluation.
     pub(crate) fn objectives(&self) -> Vec<(WeightPair, f64)> {
         let points = self.points.iter();
         points

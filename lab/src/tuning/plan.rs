@@ -22,7 +22,7 @@ use crate::training::{self, Trainer, TrainingError, TrainingProgress};
 
 /// An offset to the seeds of evaluation runs, far from the seeds of trainings and sweeps.
 const EVALUATION_SEED_OFFSET: u64 = 0xE7A1_5EED_0000_0000;
-/// The number of TTIs between two checks whether to stop.
+/// The largest number of TTIs between two checks whether to stop.
 const TTIS_BETWEEN_STOP_CHECKS: u64 = 200;
 const MAX_RUNS: u64 = 10_000;
 const MAX_DESIGN_PAIRS: usize = 1000;
@@ -33,7 +33,7 @@ pub trait TuningProgress: Sync {
     fn begun(&self, _number: usize, _weights: WeightPair) {}
     /// Reports the end of an episode of the pair's training.
     fn episode(&self) {}
-    /// Reports the end of one of the pair's evaluation runs.
+    /// Reports the end of one of the pair's evaluation runs, which may have been stopped.
     fn run(&self) {}
     /// Reports the end of the evaluation, once its point is in the history.
     fn point(&self, _point: &TuningPoint) {}
@@ -67,7 +67,7 @@ pub struct TuningPlan {
 }
 
 impl TuningPlan {
-    /// Checks every parameter.
+    /// Checks every parameter except the ranges, which [`Ranges::new`] checks.
     ///
     /// # Errors
     /// If the policy is not `q-learning`, or a number is out of range.

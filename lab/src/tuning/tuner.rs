@@ -18,6 +18,7 @@ pub struct Tuner {
     path: PathBuf,
     history: History,
     design: Vec<WeightPair>,
+    /// Whether the last line of the history file was incomplete.
     is_torn: bool,
 }
 
@@ -26,7 +27,7 @@ impl Tuner {
     /// ignores the file.
     ///
     /// # Errors
-    /// If the file is not a history, or belongs to another tuning.
+    /// If the file cannot be read, is not a history, or belongs to another tuning.
     pub fn open(plan: TuningPlan, path: &Path, force: bool) -> Result<Self, TuningError> {
         let design = plan.design();
         let header = plan.header();
@@ -111,14 +112,14 @@ impl Tuner {
         let values = points.iter().map(|(_, value)| *value);
         // Equal objectives give no direction for better ones.
         let is_flat = values.clone().fold(f64::INFINITY, f64::min) >= values.fold(f64::NEG_INFINITY, f64::max);
-        let tried: Vec<WeightPair> = points.iter().map(|(pair, _)| *pair).collect();
+        let tried_pairs: Vec<WeightPair> = points.iter().map(|(pair, _)| *pair).collect();
         if !is_flat {
             let proposed = ranges.rounded(proposer.propose(ranges, &points)?);
-            if !ranges.is_close_to_any(proposed, &tried) {
+            if !ranges.is_close_to_any(proposed, &tried_pairs) {
                 return Ok(proposed);
             }
         }
-        Ok(ranges.draw_farthest(&tried, self.plan.scenario.run.seed, number as u64))
+        Ok(ranges.draw_farthest(&tried_pairs, self.plan.scenario.run.seed, number as u64))
     }
 }
 

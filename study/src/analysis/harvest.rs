@@ -137,7 +137,7 @@ impl HarvestStudy {
 
     fn measure_point(&self, reading: LambdaReading, lambda: f64, e_b: Energy) -> HarvestPoint {
         let scenario = with_source(&self.scenario, &reading.harvest_source(lambda, e_b));
-        let metrics = map_seeds(&scenario, self.seeds, |one| run(one).metrics);
+        let metrics = map_seeds(&scenario, self.seeds, |seeded| run(seeded).metrics);
         HarvestPoint {
             reading,
             lambda,
@@ -156,8 +156,8 @@ impl HarvestStudy {
 /// If `seeds` is 0 or above 1 000 000.
 pub fn measure_consumption(scenario: &Scenario, seeds: u64) -> Result<Estimate, AnalysisError> {
     check_seeds(seeds)?;
-    Ok(Estimate::from_values_or_nan(map_seeds(scenario, seeds, |one| {
-        run(one).metrics.energy_per_device_tti
+    Ok(Estimate::from_values_or_nan(map_seeds(scenario, seeds, |seeded| {
+        run(seeded).metrics.energy_per_device_tti
     })))
 }
 
@@ -179,25 +179,25 @@ pub fn measure_demand(scenario: &Scenario, seeds: u64) -> Result<Estimate, Analy
 /// = 1/τ and falls beyond. Under exp(-λ) it only falls, so the range begins at 0. `e_b` and `spent` are above 0.
 pub fn lambdas_with_positive_net(reading: LambdaReading, e_b: f64, spent: f64, tau: f64) -> Option<(f64, f64)> {
     let net = |lambda: f64| e_b * reading.probability(lambda, tau) - spent;
-    let lambda_of_most = match reading {
+    let best_lambda = match reading {
         LambdaReading::Eq5 => 1.0 / tau,
         LambdaReading::ExpMinusLambda => 0.0,
     };
-    if net(lambda_of_most) <= 0.0 {
+    if net(best_lambda) <= 0.0 {
         return None;
     }
-    let from = if lambda_of_most > 0.0 {
-        bisect(&net, 0.0, lambda_of_most)
+    let from = if best_lambda > 0.0 {
+        bisect(&net, 0.0, best_lambda)
     } else {
         0.0
     };
     // The start must be above 0 even if the harvest is largest at λ = 0; otherwise doubling would not end. It ends
     // because the harvest tends to 0.
-    let mut upper = lambda_of_most.max(1.0 / tau);
+    let mut upper = best_lambda.max(1.0 / tau);
     while net(upper) > 0.0 {
         upper *= 2.0;
     }
-    Some((from, bisect(&net, lambda_of_most, upper)))
+    Some((from, bisect(&net, best_lambda, upper)))
 }
 
 /// A λ that the paper states, and the policy whose consumption it belongs to.
@@ -209,7 +209,7 @@ pub struct StatedEnd {
     pub policy: &'static str,
 }
 
-/// A statement of the paper on the λ at which the net energy turns positive.
+/// A statement of the paper on the λ above which the net energy is positive.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StatedThreshold {
     /// Number of devices N.
@@ -330,7 +330,7 @@ fn with_source(scenario: &Scenario, source: &Harvest) -> Scenario {
 
 /// Finds the sign change of `f` between `a` and `b` by halving.
 fn bisect(f: &impl Fn(f64) -> f64, mut a: f64, mut b: f64) -> f64 {
-    // The net energy rises up to the best λ and falls beyond it; both of its roots are sought here.
+    // The net energy rises up to the λ of the largest harvest and falls beyond it; both of its roots are sought here.
     let is_rising = f(b) > f(a);
     for _ in 0..BISECTION_STEPS {
         let middle = f64::midpoint(a, b);

@@ -11,7 +11,7 @@ use super::{AnalysisError, check_seeds, map_seeds};
 /// I_min of the deployments of one scenario.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct IMinComparison {
-    /// Ψ p(d*) over the deployments, one for each seed.
+    /// Ψ p(d*) over the deployments, one for each seed; d* is the distance from the worst place to its closest device.
     pub measured: Estimate,
     /// Minimum and maximum over the deployments.
     pub measured_range: (f64, f64),
@@ -25,8 +25,8 @@ pub struct IMinComparison {
 /// If `seeds` is 0 or above 1 000 000.
 pub fn measure(scenario: &Scenario, seeds: u64) -> Result<IMinComparison, AnalysisError> {
     check_seeds(seeds)?;
-    let values = map_seeds(scenario, seeds, |one| {
-        i_min(&Deployment::new(one).positions(), one.area, &one.sensing)
+    let values = map_seeds(scenario, seeds, |seeded| {
+        i_min(&Deployment::new(seeded).positions(), seeded.area, &seeded.sensing)
     });
     let least = values.iter().copied().fold(f64::INFINITY, f64::min);
     let largest = values.iter().copied().fold(0.0, f64::max);
@@ -45,6 +45,7 @@ mod tests {
 
     use super::*;
 
+    /// Measures the preset with `overrides` over 40 deployments.
     fn compare_with(overrides: &[&str]) -> IMinComparison {
         let parse = |text: &&str| Override::parse(text).expect("an override");
         let overrides: Vec<Override> = overrides.iter().map(parse).collect();
@@ -77,6 +78,7 @@ mod tests {
         }
     }
 
+    /// The corners are 5 m from the middle, and I_min is not cut off at d_max.
     #[test]
     fn with_one_device_the_farthest_corner_decides() {
         let one_device = compare_with(&[

@@ -92,9 +92,9 @@ impl TimedDecisions {
             let sensing_now = (0..scenario.run.devices)
                 .map(DeviceId)
                 .filter(|&j| plan.duty_cycle(j).is_on(tti));
-            let report = |j: DeviceId| report(&knowledge, j, tti, epicentre);
+            let reports = sensing_now.map(|j| report_from(&knowledge, j, tti, epicentre));
             // Beyond d_max the information is 0: such a device detects nothing.
-            let reports = sensing_now.map(report).filter(|r| r.information > 0.0).collect();
+            let reports = reports.filter(|r| r.information > 0.0).collect();
             let event = EventId(event);
             (tti, Stimulus { event, epicentre }, reports)
         };
@@ -129,7 +129,8 @@ impl TimedDecisions {
     }
 
     /// Decides all events and returns the number of wake-ups. Each event lasts until the policy requests no more
-    /// wake-ups, and all wake-ups are answered. May be called repeatedly.
+    /// wake-ups, and all wake-ups are answered. A policy with ground truth only decides whether it wakes a device. May
+    /// be called repeatedly.
     pub fn decide_wake_ups(&mut self) -> u64 {
         let Self {
             knowledge,
@@ -153,7 +154,7 @@ impl TimedDecisions {
             policy.reports_received(&observe(knowledge, batteries, plan, *tti, information), reports);
             while let Some(woken) = policy.next_wake_up(&observe(knowledge, batteries, plan, *tti, information)) {
                 wake_ups += 1;
-                let report = report(knowledge, woken, *tti, stimulus.epicentre);
+                let report = report_from(knowledge, woken, *tti, stimulus.epicentre);
                 information = knowledge.sensing.fuse(information, report.information);
                 policy.take_wake_up_answer(&observe(knowledge, batteries, plan, *tti, information), Some(&report));
             }
@@ -162,7 +163,8 @@ impl TimedDecisions {
     }
 }
 
-fn report(known: &Knowledge, device: DeviceId, tti: Tti, epicentre: Point) -> Report {
+/// Creates the report of `device` on an event at `epicentre`, without information beyond d_max.
+fn report_from(known: &Knowledge, device: DeviceId, tti: Tti, epicentre: Point) -> Report {
     let d = known.devices[device.index()].position.distance(epicentre);
     Report {
         device,

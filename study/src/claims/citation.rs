@@ -8,7 +8,7 @@ use std::fmt;
 pub struct Citation {
     /// Section, and the paragraph in it.
     pub passage: &'static str,
-    /// Number of the sentence in that paragraph, from 1; 0 for a passage without sentences.
+    /// Number of the sentence in that paragraph, from 1; 0 for the passage as a whole.
     pub sentence: u8,
 }
 

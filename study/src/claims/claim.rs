@@ -1,6 +1,6 @@
 //! The types of a claim of the paper, which `reveille report` compares with runs, and the caveats that several figures
 //! share. A [`Claim`] is a [`Statement`] on a [`ClaimQuantity`] of one policy, for some numbers of devices. The
-//! neighbouring modules hold the claims themselves, one module for each figure. The report and docs/reproduction.md
+//! neighbouring modules hold the claims themselves, one module for each subject. The report and docs/reproduction.md
 //! contain the texts.
 
 use super::citation::Citation;
@@ -19,7 +19,7 @@ pub enum DeviceCounts {
     UpTo(u32),
     /// All N above this.
     Over(u32),
-    /// All N.
+    /// All N of the paper's figures.
     All,
 }
 
@@ -206,7 +206,7 @@ pub struct ClaimTopic {
 }
 
 // The numbers in the caveats hold for d_max, η, Ψ, energies and harvest of the presets `paper` and `paper-literal`. The
-// tests of this module recompute the numbers of the hexagons and the fixed cycles.
+// tests of `claims` recompute the numbers of the hexagons and the fixed cycles.
 
 /// Caveat for the 0.72 of q-learning and the genie with 250 devices, Fig. 7.
 pub(super) const CLOSEST_DEVICE: &str = "Under g = max an event gives at most the information of its closest device. \
@@ -215,11 +215,11 @@ pub(super) const CLOSEST_DEVICE: &str = "Under g = max an event gives at most th
 /// Caveat for the genie's 0.055 units, Fig. 8.
 pub(super) const WUR_FLOOR: &str = "A device that always listens spends E_WuR = 1/14 = 0.0714 units in every TTI, so \
     0.055 is less than the consumption of the genie's sleeping devices alone.";
-/// Caveat for claims on adjusted, Figs. 7 to 11: its devices sense too rarely here.
+/// Caveat for claims on adjusted, or relative to it: its devices sense too rarely here.
 pub(super) const RARE_SENSING: &str = "From its grid, adjusted takes the duty cycle with the lowest consumption that \
     reaches I_min. With few devices I_min is almost 0, because p falls with the distance. The paper states neither its \
     grid nor the chosen cycle; its devices must sense more often.";
-/// Caveat for the trend of random with rising N, Fig. 8.
+/// Caveat for random as the policy with the least consumption at N = 100, Fig. 14.
 pub(super) const FIXED_CYCLE: &str = "The duty cycles of Sec. VI, t_on of 1 or 2 in t_DRX of 2, 4 or 8, make a device \
     sense in 0.44 of all TTIs on average, for every N: about 0.48 units where the harvest allows it. This consumption \
     does not fall with N.";

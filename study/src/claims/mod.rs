@@ -42,10 +42,10 @@ pub(crate) const TOPICS: &[ClaimTopic] = &[
 /// The policies that the paper names, in the order of tables and legends.
 pub const POLICIES: [&str; 6] = ["knn", "adjusted", "q-learning", "dt", "random", "genie"];
 
-/// Returns the claims on the figure `paper_figure` of the paper that are judged on `metric`.
+/// Returns the claims on the figure `paper_figure` of the paper that are judged on `metric`; empty without a topic.
 pub fn claims_on(paper_figure: &str, metric: &str) -> &'static [Claim] {
-    let is_asked = |topic: &&ClaimTopic| topic.paper_figure == paper_figure && topic.metric == metric;
-    TOPICS.iter().find(is_asked).map_or(&[], |topic| topic.claims)
+    let is_requested = |topic: &&ClaimTopic| topic.paper_figure == paper_figure && topic.metric == metric;
+    TOPICS.iter().find(is_requested).map_or(&[], |topic| topic.claims)
 }
 
 #[cfg(test)]

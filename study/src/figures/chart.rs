@@ -141,7 +141,7 @@ pub struct Chart {
     pub caption: String,
 }
 
-/// Position of the plot on the canvas.
+/// Position of the plot on the canvas, points.
 pub(super) struct PlotFrame<'a> {
     pub(super) chart: &'a Chart,
     pub(super) left: f64,
@@ -193,18 +193,24 @@ impl Chart {
         ticks
     }
 
-    /// Draws rows of as many entries as fit in `width` points. Returns the base line of the text below.
+    /// Draws rows of as many entries as fit in `width` points, the first with the base line `y`. Returns the base line
+    /// of the text below.
     pub(super) fn draw_legend(&self, scene: &mut Scene, mut y: f64, width: f64) -> f64 {
         /// Width of an entry's line and marker, points.
-        const SWATCH: f64 = 22.0;
+        const SWATCH_WIDTH: f64 = 22.0;
         let mut x = MARGIN;
         for series in self.series.iter().filter(|s| !s.name.is_empty()) {
-            let lines = wrap_text(&series.name, Weight::Regular, TEXT_SIZE, width - 2.0 * MARGIN - SWATCH);
+            let lines = wrap_text(
+                &series.name,
+                Weight::Regular,
+                TEXT_SIZE,
+                width - 2.0 * MARGIN - SWATCH_WIDTH,
+            );
             let widest = lines
                 .iter()
                 .map(|line| text_width(line, Weight::Regular, TEXT_SIZE))
                 .fold(0.0, f64::max);
-            let entry_width = SWATCH + widest;
+            let entry_width = SWATCH_WIDTH + widest;
             if x > MARGIN && (x + entry_width > width - MARGIN || lines.len() > 1) {
                 (x, y) = (MARGIN, y + LEADING + 1.0);
             }
@@ -220,7 +226,7 @@ impl Chart {
             }
             for (i, line) in lines.into_iter().enumerate() {
                 y += if i > 0 { LEADING } else { 0.0 };
-                scene.text(Text::new(line, (x + SWATCH, y), TEXT_SIZE));
+                scene.text(Text::new(line, (x + SWATCH_WIDTH, y), TEXT_SIZE));
             }
             x += entry_width + 9.0;
         }
@@ -444,17 +450,18 @@ impl PlotFrame<'_> {
         );
     }
 
-    /// Draws a range as an outline with light hatching, and a bound as a line hatched on its permitted side.
+    /// Draws a range as two dashed lines with light hatching between them, a value as a dashed line, and a bound as a
+    /// dashed line hatched on its permitted side.
     fn draw_span(&self, scene: &mut Scene, span: &StatedSpan) {
         /// Height of the hatching on the permitted side of a bound, points.
-        const DEPTH: f64 = 7.0;
+        const HATCH_HEIGHT: f64 = 7.0;
         let (left, right) = (self.x(span.from), self.x(span.to));
         let stroke = Stroke::solid(span.paint, 0.6).with_opacity(0.6);
         let (top, bottom) = match span.stated {
             StatedValue::Range(low, high) => (self.y(high), self.y(low)),
             StatedValue::Value(v) => (self.y(v), self.y(v)),
-            StatedValue::Below(v) => (self.y(v), (self.y(v) + DEPTH).min(self.bottom)),
-            StatedValue::Above(v) => ((self.y(v) - DEPTH).max(self.top), self.y(v)),
+            StatedValue::Below(v) => (self.y(v), (self.y(v) + HATCH_HEIGHT).min(self.bottom)),
+            StatedValue::Above(v) => ((self.y(v) - HATCH_HEIGHT).max(self.top), self.y(v)),
         };
         let edges = match span.stated {
             StatedValue::Range(..) => vec![top, bottom],
@@ -514,9 +521,9 @@ pub(super) fn hatch_lines([left, top, right, bottom]: Rect) -> Vec<VectorPath> {
 pub fn separate_overlapping(marks: &mut [StatedMark]) {
     let originals = marks.to_vec();
     for (i, mark) in marks.iter_mut().enumerate() {
-        let shares = |other: &&StatedMark| (other.x - mark.x).abs() < 1e-9;
-        let count = originals.iter().filter(shares).count();
-        let rank = originals[..i].iter().filter(shares).count();
+        let has_same_x = |other: &&StatedMark| (other.x - mark.x).abs() < 1e-9;
+        let count = originals.iter().filter(has_same_x).count();
+        let rank = originals[..i].iter().filter(has_same_x).count();
         let gap_count = count as f64 - 1.0;
         // A lone mark has no gaps and stays at its x.
         let step = (2.4 * MARKER_RADIUS).min(2.0 * MAX_MARK_OFFSET / gap_count.max(1.0));

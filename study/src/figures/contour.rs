@@ -95,6 +95,7 @@ mod tests {
         // The middle (0.5) is above the level, so the high corners are connected.
         let saddle = vec![vec![1.0, 0.0], vec![0.0, 1.0]];
         let segments = contour_segments(&saddle, 0.4);
+        assert!(!segments.is_empty());
         // Each segment lies on one side of the diagonal through the high corners.
         for (a, b) in segments {
             let side = |p: &UnitPoint| p.1 - p.0;

@@ -77,13 +77,14 @@ pub struct EventScene {
     pub clusters: Option<Vec<u32>>,
     /// Threshold I_min of the deployment.
     pub i_min: f64,
-    /// Number of wake-ups sent.
+    /// Number of wake-ups sent in that TTI.
     pub wake_up_count: usize,
 }
 
 impl EventScene {
-    /// Finds the TTI in which event `event` of `scenario` closes. The default is the first event after the warm-up with
-    /// several reports and a wake-up. Failing that, it is the first reported event, or else the first event.
+    /// Runs `scenario` up to the TTI in which its event `event` closes. The default is the first event after the
+    /// warm-up with several reports and a wake-up. Failing that, it is the first event after the warm-up with a report,
+    /// or else the first event.
     ///
     /// # Errors
     /// There are more than `MAX_DEVICES` devices, or the event does not exist.
@@ -96,21 +97,21 @@ impl EventScene {
                 advice: "give fewer with --devices",
             });
         }
-        let all = collect_events(scenario);
-        let measured_events = || all.iter().filter(|e| e.counted);
+        let events = collect_events(scenario);
+        let counted_events = || events.iter().filter(|e| e.counted);
         let chosen = match event {
-            Some(event) => all.iter().find(|e| e.event.0 == event),
-            None => measured_events()
+            Some(event) => events.iter().find(|e| e.event.0 == event),
+            None => counted_events()
                 .find(|e| e.tally.reports > 1 && e.tally.wake_ups > 0)
-                .or_else(|| measured_events().find(|e| e.tally.reports > 0))
-                .or_else(|| all.first()),
+                .or_else(|| counted_events().find(|e| e.tally.reports > 0))
+                .or_else(|| events.first()),
         };
         let Some(chosen) = chosen else {
             let ttis = scenario.run.ttis;
             return Err(match event {
-                Some(event) if !all.is_empty() => FigureError::UnknownEvent {
+                Some(event) if !events.is_empty() => FigureError::UnknownEvent {
                     event,
-                    count: all.len(),
+                    count: events.len(),
                     ttis,
                 },
                 _ => FigureError::NoEvent { ttis },
@@ -290,7 +291,7 @@ impl ClassMarks {
         }
         let class_of = assign_classes(scenario);
         let named = (0_u16..).zip(&scenario.classes).map(|(index, class)| {
-            let devices = class_of.iter().filter(|of| **of == index).count();
+            let devices = class_of.iter().filter(|assigned| **assigned == index).count();
             (index, class.name.clone(), devices)
         });
         let mut ranked: Vec<(u16, String, usize)> = named.filter(|(_, _, devices)| *devices > 0).collect();
@@ -306,7 +307,7 @@ impl ClassMarks {
         Some(Stroke::solid(Paint::Colour(colour), 1.3).dashed(dashes))
     }
 
-    /// Draws a line for each class. Returns the base line of the text below.
+    /// Draws a legend entry for each class, the first with the base line `y`. Returns the base line of the text below.
     fn draw_legend(&self, scene: &mut Scene, mut y: f64) -> f64 {
         for (index, name, devices) in &self.ranked {
             let mut text = format!("class {name} ({devices})");
@@ -418,8 +419,8 @@ fn caption(scenario: &Scenario, event_scene: &EventScene) -> String {
     let EventRecord { start, last, tally, .. } = event_scene.event;
     let ground = event_scene.clusters.as_ref().map_or_else(
         || "Cells are the devices' Voronoi cells.".to_owned(),
-        |of| {
-            let count = of.iter().max().map_or(0, |last| last + 1);
+        |cluster_of| {
+            let count = cluster_of.iter().max().map_or(0, |largest| largest + 1);
             format!("Cells are the devices' Voronoi cells, tinted by their {count} clusters.")
         },
     );

@@ -41,14 +41,14 @@ const NET_RANGE: (f64, f64) = (-0.4, 1.0);
 /// Devices, TTIs and runs of the measured harvests.
 const MEASUREMENT_SIZE: (u32, u64, u64) = (20, 2000, 8);
 
-/// Measures harvests of simulated devices for the λ and E_B of the figures, with all other settings as in the preset
-/// `name`. Empty if no preset of this name loads without files.
+/// Measures harvests of simulated devices for the λ and E_B of the figures, with all other settings as in `preset`.
+/// Empty if no preset of this name loads without files.
 ///
 /// # Errors
 /// The measurement fails, which does not happen for a preset.
-pub fn measure_harvests(name: &str) -> Result<Vec<HarvestPoint>, AnalysisError> {
+pub fn measure_harvests(preset: &str) -> Result<Vec<HarvestPoint>, AnalysisError> {
     let (devices, ttis, seeds) = MEASUREMENT_SIZE;
-    let Ok(Loaded { mut scenario, .. }) = load_with(name, &[], &NoFiles) else {
+    let Ok(Loaded { mut scenario, .. }) = load_with(preset, &[], &NoFiles) else {
         return Ok(Vec::new());
     };
     scenario.run.devices = devices;
@@ -63,7 +63,8 @@ pub fn measure_harvests(name: &str) -> Result<Vec<HarvestPoint>, AnalysisError> 
 }
 
 /// Returns the policies with the least and the most consumption in `condition` with `n` devices, units per device and
-/// TTI. The genie does not count, since it cannot be built. `None` with fewer than two policies.
+/// TTI, in this order. Upper bounds such as the genie do not count, since they cannot be built. `None` with fewer than
+/// two policies.
 pub fn extreme_consumptions(condition: &RunCondition, n: u32) -> Option<[(String, Estimate); 2]> {
     let policies = condition
         .policies()
@@ -86,6 +87,7 @@ fn curve_lambdas() -> impl Iterator<Item = f64> {
     (0..=CURVE_STEPS).map(move |i| from * libm::pow(to / from, f64::from(i) / f64::from(CURVE_STEPS)))
 }
 
+/// Computes the mean harvest by Eq. (5), units per TTI, for τ = 1 as in the paper's figures.
 fn closed_form(e_b: f64, lambda: f64) -> f64 {
     e_b * LambdaReading::Eq5.probability(lambda, 1.0)
 }
@@ -151,7 +153,7 @@ pub fn harvest_chart(condition: &RunCondition, points: &[HarvestPoint]) -> Chart
         .iter()
         .filter(|s| s.devices != NET_N && condition.is_unchanged_preset());
     let marks: Vec<StatedMark> = stated.flat_map(stated_marks).collect();
-    let hollow = if marks.is_empty() {
+    let marks_caption = if marks.is_empty() {
         ""
     } else {
         "Hollow marks on the lines: the λ above which harvest exceeds consumption according to the paper, N = 10 and \
@@ -166,7 +168,7 @@ pub fn harvest_chart(condition: &RunCondition, points: &[HarvestPoint]) -> Chart
         caption: format!(
             "Lines: closed form λ·exp(−λ)·E_B, Eq. (5). Points: {seeds} runs with N = {devices} and {ttis} TTIs, made \
              for this figure under preset {} (not from the table), with 95 % intervals; harvest does not depend on N. \
-             {hollow}Bands, from the table: {}.{bands}",
+             {marks_caption}Bands, from the table: {}.{bands}",
             condition.preset,
             condition.label()
         ),
@@ -227,7 +229,7 @@ pub fn net_chart(condition: &RunCondition, points: &[HarvestPoint]) -> Option<Ch
         ..mark
     });
     let marks: Vec<StatedMark> = marks.collect();
-    let hollow = if marks.is_empty() {
+    let marks_caption = if marks.is_empty() {
         ""
     } else {
         " Hollow marks at zero: the λ at which it becomes positive according to the paper."
@@ -248,7 +250,7 @@ pub fn net_chart(condition: &RunCondition, points: &[HarvestPoint]) -> Option<Ch
         caption: format!(
             "Lines: closed form λ·exp(−λ)·E_B, Eq. (5), less the consumption of the policy with {NET_N} devices, \
              preset {}: {}; bands are their 95 % intervals. Points: measured harvest less the same consumption, \
-             {seeds} runs with N = {devices} and {ttis} TTIs, made for this figure.{hollow}",
+             {seeds} runs with N = {devices} and {ttis} TTIs, made for this figure.{marks_caption}",
             condition.label(),
             consumptions.join(", ")
         ),

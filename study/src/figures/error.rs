@@ -104,7 +104,7 @@ pub enum FigureError {
         /// Advice for the user.
         advice: &'static str,
     },
-    /// The file has no table for this number of devices.
+    /// The file has no table for this number of devices with this window.
     #[error(
         "N = {devices}: {file} has tables for {known} devices with {own}, and for {windows}; train the missing tables \
             with reveille train q-learning --devices {devices} --windows {window} --out FILE",
@@ -117,7 +117,7 @@ pub enum FigureError {
         window: Lookback,
         /// File name.
         file: String,
-        /// All N for which the file has a table with that window.
+        /// All N for which the file has a table with that window, or `no`.
         known: String,
         /// All windows in the file.
         windows: String,

@@ -27,8 +27,8 @@ use super::chart::{ChartPoint, Interval, Series};
 use super::scene::Paint;
 use super::style::{MarkerShape, Style};
 
-/// Least covers by layout and N: number of deployments, and the means over them of the least cover and of the share in
-/// reach. Columns are read by position.
+/// Least covers by layout and N, made by `study/data/cover.py`: number of deployments, and the means over them of the
+/// least cover and of the share in reach. Columns are read by position.
 const COVER_CSV: &str = include_str!("../../data/cover.csv");
 /// Relaxed bounds: layout, N, energy per device and TTI, information. Columns are read by position.
 const BOUND_CSV: &str = include_str!("../../data/bounds.csv");
@@ -169,6 +169,7 @@ mod tests {
                 );
             }
         }
+        // LAYOUTS and SIZES in `study/data/cover.py`.
         for layout in [Layout::JitteredGrid, Layout::Uniform] {
             for n in [10, 20, 40, 50, 60, 80, 100, 130, 160, 200, 250] {
                 let (cover, reach) = least_cover(&layout, n).expect("a cover");

@@ -6,7 +6,7 @@
 use std::fmt::Write as _;
 
 use reveille_common::score::Metrics;
-use reveille_lab::series::{RANKING, policy};
+use reveille_lab::series::{self, RANKING};
 
 use super::chart::{Chart, ChartPoint, Interval, Series};
 use super::floor;
@@ -39,6 +39,7 @@ pub struct ParetoFront {
 
 /// Points of one policy, in ascending order of energy.
 struct PolicyLine<'c> {
+    /// Name of the series: the policy, with its ranking of wake-ups if there are several.
     name: &'c str,
     settings: Vec<KnobSetting<'c>>,
 }
@@ -46,6 +47,7 @@ struct PolicyLine<'c> {
 /// A policy with one setting of its knobs.
 struct KnobSetting<'c> {
     condition: &'c RunCondition,
+    /// Values of the policy's own knobs.
     knobs: Vec<&'c str>,
     point: ChartPoint,
 }
@@ -99,6 +101,7 @@ fn draw_front(n: u32, other_changes: &[(String, String)], group: &[&RunCondition
     if has_bound {
         series.push(floor::bound_series(bound));
     }
+    // The conditions of a group differ in knobs alone, which change neither layout nor energies.
     let floor = group[0]
         .scenario
         .as_ref()
@@ -172,7 +175,7 @@ fn run_digests(condition: &RunCondition, name: &str, n: u32) -> Vec<(u64, [u8; 3
 
 /// Returns the values of the policy's own knobs.
 fn knobs<'c>(condition: &'c RunCondition, name: &str) -> Vec<&'c str> {
-    let prefix = format!("policy.{}.", policy(name).0);
+    let prefix = format!("policy.{}.", series::policy(name).0);
     let own = condition.all_changes().filter(|(path, _)| path.starts_with(&prefix));
     own.map(|(_, value)| value.as_str()).collect()
 }

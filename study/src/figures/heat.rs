@@ -75,11 +75,12 @@ pub(crate) struct HeatMap {
     pub cells: Vec<Vec<HeatCell>>,
 }
 
-/// Position of the cells on the canvas.
+/// Position of the cells on the canvas, points.
 struct HeatGrid<'a> {
     map: &'a HeatMap,
     left: f64,
     top: f64,
+    /// Width and height of a cell.
     cell_size: (f64, f64),
 }
 
@@ -103,9 +104,9 @@ impl HeatMap {
             .count()
     }
 
-    /// Draws the map with its upper left corner at `at`, `wide` points wide, with rows `height` points high. The colour
-    /// scale ends at ±`largest`. Returns the y below the map.
-    pub(crate) fn draw(&self, scene: &mut Scene, at: (f64, f64), (wide, height): (f64, f64), largest: f64) -> f64 {
+    /// Draws the map with its upper left corner at `at`, labels included, `width` points wide, with rows `row_height`
+    /// points high. The colour scale ends at ±`largest`. Returns the y below the map.
+    pub(crate) fn draw(&self, scene: &mut Scene, at: (f64, f64), (width, row_height): (f64, f64), largest: f64) -> f64 {
         let width_of = |text: &String| text_width(text, Weight::Regular, TEXT_SIZE);
         let (RowLabels::Names(words) | RowLabels::Ends(words)) = &self.rows;
         let units = self.columns.iter().map(|(unit, _)| width_of(unit) + 8.0);
@@ -118,7 +119,7 @@ impl HeatMap {
             map: self,
             left,
             top: at.1,
-            cell_size: ((at.0 + wide - overhang - left) / columns as f64, height),
+            cell_size: ((at.0 + width - overhang - left) / columns as f64, row_height),
         };
         for (row, cells) in self.cells.iter().enumerate() {
             for (column, cell) in cells.iter().enumerate() {
@@ -134,8 +135,8 @@ impl HeatGrid<'_> {
     /// Returns left, top, right, bottom of a cell.
     fn corners(&self, row: usize, column: usize) -> Rect {
         let (wide, high) = self.cell_size;
-        let up = self.map.cells.len() - 1 - row;
-        let (left, top) = (self.left + wide * column as f64, self.top + high * up as f64);
+        let rows_above = self.map.cells.len() - 1 - row;
+        let (left, top) = (self.left + wide * column as f64, self.top + high * rows_above as f64);
         [left, top, left + wide, top + high]
     }
 
@@ -205,6 +206,8 @@ impl HeatGrid<'_> {
         }
     }
 
+    /// Draws the labels of rows and columns and the names of the axes, the name of y at the left `edge`. Returns the y
+    /// below them.
     fn draw_labels(&self, scene: &mut Scene, edge: f64) -> f64 {
         let rows = self.map.cells.len();
         let row_label = |text: &str, y: f64| {
@@ -354,13 +357,13 @@ pub(super) fn blend(share: f64) -> Rgb {
     Rgb(mix(r, red), mix(g, green), mix(b, blue))
 }
 
-/// Returns the luminance of a colour, 0 for black and 1 for white (ITU-R BT.709).
+/// Returns the luminance of a colour, 0 for black and 1 for white: the weights of ITU-R BT.709, with a gamma of 2.2.
 fn luminance(Rgb(r, g, b): Rgb) -> f64 {
     let linear = |channel: u8| libm::pow(f64::from(channel) / 255.0, 2.2);
     0.2126 * linear(r) + 0.7152 * linear(g) + 0.0722 * linear(b)
 }
 
-/// Returns the text colour with the better contrast on `ground`: black or white.
+/// Returns a text colour that is legible on `ground`: black or white.
 pub(super) fn contrast_colour(ground: Rgb) -> Paint {
     let [black, white] = NUMBER_COLOURS;
     Paint::Colour(if luminance(ground) > LIGHT_LUMINANCE {
@@ -370,7 +373,8 @@ pub(super) fn contrast_colour(ground: Rgb) -> Paint {
     })
 }
 
-/// Formats a number in short form: three digits or two decimals, thousands as k and millions as M.
+/// Formats a number in short form: two decimals below 10, one below 100, then none; thousands from 10 000 on with k,
+/// and millions with M.
 pub fn number(value: f64) -> String {
     let size = value.abs();
     // The limits lie where rounding would add a digit: 9999.5 would become 10000.

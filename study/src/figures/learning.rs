@@ -1,5 +1,5 @@
-//! Learning curves of `q-learning` tables: reward and information per episode, with a row of panels for each N and
-//! window.
+//! Learning curves of `q-learning` tables: reward and information per episode, with a row of panels for each window,
+//! area and N.
 //!
 //! Every panel has its own axis, since rewards vary little within a panel but differ greatly between few and many
 //! devices. The columns of [`csv`] are a file format.
@@ -17,15 +17,18 @@ use super::scene::{Anchor, Paint, Scene, Stroke, Text};
 use super::study::csv_cell;
 use super::style::{LEADING, MARGIN, PAGE_WIDTH, Style, TEXT_SIZE, TITLE_SIZE};
 
-/// Largest number of files, and of rows, in one figure.
-const MAX_FILES_AND_ROWS: (usize, usize) = (6, 40);
+/// Largest number of files in one figure.
+const MAX_FILES: usize = 6;
+/// Largest number of rows in one figure.
+const MAX_ROWS: usize = 40;
 /// Largest number of points of a line with markers.
 const MAX_MARKED_POINTS: usize = 40;
-/// Height of a panel and of the gap below it, points.
-const PANEL_AND_GAP_HEIGHT: (f64, f64) = (38.0, 11.0);
-/// Left edge of the panels, and the gap between them, points.
+/// Height of a panel, and of the gap below it, points.
+const PANEL_HEIGHT: f64 = 38.0;
+const ROW_GAP: f64 = 11.0;
+/// Left edge of the left panels, and the gap between the two columns, points.
 const PANELS_LEFT: f64 = 88.0;
-const PANEL_GAP: f64 = 48.0;
+const COLUMN_GAP: f64 = 48.0;
 /// Opacity of grid lines.
 const GRID_OPACITY: f64 = 0.14;
 
@@ -91,6 +94,7 @@ fn panel_rows(sources: &[NamedTables]) -> Vec<PanelRow> {
     rows
 }
 
+/// Returns the curve of `learned` for `row`; empty without such tables.
 fn curve(learned: &LearnedTables, row: PanelRow) -> &[CurvePoint] {
     let mut entries = learned.entries.iter();
     entries
@@ -98,26 +102,22 @@ fn curve(learned: &LearnedTables, row: PanelRow) -> &[CurvePoint] {
         .map_or(&[], |entry| &entry.curve)
 }
 
-/// Draws the figure, with a row for each N and a line for each of `sources`.
+/// Draws the figure, with a row for each window, area and N, and a line for each of `sources`.
 ///
 /// # Errors
-/// A file has no learning curve, or there are too many files or N.
+/// A file has no learning curve, or there are too many files or rows.
 pub fn scene(sources: &[NamedTables]) -> Result<Scene, FigureError> {
     let too_many = |count, what, limit| FigureError::TooManyCurves { count, what, limit };
-    if sources.len() > MAX_FILES_AND_ROWS.0 {
-        return Err(too_many(sources.len(), "files", MAX_FILES_AND_ROWS.0));
+    if sources.len() > MAX_FILES {
+        return Err(too_many(sources.len(), "files", MAX_FILES));
     }
     let has_no_curve = |(_, learned): &&NamedTables| learned.entries.iter().all(|entry| entry.curve.is_empty());
     if let Some((file, _)) = sources.iter().find(has_no_curve) {
         return Err(FigureError::NoCurve { file: file.clone() });
     }
     let rows = panel_rows(sources);
-    if rows.len() > MAX_FILES_AND_ROWS.1 {
-        return Err(too_many(
-            rows.len(),
-            "tables of different N, window and area",
-            MAX_FILES_AND_ROWS.1,
-        ));
+    if rows.len() > MAX_ROWS {
+        return Err(too_many(rows.len(), "tables of different N, window and area", MAX_ROWS));
     }
     let mut scene = Scene::new(PAGE_WIDTH, 0.0);
     "Learning curves of q-learning".clone_into(&mut scene.title);
@@ -125,8 +125,8 @@ pub fn scene(sources: &[NamedTables]) -> Result<Scene, FigureError> {
     let mut y = MARGIN + TITLE_SIZE;
     scene.text(Text::new(scene.title.clone(), (MARGIN, y), TITLE_SIZE).bold());
     y = draw_legend(&mut scene, sources, y + LEADING + 3.0);
-    let panel_width = 0.5 * (PAGE_WIDTH - MARGIN - 14.0 - PANELS_LEFT - PANEL_GAP);
-    let panel_lefts = [PANELS_LEFT, PANELS_LEFT + panel_width + PANEL_GAP];
+    let panel_width = 0.5 * (PAGE_WIDTH - MARGIN - 14.0 - PANELS_LEFT - COLUMN_GAP);
+    let panel_lefts = [PANELS_LEFT, PANELS_LEFT + panel_width + COLUMN_GAP];
     for (left, quantity) in panel_lefts.iter().zip(&QUANTITIES) {
         let at = (left + 0.5 * panel_width, y);
         scene.text(Text::new(quantity.title, at, TEXT_SIZE).bold().anchored(Anchor::Middle));
@@ -143,15 +143,15 @@ pub fn scene(sources: &[NamedTables]) -> Result<Scene, FigureError> {
         draw_row_name(&mut scene, *row, is_one_window_and_area, top);
         for (left, quantity) in panel_lefts.iter().zip(&QUANTITIES) {
             let panel = CurvePanel {
-                corners: [*left, top, left + panel_width, top + PANEL_AND_GAP_HEIGHT.0],
+                corners: [*left, top, left + panel_width, top + PANEL_HEIGHT],
                 x,
-                is_last: i + 1 == rows.len(),
+                is_in_last_row: i + 1 == rows.len(),
             };
             panel.draw(&mut scene, sources, *row, quantity);
         }
-        top += PANEL_AND_GAP_HEIGHT.0 + PANEL_AND_GAP_HEIGHT.1;
+        top += PANEL_HEIGHT + ROW_GAP;
     }
-    let mut y = top - PANEL_AND_GAP_HEIGHT.1 + 3.0 * LEADING + 6.0;
+    let mut y = top - ROW_GAP + 3.0 * LEADING + 6.0;
     for line in wrap_text(
         &scene.description.clone(),
         Weight::Regular,
@@ -172,7 +172,7 @@ fn draw_row_name(scene: &mut Scene, row: PanelRow, [is_one_window, is_one_area]:
         devices,
         surface,
     } = row;
-    let mut y = top + 0.5 * PANEL_AND_GAP_HEIGHT.0 + 0.36 * TEXT_SIZE;
+    let mut y = top + 0.5 * PANEL_HEIGHT + 0.36 * TEXT_SIZE;
     scene.text(Text::new(format!("N = {devices}"), (MARGIN, y), TEXT_SIZE).bold());
     let more = [
         (!is_one_window).then(|| lookback.label()),
@@ -184,10 +184,11 @@ fn draw_row_name(scene: &mut Scene, row: PanelRow, [is_one_window, is_one_area]:
     }
 }
 
-/// Draws the legend of the files, if there are several. Returns the y below it.
+/// Draws the legend of the files, if there are several, with the base line `y`. Returns the base line of the text
+/// below.
 fn draw_legend(scene: &mut Scene, sources: &[NamedTables], mut y: f64) -> f64 {
     /// Width of an entry's line and marker, points.
-    const SWATCH: f64 = 22.0;
+    const SWATCH_WIDTH: f64 = 22.0;
     if sources.len() < 2 {
         return y + 2.0;
     }
@@ -195,22 +196,22 @@ fn draw_legend(scene: &mut Scene, sources: &[NamedTables], mut y: f64) -> f64 {
     for (i, (file, _)) in sources.iter().enumerate() {
         let (style, file) = (
             Style::from_palette(i),
-            shorten_start(file, PAGE_WIDTH - 2.0 * MARGIN - SWATCH),
+            shorten_start(file, PAGE_WIDTH - 2.0 * MARGIN - SWATCH_WIDTH),
         );
-        let needed = SWATCH + text_width(&file, Weight::Regular, TEXT_SIZE);
-        if x > MARGIN && x + needed > PAGE_WIDTH - MARGIN {
+        let entry_width = SWATCH_WIDTH + text_width(&file, Weight::Regular, TEXT_SIZE);
+        if x > MARGIN && x + entry_width > PAGE_WIDTH - MARGIN {
             (x, y) = (MARGIN, y + LEADING + 1.0);
         }
         let middle = y - 0.35 * TEXT_SIZE;
         scene.line(VectorPath::segment((x, middle), (x + 18.0, middle)), style.stroke());
         style.draw_marker(scene, (x + 9.0, middle));
-        scene.text(Text::new(file, (x + SWATCH, y), TEXT_SIZE));
-        x += needed + 9.0;
+        scene.text(Text::new(file, (x + SWATCH_WIDTH, y), TEXT_SIZE));
+        x += entry_width + 9.0;
     }
     y + LEADING + 6.0
 }
 
-/// Returns the longest end of `text` that fits in `max_width` points.
+/// Returns the longest end of `text` that fits in `max_width` points, with an ellipsis in front if it is not all.
 fn shorten_start(text: &str, max_width: f64) -> String {
     let letters: Vec<char> = text.chars().collect();
     let shortened = (0..letters.len()).map(|from| {
@@ -251,8 +252,10 @@ fn caption(sources: &[NamedTables]) -> String {
 struct CurvePanel {
     /// Left, top, right, bottom.
     corners: Rect,
+    /// The x axis, shared by all panels.
     x: Scale,
-    is_last: bool,
+    /// Whether the panel has the labels of the x axis.
+    is_in_last_row: bool,
 }
 
 impl CurvePanel {
@@ -299,7 +302,7 @@ impl CurvePanel {
             let at = left + self.x.position(tick.value) * (right - left);
             scene.line(VectorPath::segment((at, top), (at, bottom)), grid);
             scene.line(VectorPath::segment((at, bottom), (at, bottom + 2.5)), axis);
-            if self.is_last {
+            if self.is_in_last_row {
                 let text = Text::new(tick.label, (at, bottom + LEADING + 1.5), TEXT_SIZE);
                 scene.text(text.anchored(Anchor::Middle));
             }
@@ -308,7 +311,7 @@ impl CurvePanel {
             VectorPath::polyline([(left, top), (left, bottom), (right, bottom)], false),
             axis,
         );
-        if self.is_last {
+        if self.is_in_last_row {
             let below = (0.5 * (left + right), bottom + 2.0 * LEADING + 2.5);
             scene.text(Text::new("TTIs of training", below, TEXT_SIZE).anchored(Anchor::Middle));
         }

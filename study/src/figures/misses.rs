@@ -15,7 +15,7 @@ const MAX_CELLS: usize = 1000;
 /// Size of a missed event, points.
 const MARKER_SIZE: f64 = 2.2;
 
-/// Returns the paint and shape of a cause, different for each.
+/// Returns the paint and shape of a cause; `None` is an unknown cause. No two causes share a shape.
 const fn mark(cause: Option<MissCause>) -> (Paint, MarkerShape) {
     match cause {
         Some(MissCause::OutOfReach) => (Paint::Colour(VERMILION), MarkerShape::TriangleUp),

@@ -1,5 +1,5 @@
 //! Labels next to points of a chart, placed where there is room. Trade-off charts label points with N or settings.
-//! Nothing but their places depends on it.
+//! Only the places of labels depend on it.
 
 use super::font::{Weight, text_width};
 use super::path::{Rect, boxes_overlap};
@@ -64,7 +64,7 @@ fn box_of_digits(text: &Text) -> Rect {
     [left, top, right, text.at.1]
 }
 
-/// Returns whether a line crosses a box: its stretches between opposite borders overlap.
+/// Returns whether a line crosses a box: its part between left and right overlaps its part between top and bottom.
 fn crosses_box([left, top, right, bottom]: Rect, [from, to]: [(f64, f64); 2]) -> bool {
     let (mut start, mut end) = (0.0_f64, 1.0_f64);
     for (start_coordinate, length, low, high) in [
@@ -86,14 +86,14 @@ fn crosses_box([left, top, right, bottom]: Rect, [from, to]: [(f64, f64); 2]) ->
 /// Returns candidate texts right of, left of, above, below and in the corners around a point.
 fn candidate_texts((x, y): (f64, f64), label: &str) -> [Text; 8] {
     /// Gap between the point and the text, points.
-    const AWAY: f64 = MARKER_RADIUS + 2.0;
+    const GAP: f64 = MARKER_RADIUS + 2.0;
     let half_width = 0.5 * text_width(label, Weight::Regular, TEXT_SIZE);
     let middle = y + 0.36 * TEXT_SIZE;
-    let (above, below) = (y - AWAY - 0.24 * TEXT_SIZE, y + AWAY + 0.76 * TEXT_SIZE);
+    let (above, below) = (y - GAP - 0.24 * TEXT_SIZE, y + GAP + 0.76 * TEXT_SIZE);
     let text = |x: f64, y: f64| Text::new(label, (x, y), TEXT_SIZE).anchored(Anchor::Middle);
     [
-        text(x + AWAY + half_width, middle),
-        text(x - AWAY - half_width, middle),
+        text(x + GAP + half_width, middle),
+        text(x - GAP - half_width, middle),
         text(x, above),
         text(x, below),
         text(x + MARKER_RADIUS + half_width, above),

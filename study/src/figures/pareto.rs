@@ -18,9 +18,9 @@ use crate::claims::{Claim, DeviceCounts, claims_on};
 
 /// Metric along x.
 pub const ENERGY_METRIC: &str = "energy_per_device_tti";
-/// Name of the policy that wakes only the best device.
+/// Name of the policy that knows events; the energy floor is drawn at its information.
 pub const GENIE: &str = "genie";
-/// Metric along y for which larger values are better.
+/// Information, the objective of P1: the metric along y of the first trade-off.
 pub const P1_METRIC: &str = "info_p1";
 /// Number of styles of [`Style::from_palette`], which lend markers and dashes to a policy's other lines.
 const PALETTE_SIZE: usize = 6;
@@ -188,7 +188,7 @@ impl TradeOff {
     }
 
     /// Returns the energy floor for sensing the whole area in every TTI, with one point for each N at the genie's
-    /// information. Empty unless there is exactly one condition with cover data for at least two N.
+    /// information. Empty unless the metric is P1 and there is exactly one condition, with a floor for at least two N.
     fn floor(&self, conditions: &[&RunCondition]) -> Vec<(u32, ChartPoint)> {
         let ([condition], P1_METRIC) = (conditions, self.metric) else {
             return Vec::new();
@@ -202,16 +202,17 @@ impl TradeOff {
         if points.len() > 1 { points } else { Vec::new() }
     }
 
+    /// Returns the caption. `conditions` have the preset and the K of `first`, one of them.
     fn caption(
         &self,
-        condition: &RunCondition,
+        first: &RunCondition,
         conditions: &[&RunCondition],
         mut stated_ns: Vec<u32>,
         has_floor: bool,
     ) -> String {
         let settings = match conditions {
             [one] => one.label(),
-            _ => format!("{}, with the changes in the legend", condition.preset),
+            _ => format!("{}, with the changes in the legend", first.preset),
         };
         let counts = || conditions.iter().map(|c| c.runs_per_cell());
         let (least, most) = (counts().map(|c| c.0).min(), counts().map(|c| c.1).max());
@@ -219,7 +220,7 @@ impl TradeOff {
             "Preset {settings}; {} of {} TTIs per point, means with 95 % intervals in both directions. Lines join \
              points in order of N, which labels some points. {}",
             runs_in_words((least.unwrap_or(0), most.unwrap_or(0))),
-            condition.ttis,
+            first.ttis,
             self.direction_caption
         );
         if has_floor {
@@ -337,7 +338,8 @@ fn n_label(n: u32, sample: &ChartPoint) -> Note {
     }
 }
 
-/// Returns the labels ordered by importance: the last N of each line, then the first, then one halfway.
+/// Returns the labels ordered by importance: the last N of each line, then the first, then one halfway. No line is
+/// empty.
 fn by_importance(lines: &[Vec<Note>]) -> Vec<Note> {
     let indices_by_importance: [fn(usize) -> Option<usize>; 3] = [
         |count| Some(count - 1),

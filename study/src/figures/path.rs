@@ -171,9 +171,13 @@ mod tests {
     }
 
     #[test]
-    fn bounds_contain_nan_if_a_point_does() {
+    fn bounds_contain_nan_if_the_last_point_does() {
         let path = VectorPath::polyline([(1.0, 1.0), (f64::NAN, 2.0)], false);
         assert!(path.bounds()[0].is_nan());
+    }
+
+    #[test]
+    fn bounds_of_a_circle_touch_it() {
         let bounds = VectorPath::circle((1.0, 2.0), 1.0).bounds();
         assert!(
             bounds

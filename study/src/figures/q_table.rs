@@ -20,9 +20,9 @@ use super::scale::Scale;
 use super::scene::{Scene, Text};
 use super::style::{LEADING, MARGIN, PAGE_WIDTH, Style, TEXT_SIZE, TITLE_SIZE};
 
-/// Heights of rows, points.
-const DUTY_ROW: f64 = 15.0;
-const WAKE_ROW: f64 = 12.0;
+/// Heights of the rows of duty tables and of wake-up tables, points.
+const DUTY_ROW_HEIGHT: f64 = 15.0;
+const WAKE_ROW_HEIGHT: f64 = 12.0;
 /// Distance between panels, points.
 const PANEL_GAP: f64 = 12.0;
 /// Limits of the buckets of Î, shares of Ψ, as used by
@@ -107,7 +107,7 @@ fn score_limits() -> [f64; SCORE_BUCKETS + 1] {
     std::array::from_fn(score_edge)
 }
 
-/// Formats `value` with two digits, without trailing zeros.
+/// Formats `value` with two digits, but with all integer digits and at most two decimals, without trailing zeros.
 fn format_short(value: f64) -> String {
     let decimals = if value == 0.0 || value >= 9.95 {
         0
@@ -207,7 +207,12 @@ pub fn duty_scene(learned: &LearnedTables, set: &TableSet) -> Scene {
     );
     let (mut scene, y) = titled_scene(title, text.clone());
     let largest = map.largest_magnitude();
-    let mut y = map.draw(&mut scene, (MARGIN, y), (PAGE_WIDTH - 2.0 * MARGIN, DUTY_ROW), largest);
+    let mut y = map.draw(
+        &mut scene,
+        (MARGIN, y),
+        (PAGE_WIDTH - 2.0 * MARGIN, DUTY_ROW_HEIGHT),
+        largest,
+    );
     let partly_known = (map.count(KnowledgeDegree::PartlyKnown) > 0).then_some("one action never tried");
     y = draw_key(&mut scene, (MARGIN, y), largest, "senses", partly_known) + 8.0;
     let value_scene = value_chart(learned, set).scene();
@@ -290,8 +295,8 @@ fn describe_training_of_set(learned: &LearnedTables, set: &TableSet) -> String {
     )
 }
 
-/// Describes the training of a file: version, weights, schedule and `lookbacks`. `scope` names the number of devices or
-/// the area.
+/// Describes the training of a file: version, weights, schedule and `lookbacks`. `scope` states for which devices and
+/// area the episodes are.
 pub(super) fn describe_training(learned: &LearnedTables, lookbacks: &[Lookback], scope: &str) -> String {
     let lengths: Vec<String> = lookbacks.iter().map(|lookback| lookback.describe()).collect();
     let (weights, schedule, training) = (learned.weights, &learned.schedule, &learned.training);
@@ -434,19 +439,20 @@ pub fn wake_scene(learned: &LearnedTables, set: &TableSet, ranking: WakeUpRankin
     let (mut scene, top) = titled_scene(title, text.clone());
     let maps: Vec<HeatMap> = (0..REPORT_BUCKETS).map(|reports| wake_map(table, reports)).collect();
     let largest = maps.iter().map(HeatMap::largest_magnitude).fold(0.0, f64::max);
-    let wide = 0.5 * (PAGE_WIDTH - 2.0 * MARGIN - PANEL_GAP);
+    let panel_width = 0.5 * (PAGE_WIDTH - 2.0 * MARGIN - PANEL_GAP);
     let mut y = top;
     for (row, pair) in maps.chunks(2).enumerate() {
         let mut below = y;
         for (column, map) in pair.iter().enumerate() {
-            let left = MARGIN + (wide + PANEL_GAP) * column as f64;
-            let name = match 2 * row + column {
+            let left = MARGIN + (panel_width + PANEL_GAP) * column as f64;
+            let panel_name = match 2 * row + column {
                 0 => "after 1 report".to_owned(),
                 last if last + 1 == REPORT_BUCKETS => format!("after {REPORT_BUCKETS} or more reports"),
                 reports => format!("after {} reports", reports + 1),
             };
-            scene.text(Text::new(name, (left + 0.5 * wide, y + 2.0), TEXT_SIZE).anchored(super::scene::Anchor::Middle));
-            below = map.draw(&mut scene, (left, y + LEADING), (wide, WAKE_ROW), largest);
+            let at = (left + 0.5 * panel_width, y + 2.0);
+            scene.text(Text::new(panel_name, at, TEXT_SIZE).anchored(super::scene::Anchor::Middle));
+            below = map.draw(&mut scene, (left, y + LEADING), (panel_width, WAKE_ROW_HEIGHT), largest);
         }
         y = below + 6.0;
     }

@@ -48,9 +48,9 @@ pub struct RunCondition {
     pub changed_in_table: Option<String>,
     /// Scenario of the first run; `None` if it cannot be reconstructed.
     pub scenario: Option<Scenario>,
-    /// Whether all runs use the preset unchanged, including swept and set fields.
+    /// Whether all runs use the preset unchanged: no field is swept or set to another value.
     is_preset: bool,
-    /// Indices in [`Results::by_ranking`] of the conditions merged into this one.
+    /// Indices in [`Results::by_ranking`] of the conditions merged into this one; empty for the conditions there.
     pub ranking_indices: Vec<usize>,
     /// Runs by series and N, each in seed order.
     runs: RunsBySeries,
@@ -117,10 +117,14 @@ impl Results {
         };
         // The scenario of a policy unknown to this program cannot be loaded, so its cells decide nothing here.
         let cells_of_known_policies = || cells.iter().filter(|cell| registry::named(cell.policy).is_some());
-        let is_preset = cells_of_known_policies().all(|cell| scenario_with(cell, &[]).is_some());
-        let is_known = cells_of_known_policies().all(|cell| scenario_with(cell, &set_fields).is_some());
-        let changes = if is_known && !is_preset { set_fields } else { Vec::new() };
-        let changed_in = (!is_known && !is_preset).then(|| name.to_owned());
+        let has_only_swept_fields = cells_of_known_policies().all(|cell| scenario_with(cell, &[]).is_some());
+        let has_known_changes = cells_of_known_policies().all(|cell| scenario_with(cell, &set_fields).is_some());
+        let changes = if has_known_changes && !has_only_swept_fields {
+            set_fields
+        } else {
+            Vec::new()
+        };
+        let changed_in = (!has_known_changes && !has_only_swept_fields).then(|| name.to_owned());
         for cell in cells {
             let is_known_policy = registry::named(cell.policy).is_some();
             let is_unchanged = !is_known_policy || reconstruct_scenario(cell.rows[0], &[], &[], files).is_some();
@@ -187,10 +191,10 @@ fn merge_rankings(by_ranking: &[RunCondition]) -> Vec<RunCondition> {
             let ranking = by_ranking[*index].ranking();
             for ((policy, n), runs_by_seed) in &by_ranking[*index].runs {
                 let key = (series::name(policy, &ranking), *n);
-                let unranked = runs.get(&(policy.clone(), *n)).filter(|_| key.0 != *policy);
+                let by_paper_ranking = runs.get(&(policy.clone(), *n)).filter(|_| key.0 != *policy);
                 let rows = || runs_by_seed.values().map(Arc::as_ref);
-                if !unranked
-                    .is_some_and(|unranked| series::has_equal_outcomes(unranked.values().map(Arc::as_ref), rows()))
+                if !by_paper_ranking
+                    .is_some_and(|of_paper| series::has_equal_outcomes(of_paper.values().map(Arc::as_ref), rows()))
                 {
                     runs.entry(key).or_default().extend(runs_by_seed.clone());
                 }
@@ -406,10 +410,10 @@ impl Results {
     /// Unique part of a file name for each of [`Self::conditions`]. The files of `reveille figures TABLE` have it in
     /// their names.
     pub fn file_labels(&self) -> Vec<String> {
-        let has_lengths = self.conditions.windows(2).any(|pair| pair[0].ttis != pair[1].ttis);
+        let has_several_lengths = self.conditions.windows(2).any(|pair| pair[0].ttis != pair[1].ttis);
         let label_of = |condition: &RunCondition, has_folder: bool| {
             let label = condition.file_label(has_folder);
-            if has_lengths {
+            if has_several_lengths {
                 format!("{label}-k{}", condition.ttis)
             } else {
                 label
@@ -439,11 +443,11 @@ impl Results {
 impl Results {
     /// Conditions grouped by preset and K, with a part of a file name for each group.
     pub fn by_preset_and_length(&self) -> Vec<(String, Vec<&RunCondition>)> {
-        let has_lengths = self.conditions.windows(2).any(|pair| pair[0].ttis != pair[1].ttis);
+        let has_several_lengths = self.conditions.windows(2).any(|pair| pair[0].ttis != pair[1].ttis);
         let mut groups: Vec<(String, Vec<&RunCondition>)> = Vec::new();
         for condition in &self.conditions {
             let mut label = condition.preset.clone();
-            if has_lengths {
+            if has_several_lengths {
                 label = format!("{label}-k{}", condition.ttis);
             }
             match groups.iter_mut().find(|(known, _)| *known == label) {
@@ -483,7 +487,7 @@ pub(crate) mod fixtures {
     }
 
     /// Creates a table of runs under `preset` that sweeps `path`: for each policy, N and field value, one value of
-    /// `metric` per run.
+    /// `metric` per run. Each run has its own digest.
     pub(crate) fn swept(
         preset: &str,
         metric: &str,
@@ -491,11 +495,11 @@ pub(crate) mod fixtures {
         runs: &[(&str, u32, SweptValue, &[f64])],
     ) -> (String, Table) {
         let mut rows = Vec::new();
-        for (policy, n, field, values) in runs {
+        for (policy, n, field_value, values) in runs {
             for (seed, value) in (1..).zip(*values) {
-                let set = format!("{path}={field}");
+                let set = format!("{path}={field_value}");
                 let mut row = run((preset, &[set.as_str()]), (policy, *n, seed), (metric, *value));
-                row.swept = Arc::from([field.clone()]);
+                row.swept = Arc::from([field_value.clone()]);
                 row.digest = row.scenario_hash;
                 rows.push(row);
             }

@@ -155,7 +155,7 @@ pub fn measure(scenarios: &[Scenario], impairments: &[&'static Impairment], seed
     }
     let runs = cells.iter().flat_map(|cell| (0..seeds).map(move |i| (cell, i)));
     let runs: Vec<_> = runs.collect();
-    let run_metrics = |((scenario, radio), i): &(&(&Scenario, RadioSettings), u64)| {
+    let metrics_of_run = |((scenario, radio), i): &(&(&Scenario, RadioSettings), u64)| {
         // The same seeds for every level, so that levels differ only in the radio.
         let mut scenario = scenario.with_seed(scenario.run.seed.wrapping_add(*i));
         scenario.radio = *radio;
@@ -163,7 +163,7 @@ pub fn measure(scenarios: &[Scenario], impairments: &[&'static Impairment], seed
             .finish(&mut ())
             .metrics
     };
-    let metrics: Vec<Metrics> = runs.par_iter().map(run_metrics).collect();
+    let metrics: Vec<Metrics> = runs.par_iter().map(metrics_of_run).collect();
     // The chunks follow the order of `cells` above.
     let mut by_cell = metrics.chunks(seeds as usize);
     let at_level_zero: Vec<&[Metrics]> = by_cell.by_ref().take(scenarios.len()).collect();
@@ -188,8 +188,9 @@ pub fn measure(scenarios: &[Scenario], impairments: &[&'static Impairment], seed
     points
 }
 
-/// Draws all metrics of [`METRICS`] against the levels of `impairments`, a row each, from `points` of `scenario`.
-/// Misdetections have a square-root axis: the policies differ by more than a factor of ten, and 0 is a frequent value.
+/// Draws all metrics of [`METRICS`] against the levels of `impairments`, a row each, from `points` of runs that differ
+/// from `scenario` in policy, seed and radio only. Misdetections have a square-root axis: the policies differ by more
+/// than a factor of ten, and 0 is a frequent value.
 pub fn grid(points: &[RobustnessPoint], impairments: &[&Impairment], scenario: &Scenario) -> ChartGrid {
     let row = |impairment: &&Impairment| ChartRow {
         title: impairment.title.to_owned(),
@@ -261,7 +262,7 @@ fn chart(points: &[RobustnessPoint], impairment: &Impairment, (metric, metric_na
             from: -0.04 * largest_level,
             to: 1.04 * largest_level,
         },
-        // Replaced by the axis that all rows share.
+        // Only the ends count: `ChartGrid::share_y_axes` makes the axis that all rows share from them.
         y: Scale::Linear { from: low, to: high },
         marks: Vec::new(),
         spans: Vec::new(),
@@ -296,8 +297,8 @@ fn series(points: &[&RobustnessPoint], policy: &str, metric: &str) -> Series {
     }
 }
 
-const fn finite_or_zero(half: f64) -> f64 {
-    if half.is_finite() { half } else { 0.0 }
+const fn finite_or_zero(half_width: f64) -> f64 {
+    if half_width.is_finite() { half_width } else { 0.0 }
 }
 
 /// Formats all metrics of all `points` as CSV.
@@ -345,15 +346,16 @@ mod tests {
         let levels: usize = IMPAIRMENTS.iter().map(|impairment| impairment.levels.len()).sum();
         assert_eq!(points.len(), 2 * levels);
         let perfect: Vec<&RobustnessPoint> = points.iter().filter(|point| point.level <= 0.0).collect();
-        // Without an impairment, all runs of a policy are equal.
+        // Without an impairment, the runs of a policy are the same for all impairments. The first two points are of
+        // `random` and the genie.
         for point in &perfect {
             assert_eq!(
                 point.run_metrics,
                 perfect[usize::from(point.policy == "genie")].run_metrics
             );
         }
-        // Each impairment raises this metric, from level 0 to its largest level.
-        let affected = [
+        // In the order of `IMPAIRMENTS`: each raises its metric, a percentage, by more than 2.
+        let raised_metrics = [
             "missed_wake_ups_pct",
             "false_wake_ups_pct",
             "lost_reports_pct",
@@ -361,7 +363,7 @@ mod tests {
             "late_wake_ups_pct",
             "misdetection_pct",
         ];
-        for (impairment, metric) in impairments.into_iter().zip(affected) {
+        for (impairment, metric) in impairments.into_iter().zip(raised_metrics) {
             let of_genie = points
                 .iter()
                 .filter(|point| point.impairment.name == impairment.name && point.policy == "genie");

@@ -30,7 +30,7 @@ pub fn collect_events(scenario: &Scenario) -> Vec<EventRecord> {
 /// Outcome of one TTI.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct TtiOutcome {
-    /// Reports of devices with δ = 1.
+    /// Reports of devices with δ = 1 that arrived.
     pub reports: Vec<Report>,
     /// Devices with δ = 1 that detected the event but could not transmit.
     pub failures: Vec<FailedTransmission>,
@@ -141,7 +141,7 @@ mod tests {
             for j in 0..30 {
                 let (state, level) = walk.state_and_battery(DeviceId(j), k);
                 battery_sum += u128::from(level.micro());
-                low_ttis += u64::from(level < Energy::from_micro(10_000_000));
+                low_ttis += u64::from(level < scenario.classes[0].energy.e_tx);
                 assert_eq!(
                     tti_outcome.reports.iter().any(|report| report.device == DeviceId(j)),
                     state == DeviceState::Transmission && walk.is_on(DeviceId(j), k)

@@ -40,10 +40,10 @@ pub struct AxisTick {
 const MAX_TICKS: f64 = 6.0;
 
 impl Scale {
-    /// Creates a linear axis that holds all of `values` and ends on ticks. Infinities and NaN do not count; without any
-    /// value it runs from 0 to 1.
+    /// Creates a linear axis that holds all of `values`, and 0 if `with_zero` is set, and ends on ticks. Infinities and
+    /// NaN do not count; without any value it runs from 0 to 1.
     pub fn linear(values: impl IntoIterator<Item = f64>, with_zero: bool) -> Self {
-        let Some((mut low, mut high)) = range(values) else {
+        let Some((mut low, mut high)) = finite_range(values) else {
             return Self::Linear { from: 0.0, to: 1.0 };
         };
         if with_zero {
@@ -64,7 +64,7 @@ impl Scale {
     /// Creates a logarithmic axis over whole decades that holds all of `values` above zero. `None` without such a
     /// value.
     pub fn log(values: impl IntoIterator<Item = f64>) -> Option<Self> {
-        let (low, high) = range(values.into_iter().filter(|x| *x > 0.0))?;
+        let (low, high) = finite_range(values.into_iter().filter(|x| *x > 0.0))?;
         let from = floor(log10(low) + 1e-9);
         // At least a decade: without it, a single power of ten would have no axis.
         let to = (-floor(-log10(high) + 1e-9)).max(from + 1.0);
@@ -74,9 +74,10 @@ impl Scale {
         })
     }
 
-    /// Creates a square-root axis from 0 that holds all of `values` and ends on 1, 2 or 5 times a power of ten.
+    /// Creates a square-root axis from 0 that holds all of `values`, which are from 0 to 5·10⁶, and ends on 1, 2 or 5
+    /// times a power of ten.
     pub fn square_root(values: impl IntoIterator<Item = f64>) -> Self {
-        let high = range(values).map_or(1.0, |(_, high)| high);
+        let high = finite_range(values).map_or(1.0, |(_, high)| high);
         let to = round_values().find(|value| *value >= high * (1.0 - 1e-9));
         Self::SquareRoot { to: to.unwrap_or(1.0) }
     }
@@ -171,7 +172,8 @@ pub fn label(value: f64, step: f64) -> String {
     }
 }
 
-fn range(values: impl IntoIterator<Item = f64>) -> Option<(f64, f64)> {
+/// Returns the smallest and the largest finite value; `None` without one.
+fn finite_range(values: impl IntoIterator<Item = f64>) -> Option<(f64, f64)> {
     let finite = values.into_iter().filter(|x| x.is_finite());
     finite.fold(None, |range, x| match range {
         None => Some((x, x)),

@@ -237,7 +237,8 @@ impl Scene {
         self.items.push(SceneItem::Text(text));
     }
 
-    /// Adds all items of another scene on top, with its upper left corner at `at`.
+    /// Adds all items of another scene on top, with its upper left corner at `at`. This scene keeps its title,
+    /// description and size.
     pub fn add_scene(&mut self, other: Self, at: (f64, f64)) {
         let moved = other.items.into_iter().map(|item| match item {
             SceneItem::Shape(shape) => SceneItem::Shape(FilledPath {

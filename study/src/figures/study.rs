@@ -132,8 +132,8 @@ impl Figure {
         let claims = self.claims(condition);
         let marks = stated_marks(claims, &series);
         let spans = stated_spans(claims, &series);
-        let largest_n = series.iter().flat_map(|s| &s.points).map(|p| p.x);
-        let largest_n = largest_n.chain(marks.iter().map(|m| m.x)).fold(0.0, f64::max);
+        let run_ns = series.iter().flat_map(|s| &s.points).map(|p| p.x);
+        let largest_n = run_ns.chain(marks.iter().map(|m| m.x)).fold(0.0, f64::max);
         let chart = Chart {
             title: figure_title(self.title, &format!("{} of the paper", self.paper_figure), condition),
             x_label: "number of devices N".to_owned(),

@@ -95,8 +95,8 @@ pub(crate) const MARKER_RADIUS: f64 = 2.4;
 /// The width of lines, points.
 pub(crate) const LINE_WIDTH: f64 = 1.1;
 
-/// Styles of policies by name.
-const POLICIES: [(&str, Style); 8] = [
+/// Styles of policies by name; the entry of `external` is the last.
+const POLICY_STYLES: [(&str, Style); 8] = [
     ("knn", Style::new(Paint::Colour(BLUE), MarkerShape::Circle, &[])),
     (
         "adjusted",
@@ -133,7 +133,7 @@ const FREE_STYLES: [Style; 3] = [
     Style::new(Paint::Colour(OLIVE), MarkerShape::TriangleRight, &[6.0, 4.0]),
 ];
 
-/// Offsets in [`POLICIES`] of the entries that lend a marker and dashes to a policy with another ranking. The last
+/// Offsets in [`POLICY_STYLES`] of the entries that lend a marker and dashes to a policy with another ranking. The last
 /// entry, `external`, lends neither.
 const RANKED_STYLE_OFFSETS: [usize; 2] = [3, 4];
 
@@ -146,16 +146,16 @@ impl Style {
     /// colour with another marker and other dashes.
     pub fn of_policy(series: &str) -> Self {
         let (name, is_ranked) = series::policy(series);
-        let index = POLICIES.iter().position(|(listed, _)| *listed == name);
-        let style = index.map_or_else(|| Self::of_unlisted_policy(name), |index| POLICIES[index].1);
+        let index = POLICY_STYLES.iter().position(|(listed, _)| *listed == name);
+        let style = index.map_or_else(|| Self::of_unlisted_policy(name), |index| POLICY_STYLES[index].1);
         if !is_ranked {
             return style;
         }
         // The offsets differ and are smaller than the number of lenders, so marker and dashes come from two other
         // policies.
-        let lender_count = POLICIES.len() - 1;
+        let lender_count = POLICY_STYLES.len() - 1;
         let [marker_lender, dashes_lender] =
-            RANKED_STYLE_OFFSETS.map(|offset| POLICIES[(index.unwrap_or(lender_count) + offset) % lender_count].1);
+            RANKED_STYLE_OFFSETS.map(|offset| POLICY_STYLES[(index.unwrap_or(lender_count) + offset) % lender_count].1);
         Self {
             marker: marker_lender.marker,
             dashes: dashes_lender.dashes,
@@ -163,15 +163,15 @@ impl Style {
         }
     }
 
-    /// Returns the style of a policy without an entry in [`POLICIES`].
+    /// Returns the style of a policy without an entry in [`POLICY_STYLES`].
     fn of_unlisted_policy(name: &str) -> Self {
-        let is_free = |name: &&str| POLICIES.iter().all(|(listed, _)| listed != name);
+        let is_unlisted = |name: &&str| POLICY_STYLES.iter().all(|(listed, _)| listed != name);
         // The registry decides, not the given tables, so that a policy looks the same in all figures.
-        let before = registry::names().filter(is_free).take_while(|other| *other != name);
+        let before = registry::names().filter(is_unlisted).take_while(|other| *other != name);
         FREE_STYLES[before.count().min(FREE_STYLES.len() - 1)]
     }
 
-    /// Returns the `i`-th style of a cyclic palette of six, for series that are not policies.
+    /// Returns the `i`-th style of a cyclic palette of six, for series that are not policies. `pareto` counts on six.
     pub fn from_palette(i: usize) -> Self {
         let all = [
             Self::new(Paint::Colour(BLUE), MarkerShape::Circle, &[]),
@@ -224,7 +224,7 @@ mod tests {
     use super::*;
 
     fn policy_styles() -> impl Iterator<Item = Style> {
-        POLICIES.into_iter().map(|(_, style)| style)
+        POLICY_STYLES.into_iter().map(|(_, style)| style)
     }
 
     #[test]
@@ -249,7 +249,7 @@ mod tests {
         }
         assert!(policy_styles().all(|style| style != Style::of_policy("another")));
         assert!(
-            POLICIES.iter().all(|(name, _)| names.contains(name)),
+            POLICY_STYLES.iter().all(|(name, _)| names.contains(name)),
             "a style of an unknown policy"
         );
     }

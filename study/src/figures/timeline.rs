@@ -60,10 +60,10 @@ pub struct Timeline {
 
 impl Timeline {
     /// Collects `ttis` TTIs of a run of `scenario`, from TTI `from`. Without `devices` it selects the three devices
-    /// with most reports and wake-ups, lower numbers first in a tie.
+    /// with most reports, sent or failed, and wake-ups in these TTIs, lower numbers first in a tie.
     ///
     /// # Errors
-    /// The run has no such device or TTIs, or there are more than `MAX_DEVICES` devices.
+    /// The run has no such device or TTIs, `ttis` is not from 10 to 2000, or there are more than `MAX_DEVICES` devices.
     pub fn from_scenario(scenario: &Scenario, devices: &[u32], from: u64, ttis: u64) -> Result<Self, FigureError> {
         // Both numbers are user input, so the sum may overflow. `FigureError::NoWindow` states the limits.
         let end = from.saturating_add(ttis);
@@ -104,7 +104,7 @@ impl Timeline {
     }
 }
 
-/// Runs the scenario up to TTI `end`, and calls `visit` for each TTI from `from`.
+/// Runs the TTIs before `end`, and calls `visit` for each of them from `from` on.
 fn for_each_tti(scenario: &Scenario, from: Tti, end: Tti, mut visit: impl FnMut(&RunWalk, Tti, &TtiOutcome)) {
     let mut walk = RunWalk::new(scenario);
     loop {
@@ -190,12 +190,12 @@ pub fn scene(scenario: &Scenario, timeline: &Timeline) -> Scene {
     let top = top + 8.0;
     // A line above each device names its class, if there are several.
     let classes = (scenario.classes.len() > 1).then(|| assign_classes(scenario));
-    let head = if classes.is_some() { LEADING } else { 0.0 };
-    let height = head + BATTERY_HEIGHT + 4.0 * LANE_HEIGHT + DEVICE_GAP;
-    let bottom = top + height * timeline.devices.len() as f64 - DEVICE_GAP;
+    let class_line_height = if classes.is_some() { LEADING } else { 0.0 };
+    let device_height = class_line_height + BATTERY_HEIGHT + 4.0 * LANE_HEIGHT + DEVICE_GAP;
+    let bottom = top + device_height * timeline.devices.len() as f64 - DEVICE_GAP;
     axis.draw_events(&mut scene, &timeline.events, top, bottom);
     for (i, (id, energy, history)) in timeline.devices.iter().enumerate() {
-        let top = top + height * i as f64 + head;
+        let top = top + device_height * i as f64 + class_line_height;
         if let Some(classes) = &classes {
             let class = &scenario.classes[usize::from(classes[id.index()])];
             let text = class_line(&class.name, energy);
@@ -248,7 +248,7 @@ fn draw_legend(scene: &mut Scene, y: f64) {
         scene.line(line, Stroke::solid(Paint::Colour(BLUE), 1.2));
     });
     entry(scene, "E_Tx", &|scene, x| {
-        scene.line(VectorPath::segment((x, middle), (x + 10.0, middle)), threshold());
+        scene.line(VectorPath::segment((x, middle), (x + 10.0, middle)), threshold_stroke());
     });
     entry(scene, "wake-up", &|scene, x| draw_arrow(scene, x + 5.0, middle + 4.0));
     entry(scene, "S2 without the energy for a report", &|scene, x| {
@@ -264,8 +264,11 @@ fn draw_legend(scene: &mut Scene, y: f64) {
     });
 }
 
+/// The x axis of all plots.
 struct TtiAxis {
+    /// First TTI.
     from: f64,
+    /// Number of TTIs.
     ttis: f64,
 }
 
@@ -303,7 +306,10 @@ impl TtiAxis {
             scene.line(tick, Stroke::solid(Paint::Ink, 0.7));
         }
         let e_tx = y(energy.e_tx.units());
-        scene.line(VectorPath::segment((PLOT_LEFT, e_tx), (PLOT_RIGHT, e_tx)), threshold());
+        scene.line(
+            VectorPath::segment((PLOT_LEFT, e_tx), (PLOT_RIGHT, e_tx)),
+            threshold_stroke(),
+        );
         let steps = history.iter().flat_map(|entry| {
             let (k, level) = (entry.tti.0 as f64, y(entry.battery.units()));
             [(self.x(k), level), (self.x(k + 1.0), level)]
@@ -394,14 +400,14 @@ impl TtiAxis {
 }
 
 /// Returns the stroke of the line at E_Tx.
-const fn threshold() -> Stroke {
+const fn threshold_stroke() -> Stroke {
     Stroke::solid(Paint::Colour(VERMILION), 0.8).dashed(&[3.0, 2.0])
 }
 
-/// Draws the mark of a wake-up: a small arrow that points up, with its tip at `y - 5`.
+/// Draws the mark of a wake-up: a small arrowhead that points up, with its tip at `y - 5`.
 fn draw_arrow(scene: &mut Scene, x: f64, y: f64) {
-    let tip = VectorPath::polyline([(x, y - 5.0), (x + 2.4, y), (x - 2.4, y)], true);
-    scene.area(tip, Paint::Colour(GREEN), 1.0);
+    let arrowhead = VectorPath::polyline([(x, y - 5.0), (x + 2.4, y), (x - 2.4, y)], true);
+    scene.area(arrowhead, Paint::Colour(GREEN), 1.0);
 }
 
 /// Draws the mark of a device that could not transmit.
@@ -412,10 +418,10 @@ fn draw_cross(scene: &mut Scene, x: f64, y: f64) {
 }
 
 fn caption(scenario: &Scenario, timeline: &Timeline) -> String {
-    let unseen = timeline.events.iter().filter(|e| e.tally.reports == 0).count();
+    let unreported = timeline.events.iter().filter(|e| e.tally.reports == 0).count();
     format!(
         "Battery at the end of each TTI and states S1 (idle: sensing), S2 (active), S3 (transmission), S4 (sleep). A \
-         device that reports goes through S2 and S3 within its TTI. {} events, {unseen} of them without a report. \
+         device that reports goes through S2 and S3 within its TTI. {} events, {unreported} of them without a report. \
          Preset {}, seed {}, K = {}.",
         timeline.events.len(),
         scenario.run.preset,

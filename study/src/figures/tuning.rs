@@ -15,8 +15,9 @@ use super::style::{LEADING, MARGIN, MarkerShape, PAGE_WIDTH, TEXT_SIZE, TITLE_SI
 
 /// Left, top, right and bottom of the panel, points.
 const PANEL_BOX: Rect = [46.0, 28.0, 376.0, 286.0];
-/// Left and width of the key, points.
-const KEY_LEFT_AND_WIDTH: (f64, f64) = (392.0, 14.0);
+/// Left edge of the key, and width of its colour scale, points.
+const KEY_LEFT: f64 = 392.0;
+const KEY_WIDTH: f64 = 14.0;
 /// Number of colour steps in the key.
 const KEY_STEPS: u32 = 60;
 /// Half the size of the mark of a pair, and of the mark of the best pair, points.
@@ -159,7 +160,7 @@ impl SurfacePanel {
         }
     }
 
-    /// Draws the pairs with their numbers. Returns the boxes around them.
+    /// Draws the pairs with their numbers. Returns the boxes around both.
     fn draw_pairs(&self, scene: &mut Scene, history: &History) -> Vec<Rect> {
         let best = history.ranked().first().copied();
         let positions: Vec<(f64, f64)> = history
@@ -207,14 +208,14 @@ impl SurfacePanel {
         taken
     }
 
-    /// Draws the contour lines, each with its value if there is room.
+    /// Draws the contour lines, each with its value where it is farthest from the `taken` boxes, if there is room.
     fn draw_contours(&self, scene: &mut Scene, surface: &Surface, mut taken: Vec<Rect>) {
         let (levels, step) = self.levels();
         let mut labels = Vec::new();
         for level in levels {
-            let all = contour_segments(&surface.rows, level.value);
+            let segments = contour_segments(&surface.rows, level.value);
             let mut path = VectorPath::default();
-            for (from, to) in &all {
+            for (from, to) in &segments {
                 path.extend(VectorPath::segment(
                     Self::unit_square_to_canvas(*from),
                     Self::unit_square_to_canvas(*to),
@@ -227,7 +228,7 @@ impl SurfacePanel {
             scene.line(path, Stroke::solid(contrast_colour(ground), 0.8));
             let text = label(level.value, step);
             let half = 0.5 * text_width(&text, Weight::Regular, TEXT_SIZE) + 1.5;
-            let boxes = all.iter().map(|(a, b)| {
+            let boxes = segments.iter().map(|(a, b)| {
                 let (x, y) = Self::unit_square_to_canvas((0.5 * (a.0 + b.0), 0.5 * (a.1 + b.1)));
                 ((x, y), [x - half, y - 0.6 * TEXT_SIZE, x + half, y + 0.6 * TEXT_SIZE])
             });
@@ -253,20 +254,20 @@ impl SurfacePanel {
         let [left, top, right, bottom] = PANEL_BOX;
         let axis = Stroke::solid(Paint::Ink, 0.7);
         for tick in ticks(self.x) {
-            let (x, long) = (
+            let (x, length) = (
                 Self::unit_square_to_canvas((self.x.position(tick.value), 0.0)).0,
                 tick_length(&tick),
             );
-            scene.line(VectorPath::segment((x, bottom), (x, bottom + long)), axis);
+            scene.line(VectorPath::segment((x, bottom), (x, bottom + length)), axis);
             let text = Text::new(tick.label, (x, bottom + LEADING + 1.5), TEXT_SIZE);
             scene.text(text.anchored(Anchor::Middle));
         }
         for tick in ticks(self.y) {
-            let (y, long) = (
+            let (y, length) = (
                 Self::unit_square_to_canvas((0.0, self.y.position(tick.value))).1,
                 tick_length(&tick),
             );
-            scene.line(VectorPath::segment((left - long, y), (left, y)), axis);
+            scene.line(VectorPath::segment((left - length, y), (left, y)), axis);
             let text = Text::new(tick.label, (left - 5.0, y + 0.36 * TEXT_SIZE), TEXT_SIZE);
             scene.text(text.anchored(Anchor::End));
         }
@@ -282,31 +283,33 @@ impl SurfacePanel {
 
     /// Draws the key: the colour scale with values, and the meaning of marks.
     fn draw_key(&self, scene: &mut Scene, history: &History) {
-        let ((left, wide), [_, top, _, bottom]) = (KEY_LEFT_AND_WIDTH, PANEL_BOX);
-        let top = top + 2.0 * LEADING + 48.0;
+        let (left, right) = (KEY_LEFT, KEY_LEFT + KEY_WIDTH);
+        let [_, panel_top, _, bottom] = PANEL_BOX;
+        // The meaning of marks and the heading are above the colour scale.
+        let top = panel_top + 2.0 * LEADING + 48.0;
         let (low, high) = self.value_range;
         let place = |share: f64| bottom - share * (bottom - top);
         for i in 0..KEY_STEPS {
             let share = |i: f64| i / f64::from(KEY_STEPS);
             let (from, to) = (place(share(f64::from(i))), place(share(f64::from(i) + 1.0)));
             let value = low + share(f64::from(i) + 0.5) * (high - low);
-            let corners = [left, to, left + wide, (from + 0.3).min(bottom)];
+            let corners = [left, to, right, (from + 0.3).min(bottom)];
             scene.area(VectorPath::rectangle(corners), Paint::Colour(self.colour(value)), 1.0);
         }
         let line = Stroke::solid(Paint::Ink, 0.5);
-        scene.line(VectorPath::rectangle([left, top, left + wide, bottom]), line);
+        scene.line(VectorPath::rectangle([left, top, right, bottom]), line);
         let (levels, step) = self.levels();
         for level in levels.iter().filter(|_| high > low) {
             let y = place((level.value - low) / (high - low));
-            scene.line(VectorPath::segment((left + wide, y), (left + wide + 2.5, y)), line);
+            scene.line(VectorPath::segment((right, y), (right + 2.5, y)), line);
             scene.text(Text::new(
                 label(level.value, step),
-                (left + wide + 5.0, y + 0.36 * TEXT_SIZE),
+                (right + 5.0, y + 0.36 * TEXT_SIZE),
                 TEXT_SIZE,
             ));
         }
         scene.text(Text::new("objective (mean)", (left, top - 5.0), TEXT_SIZE));
-        let mut y = PANEL_BOX[1] + 0.76 * TEXT_SIZE;
+        let mut y = panel_top + 0.76 * TEXT_SIZE;
         for (is_best, words) in [(false, "evaluated pair, its number"), (true, "best pair")] {
             if is_best && history.points.is_empty() {
                 continue;
@@ -336,8 +339,8 @@ fn draw_pair_mark(scene: &mut Scene, at: (f64, f64), is_best: bool) {
     }
 }
 
-/// Finds a position for the middle of `text` near `pair_position`, clear of all `taken_boxes`. Returns it with the
-/// text's box.
+/// Finds a position for the middle of `text` near `pair_position`, clear of all `taken_boxes` if there is one. Returns
+/// it with the text's box.
 fn free_position(pair_position: (f64, f64), text: &str, taken_boxes: &[Rect]) -> ((f64, f64), Rect) {
     let half_width = 0.5 * text_width(text, Weight::Regular, TEXT_SIZE) + 1.2;
     let candidates = NUMBER_DISTANCES.iter().flat_map(|distance| {

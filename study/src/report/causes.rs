@@ -49,7 +49,7 @@ pub(super) fn explain(topic: &ClaimTopic, claim: &Claim, judgement: &Judgement, 
 
 /// Lists the policies in the comparison of the order.
 fn order_sentences(judgement: &Judgement) -> Vec<String> {
-    let list_policies = |as_stated: bool| {
+    let list_policies_with = |as_stated: bool| {
         let mut counts_by_policy: Vec<(&str, Vec<String>)> = Vec::new();
         for (n, other, _) in judgement
             .order_checks
@@ -68,7 +68,7 @@ fn order_sentences(judgement: &Judgement) -> Vec<String> {
     };
     let mut sentences = Vec::new();
     for (as_stated, side) in [(true, "On"), (false, "Not on")] {
-        let policies = list_policies(as_stated);
+        let policies = list_policies_with(as_stated);
         if !policies.is_empty() {
             sentences.push(format!("{side} the paper's side of {policies}."));
         }
@@ -83,8 +83,8 @@ fn sentence_on_missing_policies(claim: &Claim, judgement: &Judgement) -> Option<
     };
     let is_missing = |other: &&&str| !judgement.findings.iter().any(|f| f.other_policy == Some(**other));
     let missing: Vec<&str> = others.iter().filter(is_missing).copied().collect();
-    let is_worth_telling = !missing.is_empty() && judgement.verdict != Verdict::NotRun;
-    is_worth_telling.then(|| format!("Without {} (not run here).", missing.join(", ")))
+    let are_some_missing = !missing.is_empty() && judgement.verdict != Verdict::NotRun;
+    are_some_missing.then(|| format!("Without {} (not run here).", missing.join(", ")))
 }
 
 /// Lists the causes known from the claims or from our own metrics.
@@ -131,7 +131,7 @@ fn known_causes(topic: &ClaimTopic, claim: &Claim, judgement: &Judgement, condit
     reasons
 }
 
-/// Cause for a policy without runs.
+/// Explanation of a claim without runs. `notes` compares explanations with it.
 pub(super) const NOT_RUN: &str = "The tables hold no such runs.";
 
 #[cfg(test)]

@@ -19,8 +19,8 @@ pub struct Assessment {
     pub is_firm: bool,
     /// Explanation of an unmet or doubtful verdict, and of missing runs; empty otherwise.
     pub explanation: String,
-    /// Deviation of our findings from the statement, for comparing conditions: 0 if the claim is met, infinite if
-    /// undefined. See [`super::search`].
+    /// Deviation of our findings from the statement, for comparing conditions that do not meet the claim; infinite if
+    /// undefined. A claim that is met within a tolerance may have a small deviation. See [`super::search`].
     pub deviation: f64,
 }
 
@@ -31,7 +31,7 @@ pub struct ClaimRow {
     pub paper_figure: &'static str,
     /// Description of the metric.
     pub metric_description: String,
-    /// The policy.
+    /// The policy; for a claim on λ with its rank, `random, spends least`.
     pub policy: String,
     /// The N for which the claim is made.
     pub device_counts: String,
@@ -71,7 +71,8 @@ impl ClaimRow {
 /// A column: a preset in the tables, or another condition in them.
 #[derive(Clone, Debug)]
 pub struct ConditionColumn<'r> {
-    /// Name of the condition.
+    /// Name of the condition. The column of an unchanged preset has the preset's name, by which [`REPORT_PRESETS`] are
+    /// recognised.
     pub label: String,
     /// Runs of the condition.
     pub condition: &'r RunCondition,

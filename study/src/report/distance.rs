@@ -4,7 +4,7 @@
 use super::judge::Finding;
 use crate::claims::{Claim, Statement};
 
-/// Computes the deviation of `findings` from `claim`: 0 if they are as stated, infinite if it is undefined.
+/// Computes the deviation of `findings` from `claim`: 0 if they are exactly as stated, infinite if it is undefined.
 ///
 /// Values, ranges and bounds: |ln(ours / the nearest allowed value)|, the largest over several N and policies. A stated
 /// 0: |ln| of our multiple of the 1 % of the others that counts as 0. A trend: the largest step against it, as a share
@@ -42,7 +42,11 @@ fn log_factor(value: f64, low: f64, high: f64) -> f64 {
 }
 
 fn reduce_values(findings: &[Finding], pick: fn(f64, f64) -> f64) -> f64 {
-    findings.iter().map(|one| one.value).reduce(pick).unwrap_or(f64::NAN)
+    findings
+        .iter()
+        .map(|finding| finding.value)
+        .reduce(pick)
+        .unwrap_or(f64::NAN)
 }
 
 /// Computes half the range divided by the middle.
@@ -54,7 +58,8 @@ fn level_deviation(least: f64, most: f64) -> f64 {
     }
 }
 
-/// Computes the largest step against a trend between two N, as a share of the range; 1 if all values are equal.
+/// Computes the largest step against a trend between two N of one comparison, as a share of the range of all values; 1
+/// if all values are equal. `step` is measured from an earlier to a later value.
 fn trend_deviation(findings: &[Finding], step: impl Fn(f64, f64) -> f64) -> f64 {
     let precedes_in_trend = |a: &Finding, b: &Finding| a.other_policy == b.other_policy && a.n < b.n;
     let pairs = findings.iter().flat_map(|a| findings.iter().map(move |b| (a, b)));

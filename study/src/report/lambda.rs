@@ -136,7 +136,7 @@ fn rank_note(condition: &RunCondition, n: u32, spends_most: bool, policy: &str) 
     )
 }
 
-/// Judges a stated λ by the λ from which on the harvest under Eq. (5) exceeds `spent`.
+/// Judges the λ that `end` states by the λ from which on the harvest under Eq. (5) exceeds `spent`.
 fn judge_threshold((e_b, tau): (f64, f64), end: StatedEnd, spent: &Estimate) -> Assessment {
     let StatedEnd {
         lambda: stated_lambda,
@@ -215,14 +215,12 @@ mod tests {
             lambda: 0.1,
             policy: "knn",
         };
+        let (e_b, tau) = (5.0, 1.0);
         // Under Eq. (5), some λ harvests 0.2 units and no λ harvests 5 units.
         for spent in [0.2, 5.0] {
             let judge_with = |spent: &[f64]| {
-                judge_threshold(
-                    (5.0, 1.0),
-                    end,
-                    &Estimate::from_values(spent.iter().copied()).expect("a run"),
-                )
+                let spent = Estimate::from_values(spent.iter().copied()).expect("a run");
+                judge_threshold((e_b, tau), end, &spent)
             };
             let (one_run, two_runs) = (judge_with(&[spent]), judge_with(&[spent, spent * 1.001]));
             assert!(!one_run.is_firm && two_runs.is_firm, "{one_run:?} {two_runs:?}");

@@ -12,10 +12,11 @@ pub(super) const VERDICT_RULE: &str = "A claim is reproduced if our mean is with
     stated range, or meets a stated bound or order. It is within 20 % if our mean is that close to the value or to the \
     nearer end of the range. A claim for several N or against several policies must hold for each that was run. A \
     value that falls or rises with N may deviate from that by a tenth of its range, and a level value may vary by 20 \
-    %. A stated 0 is met by at most 1 % of the largest of the other policies, and such a value is level too. Otherwise its order is reproduced if \
-    the policy is above or below every other policy with a stated place as in the paper. A verdict marked ? would \
-    differ for some value in our 95 % interval. Where an interval would need more cases, a one-sided 95 % bound \
-    replaces it: 3/n without a case in n events, the rule of three. No definition was changed to meet a claim.";
+    %. A stated 0 is met by at most 1 % of the largest of the other policies, and such a value is level too. Otherwise \
+    its order is reproduced if the policy is above or below every other policy with a stated place as in the paper. A \
+    verdict marked ? would differ for some value in our 95 % interval. Where an interval would need more cases, a \
+    one-sided 95 % bound replaces it: 3/n without a case in n events, the rule of three. No definition was changed to \
+    meet a claim.";
 
 /// A list under a heading.
 pub(super) struct ReportNotes {
@@ -117,7 +118,8 @@ pub(super) fn describe_missing_runs(report: &ClaimReport<'_>) -> Vec<String> {
     sentences
 }
 
-/// Explains verdicts that are missing although a policy was run, one sentence a reason: claims on λ without Eq. (5).
+/// Explains verdicts that are missing although a policy was run, one sentence for each column and reason: claims on λ
+/// without Eq. (5).
 fn explain_missing_verdicts(report: &ClaimReport<'_>) -> Vec<String> {
     let mut reasons: Vec<(String, usize)> = Vec::new();
     for row in report.rows.iter().filter(|row| !row.has_runs()) {

@@ -227,12 +227,12 @@ fn table_row(report: &ClaimReport<'_>, row: &ClaimRow) -> String {
     out
 }
 
-/// Joins figures in `text` by no-break spaces, so that lines do not break within them.
+/// Makes the spaces around `±` and within `N = ` no-break spaces, so that lines do not break there.
 fn with_no_break_spaces(text: &str) -> String {
     text.replace(" ± ", "\u{a0}±\u{a0}").replace("N = ", "N\u{a0}=\u{a0}")
 }
 
-/// Marks the parts of `text` between backticks as code.
+/// Marks the parts of `text` between backticks, of which there is an even number, as code.
 fn with_code(text: &str) -> String {
     let mut out = String::new();
     for (index, part) in text.split('`').enumerate() {

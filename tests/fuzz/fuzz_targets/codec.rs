@@ -1,4 +1,5 @@
-//! Fuzzes the codec of bus messages: no payload panics, and a decoded value encodes to the same bytes.
+//! Fuzzes the codec of bus messages: no payload panics, and a decoded value has the same wire form after encoding and
+//! decoding.
 //!
 //! The first byte selects a message kind, a reply kind or a batch for observers; the rest is the payload. The seeds of
 //! the corpus rely on the order of `MessageKind::ALL`.
@@ -23,7 +24,7 @@ fn check_message(message: &Message) {
     message.concerns(Some(1), DeviceId(1));
 }
 
-/// Checks that a decoded plan can be queried for any device and any TTI.
+/// Checks that a decoded plan gives valid duty cycles and correct next TTIs in S1, also for devices that it omits.
 fn check_plan(update: &PlanUpdate) {
     for device in [0, 1, 7, 8, 1_000, u32::MAX].map(DeviceId) {
         let duty = update.plan.duty_cycle(device);

@@ -51,7 +51,8 @@ fn check_table(name: &str, format: Format, bytes: &[u8]) {
     }
 }
 
-/// Checks that a journal keeps its complete lines and permanently drops the rest.
+/// Checks that a readable journal is repaired when it is opened: a second opening drops no line and finds the same
+/// runs.
 fn check_journal(lines: &[u8]) {
     let path = memory_path("runs.journal");
     // The file is left over from the previous input, except for the first one.
@@ -99,7 +100,7 @@ fn scenario() -> &'static Scenario {
     SCENARIO.get_or_init(|| load("quick", &[]).expect("a preset").scenario)
 }
 
-/// Checks that a readable resume mark is written unchanged and lies within the run.
+/// Checks that a readable resume mark lies within the run and is equal after writing and reading.
 fn check_mark(text: &str) {
     match ResumeMark::parse(text, scenario()) {
         Ok(mark) => {
@@ -113,7 +114,7 @@ fn check_mark(text: &str) {
     }
 }
 
-/// Checks that a readable input log is written unchanged and that a run accepts its inputs.
+/// Checks that the inputs of a readable log are equal after writing and reading, and that removals lie within the run.
 fn check_input_log(text: &str) {
     match external_inputs::parse(text, scenario()) {
         Ok(inputs) => {

@@ -215,6 +215,7 @@ fn draw_grant(host: &Host, input: &mut Unstructured<'_>) -> Result<GrantMessage>
         first,
         last,
         stimulus,
+        // From `last` to 6 TTIs after it.
         until: draw_tti_near(last.0 + 2, input)?,
         account: input.arbitrary()?,
         views: input.arbitrary()?,

@@ -1,7 +1,7 @@
 //! Fuzzes the base station's host records (`Admission`, `Barrier`, `LostHosts` and `Roster` in `bs/src/server/`): hosts
 //! join, get ready, leave, return, send expected and unexpected messages, and are replaced or removed. The records do
-//! not panic, no device has two hosts, and a barrier is complete only with all answers. The order of the draws defines
-//! the meaning of a corpus file.
+//! not panic, each device has one host when the run starts, and a barrier for a grant or ledgers is complete only with
+//! all answers. The order of the draws defines the meaning of a corpus file.
 
 #![no_main]
 
@@ -240,7 +240,8 @@ impl HostRecords {
         Ok(())
     }
 
-    /// Has every host with devices answer that nothing happened; this must complete the barrier.
+    /// Has every host that has not answered the grant answer that nothing happened. This completes the barrier, unless
+    /// an earlier answer announced reports that have not arrived.
     fn answer_quietly(&mut self) {
         let tti = Tti(self.tti);
         for host in self.barrier.missing_hosts() {

@@ -33,7 +33,7 @@ fn check_decision(encoding: Encoding, bytes: &[u8]) {
     let Ok(reply) = encoding.decode::<DecisionReply>(bytes) else {
         return;
     };
-    // The first TTI after it must exist.
+    // A plan names the TTI of the next plan, so that a later TTI must exist.
     let tti = Tti(reply.tti.min(u64::MAX / 2));
     for stage in [DecisionStage::Plan, DecisionStage::Wake] {
         let decision = match reply.decision(stage, tti, DEVICES) {
@@ -46,6 +46,7 @@ fn check_decision(encoding: Encoding, bytes: &[u8]) {
         match &decision {
             Decision::Plan(PlanDecision { plan, next }) => {
                 assert!(*next > tti);
+                // Devices of the scenario can be looked up in the plan without a panic.
                 let _any: u32 = (0..DEVICES).map(|j| plan.duty_cycle(DeviceId(j)).t_on).sum();
             }
             Decision::Wake(devices) => assert!(devices.iter().all(|device| device.0 < DEVICES)),

@@ -14,7 +14,8 @@ use reveille_bs::scenario::{Loaded, Override, PRESETS, Scenario, ScenarioError, 
 /// Folder that does not exist, so that no file of this machine affects the result.
 const NOWHERE: &str = "/nonexistent/reveille-fuzz";
 
-/// Returns the full text of `preset` with one line replaced by `text`, a typical editing mistake.
+/// Returns the full text of `preset` with a line replaced by `text`, a typical editing mistake. `line` counts from 0
+/// and continues from the first line after the last.
 fn preset_with_line(preset: &str, line: u8, text: &str) -> String {
     let preset_text = load(preset, &[]).expect("presets load").scenario.to_toml();
     let mut lines: Vec<&str> = preset_text.lines().collect();

@@ -179,7 +179,8 @@ impl ReferenceAgeIndex {
         Some(chosen.into_iter().flatten().collect())
     }
 
-    /// Chooses one device after another, each with the largest value per price among the devices worth their price.
+    /// Chooses one device after another, each with the largest value per price among the devices worth their price;
+    /// `None` if too close to call. The inner options are `Some`: a later swap can empty a place.
     fn choose_greedily(&self, prices: &[f64], already_chosen: &[usize]) -> Option<Vec<Option<usize>>> {
         let mut chosen: Vec<usize> = Vec::new();
         loop {
@@ -209,7 +210,7 @@ impl ReferenceAgeIndex {
     }
 
     /// Returns the option with the largest net value among `j`, the devices within d_max of it outside `others`, and no
-    /// device.
+    /// device (`Some(None)`); `None` if too close to call.
     #[expect(clippy::option_option, reason = "too close to call, or no device")]
     fn best_replacement(&self, j: usize, others: &[usize], prices: &[f64]) -> Option<Option<usize>> {
         // On equal net value the first wins: no device, then j, then the lowest number.

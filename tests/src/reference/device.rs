@@ -44,6 +44,7 @@ pub(super) struct Device {
     pub(super) battery_sum: u128,
     pub(super) low_ttis: u64,
     pub(super) sensing_ttis: u64,
+    /// TTIs in which the battery could not pay for sensing; failures by operators are not counted.
     pub(super) failed_ttis: u64,
     pub(super) unpowered_ttis: u64,
     pub(super) false_wake_ups: u64,

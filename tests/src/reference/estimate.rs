@@ -2,7 +2,7 @@
 
 use reveille_common::scenario::EnergyModel;
 
-/// Joint probability from which on missing reports mean an empty battery.
+/// Joint probability from which on missing reports mean an empty battery, as in the emulator.
 const EMPTY_PROBABILITY: f64 = 0.02;
 
 /// Estimate of one battery, micro-units.

@@ -21,7 +21,7 @@ pub(super) struct ReferenceEvents<'a> {
     /// Probability that no event has started since the last one ended.
     no_start_probability: f64,
     hot_spots: Vec<Point>,
-    previous: Option<Point>,
+    previous_epicentre: Option<Point>,
 }
 
 /// Busy and quiet phases of the process.
@@ -95,7 +95,7 @@ impl<'a> ReferenceEvents<'a> {
             threshold: f64::NAN,
             no_start_probability: 1.0,
             hot_spots,
-            previous: None,
+            previous_epicentre: None,
         };
         events.draw_threshold();
         events
@@ -120,7 +120,7 @@ impl<'a> ReferenceEvents<'a> {
         self.alpha
     }
 
-    /// Whether the next event starts in this TTI; no event may be active.
+    /// Whether the next event starts in this TTI. Call once in each TTI without an active event.
     pub(super) fn starts(&mut self) -> bool {
         self.no_start_probability *= 1.0 - self.alpha;
         self.no_start_probability < self.threshold
@@ -129,7 +129,7 @@ impl<'a> ReferenceEvents<'a> {
     /// Draws epicentre and duration of the starting event.
     pub(super) fn draw_event(&mut self) -> (Point, u64) {
         let epicentre = self.draw_epicentre();
-        self.previous = Some(epicentre);
+        self.previous_epicentre = Some(epicentre);
         (epicentre, self.draw_duration())
     }
 
@@ -168,7 +168,7 @@ impl<'a> ReferenceEvents<'a> {
     fn draw_epicentre(&self) -> Point {
         let area = self.scenario.area;
         let mut stream = self.stream(Purpose::Attraction);
-        match (self.scenario.events.process, self.previous) {
+        match (self.scenario.events.process, self.previous_epicentre) {
             (ProcessSettings::HotSpots(HotSpots { share, sigma, .. }), _) if stream.unit() < share => {
                 // The draws must come in the emulator's order, since they share a stream.
                 let hot_spot = self.hot_spots[stream.below(self.hot_spots.len() as u64) as usize];

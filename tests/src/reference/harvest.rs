@@ -7,7 +7,7 @@ use reveille_common::harvest::{Arrivals, DayKnowledge, Diurnal, IrradianceRefere
 use reveille_common::rng::{Geometric, Purpose, Stream};
 use reveille_common::scenario::{Harvest, HarvestTrace, TraceColumns, TraceEnd};
 
-/// Energy source of one device. Call [`ReferenceSource::arriving`] once for each TTI, in order.
+/// Energy source of one device, micro-units. Call [`ReferenceSource::arriving`] once for each TTI, in order.
 #[derive(Clone, Debug)]
 pub(super) enum ReferenceSource {
     /// Arrivals with random gaps.
@@ -31,7 +31,7 @@ pub(super) enum ReferenceSource {
     /// Arrival probability proportional to irradiance.
     Sunny {
         /// State of the stream before the first draw.
-        unused: Stream,
+        fresh_stream: Stream,
         stream: Stream,
         /// Whether the base station knows the time of day.
         is_day_known: bool,
@@ -43,6 +43,7 @@ pub(super) enum ReferenceSource {
     },
     /// Recorded rows of a file.
     Recorded {
+        /// Energy per TTI in each row.
         rows: Vec<u64>,
         ttis_per_row: u64,
         /// Whether the rows repeat after the last one; otherwise nothing arrives.
@@ -76,12 +77,12 @@ impl ReferenceSource {
                 repeats: true,
             },
             Self::Sunny {
-                unused,
+                fresh_stream,
                 is_day_known: false,
                 day,
                 e_b,
                 ..
-            } => arrivals(unused, day.iter().sum::<f64>() / day.len() as f64, e_b),
+            } => arrivals(fresh_stream, day.iter().sum::<f64>() / day.len() as f64, e_b),
             other @ (Self::Arrivals { .. } | Self::OnOff { .. } | Self::Sunny { .. }) => other,
         }
     }
@@ -245,10 +246,10 @@ fn sunny(mut stream: Stream, diurnal: &Diurnal, tau: f64) -> ReferenceSource {
     if e_b == 0 {
         day.fill(0.0);
     }
-    let unused = stream.clone();
+    let fresh_stream = stream.clone();
     let left = -libm::log1p(-stream.unit());
     ReferenceSource::Sunny {
-        unused,
+        fresh_stream,
         stream,
         is_day_known: diurnal.known == DayKnowledge::Course,
         day,

@@ -1,6 +1,6 @@
-//! A second, deliberately plain implementation of the model: every device steps through every TTI. It shares only the
-//! scenario, positions, classes and random streams with the emulator, and draws from the streams in the same order. A
-//! change of results in the emulator needs the same change here.
+//! A second, deliberately plain implementation of the model: every device steps through every TTI. It shares only data
+//! types, the scenario, positions, classes and random streams with the emulator, and draws from the streams in the same
+//! order. A change of results in the emulator needs the same change here.
 //!
 //! If its own integration rule for `P_4,2` cannot separate two candidates, it stops and reports the TTI
 //! ([`ReferenceRun::ambiguous`]).
@@ -47,7 +47,8 @@ pub fn simulate_with_actions(scenario: &Scenario, actions: &[OperatorAction]) ->
     play(scenario, &deployment, policy, actions)
 }
 
-/// Creates the policy of `scenario` for devices at `positions`, including the search that `adjusted` needs.
+/// Creates the policy of `scenario` for devices at `positions`, including the search that `adjusted` needs. If that
+/// search is too close to call, takes over the emulator's pair.
 pub fn build_policy(scenario: &Scenario, positions: &[Point]) -> ReferencePolicy {
     match scenario.policy.name() {
         "adjusted" => ReferencePolicy::adjusted(scenario, positions, search::search_or_emulated(scenario, positions)),

@@ -96,6 +96,7 @@ impl ReferencePolicy {
                     // The draws must come in the emulator's order, since they share a stream.
                     .map(|id| {
                         let mut stream = Stream::new(scenario.run.seed, Purpose::DutyCycle, id);
+                        // The default lists; other settings of `random` have no effect here.
                         let t_on = [1, 2][stream.below(2) as usize];
                         let t_drx = [2, 4, 8][stream.below(3) as usize];
                         (t_on, t_drx, stream.below(t_drx))

@@ -220,6 +220,7 @@ pub fn choose_by_ages(
     let first_bucket =
         |battery: usize| (0..AREA_BUCKETS as u32).find(|&bucket| advantages[battery][bucket as usize] > 0.0);
     let lower_edge = |battery: usize| match first_bucket(battery) {
+        // Stands for a price of 0, like `MIN_PRICE` in `age_index.rs`.
         Some(0) => 1e-30,
         Some(1) => 0.0002 * places.disc(),
         Some(bucket) => 0.2 * 1.6_f64.powi(bucket.cast_signed() - 2) * places.disc(),

@@ -18,7 +18,7 @@ pub(super) struct ReferenceRadio {
     k: u64,
 }
 
-/// Bursts and the gaps between them.
+/// Bursts and the quiet phases between them.
 #[derive(Clone, Debug)]
 struct InterferencePhases {
     bursts: InterferenceBursts,
@@ -101,8 +101,8 @@ impl ReferenceRadio {
         self.has_plan[j]
     }
 
-    /// Whether a false wake-up occurs for device `j` in this TTI, if it sleeps. Call once per TTI.
-    pub(super) fn has_false_wake_up(&mut self, j: usize) -> bool {
+    /// Draws whether a false wake-up occurs for device `j` in this TTI, if it sleeps. Call once per TTI.
+    pub(super) fn draw_false_wake_up(&mut self, j: usize) -> bool {
         let (stream, left) = &mut self.false_wake_ups[j];
         // A gap is at least 1, so this does not wrap.
         *left -= 1;
@@ -140,7 +140,7 @@ impl ReferenceRadio {
     }
 }
 
-/// Returns the mean loss probabilities over bursts and gaps.
+/// Returns the mean loss probabilities over bursts and quiet phases.
 fn mean_loss_rates(settings: &radio::RadioSettings) -> RadioLossRates {
     let mean = |p: f64| match settings.bursts {
         None => p,

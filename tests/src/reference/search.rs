@@ -89,7 +89,7 @@ pub fn reference_search(scenario: &Scenario, positions: &[Point]) -> Option<(u64
 /// Returns the cheapest pair that reaches `i_min`, or else the pair with the most information, or else the cheapest.
 /// `None` if too close to call.
 fn best_pair(pilots: &[PilotResult], i_min: f64) -> Option<(u64, u64)> {
-    let cheapest = |is_eligible: &dyn Fn(&PilotResult) -> bool| {
+    let cheapest_pair = |is_eligible: &dyn Fn(&PilotResult) -> bool| {
         let mut cheapest: Option<&PilotResult> = None;
         for pilot in pilots.iter().filter(|pilot| is_eligible(pilot)) {
             if cheapest.is_none_or(|cheapest| pilot.spent < cheapest.spent) {
@@ -103,7 +103,7 @@ fn best_pair(pilots: &[PilotResult], i_min: f64) -> Option<(u64, u64)> {
         return None;
     }
     let reaches_i_min = |pilot: &PilotResult| pilot.information.is_some_and(|value| value >= i_min);
-    if let Some(pair) = cheapest(&reaches_i_min) {
+    if let Some(pair) = cheapest_pair(&reaches_i_min) {
         return Some(pair);
     }
     let most = information.iter().copied().fold(f64::NEG_INFINITY, f64::max);
@@ -111,7 +111,7 @@ fn best_pair(pilots: &[PilotResult], i_min: f64) -> Option<(u64, u64)> {
         .iter()
         .filter(|pilot| pilot.information.is_some_and(|value| value > most - TOLERANCE));
     match (leaders.next(), leaders.next()) {
-        (None, _) => cheapest(&|_| true),
+        (None, _) => cheapest_pair(&|_| true),
         (Some(leader), None) => Some(leader.pair),
         // Several pairs share the first place, exactly or nearly. Only an exact tie survives another order of
         // summation.

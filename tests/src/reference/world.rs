@@ -96,7 +96,7 @@ struct Event {
     obstacles: [bool; 4],
     /// Contributions of devices to [`ReferenceRun::activity`].
     activity: Vec<(usize, [u64; 4])>,
-    /// Reporters of this TTI; the event ends in the TTI of its first report.
+    /// Devices whose reports had information. All are of this TTI: the event ends in the TTI of its first report.
     reporters: Vec<Reporter>,
 }
 
@@ -175,7 +175,7 @@ impl<'a> ReferenceWorld<'a> {
         }
     }
 
-    /// Before a TTI: an operator's change.
+    /// Before TTI `k`: makes an operator's change.
     fn act(&mut self, k: u64, change: &Change) {
         for (device, id) in self.devices.iter_mut().zip((0..).map(DeviceId)) {
             device.act(id, k, change);
@@ -207,7 +207,7 @@ impl<'a> ReferenceWorld<'a> {
     fn apply_duty(&mut self, k: u64) {
         for (j, device) in self.devices.iter_mut().enumerate() {
             // Counts down in every TTI, whatever the state.
-            let has_false_wake_up = self.radio.has_false_wake_up(j);
+            let has_false_wake_up = self.radio.draw_false_wake_up(j);
             if device.failed_since.is_some() {
                 device.state = ReferenceState::Failed;
                 device.outage[0] = 0;

@@ -111,7 +111,8 @@ const IN_MEMORY_METHODS: [(&str, &str); 6] = [
     ("bs/src/policy/dt/model/weights.rs", "metadata"),
 ];
 
-/// Types that make a `static` global state, through which one run could affect the next.
+/// Names in the type of a `static` that make it global state, through which one run could affect the next:
+/// [`Module::statics`] records `mut` and `thread_local` like types.
 const MUTABLE_TYPES: [&str; 10] = [
     "Mutex",
     "RwLock",

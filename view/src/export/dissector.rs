@@ -68,7 +68,7 @@ pub fn lua_script() -> String {
         .replace("--@version", &format!("local version = {WIRE_VERSION}"))
 }
 
-/// Schemas as Lua tables, and the fields that they need.
+/// Schemas, and the fields that the Lua tables need.
 struct ScriptBuilder<'a> {
     schemas: &'a MessageSchemas,
     /// Types and units of fields by path.
@@ -115,6 +115,7 @@ impl ScriptBuilder<'_> {
         format!("{{{read:?}, {path:?}}}")
     }
 
+    /// Returns the form of a type as a Lua table, which `dissector.lua` interprets, and adds its fields below `path`.
     fn format(&mut self, format: &Format, path: &str) -> String {
         match format {
             Format::TypeName(name) => {
@@ -149,7 +150,7 @@ impl ScriptBuilder<'_> {
             ContainerFormat::Struct(fields) => self.structure(fields, path),
             ContainerFormat::Enum(variants) => {
                 self.add_field(&format!("{path}.is"), "string");
-                let mut all = String::new();
+                let mut variant_forms = String::new();
                 for (index, variant) in variants {
                     let inner = format!("{path}.{}", snake_case(&variant.name));
                     let form = match &variant.value {
@@ -158,9 +159,9 @@ impl ScriptBuilder<'_> {
                         VariantFormat::Tuple(parts) => self.tuple(parts, &inner),
                         VariantFormat::Struct(fields) => self.structure(fields, &inner),
                     };
-                    let _infallible = write!(all, "[{index}] = {{{:?}, {form}}}, ", variant.name);
+                    let _infallible = write!(variant_forms, "[{index}] = {{{:?}, {form}}}, ", variant.name);
                 }
-                format!("{{\"choice\", {:?}, {{{all}}}}}", format!("{path}.is"))
+                format!("{{\"choice\", {:?}, {{{variant_forms}}}}}", format!("{path}.is"))
             }
         }
     }
@@ -197,7 +198,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_script_names_every_kind_and_field() {
+    fn the_script_names_every_kind_and_sample_fields() {
         let script = lua_script();
         for kind in MessageKind::ALL {
             assert!(script.contains(&format!("name = {:?}", kind.name())), "{}", kind.name());

@@ -17,7 +17,7 @@ use super::{SUMMARY_FILE, VERSION, log_time};
 use crate::frame_line::{LineError, from_json};
 
 /// Name of the metadata record that marks a container as a recording.
-pub(super) const METADATA: &str = "reveille";
+pub(super) const METADATA_NAME: &str = "reveille";
 
 /// Maximum length of a record, bytes; a harvest trace may be long.
 const MAX_RECORD_BYTES: usize = 1 << 30;
@@ -45,13 +45,13 @@ pub enum RecordingError {
     /// The file is truncated: the recording process was killed, or the file was cut.
     #[error("is truncated after {frames} messages")]
     Torn {
-        /// Number of messages before the tear.
+        /// Number of messages read before the tear, since the last seek if any.
         frames: u64,
     },
     /// The content was changed.
     #[error("is damaged after {frames} messages: {cause}")]
     Damaged {
-        /// Number of messages before the damage.
+        /// Number of messages read before the damage, since the last seek if any.
         frames: u64,
         /// Description of the damage.
         cause: String,
@@ -64,9 +64,9 @@ pub struct RecordingReader<R> {
     linear: LinearReader,
     /// Whether the last frame before the end or a tear has been read.
     is_over: bool,
-    /// Number of frames read, since the last jump if any.
+    /// Number of frames read since the last seek, if any.
     frames_read: u64,
-    /// Number of the next frame; unknown after a jump.
+    /// Number of the next frame; unknown after a seek by the index.
     next_sequence: Option<u32>,
     /// First TTI to return; earlier frames are skipped.
     first_tti: Tti,
@@ -248,7 +248,7 @@ impl<R: Read + Seek> RecordingReader<R> {
                         self.frames_read += 1;
                         return Ok(Some(frame));
                     }
-                    Record::Metadata(metadata) if metadata.name == METADATA => {
+                    Record::Metadata(metadata) if metadata.name == METADATA_NAME => {
                         let value = |key: &str| metadata.metadata.get(key).cloned().unwrap_or_default();
                         let (found, wire) = (value("recording"), value("wire"));
                         if (&found, &wire) != (&VERSION.to_string(), &WIRE_VERSION.to_string()) {

@@ -51,7 +51,7 @@ impl<W: Write + Seek> RecordingWriter<W> {
             ("run", run.to_owned()),
         ];
         mcap.write_metadata(&Metadata {
-            name: reader::METADATA.to_owned(),
+            name: reader::METADATA_NAME.to_owned(),
             metadata: metadata.map(|(key, value)| (key.to_owned(), value)).into(),
         })?;
         attach(&mut mcap, SCENARIO_FILE, "application/toml", bundle.text.as_bytes())?;
@@ -62,9 +62,14 @@ impl<W: Write + Seek> RecordingWriter<W> {
         for kind in MessageKind::ALL {
             let name = format!("reveille.{}.{}", kind.plane().name(), kind.name());
             let schema = mcap.add_schema(&name, "jsonschema", schemas.json_schema(*kind).to_string().as_bytes())?;
-            let about = [("direction", kind.direction()), ("about", kind.about())];
-            let about = about.map(|(key, value)| (key.to_owned(), value.to_owned())).into();
-            channels.insert(*kind, mcap.add_channel(schema, &topic(*kind), "json", &about)?);
+            let channel_metadata = [("direction", kind.direction()), ("about", kind.about())];
+            let channel_metadata = channel_metadata
+                .map(|(key, value)| (key.to_owned(), value.to_owned()))
+                .into();
+            channels.insert(
+                *kind,
+                mcap.add_channel(schema, &topic(*kind), "json", &channel_metadata)?,
+            );
         }
         // Flushed, so that the scenario is in the file even if the run is killed in its first TTI.
         mcap.flush()?;

@@ -1,6 +1,6 @@
 //! Cells of the area, with a margin of unused cells, so that the square around any disc can be read without bounds
-//! tests. `CertainAges` and `ProbabilisticAges` index their cells by it; `CertainStaleness` uses a margin only where
-//! the area is smaller than a square. The cells determine gains, and so digests and learned tables;
+//! tests. `CertainAges` and `ProbabilisticAges` index their cells by [`Cells`]; `CertainStaleness` uses a margin only
+//! where the area is smaller than a square. The cells determine gains, and so digests and learned tables;
 //! `tests/src/reference/age_index.rs` computes them again.
 
 use reveille_common::geometry::{Area, Point};
@@ -22,11 +22,12 @@ pub(super) struct Cells {
     raster: Raster,
 }
 
-/// Cells of one row whose middles are within d_max of a device: `count` cells starting at `first`, 1 to [`DISC_SIDE`].
+/// Cells of one row whose middles are within d_max of a device: `count` cells from `first_column` on, 1 to
+/// [`DISC_SIDE`].
 #[derive(Clone, Copy, Debug)]
 pub(super) struct CellSpan {
     pub(super) row: usize,
-    pub(super) first: usize,
+    pub(super) first_column: usize,
     pub(super) count: usize,
 }
 
@@ -51,7 +52,7 @@ impl Cells {
         [self.raster.rows, self.raster.columns]
     }
 
-    /// Offset from a cell to the cell above it.
+    /// Offset from the index of a cell to the index of its neighbour in the next row.
     pub(super) const fn stride(&self) -> usize {
         self.raster.columns + DISC_SIDE
     }
@@ -97,9 +98,13 @@ impl Cells {
             let mut inside = columns
                 .clone()
                 .filter(|&column| self.middle(row, column).distance(centre) <= d_max);
-            if let Some(first) = inside.next() {
+            if let Some(first_column) = inside.next() {
                 let count = 1 + inside.count();
-                spans.push(CellSpan { row, first, count });
+                spans.push(CellSpan {
+                    row,
+                    first_column,
+                    count,
+                });
             }
         }
         let rows = spans.len();

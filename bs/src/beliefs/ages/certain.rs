@@ -18,10 +18,10 @@ impl MaskDisc {
     fn new(cells: &Cells, centre: Point, d_max: f64) -> Self {
         let spans = cells.within(centre, d_max);
         let south = spans.first().map_or(0, |span| span.row);
-        let west = spans.iter().map(|span| span.first).min().unwrap_or(0);
+        let west = spans.iter().map(|span| span.first_column).min().unwrap_or(0);
         let mut mask = [[0; DISC_SIDE]; DISC_SIDE];
         for span in &spans {
-            let first = span.first - west;
+            let first = span.first_column - west;
             mask[span.row - south][first..first + span.count].fill(u8::MAX);
         }
         Self {
@@ -83,6 +83,7 @@ impl CertainAges {
             cover_counts: vec![0; cells.len()],
             area_cells: cells.all().map(|cell| cell as u32).collect(),
         };
+        // Before the first TTI every place has age 1, as after a reported event.
         ages.advance(true);
         ages
     }

@@ -28,9 +28,9 @@ pub fn min_level(energy: &EnergyModel) -> Energy {
 #[derive(Clone, Debug)]
 pub(crate) struct Prices {
     /// Price with a full battery, by device.
-    full_battery_price: Vec<f64>,
+    full_battery_prices: Vec<f64>,
     /// Level below which a device may not sense, by device.
-    min_level: Vec<Energy>,
+    min_levels: Vec<Energy>,
     e_max: Vec<Energy>,
     /// Price in this TTI, by device; infinite if the device may not sense.
     current: Vec<f64>,
@@ -52,8 +52,8 @@ impl Prices {
             }
         };
         Self {
-            full_battery_price: energies().map(|energy| price * relative_cost(energy)).collect(),
-            min_level: energies().map(min_level).collect(),
+            full_battery_prices: energies().map(|energy| price * relative_cost(energy)).collect(),
+            min_levels: energies().map(min_level).collect(),
             e_max: energies().map(|energy| energy.e_max).collect(),
             current: vec![f64::INFINITY; known.n()],
         }
@@ -82,11 +82,11 @@ impl Prices {
         factor: impl Fn(usize) -> f64,
     ) -> &[f64] {
         for (j, (price, &level)) in self.current.iter_mut().zip(levels).enumerate() {
-            *price = if level < self.min_level[j] {
+            *price = if level < self.min_levels[j] {
                 f64::INFINITY
             } else {
                 let missing = 1.0 - surcharge_levels[j].micro() as f64 / self.e_max[j].micro() as f64;
-                (self.full_battery_price[j] * (1.0 + EMPTY_BATTERY_SURCHARGE * missing * missing) * factor(j))
+                (self.full_battery_prices[j] * (1.0 + EMPTY_BATTERY_SURCHARGE * missing * missing) * factor(j))
                     .max(MIN_PRICE)
             };
         }

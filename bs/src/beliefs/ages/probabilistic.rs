@@ -32,7 +32,7 @@ pub(super) struct ProbabilisticAges {
     /// Sum of −ln(1 − p) over the chosen devices by cell, in [`LOG_UNIT`]s. Whole numbers allow exact removal of a
     /// device.
     log_missed: Vec<u64>,
-    /// Probability by cell that no chosen device detects an event there.
+    /// Probability by cell that no chosen device detects and reports an event there.
     missed: Vec<f64>,
     area_cells: Vec<usize>,
 }
@@ -55,12 +55,12 @@ impl ProbabilisticAges {
         let (mut span_starts, mut spans, mut detected) = (vec![0], Vec::new(), Vec::new());
         for &position in positions {
             for span in cells.within(position, d_max) {
-                let cell = span.row * cells.stride() + span.first;
+                let cell = span.row * cells.stride() + span.first_column;
                 spans.push(DetectionSpan {
                     cells: cell..cell + span.count,
                     begin: detected.len(),
                 });
-                let columns = span.first..span.first + span.count;
+                let columns = span.first_column..span.first_column + span.count;
                 detected.extend(columns.map(|column| {
                     let p = report_probability(cells.middle(span.row, column).distance(position));
                     (p, ((-libm::log1p(-p)).min(LOG_CERTAINTY) / LOG_UNIT) as u64)
@@ -84,13 +84,13 @@ impl ProbabilisticAges {
         ages
     }
 
-    fn spans(&self, j: usize) -> Range<usize> {
+    fn span_range(&self, j: usize) -> Range<usize> {
         self.span_starts[j] as usize..self.span_starts[j + 1] as usize
     }
 
     pub(super) fn gain(&self, j: usize) -> f64 {
         let mut sum = 0.0;
-        for DetectionSpan { cells, begin } in &self.spans[self.spans(j)] {
+        for DetectionSpan { cells, begin } in &self.spans[self.span_range(j)] {
             let (worths, missed) = (&self.cell_worths[cells.clone()], &self.missed[cells.clone()]);
             for ((worth, missed), (p, _)) in worths.iter().zip(missed).zip(&self.detected[*begin..]) {
                 sum += worth * missed * p;
@@ -120,7 +120,7 @@ impl ProbabilisticAges {
     }
 
     fn update_missed(&mut self, j: usize, combine: impl Fn(u64, u64) -> u64) {
-        for DetectionSpan { cells, begin } in &self.spans[self.spans(j)] {
+        for DetectionSpan { cells, begin } in &self.spans[self.span_range(j)] {
             let (log_missed, missed) = (&mut self.log_missed[cells.clone()], &mut self.missed[cells.clone()]);
             for ((sum, missed), (_, term)) in log_missed.iter_mut().zip(missed).zip(&self.detected[*begin..]) {
                 *sum = combine(*sum, *term);

@@ -49,7 +49,8 @@ impl Staleness {
         staleness
     }
 
-    /// Lets the `j`-th device sense in the next TTI; at most one call per device and TTI.
+    /// Lets the `j`-th device sense in the next TTI; at most one call per device and TTI. Call [`Self::advance`] before
+    /// the next reading: until then the two models give different values.
     #[inline]
     pub(crate) fn add(&mut self, j: usize) {
         match &mut self.model {
@@ -139,11 +140,11 @@ impl CertainStaleness {
             let spans = cells.within(p, d_max);
             // Rows of a square are read in full, so the square moves inwards at the border.
             let south = spans.first().map_or(0, |span| span.row).min(height - DISC_SIDE);
-            let west = spans.iter().map(|span| span.first).min().unwrap_or(0);
+            let west = spans.iter().map(|span| span.first_column).min().unwrap_or(0);
             let west = west.min(stride - DISC_SIDE);
             let mut rows = [(0, 0); DISC_SIDE];
             for span in &spans {
-                rows[span.row - south] = ((span.first - west) as u8, span.count as u8);
+                rows[span.row - south] = ((span.first_column - west) as u8, span.count as u8);
             }
             RowDisc {
                 corner: (south * stride + west) as u32,
@@ -159,6 +160,7 @@ impl CertainStaleness {
             prefix_sums: vec![0; stride * height + 1],
             total_worth: 0,
         };
+        // Before the first TTI every place has age 1, as after a reported event.
         certain.advance(true);
         certain
     }

@@ -93,15 +93,15 @@ fn ages_and_gains_equal_their_definition() {
                         "{kind:?}, {width} m wide, TTI {k}, device {j}: gain {gain}, not {expected_gain}"
                     );
                 }
-                let event_found = k % 23 == 22;
+                let is_event_reported = k % 23 == 22;
                 for (age, &place) in expected_ages.iter_mut().zip(&places) {
-                    *age = if event_found {
+                    *age = if is_event_reported {
                         1.0
                     } else {
                         *age * miss_probability(place) + 1.0
                     };
                 }
-                ages.advance(event_found);
+                ages.advance(is_event_reported);
                 for (&expected_age, &place) in expected_ages.iter().zip(&places) {
                     let age = ages.age_at(place);
                     assert!(
@@ -133,7 +133,7 @@ fn an_unseen_place_ages_up_to_the_maximum() {
         ages.advance(false);
     }
     ages.advance(true);
-    assert_eq!(age_at(&ages, unseen), 1.0_f64.to_bits(), "after an event was found");
+    assert_eq!(age_at(&ages, unseen), 1.0_f64.to_bits(), "after an event was reported");
 }
 
 #[test]

@@ -90,7 +90,7 @@ struct Partition<'a> {
 }
 
 impl<'a> Partition<'a> {
-    /// Assigns each device to the nearest of `count` k-means++ centres, at most one per device.
+    /// Assigns each device to the nearest of `count` k-means++ centres; `count` is at most the number of devices.
     fn start(points: &'a [Point], count: usize, mut stream: Stream) -> Self {
         let mut squared_distances = vec![f64::INFINITY; points.len()];
         let mut cluster_of = vec![0; points.len()];
@@ -142,8 +142,8 @@ impl<'a> Partition<'a> {
         next
     }
 
-    /// Returns the cluster with the most votes. Ties go to the nearest centroid, then to the lowest number. A device
-    /// without neighbours keeps its cluster.
+    /// Returns the cluster with the most votes in `tally`, pairs of cluster and votes. Ties go to the nearest centroid,
+    /// then to the lowest number. A device without neighbours keeps its cluster.
     fn winning_cluster(&self, device: usize, tally: &[(u32, u32)]) -> u32 {
         let squared_gap = |cluster: u32| self.points[device].distance_squared(self.centroids[cluster as usize]);
         let best = tally.iter().min_by(|(a, votes_a), (b, votes_b)| {
@@ -243,19 +243,19 @@ fn split(points: &[Point], members: Vec<DeviceId>, d_max: f64) -> Vec<Vec<Device
 
 /// Splits by 2-means, from the member farthest from the centroid and the member farthest from that one.
 fn halve(points: &[Point], members: &[DeviceId], centroid: Point) -> [Vec<DeviceId>; 2] {
-    let first_seed = farthest(points, members, centroid);
-    let mut seeds = [first_seed, farthest(points, members, first_seed)];
+    let first_centre = farthest(points, members, centroid);
+    let mut centres = [first_centre, farthest(points, members, first_centre)];
     let mut halves = [members.to_vec(), Vec::new()];
     for _ in 0..MAX_HALVING_ROUNDS {
-        let is_nearer_to_first_seed = |j: &DeviceId| {
+        let is_nearer_to_first = |j: &DeviceId| {
             let p = points[j.index()];
-            p.distance_squared(seeds[0]) <= p.distance_squared(seeds[1])
+            p.distance_squared(centres[0]) <= p.distance_squared(centres[1])
         };
-        let (a, b): (Vec<_>, Vec<_>) = members.iter().partition(|j| is_nearer_to_first_seed(j));
+        let (a, b): (Vec<_>, Vec<_>) = members.iter().partition(|j| is_nearer_to_first(j));
         if a.is_empty() || b.is_empty() || a == halves[0] {
             break;
         }
-        seeds = [mean_position(points, &a), mean_position(points, &b)];
+        centres = [mean_position(points, &a), mean_position(points, &b)];
         halves = [a, b];
     }
     halves

@@ -16,6 +16,12 @@ const AREA: Area = Area {
     height: 20.0,
 };
 
+/// The default settings of `knn`.
+const PAPER_SETTINGS: ClusterSettings = ClusterSettings {
+    neighbours: 5,
+    limit_radius: true,
+};
+
 fn settings(neighbours: u32, limit_radius: bool) -> ClusterSettings {
     ClusterSettings {
         neighbours,
@@ -130,7 +136,7 @@ fn two_groups_form_two_clusters() {
     let points: Vec<_> = group(4.0, 4.0).chain(group(16.0, 15.0)).collect();
     // ξ/(π d_max²) = 400/(π · 81) = 1.57: two clusters.
     for seed in 0..50 {
-        let clusters = Clusters::form(&points, AREA, 9.0, settings(5, true), stream(seed));
+        let clusters = Clusters::form(&points, AREA, 9.0, PAPER_SETTINGS, stream(seed));
         let expected = [0..7, 7..14].map(|ids| ids.map(DeviceId).collect::<Vec<_>>());
         assert_eq!(clusters.formed_count, 2, "seed {seed}");
         assert_eq!(clusters.members, expected, "seed {seed}");
@@ -191,13 +197,13 @@ fn the_number_of_clusters_is_area_over_disc_rounded_up() {
         (1.0, 30, 30),
     ] {
         let points = place_devices(&Layout::JitteredGrid, AREA, n, 1);
-        let clusters = Clusters::form(&points, AREA, d_max, settings(5, true), stream(1));
+        let clusters = Clusters::form(&points, AREA, d_max, PAPER_SETTINGS, stream(1));
         assert_eq!(clusters.formed_count, expected, "d_max {d_max}, {n} devices");
     }
 }
 
 #[test]
 fn a_deployment_without_devices_has_no_clusters() {
-    let clusters = Clusters::form(&[], AREA, 4.0, settings(5, true), stream(1));
+    let clusters = Clusters::form(&[], AREA, 4.0, PAPER_SETTINGS, stream(1));
     assert!(clusters.members.is_empty());
 }

@@ -30,7 +30,7 @@ pub(super) struct CoverageBits {
 #[derive(Clone, Debug)]
 pub(super) struct BitDisc {
     pub(super) first_cell: (u32, u32),
-    /// Word of the first row, and bit of the first column in it, less than 32.
+    /// Word of the first row in the tiles of [`CoverageBits`], and bit of the first column in it, less than 32.
     word: u32,
     shift: u32,
     pub(super) rows: [u32; DISC_SIDE],
@@ -120,7 +120,8 @@ impl CoverageBits {
         }
     }
 
-    pub(super) const fn covered(&self) -> u32 {
+    /// Number of covered cells.
+    pub(super) const fn covered_count(&self) -> u32 {
         self.covered_count
     }
 

@@ -50,7 +50,7 @@ const QUANTA_PER_UNIT: u64 = (QUANTA_PER_CELL as u64 + 1) / UNITS_PER_PARTIAL_CE
 pub(crate) struct Coverage {
     raster: Raster,
     model: CoverageModel,
-    blocks: CellBlocks,
+    cell_blocks: CellBlocks,
     /// Devices already added. A device counts once: for one event it detects always or never.
     is_added: Vec<bool>,
     /// List of the added devices, for [`Self::clear`].
@@ -67,12 +67,12 @@ impl Coverage {
     /// Creates the coverage for devices at `positions`, none of them added yet.
     pub(crate) fn new(positions: &[Point], area: Area, sensing: &Sensing) -> Self {
         let raster = Raster::new(area, sensing.d_max, cells_per_range(sensing.kind));
-        let (model, blocks) = match sensing.kind {
+        let (model, cell_blocks) = match sensing.kind {
             DetectionKind::Range => {
                 let bits = CoverageBits::new(&raster, positions, sensing.d_max);
                 let reaches = |j: usize, row: u32, column: u32| bits.reaches(j, row, column);
-                let blocks = CellBlocks::new(&raster, positions, sensing.d_max, reaches);
-                (CoverageModel::Range(bits), blocks)
+                let cell_blocks = CellBlocks::new(&raster, positions, sensing.d_max, reaches);
+                (CoverageModel::Range(bits), cell_blocks)
             }
             // No cell is ever fully covered, so cells have no order.
             DetectionKind::Probabilistic => (
@@ -83,7 +83,7 @@ impl Coverage {
         Self {
             raster,
             model,
-            blocks,
+            cell_blocks,
             is_added: vec![false; positions.len()],
             added_devices: Vec::new(),
         }
@@ -142,6 +142,7 @@ impl Coverage {
         self.raster.cell_count() as f64 * f64::from(units_per_cell)
     }
 
+    /// Adds the `j`-th device. Without effect if it was added before.
     pub(crate) fn add(&mut self, j: usize) {
         if std::mem::replace(&mut self.is_added[j], true) {
             return;
@@ -153,6 +154,7 @@ impl Coverage {
         }
     }
 
+    /// Whether the `j`-th device was added.
     pub(crate) fn contains(&self, j: usize) -> bool {
         self.is_added[j]
     }
@@ -161,7 +163,7 @@ impl Coverage {
     pub(crate) fn uncovered(&self) -> f64 {
         let cells = self.raster.cell_count() as f64;
         match &self.model {
-            CoverageModel::Range(bits) => (cells - f64::from(bits.covered())) / cells,
+            CoverageModel::Range(bits) => (cells - f64::from(bits.covered_count())) / cells,
             CoverageModel::Probabilistic(shares) => shares.uncovered() as f64 / f64::from(QUANTA_PER_CELL) / cells,
         }
     }
@@ -169,9 +171,10 @@ impl Coverage {
     /// Number of blocks of neighbouring cells. Blocks are in the order in which a choice of devices should cover them:
     /// corners and borders of the area first.
     pub(crate) const fn block_count(&self) -> usize {
-        self.blocks.blocks.len()
+        self.cell_blocks.blocks.len()
     }
 
+    /// Returns whether a cell of `block` is uncovered; always true if detection is probabilistic.
     #[inline]
     pub(crate) fn has_uncovered(&self, block: usize) -> bool {
         let CoverageModel::Range(bits) = &self.model else {
@@ -183,7 +186,7 @@ impl Coverage {
             rows,
             columns,
             ..
-        } = self.blocks.blocks[block];
+        } = self.cell_blocks.blocks[block];
         let uncovered = (row..row + rows).fold(0, |uncovered, row| uncovered | bits.uncovered_from(row, column));
         // The word also holds columns beyond the block, which has at most 4.
         uncovered & ((1 << columns) - 1) != 0
@@ -191,14 +194,14 @@ impl Coverage {
 
     /// Returns the cells of a block that devices can cover, in the order in which they should be covered.
     pub(crate) fn cells_in(&self, block: usize) -> &[CellPosition] {
-        let (first, end) = self.blocks.blocks[block].cells;
-        &self.blocks.cells[first as usize..end as usize]
+        let (first, end) = self.cell_blocks.blocks[block].cells;
+        &self.cell_blocks.cells[first as usize..end as usize]
     }
 
     /// Returns the devices that can cover at least one cell of `block`, in ascending order.
     pub(crate) fn devices_covering_block(&self, block: usize) -> &[u32] {
-        let (first, end) = self.blocks.blocks[block].devices;
-        &self.blocks.devices[first as usize..end as usize]
+        let (first, end) = self.cell_blocks.blocks[block].devices;
+        &self.cell_blocks.devices[first as usize..end as usize]
     }
 
     /// Returns whether no added device fully covers `cell`; always true if detection is probabilistic.

@@ -69,10 +69,15 @@ struct UnionTiles {
 impl UnionTiles {
     fn new(raster: &Raster, positions: &[Point], d_max: f64) -> Self {
         let stride = raster.rows + DISC_SIDE;
+        // The stride of a disc locates it in the tiles of `CoverageBits`, which do not exist here.
+        let disc_stride = 0;
         Self {
             stride,
             covered: vec![0; (raster.columns.div_ceil(64) + 1) * stride],
-            discs: positions.iter().map(|&p| BitDisc::new(raster, 0, p, d_max)).collect(),
+            discs: positions
+                .iter()
+                .map(|&p| BitDisc::new(raster, disc_stride, p, d_max))
+                .collect(),
         }
     }
 

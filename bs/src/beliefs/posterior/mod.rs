@@ -18,7 +18,7 @@ use super::correlation::exp_negative;
 /// Points on a ring before the silence of other devices is applied.
 const POINTS_PER_RING: usize = 512;
 /// Largest number of likely points, and of unlikely points, that are kept after that.
-const MAX_POINTS_PER_CLASS: usize = 32;
+const MAX_POINTS_PER_GROUP: usize = 32;
 /// Factor on the likelihood of a point in range of a device that should have detected an event there but did not
 /// report. The device may have failed.
 const SILENCE_FACTOR: f64 = 0.02;
@@ -184,9 +184,9 @@ impl EpicentreBelief {
         self.update_weights();
     }
 
-    /// Applies the silence of devices in S1 (`is_sensing`) that could have reported. Call it once, after the first
-    /// reports. `prior` as in `EpicentreBelief::add_reporter`.
-    pub fn observe_silence(&mut self, is_sensing: impl Fn(DeviceId) -> bool, prior: impl Fn(Point) -> f64) {
+    /// Applies the silence of the devices for which `could_report` holds: in S1, with energy for a report. Call it
+    /// once, after the first reports. `prior` as in `EpicentreBelief::add_reporter`.
+    pub fn observe_silence(&mut self, could_report: impl Fn(DeviceId) -> bool, prior: impl Fn(Point) -> f64) {
         let Some(&(centre, d)) = self.rings.first() else { return };
         let Self {
             buckets,
@@ -199,7 +199,7 @@ impl EpicentreBelief {
         let mut silent_indices = Vec::new();
         // A device farther away reaches no point on the ring.
         buckets.within(centre, d + sensing.d_max, |j, _| {
-            if !is_excluded[j] && is_sensing(DeviceId(j as u32)) {
+            if !is_excluded[j] && could_report(DeviceId(j as u32)) {
                 silent_indices.push(j);
             }
         });
@@ -239,22 +239,22 @@ impl EpicentreBelief {
         let max_weight = self.points.iter().map(|point| point.weight).fold(0.0, f64::max);
         let is_likely = |point: &RingPoint| point.weight > 0.5 * max_weight;
         let likely = self.points.iter().filter(|point| is_likely(point)).count();
-        // A class without points gets a stride of 1, since the stride divides below.
-        let strides = [self.points.len() - likely, likely].map(|count| count.div_ceil(MAX_POINTS_PER_CLASS).max(1));
+        // A group without points gets a stride of 1, since the stride divides below.
+        let strides = [self.points.len() - likely, likely].map(|count| count.div_ceil(MAX_POINTS_PER_GROUP).max(1));
         let mut counts = [0; 2];
         self.points.retain_mut(|point| {
-            let class = usize::from(is_likely(point));
-            let index = counts[class];
-            counts[class] += 1;
-            point.likelihood.value *= strides[class] as f64;
-            index % strides[class] == strides[class] / 2
+            let group = usize::from(is_likely(point));
+            let index = counts[group];
+            counts[group] += 1;
+            point.likelihood.value *= strides[group] as f64;
+            index % strides[group] == strides[group] / 2
         });
         self.update_weights();
     }
 
     /// Returns the device with the largest expected gain less the cost of a failed wake-up, and its gain alone. Only
     /// devices for which `is_candidate` holds count, if they have neither reported nor been returned for this event.
-    /// `information` is Î. Ties go to the lower number. `None` if no device has a gain.
+    /// `information` is Î. Ties go to the lower number. `None` before the first report, or if no device has a gain.
     pub fn next_candidate(
         &mut self,
         information: f64,

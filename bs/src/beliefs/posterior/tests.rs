@@ -151,7 +151,8 @@ impl<'a> BeliefDefinition<'a> {
     }
 }
 
-/// Seeds of deployments with a first report: every kind of detection and of g, reporters in the middle and at the edge.
+/// First reports, each as the seed of its deployment, the sensing model, the reporter, and its distance from the event,
+/// m: every kind of detection and of g, reporters in the middle and at the edge.
 fn first_reports() -> impl Iterator<Item = (u64, Sensing, u32, f64)> {
     let kinds = [DetectionKind::Range, DetectionKind::Probabilistic];
     let reporters_and_distances = [(5, 3.0), (60, 1.2), (119, D_MAX), (33, 0.5)];
@@ -269,7 +270,7 @@ fn silence_weights_the_points_of_the_ring() {
             }
             belief.observe_silence(is_on, definition.prior);
             // A kept point stands for its neighbours, so its weight is a multiple of the weight in the definition.
-            assert!(belief.points.len() <= 2 * MAX_POINTS_PER_CLASS);
+            assert!(belief.points.len() <= 2 * MAX_POINTS_PER_GROUP);
             for place in &belief.points {
                 let multiple = place.weight / definition.weight(place.position);
                 assert!(
@@ -327,7 +328,7 @@ fn coincident_devices_add_no_point_and_a_third_report_locates_the_event() {
 }
 
 #[test]
-fn a_failed_wake_up_excludes_the_area_in_range_of_the_device() {
+fn a_woken_device_beyond_d_max_rules_out_the_area_in_its_range() {
     let points = [Point::new(10.0, 10.0), Point::new(12.5, 10.0), Point::new(10.0, 13.0)];
     for kind in [DetectionKind::Range, DetectionKind::Probabilistic] {
         let sensing = Sensing {

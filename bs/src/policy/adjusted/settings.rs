@@ -1,6 +1,6 @@
 //! Settings of the policy `adjusted` (Sec. V-A, first approach): the grid of duty cycles to search, and the length of
-//! its pilot runs. The fields are part of scenario files and their fingerprints, and of docs/scenario.md. The order of
-//! [`AdjustedSettings::pairs`] decides ties of the search.
+//! its pilot runs. The fields, in their order, are part of scenario files, their hashes and docs/scenario.md. The order
+//! of [`AdjustedSettings::pairs`] decides ties of the search.
 
 use reveille_common::declare;
 use reveille_common::declare::{FieldReader, ScenarioError, whole, wholes};

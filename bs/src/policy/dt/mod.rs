@@ -42,7 +42,7 @@ pub struct Dt {
     token_builder: TokenBuilder,
     forward_pass: ForwardPass,
     objective: ModelObjective,
-    /// Share of new events to find in their first TTI; 0 for no target.
+    /// Share of new events to detect in their first TTI; 0 for no target.
     target: f64,
     prices: Prices,
     selector: DeviceSelector,

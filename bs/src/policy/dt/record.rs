@@ -23,7 +23,7 @@ use crate::policy::interface::{LearnedState, Policy};
 /// Action and outcome of one device in a TTI.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct DeviceStep {
-    /// Events that it would find if it sensed, given only α.
+    /// Events that it would detect if it sensed, given only α.
     pub expected_events: f32,
     /// Whether it was in S1 (δ = 1).
     pub is_sensing: bool,
@@ -42,7 +42,7 @@ pub struct TrajectoryStep {
     pub tokens: Vec<f32>,
     /// Actions and outcomes by device.
     pub devices: Vec<DeviceStep>,
-    /// Covered share of the area: the probability that an event that starts in this TTI is found in it.
+    /// Covered share of the area: the probability that an event that starts in this TTI is detected in it.
     pub covered_share: f32,
     /// Reward r(k), in expectation over events that start in this TTI.
     pub reward: f32,
@@ -114,6 +114,7 @@ pub struct RecordingPolicy<S> {
     candidates: WakeUpCandidates,
     exploration: f64,
     sink: S,
+    /// Last plan of the policy, without exploration.
     plan: Option<Plan>,
     next_decision_tti: Tti,
     open_step: Option<TrajectoryStep>,
@@ -201,7 +202,9 @@ impl<S: StepSink + 'static> Policy for RecordingPolicy<S> {
         } else {
             self.plan.clone().expect("decided in TTI 0")
         };
-        self.token_builder.mark_sensing(seen.now, &plan, false);
+        // The recorder chooses no devices in the ages of the builder, so none is added there.
+        let is_added = false;
+        self.token_builder.mark_sensing(seen.now, &plan, is_added);
         plan
     }
 

@@ -1,5 +1,6 @@
 //! Settings of the policy `dt` (Sec. V-C): reads them with the model that they name, and refuses a shape that the model
-//! does not have. The hash of the model is part of the fingerprint of a scenario.
+//! does not have. The hash of a scenario covers the hash of the model and depends on the order of the fields and of the
+//! calls in `visit`.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -75,7 +76,7 @@ pub struct DtSettings {
     pub weights: Arc<ModelWeights>,
     /// Price θ of a TTI in S1, ≥ 0, used without a target.
     pub price: f64,
-    /// Target share of new events found in their first TTI, `[0, 1]`; 0 for no target.
+    /// Target share of new events detected in their first TTI, `[0, 1]`; 0 for no target.
     pub target: f64,
     /// Cost of a wake-up of a device beyond d_max of the event, a share of Ψ, `[0, 1]`.
     pub miss_cost: f64,

@@ -1,7 +1,7 @@
 //! Input of the model per device and TTI: the state 𝒯(k) of the paper (Sec. V-C), as far as a base station knows it.
 //!
 //! The token of a device holds its battery, the size of the area that it covers and the time since it was last covered.
-//! It also holds the ratio of found to expected events, near the device and anywhere, over short and long times. No
+//! It also holds the ratio of reported to expected events, near the device and anywhere, over short and long times. No
 //! feature grows with N or the area, so a model trained on one deployment serves another.
 //!
 //! `dt` decides on them, and [`super::record`] records them for the training. The meaning, scale and order of
@@ -18,7 +18,8 @@ use crate::beliefs::ages::{self, Ages};
 use crate::knowledge::Knowledge;
 use crate::observation::Observation;
 
-/// Names of the features of a token, in order.
+/// Names of the features of a token, in order. In these names `found` means reported, and `delay` is the time between
+/// two reported events.
 pub const FEATURES: [&str; 20] = [
     "battery",
     "can_sense",
@@ -54,23 +55,23 @@ const TIME_CONSTANTS: [f32; 3] = [8.0, 64.0, 512.0];
 /// Numbers of reported and of expected events, which decay exponentially with each of [`TIME_CONSTANTS`].
 #[derive(Clone, Copy, Debug, Default)]
 struct DecayingEventCounts {
-    found: [f32; TIME_CONSTANTS.len()],
+    reported: [f32; TIME_CONSTANTS.len()],
     expected: [f32; TIME_CONSTANTS.len()],
 }
 
 impl DecayingEventCounts {
-    /// Advances by one TTI with this many `found` and `expected` events.
-    fn advance(&mut self, found: f32, expected: f32) {
+    /// Advances by one TTI with this many `reported` and `expected` events.
+    fn advance(&mut self, reported: f32, expected: f32) {
         for (scale, tau) in TIME_CONSTANTS.into_iter().enumerate() {
             let decay = 1.0 - 1.0 / tau;
-            self.found[scale] = decay * self.found[scale] + found;
+            self.reported[scale] = decay * self.reported[scale] + reported;
             self.expected[scale] = decay * self.expected[scale] + expected;
         }
     }
 
-    /// Returns the logarithm of the ratio of found to expected events, each increased by one prior event.
+    /// Returns the logarithm of the ratio of reported to expected events, each increased by one prior event.
     fn surprise(&self, scale: usize) -> f32 {
-        libm::logf((self.found[scale] + 1.0) / (self.expected[scale] + 1.0))
+        libm::logf((self.reported[scale] + 1.0) / (self.expected[scale] + 1.0))
     }
 }
 
@@ -82,14 +83,16 @@ struct DeviceConstants {
     expected: f32,
     /// `unit_gain` relative to a whole sensing disc.
     reach: f32,
+    /// Mean harvest relative to E_idle, at most 4.
     harvest: f32,
+    /// ln(1 + n) / 5, with n the other devices within d_max.
     neighbours: f32,
     min_level: Energy,
     e_max: f32,
 }
 
 #[derive(Clone, Copy, Debug)]
-struct FoundEvent {
+struct ReportedEvent {
     /// Estimate of the epicentre.
     position: Point,
     tti: Tti,
@@ -107,17 +110,20 @@ pub(crate) struct TokenBuilder {
     near_counts: Vec<DecayingEventCounts>,
     /// Events anywhere.
     all_counts: DecayingEventCounts,
+    /// α.
     event_probability: f32,
+    /// See [`log_density`].
     log_density: f32,
-    alpha: f32,
+    /// ln(α) / 5.
+    log_alpha: f32,
     /// By device, the TTI in which it sensed last, counted from 1; 0 for never.
     last_sensed: Vec<u64>,
     /// Position and weight of each reporter of this TTI; the weight falls with its distance to the event.
     reporters: Vec<(Point, f64)>,
-    last_event: Option<FoundEvent>,
-    /// Time between the last two found events, on the scale of [`log_scale`].
-    delay: f32,
-    /// By device, whether the event found in the last TTI, if any, is near it.
+    last_event: Option<ReportedEvent>,
+    /// Time between the last two reported events, on the scale of [`log_scale`].
+    event_interval: f32,
+    /// By device, whether the event reported in the last TTI, if any, is near it.
     is_near: Vec<bool>,
     /// By device, the gain of sensing in this TTI, in the unit of [`Ages::gain`].
     gains: Vec<f64>,
@@ -161,11 +167,11 @@ impl TokenBuilder {
             all_counts: DecayingEventCounts::default(),
             event_probability: known.alpha as f32,
             log_density: log_density(known.area, &known.sensing, n),
-            alpha: libm::logf(known.alpha as f32) / 5.0,
+            log_alpha: libm::logf(known.alpha as f32) / 5.0,
             last_sensed: vec![0; n],
             reporters: Vec::new(),
             last_event: None,
-            delay: 0.0,
+            event_interval: 0.0,
             is_near: vec![false; n],
             gains: vec![0.0; n],
             tokens: vec![0.0; n * FEATURE_COUNT],
@@ -182,16 +188,16 @@ impl TokenBuilder {
             self.advance(Tti(seen.now.0 - 1));
         }
         let last = self.last_event;
-        let is_found = last.is_some_and(|found| found.tti.0 + 1 == seen.now.0);
+        let is_reported = last.is_some_and(|event| event.tti.0 + 1 == seen.now.0);
         // Before the first event the time is as long as `log_scale` allows.
-        let since = last.map_or(u64::MAX, |found| seen.now.0 - found.tti.0);
+        let since = last.map_or(u64::MAX, |event| seen.now.0 - event.tti.0);
         let shared = GlobalFeatures {
             log_density: self.log_density,
-            alpha: self.alpha,
+            log_alpha: self.log_alpha,
             all: [0, 1, 2].map(|scale| self.all_counts.surprise(scale)),
-            found: f32::from(u8::from(is_found)),
+            is_reported: f32::from(u8::from(is_reported)),
             since: log_scale(since),
-            delay: self.delay,
+            event_interval: self.event_interval,
         };
         let (tokens, _) = self.tokens.as_chunks_mut::<FEATURE_COUNT>();
         for (j, token) in tokens.iter_mut().enumerate() {
@@ -201,8 +207,8 @@ impl TokenBuilder {
                 0 => seen.now.0 + 1,
                 last_sensed => seen.now.0 + 1 - last_sensed,
             };
-            let nearness = last.map_or(0.0, |found| {
-                libm::expf(-(found.position.distance(self.positions[j]) / self.d_max) as f32)
+            let nearness = last.map_or(0.0, |event| {
+                libm::expf(-(event.position.distance(self.positions[j]) / self.d_max) as f32)
             });
             let level = seen.batteries[j];
             *token = [
@@ -212,7 +218,7 @@ impl TokenBuilder {
                 log_scale(idle),
                 constants.reach,
                 shared.log_density,
-                shared.alpha,
+                shared.log_alpha,
                 constants.harvest,
                 near_counts.surprise(0),
                 near_counts.surprise(1),
@@ -220,16 +226,17 @@ impl TokenBuilder {
                 shared.all[0],
                 shared.all[1],
                 shared.all[2],
-                shared.found,
+                shared.is_reported,
                 f32::from(u8::from(self.is_near[j])),
                 shared.since,
                 nearness,
                 constants.neighbours,
-                shared.delay,
+                shared.event_interval,
             ];
         }
     }
 
+    /// Ends TTI `tti`: counts its event, if one was reported, and lets the ages of places grow.
     fn advance(&mut self, tti: Tti) {
         let epicentre = weighted_centre(&self.reporters);
         self.reporters.clear();
@@ -237,9 +244,9 @@ impl TokenBuilder {
         if let Some(position) = epicentre {
             let is_near = &mut self.is_near;
             self.buckets.within(position, self.d_max, |j, _| is_near[j] = true);
-            // The delay counts from the previous event, so it is taken before `last_event` changes.
-            self.delay = self.last_event.map_or(0.0, |last| log_scale(tti.0 - last.tti.0));
-            self.last_event = Some(FoundEvent { position, tti });
+            // The interval counts from the previous event, so it is taken before `last_event` changes.
+            self.event_interval = self.last_event.map_or(0.0, |last| log_scale(tti.0 - last.tti.0));
+            self.last_event = Some(ReportedEvent { position, tti });
         }
         let devices = self.near_counts.iter_mut().zip(&self.constants).zip(&self.is_near);
         for ((near_counts, constants), &is_near) in devices {
@@ -281,7 +288,7 @@ impl TokenBuilder {
         self.tokens[j * FEATURE_COUNT + CAN_SENSE] > 0.5
     }
 
-    /// Returns the events that device `j` would find if it sensed, given only α: those that start within its reach,
+    /// Returns the events that device `j` would detect if it sensed, given only α: those that start within its reach,
     /// times the age of its places.
     pub(crate) fn expected_events(&self, j: usize) -> f32 {
         let constants = &self.constants[j];
@@ -301,14 +308,16 @@ impl TokenBuilder {
 /// Features that are the same for all devices.
 struct GlobalFeatures {
     log_density: f32,
-    alpha: f32,
+    log_alpha: f32,
     all: [f32; TIME_CONSTANTS.len()],
-    found: f32,
+    /// 1 if an event was reported in the last TTI, 0 otherwise.
+    is_reported: f32,
     since: f32,
-    delay: f32,
+    event_interval: f32,
 }
 
-/// Returns the logarithm of the mean number of devices within reach of a place, divided by 5.
+/// Returns the logarithm of the mean number of devices within reach of a place, divided by 5. The divisors of
+/// logarithms in this file bring features to the order of 1.
 fn log_density(area: Area, sensing: &Sensing, n: usize) -> f32 {
     libm::logf((n as f64 * ages::effective_area(sensing) / area.surface()) as f32) / 5.0
 }

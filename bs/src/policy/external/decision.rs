@@ -26,7 +26,8 @@ pub struct DecisionContext<'a> {
     /// Observation of a policy. At [`DecisionStage::Plan`], [`Observation::now`] is the coming TTI and
     /// [`Observation::plan`] the plan of the previous one.
     pub observation: Observation<'a>,
-    /// Reports of the last TTI with reports, in order of arrival. At [`DecisionStage::Wake`] that is this TTI.
+    /// Reports of the last TTI with reports: the first ones by device id, then the answers to wake-ups in their order.
+    /// At [`DecisionStage::Wake`] that is this TTI.
     pub heard: &'a [Report],
     /// By device, whether it was woken in the TTI of [`Self::heard`], with or without an answer.
     pub woken: &'a [bool],

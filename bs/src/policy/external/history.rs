@@ -105,7 +105,7 @@ impl ReportHistory {
                     *last_sensed = self.open_tti.0 + 1;
                 }
             }
-            // The reports belong to the first of these TTIs, so only that one counts as found.
+            // The reports belong to the first of these TTIs, so only that one has a reported event.
             self.staleness.advance(std::mem::take(&mut self.is_event_reported));
             self.open_tti = self.open_tti + 1;
         }

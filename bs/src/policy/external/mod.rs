@@ -74,7 +74,7 @@ impl External {
     }
 
     /// Whether a wake-up decision is needed in the TTI of `seen`: a report arrived, a device can be woken, and the last
-    /// decision was not empty.
+    /// decision of this TTI, if any, woke at least one device, with all its wake-ups complete.
     pub(crate) fn needs_wake_ups(&self, seen: &Observation<'_>) -> bool {
         let mut devices = (0..self.woken.len() as u32).map(DeviceId);
         // If no device can be woken, every decision would be empty, so no request is sent.
@@ -160,9 +160,9 @@ impl Policy for External {
     }
 }
 
-/// Fits `plan` to the devices 0 to `devices` − 1.
-fn fit_to_devices(plan: &Plan, devices: u32) -> Plan {
-    let cycles = (0..devices).map(|j| plan.duty_cycle(DeviceId(j)));
+/// Fits `plan` to the devices 0 to `device_count` − 1.
+fn fit_to_devices(plan: &Plan, device_count: u32) -> Plan {
+    let cycles = (0..device_count).map(|j| plan.duty_cycle(DeviceId(j)));
     match plan {
         Plan::Bits { .. } => Plan::from_bits(cycles.map(|cycle| cycle == DutyCycle::SENSING)),
         Plan::Periodic(_) => Plan::Periodic(cycles.collect()),

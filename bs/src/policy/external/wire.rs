@@ -253,7 +253,7 @@ pub struct DecisionRequest {
     pub globals: FloatRows,
     /// By device, as in a Gymnasium mask: 2 if the action may be 0 or 1, 0 if a 1 would have no effect.
     pub action_mask: Octets,
-    /// At [`RequestKind::Wake`], the reports of this TTI in order of arrival; otherwise empty.
+    /// At [`RequestKind::Wake`], the reports of this TTI, in the order of [`DecisionContext::heard`]; otherwise empty.
     pub heard: Vec<ReportInfo>,
     /// Reason why the last reply to this request was refused.
     #[serde(default, skip_serializing_if = "Option::is_none")]

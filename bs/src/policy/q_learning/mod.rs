@@ -29,7 +29,8 @@
 //! Wake-ups are also decided one by one: the m-th of a TTI has the share μ2 (Î_m − Î_{m−1}) − 1/N. These telescope to
 //! r*(k) = μ2 I_i − δ*·1/N, except for μ2 Î_0, the information that came without a wake-up.
 //!
-//! Tables hold N times these shares, without α μ1, which is the same for every action. Other shares need new tables.
+//! Tables hold N times these shares, without the term −α μ1, or −α μ1 Ā with ages, which is the same for every action.
+//! Other shares need new tables.
 
 mod area_state;
 pub mod duty;

@@ -1,5 +1,6 @@
 //! Settings of the policy `q-learning` (Sec. V-B): reads them with the tables that they name, and checks that the
-//! tables serve the scenario. The tables are part of the fingerprint of a scenario.
+//! tables serve the scenario. The hash of a scenario covers the tables and depends on the order of the fields and of
+//! the calls in `visit`.
 
 use std::path::PathBuf;
 use std::sync::Arc;

@@ -49,9 +49,9 @@ fn the_schema_and_the_complete_file_contain_every_field() {
 fn the_fuzz_dictionary_contains_exactly_the_declared_words() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/fuzz/scenario.dict");
     let dictionary = std::fs::read_to_string(path).expect("the dictionary");
-    let tail = "# Syntax and values, which no declaration has.\n";
-    let (head, _) = dictionary.split_once(tail).expect("a tail");
-    let dictionary_words: Vec<&str> = head.lines().filter(|line| !line.starts_with('#')).collect();
+    let syntax_heading = "# Syntax and values, which no declaration has.\n";
+    let (declared_part, _) = dictionary.split_once(syntax_heading).expect("both parts");
+    let dictionary_words: Vec<&str> = declared_part.lines().filter(|line| !line.starts_with('#')).collect();
     let declared = declaration();
     let mut words: BTreeSet<&str> = declared.registered.iter().map(|policy| policy.name).collect();
     words.extend(declared.presets.iter().map(|preset| preset.name));

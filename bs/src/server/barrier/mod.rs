@@ -35,7 +35,7 @@ pub struct GrantResult {
 #[derive(Debug)]
 struct HostResult {
     /// Number of reports that the host announces; they arrive as separate messages.
-    reports: u32,
+    announced_reports: u32,
     failures: Vec<FailedTransmission>,
     unpowered: u32,
     totals: Option<DeviceTotals>,
@@ -182,7 +182,7 @@ impl Barrier {
                 // host may count.
                 *announced_reports -= answers
                     .remove_host(position)
-                    .map_or(0, |result| result.reports as usize);
+                    .map_or(0, |result| result.announced_reports as usize);
                 reports.retain(|device, _| !roster.owns(position, *device));
             }
             BarrierState::WakeUp { device, outcome, .. } => {
@@ -317,7 +317,7 @@ impl Barrier {
                     && totals.is_none_or(|sums| roster.are_possible_totals(position, &sums));
                 if is_possible {
                     let result = HostResult {
-                        reports,
+                        announced_reports: reports,
                         failures,
                         unpowered,
                         totals,
@@ -328,7 +328,7 @@ impl Barrier {
                     // not added.
                     *announced_reports -= answers
                         .replace_answer(position, result)
-                        .map_or(0, |previous| previous.reports as usize);
+                        .map_or(0, |previous| previous.announced_reports as usize);
                 }
                 is_possible
             }

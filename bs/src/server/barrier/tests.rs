@@ -36,7 +36,7 @@ fn waiting_barrier(is_event_active: bool) -> Barrier {
     barrier
 }
 
-/// Passes on a report from the host of its device.
+/// Passes on a report from the host of its device. Returns whether the barrier is complete.
 fn receive_from_own_host(barrier: &mut Barrier, report: Report) -> bool {
     barrier.receive_report(HostId(report.device.0 / 5), report)
 }

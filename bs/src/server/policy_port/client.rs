@@ -50,7 +50,7 @@ pub struct ClientIdentity {
 }
 
 /// Replies to the decision requests of the run on `bus` until the run ends or its base station is absent for 30 s.
-/// Returns the number of decisions.
+/// Returns the number of decisions, refused ones included.
 ///
 /// # Errors
 /// If the bus fails, the base station refuses this process, or it is absent for 30 s before the first decision.

@@ -32,11 +32,11 @@ use crate::policy::external::{Decision, DecisionContext, DecisionStage, PlanDeci
 
 /// Interval between checks of the stop flag and the time limit during a wait.
 const CHECK_INTERVAL: Duration = Duration::from_millis(100);
-/// Time to answer a greeting before it is sent again.
+/// Time to answer a hello before it is sent again.
 const HELLO_TIMEOUT: Duration = Duration::from_secs(2);
 /// Time to answer a request before it is sent again, since an answer can get lost with a link.
 const REQUEST_TIMEOUT: Duration = Duration::from_secs(30);
-/// Pause between two greetings while no process answers.
+/// Pause between two hellos while no process answers.
 const HELLO_PAUSE: Duration = Duration::from_millis(200);
 /// Time without a decision after which a warning is logged.
 const WARN_AFTER: Duration = Duration::from_secs(5);
@@ -119,7 +119,7 @@ pub(super) struct PolicyPort<'a> {
     run: String,
     timeout: Option<DecisionTimeout>,
     peer: Option<PolicyPeer>,
-    /// The greeting for policy processes, built at the first decision request.
+    /// The hello to policy processes, built at the first decision request.
     hello: Option<Hello>,
     /// Further replies to the last request, whose first valid reply counted, and the id of the process asked.
     extra_replies: Option<(Replies, String)>,
@@ -165,7 +165,7 @@ impl<'a> PolicyPort<'a> {
             )));
         }
         let run = &self.run;
-        // The greeting describes the deployment, which does not change during a run.
+        // The hello describes the deployment, which does not change during a run.
         self.hello
             .get_or_insert_with(|| Hello::new(run.clone(), context.observation.known));
         let peer_id = self.peer.as_ref().map_or("", |peer| &peer.id);
@@ -223,8 +223,8 @@ impl<'a> PolicyPort<'a> {
                     return Ok(Some(answer));
                 }
                 ControlFlow::Continue(Some(PeerReply::Timeout)) => {
-                    // An unresponsive process may have exited, so the next attempt greets again and another process can
-                    // take its place.
+                    // An unresponsive process may have exited, so the next attempt sends a hello again and another
+                    // process can take its place.
                     let name = self.peer.take().map(|peer| peer.name).unwrap_or_default();
                     // A process that the program started may have crashed: its end then stops the run with its own
                     // error, which names the cause.
@@ -267,12 +267,12 @@ impl<'a> PolicyPort<'a> {
         }
     }
 
-    /// Sends a greeting and selects the first process that answers it correctly.
+    /// Sends a hello and selects the first process that answers it correctly.
     async fn handshake(&mut self, request_header: WireHeader, wait: &mut DecisionWait<'_>) -> WaitResult<()> {
         let Some(hello) = &mut self.hello else {
             return Ok(ControlFlow::Continue(()));
         };
-        // The greeting repeats the number and TTI of the request, so a late reply to an older greeting is recognised.
+        // The hello repeats the number and TTI of the request, so a late reply to an older hello is recognised.
         hello.head = WireHeader {
             stage: RequestKind::Hello,
             ..request_header
@@ -298,7 +298,7 @@ impl<'a> PolicyPort<'a> {
                             return Ok(ControlFlow::Continue(()));
                         }
                         Err(why) => {
-                            // The reason goes into the next greeting, which needs an id to name the refused process.
+                            // The reason goes into the next hello, which needs an id to name the refused process.
                             let id = encoding.decode(&bytes).map(|shown: ReplyCredentials| shown.id);
                             if let (Ok(id), Some(hello)) = (id, &mut self.hello) {
                                 let why = why.clone();
@@ -317,41 +317,46 @@ impl<'a> PolicyPort<'a> {
         Ok(ControlFlow::Continue(()))
     }
 
-    fn check_hello_reply(&self, greeting: &WireHeader, bytes: &[u8], encoding: Encoding) -> Result<PolicyPeer, String> {
-        let welcome: HelloReply = encoding.decode(bytes)?;
-        let WireHeader { protocol, .. } = welcome.head;
+    fn check_hello_reply(
+        &self,
+        hello_head: &WireHeader,
+        bytes: &[u8],
+        encoding: Encoding,
+    ) -> Result<PolicyPeer, String> {
+        let reply: HelloReply = encoding.decode(bytes)?;
+        let WireHeader { protocol, .. } = reply.head;
         if !(OLDEST_PROTOCOL..=PROTOCOL_VERSION).contains(&protocol) {
             return Err(format!(
                 "it speaks protocol {protocol}, this base station {OLDEST_PROTOCOL} to {PROTOCOL_VERSION}"
             ));
         }
-        // A reply to an earlier greeting may arrive late, and its process may have exited.
+        // A reply to an earlier hello may arrive late, and its process may have exited.
         let echo = |head: &WireHeader| (head.seq, head.tti, head.stage);
-        if echo(&welcome.head) != echo(greeting) {
+        if echo(&reply.head) != echo(hello_head) {
             return Err("it answers another greeting".to_owned());
         }
-        if !self.shows_run_key(&welcome.key) {
+        if !self.shows_run_key(&reply.key) {
             return Err("it does not show the run's key; use the key of the process that started the run".to_owned());
         }
-        if welcome.id.is_empty() || welcome.id.chars().count() > MAX_NAME_CHARS {
+        if reply.id.is_empty() || reply.id.chars().count() > MAX_NAME_CHARS {
             return Err(format!("its id must have 1 to {MAX_NAME_CHARS} characters"));
         }
         // The name appears in logs and on the terminal, so another process must not control either.
-        let name: String = welcome
+        let name: String = reply
             .name
             .chars()
             .filter(|c| !c.is_control())
             .take(MAX_NAME_CHARS)
             .collect();
         let name = if name.is_empty() {
-            format!("process {}", welcome.id)
+            format!("process {}", reply.id)
         } else {
             name
         };
         Ok(PolicyPeer {
-            id: welcome.id,
+            id: reply.id,
             name,
-            encoding: welcome.form,
+            encoding: reply.form,
         })
     }
 
@@ -391,8 +396,8 @@ impl<'a> PolicyPort<'a> {
                 ControlFlow::Continue(Some(PortReply::Answer(bytes, encoding)))
                     if !self.is_from_peer(&request.to, &bytes, encoding) =>
                 {
-                    let what = "that cannot be decoded, or does not show the run's key and the requested id";
-                    self.warn_about_other(&format!("dropped an answer {what}"));
+                    let defect = "that cannot be decoded, or does not show the run's key and the requested id";
+                    self.warn_about_other(&format!("dropped an answer {defect}"));
                 }
                 ControlFlow::Continue(Some(PortReply::Answer(bytes, encoding))) => {
                     let reply: Result<DecisionReply, String> = encoding.decode(&bytes);

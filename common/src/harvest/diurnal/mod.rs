@@ -130,11 +130,11 @@ impl Diurnal {
             IrradianceReference::DailyMean | IrradianceReference::Zenith => {}
         }
         // No TTI of the day is brighter than noon, so this bounds all of them.
-        let noon = diurnal.zenith_probability(tau) * sun.noon_irradiance();
-        if noon >= MAX_ARRIVAL_PROBABILITY {
+        let noon_probability = diurnal.zenith_probability(tau) * sun.noon_irradiance();
+        if noon_probability >= MAX_ARRIVAL_PROBABILITY {
             let allowed = format!(
-                "makes the arrival probability {noon:.3} per TTI at noon, and it must be below 1; set a smaller \
-                 harvest.lambda, and a larger harvest.e_b for the same harvest"
+                "makes the arrival probability {noon_probability:.3} per TTI at noon, and it must be below 1; set a \
+                 smaller harvest.lambda, and a larger harvest.e_b for the same harvest"
             );
             return Err(reader.invalid_value("harvest.lambda", arrivals.lambda, allowed));
         }
@@ -173,11 +173,11 @@ impl Diurnal {
 
     /// The setup for TTIs of duration `tau`.
     pub(super) fn setup(&self, tau: f64) -> DiurnalSetup {
-        let zenith = self.zenith_probability(tau);
+        let zenith_probability = self.zenith_probability(tau);
         DiurnalSetup {
             sun: self.sun,
-            zenith,
-            mean: zenith * self.mean_irradiance,
+            zenith: zenith_probability,
+            mean: zenith_probability * self.mean_irradiance,
             e_b: self.arrivals.e_b,
             known: self.known,
         }
@@ -189,7 +189,7 @@ impl Diurnal {
 pub struct DiurnalSetup {
     /// Place and time.
     pub sun: Sun,
-    /// Probability of an arrival in a TTI for an irradiance of 1, ≥ 0.
+    /// Probability of an arrival in a TTI for an irradiance of 1, ≥ 0. It may exceed 1 where the sun stays lower.
     pub zenith: f64,
     /// Mean probability of an arrival in a TTI, `[0, 1)`.
     pub mean: f64,
@@ -212,10 +212,10 @@ impl DiurnalSetup {
             && (1..=365).contains(&day_of_year)
             && (0.0..24.0).contains(&start_hour)
             && (1..=MAX_TTIS_PER_DAY).contains(&ttis_per_day);
-        let noon = self.zenith * self.sun.noon_irradiance();
+        let noon_probability = self.zenith * self.sun.noon_irradiance();
         is_a_day
             && self.zenith >= 0.0
-            && (0.0..MAX_ARRIVAL_PROBABILITY).contains(&noon)
+            && (0.0..MAX_ARRIVAL_PROBABILITY).contains(&noon_probability)
             && (0.0..1.0).contains(&self.mean)
     }
 

@@ -8,7 +8,7 @@ use super::*;
 
 /// Length of a TTI τ in the setup of a source, as in the paper.
 const TAU: f64 = 1.0;
-/// Index of the first trace of a source, which a diurnal source has not.
+/// The index of a trace, which a diurnal source ignores.
 const NO_TRACE: u32 = 0;
 const E_B: Energy = Energy::from_micro(5_000_000);
 
@@ -24,7 +24,7 @@ fn sun_with(ttis_per_day: u32) -> Sun {
 
 fn diurnal_with(lambda: f64, sun: Sun, reference: IrradianceReference) -> Diurnal {
     let diurnal = Diurnal::new(Arrivals { lambda, e_b: E_B }, sun, reference, DayKnowledge::Course);
-    assert!(diurnal.setup(TAU).is_valid(), "no probability exceeds 1");
+    assert!(diurnal.setup(TAU).is_valid(), "a valid setup");
     diurnal
 }
 

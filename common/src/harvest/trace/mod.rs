@@ -349,10 +349,10 @@ impl TraceSetup {
         let rows = self.find_rows(traces).map_or(&[][..], |rows| rows);
         let sum = |rows: &[Energy]| rows.iter().map(|energy| u128::from(energy.micro())).sum::<u128>();
         let per_row = u128::from(self.ttis_per_row);
-        let whole_ttis = rows.len() as u128 * per_row;
-        let (cycles, rest) = match u128::from(ttis).checked_div(whole_ttis) {
+        let trace_ttis = rows.len() as u128 * per_row;
+        let (cycles, rest) = match u128::from(ttis).checked_div(trace_ttis) {
             None => return 0,
-            Some(cycles) => (cycles, u128::from(ttis) % whole_ttis),
+            Some(cycles) => (cycles, u128::from(ttis) % trace_ttis),
         };
         if cycles > 0 && self.end == TraceEnd::Stop {
             return sum(rows) * per_row;

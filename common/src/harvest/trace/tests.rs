@@ -47,6 +47,7 @@ fn a_negative_value_is_refused_with_its_line() {
 /// The second calculation reads the rows of the file TTI by TTI.
 #[test]
 fn a_trace_starts_at_the_given_row_and_then_repeats_or_stops() {
+    // The columns `a`, `b` and `c` of `trace_fields`. A row lasts 4 TTIs, and device i reads column i mod 3.
     let columns = [[1.0, 2.0, 0.0], [0.0, 0.0, 0.0], [7.0, 0.0, 3.0]];
     let unshifted_hash = |end: &str| scenario_with(&trace_fields("hash", end)).hash_hex();
     for end in ["cycle", "stop"] {
@@ -88,9 +89,9 @@ fn a_trace_starts_at_the_given_row_and_then_repeats_or_stops() {
             let reloaded = load(&file.to_string_lossy(), &[]).expect("a scenario");
             assert_eq!(reloaded, scenario, "{end} from row {start}");
         }
-        let mut zero = trace_fields("hash", end);
-        zero.push("harvest.trace.start=0".to_owned());
-        assert_eq!(scenario_with(&zero).hash_hex(), unshifted_hash(end));
+        let mut from_row_0 = trace_fields("hash", end);
+        from_row_0.push("harvest.trace.start=0".to_owned());
+        assert_eq!(scenario_with(&from_row_0).hash_hex(), unshifted_hash(end));
     }
 }
 

@@ -11,7 +11,7 @@ fn the_command_line_is_consistent() {
     Cli::command().debug_assert();
 }
 
-/// Numbers that no command can use.
+/// Each number is one that its command cannot use.
 #[test]
 fn numbers_below_a_range_are_refused_with_the_range() {
     for (line, range) in [
@@ -74,9 +74,9 @@ fn the_items_of_a_list_may_have_spaces_around_them() {
                 .clone()
                 .mut_args(|arg| arg.required(false))
                 .subcommand_required(false);
-            let found = lenient.try_get_matches_from([command.get_name(), &line]);
-            let found = found.unwrap_or_else(|error| panic!("{} {line}: {error}", command.get_name()));
-            if let Ok(Some(mut items)) = found.try_get_many::<String>(id) {
+            let matches = lenient.try_get_matches_from([command.get_name(), &line]);
+            let matches = matches.unwrap_or_else(|error| panic!("{} {line}: {error}", command.get_name()));
+            if let Ok(Some(mut items)) = matches.try_get_many::<String>(id) {
                 assert!(
                     items.all(|item| *item == value),
                     "{} {line}: {items:?}",

@@ -247,13 +247,13 @@ fn describe_above_one(study: &BatteryStudy, found: &BatteryComparison) -> Vec<St
 
 /// Describes two studies that differ only in E_B, where the printed sum falls while the chain's probability rises.
 fn describe_fall((study, found): &(BatteryStudy, BatteryComparison), all: &BatteryResults) -> Option<String> {
-    let same_settings = |other: &BatteryStudy| {
+    let has_same_settings = |other: &BatteryStudy| {
         (other.t_on, other.t_drx) == (study.t_on, study.t_drx)
             // Compared by bits, since both values come from one list of the command line.
             && other.activation.to_bits() == study.activation.to_bits()
     };
     all.iter()
-        .filter(|(other, _)| same_settings(other) && other.e_b > study.e_b)
+        .filter(|(other, _)| has_same_settings(other) && other.e_b > study.e_b)
         .find_map(|(other, other_comparison)| {
             let pairs = found.availability.iter().zip(&other_comparison.availability);
             pairs

@@ -163,13 +163,13 @@ fn stated_threshold(reading: LambdaReading, devices: u32, e_b: f64) -> String {
 }
 
 fn notes(points: &[HarvestPoint]) -> Vec<String> {
-    let missed = points
+    let outside = points
         .iter()
         .filter(|p| (p.harvested.mean - p.closed_form).abs() > p.harvested.half_width)
         .count();
     vec![
         format!(
-            "The closed form lies outside the 95 % interval of {missed} of {} points; one in twenty is expected.",
+            "The closed form lies outside the 95 % interval of {outside} of {} points; one in twenty is expected.",
             points.len()
         ),
         "The net of a run (harvested less spent, at the same λ) cannot stay below 0, as a device cannot spend more \

@@ -20,6 +20,9 @@ const TIME_COLUMNS: &[&str] = &[
 ];
 const FIT_COLUMNS: &[&str] = &["policy", "what", "exponent", "half_width", "paper"];
 
+/// The cell of a time about which the paper makes no statement.
+const NO_CLAIM: &str = "–";
+
 /// The times of one policy with one N.
 struct PolicyTimes {
     n: f64,
@@ -36,7 +39,7 @@ pub(super) fn run(args: &RuntimeArgs) -> anyhow::Result<()> {
     let (mut rows, mut fits) = (Vec::new(), Vec::new());
     for policy in split_list("--policies", &args.policies, "knn,random")? {
         let mut times = Vec::new();
-        let mut claim = "–";
+        let mut complexity = NO_CLAIM;
         for devices in split_list("--devices", &args.devices, "10,100,1000")? {
             let scenario = build_scenario(
                 &args.study,
@@ -46,12 +49,12 @@ pub(super) fn run(args: &RuntimeArgs) -> anyhow::Result<()> {
                     ("--ttis", "ttis", Some(&args.ttis)),
                 ],
             )?;
-            claim = paper_complexity(&scenario.policy);
+            complexity = paper_complexity(&scenario.policy);
             let measured = measure(&scenario, args);
             rows.push(time_row(policy, &measured));
             times.push(measured);
         }
-        fits.extend(fit_rows(policy, claim, &times));
+        fits.extend(fit_rows(policy, complexity, &times));
     }
     let findings = Findings {
         title: format!(
@@ -130,26 +133,28 @@ fn time_row(policy: &str, times: &PolicyTimes) -> Vec<SheetValue> {
     ]
 }
 
-/// One row for each kind of time; the exponent is NaN if none can be fitted.
-fn fit_rows(policy: &str, claim: &str, times: &[PolicyTimes]) -> Vec<Vec<SheetValue>> {
+/// One row for each kind of time; the exponent is NaN if none can be fitted. `complexity` is the paper's, of the
+/// set-up.
+fn fit_rows(policy: &str, complexity: &str, times: &[PolicyTimes]) -> Vec<Vec<SheetValue>> {
     let fit_row = |time_kind: &str, time: fn(&PolicyTimes) -> f64, claim: &str| {
         let points: Vec<(f64, f64)> = times.iter().map(|t| (t.n, time(t))).collect();
-        let law = fit_power_law(&points).map_or((f64::NAN, f64::NAN), |law| (law.exponent, law.half_width));
+        let (exponent, half_width) =
+            fit_power_law(&points).map_or((f64::NAN, f64::NAN), |law| (law.exponent, law.half_width));
         vec![
             policy.into(),
             time_kind.into(),
-            law.0.into(),
-            law.1.into(),
+            exponent.into(),
+            half_width.into(),
             claim.into(),
         ]
     };
     let mut fits = vec![
-        fit_row("set-up", |t| t.set_up_s, claim),
-        fit_row("run, per TTI", |t| t.tti_s, "–"),
-        fit_row("decision", |t| t.decision_s, "–"),
+        fit_row("set-up", |t| t.set_up_s, complexity),
+        fit_row("run, per TTI", |t| t.tti_s, NO_CLAIM),
+        fit_row("decision", |t| t.decision_s, NO_CLAIM),
     ];
     if times.iter().all(|t| t.plan_s.is_finite()) {
-        fits.push(fit_row("plan", |t| t.plan_s, "–"));
+        fits.push(fit_row("plan", |t| t.plan_s, NO_CLAIM));
     }
     fits
 }

@@ -40,6 +40,7 @@ pub(crate) struct CatchUp {
     should_stop: Box<dyn Fn() -> bool + Send>,
     /// Whether the grant open at the connection continues: its frames may be incomplete and are not passed on.
     is_in_open_grant: bool,
+    /// Whether received frames are passed on.
     is_over: bool,
 }
 
@@ -259,10 +260,10 @@ mod tests {
             let frames = RefCell::new(Vec::new());
             let mut run = SteppedRun::new(scenario, FrameObserver::new(0, |frame| frames.borrow_mut().push(frame)));
             let (mut stream, mut inputs) = (Stream::new(3, Purpose::Training, 0), Vec::new());
-            while let Some(question) = run.pending_decision() {
-                let (tti, n) = (question.observation.now, question.observation.known.n() as u64);
+            while let Some(request) = run.pending_decision() {
+                let (tti, n) = (request.observation.now, request.observation.known.n() as u64);
                 let mut random_device = || DeviceId(stream.below(n) as u32);
-                let decision = match question.stage {
+                let decision = match request.stage {
                     DecisionStage::Plan => Decision::Plan(PlanDecision {
                         plan: Plan::from_devices(
                             n as usize,

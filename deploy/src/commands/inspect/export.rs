@@ -16,7 +16,7 @@ use reveille_view::filter::Filter;
 use reveille_view::recording::RecordingError;
 
 use super::source::{RecordingFile, check_tti_range, open};
-use crate::cli::{ExportArgs, ToArg};
+use crate::cli::{ExportArgs, ExportFormatArg};
 use crate::display::{count_noun, note, print_stdout};
 use crate::exit::ExitReason;
 use crate::paths::is_same_path;
@@ -29,10 +29,13 @@ pub(super) fn run(args: &ExportArgs) -> anyhow::Result<ExitCode> {
         std::fs::write(path, dissector::lua_script()).with_context(|| format!("cannot write {}", path.display()))?;
         print_stdout(&format!("{}\n", path.display()))?;
     }
-    let (Some(from), Some(to)) = (&args.file, args.to) else {
+    let (Some(from), Some(format)) = (&args.file, args.to) else {
         return Ok(ExitReason::Done.into());
     };
-    let path = args.out.clone().unwrap_or_else(|| from.with_extension(to.ending()));
+    let path = args
+        .out
+        .clone()
+        .unwrap_or_else(|| from.with_extension(format.extension()));
     let mut recording = open(from)?;
     check_not_taken(&path, args.force)?;
     // With --force, `check_not_taken` accepts every file, the recording itself included.
@@ -46,7 +49,7 @@ pub(super) fn run(args: &ExportArgs) -> anyhow::Result<ExitCode> {
     let part = open_part_file(&path, |part| File::create(part)).with_context(write_error)?;
     let out_file = BufWriter::new(part.as_file());
     let (frame_count, torn) =
-        write_format(args, to, &mut recording, out_file).with_context(|| from.display().to_string())?;
+        write_format(args, format, &mut recording, out_file).with_context(|| from.display().to_string())?;
     part.persist(&path)
         .map_err(|refused| refused.error)
         .with_context(write_error)?;
@@ -74,21 +77,21 @@ fn check_not_taken(path: &Path, force: bool) -> anyhow::Result<()> {
 /// The number of written messages, and the error at which the recording is torn, if it is.
 type ExportResult = (usize, Option<RecordingError>);
 
-/// Writes the messages in the format `to`, up to a tear.
+/// Writes the messages in this `format`, up to a tear.
 fn write_format(
     args: &ExportArgs,
-    to: ToArg,
+    format: ExportFormatArg,
     recording: &mut RecordingFile,
     out: BufWriter<&File>,
 ) -> anyhow::Result<ExportResult> {
-    match to {
-        ToArg::Pcapng => {
+    match format {
+        ExportFormatArg::Pcapng => {
             let mut packets = PacketWriter::begin(out)?;
             let result = for_each_frame(args, recording, |frame| Ok(packets.write(frame)?))?;
             packets.finish()?;
             Ok(result)
         }
-        ToArg::Perfetto => {
+        ExportFormatArg::Perfetto => {
             if args.since.is_some() {
                 bail!(
                     "--since: a trace must start at TTI 0, as device states depend on all earlier messages; leave it \
@@ -101,7 +104,7 @@ fn write_format(
             trace.finish()?;
             Ok(result)
         }
-        ToArg::Csv => {
+        ExportFormatArg::Csv => {
             let mut rows = csv::Writer::from_writer(out);
             rows.write_record(COLUMNS)?;
             let result = for_each_frame(args, recording, |frame| {
@@ -110,7 +113,7 @@ fn write_format(
             rows.flush()?;
             Ok(result)
         }
-        ToArg::Parquet => {
+        ExportFormatArg::Parquet => {
             let mut rows = MessageTableWriter::begin(out)?;
             let result = for_each_frame(args, recording, |frame| Ok(rows.write(MessageRow::new(frame))?))?;
             rows.finish()?.flush()?;

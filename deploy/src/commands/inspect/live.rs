@@ -42,6 +42,7 @@ pub(crate) struct Live {
     status: ClockStatus,
     batches: Receiver<FrameBatch>,
     run_ended: Arc<Notify>,
+    /// Whether the run has ended.
     is_over: bool,
     signals: Signals,
     forced_exit: Option<ForcedExit>,
@@ -127,10 +128,10 @@ impl Live {
     }
 
     /// Queries the base station, until a signal comes.
-    async fn query_bs<Q: Query<Address = ()>>(&self, question: &Q) -> anyhow::Result<Option<Q::Reply>> {
+    async fn query_bs<Q: Query<Address = ()>>(&self, query: &Q) -> anyhow::Result<Option<Q::Reply>> {
         let reply = self
             .signals
-            .unless_interrupted(self.bus.query(question, QUERY_TIMEOUT))
+            .unless_interrupted(self.bus.query(query, QUERY_TIMEOUT))
             .await;
         Ok(reply.ok_or(Interrupted::WITHOUT_RESULTS)??)
     }
@@ -201,7 +202,7 @@ impl Live {
         }
     }
 
-    /// Passes every frame of the run to `on_frame`, from TTI 0 on; frames of `catch_up` lack the emulation plane. Stops
+    /// Passes the frames of the run to `on_frame`, from TTI 0 on; frames of `catch_up` lack the emulation plane. Stops
     /// when the run ends, a signal comes, or `on_frame` returns false. Dropped messages are counted and reported once.
     ///
     /// # Errors
@@ -227,9 +228,9 @@ impl Live {
         })?;
         while wants_more && let Some((frames, _)) = self.next().await {
             // The tap also copies the query below: frames of other kinds must not trigger the next query.
-            let is_due =
+            let may_trigger_replay =
                 |frame: &Frame| matches!(frame.kind, MessageKind::Plan | MessageKind::World | MessageKind::Clock);
-            if !catch_up.is_over() && frames.iter().any(is_due) {
+            if !catch_up.is_over() && frames.iter().any(may_trigger_replay) {
                 is_running = match self.fetch_new_inputs(&mut catch_up).await {
                     Err(error) if error.is::<Interrupted>() => break,
                     still_running => still_running?,

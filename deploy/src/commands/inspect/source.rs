@@ -19,7 +19,7 @@ use crate::folder_lock::{FolderStatus, status};
 use crate::run_folder::SCENARIO_FILE;
 
 /// Extension of recordings.
-const RECORDING_ENDING: &str = "mcap";
+const RECORDING_EXTENSION: &str = "mcap";
 
 /// A recording file.
 pub(crate) type RecordingFile = RecordingReader<BufReader<File>>;
@@ -50,7 +50,10 @@ fn find_recording(path: &Path) -> anyhow::Result<PathBuf> {
         .flatten()
         .map(|entry| entry.path());
     let mut recordings: Vec<PathBuf> = files
-        .filter(|file| file.extension().is_some_and(|ending| ending == RECORDING_ENDING))
+        .filter(|file| {
+            file.extension()
+                .is_some_and(|extension| extension == RECORDING_EXTENSION)
+        })
         .collect();
     recordings.sort_unstable();
     match (&recordings[..], path.join(SCENARIO_FILE).is_file()) {
@@ -61,7 +64,7 @@ fn find_recording(path: &Path) -> anyhow::Result<PathBuf> {
         }
         ([], true) => bail!(
             "{named}: the folder holds no recording; create one with `reveille run --scenario {named}/{SCENARIO_FILE} \
-             --record {named}/run.{RECORDING_ENDING}`"
+             --record {named}/run.{RECORDING_EXTENSION}`"
         ),
         ([first, ..], _) => bail!(
             "{named}: the folder holds {} recordings; name one of them, such as {}",
@@ -103,10 +106,10 @@ impl FrameSource {
         Ok(Self::Live(Box::new(live)))
     }
 
-    /// The scenario.
+    /// The scenario with its files.
     ///
     /// # Errors
-    /// If the run has ended.
+    /// If the run has ended, or a signal comes.
     pub(crate) async fn bundle(&self) -> anyhow::Result<ScenarioBundle> {
         match self {
             Self::Live(live) => live.bundle().await,

@@ -56,10 +56,10 @@ pub(super) async fn run(args: &TailArgs) -> anyhow::Result<ExitCode> {
         source.seek(printer.filter.first_tti())?;
     }
     source.report_position();
-    let ended = printer.print(&mut source).await;
-    note!("{}", source.closing_line(printer.printed));
+    let result = printer.print(&mut source).await;
+    note!("{}", source.closing_line(printer.printed_lines));
     source.close().await;
-    ended.map(|()| ExitReason::Done.into())
+    result.map(|()| ExitReason::Done.into())
 }
 
 fn filter(args: &TailArgs) -> Filter {
@@ -105,7 +105,7 @@ struct Printer<'a> {
     /// The state of the last woken device before its wake-up.
     state_before_wake: Option<DeviceState>,
     has_colour: bool,
-    printed: u64,
+    printed_lines: u64,
 }
 
 impl<'a> Printer<'a> {
@@ -124,7 +124,7 @@ impl<'a> Printer<'a> {
             },
             filter,
             args,
-            printed: 0,
+            printed_lines: 0,
         }
     }
 
@@ -156,7 +156,7 @@ impl<'a> Printer<'a> {
                     if writeln!(out, "{line}").is_err() {
                         return Ok(());
                     }
-                    self.printed += 1;
+                    self.printed_lines += 1;
                 }
             }
             if matches!(source, FrameSource::Live(_)) && out.flush().is_err() {
@@ -167,7 +167,7 @@ impl<'a> Printer<'a> {
     }
 
     fn is_done(&self) -> bool {
-        self.args.count.is_some_and(|count| self.printed >= count)
+        self.args.count.is_some_and(|count| self.printed_lines >= count)
     }
 
     /// Formats the line of a frame, if it passes the filter.

@@ -18,7 +18,7 @@ use reveille_lab::training::checkpoint_path;
 use reveille_lab::trajectories::Trajectories;
 use reveille_lab::transformer::{DtTrainingConfig, DtTrainingStatus, Trained, TransformerError, train};
 
-use super::q_learning::interrupted;
+use super::q_learning::interruption_error;
 use crate::cli::DtArgs;
 use crate::commands::resolve_scenario::resolve;
 use crate::display::{self, note};
@@ -71,10 +71,10 @@ pub(super) fn run(args: &DtArgs) -> anyhow::Result<ExitCode> {
     let signals = Signals::install(SignalMode::SavesResults)?;
     let started = crate::runtime::now();
     let (mut write_error, mut may_continue) = (None, true);
-    let mut is_resumed = checkpoint_bytes.is_some();
+    let mut must_report_resume = checkpoint_bytes.is_some();
     let mut on_checkpoint = |status: DtTrainingStatus, bytes: &[u8]| {
         if !args.quiet {
-            if std::mem::take(&mut is_resumed) {
+            if std::mem::take(&mut must_report_resume) {
                 note!("resuming from {}", checkpoint_path.display());
             }
             print_status(&status);
@@ -108,7 +108,7 @@ pub(super) fn run(args: &DtArgs) -> anyhow::Result<ExitCode> {
     let bytes = match trained {
         Trained::Model(bytes) if may_continue => bytes,
         // An interrupted training also returns its best model so far. It is discarded: the checkpoint contains it.
-        Trained::Model(_) | Trained::Stopped(_) => bail!(interrupted(&checkpoint_path)),
+        Trained::Model(_) | Trained::Stopped(_) => bail!(interruption_error(&checkpoint_path)),
     };
     if let Err(error) = replace(&args.out, &bytes) {
         bail!("{}: cannot write this file: {error}", args.out.display());
@@ -181,7 +181,7 @@ fn read_trajectories(
     args: &DtArgs,
     training: &DtTrainingConfig,
 ) -> anyhow::Result<(Vec<Trajectories>, BTreeMap<String, String>)> {
-    let (mut all, mut metadata) = (Vec::new(), BTreeMap::new());
+    let (mut all_trajectories, mut metadata) = (Vec::new(), BTreeMap::new());
     let mut data = String::new();
     for path in &args.trajectories {
         let (trajectories, hash) = match Trajectories::read(path) {
@@ -192,7 +192,7 @@ fn read_trajectories(
         for (key, value) in &trajectories.about {
             let _ = writeln!(data, "{key}: {value}");
         }
-        all.push(trajectories);
+        all_trajectories.push(trajectories);
     }
     metadata.insert("data".to_owned(), data);
     // The metadata identify a checkpoint, so none can be resumed by another version.
@@ -201,5 +201,5 @@ fn read_trajectories(
         "made_by".to_owned(),
         concat!("reveille ", env!("CARGO_PKG_VERSION")).to_owned(),
     );
-    Ok((all, metadata))
+    Ok((all_trajectories, metadata))
 }

@@ -56,10 +56,10 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
         signals,
     };
     let started = crate::runtime::now();
-    let complete = trainer.train_and_save(threads, &checkpoint_path, &training_display)?;
+    let is_complete = trainer.train_and_save(threads, &checkpoint_path, &training_display)?;
     training_display.bar.finish_and_clear();
-    if !complete {
-        bail!(interrupted(&checkpoint_path));
+    if !is_complete {
+        bail!(interruption_error(&checkpoint_path));
     }
     // Checked again: another process can have written the file during the training.
     if args.out.exists() && !args.force {
@@ -97,7 +97,7 @@ pub(super) fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
 }
 
 /// The error of a training ended by a signal, whose checkpoint would be at `checkpoint_path`.
-pub(super) fn interrupted(checkpoint_path: &Path) -> Interrupted {
+pub(super) fn interruption_error(checkpoint_path: &Path) -> Interrupted {
     Interrupted(if checkpoint_path.exists() {
         let checkpoint_path = checkpoint_path.display();
         format!("interrupted; the training so far is kept in {checkpoint_path}: give the same command again to resume")

@@ -45,7 +45,7 @@ pub enum DeviceAnswer {
     View(DeviceId, DeviceView),
     /// A device with its ledger.
     Ledger(DeviceId, Box<Ledger>),
-    /// An empty part.
+    /// An empty part, of a device or of the host itself.
     Nothing,
 }
 
@@ -60,13 +60,14 @@ impl Parts {
 }
 
 impl AnswerRound {
-    /// Creates the answer to a request with `parts` parts of devices.
-    pub fn new(host: HostId, request: HostRequest, parts: usize) -> Self {
+    /// Creates the answer to a request with `device_parts` parts of devices. The host adds one part of its own once it
+    /// has distributed the request.
+    pub fn new(host: HostId, request: HostRequest, device_parts: usize) -> Self {
         Self {
             host,
             request,
             parts: Mutex::new(Parts {
-                missing: parts + 1,
+                missing: device_parts + 1,
                 ..Parts::default()
             }),
         }

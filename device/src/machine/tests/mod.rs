@@ -19,7 +19,7 @@ use reveille_common::units::Energy;
 
 use super::{DeviceState, Machine, Physics, SenseOutcome};
 
-/// The number of warm-up TTIs.
+/// The first measured TTI, after the warm-up.
 pub(super) const MEASURED_FROM: Tti = Tti(7);
 pub(super) const ASLEEP: DeviceState = DeviceState::Sleep { powered: true };
 pub(super) const UNPOWERED: DeviceState = DeviceState::Sleep { powered: false };

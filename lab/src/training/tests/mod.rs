@@ -194,9 +194,9 @@ fn devices_cover_all_that_they_can_with_enough_energy_and_reward() {
 /// Returns the number of sensing devices, of 40, in each of the first `ttis` TTIs of learning, and the tables at the
 /// end.
 fn run_learning(set: &[&str], ttis: u64) -> (Vec<usize>, TableSet) {
-    let with_energy = ["energy.e_idle=0.001", "energy.e_wur=0.0001", "devices=40"];
+    let cheap_sensing = ["energy.e_idle=0.001", "energy.e_wur=0.0001", "devices=40"];
     let ttis_field = format!("ttis={ttis}");
-    let set: Vec<&str> = with_energy
+    let set: Vec<&str> = cheap_sensing
         .iter()
         .chain(set)
         .copied()
@@ -277,7 +277,8 @@ fn a_training_resumes_from_any_checkpoint_with_the_same_result() {
         let episodes = 18;
         let stop = StopAfterEpisodes(AtomicU64::new(stream.below(episodes)));
         let mut stopped = new_trainer();
-        assert!(!stopped.train_and_save(1, &path, &stop).expect("a file") || !path.exists());
+        let is_finished = stopped.train_and_save(1, &path, &stop).expect("a file");
+        assert!(!is_finished, "the training was not stopped");
         let mut resumed = new_trainer();
         let is_resumed = resumed.resume(&path).expect("a checkpoint of this training");
         assert_eq!(is_resumed, resumed.episodes_left() < episodes);

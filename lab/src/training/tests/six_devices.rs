@@ -18,7 +18,7 @@ const ACTIONS: usize = 1 << N;
 /// E_max in units; E_idle is 1, an arrival brings 1, everything else is free.
 const E_MAX: usize = 4;
 const LEVELS: usize = E_MAX + 1;
-/// The number of battery vectors.
+/// The number of battery vectors. A state is the index of one, with one digit of base `LEVELS` for each device.
 const STATES: usize = LEVELS.pow(N as u32);
 /// d_max of the preset `paper`, m.
 const D_MAX: f64 = 4.0;
@@ -192,7 +192,7 @@ impl SixDevices {
     fn learned_actions(&self, entry: &TableSet) -> Vec<usize> {
         let mut duty = duty_of(&self.scenario, entry, &self.points);
         let chosen_action = |state: usize| {
-            let chosen = duty.choose(&levels(state));
+            let chosen = duty.choose(&energies_of(state));
             chosen.iter().map(|j| 1 << j.index()).sum()
         };
         (0..STATES).map(chosen_action).collect()
@@ -200,8 +200,8 @@ impl SixDevices {
 }
 
 /// Returns the scenario of a network with devices at `points` in `area` under `q-learning` from empty tables, with the
-/// fields in `set`. E_idle is 1, an arrival brings 1, the wake-up radio is free.
-pub(super) fn scenario_of(area: Area, points: &[Point], set: &[&str]) -> Scenario {
+/// fields in `overrides`. E_idle is 1, an arrival brings 1, the wake-up radio is free.
+pub(super) fn scenario_of(area: Area, points: &[Point], overrides: &[&str]) -> Scenario {
     let always = [
         &format!("devices={}", points.len()),
         "policy.name=q-learning",
@@ -213,11 +213,13 @@ pub(super) fn scenario_of(area: Area, points: &[Point], set: &[&str]) -> Scenari
         "energy.e_wur=0",
         "harvest.e_b=1",
     ];
-    let set = always
+    let overrides = always
         .iter()
-        .chain(set)
+        .chain(overrides)
         .map(|text| Override::parse(text).expect("an override"));
-    let mut scenario = load("paper", &set.collect::<Vec<_>>()).expect("a scenario").scenario;
+    let mut scenario = load("paper", &overrides.collect::<Vec<_>>())
+        .expect("a scenario")
+        .scenario;
     scenario.layout = Layout::File(FileLayout {
         path: "six-devices".into(),
         points: Arc::new(points.to_vec()),
@@ -284,12 +286,13 @@ fn units(level: u64) -> Energy {
     Energy::from_micro(level * 1_000_000)
 }
 
-fn levels(state: usize) -> Vec<Energy> {
-    let level = |j: u32| units((state / LEVELS.pow(j) % LEVELS) as u64);
-    (0..N as u32).map(level).collect()
+/// Returns the batteries of the devices in `state`.
+fn energies_of(state: usize) -> Vec<Energy> {
+    let energy = |j: u32| units((state / LEVELS.pow(j) % LEVELS) as u64);
+    (0..N as u32).map(energy).collect()
 }
 
-/// Returns the set of devices with empty batteries.
+/// Returns the set of devices whose batteries are empty in `state`.
 fn empty_devices(state: usize) -> usize {
     (0..N)
         .filter(|&j| (state / LEVELS.pow(j as u32)).is_multiple_of(LEVELS))

@@ -32,6 +32,7 @@ struct ThreeDevices {
     alpha: f64,
     /// The weight α μ1.
     w: f64,
+    /// E_Tx, the energy of a report, units.
     e_tx: usize,
     /// The number of TTIs for which a look counts, 1 or 2.
     window: usize,

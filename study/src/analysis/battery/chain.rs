@@ -84,7 +84,7 @@ impl SteadyState {
 /// If `input` is out of range, or the chain mixes too slowly to be solved.
 pub(crate) fn steady_state(lattice: &Lattice, input: &ChainInput) -> Result<SteadyState, AnalysisError> {
     input.check()?;
-    let steps = CycleMatrices {
+    let cycle = CycleMatrices {
         on: transition_matrix(lattice, input, lattice.e_idle),
         off: transition_matrix(lattice, input, lattice.e_wur),
         input: *input,
@@ -95,7 +95,7 @@ pub(crate) fn steady_state(lattice: &Lattice, input: &ChainInput) -> Result<Stea
     let mut transitions_to_steady_state = 0;
     loop {
         let levels_before = levels_now.clone();
-        steps.advance_cycle(&mut levels_now, &mut buffer, |_| {});
+        cycle.advance_cycle(&mut levels_now, &mut buffer, |_| {});
         transitions_to_steady_state += u64::from(input.t_drx);
         // Only whole cycles compare: within a cycle the distribution changes with the phase.
         let residual = (&levels_now - &levels_before).lp_norm(1);
@@ -103,7 +103,7 @@ pub(crate) fn steady_state(lattice: &Lattice, input: &ChainInput) -> Result<Stea
             // Averages over the phases of another cycle, since the levels of devices are counted at the end of every
             // TTI.
             let mut sum = DVector::zeros(n);
-            steps.advance_cycle(&mut levels_now, &mut buffer, |end| sum += end);
+            cycle.advance_cycle(&mut levels_now, &mut buffer, |end| sum += end);
             let levels = sum / f64::from(input.t_drx);
             return Ok(SteadyState {
                 levels: levels.iter().copied().collect(),
@@ -129,7 +129,8 @@ struct CycleMatrices {
 }
 
 impl CycleMatrices {
-    /// Advances the distribution `levels` by one cycle, and passes it to `visit` at the end of each TTI.
+    /// Advances the distribution `levels` by one cycle, and passes it to `visit` at the end of each TTI. `buffer` has
+    /// the length of `levels`; its content does not matter.
     fn advance_cycle(
         &self,
         levels: &mut DVector<f64>,
@@ -177,8 +178,8 @@ mod tests {
 
     use super::*;
 
-    /// Probability of an arrival in a TTI.
-    const P: f64 = 0.3;
+    /// Probability of an arrival in a TTI; p in the comments below.
+    const ARRIVAL: f64 = 0.3;
 
     fn lattice_of(e_max: usize, e_idle: usize, e_wur: usize, e_tx: usize, e_b: usize) -> Lattice {
         Lattice {
@@ -195,7 +196,7 @@ mod tests {
         ChainInput {
             t_on,
             t_drx,
-            arrival: P,
+            arrival: ARRIVAL,
             activation,
         }
     }
@@ -214,20 +215,28 @@ mod tests {
     #[test]
     fn two_levels_equal_a_calculation_by_hand() {
         // S1 takes any charge; in S4, free of cost, an arrival fills the battery until the next S1.
-        assert_steady_state(&lattice_of(1, 1, 0, 9, 1), &input(1, 2, 0.0), &[1.0 - P / 2.0, P / 2.0]);
-        // One S1 in three: full after one S4 with P, after two with 1 − (1 − P)².
-        let full = (P + 1.0 - (1.0 - P) * (1.0 - P)) / 3.0;
+        assert_steady_state(
+            &lattice_of(1, 1, 0, 9, 1),
+            &input(1, 2, 0.0),
+            &[1.0 - ARRIVAL / 2.0, ARRIVAL / 2.0],
+        );
+        // One S1 in three: full after one S4 with p, after two with 1 − (1 − p)².
+        let full = (ARRIVAL + 1.0 - (1.0 - ARRIVAL) * (1.0 - ARRIVAL)) / 3.0;
         assert_steady_state(&lattice_of(1, 1, 0, 9, 1), &input(1, 3, 0.0), &[1.0 - full, full]);
     }
 
     #[test]
     fn three_levels_equal_a_calculation_by_hand() {
         // Always in S1: an arrival of 2 pays for this TTI and the next, unless the next has its own arrival.
-        assert_steady_state(&lattice_of(2, 1, 0, 9, 2), &input(1, 1, 0.0), &[1.0 - P, P, 0.0]);
-        // Never in S1, no cost except E_Tx = 1: births with P (1 − a), deaths with (1 − P) a, from the full battery
+        assert_steady_state(
+            &lattice_of(2, 1, 0, 9, 2),
+            &input(1, 1, 0.0),
+            &[1.0 - ARRIVAL, ARRIVAL, 0.0],
+        );
+        // Never in S1, no cost except E_Tx = 1: births with p (1 − a), deaths with (1 − p) a, from the full battery
         // with a.
         let a = 0.2;
-        let (up, down) = (P * (1.0 - a), (1.0 - P) * a);
+        let (up, down) = (ARRIVAL * (1.0 - a), (1.0 - ARRIVAL) * a);
         let weights = [1.0, up / down, up / down * up / a];
         let sum: f64 = weights.iter().sum();
         assert_steady_state(&lattice_of(2, 1, 0, 1, 1), &input(0, 1, a), &weights.map(|w| w / sum));
@@ -244,7 +253,9 @@ mod tests {
             probabilities_into(0).iter().skip(1).all(|&p| (p - a).abs() < 1e-15),
             "{matrix}"
         );
-        assert!((probabilities_into(2)[1] - P * 0.6).abs() < 1e-15 && (probabilities_into(3)[3] - 0.6).abs() < 1e-15);
+        assert!(
+            (probabilities_into(2)[1] - ARRIVAL * 0.6).abs() < 1e-15 && (probabilities_into(3)[3] - 0.6).abs() < 1e-15
+        );
     }
 
     #[test]
@@ -258,7 +269,8 @@ mod tests {
         }
     }
 
-    /// Compares with the solution of (P − 1) π = 0, Σ π = 1 for the chain of levels at the start of a cycle.
+    /// Compares with the solution of (C − 1) π = 0, Σ π = 1 for the chain of levels at the start of a cycle, where C is
+    /// the matrix of a whole cycle.
     #[test]
     fn the_steady_state_equals_a_dense_solution() {
         let lattice = lattice_of(84, 14, 1, 40, 35);
@@ -290,7 +302,8 @@ mod tests {
     }
 
     /// The paper's system is R b = c with c all ones and R row-stochastic, followed by Σ b = 1. Its first rows already
-    /// give b = (1, …, 1), whose sum is the number of states.
+    /// give b = (1, …, 1), whose sum is the number of states. The test shows why the chain is not solved as printed; it
+    /// calls no code of this file.
     #[test]
     fn the_printed_system_has_no_solution() {
         let r = DMatrix::<f64>::from_row_slice(3, 2, &[0.7, 0.3, 0.4, 0.6, 1.0, 1.0]);

@@ -12,24 +12,23 @@ use statrs::function::beta::beta_reg;
 use statrs::function::gamma::ln_gamma;
 
 /// Largest M for which Eq. (8) is evaluated.
-const MAX_STATES: u64 = 1_000_000;
+const MAX_M: u64 = 1_000_000;
 
 /// Eq. (8) for one threshold and one P. The formulas are the paper's and must not be corrected. All values are NaN if P
 /// is not a probability, which P_1,2 + P_4,2 need not be.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Eq8 {
-    /// Sum as printed. NaN with more than 10⁶ states, and if E is not a whole number of units, for which the sum is
-    /// undefined.
+    /// Sum as printed. NaN with M above 10⁶, and if E is not a whole number of units, for which the sum is undefined.
     pub sum: f64,
-    /// The equal value I_P(E + 1, M − E + 1) / P.
+    /// The equal value I_P(E + 1, M − E + 1) / P. NaN with M above 10⁶.
     pub sum_by_beta: f64,
     /// β_{1−P}(E + 1, E_max + 1), which the paper equates with the sum.
     pub printed_beta: f64,
 }
 
 impl Eq8 {
-    /// Evaluates Eq. (8) for the threshold `e` and the battery `e_max` (units), with M = `states` and P = `activation`.
-    pub fn new(e: f64, e_max: f64, states: u64, activation: f64) -> Self {
+    /// Evaluates Eq. (8) for the threshold `e` and the battery `e_max` (units), with M = `m` and P = `activation`.
+    pub fn new(e: f64, e_max: f64, m: u64, activation: f64) -> Self {
         if !(0.0..=1.0).contains(&activation) {
             return Self {
                 sum: f64::NAN,
@@ -38,8 +37,8 @@ impl Eq8 {
             };
         }
         Self {
-            sum: printed_sum(e, states, activation),
-            sum_by_beta: sum_by_beta(e, states, activation),
+            sum: printed_sum(e, m, activation),
+            sum_by_beta: sum_by_beta(e, m, activation),
             printed_beta: beta_reg(e + 1.0, e_max + 1.0, 1.0 - activation),
         }
     }
@@ -51,12 +50,12 @@ pub fn highest_state(e_max: f64, e_b: f64, lambda: f64) -> u64 {
     (e_max / (e_b * libm::exp(-lambda))).ceil() as u64
 }
 
-fn printed_sum(e: f64, states: u64, p: f64) -> f64 {
-    if e.fract() != 0.0 || e < 0.0 || states > MAX_STATES {
+fn printed_sum(e: f64, m: u64, p: f64) -> f64 {
+    if e.fract() != 0.0 || e < 0.0 || m > MAX_M {
         return f64::NAN;
     }
     let e = e as u64;
-    (e..=states).map(|b| binomial_term(b, e, p)).sum()
+    (e..=m).map(|b| binomial_term(b, e, p)).sum()
 }
 
 /// Computes C(b, e) p^e (1 − p)^{b−e}.
@@ -69,15 +68,15 @@ fn binomial_term(b: u64, e: u64, p: f64) -> f64 {
     libm::exp(ln_choose + power(p, e) + power(1.0 - p, b - e))
 }
 
-fn sum_by_beta(e: f64, states: u64, p: f64) -> f64 {
-    let b = states as f64 - e + 1.0;
-    if states > MAX_STATES {
+fn sum_by_beta(e: f64, m: u64, p: f64) -> f64 {
+    let b = m as f64 - e + 1.0;
+    if m > MAX_M {
         f64::NAN
     } else if b <= 0.0 {
         0.0
     } else if p <= 0.0 {
         // Limit of the quotient for P → 0: with E = 0 each of the M + 1 terms is 1.
-        if e > 0.0 { 0.0 } else { states as f64 + 1.0 }
+        if e > 0.0 { 0.0 } else { m as f64 + 1.0 }
     } else {
         beta_reg(e + 1.0, b, p) / p
     }
@@ -88,9 +87,9 @@ mod tests {
     use super::*;
 
     /// Computes the sum with powers and binomial coefficients, without logarithms.
-    fn direct_sum(e: u64, states: u64, p: f64) -> f64 {
+    fn direct_sum(e: u64, m: u64, p: f64) -> f64 {
         let mut total = 0.0;
-        for b in e..=states {
+        for b in e..=m {
             let choose = (0..e).fold(1.0, |c, i| c * (b - i) as f64 / (e - i) as f64);
             total += choose * p.powi(e as i32) * (1.0 - p).powi((b - e) as i32);
         }
@@ -99,14 +98,14 @@ mod tests {
 
     #[test]
     fn both_forms_equal_a_direct_sum() {
-        for (e, states) in [(10, 111), (10, 23), (10, 12), (1, 111), (1, 12), (0, 5), (10, 9)] {
+        for (e, m) in [(10, 111), (10, 23), (10, 12), (1, 111), (1, 12), (0, 5), (10, 9)] {
             for p in [1e-4, 0.01, 0.1, 0.37, 0.5, 0.9, 0.999] {
-                let eq8 = Eq8::new(e as f64, 100.0, states, p);
-                let expected = direct_sum(e, states, p);
+                let eq8 = Eq8::new(e as f64, 100.0, m, p);
+                let expected = direct_sum(e, m, p);
                 for value in [eq8.sum, eq8.sum_by_beta] {
                     assert!(
                         (value - expected).abs() <= 1e-9 * expected + 1e-300,
-                        "e = {e}, {states} states, P = {p}: {eq8:?}, expected {expected}"
+                        "E = {e}, M = {m}, P = {p}: {eq8:?}, expected {expected}"
                     );
                 }
             }
@@ -140,8 +139,8 @@ mod tests {
             assert!(Eq8::new(10.0, 100.0, 111, p).sum.is_nan());
         }
         // A source that almost never yields anything: E_λ is nearly or exactly 0.
-        for states in [highest_state(100.0, 5.0, 40.0), highest_state(100.0, 0.0, 0.1)] {
-            assert!(Eq8::new(10.0, 100.0, states, 0.1).sum.is_nan());
+        for m in [highest_state(100.0, 5.0, 40.0), highest_state(100.0, 0.0, 0.1)] {
+            assert!(Eq8::new(10.0, 100.0, m, 0.1).sum.is_nan());
         }
         assert_eq!(highest_state(100.0, 5.0, 0.1), 23);
     }

@@ -26,7 +26,7 @@ use reveille_lab::stats::Estimate;
 
 /// Minimum number of measured devices; intervals are taken between devices.
 const MIN_DEVICES: u32 = 2;
-/// Maximum number of measured device-TTIs.
+/// Maximum number of simulated device-TTIs, the warm-up included.
 const MAX_DEVICE_TTIS: u64 = 100_000_000_000;
 
 /// One battery under one duty cycle.
@@ -98,8 +98,8 @@ pub fn compare(study: &BatteryStudy) -> Result<BatteryComparison, AnalysisError>
     let chain_input = study.chain_input();
     let steady = steady_state(&lattice, &chain_input)?;
     let bins = LevelBins::new(&lattice, study.bin_width)?;
-    let devices = measured::count_levels(&study.model, study.e_b, &lattice, &chain_input, &study.sample);
-    let shares: Vec<Vec<f64>> = devices.iter().map(|counts| shares_of_counts(counts)).collect();
+    let counts_by_device = measured::count_levels(&study.model, study.e_b, &lattice, &chain_input, &study.sample);
+    let shares: Vec<Vec<f64>> = counts_by_device.iter().map(|counts| shares_of_counts(counts)).collect();
     let pooled_shares: Vec<f64> = (0..lattice.levels())
         .map(|level| shares.iter().map(|device_shares| device_shares[level]).sum::<f64>() / shares.len() as f64)
         .collect();
@@ -147,8 +147,8 @@ impl BatteryStudy {
             let requirement = format!("must be at least {MIN_DEVICES}, because intervals are computed between devices");
             return Err(AnalysisError::invalid("devices", &devices, requirement));
         }
-        let all = ttis.saturating_add(warm_up).saturating_mul(u64::from(devices));
-        if ttis == 0 || all > MAX_DEVICE_TTIS {
+        let device_ttis = ttis.saturating_add(warm_up).saturating_mul(u64::from(devices));
+        if ttis == 0 || device_ttis > MAX_DEVICE_TTIS {
             let requirement = format!(
                 "must be at least 1, and with the warm-up and all devices at most {MAX_DEVICE_TTIS} device-TTIs"
             );
@@ -165,12 +165,16 @@ impl BatteryStudy {
         shares: &[Vec<f64>],
     ) -> Availability {
         let level = lattice.level(threshold);
-        let states = highest_state(self.model.e_max.units(), self.e_b.units(), self.lambda);
+        let m = highest_state(self.model.e_max.units(), self.e_b.units(), self.lambda);
         Availability {
             threshold: threshold.units(),
             chain: steady.probability_at_least(level),
-            measured: Estimate::from_values_or_nan(shares.iter().map(|one| one.iter().skip(level).sum())),
-            eq8: Eq8::new(threshold.units(), self.model.e_max.units(), states, self.activation),
+            measured: Estimate::from_values_or_nan(
+                shares
+                    .iter()
+                    .map(|device_shares| device_shares.iter().skip(level).sum()),
+            ),
+            eq8: Eq8::new(threshold.units(), self.model.e_max.units(), m, self.activation),
         }
     }
 }

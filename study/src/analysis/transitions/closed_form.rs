@@ -36,7 +36,8 @@ pub struct ClosedFormTerms {
     pub duty: DutyCycle,
     /// Mean of p(d_ij) over epicentres uniform on the area.
     pub mean_p: f64,
-    /// P_4,2, Eq. (9): mean of Pr(S_j = S3 | S_h = S3) over epicentres that have a device in range, h the closest one.
+    /// P_4,2, Eq. (9): mean of Pr(S_j = S3 | S_h = S3) over epicentres that have a device in range, h the closest one
+    /// and another device than j; 0 without such an epicentre.
     pub p42: f64,
     /// P_2,3 = Pr(B ≥ E_Tx), Eq. (8) as printed.
     pub p23: f64,
@@ -88,13 +89,13 @@ pub(super) fn device_terms(
         duty,
         mean_p,
         p42,
-        p23: transmission_probability(class, scenario.events.alpha * mean_p + p42),
+        p23: printed_p23(class, scenario.events.alpha * mean_p + p42),
     })
     .collect()
 }
 
-/// Evaluates Eq. (8) for E_Tx; NaN for energy sources without λ and E_B.
-fn transmission_probability(class: &DeviceClass, activation: f64) -> f64 {
+/// Evaluates Eq. (8) for E_Tx, which can exceed 1; NaN for energy sources without λ and E_B, and where [`Eq8`] is NaN.
+fn printed_p23(class: &DeviceClass, activation: f64) -> f64 {
     let Some(Arrivals { lambda, e_b }) = class.harvest.arrivals() else {
         return f64::NAN;
     };
@@ -108,7 +109,7 @@ fn transmission_probability(class: &DeviceClass, activation: f64) -> f64 {
     .sum
 }
 
-/// Computes the means over epicentres of p(d_ij) and of P_4,2 for each device.
+/// Computes the means of p(d_ij) and of P_4,2 for each device, over the epicentres that [`ClosedFormTerms`] states.
 fn means_over_epicentres(scenario: &Scenario, positions: &[Point]) -> (Vec<f64>, Vec<f64>) {
     let (sensing, correlation) = (
         &scenario.sensing,
@@ -165,7 +166,7 @@ mod tests {
         }
     }
 
-    fn assert_close(forms: &[f64], expected: &[f64]) {
+    fn assert_close(forms: &[f64; PAIRS.len()], expected: &[f64; PAIRS.len()]) {
         for (i, (form, expected_form)) in forms.iter().zip(expected).enumerate() {
             assert!(
                 (form - expected_form).abs() < 1e-12,

@@ -74,17 +74,17 @@ impl SweepFigureSpec {
             });
         }
         let points = self.select_points(points(results, &self.line_field))?;
-        let facets = facet_fields(&points, [&self.x_field, &self.line_field]);
+        let other_fields = facet_fields(&points, [&self.x_field, &self.line_field]);
         let mut groups: Vec<(Facet, Vec<&SweepPoint<'_>>)> = Vec::new();
         for point in &points {
-            let own_facet: Facet = facets
+            let own_facet: Facet = other_fields
                 .iter()
                 .map(|field| (field.clone(), point.value(field).unwrap_or("–").to_owned()))
                 .collect();
             let count = groups.len();
             match groups.iter_mut().find(|(known, _)| *known == own_facet) {
                 Some((_, group)) => group.push(point),
-                None if count == MAX_FIGURES => return Err(self.too_many_figures(&facets)),
+                None if count == MAX_FIGURES => return Err(self.too_many_figures(&other_fields)),
                 None => groups.push((own_facet, vec![point])),
             }
         }
@@ -110,16 +110,16 @@ impl SweepFigureSpec {
         to_file_name(&name)
     }
 
-    fn too_many_figures(&self, facets: &[String]) -> FigureError {
+    fn too_many_figures(&self, other_fields: &[String]) -> FigureError {
         FigureError::TooManyFacets {
             most: MAX_FIGURES,
-            fields: facets.join(", "),
+            fields: other_fields.join(", "),
             x: self.x_field.clone(),
             by: self.line_field.clone(),
         }
     }
 
-    /// Checks all fields and returns the points that pass the filter.
+    /// Checks all fields and returns the points that pass the filter and have a value of the field along x.
     fn select_points<'r>(&self, points: Vec<SweepPoint<'r>>) -> Result<Vec<SweepPoint<'r>>, FigureError> {
         let check_field = |field: &str| {
             let is_there = points.iter().any(|point| point.value(field).is_some());

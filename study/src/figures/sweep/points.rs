@@ -119,7 +119,7 @@ impl SweptNumbers {
         condition.swept_fields.iter().any(|(path, _)| *path == self.field)
     }
 
-    /// Whether the values suit a logarithmic axis better: all above 0 and over more than a decade and a half.
+    /// Whether the values suit a logarithmic axis better: all above 0, and the largest more than 30 times the smallest.
     pub fn is_wide(&self) -> bool {
         let (first, last) = (self.values[0], self.values[self.values.len() - 1]);
         first > 0.0 && last / first > 30.0

@@ -2,7 +2,8 @@
 //! with the values that the tables are filled with.
 
 use reveille_bs::policy::q_learning::learned::{
-    BATTERY_BUCKETS, CurvePoint, LearnedTables, Lookback, QTrainingConfig, QWeights, Schedule, TableSet, TrainingSite,
+    AREA_BUCKETS, BATTERY_BUCKETS, CurvePoint, LearnedTables, Lookback, QTrainingConfig, QWeights, Schedule, TableSet,
+    TrainingSite,
 };
 use reveille_common::declare::NoFiles;
 use reveille_common::scenario::WakeUpRanking;
@@ -31,7 +32,8 @@ fn learned_tables(sizes: &[u32], episodes: u64) -> LearnedTables {
     let entry = |&n: &u32| {
         let mut entry = untrained(n, &weights);
         let rates = Schedule::default().rates();
-        for area in 0..16 {
+        // Battery bucket 5 is known in all areas; two cells elsewhere have one action that was tried.
+        for area in 0..AREA_BUCKETS {
             for delta in [false, true] {
                 let cell = entry.duty.at_mut(5, area, delta);
                 cell.value = 20.0 + if delta { f64::from(n) * (area as f64 - 7.5) } else { 0.0 };
@@ -137,7 +139,7 @@ fn missing_curves_and_too_many_files_are_refused() {
     let seven_files: Vec<_> = (0..7).map(|_| named_tables("a.json", &[10], 2)).collect();
     assert!(error_of(&seven_files).contains("7 files"));
     let sizes: Vec<u32> = (1..=41).collect();
-    assert!(error_of(&[named_tables("a.json", &sizes, 2)]).contains("41 numbers of devices"));
+    assert!(error_of(&[named_tables("a.json", &sizes, 2)]).contains("41 tables of different N"));
 }
 
 #[test]
@@ -169,7 +171,7 @@ fn a_cell_shows_the_advantage_and_is_framed_if_the_policy_senses() {
         "{row:?}"
     );
     let framed: Vec<bool> = row.iter().map(|cell| cell.is_framed).collect();
-    assert_eq!(framed, (0..16).map(|area| area > 7).collect::<Vec<_>>());
+    assert_eq!(framed, (0..AREA_BUCKETS).map(|area| area > 7).collect::<Vec<_>>());
     assert!(
         !map.cells[1][15].is_framed && map.cells[1][15].value > 0.0,
         "positive, but a device with this battery cannot report"
@@ -179,11 +181,14 @@ fn a_cell_shows_the_advantage_and_is_framed_if_the_policy_senses() {
             map.count(KnowledgeDegree::Known),
             map.count(KnowledgeDegree::PartlyKnown)
         ),
-        (16, 2)
+        (AREA_BUCKETS, 2)
     );
-    assert_eq!(map.count(KnowledgeDegree::Unknown), BATTERY_BUCKETS * 16 - 18);
+    assert_eq!(
+        map.count(KnowledgeDegree::Unknown),
+        BATTERY_BUCKETS * AREA_BUCKETS - (AREA_BUCKETS + 2)
+    );
     let csv = q_table::duty_csv(&learned, entry);
-    assert_eq!(csv.lines().count(), 1 + BATTERY_BUCKETS * 16);
+    assert_eq!(csv.lines().count(), 1 + BATTERY_BUCKETS * AREA_BUCKETS);
     let row_5 = csv.lines().find(|line| line.starts_with("5,")).expect("the row");
     assert!(row_5.ends_with(",20,3,-55,3,-75,-75,0"), "{row_5}");
     let wake = q_table::wake_csv(entry, WakeUpRanking::Posterior);

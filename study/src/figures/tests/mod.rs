@@ -21,7 +21,7 @@ mod swept;
 mod traded;
 mod tuned;
 
-/// Values of a metric for some policies and N; two are undefined.
+/// Values of a metric for some policies and N. One of the genie's and both of `adjusted` are undefined.
 const RUNS: [(&str, u32, &[f64]); 8] = [
     ("knn", 10, &[33.0, 35.0, 31.0]),
     ("knn", 250, &[0.0, 0.0, 0.0]),
@@ -39,8 +39,15 @@ fn scenario_with(overrides: &[&str]) -> Scenario {
     load("paper", &overrides).expect("a scenario").scenario
 }
 
-fn results_with(metric: &str) -> Results {
+/// Returns results with [`RUNS`] as values of `metric`.
+fn results_for_metric(metric: &str) -> Results {
     Results::new(&[fixtures::table("paper", metric, &RUNS)], &NoFiles).expect("runs")
+}
+
+/// Returns the figure of the paper called `name`.
+fn figure_named(name: &str) -> study::Figure {
+    let mut figures = study::FIGURES.into_iter();
+    figures.find(|figure| figure.name == name).expect("a figure")
 }
 
 /// Returns the texts of a figure.
@@ -54,7 +61,8 @@ fn texts(scene: &Scene) -> Vec<&str> {
         .collect()
 }
 
-/// Checks the properties that every figure must have.
+/// Checks the properties that every figure must have. `name` is for messages and identifiers; nothing is compared with
+/// a stored picture.
 fn check(name: &str, scene: &Scene) {
     assert!(
         scene.outside().is_empty(),
@@ -106,7 +114,7 @@ fn check(name: &str, scene: &Scene) {
 #[test]
 fn figures_of_the_paper_have_the_means_of_their_tables() {
     for figure in study::FIGURES {
-        let results = results_with(figure.metric);
+        let results = results_for_metric(figure.metric);
         let condition = &results.conditions[0];
         let drawing = figure.draw(condition).expect("a figure");
         let scene = drawing.chart.scene();
@@ -136,14 +144,18 @@ fn figures_of_the_paper_have_the_means_of_their_tables() {
 fn a_metric_without_values_gives_no_figure() {
     let table = fixtures::table("paper", "info_p1", &[("knn", 10, &[f64::NAN; 2])]);
     let results = Results::new(&[table], &NoFiles).expect("runs");
-    assert!(study::FIGURES[0].draw(&results.conditions[0]).is_none());
-    assert!(study::FIGURES[1].draw(&results.conditions[0]).is_some());
+    assert!(figure_named("information").draw(&results.conditions[0]).is_none());
+    assert!(
+        figure_named("information-per-event")
+            .draw(&results.conditions[0])
+            .is_some()
+    );
 }
 
 #[test]
 fn stated_values_are_marked_for_policies_with_runs() {
-    let energy = study::FIGURES[2];
-    let results = results_with(energy.metric);
+    let energy = figure_named("energy");
+    let results = results_for_metric(energy.metric);
     let chart = energy.draw(&results.conditions[0]).expect("a figure").chart;
     // knn 0.45–0.83 and 0.145; random 0.34 and > 0.18; genie 0.055.
     assert_eq!(chart.marks.len(), 5, "{:?}", chart.marks);
@@ -188,10 +200,7 @@ fn values_stated_for_several_n_are_hatched() {
         ("wasted", vec![(10.0, 250.0, [1.5, 1.5])]),
         ("energy", vec![]),
     ] {
-        let figure = study::FIGURES
-            .into_iter()
-            .find(|figure| figure.name == name)
-            .expect("a figure");
+        let figure = figure_named(name);
         let results = Results::new(&[fixtures::table("paper", figure.metric, &runs)], &NoFiles).expect("runs");
         let chart = figure.draw(&results.conditions[0]).expect("a figure").chart;
         let spans: Vec<_> = chart
@@ -207,7 +216,7 @@ fn values_stated_for_several_n_are_hatched() {
 
 #[test]
 fn a_stated_ratio_is_marked_at_its_multiple_of_the_stated_value() {
-    let figure = study::FIGURES[2];
+    let figure = figure_named("energy");
     let runs: [(&str, u32, &[f64]); 1] = [("dt", 250, &[0.13, 0.14])];
     let results = Results::new(&[fixtures::table("paper", figure.metric, &runs)], &NoFiles).expect("runs");
     let chart = figure.draw(&results.conditions[0]).expect("a figure").chart;
@@ -232,7 +241,7 @@ fn harvest_and_net_charts_have_measured_points_and_marks() {
     let results = Results::new(&[fixtures::table("paper", "energy_per_device_tti", &runs)], &NoFiles).expect("runs");
     let condition = &results.conditions[0];
     let points = energy::measure_harvests("paper").expect("harvests");
-    assert_eq!(points.len(), 27);
+    assert_eq!(points.len(), 27, "9 λ for each of 3 E_B");
     let harvest = energy::harvest_chart(condition, &points);
     check("harvest", &harvest.scene());
     assert_eq!(harvest.marks.len(), 8, "four for N = 10, four for N = 250");
@@ -269,7 +278,7 @@ fn harvest_and_net_charts_have_measured_points_and_marks() {
     assert!((drawn.y_half_width.powi(2) - half_width.powi(2) - measured.harvested.half_width.powi(2)).abs() < 1e-12);
     assert!(energy::harvest_csv(&points).lines().count() == 28 && energy::net_csv(&net).lines().count() > 100);
     // A consumption from one run has no interval, so the net energy has none either.
-    let one_run = results_of(&[("random", 100, &[0.2, 0.21]), ("adjusted", 100, &[0.3])]);
+    let one_run = energy_results(&[("random", 100, &[0.2, 0.21]), ("adjusted", 100, &[0.3])]);
     let one_run_net = energy::net_chart(&one_run.conditions[0], &points).expect("random and adjusted were run");
     // Only the first of a policy's series has its name.
     let mut policy = "";
@@ -289,12 +298,12 @@ fn harvest_and_net_charts_have_measured_points_and_marks() {
             "{policy}"
         );
     }
-    let without_adjusted = results_of(&[("random", 100, &[0.2])]);
+    let without_adjusted = energy_results(&[("random", 100, &[0.2])]);
     assert!(energy::net_chart(&without_adjusted.conditions[0], &points).is_none());
 }
 
-/// Returns results with these energies per device.
-fn results_of(runs: &[(&str, u32, &[f64])]) -> Results {
+/// Returns results with these energies per device and TTI.
+fn energy_results(runs: &[(&str, u32, &[f64])]) -> Results {
     Results::new(&[fixtures::table("paper", "energy_per_device_tti", runs)], &NoFiles).expect("runs")
 }
 
@@ -498,19 +507,19 @@ fn figures_are_selected_by_name() {
 
 #[test]
 fn missed_events_have_a_marker_and_a_count_for_each_cause() {
-    let mut run = Misses::new(scenario_with(&["devices=30"]));
-    let without = misses::scene(&run);
-    check("no misses", &without);
+    let mut run_misses = Misses::new(scenario_with(&["devices=30"]));
+    let scene_without_misses = misses::scene(&run_misses);
+    check("no misses", &scene_without_misses);
     assert!(
-        without.description.contains("No event was counted."),
+        scene_without_misses.description.contains("No event was counted."),
         "{}",
-        without.description
+        scene_without_misses.description
     );
     let causes = MissCause::ALL.map(Some).into_iter().chain([None]);
     for (number, cause) in (0_u64..).zip(causes) {
-        run.starts.push(Tti(1000 + number));
+        run_misses.starts.push(Tti(1000 + number));
         for event in 0..=number {
-            run.missed.push(MissedEvent {
+            run_misses.missed.push(MissedEvent {
                 event,
                 start: Tti(1000 + number),
                 epicentre: Point::new(1.0 + 2.0 * number as f64, 1.0 + 2.0 * event as f64),
@@ -520,10 +529,10 @@ fn missed_events_have_a_marker_and_a_count_for_each_cause() {
             });
         }
     }
-    let scene = misses::scene(&run);
+    let scene = misses::scene(&run_misses);
     check("misses", &scene);
     let texts = texts(&scene);
-    for (cause, count) in run.causes() {
+    for (cause, count) in run_misses.causes() {
         let entry = format!("{} ({count})", crate::misses::cause_name(cause));
         assert!(texts.contains(&entry.as_str()), "no {entry}: {texts:?}");
     }
@@ -534,6 +543,9 @@ fn missed_events_have_a_marker_and_a_count_for_each_cause() {
             .filter(|item| matches!(item, SceneItem::Shape(_)))
             .count()
     };
-    // Each event and each entry of the legend has a marker.
-    assert_eq!(shapes(&scene) - shapes(&without), run.missed.len() + 9);
+    // Each event and each entry of the legend has a marker: one for each cause, and one for unknown causes.
+    assert_eq!(
+        shapes(&scene) - shapes(&scene_without_misses),
+        run_misses.missed.len() + MissCause::ALL.len() + 1
+    );
 }

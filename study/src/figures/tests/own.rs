@@ -29,7 +29,7 @@ fn lambda_sweep() -> (String, Table) {
     fixtures::swept("paper", "energy_per_device_tti", "harvest.lambda", &runs)
 }
 
-/// Returns a figure of the energy against `x` with a line for each value of `by`.
+/// Returns the specification of figures of the energy against `x`, with a line for each value of `by`.
 fn spec(x: &str, by: &str, filter: &[(&str, &str)]) -> SweepFigureSpec {
     let owned = |(field, value): &(&str, &str)| ((*field).to_owned(), (*value).to_owned());
     SweepFigureSpec {
@@ -42,6 +42,7 @@ fn spec(x: &str, by: &str, filter: &[(&str, &str)]) -> SweepFigureSpec {
     }
 }
 
+/// Draws `spec` for [`lambda_sweep`].
 fn draw(spec: &SweepFigureSpec) -> Result<Vec<SweepFigure>, FigureError> {
     spec.draw(&Results::new(&[lambda_sweep()], &NoFiles).expect("runs"))
 }

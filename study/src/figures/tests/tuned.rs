@@ -33,6 +33,7 @@ fn history(pairs: &[WeightPair], objective: impl Fn(WeightPair) -> f64) -> Histo
     history
 }
 
+/// Returns a surface with the values of `objective` in the middles of 40 × 40 cells over `ranges`.
 fn surface(ranges: &Ranges, objective: impl Fn(WeightPair) -> f64) -> Surface {
     let middle = |i: u32| (f64::from(i) + 0.5) / 40.0;
     let row = |j: u32| {
@@ -60,7 +61,7 @@ fn a_tuning_with_crowded_pairs_is_legible() {
     let scene = tuning::scene(&history(&pairs, hill), &ranges, &surface(&ranges, hill));
     check("tuning", &scene);
     let texts = texts(&scene);
-    for number in 1..=20 {
+    for number in 1..=pairs.len() {
         assert!(
             texts.contains(&number.to_string().as_str()),
             "number {number} is missing"

@@ -110,11 +110,11 @@ impl Agreement {
             |of: fn(&Finding) -> f64, pick: fn(f64, f64) -> f64, start: f64| row.iter().map(of).fold(start, pick);
         let largest = |of| over(of, f64::max, f64::NEG_INFINITY);
         let smallest = |of| over(of, f64::min, f64::INFINITY);
-        let zero = smallest(|f| f.zero_limit);
+        let zero_limit = smallest(|f| f.zero_limit);
         let is_level = |least: f64, most: f64| {
             // Half the range over the middle; multiplied out, since the middle may be 0.
             let is_near = most.is_finite() && most - least <= (NEAR_TOLERANCE + ROUNDING) * (most + least);
-            most <= least || most <= zero || is_near
+            most <= least || most <= zero_limit || is_near
         };
         Self {
             of_means: agreement_if(is_level(smallest(|f| f.value), largest(|f| f.value))),
@@ -123,7 +123,8 @@ impl Agreement {
         }
     }
 
-    /// Computes the agreement with a falling trend from the first to the last, after `sign` is applied to the values.
+    /// Computes the agreement with a falling trend from the first to the last, after `sign` is applied to the values:
+    /// the identity for a falling trend, the negation for a rising one.
     fn trend(row: &[Finding], sign: fn(f64) -> f64) -> Self {
         let ends = |f: &Finding| {
             let (a, b) = (sign(f.low), sign(f.high));
@@ -193,8 +194,12 @@ pub fn agreement_with_value(x: f64, stated: f64) -> AgreementLevel {
     agreement_with_range(x, stated, stated, EQUAL_TOLERANCE)
 }
 
-fn agreement_if(yes: bool) -> AgreementLevel {
-    if yes { AgreementLevel::Yes } else { AgreementLevel::No }
+fn agreement_if(is_met: bool) -> AgreementLevel {
+    if is_met {
+        AgreementLevel::Yes
+    } else {
+        AgreementLevel::No
+    }
 }
 
 /// Checks `x` against `low` to `high`, widened by `equal_tolerance` or by [`NEAR_TOLERANCE`] as a share of each end.

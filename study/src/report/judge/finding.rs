@@ -203,7 +203,7 @@ mod tests {
 
     #[test]
     fn the_interval_of_a_ratio_of_pairs_follows_from_residuals() {
-        // b is half of a, except for ±0.1: residuals a − 2b of 0.2, −0.4, 0.2, whose deviation is √0.12.
+        // b is half of a, except for −0.1, 0.2 and −0.1: residuals a − 2b of 0.2, −0.4, 0.2, whose deviation is √0.12.
         let (a, b) = ([2.0, 4.0, 6.0], [0.9, 2.2, 2.9]);
         let pairs: Vec<(f64, f64)> = a.into_iter().zip(b).collect();
         let [value, low, high] = ratio(&estimate_of(&a), &estimate_of(&b), &pairs);

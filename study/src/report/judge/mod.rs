@@ -6,8 +6,9 @@
 //!    ("below", "above"). It is *within 20 %* if it is that near to the value or to the nearer end of the range. A
 //!    claim for several N or against several policies must hold for each that was run, and has the worst verdict. A
 //!    stated 0 allows 1 % of the largest of the other policies' means.
-//! 3. A trend with N allows opposite steps of at most a tenth of the range of all means. A constant level stays within
-//!    20 % of their middle, or counts as 0 at every N by rule 2.
+//! 3. A trend with N has its last mean on the stated side of its first, and allows opposite steps of at most a tenth of
+//!    the range of all means. A constant level stays within 20 % of the middle of all means, or counts as 0 at every N
+//!    by rule 2.
 //! 4. Otherwise its *order is reproduced* if, at each such N, our mean has the same order to every compared policy as
 //!    in the paper. A policy is compared if the paper states its order or ratio, or figures for both that all exclude
 //!    each other. At least one policy must be compared.
@@ -70,7 +71,8 @@ pub struct Judgement {
     pub is_firm: bool,
     /// Our findings, in ascending order of N, and at each N in the order of the compared policies.
     pub findings: Vec<Finding>,
-    /// Policies of the order comparison: N, the policy, and whether our order equals the paper's.
+    /// Policies of the order comparison: N, the policy, and whether our order equals the paper's. Empty if rules 1 to 3
+    /// decide.
     pub order_checks: Vec<(u32, &'static str, bool)>,
 }
 

@@ -13,7 +13,7 @@ pub(super) struct PolicyPair {
     pub other_policy: &'static str,
     /// Whether the means have the order that the paper states.
     pub is_as_stated: bool,
-    /// Whether the order holds for all values within both intervals.
+    /// Whether the means keep their order, as stated or not, for all values within both intervals.
     pub is_firm: bool,
 }
 
@@ -102,29 +102,29 @@ fn policies_with_stated_order(topic: &ClaimTopic, claim: &Claim, n: u32) -> Vec<
             ordered.push((other, is_lower));
         }
     };
-    for other in topic.claims.iter().filter(|other| other.device_counts.contains(n)) {
+    for order_claim in topic.claims.iter().filter(|c| c.device_counts.contains(n)) {
         // "Up to" refers to one N, which the paper does not name.
-        let is_at_each_n = other.statement.range().is_some();
+        let is_at_each_n = order_claim.statement.range().is_some();
         let (ClaimQuantity::Ratio(bases), Some((is_lower, _)), true) =
-            (other.quantity, stated_side(other.statement), is_at_each_n)
+            (order_claim.quantity, stated_side(order_claim.statement), is_at_each_n)
         else {
             continue;
         };
-        if other.policy == claim.policy {
+        if order_claim.policy == claim.policy {
             for base in bases {
                 add(base, is_lower);
             }
         } else if bases.contains(&claim.policy) {
-            add(other.policy, !is_lower);
+            add(order_claim.policy, !is_lower);
         }
     }
     let own = ranges_of_policy(topic, claim.policy, n);
-    for other in topic.claims.iter().filter(|other| other.policy != claim.policy) {
-        let theirs = ranges_of_policy(topic, other.policy, n);
+    for other_policy in topic.claims.iter().map(|c| c.policy).filter(|p| *p != claim.policy) {
+        let theirs = ranges_of_policy(topic, other_policy, n);
         let all = |apart: fn((f64, f64), (f64, f64)) -> bool| own.iter().all(|a| theirs.iter().all(|b| apart(*a, *b)));
         let (is_lower, is_higher) = (all(|a, b| a.1 < b.0), all(|a, b| b.1 < a.0));
         if !own.is_empty() && !theirs.is_empty() && is_lower != is_higher {
-            add(other.policy, is_lower);
+            add(other_policy, is_lower);
         }
     }
     ordered
@@ -132,7 +132,7 @@ fn policies_with_stated_order(topic: &ClaimTopic, claim: &Claim, n: u32) -> Vec<
 
 /// Ranges that the paper states for `policy` at `n`. Claims on exactly this N take precedence over claims on several N.
 fn ranges_of_policy(topic: &ClaimTopic, policy: &str, n: u32) -> Vec<(f64, f64)> {
-    let own = || {
+    let claims_at_n = || {
         topic
             .claims
             .iter()
@@ -141,8 +141,12 @@ fn ranges_of_policy(topic: &ClaimTopic, policy: &str, n: u32) -> Vec<(f64, f64)>
     let stated = |claims: &mut dyn Iterator<Item = &'static Claim>| -> Vec<(f64, f64)> {
         claims.flat_map(|claim| ranges_of_claim(topic, claim, n)).collect()
     };
-    let at_n = stated(&mut own().filter(|c| c.device_counts == DeviceCounts::At(n)));
-    if at_n.is_empty() { stated(&mut own()) } else { at_n }
+    let exactly_at_n = stated(&mut claims_at_n().filter(|c| c.device_counts == DeviceCounts::At(n)));
+    if exactly_at_n.is_empty() {
+        stated(&mut claims_at_n())
+    } else {
+        exactly_at_n
+    }
 }
 
 /// Ranges that `claim` states for its policy at `n`; a ratio multiplies the ranges stated for the other policy.

@@ -32,7 +32,7 @@ const fn claim(
     Claim::new(policy, device_counts, quantity, statement, FIG_8)
 }
 
-/// Creates a claim on knn at N = 250.
+/// Creates a claim on the mean of knn at N = 250.
 const fn knn_claim(statement: Statement) -> Claim {
     claim("knn", At(250), Mean, statement)
 }
@@ -46,7 +46,8 @@ fn judgement_of(topic: &ClaimTopic, runs: &[(&str, u32, &[f64])]) -> Judgement {
     judge(topic, &topic.claims[0], &results.conditions[0])
 }
 
-/// Returns the verdict on the first of `claims` and whether it is firm, for runs with these values of the metric.
+/// Returns the verdict on the first of `claims` and whether it is firm, for runs with these values of the metric. The
+/// other claims only state an order.
 fn verdict(claims: &'static [Claim], runs: &[(&str, u32, &[f64])]) -> (Verdict, bool) {
     let judgement = judgement_of(&topic(claims), runs);
     (judgement.verdict, judgement.is_firm)

@@ -42,7 +42,7 @@ impl ClaimHalf {
     }
 }
 
-/// Number of claims in a half that a condition meets.
+/// Numbers of claims in a half by the verdict of a condition.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct HalfScore {
     /// Claims reproduced.
@@ -271,7 +271,7 @@ impl<'r> ConditionRanking<'r> {
         values
     }
 
-    /// Computes the effect of each value, other than the presets', of each swept field.
+    /// Computes the effect of each value, other than the presets' own, of each field in which conditions differ.
     pub(crate) fn effects(&self) -> Vec<FieldEffect> {
         let effect = |field: &str, value: &str| {
             let has_value = |ranked: &&RankedCondition| self.value(ranked.column, field) == Some(value);

@@ -8,7 +8,7 @@ use super::*;
 use crate::figures::results::{Results, fixtures};
 use crate::report::search::markdown::markdown;
 
-/// Creates a sweep of α with the energy of knn and random, for N = 10 and 250.
+/// Creates a sweep of α with energies in the order of [`AS_STATED`], and 0.1 % more in the second run.
 fn alpha_sweep(conditions: &[(f64, [f64; 4])]) -> (String, Table) {
     let mut runs: Vec<(&str, u32, SweptValue, Vec<f64>)> = Vec::new();
     for (alpha, [knn_few, knn_many, random_few, random_many]) in conditions {

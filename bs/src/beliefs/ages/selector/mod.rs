@@ -22,7 +22,7 @@ pub struct DeviceSelector {
     d_max: f64,
     /// Candidates by [`ratio_key`].
     heap: BinaryHeap<u64>,
-    /// Gain by device if no device was chosen.
+    /// Gain by device at the start of a choice, before it adds a device.
     gains_alone: Vec<f64>,
     is_chosen: Vec<bool>,
     /// Chosen devices in order; `None` for a device removed without a replacement.

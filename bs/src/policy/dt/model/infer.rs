@@ -122,7 +122,7 @@ impl ForwardPass {
     }
 
     /// Returns the logarithm of the price in the TTI of the last step, within ± `LOG_PRICE_LIMIT`. `target` is the
-    /// share of new events to find in their first TTI.
+    /// share of new events to detect in their first TTI.
     pub fn log_price(&mut self, target: f32) -> f32 {
         let d = self.weights.shape.width;
         self.pooled.fill(0.0);

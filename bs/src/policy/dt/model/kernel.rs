@@ -194,7 +194,7 @@ pub(super) struct KeyValueSum {
     sums: Vec<[f32; TILE_COLUMNS]>,
     zeros: Vec<[f32; TILE_COLUMNS]>,
     /// Sums of keys, `[d / heads]`.
-    keys: Vec<f32>,
+    sum_of_keys: Vec<f32>,
 }
 
 impl KeyValueSum {
@@ -203,7 +203,7 @@ impl KeyValueSum {
         Self {
             sums: vec![[0.0; TILE_COLUMNS]; tiles * width],
             zeros: vec![[0.0; TILE_COLUMNS]; tiles],
-            keys: vec![0.0; width],
+            sum_of_keys: vec![0.0; width],
         }
     }
 
@@ -211,9 +211,9 @@ impl KeyValueSum {
     #[inline(always)]
     pub(super) fn sum_over_devices(&mut self, keys: &[f32], values: &[f32], head: ColumnSlice) {
         const KEYS_PER_PASS: usize = 4;
-        self.keys.fill(0.0);
+        self.sum_of_keys.fill(0.0);
         for keys in keys.chunks_exact(head.stride) {
-            add(&mut self.keys, &keys[head.start..][..head.width]);
+            add(&mut self.sum_of_keys, &keys[head.start..][..head.width]);
         }
         for (tile, sums) in self.sums.chunks_exact_mut(head.width).enumerate() {
             let start = tile * TILE_COLUMNS;
@@ -245,7 +245,7 @@ impl KeyValueSum {
             .chunks_exact(head.stride)
             .zip(gathered.chunks_exact_mut(head.stride))
         {
-            let inverse = 1.0 / dot(&query[head.start..][..head.width], &self.keys);
+            let inverse = 1.0 / dot(&query[head.start..][..head.width], &self.sum_of_keys);
             for gathered in gathered[head.start..][..head.width].as_chunks_mut::<4>().0 {
                 for gathered in gathered {
                     *gathered *= inverse;
@@ -299,7 +299,7 @@ pub(super) fn weighted_mean<'r>(out: &mut [f32], shares: &[f32], row: impl Fn(us
     }
 }
 
-/// Offset that keeps the norms of tokens finite.
+/// Offset of a mean square in `rms_norm`, so that its inverse stays finite.
 pub const NORM_EPSILON: f32 = 1e-5;
 
 #[inline(always)]

@@ -48,8 +48,8 @@ pub struct DutyLearner {
 
 #[derive(Clone, Debug, Default)]
 struct DutyDecision {
-    /// State, action and gain of each device.
-    shares: Vec<DeviceShare>,
+    /// State, action and gain of each device, in the order of ids.
+    by_device: Vec<DeviceDecision>,
     /// By device, the coverage credited to it, in the unit of `coverable`.
     credits: Vec<f64>,
     /// U(k), the uncovered part.
@@ -60,7 +60,7 @@ struct DutyDecision {
 
 /// State in which a device decided, and its action.
 #[derive(Clone, Copy, Debug, Default)]
-struct DeviceShare {
+struct DeviceDecision {
     battery: u8,
     /// Bucket of the newly covered area.
     area: u8,
@@ -118,12 +118,12 @@ impl DutyLearner {
     /// Chooses as [`Self::choose`], but at random with probability `epsilon` per device, for [`Self::learn`].
     pub fn explore(&mut self, levels: &[Energy], epsilon: f64, stream: &mut Stream) -> Vec<DeviceId> {
         self.begin(levels);
-        let undecided = |(&level, &battery): (&Energy, &u8)| DeviceShare {
+        let undecided = |(&level, &battery): (&Energy, &u8)| DeviceDecision {
             battery,
             level,
-            ..DeviceShare::default()
+            ..DeviceDecision::default()
         };
-        let mut shares: Vec<DeviceShare> = levels.iter().zip(&self.battery_buckets).map(undecided).collect();
+        let mut by_device: Vec<DeviceDecision> = levels.iter().zip(&self.battery_buckets).map(undecided).collect();
         let is_able = |&battery: &u8| battery >= FIRST_ABLE_BUCKET;
         let mut is_free: Vec<bool> = self.battery_buckets.iter().map(is_able).collect();
         let mut chosen = Vec::new();
@@ -142,13 +142,17 @@ impl DutyLearner {
         // A chosen device decided given the devices chosen before it; the others decided given all chosen devices.
         let gains = self.area_state.gains(&chosen);
         for (device, &gain) in chosen.iter().zip(&gains) {
-            shares[device.index()].decide(true, gain);
+            by_device[device.index()].decide(true, gain);
         }
-        for (j, share) in shares.iter_mut().enumerate().filter(|(_, share)| !share.is_sensing) {
-            share.decide(false, self.area_state.gain(j));
+        for (j, decision) in by_device
+            .iter_mut()
+            .enumerate()
+            .filter(|(_, decision)| !decision.is_sensing)
+        {
+            decision.decide(false, self.area_state.gain(j));
         }
         self.last_decision = Some(DutyDecision {
-            shares,
+            by_device,
             uncovered: self.area_state.uncovered_gain(),
             coverable: self.area_state.coverable_gain(),
             credits: self.area_state.credits(&chosen, &gains),
@@ -158,25 +162,25 @@ impl DutyLearner {
 
     /// Learns from the last exploration; `levels` are the batteries after it.
     pub fn learn(&mut self, levels: &[Energy]) {
-        let Some(DutyDecision { shares, .. }) = self.last_decision.take() else {
+        let Some(DutyDecision { by_device, .. }) = self.last_decision.take() else {
             return;
         };
         let zeta = self.parameters.weights.zeta;
-        for ((share, &level_after), energy) in shares.iter().zip(levels).zip(&self.energies) {
-            let DeviceShare {
+        for ((decision, &level_after), energy) in by_device.iter().zip(levels).zip(&self.energies) {
+            let DeviceDecision {
                 battery,
                 area,
                 is_sensing,
                 ..
-            } = *share;
+            } = *decision;
             // N r_j of the module documentation, without the part that is the same for both actions.
             let reward = if is_sensing {
-                self.coverage_worth * share.gain
+                self.coverage_worth * decision.gain
             } else {
                 1.0
             };
             let [value_before, value_after] =
-                [share.level, level_after].map(|level| value_at(&self.values, level, energy));
+                [decision.level, level_after].map(|level| value_at(&self.values, level, energy));
             let (battery, area) = (usize::from(battery), usize::from(area));
             let outcome = reward + zeta * value_after;
             let whole_q = self.table.outcome_mut(battery, area, is_sensing);
@@ -189,7 +193,7 @@ impl DutyLearner {
                 .learn(outcome - zeta * value_before, self.rates);
             // V is the mean over all actions taken, including exploration as in SARSA, so it learns from the whole
             // Q.
-            let (node, part) = locate_node(share.level, energy);
+            let (node, part) = locate_node(decision.level, energy);
             self.table.value[node].learn_weighted(whole_q, 1.0 - part, self.rates);
             self.table.value[node + 1].learn_weighted(whole_q, part, self.rates);
         }
@@ -204,21 +208,21 @@ impl DutyLearner {
     /// Returns r(k) of the last exploration and the devices' shares of it, which add up to it.
     pub fn rewards(&self) -> Option<(f64, impl Iterator<Item = f64> + '_)> {
         let DutyDecision {
-            shares,
+            by_device,
             credits,
             uncovered,
             coverable,
         } = self.last_decision.as_ref()?;
-        let n = shares.len() as f64;
-        let sensing = shares.iter().filter(|share| share.is_sensing).count() as f64;
+        let n = by_device.len() as f64;
+        let sensing = by_device.iter().filter(|decision| decision.is_sensing).count() as f64;
         let weight = self.parameters.alpha * self.parameters.weights.mu1;
-        let share_of_reward = move |(share, credit): (&DeviceShare, &f64)| {
-            let asleep = if share.is_sensing { 0.0 } else { 1.0 / n };
+        let share_of_reward = move |(decision, credit): (&DeviceDecision, &f64)| {
+            let asleep = if decision.is_sensing { 0.0 } else { 1.0 / n };
             asleep + weight * (credit - coverable / n)
         };
         Some((
             1.0 - sensing / n - weight * uncovered,
-            shares.iter().zip(credits).map(share_of_reward),
+            by_device.iter().zip(credits).map(share_of_reward),
         ))
     }
 
@@ -247,7 +251,7 @@ impl DutyLearner {
     }
 }
 
-impl DeviceShare {
+impl DeviceDecision {
     /// Records the decision of the device and the part that it would newly cover.
     fn decide(&mut self, is_sensing: bool, gain: Gain) {
         (self.is_sensing, self.gain, self.area) = (is_sensing, gain.share, gain.bucket);

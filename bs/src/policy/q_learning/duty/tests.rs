@@ -238,8 +238,8 @@ fn the_shares_add_up_to_the_reward_of_the_paper_in_every_tti() {
             // A choice promises in each TTI of the window at least its newly covered part; with a window of 1, exactly
             // it.
             let decision = learner.last_decision.as_ref().expect("an exploration");
-            let promise = |share: &DeviceShare| if share.is_sensing { share.gain } else { 0.0 };
-            gains.push_back(decision.shares.iter().map(promise).collect());
+            let promise = |device: &DeviceDecision| if device.is_sensing { device.gain } else { 0.0 };
+            gains.push_back(decision.by_device.iter().map(promise).collect());
             if gains.len() > case.window as usize {
                 gains.pop_front();
             }
@@ -288,7 +288,7 @@ impl PlaceAges {
         let mut middles = Vec::new();
         for row in 0..rows as u32 {
             for column in 0..columns as u32 {
-                let middle = |at: u32, count: f64, length: f64| (f64::from(at) + 0.5) * length / count;
+                let middle = |index: u32, count: f64, length: f64| (f64::from(index) + 0.5) * length / count;
                 middles.push(Point::new(
                     middle(column, columns, case.area.width),
                     middle(row, rows, case.area.height),
@@ -328,9 +328,9 @@ impl PlaceAges {
         uncovered_worths.sum::<f64>() / self.middles.len() as f64
     }
 
-    fn advance(&mut self, sensing_devices: &[DeviceId], event_found: bool) {
+    fn advance(&mut self, sensing_devices: &[DeviceId], is_event_reported: bool) {
         for place in 0..self.middles.len() {
-            let old = if event_found {
+            let old = if is_event_reported {
                 0.0
             } else {
                 self.ages[place] * self.miss_probability(place, sensing_devices)
@@ -381,9 +381,9 @@ fn with_ages_the_shares_add_up_to_the_reward_by_uncovered_worth() {
                 learner.prior(at),
                 places.ages[nearest_place]
             );
-            let event_found = stream.unit() < 0.1;
-            places.advance(&plan, event_found);
-            if event_found {
+            let is_event_reported = stream.unit() < 0.1;
+            places.advance(&plan, is_event_reported);
+            if is_event_reported {
                 learner.record_event();
             }
             learner.learn(&random_levels(case.devices as usize, &mut stream));
@@ -418,7 +418,7 @@ fn random_tables_choose_some_but_not_all_devices() {
     let mut counts = Vec::new();
     for _ in 0..40 {
         let mut learner = case.learner(random_table(&mut stream), weights, 0.2);
-        counts.push(learner.choose(&random_levels(25, &mut stream)).len());
+        counts.push(learner.choose(&random_levels(case.devices as usize, &mut stream)).len());
     }
     assert!(
         counts.iter().filter(|&&count| count > 2 && count < 18).count() > 20,

@@ -114,12 +114,13 @@ struct FileBody {
 }
 
 impl LearnedTables {
-    /// Returns the shipped tables, for ages or for windows, that were learned on the site most similar to `setting`.
-    pub fn shipped(setting: &TrainingSite, ages: bool) -> Self {
+    /// Returns the shipped tables that were learned on the site most similar to `site`: those for ages if `for_ages`,
+    /// otherwise those for windows.
+    pub fn shipped(site: &TrainingSite, for_ages: bool) -> Self {
         let of_kind = SHIPPED
             .into_iter()
-            .filter(|(name, _)| name.ends_with(AGES_SUFFIX) == ages);
-        let differences = |(_, text): &(&str, &str)| read_training_site(text).differences(setting).len();
+            .filter(|(name, _)| name.ends_with(AGES_SUFFIX) == for_ages);
+        let differences = |(_, text): &(&str, &str)| read_training_site(text).differences(site).len();
         parse_shipped(of_kind.min_by_key(differences).unwrap_or(SHIPPED[0]).1)
     }
 
@@ -193,8 +194,8 @@ impl LearnedTables {
     /// # Panics
     /// If a value is not finite or the tables are otherwise invalid.
     pub fn to_json(&self) -> String {
-        if let Err(what) = self.check() {
-            panic!("{what}");
+        if let Err(reason) = self.check() {
+            panic!("{reason}");
         }
         let mut entries = self.entries.clone();
         entries.iter_mut().for_each(TableSet::round);
@@ -295,7 +296,7 @@ impl TableSet {
         }
     }
 
-    /// Returns the SHA-256 of all values, for the fingerprint of a scenario.
+    /// Returns the SHA-256 of all values that affect decisions, in this order, for the hash of a scenario.
     pub fn fingerprint(&self) -> [u8; 32] {
         let Self {
             devices,
@@ -341,9 +342,13 @@ fn sha256(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
+    use super::super::FIRST_ABLE_BUCKET;
     use super::*;
     use crate::scenario::load;
     use crate::scenario::tests::{load_paper, overrides};
+
+    /// Area of the presets `paper` and `paper-literal`, m².
+    const PRESET_SURFACE: f64 = 400.0;
 
     /// Tables for the windows of 1 and 4 TTIs; one value is learned and has many digits.
     fn sample_tables() -> LearnedTables {
@@ -470,27 +475,38 @@ mod tests {
                 .map(|entry| entry.devices)
         };
         assert_eq!(
-            [(5, 400.0), (20, 400.0), (26, 400.0), (100, 400.0)].map(|(n, surface)| devices_of_entry(n, surface)),
+            [
+                (5, PRESET_SURFACE),
+                (20, PRESET_SURFACE),
+                (26, PRESET_SURFACE),
+                (100, PRESET_SURFACE)
+            ]
+            .map(|(n, surface)| devices_of_entry(n, surface)),
             [Some(10), Some(10), Some(50), Some(50)]
         );
         assert_eq!(
-            [(4, 400.0), (101, 400.0), (1000, 4000.0)].map(|(n, surface)| devices_of_entry(n, surface)),
+            [
+                (4, PRESET_SURFACE),
+                (101, PRESET_SURFACE),
+                (1000, 10.0 * PRESET_SURFACE)
+            ]
+            .map(|(n, surface)| devices_of_entry(n, surface)),
             [None, None, Some(50)]
         );
         assert_eq!(
-            [1, 4].map(|window| tables.served_devices(Lookback::Window(window), 400.0)),
+            [1, 4].map(|window| tables.served_devices(Lookback::Window(window), PRESET_SURFACE)),
             [(5, 100), (10, 40)]
         );
         let devices_of_window = |window: u32, n: u32| {
             tables
-                .closest_entry(Lookback::Window(window), n, 400.0)
+                .closest_entry(Lookback::Window(window), n, PRESET_SURFACE)
                 .map(|entry| entry.devices)
         };
         assert_eq!(
             [(4, 40), (4, 41), (2, 20)].map(|(window, n)| devices_of_window(window, n)),
             [Some(20), None, None]
         );
-        assert!(tables.closest_entry(Lookback::Ages, 20, 400.0).is_none());
+        assert!(tables.closest_entry(Lookback::Ages, 20, PRESET_SURFACE).is_none());
         assert_eq!(tables.lookbacks(), [1, 4].map(Lookback::Window));
         assert_eq!(
             [1, 3, 5].map(|window| tables.nearest_window(window)),
@@ -504,8 +520,8 @@ mod tests {
             for entry in parse_shipped(text).entries {
                 let advantages = entry.duty.advantages();
                 // The least gain at which a device senses, for each battery level that pays for a report.
-                let min_gains = advantages[2..].iter().map(|row| Lookback::Ages.advantage_start(row));
-                let min_gains: Vec<Option<f64>> = min_gains.collect();
+                let able_buckets = advantages.iter().skip(usize::from(FIRST_ABLE_BUCKET));
+                let min_gains: Vec<Option<f64>> = able_buckets.map(|row| Lookback::Ages.advantage_start(row)).collect();
                 // A device in a corner covers a quarter of a disc, here with places of the largest worth.
                 let is_reachable = |min_gain: &&f64| **min_gain < 0.25 * Lookback::Ages.max_gain();
                 let reachable_count = min_gains.iter().flatten().filter(is_reachable).count();
@@ -531,7 +547,7 @@ mod tests {
                 assert_eq!(tables.lookbacks(), [1, 2, 4].map(Lookback::Window));
             }
             for lookback in tables.lookbacks() {
-                let (least, most) = tables.served_devices(lookback, 400.0);
+                let (least, most) = tables.served_devices(lookback, PRESET_SURFACE);
                 assert!(
                     least == 5 && most >= 500,
                     "{name}, {lookback}: {least} to {most} devices"

@@ -7,7 +7,7 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use super::tables::{AREA_BUCKETS, area_edge, worth_edge};
+use super::tables::{AREA_BUCKETS, area_end, worth_end};
 use crate::beliefs::ages;
 
 /// Longest window for covering the area once, TTIs.
@@ -90,8 +90,8 @@ impl Lookback {
     /// Returns the end of the `bucket`-th of these buckets.
     pub fn edge(self, bucket: usize) -> f64 {
         match self {
-            Self::Window(_) => area_edge(bucket),
-            Self::Ages => worth_edge(bucket),
+            Self::Window(_) => area_end(bucket),
+            Self::Ages => worth_end(bucket),
         }
     }
 

@@ -56,7 +56,7 @@ impl QWeights {
 pub struct TrainingSite {
     /// Layout, detection and battery knowledge by their names in scenario files.
     pub words: Vec<(String, String)>,
-    /// Numbers by the paths of their fields.
+    /// Numbers by the paths of their fields; also the mean harvest and, with several classes, the share of each class.
     pub numbers: Vec<(String, f64)>,
 }
 
@@ -337,20 +337,20 @@ mod tests {
     }
 
     #[test]
-    fn sites_differ_in_fields_that_change_values_only() {
+    fn sites_differ_only_in_fields_that_change_values() {
         let site = training_site(&[]);
         assert!(
             site.differences(&training_site(&["seed=3", "devices=7", "ttis=99"]))
                 .is_empty()
         );
-        for (set, phrase) in [
+        for (field, phrase) in [
             ("events.alpha=0.3", "events.alpha 0.2, here 0.3"),
             ("sensing.psi=0.5", "sensing.psi 1, here 0.5"),
             ("sensing.g=sum-saturation", "sensing.g max, here sum-saturation"),
             ("layout.kind=uniform", "layout.kind jittered-grid, here uniform"),
             ("energy.e_tx=9", "energy.e_tx 10, here 9"),
         ] {
-            assert_eq!(site.differences(&training_site(&[set])), [phrase]);
+            assert_eq!(site.differences(&training_site(&[field])), [phrase]);
         }
         // A field that only one of the two sites has also counts as a difference.
         let mut fewer = site.clone();

@@ -308,12 +308,12 @@ pub fn battery_bucket(level: Energy, energy: &EnergyModel) -> usize {
 /// Returns the bucket of a newly covered area, a share of the sensing disc, `0 .. AREA_BUCKETS`; 0 is negligible.
 pub(crate) fn area_bucket(share: f64) -> usize {
     (0..AREA_BUCKETS - 1)
-        .take_while(|&bucket| share >= area_edge(bucket))
+        .take_while(|&bucket| share >= area_end(bucket))
         .count()
 }
 
 /// Returns the end of the `bucket`-th bucket of areas, a share of the sensing disc.
-pub(crate) fn area_edge(bucket: usize) -> f64 {
+pub(crate) fn area_end(bucket: usize) -> f64 {
     match bucket {
         0 => MIN_AREA,
         LAST_BUCKET.. => 1.0,
@@ -328,7 +328,7 @@ const WORTH_RATIO: f64 = 1.6;
 
 /// Returns the end of the `bucket`-th bucket of worth with ages: the sum of the worths of places, as a share of a
 /// sensing disc of places of age 1.
-pub(super) fn worth_edge(bucket: usize) -> f64 {
+pub(super) fn worth_end(bucket: usize) -> f64 {
     match bucket {
         0 => MIN_AREA,
         LAST_BUCKET.. => ages::MAX_WORTH,
@@ -387,7 +387,7 @@ mod tests {
             [0.0, 0.0001, 0.0003, 0.0051, 1.0].map(area_bucket),
             [0, 0, 1, 2, AREA_BUCKETS - 1]
         );
-        assert!((0..AREA_BUCKETS - 2).all(|b| area_edge(b) < area_edge(b + 1)) && area_edge(AREA_BUCKETS - 2) < 0.8);
+        assert!((0..AREA_BUCKETS - 2).all(|b| area_end(b) < area_end(b + 1)) && area_end(AREA_BUCKETS - 2) < 0.8);
         assert_eq!(
             [1.0, 0.71, 0.7, 0.5, 0.49, 0.24, 1e-9, 0.0].map(score_bucket),
             [19, 19, 18, 18, 17, 15, 0, 0]
