@@ -166,7 +166,7 @@ fn invalid_or_incomplete_learned_tables_are_refused() {
             &["later.json: has version 4", "reveille train q-learning"],
         );
         refused(&format!("{command} short.json"), &["short.json: is damaged"]);
-        refused(&format!("{command} nowhere.json"), &["nowhere.json: cannot be read"]);
+        refused(&format!("{command} nowhere.json"), &["nowhere.json: no such file"]);
     }
     refused("learning mine.json junk.json", &["junk.json"]);
     refused(
