@@ -15,7 +15,7 @@ use sha2::{Digest as _, Sha256};
 use super::error::FigureError;
 use crate::claims::POLICIES;
 use reveille_lab::metric_estimate::MetricEstimate;
-use reveille_lab::series::{self, RANKING};
+use reveille_lab::series::{self, RANKING, SeriesNames};
 use reveille_lab::stats::{CellRuns, Estimate, group_by_cell};
 use reveille_lab::table::{Hash, ResultRow, Table, TableMetadata};
 
@@ -28,6 +28,8 @@ pub struct LabelledTable {
     pub metadata: TableMetadata,
     /// Number of runs.
     pub run_count: usize,
+    /// Series of the first run, by its name in this table alone; `None` for an empty table.
+    pub first_policy: Option<String>,
     /// SHA-256 over the digests of the runs, in table order, hexadecimal.
     pub digest_hash: String,
 }
@@ -87,6 +89,7 @@ impl Results {
                 name: name.clone(),
                 metadata: table.metadata.clone(),
                 run_count: table.rows.len(),
+                first_policy: table.rows.first().map(|row| SeriesNames::from_table(table).name(row)),
                 digest_hash: hash_of_digests(table),
             });
             results.add_table(name, table, files)?;
@@ -116,13 +119,16 @@ impl Results {
         };
         // The scenario of a policy unknown to this program cannot be loaded, so its cells decide nothing here.
         let cells_of_known_policies = || cells.iter().filter(|cell| registry::named(cell.policy).is_some());
-        let is_preset = cells_of_known_policies().all(|cell| scenario_with(cell, &[]).is_some());
-        let is_known = cells_of_known_policies().all(|cell| scenario_with(cell, &set_fields).is_some());
+        // Scenarios do not contain actions, which make runs of the same scenario differ.
+        let has_actions = table.metadata.action_script().is_some();
+        let is_preset = !has_actions && cells_of_known_policies().all(|cell| scenario_with(cell, &[]).is_some());
+        let is_known = !has_actions && cells_of_known_policies().all(|cell| scenario_with(cell, &set_fields).is_some());
         let changes = if is_known && !is_preset { set_fields } else { Vec::new() };
         let changed_in = (!is_known && !is_preset).then(|| name.to_owned());
         for cell in cells {
             let is_known_policy = registry::named(cell.policy).is_some();
-            let is_unchanged = !is_known_policy || reconstruct_scenario(cell.rows[0], &[], &[], files).is_some();
+            let is_unchanged =
+                !has_actions && (!is_known_policy || reconstruct_scenario(cell.rows[0], &[], &[], files).is_some());
             let new_condition = RunCondition {
                 preset: cell.preset.to_owned(),
                 ttis: cell.ttis,

@@ -79,6 +79,9 @@ fn record_grid(
     if grid.experiment.until_ci.is_some() {
         bail!("--until-ci: a recording always makes all runs; leave it out");
     }
+    if grid.experiment.actions.is_some() {
+        bail!("actions: trajectories have no actions of operators; remove them from the experiment");
+    }
     let bar = display::new_bar(
         grid.shard_run_count(Shard::WHOLE),
         "{bar:24} {pos}/{len} runs",
