@@ -74,6 +74,27 @@ pub(crate) fn count_noun(number: usize, noun: &str) -> String {
     format!("{number} {noun}{plural}")
 }
 
+/// Formats a speed in device-TTIs per second, with at most three significant digits.
+pub(crate) fn format_speed(device_ttis_per_s: f64) -> String {
+    let (value, scale) = if device_ttis_per_s >= 1e6 {
+        (device_ttis_per_s / 1e6, " million")
+    } else {
+        (device_ttis_per_s, "")
+    };
+    // Three digits before the point: an integer part keeps all of its digits.
+    let step = if value >= 1000.0 {
+        10_f64.powf(value.log10().floor() - 2.0)
+    } else {
+        1.0
+    };
+    let rounded = if value >= 1000.0 {
+        (value / step).round() * step
+    } else {
+        value
+    };
+    format!("{}{scale} device-TTIs/s", format_significant(rounded, 3))
+}
+
 /// All progress bars of the process: log lines are written between them, not over them.
 static ALL_BARS: std::sync::LazyLock<MultiProgress> =
     std::sync::LazyLock::new(|| MultiProgress::with_draw_target(terminal::progress_target()));
@@ -273,6 +294,21 @@ mod tests {
             run_message(&progress, run, Some(450.0)),
             "TTI 5500/10000  paused  missed 1.5 %  battery 77.1"
         );
+    }
+
+    #[test]
+    fn a_speed_has_three_significant_digits() {
+        for (speed, expected) in [
+            (0.0, "0"),
+            (7.25, "7.25"),
+            (450_321.0, "450000"),
+            (1_000_000.0, "1 million"),
+            (3_141_592.0, "3.14 million"),
+            (68_912_345.0, "68.9 million"),
+            (1.2345e9, "1230 million"),
+        ] {
+            assert_eq!(format_speed(speed), format!("{expected} device-TTIs/s"));
+        }
     }
 
     #[test]
