@@ -68,6 +68,13 @@ pub(crate) fn wrap_text(text: &str, width: usize) -> String {
     lines
 }
 
+/// Breaks `text` into lines of at most `width` characters, each after this many `spaces`.
+pub(crate) fn wrap_indented(text: &str, width: usize, spaces: usize) -> String {
+    let lines = wrap_text(text, width - spaces);
+    let lines: Vec<String> = lines.lines().map(|line| format!("{:spaces$}{line}", "")).collect();
+    lines.join("\n")
+}
+
 /// Formats a number with its noun: `1 run`, `2 runs`.
 pub(crate) fn count_noun(number: usize, noun: &str) -> String {
     let plural = if number == 1 { "" } else { "s" };

@@ -45,7 +45,7 @@ impl RunReader {
         let scenario_file = path.join(SCENARIO_FILE);
         if !scenario_file.is_file() {
             let cause = match path.metadata() {
-                Err(_) => "no such file or folder",
+                Err(_) => "no such folder",
                 Ok(found) if found.is_dir() => "the folder holds no run",
                 Ok(_) => "not a folder",
             };

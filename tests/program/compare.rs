@@ -185,7 +185,11 @@ fn the_exit_code_tells_differences_and_runs_without_results_are_refused() {
         2,
         &["a: one run has nothing to be compared with"],
     );
-    assert_refused(&folder.run("compare a nowhere"), 1, &["nowhere: no such folder"]);
+    assert_refused(
+        &folder.run("compare a nowhere"),
+        1,
+        &["nowhere: no such file or folder", "or a recording"],
+    );
 }
 
 #[test]

@@ -24,8 +24,8 @@ pub(crate) struct SweepArgs {
     #[command(flatten)]
     pub grid: GridArgs,
 
-    /// Script of timed actions of every run: devices that fail, are revived or receive energy, and settings that change.
-    /// See docs/actions.md for its lines.
+    /// Script of timed actions of every run: devices that fail, are revived or receive energy, and settings that
+    /// change. See docs/actions.md for its lines.
     #[arg(long, value_name = "FILE", help_heading = "Grid")]
     pub actions: Option<PathBuf>,
 

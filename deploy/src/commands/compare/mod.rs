@@ -16,7 +16,7 @@ use reveille_view::compare::compare_scenarios;
 use serde_json::{Value, json};
 
 use crate::cli::CompareArgs;
-use crate::display::{count_noun, print_stdout, wrap_text};
+use crate::display::{count_noun, print_stdout, wrap_indented, wrap_text};
 use crate::exit::{ExitReason, InvalidUsage};
 use crate::results_table::{MAIN_METRICS, format_number};
 use run::{ComparedRun, Difference};
@@ -137,7 +137,7 @@ fn text_report(
             let more = if actions > MAX_NAMED_ACTIONS { ", …" } else { "" };
             let named = named_actions(run).join(", ");
             let line = format!("{}: {named}{more}", count_noun(actions, "action"));
-            text += &(indent(&line, 2) + "\n");
+            text += &(wrap_indented(&line, WIDTH, 2) + "\n");
         }
     }
     text += if fields.is_empty() {
@@ -146,7 +146,7 @@ fn text_report(
         "\nscenario fields that differ\n"
     };
     for (field, values) in fields {
-        text += &(indent(&format!("{field} = {}", values.join(" | ")), 2) + "\n");
+        text += &(wrap_indented(&format!("{field} = {}", values.join(" | ")), WIDTH, 2) + "\n");
     }
     let (first, others) = runs.split_first().expect("at least two runs");
     for (block, columns) in others.chunks(MAX_COLUMNS - 1).enumerate() {
@@ -176,13 +176,6 @@ fn named_actions(run: &ComparedRun) -> Vec<String> {
     named
         .map(|action| format!("TTI {} {}", action.tti, action.change))
         .collect()
-}
-
-/// Breaks `text` into lines of at most 80 columns, each after this many spaces.
-fn indent(text: &str, spaces: usize) -> String {
-    let lines = wrap_text(text, WIDTH - spaces);
-    let lines: Vec<String> = lines.lines().map(|line| format!("{:spaces$}{line}", "")).collect();
-    lines.join("\n")
 }
 
 /// Formats the metrics of the first run and of `others`, whose first has the number `number`. A second line shows the

@@ -69,6 +69,12 @@ impl ComparedRun {
                 windows: Vec::new(),
             });
         }
+        if !path.exists() {
+            bail!(
+                "{}: no such file or folder; name the folder of a run, such as runs/knn-n50-s1, or a recording",
+                path.display()
+            );
+        }
         let reader = RunReader::open(path)?;
         let Some(summary) = reader.summary.clone() else {
             let state = reader.unfinished().unwrap_or_default();

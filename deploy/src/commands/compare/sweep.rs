@@ -11,7 +11,6 @@ use reveille_study::figures::paired::PairedDifference;
 use reveille_study::figures::results::{Results, RunCondition};
 use serde_json::{Value, json};
 
-use super::{WIDTH, indent};
 use crate::cli::CompareArgs;
 use crate::commands::figure_files::read_tables;
 use crate::display::{print_stdout, wrap_text};
@@ -19,6 +18,8 @@ use crate::exit::{ExitReason, InvalidUsage};
 use crate::results_table::format_number;
 use crate::run_folder::SCENARIO_FILE;
 
+/// Columns of a line of text.
+const WIDTH: usize = 80;
 /// Metrics that are compared by default.
 const METRICS: [&str; 4] = [
     "info_p1",
@@ -170,7 +171,7 @@ fn format_block(reference: &str, rows: &[Row<'_>]) -> String {
         .max()
         .unwrap_or(0)
         .max(6);
-    let mut text = format!("\n{}\n", indent(&format!("{metric}, {unit}"), 0));
+    let mut text = format!("\n{}\n", wrap_text(&format!("{metric}, {unit}"), WIDTH));
     // A long name of the reference would move the columns.
     let reference = if reference.chars().count() <= 10 {
         reference

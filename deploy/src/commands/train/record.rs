@@ -102,7 +102,10 @@ fn record_folders(
     for (run, folder) in (0..).zip(&args.from) {
         let path = folder.join(SCENARIO_FILE);
         if !path.exists() {
-            bail!("{}: not a run folder: {SCENARIO_FILE} is missing", folder.display());
+            bail!(
+                "{}: not a run folder: {SCENARIO_FILE} is missing; name the folder of a run",
+                folder.display()
+            );
         }
         let scenario = load(&path.to_string_lossy(), &[])?.scenario;
         let digest = read_digest(folder)?;
