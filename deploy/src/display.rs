@@ -88,17 +88,8 @@ pub(crate) fn format_speed(device_ttis_per_s: f64) -> String {
     } else {
         (device_ttis_per_s, "")
     };
-    // Three digits before the point: an integer part keeps all of its digits.
-    let step = if value >= 1000.0 {
-        10_f64.powf(value.log10().floor() - 2.0)
-    } else {
-        1.0
-    };
-    let rounded = if value >= 1000.0 {
-        (value / step).round() * step
-    } else {
-        value
-    };
+    // The integer part would keep all of its digits.
+    let rounded = format!("{value:.2e}").parse().unwrap_or(value);
     format!("{}{scale} device-TTIs/s", format_significant(rounded, 3))
 }
 

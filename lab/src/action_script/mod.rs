@@ -16,12 +16,14 @@ use std::str::FromStr;
 
 use reveille_bs::actions::check_change;
 use reveille_bs::scenario::Scenario;
-use reveille_common::declare::{FileError, Files, MAX_TEXT_BYTES, describe_read_error};
+use reveille_common::declare::{FileError, Files, describe_read_error};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{Change, DeviceRange, OperatorAction, Setting};
 use reveille_common::rng::{Purpose, Stream};
 use reveille_common::units::{Energy, MAX_UNITS};
 
+/// Most bytes of a script. The experiments of sweeps contain their scripts, so their limit is larger.
+const MAX_SCRIPT_BYTES: u64 = 4 << 20;
 /// Most actions of a script.
 const MAX_ACTIONS: usize = 10_000_000;
 
@@ -44,7 +46,7 @@ pub struct ScriptError {
 /// # Errors
 /// If it cannot be read or is not text; describes the cause and the fix, without the path.
 pub fn read(path: &Path, files: &dyn Files) -> Result<String, String> {
-    let bytes = files.read(path, MAX_TEXT_BYTES).map_err(|error| match error {
+    let bytes = files.read(path, MAX_SCRIPT_BYTES).map_err(|error| match error {
         FileError::Io(error) => {
             let hint = "name a script of timed actions, with lines such as `500 fail 7` (see docs/actions.md)";
             describe_read_error(&error, hint)

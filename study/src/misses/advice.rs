@@ -107,8 +107,7 @@ fn balance(scenario: &Scenario) -> String {
     )
 }
 
-/// Returns the advice against `cause`, which explains `count` of `missed` events, most of them near `place`. In a run
-/// with many device-TTIs of low energy, devices sleep to save energy, and more sensing would only empty them.
+/// Returns the advice against `cause`, which explains `count` of `missed` events, most of them near `place`.
 pub(super) fn advice(
     scenario: &Scenario,
     cause: MissCause,
@@ -116,6 +115,21 @@ pub(super) fn advice(
     place: Point,
     energy: Option<RunEnergy>,
 ) -> Advice {
+    let (finding, background, suggestions) = explain(scenario, cause, energy);
+    let verb = if count == 1 { "was" } else { "were" };
+    let background = background.map_or_else(String::new, |text| format!(" {text}"));
+    Advice {
+        finding: format!(
+            "{count} of {missed} missed events {verb} {finding}, most near x = {:.1} m, y = {:.1} m.{background}",
+            place.x, place.y
+        ),
+        suggestions,
+    }
+}
+
+/// Returns what happened to the events of `cause`, sentences about the energy of the devices, and changes against it.
+/// In a run with many device-TTIs of low energy, devices sleep to save energy, and more sensing would only empty them.
+fn explain(scenario: &Scenario, cause: MissCause, energy: Option<RunEnergy>) -> (String, Option<String>, Vec<String>) {
     let (policy, d_max) = (scenario.policy.name(), scenario.sensing.d_max);
     let spent = scenario
         .classes
@@ -199,13 +213,5 @@ pub(super) fn advice(
             ]),
         ),
     };
-    let verb = if count == 1 { "was" } else { "were" };
-    let background = background.map_or_else(String::new, |text| format!(" {text}"));
-    Advice {
-        finding: format!(
-            "{count} of {missed} missed events {verb} {finding}, most near x = {:.1} m, y = {:.1} m.{background}",
-            place.x, place.y
-        ),
-        suggestions,
-    }
+    (finding, background, suggestions)
 }
