@@ -162,10 +162,11 @@ fn text_report(
     text.push('\n');
     for (number, difference) in (2..).zip(differences) {
         let line = format!("run 1 and run {number}: {}", difference.text);
-        // A difference between messages is already divided into lines.
-        let is_line = !difference.text.contains('\n');
-        text += &if is_line { wrap_text(&line, WIDTH) } else { line };
-        text.push('\n');
+        // A difference between messages is already divided into lines, with their own indentation.
+        for line in line.lines() {
+            let spaces = line.len() - line.trim_start().len();
+            text += &(wrap_indented(line.trim_start(), WIDTH, spaces) + "\n");
+        }
     }
     text
 }
