@@ -143,6 +143,7 @@ fn actions_and_the_sides_of_a_difference_are_named() {
         for part in parts.into_iter().chain([actions]) {
             assert!(end.stdout.contains(part), "no {part:?}: {end}");
         }
+        assert!(end.stdout.lines().all(|line| line.chars().count() <= 80), "{end}");
         assert!(
             !end.stdout.contains("other:") && end.stdout.matches("actions:").count() == 1,
             "{end}"
