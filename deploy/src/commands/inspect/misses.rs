@@ -106,14 +106,15 @@ fn text_report(
     by_device: &BTreeMap<DeviceId, Row<'_>>,
 ) -> String {
     let scenario = &misses.scenario;
-    let mut text = format!(
-        "{}: policy {}, {} devices, TTIs {} to {}\n",
+    let line = format!(
+        "{}: policy {}, {} devices, TTIs {} to {}",
         run.path().display(),
         scenario.policy.name(),
         scenario.run.devices,
         scenario.warm_up_end(),
         misses.end.0.saturating_sub(1)
     );
+    let mut text = wrap_text(&line, WIDTH) + "\n";
     let (missed, events) = (misses.missed.len(), misses.starts.len());
     let warm_up = match misses.in_warm_up {
         0 => String::new(),

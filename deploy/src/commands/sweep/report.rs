@@ -63,7 +63,8 @@ impl SweepSummary<'_> {
         lines.extend(script.map(|script| describe_script(&script)));
         lines.extend(self.format_wide_intervals());
         lines.push(self.format_speed());
-        lines.push(format!("one row per run in {}\n", self.finished.path.display()));
+        let line = format!("one row per run in {}", self.finished.path.display());
+        lines.push(wrap_text(&line, WIDTH) + "\n");
         lines.join("\n")
     }
 
@@ -171,7 +172,8 @@ impl SweepSummary<'_> {
                 "has no relative width, as its mean is 0 or only one run defines it".to_owned()
             };
             let seeds = self.grid.experiment.seeds.count;
-            format!("{label}: --until-ci not reached with {seeds} seeds: the interval of {metric} {width}")
+            let line = format!("{label}: --until-ci not reached with {seeds} seeds: the interval of {metric} {width}");
+            wrap_text(&line, WIDTH)
         };
         self.wide_intervals().into_iter().map(line).collect()
     }
