@@ -118,14 +118,14 @@ impl SweepSummary<'_> {
             .collect();
         let own: Vec<&str> = own.iter().map(|column| headings[*column]).collect();
         // Several swept fields leave less room for metrics, which then make further tables.
-        let whole = format_table(&own, &rows, &CLOSING_METRICS);
-        let tables = if columns_of(&whole) <= WIDTH {
-            whole
-        } else {
-            let parts = CLOSING_METRICS.chunks(CLOSING_METRICS.len() / 2);
+        let tables = [6, 3, 2, 1].map(|count| {
+            let parts = CLOSING_METRICS.chunks(count);
             let tables: Vec<String> = parts.map(|metrics| format_table(&own, &rows, metrics)).collect();
             tables.join("\n")
-        };
+        });
+        let narrow = tables.iter().find(|text| columns_of(text) <= WIDTH);
+        let [.., narrowest] = &tables;
+        let tables = narrow.unwrap_or(narrowest);
         format!("{title}\n{tables}")
     }
 
