@@ -237,7 +237,7 @@ fn a_search_judges_every_setting_reproducibly() {
     };
     let ranking = search("a");
     assert!(
-        ranking.contains("4 settings, 64 runs") && ranking.contains("events.alpha"),
+        ranking.contains("4 conditions, 64 runs") && ranking.contains("events.alpha"),
         "{ranking}"
     );
     assert_eq!(
