@@ -142,7 +142,7 @@ fn text_report(reference: &str, conditions: &[(&RunCondition, Vec<Row<'_>>)]) ->
     let mut text = wrap_text(&line, WIDTH) + "\n";
     for (condition, rows) in conditions.iter().filter(|(_, rows)| !rows.is_empty()) {
         let label = format!("preset {} · TTIs {}", condition.label(), condition.ttis);
-        text += &format!("\n{}\n", wrap_text(&label, WIDTH));
+        let _infallible = writeln!(text, "\n{}", wrap_text(&label, WIDTH));
         for block in rows.chunk_by(|a, b| a.metric == b.metric) {
             text += &format_block(reference, block);
         }
