@@ -361,7 +361,7 @@ impl MissCause {
     pub const fn explanation(self) -> &'static str {
         match self {
             Self::OutOfReach => "no device within d_max",
-            Self::Removed => "all devices within d_max were removed or had failed",
+            Self::Removed => "all devices within d_max were removed or failed",
             Self::Undetected => "detection failed for every device within d_max",
             Self::Asleep => "devices within d_max slept by plan",
             Self::Unpowered => "devices told to sense had no power",

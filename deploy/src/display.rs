@@ -68,10 +68,29 @@ pub(crate) fn wrap_text(text: &str, width: usize) -> String {
     lines
 }
 
+/// Breaks `text` into lines of at most `width` characters, each after this many `spaces`.
+pub(crate) fn wrap_indented(text: &str, width: usize, spaces: usize) -> String {
+    let lines = wrap_text(text, width - spaces);
+    let lines: Vec<String> = lines.lines().map(|line| format!("{:spaces$}{line}", "")).collect();
+    lines.join("\n")
+}
+
 /// Formats a number with its noun: `1 run`, `2 runs`.
 pub(crate) fn count_noun(number: usize, noun: &str) -> String {
     let plural = if number == 1 { "" } else { "s" };
     format!("{number} {noun}{plural}")
+}
+
+/// Formats a speed in device-TTIs per second, with at most three significant digits.
+pub(crate) fn format_speed(device_ttis_per_s: f64) -> String {
+    let (value, scale) = if device_ttis_per_s >= 1e6 {
+        (device_ttis_per_s / 1e6, " million")
+    } else {
+        (device_ttis_per_s, "")
+    };
+    // The integer part would keep all of its digits.
+    let rounded = format!("{value:.2e}").parse().unwrap_or(value);
+    format!("{}{scale} device-TTIs/s", format_significant(rounded, 3))
 }
 
 /// All progress bars of the process: log lines are written between them, not over them.
@@ -274,6 +293,21 @@ mod tests {
             run_message(&progress, run, Some(450.0)),
             "TTI 5500/10000  paused  missed 1.5 %  battery 77.1"
         );
+    }
+
+    #[test]
+    fn a_speed_has_three_significant_digits() {
+        for (speed, expected) in [
+            (0.0, "0"),
+            (7.25, "7.25"),
+            (450_321.0, "450000"),
+            (1_000_000.0, "1 million"),
+            (3_141_592.0, "3.14 million"),
+            (68_912_345.0, "68.9 million"),
+            (1.2345e9, "1230 million"),
+        ] {
+            assert_eq!(format_speed(speed), format!("{expected} device-TTIs/s"));
+        }
     }
 
     #[test]

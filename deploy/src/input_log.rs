@@ -10,8 +10,9 @@ use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use anyhow::Context;
+use anyhow::{Context, anyhow};
 use reveille_bs::scenario::Scenario;
+use reveille_common::declare::describe_read_error;
 use reveille_common::message::InputLogPart;
 use reveille_lab::external_inputs::{self, ExternalInput, ExternalInputs};
 
@@ -142,7 +143,10 @@ pub(crate) fn read_folder(folder: &Path, scenario: &Scenario) -> anyhow::Result<
 /// # Errors
 /// If the file cannot be read, is not an input log, or belongs to another scenario.
 pub(crate) fn read(path: &Path, scenario: &Scenario) -> anyhow::Result<ExternalInputs> {
-    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let text = std::fs::read_to_string(path).map_err(|error| {
+        let cause = describe_read_error(&error, "name the inputs.log of a run folder");
+        anyhow!("{}: {cause}", path.display())
+    })?;
     external_inputs::parse(&text, scenario).with_context(|| path.display().to_string())
 }
 

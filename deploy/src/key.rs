@@ -7,8 +7,9 @@ use std::io::{ErrorKind, Write};
 use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
 use std::path::Path;
 
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow, bail};
 use reveille_common::bus::draw_secret;
+use reveille_common::declare::describe_read_error;
 use reveille_common::secret::Secret;
 
 /// The environment variable that passes the run's key to device and policy processes.
@@ -20,7 +21,14 @@ pub(crate) const KEY_VARIABLE: &str = "REVEILLE_KEY";
 /// If there is no key, or other users may read it.
 pub(crate) fn read(path: &Path) -> anyhow::Result<Secret> {
     let option = || format!("--key-file {}", path.display());
-    let mode = fs::metadata(path).with_context(option)?.permissions().mode() & 0o777;
+    let found = fs::metadata(path).map_err(|error| {
+        let cause = describe_read_error(
+            &error,
+            "name the key file of the base station, which `bs --key-file` creates",
+        );
+        anyhow!("{}: {cause}", option())
+    })?;
+    let mode = found.permissions().mode() & 0o777;
     if mode & 0o077 != 0 {
         bail!("{}: other users may read it (mode {mode:o}); `chmod 600` it", option());
     }
@@ -53,6 +61,12 @@ pub(crate) fn read_or_create(path: &Path) -> anyhow::Result<Secret> {
     match linked {
         Ok(()) => Ok(key),
         Err(error) if error.kind() == ErrorKind::AlreadyExists => read(path),
+        Err(error) if error.kind() == ErrorKind::NotFound => {
+            bail!(
+                "{}: its folder does not exist; create it, or name another file",
+                option()
+            )
+        }
         Err(error) => Err(error).with_context(option),
     }
 }

@@ -77,7 +77,10 @@ impl PolicySource<'_> {
                 bus.key_exprs().policy_port(),
                 run_registry::reachable_endpoint(bus.endpoint()),
             );
-            note!("sending decision requests to {port} of {endpoint}");
+            note!(
+                "waiting for a policy process at {port} of {endpoint}; start one that connects there, or let this \
+                 command start it with --policy-command COMMAND (see docs/external-policies.md)"
+            );
         }
         Ok(None)
     }

@@ -174,7 +174,7 @@ fn an_impossible_action_is_refused() {
         assert!(!end.is_success() && end.stderr.contains(why), "{action}: {end}");
     };
     refused("fail 20", "device 20: not in the run; use devices from 0 to 19");
-    refused("fail 7-2", "must be devices and ranges of devices");
+    refused("fail 7-2", "must be `all`, or devices and ranges of devices");
     refused("energy 7 0", "above 0");
     refused("set policy.age-index.price 1", "policy knn has no price");
     refused("set devices 3", "cannot change during a run");
@@ -185,6 +185,14 @@ fn an_impossible_action_is_refused() {
         "TTI 399: device 7 fails"
     );
     assert_eq!(folder.clock(&run, "act fail 7").trim(), "TTI 100: device 7 fails");
+    let all = folder.clock(&run, "act fail all --at 398");
+    assert_eq!(all.trim(), "TTI 398: all devices fail");
+    let log = || String::from_utf8(folder.bytes("out/inputs.log")).expect("text");
+    assert!(
+        log().contains("{\"fail\":{\"tti\":398,\"first\":0,\"count\":20}}"),
+        "{}",
+        log()
+    );
     send_signal(hosts_of(&run)[0], Signal::KILL);
     wait_until("the process to end", PATIENCE, || {
         (hosts_of(&run).len() == 1).then_some(())
@@ -198,6 +206,11 @@ fn an_impossible_action_is_refused() {
         removed[0] != removed[1],
         "one half of the devices is removed: {removed:?}"
     );
+    // All devices are those that are still in the run.
+    folder.clock(&run, "act energy all 1 --at 300");
+    let first = if removed[0] { 10 } else { 0 };
+    let entry = format!("{{\"energy\":{{\"tti\":300,\"first\":{first},\"count\":10,\"micro\":1000000}}}}");
+    assert!(log().contains(&entry), "{entry}\n{}", log());
     folder.clock(&run, "resume");
     let end = up.finish();
     assert!(end.is_success(), "{end}");
@@ -217,7 +230,7 @@ fn an_invalid_script_is_refused_with_the_line() {
             &["--actions script: line 2: `explode 4` is not an action; use"],
         );
         let end = folder.run(&format!("{command} -n 10 -k 50 --actions missing --out out"));
-        assert_refused(&end, 1, &["--actions missing: No such file"]);
+        assert_refused(&end, 1, &["--actions missing: no such file", "docs/actions.md"]);
     }
     assert!(!folder.join("out").exists(), "no folder is left behind");
 }

@@ -102,7 +102,7 @@ fn a_missing_trace_file_is_named() {
         &folder,
         "-s my.toml",
         &["my.toml"],
-        &["harvest.trace.file", "sun.csv", "No such file", "my.toml, line 4"],
+        &["harvest.trace.file", "sun.csv", "no such file", "my.toml, line 4"],
     );
 }
 

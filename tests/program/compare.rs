@@ -69,7 +69,7 @@ fn runs_are_compared_by_fields_metrics_and_first_difference() {
     );
     assert_eq!(
         fields["radio.uplink_loss"],
-        serde_json::json!(["none", "none", "0.4", "none"])
+        serde_json::json!(["0.0", "0.0", "0.4", "0.0"])
     );
     let equal: Vec<bool> = (0..3).map(|nth| report["differences"][nth]["equal"] == true).collect();
     assert_eq!(equal, [false, false, true], "{report}");
@@ -109,12 +109,58 @@ fn runs_are_compared_by_fields_metrics_and_first_difference() {
         .lines()
         .skip_while(|line| !line.starts_with("metric"))
         .take_while(|line| !line.starts_with("run 1 and"));
-    assert!(metrics.map(|line| line.chars().count()).max() <= Some(81), "{end}");
+    assert!(metrics.map(|line| line.chars().count()).max() <= Some(80), "{end}");
     assert!(
         folder
             .run("compare a b --all-metrics")
             .stdout
             .contains("overflow_per_device_tti")
+    );
+}
+
+#[test]
+fn actions_and_the_sides_of_a_difference_are_named() {
+    let folder = TestFolder::new();
+    folder.write(
+        "script",
+        "500 fail all for 400\n600 energy 0-3 2.5\n700 set events.alpha 0.05\n",
+    );
+    run(&folder, "plain", "--record plain.mcap");
+    run(&folder, "acted", "--actions script --record acted.mcap");
+    let actions = "  4 actions: TTI 500 devices 0 to 19 fail, TTI 600 devices 0 to 3 receive 2.5\n  \
+                   units each, TTI 700 events.alpha is set to 0.05, …\n";
+    for (args, parts) in [
+        (
+            "plain acted",
+            ["run 1 and run 2: first difference in event ", " in run 1, "],
+        ),
+        (
+            "plain.mcap acted.mcap",
+            ["first difference: action in TTI 500", "\n    run 2: "],
+        ),
+    ] {
+        let end = folder.run(&format!("compare {args}"));
+        for part in parts.into_iter().chain([actions]) {
+            assert!(end.stdout.contains(part), "no {part:?}: {end}");
+        }
+        assert!(end.stdout.lines().all(|line| line.chars().count() <= 80), "{end}");
+        assert!(
+            !end.stdout.contains("other:") && end.stdout.matches("actions:").count() == 1,
+            "{end}"
+        );
+    }
+    let end = folder.run("compare plain acted");
+    assert!(end.stdout.lines().all(|line| line.chars().count() <= 80), "{end}");
+    assert!(
+        end.stdout
+            .replace('\n', " ")
+            .contains("folders show events only; record both runs with --record"),
+        "{end}"
+    );
+    let report: Value = serde_json::from_str(&folder.run("compare acted plain --json").stdout).expect("JSON");
+    assert_eq!(
+        (&report["runs"][0]["actions"], &report["runs"][1]["actions"]),
+        (&4.into(), &0.into())
     );
 }
 
@@ -135,8 +181,16 @@ fn the_exit_code_tells_differences_and_runs_without_results_are_refused() {
     }
     std::fs::remove_file(folder.join("b/summary.json")).expect("removed");
     assert_refused(&folder.run("compare a b"), 1, &["b: ", "no results", "resume"]);
-    assert_refused(&folder.run("compare a"), 2, &["2 values"]);
-    assert_refused(&folder.run("compare a nowhere"), 1, &["nowhere: no such folder"]);
+    assert_refused(
+        &folder.run("compare a"),
+        2,
+        &["a: one run has nothing to be compared with"],
+    );
+    assert_refused(
+        &folder.run("compare a nowhere"),
+        1,
+        &["nowhere: no such file or folder", "or a recording"],
+    );
 }
 
 #[test]

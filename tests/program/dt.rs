@@ -104,11 +104,7 @@ fn invalid_models_are_refused() {
             &[name, "policy.dt.model", "reveille train dt"],
         );
     }
-    assert_refused(
-        &run_with_model("missing"),
-        1,
-        &["missing.safetensors", "cannot be read"],
-    );
+    assert_refused(&run_with_model("missing"), 1, &["missing.safetensors", "no such file"]);
 }
 
 #[cfg(not(feature = "train-dt"))]

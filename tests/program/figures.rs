@@ -166,7 +166,7 @@ fn invalid_or_incomplete_learned_tables_are_refused() {
             &["later.json: has version 4", "reveille train q-learning"],
         );
         refused(&format!("{command} short.json"), &["short.json: is damaged"]);
-        refused(&format!("{command} nowhere.json"), &["nowhere.json: cannot be read"]);
+        refused(&format!("{command} nowhere.json"), &["nowhere.json: no such file"]);
     }
     refused("learning mine.json junk.json", &["junk.json"]);
     refused(
@@ -237,7 +237,7 @@ fn a_search_judges_every_setting_reproducibly() {
     };
     let ranking = search("a");
     assert!(
-        ranking.contains("4 settings, 64 runs") && ranking.contains("events.alpha"),
+        ranking.contains("4 conditions, 64 runs") && ranking.contains("events.alpha"),
         "{ranking}"
     );
     assert_eq!(

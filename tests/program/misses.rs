@@ -72,7 +72,7 @@ fn the_report_equals_a_count_of_the_table_and_the_summary() {
     let shown = format!("{} of {} events missed", missed.len(), report["events"]);
     for part in [
         &shown,
-        "Lower radio.uplink_loss",
+        "\n  - lower radio.uplink_loss\n",
         "lost",
         "Causes over time",
         "Nearest devices",

@@ -274,7 +274,9 @@ fn a_missing_policy_process_is_reported_and_waited_for() {
     let run = ExternallyDecidedRun::start("-P 1 --decision-timeout 1s");
     let (_, end) = run.finish();
     assert!(
-        end.code() == Some(1) && end.stderr.contains("no policy process answers at reveille/"),
+        end.code() == Some(1)
+            && end.stderr.contains("no policy process answers at reveille/")
+            && end.stderr.contains("--policy-command"),
         "{end}"
     );
 

@@ -327,7 +327,7 @@ fn invalid_experiments_are_refused_before_the_first_run() {
             ],
         ),
         ("empty.toml", &["devices = []", "no runs"]),
-        ("none.toml", &["none.toml", "cannot be read"]),
+        ("none.toml", &["none.toml: no such file", "name an experiment file"]),
         ("--grid harvest.lambda=", &["harvest.lambda = []", "no runs"]),
         (
             "--grid harvest.lamda=1,2",

@@ -258,7 +258,7 @@ fn invalid_table_files_are_refused() {
     assert_refused(
         &end,
         1,
-        &["policy.q-learning.table", "nowhere.json", "No such file", train],
+        &["policy.q-learning.table", "nowhere.json", "no such file", train],
     );
     let end = run_with_table(".");
     assert_refused(&end, 1, &["policy.q-learning.table", "cannot be read"]);

@@ -105,7 +105,7 @@ mod with_the_feature {
             ("--picture-only tuning.png", 1, "tuning.png: the history is a CSV file"),
             ("--set ttis=300", 1, "from --episode-ttis"),
             ("--picture-only foreign.csv", 1, "is not a history of a tuning"),
-            ("--picture-only nowhere.csv", 1, "nowhere.csv: cannot be read"),
+            ("--picture-only nowhere.csv", 1, "nowhere.csv: no such file"),
         ] {
             let end = folder.run(&format!("tune {args}"));
             assert_eq!(end.code(), Some(code), "{args}: {end}");

@@ -7,6 +7,8 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::io::{Read, Seek};
 
+use reveille_bs::scenario::declaration;
+use reveille_common::declare::Declaration;
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{Frame, Message, MessageKind};
 use reveille_common::plan::Plan;
@@ -243,13 +245,31 @@ pub fn compare_scenarios(this: &str, other: &str) -> Result<Vec<FieldDifference>
     let mut names: Vec<&String> = these.keys().chain(others.keys()).collect();
     names.sort_unstable();
     names.dedup();
-    let value =
-        |fields: &BTreeMap<String, String>, name: &str| fields.get(name).cloned().unwrap_or_else(|| "none".to_owned());
+    let declaration = declaration();
+    let value = |fields: &BTreeMap<String, String>, name: &str| {
+        let default = || default_value(&declaration, fields, name);
+        fields
+            .get(name)
+            .cloned()
+            .or_else(default)
+            .unwrap_or_else(|| "none".to_owned())
+    };
     Ok(names
         .into_iter()
         .map(|name| (name.clone(), value(&these, name), value(&others, name)))
         .filter(|(_, this, other)| this != other)
         .collect())
+}
+
+/// Returns the default value of the field `name`, which `fields` lack; `None` if it has no effect there.
+fn default_value(declaration: &Declaration, fields: &BTreeMap<String, String>, name: &str) -> Option<String> {
+    let (section, field) = declaration.field_by_path(name)?;
+    let has_effect = section.condition(field).is_none_or(|condition| {
+        let default = || declaration.field_by_path(condition.field)?.1.default.to_toml();
+        let deciding = fields.get(condition.field).cloned().or_else(default);
+        deciding.is_some_and(|value| condition.values.contains(&value.trim_matches('"')))
+    });
+    has_effect.then(|| field.default.to_toml()).flatten()
 }
 
 fn flatten(path: &str, table: Table, fields: &mut BTreeMap<String, String>) {
@@ -413,5 +433,17 @@ mod tests {
         let expected = expected.map(|(name, this, other)| (name.to_owned(), this.to_owned(), other.to_owned()));
         assert_eq!(compare_scenarios(this, other).expect("TOML"), expected);
         assert!(compare_scenarios("seed", other).is_err());
+        // A scenario file leaves out some fields at their default, and all fields without effect.
+        let (this, other) = (
+            "[harvest]\nkind = \"eq5\"",
+            "[harvest]\nkind = \"diurnal\"\ndiurnal.start_hour = 0.0\n[radio]\nuplink_loss = 0.4\nwake_miss = 0.0",
+        );
+        let expected = [
+            ("harvest.diurnal.start_hour", "none", "0.0"),
+            ("harvest.kind", "\"eq5\"", "\"diurnal\""),
+            ("radio.uplink_loss", "0.0", "0.4"),
+        ];
+        let expected = expected.map(|(name, this, other)| (name.to_owned(), this.to_owned(), other.to_owned()));
+        assert_eq!(compare_scenarios(this, other).expect("TOML"), expected);
     }
 }

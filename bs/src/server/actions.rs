@@ -3,8 +3,8 @@
 
 use std::sync::Arc;
 
-use reveille_common::ids::Tti;
-use reveille_common::message::{ActRequest, Change, OperatorAction};
+use reveille_common::ids::{DeviceId, Tti};
+use reveille_common::message::{ActRequest, Change, DeviceRange, OperatorAction};
 use reveille_common::secret::Secret;
 
 use super::failover::ReplaySource;
@@ -24,16 +24,21 @@ pub(super) struct ActionHandler {
 
 impl ActionHandler {
     /// Accepts `request`, sent with the key `shown`. Returns the TTI in which it takes effect.
-    pub(super) fn accept(&self, request: ActRequest, shown: Option<Secret>) -> Result<Tti, String> {
+    pub(super) fn accept(&self, mut request: ActRequest, shown: Option<Secret>) -> Result<Tti, String> {
         if self.run_key.is_some_and(|key| shown != Some(key)) {
             return Err("an action needs the run's key; use the key of the process that started the run".to_owned());
         }
         let replay = self.replay.as_ref();
         let replay = replay.ok_or("this run stores no external inputs, so it takes no actions")?;
+        let devices = self.scenario.run.devices;
         for change in &request.changes {
-            check_change(change, &self.scenario)?;
+            check_change(&change.within(devices), &self.scenario)?;
         }
         let mut state = self.shared.lock_between_grants();
+        let changes = request.changes.into_iter();
+        request.changes = changes
+            .flat_map(|change| state.with_present_devices(change, devices))
+            .collect();
         let tti = state.action_tti(request.at)?;
         state.check_devices_not_removed(&request)?;
         let actions: Vec<_> = request
@@ -68,6 +73,24 @@ impl ServerState {
                 "TTI {tti}: must be from {next}, the next TTI, to {last}, the last TTI of the run"
             ))
         }
+    }
+
+    /// Returns `change`; one of all `devices` of the run as changes of those that have not been removed.
+    fn with_present_devices(&self, change: Change, devices: u32) -> Vec<Change> {
+        if change.devices() != Some(DeviceRange::ALL) {
+            return vec![change];
+        }
+        let ends = self.removed_devices.iter().copied().chain([DeviceId(devices)]);
+        let mut first = DeviceId(0);
+        let ranges = ends.filter_map(|end| {
+            let range = DeviceRange {
+                first,
+                count: end.0 - first.0,
+            };
+            first = DeviceId(end.0 + 1);
+            (range.count > 0).then(|| change.with_devices(range))
+        });
+        ranges.collect()
     }
 
     fn check_devices_not_removed(&self, request: &ActRequest) -> Result<(), String> {

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, thiserror::Error)]
 pub enum FileError {
     /// The operating system returned an error.
-    #[error("cannot be read: {0}")]
+    #[error("{}", describe_read_error(.0, "correct the path"))]
     Io(#[from] io::Error),
     /// The path names a folder.
     #[error("is a folder; name a file")]
@@ -24,6 +24,15 @@ pub enum FileError {
         /// The limit in bytes.
         max_bytes: u64,
     },
+}
+
+/// Describes why a file cannot be read. A missing file gets the `hint`, an imperative.
+pub fn describe_read_error(error: &io::Error, hint: &str) -> String {
+    if error.kind() == io::ErrorKind::NotFound {
+        format!("no such file; {hint}")
+    } else {
+        format!("cannot be read: {error}")
+    }
 }
 
 /// An interface that reads files.

@@ -36,7 +36,7 @@ pub use field::{
     Section, choice, energy, file, number, registered, source, switch, text, texts, whole, wholes, word,
 };
 pub use field::{FieldSink, Visit};
-pub use files::{FileError, Files, NoFiles};
+pub use files::{FileError, Files, NoFiles, describe_read_error};
 pub use fingerprint::ScenarioHasher;
 pub use layer::{Layer, MAX_TEXT_BYTES};
 pub use layers::{Layers, Merged};

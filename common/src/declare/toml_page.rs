@@ -139,15 +139,22 @@ impl TomlPage {
                     active_fields += 1;
                     let _ = writeln!(text, "{} = {} # {comment}", field.name, line.value);
                 } else if detail == Detail::AllFields {
-                    let default = match field.default {
-                        FieldDefault::Value(value) => format_toml(&value),
-                        FieldDefault::Derived(_) | FieldDefault::None => "…".to_owned(),
-                    };
+                    let default = field.default.to_toml().unwrap_or_else(|| "…".to_owned());
                     let _ = writeln!(text, "# {} = {default} # {comment}", field.name);
                 }
             }
         }
         active_fields
+    }
+}
+
+impl FieldDefault {
+    /// Returns the value as TOML; `None` if it depends on other fields, or there is no default.
+    pub fn to_toml(&self) -> Option<String> {
+        match self {
+            Self::Value(value) => Some(format_toml(value)),
+            Self::Derived(_) | Self::None => None,
+        }
     }
 }
 

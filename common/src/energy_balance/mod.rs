@@ -46,6 +46,9 @@ pub struct ClassBalance {
     pub report_cost: f64,
     /// Battery capacity E_max, units.
     pub capacity: f64,
+    /// The longest stretch of the run in which some device of the class harvests nothing, TTIs; `None` if energy can
+    /// arrive in any TTI.
+    pub longest_gap: Option<u64>,
 }
 
 /// Expected harvest of a group of devices, units per TTI, overflow included.
@@ -107,6 +110,10 @@ impl EnergyBalance {
                 sleeping_cost: energy.e_wur.units() + false_wake_ups,
                 report_cost: energy.e_tx.units(),
                 capacity: energy.e_max.units(),
+                longest_gap: groups
+                    .range((class, 0)..=(class, u32::MAX))
+                    .filter_map(|(_, (setup, _))| setup.longest_gap(&deployment.traces, ttis))
+                    .max(),
             })
         };
         let mut tti_seconds: Vec<f64> = scenario
@@ -180,6 +187,12 @@ impl ClassBalance {
     /// The mean harvest divided by the cost of always sleeping; `None` if sleeping costs nothing.
     pub fn sleeping_ratio(&self) -> Option<f64> {
         ratio(self.harvest.mean, self.sleeping_cost)
+    }
+
+    /// The expected consumption of sleeping through [`Self::longest_gap`], in full batteries.
+    pub fn batteries_of_longest_gap(&self) -> Option<f64> {
+        self.longest_gap
+            .map(|gap| gap as f64 * self.sleeping_cost / self.capacity)
     }
 
     /// The number of actions of this `cost` in units that a full battery pays without harvest; `None` if it is

@@ -1,7 +1,9 @@
 //! The balance compared with the actual harvest of the devices and with closed forms.
 
 use super::*;
-use crate::harvest::testing::{draw_harvests, trace_fields};
+use crate::harvest::Harvest;
+use crate::harvest::testing::{arrivals, draw_harvests, trace_fields};
+use crate::ids::Tti;
 use crate::scenario::testing::scenario_with;
 
 fn balance_with(set: &[&str]) -> EnergyBalance {
@@ -58,6 +60,80 @@ fn recorded_harvest_is_exact_and_ranges_over_the_columns() {
                 );
             }
         }
+    }
+}
+
+/// The longest run of TTIs before `ttis` for which `is_dark` holds.
+fn longest_run(ttis: u64, is_dark: impl Fn(u64) -> bool) -> u64 {
+    let (mut gap, mut longest) = (0, 0);
+    for tti in 0..ttis {
+        gap = if is_dark(tti) { gap + 1 } else { 0 };
+        longest = longest.max(gap);
+    }
+    longest
+}
+
+#[test]
+fn the_longest_gap_of_a_trace_is_the_longest_without_an_arrival() {
+    for (end, start) in [("cycle", 0), ("stop", 0), ("cycle", 1), ("cycle", 2), ("stop", 2)] {
+        for ttis in (1..40).chain([1000]) {
+            let mut fields = trace_fields(&format!("gap-{end}"), end);
+            fields.extend([format!("ttis={ttis}"), format!("harvest.trace.start={start}")]);
+            let scenario = scenario_with(&fields);
+            let gaps = arrivals(&scenario)
+                .into_iter()
+                .map(|arrivals| longest_run(ttis, |tti| !arrivals.contains(&Tti(tti))));
+            let balance = EnergyBalance::new(&scenario);
+            assert_eq!(
+                balance.classes[0].longest_gap,
+                gaps.max(),
+                "{end}, start {start}, {ttis} TTIs"
+            );
+        }
+    }
+}
+
+#[test]
+fn the_longest_gap_under_the_sun_is_the_longest_night() {
+    for latitude in [-70.0, 0.0, 36.1, 60.0, 80.0] {
+        for (ttis, start_hour) in [
+            (1_u64, 0.0),
+            (100, 0.0),
+            (288, 13.0),
+            (400, 22.5),
+            (700, 12.0),
+            (5000, 7.25),
+        ] {
+            let fields = [
+                format!("harvest.diurnal.latitude={latitude}"),
+                format!("harvest.diurnal.start_hour={start_hour}"),
+                format!("ttis={ttis}"),
+                "harvest.kind=diurnal".to_owned(),
+                "harvest.diurnal.day_of_year=330".to_owned(),
+                "harvest.diurnal.reference=zenith".to_owned(),
+            ];
+            let scenario = scenario_with(&fields);
+            let Harvest::Diurnal(diurnal) = &scenario.classes[0].harvest else {
+                panic!("diurnal");
+            };
+            // The hour angle in the middle of a TTI of 5 minutes, 0 at noon.
+            let is_night = |tti: u64| {
+                let hour = start_hour + (tti as f64 + 0.5) / 12.0;
+                diurnal.sun.elevation_sine((hour - 12.0) * std::f64::consts::PI / 12.0) <= 0.0
+            };
+            let class = &EnergyBalance::new(&scenario).classes[0];
+            let gap = longest_run(ttis, is_night);
+            assert_eq!(class.longest_gap, Some(gap), "{fields:?}");
+            let batteries = gap as f64 * class.sleeping_cost / 100.0;
+            assert!((class.batteries_of_longest_gap().expect("a gap") - batteries).abs() < 1e-12);
+        }
+    }
+    for kind in ["eq5", "exp-minus-lambda", "mpp"] {
+        let balance = balance_with(&[&format!("harvest.kind={kind}"), "harvest.lambda=1"]);
+        assert_eq!(
+            balance.classes[0].longest_gap, None,
+            "{kind}: energy can arrive in any TTI"
+        );
     }
 }
 

@@ -10,6 +10,7 @@
 mod arrivals;
 mod day_profile;
 mod diurnal;
+mod gap;
 mod on_off;
 mod panel;
 mod shared_tables;
@@ -240,6 +241,16 @@ impl HarvestSetup {
             Self::Diurnal(diurnal) => diurnal.expected_micro_in(ttis) / ttis as f64,
         };
         micro_per_tti / MICRO_PER_UNIT as f64
+    }
+
+    /// The longest stretch in the first `ttis` TTIs of a run without harvest, TTIs; `None` for sources whose energy can
+    /// arrive in any TTI. Exact for a trace; of a diurnal source the longest night.
+    pub fn longest_gap(&self, traces: &[Arc<Vec<Energy>>], ttis: u64) -> Option<u64> {
+        match self {
+            Self::Arrivals(_) | Self::OnOff(_) => None,
+            Self::Trace(trace) => Some(trace.longest_gap(traces, ttis)),
+            Self::Diurnal(diurnal) => Some(diurnal.longest_gap(ttis)),
+        }
     }
 
     /// Whether the setup is valid for a device: its arrivals have probabilities within 0 and 1, and a trace is among

@@ -1,5 +1,7 @@
 //! A small harvest trace, and the harvest of whole scenarios, for tests.
 
+use std::collections::BTreeSet;
+
 use super::{HarvestSource, SharedSourceData};
 use crate::deployment::Deployment;
 use crate::ids::Tti;
@@ -18,6 +20,22 @@ pub(crate) fn draw_harvests(scenario: &TestScenario) -> Vec<f64> {
         sum / scenario.run.ttis as f64
     });
     drawn.collect()
+}
+
+/// Returns the TTIs of the run in which each device harvests energy.
+pub(crate) fn arrivals(scenario: &TestScenario) -> Vec<BTreeSet<Tti>> {
+    let deployment = Deployment::new(scenario);
+    let shared = SharedSourceData::new(deployment.devices.iter().map(|d| &d.harvest), deployment.traces);
+    let of_device = deployment.devices.iter().map(|device| {
+        let mut source = HarvestSource::new(&device.harvest, &shared, scenario.run.seed, device.id);
+        let mut ttis = BTreeSet::new();
+        while source.next_arrival() < Tti(scenario.run.ttis) {
+            ttis.insert(source.next_arrival());
+            source.take_arrival();
+        }
+        ttis
+    });
+    of_device.collect()
 }
 
 /// Writes a trace of three columns to a temporary file for `name`, and returns the fields that read it. `end` is the

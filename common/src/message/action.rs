@@ -22,6 +22,12 @@ pub struct DeviceRange {
 }
 
 impl DeviceRange {
+    /// All devices of a run, whatever their number: only in scripts and in requests of operators.
+    pub const ALL: Self = Self {
+        first: DeviceId(0),
+        count: u32::MAX,
+    };
+
     /// The devices, in the order of ids.
     pub fn devices(self) -> impl Iterator<Item = DeviceId> {
         (self.first.0..self.first.0.saturating_add(self.count)).map(DeviceId)
@@ -44,6 +50,7 @@ impl fmt::Display for DeviceRange {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { first, count } = *self;
         match count {
+            u32::MAX => f.write_str("all devices"),
             1 => write!(f, "device {first}"),
             _ => write!(
                 f,
@@ -102,6 +109,30 @@ impl Change {
         match *self {
             Self::Fail(devices) | Self::Revive(devices) | Self::AddEnergy(devices, _) => Some(devices),
             Self::Set(..) => None,
+        }
+    }
+
+    /// Returns the change with [`DeviceRange::ALL`] replaced by the first `devices`, those of a run.
+    #[must_use]
+    pub fn within(self, devices: u32) -> Self {
+        if self.devices() == Some(DeviceRange::ALL) {
+            self.with_devices(DeviceRange {
+                first: DeviceId(0),
+                count: devices,
+            })
+        } else {
+            self
+        }
+    }
+
+    /// Returns the same change of other `devices`; a setting is unchanged.
+    #[must_use]
+    pub const fn with_devices(self, devices: DeviceRange) -> Self {
+        match self {
+            Self::Fail(_) => Self::Fail(devices),
+            Self::Revive(_) => Self::Revive(devices),
+            Self::AddEnergy(_, energy) => Self::AddEnergy(devices, energy),
+            Self::Set(..) => self,
         }
     }
 }
@@ -188,6 +219,7 @@ mod tests {
                 Change::AddEnergy(devices(3, 2), energy),
                 "devices 3 to 4 receive 2.5 units each",
             ),
+            (Change::Revive(DeviceRange::ALL), "all devices are revived"),
             (Change::Set(Setting::EventRate, 0.05), "events.alpha is set to 0.05"),
         ];
         for (change, text) in shown {

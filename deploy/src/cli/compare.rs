@@ -4,12 +4,28 @@ use std::path::PathBuf;
 
 use clap::Args;
 
+use super::parse::metric_parser;
+
 /// Arguments of `reveille compare`.
 #[derive(Args)]
 pub(crate) struct CompareArgs {
-    /// Run folders or recordings, at least two. Differences refer to the first.
-    #[arg(required = true, num_args = 2.., value_name = "RUN")]
+    /// Run folders or recordings, at least two: differences refer to the first. Or sweep folders and result tables.
+    #[arg(required = true, num_args = 1.., value_name = "RUN|SWEEP")]
     pub runs: Vec<PathBuf>,
+    /// Reference policy of sweeps; the other policies are compared with it [default: the first of the table].
+    #[arg(long, value_name = "POLICY", help_heading = "Sweeps")]
+    pub against: Option<String>,
+    /// Metrics of sweeps, separated by commas [default: info_p1, misdetection_pct, detection_delay_ttis and
+    /// energy_per_device_tti].
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "METRIC,…",
+        help_heading = "Sweeps",
+        hide_possible_values = true,
+        value_parser = metric_parser()
+    )]
+    pub metric: Vec<String>,
     /// Show every metric, not only those that runs are usually compared by. --json always has all.
     #[arg(long)]
     pub all_metrics: bool,

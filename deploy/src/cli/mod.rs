@@ -161,15 +161,17 @@ pub(crate) enum Command {
         "reveille inspect stats run.mcap",
     ))]
     Inspect(InspectCommand),
-    /// Compare runs: differing scenario fields, metrics and the first difference
+    /// Compare runs, or the policies of a sweep
     ///
     /// RUN is a run folder, or a recording. Metrics appear side by side, with their differences from the first run. Run
     /// folders also provide 95 % intervals. The first difference is searched in the messages of two recordings: events,
-    /// δ plans, reports, failures, wake-ups and their outcomes; of run folders in their events. To compare policies
-    /// over many seeds, use `reveille sweep`.
+    /// δ plans, reports, failures, wake-ups and their outcomes; of run folders in their events.
+    ///
+    /// SWEEP is the folder of a sweep, or its result table. Each policy is compared with a reference policy over the
+    /// same seeds: the mean difference of each metric with its 95 % interval, for each N.
     #[command(after_help = examples!(
         "reveille compare runs/knn-n50-s1 runs/age-index-n50-s1",
-        "reveille compare one.mcap two.mcap --exit-code",
+        "reveille compare study --against knn --metric misdetection_pct",
     ))]
     Compare(CompareArgs),
     /// Show an active run or a recording in the browser

@@ -10,6 +10,7 @@ use clap::builder::NonEmptyStringValueParser;
 use clap::{Args, ValueEnum};
 use reveille_bs::scenario::Scenario;
 use reveille_bs::server::{DecisionTimeout, OnLoss, OnUndecided};
+use reveille_common::io::Disk;
 use reveille_common::keys::RunName;
 use reveille_common::message::Pace;
 use reveille_lab::action_script;
@@ -150,7 +151,9 @@ impl ActionArgs {
         let mut inputs = recorded_inputs.unwrap_or_default();
         if let Some(path) = &self.actions {
             let option = || format!("--actions {}", path.display());
-            let text = std::fs::read_to_string(path).with_context(option)?;
+            let text = action_script::read(path, &Disk)
+                .map_err(anyhow::Error::msg)
+                .with_context(option)?;
             inputs
                 .actions
                 .extend(action_script::parse(&text, scenario).with_context(option)?);

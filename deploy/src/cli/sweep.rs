@@ -24,6 +24,11 @@ pub(crate) struct SweepArgs {
     #[command(flatten)]
     pub grid: GridArgs,
 
+    /// Script of timed actions of every run: devices that fail, are revived or receive energy, and settings that
+    /// change. See docs/actions.md for its lines.
+    #[arg(long, value_name = "FILE", help_heading = "Grid")]
+    pub actions: Option<PathBuf>,
+
     /// Folder of the sweep. Repeat the same command to resume an interrupted sweep, or add runs with more --seeds
     /// [default: the folder of EXPERIMENT if that is the experiment.toml of a sweep; otherwise runs/sweep-HASH, fixed
     /// by experiment and number of seeds].

@@ -194,21 +194,21 @@ pub(crate) enum ActChange {
     /// Switch devices off: they do not sense, receive wake-ups or consume, and their batteries only charge
     #[command(after_help = examples!("reveille clock act fail 7", "reveille clock act fail 3,7,10-14 --at 500"))]
     Fail {
-        /// Devices and ranges of devices, such as 3,7,10-14.
+        /// Devices and ranges of devices, such as 3,7,10-14, or `all`.
         #[arg(value_parser = parse_device_list)]
         devices: DeviceList,
     },
     /// Switch failed devices on again
-    #[command(after_help = examples!("reveille clock act revive 7", "reveille clock act revive 0-9 --at 900"))]
+    #[command(after_help = examples!("reveille clock act revive 7", "reveille clock act revive all --at 900"))]
     Revive {
-        /// Devices and ranges of devices, such as 3,7,10-14.
+        /// Devices and ranges of devices, such as 3,7,10-14, or `all`.
         #[arg(value_parser = parse_device_list)]
         devices: DeviceList,
     },
     /// Add energy to the battery of each device, at most up to E_max
     #[command(after_help = examples!("reveille clock act energy 7 2.5", "reveille clock act energy 0-9 10 --at 500"))]
     Energy {
-        /// Devices and ranges of devices, such as 3,7,10-14.
+        /// Devices and ranges of devices, such as 3,7,10-14, or `all`.
         #[arg(value_parser = parse_device_list)]
         devices: DeviceList,
         /// Energy for each device, units.

@@ -31,6 +31,7 @@ pub(super) fn format_balance(balance: &EnergyBalance) -> String {
             lines.push(format!("  harvest         {}", format_harvest(class.harvest)));
         }
         lines.extend(format_costs(class, balance));
+        lines.extend(format_longest_gap(class, balance));
     }
     lines.join("\n") + "\n"
 }
@@ -72,6 +73,27 @@ fn format_costs(class: &ClassBalance, balance: &EnergyBalance) -> Vec<String> {
             "a report",
             format_significant(class.report_cost, DIGITS),
             ""
+        ),
+    ]
+}
+
+/// Formats the longest stretch without harvest, and how many batteries sleeping through it takes.
+fn format_longest_gap(class: &ClassBalance, balance: &EnergyBalance) -> Vec<String> {
+    let (Some(gap), Some(batteries)) = (class.longest_gap, class.batteries_of_longest_gap()) else {
+        return Vec::new();
+    };
+    let ttis = count_noun(gap as usize, "TTI");
+    let meaning = if batteries > 1.0 {
+        ": every device loses power"
+    } else {
+        ""
+    };
+    vec![
+        format!("  longest gap     {ttis}{} without harvest", format_span(balance, gap)),
+        format!(
+            "{:18}sleeping through it takes {} full batteries{meaning}",
+            "",
+            format_significant(batteries, 3)
         ),
     ]
 }
@@ -147,5 +169,16 @@ mod tests {
         }
         let days = text_with(day_and_night, &[]);
         assert!(days.contains("8640 TTIs of 300 s (30days)"), "{days}");
+        assert!(days.contains("longest gap     14"), "{days}");
+        assert!(
+            days.contains("sleeping through it takes 0.103 full batteries\n"),
+            "{days}"
+        );
+        let wasteful = text_with(day_and_night, &["energy.e_wur=5"]);
+        assert!(
+            wasteful.contains("full batteries: every device loses power"),
+            "{wasteful}"
+        );
+        assert!(!small.contains("longest gap"), "{small}");
     }
 }

@@ -5,9 +5,10 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use anyhow::Context as _;
+use anyhow::{Context as _, anyhow};
 use comfy_table::Table;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
+use reveille_common::declare::describe_read_error;
 use reveille_lab::io::replace;
 use reveille_study::figures::results::RunCondition;
 use reveille_study::figures::scene::Scene;
@@ -144,11 +145,9 @@ fn report_command(args: &ReportArgs) -> String {
 /// Inserts `sections` between their marks in the optional page.
 fn insert_into_page(page: Option<&Path>, sections: &[PageSection]) -> anyhow::Result<()> {
     let Some(path) = page else { return Ok(()) };
-    let text = fs::read_to_string(path).with_context(|| {
-        format!(
-            "--page {}: cannot read the page into which the tables are inserted",
-            path.display()
-        )
+    let text = fs::read_to_string(path).map_err(|error| {
+        let cause = describe_read_error(&error, "name the page into which the tables are inserted");
+        anyhow!("--page {}: {cause}", path.display())
     })?;
     let filled = fill_page(&text, sections).with_context(|| path.display().to_string())?;
     replace(path, filled.as_bytes()).with_context(|| format!("--page {}: cannot write the page", path.display()))?;

@@ -11,7 +11,11 @@ use reveille_common::energy_balance::EnergyBalance;
 
 use super::energy_balance::format_balance;
 use crate::cli::ScenarioCommand;
-use crate::display::{self, note};
+use crate::display::{self, note, wrap_text};
+use crate::paths::check_output_path;
+
+/// Columns of a line of text.
+const WIDTH: usize = 80;
 
 /// Shows or checks scenarios.
 pub(crate) fn run(command: &ScenarioCommand) -> anyhow::Result<ExitCode> {
@@ -45,13 +49,14 @@ fn check_sources(sources: &[String], overrides: &[Override]) -> anyhow::Result<E
         match load_with_external(source, overrides) {
             Ok(Loaded { scenario, warnings }) => {
                 print_warnings(source, &warnings);
-                display::print_stdout(&format!(
-                    "{source}: ok. {} devices, {} TTIs, policy {}, hash {}\n",
+                let line = format!(
+                    "{source}: ok. {} devices, {} TTIs, policy {}, hash {}",
                     scenario.run.devices,
                     scenario.run.ttis,
                     scenario.policy.name(),
                     &scenario.hash_hex()[..16]
-                ))?;
+                );
+                display::print_stdout(&(wrap_text(&line, WIDTH) + "\n"))?;
                 let balance = EnergyBalance::new(&scenario);
                 print_warnings(source, &balance.warnings());
                 display::print_stdout(&format_balance(&balance))?;
@@ -76,13 +81,10 @@ fn print_warnings(source: &str, warnings: &[String]) {
 /// Writes `text` to the file `out`, or prints it.
 fn write_or_print(out: Option<&Path>, text: &str) -> anyhow::Result<ExitCode> {
     match out {
-        Some(path) => std::fs::write(path, text).with_context(|| {
-            format!(
-                "{}: cannot write this \
-            file",
-                path.display()
-            )
-        })?,
+        Some(path) => {
+            check_output_path(path, "the text")?;
+            std::fs::write(path, text).with_context(|| format!("{}: cannot write this file", path.display()))?;
+        }
         None => display::print_stdout(text)?,
     }
     Ok(ExitCode::SUCCESS)

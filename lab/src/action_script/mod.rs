@@ -4,21 +4,26 @@
 //! 500 fail 7                                  # device 7 fails at the start of TTI 500
 //! 500 fail 3,10-14 for 400                    # these devices fail, and are revived 400 TTIs later
 //! 900 energy 7 2.5                            # device 7 receives 2.5 units
+//! 950 revive all
 //! 1000 set events.alpha 0.05
 //! from 0 to 6000 every 600 fail 0-49 for 60 at random
 //! ```
 //! A script becomes the same external inputs in every run of a scenario, in memory and over the bus: random times
 //! follow from the seed of the scenario, the line number and the device. `docs/actions.md` explains the forms.
 
+use std::path::Path;
 use std::str::FromStr;
 
 use reveille_bs::actions::check_change;
 use reveille_bs::scenario::Scenario;
+use reveille_common::declare::{FileError, Files, describe_read_error};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::message::{Change, DeviceRange, OperatorAction, Setting};
 use reveille_common::rng::{Purpose, Stream};
 use reveille_common::units::{Energy, MAX_UNITS};
 
+/// The largest size of a script, bytes. The experiments of sweeps contain their scripts, so their limit is larger.
+const MAX_SCRIPT_BYTES: u64 = 4 << 20;
 /// The largest number of actions of a script.
 const MAX_ACTIONS: usize = 10_000_000;
 
@@ -34,6 +39,23 @@ pub struct ScriptError {
     line: usize,
     /// The cause and the fix.
     cause: String,
+}
+
+/// Returns the text of the script at `path`.
+///
+/// # Errors
+/// If it cannot be read or is not text; describes the cause and the fix, without the path.
+pub fn read(path: &Path, files: &dyn Files) -> Result<String, String> {
+    let bytes = files.read(path, MAX_SCRIPT_BYTES).map_err(|error| match error {
+        FileError::Io(error) => {
+            let hint = "name a script of timed actions, with lines such as `500 fail 7` (see docs/actions.md)";
+            describe_read_error(&error, hint)
+        }
+        FileError::TooLong { .. } => format!("{error}; repeat actions with `from TTI every TTIS ACTION`"),
+        FileError::Folder | FileError::Special => error.to_string(),
+    })?;
+    String::from_utf8(bytes)
+        .map_err(|_| "not a text file; name a script of timed actions (see docs/actions.md)".to_owned())
 }
 
 /// Parses a script for a run of `scenario`. Returns its actions in the order of TTIs, and those of one TTI in the order
@@ -78,22 +100,26 @@ struct ScriptLine {
     duration: Option<u64>,
 }
 
-/// Parses a list of devices and ranges, such as `3,7,10-14`.
+/// Parses a list of devices and ranges, such as `3,7,10-14`, or `all`.
 ///
 /// # Errors
 /// If the text is no such list.
 pub fn parse_devices(text: &str) -> Result<Vec<DeviceRange>, String> {
+    if text == "all" {
+        return Ok(vec![DeviceRange::ALL]);
+    }
     let range = |item: &str| {
         let (first, last) = item.split_once('-').unwrap_or((item, item));
         let (first, last): (u32, u32) = (first.trim().parse().ok()?, last.trim().parse().ok()?);
         let count = last.checked_sub(first)?.checked_add(1)?;
-        Some(DeviceRange {
+        let range = DeviceRange {
             first: DeviceId(first),
             count,
-        })
+        };
+        (range != DeviceRange::ALL).then_some(range)
     };
     let ranges = text.split(',').map(range).collect::<Option<Vec<_>>>();
-    ranges.ok_or_else(|| format!("`{text}` must be devices and ranges of devices, such as 3,7,10-14"))
+    ranges.ok_or_else(|| format!("`{text}` must be `all`, or devices and ranges of devices such as 3,7,10-14"))
 }
 
 /// Parses an amount of energy, units.
@@ -186,9 +212,10 @@ const fn repeated(from: u64, to: Option<u64>, every: u64) -> Times {
 
 impl ScriptLine {
     /// Appends the actions of line number `line` in a run of `scenario`.
-    fn add_to(&self, actions: &mut Vec<OperatorAction>, line: u64, scenario: &Scenario) -> Result<(), String> {
+    fn add_to(mut self, actions: &mut Vec<OperatorAction>, line: u64, scenario: &Scenario) -> Result<(), String> {
         let ttis = scenario.run.ttis;
-        for change in &self.changes {
+        for change in &mut self.changes {
+            *change = change.within(scenario.run.devices);
             check_change(change, scenario)?;
         }
         if self.duration == Some(0) {
@@ -255,12 +282,7 @@ impl ScriptLine {
                     first: device,
                     count: 1,
                 };
-                let change = match *change {
-                    Change::Fail(_) => Change::Fail(one),
-                    Change::Revive(_) => Change::Revive(one),
-                    Change::AddEnergy(_, energy) => Change::AddEnergy(one, energy),
-                    Change::Set(..) => *change,
-                };
+                let change = change.with_devices(one);
                 let id = line << 32 | u64::from(device.0);
                 let mut stream = Stream::new(scenario.run.seed, Purpose::Actions, id);
                 for start in (from..end).step_by(usize::try_from(every).unwrap_or(usize::MAX)) {

@@ -41,6 +41,24 @@ fn lines_become_actions_in_the_order_of_ttis() {
 }
 
 #[test]
+fn all_are_the_devices_of_the_run() {
+    let expected = [
+        "10 devices 0 to 49 fail",
+        "30 devices 0 to 49 are revived",
+        "40 devices 0 to 49 are revived",
+        "50 devices 0 to 49 receive 2.5 units each",
+    ];
+    assert_eq!(shown("10 fail all for 20\n40 revive all\n50 energy all 2.5"), expected);
+    let random = |devices| {
+        parse(
+            &format!("from 0 every 600 fail {devices} for 60 at random"),
+            &test_scenario(),
+        )
+    };
+    assert_eq!(random("all"), random("0-49"));
+}
+
+#[test]
 fn repeated_lines_become_an_action_in_each_period() {
     assert_eq!(
         action_lines("from 100 to 2000 every 900 fail 0-1 for 60"),
@@ -111,10 +129,12 @@ fn an_invalid_line_is_refused_with_the_fix() {
         ("5 fail 40-50", "devices 40 to 50: not in the run"),
         (
             "5 fail 9-3",
-            "`9-3` must be devices and ranges of devices, such as 3,7,10-14",
+            "`9-3` must be `all`, or devices and ranges of devices such as 3,7,10-14",
         ),
-        ("5 fail 1,,2", "must be devices"),
-        ("5 fail 0-4294967295", "must be devices"),
+        ("5 fail 1,,2", "must be `all`"),
+        ("5 fail all,2", "must be `all`"),
+        ("5 fail 0-4294967294", "must be `all`"),
+        ("5 fail 0-4294967295", "must be `all`"),
         ("5 fail 3 for 0", "at least 1 TTI"),
         ("5 fail 3 for ever", "`ever` must be a whole number of TTIs"),
         ("5 energy 3 -1", "`-1` must be an energy above 0"),

@@ -7,6 +7,7 @@ use std::fmt::Display;
 use std::io;
 use std::path::PathBuf;
 
+use reveille_common::declare::describe_read_error;
 use reveille_common::scenario::ScenarioError;
 
 use crate::table::TableError;
@@ -15,7 +16,11 @@ use crate::table::TableError;
 #[derive(Debug, thiserror::Error)]
 pub enum SweepError {
     /// The experiment file cannot be read.
-    #[error("{}: cannot be read: {error}", path.display())]
+    #[error(
+        "{}: {}",
+        path.display(),
+        describe_read_error(error, "name an experiment file, such as deploy/examples/experiment.toml")
+    )]
     Read {
         /// The file.
         path: PathBuf,
@@ -49,6 +54,14 @@ pub enum SweepError {
         cell: String,
         /// The cause.
         error: Box<ScenarioError>,
+    },
+    /// The script of actions cannot be read, or an action is impossible in a cell.
+    #[error("{name}: {reason}")]
+    Actions {
+        /// The option with its file, or the field of the experiment.
+        name: String,
+        /// The cause and the fix.
+        reason: String,
     },
     /// The output folder cannot be used.
     #[error("--out {}: {reason}", folder.display())]

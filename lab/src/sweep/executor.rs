@@ -176,7 +176,9 @@ fn execute_run(
     for warning in &prepared.warnings {
         observer.warned(job.cell as usize, warning);
     }
-    let outcome = Run::new(&prepared, options).finish(&mut StopWhen(|| observer.stop()));
+    let mut run = Run::new(&prepared, options);
+    run.schedule_inputs(&grid.inputs(&scenario));
+    let outcome = run.finish(&mut StopWhen(|| observer.stop()));
     let row = ResultRow::new(&scenario, cell.swept.clone(), &outcome);
     outcome.is_complete.then(|| JournalEntry::from(&row))
 }

@@ -120,6 +120,15 @@ pub(super) fn is_metric(name: &str) -> bool {
     Metrics::find(name).is_some()
 }
 
+/// The actions of every run of a sweep.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum SweepActions {
+    /// The path of a script, which [`super::SweepGrid::new`] reads.
+    File(PathBuf),
+    /// The lines of a script.
+    Script(String),
+}
+
 /// The complete description of a sweep.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Experiment {
@@ -138,6 +147,8 @@ pub struct Experiment {
     pub seeds: Seeds,
     /// The condition that ends a cell; `None` to run all seeds.
     pub until_ci: Option<UntilCi>,
+    /// The actions of every run, if any.
+    pub actions: Option<SweepActions>,
     /// The warnings about former names of fields, each a sentence without its full stop.
     pub warnings: Vec<String>,
 }
@@ -218,6 +229,11 @@ impl Experiment {
                 lines.push(format!("min_seeds = {}", until.min_seeds));
             }
         }
+        lines.extend(self.actions.as_ref().map(|actions| match actions {
+            SweepActions::File(path) => format!("actions = {}", quoted(&path.to_string_lossy())),
+            // The lines and not their file: a changed script is another experiment.
+            SweepActions::Script(text) => format!("action_script = {}", quoted(text)),
+        }));
         if !self.set.is_empty() {
             lines.push("\n[set]".to_owned());
             let set = self.set.iter();
@@ -268,8 +284,20 @@ fn resolve_file_paths(fields: &Declaration, path: &str, value: &mut Value, folde
     }
 }
 
-fn quoted(path: &str) -> String {
-    Value::String(path.to_owned()).to_string()
+/// Describes the first difference of two experiments, as [`Experiment::to_toml`] returns them.
+pub(super) fn describe_difference(own: &str, other: &str) -> String {
+    let (mut own, mut other) = (own.lines(), other.lines());
+    loop {
+        let lines = (own.next(), other.next());
+        if lines.0 != lines.1 || lines.0.is_none() {
+            let shown = |line: Option<&str>| line.map_or("no line".to_owned(), |line| format!("`{line}`"));
+            return format!("{} here, {} there", shown(lines.0), shown(lines.1));
+        }
+    }
+}
+
+fn quoted(text: &str) -> String {
+    Value::String(text.to_owned()).to_string()
 }
 
 #[cfg(test)]

@@ -11,7 +11,7 @@ use serde::Deserialize;
 use toml::{Table, Value};
 
 use super::error::SweepError;
-use super::experiment::{Experiment, Seeds, SweepAxis, UntilCi, is_metric};
+use super::experiment::{Experiment, Seeds, SweepActions, SweepAxis, UntilCi, is_metric};
 
 #[derive(Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields, expecting = "an experiment")]
@@ -26,6 +26,8 @@ struct ExperimentFile {
     until_ci: Option<Value>,
     ci_metrics: Option<Vec<String>>,
     min_seeds: Option<u64>,
+    actions: Option<String>,
+    action_script: Option<String>,
     set: Table,
     grid: Table,
 }
@@ -82,6 +84,8 @@ pub struct ExperimentBuilder {
     pub ci_metrics: Option<Vec<String>>,
     /// The smallest number of seeds of a cell [default: 30].
     pub min_seeds: Option<u64>,
+    /// The actions of every run [default: none].
+    pub actions: Option<SweepActions>,
     /// The warnings about former names of fields.
     pub warnings: Vec<String>,
 }
@@ -107,6 +111,14 @@ impl ExperimentBuilder {
             ci_metrics: raw.ci_metrics,
             min_seeds: raw.min_seeds,
             ..Self::default()
+        };
+        builder.actions = match (raw.actions, raw.action_script) {
+            (Some(file), Some(_)) => {
+                let allowed = format!("excludes action_script, the lines themselves; remove one of them from {name}");
+                return Err(SweepError::invalid("actions", file, allowed));
+            }
+            (Some(file), None) => Some(SweepActions::File(base_dir.join(file))),
+            (None, script) => script.map(SweepActions::Script),
         };
         (builder.first_seed, builder.seed_count) = match raw.seeds {
             None => (None, None),
@@ -209,6 +221,7 @@ impl ExperimentBuilder {
             until_ci: self.until_ci.or(defaults.until_ci),
             ci_metrics: self.ci_metrics.or(defaults.ci_metrics),
             min_seeds: self.min_seeds.or(defaults.min_seeds),
+            actions: self.actions.or(defaults.actions),
             warnings,
         }
     }
@@ -252,6 +265,7 @@ impl ExperimentBuilder {
             axes,
             seeds,
             until_ci,
+            actions: self.actions,
             warnings: self.warnings,
         })
     }

@@ -19,7 +19,7 @@ use reveille_common::io::Disk;
 
 use super::error::SweepError;
 use super::executor::{CellSummary, SweepProgress, execute_missing};
-use super::experiment::Experiment;
+use super::experiment::{Experiment, SweepActions, describe_difference};
 use super::experiment_builder::ExperimentBuilder;
 use super::grid::SweepGrid;
 use super::journal::{Journal, JournalEntry, RunIndex, RunStore as _};
@@ -88,7 +88,8 @@ impl<'g> Sweep<'g> {
         let path = folder.join(JOURNAL_FILE);
         // Checked first, because `open` creates the journal.
         let is_known = path.exists();
-        let journal = Journal::open(&path, &sweep_identity(grid, shard), cells, seeds).map_err(refused)?;
+        let journal = Journal::open(&path, &sweep_identity(grid, shard), cells, seeds);
+        let journal = journal.map_err(|reason| refused(other_actions(grid, folder).unwrap_or(reason)))?;
         let unwritable = |error: std::io::Error| {
             refused(format!(
                 "cannot be written: {error}; its finished runs are kept; free some space or correct the permissions, \
@@ -135,6 +136,7 @@ impl<'g> Sweep<'g> {
             return Ok(0);
         }
         let seeds = self.grid.experiment.seeds;
+        let script = script_of(self.grid.experiment.actions.as_ref());
         let mut reused = 0;
         for (number, cell) in self.grid.cells.iter().enumerate() {
             for seed in self.shard.seed_indices(number as u64, seeds.count) {
@@ -146,7 +148,7 @@ impl<'g> Sweep<'g> {
                     continue;
                 }
                 let scenario = cell.with_seed(seeds.first + seed);
-                if let Some(entry) = known.find(Hash(scenario.hash())) {
+                if let Some(entry) = known.find(script, Hash(scenario.hash())) {
                     // No work is at risk, because the table still holds the run: it does not count towards a sync.
                     self.journal.add(job, entry.clone(), 0)?;
                     reused += 1;
@@ -246,6 +248,30 @@ fn write_experiment(grid: &SweepGrid, folder: &Path) -> std::io::Result<()> {
     write_if_changed(&folder.join(EXPERIMENT_FILE), &text)
 }
 
+/// The lines of a script; empty without actions.
+fn script_of(actions: Option<&SweepActions>) -> &str {
+    match actions {
+        Some(SweepActions::Script(text)) => text,
+        Some(SweepActions::File(_)) | None => "",
+    }
+}
+
+/// Explains that the sweep in `folder` has other actions than `grid`; `None` if it has the same ones.
+fn other_actions(grid: &SweepGrid, folder: &Path) -> Option<String> {
+    let draft = ExperimentBuilder::load(&folder.join(EXPERIMENT_FILE)).ok()?;
+    let (own, held) = (
+        script_of(grid.experiment.actions.as_ref()),
+        script_of(draft.actions.as_ref()),
+    );
+    (own != held).then(|| {
+        format!(
+            "holds the runs of a sweep with other actions: {}; use its script (`action_script` in {EXPERIMENT_FILE} \
+             there), or choose another folder",
+            describe_difference(own, held)
+        )
+    })
+}
+
 /// Writes a file unless it already contains `text`, so that a full disk does no harm to a complete one.
 fn write_if_changed(path: &Path, text: &str) -> std::io::Result<()> {
     if read(path).is_ok_and(|bytes| bytes == text.as_bytes()) {
@@ -339,9 +365,10 @@ fn sweep_hash(grid: &SweepGrid, experiment: &Experiment) -> String {
     crate::table::Hash(sum.finalize().into()).to_string()
 }
 
-/// The runs of some tables, by the hash of everything that determines a run, its seed included.
+/// The runs of some tables, by what determines a run: its script of actions, empty without one, and the hash of its
+/// scenario, seed included.
 #[derive(Debug, Default)]
-pub struct ReusableRuns(BTreeMap<Hash, JournalEntry>);
+pub struct ReusableRuns(BTreeMap<String, BTreeMap<Hash, JournalEntry>>);
 
 impl ReusableRuns {
     /// Collects the runs of `tables`, each with the path it was read from.
@@ -349,7 +376,7 @@ impl ReusableRuns {
     /// # Errors
     /// If a table was written by another version of the program, whose runs may have other results.
     pub fn from_tables(tables: &[(PathBuf, Table)]) -> Result<Self, SweepError> {
-        let mut runs = BTreeMap::new();
+        let mut runs = BTreeMap::<String, BTreeMap<_, _>>::new();
         for (path, table) in tables {
             if table.metadata.version != env!("CARGO_PKG_VERSION") {
                 return Err(SweepError::Reuse {
@@ -357,12 +384,10 @@ impl ReusableRuns {
                     version: table.metadata.version.clone(),
                 });
             }
-            runs.extend(
-                table
-                    .rows
-                    .iter()
-                    .map(|row| (row.scenario_hash, JournalEntry::from(row))),
-            );
+            let script = table.metadata.action_script().unwrap_or_default();
+            let rows = table.rows.iter();
+            let entries = rows.map(|row| (row.scenario_hash, JournalEntry::from(row)));
+            runs.entry(script).or_default().extend(entries);
         }
         Ok(Self(runs))
     }
@@ -372,13 +397,13 @@ impl ReusableRuns {
         self.0.is_empty()
     }
 
-    pub(super) fn find(&self, hash: Hash) -> Option<&JournalEntry> {
-        self.0.get(&hash)
+    pub(super) fn find(&self, script: &str, hash: Hash) -> Option<&JournalEntry> {
+        self.0.get(script)?.get(&hash)
     }
 }
 
-/// Length limit of an experiment file, bytes.
-const MAX_EXPERIMENT_BYTES: u64 = 1 << 20;
+/// Length limit of an experiment file, bytes. A script of actions has its own limit; in TOML it can be longer.
+const MAX_EXPERIMENT_BYTES: u64 = 8 << 20;
 
 impl ExperimentBuilder {
     /// Reads the experiment file at `path`.

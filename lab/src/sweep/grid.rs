@@ -9,8 +9,10 @@ use sha2::{Digest as _, Sha256};
 use toml::Value as Toml;
 
 use super::error::SweepError;
-use super::experiment::{Experiment, SweepAxis};
+use super::experiment::{Experiment, SweepActions, SweepAxis};
 use super::shard::Shard;
+use crate::action_script;
+use crate::external_inputs::ExternalInputs;
 use crate::table::{ColumnType, Hash, Schema, SweptValue};
 
 const MAX_CELLS: u64 = 100_000;
@@ -62,9 +64,9 @@ impl SweepGrid {
     /// Creates the grid of `experiment` and checks every scenario; `files` opens the scenario files.
     ///
     /// # Errors
-    /// If a value is listed twice, the grid is too large, or the scenario of a cell is invalid; the message names the
-    /// field.
-    pub fn new(experiment: Experiment, files: &dyn Files) -> Result<Self, SweepError> {
+    /// If a value is listed twice, the grid is too large, the scenario of a cell is invalid, or an action is impossible
+    /// in a cell; the message names the field.
+    pub fn new(mut experiment: Experiment, files: &dyn Files) -> Result<Self, SweepError> {
         // Before any cell is built: a few long lists multiply to more cells than memory holds.
         check_size(&experiment)?;
         let columns = experiment.axes.iter().map(swept_column);
@@ -83,11 +85,27 @@ impl SweepGrid {
         for number in 0..experiment.cell_count() {
             cells.push(build_cell(&experiment, &columns, &base, number, files)?);
         }
+        if let Some(actions) = &mut experiment.actions {
+            read_actions(actions, &cells, files)?;
+        }
         Ok(Self {
             experiment,
             schema,
             cells,
         })
+    }
+
+    /// Returns the actions of the run of `scenario`, the scenario of a cell with one of the seeds.
+    ///
+    /// # Panics
+    /// If the script is not valid for the cell; [`Self::new`] has checked it.
+    pub fn inputs(&self, scenario: &Scenario) -> ExternalInputs {
+        let Some(SweepActions::Script(text)) = &self.experiment.actions else {
+            return ExternalInputs::default();
+        };
+        // Seeds change the times of random actions only, never whether an action is possible.
+        let actions = action_script::parse(text, scenario).expect("checked with the first seed");
+        ExternalInputs::from_actions(&actions)
     }
 
     /// Checks that the runs can be distributed to shards, if `shard` is one.
@@ -139,6 +157,25 @@ pub(super) fn check_size(experiment: &Experiment) -> Result<(), SweepError> {
         );
         return Err(SweepError::invalid("runs", runs, allowed));
     }
+    Ok(())
+}
+
+/// Reads the script that `actions` names, and checks its actions in all `cells`.
+fn read_actions(actions: &mut SweepActions, cells: &[GridCell], files: &dyn Files) -> Result<(), SweepError> {
+    let refused = |name: String, reason: String| SweepError::Actions { name, reason };
+    let (name, text) = match actions {
+        SweepActions::File(path) => {
+            let name = format!("--actions {}", path.display());
+            let text = action_script::read(path, files).map_err(|reason| refused(name.clone(), reason))?;
+            (name, text)
+        }
+        SweepActions::Script(text) => ("action_script".to_owned(), std::mem::take(text)),
+    };
+    for cell in cells {
+        let parsed = action_script::parse(&text, &cell.scenario);
+        parsed.map_err(|error| refused(name.clone(), format!("{error}; in the cell {}", cell.label)))?;
+    }
+    *actions = SweepActions::Script(text);
     Ok(())
 }
 

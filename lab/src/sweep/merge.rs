@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::vec::IntoIter;
 
 use super::error::SweepError;
-use super::experiment::Experiment;
+use super::experiment::{Experiment, describe_difference};
 use super::experiment_builder::ExperimentBuilder;
 use super::grid::check_size;
 use super::shard::Shard;
@@ -148,9 +148,10 @@ fn check_same_sweep(first_path: &Path, first: &Table, path: &Path, table: &Table
     let difference = if a.version != b.version {
         format!("it is from reveille {}, the other table from {}", b.version, a.version)
     } else if a.experiment != b.experiment {
-        let differing = a.experiment.lines().zip(b.experiment.lines()).find(|(a, b)| a != b);
-        let (other_line, own_line) = differing.unwrap_or(("", ""));
-        format!("its experiment differs: `{own_line}` here, `{other_line}` there")
+        format!(
+            "its experiment differs: {}",
+            describe_difference(&b.experiment, &a.experiment)
+        )
     } else if a.grid != b.grid {
         "the scenario files or traces behind its experiment differ".to_owned()
     } else if !first

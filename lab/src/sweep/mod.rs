@@ -18,7 +18,7 @@ mod shard;
 
 pub use error::SweepError;
 pub use executor::{CellSummary, SweepProgress};
-pub use experiment::{Experiment, Seeds, SweepAxis, UntilCi};
+pub use experiment::{Experiment, Seeds, SweepActions, SweepAxis, UntilCi};
 pub use experiment_builder::ExperimentBuilder;
 pub use folder::{ReusableRuns, Sweep, SweepResult, experiment_hash, find_table, read_seed_count};
 pub use grid::{GridCell, SweepGrid};

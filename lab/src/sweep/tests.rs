@@ -168,6 +168,29 @@ fn an_invalid_experiment_is_refused_with_the_field() {
 }
 
 #[test]
+fn a_script_of_actions_reads_back_and_is_part_of_the_identity() {
+    let with = |script: &str| {
+        let mut draft = parse_experiment("devices = [9]\nttis = 50\nseeds = 2").expect("valid");
+        draft.actions = Some(SweepActions::Script(script.to_owned()));
+        SweepGrid::new(draft.build().expect("valid"), &Disk)
+    };
+    let mut texts = Vec::new();
+    for script in ["", "\n\n5 fail 3", "5 fail 3\r\n# \"a\" \\ '''b''' \u{1} é", "6 fail 3"] {
+        let text = with(script).expect("valid").experiment.to_toml();
+        let again = parse_experiment(&text).expect(&text);
+        assert_eq!(again.actions, Some(SweepActions::Script(script.to_owned())), "{text}");
+        assert_eq!(again.build().expect("valid").to_toml(), text);
+        assert!(!texts.contains(&text), "{text}");
+        texts.push(text);
+    }
+    let error = with("5 fail 9").expect_err("9 devices").to_string();
+    assert!(
+        error.contains("action_script: line 1: device 9: not in the run") && error.contains("in the cell devices = 9"),
+        "{error}"
+    );
+}
+
+#[test]
 fn former_names_of_fields_are_accepted_with_a_warning() {
     let mut above = ExperimentBuilder::default();
     let values = vec![toml::Value::Float(0.2)];

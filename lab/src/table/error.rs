@@ -3,6 +3,8 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
+use reveille_common::declare::describe_read_error;
+
 /// The version of the table format, raised when a column changes its name or meaning. Version 1, with former names of
 /// metrics, and version 2, without the causes of missed events, are still read.
 pub(crate) const TABLE_VERSION: u32 = 3;
@@ -11,7 +13,7 @@ pub(crate) const TABLE_VERSION: u32 = 3;
 #[derive(Debug, thiserror::Error)]
 pub enum TableError {
     /// The operating system refuses to read the file.
-    #[error("{}: cannot be read: {error}", path.display())]
+    #[error("{}: {}", path.display(), describe_read_error(error, "name a table of `reveille sweep` or its folder"))]
     Read {
         /// The file.
         path: PathBuf,

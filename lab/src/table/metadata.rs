@@ -16,6 +16,12 @@ pub struct TableMetadata {
 }
 
 impl TableMetadata {
+    /// Returns the script of actions of every run; `None` if the experiment has none.
+    pub fn action_script(&self) -> Option<String> {
+        let experiment = self.experiment.parse::<toml::Table>().ok()?;
+        experiment.get("action_script")?.as_str().map(str::to_owned)
+    }
+
     /// Returns the metadata as pairs of key and value, in a fixed order.
     pub(super) fn pairs(&self) -> Vec<(&'static str, String)> {
         let mut pairs = vec![

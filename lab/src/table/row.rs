@@ -51,7 +51,7 @@ const MAX_METRIC: f64 = 1e15;
 /// One run: its identity and its results.
 #[derive(Clone, Debug)]
 pub struct ResultRow {
-    /// SHA-256 of everything that determines the run.
+    /// SHA-256 of the scenario, its seed included. With the actions in [`super::TableMetadata`], it determines the run.
     pub scenario_hash: Hash,
     /// The preset that the scenario starts from.
     pub preset: Arc<str>,

@@ -9,6 +9,7 @@ use ::parquet::schema::types::Type;
 use bytes::Bytes;
 use reveille_bs::policy::dt::record::{DeviceStep, TrajectoryStep};
 use reveille_bs::policy::dt::tokens::{FEATURE_COUNT, FEATURES};
+use reveille_common::declare::describe_read_error;
 use reveille_common::ids::Tti;
 use reveille_common::parquet::{self, Column, GroupReader, GroupWriter, Writer};
 use sha2::{Digest as _, Sha256};
@@ -27,7 +28,7 @@ const ROWS_PER_GROUP: usize = 100_000;
 #[derive(Debug, thiserror::Error)]
 pub enum TrajectoryError {
     /// The file cannot be read.
-    #[error("cannot be read: {0}")]
+    #[error("{}", describe_read_error(.0, "name a file that reveille train record wrote"))]
     Read(#[source] std::io::Error),
     /// The file cannot be written.
     #[error("cannot be written: {0}")]

@@ -3,6 +3,8 @@
 
 use std::path::PathBuf;
 
+use reveille_common::declare::describe_read_error;
+
 use crate::training::TrainingError;
 
 /// A reason why a tuning cannot start or finish.
@@ -48,7 +50,7 @@ pub enum TuningError {
         differences: String,
     },
     /// The history cannot be read.
-    #[error("{}: cannot be read: {error}", path.display())]
+    #[error("{}: {}", path.display(), describe_read_error(error, "name the history.csv of a tuning"))]
     Read {
         /// The file.
         path: PathBuf,

@@ -29,6 +29,7 @@ pub mod heat;
 pub mod learning;
 pub mod misses;
 pub mod note;
+pub mod paired;
 pub mod pareto;
 pub mod path;
 pub mod png;

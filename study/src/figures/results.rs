@@ -16,7 +16,7 @@ use super::error::FigureError;
 use super::to_file_name;
 use crate::claims::POLICIES;
 use reveille_lab::metric_estimate::MetricEstimate;
-use reveille_lab::series::{self, RANKING};
+use reveille_lab::series::{self, RANKING, SeriesNames};
 use reveille_lab::stats::{CellRuns, Estimate, group_by_cell};
 use reveille_lab::table::{Hash, ResultRow, Table, TableMetadata};
 
@@ -29,6 +29,8 @@ pub struct LabelledTable {
     pub metadata: TableMetadata,
     /// Number of runs.
     pub run_count: usize,
+    /// Series of the first run, by its name in this table alone; `None` for an empty table.
+    pub first_policy: Option<String>,
     /// SHA-256 over the digests of the runs, in table order, hexadecimal.
     pub digest_hash: String,
 }
@@ -88,6 +90,7 @@ impl Results {
                 name: name.clone(),
                 metadata: table.metadata.clone(),
                 run_count: table.rows.len(),
+                first_policy: table.rows.first().map(|row| SeriesNames::from_table(table).name(row)),
                 digest_hash: hash_of_digests(table),
             });
             results.add_table(name, table, files)?;
@@ -117,8 +120,12 @@ impl Results {
         };
         // The scenario of a policy unknown to this program cannot be loaded, so its cells decide nothing here.
         let cells_of_known_policies = || cells.iter().filter(|cell| registry::named(cell.policy).is_some());
-        let has_only_swept_fields = cells_of_known_policies().all(|cell| scenario_with(cell, &[]).is_some());
-        let has_known_changes = cells_of_known_policies().all(|cell| scenario_with(cell, &set_fields).is_some());
+        // Scenarios do not contain actions, which make runs of the same scenario differ.
+        let has_actions = table.metadata.action_script().is_some();
+        let has_only_swept_fields =
+            !has_actions && cells_of_known_policies().all(|cell| scenario_with(cell, &[]).is_some());
+        let has_known_changes =
+            !has_actions && cells_of_known_policies().all(|cell| scenario_with(cell, &set_fields).is_some());
         let changes = if has_known_changes && !has_only_swept_fields {
             set_fields
         } else {
@@ -127,7 +134,8 @@ impl Results {
         let changed_in = (!has_known_changes && !has_only_swept_fields).then(|| name.to_owned());
         for cell in cells {
             let is_known_policy = registry::named(cell.policy).is_some();
-            let is_unchanged = !is_known_policy || reconstruct_scenario(cell.rows[0], &[], &[], files).is_some();
+            let is_unchanged =
+                !has_actions && (!is_known_policy || reconstruct_scenario(cell.rows[0], &[], &[], files).is_some());
             let new_condition = RunCondition {
                 preset: cell.preset.to_owned(),
                 ttis: cell.ttis,

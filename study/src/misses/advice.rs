@@ -1,6 +1,8 @@
 //! The change of the scenario that the main cause of missed events suggests. A test compares the named fields with the
 //! declaration of the scenario.
 
+use std::fmt;
+
 use reveille_bs::scenario::Scenario;
 use reveille_common::digits::format_significant;
 use reveille_common::energy_balance::EnergyBalance;
@@ -21,47 +23,74 @@ pub struct RunEnergy {
 /// Share of device-TTIs with B < E_Tx from which devices lack energy, %.
 const LOW_ENERGY_PCT: f64 = 5.0;
 
-/// Returns how the base station's policy senses more.
-fn sense_more(policy: &str) -> &'static str {
-    match policy {
-        "knn" => "choose policy age-index with a low policy.age-index.price, or raise devices",
-        "adjusted" => "raise policy.adjusted.t_on, or choose policy age-index",
-        "q-learning" => "raise policy.q-learning.mu1, which needs tables of `reveille train q-learning`",
-        "random" => "choose policy age-index, or shorten policy.random.t_drx",
-        "age-index" => "lower policy.age-index.price",
-        "dt" => "lower policy.dt.price",
-        _ => "let the policy keep more devices in S1",
+/// Advice about the main cause of missed events.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Advice {
+    /// Sentences that name the cause, the place and the energy balance.
+    pub finding: String,
+    /// Alternative changes of the scenario, each an imperative without a full stop.
+    pub suggestions: Vec<String>,
+}
+
+impl fmt::Display for Advice {
+    /// Writes one paragraph, for captions and programs.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.finding)?;
+        for suggestion in &self.suggestions {
+            let mut letters = suggestion.chars();
+            let first: String = letters.next().into_iter().flat_map(char::to_uppercase).collect();
+            write!(f, " {first}{}.", letters.as_str())?;
+        }
+        Ok(())
     }
 }
 
-/// Returns how the base station's policy senses less.
-fn sense_less(policy: &str) -> &'static str {
+/// Returns the ways in which the base station's policy senses more.
+fn sense_more(policy: &str) -> Vec<&'static str> {
     match policy {
-        "adjusted" => "choose policy age-index, or lengthen policy.adjusted.t_drx",
-        "q-learning" => "lengthen policy.q-learning.window",
-        "random" => "choose policy age-index, or lengthen policy.random.t_drx",
-        "age-index" => "raise policy.age-index.price",
-        "dt" => "raise policy.dt.price",
-        _ => "choose policy age-index with a higher policy.age-index.price",
+        "knn" => vec![
+            "choose policy age-index with a low policy.age-index.price",
+            "raise devices",
+        ],
+        "adjusted" => vec!["raise policy.adjusted.t_on", "choose policy age-index"],
+        "q-learning" => vec!["raise policy.q-learning.mu1, with tables of `reveille train q-learning`"],
+        "random" => vec!["choose policy age-index", "shorten policy.random.t_drx"],
+        "age-index" => vec!["lower policy.age-index.price"],
+        "dt" => vec!["lower policy.dt.price"],
+        _ => vec!["let the policy keep more devices in S1"],
+    }
+}
+
+/// Returns the ways in which the base station's policy senses less.
+fn sense_less(policy: &str) -> Vec<&'static str> {
+    match policy {
+        "adjusted" => vec!["choose policy age-index", "lengthen policy.adjusted.t_drx"],
+        "q-learning" => vec!["lengthen policy.q-learning.window"],
+        "random" => vec!["choose policy age-index", "lengthen policy.random.t_drx"],
+        "age-index" => vec!["raise policy.age-index.price"],
+        "dt" => vec!["raise policy.dt.price"],
+        _ => vec!["choose policy age-index with a high policy.age-index.price"],
     }
 }
 
 /// Returns the changes that give the devices more energy. A larger battery is among them only if batteries overflowed.
-fn harvest_more(scenario: &Scenario, energy: Option<RunEnergy>) -> String {
+fn harvest_more(scenario: &Scenario, energy: Option<RunEnergy>) -> Vec<&'static str> {
     let is_trace = |class: &DeviceClass| matches!(class.harvest, Harvest::Trace(_));
     let has_rare_arrivals = |class: &DeviceClass| match class.harvest {
         Harvest::Eq5(Arrivals { lambda, .. }) => lambda * scenario.run.tau < 0.5,
         Harvest::ExpMinusLambda(_) | Harvest::Mpp(_) | Harvest::Diurnal(_) | Harvest::Trace(_) => false,
     };
-    let source = if scenario.classes.iter().any(is_trace) {
-        "raise harvest.trace.scale (the panel's area_cm2 with irradiance)"
+    let mut changes = if scenario.classes.iter().any(is_trace) {
+        vec!["raise harvest.trace.scale (the panel's area_cm2 with irradiance)"]
     } else if scenario.classes.iter().any(has_rare_arrivals) {
-        "raise harvest.lambda or harvest.e_b"
+        vec!["raise harvest.lambda", "raise harvest.e_b"]
     } else {
-        "raise harvest.e_b"
+        vec!["raise harvest.e_b"]
     };
-    let overflowed = energy.is_some_and(|energy| energy.overflow_per_device_tti > 0.0);
-    format!("{source}{}", if overflowed { ", or energy.e_max" } else { "" })
+    if energy.is_some_and(|energy| energy.overflow_per_device_tti > 0.0) {
+        changes.push("raise energy.e_max");
+    }
+    changes
 }
 
 /// Returns a sentence with the expected harvest and the costs of a device.
@@ -78,100 +107,111 @@ fn balance(scenario: &Scenario) -> String {
     )
 }
 
-/// Returns `text` with a capital letter.
-fn capitalise(text: &str) -> String {
-    let mut letters = text.chars();
-    letters.next().map_or_else(String::new, |first| {
-        first.to_uppercase().collect::<String>() + letters.as_str()
-    })
-}
-
-/// Returns the advice against `cause`, which explains `count` of `missed` events, most of them near `place`. In a run
-/// with many device-TTIs of low energy, devices sleep to save energy, and more sensing would only empty them.
+/// Returns the advice against `cause`, which explains `count` of `missed` events, most of them near `place`.
 pub(super) fn advice(
     scenario: &Scenario,
     cause: MissCause,
     (count, missed): (u64, usize),
     place: Point,
     energy: Option<RunEnergy>,
-) -> String {
+) -> Advice {
+    let (finding, background, suggestions) = explain(scenario, cause, energy);
+    let verb = if count == 1 { "was" } else { "were" };
+    let background = background.map_or_else(String::new, |text| format!(" {text}"));
+    Advice {
+        finding: format!(
+            "{count} of {missed} missed events {verb} {finding}, most near x = {:.1} m, y = {:.1} m.{background}",
+            place.x, place.y
+        ),
+        suggestions,
+    }
+}
+
+/// Returns what happened to the events of `cause`, sentences about the energy of the devices, and changes against it.
+/// In a run with many device-TTIs of low energy, devices sleep to save energy, and more sensing would only empty them.
+fn explain(scenario: &Scenario, cause: MissCause, energy: Option<RunEnergy>) -> (String, Option<String>, Vec<String>) {
     let (policy, d_max) = (scenario.policy.name(), scenario.sensing.d_max);
-    let most = format!("near x = {:.1} m, y = {:.1} m", place.x, place.y);
     let spent = scenario
         .classes
         .first()
         .map_or(f64::NAN, |class| class.energy.e_tx.units());
-    let (finding, change) = match cause {
+    let harvest_more = || harvest_more(scenario, energy);
+    let owned = |changes: Vec<&str>| changes.into_iter().map(str::to_owned).collect::<Vec<_>>();
+    let low_energy = energy
+        .map(|energy| energy.low_energy_pct)
+        .filter(|low| *low >= LOW_ENERGY_PCT);
+    let mut background = None;
+    let (finding, suggestions) = match cause {
         MissCause::OutOfReach => (
-            format!("more than sensing.d_max = {d_max} m from every device, most {most}"),
-            "Place a device there with layout.file, raise devices, or raise sensing.d_max".to_owned(),
+            format!("more than sensing.d_max = {d_max} m from every device"),
+            owned(vec![
+                "place a device there with layout.file",
+                "raise devices",
+                "raise sensing.d_max",
+            ]),
         ),
         MissCause::Removed => (
-            format!("near devices that were removed with their process, most {most}"),
-            "Run with --on-loss wait, so that another process takes over lost devices".to_owned(),
+            "near devices that were removed with their process, or had failed".to_owned(),
+            owned(vec![
+                "run with --on-loss wait, so that another process takes over lost devices",
+                "revive failed devices earlier, in the script of actions",
+            ]),
         ),
         MissCause::Undetected => (
-            format!("not detected by any device within sensing.d_max = {d_max} m, most {most}"),
-            "Lower sensing.eta, or raise devices so that events are closer to a device".to_owned(),
+            format!("not detected by any device within sensing.d_max = {d_max} m"),
+            owned(vec![
+                "lower sensing.eta",
+                "raise devices, so that events are closer to a device",
+            ]),
         ),
         MissCause::Asleep => (
-            format!("within reach of devices that slept by plan, most {most}"),
-            match energy
-                .map(|energy| energy.low_energy_pct)
-                .filter(|low| *low >= LOW_ENERGY_PCT)
-            {
-                Some(low) => format!(
-                    "Batteries were below energy.e_tx in {low:.0} % of device-TTIs, so more sensing would empty them. \
-                     {}: {}",
-                    balance(scenario),
-                    harvest_more(scenario, energy)
-                ),
-                None => format!("To sense more, {}", sense_more(policy)),
+            "within reach of devices that slept by plan".to_owned(),
+            match low_energy {
+                Some(low) => {
+                    background = Some(format!(
+                        "Batteries were below energy.e_tx in {low:.0} % of device-TTIs, so more sensing would empty \
+                         them. {}.",
+                        balance(scenario)
+                    ));
+                    owned(harvest_more())
+                }
+                None => owned(sense_more(policy)),
             },
         ),
-        MissCause::Unpowered => (
-            format!("near devices that were told to sense and had no power, most {most}"),
-            format!(
-                "{}: {}, or {}",
-                balance(scenario),
-                harvest_more(scenario, energy),
-                sense_less(policy)
-            ),
-        ),
+        MissCause::Unpowered => {
+            background = Some(format!("{}.", balance(scenario)));
+            (
+                "near devices that were told to sense and had no power".to_owned(),
+                owned([harvest_more(), sense_less(policy)].concat()),
+            )
+        }
         MissCause::WakeMissed => (
-            format!("not reported because no woken device received its wake-up, most {most}"),
+            "not reported because no woken device received its wake-up".to_owned(),
             if scenario.radio.wake_miss > 0.0 {
-                format!(
-                    "Lower radio.wake_miss = {}, or raise devices so that more of them can be woken",
-                    scenario.radio.wake_miss
-                )
+                vec![
+                    format!("lower radio.wake_miss = {}", scenario.radio.wake_miss),
+                    "raise devices, so that more of them can be woken".to_owned(),
+                ]
             } else {
-                format!(
-                    "The wake-up radios had no power: {}, or lower energy.e_wur",
-                    harvest_more(scenario, energy)
-                )
+                background = Some("The wake-up radios had no power.".to_owned());
+                owned([harvest_more(), vec!["lower energy.e_wur"]].concat())
             },
         ),
         MissCause::NoEnergy => (
-            format!("detected by devices that could not pay energy.e_tx = {spent} for a report, most {most}"),
-            format!(
-                "{}, lower energy.e_tx, or sense less: {}",
-                capitalise(&harvest_more(scenario, energy)),
-                sense_less(policy)
-            ),
+            format!("detected by devices that could not pay energy.e_tx = {spent} for a report"),
+            owned([harvest_more(), vec!["lower energy.e_tx"], sense_less(policy)].concat()),
         ),
         MissCause::Lost => (
-            format!("reported, and the radio lost every report, most {most}"),
-            format!(
-                "Lower {}, or raise devices so that several of them report an event",
+            "reported, and the radio lost every report".to_owned(),
+            owned(vec![
                 if scenario.radio.bursts.is_some() {
-                    "radio.bursts.loss"
+                    "lower radio.bursts.loss"
                 } else {
-                    "radio.uplink_loss"
-                }
-            ),
+                    "lower radio.uplink_loss"
+                },
+                "raise devices, so that several of them report an event",
+            ]),
         ),
     };
-    let verb = if count == 1 { "was" } else { "were" };
-    format!("{count} of {missed} missed events {verb} {finding}. {change}.")
+    (finding, background, suggestions)
 }

@@ -15,7 +15,7 @@ use reveille_common::geometry::{Buckets, Point};
 use reveille_common::ids::{DeviceId, Tti};
 use reveille_common::totals::MissCause;
 
-pub use advice::RunEnergy;
+pub use advice::{Advice, RunEnergy};
 
 /// Name of the cause of events whose table has no causes.
 pub const UNKNOWN_CAUSE: &str = "unknown";
@@ -227,13 +227,14 @@ impl Misses {
         devices
     }
 
-    /// Returns sentences that name the main cause and the scenario fields to change; `None` without missed events.
-    pub fn advice(&self) -> Option<String> {
+    /// Returns the main cause and the scenario fields to change; `None` without missed events.
+    pub fn advice(&self) -> Option<Advice> {
         let (cause, count) = *self.causes().first()?;
         let Some(cause) = cause else {
-            return Some(
-                "The table has no causes of missed events. Repeat the run with this version of Reveille.".to_owned(),
-            );
+            return Some(Advice {
+                finding: "The table has no causes of missed events.".to_owned(),
+                suggestions: vec!["repeat the run with this version of Reveille".to_owned()],
+            });
         };
         let place = self.hot_spot(cause);
         let counts = (count, self.missed.len());

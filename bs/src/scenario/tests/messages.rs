@@ -285,7 +285,7 @@ fn errors_in_data_files_name_row_and_column() {
             layout("out.csv"),
             "line 3: the point (30, 4) lies outside the area of 20 by 20 metres",
         ),
-        (layout("none.csv"), "none.csv\": cannot be read: No such file"),
+        (layout("none.csv"), "none.csv\": no such file; correct the path"),
         (layout("t.csv"), "has no column `x`; its columns are `hour`, `w`"),
         (
             trace("t.csv", "v"),

@@ -263,7 +263,10 @@ impl<'a> PolicyPort<'a> {
     fn peer_status(&self) -> String {
         match &self.peer {
             Some(peer) => format!("{} has not decided", peer.name),
-            None => format!("no policy process answers at {}", self.bus.key_exprs().policy_port()),
+            None => format!(
+                "no policy process answers at {}; start one that connects there, or use --policy-command",
+                self.bus.key_exprs().policy_port()
+            ),
         }
     }
 

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::arrivals::{Arrivals, ArrivalsSetup, eq5_probability};
 use super::day_profile::DayProfile;
+use super::gap::longest_gap;
 use super::shared_tables::{CumulativeHazard, SharedSourceData, expected_energy};
 use super::sun::{Sky, Sun};
 use crate::declare::{FieldReader, FieldSink, Range, ScenarioError, Section, Visit, choice, choices, number, whole};
@@ -236,6 +237,13 @@ impl DiurnalSetup {
             }
         }
         (days as f64 * whole_day + part) * self.e_b.micro() as f64
+    }
+
+    /// The longest night of the first `ttis` TTIs: TTIs in which no energy can arrive.
+    pub(super) fn longest_gap(&self, ttis: u64) -> u64 {
+        let by_tti: Vec<f64> = self.sun.arrival_probabilities(self.zenith).collect();
+        let is_dark = |p: &f64| *p <= 0.0 || self.e_b == Energy::ZERO;
+        longest_gap(by_tti.iter().map(|p| (is_dark(p), 1)), false, ttis)
     }
 
     /// The setup known before a run if only the mean is known: arrivals that are equally likely in all TTIs.

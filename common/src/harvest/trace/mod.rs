@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
+use super::gap::longest_gap;
 use super::panel::{self, Panel};
 use crate::columns::{self, ColumnData, MAX_FILE_BYTES};
 use crate::declare::choices;
@@ -360,6 +361,13 @@ impl TraceSetup {
         let (row, ttis_in_row) = ((rest / per_row) as usize, rest % per_row);
         let in_row = u128::from(rows[row].micro()) * ttis_in_row;
         (cycles * sum(rows) + sum(&rows[..row])) * per_row + in_row
+    }
+
+    /// The longest stretch of the first `ttis` TTIs in rows without energy, TTIs.
+    pub(super) fn longest_gap(&self, traces: &[Arc<Vec<Energy>>], ttis: u64) -> u64 {
+        let rows = self.find_rows(traces).map_or(&[][..], |rows| rows);
+        let parts = rows.iter().map(|energy| (*energy == Energy::ZERO, self.ttis_per_row));
+        longest_gap(parts, self.end == TraceEnd::Stop, ttis)
     }
 
     /// Creates the source. Also returns the TTI of its first arrival.

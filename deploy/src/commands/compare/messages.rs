@@ -18,12 +18,12 @@ pub(super) struct MessageDifference {
     pub(super) torn: Option<(RunSide, RecordingError)>,
 }
 
-/// Finds the first differences of two recordings from their current positions.
-pub(super) fn compare(this: &mut RecordingFile, other: &mut RecordingFile) -> MessageDifference {
+/// Finds the first differences of the recordings of run 1 and of run `number` from their current positions.
+pub(super) fn compare(this: &mut RecordingFile, other: &mut RecordingFile, number: usize) -> MessageDifference {
     let (comparison, torn) = compare_recordings(this, other);
     let mut text = String::new();
     for (nth, difference) in comparison.differences().iter().enumerate() {
-        let _infallible = write!(text, "{}", format_difference(difference, nth == 0));
+        let _infallible = write!(text, "{}", format_difference(difference, number, nth == 0));
     }
     let text = text.trim_end().to_owned();
     MessageDifference {
@@ -32,7 +32,7 @@ pub(super) fn compare(this: &mut RecordingFile, other: &mut RecordingFile) -> Me
     }
 }
 
-fn format_difference(difference: &FirstDifference, is_first: bool) -> String {
+fn format_difference(difference: &FirstDifference, number: usize, is_first: bool) -> String {
     let FirstDifference { tti, kind, .. } = difference;
     let label = if is_first { "first difference" } else { "then" };
     let devices = difference.devices();
@@ -51,7 +51,7 @@ fn format_difference(difference: &FirstDifference, is_first: bool) -> String {
         _ => format!(", of devices {}", named.join(", ")),
     };
     format!(
-        "{label}: {} in TTI {tti}{of_devices}\n    this:  {}\n    other: {}\n  ",
+        "{label}: {} in TTI {tti}{of_devices}\n    run 1: {}\n    run {number}: {}\n  ",
         kind.name(),
         difference.describe(RunSide::This),
         difference.describe(RunSide::Other)

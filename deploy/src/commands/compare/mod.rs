@@ -1,8 +1,10 @@
-//! `reveille compare`: runs side by side, with their scenario fields, metrics, digests and first difference. Programs
-//! of users read the keys of `--json`, so do not rename them. The text fits 80 columns.
+//! `reveille compare`: runs side by side, with their actions, scenario fields, metrics, digests and first difference;
+//! of sweeps, the differences between policies. Programs of users read the keys of `--json`, so do not rename them. The
+//! text fits 80 columns.
 
 mod messages;
 mod run;
+mod sweep;
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -14,8 +16,8 @@ use reveille_view::compare::compare_scenarios;
 use serde_json::{Value, json};
 
 use crate::cli::CompareArgs;
-use crate::display::{print_stdout, wrap_text};
-use crate::exit::ExitReason;
+use crate::display::{count_noun, print_stdout, wrap_indented, wrap_text};
+use crate::exit::{ExitReason, InvalidUsage};
 use crate::results_table::{MAIN_METRICS, format_number};
 use run::{ComparedRun, Difference};
 
@@ -24,21 +26,44 @@ const WIDTH: usize = 80;
 /// Width of the names of metrics, and of the cell of a run, in columns.
 const NAME_WIDTH: usize = 27;
 const CELL_WIDTH: usize = 17;
+/// Most actions of a run that are named.
+const MAX_NAMED_ACTIONS: usize = 3;
 /// Most runs in a table; more runs make further tables.
 const MAX_COLUMNS: usize = 3;
 
-/// Compares the runs.
+/// Compares the runs or the policies of sweeps.
 pub(crate) fn run(args: &CompareArgs) -> anyhow::Result<ExitCode> {
+    match args.runs.iter().filter(|path| sweep::is_sweep(path)).count() {
+        0 => compare_runs(args),
+        sweeps if sweeps == args.runs.len() => sweep::compare(args),
+        _ => bail!(InvalidUsage(
+            "sweeps and runs do not compare; name only runs, or only sweep folders and result tables".to_owned()
+        )),
+    }
+}
+
+fn compare_runs(args: &CompareArgs) -> anyhow::Result<ExitCode> {
+    if args.runs.len() < 2 {
+        bail!(InvalidUsage(format!(
+            "{}: one run has nothing to be compared with; name at least two runs, or a sweep",
+            args.runs[0].display()
+        )));
+    }
+    if args.against.is_some() || !args.metric.is_empty() {
+        bail!(InvalidUsage(
+            "--against and --metric need a sweep; leave them out, and use --all-metrics for runs".to_owned()
+        ));
+    }
     let runs = args
         .runs
         .iter()
         .map(|path| ComparedRun::open(path))
         .collect::<anyhow::Result<Vec<_>>>()?;
-    let (first, others) = runs.split_first().expect("clap requires two runs");
+    let (first, others) = runs.split_first().expect("at least two runs");
     let fields = differing_fields(&runs)?;
-    let differences = others
-        .iter()
-        .map(|other| first.compare(other))
+    let differences = (2..)
+        .zip(others)
+        .map(|(number, other)| first.compare(other, number))
         .collect::<anyhow::Result<Vec<_>>>()?;
     let output = if args.json {
         json_report(&runs, &fields, &differences).to_string() + "\n"
@@ -60,7 +85,7 @@ pub(crate) fn run(args: &CompareArgs) -> anyhow::Result<ExitCode> {
 
 /// Returns the scenario fields in which the runs differ, with the value of each run.
 fn differing_fields(runs: &[ComparedRun]) -> anyhow::Result<BTreeMap<String, Vec<String>>> {
-    let (first, others) = runs.split_first().expect("clap requires two runs");
+    let (first, others) = runs.split_first().expect("at least two runs");
     let mut fields: BTreeMap<String, Vec<String>> = BTreeMap::new();
     for (nth, other) in (1..).zip(others) {
         for (field, this, value) in compare_scenarios(first.scenario_text(), other.scenario_text())? {
@@ -80,6 +105,8 @@ fn json_report(runs: &[ComparedRun], fields: &BTreeMap<String, Vec<String>>, dif
             "run": run.name(),
             "digest": run.digest(),
             "status": summary["status"],
+            "actions": run.actions().len(),
+            "first_actions": named_actions(run),
             "metrics": summary["metrics"],
             "half_widths": half_widths.collect::<BTreeMap<_, _>>(),
         })
@@ -103,7 +130,15 @@ fn text_report(
         let digest = run
             .digest()
             .map_or("no digest", |digest| digest.get(..8).unwrap_or(digest));
-        let _infallible = writeln!(text, "run {number}: {}  ({}digest {digest})", run.name(), run.state());
+        let line = format!("run {number}: {}  ({}digest {digest})", run.name(), run.state());
+        text += &(wrap_text(&line, WIDTH) + "\n");
+        let actions = run.actions().len();
+        if actions > 0 {
+            let more = if actions > MAX_NAMED_ACTIONS { ", …" } else { "" };
+            let named = named_actions(run).join(", ");
+            let line = format!("{}: {named}{more}", count_noun(actions, "action"));
+            text += &(wrap_indented(&line, WIDTH, 2) + "\n");
+        }
     }
     text += if fields.is_empty() {
         "\nno scenario field differs\n"
@@ -111,9 +146,9 @@ fn text_report(
         "\nscenario fields that differ\n"
     };
     for (field, values) in fields {
-        let _infallible = writeln!(text, "  {field} = {}", values.join(" | "));
+        text += &(wrap_indented(&format!("{field} = {}", values.join(" | ")), WIDTH, 2) + "\n");
     }
-    let (first, others) = runs.split_first().expect("clap requires two runs");
+    let (first, others) = runs.split_first().expect("at least two runs");
     for (block, columns) in others.chunks(MAX_COLUMNS - 1).enumerate() {
         let start = block * (MAX_COLUMNS - 1);
         text += &format_metrics(args.all_metrics, first, (start + 2, columns));
@@ -122,17 +157,26 @@ fn text_report(
         .iter()
         .any(|run| MAIN_METRICS.iter().any(|metric| run.half_width(metric).is_some()))
     {
-        text += "± half-width of the 95 % interval of one run, from ten parts of its measured TTIs\n";
+        text += "±: half-width of the 95 % interval of one run, from ten parts of its measured\n   TTIs\n";
     }
     text.push('\n');
     for (number, difference) in (2..).zip(differences) {
         let line = format!("run 1 and run {number}: {}", difference.text);
-        // A difference between messages is already divided into lines.
-        let is_line = !difference.text.contains('\n');
-        text += &if is_line { wrap_text(&line, WIDTH) } else { line };
-        text.push('\n');
+        // A difference between messages is already divided into lines, with their own indentation.
+        for line in line.lines() {
+            let spaces = line.len() - line.trim_start().len();
+            text += &(wrap_indented(line.trim_start(), WIDTH, spaces) + "\n");
+        }
     }
     text
+}
+
+/// Describes the first actions of a run.
+fn named_actions(run: &ComparedRun) -> Vec<String> {
+    let named = run.actions().iter().take(MAX_NAMED_ACTIONS);
+    named
+        .map(|action| format!("TTI {} {}", action.tti, action.change))
+        .collect()
 }
 
 /// Formats the metrics of the first run and of `others`, whose first has the number `number`. A second line shows the

@@ -3,12 +3,14 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
+use reveille_common::message::{Message, MessageKind, OperatorAction};
 use reveille_lab::stats::ratio_half_width;
 use reveille_view::compare::RunSide;
 use serde_json::Value;
 
 use super::messages;
-use crate::commands::inspect::source::open;
+use crate::commands::inspect::source::{RecordingFile, open};
+use crate::input_log;
 use crate::run_folder::{EVENTS_FILE, SCENARIO_FILE, WINDOWS_FILE};
 use crate::run_reader::{Row, RowTable, RunReader};
 
@@ -29,6 +31,7 @@ pub(super) struct ComparedRun {
     source: Source,
     scenario_text: String,
     summary: Value,
+    actions: Vec<OperatorAction>,
     /// Windows of measured TTIs, of a folder.
     windows: Vec<Window>,
 }
@@ -55,15 +58,22 @@ impl ComparedRun {
     /// If it is neither, or the run has no results yet.
     pub(super) fn open(path: &Path) -> anyhow::Result<Self> {
         if path.is_file() {
-            let recording = open(path)?;
+            let mut recording = open(path)?;
             let summary = recording.summary().map(serde_json::from_str).transpose();
             return Ok(Self {
                 path: path.to_owned(),
                 scenario_text: recording.bundle().text.clone(),
                 summary: summary.with_context(|| path.display().to_string())?.unwrap_or_default(),
+                actions: recorded_actions(&mut recording),
                 source: Source::Recording(path.to_owned()),
                 windows: Vec::new(),
             });
+        }
+        if !path.exists() {
+            bail!(
+                "{}: no such file or folder; name the folder of a run, such as runs/knn-n50-s1, or a recording",
+                path.display()
+            );
         }
         let reader = RunReader::open(path)?;
         let Some(summary) = reader.summary.clone() else {
@@ -79,6 +89,7 @@ impl ComparedRun {
             scenario_text: std::fs::read_to_string(&scenario_file)
                 .with_context(|| scenario_file.display().to_string())?,
             windows: read_windows(&reader)?,
+            actions: input_log::read_folder(path, &reader.scenario)?.actions,
             source: Source::Folder(Box::new(reader)),
             summary,
         })
@@ -97,6 +108,11 @@ impl ComparedRun {
     /// The summary; null for a recording without one.
     pub(super) const fn summary(&self) -> &Value {
         &self.summary
+    }
+
+    /// The actions of operators and scripts, those of one TTI in the order in which they take effect.
+    pub(super) fn actions(&self) -> &[OperatorAction] {
+        &self.actions
     }
 
     /// The digest, if there is a summary.
@@ -145,16 +161,16 @@ impl ComparedRun {
         ratio_half_width(&parts).filter(|half_width| half_width.is_finite())
     }
 
-    /// Compares this run with `other`.
+    /// Compares this run, run 1, with `other`, run `number`.
     ///
     /// # Errors
     /// If a table or recording cannot be read.
-    pub(super) fn compare(&self, other: &Self) -> anyhow::Result<Difference> {
+    pub(super) fn compare(&self, other: &Self, number: usize) -> anyhow::Result<Difference> {
         let has_equal_digest = self.digest().is_some() && self.digest() == other.digest();
         match (&self.source, &other.source) {
             (Source::Recording(this), Source::Recording(others)) => {
                 let mut recordings = (open(this)?, open(others)?);
-                let difference = messages::compare(&mut recordings.0, &mut recordings.1);
+                let difference = messages::compare(&mut recordings.0, &mut recordings.1, number);
                 let torn = difference.torn.map(|(side, error)| {
                     let path = if side == RunSide::This { this } else { others };
                     format!(
@@ -182,7 +198,7 @@ impl ComparedRun {
                 };
                 Ok(Difference {
                     is_equal: false,
-                    text: first_event_difference(&this, &others)?,
+                    text: first_event_difference(&this, &others, number)?,
                     torn: None,
                 })
             }
@@ -204,6 +220,19 @@ pub(super) struct Difference {
     pub(super) text: String,
     /// The error of a torn recording.
     pub(super) torn: Option<String>,
+}
+
+/// Reads the actions in the rest of a recording, up to a tear.
+fn recorded_actions(recording: &mut RecordingFile) -> Vec<OperatorAction> {
+    let mut actions = Vec::new();
+    while let Ok(Some(frame)) = recording.next_frame() {
+        if frame.kind == MessageKind::Action
+            && let Ok(Message::Action(action)) = frame.message()
+        {
+            actions.push(action);
+        }
+    }
+    actions
 }
 
 /// Reads the windows that contain only measured TTIs.
@@ -233,34 +262,30 @@ fn read_windows(reader: &RunReader) -> anyhow::Result<Vec<Window>> {
     Ok(windows)
 }
 
-/// Describes the first row in which two tables of events differ.
-fn first_event_difference(this: &RowTable, other: &RowTable) -> anyhow::Result<String> {
+/// Describes the first row in which the tables of events of run 1 and run `number` differ.
+fn first_event_difference(this: &RowTable, other: &RowTable, number: usize) -> anyhow::Result<String> {
+    const RECORD: &str = "folders show events only; record both runs with --record to compare all messages";
     let (mut these, mut others) = (this.rows(), other.rows());
     loop {
         let (row, counterpart) = match (these.next(), others.next()) {
             (Some(row), Some(counterpart)) => (row, counterpart),
-            (Some(row), None) => return Ok(format!("{} is only in the first", event_label(&row)?)),
-            (None, Some(row)) => return Ok(format!("{} is only in the second", event_label(&row)?)),
-            (None, None) => {
-                return Ok(
-                    "different digests, but equal events; record both runs with --record and compare the \
-                           recordings"
-                        .to_owned(),
-                );
-            }
+            (Some(row), None) => return Ok(format!("{} is only in run 1; {RECORD}", event_label(&row)?)),
+            (None, Some(row)) => return Ok(format!("{} is only in run {number}; {RECORD}", event_label(&row)?)),
+            (None, None) => return Ok(format!("different digests, but equal events; {RECORD}")),
         };
         // The warm-up is a share of the run, so the same event can be counted in one run only.
         let columns = this.column_names().filter(|column| *column != "counted");
         let differing = columns.filter_map(|column| {
             let (value, others) = (row.text(column)?, counterpart.text(column)?);
-            (value != others).then(|| format!("{column} {value} | {others}"))
+            let shown = |value: &str| if value.is_empty() { "none" } else { value }.to_owned();
+            (value != others).then(|| format!("{column} {} in run 1, {} in run {number}", shown(value), shown(others)))
         });
         let differing: Vec<String> = differing.take(MAX_NAMED_COLUMNS).collect();
         if !differing.is_empty() {
             return Ok(format!(
-                "first difference in {}: {}",
+                "first difference in {}: {}; {RECORD}",
                 event_label(&row)?,
-                differing.join(", ")
+                differing.join("; ")
             ));
         }
     }

@@ -6,7 +6,8 @@ use std::fmt::Write as _;
 use std::process::ExitCode;
 
 use reveille_common::ids::DeviceId;
-use reveille_study::misses::{InvolvedDevice, MissMap, Misses, cause_name};
+use reveille_common::totals::MissCause;
+use reveille_study::misses::{Advice, InvolvedDevice, MissMap, Misses, cause_name};
 use serde_json::{Value, json};
 
 use crate::cli::MissesArgs;
@@ -93,7 +94,8 @@ fn json_report(
         "map": { "cell_m": map.cell_m, "missed": map.missed, "devices": map.devices },
         "devices": involved.iter().map(device).collect::<anyhow::Result<Vec<_>>>()?,
         "bins": bins.collect::<Vec<_>>(),
-        "advice": misses.advice(),
+        "advice": misses.advice().map(|advice| advice.to_string()),
+        "suggestions": misses.advice().map(|advice| advice.suggestions),
     }))
 }
 
@@ -104,14 +106,15 @@ fn text_report(
     by_device: &BTreeMap<DeviceId, Row<'_>>,
 ) -> String {
     let scenario = &misses.scenario;
-    let mut text = format!(
-        "{}: policy {}, {} devices, TTIs {} to {}\n",
+    let line = format!(
+        "{}: policy {}, {} devices, TTIs {} to {}",
         run.path().display(),
         scenario.policy.name(),
         scenario.run.devices,
         scenario.warm_up_end(),
         misses.end.0.saturating_sub(1)
     );
+    let mut text = wrap_text(&line, WIDTH) + "\n";
     let (missed, events) = (misses.missed.len(), misses.starts.len());
     let warm_up = match misses.in_warm_up {
         0 => String::new(),
@@ -129,14 +132,34 @@ fn text_report(
         return text;
     };
     for (cause, count) in misses.causes() {
-        let explanation = cause.map_or("the table has no causes", |cause| cause.explanation());
-        let share = 100.0 * count as f64 / missed as f64;
-        let _infallible = writeln!(text, "{count:7} {share:5.1} %  {:<12} {explanation}", cause_name(cause));
+        text += &format_cause(cause, count, missed);
     }
     let _infallible = write!(text, "\n{}\n{}", format_map(&misses.map()), format_bins(misses));
     let devices = format_devices(involved, by_device);
     let _infallible = write!(text, "\nNearest devices of missed events\n{devices}");
-    text + "\n" + &wrap_text(&advice, WIDTH) + "\n"
+    text + "\n" + &format_advice(&advice)
+}
+
+/// Formats a cause of `count` of the `missed` events.
+fn format_cause(cause: Option<MissCause>, count: u64, missed: usize) -> String {
+    let explanation = cause.map_or("the table has no causes", |cause| cause.explanation());
+    let share = 100.0 * count as f64 / missed as f64;
+    format!("{count:7} {share:5.1} %  {:<12} {explanation}\n", cause_name(cause))
+}
+
+/// Formats the advice, with a line for each suggestion.
+fn format_advice(advice: &Advice) -> String {
+    let mut text = wrap_text(&advice.finding, WIDTH) + "\n";
+    text += if advice.suggestions.len() == 1 {
+        "Suggestion:\n"
+    } else {
+        "Suggestions, any one of:\n"
+    };
+    for suggestion in &advice.suggestions {
+        let lines = wrap_text(suggestion, WIDTH - 4).replace('\n', "\n    ");
+        let _infallible = writeln!(text, "  - {lines}");
+    }
+    text
 }
 
 /// Formats missed events and devices by place, next to each other and north up.
@@ -251,4 +274,36 @@ fn format_devices(involved: &[InvolvedDevice], by_device: &BTreeMap<DeviceId, Ro
         );
     }
     text + "battery: final level, units; low to outage: measured TTIs, as in devices.csv\n"
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_cause_fits_in_80_columns() {
+        for cause in MissCause::ALL.map(Some).into_iter().chain([None]) {
+            let line = format_cause(cause, 1_234_567, 1_234_567);
+            assert!(line.trim_end().chars().count() <= WIDTH, "{line}");
+        }
+    }
+
+    #[test]
+    fn each_suggestion_has_its_own_lines() {
+        let advice = |suggestions: &[&str]| Advice {
+            finding: "3 of 7 missed events were not detected.".to_owned(),
+            suggestions: suggestions.iter().map(|text| (*text).to_owned()).collect(),
+        };
+        assert_eq!(
+            format_advice(&advice(&["lower sensing.eta", "raise devices"])),
+            "3 of 7 missed events were not detected.\nSuggestions, any one of:\n  - lower sensing.eta\n  \
+             - raise devices\n"
+        );
+        let one = format_advice(&advice(&[&"word ".repeat(30)]));
+        assert!(
+            one.contains("\nSuggestion:\n  - word word") && one.contains("\n    word "),
+            "{one}"
+        );
+        assert!(one.lines().all(|line| line.chars().count() <= WIDTH), "{one}");
+    }
 }

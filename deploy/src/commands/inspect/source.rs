@@ -4,9 +4,10 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow, bail};
 use reveille_bs::cycle::PreparedRun;
 use reveille_bs::scenario::Scenario;
+use reveille_common::declare::describe_read_error;
 use reveille_common::ids::Tti;
 use reveille_common::message::Frame;
 use reveille_view::recording::{RecordingReader, ScenarioBundle, is_growing};
@@ -31,7 +32,10 @@ pub(crate) type RecordingFile = RecordingReader<BufReader<File>>;
 pub(crate) fn open(path: &Path) -> anyhow::Result<RecordingFile> {
     let path = find_recording(path)?;
     let named = || path.display().to_string();
-    let file = File::open(&path).with_context(named)?;
+    let file = File::open(&path).map_err(|error| {
+        let hint = "name a recording, such as run.mcap, or the run folder that holds one";
+        anyhow!("{}: {}", named(), describe_read_error(&error, hint))
+    })?;
     if is_growing(&file) {
         note!("{}: still being written; reading the messages so far", named());
     }

@@ -13,9 +13,11 @@ use serde_json::{Value, json};
 
 use super::source::{FrameSource, check_tti_range};
 use crate::cli::StatsArgs;
-use crate::display::{note, print_stdout};
+use crate::display::{note, print_stdout, wrap_text};
 use crate::exit::ExitReason;
 
+/// Columns of a line of text.
+const WIDTH: usize = 80;
 /// Time between two tables with `--watch`; without it there is only the table at the end.
 const WATCH_INTERVAL: Duration = Duration::from_secs(1);
 
@@ -100,16 +102,20 @@ fn json_stats(traffic: &TrafficStats, devices: u32, by_device: bool) -> Value {
 fn text_stats(traffic: &TrafficStats, devices: u32, by_device: bool) -> String {
     let ttis = traffic.ttis().max(1) as f64;
     let mut table = Table::new();
+    // Units below the quantities, so that large counts fit into 80 columns.
     let header = [
         "kind",
         "plane",
         "messages",
         "bytes",
-        "messages/TTI",
-        "bytes/TTI",
-        "bytes/TTI/device",
+        "messages\nper TTI",
+        "bytes\nper TTI",
+        "bytes per TTI\nand device",
     ];
     table.load_style(UTF8_FULL_CONDENSED).set_header(header);
+    for column in table.column_iter_mut() {
+        column.set_padding((0, 0));
+    }
     let row = |name: &str, plane: &str, count: MessageCount| {
         let bytes_per_tti = count.bytes as f64 / ttis;
         [
@@ -138,13 +144,14 @@ fn text_stats(traffic: &TrafficStats, devices: u32, by_device: bool) -> String {
     let mut output = vec![format!("{span}\n{table}")];
     if let Some(share) = traffic.control_share() {
         let control = traffic.control();
-        output.push(format!(
+        let line = format!(
             "control: {} plans and {} wake-ups, {:.2} bytes a TTI, {:.1} % of all bytes on the air",
             traffic.kind(MessageKind::Plan).messages,
             traffic.kind(MessageKind::Wake).messages,
             control.bytes as f64 / ttis,
             100.0 * share
-        ));
+        );
+        output.push(wrap_text(&line, WIDTH));
     }
     if by_device {
         output.push(device_table(traffic).to_string());

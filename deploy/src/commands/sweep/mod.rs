@@ -12,7 +12,7 @@ use std::sync::Arc;
 
 use anyhow::bail;
 use reveille_common::io::Disk;
-use reveille_lab::sweep::{ReusableRuns, Shard, Sweep, SweepGrid, experiment_hash, read_seed_count};
+use reveille_lab::sweep::{ReusableRuns, Shard, Sweep, SweepActions, SweepGrid, experiment_hash, read_seed_count};
 use reveille_lab::table::Table;
 
 use super::experiment::build_experiment;
@@ -26,7 +26,11 @@ use report::SweepSummary;
 
 /// Runs or resumes a sweep.
 pub(crate) fn run(args: &SweepArgs) -> anyhow::Result<ExitCode> {
-    let mut grid = SweepGrid::new(build_experiment(args.experiment.as_deref(), &args.grid)?, &Disk)?;
+    let mut experiment = build_experiment(args.experiment.as_deref(), &args.grid)?;
+    if let Some(script) = &args.actions {
+        experiment.actions = Some(SweepActions::File(script.clone()));
+    }
+    let mut grid = SweepGrid::new(experiment, &Disk)?;
     let shard = args.shard.unwrap_or(Shard::WHOLE);
     grid.check_shard(shard)?;
     let folder = sweep_folder(args, &mut grid, shard);

@@ -126,8 +126,8 @@ impl SweepDisplay {
             label.clone()
         } else {
             format!(
-                "{:.0} M device-TTIs/s  {:#} left  {label}",
-                work / elapsed.as_secs_f64() / 1e6,
+                "{}  {:#} left  {label}",
+                display::format_speed(work / elapsed.as_secs_f64()),
                 HumanDuration(self.remaining_time())
             )
         });

@@ -8,13 +8,20 @@ use reveille_common::digits::{decimals_for, format_significant};
 use reveille_common::score::Metrics;
 use reveille_lab::metric_estimate::MetricEstimate;
 use reveille_lab::series::SeriesNames;
-use reveille_lab::stats::{self, Estimate};
+use reveille_lab::stats::{self, CellRuns, Estimate};
 use reveille_lab::sweep::{CellSummary, Shard, SweepGrid, SweepResult};
 use reveille_lab::table::SweptValue;
 use serde_json::{Map, Value as Json, json};
 
 use crate::cli::SweepArgs;
-use crate::display::count_noun;
+use crate::display::{count_noun, format_speed, wrap_text};
+
+/// Columns of a line of text.
+const WIDTH: usize = 80;
+/// Heading of the number of runs of a cell.
+const RUNS: &str = "runs";
+/// Most lines of a script that are shown.
+const MAX_SHOWN_LINES: usize = 3;
 
 /// The metrics of the closing table and their short headings.
 const CLOSING_METRICS: [(&str, &str); 6] = [
@@ -52,9 +59,12 @@ impl SweepSummary<'_> {
             "mean and, below it, half-width of the 95 % interval over the runs".to_owned(),
             "<: a one-sided 95 % bound, where an interval would need more cases".to_owned(),
         ];
+        let script = self.finished.table.metadata.action_script();
+        lines.extend(script.map(|script| describe_script(&script)));
         lines.extend(self.format_wide_intervals());
         lines.push(self.format_speed());
-        lines.push(format!("one row per run in {}\n", self.finished.path.display()));
+        let line = format!("one row per run in {}", self.finished.path.display());
+        lines.push(wrap_text(&line, WIDTH) + "\n");
         lines.join("\n")
     }
 
@@ -71,7 +81,7 @@ impl SweepSummary<'_> {
         let headings: Vec<&str> = ["preset", "policy", "N", "TTIs"]
             .into_iter()
             .chain(swept)
-            .chain(["runs"])
+            .chain([RUNS])
             .collect();
         let labels: Vec<Vec<String>> = cells
             .iter()
@@ -95,47 +105,50 @@ impl SweepSummary<'_> {
             (0..headings.len()).partition(|column| *column != 1 && is_shared(column));
         let title = shared.iter().filter_map(|column| {
             let value = labels.first()?.get(*column)?;
-            Some(format!("{} {value}", headings[*column]))
+            Some(match headings[*column] {
+                RUNS => format!("{value} {} per row", if value == "1" { "run" } else { "runs" }),
+                heading => format!("{heading} {value}"),
+            })
         });
-        let mut table = Table::new();
-        let metrics = CLOSING_METRICS.iter().map(|(_, heading)| *heading);
-        table
-            .load_style(UTF8_HORIZONTAL_ONLY.row_separator(LineStyle::none()))
-            .set_header(own.iter().map(|column| headings[*column]).chain(metrics));
-        for (cell, labels) in cells.iter().zip(&labels) {
-            let estimates = CLOSING_METRICS.iter().map(|(metric, _)| {
-                let text = format_estimate(cell.reading(metric));
-                text.replace(" ± ", "\n±").replace(", <", "\n<").replace(", >", "\n>")
-            });
-            table.add_row(own.iter().map(|column| labels[*column].clone()).chain(estimates));
-        }
-        for column in table.column_iter_mut().skip(own.len().saturating_sub(1)) {
-            column.set_cell_alignment(CellAlignment::Right);
-        }
-        for column in table.column_iter_mut() {
-            column.set_padding((0, 1));
-        }
-        if let Some(last) = table.column_iter_mut().last() {
-            last.set_padding((0, 0));
-        }
-        format!("{}\n{table}", title.collect::<Vec<_>>().join(" · "))
+        let title = wrap_text(&title.collect::<Vec<_>>().join(" · "), WIDTH);
+        let rows: Vec<(Vec<String>, &CellRuns<'_>)> = cells
+            .iter()
+            .zip(&labels)
+            .map(|(cell, labels)| (own.iter().map(|column| labels[*column].clone()).collect(), *cell))
+            .collect();
+        let own: Vec<&str> = own.iter().map(|column| headings[*column]).collect();
+        // Several swept fields leave less room for metrics, which then make further tables.
+        let tables = [6, 3, 2, 1].map(|count| {
+            let parts = CLOSING_METRICS.chunks(count);
+            let tables: Vec<String> = parts.map(|metrics| format_table(&own, &rows, metrics)).collect();
+            tables.join("\n")
+        });
+        let narrow = tables.iter().find(|text| columns_of(text) <= WIDTH);
+        let [.., narrowest] = &tables;
+        let tables = narrow.unwrap_or(narrowest);
+        format!("{title}\n{tables}")
     }
 
-    /// Formats the number of runs of this call and their speed.
+    /// Formats the number of runs and the speed of those of this call.
     fn format_speed(&self) -> String {
         let rows = self.finished.table.rows.len();
-        let found = match self.found {
-            0 => String::new(),
-            found => format!(", {found} of them already finished"),
+        let line = match (self.found, self.device_ttis) {
+            (_, 0) => format!("{}, already finished", count_noun(rows, "run")),
+            (found, _) => {
+                let found = match found {
+                    0 => String::new(),
+                    found => format!(", {found} of them already finished; the others"),
+                };
+                format!(
+                    "{}{found} in {} s on {}: {}",
+                    count_noun(rows, "run"),
+                    format_significant(self.seconds, 2),
+                    count_noun(self.threads, "thread"),
+                    format_speed(self.device_ttis as f64 / self.seconds.max(1e-9))
+                )
+            }
         };
-        // A sweep that found all of its runs takes no measurable time.
-        let rate = self.device_ttis as f64 / self.seconds.max(1e-9) / 1e6;
-        format!(
-            "{}{found} in {:.1} s on {}: {rate:.0} million device-TTIs/s",
-            count_noun(rows, "run"),
-            self.seconds,
-            count_noun(self.threads, "thread")
-        )
+        wrap_text(&line, WIDTH)
     }
 
     /// The cells whose intervals are wider than `until_ci` after all seeds: label, metric, width.
@@ -159,7 +172,8 @@ impl SweepSummary<'_> {
                 "has no relative width, as its mean is 0 or only one run defines it".to_owned()
             };
             let seeds = self.grid.experiment.seeds.count;
-            format!("{label}: --until-ci not reached with {seeds} seeds: the interval of {metric} {width}")
+            let line = format!("{label}: --until-ci not reached with {seeds} seeds: the interval of {metric} {width}");
+            wrap_text(&line, WIDTH)
         };
         self.wide_intervals().into_iter().map(line).collect()
     }
@@ -199,10 +213,63 @@ impl SweepSummary<'_> {
             "folder": self.folder, "table": self.finished.path,
             "runs": self.finished.table.rows.len(), "found": self.found,
             "threads": self.threads, "seconds": self.seconds, "device_ttis": self.device_ttis,
-            "cells": cells, "not_narrow": wide_intervals,
+            "cells": cells, "not_narrow": wide_intervals, "actions": self.finished.table.metadata.action_script(),
         });
         Ok(serde_json::to_string_pretty(&report)? + "\n")
     }
+}
+
+/// Formats a row for each cell with its labels, whose headings are `own`, and `metrics`. Long headings of swept fields
+/// break at dots.
+fn format_table(own: &[&str], rows: &[(Vec<String>, &CellRuns<'_>)], metrics: &[(&str, &str)]) -> String {
+    let mut table = Table::new();
+    let own_headings = own.iter().map(|heading| heading.replace('.', ".\n"));
+    let headings = metrics.iter().map(|(_, heading)| (*heading).to_owned());
+    table
+        .load_style(UTF8_HORIZONTAL_ONLY.row_separator(LineStyle::none()))
+        .set_header(own_headings.chain(headings));
+    for (labels, cell) in rows {
+        let estimates = metrics.iter().map(|(metric, _)| {
+            let text = format_estimate(cell.reading(metric));
+            text.replace(" ± ", "\n±").replace(", <", "\n<").replace(", >", "\n>")
+        });
+        table.add_row(labels.iter().cloned().chain(estimates));
+    }
+    // Names are aligned left, and the number next to the metrics right.
+    for column in table.column_iter_mut().skip(own.len().saturating_sub(1).max(1)) {
+        column.set_cell_alignment(CellAlignment::Right);
+    }
+    for column in table.column_iter_mut() {
+        column.set_padding((0, 1));
+    }
+    if let Some(last) = table.column_iter_mut().last() {
+        last.set_padding((0, 0));
+    }
+    table.to_string()
+}
+
+/// The number of columns of the widest line of `text`.
+fn columns_of(text: &str) -> usize {
+    text.lines().map(|line| line.chars().count()).max().unwrap_or(0)
+}
+
+/// Describes a script of actions by its first lines, in lines of at most 80 columns.
+fn describe_script(script: &str) -> String {
+    let lines = script
+        .lines()
+        .map(|line| line.split('#').next().unwrap_or_default().trim());
+    let lines: Vec<&str> = lines.filter(|line| !line.is_empty()).collect();
+    let more = match lines.len().saturating_sub(MAX_SHOWN_LINES) {
+        0 => String::new(),
+        more => format!("; {}", count_noun(more, "more line")),
+    };
+    let shown = lines
+        .iter()
+        .take(MAX_SHOWN_LINES)
+        .copied()
+        .collect::<Vec<_>>()
+        .join("; ");
+    wrap_text(&format!("actions of every run: {shown}{more}"), WIDTH)
 }
 
 fn swept_json(value: &SweptValue) -> Json {
@@ -279,7 +346,7 @@ pub(super) fn dry_run(args: &SweepArgs, grid: &SweepGrid, shard: Shard, folder: 
         ""
     };
     lines.push(format!(
-        "\n{} × {} from {}: {at_most}{}{}, {:.3} billion device-TTIs",
+        "\n{} × {} from {}: {at_most}{}{}, {} million device-TTIs",
         count_noun(grid.cells.len(), "cell"),
         count_noun(seeds.count as usize, "seed"),
         seeds.first,
@@ -289,7 +356,7 @@ pub(super) fn dry_run(args: &SweepArgs, grid: &SweepGrid, shard: Shard, folder: 
         } else {
             format!(" in shard {shard}")
         },
-        device_ttis as f64 / 1e9
+        format_significant(device_ttis as f64 / 1e6, 3)
     ));
     lines.push(format!(
         "every scenario is valid; results would go to {}\n",

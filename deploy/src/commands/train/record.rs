@@ -79,6 +79,9 @@ fn record_grid(
     if grid.experiment.until_ci.is_some() {
         bail!("--until-ci: a recording always makes all runs; leave it out");
     }
+    if grid.experiment.actions.is_some() {
+        bail!("actions: trajectories have no actions of operators; remove them from the experiment");
+    }
     let bar = display::new_bar(
         grid.shard_run_count(Shard::WHOLE),
         "{bar:24} {pos}/{len} runs",
@@ -99,7 +102,10 @@ fn record_folders(
     for (run_index, folder) in (0..).zip(&args.from) {
         let path = folder.join(SCENARIO_FILE);
         if !path.exists() {
-            bail!("{}: not a run folder: {SCENARIO_FILE} is missing", folder.display());
+            bail!(
+                "{}: not a run folder: {SCENARIO_FILE} is missing; name the folder of a run",
+                folder.display()
+            );
         }
         let scenario = load(&path.to_string_lossy(), &[])?.scenario;
         let digest = read_digest(folder)?;

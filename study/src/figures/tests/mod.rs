@@ -489,6 +489,32 @@ fn a_field_set_by_the_experiment_is_in_the_label() {
 }
 
 #[test]
+fn runs_with_actions_are_another_condition() {
+    let plain = fixtures::table("paper", "info_p1", &[("knn", 10, &[0.1, 0.2])]);
+    let (mut name, mut acted) = fixtures::table("paper", "info_p1", &[("knn", 10, &[0.3, 0.5])]);
+    name.insert_str(0, "acted-");
+    acted.metadata.experiment += "action_script = \"5 fail 3\"\n";
+    for row in &mut acted.rows {
+        row.digest.0[0] ^= 1;
+    }
+    // Their scenarios are equal, but not their outcomes.
+    let results = Results::new(&[plain, (name, acted)], &NoFiles).expect("runs");
+    let means = results.conditions.iter().map(|condition| {
+        let estimate = condition.estimate("knn", 10, "info_p1").expect("runs");
+        (condition.is_unchanged_preset(), format!("{:.2}", estimate.mean))
+    });
+    assert_eq!(
+        means.collect::<Vec<_>>(),
+        [(true, "0.15".to_owned()), (false, "0.40".to_owned())]
+    );
+    assert!(
+        results.conditions[1]
+            .label()
+            .ends_with("changed as in acted-paper.parquet")
+    );
+}
+
+#[test]
 fn figures_are_selected_by_name() {
     let select = |wanted: &[&str]| {
         let wanted: Vec<String> = wanted.iter().map(|name| (*name).to_owned()).collect();

@@ -2,9 +2,9 @@
 //! verdicts and measured values of the report depend on them.
 
 use reveille_lab::metric_estimate::MetricEstimate;
-use reveille_lab::stats::{Moments, student_t_quantile_95};
 
 use crate::claims::{Claim, ClaimQuantity, ClaimTopic};
+use crate::figures::paired::{difference, paired_half_width};
 use crate::figures::results::RunCondition;
 
 /// Largest value that counts as 0, as a share of the largest of the other policies' means.
@@ -161,28 +161,12 @@ fn ratio(own: &MetricEstimate, theirs: &MetricEstimate, pairs: &[(f64, f64)]) ->
 
 /// Computes the distance between two means with its interval, as in [`ratio`].
 fn gap(own: &MetricEstimate, theirs: &MetricEstimate, pairs: &[(f64, f64)]) -> [f64; 3] {
-    let value = (own.estimate.mean - theirs.estimate.mean).abs();
-    let half_width = paired_half_width(own, theirs, pairs, 1.0).unwrap_or(own.half_width() + theirs.half_width());
+    let (difference, half_width) = difference(own, theirs, pairs);
+    let value = difference.abs();
     if half_width.is_nan() {
         return [value, 0.0, f64::INFINITY];
     }
     [value, (value - half_width).max(0.0), value + half_width]
-}
-
-/// Half the interval of the mean of a − `factor` · b over `pairs`; `None` if the cases are too few or there are fewer
-/// than two pairs.
-fn paired_half_width(own: &MetricEstimate, theirs: &MetricEstimate, pairs: &[(f64, f64)], factor: f64) -> Option<f64> {
-    // With too few cases for an interval, the spread of the differences does not show their frequency.
-    let is_rare = |estimate: &MetricEstimate| estimate.upper_bound.is_some() && estimate.case_counts.is_some();
-    if pairs.len() < 2 || is_rare(own) || is_rare(theirs) {
-        return None;
-    }
-    let mut moments = Moments::default();
-    for (a, b) in pairs {
-        moments.add(a - factor * b);
-    }
-    let deviation = moments.estimate()?.deviation;
-    Some(student_t_quantile_95(pairs.len() - 1) * deviation / (pairs.len() as f64).sqrt())
 }
 
 #[cfg(test)]

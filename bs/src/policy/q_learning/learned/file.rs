@@ -6,7 +6,7 @@ use std::fmt::Write as _;
 use std::io;
 use std::path::Path;
 
-use reveille_common::declare::{FileError, Files};
+use reveille_common::declare::{FileError, Files, describe_read_error};
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -55,7 +55,7 @@ fn read_training_site(text: &str) -> TrainingSite {
 #[derive(Debug, thiserror::Error)]
 pub enum LearnedError {
     /// The file cannot be read.
-    #[error("cannot be read: {0}; name a file that reveille train q-learning wrote, or \"shipped\"")]
+    #[error("{}", describe_read_error(.0, "name a file that reveille train q-learning wrote, or \"shipped\""))]
     Read(#[from] std::io::Error),
     /// The file does not hold learned tables of Reveille.
     #[error("is not a file of learned tables: {0}; name one that reveille train q-learning wrote")]

@@ -1,0 +1,46 @@
+//! Text for people fits 80 columns, also if the output is no terminal.
+
+use reveille_tests::process::{FinishedProcess, TestFolder};
+
+/// Checks that the command succeeded and that no line of its text is wider than 80 columns. A path may be longer.
+fn assert_narrow(end: &FinishedProcess) {
+    assert!(end.is_success(), "{end}");
+    let is_narrow = |line: &str| line.chars().count() <= 80 || !line.trim().contains(' ');
+    let wide: Vec<&str> = end.stdout.lines().filter(|line| !is_narrow(line)).collect();
+    assert!(wide.is_empty(), "{wide:?}: {end}");
+}
+
+#[test]
+fn a_sweep_over_several_fields_has_narrow_tables() {
+    let folder = TestFolder::new();
+    let sweep = "sweep --policies q-learning,age-index --devices 8,120 --ttis 300,400 --seeds 3 --out s";
+    for grid in [
+        "--grid harvest.lambda=0.05,0.1",
+        "--grid harvest.lambda=0.05,0.1 --grid sensing.d_max=4,5",
+        "--grid policy.age-index.price=0.3,0.4 --grid events.duration_kind=fixed,geometric --grid sensing.d_max=4,5",
+    ] {
+        let end = folder.run(&format!("{sweep}{} {grid}", grid.len()));
+        assert_narrow(&end);
+        assert!(end.stdout.starts_with("preset paper · 3 runs per row\n"), "{end}");
+        for heading in ["info (P1)", "battery", "missed %"] {
+            assert_eq!(end.stdout.matches(heading).count(), 1, "{heading}: {end}");
+        }
+        let again = folder.run(&format!("{sweep}{} {grid}", grid.len()));
+        assert_narrow(&again);
+        assert!(again.stdout.contains(" runs, already finished\n"), "{again}");
+    }
+}
+
+#[test]
+fn checks_and_message_counts_are_narrow() {
+    let folder = TestFolder::new();
+    let path = "a-folder-with-a-name/that-is-long/and-another-one-in-it/with-a-scenario/that-is-long-too";
+    std::fs::create_dir_all(folder.join(path)).expect("new");
+    folder.write(&format!("{path}/scenario.toml"), "preset = \"quick\"\n");
+    let end = folder.run(&format!("scenario check {path}/scenario.toml quick"));
+    assert_narrow(&end);
+    assert!(end.stdout.contains("scenario.toml:\nok. 20 devices"), "{end}");
+    let recorded = folder.run("up -n 60 -k 1200 -p age-index -P 2 --record r.mcap --quiet --out r");
+    assert!(recorded.is_success(), "{recorded}");
+    assert_narrow(&folder.run("inspect stats r.mcap --devices"));
+}
