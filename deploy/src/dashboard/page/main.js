@@ -139,7 +139,9 @@ function listen() {
 }
 
 // Refreshes everything that the stream of updates does not contain.
+let refreshTimer;
 async function refreshOften() {
+  clearTimeout(refreshTimer);
   try {
     page.points = await get("api/curves");
     if (page.other) {
@@ -151,7 +153,8 @@ async function refreshOften() {
   charts.show();
   if (page.follows && page.device >= 0) report(showDevice());
   schedulePaint();
-  if (!page.now.over) setTimeout(refreshOften, 1000);
+  clearTimeout(refreshTimer);
+  if (!page.now.over) refreshTimer = setTimeout(refreshOften, 1000);
 }
 
 // Keeps the table of messages at the latest TTI.
@@ -177,6 +180,7 @@ function showAbout() {
 async function begin() {
   page.run = await get("api/run");
   page.onChooseTti = chooseTti;
+  page.onPause = refreshOften;
   page.now = await get("api/now");
   page.moment = page.now;
   showAbout();
