@@ -159,7 +159,9 @@ async function refreshOften() {
 
 // Keeps the table of messages at the latest TTI.
 async function refreshMessages() {
-  const isDue = page.follows && !document.hidden && byId("filters").here.checked;
+  // New rows would take the focus away from the reader's.
+  const isRead = byId("messages").contains(document.activeElement);
+  const isDue = page.follows && !document.hidden && !isRead && byId("filters").here.checked;
   if (isDue) await report(showMessages());
   if (!page.now.over) setTimeout(refreshMessages, 400);
 }
