@@ -16,7 +16,10 @@ import { showProblem, showRunState } from "./run_state.js";
 import { refreshTheme } from "./theme.js";
 import { TimelinePanel } from "./timeline_panel.js";
 
-let mapPanel, charts, histogram, timelinePanel, requested = 0, isOtherRequested = false, isPaintScheduled = false;
+// Time between two updates with reduced motion, in milliseconds.
+const CALM_INTERVAL = 500;
+
+let receivedAt = -Infinity, mapPanel, charts, histogram, timelinePanel, requested = 0, isOtherRequested = false, isPaintScheduled = false;
 
 // Shows the reason if a promise fails.
 const report = (promise) => promise.catch((error) => showProblem(error.message));
@@ -82,6 +85,14 @@ function receive(now) {
     receiveOther();
   }
   schedulePaint();
+}
+
+// With reduced motion, the page changes twice a second. The last update is not lost: the program repeats it.
+function receiveLive(now) {
+  const isCalm = matchMedia("(prefers-reduced-motion: reduce)").matches;
+  if (isCalm && !now.over && performance.now() < receivedAt + CALM_INTERVAL) return;
+  receivedAt = performance.now();
+  receive(now);
 }
 
 // One request at a time, since updates can come faster than answers.
@@ -203,7 +214,7 @@ async function begin() {
   await show(page.run.live ? page.now.next - 1 : page.now.first);
   refreshOften();
   refreshMessages();
-  if (page.run.live) followRun(receive, (error) => {
+  if (page.run.live) followRun(receiveLive, (error) => {
     if (!page.now.over) showProblem(error.message);
     return page.now.over;
   });
