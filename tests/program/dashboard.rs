@@ -173,7 +173,9 @@ fn the_dashboard_follows_pauses_and_steps_a_run() {
         let end = folder.run("inspect misses o --json");
         let misses: Value = serde_json::from_str(&end.stdout).expect("a report");
         let counts = ["events", "missed"].map(|name| now[name].as_u64());
-        let [Some(events), Some(missed)] = counts else { return None };
+        let [Some(events), Some(missed)] = counts else {
+            return None;
+        };
         let last = curves.as_array()?.last()?;
         let share = last["metrics"][1].as_f64()?;
         (events > 10

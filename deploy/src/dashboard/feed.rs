@@ -613,7 +613,12 @@ mod tests {
             let Some(last) = curves.last() else { return };
             assert_eq!((&now["events"], &now["missed"]), (&json!(events), &json!(missed)));
             let share = (events > 0).then_some(100.0 * missed as f64 / events as f64);
-            assert_eq!((&now["tti"], last.metrics[1]), (&json!(last.tti), share), "TTI {}", last.tti);
+            assert_eq!(
+                (&now["tti"], last.metrics[1]),
+                (&json!(last.tti), share),
+                "TTI {}",
+                last.tti
+            );
             shares.insert(last.tti, share);
         };
         let on_frame = |frame: Frame| {
