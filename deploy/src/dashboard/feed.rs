@@ -585,7 +585,7 @@ pub(super) fn state_codes(views: &[DeviceView]) -> String {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::HashMap;
+    use std::collections::BTreeMap;
 
     use reveille_bs::observer::frames::FrameObserver;
     use reveille_bs::scenario::{Override, load};
@@ -606,7 +606,7 @@ mod tests {
         let set = set.map(|set| Override::parse(set).expect("an override"));
         let scenario = load("paper", &set).expect("a scenario").scenario;
         let feed = Feed::new("r", &scenario, None, FeedOrigin::Recording(Path::new("r")), None);
-        let (mut events, mut missed, mut shares) = (0, 0, HashMap::new());
+        let (mut events, mut missed, mut shares) = (0, 0, BTreeMap::new());
         // A paused run stands between two grants.
         let mut check = |events: u64, missed: u64| {
             let (now, curves) = (feed.current_json(), feed.curves());

@@ -214,7 +214,7 @@ export class Chart {
   showLegend(found) {
     const text = this.series.map((line, nth) => `${line} ${found.map(({ name, values }) => `${found.length > 1 ? name : ""} ${shortNumber(values[nth])}`).join(", ")}`).join("; ");
     const hasValues = found.some(({ values }) => values.some((value) => value !== null && value !== undefined));
-    const place = this.tti === null ? "latest" : `TTI ${ttiText(this.tti)}`, key = text + place + ink("--line");
+    const place = `TTI ${ttiText(found[0]?.tti ?? 0)}`, key = text + place + ink("--line");
     if (this.legendKey === key) return;
     this.legendKey = key;
     this.canvas.setAttribute("aria-label", `${this.title}, ${this.unit}: ${this.notice || text}`);

@@ -19,7 +19,7 @@ function countedText() {
   const { now, run } = page;
   if (now.next <= run.warm_up_end) return `warm-up until TTI ${ttiText(run.warm_up_end)}; nothing is counted yet`;
   const share = now.events ? ` (${shortNumber((100 * now.missed) / now.events)} %)` : "";
-  return `${page.other ? "this run: " : ""}${plural(now.events, "event")} counted, ${now.missed} missed${share}`;
+  return `${page.other ? "this run: " : ""}${now.missed} of ${plural(now.events, "event")} missed${share}`;
 }
 
 export function showRunState() {
