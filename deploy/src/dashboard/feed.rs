@@ -279,10 +279,9 @@ impl Feed {
     /// Ends the feed.
     pub(crate) fn end(&self) {
         let mut state = self.lock();
-        let (_, next) = state.history.available_ttis();
         state.ended = Some(crate::runtime::now());
         // A run that was cut short cannot be compared beyond its end.
-        let is_whole = next.0 >= self.ttis;
+        let is_whole = state.history.available_ttis().1.0 >= self.ttis;
         if let Some(comparison) = state.comparison.as_mut().filter(|_| is_whole) {
             comparison.end(RunSide::This);
         }
@@ -396,7 +395,6 @@ impl Feed {
         let mut state = self.lock();
         let current = state.curve_point();
         let mut points = state.points.clone();
-        drop(state);
         points.pop_if(|last| current.as_ref().is_some_and(|current| current.tti == last.tti));
         points.extend(current);
         points
