@@ -167,6 +167,23 @@ fn the_dashboard_follows_pauses_and_steps_a_run() {
     wait_until("TTI 151", PATIENCE, || {
         (page.get("/api/now")["next"] == 151).then_some(())
     });
+    // The header, the curves and the tables of the run folder have the same events, those of the last TTI included.
+    wait_until("equal counts", PATIENCE, || {
+        let (now, curves) = (page.get("/api/now"), page.get("/api/curves"));
+        let end = folder.run("inspect misses o --json");
+        let misses: Value = serde_json::from_str(&end.stdout).expect("a report");
+        let counts = ["events", "missed"].map(|name| now[name].as_u64());
+        let [Some(events), Some(missed)] = counts else {
+            return None;
+        };
+        let last = curves.as_array()?.last()?;
+        let share = last["metrics"][1].as_f64()?;
+        (events > 10
+            && counts == ["events", "missed"].map(|name| misses[name].as_u64())
+            && (share - 100.0 * missed as f64 / events as f64).abs() < 1e-9
+            && last["tti"] == 150)
+            .then_some(())
+    });
     let tti_state = page.get("/api/tti/100");
     assert_eq!(tti_state["states"].as_str().map(str::len), Some(20));
     assert_eq!(page.request("GET", "/api/tti/151", &[]).0, 404);

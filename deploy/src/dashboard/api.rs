@@ -23,7 +23,7 @@ use serde_json::{Value, json};
 use subtle::ConstantTimeEq;
 use tokio::sync::{Semaphore, watch};
 
-use super::feed::Feed;
+use super::feed::{CurvePoint, Feed};
 use super::timeline::{MAX_COLUMNS, MAX_DEVICE_TTIS, TimelineRequest, parse_rows};
 use crate::metrics_server::is_allowed_host;
 
@@ -213,20 +213,17 @@ pub(super) async fn compared_tti(State(served): State<ApiState>, Path(tti): Path
 }
 
 /// Serves the curves of the run that `--compare` names.
-pub(super) async fn compared_curves(State(served): State<ApiState>) -> ApiResult {
-    served
-        .feed
-        .compared_feed()
-        .map(|other| Json(other.curves()))
-        .ok_or_else(no_compared_run)
+pub(super) async fn compared_curves(State(served): State<ApiState>) -> Result<Json<Vec<CurvePoint>>, ApiError> {
+    let curves = served.read_feed(|feed| feed.compared_feed().map(Feed::curves)).await?;
+    curves.map(Json).ok_or_else(no_compared_run)
 }
 
 pub(super) async fn compared(State(served): State<ApiState>) -> ApiResult {
     served.feed.comparison_json().map(Json).ok_or_else(no_compared_run)
 }
 
-pub(super) async fn curves(State(served): State<ApiState>) -> Json<Value> {
-    Json(served.feed.curves())
+pub(super) async fn curves(State(served): State<ApiState>) -> Result<Json<Vec<CurvePoint>>, ApiError> {
+    Ok(Json(served.read_feed(Feed::curves).await?))
 }
 
 /// The filters of the message list, with the names of `inspect tail`.

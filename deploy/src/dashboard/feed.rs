@@ -19,6 +19,7 @@ use reveille_view::batch_receiver::{BatchReceiver, lower_priority};
 use reveille_view::compare::{FieldDifference, FirstDifference, RunComparison, RunSide};
 use reveille_view::history::{RunHistory, TtiSnapshot};
 use reveille_view::traffic::TrafficStats;
+use serde::Serialize;
 use serde_json::{Value, json};
 use tokio::sync::Notify;
 
@@ -96,8 +97,7 @@ struct FeedState {
     history: RunHistory,
     comparison: Option<RunComparison>,
     traffic: TrafficStats,
-    /// One entry per time, with a value for every curve.
-    points: Vec<Value>,
+    points: Vec<CurvePoint>,
     /// TTIs between two points.
     spacing: u64,
     next_point: Tti,
@@ -111,6 +111,21 @@ struct FeedState {
     /// Time of the first grant, and of the end of the feed.
     started: Option<Instant>,
     ended: Option<Instant>,
+}
+
+/// A point of every curve.
+#[derive(Clone, Serialize)]
+pub(crate) struct CurvePoint {
+    /// The last TTI that the values include.
+    tti: Tti,
+    /// Values of [`CURVE_METRICS`]; `None` before the first event or the end of the warm-up.
+    metrics: [Option<f64>; CURVE_METRICS.len()],
+    /// [`QUANTILES`] of the batteries, units.
+    batteries: [Option<f64>; QUANTILES.len()],
+    /// Control overhead, bytes per TTI.
+    control: f64,
+    /// Reports, bytes per TTI.
+    uplink: f64,
 }
 
 /// Sends frames to a feed.
@@ -264,13 +279,9 @@ impl Feed {
     /// Ends the feed.
     pub(crate) fn end(&self) {
         let mut state = self.lock();
-        let (_, next) = state.history.available_ttis();
-        if next > Tti::ZERO {
-            state.add_curve_point(next);
-        }
         state.ended = Some(crate::runtime::now());
         // A run that was cut short cannot be compared beyond its end.
-        let is_whole = next.0 >= self.ttis;
+        let is_whole = state.history.available_ttis().1.0 >= self.ttis;
         if let Some(comparison) = state.comparison.as_mut().filter(|_| is_whole) {
             comparison.end(RunSide::This);
         }
@@ -379,9 +390,14 @@ impl Feed {
         (!members.is_empty()).then_some(members)
     }
 
-    /// The points of all curves so far.
-    pub(crate) fn curves(&self) -> Value {
-        json!(self.lock().points)
+    /// The points of all curves so far. The last point has the same frames as [`Self::current_json`].
+    pub(crate) fn curves(&self) -> Vec<CurvePoint> {
+        let mut state = self.lock();
+        let current = state.curve_point();
+        let mut points = state.points.clone();
+        points.pop_if(|last| current.as_ref().is_some_and(|current| current.tti == last.tti));
+        points.extend(current);
+        points
     }
 
     /// The ended events of the TTIs from `from` up to but excluding `end`.
@@ -443,6 +459,11 @@ impl Feed {
 
 impl FeedState {
     fn apply(&mut self, frame: Frame) {
+        // Only between two grants: the outcomes of a grant, such as the end of an event, follow its first frame.
+        let is_between = matches!(frame.kind, MessageKind::Plan | MessageKind::World);
+        if is_between && self.history.available_ttis().1 >= self.next_point {
+            self.add_curve_point();
+        }
         self.traffic.count(&frame);
         if self.broken_reason.is_some() {
             // Later frames do not follow from the last known states.
@@ -459,10 +480,6 @@ impl FeedState {
             self.broken_reason = Some(format!(
                 "device states are unknown from here on: {error}; restart the dashboard"
             ));
-        }
-        let (_, next) = self.history.available_ttis();
-        if next >= self.next_point && next > Tti::ZERO {
-            self.add_curve_point(next);
         }
     }
 
@@ -510,9 +527,10 @@ impl FeedState {
         }
     }
 
-    /// Adds a point to every curve, before TTI `next`.
-    fn add_curve_point(&mut self, next: Tti) {
-        let curve_point = self.curve_point(next);
+    /// Adds a point to every curve.
+    fn add_curve_point(&mut self) {
+        let Some(curve_point) = self.curve_point() else { return };
+        self.next_point = curve_point.tti + 1;
         self.points.push(curve_point);
         // Keeps every other point, the first included, at twice the distance, so that memory stays bounded.
         if self.points.len() > MAX_CURVE_POINTS {
@@ -523,11 +541,12 @@ impl FeedState {
             });
             self.spacing *= 2;
         }
-        self.next_point = next + self.spacing;
+        self.next_point = self.next_point + self.spacing;
     }
 
-    /// Computes a point of every curve, before TTI `next`.
-    fn curve_point(&mut self, next: Tti) -> Value {
+    /// Computes a point of every curve from the frames so far; `None` before TTI 0.
+    fn curve_point(&mut self) -> Option<CurvePoint> {
+        let tti = self.history.now().mirror().current_tti()?;
         let views = self.history.views();
         let mut batteries: Vec<Energy> = views.iter().map(|view| view.battery).collect();
         batteries.sort_unstable();
@@ -538,12 +557,12 @@ impl FeedState {
         let metrics = self.history.now().metrics();
         let value = |name: &str| metrics.value(name).filter(|value| value.is_finite());
         let ttis = self.traffic.ttis().max(1) as f64;
-        json!({
-            "tti": next,
-            "metrics": CURVE_METRICS.map(value),
-            "batteries": QUANTILES.map(quantile),
-            "control": self.traffic.control().bytes as f64 / ttis,
-            "uplink": self.traffic.uplink().bytes as f64 / ttis,
+        Some(CurvePoint {
+            tti,
+            metrics: CURVE_METRICS.map(value),
+            batteries: QUANTILES.map(quantile),
+            control: self.traffic.control().bytes as f64 / ttis,
+            uplink: self.traffic.uplink().bytes as f64 / ttis,
         })
     }
 }
@@ -560,4 +579,67 @@ pub(super) fn state_codes(views: &[DeviceView]) -> String {
         DeviceState::Failed => 'x',
     };
     views.iter().map(code).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use reveille_bs::observer::frames::FrameObserver;
+    use reveille_bs::scenario::{Override, load};
+    use reveille_lab::preparation::prepare;
+    use reveille_lab::run::{Run, RunOptions};
+
+    use super::*;
+
+    #[test]
+    fn header_and_curves_agree_between_grants() {
+        let set = [
+            "devices=20",
+            "ttis=2000",
+            "policy.name=knn",
+            "sensing.d_max=2",
+            "events.alpha=0.4",
+        ];
+        let set = set.map(|set| Override::parse(set).expect("an override"));
+        let scenario = load("paper", &set).expect("a scenario").scenario;
+        let feed = Feed::new("r", &scenario, None, FeedOrigin::Recording(Path::new("r")), None);
+        let (mut events, mut missed, mut shares) = (0, 0, BTreeMap::new());
+        // A paused run stands between two grants.
+        let mut check = |events: u64, missed: u64| {
+            let (now, curves) = (feed.current_json(), feed.curves());
+            let Some(last) = curves.last() else { return };
+            assert_eq!((&now["events"], &now["missed"]), (&json!(events), &json!(missed)));
+            let share = (events > 0).then_some(100.0 * missed as f64 / events as f64);
+            assert_eq!(
+                (&now["tti"], last.metrics[1]),
+                (&json!(last.tti), share),
+                "TTI {}",
+                last.tti
+            );
+            shares.insert(last.tti, share);
+        };
+        let on_frame = |frame: Frame| {
+            if matches!(frame.kind, MessageKind::Plan | MessageKind::World) {
+                check(events, missed);
+            }
+            if let Ok(Message::Event(EventUpdate::Ended(record))) = frame.message()
+                && record.counted
+            {
+                events += 1;
+                missed += u64::from(record.delay().is_none());
+            }
+            feed.apply(frame);
+        };
+        Run::new(&prepare(&scenario), RunOptions::default()).finish(&mut FrameObserver::new(0, on_frame));
+        check(events, missed);
+        assert!(missed > 10 && events > missed, "{missed} of {events} missed");
+        feed.end();
+        let points = feed.curves();
+        assert!(points.len() > 300 && points.last().is_some_and(|last| last.tti == Tti(1999)));
+        // Stored points equal the values of a pause at their TTIs.
+        for point in points {
+            assert_eq!(shares.get(&point.tti), Some(&point.metrics[1]), "TTI {}", point.tti);
+        }
+    }
 }

@@ -214,11 +214,11 @@ export class Chart {
   showLegend(found) {
     const text = this.series.map((line, nth) => `${line} ${found.map(({ name, values }) => `${found.length > 1 ? name : ""} ${shortNumber(values[nth])}`).join(", ")}`).join("; ");
     const hasValues = found.some(({ values }) => values.some((value) => value !== null && value !== undefined));
-    const key = text + ink("--line");
+    const place = `TTI ${ttiText(found[0]?.tti ?? 0)}`, key = text + place + ink("--line");
     if (this.legendKey === key) return;
     this.legendKey = key;
     this.canvas.setAttribute("aria-label", `${this.title}, ${this.unit}: ${this.notice || text}`);
-    this.legend.replaceChildren(...(hasValues ? this.series : []).map((line, nth) => element("span", {}, ...(line ? [swatch(DASHES[nth]), line] : []), ...found.map(({ colour, values }) => {
+    this.legend.replaceChildren(...(hasValues ? this.series : []).map((line, nth) => element("span", {}, ...(line ? [swatch(DASHES[nth]), line] : [place]), ...found.map(({ colour, values }) => {
       const value = element("b", { textContent: shortNumber(values[nth]) });
       if (found.length > 1) value.style.color = ink(colour);
       return value;

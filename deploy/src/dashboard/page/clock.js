@@ -11,6 +11,8 @@ const milliseconds = ({ RealTime: micros }) => (micros ? micros / 1000 : 0);
 
 // Shows a status. Returns whether the clock is paused, or runs to the end.
 function showStatus({ status }) {
+  // The curves of a paused run do not wait for their next refresh.
+  if (status.paused && page.clock?.tti !== status.tti) page.onPause();
   page.clock = status;
   const isStopping = status.until < status.ttis;
   if (document.activeElement !== byId("pace")) byId("pace").value = milliseconds(status.pace);

@@ -16,9 +16,9 @@ let chart, requested = 0;
 // Paints the states as a band at the foot of the chart.
 function paintStates(draw, history, bottom) {
   history.states.split("").forEach((state, nth) => {
-    const x = Math.round(chart.x(history.from + nth));
+    const x = Math.round(chart.x(history.from + nth)), height = { 0: 5, x: 3 }[state] ?? 10;
     draw.fillStyle = ink(STATE_COLOURS[state]);
-    draw.fillRect(x, bottom - 10, Math.max(Math.round(chart.x(history.from + nth + 1)) - x, 1), 10);
+    draw.fillRect(x, bottom - height, Math.max(Math.round(chart.x(history.from + nth + 1)) - x, 1), height);
   });
 }
 
@@ -46,6 +46,12 @@ export async function showDevice() {
     id: "device", title: "Battery and states", unit: "units", series: [""], emptyText: "no history", onChoose: page.onChooseTti, decorate: (draw, bottom) => paintStates(draw, chart.history, bottom),
   });
   chart.history = history;
+  const seen = Object.keys(STATE_NAMES).filter((state) => history.states.includes(state));
+  byId("state-legend").replaceChildren(...seen.map((state) => {
+    const box = element("i", { className: "box" });
+    box.dataset.colour = STATE_COLOURS[state].slice(2);
+    return element("span", {}, box, STATE_NAMES[state]);
+  }));
   chart.most = run.e_max[device] * 1.04;
   chart.show([{ name: `device ${device}`, colour: "--ink", points: history.batteries.map((battery, nth) => [history.from + nth, [battery]]) }], history.from, history.from + history.batteries.length - 1, tti);
   if (!history.totals) return;

@@ -12,7 +12,7 @@ export function showLastEvents(onChooseTti) {
   if (text === listed) return;
   listed = text;
   byId("ticker").replaceChildren(...page.now.ticker.map(({ tti, text, who }) => element("li", {},
-    element("button", { textContent: `TTI ${tti}`, onclick: () => onChooseTti(tti) }), ` ${text}${who.length ? ` (${who.join(", ")})` : ""}`)));
+    element("button", { textContent: `TTI ${tti}`, onclick: () => onChooseTti(tti) }), ` ${text}${who.length ? ` (${who.join("; ")})` : ""}`)));
   byId("no-events").hidden = page.now.ticker.length > 0;
 }
 

@@ -16,7 +16,10 @@ import { showProblem, showRunState } from "./run_state.js";
 import { refreshTheme } from "./theme.js";
 import { TimelinePanel } from "./timeline_panel.js";
 
-let mapPanel, charts, histogram, timelinePanel, requested = 0, isOtherRequested = false, isPaintScheduled = false;
+// Time between two updates with reduced motion, in milliseconds.
+const CALM_INTERVAL = 500;
+
+let receivedAt = -Infinity, mapPanel, charts, histogram, timelinePanel, requested = 0, isOtherRequested = false, isPaintScheduled = false;
 
 // Shows the reason if a promise fails.
 const report = (promise) => promise.catch((error) => showProblem(error.message));
@@ -84,6 +87,14 @@ function receive(now) {
   schedulePaint();
 }
 
+// With reduced motion, the page changes twice a second. The last update is not lost: the program repeats it.
+function receiveLive(now) {
+  const isCalm = matchMedia("(prefers-reduced-motion: reduce)").matches;
+  if (isCalm && !now.over && performance.now() < receivedAt + CALM_INTERVAL) return;
+  receivedAt = performance.now();
+  receive(now);
+}
+
 // One request at a time, since updates can come faster than answers.
 function receiveOther() {
   if (!page.other || isOtherRequested || page.tti >= page.other.run.ttis) return;
@@ -139,7 +150,9 @@ function listen() {
 }
 
 // Refreshes everything that the stream of updates does not contain.
+let refreshTimer;
 async function refreshOften() {
+  clearTimeout(refreshTimer);
   try {
     page.points = await get("api/curves");
     if (page.other) {
@@ -151,12 +164,15 @@ async function refreshOften() {
   charts.show();
   if (page.follows && page.device >= 0) report(showDevice());
   schedulePaint();
-  if (!page.now.over) setTimeout(refreshOften, 1000);
+  clearTimeout(refreshTimer);
+  if (!page.now.over) refreshTimer = setTimeout(refreshOften, 1000);
 }
 
 // Keeps the table of messages at the latest TTI.
 async function refreshMessages() {
-  const isDue = page.follows && !document.hidden && byId("filters").here.checked;
+  // New rows would take the focus away from the reader's.
+  const isRead = byId("messages").contains(document.activeElement);
+  const isDue = page.follows && !document.hidden && !isRead && byId("filters").here.checked;
   if (isDue) await report(showMessages());
   if (!page.now.over) setTimeout(refreshMessages, 400);
 }
@@ -177,6 +193,7 @@ function showAbout() {
 async function begin() {
   page.run = await get("api/run");
   page.onChooseTti = chooseTti;
+  page.onPause = refreshOften;
   page.now = await get("api/now");
   page.moment = page.now;
   showAbout();
@@ -197,7 +214,7 @@ async function begin() {
   await show(page.run.live ? page.now.next - 1 : page.now.first);
   refreshOften();
   refreshMessages();
-  if (page.run.live) followRun(receive, (error) => {
+  if (page.run.live) followRun(receiveLive, (error) => {
     if (!page.now.over) showProblem(error.message);
     return page.now.over;
   });

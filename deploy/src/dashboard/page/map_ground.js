@@ -65,9 +65,11 @@ export class MapGround {
     return centres;
   }
 
+  // Numbers of many clusters would cover each other.
   paintClusterNumbers(draw, width, height) {
     this.centres ??= this.findCentres();
-    const { centres } = this, size = Math.max(10, Math.min(20, width / 2.6 / Math.sqrt(centres.size)));
+    const { centres } = this, size = Math.min(18, width / 2.6 / Math.sqrt(centres.size));
+    if (size < 15) return;
     draw.font = `600 ${size}px system-ui, sans-serif`;
     draw.textAlign = "center";
     draw.textBaseline = "middle";

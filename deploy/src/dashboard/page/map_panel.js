@@ -89,7 +89,7 @@ export class MapPanel {
       entry(mark("✶", "--event"), "event, with d_max around it"),
     ];
     if (this.hasBelief) entries.push(entry(mark("●", "--belief"), "the base station's belief about the event's place"));
-    if (this.layer === "cluster") entries.push(entry(mark("1", "--faint"), "number of a cluster"));
+    if (this.layer === "cluster") entries.push(entry(mark("■", "--faint"), "tint, and number if it fits: cluster"));
     if (this.layer === "class") {
       run.classes.forEach((name, nth) => {
         const square = mark("■", "--ink");

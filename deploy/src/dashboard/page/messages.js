@@ -30,7 +30,7 @@ export async function showMessages() {
   // A run that is followed has moved on meanwhile: its latest messages count as shown.
   const shown = page.follows && rows.length ? rows[0].tti : page.tti;
   const lines = rows.map((row) => {
-    const line = element("tr", { tabIndex: 0 }, ...COLUMNS.map((name) => element("td", { textContent: row[name] })));
+    const line = element("tr", { tabIndex: -1 }, ...COLUMNS.map((name) => element("td", { textContent: row[name] })));
     line.dataset.id = row.id;
     line.dataset.plane = row.plane;
     if (row.tti === shown) line.className = "shown";
@@ -39,6 +39,7 @@ export async function showMessages() {
   if (isHere && rows.length && rows[0].tti !== shown) {
     lines.unshift(element("tr", { className: "gap" }, element("td", { colSpan: COLUMNS.length, textContent: `no message in TTI ${page.tti}; earlier ones follow` })));
   }
+  if (rows.length) lines.at(-rows.length).tabIndex = 0;
   byId("messages").tBodies[0].replaceChildren(...lines);
 }
 
@@ -64,6 +65,15 @@ export function startMessages(report) {
     if (line) report(showMessage(line.dataset.id));
   };
   body.addEventListener("click", open);
-  body.addEventListener("keydown", (event) => event.key === "Enter" && open(event));
+  // One row has a tab stop; the arrows choose another.
+  body.addEventListener("keydown", (event) => {
+    const line = event.target.closest("tr"), next = { ArrowDown: line.nextSibling, ArrowUp: line.previousSibling }[event.key];
+    if (event.key === "Enter") open(event);
+    if (!next) return;
+    line.tabIndex = -1;
+    next.tabIndex = 0;
+    next.focus();
+    event.preventDefault();
+  });
   addExport(byId("traffic-title").parentElement, { name: "messages", title: "Messages", rows: () => [COLUMNS, ...rows.map((row) => COLUMNS.map((name) => row[name]))] });
 }

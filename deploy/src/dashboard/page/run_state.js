@@ -1,6 +1,6 @@
 // The state of the run, with the names of `reveille clock status` and of the progress bar.
 
-import { clockText, ttiText } from "./axis.js";
+import { clockText, shortNumber, ttiText } from "./axis.js";
 import { byId, page, plural, setText } from "./page_state.js";
 
 // The state from the latest update and the latest status of the clock.
@@ -18,7 +18,8 @@ export function runState() {
 function countedText() {
   const { now, run } = page;
   if (now.next <= run.warm_up_end) return `warm-up until TTI ${ttiText(run.warm_up_end)}; nothing is counted yet`;
-  return `${page.other ? "this run: " : ""}${plural(now.events, "event")} counted, ${now.missed} missed`;
+  const share = now.events ? ` (${shortNumber((100 * now.missed) / now.events)} %)` : "";
+  return `${page.other ? "this run: " : ""}${now.missed} of ${plural(now.events, "event")} missed${share}`;
 }
 
 export function showRunState() {
@@ -32,7 +33,8 @@ export function showRunState() {
   setText(byId("wall"), now.wall_s === null || !run.live ? "" : `${run.is_whole_wall_time ? "wall clock" : "watched for"} ${clockText(now.wall_s)}`);
   setText(byId("message-count"), `${ttiText(now.messages)} messages`);
   const behind = now.next - 1 - page.tti;
-  setText(byId("shown"), page.follows && run.live ? "the latest" : behind > 0 ? `${plural(behind, "TTI")} before the latest` : "the last");
+  const end = run.live ? "the latest" : "the last";
+  setText(byId("shown"), behind > 0 && !(page.follows && run.live) ? `${plural(behind, "TTI")} before ${end}` : end);
 }
 
 // Shows an error, or removes it.

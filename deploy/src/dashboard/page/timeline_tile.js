@@ -1,11 +1,17 @@
 // The picture of a tile of the timeline: for each device a band of states above a small area chart of its battery.
 
-import { FAILED, OUT, REPORTING, REPORTED, TILE_COLUMNS, UNPOWERED, WAKE_UP_SENT } from "./timeline_data.js";
+import { ASLEEP, FAILED, OUT, REPORTING, REPORTED, SENSING, TILE_COLUMNS, UNPOWERED, WAKE_UP_SENT } from "./timeline_data.js";
 import { ink, rgb } from "./theme.js";
 
 // Height of a row and of its parts, in pixels.
 export const ROW = 18;
 const STATE_TOP = 2, STATE_BOTTOM = 10, BATTERY_TOP = 11, BATTERY_BOTTOM = 17;
+
+// The top and the bottom of a state's band. Devices that cannot act have a lower one, so that states differ in shape too.
+export function bandOf(flags) {
+  if (flags & (FAILED | WAKE_UP_SENT | REPORTED | REPORTING | SENSING | ASLEEP)) return [STATE_TOP, STATE_BOTTOM];
+  return flags & OUT ? [STATE_BOTTOM - 2, STATE_BOTTOM] : [STATE_BOTTOM - 4, STATE_BOTTOM];
+}
 
 const mix = (from, to, share) => from.map((value, nth) => Math.round(value + (to[nth] - value) * share));
 const packed = ([r, g, b]) => (255 << 24 | b << 16 | g << 8 | r) >>> 0;
@@ -48,7 +54,8 @@ export function tilePicture(tile) {
       const cell = row * TILE_COLUMNS + column, flags = tile.flags[cell];
       if (!flags) continue;
       const top = row * ROW, colour = palette.state(flags, tile.sensing[cell]);
-      for (let y = STATE_TOP; y < STATE_BOTTOM; y += 1) pixels[(top + y) * TILE_COLUMNS + column] = colour;
+      const [bandTop, bandBottom] = bandOf(flags);
+      for (let y = bandTop; y < bandBottom; y += 1) pixels[(top + y) * TILE_COLUMNS + column] = colour;
       // A full battery fills the band; any energy shows at least one pixel.
       const level = Math.ceil((tile.battery[cell] / 255) * (BATTERY_BOTTOM - BATTERY_TOP));
       for (let y = BATTERY_BOTTOM - level; y < BATTERY_BOTTOM; y += 1) pixels[(top + y) * TILE_COLUMNS + column] = palette.battery;
