@@ -111,7 +111,7 @@ impl EnergyBalance {
                 report_cost: energy.e_tx.units(),
                 capacity: energy.e_max.units(),
                 longest_gap: groups
-                    .range((class, 0)..=(class, u32::MAX))
+                    .range((index, 0)..=(index, u32::MAX))
                     .filter_map(|(_, (setup, _))| setup.longest_gap(&deployment.traces, ttis))
                     .max(),
             })

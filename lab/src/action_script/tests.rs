@@ -48,7 +48,10 @@ fn all_are_the_devices_of_the_run() {
         "40 devices 0 to 49 are revived",
         "50 devices 0 to 49 receive 2.5 units each",
     ];
-    assert_eq!(shown("10 fail all for 20\n40 revive all\n50 energy all 2.5"), expected);
+    assert_eq!(
+        action_lines("10 fail all for 20\n40 revive all\n50 energy all 2.5"),
+        expected
+    );
     let random = |devices| {
         parse(
             &format!("from 0 every 600 fail {devices} for 60 at random"),
