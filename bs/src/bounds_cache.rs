@@ -6,23 +6,24 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Upper bounds of `P_4,2` on a grid of distances, each valid for all pairs (d, γ) that are nearest to its grid point.
+/// Upper bounds of `P_4,2` on a grid of distances, each valid for all pairs (d, γ) that are nearest to its grid point:
+/// d from the event to the reporter, γ from the reporter to a candidate. Rows are along d, columns along γ.
 #[derive(Debug, Default)]
 pub(crate) struct CorrelationBounds {
     /// Grid points per metre.
     pub(crate) points_per_metre: f64,
-    /// Grid points along γ, from 0 to twice the sensing range.
+    /// Grid points along γ, from 0 to at least twice the sensing range.
     pub(crate) columns: usize,
     /// Bands of γ with a bound of at least p(d_max), one list per row of d, in descending order of the bound.
     pub(crate) bands: Vec<Vec<Band>>,
 }
 
-/// All γ nearest to one grid point.
+/// All γ nearest to one grid point of a row.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Band {
     /// Index of the grid point along γ.
     pub(crate) column: usize,
-    /// Upper bound of `P_4,2` over all pairs with this γ.
+    /// Upper bound of `P_4,2` over all pairs nearest to this grid point.
     pub(crate) bound: f64,
 }
 

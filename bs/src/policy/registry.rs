@@ -1,5 +1,6 @@
 //! The list of policies, [`POLICIES`]. Scenarios, the command line, sweeps, figures and tests read it. Names are part
-//! of scenario files and result tables. docs/writing-a-policy.md lists the parts of a new entry.
+//! of scenario files and result tables. docs/writing-a-policy.md lists the parts of a new entry. `external` is not a
+//! policy of this program: see [`super::outside`].
 
 use super::adjusted::ADJUSTED;
 use super::age_index::AGE_INDEX;

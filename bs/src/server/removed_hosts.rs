@@ -13,8 +13,8 @@ use super::failover::ReplaySource;
 
 struct RemovedHost {
     assignment: Assignment,
-    /// The TTI in which its devices were removed, unless they were removed before.
-    removed_in: Tti,
+    /// The TTI in which the host was lost. Its devices left the run then, or before the run was resumed.
+    lost_in: Tti,
     /// The totals of its devices, computed once their ledgers are closed.
     totals: Option<DeviceTotals>,
 }
@@ -39,11 +39,11 @@ impl RemovedHosts {
 
     /// Adds a host with this assignment, lost in the open TTI. From now on this list accounts for all its devices,
     /// including those removed before the run was resumed.
-    pub(super) fn add(&mut self, assignment: Assignment, removed_in: Tti) {
+    pub(super) fn add(&mut self, assignment: Assignment, lost_in: Tti) {
         let totals = None;
         self.hosts.push(RemovedHost {
             assignment,
-            removed_in,
+            lost_in,
             totals,
         });
     }
@@ -59,17 +59,15 @@ impl RemovedHosts {
         for index in 0..self.hosts.len() {
             let RemovedHost {
                 assignment,
-                removed_in,
+                lost_in,
                 totals,
             } = &self.hosts[index];
             sum += if let Some(totals) = totals {
                 *totals
             } else {
                 // Once the TTI of the loss is closed the ledgers never change, so one replay serves all later windows.
-                let (is_closed, ledgers) = (
-                    *removed_in < k,
-                    self.ledgers_before(k, assignment.first, assignment.count)?,
-                );
+                let is_closed = *lost_in < k;
+                let ledgers = self.ledgers_before(k, assignment.first, assignment.count)?;
                 let totals = ledgers.iter().map(|ledger| ledger.whole).sum();
                 self.hosts[index].totals = is_closed.then_some(totals);
                 totals

@@ -1,7 +1,8 @@
 //! The kinds of event processes. Their words are part of scenario files and of the scenario hash.
 //!
-//! Each kind has a file with its fields and its draws. Only this module distinguishes them, with an arm for each: of
-//! [`ProcessSettings`], [`Starts`] and [`Epicentres`].
+//! Each kind has a file with its fields and its draws. This module distinguishes them, with an arm for each: of
+//! [`ProcessSettings`], [`Starts`] and [`Epicentres`]. A new kind also needs its section in `EventSettings::SECTIONS`
+//! and its rule in `tests/src/reference/events.rs`.
 
 use super::aftershocks::{AftershockEpicentres, Aftershocks};
 use super::bursts::{BurstStarts, EventBursts};

@@ -16,11 +16,14 @@ impl<K: PolicyKind> Scenario<PolicyChoice<K>> {
         self.page().active_fields(&declaration(&[self.policy.kind()]))
     }
 
-    /// Returns the TOML of [`Self::to_toml`], with new names for the files for which `name` returns one.
+    /// Returns the TOML of [`Self::to_toml`], with new names for the files for which `rename` returns one.
     #[must_use]
-    pub fn to_toml_with_files(&self, name: impl Fn(&Path) -> Option<String>) -> String {
+    pub fn to_toml_with_files(&self, rename: impl Fn(&Path) -> Option<String>) -> String {
         let mut page = TomlPage::default();
-        let mut renamed = FileRenamer { page: &mut page, name };
+        let mut renamed = FileRenamer {
+            page: &mut page,
+            rename,
+        };
         self.visit(&mut renamed);
         page.active_fields(&declaration(&[self.policy.kind()]))
     }
@@ -69,7 +72,7 @@ impl FieldSink for FileCollector {
 /// A sink that writes a page with new names for files.
 struct FileRenamer<'p, N> {
     page: &'p mut TomlPage,
-    name: N,
+    rename: N,
 }
 
 impl<N: Fn(&Path) -> Option<String>> FieldSink for FileRenamer<'_, N> {
@@ -79,7 +82,7 @@ impl<N: Fn(&Path) -> Option<String>> FieldSink for FileRenamer<'_, N> {
 
     fn field(&mut self, section: &'static Section, field: &'static Field, value: FieldValue<'_>) {
         let renamed = if let FieldValue::Path(path) = value {
-            (self.name)(Path::new(path))
+            (self.rename)(Path::new(path))
         } else {
             None
         };

@@ -1,12 +1,12 @@
-//! The general fields of a run and of the base station, and the presets. Names, words and values are part of scenario
-//! files and of the scenario hash; a test compares the declarations with `docs/scenario.md`.
+//! The general fields of a run and of the base station, and the presets. Names, words, values and their order are part
+//! of scenario files and of the scenario hash; a test compares the declarations with `docs/scenario.md`.
 
 use crate::declare;
 use crate::declare::{Alternative, BELOW_ONE, POSITIVE, Preset, choice, choices, number, registered, whole, word};
 use crate::ids::{MAX_DEVICES, MAX_TTIS};
 
-/// The presets. The first one is the declared defaults, from which a file starts unless it names another preset. A
-/// changed default or preset changes the digests of its runs.
+/// The presets. The first one changes nothing: it is the declared defaults, from which a file starts unless it names
+/// another preset. A changed default or preset changes the digests of its runs.
 pub const PRESETS: &[Preset] = &[
     Preset {
         name: "paper",
@@ -39,7 +39,7 @@ const PRESET_WORDS: [Alternative; PRESETS.len()] = {
     words
 };
 
-crate::declare! {
+declare! {
     /// General fields of a run.
     #[derive(Clone, Debug, PartialEq)]
     pub struct RunSettings in "" {
@@ -58,7 +58,7 @@ crate::declare! {
     }
 }
 
-crate::declare! {
+declare! {
     /// Policy that decides the δ plan and the wake-ups. The settings in a policy's section apply only if that policy is
     /// selected.
     #[derive(Clone, Debug)]

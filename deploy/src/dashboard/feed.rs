@@ -208,8 +208,8 @@ impl Feed {
                 history: RunHistory::new(scenario, max_ttis),
                 traffic: TrafficStats::default(),
                 points: Vec::new(),
-                // A short run gets a point for every TTI. A long one starts with FIRST_SPACING_TTIS, and
-                // `add_curve_point` thins it out.
+                // A short run gets a point for every TTI. A longer one starts with up to FIRST_SPACING_TTIS between
+                // points, and `add_curve_point` thins it out.
                 spacing: (scenario.run.ttis / MAX_CURVE_POINTS as u64).clamp(1, FIRST_SPACING_TTIS),
                 next_point: Tti::ZERO,
                 broken_reason: None,

@@ -19,7 +19,8 @@ pub struct BatchBuffers<'a> {
     pub global: &'a mut [f32],
     /// The stage, `[K]`: 0 for a plan, 1 for wake-ups.
     pub stage: &'a mut [i64],
-    /// The action mask: 2 if both values are allowed, 0 if only 0 is, `[K, N]`.
+    /// The action mask: 2 if both values are allowed, 0 if only 0 is, `[K, N]`. These are the codes of a mask of
+    /// Gymnasium's `MultiBinary` space.
     pub mask: &'a mut [i8],
     /// The reward of the last step, `[K]`.
     pub reward: &'a mut [f64],
@@ -82,6 +83,7 @@ impl EnvBuffers<'_> {
         self.parts.copy_from_slice(&[asleep, missed, information, woken]);
         *self.ttis = environment.ttis_done().cast_signed();
         *self.ended = environment.pending_decision().is_none();
+        // After the end of a run, the context of the decision that would follow.
         let request = environment.decision_context();
         request.write_devices(self.devices);
         request.write_globals(self.global);

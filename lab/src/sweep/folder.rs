@@ -75,7 +75,7 @@ impl<'g> Sweep<'g> {
             let is_ours = name.to_str().is_some_and(|name| {
                 // A process that was killed while writing a file leaves NAME.part.
                 let name = name.strip_suffix(".part").unwrap_or(name);
-                [EXPERIMENT_FILE, SCENARIO_FILE, JOURNAL_FILE].contains(&name) || name.starts_with(TABLE_STEM)
+                [EXPERIMENT_FILE, SCENARIO_FILE, JOURNAL_FILE].contains(&name)
             });
             if !is_ours && !folder.join(JOURNAL_FILE).exists() {
                 let name = name.to_string_lossy();

@@ -325,7 +325,7 @@ fn a_training_learns_the_data_and_resumes_to_the_same_bytes() {
         "gain of looks: {}, expected {expected_gain}",
         score.looks
     );
-    // All wake-ups bring half of the expected gain: ln 2/2 − 1/2 + 1 nats less 1/2.
+    // All wake-ups bring half of the expected gain: ½·ln ½ − (½ − 1) nats.
     let expected_wake_gain = 0.5 - 0.5 * std::f64::consts::LN_2;
     assert!(
         (score.wakes - expected_wake_gain).abs() < 0.05,

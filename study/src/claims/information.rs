@@ -1,7 +1,8 @@
 //! Claims on information (Fig. 7): the objective of P1 where the paper compares policies, and information per event.
 //! Numbers are transcribed from the cited sentences, which a test checks. `metric` and `paper_figure` are the keys by
 //! which figures find claims ([`super::claims_on`]). The order of the claims numbers them for
-//! [`crate::report::search`].
+//! [`crate::report::search`], so a claim in the middle moves later ones to the other half of the search. Texts appear
+//! in docs/reproduction.md.
 
 use super::citation::{ABSTRACT, BENCHMARKS, CONCLUSIONS, CONTRIBUTION, FIG_7};
 use super::claim::ClaimQuantity::{Mean, Ratio};

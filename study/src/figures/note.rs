@@ -6,18 +6,18 @@ use super::path::{Rect, boxes_overlap};
 use super::scene::{Anchor, Text};
 use super::style::{MARKER_RADIUS, TEXT_SIZE};
 
-/// A label next to a point.
+/// A label next to a point of a chart, in units of the axes. The chart converts it and calls [`place_notes`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Note {
-    /// X of the point.
+    /// Value on the x axis.
     pub x: f64,
-    /// Y of the point.
+    /// Value on the y axis.
     pub y: f64,
     /// Characters of the label.
     pub text: String,
 }
 
-/// Items that notes avoid, points.
+/// Items that labels avoid; positions and sizes in typographic points.
 #[derive(Clone, Debug, Default)]
 pub struct Obstacles {
     /// Centres and radii of markers.
@@ -26,13 +26,13 @@ pub struct Obstacles {
     pub lines: Vec<[(f64, f64); 2]>,
 }
 
-/// Places `notes` next to their points within `frame`, clear of each other and of `obstacles`, all in points. Earlier
-/// notes have priority; a note without a free side is omitted.
-pub fn place_notes(notes: &[((f64, f64), &str)], obstacles: &Obstacles, frame: Rect) -> Vec<Text> {
+/// Places `labels`, each with its position, within `frame`, clear of each other and of `obstacles`, all in typographic
+/// points. Earlier labels have priority; a label without a free side is omitted.
+pub fn place_notes(labels: &[((f64, f64), &str)], obstacles: &Obstacles, frame: Rect) -> Vec<Text> {
     let markers = obstacles.markers.iter();
     let markers: Vec<Rect> = markers.map(|&((x, y), r)| [x - r, y - r, x + r, y + r]).collect();
     let mut placed: Vec<Text> = Vec::new();
-    for &(point, label) in notes {
+    for &(point, label) in labels {
         let taken: Vec<Rect> = placed.iter().map(Text::bounds).collect();
         let is_free = |text: &Text| {
             let bounds = text.bounds();

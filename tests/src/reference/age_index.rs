@@ -1,5 +1,6 @@
 //! Choice of sensing devices under `age-index`, from the rule in docs/age-index.md, which states the constants. It
 //! computes every place separately and caches nothing between sums.
+//! It takes no rule from the emulator, and must give equal results with the same draws; [`super`] lists what it shares.
 
 use std::f64::consts::PI;
 

@@ -1,4 +1,5 @@
 //! The devices of a run of the reference, as the emulator deploys them.
+//! It takes no rule from the emulator, and must give equal results with the same draws; [`super`] lists what it shares.
 
 use reveille_bs::scenario::Scenario;
 use reveille_common::deployment::Deployment;

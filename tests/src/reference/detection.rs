@@ -1,5 +1,6 @@
 //! Detection in the reference, and the cause of a missed event. `docs/results.md` defines the causes. Devices can fail
 //! here, but their processes are never lost.
+//! It takes no rule from the emulator, and must give equal results with the same draws; [`super`] lists what it shares.
 
 use reveille_bs::scenario::Scenario;
 use reveille_common::rng::{Purpose, unit_for_pair};

@@ -1,4 +1,5 @@
-//! One device of the reference, TTI by TTI: its state, battery and ledger.
+//! One device of the reference, stepped TTI by TTI by `world.rs`: its state, battery and ledger.
+//! It takes no rule from the emulator, and must give equal results with the same draws; [`super`] lists what it shares.
 
 use reveille_common::ids::DeviceId;
 use reveille_common::message::Change;

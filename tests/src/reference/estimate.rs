@@ -1,4 +1,5 @@
 //! The base station's estimate of unreported battery levels in the reference: whether a device can pay for a report.
+//! It takes no rule from the emulator, and must give equal results with the same draws; [`super`] lists what it shares.
 
 use reveille_common::scenario::EnergyModel;
 

@@ -1,4 +1,5 @@
 //! Start, epicentre and duration of events in the reference, computed TTI by TTI from the definition.
+//! It takes no rule from the emulator, and must give equal results with the same draws; [`super`] lists what it shares.
 
 use reveille_bs::scenario::Scenario;
 use reveille_common::event::{Aftershocks, DurationKind, EventBursts, HotSpots, ProcessSettings};

@@ -1,4 +1,5 @@
 //! Energy arrivals of the reference, drawn TTI by TTI from the random stream of the device.
+//! It takes no rule from the emulator, and must give equal results with the same draws; [`super`] lists what it shares.
 
 use std::f64::consts::PI;
 

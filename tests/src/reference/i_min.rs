@@ -1,5 +1,6 @@
 //! I_min of a deployment (Sec. V-A): the information in the closest device's report at the worst place, found by trying
 //! all candidate places.
+//! It takes no rule from the emulator, and must give equal results with the same draws; [`super`] lists what it shares.
 
 use reveille_common::geometry::{Area, Point};
 use reveille_common::sensing::Sensing;

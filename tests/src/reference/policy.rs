@@ -1,4 +1,5 @@
 //! Policies of the reference: duty cycles and wake-up choices.
+//! It takes no rule from the emulator, and must give equal results with the same draws; [`super`] lists what it shares.
 
 use std::f64::consts::PI;
 

@@ -1,5 +1,6 @@
 //! Choice of sensing devices under `q-learning`, from the rule in docs/q-learning.md: table values, batteries and plain
 //! geometry. The edges of buckets are the edges in `bs/src/policy/q_learning/learned/tables.rs`.
+//! It takes no rule from the emulator, and must give equal results with the same draws; [`super`] lists what it shares.
 
 use std::f64::consts::PI;
 

@@ -1,4 +1,5 @@
 //! Search for the adjusted duty cycle (Sec. V-A, P2): every pair of the grid is tried in runs of the reference.
+//! It takes no rule from the emulator, and must give equal results with the same draws; [`super`] lists what it shares.
 
 use reveille_bs::policy::adjusted::search::DutyCycleChoice;
 use reveille_bs::policy::adjusted::settings::AdjustedSettings;

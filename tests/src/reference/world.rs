@@ -1,4 +1,5 @@
 //! The model in the reference, TTI by TTI: devices, events and their outcomes.
+//! It takes no rule from the emulator, and must give equal results with the same draws; [`super`] lists what it shares.
 
 use reveille_bs::scenario::Scenario;
 use reveille_common::event::EventRecord;

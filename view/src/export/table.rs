@@ -8,7 +8,7 @@
 //! | `number` | device or host in its key; empty for a kind without one |
 //! | `bytes` | encoded length |
 //! | `information`, `battery` | of a report: I_ij, and the remaining battery, units |
-//! | `message` | all fields in JSON |
+//! | `message` | all fields in JSON; `{"malformed": REASON}` if the payload cannot be decoded |
 
 use std::io::Write;
 

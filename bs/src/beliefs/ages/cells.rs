@@ -15,7 +15,7 @@ const CELLS_PER_RANGE: f64 = 7.5;
 /// Maximum number of rows, and of columns, of cells within d_max of a device.
 pub(super) const DISC_SIDE: usize = 16;
 
-/// The area in cells of about d_max/7.5, row by row. [`DISC_SIDE`] unused cells follow each row, and as many unused
+/// The area in cells of at most d_max/7.5, row by row. [`DISC_SIDE`] unused cells follow each row, and as many unused
 /// rows follow the last. So a square of this side can be read from any cell on.
 #[derive(Clone, Debug)]
 pub(super) struct Cells {

@@ -138,7 +138,7 @@ mod tests {
         );
         assert_refused(
             parse_numbers("--lambda", "nan", "0.1").map(drop),
-            "`nan` is not a number",
+            "`nan` is not a finite number",
         );
         assert_refused(parse_duties("3/2").map(drop), "t_on = 3 must be at most t_DRX = 2");
         assert_refused(parse_duties("0/0").map(drop), "t_DRX at least 1");
