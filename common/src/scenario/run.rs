@@ -63,7 +63,7 @@ declare! {
     /// selected.
     #[derive(Clone, Debug)]
     pub(super) struct PolicyName in "policy" {
-        /// Name of a registered policy.
+        /// Name of the policy.
         pub(super) name: String = registered("knn").source("Sec. V, Sec. VI"),
     }
 }
