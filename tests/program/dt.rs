@@ -149,6 +149,9 @@ mod transformer {
             let end = training.finish();
             // On a fast machine the training may have ended before the signal.
             assert!(end.code() == code || end.is_success(), "{end}");
+            if folder.join("killed.safetensors").exists() {
+                break;
+            }
         }
         if !folder.join("killed.safetensors").exists() {
             let other = folder.run(&format!("{TRAIN} --seed 2 --out killed.safetensors"));

@@ -11,6 +11,7 @@ use std::fmt::Write as _;
 use std::process::ExitCode;
 
 use anyhow::bail;
+use reveille_common::digits::decimals_for;
 use reveille_common::score::Metrics;
 use reveille_view::compare::compare_scenarios;
 use serde_json::{Value, json};
@@ -233,18 +234,7 @@ fn signed(value: f64) -> String {
     format!("{sign}{}", short(value.abs()))
 }
 
-/// Formats a number of at least 0 with three significant digits.
+/// Formats a number with three significant digits.
 fn short(value: f64) -> String {
-    let decimals = if value >= 100.0 {
-        0
-    } else if value >= 10.0 {
-        1
-    } else if value >= 1.0 {
-        2
-    } else if value >= 0.1 {
-        3
-    } else {
-        4
-    };
-    format!("{value:.decimals$}")
+    format!("{value:.*}", decimals_for(value, 3))
 }
