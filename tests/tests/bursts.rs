@@ -140,7 +140,7 @@ fn events_start_with_the_probability_of_the_phase() {
 }
 
 #[test]
-fn bursts_with_equal_phases_equal_uniform_events() {
+fn bursts_with_equal_probabilities_equal_uniform_events() {
     for alpha in [1.0, 0.35, 0.01] {
         let uniform = scenario(&format!("seed = 31\nevents.alpha = {alpha:?}\n"));
         let bursts = scenario(&format!(

@@ -1,5 +1,6 @@
-//! Former names of options and values, which are still accepted with a warning, so that scripts continue to work. An
-//! option or value that is renamed needs an entry here.
+//! Former names of commands, options and values of version 0.1, which are still accepted with a warning, so that scripts
+//! continue to work. A command, option or value that is renamed needs an entry here. Renamed metrics have theirs in
+//! `FORMER_NAMES` (`common/src/score/metrics.rs`).
 
 use std::ffi::OsString;
 
@@ -20,7 +21,7 @@ const RENAMED_OPTIONS: [(&str, &str, &str); 7] = [
 const RENAMED_COMMANDS: [(&str, &str, &[&str]); 1] = [("inspect compare", "compare", &["--exit-code"])];
 
 /// The command, its former option, and the argument that replaces it.
-const FORMER_OPTIONS_OF_ARGUMENTS: [(&str, &str, &str); 3] = [
+const OPTIONS_NOW_ARGUMENTS: [(&str, &str, &str); 3] = [
     ("inspect tail", "--from", "FILE"),
     ("inspect stats", "--from", "FILE"),
     ("dashboard", "--from", "FILE"),
@@ -68,7 +69,7 @@ pub(crate) fn replace_former_names(args: impl IntoIterator<Item = OsString>) -> 
             args[at] = format!("{}{}", &text[..text.len() - list.len()], current.join(",")).into();
         }
     }
-    for (command, option, argument) in FORMER_OPTIONS_OF_ARGUMENTS {
+    for (command, option, argument) in OPTIONS_NOW_ARGUMENTS {
         for at in argument_range(&args, command).rev() {
             let Some(text) = args[at].to_str() else { continue };
             let value = text.strip_prefix(option).and_then(|rest| rest.strip_prefix('='));

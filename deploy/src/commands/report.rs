@@ -13,10 +13,10 @@ use reveille_lab::io::replace;
 use reveille_study::figures::results::RunCondition;
 use reveille_study::figures::scene::Scene;
 use reveille_study::figures::{energy, pareto, study, svg};
-use reveille_study::report::page::page;
+use reveille_study::report::page::page as html_page;
 use reveille_study::report::page_sections::{PageSection, fill_page};
-use reveille_study::report::search::{ConditionRanking, markdown};
-use reveille_study::report::{ClaimReport, markdown as pages};
+use reveille_study::report::search::{ConditionRanking, markdown as search_markdown};
+use reveille_study::report::{ClaimReport, markdown as report_markdown};
 
 use super::figure_files::{read_tables, write_file};
 use crate::cli::{ReportArgs, ReportCommand, SearchArgs};
@@ -34,14 +34,14 @@ pub(crate) fn run(args: &ReportArgs) -> anyhow::Result<ExitCode> {
 fn search(args: &SearchArgs) -> anyhow::Result<ExitCode> {
     let results = read_tables(&args.tables)?;
     let ranking = ConditionRanking::new(ClaimReport::new(&results));
-    let headings = markdown::ranking_heads(&ranking);
+    let headings = search_markdown::ranking_heads(&ranking);
     let mut table = Table::new();
     table.load_style(UTF8_FULL_CONDENSED).set_header(&headings);
     for ranked in ranking.conditions_to_show(args.top) {
-        table.add_row(markdown::ranking_row(&ranking, ranked));
+        table.add_row(search_markdown::ranking_row(&ranking, ranked));
     }
     display::print_stdout(&format!("{table}\n"))?;
-    for sentence in markdown::summary(&ranking) {
+    for sentence in search_markdown::summary(&ranking) {
         display::print_stdout(&format!("{sentence}\n"))?;
     }
     let command = format!(
@@ -50,11 +50,11 @@ fn search(args: &SearchArgs) -> anyhow::Result<ExitCode> {
         args.top,
         args.out.display()
     );
-    let page = markdown::markdown(&ranking, args.top, &command);
+    let page = search_markdown::markdown(&ranking, args.top, &command);
     write_file(&args.out, "search.md", page.as_bytes())?;
     insert_into_page(
         args.page.as_deref(),
-        &markdown::page_sections(&ranking, args.top, &command),
+        &search_markdown::page_sections(&ranking, args.top, &command),
     )?;
     Ok(ExitCode::SUCCESS)
 }
@@ -95,10 +95,14 @@ fn write_report(args: &ReportArgs) -> anyhow::Result<ExitCode> {
     write_file(
         &args.out,
         "report.md",
-        pages::markdown(&report, &files, &command).as_bytes(),
+        report_markdown::markdown(&report, &files, &command).as_bytes(),
     )?;
-    write_file(&args.out, "report.html", page(&report, &pictures, &command).as_bytes())?;
-    insert_into_page(args.page.as_deref(), &pages::page_sections(&report, &command))?;
+    write_file(
+        &args.out,
+        "report.html",
+        html_page(&report, &pictures, &command).as_bytes(),
+    )?;
+    insert_into_page(args.page.as_deref(), &report_markdown::page_sections(&report, &command))?;
     Ok(ExitCode::SUCCESS)
 }
 

@@ -60,6 +60,7 @@ impl Dt {
     pub fn new(known: &Knowledge, settings: &DtSettings) -> Self {
         let positions = known.positions();
         let token_builder = TokenBuilder::new(known, |j| min_level(&known.devices[j].energy));
+        // In cells.
         let reach = ages::effective_area(&known.sensing) / token_builder.ages().cell_surface();
         // With a target the model names the price in each TTI, as a factor of this one.
         let price = settings.fixed_price().unwrap_or(1.0);
@@ -78,10 +79,8 @@ impl Dt {
             token_builder,
         }
     }
-}
 
-impl Dt {
-    /// Returns the devices that the teacher would let sense: log-odds above 0.
+    /// Returns the devices that the recorded policy (the teacher) would let sense: log-odds above 0.
     fn imitate_teacher(&mut self) -> Vec<DeviceId> {
         let outputs = self
             .forward_pass
