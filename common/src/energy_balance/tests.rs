@@ -75,22 +75,34 @@ fn longest_run(ttis: u64, is_dark: impl Fn(u64) -> bool) -> u64 {
 
 #[test]
 fn the_longest_gap_of_a_trace_is_the_longest_without_an_arrival() {
-    for (end, start) in [("cycle", 0), ("stop", 0), ("cycle", 1), ("cycle", 2), ("stop", 2)] {
-        for ttis in (1..40).chain([1000]) {
-            let mut fields = trace_fields(&format!("gap-{end}"), end);
-            fields.extend([format!("ttis={ttis}"), format!("harvest.trace.start={start}")]);
-            let scenario = scenario_with(&fields);
-            let gaps = arrivals(&scenario)
-                .into_iter()
-                .map(|arrivals| longest_run(ttis, |tti| !arrivals.contains(&Tti(tti))));
-            let balance = EnergyBalance::new(&scenario);
-            assert_eq!(
-                balance.classes[0].longest_gap,
-                gaps.max(),
-                "{end}, start {start}, {ttis} TTIs"
-            );
+    let path = std::env::temp_dir().join(format!("reveille-gaps-{}.csv", std::process::id()));
+    // The gap of `a` crosses the end of the trace if it cycles from row 0.
+    std::fs::write(&path, "a,b,never\n0,5,0\n1,0,0\n0,0,0\n3,1,0\n0,2,0\n0,3,0\n").expect("a file");
+    let mut seen = std::collections::BTreeSet::new();
+    for columns in ["[\"a\"]", "[\"b\", \"a\"]", "[\"b\"]", "[\"never\"]"] {
+        for (end, start) in [("cycle", 0), ("stop", 0), ("cycle", 1), ("cycle", 4), ("stop", 2)] {
+            for ttis in (1..60).chain([1000]) {
+                let scenario = scenario_with(&[
+                    "harvest.kind=trace",
+                    &format!("harvest.trace.file={}", path.display()),
+                    &format!("harvest.trace.columns={columns}"),
+                    "harvest.trace.ttis_per_row=4",
+                    &format!("harvest.trace.end={end}"),
+                    &format!("harvest.trace.start={start}"),
+                    &format!("ttis={ttis}"),
+                    "devices=3",
+                ]);
+                let gaps = arrivals(&scenario)
+                    .into_iter()
+                    .map(|arrivals| longest_run(ttis, |tti| !arrivals.contains(&Tti(tti))));
+                let gap = EnergyBalance::new(&scenario).classes[0].longest_gap;
+                assert_eq!(gap, gaps.max(), "{columns}, {end}, start {start}, {ttis} TTIs");
+                seen.insert(gap);
+            }
         }
     }
+    std::fs::remove_file(path).expect("there");
+    assert!(seen.contains(&Some(12)), "three rows across the end: {seen:?}");
 }
 
 #[test]
