@@ -226,7 +226,7 @@ fn figures_and_report_of_a_sweep_are_complete_and_figures_are_reproducible() {
 }
 
 #[test]
-fn a_search_judges_every_setting_reproducibly() {
+fn a_search_judges_every_condition_reproducibly() {
     let folder = TestFolder::new();
     sweep(&folder, "unstated", "--grid events.alpha=0.1,0.2,0.4");
     sweep(&folder, "literal", "--scenario paper-literal");
@@ -249,7 +249,7 @@ fn a_search_judges_every_setting_reproducibly() {
     for part in [
         "| paper |",
         "| paper-literal |",
-        "## Claims that no setting meets",
+        "## Claims that no condition meets",
         "## Claim by claim",
     ] {
         assert!(pages[0].contains(part), "{part}");
