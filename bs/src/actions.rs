@@ -16,7 +16,7 @@ pub fn check_change(change: &Change, scenario: &Scenario) -> Result<(), String> 
         && !range.is_valid(devices)
     {
         return Err(format!(
-            "{range}: not in the run; use devices from 0 to {}",
+            "{range}: not in the run; use `all`, or devices from 0 to {}",
             devices - 1
         ));
     }

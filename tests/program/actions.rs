@@ -173,7 +173,10 @@ fn an_impossible_action_is_refused() {
         let end = folder.run(&format!("clock act {action} --run {run}"));
         assert!(!end.is_success() && end.stderr.contains(why), "{action}: {end}");
     };
-    refused("fail 20", "device 20: not in the run; use devices from 0 to 19");
+    refused(
+        "fail 20",
+        "device 20: not in the run; use `all`, or devices from 0 to 19",
+    );
     refused("fail 7-2", "must be `all`, or devices and ranges of devices");
     refused("energy 7 0", "above 0");
     refused("set policy.age-index.price 1", "policy knn has no price");

@@ -129,7 +129,7 @@ fn the_dashboard_acts_on_a_device() {
     for (action, why) in [
         ("explode?device=3", "unknown action"),
         ("energy?device=3", "unknown action"),
-        ("fail?device=20", "use devices from 0 to 19"),
+        ("fail?device=20", "or devices from 0 to 19"),
     ] {
         let (status, body) = page.request("POST", &format!("/api/act/{action}"), &[token]);
         assert!(status == 400 && body.contains(why), "{action}: {status} {body}");

@@ -115,7 +115,7 @@ fn format_span(balance: &EnergyBalance, ttis: u64) -> String {
         return String::new();
     };
     let seconds = ttis as f64 * tti_seconds;
-    // Two units of time are enough: 2days 3h, not 2days 3h 7m 12s.
+    // Two units of time are enough: 2 days 3h, not 2 days 3h 7m 12s.
     let rounding_seconds = match seconds {
         s if s >= 86_400.0 => 3600.0,
         s if s >= 3600.0 => 60.0,
@@ -123,7 +123,8 @@ fn format_span(balance: &EnergyBalance, ttis: u64) -> String {
         _ => 1e-6,
     };
     match Duration::try_from_secs_f64((seconds / rounding_seconds).round() * rounding_seconds) {
-        Ok(span) => format!(" ({})", format_duration(span)),
+        // humantime writes `2days`.
+        Ok(span) => format!(" ({})", format_duration(span).to_string().replace("day", " day")),
         Err(_) => String::new(),
     }
 }
@@ -168,7 +169,7 @@ mod tests {
             assert!(classes.contains(part), "{part}: {classes}");
         }
         let days = text_with(day_and_night, &[]);
-        assert!(days.contains("8640 TTIs of 300 s (30days)"), "{days}");
+        assert!(days.contains("8640 TTIs of 300 s (30 days)"), "{days}");
         assert!(days.contains("longest gap     14"), "{days}");
         assert!(
             days.contains("sleeping through it takes 0.103 full batteries\n"),

@@ -55,9 +55,12 @@ fn draw_study(args: &FiguresArgs) -> anyhow::Result<ExitCode> {
     let chosen = study::select_figures(&args.only, &other_figures())?;
     let results = read_tables(&args.tables)?;
     let swept = SweptNumbers::of_results(&results);
-    // The paper has no figures of a swept field, so its runs are drawn against this field.
+    // The paper has no figures of a swept field, so its runs are drawn against this field; also those of the preset's
+    // own value, unless they have several N to draw them against.
     let is_swept = |condition: &RunCondition| {
-        !condition.is_unchanged_preset() && swept.iter().any(|numbers| numbers.is_varied_in(condition))
+        let has_several_n = || condition.all_device_counts().len() > 1;
+        swept.iter().any(|numbers| numbers.is_varied_in(condition))
+            && !(condition.is_unchanged_preset() && has_several_n())
     };
     let with_labels = results.conditions.iter().zip(results.file_labels());
     for (condition, label) in with_labels.filter(|(condition, _)| !is_swept(condition)) {

@@ -147,7 +147,7 @@ fn number<T: FromStr>(word: &str, requirement: &str) -> Result<T, String> {
 }
 
 fn parse_line(words: &[&str]) -> Result<ScriptLine, String> {
-    let whole = |word: &str| number::<u64>(word, "a whole number of TTIs");
+    let whole = |word: &str| number::<u64>(word, "a whole number of TTIs, such as 600");
     let (times, action) = match words {
         ["from", from, "to", to, "every", every, rest @ ..] => {
             (repeated(whole(from)?, Some(whole(to)?), whole(every)?), rest)

@@ -128,7 +128,10 @@ fn an_invalid_line_is_refused_with_the_fix() {
             "line 2: `soon` must be the TTI of the action, or `from`",
         ),
         ("6000 fail 7", "TTI 6000 is not in the run; use TTIs before 6000"),
-        ("5 fail 50", "device 50: not in the run; use devices from 0 to 49"),
+        (
+            "5 fail 50",
+            "device 50: not in the run; use `all`, or devices from 0 to 49",
+        ),
         ("5 fail 40-50", "devices 40 to 50: not in the run"),
         (
             "5 fail 9-3",

@@ -38,7 +38,7 @@ pub enum InputLogError {
     #[error("was written by another version of reveille; use that version")]
     Version,
     /// The log belongs to another run.
-    #[error("belongs to a run of another scenario or seed")]
+    #[error("belongs to a run of another scenario or seed; use `--scenario scenario.toml` from its run folder")]
     Scenario,
     /// The log does not begin with the line that names its run.
     #[error("line {0}: the line that names the run must come first")]

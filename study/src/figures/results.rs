@@ -4,7 +4,7 @@
 //! Figures use [`Results::conditions`], in which rankings of wake-ups are series of one condition; the report uses
 //! [`Results::by_ranking`]. A condition has a scenario only if the scenario's hash equals the hash in the table.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use reveille_bs::policy::registry;
@@ -322,6 +322,11 @@ impl RunCondition {
     pub fn device_counts(&self, policy: &str) -> Vec<u32> {
         let of_policy = self.runs.keys().filter(|(name, _)| name == policy);
         of_policy.map(|(_, n)| *n).collect()
+    }
+
+    /// Returns the N with runs of any policy, ascending.
+    pub fn all_device_counts(&self) -> BTreeSet<u32> {
+        self.runs.keys().map(|(_, n)| *n).collect()
     }
 
     /// Returns the estimate of `metric` with its interval; `None` if it is undefined in all runs of the cell.

@@ -197,10 +197,13 @@ fn explain(scenario: &Scenario, cause: MissCause, energy: Option<RunEnergy>) -> 
                 owned([harvest_more(), vec!["lower energy.e_wur"]].concat())
             },
         ),
-        MissCause::NoEnergy => (
-            format!("detected by devices that could not pay energy.e_tx = {spent} for a report"),
-            owned([harvest_more(), vec!["lower energy.e_tx"], sense_less(policy)].concat()),
-        ),
+        MissCause::NoEnergy => {
+            background = Some(format!("{}.", balance(scenario)));
+            (
+                format!("detected by devices that could not pay energy.e_tx = {spent} for a report"),
+                owned([harvest_more(), vec!["lower energy.e_tx"], sense_less(policy)].concat()),
+            )
+        }
         MissCause::Lost => (
             "reported, and the radio lost every report".to_owned(),
             owned(vec![

@@ -230,7 +230,8 @@ impl<'a> PolicyPort<'a> {
                     // error, which names the cause.
                     tokio::time::sleep(HELLO_PAUSE).await;
                     if !progress.is_stop_requested() {
-                        let effect = "the run is waiting until a policy process answers";
+                        let effect =
+                            "the run is waiting until a policy process answers; --decision-timeout limits the wait";
                         self.warn_about_peer(format!("{name} has not answered for TTI {tti}; {effect}"));
                     }
                 }

@@ -253,7 +253,7 @@ fn format_bins(misses: &Misses) -> String {
 fn format_devices(involved: &[InvolvedDevice], by_device: &BTreeMap<DeviceId, Row<'_>>) -> String {
     let mut text = format!(
         "{:>6} {:>7} {:<12} {:>7} {:>8} {:>7} {:>7} {:>9} {:>7}\n",
-        "device", "missed", "main cause", "mean m", "battery", "low", "failed", "unpowered", "outage"
+        "device", "missed", "main cause", "mean m", "battery", "low", "unpaid", "unpowered", "outage"
     );
     for device in involved {
         let row = by_device.get(&device.device);
@@ -263,10 +263,10 @@ fn format_devices(involved: &[InvolvedDevice], by_device: &BTreeMap<DeviceId, Ro
                 format!("{value:.*}", usize::from(column == "final_battery"))
             })
         });
-        let [battery, low, failed, unpowered, outage] = cells;
+        let [battery, low, unpaid, unpowered, outage] = cells;
         let _infallible = writeln!(
             text,
-            "{:>6} {:>7} {:<12} {:>7.2} {battery:>8} {low:>7} {failed:>7} {unpowered:>9} {outage:>7}",
+            "{:>6} {:>7} {:<12} {:>7.2} {battery:>8} {low:>7} {unpaid:>7} {unpowered:>9} {outage:>7}",
             device.device.to_string(),
             device.missed,
             cause_name(device.main_cause),

@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 
 use super::source::{FrameSource, check_tti_range};
 use crate::cli::StatsArgs;
-use crate::display::{note, print_stdout, wrap_text};
+use crate::display::{count_noun, note, print_stdout, wrap_text};
 use crate::exit::ExitReason;
 
 /// Columns of a line of text.
@@ -145,9 +145,9 @@ fn text_stats(traffic: &TrafficStats, devices: u32, by_device: bool) -> String {
     if let Some(share) = traffic.control_share() {
         let control = traffic.control();
         let line = format!(
-            "control: {} plans and {} wake-ups, {:.2} bytes a TTI, {:.1} % of all bytes on the air",
-            traffic.kind(MessageKind::Plan).messages,
-            traffic.kind(MessageKind::Wake).messages,
+            "control: {} and {}, {:.2} bytes a TTI, {:.1} % of all bytes on the air",
+            count_noun(traffic.kind(MessageKind::Plan).messages as usize, "plan"),
+            count_noun(traffic.kind(MessageKind::Wake).messages as usize, "wake-up"),
             control.bytes as f64 / ttis,
             100.0 * share
         );
