@@ -77,7 +77,7 @@ async fn start_run_with_revoked_host(
 #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
 async fn a_join_request_of_another_version_or_format_is_refused() {
     let (folder, run, endpoint) = (TestFolder::new(), unique_run("version"), free_endpoint());
-    let _bs = folder.waiting_bs(&run, &endpoint, "");
+    let _bs = folder.start_waiting_bs(&run, &endpoint, "");
     let bus = connect_peer(&endpoint, &run).await;
     let request = JoinRequest {
         version: "0.0.9".to_owned(),
